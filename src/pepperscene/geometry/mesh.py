@@ -1,0 +1,86 @@
+"""Triangles with what the renderer and the ground truth need to know of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.classes import Instance
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """An indexed triangle mesh in metres, z up.
+
+    Attributes:
+        vertices: `(v, 3)` float32, metres.
+        normals: `(v, 3)` float32, unit shading normals; they point out of solids and out of a leaf's upper side.
+        uv: `(v, 2)` float32, surface coordinates in [0, 1].
+        state: `(v,)` float32, the pigment state in [0, 1] (see `materials.Surface`).
+        faces: `(f, 3)` uint32, counter-clockwise seen from the side that the normals point to.
+        face_instance: `(f,)` uint32, index into `instances`; the class of a face is its instance's.
+        face_surface: `(f,)` uint8, index into `surfaces`.
+        surfaces: names of the surfaces used.
+        instances: the organs that the mesh is made of.
+    """
+
+    vertices: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    uv: NDArray[np.float32]
+    state: NDArray[np.float32]
+    faces: NDArray[np.uint32]
+    face_instance: NDArray[np.uint32]
+    face_surface: NDArray[np.uint8]
+    surfaces: tuple[str, ...]
+    instances: tuple[Instance, ...]
+
+    @property
+    def face_class(self) -> NDArray[np.uint8]:
+        """`(f,)` the `OrganClass` of each face."""
+        return np.array([item.organ_class for item in self.instances], dtype=np.uint8)[self.face_instance]
+
+    def moved(self, rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> Mesh:
+        """The mesh rotated by a `(3, 3)` matrix, then translated by `(3,)` metres."""
+        turn = np.asarray(rotation, dtype=float)
+        vertices = (self.vertices @ turn.T + np.asarray(translation, dtype=float)).astype(np.float32)
+        return replace(self, vertices=vertices, normals=(self.normals @ turn.T).astype(np.float32))
+
+    def of_plant(self, plant: int) -> Mesh:
+        """The same mesh with its instances assigned to plant number `plant` of a scene."""
+        return replace(self, instances=tuple(replace(item, plant=plant) for item in self.instances))
+
+
+def concatenate(meshes: Sequence[Mesh]) -> Mesh:
+    """One mesh out of several; instances are numbered on, surfaces of equal name become one.
+
+    Raises:
+        ValueError: no meshes are given.
+    """
+    if not meshes:
+        raise ValueError("at least one mesh is needed")
+    names = tuple(dict.fromkeys(name for mesh in meshes for name in mesh.surfaces))
+    faces, face_instances, face_surfaces = [], [], []
+    instances: list[Instance] = []
+    vertex_offset = 0
+    for mesh in meshes:
+        renumber = np.array([names.index(name) for name in mesh.surfaces], dtype=np.uint8)
+        first = len(instances)
+        faces.append(mesh.faces + np.uint32(vertex_offset))
+        face_instances.append(mesh.face_instance + np.uint32(first))
+        face_surfaces.append(renumber[mesh.face_surface])
+        instances += [replace(i, parent=i.parent + first if i.parent >= 0 else -1) for i in mesh.instances]
+        vertex_offset += len(mesh.vertices)
+    return Mesh(
+        vertices=np.concatenate([mesh.vertices for mesh in meshes]),
+        normals=np.concatenate([mesh.normals for mesh in meshes]),
+        uv=np.concatenate([mesh.uv for mesh in meshes]),
+        state=np.concatenate([mesh.state for mesh in meshes]),
+        faces=np.concatenate(faces),
+        face_instance=np.concatenate(face_instances),
+        face_surface=np.concatenate(face_surfaces),
+        surfaces=names,
+        instances=tuple(instances),
+    )

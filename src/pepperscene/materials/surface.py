@@ -1,0 +1,56 @@
+"""What light meets: the optical description of an organ's surface, as plain arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A diffuse, possibly translucent body under a glossy cuticle, over a range of pigment states.
+
+    A state in [0, 1] is a point on the surface's path through pigment space (a fruit from unripe to ripe, a
+    leaf from pale to dark); spectra are tabulated along it and interpolated linearly between the rows, which
+    lie at `linspace(0, 1, s)`. The rows come out of a pigment model: pigments are mixed, not spectra.
+
+    Attributes:
+        name: unique within a scene ("leaf", "fruit", "stem").
+        wavelength_nm: `(n,)` increasing.
+        reflectance: `(s, 2, n)` diffuse hemispherical reflectance below the cuticle's gloss, in [0, 1];
+            axis 1 is the front side (the one the normal points out of) and the back side.
+        transmittance: `(s, n)` diffuse hemispherical transmittance, equal both ways; 0 for opaque bodies.
+            Reflectance and transmittance sum to at most 1.
+        ior: refractive index of the cuticle; 1 means a surface without gloss.
+        roughness: `(2,)` GGX alpha of the cuticle, front and back.
+        pattern: `(h, w)` offset added to the state over uv (row 0 is v = 0), or None. Veins live here.
+        relief_mm: `(h, w)` height over uv along the normal, for shading only, or None.
+        uv_size_mm: `(2,)` physical extent of the unit of u and v, by which `relief_mm` becomes a slope.
+    """
+
+    name: str
+    wavelength_nm: NDArray[np.float64]
+    reflectance: NDArray[np.float64]
+    transmittance: NDArray[np.float64]
+    ior: float = 1.0
+    roughness: tuple[float, float] = (0.3, 0.3)
+    pattern: NDArray[np.float32] | None = None
+    relief_mm: NDArray[np.float32] | None = None
+    uv_size_mm: tuple[float, float] = (100.0, 100.0)
+
+    def __post_init__(self) -> None:
+        n = self.wavelength_nm.size
+        s = self.reflectance.shape[0]
+        if self.reflectance.shape != (s, 2, n) or self.transmittance.shape != (s, n):
+            raise ValueError(f"{self.name}: reflectance (s, 2, n) and transmittance (s, n) do not match n={n}")
+        total = self.reflectance + self.transmittance[:, None, :]
+        if min(self.reflectance.min(), self.transmittance.min()) < 0 or total.max() > 1 + 1e-9:
+            raise ValueError(f"{self.name}: reflectance and transmittance must be >= 0 and sum to at most 1")
+
+
+def lambertian(name: str, reflectance: float) -> Surface:
+    """An ideal matt, opaque, grey surface; for test patches and reference cards."""
+    nm = np.array([300.0, 1100.0])
+    return Surface(name, nm, np.full((1, 2, 2), float(reflectance)), np.zeros((1, 2)))

@@ -1,0 +1,37 @@
+"""Where the shipped data lies: cultivars in `plants`, spectra in `materials`, recipes in `recipes`.
+
+In a wheel the three folders lie inside the package; in a checkout they are at the top of the repository.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pepperscene.errors import InputError
+
+Shelf = Literal["plants", "materials", "recipes"]
+
+
+def shelf(name: Shelf) -> Path:
+    """The folder that holds the shipped files of one kind."""
+    package = Path(__file__).resolve().parent
+    inside = package / "shipped" / name
+    return inside if inside.is_dir() else package.parents[1] / name
+
+
+def find(shelf_name: Shelf, wanted: str | Path, *, suffix: str = ".toml") -> Path:
+    """The path of a file given by its own path or by the bare name of a shipped one.
+
+    Raises:
+        InputError: neither a file nor a shipped name; the message lists the shipped names.
+    """
+    path = Path(wanted)
+    if path.suffix == suffix or path.parent != Path("."):
+        if path.is_file():
+            return path
+    shipped = shelf(shelf_name) / f"{wanted}{suffix}"
+    if path.parent == Path(".") and shipped.is_file():
+        return shipped
+    names = ", ".join(sorted(p.stem for p in shelf(shelf_name).glob(f"*{suffix}")))
+    raise InputError(str(wanted), "", None, f"no such file, nor one of the shipped {shelf_name}: {names}")
