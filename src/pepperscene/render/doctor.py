@@ -219,10 +219,11 @@ def _rendering(ending: _Ending) -> list[Check]:
     if ending.code == 0 and isinstance(ratio, float):
         # 64 samples on 64 pixels leave well below 1 % of noise; 3 % tells a wrong picture from a right one.
         right = abs(ratio / _GREY - 1) < 0.03
-        advice = "" if right else "the renderer computes wrongly here; another LLVM may help"
-        lines.append(
-            Check("smoke render", f"32x32, furnace ratio {ratio:.3f} (expected {_GREY})", right, advice)
-        )
+        told = f"32x32, furnace ratio {ratio:.3f} (expected {_GREY})"
+        advice = "" if right else f"the renderer computes wrongly here; {_llvm_advice()}"
+        lines.append(Check("smoke render", told, right, advice))
+    elif "setup" in found:
+        lines.append(Check("variant", "none", good=False, advice=str(found["setup"])))
     elif "variant" not in found:
         lines.append(Check("variant", f"none: {_how(ending)}", good=False, advice=_llvm_advice()))
     else:
