@@ -1,0 +1,45 @@
+"""Spectra: the sampled function, files, lights, and the pigment model of leaves."""
+
+from pepperscene.spectra.lights import (
+    LUMINOUS_EFFICACY,
+    illuminance,
+    led_spectrum,
+    photopic_efficiency,
+    sky_spectrum,
+    sun_spectrum,
+    with_illuminance,
+)
+from pepperscene.spectra.photons import LIGHT_SPEED, PLANCK, photons_per_joule
+from pepperscene.spectra.pigments import absorption_coefficients
+from pepperscene.spectra.prospect import LeafOptics, below_gloss_over_body, leaf_spectra
+from pepperscene.spectra.reading import (
+    Provenance,
+    read_provenance,
+    read_spectra,
+    read_spectrum,
+    spectra_file,
+)
+from pepperscene.spectra.spectrum import Spectrum
+
+__all__ = [
+    "LIGHT_SPEED",
+    "LUMINOUS_EFFICACY",
+    "PLANCK",
+    "LeafOptics",
+    "Provenance",
+    "Spectrum",
+    "absorption_coefficients",
+    "below_gloss_over_body",
+    "illuminance",
+    "leaf_spectra",
+    "led_spectrum",
+    "photons_per_joule",
+    "photopic_efficiency",
+    "read_provenance",
+    "read_spectra",
+    "read_spectrum",
+    "sky_spectrum",
+    "spectra_file",
+    "sun_spectrum",
+    "with_illuminance",
+]

@@ -1,0 +1,56 @@
+"""Specific absorption coefficients of what a leaf or a pepper is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pepperscene.spectra.reading import read_spectra, read_spectrum
+from pepperscene.spectra.spectrum import Spectrum
+
+LEAF_FILE: Final = "leaf/prospect_pro_sac_400_2500"
+PEPPER_FILE: Final = "fruit/pepper_pigment_sac_MODEL"
+_COLUMNS: Final = {
+    "chlorophyll": "sac_chl",
+    "carotenoid": "sac_car",
+    "anthocyanin": "sac_ant",
+    "brown": "sac_brown",
+    "water": "sac_ewt",
+    "dry_matter": "sac_lma",
+    "protein": "sac_prot",
+    "carbon": "sac_cbc",
+    "refractive_index": "nrefrac",
+}
+
+
+def absorption_coefficients(wavelength_nm: ArrayLike) -> Mapping[str, NDArray[np.float64]]:
+    """Specific absorption and the refractive index of leaf tissue, each `(n,)`, by constituent.
+
+    chlorophyll (a + b), carotenoid, anthocyanin and capsanthin in cm2 ug-1; brown (relative); water in cm-1;
+    dry_matter, protein and carbon (carbon-based constituents) in cm2 g-1; refractive_index.
+
+    From PROSPECT-D/PRO (Feret et al. 2017, 2021); capsanthin is a MODEL, PROSPECT's carotenoid shifted to
+    the red. The tables begin at 400 nm: below, the value at 400 nm is held, because none was measured there.
+    Capsanthin is zero beyond its table's 800 nm.
+
+    Raises:
+        ValueError: a wavelength lies beyond 2500 nm.
+    """
+    nm = np.atleast_1d(np.asarray(wavelength_nm, dtype=float))
+    table = _coefficients()
+    first, last = table["chlorophyll"].wavelength_nm[[0, -1]]
+    if nm.max() > last:
+        raise ValueError(f"{nm.max():g} nm lies beyond the coefficients' {last:g} nm")
+    held = np.maximum(nm, first)
+    return {name: spectrum.at(held) for name, spectrum in table.items()}
+
+
+@lru_cache(maxsize=1)
+def _coefficients() -> Mapping[str, Spectrum]:
+    leaf = read_spectra(LEAF_FILE, outside="error")
+    capsanthin = read_spectrum(PEPPER_FILE, "capsanthin_MODEL", outside="zero")
+    return {name: leaf[column] for name, column in _COLUMNS.items()} | {"capsanthin": capsanthin}
