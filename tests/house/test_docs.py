@@ -1,0 +1,98 @@
+"""What the README and the pages show is run: every Python block, every `pepperscene` command, and Sphinx."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+NOT_RUN = re.compile(r"<!-- not run: .+ -->")
+"""A reader does not see it: the next block is shown only, and why (it takes a day, say)."""
+
+
+def _blocks(page: Path) -> list[tuple[str, int, list[str]]]:
+    """(language, number of the first line inside, lines) of a page's fenced blocks that are to be run."""
+    blocks, fence, lines, shown_only = [], None, [], False
+    for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
+        if fence is not None and line.strip() == fence[0]:
+            if not shown_only:
+                blocks.append((fence[1], fence[2], lines))
+            fence, shown_only = None, False
+        elif fence is not None:
+            lines.append(line)
+        elif opening := re.fullmatch(r"(`{3,})(.*)", line):
+            fence, lines = (opening[1], opening[2].strip(), number + 1), []
+        elif line.strip():
+            shown_only = NOT_RUN.fullmatch(line.strip()) is not None
+    assert fence is None, f"{page.name}: a block is not closed"
+    return blocks
+
+
+def _commands(language: str, lines: list[str]) -> list[tuple[int, str]]:
+    """(offset, command) of the shell lines of a block; in a console block those behind the prompt."""
+    if language in ("bash", "sh"):
+        return [(i, line) for i, line in enumerate(lines) if line.strip() and not line.startswith("#")]
+    return [(i, line[2:]) for i, line in enumerate(lines) if line.startswith("$ ")]
+
+
+def _script(page: Path) -> str:
+    """A page as one Python program, its lines where they stand on the page; prose becomes empty lines."""
+    program = [""] * (len(page.read_text(encoding="utf-8").splitlines()) + 1)
+    for language, first, lines in _blocks(page):
+        if language == "python":
+            program[first - 1 : first - 1 + len(lines)] = lines
+        elif language in ("bash", "sh", "console"):
+            for offset, command in _commands(language, lines):
+                words = shlex.split(command, comments=True)
+                if words[0] == "pepperscene":
+                    call = f"[__import__('sys').executable, '-m', 'pepperscene', *{words[1:]!r}]"
+                    program[first - 1 + offset] = f"__import__('subprocess').run({call}, check=True)"
+    return "\n".join(program)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_examples_of_a_page_run(page: Path, tmp_path: Path) -> None:
+    program = _script(page)
+    if not program.strip():
+        return
+    script = tmp_path / f"{page.stem}_examples.py"
+    script.write_text(program, encoding="utf-8")
+    workplace = tmp_path / "work"
+    workplace.mkdir()
+    done = subprocess.run(
+        [sys.executable, str(script)], cwd=workplace, capture_output=True, text=True, timeout=600
+    )
+    assert done.returncode == 0, f"{page.name} (line numbers are the page's)\n{done.stderr[-4000:]}"
+
+
+def test_the_make_targets_that_pages_name_exist() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    for page in (*PAGES, ROOT / "CONTRIBUTING.md"):
+        for target in re.findall(
+            r"`make ([a-z-]+)|^\$? ?make ([a-z-]+)", page.read_text(encoding="utf-8"), re.M
+        ):
+            assert "".join(target) in targets, f"{page.name}: make {''.join(target)}"
+
+
+def test_the_readme_links_lead_somewhere() -> None:
+    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md"):
+        for link in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8")):
+            assert link.startswith("http") or (ROOT / link).exists(), f"{page.name}: {link}"
+
+
+def test_sphinx_builds_without_a_warning(tmp_path: Path) -> None:
+    command = [
+        sys.executable, "-m", "sphinx", "--fail-on-warning", "--keep-going", "--quiet", "-b", "html",
+        # The notebooks are executed by a test of their own.
+        "-D", "nb_execution_mode=off",
+        "-d", str(tmp_path / "doctrees"), str(ROOT / "docs"), str(tmp_path / "html"),
+    ]  # fmt: skip
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "html" / "index.html").is_file()
