@@ -1,0 +1,41 @@
+"""The camera room: lens, sensor, flash, poses, and the way from light to a photograph."""
+
+from pepperscene.camera.camera import Camera
+from pepperscene.camera.correction import Correction
+from pepperscene.camera.developing import (
+    Developing,
+    camera_rgb,
+    corrected,
+    develop,
+    encode,
+    reference_correction,
+)
+from pepperscene.camera.exposure import expected_electrons, relative_illumination
+from pepperscene.camera.files import load_flash, load_lens, load_sensor
+from pepperscene.camera.flash import AngularProfile, Flash
+from pepperscene.camera.lens import Distortion, Lens
+from pepperscene.camera.poses import arc_path, look_at
+from pepperscene.camera.sensor import Sensor
+
+__all__ = [
+    "AngularProfile",
+    "Camera",
+    "Correction",
+    "Developing",
+    "Distortion",
+    "Flash",
+    "Lens",
+    "Sensor",
+    "arc_path",
+    "camera_rgb",
+    "corrected",
+    "develop",
+    "encode",
+    "expected_electrons",
+    "load_flash",
+    "load_lens",
+    "load_sensor",
+    "look_at",
+    "reference_correction",
+    "relative_illumination",
+]

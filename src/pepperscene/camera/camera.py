@@ -1,0 +1,171 @@
+"""The camera: a lens before a sensor, at a pose, with or without a flash."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pepperscene.camera.developing import Developing
+from pepperscene.camera.flash import Flash
+from pepperscene.camera.lens import Lens
+from pepperscene.camera.sensor import Sensor
+from pepperscene.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A camera that is ready to take a photograph.
+
+    Pixel coordinates (u, v) are continuous: the picture spans [0, width] x [0, height], and the centre of the
+    pixel in row 0 and column 0 is (0.5, 0.5). Camera axes: x right, y down, z forward.
+
+    Attributes:
+        lens, sensor: what the image falls through and onto; the optical axis meets the picture's centre.
+        pose: `(4, 4)` camera to world, metres.
+        exposure_s: how long the shutter is open (global shutter).
+        flash: the flash, or None; its pulse starts with the exposure.
+        developing: how electrons become a picture.
+    """
+
+    lens: Lens
+    sensor: Sensor
+    pose: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    exposure_s: float = 50e-6
+    flash: Flash | None = None
+    developing: Developing = field(default_factory=Developing)
+
+    def __post_init__(self) -> None:
+        pose = np.array(self.pose, dtype=float)
+        if pose.shape != (4, 4) or not np.isfinite(pose).all():
+            raise ValueError("a pose must be a finite (4, 4) matrix")
+        turn = pose[:3, :3]
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
+            raise ValueError("a pose must be a rotation and a translation, without scale or mirror")
+        if not self.exposure_s > 0:
+            raise ValueError("the exposure must be positive")
+        pose.setflags(write=False)
+        object.__setattr__(self, "pose", pose)
+        _check_border(self.lens, self.sensor)
+
+    @property
+    def width(self) -> int:
+        """Columns of the picture."""
+        return self.sensor.columns
+
+    @property
+    def height(self) -> int:
+        """Rows of the picture."""
+        return self.sensor.rows
+
+    @property
+    def intrinsics(self) -> NDArray[np.float64]:
+        """`(3, 3)` pinhole matrix in image pixels."""
+        return _intrinsics(self.lens, self.sensor)
+
+    @property
+    def flash_duty(self) -> float:
+        """Share of the exposure during which the flash shines."""
+        return 0.0 if self.flash is None else min(self.flash.pulse_s, self.exposure_s) / self.exposure_s
+
+    def at_pose(self, pose: ArrayLike) -> Camera:
+        """The same camera elsewhere."""
+        return dataclasses.replace(self, pose=np.asarray(pose, dtype=float))
+
+    def ray_slopes(self) -> NDArray[np.float64]:
+        """`(h + 1, w + 1, 2)` slopes (x/z, y/z) of the rays through the pixel corners, distortion undone.
+
+        Read-only and shared by all cameras of this lens and sensor.
+        """
+        return _slopes(self.lens, self.sensor, 0.0)
+
+    def pixel_directions(self) -> NDArray[np.float64]:
+        """`(h, w, 3)` unit directions in camera axes of the rays through the pixel centres; read-only."""
+        return _directions(self.lens, self.sensor)
+
+    def project(self, points_world: ArrayLike) -> NDArray[np.float64]:
+        """Pixel coordinates (u, v), `(n, 2)`, of world points `(n, 3)`, inside the picture or not.
+
+        nan for points behind the camera, and for those so far off the axis that the distortion would fold
+        them back into the picture.
+        """
+        points = np.asarray(points_world, dtype=float).reshape(-1, 3)
+        x, y, z = self.pose[:3, :3].T @ (points - self.pose[:3, 3]).T
+        ahead = z > 0
+        depth = np.where(ahead, z, 1.0)
+        slopes = np.stack([x / depth, y / depth], axis=-1)
+        seen = ahead & (np.hypot(slopes[:, 0], slopes[:, 1]) < self.lens.distortion.limit)
+        slopes[~seen] = np.nan
+        matrix = self.intrinsics
+        with np.errstate(over="ignore", invalid="ignore"):  # points that all but touch the camera's own plane
+            return self.lens.distortion.distorted(slopes) * matrix[[0, 1], [0, 1]] + matrix[:2, 2]
+
+    def facts(self) -> dict[str, Any]:
+        """JSON-ready description."""
+        matrix = self.intrinsics
+        return {
+            "pose": self.pose.tolist(),
+            "fx": float(matrix[0, 0]),
+            "fy": float(matrix[1, 1]),
+            "cx": float(matrix[0, 2]),
+            "cy": float(matrix[1, 2]),
+            "distortion": dataclasses.asdict(self.lens.distortion),
+            "width": self.width,
+            "height": self.height,
+            "exposure_s": float(self.exposure_s),
+            "f_number": float(self.lens.f_number),
+            "lens": self.lens.name,
+            "sensor": self.sensor.name,
+            "flash": None if self.flash is None else self.flash.name,
+            "developing": dataclasses.asdict(self.developing),
+        }
+
+
+def _intrinsics(lens: Lens, sensor: Sensor) -> NDArray[np.float64]:
+    focal_px = lens.focal_length_m / sensor.pixel_pitch_m
+    return np.array([[focal_px, 0, sensor.columns / 2], [0, focal_px, sensor.rows / 2], [0, 0, 1.0]])
+
+
+def _ideal(lens: Lens, sensor: Sensor, u: ArrayLike, v: ArrayLike) -> NDArray[np.float64]:
+    """Undistorted slopes `(..., 2)` of pixel coordinates that broadcast against each other."""
+    matrix = _intrinsics(lens, sensor)
+    pixels = np.stack(np.broadcast_arrays(u, v), axis=-1)
+    return lens.distortion.undistorted((pixels - matrix[:2, 2]) / matrix[[0, 1], [0, 1]])
+
+
+@lru_cache(maxsize=8)
+def _check_border(lens: Lens, sensor: Sensor) -> None:
+    """Refuse a lens whose distortion cannot be undone along the picture's border (where it is strongest)."""
+    u, v = np.arange(sensor.columns + 1.0), np.arange(sensor.rows + 1.0)
+    try:
+        for edge in (0.0, float(sensor.rows)):
+            _ideal(lens, sensor, u, np.array(edge))
+        for edge in (0.0, float(sensor.columns)):
+            _ideal(lens, sensor, np.array(edge), v)
+    except ValueError as fault:
+        allowed = f"must be invertible over the whole picture of {sensor.name}, but {fault}"
+        raise InputError(lens.name, "distortion", dataclasses.asdict(lens.distortion), allowed) from None
+
+
+@lru_cache(maxsize=8)
+def _slopes(lens: Lens, sensor: Sensor, shift: float) -> NDArray[np.float64]:
+    """Undistorted slopes on the grid of pixel corners (shift 0) or pixel centres (shift 0.5)."""
+    extra = 1 if shift == 0 else 0
+    u = np.arange(sensor.columns + extra) + shift
+    v = np.arange(sensor.rows + extra) + shift
+    slopes = _ideal(lens, sensor, u[None, :], v[:, None])
+    slopes.setflags(write=False)
+    return slopes
+
+
+@lru_cache(maxsize=8)
+def _directions(lens: Lens, sensor: Sensor) -> NDArray[np.float64]:
+    slopes = _slopes(lens, sensor, 0.5)
+    directions = np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=-1)
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    directions.setflags(write=False)
+    return directions

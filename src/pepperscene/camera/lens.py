@@ -1,0 +1,140 @@
+"""The lens: focal length, aperture, glass losses and geometric distortion."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+_NEWTON_STEPS = 30  # chosen: quadratic convergence needs about 6; the rest is for strong distortion
+_TOLERANCE = 1e-12  # chosen: of the normalised image coordinate, 1e-9 of a pixel and far above rounding
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """Brown-Conrady distortion, the "plumb bob" of OpenCV and ROS, on slopes (x/z, y/z).
+
+    With r^2 = x^2 + y^2 and R = 1 + k1 r^2 + k2 r^4 + k3 r^6:
+    x' = x R + 2 p1 x y + p2 (r^2 + 2 x^2),  y' = y R + p1 (r^2 + 2 y^2) + 2 p2 x y.
+
+    Method: D. C. Brown, "Close-range camera calibration", Photogrammetric Engineering 37 (1971) 855.
+    """
+
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not all(math.isfinite(value) for value in astuple(self)):
+            raise ValueError("distortion coefficients must be finite")
+
+    @property
+    def is_none(self) -> bool:
+        """Whether all coefficients are zero."""
+        return not any(astuple(self))
+
+    @property
+    def limit(self) -> float:
+        """The radius (a slope) at which the radial part turns back; inf when it never does.
+
+        Beyond it a ray would fold back into the picture, so no ray from there is drawn.
+        """
+        # d(r R)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 with s = r^2 first vanishes at the largest t = 1/s > 0 of
+        # t^3 + 3 k1 t^2 + 5 k2 t + 7 k3 = 0, which is well posed for coefficients of zero too.
+        roots = np.polynomial.Polynomial([7 * self.k3, 5 * self.k2, 3 * self.k1, 1.0]).roots()
+        real = np.real(roots[np.abs(np.imag(roots)) <= 1e-9 * np.abs(roots)])
+        turning = real[real > 1e-12]  # a turn beyond a slope of a million is none
+        return float(1 / np.sqrt(turning.max())) if turning.size else math.inf
+
+    def distorted(self, slopes: ArrayLike) -> NDArray[np.float64]:
+        """Where ideal slopes `(..., 2)` appear, `(..., 2)`."""
+        ideal = np.asarray(slopes, dtype=float)
+        if self.is_none:
+            return ideal.copy()
+        x, y = np.moveaxis(ideal, -1, 0)
+        r2 = x * x + y * y
+        radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        return np.stack(
+            [
+                x * radial + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x * x),
+                y * radial + self.p1 * (r2 + 2 * y * y) + 2 * self.p2 * x * y,
+            ],
+            axis=-1,
+        )
+
+    def undistorted(self, slopes: ArrayLike) -> NDArray[np.float64]:
+        """Ideal slopes `(..., 2)` of those seen in the picture, `(..., 2)`; inverse of `distorted`.
+
+        Newton's iteration with the exact Jacobian, on all points at once.
+
+        Raises:
+            ValueError: some point has no ideal slope, or lies where the distortion folds.
+        """
+        seen = np.asarray(slopes, dtype=float)
+        if self.is_none:
+            return seen.copy()
+        found = seen.copy()
+        with np.errstate(all="ignore"):  # a diverging point becomes nan or inf and is reported below
+            for _ in range(_NEWTON_STEPS):
+                fault = self.distorted(found) - seen
+                xx, xy, yy = self._jacobian(found)
+                det = xx * yy - xy * xy
+                step = np.stack(
+                    [
+                        (yy * fault[..., 0] - xy * fault[..., 1]) / det,
+                        (xx * fault[..., 1] - xy * fault[..., 0]) / det,
+                    ],
+                    axis=-1,
+                )
+                found -= step
+                if not np.abs(step).max(initial=0.0) > _TOLERANCE * 1e-2:
+                    break
+            residual = np.abs(self.distorted(found) - seen).max(axis=-1)
+            xx, xy, yy = self._jacobian(found)
+            unfolded = (xx * yy - xy * xy > 0) & (np.hypot(found[..., 0], found[..., 1]) < self.limit)
+            good = (residual < _TOLERANCE) & unfolded
+        if not np.all(good):
+            x, y = seen[~good][0]
+            raise ValueError(f"the distortion cannot be inverted at the image slope ({x:.3f}, {y:.3f})")
+        return found
+
+    def _jacobian(self, slopes: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+        """The symmetric Jacobian of `distorted`: dx'/dx, dx'/dy = dy'/dx, dy'/dy, each `(...)`."""
+        x, y = slopes[..., 0], slopes[..., 1]
+        r2 = x * x + y * y
+        radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        growth = 2 * (self.k1 + r2 * (2 * self.k2 + r2 * 3 * self.k3))
+        return (
+            radial + growth * x * x + 2 * self.p1 * y + 6 * self.p2 * x,
+            growth * x * y + 2 * self.p1 * x + 2 * self.p2 * y,
+            radial + growth * y * y + 6 * self.p1 * y + 2 * self.p2 * x,
+        )
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A thin-pupil lens, focused everywhere (no depth of field).
+
+    Attributes:
+        name: for reports.
+        focal_length_m: also the distance from the projection centre to the sensor.
+        f_number: focal length over diameter of the entrance pupil.
+        transmittance: share of the light that the glass lets through, without colour.
+        distortion: geometric distortion.
+    """
+
+    name: str
+    focal_length_m: float
+    f_number: float
+    transmittance: float = 1.0
+    distortion: Distortion = Distortion()
+
+    def __post_init__(self) -> None:
+        if not (self.focal_length_m > 0 and self.f_number >= 0.5 and 0 < self.transmittance <= 1):
+            raise ValueError(
+                f"{self.name}: focal length > 0, f-number >= 0.5 and 0 < transmittance <= 1 needed"
+            )
