@@ -23,10 +23,10 @@ class Organ:
         kind: what it is.
         parent: index of the organ that it grows out of, in the plant's list; -1 for the first internode.
         phytomer: position along the main stem, 0-based from the ground.
-        curve: `(k, 3)` centreline from base to tip, metres, k >= 2: a tube's axis, a lamina's midrib, the line
-            from a fruit's stalk end to its blossom end, a node's or a calyx's or a cut's short axis.
+        curve: `(k, 3)` centreline from base to tip, metres, k >= 2: a tube's axis, a lamina's midrib, the
+            line from a fruit's stalk end to its blossom end, a node's or a calyx's or a cut's short axis.
         up: `(3,)` unit vector across the base of the curve: the upper (adaxial) side of a lamina or petiole.
-        measures: sizes and shape parameters, metres and radians, by the names that the kind's mesh maker reads.
+        measures: sizes and shape parameters, metres and radians, by the names that its mesh maker reads.
     """
 
     kind: OrganKind
