@@ -37,16 +37,35 @@ OUTPUTS: Final[Mapping[str, Output]] = {
     output.name: output
     for output in (
         Output("colour", "(h, w, 3)", "uint8", ".png", "the developed photograph, sRGB", traced=True),
-        Output("electrons", "(h, w, 3)", "float32", ".exr",
-               "expected photo-electrons per pixel and channel, before noise", traced=True),
+        Output(
+            "electrons",
+            "(h, w, 3)",
+            "float32",
+            ".exr",
+            "expected photo-electrons per pixel and channel, before noise",
+            traced=True,
+        ),
         Output("class", "(h, w)", "uint8", ".png", "class ids 0 to 7, with a colour palette"),
         Output("class_colour", "(h, w, 3)", "uint8", ".png", "class colours of the published data set"),
         Output("instance", "(h, w)", "uint16", ".png", "organ instance, 0 is background"),
-        Output("distance", "(h, w)", "float32", ".exr",
-               "metres along the ray from the projection centre, inf in the background"),
+        Output(
+            "distance",
+            "(h, w)",
+            "float32",
+            ".exr",
+            "metres along the ray from the projection centre, inf in the background",
+        ),
         Output("distance_code", "(h, w)", "uint8", ".png", "the published data set's 8-bit distance code"),
-        Output("depth_z", "(h, w)", "float32", ".exr", "metres along the optical axis, inf in the background"),
-        Output("normal", "(h, w, 3)", "float32", ".exr", "unit surface normal in world coordinates, 0 in the background"),
+        Output(
+            "depth_z", "(h, w)", "float32", ".exr", "metres along the optical axis, inf in the background"
+        ),
+        Output(
+            "normal",
+            "(h, w, 3)",
+            "float32",
+            ".exr",
+            "unit surface normal in world coordinates, 0 in the background",
+        ),
     )
 }
 DEFAULT_OUTPUTS: Final = ("colour", "class", "instance", "distance", "distance_code")

@@ -27,9 +27,8 @@ def find(shelf_name: Shelf, wanted: str | Path, *, suffix: str = ".toml") -> Pat
         InputError: neither a file nor a shipped name; the message lists the shipped names.
     """
     path = Path(wanted)
-    if path.suffix == suffix or path.parent != Path("."):
-        if path.is_file():
-            return path
+    if (path.suffix == suffix or path.parent != Path(".")) and path.is_file():
+        return path
     shipped = shelf(shelf_name) / f"{wanted}{suffix}"
     if path.parent == Path(".") and shipped.is_file():
         return shipped

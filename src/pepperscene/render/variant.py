@@ -2,7 +2,7 @@
 
 The library is never left to chance: LLVM 14 is refused by Dr.Jit, and LLVM 15 aborts the whole process at the
 first kernel ("Cannot select: fmaximum"; x86 gained that instruction's selection in LLVM 17). Dr.Jit reads
-`DRJIT_LIBLLVM_PATH` when it first starts a backend, so the choice comes before Mitsuba is imported.
+`DRJIT_LIBLLVM_PATH` while it is imported, so the choice comes before.
 """
 
 from __future__ import annotations
@@ -14,8 +14,7 @@ import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
-from types import ModuleType
-from typing import Final
+from typing import Any, Final
 
 from pepperscene.errors import SetupError
 
@@ -26,8 +25,13 @@ OLDEST_LLVM: Final = 17
 LLVM_VARIABLE: Final = "DRJIT_LIBLLVM_PATH"
 _LLVM_PACKAGE: Final = "karellen-llvm-core"
 _SYSTEM_FOLDERS: Final = (
-    "/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib64", "/usr/lib", "/usr/local/lib",
-    "/opt/homebrew/opt/llvm/lib", "/usr/local/opt/llvm/lib",
+    "/usr/lib/x86_64-linux-gnu",
+    "/usr/lib/aarch64-linux-gnu",
+    "/usr/lib64",
+    "/usr/lib",
+    "/usr/local/lib",
+    "/opt/homebrew/opt/llvm/lib",
+    "/usr/local/opt/llvm/lib",
 )
 _ASK_VERSION: Final = (
     "import ctypes, sys\n"
@@ -90,30 +94,37 @@ def choose_variant(wanted: str | None = None) -> str:
             return variant
     raise SetupError(
         f"no usable renderer: {wanted or 'llvm_ad_spectral'} needs "
-        + ("a CUDA GPU with its driver" if wanted == "cuda_ad_spectral" else
-           f"LLVM {OLDEST_LLVM} or newer; `pip install {_LLVM_PACKAGE}` brings one on Linux x86-64, elsewhere "
-           f"install LLVM and set {LLVM_VARIABLE} to its shared library")
+        + (
+            "a CUDA GPU with its driver"
+            if wanted == "cuda_ad_spectral"
+            else f"LLVM {OLDEST_LLVM} or newer; `pip install {_LLVM_PACKAGE}` brings one on Linux x86-64, "
+            f"elsewhere install LLVM and set {LLVM_VARIABLE} to its shared library"
+        )
     )
 
 
 @functools.cache
-def mitsuba_kernel() -> ModuleType:
-    """The `mitsuba` module with the variant set, our plugins not yet registered.
+def kernel() -> tuple[Any, Any]:
+    """The modules `mitsuba`, with the variant set, and `drjit`.
+
+    All of this room imports the two through this function: a bare `import drjit` would load whichever LLVM
+    the system names first.
 
     Raises:
         SetupError: no JIT variant runs here.
     """
     variant = choose_variant()
+    import drjit
     import mitsuba
 
     mitsuba.set_variant(variant)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
-    return mitsuba
+    return mitsuba, drjit
 
 
 def variant_name() -> str:
     """The variant that renders here, for the facts of a frame."""
-    return str(mitsuba_kernel().variant())
+    return str(kernel()[0].variant())
 
 
 def _checked(path: Path) -> Path:
@@ -142,8 +153,12 @@ def _packaged() -> list[Path]:
 
 def _installed() -> list[Path]:
     """LLVM libraries in the system's folders, newest first."""
-    found = [path for folder in _SYSTEM_FOLDERS for path in Path(folder).glob("libLLVM*")
-             if path.suffix != ".a" and path.is_file()]
+    found = [
+        path
+        for folder in _SYSTEM_FOLDERS
+        for path in Path(folder).glob("libLLVM*")
+        if path.suffix != ".a" and path.is_file()
+    ]
     return sorted(found, key=lambda path: (-(llvm_version(path) or 0), str(path)))
 
 
@@ -153,5 +168,12 @@ def _runs(variant: str, library: Path | None) -> bool:
         return False
     import drjit
 
-    backend = drjit.JitBackend.CUDA if variant.startswith("cuda") else drjit.JitBackend.LLVM
-    return bool(drjit.has_backend(backend))
+    if variant.startswith("cuda"):
+        return bool(drjit.has_backend(drjit.JitBackend.CUDA))
+    loaded = drjit.detail.llvm_version() if drjit.has_backend(drjit.JitBackend.LLVM) else None
+    if loaded is not None and loaded[0] < OLDEST_LLVM:
+        raise SetupError(
+            f"Dr.Jit was imported before pepperscene and runs with LLVM {loaded[0]}, which can abort "
+            f"the process; import pepperscene.render first, or set {LLVM_VARIABLE} = {library} before Python starts"
+        )
+    return loaded is not None

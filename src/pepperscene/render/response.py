@@ -1,0 +1,62 @@
+"""What the sensor makes of light, and where in the spectrum it is worth looking."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.camera import Camera
+from pepperscene.scene import Scene
+from pepperscene.spectra import LIGHT_SPEED, PLANCK
+
+STEP_NM: Final = 1.0
+_NEGLIGIBLE: Final = 1e-5  # chosen: response below this share of its peak is left out; error below 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """The camera's spectral side on a grid, ready for the kernel.
+
+    Attributes:
+        grid_nm: `(n,)` equally spaced by `STEP_NM`.
+        electrons: `(n, 3)` photo-electrons per joule: quantum efficiency times lambda / (h c).
+        flash: `(n,)` W sr-1 nm-1 on the flash's axis, averaged over the exposure; zeros without a flash.
+        density: `(n,)` where to take wavelengths: response times expected light, for importance sampling.
+    """
+
+    grid_nm: NDArray[np.float64]
+    electrons: NDArray[np.float64]
+    flash: NDArray[np.float64]
+    density: NDArray[np.float64]
+
+
+def response(camera: Camera, scene: Scene) -> Response:
+    """The response over the range that the sensor sees, no wider."""
+    efficiency = camera.sensor.quantum_efficiency
+    peak = efficiency.values.max()
+    seen = efficiency.wavelength_nm[(efficiency.values > _NEGLIGIBLE * peak).any(axis=0)]
+    grid = np.arange(np.floor(seen[0]), np.ceil(seen[-1]) + STEP_NM, STEP_NM)
+    electrons = (efficiency.at(grid) * (grid * 1e-9) / (PLANCK * LIGHT_SPEED)).T
+    flash = np.zeros(grid.size)
+    if camera.flash is not None:
+        flash = camera.flash.radiant_intensity(grid) * camera.flash_duty
+
+    # Half of the density follows all lights alike, half the response alone: no light is left out.
+    lights = [light for light in (flash, *_sky_spectra(scene, grid)) if light.any()]
+    light = (
+        np.mean([spectrum / spectrum.mean() for spectrum in lights], axis=0) if lights else np.ones(grid.size)
+    )
+    share = (electrons / electrons.max(axis=0)).sum(axis=1)
+    density = share * light
+    density = density / density.sum() + share / share.sum() + 1e-3 / grid.size
+    return Response(grid, electrons, flash, density)
+
+
+def _sky_spectra(scene: Scene, grid: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    if scene.sky is None:
+        return []
+    sun = [scene.sky.sun.irradiance.at(grid)] if scene.sky.sun is not None else []
+    return [*scene.sky.radiance.at(grid), *sun]

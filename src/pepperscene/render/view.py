@@ -1,0 +1,67 @@
+"""A camera's rays inside the kernel: one lens geometry for colour and for labels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pepperscene.camera import Camera
+from pepperscene.render.variant import kernel
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Rays of a camera. The lens is tabulated once at the pixels' corners; the pose is a kernel input, so
+    that a moved camera reuses the compiled kernel.
+
+    Attributes:
+        width, height: of the image, as kernel inputs would gain nothing: plain ints.
+        slopes: `((h + 1) * (w + 1) * 2,)` undistorted (x/z, y/z) at the pixels' corners.
+        rotation: camera to world.
+        origin: the projection centre in the world, metres.
+    """
+
+    width: int
+    height: int
+    slopes: Any
+    rotation: Any
+    origin: Any
+
+    def directions(self, column: Any, row: Any, dx: Any, dy: Any) -> Any:
+        """Unit world directions through points (dx, dy) in [0, 1]^2 of pixels.
+
+        Bilinear between the corners: exact for a pinhole, and off by less than 1e-6 rad for a lens whose
+        distortion changes smoothly over a pixel.
+        """
+        mi, dr = kernel()
+        first = row * (self.width + 1) + column
+
+        def corner(offset: int) -> Any:
+            return dr.gather(mi.Point2f, self.slopes, first + offset)
+
+        upper = dr.lerp(corner(0), corner(1), dx)
+        lower = dr.lerp(corner(self.width + 1), corner(self.width + 2), dx)
+        slope = dr.lerp(upper, lower, dy)
+        return dr.normalize(self.rotation @ mi.Vector3f(slope.x, slope.y, 1.0))
+
+
+class LensCache:
+    """Keeps the last lens table: along a path only the pose changes."""
+
+    def __init__(self) -> None:
+        self._key: tuple[object, ...] = ()
+        self._slopes: Any = None
+
+    def view(self, camera: Camera) -> View:
+        """The camera's rays."""
+        mi, dr = kernel()
+        key = (camera.lens, camera.width, camera.height, camera.sensor.name, camera.intrinsics.tobytes())
+        if key != self._key:
+            self._slopes = mi.Float(np.asarray(camera.ray_slopes(), np.float32).ravel())
+            self._key = key
+        rotation = mi.Matrix3f(np.asarray(camera.pose[:3, :3], np.float32))
+        origin = mi.Point3f(*(float(x) for x in camera.pose[:3, 3]))
+        dr.make_opaque(rotation, origin)
+        return View(camera.width, camera.height, self._slopes, rotation, origin)

@@ -1,0 +1,163 @@
+"""Daylight: a partly cloudy sky as maps of radiance, and the sun's disc.
+
+The sky is an image of the whole sphere in equal steps of polar angle (rows, zenith first) and azimuth
+(columns, counter-clockwise from +x), once for each of a few spectra whose weighted sum is the radiance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.spectra import Spectrum, illuminance, sky_spectrum, sun_spectrum, with_illuminance
+
+SUN_ANGULAR_RADIUS: Final = 0.004654
+"""Radians; the solar radius of 695,700 km at one astronomical unit (IAU 2015 resolution B3)."""
+
+_ROWS: Final = 256  # chosen: 0.7 degrees a texel, finer than clouds seen out of focus
+_GROUND_ALBEDO: Final = 0.3  # chosen: white floor film, mostly in the crop's shade
+_WAVES: Final = 256  # chosen: enough plane waves that their sum is Gaussian and shows no pattern
+
+
+@dataclass(frozen=True, eq=False)
+class Sun:
+    """The sun's disc.
+
+    Attributes:
+        direction: `(3,)` unit vector towards it.
+        irradiance: on a plane that faces it, W m-2 nm-1.
+        angular_radius: radians.
+    """
+
+    direction: NDArray[np.float64]
+    irradiance: Spectrum
+    angular_radius: float = SUN_ANGULAR_RADIUS
+
+
+@dataclass(frozen=True, eq=False)
+class Sky:
+    """Radiance from all directions.
+
+    Attributes:
+        weights: `(k, rows, columns)` float32 >= 0, the share of each spectrum by direction.
+        radiance: `(k, n)` W m-2 sr-1 nm-1 at weight 1.
+        sun: or None.
+    """
+
+    weights: NDArray[np.float32]
+    radiance: Spectrum
+    sun: Sun | None = None
+
+    def horizontal_illuminance(self) -> float:
+        """Lux on an unobstructed level plane, sky and sun together."""
+        rows, columns = self.weights.shape[1:]
+        cosines, solid_angles = _row_geometry(rows, columns)
+        received = (self.weights * (np.maximum(cosines, 0.0) * solid_angles)[None, :, None]).sum((1, 2))
+        lux = float(illuminance(Spectrum(self.radiance.wavelength_nm, received @ self.radiance.values)))
+        if self.sun is not None:
+            lux += max(0.0, float(self.sun.direction[2])) * float(illuminance(self.sun.irradiance))
+        return lux
+
+
+def uniform_sky(spectrum: Spectrum, illuminance_lx: float) -> Sky:
+    """The same radiance from every direction of the whole sphere; `illuminance_lx` falls on any plane."""
+    irradiance = with_illuminance(spectrum, illuminance_lx)
+    radiance = Spectrum(irradiance.wavelength_nm, irradiance.values[None] / np.pi)
+    return Sky(np.ones((1, 2, 4), np.float32), radiance)
+
+
+def partly_cloudy(
+    rng: np.random.Generator,
+    *,
+    illuminance_lx: float,
+    sun_azimuth_rad: float,
+    sun_elevation_rad: float,
+    sun_fraction: float,
+    cloud_cover: float,
+) -> Sky:
+    """Blue sky with cumulus clouds and the sun's disc, over a pale floor.
+
+    Args:
+        rng: places the clouds.
+        illuminance_lx: on a level plane, from sky and sun together.
+        sun_azimuth_rad: counter-clockwise from +x seen from above; pi/2 is behind the crop.
+        sun_elevation_rad: above the horizon, > 0 where `sun_fraction` is.
+        sun_fraction: share of the illuminance that comes from the disc itself, in [0, 1).
+        cloud_cover: share of the sky that clouds hide, in [0, 1].
+    """
+    direction = np.array(
+        [
+            np.cos(sun_elevation_rad) * np.cos(sun_azimuth_rad),
+            np.cos(sun_elevation_rad) * np.sin(sun_azimuth_rad),
+            np.sin(sun_elevation_rad),
+        ]
+    )
+    towards = _directions(_ROWS, 2 * _ROWS)
+    up = towards[..., 2]
+    above = up > 0.0
+
+    # Blue sky brightens to the horizon and round the sun (shape after the CIE's clear skies, numbers chosen).
+    angle_to_sun = np.arccos(np.clip(towards @ direction, -1.0, 1.0))
+    blue = (1.0 + 1.5 * np.exp(-6.0 * np.abs(up))) * (1.0 + 4.0 * np.exp(-4.0 * angle_to_sun))
+    # Clouds lie on a plane overhead, are brighter than the blue and shine near the sun.
+    cover = _cloud_density(towards, rng, cloud_cover)
+    white = 3.0 * (1.0 + 3.0 * np.exp(-3.0 * angle_to_sun)) * cover
+    weights = np.where(above, np.stack([blue * (1.0 - cover), white]), 0.0)
+
+    # Each spectrum at 1 lux, so that weights share out the illuminance; then the whole to scale.
+    spectra = [with_illuminance(sky_spectrum(kind), 1.0) for kind in ("clear", "cloudy")]
+    grid = spectra[0].wavelength_nm
+    radiance = np.stack([spectrum.at(grid) for spectrum in spectra])
+    cosines, solid_angles = _row_geometry(_ROWS, 2 * _ROWS)
+    received = (weights * (np.maximum(cosines, 0.0) * solid_angles)[None, :, None]).sum()
+    weights *= illuminance_lx * (1.0 - sun_fraction) / received
+    # The floor sends back a part of all that falls on it, in the clouds' white.
+    weights[1][~above] = illuminance_lx * _GROUND_ALBEDO / np.pi
+    sun = None
+    if sun_fraction > 0.0 and illuminance_lx > 0.0:
+        normal_lx = illuminance_lx * sun_fraction / np.sin(sun_elevation_rad)
+        sun = Sun(direction, with_illuminance(sun_spectrum(), normal_lx))
+    return Sky(weights.astype(np.float32), Spectrum(grid, radiance), sun)
+
+
+def _directions(rows: int, columns: int) -> NDArray[np.float64]:
+    """`(rows, columns, 3)` unit directions through the texels' centres."""
+    polar = (np.arange(rows) + 0.5) / rows * np.pi
+    azimuth = (np.arange(columns) + 0.5) / columns * 2.0 * np.pi
+    flat = np.sin(polar)[:, None]
+    up = np.broadcast_to(np.cos(polar)[:, None], (rows, columns))
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), up], axis=-1)
+
+
+def _row_geometry(rows: int, columns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean cosine to the zenith and solid angle of a texel, by row; both exact for the row's band."""
+    edges = np.arange(rows + 1) / rows * np.pi
+    top, bottom = np.cos(edges[:-1]), np.cos(edges[1:])
+    return (top + bottom) / 2.0, (top - bottom) * 2.0 * np.pi / columns
+
+
+def _cloud_density(
+    towards: NDArray[np.float64], rng: np.random.Generator, cloud_cover: float
+) -> NDArray[np.float64]:
+    """Cover in [0, 1] by direction: a thresholded Gaussian random field on a plane overhead."""
+    if cloud_cover <= 0.0:
+        return np.zeros(towards.shape[:2])
+    # Waves of amplitude ~ 1/frequency: large heaps with frayed rims.
+    frequency = np.exp(rng.uniform(np.log(1.0), np.log(24.0), _WAVES))
+    heading, phase = rng.uniform(0.0, 2.0 * np.pi, (2, _WAVES))
+    above = towards[..., 2] > 0.0
+    plane = towards[above][:, :2] / (towards[above][:, 2:] + 0.15)
+    waves = plane @ (frequency * np.stack([np.cos(heading), np.sin(heading)])) + phase
+    field = np.zeros(towards.shape[:2])
+    field[above] = np.cos(waves) @ (1.0 / frequency)
+    # The threshold that hides the share asked for, weighted by solid angle, with a soft rim.
+    share = np.sqrt(np.maximum(0.0, 1.0 - towards[above][:, 2] ** 2))
+    order = np.argsort(-field[above], kind="stable")
+    hidden = np.cumsum(share[order]) / share.sum()
+    threshold = field[above][order][min(int(np.searchsorted(hidden, cloud_cover)), order.size - 1)]
+    rim = 0.3 * field[above].std()
+    ramp = np.clip((field - threshold) / rim + 0.5, 0.0, 1.0)
+    return np.where(above, ramp * ramp * (3.0 - 2.0 * ramp), 0.0)
