@@ -44,7 +44,9 @@ class Surface:
         n = self.wavelength_nm.size
         s = self.reflectance.shape[0]
         if self.reflectance.shape != (s, 2, n) or self.transmittance.shape != (s, n):
-            raise ValueError(f"{self.name}: reflectance (s, 2, n) and transmittance (s, n) do not match n={n}")
+            raise ValueError(
+                f"{self.name}: reflectance (s, 2, n) and transmittance (s, n) do not match n={n}"
+            )
         total = self.reflectance + self.transmittance[:, None, :]
         if min(self.reflectance.min(), self.transmittance.min()) < 0 or total.max() > 1 + 1e-9:
             raise ValueError(f"{self.name}: reflectance and transmittance must be >= 0 and sum to at most 1")

@@ -11,7 +11,7 @@ from pepperscene.spectra.lights import (
 )
 from pepperscene.spectra.photons import LIGHT_SPEED, PLANCK, photons_per_joule
 from pepperscene.spectra.pigments import absorption_coefficients
-from pepperscene.spectra.prospect import LeafOptics, below_gloss_over_body, leaf_spectra
+from pepperscene.spectra.prospect import LeafOptics, cuticle_gloss, leaf_spectra, over_body
 from pepperscene.spectra.reading import (
     Provenance,
     read_provenance,
@@ -29,10 +29,11 @@ __all__ = [
     "Provenance",
     "Spectrum",
     "absorption_coefficients",
-    "below_gloss_over_body",
+    "cuticle_gloss",
     "illuminance",
     "leaf_spectra",
     "led_spectrum",
+    "over_body",
     "photons_per_joule",
     "photopic_efficiency",
     "read_provenance",

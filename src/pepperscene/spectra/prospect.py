@@ -22,21 +22,27 @@ class LeafOptics:
     Attributes:
         reflectance: `(..., n)` directional-hemispherical, the gloss of the surface included: PROSPECT's R.
         transmittance: `(..., n)` directional-hemispherical: PROSPECT's T, the same from either side.
-        gloss: `(n,)` share of `reflectance` that the first interface throws back before light has entered.
         diffuse_reflectance: `(..., n)` of the same pile of plates under wholly diffuse light.
         diffuse_transmittance: `(..., n)` likewise.
     """
 
     reflectance: NDArray[np.float64]
     transmittance: NDArray[np.float64]
-    gloss: NDArray[np.float64]
     diffuse_reflectance: NDArray[np.float64]
     diffuse_transmittance: NDArray[np.float64]
 
-    @property
-    def below_gloss(self) -> NDArray[np.float64]:
-        """`(..., n)` reflectance without the first interface's share; never negative."""
-        return np.maximum(self.reflectance - self.gloss, 0.0)
+    def below_gloss(self, cuticle_ior: float) -> NDArray[np.float64]:
+        """`(..., n)` reflectance without what a cuticle of this index reflects by itself.
+
+        So gloss and diffuse part together give PROSPECT's R. Never negative: an index above that of the
+        tissue (1.5) would take more than there is where pigments absorb all the rest.
+        """
+        return np.maximum(self.reflectance - cuticle_gloss(cuticle_ior), 0.0)
+
+
+def cuticle_gloss(ior: float) -> float:
+    """Reflectance of a surface of this refractive index for light in PROSPECT's cone of incidence."""
+    return 0.0 if ior == 1.0 else 1.0 - float(cone_transmissivity(INCIDENCE_CONE_RAD, ior))
 
 
 def leaf_spectra(
@@ -101,21 +107,26 @@ def leaf_spectra(
         cone_transmissivity(np.pi / 2, ior),
     )
     easier = into_cone / into_diffuse
-    gloss = 1.0 - into_cone
-    reflectance = gloss + easier * (diffuse_r - (1.0 - into_diffuse))
-    return LeafOptics(reflectance, easier * diffuse_t, gloss, diffuse_r, diffuse_t)
+    reflectance = 1.0 - into_cone + easier * (diffuse_r - (1.0 - into_diffuse))
+    return LeafOptics(reflectance, easier * diffuse_t, diffuse_r, diffuse_t)
 
 
-def below_gloss_over_body(layer: LeafOptics, body_reflectance: ArrayLike) -> NDArray[np.float64]:
-    """Reflectance `(..., n)` without gloss of a pigmented layer on a diffuse, opaque body.
+def over_body(layer: LeafOptics, body_reflectance: ArrayLike) -> LeafOptics:
+    """A pigmented layer on a diffuse, opaque body: skin on flesh, rind on pith.
 
     Light that comes through the layer goes to and fro between body and layer (a geometric series):
-    R = R_layer + T T_diffuse rho / (1 - R_diffuse rho), less the first interface's gloss.
+    R = R_layer + T T_diffuse rho / (1 - R_diffuse rho).
 
     Args:
         layer: skin or rind.
-        body_reflectance: rho of the flesh or pith below, in [0, 1], broadcasts to `(..., n)`.
+        body_reflectance: rho of the body, in [0, 1], broadcasts to `(..., n)`.
     """
     rho = np.asarray(body_reflectance, dtype=float)
     returned = layer.diffuse_transmittance * rho / (1.0 - layer.diffuse_reflectance * rho)
-    return layer.below_gloss + layer.transmittance * returned
+    nothing = np.zeros_like(layer.transmittance)
+    return LeafOptics(
+        layer.reflectance + layer.transmittance * returned,
+        nothing,
+        layer.diffuse_reflectance + layer.diffuse_transmittance * returned,
+        nothing,
+    )
