@@ -22,8 +22,11 @@ def direction(azimuth: ArrayLike, inclination: ArrayLike, sway: ArrayLike = 0.0)
     sin_a, cos_a = np.sin(azimuth), np.cos(azimuth)
     within, aside = np.cos(sway), np.sin(sway)
     level = within * np.cos(inclination)
-    parts = (level * sin_a + aside * cos_a, aside * sin_a - level * cos_a, within * np.sin(inclination))
-    return np.stack(np.broadcast_arrays(*parts), axis=-1)
+    found = np.empty((*np.broadcast_shapes(np.shape(level), np.shape(sin_a)), 3))
+    found[..., 0] = level * sin_a + aside * cos_a
+    found[..., 1] = aside * sin_a - level * cos_a
+    found[..., 2] = within * np.sin(inclination)
+    return found
 
 
 def upper_side(azimuth: float, inclination: float, tangent: FloatArray, roll: float = 0.0) -> FloatArray:

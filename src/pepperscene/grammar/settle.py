@@ -13,13 +13,14 @@ import numpy as np
 
 from pepperscene.cultivar import Cultivar
 from pepperscene.grammar.build import NodeFrame, fruit_centres
-from pepperscene.grammar.curves import FloatArray, cross
+from pepperscene.grammar.curves import FloatArray
 from pepperscene.grammar.parameters import CutParameters, FruitParameters, PlantParameters
 from pepperscene.grammar.plant import Organ, Plant
 
-_TRIES: Final = 32  # chosen: more hardly free any further fruit
-_NEAR: Final = 0.3  # m; nothing farther from a node than this meets a fruit that hangs from it
+_TRIES: Final = 24  # chosen: more hardly free any further fruit
+_NEAR: Final = 0.25  # m; nothing farther from a node than this meets a fruit that hangs from it
 _TURN: Final = 0.5  # rad, chosen: sd of a redrawn azimuth about the drawn one
+_PUSH: Final = 0.6  # rad, chosen: by how much the last try holds the fruit out from the stem
 _HARD: Final = 10.0  # running into stem or fruit counts so many times as much as into a blade
 _BLADE_LINES: Final = (-0.3, 0.0, 0.3)  # lines along a blade, in widths from the midrib
 
@@ -131,13 +132,15 @@ def _poses(one: FruitParameters, cultivar: Cultivar, rng: np.random.Generator) -
     """The drawn pose first, then others ever farther from its azimuth, by the names of their parameters."""
     turn = _TURN * np.linspace(0.0, 2.0, _TRIES) * rng.standard_normal(_TRIES)
     azimuth = one.azimuth + turn
+    # What touches the stem is pushed away from it.
+    pushed = _PUSH * np.linspace(0.0, 1.0, _TRIES) ** 2
     bend, hang = cultivar.peduncle, cultivar.fruit
     poses = {
         "azimuth": azimuth,
         "inclination": bend.inclination.draw(rng, _TRIES),
-        "end_inclination": bend.end_inclination.draw(rng, _TRIES),
-        "hang_azimuth": azimuth + one.hang_azimuth - one.azimuth,
-        "hang_inclination": hang.inclination.draw(rng, _TRIES),
+        "end_inclination": bend.end_inclination.draw(rng, _TRIES) + pushed,
+        "hang_azimuth": azimuth + (one.hang_azimuth - one.azimuth) * np.linspace(1.0, 0.0, _TRIES),
+        "hang_inclination": hang.inclination.draw(rng, _TRIES) + pushed,
     }
     for name, values in poses.items():
         values[0] = getattr(one, name)
@@ -153,24 +156,24 @@ def _spheres(middle: FloatArray, axis: FloatArray, length: FloatArray, radius: F
 def _obstacles(organs: list[Organ]) -> _Segments:
     """Everything of a plant without fruit that a fruit can run into."""
     wood = _segments([organ for organ in organs if organ.kind != "lamina"])
-    starts, spans = [wood.start], [wood.span]
     blades = [organ for organ in organs if organ.kind == "lamina"]
-    for organ in blades:
-        # A few lines along the blade, bent as its midrib is and narrowing to its tip.
-        tangent = organ.curve[1] - organ.curve[0]
-        aside = cross(tangent / np.sqrt(tangent @ tangent), organ.up) * organ.measures["width_m"]
-        midrib = organ.curve[::3]
-        for line in _BLADE_LINES:
-            points = midrib + line * np.linspace(1.0, 0.3, len(midrib))[:, None] * aside
-            starts.append(points[:-1])
-            spans.append(np.diff(points, axis=0))
-    start, span = np.concatenate(starts), np.concatenate(spans)
-    thin = len(start) - len(wood.start)
+    if not blades:
+        return wood
+    # A few lines along each blade, bent as its midrib and narrowing to its tip: (blades, lines, points, 3).
+    midrib = np.stack([organ.curve for organ in blades])[:, ::3]
+    tangent = midrib[:, 1] - midrib[:, 0]
+    aside = np.cross(tangent, np.stack([organ.up for organ in blades]))
+    width = np.array([organ.measures["width_m"] for organ in blades])
+    aside *= (width / np.linalg.norm(aside, axis=1))[:, None]
+    narrowing = np.linspace(1.0, 0.3, midrib.shape[1])
+    lines = midrib[:, None] + np.einsum("l,p,bx->blpx", _BLADE_LINES, narrowing, aside)
+    start = lines[:, :, :-1].reshape(-1, 3)
+    span = np.diff(lines, axis=2).reshape(-1, 3)
     return _Segments(
-        start,
-        span,
-        np.concatenate((wood.radius, np.zeros(thin))),
-        np.concatenate((np.full(len(wood.start), _HARD), np.ones(thin))),
+        np.concatenate((wood.start, start)),
+        np.concatenate((wood.span, span)),
+        np.concatenate((wood.radius, np.zeros(len(start)))),
+        np.concatenate((wood.weight, np.ones(len(start)))),
     )
 
 
