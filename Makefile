@@ -23,7 +23,7 @@ demo: $(VENV)/.installed
 	$(BIN)/pepperscene build demo --out $(OUT)
 	$(BIN)/pepperscene report $(OUT)
 	@echo
-	@echo "Done. Open $(OUT)/report.html in a browser; the frames lie beside it, one folder per output."
+	@echo "Done. Open $(OUT)/index.html in a browser; the frames lie beside it, one folder per output."
 
 test: $(VENV)/.installed-tests
 	$(BIN)/python -m pytest

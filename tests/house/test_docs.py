@@ -7,8 +7,15 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import pytest
+from pydantic import BaseModel
+
+from pepperscene.classes import CLASS_COLOURS, OrganClass
+from pepperscene.cultivar import Cultivar, Distribution
+from pepperscene.dataset.recipe import Recipe
+from pepperscene.frame import OUTPUTS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -96,3 +103,31 @@ def test_sphinx_builds_without_a_warning(tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "html" / "index.html").is_file()
+
+
+def _keys(model: type[BaseModel]) -> set[str]:
+    """All keys that a file of this model can hold, those of its tables included."""
+    found: set[str] = set()
+    for name, field in model.model_fields.items():
+        found.add(field.alias or name)
+        for kind in (field.annotation, *get_args(field.annotation)):
+            if isinstance(kind, type) and issubclass(kind, BaseModel) and kind is not Distribution:
+                found |= _keys(kind)
+    return found
+
+
+@pytest.mark.parametrize(("page", "model"), [("recipe.md", Recipe), ("cultivar.md", Cultivar)])
+def test_every_key_of_a_file_is_told(page: str, model: type[BaseModel]) -> None:
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    # A key stands between backticks, as an own word in an example, or as a part of a table's name.
+    untold = [key for key in sorted(_keys(model)) if not re.search(rf"(?<![a-z_]){key}(?![a-z_])", text)]
+    assert not untold
+
+
+def test_every_output_is_told() -> None:
+    text = (ROOT / "docs" / "outputs.md").read_text(encoding="utf-8")
+    assert [name for name in OUTPUTS if f"| `{name}` | " not in text] == []
+    for organ_class in OrganClass:
+        red, green, blue = CLASS_COLOURS[organ_class]
+        row = rf"\| {organ_class:d} \| {organ_class.name.lower()} \| .+ \| {red}, {green}, {blue} \|"
+        assert re.search(row, text)
