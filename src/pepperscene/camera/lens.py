@@ -43,8 +43,8 @@ class Distortion:
 
         Beyond it a ray would fold back into the picture, so no ray from there is drawn.
         """
-        # d(r R)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 with s = r^2 first vanishes at the largest t = 1/s > 0 of
-        # t^3 + 3 k1 t^2 + 5 k2 t + 7 k3 = 0, which is well posed for coefficients of zero too.
+        # d(r R)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 with s = r^2 vanishes first at the largest
+        # t = 1/s > 0 of t^3 + 3 k1 t^2 + 5 k2 t + 7 k3 = 0, which is well posed for coefficients of zero too.
         roots = np.polynomial.Polynomial([7 * self.k3, 5 * self.k2, 3 * self.k1, 1.0]).roots()
         real = np.real(roots[np.abs(np.imag(roots)) <= 1e-9 * np.abs(roots)])
         turning = real[real > 1e-12]  # a turn beyond a slope of a million is none

@@ -1,0 +1,182 @@
+"""Sensor, lens and flash files: what is shipped, and every way of getting one wrong."""
+
+from __future__ import annotations
+
+import tomllib
+
+import numpy as np
+import pytest
+import tomli_w
+
+from pepperscene.camera import load_flash, load_lens, load_sensor
+from pepperscene.errors import InputError
+from pepperscene.shipped import shelf
+from pepperscene.spectra import read_provenance
+
+FOLDER = shelf("materials")
+LOADERS = {"sensors": load_sensor, "lenses": load_lens, "flashes": load_flash}
+SHIPPED = [
+    (shelf_name, path.stem) for shelf_name in LOADERS for path in sorted((FOLDER / shelf_name).glob("*.toml"))
+]
+
+
+@pytest.mark.parametrize(("kind", "name"), SHIPPED)
+def test_every_shipped_file_loads_by_name_and_by_path(kind, name):
+    load = LOADERS[kind]
+    assert load(name).name == load(FOLDER / kind / f"{name}.toml").name
+
+
+@pytest.mark.parametrize(
+    "path", [p for kind in LOADERS for p in (FOLDER / kind).rglob("*.csv")], ids=lambda p: p.stem
+)
+def test_every_shipped_curve_tells_its_source(path):
+    provenance = read_provenance(path)
+    assert provenance.source
+    assert provenance.licence
+    assert ("MODEL" in path.stem) == (provenance.kind == "MODEL")
+
+
+def test_the_paper_s_camera():
+    sensor, lens, flash = (
+        load_sensor("ueye_ui5250re"),
+        load_lens("lensagon_cmfa0420nd"),
+        load_flash("led_ring_200klx"),
+    )
+    assert (sensor.columns, sensor.rows, sensor.binning, sensor.photosites) == (800, 600, 2, (1, 2, 1))
+    assert sensor.columns * sensor.pixel_pitch_m == pytest.approx(7.2e-3)
+    assert lens.focal_length_m == pytest.approx(4.16e-3)
+    assert lens.distortion.is_none
+    assert (flash.illuminance_lx, flash.at_m, flash.pulse_s) == pytest.approx((2e5, 0.5, 50e-6))
+    # No red, green or blue photosite counts infrared light: the filter is in.
+    assert sensor.quantum_efficiency.at([700.0, 800.0]).max() < 1e-3
+
+
+def test_an_infrared_cut_filter_multiplies_the_efficiency():
+    efficiency = load_sensor("onsemi_mt9v024").quantum_efficiency
+    # The tables at 540 nm: the filter's 0.93055 times the green photosite's 0.61696 or less.
+    assert 0.5 < efficiency.at(540.0)[1, 0] < 0.93055 * 0.61696 + 1e-9
+    assert efficiency.at([850.0]).max() < 1e-3
+
+
+# Faults -----------------------------------------------------------------------------------------------------
+
+
+def copy_of(tmp_path, kind, name, change):
+    """A shipped file copied, its table changed by `change(table)`."""
+    table = tomllib.loads((FOLDER / kind / f"{name}.toml").read_text(encoding="utf-8"))
+    (tmp_path / "spectra").mkdir()
+    for path in (FOLDER / kind / "spectra").glob("*.csv"):
+        (tmp_path / "spectra" / path.name).write_bytes(path.read_bytes())
+    change(table)
+    copy = tmp_path / "mine.toml"
+    copy.write_text(tomli_w.dumps(table), encoding="utf-8")
+    return copy
+
+
+def put(*keys_and_value):
+    *keys, last, value = keys_and_value
+
+    def change(table):
+        for key in keys:
+            table = table[key]
+        table[last] = value
+
+    return change
+
+
+def drop(*keys):
+    def change(table):
+        for key in keys[:-1]:
+            table = table[key]
+        del table[keys[-1]]
+
+    return change
+
+
+WRONG_TABLES = [
+    ("sensors", "ueye_ui5250re", put("pitch_um", -4.5), r"mine\.toml: pitch_um = -4\.5"),
+    ("sensors", "ueye_ui5250re", put("binning", 3), r"binning = 3"),
+    ("sensors", "ueye_ui5250re", put("bits", "ten"), r"bits = 'ten'"),
+    ("sensors", "ueye_ui5250re", put("black_level_dn", 1023), r"black_level_dn must be below"),
+    ("sensors", "ueye_ui5250re", put("colour", "blue"), r"colour: is not a known key"),
+    ("sensors", "ueye_ui5250re", drop("full_well_e"), r"full_well_e: is required"),
+    ("sensors", "ueye_ui5250re", drop("sources", "bits"), r"must tell where bits comes from"),
+    ("sensors", "ueye_ui5250re", put("sources", "weight", "scales"), r"weight, which the file does not hold"),
+    (
+        "sensors",
+        "ueye_ui5250re",
+        put("quantum_efficiency", "file", "no.csv"),
+        r"quantum_efficiency\.file = 'no\.csv'",
+    ),
+    ("sensors", "ueye_ui5250re", put("quantum_efficiency", "columns", ["r", "g", "x"]), r"MODEL\.csv.*'x'"),
+    (
+        "sensors",
+        "ueye_ui5250re",
+        put("quantum_efficiency", "columns", ["r", "g"]),
+        r"quantum_efficiency\.columns",
+    ),
+    ("lenses", "lensagon_cmfa0420nd", put("f_number", 0), r"f_number = 0"),
+    ("lenses", "lensagon_cmfa0420nd", put("transmittance", 90), r"transmittance = 90"),
+    ("lenses", "lensagon_cmfa0420nd", put("distortion", "k1", float("nan")), r"distortion\.k1 = nan"),
+    ("lenses", "lensagon_cmfa0420nd", put("distortion", "k7", 0.1), r"distortion\.k7: is not a known key"),
+    (
+        "flashes",
+        "led_ring_200klx",
+        put("profile", "angle_deg", [0, 20, 10, 26, 35, 45, 65]),
+        r"must increase",
+    ),
+    ("flashes", "led_ring_200klx", put("profile", "angle_deg", [0, 20]), r"equally long"),
+    ("flashes", "led_ring_200klx", put("illuminance_lx", 0), r"illuminance_lx = 0"),
+    ("flashes", "led_ring_200klx", put("offset_mm", [0, 1]), r"offset_mm"),
+]
+
+
+@pytest.mark.parametrize(("kind", "name", "change", "message"), WRONG_TABLES)
+def test_a_wrong_table_is_named(tmp_path, kind, name, change, message):
+    path = copy_of(tmp_path, kind, name, change)
+    with pytest.raises(InputError, match=message):
+        LOADERS[kind](path)
+
+
+HEADER, FIRST, SECOND = "wavelength_nm,r,g,b", "400,.1,.2,.3", "700,.1,.2,.3"
+WRONG_CURVES = [
+    (f"{HEADER}\n{FIRST}\n500,.1,nan,.3\n{SECOND}", r"row 3, column g = 'nan'"),
+    (f"{HEADER}\n{FIRST}\n500,.1,-.2,.3\n{SECOND}", r"row 3, column g = -0\.2: must be at least 0"),
+    (f"{HEADER}\n{FIRST}\n{SECOND}\n500,.1,.2,.3", r"row 4, column wavelength_nm = 500"),
+    (f"{HEADER}\n{FIRST}\n500,.1,1.2,.3\n{SECOND}", r"quantum_efficiency = 1\.2: must be a share"),
+    (f"{HEADER}\n{FIRST}\n500,.1,.3\n{SECOND}", r"row 3"),
+    ("nm,r,g,b\n400,.1,.2,.3\n700,.1,.2,.3", r"wavelength_nm"),
+    ("", r"wavelength_nm"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), WRONG_CURVES)
+def test_a_wrong_curve_is_named_by_file_row_and_column(tmp_path, text, message):
+    path = copy_of(tmp_path, "sensors", "ueye_ui5250re", put("quantum_efficiency", "file", "srf.csv"))
+    (tmp_path / "srf.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        load_sensor(path)
+
+
+def test_a_flash_needs_visible_light(tmp_path):
+    path = copy_of(
+        tmp_path, "flashes", "led_ring_200klx", put("spectrum", {"file": "ir.csv", "column": "ir"})
+    )
+    (tmp_path / "ir.csv").write_text("wavelength_nm,ir\n800,0\n850,1\n900,0", encoding="utf-8")
+    with pytest.raises(InputError, match=r"spectrum\.column = 'ir': must hold light"):
+        load_flash(path)
+
+
+@pytest.mark.parametrize("kind", LOADERS)
+def test_an_unknown_name_lists_what_there_is(kind):
+    with pytest.raises(InputError, match="nor one of the shipped") as fault:
+        LOADERS[kind]("nikon")
+    assert all(name in str(fault.value) for shelf_name, name in SHIPPED if shelf_name == kind)
+
+
+def test_efficiencies_per_joule_by_hand():
+    # At 500 nm a photon holds h c / lambda = 3.9729e-19 J.
+    sensor = load_sensor("ueye_ui5250re")
+    np.testing.assert_allclose(
+        sensor.electrons_per_joule(500.0), sensor.quantum_efficiency.at(500.0) / 3.972892e-19, rtol=1e-6
+    )

@@ -1,0 +1,157 @@
+"""Developing: each step alone, and the picture that they make."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import colour
+import numpy as np
+import pytest
+
+from pepperscene.camera import (
+    Camera,
+    Developing,
+    camera_rgb,
+    corrected,
+    develop,
+    encode,
+    expected_electrons,
+    load_flash,
+    load_lens,
+    load_sensor,
+    reference_correction,
+    relative_illumination,
+)
+from pepperscene.camera.correction import correction
+from pepperscene.errors import InputError
+from pepperscene.spectra import Spectrum
+
+SENSOR = dataclasses.replace(load_sensor("ueye_ui5250re"), columns=40, rows=30)
+LENS, FLASH = load_lens("lensagon_cmfa0420nd"), load_flash("led_ring_200klx")
+CAMERA = Camera(LENS, SENSOR, flash=FLASH)
+NM = np.arange(380.0, 781.0)
+
+
+def flat(rgb):
+    return np.broadcast_to(np.asarray(rgb, float), (30, 40, 3))
+
+
+def white_under_flash(level):
+    """Electrons of a white diffuser under the flash, green at `level` of the full well."""
+    response = np.trapezoid(FLASH.spectrum.at(NM) * SENSOR.electrons_per_joule(NM), NM, axis=-1)
+    return flat(response / response[1] * level * SENSOR.full_well_e)
+
+
+def with_developing(**choices):
+    return dataclasses.replace(CAMERA, developing=Developing(**choices))
+
+
+@pytest.mark.parametrize("level", [0.01, 0.05, 0.2, 0.5, 0.9])
+def test_white_under_the_flash_is_neutral_within_a_code(level):
+    picture = develop(white_under_flash(level), with_developing(quantise=False)).astype(int)
+    assert np.ptp(picture, axis=-1).max() <= 1
+    # The codes are those of the light: sRGB of the level.
+    assert abs(picture[0, 0, 1] - 255 * colour.cctf_encoding(level, function="sRGB")) <= 1
+
+
+@pytest.mark.parametrize("level", [1.0, 3.0, 1000.0])
+def test_blown_out_white_is_white(level):
+    assert np.all(develop(white_under_flash(level), CAMERA) == 255)
+
+
+def test_darkness_is_black():
+    assert not develop(flat(0), CAMERA).any()
+    assert not develop(flat(-5), CAMERA).any()
+
+
+def test_more_light_never_darkens_a_grey():
+    codes = [develop(white_under_flash(level), CAMERA)[0, 0].astype(int) for level in np.linspace(0, 1.2, 60)]
+    assert np.all(np.diff(codes, axis=0) >= 0)
+
+
+def test_daylight_balance_differs_from_the_flash_s():
+    daylight = reference_correction(with_developing(white_balance="daylight"))
+    flash = reference_correction(CAMERA)
+    assert min(daylight.gains) == min(flash.gains) == 1
+    # A cool white LED has less red for its green than daylight has, so red needs more gain.
+    assert flash.gains[0] > daylight.gains[0] * 1.05
+
+
+def test_colour_matrices_keep_white():
+    for which in ("flash", "daylight"):
+        np.testing.assert_allclose(
+            reference_correction(with_developing(white_balance=which)).matrix.sum(1), 1
+        )
+
+
+def test_each_step_can_be_left_out():
+    electrons = white_under_flash(0.3)
+    bare = with_developing(quantise=False, white_balance=None, colour_matrix=False, tone="linear")
+    np.testing.assert_allclose(
+        develop(electrons, bare), np.rint(electrons / SENSOR.full_well_e * 255), atol=1
+    )
+    steps = camera_rgb(electrons, with_developing(quantise=True))[0, 0] * (1023 - 16)
+    np.testing.assert_allclose(steps, np.rint(steps), atol=1e-3)
+    still = with_developing(noise=False)
+    np.testing.assert_array_equal(
+        develop(electrons, still, np.random.default_rng(0)), develop(electrons, CAMERA, None)
+    )
+    raw = camera_rgb(electrons, bare)
+    np.testing.assert_array_equal(corrected(raw, bare), raw)
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_does_not():
+    electrons = white_under_flash(0.1)
+    one, same, other = (develop(electrons, CAMERA, np.random.default_rng(seed)) for seed in (5, 5, 6))
+    np.testing.assert_array_equal(one, same)
+    assert np.any(one != other)
+
+
+def test_the_tone_curve_is_srgb():
+    value = np.linspace(-0.2, 1.2, 5000)
+    curve = colour.cctf_encoding(np.clip(value, 0, 1), function="sRGB") * 255
+    codes = encode(value.astype(np.float32))
+    assert np.abs(codes - curve).max() <= 0.5 + 1e-4
+    np.testing.assert_allclose(
+        encode(value.astype(np.float32), "linear"), np.clip(value, 0, 1) * 255, atol=0.5001
+    )
+
+
+def test_exposure_scales_as_the_camera_equation_says():
+    light = np.ones((30, 40, 3))
+    base = expected_electrons(light, CAMERA)
+    stopped = dataclasses.replace(CAMERA, lens=dataclasses.replace(LENS, f_number=4.0))
+    longer = dataclasses.replace(CAMERA, exposure_s=150e-6)
+    np.testing.assert_allclose(expected_electrons(light, stopped), base / 4)
+    np.testing.assert_allclose(expected_electrons(light, longer), base * 3)
+    np.testing.assert_allclose(expected_electrons(2 * light, CAMERA), base * 2)
+
+
+def test_the_corners_of_the_whole_picture_are_darker_by_cos4():
+    fall_off = relative_illumination(Camera(LENS, load_sensor("ueye_ui5250re")))
+    # Half the diagonal of 7.2 x 5.4 mm behind 4.16 mm: cos^4 = (1 + (4.5 / 4.16)^2)^-2 = 0.212.
+    assert fall_off[0, 0] == pytest.approx((1 + (4.5 / 4.16) ** 2) ** -2, rel=0.01)
+    assert fall_off[299:301, 399:401].min() > 0.99999
+    np.testing.assert_allclose(fall_off, fall_off[::-1, ::-1])
+
+
+def test_what_is_not_a_picture_is_refused():
+    with pytest.raises(ValueError, match="needed"):
+        develop(np.zeros((30, 40)), CAMERA)
+    with pytest.raises(ValueError, match="finite"):
+        develop(flat(np.nan), CAMERA)
+    with pytest.raises(ValueError, match="needed"):
+        expected_electrons(np.zeros((3, 40, 30)), CAMERA)
+    with pytest.raises(ValueError, match="needs a flash"):
+        develop(flat(1), Camera(LENS, SENSOR))
+    assert develop(flat(1), Camera(LENS, SENSOR, developing=Developing(white_balance="daylight"))).shape == (
+        30,
+        40,
+        3,
+    )
+
+
+def test_a_light_that_a_colour_does_not_see_is_refused():
+    narrow = Spectrum(np.array([1050.0, 1051.0]), np.array([1.0, 1.0]))
+    with pytest.raises(InputError, match="must see the reference light"):
+        correction(SENSOR, narrow)
