@@ -1,0 +1,156 @@
+"""A physically based spectral renderer of sweet-pepper plants: labelled, radiometrically calibrated images.
+
+The whole program in one line; every arrow is one function:
+
+    Cultivar -> Plant -> Mesh -> Scene -> render() -> Frame -> Dataset
+
+Names are loaded when first used, so that importing the package costs next to nothing.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from pepperscene.version import __version__
+
+if TYPE_CHECKING:
+    from pepperscene.camera import Camera, arc_path, load_flash, load_lens, load_sensor, look_at
+    from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
+    from pepperscene.cultivar import Cultivar, load_cultivar
+    from pepperscene.dataset import (
+        Dataset,
+        Recipe,
+        Stage,
+        build,
+        load_recipe,
+        open_dataset,
+        read_image,
+        report,
+        write_image,
+    )
+    from pepperscene.errors import InputError, OutputError, PepperError, SetupError
+    from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, Frame
+    from pepperscene.geometry import Mesh, concatenate, mesh_plant
+    from pepperscene.grammar import Organ, Plant, grow
+    from pepperscene.materials import Surface, lambertian, organ_surfaces, twine_surface
+    from pepperscene.render import Renderer, render
+    from pepperscene.scene import (
+        Scene,
+        Sky,
+        Twine,
+        assemble,
+        double_row,
+        partly_cloudy,
+        uniform_sky,
+        with_twine,
+    )
+    from pepperscene.spectra import Spectrum
+    from pepperscene.truth import class_colour, class_from_colour, distance_code, distance_from_code
+
+_ROOMS = {
+    "camera": ("Camera", "arc_path", "load_flash", "load_lens", "load_sensor", "look_at"),
+    "classes": ("CLASS_COLOURS", "Instance", "OrganClass"),
+    "cultivar": ("Cultivar", "load_cultivar"),
+    "dataset": (
+        "Dataset", "Recipe", "Stage", "build", "load_recipe", "open_dataset", "read_image", "report",
+        "write_image",
+    ),
+    "errors": ("InputError", "OutputError", "PepperError", "SetupError"),
+    "frame": ("DEFAULT_OUTPUTS", "OUTPUTS", "Frame"),
+    "geometry": ("Mesh", "concatenate", "mesh_plant"),
+    "grammar": ("Organ", "Plant", "grow"),
+    "materials": ("Surface", "lambertian", "organ_surfaces", "twine_surface"),
+    "render": ("Renderer", "render"),
+    "scene": (
+        "Scene", "Sky", "Twine", "assemble", "double_row", "partly_cloudy", "uniform_sky", "with_twine",
+    ),
+    "spectra": ("Spectrum",),
+    "truth": ("class_colour", "class_from_colour", "distance_code", "distance_from_code"),
+}  # fmt: skip
+_HOME = {name: room for room, names in _ROOMS.items() for name in names}
+
+__all__ = [
+    "CLASS_COLOURS",
+    "DEFAULT_OUTPUTS",
+    "OUTPUTS",
+    "Camera",
+    "Cultivar",
+    "Dataset",
+    "Frame",
+    "InputError",
+    "Instance",
+    "Mesh",
+    "Organ",
+    "OrganClass",
+    "OutputError",
+    "PepperError",
+    "Plant",
+    "Recipe",
+    "Renderer",
+    "Scene",
+    "SetupError",
+    "Sky",
+    "Spectrum",
+    "Stage",
+    "Surface",
+    "Twine",
+    "__version__",
+    "arc_path",
+    "assemble",
+    "build",
+    "class_colour",
+    "class_from_colour",
+    "concatenate",
+    "distance_code",
+    "distance_from_code",
+    "double_row",
+    "grow",
+    "lambertian",
+    "load_cultivar",
+    "load_flash",
+    "load_lens",
+    "load_recipe",
+    "load_sensor",
+    "look_at",
+    "mesh_plant",
+    "open_dataset",
+    "organ_surfaces",
+    "partly_cloudy",
+    "read_image",
+    "render",
+    "report",
+    "twine_surface",
+    "uniform_sky",
+    "with_twine",
+    "write_image",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """The public name out of its room (PEP 562)."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+class _Package(ModuleType):
+    """Keeps `pepperscene.render` the function, where importing the room of that name would put the room.
+
+    `from pepperscene.render import ...` still reads from the room.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name in _HOME and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

@@ -1,0 +1,73 @@
+"""Files that are either whole or not there."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+_STALE_S: Final = 3600.0
+"""Chosen: no write takes an hour, so that an older temporary file is a killed build's."""
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary name in the same folder, which takes the place of `path` when the block ends well.
+
+    The content is on the disk before the name is: after a power cut there is the old file or the new one.
+    When the block raises, the temporary file is removed and `path` stays as it was.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        yield temporary
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write JSON with sorted keys, the same bytes for the same content.
+
+    Raises:
+        OSError: the file cannot be written.
+        ValueError: the content holds a number that JSON does not know (nan, inf).
+    """
+    with replacing(path) as temporary:
+        temporary.write_bytes(json_bytes(content))
+
+
+def json_bytes(content: Any) -> bytes:
+    """Canonical JSON text: sorted keys, one space of indent, a newline at the end."""
+    text = json.dumps(content, sort_keys=True, indent=1, allow_nan=False, default=_plain)
+    return (text + "\n").encode()
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def is_temporary(path: Path) -> bool:
+    """Whether a file is one of `replacing`'s, left by a build that was killed or still runs."""
+    return path.name.startswith(".") and path.name.endswith(".tmp")
+
+
+def sweep(folder: Path) -> None:
+    """Remove the temporary files that killed builds left in a folder."""
+    for path in folder.iterdir():
+        if is_temporary(path) and time.time() - path.stat().st_mtime > _STALE_S:
+            path.unlink(missing_ok=True)
+
+
+def _plain(value: Any) -> Any:
+    """NumPy's scalars and arrays as Python's."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} has no place in JSON")

@@ -1,0 +1,116 @@
+"""The output folder of a build: can it take the data set; making it; leaving no trace on failure."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from pepperscene.dataset.atomic import is_temporary, sweep, write_json
+from pepperscene.dataset.store import FRAMES, MARK, Dataset, read_json
+from pepperscene.errors import InputError, OutputError
+from pepperscene.frame import OUTPUTS
+
+REPORT_FILES: Final = ("index.html", "contact_sheet.png")
+_OWN: Final = {MARK, FRAMES, *OUTPUTS, *REPORT_FILES}
+_LITTER: Final = {".DS_Store", "Thumbs.db"}
+"""Written by file managers into every folder that they show."""
+
+_COMPARED: Final = ("format", "quality", "version", "recipe", "files")
+
+
+class OutputFolder:
+    """The folder of a build, examined but not touched until the first frame is ready.
+
+    Args:
+        folder: wanted by the user.
+        about: what `dataset.json` is to say.
+
+    Raises:
+        OutputError: it holds foreign files or another data set, is no folder, or cannot be written to.
+    """
+
+    def __init__(self, folder: Path, about: Mapping[str, Any]) -> None:
+        self.dataset = Dataset(folder, about)
+        self._made: list[Path] = []
+        _examine(folder, about)
+
+    def prepare(self, outputs: tuple[str, ...]) -> None:
+        """Make the folders and `dataset.json` where they are missing.
+
+        Raises:
+            OSError: something cannot be made.
+        """
+        for folder in (self.dataset.folder, *(self.dataset.folder / name for name in (*outputs, FRAMES))):
+            self._make(folder)
+            sweep(folder)
+        mark = self.dataset.folder / MARK
+        if not mark.is_file():
+            self._made.append(mark)
+            write_json(mark, self.dataset.about)
+
+    def _make(self, folder: Path) -> None:
+        missing = [path for path in (folder, *folder.parents) if not path.exists()]
+        for path in reversed(missing):
+            path.mkdir(exist_ok=True)
+            self._made.append(path)
+
+    def undo(self) -> None:
+        """Remove what `prepare` made, as far as no frame has come to depend on it."""
+        if self.dataset.indices():
+            return
+        for path in reversed(self._made):
+            try:
+                path.rmdir() if path.is_dir() else path.unlink(missing_ok=True)
+            except OSError:
+                # Somebody else put a file there meanwhile.
+                continue
+
+
+def _examine(folder: Path, about: Mapping[str, Any]) -> None:
+    """Raise the `OutputError` that tells why the folder cannot take this data set, if there is a reason."""
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise OutputError(f"{folder}: is not a folder")
+        standing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        if not standing.is_dir():
+            raise OutputError(f"{folder}: cannot be made, because {standing} is not a folder")
+        if not os.access(standing, os.W_OK | os.X_OK):
+            raise OutputError(f"{folder}: is not writable")
+        if folder.exists():
+            _examine_content(folder, about)
+    except (OSError, ValueError) as fault:
+        reason = fault.strerror if isinstance(fault, OSError) else str(fault)
+        raise OutputError(f"{folder}: cannot be used ({reason})") from None
+
+
+def _examine_content(folder: Path, about: Mapping[str, Any]) -> None:
+    held = sorted(path for path in folder.iterdir() if not is_temporary(path) and path.name not in _LITTER)
+    foreign = next((path.name for path in held if path.name not in _OWN), None)
+    if foreign is not None or (held and not (folder / MARK).is_file()):
+        what = foreign or held[0].name
+        raise OutputError(
+            f"{folder}: holds {what!r}, so it is not a data set; choose an empty or a new folder"
+        )
+    if not held:
+        return
+    try:
+        there = read_json(folder / MARK)
+    except InputError as fault:
+        raise OutputError(f"{fault}; choose another folder") from None
+    for name in _COMPARED:
+        difference = _difference(name, there.get(name), about[name])
+        if difference:
+            raise OutputError(f"{folder}: holds another data set: {difference}; choose another folder")
+
+
+def _difference(key: str, there: Any, wanted: Any) -> str:
+    """The first dotted key that differs, with both values; "" when there is none."""
+    if isinstance(there, dict) and isinstance(wanted, dict):
+        for name in sorted(there.keys() | wanted.keys()):
+            found = _difference(f"{key}.{name}", there.get(name), wanted.get(name))
+            if found:
+                return found
+        return ""
+    return "" if there == wanted else f"{key} is {there!r} there and {wanted!r} here"
