@@ -37,7 +37,7 @@ def seen_by_the_observer(light):
 
 
 def photographed(sensor, light, flash, white_balance):
-    """`(24, 3)` Lab of the developed 8-bit picture of the chart, exposed so that white nearly fills the well."""
+    """`(24, 3)` Lab of the developed 8-bit picture of the chart, white at a full well."""
     weight = light.at(NM) * sensor.electrons_per_joule(NM)
     electrons = chart() @ weight.T / weight.sum(axis=1).max() * sensor.full_well_e
     small = dataclasses.replace(sensor, columns=6, rows=4)
@@ -57,5 +57,5 @@ def test_the_chart_comes_out_in_its_colours(sensor, white_balance):
     difference = colour.delta_E(seen_by_the_observer(light), found, method="CIE 2000")
     assert difference.mean() < 3.0
     assert difference.max() < 8.0
-    # Greys stay closest; the white patch, which darkens below 420 nm where this sensor sees, is the worst of them.
+    # Greys stay close; worst is the white patch, dark below 420 nm where this sensor still sees.
     assert difference[18:].max() < 4.0

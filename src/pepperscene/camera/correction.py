@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pepperscene.camera.sensor import Sensor
 from pepperscene.errors import InputError
-from pepperscene.spectra import Spectrum, read_spectra
+from pepperscene.spectra import Spectrum, read_spectra, sky_spectrum
 
 Array = NDArray[np.float64]
 CHART = "chart/colorchecker_iso17321_1.csv"
@@ -64,11 +64,8 @@ def correction(sensor: Sensor, light: Spectrum) -> Correction:
 
 @lru_cache(maxsize=1)
 def daylight() -> Spectrum:
-    """CIE standard illuminant D65, relative."""
-    import colour
-
-    d65 = colour.SDS_ILLUMINANTS["D65"]
-    return Spectrum(d65.wavelengths, d65.values)
+    """CIE standard illuminant D65, relative; always the same object, so that corrections are kept."""
+    return sky_spectrum("d65")
 
 
 def chart_reflectances() -> Spectrum:
