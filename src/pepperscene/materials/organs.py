@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 LEAF_STATES: Final = 17
-FRUIT_STATES: Final = 33
+FRUIT_STATES: Final = 41
 GREEN_STATES: Final = 9
 """Rows along the paths: chosen so that linear interpolation between them stays within .002 of the model."""
 
@@ -133,7 +133,7 @@ def green_surface(
     streaks = 0.06 * _noise_mm(rng, size_mm, (12.0, 0.02 * girth)) + 0.04 * _noise_mm(
         rng, size_mm, (6.0, 1.5)
     )
-    ribs = 0.006 * girth * _noise_mm(rng, size_mm, (60.0, 0.05 * girth))
+    ribs = 0.004 * girth * _noise_mm(rng, size_mm, (60.0, 0.05 * girth))
     return _opaque(name, path, wavelength_nm, GREEN_STATES, streaks, ribs, size_mm)
 
 

@@ -86,7 +86,7 @@ def grow_veins(size_mm: tuple[float, float], rng: np.random.Generator, pixels: i
 
 def _origins(rng: np.random.Generator) -> Field:
     """Where the secondary veins of one side leave the midrib, in shares of its length: closer at the base."""
-    even = (np.arange(PAIRS) + rng.uniform(-0.12, 0.12, PAIRS) + rng.uniform(0.0, 0.5)) / PAIRS
+    even = (np.arange(PAIRS) + rng.uniform(-0.12, 0.12, PAIRS) + rng.uniform(0.15, 0.5)) / PAIRS
     return 0.02 + 0.85 * even**1.15
 
 

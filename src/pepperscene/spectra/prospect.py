@@ -34,8 +34,8 @@ class LeafOptics:
     def below_gloss(self, cuticle_ior: float) -> NDArray[np.float64]:
         """`(..., n)` reflectance without what a cuticle of this index reflects by itself.
 
-        So gloss and diffuse part together give PROSPECT's R. Never negative: an index above that of the
-        tissue (1.5) would take more than there is where pigments absorb all the rest.
+        So gloss and diffuse part together give PROSPECT's R. Never negative: where pigments absorb all the
+        rest, a cuticle of a higher index than the tissue's (1.43 to 1.52) reflects more than PROSPECT's R.
         """
         return np.maximum(self.reflectance - cuticle_gloss(cuticle_ior), 0.0)
 

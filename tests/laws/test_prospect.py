@@ -1,0 +1,123 @@
+"""PROSPECT against published values, measured tissue, and its own physics."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pepperscene.spectra import (
+    absorption_coefficients,
+    cuticle_gloss,
+    leaf_spectra,
+    over_body,
+    read_spectrum,
+)
+from pepperscene.spectra.plates import cone_transmissivity
+
+NM = np.arange(400, 801, 5)
+LEAF = {"structure_n": 1.5, "chlorophyll_ug_cm2": 40, "carotenoid_ug_cm2": 8, "water_cm": 0.01}
+
+
+def test_reference_leaf():
+    """Values of the reference implementations of PROSPECT-D for these contents."""
+    leaf = leaf_spectra([450, 550, 800], **LEAF, dry_matter_g_cm2=0.009)
+    assert leaf.reflectance == pytest.approx([0.0413, 0.1512, 0.4425], abs=1e-4)
+    assert leaf.transmittance[1] == pytest.approx(0.1503, abs=1e-4)
+
+
+def test_protein_and_carbon_stand_for_dry_matter():
+    """Their coefficients were calibrated so that LMA = protein + carbon: the near infrared hardly changes."""
+    nm = np.arange(750, 2401, 50)
+    whole = leaf_spectra(nm, **LEAF, dry_matter_g_cm2=0.008)
+    parts = leaf_spectra(nm, **LEAF, protein_g_cm2=0.001, carbon_g_cm2=0.007)
+    assert parts.reflectance == pytest.approx(whole.reflectance, abs=0.02)
+    with pytest.raises(ValueError, match="not both"):
+        leaf_spectra(nm, **LEAF, dry_matter_g_cm2=0.008, protein_g_cm2=0.001)
+
+
+@settings(max_examples=50)
+@given(
+    n=st.floats(1.0, 4.0), chl=st.floats(0, 120), car=st.floats(0, 40), ant=st.floats(0, 20),
+    cap=st.floats(0, 40), brown=st.floats(0, 4), water=st.floats(0, 0.1), dry=st.floats(0, 0.04),
+    ior=st.floats(1.0, 1.5),
+)  # fmt: skip
+def test_energy(n, chl, car, ant, cap, brown, water, dry, ior):
+    leaf = leaf_spectra(
+        NM, structure_n=n, chlorophyll_ug_cm2=chl, carotenoid_ug_cm2=car, anthocyanin_ug_cm2=ant,
+        capsanthin_ug_cm2=cap, brown=brown, water_cm=water, dry_matter_g_cm2=dry,
+    )  # fmt: skip
+    below = leaf.below_gloss(ior)
+    assert leaf.transmittance.min() >= 0
+    assert below.min() >= 0
+    assert (leaf.reflectance + leaf.transmittance).max() <= 1 + 1e-9
+    # What a cuticle takes is given back: below the gloss there is all the rest and no more.
+    assert np.all(below <= np.maximum(leaf.reflectance - cuticle_gloss(ior), 0) + 1e-12)
+
+
+def test_clear_tissue_absorbs_nothing():
+    leaf = leaf_spectra(NM, structure_n=2.2)
+    assert leaf.reflectance + leaf.transmittance == pytest.approx(np.ones(NM.size), abs=1e-9)
+
+
+def test_tissue_full_of_pigment_reflects_from_its_surface_alone():
+    leaf = leaf_spectra([450.0], structure_n=1.5, chlorophyll_ug_cm2=2000)
+    ior = absorption_coefficients([450.0])["refractive_index"]
+    assert leaf.reflectance == pytest.approx(1 - cone_transmissivity(np.radians(40), ior), abs=1e-6)
+
+
+def test_more_pigment_is_darker_from_both_sides():
+    leaf = leaf_spectra(NM, structure_n=1.5, chlorophyll_ug_cm2=np.linspace(5, 80, 20), water_cm=0.01)
+    absorbed = absorption_coefficients(NM)["chlorophyll"] > 1e-4
+    assert np.all(np.diff(leaf.reflectance[:, absorbed], axis=0) < 0)
+    assert np.all(np.diff(leaf.transmittance[:, absorbed], axis=0) <= 0)
+
+
+def test_many_leaves_at_once_are_the_leaves_one_by_one():
+    chl = np.array([[10.0, 30.0, 50.0], [20.0, 40.0, 60.0]])
+    many = leaf_spectra(NM, structure_n=[1.4, 1.5, 1.6], chlorophyll_ug_cm2=chl)
+    assert many.reflectance.shape == (2, 3, NM.size)
+    one = leaf_spectra(NM, structure_n=1.6, chlorophyll_ug_cm2=60)
+    assert many.transmittance[1, 2] == pytest.approx(one.transmittance, abs=1e-14)
+
+
+def test_below_400_nm_the_coefficients_of_400_nm_hold():
+    below, at = leaf_spectra([380.0], **LEAF), leaf_spectra([400.0], **LEAF)
+    assert below.reflectance == at.reflectance
+    with pytest.raises(ValueError, match="beyond"):
+        leaf_spectra([2501.0], **LEAF)
+
+
+@pytest.mark.parametrize("wrong", [{"structure_n": 0.9}, {"chlorophyll_ug_cm2": -1}, {"structure_n": np.nan}])
+def test_impossible_leaves_are_refused(wrong):
+    with pytest.raises(ValueError, match="plate"):
+        leaf_spectra(NM, **(LEAF | wrong))
+
+
+def test_a_body_behind_gives_back_what_a_series_of_bounces_gives():
+    skin = leaf_spectra(NM, structure_n=1.0, chlorophyll_ug_cm2=5)
+    rho, light, total = 0.7, skin.transmittance, skin.reflectance.copy()
+    for _ in range(200):
+        total += light * rho * skin.diffuse_transmittance
+        light = light * rho * skin.diffuse_reflectance
+    assert over_body(skin, rho).reflectance == pytest.approx(total, abs=1e-12)
+    assert over_body(skin, 0.0).reflectance == pytest.approx(skin.reflectance, abs=1e-15)
+
+
+def test_skin_on_flesh_matches_the_measured_green_pepper():
+    """Vrhel, Gershon & Iwan 1994, specular excluded; contents fitted to it (N, Cab, Car, brown, flesh)."""
+    measured = read_spectrum("fruit/vrhel_fruit_vegetable_reflectance", "green_pepper_136", outside="error")
+    nm = np.arange(400, 731, 2)
+    skin = leaf_spectra(nm, structure_n=1, chlorophyll_ug_cm2=15.2, carotenoid_ug_cm2=4.0, brown=0.365)
+    pepper = over_body(skin, 0.596).below_gloss(1.45)
+    assert np.sqrt(np.mean((pepper - measured.at(nm)) ** 2)) < 0.012
+
+
+@pytest.mark.parametrize("column", ["silver_maple_leaf_16", "tree_leaf_19", "oak_leaf_29"])
+def test_leaves_of_plausible_contents_come_near_measured_ones(column):
+    """Each measured leaf lies within .03 of one of a coarse grid of green leaves."""
+    measured = read_spectrum("leaf/vrhel_leaf_reflectance", column, outside="error")
+    nm = np.arange(420, 731, 5)
+    n, chl, car = np.meshgrid([1.0, 1.3, 1.6, 2.0, 2.4], np.arange(10, 81, 5), [4, 8, 12, 16], indexing="ij")
+    grid = leaf_spectra(nm, structure_n=n, chlorophyll_ug_cm2=chl, carotenoid_ug_cm2=car, water_cm=0.01,
+                        dry_matter_g_cm2=0.006).below_gloss(1.45)  # fmt: skip
+    assert np.sqrt(np.mean((grid - measured.at(nm)) ** 2, axis=-1)).min() < 0.03
