@@ -39,19 +39,23 @@ def test_protein_and_carbon_stand_for_dry_matter():
 @given(
     n=st.floats(1.0, 4.0), chl=st.floats(0, 120), car=st.floats(0, 40), ant=st.floats(0, 20),
     cap=st.floats(0, 40), brown=st.floats(0, 4), water=st.floats(0, 0.1), dry=st.floats(0, 0.04),
-    ior=st.floats(1.0, 1.5),
+    ior=st.floats(1.0, 2.5),
 )  # fmt: skip
 def test_energy(n, chl, car, ant, cap, brown, water, dry, ior):
     leaf = leaf_spectra(
         NM, structure_n=n, chlorophyll_ug_cm2=chl, carotenoid_ug_cm2=car, anthocyanin_ug_cm2=ant,
         capsanthin_ug_cm2=cap, brown=brown, water_cm=water, dry_matter_g_cm2=dry,
     )  # fmt: skip
-    below = leaf.below_gloss(ior)
     assert leaf.transmittance.min() >= 0
-    assert below.min() >= 0
     assert (leaf.reflectance + leaf.transmittance).max() <= 1 + 1e-9
-    # What a cuticle takes is given back: below the gloss there is all the rest and no more.
-    assert np.all(below <= np.maximum(leaf.reflectance - cuticle_gloss(ior), 0) + 1e-12)
+    body_r, body_t = leaf.under_cuticle(ior)
+    assert min(body_r.min(), body_t.min()) >= 0
+    assert (body_r + body_t).max() <= 1 + 1e-9
+    # Gloss and body together give the leaf back, wherever the gloss alone is not more than the leaf.
+    gloss = cuticle_gloss(ior)
+    covered = leaf.reflectance >= gloss
+    assert (gloss + (1 - gloss) * body_r)[covered] == pytest.approx(leaf.reflectance[covered], abs=1e-12)
+    assert ((1 - gloss) * body_t)[covered] == pytest.approx(leaf.transmittance[covered], abs=1e-12)
 
 
 def test_clear_tissue_absorbs_nothing():
@@ -108,7 +112,7 @@ def test_skin_on_flesh_matches_the_measured_green_pepper():
     measured = read_spectrum("fruit/vrhel_fruit_vegetable_reflectance", "green_pepper_136", outside="error")
     nm = np.arange(400, 731, 2)
     skin = leaf_spectra(nm, structure_n=1, chlorophyll_ug_cm2=15.2, carotenoid_ug_cm2=4.0, brown=0.365)
-    pepper = over_body(skin, 0.596).below_gloss(1.45)
+    pepper = over_body(skin, 0.596).reflectance - cuticle_gloss(1.45)
     assert np.sqrt(np.mean((pepper - measured.at(nm)) ** 2)) < 0.012
 
 
@@ -119,5 +123,5 @@ def test_leaves_of_plausible_contents_come_near_measured_ones(column):
     nm = np.arange(420, 731, 5)
     n, chl, car = np.meshgrid([1.0, 1.3, 1.6, 2.0, 2.4], np.arange(10, 81, 5), [4, 8, 12, 16], indexing="ij")
     grid = leaf_spectra(nm, structure_n=n, chlorophyll_ug_cm2=chl, carotenoid_ug_cm2=car, water_cm=0.01,
-                        dry_matter_g_cm2=0.006).below_gloss(1.45)  # fmt: skip
+                        dry_matter_g_cm2=0.006).reflectance - cuticle_gloss(1.45)  # fmt: skip
     assert np.sqrt(np.mean((grid - measured.at(nm)) ** 2, axis=-1)).min() < 0.03

@@ -84,14 +84,14 @@ def leaf_surface(
         rng: draws veins and mottling.
     """
     contents = path.at(np.linspace(0.0, 1.0, LEAF_STATES))
-    above = leaf_spectra(wavelength_nm, **contents)
-    below = leaf_spectra(wavelength_nm, **_thinned(contents, ABAXIAL_SHARE))
+    above, through = leaf_spectra(wavelength_nm, **contents).under_cuticle(path.ior)
+    below, _ = leaf_spectra(wavelength_nm, **_thinned(contents, ABAXIAL_SHARE)).under_cuticle(path.ior)
     veins = grow_veins(size_mm, rng)
     return Surface(
         "leaf",
         wavelength_nm,
-        np.stack([above.below_gloss(path.ior), below.below_gloss(path.ior)], axis=1),
-        above.transmittance,
+        np.stack([above, below], axis=1),
+        np.minimum(through, 1.0 - below),
         ior=path.ior,
         roughness=path.roughness,
         pattern=vein_pattern(veins, rng),
@@ -191,9 +191,10 @@ def _opaque(
 
 
 def _skin_on_body(path: PigmentPath, wavelength_nm: Array, states: Array) -> Array:
-    """Reflectance `(s, n)` below the gloss; without a body behind, light that comes through is lost."""
+    """Reflectance `(s, n)` under the cuticle; without a body behind, light that comes through is lost."""
     skin = leaf_spectra(wavelength_nm, **path.at(states))
-    return over_body(skin, path.flesh_reflectance or 0.0).below_gloss(path.ior)
+    reflectance, _ = over_body(skin, path.flesh_reflectance or 0.0).under_cuticle(path.ior)
+    return reflectance
 
 
 def _thinned(contents: dict[str, Array], share: float) -> dict[str, Array]:

@@ -19,10 +19,11 @@ class Surface:
     Attributes:
         name: unique within a scene ("leaf", "fruit", "stem").
         wavelength_nm: `(n,)` increasing.
-        reflectance: `(s, 2, n)` diffuse hemispherical reflectance below the cuticle's gloss, in [0, 1];
-            axis 1 is the front side (the one the normal points out of) and the back side.
-        transmittance: `(s, n)` diffuse hemispherical transmittance, equal both ways; 0 for opaque bodies.
-            Reflectance and transmittance sum to at most 1.
+        reflectance: `(s, 2, n)` diffuse hemispherical reflectance of the body under the cuticle, as a share
+            of the light that the cuticle lets in; axis 1 is the front side (the one the normal points out of)
+            and the back side.
+        transmittance: `(s, n)` diffuse hemispherical transmittance, likewise, equal both ways; 0 for opaque
+            bodies. Reflectance and transmittance sum to at most 1.
         ior: refractive index of the cuticle; 1 means a surface without gloss.
         roughness: `(2,)` GGX alpha of the cuticle, front and back.
         pattern: `(h, w)` offset added to the state over uv (row 0 is v = 0), or None. Veins live here.

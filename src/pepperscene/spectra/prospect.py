@@ -31,13 +31,16 @@ class LeafOptics:
     diffuse_reflectance: NDArray[np.float64]
     diffuse_transmittance: NDArray[np.float64]
 
-    def below_gloss(self, cuticle_ior: float) -> NDArray[np.float64]:
-        """`(..., n)` reflectance without what a cuticle of this index reflects by itself.
+    def under_cuticle(self, ior: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Reflectance and transmittance `(..., n)` of the body under a glossy cuticle of this index.
 
-        So gloss and diffuse part together give PROSPECT's R. Never negative: where pigments absorb all the
-        rest, a cuticle of a higher index than the tissue's (1.43 to 1.52) reflects more than PROSPECT's R.
+        They are shares of the light that the cuticle lets in, so that gloss g and body together give
+        PROSPECT's values: R = g + (1 - g) R_body, T = (1 - g) T_body. Never negative: where pigments absorb
+        all the rest, a cuticle of a higher index than the tissue's (1.43 to 1.52) alone exceeds PROSPECT's R.
         """
-        return np.maximum(self.reflectance - cuticle_gloss(cuticle_ior), 0.0)
+        gloss = cuticle_gloss(ior)
+        reflectance = np.maximum(self.reflectance - gloss, 0.0) / (1.0 - gloss)
+        return reflectance, np.minimum(self.transmittance / (1.0 - gloss), 1.0 - reflectance)
 
 
 def cuticle_gloss(ior: float) -> float:
