@@ -485,8 +485,9 @@ class FruitShape(Document):
         diameter: F-2, of a grown fruit.
         slenderness: length divided by diameter.
         inclination: of the axis from stalk end to blossom end, about -90 degrees.
-        ripe_fraction: share of fruit that is ripe.
-        ripe_descent: how much that share rises towards the foot, where fruit is older, and falls to the top.
+        ripe_fraction: share of the grown fruit that is ripe; that of a young top is green.
+        ripe_descent: how much that share rises towards the foot, where fruit is older, and falls to the top,
+            over half the plant's height.
         breaker_fraction: share of fruit that is turning, taken from both sides alike.
         unripe, breaker, ripe: ripeness of such fruit, 0 green to 1 ripe.
     """

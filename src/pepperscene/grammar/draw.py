@@ -53,6 +53,7 @@ class _Drawing:
         # The plant's own line, from which the stem must not stray: it leans across the row.
         self.line = np.array([0.0, -math.sin(self.lean)])
         self.strayed = np.zeros(2)
+        self.ripening_height = self._ripening_height()
 
     def plant(self) -> PlantParameters:
         """All phytomers from the ground up."""
@@ -97,6 +98,19 @@ class _Drawing:
         """A phytomer's place along the stem, 0 at the lowest and 1 at the topmost."""
         return i / (self.parts - 1)
 
+    def _ripening_height(self) -> float:
+        """Mean height of the fruit that is grown and not harvested, about which ripeness is balanced."""
+        heights = np.array([self._height(i) for i in range(self.parts) if self._size(i) == 1.0] or [1.0])
+        left = np.array([1.0 - self._cut_share(h, self.cultivar.branching.cut_descent.mean) for h in heights])
+        return float(np.average(heights, weights=left)) if left.sum() > 0 else 0.5
+
+    def _cut_share(self, height: float, descent: float) -> float:
+        """Share of the fruit set at a height that has been harvested, balanced about the plant's middle."""
+        set_here = self.cultivar.branching.node_fruit
+        fruiting = set_here.fruit + set_here.cut
+        mean = set_here.cut / fruiting if fruiting else 0.0
+        return mean + descent * (1.0 - 2.0 * height)
+
     def _size(self, i: int) -> float:
         """How large a phytomer has grown: 1 but for the young ones at the top, smaller one by one."""
         plant = self.cultivar.plant
@@ -109,7 +123,8 @@ class _Drawing:
         """The stem's radius below phytomer `i`: tapering about the drawn mean, thinner where it is young."""
         slope = 2.0 * (1.0 - self.top) / (1.0 + self.top)
         size = self._size(min(i, self.parts - 1))
-        return 0.5 * self.diameter * (1.0 + slope * (0.5 - i / self.parts)) * math.sqrt(size)
+        place = i / max(self.parts - self.cultivar.plant.young_nodes, 1)
+        return 0.5 * self.diameter * (1.0 + slope * (0.5 - place)) * math.sqrt(size)
 
     def _stem_direction(self, length: float, rng: np.random.Generator) -> tuple[float, float]:
         """Azimuth and inclination of a section: aslant, and back to the line that the twine holds it to."""
@@ -193,9 +208,8 @@ class _Drawing:
         fruiting = set_here.fruit + set_here.cut
         if rest >= fruiting * (1.0 + branching.flush_strength.draw(rng) * wave):
             return None
-        # Whether it has been harvested: more often low on the plant, balanced about the middle.
-        share = set_here.cut / fruiting + branching.cut_descent.draw(rng) * (1.0 - 2.0 * self._height(i))
-        if rng.random() >= share:
+        # Whether it has been harvested: more often low on the plant.
+        if rng.random() >= self._cut_share(self._height(i), branching.cut_descent.draw(rng)):
             return self._fruit(i, azimuth, size, rng)
         cut = self.cultivar.cut
         return CutParameters(
@@ -234,7 +248,8 @@ class _Drawing:
     def _ripeness(self, i: int, size: float, rng: np.random.Generator) -> float:
         """Ripeness of a fruit: ripe more often low on the plant, never where the plant still grows."""
         fruit = self.cultivar.fruit
-        ripe = fruit.ripe_fraction.draw(rng) + fruit.ripe_descent.draw(rng) * (1.0 - 2.0 * self._height(i))
+        rise = 2.0 * (self.ripening_height - self._height(i))
+        ripe = fruit.ripe_fraction.draw(rng) + fruit.ripe_descent.draw(rng) * rise
         breaker, rest = fruit.breaker_fraction.draw(rng), rng.random()
         values = fruit.ripe.draw(rng), fruit.breaker.draw(rng), fruit.unripe.draw(rng)
         if size < 1.0:
