@@ -1,0 +1,106 @@
+"""Many organs with one grid of triangles: sheets, and solids made of rings around a centreline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.geometry.spine import Spines, unit
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """n organs that share one topology.
+
+    Attributes:
+        vertices: `(n, v, 3)` metres.
+        normals: `(n, v, 3)` unit.
+        uv: `(n, v, 2)`.
+        state: `(n, v)`.
+        faces: `(f, 3)` of each organ.
+    """
+
+    vertices: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    uv: NDArray[np.float64]
+    state: NDArray[np.float64]
+    faces: NDArray[np.intp]
+
+
+def fineness(count: int, detail: float, least: int) -> int:
+    """How many pieces a grid line gets: `count` at detail 1, in proportion elsewhere, never below `least`."""
+    return max(least, round(count * detail))
+
+
+def solids(
+    spine: Spines,
+    along: NDArray[np.float64],
+    radius: NDArray[np.float64],
+    ends: tuple[NDArray[np.float64], NDArray[np.float64]],
+    state: NDArray[np.float64],
+) -> Bodies:
+    """Closed bodies out of r rings of c points around each centreline, and a point at either end.
+
+    Args:
+        spine: the centrelines of n organs.
+        along: `(n, r, c)` distance of each ring point along the centreline, metres.
+        radius: `(n, r, c)` its distance from the centreline; column 0 lies on the upper side, the columns
+            run right-handed about the centreline.
+        ends: `(n,)` and `(n,)` distance of the first and the last point along the centreline.
+        state: `(n, 2 + r * c)` pigment state: first point, rings, last point.
+    """
+    n, rings, sides = along.shape
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    right, up = radius * np.sin(angle), radius * np.cos(angle)
+    zero = np.zeros((n, 1))
+    flat = spine.place(
+        np.concatenate([ends[0][:, None], along.reshape(n, -1), ends[1][:, None]], axis=1),
+        np.concatenate([zero, right.reshape(n, -1), zero], axis=1),
+        np.concatenate([zero, up.reshape(n, -1), zero], axis=1),
+    )
+    # Column 0 is repeated at the seam, where u jumps from 1 to 0.
+    source, faces, uv = _ring_grid(rings, sides)
+    normals = vertex_normals(flat, source[faces])
+    return Bodies(
+        flat[:, source],
+        normals[:, source],
+        np.broadcast_to(uv, (n, *uv.shape)),
+        np.clip(state[:, source], 0.0, 1.0),
+        faces,
+    )
+
+
+def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.intp]) -> NDArray[np.float64]:
+    """`(n, v, 3)` unit normals: the mean of the faces around each vertex, weighted by area."""
+    a, b, c = (vertices[:, faces[:, corner]] for corner in range(3))
+    doubled_area = np.cross(b - a, c - a)
+    order = np.argsort(faces, axis=None, kind="stable")
+    starts = np.searchsorted(faces.ravel()[order], np.arange(vertices.shape[1]))
+    return unit(np.add.reduceat(doubled_area[:, order // 3], starts, axis=1))
+
+
+@lru_cache(maxsize=64)
+def _ring_grid(rings: int, sides: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+    """Which ring point each vertex is, the faces, and uv.
+
+    Vertices are the first point, `rings` rows of `sides + 1`, and the last point.
+    """
+    row, column = np.mgrid[0:rings, 0 : sides + 1]
+    source = np.concatenate([[0], (1 + row * sides + column % sides).ravel(), [1 + rings * sides]])
+    last = 1 + rings * (sides + 1)
+    corner = (1 + row * (sides + 1) + column)[:, :-1]
+    a, b, d, c = corner[:-1], corner[:-1] + 1, corner[1:], corner[1:] + 1
+    faces = np.concatenate(
+        [
+            np.stack([np.zeros(sides, dtype=np.intp), corner[0] + 1, corner[0]], axis=1),
+            np.stack([a, b, c], axis=-1).reshape(-1, 3),
+            np.stack([a, c, d], axis=-1).reshape(-1, 3),
+            np.stack([np.full(sides, last), corner[-1], corner[-1] + 1], axis=1),
+        ]
+    )
+    u, v = (column / sides).ravel(), ((row + 1) / (rings + 1)).ravel()
+    uv = np.stack([np.concatenate([[0.5], u, [0.5]]), np.concatenate([[0.0], v, [1.0]])], axis=1)
+    return source, faces, uv
