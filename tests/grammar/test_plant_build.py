@@ -230,8 +230,11 @@ def test_small_and_bare_plants_grow(kaite: Cultivar) -> None:
     laden = changed(
         changed(kaite, "plant", stem_parts=5, young_nodes=5),
         "branching",
-        **{"node_leaf": bare, "node_shoot": shootless, "node_fruit": fruiting},
-        **{"flush_strength": even, "cut_descent": level},
+        node_leaf=bare,
+        node_shoot=shootless,
+        node_fruit=fruiting,
+        flush_strength=even,
+        cut_descent=level,
     )
     plant = grow(laden, np.random.default_rng(0))
     assert len(plant.of_kind("fruit")) == 5
