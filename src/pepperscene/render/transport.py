@@ -149,14 +149,20 @@ class _Tracer:
         albedo = dr.select(hit, bsdf.eval_diffuse_reflectance(si, hit), 1.0)
         normal = dr.select(hit, mi.Vector3f(dr.select(si.wi.z > 0, si.sh_frame.n, -si.sh_frame.n)), 0.0)
 
-        # Later hits: everything they send back is soft.
+        # Later hits: everything they send back is soft. The last one's scattered ray only looks for the sky.
         throughput = mi.Spectrum(1.0)
         active = mi.Bool(hit)
-        for _ in range(self.bounces):
+        for bounce in range(self.bounces + 1):
+            last = bounce == self.bounces
+            if last and self.sky is None:
+                break
             sample, factor = bsdf.sample(ctx, si, sampler.next_1d(), sampler.next_2d(), active)
             throughput *= factor
             active &= dr.any(throughput > 0.0)
             ray = si.spawn_ray(si.to_world(sample.wo))
+            if last:
+                soft += throughput * self._sky(ray, active & ~self.scene.ray_test(ray, active), seen=False)
+                break
             si = self.scene.ray_intersect(ray, active)
             soft += throughput * self._sky(ray, active & ~si.is_valid(), seen=False)
             active &= si.is_valid()

@@ -173,7 +173,8 @@ def _runs(variant: str, library: Path | None) -> bool:
     loaded = drjit.detail.llvm_version() if drjit.has_backend(drjit.JitBackend.LLVM) else None
     if loaded is not None and loaded[0] < OLDEST_LLVM:
         raise SetupError(
-            f"Dr.Jit was imported before pepperscene and runs with LLVM {loaded[0]}, which can abort "
-            f"the process; import pepperscene.render first, or set {LLVM_VARIABLE} = {library} before Python starts"
+            f"Dr.Jit was imported before pepperscene and runs with LLVM {loaded[0]}, which can "
+            f"abort the process; import pepperscene.render first, or set {LLVM_VARIABLE} = {library} "
+            f"before Python starts"
         )
     return loaded is not None

@@ -108,7 +108,7 @@ def partly_cloudy(
     weights = np.where(above, np.stack([blue * (1.0 - cover), white]), 0.0)
 
     # Each spectrum at 1 lux, so that weights share out the illuminance; then the whole to scale.
-    spectra = [with_illuminance(sky_spectrum(kind), 1.0) for kind in ("clear", "cloudy")]
+    spectra = [with_illuminance(sky_spectrum(kind), 1.0) for kind in ("d75", "d65")]
     grid = spectra[0].wavelength_nm
     radiance = np.stack([spectrum.at(grid) for spectrum in spectra])
     cosines, solid_angles = _row_geometry(_ROWS, 2 * _ROWS)
