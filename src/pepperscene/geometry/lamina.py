@@ -1,4 +1,4 @@
-"""Leaf blades: ovate, drawn out to a tip, folded at the midrib, wavy at the margin, blistered between veins."""
+"""Leaf blades: ovate, drawn out to a tip, folded at the midrib, wavy at the margin, bulging between veins."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from pepperscene.geometry.spine import spines
 from pepperscene.grammar.plant import Organ
 from pepperscene.materials.venation import ARC, BASE_COT, PAIRS, TIP_COT
 
-_BASE_POWER: Final = 0.78  # chosen with _WIDEST by eye from photographs: rounded-cuneate base, drawn-out tip
-_WIDEST: Final = 0.37  # chosen: part of the length at which the blade is widest
+_BASE_POWER: Final = 0.8  # chosen with _WIDEST by eye from photographs: rounded-cuneate base, drawn-out tip
+_WIDEST: Final = 0.35  # chosen: part of the length at which the blade is widest
 _FAN: Final = 7  # rows below the first vein at detail 1, chosen: the rounded base looks round
 _PER_VEIN: Final = 3  # rows from one vein to the next at detail 1: the vein and both flanks of the bulge
 
@@ -28,8 +28,8 @@ def laminae(organs: Sequence[Organ], detail: float) -> Bodies:
 
     Measures: length_m and width_m (of the flat leaf), fold_rad (each half rises by it), curl_rad (how much
     further a half has turned up at the margin, negative is down), twist_rad, margin_wave_m (amplitude),
-    margin_waves (count along a margin), blister_m (bulge between veins), asymmetry (right half wider than left,
-    as a part of the mean half), state_mean, state_spread, seed.
+    margin_waves (count along a margin), blister_m (bulge between veins), asymmetry (by this part the right
+    half is wider than the mean half, and the left narrower), state_mean, state_spread, seed.
     """
     length, width, seed = size(organs, "length_m"), size(organs, "width_m"), measure(organs, "seed", 0.0)
     grid = _grid(fineness(_FAN, detail, 2), fineness(_PER_VEIN, detail, 1), fineness(6, detail, 2))
@@ -68,8 +68,8 @@ class _Grid:
 
     Attributes:
         start: `(v,)` where each vertex's row leaves the midrib, 0 base to 1 tip.
-        rows: `(r, 2)` the same for each row, and which part of the way to the first vein's end it reaches up the
-            margin; 1 from the first vein on.
+        rows: `(r, 2)` the same for each row, and which part of the way to the first vein's end it reaches up
+            the margin; 1 from the first vein on.
         across: `(v,)` -1 left margin, 0 midrib, 1 right margin.
         row: `(v,)` number of the row; the base and the tip are rows of one vertex.
         faces: `(f, 3)`.

@@ -17,7 +17,7 @@ class Mesh:
 
     Attributes:
         vertices: `(v, 3)` float32, metres.
-        normals: `(v, 3)` float32, unit shading normals; they point out of solids and out of a leaf's upper side.
+        normals: `(v, 3)` float32, unit shading normals, out of solids and out of a leaf's upper side.
         uv: `(v, 2)` float32, surface coordinates in [0, 1].
         state: `(v,)` float32, the pigment state in [0, 1] (see `materials.Surface`).
         faces: `(f, 3)` uint32, counter-clockwise seen from the side that the normals point to.

@@ -62,9 +62,9 @@ def fruit_columns(detail: float) -> int:
 def fruit_walls(organs: Sequence[Organ], detail: float) -> FruitWalls:
     """Blocky fruit with lobes: a stalk cavity between shoulders, furrows, a dimpled blossom end.
 
-    Measures: length_m and diameter_m (greatest, of the whole body), lobes (count), lobe_depth (1 is typical, 0
-    has no furrows), shoulder (0 has no stalk cavity, 1 a deep one), taper (diameter near the blossom end over
-    the greatest), seed.
+    Measures: length_m and diameter_m (greatest, of the whole body), lobes (count), lobe_depth (1 is typical,
+    0 has no furrows), shoulder (0 has no stalk cavity, 1 a deep one), taper (diameter near the blossom end
+    over the greatest), seed.
     """
     n, seed = len(organs), measure(organs, "seed", 0.0)
     length, diameter = size(organs, "length_m"), size(organs, "diameter_m")
@@ -118,10 +118,10 @@ def fruits(organs: Sequence[Organ], walls: FruitWalls) -> Bodies:
 
     Measures: ripeness (mean, 0 unripe to 1 ripe), ripeness_spread (standard deviation over the fruit), seed.
     """
-    n, rings, columns = walls.along.shape
+    n, _, columns = walls.along.shape
     seed, ripeness = measure(organs, "seed", 0.0), measure(organs, "ripeness", 0.0)
-    # Patches on the fruit, one and a half times wider than tall (chosen), and a trend from shoulder to tip that
-    # is stronger in some fruit than in others.
+    # Patches on the fruit, one and a half times wider than tall (chosen), and a trend from shoulder to tip,
+    # stronger in some fruit than in others.
     angle = 2.0 * np.pi * np.arange(columns) / columns
     half = 0.5 * measure(organs, "diameter_m")[:, None, None]
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)

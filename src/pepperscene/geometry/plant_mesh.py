@@ -13,7 +13,7 @@ from pepperscene.geometry.lamina import laminae
 from pepperscene.geometry.mesh import Mesh
 from pepperscene.geometry.pericarp import calyces, fruit_walls, fruits
 from pepperscene.geometry.tube import cuts, internodes, nodes, peduncles, stalks
-from pepperscene.grammar.plant import ORGAN_KINDS, Organ, OrganKind, Plant
+from pepperscene.grammar.plant import Organ, OrganKind, Plant
 
 ORGAN_CLASSES: Final[Mapping[OrganKind, OrganClass]] = {
     "internode": OrganClass.STEM,
@@ -68,11 +68,10 @@ def mesh_plant(plant: Plant, detail: float = 1.0) -> Mesh:
         raise ValueError("a plant without organs has no mesh")
     # All organs of one kind share a grid and are shaped together.
     parts: list[tuple[OrganKind, list[int], Bodies]] = []
-    for kind in ORGAN_KINDS:
-        where = [index for index, organ in enumerate(plant.organs) if organ.kind == kind]
-        organs = [plant.organs[index] for index in where]
-        if organs and kind in _MAKERS:
-            parts.append((kind, where, _MAKERS[kind](organs, detail)))  # type: ignore[index]
+    for kind, maker in _MAKERS.items():
+        where = _where(plant, kind)
+        if where:
+            parts.append((kind, where, maker([plant.organs[index] for index in where], detail)))
     parts += _fruit_parts(plant, detail)
     surfaces = tuple(dict.fromkeys(ORGAN_SURFACES[kind] for kind, _, _ in parts))
     instances = tuple(
@@ -106,8 +105,7 @@ def mesh_plant(plant: Plant, detail: float = 1.0) -> Mesh:
 
 def _fruit_parts(plant: Plant, detail: float) -> list[tuple[OrganKind, list[int], Bodies]]:
     """Fruit and calyces; a calyx takes the shape of the fruit that it sits on."""
-    fruit = [index for index, organ in enumerate(plant.organs) if organ.kind == "fruit"]
-    calyx = [index for index, organ in enumerate(plant.organs) if organ.kind == "calyx"]
+    fruit, calyx = _where(plant, "fruit"), _where(plant, "calyx")
     parts: list[tuple[OrganKind, list[int], Bodies]] = []
     walls = fruit_walls([plant.organs[index] for index in fruit], detail) if fruit else None
     if walls is not None:
@@ -120,3 +118,8 @@ def _fruit_parts(plant: Plant, detail: float) -> list[tuple[OrganKind, list[int]
             ("calyx", calyx, calyces([plant.organs[index] for index in calyx], under, walls, detail))
         )
     return parts
+
+
+def _where(plant: Plant, kind: OrganKind) -> list[int]:
+    """Indices of the organs of one kind."""
+    return [index for index, organ in enumerate(plant.organs) if organ.kind == kind]

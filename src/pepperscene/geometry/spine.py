@@ -18,7 +18,7 @@ class Spines:
     Attributes:
         points: `(n, m, 3)` metres.
         normals: `(n, m, 3)` the organ's upper side.
-        across: `(n, m, 3)` tangent x normal: to the right when looking along the curve with the upper side up.
+        across: `(n, m, 3)` tangent x normal: to the right of one who looks along the curve, upper side up.
         lengths: `(n,)` metres.
     """
 
@@ -81,7 +81,8 @@ def spines(
     sizes = np.array([len(curve) for curve in curves])
     for size in np.unique(sizes):
         rows = np.flatnonzero(sizes == size)
-        points[rows], lengths[rows] = _even(np.array([curves[row] for row in rows], dtype=float), steps)
+        alike = np.stack([np.asarray(curves[int(row)], dtype=np.float64) for row in rows])
+        points[rows], lengths[rows] = _even(alike, steps)
     tangents = _tangents(points)
     normals = _carried(points, tangents, unit(np.array(ups, dtype=float)))
     across = np.cross(tangents, normals)
@@ -96,7 +97,7 @@ def spines(
 
 
 def _even(curves: NDArray[np.float64], steps: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """`(n, steps + 1, 3)` points at equal distances along smooth curves through `(n, k, 3)`, and the lengths."""
+    """`(n, steps + 1, 3)` points at equal distances along smooth curves through `(n, k, 3)`; the lengths."""
     n, k, _ = curves.shape
     chord = np.linalg.norm(np.diff(curves, axis=1), axis=2) if k > 1 else np.zeros((n, 0))
     if k < 2 or not np.all(chord.sum(axis=1) > 0.0):
@@ -150,7 +151,7 @@ def _carried(
     normals = np.empty_like(points)
     normals[:, 0] = normal
     for step in range(points.shape[1] - 1):
-        # Reflect normal and tangent in the plane between the two points, then in the one between the tangents.
+        # Reflect normal and tangent in the plane between the points, then in the one between the tangents.
         chord = points[:, step + 1] - points[:, step]
         normal, tangent = _reflected(normal, chord), _reflected(tangents[:, step], chord)
         normal = _reflected(normal, tangents[:, step + 1] - tangent)

@@ -14,7 +14,7 @@ from pepperscene.geometry.spine import Spines, spines
 from pepperscene.grammar.plant import Organ
 
 _CAP = 0.6  # chosen: a cap's height over its radius; it reaches into the parent and closes the joint
-_CAP_RINGS = ((0.65, 0.75),)  # part of the cap's height, part of the radius: a rounded end
+_CAP_RING = (0.65, 0.75)  # chosen: part of the cap's height, part of the radius: a rounded end
 _STATE = 0.6  # chosen: greenness of organs whose measures do not say
 _STATE_SPREAD = 0.12  # chosen: streaks of lighter and darker green along a stem
 
@@ -123,26 +123,16 @@ def _tubes(
     """
     spine = _spines(organs, max(8, 2 * len(part)))
     along = np.broadcast_to((spine.lengths[:, None] * part)[..., None], radius.shape)
-    # A cap goes on as a shrinking ring or two; its height is never more than the tube is long.
+    # A cap goes on as a smaller ring; its height is never more than the tube is long.
     first, last = radius[:, :1], radius[:, -1:]
     foot = _CAP * np.minimum(first.mean(axis=2, keepdims=True), spine.lengths[:, None, None])
     head = _CAP * np.minimum(last.mean(axis=2, keepdims=True), spine.lengths[:, None, None])
-    along = np.concatenate(
-        [along[:, :1] - high * foot for high, _ in reversed(_CAP_RINGS)]
-        + [along]
-        + [along[:, -1:] + high * head for high, _ in _CAP_RINGS],
-        axis=1,
-    )
-    radius = np.concatenate(
-        [wide * first for _, wide in reversed(_CAP_RINGS)]
-        + [radius]
-        + [wide * last for _, wide in _CAP_RINGS],
-        axis=1,
-    )
+    high, wide = _CAP_RING
+    along = np.concatenate([along[:, :1] - high * foot, along, along[:, -1:] + high * head], axis=1)
+    radius = np.concatenate([wide * first, radius, wide * last], axis=1)
     ends = (-foot[:, 0, 0], spine.lengths + head[:, 0, 0])
     # Greenness varies in streaks, long along the organ and narrow around it.
-    caps = len(_CAP_RINGS)
-    state = np.pad(state, ((0, 0), (caps, caps), (0, 0)), mode="edge").reshape(len(organs), -1)
+    state = np.pad(state, ((0, 0), (1, 1), (0, 0)), mode="edge").reshape(len(organs), -1)
     state = np.pad(state, ((0, 0), (1, 1)), mode="edge")
     mean = measure(organs, "state_mean", _STATE)[:, None]
     return solids(spine, along, radius, ends, mean + state + _streaks(organs, along))

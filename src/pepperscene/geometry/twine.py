@@ -54,10 +54,7 @@ def twine(
     line = stem.place(along[None], (reach * np.sin(angle))[None], (reach * np.cos(angle))[None])[0]
     if above_m > 0.0:
         # The cord swings in over the stem's top and goes on straight up.
-        height = np.append(
-            np.arange(0.25, 1.0, 0.25) * min(_LIFT_OFF, above_m), [min(_LIFT_OFF, above_m), above_m]
-        )
-        height = np.unique(height)
+        height = np.unique(np.append(np.linspace(0.0, min(_LIFT_OFF, above_m), 5)[1:], above_m))
         out = (1.0 - np.clip(height / _LIFT_OFF, 0.0, 1.0))[:, None] ** 2 * (line[-1] - axis[-1])
         line = np.concatenate([line, axis[-1] + out + height[:, None] * [0.0, 0.0, 1.0]])
     return single(_cord(line, twine_radius_m), OrganClass.WIRE, "twine", "twine")
