@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import shlex
 import subprocess
@@ -13,6 +14,7 @@ import pytest
 from pydantic import BaseModel
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
+from pepperscene.cli import app
 from pepperscene.cultivar import Cultivar, Distribution
 from pepperscene.dataset.recipe import Recipe
 from pepperscene.frame import OUTPUTS
@@ -131,3 +133,14 @@ def test_every_output_is_told() -> None:
         red, green, blue = CLASS_COLOURS[organ_class]
         row = rf"\| {organ_class:d} \| {organ_class.name.lower()} \| .+ \| {red}, {green}, {blue} \|"
         assert re.search(row, text)
+
+
+def test_every_command_and_option_is_told() -> None:
+    text = (ROOT / "docs" / "command_line.md").read_text(encoding="utf-8")
+    for command in app.registered_commands:
+        assert command.callback is not None
+        name = command.name or command.callback.__name__
+        assert f"## `pepperscene {name}" in text
+        for option, parameter in inspect.signature(inspect.unwrap(command.callback)).parameters.items():
+            if "typer.Option" in str(parameter.annotation):
+                assert f"--{option}" in text, f"{name} --{option}"
