@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +14,8 @@ from typing import Any, Final
 
 _STALE_S: Final = 3600.0
 """Chosen: no write takes an hour, so that an older temporary file is a killed build's."""
+
+_INNERMOST: Final = re.compile(r"\[\n[^][{}]*\n *\]|\{\n[^][{}]*\n *\}")
 
 
 @contextmanager
@@ -44,8 +47,10 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def json_bytes(content: Any) -> bytes:
-    """Canonical JSON text: sorted keys, one space of indent, a newline at the end."""
+    """Canonical JSON text: sorted keys, what holds no further list or object on one line."""
     text = json.dumps(content, sort_keys=True, indent=1, allow_nan=False, default=_plain)
+    # A line break never stands inside a JSON string, so that only innermost brackets match.
+    text = _INNERMOST.sub(lambda found: re.sub(r"\n *", " ", found[0]), text)
     return (text + "\n").encode()
 
 

@@ -1,0 +1,182 @@
+"""The command line: parse, call, show progress, exit code.
+
+Exit codes: 0 done, 2 something that the user can mend (one line tells what), 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, ParamSpec, TypeVar
+
+import typer
+
+from pepperscene.errors import EXIT_BAD_INPUT, PepperError
+from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, check_outputs
+from pepperscene.version import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pepperscene.dataset import Progress
+
+EXIT_INTERRUPTED: Final = 130
+"""As shells report a process that was ended by Ctrl-C."""
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+app = typer.Typer(
+    name="pepperscene",
+    help="Labelled, radiometrically calibrated images of sweet-pepper plants, by spectral light transport.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+def main() -> None:
+    """Run the command line."""
+    app()
+
+
+def _explained(command: Callable[P, R]) -> Callable[P, R]:
+    """The command with every foreseeable error as one line on standard error, without a traceback."""
+
+    @functools.wraps(command)
+    def run(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return command(*args, **kwargs)
+        except PepperError as fault:
+            typer.echo(f"error: {' '.join(str(fault).split())}", err=True)
+            raise typer.Exit(EXIT_BAD_INPUT) from None
+        except KeyboardInterrupt:
+            typer.echo("interrupted; whole frames are kept, the same command goes on from here", err=True)
+            raise typer.Exit(EXIT_INTERRUPTED) from None
+
+    return run
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"pepperscene {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+@_explained
+def build(
+    recipe: Annotated[
+        str, typer.Argument(help="A recipe file, or the name of a shipped one (see `recipes`).")
+    ] = "demo",
+    out: Annotated[Path, typer.Option(help="Folder of the data set; made when missing.")] = ...,  # type: ignore[assignment]
+    frames: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A:B", help="Indices A to B - 1, counted from 0; by default what the recipe selects."
+        ),
+    ] = None,
+    outputs: Annotated[
+        str, typer.Option(metavar="NAMES", help=f"Of {', '.join(OUTPUTS)}; separated by commas.")
+    ] = ",".join(DEFAULT_OUTPUTS),
+    quality: Annotated[
+        str, typer.Option(metavar="NAME", help="draft, standard or reference: how much light is traced.")
+    ] = "standard",
+    seed: Annotated[int | None, typer.Option(help="Instead of the recipe's.")] = None,
+) -> None:
+    """Build a data set, or what is missing of it."""
+    names = check_outputs(name.strip() for name in outputs.split(",") if name.strip())
+    from pepperscene.dataset import build as build_dataset
+
+    with _progress() as on_frame:
+        done = build_dataset(recipe, out, frames, names, quality, seed, on_frame=on_frame)
+    kept = f", {len(done.kept)} were there already" if done.kept else ""
+    typer.echo(f"{len(done.made)} frame{'' if len(done.made) == 1 else 's'} built{kept}: {out}")
+
+
+@app.command()
+@_explained
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a data set.")],
+    limit: Annotated[int, typer.Option(min=1, max=200, help="Most frames shown.")] = 12,
+) -> None:
+    """Write a contact sheet and a web page into a data set's folder."""
+    from pepperscene.dataset import report as write_report
+
+    done = write_report(folder, limit)
+    typer.echo(f"{done.shown} of {done.frames} frames shown:\n  {done.sheet}\n  {done.page}")
+
+
+@app.command()
+@_explained
+def doctor() -> None:
+    """Find out what this machine has and lacks for rendering."""
+    from pepperscene.render.doctor import diagnose
+
+    found = diagnose()
+    width = max(len(line.what) for line in found.lines)
+    for line in found.lines:
+        mark = typer.style("ok  ", fg="green") if line.good else typer.style("BAD ", fg="red", bold=True)
+        typer.echo(f"{mark} {line.what:<{width}}  {line.found}")
+        if line.advice:
+            typer.echo(f"     {'':<{width}}  -> {line.advice}")
+    if not found.healthy:
+        raise typer.Exit(EXIT_BAD_INPUT)
+    typer.echo("All is well: this machine can render.")
+
+
+@app.command()
+@_explained
+def recipes() -> None:
+    """List the shipped recipes."""
+    from pepperscene.dataset import load_recipe
+    from pepperscene.shipped import shelf
+
+    for path in sorted(shelf("recipes").glob("*.toml")):
+        plan = load_recipe(path.stem).plan
+        chosen = len(plan.chosen(None))
+        total = f"{plan.count:,} frames: {plan.sets} sets x {plan.rotations} rotations x {plan.frames} steps"
+        typer.echo(f"{path.stem:<12} {total}{f'; builds {chosen} of them' if chosen < plan.count else ''}")
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[Progress], None]]:
+    """What to call after every frame: a bar on a terminal, a line each elsewhere."""
+    if not sys.stderr.isatty():
+        yield _plain_line
+        return
+    from rich import progress
+    from rich.console import Console
+
+    columns: tuple[Any, ...] = (
+        progress.TextColumn("{task.description}"),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        progress.TimeElapsedColumn(),
+        progress.TimeRemainingColumn(),
+    )
+    with progress.Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("growing plants", total=None)
+
+        def step(told: Progress) -> None:
+            bar.update(task, completed=told.done, total=told.total, description=f"frame {told.index:06d}")
+
+        yield step
+
+
+def _plain_line(told: Progress) -> None:
+    state = "built" if told.made else "kept"
+    typer.echo(f"frame {told.index:06d} {state} ({told.done} of {told.total})", err=True)
