@@ -46,7 +46,9 @@ def sphere(centre: tuple[float, float, float], radius: float, surface: str, subd
     return body(ball, surface, OrganClass.PEPPER)
 
 
-def bench_camera(*, columns: int = 800, rows: int = 600, flash: bool = True, **flash_changes: object) -> Camera:
+def bench_camera(
+    *, columns: int = 800, rows: int = 600, flash: bool = True, **flash_changes: object
+) -> Camera:
     """The recipe's camera at the world's origin looking along +z; the image may be cut to a few pixels."""
     lamp = replace(load_flash("led_ring_200klx"), **flash_changes) if flash else None  # type: ignore[arg-type]
     sensor = replace(load_sensor("ueye_ui5250re"), columns=columns, rows=rows)

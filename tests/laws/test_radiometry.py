@@ -1,7 +1,8 @@
 """The chain from lux to electrons, closed by hand.
 
-Rationale: a camera can read 2x too high for years when tests look at shapes only. Here every factor of the chain
-is written out once more, with its unit, from the data files' numbers, and nothing of the renderer is reused.
+Rationale: a camera can read 2x too high for years when tests look at shapes only. Here every factor of
+the chain is written out once more, with its unit, from the data files' numbers; nothing of the renderer is
+reused.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ def test_patch_in_the_flash_gives_the_electrons_of_a_one_page_calculation():
     # Set-up: an 18 % matt patch 50 cm in front of the camera, the flash a point in the lens' place.
     camera = bench_camera(columns=8, rows=6, radius_m=0.0, offset_m=(0.0, 0.0, 0.0))
     scene = assemble(sheet(1.0, 1.0, 0.5, "grey"), {"grey": lambertian("grey", REFLECTANCE)})
-    # Expected: the SPD scaled so that 683 lm/W x V integrates to 200,000 lx; E there is what falls on the patch.
+    # Expected: the SPD scaled so that 683 lm/W x V integrates to 200,000 lx: what falls on the patch.
     with open(shelf("materials") / "flashes" / "spectra" / "lumileds_cool_white.csv") as file:
         rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
     spd_nm, spd = np.array(rows[1:], float)[:, :2].T
@@ -72,7 +73,9 @@ def test_disc_shaped_flash_beside_the_lens_follows_its_integral():
     scene = assemble(sheet(1.0, 1.0, 0.5, "grey"), {"grey": lambertian("grey", REFLECTANCE)})
     radii = flash.radius_m * np.sqrt((np.arange(200) + 0.5) / 200)
     turns = (np.arange(64) + 0.5) / 64 * 2 * np.pi
-    spots = np.stack(np.broadcast_arrays(radii[:, None] * np.cos(turns), radii[:, None] * np.sin(turns), 0.0), -1)
+    spots = np.stack(
+        np.broadcast_arrays(radii[:, None] * np.cos(turns), radii[:, None] * np.sin(turns), 0.0), -1
+    )
     away = np.array([0.0, 0.0, 0.5]) - (spots + np.array(flash.offset_m))
     distance = np.linalg.norm(away, axis=-1)
     cosine = away[..., 2] / distance

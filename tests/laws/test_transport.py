@@ -9,9 +9,9 @@ from bodies import bench_camera, sheet, sphere
 from pepperscene.camera import AngularProfile
 from pepperscene.geometry import concatenate
 from pepperscene.materials import Surface, lambertian
-from pepperscene.render.kernel import light_scene, kernel_mesh, sky_tables
+from pepperscene.render.kernel import kernel_mesh, light_scene, sky_tables
 from pepperscene.render.response import response
-from pepperscene.render.transport import trace
+from pepperscene.render.transport import Sampling, trace
 from pepperscene.render.variant import kernel
 from pepperscene.render.view import LensCache
 from pepperscene.scene import Sun, assemble, uniform_sky
@@ -43,7 +43,7 @@ def path_traced(scene, camera, emitters, spp: int, bounces: int) -> np.ndarray:
     mi, dr = kernel()
     spectral = response(camera, scene)
     ours = light_scene(scene, float(spectral.grid_nm[0]), float(spectral.grid_nm[-1]))
-    bsdf = ours.shapes()[0].bsdf()
+    bsdf = ours.scene.shapes()[0].bsdf()
     theirs = mi.load_dict({"type": "scene", "plants": kernel_mesh(scene.mesh, bsdf), **emitters})
     view = LensCache().view(camera)
     integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2, "rr_depth": 100})
@@ -66,7 +66,7 @@ def path_traced(scene, camera, emitters, spp: int, bounces: int) -> np.ndarray:
             weight[k] = 0.25 / density
         ray = mi.RayDifferential3f(view.origin, towards, 0.0, nm)
         radiance, _, _ = integrator.sample(theirs, sampler, ray)
-        index = mi.Float((nm[0] - spectral.grid_nm[0]))
+        index = mi.Float(nm[0] - spectral.grid_nm[0])
         channels = []
         for column in spectral.electrons.T:
             table = mi.Float(column)
@@ -78,7 +78,10 @@ def path_traced(scene, camera, emitters, spp: int, bounces: int) -> np.ndarray:
                 total += radiance[k] * weight[k] * dr.lerp(a, b, index - mi.Float(low))
             channels.append(total)
         dr.eval(channels)
-        images = [np.asarray(dr.block_reduce(dr.ReduceOp.Add, c, spp)).reshape(view.height, view.width) for c in channels]
+        images = [
+            np.asarray(dr.block_reduce(dr.ReduceOp.Add, c, spp)).reshape(view.height, view.width)
+            for c in channels
+        ]
         batches.append(np.stack(images, -1) / spp)
     return np.array(batches)
 
@@ -90,18 +93,22 @@ def ours_traced(scene, camera, spp: int, bounces: int) -> np.ndarray:
     view = LensCache().view(camera)
     batches = []
     for batch in range(8):
-        light = trace(built, view, spectral, camera.flash, sky, samples=spp, bounces=bounces, seed=batch)
+        light = trace(built, view, spectral, camera.flash, sky, Sampling(spp, spp, bounces), seed=batch)
         batches.append(light.sharp + light.soft)
     return np.array(batches)
 
 
 def spectrum_entry(nm, values):
-    return {"type": "irregular", "wavelengths": ", ".join(map(str, nm)), "values": ", ".join(f"{v:.9g}" for v in values)}
+    return {
+        "type": "irregular",
+        "wavelengths": ", ".join(map(str, nm)),
+        "values": ", ".join(f"{v:.9g}" for v in values),
+    }
 
 
 def assert_agree(ours: np.ndarray, theirs: np.ndarray) -> None:
-    """Two-sample t-tests over 8 + 8 batches on 8x8 blocks; the smallest of all p-values, Bonferroni-corrected,
-    must exceed 0.001. A bias of 1 % of the mean in a tenth of the blocks fails it."""
+    """Two-sample t-tests over 8 + 8 batches on 8x8 blocks; the smallest p-value, Bonferroni-corrected, must
+    exceed 0.001. A bias of 1 % of the mean in a tenth of the blocks fails it."""
     from scipy.stats import ttest_ind
 
     def blocks(batches):
@@ -131,7 +138,9 @@ def test_spot_and_sky_agree_with_the_path_tracer():
     emitters = {
         "flash": {
             "type": "spot",
-            "to_world": mi.ScalarTransform4f().look_at(origin.tolist(), (origin + [0, 0, 1]).tolist(), [0, 1, 0]),
+            "to_world": mi.ScalarTransform4f().look_at(
+                origin.tolist(), (origin + np.array([0, 0, 1])).tolist(), [0, 1, 0]
+            ),
             "beam_width": 15.0,
             "cutoff_angle": 30.0,
             "intensity": spectrum_entry(NM, intensity),

@@ -13,6 +13,7 @@ import numpy as np
 
 from pepperscene.geometry import Mesh
 from pepperscene.render.bsdf import surface_bsdf
+from pepperscene.render.optics import Optics
 from pepperscene.render.tables import pack
 from pepperscene.render.variant import kernel
 from pepperscene.scene import Scene
@@ -54,16 +55,44 @@ def truth_scene(scene: Scene) -> Any:
     return kernel()[0].load_dict({"type": "scene", "plants": kernel_mesh(scene.mesh)})
 
 
-def light_scene(scene: Scene, first_nm: float, last_nm: float) -> Any:
-    """A Mitsuba scene with materials over a range of wavelengths; lights are the integrator's own.
+@dataclass(frozen=True, eq=False)
+class LightScene:
+    """A scene with materials over a range of wavelengths; its lights are the integrator's own.
+
+    Attributes:
+        scene: of Mitsuba.
+        optics: of its surfaces.
+        corners: `(f * 4,)` states of each triangle's three corners, and the number of its surface: all that
+            a hit needs of the mesh's attributes, in one fetch.
+    """
+
+    scene: Any
+    optics: Optics
+    corners: Any
+
+    def point(self, si: Any, hit: Any, active: Any) -> Any:
+        """The optical state at surface interactions `si` that the preliminary hits `hit` led to."""
+        mi, dr = kernel()
+        corner = dr.gather(mi.Vector4f, self.corners, hit.prim_index, active)
+        u, v = hit.prim_uv.x, hit.prim_uv.y
+        state = corner.x * (1.0 - u - v) + corner.y * u + corner.z * v
+        return self.optics.at(si, mi.UInt32(corner.w), state, active)
+
+
+def light_scene(scene: Scene, first_nm: float, last_nm: float) -> LightScene:
+    """The scene with its materials.
 
     Raises:
         ValueError: the scene was assembled without surfaces.
     """
     if not scene.surfaces:
         raise ValueError("the scene has no surfaces: assemble it with them to render colour")
-    bsdf = surface_bsdf().with_tables(pack(scene.surfaces, first_nm, last_nm))
-    return kernel()[0].load_dict({"type": "scene", "plants": kernel_mesh(scene.mesh, bsdf)})
+    mi, _ = kernel()
+    mesh = scene.mesh
+    optics = Optics(pack(scene.surfaces, first_nm, last_nm))
+    corners = np.column_stack([mesh.state[mesh.faces], mesh.face_surface]).astype(np.float32)
+    built = mi.load_dict({"type": "scene", "plants": kernel_mesh(mesh, surface_bsdf().of(optics))})
+    return LightScene(built, optics, mi.Float(corners.ravel()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +102,8 @@ class SkyTables:
     Attributes:
         weights: texture with one channel per spectrum.
         radiance: one `Float` table per spectrum on the response's grid.
-        sun_direction, sun_cosine, sun_irradiance: of the disc, or None without a sun.
+        sun_frame, sun_cosine, sun_irradiance: towards the disc, cosine of its radius, W m-2 nm-1 on the
+            response's grid; None without a sun.
     """
 
     weights: Any

@@ -17,7 +17,7 @@ from pepperscene.render import labels
 from pepperscene.render.denoise import denoised
 from pepperscene.render.kernel import light_scene, sky_tables, truth_scene
 from pepperscene.render.response import response
-from pepperscene.render.transport import trace
+from pepperscene.render.transport import Sampling, trace
 from pepperscene.render.variant import kernel, variant_name
 from pepperscene.render.view import LensCache, View
 from pepperscene.scene import Scene
@@ -30,20 +30,18 @@ class Quality:
     """How much light is traced.
 
     Attributes:
-        samples: per pixel; squares stratify best.
-        bounces: scattering events after the first hit. Two lose 0.03 % of the energy of a plant scene.
+        sampling: samples and bounces. Two bounces lose 0.03 % of the energy of a plant scene.
         denoise: whether soft light goes through the denoiser.
     """
 
-    samples: int
-    bounces: int
+    sampling: Sampling
     denoise: bool
 
 
 QUALITIES: Final[Mapping[str, Quality]] = {
-    "draft": Quality(samples=4, bounces=1, denoise=True),
-    "standard": Quality(samples=16, bounces=2, denoise=True),
-    "reference": Quality(samples=1024, bounces=6, denoise=False),
+    "draft": Quality(Sampling(sharp=4, soft=1, bounces=1), denoise=True),
+    "standard": Quality(Sampling(sharp=16, soft=4, bounces=2), denoise=True),
+    "reference": Quality(Sampling(sharp=256, soft=256, bounces=6), denoise=False),
 }
 
 
@@ -129,9 +127,8 @@ class Renderer:
             spectral,
             camera.flash,
             sky_tables(self.scene, spectral.grid_nm),
-            samples=quality.samples,
-            bounces=quality.bounces,
-            seed=int(sampling.generate_state(1)[0]),
+            quality.sampling,
+            int(sampling.generate_state(1)[0]),
         )
         signal = denoised(light) if quality.denoise else light.sharp + light.soft
         electrons = expected_electrons(signal, camera)

@@ -3,12 +3,13 @@
 The flash is nearly deterministic, all else is small and smooth (measured: 5 % of the signal). So at each hit
 the flash is evaluated with one shadow ray towards a point of its disc, the sun with one towards its disc, and
 the sky is found by BSDF sampling alone. Samples lie pixel by pixel in the wavefront, so that the sum over a
-pixel is a block reduction: no atomics, the same bits in each run. The wavelengths of a pixel are spread
-evenly over its samples, four a sample, instead of drawn.
+pixel is a block reduction: no atomics, the same bits in each run. What has edges gets many samples; what is
+soft gets few, each of them dearer.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -16,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Flash
-from pepperscene.render.kernel import SkyTables
+from pepperscene.render.kernel import LightScene, SkyTables
 from pepperscene.render.response import STEP_NM, Response
 from pepperscene.render.variant import kernel
 from pepperscene.render.view import View
 
 _LANES: Final = 1 << 21  # chosen: wavefront of a pass, about 0.3 GB for its sampler state and results
+_LEAST_SURVIVAL: Final = 0.1  # chosen: bounds the weight of a survivor to ten times its light
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,224 +43,253 @@ class Light:
     normal: NDArray[np.float32]
 
 
+@dataclass(frozen=True, eq=False)
+class Sampling:
+    """How many samples go where; square numbers stratify best.
+
+    Attributes:
+        sharp: samples per pixel of what has edges.
+        soft: samples per pixel of what is small and smooth.
+        bounces: scattering events after the first hit.
+    """
+
+    sharp: int
+    soft: int
+    bounces: int
+
+
 def trace(
-    scene: Any,
+    scene: LightScene,
     view: View,
     spectral: Response,
     flash: Flash | None,
     sky: SkyTables | None,
-    *,
-    samples: int,
-    bounces: int,
+    sampling: Sampling,
     seed: int,
 ) -> Light:
     """The light that reaches each pixel.
 
     Args:
-        scene: Mitsuba scene with materials (`kernel.light_scene`).
+        scene: with materials over the response's range.
         view: the camera's rays.
         spectral: the camera's response.
         flash: or None.
         sky: or None.
-        samples: per pixel, a square number for the best stratification.
-        bounces: scattering events after the first hit.
-        seed: of the sampler.
+        sampling: how many samples go where.
+        seed: of the samplers.
     """
-    mi, dr = kernel()
-    pixels = view.width * view.height
-    per_pass = _samples_per_pass(samples, pixels)
-    sampler = mi.load_dict({"type": "multijitter", "sample_count": samples})
-    sampler.set_samples_per_wavefront(per_pass)
-    sampler.seed(seed, pixels * per_pass)
-    tracer = _Tracer(scene, view, spectral, flash, sky, samples, per_pass, bounces)
+    tables = _Tables(scene, view, spectral, flash, sky)
+    sharp = _accumulated(tables, sampling.sharp, seed, lambda samples: _sharp(tables, samples))
+    soft = np.zeros_like(sharp[..., :3])
+    if tables.flash is not None or tables.sky is not None:
+        soft = _accumulated(tables, sampling.soft, ~seed, lambda s: _soft(tables, s, sampling.bounces))
+    return Light(sharp[..., :3], soft, sharp[..., 3:6], sharp[..., 6:9])
 
+
+def _accumulated(
+    tables: _Tables, count: int, seed: int, wavefront: Callable[[_Samples], list[Any]]
+) -> NDArray[np.float32]:
+    """`(h, w, c)`: means over a pixel's samples of the values that a wavefront gives for each."""
+    mi, dr = kernel()
+    view = tables.view
+    pixels = view.width * view.height
+    # The largest divisor of the count whose wavefront fits.
+    per_pass = max((n for n in range(1, count + 1) if count % n == 0 and n * pixels <= _LANES), default=1)
+    sampler = mi.load_dict({"type": "multijitter", "sample_count": count})
+    sampler.set_samples_per_wavefront(per_pass)
+    sampler.seed(seed & 0xFFFFFFFF, pixels * per_pass)
     totals: list[Any] = []
-    for number in range(samples // per_pass):
+    for number in range(count // per_pass):
         if number:
             sampler.advance()
             sampler.schedule_state()
-        channels = tracer.wavefront(sampler, seed)
+        values = wavefront(_Samples(tables, sampler, count, per_pass, seed))
         # All results in one kernel: reduced one by one, the kernel would run once for each.
-        dr.eval(channels, sampler)
-        sums = [dr.block_reduce(dr.ReduceOp.Add, channel, per_pass) for channel in channels]
+        dr.eval(values, sampler)
+        sums = [dr.block_reduce(dr.ReduceOp.Add, value, per_pass) for value in values]
         totals = [total + part for total, part in zip(totals, sums, strict=True)] if totals else sums
         dr.eval(totals)
     images = np.stack([np.asarray(total).reshape(view.height, view.width) for total in totals], axis=-1)
-    images = (images / samples).astype(np.float32)
-    return Light(images[..., :3], images[..., 3:6], images[..., 6:9], images[..., 9:12])
+    return (images / count).astype(np.float32)
 
 
-def _samples_per_pass(samples: int, pixels: int) -> int:
-    """The largest divisor of `samples` whose wavefront fits."""
-    fitting = [n for n in range(1, samples + 1) if samples % n == 0 and n * pixels <= _LANES]
-    return max(fitting, default=1)
+def _sharp(tables: _Tables, samples: _Samples) -> list[Any]:
+    """Flash at the first hit and sky seen directly, albedo, normal: nine values for each sample."""
+    mi, dr = kernel()
+    ray = samples.ray
+    hit = tables.scene.scene.ray_intersect_preliminary(ray, coherent=True)
+    active = hit.is_valid()
+    si = hit.compute_surface_interaction(ray, mi.RayFlags.All, active)
+    point = tables.scene.point(si, hit, active)
+    light = samples.sky(ray.d, ~active, seen=True)
+    light += samples.flash(si, point, active)
+    albedo = dr.select(active, point.albedo(), 1.0)
+    normal = dr.select(active, dr.select(si.wi.z > 0, si.sh_frame.n, -si.sh_frame.n), 0.0)
+    return [*samples.channels(light), *samples.albedo(albedo), normal.x, normal.y, normal.z]
 
 
-class _Tracer:
-    """Holds the tables of a frame while its wavefronts are traced."""
+def _soft(tables: _Tables, samples: _Samples, bounces: int) -> list[Any]:
+    """Sun at the first hit, and all light that was scattered before it got there: three values a sample."""
+    mi, dr = kernel()
+    scene = tables.scene.scene
+    ray = samples.ray
+    hit = scene.ray_intersect_preliminary(ray, coherent=True)
+    active = hit.is_valid()
+    si = hit.compute_surface_interaction(ray, mi.RayFlags.All, active)
+    point = tables.scene.point(si, hit, active)
+    light = samples.sun(si, point, active)
+    throughput = mi.Spectrum(1.0)
+    for bounce in range(bounces + 1):
+        last = bounce == bounces
+        if last and tables.sky is None:
+            break
+        wo, density, weight, _ = point.sample(samples.next_1d(), samples.next_2d())
+        throughput *= weight
+        # Russian roulette: leaves absorb most of the light, and rays for the rest are dear.
+        survival = dr.clip(dr.max(throughput), _LEAST_SURVIVAL, 1.0)
+        active &= (density > 0.0) & (samples.next_1d() < survival) & dr.any(throughput > 0.0)
+        throughput /= survival
+        ray = si.spawn_ray(si.to_world(wo))
+        if last:
+            # The last hit's scattered ray only looks for the sky.
+            light += throughput * samples.sky(ray.d, active & ~scene.ray_test(ray, active), seen=False)
+            break
+        hit = scene.ray_intersect_preliminary(ray, active=active)
+        light += throughput * samples.sky(ray.d, active & ~hit.is_valid(), seen=False)
+        active &= hit.is_valid()
+        si = hit.compute_surface_interaction(ray, mi.RayFlags.All, active)
+        point = tables.scene.point(si, hit, active)
+        light += throughput * samples.flash(si, point, active)
+        light += throughput * samples.sun(si, point, active)
+    return samples.channels(light)
+
+
+class _Tables:
+    """What all samples of a frame share."""
 
     def __init__(
-        self,
-        scene: Any,
-        view: View,
-        spectral: Response,
-        flash: Flash | None,
-        sky: SkyTables | None,
-        samples: int,
-        per_pass: int,
-        bounces: int,
+        self, scene: LightScene, view: View, spectral: Response, flash: Flash | None, sky: SkyTables | None
     ) -> None:
         mi, dr = kernel()
         self.scene, self.view, self.sky = scene, view, sky
-        self.samples, self.per_pass, self.bounces = samples, per_pass, bounces
-        self.first_nm = float(spectral.grid_nm[0])
+        self.first_nm = mi.Float(float(spectral.grid_nm[0]))
         self.entries = spectral.grid_nm.size
         self.wavelengths = mi.ContinuousDistribution(
             mi.ScalarVector2f(spectral.grid_nm[0], spectral.grid_nm[-1]), spectral.density.astype(np.float32)
         )
         self.electrons = [mi.Float(column) for column in spectral.electrons.T]
-        reference = spectral.flash if spectral.flash.any() else np.ones(spectral.grid_nm.size)
+        reference = spectral.flash if spectral.flash.any() else np.ones(self.entries)
         white = (spectral.electrons * reference[:, None]).sum(axis=0) * STEP_NM
-        self.albedo_scale = [mi.Float(float(1.0 / w)) for w in white]
         self.reference = mi.Float(reference)
-        self.flash_disc: _FlashDisc | None = None
+        self.per_white = [mi.Float(float(1.0 / channel)) for channel in white]
+        self.flash: _FlashDisc | None = None
         if flash is not None and spectral.flash.any():
-            self.flash_disc = _FlashDisc(flash, view, mi.Float(spectral.flash))
-        dr.make_opaque(self.albedo_scale)
+            self.flash = _FlashDisc(flash, view, mi.Float(spectral.flash))
+        dr.make_opaque(self.first_nm, self.per_white)
 
-    def wavefront(self, sampler: Any, seed: int) -> list[Any]:
-        """Twelve values for each sample of a pass: sharp, soft, albedo, normal."""
+
+class _Samples:
+    """A wavefront of samples: camera rays, wavelengths, and the light on them.
+
+    Samples of a pixel lie side by side. Each carries four wavelengths; a pixel's samples share out the
+    spectrum evenly, shifted by a number of the pixel's own.
+    """
+
+    def __init__(self, tables: _Tables, sampler: Any, count: int, per_pass: int, seed: int) -> None:
         mi, dr = kernel()
-        # Camera rays: samples of a pixel lie side by side.
-        lane = dr.arange(mi.UInt32, self.view.width * self.view.height * self.per_pass)
-        pixel = lane // self.per_pass
-        row = pixel // self.view.width
+        self.tables, self.sampler = tables, sampler
+        self.next_1d, self.next_2d = sampler.next_1d, sampler.next_2d
+        view = tables.view
+        pixel = dr.arange(mi.UInt32, view.width * view.height * per_pass) // per_pass
+        row = pixel // view.width
         place = sampler.next_2d()
-        towards = self.view.directions(pixel - row * self.view.width, row, place.x, place.y)
-        wavelengths, weights = self._spread_wavelengths(sampler, pixel, seed)
-        ray = mi.Ray3f(self.view.origin, towards, 0.0, wavelengths)
+        towards = view.directions(pixel - row * view.width, row, place.x, place.y)
 
-        # First hit: flash and visible sky are sharp, sun is soft.
-        si = self.scene.ray_intersect(ray)
-        hit = si.is_valid()
-        sharp = self._sky(ray, ~hit, seen=True)
-        bsdf = si.bsdf()
-        ctx = mi.BSDFContext()
-        sharp += self._flash(si, bsdf, ctx, sampler, hit)
-        soft = self._sun(si, bsdf, ctx, sampler, hit)
-        albedo = dr.select(hit, bsdf.eval_diffuse_reflectance(si, hit), 1.0)
-        normal = dr.select(hit, mi.Vector3f(dr.select(si.wi.z > 0, si.sh_frame.n, -si.sh_frame.n)), 0.0)
-
-        # Later hits: everything they send back is soft. The last one's scattered ray only looks for the sky.
-        throughput = mi.Spectrum(1.0)
-        active = mi.Bool(hit)
-        for bounce in range(self.bounces + 1):
-            last = bounce == self.bounces
-            if last and self.sky is None:
-                break
-            sample, factor = bsdf.sample(ctx, si, sampler.next_1d(), sampler.next_2d(), active)
-            throughput *= factor
-            active &= dr.any(throughput > 0.0)
-            ray = si.spawn_ray(si.to_world(sample.wo))
-            if last:
-                soft += throughput * self._sky(ray, active & ~self.scene.ray_test(ray, active), seen=False)
-                break
-            si = self.scene.ray_intersect(ray, active)
-            soft += throughput * self._sky(ray, active & ~si.is_valid(), seen=False)
-            active &= si.is_valid()
-            bsdf = si.bsdf()
-            soft += throughput * self._flash(si, bsdf, ctx, sampler, active)
-            soft += throughput * self._sun(si, bsdf, ctx, sampler, active)
-        return [
-            *self._channels(sharp, wavelengths, weights),
-            *self._channels(soft, wavelengths, weights),
-            *self._albedo(albedo, wavelengths, weights),
-            normal.x,
-            normal.y,
-            normal.z,
-        ]
-
-    # --- wavelengths ------------------------------------------------------------------------------------
-
-    def _spread_wavelengths(self, sampler: Any, pixel: Any, seed: int) -> Any:
-        """Four wavelengths a sample and their weights; a pixel's samples share out the spectrum evenly."""
-        mi, dr = kernel()
-        stratum = dr.floor(sampler.next_1d() * self.samples)
         salt = mi.UInt32(seed & 0xFFFFFFFF)
         dr.make_opaque(salt)
-        shift = mi.Float(mi.sample_tea_float32(pixel, salt))
-        quarter = (dr.minimum(stratum, self.samples - 1.0) + shift) / self.samples
-        wavelengths, weights = mi.Spectrum(0.0), mi.Spectrum(0.0)
+        stratum = dr.minimum(dr.floor(sampler.next_1d() * count), count - 1.0)
+        quarter = (stratum + mi.sample_tea_float32(pixel, salt)) / count
+        self.wavelengths, self.weights = mi.Spectrum(0.0), mi.Spectrum(0.0)
         for k in range(4):
-            nm, density = self.wavelengths.sample_pdf((quarter + k) / 4.0)
-            wavelengths[k] = nm
-            weights[k] = 0.25 / density
-        return wavelengths, weights
+            nm, density = tables.wavelengths.sample_pdf((quarter + k) / 4.0)
+            self.wavelengths[k] = nm
+            self.weights[k] = 0.25 / density
+        self.ray = mi.Ray3f(view.origin, towards, 0.0, self.wavelengths)
 
-    def _tabulated(self, table: Any, wavelengths: Any, active: Any = True) -> Any:
-        """A table on the response's grid, linear in between, at the ray's wavelengths."""
+        # Spectra are looked up once: under each hit's own mask they would be fetched again and again.
+        self._electrons = [self._at_wavelengths(table) for table in tables.electrons]
+        self._flash_intensity = self._at_wavelengths(tables.flash.intensity) if tables.flash else None
+        sky = tables.sky
+        self._sky_radiance = [self._at_wavelengths(table) for table in sky.radiance] if sky else []
+        has_sun = sky is not None and sky.sun_frame is not None
+        self._sun_irradiance = self._at_wavelengths(sky.sun_irradiance) if sky and has_sun else None
+
+    # --- spectra ----------------------------------------------------------------------------------------
+
+    def _at_wavelengths(self, table: Any) -> Any:
+        """A table on the response's grid, linear in between, at the samples' wavelengths."""
         mi, dr = kernel()
         found = mi.Spectrum(0.0)
         for k in range(4):
-            x = dr.clip((wavelengths[k] - self.first_nm) / STEP_NM, 0.0, self.entries - 1.001)
+            x = dr.clip(
+                (self.wavelengths[k] - self.tables.first_nm) / STEP_NM, 0.0, self.tables.entries - 1.001
+            )
             left = dr.floor(x)
             index = mi.UInt32(left)
-            a = dr.gather(mi.Float, table, index, active)
-            b = dr.gather(mi.Float, table, index + 1, active)
-            found[k] = dr.lerp(a, b, x - left)
+            found[k] = dr.lerp(
+                dr.gather(mi.Float, table, index), dr.gather(mi.Float, table, index + 1), x - left
+            )
         return found
 
-    def _channels(self, radiance: Any, wavelengths: Any, weights: Any) -> list[Any]:
+    def channels(self, radiance: Any) -> list[Any]:
         """The sensor's sum over wavelengths for each channel, electrons s-1 m-2 sr-1."""
         _, dr = kernel()
-        return [dr.sum(radiance * weights * self._tabulated(table, wavelengths)) for table in self.electrons]
+        return [dr.sum(radiance * self.weights * electrons) for electrons in self._electrons]
 
-    def _albedo(self, albedo: Any, wavelengths: Any, weights: Any) -> list[Any]:
+    def albedo(self, albedo: Any) -> list[Any]:
         """The albedo as each channel sees it under the flash, 1 for a white body."""
-        lit = albedo * self._tabulated(self.reference, wavelengths)
-        channels = self._channels(lit, wavelengths, weights)
-        return [channel * scale for channel, scale in zip(channels, self.albedo_scale, strict=True)]
+        lit = self.channels(albedo * self._at_wavelengths(self.tables.reference))
+        return [channel * scale for channel, scale in zip(lit, self.tables.per_white, strict=True)]
 
     # --- lights -----------------------------------------------------------------------------------------
 
-    def _flash(self, si: Any, bsdf: Any, ctx: Any, sampler: Any, active: Any) -> Any:
+    def flash(self, si: Any, point: Any, active: Any) -> Any:
         """Radiance towards the viewer from the flash alone."""
         mi, _ = kernel()
-        if self.flash_disc is None:
+        if self.tables.flash is None:
             return mi.Spectrum(0.0)
-        point, falloff = self.flash_disc.towards(si.p, sampler.next_2d())
+        target, falloff = self.tables.flash.towards(si.p, self.next_2d())
+        shadow = si.spawn_ray_to(target)
         lit = active & (falloff > 0.0)
-        shadow = si.spawn_ray_to(point)
-        lit &= ~self.scene.ray_test(shadow, lit)
-        value = bsdf.eval(ctx, si, si.to_local(shadow.d), lit)
-        return (value * self._tabulated(self.flash_disc.intensity, si.wavelengths, lit) * falloff) & lit
+        lit &= ~self.tables.scene.scene.ray_test(shadow, lit)
+        value, _ = point.eval_pdf(si.to_local(shadow.d))
+        return (value * self._flash_intensity * falloff) & lit
 
-    def _sun(self, si: Any, bsdf: Any, ctx: Any, sampler: Any, active: Any) -> Any:
+    def sun(self, si: Any, point: Any, active: Any) -> Any:
         """Radiance towards the viewer from the sun's disc alone."""
         mi, _ = kernel()
-        if self.sky is None or self.sky.sun_frame is None:
+        sky = self.tables.sky
+        if sky is None or self._sun_irradiance is None:
             return mi.Spectrum(0.0)
-        local = mi.warp.square_to_uniform_cone(sampler.next_2d(), self.sky.sun_cosine)
-        towards = self.sky.sun_frame.to_world(local)
-        lit = active & ~self.scene.ray_test(si.spawn_ray(towards), active)
-        value = bsdf.eval(ctx, si, si.to_local(towards), lit)
-        return (value * self._tabulated(self.sky.sun_irradiance, si.wavelengths, lit)) & lit
+        towards = sky.sun_frame.to_world(mi.warp.square_to_uniform_cone(self.next_2d(), sky.sun_cosine))
+        lit = active & ~self.tables.scene.scene.ray_test(si.spawn_ray(towards), active)
+        value, _ = point.eval_pdf(si.to_local(towards))
+        return (value * self._sun_irradiance) & lit
 
-    def _sky(self, ray: Any, active: Any, *, seen: bool) -> Any:
-        """Radiance of the sky along rays that hit nothing; the sun's disc only where it is seen directly."""
+    def sky(self, towards: Any, active: Any, *, seen: bool) -> Any:
+        """Radiance of the sky from a direction; the sun's disc only where it is seen directly."""
         mi, dr = kernel()
-        if self.sky is None:
+        sky = self.tables.sky
+        if sky is None:
             return mi.Spectrum(0.0)
-        azimuth = dr.atan2(ray.d.y, ray.d.x) * dr.inv_two_pi
-        place = mi.Point2f(azimuth - dr.floor(azimuth), dr.safe_acos(ray.d.z) * dr.inv_pi)
-        weights = self.sky.weights.eval(place, active)
+        azimuth = dr.atan2(towards.y, towards.x) * dr.inv_two_pi
+        place = mi.Point2f(azimuth - dr.floor(azimuth), dr.safe_acos(towards.z) * dr.inv_pi)
         radiance = mi.Spectrum(0.0)
-        for weight, table in zip(weights, self.sky.radiance, strict=True):
-            radiance += weight * self._tabulated(table, ray.wavelengths, active)
-        if seen and self.sky.sun_frame is not None:
-            inside = dr.dot(ray.d, self.sky.sun_frame.n) > self.sky.sun_cosine
-            disc = self._tabulated(self.sky.sun_irradiance, ray.wavelengths, active)
-            radiance += (disc / (dr.two_pi * (1.0 - self.sky.sun_cosine))) & inside
+        for weight, spectrum in zip(sky.weights.eval(place, active), self._sky_radiance, strict=True):
+            radiance += weight * spectrum
+        if seen and self._sun_irradiance is not None:
+            inside = dr.dot(towards, sky.sun_frame.n) > sky.sun_cosine
+            radiance += (self._sun_irradiance / (dr.two_pi * (1.0 - sky.sun_cosine))) & inside
         return radiance & active
 
 
