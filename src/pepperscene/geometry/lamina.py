@@ -230,7 +230,7 @@ def _relief(
     organs: Sequence[Organ], flat: _Flat, seed: NDArray[np.float64], grid: _Grid, detail: float
 ) -> NDArray[np.float64]:
     """`(n, v)` metres by which the surface leaves the smooth blade, towards the upper side."""
-    part = np.abs(grid.across)
+    part, half = np.abs(grid.across), np.max(flat.reach, axis=1, keepdims=True)
     # Waves run along each margin with their own phase and die out towards midrib, base and tip.
     phase = _per_side(2.0 * np.pi * hashed(seed, 231, 2), grid)
     jitter = _per_side(signed(seed, 232, 2), grid)
@@ -238,14 +238,13 @@ def _relief(
         2.0 * np.pi * measure(organs, "margin_waves", 0.0)[:, None] * (flat.v + 0.08 * jitter * flat.v**2)
     )
     ends = np.sqrt(np.sin(np.pi * np.clip(flat.v, 0.0, 1.0)))
-    wave = measure(organs, "margin_wave_m", 0.0)[:, None] * np.sin(running + phase) * part**2 * ends
+    wave = measure(organs, "margin_wave_m", 0.0)[:, None] * np.sin(running + phase) * part * flat.reach / half
     # Bulges rise between secondary veins, sunken lines along them; tertiary veins part the bulges unevenly.
     # A grid with fewer than three rows to a vein cannot show their slopes.
     if fineness(_PER_VEIN, detail, 1) < 3:
         return wave
     bulge = np.abs(np.sin(np.pi * flat.vein)) ** 0.8
     profile = np.sqrt(part) * (1.0 - 0.6 * part**4) * ends
-    half = np.max(flat.reach, axis=1, keepdims=True)
     points = np.stack([np.sign(grid.across) * flat.reach / half, 2.0 * flat.v], axis=-1)
     patch = smooth_field(points, seed, 241, 0.45)
     blister = (

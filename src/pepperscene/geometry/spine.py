@@ -109,7 +109,7 @@ def _even(curves: NDArray[np.float64], steps: int) -> tuple[NDArray[np.float64],
     chord = np.maximum(chord, 1e-6 * chord.sum(axis=1, keepdims=True))[..., None]
     secant = np.diff(curves, axis=1) / chord
     inner = (secant[:, :-1] * chord[:, 1:] + secant[:, 1:] * chord[:, :-1]) / (chord[:, :-1] + chord[:, 1:])
-    first, last = 1.5 * secant[:, :1] - 0.5 * inner[:, :1], 1.5 * secant[:, -1:] - 0.5 * inner[:, -1:]
+    first, last = 2.0 * secant[:, :1] - inner[:, :1], 2.0 * secant[:, -1:] - inner[:, -1:]
     slope = np.concatenate([first, inner, last], axis=1)
     # A cubic on each piece, cut into short straight bits.
     t = (np.arange(_STEPS) / _STEPS)[:, None]
@@ -132,10 +132,13 @@ def _even(curves: NDArray[np.float64], steps: int) -> tuple[NDArray[np.float64],
 
 
 def _tangents(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit tangents: central differences, one-sided at the ends."""
+    """Unit tangents of evenly spaced points: second-order differences, one-sided at the ends."""
     difference = np.diff(points, axis=1)
-    middle = difference[:, :-1] + difference[:, 1:]
-    return unit(np.concatenate([difference[:, :1], middle, difference[:, -1:]], axis=1))
+    middle = 0.5 * (difference[:, :-1] + difference[:, 1:])
+    if middle.shape[1] == 0:
+        return unit(np.repeat(difference, 2, axis=1))
+    first, last = 2.0 * difference[:, :1] - middle[:, :1], 2.0 * difference[:, -1:] - middle[:, -1:]
+    return unit(np.concatenate([first, middle, last], axis=1))
 
 
 def _carried(

@@ -25,7 +25,7 @@ def internodes(organs: Sequence[Organ], detail: float) -> Bodies:
     Measures: radius_m (base, over the ridges), radius_tip_m, groove_m (depth between ridges), seed.
     """
     base, tip = size(organs, "radius_m"), size(organs, "radius_tip_m")
-    part, sides = np.linspace(0.0, 1.0, fineness(3, detail, 2) + 1), fineness(15, detail, 6)
+    part, sides = np.linspace(0.0, 1.0, fineness(3, detail, 2) + 1), fineness(20, detail, 8)
     radius = base[:, None] + (tip - base)[:, None] * part
     # Ridges: as many as the seed says, each as wide as a groove, running along with the stem.
     draw = hashed(measure(organs, "seed", 0.0), 101, 2)
@@ -37,7 +37,7 @@ def internodes(organs: Sequence[Organ], detail: float) -> Bodies:
     rings = radius[..., None] - (depth[:, None, None] * fading[:, None]) * groove[:, None, :]
     # Grooves are darker than ridges.
     state = np.broadcast_to(0.2 * (groove[:, None, :] - 0.5), rings.shape)
-    return _tubes(organs, part, rings, state)
+    return _tubes(organs, part, rings, fading[:, None] * state)
 
 
 def nodes(organs: Sequence[Organ], detail: float) -> Bodies:
@@ -49,8 +49,9 @@ def nodes(organs: Sequence[Organ], detail: float) -> Bodies:
     part, sides = np.linspace(0.0, 1.0, fineness(6, detail, 2) + 1), fineness(10, detail, 6)
     radius = end[:, None] + (widest - end)[:, None] * np.sin(np.pi * part) ** 2
     rings = np.repeat(radius[..., None], sides, axis=2)
-    # A node is paler than the stem.
-    return _tubes(organs, part, rings, np.full_like(rings, -0.15))
+    # A node is paler than the stem, the more the wider it is.
+    paler = np.broadcast_to(-0.2 * np.sin(np.pi * part)[:, None] ** 2, rings.shape)
+    return _tubes(organs, part, rings, paler)
 
 
 def stalks(organs: Sequence[Organ], detail: float) -> Bodies:
@@ -95,12 +96,19 @@ def cuts(organs: Sequence[Organ], detail: float) -> Bodies:
     # Profile from the foot over the side and the rim into the hollow: height over the curve's length, radius
     # over the organ's, state (0 the corky middle, 1 the green rim).
     height, width, state = np.array(
-        [[0.0, 1.0, 1.0], [0.6, 1.04, 1.0], [1.0, 0.94, 0.9], [0.96, 0.75, 0.5], [0.75, 0.4, 0.1]]
+        [
+            [0.0, 1.0, 1.0],
+            [0.7, 1.03, 1.0],
+            [0.93, 1.0, 0.95],
+            [1.0, 0.9, 0.8],
+            [0.96, 0.72, 0.45],
+            [0.8, 0.4, 0.1],
+        ]
     ).T
     shape = (len(organs), len(height), sides)
     along = np.broadcast_to((spine.lengths[:, None] * height)[..., None], shape)
     rings = np.broadcast_to((radius[:, None] * width)[..., None], shape)
-    ends = (-0.3 * spine.lengths, 0.7 * spine.lengths)
+    ends = (-0.3 * spine.lengths, 0.75 * spine.lengths)
     one = np.ones((len(organs), 1))
     return solids(
         spine, along, rings, ends, np.hstack([one, np.repeat(one * state, sides, axis=1), 0.0 * one])
@@ -145,9 +153,11 @@ def _streaks(organs: Sequence[Organ], along: NDArray[np.float64]) -> NDArray[np.
     # On a unit cylinder that is 40 mm (chosen) of stem high, so that there is no seam.
     around = np.broadcast_to(np.stack([np.cos(angle), np.sin(angle)], axis=-1), (*along.shape, 2))
     points = np.concatenate([around, along[..., None] / 0.04], axis=-1).reshape(n, -1, 3)
-    points = np.concatenate([points[:, :1], points, points[:, -1:]], axis=1)
-    field = smooth_field(points, measure(organs, "seed", 0.5), 121, 4.0)
-    return measure(organs, "state_spread", _STATE_SPREAD)[:, None] * field
+    field = smooth_field(points, measure(organs, "seed", 0.5), 121, 4.0).reshape(along.shape)
+    # It fades at both ends, so that no ring shows where organs meet.
+    fading = np.sin(np.pi * np.linspace(0.0, 1.0, along.shape[1]))[:, None] ** 0.5
+    spread = measure(organs, "state_spread", _STATE_SPREAD)[:, None]
+    return np.pad(spread * (fading * field).reshape(len(field), -1), ((0, 0), (1, 1)))
 
 
 def _spines(organs: Sequence[Organ], steps: int) -> Spines:
