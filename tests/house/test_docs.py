@@ -13,6 +13,7 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
+import pepperscene
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.cli import app
 from pepperscene.cultivar import Cultivar, Distribution
@@ -144,3 +145,13 @@ def test_every_command_and_option_is_told() -> None:
         for option, parameter in inspect.signature(inspect.unwrap(command.callback)).parameters.items():
             if "typer.Option" in str(parameter.annotation):
                 assert f"--{option}" in text, f"{name} --{option}"
+
+
+def test_every_public_name_is_told_and_every_function_has_an_example() -> None:
+    page = ROOT / "docs" / "api.md"
+    text, examples = page.read_text(encoding="utf-8"), _script(page)
+    for name in pepperscene.__all__:
+        if name != "__version__":
+            assert re.search(rf"^\.\. (auto\w+|data):: {name}$", text, re.MULTILINE), name
+        if inspect.isfunction(getattr(pepperscene, name)):
+            assert f"ps.{name}(" in examples, name
