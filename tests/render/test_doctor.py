@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -96,3 +98,18 @@ def test_no_usable_variant_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
     variant = _line(diagnose(), "variant")
     assert not variant.good
     assert "scalar_rgb" in variant.advice
+
+
+def test_the_command_tells_the_fault_and_leaves_with_exit_code_2(tmp_path: Path) -> None:
+    fake = tmp_path / "libLLVM-15.so"
+    fake.touch()
+    done = subprocess.run(
+        [sys.executable, "-m", "pepperscene", "doctor"],
+        env={**os.environ, LLVM_VARIABLE: str(fake)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 2
+    assert str(fake) in done.stdout
+    assert "Traceback" not in done.stdout + done.stderr
