@@ -70,6 +70,8 @@ class OutputFolder:
 
 def _examine(folder: Path, about: Mapping[str, Any]) -> None:
     """Raise the `OutputError` that tells why the folder cannot take this data set, if there is a reason."""
+    if "\0" in str(folder):
+        raise OutputError(f"{str(folder)!r}: is not a possible name of a folder")
     try:
         if folder.exists() and not folder.is_dir():
             raise OutputError(f"{folder}: is not a folder")

@@ -25,8 +25,8 @@ _UNITS: Final = {
     "normal": "unit vector in world coordinates",
 }
 _RUNS_ONLY: Final = 3
-"""zlib's Z_RLE. Sensor noise never repeats and labels repeat their left neighbour, so that looking further back
-costs time for nothing (measured on 800x600 colour: 35 ms and 1.04 MB against 48 ms and 1.11 MB)."""
+"""zlib's Z_RLE. Sensor noise never repeats and labels repeat their left neighbour, so that looking further
+back costs time for nothing (measured on 800x600 colour: 35 ms and 1.04 MB against 48 ms and 1.11 MB)."""
 
 
 def write_image(path: Path, image: NDArray[Any], output: str) -> None:

@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+import types
+
+import pytest
+
+import pepperscene
+from pepperscene import cli
+from pepperscene.errors import EXIT_BAD_INPUT
+from pepperscene.version import __version__
+
+
+def python(code):
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+HEAVY = "{'mitsuba', 'drjit', 'colour', 'scipy', 'trimesh', 'skimage', 'OpenEXR', 'PIL', 'torch'}"
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    code = f"import sys, pepperscene; print(*{HEAVY[:-1]}, 'numpy', 'pydantic'}} & set(sys.modules))"
+    assert python(code) == []
+
+
+def test_help_loads_nothing_heavy():
+    code = (
+        "import sys\nfrom pepperscene.cli import main\nsys.argv = ['pepperscene', '--help']\n"
+        "try: main()\nexcept SystemExit as end: assert not end.code\n"
+        f"print('LOADED', *{HEAVY} & set(sys.modules))"
+    )
+    assert python(code)[-1] == "LOADED"
+
+
+def test_loading_every_public_name_does_not_load_mitsuba():
+    code = (
+        "import sys, pepperscene\nfor name in pepperscene.__all__: getattr(pepperscene, name)\n"
+        "print(*{'mitsuba', 'drjit'} & set(sys.modules))"
+    )
+    assert python(code) == []
+
+
+def test_public_names_are_sorted_and_there():
+    assert list(pepperscene.__all__) == sorted(
+        pepperscene.__all__, key=lambda name: (not name.isupper(), not name[0].isupper(), name)
+    )
+    assert set(pepperscene.__all__) == {*pepperscene._HOME, "__version__"}
+    assert set(pepperscene.__all__) <= set(dir(pepperscene))
+    for name in pepperscene.__all__:
+        assert not isinstance(getattr(pepperscene, name), types.ModuleType), name
+    with pytest.raises(AttributeError, match="nonsense"):
+        pepperscene.nonsense  # noqa: B018
+
+
+def test_render_is_the_function_whatever_was_imported_before():
+    code = (
+        "import pepperscene.render.variant\nfrom pepperscene import render\n"
+        "from pepperscene.render import render as inner\nprint(render is inner, callable(pepperscene.render))"
+    )
+    assert python(code) == ["True", "True"]
+
+
+def test_version(command):
+    done = command("--version")
+    assert (done.exit_code, done.stdout.strip()) == (0, f"pepperscene {__version__}")
+
+
+def test_python_dash_m_works():
+    done = subprocess.run(
+        [sys.executable, "-m", "pepperscene", "--version"], capture_output=True, text=True, check=True
+    )
+    assert __version__ in done.stdout
+
+
+def test_recipes_lists_the_shipped_ones(command):
+    lines = command("recipes").stdout.splitlines()
+    assert [line.split()[0] for line in lines] == ["barth2018", "demo"]
+    assert "10,500 frames" in lines[0]
+
+
+def test_build_then_report(command, tmp_path):
+    done = command("build", "--out", tmp_path / "set", "--frames", "6137:6138", "--outputs", "class,distance")
+    assert done.exit_code == 0, done.stderr
+    assert "006137" in done.stderr
+    assert "1 frame built" in done.stdout
+    assert (tmp_path / "set" / "class" / "006137.png").is_file()
+    again = command(
+        "build", "--out", tmp_path / "set", "--frames", "6137:6138", "--outputs", "distance,class"
+    )
+    assert "0 frames built, 1 were there already" in again.stdout
+    done = command("report", tmp_path / "set")
+    assert done.exit_code == 0
+    assert "1 of 1 frames shown" in done.stdout
+    assert (tmp_path / "set" / "index.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("build", "nothing", "--out", "set"), "barth2018, demo"),
+        (("build", "--out", "set", "--outputs", "colour,smell"), "'smell'"),
+        (("build", "--out", "set", "--outputs", ","), "at least one output"),
+        (("build", "--out", "set", "--frames", "7"), "A:B"),
+        (("build", "--out", "set", "--quality", "best"), "draft, standard, reference"),
+        (("build", "--out", "set", "--seed", "-3"), "--seed"),
+        (("build", "--out", "/dev/null/set", "--frames", "0:1"), "/dev/null"),
+        (("report", "set"), "no data set"),
+    ],
+)
+def test_errors_are_one_line_and_exit_code_2(command, tmp_path, monkeypatch, arguments, told):
+    monkeypatch.chdir(tmp_path)
+    done = command(*arguments)
+    assert done.exit_code == EXIT_BAD_INPUT
+    assert done.stderr.startswith("error: ")
+    assert done.stderr.count("\n") == 1
+    assert told in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("build",), ("build", "--out"), ("build", "--out", "set", "--seed", "x"), ("nonsense",), ("--x",)],
+)
+def test_wrong_usage_is_exit_code_2(command, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    done = command(*arguments)
+    assert done.exit_code == EXIT_BAD_INPUT
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupt_is_told(command, tmp_path, monkeypatch):
+    def interrupted(*_args, **_kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys.modules["pepperscene.dataset"], "build", interrupted)
+    done = command("build", "--out", tmp_path / "set")
+    assert done.exit_code == cli.EXIT_INTERRUPTED
+    assert "interrupted" in done.stderr
+
+
+@pytest.mark.parametrize("healthy", [True, False])
+def test_doctor_prints_its_findings(command, monkeypatch, healthy):
+    from pepperscene.render import doctor
+
+    check = doctor.Check("LLVM", "version 7", healthy, "" if healthy else "install a newer one")
+    monkeypatch.setattr(doctor, "diagnose", lambda: doctor.Diagnosis((check,)))
+    done = command("doctor")
+    assert done.exit_code == (0 if healthy else EXIT_BAD_INPUT)
+    assert "version 7" in done.stdout
+    assert ("install a newer one" in done.stdout) is not healthy

@@ -1,0 +1,72 @@
+"""A small recipe, and a renderer that needs no Mitsuba but obeys the same contract."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pepperscene.dataset import Recipe, Stage, load_recipe
+from pepperscene.frame import OUTPUTS, Frame, check_outputs
+from pepperscene.geometry import rectangle
+from pepperscene.scene import assemble
+
+SIZE = (6, 8)
+
+
+class FakeRenderer:
+    """Noise that depends on the view, the seed and the scene alone, like a real frame."""
+
+    made: list = []  # noqa: RUF012 - the fixture empties it
+
+    def __init__(self, scene):
+        self.scene = scene
+        self.views = []
+        FakeRenderer.made.append(self)
+
+    def render(self, camera, outputs=(), quality="standard", seed=0):
+        names = check_outputs(outputs)
+        self.views.append((camera, names, quality, seed))
+        images = {name: self._image(name, camera, seed) for name in names}
+        seen = {"1": {"class": 1, "kind": "lamina", "plant": 0, "phytomer": 3, "parent": 0}}
+        labelled = any(not OUTPUTS[name].traced for name in names)
+        facts = {
+            "camera": camera.facts(),
+            "variant": "fake",
+            "versions": {"fake": "1"},
+            "instances": seen if labelled else {},
+        }
+        return Frame(images, facts)
+
+    def _image(self, name, camera, seed):
+        place = int(abs(camera.pose[0, 3]) * 1e9)
+        rng = np.random.default_rng([list(OUTPUTS).index(name), place, seed])
+        shape = (*SIZE, 3) if OUTPUTS[name].shape.endswith("3)") else SIZE
+        if OUTPUTS[name].dtype == "float32":
+            values = rng.uniform(0.1, 2.0, shape).astype(np.float32)
+            if name in ("distance", "depth_z"):
+                values[0, 0] = np.inf
+            return values
+        top = {"class": 8, "instance": 65536}.get(name, 256)
+        return rng.integers(0, top, shape).astype(OUTPUTS[name].dtype)
+
+
+@pytest.fixture
+def fake_renderer():
+    FakeRenderer.made.clear()
+    return FakeRenderer
+
+
+@pytest.fixture
+def recipe() -> Recipe:
+    """The shipped plan with few frames and a single plant."""
+    whole = load_recipe("barth2018")
+    plan = whole.plan.model_copy(update={"sets": 2, "rotations": 3, "frames": 4})
+    row = whole.row.model_copy(update={"plants_front": 1, "plants_back": 0})
+    return whole.model_copy(update={"name": "small", "plan": plan, "row": row})
+
+
+@pytest.fixture
+def empty_scenes(monkeypatch):
+    """Scenes without plants, where only files are examined."""
+    scene = assemble(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
+    monkeypatch.setattr(Stage, "scene", lambda *_args, **_kwargs: scene)

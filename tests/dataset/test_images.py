@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+import numpy as np
+import OpenEXR
+import pytest
+from PIL import Image
+
+from pepperscene.classes import CLASS_COLOURS
+from pepperscene.dataset import read_image, write_image
+from pepperscene.errors import InputError
+from pepperscene.frame import OUTPUTS
+
+
+def picture(output: str) -> np.ndarray:
+    """Values that use the whole range of an output."""
+    rng = np.random.default_rng(3)
+    shape = (37, 53, 3) if OUTPUTS[output].shape.endswith("3)") else (37, 53)
+    if OUTPUTS[output].dtype == "float32":
+        values = rng.normal(0, 1e3, shape).astype(np.float32)
+        values[0, 0] = np.inf
+        values[0, 1] = np.float32(1e-40)  # a subnormal number
+        return values
+    top = 8 if output == "class" else np.iinfo(OUTPUTS[output].dtype).max + 1
+    return rng.integers(0, top, shape).astype(OUTPUTS[output].dtype)
+
+
+@pytest.mark.parametrize("output", OUTPUTS)
+def test_every_output_comes_back_bit_for_bit(tmp_path, output):
+    path = tmp_path / f"x{OUTPUTS[output].suffix}"
+    image = picture(output)
+    write_image(path, image, output)
+    back = read_image(path)
+    assert back.dtype == image.dtype
+    np.testing.assert_array_equal(back, image)
+
+
+@pytest.mark.parametrize("output", OUTPUTS)
+def test_the_same_image_gives_the_same_bytes(tmp_path, output):
+    for name in ("a", "b"):
+        write_image(tmp_path / name, picture(output), output)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_class_png_shows_the_class_colours(tmp_path):
+    ids = np.arange(8, dtype=np.uint8).reshape(2, 4)
+    write_image(tmp_path / "c.png", ids, "class")
+    with Image.open(tmp_path / "c.png") as shown:
+        assert shown.mode == "P"
+        rgb = np.asarray(shown.convert("RGB")).reshape(8, 3)
+    assert [tuple(colour) for colour in rgb.tolist()] == list(CLASS_COLOURS)
+
+
+def test_instance_png_has_16_bits(tmp_path):
+    write_image(tmp_path / "i.png", np.array([[0, 65535]], np.uint16), "instance")
+    with Image.open(tmp_path / "i.png") as shown:
+        assert shown.mode == "I;16"
+
+
+@pytest.mark.parametrize(
+    ("output", "channels"),
+    [("distance", "distance"), ("depth_z", "depth_z"), ("electrons", "BGR"), ("normal", "XYZ")],
+)
+def test_exr_channels_are_named_and_the_header_tells_the_unit(tmp_path, output, channels):
+    path = tmp_path / "x.exr"
+    write_image(path, picture(output), output)
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        assert set(file.channels()) == ({channels} if len(channels) > 3 else set(channels))
+        assert file.header()["unit"]
+
+
+@pytest.mark.parametrize(
+    ("output", "image"),
+    [
+        ("class", np.zeros((4, 4), np.uint16)),
+        ("class", np.zeros((4, 4, 3), np.uint8)),
+        ("colour", np.zeros((4, 4), np.uint8)),
+        ("colour", np.zeros((4, 4, 4), np.uint8)),
+        ("distance", np.zeros((4, 4), np.float64)),
+    ],
+)
+def test_wrong_arrays_are_refused(tmp_path, output, image):
+    with pytest.raises(ValueError, match=output):
+        write_image(tmp_path / "x", image, output)
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize("name", ["x.png", "x.exr"])
+def test_damaged_or_missing_files_are_input_errors(tmp_path, name):
+    with pytest.raises(InputError, match="cannot be read"):
+        read_image(tmp_path / name)
+    (tmp_path / name).write_bytes(b"\x89PNG\r\n\x1a\n nothing")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_image(tmp_path / name)
+
+
+def test_truncated_files_are_input_errors(tmp_path):
+    for output in ("colour", "distance"):
+        path = tmp_path / f"x{OUTPUTS[output].suffix}"
+        write_image(path, picture(output), output)
+        path.write_bytes(path.read_bytes()[:-200])
+        with pytest.raises(InputError):
+            read_image(path)

@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import shutil
+
+import pytest
+import tomli_w
+
+from pepperscene.dataset import load_recipe
+from pepperscene.document import read_toml
+from pepperscene.errors import InputError
+from pepperscene.shipped import shelf
+
+BARTH = shelf("recipes") / "barth2018.toml"
+
+
+@pytest.fixture
+def write(tmp_path):
+    def written(file="mine.toml", /, **tables):
+        path = tmp_path / file
+        path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+        return path
+
+    return written
+
+
+def test_the_shipped_plan_is_the_papers():
+    recipe = load_recipe("barth2018")
+    assert (recipe.plan.sets, recipe.plan.rotations, recipe.plan.frames) == (6, 7, 250)
+    assert (recipe.row.plants_front, recipe.row.plants_back) == (7, 6)
+    assert (recipe.row.spacing_mm, recipe.row.gap_mm, recipe.row.shift_mm) == (200, 200, 100)
+    assert (recipe.path.distance_mm, recipe.path.pitch_deg) == (400, 20)
+    assert 5000 <= recipe.daylight.illuminance_lx <= 6000
+    assert recipe.camera.exposure_us == 50
+
+
+def test_every_number_of_the_shipped_recipes_says_where_it_comes_from():
+    for path in shelf("recipes").glob("*.toml"):
+        for line in path.read_text(encoding="utf-8").splitlines():
+            key, _, rest = line.partition("=")
+            if rest and key.strip() not in ("name", "extends"):
+                assert "section" in line or "chosen" in line, f"{path.name}: {line}"
+
+
+def test_the_demo_is_a_part_of_the_papers_plan():
+    demo, whole = load_recipe("demo"), load_recipe("barth2018")
+    assert len(demo.plan.select) == 6
+    assert len({demo.plan.shot(index).set for index in demo.plan.select}) == 6
+    renamed = demo.model_copy(update={"name": whole.name})
+    assert renamed.identity() == whole.identity()
+
+
+def test_tables_are_merged_and_lists_replaced(write):
+    base = write("base.toml", extends="barth2018", plan={"frames": 5, "select": [1, 2, 3]})
+    recipe = load_recipe(
+        write(extends=base.name, name="x", plan={"select": [4]}, path={"azimuth_deg": [0, 10]})
+    )
+    assert (recipe.plan.sets, recipe.plan.frames, recipe.plan.select) == (6, 5, (4,))
+    assert recipe.path.azimuth_deg == (0, 10)
+    assert recipe.path.distance_mm == 400
+
+
+def test_paths_are_relative_to_the_file_that_says_them(tmp_path, write, monkeypatch):
+    shutil.copy(shelf("plants") / "kaite.toml", tmp_path / "mine_plant.toml")
+    recipe = load_recipe(write(extends="barth2018", cultivar="mine_plant.toml"))
+    monkeypatch.chdir("/")
+    assert recipe.cultivar == str(tmp_path / "mine_plant.toml")
+    # The machine's folders are no part of what the data set is.
+    assert str(tmp_path) not in str(recipe.identity())
+    assert recipe.identity()["recipe"]["cultivar"] == "mine_plant"
+
+
+def test_identity_follows_values_not_comments(tmp_path, write):
+    plant = tmp_path / "plant.toml"
+    text = (shelf("plants") / "kaite.toml").read_text(encoding="utf-8")
+    plant.write_text(text, encoding="utf-8")
+    recipe = load_recipe(write(extends="barth2018", cultivar="plant.toml"))
+    before = recipe.sha256()
+    plant.write_text("# a remark\n" + text, encoding="utf-8")
+    assert recipe.sha256() == before
+    plant.write_text(text.replace("stem_parts = 40", "stem_parts = 39"), encoding="utf-8")
+    assert recipe.sha256() != before
+
+
+def test_seed_can_be_replaced():
+    recipe = load_recipe("barth2018")
+    assert recipe.with_seed(None) is recipe
+    assert recipe.with_seed(5).seed == 5
+    assert recipe.with_seed(5).sha256() != recipe.sha256()
+    for wrong in (-1, 2**63):
+        with pytest.raises(InputError, match="--seed"):
+            recipe.with_seed(wrong)
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value"),
+    [
+        ("plan", "frames", 0),
+        ("plan", "frames", 2.5),
+        ("plan", "frames", "250"),
+        ("plan", "frames", True),
+        ("plan", "select", []),
+        ("plan", "select", [-1]),
+        ("row", "plants_front", 0),
+        ("row", "spacing_mm", -200.0),
+        ("path", "distance_mm", 0.4),
+        ("path", "azimuth_deg", [0.0]),
+        ("path", "azimuth_deg", [0.0, float("nan")]),
+        ("path", "height_mm", [0.0, float("inf")]),
+        ("path", "pitch_deg", 90.0),
+        ("camera", "exposure_us", 0.0),
+        ("camera", "white_balance", "tungsten"),
+        ("daylight", "illuminance_lx", -1.0),
+        ("daylight", "sun_fraction", 1.5),
+        ("twine", "diameter_mm", 1e9),
+        ("twine", "diameter_m", 0.003),
+        ("nonsense", "x", 1),
+    ],
+)
+def test_a_wrong_value_is_named_with_file_and_key(write, table, key, value):
+    path = write(extends="barth2018", **{table: {key: value}})
+    with pytest.raises(InputError) as caught:
+        load_recipe(path)
+    assert caught.value.where == str(path)
+    assert caught.value.key.startswith(table if table == "nonsense" else f"{table}.{key}")
+
+
+def test_a_plan_beyond_six_digits_is_refused(write):
+    with pytest.raises(InputError, match="at most 1000000"):
+        load_recipe(write(extends="barth2018", plan={"sets": 1000, "rotations": 1000, "frames": 2}))
+    with pytest.raises(InputError, match="indices end at 10499"):
+        load_recipe(write(extends="barth2018", plan={"select": [10_500]}))
+
+
+def test_a_fault_in_the_extended_file_names_that_file(write):
+    base = write("base.toml", extends="barth2018", row={"gap_mm": -5.0})
+    top = write("top.toml", extends="base.toml", name="top")
+    with pytest.raises(InputError) as caught:
+        load_recipe(top)
+    assert (caught.value.where, caught.value.key, caught.value.value) == (str(base), "row.gap_mm", -5.0)
+
+
+def test_a_missing_key_is_named(write):
+    tables = read_toml(BARTH)
+    del tables["row"]["gap_mm"]
+    with pytest.raises(InputError, match=r"row\.gap_mm.*missing"):
+        load_recipe(write(**tables))
+
+
+def test_circles_and_wrong_bases_are_refused(write):
+    write("a.toml", extends="b.toml")
+    write("b.toml", extends="a.toml")
+    with pytest.raises(InputError, match="extends"):
+        load_recipe(write("b.toml", extends="a.toml"))
+    with pytest.raises(InputError, match="extends"):
+        load_recipe(write("self.toml", extends="self.toml"))
+    for wrong in ("nowhere.toml", "nothing", 5, "\0", "x" * 5000):
+        with pytest.raises(InputError, match="extends"):
+            load_recipe(write("c.toml", extends=wrong))
+
+
+def test_an_unknown_cultivar_is_named_with_its_file(write):
+    path = write(extends="barth2018", cultivar="cucumber")
+    with pytest.raises(InputError, match=r"cultivar = 'cucumber'.*kaite") as caught:
+        load_recipe(path)
+    assert caught.value.where == str(path)
+
+
+@pytest.mark.parametrize("name", ["", "nothing", "nowhere/x.toml", "x" * 5000, "a\0b", "."])
+def test_an_unknown_recipe_is_an_input_error(name):
+    with pytest.raises(InputError):
+        load_recipe(name)
+
+
+def test_without_a_flash_the_white_balance_is_daylight(write):
+    with pytest.raises(InputError, match="daylight"):
+        load_recipe(write(extends="barth2018", camera={"flash": "none"}))
+    recipe = load_recipe(write(extends="barth2018", camera={"flash": "none", "white_balance": "daylight"}))
+    assert "flash" not in recipe.identity()["files"]
