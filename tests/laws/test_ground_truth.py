@@ -1,0 +1,127 @@
+"""Ground truth where the pinhole formula and an independent ray caster put it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from bodies import bench_camera, sheet, sphere
+
+from pepperscene.camera import Distortion, arc_path, relative_illumination
+from pepperscene.classes import OrganClass
+from pepperscene.cultivar import load_cultivar
+from pepperscene.geometry import concatenate, mesh_plant
+from pepperscene.grammar import grow
+from pepperscene.materials import lambertian
+from pepperscene.render import Renderer
+from pepperscene.scene import Twine, assemble, double_row, uniform_sky, with_twine
+from pepperscene.spectra import Spectrum
+
+TRUTHS = ("class", "instance", "distance", "depth_z", "normal")
+
+
+def test_sphere_stands_where_the_pinhole_formula_puts_it():
+    # Set-up: a sphere of 40 mm at (60, -30, 500) mm in camera axes before a far wall.
+    centre, radius = np.array([0.06, -0.03, 0.5]), 0.04
+    camera = bench_camera(flash=False)
+    scene = assemble(concatenate([sphere(tuple(centre), radius, "ball", 6), sheet(9, 9, 3.0, "wall")]))
+    frame = Renderer(scene).render(camera, TRUTHS)
+    focal = 4.16e-3 / 9e-6
+    mask = frame["class"] == OrganClass.PEPPER
+    # The outline is the cone of half angle asin(r / d) cut by the image plane: the pixels whose ray x fulfils
+    # (x . c)^2 > (d^2 - r^2) |x|^2.
+    v, u = np.mgrid[0:600, 0:800] + 0.5
+    rays = np.stack([(u - 400) / focal, (v - 300) / focal, np.ones_like(u)], -1)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    along = rays @ centre
+    discriminant = along**2 - (centre @ centre - radius**2)
+    assert (mask != (discriminant > 0)).mean() < 2e-5  # the tessellated ball is a hair smaller
+    # Small-angle check by hand: f r / z pixels around f x / z, f y / z.
+    assert u[mask].mean() == pytest.approx(400 + focal * 0.06 / 0.5, abs=0.6)
+    assert v[mask].mean() == pytest.approx(300 - focal * 0.03 / 0.5, abs=0.6)
+    assert np.sqrt(mask.sum() / np.pi) == pytest.approx(focal * 0.04 / 0.5, rel=0.015)
+    # Distance along the ray from the quadratic, to a tenth of a millimetre; z along the axis; the normal.
+    inside = mask & (discriminant > 1e-4)
+    distance = along - np.sqrt(np.maximum(discriminant, 0.0))
+    assert np.abs(frame["distance"] - distance)[inside].max() < 2e-4
+    assert np.abs(frame["depth_z"] - distance * rays[..., 2])[inside].max() < 2e-4
+    outward = (rays * distance[..., None] - centre) / radius
+    assert np.degrees(np.arccos(np.clip((outward * frame["normal"]).sum(-1)[inside], -1, 1))).max() < 3.0
+    assert frame["distance"][0, 0] == pytest.approx(3.0 / rays[0, 0, 2], rel=1e-5)
+    assert np.unique(frame["instance"][mask]).tolist() == [1]
+
+
+def test_background_is_infinitely_far_and_nothing():
+    scene = assemble(sphere((0, 0, -1.0), 0.1, "ball", 2))
+    frame = Renderer(scene).render(bench_camera(columns=16, rows=12, flash=False), TRUTHS)
+    assert np.isinf(frame["distance"]).all()
+    assert np.isinf(frame["depth_z"]).all()
+    assert not frame["class"].any()
+    assert not frame["instance"].any()
+    assert not frame["normal"].any()
+
+
+def plants_before_the_camera():
+    """Three plants of eight stem parts with twine, seen at 40 cm through a distorting lens."""
+    cultivar = load_cultivar("kaite")
+    short = cultivar.model_copy(update={"plant": cultivar.plant.model_copy(update={"stem_parts": 8})})
+    meshes = []
+    for number in range(3):
+        rng = np.random.default_rng(number)
+        plant = grow(short, rng)
+        meshes.append(with_twine(plant, mesh_plant(plant, 0.5), Twine(0.003, 4.0), rng))
+    mesh = double_row(meshes[:2], meshes[2:], spacing_m=0.2, gap_m=0.2, shift_m=0.1)
+    camera = bench_camera(flash=False)
+    lens = replace(camera.lens, distortion=Distortion(k1=-0.1, k2=0.04, p1=1e-3, p2=-1e-3))
+    pose = arc_path(3, 0.4, (-0.3, 0.3), (0.2, 0.5), np.radians(20.0))[1]
+    return mesh, replace(camera, lens=lens, pose=pose)
+
+
+def test_every_label_is_what_an_independent_ray_caster_hits():
+    # 2,000 random pixels, cast with trimesh (R-tree and triangle tests, no Embree) through the lens formula.
+    mesh, camera = plants_before_the_camera()
+    frame = Renderer(assemble(mesh)).render(camera, TRUTHS)
+    rng = np.random.default_rng(5)
+    row, column = rng.integers(0, 600, 2000), rng.integers(0, 800, 2000)
+    directions = camera.pixel_directions()[row, column] @ camera.pose[:3, :3].T
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    caster = trimesh.ray.ray_triangle.RayMeshIntersector(solid)
+    origins = np.broadcast_to(camera.pose[:3, 3], directions.shape)
+    points, ray, face = caster.intersects_location(origins, directions, multiple_hits=True)
+    distance = np.linalg.norm(points - camera.pose[:3, 3], axis=1)
+    nearest = np.full(2000, -1)
+    for hit in np.argsort(-distance, kind="stable"):
+        nearest[ray[hit]] = hit
+    found = nearest >= 0
+    expected_class = np.where(found, mesh.face_class[face[nearest]], 0)
+    expected_instance = np.where(found, mesh.face_instance[face[nearest]] + 1, 0)
+    expected_distance = np.where(found, distance[nearest], np.inf)
+    assert found.mean() > 0.3
+    np.testing.assert_array_equal(frame["class"][row, column], expected_class)
+    np.testing.assert_array_equal(frame["instance"][row, column], expected_instance)
+    np.testing.assert_allclose(frame["distance"][row, column], expected_distance, rtol=1e-5)
+
+
+def test_colour_and_labels_share_one_lens():
+    # A black ball before a uniform sky, in a distorting lens: its outline is its label's to a fifth of a pixel.
+    nm = np.arange(380.0, 781.0)
+    camera = bench_camera(flash=False)
+    camera = replace(camera, lens=replace(camera.lens, distortion=Distortion(k1=-0.1, k2=0.04)))
+    scene = assemble(
+        sphere((0.25, 0.15, 0.5), 0.06, "black", 6),
+        {"black": lambertian("black", 0.0)},
+        uniform_sky(Spectrum(nm, np.ones(nm.size)), 5500.0),
+    )
+    frame = Renderer(scene).render(camera, ["electrons", "class"], "standard")
+    # The lens' own falloff taken out, the sky is 1 and the ball 0: coverage in light against that in labels.
+    sky = frame["electrons"][..., 1] / relative_illumination(camera)
+    dark = 1.0 - sky / np.median(sky[frame["class"] == 0])
+    ball = frame["class"] == OrganClass.PEPPER
+    rows, columns = np.nonzero(ball)
+    near = np.s_[rows.min() - 4 : rows.max() + 5, columns.min() - 4 : columns.max() + 5]
+    v, u = np.mgrid[0:600, 0:800] + 0.5
+    assert dark[near].sum() == pytest.approx(ball.sum(), rel=0.01)
+    for axis in (u, v):
+        assert np.average(axis[near], weights=dark[near]) == pytest.approx(axis[ball].mean(), abs=0.2)
