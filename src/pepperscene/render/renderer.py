@@ -15,7 +15,7 @@ from pepperscene.errors import InputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, Frame, check_outputs
 from pepperscene.render import labels
 from pepperscene.render.denoise import denoised
-from pepperscene.render.kernel import light_scene, sky_tables, truth_scene
+from pepperscene.render.kernel import LightScene, light_scene, sky_tables, truth_scene
 from pepperscene.render.response import response
 from pepperscene.render.transport import Sampling, trace
 from pepperscene.render.variant import kernel, variant_name
@@ -75,7 +75,7 @@ class Renderer:
         self.scene = scene
         self._lens = LensCache()
         self._truth: Any = None
-        self._light: Any = None
+        self._light: LightScene | None = None
         self._light_range: tuple[float, float] | None = None
 
     def render(
@@ -89,15 +89,13 @@ class Renderer:
         wanted = check_outputs(outputs)
         view = self._lens.view(camera)
         images: dict[str, NDArray[Any]] = {}
-        hits = (
-            labels.first_hits(self._truth_scene(), view)
-            if any(not OUTPUTS[n].traced for n in wanted)
-            else None
-        )
-        if hits is not None:
-            images |= self._truths(wanted, hits, camera)
+        # Light first: its scene then serves the ground truth as well.
         if any(OUTPUTS[name].traced for name in wanted):
             images |= self._photographs(wanted, view, camera, quality_named(quality), seed)
+        hits = None
+        if any(not OUTPUTS[name].traced for name in wanted):
+            hits = labels.first_hits(self._truth_scene(), view)
+            images |= self._truths(wanted, hits, camera)
         facts = {**self._facts(camera, seed), "instances": self._instances_in_view(hits)}
         return Frame({name: images[name] for name in wanted}, facts)
 
@@ -142,12 +140,12 @@ class Renderer:
     def _truth_scene(self) -> Any:
         """Any Mitsuba scene will do for hits: the one with materials where it is there already."""
         if self._light is not None:
-            return self._light
+            return self._light.scene
         if self._truth is None:
             self._truth = truth_scene(self.scene)
         return self._truth
 
-    def _light_scene(self, first_nm: float, last_nm: float) -> Any:
+    def _light_scene(self, first_nm: float, last_nm: float) -> LightScene:
         if self._light is None or self._light_range != (first_nm, last_nm):
             self._light = light_scene(self.scene, first_nm, last_nm)
             self._light_range = (first_nm, last_nm)
