@@ -105,7 +105,7 @@ def test_every_label_is_what_an_independent_ray_caster_hits():
 
 
 def test_colour_and_labels_share_one_lens():
-    # A black ball before a uniform sky, in a distorting lens: its outline is its label's to a fifth of a pixel.
+    # A black ball before a uniform sky, in a distorting lens: its outline is its label to .2 pixels.
     nm = np.arange(380.0, 781.0)
     camera = bench_camera(flash=False)
     camera = replace(camera, lens=replace(camera.lens, distortion=Distortion(k1=-0.1, k2=0.04)))

@@ -94,7 +94,7 @@ def ours_traced(scene, camera, spp: int, bounces: int) -> np.ndarray:
     batches = []
     for batch in range(8):
         light = trace(built, view, spectral, camera.flash, sky, Sampling(spp, spp, bounces), seed=batch)
-        batches.append(light.sharp + light.soft)
+        batches.append(light.total())
     return np.array(batches)
 
 

@@ -128,7 +128,7 @@ class Renderer:
             quality.sampling,
             int(sampling.generate_state(1)[0]),
         )
-        signal = denoised(light) if quality.denoise else light.sharp + light.soft
+        signal = denoised(light) if quality.denoise else light.total()
         electrons = expected_electrons(signal, camera)
         images: dict[str, NDArray[Any]] = {"electrons": electrons.astype(np.float32)}
         if "colour" in wanted:

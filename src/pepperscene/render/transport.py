@@ -31,16 +31,24 @@ class Light:
     """One frame's light, summed over wavelengths by the sensor, per pixel.
 
     Attributes:
-        sharp: `(h, w, 3)` flash at the first hit and sky seen directly; electrons s-1 m-2 sr-1.
+        flash: `(h, w, 3)` straight from the flash to the first hit and back; electrons s-1 m-2 sr-1.
+        open_flash: `(h, w, 3)` the same with all shadows taken away.
+        sky: `(h, w, 3)` seen directly.
         soft: `(h, w, 3)` all the rest: sun, sky and light that was scattered more than once.
         albedo: `(h, w, 3)` of the first hit, weighted by the response to the flash; for the denoiser.
         normal: `(h, w, 3)` of the first hit, towards the camera; for the denoiser.
     """
 
-    sharp: NDArray[np.float32]
+    flash: NDArray[np.float32]
+    open_flash: NDArray[np.float32]
+    sky: NDArray[np.float32]
     soft: NDArray[np.float32]
     albedo: NDArray[np.float32]
     normal: NDArray[np.float32]
+
+    def total(self) -> NDArray[np.float32]:
+        """`(h, w, 3)` all light as traced."""
+        return self.flash + self.sky + self.soft
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +88,11 @@ def trace(
     """
     tables = _Tables(scene, view, spectral, flash, sky)
     sharp = _accumulated(tables, sampling.sharp, seed, lambda samples: _sharp(tables, samples))
-    soft = np.zeros_like(sharp[..., :3])
+    flash_light, open_flash, sky_light, albedo, normal = np.split(sharp, 5, axis=-1)
+    soft = np.zeros_like(sky_light)
     if tables.flash is not None or tables.sky is not None:
         soft = _accumulated(tables, sampling.soft, ~seed, lambda s: _soft(tables, s, sampling.bounces))
-    return Light(sharp[..., :3], soft, sharp[..., 3:6], sharp[..., 6:9])
+    return Light(flash_light, open_flash, sky_light, soft, albedo, normal)
 
 
 def _accumulated(
@@ -114,18 +123,19 @@ def _accumulated(
 
 
 def _sharp(tables: _Tables, samples: _Samples) -> list[Any]:
-    """Flash at the first hit and sky seen directly, albedo, normal: nine values for each sample."""
+    """Flash at the first hit with and without shadows, sky seen, albedo, normal: 15 values a sample."""
     mi, dr = kernel()
     ray = samples.ray
     hit = tables.scene.scene.ray_intersect_preliminary(ray, coherent=True)
     active = hit.is_valid()
     si = hit.compute_surface_interaction(ray, mi.RayFlags.All, active)
     point = tables.scene.point(si, hit, active)
-    light = samples.sky(ray.d, ~active, seen=True)
-    light += samples.flash(si, point, active)
+    sky = samples.sky(ray.d, ~active, seen=True)
+    flash, open_flash = samples.flash(si, point, active)
     albedo = dr.select(active, point.albedo(), 1.0)
     normal = dr.select(active, dr.select(si.wi.z > 0, si.sh_frame.n, -si.sh_frame.n), 0.0)
-    return [*samples.channels(light), *samples.albedo(albedo), normal.x, normal.y, normal.z]
+    light = [channel for part in (flash, open_flash, sky) for channel in samples.channels(part)]
+    return [*light, *samples.albedo(albedo), normal.x, normal.y, normal.z]
 
 
 def _soft(tables: _Tables, samples: _Samples, bounces: int) -> list[Any]:
@@ -159,7 +169,7 @@ def _soft(tables: _Tables, samples: _Samples, bounces: int) -> list[Any]:
         active &= hit.is_valid()
         si = hit.compute_surface_interaction(ray, mi.RayFlags.All, active)
         point = tables.scene.point(si, hit, active)
-        light += throughput * samples.flash(si, point, active)
+        light += throughput * samples.flash(si, point, active)[0]
         light += throughput * samples.sun(si, point, active)
     return samples.channels(light)
 
@@ -254,16 +264,17 @@ class _Samples:
     # --- lights -----------------------------------------------------------------------------------------
 
     def flash(self, si: Any, point: Any, active: Any) -> Any:
-        """Radiance towards the viewer from the flash alone."""
+        """Radiance towards the viewer from the flash alone, with shadows and without."""
         mi, _ = kernel()
         if self.tables.flash is None:
-            return mi.Spectrum(0.0)
+            return mi.Spectrum(0.0), mi.Spectrum(0.0)
         target, falloff = self.tables.flash.towards(si.p, self.next_2d())
         shadow = si.spawn_ray_to(target)
-        lit = active & (falloff > 0.0)
-        lit &= ~self.tables.scene.scene.ray_test(shadow, lit)
+        reached = active & (falloff > 0.0)
         value, _ = point.eval_pdf(si.to_local(shadow.d))
-        return (value * self._flash_intensity * falloff) & lit
+        unshadowed = (value * self._flash_intensity * falloff) & reached
+        lit = ~self.tables.scene.scene.ray_test(shadow, reached)
+        return unshadowed & lit, unshadowed
 
     def sun(self, si: Any, point: Any, active: Any) -> Any:
         """Radiance towards the viewer from the sun's disc alone."""
