@@ -19,6 +19,7 @@ SUN_ANGULAR_RADIUS: Final = 0.004654
 
 _ROWS: Final = 256  # chosen: 0.7 degrees a texel, finer than clouds seen out of focus
 _GROUND_ALBEDO: Final = 0.3  # chosen: white floor film, mostly in the crop's shade
+_HAZE: Final = 0.25  # chosen: sine of elevation over which sky and floor blend, as rows far off would hide it
 _WAVES: Final = 256  # chosen: enough plane waves that their sum is Gaussian and shows no pattern
 
 
@@ -97,25 +98,27 @@ def partly_cloudy(
     )
     towards = _directions(_ROWS, 2 * _ROWS)
     up = towards[..., 2]
-    above = up > 0.0
+    above = np.clip(up / _HAZE + 0.5, 0.0, 1.0)
 
     # Blue sky brightens to the horizon and round the sun (shape after the CIE's clear skies, numbers chosen).
     angle_to_sun = np.arccos(np.clip(towards @ direction, -1.0, 1.0))
-    blue = (1.0 + 1.5 * np.exp(-6.0 * np.abs(up))) * (1.0 + 4.0 * np.exp(-4.0 * angle_to_sun))
+    blue = (1.0 + 1.5 * np.exp(-6.0 * np.maximum(up, 0.0))) * (1.0 + 4.0 * np.exp(-4.0 * angle_to_sun))
     # Clouds lie on a plane overhead, are brighter than the blue and shine near the sun.
     cover = _cloud_density(towards, rng, cloud_cover)
     white = 3.0 * (1.0 + 3.0 * np.exp(-3.0 * angle_to_sun)) * cover
-    weights = np.where(above, np.stack([blue * (1.0 - cover), white]), 0.0)
+    weights = above * np.stack([blue * (1.0 - cover), white])
 
     # Each spectrum at 1 lux, so that weights share out the illuminance; then the whole to scale.
     spectra = [with_illuminance(sky_spectrum(kind), 1.0) for kind in ("d75", "d65")]
     grid = spectra[0].wavelength_nm
     radiance = np.stack([spectrum.at(grid) for spectrum in spectra])
     cosines, solid_angles = _row_geometry(_ROWS, 2 * _ROWS)
-    received = (weights * (np.maximum(cosines, 0.0) * solid_angles)[None, :, None]).sum()
-    weights *= illuminance_lx * (1.0 - sun_fraction) / received
-    # The floor sends back a part of all that falls on it, in the clouds' white.
-    weights[1][~above] = illuminance_lx * _GROUND_ALBEDO / np.pi
+    level = np.maximum(cosines, 0.0) * solid_angles
+    # The floor sends back a part of all that falls on it, in the clouds' white; haze hides where it ends.
+    floor = (1.0 - above) * illuminance_lx * _GROUND_ALBEDO / np.pi
+    wanted = illuminance_lx * (1.0 - sun_fraction) - (floor * level[:, None]).sum()
+    weights *= wanted / (weights * level[None, :, None]).sum()
+    weights[1] += floor
     sun = None
     if sun_fraction > 0.0 and illuminance_lx > 0.0:
         normal_lx = illuminance_lx * sun_fraction / np.sin(sun_elevation_rad)
@@ -148,8 +151,8 @@ def _cloud_density(
     # Waves of amplitude ~ 1/frequency: large heaps with frayed rims.
     frequency = np.exp(rng.uniform(np.log(1.0), np.log(24.0), _WAVES))
     heading, phase = rng.uniform(0.0, 2.0 * np.pi, (2, _WAVES))
-    above = towards[..., 2] > 0.0
-    plane = towards[above][:, :2] / (towards[above][:, 2:] + 0.15)
+    above = towards[..., 2] > -_HAZE / 2.0
+    plane = towards[above][:, :2] / (np.maximum(towards[above][:, 2:], 0.0) + 0.15)
     waves = plane @ (frequency * np.stack([np.cos(heading), np.sin(heading)])) + phase
     field = np.zeros(towards.shape[:2])
     field[above] = np.cos(waves) @ (1.0 / frequency)
