@@ -120,6 +120,10 @@ FAULTS: dict[str, tuple[str, dict[str, Any], str]] = {
     "negative lengths": ("node.width", {"mean_mm": 16, "sd_mm": 20, "chosen": "x"}, "needs low_mm"),
     "text for a number": ("node.width", {"value_mm": "16", "chosen": "x"}, "finite number"),
     "infinite": ("node.width", {"value_mm": math.inf, "chosen": "x"}, "finite number"),
+    "beyond a kilometre": ("node.width", {"mean_mm": 1e7, "sd_mm": 1, "chosen": "x"}, "must lie within"),
+    "bounds that leave no room": (
+        "node.width", {"mean_mm": 1e-99, "sd_mm": 1, "low_mm": 0, "high_mm": 1e-98, "chosen": "x"}, "no normal"
+    ),
     "histogram that does not sum to 1": (
         "around.leaf", {"histogram_deg": [[0, 180, 0.5], [180, 360, 0.49]], "chosen": "x"}, "sum to 0.99"
     ),

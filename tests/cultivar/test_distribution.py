@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 from scipy import stats
 
 from pepperscene.cultivar import Angle, Distribution, Length, Ratio, truncated_moments
@@ -95,3 +95,26 @@ def test_draws_repeat_and_have_the_asked_shape() -> None:
     assert first.shape == (4, 5)
     assert first.tobytes() == again.tobytes()
     assert isinstance(law.draw(np.random.default_rng(3)), float)
+
+
+NUMBERS = st.floats() | st.floats(-1e3, 1e3) | st.sampled_from([0.0, 1.0, 1e-300, 5e-324, 1e6])
+TABLES = (
+    st.fixed_dictionaries({"mean_deg": NUMBERS, "sd_deg": NUMBERS, "low_deg": NUMBERS, "high_deg": NUMBERS})
+    | st.fixed_dictionaries({"mean_deg": NUMBERS, "sd_deg": NUMBERS})
+    | st.fixed_dictionaries({"uniform_deg": st.tuples(NUMBERS, NUMBERS)})
+    | st.fixed_dictionaries({"histogram_deg": st.lists(st.tuples(NUMBERS, NUMBERS, NUMBERS), max_size=3)})
+)
+
+
+@given(TABLES)
+def test_any_numbers_make_a_law_within_its_bounds_or_a_sentence(table: dict[str, Any]) -> None:
+    try:
+        law = parse(ANGLE, **table)
+    except ValidationError:
+        return
+    values = law.quantiles([0.0, 0.3, 1.0])
+    # To rounding, as a histogram's bins are given by start and width.
+    slack = 1e-12 * max(abs(law.low), abs(law.high))
+    assert np.all(values >= law.low - slack)
+    assert np.all(values <= law.high + slack)
+    assert np.all(np.diff(values) >= 0)

@@ -22,6 +22,7 @@ from pepperscene.cultivar.truncated import untruncated
 Unit = Literal["mm", "deg", ""]
 _TO_SI: Final[dict[Unit, float]] = {"mm": 1e-3, "deg": math.pi / 180.0, "": 1.0}
 _CALLED: Final[dict[Unit, str]] = {"mm": "a length", "deg": "an angle", "": "a plain number"}
+_LARGEST: Final = 1e6  # chosen: a kilometre, 2778 turns; beyond is a slip of the pen
 _DEFAULT_REACH: Final = 3.0  # standard deviations to either side, where no bounds are stated
 
 
@@ -122,8 +123,10 @@ def _suffix(unit: Unit) -> str:
 
 
 def _number(raw: Any, key: str) -> float:
-    if isinstance(raw, bool) or not isinstance(raw, (int, float)) or not math.isfinite(raw):
+    if isinstance(raw, bool) or not isinstance(raw, (int, float)) or not -math.inf < raw < math.inf:
         raise ValueError(f"{key} must be a finite number")
+    if not -_LARGEST <= raw <= _LARGEST:
+        raise ValueError(f"{key} must lie within {-_LARGEST:g} and {_LARGEST:g}")
     return float(raw)
 
 
