@@ -122,7 +122,7 @@ FAULTS: dict[str, tuple[str, dict[str, Any], str]] = {
     "infinite": ("node.width", {"value_mm": math.inf, "chosen": "x"}, "finite number"),
     "beyond a kilometre": ("node.width", {"mean_mm": 1e7, "sd_mm": 1, "chosen": "x"}, "must lie within"),
     "bounds that leave no room": (
-        "node.width", {"mean_mm": 1e-99, "sd_mm": 1, "low_mm": 0, "high_mm": 1e-98, "chosen": "x"}, "no normal"
+        "node.width", {"mean_mm": 1e-9, "sd_mm": 1, "low_mm": 0, "high_mm": 1e-8, "chosen": "x"}, "no normal"
     ),
     "histogram that does not sum to 1": (
         "around.leaf", {"histogram_deg": [[0, 180, 0.5], [180, 360, 0.49]], "chosen": "x"}, "sum to 0.99"
