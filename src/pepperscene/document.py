@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import json
+import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from pepperscene.errors import InputError
+
+_INTEGERS: Final = range(-(2**63), 2**63)
+"""TOML 1.0: 64-bit signed integers, and an error for what cannot be kept without loss."""
+
+_BEYOND: Final = f"must be an integer of 64 bits, {_INTEGERS[0]} to {_INTEGERS[-1]}"
+_DEEPEST: Final = 32  # chosen: tables and lists within each other; no model has more than six
+_LONG_NUMBER: Final = re.compile(r"\d[\d_]{999,}")
 
 
 class Document(BaseModel):
@@ -25,18 +34,79 @@ def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file.
 
     Raises:
-        InputError: missing, unreadable, not UTF-8, or not TOML (with the parser's line and column).
+        InputError: missing, unreadable, not UTF-8, not TOML (with the parser's line and column), nested too
+            deeply, or it holds an integer beyond 64 bits.
     """
+    text = _text(path)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as fault:
-        raise InputError(path, "", None, f"cannot be read ({fault.strerror})") from None
-    except UnicodeDecodeError:
-        raise InputError(path, "", None, "must be a text file in UTF-8") from None
+        tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as fault:
         raise InputError(path, "", None, f"is not valid TOML: {fault}") from None
     except RecursionError:
         raise InputError(path, "", None, "is not valid TOML: nested too deeply") from None
+    except ValueError as fault:
+        # Python refuses to read integers of thousands of digits; what else it refuses is told as it stands.
+        raise _enormous(path, text) or InputError(path, "", None, f"is not valid TOML: {fault}") from None
+    return _checked(tables, path)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as fault:
+        raise InputError(path, "", None, f"cannot be read ({fault.strerror})") from None
+    except UnicodeDecodeError:
+        raise InputError(path, "", None, "must be a text file in UTF-8") from None
+    except ValueError as fault:
+        # A path that no file system takes.
+        raise InputError(repr(str(path)), "", None, f"cannot be read ({fault})") from None
+
+
+def _checked(tables: dict[str, Any], path: Path) -> dict[str, Any]:
+    """The tables, with no integer beyond 64 bits and no deeper than a validator can follow."""
+    for key, value in _places(tables):
+        if len(key) > _DEEPEST:
+            raise InputError(path, "", None, f"is nested too deeply: more than {_DEEPEST} levels")
+        if type(value) is int and value not in _INTEGERS:
+            raise InputError(path, dotted(key), value, _BEYOND)
+    return tables
+
+
+def _places(tables: dict[str, Any]) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+    """Every value with its key, in the order of the file.
+
+    Without recursion, as dotted keys can nest deeper than Python calls.
+    """
+    waiting: list[tuple[tuple[str | int, ...], Any]] = [((), tables)]
+    while waiting:
+        key, value = waiting.pop()
+        yield key, value
+        if isinstance(value, dict | list):
+            items = value.items() if isinstance(value, dict) else enumerate(value)
+            waiting.extend(((*key, name), below) for name, below in reversed(list(items)))
+
+
+def _enormous(path: Path, text: str) -> InputError | None:
+    """The fault that names the key of an integer too long for Python, if there is one."""
+    # Any shorter integer beyond 64 bits in its place tells where it stands.
+    short = _LONG_NUMBER.sub(str(2 * _INTEGERS.stop), text)
+    try:
+        _checked(tomllib.loads(short), path)
+    except InputError as fault:
+        return InputError(path, fault.key, None, fault.allowed)
+    except (ValueError, RecursionError):
+        pass
+    return None
+
+
+def dotted(key: tuple[str | int, ...]) -> str:
+    """A key as TOML writes it: parts joined by dots, those that would be misread in quotes."""
+    parts = (str(part) for part in key)
+    return ".".join(part if _plain(part) else json.dumps(part) for part in parts)
+
+
+def _plain(part: str) -> bool:
+    return bool(part) and part.isprintable() and not set(part) & set(" .\"'")
 
 
 def validated(model: type[Model], data: Mapping[str, Any], where: str | Path) -> Model:
@@ -53,7 +123,7 @@ def validated(model: type[Model], data: Mapping[str, Any], where: str | Path) ->
 
 def _as_input_error(fault: ValidationError, where: str | Path) -> InputError:
     first = fault.errors(include_url=False, include_context=True)[0]
-    key = ".".join(str(part) for part in first["loc"])
+    key = dotted(first["loc"])
     if first["type"] == "extra_forbidden":
         return InputError(where, key, None, "is not a known key")
     if first["type"] == "missing":

@@ -42,5 +42,9 @@ class SetupError(PepperError):
 
 def _shown(value: object, limit: int = 80) -> str:
     """The value as Python writes it, on one line and cut to `limit` characters."""
-    text = repr(value)
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):
+        # Python writes neither integers of thousands of digits nor lists nested as deeply.
+        return f"an integer of {value.bit_length()} bits" if isinstance(value, int) else type(value).__name__
     return text if len(text) <= limit else text[: limit - 1] + "…"

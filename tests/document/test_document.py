@@ -1,0 +1,270 @@
+"""Reading files: whatever is wrong is one sentence with file, key, value and what is allowed."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from typing import Annotated, Literal
+
+import pytest
+import tomli_w
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pydantic import Field, ValidationError, model_validator
+
+from pepperscene.document import Document, dotted, read_toml, validated
+from pepperscene.errors import EXIT_BAD_INPUT, InputError, OutputError, PepperError, SetupError
+from pepperscene.shipped import find, shelf
+
+
+class Flash(Document):
+    lux: Annotated[float, Field(gt=0)]
+    kind: Literal["led", "xenon"] = "led"
+
+
+class Camera(Document):
+    name: str
+    flash: Flash
+    sizes: tuple[int, ...] = ()
+
+    @model_validator(mode="after")
+    def _ascending(self):
+        if list(self.sizes) != sorted(self.sizes):
+            raise ValueError("sizes must ascend")
+        return self
+
+
+GOOD = {"name": "c", "flash": {"lux": 5.0}}
+
+
+@pytest.fixture
+def write(tmp_path):
+    def written(content, name="file.toml"):
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return written
+
+
+def fault_of(path):
+    """The error that reading gives; its message is one line that begins with the file."""
+    with pytest.raises(InputError) as caught:
+        read_toml(path)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+    return caught.value
+
+
+# Reading.
+
+
+def test_a_good_file_is_read_as_it_stands(write):
+    table = GOOD | {"least": -(2**63), "most": 2**63 - 1, "on": True, "deep": {"er": [[1], [{"x": 2}]]}}
+    assert read_toml(write(tomli_w.dumps(table))) == table
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"\xff\xfe", "UTF-8"),
+        (b"a = ?\nb = 2", "line 1, column 5"),
+        (b"a = 1\na = 2\nb = 3", "line 2, column 6"),
+        (b"a = 1979-13-40", "not valid TOML"),
+        (b"a = '\x00'", "not valid TOML"),
+        (b'a = "\\ud800"', "not valid TOML"),
+        (b"a = " + b"[" * 100_000, "nested too deeply"),
+        (b"a = " + b"[" * 33 + b"]" * 33, "nested too deeply"),
+        (b".".join([b"a"] * 5000) + b" = 1", "nested too deeply"),
+    ],
+)
+def test_what_is_not_toml_is_told(write, content, told):
+    assert told in str(fault_of(write(content)))
+
+
+@pytest.mark.parametrize("where", ["missing.toml", ".", "x" * 300])
+def test_what_cannot_be_read_is_told(tmp_path, where):
+    assert "cannot be read" in str(fault_of(tmp_path / where))
+
+
+def test_an_impossible_path_is_told(tmp_path):
+    with pytest.raises(InputError, match="cannot be read") as caught:
+        read_toml(tmp_path / "a\0b")
+    assert "\0" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "number",
+    [
+        str(2**63),
+        str(-(2**63) - 1),
+        "+" + "9" * 400,
+        "-" + "9" * 5000,
+        "_".join(["1"] * 5000),
+        hex(2**64),
+        "0x" + "f" * 50_000,
+    ],
+    ids=["63 bits", "-63 bits", "400 digits", "5000 digits", "underscores", "hex", "long hex"],
+)
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("a = {}", "a"),
+        ("[path]\ndistance_mm = 1.{zeros}1\nheight_mm = [0, {}]", "path.height_mm.1"),
+        ('[[x]]\n["a b".c]\ny = [{{ z = {} }}]\n# 1{zeros}', '"a b".c.y.0.z'),
+    ],
+)
+def test_integers_beyond_64_bits_are_told_by_their_key(write, text, key, number):
+    fault = fault_of(write(text.format(number, zeros="0" * 5000)))
+    assert fault.key == key
+    assert f": {key}" in str(fault)
+    assert str(2**63 - 1) in fault.allowed
+    assert len(str(fault).removeprefix(fault.where)) < 250
+
+
+def test_long_floats_and_strings_are_no_integers(write):
+    digits = "1" * 5000
+    assert read_toml(write(f"a = 0.{digits}\nb = '{digits}'\nc = {digits}.0")) == {
+        "a": pytest.approx(1 / 9),
+        "b": digits,
+        "c": math.inf,
+    }
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=200)
+@given(st.binary(max_size=40) | st.text("[]{}=.,\"'#\n abe019_-+:Tx", max_size=40).map(str.encode))
+def test_any_bytes_are_tables_or_a_sentence(write, content):
+    path = write(content)
+    with suppress(InputError):
+        assert isinstance(read_toml(path), dict)
+
+
+# Validating.
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "value", "allowed"),
+    [
+        ({"name": None}, "name", None, "string"),
+        ({"flash": {}}, "flash.lux", None, "is required but missing"),
+        ({"flash": 3}, "flash", 3, "must be"),
+        ({"flash": {"lux": 0}}, "flash.lux", 0, "must be greater than 0"),
+        ({"flash": {"lux": math.inf}}, "flash.lux", math.inf, "must be a finite number"),
+        ({"flash": {"lux": math.nan}}, "flash.lux", None, "must be a finite number"),
+        ({"flash": {"lux": [1]}}, "flash.lux", [1], "must be a valid number"),
+        ({"flash": {"lux": {"x": 1}}}, "flash.lux", None, "must be a valid number"),
+        ({"flash": {"lux": 1, "kind": "gas"}}, "flash.kind", "gas", "'led' or 'xenon'"),
+        ({"flash": {"lux": 1, "kind": ["led"]}}, "flash.kind", ["led"], "'led' or 'xenon'"),
+        ({"flash": {"lux": 1, "kind": {}}}, "flash.kind", None, "'led' or 'xenon'"),
+        ({"sizes": [1, 2, "x"]}, "sizes.2", "x", "must be a valid integer"),
+        ({"sizes": [2, 1]}, "", None, "sizes must ascend"),
+        ({"size": 1}, "size", None, "is not a known key"),
+        ({"": 1}, '""', None, "is not a known key"),
+        ({"a.b\n": 1}, '"a.b\\n"', None, "is not a known key"),
+    ],
+)
+def test_a_fault_is_told_with_file_key_value_and_what_is_allowed(change, key, value, allowed):
+    with pytest.raises(InputError) as caught:
+        validated(Camera, GOOD | change, "cam.toml")
+    fault = caught.value
+    assert (fault.where, fault.key) == ("cam.toml", key)
+    assert value is None or fault.value == value
+    assert allowed in fault.allowed
+    assert str(fault).startswith("cam.toml: ")
+    assert key in str(fault)
+    assert fault.allowed in str(fault)
+    assert "\n" not in str(fault)
+
+
+def test_documents_are_frozen():
+    camera = validated(Camera, GOOD, "cam.toml")
+    with pytest.raises(ValidationError, match="frozen"):
+        camera.name = "other"
+
+
+@given(st.lists(st.text(max_size=5), min_size=1, max_size=4))
+def test_no_two_keys_are_written_alike(parts):
+    # Read back by the TOML parser: a key of any letters is one of its basic or bare ones.
+    key = dotted(tuple(parts))
+    assert key.isprintable()
+    assert (key == ".".join(parts)) == all(p and p.isprintable() and not set(p) & set(" .\"'") for p in parts)
+
+
+# Errors.
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (5, "k = 5"),
+        ("a\nb", "k = 'a\\nb'"),
+        (False, "k = False"),
+        (0, "k = 0"),
+        (None, "k: "),
+        ("x" * 1000, "…"),
+    ],
+)
+def test_a_message_shows_the_value_on_one_short_line(value, shown):
+    message = str(InputError("f", "k", value, "must be better"))
+    assert shown in message
+    assert message.startswith("f: k")
+    assert message.endswith(": must be better")
+    assert "\n" not in message
+    assert len(message) < 120
+
+
+def test_integers_that_python_does_not_write_are_told_by_their_size():
+    for value in (10**5000, -(10**5000)):
+        assert "k = an integer of 16610 bits" in str(InputError("f", "k", value, "must be better"))
+    assert "k = list" in str(InputError("f", "k", [10**5000], "must be better"))
+    with pytest.raises(InputError, match=r"flash\.lux = an integer of 16610 bits"):
+        validated(Camera, GOOD | {"flash": {"lux": 10**5000}}, "cam.toml")
+
+
+def test_a_value_nested_too_deeply_is_named_by_its_type():
+    value = []
+    for _ in range(100_000):
+        value = [value]
+    assert "k = list" in str(InputError("f", "k", value, "must be better"))
+
+
+def test_a_value_without_a_key_is_left_out():
+    assert str(InputError("--seed", "", 5, "must be better")) == "--seed: must be better"
+
+
+def test_every_error_is_the_callers_to_mend():
+    for kind in (InputError, OutputError, SetupError):
+        assert issubclass(kind, PepperError)
+    # The shell's word for wrong usage.
+    assert EXIT_BAD_INPUT == 2
+
+
+# Shipped files.
+
+
+@pytest.mark.parametrize("name", ["plants", "recipes", "materials"])
+def test_shipped_files_are_found_by_name(name):
+    suffix = ".csv" if name == "materials" else ".toml"
+    for path in shelf(name).glob(f"*{suffix}"):
+        assert find(name, path.stem, suffix=suffix) == path
+
+
+def test_a_path_wins_and_a_bare_name_is_never_a_file_of_the_working_folder(write, monkeypatch):
+    path = write("", "kaite.toml")
+    monkeypatch.chdir(path.parent)
+    assert find("plants", path) == path
+    assert find("plants", "kaite.toml").samefile(path)
+    assert find("plants", "kaite") == shelf("plants") / "kaite.toml"
+    write("", "kaite")
+    assert find("plants", "kaite") == shelf("plants") / "kaite.toml"
+
+
+@pytest.mark.parametrize(
+    "wanted", ["keite", "", ".", "..", "nowhere/kaite.toml", "kaite.csv", "../plants/kaite"]
+)
+def test_what_is_not_found_lists_what_is_shipped(wanted):
+    with pytest.raises(InputError) as caught:
+        find("plants", wanted)
+    assert caught.value.where == wanted
+    assert "no such file" in str(caught.value)
+    assert "kaite" in caught.value.allowed
