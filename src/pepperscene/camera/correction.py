@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pepperscene.camera.sensor import Sensor
 from pepperscene.errors import InputError
-from pepperscene.spectra import Spectrum, read_spectra, sky_spectrum
+from pepperscene.spectra import Spectrum, colour_science, read_spectra, sky_spectrum
 
 Array = NDArray[np.float64]
 CHART = "chart/colorchecker_iso17321_1.csv"
@@ -43,8 +43,7 @@ def correction(sensor: Sensor, light: Spectrum) -> Correction:
     Raises:
         InputError: a colour of the sensor does not see the light at all.
     """
-    import colour
-
+    colour = colour_science()
     chart = chart_reflectances().at(_NM)
     device = np.vstack([chart, np.ones_like(_NM)]) @ (light.at(_NM) * sensor.electrons_per_joule(_NM)).T
     if not device[-1].min() > 0:
@@ -76,8 +75,7 @@ def chart_reflectances() -> Spectrum:
 
 def adapted_xyz(light: Spectrum, reflectance: Array) -> Array:
     """`(m, 3)` XYZ (white at Y = 1) of reflectances `(m, 801)` under `light`, adapted to D65."""
-    import colour
-
+    colour = colour_science()
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     weight = light.at(_NM) * Spectrum(observer.wavelengths, observer.values.T).at(_NM)
     white = weight.sum(axis=-1)
@@ -88,15 +86,11 @@ def adapted_xyz(light: Spectrum, reflectance: Array) -> Array:
 
 
 def _d65_white() -> Array:
-    import colour
-
-    return np.asarray(colour.RGB_COLOURSPACES["sRGB"].whitepoint)
+    return np.asarray(colour_science().RGB_COLOURSPACES["sRGB"].whitepoint)
 
 
 def _lab(xyz: Array) -> Array:
-    import colour
-
-    return np.asarray(colour.XYZ_to_Lab(xyz, _d65_white()))
+    return np.asarray(colour_science().XYZ_to_Lab(xyz, _d65_white()))
 
 
 def _matrix(free: Array) -> Array:

@@ -1,5 +1,6 @@
 """Spectra: the sampled function, files, lights, and the pigment model of leaves."""
 
+from pepperscene.spectra.colorimetry import colour_science
 from pepperscene.spectra.lights import (
     LUMINOUS_EFFICACY,
     illuminance,
@@ -29,6 +30,7 @@ __all__ = [
     "Provenance",
     "Spectrum",
     "absorption_coefficients",
+    "colour_science",
     "cuticle_gloss",
     "illuminance",
     "leaf_spectra",

@@ -8,6 +8,7 @@ from typing import Final, Literal
 import numpy as np
 
 from pepperscene.errors import InputError
+from pepperscene.spectra.colorimetry import colour_science
 from pepperscene.spectra.reading import read_spectra, read_spectrum
 from pepperscene.spectra.spectrum import Spectrum
 
@@ -28,9 +29,7 @@ LED_FILES: Final = (
 @lru_cache(maxsize=1)
 def photopic_efficiency() -> Spectrum:
     """CIE 1924 photopic luminous efficiency V(lambda), 360 to 830 nm, from colour-science."""
-    from colour.colorimetry import SDS_LEFS_PHOTOPIC
-
-    table = SDS_LEFS_PHOTOPIC["CIE 1924 Photopic Standard Observer"]
+    table = colour_science().colorimetry.SDS_LEFS_PHOTOPIC["CIE 1924 Photopic Standard Observer"]
     return Spectrum(np.array(table.wavelengths), np.array(table.values))
 
 
