@@ -158,7 +158,8 @@ def _soft(tables: _Tables, samples: _Samples, bounces: int) -> list[Any]:
         # Russian roulette: leaves absorb most of the light, and rays for the rest are dear.
         survival = dr.clip(dr.max(throughput), _LEAST_SURVIVAL, 1.0)
         active &= (density > 0.0) & (samples.next_1d() < survival) & dr.any(throughput > 0.0)
-        throughput /= survival
+        # Ended paths hold what their lane last saw, which can be NaN, and NaN times no light is NaN.
+        throughput = dr.select(active, throughput / survival, 0.0)
         ray = si.spawn_ray(si.to_world(wo))
         if last:
             # The last hit's scattered ray only looks for the sky.
