@@ -1,0 +1,75 @@
+"""A small greenhouse scene, built from nothing but numbers, and the fingerprint of its frames.
+
+Also run by the tests in processes of their own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+
+from pepperscene.camera import Camera, Distortion, arc_path, load_flash, load_lens, load_sensor
+from pepperscene.cultivar import load_cultivar
+from pepperscene.frame import DEFAULT_OUTPUTS, Frame
+from pepperscene.geometry import Mesh, mesh_plant
+from pepperscene.grammar import grow
+from pepperscene.materials import organ_surfaces, twine_surface
+from pepperscene.render import Renderer
+from pepperscene.scene import Scene, Twine, assemble, double_row, partly_cloudy, with_twine
+
+NM = np.arange(360.0, 831.0, 10.0)
+POSES = arc_path(3, 0.4, (-0.4, 0.4), (0.1, 0.4), np.radians(20.0))
+
+
+def row_of_plants() -> Mesh:
+    """Two plants of six stem parts with twine."""
+    cultivar = load_cultivar("kaite")
+    short = cultivar.model_copy(update={"plant": cultivar.plant.model_copy(update={"stem_parts": 6})})
+    meshes = []
+    for number in range(2):
+        plant = grow(short, np.random.default_rng(number))
+        cord = Twine(0.003, 4.0)
+        meshes.append(with_twine(plant, mesh_plant(plant, 0.4), cord, np.random.default_rng(number)))
+    return double_row(meshes[:1], meshes[1:], spacing_m=0.2, gap_m=0.2, shift_m=0.1)
+
+
+def greenhouse() -> Scene:
+    """The plants under a partly cloudy sky; the sun stands outside the camera's pictures."""
+    sky = partly_cloudy(
+        np.random.default_rng(7),
+        illuminance_lx=5500.0,
+        sun_azimuth_rad=-0.5,
+        sun_elevation_rad=0.7,
+        sun_fraction=0.3,
+        cloud_cover=0.5,
+    )
+    twine = twine_surface(NM)
+    surfaces = {**organ_surfaces(load_cultivar("kaite"), NM), twine.name: twine}
+    return assemble(row_of_plants(), surfaces, sky)
+
+
+def camera(
+    step: int = 1, *, columns: int = 80, rows: int = 60, distorted: bool = False, flash: bool = True
+) -> Camera:
+    """The recipe's camera with its flash; binned to few but large pixels, so that the field of view stays."""
+    whole = load_sensor("ueye_ui5250re")
+    lens = load_lens("lensagon_cmfa0420nd")
+    if distorted:
+        lens = replace(lens, distortion=Distortion(k1=-0.1, k2=0.04, p1=1e-3, p2=-1e-3))
+    sensor = replace(whole, columns=columns, rows=rows, binning=whole.binning * 10)
+    return Camera(lens, sensor, POSES[step], 50e-6, load_flash("led_ring_200klx") if flash else None)
+
+
+def digests(frame: Frame) -> dict[str, str]:
+    """SHA-256 of the bytes of each image."""
+    return {
+        name: hashlib.sha256(np.ascontiguousarray(image).tobytes()).hexdigest()
+        for name, image in frame.images.items()
+    }
+
+
+def built_from_nothing() -> dict[str, str]:
+    """Fingerprints of the default outputs of one frame, with scene and renderer made for it."""
+    return digests(Renderer(greenhouse()).render(camera(), DEFAULT_OUTPUTS, "standard", 5))
