@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import shutil
+from pathlib import Path
 
 import pytest
 import tomli_w
@@ -79,6 +80,63 @@ def test_identity_follows_values_not_comments(tmp_path, write):
     assert recipe.sha256() == before
     plant.write_text(text.replace("stem_parts = 40", "stem_parts = 39"), encoding="utf-8")
     assert recipe.sha256() != before
+
+
+DEVICES = {
+    "sensor": ("sensors", "onsemi_mt9v024", ["quantum_efficiency", "infrared_cut"]),
+    "lens": ("lenses", "lensagon_cmfa0420nd", []),
+    "flash": ("flashes", "led_ring_200klx", ["spectrum"]),
+}
+
+
+@pytest.fixture
+def own_devices(tmp_path, write):
+    """A recipe with copies of shipped devices in a folder of its own."""
+    for folder, _, _ in DEVICES.values():
+        shutil.copytree(shelf("materials") / folder, tmp_path / folder)
+    paths = {part: f"{folder}/{name}.toml" for part, (folder, name, _) in DEVICES.items()}
+    return load_recipe(write(extends="barth2018", camera=paths))
+
+
+def test_copies_are_the_shipped_devices(own_devices, write):
+    names = {part: name for part, (_, name, _) in DEVICES.items()}
+    shipped = load_recipe(write("shipped.toml", extends="barth2018", camera=names))
+    assert own_devices.identity() == shipped.identity()
+    expected = {"cultivar"}.union(
+        *({part, *(f"{part}.{table}" for table in tables)} for part, (_, _, tables) in DEVICES.items())
+    )
+    assert set(shipped.identity()["files"]) == expected
+
+
+@pytest.mark.parametrize("part", DEVICES)
+def test_identity_follows_the_devices_values(own_devices, part):
+    before, file = own_devices.identity()["files"], Path(getattr(own_devices.camera, part))
+    file.write_text("# a remark\n" + file.read_text(encoding="utf-8"), encoding="utf-8")
+    assert own_devices.identity()["files"] == before
+    tables = read_toml(file)
+    file.write_text(tomli_w.dumps(tables | {"name": "another"}), encoding="utf-8")
+    after = own_devices.identity()["files"]
+    assert {key for key in after if after[key] != before[key]} == {part}
+
+
+@pytest.mark.parametrize(
+    ("part", "table"), [(part, table) for part, (_, _, tables) in DEVICES.items() for table in tables]
+)
+def test_identity_follows_the_spectra_that_devices_refer_to(own_devices, part, table):
+    before, file = own_devices.identity()["files"], Path(getattr(own_devices.camera, part))
+    spectrum = file.parent / read_toml(file)[table]["file"]
+    text = spectrum.read_text(encoding="utf-8")
+    # Line ends and the way that a number is written do not count.
+    spectrum.write_bytes(text.replace("\n", "\r\n").encode())
+    assert own_devices.identity()["files"] == before
+    # The last number of the last row, a little larger.
+    head, _, last = text.rstrip().rpartition(",")
+    spectrum.write_text(f"{head},{float(last) + 1e-9!r}\n", encoding="utf-8")
+    after = own_devices.identity()["files"]
+    assert {key for key in after if after[key] != before[key]} == {f"{part}.{table}"}
+    spectrum.unlink()
+    with pytest.raises(InputError, match=spectrum.stem):
+        own_devices.sha256()
 
 
 def test_seed_can_be_replaced():

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, model_validator
 
 from pepperscene.dataset.plan import Plan
-from pepperscene.document import Document, read_toml
+from pepperscene.dataset.recipe_identity import digest, fingerprints
+from pepperscene.document import Document
 from pepperscene.errors import InputError
-from pepperscene.shipped import shelf
+from pepperscene.shipped import find, shelf
 
 Name = Annotated[str, Field(strict=True, min_length=1, max_length=400, pattern=r"^[^\x00-\x1f]+$")]
 """A shipped name or a path."""
@@ -110,35 +109,34 @@ class Recipe(Document):
         return self.model_copy(update={"seed": int(seed)})
 
     def identity(self) -> dict[str, Any]:
-        """What makes two data sets the same: all values that frames depend on, and the named files' contents.
+        """What makes two data sets the same: all values that frames depend on, in whatever file.
 
         Paths are reduced to names, so that the identity is the same on every machine. The plan's `select` is
         left out, because it says which frames to build, not what they show.
 
         Returns:
-            JSON-ready `{"recipe": ..., "files": {key: {"name": ..., "sha256": ...}}}`.
+            Ready for JSON, the recipe's values under `recipe`, and under `files` a `name` and a `sha256` for
+            the cultivar, each device, and each spectrum that a device's file refers to.
+
+        Raises:
+            InputError: one of these files is missing or cannot be read.
         """
         recipe = self.model_dump(mode="json", exclude={"plan": {"select"}})
         recipe["cultivar"] = Path(self.cultivar).stem
-        files = {"cultivar": _fingerprint(self.cultivar, shelf("plants"))}
+        files = fingerprints("cultivar", find("plants", self.cultivar))
         for part, folder in (("sensor", "sensors"), ("lens", "lenses"), ("flash", "flashes")):
             wanted = recipe["camera"][part]
             recipe["camera"][part] = Path(wanted).stem
             if wanted != NO_FLASH:
-                files[part] = _fingerprint(wanted, shelf("materials") / folder)
+                files |= fingerprints(part, _file(wanted, shelf("materials") / folder))
         return {"recipe": recipe, "files": files}
 
     def sha256(self) -> str:
         """SHA-256 of the identity as canonical JSON, hexadecimal."""
-        return _digest(self.identity())
+        return digest(self.identity())
 
 
-def _fingerprint(wanted: str, shipped: Path) -> dict[str, str]:
-    """Name and digest of a file's values; comments and layout do not count."""
-    path = Path(wanted) if Path(wanted).suffix == ".toml" else shipped / f"{wanted}.toml"
-    return {"name": path.stem, "sha256": _digest(read_toml(path))}
-
-
-def _digest(values: Any) -> str:
-    text = json.dumps(values, sort_keys=True, ensure_ascii=True, separators=(",", ":"), default=str)
-    return hashlib.sha256(text.encode()).hexdigest()
+def _file(wanted: str, shipped: Path) -> Path:
+    """A path as it is, a bare name in the shipped folder."""
+    path = Path(wanted)
+    return path if path.suffix == ".toml" or path.parent != Path(".") else shipped / f"{wanted}.toml"
