@@ -20,6 +20,14 @@ def shelf(name: Shelf) -> Path:
     return inside if inside.is_dir() else package.parents[1] / name
 
 
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; False too for names that no file system takes."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def find(shelf_name: Shelf, wanted: str | Path, *, suffix: str = ".toml") -> Path:
     """The path of a file given by its own path or by the bare name of a shipped one.
 
@@ -27,10 +35,10 @@ def find(shelf_name: Shelf, wanted: str | Path, *, suffix: str = ".toml") -> Pat
         InputError: neither a file nor a shipped name; the message lists the shipped names.
     """
     path = Path(wanted)
-    if (path.suffix == suffix or path.parent != Path(".")) and path.is_file():
+    if (path.suffix == suffix or path.parent != Path(".")) and is_file(path):
         return path
     shipped = shelf(shelf_name) / f"{wanted}{suffix}"
-    if path.parent == Path(".") and shipped.is_file():
+    if path.parent == Path(".") and is_file(shipped):
         return shipped
     names = ", ".join(sorted(p.stem for p in shelf(shelf_name).glob(f"*{suffix}")))
     raise InputError(str(wanted), "", None, f"no such file, nor one of the shipped {shelf_name}: {names}")

@@ -3,7 +3,6 @@
 from pepperscene.camera.camera import Camera
 from pepperscene.camera.correction import Correction
 from pepperscene.camera.developing import (
-    Developing,
     camera_rgb,
     corrected,
     develop,
@@ -16,6 +15,7 @@ from pepperscene.camera.flash import AngularProfile, Flash
 from pepperscene.camera.lens import Distortion, Lens
 from pepperscene.camera.poses import arc_path, look_at
 from pepperscene.camera.sensor import Sensor
+from pepperscene.camera.steps import Developing
 
 __all__ = [
     "AngularProfile",

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera.developing import Developing
 from pepperscene.camera.flash import Flash
 from pepperscene.camera.lens import Lens
 from pepperscene.camera.sensor import Sensor
+from pepperscene.camera.steps import Developing
 from pepperscene.errors import InputError
 
 

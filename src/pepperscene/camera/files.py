@@ -13,7 +13,7 @@ from pepperscene.camera.lens import Distortion, Lens
 from pepperscene.camera.sensor import Sensor
 from pepperscene.document import Document, read_toml, validated
 from pepperscene.errors import InputError
-from pepperscene.shipped import shelf
+from pepperscene.shipped import is_file, shelf
 from pepperscene.spectra import Spectrum, read_spectrum
 
 # Bounds beyond what can be built; they keep slips of units and of the pen out.
@@ -193,9 +193,9 @@ def load_flash(wanted: str | Path) -> Flash:
 def _locate(folder: str, wanted: str | Path) -> Path:
     """A path as it is, a bare name in the shipped folder."""
     path, shipped = Path(wanted), shelf("materials") / folder
-    if path.is_file():
+    if is_file(path):
         return path
-    if path.parent == Path(".") and (shipped / f"{path}.toml").is_file():
+    if path.parent == Path(".") and is_file(shipped / f"{path}.toml"):
         return shipped / f"{path}.toml"
     names = ", ".join(sorted(file.stem for file in shipped.glob("*.toml")))
     raise InputError(str(wanted), "", None, f"no such file, nor one of the shipped {folder}: {names}")
@@ -204,7 +204,7 @@ def _locate(folder: str, wanted: str | Path) -> Path:
 def _curve(path: Path, table: str, file: str, column: str) -> Spectrum:
     """One column of the CSV file beside `path`: a curve that is nowhere negative, 0 beyond its range."""
     beside = path.parent / file
-    if not beside.is_file():
+    if not is_file(beside):
         raise InputError(path, f"{table}.file", file, "is not a file beside this one")
     curve = read_spectrum(beside, column)
     negative = curve.values < 0

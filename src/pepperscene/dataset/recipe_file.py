@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from pepperscene.dataset.recipe import Recipe
+from pepperscene.dataset.recipe import NO_FLASH, Recipe
 from pepperscene.document import read_toml, validated
 from pepperscene.errors import InputError
 from pepperscene.shipped import find
@@ -29,20 +29,42 @@ def load_recipe(name_or_path: str | Path) -> Recipe:
         InputError: a file is missing or not TOML, files extend each other in a circle, a key is unknown or
             missing, a value is of the wrong type or outside its range; the message names file, key and value.
     """
-    layers = _layers(_find("recipes", name_or_path))
+    layers = _layers(find("recipes", name_or_path))
     merged: dict[str, Any] = {}
     for _, table in reversed(layers):
         merged = _merge(merged, table)
     try:
         recipe = validated(Recipe, merged, layers[0][0])
-        _find("plants", recipe.cultivar)
+        _check_files(recipe, layers[0][0])
     except InputError as fault:
         # The fault may stand in a file that this one extends: name the one that says it.
-        key = fault.key or "cultivar"
-        where = next((path for path, table in layers if _holds(table, key)), layers[0][0])
-        value = fault.value if fault.key else merged["cultivar"]
-        raise InputError(where, key, value, fault.allowed) from None
+        if fault.where != str(layers[0][0]):
+            raise
+        where = next((path for path, table in layers if _holds(table, fault.key)), layers[0][0])
+        raise InputError(where, fault.key, fault.value, fault.allowed) from None
     return recipe
+
+
+def _check_files(recipe: Recipe, where: Path) -> None:
+    """Refuse a recipe that names a file which is not there; what stands in the files is for their readers."""
+    from pepperscene.camera import load_flash, load_lens, load_sensor
+    from pepperscene.cultivar import load_cultivar
+
+    camera = recipe.camera
+    named: list[tuple[str, str, Callable[[str], object]]] = [
+        ("cultivar", recipe.cultivar, load_cultivar),
+        ("camera.sensor", camera.sensor, load_sensor),
+        ("camera.lens", camera.lens, load_lens),
+    ]
+    if camera.flash != NO_FLASH:
+        named.append(("camera.flash", camera.flash, load_flash))
+    for key, name, load in named:
+        try:
+            load(name)
+        except InputError as fault:
+            if fault.key or fault.where != name:
+                raise
+            raise InputError(where, key, name, fault.allowed) from None
 
 
 def _layers(path: Path) -> list[_Layer]:
@@ -63,17 +85,9 @@ def _layers(path: Path) -> list[_Layer]:
         if not isinstance(base, str):
             raise InputError(path, "extends", base, "must be the name or the path of a recipe")
         try:
-            path = _find("recipes", _relative(base, path.parent))
+            path = find("recipes", _relative(base, path.parent))
         except InputError as fault:
             raise InputError(path, "extends", base, fault.allowed) from None
-
-
-def _find(shelf_name: Any, wanted: str | Path) -> Path:
-    """`shipped.find`, where a name that no file system takes is simply not found."""
-    try:
-        return find(shelf_name, wanted)
-    except (OSError, ValueError) as fault:
-        raise InputError(str(wanted), "", None, f"cannot be a file ({fault})") from None
 
 
 def _resolve(table: dict[str, Any], keys: tuple[str, ...], folder: Path) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pepperscene.document import Document, read_toml, validated
 from pepperscene.errors import InputError
-from pepperscene.shipped import shelf
+from pepperscene.shipped import is_file, shelf
 from pepperscene.spectra.spectrum import Outside, Spectrum
 
 WAVELENGTH_KEY: Final = "wavelength_nm"
@@ -49,7 +49,7 @@ def spectra_file(path: str | Path) -> Path:
     """
     wanted = Path(path) if str(path).endswith(".csv") else Path(f"{path}.csv")
     for candidate in (wanted, shelf("materials") / wanted):
-        if candidate.is_file():
+        if is_file(candidate):
             return candidate
     root = shelf("materials")
     names = ", ".join(sorted(p.relative_to(root).with_suffix("").as_posix() for p in root.rglob("*.csv")))
