@@ -79,10 +79,10 @@ def _options(
 @app.command()
 @_explained
 def build(
+    out: Annotated[Path, typer.Option(help="Folder of the data set; made when missing.")],
     recipe: Annotated[
         str, typer.Argument(help="A recipe file, or the name of a shipped one (see `recipes`).")
     ] = "demo",
-    out: Annotated[Path, typer.Option(help="Folder of the data set; made when missing.")] = ...,  # type: ignore[assignment]
     frames: Annotated[
         str | None,
         typer.Option(
