@@ -103,12 +103,6 @@ def test_error_falls_at_least_as_fast_as_monte_carlo(tracer, truth):
         assert slope > -1.6, (part, slope, values)
 
 
-CORRELATED = pytest.mark.xfail(
-    strict=True,
-    reason="multijitter's permutations of different dimensions are correlated where samples are few",
-)
-
-
 @pytest.fixture(scope="module")
 def four(tracer):
     """Four samples, as the soft light of standard frames gets, over 400 seeds."""
@@ -121,7 +115,6 @@ def test_the_mean_does_not_depend_on_the_samples(tracer, truth, count, runs):
     assert_same_mean(tracer.parts(count, 3, runs), truth)
 
 
-@CORRELATED
 def test_the_mean_of_four_samples_is_that_of_many(four, truth):
     assert_same_mean(four, truth)
 

@@ -299,7 +299,6 @@ def test_an_unknown_quality_is_the_callers_fault(used):
     assert [quality_named(name) for name in QUALITIES] == list(QUALITIES.values())
 
 
-@pytest.mark.xfail(strict=True, reason="an unknown quality passes where only labels are asked for")
 def test_an_unknown_quality_is_refused_whatever_is_asked_for(used):
     with pytest.raises(InputError, match="best"):
         used.render(camera(), ["class"], "best")

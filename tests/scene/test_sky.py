@@ -184,9 +184,6 @@ def test_an_impossible_uniform_sky_is_refused():
         uniform_sky(Spectrum(nm, np.ones(2)), -1.0)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="partly_cloudy does not check its arguments: negative radiance, division by zero"
-)
 @pytest.mark.parametrize(
     "changes",
     [

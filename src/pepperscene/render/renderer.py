@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import platform
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from importlib import metadata
 from typing import Any, Final
 
 import numpy as np
@@ -87,11 +89,12 @@ class Renderer:
     ) -> Frame:
         """One frame; see `render`."""
         wanted = check_outputs(outputs)
+        effort = quality_named(quality)
         view = self._lens.view(camera)
         images: dict[str, NDArray[Any]] = {}
         # Light first: its scene then serves the ground truth as well.
         if any(OUTPUTS[name].traced for name in wanted):
-            images |= self._photographs(wanted, view, camera, quality_named(quality), seed)
+            images |= self._photographs(wanted, view, camera, effort, seed)
         hits = None
         if any(not OUTPUTS[name].traced for name in wanted):
             hits = labels.first_hits(self._truth_scene(), view)
@@ -154,16 +157,14 @@ class Renderer:
     # --- facts ------------------------------------------------------------------------------------------
 
     def _facts(self, camera: Camera, seed: int) -> dict[str, Any]:
-        mi, _ = kernel()
         return {
             "camera": camera.facts(),
             "seed": seed,
             "variant": variant_name(),
             "versions": {
                 "pepperscene": __version__,
-                "mitsuba": mi.__version__,
-                "numpy": np.__version__,
                 "python": platform.python_version(),
+                **_library_versions(),
             },
         }
 
@@ -185,6 +186,16 @@ class Renderer:
             }
             for value in np.flatnonzero(pixels).tolist()
         }
+
+
+@functools.cache
+def _library_versions() -> dict[str, str]:
+    """The versions of all that a frame's numbers pass through."""
+    mi, dr = kernel()
+    found = {name: metadata.version(name) for name in ("drjit", "numpy", "pyoidn")}
+    if mi.variant().startswith("llvm"):
+        found["llvm"] = ".".join(str(part) for part in dr.detail.llvm_version())
+    return {"mitsuba": mi.__version__, **found}
 
 
 def quality_named(name: str) -> Quality:

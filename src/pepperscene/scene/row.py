@@ -28,10 +28,12 @@ def with_twine(plant: Plant, mesh: Mesh, cord: Twine, rng: np.random.Generator) 
     """The plant's mesh with a twine wound round its main stem, starting at a random side."""
     stem = plant.of_kind("internode")
     axis = np.concatenate([organ.curve for organ in stem])
+    radius = np.concatenate(
+        [np.linspace(one.measures["radius_m"], one.measures["radius_tip_m"], len(one.curve)) for one in stem]
+    )
     # Neighbouring sections share their joints; a repeated point has no direction.
-    apart = np.linalg.norm(np.diff(axis, axis=0), axis=1) > 1e-4
-    axis = axis[np.concatenate([[True], apart])]
-    radius = float(np.mean([organ.measures["radius_m"] for organ in stem]))
+    apart = np.concatenate([[True], np.linalg.norm(np.diff(axis, axis=0), axis=1) > 1e-4])
+    axis, radius = axis[apart], radius[apart]
     phase = float(rng.uniform(0.0, 2.0 * np.pi))
     cord_mesh = twine(axis, radius, cord.diameter_m / 2.0, cord.turns_per_m, phase)
     return concatenate([mesh, cord_mesh])

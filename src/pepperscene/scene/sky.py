@@ -20,6 +20,7 @@ SUN_ANGULAR_RADIUS: Final = 0.004654
 _ROWS: Final = 256  # chosen: 0.7 degrees a texel, finer than clouds seen out of focus
 _GROUND_ALBEDO: Final = 0.3  # chosen: white floor film, mostly in the crop's shade
 _HAZE: Final = 0.25  # chosen: sine of elevation over which sky and floor blend, as rows far off would hide it
+_MOST_SUN: Final = 0.99  # the floor shines on the horizon by at least the rest
 _WAVES: Final = 256  # chosen: enough plane waves that their sum is Gaussian and shows no pattern
 
 
@@ -86,9 +87,13 @@ def partly_cloudy(
         illuminance_lx: on a level plane, from sky and sun together.
         sun_azimuth_rad: counter-clockwise from +x seen from above; pi/2 is behind the crop.
         sun_elevation_rad: above the horizon, > 0 where `sun_fraction` is.
-        sun_fraction: share of the illuminance that comes from the disc itself, in [0, 1).
+        sun_fraction: share of the illuminance that comes from the disc itself, in [0, 0.99].
         cloud_cover: share of the sky that clouds hide, in [0, 1].
+
+    Raises:
+        ValueError: an argument lies outside its range.
     """
+    _check(illuminance_lx, sun_elevation_rad, sun_fraction, cloud_cover)
     direction = np.array(
         [
             np.cos(sun_elevation_rad) * np.cos(sun_azimuth_rad),
@@ -126,6 +131,20 @@ def partly_cloudy(
     return Sky(weights.astype(np.float32), Spectrum(grid, radiance), sun)
 
 
+def _check(illuminance_lx: float, sun_elevation_rad: float, sun_fraction: float, cloud_cover: float) -> None:
+    """Refuse what no sky can be."""
+    if not 0.0 <= illuminance_lx < np.inf:
+        raise ValueError(f"illuminance_lx must be at least 0, not {illuminance_lx}")
+    if not 0.0 <= sun_fraction <= _MOST_SUN:
+        raise ValueError(f"sun_fraction must lie in [0, {_MOST_SUN}], not {sun_fraction}")
+    if not 0.0 <= cloud_cover <= 1.0:
+        raise ValueError(f"cloud_cover must lie in [0, 1], not {cloud_cover}")
+    if sun_fraction > 0.0 and not 0.0 < sun_elevation_rad <= np.pi / 2.0:
+        raise ValueError(
+            f"sun_elevation_rad must lie in (0, pi/2] where there is a sun, not {sun_elevation_rad}"
+        )
+
+
 def _directions(rows: int, columns: int) -> NDArray[np.float64]:
     """`(rows, columns, 3)` unit directions through the texels' centres."""
     polar = (np.arange(rows) + 0.5) / rows * np.pi
@@ -152,12 +171,13 @@ def _cloud_density(
     frequency = np.exp(rng.uniform(np.log(1.0), np.log(24.0), _WAVES))
     heading, phase = rng.uniform(0.0, 2.0 * np.pi, (2, _WAVES))
     above = towards[..., 2] > -_HAZE / 2.0
+    counted = towards[above][:, 2] > 0.0
     plane = towards[above][:, :2] / (np.maximum(towards[above][:, 2:], 0.0) + 0.15)
     waves = plane @ (frequency * np.stack([np.cos(heading), np.sin(heading)])) + phase
     field = np.zeros(towards.shape[:2])
     field[above] = np.cos(waves) @ (1.0 / frequency)
     # The threshold that hides the share asked for, weighted by solid angle, with a soft rim.
-    share = np.sqrt(np.maximum(0.0, 1.0 - towards[above][:, 2] ** 2))
+    share = counted * np.sqrt(np.maximum(0.0, 1.0 - towards[above][:, 2] ** 2))
     order = np.argsort(-field[above], kind="stable")
     hidden = np.cumsum(share[order]) / share.sum()
     threshold = field[above][order][min(int(np.searchsorted(hidden, cloud_cover)), order.size - 1)]
