@@ -188,3 +188,24 @@ def test_packed_spectra_equal_the_surfaces():
     wanted = np.interp([412, 530, 655, 700], nm, curve) * (0.5 + 0.3 * 0.5)
     assert np.asarray(point.reflectance).ravel() == pytest.approx(wanted, rel=1e-5)
     assert np.asarray(point.transmittance).ravel() == pytest.approx(wanted * 0.5, rel=1e-5)
+
+
+def test_patterns_close_on_themselves_around_a_tube():
+    # A pattern that is periodic in u has no seam: the state at u = 0 is that at u = 1, midway between texels.
+    nm = np.array([400.0, 700.0])
+    states = np.linspace(0.0, 1.0, 33)[:, None]
+    pattern = np.tile(0.4 * np.sin(2 * np.pi * (np.arange(16) + 0.5) / 16), (4, 1)).astype(np.float32)
+    body = np.stack([states * np.ones(2)] * 2, axis=1)
+    surface = Surface("tube", nm, body, np.zeros((33, 2)), pattern=pattern)
+    mi, _ = kernel()
+    optics = Optics(pack([surface], 400.0, 700.0))
+
+    def state(u: float) -> float:
+        point = optics.at(
+            interaction((0.0, 0.0, 1.0), 1, (u, 0.5)), mi.UInt32(0), mi.Float(0.5), mi.Bool(True)
+        )
+        return float(np.asarray(point.reflectance).ravel()[0])
+
+    assert state(0.0) == pytest.approx(state(1.0), abs=1e-5)
+    assert state(0.0) == pytest.approx(0.5, abs=1e-3)  # halfway between the texels at -half and +half
+    assert state(0.25) == pytest.approx(0.9, abs=0.02)

@@ -86,7 +86,10 @@ class Optics:
         fx, fy = x - left, y - top
 
         def texel(dx: int, dy: int) -> Any:
-            column = mi.UInt32(dr.clip(left + dx, 0.0, mi.Float(width) - 1.0))
+            # Tubes and fruit close on themselves in u; on a leaf that concerns half a texel at the margin.
+            place = left + dx
+            place = dr.select(place < 0.0, place + mi.Float(width), place)
+            column = mi.UInt32(dr.select(place < mi.Float(width), place, place - mi.Float(width)))
             row = mi.UInt32(dr.clip(top + dy, 0.0, mi.Float(height) - 1.0))
             return dr.gather(mi.Point2f, self.details, first + row * width + column, active)
 
