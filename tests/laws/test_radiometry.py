@@ -51,6 +51,13 @@ def centre(scene, camera, quality: str = "standard") -> np.ndarray:
     return electrons[rows // 2 - 2 : rows // 2 + 2, columns // 2 - 2 : columns // 2 + 2].mean((0, 1))
 
 
+def grey_under_sky(illuminance_lx: float):
+    """The grey patch at 50 cm under a uniform sky of equal energy per nanometre."""
+    nm = np.arange(380.0, 781.0)
+    sky = uniform_sky(Spectrum(nm, np.ones(nm.size)), illuminance_lx)
+    return assemble(sheet(1.0, 1.0, 0.5, "grey"), {"grey": lambertian("grey", REFLECTANCE)}, sky)
+
+
 def test_patch_in_the_flash_gives_the_electrons_of_a_one_page_calculation():
     # Set-up: an 18 % matt patch 50 cm in front of the camera, the flash a point in the lens' place.
     camera = bench_camera(columns=8, rows=6, radius_m=0.0, offset_m=(0.0, 0.0, 0.0))
@@ -89,12 +96,8 @@ def test_disc_shaped_flash_beside_the_lens_follows_its_integral():
 def test_uniform_sky_on_a_matt_patch_reads_its_lux():
     # A patch that sees the whole of a uniform sky gets the stated illuminance on its face.
     camera = bench_camera(columns=8, rows=6, flash=False)
+    scene = grey_under_sky(5500.0)
     nm = np.arange(380.0, 781.0)
-    scene = assemble(
-        sheet(1.0, 1.0, 0.5, "grey"),
-        {"grey": lambertian("grey", REFLECTANCE)},
-        uniform_sky(Spectrum(nm, np.ones(nm.size)), 5500.0),
-    )
     v_nm, v = photopic()
     seen = (v_nm >= 380) & (v_nm <= 780)
     irradiance = np.full(nm.size, 5500.0 / (683.002 * np.trapezoid(v[seen], v_nm[seen])))
@@ -127,10 +130,5 @@ def test_relative_illumination_falls_with_the_fourth_power_of_the_cosine():
 def test_daylight_at_the_paper_level_leaves_about_eighty_electrons():
     # The reference shelf's estimate: 5 klx on an 18 % grey in 50 us at f/2 gives about 80 electrons in green.
     camera = bench_camera(columns=8, rows=6, flash=False)
-    nm = np.arange(380.0, 781.0)
-    scene = assemble(
-        sheet(1.0, 1.0, 0.5, "grey"),
-        {"grey": lambertian("grey", REFLECTANCE)},
-        uniform_sky(Spectrum(nm, np.ones(nm.size)), 5000.0),
-    )
+    scene = grey_under_sky(5000.0)
     assert 50.0 < centre(scene, camera)[1] < 110.0

@@ -96,7 +96,6 @@ def leaf_surface(
         roughness=path.roughness,
         pattern=vein_pattern(veins, rng),
         relief_mm=vein_relief(veins, rng),
-        uv_size_mm=size_mm,
     )
 
 
@@ -113,7 +112,7 @@ def fruit_surface(
     """
     # Patches of centimetres turn earlier than others, with a faint speckle on top: amounts chosen by eye.
     patches = 0.045 * _noise_mm(rng, size_mm, (14.0, 9.0)) + 0.012 * _noise_mm(rng, size_mm, (0.7, 0.7))
-    return _opaque("fruit", path, wavelength_nm, FRUIT_STATES, patches, None, size_mm)
+    return _opaque("fruit", path, wavelength_nm, FRUIT_STATES, patches, None)
 
 
 def green_surface(
@@ -134,7 +133,7 @@ def green_surface(
         rng, size_mm, (6.0, 1.5)
     )
     ribs = 0.004 * girth * _noise_mm(rng, size_mm, (60.0, 0.05 * girth))
-    return _opaque(name, path, wavelength_nm, GREEN_STATES, streaks, ribs, size_mm)
+    return _opaque(name, path, wavelength_nm, GREEN_STATES, streaks, ribs)
 
 
 def cut_surface(stem: PigmentPath, wavelength_nm: Array, rng: np.random.Generator) -> Surface:
@@ -153,8 +152,7 @@ def cut_surface(stem: PigmentPath, wavelength_nm: Array, rng: np.random.Generato
     size_mm = (10.0, 10.0)
     speckle = 0.12 * _noise_mm(rng, size_mm, (0.5, 0.5))
     both = np.repeat(rows[:, None, :], 2, axis=1)
-    return Surface("cut", wavelength_nm, both, np.zeros_like(rows),
-                   pattern=speckle.astype(np.float32), uv_size_mm=size_mm)  # fmt: skip
+    return Surface("cut", wavelength_nm, both, np.zeros_like(rows), pattern=speckle.astype(np.float32))
 
 
 def twine_surface(wavelength_nm: ArrayLike) -> Surface:
@@ -173,7 +171,6 @@ def _opaque(
     states: int,
     pattern: Array,
     relief_mm: Array | None,
-    size_mm: tuple[float, float],
 ) -> Surface:
     """A pigmented skin on a diffuse body, the same from both sides."""
     rows = _skin_on_body(path, wavelength_nm, np.linspace(0.0, 1.0, states))
@@ -186,7 +183,6 @@ def _opaque(
         roughness=path.roughness,
         pattern=pattern.astype(np.float32),
         relief_mm=None if relief_mm is None else relief_mm.astype(np.float32),
-        uv_size_mm=size_mm,
     )
 
 

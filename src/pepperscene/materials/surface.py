@@ -27,8 +27,8 @@ class Surface:
         ior: refractive index of the cuticle; 1 means a surface without gloss.
         roughness: `(2,)` GGX alpha of the cuticle, front and back.
         pattern: `(h, w)` offset added to the state over uv (row 0 is v = 0), or None. Veins live here.
-        relief_mm: `(h, w)` height over uv along the normal, for shading only, or None.
-        uv_size_mm: `(2,)` physical extent of the unit of u and v, by which `relief_mm` becomes a slope.
+        relief_mm: `(h, w)` height over uv along the normal, for shading only, or None; the mesh's own
+            extent of u and v makes slopes of it.
     """
 
     name: str
@@ -39,7 +39,6 @@ class Surface:
     roughness: tuple[float, float] = (0.3, 0.3)
     pattern: NDArray[np.float32] | None = None
     relief_mm: NDArray[np.float32] | None = None
-    uv_size_mm: tuple[float, float] = (100.0, 100.0)
 
     def __post_init__(self) -> None:
         n = self.wavelength_nm.size

@@ -32,7 +32,7 @@ class Quality:
     """How much light is traced.
 
     Attributes:
-        sampling: samples and bounces. Two bounces lose 0.03 % of the energy of a plant scene.
+        sampling: samples and bounces. Of the light of `barth2018` two bounces lose 0.15 %, one loses 1 %.
         denoise: whether soft light goes through the denoiser.
     """
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.scene import Scene
-from pepperscene.spectra import LIGHT_SPEED, PLANCK
 
 STEP_NM: Final = 1.0
 _NEGLIGIBLE: Final = 1e-5  # chosen: response below this share of its peak is left out; error below 1e-5
@@ -39,7 +38,7 @@ def response(camera: Camera, scene: Scene) -> Response:
     peak = efficiency.values.max()
     seen = efficiency.wavelength_nm[(efficiency.values > _NEGLIGIBLE * peak).any(axis=0)]
     grid = np.arange(np.floor(seen[0]), np.ceil(seen[-1]) + STEP_NM, STEP_NM)
-    electrons = (efficiency.at(grid) * (grid * 1e-9) / (PLANCK * LIGHT_SPEED)).T
+    electrons = camera.sensor.electrons_per_joule(grid).T
     flash = np.zeros(grid.size)
     if camera.flash is not None:
         flash = camera.flash.radiant_intensity(grid) * camera.flash_duty

@@ -13,7 +13,7 @@ from pepperscene.materials import Surface
 
 STEP_NM: Final = 1.0
 """Spacing of the packed spectra. The kernel takes the nearest entry: with wavelengths spread over a pixel's
-samples that is the midpoint rule, whose error at this step is below 1e-4 for all shipped spectra."""
+samples that is the midpoint rule, whose error at this step is below 2e-4 for all shipped surfaces."""
 
 
 @dataclass(frozen=True, eq=False)

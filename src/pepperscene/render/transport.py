@@ -1,10 +1,10 @@
-"""Light transport for a flash at the camera: one traversal for everything that a colour frame needs.
+"""Light transport for a flash at the camera, in two traversals: one for what is sharp, one for what is soft.
 
-The flash is nearly deterministic, all else is small and smooth (measured: 5 % of the signal). So at each hit
-the flash is evaluated with one shadow ray towards a point of its disc, the sun with one towards its disc, and
-the sky is found by BSDF sampling alone. Samples lie pixel by pixel in the wavefront, so that the sum over a
-pixel is a block reduction: no atomics, the same bits in each run. What has edges gets many samples; what is
-soft gets few, each of them dearer.
+The flash is nearly deterministic, all else is small and smooth (a tenth of the signal in `barth2018`). So at
+each hit the flash is evaluated with one shadow ray towards a point of its disc, the sun with one towards its
+disc, and the sky is found by BSDF sampling alone. Samples lie pixel by pixel in the wavefront, so that the
+sum over a pixel is a block reduction: no atomics, the same bits in each run. What has edges gets many
+samples; what is soft gets few, each of them dearer.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pepperscene.render.samples import FrameTables, Samples
 from pepperscene.render.variant import kernel
 from pepperscene.render.view import View
 
-_LANES: Final = 1 << 21  # chosen: wavefront of a pass, about 0.3 GB for its sampler state and results
+_LANES: Final = 1 << 21  # chosen: wavefront of a pass; 15 results of a sample take 126 MB
 _LEAST_SURVIVAL: Final = 0.1  # chosen: bounds the weight of a survivor to ten times its light
 
 
@@ -125,12 +125,9 @@ def _accumulated(
 
 def _sharp(tables: FrameTables, samples: Samples) -> list[Any]:
     """Flash at the first hit with and without shadows, sky seen, albedo, normal: 15 values a sample."""
-    mi, dr = kernel()
+    _, dr = kernel()
     ray = samples.ray
-    hit = tables.scene.scene.ray_intersect_preliminary(ray, coherent=True)
-    active = hit.is_valid()
-    si = hit.compute_surface_interaction(ray, mi.RayFlags.All, active)
-    point = tables.scene.point(si, hit, active)
+    active, si, point = _hit(tables.scene, ray, coherent=True)
     sky = samples.sky(ray.d, ~active, seen=True)
     flash, open_flash = samples.flash(si, point, active)
     albedo = dr.select(active, point.albedo(), 1.0)
@@ -142,12 +139,7 @@ def _sharp(tables: FrameTables, samples: Samples) -> list[Any]:
 def _soft(tables: FrameTables, samples: Samples, bounces: int) -> list[Any]:
     """Sun at the first hit, and all light that was scattered before it got there: three values a sample."""
     mi, dr = kernel()
-    scene = tables.scene.scene
-    ray = samples.ray
-    hit = scene.ray_intersect_preliminary(ray, coherent=True)
-    active = hit.is_valid()
-    si = hit.compute_surface_interaction(ray, mi.RayFlags.All, active)
-    point = tables.scene.point(si, hit, active)
+    active, si, point = _hit(tables.scene, samples.ray, coherent=True)
     light = samples.sun(si, point, active)
     throughput = mi.Spectrum(1.0)
     for bounce in range(bounces + 1):
@@ -164,13 +156,22 @@ def _soft(tables: FrameTables, samples: Samples, bounces: int) -> list[Any]:
         ray = si.spawn_ray(si.to_world(wo))
         if last:
             # The last hit's scattered ray only looks for the sky.
-            light += throughput * samples.sky(ray.d, active & ~scene.ray_test(ray, active), seen=False)
+            light += throughput * samples.sky(
+                ray.d, active & ~tables.scene.scene.ray_test(ray, active), seen=False
+            )
             break
-        hit = scene.ray_intersect_preliminary(ray, active=active)
-        light += throughput * samples.sky(ray.d, active & ~hit.is_valid(), seen=False)
-        active &= hit.is_valid()
-        si = hit.compute_surface_interaction(ray, mi.RayFlags.All, active)
-        point = tables.scene.point(si, hit, active)
+        hit, si, point = _hit(tables.scene, ray, active)
+        light += throughput * samples.sky(ray.d, active & ~hit, seen=False)
+        active &= hit
         light += throughput * samples.flash(si, point, active)[0]
         light += throughput * samples.sun(si, point, active)
     return samples.channels(light)
+
+
+def _hit(scene: LightScene, ray: Any, active: Any = True, *, coherent: bool = False) -> Any:
+    """Whether rays hit something, where, and what it is like there."""
+    mi, _ = kernel()
+    found = scene.scene.ray_intersect_preliminary(ray, coherent=coherent, active=active)
+    hit = found.is_valid()
+    si = found.compute_surface_interaction(ray, mi.RayFlags.All, hit)
+    return hit, si, scene.point(si, found, hit)

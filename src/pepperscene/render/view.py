@@ -17,7 +17,7 @@ class View:
     that a moved camera reuses the compiled kernel.
 
     Attributes:
-        width, height: of the image, as kernel inputs would gain nothing: plain ints.
+        width, height: of the image, pixels.
         slopes: `((h + 1) * (w + 1) * 2,)` undistorted (x/z, y/z) at the pixels' corners.
         rotation: camera to world.
         origin: the projection centre in the world, metres.
