@@ -10,11 +10,13 @@ from pepperscene.camera.developing import (
     reference_correction,
 )
 from pepperscene.camera.exposure import expected_electrons, relative_illumination
-from pepperscene.camera.files import load_flash, load_lens, load_sensor
 from pepperscene.camera.flash import AngularProfile, Flash
+from pepperscene.camera.flash_file import load_flash
 from pepperscene.camera.lens import Distortion, Lens
+from pepperscene.camera.lens_file import load_lens
 from pepperscene.camera.poses import arc_path, look_at
 from pepperscene.camera.sensor import Sensor
+from pepperscene.camera.sensor_file import load_sensor
 from pepperscene.camera.steps import Developing
 
 __all__ = [
