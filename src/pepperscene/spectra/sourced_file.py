@@ -1,4 +1,4 @@
-"""What the files of sensors, lenses, lights and covers share: sources for every number, curves in CSV files beside, shipped names."""
+"""What files of sensors, lenses, flashes, filters and covers share: sources of all numbers, and curves."""
 
 from __future__ import annotations
 
