@@ -84,7 +84,7 @@ def test_a_lens_that_cannot_be_undone_over_the_picture_is_the_user_s_to_mend():
 
 
 def test_another_pose_changes_nothing_else():
-    camera = Camera(BARREL, SENSOR, flash=load_flash("led_ring_200klx"))
+    camera = Camera(BARREL, SENSOR, flash=load_flash("led_matrix_200klx"))
     moved = camera.at_pose(POSE)
     np.testing.assert_array_equal(moved.pose, POSE)
     assert (moved.lens, moved.sensor, moved.flash) == (camera.lens, camera.sensor, camera.flash)
@@ -94,14 +94,14 @@ def test_another_pose_changes_nothing_else():
 
 
 def test_the_flash_shines_during_its_pulse_alone():
-    flash = load_flash("led_ring_200klx")
+    flash = load_flash("led_matrix_200klx")
     assert Camera(PINHOLE, SENSOR, exposure_s=200e-6, flash=flash).flash_duty == pytest.approx(0.25)
     assert Camera(PINHOLE, SENSOR, exposure_s=20e-6, flash=flash).flash_duty == 1
     assert Camera(PINHOLE, SENSOR).flash_duty == 0
 
 
 def test_facts_are_json_and_rebuild_the_geometry():
-    facts = json.loads(json.dumps(Camera(BARREL, SENSOR, POSE, flash=load_flash("led_ring_200klx")).facts()))
+    facts = json.loads(json.dumps(Camera(BARREL, SENSOR, POSE, flash=load_flash("led_matrix_200klx")).facts()))
     assert (facts["width"], facts["height"], facts["exposure_s"]) == (800, 600, 50e-6)
     np.testing.assert_array_equal(facts["pose"], POSE)
     assert Distortion(**facts["distortion"]) == BARREL.distortion

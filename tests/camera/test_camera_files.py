@@ -40,7 +40,7 @@ def test_the_paper_s_camera():
     sensor, lens, flash = (
         load_sensor("ueye_ui5250re"),
         load_lens("lensagon_cmfa0420nd"),
-        load_flash("led_ring_200klx"),
+        load_flash("led_matrix_200klx"),
     )
     assert (sensor.columns, sensor.rows, sensor.binning, sensor.photosites) == (800, 600, 2, (1, 2, 1))
     assert sensor.columns * sensor.pixel_pitch_m == pytest.approx(7.2e-3)
@@ -121,13 +121,13 @@ WRONG_TABLES = [
     ("lenses", "lensagon_cmfa0420nd", put("distortion", "k7", 0.1), r"distortion\.k7: is not a known key"),
     (
         "flashes",
-        "led_ring_200klx",
+        "led_matrix_200klx",
         put("profile", "angle_deg", [0, 20, 10, 26, 35, 45, 65]),
         r"must increase",
     ),
-    ("flashes", "led_ring_200klx", put("profile", "angle_deg", [0, 20]), r"equally long"),
-    ("flashes", "led_ring_200klx", put("illuminance_lx", 0), r"illuminance_lx = 0"),
-    ("flashes", "led_ring_200klx", put("offset_mm", [0, 1]), r"offset_mm"),
+    ("flashes", "led_matrix_200klx", put("profile", "angle_deg", [0, 20]), r"equally long"),
+    ("flashes", "led_matrix_200klx", put("illuminance_lx", 0), r"illuminance_lx = 0"),
+    ("flashes", "led_matrix_200klx", put("offset_mm", [0, 1]), r"offset_mm"),
 ]
 
 
@@ -160,7 +160,7 @@ def test_a_wrong_curve_is_named_by_file_row_and_column(tmp_path, text, message):
 
 def test_a_flash_needs_visible_light(tmp_path):
     path = copy_of(
-        tmp_path, "flashes", "led_ring_200klx", put("spectrum", {"file": "ir.csv", "column": "ir"})
+        tmp_path, "flashes", "led_matrix_200klx", put("spectrum", {"file": "ir.csv", "column": "ir"})
     )
     (tmp_path / "ir.csv").write_text("wavelength_nm,ir\n800,0\n850,1\n900,0", encoding="utf-8")
     with pytest.raises(InputError, match=r"spectrum\.column = 'ir': must hold light"):

@@ -27,7 +27,7 @@ from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum
 
 SENSOR = dataclasses.replace(load_sensor("ueye_ui5250re"), columns=40, rows=30)
-LENS, FLASH = load_lens("lensagon_cmfa0420nd"), load_flash("led_ring_200klx")
+LENS, FLASH = load_lens("lensagon_cmfa0420nd"), load_flash("led_matrix_200klx")
 CAMERA = Camera(LENS, SENSOR, flash=FLASH)
 NM = np.arange(380.0, 781.0)
 

@@ -10,7 +10,7 @@ import pytest
 from pepperscene.camera import AngularProfile, load_flash
 from pepperscene.spectra import illuminance, photopic_efficiency
 
-FLASH = load_flash("led_ring_200klx")
+FLASH = load_flash("led_matrix_200klx")
 RIGHT_ANGLE = np.pi / 2
 
 

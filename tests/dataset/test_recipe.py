@@ -85,7 +85,7 @@ def test_identity_follows_values_not_comments(tmp_path, write):
 DEVICES = {
     "sensor": ("sensors", "onsemi_mt9v024", ["quantum_efficiency", "infrared_cut"]),
     "lens": ("lenses", "lensagon_cmfa0420nd", []),
-    "flash": ("flashes", "led_ring_200klx", ["spectrum"]),
+    "flash": ("flashes", "led_matrix_200klx", ["spectrum"]),
 }
 
 

@@ -50,6 +50,6 @@ def bench_camera(
     *, columns: int = 800, rows: int = 600, flash: bool = True, **flash_changes: object
 ) -> Camera:
     """The recipe's camera at the world's origin looking along +z; the image may be cut to a few pixels."""
-    lamp = replace(load_flash("led_ring_200klx"), **flash_changes) if flash else None  # type: ignore[arg-type]
+    lamp = replace(load_flash("led_matrix_200klx"), **flash_changes) if flash else None  # type: ignore[arg-type]
     sensor = replace(load_sensor("ueye_ui5250re"), columns=columns, rows=rows)
     return Camera(load_lens("lensagon_cmfa0420nd"), sensor, np.eye(4), 50e-6, lamp)

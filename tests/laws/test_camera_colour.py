@@ -51,7 +51,7 @@ def photographed(sensor, light, flash, white_balance):
 @pytest.mark.parametrize("sensor", ["ueye_ui5250re", "onsemi_mt9v024"])
 @pytest.mark.parametrize("white_balance", ["flash", "daylight"])
 def test_the_chart_comes_out_in_its_colours(sensor, white_balance):
-    flash = load_flash("led_ring_200klx")
+    flash = load_flash("led_matrix_200klx")
     light = flash.spectrum if white_balance == "flash" else daylight()
     found = photographed(load_sensor(sensor), light, flash, white_balance)
     difference = colour.delta_E(seen_by_the_observer(light), found, method="CIE 2000")

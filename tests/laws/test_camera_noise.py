@@ -12,7 +12,7 @@ from pepperscene.camera import Camera, Developing, camera_rgb, load_flash, load_
 from pepperscene.camera.readout import shot_noise
 
 SENSOR = dataclasses.replace(load_sensor("ueye_ui5250re"), columns=400, rows=300)
-CAMERA = Camera(load_lens("lensagon_cmfa0420nd"), SENSOR, flash=load_flash("led_ring_200klx"))
+CAMERA = Camera(load_lens("lensagon_cmfa0420nd"), SENSOR, flash=load_flash("led_matrix_200klx"))
 N = 400 * 300
 SIGMAS = 5.0
 

@@ -51,7 +51,7 @@ def signal_of_the_patch(camera):
 
 def test_a_grey_patch_at_half_a_metre_in_the_flash():
     camera = Camera(
-        load_lens("lensagon_cmfa0420nd"), load_sensor("ueye_ui5250re"), flash=load_flash("led_ring_200klx")
+        load_lens("lensagon_cmfa0420nd"), load_sensor("ueye_ui5250re"), flash=load_flash("led_matrix_200klx")
     )
     signal = np.broadcast_to(signal_of_the_patch(camera), (600, 800, 3))
     electrons = expected_electrons(signal, camera)[299:301, 399:401].mean(axis=(0, 1))

@@ -59,7 +59,7 @@ def camera(
     if distorted:
         lens = replace(lens, distortion=Distortion(k1=-0.1, k2=0.04, p1=1e-3, p2=-1e-3))
     sensor = replace(whole, columns=columns, rows=rows, binning=whole.binning * 10)
-    return Camera(lens, sensor, POSES[step], 50e-6, load_flash("led_ring_200klx") if flash else None)
+    return Camera(lens, sensor, POSES[step], 50e-6, load_flash("led_matrix_200klx") if flash else None)
 
 
 def digests(frame: Frame) -> dict[str, str]:
