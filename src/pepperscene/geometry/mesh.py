@@ -48,6 +48,42 @@ class Mesh:
         vertices = (self.vertices @ turn.T + np.asarray(translation, dtype=float)).astype(np.float32)
         return replace(self, vertices=vertices, normals=(self.normals @ turn.T).astype(np.float32))
 
+    def of_instances(self, chosen: Sequence[int]) -> Mesh:
+        """The part of the mesh that belongs to some instances, numbered anew in the order given.
+
+        Args:
+            chosen: indices into `instances`; a parent that is not among them is forgotten.
+
+        Raises:
+            ValueError: none is chosen, one twice, or one that is not there.
+        """
+        wanted = [int(index) for index in chosen]
+        if (
+            not wanted
+            or len(set(wanted)) < len(wanted)
+            or not 0 <= min(wanted) <= max(wanted) < len(self.instances)
+        ):
+            raise ValueError(f"{wanted} are not instances among {len(self.instances)}, each once")
+        place = np.full(len(self.instances), -1)
+        place[wanted] = np.arange(len(wanted))
+        kept = place[self.face_instance] >= 0
+        used, faces = np.unique(self.faces[kept], return_inverse=True)
+        surfaces, face_surface = np.unique(self.face_surface[kept], return_inverse=True)
+        instances = [self.instances[index] for index in wanted]
+        return Mesh(
+            vertices=self.vertices[used],
+            normals=self.normals[used],
+            uv=self.uv[used],
+            state=self.state[used],
+            faces=faces.reshape(-1, 3).astype(np.uint32),
+            face_instance=place[self.face_instance[kept]].astype(np.uint32),
+            face_surface=face_surface.astype(np.uint8),
+            surfaces=tuple(self.surfaces[index] for index in surfaces),
+            instances=tuple(
+                replace(one, parent=int(place[one.parent]) if one.parent >= 0 else -1) for one in instances
+            ),
+        )
+
     def of_plant(self, plant: int) -> Mesh:
         """The same mesh with its instances assigned to plant number `plant` of a scene."""
         return replace(self, instances=tuple(replace(item, plant=plant) for item in self.instances))

@@ -1,0 +1,36 @@
+"""Parts of a mesh by instance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pepperscene.geometry import concatenate, rectangle, sphere
+
+CARD = rectangle((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), "leaf")
+BALL = sphere((0.0, 0.0, 2.0), 0.5, "fruit", subdivisions=1)
+BOTH = concatenate([CARD, BALL, CARD.moved(np.eye(3), np.array([0.0, 0.0, 5.0]))])
+
+
+def test_a_part_has_the_triangles_of_its_instances_and_no_others():
+    ball = BOTH.of_instances([1])
+    np.testing.assert_array_equal(ball.vertices[ball.faces], BALL.vertices[BALL.faces])
+    np.testing.assert_array_equal(ball.state[ball.faces], BALL.state[BALL.faces])
+    assert (ball.surfaces, ball.instances) == (BALL.surfaces, BALL.instances)
+    assert len(ball.vertices) == len(BALL.vertices)
+
+
+def test_parts_are_numbered_in_the_order_asked_for():
+    part = BOTH.of_instances([2, 1])
+    assert part.instances == (BOTH.instances[2], BOTH.instances[1])
+    first = part.vertices[part.faces[part.face_instance == 0]]
+    assert first[..., 2].min() == 5.0
+    assert set(part.surfaces) == {"leaf", "fruit"}
+    names = np.array(part.surfaces)[part.face_surface]
+    assert set(names[part.face_instance == 0]) == {"leaf"}
+
+
+@pytest.mark.parametrize("chosen", [[], [3], [-1], [1, 1]])
+def test_parts_that_are_not_there_are_refused(chosen):
+    with pytest.raises(ValueError, match="instances"):
+        BOTH.of_instances(chosen)
