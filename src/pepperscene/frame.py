@@ -18,7 +18,8 @@ class Output:
 
     Attributes:
         name: as on the command line, and the name of its folder in a data set.
-        shape: of the array, h rows and w columns.
+        shape: of the array: h rows and w columns; c channels, 3 of a colour sensor and 1 of a monochrome one;
+            H rows and W columns of photosites.
         dtype: of the array.
         suffix: of its file in a data set.
         meaning: one line for help texts.
@@ -32,17 +33,35 @@ class Output:
     meaning: str
     traced: bool = False
 
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """How many values a pixel may have along a third axis; empty where there is no such axis."""
+        return {"3)": (3,), "c)": (1, 3)}.get(self.shape[-2:], ())
+
+    def fits(self, image: NDArray[Any]) -> bool:
+        """Whether an array has this output's type, axes and channels."""
+        axes = image.ndim == 3 and image.shape[2] in self.channels if self.channels else image.ndim == 2
+        return axes and image.dtype == np.dtype(self.dtype)
+
 
 OUTPUTS: Final[Mapping[str, Output]] = {
     output.name: output
     for output in (
         Output("colour", "(h, w, 3)", "uint8", ".png", "the developed photograph, sRGB", traced=True),
         Output(
+            "raw",
+            "(H, W)",
+            "uint16",
+            ".png",
+            "digital numbers of the photosites, as the converter gives them",
+            traced=True,
+        ),
+        Output(
             "electrons",
-            "(h, w, 3)",
+            "(h, w, c)",
             "float32",
             ".exr",
-            "expected photo-electrons per pixel and channel, before noise",
+            "expected photo-electrons per photosite of each colour, before noise",
             traced=True,
         ),
         Output("class", "(h, w)", "uint8", ".png", "class ids 0 to 7, with a colour palette"),

@@ -18,7 +18,7 @@ class NoLight:
         self.scene = scene
 
     def render(self, camera, outputs=(), quality="standard", seed=0):
-        shapes = {name: (4, 4, 3) if OUTPUTS[name].shape.endswith("3)") else (4, 4) for name in outputs}
+        shapes = {name: (4, 4, *OUTPUTS[name].channels[-1:]) for name in outputs}
         images = {name: np.zeros(shape, OUTPUTS[name].dtype) for name, shape in shapes.items()}
         return Frame(images, {"camera": camera.facts(), "instances": {}})
 

@@ -40,13 +40,13 @@ class FakeRenderer:
     def _image(self, name, camera, seed):
         place = int(abs(camera.pose[0, 3]) * 1e9)
         rng = np.random.default_rng([list(OUTPUTS).index(name), place, seed])
-        shape = (*SIZE, 3) if OUTPUTS[name].shape.endswith("3)") else SIZE
+        shape = (*SIZE, *OUTPUTS[name].channels[-1:])
         if OUTPUTS[name].dtype == "float32":
             values = rng.uniform(0.1, 2.0, shape).astype(np.float32)
             if name in ("distance", "depth_z"):
                 values[0, 0] = np.inf
             return values
-        top = {"class": 8, "instance": 65536}.get(name, 256)
+        top = {"class": 8, "instance": 65536, "raw": 4096}.get(name, 256)
         return rng.integers(0, top, shape).astype(OUTPUTS[name].dtype)
 
 

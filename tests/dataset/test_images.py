@@ -14,7 +14,7 @@ from pepperscene.frame import OUTPUTS
 def picture(output: str) -> np.ndarray:
     """Values that use the whole range of an output."""
     rng = np.random.default_rng(3)
-    shape = (37, 53, 3) if OUTPUTS[output].shape.endswith("3)") else (37, 53)
+    shape = (37, 53, *OUTPUTS[output].channels[-1:])
     if OUTPUTS[output].dtype == "float32":
         values = rng.normal(0, 1e3, shape).astype(np.float32)
         values[0, 0] = np.inf
@@ -50,8 +50,9 @@ def test_class_png_shows_the_class_colours(tmp_path):
     assert [tuple(colour) for colour in rgb.tolist()] == list(CLASS_COLOURS)
 
 
-def test_instance_png_has_16_bits(tmp_path):
-    write_image(tmp_path / "i.png", np.array([[0, 65535]], np.uint16), "instance")
+@pytest.mark.parametrize("output", ["instance", "raw"])
+def test_png_of_16_bits(tmp_path, output):
+    write_image(tmp_path / "i.png", np.array([[0, 65535]], np.uint16), output)
     with Image.open(tmp_path / "i.png") as shown:
         assert shown.mode == "I;16"
 
@@ -68,6 +69,14 @@ def test_exr_channels_are_named_and_the_header_tells_the_unit(tmp_path, output, 
         assert file.header()["unit"]
 
 
+def test_electrons_of_a_monochrome_sensor_have_one_channel(tmp_path):
+    path, image = tmp_path / "x.exr", picture("electrons")[..., :1]
+    write_image(path, image, "electrons")
+    np.testing.assert_array_equal(read_image(path), image)
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        assert set(file.channels()) == {"Y"}
+
+
 @pytest.mark.parametrize(
     ("output", "image"),
     [
@@ -76,6 +85,11 @@ def test_exr_channels_are_named_and_the_header_tells_the_unit(tmp_path, output, 
         ("colour", np.zeros((4, 4), np.uint8)),
         ("colour", np.zeros((4, 4, 4), np.uint8)),
         ("distance", np.zeros((4, 4), np.float64)),
+        ("distance", np.zeros((4, 4, 1), np.float32)),
+        ("electrons", np.zeros((4, 4), np.float32)),
+        ("electrons", np.zeros((4, 4, 2), np.float32)),
+        ("raw", np.zeros((4, 4, 3), np.uint16)),
+        ("raw", np.zeros((4, 4), np.uint8)),
     ],
 )
 def test_wrong_arrays_are_refused(tmp_path, output, image):

@@ -1,8 +1,8 @@
 """Images on disk: PNG for what is whole numbers, OpenEXR for what is measured.
 
 An EXR file has 32-bit float channels named by what they hold (`distance`; `depth_z`; `R`, `G`, `B` for
-electrons; `X`, `Y`, `Z` for normals), lossless ZIP compression, and its unit in the header attribute `unit`.
-Class images are palette PNGs: the pixel values are the class ids, and a viewer shows the class colours.
+electrons, or `Y` for those of a monochrome sensor; `X`, `Y`, `Z` for normals), lossless ZIP compression, and
+its unit in the header attribute `unit`. Class images are palette PNGs: the pixel values are the class ids, and a viewer shows the class colours.
 """
 
 from __future__ import annotations
@@ -17,9 +17,11 @@ from pepperscene.classes import CLASS_COLOURS
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
 
-_CHANNELS: Final = {"electrons": ("R", "G", "B"), "normal": ("X", "Y", "Z")}
+_CHANNELS: Final = (("R", "G", "B"), ("Y",), ("X", "Y", "Z"))
+"""Names of the channels along a third axis: colours, luminance alone, directions."""
+
 _UNITS: Final = {
-    "electrons": "photo-electrons per pixel",
+    "electrons": "photo-electrons per photosite",
     "distance": "metres along the ray from the projection centre",
     "depth_z": "metres along the optical axis",
     "normal": "unit vector in world coordinates",
@@ -42,9 +44,7 @@ def write_image(path: Path, image: NDArray[Any], output: str) -> None:
         OSError: the file cannot be written.
     """
     wanted = OUTPUTS[output]
-    channels = 3 if wanted.shape.endswith("3)") else 1
-    shape_fits = image.ndim == (3 if channels == 3 else 2) and image.shape[2:] in ((), (3,))
-    if image.dtype != np.dtype(wanted.dtype) or not shape_fits:
+    if not wanted.fits(image):
         raise ValueError(f"{output} must be {wanted.shape} {wanted.dtype}, not {image.shape} {image.dtype}")
     if wanted.suffix == ".exr":
         _write_exr(path, image, output)
@@ -53,7 +53,7 @@ def write_image(path: Path, image: NDArray[Any], output: str) -> None:
 
 
 def read_image(path: str | Path) -> NDArray[Any]:
-    """Read a PNG or EXR image: `(h, w)` or `(h, w, 3)`; of a palette PNG the indices, which are class ids.
+    """Read a PNG or EXR image as `Frame` holds it; of a palette PNG the indices, which are class ids.
 
     Raises:
         InputError: the file is missing or no such image.
@@ -88,7 +88,7 @@ def _write_exr(path: Path, image: NDArray[Any], output: str) -> None:
     import OpenEXR
 
     planes = image[..., None] if image.ndim == 2 else image
-    names = _CHANNELS.get(output, (output,))
+    names = (output,) if image.ndim == 2 else _channels(output, image.shape[2])
     channels = {name: np.ascontiguousarray(planes[..., axis]) for axis, name in enumerate(names)}
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
@@ -101,6 +101,14 @@ def _write_exr(path: Path, image: NDArray[Any], output: str) -> None:
         raise OSError(str(fault)) from None
 
 
+def _channels(output: str, count: int) -> tuple[str, ...]:
+    """Names of the channels of an image with a third axis."""
+    colour, luminance, direction = _CHANNELS
+    if count == 1:
+        return luminance
+    return direction if output == "normal" else colour
+
+
 def _read_exr(path: Path) -> NDArray[Any]:
     import OpenEXR
 
@@ -108,7 +116,7 @@ def _read_exr(path: Path) -> NDArray[Any]:
         raise FileNotFoundError("no such file")
     with OpenEXR.File(str(path), separate_channels=True) as file:
         channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-    for names in _CHANNELS.values():
+    for names in _CHANNELS:
         if set(channels) == set(names):
             return np.stack([channels[name] for name in names], axis=-1)
     if len(channels) == 1:
