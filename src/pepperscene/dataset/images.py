@@ -2,7 +2,8 @@
 
 An EXR file has 32-bit float channels named by what they hold (`distance`; `depth_z`; `R`, `G`, `B` for
 electrons, or `Y` for those of a monochrome sensor; `X`, `Y`, `Z` for normals), lossless ZIP compression, and
-its unit in the header attribute `unit`. Class images are palette PNGs: the pixel values are the class ids, and a viewer shows the class colours.
+its unit in the header attribute `unit`. Class images are palette PNGs: the pixel values are the class ids,
+and a viewer shows the class colours.
 """
 
 from __future__ import annotations
