@@ -7,14 +7,17 @@ from pepperscene.camera.developing import (
     corrected,
     develop,
     encode,
+    raw_frame,
     reference_correction,
 )
 from pepperscene.camera.exposure import expected_electrons, relative_illumination
-from pepperscene.camera.flash import AngularProfile, Flash
+from pepperscene.camera.filter_file import Filter, load_filter
+from pepperscene.camera.flash import Flash
 from pepperscene.camera.flash_file import load_flash
 from pepperscene.camera.lens import Distortion, Lens
 from pepperscene.camera.lens_file import load_lens
 from pepperscene.camera.poses import arc_path, look_at
+from pepperscene.camera.profile import AngularProfile
 from pepperscene.camera.sensor import Sensor
 from pepperscene.camera.sensor_file import load_sensor
 from pepperscene.camera.steps import Developing
@@ -25,6 +28,7 @@ __all__ = [
     "Correction",
     "Developing",
     "Distortion",
+    "Filter",
     "Flash",
     "Lens",
     "Sensor",
@@ -34,10 +38,12 @@ __all__ = [
     "develop",
     "encode",
     "expected_electrons",
+    "load_filter",
     "load_flash",
     "load_lens",
     "load_sensor",
     "look_at",
+    "raw_frame",
     "reference_correction",
     "relative_illumination",
 ]

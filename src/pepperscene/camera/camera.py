@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -25,11 +26,18 @@ class Camera:
     pixel in row 0 and column 0 is (0.5, 0.5). Camera axes: x right, y down, z forward.
 
     Attributes:
-        lens, sensor: what the image falls through and onto; the optical axis meets the picture's centre.
+        lens, sensor: what the image falls through and onto.
         pose: `(4, 4)` camera to world, metres.
         exposure_s: how long the shutter is open (global shutter).
         flash: the flash, or None; its pulse starts with the exposure.
         developing: how electrons become a picture.
+        focus_m: distance of the plane in focus, along the optical axis from the projection centre; None
+            makes everything sharp: a pinhole with the lens' light.
+
+    Focusing changes neither the field of view nor the light. A thin lens focused at d stands (1 + m) f before
+    the sensor with m = f / (d - f), and its working f-number is N (1 + m). At 4 mm and 40 cm, m is 1 %: the
+    field of view narrows by 1 %, which a calibrated focal length holds already, and the light falls by 2 %,
+    less than f-numbers are rounded to.
     """
 
     lens: Lens
@@ -38,6 +46,7 @@ class Camera:
     exposure_s: float = 50e-6
     flash: Flash | None = None
     developing: Developing = field(default_factory=Developing)
+    focus_m: float | None = None
 
     def __post_init__(self) -> None:
         pose = np.array(self.pose, dtype=float)
@@ -48,6 +57,9 @@ class Camera:
             raise ValueError("a pose must be a rotation and a translation, without scale or mirror")
         if not self.exposure_s > 0:
             raise ValueError("the exposure must be positive")
+        if self.focus_m is not None and not self.lens.focal_length_m < self.focus_m < math.inf:
+            nearest = f"must be finite and beyond the focal length of {self.lens.focal_length_m:g} m"
+            raise InputError(self.lens.name, "focus_m", self.focus_m, nearest)
         pose.setflags(write=False)
         object.__setattr__(self, "pose", pose)
         _check_distortion(self.lens, self.sensor)
@@ -66,6 +78,11 @@ class Camera:
     def intrinsics(self) -> NDArray[np.float64]:
         """`(3, 3)` pinhole matrix in image pixels."""
         return _intrinsics(self.lens, self.sensor)
+
+    @property
+    def aperture_radius_m(self) -> float:
+        """Radius of the entrance pupil."""
+        return self.lens.focal_length_m / (2 * self.lens.f_number)
 
     @property
     def flash_duty(self) -> float:
@@ -113,11 +130,16 @@ class Camera:
             "fy": float(matrix[1, 1]),
             "cx": float(matrix[0, 2]),
             "cy": float(matrix[1, 2]),
+            "principal_offset_m": list(self.lens.principal_offset_m),
             "distortion": dataclasses.asdict(self.lens.distortion),
             "width": self.width,
             "height": self.height,
             "exposure_s": float(self.exposure_s),
             "f_number": float(self.lens.f_number),
+            "focus_m": None if self.focus_m is None else float(self.focus_m),
+            "vignetting": self.lens.vignetting is not None,
+            "bits": int(self.sensor.bits),
+            "gain": float(getattr(self.sensor, "gain", 1.0)),
             "lens": self.lens.name,
             "sensor": self.sensor.name,
             "flash": None if self.flash is None else self.flash.name,
@@ -127,7 +149,10 @@ class Camera:
 
 def _intrinsics(lens: Lens, sensor: Sensor) -> NDArray[np.float64]:
     focal_px = lens.focal_length_m / sensor.pixel_pitch_m
-    return np.array([[focal_px, 0, sensor.columns / 2], [0, focal_px, sensor.rows / 2], [0, 0, 1.0]])
+    right, down = (length / sensor.pixel_pitch_m for length in lens.principal_offset_m)
+    return np.array(
+        [[focal_px, 0, sensor.columns / 2 + right], [0, focal_px, sensor.rows / 2 + down], [0, 0, 1.0]]
+    )
 
 
 def _ideal(lens: Lens, sensor: Sensor, u: ArrayLike, v: ArrayLike) -> NDArray[np.float64]:

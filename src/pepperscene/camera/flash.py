@@ -1,107 +1,128 @@
-"""The flash: a bright disc beside the lens with a narrow beam and a short pulse."""
+"""The flash: a matrix of LEDs beside the lens, with a narrow beam and a short pulse."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pepperscene.camera.profile import AngularProfile
 from pepperscene.spectra import Spectrum, with_illuminance
 
-
-@dataclass(frozen=True, eq=False)
-class AngularProfile:
-    """Relative radiant intensity against the angle to the axis; linear in between, zero beyond.
-
-    Attributes:
-        angle_rad: `(n,)` increasing from 0, at most pi/2.
-        relative_intensity: `(n,)` at least 0, and 1 on the axis.
-    """
-
-    angle_rad: NDArray[np.float64]
-    relative_intensity: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        angle = np.asarray(self.angle_rad, dtype=float)
-        relative = np.asarray(self.relative_intensity, dtype=float)
-        if angle.ndim != 1 or angle.size < 2 or angle[0] != 0 or not np.all(np.diff(angle) > 0):
-            raise ValueError("angles must be one increasing list from 0")
-        if angle[-1] > math.pi / 2 + 1e-12:
-            raise ValueError("angles must not pass a right angle")
-        if relative.shape != angle.shape or relative[0] != 1 or not np.all(relative >= 0):
-            raise ValueError("relative intensities must be one per angle, at least 0, and 1 at angle 0")
-        object.__setattr__(self, "angle_rad", angle)
-        object.__setattr__(self, "relative_intensity", relative)
-
-    def at(self, angle_rad: ArrayLike) -> NDArray[np.float64]:
-        """Relative intensity `(...)` at angles `(...)`."""
-        return np.interp(
-            np.asarray(angle_rad, dtype=float), self.angle_rad, self.relative_intensity, right=0.0
-        )
+_RINGS: Final = 32  # chosen: for smooth profiles exact to rounding, beside a sharp edge to 1e-4
+_TURNS: Final = 32
 
 
 @dataclass(frozen=True, eq=False)
 class Flash:
-    """A disc that looks along the optical axis; every point of it has the same angular profile.
+    """Equal discs in a plane across the optical axis; every point of each has the same angular profile.
+
+    What the whole flash gives straight ahead sets its strength, in lux, or in watts for a lamp whose light
+    cannot be seen.
 
     Attributes:
         name: for reports.
         spectrum: relative spectral power distribution (SPD), `(n,)`.
-        illuminance_lx: on a plane facing the flash, straight ahead of the disc's centre.
-        at_m: distance of that plane.
-        profile: intensity against angle.
-        radius_m: of the disc; 0 makes it a point.
-        offset_m: `(3,)` centre of the disc in camera axes (x right, y down, z forward).
+        at_m: distance of the plane on which the strength is told; it faces the flash.
+        profile: intensity of an emitter against the angle to the flash's axis.
+        illuminance_lx: on that plane, straight ahead of `offset_m`, from all emitters together; or None.
+        irradiance_W_m2: the same in W m-2 over all wavelengths; exactly one of the two is given.
+        radius_m: of one emitter; 0 makes it a point.
+        emitters_m: `(k, 2)` centres of the emitters from `offset_m`, right and down; read-only.
+        offset_m: `(3,)` the flash's centre in camera axes (x right, y down, z forward).
         pulse_s: how long it shines, with constant power; the exposure starts with it.
     """
 
     name: str
     spectrum: Spectrum
-    illuminance_lx: float
     at_m: float
     profile: AngularProfile
+    illuminance_lx: float | None = None
+    irradiance_W_m2: float | None = None  # noqa: N815 (the unit is written so)
     radius_m: float = 0.0
+    emitters_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 2)))
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     pulse_s: float = 50e-6
 
     def __post_init__(self) -> None:
-        if min(self.illuminance_lx, self.at_m, self.pulse_s) <= 0 or self.radius_m < 0:
-            raise ValueError(
-                f"{self.name}: illuminance, distance and pulse must be positive, radius at least 0"
-            )
-        if self.spectrum.values.ndim != 1 or self.spectrum.values.min() < 0 or not is_visible(self.spectrum):
-            raise ValueError(
-                f"{self.name}: the spectrum must be one curve, at least 0 and not all 0 in 400 to 700 nm"
-            )
+        strengths = [s for s in (self.illuminance_lx, self.irradiance_W_m2) if s is not None]
+        if len(strengths) != 1:
+            raise ValueError(f"{self.name}: exactly one of illuminance_lx and irradiance_W_m2 is needed")
+        if not min(*strengths, self.at_m, self.pulse_s) > 0 or not self.radius_m >= 0:
+            raise ValueError(f"{self.name}: strength, distance and pulse must be positive, radius at least 0")
+        if self.spectrum.values.ndim != 1 or not self.spectrum.values.min() >= 0:
+            raise ValueError(f"{self.name}: the spectrum must be one curve, at least 0")
+        if self.illuminance_lx is not None and not is_visible(self.spectrum):
+            raise ValueError(f"{self.name}: a spectrum without light in 400 to 700 nm has no lux")
+        if not self.spectrum.integral() > 0:
+            raise ValueError(f"{self.name}: the spectrum must not be 0 throughout")
+        emitters = np.array(self.emitters_m, dtype=float)
+        if emitters.ndim != 2 or emitters.shape[1] != 2 or not len(emitters):
+            raise ValueError(f"{self.name}: emitters must be (k, 2) with k >= 1, not {emitters.shape}")
+        if not np.isfinite(emitters).all():
+            raise ValueError(f"{self.name}: emitters must be finite")
+        emitters.setflags(write=False)
+        object.__setattr__(self, "emitters_m", emitters)
+        if not self._per_intensity > 0:
+            raise ValueError(f"{self.name}: no light of the profile falls straight ahead at {self.at_m:g} m")
 
     @property
     def axial_area_m2(self) -> float:
-        """Axial intensity over the irradiance that the whole disc gives straight ahead at `at_m`.
+        """Axial intensity over the irradiance that the whole flash gives straight ahead at `at_m`.
 
-        A point gives E = I / d^2. Of a disc of radius a, an element dA emits I p(theta) dA / (pi a^2) towards
-        the plane's centre, at distance d / cos theta and incidence theta, so that
-        E = I 2 / a^2 * integral of p(theta) sin theta dtheta from 0 to atan(a / d).
+        An emitting point gives E = I / d^2 on its axis. Beside it by rho, at the angle theta = atan(rho / d),
+        E = I p(theta) cos(theta) / (d^2 + rho^2). Each of k discs holds I / k, evenly over its area, so that
+        E / I is the mean of p(theta) cos(theta) / (d^2 + rho^2) over all points of all discs.
         """
-        if self.radius_m < 1e-9 * self.at_m:  # a point, to rounding
-            return self.at_m**2
-        edge = math.atan2(self.radius_m, self.at_m)
-        inner = self.profile.angle_rad[self.profile.angle_rad < edge]
-        knots = np.append(inner, edge)
-        # Gauss-Legendre on each linear piece of the profile: exact to rounding for p(theta) sin theta.
-        node, weight = np.polynomial.legendre.leggauss(8)
-        middle, half = (knots[1:] + knots[:-1]) / 2, np.diff(knots) / 2
-        theta = middle[:, None] + half[:, None] * node
-        integral = float(np.sum(half[:, None] * weight * self.profile.at(theta) * np.sin(theta)))
-        return self.radius_m**2 / (2 * integral)
+        return 1.0 / self._per_intensity
+
+    @cached_property
+    def _per_intensity(self) -> float:
+        """Irradiance straight ahead at `at_m` over the axial intensity, m-2."""
+        points = self.emitters_m[:, None, :] + _disc_points(self.radius_m)
+        rho2 = (points**2).sum(axis=-1)
+        distance2 = rho2 + self.at_m**2
+        profile = self.profile.at(np.arctan2(np.sqrt(rho2), self.at_m))
+        per_point = profile * self.at_m / (distance2 * np.sqrt(distance2))
+        return float((per_point @ _disc_weights()).mean())
+
+    def irradiance(self) -> Spectrum:
+        """W m-2 nm-1 straight ahead at `at_m` during the pulse; its strength is the stated one."""
+        if self.illuminance_lx is not None:
+            return with_illuminance(self.spectrum, self.illuminance_lx)
+        assert self.irradiance_W_m2 is not None  # exactly one is given
+        return self.spectrum.times(self.irradiance_W_m2 / float(self.spectrum.integral()))
 
     def radiant_intensity(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """`(n,)` W sr-1 nm-1 of the whole disc on its axis, during the pulse."""
-        irradiance = with_illuminance(self.spectrum, self.illuminance_lx)
-        return irradiance.at(wavelength_nm) * self.axial_area_m2
+        """`(n,)` W sr-1 nm-1 of all emitters together on the axis, during the pulse."""
+        return self.irradiance().at(wavelength_nm) * self.axial_area_m2
+
+
+def square_matrix(columns: int, rows: int, pitch_m: float) -> NDArray[np.float64]:
+    """`(rows * columns, 2)` centres of a matrix of emitters around (0, 0), row by row."""
+    right = (np.arange(columns) - (columns - 1) / 2) * pitch_m
+    down = (np.arange(rows) - (rows - 1) / 2) * pitch_m
+    return np.stack(np.meshgrid(right, down), axis=-1).reshape(-1, 2)
 
 
 def is_visible(spectrum: Spectrum) -> bool:
     """Whether there is light between 400 and 700 nm, so that lux can be told."""
     return bool(spectrum.at(np.arange(400.0, 701.0)).any())
+
+
+def _disc_points(radius_m: float) -> NDArray[np.float64]:
+    """`(m, 2)` points of a disc for quadrature: Gauss-Legendre in the squared radius, even in azimuth."""
+    node, _ = np.polynomial.legendre.leggauss(_RINGS)
+    ring = radius_m * np.sqrt((node + 1) / 2)
+    turn = (np.arange(_TURNS) + 0.5) * (2 * math.pi / _TURNS)
+    return (ring[:, None, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)).reshape(-1, 2)
+
+
+def _disc_weights() -> NDArray[np.float64]:
+    """`(m,)` weights of `_disc_points`; their sum is 1."""
+    _, weight = np.polynomial.legendre.leggauss(_RINGS)
+    return np.repeat(weight / (2 * _TURNS), _TURNS)

@@ -8,6 +8,8 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pepperscene.camera.profile import AngularProfile
+
 _NEWTON_STEPS = 30  # chosen: quadratic convergence needs about 6; the rest is for strong distortion
 _TOLERANCE = 1e-12  # chosen: of the normalised image coordinate, 1e-9 of a pixel and far above rounding
 
@@ -102,6 +104,14 @@ class Distortion:
             raise ValueError(f"the distortion cannot be inverted at the image slope ({x:.3f}, {y:.3f})")
         return found
 
+    def area_scale(self, slopes: ArrayLike) -> NDArray[np.float64]:
+        """How much larger a small patch at these ideal slopes `(..., 2)` appears in the picture, `(...)`.
+
+        The determinant of the Jacobian of `distorted`: below 1 where barrel distortion draws things together.
+        """
+        xx, xy, yy = self._jacobian(np.asarray(slopes, dtype=float))
+        return np.asarray(xx * yy - xy * xy)
+
     def _jacobian(self, slopes: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
         """The symmetric Jacobian of `distorted`: dx'/dx, dx'/dy = dy'/dx, dy'/dy, each `(...)`."""
         x, y = slopes[..., 0], slopes[..., 1]
@@ -117,14 +127,17 @@ class Distortion:
 
 @dataclass(frozen=True)
 class Lens:
-    """A thin-pupil lens, focused everywhere (no depth of field).
+    """A thin lens: geometry, and how much light reaches which part of the picture.
 
     Attributes:
         name: for reports.
         focal_length_m: also the distance from the projection centre to the sensor.
         f_number: focal length over diameter of the entrance pupil.
         transmittance: share of the light that the glass lets through, without colour.
-        distortion: geometric distortion.
+        distortion: geometric distortion, around the optical axis.
+        principal_offset_m: where the optical axis meets the sensor, right and down of its centre.
+        vignetting: what the lens' rims leave of oblique light, by field angle, on top of the natural fall-off
+            of `exposure.relative_illumination`; None where they take nothing.
     """
 
     name: str
@@ -132,9 +145,15 @@ class Lens:
     f_number: float
     transmittance: float = 1.0
     distortion: Distortion = Distortion()
+    principal_offset_m: tuple[float, float] = (0.0, 0.0)
+    vignetting: AngularProfile | None = None
 
     def __post_init__(self) -> None:
         if not (self.focal_length_m > 0 and self.f_number >= 0.5 and 0 < self.transmittance <= 1):
             raise ValueError(
                 f"{self.name}: focal length > 0, f-number >= 0.5 and 0 < transmittance <= 1 needed"
             )
+        right, down = (float(length) for length in self.principal_offset_m)
+        if not (math.isfinite(right) and math.isfinite(down)):
+            raise ValueError(f"{self.name}: the principal point's offset must be finite")
+        object.__setattr__(self, "principal_offset_m", (right, down))

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field
+import numpy as np
+from pydantic import Field, model_validator
 
 from pepperscene.camera.lens import Distortion, Lens
+from pepperscene.camera.profile import AngularProfile
 from pepperscene.document import Document, read_toml, validated
 from pepperscene.spectra.sourced_file import Coefficient, SourcedDocument, locate
 
@@ -22,13 +24,35 @@ class DistortionTable(Document):
     k3: Coefficient = 0.0
 
 
+class VignettingTable(Document):
+    """What the rims leave of oblique light, against the field angle."""
+
+    angle_deg: Annotated[tuple[Annotated[float, Field(ge=0, le=90)], ...], Field(min_length=2)]
+    # Above 1 for lenses whose pupil grows with the angle; twice is beyond what is built.
+    relative: tuple[Annotated[float, Field(ge=0, le=2)], ...]
+
+    @model_validator(mode="after")
+    def _is_a_profile(self) -> VignettingTable:
+        self.profile()
+        return self
+
+    def profile(self) -> AngularProfile:
+        """The table as a curve, held beyond its last angle."""
+        return AngularProfile(np.deg2rad(self.angle_deg), np.array(self.relative), beyond="hold")
+
+
+SensorMillimetres = Annotated[float, Field(ge=-100, le=100)]
+
+
 class LensDocument(SourcedDocument):
     """A file of `materials/lenses`."""
 
     focal_length_mm: Annotated[float, Field(gt=0, le=10_000)]
     f_number: Annotated[float, Field(ge=0.5, le=1000)]
     transmittance: Annotated[float, Field(gt=0, le=1)]
+    principal_offset_mm: tuple[SensorMillimetres, SensorMillimetres] = (0.0, 0.0)
     distortion: DistortionTable
+    vignetting: VignettingTable | None = None
 
 
 def load_lens(wanted: str | Path) -> Lens:
@@ -39,5 +63,13 @@ def load_lens(wanted: str | Path) -> Lens:
     """
     path = locate("lenses", wanted)
     told = validated(LensDocument, read_toml(path), path)
-    distortion = Distortion(**told.distortion.model_dump())
-    return Lens(told.name, told.focal_length_mm * 1e-3, told.f_number, told.transmittance, distortion)
+    right, down = told.principal_offset_mm
+    return Lens(
+        name=told.name,
+        focal_length_m=told.focal_length_mm * 1e-3,
+        f_number=told.f_number,
+        transmittance=told.transmittance,
+        distortion=Distortion(**told.distortion.model_dump()),
+        principal_offset_m=(right * 1e-3, down * 1e-3),
+        vignetting=told.vignetting.profile() if told.vignetting else None,
+    )
