@@ -14,10 +14,10 @@ def relative_illumination(camera: Camera) -> NDArray[np.float64]:
     """`(h, w)` fall-off of the image towards the corners, 1 on the axis; 1 everywhere if it is switched off.
 
     Natural times mechanical vignetting. Seen at the field angle theta, the pupil is smaller by cos(theta),
-    and a pixel takes in a solid angle that is smaller by cos^3(theta), but larger where the distortion draws the
-    picture together: cos^4(theta) over the distortion's scale of areas, so that all light that falls into
-    the pupil arrives on the sensor (M. Reiss, "The cos^4 law of illumination", J. Opt. Soc. Am. 35 (1945)
-    283). The lens' own table comes on top.
+    and a pixel takes in a solid angle that is smaller by cos^3(theta), but larger where the distortion draws
+    the picture together: cos^4(theta) over the distortion's scale of areas, so that all light that falls
+    into the pupil arrives on the sensor (M. Reiss, "The cos^4 law of illumination", J. Opt. Soc. Am. 35
+    (1945) 283). The lens' own table comes on top.
     """
     directions = camera.pixel_directions()
     if not camera.developing.falloff:
