@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 
 import numpy as np
 import trimesh
 
-from pepperscene.camera import Camera, load_flash, load_lens, load_sensor
+from pepperscene.camera import AngularProfile, Camera, Flash, load_flash, load_lens, load_sensor
 from pepperscene.classes import Instance, OrganClass
 from pepperscene.geometry import Mesh
+from pepperscene.materials import Surface
+from pepperscene.shipped import shelf
+from pepperscene.spectra import Spectrum
 
 RANGE_NM = np.array([300.0, 1100.0])
+PLANCK, LIGHT_SPEED = 6.62607015e-34, 2.99792458e8  # J s, m/s (SI 2019, exact)
+PITCH_M = {"ueye_ui5250re": 4.5e-6, "onsemi_mt9v024": 6.0e-6}  # of a photosite, from the data sheets
+CURVES = {  # files of quantum efficiency and of the infrared-cut filter before it
+    "ueye_ui5250re": ("ev76c570_rgb_qe_MODEL", None),
+    "onsemi_mt9v024": ("onsemi_mt9v024_rgb_qe", "ircut_schott_22022010"),
+}
 
 
 def body(solid: trimesh.Trimesh, surface: str, organ_class: OrganClass = OrganClass.LEAF) -> Mesh:
@@ -53,3 +63,68 @@ def bench_camera(
     lamp = replace(load_flash("led_matrix_200klx"), **flash_changes) if flash else None  # type: ignore[arg-type]
     sensor = replace(load_sensor("ueye_ui5250re"), columns=columns, rows=rows)
     return Camera(load_lens("lensagon_cmfa0420nd"), sensor, np.eye(4), 50e-6, lamp)
+
+
+def card(x: float, y: float, width: float, height: float, surface: str, z: float = 0.5) -> Mesh:
+    """A `sheet` whose centre is at (x, y, z)."""
+    return sheet(width, height, z, surface).moved(np.eye(3), np.array([x, y, 0.0]))
+
+
+def matt(name: str, nm: np.ndarray, reflectance: np.ndarray) -> Surface:
+    """An ideal matt, opaque surface of this spectral reflectance `(n,)`."""
+    both = np.broadcast_to(reflectance, (1, 2, nm.size)).astype(float)
+    return Surface(name, np.asarray(nm, float), both, np.zeros((1, nm.size)))
+
+
+def bench_lamp(spectrum: Spectrum, illuminance_lx: float = 200_000.0) -> Flash:
+    """A point lamp in the lens' place whose beam makes a facing plane at 50 cm look evenly bright.
+
+    A point of intensity I cos^-7 lights that plane with I cos^-7 cos^3 / z^2, and the lens takes cos^4 of it.
+    """
+    angle = np.radians(np.arange(0.0, 60.1, 0.25))
+    return Flash(
+        "lamp",
+        spectrum,
+        illuminance_lx=illuminance_lx,
+        at_m=0.5,
+        profile=AngularProfile(angle, np.cos(angle) ** -7),
+    )
+
+
+def chosen_camera(sensor: str, lamp: Flash | None, *, columns: int, rows: int) -> Camera:
+    """A shipped sensor, cut to a few pixels, behind the recipe's lens at the world's origin, 50 us long."""
+    small = replace(load_sensor(sensor), columns=columns, rows=rows)
+    return Camera(load_lens("lensagon_cmfa0420nd"), small, np.eye(4), 50e-6, lamp)
+
+
+# --- the same by hand: NumPy and the data files' numbers, nothing of the program ---------------------------
+
+
+def columns_of(file: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """(wavelengths, values) of all columns of a CSV file below `materials/`, by name."""
+    with (shelf("materials") / f"{file}.csv").open() as stream:
+        header, *rows = [row for row in csv.reader(stream) if row and not row[0].startswith("#")]
+    table = np.array(rows, float)
+    return {name: (table[:, 0], table[:, i]) for i, name in enumerate(header) if i}
+
+
+def response_by_hand(sensor: str, nm: np.ndarray) -> np.ndarray:
+    """`(3, n)` electrons per nm of a photosite, for 1 W m-2 sr-1 nm-1: f/2, 90 % glass, 50 us."""
+    efficiency, cut = CURVES[sensor]
+    curves = columns_of(f"sensors/spectra/{efficiency}")
+    sensed = np.array([np.interp(nm, *curves[channel], 0, 0) for channel in "rgb"])
+    if cut:
+        sensed = sensed * np.interp(nm, *columns_of(f"sensors/spectra/{cut}")["transmittance"], 0, 0)
+    photons = nm * 1e-9 / (PLANCK * LIGHT_SPEED)
+    return sensed * photons * PITCH_M[sensor] ** 2 * np.pi / (4 * 2.0**2) * 0.9 * 50e-6
+
+
+def irradiance_by_hand(spd: tuple[np.ndarray, np.ndarray], lux: float, nm: np.ndarray) -> np.ndarray:
+    """`(n,)` W m-2 nm-1 of a light of this relative SPD that gives `lux` (CIE 1924, 683.002 lm/W)."""
+    import colour
+
+    v = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
+    fine = np.arange(360.0, 830.0, 0.5)
+    efficiency = np.interp(fine, v.wavelengths, v.values, 0, 0)
+    unit = 683.002 * np.trapezoid(np.interp(fine, *spd, 0, 0) * efficiency, fine)
+    return np.interp(nm, *spd, 0, 0) * lux / unit
