@@ -18,6 +18,9 @@ LUMINOUS_EFFICACY: Final = 683.002
 ANCHOR_NM: Final = 560.0
 """Relative spectra have the value 1 here, as CIE tables do."""
 
+ASTM_INCIDENCE_COSINE: Final = float(np.cos(np.arccos(1.0 / 1.5) - np.radians(37.0)))
+"""ASTM G173-03: air mass 1.5 puts the sun 48.2 degrees from the zenith, in front of a plane tilted by 37."""
+
 SkyKind = Literal["d50", "d55", "d65", "d75"]
 LED_FILES: Final = (
     "light/houser2013_cool_white_led",
@@ -34,11 +37,22 @@ def photopic_efficiency() -> Spectrum:
 
 
 def illuminance(irradiance: Spectrum) -> float:
-    """Lux of a spectral irradiance in W m-2 nm-1: 683.002 times its integral against V(lambda)."""
+    """Lux of a spectral irradiance in W m-2 nm-1: 683.002 times its integral against V(lambda).
+
+    The integral is exact for the two piecewise linear functions.
+    """
     efficiency = photopic_efficiency()
-    # The product of two piecewise linear functions is sampled on the nodes of both.
+    low = max(irradiance.wavelength_nm[0], efficiency.wavelength_nm[0])
+    high = min(irradiance.wavelength_nm[-1], efficiency.wavelength_nm[-1])
+    if low >= high:
+        return 0.0
+    # Between two nodes the product is a parabola, for which Simpson's rule is exact.
     nm = np.union1d(irradiance.wavelength_nm, efficiency.wavelength_nm)
-    return LUMINOUS_EFFICACY * float(np.trapezoid(irradiance.at(nm) * efficiency.at(nm), nm))
+    nm = nm[(nm >= low) & (nm <= high)]
+    middle = (nm[:-1] + nm[1:]) / 2.0
+    ends, centres = (irradiance.at(x) * efficiency.at(x) for x in (nm, middle))
+    steps = (ends[:-1] + 4.0 * centres + ends[1:]) / 6.0 * np.diff(nm)
+    return LUMINOUS_EFFICACY * float(steps.sum())
 
 
 def with_illuminance(relative: Spectrum, lux: float) -> Spectrum:
@@ -55,20 +69,54 @@ def with_illuminance(relative: Spectrum, lux: float) -> Spectrum:
 
 def sun_spectrum() -> Spectrum:
     """Direct sunlight at the ground, relative: ASTM G173-03 direct normal (air mass 1.5), 300 to 1100 nm."""
-    return _anchored(read_spectrum("light/astm_g173_300_1100", "direct_W_m2_nm"))
+    return _anchored(_astm("direct_W_m2_nm"))
+
+
+def diffuse_spectrum() -> Spectrum:
+    """What ASTM G173-03's plane receives beside the direct beam, W m-2 nm-1, 300 to 1100 nm.
+
+    A clear sky, with a little light from the ground: the global less the direct irradiance times the cosine
+    between the beam and the plane's normal.
+    """
+    total, direct = _astm("global_tilt_W_m2_nm"), _astm("direct_W_m2_nm")
+    return Spectrum(total.wavelength_nm, total.values - ASTM_INCIDENCE_COSINE * direct.values)
 
 
 def sky_spectrum(kind: SkyKind = "d65") -> Spectrum:
-    """Daylight of a sky, relative: a CIE D illuminant, 380 to 780 nm.
+    """Daylight of a sky, relative: a CIE D illuminant, 300 to 1100 nm.
 
-    D55 and D65 suit sunlit and overcast daylight, D75 that of the northern sky (CIE 015:2018).
+    D55 and D65 suit sunlit and overcast daylight, D75 that of the northern sky (CIE 015:2018). The tables end
+    at 830 nm; what follows is a MODEL for cameras that see the near infrared: the shape of ASTM G173-03, for
+    D75 of its diffuse and for the others of its global light, scaled to the energy of the table's last 50 nm.
 
     Raises:
         InputError: `kind` is not one of d50, d55, d65, d75.
     """
     if kind not in ("d50", "d55", "d65", "d75"):
         raise InputError("sky_spectrum", "kind", kind, "must be d50, d55, d65 or d75")
-    return _anchored(read_spectrum("light/cie_illuminants_colour_science", kind))
+    return _sky(kind)
+
+
+@lru_cache(maxsize=4)
+def _sky(kind: SkyKind) -> Spectrum:
+    table = read_spectrum("light/cie_daylight_300_830", kind)
+    shape = diffuse_spectrum() if kind == "d75" else _astm("global_tilt_W_m2_nm")
+    last = table.wavelength_nm[-1]
+    # Both meet in energy: single wavelengths lie in lines that the table smooths and the shape resolves.
+    shared = np.arange(last - 50.0, last + 0.5)
+    scale = np.trapezoid(table.at(shared), shared) / np.trapezoid(shape.at(shared), shared)
+    beyond = shape.wavelength_nm > last
+    return _anchored(
+        Spectrum(
+            np.append(table.wavelength_nm, shape.wavelength_nm[beyond]),
+            np.append(table.values, scale * shape.values[beyond]),
+        )
+    )
+
+
+@lru_cache(maxsize=2)
+def _astm(column: str) -> Spectrum:
+    return read_spectrum("light/astm_g173_300_1100", column)
 
 
 def led_spectrum(name: str = "lumileds_cool_white") -> Spectrum:
