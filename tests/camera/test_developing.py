@@ -92,7 +92,7 @@ def test_each_step_can_be_left_out():
     )
     steps = camera_rgb(electrons, with_developing(quantise=True))[0, 0] * (1023 - 16)
     np.testing.assert_allclose(steps, np.rint(steps), atol=1e-3)
-    still = with_developing(noise=False)
+    still = with_developing(shot_noise=False, read_noise=False)
     np.testing.assert_array_equal(
         develop(electrons, still, np.random.default_rng(0)), develop(electrons, CAMERA, None)
     )

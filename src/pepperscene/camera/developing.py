@@ -1,23 +1,29 @@
-"""From electrons to the photograph: read-out, white balance, colour matrix, tone curve."""
+"""From electrons to the photograph: mosaic, colours, white balance, colour matrix, tone curve."""
 
 from __future__ import annotations
+
+import dataclasses
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.camera import Camera
 from pepperscene.camera.correction import Correction, correction, daylight
-from pepperscene.camera.readout import Floats, read_out
+from pepperscene.camera.demosaic import demosaiced
+from pepperscene.camera.mosaic import Floats, gathered
+from pepperscene.camera.readout import read_out
 from pepperscene.camera.steps import Tone
 
 
 def develop(
     electrons: ArrayLike, camera: Camera, rng: np.random.Generator | None = None
 ) -> NDArray[np.uint8]:
-    """The photograph, `(h, w, 3)` uint8.
+    """The photograph, `(h, w, 3)` uint8; three times the same grey from a monochrome sensor.
+
+    It is made from the mosaic that `raw_frame` gives for a generator in the same state.
 
     Args:
-        electrons: `(h, w, 3)` expected electrons of a photosite of each colour; below 0 (a denoiser's
+        electrons: `(h, w, c)` expected electrons of a photosite of each colour; below 0 (a denoiser's
             undershoot) counts as 0.
         camera: its sensor, flash and `developing` say how.
         rng: draws the noise; None leaves it out.
@@ -26,39 +32,60 @@ def develop(
         ValueError: the electrons have the wrong shape or are not finite, or the white balance asks for a
             flash that is not there.
     """
-    return encode(corrected(camera_rgb(electrons, camera, rng), camera), camera.developing.tone)
+    linear = corrected(camera_rgb(electrons, camera, rng), camera)
+    codes = encode(linear, camera.developing.tone)
+    return np.repeat(codes, 3, axis=-1) if camera.sensor.channels == 1 else codes
+
+
+def raw_frame(
+    electrons: ArrayLike, camera: Camera, rng: np.random.Generator | None = None
+) -> NDArray[np.uint16]:
+    """`(site rows, site columns)` digital numbers as the converter gives them, black level included.
+
+    Always quantised and within the converter's range, whatever `developing` leaves out for the picture.
+
+    Args, Raises: as `develop`.
+    """
+    choice = dataclasses.replace(camera.developing, quantise=True, saturation=True)
+    return read_out(_checked(electrons, camera), camera.sensor, rng, choice).astype(np.uint16)
 
 
 def camera_rgb(electrons: ArrayLike, camera: Camera, rng: np.random.Generator | None = None) -> Floats:
-    """`(h, w, 3)` linear device colour after the read-out: black is 0, a full well 1.
+    """`(h, w, c)` linear device colour of the image pixels: black is 0, full scale 1.
+
+    Noise leads slightly below 0, demosaicing also above 1, and far above leads a saturation that is left out.
 
     Raises:
         ValueError: as `develop`.
     """
-    expected = np.asarray(electrons)
-    if expected.shape != (camera.height, camera.width, 3):
-        raise ValueError(f"electrons of {(camera.height, camera.width, 3)} are needed, not {expected.shape}")
-    if not np.isfinite(expected).all():
-        raise ValueError("electrons must be finite")
     sensor, choice = camera.sensor, camera.developing
-    number = read_out(np.maximum(expected, 0.0), sensor, rng if choice.noise else None, choice.quantise)
-    return (number - np.float32(sensor.black_level_dn)) / np.float32(
-        sensor.full_scale_dn - sensor.black_level_dn
-    )
+    sites = read_out(_checked(electrons, camera), sensor, rng, choice)
+    sites -= np.float32(sensor.black_level_dn)
+    sites /= np.float32(sensor.full_scale_dn - sensor.black_level_dn)
+    if sensor.channels == 3 and sensor.binning == 1:
+        return demosaiced(sites, sensor.pattern, choice.demosaic)
+    return gathered(sites, sensor)
 
 
 def corrected(rgb: Floats, camera: Camera) -> Floats:
     """`(h, w, 3)` linear sRGB of camera_rgb, as far as the camera's `developing` asks for; may leave [0, 1].
 
+    Monochrome camera_rgb `(h, w, 1)` passes through.
+
     Raises:
         ValueError: the white balance asks for a flash that is not there.
     """
-    choice = camera.developing
-    if choice.white_balance is None and not choice.colour_matrix:
+    sensor, choice = camera.sensor, camera.developing
+    if sensor.channels == 1 or (choice.white_balance is None and not choice.colour_matrix):
         return rgb
     wanted = reference_correction(camera)
-    # Channels clip at different lights once gained; clipping all at the smallest keeps blown-out white white.
-    balanced = rgb if choice.white_balance is None else np.minimum(rgb * wanted.gains.astype(np.float32), 1)
+    balanced = rgb
+    if choice.white_balance is not None:
+        balanced = rgb * wanted.gains.astype(np.float32)
+        if choice.saturation:
+            # Channels clip at different lights once gained; clipping all where the sensor does, at full scale
+            # or, with a gain below 1, at the full well, keeps blown-out white white.
+            balanced = np.minimum(balanced, np.float32(min(sensor.gain, 1.0)))
     return balanced @ wanted.matrix.T.astype(np.float32) if choice.colour_matrix else balanced
 
 
@@ -79,11 +106,23 @@ def reference_correction(camera: Camera) -> Correction:
     Without white balance the matrix is that of the flash, or of daylight where there is no flash.
 
     Raises:
-        ValueError: the white balance asks for a flash that is not there.
+        ValueError: the sensor is monochrome, or the white balance asks for a flash that is not there.
     """
+    if camera.sensor.channels == 1:
+        raise ValueError(f"{camera.sensor.name} sees no colours that could be corrected")
     choice = camera.developing.white_balance
     if choice == "flash" and camera.flash is None:
         raise ValueError('white balance "flash" needs a flash; choose "daylight"')
     if choice == "daylight" or camera.flash is None:
         return correction(camera.sensor, daylight())
     return correction(camera.sensor, camera.flash.spectrum)
+
+
+def _checked(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating]:
+    """Finite electrons of the picture's shape, nowhere below 0."""
+    expected, shape = np.asarray(electrons), (camera.height, camera.width, camera.sensor.channels)
+    if expected.shape != shape:
+        raise ValueError(f"electrons of {shape} are needed, not {expected.shape}")
+    if not np.isfinite(expected).all():
+        raise ValueError("electrons must be finite")
+    return np.maximum(expected, 0.0)

@@ -1,37 +1,44 @@
-"""From expected electrons to digital numbers: shot noise, read noise, full well, converter, binning."""
+"""From expected electrons to digital numbers: shot noise, full well, read noise, gain, converter."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.camera.mosaic import Floats, spread
 from pepperscene.camera.sensor import Sensor
+from pepperscene.camera.steps import Developing
 
-Floats = NDArray[np.float32]
 _FEW_ELECTRONS = 32.0  # chosen: below, single electrons and the lack of negative counts could show
+_MOST_ELECTRONS = 1e18  # chosen: beyond any light, and far from where single precision ends
+_STRIP = 1 << 18  # chosen: photosites worked on at once, so that what lies between stays in the cache
 
 
 def read_out(
-    expected: NDArray[np.floating], sensor: Sensor, rng: np.random.Generator | None, quantise: bool
+    expected: NDArray[np.floating], sensor: Sensor, rng: np.random.Generator | None, choice: Developing
 ) -> Floats:
-    """`(h, w, 3)` digital numbers of the pixels, black level included, means over the photosites of a colour.
+    """`(site rows, site columns)` digital numbers of the mosaic, black level included.
 
     Args:
-        expected: `(h, w, 3)` mean electrons of a photosite of each colour.
-        sensor: its noise, well and converter.
+        expected: `(h, w, c)` mean electrons of a photosite of each colour, at least 0.
+        sensor: its mosaic, noise, well and converter.
         rng: draws the noise; None leaves it out.
-        quantise: False leaves the converter's steps out (its range stays).
+        choice: which of shot noise, saturation, read noise and quantisation take place. The random numbers do
+            not depend on saturation and quantisation.
     """
-    channels = []
-    for channel, count in enumerate(sensor.photosites):
-        mean = np.asarray(expected[..., channel], dtype=np.float32)
-        # Without noise all photosites of a colour are equal, so one stands for all.
-        sites = mean[None] if rng is None else np.broadcast_to(mean, (count, *mean.shape))
-        charge = sites if rng is None else shot_noise(sites, rng)
-        charge = np.minimum(charge, np.float32(sensor.full_well_e))
-        charge = charge if rng is None else read_noise(charge, sensor.read_noise_e, rng)
-        channels.append(convert(charge, sensor, quantise).mean(axis=0))
-    return np.stack(channels, axis=-1)
+    sites = spread(np.minimum(expected, _MOST_ELECTRONS), sensor)
+    height = max(_STRIP // sites.shape[1], 1)
+    for top in range(0, len(sites), height):
+        strip = sites[top : top + height]
+        charge = strip
+        if rng is not None and choice.shot_noise:
+            charge = shot_noise(charge, rng)
+        if choice.saturation:
+            charge = np.minimum(charge, np.float32(sensor.full_well_e))
+        if rng is not None and choice.read_noise:
+            charge = read_noise(charge, sensor.read_noise_e, rng)
+        strip[:] = convert(charge, sensor, choice.quantise, choice.saturation)
+    return sites
 
 
 def shot_noise(mean: Floats, rng: np.random.Generator) -> Floats:
@@ -57,8 +64,11 @@ def read_noise(charge: Floats, deviation_e: float, rng: np.random.Generator) -> 
     return charge + np.float32(deviation_e) * rng.standard_normal(charge.shape, dtype=np.float32)
 
 
-def convert(charge: Floats, sensor: Sensor, quantise: bool = True) -> Floats:
-    """Digital numbers of charges: gain, black level, rounding and the converter's range."""
+def convert(charge: Floats, sensor: Sensor, quantise: bool = True, saturation: bool = True) -> Floats:
+    """Digital numbers of charges: gain, black level, rounding and the converter's range.
+
+    Without saturation the range has no upper end; below 0 there is nothing in either case.
+    """
     number = charge / np.float32(sensor.gain_e_per_dn) + np.float32(sensor.black_level_dn)
     number = np.rint(number) if quantise else number
-    return np.clip(number, np.float32(0), np.float32(sensor.full_scale_dn))
+    return np.clip(number, np.float32(0), np.float32(sensor.full_scale_dn if saturation else np.inf))

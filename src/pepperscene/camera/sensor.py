@@ -1,33 +1,43 @@
-"""The image sensor: a Bayer mosaic whose quads become image pixels."""
+"""The image sensor: photosites behind a Bayer mosaic, or all alike."""
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.spectra import Spectrum, photons_per_joule
 
+Pattern = Literal["rggb", "bggr", "grbg", "gbrg", "mono"]
+BAYER = ("rggb", "bggr", "grbg", "gbrg")
+MOST_BITS = 16  # digital numbers are kept in 16 bits
+
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
-    """A Bayer sensor read with binning: a `binning` x `binning` block of photosites gives one image pixel.
+    """A sensor whose `binning` x `binning` blocks of photosites make the pixels of the image.
 
-    The red, green and blue of a pixel are the means of its photosites of that colour: 1, 2 and 1 of them for
-    a binning of 2. No colour is interpolated.
+    On a Bayer sensor with an even binning a block holds whole quads: red, green and blue of a pixel are the
+    means of its photosites of that colour, and no colour is interpolated. With a binning of 1 every photosite
+    is a pixel, whose two other colours are demosaiced. On a monochrome sensor a pixel is its block's mean.
 
     Attributes:
         name: for reports.
         columns, rows: of the image.
         pitch_m: of one photosite.
-        quantum_efficiency: `(3, n)` photo-electrons per incident photon for red, green and blue photosites
-            (the spectral response functions, SRF), with the infrared-cut filter.
+        quantum_efficiency: `(c, n)` photo-electrons per incident photon (the spectral response functions,
+            SRF), with any filter that belongs to the sensor; c = 3 for red, green and blue photosites, or 1.
         full_well_e: electrons at which a photosite is full.
-        read_noise_e: standard deviation of the temporal dark noise of one photosite.
-        bits: of the analogue-to-digital converter.
+        read_noise_e: standard deviation of the temporal dark noise of one photosite, in electrons, at every
+            gain.
+        bits: of the analogue-to-digital converter, 1 to 16.
         black_level_dn: digital number of a dark photosite.
-        binning: photosites per pixel and direction; even, so that every block holds whole quads.
+        binning: photosites per pixel and direction: 1 or even on Bayer sensors, any on monochrome ones.
+        pattern: colours of the quad at the upper left, read line by line; "mono" if and only if c is 1.
+        gain: of the amplifier; at 1 a full well reads full scale, at 2 half a well does.
     """
 
     name: str
@@ -40,17 +50,35 @@ class Sensor:
     bits: int
     black_level_dn: float
     binning: int = 2
+    pattern: Pattern = "rggb"
+    gain: float = 1.0
 
     def __post_init__(self) -> None:
         qe = self.quantum_efficiency.values
-        if qe.ndim != 2 or qe.shape[0] != 3 or qe.min() < 0 or qe.max() > 1:
-            raise ValueError(f"{self.name}: quantum efficiency must be (3, n) within [0, 1]")
-        if self.binning < 2 or self.binning % 2 or min(self.columns, self.rows) < 1:
-            raise ValueError(f"{self.name}: binning must be even and the image at least 1 x 1")
-        if min(self.pitch_m, self.full_well_e) <= 0 or self.read_noise_e < 0:
+        if qe.ndim != 2 or len(qe) not in (1, 3) or not (qe.min() >= 0 and qe.max() <= 1):
+            raise ValueError(f"{self.name}: quantum efficiency must be (3, n) or (1, n) within [0, 1]")
+        if self.pattern not in (*BAYER, "mono") or (self.pattern == "mono") != (len(qe) == 1):
+            raise ValueError(f"{self.name}: pattern {self.pattern!r} does not go with {len(qe)} colours")
+        if fault := fault_of_binning(self.pattern, self.binning, self.columns, self.rows):
+            raise ValueError(f"{self.name}: {fault}")
+        if not (min(self.pitch_m, self.full_well_e) > 0 and self.read_noise_e >= 0):
             raise ValueError(f"{self.name}: pitch and full well must be positive, read noise at least 0")
+        if not 1 <= self.bits <= MOST_BITS:
+            raise ValueError(f"{self.name}: bits must lie in [1, {MOST_BITS}]")
         if not 0 <= self.black_level_dn < self.full_scale_dn:
             raise ValueError(f"{self.name}: black level must lie in [0, {self.full_scale_dn})")
+        if not 0 < self.gain < np.inf:
+            raise ValueError(f"{self.name}: gain must be positive")
+
+    @property
+    def channels(self) -> int:
+        """Colours of its photosites: 3, or 1 on a monochrome sensor."""
+        return len(self.quantum_efficiency.values)
+
+    @property
+    def site_shape(self) -> tuple[int, int]:
+        """Rows and columns of photosites."""
+        return self.rows * self.binning, self.columns * self.binning
 
     @property
     def pixel_pitch_m(self) -> float:
@@ -64,15 +92,51 @@ class Sensor:
 
     @property
     def gain_e_per_dn(self) -> float:
-        """Electrons per digital number, such that a full well reads full scale."""
-        return self.full_well_e / (self.full_scale_dn - self.black_level_dn)
+        """Electrons per digital number."""
+        return self.full_well_e / (self.full_scale_dn - self.black_level_dn) / self.gain
 
     @property
-    def photosites(self) -> tuple[int, int, int]:
-        """How many red, green and blue photosites make one image pixel."""
-        quads = (self.binning // 2) ** 2
-        return quads, 2 * quads, quads
+    def photosites(self) -> tuple[int, ...]:
+        """How many photosites of each colour are averaged for an image pixel; all 1 where none are."""
+        if self.channels == 1:
+            return (self.binning**2,)
+        quads = max(self.binning // 2, 1) ** 2
+        return quads, 2 * quads if self.binning > 1 else 1, quads
 
     def electrons_per_joule(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """`(3, n)` photo-electrons per joule of light on a photosite: QE lambda / (h c)."""
+        """`(c, n)` photo-electrons per joule of light on a photosite: QE lambda / (h c)."""
         return self.quantum_efficiency.at(wavelength_nm) * photons_per_joule(wavelength_nm)
+
+    def with_settings(self, bits: int | None = None, gain: float | None = None) -> Sensor:
+        """The same sensor with another converter resolution or amplifier gain; None leaves it as it is.
+
+        The black level keeps its share of the converter's range, and the gain does not move it.
+
+        Raises:
+            ValueError: bits beyond [1, 16], or a gain that is not positive.
+        """
+        bits = self.bits if bits is None else bits
+        if not 1 <= bits <= MOST_BITS:
+            raise ValueError(f"{self.name}: bits must lie in [1, {MOST_BITS}]")
+        black = self.black_level_dn * (2**bits - 1) / self.full_scale_dn
+        gain = self.gain if gain is None else gain
+        return dataclasses.replace(self, bits=bits, black_level_dn=black, gain=gain)
+
+    def behind(self, filter: Spectrum) -> Sensor:
+        """The sensor behind a filter of this transmittance `(n,)`, at the wavelengths of both curves."""
+        nm = np.union1d(self.quantum_efficiency.wavelength_nm, filter.wavelength_nm)
+        through = Spectrum(nm, self.quantum_efficiency.at(nm) * filter.at(nm))
+        return dataclasses.replace(self, quantum_efficiency=through)
+
+
+def fault_of_binning(pattern: Pattern, binning: int, columns: int, rows: int) -> str:
+    """What is wrong with a binning and an image size on a pattern, or nothing."""
+    if min(columns, rows) < 1 or binning < 1:
+        return "the image must be at least 1 x 1, and binning at least 1"
+    if pattern == "mono":
+        return ""
+    if binning % 2 and binning != 1:
+        return f"binning must be 1 or even on a Bayer pattern, as blocks hold whole quads, not {binning}"
+    if binning == 1 and (columns % 2 or rows % 2):
+        return f"{columns} x {rows} photosites hold no whole Bayer quads; columns and rows must be even"
+    return ""
