@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 EXIT_INTERRUPTED: Final = 130
 """As shells report a process that was ended by Ctrl-C."""
 
+_DEFAULTS: Final = ",".join(DEFAULT_OUTPUTS)
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -55,7 +57,7 @@ def _explained(command: Callable[P, R]) -> Callable[P, R]:
             typer.echo(f"error: {' '.join(str(fault).split())}", err=True)
             raise typer.Exit(EXIT_BAD_INPUT) from None
         except KeyboardInterrupt:
-            typer.echo("interrupted; whole frames are kept, the same command goes on from here", err=True)
+            typer.echo("interrupted; a build keeps whole frames and goes on with the same command", err=True)
             raise typer.Exit(EXIT_INTERRUPTED) from None
 
     return run
@@ -76,35 +78,73 @@ def _options(
     pass
 
 
+RecipeArgument = Annotated[
+    str, typer.Argument(help="A recipe file, or the name of a shipped one (see `recipes`).")
+]
+OutputsOption = Annotated[
+    str, typer.Option(metavar="NAMES", help=f"Of {', '.join(OUTPUTS)}; separated by commas.")
+]
+QualityOption = Annotated[
+    str, typer.Option(metavar="NAME", help="draft, standard or reference: how much light is traced.")
+]
+SeedOption = Annotated[int | None, typer.Option(help="Instead of the recipe's.")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="KEY=VALUE", help="Change one value of the recipe, as camera.flash=none; can be repeated."
+    ),
+]
+
+
 @app.command()
 @_explained
 def build(
     out: Annotated[Path, typer.Option(help="Folder of the data set; made when missing.")],
-    recipe: Annotated[
-        str, typer.Argument(help="A recipe file, or the name of a shipped one (see `recipes`).")
-    ] = "demo",
+    recipe: RecipeArgument = "demo",
     frames: Annotated[
         str | None,
         typer.Option(
             metavar="A:B", help="Indices A to B - 1, counted from 0; by default what the recipe selects."
         ),
     ] = None,
-    outputs: Annotated[
-        str, typer.Option(metavar="NAMES", help=f"Of {', '.join(OUTPUTS)}; separated by commas.")
-    ] = ",".join(DEFAULT_OUTPUTS),
-    quality: Annotated[
-        str, typer.Option(metavar="NAME", help="draft, standard or reference: how much light is traced.")
-    ] = "standard",
-    seed: Annotated[int | None, typer.Option(help="Instead of the recipe's.")] = None,
+    outputs: OutputsOption = _DEFAULTS,
+    quality: QualityOption = "standard",
+    seed: SeedOption = None,
+    set: SetOption = None,
 ) -> None:
     """Build a data set, or what is missing of it."""
-    names = check_outputs(name.strip() for name in outputs.split(",") if name.strip())
+    names = _names(outputs)
     from pepperscene.dataset import build as build_dataset
+    from pepperscene.dataset import load_recipe, read_changes
 
+    told = load_recipe(recipe, read_changes(set or ()))
     with _progress() as on_frame:
-        done = build_dataset(recipe, out, frames, names, quality, seed, on_frame=on_frame)
+        done = build_dataset(told, out, frames, names, quality, seed, on_frame=on_frame)
     kept = f", {len(done.kept)} were there already" if done.kept else ""
     typer.echo(f"{len(done.made)} frame{'' if len(done.made) == 1 else 's'} built{kept}: {out}")
+
+
+@app.command()
+@_explained
+def render(
+    out: Annotated[Path, typer.Option(help="Folder of the frame; made when missing.")],
+    recipe: RecipeArgument = "demo",
+    frame: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Its index, counted from 0; by default the first that is selected."),
+    ] = None,
+    outputs: OutputsOption = _DEFAULTS,
+    quality: QualityOption = "standard",
+    seed: SeedOption = None,
+    set: SetOption = None,
+) -> None:
+    """Render one frame of a recipe, to look at it or to try a setting."""
+    names = _names(outputs)
+    from pepperscene.dataset import load_recipe, read_changes, render_frame
+
+    told = load_recipe(recipe, read_changes(set or ()))
+    for path in render_frame(told, out, frame, names, quality, seed):
+        typer.echo(path)
 
 
 @app.command()
@@ -150,6 +190,11 @@ def recipes() -> None:
         chosen = len(plan.chosen(None))
         total = f"{plan.count:,} frames: {plan.sets} sets x {plan.rotations} rotations x {plan.frames} steps"
         typer.echo(f"{path.stem:<12} {total}{f'; builds {chosen} of them' if chosen < plan.count else ''}")
+
+
+def _names(outputs: str) -> tuple[str, ...]:
+    """Output names out of a list with commas."""
+    return check_outputs(name.strip() for name in outputs.split(",") if name.strip())
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from pepperscene.dataset import load_recipe
+from pepperscene.dataset import Stage, load_recipe
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError
 from pepperscene.shipped import shelf
@@ -166,7 +166,15 @@ def test_seed_can_be_replaced():
         ("path", "height_mm", [0.0, float("inf")]),
         ("path", "pitch_deg", 90.0),
         ("camera", "exposure_us", 0.0),
-        ("camera", "white_balance", "tungsten"),
+        ("camera", "focus_mm", 0.0),
+        ("camera", "gain", 0),
+        ("camera", "bits", 17),
+        ("camera", "bits", 0),
+        ("camera", "bits", 8.0),
+        ("developing", "white_balance", "tungsten"),
+        ("developing", "demosaic", "best"),
+        ("developing", "falloff", 0),
+        ("daylight", "cover", ""),
         ("daylight", "illuminance_lx", -1.0),
         ("daylight", "sun_fraction", 1.5),
         ("twine", "diameter_mm", 1e9),
@@ -229,8 +237,12 @@ def test_an_unknown_recipe_is_an_input_error(name):
         load_recipe(name)
 
 
-def test_without_a_flash_the_white_balance_is_daylight(write):
-    with pytest.raises(InputError, match="daylight"):
+def test_without_a_flash_the_white_balance_must_be_another(write):
+    with pytest.raises(InputError, match=r"camera\.flash = 'none'.*daylight"):
         load_recipe(write(extends="barth2018", camera={"flash": "none"}))
-    recipe = load_recipe(write(extends="barth2018", camera={"flash": "none", "white_balance": "daylight"}))
-    assert "flash" not in recipe.identity()["files"]
+    for other, expected in (("daylight", "daylight"), ("none", None)):
+        recipe = load_recipe(
+            write(extends="barth2018", camera={"flash": "none"}, developing={"white_balance": other})
+        )
+        assert "flash" not in recipe.identity()["files"]
+        assert Stage(recipe).camera(recipe.plan.shot(0)).developing.white_balance == expected

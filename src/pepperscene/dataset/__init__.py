@@ -1,11 +1,13 @@
 """Data sets: a recipe says what is wanted, a plan numbers frames, a build makes them, a report shows them."""
 
 from pepperscene.dataset.build import BuildResult, Progress, build
+from pepperscene.dataset.changes import read_changes
 from pepperscene.dataset.images import read_image, write_image
 from pepperscene.dataset.plan import Plan, Shot
 from pepperscene.dataset.recipe import Recipe
 from pepperscene.dataset.recipe_file import load_recipe
 from pepperscene.dataset.report import Report, report
+from pepperscene.dataset.single import render_frame
 from pepperscene.dataset.stage import Stage
 from pepperscene.dataset.store import Dataset, open_dataset
 
@@ -21,7 +23,9 @@ __all__ = [
     "build",
     "load_recipe",
     "open_dataset",
+    "read_changes",
     "read_image",
+    "render_frame",
     "report",
     "write_image",
 ]

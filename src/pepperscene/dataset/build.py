@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from pepperscene.dataset.facts import about, frame_facts
 from pepperscene.dataset.folder import OutputFolder
 from pepperscene.dataset.plan import Shot
 from pepperscene.dataset.recipe import Recipe
 from pepperscene.dataset.recipe_file import load_recipe
-from pepperscene.dataset.seeds import frame_seed
 from pepperscene.dataset.stage import RendererFactory, Stage
 from pepperscene.dataset.store import FORMAT, Dataset
 from pepperscene.errors import OutputError
-from pepperscene.frame import DEFAULT_OUTPUTS, Frame, check_outputs
-from pepperscene.truth import class_pixels
-from pepperscene.version import __version__
+from pepperscene.frame import DEFAULT_OUTPUTS, check_outputs
 
 
 @dataclass(frozen=True)
@@ -90,7 +87,7 @@ def build(
     told = (recipe if isinstance(recipe, Recipe) else load_recipe(recipe)).with_seed(seed)
     indices = told.plan.chosen(frames)
     stage = Stage(told, renderer)
-    folder = OutputFolder(Path(out), _about(told, quality))
+    folder = OutputFolder(Path(out), about(told, quality, FORMAT))
 
     made: list[int] = []
     try:
@@ -106,17 +103,6 @@ def build(
     return BuildResult(folder.dataset, tuple(made), kept)
 
 
-def _about(recipe: Recipe, quality: str) -> dict[str, Any]:
-    """What `dataset.json` says."""
-    return {
-        "format": FORMAT,
-        "version": __version__,
-        "quality": quality,
-        "recipe_sha256": recipe.sha256(),
-        **recipe.identity(),
-    }
-
-
 def _build_frame(
     stage: Stage, folder: OutputFolder, shot: Shot, outputs: Sequence[str], quality: str
 ) -> bool:
@@ -126,7 +112,7 @@ def _build_frame(
     if not missing:
         return False
     frame = stage.render(shot, missing, quality)
-    new = _facts(frame, shot, stage.recipe.seed)
+    new = frame_facts(frame, shot, stage.recipe.seed)
     if not new.get("instances"):
         # Without labels the renderer does not know what is in view; an earlier build may.
         new["instances"] = facts.get("instances", {})
@@ -138,19 +124,3 @@ def _build_frame(
         where = fault.filename or folder.dataset.folder
         raise OutputError(f"{where}: cannot be written ({fault.strerror or fault})") from None
     return True
-
-
-def _facts(frame: Frame, shot: Shot, recipe_seed: int) -> dict[str, Any]:
-    """A frame's JSON but for its files; nothing in it differs between two runs."""
-    facts: dict[str, Any] = {str(key): value for key, value in frame.facts.items()}
-    facts |= {
-        "index": shot.index,
-        "set": shot.set,
-        "rotation": shot.rotation,
-        "step": shot.step,
-        "seed": frame_seed(recipe_seed, shot.index),
-        "recipe_seed": recipe_seed,
-    }
-    if "class" in frame.images:
-        facts["class_pixels"] = class_pixels(frame.images["class"])
-    return facts

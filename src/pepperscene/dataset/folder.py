@@ -43,33 +43,32 @@ class OutputFolder:
             OSError: something cannot be made.
         """
         for folder in (self.dataset.folder, *(self.dataset.folder / name for name in (*outputs, FRAMES))):
-            self._make(folder)
+            make_folder(folder, self._made)
             sweep(folder)
         mark = self.dataset.folder / MARK
         if not mark.is_file():
             self._made.append(mark)
             write_json(mark, self.dataset.about)
 
-    def _make(self, folder: Path) -> None:
-        missing = [path for path in (folder, *folder.parents) if not path.exists()]
-        for path in reversed(missing):
-            path.mkdir(exist_ok=True)
-            self._made.append(path)
-
     def undo(self) -> None:
         """Remove what `prepare` made, as far as no frame has come to depend on it."""
         if self.dataset.indices():
             return
-        for path in reversed(self._made):
-            try:
-                path.rmdir() if path.is_dir() else path.unlink(missing_ok=True)
-            except OSError:
-                # Somebody else put a file there meanwhile.
-                continue
+        remove(self._made)
 
 
 def _examine(folder: Path, about: Mapping[str, Any]) -> None:
     """Raise the `OutputError` that tells why the folder cannot take this data set, if there is a reason."""
+    examine_place(folder)
+    try:
+        if folder.exists():
+            _examine_content(folder, about)
+    except OSError as fault:
+        raise OutputError(f"{folder}: cannot be used ({fault.strerror})") from None
+
+
+def examine_place(folder: Path) -> None:
+    """Raise the `OutputError` that tells why there cannot be a folder, or nothing written into it."""
     if "\0" in str(folder):
         raise OutputError(f"{str(folder)!r}: is not a possible name of a folder")
     try:
@@ -80,11 +79,31 @@ def _examine(folder: Path, about: Mapping[str, Any]) -> None:
             raise OutputError(f"{folder}: cannot be made, because {standing} is not a folder")
         if not os.access(standing, os.W_OK | os.X_OK):
             raise OutputError(f"{folder}: is not writable")
-        if folder.exists():
-            _examine_content(folder, about)
     except (OSError, ValueError) as fault:
         reason = fault.strerror if isinstance(fault, OSError) else str(fault)
         raise OutputError(f"{folder}: cannot be used ({reason})") from None
+
+
+def make_folder(folder: Path, made: list[Path]) -> None:
+    """Make a folder and those above it where they are missing, and note those that were made.
+
+    Raises:
+        OSError: one cannot be made.
+    """
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    for path in reversed(missing):
+        path.mkdir(exist_ok=True)
+        made.append(path)
+
+
+def remove(made: list[Path]) -> None:
+    """Remove files and empty folders in the reverse of the order in which they were made."""
+    for path in reversed(made):
+        try:
+            path.rmdir() if path.is_dir() else path.unlink(missing_ok=True)
+        except OSError:
+            # Somebody else put a file there meanwhile.
+            continue
 
 
 def _examine_content(folder: Path, about: Mapping[str, Any]) -> None:

@@ -5,18 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pepperscene.dataset.plan import Plan
 from pepperscene.dataset.recipe_identity import digest, fingerprints
 from pepperscene.document import Document
 from pepperscene.errors import InputError
-from pepperscene.shipped import find, shelf
+from pepperscene.shipped import find
+from pepperscene.spectra.sourced_file import locate
 
 Name = Annotated[str, Field(strict=True, min_length=1, max_length=400, pattern=r"^[^\x00-\x1f]+$")]
 """A shipped name or a path."""
 
-NO_FLASH: Final = "none"
+NONE: Final = "none"
+"""Instead of a name: no flash, no filter, no cover, no white balance."""
 
 Angle = Annotated[float, Field(strict=True, ge=-180, le=180)]
 Height = Annotated[float, Field(strict=True, ge=0, le=10_000)]
@@ -42,29 +44,47 @@ class PathTable(Document):
 
 
 class CameraTable(Document):
-    """Sensor, lens and flash by shipped name or path, and how they are set; the flash may be "none"."""
+    """The camera's parts by shipped name or path, and how they are set; flash and filter may be "none".
+
+    Where `focus_mm` is missing everything is sharp; where `bits` is missing it is the sensor file's.
+    """
 
     sensor: Name
     lens: Name
     flash: Name
+    filter: Name = NONE
     exposure_us: Annotated[float, Field(strict=True, ge=1, le=1_000_000)]
-    white_balance: Literal["flash", "daylight"] = "flash"
+    focus_mm: Annotated[float, Field(strict=True, ge=1, le=1_000_000)] | None = None
+    gain: Annotated[float, Field(strict=True, ge=0.01, le=1000)] = 1.0
+    bits: Annotated[int, Field(strict=True, ge=1, le=16)] | None = None
 
-    @model_validator(mode="after")
-    def _balanced(self) -> CameraTable:
-        if self.flash == NO_FLASH and self.white_balance == "flash":
-            raise ValueError('white_balance must be "daylight" where flash is "none"')
-        return self
+
+Switch = Annotated[bool, Field(strict=True)]
+
+
+class DevelopingTable(Document):
+    """The steps from light to picture, as `pepperscene.camera.Developing`; "none" leaves a balance out."""
+
+    falloff: Switch = True
+    shot_noise: Switch = True
+    read_noise: Switch = True
+    saturation: Switch = True
+    quantise: Switch = True
+    demosaic: Literal["malvar", "menon", "bilinear"] = "malvar"
+    white_balance: Literal["flash", "daylight", "none"] = "flash"
+    colour_matrix: Switch = True
+    tone: Literal["srgb", "linear"] = "srgb"
 
 
 class DaylightTable(Document):
-    """The partly cloudy sky; none where `illuminance_lx` is 0."""
+    """The partly cloudy sky above the greenhouse's cover; none where `illuminance_lx` is 0."""
 
     illuminance_lx: Annotated[float, Field(strict=True, ge=0, le=200_000)]
     sun_azimuth_deg: Annotated[float, Field(strict=True, ge=-360, le=360)] = 90.0
     sun_elevation_deg: Annotated[float, Field(strict=True, ge=1, le=90)] = 45.0
     sun_fraction: Annotated[float, Field(strict=True, ge=0, le=0.95)] = 0.0
     cloud_cover: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.5
+    cover: Name = NONE
 
 
 class TwineTable(Document):
@@ -81,7 +101,7 @@ class Recipe(Document):
         name: of the data set.
         seed: of all random numbers.
         cultivar: shipped name or path.
-        plan, row, path, camera: the tables.
+        plan, row, path, camera, developing: the tables.
         daylight: or None for a night scene.
         twine: or None for none.
     """
@@ -93,6 +113,7 @@ class Recipe(Document):
     row: RowTable
     path: PathTable
     camera: CameraTable
+    developing: DevelopingTable = DevelopingTable()
     daylight: DaylightTable | None = None
     twine: TwineTable | None = None
 
@@ -116,7 +137,7 @@ class Recipe(Document):
 
         Returns:
             Ready for JSON, the recipe's values under `recipe`, and under `files` a `name` and a `sha256` for
-            the cultivar, each device, and each spectrum that a device's file refers to.
+            the cultivar, each device, the cover, and each spectrum that one of their files refers to.
 
         Raises:
             InputError: one of these files is missing or cannot be read.
@@ -124,11 +145,11 @@ class Recipe(Document):
         recipe = self.model_dump(mode="json", exclude={"plan": {"select"}})
         recipe["cultivar"] = Path(self.cultivar).stem
         files = fingerprints("cultivar", find("plants", self.cultivar))
-        for part, folder in (("sensor", "sensors"), ("lens", "lenses"), ("flash", "flashes")):
-            wanted = recipe["camera"][part]
-            recipe["camera"][part] = Path(wanted).stem
-            if wanted != NO_FLASH:
-                files |= fingerprints(part, _file(wanted, shelf("materials") / folder))
+        for table, part, folder in _MATERIALS:
+            wanted = (recipe[table] or {}).get(part, NONE)
+            if wanted != NONE:
+                recipe[table][part] = Path(wanted).stem
+                files |= fingerprints(part, locate(folder, wanted))
         return {"recipe": recipe, "files": files}
 
     def sha256(self) -> str:
@@ -136,7 +157,11 @@ class Recipe(Document):
         return digest(self.identity())
 
 
-def _file(wanted: str, shipped: Path) -> Path:
-    """A path as it is, a bare name in the shipped folder."""
-    path = Path(wanted)
-    return path if path.suffix == ".toml" or path.parent != Path(".") else shipped / f"{wanted}.toml"
+_MATERIALS: Final = (
+    ("camera", "sensor", "sensors"),
+    ("camera", "lens", "lenses"),
+    ("camera", "flash", "flashes"),
+    ("camera", "filter", "filters"),
+    ("daylight", "cover", "covers"),
+)
+"""Table and key of each file out of the materials, and the folder of the shipped ones."""

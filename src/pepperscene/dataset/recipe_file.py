@@ -3,68 +3,72 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from pepperscene.dataset.recipe import NO_FLASH, Recipe
+from pepperscene.dataset.changes import OPTION, as_tables, label
+from pepperscene.dataset.equipment import camera_of, cover_of, cultivar_of
+from pepperscene.dataset.recipe import Recipe
 from pepperscene.document import read_toml, validated
 from pepperscene.errors import InputError
 from pepperscene.shipped import find
 
 _LONGEST_CHAIN: Final = 16  # chosen: nobody reads a recipe through more files than this
-_FILE_KEYS: Final = (("cultivar",), ("camera", "sensor"), ("camera", "lens"), ("camera", "flash"))
+_FILE_KEYS: Final = (
+    ("cultivar",), ("camera", "sensor"), ("camera", "lens"), ("camera", "flash"), ("camera", "filter"),
+    ("daylight", "cover"),
+)  # fmt: skip
 """Keys whose value may be a path, relative to the recipe file that says it."""
 
-_Layer = tuple[Path, dict[str, Any]]
+_Layer = tuple[str, dict[str, Any]]
 
 
-def load_recipe(name_or_path: str | Path) -> Recipe:
+def load_recipe(name_or_path: str | Path, changes: Mapping[str, Any] | None = None) -> Recipe:
     """Read a recipe by the name of a shipped one or by path.
 
     A recipe with `extends = "other"` starts from that recipe, a shipped one or a path relative to its own
     file, and replaces single values: tables are merged key by key, lists are replaced whole.
 
+    Args:
+        name_or_path: of the recipe.
+        changes: values to replace, by dotted key ("camera.sensor"); paths are relative to the current folder.
+
     Raises:
         InputError: a file is missing or not TOML, files extend each other in a circle, a key is unknown or
             missing, a value is of the wrong type or outside its range; the message names file, key and value.
     """
-    layers = _layers(find("recipes", name_or_path))
+    files = _layers(find("recipes", name_or_path))
+    changed = [(label(key, value), as_tables(key, value)) for key, value in (changes or {}).items()]
+    for _, table in changed:
+        _resolve_all(table, Path())
+    layers = [*reversed(changed), *files]
     merged: dict[str, Any] = {}
     for _, table in reversed(layers):
         merged = _merge(merged, table)
+
+    where = files[0][0]
     try:
-        recipe = validated(Recipe, merged, layers[0][0])
-        _check_files(recipe, layers[0][0])
+        recipe = validated(Recipe, merged, where)
+        # What stands in the files that it names is for their readers; that they are there is for the recipe.
+        for load in (cultivar_of, cover_of, camera_of):
+            load(recipe, where)
     except InputError as fault:
-        # The fault may stand in a file that this one extends: name the one that says it.
-        if fault.where != str(layers[0][0]):
+        if fault.where != where:
             raise
-        where = next((path for path, table in layers if _holds(table, fault.key)), layers[0][0])
-        raise InputError(where, fault.key, fault.value, fault.allowed) from None
+        raise _placed(fault, layers, OPTION if changed else where) from None
     return recipe
 
 
-def _check_files(recipe: Recipe, where: Path) -> None:
-    """Refuse a recipe that names a file which is not there; what stands in the files is for their readers."""
-    from pepperscene.camera import load_flash, load_lens, load_sensor
-    from pepperscene.cultivar import load_cultivar
-
-    camera = recipe.camera
-    named: list[tuple[str, str, Callable[[str], object]]] = [
-        ("cultivar", recipe.cultivar, load_cultivar),
-        ("camera.sensor", camera.sensor, load_sensor),
-        ("camera.lens", camera.lens, load_lens),
-    ]
-    if camera.flash != NO_FLASH:
-        named.append(("camera.flash", camera.flash, load_flash))
-    for key, name, load in named:
-        try:
-            load(name)
-        except InputError as fault:
-            if fault.key or fault.where != name:
-                raise
-            raise InputError(where, key, name, fault.allowed) from None
+def _placed(fault: InputError, layers: list[_Layer], default: str) -> InputError:
+    """The fault with the file or the change that says it, or at least holds the table where it is."""
+    above = fault.key.rpartition(".")[0]
+    holders = [one for key in (fault.key, above) if key for one in layers if _holds(one[1], key)]
+    where = holders[0][0] if holders else default
+    if where.startswith(f"{OPTION} {fault.key}="):
+        # The label of a change tells key and value already.
+        return InputError(where, "", None, fault.allowed)
+    return InputError(where, fault.key, fault.value, fault.allowed)
 
 
 def _layers(path: Path) -> list[_Layer]:
@@ -77,9 +81,8 @@ def _layers(path: Path) -> list[_Layer]:
         seen.append(path.resolve())
         table = read_toml(path)
         base = table.pop("extends", None)
-        for keys in _FILE_KEYS:
-            _resolve(table, keys, path.parent)
-        layers.append((path, table))
+        _resolve_all(table, path.parent)
+        layers.append((str(path), table))
         if base is None:
             return layers
         if not isinstance(base, str):
@@ -88,6 +91,11 @@ def _layers(path: Path) -> list[_Layer]:
             path = find("recipes", _relative(base, path.parent))
         except InputError as fault:
             raise InputError(path, "extends", base, fault.allowed) from None
+
+
+def _resolve_all(table: dict[str, Any], folder: Path) -> None:
+    for keys in _FILE_KEYS:
+        _resolve(table, keys, folder)
 
 
 def _resolve(table: dict[str, Any], keys: tuple[str, ...], folder: Path) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.dataset.equipment import camera_of, cover_of, cultivar_of, surface_grid
 from pepperscene.dataset.plan import Shot, rotated
-from pepperscene.dataset.recipe import NO_FLASH, Recipe
+from pepperscene.dataset.recipe import Recipe
 from pepperscene.dataset.seeds import Stream, frame_seed, generator
 from pepperscene.frame import OUTPUTS, Frame
 
@@ -19,10 +20,6 @@ if TYPE_CHECKING:
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
     from pepperscene.scene import Scene, Sky
-
-WAVELENGTH_NM: Final = np.arange(360.0, 831.0, 5.0)
-"""Grid of the surfaces' spectra. Chosen: the range of Mitsuba's spectral variants, in steps that resolve the
-red edge and the pigments' bands, which are 20 nm wide and more."""
 
 
 class RendererLike(Protocol):
@@ -59,16 +56,15 @@ class Stage:
         renderer: makes the renderer of a scene.
 
     Raises:
-        InputError: the cultivar, the sensor, the lens or the flash is not found or not valid.
+        InputError: the cultivar, the cover or a part of the camera is not found or not valid.
     """
 
     def __init__(self, recipe: Recipe, renderer: RendererFactory | None = None) -> None:
-        from pepperscene.cultivar import load_cultivar
-
         self.recipe = recipe
         self._renderer_of = renderer or mitsuba_renderer
-        self.cultivar = load_cultivar(recipe.cultivar)
-        self._first_camera = _camera(recipe)
+        self.cultivar = cultivar_of(recipe)
+        self._cover = cover_of(recipe)
+        self._first_camera = camera_of(recipe)
         self._row: tuple[int, list[Mesh]] | None = None
         self._scene: tuple[tuple[int, int, bool], RendererLike] | None = None
 
@@ -155,14 +151,15 @@ class Stage:
             sun_elevation_rad=float(np.radians(light.sun_elevation_deg)),
             sun_fraction=light.sun_fraction,
             cloud_cover=light.cloud_cover,
+            **({} if self._cover is None else {"cover": self._cover}),
         )
 
     @cached_property
     def _surfaces(self) -> dict[str, Surface]:
-        from pepperscene.materials import organ_surfaces, twine_surface
+        from pepperscene.materials import greenhouse_surfaces, organ_surfaces
 
-        twine = twine_surface(WAVELENGTH_NM)
-        return {**organ_surfaces(self.cultivar, WAVELENGTH_NM), twine.name: twine}
+        nm = surface_grid(self._first_camera.sensor)
+        return {**organ_surfaces(self.cultivar, nm), **greenhouse_surfaces(nm)}
 
     @cached_property
     def _poses(self) -> NDArray[np.float64]:
@@ -177,17 +174,3 @@ class Stage:
             (path.height_mm[0] / 1e3, path.height_mm[1] / 1e3),
             float(np.radians(path.pitch_deg)),
         )
-
-
-def _camera(recipe: Recipe) -> Camera:
-    """The recipe's camera, not yet at any place of the path."""
-    from pepperscene.camera import Camera, Developing, load_flash, load_lens, load_sensor
-
-    table: Any = recipe.camera
-    return Camera(
-        lens=load_lens(table.lens),
-        sensor=load_sensor(table.sensor),
-        exposure_s=table.exposure_us / 1e6,
-        flash=None if table.flash == NO_FLASH else load_flash(table.flash),
-        developing=Developing(white_balance=table.white_balance),
-    )

@@ -116,16 +116,28 @@ class Dataset:
                 path = self.folder / file_name(index, output)
                 written.append(path)
                 with replacing(path) as temporary:
-                    write_image(temporary, image, output)
-                    size = temporary.stat().st_size
-                    outputs[output] = {
-                        "file": file_name(index, output), "bytes": size, "sha256": digest(temporary)
-                    }  # fmt: skip
+                    outputs[output] = written_image(temporary, image, output, file_name(index, output))
             write_json(self.frame_path(index), {**facts, "outputs": outputs})
         except BaseException:
             for path in written:
                 path.unlink(missing_ok=True)
             raise
+
+
+def written_image(path: Path, image: NDArray[Any], output: str, name: str) -> dict[str, Any]:
+    """Write an image and tell of it what a frame's JSON says under `outputs`.
+
+    Args:
+        path: where it is written.
+        image: of the shape and dtype of its output.
+        output: name of the output.
+        name: that the file will have.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    write_image(path, image, output)
+    return {"file": name, "bytes": path.stat().st_size, "sha256": digest(path)}
 
 
 def open_dataset(folder: str | Path) -> Dataset:

@@ -1,0 +1,45 @@
+"""What the JSON files say: of a data set or a single frame, and of the photographs in it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pepperscene.dataset.plan import Shot
+from pepperscene.dataset.recipe import Recipe
+from pepperscene.dataset.seeds import frame_seed
+from pepperscene.frame import Frame
+from pepperscene.truth import class_pixels
+from pepperscene.version import __version__
+
+
+def about(recipe: Recipe, quality: str, form: str) -> dict[str, Any]:
+    """What frames depend on, but for their index: recipe, files, quality and version.
+
+    Args:
+        recipe: what is shown.
+        quality: "draft", "standard" or "reference".
+        form: name and number of the file's format.
+    """
+    return {
+        "format": form,
+        "version": __version__,
+        "quality": quality,
+        "recipe_sha256": recipe.sha256(),
+        **recipe.identity(),
+    }
+
+
+def frame_facts(frame: Frame, shot: Shot, recipe_seed: int) -> dict[str, Any]:
+    """A frame's JSON but for its files; nothing in it differs between two runs."""
+    facts: dict[str, Any] = {str(key): value for key, value in frame.facts.items()}
+    facts |= {
+        "index": shot.index,
+        "set": shot.set,
+        "rotation": shot.rotation,
+        "step": shot.step,
+        "seed": frame_seed(recipe_seed, shot.index),
+        "recipe_seed": recipe_seed,
+    }
+    if "class" in frame.images:
+        facts["class_pixels"] = class_pixels(frame.images["class"])
+    return facts
