@@ -3,92 +3,106 @@
 Allen et al. 1969 (J. Opt. Soc. Am. 59:1376) gave the absorbing plate, Stern 1964 (Appl. Opt. 3:111) the
 transmissivity of a rough interface, Stokes 1862 the pile of plates; Jacquemoud & Baret 1990 (Remote Sens.
 Environ. 34:75) joined them into the leaf model PROSPECT, whose number of plates N need not be whole.
+
+All functions take NumPy arrays or torch tensors and give the same back. They are written so that neither
+values nor slopes lose digits where absorption vanishes, nothing gets through, or two media become one.
 """
 
 from __future__ import annotations
 
+from typing import Any, Final
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from pepperscene.spectra.arrays import Array, expn, floats
 
-CONSERVATIVE = 1e-12
-"""Below this absorptance of a plate the pile's formula is 0/0 and its limit is used: chosen, rounding."""
+OPAQUE: Final = 1000.0
+"""Absorbance of a plate that lets nothing through: exp(-1000) is zero in double precision."""
+
+FAINTEST: Final = 1e-120
+"""Transmittance that counts as none: chosen, so that its inverse square is finite in double precision."""
+
+SERIES_BELOW: Final = 1e-3
+"""Argument below which power series stand for closed forms that are 0/0 at zero: chosen, so that what the
+series cut off and what the closed forms' slopes lose are both about 1e-13."""
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 
-def cone_transmissivity(max_angle_rad: float, ior: ArrayLike) -> Array:
+def cone_transmissivity(max_angle_rad: float, ior: Array) -> Array:
     """Mean transmissivity of an interface for unpolarised light within a cone of incidence angles.
 
-    Stern 1964, as in Jacquemoud & Baret 1990: the Fresnel transmittance, averaged over the projected solid
-    angle of a cone of half-angle `max_angle_rad` (pi/2: diffuse light) from air into a medium of index `ior`.
+    The Fresnel transmittance, averaged over the projected solid angle of a cone of half-angle `max_angle_rad`
+    (pi/2: diffuse light) from air into a medium of index `ior` >= 1: what Stern 1964 gives in closed form,
+    whose terms cancel to nothing for indices near 1. The quadrature's error is below 1e-9 for every index and
+    rounding for all above 1.1.
     """
-    n = np.asarray(ior, dtype=float)
-    sin2 = np.sin(max_angle_rad) ** 2
-    n2 = n**2
-    plus, minus = n2 + 1.0, n2 - 1.0
-    # b is the lower and a the upper end of the substituted variable.
-    a = (n + 1.0) ** 2 / 2.0
-    k = -(minus**2) / 4.0
-    centre = sin2 - plus / 2.0
-    b = np.sqrt(np.maximum(centre**2 + k, 0.0)) - centre
-
-    # Polarised across the plane of incidence.
-    s = (k**2 / (6 * b**3) + k / b - b / 2) - (k**2 / (6 * a**3) + k / a - a / 2)
-    # Polarised in the plane of incidence: Stern's five terms.
-    p = (
-        -2 * n2 * (b - a) / plus**2
-        - 2 * n2 * plus * np.log(b / a) / minus**2
-        + n2 * (1 / b - 1 / a) / 2
-        + 16 * n2**2 * (n2**2 + 1) / (plus**3 * minus**2)
-        * np.log((2 * plus * b - minus**2) / (2 * plus * a - minus**2))
-        + 16 * n2**3 / plus**3 * (1 / (2 * plus * b - minus**2) - 1 / (2 * plus * a - minus**2))
-    )  # fmt: skip
-    return np.asarray((s + p) / (2.0 * sin2))
+    xp, (n, nodes, weights) = floats(ior, _NODES, _WEIGHTS)
+    n = n[..., None]
+    # Gauss-Legendre in the root of the cosine: fine steps at grazing, where Fresnel's equations bend sharply.
+    root, lowest = (nodes + 1.0) / 2.0, float(np.cos(max_angle_rad))
+    cosine = lowest + (1.0 - lowest) * root**2
+    refracted = xp.sqrt(n**2 - 1.0 + cosine**2) / n
+    across = (cosine - n * refracted) / (cosine + n * refracted)
+    within = (n * cosine - refracted) / (n * cosine + refracted)
+    share = cosine * root * weights
+    return 1.0 - ((across**2 + within**2) / 2.0 * share).sum(-1) / share.sum()
 
 
-def slab_transmission(absorbance: ArrayLike) -> Array:
-    """Transmission of diffuse light through a slab without interfaces: 2 E3(k) = (1-k) e^-k + k^2 E1(k)."""
-    from scipy.special import exp1
-
-    k = np.asarray(absorbance, dtype=float)
-    safe = np.where(k > 0, k, 1.0)
-    return np.where(k > 0, (1.0 - safe) * np.exp(-safe) + safe**2 * exp1(safe), 1.0)
+def slab_transmission(absorbance: Array) -> Array:
+    """Transmission of diffuse light through a slab without interfaces: 2 E3(k), exponential integral."""
+    xp, (k,) = floats(absorbance)
+    return 2.0 * expn(3, xp.clip(k, None, OPAQUE))
 
 
-def plate(absorbance: ArrayLike, ior: ArrayLike) -> tuple[Array, Array]:
+def plate(absorbance: Array, ior: Array) -> tuple[Array, Array]:
     """Reflectance and transmittance of one plate in air under diffuse light (Allen et al. 1969)."""
-    n = np.asarray(ior, dtype=float)
+    _, (k, n) = floats(absorbance, ior)
     into = cone_transmissivity(np.pi / 2, n)
     out = into / n**2
     back = 1.0 - out
-    through = slab_transmission(absorbance)
+    through = slab_transmission(k)
     t = into * through * out / (1.0 - (back * through) ** 2)
     return 1.0 - into + back * through * t, t
 
 
-def pile(r: ArrayLike, t: ArrayLike, count: ArrayLike) -> tuple[Array, Array]:
+def pile(r: Array, t: Array, count: Array) -> tuple[Array, Array]:
     """Reflectance and transmittance of `count` equal plates under diffuse light (Stokes 1862).
+
+    With d2 = (1+r+t) (1+r-t) (1-r+t) (1-r-t), sinh a = d / 2r and sinh b = d / 2t, N plates have
+    R = sinh(N b) / sinh(a + N b) and T = sinh(a) / sinh(a + N b). All are odd in d, so that their ratios are
+    smooth functions of d2; without absorption, d2 = 0 and R = N r / (t + N r).
 
     Args:
         r: reflectance of one plate, in (0, 1).
-        t: its transmittance, r + t <= 1.
-        count: number of plates, a positive real; broadcasts against both.
+        t: its transmittance, r + t <= 1 but for rounding.
+        count: number N of plates, a positive real; broadcasts against both.
     """
-    r, t, count = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (r, t, count)))
-    lossless = 1.0 - r - t < CONSERVATIVE
-    # An opaque plate would make b infinite; 1e-30 is far below rounding of any result.
-    r_safe, t_safe = np.where(lossless, 0.5, r), np.where(lossless, 0.3, np.maximum(t, 1e-30))
+    xp, (r, t, count) = floats(r, t, count)
+    t = xp.clip(t, FAINTEST, None)
+    d2 = (1.0 + r + t) * (1.0 + r - t) * (1.0 - r + t) * (1.0 - r - t)
+    # a and N b, both divided by d.
+    a = _arcsinh_ratio(xp, d2 / (4.0 * r**2)) / (2.0 * r)
+    nb = count * _arcsinh_ratio(xp, d2 / (4.0 * t**2)) / (2.0 * t)
+    total = a + nb
+    below = _log_sinh_ratio(xp, d2 * total**2)
+    reflectance = nb / total * xp.exp(_log_sinh_ratio(xp, d2 * nb**2) - below)
+    transmittance = a / total * xp.exp(_log_sinh_ratio(xp, d2 * a**2) - below)
+    return reflectance, transmittance
 
-    delta = np.sqrt(
-        (1 + r_safe + t_safe) * (1 + r_safe - t_safe) * (1 - r_safe + t_safe) * (1 - r_safe - t_safe)
-    )
-    a = (1 + r_safe**2 - t_safe**2 + delta) / (2 * r_safe)
-    # In powers of 1/b, so that thick piles go to zero and not to infinity.
-    inverse_b = 2 * t_safe / (1 - r_safe**2 + t_safe**2 + delta)
-    fade = inverse_b**count
-    whole = a**2 - fade**2
-    lossy = a * (1 - fade**2) / whole, fade * (a**2 - 1) / whole
 
-    # Without absorption the pile's transmittance falls as 1 / (1 + count r / t).
-    clear = 1.0 / (1.0 + count * r / np.maximum(t, 1e-30))
-    return np.where(lossless, 1.0 - clear, lossy[0]), np.where(lossless, clear, lossy[1])
+def _arcsinh_ratio(xp: Any, y: Array) -> Array:
+    """arcsinh(x) / x as a function of y = x^2, which may be rounded to below zero."""
+    small = y < SERIES_BELOW
+    # Neither branch may meet what only the other can take: an infinite slope times zero is not a number.
+    near, x = xp.where(small, y, 0.0), xp.sqrt(xp.where(small, 1.0, y))
+    series = 1.0 + near * (-1 / 6 + near * (3 / 40 + near * (-5 / 112 + near * 35 / 1152)))
+    return xp.where(small, series, xp.arcsinh(x) / x)
+
+
+def _log_sinh_ratio(xp: Any, y: Array) -> Array:
+    """log(sinh(x) / x) as a function of y = x^2, which may be rounded to below zero."""
+    small = y < SERIES_BELOW
+    near, x = xp.where(small, y, 0.0), xp.sqrt(xp.where(small, 1.0, y))
+    series = near * (1 / 6 + near * (-1 / 180 + near * (1 / 2835 - near / 37800)))
+    return xp.where(small, series, x + xp.log1p(-xp.exp(-2.0 * x)) - xp.log(2.0 * x))

@@ -1,13 +1,19 @@
-"""PROSPECT: reflectance and transmittance of a leaf from its structure and constituents."""
+"""PROSPECT: reflectance and transmittance of a leaf from its structure and constituents.
+
+Everything here takes numbers, NumPy arrays or torch tensors; with a tensor among the parameters all results
+are tensors of float64, differentiable in every one of them.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pepperscene.spectra.arrays import Array, floats
 from pepperscene.spectra.pigments import absorption_coefficients
 from pepperscene.spectra.plates import cone_transmissivity, pile, plate
 
@@ -26,41 +32,48 @@ class LeafOptics:
         diffuse_transmittance: `(..., n)` likewise.
     """
 
-    reflectance: NDArray[np.float64]
-    transmittance: NDArray[np.float64]
-    diffuse_reflectance: NDArray[np.float64]
-    diffuse_transmittance: NDArray[np.float64]
+    reflectance: Array
+    transmittance: Array
+    diffuse_reflectance: Array
+    diffuse_transmittance: Array
 
-    def under_cuticle(self, ior: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def under_cuticle(self, ior: Array) -> tuple[Array, Array]:
         """Reflectance and transmittance `(..., n)` of the body under a glossy cuticle of this index.
 
         They are shares of the light that the cuticle lets in, so that gloss g and body together give
         PROSPECT's values: R = g + (1 - g) R_body, T = (1 - g) T_body. Never negative: where pigments absorb
         all the rest, a cuticle of a higher index than the tissue's (1.43 to 1.52) alone exceeds PROSPECT's R.
+
+        Args:
+            ior: refractive index of the cuticle, >= 1; broadcasts to `(...)`, one per leaf.
         """
-        gloss = cuticle_gloss(ior)
-        reflectance = np.maximum(self.reflectance - gloss, 0.0) / (1.0 - gloss)
-        return reflectance, np.minimum(self.transmittance / (1.0 - gloss), 1.0 - reflectance)
+        xp, (reflectance, transmittance, gloss) = floats(
+            self.reflectance, self.transmittance, cuticle_gloss(ior)
+        )
+        inside = 1.0 - gloss[..., None]
+        body = xp.clip(1.0 - (1.0 - reflectance) / inside, 0.0, 1.0)
+        return body, xp.minimum(transmittance / inside, 1.0 - body)
 
 
-def cuticle_gloss(ior: float) -> float:
+def cuticle_gloss(ior: Array) -> Array:
     """Reflectance of a surface of this refractive index for light in PROSPECT's cone of incidence."""
-    return 0.0 if ior == 1.0 else 1.0 - float(cone_transmissivity(INCIDENCE_CONE_RAD, ior))
+    gloss = 1.0 - cone_transmissivity(INCIDENCE_CONE_RAD, ior)
+    return float(gloss) if isinstance(ior, (int, float)) else gloss
 
 
 def leaf_spectra(
     wavelength_nm: ArrayLike,
     *,
-    structure_n: ArrayLike,
-    chlorophyll_ug_cm2: ArrayLike = 0.0,
-    carotenoid_ug_cm2: ArrayLike = 0.0,
-    anthocyanin_ug_cm2: ArrayLike = 0.0,
-    capsanthin_ug_cm2: ArrayLike = 0.0,
-    brown: ArrayLike = 0.0,
-    water_cm: ArrayLike = 0.0,
-    dry_matter_g_cm2: ArrayLike = 0.0,
-    protein_g_cm2: ArrayLike = 0.0,
-    carbon_g_cm2: ArrayLike = 0.0,
+    structure_n: Array,
+    chlorophyll_ug_cm2: Array = 0.0,
+    carotenoid_ug_cm2: Array = 0.0,
+    anthocyanin_ug_cm2: Array = 0.0,
+    capsanthin_ug_cm2: Array = 0.0,
+    brown: Array = 0.0,
+    water_cm: Array = 0.0,
+    dry_matter_g_cm2: Array = 0.0,
+    protein_g_cm2: Array = 0.0,
+    carbon_g_cm2: Array = 0.0,
 ) -> LeafOptics:
     """PROSPECT-D (Feret et al. 2017) or, with protein and carbon for dry matter, -PRO (Feret et al. 2021).
 
@@ -78,7 +91,7 @@ def leaf_spectra(
         carbon_g_cm2: its carbon-based part (PROSPECT-PRO).
 
     Raises:
-        ValueError: N < 1, a negative content, or dry matter given both as one and in parts.
+        ValueError: N < 1, a negative or infinite content, or dry matter given both as one and in parts.
     """
     contents = {
         "chlorophyll": chlorophyll_ug_cm2,
@@ -91,30 +104,40 @@ def leaf_spectra(
         "protein": protein_g_cm2,
         "carbon": carbon_g_cm2,
     }
-    amounts = {name: np.asarray(amount, dtype=float)[..., None] for name, amount in contents.items()}
-    plates = np.asarray(structure_n, dtype=float)[..., None]
-    if not np.all(plates >= 1.0) or any(np.any(amount < 0.0) for amount in amounts.values()):
-        raise ValueError("a leaf has at least one plate and no negative contents")
-    if np.any(amounts["dry_matter"] > 0) and np.any(amounts["protein"] + amounts["carbon"] > 0):
-        raise ValueError("dry matter is either one content or protein and carbon, not both")
+    # Constituents and plates of each leaf, with an axis for wavelengths behind; coefficients by wavelength.
+    specific = absorption_coefficients(wavelength_nm)
+    coefficients = [specific[name] for name in (*contents, "refractive_index")]
+    _, given = floats(structure_n, *contents.values(), *coefficients)
+    plates, *values = (x[..., None] for x in given[: 1 + len(contents)])
+    *per_unit, ior = given[1 + len(contents) :]
+    amounts = dict(zip(contents, values, strict=True))
+    _check(plates, amounts)
 
     # The constituents are spread evenly over the plates.
-    specific = absorption_coefficients(wavelength_nm)
-    ior = specific["refractive_index"]
-    absorbance = np.asarray(sum(amounts[name] * specific[name] for name in amounts))
-    diffuse_r, diffuse_t = pile(*plate(absorbance / plates, ior), plates)
+    with np.errstate(over="ignore"):
+        absorbance = sum(amount * k for amount, k in zip(values, per_unit, strict=True)) / plates
+    diffuse_r, diffuse_t = pile(*plate(absorbance, ior), plates)
 
     # Light in a cone enters more easily than diffuse light; below the interface both fare alike.
-    into_cone, into_diffuse = (
-        cone_transmissivity(INCIDENCE_CONE_RAD, ior),
-        cone_transmissivity(np.pi / 2, ior),
-    )
+    into_cone = cone_transmissivity(INCIDENCE_CONE_RAD, ior)
+    into_diffuse = cone_transmissivity(np.pi / 2, ior)
     easier = into_cone / into_diffuse
     reflectance = 1.0 - into_cone + easier * (diffuse_r - (1.0 - into_diffuse))
     return LeafOptics(reflectance, easier * diffuse_t, diffuse_r, diffuse_t)
 
 
-def over_body(layer: LeafOptics, body_reflectance: ArrayLike) -> LeafOptics:
+def _check(plates: Array, amounts: Mapping[str, Array]) -> None:
+    """Refuse what no leaf can be."""
+    # Comparisons are false for what is not a number.
+    possible = [bool(((x >= 0.0) & (x < np.inf)).all()) for x in amounts.values()]
+    if not (all(possible) and bool(((plates >= 1.0) & (plates < np.inf)).all())):
+        raise ValueError("a leaf has at least one plate and no negative or infinite contents")
+    whole, *parts = (bool((amounts[x] > 0.0).any()) for x in ("dry_matter", "protein", "carbon"))
+    if whole and any(parts):
+        raise ValueError("dry matter is either one content or protein and carbon, not both")
+
+
+def over_body(layer: LeafOptics, body_reflectance: Array) -> LeafOptics:
     """A pigmented layer on a diffuse, opaque body: skin on flesh, rind on pith.
 
     Light that comes through the layer goes to and fro between body and layer (a geometric series):
@@ -122,14 +145,17 @@ def over_body(layer: LeafOptics, body_reflectance: ArrayLike) -> LeafOptics:
 
     Args:
         layer: skin or rind.
-        body_reflectance: rho of the body, in [0, 1], broadcasts to `(..., n)`.
+        body_reflectance: rho of the body, in [0, 1), broadcasts to `(..., n)`.
     """
-    rho = np.asarray(body_reflectance, dtype=float)
-    returned = layer.diffuse_transmittance * rho / (1.0 - layer.diffuse_reflectance * rho)
-    nothing = np.zeros_like(layer.transmittance)
+    xp, (rho, reflectance, transmittance, diffuse_r, diffuse_t) = floats(
+        body_reflectance,
+        layer.reflectance,
+        layer.transmittance,
+        layer.diffuse_reflectance,
+        layer.diffuse_transmittance,
+    )
+    returned = diffuse_t * rho / (1.0 - diffuse_r * rho)
+    nothing = xp.zeros_like(transmittance)
     return LeafOptics(
-        layer.reflectance + layer.transmittance * returned,
-        nothing,
-        layer.diffuse_reflectance + layer.diffuse_transmittance * returned,
-        nothing,
+        reflectance + transmittance * returned, nothing, diffuse_r + diffuse_t * returned, nothing
     )
