@@ -60,7 +60,9 @@ def grey_under_sky(illuminance_lx: float):
 
 def test_patch_in_the_flash_gives_the_electrons_of_a_one_page_calculation():
     # Set-up: an 18 % matt patch 50 cm in front of the camera, the flash a point in the lens' place.
-    camera = bench_camera(columns=8, rows=6, radius_m=0.0, offset_m=(0.0, 0.0, 0.0))
+    camera = bench_camera(
+        columns=8, rows=6, radius_m=0.0, emitters_m=np.zeros((1, 2)), offset_m=(0.0, 0.0, 0.0)
+    )
     scene = assemble(sheet(1.0, 1.0, 0.5, "grey"), {"grey": lambertian("grey", REFLECTANCE)})
     # Expected: the SPD scaled so that 683 lm/W x V integrates to 200,000 lx: what falls on the patch.
     with open(shelf("materials") / "flashes" / "spectra" / "lumileds_cool_white.csv") as file:
@@ -73,8 +75,8 @@ def test_patch_in_the_flash_gives_the_electrons_of_a_one_page_calculation():
     assert centre(scene, camera) == pytest.approx(expected, rel=0.01)
 
 
-def test_disc_shaped_flash_beside_the_lens_follows_its_integral():
-    # The shipped flash is a disc beside the lens: sum its points' cosine, profile and distance by quadrature.
+def test_matrix_flash_beside_the_lens_follows_its_integral():
+    # The shipped flash is a matrix of discs beside the lens: sum its points' cosine, profile and distance by quadrature.
     camera = bench_camera(columns=8, rows=6)
     flash = camera.flash
     scene = assemble(sheet(1.0, 1.0, 0.5, "grey"), {"grey": lambertian("grey", REFLECTANCE)})
@@ -83,7 +85,8 @@ def test_disc_shaped_flash_beside_the_lens_follows_its_integral():
     spots = np.stack(
         np.broadcast_arrays(radii[:, None] * np.cos(turns), radii[:, None] * np.sin(turns), 0.0), -1
     )
-    away = np.array([0.0, 0.0, 0.5]) - (spots + np.array(flash.offset_m))
+    centres = np.pad(flash.emitters_m, ((0, 0), (0, 1))) + np.array(flash.offset_m)
+    away = np.array([0.0, 0.0, 0.5]) - (spots[..., None, :] + centres)
     distance = np.linalg.norm(away, axis=-1)
     cosine = away[..., 2] / distance
     profile = np.interp(np.arccos(cosine), flash.profile.angle_rad, flash.profile.relative_intensity)

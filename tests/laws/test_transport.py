@@ -126,7 +126,14 @@ def assert_agree(ours: np.ndarray, theirs: np.ndarray) -> None:
 def test_spot_and_sky_agree_with_the_path_tracer():
     beam, cutoff = np.radians(15.0), np.radians(30.0)
     profile = AngularProfile(np.array([0.0, beam, cutoff]), np.array([1.0, 1.0, 0.0]))
-    camera = bench_camera(columns=80, rows=64, radius_m=0.0, offset_m=(0.01, -0.02, 0.0), profile=profile)
+    camera = bench_camera(
+        columns=80,
+        rows=64,
+        radius_m=0.0,
+        emitters_m=np.zeros((1, 2)),
+        offset_m=(0.01, -0.02, 0.0),
+        profile=profile,
+    )
     # The cut-out keeps the full lens: 80 columns are its middle, so spread the view by moving back a little.
     pose = np.eye(4)
     pose[2, 3] = -0.6

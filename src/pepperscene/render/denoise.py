@@ -18,7 +18,7 @@ _REACH: Final = 3  # chosen: pixels; the flash's share is kept as traced where i
 
 
 def denoised(light: Light) -> NDArray[np.float32]:
-    """`(h, w, 3)` all light with its stochastic parts denoised, electrons s-1 m-2 sr-1."""
+    """`(h, w, c)` all light with its stochastic parts denoised, electrons s-1 m-2 sr-1."""
     return light.sky + _flash(light) + _soft(light)
 
 
@@ -42,20 +42,20 @@ def _flash(light: Light) -> NDArray[np.float32]:
     uneven = maximum_filter(share, _REACH) - minimum_filter(share, _REACH) > 1e-3
     if not uneven.any():
         return light.flash
-    smooth = np.clip(
-        _filtered(np.repeat(share[..., None], 3, axis=-1), light, hdr=False).mean(axis=-1), 0.0, 1.0
-    )
+    smooth = np.clip(_filtered(share[..., None], light, hdr=False)[..., 0], 0.0, 1.0)
     return np.where(uneven[..., None], light.open_flash * smooth[..., None], light.flash)
 
 
 def _filtered(image: NDArray[np.float32], light: Light, *, hdr: bool) -> NDArray[np.float32]:
-    """Filter "RT" of Open Image Denoise."""
+    """Filter "RT" of Open Image Denoise, which wants three channels; one is shown to it three times."""
     import pyoidn
 
     found = pyoidn.denoise(
-        np.ascontiguousarray(image, np.float32),
-        albedo=np.ascontiguousarray(np.clip(light.albedo, 0.0, 1.0), np.float32),
-        normal=np.ascontiguousarray(light.normal, np.float32),
-        hdr=hdr,
+        _three(image), albedo=_three(np.clip(light.albedo, 0.0, 1.0)), normal=_three(light.normal), hdr=hdr
     )
-    return np.asarray(found, np.float32)
+    filtered = np.asarray(found, np.float32)
+    return filtered if image.shape[-1] == 3 else filtered.mean(axis=-1, keepdims=True)
+
+
+def _three(image: NDArray[np.floating]) -> NDArray[np.float32]:
+    return np.ascontiguousarray(np.broadcast_to(image, (*image.shape[:2], 3)), np.float32)

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera import Camera, develop, expected_electrons
+from pepperscene.camera import Camera, develop, expected_electrons, raw_frame
 from pepperscene.errors import InputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, Frame, check_outputs
 from pepperscene.render import labels
@@ -134,6 +134,9 @@ class Renderer:
         signal = denoised(light) if quality.denoise else light.total()
         electrons = expected_electrons(signal, camera)
         images: dict[str, NDArray[Any]] = {"electrons": electrons.astype(np.float32)}
+        # The same generator twice: the raw frame is the very one that the picture is developed from.
+        if "raw" in wanted:
+            images["raw"] = raw_frame(electrons, camera, np.random.default_rng(noise))
         if "colour" in wanted:
             images["colour"] = develop(electrons, camera, np.random.default_rng(noise))
         return images

@@ -21,7 +21,7 @@ class Response:
 
     Attributes:
         grid_nm: `(n,)` equally spaced by `STEP_NM`.
-        electrons: `(n, 3)` photo-electrons per joule: quantum efficiency times lambda / (h c).
+        electrons: `(n, c)` photo-electrons per joule, by channel: quantum efficiency times lambda / (h c).
         flash: `(n,)` W sr-1 nm-1 on the flash's axis, averaged over the exposure; zeros without a flash.
         density: `(n,)` where to take wavelengths: response times expected light, for importance sampling.
     """
@@ -33,15 +33,16 @@ class Response:
 
 
 def response(camera: Camera, scene: Scene) -> Response:
-    """The response over the range that the sensor sees, no wider."""
+    """The response over the range that the sensor sees and a light shines in, no wider."""
     efficiency = camera.sensor.quantum_efficiency
     peak = efficiency.values.max()
     seen = efficiency.wavelength_nm[(efficiency.values > _NEGLIGIBLE * peak).any(axis=0)]
     grid = np.arange(np.floor(seen[0]), np.ceil(seen[-1]) + STEP_NM, STEP_NM)
+    lit = np.flatnonzero(np.any([_flash(camera, grid), *_sky_spectra(scene, grid)], axis=0))
+    if lit.size:
+        grid = grid[max(lit[0] - 1, 0) : lit[-1] + 2]
     electrons = camera.sensor.electrons_per_joule(grid).T
-    flash = np.zeros(grid.size)
-    if camera.flash is not None:
-        flash = camera.flash.radiant_intensity(grid) * camera.flash_duty
+    flash = _flash(camera, grid)
 
     # Half of the density follows all lights alike, half the response alone: no light is left out.
     lights = [light for light in (flash, *_sky_spectra(scene, grid)) if light.any()]
@@ -52,6 +53,12 @@ def response(camera: Camera, scene: Scene) -> Response:
     density = share * light
     density = density / density.sum() + share / share.sum() + 1e-3 / grid.size
     return Response(grid, electrons, flash, density)
+
+
+def _flash(camera: Camera, grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    if camera.flash is None:
+        return np.zeros(grid.size)
+    return camera.flash.radiant_intensity(grid) * camera.flash_duty
 
 
 def _sky_spectra(scene: Scene, grid: NDArray[np.float64]) -> list[NDArray[np.float64]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pepperscene.camera import Flash
 from pepperscene.render.kernel import LightScene, SkyTables
@@ -31,9 +32,9 @@ class FrameTables:
         white = (spectral.electrons * reference[:, None]).sum(axis=0) * STEP_NM
         self.reference = mi.Float(reference)
         self.per_white = [mi.Float(float(1.0 / channel)) for channel in white]
-        self.flash: FlashDisc | None = None
+        self.flash: FlashMatrix | None = None
         if flash is not None and spectral.flash.any():
-            self.flash = FlashDisc(flash, view, mi.Float(spectral.flash))
+            self.flash = FlashMatrix(flash, view, mi.Float(spectral.flash))
         dr.make_opaque(self.first_nm, self.per_white)
 
 
@@ -54,8 +55,7 @@ class Samples:
         lane = dr.arange(mi.UInt32, view.width * view.height * per_pass)
         pixel = lane // per_pass
         row = pixel // view.width
-        place = sampler.next_2d()
-        towards = view.directions(pixel - row * view.width, row, place.x, place.y)
+        start, towards = view.rays(pixel - row * view.width, row, sampler.next_2d(), sampler.next_2d)
 
         # Each sample takes a stratum of the spectrum, in turn from a start of the pixel's own: a permutation
         # drawn from the sampler is correlated with its other dimensions where samples are few (a bias of 1 %
@@ -70,7 +70,7 @@ class Samples:
             nm, density = tables.wavelengths.sample_pdf((quarter + k) / 4.0)
             self.wavelengths[k] = nm
             self.weights[k] = 0.25 / density
-        self.ray = mi.Ray3f(view.origin, towards, 0.0, self.wavelengths)
+        self.ray = mi.Ray3f(start, towards, 0.0, self.wavelengths)
 
         # Spectra are looked up once: under each hit's own mask they would be fetched again and again.
         self._electrons = [self._at_wavelengths(table) for table in tables.electrons]
@@ -150,8 +150,8 @@ class Samples:
         return radiance & active
 
 
-class FlashDisc:
-    """The flash as a disc across the camera's axis, each point with the same angular profile."""
+class FlashMatrix:
+    """The flash as discs across the camera's axis, each point of them with the same angular profile."""
 
     def __init__(self, flash: Flash, view: View, intensity: Any) -> None:
         mi, dr = kernel()
@@ -160,15 +160,21 @@ class FlashDisc:
         self.profile = mi.Float(flash.profile.at(angles))
         self.steps = 511.0 / (np.pi / 2.0)
         offset = mi.Point3f(*(float(x) for x in flash.offset_m))
-        self.radius = mi.Float(float(flash.radius_m))
-        dr.make_opaque(offset, self.radius)
+        self.radius, self.count = mi.Float(float(flash.radius_m)), mi.Float(len(flash.emitters_m))
+        self.emitters = mi.Float(_neighbours_first(flash.emitters_m).astype(np.float32).ravel())
+        dr.make_opaque(offset, self.radius, self.count)
         self.rotation = view.rotation
         self.centre = view.origin + view.rotation @ mi.Vector3f(offset)
 
     def towards(self, p: Any, sample: Any) -> Any:
-        """A point of the disc, and its falloff (profile over squared distance, m-2) seen from `p`."""
+        """A point of the flash, and its falloff (profile over squared distance, m-2) seen from `p`."""
         mi, dr = kernel()
-        on_disc = self.radius * mi.warp.square_to_uniform_disk_concentric(sample)
+        # One coordinate takes the emitter and, in what is left of it, a place on its disc.
+        turn = sample.x * self.count
+        chosen = dr.minimum(dr.floor(turn), self.count - 1.0)
+        emitter = dr.gather(mi.Point2f, self.emitters, mi.UInt32(chosen))
+        within = mi.Point2f(dr.clip(turn - chosen, 0.0, 1.0), sample.y)
+        on_disc = emitter + self.radius * mi.warp.square_to_uniform_disk_concentric(within)
         point = self.centre + self.rotation @ mi.Vector3f(on_disc.x, on_disc.y, 0.0)
         away = p - point
         distance = dr.norm(away)
@@ -181,3 +187,15 @@ class FlashDisc:
             dr.gather(mi.Float, self.profile, index), dr.gather(mi.Float, self.profile, index + 1), x - left
         )
         return point, dr.select(cosine > 0.0, profile / (distance * distance), 0.0)
+
+
+def _neighbours_first(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Places `(k, 2)` along a Z-order curve (Morton 1966): an even share of them is a compact block.
+
+    So an even spread of samples over the list is one over the plane as well.
+    """
+    extent = max(float(np.ptp(places, axis=0).max()), 1e-12)
+    cells = np.rint((places - places.min(axis=0)) / extent * 255.0).astype(np.int64)
+    bits = np.arange(8)
+    spread = ((cells[:, None, :] >> bits[:, None]) & 1) << (2 * bits[:, None] + np.arange(2))
+    return places[np.argsort(spread.sum(axis=(1, 2)), kind="stable")]

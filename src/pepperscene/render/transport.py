@@ -29,14 +29,14 @@ _LEAST_SURVIVAL: Final = 0.1  # chosen: bounds the weight of a survivor to ten t
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """One frame's light, summed over wavelengths by the sensor, per pixel.
+    """One frame's light, summed over wavelengths by the sensor, per pixel and channel (c, 3 or 1).
 
     Attributes:
-        flash: `(h, w, 3)` straight from the flash to the first hit and back; electrons s-1 m-2 sr-1.
-        open_flash: `(h, w, 3)` the same with all shadows taken away.
-        sky: `(h, w, 3)` seen directly.
-        soft: `(h, w, 3)` all the rest: sun, sky and light that was scattered more than once.
-        albedo: `(h, w, 3)` of the first hit, weighted by the response to the flash; for the denoiser.
+        flash: `(h, w, c)` straight from the flash to the first hit and back; electrons s-1 m-2 sr-1.
+        open_flash: `(h, w, c)` the same with all shadows taken away.
+        sky: `(h, w, c)` seen directly.
+        soft: `(h, w, c)` all the rest: sun, sky and light that was scattered more than once.
+        albedo: `(h, w, c)` of the first hit, weighted by the response to the flash; for the denoiser.
         normal: `(h, w, 3)` of the first hit, towards the camera; for the denoiser.
     """
 
@@ -48,7 +48,7 @@ class Light:
     normal: NDArray[np.float32]
 
     def total(self) -> NDArray[np.float32]:
-        """`(h, w, 3)` all light as traced."""
+        """`(h, w, c)` all light as traced."""
         return self.flash + self.sky + self.soft
 
 
@@ -89,7 +89,8 @@ def trace(
     """
     tables = FrameTables(scene, view, spectral, flash, sky)
     sharp = _accumulated(tables, sampling.sharp, seed, lambda samples: _sharp(tables, samples))
-    flash_light, open_flash, sky_light, albedo, normal = np.split(sharp, 5, axis=-1)
+    c = len(tables.electrons)
+    flash_light, open_flash, sky_light, albedo, normal = np.split(sharp, [c, 2 * c, 3 * c, 4 * c], axis=-1)
     soft = np.zeros_like(sky_light)
     if tables.flash is not None or tables.sky is not None:
         soft = _accumulated(tables, sampling.soft, ~seed, lambda s: _soft(tables, s, sampling.bounces))
@@ -124,7 +125,7 @@ def _accumulated(
 
 
 def _sharp(tables: FrameTables, samples: Samples) -> list[Any]:
-    """Flash at the first hit with and without shadows, sky seen, albedo, normal: 15 values a sample."""
+    """Flash at the first hit with and without shadows, sky seen, albedo; normal: 4 c + 3 values a sample."""
     _, dr = kernel()
     ray = samples.ray
     active, si, point = _hit(tables.scene, ray, coherent=True)
@@ -137,7 +138,7 @@ def _sharp(tables: FrameTables, samples: Samples) -> list[Any]:
 
 
 def _soft(tables: FrameTables, samples: Samples, bounces: int) -> list[Any]:
-    """Sun at the first hit, and all light that was scattered before it got there: three values a sample."""
+    """Sun at the first hit, and all light that was scattered before it got there: c values a sample."""
     mi, dr = kernel()
     active, si, point = _hit(tables.scene, samples.ray, coherent=True)
     light = samples.sun(si, point, active)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +23,8 @@ class View:
         slopes: `((h + 1) * (w + 1) * 2,)` undistorted (x/z, y/z) at the pixels' corners.
         rotation: camera to world.
         origin: the projection centre in the world, metres.
+        focus: distance of the plane in focus along the axis, metres; None where all is sharp.
+        aperture: radius of the entrance pupil, metres.
     """
 
     width: int
@@ -28,6 +32,8 @@ class View:
     slopes: Any
     rotation: Any
     origin: Any
+    focus: Any = None
+    aperture: Any = None
 
     def directions(self, column: Any, row: Any, dx: Any, dy: Any) -> Any:
         """Unit world directions through points (dx, dy) in [0, 1]^2 of pixels.
@@ -35,6 +41,28 @@ class View:
         Bilinear between the corners: exact for a pinhole, and off by less than 1e-6 rad for a lens whose
         distortion changes smoothly over a pixel.
         """
+        _, dr = kernel()
+        return dr.normalize(self.rotation @ self._towards(column, row, dx, dy))
+
+    def rays(self, column: Any, row: Any, place: Any, next_2d: Callable[[], Any]) -> tuple[Any, Any]:
+        """Origins and unit directions in the world of rays through points `place` of pixels.
+
+        With a plane in focus they start anywhere on the entrance pupil and meet in that plane (the thin lens
+        of Cook, Porter & Carpenter 1984); `next_2d` is asked only then.
+        """
+        mi, dr = kernel()
+        towards = self._towards(column, row, place.x, place.y)
+        if self.focus is None:
+            return self.origin, dr.normalize(self.rotation @ towards)
+        pupil = self.aperture * mi.warp.square_to_uniform_disk_concentric(next_2d())
+        start = mi.Vector3f(pupil.x, pupil.y, 0.0)
+        return (
+            self.origin + self.rotation @ start,
+            dr.normalize(self.rotation @ (self.focus * towards - start)),
+        )
+
+    def _towards(self, column: Any, row: Any, dx: Any, dy: Any) -> Any:
+        """Camera-axis directions (x/z, y/z, 1), bilinear between the pixels' corners."""
         mi, dr = kernel()
         first = row * (self.width + 1) + column
 
@@ -44,7 +72,7 @@ class View:
         upper = dr.lerp(corner(0), corner(1), dx)
         lower = dr.lerp(corner(self.width + 1), corner(self.width + 2), dx)
         slope = dr.lerp(upper, lower, dy)
-        return dr.normalize(self.rotation @ mi.Vector3f(slope.x, slope.y, 1.0))
+        return mi.Vector3f(slope.x, slope.y, 1.0)
 
 
 class LensCache:
@@ -64,4 +92,9 @@ class LensCache:
         rotation = mi.Matrix3f(np.asarray(camera.pose[:3, :3], np.float32))
         origin = mi.Point3f(*(float(x) for x in camera.pose[:3, 3]))
         dr.make_opaque(rotation, origin)
-        return View(camera.width, camera.height, self._slopes, rotation, origin)
+        view = View(camera.width, camera.height, self._slopes, rotation, origin)
+        if camera.focus_m is None:
+            return view
+        focus, aperture = mi.Float(float(camera.focus_m)), mi.Float(float(camera.aperture_radius_m))
+        dr.make_opaque(focus, aperture)
+        return dataclasses.replace(view, focus=focus, aperture=aperture)

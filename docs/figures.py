@@ -1,0 +1,121 @@
+"""Renders the pictures of docs/optics.md into docs/images; run it after a change that they show.
+
+    python docs/figures.py [NAME ...]
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from pepperscene import (
+    Camera,
+    Mesh,
+    Scene,
+    assemble,
+    concatenate,
+    grow,
+    load_cultivar,
+    load_flash,
+    load_lens,
+    load_sensor,
+    look_at,
+    mesh_plant,
+    organ_surfaces,
+    partly_cloudy,
+    render,
+)
+from pepperscene.camera import Developing
+
+IMAGES: Final = Path(__file__).parent / "images"
+NM: Final = np.arange(360.0, 831.0, 5.0)
+GAP: Final = 8
+"""White columns between panels, pixels."""
+
+Picture = NDArray[np.uint8]
+
+
+def single_organs(kind: str, seed: int = 3) -> list[Mesh]:
+    """The organs of one kind of a plant of Kaite, each as a mesh of its own."""
+    mesh = mesh_plant(grow(load_cultivar("kaite"), np.random.default_rng(seed)))
+    return [mesh.of_instances([i]) for i, one in enumerate(mesh.instances) if one.kind == kind]
+
+
+def hung(leaf: Mesh) -> Mesh:
+    """A leaf around the origin, tip down, its upper side towards -y."""
+    middle = leaf.vertices.mean(axis=0)
+    along = leaf.vertices[leaf.uv[:, 1] > 0.9].mean(axis=0) - leaf.vertices[leaf.uv[:, 1] < 0.1].mean(axis=0)
+    down = along / np.linalg.norm(along)
+    out = leaf.normals.mean(axis=0)
+    out = out - (out @ down) * down
+    out /= np.linalg.norm(out)
+    turn = np.stack([np.cross(down, out), -out, -down])
+    return leaf.moved(turn, -turn @ middle)
+
+
+def portrait_camera(width: int, height: int, distance_m: float, exposure_s: float, flash: bool) -> Camera:
+    """A longer lens than the recipe's, looking along +y at the origin."""
+    sensor = dataclasses.replace(load_sensor("ueye_ui5250re"), columns=width, rows=height)
+    lens = dataclasses.replace(load_lens("lensagon_cmfa0420nd"), focal_length_m=0.0125)
+    lamp = load_flash("led_matrix_200klx") if flash else None
+    pose = look_at((0.0, -distance_m, 0.0), (0.0, 0.0, 0.0))
+    developing = Developing(white_balance="flash" if flash else "daylight")
+    return Camera(lens, sensor, pose, exposure_s, lamp, developing)
+
+
+def daylit(mesh: Mesh, sun_azimuth_rad: float) -> Scene:
+    """The mesh in the sun: from the camera's side at -pi/2, from behind at pi/2."""
+    sky = partly_cloudy(
+        np.random.default_rng(5), illuminance_lx=5500.0, sun_azimuth_rad=sun_azimuth_rad,
+        sun_elevation_rad=float(np.radians(32.0)), sun_fraction=0.75, cloud_cover=0.2,
+    )  # fmt: skip
+    return assemble(mesh, organ_surfaces(load_cultivar("kaite"), NM), sky)
+
+
+def leaf_glow() -> Picture:
+    """One leaf with the sun in front of it, and with the sun behind."""
+    leaf = hung(max(single_organs("lamina"), key=lambda one: np.ptp(one.vertices, axis=0).max()))
+    camera = portrait_camera(420, 520, 0.5, 1 / 6000, flash=False)
+    return beside([render(daylit(leaf, side * np.pi / 2), camera, ["colour"])["colour"] for side in (-1, 1)])
+
+
+def ripening() -> Picture:
+    """A fruit at six states from green to ripe, by the flash."""
+    fruit = single_organs("fruit")[0]
+    fruit = fruit.moved(np.eye(3), -fruit.vertices.mean(axis=0))
+    spread = float(fruit.state.mean())
+    row = [
+        dataclasses.replace(fruit, state=np.clip(fruit.state - spread + state, 0, 1)).moved(
+            np.eye(3), np.array([0.105 * (place - 2.5), 0.0, 0.0])
+        )
+        for place, state in enumerate((0.0, 0.3, 0.5, 0.65, 0.8, 1.0))
+    ]
+    camera = portrait_camera(1000, 240, 0.9, 110e-6, flash=True)
+    scene = assemble(concatenate(row), organ_surfaces(load_cultivar("kaite"), NM))
+    return render(scene, camera, ["colour"])["colour"]
+
+
+def beside(pictures: list[Picture]) -> Picture:
+    """Pictures of equal height side by side, with white between."""
+    white = np.full((pictures[0].shape[0], GAP, 3), 255, np.uint8)
+    return np.hstack([part for picture in pictures for part in (white, picture)][1:])
+
+
+FIGURES: Final[dict[str, Callable[[], Picture]]] = {"leaf_glow": leaf_glow, "ripening": ripening}
+
+
+def main(names: list[str]) -> None:
+    """Write the figures asked for, by default all."""
+    for name in names or FIGURES:
+        Image.fromarray(FIGURES[name]()).save(IMAGES / f"{name}.png", optimize=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

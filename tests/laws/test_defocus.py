@@ -1,0 +1,72 @@
+"""Defocus against the geometry of a thin lens."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from bodies import bench_camera, sheet
+
+from pepperscene.materials import lambertian
+from pepperscene.render import Renderer
+from pepperscene.scene import assemble, uniform_sky
+from pepperscene.spectra import Spectrum
+
+GREY = Spectrum(np.array([300.0, 1100.0]), np.ones(2))
+WIDTH = 64
+"""Columns of the cut-out; its middle looks along the axis."""
+
+
+def knife_edge(z: float):
+    """A black half-plane (x > 0) at distance z before an even sky."""
+    blade = sheet(2.0, 4.0, z, "black").moved(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    return assemble(blade, {"black": lambertian("black", 0.0)}, uniform_sky(GREY, 5500.0))
+
+
+def camera_focused_at(focus_m: float | None):
+    camera = bench_camera(columns=WIDTH, rows=8, flash=False)
+    lens = dataclasses.replace(camera.lens, f_number=0.8)  # wide open, so that the blur spans many pixels
+    return dataclasses.replace(camera, lens=lens, focus_m=focus_m)
+
+
+def share_of_a_disc_left_of(x: np.ndarray) -> np.ndarray:
+    """Area of the unit disc with abscissa below x, over pi: the edge spread function of a round pupil."""
+    inside = np.clip(x, -1.0, 1.0)
+    return 0.5 + (inside * np.sqrt(1.0 - inside**2) + np.arcsin(inside)) / np.pi
+
+
+@pytest.mark.parametrize(("z", "focus_m"), [(0.1, 0.4), (0.4, 0.1), (0.25, 0.25), (3.0, 0.15)])
+def test_a_knife_edge_is_blurred_by_the_disc_of_confusion(z, focus_m):
+    # A point at z is imaged from across the pupil of radius a onto a disc of radius a |1/z - 1/d| in slopes,
+    # d the distance in focus: f a |1/z - 1/d| on the sensor. The edge's profile is that disc's, integrated.
+    # 8 rows x 256 samples: standard error below .5 / sqrt(2048) = .011 of the sky; stratified, far less.
+    camera = camera_focused_at(focus_m)
+    image = Renderer(knife_edge(z)).render(camera, ["electrons"], "reference")["electrons"][..., 1]
+    profile = image.mean(axis=0) / image[:, :1].mean()
+    radius_px = camera.intrinsics[0, 0] * camera.aperture_radius_m * abs(1.0 / z - 1.0 / focus_m)
+    sub = (np.arange(WIDTH * 64) + 0.5) / 64 - WIDTH / 2
+    # The image of a point to the right of the axis lies right: sky is left of the edge.
+    sky = 1.0 - share_of_a_disc_left_of(sub / max(radius_px, 1e-6))
+    expected = sky.reshape(WIDTH, 64).mean(axis=1)
+    assert radius_px < WIDTH / 2
+    if z != focus_m:
+        assert radius_px > 4
+    assert np.abs(profile - expected).max() < 0.02
+
+
+def test_what_is_in_focus_is_as_sharp_as_through_a_pinhole():
+    scene = knife_edge(0.4)
+    pinhole = Renderer(scene).render(camera_focused_at(None), ["electrons"], "reference")["electrons"]
+    focused = Renderer(scene).render(camera_focused_at(0.4), ["electrons"], "reference")["electrons"]
+    assert focused == pytest.approx(pinhole, abs=0.03 * float(pinhole.max()))
+
+
+def test_labels_are_those_of_the_pupils_centre():
+    # One class per pixel needs one ray: that through the middle of the pupil, whatever is in focus.
+    scene = knife_edge(0.1)
+    names = ["class", "distance"]
+    blurred = Renderer(scene).render(camera_focused_at(0.4), names)
+    sharp = Renderer(scene).render(camera_focused_at(None), names)
+    np.testing.assert_array_equal(blurred["class"], sharp["class"])
+    np.testing.assert_array_equal(blurred["distance"], sharp["distance"])
