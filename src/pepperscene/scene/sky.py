@@ -1,4 +1,4 @@
-"""Daylight: a partly cloudy sky as maps of radiance, and the sun's disc.
+"""Daylight: a partly cloudy sky as maps of radiance, and the sun's disc, seen through the greenhouse's roof.
 
 The sky is an image of the whole sphere in equal steps of polar angle (rows, zenith first) and azimuth
 (columns, counter-clockwise from +x), once for each of a few spectra whose weighted sum is the radiance.
@@ -12,6 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.scene.cover import Cover
+from pepperscene.scene.haze import directions, haze, row_geometry
 from pepperscene.spectra import Spectrum, illuminance, sky_spectrum, sun_spectrum, with_illuminance
 
 SUN_ANGULAR_RADIUS: Final = 0.004654
@@ -19,7 +21,7 @@ SUN_ANGULAR_RADIUS: Final = 0.004654
 
 _ROWS: Final = 256  # chosen: 0.7 degrees a texel, finer than clouds seen out of focus
 _GROUND_ALBEDO: Final = 0.3  # chosen: white floor film, mostly in the crop's shade
-_HAZE: Final = 0.25  # chosen: sine of elevation over which sky and floor blend, as rows far off would hide it
+_HORIZON: Final = 0.25  # chosen: sine of elevation over which sky and floor blend, rows far off hide it
 _MOST_SUN: Final = 0.99  # the floor shines on the horizon by at least the rest
 _WAVES: Final = 256  # chosen: enough plane waves that their sum is Gaussian and shows no pattern
 
@@ -56,7 +58,7 @@ class Sky:
     def horizontal_illuminance(self) -> float:
         """Lux on an unobstructed level plane, sky and sun together."""
         rows, columns = self.weights.shape[1:]
-        cosines, solid_angles = _row_geometry(rows, columns)
+        cosines, solid_angles = row_geometry(rows, columns)
         received = (self.weights * (np.maximum(cosines, 0.0) * solid_angles)[None, :, None]).sum((1, 2))
         lux = float(illuminance(Spectrum(self.radiance.wavelength_nm, received @ self.radiance.values)))
         if self.sun is not None:
@@ -79,16 +81,22 @@ def partly_cloudy(
     sun_elevation_rad: float,
     sun_fraction: float,
     cloud_cover: float,
+    cover: Cover | None = None,
 ) -> Sky:
     """Blue sky with cumulus clouds and the sun's disc, over a pale floor.
 
+    A cover filters the light of sky and sun. A hazy one spreads its share of both: it smooths the map of the
+    sky, and what the sun's disc loses lies in a lobe around it, a third map in the sun's own spectrum.
+
     Args:
         rng: places the clouds.
-        illuminance_lx: on a level plane, from sky and sun together.
+        illuminance_lx: on a level plane below the cover, from sky and sun together.
         sun_azimuth_rad: counter-clockwise from +x seen from above; pi/2 is behind the crop.
         sun_elevation_rad: above the horizon, > 0 where `sun_fraction` is.
-        sun_fraction: share of the illuminance that comes from the disc itself, in [0, 0.99].
+        sun_fraction: share of the illuminance that is the sun's, in [0, 0.99]; from the disc and, below a
+            hazy cover, from the lobe around it.
         cloud_cover: share of the sky that clouds hide, in [0, 1].
+        cover: between the sky and the crop; None in the open.
 
     Raises:
         ValueError: an argument lies outside its range.
@@ -101,34 +109,50 @@ def partly_cloudy(
             np.sin(sun_elevation_rad),
         ]
     )
-    towards = _directions(_ROWS, 2 * _ROWS)
+    towards = directions(_ROWS, 2 * _ROWS)
     up = towards[..., 2]
-    above = np.clip(up / _HAZE + 0.5, 0.0, 1.0)
+    above = np.clip(up / _HORIZON + 0.5, 0.0, 1.0)
 
     # Blue sky brightens to the horizon and round the sun (shape after the CIE's clear skies, numbers chosen).
     angle_to_sun = np.arccos(np.clip(towards @ direction, -1.0, 1.0))
     blue = (1.0 + 1.5 * np.exp(-6.0 * np.maximum(up, 0.0))) * (1.0 + 4.0 * np.exp(-4.0 * angle_to_sun))
     # Clouds lie on a plane overhead, are brighter than the blue and shine near the sun.
-    cover = _cloud_density(towards, rng, cloud_cover)
-    white = 3.0 * (1.0 + 3.0 * np.exp(-3.0 * angle_to_sun)) * cover
-    weights = above * np.stack([blue * (1.0 - cover), white])
+    clouds = _cloud_density(towards, rng, cloud_cover)
+    white = 3.0 * (1.0 + 3.0 * np.exp(-3.0 * angle_to_sun)) * clouds
+    weights = np.stack([blue * (1.0 - clouds), white])
 
-    # Each spectrum at 1 lux, so that weights share out the illuminance; then the whole to scale.
-    spectra = [with_illuminance(sky_spectrum(kind), 1.0) for kind in ("d75", "d65")]
-    grid = spectra[0].wavelength_nm
-    radiance = np.stack([spectrum.at(grid) for spectrum in spectra])
-    cosines, solid_angles = _row_geometry(_ROWS, 2 * _ROWS)
-    level = np.maximum(cosines, 0.0) * solid_angles
+    # The cover spreads a share of the light from the sky, and of the sun's.
+    kinds = [sky_spectrum("d75"), sky_spectrum("d65"), sun_spectrum()]
+    sun_lx = illuminance_lx * sun_fraction
+    spread = cover.haze if cover is not None else 0.0
+    lobe = None
+    if cover is not None and spread > 0.0:
+        scattering = haze(cover.haze_width_rad, _ROWS, 2 * _ROWS, int((above[:, 0] > 0.0).sum()))
+        weights += spread * (scattering.spread(weights) - weights)
+        if sun_lx > 0.0:
+            lobe = above * scattering.lobe(towards, direction)
+    weights *= above
+
+    # Each spectrum at 1 lux below the cover, so that weights share out the illuminance; then all to scale.
+    below = [with_illuminance(kind if cover is None else cover.through(kind), 1.0) for kind in kinds]
+    cosines, solid_angles = row_geometry(_ROWS, 2 * _ROWS)
+    level = (np.maximum(cosines, 0.0) * solid_angles)[:, None]
     # The floor sends back a part of all that falls on it, in the clouds' white; haze hides where it ends.
     floor = (1.0 - above) * illuminance_lx * _GROUND_ALBEDO / np.pi
-    wanted = illuminance_lx * (1.0 - sun_fraction) - (floor * level[:, None]).sum()
-    weights *= wanted / (weights * level[None, :, None]).sum()
+    weights *= (illuminance_lx - sun_lx - (floor * level).sum()) / (weights * level).sum()
     weights[1] += floor
+    if lobe is not None:
+        weights = np.concatenate([weights, lobe[None] * (spread * sun_lx / (lobe * level).sum())])
     sun = None
-    if sun_fraction > 0.0 and illuminance_lx > 0.0:
-        normal_lx = illuminance_lx * sun_fraction / np.sin(sun_elevation_rad)
-        sun = Sun(direction, with_illuminance(sun_spectrum(), normal_lx))
-    return Sky(weights.astype(np.float32), Spectrum(grid, radiance), sun)
+    if sun_lx > 0.0 and spread < 1.0:
+        sun = Sun(direction, below[2].times((1.0 - spread) * sun_lx / np.sin(sun_elevation_rad)))
+    return Sky(weights.astype(np.float32), _side_by_side(below[: len(weights)]), sun)
+
+
+def _side_by_side(spectra: list[Spectrum]) -> Spectrum:
+    """`(k, n)` values on the nodes of all `k` spectra."""
+    grid = np.unique(np.concatenate([spectrum.wavelength_nm for spectrum in spectra]))
+    return Spectrum(grid, np.stack([spectrum.at(grid) for spectrum in spectra]))
 
 
 def _check(illuminance_lx: float, sun_elevation_rad: float, sun_fraction: float, cloud_cover: float) -> None:
@@ -145,22 +169,6 @@ def _check(illuminance_lx: float, sun_elevation_rad: float, sun_fraction: float,
         )
 
 
-def _directions(rows: int, columns: int) -> NDArray[np.float64]:
-    """`(rows, columns, 3)` unit directions through the texels' centres."""
-    polar = (np.arange(rows) + 0.5) / rows * np.pi
-    azimuth = (np.arange(columns) + 0.5) / columns * 2.0 * np.pi
-    flat = np.sin(polar)[:, None]
-    up = np.broadcast_to(np.cos(polar)[:, None], (rows, columns))
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), up], axis=-1)
-
-
-def _row_geometry(rows: int, columns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean cosine to the zenith and solid angle of a texel, by row; both exact for the row's band."""
-    edges = np.arange(rows + 1) / rows * np.pi
-    top, bottom = np.cos(edges[:-1]), np.cos(edges[1:])
-    return (top + bottom) / 2.0, (top - bottom) * 2.0 * np.pi / columns
-
-
 def _cloud_density(
     towards: NDArray[np.float64], rng: np.random.Generator, cloud_cover: float
 ) -> NDArray[np.float64]:
@@ -170,7 +178,7 @@ def _cloud_density(
     # Waves of amplitude ~ 1/frequency: large heaps with frayed rims.
     frequency = np.exp(rng.uniform(np.log(1.0), np.log(24.0), _WAVES))
     heading, phase = rng.uniform(0.0, 2.0 * np.pi, (2, _WAVES))
-    above = towards[..., 2] > -_HAZE / 2.0
+    above = towards[..., 2] > -_HORIZON / 2.0
     counted = towards[above][:, 2] > 0.0
     plane = towards[above][:, :2] / (np.maximum(towards[above][:, 2:], 0.0) + 0.15)
     waves = plane @ (frequency * np.stack([np.cos(heading), np.sin(heading)])) + phase
