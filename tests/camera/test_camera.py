@@ -6,16 +6,23 @@ import dataclasses
 import json
 import warnings
 
+import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from pepperscene.camera import Camera, Distortion, load_flash, load_lens, load_sensor, look_at
 from pepperscene.errors import InputError
+from pepperscene.shipped import shelf
 
 SENSOR = load_sensor("ueye_ui5250re")
 PINHOLE = load_lens("lensagon_cmfa0420nd")
 BARREL = dataclasses.replace(PINHOLE, distortion=Distortion(-0.107, 0.043, 0.001, -0.0005))
 POSE = look_at((0.3, -0.4, 1.1), (0.0, 0.1, 1.3))
+LENSES = [path.stem for path in sorted((shelf("materials") / "lenses").glob("*.toml"))]
+# The same field in fewer, larger pixels, so that many lenses can be tried.
+COARSE = dataclasses.replace(SENSOR, columns=80, rows=60, pitch_m=10 * SENSOR.pitch_m)
 
 
 def test_intrinsics_by_hand():
@@ -46,6 +53,80 @@ def test_points_along_a_pixel_s_ray_project_to_its_centre(lens):
     pixels = camera.project(points.reshape(-1, 3))
     expected = np.stack([columns + 0.5, rows + 0.5], axis=-1).reshape(-1, 2)
     np.testing.assert_allclose(pixels, expected, rtol=0, atol=1e-8)
+
+
+def round_trip_px(camera):
+    """The largest way, in pixels, between pixels' corners and where points on their rays are projected to."""
+    slopes = camera.ray_slopes().reshape(-1, 2)
+    distance = np.linspace(0.05, 20.0, len(slopes))[:, None]  # along the optical axis
+    points = np.column_stack([slopes, np.ones(len(slopes))]) * distance
+    pixels = camera.project(points @ camera.pose[:3, :3].T + camera.pose[:3, 3])
+    v, u = np.mgrid[0 : camera.height + 1, 0 : camera.width + 1]
+    return np.abs(pixels - np.column_stack([u.ravel(), v.ravel()])).max()
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_unprojected_pixels_project_to_themselves_up_to_the_border(name):
+    # Required: 0.01 px over the whole frame. Newton's iteration leaves rounding.
+    assert round_trip_px(Camera(load_lens(name), SENSOR, POSE)) < 1e-8
+
+
+@st.composite
+def lenses(draw):
+    """Brown-Conrady lenses that can be inverted over the sensor, their axis up to 0.5 mm off its middle."""
+    distortion = Distortion(
+        k1=draw(st.floats(-0.07, 0.2)), k2=draw(st.floats(0, 0.1)), k3=draw(st.floats(0, 0.02)),
+        p1=draw(st.floats(-0.005, 0.005)), p2=draw(st.floats(-0.005, 0.005)),
+    )  # fmt: skip
+    offset = (draw(st.floats(-5e-4, 5e-4)), draw(st.floats(-5e-4, 5e-4)))
+    return dataclasses.replace(PINHOLE, distortion=distortion, principal_offset_m=offset)
+
+
+@given(lens=lenses())
+@settings(max_examples=60, deadline=None)
+def test_any_lens_unprojects_and_projects(lens):
+    assert round_trip_px(Camera(lens, COARSE, POSE)) < 1e-8
+
+
+@given(lens=lenses())
+@settings(max_examples=40, deadline=None)
+def test_opencv_puts_points_onto_the_same_pixels(lens):
+    camera = Camera(lens, SENSOR, POSE)
+    d = lens.distortion
+    x, y = np.meshgrid(np.linspace(-0.9, 0.9, 19), np.linspace(-0.7, 0.7, 15))
+    points = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3) * 0.4
+    world = points @ POSE[:3, :3].T + POSE[:3, 3]
+    to_camera = np.linalg.inv(POSE)
+    turn, _ = cv2.Rodrigues(to_camera[:3, :3])
+    expected, _ = cv2.projectPoints(
+        world, turn, to_camera[:3, 3], camera.intrinsics, np.array([d.k1, d.k2, d.p1, d.p2, d.k3])
+    )
+    # Neither rounds pixels: both count from the outer edge of the first one when given the same matrix.
+    np.testing.assert_allclose(camera.project(world), expected[:, 0], rtol=0, atol=1e-6)
+
+
+def test_the_principal_point_by_hand():
+    # 90 um to the right and 45 um up on the sensor are 10 and 5 pixels of 9 um.
+    lens = dataclasses.replace(BARREL, principal_offset_m=(90e-6, -45e-6))
+    camera = Camera(lens, SENSOR)
+    np.testing.assert_allclose(camera.intrinsics[:2, 2], [410, 295])
+    np.testing.assert_allclose(camera.project([[0, 0, 1.0]]), [[410, 295]])
+    np.testing.assert_allclose(camera.ray_slopes()[295, 410], 0, atol=1e-12)
+    # The whole picture moves along, distortion included.
+    points = np.array([[0.3, -0.2, 1.0], [-0.4, 0.1, 0.7]])
+    moved = camera.project(points) - Camera(BARREL, SENSOR).project(points)
+    np.testing.assert_allclose(moved, [[10, -5], [10, -5]], atol=1e-9)
+
+
+def test_the_aperture_by_hand():
+    # 4.16 mm at f/2: 2.08 mm across.
+    assert Camera(PINHOLE, SENSOR).aperture_radius_m == pytest.approx(1.04e-3)
+
+
+@pytest.mark.parametrize("focus", [0.0, -0.4, 4.16e-3, np.inf, np.nan])
+def test_a_lens_cannot_be_focused_within_its_focal_length(focus):
+    with pytest.raises(InputError, match=r"focus_m.*beyond the focal length"):
+        Camera(PINHOLE, SENSOR, focus_m=focus)
 
 
 @pytest.mark.parametrize("lens", [PINHOLE, BARREL], ids=["pinhole", "barrel"])
@@ -101,11 +182,21 @@ def test_the_flash_shines_during_its_pulse_alone():
 
 
 def test_facts_are_json_and_rebuild_the_geometry():
-    facts = json.loads(json.dumps(Camera(BARREL, SENSOR, POSE, flash=load_flash("led_matrix_200klx")).facts()))
+    lens = dataclasses.replace(
+        load_lens("lensagon_cmfa0420nd_typical_distortion"), principal_offset_m=(9e-6, -18e-6)
+    )
+    camera = Camera(lens, SENSOR, POSE, flash=load_flash("led_matrix_200klx"), focus_m=0.4)
+    facts = json.loads(json.dumps(camera.facts()))
     assert (facts["width"], facts["height"], facts["exposure_s"]) == (800, 600, 50e-6)
     np.testing.assert_array_equal(facts["pose"], POSE)
-    assert Distortion(**facts["distortion"]) == BARREL.distortion
-    assert {facts["lens"], facts["sensor"]} == {BARREL.name, SENSOR.name}
+    assert Distortion(**facts["distortion"]) == lens.distortion
+    assert (facts["cx"], facts["cy"]) == pytest.approx((401, 298))
+    assert facts["principal_offset_m"] == [9e-6, -18e-6]
+    assert (facts["focus_m"], facts["vignetting"]) == (0.4, True)
+    assert (facts["bits"], facts["gain"]) == (10, 1.0)
+    assert {facts["lens"], facts["sensor"]} == {lens.name, SENSOR.name}
+    assert Camera(PINHOLE, SENSOR).facts()["focus_m"] is None
+    assert Camera(PINHOLE, SENSOR).facts()["vignetting"] is False
 
 
 @pytest.mark.parametrize(

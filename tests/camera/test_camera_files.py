@@ -11,7 +11,7 @@ import tomli_w
 from pepperscene.camera import load_flash, load_lens, load_sensor
 from pepperscene.errors import InputError
 from pepperscene.shipped import shelf
-from pepperscene.spectra import read_provenance
+from pepperscene.spectra import read_provenance, read_spectrum
 
 FOLDER = shelf("materials")
 LOADERS = {"sensors": load_sensor, "lenses": load_lens, "flashes": load_flash}
@@ -93,6 +93,7 @@ def drop(*keys):
     return change
 
 
+TYPICAL = "lensagon_cmfa0420nd_typical_distortion"
 WRONG_TABLES = [
     ("sensors", "ueye_ui5250re", put("pitch_um", -4.5), r"mine\.toml: pitch_um = -4\.5"),
     ("sensors", "ueye_ui5250re", put("binning", 3), r"binning = 3"),
@@ -119,15 +120,57 @@ WRONG_TABLES = [
     ("lenses", "lensagon_cmfa0420nd", put("transmittance", 90), r"transmittance = 90"),
     ("lenses", "lensagon_cmfa0420nd", put("distortion", "k1", float("nan")), r"distortion\.k1 = nan"),
     ("lenses", "lensagon_cmfa0420nd", put("distortion", "k7", 0.1), r"distortion\.k7: is not a known key"),
+    ("lenses", "lensagon_cmfa0420nd", put("principal_offset_mm", [0.1]), r"principal_offset_mm"),
+    (
+        "lenses",
+        "lensagon_cmfa0420nd",
+        put("principal_offset_mm", [0.1, -0.2]),
+        r"must tell where principal_o",
+    ),
+    (
+        "lenses",
+        TYPICAL,
+        put("vignetting", "relative", [1, 1, 1, 1, 1, 2.5]),
+        r"vignetting\.relative\.5 = 2\.5",
+    ),
+    (
+        "lenses",
+        TYPICAL,
+        put("vignetting", "relative", [1, 1, 1, 1, 1, -0.5]),
+        r"vignetting\.relative\.5 = -0",
+    ),
+    ("lenses", TYPICAL, put("vignetting", "relative", [1, 1]), r"vignetting: .*equally long"),
+    ("lenses", TYPICAL, put("vignetting", "relative", [0.9, 0.9, 0.9, 0.8, 0.8, 0.7]), r"1 at angle 0"),
+    ("lenses", TYPICAL, put("vignetting", "angle_deg", [0, 15, 25, 20, 42, 50]), r"increasing list"),
+    ("lenses", TYPICAL, put("vignetting", "angle_deg", [0, 15, 25, 35, 42, 95]), r"angle_deg\.5 = 95"),
     (
         "flashes",
         "led_matrix_200klx",
         put("profile", "angle_deg", [0, 20, 10, 26, 35, 45, 65]),
-        r"must increase",
+        r"profile: angles must be one increasing list",
     ),
     ("flashes", "led_matrix_200klx", put("profile", "angle_deg", [0, 20]), r"equally long"),
+    ("flashes", "led_matrix_200klx", put("profile", "relative_intensity", [2.0] * 7), r"1 at angle 0"),
     ("flashes", "led_matrix_200klx", put("illuminance_lx", 0), r"illuminance_lx = 0"),
+    ("flashes", "led_matrix_200klx", put("irradiance_W_m2", 600.0), r"must tell where irradiance_W_m2 comes"),
     ("flashes", "led_matrix_200klx", put("offset_mm", [0, 1]), r"offset_mm"),
+    ("flashes", "led_matrix_200klx", put("matrix", "columns", 0), r"matrix\.columns = 0"),
+    ("flashes", "led_matrix_200klx", put("matrix", "pitch_mm", -8), r"matrix\.pitch_mm = -8"),
+    ("flashes", "led_matrix_200klx", put("matrix", "pitch_mm", 2.9), r"at most half of matrix\.pitch_mm"),
+    ("flashes", "led_matrix_200klx", drop("sources", "matrix"), r"must tell where matrix comes from"),
+    (
+        "flashes",
+        "led_matrix_200klx",
+        put("profile", {"angle_deg": [0, 0.1], "relative_intensity": [1, 0]}),
+        r"profile: does not fit the other values: .*no light of the profile falls straight ahead",
+    ),
+    ("flashes", "led_matrix_200klx", put("spectrum", "file", "light/no_such"), r"spectrum\.file = 'light/no"),
+    (
+        "flashes",
+        "led_matrix_200klx",
+        put("spectrum", "file", "light/astm_g173_300_1100"),
+        r"'lumileds_cool_white': is not one of",
+    ),
 ]
 
 
@@ -158,13 +201,104 @@ def test_a_wrong_curve_is_named_by_file_row_and_column(tmp_path, text, message):
         load_sensor(path)
 
 
-def test_a_flash_needs_visible_light(tmp_path):
-    path = copy_of(
-        tmp_path, "flashes", "led_matrix_200klx", put("spectrum", {"file": "ir.csv", "column": "ir"})
-    )
-    (tmp_path / "ir.csv").write_text("wavelength_nm,ir\n800,0\n850,1\n900,0", encoding="utf-8")
-    with pytest.raises(InputError, match=r"spectrum\.column = 'ir': must hold light"):
+def infrared(tmp_path, *changes):
+    """The shipped flash's file with an infrared spectrum."""
+
+    def change(table):
+        table["spectrum"] = {"file": "ir.csv", "column": "ir"}
+        for one in changes:
+            one(table)
+
+    path = copy_of(tmp_path, "flashes", "led_matrix_200klx", change)
+    (tmp_path / "ir.csv").write_text("wavelength_nm,ir,none\n800,0,0\n850,1,0\n900,0,0", encoding="utf-8")
+    return path
+
+
+def without_lux(table):
+    del table["illuminance_lx"], table["sources"]["illuminance_lx"]
+
+
+def with_watts(table):
+    table["irradiance_W_m2"] = 40
+    table["sources"]["irradiance_W_m2"] = "chosen"
+
+
+def in_watts(table):
+    without_lux(table)
+    with_watts(table)
+
+
+@pytest.mark.parametrize("change", [with_watts, without_lux], ids=["both", "none"])
+def test_a_flash_has_one_strength(tmp_path, change):
+    with pytest.raises(InputError, match=r"exactly one of illuminance_lx and irradiance_W_m2 must be given"):
+        load_flash(copy_of(tmp_path, "flashes", "led_matrix_200klx", change))
+
+
+def test_a_flash_in_lux_needs_visible_light(tmp_path):
+    with pytest.raises(InputError, match=r"spectrum\.column = 'ir': must hold light in 400 to 700 nm, or"):
+        load_flash(infrared(tmp_path))
+
+
+def test_a_flash_in_watts_does_not(tmp_path):
+    flash = load_flash(infrared(tmp_path, in_watts))
+    assert (flash.illuminance_lx, flash.irradiance_W_m2) == (None, 40)
+    # A triangle of 100 nm: its peak is 40 W/m2 over 50 nm.
+    assert flash.irradiance().at(850.0)[0] == pytest.approx(0.8)
+
+
+def test_a_flash_needs_some_light(tmp_path):
+    path = infrared(tmp_path, in_watts, put("spectrum", "column", "none"))
+    with pytest.raises(InputError, match=r"spectrum\.column = 'none': must hold some light"):
         load_flash(path)
+
+
+@pytest.mark.parametrize(
+    ("file", "column"),
+    [
+        ("light/houser2013_cool_white_led", "slide_4_lumileds_cool_white"),
+        ("light/nist_phosphor_led_colour_science.csv", "phos_1"),
+        ("light/cie_illuminants_colour_science", "led_b3"),
+    ],
+)
+def test_a_flash_can_have_a_shipped_led(tmp_path, file, column):
+    path = copy_of(
+        tmp_path, "flashes", "led_matrix_200klx", put("spectrum", {"file": file, "column": column})
+    )
+    flash, shipped = load_flash(path), read_spectrum(file, column)
+    np.testing.assert_array_equal(flash.spectrum.values, shipped.values)
+    # What lies beside the file comes first.
+    beside = tmp_path / f"{file.removesuffix('.csv')}.csv"
+    beside.parent.mkdir()
+    beside.write_text(f"wavelength_nm,{column}\n500,1\n600,1", encoding="utf-8")
+    if file.endswith(".csv"):
+        np.testing.assert_array_equal(load_flash(path).spectrum.values, [1, 1])
+
+
+def test_a_flash_without_a_matrix_is_one_emitter(tmp_path):
+    def change(table):
+        del table["matrix"], table["sources"]["matrix"]
+        table["radius_mm"] = 30
+
+    flash = load_flash(copy_of(tmp_path, "flashes", "led_matrix_200klx", change))
+    np.testing.assert_array_equal(flash.emitters_m, [[0, 0]])
+    assert flash.radius_m == pytest.approx(0.03)
+
+
+def test_a_matrix_stands_around_its_centre(tmp_path):
+    matrix = put("matrix", {"columns": 3, "rows": 2, "pitch_mm": 10.0})
+    flash = load_flash(copy_of(tmp_path, "flashes", "led_matrix_200klx", matrix))
+    row = [-0.01, 0.0, 0.01]
+    expected = [[x, -0.005] for x in row] + [[x, 0.005] for x in row]
+    np.testing.assert_allclose(flash.emitters_m, expected, atol=1e-15)
+
+
+def test_a_principal_point_is_read_in_millimetres(tmp_path):
+    def change(table):
+        table["principal_offset_mm"] = [0.12, -0.05]
+        table["sources"]["principal_offset_mm"] = "calibrated"
+
+    lens = load_lens(copy_of(tmp_path, "lenses", "lensagon_cmfa0420nd", change))
+    assert lens.principal_offset_m == pytest.approx((1.2e-4, -5e-5))
 
 
 @pytest.mark.parametrize("kind", LOADERS)
