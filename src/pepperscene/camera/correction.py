@@ -15,6 +15,9 @@ from pepperscene.spectra import Spectrum, colour_science, read_spectra, sky_spec
 Array = NDArray[np.float64]
 CHART = "chart/colorchecker_iso17321_1.csv"
 _NM = np.arange(300.0, 1101.0)  # covers silicon; 1 nm is finer than any curve that is shipped
+_WHITE = np.ones((1, _NM.size))
+_LEAST_VISIBLE = 1e-3  # chosen: share of the power, weighted by the eye; deep red of 700 nm has 4e-3
+_LARGEST_ENTRY = 20.0  # chosen: of a matrix; broad lights need 2, and noise grows with it
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,24 +44,59 @@ def correction(sensor: Sensor, light: Spectrum) -> Correction:
     CIELAB, where equal distances look equally large, finishes them.
 
     Raises:
-        InputError: a colour of the sensor does not see the light at all.
+        InputError: the light does not let this sensor tell colours apart: a colour of the sensor does not see
+            it, hardly any of it is visible, or it is so narrow that the matrix would show noise alone.
     """
     colour = colour_science()
-    chart = chart_reflectances().at(_NM)
-    device = np.vstack([chart, np.ones_like(_NM)]) @ (light.at(_NM) * sensor.electrons_per_joule(_NM)).T
-    if not device[-1].min() > 0:
+    gains = white_gains(sensor, light)
+    if not _visible_share(light) > _LEAST_VISIBLE:
         raise InputError(
-            sensor.name, "quantum_efficiency", None, "all three colours must see the reference light"
+            sensor.name, "colour_matrix", True, "needs a visible reference light; leave the colour matrix out"
         )
-    gains = device[-1].max() / device[-1]
-    rgb = device[:-1] / device[-1]  # balanced, white diffuser at 1
+    chart = chart_reflectances().at(_NM)
+    rgb = _seen(sensor, light, chart) / _seen(sensor, light, _WHITE)  # balanced, white diffuser at 1
 
     xyz = adapted_xyz(light, chart)
     srgb = colour.RGB_COLOURSPACES["sRGB"]
     aim = xyz @ srgb.matrix_XYZ_to_RGB.T
     matrix = _fit(rgb, _linear_start(rgb, aim), xyz, srgb.matrix_RGB_to_XYZ)
+    if np.abs(matrix).max() > _LARGEST_ENTRY:
+        allowed = "needs a reference light of more colours; leave the colour matrix out"
+        raise InputError(sensor.name, "colour_matrix", True, allowed)
     left = colour.delta_E(_lab(xyz), _lab(rgb @ matrix.T @ srgb.matrix_RGB_to_XYZ.T), method="CIE 2000")
     return Correction(gains, matrix, float(np.mean(left)))
+
+
+def white_gains(sensor: Sensor, light: Spectrum) -> Array:
+    """`(3,)` gains, the smallest 1, that make a white diffuser under `light` neutral.
+
+    Raises:
+        InputError: a colour of the sensor does not see the light at all.
+    """
+    (white,) = _seen(sensor, light, _WHITE)
+    if not white.min() > 0:
+        raise InputError(
+            sensor.name, "quantum_efficiency", None, "all three colours must see the reference light"
+        )
+    return np.asarray(white.max() / white)
+
+
+def _seen(sensor: Sensor, light: Spectrum, reflectance: Array) -> Array:
+    """`(m, 3)` relative electrons of reflectances `(m, 801)` under `light`."""
+    return np.asarray(reflectance @ (light.at(_NM) * sensor.electrons_per_joule(_NM)).T)
+
+
+def _visible_share(light: Spectrum) -> float:
+    """Of the light's power, weighted by the eye's luminous efficiency, whose peak is 1."""
+    power = light.at(_NM)
+    return float(power @ _observer().at(_NM)[1] / power.sum())
+
+
+@lru_cache(maxsize=1)
+def _observer() -> Spectrum:
+    """CIE 1931 colour matching functions, `(3, n)`."""
+    table = colour_science().MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    return Spectrum(table.wavelengths, table.values.T)
 
 
 @lru_cache(maxsize=1)
@@ -76,8 +114,7 @@ def chart_reflectances() -> Spectrum:
 def adapted_xyz(light: Spectrum, reflectance: Array) -> Array:
     """`(m, 3)` XYZ (white at Y = 1) of reflectances `(m, 801)` under `light`, adapted to D65."""
     colour = colour_science()
-    observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
-    weight = light.at(_NM) * Spectrum(observer.wavelengths, observer.values.T).at(_NM)
+    weight = light.at(_NM) * _observer().at(_NM)
     white = weight.sum(axis=-1)
     adapt = colour.adaptation.matrix_chromatic_adaptation_VonKries(
         white / white[1], colour.xy_to_XYZ(_d65_white()), transform="Bradford"

@@ -22,8 +22,8 @@ def demosaiced(sites: Floats, pattern: str, method: Demosaic) -> Floats:
     ICASSP); "menon", directional filters with a choice afterwards (Menon, Andriani and Calvagno 2007, IEEE
     Trans. Image Process. 16:132); "bilinear", the mean of the nearest photosites of a colour.
 
-    The mosaic is mirrored about its outermost photosites before, which keeps the pattern; two of the library's
-    methods mirror about its edge, which mixes colours there.
+    The mosaic is mirrored about its outermost photosites before, which keeps the pattern; two methods of the
+    library mirror about the edge, which mixes colours there.
     """
     bayer = _library()
     method_of = {

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.camera import Camera
-from pepperscene.camera.correction import Correction, correction, daylight
+from pepperscene.camera.correction import Correction, correction, daylight, white_gains
 from pepperscene.camera.demosaic import demosaiced
 from pepperscene.camera.mosaic import Floats, gathered
 from pepperscene.camera.readout import read_out
 from pepperscene.camera.steps import Tone
+from pepperscene.spectra import Spectrum
 
 
 def develop(
@@ -31,6 +32,7 @@ def develop(
     Raises:
         ValueError: the electrons have the wrong shape or are not finite, or the white balance asks for a
             flash that is not there.
+        InputError: the reference light does not let the sensor tell colours apart.
     """
     linear = corrected(camera_rgb(electrons, camera, rng), camera)
     codes = encode(linear, camera.developing.tone)
@@ -74,19 +76,18 @@ def corrected(rgb: Floats, camera: Camera) -> Floats:
 
     Raises:
         ValueError: the white balance asks for a flash that is not there.
+        InputError: the reference light does not let the sensor tell colours apart.
     """
     sensor, choice = camera.sensor, camera.developing
-    if sensor.channels == 1 or (choice.white_balance is None and not choice.colour_matrix):
+    if sensor.channels == 1:
         return rgb
-    wanted = reference_correction(camera)
-    balanced = rgb
     if choice.white_balance is not None:
-        balanced = rgb * wanted.gains.astype(np.float32)
+        rgb = rgb * white_gains(sensor, _reference_light(camera)).astype(np.float32)
         if choice.saturation:
             # Channels clip at different lights once gained; clipping all where the sensor does, at full scale
             # or, with a gain below 1, at the full well, keeps blown-out white white.
-            balanced = np.minimum(balanced, np.float32(min(sensor.gain, 1.0)))
-    return balanced @ wanted.matrix.T.astype(np.float32) if choice.colour_matrix else balanced
+            rgb = np.minimum(rgb, np.float32(min(sensor.gain, 1.0)))
+    return rgb @ reference_correction(camera).matrix.T.astype(np.float32) if choice.colour_matrix else rgb
 
 
 def encode(linear: Floats, tone: Tone = "srgb") -> NDArray[np.uint8]:
@@ -107,15 +108,18 @@ def reference_correction(camera: Camera) -> Correction:
 
     Raises:
         ValueError: the sensor is monochrome, or the white balance asks for a flash that is not there.
+        InputError: the reference light does not let the sensor tell colours apart.
     """
     if camera.sensor.channels == 1:
         raise ValueError(f"{camera.sensor.name} sees no colours that could be corrected")
+    return correction(camera.sensor, _reference_light(camera))
+
+
+def _reference_light(camera: Camera) -> Spectrum:
     choice = camera.developing.white_balance
     if choice == "flash" and camera.flash is None:
         raise ValueError('white balance "flash" needs a flash; choose "daylight"')
-    if choice == "daylight" or camera.flash is None:
-        return correction(camera.sensor, daylight())
-    return correction(camera.sensor, camera.flash.spectrum)
+    return daylight() if choice == "daylight" or camera.flash is None else camera.flash.spectrum
 
 
 def _checked(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating]:
