@@ -1,0 +1,74 @@
+"""The page on device files: its examples load, and it tells every key and every shipped device."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from pepperscene.camera import Filter, Flash, Lens, Sensor, load_filter, load_flash, load_lens, load_sensor
+from pepperscene.camera.filter_file import FilterDocument
+from pepperscene.camera.flash_file import FlashDocument
+from pepperscene.camera.lens_file import LensDocument
+from pepperscene.camera.sensor_file import SensorDocument
+from pepperscene.scene.cover import Cover, CoverDocument, load_cover
+from pepperscene.shipped import shelf
+
+TEXT = (Path(__file__).resolve().parents[2] / "docs" / "devices.md").read_text(encoding="utf-8")
+DEVICES = {
+    "Sensor": (load_sensor, Sensor, SensorDocument, "sensors"),
+    "Lens": (load_lens, Lens, LensDocument, "lenses"),
+    "Flash": (load_flash, Flash, FlashDocument, "flashes"),
+    "Filter": (load_filter, Filter, FilterDocument, "filters"),
+    "Cover": (load_cover, Cover, CoverDocument, "covers"),
+}
+
+
+def section(title: str) -> str:
+    """What stands below a heading."""
+    return TEXT.split(f"\n## {title}\n")[1].split("\n## ")[0]
+
+
+def block(text: str, language: str) -> str:
+    (found,) = re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+    return found
+
+
+@pytest.mark.parametrize("title", DEVICES)
+def test_the_example_of_a_device_loads(title, tmp_path):
+    load, kind, _, _ = DEVICES[title]
+    (tmp_path / "curves.csv").write_text(block(TEXT, "text"), encoding="utf-8")
+    (tmp_path / "mine.toml").write_text(block(section(title), "toml"), encoding="utf-8")
+    found = load(tmp_path / "mine.toml")
+    assert isinstance(found, kind)
+    assert found.name.startswith("my ")
+
+
+def keys(model: type[BaseModel]) -> set[str]:
+    """Keys of a file of this model, those of its tables included."""
+    found = set(model.model_fields)
+    for name, field in model.model_fields.items():
+        for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
+            if isinstance(kind, type) and issubclass(kind, BaseModel):
+                found |= {f"{name}.{key}" for key in keys(kind)}
+    return found
+
+
+@pytest.mark.parametrize("title", DEVICES)
+def test_every_key_of_a_device_is_told(title):
+    told = section("What all files share") + section(title)
+    for key in keys(DEVICES[title][2]):
+        table, _, last = key.rpartition(".")
+        rows = [row for row in told.splitlines() if row.startswith("|") and f"`{last}`" in row]
+        rows += [row for row in told.splitlines() if row.startswith(f"| `[{last}]`")]
+        assert [row for row in rows if not table or f"`[{table}]`" in row], key
+
+
+@pytest.mark.parametrize("title", DEVICES)
+def test_every_shipped_device_is_told(title):
+    folder = DEVICES[title][3]
+    (row,) = (row for row in TEXT.splitlines() if re.match(rf"\| .+ \| `{folder}` \|", row))
+    told = set(re.findall(r"`(\w+)`", row.split("|")[3]))
+    assert told == {path.stem for path in (shelf("materials") / folder).glob("*.toml")}
