@@ -8,7 +8,7 @@ from bodies import bench_camera
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import Surface, organ_surfaces, twine_surface
-from pepperscene.render.optics import Optics, mean_fresnel
+from pepperscene.render.optics import Optics
 from pepperscene.render.tables import pack
 from pepperscene.render.variant import kernel
 
@@ -104,17 +104,6 @@ def test_body_sends_out_what_the_cuticle_let_in(case):
                 ((ior * ci - ct) / (ior * ci + ct)) ** 2 + ((ci - ior * ct) / (ci + ior * ct)) ** 2
             ) / 2
         assert total == pytest.approx((1 - fresnel) * (reflectance + transmittance), rel=0.01, abs=0.002)
-
-
-def test_mean_fresnel_equals_quadrature_over_angle():
-    from scipy.integrate import quad
-
-    def integrand(theta: float, n: float = 1.45) -> float:
-        ci, ct = np.cos(theta), np.sqrt(1 - (np.sin(theta) / n) ** 2)
-        parallel, across = (n * ci - ct) / (n * ci + ct), (ci - n * ct) / (ci + n * ct)
-        return float((parallel**2 + across**2) / 2 * 2 * ci * np.sin(theta))
-
-    assert mean_fresnel(1.45) == pytest.approx(quad(integrand, 0, np.pi / 2)[0], abs=1e-5)
 
 
 @pytest.mark.parametrize("relief", [False, True])

@@ -76,7 +76,7 @@ def surface_bsdf() -> Any:
 
         def traverse(self, callback: Any) -> None:
             callback.put("spectra", self.optics.spectra, mi.ParamFlags.Differentiable)
-            callback.put("roughness", self.optics.roughness, mi.ParamFlags.Differentiable)
+            # Roughness is no parameter: the openness tables would have to follow it.
 
         def to_string(self) -> str:
             return f"SurfaceBSDF[surfaces={dr.width(self.optics.first_row)}]"

@@ -1,25 +1,49 @@
 """How all plant organs scatter light: a diffuse, possibly translucent body under a rough dielectric cuticle.
 
-With F the Fresnel reflectance of the cuticle, F_mean its cosine-weighted hemispherical mean, R and T the
-body's reflectance and transmittance,
+A side s of a sheet mirrors by a single-scattering GGX lobe with separable Smith masking (Walter et al. 2007)
 
-    f_r = D G F(h) / (4 cos_i cos_o) + (1 - F(i)) (1 - F(o)) / (1 - F_mean) R / pi      (same side)
-    f_t =                              (1 - F(i)) (1 - F(o)) / (1 - F_mean) T / pi      (other side)
+    f_g(i, o) = D(h) F(i . h) G1(i) G1(o) / (4 cos_i cos_o),          E_s(i) its directional albedo,
 
-which is reciprocal, and whose diffuse part sends out exactly (1 - F(i)) (R + T) of what comes in (coupling
-after Ashikhmin & Shirley 2000; GGX after Walter et al. 2007). Front and back differ in R and in roughness.
+and whatever that lobe does not send out (refracted, masked, or sent below the horizon) reaches the body. With
+the openness A_s = 1 - E_s, its cosine-weighted mean a_s = <A_s>, and the body's reflectances R_s and
+transmittance T (shares of the light that reaches it),
+
+    f_r(i, o) = f_g(i, o) + A_s(i) A_s(o) / a_s    R'_s / pi,       R'_s = R_s + T - T'_s
+    f_t(i, o) =             A_s(i) A_o(o) / a_o    T'_s / pi,       T'_s = T min(a_s, a_o) / a_s
+
+where the index o of A_o and a_o is the other side. That is the coupling of Kelemen & Szirmay-Kalos 2001
+(after Ashikhmin & Shirley 2000), carried through a sheet. Why it is right:
+
+- Reciprocity: f_r is symmetric as written; f_t = A_s(i) A_o(o) T min(a_s, a_o) / (pi a_s a_o) is the same
+  from either side.
+- Energy: the cosine-weighted means of A_s / a_s and A_o / a_o are 1, so the body sends out
+  A_s(i) (R'_s + T'_s). What the less open side cannot let out of the light that came in through the more
+  open one is thrown back there, and R'_s + T'_s = R_s + T on both. So side s sends out
+  E_s(i) + A_s(i) (R_s + T): never more than 1, and 1 if and only if R_s + T = 1.
+
+E_s is tabulated per surface and side (`pepperscene.materials.gloss`) and a_s is the mean of the very
+interpolant, so that the body's part is exact; the gloss' part errs by the interpolation, below 4e-4.
+
+A relief turns the shading frame only (Blinn 1978). Directions that are on different sides of it and of the
+smooth surface are lost: for a matt body on a slope of angle t a share (1 - cos t) / 2.
+
 All surfaces of a scene share these tables and this code, so that the kernel needs no indirect calls.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
-import numpy as np
-
+from pepperscene.materials.gloss import NODE_SCALE, NODES
 from pepperscene.render.tables import STEP_NM, SurfaceTables
 from pepperscene.render.variant import kernel
+
+_NODES_PER_LOG: Final = (NODES - 1) / math.log1p(1.0 / NODE_SCALE)
+_LEAST_COSINE: Final = 1e-5
+"""Nothing is scattered to or from beyond: chosen, for single precision has no angles left there, and only
+1e-10 of a diffuse lobe lies there."""
 
 
 class Optics:
@@ -32,13 +56,12 @@ class Optics:
         self.spectra = mi.Float(tables.spectra)
         self.first_row = mi.UInt32(tables.first_row)
         self.last_state = mi.Float(tables.last_state)
-        self.roughness = mi.Float(tables.roughness)
+        self.sides = mi.Float(tables.sides)
+        self.openness = mi.Float(tables.openness)
         self.details = mi.Float(tables.details)
         self.first_texel = mi.UInt32(tables.first_texel)
         self.width = mi.UInt32(tables.width)
         self.height = mi.UInt32(tables.height)
-        self.ior = mi.Float(tables.ior)
-        self.mean_fresnel = mi.Float([mean_fresnel(float(ior)) for ior in tables.ior])
         # Literals would be compiled into the kernel, and every new scene would compile anew.
         dr.make_opaque(self.first_nm, self.columns)
 
@@ -61,17 +84,26 @@ class Optics:
         frame = dr.select(keep, frame, mi.Frame3f(mi.Normal3f(0.0, 0.0, 1.0)))
         wi = dr.select(keep, wi, si.wi)
         facing = wi.z > 0.0
-        side = dr.select(facing, mi.UInt32(0), mi.UInt32(1))
-        alpha = dr.gather(mi.Float, self.roughness, surface * 2 + side, active)
+        wi.z = dr.abs(wi.z)
+        # The cuticle on the viewer's side, and where the tables of both sides begin.
+        side = surface * 2 + dr.select(facing, mi.UInt32(0), mi.UInt32(1))
+        cuticle = dr.gather(mi.Vector4f, self.sides, side, active)
+        table = dr.select(active, side * NODES, 0)
+        beyond = dr.select(active, (side ^ 1) * NODES, 0)
+        openness = _interpolated(self.openness, table, wi.z)
+        leaving = through * cuticle.w
         return Point(
             frame=frame,
-            wi=mi.Vector3f(wi.x, wi.y, dr.abs(wi.z)),
+            wi=wi,
             flip=dr.select(facing, mi.Float(1.0), mi.Float(-1.0)),
-            reflectance=dr.select(facing, front, back),
-            transmittance=through,
-            ior=dr.gather(mi.Float, self.ior, surface, active),
-            mean_fresnel=dr.gather(mi.Float, self.mean_fresnel, surface, active),
-            gloss=mi.MicrofacetDistribution(mi.MicrofacetType.GGX, dr.maximum(alpha, 1e-3), True),
+            reflectance=dr.select(facing, front, back) + (through - leaving),
+            transmittance=leaving,
+            ior=cuticle.y,
+            gloss=mi.MicrofacetDistribution(mi.MicrofacetType.GGX, cuticle.x, True),
+            entering=openness * cuticle.z,
+            tables=self.openness,
+            table=table,
+            beyond=beyond,
         )
 
     def _detail(self, uv: Any, surface: Any, active: Any) -> Any:
@@ -128,9 +160,13 @@ class Point:
         frame: the relief's shading frame within the smooth one.
         wi: direction to the viewer in the relief's frame, above it.
         flip: -1 where the viewer is on the back side.
-        reflectance, transmittance: of the body, by wavelength.
-        ior, mean_fresnel: of the cuticle.
+        reflectance, transmittance: what the body sends out on the viewer's side and on the other (R' and T'),
+            by wavelength.
+        ior: of the cuticle on the viewer's side.
         gloss: its GGX distribution.
+        entering: 1 - E, the share of light along `wi` that reaches the body.
+        tables: openness of all cuticles over its mean.
+        table, beyond: where those of the viewer's side and of the other begin.
     """
 
     frame: Any
@@ -139,8 +175,11 @@ class Point:
     reflectance: Any
     transmittance: Any
     ior: Any
-    mean_fresnel: Any
     gloss: Any
+    entering: Any
+    tables: Any
+    table: Any
+    beyond: Any
 
     def eval_pdf(self, wo: Any) -> Any:
         """BSDF times cosine, and sampling density, for a direction in the smooth local frame."""
@@ -175,51 +214,51 @@ class Point:
         return self.reflectance + self.transmittance
 
     def _shares(self) -> Any:
-        """Probabilities of the gloss and, of what remains, of diffuse transmission."""
+        """Probabilities of the gloss and, of what remains, of diffuse transmission.
+
+        Lobes are chosen by their albedos, the root mean square over the ray's wavelengths: for lobes that do
+        not overlap that makes the variance of the weights, summed over the wavelengths, least.
+        """
         _, dr = kernel()
-        specular = _fresnel(self.wi.z, self.ior)
-        reflected, transmitted = dr.mean(self.reflectance), dr.mean(self.transmittance)
-        body = (1.0 - specular) * (reflected + transmitted)
+        specular = dr.maximum(1.0 - self.entering, 0.0)
+        reflected = dr.sqrt(dr.mean(dr.square(self.reflectance)))
+        transmitted = dr.sqrt(dr.mean(dr.square(self.transmittance)))
+        body = self.entering * (reflected + transmitted)
         gloss = dr.select(specular > 0.0, specular / (specular + body), 0.0)
         through = dr.select(transmitted > 0.0, transmitted / (reflected + transmitted), 0.0)
         return gloss, through
 
     def _eval_pdf(self, wo: Any, active: Any) -> Any:
         """Value times cosine, and density, for `wo` in the relief's frame with the viewer above."""
-        _, dr = kernel()
+        mi, dr = kernel()
         cos_i, cos_o = self.wi.z, dr.abs(wo.z)
         same = wo.z > 0.0
-        entering = (1.0 - _fresnel(cos_i, self.ior)) * (1.0 - _fresnel(cos_o, self.ior))
-        diffuse = entering / (1.0 - self.mean_fresnel) * dr.inv_pi * cos_o
-        value = diffuse * dr.select(same, self.reflectance, self.transmittance)
+        lambert = cos_o * dr.inv_pi
+        leaving = _interpolated(self.tables, dr.select(same, self.table, self.beyond), cos_o)
+        diffuse = self.entering * leaving * lambert
+        # Gloss: density of the mirrored visible normals; their share of the light is F(i . h) G1(o).
         half = dr.normalize(self.wi + wo)
-        mirror = _fresnel(dr.dot(self.wi, half), self.ior) * self.gloss.eval(half)
-        mirror *= self.gloss.G(self.wi, wo, half) / (4.0 * cos_i)
-        value += dr.select(same & (self.ior > 1.0), mirror, 0.0)
+        visible = self.gloss.eval(half) * self.gloss.smith_g1(self.wi, half) / (4.0 * cos_i)
+        fresnel = mi.fresnel(dr.maximum(dr.dot(self.wi, half), 0.0), self.ior)[0]
+        mirror = visible * fresnel * self.gloss.smith_g1(wo, half)
+        value = dr.select(same, diffuse * self.reflectance + mirror, diffuse * self.transmittance)
 
         gloss, through = self._shares()
-        lambert = cos_o * dr.inv_pi * (1.0 - gloss)
-        glossy = gloss * self.gloss.pdf(self.wi, half) / (4.0 * dr.dot(wo, half))
-        density = dr.select(same, lambert * (1.0 - through) + glossy, lambert * through)
-        usable = active & (cos_i > 1e-5) & (cos_o > 1e-5)
+        lambert *= 1.0 - gloss
+        density = dr.select(same, lambert * (1.0 - through) + gloss * visible, lambert * through)
+        usable = active & (cos_i > _LEAST_COSINE) & (cos_o > _LEAST_COSINE)
         return value & usable, dr.select(usable, density, 0.0)
 
 
-def mean_fresnel(ior: float, steps: int = 2048) -> float:
-    """Cosine-weighted hemispherical mean of the outer Fresnel reflectance (midpoint rule in cos^2)."""
-    if ior <= 1.0:
-        return 0.0
-    cos_i = np.sqrt((np.arange(steps) + 0.5) / steps)
-    cos_t = np.sqrt(1.0 - (1.0 - cos_i**2) / ior**2)
-    parallel = (ior * cos_i - cos_t) / (ior * cos_i + cos_t)
-    across = (cos_i - ior * cos_t) / (cos_i + ior * cos_t)
-    return float(np.mean((parallel**2 + across**2) / 2.0))
-
-
-def _fresnel(cosine: Any, ior: Any) -> Any:
-    """Unpolarised reflectance of the outer interface; 0 where the index is 1."""
+def _interpolated(tables: Any, first: Any, cosine: Any) -> Any:
+    """The table that begins at entry `first`, at cosines, linear in the nodes' variable."""
     mi, dr = kernel()
-    return dr.select(ior > 1.0, mi.fresnel(dr.maximum(cosine, 0.0), ior)[0], 0.0)
+    place = dr.log(dr.fma(cosine, 1.0 / NODE_SCALE, 1.0)) * _NODES_PER_LOG
+    # So written, the NaN of a lane that has ended reads entry 0, and not beyond all memory.
+    place = dr.select(place > 0.0, dr.minimum(place, NODES - 1.0), 0.0)
+    node = dr.floor(place)
+    entry = dr.gather(mi.Point2f, tables, first + mi.UInt32(node))
+    return dr.fma(entry.y, place - node, entry.x)
 
 
 def _relief_frame(si: Any, slope_u: Any, slope_v: Any) -> Any:

@@ -10,10 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.materials import Surface
+from pepperscene.materials.gloss import NODES, openness
 
 STEP_NM: Final = 1.0
 """Spacing of the packed spectra. The kernel takes the nearest entry: with wavelengths spread over a pixel's
 samples that is the midpoint rule, whose error at this step is below 2e-4 for all shipped surfaces."""
+
+LEAST_ALPHA: Final = 1e-3
+"""Smoother cuticles are packed as this: a mirror for every lens here, and fit for single precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +30,11 @@ class SurfaceTables:
         spectra: `(rows * columns * 4,)` float32: reflectance of front and back, transmittance, 0.
         first_row: `(k,)` uint32, where a surface's states begin.
         last_state: `(k,)` float32, number of its states minus 1.
-        ior: `(k,)` float32 of the cuticle.
-        roughness: `(k * 2,)` float32, GGX alpha of front and back.
+        sides: `(k * 2 * 4,)` float32, of front and back: the cuticle's GGX alpha, its index of refraction,
+            the cosine-weighted mean of its openness, and which share of the body's transmittance is let
+            out on the other side (the rest is thrown back).
+        openness: `(k * 2 * NODES * 2,)` float32, of front and back: the cuticle's openness 1 - E at the
+            nodes over its mean, and the step to the next node.
         details: `(texels * 2,)` float32: offset to the state, relief in metres.
         first_texel, width, height: `(k,)` uint32, a surface's part of `details`.
     """
@@ -37,8 +44,8 @@ class SurfaceTables:
     spectra: NDArray[np.float32]
     first_row: NDArray[np.uint32]
     last_state: NDArray[np.float32]
-    ior: NDArray[np.float32]
-    roughness: NDArray[np.float32]
+    sides: NDArray[np.float32]
+    openness: NDArray[np.float32]
     details: NDArray[np.float32]
     first_texel: NDArray[np.uint32]
     width: NDArray[np.uint32]
@@ -52,14 +59,15 @@ def pack(surfaces: Sequence[Surface], first_nm: float, last_nm: float) -> Surfac
     details = [_details(surface) for surface in surfaces]
     states = np.array([len(block) for block in blocks])
     texels = np.array([detail.shape[0] * detail.shape[1] for detail in details])
+    cuticles = [_cuticle(surface) for surface in surfaces]
     return SurfaceTables(
         first_nm=first_nm,
         columns=grid.size,
         spectra=np.concatenate(blocks).ravel(),
         first_row=_starts(states),
         last_state=(states - 1).astype(np.float32),
-        ior=np.array([surface.ior for surface in surfaces], np.float32),
-        roughness=np.array([surface.roughness for surface in surfaces], np.float32).ravel(),
+        sides=np.concatenate([sides.ravel() for sides, _ in cuticles]),
+        openness=np.concatenate([table.ravel() for _, table in cuticles]),
         details=np.concatenate([detail.ravel() for detail in details]),
         first_texel=_starts(texels),
         width=np.array([detail.shape[1] for detail in details], np.uint32),
@@ -76,6 +84,20 @@ def _spectra(surface: Surface, grid: NDArray[np.float64]) -> NDArray[np.float32]
     front, back = at(surface.reflectance[:, 0]), at(surface.reflectance[:, 1])
     through = at(surface.transmittance)
     return np.stack([front, back, through, np.zeros_like(front)], axis=-1).astype(np.float32)
+
+
+def _cuticle(surface: Surface) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """`(2, 4)` constants of a surface's sides and `(2, NODES, 2)` tables of their openness."""
+    ior = max(float(surface.ior), 1.0)
+    alphas = [max(float(alpha), LEAST_ALPHA) for alpha in surface.roughness]
+    tables, means = zip(*(openness(ior, alpha) for alpha in alphas), strict=True)
+    least = min(means)
+    sides = np.array([(alpha, ior, mean, least / mean) for alpha, mean in zip(alphas, means, strict=True)])
+    relative = np.stack([table / mean for table, mean in zip(tables, means, strict=True)])
+    steps = np.diff(relative, axis=1, append=relative[:, -1:])
+    packed = np.stack([relative, steps], axis=-1)
+    assert packed.shape == (2, NODES, 2)
+    return sides.astype(np.float32), packed.astype(np.float32)
 
 
 def _details(surface: Surface) -> NDArray[np.float32]:
