@@ -85,7 +85,9 @@ class Flash:
         beside = np.hypot(*self.emitters_m.T)
         if self.radius_m < 1e-9 * self.at_m:  # points, to rounding
             return float(self._per_point(beside).mean())
-        return float(np.mean([self._per_disc(distance) for distance in beside]))
+        # Emitters at the same distance, to a picometre, give the same.
+        distances, counts = np.unique(beside.round(12), return_counts=True)
+        return float(np.average([self._per_disc(distance) for distance in distances], weights=counts))
 
     def _per_point(self, beside_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """p(theta) cos(theta) / (d^2 + rho^2) of points at the distance rho from the axis, m-2."""
@@ -109,9 +111,12 @@ class Flash:
         middle, half = (edges[1:] + edges[:-1])[:, None] / 2, np.diff(edges)[:, None] / 2
         rho = middle - half * np.cos(u)
         step = half * np.sin(u) * weight * (math.pi / 2)
-        with np.errstate(divide="ignore", over="ignore"):  # a centred disc has whole circles alone
-            sine2 = (self.radius_m**2 - (rho - beside_m) ** 2) / (4 * rho * beside_m)
-        arc = 4 * np.arcsin(np.sqrt(np.clip(sine2, 0.0, 1.0)))
+        if beside_m < 1e-9 * self.radius_m:  # centred, to rounding: whole circles alone
+            arc = np.full_like(rho, 2 * math.pi)
+        else:
+            with np.errstate(divide="ignore"):
+                sine2 = (self.radius_m**2 - (rho - beside_m) ** 2) / (4 * rho * beside_m)
+            arc = 4 * np.arcsin(np.sqrt(np.clip(sine2, 0.0, 1.0)))
         return float(np.sum(self._per_point(rho) * arc * rho * step)) / (math.pi * self.radius_m**2)
 
     def irradiance(self) -> Spectrum:
