@@ -87,7 +87,7 @@ def test_every_distribution_has_an_origin(kaite: Cultivar) -> None:
 
 
 def test_pigments_run_from_start_to_end(kaite: Cultivar) -> None:
-    assert sorted(kaite.pigments) == ["calyx", "fruit", "leaf", "petiole", "stem"]
+    assert sorted(kaite.pigments) == ["calyx", "fruit", "leaf", "peduncle", "petiole", "stem"]
     for path in kaite.pigments.values():
         found = path.at([0.0, 1.0])
         for name, values in found.items():

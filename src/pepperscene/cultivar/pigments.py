@@ -72,4 +72,5 @@ class PigmentTable(Document):
     petiole: PigmentPath
     stem: PigmentPath
     fruit: PigmentPath
+    peduncle: PigmentPath
     calyx: PigmentPath

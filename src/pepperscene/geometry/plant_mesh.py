@@ -34,7 +34,7 @@ ORGAN_SURFACES: Final[Mapping[OrganKind, str]] = {
     "side_shoot": "petiole",
     "petiole": "petiole",
     "lamina": "leaf",
-    "peduncle": "calyx",
+    "peduncle": "peduncle",
     "calyx": "calyx",
     "fruit": "fruit",
     "cut": "cut",

@@ -25,6 +25,24 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma: tuple[
     return np.asarray(field / field.std())
 
 
+def noise_mm(
+    rng: np.random.Generator,
+    shape: tuple[int, int],
+    size_mm: tuple[float, float],
+    sigma_mm: tuple[float, float],
+) -> Field:
+    """Smooth noise over uv whose grain is told in millimetres.
+
+    Args:
+        rng: source of the white noise.
+        shape: rows (along v) and columns (along u).
+        size_mm: extent of u and of v.
+        sigma_mm: standard deviation of the filter along u and along v.
+    """
+    rows, columns = shape
+    return smooth_noise(rng, shape, (sigma_mm[1] / size_mm[1] * rows, sigma_mm[0] / size_mm[0] * columns))
+
+
 def cell_walls(rng: np.random.Generator, points: Field, spacing: float) -> Field:
     """How far points lie from the walls of random cells: 0 on a wall, growing to the inside, `(...)`.
 

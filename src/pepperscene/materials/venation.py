@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.materials.noise import Field, cell_walls, smooth_noise
+from pepperscene.materials.noise import Field, cell_walls, noise_mm, smooth_noise
 
 PIXELS: Final = 512
 PAIRS: Final = 7
@@ -96,11 +96,14 @@ def _line(distance: Field, half_width: Field | float) -> Field:
 
 
 def vein_pattern(veins: Venation, rng: np.random.Generator) -> NDArray[np.float32]:
-    """State offset over uv: veins are paler (down to -0.6, on the midrib), the blade between is mottled."""
+    """State offset over uv: veins are paler (down to -0.75, on the midrib), the blade between is mottled.
+
+    An offset to the state moves along the pigments' path, so that a vein's colour is a spectrum of its own.
+    """
     taper = 1.0 - 0.75 * veins.reach
     parts = (
-        0.60 * _line(veins.midrib_mm, 0.4 + 1.0 * (1.0 - veins.height) ** 0.7),
-        0.42 * taper * _line(veins.secondary_mm, 0.25 + 0.4 * taper),
+        0.75 * _line(veins.midrib_mm, 0.4 + 1.0 * (1.0 - veins.height) ** 0.7),
+        0.48 * taper * _line(veins.secondary_mm, 0.25 + 0.4 * taper),
         # Tissue beside the larger veins is somewhat paler than that further off.
         0.14 * taper * _line(veins.secondary_mm, 2.2),
         0.12 * _line(veins.tertiary_mm, 0.5),
@@ -127,6 +130,4 @@ def _dome(distance: Field, scale: float) -> Field:
 
 
 def _noise_mm(veins: Venation, rng: np.random.Generator, sigma_mm: float) -> Field:
-    width, length = veins.size_mm
-    rows, columns = veins.midrib_mm.shape
-    return smooth_noise(rng, (rows, columns), (sigma_mm / length * rows, sigma_mm / width * columns))
+    return noise_mm(rng, veins.midrib_mm.shape, veins.size_mm, (sigma_mm, sigma_mm))

@@ -1,0 +1,23 @@
+import numpy as np
+import pytest
+
+from pepperscene.cultivar import load_cultivar
+from pepperscene.materials import greenhouse_surfaces, organ_surfaces
+
+NM = np.arange(300.0, 1101.0, 5.0)
+
+
+@pytest.fixture(scope="session")
+def nm():
+    """The range that near-infrared cameras ask for."""
+    return NM
+
+
+@pytest.fixture(scope="session")
+def kaite():
+    return load_cultivar("kaite")
+
+
+@pytest.fixture(scope="session")
+def surfaces(kaite):
+    return organ_surfaces(kaite, NM) | greenhouse_surfaces(NM)

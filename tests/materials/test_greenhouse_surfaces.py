@@ -1,0 +1,57 @@
+"""Twine, gutter and floor film."""
+
+import numpy as np
+import pytest
+from plant_colours import lab
+
+from pepperscene.materials import greenhouse_surfaces
+from pepperscene.materials.greenhouse import FILM_SCATTERING, GROUND_REFLECTANCE
+from pepperscene.spectra import read_spectrum
+
+
+def test_all_three_are_nearly_white(surfaces, nm):
+    for name in greenhouse_surfaces(nm):
+        lightness, a, b = lab(surfaces[name].reflectance[0, 0], nm)
+        assert lightness > 85, name
+        assert np.hypot(a, b) < 8, name
+
+
+def test_whites_are_dark_in_the_ultraviolet_only(surfaces, nm):
+    for name in ("gutter", "floor_film"):
+        spectrum = surfaces[name].reflectance[0, 0]
+        assert spectrum[nm <= 380].max() < 0.25
+        assert spectrum[nm >= 430].min() > 0.55
+
+
+def test_the_floor_reflects_three_quarters_and_less_in_the_infrared(surfaces, nm):
+    floor = surfaces["floor_film"].reflectance[0, 0]
+    visible = (nm >= 450) & (nm <= 700)
+    assert np.all((floor[visible] > 0.68) & (floor[visible] < 0.8))
+    assert np.all(np.diff(floor[nm >= 450]) < 0)
+
+
+def test_the_floor_is_a_layer_on_ground(surfaces, nm):
+    """Kubelka and Munk's two differential equations, stepped through the layer, give the closed form."""
+    paint = read_spectrum("chart/colorchecker_iso17321_1", "white_9_5_05_d", outside="hold").at(nm)
+    scattering = FILM_SCATTERING * 550 / nm
+    absorption = scattering * (1 - paint) ** 2 / (2 * paint)
+    # dR/dx = S - 2 (K + S) R + S R^2 from the ground up, by the classical Runge-Kutta method.
+    reflectance = np.full(nm.size, GROUND_REFLECTANCE)
+
+    def rate(r):
+        return scattering - 2 * (absorption + scattering) * r + scattering * r**2
+
+    step = 1 / 4000
+    for _ in range(4000):
+        k1 = rate(reflectance)
+        k2 = rate(reflectance + 0.5 * step * k1)
+        k3 = rate(reflectance + 0.5 * step * k2)
+        k4 = rate(reflectance + step * k3)
+        reflectance = reflectance + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    assert surfaces["floor_film"].reflectance[0, 0] == pytest.approx(reflectance, abs=1e-6)
+
+
+def test_gloss(surfaces):
+    assert surfaces["twine"].ior == 1.0
+    assert (surfaces["gutter"].ior, surfaces["gutter"].roughness) == (1.5, (0.3, 0.3))
+    assert surfaces["floor_film"].roughness[0] > surfaces["gutter"].roughness[0]

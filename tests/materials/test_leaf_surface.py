@@ -1,0 +1,120 @@
+"""The leaf's surface against PROSPECT, measured leaves and the figures of the literature."""
+
+import numpy as np
+import pytest
+from plant_colours import at, lab, lab_hue
+
+from pepperscene.materials import leaf_body
+from pepperscene.spectra import cuticle_gloss, leaf_spectra, read_spectra
+
+PALE, DARK = 0.25, 1.0  # of a blade; below is the tissue of veins
+
+
+@pytest.fixture(scope="module")
+def leaf(surfaces):
+    return surfaces["leaf"]
+
+
+@pytest.fixture(scope="module")
+def whole(surfaces, kaite):
+    """R above, R below and T of the whole leaf, its gloss included, at a state, as a sphere measures them."""
+    gloss, leaf = cuticle_gloss(kaite.pigments["leaf"].ior), surfaces["leaf"]
+
+    def spectra(state):
+        sides = [gloss + (1 - gloss) * at(leaf.reflectance[:, side], state) for side in (0, 1)]
+        return (*sides, (1 - gloss) * at(leaf.transmittance, state))
+
+    return spectra
+
+
+def test_gloss_and_diffuse_part_together_are_prospect(whole, kaite, nm):
+    path = kaite.pigments["leaf"]
+    dark = leaf_spectra(nm, **path.at([1.0]))
+    above, _, through = whole(1.0)
+    # In the deepest red the cuticle alone reflects a little more than that leaf: none is taken twice.
+    assert above == pytest.approx(np.maximum(dark.reflectance[0], cuticle_gloss(path.ior)), abs=1e-9)
+    assert above == pytest.approx(dark.reflectance[0], abs=1e-3)
+    assert through == pytest.approx(dark.transmittance[0], abs=1e-9)
+
+
+# Ranges for green leaves of crops as reviews and handbooks give them (Woolley 1971, Plant Physiol. 47:656;
+# Walter-Shea & Norman 1991 in Myneni & Ross, Photon-Vegetation Interactions; Jacquemoud & Ustin 2019, Leaf
+# Optical Properties): upper side, lower side, transmittance.
+FIGURES = {
+    450: ((0.03, 0.08), (0.03, 0.15), (0.0, 0.03)),
+    550: ((0.10, 0.20), (0.15, 0.30), (0.08, 0.20)),
+    680: ((0.03, 0.07), (0.035, 0.12), (0.0, 0.04)),
+    800: ((0.42, 0.52), (0.42, 0.52), (0.40, 0.52)),
+}
+
+
+@pytest.mark.parametrize("wavelength", FIGURES)
+@pytest.mark.parametrize("state", [PALE, DARK])
+def test_blades_have_the_usual_reflectance_and_transmittance(whole, nm, wavelength, state):
+    for spectrum, (low, high) in zip(whole(state), FIGURES[wavelength], strict=True):
+        assert low <= spectrum[nm == wavelength] <= high
+
+
+def test_blades_lie_among_measured_leaves(leaf, nm):
+    """Between the least and the most of thirteen measured leaves, whose gloss was left out as well."""
+    measured = np.stack([s.at(nm) for s in read_spectra("leaf/vrhel_leaf_reflectance").values()])
+    visible = (nm >= 400) & (nm <= 730)
+    # The two waxy, dry ones of them do not matter at the lower end.
+    low, high = measured[:, visible].min(axis=0), measured[:, visible].max(axis=0)
+    for state in (PALE, 0.6, 0.8):
+        body = at(leaf.reflectance[:, 0], state)[visible]
+        assert np.all(body > low - 0.015)
+        assert np.all(body < high + 0.01)
+
+
+def test_the_red_edge_and_the_plateau(leaf, nm):
+    """Reflectance rises steepest between 690 and 730 nm, later in darker leaves, to an even plateau."""
+    edges = []
+    for state in (PALE, 0.6, DARK):
+        front = at(leaf.reflectance[:, 0], state)
+        edges.append(nm[1:][np.argmax(np.diff(front) * (nm[1:] > 640))])
+        plateau = front[(nm >= 800) & (nm <= 900)]
+        assert np.ptp(plateau) < 0.02
+    assert 690 <= edges[0] <= edges[1] <= edges[2] <= 730
+    plateau = (nm >= 800) & (nm <= 1000)
+    assert (leaf.reflectance + leaf.transmittance[:, None])[..., plateau].min() > 0.85
+
+
+def test_a_leaf_is_paler_below_and_as_bright_in_the_infrared(leaf, nm):
+    front, back = leaf.reflectance[:, 0], leaf.reflectance[:, 1]
+    assert np.all(back >= front)
+    green = np.linspace(0, 1, len(front)) >= PALE
+    ratio = back[green][:, nm == 550] / front[green][:, nm == 550]
+    assert np.all((ratio > 1.3) & (ratio < 2.0))
+    infrared = nm >= 800
+    assert back[:, infrared] == pytest.approx(front[:, infrared], abs=0.005)
+
+
+def test_a_leaf_against_the_light_is_yellow_green(leaf, nm):
+    through = at(leaf.transmittance, 0.6)
+    assert through[nm == 550] > 5 * through[nm == 670] > through[nm == 450]
+    lightness, a, b = lab(through, nm)
+    assert a < -10
+    assert b > 25
+    assert lightness > 25
+
+
+def test_a_veins_colour_is_a_spectrum_of_the_pigments(leaf, kaite, nm):
+    """On the midrib the pattern moves the state, and the spectrum there is PROSPECT's at those pigments.
+
+    So it is no tint: the ratio of vein to blade depends on the wavelength, and is 1 in the near infrared
+    but for the vein's thickness.
+    """
+    blade = 0.72
+    column = leaf.pattern.shape[1] // 2
+    offset = float(leaf.pattern[200:300, column - 12 : column + 12].min())
+    state = np.clip(blade + offset, 0, 1)
+    vein = at(leaf.reflectance[:, 0], state)
+    exact, _, _ = leaf_body(kaite.pigments["leaf"], nm, np.array([state]))
+    assert vein == pytest.approx(exact[0], abs=0.002)
+    green = at(leaf.reflectance[:, 0], blade)
+    ratio = vein / green
+    assert ratio[nm == 550] > 1.8
+    assert ratio[nm == 900] < 1.2
+    assert lab(vein, nm)[0] > lab(green, nm)[0] + 10
+    assert 100 < lab_hue(vein, nm) < lab_hue(green, nm)
