@@ -10,10 +10,14 @@ from pepperscene.spectra import (
     illuminance,
     led_spectrum,
     photons_per_joule,
+    photopic_efficiency,
+    read_spectra,
+    read_spectrum,
     sky_spectrum,
     sun_spectrum,
     with_illuminance,
 )
+from pepperscene.spectra.lights import diffuse_spectrum
 
 
 def colour_temperature(spd: Spectrum) -> float:
@@ -30,6 +34,32 @@ def colour_temperature(spd: Spectrum) -> float:
 def test_a_narrow_line_at_555_nm_has_the_maximum_efficacy():
     line = Spectrum(np.array([554.0, 555.0, 556.0]), np.array([0.0, 1.0, 0.0]))  # 1 W m-2
     assert illuminance(line) == pytest.approx(LUMINOUS_EFFICACY, rel=1e-3)
+
+
+def test_lux_is_exact_for_linear_pieces():
+    # By Gauss's rule with two points, exact for cubics, in each piece between the nodes of both curves.
+    spd = Spectrum(
+        np.array([300.0, 411.3, 480.0, 555.5, 602.7, 1100.0]), np.array([0.0, 2.0, 0.1, 5.0, 0.0, 3.0])
+    )
+    v = photopic_efficiency()
+    nm = np.union1d(spd.wavelength_nm, v.wavelength_nm)
+    nm = nm[(nm >= v.wavelength_nm[0]) & (nm <= v.wavelength_nm[-1])]
+    centre, half = (nm[:-1] + nm[1:]) / 2, np.diff(nm) / 2
+    points = [centre + sign * half / np.sqrt(3) for sign in (-1, 1)]
+    product = sum(
+        np.interp(x, spd.wavelength_nm, spd.values) * np.interp(x, v.wavelength_nm, v.values) for x in points
+    )
+    assert illuminance(spd) == pytest.approx(LUMINOUS_EFFICACY * (product * half).sum(), rel=1e-12)
+
+
+def test_lux_of_what_barely_reaches_into_the_visible():
+    v = photopic_efficiency()
+    assert illuminance(Spectrum(np.array([200.0, v.wavelength_nm[0]]), np.ones(2))) == 0
+    # Only the triangle under V's first piece counts, seen in a light that stops inside it.
+    first, value = v.wavelength_nm[0], v.values[0]
+    slope = v.values[1] - v.values[0]
+    half = Spectrum(np.array([200.0, first + 0.5]), np.ones(2))
+    assert illuminance(half) == pytest.approx(LUMINOUS_EFFICACY * (0.5 * value + 0.125 * slope), rel=1e-9)
 
 
 def test_equal_energy_integrates_v_lambda():
@@ -67,6 +97,65 @@ def test_colour_temperatures(spd, kelvin):
 
 def test_direct_sun_is_warmer_than_the_sky():
     assert colour_temperature(sun_spectrum()) < colour_temperature(sky_spectrum("d55"))
+
+
+@pytest.mark.parametrize(("kind", "kelvin"), [("d50", 5003), ("d55", 5503), ("d65", 6504), ("d75", 7504)])
+def test_daylight_keeps_its_colour_and_its_table(kind, kelvin):
+    # The nominal temperature times 1.4388 / 1.4380 (CIE 015:2018).
+    daylight = sky_spectrum(kind)
+    assert colour_temperature(daylight) == pytest.approx(kelvin, abs=10)
+    table = read_spectrum("light/cie_illuminants_colour_science", kind)
+    np.testing.assert_allclose(daylight.at(table.wavelength_nm), table.values, rtol=1e-12)
+    # What V(lambda) holds beyond 780 nm and below 380 nm is next to nothing.
+    assert illuminance(daylight) == pytest.approx(illuminance(table), rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["d50", "d55", "d65", "d75"])
+def test_daylight_follows_the_cie_from_300_to_830_nm(kind):
+    import colour
+
+    # CIE 015:2018: the daylight components, by colour-science. Ours are kept to five digits.
+    xy = colour.temperature.CCT_to_xy_CIE_D(float(kind[1:]) * 100 * 1.4388 / 1.4380)
+    shape = colour.SpectralShape(300, 830, 5)
+    cie = colour.sd_CIE_illuminant_D_series(xy, M1_M2_rounding=True, shape=shape)
+    np.testing.assert_allclose(sky_spectrum(kind).at(cie.wavelengths) * 100, cie.values, atol=0.006)
+
+
+@pytest.mark.parametrize("kind", ["d50", "d55", "d65", "d75"])
+def test_daylight_goes_on_in_the_near_infrared(kind):
+    daylight = sky_spectrum(kind)
+    assert daylight.wavelength_nm[0] <= 300
+    assert daylight.wavelength_nm[-1] >= 1100
+    beyond = daylight.wavelength_nm > 830
+    assert daylight.values[beyond].min() > 0
+    # Water vapour leaves its band around 940 nm darker than 870 and 1000 nm beside it.
+    assert daylight.at([940])[0] < 0.75 * daylight.at([870, 1000]).min()
+    # The shape is that of ASTM G173, and its level meets the table's over the last 50 nm.
+    column = read_spectrum("light/astm_g173_300_1100", "global_tilt_W_m2_nm")
+    shape = diffuse_spectrum() if kind == "d75" else column
+    nm = daylight.wavelength_nm[beyond]
+    ratio = daylight.values[beyond] / shape.at(nm)
+    assert np.ptp(ratio) < 1e-9 * ratio.max()
+    last = np.arange(780, 831)
+    assert np.mean(daylight.at(last)) == pytest.approx(ratio[0] * np.mean(shape.at(last)), rel=2e-3)
+
+
+def test_direct_and_diffuse_make_the_global_light_of_astm_g173():
+    diffuse = diffuse_spectrum()
+    columns = read_spectra("light/astm_g173_300_1100")
+    whole, direct = columns["global_tilt_W_m2_nm"], columns["direct_W_m2_nm"]
+    # The sun stands 48.19 degrees from the zenith, the plane is tilted by 37 towards it.
+    sum_of_both = diffuse.values + np.cos(np.radians(48.19 - 37)) * direct.values
+    np.testing.assert_allclose(sum_of_both, whole.values, rtol=1e-4)
+    assert diffuse.values.min() > 0
+    # Scattered light is bluer: Rayleigh's law, weakened by haze and by light from the ground.
+    share = diffuse.values / whole.values
+    low, high = (np.interp(nm, diffuse.wavelength_nm, share) for nm in (400, 1000))
+    assert low > 3 * high
+
+
+def test_leds_stay_dark_beyond_their_tables():
+    assert not led_spectrum().at([300, 370, 790, 850, 1100]).any()
 
 
 def test_unknown_lights():

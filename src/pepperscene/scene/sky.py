@@ -110,19 +110,10 @@ def partly_cloudy(
         ]
     )
     towards = directions(_ROWS, 2 * _ROWS)
-    up = towards[..., 2]
-    above = np.clip(up / _HORIZON + 0.5, 0.0, 1.0)
+    above = np.clip(towards[..., 2] / _HORIZON + 0.5, 0.0, 1.0)
+    weights = _blue_and_clouds(towards, direction, rng, cloud_cover)
 
-    # Blue sky brightens to the horizon and round the sun (shape after the CIE's clear skies, numbers chosen).
-    angle_to_sun = np.arccos(np.clip(towards @ direction, -1.0, 1.0))
-    blue = (1.0 + 1.5 * np.exp(-6.0 * np.maximum(up, 0.0))) * (1.0 + 4.0 * np.exp(-4.0 * angle_to_sun))
-    # Clouds lie on a plane overhead, are brighter than the blue and shine near the sun.
-    clouds = _cloud_density(towards, rng, cloud_cover)
-    white = 3.0 * (1.0 + 3.0 * np.exp(-3.0 * angle_to_sun)) * clouds
-    weights = np.stack([blue * (1.0 - clouds), white])
-
-    # The cover spreads a share of the light from the sky, and of the sun's.
-    kinds = [sky_spectrum("d75"), sky_spectrum("d65"), sun_spectrum()]
+    # The cover spreads its share of the light from the sky, and of the sun's.
     sun_lx = illuminance_lx * sun_fraction
     spread = cover.haze if cover is not None else 0.0
     lobe = None
@@ -131,22 +122,44 @@ def partly_cloudy(
         weights += spread * (scattering.spread(weights) - weights)
         if sun_lx > 0.0:
             lobe = above * scattering.lobe(towards, direction)
-    weights *= above
 
-    # Each spectrum at 1 lux below the cover, so that weights share out the illuminance; then all to scale.
-    below = [with_illuminance(kind if cover is None else cover.through(kind), 1.0) for kind in kinds]
+    # It filters blue and clouds, each as it is; from here every spectrum stands for 1 lux below the cover.
+    spectra = [
+        with_illuminance(kind, 1.0) for kind in (sky_spectrum("d75"), sky_spectrum("d65"), sun_spectrum())
+    ]
+    if cover is not None:
+        spectra = [cover.through(spectrum) for spectrum in spectra]
+    passed = np.array([illuminance(spectrum) for spectrum in spectra])
+    spectra = [spectrum.times(1.0 / lux) for spectrum, lux in zip(spectra, passed, strict=True)]
+    weights *= above * passed[:2, None, None]
+
+    # The floor sends back a part of all that falls on it, in the clouds' white; haze hides where it ends.
     cosines, solid_angles = row_geometry(_ROWS, 2 * _ROWS)
     level = (np.maximum(cosines, 0.0) * solid_angles)[:, None]
-    # The floor sends back a part of all that falls on it, in the clouds' white; haze hides where it ends.
     floor = (1.0 - above) * illuminance_lx * _GROUND_ALBEDO / np.pi
+    # All to scale: what is wanted on a level plane, less what floor and sun send there.
     weights *= (illuminance_lx - sun_lx - (floor * level).sum()) / (weights * level).sum()
     weights[1] += floor
     if lobe is not None:
         weights = np.concatenate([weights, lobe[None] * (spread * sun_lx / (lobe * level).sum())])
     sun = None
     if sun_lx > 0.0 and spread < 1.0:
-        sun = Sun(direction, below[2].times((1.0 - spread) * sun_lx / np.sin(sun_elevation_rad)))
-    return Sky(weights.astype(np.float32), _side_by_side(below[: len(weights)]), sun)
+        sun = Sun(direction, spectra[2].times((1.0 - spread) * sun_lx / np.sin(sun_elevation_rad)))
+    return Sky(weights.astype(np.float32), _side_by_side(spectra[: len(weights)]), sun)
+
+
+def _blue_and_clouds(
+    towards: NDArray[np.float64], sun: NDArray[np.float64], rng: np.random.Generator, cloud_cover: float
+) -> NDArray[np.float64]:
+    """`(2, rows, columns)` relative luminance of blue sky and of the clouds before it."""
+    angle_to_sun = np.arccos(np.clip(towards @ sun, -1.0, 1.0))
+    # Blue sky brightens to the horizon and round the sun (shape after the CIE's clear skies, numbers chosen).
+    horizon = 1.0 + 1.5 * np.exp(-6.0 * np.maximum(towards[..., 2], 0.0))
+    blue = horizon * (1.0 + 4.0 * np.exp(-4.0 * angle_to_sun))
+    # Clouds lie on a plane overhead, are brighter than the blue and shine near the sun.
+    clouds = _cloud_density(towards, rng, cloud_cover)
+    white = 3.0 * (1.0 + 3.0 * np.exp(-3.0 * angle_to_sun)) * clouds
+    return np.stack([blue * (1.0 - clouds), white])
 
 
 def _side_by_side(spectra: list[Spectrum]) -> Spectrum:
