@@ -11,7 +11,7 @@ import tomli_w
 from pepperscene.camera import load_flash, load_lens, load_sensor
 from pepperscene.errors import InputError
 from pepperscene.shipped import shelf
-from pepperscene.spectra import read_provenance, read_spectrum
+from pepperscene.spectra import read_provenance, read_spectra, read_spectrum
 
 FOLDER = shelf("materials")
 LOADERS = {"sensors": load_sensor, "lenses": load_lens, "flashes": load_flash}
@@ -49,6 +49,30 @@ def test_the_paper_s_camera():
     assert (flash.illuminance_lx, flash.at_m, flash.pulse_s) == pytest.approx((2e5, 0.5, 50e-6))
     # No red, green or blue photosite counts infrared light: the filter is in.
     assert sensor.quantum_efficiency.at([700.0, 800.0]).max() < 1e-3
+
+
+def test_the_other_sensors():
+    assert load_sensor("ueye_ui5250re_full").site_shape == load_sensor("ueye_ui5250re").site_shape
+    assert load_sensor("onsemi_mt9v024_full").site_shape == load_sensor("onsemi_mt9v024").site_shape
+    nikon, mono = load_sensor("nikon_d5100"), load_sensor("onsemi_mt9v024_mono")
+    assert (nikon.columns, nikon.rows, nikon.site_shape) == (1232, 816, (3264, 4928))
+    # Green sees most photons around 530 nm, and no colour sees infrared.
+    assert nikon.quantum_efficiency.at([520, 530, 540])[1].max() == pytest.approx(0.465, abs=1e-5)
+    assert nikon.quantum_efficiency.at([750, 850]).max() < 1e-4
+    # Without dyes nothing is lost: at least what the best colour of the same die sees, and alike in infrared.
+    assert (mono.channels, mono.site_shape) == (1, (480, 752))
+    colours = read_spectra(FOLDER / "sensors" / "spectra" / "onsemi_mt9v024_rgb_qe.csv").values()
+    nm = np.arange(380.0, 1081.0, 10)
+    best = np.max([colour.at(nm) for colour in colours], axis=0)
+    assert np.all(mono.quantum_efficiency.at(nm)[0] >= best - 1e-5)
+    np.testing.assert_allclose(mono.quantum_efficiency.at(nm[nm > 850])[0], best[nm > 850], atol=1e-5)
+
+
+def test_a_filter_that_makes_light_is_named(tmp_path):
+    path = copy_of(tmp_path, "sensors", "onsemi_mt9v024", put("infrared_cut", "file", "cut.csv"))
+    (tmp_path / "cut.csv").write_text("wavelength_nm,transmittance\n400,1.5\n700,1", encoding="utf-8")
+    with pytest.raises(InputError, match=r"infrared_cut = 1\.5: must be a share"):
+        load_sensor(path)
 
 
 def test_an_infrared_cut_filter_multiplies_the_efficiency():
@@ -96,7 +120,18 @@ def drop(*keys):
 TYPICAL = "lensagon_cmfa0420nd_typical_distortion"
 WRONG_TABLES = [
     ("sensors", "ueye_ui5250re", put("pitch_um", -4.5), r"mine\.toml: pitch_um = -4\.5"),
-    ("sensors", "ueye_ui5250re", put("binning", 3), r"binning = 3"),
+    ("sensors", "ueye_ui5250re", put("binning", 3), r"binning must be 1 or even"),
+    ("sensors", "ueye_ui5250re", put("binning", 0), r"binning = 0"),
+    ("sensors", "ueye_ui5250re_full", put("columns", 1601), r"1601 x 1200 photosites hold no whole Bayer"),
+    ("sensors", "ueye_ui5250re", put("pattern", "rgb"), r"pattern = 'rgb'"),
+    ("sensors", "ueye_ui5250re", put("pattern", "mono"), r"columns must name 1 for the pattern mono"),
+    (
+        "sensors",
+        "onsemi_mt9v024_mono",
+        put("pattern", "bggr"),
+        r"quantum_efficiency\.columns must name 3 for the pattern bggr",
+    ),
+    ("sensors", "ueye_ui5250re", put("bits", 17), r"bits = 17"),
     ("sensors", "ueye_ui5250re", put("bits", "ten"), r"bits = 'ten'"),
     ("sensors", "ueye_ui5250re", put("black_level_dn", 1023), r"black_level_dn must be below"),
     ("sensors", "ueye_ui5250re", put("colour", "blue"), r"colour: is not a known key"),

@@ -124,7 +124,11 @@ class Sensor:
 
     def behind(self, filter: Spectrum) -> Sensor:
         """The sensor behind a filter of this transmittance `(n,)`, at the wavelengths of both curves."""
-        nm = np.union1d(self.quantum_efficiency.wavelength_nm, filter.wavelength_nm)
+        own = self.quantum_efficiency.wavelength_nm
+        # A filter that ends within the sensor's range ends there, not on the way to the sensor's next knot.
+        ends = np.nextafter(filter.wavelength_nm[[0, -1]], [-np.inf, np.inf])
+        nm = np.unique(np.concatenate([own, filter.wavelength_nm, ends]))
+        nm = nm[(nm >= own[0]) & (nm <= own[-1])]
         through = Spectrum(nm, self.quantum_efficiency.at(nm) * filter.at(nm))
         return dataclasses.replace(self, quantum_efficiency=through)
 
