@@ -1,0 +1,189 @@
+"""Daylight below a roof: energy in, energy out, and the roof's own spectrum.
+
+Solid angles here are the tests' own, in closed form for a map's texels; lux are summed on 1 nm against
+colour-science's V(lambda).
+"""
+
+from __future__ import annotations
+
+import colour
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pepperscene.scene import Cover, load_cover, partly_cloudy
+from pepperscene.spectra import Spectrum, sky_spectrum, sun_spectrum
+
+PAPER = {
+    "illuminance_lx": 5500.0,
+    "sun_azimuth_rad": np.radians(60.0),
+    "sun_elevation_rad": np.radians(40.0),
+    "sun_fraction": 0.3,
+    "cloud_cover": 0.5,
+}
+GREEN = Spectrum(
+    np.array([380.0, 500.0, 560.0, 640.0, 1000.0]), np.array([0.05, 0.4, 0.95, 0.1, 0.7]), "hold"
+)
+
+
+def sky_of(cover=None, seed=0, **changes):
+    return partly_cloudy(np.random.default_rng(seed), **{**PAPER, **changes}, cover=cover)
+
+
+def hazy(haze, width_deg=15.0, sheet=GREEN):
+    return Cover("test", sheet, haze, np.radians(width_deg))
+
+
+def lux(spectrum):
+    nm = np.arange(360, 831)
+    v = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
+    # The curves are linear between whole nanometres here, or nearly: 1e-5.
+    return 683.002 * np.trapezoid(spectrum.at(nm) * np.interp(nm, v.wavelengths, v.values), nm)
+
+
+def level_lux(sky):
+    """Lux that each of the map's spectra brings to a level plane, `(k,)`, and the sun's disc."""
+    rows, columns = sky.weights.shape[1:]
+    edges = np.sin(np.minimum(np.arange(rows + 1) / rows * np.pi, np.pi / 2)) ** 2
+    received = (sky.weights.astype(float).sum(axis=2) * np.diff(edges) * np.pi / columns).sum(axis=1)
+    parts = received * lux(sky.radiance)
+    return parts, sky.sun.direction[2] * lux(sky.sun.irradiance) if sky.sun else 0.0
+
+
+COVERS = st.one_of(
+    st.none(),
+    st.sampled_from(["float_glass_4mm", "diffuse_glass_4mm", "polyethylene_film"]).map(load_cover),
+    st.builds(hazy, st.floats(0.0, 1.0), st.sampled_from([2.0, 15.0, 90.0])),
+)
+
+
+# Clouds take a third of a second: fewer examples than hypothesis' 100.
+@settings(max_examples=15, deadline=None, derandomize=True)
+@given(
+    cover=COVERS,
+    elevation=st.floats(0.01, np.pi / 2),
+    azimuth=st.floats(-np.pi, np.pi),
+    sun_fraction=st.floats(0.0, 0.99),
+    cloud_cover=st.sampled_from([0.0, 0.0, 0.3, 1.0]),
+    illuminance_lx=st.sampled_from([0.0, 1e-3, 5500.0, 120_000.0]),
+)
+def test_below_any_roof_falls_the_light_that_was_asked_for(
+    cover, elevation, azimuth, sun_fraction, cloud_cover, illuminance_lx
+):
+    sky = sky_of(
+        cover,
+        sun_elevation_rad=elevation,
+        sun_azimuth_rad=azimuth,
+        sun_fraction=sun_fraction,
+        cloud_cover=cloud_cover,
+        illuminance_lx=illuminance_lx,
+    )
+    parts, disc = level_lux(sky)
+    assert parts.sum() + disc == pytest.approx(illuminance_lx, rel=1e-3)
+    assert sky.horizontal_illuminance() == pytest.approx(illuminance_lx, rel=1e-5)
+    # What the disc loses the lobe around it gains.
+    lobe = parts[2] if len(parts) == 3 else 0.0
+    haze = cover.haze if cover else 0.0
+    assert lobe + disc == pytest.approx(sun_fraction * illuminance_lx, rel=1e-3)
+    assert lobe == pytest.approx(haze * sun_fraction * illuminance_lx, rel=1e-3)
+    # No direction and no wavelength is worse than dark.
+    for values in (sky.weights, sky.radiance.values, sky.sun.irradiance.values if sky.sun else np.zeros(1)):
+        assert np.isfinite(values).all()
+        assert values.min() >= 0.0
+
+
+@pytest.mark.parametrize("haze", [0.0, 0.6, 1.0])
+def test_the_roof_filters_sky_clouds_and_sun_alike(haze):
+    # One factor for the whole sets the lux; beside it, every light is multiplied by the transmittance.
+    below = sky_of(hazy(haze))
+    nm = np.arange(300.0, 1101.0, 5.0)
+    lights = [sky_spectrum("d75"), sky_spectrum("d65"), sun_spectrum()]
+    found = list(below.radiance.at(nm)) + ([below.sun.irradiance.at(nm)] if below.sun else [])
+    expected = [lights[i].at(nm) * GREEN.at(nm) for i in range(len(below.weights))]
+    expected += [lights[2].at(nm) * GREEN.at(nm)] if below.sun else []
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one / one.max(), other / other.max(), rtol=1e-9, atol=1e-12)
+
+
+def test_a_coloured_roof_changes_how_blue_and_clouds_compare():
+    # Seen through a red filter the blue sky is darker against the clouds, as any photographer knows.
+    red = Spectrum(np.array([590.0, 610.0]), np.array([0.0, 0.9]), "hold")
+    ratios = []
+    for roof in (None, Cover("red", red)):
+        sky = sky_of(roof, sun_fraction=0.0, cloud_cover=0.5)
+        upper = slice(0, sky.weights.shape[1] // 4)
+        sums = sky.weights[:, upper].astype(float).sum(axis=(1, 2))
+        ratios.append(sums[0] * lux(sky.radiance)[0] / (sums[1] * lux(sky.radiance)[1]))
+    shares = [
+        lux(Spectrum(s.wavelength_nm, s.values * red.at(s.wavelength_nm))) / lux(s)
+        for s in (sky_spectrum("d75"), sky_spectrum("d65"))
+    ]
+    assert shares[0] < 0.97 * shares[1]
+    assert ratios[1] / ratios[0] == pytest.approx(shares[0] / shares[1], rel=1e-3)
+
+
+@pytest.mark.parametrize("azimuth_deg", [90.0, -90.0, 10.0])
+@pytest.mark.parametrize("elevation_deg", [10.0, 40.0])
+def test_the_lobe_lies_around_the_sun(azimuth_deg, elevation_deg):
+    # Seen from the camera, which looks to +y: the sun before it (90 degrees) and behind it (-90 degrees).
+    sky = sky_of(
+        hazy(0.6, 10.0), sun_azimuth_rad=np.radians(azimuth_deg), sun_elevation_rad=np.radians(elevation_deg)
+    )
+    rows, columns = sky.weights.shape[1:]
+    polar = (np.arange(rows)[:, None] + 0.5) / rows * np.pi
+    azimuth = (np.arange(columns) + 0.5) / columns * 2 * np.pi
+    towards = np.stack(
+        np.broadcast_arrays(np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar))
+    )
+    energy = sky.weights[2] * np.sin(polar)
+    mean = (towards * energy).sum(axis=(1, 2))
+    mean /= np.linalg.norm(mean)
+    # The horizon cuts a low sun's lobe, which lifts its middle, but never turns it.
+    east, north, _ = sky.sun.direction
+    assert np.degrees(np.arccos(np.clip(mean @ sky.sun.direction, -1, 1))) < (
+        2.0 if elevation_deg == 40 else 8.0
+    )
+    assert np.arctan2(mean[1], mean[0]) == pytest.approx(np.arctan2(north, east), abs=np.radians(0.5))
+    before = energy[:, : columns // 2].sum() / energy.sum()  # azimuths of 0 to 180 degrees: +y
+    assert before == pytest.approx({90.0: 1.0, -90.0: 0.0, 10.0: before}[azimuth_deg], abs=0.01)
+
+
+def test_direct_light_that_is_left_stays_a_disc():
+    clear, half, none = sky_of(), sky_of(hazy(0.5)), sky_of(hazy(1.0))
+    assert half.sun.angular_radius == clear.sun.angular_radius
+    assert lux(half.sun.irradiance) == pytest.approx(0.5 * lux(clear.sun.irradiance), rel=1e-4)
+    assert none.sun is None
+    assert len(clear.weights) == 2
+    assert len(half.weights) == len(none.weights) == 3
+    # Without a sun there is nothing to spread in its spectrum.
+    assert len(sky_of(hazy(0.5), sun_fraction=0.0).weights) == 2
+
+
+def test_a_clear_roof_leaves_every_direction_as_it_was():
+    grey = Spectrum(np.array([300.0, 1100.0]), np.array([0.5, 0.5]), "hold")
+    open_sky = sky_of(cloud_cover=0.5)
+    np.testing.assert_allclose(
+        sky_of(Cover("grey", grey), cloud_cover=0.5).weights, open_sky.weights, rtol=1e-5
+    )
+
+
+def test_haze_smooths_the_share_of_clouds_that_it_spreads():
+    # A lobe of 12 degrees leaves nothing of rims a texel (0.7 degrees) wide: what stays sharp came straight.
+    def sharp(haze):
+        sky = sky_of(hazy(haze, 12.0), sun_fraction=0.0, cloud_cover=0.4)
+        rows = sky.weights.shape[1]
+        return np.diff(sky.weights[1, rows // 16 : rows // 3].astype(float), n=2, axis=1).std()
+
+    clear = sharp(0.0)
+    assert sharp(0.5) == pytest.approx(0.5 * clear, rel=0.1)
+    assert sharp(1.0) < 0.02 * clear
+
+
+def test_the_floor_is_as_bright_as_in_the_open():
+    # In lux: its radiance is set by the light that falls on it, which is the same by request.
+    floors = []
+    for sky in (sky_of(), sky_of(hazy(0.6))):
+        assert not sky.weights[[0, *range(2, len(sky.weights))], -20:].any()
+        floors.append(sky.weights[1, -1, 0] * lux(sky.radiance)[1])
+    assert floors[0] == pytest.approx(floors[1], rel=1e-4)
