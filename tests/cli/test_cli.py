@@ -1,13 +1,17 @@
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import types
+from pathlib import Path
 
 import pytest
+import typer
 
 import pepperscene
 from pepperscene import cli
+from pepperscene.dataset import load_recipe
 from pepperscene.errors import EXIT_BAD_INPUT
 from pepperscene.version import __version__
 
@@ -97,9 +101,52 @@ def test_build_then_report(command, tmp_path):
     assert (tmp_path / "set" / "index.html").is_file()
 
 
+def test_render_prints_what_it_wrote(command, tmp_path):
+    arguments = ("render", "demo", "--out", tmp_path / "one", "--outputs", "distance,class,raw")
+    done = command(*arguments, "--set", "row={plants_front=1, plants_back=0}", "--set", "camera.flash=none",
+                   "--set", "developing.white_balance=daylight")  # fmt: skip
+    assert done.exit_code == 0, done.stderr
+    names = ["raw.png", "class.png", "distance.exr", "frame.json"]
+    assert done.stdout.splitlines() == [str(tmp_path / "one" / name) for name in names]
+    told = json.loads((tmp_path / "one" / "frame.json").read_text())
+    assert told["index"] == min(load_recipe("demo").plan.select)
+    assert told["camera"]["flash"] is None
+    assert told["recipe"]["row"]["plants_back"] == 0
+
+
+def test_a_build_with_a_change_is_another_data_set(command, tmp_path):
+    arguments = ("build", "--out", tmp_path / "set", "--frames", "0:1", "--outputs", "class")
+    assert command(*arguments, "--set", "camera.bits=8").exit_code == 0
+    assert command(*arguments, "--set", "camera.bits=8").exit_code == 0
+    done = command(*arguments)
+    assert done.exit_code == EXIT_BAD_INPUT
+    assert "recipe.camera.bits is 8 there and None here" in done.stderr
+
+
+def test_every_command_and_option_is_told():
+    text = (Path(__file__).resolve().parents[2] / "docs" / "command_line.md").read_text(encoding="utf-8")
+    for name, command in typer.main.get_command(cli.app).commands.items():
+        section = text.partition(f"## `pepperscene {name}")[2].partition("\n## ")[0]
+        for parameter in command.params:
+            if parameter.param_type_name == "option" and parameter.name != "help":
+                assert f"`{parameter.opts[0]}" in section, f"{name} {parameter.opts[0]}"
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
+        (("render", "nothing", "--out", "one"), "barth2018, demo"),
+        (("render", "--out", "one", "--outputs", "smell"), "'smell'"),
+        (("render", "--out", "one", "--frame", "10500"), "--frame"),
+        (("render", "--out", "one", "--frame", "-1"), "--frame"),
+        (("render", "--out", "one", "--quality", "best"), "draft, standard, reference"),
+        (("render", "--out", "/dev/null/one"), "/dev/null"),
+        (
+            ("render", "--out", "one", "--set", "camera.sensor=pinhole"),
+            "--set camera.sensor=pinhole: no such",
+        ),
+        (("render", "--out", "one", "--set", "camera"), "KEY=VALUE"),
+        (("build", "--out", "set", "--set", "camera.gain=-1"), "--set camera.gain=-1: must be"),
         (("build", "nothing", "--out", "set"), "barth2018, demo"),
         (("build", "--out", "set", "--outputs", "colour,smell"), "'smell'"),
         (("build", "--out", "set", "--outputs", ","), "at least one output"),
@@ -122,7 +169,15 @@ def test_errors_are_one_line_and_exit_code_2(command, tmp_path, monkeypatch, arg
 
 @pytest.mark.parametrize(
     "arguments",
-    [("build",), ("build", "--out"), ("build", "--out", "set", "--seed", "x"), ("nonsense",), ("--x",)],
+    [
+        ("build",),
+        ("render",),
+        ("render", "--out", "x", "--frame", "x"),
+        ("build", "--out"),
+        ("build", "--out", "set", "--seed", "x"),
+        ("nonsense",),
+        ("--x",),
+    ],
 )
 def test_wrong_usage_is_exit_code_2(command, tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)

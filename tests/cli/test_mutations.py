@@ -20,6 +20,17 @@ EXAMPLES = 150
 RECIPE = read_toml(shelf("recipes") / "barth2018.toml") | {"cultivar": "plant.toml"}
 RECIPE["row"] |= {"plants_front": 1, "plants_back": 0}
 RECIPE["daylight"]["illuminance_lx"] = 0
+RECIPE["camera"] |= {"filter": "schott_22022010", "focus_mm": 400, "gain": 2.0, "bits": 10}
+RECIPE["developing"] |= {
+    "falloff": True,
+    "shot_noise": True,
+    "read_noise": True,
+    "saturation": True,
+    "quantise": True,
+    "demosaic": "malvar",
+    "colour_matrix": True,
+    "tone": "srgb",
+}
 CULTIVAR = read_toml(shelf("plants") / "kaite.toml")
 CULTIVAR["plant"] |= {"stem_parts": 4, "young_nodes": 2}
 
@@ -43,6 +54,9 @@ REPLACEMENTS = st.one_of(
             "",
             "x",
             "1",
+            "none",
+            "nikon_d5100",
+            "bandpass_850nm",
             "../..",
             "a\x00b",
             "q" * 400,

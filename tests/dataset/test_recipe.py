@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import shutil
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import pytest
 import tomli_w
 
 from pepperscene.dataset import Stage, load_recipe
+from pepperscene.dataset.recipe import DevelopingTable
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError
 from pepperscene.shipped import shelf
@@ -82,35 +84,48 @@ def test_identity_follows_values_not_comments(tmp_path, write):
     assert recipe.sha256() != before
 
 
+# The recipe's table, the folder, a shipped file, and its tables that refer to spectra.
 DEVICES = {
-    "sensor": ("sensors", "onsemi_mt9v024", ["quantum_efficiency", "infrared_cut"]),
-    "lens": ("lenses", "lensagon_cmfa0420nd", []),
-    "flash": ("flashes", "led_matrix_200klx", ["spectrum"]),
+    "sensor": ("camera", "sensors", "onsemi_mt9v024", ["quantum_efficiency", "infrared_cut"]),
+    "lens": ("camera", "lenses", "lensagon_cmfa0420nd", []),
+    "flash": ("camera", "flashes", "led_matrix_200klx", ["spectrum"]),
+    "filter": ("camera", "filters", "schott_22022010", ["transmittance"]),
+    "cover": ("daylight", "covers", "polyethylene_film", ["transmittance"]),
 }
 
 
 @pytest.fixture
 def own_devices(tmp_path, write):
     """A recipe with copies of shipped devices in a folder of its own."""
-    for folder, _, _ in DEVICES.values():
+    for _, folder, _, _ in DEVICES.values():
         shutil.copytree(shelf("materials") / folder, tmp_path / folder)
-    paths = {part: f"{folder}/{name}.toml" for part, (folder, name, _) in DEVICES.items()}
-    return load_recipe(write(extends="barth2018", camera=paths))
+    return load_recipe(write(extends="barth2018", **_tables("{folder}/{name}.toml")))
+
+
+def _tables(form):
+    """The recipe's tables with every device."""
+    tables = {}
+    for part, (table, folder, name, _) in DEVICES.items():
+        tables.setdefault(table, {})[part] = form.format(folder=folder, name=name)
+    return tables
+
+
+def _path(recipe, part):
+    return Path(getattr(getattr(recipe, DEVICES[part][0]), part))
 
 
 def test_copies_are_the_shipped_devices(own_devices, write):
-    names = {part: name for part, (_, name, _) in DEVICES.items()}
-    shipped = load_recipe(write("shipped.toml", extends="barth2018", camera=names))
+    shipped = load_recipe(write("shipped.toml", extends="barth2018", **_tables("{name}")))
     assert own_devices.identity() == shipped.identity()
     expected = {"cultivar"}.union(
-        *({part, *(f"{part}.{table}" for table in tables)} for part, (_, _, tables) in DEVICES.items())
+        *({part, *(f"{part}.{table}" for table in tables)} for part, (*_, tables) in DEVICES.items())
     )
     assert set(shipped.identity()["files"]) == expected
 
 
 @pytest.mark.parametrize("part", DEVICES)
 def test_identity_follows_the_devices_values(own_devices, part):
-    before, file = own_devices.identity()["files"], Path(getattr(own_devices.camera, part))
+    before, file = own_devices.identity()["files"], _path(own_devices, part)
     file.write_text("# a remark\n" + file.read_text(encoding="utf-8"), encoding="utf-8")
     assert own_devices.identity()["files"] == before
     tables = read_toml(file)
@@ -120,10 +135,10 @@ def test_identity_follows_the_devices_values(own_devices, part):
 
 
 @pytest.mark.parametrize(
-    ("part", "table"), [(part, table) for part, (_, _, tables) in DEVICES.items() for table in tables]
+    ("part", "table"), [(part, table) for part, (*_, tables) in DEVICES.items() for table in tables]
 )
 def test_identity_follows_the_spectra_that_devices_refer_to(own_devices, part, table):
-    before, file = own_devices.identity()["files"], Path(getattr(own_devices.camera, part))
+    before, file = own_devices.identity()["files"], _path(own_devices, part)
     spectrum = file.parent / read_toml(file)[table]["file"]
     text = spectrum.read_text(encoding="utf-8")
     # Line ends and the way that a number is written do not count.
@@ -246,3 +261,18 @@ def test_without_a_flash_the_white_balance_must_be_another(write):
         )
         assert "flash" not in recipe.identity()["files"]
         assert Stage(recipe).camera(recipe.plan.shot(0)).developing.white_balance == expected
+
+
+def test_the_developing_table_is_the_cameras(write):
+    from pepperscene.camera import Developing
+
+    steps = load_recipe(write(extends="barth2018", developing={"tone": "linear", "read_noise": False}))
+    assert Stage(steps).camera(steps.plan.shot(0)).developing == Developing(tone="linear", read_noise=False)
+    # A recipe without the table is developed as a camera without a word.
+    assert set(DevelopingTable.model_fields) == {field.name for field in dataclasses.fields(Developing)}
+    assert Developing(**DevelopingTable().model_dump()) == Developing()
+
+
+def test_a_monochrome_camera_needs_no_white_balance(write):
+    mono = {"flash": "none", "sensor": "onsemi_mt9v024_mono"}
+    assert load_recipe(write(extends="barth2018", camera=mono)).camera.flash == "none"

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pepperscene.dataset import Stage
+from pepperscene.camera import load_filter, load_sensor
+from pepperscene.dataset import Stage, load_recipe
 from pepperscene.dataset.seeds import frame_seed
 
 LABELS = ("class", "distance")
@@ -101,3 +102,62 @@ def test_scenes_do_not_depend_on_the_order_of_the_frames(recipe, fake_renderer):
     fresh = Stage(recipe, fake_renderer).scene(plan.shot(last))
     np.testing.assert_array_equal(scene.mesh.vertices, fresh.mesh.vertices)
     np.testing.assert_array_equal(scene.sky.weights, fresh.sky.weights)
+
+
+# --- the camera as it is set --------------------------------------------------------------------------------
+
+
+def of(changes, fake_renderer):
+    recipe = load_recipe("barth2018", {"row.plants_front": 1, "row.plants_back": 0, **changes})
+    return Stage(recipe, fake_renderer), recipe.plan.shot(0)
+
+
+def test_settings_of_the_camera(fake_renderer):
+    plain, shot = of({}, fake_renderer)
+    stage, _ = of({"camera.focus_mm": 350, "camera.gain": 4, "camera.bits": 8}, fake_renderer)
+    before, after = plain.camera(shot), stage.camera(shot)
+    assert (before.focus_m, after.focus_m) == (None, 0.35)
+    assert (after.sensor.gain, after.sensor.bits) == (4, 8)
+    assert before.sensor.gain == 1
+    # A gain of 4 makes 4 times the digital numbers of the same electrons, on a converter of 8 bits.
+    span = [camera.sensor.full_scale_dn - camera.sensor.black_level_dn for camera in (before, after)]
+    ratio = before.sensor.gain_e_per_dn / after.sensor.gain_e_per_dn
+    assert ratio == pytest.approx(4 * span[1] / span[0])
+
+
+def test_a_filter_takes_its_share(fake_renderer):
+    stage, shot = of({"camera.filter": "schott_22022010"}, fake_renderer)
+    bare = load_sensor("ueye_ui5250re").quantum_efficiency
+    nm = np.arange(400.0, 701.0, 50.0)
+    expected = bare.at(nm) * load_filter("schott_22022010").transmittance.at(nm)
+    np.testing.assert_allclose(stage.camera(shot).sensor.quantum_efficiency.at(nm), expected)
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"camera.sensor": "onsemi_mt9v024_mono"}, {"camera.filter": "largan_k098_bir690uv"}]
+)
+def test_surfaces_are_known_where_the_sensor_sees_and_no_further(fake_renderer, changes):
+    stage, shot = of(changes, fake_renderer)
+    efficiency = stage.camera(shot).sensor.quantum_efficiency
+    seen = efficiency.wavelength_nm[(efficiency.values > 0).any(axis=0)]
+    for surface in stage.scene(shot).surfaces:
+        nm = surface.wavelength_nm
+        assert nm[0] <= seen[0], surface.name
+        assert nm[-1] >= seen[-1], surface.name
+        # One entry of the sensor's curve and one of the grid beyond.
+        assert nm[0] > seen[0] - 20, surface.name
+        assert nm[-1] < seen[-1] + 20, surface.name
+
+
+def test_the_cover_filters_the_daylight_and_keeps_its_illuminance(fake_renderer):
+    skies = [
+        stage.scene(shot).sky
+        for stage, shot in (
+            of({"daylight.cover": name}, fake_renderer) for name in ("none", "polyethylene_film")
+        )
+    ]
+    assert [sky.horizontal_illuminance() for sky in skies] == pytest.approx([5500, 5500], rel=1e-3)
+    # The film spreads sunlight, so that the disc is weaker, and takes more ultraviolet than red light.
+    bare, covered = (sky.sun.irradiance for sky in skies)
+    assert covered.at(550)[0] < bare.at(550)[0]
+    assert covered.at(380)[0] / covered.at(650)[0] < bare.at(380)[0] / bare.at(650)[0]

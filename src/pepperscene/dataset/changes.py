@@ -75,10 +75,11 @@ def _value(key: str, text: str) -> Any:
 def _read(text: str) -> Any:
     """What a text says as a value of a TOML file, or None."""
     try:
-        # One line, so that it cannot say anything else than a value.
-        return tomllib.loads(f"value = {text}").get("value") if text.isprintable() else None
+        read = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
         return None
+    # Further lines could say more than a value.
+    return read["value"] if set(read) == {"value"} else None
 
 
 def _table(annotation: Any) -> type[BaseModel] | None:
@@ -95,14 +96,21 @@ def _written(value: Any) -> str:
         return str(value).lower()
     try:
         if isinstance(value, str):
-            # Text that would be read as something else needs quotes.
-            return value if _read(value) is None else json.dumps(value)
+            return value if _bare(value) else json.dumps(value, ensure_ascii=False)
         if isinstance(value, Mapping):
             return "{" + ", ".join(f"{key} = {_written(item)}" for key, item in value.items()) + "}"
         return repr(value)
     except (ValueError, RecursionError):
         # Python writes no integers of thousands of digits.
         return "…"
+
+
+def _bare(text: str) -> bool:
+    """Whether a text is read as itself without quotes."""
+    try:
+        return bool(_value("", text.strip()) == text)
+    except InputError:
+        return False
 
 
 def _short(text: str) -> str:

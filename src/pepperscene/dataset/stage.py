@@ -151,7 +151,7 @@ class Stage:
             sun_elevation_rad=float(np.radians(light.sun_elevation_deg)),
             sun_fraction=light.sun_fraction,
             cloud_cover=light.cloud_cover,
-            **({} if self._cover is None else {"cover": self._cover}),
+            cover=self._cover,
         )
 
     @cached_property
