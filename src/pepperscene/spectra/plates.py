@@ -92,17 +92,25 @@ def pile(r: Array, t: Array, count: Array) -> tuple[Array, Array]:
 
 
 def _arcsinh_ratio(xp: Any, y: Array) -> Array:
-    """arcsinh(x) / x as a function of y = x^2, which may be rounded to below zero."""
-    small = y < SERIES_BELOW
-    # Neither branch may meet what only the other can take: an infinite slope times zero is not a number.
-    near, x = xp.where(small, y, 0.0), xp.sqrt(xp.where(small, 1.0, y))
+    """arcsinh(x) / x as a function of y = x^2."""
+    small, near, x = _split(xp, y)
     series = 1.0 + near * (-1 / 6 + near * (3 / 40 + near * (-5 / 112 + near * 35 / 1152)))
     return xp.where(small, series, xp.arcsinh(x) / x)
 
 
 def _log_sinh_ratio(xp: Any, y: Array) -> Array:
-    """log(sinh(x) / x) as a function of y = x^2, which may be rounded to below zero."""
-    small = y < SERIES_BELOW
-    near, x = xp.where(small, y, 0.0), xp.sqrt(xp.where(small, 1.0, y))
+    """log(sinh(x) / x) as a function of y = x^2."""
+    small, near, x = _split(xp, y)
     series = near * (1 / 6 + near * (-1 / 180 + near * (1 / 2835 - near / 37800)))
     return xp.where(small, series, x + xp.log1p(-xp.exp(-2.0 * x)) - xp.log(2.0 * x))
+
+
+def _split(xp: Any, y: Array) -> tuple[Array, Array, Array]:
+    """Whether the series serves, y for it, and the root of y for the closed form.
+
+    Neither may meet what only the other can take: a slope that overflows times zero is not a number. Where
+    nothing is absorbed, y may be rounded to below zero; in a thick pile that grows, and is held.
+    """
+    small = y < SERIES_BELOW
+    near = xp.clip(xp.where(small, y, 0.0), -SERIES_BELOW, None)
+    return small, near, xp.sqrt(xp.where(small, 1.0, y))
