@@ -1,6 +1,6 @@
 """Renders the pictures of docs/optics.md into docs/images; run it after a change that they show.
 
-    python docs/figures.py [NAME ...]
+python docs/figures.py [NAME ...]
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import dataclasses
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,14 @@ from pepperscene import (
     Camera,
     Mesh,
     Scene,
+    Stage,
     assemble,
     concatenate,
     grow,
     load_cultivar,
     load_flash,
     load_lens,
+    load_recipe,
     load_sensor,
     look_at,
     mesh_plant,
@@ -44,20 +46,21 @@ Picture = NDArray[np.uint8]
 
 def single_organs(kind: str, seed: int = 3) -> list[Mesh]:
     """The organs of one kind of a plant of Kaite, each as a mesh of its own."""
-    mesh = mesh_plant(grow(load_cultivar("kaite"), np.random.default_rng(seed)))
+    mesh = mesh_plant(grow(load_cultivar("kaite"), np.random.default_rng(seed)), detail=3.0)
     return [mesh.of_instances([i]) for i, one in enumerate(mesh.instances) if one.kind == kind]
 
 
-def hung(leaf: Mesh) -> Mesh:
-    """A leaf around the origin, tip down, its upper side towards -y."""
-    middle = leaf.vertices.mean(axis=0)
-    along = leaf.vertices[leaf.uv[:, 1] > 0.9].mean(axis=0) - leaf.vertices[leaf.uv[:, 1] < 0.1].mean(axis=0)
+def hung(organ: Mesh) -> Mesh:
+    """A leaf or a fruit around the origin, tip down; a leaf's upper side towards -y."""
+    middle = organ.vertices.mean(axis=0)
+    tip, base = organ.uv[:, 1] > 0.9, organ.uv[:, 1] < 0.1
+    along = organ.vertices[tip].mean(axis=0) - organ.vertices[base].mean(axis=0)
     down = along / np.linalg.norm(along)
-    out = leaf.normals.mean(axis=0)
+    out = organ.normals.mean(axis=0)
     out = out - (out @ down) * down
     out /= np.linalg.norm(out)
     turn = np.stack([np.cross(down, out), -out, -down])
-    return leaf.moved(turn, -turn @ middle)
+    return organ.moved(turn, -turn @ middle)
 
 
 def portrait_camera(width: int, height: int, distance_m: float, exposure_s: float, flash: bool) -> Camera:
@@ -74,7 +77,7 @@ def daylit(mesh: Mesh, sun_azimuth_rad: float) -> Scene:
     """The mesh in the sun: from the camera's side at -pi/2, from behind at pi/2."""
     sky = partly_cloudy(
         np.random.default_rng(5), illuminance_lx=5500.0, sun_azimuth_rad=sun_azimuth_rad,
-        sun_elevation_rad=float(np.radians(32.0)), sun_fraction=0.75, cloud_cover=0.2,
+        sun_elevation_rad=float(np.radians(32.0)), sun_fraction=0.85, cloud_cover=0.0,
     )  # fmt: skip
     return assemble(mesh, organ_surfaces(load_cultivar("kaite"), NM), sky)
 
@@ -82,17 +85,17 @@ def daylit(mesh: Mesh, sun_azimuth_rad: float) -> Scene:
 def leaf_glow() -> Picture:
     """One leaf with the sun in front of it, and with the sun behind."""
     leaf = hung(max(single_organs("lamina"), key=lambda one: np.ptp(one.vertices, axis=0).max()))
-    camera = portrait_camera(420, 520, 0.5, 1 / 6000, flash=False)
+    camera = portrait_camera(420, 520, 0.5, 1 / 1600, flash=False)
     return beside([render(daylit(leaf, side * np.pi / 2), camera, ["colour"])["colour"] for side in (-1, 1)])
 
 
 def ripening() -> Picture:
     """A fruit at six states from green to ripe, by the flash."""
     fruit = single_organs("fruit")[0]
-    fruit = fruit.moved(np.eye(3), -fruit.vertices.mean(axis=0))
-    spread = float(fruit.state.mean())
+    fruit = hung(fruit)
+    middle = float(fruit.state.mean())
     row = [
-        dataclasses.replace(fruit, state=np.clip(fruit.state - spread + state, 0, 1)).moved(
+        dataclasses.replace(fruit, state=np.clip(fruit.state - middle + state, 0, 1)).moved(
             np.eye(3), np.array([0.105 * (place - 2.5), 0.0, 0.0])
         )
         for place, state in enumerate((0.0, 0.3, 0.5, 0.65, 0.8, 1.0))
@@ -102,13 +105,38 @@ def ripening() -> Picture:
     return render(scene, camera, ["colour"])["colour"]
 
 
+def cameras() -> Picture:
+    """One view by four cameras: the paper's, the same focused, another sensor, a near-infrared one."""
+    infrared = {
+        "camera": {"sensor": "onsemi_mt9v024_mono", "flash": "led_nir_850nm", "filter": "bandpass_850nm"},
+        "developing": {"white_balance": "daylight"},
+    }
+    choices: list[dict[str, Any]] = [
+        {},
+        {"camera": {"focus_mm": 400.0}},
+        {"camera": {"sensor": "nikon_d5100", "exposure_us": 100.0}},
+        infrared,
+    ]
+    views = []
+    for changes in choices:
+        recipe = load_recipe("barth2018", changes)
+        colour = Stage(recipe).render(recipe.plan.shot(2290), ["colour"])["colour"]
+        views.append(np.asarray(Image.fromarray(colour).resize((480, 360), Image.Resampling.BOX)))
+    white = np.full((GAP, 2 * 480 + GAP, 3), 255, np.uint8)
+    return np.vstack([beside(views[:2]), white, beside(views[2:])])
+
+
 def beside(pictures: list[Picture]) -> Picture:
     """Pictures of equal height side by side, with white between."""
     white = np.full((pictures[0].shape[0], GAP, 3), 255, np.uint8)
     return np.hstack([part for picture in pictures for part in (white, picture)][1:])
 
 
-FIGURES: Final[dict[str, Callable[[], Picture]]] = {"leaf_glow": leaf_glow, "ripening": ripening}
+FIGURES: Final[dict[str, Callable[[], Picture]]] = {
+    "leaf_glow": leaf_glow,
+    "ripening": ripening,
+    "cameras": cameras,
+}
 
 
 def main(names: list[str]) -> None:
