@@ -37,6 +37,9 @@ def test_rows_and_what_lies_between_them_follow_the_pigments(surfaces, kaite, nm
     middles = 0.5 * (known[1:] + known[:-1])
     error = 0.5 * (rows[1:, 0] + rows[:-1, 0]) - rind_reflectance(path, nm, middles)
     assert np.abs(error).max() < 0.002
+    # A knot of the path may lie anywhere between two rows.
+    for state, _ in path.path:
+        assert at(rows[:, 0], state) == pytest.approx(rind_reflectance(path, nm, state)[0], abs=0.002)
 
 
 def test_rows_of_the_leaf_follow_the_pigments(surfaces, kaite, nm):
