@@ -16,15 +16,16 @@ from pepperscene.camera import (
     develop,
     encode,
     expected_electrons,
+    load_filter,
     load_flash,
     load_lens,
     load_sensor,
     reference_correction,
     relative_illumination,
 )
-from pepperscene.camera.correction import correction
+from pepperscene.camera.correction import correction, daylight, white_gains
 from pepperscene.errors import InputError
-from pepperscene.spectra import Spectrum
+from pepperscene.spectra import Spectrum, read_spectra
 
 SENSOR = dataclasses.replace(load_sensor("ueye_ui5250re"), columns=40, rows=30)
 LENS, FLASH = load_lens("lensagon_cmfa0420nd"), load_flash("led_matrix_200klx")
@@ -57,6 +58,31 @@ def test_white_under_the_flash_is_neutral_within_a_code(level):
 @pytest.mark.parametrize("level", [1.0, 3.0, 1000.0])
 def test_blown_out_white_is_white(level):
     assert np.all(develop(white_under_flash(level), CAMERA) == 255)
+
+
+@pytest.mark.parametrize("gain", [0.25, 0.5, 2.0])
+def test_blown_out_white_is_neutral_at_every_gain(gain):
+    camera = dataclasses.replace(CAMERA, sensor=SENSOR.with_settings(gain=gain))
+    # Below a gain of 1 a full well does not reach full scale, and the picture stays that much darker.
+    code = round(255 * float(colour.cctf_encoding(min(gain, 1.0), function="sRGB")))
+    picture = develop(white_under_flash(5.0), camera).astype(int)
+    assert np.abs(picture - code).max() <= 1
+
+
+def test_a_gain_brightens_as_much_light_would():
+    twice = dataclasses.replace(CAMERA, sensor=SENSOR.with_settings(gain=2.0, bits=16))
+    once = dataclasses.replace(CAMERA, sensor=SENSOR.with_settings(bits=16))
+    dim, bright = (white_under_flash(level) * [0.2, 0.6, 0.9] for level in (0.3, 0.6))
+    one, two = develop(bright, once).astype(int), develop(dim, twice).astype(int)
+    assert np.abs(one - two).max() <= 1
+
+
+def test_without_saturation_light_beyond_the_full_well_counts():
+    free = with_developing(saturation=False, quantise=False, tone="linear")
+    electrons = white_under_flash(3.0)
+    np.testing.assert_allclose(camera_rgb(electrons, free), electrons / SENSOR.full_well_e, rtol=1e-5)
+    np.testing.assert_allclose(corrected(camera_rgb(electrons, free), free), 3.0, rtol=1e-4)
+    assert np.all(develop(electrons, free) == 255)
 
 
 def test_darkness_is_black():
@@ -151,7 +177,45 @@ def test_what_is_not_a_picture_is_refused():
     )
 
 
+def line(nm, width=10.0):
+    """Light of one narrow band."""
+    at = nm + width * np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+    return Spectrum(at, np.array([0.0, 0.5, 1.0, 0.5, 0.0]))
+
+
 def test_a_light_that_a_colour_does_not_see_is_refused():
-    narrow = Spectrum(np.array([1050.0, 1051.0]), np.array([1.0, 1.0]))
     with pytest.raises(InputError, match="must see the reference light"):
-        correction(SENSOR, narrow)
+        correction(SENSOR, line(1050))
+    with pytest.raises(InputError, match="must see the reference light"):
+        white_gains(SENSOR, line(1050))
+
+
+def without_filter():
+    """The MT9V024 that sees infrared in all colours."""
+    curves = read_spectra("sensors/spectra/onsemi_mt9v024_rgb_qe.csv")
+    efficiency = Spectrum(curves["r"].wavelength_nm, np.stack([curves[c].values for c in "rgb"]))
+    return dataclasses.replace(SENSOR, quantum_efficiency=efficiency)
+
+
+@pytest.mark.parametrize("nm", [850.0, 950.0, 1050.0])
+def test_light_beyond_the_visible_can_be_balanced_but_has_no_colours(nm):
+    sensor = without_filter()
+    gains = white_gains(sensor, line(nm))
+    assert np.all(np.isfinite(gains))
+    assert gains.min() == 1
+    with pytest.raises(InputError, match="needs a visible reference light"):
+        correction(sensor, line(nm))
+
+
+def test_a_colour_of_light_that_shows_no_colours_is_refused():
+    with pytest.raises(InputError, match="of more colours"):
+        correction(SENSOR, line(600, 3))
+
+
+def test_a_sensor_that_sees_infrared_keeps_white_and_pays_in_colour():
+    sensor, cut = without_filter(), load_filter("schott_22022010").transmittance
+    seen, filtered = correction(sensor, daylight()), correction(sensor.behind(cut), daylight())
+    for found in (seen, filtered):
+        np.testing.assert_allclose(found.matrix.sum(axis=1), 1)
+        assert np.isfinite(found.matrix).all()
+    assert filtered.mean_delta_e_2000 < 2.5 < seen.mean_delta_e_2000
