@@ -50,8 +50,9 @@ def new_scene(recipe_name: str, quality: str, runs: int) -> dict[str, Any]:
         import numpy as np
 
         import pepperscene as ps
+        from pepperscene.dataset.equipment import cover_of, surface_grid
         from pepperscene.dataset.seeds import Stream, generator
-        from pepperscene.dataset.stage import WAVELENGTH_NM, Stage
+        from pepperscene.dataset.stage import Stage
         from pepperscene.render import renderer
         from pepperscene.render.variant import kernel
     with timed(times, "start Mitsuba"):
@@ -78,8 +79,8 @@ def new_scene(recipe_name: str, quality: str, runs: int) -> dict[str, Any]:
             shift_m=row.shift_mm / 1e3,
         )
     with timed(times, "surfaces"):
-        twine = ps.twine_surface(WAVELENGTH_NM)
-        surfaces = {**ps.organ_surfaces(stage.cultivar, WAVELENGTH_NM), twine.name: twine}
+        nm = surface_grid(stage.camera(recipe.plan.shot(0)).sensor)
+        surfaces = {**ps.organ_surfaces(stage.cultivar, nm), **ps.greenhouse_surfaces(nm)}
     sky = None
     if recipe.daylight is not None and recipe.daylight.illuminance_lx > 0:
         light = recipe.daylight
@@ -91,6 +92,7 @@ def new_scene(recipe_name: str, quality: str, runs: int) -> dict[str, Any]:
                 sun_elevation_rad=float(np.radians(light.sun_elevation_deg)),
                 sun_fraction=light.sun_fraction,
                 cloud_cover=light.cloud_cover,
+                cover=cover_of(recipe),
             )
     scene = ps.assemble(mesh, surfaces, sky)
 

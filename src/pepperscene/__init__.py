@@ -17,7 +17,16 @@ from typing import TYPE_CHECKING, Any
 from pepperscene.version import __version__
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera, arc_path, load_flash, load_lens, load_sensor, look_at
+    from pepperscene.camera import (
+        Camera,
+        Developing,
+        arc_path,
+        load_filter,
+        load_flash,
+        load_lens,
+        load_sensor,
+        look_at,
+    )
     from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
     from pepperscene.cultivar import Cultivar, load_cultivar
     from pepperscene.dataset import (
@@ -28,6 +37,7 @@ if TYPE_CHECKING:
         load_recipe,
         open_dataset,
         read_image,
+        render_frame,
         report,
         write_image,
     )
@@ -35,7 +45,7 @@ if TYPE_CHECKING:
     from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, Frame
     from pepperscene.geometry import Mesh, concatenate, mesh_plant
     from pepperscene.grammar import Organ, Plant, grow
-    from pepperscene.materials import Surface, lambertian, organ_surfaces, twine_surface
+    from pepperscene.materials import Surface, greenhouse_surfaces, lambertian, organ_surfaces, twine_surface
     from pepperscene.render import Renderer, render
     from pepperscene.scene import (
         Scene,
@@ -43,6 +53,7 @@ if TYPE_CHECKING:
         Twine,
         assemble,
         double_row,
+        load_cover,
         partly_cloudy,
         uniform_sky,
         with_twine,
@@ -51,21 +62,25 @@ if TYPE_CHECKING:
     from pepperscene.truth import class_colour, class_from_colour, distance_code, distance_from_code
 
 _ROOMS = {
-    "camera": ("Camera", "arc_path", "load_flash", "load_lens", "load_sensor", "look_at"),
+    "camera": (
+        "Camera", "Developing", "arc_path", "load_filter", "load_flash", "load_lens", "load_sensor",
+        "look_at",
+    ),
     "classes": ("CLASS_COLOURS", "Instance", "OrganClass"),
     "cultivar": ("Cultivar", "load_cultivar"),
     "dataset": (
-        "Dataset", "Recipe", "Stage", "build", "load_recipe", "open_dataset", "read_image", "report",
-        "write_image",
+        "Dataset", "Recipe", "Stage", "build", "load_recipe", "open_dataset", "read_image",
+        "render_frame", "report", "write_image",
     ),
     "errors": ("InputError", "OutputError", "PepperError", "SetupError"),
     "frame": ("DEFAULT_OUTPUTS", "OUTPUTS", "Frame"),
     "geometry": ("Mesh", "concatenate", "mesh_plant"),
     "grammar": ("Organ", "Plant", "grow"),
-    "materials": ("Surface", "lambertian", "organ_surfaces", "twine_surface"),
+    "materials": ("Surface", "greenhouse_surfaces", "lambertian", "organ_surfaces", "twine_surface"),
     "render": ("Renderer", "render"),
     "scene": (
-        "Scene", "Sky", "Twine", "assemble", "double_row", "partly_cloudy", "uniform_sky", "with_twine",
+        "Scene", "Sky", "Twine", "assemble", "double_row", "load_cover", "partly_cloudy", "uniform_sky",
+        "with_twine",
     ),
     "spectra": ("Spectrum",),
     "truth": ("class_colour", "class_from_colour", "distance_code", "distance_from_code"),
@@ -79,6 +94,7 @@ __all__ = [
     "Camera",
     "Cultivar",
     "Dataset",
+    "Developing",
     "Frame",
     "InputError",
     "Instance",
@@ -107,9 +123,12 @@ __all__ = [
     "distance_code",
     "distance_from_code",
     "double_row",
+    "greenhouse_surfaces",
     "grow",
     "lambertian",
+    "load_cover",
     "load_cultivar",
+    "load_filter",
     "load_flash",
     "load_lens",
     "load_recipe",
@@ -121,6 +140,7 @@ __all__ = [
     "partly_cloudy",
     "read_image",
     "render",
+    "render_frame",
     "report",
     "twine_surface",
     "uniform_sky",
