@@ -106,7 +106,7 @@ def ripening() -> Picture:
 
 
 def cameras() -> Picture:
-    """One view by four cameras: the paper's, the same focused, another sensor, a near-infrared one."""
+    """One view by four cameras: the paper's, the same focused, a Nikon, a near-infrared one."""
     infrared = {
         "camera": {"sensor": "onsemi_mt9v024_mono", "flash": "led_nir_850nm", "filter": "bandpass_850nm"},
         "developing": {"white_balance": "daylight"},
@@ -114,7 +114,7 @@ def cameras() -> Picture:
     choices: list[dict[str, Any]] = [
         {},
         {"camera": {"focus_mm": 400.0}},
-        {"camera": {"sensor": "nikon_d5100", "exposure_us": 100.0}},
+        {"camera": {"sensor": "nikon_d5100", "lens": "nikkor_18_55mm_at_18mm", "gain": 4.0}},
         infrared,
     ]
     views = []
