@@ -100,11 +100,11 @@ def test_the_pile_has_no_step_where_absorption_vanishes():
     st.floats(1.1, 2.5),
 )
 def test_piles_of_any_height_and_absorption_are_possible(absorbance, count, ior):
-    """Piles of up to 1e12 plates, from denormal to enormous absorbance."""
+    """Piles of up to 1e12 plates, from denormal to enormous absorbance; many multiply the rounding of one."""
     r, t = pile(*plate(absorbance, ior), count)
-    assert 0.0 < r <= 1.0 + 1e-12
+    assert 0.0 < r <= 1.0 + 1e-9
     assert 0.0 <= t <= 1.0
-    assert r + t <= 1.0 + 1e-12
+    assert r + t <= 1.0 + 1e-9
 
 
 def test_an_opaque_plate_is_finite():

@@ -35,32 +35,46 @@ def test_protein_and_carbon_stand_for_dry_matter():
         leaf_spectra(nm, **LEAF, dry_matter_g_cm2=0.008, protein_g_cm2=0.001)
 
 
-@settings(max_examples=50)
+def content(usual: float) -> st.SearchStrategy[float]:
+    """A cultivar file asks for no more than a finite content of at least 0: from denormal to enormous."""
+    return st.one_of(st.just(0.0), st.floats(0.0, usual), st.floats(0.0, 1.7e308), st.floats(0.0, 1e-300))
+
+
+@settings(max_examples=150)
 @given(
-    n=st.floats(1.0, 4.0), chl=st.floats(0, 120), car=st.floats(0, 40), ant=st.floats(0, 20),
-    cap=st.floats(0, 40), brown=st.floats(0, 4), water=st.floats(0, 0.1), dry=st.floats(0, 0.04),
-    ior=st.floats(1.0, 2.5),
+    n=st.one_of(st.floats(1.0, 4.0), st.floats(4.0, 1e9)), chl=content(120), car=content(40), ant=content(20),
+    cap=content(40), brown=content(4), water=content(0.1), dry=content(0.04),
+    ior=st.one_of(st.floats(1.0, 2.5), st.floats(1.0, 1.000001)), flesh=st.floats(0.0, 1.0, exclude_max=True),
 )  # fmt: skip
-def test_energy(n, chl, car, ant, cap, brown, water, dry, ior):
+def test_energy(n, chl, car, ant, cap, brown, water, dry, ior, flesh):
+    """Nothing is negative, no number or more than the light that came, whatever the plants' files hold."""
     leaf = leaf_spectra(
         NM, structure_n=n, chlorophyll_ug_cm2=chl, carotenoid_ug_cm2=car, anthocyanin_ug_cm2=ant,
         capsanthin_ug_cm2=cap, brown=brown, water_cm=water, dry_matter_g_cm2=dry,
     )  # fmt: skip
+    # Thousands of clear plates multiply the rounding of one.
+    rounding = 1e-12 if n <= 4 else 1e-9
+    assert leaf.reflectance.min() > 0
     assert leaf.transmittance.min() >= 0
-    assert (leaf.reflectance + leaf.transmittance).max() <= 1 + 1e-9
+    assert (leaf.reflectance + leaf.transmittance).max() <= 1 + rounding
+    assert (leaf.diffuse_reflectance + leaf.diffuse_transmittance).max() <= 1 + rounding
     body_r, body_t = leaf.under_cuticle(ior)
     assert min(body_r.min(), body_t.min()) >= 0
-    assert (body_r + body_t).max() <= 1 + 1e-9
+    assert (body_r + body_t).max() <= 1 + rounding
     # Gloss and body together give the leaf back, wherever the gloss alone is not more than the leaf.
     gloss = cuticle_gloss(ior)
     covered = leaf.reflectance >= gloss
-    assert (gloss + (1 - gloss) * body_r)[covered] == pytest.approx(leaf.reflectance[covered], abs=1e-12)
-    assert ((1 - gloss) * body_t)[covered] == pytest.approx(leaf.transmittance[covered], abs=1e-12)
+    assert (gloss + (1 - gloss) * body_r)[covered] == pytest.approx(leaf.reflectance[covered], abs=rounding)
+    assert ((1 - gloss) * body_t)[covered] == pytest.approx(leaf.transmittance[covered], abs=rounding)
+    fruit, nothing = over_body(leaf, flesh).under_cuticle(ior)
+    assert fruit.min() >= 0
+    assert fruit.max() <= 1
+    assert not nothing.any()
 
 
 def test_clear_tissue_absorbs_nothing():
     leaf = leaf_spectra(NM, structure_n=2.2)
-    assert leaf.reflectance + leaf.transmittance == pytest.approx(np.ones(NM.size), abs=1e-9)
+    assert leaf.reflectance + leaf.transmittance == pytest.approx(np.ones(NM.size), abs=1e-12)
 
 
 def test_tissue_full_of_pigment_reflects_from_its_surface_alone():
@@ -91,7 +105,25 @@ def test_below_400_nm_the_coefficients_of_400_nm_hold():
         leaf_spectra([2501.0], **LEAF)
 
 
-@pytest.mark.parametrize("wrong", [{"structure_n": 0.9}, {"chlorophyll_ug_cm2": -1}, {"structure_n": np.nan}])
+def test_a_cuticle_of_many_indices_is_the_cuticles_one_by_one():
+    leaf = leaf_spectra(NM, **LEAF)
+    many = leaf_spectra(NM, **LEAF | {"brown": [0.0, 0.5]}).under_cuticle(np.array([1.3, 1.0]))
+    assert many[0][0] == pytest.approx(leaf.under_cuticle(1.3)[0], abs=1e-15)
+    assert many[1][1] == pytest.approx(leaf_spectra(NM, **LEAF, brown=0.5).transmittance, abs=1e-15)
+    assert cuticle_gloss(1.0) == 0.0
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"structure_n": 0.9},
+        {"structure_n": np.nan},
+        {"structure_n": np.inf},
+        {"chlorophyll_ug_cm2": -1},
+        {"chlorophyll_ug_cm2": np.inf},
+        {"water_cm": [0.01, np.nan]},
+    ],
+)
 def test_impossible_leaves_are_refused(wrong):
     with pytest.raises(ValueError, match="plate"):
         leaf_spectra(NM, **(LEAF | wrong))
@@ -105,15 +137,6 @@ def test_a_body_behind_gives_back_what_a_series_of_bounces_gives():
         light = light * rho * skin.diffuse_reflectance
     assert over_body(skin, rho).reflectance == pytest.approx(total, abs=1e-12)
     assert over_body(skin, 0.0).reflectance == pytest.approx(skin.reflectance, abs=1e-15)
-
-
-def test_skin_on_flesh_matches_the_measured_green_pepper():
-    """Vrhel, Gershon & Iwan 1994, specular excluded; contents fitted to it (N, Cab, Car, brown, flesh)."""
-    measured = read_spectrum("fruit/vrhel_fruit_vegetable_reflectance", "green_pepper_136", outside="error")
-    nm = np.arange(400, 731, 2)
-    skin = leaf_spectra(nm, structure_n=1, chlorophyll_ug_cm2=15.2, carotenoid_ug_cm2=4.0, brown=0.365)
-    pepper = over_body(skin, 0.596).reflectance - cuticle_gloss(1.45)
-    assert np.sqrt(np.mean((pepper - measured.at(nm)) ** 2)) < 0.012
 
 
 @pytest.mark.parametrize("column", ["silver_maple_leaf_16", "tree_leaf_19", "oak_leaf_29"])
