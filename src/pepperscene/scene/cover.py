@@ -56,12 +56,7 @@ class Cover:
 
     def through(self, light: Spectrum) -> Spectrum:
         """The spectrum of this light below the cover, on the nodes of both."""
-        sheet = self.transmittance
-        inside = (sheet.wavelength_nm > light.wavelength_nm[0]) & (
-            sheet.wavelength_nm < light.wavelength_nm[-1]
-        )
-        nm = np.union1d(light.wavelength_nm, sheet.wavelength_nm[inside])
-        return Spectrum(nm, light.at(nm) * sheet.at(nm), light.outside)
+        return light.times(self.transmittance)
 
 
 class CoverDocument(SourcedDocument):

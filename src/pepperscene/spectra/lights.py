@@ -39,20 +39,9 @@ def photopic_efficiency() -> Spectrum:
 def illuminance(irradiance: Spectrum) -> float:
     """Lux of a spectral irradiance in W m-2 nm-1: 683.002 times its integral against V(lambda).
 
-    The integral is exact for the two piecewise linear functions.
+    The integral is exact for the two piecewise linear functions, over the range of the irradiance.
     """
-    efficiency = photopic_efficiency()
-    low = max(irradiance.wavelength_nm[0], efficiency.wavelength_nm[0])
-    high = min(irradiance.wavelength_nm[-1], efficiency.wavelength_nm[-1])
-    if low >= high:
-        return 0.0
-    # Between two nodes the product is a parabola, for which Simpson's rule is exact.
-    nm = np.union1d(irradiance.wavelength_nm, efficiency.wavelength_nm)
-    nm = nm[(nm >= low) & (nm <= high)]
-    middle = (nm[:-1] + nm[1:]) / 2.0
-    ends, centres = (irradiance.at(x) * efficiency.at(x) for x in (nm, middle))
-    steps = (ends[:-1] + 4.0 * centres + ends[1:]) / 6.0 * np.diff(nm)
-    return LUMINOUS_EFFICACY * float(steps.sum())
+    return LUMINOUS_EFFICACY * float(irradiance.integral(photopic_efficiency()))
 
 
 def with_illuminance(relative: Spectrum, lux: float) -> Spectrum:
