@@ -21,7 +21,7 @@ SEEN_NM = (
     550.0,
     680.0,
     850.0,
-)  # both absorption bands of leaves, their green and their bright infrared
+)  # a leaf's two absorption bands, its green, its bright infrared
 EXTENT_M = 0.03  # of a unit of uv: makes the shipped reliefs some three times as steep as on the plant
 MADE_IORS = (1.0, 1.05, 1.28, 1.5, 2.5)
 MADE_ROUGHNESS = ((1e-3, 1e-3), (1e-3, 1.0), (0.1, 0.45), (0.7, 0.02))
@@ -168,8 +168,8 @@ def interaction(wi, n: int, uv=(0.5, 0.5)):
 def sampled(cases: Cases, repeats: int, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Directional albedos `(c, repeats, 4)` and shares of samples rejected `(c, repeats)` by sampling.
 
-    Each repeat takes `count` points of a lattice (powers of the root of x^4 = x + 1, Roberts 2018), shifted by
-    random numbers of its own: the repeats are independent and without bias (Cranley & Patterson 1976).
+    Each repeat takes `count` points of a lattice (powers of the root of x^4 = x + 1, Roberts 2018), shifted
+    by random numbers of its own: the repeats are independent and without bias (Cranley & Patterson 1976).
     """
     rng = np.random.default_rng(seed)
     root = 1.2207440846057596
@@ -228,7 +228,7 @@ def integrated(cases: Cases) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _directions(wi: np.ndarray, alpha: float) -> tuple[np.ndarray, np.ndarray]:
-    """`(n, 3)` directions in the frame of the view and `(n,)` their weights in an integral over the sphere."""
+    """`(n, 3)` directions in the view's frame and `(n,)` their weights in an integral over the sphere."""
 
     def mirror_density(wo: np.ndarray) -> np.ndarray:
         half = wi + wo

@@ -1,12 +1,12 @@
 """White furnace: in an even light no surface sends out more than it receives, and a lossless one as much.
 
 The directional albedo is measured twice, by the BSDF's own sampling and by a quadrature of its values that
-uses nothing of that sampling, and compared with E + (1 - E) (R + T) worked out in NumPy. Views from both sides,
-from 1 degree above the surface to the normal.
+uses nothing of that sampling, and compared with E + (1 - E) (R + T) worked out in NumPy. Views from both
+sides, from 1 degree above the surface to the normal.
 
-Power: 8 independent lattices of 4,096 samples per case; the standard error of a case is .0003 on the average and
-below .0025 for every one, that of the mean over a group of cases below 2e-5. The quadrature errs by less than
-.0012 for the made surfaces (mirrors of alpha .001 among them) and .0003 for the shipped ones.
+Power: 8 independent lattices of 4,096 samples per case; the standard error of a case is .0003 on the average
+and below .0025 for every one, that of the mean over a group of cases below 2e-5. The quadrature errs by less
+than .0012 for the made surfaces (mirrors of alpha .001 among them) and .0003 for the shipped ones.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ GROUPS = ("made", "shipped", "shipped with relief")
 
 @cache
 def measured(group: str):
-    """The cases, albedos and rejected shares by sampling, albedos and integrals of the density by quadrature."""
+    """Cases; albedos and rejected shares by sampling; albedos and integrated densities by quadrature."""
     if group == "made":
         cases = Cases.over(lossless(), (0.0,), COSINES, seed=1)
     else:
@@ -49,7 +49,7 @@ def test_no_surface_sends_out_more_than_it_receives(group):
 
 
 def test_lossless_surfaces_send_out_all_that_they_receive():
-    cases, by_samples, _, by_quadrature, _ = measured("made")
+    _, by_samples, _, by_quadrature, _ = measured("made")
     assert by_samples.mean(axis=1) == pytest.approx(1.0, abs=0.005)
     assert by_quadrature == pytest.approx(1.0, abs=0.0015)
     assert by_samples.mean() == pytest.approx(1.0, abs=2e-4)
@@ -63,8 +63,8 @@ def test_albedo_is_that_of_gloss_and_body(group):
     assert error.max() < 0.0025
     deviation = by_samples.mean(axis=1) - expected
     assert (np.abs(deviation) < 0.005).all(), worst(cases, np.abs(deviation))
-    # No bias hides in the noise: deviations over the standard error are Student's t with 7 degrees of freedom,
-    # of root mean square 1.18, where the error does not vanish beside the tables' 4e-4.
+    # No bias hides in the noise: deviations over the standard error are Student's t with 7 degrees of
+    # freedom, of root mean square 1.18, where the error does not vanish beside the tables' 4e-4.
     noisy = error > 2e-4
     assert np.sqrt(np.mean((deviation / np.maximum(error, 1e-9))[noisy] ** 2)) < 1.5
     assert abs(deviation.mean()) < 1e-4
@@ -83,8 +83,8 @@ def test_samples_and_quadrature_agree(group):
 
 
 def test_relief_loses_only_what_it_throws_below_the_surface():
-    # A matt body on a slope of angle t, seen from the normal: (1 + cos t) / 2 of the whole hemisphere is above
-    # the smooth surface, on both sides of the sheet. Slopes up to 40 degrees and more.
+    # A matt body on a slope of angle t, seen from the normal: (1 + cos t) / 2 of the hemisphere's light goes
+    # above the smooth surface, on both sides of the sheet. Slopes up to 40 degrees and more.
     x = np.linspace(0.0, 1.0, 64)
     height = (5.0 * np.sin(2 * np.pi * x)[None] * np.ones((64, 1))).astype(np.float32)
     surface = replace(made("sheet", 0.6, 0.6, 0.4, 1.0, (0.3, 0.3)), relief_mm=height)

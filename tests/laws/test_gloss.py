@@ -1,4 +1,4 @@
-"""The gloss' directional albedo against Fresnel, closed forms, finer quadrature and Mitsuba's own surfaces."""
+"""The gloss' directional albedo against Fresnel, closed forms, finer quadrature and Mitsuba's surfaces."""
 
 from __future__ import annotations
 
