@@ -115,7 +115,8 @@ def test_render_prints_what_it_wrote(command, tmp_path):
 
 
 def test_a_build_with_a_change_is_another_data_set(command, tmp_path):
-    arguments = ("build", "--out", tmp_path / "set", "--frames", "0:1", "--outputs", "class")
+    arguments = ("build", "--out", tmp_path / "set", "--frames", "0:1", "--outputs", "class",
+                 "--set", "row={plants_front=1, plants_back=0}")  # fmt: skip
     assert command(*arguments, "--set", "camera.bits=8").exit_code == 0
     assert command(*arguments, "--set", "camera.bits=8").exit_code == 0
     done = command(*arguments)

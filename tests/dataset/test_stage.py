@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pepperscene.camera import load_filter, load_sensor
 from pepperscene.dataset import Stage, load_recipe
+from pepperscene.dataset.equipment import surface_grid
 from pepperscene.dataset.seeds import frame_seed
+from pepperscene.spectra import Spectrum
 
 LABELS = ("class", "distance")
 
@@ -161,3 +165,18 @@ def test_the_cover_filters_the_daylight_and_keeps_its_illuminance(fake_renderer)
     bare, covered = (sky.sun.irradiance for sky in skies)
     assert covered.at(550)[0] < bare.at(550)[0]
     assert covered.at(380)[0] / covered.at(650)[0] < bare.at(380)[0] / bare.at(650)[0]
+
+
+def test_the_grid_of_the_surfaces_ends_where_the_sensor_does():
+    def sensor(nm, efficiency):
+        curve = Spectrum(np.array(nm), np.array([efficiency]))
+        return replace(load_sensor("onsemi_mt9v024_mono"), quantum_efficiency=curve)
+
+    grid = surface_grid(sensor([300.0, 402.0, 500.0, 993.0, 1100.0], [0.0, 0.0, 0.5, 0.0, 0.0]))
+    np.testing.assert_array_equal(grid, np.arange(400.0, 996.0, 5.0))
+    # A curve that ends high is zero beyond.
+    np.testing.assert_array_equal(surface_grid(sensor([400.0, 412.0], [0.5, 0.5])), [400, 405, 410, 415])
+    with pytest.raises(ValueError, match="sees up to 2600 nm"):
+        surface_grid(sensor([900.0, 2600.0], [0.5, 0.5]))
+    with pytest.raises(ValueError, match="sees no light at all"):
+        surface_grid(sensor([400.0, 700.0], [0.0, 0.0]))
