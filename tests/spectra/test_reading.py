@@ -8,8 +8,9 @@ from pepperscene.errors import InputError
 from pepperscene.shipped import shelf
 from pepperscene.spectra import read_provenance, read_spectra, read_spectrum
 
+EVERY = sorted(shelf("materials").rglob("*.csv"))
 GROUPS = ("leaf", "fruit", "light", "organ", "chart")
-SHIPPED = sorted(path for group in GROUPS for path in (shelf("materials") / group).glob("*.csv"))
+MATERIALS = [path for path in EVERY if path.parent.name in GROUPS]
 
 
 def write(folder: Path, text: str) -> Path:
@@ -18,12 +19,26 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
+def name(path: Path) -> str:
+    return path.relative_to(shelf("materials")).as_posix()
+
+
+@pytest.mark.parametrize("path", EVERY, ids=name)
 def test_every_shipped_file_reads_and_tells_where_it_comes_from(path):
     spectra = read_spectra(path)
-    provenance = read_provenance(path)
     assert all(s.values.min() >= 0 for s in spectra.values())
+    # A missing key, kind or file beside is refused.
+    provenance = read_provenance(path)
+    assert all((provenance.title, provenance.source, provenance.licence, provenance.unit))
     assert (provenance.kind == "MODEL") == ("MODEL" in path.stem)
+    # Nobody measures with a formula.
+    assert provenance.kind == "measured" or not provenance.instrument
+
+
+@pytest.mark.parametrize("path", MATERIALS, ids=name)
+def test_measurements_tell_their_instrument_and_licences_get_their_notice(path):
+    provenance = read_provenance(path)
+    assert provenance.kind != "measured" or provenance.instrument
     # Files under licences that ask for a notice are named in it.
     notice = (shelf("materials") / "LICENCES.md").read_text(encoding="utf-8")
     patterns = [re.escape(name).replace(r"\*", ".*") for name in re.findall(r"`([\w/*]+\.csv)`", notice)]
