@@ -47,7 +47,8 @@ def shot_noise(mean: Floats, rng: np.random.Generator) -> Floats:
     Means below 32 are drawn exactly. Above, a normal deviate z is bent by the Cornish-Fisher expansion of the
     Poisson law to the order 1/mean, n = m + sqrt(m) z + (z^2 - 1)/6 + (z - z^3)/(72 sqrt(m)), which keeps its
     mean, variance and skewness (Johnson, Kemp and Kotz, "Univariate Discrete Distributions", 2005, section
-    4.5 on approximations) and costs a third; its counts are not whole, which no converter step shows.
+    4.5 on approximations) and costs a third; its counts are not whole, which does not show behind
+    the read noise, or behind converter steps of an electron and more.
     """
     z = rng.standard_normal(mean.shape, dtype=np.float32)
     root = np.sqrt(mean)
