@@ -120,7 +120,7 @@ def test_settings_of_the_camera(fake_renderer):
     plain, shot = of({}, fake_renderer)
     stage, _ = of({"camera.focus_mm": 350, "camera.gain": 4, "camera.bits": 8}, fake_renderer)
     before, after = plain.camera(shot), stage.camera(shot)
-    assert (before.focus_m, after.focus_m) == (None, 0.35)
+    assert (before.focus_m, after.focus_m) == (0.4, 0.35)
     assert (after.sensor.gain, after.sensor.bits) == (4, 8)
     assert before.sensor.gain == 1
     # A gain of 4 makes 4 times the digital numbers of the same electrons, on a converter of 8 bits.

@@ -76,7 +76,8 @@ def test_patch_in_the_flash_gives_the_electrons_of_a_one_page_calculation():
 
 
 def test_matrix_flash_beside_the_lens_follows_its_integral():
-    # The shipped flash is a matrix of discs beside the lens: sum its points' cosine, profile and distance by quadrature.
+    # The shipped flash is a matrix of discs beside the lens: sum its points' cosine, profile and distance by
+    # quadrature.
     camera = bench_camera(columns=8, rows=6)
     flash = camera.flash
     scene = assemble(sheet(1.0, 1.0, 0.5, "grey"), {"grey": lambertian("grey", REFLECTANCE)})
