@@ -45,13 +45,6 @@ class CurveTable(Document):
     column: Text
 
 
-class CurvesTable(Document):
-    """Three columns of a CSV file beside the TOML file, for red, green and blue."""
-
-    file: Text
-    columns: tuple[Text, Text, Text]
-
-
 def locate(folder: str, wanted: str | Path) -> Path:
     """A path as it is, a bare name in the shipped folder."""
     path, shipped = Path(wanted), shelf("materials") / folder
