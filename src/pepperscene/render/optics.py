@@ -25,7 +25,9 @@ E_s is tabulated per surface and side (`pepperscene.materials.gloss`) and a_s is
 interpolant, so that the body's part is exact; the gloss' part errs by the interpolation, below 4e-4.
 
 A relief turns the shading frame only (Blinn 1978). Directions that are on different sides of it and of the
-smooth surface are lost: for a matt body on a slope of angle t a share (1 - cos t) / 2.
+smooth surface are lost: for a matt body on a slope of angle t a share (1 - cos t) / 2, which on the plant is
+0.2 % for leaves, 0.1 % for stems and petioles, and 1.3 % for the calyx. It is left at that: such light meets
+the surface again, which absorbs most of it in the visible, and to mirror all of it back would be as wrong.
 
 All surfaces of a scene share these tables and this code, so that the kernel needs no indirect calls.
 """
