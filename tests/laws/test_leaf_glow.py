@@ -47,10 +47,10 @@ def blade():
 
 
 def only_sun(direction):
-    """A sky as good as black with the sun's disc."""
+    """A black sky with the sun's disc."""
     nm, values = SUN
     disc = Sun(np.array(direction), Spectrum(nm, irradiance_by_hand(SUN, LUX, nm)))
-    return Sky(np.full((1, 2, 4), 1e-15, np.float32), Spectrum(nm, values[None] / values.mean()), disc)
+    return Sky(np.zeros((1, 2, 4), np.float32), Spectrum(nm, values[None] / values.mean()), disc)
 
 
 def photographed(surface, direction, sensor, *, turned=False, side=8, mesh=None):

@@ -117,7 +117,7 @@ def sky_tables(scene: Scene, grid_nm: np.ndarray) -> SkyTables | None:
     """The scene's sky tabulated on a grid of wavelengths, or None where it has none."""
     mi, dr = kernel()
     sky = scene.sky
-    if sky is None or not sky.weights.any():
+    if sky is None or (sky.sun is None and not sky.weights.any()):
         return None
     weights = mi.Texture2f(
         mi.TensorXf(np.ascontiguousarray(np.moveaxis(sky.weights, 0, -1))), wrap_mode=dr.WrapMode.Repeat
