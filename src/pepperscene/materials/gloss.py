@@ -18,6 +18,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pepperscene.spectra.prospect import INCIDENCE_CONE_RAD
+
 Array = NDArray[np.float64]
 
 NODES: Final = 96
@@ -112,6 +114,19 @@ def openness(ior: float, alpha: float) -> tuple[Array, float]:
     table = 1.0 - gloss_albedo(node_cosines(), ior, alpha)
     table.setflags(write=False)
     return table, cosine_mean(table)
+
+
+@functools.lru_cache(maxsize=256)
+def cone_gloss(ior: float, alpha: float) -> float:
+    """Cosine-weighted mean of the gloss albedo over PROSPECT's cone of incidence.
+
+    Args:
+        ior: of the cuticle.
+        alpha: its GGX roughness.
+    """
+    place, weight = np.polynomial.legendre.leggauss(16)
+    sine_squared = (place + 1.0) / 2.0 * np.sin(INCIDENCE_CONE_RAD) ** 2
+    return float(gloss_albedo(np.sqrt(1.0 - sine_squared), ior, alpha) @ weight / 2.0)
 
 
 @functools.cache

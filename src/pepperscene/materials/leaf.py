@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.materials.gloss import cone_gloss
 from pepperscene.materials.states import enough_states
 from pepperscene.materials.surface import Surface
 from pepperscene.materials.venation import grow_veins, vein_pattern, vein_relief
@@ -61,8 +62,9 @@ def leaf_surface(
 def leaf_body(path: PigmentPath, wavelength_nm: Array, states: Array) -> tuple[Array, Array, Array]:
     """Reflectance of the upper and of the lower side and transmittance, each `(s, n)`, under the cuticle."""
     contents = path.at(states)
-    above, through = leaf_spectra(wavelength_nm, **contents).under_cuticle(path.ior)
-    below, _ = leaf_spectra(wavelength_nm, **_thinned(contents, ABAXIAL_SHARE)).under_cuticle(path.ior)
+    upper, lower = (cone_gloss(path.ior, alpha) for alpha in path.roughness)
+    above, through = leaf_spectra(wavelength_nm, **contents).under_gloss(upper)
+    below, _ = leaf_spectra(wavelength_nm, **_thinned(contents, ABAXIAL_SHARE)).under_gloss(lower)
     return above, below, np.minimum(through, 1.0 - below)
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pepperscene.materials.gloss import cone_gloss
 from pepperscene.materials.states import enough_states
 from pepperscene.materials.surface import Surface
 from pepperscene.spectra import absorption_coefficients, leaf_spectra, over_body
@@ -52,7 +53,7 @@ def rind_reflectance(path: PigmentPath, wavelength_nm: Array, states: ArrayLike)
     """
     rind = leaf_spectra(wavelength_nm, **path.at(np.atleast_1d(np.asarray(states, dtype=float))))
     flesh = flesh_reflectance(path.flesh_reflectance or 0.0, wavelength_nm)
-    reflectance, _ = over_body(rind, flesh).under_cuticle(path.ior)
+    reflectance, _ = over_body(rind, flesh).under_gloss(cone_gloss(path.ior, path.roughness[0]))
     return reflectance
 
 

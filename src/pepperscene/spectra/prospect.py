@@ -38,25 +38,32 @@ class LeafOptics:
     diffuse_transmittance: Array
 
     def under_cuticle(self, ior: Array) -> tuple[Array, Array]:
-        """Reflectance and transmittance `(..., n)` of the body under a glossy cuticle of this index.
-
-        They are shares of the light that the cuticle lets in, so that gloss g and body together give
-        PROSPECT's values: R = g + (1 - g) R_body, T = (1 - g) T_body. Never negative: where pigments absorb
-        all the rest, a cuticle of a higher index than the tissue's (1.43 to 1.52) alone exceeds PROSPECT's R.
+        """Reflectance and transmittance `(..., n)` of the body under a smooth cuticle; see `under_gloss`.
 
         Args:
             ior: refractive index of the cuticle, >= 1; broadcasts to `(...)`, one per leaf.
         """
-        xp, (reflectance, transmittance, gloss) = floats(
-            self.reflectance, self.transmittance, cuticle_gloss(ior)
-        )
-        inside = 1.0 - gloss[..., None]
+        return self.under_gloss(cuticle_gloss(ior))
+
+    def under_gloss(self, gloss: Array) -> tuple[Array, Array]:
+        """Reflectance and transmittance `(..., n)` of the body under a surface that mirrors light itself.
+
+        They are shares of the light that the surface lets in, so that gloss g and body together give
+        PROSPECT's values: R = g + (1 - g) R_body, T = (1 - g) T_body. Never negative: where pigments absorb
+        all the rest, a cuticle of a higher index than the tissue's (1.43 to 1.52) alone exceeds PROSPECT's R.
+
+        Args:
+            gloss: share of the light in PROSPECT's cone of incidence that the surface mirrors, in [0, 1);
+                broadcasts to `(...)`, one per leaf.
+        """
+        xp, (reflectance, transmittance, mirrored) = floats(self.reflectance, self.transmittance, gloss)
+        inside = 1.0 - mirrored[..., None]
         body = xp.clip(1.0 - (1.0 - reflectance) / inside, 0.0, 1.0)
         return body, xp.minimum(transmittance / inside, 1.0 - body)
 
 
 def cuticle_gloss(ior: Array) -> Array:
-    """Reflectance of a surface of this refractive index for light in PROSPECT's cone of incidence."""
+    """Reflectance of a smooth surface of this refractive index for light in PROSPECT's cone of incidence."""
     gloss = 1.0 - cone_transmissivity(INCIDENCE_CONE_RAD, ior)
     return float(gloss) if isinstance(ior, (int, float)) else gloss
 
