@@ -1,4 +1,4 @@
-"""Renders the pictures of docs/optics.md into docs/images; run it after a change that they show.
+"""Renders the pictures of the README and the pages into docs/images; run it after a change that they show.
 
 python docs/figures.py [NAME ...]
 """
@@ -35,6 +35,7 @@ from pepperscene import (
     render,
 )
 from pepperscene.camera import Developing
+from pepperscene.dataset.display import distance_colours
 
 IMAGES: Final = Path(__file__).parent / "images"
 NM: Final = np.arange(360.0, 831.0, 5.0)
@@ -126,6 +127,20 @@ def cameras() -> Picture:
     return np.vstack([beside(views[:2]), white, beside(views[2:])])
 
 
+def demo() -> Picture:
+    """A frame beside its class image and its distance image, as a data set keeps them."""
+    recipe = load_recipe("demo")
+    frame = Stage(recipe).render(recipe.plan.shot(6137), ["colour", "class_colour", "distance"])
+    shown = [frame["colour"], frame["class_colour"], distance_colours(frame["distance"], 0.2, 1.0)]
+    ways = [Image.Resampling.BOX, Image.Resampling.NEAREST, Image.Resampling.NEAREST]
+    return beside(
+        [
+            np.asarray(Image.fromarray(one).resize((520, 390), way))
+            for one, way in zip(shown, ways, strict=True)
+        ]
+    )
+
+
 def beside(pictures: list[Picture]) -> Picture:
     """Pictures of equal height side by side, with white between."""
     white = np.full((pictures[0].shape[0], GAP, 3), 255, np.uint8)
@@ -133,9 +148,7 @@ def beside(pictures: list[Picture]) -> Picture:
 
 
 FIGURES: Final[dict[str, Callable[[], Picture]]] = {
-    "leaf_glow": leaf_glow,
-    "ripening": ripening,
-    "cameras": cameras,
+    one.__name__: one for one in (demo, leaf_glow, ripening, cameras)
 }
 
 
