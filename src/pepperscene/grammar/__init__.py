@@ -1,5 +1,6 @@
 """Plants: drawing a cultivar's parameters, and building organs with poses from them; no triangles."""
 
+from pepperscene.cultivar.forms import Form, Kind
 from pepperscene.grammar.build import build
 from pepperscene.grammar.draw import draw_parameters
 from pepperscene.grammar.grow import grow
@@ -17,7 +18,9 @@ from pepperscene.grammar.settle import touching_fruit
 __all__ = [
     "ORGAN_KINDS",
     "CutParameters",
+    "Form",
     "FruitParameters",
+    "Kind",
     "LeafParameters",
     "Organ",
     "OrganKind",

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from pepperscene.cultivar.forms import USUAL, Form
 from pepperscene.grammar.curves import FloatArray, across, chain, direction, middles, upper_side
 from pepperscene.grammar.parameters import (
     CutParameters,
@@ -20,6 +21,18 @@ from pepperscene.grammar.parameters import (
 )
 from pepperscene.grammar.plant import Organ, OrganKind, Plant
 
+_FORMS: Final[dict[str, Form]] = {
+    "internode": "internode",
+    "node": "node",
+    "side_shoot": "stalk",
+    "petiole": "stalk",
+    "lamina": "blade",
+    "peduncle": "peduncle",
+    "calyx": "calyx",
+    "fruit": "fruit",
+    "cut": "cut",
+}
+KINDS: Final = {name: USUAL[form] for name, form in _FORMS.items()}
 INTERNODE_POINTS: Final = 3
 SHOOT_POINTS: Final = 6
 PETIOLE_POINTS: Final = 10
@@ -70,7 +83,7 @@ def build(parameters: PlantParameters) -> Plant:
     """The plant that the parameters describe; the same parameters give the same arrays, bit for bit."""
     organs, frames = build_frame(parameters)
     fruit = [phytomer.fruit for phytomer in parameters.phytomers]
-    return Plant(parameters.cultivar, (*organs, *build_fruit(fruit, frames, len(organs))))
+    return Plant(parameters.cultivar, (*organs, *build_fruit(fruit, frames, len(organs))), KINDS)
 
 
 def build_frame(parameters: PlantParameters) -> tuple[list[Organ], list[NodeFrame]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pepperscene.cultivar import Cultivar
-from pepperscene.grammar.build import build_frame, build_fruit
+from pepperscene.grammar.build import KINDS, build_frame, build_fruit
 from pepperscene.grammar.draw import draw_parameters
 from pepperscene.grammar.plant import Plant
 from pepperscene.grammar.settle import settle
@@ -20,4 +20,4 @@ def grow(cultivar: Cultivar, rng: np.random.Generator) -> Plant:
     parameters = draw_parameters(cultivar, rng)
     organs, frames = build_frame(parameters)
     fruit = settle(parameters, organs, frames, cultivar, rng)
-    return Plant(parameters.cultivar, (*organs, *build_fruit(fruit, frames, len(organs))))
+    return Plant(parameters.cultivar, (*organs, *build_fruit(fruit, frames, len(organs))), KINDS)
