@@ -6,6 +6,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pepperscene.cultivar.forms import USUAL
 from pepperscene.geometry import mesh_plant
 from pepperscene.grammar.plant import Organ, Plant
 
@@ -25,7 +26,7 @@ def fruit(parent=-1, **measures):
 
 
 def mesh_of(*organs, detail=1.0):
-    return mesh_plant(Plant("hand-made", organs), detail)
+    return mesh_plant(Plant("hand-made", organs, USUAL), detail)
 
 
 def calliper(points):

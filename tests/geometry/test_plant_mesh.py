@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar import load_cultivar
-from pepperscene.geometry import ORGAN_CLASSES, ORGAN_SURFACES, Mesh, concatenate, mesh_plant
+from pepperscene.cultivar.forms import USUAL, Kind
+from pepperscene.geometry import Mesh, concatenate, mesh_plant
 from pepperscene.grammar import grow
-from pepperscene.grammar.plant import ORGAN_KINDS, Organ, Plant
+from pepperscene.grammar.plant import Organ, Plant
 
 UP = np.array([0.0, 0.0, 1.0])
+KINDS = {**USUAL, "shoot": Kind("stalk", OrganClass.SHOOT, "stem")}
 
 
 def straight(kind, base=(0.0, 0.0, 0.0), tip=(0.0, 0.1, 0.0), up=(0.0, 0.0, 1.0), parent=-1, **measures):
@@ -24,7 +26,7 @@ def straight(kind, base=(0.0, 0.0, 0.0), tip=(0.0, 0.1, 0.0), up=(0.0, 0.0, 1.0)
 
 def leaf(length=0.135, width=0.08, **measures):
     flat = {"length_m": length, "width_m": width, "seed": 0.3} | measures
-    return straight("lamina", tip=(0.0, length, 0.0), **flat)
+    return straight("blade", tip=(0.0, length, 0.0), **flat)
 
 
 def bell(length=0.09, diameter=0.08, parent=-1, **measures):
@@ -35,19 +37,19 @@ def bell(length=0.09, diameter=0.08, parent=-1, **measures):
 ONE_OF_EACH = (
     straight("internode", tip=(0, 0, 0.1), up=(0, -1, 0), radius_m=0.005, radius_tip_m=0.0045, groove_m=5e-4),
     straight("node", (0, 0, 0.1), (0, 0, 0.115), up=(0, -1, 0), parent=0, radius_m=8e-3, radius_end_m=4.5e-3),
-    straight("side_shoot", (0, 0, 0.1), (0.03, 0, 0.13), parent=1, radius_m=0.003, radius_tip_m=0.0025),
-    straight("petiole", (0, 0, 0.1), (0, -0.09, 0.13), parent=1, radius_m=0.002, radius_tip_m=0.0012),
+    straight("shoot", (0, 0, 0.1), (0.03, 0, 0.13), parent=1, radius_m=0.003, radius_tip_m=0.0025),
+    straight("stalk", (0, 0, 0.1), (0, -0.09, 0.13), parent=1, radius_m=0.002, radius_tip_m=0.0012),
     leaf(parent_is_ignored=0.0),
     straight("peduncle", (0, 0, 0.1), (-0.04, 0, 0.1), parent=1, radius_m=0.0035, radius_tip_m=0.0045),
     straight("calyx", (0, 0, 0.004), (0, 0, 0), up=(1, 0, 0), parent=5, radius_m=0.015, seed=0.2),
     bell(parent=6),
     straight("cut", (0, 0, 0.1), (0.012, 0, 0.1), parent=1, radius_m=0.004),
 )
-SOLIDS = tuple(organ for organ in ONE_OF_EACH if organ.kind != "lamina")
+SOLIDS = tuple(organ for organ in ONE_OF_EACH if organ.kind != "blade")
 
 
 def mesh_of(*organs, detail=1.0) -> Mesh:
-    return mesh_plant(Plant("hand-made", tuple(organs)), detail)
+    return mesh_plant(Plant("hand-made", tuple(organs), KINDS), detail)
 
 
 def body(mesh: Mesh) -> trimesh.Trimesh:
@@ -103,10 +105,8 @@ def test_instances_follow_the_plant_and_classes_follow_the_kinds():
     assert set(mesh.face_instance) == set(range(len(ONE_OF_EACH)))
     for number, organ in enumerate(ONE_OF_EACH):
         mine = mesh.face_instance == number
-        assert set(mesh.face_class[mine]) == {ORGAN_CLASSES[organ.kind]}
-        assert {mesh.surfaces[i] for i in mesh.face_surface[mine]} == {ORGAN_SURFACES[organ.kind]}
-    assert set(ORGAN_CLASSES) == set(ORGAN_SURFACES) == set(ORGAN_KINDS)
-    assert ORGAN_CLASSES["petiole"] == ORGAN_CLASSES["side_shoot"] == OrganClass.SHOOT
+        assert set(mesh.face_class[mine]) == {KINDS[organ.kind].organ_class}
+        assert {mesh.surfaces[i] for i in mesh.face_surface[mine]} == {KINDS[organ.kind].surface}
 
 
 def test_organs_do_not_share_vertices():
@@ -169,12 +169,14 @@ def test_wrong_input_is_refused():
         mesh_of(*ONE_OF_EACH, detail=0.0)
     with pytest.raises(ValueError, match="without organs"):
         mesh_of()
+    with pytest.raises(ValueError, match="tendril"):
+        mesh_of(straight("tendril"))
     with pytest.raises(ValueError, match="radius_m"):
-        mesh_of(straight("petiole", radius_tip_m=0.001))
+        mesh_of(straight("stalk", radius_tip_m=0.001))
     with pytest.raises(ValueError, match="length_m"):
         mesh_of(leaf(length_m=0.0))
     with pytest.raises(ValueError, match="distinct"):
-        mesh_of(straight("petiole", tip=(0, 0, 0), radius_m=0.001, radius_tip_m=0.001))
+        mesh_of(straight("stalk", tip=(0, 0, 0), radius_m=0.001, radius_tip_m=0.001))
 
 
 def test_concatenation_renumbers_faces_instances_and_surfaces():
@@ -182,7 +184,7 @@ def test_concatenation_renumbers_faces_instances_and_surfaces():
     both = concatenate([first, second])
     assert len(both.faces) == len(first.faces) + len(second.faces)
     np.testing.assert_array_equal(both.faces[len(first.faces) :], second.faces + len(first.vertices))
-    assert both.instances[len(first.instances)].kind == "lamina"
+    assert both.instances[len(first.instances)].kind == "blade"
     assert both.instances[4].parent == first.instances[4].parent
     tail = both.face_surface[len(first.faces) :]
     assert [both.surfaces[i] for i in tail] == [second.surfaces[i] for i in second.face_surface]

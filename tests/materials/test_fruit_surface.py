@@ -5,6 +5,7 @@ import pytest
 from plant_colours import at, lab, lab_hue, srgb_hue
 
 from pepperscene.cultivar import PigmentPath, load_cultivar
+from pepperscene.cultivar.forms import USUAL
 from pepperscene.document import read_toml
 from pepperscene.geometry import mesh_plant
 from pepperscene.grammar.plant import Organ, Plant
@@ -106,7 +107,7 @@ def test_a_breaker_colours_unevenly(surfaces, nm):
     }  # fmt: skip
     curve = np.array([[0, 0, 0], [0, 0, -0.04], [0, 0, -0.087]], dtype=float)
     fruit = Organ("fruit", -1, 3, curve, np.array([1.0, 0, 0]), facts)
-    mesh = mesh_plant(Plant("kaite", (fruit,)))
+    mesh = mesh_plant(Plant("kaite", (fruit,), USUAL))
     shoulder, blossom_end = mesh.uv[:, 1] < 0.35, mesh.uv[:, 1] > 0.75
     # A gradient from the shoulders to the blossom end.
     assert mesh.state[blossom_end].mean() - mesh.state[shoulder].mean() > 0.05
