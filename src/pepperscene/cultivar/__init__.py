@@ -1,55 +1,64 @@
-"""A cultivar: every parameter of its plants as a distribution with a unit and a source, read from TOML.
+"""A cultivar: organ kinds, what grows on them, and every parameter as a distribution with its source.
 
-The parameters are those of Barth et al. 2018, Table 1 and Fig. 3 to 5, and what else a plant needs to stand,
-each with its `source`, or `chosen` and why. Lengths are metres and angles radians.
+Read from TOML. The parameters are those of Barth et al. 2018, Table 1 and Fig. 3 to 5, and what else a plant
+needs to stand, each with its `source`, or `chosen` and why. Lengths are metres and angles radians.
 """
 
-from pepperscene.cultivar.branching import (
-    Branching,
-    EndChoice,
-    EndCount,
-    FruitChoice,
-    LeafChoice,
-    ShootChoice,
-)
-from pepperscene.cultivar.choice import Choice, Probability
+from pepperscene.cultivar.choice import Choice, Number, Probability
 from pepperscene.cultivar.cultivar import Cultivar, load_cultivar
 from pepperscene.cultivar.distribution import Distribution
-from pepperscene.cultivar.fruiting import CutShape, FruitShape, LobeChoice, PeduncleShape
+from pepperscene.cultivar.forms import FORMS, USUAL, Form, Kind
+from pepperscene.cultivar.lineage import files_of
 from pepperscene.cultivar.notation import Angle, Length, Ratio
+from pepperscene.cultivar.organs import (
+    Blade,
+    Cut,
+    Flower,
+    Fruit,
+    Internode,
+    Node,
+    OrganModel,
+    Peduncle,
+    Stalk,
+)
 from pepperscene.cultivar.origin import Origin
-from pepperscene.cultivar.pigments import PigmentPath, Pigments, PigmentTable
-from pepperscene.cultivar.shapes import Around, Blade, LeafShape, NodeShape, PlantShape, ShootShape
+from pepperscene.cultivar.pigments import PigmentPath, Pigments
+from pepperscene.cultivar.slot import Descent, Flush, Slot
+from pepperscene.cultivar.stem import Stem
+from pepperscene.cultivar.structure import CALYX
 from pepperscene.cultivar.truncated import truncated_moments
 
 __all__ = [
+    "CALYX",
+    "FORMS",
+    "USUAL",
     "Angle",
-    "Around",
     "Blade",
-    "Branching",
     "Choice",
     "Cultivar",
-    "CutShape",
+    "Cut",
+    "Descent",
     "Distribution",
-    "EndChoice",
-    "EndCount",
-    "FruitChoice",
-    "FruitShape",
-    "LeafChoice",
-    "LeafShape",
+    "Flower",
+    "Flush",
+    "Form",
+    "Fruit",
+    "Internode",
+    "Kind",
     "Length",
-    "LobeChoice",
-    "NodeShape",
+    "Node",
+    "Number",
+    "OrganModel",
     "Origin",
-    "PeduncleShape",
+    "Peduncle",
     "PigmentPath",
-    "PigmentTable",
     "Pigments",
-    "PlantShape",
     "Probability",
     "Ratio",
-    "ShootChoice",
-    "ShootShape",
+    "Slot",
+    "Stalk",
+    "Stem",
+    "files_of",
     "load_cultivar",
     "truncated_moments",
 ]

@@ -3,29 +3,63 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Final, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, Final
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from pepperscene.cultivar.origin import Origin
 
 SUM_TOLERANCE: Final = 1e-6  # of probabilities and weights, which people write with few digits
+NOTHING: Final = "none"
+NUMBERS: Final = (
+    "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"
+)  # fmt: skip
 
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class Choice(Origin):
-    """One of several outcomes; the subclasses' probabilities are at least 0 and sum to 1."""
+    """One of several outcomes, written as outcome = probability beside the origin; they sum to 1.
 
-    @model_validator(mode="after")
-    def _sums_to_one(self) -> Self:
-        total = math.fsum(self.probabilities.values())
+    Attributes:
+        probabilities: outcome -> probability, in the order of the file.
+    """
+
+    probabilities: dict[str, Probability]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gathered(cls, raw: Any) -> Any:
+        """The file's flat table, with the outcomes set apart from the origin."""
+        if not isinstance(raw, Mapping) or "probabilities" in raw:
+            return raw
+        outcomes = {key: value for key, value in raw.items() if key not in Origin.model_fields}
+        for name, value in outcomes.items():
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
+                raise ValueError(f"{name} must be a probability, from 0 to 1")
+        total = math.fsum(outcomes.values())
         if abs(total - 1.0) > SUM_TOLERANCE:
             raise ValueError(f"the probabilities sum to {total:g} and must sum to 1")
-        return self
+        origin = {key: value for key, value in raw.items() if key in Origin.model_fields}
+        return {**origin, "probabilities": outcomes}
+
+
+class Number(Choice):
+    """How many: the outcomes are the words one to twelve."""
 
     @property
-    def probabilities(self) -> dict[str, float]:
-        """Outcome -> probability, in the order of the fields."""
-        names = [name for name in type(self).model_fields if name not in Origin.model_fields]
-        return {name: getattr(self, name) for name in names}
+    def numbers(self) -> dict[int, float]:
+        """Number -> probability, in the order of the file."""
+        return {NUMBERS.index(word) + 1: share for word, share in self.probabilities.items()}
+
+
+def _counts(number: Number, words: tuple[str, ...]) -> Number:
+    for word in number.probabilities:
+        if word not in words:
+            raise ValueError(f"{word} must be one of {', '.join(words)}")
+    return number
+
+
+Count = Annotated[Number, AfterValidator(lambda number: _counts(number, NUMBERS))]
+Lobes = Annotated[Number, AfterValidator(lambda number: _counts(number, NUMBERS[1:5]))]

@@ -2,31 +2,44 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
-from statistics import NormalDist
-from typing import Literal, overload
+from typing import Annotated, Final, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from pepperscene.cultivar.origin import Origin
 from pepperscene.cultivar.truncated import untruncated
 
-Law = Literal["value", "normal", "uniform", "histogram"]
+Law = Literal["value", "normal", "uniform", "histogram", "curve", "blend"]
 Bin = tuple[float, float, float]
+FloatArray = NDArray[np.float64]
+
+REACH: Final = 3.0
+"""Standard deviations to either side at which a normal law is cut where its file states no bounds."""
+_LOWEST_PLACE: Final = 0.0025  # the middle of the lowest of 200 stem parts, the most that a stem can have
 
 
 class Distribution(Origin):
     """One random parameter, in metres, radians or a plain number.
 
     Attributes:
-        law: "value" (fixed), "normal" (truncated), "uniform" or "histogram" (uniform within each bin).
+        law: "value" (fixed), "normal" (truncated), "uniform", "histogram" (uniform within each bin), "curve"
+            (a mean that follows the place along the stem, and a truncated normal law about it) or "blend" (a
+            law between two others).
         mean: of the drawn values: for a normal law that of the truncated distribution, as is `sd`, so that a
-            measured mean and standard deviation come back whatever the bounds cut off.
-        sd: standard deviation of the drawn values.
+            measured mean and standard deviation come back whatever the bounds cut off; along a curve, of its
+            mean from foot to top.
+        sd: standard deviation of the drawn values; of a curve, at any one place.
         low: smallest value that can be drawn.
         high: largest value that can be drawn.
         bins: (from, to, probability) of a histogram, ascending.
+        along: (place, mean) of a curve, ascending; 0 is the foot of the stem and 1 its top.
+        with_height: rank correlation with the place along the stem, -1 to 1: the law of all values together
+            stays the stated one.
+        between: (share, first law, last law) of a blend, whose quantiles are mixed linearly.
     """
 
     law: Law
@@ -35,46 +48,104 @@ class Distribution(Origin):
     low: float
     high: float
     bins: tuple[Bin, ...] = ()
+    along: tuple[tuple[float, float], ...] = ()
+    with_height: Annotated[float, Field(gt=-1.0, lt=1.0)] = 0.0
+    between: tuple[float, Distribution, Distribution] | None = None
+
+    @property
+    def follows_height(self) -> bool:
+        """Whether values depend on the place along the stem."""
+        below = () if self.between is None else self.between[1:]
+        return self.law == "curve" or self.with_height != 0.0 or any(law.follows_height for law in below)
 
     @overload
     def draw(self, rng: np.random.Generator) -> float: ...
     @overload
-    def draw(self, rng: np.random.Generator, size: int | tuple[int, ...]) -> NDArray[np.float64]: ...
-    def draw(
-        self, rng: np.random.Generator, size: int | tuple[int, ...] | None = None
-    ) -> float | NDArray[np.float64]:
+    def draw(self, rng: np.random.Generator, size: int | tuple[int, ...]) -> FloatArray: ...
+    def draw(self, rng: np.random.Generator, size: int | tuple[int, ...] | None = None) -> float | FloatArray:
         """Independent values in metres, radians or a plain number; a float when `size` is None."""
-        if size is None:
-            return self.quantile(rng.random())
-        return self.quantiles(rng.random(size))
+        values = self.quantiles(rng.random(size))
+        return float(values) if size is None else values
 
-    def quantile(self, share: float) -> float:
-        """The value that a share in [0, 1] of all draws lies below (the inverse distribution function)."""
+    def quantiles(self, shares: ArrayLike, places: ArrayLike | None = None) -> FloatArray:
+        """The values that shares in [0, 1] of all draws lie below: the inverse distribution function.
+
+        Args:
+            shares: of any shape.
+            places: along the stem, of a shape that broadcasts with the shares: 0 at the foot and 1 at the
+                top, or where the still growing top begins. The law of `with_height` as a whole is the stated
+                one if the places of n organs are (i + 1/2) / n. None for the law as a whole.
+
+        Raises:
+            ValueError: a curve without places.
+        """
+        share = np.asarray(shares, dtype=float)
+        place = None if places is None else np.asarray(places, dtype=float)
+        if self.with_height and place is not None:
+            share = _tied(share, place, self.with_height)
+        return np.asarray(np.clip(self._unbounded(share, place), self.low, self.high))
+
+    def _unbounded(self, share: FloatArray, place: FloatArray | None) -> FloatArray | np.float64:
+        """Quantiles that rounding may have put beyond the bounds."""
+        if self.between is not None:
+            weight, first, last = self.between
+            return (1.0 - weight) * first.quantiles(share, place) + weight * last.quantiles(share, place)
         if self.law == "histogram":
             starts, lows, highs, weights = self._ladder
-            step = int(np.searchsorted(starts, share, side="right")) - 1
-            inside = (share - starts[step]) / weights[step]
-            return float(lows[step] + min(inside, 1.0) * (highs[step] - lows[step]))
+            step = np.searchsorted(starts, share, side="right") - 1
+            inside = np.minimum((share - starts[step]) / weights[step], 1.0)
+            return lows[step] + inside * (highs[step] - lows[step])
+        if self.law == "curve":
+            if place is None:
+                raise ValueError("a curve along the stem has no values without places")
+            places, means = np.array(self.along).T
+            return np.interp(place, places, means) + self.sd * _cut_normal(share, *_STANDARD_CUT)
         if self.law == "normal" and self.sd > 0:
-            normal, below, above = self._parent
-            within = min(max(below + share * (above - below), 1e-300), 1.0 - 1e-16)
-            return min(max(normal.inv_cdf(within), self.low), self.high)
+            return _cut_normal(share, *self._parent)
         return self.low + share * (self.high - self.low)
 
-    def quantiles(self, shares: ArrayLike) -> NDArray[np.float64]:
-        """`quantile` of an array of any shape."""
-        given = np.asarray(shares, dtype=float)
-        return np.array([self.quantile(float(share)) for share in given.ravel()]).reshape(given.shape)
+    @cached_property
+    def _parent(self) -> tuple[float, float, float, float]:
+        """Mean and sd of the normal law before truncation, and its distribution function at both bounds."""
+        mean, sd = untruncated(self.mean, self.sd, self.low, self.high)
+        return mean, sd, _cumulated((self.low - mean) / sd), _cumulated((self.high - mean) / sd)
 
     @cached_property
-    def _parent(self) -> tuple[NormalDist, float, float]:
-        """The normal law before truncation, and its distribution function at both bounds."""
-        normal = NormalDist(*untruncated(self.mean, self.sd, self.low, self.high))
-        return normal, normal.cdf(self.low), normal.cdf(self.high)
-
-    @cached_property
-    def _ladder(self) -> tuple[NDArray[np.float64], ...]:
+    def _ladder(self) -> tuple[FloatArray, ...]:
         """Of the bins that can occur: cumulated probability at the start, ends, probability."""
         taken = [row for row in self.bins if row[2] > 0]
         lows, highs, weights = (np.array(column) for column in zip(*taken, strict=True))
         return np.concatenate(([0.0], np.cumsum(weights)[:-1])), lows, highs, weights
+
+
+def _cumulated(z: float) -> float:
+    return 0.5 * math.erfc(-z / math.sqrt(2.0))
+
+
+def _cut_normal(share: FloatArray, mean: float, sd: float, below: float, above: float) -> FloatArray:
+    """Quantiles of a normal law of which only the shares from `below` to `above` are left."""
+    from scipy.special import ndtri
+
+    within = np.clip(below + share * (above - below), 1e-300, 1.0 - 1e-16)
+    return np.asarray(mean + sd * ndtri(within))
+
+
+_STANDARD_SD: Final = untruncated(0.0, 1.0, -REACH, REACH)[1]
+_STANDARD_CUT: Final = (
+    0.0,
+    _STANDARD_SD,
+    _cumulated(-REACH / _STANDARD_SD),
+    _cumulated(REACH / _STANDARD_SD),
+)
+"""The normal law that has mean 0 and sd 1 once it is cut, as `_cut_normal` takes it."""
+
+
+def _tied(share: FloatArray, place: FloatArray, correlation: float) -> FloatArray:
+    """Shares that depend on the place by a Gaussian copula, and are uniform over all places together."""
+    from scipy.special import ndtr, ndtri
+
+    height = ndtri(np.clip(place, _LOWEST_PLACE, 1.0 - _LOWEST_PLACE))
+    own = ndtri(np.clip(share, 1e-300, 1.0 - 1e-16))
+    # The rank correlation of two normal variables is 6 / pi arcsin(r / 2) (Kruskal 1958, JASA 53:814).
+    r = 2.0 * math.sin(math.pi * correlation / 6.0)
+    return np.asarray(ndtr(r * height + math.sqrt(1.0 - r * r) * own))

@@ -12,10 +12,10 @@ from functools import partial
 from itertools import pairwise
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BeforeValidator
+from pydantic import AfterValidator, BeforeValidator
 
 from pepperscene.cultivar.choice import SUM_TOLERANCE
-from pepperscene.cultivar.distribution import Distribution
+from pepperscene.cultivar.distribution import REACH, Distribution
 from pepperscene.cultivar.origin import Origin
 from pepperscene.cultivar.truncated import untruncated
 
@@ -23,7 +23,6 @@ Unit = Literal["mm", "deg", ""]
 _TO_SI: Final[dict[Unit, float]] = {"mm": 1e-3, "deg": math.pi / 180.0, "": 1.0}
 _CALLED: Final[dict[Unit, str]] = {"mm": "a length", "deg": "an angle", "": "a plain number"}
 _LARGEST: Final = 1e6  # chosen: a kilometre, 2778 turns; beyond is a slip of the pen
-_DEFAULT_REACH: Final = 3.0  # standard deviations to either side, where no bounds are stated
 
 
 def _in_unit(unit: Unit, raw: Any) -> Any:
@@ -35,18 +34,22 @@ def _in_unit(unit: Unit, raw: Any) -> Any:
             f"must be a table such as {{ mean{_suffix(unit)} = 1, sd{_suffix(unit)} = 0.1, source = … }}"
         )
     table = dict(raw)
-    fields: dict[str, Any] = {key: table.pop(key) for key in Origin.model_fields if key in table}
+    beside = ("with_height", *Origin.model_fields)
+    fields: dict[str, Any] = {key: table.pop(key) for key in beside if key in table}
     numbers: dict[str, Any] = {}
     for key, value in table.items():
         stem, found = _split(key)
-        if stem not in ("mean", "sd", "low", "high", "value", "uniform", "histogram"):
+        if stem not in ("mean", "sd", "low", "high", "value", "uniform", "histogram", "along"):
             raise ValueError(f"{key} is not a known key")
         if found != unit:
             raise ValueError(
                 f"{key} has the wrong unit: this is {_CALLED[unit]}, so write {stem}{_suffix(unit)}"
             )
         numbers[stem] = value
-    return fields | _law(numbers, unit)
+    law = _law(numbers, unit)
+    if "with_height" in fields and law["law"] in ("value", "curve"):
+        raise ValueError("with_height needs a normal or uniform law or a histogram to order by height")
+    return fields | law
 
 
 def _law(numbers: dict[str, Any], unit: Unit) -> dict[str, Any]:
@@ -63,11 +66,13 @@ def _law(numbers: dict[str, Any], unit: Unit) -> dict[str, Any]:
         return {"law": "uniform", "mean": 0.5 * (low + high), "sd": sd, "low": low, "high": high}
     if keys == {"histogram"}:
         return _histogram(numbers["histogram"], factor, f"histogram{suffix}")
+    if {"along"} <= keys <= {"along", "sd", "low", "high"}:
+        return _curve(numbers, unit)
     if {"mean", "sd"} <= keys <= {"mean", "sd", "low", "high"}:
         return _normal({key: factor * _number(value, key + suffix) for key, value in numbers.items()}, unit)
     raise ValueError(
         f"must hold value{suffix}, or mean{suffix} and sd{suffix} (and low{suffix}, high{suffix}), "
-        f"or uniform{suffix}, or histogram{suffix}, and only one of them"
+        f"or uniform{suffix}, or histogram{suffix}, or along{suffix}, and only one of them"
     )
 
 
@@ -75,14 +80,39 @@ def _normal(numbers: dict[str, float], unit: Unit) -> dict[str, Any]:
     mean, sd, suffix = numbers["mean"], numbers["sd"], _suffix(unit)
     if sd <= 0:
         raise ValueError(f"sd{suffix} must be greater than 0")
-    low = numbers.get("low", mean - _DEFAULT_REACH * sd)
-    high = numbers.get("high", mean + _DEFAULT_REACH * sd)
+    low = numbers.get("low", mean - REACH * sd)
+    high = numbers.get("high", mean + REACH * sd)
     if not low < mean < high:
         raise ValueError(f"mean{suffix} must lie between low{suffix} and high{suffix}")
     if unit == "mm" and low < 0 <= mean and "low" not in numbers:
         raise ValueError("needs low_mm, since three standard deviations below the mean is a negative length")
     untruncated(mean, sd, low, high)
     return {"law": "normal", "mean": mean, "sd": sd, "low": low, "high": high}
+
+
+def _curve(numbers: dict[str, Any], unit: Unit) -> dict[str, Any]:
+    """A mean that follows the place along the stem, with the same spread everywhere."""
+    factor, suffix, raw = _TO_SI[unit], _suffix(unit), numbers["along"]
+    if not isinstance(raw, (list, tuple)) or len(raw) < 2:
+        raise ValueError(f"along{suffix} must be a list of at least two [place, mean]")
+    places, means = zip(*(_row(row, 2, f"along{suffix}") for row in raw), strict=True)
+    if places[0] != 0 or places[-1] != 1 or any(after <= before for before, after in pairwise(places)):
+        raise ValueError(f"along{suffix}: places must ascend from 0, the stem's foot, to 1, its top")
+    about = {
+        key: factor * _number(numbers[key], key + suffix) for key in ("sd", "low", "high") if key in numbers
+    }
+    sd = about.get("sd", 0.0)
+    if sd < 0:
+        raise ValueError(f"sd{suffix} must be 0 or more")
+    along = [(place, factor * mean) for place, mean in zip(places, means, strict=True)]
+    least, most = min(mean for _, mean in along), max(mean for _, mean in along)
+    low, high = about.get("low", least - REACH * sd), about.get("high", most + REACH * sd)
+    if not low <= least <= most <= high:
+        raise ValueError(f"along{suffix}: every mean must lie between low{suffix} and high{suffix}")
+    if unit == "mm" and low < 0 <= least and "low" not in numbers:
+        raise ValueError("needs low_mm, since three standard deviations below the mean is a negative length")
+    mean = math.fsum(0.5 * (b[1] + a[1]) * (b[0] - a[0]) for a, b in pairwise(along))
+    return {"law": "curve", "mean": mean, "sd": sd, "low": low, "high": high, "along": along}
 
 
 def _histogram(raw: Any, factor: float, key: str) -> dict[str, Any]:
@@ -139,3 +169,33 @@ def _row(raw: Any, length: int, key: str) -> list[float]:
 Length = Annotated[Distribution, BeforeValidator(partial(_in_unit, "mm"))]
 Angle = Annotated[Distribution, BeforeValidator(partial(_in_unit, "deg"))]
 Ratio = Annotated[Distribution, BeforeValidator(partial(_in_unit, ""))]
+
+
+def _within(
+    law: Distribution, *, least: float, most: float = math.inf, open_below: bool = False
+) -> Distribution:
+    """The law, if all that can be drawn from it lies in the range that its parameter has."""
+    slack = 1e-9
+    if law.low < least - slack or law.high > most + slack or (open_below and law.low <= least):
+        above = f"above {least:g}" if open_below else f"from {least:g}"
+        raise ValueError(
+            f"must lie {above}{'' if most == math.inf else f' to {most:g}'} and can be "
+            f"{law.low:.4g} to {law.high:.4g} (in metres if a length)"
+        )
+    return law
+
+
+def _whole(law: Distribution) -> Distribution:
+    """The law, if it can be drawn once for a whole plant."""
+    if law.follows_height:
+        raise ValueError("is drawn once a plant, so it cannot follow the height")
+    return law
+
+
+Size = Annotated[Length, AfterValidator(partial(_within, least=0.0, open_below=True))]
+"""A length that must be there for the organ to be one."""
+Width = Annotated[Length, AfterValidator(partial(_within, least=0.0))]
+Factor = Annotated[Ratio, AfterValidator(partial(_within, least=0.0, open_below=True))]
+Share = Annotated[Ratio, AfterValidator(partial(_within, least=0.0, most=1.0))]
+OncePerPlant = AfterValidator(_whole)
+"""Beside a law that all of a plant shares."""

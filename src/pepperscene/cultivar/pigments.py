@@ -63,14 +63,3 @@ class PigmentPath(Origin):
         known = np.array([state for state, _ in self.knots])
         names = Pigments.model_fields
         return {n: np.interp(asked, known, [getattr(p, n) for _, p in self.knots]) for n in names}
-
-
-class PigmentTable(Document):
-    """The surfaces whose colour comes from pigments."""
-
-    leaf: PigmentPath
-    petiole: PigmentPath
-    stem: PigmentPath
-    fruit: PigmentPath
-    peduncle: PigmentPath
-    calyx: PigmentPath

@@ -2,26 +2,39 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from hashlib import sha256
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.materials.fruit import fruit_surface
 from pepperscene.materials.green import cut_surface, green_surface
 from pepperscene.materials.leaf import leaf_surface
+from pepperscene.materials.petal import petal_surface
 from pepperscene.materials.surface import Surface
 
 if TYPE_CHECKING:
-    from pepperscene.cultivar import Cultivar
+    from pepperscene.cultivar import Cultivar, Form, OrganModel
 
-ORGANS: Final = ("leaf", "petiole", "stem", "fruit", "calyx", "cut", "peduncle")
 PATTERN_SEED: Final = 112_135
-"""Of the generator that draws all patterns: chosen; the patterns belong to the cultivar, not to a frame."""
+"""Of the generators that draw all patterns: chosen; patterns belong to the cultivar, not to a frame."""
+
+_GRAIN: Final = {
+    "internode": "stem",
+    "node": "stem",
+    "stalk": "petiole",
+    "peduncle": "peduncle",
+    "calyx": "calyx",
+}
 
 
 def organ_surfaces(cultivar: Cultivar, wavelength_nm: ArrayLike) -> dict[str, Surface]:
-    """The surfaces that the meshes of a plant name: leaf, petiole, stem, fruit, calyx, cut and peduncle.
+    """The surfaces that the meshes of a plant name; a pepper's: leaf, petiole, stem, fruit, calyx, cut, peduncle.
+
+    Only those of kinds that the plants do have: a cultivar without flowers costs no petals. What a surface is
+    made like follows from the first of the kinds that have it, as does the scale of its pattern.
 
     Args:
         cultivar: whose `pigments` give the paths through pigment space, and whose sizes the patterns' scale.
@@ -31,32 +44,55 @@ def organ_surfaces(cultivar: Cultivar, wavelength_nm: ArrayLike) -> dict[str, Su
         ValueError: a wavelength lies beyond the pigments' coefficients.
     """
     nm = np.atleast_1d(np.asarray(wavelength_nm, dtype=float))
-    pigments = cultivar.pigments
-    rngs = dict(zip(ORGANS, np.random.default_rng(PATTERN_SEED).spawn(len(ORGANS)), strict=True))
-    sizes_mm = _sizes_mm(cultivar)
-    surfaces = (
-        leaf_surface(pigments["leaf"], nm, sizes_mm["leaf"], rngs["leaf"]),
-        fruit_surface(pigments["fruit"], nm, sizes_mm["fruit"], rngs["fruit"]),
-        *(
-            green_surface(name, pigments[name], nm, sizes_mm[name], rngs[name])
-            for name in ("petiole", "stem", "peduncle", "calyx")
-        ),
-        cut_surface(pigments["stem"], nm, rngs["cut"]),
-    )
-    return {surface.name: surface for surface in surfaces}
+    surfaces: dict[str, Surface] = {}
+    for kind in cultivar.grown:
+        name = cultivar.kinds[kind].surface
+        if name not in surfaces:
+            surfaces[name] = _surface(cultivar, kind, name, nm)
+    return surfaces
 
 
-def _sizes_mm(cultivar: Cultivar) -> dict[str, tuple[float, float]]:
+def _surface(cultivar: Cultivar, kind: str, name: str, nm: NDArray[np.float64]) -> Surface:
+    """One surface, made like the bodies of a kind are."""
+    form = cultivar.kinds[kind].form
+    # A pattern depends on the name alone, so that another surface more or less leaves it as it is.
+    words = np.frombuffer(sha256(name.encode()).digest(), dtype="<u4").tolist()
+    rng = np.random.default_rng([PATTERN_SEED, *words])
+    if name == "cut":
+        stem = cultivar.kinds[cultivar.stem.node].surface
+        return cut_surface(cultivar.pigments[stem], nm, rng)
+    path, size_mm = cultivar.pigments[name], _size_mm(cultivar, kind, form)
+    if form == "blade":
+        made = leaf_surface(path, nm, size_mm, rng)
+    elif form == "flower":
+        made = petal_surface(path, nm, size_mm, rng)
+    elif form == "fruit":
+        made = fruit_surface(path, nm, size_mm, rng)
+    else:
+        made = green_surface(_GRAIN.get(form, "stem"), path, nm, size_mm, rng)
+    return replace(made, name=name)
+
+
+def _size_mm(cultivar: Cultivar, kind: str, form: Form) -> tuple[float, float]:
     """Mean extents of u and v: width and length of a blade, else girth and length."""
-    leaf, fruit, peduncle = cultivar.leaf, cultivar.fruit, cultivar.peduncle
-    calyx_radius = peduncle.calyx_radius.mean * fruit.diameter.mean
-    metres = {
-        "leaf": (leaf.width.mean, leaf.length.mean),
-        "fruit": (np.pi * fruit.diameter.mean, fruit.diameter.mean * fruit.slenderness.mean),
-        "petiole": (np.pi * leaf.petiole_diameter.mean, leaf.petiole_length.mean),
-        "stem": (np.pi * cultivar.plant.stem_diameter.mean, cultivar.node.internode_length.mean),
-        "peduncle": (np.pi * peduncle.diameter.mean, peduncle.length.mean),
+    if form == "calyx":
+        fruit = next(organ for organ in cultivar.organs.values() if organ.form == "fruit")
+        radius = _mean(fruit, "calyx_radius") * _mean(fruit, "diameter")
         # A star: round as at half its radius, from the stalk over the rim and back along the lower side.
-        "calyx": (np.pi * calyx_radius, 2.0 * calyx_radius),
-    }
-    return {name: (1e3 * u, 1e3 * v) for name, (u, v) in metres.items()}
+        return 1e3 * np.pi * radius, 2e3 * radius
+    organ = cultivar.organs[kind]
+    if form == "blade":
+        return 1e3 * _mean(organ, "width"), 1e3 * _mean(organ, "length")
+    if form == "flower":
+        radius = 0.5 * _mean(organ, "diameter")
+        return 1e3 * radius, 1e3 * radius
+    if form == "fruit":
+        diameter = _mean(organ, "diameter")
+        return 1e3 * np.pi * diameter, 1e3 * diameter * _mean(organ, "slenderness")
+    if form in ("internode", "node"):
+        return 1e3 * np.pi * cultivar.stem.diameter.mean, 1e3 * _mean(organ, "length")
+    return 1e3 * np.pi * _mean(organ, "diameter"), 1e3 * _mean(organ, "length")
+
+
+def _mean(organ: OrganModel, law: str) -> float:
+    return organ.laws[law].mean
