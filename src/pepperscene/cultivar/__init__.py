@@ -4,6 +4,7 @@ Read from TOML. The parameters are those of Barth et al. 2018, Table 1 and Fig. 
 needs to stand, each with its `source`, or `chosen` and why. Lengths are metres and angles radians.
 """
 
+from pepperscene.cultivar.blending import interpolated
 from pepperscene.cultivar.choice import Choice, Number, Probability
 from pepperscene.cultivar.cultivar import Cultivar, load_cultivar
 from pepperscene.cultivar.distribution import Distribution
@@ -59,6 +60,7 @@ __all__ = [
     "Stalk",
     "Stem",
     "files_of",
+    "interpolated",
     "load_cultivar",
     "truncated_moments",
 ]

@@ -59,8 +59,8 @@ def _faults(stem: Stem, organs: Mapping[str, OrganModel], surfaces: Mapping[str,
             yield ("organs", name, "bears"), None, f"must be left out, since a {organ.form} bears nothing"
         for index, slot in enumerate(organ.bears):
             before = [other.name for other in organ.bears[:index]]
-            for key, value, allowed in _slot(organ, slot, before, organs):
-                yield ("organs", name, "bears", index, *key), value, allowed
+            for within, value, allowed in _slot(organ, slot, before, organs):
+                yield ("organs", name, "bears", index, *within), value, allowed
     yield from _endless(organs)
 
 
