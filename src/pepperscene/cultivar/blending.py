@@ -73,7 +73,7 @@ class _Mix:
         if isinstance(first, PigmentPath):
             return self.pigments(first, last, key)
         if isinstance(first, Choice):
-            return self.choice(first, last, key)
+            return self.choice(first, last)
         if isinstance(first, Document):
             return self.model(first, last, key)
         if isinstance(first, dict):
@@ -93,7 +93,7 @@ class _Mix:
         if isinstance(first, datetime.date):
             return datetime.date.fromordinal(self.whole(first.toordinal(), last.toordinal()))
         if isinstance(first, float):
-            return (1.0 - self.share) * first + self.share * last
+            return self.number(first, last)
         if isinstance(first, int) and not isinstance(first, bool):
             return self.whole(first, last)
         if first != last:
@@ -102,7 +102,15 @@ class _Mix:
 
     def whole(self, first: int, last: int) -> int:
         """The whole number next to the mix."""
-        return round((1.0 - self.share) * first + self.share * last)
+        return round(self.number(first, last))
+
+    def number(self, first: Any, last: Any) -> Any:
+        """The mix of numbers or of arrays; exactly the number that both have."""
+        return first + self.share * (last - first)
+
+    def origin(self, first: Origin, last: Origin) -> dict[str, str]:
+        """Where both come from."""
+        return {n: self.of(getattr(first, n), getattr(last, n), (n,)) for n in Origin.model_fields}
 
     def model(self, first: Model, last: Model, key: Key) -> Model:
         """All fields of a table."""
@@ -113,47 +121,31 @@ class _Mix:
 
     def law(self, first: Distribution, last: Distribution) -> Distribution:
         """The law whose quantiles are the mix of both laws' quantiles."""
-
-        def mixed(name: str) -> float:
-            return (1.0 - self.share) * float(getattr(first, name)) + self.share * float(getattr(last, name))
-
-        said = {
-            name: self.of(getattr(first, name), getattr(last, name), (name,)) for name in Origin.model_fields
-        }
-        law, sd = "blend", mixed("sd")
-        if first.sd == last.sd == 0.0 and not (first.follows_height or last.follows_height):
-            return Distribution(
-                law="value", mean=mixed("mean"), sd=0.0, low=mixed("mean"), high=mixed("mean"), **said
-            )
-        if "curve" not in (first.law, last.law) and not (first.between or last.between):
+        mean, sd, low, high = (
+            self.number(getattr(first, name), getattr(last, name)) for name in ("mean", "sd", "low", "high")
+        )
+        said = self.origin(first, last)
+        if first.law == last.law == "value":
+            return Distribution(law="value", mean=mean, sd=sd, low=low, high=high, **said)
+        if not (first.needs_place or last.needs_place):
             middles = (np.arange(_SHARES) + 0.5) / _SHARES
-            both = (1.0 - self.share) * first.quantiles(middles) + self.share * last.quantiles(middles)
-            sd = float(both.std())
-        return Distribution(
-            law="blend", mean=mixed("mean"), sd=sd, low=mixed("low"), high=mixed("high"),
-            between=(self.share, first, last), **said,
-        )  # fmt: skip
+            sd = float(self.number(first.quantiles(middles), last.quantiles(middles)).std())
+        between = (self.share, first, last)
+        return Distribution(law="blend", mean=mean, sd=sd, low=low, high=high, between=between, **said)
 
-    def choice(self, first: Choice, last: Choice, key: Key) -> Choice:
+    def choice(self, first: Choice, last: Choice) -> Choice:
         """Every outcome of either, with the mix of its probabilities."""
-        names = dict.fromkeys((*first.probabilities, *last.probabilities))
         chances = {
-            name: self.plain(first.probabilities.get(name, 0.0), last.probabilities.get(name, 0.0), key)
-            for name in names
+            name: self.number(first.probabilities.get(name, 0.0), last.probabilities.get(name, 0.0))
+            for name in dict.fromkeys((*first.probabilities, *last.probabilities))
         }
-        said = {
-            name: self.of(getattr(first, name), getattr(last, name), (name,)) for name in Origin.model_fields
-        }
-        return type(first)(probabilities=chances, **said)
+        return type(first)(probabilities=chances, **self.origin(first, last))
 
     def pigments(self, first: PigmentPath, last: PigmentPath, key: Key) -> PigmentPath:
         """The mix of the contents at every state at which either path has a knot."""
         states = sorted({state for path in (first, last) for state, _ in path.knots})
         contents = [path.at(states) for path in (first, last)]
-        mixed = {
-            n: (1.0 - self.share) * contents[0][n] + self.share * contents[1][n]
-            for n in Pigments.model_fields
-        }
+        mixed = {name: self.number(contents[0][name], contents[1][name]) for name in Pigments.model_fields}
         knots = [Pigments(**{n: float(v[i]) for n, v in mixed.items()}) for i in range(len(states))]
         rest = set(PigmentPath.model_fields) - {"start", "path", "end"}
         return PigmentPath(

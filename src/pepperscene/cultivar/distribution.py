@@ -56,7 +56,13 @@ class Distribution(Origin):
     def follows_height(self) -> bool:
         """Whether values depend on the place along the stem."""
         below = () if self.between is None else self.between[1:]
-        return self.law == "curve" or self.with_height != 0.0 or any(law.follows_height for law in below)
+        return self.needs_place or self.with_height != 0.0 or any(law.follows_height for law in below)
+
+    @property
+    def needs_place(self) -> bool:
+        """Whether there are no values without a place: a curve, or a blend with one."""
+        below = () if self.between is None else self.between[1:]
+        return self.law == "curve" or any(law.needs_place for law in below)
 
     @overload
     def draw(self, rng: np.random.Generator) -> float: ...
@@ -89,7 +95,8 @@ class Distribution(Origin):
         """Quantiles that rounding may have put beyond the bounds."""
         if self.between is not None:
             weight, first, last = self.between
-            return (1.0 - weight) * first.quantiles(share, place) + weight * last.quantiles(share, place)
+            values = first.quantiles(share, place)
+            return values + weight * (last.quantiles(share, place) - values)
         if self.law == "histogram":
             starts, lows, highs, weights = self._ladder
             step = np.searchsorted(starts, share, side="right") - 1

@@ -31,7 +31,7 @@ _GRAIN: Final = {
 
 
 def organ_surfaces(cultivar: Cultivar, wavelength_nm: ArrayLike) -> dict[str, Surface]:
-    """The surfaces that the meshes of a plant name; a pepper's: leaf, petiole, stem, fruit, calyx, cut, peduncle.
+    """The surfaces that a plant's meshes name; a pepper's: leaf, petiole, stem, fruit, calyx, cut, peduncle.
 
     Only those of kinds that the plants do have: a cultivar without flowers costs no petals. What a surface is
     made like follows from the first of the kinds that have it, as does the scale of its pattern.
