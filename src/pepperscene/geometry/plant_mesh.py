@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from pepperscene.classes import Instance
 from pepperscene.cultivar.forms import Form
 from pepperscene.geometry.body import Bodies
+from pepperscene.geometry.calyx import calyces
+from pepperscene.geometry.fruit import crowns, frames, fruits
 from pepperscene.geometry.lamina import laminae
 from pepperscene.geometry.mesh import Mesh
-from pepperscene.geometry.pericarp import calyces, fruit_walls, fruits
+from pepperscene.geometry.pericarp import pericarps
 from pepperscene.geometry.tube import cuts, internodes, nodes, peduncles, stalks
 from pepperscene.grammar.plant import Organ, Plant
 
@@ -107,14 +109,22 @@ def _fruit_parts(plant: Plant, detail: float) -> list[Part]:
     """Fruit and calyces; a calyx takes the shape of the fruit that it sits on."""
     fruit, calyx = _where(plant, "fruit"), _where(plant, "calyx")
     parts: list[Part] = []
-    walls = fruit_walls([plant.organs[index] for index in fruit], detail) if fruit.size else None
-    if walls is not None:
-        parts.append((fruit, fruits([plant.organs[index] for index in fruit], walls)))
+    seats = None
+    if fruit.size:
+        organs = [plant.organs[index] for index in fruit]
+        walls = pericarps(organs, detail)
+        parts.append((fruit, fruits(organs, walls)))
+        seats = frames(organs), crowns(walls)
     if calyx.size:
+        organs = [plant.organs[index] for index in calyx]
         # The fruit grows out of the calyx, or out of the same fruit stalk.
         by_parent = {plant.organs[index].parent: number for number, index in enumerate(fruit)}
-        under = [by_parent.get(int(index), by_parent.get(plant.organs[index].parent, -1)) for index in calyx]
-        parts.append((calyx, calyces([plant.organs[index] for index in calyx], under, walls, detail)))
+        under = [
+            by_parent.get(int(index), by_parent.get(organ.parent, -1))
+            for index, organ in zip(calyx, organs, strict=True)
+        ]
+        stalks = [plant.organs[organ.parent] if organ.parent >= 0 else None for organ in organs]
+        parts.append((calyx, calyces(organs, stalks, np.array(under), seats, detail)))
     return parts
 
 

@@ -1,0 +1,97 @@
+"""Closed shells out of rings of points that lie where they may."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.geometry.body import Bodies
+from pepperscene.geometry.spine import unit
+
+
+def shells(
+    rings: NDArray[np.float64],
+    first: NDArray[np.float64],
+    last: NDArray[np.float64],
+    v: NDArray[np.float64],
+    state: NDArray[np.float64],
+) -> Bodies:
+    """Closed bodies, each of r > 1 rings of c points between a first and a last point.
+
+    Args:
+        rings: `(n, r, c, 3)` metres; the columns run right-handed about the way from first to last.
+        first: `(n, 3)` metres.
+        last: `(n, 3)` metres.
+        v: `(n, r)` surface coordinate of the rings; the first point has 0, the last one 1.
+        state: `(n, 2 + r * c)` pigment state: first point, rings, last point.
+    """
+    n, r, c, _ = rings.shape
+    normals = ring_normals(rings, first, last)
+    v = np.repeat(np.pad(v, ((0, 0), (1, 1)), constant_values=((0, 0), (0.0, 1.0)))[..., None], c + 1, axis=2)
+    u = np.broadcast_to(np.arange(c + 1) / c, v.shape)
+    ends = state[:, :1], state[:, -1:]
+    inner = state[:, 1:-1].reshape(n, r, c)
+    uv = np.stack([u[:, 1:-1], v[:, 1:-1]], axis=-1).reshape(n, -1, 2)
+    poles = np.broadcast_to(np.array([[0.5, 0.0], [0.5, 1.0]]), (n, 2, 2))
+    return Bodies(
+        np.concatenate([first[:, None], _seamed(rings), last[:, None]], axis=1),
+        np.concatenate([normals[0][:, None], _seamed(normals[1]), normals[2][:, None]], axis=1),
+        np.concatenate([poles[:, :1], uv, poles[:, 1:]], axis=1),
+        np.clip(np.concatenate([ends[0], _seamed(inner[..., None])[..., 0], ends[1]], axis=1), 0.0, 1.0),
+        _faces(r, c),
+    )
+
+
+def ring_normals(
+    rings: NDArray[np.float64], first: NDArray[np.float64], last: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Unit normals `(n, 3)` of the first points, `(n, r, c, 3)` of the rings and `(n, 3)` of the last points.
+
+    A ring point's is across the way between its neighbours on the ring and that between its neighbours on
+    the rings before and after; an end's is the mean of its triangles', weighted by area.
+    """
+    around = np.empty_like(rings)
+    around[:, :, 1:-1] = rings[:, :, 2:] - rings[:, :, :-2]
+    around[:, :, 0] = rings[:, :, 1] - rings[:, :, -1]
+    around[:, :, -1] = rings[:, :, 0] - rings[:, :, -2]
+    along = np.empty_like(rings)
+    along[:, 1:-1] = rings[:, 2:] - rings[:, :-2]
+    along[:, 0] = rings[:, 1] - first[:, None]
+    along[:, -1] = last[:, None] - rings[:, -2]
+    ends = []
+    for point, ring in ((first, rings[:, 0]), (last, rings[:, -1])):
+        spokes = ring - point[:, None]
+        ends.append(np.cross(spokes, np.roll(spokes, -1, axis=1)).sum(axis=1))
+    return unit(-ends[0]), unit(_cross(around, along)), unit(ends[1])
+
+
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cross products along the last axis, without the copies that NumPy's makes."""
+    result = np.empty_like(a)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        result[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return result
+
+
+def _seamed(rings: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`(n, r * (c + 1), d)` with column 0 repeated at the seam, where u jumps from 1 to 0."""
+    return np.concatenate([rings, rings[:, :, :1]], axis=2).reshape(len(rings), -1, rings.shape[-1])
+
+
+@lru_cache(maxsize=64)
+def _faces(rings: int, sides: int) -> NDArray[np.intp]:
+    """Triangles between a first point, `rings` rows of `sides + 1` and a last point, facing outwards."""
+    row, column = np.mgrid[0:rings, 0:sides]
+    here = 1 + row * (sides + 1) + column
+    a, b, d, c = here[:-1], here[:-1] + 1, here[1:], here[1:] + 1
+    end = np.full(sides, 1 + rings * (sides + 1))
+    return np.concatenate(
+        [
+            np.stack([np.zeros(sides, dtype=np.intp), here[0] + 1, here[0]], axis=1),
+            np.stack([a, b, c], axis=-1).reshape(-1, 3),
+            np.stack([a, c, d], axis=-1).reshape(-1, 3),
+            np.stack([end, here[-1], here[-1] + 1], axis=1),
+        ]
+    )
