@@ -1,4 +1,4 @@
-"""Twine, gutter and floor film."""
+"""Twine and wire, gutters and what lies in them, floor film, heating pipes."""
 
 import numpy as np
 import pytest
@@ -8,16 +8,19 @@ from pepperscene.materials import greenhouse_surfaces
 from pepperscene.materials.greenhouse import FILM_SCATTERING, GROUND_REFLECTANCE
 from pepperscene.spectra import read_spectrum
 
+WHITES = ("twine", "gutter", "foil", "floor_film", "pipe")
 
-def test_all_three_are_nearly_white(surfaces, nm):
-    for name in greenhouse_surfaces(nm):
+
+def test_all_but_wire_and_substrate_are_nearly_white(surfaces, nm):
+    assert set(greenhouse_surfaces(nm)) == {*WHITES, "steel", "rockwool"}
+    for name in WHITES:
         lightness, a, b = lab(surfaces[name].reflectance[0, 0], nm)
         assert lightness > 85, name
         assert np.hypot(a, b) < 8, name
 
 
 def test_whites_are_dark_in_the_ultraviolet_only(surfaces, nm):
-    for name in ("gutter", "floor_film"):
+    for name in ("gutter", "foil", "pipe", "floor_film"):
         spectrum = surfaces[name].reflectance[0, 0]
         assert spectrum[nm <= 380].max() < 0.25
         assert spectrum[nm >= 430].min() > 0.55
@@ -51,7 +54,18 @@ def test_the_floor_is_a_layer_on_ground(surfaces, nm):
     assert surfaces["floor_film"].reflectance[0, 0] == pytest.approx(reflectance, abs=1e-6)
 
 
+def test_zinc_is_a_neutral_grey_and_wet_stone_wool_a_dark_brown(surfaces, nm):
+    lightness, a, b = lab(surfaces["steel"].reflectance[0, 0], nm)
+    assert 55 < lightness < 75
+    assert np.hypot(a, b) < 1
+    lightness, a, b = lab(surfaces["rockwool"].reflectance[0, 0], nm)
+    assert lightness < 50
+    # Between red and yellow.
+    assert 0 < np.degrees(np.arctan2(b, a)) < 90
+    assert np.hypot(a, b) > 8
+
+
 def test_gloss(surfaces):
-    assert surfaces["twine"].ior == 1.0
+    assert {surfaces[name].ior for name in ("twine", "steel", "rockwool")} == {1.0}
     assert (surfaces["gutter"].ior, surfaces["gutter"].roughness) == (1.5, (0.3, 0.3))
     assert surfaces["floor_film"].roughness[0] > surfaces["gutter"].roughness[0]

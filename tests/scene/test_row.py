@@ -12,7 +12,7 @@ from pepperscene.classes import Instance, OrganClass
 from pepperscene.cultivar import load_cultivar
 from pepperscene.geometry import concatenate, mesh_plant, rectangle
 from pepperscene.grammar import grow
-from pepperscene.scene import Twine, double_row, with_twine
+from pepperscene.scene import Twine, double_row, standing, with_twine
 
 SPACING, GAP, SHIFT = 0.2, 0.25, 0.1
 CORD = Twine(diameter_m=0.003, turns_per_m=4.0)
@@ -124,7 +124,7 @@ def cord_of(mesh):
 def stem_of(plant):
     """Points of the stem's axis, `(n, 3)`, a millimetre or less apart, and the radius there, `(n,)`."""
     points, radii = [], []
-    for organ in plant.of_kind("internode"):
+    for organ in plant.of_form("internode"):
         length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(organ.curve, axis=0), axis=1))])
         along = np.linspace(0, length[-1], int(length[-1] * 1000) + 2)
         points.append(np.stack([np.interp(along, length, column) for column in organ.curve.T], axis=-1))
@@ -166,6 +166,42 @@ def test_the_twine_leads_on_straight_up(plant, leafy):
     above = cord[cord[:, 2] > top[2] + 0.1]
     assert cord[:, 2].max() > top[2] + 0.4
     assert np.linalg.norm(above[:, :2] - top[:2], axis=1).max() < CORD.diameter_m
+
+
+@pytest.mark.parametrize("height", [4.5, 2.0])
+def test_the_twine_is_tied_to_the_wire(plant, leafy, height):
+    knot = np.array([0.03, -0.06, height])
+    tied = with_twine(plant, leafy, CORD, np.random.default_rng(0), wire=knot)
+    cord = cord_of(tied)
+    axis, _ = stem_of(plant)
+    end = cord[np.argmax(cord[:, 2])]
+    np.testing.assert_allclose(end, knot, atol=CORD.diameter_m)
+    # From the last turn it goes straight to the knot.
+    last = axis[axis[:, 2] < height - 0.15][-1]
+    free = cord[cord[:, 2] > last[2] + 0.06]
+    share = (free[:, 2] - last[2]) / (height - last[2])
+    straight = last[:2] + share[:, None] * (knot[:2] - last[:2])
+    assert np.linalg.norm(free[:, :2] - straight, axis=1).max() < 1.5 * CORD.diameter_m
+    # Lower down it is the twine of a plant without a wire.
+    low = last[2] - 0.3
+    loose = cord_of(with_twine(plant, leafy, CORD, np.random.default_rng(0)))
+    gaps = cKDTree(loose[loose[:, 2] < low]).query(cord[cord[:, 2] < low - 0.1])[0]
+    assert gaps.max() < 0.01
+
+
+def test_a_wire_below_the_foot_is_refused(plant, leafy):
+    with pytest.raises(ValueError, match="above the stem's foot"):
+        with_twine(plant, leafy, CORD, np.random.default_rng(0), wire=(0.0, 0.0, 0.0))
+
+
+def test_turned_plants_turn_about_their_own_axes():
+    plants = all_of(2, 0)
+    feet = np.array([[0.0, 0.0, 0.5], [1.0, 0.2, 0.5]])
+    made = standing(plants, feet, np.array([np.pi, np.pi / 2]))
+    first, second = plants
+    np.testing.assert_allclose(made.vertices[:8], first.vertices * [-1, -1, 1] + feet[0], atol=1e-6)
+    turned = np.stack([-second.vertices[:, 1], second.vertices[:, 0], second.vertices[:, 2]], axis=1)
+    np.testing.assert_allclose(made.vertices[8:], turned + feet[1], atol=1e-6)
 
 
 def test_the_same_generator_winds_the_same_twine_and_another_starts_elsewhere(plant, leafy):

@@ -1,4 +1,4 @@
-"""What stands around the plants: twine, substrate gutter and floor film."""
+"""What stands around the plants: twine and wire, gutters and what lies in them, floor film, heating pipes."""
 
 from __future__ import annotations
 
@@ -21,10 +21,15 @@ FILM_SCATTERING: Final = 3.0
 GROUND_REFLECTANCE: Final = 0.08
 """Of the wet, dark ground under the film: chosen. Its light passes the film twice and adds 1 % at most, so
 that its own colour cannot be seen."""
+STEEL_REFLECTANCE: Final = 0.35
+"""Of a galvanised wire: chosen. Zinc that has weathered to a matt grey, even over the whole range."""
+ROCKWOOL_REFLECTANCE: Final = ((400.0, 0.08), (700.0, 0.22), (1100.0, 0.30))
+"""Of wet stone wool with some algae, wavelength in nm and reflectance: chosen, a dark yellowish brown.
+Straight lines between, the end values beyond."""
 
 
 def greenhouse_surfaces(wavelength_nm: ArrayLike) -> dict[str, Surface]:
-    """The surfaces of the greenhouse by name: twine, gutter and floor_film.
+    """The surfaces of the greenhouse by name: twine, gutter, foil, rockwool, floor_film, steel and pipe.
 
     Args:
         wavelength_nm: `(n,)` increasing; the spectra are made for 300 to 1100 nm.
@@ -32,7 +37,11 @@ def greenhouse_surfaces(wavelength_nm: ArrayLike) -> dict[str, Surface]:
     surfaces = (
         twine_surface(wavelength_nm),
         gutter_surface(wavelength_nm),
+        foil_surface(wavelength_nm),
+        rockwool_surface(wavelength_nm),
         floor_film_surface(wavelength_nm),
+        steel_surface(wavelength_nm),
+        pipe_surface(wavelength_nm),
     )
     return {surface.name: surface for surface in surfaces}
 
@@ -56,6 +65,34 @@ def gutter_surface(wavelength_nm: ArrayLike) -> Surface:
     """
     nm = _grid(wavelength_nm)
     return _opaque("gutter", nm, GUTTER_CLEANNESS * _paint(nm), ior=1.5, roughness=(0.3, 0.3))
+
+
+def foil_surface(wavelength_nm: ArrayLike) -> Surface:
+    """The foil around slabs and blocks of substrate: white polyethylene, thick enough to hide what is in it.
+
+    A MODEL: as the gutter, but rougher, as foil creases; chosen.
+    """
+    nm = _grid(wavelength_nm)
+    return _opaque("foil", nm, GUTTER_CLEANNESS * _paint(nm), ior=1.5, roughness=(0.45, 0.45))
+
+
+def rockwool_surface(wavelength_nm: ArrayLike) -> Surface:
+    """The open upper side of a block of substrate: matt, `ROCKWOOL_REFLECTANCE`."""
+    nm = _grid(wavelength_nm)
+    known, reflectance = zip(*ROCKWOOL_REFLECTANCE, strict=True)
+    return _opaque("rockwool", nm, np.interp(nm, known, reflectance))
+
+
+def steel_surface(wavelength_nm: ArrayLike) -> Surface:
+    """The wire that the twine is tied to: matt, `STEEL_REFLECTANCE`."""
+    nm = _grid(wavelength_nm)
+    return _opaque("steel", nm, np.full(nm.size, STEEL_REFLECTANCE))
+
+
+def pipe_surface(wavelength_nm: ArrayLike) -> Surface:
+    """The heating pipes on the floor: steel painted white, as the gutter."""
+    nm = _grid(wavelength_nm)
+    return _opaque("pipe", nm, GUTTER_CLEANNESS * _paint(nm), ior=1.5, roughness=(0.3, 0.3))
 
 
 def floor_film_surface(wavelength_nm: ArrayLike) -> Surface:

@@ -1,20 +1,33 @@
-"""Where things stand: plant rows, twine, sky and roof, as pure data that any renderer could read."""
+"""Where things stand: plant rows in their greenhouse, sky and roof, as data that any renderer could read."""
 
 from pepperscene.scene.cover import Cover, load_cover
+from pepperscene.scene.far_rows import coarse, far_rows
+from pepperscene.scene.greenhouse import Greenhouse, furniture
+from pepperscene.scene.irregular import Posture, posture, uneven
 from pepperscene.scene.placed import Scene, assemble
-from pepperscene.scene.row import Twine, double_row, with_twine
+from pepperscene.scene.row import DoubleRow, Twine, about_z, double_row, standing, with_twine
 from pepperscene.scene.sky import Sky, Sun, partly_cloudy, uniform_sky
 
 __all__ = [
     "Cover",
+    "DoubleRow",
+    "Greenhouse",
+    "Posture",
     "Scene",
     "Sky",
     "Sun",
     "Twine",
+    "about_z",
     "assemble",
+    "coarse",
     "double_row",
+    "far_rows",
+    "furniture",
     "load_cover",
     "partly_cloudy",
+    "posture",
+    "standing",
+    "uneven",
     "uniform_sky",
     "with_twine",
 ]

@@ -1,0 +1,186 @@
+"""What a greenhouse holds besides plants: gutters with substrate, floor film, crop wires, heating pipes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.classes import OrganClass
+from pepperscene.geometry import Mesh, concatenate, rectangle
+from pepperscene.scene.beam import as_one, box, rod
+from pepperscene.scene.row import DoubleRow
+
+_SHEET: Final = 0.004  # chosen: folded steel is thinner, but its rims are rolled
+_RIM: Final = 0.05  # chosen: the slab stands out of the gutter, so that it can be changed
+_SLAB: Final = (0.15, 0.075)  # chosen: width and height, a common size of rockwool slabs
+_BLOCK: Final = (0.10, 0.10, 0.065)  # chosen: along, across, height, a common size of propagation blocks
+_WIRE_RADIUS: Final = 0.002  # chosen: crop wires are 3 to 5 mm thick
+_PIPE_RADIUS: Final = 0.0255  # the pipe-rail that carries harvest trolleys is made of 51 mm pipe
+_GAUGE: Final = 0.55  # chosen: a common distance of the two pipes' axes
+_PIPE_HEIGHT: Final = 0.1  # chosen: of the axes, on low supports
+_FLOOR_REACH: Final = 30.0  # chosen: for an eye at 1.5 m it ends 3 degrees below the horizon
+
+
+@dataclass(frozen=True)
+class Greenhouse:
+    """The greenhouse around a double row; what is 0 or False is not there.
+
+    Attributes:
+        row_lean_rad: of each row towards its own aisle, away from the other row (V-trellis).
+        lean_sd_rad: spread of the plants' lean about that of the row.
+        turn_sd_rad: spread of the plants' turn about their own vertical axes.
+        spacing_sd_m: spread of the places along the row about even spacing.
+        across_sd_m: spread of the plants' feet across the row.
+        gutter_width_m: of the gutter under each row.
+        gutter_height_m: of its underside above the floor; 0 lies on it.
+        floor: whether film lies on the floor.
+        crop_wire_m: height above the floor of the wire that the twine of a row is tied to.
+        far_rows: further double rows on either side.
+        far_reach_m: how far all rows reach to either side of the middle plant.
+        aisle_m: between double rows.
+        pipes: whether two heating pipes lie in every aisle.
+    """
+
+    row_lean_rad: float = 0.0
+    lean_sd_rad: float = 0.0
+    turn_sd_rad: float = 0.0
+    spacing_sd_m: float = 0.0
+    across_sd_m: float = 0.0
+    gutter_width_m: float = 0.0
+    gutter_height_m: float = 0.0
+    floor: bool = False
+    crop_wire_m: float = 0.0
+    far_rows: int = 0
+    far_reach_m: float = 4.0
+    aisle_m: float = 1.2
+    pipes: bool = False
+
+    @property
+    def foot_m(self) -> float:
+        """Height of the stems' feet above the floor: the upper side of the blocks that they root in."""
+        if self.gutter_width_m == 0.0:
+            return 0.0
+        return self.gutter_height_m + _SHEET + _SLAB[1] + _BLOCK[2]
+
+    def away(self, height_m: float) -> float:
+        """By how much a row's middle has moved towards its aisle at a height above the floor, metres."""
+        return float(np.tan(self.row_lean_rad)) * max(0.0, height_m - self.foot_m)
+
+    def wire_above_foot(self) -> tuple[float, float] | None:
+        """Where the row's wire runs, as the y and z of a plant with its aisle at -y; None without a wire."""
+        if self.crop_wire_m == 0.0:
+            return None
+        return -self.away(self.crop_wire_m), self.crop_wire_m - self.foot_m
+
+
+@dataclass(frozen=True)
+class RowLine:
+    """One row of the greenhouse.
+
+    Attributes:
+        y_m: where it stands.
+        aisle: -1 where its own aisle lies at -y, 1 where it lies at +y.
+        own: whether it belongs to the double row in front of the camera.
+        shift_m: of its places along x.
+    """
+
+    y_m: float
+    aisle: int
+    own: bool
+    shift_m: float
+
+
+def row_lines(row: DoubleRow, house: Greenhouse) -> list[RowLine]:
+    """The double row's own rows, front first, then those of its neighbours, nearest first."""
+    single = row.back == 0
+    pitch = house.aisle_m + (0.0 if single else row.gap_m)
+    lines = []
+    for number in sorted(range(-house.far_rows, house.far_rows + 1), key=lambda n: (abs(n), n)):
+        lines.append(RowLine(number * pitch, -1, number == 0, 0.0))
+        if not single:
+            lines.append(RowLine(number * pitch + row.gap_m, 1, number == 0, row.shift_m))
+    return lines
+
+
+def furniture(row: DoubleRow, house: Greenhouse, places: NDArray[np.float64]) -> list[Mesh]:
+    """All that is asked for besides plants, one instance for each thing.
+
+    Args:
+        row: in front of the camera.
+        house: what there is.
+        places: `(n, 2)` x and y of the double row's plants, where blocks stand in the gutters.
+
+    Returns:
+        Meshes of the class background, but for the crop wires of the double row, which are of the class wire.
+    """
+    lines, reach = row_lines(row, house), (-house.far_reach_m, house.far_reach_m)
+    things: list[Mesh] = []
+    if house.gutter_width_m > 0.0:
+        things += [part for line in lines for part in _gutter(line.y_m, house, reach)]
+        things.append(_blocks(places, house, row.spacing_m))
+    if house.crop_wire_m > 0.0:
+        things += [_wire(line, house, reach) for line in lines]
+    if house.pipes:
+        things += [_pipe(y, reach) for y in _pipe_lines(row, house)]
+    if house.floor:
+        things.append(_floor())
+    return things
+
+
+def _gutter(y: float, house: Greenhouse, reach: tuple[float, float]) -> list[Mesh]:
+    """A gutter out of a bottom and two sides, and the slab in it, wrapped in white foil."""
+    bottom, half = house.gutter_height_m, house.gutter_width_m / 2.0
+    parts = [box((y - half, y + half), (bottom, bottom + _SHEET), reach, "gutter")]
+    for side in (y - half, y + half - _SHEET):
+        parts.append(box((side, side + _SHEET), (bottom + _SHEET, bottom + _RIM), reach, "gutter"))
+    wide = min(_SLAB[0], house.gutter_width_m - 4.0 * _SHEET) / 2.0
+    slab = box((y - wide, y + wide), (bottom + _SHEET, bottom + _SHEET + _SLAB[1]), reach, "foil")
+    return [
+        as_one(concatenate(parts), OrganClass.BACKGROUND, "gutter"),
+        as_one(slab, OrganClass.BACKGROUND, "slab"),
+    ]
+
+
+def _blocks(places: NDArray[np.float64], house: Greenhouse, spacing_m: float) -> Mesh:
+    """The blocks that the plants root in: foil around rockwool whose top is open."""
+    top, half = house.foot_m, _BLOCK[1] / 2.0
+    along = min(_BLOCK[0], 0.9 * spacing_m) / 2.0
+    parts: list[Mesh] = []
+    for x, y in places:
+        ends, skin = (x - along, x + along), top - _SHEET
+        parts.append(box((y - half, y + half), (top - _BLOCK[2], skin), ends, "foil"))
+        parts.append(box((y - half, y + half), (skin, top), ends, "rockwool"))
+    return as_one(concatenate(parts), OrganClass.BACKGROUND, "block")
+
+
+def _wire(line: RowLine, house: Greenhouse, reach: tuple[float, float]) -> Mesh:
+    """The wire above a row, which has moved towards the row's aisle as far as the row leans."""
+    y = line.y_m + line.aisle * house.away(house.crop_wire_m)
+    wire = rod(y, house.crop_wire_m, _WIRE_RADIUS, reach, "steel")
+    return as_one(wire, OrganClass.WIRE if line.own else OrganClass.BACKGROUND, "crop_wire")
+
+
+def _pipe_lines(row: DoubleRow, house: Greenhouse) -> Sequence[float]:
+    """The y of the two pipes in each aisle, those of the camera's own aisle first."""
+    gap = 0.0 if row.back == 0 else row.gap_m
+    gauge = min(_GAUGE, 0.5 * house.aisle_m)  # a narrow aisle has a narrower pair
+    aisles = range(-house.far_rows, house.far_rows + 2)
+    middles = [n * (house.aisle_m + gap) - house.aisle_m / 2.0 for n in sorted(aisles, key=abs)]
+    return [middle + side * gauge / 2.0 for middle in middles for side in (-1.0, 1.0)]
+
+
+def _pipe(y: float, reach: tuple[float, float]) -> Mesh:
+    pipe = rod(y, _PIPE_HEIGHT, _PIPE_RADIUS, reach, "pipe")
+    return as_one(pipe, OrganClass.BACKGROUND, "heating_pipe")
+
+
+def _floor() -> Mesh:
+    """The film on the floor, level, far beyond the rows."""
+    film = rectangle(
+        (0.0, 0.0, 0.0), (2.0 * _FLOOR_REACH, 0.0, 0.0), (0.0, 2.0 * _FLOOR_REACH, 0.0), "floor_film"
+    )
+    return as_one(film, OrganClass.BACKGROUND, "floor_film")
