@@ -37,6 +37,13 @@ class Spines:
             right: `(n, q)` metres.
             up: `(n, q)` metres.
         """
+        point, normal, across = self.frames(along)
+        return point + right[..., None] * across + up[..., None] * normal
+
+    def frames(
+        self, along: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Points of the curves, their normals and across, `(n, q, 3)` each, so far along `(n, q)` in metres."""
         steps = self.points.shape[1] - 1
         position = along * (steps / self.lengths)[:, None]
         index = np.clip(np.floor(position), 0, steps - 1).astype(np.intp)
@@ -47,7 +54,7 @@ class Spines:
         part = np.clip(part, 0.0, 1.0)
         normal = unit(self.normals[here] * (1.0 - part) + self.normals[there] * part)
         across = unit(self.across[here] * (1.0 - part) + self.across[there] * part)
-        return point + right[..., None] * across + up[..., None] * normal
+        return point, normal, across
 
 
 def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -123,12 +130,20 @@ def _even(curves: NDArray[np.float64], steps: int) -> tuple[NDArray[np.float64],
     walked = np.concatenate(
         [np.zeros((n, 1)), np.cumsum(np.linalg.norm(np.diff(fine, axis=1), axis=2), axis=1)], axis=1
     )
-    even = np.empty((n, steps + 1, 3))
-    for row in range(n):
-        at = np.linspace(0.0, walked[row, -1], steps + 1)
-        for axis in range(3):
-            even[row, :, axis] = np.interp(at, walked[row], fine[row, :, axis])
-    return even, walked[:, -1]
+    return _resampled(fine, walked, steps), walked[:, -1]
+
+
+def _resampled(points: NDArray[np.float64], walked: NDArray[np.float64], steps: int) -> NDArray[np.float64]:
+    """`(n, steps + 1, 3)` points at equal distances on polylines `(n, q, 3)`, linear in `walked` `(n, q)`."""
+    n, count, _ = points.shape
+    # All rows are looked up at once on one scale, row i from 2 i to 2 i + 1.
+    row, part = np.arange(n)[:, None], np.linspace(0.0, 1.0, steps + 1)
+    scale = walked / walked[:, -1:]
+    found = np.searchsorted((scale + 2.0 * row).ravel(), (part + 2.0 * row).ravel(), side="right")
+    first = np.clip(found.reshape(n, -1) - 1 - count * row, 0, count - 2)
+    start, end = scale[row, first], scale[row, first + 1]
+    share = np.clip((part - start) / np.where(end > start, end - start, 1.0), 0.0, 1.0)[..., None]
+    return points[row, first] * (1.0 - share) + points[row, first + 1] * share
 
 
 def _tangents(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -153,20 +168,21 @@ def _carried(
     normal = unit(np.where(useless[:, None], other, normal))
     normals = np.empty_like(points)
     normals[:, 0] = normal
+    # What to reflect in: the planes between neighbouring points, then those between the tangents.
+    chords = _mirrors(np.diff(points, axis=1))
+    onto = _mirrors(tangents[:, 1:] - _reflected(tangents[:, :-1], chords))
     for step in range(points.shape[1] - 1):
-        # Reflect normal and tangent in the plane between the points, then in the one between the tangents.
-        chord = points[:, step + 1] - points[:, step]
-        normal, tangent = _reflected(normal, chord), _reflected(tangents[:, step], chord)
-        normal = _reflected(normal, tangents[:, step + 1] - tangent)
-        # Rounding must not make the frame skew.
-        here = tangents[:, step + 1]
-        normal = unit(normal - np.sum(normal * here, axis=1, keepdims=True) * here)
+        normal = _reflected(_reflected(normal, chords[:, step]), onto[:, step])
         normals[:, step + 1] = normal
-    return normals
+    # Rounding must not make the frame skew.
+    return unit(normals - np.einsum("nmi,nmi->nm", normals, tangents)[..., None] * tangents)
 
 
-def _reflected(vectors: NDArray[np.float64], across: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The vectors mirrored in the planes through the origin with the normals `across`."""
-    square = np.sum(across * across, axis=1, keepdims=True)
-    factor = 2.0 * np.sum(vectors * across, axis=1, keepdims=True) / np.where(square > 0.0, square, 1.0)
-    return vectors - np.where(square > 0.0, factor, 0.0) * across
+def _mirrors(across: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Normals of mirrors at length sqrt(2), as `_reflected` wants them; those of no length stay zero."""
+    return np.asarray(np.sqrt(2.0) * unit(across))
+
+
+def _reflected(vectors: NDArray[np.float64], mirrors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The vectors mirrored in the planes through the origin with the normals `mirrors`."""
+    return np.asarray(vectors - np.einsum("...i,...i->...", vectors, mirrors)[..., None] * mirrors)
