@@ -43,7 +43,7 @@ class Spines:
     def frames(
         self, along: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Points of the curves, their normals and across, `(n, q, 3)` each, so far along `(n, q)` in metres."""
+        """Points, normals and across, `(n, q, 3)` each, so far along the curves: `(n, q)` metres."""
         steps = self.points.shape[1] - 1
         position = along * (steps / self.lengths)[:, None]
         index = np.clip(np.floor(position), 0, steps - 1).astype(np.intp)
