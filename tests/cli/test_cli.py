@@ -4,15 +4,20 @@ import json
 import subprocess
 import sys
 import types
+from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
+import trimesh
 import typer
+from PIL import Image
 
 import pepperscene
 from pepperscene import cli
 from pepperscene.dataset import load_recipe
 from pepperscene.errors import EXIT_BAD_INPUT
+from pepperscene.shipped import shelf
 from pepperscene.version import __version__
 
 
@@ -83,6 +88,58 @@ def test_recipes_lists_the_shipped_ones(command):
     lines = command("recipes").stdout.splitlines()
     assert [line.split()[0] for line in lines] == ["barth2018", "demo"]
     assert "10,500 frames" in lines[0]
+
+
+def test_cultivars_lists_the_shipped_ones(command):
+    lines = command("cultivars").stdout.splitlines()
+    names = [path.stem for path in sorted(shelf("plants").glob("*.toml"))]
+    assert [line.split()[0] for line in lines] == names
+    kaite = lines[names.index("kaite")]
+    assert "Capsicum annuum" in kaite
+    assert "40 nodes" in kaite
+
+
+def test_plant_writes_a_mesh_and_a_picture(command, tmp_path):
+    out = tmp_path / "new" / "plant.glb"
+    done = command("plant", "kaite", "--seed", 3, "--out", out, "--detail", 0.4)
+    assert done.exit_code == 0, done.stderr
+    assert done.stdout.splitlines()[-2:] == [str(out), str(out.with_suffix(".png"))]
+    assert {path.name for path in out.parent.iterdir()} == {"plant.glb", "plant.png"}
+    assert Image.open(out.with_suffix(".png")).mode == "RGB"
+    # What is printed is what another program reads.
+    read = trimesh.load_scene(out)
+    kinds = Counter(name.rsplit("_", 3)[0] for name in read.geometry)
+    told = dict(
+        line.split()[::-1]
+        for line in done.stdout.splitlines()
+        if line.startswith("  ") and len(line.split()) == 2
+    )
+    assert {kind: int(count) for kind, count in told.items()} == kinds
+    assert kinds["node"] == 40
+    assert f"{sum(kinds.values())} organs" in done.stdout
+    assert f"{sum(len(one.faces) for one in read.geometry.values()):,} triangles" in done.stdout
+    assert "fruit still touch" in done.stdout
+
+
+def test_plant_without_a_picture_again_and_again(command, tmp_path):
+    out = tmp_path / "plant.obj"
+    arguments = ("plant", "kaite", "--out", out, "--detail", "0.3", "--no-picture")
+    assert command(*arguments).exit_code == 0
+    first = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert set(first) == {"plant.obj", "plant.mtl"}
+    assert command(*arguments).exit_code == 0
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == first
+    assert command(*arguments, "--seed", 1).exit_code == 0
+    assert out.read_bytes() != first["plant.obj"]
+
+
+def test_a_plant_between_a_cultivar_and_itself_is_the_cultivars(command, tmp_path):
+    sizes = []
+    for more in ((), ("--until", "kaite"), ("--until", "kaite", "--share", 0.3)):
+        done = command("plant", "kaite", "--out", tmp_path / "a.stl", "--detail", 0.3, "--no-picture", *more)
+        assert done.exit_code == 0, done.stderr
+        sizes.append(trimesh.load_mesh(tmp_path / "a.stl").extents)
+    np.testing.assert_allclose(sizes[1:], sizes[:1] * 2, rtol=1e-4)
 
 
 def test_build_then_report(command, tmp_path):
@@ -156,6 +213,19 @@ def test_every_command_and_option_is_told():
         (("build", "--out", "set", "--seed", "-3"), "--seed"),
         (("build", "--out", "/dev/null/set", "--frames", "0:1"), "/dev/null"),
         (("report", "set"), "no data set"),
+        (("plant", "nothing", "--out", "a.glb"), "kaite"),
+        (("plant", "kaite", "--out", "a.fbx"), "must end in .glb, .obj, .ply or .stl"),
+        (("plant", "kaite", "--out", "a"), "must end in .glb, .obj, .ply or .stl"),
+        (("plant", "kaite", "--out", "/dev/null/a.glb"), "/dev/null"),
+        (("plant", "kaite", "--out", "a\0.glb"), "not a possible name"),
+        (("plant", "kaite", "--out", "q" * 400 + ".glb"), "cannot be"),
+        (("plant", "kaite", "--out", "a.glb", "--seed", "-1"), "--seed"),
+        (("plant", "kaite", "--out", "a.glb", "--detail", "0"), "--detail"),
+        (("plant", "kaite", "--out", "a.glb", "--detail", "nan"), "--detail"),
+        (("plant", "kaite", "--out", "a.glb", "--share", "0.5"), "--until"),
+        (("plant", "kaite", "--out", "a.glb", "--until", "kaite", "--share", "2"), "--share"),
+        (("plant", "kaite", "--out", "a.glb", "--until", "nothing"), "kaite"),
+        (("plant", "kaite", "--out", "a.glb", "--quality", "best"), "draft, standard, reference"),
     ],
 )
 def test_errors_are_one_line_and_exit_code_2(command, tmp_path, monkeypatch, arguments, told):
@@ -176,6 +246,9 @@ def test_errors_are_one_line_and_exit_code_2(command, tmp_path, monkeypatch, arg
         ("render", "--out", "x", "--frame", "x"),
         ("build", "--out"),
         ("build", "--out", "set", "--seed", "x"),
+        ("plant", "kaite"),
+        ("plant", "--out", "a.glb"),
+        ("plant", "kaite", "--out", "a.glb", "--detail", "x"),
         ("nonsense",),
         ("--x",),
     ],

@@ -32,7 +32,7 @@ RECIPE["developing"] |= {
     "tone": "srgb",
 }
 CULTIVAR = read_toml(shelf("plants") / "kaite.toml")
-CULTIVAR["plant"] |= {"stem_parts": 4, "young_nodes": 2}
+CULTIVAR["stem"] |= {"parts": 4, "young_nodes": 2}
 
 REPLACEMENTS = st.one_of(
     st.sampled_from(

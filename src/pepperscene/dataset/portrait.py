@@ -34,7 +34,7 @@ _FOCAL_M: Final = 0.00416  # of the paper's lens
 _BACK: Final = 2.0  # the first view is taken from so many times the plant's extent
 _SKY_LX, _SUN_SHARE = 6000.0, 0.6  # chosen: soft light, with enough sun to show relief
 _SUN: Final = (-0.45, -0.7, 0.6)  # chosen: over the left shoulder of one who stands in the aisle
-_EXPOSURE_S: Final = 1 / 650  # chosen: the sky behind the plant just fills the sensor
+_EXPOSURE_S: Final = 1 / 720  # chosen: the sky behind the plant just fills the sensor
 _TRIAL: Final = (60, 45)  # pixels of the label images that choose a view
 _LEVELS: Final = 10  # heights that are tried for the second view
 _CANDIDATES: Final = 12  # organs that are tried for the third
@@ -115,7 +115,7 @@ def _near(mesh: Mesh, stage: RendererLike) -> Camera:
         own = mesh.vertices[mesh.faces[mesh.face_instance == organ].ravel()]
         # A little above the middle, so that the calyx is in the picture.
         low, high = own.min(axis=0).astype(float), own.max(axis=0).astype(float)
-        middle = 0.5 * (low + high) + np.array([0.0, 0.0, 0.25 * (high[2] - low[2])])
+        middle = 0.5 * (low + high) + np.array([0.0, 0.0, 0.15 * (high[2] - low[2])])
         for azimuth in _AZIMUTHS:
             place = middle + NEAR_M * np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
             trials.append((place, middle))
@@ -162,10 +162,11 @@ def _sheet(views: Sequence[Picture]) -> Picture:
     """The first view on the left, the others on the right, white between."""
     whole, *others = views
     width = max(one.shape[1] for one in others)
-    sheet = np.full((whole.shape[0], whole.shape[1] + _GAP + width, 3), 255, np.uint8)
-    sheet[:, : whole.shape[1]] = whole
+    height = max(whole.shape[0], sum(one.shape[0] for one in others) + _GAP * (len(others) - 1))
+    sheet = np.full((height, whole.shape[1] + _GAP + width, 3), 255, np.uint8)
+    sheet[: whole.shape[0], : whole.shape[1]] = whole
     row = 0
     for one in others:
-        sheet[row : row + one.shape[0], whole.shape[1] + _GAP :] = one
+        sheet[row : row + one.shape[0], whole.shape[1] + _GAP :][:, : one.shape[1]] = one
         row += one.shape[0] + _GAP
     return sheet
