@@ -125,13 +125,14 @@ class _Mix:
             self.number(getattr(first, name), getattr(last, name)) for name in ("mean", "sd", "low", "high")
         )
         said = self.origin(first, last)
+        fields = {"mean": mean, "low": low, "high": high, **said}
         if first.law == last.law == "value":
-            return Distribution(law="value", mean=mean, sd=sd, low=low, high=high, **said)
+            return Distribution.model_validate({"law": "value", "sd": sd, **fields})
         if not (first.needs_place or last.needs_place):
             middles = (np.arange(_SHARES) + 0.5) / _SHARES
             sd = float(self.number(first.quantiles(middles), last.quantiles(middles)).std())
         between = (self.share, first, last)
-        return Distribution(law="blend", mean=mean, sd=sd, low=low, high=high, between=between, **said)
+        return Distribution.model_validate({"law": "blend", "sd": sd, "between": between, **fields})
 
     def choice(self, first: Choice, last: Choice) -> Choice:
         """Every outcome of either, with the mix of its probabilities."""

@@ -29,6 +29,8 @@ class Flush(Document):
 class Descent(Document):
     """An outcome that is more frequent at the foot of the plant than at its top, while its mean stays.
 
+    Or less frequent, where `by` is negative.
+
     Attributes:
         of: the outcome.
         by: by how much its share of what grows exceeds the mean at the foot, and falls short at the top.
@@ -60,6 +62,7 @@ class Slot(Document):
         first: on a node, the lowest one (0 is the node above the first internode) that bears anything here.
         flush: see `Flush`; on a node.
         descent: see `Descent`; on a node.
+        source: of the plain numbers.
         chosen: why the plain numbers are what they are.
     """
 
@@ -78,6 +81,7 @@ class Slot(Document):
     first: Annotated[int, Field(ge=0, le=200)] = 0
     flush: Flush | None = None
     descent: Descent | None = None
+    source: str = ""
     chosen: str = ""
 
     @property
@@ -103,9 +107,10 @@ class Slot(Document):
             if of not in self.kinds:
                 raise ValueError(f"descent.of must be one of what grows here: {', '.join(self.kinds)}")
             share = self.what.probabilities[of] / self.filled if self.filled else 0.5
-            if not -1e-9 <= by.low <= by.high <= min(share, 1.0 - share) + 1e-9:
+            most = min(share, 1.0 - share) + 1e-9
+            if not -most <= by.low <= by.high <= most:
                 raise ValueError(
-                    f"descent.by must lie between 0 and {min(share, 1.0 - share):.3g}, "
+                    f"descent.by must lie between {-most:.3g} and {most:.3g}, "
                     f"the smaller of {of}'s share and the others'"
                 )
         return self

@@ -14,6 +14,8 @@ from pepperscene.spectra.spectrum import Spectrum
 
 LEAF_FILE: Final = "leaf/prospect_pro_sac_400_2500"
 PEPPER_FILE: Final = "fruit/pepper_pigment_sac_MODEL"
+RED_COLUMN: Final = "capsorubin_MODEL"
+"""Of the two models in that file, the one with its maximum at 482 nm; see `absorption_coefficients`."""
 _COLUMNS: Final = {
     "chlorophyll": "sac_chl",
     "carotenoid": "sac_car",
@@ -34,7 +36,10 @@ def absorption_coefficients(wavelength_nm: ArrayLike) -> Mapping[str, NDArray[np
     dry_matter, protein and carbon (carbon-based constituents) in cm2 g-1; refractive_index.
 
     From PROSPECT-D/PRO (Feret et al. 2017, 2021); capsanthin is a MODEL, PROSPECT's carotenoid shifted to
-    the red. The tables begin at 400 nm: below, the value at 400 nm is held, because none was measured there.
+    the red, with its maximum at 482 nm. It stands for all red carotenoids of ripe fruit: in the tissue their
+    bands lie further to the red than in solvents, and a model with its maximum at 470 nm would give no red
+    pepper, but an orange one: CIELAB hue 44 degrees or more, where ripe ones have 30 (Molinari et al. 1999,
+    Proc. Fla. State Hort. Soc. 112:143). The tables begin at 400 nm: below, the value at 400 nm is held, because none was measured there.
     Capsanthin is zero beyond its table's 800 nm.
 
     Raises:
@@ -52,5 +57,5 @@ def absorption_coefficients(wavelength_nm: ArrayLike) -> Mapping[str, NDArray[np
 @lru_cache(maxsize=1)
 def _coefficients() -> Mapping[str, Spectrum]:
     leaf = read_spectra(LEAF_FILE, outside="error")
-    capsanthin = read_spectrum(PEPPER_FILE, "capsanthin_MODEL", outside="zero")
+    capsanthin = read_spectrum(PEPPER_FILE, RED_COLUMN, outside="zero")
     return {name: leaf[column] for name, column in _COLUMNS.items()} | {"capsanthin": capsanthin}
