@@ -29,28 +29,45 @@ def direction(azimuth: ArrayLike, inclination: ArrayLike, sway: ArrayLike = 0.0)
     return found
 
 
-def upper_side(azimuth: float, inclination: float, tangent: FloatArray, roll: float = 0.0) -> FloatArray:
-    """Unit vector across `tangent`: upwards in the azimuth's plane, turned by `roll` about the tangent."""
+def upper_side(
+    azimuth: FloatArray, inclination: FloatArray, tangent: FloatArray, roll: ArrayLike = 0.0
+) -> FloatArray:
+    """`(n, 3)` unit vectors across the tangents: upwards in the azimuth's plane, then rolled.
+
+    Args:
+        azimuth: `(n,)`, as of `direction`.
+        inclination: `(n,)` of the tangents; whatever their sway, the upper side is square to them.
+        tangent: `(n, 3)` unit vectors of that azimuth and inclination.
+        roll: about the tangents, radians.
+    """
     up = direction(azimuth, inclination + 0.5 * np.pi)
-    up = up - (up @ tangent) * tangent
-    up = up / np.sqrt(up @ up)
-    return np.cos(roll) * up + np.sin(roll) * cross(tangent, up)
+    turn = np.asarray(roll)[..., None]
+    return np.asarray(np.cos(turn) * up + np.sin(turn) * cross(tangent, up))
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Vector product of two `(3,)` vectors; `numpy.cross` takes ten times as long for a single pair."""
-    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
-    return np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
+    """Vector products of `(n, 3)` vectors; `numpy.cross` takes several times as long."""
+    found = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    found[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
+    found[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
+    found[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return found
 
 
-def chain(base: FloatArray, steps: FloatArray, length: float) -> FloatArray:
-    """`(k + 1, 3)` points from `base` along `k` unit steps, `length` in all."""
-    curve = np.empty((len(steps) + 1, 3))
-    curve[0] = base
-    np.cumsum(steps, axis=0, out=curve[1:])
-    curve[1:] *= length / len(steps)
-    curve[1:] += base
-    return curve
+def dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    """`(n,)` scalar products of `(n, 3)` vectors."""
+    return np.asarray(np.einsum("ij,ij->i", a, b))
+
+
+def chains(base: FloatArray, steps: FloatArray, length: FloatArray) -> FloatArray:
+    """`(n, k + 1, 3)` points from `(n, 3)` bases along `(n, k, 3)` unit steps, `(n,)` metres in all."""
+    count = steps.shape[1]
+    found = np.empty((len(steps), count + 1, 3))
+    found[:, 0] = base
+    np.cumsum(steps, axis=1, out=found[:, 1:])
+    found[:, 1:] *= (length / count)[:, None, None]
+    found[:, 1:] += base[:, None]
+    return found
 
 
 @cache
@@ -62,6 +79,16 @@ def middles(points: int) -> FloatArray:
 
 
 def across(vector: FloatArray, axis: FloatArray) -> FloatArray:
-    """The unit vector nearest to `vector` that is perpendicular to the unit vector `axis`."""
-    found = vector - (vector @ axis) * axis
-    return found / np.sqrt(found @ found)
+    """`(n, 3)` unit vectors nearest to `(n, 3)` vectors that are square to the `(n, 3)` unit vectors `axis`.
+
+    Where vector and axis are one, any unit vector across it.
+    """
+    found = vector - dot(vector, axis)[:, None] * axis
+    square = dot(found, found)
+    lost = square < 1e-24
+    if lost.any():
+        # The coordinate axis that is farthest from it.
+        other = np.eye(3)[np.argmin(np.abs(axis[lost]), axis=1)]
+        found[lost] = other - dot(other, axis[lost])[:, None] * axis[lost]
+        square = dot(found, found)
+    return np.asarray(found / np.sqrt(square)[:, None])

@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from pepperscene.cultivar import Cultivar
-from pepperscene.grammar.build import KINDS, build_frame, build_fruit
+from pepperscene.grammar.build import build
 from pepperscene.grammar.draw import draw_parameters
 from pepperscene.grammar.plant import Plant
-from pepperscene.grammar.settle import settle
 
 
-def grow(cultivar: Cultivar, rng: np.random.Generator) -> Plant:
-    """A plant whose parameters are drawn from the cultivar's distributions, and whose fruit hangs free.
+def grow(cultivar: Cultivar, rng: np.random.Generator, lean: float = 0.0) -> Plant:
+    """A plant whose parameters are drawn from the cultivar's laws; what touches what is not looked at.
 
-    The same state of the generator gives the same arrays, bit for bit. Few fruits may find no free pose;
-    `touching_fruit` counts them.
+    The same state of the generator gives the same arrays, bit for bit.
+
+    Args:
+        cultivar: whose laws they follow.
+        rng: gives one number, the plant's key.
+        lean: radians, added to the drawn lean of the stem; positive towards the aisle (-y).
     """
-    parameters = draw_parameters(cultivar, rng)
-    organs, frames = build_frame(parameters)
-    fruit = settle(parameters, organs, frames, cultivar, rng)
-    return Plant(parameters.cultivar, (*organs, *build_fruit(fruit, frames, len(organs))), KINDS)
+    return build(draw_parameters(cultivar, rng, lean))

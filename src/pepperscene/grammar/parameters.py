@@ -3,146 +3,85 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.cultivar.forms import Kind
+
+FloatArray = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
-class LeafParameters:
-    """A petiole and its lamina; metres and radians.
-
-    Attributes:
-        azimuth: around the vertical, counter-clockwise seen from above, 0 towards the aisle.
-        petiole_length: along the petiole.
-        petiole_radius: at its base.
-        petiole_radius_tip: at the blade.
-        petiole_inclination: above the horizontal, at its base.
-        length: of the midrib.
-        width: of the blade, flat.
-        inclination: of the midrib above the horizontal, half-way along; -pi / 2 hangs straight down.
-        droop: downward bend of the midrib from base to tip, without that of the joint with the petiole.
-        sway: sideways bend of petiole and midrib together, counter-clockwise.
-        roll: of the blade about its midrib, at the base.
-        shape: measures of the blade that only its mesh maker reads.
-    """
-
-    azimuth: float
-    petiole_length: float
-    petiole_radius: float
-    petiole_radius_tip: float
-    petiole_inclination: float
-    length: float
-    width: float
-    inclination: float
-    droop: float = 0.0
-    sway: float = 0.0
-    roll: float = 0.0
-    shape: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class ShootParameters:
-    """A side shoot and what stands at its end; metres and radians.
+@dataclass(frozen=True, eq=False)
+class KindParameters:
+    """All organs of one kind, a row each; metres, radians and plain numbers.
 
     Attributes:
-        azimuth: as of a leaf.
-        length: along the shoot.
-        radius: at its base.
-        radius_tip: at its end.
-        inclination: above the horizontal, at its base.
-        bend: of its inclination, from base to end; negative is downwards.
-        ends: leaves and further shoots.
+        kind: their body, label and surface.
+        number: `(n,)` of each organ in the plant; a fruit's calyx stands just before it.
+        parent: `(n,)` number of the organ that each grows out of; -1 for the first internode. Of a fruit,
+            what bears its calyx.
+        phytomer: `(n,)` position along the main stem, 0-based from the ground.
+        values: name -> `(n,)`. The names are those of the form's parameters in a cultivar file (`length`,
+            `diameter`, `inclination`), and besides: `seed`, in (0, 1), of the organ's own noise; `azimuth`,
+            around the vertical, counter-clockwise seen from above, from the aisle (-y) for what stands on a
+            node and from its parent's own direction for all others; `at`, its place along the parent, 0 base
+            to 1 tip; `lift` on a node, in half node lengths above its centre; `sideways`, 1 for what leaves
+            its parent's side and lies in its parent's plane, as a leaflet does, otherwise 0.
+            An internode has `azimuth` and `inclination` of its direction, `diameter` and `diameter_tip` of
+            the stem, `state` and `state_tip`; a node the stem's `diameter` and `groove`; a fruit its
+            `ripeness` and `calyx_seed`.
     """
 
-    azimuth: float
-    length: float
-    radius: float
-    radius_tip: float
-    inclination: float
-    bend: float
-    ends: tuple[LeafParameters | ShootParameters, ...]
+    kind: Kind
+    number: Indices
+    parent: Indices
+    phytomer: Indices
+    values: Mapping[str, FloatArray]
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    def picked(self, rows: Indices) -> KindParameters:
+        """Some of the organs."""
+        if len(rows) == len(self):
+            return self
+        values = {name: column[rows] for name, column in self.values.items()}
+        return KindParameters(self.kind, self.number[rows], self.parent[rows], self.phytomer[rows], values)
 
 
-@dataclass(frozen=True)
-class FruitParameters:
-    """A peduncle, its calyx and its fruit; metres and radians.
-
-    Attributes:
-        azimuth: as of a leaf.
-        peduncle_length: along the peduncle.
-        peduncle_radius: at the node.
-        peduncle_radius_tip: at the calyx.
-        inclination: of the peduncle above the horizontal, at the node.
-        end_inclination: of the peduncle at the calyx.
-        hang_azimuth: of the fruit's axis.
-        hang_inclination: of the fruit's axis from stalk end to blossom end.
-        calyx_radius: of the calyx' disc.
-        calyx_seed: of its own noise, in [0, 1).
-        length: of the fruit along its axis.
-        diameter: of the fruit at its widest.
-        shape: measures of the fruit that only its mesh maker reads.
-    """
-
-    azimuth: float
-    peduncle_length: float
-    peduncle_radius: float
-    peduncle_radius_tip: float
-    inclination: float
-    end_inclination: float
-    hang_azimuth: float
-    hang_inclination: float
-    calyx_radius: float
-    calyx_seed: float
-    length: float
-    diameter: float
-    shape: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class CutParameters:
-    """The stump of a peduncle whose fruit was harvested; metres and radians."""
-
-    azimuth: float
-    inclination: float
-    length: float
-    radius: float
-
-
-@dataclass(frozen=True)
-class PhytomerParameters:
-    """One section of the main stem, and all that grows from the node at its top; metres and radians.
-
-    Attributes:
-        length: from the centre of the node below (or the ground) to the centre of this one.
-        azimuth: of the section's direction.
-        inclination: of the section's direction above the horizontal, about pi / 2.
-        radius: of the stem at the node below.
-        radius_tip: of the stem at this node.
-        groove: depth of the stem's grooves.
-        seed: of the section's own noise, in [0, 1).
-        node_length: of the swelling.
-        node_radius: of the swelling at its widest.
-        leaf: if the node carries one.
-        shoot: if the node carries one.
-        fruit: or the cut that one left, if the node carries one.
-    """
-
-    length: float
-    azimuth: float
-    inclination: float
-    radius: float
-    radius_tip: float
-    groove: float
-    seed: float
-    node_length: float
-    node_radius: float
-    leaf: LeafParameters | None = None
-    shoot: ShootParameters | None = None
-    fruit: FruitParameters | CutParameters | None = None
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PlantParameters:
-    """A plant from the ground up."""
+    """A plant from the ground up.
+
+    Attributes:
+        cultivar: its name.
+        organs: kind's name -> its organs; kinds of which the plant has none are there without rows.
+    """
 
     cultivar: str
-    phytomers: tuple[PhytomerParameters, ...]
+    organs: Mapping[str, KindParameters]
+
+    def changed(self, kind: str, row: int, **values: float) -> PlantParameters:
+        """The same plant, but for some numbers of one organ.
+
+        Args:
+            kind: name of its kind.
+            row: which organ of that kind, 0-based from the ground.
+            values: the new numbers, by the names of `KindParameters.values`.
+
+        Raises:
+            ValueError: there is no such kind, organ or number.
+        """
+        found = self.organs.get(kind)
+        if found is None or not 0 <= row < len(found):
+            raise ValueError(f"the plant has no organ {row} of the kind {kind}")
+        unknown = set(values) - set(found.values)
+        if unknown:
+            raise ValueError(f"{kind} has no {sorted(unknown)[0]}; it has {', '.join(found.values)}")
+        columns = {name: column.copy() for name, column in found.values.items()}
+        for name, value in values.items():
+            columns[name][row] = value
+        return replace(self, organs={**self.organs, kind: replace(found, values=columns)})

@@ -10,10 +10,6 @@ from numpy.typing import NDArray
 
 from pepperscene.cultivar.forms import Form, Kind
 
-# Until geometry goes by forms.
-OrganKind = str
-ORGAN_KINDS = ("internode", "node", "side_shoot", "petiole", "lamina", "peduncle", "calyx", "fruit", "cut")
-
 
 @dataclass(frozen=True, eq=False)
 class Organ:

@@ -1,0 +1,88 @@
+"""Which outcome of a slot grows: probabilities swing with the place along the stem, and end at a depth."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.cultivar import Slot
+from pepperscene.grammar.growth import Growth
+from pepperscene.grammar.hashing import Addresses, FloatArray, descended, shares
+
+Indices = NDArray[np.intp]
+NOTHING = -1
+
+
+def outcomes(slot: Slot) -> tuple[tuple[str, ...], FloatArray]:
+    """`(k,)` kinds that a slot can bear, and their probabilities; what is missing to 1 is nothing."""
+    kinds = slot.kinds
+    return kinds, np.array([slot.what.probabilities[kind] for kind in kinds])
+
+
+def chances(
+    slot: Slot,
+    slots: Addresses,
+    phytomers: Indices,
+    spent: NDArray[np.bool_],
+    growth: Growth,
+    flushing: Addresses,
+) -> FloatArray:
+    """`(n, k + 1)` probability of each kind, and last of nothing, at the same slot of n organs.
+
+    Args:
+        slot: which is theirs.
+        slots: `(n,)` addresses of theirs.
+        phytomers: `(n,)` where they stand.
+        spent: `(n, k)` whether a kind has reached its depth there.
+        growth: the plant's.
+        flushing: `(1,)` address of the slot's waves in this plant.
+    """
+    _, stated = outcomes(slot)
+    filled = stated.sum()
+    found = np.empty((len(slots), len(stated) + 1))
+    found[:, :-1] = stated
+    if slot.descent is not None and filled > 0:
+        _descend(found, slot, descended(slots, 0), growth.heights[phytomers])
+    if slot.flush is not None:
+        # The phase is uniform, so that the mean stays.
+        period = max(float(slot.flush.nodes.quantiles(shares(flushing, "nodes"))[0]), 1e-3)
+        phase = shares(flushing, "phase")[0]
+        wave = np.cos(2.0 * np.pi * (phytomers / period + phase))
+        strength = slot.flush.strength.quantiles(shares(slots, "strength"), growth.places[phytomers])
+        swing = 1.0 + strength * wave
+        found[:, :-1] *= np.clip(swing, 0.0, 1.0 / filled if filled > 0 else 1.0)[:, None]
+    found[:, -1] = np.maximum(1.0 - found[:, :-1].sum(axis=1), 0.0)
+    found[:, :-1][spent] = 0.0
+    return found
+
+
+def _descend(found: FloatArray, slot: Slot, addresses: Addresses, heights: FloatArray) -> None:
+    """Make one outcome more frequent at the foot than at the top, balanced about the plant's middle."""
+    assert slot.descent is not None
+    kinds, stated = outcomes(slot)
+    one, filled = kinds.index(slot.descent.of), stated.sum()
+    by = slot.descent.by.quantiles(shares(addresses, "descent"), heights)
+    mean = stated[one] / filled
+    share = np.clip(mean + by * (1.0 - 2.0 * heights), 0.0, 1.0)
+    if mean < 1.0:
+        found[:, :-1] *= ((1.0 - share) / (1.0 - mean))[:, None]
+        found[:, one] = share * filled
+
+
+def chosen(probabilities: FloatArray, rows: Indices, share: FloatArray) -> Indices:
+    """`(m,)` index of one outcome each, by a share of its row of probabilities; the last one is `NOTHING`.
+
+    The probabilities of a row need not sum to 1: they count by their proportion.
+    """
+    cumulated = np.cumsum(probabilities, axis=1)
+    total = cumulated[:, -1]
+    cumulated /= np.where(total > 0, total, 1.0)[:, None]
+    found = (share[:, None] >= cumulated[rows]).sum(axis=1)
+    return np.where(found < probabilities.shape[1] - 1, found, NOTHING)
+
+
+def drawn_number(numbers: dict[int, float], share: FloatArray) -> Indices:
+    """How many, by shares of any shape."""
+    cumulated = np.cumsum(list(numbers.values()))
+    index = np.searchsorted(cumulated / cumulated[-1], share, side="right")
+    return np.array(list(numbers), dtype=np.intp)[index]
