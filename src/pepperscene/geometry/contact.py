@@ -1,0 +1,202 @@
+"""Which organs run into which: fruit into anything, blades into stems and cords."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.classes import OrganClass
+from pepperscene.geometry.contact_fruit import Wall, walls
+from pepperscene.geometry.contact_organs import Indices, Organs, Points, Vectors
+from pepperscene.geometry.contact_stems import Capsules, capsules
+from pepperscene.geometry.mesh import Mesh
+
+NEAR: Final = 3e-3
+"""Metres; what is farther off a fruit than this is not looked at."""
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """How many organs of a mesh run into others.
+
+    Attributes:
+        fruit: how many fruits there are.
+        fruit_touching: those that run into any organ but their own calyx and stalk.
+        blades: how many leaf blades there are.
+        blades_touching: those that run through a stem section, a node or a cord.
+    """
+
+    fruit: int
+    fruit_touching: int
+    blades: int
+    blades_touching: int
+
+
+@dataclass(frozen=True)
+class Near:
+    """What comes close to an organ.
+
+    Attributes:
+        others: `(n,)` the organs whose boxes do.
+        depth: `(n,)` metres that one reaches into the other; negative apart, minus infinity far apart.
+    """
+
+    others: Indices
+    depth: NDArray[np.float32]
+
+
+class Bodies:
+    """Organs with what tells whether they touch: the walls of fruit, the capsules of stems.
+
+    Args:
+        mesh: one plant or several.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.organs = Organs(mesh)
+        self.fruit = self.organs.of_class(OrganClass.PEPPER)
+        self.blades = self.organs.of_class(OrganClass.LEAF)
+        self.is_stem = np.isin(self.organs.organ_class, [int(OrganClass.STEM), int(OrganClass.WIRE)])
+        self._walls: dict[int, Wall] = {}
+        self._capsules: dict[int, Capsules] = {}
+        self._own: dict[int, frozenset[int]] = {}
+        self._known: dict[int, tuple[int, Near]] = {}
+
+    def prepare(self, fruit: list[int]) -> None:
+        """Make the walls of some fruit at once, which is faster than one by one."""
+        missing = [one for one in fruit if one not in self._walls]
+        self._walls.update(zip(missing, walls(self.organs, missing), strict=True))
+
+    def wall(self, fruit: int) -> Wall:
+        """The wall of a fruit, made when first asked for."""
+        self.prepare([fruit])
+        return self._walls[fruit]
+
+    def capsules(self, tube: int) -> Capsules:
+        """The capsules of a stem or cord, which never moves."""
+        if tube not in self._capsules:
+            self._capsules[tube] = capsules(self.organs, tube)
+        return self._capsules[tube]
+
+    def own(self, organ: int) -> frozenset[int]:
+        """What an organ may touch: a fruit its calyx and the stalks that carry it, any other its parent."""
+        if organ not in self._own:
+            above = self.organs.ancestors(organ)
+            if self.organs.organ_class[organ] == OrganClass.PEPPER:
+                stalk = [self.organs.organ_class[one] == OrganClass.PEDUNCLE for one in above]
+                above = above[: stalk.index(False) if False in stalk else None]
+            else:
+                above = above[:1]
+            self._own[organ] = frozenset([organ, *above])
+        return self._own[organ]
+
+    def around(self, organ: int, low: Vectors, high: Vectors) -> list[int]:
+        """Organs whose boxes meet a box with the corners `(3,)` and `(3,)`, without what is its own."""
+        near = np.flatnonzero(self.organs.in_box(low, high, NEAR)).tolist()
+        own = self.own(organ)
+        return [one for one in near if one not in own]
+
+    def into_fruit(self, fruit: int) -> Near:
+        """What comes close to a fruit, and how far it reaches in."""
+        organs = self.organs
+        others = self.around(fruit, organs.low[fruit], organs.high[fruit])
+        return self._looked_up(fruit, others, self._into_fruit)
+
+    def into_stems(self, blade: int) -> Near:
+        """The stems and cords that come close to a blade, and how far it reaches in."""
+        organs = self.organs
+        others = self.around(blade, organs.low[blade], organs.high[blade])
+        return self._looked_up(blade, [one for one in others if self.is_stem[one]], self._into_stems)
+
+    def depths(
+        self, fruit: int, points: Points, starts: Indices, rotation: Vectors, shift: Vectors
+    ) -> NDArray[np.float32]:
+        """How deep groups of points reach into a fruit when they are moved in several ways.
+
+        Args:
+            fruit: which, as it stands.
+            points: `(p, 3)` metres, group after group.
+            starts: `(n + 1,)` where each group starts.
+            rotation: `(k, 3, 3)` and
+            shift: `(k, 3)` metres: a point goes to rotation @ point + shift.
+
+        Returns:
+            `(n, k)` metres; minus infinity where no point of a group comes near.
+        """
+        wall = self.wall(fruit)
+        turned, moved = self.organs.pose(fruit)
+        # Into the fruit's own coordinates, from its centre; numbers are small there, as single ones must be.
+        origin = turned @ wall.centre + moved
+        matrix = turned.T @ rotation
+        offset = (rotation @ origin + shift - moved) @ turned - wall.centre
+        points = points - origin.astype(np.float32)
+        # Points that come near in none of the ways are left out.
+        centre = -np.einsum("kji,kj->ki", matrix, offset)
+        middle = centre.mean(axis=0)
+        far = wall.reach + NEAR
+        swept = far + float(np.sqrt(np.square(centre - middle).sum(axis=1).max()))
+        off = points - middle.astype(np.float32)
+        kept = np.flatnonzero(np.einsum("pi,pi->p", off, off) < swept**2)
+        found = np.full((len(starts) - 1, len(rotation)), -np.inf, dtype=np.float32)
+        if not len(kept):
+            return found
+        local = points[kept] @ matrix.reshape(-1, 3).T.astype(np.float32) + offset.ravel().astype(np.float32)
+        local = local.reshape(-1, 3)
+        hit = np.flatnonzero(np.einsum("qi,qi->q", local, local) < far**2)
+        depth = np.full(len(local), -np.inf, dtype=np.float32)
+        depth[hit] = wall.depth(local[hit])
+        # The deepest point of each group.
+        first = np.searchsorted(kept, starts)
+        some = np.flatnonzero(np.diff(first))
+        found[some] = np.maximum.reduceat(depth.reshape(len(kept), -1), first[some], axis=0)
+        return found
+
+    def _looked_up(self, organ: int, others: list[int], measured: Callable[[int, list[int]], Points]) -> Near:
+        """What is known of an organ's neighbours, measured anew if it or one of them has turned since."""
+        stamp = self.organs.stamp
+        known = self._known.get(organ)
+        newest = int(max(stamp[organ], stamp[others].max(initial=0)))
+        if known is not None and known[0] >= newest and np.array_equal(known[1].others, others):
+            return known[1]
+        near = Near(np.array(others, dtype=np.intp), measured(organ, others))
+        self._known[organ] = (newest, near)
+        return near
+
+    def _into_fruit(self, fruit: int, others: list[int]) -> NDArray[np.float32]:
+        points, starts = self.organs.points(others)
+        return self.depths(fruit, points, starts, np.eye(3)[None], np.zeros((1, 3)))[:, 0]
+
+    def _into_stems(self, blade: int, stems: list[int]) -> NDArray[np.float32]:
+        depth = np.full(len(stems), -np.inf, dtype=np.float32)
+        low, high = self.organs.low[blade] - NEAR, self.organs.high[blade] + NEAR
+        for place, stem in enumerate(stems):
+            near = self.capsules(stem).near(low, high)
+            if len(near.start):
+                depth[place] = near.depth(self.organs.points([blade])[0]).max()
+        return depth
+
+
+def contacts(mesh: Mesh) -> Contacts:
+    """Count which organs of a mesh run into others.
+
+    Raises:
+        ValueError: two instances of the mesh share vertices.
+    """
+    return counted(Bodies(mesh))
+
+
+def counted(bodies: Bodies) -> Contacts:
+    """Count which organs run into others, as they stand now."""
+    fruit = bodies.fruit.tolist()
+    bodies.prepare(fruit)
+    touching: set[int] = set()
+    for one in fruit:
+        near = bodies.into_fruit(one)
+        into = near.others[near.depth > 0.0].tolist()
+        touching.update([one, *into] if into else [])
+    through = sum(bool(np.any(bodies.into_stems(one).depth > 0.0)) for one in bodies.blades.tolist())
+    return Contacts(len(fruit), len(touching.intersection(fruit)), len(bodies.blades), through)

@@ -1,0 +1,133 @@
+"""How deep points lie inside a fruit: the plane of its wall in every direction from its centre."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.geometry.contact_organs import Indices, Organs, Points, Vectors
+
+_CELLS: Final = 64  # along either side of the map of directions: cells of 3 degrees, 2 mm on a fruit
+_STEP: Final = 0.06  # rad; a triangle is entered into the map at points no farther apart than this
+
+
+@dataclass(frozen=True, eq=False)
+class Wall:
+    """A fruit's wall, seen from its centre.
+
+    A point is inside where it lies under the plane of the triangle that its direction meets, and that plane
+    also tells how deep. So the wall is exact but for directions within a cell of a triangle's edge; where the
+    fruit is not star-shaped, the outermost wall counts.
+
+    Attributes:
+        centre: `(3,)` metres, in the fruit as grown.
+        reach: metres, from the centre to the farthest point.
+        planes: `(cells, 4)` normal and distance from the centre, by octahedral cell of the direction
+            (Cigolle et al. 2014, "A survey of efficient representations for independent unit vectors").
+    """
+
+    centre: Vectors
+    reach: float
+    planes: NDArray[np.float32]
+
+    def depth(self, points: Points) -> NDArray[np.float32]:
+        """`(p,)` metres that points `(p, 3)`, told from the centre, lie below the wall; negative outside."""
+        plane = self.planes[_cell(points)]
+        return np.asarray(plane[:, 3] - np.einsum("pi,pi->p", plane[:, :3], points))
+
+
+def walls(organs: Organs, fruit: Sequence[int]) -> list[Wall]:
+    """The walls of some fruit, as grown."""
+    if not len(fruit):
+        return []
+    boxes = [organs.vertices(one) for one in fruit]
+    centre = np.stack([0.5 * (box.min(axis=0) + box.max(axis=0)) for box in boxes])
+    corners, number = organs.triangles(fruit)
+    corners -= np.repeat(centre[number], 3, axis=0).reshape(-1, 3, 3)
+    square = np.einsum("fci,fci->cf", corners, corners)
+    nearest, farthest = np.minimum.reduce(square), np.maximum.reduce(square)
+    reach = np.zeros(len(fruit))
+    np.maximum.at(reach, number, np.sqrt(farthest))
+    # Outer triangles are entered over inner ones: sorted by how far off they are.
+    order = np.argsort(farthest, kind="stable")
+    corners, number, nearest = corners[order], number[order], nearest[order]
+    planes = _planes(corners)
+    # Enter every triangle into the cells that it covers; the outermost stays.
+    width = np.sqrt(np.maximum.reduce([_squared(corners[:, i] - corners[:, i - 1]) for i in range(3)]))
+    pieces = np.clip(np.ceil(width / (_STEP * np.sqrt(nearest))), 1, _CELLS).astype(np.intp)
+    held = np.full(len(fruit) * _CELLS * _CELLS, -1)
+    for count in np.unique(pieces):
+        rows = np.flatnonzero(pieces == count)
+        spots = _weights(int(count)) @ corners[rows].transpose(1, 0, 2).reshape(3, -1)
+        cell = _cell(spots.reshape(-1, 3)).reshape(-1, len(rows)) + _CELLS * _CELLS * number[rows]
+        np.maximum.at(held, cell.ravel(), np.broadcast_to(rows, cell.shape).ravel())
+    held = _filled(held.reshape(len(fruit), _CELLS, _CELLS))
+    maps = planes[held].reshape(len(fruit), -1, 4)
+    return [
+        Wall(middle.astype(np.float64), float(far), one)
+        for middle, far, one in zip(centre, reach, maps, strict=True)
+    ]
+
+
+def _planes(corners: Points) -> NDArray[np.float32]:
+    """`(f, 4)` outward normal and distance from the origin of the planes of triangles."""
+    a, b = (corners[:, corner] - corners[:, 0] for corner in (1, 2))
+    normal = np.stack(
+        [
+            a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
+            a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
+            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
+        ],
+        axis=1,
+    )
+    middle = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
+    length, distance = np.sqrt(_squared(normal)), np.sqrt(_squared(middle))
+    height = np.einsum("fi,fi->f", normal, middle)
+    # A wall that stands on edge to the line of sight, or is seen from behind, counts as one across it.
+    steep = height <= 0.05 * length * distance
+    normal = np.where(steep[:, None], middle, normal)
+    length, height = np.where(steep, distance, length), np.where(steep, distance**2, height)
+    planes = np.concatenate([normal, height[:, None]], axis=1) / np.maximum(length, 1e-12)[:, None]
+    return planes.astype(np.float32)
+
+
+def _cell(points: Points) -> Indices:
+    """`(p,)` which cell of the map the direction of each point `(p, 3)` falls into."""
+    x, y, z = np.ascontiguousarray(points.T)
+    scale = 1.0 / (np.abs(x) + np.abs(y) + np.abs(z) + np.float32(1e-12))
+    u, v = x * scale, y * scale
+    # The lower half of the octahedron is folded out over the corners of the square.
+    below = np.flatnonzero(z < 0.0)
+    x, y = u[below], v[below]
+    u[below], v[below] = np.copysign(1.0 - np.abs(y), x), np.copysign(1.0 - np.abs(x), y)
+    half, last = np.float32(0.5 * _CELLS), _CELLS - 1
+    column = np.minimum((u * half + half).astype(np.int32), last)
+    row = np.minimum((v * half + half).astype(np.int32), last)
+    return np.asarray(row * _CELLS + column)
+
+
+def _filled(maps: Indices) -> Indices:
+    """Maps `(n, rows, columns)` with their empty cells, -1, filled from the cells beside."""
+    while np.any(maps < 0):
+        beside = np.pad(maps, ((0, 0), (1, 1), (1, 1)), constant_values=-1)
+        around = [beside[:, 1:-1, :-2], beside[:, 1:-1, 2:], beside[:, :-2, 1:-1], beside[:, 2:, 1:-1]]
+        maps = np.where(maps < 0, np.maximum.reduce(around), maps)
+    return maps
+
+
+def _squared(vectors: Points) -> NDArray[np.float32]:
+    return np.asarray(np.einsum("ij,ij->i", vectors, vectors))
+
+
+@cache
+def _weights(pieces: int) -> NDArray[np.float32]:
+    """`(w, 3)` barycentric coordinates of the points that cut a triangle's edges into so many pieces."""
+    i, j = np.mgrid[0 : pieces + 1, 0 : pieces + 1]
+    kept = i + j <= pieces
+    i, j = i[kept], j[kept]
+    return (np.stack([i, j, pieces - i - j], axis=1) / pieces).astype(np.float32)

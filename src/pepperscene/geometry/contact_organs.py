@@ -1,0 +1,238 @@
+"""The organs of a mesh as bodies that can be turned: points on them, feet, kinship, boxes around them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.classes import OrganClass
+from pepperscene.geometry.contact_points import filling
+from pepperscene.geometry.mesh import Mesh
+
+Vectors = NDArray[np.float64]
+Points = NDArray[np.float32]
+Indices = NDArray[np.intp]
+
+
+class Organs:
+    """The instances of a mesh, each a rigid body that stands where its turns so far have brought it.
+
+    Args:
+        mesh: whose instances stand for organs; a parent's number need not be below its children's.
+
+    Attributes:
+        parent: `(n,)` which organ each grows out of, -1 for none.
+        organ_class: `(n,)`.
+        plant: `(n,)`.
+        solid: `(n,)` whether it is a body: it has triangles and is no scenery, which is what has no class and
+            grows on nothing.
+        low, high: `(n, 3)` metres, the corners of the box around each organ, now.
+        stamp: `(n,)` how many turns there had been when it was turned last.
+
+    Raises:
+        ValueError: two instances share vertices, so that one cannot turn without the other.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.mesh = mesh
+        self.parent = np.array([item.parent for item in mesh.instances], dtype=np.intp)
+        self.organ_class = np.array([int(item.organ_class) for item in mesh.instances], dtype=np.intp)
+        self.plant = np.array([item.plant for item in mesh.instances], dtype=np.intp)
+        self._faces, self._face_first = _face_runs(mesh)
+        self._order, self._first, self._stop = _vertex_runs(mesh, self._faces, self._face_first)
+        scenery = (self.organ_class == OrganClass.BACKGROUND) & (self.parent < 0)
+        self.solid = (self._stop > self._first) & ~scenery
+        self.low, self.high = self._boxes()
+        self.stamp = np.zeros(len(self.parent), dtype=np.intp)
+        self._turns = 0
+        self._pose: dict[int, tuple[Vectors, Vectors]] = {}
+        self._grown: dict[int, Points] = {}
+        self._now: dict[int, Points] = {}
+
+    def __len__(self) -> int:
+        return len(self.parent)
+
+    def of_class(self, *classes: OrganClass) -> Indices:
+        """Indices of the bodies of some classes."""
+        return np.flatnonzero(np.isin(self.organ_class, [int(item) for item in classes]) & self.solid)
+
+    def in_box(self, low: Vectors, high: Vectors, margin: float = 0.0) -> NDArray[np.bool_]:
+        """`(..., n)` which bodies' boxes come nearer to a box than `margin` metres along every axis.
+
+        Args:
+            low: `(..., 3)` and
+            high: `(..., 3)` metres, its corners.
+            margin: metres.
+        """
+        found = self.solid.copy() if np.ndim(low) == 1 else np.tile(self.solid, (*low.shape[:-1], 1))
+        for axis in range(3):
+            found &= self.low[:, axis] < high[..., axis, None] + margin
+            found &= self.high[:, axis] > low[..., axis, None] - margin
+        return found
+
+    def vertices(self, organ: int) -> Points:
+        """`(v, 3)` an organ's vertices as grown."""
+        return self.mesh.vertices[self._rows(organ)]
+
+    def along(self, organ: int) -> NDArray[np.float32]:
+        """`(v,)` how far each of an organ's vertices stands along it: 0 at its base, 1 at its tip."""
+        return self.mesh.uv[self._rows(organ), 1]
+
+    def triangles(self, organs: Sequence[int]) -> tuple[Points, Indices]:
+        """`(f, 3, 3)` the triangles of some organs as grown, and `(f,)` the place of each one's organ."""
+        runs = [self._faces[self._face_first[one] : self._face_first[one + 1]] for one in organs]
+        owner = np.repeat(np.arange(len(runs)), [len(run) for run in runs])
+        return self.mesh.vertices[np.concatenate(runs)], owner
+
+    def pose(self, organ: int) -> tuple[Vectors, Vectors]:
+        """`(3, 3)` and `(3,)`: an organ's points stand now at rotation @ point as grown + shift."""
+        return self._pose.get(organ, (np.eye(3), np.zeros(3)))
+
+    def foot(self, organ: int) -> Vectors:
+        """`(3,)` where an organ starts, now."""
+        along = self.along(organ)
+        rotation, shift = self.pose(organ)
+        base = self.vertices(organ)[along <= along.min() + 1e-6].mean(axis=0, dtype=np.float64)
+        return np.asarray(rotation @ base + shift)
+
+    def middle(self, organ: int) -> Vectors:
+        """`(3,)` the middle of an organ's box, now."""
+        return np.asarray(0.5 * (self.low[organ] + self.high[organ]))
+
+    def points(self, organs: Sequence[int]) -> tuple[Points, Indices]:
+        """Points on the surfaces of some organs, now, nowhere far apart (see `contact_points`).
+
+        Returns:
+            `(p, 3)` metres, organ after organ, and `(n + 1,)` where each organ's points start.
+        """
+        self._sample([organ for organ in organs if organ not in self._now])
+        parts = [self._now[organ] for organ in organs]
+        starts = np.zeros(len(parts) + 1, dtype=np.intp)
+        np.cumsum([len(part) for part in parts], out=starts[1:])
+        return np.concatenate(parts) if parts else np.empty((0, 3), dtype=np.float32), starts
+
+    def subtree(self, root: int) -> list[int]:
+        """An organ and all that grows on it, in order of their numbers."""
+        found, left = [], [root]
+        while left:
+            organ = left.pop()
+            found.append(organ)
+            left += self._children[organ]
+        return sorted(found)
+
+    def ancestors(self, organ: int) -> list[int]:
+        """What an organ grows on, nearest first."""
+        found = []
+        above = int(self.parent[organ])
+        while above >= 0:
+            found.append(above)
+            above = int(self.parent[above])
+        return found
+
+    def turn(self, organs: Iterable[int], rotation: Vectors, shift: Vectors) -> None:
+        """Move organs: every point p of theirs goes to rotation @ p + shift."""
+        self._turns += 1
+        for organ in organs:
+            old, moved = self.pose(organ)
+            self._pose[organ] = (rotation @ old, rotation @ moved + shift)
+            self.stamp[organ] = self._turns
+            if not self.solid[organ]:
+                continue
+            if organ in self._now:
+                self._now[organ] = self._moved(organ, self._grown[organ])
+            now = self._now[organ] if organ in self._now else self._moved(organ, self.vertices(organ))
+            self.low[organ], self.high[organ] = now.min(axis=0), now.max(axis=0)
+
+    def turned_mesh(self) -> Mesh:
+        """The mesh with every organ where it stands now; the very mesh if none was turned."""
+        if not self._pose:
+            return self.mesh
+        vertices, normals = self.mesh.vertices.copy(), self.mesh.normals.copy()
+        for organ, (rotation, _) in self._pose.items():
+            rows = self._rows(organ)
+            vertices[rows] = self._moved(organ, vertices[rows])
+            normals[rows] = (normals[rows] @ rotation.T).astype(np.float32)
+        return replace(self.mesh, vertices=vertices, normals=normals)
+
+    @cached_property
+    def _children(self) -> list[list[int]]:
+        children: list[list[int]] = [[] for _ in self.parent]
+        for organ, above in enumerate(self.parent.tolist()):
+            if above >= 0:
+                children[above].append(organ)
+        return children
+
+    def _rows(self, organ: int) -> slice | Indices:
+        rows = slice(int(self._first[organ]), int(self._stop[organ]))
+        return rows if self._order is None else self._order[rows]
+
+    def _moved(self, organ: int, points: Points) -> Points:
+        if organ not in self._pose:
+            return points
+        rotation, shift = self._pose[organ]
+        return (points @ rotation.T + shift).astype(np.float32)
+
+    def _boxes(self) -> tuple[Vectors, Vectors]:
+        """The corners of the box around each organ as grown."""
+        low, high = np.zeros((len(self.parent), 3)), np.zeros((len(self.parent), 3))
+        used = np.flatnonzero(self._stop > self._first)
+        if len(used):
+            # Organs lie one after the other: the bounds of all in one pass.
+            used = used[np.argsort(self._first[used])]
+            vertices = self.mesh.vertices if self._order is None else self.mesh.vertices[self._order]
+            low[used] = np.minimum.reduceat(vertices, self._first[used], axis=0)
+            high[used] = np.maximum.reduceat(vertices, self._first[used], axis=0)
+        return low, high
+
+    def _sample(self, organs: Sequence[int]) -> None:
+        """Lay points on organs that have none yet."""
+        if not organs:
+            return
+        corners, owner = self.triangles(organs)
+        more, triangle = filling(corners)
+        order = np.argsort(owner[triangle], kind="stable")
+        more, stops = more[order], np.cumsum(np.bincount(owner[triangle], minlength=len(organs)))
+        for organ, extra in zip(organs, np.split(more, stops[:-1]), strict=True):
+            self._grown[organ] = np.concatenate([self.vertices(organ), extra])
+            self._now[organ] = self._moved(organ, self._grown[organ])
+
+
+def _face_runs(mesh: Mesh) -> tuple[NDArray[np.uint32], Indices]:
+    """The faces with those of one instance together, and `(n + 1,)` where each instance's start."""
+    count, instance = len(mesh.instances), mesh.face_instance
+    sorted_already = bool(np.all(instance[1:] >= instance[:-1]))
+    faces = mesh.faces
+    if not sorted_already:
+        # Whole numbers of two bytes are sorted by their digits, much faster.
+        small = instance.astype(np.uint16) if count < 2**16 else instance
+        order = np.argsort(small, kind="stable")
+        faces, instance = mesh.faces[order], instance[order]
+    return faces, np.searchsorted(instance, np.arange(count + 1))
+
+
+def _vertex_runs(
+    mesh: Mesh, faces: NDArray[np.uint32], face_first: Indices
+) -> tuple[Indices | None, Indices, Indices]:
+    """Where the vertices of each instance start and stop, in the mesh's order or else in the one returned."""
+    count = len(mesh.instances)
+    first, stop = np.zeros(count, dtype=np.intp), np.zeros(count, dtype=np.intp)
+    used = np.flatnonzero(np.diff(face_first))
+    if not len(used):
+        return None, first, stop
+    first[used] = np.minimum.reduceat(faces.ravel(), 3 * face_first[used])
+    stop[used] = np.maximum.reduceat(faces.ravel(), 3 * face_first[used]).astype(np.intp) + 1
+    along = used[np.argsort(first[used])]
+    if np.all(stop[along][:-1] <= first[along][1:]):
+        return None, first, stop
+    # Organs whose vertices are mixed are sorted out.
+    owner = np.full(len(mesh.vertices), count, dtype=np.intp)
+    owner[mesh.faces] = mesh.face_instance[:, None]
+    if not np.array_equal(owner[mesh.faces], np.repeat(mesh.face_instance, 3).reshape(-1, 3)):
+        raise ValueError("instances that share vertices cannot be moved one by one")
+    order = np.argsort(owner, kind="stable")
+    runs = np.searchsorted(owner[order], np.arange(count + 1))
+    return order, runs[:-1], runs[1:]

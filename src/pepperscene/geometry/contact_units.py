@@ -1,0 +1,123 @@
+"""What can be moved of a plant, and how: parts turn where they join, so that lengths and joints stay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from pepperscene.classes import OrganClass
+from pepperscene.geometry.contact_organs import Organs, Vectors
+
+_LEAFY: Final = (OrganClass.LEAF, OrganClass.SHOOT)
+_FRUITY: Final = (OrganClass.PEPPER, OrganClass.PEDUNCLE)
+# Widest turns, radians, chosen so that parts still grow as they do: on a stem around it, elsewhere aside; and
+# up or down. By (grows on a stem, bears fruit).
+_LIMITS: Final = {
+    (True, True): np.radians([60.0, 30.0]),
+    (True, False): np.radians([60.0, 25.0]),
+    (False, True): np.radians([35.0, 35.0]),
+    (False, False): np.radians([35.0, 25.0]),
+}
+# How much a radian of either turn weighs. Fruit hangs: what tilts it weighs more than what takes it round.
+_WEIGHTS: Final = {
+    (True, True): np.array([1.0, 1.5]),
+    (True, False): np.array([0.8, 1.0]),
+    (False, True): np.array([1.3, 1.3]),
+    (False, False): np.array([0.8, 0.8]),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """A subtree that turns as one body about where it joins the rest.
+
+    Attributes:
+        root: the organ that it starts with.
+        members: all its organs.
+        on_stem: it grows on a stem, around which it can go.
+        bears_fruit: its root carries fruit rather than leaves.
+    """
+
+    root: int
+    members: tuple[int, ...]
+    on_stem: bool
+    bears_fruit: bool
+
+    @property
+    def limits(self) -> Vectors:
+        """`(2,)` radians, the widest turns."""
+        return _LIMITS[self.on_stem, self.bears_fruit]
+
+    def effort(self, angles: Vectors) -> Vectors:
+        """`(k,)` how far turns by `(k, 2)` radians are from none, in weighted degrees."""
+        squared = np.square(np.degrees(angles) * _WEIGHTS[self.on_stem, self.bears_fruit])
+        return np.asarray(np.sqrt(squared.sum(axis=-1)))
+
+
+def units_of(organs: Organs, organ: int) -> list[Unit]:
+    """The units that an organ moves with, the smallest first; none for stems, cords and cuts."""
+    found = []
+    for root, above in zip([organ, *organs.ancestors(organ)], organs.ancestors(organ), strict=False):
+        kind = OrganClass(organs.organ_class[root])
+        if kind not in (*_LEAFY, *_FRUITY):
+            break
+        # A fruit does not turn within its calyx.
+        if kind == OrganClass.PEPPER and organs.mesh.instances[above].kind == "calyx":
+            continue
+        on_stem = organs.organ_class[above] == OrganClass.STEM
+        found.append(Unit(root, tuple(organs.subtree(root)), bool(on_stem), kind in _FRUITY))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """How a unit turns, as it stands: up or down about its foot, then around or aside.
+
+    Attributes:
+        foot: `(3,)` metres, where the unit starts.
+        across: `(3,)` level axis through the foot; right-handed turns lift the unit.
+        middle: `(3,)` metres, on the axis of the second turn.
+        axis: `(3,)` that axis.
+    """
+
+    foot: Vectors
+    across: Vectors
+    middle: Vectors
+    axis: Vectors
+
+    def turns(self, angles: Vectors) -> tuple[Vectors, Vectors]:
+        """Rotations `(k, 3, 3)` and shifts `(k, 3)` of turns by `(k, 2)` radians: around, up."""
+        up, around = rotations(self.across, angles[:, 1]), rotations(self.axis, angles[:, 0])
+        after_up = self.foot - up @ self.foot
+        return around @ up, np.einsum("kij,kj->ki", around, after_up - self.middle) + self.middle
+
+
+def joint(organs: Organs, unit: Unit) -> Joint:
+    """Where and how a unit turns.
+
+    What grows on a stem goes around the vertical through the middle of its node; so it keeps its inclination,
+    and its foot stays in the node. What grows on other parts turns about its foot, across its own direction.
+    """
+    foot, vertical = organs.foot(unit.root), np.array([0.0, 0.0, 1.0])
+    if unit.on_stem:
+        middle = organs.middle(int(organs.parent[unit.root]))
+        out, axis = foot - middle, vertical
+    else:
+        middle, axis = foot, vertical
+        out = organs.middle(unit.root) - foot
+    level = np.hypot(out[0], out[1])
+    across = np.array([out[1], -out[0], 0.0]) / level if level > 1e-9 else np.array([1.0, 0.0, 0.0])
+    if not unit.on_stem and np.any(out):
+        axis = np.cross(across, out)
+        axis /= np.sqrt(axis @ axis)
+    return Joint(foot, across, middle, axis)
+
+
+def rotations(axis: Vectors, angles: Vectors) -> Vectors:
+    """`(k, 3, 3)` right-handed rotations about a unit axis `(3,)` by `(k,)` radians (Rodrigues)."""
+    x, y, z = axis
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    sine, cosine = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
+    return np.asarray(np.eye(3) + sine * skew + (1.0 - cosine) * (skew @ skew))

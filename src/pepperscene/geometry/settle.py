@@ -1,0 +1,212 @@
+"""No impossible plants: what runs into a fruit or through a stem is turned where it joins the plant.
+
+Barth et al. 2018 (section 2.3) looked for such plants by hand and replaced them. Here fruit swings on its
+stalk or goes around its node, leaves turn and tilt at their joints; every part stays rigid and keeps its
+length, and of the turns that free it the smallest is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.geometry.contact import Bodies, Contacts, counted
+from pepperscene.geometry.contact_organs import Vectors
+from pepperscene.geometry.contact_search import CLEAR, Surroundings
+from pepperscene.geometry.contact_units import Unit, joint, rotations, units_of
+from pepperscene.geometry.mesh import Mesh
+from pepperscene.grammar.plant import Plant
+
+_ROUNDS: Final = 6  # chosen: hardly anything is mended later
+_TRIES: Final = 32  # chosen: poses of a unit in one try
+_BATCH: Final = 8  # poses that are looked at together
+_PARTS: Final = np.array([0.2, 0.4, 0.55, 0.7, 0.8, 0.9])  # of a turn that helps; a smaller one may do
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """One turn of a part of a plant.
+
+    Attributes:
+        instance: the organ that turns, with all that grows on it.
+        rotation: `(3, 3)`.
+        pivot: `(3,)` metres, the point that stays.
+    """
+
+    instance: int
+    rotation: NDArray[np.float64]
+    pivot: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """A mesh whose parts run into each other no longer.
+
+    Attributes:
+        mesh: the same triangles, some of them moved.
+        motions: what was turned, in order; each pivot is told in the mesh as it stood before that turn.
+        contacts: what still touches.
+    """
+
+    mesh: Mesh
+    motions: tuple[Motion, ...]
+    contacts: Contacts
+
+
+def settle(
+    mesh: Mesh, rng: np.random.Generator, *, between_plants: bool = False, rounds: int = _ROUNDS
+) -> Settled:
+    """Turn parts of plants so that fruit runs into nothing and blades do not run through stems.
+
+    Works on classes and parents of the instances alone, so for any crop. Whatever collides is tried in a
+    number of poses, and the least turn of either side that frees both is taken; leaves give way before fruit
+    does. The same mesh and state of the generator give the same mesh, bit for bit.
+
+    Args:
+        mesh: one plant or several, z up, with the ground at z = 0.
+        rng: for the poses that are tried.
+        between_plants: mend only what stands between different plants (`Instance.plant`), taking each plant
+            as settled in itself; nothing within a plant gets worse.
+        rounds: how often all that still touches is tried again, at most.
+
+    Raises:
+        ValueError: two instances of the mesh share vertices.
+    """
+    search = _Search(Bodies(mesh), rng, between_plants)
+    for number in range(rounds):
+        # Leaves give way at first; what could not, is taken as it stands.
+        if not search.round(hard=2 * number >= rounds):
+            break
+    return Settled(search.organs.turned_mesh(), tuple(search.motions), counted(search.bodies))
+
+
+def moved_plant(plant: Plant, motions: Sequence[Motion]) -> Plant:
+    """The plant whose mesh was settled, with its organs' curves and upper sides turned likewise.
+
+    Args:
+        plant: whose organ i is instance i of the mesh.
+        motions: of that mesh.
+
+    Raises:
+        ValueError: a motion's instance is no organ of the plant.
+    """
+    organs = list(plant.organs)
+    for motion in motions:
+        if not 0 <= motion.instance < len(organs):
+            raise ValueError(f"instance {motion.instance} is no organ of a plant of {len(organs)}")
+        turned = np.zeros(len(organs), dtype=bool)
+        turned[motion.instance] = True
+        # A parent stands before its children.
+        for index, organ in enumerate(organs):
+            turned[index] |= organ.parent >= 0 and turned[organ.parent]
+        for index in np.flatnonzero(turned).tolist():
+            organ = organs[index]
+            curve = (organ.curve - motion.pivot) @ motion.rotation.T + motion.pivot
+            organs[index] = replace(organ, curve=curve, up=motion.rotation @ organ.up)
+    return replace(plant, organs=tuple(organs))
+
+
+class _Search:
+    """Organs on their way to poses in which they do not touch."""
+
+    def __init__(self, bodies: Bodies, rng: np.random.Generator, between: bool) -> None:
+        self.bodies, self.organs = bodies, bodies.organs
+        self.motions: list[Motion] = []
+        self._rng, self._between = rng, between
+        self._angles: dict[int, Vectors] = {}
+
+    def round(self, *, hard: bool) -> bool:
+        """Try to part everything that touches, once; tells whether anything did."""
+        found = self._touching()
+        for organ, other in found:
+            # An earlier turn may have parted them.
+            if self._touch(organ, other):
+                self._part(organ, other, hard)
+        return bool(found)
+
+    def _touching(self) -> list[tuple[int, int]]:
+        """Fruit and what runs into it, blades and the stems that they run through."""
+        fruit, blades = self.bodies.fruit.tolist(), self.bodies.blades.tolist()
+        if not self._between:
+            self.bodies.prepare(fruit)
+        pairs = []
+        for organ, near in [(one, self.bodies.into_fruit(one)) for one in fruit] + [
+            (one, self.bodies.into_stems(one)) for one in blades
+        ]:
+            pairs += [(organ, other) for other in near.others[near.depth > -0.5 * CLEAR].tolist()]
+        if self._between:
+            pairs = [
+                (one, other) for one, other in pairs if self.organs.plant[one] != self.organs.plant[other]
+            ]
+        return pairs
+
+    def _touch(self, organ: int, other: int) -> bool:
+        near = self.bodies.into_stems(organ) if self.bodies.is_stem[other] else self.bodies.into_fruit(organ)
+        return bool(np.any(near.depth[near.others == other] > -0.5 * CLEAR))
+
+    def _part(self, organ: int, other: int, hard: bool) -> None:
+        """Turn whichever unit gains most by it."""
+        best: tuple[float, Unit, Vectors] | None = None
+        for unit in (*units_of(self.organs, other), *units_of(self.organs, organ)):
+            if organ in unit.members and other in unit.members:
+                continue
+            gain, angles = self._tried(unit, hard)
+            if gain > (best[0] if best else 0.0):
+                best = gain, unit, angles
+        if best:
+            self._turn(best[1], best[2])
+
+    def _tried(self, unit: Unit, hard: bool) -> tuple[float, Vectors]:
+        """How much the best turn of a unit gains, and the angles that it stands at then."""
+        spent = self._angles.get(unit.root, np.zeros(2))
+        angles = np.concatenate([spent[None], unit.limits * _disc(_TRIES, self._rng)])
+        if unit.on_stem and unit.bears_fruit:
+            # Lifted only: hanging lower would break the stalk.
+            angles[1:, 1] = np.abs(angles[1:, 1])
+        way = joint(self.organs, unit)
+        turns = way.turns(angles - spent)
+        around = Surroundings(self.bodies, unit, turns, hard=hard, between=self._between)
+        now = float(around.cost(turns[0][:1], turns[1][:1])[0] + unit.effort(angles[:1])[0])
+        # The least turn first; no later one is better than its effort.
+        effort = unit.effort(angles)
+        order = 1 + np.argsort(effort[1:], kind="stable")
+        least, chosen = now, 0
+        for first in range(0, len(order), _BATCH):
+            some = order[first : first + _BATCH]
+            if effort[some[0]] >= least:
+                break
+            cost = effort[some] + around.cost(turns[0][some], turns[1][some])
+            if cost.min() < least:
+                least, chosen = float(cost.min()), int(some[np.argmin(cost)])
+        if chosen == 0:
+            return 0.0, spent
+        # Part of the turn may do.
+        parts = spent + _PARTS[:, None] * (angles[chosen] - spent)
+        rotation, shift = way.turns(parts - spent)
+        cost = unit.effort(parts) + around.cost(rotation, shift)
+        if cost.min() < least:
+            return now - float(cost.min()), parts[np.argmin(cost)]
+        return now - least, angles[chosen]
+
+    def _turn(self, unit: Unit, angles: Vectors) -> None:
+        """Turn a unit to some angles."""
+        spent = self._angles.get(unit.root, np.zeros(2))
+        way = joint(self.organs, unit)
+        around, up = angles - spent
+        for axis, angle, pivot in ((way.across, up, way.foot), (way.axis, around, way.middle)):
+            rotation = rotations(axis, np.array([angle]))[0]
+            self.motions.append(Motion(unit.root, rotation, pivot))
+        rotation, shift = (part[0] for part in way.turns(angles[None] - spent))
+        self.organs.turn(unit.members, rotation, shift)
+        self._angles[unit.root] = angles
+
+
+def _disc(count: int, rng: np.random.Generator) -> Vectors:
+    """`(count, 2)` points evenly over the unit disc, from its middle outwards, turned by a random angle."""
+    step = np.arange(count) + 0.5
+    angle = rng.uniform(0.0, 2.0 * np.pi) + np.pi * (3.0 - np.sqrt(5.0)) * step
+    return np.asarray(np.sqrt(step / count)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
