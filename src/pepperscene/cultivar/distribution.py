@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Final, Literal, overload
 
@@ -98,10 +99,10 @@ class Distribution(Origin):
             values = first.quantiles(share, place)
             return values + weight * (last.quantiles(share, place) - values)
         if self.law == "histogram":
-            starts, lows, highs, weights = self._ladder
-            step = np.searchsorted(starts, share, side="right") - 1
-            inside = np.minimum((share - starts[step]) / weights[step], 1.0)
-            return lows[step] + inside * (highs[step] - lows[step])
+            ladder = self._ladder
+            step = np.searchsorted(ladder.starts, share, side="right") - 1
+            inside = np.minimum((share - ladder.starts[step]) / ladder.weights[step], 1.0)
+            return ladder.lows[step] + inside * (ladder.highs[step] - ladder.lows[step])
         if self.law == "curve":
             if place is None:
                 raise ValueError("a curve along the stem has no values without places")
@@ -118,11 +119,24 @@ class Distribution(Origin):
         return mean, sd, _cumulated((self.low - mean) / sd), _cumulated((self.high - mean) / sd)
 
     @cached_property
-    def _ladder(self) -> tuple[FloatArray, ...]:
-        """Of the bins that can occur: cumulated probability at the start, ends, probability."""
-        taken = [row for row in self.bins if row[2] > 0]
-        lows, highs, weights = (np.array(column) for column in zip(*taken, strict=True))
-        return np.concatenate(([0.0], np.cumsum(weights)[:-1])), lows, highs, weights
+    def _ladder(self) -> _Ladder:
+        lows, highs, weights = (np.array(column) for column in zip(*self.bins, strict=True))
+        taken = weights > 0
+        starts = np.concatenate(([0.0], np.cumsum(weights[taken])[:-1]))
+        return _Ladder(starts, lows[taken], highs[taken], weights[taken])
+
+
+@dataclass(frozen=True, eq=False)
+class _Ladder:
+    """Of a histogram's bins that can occur: cumulated probability at the start, ends, probability.
+
+    An object without an equality of its own, so that laws are compared by what they say.
+    """
+
+    starts: FloatArray
+    lows: FloatArray
+    highs: FloatArray
+    weights: FloatArray
 
 
 def _cumulated(z: float) -> float:
