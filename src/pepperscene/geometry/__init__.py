@@ -1,15 +1,28 @@
 """Organs to triangles: tubes, leaf blades, fruit; a plant as one mesh with class and instance per face."""
 
+from pepperscene.geometry.contact import Contacts, contacts
+from pepperscene.geometry.export import check_format, mesh_files, organ_names, write_mesh
 from pepperscene.geometry.mesh import Mesh, concatenate
 from pepperscene.geometry.plant_mesh import mesh_plant
+from pepperscene.geometry.settle import Motion, Settled, moved_plant, settle
 from pepperscene.geometry.single import rectangle, sphere
 from pepperscene.geometry.twine import twine
 
 __all__ = [
+    "Contacts",
     "Mesh",
+    "Motion",
+    "Settled",
+    "check_format",
     "concatenate",
+    "contacts",
+    "mesh_files",
     "mesh_plant",
+    "moved_plant",
+    "organ_names",
     "rectangle",
+    "settle",
     "sphere",
     "twine",
+    "write_mesh",
 ]

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.geometry.body import Bodies, fineness
-from pepperscene.geometry.fruit import Crowns, Frames, axes_about
+from pepperscene.geometry.fruit import Frames, axes_about
+from pepperscene.geometry.fruit_crown import Crowns
 from pepperscene.geometry.fruit_shell import shells
 from pepperscene.geometry.measures import measure, size
 from pepperscene.geometry.noise import hashed, signed

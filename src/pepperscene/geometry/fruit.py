@@ -1,4 +1,4 @@
-"""Fruit that hang from their stalks, and the side of them that a calyx lies on."""
+"""Fruit that hang from their stalks, modelled or scanned."""
 
 from __future__ import annotations
 
@@ -10,20 +10,14 @@ from numpy.typing import NDArray
 
 from pepperscene.geometry.body import Bodies
 from pepperscene.geometry.fruit_shell import shells
-from pepperscene.geometry.measures import measure
+from pepperscene.geometry.measures import measure, size
 from pepperscene.geometry.noise import hashed, smooth_field
 from pepperscene.geometry.pericarp import Pericarps
+from pepperscene.geometry.scan import Scan
 from pepperscene.geometry.spine import unit
 from pepperscene.grammar.plant import Organ
 
 FloatArray = NDArray[np.float64]
-
-_CROWN_STEPS = 14  # chosen: heights of a crown are a few tenths of a millimetre right between them
-_CROWN_COLUMNS = 40  # chosen: as many as a fruit has columns
-_CROWN = (
-    0.92  # part of the widest radius that a crown tells; chosen: beyond it the wall turns down too steeply
-)
-_STEEPEST = 1.2  # chosen: how steeply a sepal that is longer than its fruit is wide goes on downwards
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,43 +35,6 @@ class Frames:
     def placed(self, points: FloatArray) -> FloatArray:
         """`(n, q, 3)` points `(n, q, 3)` that are given as metres up, to the right and along."""
         return points @ self.axes + self.foot[:, None]
-
-
-@dataclass(frozen=True, eq=False)
-class Crowns:
-    """The sides of n fruit that face their stalks, as heights over the plane across each stalk's foot.
-
-    Attributes:
-        reach: `(n, c)` metres from the axis that the heights go, at c equal angles from the upper side.
-        along: `(n, q, c)` metres towards the blossom end, at q equal steps of the radius from 0 to the reach.
-    """
-
-    reach: FloatArray
-    along: FloatArray
-
-    def height(self, which: NDArray[np.intp], radius: FloatArray, angle: FloatArray) -> FloatArray:
-        """`(m, q, c)` metres along the axis of the fruit's surface; beyond the reach it goes straight on.
-
-        Args:
-            which: `(m,)` fruit.
-            radius: `(m, q, c)` metres from the axis.
-            angle: `(m, c)` radians from the upper side.
-        """
-        steps, columns = self.along.shape[1] - 1, self.along.shape[2]
-        column = np.mod(angle / (2.0 * np.pi), 1.0) * columns
-        left = np.floor(column).astype(np.intp) % columns
-        share = (column - np.floor(column))[:, None]
-        sides = []
-        for side in (left, (left + 1) % columns):
-            position = radius * (steps / self.reach[which[:, None], side])[:, None]
-            index = np.clip(position.astype(np.intp), 0, steps - 1)
-            low = self.along[which[:, None, None], index, side[:, None]]
-            rise = self.along[which[:, None, None], index + 1, side[:, None]] - low
-            limit = _STEEPEST * self.reach[which[:, None], side][:, None] / steps
-            part = position - index
-            beyond = np.clip(part - 1.0, 0.0, None)
-            sides.append(low + np.minimum(part, 1.0) * rise + beyond * np.clip(rise, -limit, limit))
-        return sides[0] + share * (sides[1] - sides[0])
 
 
 def frames(organs: Sequence[Organ]) -> Frames:
@@ -139,28 +96,20 @@ def ripeness(organs: Sequence[Organ], points: FloatArray) -> FloatArray:
     return mean[:, None] + spread[:, None] * field
 
 
-def crowns(walls: Pericarps) -> Crowns:
-    """The stalk sides of fruit, out of their walls."""
-    n, _, columns = walls.radius.shape
-    turn = np.arange(_CROWN_COLUMNS) * columns / _CROWN_COLUMNS
-    left = np.floor(turn).astype(np.intp)
-    share = turn - left
-    radius, along = (
-        np.pad(
-            part[:, :, left] * (1.0 - share) + part[:, :, (left + 1) % columns] * share,
-            ((0, 0), (1, 0), (0, 0)),
-        )
-        for part in (walls.radius, walls.along)
+def scanned_fruits(organs: Sequence[Organ], scan: Scan) -> Bodies:
+    """Fruit that all wear one scan, each stretched to its own length and diameter.
+
+    Measures: length_m (along the axis), diameter_m, ripeness, ripeness_spread, seed.
+    """
+    length, diameter = size(organs, "length_m"), size(organs, "diameter_m")
+    stretch = np.stack([diameter, diameter, length], axis=1)[:, None]
+    hung = frames(organs)
+    local = scan.points * stretch
+    return Bodies(
+        hung.placed(local),
+        # Normals go with the inverse of what stretches the points.
+        unit(scan.normals / stretch) @ hung.axes,
+        np.broadcast_to(scan.uv, (len(organs), *scan.uv.shape)),
+        np.clip(ripeness(organs, local / (0.5 * diameter)[:, None, None]), 0.0, 1.0),
+        scan.faces,
     )
-    # Each column's wall rises outwards from the axis to the widest ring.
-    rings = np.arange(radius.shape[1])[None, :, None]
-    inner = rings <= 1 + walls.widest[:, None, None]
-    reach = _CROWN * np.max(np.where(inner, radius, 0.0), axis=1)
-    at = reach[:, None] * (np.arange(_CROWN_STEPS + 1) / _CROWN_STEPS)[None, :, None]
-    knots = np.where(inner, radius, np.inf)
-    index = np.clip((knots[:, None] <= at[:, :, None]).sum(axis=2) - 1, 0, None)
-    row, column = np.arange(n)[:, None, None], np.arange(_CROWN_COLUMNS)
-    start, stop = radius[row, index, column], radius[row, index + 1, column]
-    part = (at - start) / (stop - start)
-    low, high = along[row, index, column], along[row, index + 1, column]
-    return Crowns(reach, low + part * (high - low))

@@ -12,10 +12,12 @@ from pepperscene.classes import Instance
 from pepperscene.cultivar.forms import Form
 from pepperscene.geometry.body import Bodies
 from pepperscene.geometry.calyx import calyces
-from pepperscene.geometry.fruit import crowns, frames, fruits
+from pepperscene.geometry.fruit import frames, fruits, scanned_fruits
+from pepperscene.geometry.fruit_crown import crowns, joined, scanned_crowns
 from pepperscene.geometry.lamina import laminae
 from pepperscene.geometry.mesh import Mesh
 from pepperscene.geometry.pericarp import pericarps
+from pepperscene.geometry.scan import load_scan
 from pepperscene.geometry.tube import cuts, internodes, nodes, peduncles, stalks
 from pepperscene.grammar.plant import Organ, Plant
 
@@ -44,6 +46,7 @@ def mesh_plant(plant: Plant, detail: float = 1.0) -> Mesh:
     Raises:
         ValueError: detail is not above zero, the plant is empty, an organ lacks a measure or its kind is
             not among the plant's.
+        InputError: a scanned fruit's file is missing or not one closed body.
     """
     if not detail > 0.0 or not np.isfinite(detail):
         raise ValueError(f"detail must be above zero, not {detail}")
@@ -111,10 +114,22 @@ def _fruit_parts(plant: Plant, detail: float) -> list[Part]:
     parts: list[Part] = []
     seats = None
     if fruit.size:
-        organs = [plant.organs[index] for index in fruit]
-        walls = pericarps(organs, detail)
-        parts.append((fruit, fruits(organs, walls)))
-        seats = frames(organs), crowns(walls)
+        # The modelled ones share a grid, and so do those that wear the same scan.
+        worn = [plant.kinds[plant.organs[index].kind].scan for index in fruit]
+        groups = [np.array([n for n, path in enumerate(worn) if path == one]) for one in dict.fromkeys(worn)]
+        faced = []
+        for group in groups:
+            organs, path = [plant.organs[index] for index in fruit[group]], worn[group[0]]
+            if path is None:
+                walls = pericarps(organs, detail)
+                parts.append((fruit[group], fruits(organs, walls)))
+                faced.append(crowns(walls))
+            else:
+                scan = load_scan(path)
+                parts.append((fruit[group], scanned_fruits(organs, scan)))
+                faced.append(scanned_crowns(organs, scan))
+        order = np.argsort(np.concatenate(groups))
+        seats = frames([plant.organs[index] for index in fruit]), joined(faced, order)
     if calyx.size:
         organs = [plant.organs[index] for index in calyx]
         # The fruit grows out of the calyx, or out of the same fruit stalk.
