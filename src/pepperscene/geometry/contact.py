@@ -9,9 +9,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import OrganClass
 from pepperscene.geometry.contact_fruit import Wall, walls
-from pepperscene.geometry.contact_organs import Indices, Organs, Points, Vectors
+from pepperscene.geometry.contact_organs import (
+    CORD,
+    FRUIT,
+    LEAF,
+    STALK,
+    STEM,
+    Indices,
+    Organs,
+    Points,
+    Vectors,
+)
 from pepperscene.geometry.contact_stems import Capsules, capsules
 from pepperscene.geometry.mesh import Mesh
 
@@ -54,13 +63,15 @@ class Bodies:
 
     Args:
         mesh: one plant or several.
+        between_plants: look only at what touches organs of other plants.
     """
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: Mesh, *, between_plants: bool = False) -> None:
         self.organs = Organs(mesh)
-        self.fruit = self.organs.of_class(OrganClass.PEPPER)
-        self.blades = self.organs.of_class(OrganClass.LEAF)
-        self.is_stem = np.isin(self.organs.organ_class, [int(OrganClass.STEM), int(OrganClass.WIRE)])
+        self.between_plants = between_plants
+        self.fruit = self.organs.of_class(FRUIT)
+        self.blades = self.organs.of_class(LEAF)
+        self.is_stem = np.isin(self.organs.organ_class, [STEM, CORD])
         self._walls: dict[int, Wall] = {}
         self._capsules: dict[int, Capsules] = {}
         self._own: dict[int, frozenset[int]] = {}
@@ -73,7 +84,8 @@ class Bodies:
 
     def wall(self, fruit: int) -> Wall:
         """The wall of a fruit, made when first asked for."""
-        self.prepare([fruit])
+        if fruit not in self._walls:
+            self.prepare([fruit])
         return self._walls[fruit]
 
     def capsules(self, tube: int) -> Capsules:
@@ -86,8 +98,8 @@ class Bodies:
         """What an organ may touch: a fruit its calyx and the stalks that carry it, any other its parent."""
         if organ not in self._own:
             above = self.organs.ancestors(organ)
-            if self.organs.organ_class[organ] == OrganClass.PEPPER:
-                stalk = [self.organs.organ_class[one] == OrganClass.PEDUNCLE for one in above]
+            if self.organs.organ_class[organ] == FRUIT:
+                stalk = [self.organs.organ_class[one] == STALK for one in above]
                 above = above[: stalk.index(False) if False in stalk else None]
             else:
                 above = above[:1]
@@ -100,17 +112,13 @@ class Bodies:
         own = self.own(organ)
         return [one for one in near if one not in own]
 
-    def into_fruit(self, fruit: int) -> Near:
-        """What comes close to a fruit, and how far it reaches in."""
-        organs = self.organs
-        others = self.around(fruit, organs.low[fruit], organs.high[fruit])
-        return self._looked_up(fruit, others, self._into_fruit)
+    def into_fruit(self, fruit: list[int]) -> dict[int, Near]:
+        """What comes close to some fruit, and how far it reaches in; nothing for those that stand free."""
+        return self._measured(fruit, self.organs.solid, self._into_fruit, self.prepare)
 
-    def into_stems(self, blade: int) -> Near:
-        """The stems and cords that come close to a blade, and how far it reaches in."""
-        organs = self.organs
-        others = self.around(blade, organs.low[blade], organs.high[blade])
-        return self._looked_up(blade, [one for one in others if self.is_stem[one]], self._into_stems)
+    def into_stems(self, blades: list[int]) -> dict[int, Near]:
+        """The stems and cords that come close to some blades, and how far these reach in."""
+        return self._measured(blades, self.is_stem, self._into_stems, lambda near: None)
 
     def depths(
         self, fruit: int, points: Points, starts: Indices, rotation: Vectors, shift: Vectors
@@ -155,16 +163,35 @@ class Bodies:
         found[some] = np.maximum.reduceat(depth.reshape(len(kept), -1), first[some], axis=0)
         return found
 
-    def _looked_up(self, organ: int, others: list[int], measured: Callable[[int, list[int]], Points]) -> Near:
-        """What is known of an organ's neighbours, measured anew if it or one of them has turned since."""
-        stamp = self.organs.stamp
-        known = self._known.get(organ)
-        newest = int(max(stamp[organ], stamp[others].max(initial=0)))
-        if known is not None and known[0] >= newest and np.array_equal(known[1].others, others):
-            return known[1]
-        near = Near(np.array(others, dtype=np.intp), measured(organ, others))
-        self._known[organ] = (newest, near)
-        return near
+    def _measured(
+        self,
+        organs: list[int],
+        others: NDArray[np.bool_],
+        measure: Callable[[int, list[int]], Points],
+        prepare: Callable[[list[int]], None],
+    ) -> dict[int, Near]:
+        """What is known of organs' neighbours, measured anew where one has turned since."""
+        low, high, stamp = self.organs.low[organs], self.organs.high[organs], self.organs.stamp
+        meet = self.organs.in_box(low, high, NEAR) & others
+        if self.between_plants:
+            meet &= self.organs.plant[organs][:, None] != self.organs.plant
+        number, other = np.nonzero(meet)
+        first = np.searchsorted(number, np.arange(len(organs) + 1))
+        places = np.flatnonzero(np.diff(first)).tolist()
+        prepare([organs[place] for place in places])
+        found = {}
+        for place in places:
+            organ, own = organs[place], self.own(organs[place])
+            near = [one for one in other[first[place] : first[place + 1]].tolist() if one not in own]
+            if not near:
+                continue
+            newest = int(max(stamp[organ], stamp[near].max()))
+            known = self._known.get(organ)
+            if known is None or known[0] < newest or not np.array_equal(known[1].others, near):
+                known = newest, Near(np.array(near, dtype=np.intp), measure(organ, near))
+                self._known[organ] = known
+            found[organ] = known[1]
+        return found
 
     def _into_fruit(self, fruit: int, others: list[int]) -> NDArray[np.float32]:
         points, starts = self.organs.points(others)
@@ -191,12 +218,10 @@ def contacts(mesh: Mesh) -> Contacts:
 
 def counted(bodies: Bodies) -> Contacts:
     """Count which organs run into others, as they stand now."""
-    fruit = bodies.fruit.tolist()
-    bodies.prepare(fruit)
+    fruit, blades = bodies.fruit.tolist(), bodies.blades.tolist()
     touching: set[int] = set()
-    for one in fruit:
-        near = bodies.into_fruit(one)
+    for one, near in bodies.into_fruit(fruit).items():
         into = near.others[near.depth > 0.0].tolist()
         touching.update([one, *into] if into else [])
-    through = sum(bool(np.any(bodies.into_stems(one).depth > 0.0)) for one in bodies.blades.tolist())
-    return Contacts(len(fruit), len(touching.intersection(fruit)), len(bodies.blades), through)
+    through = sum(bool(np.any(near.depth > 0.0)) for near in bodies.into_stems(blades).values())
+    return Contacts(len(fruit), len(touching.intersection(fruit)), len(blades), through)

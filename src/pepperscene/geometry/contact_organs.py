@@ -17,6 +17,15 @@ Vectors = NDArray[np.float64]
 Points = NDArray[np.float32]
 Indices = NDArray[np.intp]
 
+# As plain numbers: members of an enumeration are slow to look up.
+LEAF, FRUIT, STALK, STEM, SHOOT, CORD = (
+    int(item)
+    for item in (
+        OrganClass.LEAF, OrganClass.PEPPER, OrganClass.PEDUNCLE, OrganClass.STEM, OrganClass.SHOOT,
+        OrganClass.WIRE,
+    )
+)  # fmt: skip
+
 
 class Organs:
     """The instances of a mesh, each a rigid body that stands where its turns so far have brought it.
@@ -56,9 +65,9 @@ class Organs:
     def __len__(self) -> int:
         return len(self.parent)
 
-    def of_class(self, *classes: OrganClass) -> Indices:
+    def of_class(self, *classes: int) -> Indices:
         """Indices of the bodies of some classes."""
-        return np.flatnonzero(np.isin(self.organ_class, [int(item) for item in classes]) & self.solid)
+        return np.flatnonzero(np.isin(self.organ_class, classes) & self.solid)
 
     def in_box(self, low: Vectors, high: Vectors, margin: float = 0.0) -> NDArray[np.bool_]:
         """`(..., n)` which bodies' boxes come nearer to a box than `margin` metres along every axis.

@@ -9,9 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import OrganClass
 from pepperscene.geometry.contact import NEAR, Bodies
-from pepperscene.geometry.contact_organs import Vectors
+from pepperscene.geometry.contact_organs import FRUIT, LEAF, SHOOT, Vectors
 from pepperscene.geometry.contact_stems import Capsules, joined
 from pepperscene.geometry.contact_units import Unit
 
@@ -52,48 +51,49 @@ class Obstacle:
 
 
 class Surroundings:
-    """What a unit may run into on the ways that it can turn.
+    """What a unit may run into when it turns.
+
+    Where bodies are looked at between plants, the unit may come as near to organs of its own plant as it is.
 
     Args:
         bodies: the organs as they stand.
         unit: what turns.
-        turns: all turns in question, `(k, 3, 3)` and `(k, 3)`.
         hard: everything stays where it is; else leaves give way to fruit.
-        between: only what stands between plants is to be mended: within a plant nothing may get worse.
     """
 
-    def __init__(
-        self, bodies: Bodies, unit: Unit, turns: tuple[Vectors, Vectors], *, hard: bool, between: bool
-    ) -> None:
+    def __init__(self, bodies: Bodies, unit: Unit, *, hard: bool) -> None:
         self._bodies, self._organs = bodies, bodies.organs
-        self._hard, self._between = hard, between
+        self._hard = hard
         self._members = np.array(unit.members)
         self._inside = np.zeros(len(self._organs), dtype=bool)
         self._inside[self._members] = True
-        self._low, self._high = self._swept(turns)
-        self.obstacles = [*self._of_own_fruit(), *self._other_fruit(), *self._stems(), *self._ground()]
 
-    def cost(self, rotation: Vectors, shift: Vectors) -> Vectors:
-        """`(k,)` cost of what the unit runs into after some turns."""
-        found = np.zeros(len(rotation))
-        for obstacle in self.obstacles:
-            found += obstacle.cost(rotation, shift)
-        return found
+    def pair(self, organ: int, other: int) -> Obstacle:
+        """One organ as an obstacle to another: a fruit and what runs into it, a blade and a stem.
 
-    def _swept(self, turns: tuple[Vectors, Vectors]) -> tuple[Vectors, Vectors]:
-        """The corners of the box around all that each member sweeps, `(m, 3)` and `(m, 3)`."""
-        rotation, shift = turns
+        Args:
+            organ: the fruit or the blade; of the unit, or else the other is.
+            other: what touches it.
+        """
+        if self._organs.organ_class[organ] != FRUIT:
+            return self._stem_met(organ, [(other, self._bodies.capsules(other))])
+        return self._fruit_moved(organ, [other]) if self._inside[organ] else self._fruit_met(organ, [other])
+
+    def obstacles(self, rotation: Vectors, shift: Vectors) -> list[Obstacle]:
+        """All that the unit may run into on the ways of some turns, `(k, 3, 3)` and `(k, 3)`."""
+        # The boxes around all that each member sweeps.
         middle = 0.5 * (self._organs.low + self._organs.high)[self._members]
         half = 0.5 * (self._organs.high - self._organs.low)[self._members]
-        gone = np.einsum("kij,mj->kmi", rotation, middle) + shift[:, None]
-        reach = np.einsum("kij,mj->kmi", np.abs(rotation), half)
-        return (gone - reach).min(axis=0), (gone + reach).max(axis=0)
+        gone = np.matmul(middle, rotation.transpose(0, 2, 1)) + shift[:, None]
+        reach = np.matmul(half, np.abs(rotation).transpose(0, 2, 1))
+        self._low, self._high = (gone - reach).min(axis=0), (gone + reach).max(axis=0)
+        return [*self._of_own_fruit(), *self._other_fruit(), *self._stems(), *self._ground()]
 
     def _of_own_fruit(self) -> list[Obstacle]:
         """What the unit's own fruit may run into: everything."""
         found = []
         for place, fruit in enumerate(self._members.tolist()):
-            if self._organs.organ_class[fruit] != OrganClass.PEPPER or not self._organs.solid[fruit]:
+            if self._organs.organ_class[fruit] != FRUIT or not self._organs.solid[fruit]:
                 continue
             others = self._bodies.around(fruit, self._low[place], self._high[place])
             others = [one for one in others if not self._inside[one]]
@@ -110,7 +110,7 @@ class Surroundings:
             return self._bodies.depths(fruit, points, starts, back, -np.einsum("kij,kj->ki", back, shift))
 
         kinds = self._organs.organ_class[others]
-        gives_way = np.isin(kinds, [int(OrganClass.LEAF), int(OrganClass.SHOOT)]) & (not self._hard)
+        gives_way = np.isin(kinds, [LEAF, SHOOT]) & (not self._hard)
         return self._obstacle(depths, np.where(gives_way, _SOFT, _HARD), fruit, np.array(others))
 
     def _other_fruit(self) -> list[Obstacle]:
@@ -118,12 +118,12 @@ class Surroundings:
         found = []
         low, high = self._low.min(axis=0), self._high.max(axis=0)
         for fruit in np.flatnonzero(self._organs.in_box(low, high, NEAR)).tolist():
-            if self._organs.organ_class[fruit] != OrganClass.PEPPER or self._inside[fruit]:
+            if self._organs.organ_class[fruit] != FRUIT or self._inside[fruit]:
                 continue
             meets = np.all(self._low < self._organs.high[fruit] + NEAR, axis=1)
             meets &= np.all(self._high > self._organs.low[fruit] - NEAR, axis=1)
             meets &= self._organs.solid[self._members]
-            meets &= self._organs.organ_class[self._members] != OrganClass.PEPPER
+            meets &= self._organs.organ_class[self._members] != FRUIT
             own = self._bodies.own(fruit)
             movers = [one for one in self._members[meets].tolist() if one not in own]
             if movers:
@@ -142,7 +142,7 @@ class Surroundings:
         """Stems and cords that the unit's blades may run through."""
         found = []
         for place, blade in enumerate(self._members.tolist()):
-            if self._organs.organ_class[blade] != OrganClass.LEAF or not self._organs.solid[blade]:
+            if self._organs.organ_class[blade] != LEAF or not self._organs.solid[blade]:
                 continue
             low, high = self._low[place], self._high[place]
             stems = [one for one in self._bodies.around(blade, low, high) if self._bodies.is_stem[one]]
@@ -157,11 +157,17 @@ class Surroundings:
         chain = joined([part for _, part in parts])
         first = np.cumsum([0, *(len(part.start) for _, part in parts[:-1])])
 
+        low, high = chain.box()
+
         def depths(rotation: Vectors, shift: Vectors) -> NDArray[np.float32]:
-            found = np.empty((len(first), len(rotation)), dtype=np.float32)
-            for way, (turn, moved) in enumerate(zip(rotation, shift, strict=True)):
-                deepest = chain.depth((points @ turn.T + moved).astype(np.float32)).max(axis=0)
-                found[:, way] = np.maximum.reduceat(deepest, first)
+            found = np.full((len(first), len(rotation)), -np.inf, dtype=np.float32)
+            moved = np.matmul(points, rotation.transpose(0, 2, 1).astype(np.float32))
+            moved += shift[:, None].astype(np.float32)
+            # Most of a blade is not near a stem.
+            way, near = np.nonzero(np.all((moved > low) & (moved < high), axis=2))
+            if len(way):
+                deep = np.maximum.reduceat(chain.depth(moved[way, near]), first, axis=1)
+                np.maximum.at(found.T, way, deep)
             return found
 
         stems = np.array([one for one, _ in parts])
@@ -183,7 +189,7 @@ class Surroundings:
     def _obstacle(self, depths: Depths, weight: Vectors, organ: int, others: NDArray[np.intp]) -> Obstacle:
         allowed = np.full(len(others), -CLEAR)
         within = self._organs.plant[others] == self._organs.plant[organ]
-        if self._between and np.any(within):
+        if self._bodies.between_plants and np.any(within):
             now = depths(np.eye(3)[None], np.zeros((1, 3)))[:, 0]
             allowed = np.where(within, np.maximum(now, allowed), allowed)
         return Obstacle(depths, weight, allowed)

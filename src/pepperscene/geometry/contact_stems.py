@@ -24,6 +24,12 @@ class Capsules:
     span: Vectors
     radius: NDArray[np.float64]
 
+    def box(self) -> tuple[Points, Points]:
+        """The corners `(3,)` and `(3,)` of the box around all of them."""
+        end, wide = self.start + self.span, self.radius[:, None]
+        low, high = np.minimum(self.start, end) - wide, np.maximum(self.start, end) + wide
+        return low.min(axis=0).astype(np.float32), high.max(axis=0).astype(np.float32)
+
     def near(self, low: Vectors, high: Vectors) -> Capsules:
         """Those whose boxes meet a box with the corners `(3,)` and `(3,)`."""
         end, wide = self.start + self.span, self.radius[:, None]
@@ -57,6 +63,8 @@ def capsules(organs: Organs, tube: int) -> Capsules:
     np.maximum.at(radius, ring, np.linalg.norm(vertices - centre[ring], axis=1))
     if len(place) < 2:
         centre, radius = centre.repeat(2, axis=0), radius.repeat(2)
+    kept = _needed(np.concatenate([centre, radius[:, None]], axis=1))
+    centre, radius = centre[kept], radius[kept]
     return Capsules(centre[:-1], np.diff(centre, axis=0), np.maximum(radius[:-1], radius[1:]))
 
 
@@ -67,3 +75,19 @@ def joined(parts: list[Capsules]) -> Capsules:
         np.concatenate([part.span for part in parts]),
         np.concatenate([part.radius for part in parts]),
     )
+
+
+def _needed(line: Vectors, tolerance: float = 2e-4) -> list[int]:
+    """Points of a line `(k, d)` that a line through only these stays near: Douglas & Peucker 1973."""
+    kept, left = [0], [(0, len(line) - 1)]
+    while left:
+        first, last = left.pop()
+        span, off = line[last] - line[first], line[first + 1 : last] - line[first]
+        along = np.clip(off @ span / max(float(span @ span), 1e-18), 0.0, 1.0)
+        apart = np.square(off - along[:, None] * span).sum(axis=1)
+        if last - first > 1 and apart.max() > tolerance**2:
+            worst = first + 1 + int(apart.argmax())
+            left += [(worst, last), (first, worst)]
+        else:
+            kept.append(last)
+    return sorted(kept)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
-from pepperscene.classes import OrganClass
-from pepperscene.geometry.contact_organs import Organs, Vectors
+from pepperscene.geometry.contact_organs import FRUIT, LEAF, SHOOT, STALK, STEM, Organs, Vectors
 
-_LEAFY: Final = (OrganClass.LEAF, OrganClass.SHOOT)
-_FRUITY: Final = (OrganClass.PEPPER, OrganClass.PEDUNCLE)
 # Widest turns, radians, chosen so that parts still grow as they do: on a stem around it, elsewhere aside; and
 # up or down. By (grows on a stem, bears fruit).
 _LIMITS: Final = {
@@ -59,15 +57,15 @@ class Unit:
 def units_of(organs: Organs, organ: int) -> list[Unit]:
     """The units that an organ moves with, the smallest first; none for stems, cords and cuts."""
     found = []
-    for root, above in zip([organ, *organs.ancestors(organ)], organs.ancestors(organ), strict=False):
-        kind = OrganClass(organs.organ_class[root])
-        if kind not in (*_LEAFY, *_FRUITY):
+    for root, above in pairwise([organ, *organs.ancestors(organ)]):
+        kind = organs.organ_class[root]
+        if kind not in (LEAF, SHOOT, FRUIT, STALK):
             break
         # A fruit does not turn within its calyx.
-        if kind == OrganClass.PEPPER and organs.mesh.instances[above].kind == "calyx":
+        if kind == FRUIT and organs.mesh.instances[above].kind == "calyx":
             continue
-        on_stem = organs.organ_class[above] == OrganClass.STEM
-        found.append(Unit(root, tuple(organs.subtree(root)), bool(on_stem), kind in _FRUITY))
+        on_stem = bool(organs.organ_class[above] == STEM)
+        found.append(Unit(root, tuple(organs.subtree(root)), on_stem, kind in (FRUIT, STALK)))
     return found
 
 

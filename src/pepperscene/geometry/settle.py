@@ -14,17 +14,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.contact import Bodies, Contacts, counted
-from pepperscene.geometry.contact_organs import Vectors
-from pepperscene.geometry.contact_search import CLEAR, Surroundings
+from pepperscene.geometry.contact import Bodies, Contacts, Near, counted
+from pepperscene.geometry.contact_organs import FRUIT, Vectors
+from pepperscene.geometry.contact_search import CLEAR, Obstacle, Surroundings
 from pepperscene.geometry.contact_units import Unit, joint, rotations, units_of
 from pepperscene.geometry.mesh import Mesh
 from pepperscene.grammar.plant import Plant
 
 _ROUNDS: Final = 6  # chosen: hardly anything is mended later
-_TRIES: Final = 32  # chosen: poses of a unit in one try
-_BATCH: Final = 8  # poses that are looked at together
-_PARTS: Final = np.array([0.2, 0.4, 0.55, 0.7, 0.8, 0.9])  # of a turn that helps; a smaller one may do
+_POSES: Final = 40  # chosen: poses that a unit might take
+_TRIES: Final = 10  # chosen: those that are looked at all around
+_SMALL: Final = 15.0  # weighted degrees, chosen: a turn that is taken without asking what else could turn
+_PARTS: Final = np.array([0.2, 0.4, 0.55, 0.7, 0.8, 0.9, 1.0])  # of a turn that helps; a smaller one may do
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +77,7 @@ def settle(
     Raises:
         ValueError: two instances of the mesh share vertices.
     """
-    search = _Search(Bodies(mesh), rng, between_plants)
+    search = _Search(Bodies(mesh, between_plants=between_plants), rng)
     for number in range(rounds):
         # Leaves give way at first; what could not, is taken as it stands.
         if not search.round(hard=2 * number >= rounds):
@@ -113,10 +114,10 @@ def moved_plant(plant: Plant, motions: Sequence[Motion]) -> Plant:
 class _Search:
     """Organs on their way to poses in which they do not touch."""
 
-    def __init__(self, bodies: Bodies, rng: np.random.Generator, between: bool) -> None:
+    def __init__(self, bodies: Bodies, rng: np.random.Generator) -> None:
         self.bodies, self.organs = bodies, bodies.organs
         self.motions: list[Motion] = []
-        self._rng, self._between = rng, between
+        self._rng = rng
         self._angles: dict[int, Vectors] = {}
 
     def round(self, *, hard: bool) -> bool:
@@ -130,67 +131,57 @@ class _Search:
 
     def _touching(self) -> list[tuple[int, int]]:
         """Fruit and what runs into it, blades and the stems that they run through."""
-        fruit, blades = self.bodies.fruit.tolist(), self.bodies.blades.tolist()
-        if not self._between:
-            self.bodies.prepare(fruit)
-        pairs = []
-        for organ, near in [(one, self.bodies.into_fruit(one)) for one in fruit] + [
-            (one, self.bodies.into_stems(one)) for one in blades
-        ]:
-            pairs += [(organ, other) for other in near.others[near.depth > -0.5 * CLEAR].tolist()]
-        if self._between:
-            pairs = [
-                (one, other) for one, other in pairs if self.organs.plant[one] != self.organs.plant[other]
-            ]
-        return pairs
+        bodies = self.bodies
+        near = bodies.into_fruit(bodies.fruit.tolist()) | bodies.into_stems(bodies.blades.tolist())
+        return [(organ, other) for organ, some in near.items() for other in _close(some)]
 
     def _touch(self, organ: int, other: int) -> bool:
-        near = self.bodies.into_stems(organ) if self.bodies.is_stem[other] else self.bodies.into_fruit(organ)
-        return bool(np.any(near.depth[near.others == other] > -0.5 * CLEAR))
+        is_fruit = self.organs.organ_class[organ] == FRUIT
+        near = (self.bodies.into_fruit if is_fruit else self.bodies.into_stems)([organ])
+        return any(other in _close(some) for some in near.values())
 
     def _part(self, organ: int, other: int, hard: bool) -> None:
-        """Turn whichever unit gains most by it."""
+        """Turn a unit of either side: the first that a small turn frees, else the one that gains most."""
         best: tuple[float, Unit, Vectors] | None = None
         for unit in (*units_of(self.organs, other), *units_of(self.organs, organ)):
             if organ in unit.members and other in unit.members:
                 continue
-            gain, angles = self._tried(unit, hard)
+            gain, angles, free = self._tried(unit, organ, other, hard)
             if gain > (best[0] if best else 0.0):
                 best = gain, unit, angles
+                if free and unit.effort(angles) < _SMALL:
+                    break
         if best:
             self._turn(best[1], best[2])
 
-    def _tried(self, unit: Unit, hard: bool) -> tuple[float, Vectors]:
-        """How much the best turn of a unit gains, and the angles that it stands at then."""
-        spent = self._angles.get(unit.root, np.zeros(2))
-        angles = np.concatenate([spent[None], unit.limits * _disc(_TRIES, self._rng)])
+    def _tried(self, unit: Unit, organ: int, other: int, hard: bool) -> tuple[float, Vectors, bool]:
+        """How much the best turn of a unit gains, the angles that it stands at then, whether it is free."""
+        way, spent = joint(self.organs, unit), self._angles.get(unit.root, np.zeros(2))
+        angles = np.concatenate([spent[None], unit.limits * _disc(_POSES, self._rng)])
         if unit.on_stem and unit.bears_fruit:
             # Lifted only: hanging lower would break the stalk.
             angles[1:, 1] = np.abs(angles[1:, 1])
-        way = joint(self.organs, unit)
-        turns = way.turns(angles - spent)
-        around = Surroundings(self.bodies, unit, turns, hard=hard, between=self._between)
-        now = float(around.cost(turns[0][:1], turns[1][:1])[0] + unit.effort(angles[:1])[0])
-        # The least turn first; no later one is better than its effort.
+        around = Surroundings(self.bodies, unit, hard=hard)
+        # What each pose costs at least: its effort, and what is left of the contact at hand.
+        rotation, shift = way.turns(angles - spent)
         effort = unit.effort(angles)
-        order = 1 + np.argsort(effort[1:], kind="stable")
-        least, chosen = now, 0
-        for first in range(0, len(order), _BATCH):
-            some = order[first : first + _BATCH]
-            if effort[some[0]] >= least:
-                break
-            cost = effort[some] + around.cost(turns[0][some], turns[1][some])
-            if cost.min() < least:
-                least, chosen = float(cost.min()), int(some[np.argmin(cost)])
+        least = effort + around.pair(organ, other).cost(rotation, shift)
+        order = 1 + np.argsort(least[1:], kind="stable")
+        # Of the cheapest ones, all that they run into.
+        some = np.concatenate([[0], order[:_TRIES]])
+        tried = [angles[some], spent + 0.5 * (angles[some] - spent)]
+        obstacles = around.obstacles(*way.turns(np.concatenate(tried) - spent))
+        cost = effort[some] + _total(obstacles, rotation[some], shift[some])
+        chosen = int(np.argmin(cost))
         if chosen == 0:
-            return 0.0, spent
+            return 0.0, spent, False
         # Part of the turn may do.
-        parts = spent + _PARTS[:, None] * (angles[chosen] - spent)
-        rotation, shift = way.turns(parts - spent)
-        cost = unit.effort(parts) + around.cost(rotation, shift)
-        if cost.min() < least:
-            return now - float(cost.min()), parts[np.argmin(cost)]
-        return now - least, angles[chosen]
+        parts = spent + _PARTS[:, None] * (angles[some[chosen]] - spent)
+        effort = unit.effort(parts)
+        finer = effort + _total(obstacles, *way.turns(parts - spent))
+        part = int(np.argmin(finer))
+        gain = float(cost[0] - finer[part])
+        return gain, parts[part], bool(finer[part] == effort[part])
 
     def _turn(self, unit: Unit, angles: Vectors) -> None:
         """Turn a unit to some angles."""
@@ -205,8 +196,19 @@ class _Search:
         self._angles[unit.root] = angles
 
 
+def _total(obstacles: list[Obstacle], rotation: Vectors, shift: Vectors) -> Vectors:
+    """`(k,)` cost of all that some turns run into."""
+    return np.asarray(sum((one.cost(rotation, shift) for one in obstacles), np.zeros(len(rotation))))
+
+
+def _close(near: Near) -> list[int]:
+    """The organs that touch, or all but touch."""
+    found: list[int] = near.others[near.depth > -0.5 * CLEAR].tolist()
+    return found
+
+
 def _disc(count: int, rng: np.random.Generator) -> Vectors:
     """`(count, 2)` points evenly over the unit disc, from its middle outwards, turned by a random angle."""
     step = np.arange(count) + 0.5
     angle = rng.uniform(0.0, 2.0 * np.pi) + np.pi * (3.0 - np.sqrt(5.0)) * step
-    return np.asarray(np.sqrt(step / count)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    return np.asarray((step / count)[:, None] ** 0.7 * np.stack([np.cos(angle), np.sin(angle)], axis=1))
