@@ -16,6 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from scipy import stats
 
 from pepperscene.cultivar import Angle, Distribution, Length, Ratio, truncated_moments
+from pepperscene.cultivar.distribution import _parent
 
 LENGTH, ANGLE, RATIO = (TypeAdapter(kind) for kind in (Length, Angle, Ratio))
 
@@ -47,7 +48,7 @@ def test_truncated_moments_are_scipys(mean: float) -> None:
 )  # place of the mean, sd in units of the range, the range
 def test_stated_moments_hold_after_the_cut(place: float, sd: float, span: float) -> None:
     law = parse(RATIO, mean=place * span, sd=sd * span, low=0.0, high=span)
-    parent_mean, parent_sd, *_ = law._parent
+    parent_mean, parent_sd, *_ = _parent(law.mean, law.sd, law.low, law.high)
     found = truncated_moments(parent_mean, parent_sd, 0.0, span)
     assert found == pytest.approx((place * span, sd * span), rel=1e-6)
 
@@ -71,7 +72,7 @@ def test_draws_follow_the_cut_normal() -> None:
 
 
 def scipys(law: Distribution) -> Any:
-    mean, sd, *_ = law._parent
+    mean, sd, *_ = _parent(law.mean, law.sd, law.low, law.high)
     return stats.truncnorm((law.low - mean) / sd, (law.high - mean) / sd, loc=mean, scale=sd)
 
 
@@ -146,6 +147,15 @@ def test_quantiles_never_fall(name: str, correlation: float, place: float) -> No
     curve = parse(RATIO, along=[[0, 2], [1, 3]], sd=0.2)
     law = curve if name == "curve" else LAWS[name].model_copy(update={"with_height": correlation})
     assert np.all(np.diff(law.quantiles(np.linspace(0, 1, 200), place)) >= 0)
+
+
+def test_a_changed_copy_is_another_law() -> None:
+    for name, change in (("normal", {"mean": 0.1}), ("histogram", {"bins": ((0.0, 1.0, 1.0),), "high": 1.0})):
+        law = LAWS[name]
+        before = law.quantiles(0.3)
+        copy = law.model_copy(update=change)
+        assert copy.quantiles(0.3) != before
+        assert copy != law
 
 
 NUMBERS = st.floats() | st.floats(-1e3, 1e3) | st.sampled_from([0.0, 1.0, 1e-300, 5e-324, 1e6])

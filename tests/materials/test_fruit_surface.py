@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 from plant_colours import at, lab, lab_hue, srgb_hue
 
-from pepperscene.cultivar import PigmentPath, load_cultivar
+from pepperscene.cultivar import load_cultivar
 from pepperscene.cultivar.forms import USUAL
-from pepperscene.document import read_toml
 from pepperscene.geometry import mesh_plant
 from pepperscene.grammar.plant import Organ, Plant
 from pepperscene.materials import flesh_reflectance, rind_reflectance
-from pepperscene.shipped import shelf
 from pepperscene.spectra import absorption_coefficients, cuticle_gloss, read_spectrum
 
 
@@ -60,33 +58,35 @@ def test_it_turns_from_green_to_yellow_without_a_step_back(ripening, nm):
     assert np.all(np.diff(lightness) > 0)
 
 
-def documented_path(colour, folder):
-    """A `[pigments.fruit]` table of docs/cultivar.md."""
-    text = (shelf("plants").parent / "docs" / "cultivar.md").read_text(encoding="utf-8")
-    block = next(part for part in text.split("```toml\n")[1:] if part.startswith(f"# {colour}\n"))
-    kaite = (shelf("plants") / "kaite.toml").read_text(encoding="utf-8")
-    head, tail = kaite.split("[pigments.fruit]\n")
-    file = folder / f"{colour}.toml"
-    file.write_text(
-        head + "[pigments.fruit]\n" + block.split("```")[0] + tail[tail.index("\n[") :], encoding="utf-8"
-    )
-    assert "fruit" in read_toml(file)["pigments"]
-    return load_cultivar(file).pigments["fruit"]
+def with_gloss(body):
+    """What a colorimeter sees that takes in all that is reflected: the body, and the gloss above it."""
+    gloss = cuticle_gloss(1.45)
+    return (1 - gloss) * body + gloss
 
 
-def test_red_and_orange_cultivars_are_files(tmp_path, kaite, nm):
-    """Capsanthin about 12 ug/cm2 and more is red in sRGB (hue 0 to 20 degrees), a third of it orange."""
-    red, orange = (documented_path(colour, tmp_path) for colour in ("red", "orange"))
-    assert isinstance(red, PigmentPath)
+def test_ripe_fruit_has_the_hue_of_ripe_fruit(kaite, nm):
+    """Ripe red and yellow greenhouse peppers: 29.9 and 87.5 degrees in CIELAB.
+
+    Molinari et al. 1999, Proc. Fla. State Hort. Soc. 112:143-146. Orange lies half-way, and a tomato between.
+    """
+    hue = {}
+    for name in ("red_blocky", "tomato", "orange_pointed", "kaite"):
+        path = load_cultivar(name).pigments["fruit"]
+        hue[name] = lab_hue(with_gloss(rind_reflectance(path, nm, 1.0)[0]), nm)
+    assert hue["red_blocky"] == pytest.approx(29.9, abs=3)
+    assert hue["kaite"] == pytest.approx(87.5, abs=7)
+    assert hue["orange_pointed"] == pytest.approx(0.5 * (29.9 + 87.5), abs=5)
+    assert hue["red_blocky"] + 5 < hue["tomato"] < hue["orange_pointed"] - 5
+
+
+def test_a_red_fruit_turns_through_brown(kaite, nm):
+    red = load_cultivar("red_blocky").pigments["fruit"]
     assert red.start == kaite.pigments["fruit"].start
-    ripe = rind_reflectance(red, nm, 1.0)[0]
-    assert 0 <= srgb_hue(ripe, nm) <= 20
-    assert 30 < lab_hue(ripe, nm) < 56
-    assert 20 < srgb_hue(rind_reflectance(orange, nm, 1.0)[0], nm) < 40
-    # A breaker of a red cultivar is brown: darker than both ends, between them in hue.
+    # A breaker is darker than both ends, or hardly lighter, and between them in hue.
     start, middle, end = rind_reflectance(red, nm, [0.0, 0.5, 1.0])
     assert lab_hue(end, nm) < lab_hue(middle, nm) < lab_hue(start, nm)
     assert lab(middle, nm)[0] < lab(end, nm)[0] + 5
+    assert 0 <= srgb_hue(end, nm) <= 20
 
 
 def test_flesh_absorbs_as_kubelka_and_munk_say(nm):

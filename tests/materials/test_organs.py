@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from plant_colours import at, lab, lab_hue
 
+from pepperscene.cultivar import load_cultivar
 from pepperscene.cultivar.forms import USUAL
 from pepperscene.materials import greenhouse_surfaces, leaf_body, organ_surfaces, rind_reflectance
 
 ORGANS = {"leaf", "petiole", "stem", "fruit", "peduncle", "calyx", "cut"}
-GREENHOUSE = {"twine", "gutter", "floor_film"}
+GREENHOUSE = set(greenhouse_surfaces(np.array([550.0])))
 GREEN = ["stem", "petiole", "peduncle", "calyx"]
 
 
@@ -105,12 +106,40 @@ def test_fruit_and_tubes_have_no_seam_around(surfaces):
         assert np.abs(pattern[:, 0] - pattern[:, -1]).mean() < 3 * inside, name
 
 
+def test_a_crop_has_the_surfaces_of_its_kinds(nm):
+    """Flowers cost petals only where they grow, and a surface is made like the bodies that have it."""
+    tomato = load_cultivar("tomato")
+    found = organ_surfaces(tomato, nm)
+    assert set(found) == {"leaf", "petiole", "stem", "fruit", "peduncle", "calyx", "petal"}
+    petal = found["petal"]
+    assert (petal.reflectance + petal.transmittance[:, None]).max() <= 1 + 1e-9
+    assert petal.transmittance.max() > 0.1
+    # Tomato petals are yellow; those of sweet pepper nearly white, and brighter.
+    assert 75 < lab_hue(petal.reflectance[-1, 0], nm) < 110
+    white = organ_surfaces(load_cultivar("kaite_february"), nm)["petal"].reflectance[-1, 0]
+    lightness, *ab = lab(white, nm)
+    assert np.hypot(*ab) < 15
+    assert lightness > lab(petal.reflectance[-1, 0], nm)[0]
+
+
+def test_a_surface_goes_by_any_name(kaite, nm):
+    """A second kind of leaf, with pigments of its own, is a leaf; its pattern is its own."""
+    organs = kaite.organs | {
+        "shoot_lamina": kaite.organs["shoot_lamina"].model_copy(update={"surface": "young_leaf"})
+    }
+    pigments = kaite.pigments | {"young_leaf": kaite.pigments["leaf"]}
+    found = organ_surfaces(kaite.model_copy(update={"organs": organs, "pigments": pigments}), nm)
+    assert found["young_leaf"].name == "young_leaf"
+    assert found["young_leaf"].reflectance.tobytes() == found["leaf"].reflectance.tobytes()
+    assert not np.array_equal(found["young_leaf"].pattern, found["leaf"].pattern)
+
+
 def test_ribs_run_along_and_are_gentle(surfaces, kaite):
     """Slopes are steeper around than along, and below 30 degrees on all but a few places."""
     girths_mm = {
-        "petiole": kaite.leaf.petiole_diameter.mean,
-        "stem": kaite.plant.stem_diameter.mean,
-        "peduncle": kaite.peduncle.diameter.mean,
+        "petiole": kaite.organs["petiole"].laws["diameter"].mean,
+        "stem": kaite.stem.diameter.mean,
+        "peduncle": kaite.organs["peduncle"].laws["diameter"].mean,
     }
     for name, diameter_m in girths_mm.items():
         relief = surfaces[name].relief_mm

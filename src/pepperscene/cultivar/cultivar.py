@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-from functools import cached_property
 from pathlib import Path
 from typing import Self
 
@@ -11,7 +10,7 @@ from pydantic import model_validator
 
 from pepperscene.cultivar.forms import USUAL, Kind
 from pepperscene.cultivar.lineage import inherited, lineage, stated_in
-from pepperscene.cultivar.organs import AnyOrgan, Fruit
+from pepperscene.cultivar.organs import AnyOrgan
 from pepperscene.cultivar.pigments import PigmentPath
 from pepperscene.cultivar.stem import Stem
 from pepperscene.cultivar.structure import CALYX, check
@@ -45,15 +44,15 @@ class Cultivar(Document):
         check(self.stem, self.organs, self.pigments)
         return self
 
-    @cached_property
+    @property
     def kinds(self) -> dict[str, Kind]:
         """Every kind of organ that a plant can have, the fruit's calyx included."""
         kinds = {name: organ.kind for name, organ in self.organs.items()}
-        if any(isinstance(organ, Fruit) and organ.calyx for organ in self.organs.values()):
+        if any(getattr(organ, "calyx", False) for organ in self.organs.values()):
             kinds[CALYX] = USUAL["calyx"]
         return kinds
 
-    @cached_property
+    @property
     def grown(self) -> tuple[str, ...]:
         """The kinds that the plants do have, being of a probability above 0; in the file's order."""
         found, waiting = set(), [self.stem.internode, self.stem.node]
@@ -63,7 +62,7 @@ class Cultivar(Document):
                 found.add(kind)
                 slots = self.organs[kind].bears
                 waiting.extend(k for slot in slots for k in slot.kinds if slot.what.probabilities[k] > 0)
-        if any(isinstance(organ := self.organs[kind], Fruit) and organ.calyx for kind in found):
+        if any(getattr(self.organs[kind], "calyx", False) for kind in found):
             found.add(CALYX)
         return tuple(kind for kind in self.kinds if kind in found)
 

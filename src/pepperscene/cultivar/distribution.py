@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 from typing import Annotated, Final, Literal, overload
 
 import numpy as np
@@ -99,44 +98,34 @@ class Distribution(Origin):
             values = first.quantiles(share, place)
             return values + weight * (last.quantiles(share, place) - values)
         if self.law == "histogram":
-            ladder = self._ladder
-            step = np.searchsorted(ladder.starts, share, side="right") - 1
-            inside = np.minimum((share - ladder.starts[step]) / ladder.weights[step], 1.0)
-            return ladder.lows[step] + inside * (ladder.highs[step] - ladder.lows[step])
+            starts, lows, highs, weights = _ladder(self.bins)
+            step = np.searchsorted(starts, share, side="right") - 1
+            inside = np.minimum((share - starts[step]) / weights[step], 1.0)
+            return lows[step] + inside * (highs[step] - lows[step])
         if self.law == "curve":
             if place is None:
                 raise ValueError("a curve along the stem has no values without places")
             places, means = np.array(self.along).T
             return np.interp(place, places, means) + self.sd * _cut_normal(share, *_STANDARD_CUT)
         if self.law == "normal" and self.sd > 0:
-            return _cut_normal(share, *self._parent)
+            return _cut_normal(share, *_parent(self.mean, self.sd, self.low, self.high))
         return self.low + share * (self.high - self.low)
 
-    @cached_property
-    def _parent(self) -> tuple[float, float, float, float]:
-        """Mean and sd of the normal law before truncation, and its distribution function at both bounds."""
-        mean, sd = untruncated(self.mean, self.sd, self.low, self.high)
-        return mean, sd, _cumulated((self.low - mean) / sd), _cumulated((self.high - mean) / sd)
 
-    @cached_property
-    def _ladder(self) -> _Ladder:
-        lows, highs, weights = (np.array(column) for column in zip(*self.bins, strict=True))
-        taken = weights > 0
-        starts = np.concatenate(([0.0], np.cumsum(weights[taken])[:-1]))
-        return _Ladder(starts, lows[taken], highs[taken], weights[taken])
+# Both are kept beside the laws, so that a changed copy of a law cannot keep what was another's.
+@lru_cache(maxsize=4096)
+def _parent(mean: float, sd: float, low: float, high: float) -> tuple[float, float, float, float]:
+    """Mean and sd of a normal law before truncation, and its distribution function at both bounds."""
+    parent_mean, parent_sd = untruncated(mean, sd, low, high)
+    below, above = (_cumulated((bound - parent_mean) / parent_sd) for bound in (low, high))
+    return parent_mean, parent_sd, below, above
 
 
-@dataclass(frozen=True, eq=False)
-class _Ladder:
-    """Of a histogram's bins that can occur: cumulated probability at the start, ends, probability.
-
-    An object without an equality of its own, so that laws are compared by what they say.
-    """
-
-    starts: FloatArray
-    lows: FloatArray
-    highs: FloatArray
-    weights: FloatArray
+@lru_cache(maxsize=1024)
+def _ladder(bins: tuple[Bin, ...]) -> tuple[FloatArray, ...]:
+    """Of a histogram's bins that can occur: cumulated probability at the start, ends, probability."""
+    lows, highs, weights = np.array([row for row in bins if row[2] > 0]).T
+    return np.concatenate(([0.0], np.cumsum(weights)[:-1])), lows, highs, weights
 
 
 def _cumulated(z: float) -> float:

@@ -7,7 +7,6 @@ positive upwards, in the vertical plane that the organ grows in. What a file lea
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self, get_args
 
@@ -53,14 +52,14 @@ class OrganModel(Document):
     source: str = ""
     chosen: str = ""
 
-    @cached_property
+    @property
     def kind(self) -> Kind:
         """Form, class and surface, with what the form usually has where the file is silent."""
         usual = USUAL[self.form]
         named = usual.organ_class if self.organ_class is None else OrganClass[self.organ_class.upper()]
         return Kind(self.form, named, self.surface or usual.surface, self._scan)
 
-    @cached_property
+    @property
     def laws(self) -> dict[str, Distribution]:
         """Every random parameter by its name, in the order of the form's list."""
         every = ((name, getattr(self, name)) for name in type(self).model_fields)
