@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -34,3 +36,27 @@ def test_parts_are_numbered_in_the_order_asked_for():
 def test_parts_that_are_not_there_are_refused(chosen):
     with pytest.raises(ValueError, match="instances"):
         BOTH.of_instances(chosen)
+
+
+def test_every_vertex_knows_its_instance_and_every_instance_its_vertices():
+    np.testing.assert_array_equal(
+        BOTH.vertex_instance[BOTH.faces], np.repeat(BOTH.face_instance, 3).reshape(-1, 3)
+    )
+    for number, (first, stop) in enumerate(BOTH.instance_vertices):
+        assert set(BOTH.faces[BOTH.face_instance == number].ravel()) == set(range(first, stop))
+    swapped = BOTH.of_instances([2, 0, 1])
+    np.testing.assert_array_equal(
+        np.diff(swapped.instance_vertices)[:, 0], np.diff(BOTH.instance_vertices)[[2, 0, 1], 0]
+    )
+
+
+def test_instances_that_share_vertices_are_told():
+    shared = replace(CARD, face_instance=np.array([0, 1], dtype=np.uint32), instances=2 * CARD.instances)
+    with pytest.raises(ValueError, match="one instance"):
+        shared.vertex_instance  # noqa: B018
+    order = np.random.default_rng(1).permutation(len(BOTH.vertices))
+    mixed = replace(
+        BOTH, vertices=BOTH.vertices[order], faces=np.argsort(order).astype(np.uint32)[BOTH.faces]
+    )
+    with pytest.raises(ValueError, match="together"):
+        mixed.instance_vertices  # noqa: B018

@@ -141,7 +141,7 @@ def test_a_grown_plant_is_sound_and_its_solids_are_closed(detail):
     mesh = mesh_plant(plant, detail)
     assert_sound(mesh)
     assert len(mesh.instances) == len(plant.organs)
-    firm = np.array([item.kind != "lamina" for item in mesh.instances])[mesh.face_instance]
+    firm = np.array([item.organ_class != OrganClass.LEAF for item in mesh.instances])[mesh.face_instance]
     # Every edge of every solid belongs to two of its own faces, once in either direction.
     points, number = np.unique(mesh.vertices, axis=0, return_inverse=True)
     faces = number.ravel()[mesh.faces[firm]]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,36 @@ class Mesh:
         """`(f,)` the `OrganClass` of each face."""
         return np.array([item.organ_class for item in self.instances], dtype=np.uint8)[self.face_instance]
 
+    @cached_property
+    def vertex_instance(self) -> NDArray[np.uint32]:
+        """`(v,)` index into `instances` of the organ that each vertex belongs to.
+
+        Raises:
+            ValueError: instances share a vertex, or a vertex belongs to none.
+        """
+        owner = np.full(len(self.vertices), len(self.instances), dtype=np.uint32)
+        owner[self.faces] = self.face_instance[:, None]
+        shared = any(np.any(owner[self.faces[:, corner]] != self.face_instance) for corner in range(3))
+        if shared or np.any(owner == len(self.instances)):
+            raise ValueError("each vertex must belong to one instance")
+        return owner
+
+    @cached_property
+    def instance_vertices(self) -> NDArray[np.intp]:
+        """`(i, 2)` first vertex of each instance and the one after its last; both 0 where it has none.
+
+        Raises:
+            ValueError: the vertices of an instance do not lie together.
+        """
+        owner = self.vertex_instance
+        starts = np.concatenate([[0], 1 + np.flatnonzero(owner[1:] != owner[:-1])])
+        runs = owner[starts]
+        if len(np.unique(runs)) < len(runs):
+            raise ValueError("the vertices of each instance must lie together")
+        found = np.zeros((len(self.instances), 2), dtype=np.intp)
+        found[runs, 0], found[runs, 1] = starts, np.append(starts[1:], len(owner))
+        return found
+
     def moved(self, rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> Mesh:
         """The mesh rotated by a `(3, 3)` matrix, then translated by `(3,)` metres."""
         turn = np.asarray(rotation, dtype=float)
@@ -67,7 +98,10 @@ class Mesh:
         place = np.full(len(self.instances), -1)
         place[wanted] = np.arange(len(wanted))
         kept = place[self.face_instance] >= 0
-        used, faces = np.unique(self.faces[kept], return_inverse=True)
+        old_faces = self.faces[kept]
+        used = np.zeros(len(self.vertices), dtype=bool)
+        used[old_faces] = True
+        faces = (np.cumsum(used) - 1)[old_faces]
         surfaces, face_surface = np.unique(self.face_surface[kept], return_inverse=True)
         instances = [self.instances[index] for index in wanted]
         return Mesh(
@@ -75,7 +109,7 @@ class Mesh:
             normals=self.normals[used],
             uv=self.uv[used],
             state=self.state[used],
-            faces=faces.reshape(-1, 3).astype(np.uint32),
+            faces=faces.astype(np.uint32),
             face_instance=place[self.face_instance[kept]].astype(np.uint32),
             face_surface=face_surface.astype(np.uint8),
             surfaces=tuple(self.surfaces[index] for index in surfaces),
@@ -107,7 +141,10 @@ def concatenate(meshes: Sequence[Mesh]) -> Mesh:
         faces.append(mesh.faces + np.uint32(vertex_offset))
         face_instances.append(mesh.face_instance + np.uint32(first))
         face_surfaces.append(renumber[mesh.face_surface])
-        instances += [replace(i, parent=i.parent + first if i.parent >= 0 else -1) for i in mesh.instances]
+        instances += [
+            replace(one, parent=one.parent + first) if first and one.parent >= 0 else one
+            for one in mesh.instances
+        ]
         vertex_offset += len(mesh.vertices)
     return Mesh(
         vertices=np.concatenate([mesh.vertices for mesh in meshes]),
