@@ -79,7 +79,7 @@ class _Expansion:
         addresses, around = self.growth.nodes, dict[str, FloatArray]()
         for index, slot in enumerate(self.organs[self.node].bears):
             bearing = np.arange(self.growth.parts)[slot.first :: slot.every]
-            share = self._around(slot, shares(descended(addresses, index), "azimuth"), bearing, around)
+            share = self._around(slot, shares(descended(addresses, index), "azimuth"), around)
             around[slot.name] = share
             azimuth = 2.0 * np.pi * share
             if slot.azimuth is not None:
@@ -103,20 +103,16 @@ class _Expansion:
             before=np.zeros((order.size, len(self.depths)), dtype=np.intp),
         )
 
-    def _around(
-        self, slot: Slot, own: FloatArray, bearing: Indices, others: dict[str, FloatArray]
-    ) -> FloatArray:
+    def _around(self, slot: Slot, own: FloatArray, others: dict[str, FloatArray]) -> FloatArray:
         """`(parts,)` shares of the slot's azimuth law, uniform at every node whatever the steps."""
         if slot.step is None:
             return own
         step = slot.step.quantiles(own, self.growth.places)
         if slot.after is not None:
             return np.asarray((others[slot.after] + step) % 1.0)
-        # From the nearest node below that has this slot, and from anywhere at the foot.
+        # From the node below, whether or not anything stands there, and from anywhere at the foot.
         start = shares(descended(self.growth.key, number(slot.name)), "azimuth")
-        moved = np.zeros(self.growth.parts)
-        moved[bearing] = step[bearing]
-        return np.asarray((start + np.cumsum(moved)) % 1.0)
+        return np.asarray((start + np.cumsum(step)) % 1.0)
 
     def _on(self, parents: Items, slot: Slot, index: int, azimuth: FloatArray) -> Iterator[Items]:
         """What slot number `index` of organs of one kind bears, at `(n,)` azimuths, kind by kind."""

@@ -32,7 +32,7 @@ _LIMITS: Final[Mapping[str, tuple[float, float]]] = {
     "taper": (0.05, 5.0),
     "shoulder": (0.0, _INF),
     "point": (0.0, 1.0),
-    "calyx_radius": (0.02, 1.0),
+    "calyx_radius": (0.02, 10.0),
     "calyx_tooth": (0.0, 1.0),
     "calyx_state": (0.0, 1.0),
     "open": (0.0, 1.0),

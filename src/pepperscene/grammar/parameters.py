@@ -41,6 +41,10 @@ class KindParameters:
     phytomer: Indices
     values: Mapping[str, FloatArray]
 
+    def __post_init__(self) -> None:
+        for column in (self.number, self.parent, self.phytomer, *self.values.values()):
+            column.flags.writeable = False
+
     def __len__(self) -> int:
         return len(self.number)
 

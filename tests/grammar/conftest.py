@@ -1,0 +1,33 @@
+"""Plants that many tests measure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pepperscene.cultivar import Cultivar, load_cultivar
+from pepperscene.grammar import Plant, grow
+
+PLANTS = 200
+
+
+@pytest.fixture(scope="session")
+def kaite() -> Cultivar:
+    return load_cultivar("kaite")
+
+
+@pytest.fixture(scope="session")
+def tomato() -> Cultivar:
+    return load_cultivar("tomato")
+
+
+@pytest.fixture(scope="session")
+def plants(kaite: Cultivar) -> list[Plant]:
+    """Kaite plants of fixed seeds."""
+    return [grow(kaite, np.random.default_rng(seed)) for seed in range(PLANTS)]
+
+
+@pytest.fixture(scope="session")
+def tomatoes(tomato: Cultivar) -> list[Plant]:
+    """Tomato plants of fixed seeds."""
+    return [grow(tomato, np.random.default_rng(seed)) for seed in range(60)]

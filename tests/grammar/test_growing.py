@@ -1,0 +1,247 @@
+"""A plant holds together: what grows where, how parts join, and that the same input gives the same bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from pepperscene.cultivar import CALYX, Cultivar, load_cultivar
+from pepperscene.grammar import Organ, Plant, grow
+
+MEASURES = {
+    "internode": {"radius_m", "radius_tip_m", "groove_m", "seed", "state_mean", "state_tip", "state_spread"},
+    "node": {"radius_m", "radius_start_m", "radius_end_m", "groove_m", "seed", "state_mean"},
+    "stalk": {"radius_m", "radius_tip_m", "channel", "seed", "state_mean", "state_spread"},
+    "peduncle": {"radius_m", "radius_tip_m", "seed", "state_mean"},
+    "calyx": {"radius_m", "tooth", "seed", "state_mean"},
+    "cut": {"radius_m", "seed"},
+    "flower": {"radius_m", "petals", "open", "seed", "state_mean"},
+    "fruit": {
+        *("length_m", "diameter_m", "lobes", "lobe_depth", "shoulder", "taper", "point", "bend_rad"),
+        *("seed", "ripeness", "ripeness_spread"),
+    },
+    "blade": {
+        *("length_m", "width_m", "fold_rad", "margin_wave_m", "margin_waves", "blister_m", "vein_m"),
+        *("twist_rad", "curl_rad", "asymmetry", "widest", "base", "lobes", "lobe_depth"),
+        *("seed", "state_mean", "state_spread"),
+    },
+}
+
+
+def form(plant: Plant, organ: Organ) -> str:
+    return plant.kinds[organ.kind].form
+
+
+@pytest.fixture(scope="module")
+def every(plants: list[Plant], tomatoes: list[Plant]) -> list[Plant]:
+    return plants[:20] + tomatoes[:10]
+
+
+@pytest.mark.parametrize("name", ["kaite", "tomato"])
+def test_every_kind_grows(name: str, plants: list[Plant], tomatoes: list[Plant]) -> None:
+    cultivar, grown = load_cultivar(name), plants if name == "kaite" else tomatoes
+    assert {organ.kind for plant in grown for organ in plant.organs} == set(cultivar.grown)
+    assert all(plant.kinds == cultivar.kinds for plant in grown)
+
+
+def test_parents_stand_before_their_children_as_the_file_says(
+    kaite: Cultivar, tomato: Cultivar, every: list[Plant]
+) -> None:
+    bearers = {
+        cultivar.name: {
+            kind: {on for on, model in cultivar.organs.items() for slot in model.bears if kind in slot.kinds}
+            for kind in cultivar.organs
+        }
+        for cultivar in (kaite, tomato)
+    }
+    for plant in every:
+        allowed = bearers[plant.cultivar]
+        for index, organ in enumerate(plant.organs):
+            assert organ.parent < index
+            parent = plant.organs[organ.parent].kind if index else ""
+            match form(plant, organ):
+                case "internode":
+                    assert parent == ("node" if index else "")
+                case "node":
+                    assert parent == "internode"
+                case "fruit":
+                    assert parent == CALYX
+                    assert plant.organs[plant.organs[organ.parent].parent].kind in allowed[organ.kind]
+                case "calyx":
+                    assert form(plant, plant.organs[index + 1]) == "fruit"
+                case _:
+                    assert parent in allowed[organ.kind]
+
+
+def test_the_stem_has_its_parts_in_turn(kaite: Cultivar, plants: list[Plant]) -> None:
+    for plant in plants:
+        stem = [organ for organ in plant.organs if organ.kind in ("internode", "node")]
+        assert [organ.kind for organ in stem] == ["internode", "node"] * kaite.stem.parts
+        assert [organ.phytomer for organ in stem[::2]] == list(range(kaite.stem.parts))
+        for one, other in pairwise(stem):
+            assert plant.organs[other.parent] is one
+            np.testing.assert_allclose(other.curve[0], one.curve[-1], rtol=0, atol=1e-12)
+
+
+def test_organs_belong_to_their_parents_phytomer(every: list[Plant]) -> None:
+    for plant in every:
+        for organ in plant.organs[1:]:
+            above = organ.kind == "internode"
+            assert organ.phytomer == plant.organs[organ.parent].phytomer + above
+
+
+def test_a_curve_starts_where_its_parent_has_it(every: list[Plant]) -> None:
+    for plant in every:
+        for organ in plant.organs[1:]:
+            parent = plant.organs[organ.parent]
+            if parent.kind == "node" and organ.kind != "internode":
+                # Inside the swelling, and well off its axis.
+                off = organ.curve[0] - parent.curve[1]
+                radius = parent.measures["radius_m"]
+                half = 0.5 * np.linalg.norm(np.diff(parent.curve, axis=0), axis=1).sum()
+                assert 0.5 * radius < np.linalg.norm(off) < np.hypot(radius, half)
+            else:
+                # On the centreline, and at its tip unless the file says otherwise.
+                step = np.diff(parent.curve, axis=0)
+                along = ((organ.curve[0] - parent.curve[:-1]) * step).sum(axis=1) / (step**2).sum(axis=1)
+                nearest = parent.curve[:-1] + np.clip(along, 0.0, 1.0)[:, None] * step
+                assert np.linalg.norm(organ.curve[0] - nearest, axis=1).min() < 1e-9
+                if organ.kind in ("lamina", "shoot_lamina", "terminal_leaflet", "fruit", CALYX):
+                    np.testing.assert_allclose(organ.curve[0], parent.curve[-1], rtol=0, atol=1e-12)
+
+
+def test_up_is_a_unit_vector_across_the_curve(every: list[Plant]) -> None:
+    for plant in every:
+        for organ in plant.organs:
+            tangent = organ.curve[1] - organ.curve[0]
+            assert organ.up @ organ.up == pytest.approx(1.0)
+            assert abs(organ.up @ tangent) < 1e-9 * np.linalg.norm(tangent)
+
+
+def test_measures_are_those_that_the_mesh_makers_read(every: list[Plant]) -> None:
+    for plant in every:
+        for organ in plant.organs:
+            assert set(organ.measures) == MEASURES[form(plant, organ)], organ.kind
+            assert np.isfinite(list(organ.measures.values())).all()
+            assert all(value > 0 for name, value in organ.measures.items() if name.startswith("radius"))
+            for name in ("seed", "state_mean", "state_tip", "ripeness"):
+                assert 0.0 <= organ.measures.get(name, 0.0) <= 1.0
+
+
+def test_every_organ_has_noise_of_its_own(every: list[Plant]) -> None:
+    for plant in every:
+        assert len({organ.measures["seed"] for organ in plant.organs}) == len(plant.organs)
+
+
+def test_blades_leave_their_stalks_without_a_kink(every: list[Plant]) -> None:
+    checked = 0
+    for plant in every:
+        for blade in plant.of_form("blade"):
+            stalk = plant.organs[blade.parent]
+            if np.allclose(blade.curve[0], stalk.curve[-1], atol=1e-9):
+                before, after = stalk.curve[-1] - stalk.curve[-2], blade.curve[1] - blade.curve[0]
+                cosine = before @ after / np.linalg.norm(before) / np.linalg.norm(after)
+                # Both bend within their last and first segment.
+                assert cosine > np.cos(np.radians(45.0))
+                checked += 1
+    assert checked > 1000
+
+
+def test_the_stem_keeps_to_its_twine(kaite: Cultivar, plants: list[Plant]) -> None:
+    # The twine hangs in the plane across the row; the stem winds about it within a few centimetres.
+    lean = max(abs(kaite.stem.lean.low), abs(kaite.stem.lean.high))
+    for plant in plants:
+        nodes = np.array([node.curve[1] for node in plant.of_kind("node")])
+        assert np.all(np.diff(nodes[:, 2]) > 0)
+        assert np.abs(nodes[:, 0]).max() < 0.08
+        assert np.abs(nodes[:, 1]).max() < 0.08 + np.tan(lean) * nodes[-1, 2]
+
+
+def test_a_given_lean_is_added_towards_the_aisle(kaite: Cultivar) -> None:
+    for seed in range(5):
+        plain, leant = (grow(kaite, np.random.default_rng(seed), lean) for lean in (0.0, 0.15))
+        top, moved = (plant.of_kind("node")[-1].curve[1] for plant in (plain, leant))
+        assert np.arctan2(top[1] - moved[1], moved[2]) == pytest.approx(0.15, abs=0.01)
+        # Nothing else is drawn anew.
+        assert [o.measures for o in plain.organs] == [o.measures for o in leant.organs]
+
+
+def test_a_plant_is_about_four_metres_tall(plants: list[Plant]) -> None:
+    tops = [plant.of_kind("node")[-1].curve[-1, 2] for plant in plants]
+    assert np.mean(tops) == pytest.approx(4.0, abs=0.25)
+
+
+def test_the_young_top_is_small_pale_and_held_up(kaite: Cultivar, plants: list[Plant]) -> None:
+    young = kaite.stem.parts - 1
+    for name, smaller in (("length_m", True), ("width_m", True), ("state_mean", True), ("blister_m", True)):
+        top, grown = (
+            np.mean([o.measures[name] for p in plants for o in p.of_kind("lamina") if o.phytomer == i])
+            for i in (young, 20)
+        )
+        assert (top < 0.9 * grown) == smaller
+    rise = [
+        np.mean(
+            [
+                (o.curve[-1] - o.curve[0])[2] / o.measures["length_m"]
+                for p in plants
+                for o in p.of_kind("lamina")
+                if o.phytomer == i
+            ]
+        )
+        for i in (young, 20)
+    ]
+    assert rise[0] > rise[1] + 0.3
+    stem = np.array([[o.measures["radius_tip_m"] for o in p.of_kind("internode")] for p in plants])
+    assert (np.diff(stem, axis=1) < 1e-12).all()
+
+
+def test_states_run_on_along_the_stem(every: list[Plant]) -> None:
+    for plant in every:
+        sections, nodes = plant.of_form("internode"), plant.of_form("node")
+        for below, node, above in zip(sections[:-1], nodes[:-1], sections[1:], strict=True):
+            assert below.measures["state_tip"] == above.measures["state_mean"]
+            assert below.measures["state_tip"] == pytest.approx(node.measures["state_mean"], abs=0.05)
+            assert below.measures["radius_tip_m"] == node.measures["radius_start_m"]
+            assert node.measures["radius_end_m"] == above.measures["radius_m"]
+        # From an old foot to a young top.
+        assert sections[0].measures["state_mean"] < sections[-1].measures["state_tip"] - 0.1
+
+
+def test_side_shoots_end_within_their_depth(kaite: Cultivar, plants: list[Plant]) -> None:
+    deepest = 0
+    for plant in plants:
+        depth: dict[int, int] = {}
+        for index, organ in enumerate(plant.organs):
+            if organ.kind == "side_shoot":
+                depth[index] = 1 + depth.get(organ.parent, 0)
+        deepest = max(deepest, *depth.values())
+    assert deepest == kaite.organs["side_shoot"].depth
+
+
+def digest(plant: Plant) -> str:
+    """Of every byte of a plant."""
+    found = hashlib.sha256()
+    for organ in plant.organs:
+        found.update(f"{organ.kind} {organ.parent} {organ.phytomer} {dict(organ.measures)!r}".encode())
+        found.update(organ.curve.tobytes() + organ.up.tobytes())
+    return found.hexdigest()
+
+
+def test_the_same_seed_gives_the_same_bytes_in_another_process(kaite: Cultivar) -> None:
+    mine = [digest(grow(kaite, np.random.default_rng(seed), 0.02)) for seed in (11, 12)]
+    assert mine[0] != mine[1]
+    code = (
+        "import sys; sys.path.insert(0, 'tests/grammar'); import numpy as np\n"
+        "from test_growing import digest; from pepperscene.cultivar import load_cultivar\n"
+        "from pepperscene.grammar import grow\n"
+        "kaite = load_cultivar('kaite')\n"
+        # In another order, with other plants between.
+        "print([digest(grow(kaite, np.random.default_rng(s), 0.02)) for s in (12, 5, 11)][::-2])"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == repr(mine)
