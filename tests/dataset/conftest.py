@@ -58,11 +58,11 @@ def fake_renderer():
 
 @pytest.fixture
 def recipe() -> Recipe:
-    """The shipped plan with few frames and a single plant."""
+    """The shipped plan with few frames and a single plant, of the smallest stage."""
     whole = load_recipe("barth2018")
     plan = whole.plan.model_copy(update={"sets": 2, "rotations": 3, "frames": 4})
     row = whole.row.model_copy(update={"plants_front": 1, "plants_back": 0})
-    return whole.model_copy(update={"name": "small", "plan": plan, "row": row})
+    return whole.model_copy(update={"name": "small", "plan": plan, "row": row, "cultivar": "kaite_february"})
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 import tomli_w
 
 from pepperscene.dataset import Stage, load_recipe
-from pepperscene.dataset.recipe import DevelopingTable
+from pepperscene.dataset.tables import DevelopingTable
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError
 from pepperscene.shipped import shelf
@@ -80,7 +80,7 @@ def test_identity_follows_values_not_comments(tmp_path, write):
     before = recipe.sha256()
     plant.write_text("# a remark\n" + text, encoding="utf-8")
     assert recipe.sha256() == before
-    plant.write_text(text.replace("stem_parts = 40", "stem_parts = 39"), encoding="utf-8")
+    plant.write_text(text.replace("parts = 40", "parts = 39"), encoding="utf-8")
     assert recipe.sha256() != before
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pepperscene.camera import load_filter, load_sensor
+from pepperscene.classes import OrganClass
 from pepperscene.dataset import Stage, load_recipe
 from pepperscene.dataset.equipment import surface_grid
 from pepperscene.dataset.seeds import frame_seed
@@ -23,10 +24,11 @@ def three_plants(recipe):
 
 
 def footprint(scene, plant):
-    """What a plant looks like wherever it stands: its vertices relative to their mean."""
+    """A plant's stem, which no neighbour moves, wherever it stands: its vertices relative to their mean."""
     mesh = scene.mesh
     owner = np.array([instance.plant for instance in mesh.instances])[mesh.face_instance]
-    vertices = mesh.vertices[np.unique(mesh.faces[owner == plant])].astype(float)
+    stem = (owner == plant) & (mesh.face_class == OrganClass.STEM)
+    vertices = mesh.vertices[np.unique(mesh.faces[stem])].astype(float)
     return vertices - vertices.mean(axis=0)
 
 
@@ -76,6 +78,22 @@ def test_without_daylight_there_is_no_sky_and_without_twine_no_wire(recipe, fake
     assert "twine" not in {instance.kind for instance in scene.mesh.instances}
     with_all = Stage(recipe, fake_renderer).scene(recipe.plan.shot(0))
     assert "twine" in {instance.kind for instance in with_all.mesh.instances}
+
+
+def test_every_frame_tells_what_touches(three_plants, fake_renderer):
+    stage = Stage(three_plants, fake_renderer)
+    plan = three_plants.plan
+    frames = [stage.render(plan.shot(index), LABELS) for index in (0, 1, plan.frames)]
+    told = [frame.facts["contacts"] for frame in frames]
+    # All frames of a scene tell the same.
+    assert told[0] == told[1]
+    for index, found in ((0, told[0]), (plan.frames, told[2])):
+        mesh = stage.scene(plan.shot(index), traced=False).mesh
+        kinds = [one.organ_class for one in mesh.instances]
+        assert found["fruit"] == kinds.count(OrganClass.PEPPER)
+        assert found["blades"] == kinds.count(OrganClass.LEAF)
+        assert 0 <= found["fruit_touching"] <= found["fruit"]
+        assert 0 <= found["blades_touching"] <= found["blades"]
 
 
 def test_the_camera_goes_along_the_arc(recipe, fake_renderer):

@@ -2,6 +2,7 @@
 
 from pepperscene.dataset.build import BuildResult, Progress, build
 from pepperscene.dataset.changes import read_changes
+from pepperscene.dataset.grown import GrownPlant, grown
 from pepperscene.dataset.images import read_image, write_image
 from pepperscene.dataset.plan import Plan, Shot
 from pepperscene.dataset.recipe import Recipe
@@ -14,6 +15,7 @@ from pepperscene.dataset.store import Dataset, open_dataset
 __all__ = [
     "BuildResult",
     "Dataset",
+    "GrownPlant",
     "Plan",
     "Progress",
     "Recipe",
@@ -21,6 +23,7 @@ __all__ = [
     "Shot",
     "Stage",
     "build",
+    "grown",
     "load_recipe",
     "open_dataset",
     "read_changes",

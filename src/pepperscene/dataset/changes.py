@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import datetime
 import json
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -95,6 +96,8 @@ def _written(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     try:
+        if isinstance(value, datetime.date):
+            return value.isoformat()
         if isinstance(value, str):
             return value if _bare(value) else json.dumps(value, ensure_ascii=False)
         if isinstance(value, Mapping):

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.recipe import NONE, CameraTable, Recipe
+from pepperscene.dataset.recipe import Recipe
+from pepperscene.dataset.tables import NONE, CameraTable, GrowthTable
 from pepperscene.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,18 +28,60 @@ Thing = TypeVar("Thing")
 
 
 def cultivar_of(recipe: Recipe, where: str | Path = "") -> Cultivar:
-    """The plants' cultivar.
+    """The plants' cultivar, at the growth stage that the recipe says.
 
     Args:
         recipe: that names it.
         where: what to call the recipe in a message; its name if left out.
 
     Raises:
-        InputError: it is not found or not valid.
+        InputError: it is not found or not valid, or nothing lies between it and the later stage.
     """
-    from pepperscene.cultivar import load_cultivar
+    from pepperscene.cultivar import interpolated, load_cultivar
 
-    return _loaded(load_cultivar, where or recipe.name, "cultivar", recipe.cultivar)
+    where, growth = where or recipe.name, recipe.growth
+    first = _loaded(load_cultivar, where, "cultivar", recipe.cultivar)
+    if growth is None:
+        return first
+    last = _loaded(load_cultivar, where, "growth.until", growth.until)
+    share = growth.share if growth.share is not None else _share(growth, first, last, where)
+    try:
+        return interpolated(first, last, share)
+    except (ValueError, InputError) as fault:
+        raise InputError(where, "growth.until", growth.until, str(fault)) from None
+
+
+def _share(growth: GrowthTable, first: Cultivar, last: Cultivar, where: str | Path) -> float:
+    """How far the date lies between those of the two files."""
+    assert growth.date is not None
+    for key, one in (("cultivar", first), ("growth.until", last)):
+        if one.date is None:
+            allowed = f"growth.date needs a date in the file of {one.name} as well"
+            raise InputError(where, key, one.name, allowed)
+    assert first.date is not None
+    assert last.date is not None
+    days = (last.date - first.date).days
+    if days <= 0 or not first.date <= growth.date <= last.date:
+        allowed = f"must lie between the dates of the two files, {first.date} and {last.date}"
+        raise InputError(where, "growth.date", growth.date.isoformat(), allowed)
+    return (growth.date - first.date).days / days
+
+
+def check_greenhouse(recipe: Recipe, where: str | Path = "") -> None:
+    """Refuse a greenhouse that the row does not fit into.
+
+    Raises:
+        InputError: the gutters of the two rows, or those on either side of an aisle, overlap.
+    """
+    house, row = recipe.greenhouse, recipe.row
+    if house is None or house.gutter_width_mm == 0:
+        return
+    limits = {"row.gap_mm": row.gap_mm} if row.plants_back else {}
+    for key, limit in {**limits, "greenhouse.aisle_mm": house.aisle_mm}.items():
+        if house.gutter_width_mm > limit:
+            allowed = f"must be at most {key}, {limit:g}, so that no two gutters overlap"
+            where = where or recipe.name
+            raise InputError(where, "greenhouse.gutter_width_mm", house.gutter_width_mm, allowed)
 
 
 def cover_of(recipe: Recipe, where: str | Path = "") -> Cover | None:

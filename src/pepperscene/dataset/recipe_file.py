@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from pepperscene.dataset.changes import OPTION, as_tables, label
-from pepperscene.dataset.equipment import camera_of, cover_of, cultivar_of
+from pepperscene.dataset.equipment import camera_of, check_greenhouse, cover_of, cultivar_of
 from pepperscene.dataset.recipe import Recipe
 from pepperscene.document import read_toml, validated
 from pepperscene.errors import InputError
@@ -17,7 +17,7 @@ from pepperscene.shipped import find
 _LONGEST_CHAIN: Final = 16  # chosen: nobody reads a recipe through more files than this
 _FILE_KEYS: Final = (
     ("cultivar",), ("camera", "sensor"), ("camera", "lens"), ("camera", "flash"), ("camera", "filter"),
-    ("daylight", "cover"),
+    ("daylight", "cover"), ("growth", "until"),
 )  # fmt: skip
 """Keys whose value may be a path, relative to the recipe file that says it."""
 
@@ -51,7 +51,7 @@ def load_recipe(name_or_path: str | Path, changes: Mapping[str, Any] | None = No
     try:
         recipe = validated(Recipe, merged, where)
         # What stands in the files that it names is for their readers; that they are there is for the recipe.
-        for load in (cultivar_of, cover_of, camera_of):
+        for load in (cultivar_of, cover_of, camera_of, check_greenhouse):
             load(recipe, where)
     except InputError as fault:
         if fault.where != where:

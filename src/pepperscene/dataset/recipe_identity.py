@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from pepperscene.dataset import atomic
 from pepperscene.document import read_toml
 from pepperscene.spectra import read_spectra
 
@@ -35,6 +36,28 @@ def fingerprints(part: str, file: Path) -> dict[str, dict[str, str]]:
         curves = read_spectra(beside)
         content = {name: [c.wavelength_nm.tolist(), c.values.tolist()] for name, c in curves.items()}
         found[".".join((part, *table))] = _fingerprint(beside, content)
+    return found
+
+
+def cultivar_fingerprints(part: str, wanted: str | Path) -> dict[str, dict[str, str]]:
+    """Name and digest of a cultivar's file, of those that it extends, and of the scans of its fruit.
+
+    Args:
+        part: the key of the cultivar's own file ("cultivar"); the others' have a number behind it.
+        wanted: shipped name or path.
+
+    Raises:
+        InputError: a file is missing or cannot be read.
+    """
+    from pepperscene.cultivar import files_of
+
+    found: dict[str, dict[str, str]] = {}
+    for number, file in enumerate(files_of(wanted)):
+        key = f"{part}.{number}" if number else part
+        if file.suffix == ".toml":
+            found[key] = _fingerprint(file, read_toml(file))
+        else:
+            found[key] = {"name": file.stem, "sha256": atomic.digest(file)}
     return found
 
 

@@ -14,6 +14,9 @@ class Stream(IntEnum):
     SKY = 1
     TWINE = 2
     FRAME = 3
+    SETTLE = 4
+    PLACE = 5
+    FAR = 6
 
 
 def generator(seed: int, stream: Stream, *address: int) -> np.random.Generator:
@@ -22,7 +25,10 @@ def generator(seed: int, stream: Stream, *address: int) -> np.random.Generator:
     Args:
         seed: of the recipe.
         stream: what the numbers are for.
-        address: which one of its kind: (set, plant) for plants and twine, (set,) for the sky.
+        address: which one of its kind: (set, plant) for a plant, its twine and how its organs settle, (set,)
+            for the sky, (set, rotation, 0) for how a row settles, (set, 0) for the row's places, (set, 1,
+            plant) for how a plant stands in its own, (0, model) for a plant of the far rows and (1, set,
+            rotation) for where they stand.
     """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(stream), *address)))
 

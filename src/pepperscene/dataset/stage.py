@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
@@ -10,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.dataset.equipment import camera_of, cover_of, cultivar_of, surface_grid
-from pepperscene.dataset.plan import Shot, rotated
+from pepperscene.dataset.plan import Shot
+from pepperscene.dataset.planting import Planting
 from pepperscene.dataset.recipe import Recipe
 from pepperscene.dataset.seeds import Stream, frame_seed, generator
 from pepperscene.frame import OUTPUTS, Frame
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
-    from pepperscene.geometry import Mesh
+    from pepperscene.geometry import Contacts
     from pepperscene.materials import Surface
     from pepperscene.scene import Scene, Sky
 
@@ -65,7 +67,8 @@ class Stage:
         self.cultivar = cultivar_of(recipe)
         self._cover = cover_of(recipe)
         self._first_camera = camera_of(recipe)
-        self._row: tuple[int, list[Mesh]] | None = None
+        self._planting = Planting(recipe, self.cultivar)
+        self._contacts: Contacts | None = None
         self._scene: tuple[tuple[int, int, bool], RendererLike] | None = None
 
     def render(self, shot: Shot, outputs: Sequence[str], quality: str = "standard") -> Frame:
@@ -79,10 +82,13 @@ class Stage:
         traced = any(OUTPUTS[name].traced for name in outputs)
         seed = frame_seed(self.recipe.seed, shot.index)
         renderer = self._renderer(shot, traced)
-        return renderer.render(self.camera(shot), outputs=outputs, quality=quality, seed=seed)
+        frame = renderer.render(self.camera(shot), outputs=outputs, quality=quality, seed=seed)
+        if self._contacts is None:
+            return frame
+        return Frame(frame.images, {**frame.facts, "contacts": asdict(self._contacts)})
 
     def camera(self, shot: Shot) -> Camera:
-        """The camera of a shot, at its place on the arc path."""
+        """The camera of a shot, at its place on the arc path, which leans with the row."""
         return self._first_camera.at_pose(self._poses[shot.step])
 
     def scene(self, shot: Shot, *, traced: bool = True) -> Scene:
@@ -92,17 +98,13 @@ class Stage:
             shot: its set and rotation count.
             traced: False leaves out surfaces and sky, which labels and distances do not need.
         """
-        from pepperscene.scene import assemble, double_row
+        from pepperscene.scene import assemble
 
-        plants, row = self._plants(shot.set), self.recipe.row
-        mesh = double_row(
-            rotated(plants[: row.plants_front], shot.rotation),
-            rotated(plants[row.plants_front :], shot.rotation),
-            spacing_m=row.spacing_mm / 1e3,
-            gap_m=row.gap_mm / 1e3,
-            shift_m=row.shift_mm / 1e3,
-        )
-        return assemble(mesh, self._surfaces, self._sky(shot.set)) if traced else assemble(mesh)
+        planted = self._planting.scene(shot.set, shot.rotation)
+        self._contacts = planted.contacts
+        if not traced:
+            return assemble(planted.mesh)
+        return assemble(planted.mesh, self._surfaces, self._sky(shot.set))
 
     def _renderer(self, shot: Shot, traced: bool) -> RendererLike:
         """The renderer of the shot's scene; one that can trace light serves labels as well."""
@@ -116,27 +118,6 @@ class Stage:
         made = self._renderer_of(self.scene(shot, traced=traced))
         self._scene = ((shot.set, shot.rotation, traced), made)
         return made
-
-    def _plants(self, which: int) -> list[Mesh]:
-        """The meshes of a set's plants with their twine, the front row's first."""
-        if self._row is None or self._row[0] != which:
-            self._row = None
-            count = self.recipe.row.plants_front + self.recipe.row.plants_back
-            self._row = (which, [self._plant(which, number) for number in range(count)])
-        return self._row[1]
-
-    def _plant(self, which: int, number: int) -> Mesh:
-        from pepperscene.geometry import mesh_plant
-        from pepperscene.grammar import grow
-        from pepperscene.scene import Twine, with_twine
-
-        seed, twine = self.recipe.seed, self.recipe.twine
-        plant = grow(self.cultivar, generator(seed, Stream.PLANT, which, number))
-        mesh = mesh_plant(plant)
-        if twine is None or twine.diameter_mm == 0:
-            return mesh
-        cord = Twine(twine.diameter_mm / 1e3, twine.turns_per_m)
-        return with_twine(plant, mesh, cord, generator(seed, Stream.TWINE, which, number))
 
     def _sky(self, which: int) -> Sky | None:
         from pepperscene.scene import partly_cloudy
@@ -165,12 +146,15 @@ class Stage:
     def _poses(self) -> NDArray[np.float64]:
         from pepperscene.camera import arc_path
 
-        path = self.recipe.path
+        path, house = self.recipe.path, self._planting.house
         first, last = (float(angle) for angle in np.radians(path.azimuth_deg))
-        return arc_path(
+        poses = arc_path(
             self.recipe.plan.frames,
             path.distance_mm / 1e3,
             (first, last),
             (path.height_mm[0] / 1e3, path.height_mm[1] / 1e3),
             float(np.radians(path.pitch_deg)),
         )
+        # The arc keeps its distance from the row, wherever the row has leant to at that height.
+        poses[:, 1, 3] -= [house.away(float(height)) for height in poses[:, 2, 3]]
+        return poses

@@ -1,0 +1,173 @@
+"""From a recipe to what stands in a scene: the plants of a set, the greenhouse, the rows beyond."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pepperscene.dataset.grown import grown_at
+from pepperscene.dataset.plan import rotated
+from pepperscene.dataset.recipe import Recipe
+from pepperscene.dataset.seeds import Stream, generator
+
+if TYPE_CHECKING:
+    from pepperscene.cultivar import Cultivar
+    from pepperscene.geometry import Contacts, Mesh
+    from pepperscene.grammar import Plant
+    from pepperscene.scene import DoubleRow, Greenhouse, Posture
+
+FAR_DETAIL = 0.3
+"""Fineness of the plants that far rows are made coarse from: chosen, their leaves still hang and fold."""
+
+
+@dataclass(frozen=True, eq=False)
+class Planted:
+    """What stands in a scene.
+
+    Attributes:
+        mesh: plants first, then greenhouse and far rows.
+        contacts: what of the plants' fruit and blades still touches.
+    """
+
+    mesh: Mesh
+    contacts: Contacts
+
+
+class Planting:
+    """Grows the sets of a recipe and plants them, in any order.
+
+    The plants of one set are held at a time; its rotations reuse them.
+
+    Args:
+        recipe: what to show.
+        cultivar: of the plants.
+    """
+
+    def __init__(self, recipe: Recipe, cultivar: Cultivar) -> None:
+        self.recipe = recipe
+        self.cultivar = cultivar
+        self._set: tuple[int, list[tuple[Mesh, Posture]]] | None = None
+
+    def scene(self, which: int, rotation: int) -> Planted:
+        """What stands in the scene of a set at a rotation."""
+        from pepperscene.geometry import concatenate, settle
+        from pepperscene.scene import far_rows, furniture, standing, uneven
+
+        plants, row, house = self.plants(which), self.row, self.house
+        moved_on = rotated(plants[: row.front], rotation) + rotated(plants[row.front :], rotation)
+
+        # Places belong to the greenhouse, postures to the plants that move on.
+        places = uneven(row, house, generator(self.recipe.seed, Stream.PLACE, which, 0))
+        feet = np.column_stack([places, np.full(len(places), house.foot_m)])
+        turns = np.array([posture.turn_rad for _, posture in moved_on])
+        across = np.array([posture.across_m for _, posture in moved_on])
+        if self.recipe.greenhouse is not None:
+            # The back row faces its own aisle, behind it.
+            turns[row.front :] += np.pi
+            across[row.front :] *= -1.0
+        feet[:, 1] += across
+
+        together = standing([mesh for mesh, _ in moved_on], feet, turns)
+        settling = generator(self.recipe.seed, Stream.SETTLE, which, rotation, 0)
+        settled = settle(together, settling, between_plants=True)
+        around = furniture(row, house, places)
+        if house.far_rows > 0:
+            chance = generator(self.recipe.seed, Stream.FAR, 1, which, rotation)
+            around += far_rows(self._models, row, house, chance)
+        mesh = concatenate([settled.mesh, *around]) if around else settled.mesh
+        return Planted(mesh, settled.contacts)
+
+    def plants(self, which: int) -> list[tuple[Mesh, Posture]]:
+        """The meshes of a set's plants with their twine, the front row's first, and how each one stands."""
+        if self._set is None or self._set[0] != which:
+            self._set = None
+            count = self.row.front + self.row.back
+            self._set = (which, [self._plant(which, number) for number in range(count)])
+        return self._set[1]
+
+    def _plant(self, which: int, number: int) -> tuple[Mesh, Posture]:
+        from pepperscene.scene import posture
+
+        seed = self.recipe.seed
+        stands = posture(self.house, generator(seed, Stream.PLACE, which, 1, number))
+
+        def hold(plant: Plant, mesh: Mesh) -> Mesh:
+            return self._held(plant, mesh, stands, generator(seed, Stream.TWINE, which, number))
+
+        return grown_at(self.cultivar, seed, which, number, lean_rad=stands.lean_rad, hold=hold).mesh, stands
+
+    def _held(self, plant: Plant, mesh: Mesh, stands: Posture, rng: np.random.Generator) -> Mesh:
+        """The plant with its twine, tied to the wire above its row where there is one."""
+        from pepperscene.scene import Twine, with_twine
+
+        cord = self.recipe.twine
+        if cord is None or cord.diameter_mm == 0:
+            return mesh
+        return with_twine(
+            plant, mesh, Twine(cord.diameter_mm / 1e3, cord.turns_per_m), rng, self._knot(plant, stands)
+        )
+
+    def _knot(self, plant: Plant, stands: Posture) -> np.ndarray | None:
+        """`(3,)` where the twine is tied in the plant's own coordinates: straight above the stem's top, as
+        far as the wire lets it.
+        """
+        from pepperscene.scene import about_z
+
+        wire = self.house.wire_above_foot()
+        if wire is None:
+            return None
+        turn = about_z(stands.turn_rad)
+        top = turn @ plant.of_form("internode")[-1].curve[-1]
+        return np.array([top[0], wire[0] - stands.across_m, wire[1]]) @ turn
+
+    @cached_property
+    def row(self) -> DoubleRow:
+        """The double row in metres."""
+        from pepperscene.scene import DoubleRow
+
+        row = self.recipe.row
+        return DoubleRow(
+            row.plants_front, row.plants_back, row.spacing_mm / 1e3, row.gap_mm / 1e3, row.shift_mm / 1e3
+        )
+
+    @cached_property
+    def house(self) -> Greenhouse:
+        """The greenhouse in metres and radians; without the table, upright plants in even rows alone."""
+        from pepperscene.scene import Greenhouse
+
+        table = self.recipe.greenhouse
+        if table is None:
+            return Greenhouse()
+        return Greenhouse(
+            row_lean_rad=float(np.radians(table.row_lean_deg)),
+            lean_sd_rad=float(np.radians(table.lean_sd_deg)),
+            turn_sd_rad=float(np.radians(table.turn_sd_deg)),
+            spacing_sd_m=table.spacing_sd_mm / 1e3,
+            across_sd_m=table.across_sd_mm / 1e3,
+            gutter_width_m=table.gutter_width_mm / 1e3,
+            gutter_height_m=table.gutter_height_mm / 1e3,
+            floor=table.floor,
+            crop_wire_m=table.crop_wire_mm / 1e3,
+            far_rows=table.far_rows,
+            far_reach_m=table.far_reach_mm / 1e3,
+            aisle_m=table.aisle_mm / 1e3,
+            pipes=table.pipes,
+        )
+
+    @cached_property
+    def _models(self) -> list[Mesh]:
+        """The coarse plants that far rows are made of, the same ones in every scene."""
+        from pepperscene.geometry import mesh_plant
+        from pepperscene.grammar import grow
+        from pepperscene.scene import coarse
+        from pepperscene.scene.far_rows import MODELS
+
+        made = []
+        for number in range(MODELS):
+            rng = generator(self.recipe.seed, Stream.FAR, 0, number)
+            plant = grow(self.cultivar, rng, lean=self.house.row_lean_rad)
+            made.append(coarse(mesh_plant(plant, FAR_DETAIL)))
+        return made

@@ -1,0 +1,144 @@
+"""The tables of a recipe file, one model each."""
+
+from __future__ import annotations
+
+import datetime
+from typing import Annotated, Final, Literal
+
+from pydantic import Field, model_validator
+
+from pepperscene.document import Document
+
+Name = Annotated[str, Field(strict=True, min_length=1, max_length=400, pattern=r"^[^\x00-\x1f]+$")]
+"""A shipped name or a path."""
+
+NONE: Final = "none"
+"""Instead of a name: no flash, no filter, no cover, no white balance."""
+
+Angle = Annotated[float, Field(strict=True, ge=-180, le=180)]
+Height = Annotated[float, Field(strict=True, ge=0, le=10_000)]
+
+
+NARROWEST_GUTTER_MM: Final = 110
+"""The block that a plant roots in is 100 mm wide."""
+
+LOWEST_WIRE_MM: Final = 500
+"""Chosen: below, there is hardly a stem to hold."""
+
+
+class RowTable(Document):
+    """The double row of plants: the front row at the aisle and the row behind it."""
+
+    plants_front: Annotated[int, Field(strict=True, ge=1, le=50)]
+    plants_back: Annotated[int, Field(strict=True, ge=0, le=50)]
+    spacing_mm: Annotated[float, Field(strict=True, ge=50, le=2000)]
+    gap_mm: Annotated[float, Field(strict=True, ge=0, le=5000)]
+    shift_mm: Annotated[float, Field(strict=True, ge=-2000, le=2000)]
+
+
+class PathTable(Document):
+    """The camera's arc around the middle plant; azimuth and height go from the first to the second value."""
+
+    distance_mm: Annotated[float, Field(strict=True, ge=50, le=10_000)]
+    azimuth_deg: tuple[Angle, Angle]
+    height_mm: tuple[Height, Height]
+    pitch_deg: Annotated[float, Field(strict=True, ge=-89, le=89)]
+
+
+class CameraTable(Document):
+    """The camera's parts by shipped name or path, and how they are set; flash and filter may be "none".
+
+    Where `focus_mm` is missing everything is sharp; where `bits` is missing it is the sensor file's.
+    """
+
+    sensor: Name
+    lens: Name
+    flash: Name
+    filter: Name = NONE
+    exposure_us: Annotated[float, Field(strict=True, ge=1, le=1_000_000)]
+    focus_mm: Annotated[float, Field(strict=True, ge=1, le=1_000_000)] | None = None
+    gain: Annotated[float, Field(strict=True, ge=0.01, le=1000)] = 1.0
+    bits: Annotated[int, Field(strict=True, ge=1, le=16)] | None = None
+
+
+Switch = Annotated[bool, Field(strict=True)]
+
+
+class DevelopingTable(Document):
+    """The steps from light to picture, as `pepperscene.camera.Developing`; "none" leaves a balance out."""
+
+    falloff: Switch = True
+    shot_noise: Switch = True
+    read_noise: Switch = True
+    saturation: Switch = True
+    quantise: Switch = True
+    demosaic: Literal["malvar", "menon", "bilinear"] = "malvar"
+    white_balance: Literal["flash", "daylight", "none"] = "flash"
+    colour_matrix: Switch = True
+    tone: Literal["srgb", "linear"] = "srgb"
+
+
+class DaylightTable(Document):
+    """The partly cloudy sky above the greenhouse's cover; none where `illuminance_lx` is 0."""
+
+    illuminance_lx: Annotated[float, Field(strict=True, ge=0, le=200_000)]
+    sun_azimuth_deg: Annotated[float, Field(strict=True, ge=-360, le=360)] = 90.0
+    sun_elevation_deg: Annotated[float, Field(strict=True, ge=1, le=90)] = 45.0
+    sun_fraction: Annotated[float, Field(strict=True, ge=0, le=0.95)] = 0.0
+    cloud_cover: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.5
+    cover: Name = NONE
+
+
+class TwineTable(Document):
+    """The twine that is wound round every stem; none where `diameter_mm` is 0."""
+
+    diameter_mm: Annotated[float, Field(strict=True, ge=0, le=20)]
+    turns_per_m: Annotated[float, Field(strict=True, ge=0, le=50)]
+
+
+class GreenhouseTable(Document):
+    """What surrounds the double row, and how unevenly its plants stand; what is 0 or false is not there."""
+
+    row_lean_deg: Annotated[float, Field(strict=True, ge=0, le=20)] = 0.0
+    lean_sd_deg: Annotated[float, Field(strict=True, ge=0, le=10)] = 0.0
+    turn_sd_deg: Annotated[float, Field(strict=True, ge=0, le=180)] = 0.0
+    spacing_sd_mm: Annotated[float, Field(strict=True, ge=0, le=500)] = 0.0
+    across_sd_mm: Annotated[float, Field(strict=True, ge=0, le=500)] = 0.0
+    gutter_width_mm: Annotated[float, Field(strict=True, ge=0, le=1000)] = 0.0
+    gutter_height_mm: Annotated[float, Field(strict=True, ge=0, le=1500)] = 0.0
+    floor: Switch = False
+    crop_wire_mm: Annotated[float, Field(strict=True, ge=0, le=10_000)] = 0.0
+    far_rows: Annotated[int, Field(strict=True, ge=0, le=5)] = 0
+    far_reach_mm: Annotated[float, Field(strict=True, ge=500, le=20_000)] = 4000.0
+    aisle_mm: Annotated[float, Field(strict=True, ge=600, le=5000)] = 1200.0
+    pipes: Switch = False
+
+    @model_validator(mode="after")
+    def _consistent(self) -> GreenhouseTable:
+        if self.gutter_width_mm == 0 and self.gutter_height_mm > 0:
+            raise ValueError("gutter_height_mm needs a gutter_width_mm above 0")
+        if 0 < self.gutter_width_mm < NARROWEST_GUTTER_MM:
+            raise ValueError(
+                f"gutter_width_mm = {self.gutter_width_mm:g} must be 0 for none, or at least "
+                f"{NARROWEST_GUTTER_MM}, so that a plant's block stands in it"
+            )
+        if 0 < self.crop_wire_mm < self.gutter_height_mm + LOWEST_WIRE_MM:
+            raise ValueError(
+                f"crop_wire_mm = {self.crop_wire_mm:g} must be 0 for none, or hang at least "
+                f"{LOWEST_WIRE_MM} above the gutter"
+            )
+        return self
+
+
+class GrowthTable(Document):
+    """A growth stage between the cultivar's and that of another file, by share of the way or by date."""
+
+    until: Name
+    share: Annotated[float, Field(strict=True, ge=0, le=1)] | None = None
+    date: Annotated[datetime.date, Field(strict=True)] | None = None
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> GrowthTable:
+        if (self.share is None) == (self.date is None):
+            raise ValueError("must say either share or date, one of the two")
+        return self
