@@ -211,9 +211,13 @@ def cultivars() -> None:
     from pepperscene.cultivar import load_cultivar
     from pepperscene.shipped import shelf
 
-    for path in sorted(shelf("plants").glob("*.toml")):
-        one = load_cultivar(path.stem)
-        typer.echo(f"{path.stem:<12} {one.name}, {one.species}: {one.stem.parts} nodes")
+    names = [path.stem for path in sorted(shelf("plants").glob("*.toml"))]
+    for name in names:
+        one = load_cultivar(name)
+        dated = f", {one.date}" if one.date is not None else ""
+        typer.echo(
+            f"{name:<{max(map(len, names))}}  {one.name}, {one.species}: {one.stem.parts} nodes{dated}"
+        )
 
 
 @app.command()

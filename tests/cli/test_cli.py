@@ -86,8 +86,9 @@ def test_python_dash_m_works():
 
 def test_recipes_lists_the_shipped_ones(command):
     lines = command("recipes").stdout.splitlines()
-    assert [line.split()[0] for line in lines] == ["barth2018", "demo"]
-    assert "10,500 frames" in lines[0]
+    names = [path.stem for path in sorted(shelf("recipes").glob("*.toml"))]
+    assert [line.split()[0] for line in lines] == names
+    assert "10,500 frames" in lines[names.index("barth2018")]
 
 
 def test_cultivars_lists_the_shipped_ones(command):
@@ -105,7 +106,8 @@ def test_plant_writes_a_mesh_and_a_picture(command, tmp_path):
     assert done.exit_code == 0, done.stderr
     assert done.stdout.splitlines()[-2:] == [str(out), str(out.with_suffix(".png"))]
     assert {path.name for path in out.parent.iterdir()} == {"plant.glb", "plant.png"}
-    assert Image.open(out.with_suffix(".png")).mode == "RGB"
+    with Image.open(out.with_suffix(".png")) as picture:
+        assert picture.mode == "RGB"
     # What is printed is what another program reads.
     read = trimesh.load_scene(out)
     kinds = Counter(name.rsplit("_", 3)[0] for name in read.geometry)
@@ -217,7 +219,6 @@ def test_every_command_and_option_is_told():
         (("plant", "kaite", "--out", "a.fbx"), "must end in .glb, .obj, .ply or .stl"),
         (("plant", "kaite", "--out", "a"), "must end in .glb, .obj, .ply or .stl"),
         (("plant", "kaite", "--out", "/dev/null/a.glb"), "/dev/null"),
-        (("plant", "kaite", "--out", "a\0.glb"), "not a possible name"),
         (("plant", "kaite", "--out", "q" * 400 + ".glb"), "cannot be"),
         (("plant", "kaite", "--out", "a.glb", "--seed", "-1"), "--seed"),
         (("plant", "kaite", "--out", "a.glb", "--detail", "0"), "--detail"),

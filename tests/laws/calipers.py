@@ -151,21 +151,23 @@ def midribs(bodies: Bodies) -> tuple[FloatArray, FloatArray]:
 
 
 def flat_widths(bodies: Bodies, places: FloatArray) -> FloatArray:
-    """`(n,)` metres across blades at their widest, as if they lay flat.
+    """`(n,)` metres across blades, as if they lay flat between jaws that are parallel to the midrib.
 
-    At each place along the midrib the blade is cut across. A ruler is bent from the midrib over the middle of
-    either half to the margin: an arc through three points (two chords and a third of what they exceed the one
-    chord by). It lies on the blade and does not follow its small bulges.
+    At each place along the midrib the blade is cut across. A ruler is bent from the midrib over the middle
+    of either half to the margin: an arc through three points (two chords and a third of what they exceed the
+    one chord by). It lies on the blade and does not follow its small bulges. Each jaw touches its half where
+    that is widest.
 
     Args:
         bodies: blades.
         places: where to cut, parts of the length.
     """
     edges = np.unique(np.sort(bodies.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
-    return np.max([_width_at(bodies, edges, place) for place in places], axis=0)
+    return np.max([_halves_at(bodies, edges, place) for place in places], axis=0).sum(axis=1)
 
 
-def _width_at(bodies: Bodies, edges: IntArray, place: float) -> FloatArray:
+def _halves_at(bodies: Bodies, edges: IntArray, place: float) -> FloatArray:
+    """`(n, 2)` metres from the midrib to the left and to the right margin."""
     start, end = bodies.uv[:, edges[:, 0], 1] - place, bodies.uv[:, edges[:, 1], 1] - place
     blade, edge = np.nonzero((start <= 0.0) != (end <= 0.0))
     part = start[blade, edge] / (start[blade, edge] - end[blade, edge])
@@ -182,13 +184,13 @@ def _width_at(bodies: Bodies, edges: IntArray, place: float) -> FloatArray:
     def at(u: FloatArray) -> FloatArray:
         return np.stack([np.interp(2.0 * n + u, key, points[:, axis]) for axis in range(3)], axis=1)
 
-    middle, total = at(np.full(len(n), 0.5)), np.zeros(len(n))
+    middle, found = at(np.full(len(n), 0.5)), []
     for margin in (left, right):
         between = at(0.5 * (0.5 + across[margin]))
         one = np.linalg.norm(points[margin] - middle, axis=1)
         two = np.linalg.norm(points[margin] - between, axis=1) + np.linalg.norm(between - middle, axis=1)
-        total += two + (two - one) / 3.0
-    return total
+        found.append(two + (two - one) / 3.0)
+    return np.stack(found, axis=1)
 
 
 def _mixed(first: FloatArray, second: FloatArray, part: FloatArray) -> FloatArray:

@@ -24,17 +24,17 @@ Picture = NDArray[np.uint8]
 FAR_M: Final = 0.5
 """Distance of the second view from the stem: the farthest of the robot's in Barth et al. 2018."""
 
-NEAR_M: Final = 0.14
-"""Distance of the third from the axis of a fruit, so from its skin about 10 cm: the robot's nearest."""
+NEAR_M: Final = 0.1
+"""Distance of the third from the skin of a fruit: the nearest of the robot's."""
 
 _VIEW: Final = (600, 450)  # pixels of the second and the third view, one above the other
 _GAP: Final = 8  # white columns and rows between views
 _NARROWEST, _WIDEST = 200, 800  # columns of the first view
 _FOCAL_M: Final = 0.00416  # of the paper's lens
 _BACK: Final = 2.0  # the first view is taken from so many times the plant's extent
-_SKY_LX, _SUN_SHARE = 6000.0, 0.6  # chosen: soft light, with enough sun to show relief
+_SKY_LX, _SUN_SHARE = 5000.0, 0.5  # chosen: soft light, with enough sun to show relief
 _SUN: Final = (-0.45, -0.7, 0.6)  # chosen: over the left shoulder of one who stands in the aisle
-_EXPOSURE_S: Final = 1 / 720  # chosen: the sky behind the plant just fills the sensor
+_EXPOSURE_S: Final = 1 / 700  # chosen: the sky behind the plant just fills the sensor
 _TRIAL: Final = (60, 45)  # pixels of the label images that choose a view
 _LEVELS: Final = 10  # heights that are tried for the second view
 _CANDIDATES: Final = 12  # organs that are tried for the third
@@ -116,8 +116,9 @@ def _near(mesh: Mesh, stage: RendererLike) -> Camera:
         # A little above the middle, so that the calyx is in the picture.
         low, high = own.min(axis=0).astype(float), own.max(axis=0).astype(float)
         middle = 0.5 * (low + high) + np.array([0.0, 0.0, 0.15 * (high[2] - low[2])])
+        away = NEAR_M + 0.25 * (high - low)[:2].sum()
         for azimuth in _AZIMUTHS:
-            place = middle + NEAR_M * np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+            place = middle + away * np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
             trials.append((place, middle))
             scores.append((_trial(stage, place, middle, "instance") == organ + 1).sum())
     return _placed(_camera(_VIEW, _FOCAL_M), *trials[int(np.argmax(scores))])

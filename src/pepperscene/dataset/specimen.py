@@ -87,7 +87,7 @@ def write_specimen(
     # All that can be wrong with the arguments comes to light before anything grows.
     from pepperscene.cultivar import interpolated, load_cultivar
     from pepperscene.dataset.grown import grown
-    from pepperscene.geometry.export import check_format, mesh_files
+    from pepperscene.geometry import check_format, mesh_files
     from pepperscene.render import quality_named
 
     path = Path(out)
