@@ -154,9 +154,8 @@ def _alike(name: str, organs: Mapping[str, Any], files: Lineage) -> Any:
             raise InputError(stated_in(files, {"organs": organs}, key), key, like, allowed)
         chain.append(like)
         rest = {key: value for key, value in table.items() if key != "like"}
+        # What the other is like in turn is looked up next; `rest` would hide it.
         table = _organ_over(organs[like], rest)
-        if "like" not in organs[like]:
-            table = {key: value for key, value in table.items() if key != "like"}
     return table
 
 
