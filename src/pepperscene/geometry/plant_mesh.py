@@ -12,13 +12,15 @@ from pepperscene.classes import Instance
 from pepperscene.cultivar.forms import Form
 from pepperscene.geometry.body import Bodies
 from pepperscene.geometry.calyx import calyces
+from pepperscene.geometry.flower import flowers
 from pepperscene.geometry.fruit import frames, fruits, scanned_fruits
 from pepperscene.geometry.fruit_crown import crowns, joined, scanned_crowns
 from pepperscene.geometry.lamina import laminae
 from pepperscene.geometry.mesh import Mesh
 from pepperscene.geometry.pericarp import pericarps
 from pepperscene.geometry.scan import load_scan
-from pepperscene.geometry.tube import cuts, internodes, nodes, peduncles, stalks
+from pepperscene.geometry.stalk import cuts, peduncles, stalks
+from pepperscene.geometry.stem import internodes, nodes
 from pepperscene.grammar.plant import Organ, Plant
 
 _MAKERS: Final[Mapping[Form, Callable[[Sequence[Organ], float], Bodies]]] = {
@@ -28,6 +30,7 @@ _MAKERS: Final[Mapping[Form, Callable[[Sequence[Organ], float], Bodies]]] = {
     "blade": laminae,
     "peduncle": peduncles,
     "cut": cuts,
+    "flower": flowers,
 }
 
 Part = tuple[NDArray[np.intp], Bodies]

@@ -1,165 +1,260 @@
-"""Stems, nodes, side shoots, petioles, fruit stalks and scars: round bodies along a centreline."""
+"""Round bodies along a centreline: rings of points, closed by rounded caps."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.body import Bodies, fineness, solids
-from pepperscene.geometry.measures import measure, size
-from pepperscene.geometry.noise import hashed, smooth_field
-from pepperscene.geometry.spine import Spines, spines
+from pepperscene.geometry.body import Bodies
+from pepperscene.geometry.measures import measure
+from pepperscene.geometry.noise import smooth_field
+from pepperscene.geometry.spine import Spines, spines, unit
 from pepperscene.grammar.plant import Organ
 
-_CAP = 0.6  # chosen: a cap's height over its radius; it reaches into the parent and closes the joint
-_CAP_RING = (0.65, 0.75)  # chosen: part of the cap's height, part of the radius: a rounded end
-_STATE = 0.6  # chosen: greenness of organs whose measures do not say
-_STATE_SPREAD = 0.12  # chosen: streaks of lighter and darker green along a stem
+STATE: Final = 0.6  # chosen: greenness of organs whose measures do not say
+_STATE_SPREAD: Final = 0.12  # chosen: streaks of lighter and darker green along a stem
+_STREAK_M: Final = 0.04  # chosen: height of stem on which streaks vary as much as once around it
+_MARGIN: Final = 0.01  # part of v that either cap takes
 
 
-def internodes(organs: Sequence[Organ], detail: float) -> Bodies:
-    """Main stem sections: angular, with four or five ridges that fade into the nodes.
+@dataclass(frozen=True, eq=False)
+class Rings:
+    """The cross-sections of n tubes: r rings of c points, right-handed about the centreline.
 
-    Measures: radius_m (base, over the ridges), radius_tip_m, groove_m (depth between ridges), seed.
+    Attributes:
+        along: `(n, r)` or `(n, r, c)` metres from the base.
+        right: `(n, r, c)` metres to the right of the centreline, as in `Spines`.
+        up: `(n, r, c)` metres above it, towards the upper side.
+        part: `(r,)` v of each ring, 0 at the base and 1 at the tip, the same for all tubes.
+        state: `(n, r, c)` pigment state; what is beyond [0, 1] is cut.
     """
-    base, tip = size(organs, "radius_m"), size(organs, "radius_tip_m")
-    part, sides = np.linspace(0.0, 1.0, fineness(3, detail, 2) + 1), fineness(20, detail, 8)
-    radius = base[:, None] + (tip - base)[:, None] * part
-    # Ridges: as many as the seed says, each as wide as a groove, running along with the stem.
-    draw = hashed(measure(organs, "seed", 0.0), 101, 2)
-    ridges = np.where(draw[:, :1] < 0.5, 4, 5)
-    angle = 2.0 * np.pi * (np.arange(sides) / sides + draw[:, 1:])
-    depth = np.clip(measure(organs, "groove_m", 0.0), 0.0, 0.5 * np.minimum(base, tip))
-    groove = 0.5 - 0.5 * np.cos(ridges * angle)
-    fading = np.sin(np.pi * part) ** 0.5
-    rings = radius[..., None] - (depth[:, None, None] * fading[:, None]) * groove[:, None, :]
-    # Grooves are darker than ridges.
-    state = np.broadcast_to(0.2 * (groove[:, None, :] - 0.5), rings.shape)
-    return _tubes(organs, part, rings, fading[:, None] * state)
+
+    along: NDArray[np.float64]
+    right: NDArray[np.float64]
+    up: NDArray[np.float64]
+    part: NDArray[np.float64]
+    state: NDArray[np.float64]
 
 
-def nodes(organs: Sequence[Organ], detail: float) -> Bodies:
-    """Swellings between two stem sections.
+@dataclass(frozen=True, eq=False)
+class Cap:
+    """How n tubes end: a smaller ring and a point, each displaced from the last ring's centre.
 
-    Measures: radius_m (widest), radius_end_m (both ends), seed.
+    Attributes:
+        ring: `(n, 2)` metres on along the curve and to its upper side.
+        point: `(n, 2)` likewise.
+        width: the ring's size over that of the tube's last ring.
+        within: it lies inside another organ that the tube joins, so light must not see the bend into it.
     """
-    widest, end = size(organs, "radius_m"), size(organs, "radius_end_m")
-    part, sides = np.linspace(0.0, 1.0, fineness(6, detail, 2) + 1), fineness(10, detail, 6)
-    radius = end[:, None] + (widest - end)[:, None] * np.sin(np.pi * part) ** 2
-    rings = np.repeat(radius[..., None], sides, axis=2)
-    # A node is paler than the stem, the more the wider it is.
-    paler = np.broadcast_to(-0.2 * np.sin(np.pi * part)[:, None] ** 2, rings.shape)
-    return _tubes(organs, part, rings, paler)
+
+    ring: NDArray[np.float64]
+    point: NDArray[np.float64]
+    width: float = 0.75
+    within: bool = True
 
 
-def stalks(organs: Sequence[Organ], detail: float) -> Bodies:
-    """Petioles and side shoots: a swollen foot, a slow taper, a shallow channel above.
+def rounded(radius: NDArray[np.float64], length: NDArray[np.float64], height: float = 0.6) -> Cap:
+    """A cap that is `height` radii high, but never more than the tube is long.
 
-    Measures: radius_m (base), radius_tip_m.
+    It reaches into the parent and closes the joint.
+
+    Args:
+        radius: `(n,)` metres.
+        length: `(n,)` metres, of the tube.
+        height: of the cap, in radii (.6 chosen).
     """
-    base, tip = size(organs, "radius_m"), size(organs, "radius_tip_m")
-    part, sides = np.linspace(0.0, 1.0, fineness(8, detail, 3) + 1), fineness(7, detail, 5)
-    # The foot is a quarter wider (chosen) within its first tenth.
-    radius = (base[:, None] + (tip - base)[:, None] * part) * (1.0 + 0.25 * np.exp(-part / 0.06))
-    # The channel is a fifth of the radius deep (chosen) and as wide as one radius.
-    angle = 2.0 * np.pi * np.arange(sides) / sides
-    channel = np.exp(-(((angle + np.pi) % (2.0 * np.pi) - np.pi) ** 2) / (2.0 * 0.4**2))
-    depth = 0.2 * (organs[0].kind == "petiole") * np.sin(np.pi * np.clip(part + 0.05, 0.0, 1.0)) ** 0.5
-    rings = radius[..., None] * (1.0 - depth[:, None] * channel)
-    return _tubes(organs, part, rings, np.zeros_like(rings))
+    reach = height * np.minimum(radius, length)
+    level = np.zeros_like(reach)
+    return Cap(np.stack([0.65 * reach, level], axis=1), np.stack([reach, level], axis=1))
 
 
-def peduncles(organs: Sequence[Organ], detail: float) -> Bodies:
-    """Fruit stalks: ribbed, even for most of their length, widening towards the calyx.
+def centrelines(organs: Sequence[Organ], steps: int) -> Spines:
+    """The organs' centrelines."""
+    return spines([organ.curve for organ in organs], [organ.up for organ in organs], steps)
 
-    Measures: radius_m (base), radius_tip_m, seed.
+
+def circle(sides: int) -> NDArray[np.float64]:
+    """`(sides,)` angles of a ring's points: 0 on the upper side, a quarter turn to the right."""
+    return 2.0 * np.pi * np.arange(sides) / sides
+
+
+def centred(
+    right: NDArray[np.float64], up: NDArray[np.float64], radius: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rings of any shape `(n, r, c)`, moved so that their mean lies on the centreline and scaled to a radius.
+
+    So the centreline and the diameter over the ridges can be measured back on the triangles.
+
+    Args:
+        right: to the right, any unit.
+        up: to the upper side, the same unit.
+        radius: `(n, r)` greatest distance of a ring's points from their mean, metres.
     """
-    base, tip = size(organs, "radius_m"), size(organs, "radius_tip_m")
-    part, sides = np.linspace(0.0, 1.0, fineness(8, detail, 3) + 1), fineness(10, detail, 6)
-    # The base sits on a collar, the abscission zone; the upper third widens.
-    radius = base[:, None] * (1.0 + 0.2 * np.exp(-part / 0.05)) + (tip - base)[:, None] * part**3
-    angle = 2.0 * np.pi * (np.arange(sides) / sides + hashed(measure(organs, "seed", 0.0), 111, 1))
-    ribs = 0.05 * np.cos(5.0 * angle)  # chosen: five faint ribs
-    rings = radius[..., None] * (1.0 + ribs[:, None, :])
-    return _tubes(organs, part, rings, np.zeros_like(rings))
+    right = right - right.mean(axis=2, keepdims=True)
+    up = up - up.mean(axis=2, keepdims=True)
+    scale = radius / np.sqrt(np.max(right * right + up * up, axis=2))
+    return right * scale[..., None], up * scale[..., None]
 
 
-def cuts(organs: Sequence[Organ], detail: float) -> Bodies:
-    """Scars where fruit was harvested: a short stub with a raised rim and a sunken, corky middle.
+def closed(spine: Spines, rings: Rings, base: Cap, tip: Cap) -> Bodies:
+    """Tubes out of rings, with a cap at either end.
 
-    Measures: radius_m.
+    Vertices are the base's point, its cap's ring, the rings, the tip's cap's ring and its point; every ring's
+    first vertex comes twice, as u jumps there.
+
+    Args:
+        spine: n centrelines.
+        rings: their cross-sections.
+        base: before the first ring; its displacement along the curve counts backwards.
+        tip: after the last ring.
     """
-    radius, sides = size(organs, "radius_m"), fineness(12, detail, 6)
-    spine = _spines(organs, 2)
-    # Profile from the foot over the side and the rim into the hollow: height over the curve's length, radius
-    # over the organ's, state (0 the corky middle, 1 the green rim).
-    height, width, state = np.array(
-        [
-            [0.0, 1.0, 1.0],
-            [0.7, 1.03, 1.0],
-            [0.93, 1.0, 0.95],
-            [1.0, 0.9, 0.8],
-            [0.96, 0.72, 0.45],
-            [0.8, 0.4, 0.1],
-        ]
-    ).T
-    shape = (len(organs), len(height), sides)
-    along = np.broadcast_to((spine.lengths[:, None] * height)[..., None], shape)
-    rings = np.broadcast_to((radius[:, None] * width)[..., None], shape)
-    ends = (-0.3 * spine.lengths, 0.75 * spine.lengths)
-    one = np.ones((len(organs), 1))
-    return solids(
-        spine, along, rings, ends, np.hstack([one, np.repeat(one * state, sides, axis=1), 0.0 * one])
+    n = len(rings.right)
+    level = _level(rings)
+    # Caps are made of the outermost rings.
+    before, after = base.ring * [-1.0, 1.0], tip.ring
+    places = np.concatenate([level[:, :1] + before[:, :1], level, level[:, -1:] + after[:, :1]], axis=1)
+    right, up = _capped(rings.right, base, tip), _capped(rings.up, base, tip)
+    up[:, 0] += before[:, 1:]
+    up[:, -1] += after[:, 1:]
+    point, normal, across = spine.frames(places)
+    tangent = np.cross(normal, across)
+    grid = point[:, :, None] + right[..., None] * across[:, :, None] + up[..., None] * normal[:, :, None]
+    if rings.along.ndim == 3:
+        # Slanted rings.
+        grid[:, 1:-1] += (rings.along - level[..., None])[..., None] * tangent[:, 1:-1, None]
+    ends = np.empty((n, 2, 3))
+    for end, outermost, by in ((0, 1, base.point * [-1.0, 1.0]), (1, -2, tip.point)):
+        ends[:, end] = (
+            point[:, outermost] + by[:, :1] * tangent[:, outermost] + by[:, 1:] * normal[:, outermost]
+        )
+    return skin(grid, ends, tangent, rings.part, rings.state, (base.within, tip.within))
+
+
+def skin(
+    grid: NDArray[np.float64],
+    ends: NDArray[np.float64],
+    tangent: NDArray[np.float64],
+    part: NDArray[np.float64],
+    state: NDArray[np.float64],
+    within: tuple[bool, bool],
+) -> Bodies:
+    """Triangles over the rings of tubes and of their caps.
+
+    Args:
+        grid: `(n, r + 2, c, 3)` points of the rings, metres, a cap's ring at either end.
+        ends: `(n, 2, 3)` the caps' points.
+        tangent: `(n, r + 2, 3)` unit vectors along the tubes.
+        part: `(r,)` as in `Rings`.
+        state: `(n, r, c)` as in `Rings`.
+        within: whether the base and the tip lie inside another organ, as in `Cap`.
+    """
+    n, _, sides, _ = grid.shape
+    around, along = _directions(grid, ends)
+    # Where a tube joins another organ, it is lit as if it went on.
+    for joined, ring in zip(within, (1, -2), strict=True):
+        if joined:
+            along[:, ring] = tangent[:, ring, None]
+    poles = tangent[:, [0, -1]] * np.array([-1.0, 1.0])[:, None]
+    state = np.clip(state, 0.0, 1.0)
+    state = np.concatenate([state[:, :1], state, state[:, -1:]], axis=1)
+    faces, uv = _topology(tuple(part.tolist()), sides)
+    return Bodies(
+        _woven(ends, grid),
+        _woven(poles, unit(_cross(around, along))),
+        np.broadcast_to(uv, (n, *uv.shape)),
+        _woven(state[:, [0, -1]].mean(axis=2, keepdims=True), state[..., None])[..., 0],
+        faces,
     )
 
 
-def _tubes(
-    organs: Sequence[Organ],
-    part: NDArray[np.float64],
-    radius: NDArray[np.float64],
-    state: NDArray[np.float64],
-) -> Bodies:
-    """Tubes with rounded caps.
+def streaked(organs: Sequence[Organ], rings_along: NDArray[np.float64], sides: int) -> NDArray[np.float64]:
+    """`(n, r, sides)` the organs' state with streaks of lighter and darker green, long along the tubes.
 
     Args:
-        organs: n of one kind.
-        part: `(r,)` where the rings lie, 0 at the base, 1 at the tip.
-        radius: `(n, r, c)` metres.
-        state: `(n, r, c)` difference to the organ's mean state.
+        organs: measures state_mean, state_spread, seed.
+        rings_along: `(n, r)` metres from the base.
+        sides: points of each ring.
     """
-    spine = _spines(organs, max(8, 2 * len(part)))
-    along = np.broadcast_to((spine.lengths[:, None] * part)[..., None], radius.shape)
-    # A cap goes on as a smaller ring; its height is never more than the tube is long.
-    first, last = radius[:, :1], radius[:, -1:]
-    foot = _CAP * np.minimum(first.mean(axis=2, keepdims=True), spine.lengths[:, None, None])
-    head = _CAP * np.minimum(last.mean(axis=2, keepdims=True), spine.lengths[:, None, None])
-    high, wide = _CAP_RING
-    along = np.concatenate([along[:, :1] - high * foot, along, along[:, -1:] + high * head], axis=1)
-    radius = np.concatenate([wide * first, radius, wide * last], axis=1)
-    ends = (-foot[:, 0, 0], spine.lengths + head[:, 0, 0])
-    # Greenness varies in streaks, long along the organ and narrow around it.
-    state = np.pad(state, ((0, 0), (1, 1), (0, 0)), mode="edge").reshape(len(organs), -1)
-    state = np.pad(state, ((0, 0), (1, 1)), mode="edge")
-    mean = measure(organs, "state_mean", _STATE)[:, None]
-    return solids(spine, along, radius, ends, mean + state + _streaks(organs, along))
+    n, count = rings_along.shape
+    angle = circle(sides)
+    # On a unit cylinder, so that there is no seam.
+    points = np.empty((n, count, sides, 3))
+    points[..., 0], points[..., 1] = np.cos(angle), np.sin(angle)
+    points[..., 2] = rings_along[..., None] / _STREAK_M
+    field = smooth_field(points.reshape(n, -1, 3), measure(organs, "seed", 0.5), 121, 4.0)
+    # They fade at both ends, so that no ring shows where organs meet.
+    place = rings_along / np.maximum(rings_along[:, -1:], 1e-9)
+    spread = measure(organs, "state_spread", _STATE_SPREAD)[:, None] * np.sqrt(1.0 - (2.0 * place - 1.0) ** 2)
+    mean = measure(organs, "state_mean", STATE)[:, None, None]
+    return np.asarray(mean + spread[..., None] * field.reshape(n, count, sides))
 
 
-def _streaks(organs: Sequence[Organ], along: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`(n, 2 + r * c)` smooth variation of the state along and around tubes."""
-    n, _, sides = along.shape
-    angle = 2.0 * np.pi * np.arange(sides) / sides
-    # On a unit cylinder that is 40 mm (chosen) of stem high, so that there is no seam.
-    around = np.broadcast_to(np.stack([np.cos(angle), np.sin(angle)], axis=-1), (*along.shape, 2))
-    points = np.concatenate([around, along[..., None] / 0.04], axis=-1).reshape(n, -1, 3)
-    field = smooth_field(points, measure(organs, "seed", 0.5), 121, 4.0).reshape(along.shape)
-    # It fades at both ends, so that no ring shows where organs meet.
-    fading = np.sin(np.pi * np.linspace(0.0, 1.0, along.shape[1]))[:, None] ** 0.5
-    spread = measure(organs, "state_spread", _STATE_SPREAD)[:, None]
-    return np.pad(spread * (fading * field).reshape(len(field), -1), ((0, 0), (1, 1)))
+def _level(rings: Rings) -> NDArray[np.float64]:
+    """`(n, r)` how far along the rings' centres are."""
+    return rings.along if rings.along.ndim == 2 else rings.along.mean(axis=2)
 
 
-def _spines(organs: Sequence[Organ], steps: int) -> Spines:
-    """The organs' centrelines."""
-    return spines([organ.curve for organ in organs], [organ.up for organ in organs], steps)
+def _capped(offset: NDArray[np.float64], base: Cap, tip: Cap) -> NDArray[np.float64]:
+    """`(n, r + 2, c)` with the caps' rings, which are smaller copies of the outermost ones."""
+    return np.concatenate([base.width * offset[:, :1], offset, tip.width * offset[:, -1:]], axis=1)
+
+
+def _directions(
+    grid: NDArray[np.float64], ends: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Directions around and along the tubes at the points of the rings, those of the caps as well."""
+    around = np.empty_like(grid)
+    around[:, :, 1:-1] = grid[:, :, 2:] - grid[:, :, :-2]
+    around[:, :, 0], around[:, :, -1] = grid[:, :, 1] - grid[:, :, -1], grid[:, :, 0] - grid[:, :, -2]
+    along = np.empty_like(grid)
+    along[:, 1:-1] = grid[:, 2:] - grid[:, :-2]
+    along[:, 0] = grid[:, 1] - ends[:, 0, None]
+    along[:, -1] = ends[:, 1, None] - grid[:, -2]
+    return around, along
+
+
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vector products; `numpy.cross` takes several times as long for small arrays."""
+    found = np.empty_like(a)
+    found[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
+    found[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
+    found[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return found
+
+
+def _woven(ends: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`(n, v, k)` out of two ends `(n, 2, k)` and rings `(n, r, c, k)`, whose first column comes again."""
+    n, rings, sides, width = grid.shape
+    found = np.empty((n, 2 + rings * (sides + 1), width))
+    found[:, 0], found[:, -1] = ends[:, 0], ends[:, 1]
+    inner = found[:, 1:-1].reshape(n, rings, sides + 1, width)
+    inner[:, :, :-1], inner[:, :, -1] = grid, grid[:, :, 0]
+    return found
+
+
+@lru_cache(maxsize=64)
+def _topology(part: tuple[float, ...], sides: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Faces and uv of a tube with rings at these parts of its length and a smaller ring in either cap."""
+    rings = len(part) + 2
+    row, column = np.mgrid[0:rings, 0 : sides + 1]
+    last = 1 + rings * (sides + 1)
+    corner = (1 + row * (sides + 1) + column)[:, :-1]
+    a, b, d, c = corner[:-1], corner[:-1] + 1, corner[1:], corner[1:] + 1
+    faces = np.concatenate(
+        [
+            np.stack([np.zeros(sides, dtype=np.intp), corner[0] + 1, corner[0]], axis=1),
+            np.stack([a, b, c], axis=-1).reshape(-1, 3),
+            np.stack([a, c, d], axis=-1).reshape(-1, 3),
+            np.stack([np.full(sides, last), corner[-1], corner[-1] + 1], axis=1),
+        ]
+    )
+    height = np.concatenate([[0.5 * _MARGIN], _MARGIN + (1.0 - 2.0 * _MARGIN) * np.array(part)])
+    height = np.concatenate([height, [1.0 - 0.5 * _MARGIN]])
+    u, v = (column / sides).ravel(), height[row].ravel()
+    uv = np.stack([np.concatenate([[0.5], u, [0.5]]), np.concatenate([[0.0], v, [1.0]])], axis=1)
+    return faces, uv
