@@ -35,12 +35,13 @@ def absorption_coefficients(wavelength_nm: ArrayLike) -> Mapping[str, NDArray[np
     chlorophyll (a + b), carotenoid, anthocyanin and capsanthin in cm2 ug-1; brown (relative); water in cm-1;
     dry_matter, protein and carbon (carbon-based constituents) in cm2 g-1; refractive_index.
 
-    From PROSPECT-D/PRO (Feret et al. 2017, 2021); capsanthin is a MODEL, PROSPECT's carotenoid shifted to
-    the red, with its maximum at 482 nm. It stands for all red carotenoids of ripe fruit: in the tissue their
-    bands lie further to the red than in solvents, and a model with its maximum at 470 nm would give no red
-    pepper, but an orange one: CIELAB hue 44 degrees or more, where ripe ones have 30 (Molinari et al. 1999,
-    Proc. Fla. State Hort. Soc. 112:143). The tables begin at 400 nm: below, the value at 400 nm is held, because none was measured there.
-    Capsanthin is zero beyond its table's 800 nm.
+    From PROSPECT-D/PRO (Feret et al. 2017, 2021). The tables begin at 400 nm: below, the value at 400 nm is
+    held, because none was measured there.
+
+    Capsanthin is a MODEL, PROSPECT's carotenoid shifted to the red, with its maximum at 482 nm and zero
+    beyond its table's 800 nm. It stands for all red carotenoids of ripe fruit: in the tissue their bands lie
+    further to the red than in solvents. A model with its maximum at 470 nm makes no red pepper: CIELAB hue
+    44 degrees, where ripe ones have 30 (Molinari et al. 1999, Proc. Fla. State Hort. Soc. 112:143).
 
     Raises:
         ValueError: a wavelength lies beyond 2500 nm.
