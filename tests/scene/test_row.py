@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from pepperscene.classes import Instance, OrganClass
 from pepperscene.cultivar import load_cultivar
-from pepperscene.geometry import concatenate, mesh_plant, rectangle
+from pepperscene.geometry import concatenate, mesh_plant, rectangle, stem_profile
 from pepperscene.grammar import grow
 from pepperscene.scene import Twine, double_row, standing, with_twine
 
@@ -145,19 +145,25 @@ def test_the_twine_is_one_wire_behind_the_plants_own_organs(plant, leafy):
 
 
 def test_the_twine_keeps_to_the_stem(plant, leafy):
-    # The gap between the surfaces of cord and stem, in bands of 5 cm of height, a fifth of a turn. The cord
-    # is wound at the stem's mean radius around a smoothed axis: it may sink in or stand off by a millimetre
-    # (found 0.9), and by two where the stem tapers to its tip (found 1.7).
+    # The gap between the surfaces of cord and stem, in bands of 5 cm of height, a fifth of a turn. Off the
+    # widest of a node's sides, or where the stem bends, it may sink in or stand off by a millimetre.
     cord = cord_of(with_twine(plant, leafy, CORD, np.random.default_rng(0)))
-    axis, radius = stem_of(plant)
+    axis, radius = stem_profile(plant)
+    walked = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(axis, axis=0), axis=1))])
+    along = np.linspace(0, walked[-1], 4000)
+    axis = np.stack([np.interp(along, walked, column) for column in axis.T], axis=-1)
     away, nearest = cKDTree(axis).query(cord)
-    gap = away - radius[nearest]
+    # How far from the outline, in the plane of height and distance from the axis; inside it counts below 0.
+    radius = np.interp(along, walked, radius)
+    near = np.clip(nearest[:, None] + np.arange(-12, 13), 0, len(along) - 1)
+    gap = np.hypot(away[:, None] - radius[near], along[near] - along[nearest][:, None]).min(axis=1)
+    gap *= np.sign(away - radius[nearest])
     top = axis[-1, 2]
     for low in np.arange(0.02, top - 0.07, 0.05):
         here = gap[(cord[:, 2] >= low) & (cord[:, 2] < low + 0.05)]
-        assert abs(here.min()) < (1e-3 if low < 0.75 * top else 2e-3)
-        # No hiding inside the stem, and no bridging of its kinks by more than a hand would leave.
-        assert 0.5 * CORD.diameter_m < here.max() < 8e-3
+        assert abs(here.min()) < 1e-3
+        # No hiding inside the stem, and no bridging of its kinks.
+        assert 0.5 * CORD.diameter_m < here.max() < CORD.diameter_m + 1e-3
 
 
 def test_the_twine_leads_on_straight_up(plant, leafy):
@@ -209,4 +215,4 @@ def test_the_same_generator_winds_the_same_twine_and_another_starts_elsewhere(pl
         cord_of(with_twine(plant, leafy, CORD, np.random.default_rng(seed))) for seed in (1, 1, 2)
     )
     np.testing.assert_array_equal(first, again)
-    assert np.abs(first - other).max() > 1e-3
+    assert np.abs(first[:9] - other[:9]).max() > 1e-3

@@ -6,6 +6,7 @@ from pepperscene.geometry.mesh import Mesh, concatenate
 from pepperscene.geometry.plant_mesh import mesh_plant
 from pepperscene.geometry.settle import Motion, Settled, moved_plant, settle
 from pepperscene.geometry.single import rectangle, sphere
+from pepperscene.geometry.stem import stem_branches, stem_profile
 from pepperscene.geometry.twine import twine
 
 __all__ = [
@@ -23,6 +24,8 @@ __all__ = [
     "rectangle",
     "settle",
     "sphere",
+    "stem_branches",
+    "stem_profile",
     "twine",
     "write_mesh",
 ]

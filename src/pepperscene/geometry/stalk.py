@@ -117,18 +117,20 @@ def cuts(organs: Sequence[Organ], detail: float) -> Bodies:
     """
     radius, seed = size(organs, "radius_m"), measure(organs, "seed", 0.0)
     spine = centrelines(organs, 4)
-    height, width, green, slanted = _CUT.T
+    height, profile, green, slanted = _CUT.T
+    # A low stub has no room for a waist below its rim.
+    squat = np.minimum(1.0, 2.0 * spine.lengths / radius)[:, None]
+    width = np.where(profile > 0.9, 1.0 + (profile - 1.0) * squat, profile)
     angle = circle(fineness(10, detail, 6))
     draw = hashed(seed, 131, 4)
     # The knife's slant, up to 15 degrees (chosen), but no more than a fifth of the stub.
     slant = np.minimum(np.tan(0.26 * draw[:, 0]) * radius, 0.2 * spine.lengths)
-    lean = np.cos(angle + 2.0 * np.pi * draw[:, 1:2])
-    ragged = (
-        0.05 * np.cos(3.0 * angle + 2.0 * np.pi * draw[:, 2:3]) * np.cos(2.0 * np.pi * draw[:, 3:] + angle)
+    turn = 2.0 * np.pi * draw
+    lean = np.cos(angle + turn[:, 1:2])
+    ragged = 0.05 * np.cos(3.0 * angle + turn[:, 2:3]) * np.cos(angle + turn[:, 3:])
+    along = (spine.lengths[:, None] * height)[..., None] + np.einsum(
+        "n,nr,nc->nrc", slant, slanted * width, lean
     )
-    along = (spine.lengths[:, None] * height)[..., None] + (slant[:, None] * slanted * width)[
-        ..., None
-    ] * lean[:, None, :]
     reach = 1.0 + slanted[:, None] * ragged[:, None, :]
     right, up = centred(reach * np.sin(angle), reach * np.cos(angle), radius[:, None] * width)
     state = np.broadcast_to(green[:, None], right.shape)
@@ -137,7 +139,7 @@ def cuts(organs: Sequence[Organ], detail: float) -> Bodies:
     hollow = Cap(deeper, 2.0 * deeper, 0.5, within=False)
     part = np.linspace(0.0, 1.0, len(height))
     rings = Rings(along, right, up, part, state)
-    return closed(spine, rings, _into_parent(spine, width[0] * radius), hollow)
+    return closed(spine, rings, _into_parent(spine, width[:, 0] * radius), hollow)
 
 
 def _rows(
@@ -178,12 +180,13 @@ def _upright(spine: Spines, along: NDArray[np.float64], up: NDArray[np.float64])
 
     It even leans over a little, so that the foot's lower edge lies deeper, where a node is narrower.
     """
-    slant = np.tan(np.minimum(_rise(spine) + _UNDER, _LEAN))[:, None, None] * up
-    # No ring may reach the next but one.
-    room = 0.8 * (along[:, 1] - along[:, 0])[:, None]
+    slant = np.tan(np.minimum(_rise(spine) + _UNDER, _LEAN))[:, None] * up[:, 0]
+    # No ring may touch the next.
+    most, gap = np.abs(slant).max(axis=1).clip(1e-9), np.diff(along[:, :3], axis=1)
+    slant = slant * np.minimum(1.0, np.minimum(1.2 * gap[:, 0], 1.4 * gap[:, 1]) / most)[:, None]
     leant = np.repeat(along[..., None], up.shape[2], axis=2)
-    leant[:, 0] += slant[:, 0]
-    leant[:, 1] += np.clip(0.5 * slant[:, 1], -room, room)
+    leant[:, 0] += slant
+    leant[:, 1] += 0.5 * slant
     return leant
 
 
@@ -196,4 +199,4 @@ def _into_parent(spine: Spines, radius: NDArray[np.float64]) -> Cap:
     """
     turn, reach = _rise(spine), np.minimum(radius, spine.lengths)[:, None]
     inward = reach * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    return Cap(0.5 * inward, 0.9 * inward)
+    return Cap(0.5 * inward, 0.9 * inward, within=False)

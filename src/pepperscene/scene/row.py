@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.geometry import Mesh, concatenate, twine
+from pepperscene.geometry import Mesh, concatenate, stem_branches, stem_profile, twine
 from pepperscene.grammar import Plant
 
 _STRAIGHT: Final = 0.15  # chosen: metres of cord below the wire that are not wound round the stem
@@ -57,45 +58,43 @@ class DoubleRow:
 def with_twine(
     plant: Plant, mesh: Mesh, cord: Twine, rng: np.random.Generator, wire: ArrayLike | None = None
 ) -> Mesh:
-    """The plant's mesh with a twine wound round its main stem, starting at a random side.
+    """The plant's mesh with a twine wound unevenly round its main stem, starting at a random side.
+
+    It lies on sections and nodes, and beside what grows out of them.
 
     Args:
         plant: whose stem it is.
         mesh: of the plant.
         cord: the twine.
-        rng: chooses the side.
+        rng: chooses the side, and how uneven the winding is.
         wire: `(3,)` metres in the plant's coordinates, where the twine is tied; stem above that height is
             left alone. None lets the twine go straight up above the stem.
 
     Raises:
         ValueError: the wire hangs lower than the stem's foot.
     """
-    axis, radius = _stem(plant)
-    phase = float(rng.uniform(0.0, 2.0 * np.pi))
+    axis, radius = stem_profile(plant)
+    branches = stem_branches(plant)
+    phase, seed = float(rng.uniform(0.0, 2.0 * np.pi)), float(rng.uniform())
+    wound = partial(
+        twine,
+        twine_radius_m=cord.diameter_m / 2.0,
+        turns_per_m=cord.turns_per_m,
+        phase_rad=phase,
+        branches=branches,
+        seed=seed,
+    )
     if wire is None:
-        cord_mesh = twine(axis, radius, cord.diameter_m / 2.0, cord.turns_per_m, phase)
-        return concatenate([mesh, cord_mesh])
+        return concatenate([mesh, wound(axis, radius)])
     end = np.asarray(wire, dtype=float)
     axis, radius = _below(axis, radius, float(end[2]) - _STRAIGHT)
     top = axis[-1]
     rise = float(end[2] - top[2])
-    cord_mesh = twine(axis, radius, cord.diameter_m / 2.0, cord.turns_per_m, phase, above_m=rise)
+    cord_mesh = wound(axis, radius, above_m=rise)
     # What goes straight up is leant over to the wire, the more the higher it is.
     share = np.maximum(cord_mesh.vertices[:, 2:] - top[2], 0.0) / rise
     leant = cord_mesh.vertices + share * np.append(end[:2] - top[:2], 0.0)
     return concatenate([mesh, replace(cord_mesh, vertices=leant.astype(np.float32))])
-
-
-def _stem(plant: Plant) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """`(k, 3)` points of the main stem's axis from the ground up, and `(k,)` its radius there."""
-    stem = plant.of_form("internode")
-    axis = np.concatenate([organ.curve for organ in stem])
-    radius = np.concatenate(
-        [np.linspace(one.measures["radius_m"], one.measures["radius_tip_m"], len(one.curve)) for one in stem]
-    )
-    # Neighbouring sections share their joints; a repeated point has no direction.
-    apart = np.concatenate([[True], np.linalg.norm(np.diff(axis, axis=0), axis=1) > 1e-4])
-    return axis[apart], radius[apart]
 
 
 def _below(
