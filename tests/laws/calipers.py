@@ -240,16 +240,26 @@ def inclinations(vectors: FloatArray, azimuth: FloatArray) -> FloatArray:
     return np.arctan2(vectors[..., 2], forward)
 
 
-def starting(lines: FloatArray, azimuth: FloatArray) -> FloatArray:
-    """`(n,)` inclination at the base of lines `(n, k, 3)`: of their pieces, followed back to the start."""
-    pieces = inclinations(np.diff(lines[:, :4], axis=1), azimuth[:, None])
-    # A parabola through the middles of three pieces, half a piece further on.
-    return 1.875 * pieces[:, 0] - 1.25 * pieces[:, 1] + 0.375 * pieces[:, 2]
+def ends(lines: FloatArray, azimuth: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """`(n,)` inclinations at the base and at the tip of lines `(n, k, 3)`, out of their whole course.
 
-
-def ending(lines: FloatArray, azimuth: FloatArray) -> FloatArray:
-    """`(n,)` inclination at the tip of lines `(n, k, 3)`."""
-    return starting(lines[:, ::-1], azimuth + np.pi) * -1.0
+    To the pieces' inclinations, weighted by length, an even bend is fitted and one that grows as a stalk gets
+    thinner: a + b s + c s^1.5, s from 0 at the base to 1.
+    """
+    pieces = np.diff(lines, axis=1)
+    size = np.linalg.norm(pieces, axis=2)
+    place = np.concatenate([np.zeros((len(lines), 1)), np.cumsum(size, axis=1)], axis=1)
+    place /= place[:, -1:]
+    start, end = place[:, :-1], place[:, 1:]
+    # Of each piece the mean of the three terms over it.
+    width = end - start
+    terms = [np.ones_like(width), 0.5 * (start + end), (end**2.5 - start**2.5) / (2.5 * width)]
+    design = np.stack(terms, axis=2)
+    weighted = design * width[..., None]
+    slopes = inclinations(pieces, azimuth[:, None])
+    right = np.einsum("npk,np->nk", weighted, slopes)[..., None]
+    fit = np.linalg.solve(np.einsum("npk,npl->nkl", weighted, design), right)[..., 0]
+    return fit[:, 0], fit.sum(axis=1)
 
 
 def halfway(lines: FloatArray, places: FloatArray, azimuth: FloatArray) -> FloatArray:

@@ -29,27 +29,28 @@ from calipers import (
     Measured,
     axes,
     azimuths,
-    ending,
+    ends,
     flat_widths,
     fruit_sizes,
     halfway,
     lengths,
     midribs,
     rings,
-    starting,
 )
 from numpy.typing import NDArray
 from scipy import stats
 
 from pepperscene.cultivar import Cultivar, Distribution, Slot, load_cultivar
-from pepperscene.geometry import Mesh, mesh_plant
+from pepperscene.geometry import Mesh, mesh_plant, settle
 from pepperscene.grammar import Plant, grow
 
 FloatArray = NDArray[np.float64]
 
 SIGNIFICANCE = 1e-4
-FEW, MANY = 120, 2000
-DETAIL = 0.5
+FEW, MANY = 100, 2000
+PARTED = 12
+"""Plants of which all organs are measured before and after they are parted."""
+
 CUTS = np.linspace(0.29, 0.41, 9)
 """Places along a blade at which it is cut across to find its width: Kaite's are widest about .35."""
 
@@ -154,9 +155,9 @@ def measured(
         first |= dict(zip(bodies.instances.tolist(), out, strict=True))
         yield "length", lengths(lines)
         if form != "cut":
-            yield "inclination", starting(lines, azimuths(out))
-        if form == "peduncle":
-            yield "end_inclination", ending(lines, azimuths(out))
+            base, tip = ends(lines, azimuths(out))
+            yield "inclination", base
+            yield "end_inclination", tip
     elif form == "blade":
         lines, places = midribs(bodies)
         out = np.array([first[index] for index in plant.parents[bodies.instances]])
@@ -278,7 +279,7 @@ def sample(request: pytest.FixtureRequest, kaite: Cultivar) -> Sample:
     found = Sample()
     for seed in range(request.param):
         plant = grow(kaite, np.random.default_rng(seed))
-        measure(found, mesh_plant(plant, DETAIL), mesh_plant(pressed(plant)), kaite)
+        measure(found, mesh_plant(plant), mesh_plant(pressed(plant)), kaite)
     return found
 
 
@@ -342,6 +343,62 @@ def test_shoots_end_by_their_probabilities(kaite: Cultivar, sample: Sample) -> N
     words = list(slot.count.numbers)
     shares = np.array(list(slot.count.numbers.values()))
     assert p_by_plant(np.searchsorted(words, number), shares, owners, sample.plants) > SIGNIFICANCE
+
+
+@pytest.fixture(scope="module")
+def settled(kaite: Cultivar) -> tuple[Sample, Sample]:
+    """The same plants before and after their organs were parted."""
+    before, after = Sample(), Sample()
+    for seed in range(PARTED):
+        plant = grow(kaite, np.random.default_rng(seed))
+        mesh, herbarium = mesh_plant(plant), mesh_plant(pressed(plant), 0.3)
+        measure(before, mesh, herbarium, kaite)
+        measure(after, settle(mesh, np.random.default_rng(seed)).mesh, herbarium, kaite)
+    return before, after
+
+
+def test_parting_organs_changes_no_size(settled: tuple[Sample, Sample]) -> None:
+    """Organs are turned as they are; vertices in single precision 4 m up are rounded to half a micrometre."""
+    before, after = settled
+    checked = 0
+    for kind, parameter in before.values:
+        if parameter in ("length", "width", "diameter"):
+            # Midribs have many short pieces, whose rounding adds up.
+            np.testing.assert_allclose(
+                after.of(kind, parameter)[0], before.of(kind, parameter)[0], atol=3e-4, err_msg=kind
+            )
+            checked += 1
+    assert checked > 10
+
+
+@pytest.mark.parametrize(
+    ("kind", "parameter", "most", "shift_deg"),
+    [
+        ("petiole", "inclination", 0.25, 1.5),
+        ("lamina", "inclination", 0.25, 1.5),
+        ("side_shoot", "inclination", 0.25, 1.5),
+        ("shoot_petiole", "inclination", 0.25, 1.5),
+        ("shoot_lamina", "inclination", 0.25, 1.5),
+        ("node.leaf", "azimuth", 0.25, 3.0),
+        ("node.shoot", "azimuth", 0.25, 3.0),
+        ("peduncle", "inclination", 0.3, 3.0),
+        ("fruit", "inclination", 0.4, 5.0),
+        ("node.fruit", "azimuth", 0.3, 3.0),
+    ],
+)
+def test_parting_organs_bends_angles_little(
+    settled: tuple[Sample, Sample], kind: str, parameter: str, most: float, shift_deg: float
+) -> None:
+    """Only organs that ran into others are turned, so the laws of angles bend by no more than their share.
+
+    As measured, 12 % of leaves and shoots are turned, 14 % of fruit stalks, 23 % of fruit; their means move
+    by .6, 1.6 and 2.9 degrees. Bounds are about twice that.
+    """
+    before, after = (sample.of(kind, parameter)[0] for sample in settled)
+    turned = (after - before + np.pi) % (2.0 * np.pi) - np.pi
+    assert (np.abs(turned) > np.radians(0.1)).mean() < most
+    assert abs(turned.mean()) < np.radians(shift_deg)
+    assert 0.85 < after.std() / before.std() < 1.2
 
 
 def slots(cultivar: Cultivar) -> dict[str, Slot]:
