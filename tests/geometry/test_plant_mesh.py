@@ -218,22 +218,37 @@ def test_any_leaf_is_sound(length, aspect, fold, curl, twist, wave, waves, blist
 
 @settings(max_examples=25, deadline=None)
 @given(
-    diameter=st.floats(0.005, 0.3),
-    slimness=st.floats(0.4, 3.0),
+    diameter=st.floats(0.001, 0.3),
+    slimness=st.floats(0.4, 4.5),
     lobes=st.integers(1, 6),
-    depth=st.floats(0.0, 2.0),
-    shoulder=st.floats(0.0, 1.5),
-    taper=st.floats(0.4, 1.0),
+    depth=st.floats(0.0, 9.0),
+    shoulder=st.floats(0.0, 3.0),
+    taper=st.floats(0.2, 1.2),
+    point=st.floats(-0.5, 1.5),
+    bend=st.floats(-2.0, 2.0),
+    sepals=st.floats(0.1, 1.1),
+    tooth=st.floats(0.0, 1.0),
+    spread=st.floats(0.0, 4.0),
     seed=st.floats(0.0, 0.999),
     detail=st.floats(0.2, 1.5),
 )
-def test_any_fruit_is_sound_and_closed(diameter, slimness, lobes, depth, shoulder, taper, seed, detail):
-    calyx = replace(ONE_OF_EACH[6], parent=-1, measures={"radius_m": 0.2 * diameter, "seed": seed})
+def test_any_fruit_and_calyx_are_sound_and_closed(
+    diameter, slimness, lobes, depth, shoulder, taper, point, bend, sepals, tooth, spread, seed, detail
+):
+    # Long sepals may be longer than a young fruit is wide, a plate with points may not.
+    reach = (sepals if tooth > 0.6 else min(sepals, 0.45)) * diameter
+    plate = {"radius_m": reach, "tooth": tooth, "seed": seed}
+    stub = np.array([[0.0, 0.0, 0.05 * diameter], [0.0, 0.0, 0.0]])
+    calyx = replace(ONE_OF_EACH[6], parent=-1, curve=stub, measures=plate)
     fruit = bell(
         slimness * diameter, diameter, parent=0, lobes=lobes, lobe_depth=depth, shoulder=shoulder,
-        taper=taper, seed=seed, ripeness=0.5, ripeness_spread=0.4,
+        taper=taper, point=point, bend_rad=bend, seed=seed, ripeness=0.5, ripeness_spread=spread,
     )  # fmt: skip
     mesh = mesh_of(calyx, fruit, detail=detail)
     assert_sound(mesh)
-    assert body(mesh).is_watertight
-    assert body(mesh_of(replace(fruit, parent=-1), detail=detail)).volume > 0.0
+    solid = body(mesh)
+    assert solid.is_watertight
+    assert solid.is_winding_consistent
+    assert len(np.unique(np.sort(solid.faces, axis=1), axis=0)) == len(solid.faces)
+    for number in (0, 1):
+        assert body(mesh.of_instances([number])).volume > 0.0

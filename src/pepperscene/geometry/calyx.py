@@ -19,14 +19,14 @@ from pepperscene.grammar.plant import Organ
 FloatArray = NDArray[np.float64]
 
 _TOOTH = 0.28  # chosen: depth of small points over the radius, as on a sweet pepper's calyx
-_THICKNESS = (0.07, 1.2e-3)  # chosen: of the plate, over its radius and in metres; the smaller holds
-_SUNK = (0.03, 0.5e-3)  # chosen: of its lower side in the fruit, likewise
+_THICKNESS = (0.06, 1.0e-3)  # chosen: of the plate, over its radius and in metres; the smaller holds
+_SUNK = (0.02, 0.35e-3)  # chosen: of its lower side in the fruit, likewise
 _NARROW = (
     1.3,
     0.8,
 )  # chosen: exponent of the teeth's outline, less by so much with their depth; less is slimmer
 _LIFT = 0.22  # chosen: of the tips of sepals as long as the radius, over the radius
-_STALK = 0.16  # chosen: radius of a stalk that is not there, over the calyx's
+_STALK = 0.18  # chosen: radius of a stalk that is not there, over the calyx's; slimmer under long sepals
 _TEETH: Final = {5: 0.45, 6: 0.4, 7: 0.15}  # chosen: how often
 # Profile of the plate's upper side: part of the way out (to the edge of the disc at .5, then along the
 # teeth), height over the fruit as parts of the thickness, difference of the state. The ring around the stalk
@@ -37,12 +37,13 @@ _UPPER = np.array(
         [0.22, 2.2, -0.1],
         [0.32, 1.2, -0.02],
         [0.5, 1.0, 0.02],
-        [0.68, 0.9, 0.06],
-        [0.86, 0.75, 0.1],
-        [1.0, 0.3, 0.12],
+        [0.68, 0.85, 0.06],
+        [0.86, 0.65, 0.1],
+        [1.0, 0.2, 0.12],
     ]
 )
-_LOWER = np.array([0.93, 0.5])  # and of its lower side, from the rim back
+_LOWER = np.array([0.96, 0.5, 0.16])  # and of its lower side, from the rim back
+_LONG = 0.5  # chosen: depth of teeth from which they count as sepals and get a finer mesh
 
 
 def calyces(
@@ -77,11 +78,12 @@ def calyces(
     blade = 1.0 - aside ** (_NARROW[0] - _NARROW[1] * tooth)[:, None]
     rim = 1.0 - tooth[:, None] + tooth[:, None] * blade * long
     rim *= (radius / rim.max(axis=1))[:, None]
-    disc = np.maximum(0.85 * (1.0 - tooth) * radius, 1.15 * stalk)[:, None]
+    disc = np.maximum(0.85 * (1.0 - tooth) * radius, 1.25 * stalk)[:, None]
     rim = np.maximum(rim, 1.12 * disc)
     # The plate, in the fruit's own frame and on its surface, so that it hugs the shoulders.
-    out = np.concatenate([_UPPER[:, 0], _LOWER])[:, None]
-    edge = 1.02 * stalk[:, None, None]
+    lower = _LOWER if tooth.max() <= _LONG else np.insert(_LOWER, 1, 0.75)
+    out = np.concatenate([_UPPER[:, 0], lower])[:, None]
+    edge = 1.08 * stalk[:, None, None]
     inner, outer = np.clip(out / 0.5, 0.0, 1.0), np.clip(out / 0.5 - 1.0, 0.0, 1.0)
     width = edge + inner * (disc[:, None] - edge) + outer * (rim - disc)[:, None]
     own = _own_frames(organs)
@@ -94,21 +96,21 @@ def calyces(
     # The swollen ring is no higher than the stalk's end.
     gap = np.linalg.norm(foot - np.array([organ.curve[0] for organ in organs]), axis=1)
     swelling = np.minimum(thickness[:, None] * _UPPER[:, 1], np.maximum(0.7 * gap, thickness)[:, None])
-    raised = np.concatenate([swelling, np.repeat(-sunk[:, None], len(_LOWER), axis=1)], axis=1)
+    raised = np.concatenate([swelling, np.repeat(-sunk[:, None], len(lower), axis=1)], axis=1)
     tip = _LIFT * (radius * tooth**2)[:, None] * (1.0 + 0.6 * _each(phase, signed(seed, 404, 8))) * blade
     along = floor - raised[..., None] - tip[:, None] * outer**2
     plate = _about(foot, axes, width, angle, along)
     # The collar closes round the stalk: it comes out of it a little before its end.
     end = np.array([organ.curve[0] for organ in organs], dtype=float)
     collar_axes = axes_about(stalk_axis, axes[:, 0])
-    widths = np.broadcast_to((stalk[:, None] * [0.92, 1.1])[..., None], (n, 2, angle.shape[1]))
+    widths = np.broadcast_to((stalk[:, None] * [0.92, 1.06])[..., None], (n, 2, angle.shape[1]))
     heights = np.broadcast_to((stalk[:, None] * [-0.7, 0.0])[..., None], widths.shape)
     collar = _about(end, collar_axes, widths, angle, heights)
     rings = np.concatenate([collar, plate], axis=1)
     first = end - 0.7 * stalk[:, None] * collar_axes[:, 2]
     last = foot + (sunk + floor[:, -1].mean(axis=1) * (under < 0))[:, None] * axes[:, 2]
     # Teeth are greener than the swollen ring around the stalk.
-    colour = np.concatenate([[-0.12, -0.12], _UPPER[:, 2], [0.1, 0.0]])
+    colour = np.concatenate([[-0.12, -0.12], _UPPER[:, 2], 0.1 * (lower > 0.5)])
     state = (
         np.pad(np.repeat(colour, angle.shape[1]), 1, mode="edge")
         + measure(organs, "state_mean", 0.5)[:, None]
@@ -119,7 +121,8 @@ def calyces(
 
 def _stalk_ends(organs: Sequence[Organ], stalks: Sequence[Organ | None]) -> tuple[FloatArray, FloatArray]:
     """`(n,)` radius and `(n, 3)` direction of the stalks' ends; without a stalk, as the calyx's own curve."""
-    radius = _STALK * size(organs, "radius_m")
+    tooth = np.clip(measure(organs, "tooth", _TOOTH), 0.0, 0.9)
+    radius = _STALK * size(organs, "radius_m") * (1.0 - 0.6 * tooth)
     axis = np.array([organ.curve[-1] - organ.curve[0] for organ in organs], dtype=float)
     for index, stalk in enumerate(stalks):
         if stalk is not None and stalk.measures.get("radius_tip_m", 0.0) > 0.0:
@@ -140,7 +143,7 @@ def _columns(seed: FloatArray, tooth: float, detail: float) -> tuple[FloatArray,
 
     Every tip and every gap has a column, so that points stay sharp; long sepals get more columns.
     """
-    columns = 2 * max(_TEETH) * fineness(3 if tooth > 0.5 else 2, detail, 1)
+    columns = 2 * max(_TEETH) * fineness(3 if tooth > _LONG else 2, detail, 1)
     share = np.cumsum(list(_TEETH.values()))
     number = np.array(list(_TEETH))[
         np.searchsorted(share / share[-1], hashed(seed, 401, 1)[:, 0], side="right")

@@ -49,22 +49,19 @@ def ring_normals(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Unit normals `(n, 3)` of the first points, `(n, r, c, 3)` of the rings and `(n, 3)` of the last points.
 
-    A ring point's is across the way between its neighbours on the ring and that between its neighbours on
-    the rings before and after; an end's is the mean of its triangles', weighted by area.
+    The mean of the faces around each point, all alike whatever their size, so that the edge of a plate looks
+    rounded; two triangles between rings count as one face.
     """
-    around = np.empty_like(rings)
-    around[:, :, 1:-1] = rings[:, :, 2:] - rings[:, :, :-2]
-    around[:, :, 0] = rings[:, :, 1] - rings[:, :, -1]
-    around[:, :, -1] = rings[:, :, 0] - rings[:, :, -2]
-    along = np.empty_like(rings)
-    along[:, 1:-1] = rings[:, 2:] - rings[:, :-2]
-    along[:, 0] = rings[:, 1] - first[:, None]
-    along[:, -1] = last[:, None] - rings[:, -2]
-    ends = []
-    for point, ring in ((first, rings[:, 0]), (last, rings[:, -1])):
-        spokes = ring - point[:, None]
-        ends.append(np.cross(spokes, np.roll(spokes, -1, axis=1)).sum(axis=1))
-    return unit(-ends[0]), unit(_cross(around, along)), unit(ends[1])
+    beside = np.concatenate([rings[:, :, 1:], rings[:, :, :1]], axis=2)
+    between = _cross(beside[:, 1:] - rings[:, :-1], rings[:, 1:] - beside[:, :-1])
+    start = _cross(beside[:, 0] - first[:, None], rings[:, 0] - first[:, None])
+    end = _cross(rings[:, -1] - last[:, None], beside[:, -1] - last[:, None])
+    strips = unit(np.concatenate([start[:, None], between, end[:, None]], axis=1))
+    # Each point has a face to either side in the strip before its ring and in the one after.
+    around = strips[:, :-1] + strips[:, 1:]
+    around[:, :, 1:] += around[:, :, :-1].copy()
+    around[:, :, 0] += strips[:, :-1, -1] + strips[:, 1:, -1]
+    return unit(start.sum(axis=1)), unit(around), unit(end.sum(axis=1))
 
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:

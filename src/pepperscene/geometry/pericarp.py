@@ -140,7 +140,7 @@ def pericarps(organs: Sequence[Organ], detail: float) -> Pericarps:
     # To the measured size: callipers across the outline seen along the axis, and from top to bottom.
     radius = radius * (diameter / _calliper(np.max(radius, axis=1)))[:, None, None]
     # The stalk's foot is where along is zero; a button closes the blossom end.
-    start, end = _pole(level[:, :2], width[:, :2]), level[:, -1].mean(axis=1) + _SCAR[1] * diameter / length
+    start, end = profile.foot, level[:, -1].mean(axis=1) + _SCAR[1] * diameter / length
     low_end, high_end = np.minimum(level.min(axis=(1, 2)), start), np.maximum(level.max(axis=(1, 2)), end)
     stretch = length / (high_end - low_end)
     bend = measure(organs, "bend_rad", 0.0)
@@ -165,6 +165,7 @@ class _Profile:
         top: 1 at the stalk end to 0 at the widest place and beyond.
         low: 1 at the blossom end to 0 at the widest place and before.
         v: part of the wall's length.
+        foot: `(n,)` height on the axis at the stalk end.
     """
 
     width: FloatArray
@@ -172,6 +173,7 @@ class _Profile:
     top: FloatArray
     low: FloatArray
     v: FloatArray
+    foot: FloatArray
 
 
 def _profile(organs: Sequence[Organ], blocky: FloatArray, slimness: FloatArray, rings: int) -> _Profile:
@@ -222,7 +224,7 @@ def _profile(organs: Sequence[Organ], blocky: FloatArray, slimness: FloatArray, 
     last = np.max(np.where(low_enough, share, 0.0), axis=1, keepdims=True)
     at = last * (np.arange(1, rings + 1) / rings)
     lines = _interpolated(at, share, (wall, level, top, low, distance / distance[:, -1:]))
-    return _Profile(*lines)
+    return _Profile(*lines, foot=level[:, 0])
 
 
 def _interpolated(at: FloatArray, knots: FloatArray, lines: Sequence[FloatArray]) -> list[FloatArray]:
@@ -266,16 +268,3 @@ def _calliper(outline: FloatArray) -> FloatArray:
     across = np.cos(angle[:, None] - 2.0 * angle)
     shadow = outline[:, None, :] * across
     return (shadow.max(axis=2) - shadow.min(axis=2)).max(axis=1)
-
-
-def _pole(level: FloatArray, width: FloatArray) -> FloatArray:
-    """`(n,)` height on the axis of a wall that meets it at a right angle.
-
-    Args:
-        level: `(n, 2, c)` heights of the ring nearest the axis and of the next.
-        width: `(n, 2, 1)` their mean distances from the axis.
-    """
-    # A parabola through both rings.
-    near, far = level.mean(axis=2).T
-    square = width[..., 0].T ** 2
-    return near - (far - near) * square[0] / (square[1] - square[0])
