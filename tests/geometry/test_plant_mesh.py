@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar import load_cultivar
-from pepperscene.cultivar.forms import USUAL, Kind
+from pepperscene.cultivar.forms import FORMS, USUAL, Kind
 from pepperscene.geometry import Mesh, concatenate, mesh_plant
 from pepperscene.grammar import grow
 from pepperscene.grammar.plant import Organ, Plant
@@ -44,8 +44,9 @@ ONE_OF_EACH = (
     straight("calyx", (0, 0, 0.004), (0, 0, 0), up=(1, 0, 0), parent=5, radius_m=0.015, seed=0.2),
     bell(parent=6),
     straight("cut", (0, 0, 0.1), (0.012, 0, 0.1), parent=1, radius_m=0.004),
+    straight("flower", (0, 0, 0.1), (0.004, 0, 0.1), parent=5, radius_m=0.012),
 )
-SOLIDS = tuple(organ for organ in ONE_OF_EACH if organ.kind != "blade")
+SOLIDS = tuple(organ for organ in ONE_OF_EACH if organ.kind not in ("blade", "flower"))
 
 
 def mesh_of(*organs, detail=1.0) -> Mesh:
@@ -100,6 +101,7 @@ def test_shading_normals_agree_with_the_winding(organ):
 
 def test_instances_follow_the_plant_and_classes_follow_the_kinds():
     mesh = mesh_of(*ONE_OF_EACH)
+    assert {KINDS[organ.kind].form for organ in ONE_OF_EACH} == set(FORMS)
     assert [item.kind for item in mesh.instances] == [organ.kind for organ in ONE_OF_EACH]
     assert [item.parent for item in mesh.instances] == [organ.parent for organ in ONE_OF_EACH]
     assert set(mesh.face_instance) == set(range(len(ONE_OF_EACH)))

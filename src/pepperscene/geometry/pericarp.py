@@ -223,8 +223,10 @@ def _profile(organs: Sequence[Organ], blocky: FloatArray, slimness: FloatArray, 
     low_enough = wall + (top > 0.0) >= _SCAR[0]
     last = np.max(np.where(low_enough, share, 0.0), axis=1, keepdims=True)
     at = last * (np.arange(1, rings + 1) / rings)
-    lines = _interpolated(at, share, (wall, level, top, low, distance / distance[:, -1:]))
-    return _Profile(*lines, foot=level[:, 0])
+    wall, high_at, top, low, v = _interpolated(
+        at, share, (wall, level, top, low, distance / distance[:, -1:])
+    )
+    return _Profile(wall, high_at, top, low, v, level[:, 0])
 
 
 def _interpolated(at: FloatArray, knots: FloatArray, lines: Sequence[FloatArray]) -> list[FloatArray]:
