@@ -77,15 +77,10 @@ class Bodies:
         self._own: dict[int, frozenset[int]] = {}
         self._known: dict[int, tuple[int, Near]] = {}
 
-    def prepare(self, fruit: list[int]) -> None:
-        """Make the walls of some fruit at once, which is faster than one by one."""
-        missing = [one for one in fruit if one not in self._walls]
-        self._walls.update(zip(missing, walls(self.organs, missing), strict=True))
-
     def wall(self, fruit: int) -> Wall:
         """The wall of a fruit, made when first asked for."""
         if fruit not in self._walls:
-            self.prepare([fruit])
+            self._prepare([fruit], [])
         return self._walls[fruit]
 
     def capsules(self, tube: int) -> Capsules:
@@ -114,11 +109,11 @@ class Bodies:
 
     def into_fruit(self, fruit: list[int]) -> dict[int, Near]:
         """What comes close to some fruit, and how far it reaches in; nothing for those that stand free."""
-        return self._measured(fruit, self.organs.solid, self._into_fruit, self.prepare)
+        return self._measured(fruit, self.organs.solid, self._into_fruit, self._prepare)
 
     def into_stems(self, blades: list[int]) -> dict[int, Near]:
         """The stems and cords that come close to some blades, and how far these reach in."""
-        return self._measured(blades, self.is_stem, self._into_stems, lambda near: None)
+        return self._measured(blades, self.is_stem, self._into_stems, lambda blades, stems: None)
 
     def depths(
         self, fruit: int, points: Points, starts: Indices, rotation: Vectors, shift: Vectors
@@ -141,22 +136,24 @@ class Bodies:
         origin = turned @ wall.centre + moved
         matrix = turned.T @ rotation
         offset = (rotation @ origin + shift - moved) @ turned - wall.centre
-        points = points - origin.astype(np.float32)
         # Points that come near in none of the ways are left out.
         centre = -np.einsum("kji,kj->ki", matrix, offset)
         middle = centre.mean(axis=0)
         far = wall.reach + NEAR
         swept = far + float(np.sqrt(np.square(centre - middle).sum(axis=1).max()))
-        off = points - middle.astype(np.float32)
-        kept = np.flatnonzero(np.einsum("pi,pi->p", off, off) < swept**2)
+        x, y, z = (points[:, axis] - np.float32(origin[axis] + middle[axis]) for axis in range(3))
+        kept = np.flatnonzero(x * x + y * y + z * z < swept**2)
         found = np.full((len(starts) - 1, len(rotation)), -np.inf, dtype=np.float32)
         if not len(kept):
             return found
-        local = points[kept] @ matrix.reshape(-1, 3).T.astype(np.float32) + offset.ravel().astype(np.float32)
-        local = local.reshape(-1, 3)
-        hit = np.flatnonzero(np.einsum("qi,qi->q", local, local) < far**2)
-        depth = np.full(len(local), -np.inf, dtype=np.float32)
-        depth[hit] = wall.depth(local[hit])
+        points = points[kept] - origin.astype(np.float32)
+        # Coordinates, points, ways.
+        local = points @ matrix.transpose(1, 2, 0).astype(np.float32)
+        local += offset.T[:, None].astype(np.float32)
+        local = local.reshape(3, -1)
+        hit = np.flatnonzero(local[0] ** 2 + local[1] ** 2 + local[2] ** 2 < far**2)
+        depth = np.full(local.shape[1], -np.inf, dtype=np.float32)
+        depth[hit] = wall.depth(local[:, hit])
         # The deepest point of each group.
         first = np.searchsorted(kept, starts)
         some = np.flatnonzero(np.diff(first))
@@ -168,7 +165,7 @@ class Bodies:
         organs: list[int],
         others: NDArray[np.bool_],
         measure: Callable[[int, list[int]], Points],
-        prepare: Callable[[list[int]], None],
+        prepare: Callable[[list[int], list[int]], None],
     ) -> dict[int, Near]:
         """What is known of organs' neighbours, measured anew where one has turned since."""
         low, high, stamp = self.organs.low[organs], self.organs.high[organs], self.organs.stamp
@@ -178,7 +175,7 @@ class Bodies:
         number, other = np.nonzero(meet)
         first = np.searchsorted(number, np.arange(len(organs) + 1))
         places = np.flatnonzero(np.diff(first)).tolist()
-        prepare([organs[place] for place in places])
+        prepare([organs[place] for place in places], np.unique(other).tolist())
         found = {}
         for place in places:
             organ, own = organs[place], self.own(organs[place])
@@ -192,6 +189,12 @@ class Bodies:
                 self._known[organ] = known
             found[organ] = known[1]
         return found
+
+    def _prepare(self, fruit: list[int], others: list[int]) -> None:
+        """Make walls and lay points at once, which is faster than one by one."""
+        missing = [one for one in fruit if one not in self._walls]
+        self._walls.update(zip(missing, walls(self.organs, missing), strict=True))
+        self.organs.sample(others)
 
     def _into_fruit(self, fruit: int, others: list[int]) -> NDArray[np.float32]:
         points, starts = self.organs.points(others)

@@ -36,9 +36,10 @@ class Wall:
     planes: NDArray[np.float32]
 
     def depth(self, points: Points) -> NDArray[np.float32]:
-        """`(p,)` metres that points `(p, 3)`, told from the centre, lie below the wall; negative outside."""
-        plane = self.planes[_cell(points)]
-        return np.asarray(plane[:, 3] - np.einsum("pi,pi->p", plane[:, :3], points))
+        """`(p,)` metres that points `(3, p)`, told from the centre, lie below the wall; negative outside."""
+        x, y, z = points
+        plane = self.planes[_cell(x, y, z)]
+        return np.asarray(plane[:, 3] - plane[:, 0] * x - plane[:, 1] * y - plane[:, 2] * z)
 
 
 def walls(organs: Organs, fruit: Sequence[int]) -> list[Wall]:
@@ -63,8 +64,8 @@ def walls(organs: Organs, fruit: Sequence[int]) -> list[Wall]:
     held = np.full(len(fruit) * _CELLS * _CELLS, -1)
     for count in np.unique(pieces):
         rows = np.flatnonzero(pieces == count)
-        spots = _weights(int(count)) @ corners[rows].transpose(1, 0, 2).reshape(3, -1)
-        cell = _cell(spots.reshape(-1, 3)).reshape(-1, len(rows)) + _CELLS * _CELLS * number[rows]
+        spots = _weights(int(count)) @ corners[rows].transpose(2, 1, 0)
+        cell = _cell(*spots.reshape(3, -1)).reshape(-1, len(rows)) + _CELLS * _CELLS * number[rows]
         np.maximum.at(held, cell.ravel(), np.broadcast_to(rows, cell.shape).ravel())
     held = _filled(held.reshape(len(fruit), _CELLS, _CELLS))
     maps = planes[held].reshape(len(fruit), -1, 4)
@@ -96,9 +97,8 @@ def _planes(corners: Points) -> NDArray[np.float32]:
     return planes.astype(np.float32)
 
 
-def _cell(points: Points) -> Indices:
-    """`(p,)` which cell of the map the direction of each point `(p, 3)` falls into."""
-    x, y, z = np.ascontiguousarray(points.T)
+def _cell(x: Points, y: Points, z: Points) -> Indices:
+    """`(p,)` which cell of the map the direction of each point falls into."""
     scale = 1.0 / (np.abs(x) + np.abs(y) + np.abs(z) + np.float32(1e-12))
     u, v = x * scale, y * scale
     # The lower half of the octahedron is folded out over the corners of the square.

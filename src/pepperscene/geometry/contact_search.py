@@ -22,6 +22,7 @@ CLEAR: Final = 0.6e-3
 _HARD: Final = 200.0
 _SOFT: Final = 30.0
 _PER_MM: Final = 0.1
+_WITHIN: Final = 1e4  # what is settled within a plant stays so
 _UNDERGROUND: Final = 1e5
 
 Depths = Callable[[Vectors, Vectors], NDArray[np.float32]]
@@ -191,5 +192,6 @@ class Surroundings:
         within = self._organs.plant[others] == self._organs.plant[organ]
         if self._bodies.between_plants and np.any(within):
             now = depths(np.eye(3)[None], np.zeros((1, 3)))[:, 0]
-            allowed = np.where(within, np.maximum(now, allowed), allowed)
+            allowed = np.where(within, np.maximum(now, allowed) + 1e-6, allowed)
+            weight = np.where(within, _WITHIN, weight)
         return Obstacle(depths, weight, allowed)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.geometry.contact_organs import Organs, Points, Vectors
+
+_PIECE: Final = 0.01  # m, chosen: stems bend so little that pieces of about this length stand for them
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +66,13 @@ def capsules(organs: Organs, tube: int) -> Capsules:
     np.maximum.at(radius, ring, np.linalg.norm(vertices - centre[ring], axis=1))
     if len(place) < 2:
         centre, radius = centre.repeat(2, axis=0), radius.repeat(2)
-    kept = _needed(np.concatenate([centre, radius[:, None]], axis=1))
-    centre, radius = centre[kept], radius[kept]
-    return Capsules(centre[:-1], np.diff(centre, axis=0), np.maximum(radius[:-1], radius[1:]))
+    # Rings close together make one piece.
+    walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centre, axis=0), axis=1))])
+    first = np.unique(np.searchsorted(walked[:-1], np.arange(0.0, walked[-1], _PIECE)))
+    first = first[first < len(walked) - 1]
+    ends = np.append(first, len(walked) - 1)
+    widest = np.maximum(np.maximum.reduceat(radius, first), radius[ends[1:]])
+    return Capsules(centre[first], np.diff(centre[ends], axis=0), widest)
 
 
 def joined(parts: list[Capsules]) -> Capsules:
@@ -75,19 +82,3 @@ def joined(parts: list[Capsules]) -> Capsules:
         np.concatenate([part.span for part in parts]),
         np.concatenate([part.radius for part in parts]),
     )
-
-
-def _needed(line: Vectors, tolerance: float = 2e-4) -> list[int]:
-    """Points of a line `(k, d)` that a line through only these stays near: Douglas & Peucker 1973."""
-    kept, left = [0], [(0, len(line) - 1)]
-    while left:
-        first, last = left.pop()
-        span, off = line[last] - line[first], line[first + 1 : last] - line[first]
-        along = np.clip(off @ span / max(float(span @ span), 1e-18), 0.0, 1.0)
-        apart = np.square(off - along[:, None] * span).sum(axis=1)
-        if last - first > 1 and apart.max() > tolerance**2:
-            worst = first + 1 + int(apart.argmax())
-            left += [(worst, last), (first, worst)]
-        else:
-            kept.append(last)
-    return sorted(kept)

@@ -22,9 +22,9 @@ from pepperscene.geometry.mesh import Mesh
 from pepperscene.grammar.plant import Plant
 
 _ROUNDS: Final = 6  # chosen: hardly anything is mended later
-_POSES: Final = 40  # chosen: poses that a unit might take
+_POSES: Final = 30  # chosen: poses that a unit might take
 _TRIES: Final = 10  # chosen: those that are looked at all around
-_SMALL: Final = 15.0  # weighted degrees, chosen: a turn that is taken without asking what else could turn
+_SMALL: Final = 20.0  # weighted degrees, chosen: a turn that is taken without asking what else could turn
 _PARTS: Final = np.array([0.2, 0.4, 0.55, 0.7, 0.8, 0.9, 1.0])  # of a turn that helps; a smaller one may do
 
 
