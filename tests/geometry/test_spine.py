@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pepperscene.geometry.spine import spines
+from pepperscene.geometry.spine import _resampled, spines
 
 
 def test_a_planar_curve_keeps_its_normal_in_the_plane():
@@ -71,3 +71,26 @@ def test_points_are_placed_beyond_both_ends():
 def test_a_curve_without_length_is_refused(curve):
     with pytest.raises(ValueError, match="distinct"):
         spines([curve], [np.array([0.0, 0.0, 1.0])], 4)
+
+
+def test_curves_walked_together_are_as_each_walked_by_itself():
+    # Against NumPy's interpolation, row by row, on polylines whose pieces differ by orders of magnitude.
+    rng = np.random.default_rng(8)
+    points = np.cumsum(rng.normal(size=(40, 25, 3)) * 10.0 ** rng.uniform(-5, 0, (40, 25, 1)), axis=1)
+    points[3, 5] = points[3, 4]
+    walked = np.cumsum(np.linalg.norm(np.diff(points, axis=1, prepend=points[:, :1]), axis=2), axis=1)
+    together = _resampled(points, walked, 60)
+    for row in range(len(points)):
+        at = np.linspace(0.0, walked[row, -1], 61)
+        for axis in range(3):
+            alone = np.interp(at, walked[row], points[row, :, axis])
+            np.testing.assert_allclose(together[row, :, axis], alone, atol=1e-11)
+
+
+def test_frames_are_what_points_are_placed_in():
+    spine = spines([np.array([[0.0, 0, 0], [0.3, 0, 0.4], [1.0, 0.2, 0.3]])], [np.array([0.0, 0, 1])], 12)
+    along = np.linspace(-0.1, 1.2, 7)[None] * spine.lengths[:, None]
+    point, normal, across = spine.frames(along)
+    found = spine.place(along, np.full((1, 7), 0.2), np.full((1, 7), -0.1))
+    np.testing.assert_allclose(found, point + 0.2 * across - 0.1 * normal, atol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(np.cross(normal, across), axis=2), 1.0, atol=5e-3)

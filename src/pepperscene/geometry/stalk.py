@@ -17,6 +17,9 @@ from pepperscene.grammar.plant import Organ
 
 _FOOT: Final = 1.6  # chosen: width of a stalk's foot over the stalk's, as in photographs of Capsicum
 _FOOT_M: Final = 2.2  # chosen: metres per metre of radius within which a foot narrows to the stalk
+_CHANNEL: Final = (
+    0.5  # chosen: how much nearer the middle of a petiole its channel's bottom is than its sides
+)
 _RIBS: Final = 5.0  # chosen: ribs of a fruit stalk of Capsicum, one for each sepal
 _RIB_DEPTH: Final = 0.13  # chosen: of its radius
 _LEAN: Final = 0.9  # chosen: radians; a foot turns no further to go level into its parent
@@ -34,14 +37,15 @@ def stalks(organs: Sequence[Organ], detail: float) -> Bodies:
     foot = np.minimum(_FOOT_M * base, 0.25 * spine.lengths)
     part, along = _rows([0.0, 0.6, 1.6], 0.045, foot, spine, fineness(6, detail, 2))
     place = along / spine.lengths[:, None]
-    flare = (measure(organs, "foot", _FOOT) - 1.0)[:, None] * np.exp(-((along / foot[:, None]) ** 2))
+    wider = np.maximum(measure(organs, "foot", _FOOT), 0.2) - 1.0
+    flare = wider[:, None] * np.exp(-((along / foot[:, None]) ** 2))
     radius = base[:, None] + (tip - base)[:, None] * place
     # A petiole is a little flat, most of all at its tip, which goes over into the midrib.
     channel = np.clip(measure(organs, "channel", 0.0), 0.0, 1.0)
     angle = circle(fineness(7, detail, 5))
     beside = (angle + np.pi) % (2.0 * np.pi) - np.pi
     inside = np.sqrt(np.sin(np.pi * np.clip(0.03 + place, 0.0, 1.0)))
-    depth = 0.35 * channel[:, None] * inside
+    depth = _CHANNEL * channel[:, None] * inside
     reach = 1.0 - depth[..., None] * np.exp(-0.5 * (beside / 0.4) ** 2)
     flat = 1.0 - channel[:, None] * (0.08 + 0.32 * np.clip(4.0 * place - 3.0, 0.0, 1.0))
     # The foot widens into the parent to its sides; above and below it is round as a cushion.
@@ -50,7 +54,7 @@ def stalks(organs: Sequence[Organ], detail: float) -> Bodies:
     right, up = centred(
         reach * np.sin(angle), flat[..., None] * reach * np.cos(angle), radius * (1.0 + flare)
     )
-    state = -0.1 * (depth / 0.35)[..., None] * np.broadcast_to(np.cos(angle), right.shape)
+    state = -0.1 * (depth / _CHANNEL)[..., None] * np.broadcast_to(np.cos(angle), right.shape)
     base_cap = _into_parent(spine, radius[:, 0] * (1.0 + flare[:, 0]))
     # A petiole's tip is drawn out under the blade, as its midrib.
     reach_out = np.minimum(tip, spine.lengths) * (0.6 + 2.4 * channel)

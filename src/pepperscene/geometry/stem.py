@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pepperscene.geometry.body import Bodies, fineness
 from pepperscene.geometry.measures import measure, size
 from pepperscene.geometry.noise import hashed
+from pepperscene.geometry.spine import Spines, spines
 from pepperscene.geometry.tube import STATE, Rings, centred, centrelines, circle, closed, rounded, streaked
 from pepperscene.grammar.plant import Organ, Plant
 
@@ -22,7 +23,8 @@ _DARK: Final = 0.2  # chosen: how much greener grooves are than ridges
 _OUTLINE: Final = np.array(
     [[0.0, 0.0], [0.1, 0.13], [0.23, 0.55], [0.4, 0.91], [0.57, 1.0], [0.68, 0.78], [0.82, 0.28], [1.0, 0.0]]
 )
-_LUMPS: Final = 0.05  # chosen: depth of the hollows between a node's bulges over its radius
+_LUMPS: Final = 0.035  # chosen: depth of the hollows between a node's bulges over its radius
+_NODE_POINTS: Final = 7  # chosen: enough for a smooth bend of some degrees
 _NODE_STEPS: Final = 24  # chosen: pieces of a node's bent axis, most of which its rings miss by little
 _CORK: Final = 0.15  # chosen: how much further a node's collar has browned than the rest
 
@@ -61,7 +63,7 @@ def nodes(organs: Sequence[Organ], detail: float) -> Bodies:
     """
     part, radius = _swelling(organs, detail)
     angle = circle(fineness(_SIDES, detail, 8))
-    spine = centrelines(organs, _NODE_STEPS)
+    spine = _bent(organs)
     # It bulges to some sides, as if for what grows there; its ends are round as the sections' are.
     phase = 2.0 * np.pi * hashed(measure(organs, "seed", 0.0), 103, 2)
     hollow = 0.5 - 0.3 * np.cos(2.0 * angle + phase[:, :1]) - 0.2 * np.cos(3.0 * angle + phase[:, 1:])
@@ -97,7 +99,7 @@ def stem_profile(plant: Plant) -> tuple[NDArray[np.float64], NDArray[np.float64]
         (swellings, *_swelling(swellings, 1.0)),
     ):
         if organs:
-            spine = centrelines(organs, _NODE_STEPS if organs is swellings else max(8, 2 * len(rows)))
+            spine = _bent(organs) if organs is swellings else centrelines(organs, max(8, 2 * len(rows)))
             points.append(spine.frames(spine.lengths[:, None] * rows)[0].reshape(-1, 3))
             radii.append(radius.ravel())
             number.append(np.repeat([order[id(organ)] for organ in organs], len(rows)))
@@ -131,6 +133,17 @@ def stem_branches(plant: Plant) -> NDArray[np.float64]:
         centre = organ.curve[0] + ahead * start / max(float(np.linalg.norm(start)), 1e-9)
         found.append([*centre, 1.35 * radius])
     return np.array(found).reshape(-1, 4)
+
+
+def _bent(organs: Sequence[Organ]) -> Spines:
+    """Axes of nodes, which leave one section and run into the next without a kink.
+
+    A node's curve is bent at its middle; its axis is the quadratic Bezier curve with that control point.
+    """
+    t = np.linspace(0.0, 1.0, _NODE_POINTS)[:, None]
+    share = np.concatenate([(1.0 - t) ** 2, 2.0 * t * (1.0 - t), t**2], axis=1)
+    curves = [share @ one.curve if len(one.curve) == 3 else one.curve for one in organs]
+    return spines(curves, [one.up for one in organs], _NODE_STEPS)
 
 
 def _section_rows(detail: float) -> NDArray[np.float64]:

@@ -16,6 +16,7 @@ from pepperscene.geometry.tube import circle, skin
 
 _SIDES: Final = 6  # chosen: a cord is a few pixels wide
 _FINE: Final = 2.5e-4  # chosen: metres between the points at which the stem's outline is felt
+_PRESSED: Final = 1e-4  # chosen: metres by which a taut cord presses into the stem's ridges
 _STRAY: Final = 1.8e-4  # chosen: metres by which the cord's straight pieces may leave its curve
 _LONGEST: Final = 0.04  # chosen: metres; longer pieces along a curve would show
 _LIFT_OFF: Final = 0.05  # chosen: metres over which the cord leaves the stem's side for the line above it
@@ -99,7 +100,7 @@ class _Stem:
         self.ball = ball
         step = float(self.along[1])
         # The ball's centre is as far out as the outline anywhere below it holds it.
-        outline = np.interp(self.along, knots, radius)
+        outline = np.maximum(np.interp(self.along, knots, radius) - _PRESSED, 0.0)
         reach = int(ball / step)
         padded = np.pad(outline, reach, constant_values=-np.inf)
         self.reach = np.max(
