@@ -24,7 +24,7 @@ _FURROW_WIDTH = (
 )  # rounds the furrows at the ends and at the widest place; 0 is a crease, 1 a sine
 _CAVITY = 0.4  # depth of a deep stalk cavity over the radius
 _DIMPLE = 0.2  # depth of the blossom end's dimple over the radius
-_ROUND, _BLOCKY = 2.0, 3.7  # exponents of the profile's superellipse: without furrows, with deep ones
+_ROUND, _BLOCKY = 2.0, 4.0  # exponents of the profile's superellipse: without furrows, with deep ones
 _POINTED = (1.22, 1.45)  # exponents of a drawn-out tip, of width and height: a cone that swells a little
 _SCAR = (0.05, 0.025)  # radius and height over the fruit's radius of the button that the style leaves
 _BENT_FROM = 0.3  # part of the axis after which it bends
@@ -95,7 +95,7 @@ def pericarps(organs: Sequence[Organ], detail: float) -> Pericarps:
     lobed = np.clip(measure(organs, "lobe_depth", 1.0), 0.0, 2.5)
     point = np.clip(measure(organs, "point", 0.0), 0.0, 1.0)[:, None, None]
     # What lets a fruit look blocky: without furrows it is round and even.
-    blocky = (lobed / (lobed + 0.2))[:, None, None]
+    blocky = (lobed**2 / (lobed**2 + 0.1))[:, None, None]
     profile = _profile(organs, blocky[..., 0], diameter / length, fineness(25, detail, 6))
     width, level, top, low = (
         part[..., None] for part in (profile.width, profile.level, profile.top, profile.low)
@@ -193,10 +193,10 @@ def _profile(organs: Sequence[Organ], blocky: FloatArray, slimness: FloatArray, 
     # whatever the length; the lower part rounds off over its last radius, or runs to a point.
     high = np.clip((0.85 + 0.1 * (1.0 - blocky) - 0.2 * point) * slim, 0.1, 1.0)
     corner = _ROUND + (_BLOCKY - _ROUND) * blocky
-    long = np.clip((2.0 - high) / (1.15 * slim), 1.0, 4.0) * (corner - 0.2)
+    long = np.clip((2.0 - high) / (1.1 * slim), 1.0, 4.0) * corner
     across, down = (
         (end**point) * (start ** (1.0 - point))
-        for start, end in zip((corner - 0.2, long), _POINTED, strict=True)
+        for start, end in zip((corner - 0.1, long), _POINTED, strict=True)
     )
     turn = 0.5 * np.pi * np.linspace(0.0, 1.0, 60) ** 1.5
     quarter_top = np.sin(turn) ** (2.0 / corner), np.cos(turn) ** (2.0 / corner)
