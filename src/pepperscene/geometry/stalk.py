@@ -76,13 +76,13 @@ def peduncles(organs: Sequence[Organ], detail: float) -> Bodies:
     part, along = _rows([0.0, 1.3, 1.8, 2.4], 0.075, foot, spine, fineness(5, detail, 2))
     place, high = along / spine.lengths[:, None], along / foot[:, None]
     collar = (
-        0.25 * np.exp(-((high / 1.2) ** 2))
+        0.05 * np.exp(-((high / 1.2) ** 2))
         + 0.16 * np.exp(-(((high - 1.3) / 0.45) ** 2))
         - 0.08 * np.exp(-(((high - 1.8) / 0.3) ** 2))
     )
     radius = base[:, None] * (1.0 + collar) + (tip - base)[:, None] * place**3
     # Ribs run along; the grid is turned to them, so that a rib or a furrow is at every point.
-    sides, ribs = fineness(10, detail, 6), np.round(measure(organs, "ribs", _RIBS))
+    sides, ribs = fineness(15, detail, 6), np.round(measure(organs, "ribs", _RIBS))
     draw = hashed(measure(organs, "seed", 0.0), 111, 2)
     angle = circle(sides)
     furrow = 0.5 - 0.5 * np.cos(ribs[:, None] * angle)
