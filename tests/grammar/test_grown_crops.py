@@ -128,19 +128,20 @@ def test_leaflets_lie_in_the_plane_of_their_leaf(tomatoes: list[Plant]) -> None:
 
 
 def test_trusses_stand_at_every_third_node(tomato: Cultivar, tomatoes: list[Plant]) -> None:
-    slot = next(one for one in tomato.organs["node"].bears if one.name == "truss")
-    allowed = set(range(tomato.stem.parts)[slot.first :: slot.every])
-    counts = {"truss": 0, "flower_truss": 0}
-    for plant in tomatoes:
-        for kind in counts:
+    for kind in ("truss", "flower_truss"):
+        chance = np.zeros(tomato.stem.parts)
+        for slot in tomato.organs["node"].bears:
+            chance[slot.first :: slot.every] += slot.what.probabilities.get(kind, 0.0)
+        counts = np.zeros(tomato.stem.parts)
+        for plant in tomatoes:
             nodes = [organ.phytomer for organ in plant.of_kind(kind)]
-            assert set(nodes) <= allowed
             assert len(nodes) == len(set(nodes))
-            counts[kind] += len(nodes)
-    total = len(tomatoes) * len(allowed)
-    observed = [*counts.values(), total - sum(counts.values())]
-    expected = [total * slot.what.probabilities[kind] for kind in (*counts, "none")]
-    assert stats.chisquare(observed, expected).pvalue > SIGNIFICANCE
+            counts[nodes] += 1.0
+        assert not counts[chance == 0.0].any()
+        assert set(np.diff(np.flatnonzero(chance))) == {3}
+        # A sum of independent yes and no within four standard errors.
+        error = np.sqrt(len(tomatoes) * (chance * (1.0 - chance)).sum())
+        assert abs(counts.sum() - len(tomatoes) * chance.sum()) < 4 * error
 
 
 def test_no_leaves_below_the_first(tomato: Cultivar, tomatoes: list[Plant]) -> None:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.cultivar import Slot
+from pepperscene.cultivar import Distribution, Slot
 from pepperscene.grammar.choose import drawn_number
 from pepperscene.grammar.hashing import Addresses, FloatArray, descended, shares
 
@@ -57,7 +57,7 @@ def berths(slot: Slot, slots: Addresses, heights: FloatArray) -> Berths:
     address = descended(places[place], item)
     turned = np.zeros(place.size)
     if slot.spread is not None:
-        turned += _fanned(slot, places[place], rank, each[place], heights[row])
+        turned += _fanned(slot.spread, places[place], rank, each[place], heights[row])
     if slot.aside is not None:
         # In pairs one goes to either side, otherwise from place to place; the first side is left to chance.
         first = np.where(shares(slots, "side") < 0.5, 1.0, -1.0)[row]
@@ -67,11 +67,12 @@ def berths(slot: Slot, slots: Addresses, heights: FloatArray) -> Berths:
     return Berths(row, address, at[spot], turned)
 
 
-def _fanned(slot: Slot, place: Addresses, rank: Indices, each: Indices, heights: FloatArray) -> FloatArray:
+def _fanned(
+    law: Distribution, place: Addresses, rank: Indices, each: Indices, heights: FloatArray
+) -> FloatArray:
     """Azimuths of items that share a place: spread evenly, and strayed together from their parent's."""
     from scipy.special import ndtri
 
-    assert slot.spread is not None
-    spread = slot.spread.quantiles(shares(place, "spread"), heights)
+    spread = law.quantiles(shares(place, "spread"), heights)
     stray = np.where(each == 1, _STRAY_ALONE, _STRAY) * ndtri(shares(place, "stray"))
     return np.asarray(spread * (rank - 0.5 * (each - 1) + stray))

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.cultivar import Slot
+from pepperscene.cultivar import Descent, Slot
 from pepperscene.grammar.growth import Growth
-from pepperscene.grammar.hashing import Addresses, FloatArray, descended, shares
+from pepperscene.grammar.hashing import Addresses, FloatArray, shares
 
 Indices = NDArray[np.intp]
-NOTHING = -1
+NOTHING: Final = -1
+_ROUNDING: Final = 1e-9  # a probability of nothing below this is no more than rounding
 
 
 def outcomes(slot: Slot) -> tuple[tuple[str, ...], FloatArray]:
     """`(k,)` kinds that a slot can bear, and their probabilities; what is missing to 1 is nothing."""
     kinds = slot.kinds
-    return kinds, np.array([slot.what.probabilities[kind] for kind in kinds])
+    stated = np.array([slot.what.probabilities[kind] for kind in kinds])
+    # People write probabilities with few digits.
+    return kinds, stated / sum(slot.what.probabilities.values())
 
 
 def chances(
@@ -42,7 +47,7 @@ def chances(
     found = np.empty((len(slots), len(stated) + 1))
     found[:, :-1] = stated
     if slot.descent is not None and filled > 0:
-        _descend(found, slot, descended(slots, 0), growth.heights[phytomers])
+        _descend(found, slot, slot.descent, shares(slots, "descent"), growth.heights[phytomers])
     if slot.flush is not None:
         # The phase is uniform, so that the mean stays.
         period = max(float(slot.flush.nodes.quantiles(shares(flushing, "nodes"))[0]), 1e-3)
@@ -51,22 +56,22 @@ def chances(
         strength = slot.flush.strength.quantiles(shares(slots, "strength"), growth.places[phytomers])
         swing = 1.0 + strength * wave
         found[:, :-1] *= np.clip(swing, 0.0, 1.0 / filled if filled > 0 else 1.0)[:, None]
-    found[:, -1] = np.maximum(1.0 - found[:, :-1].sum(axis=1), 0.0)
+    rest = 1.0 - found[:, :-1].sum(axis=1)
+    found[:, -1] = np.where(rest > _ROUNDING, rest, 0.0)
     found[:, :-1][spent] = 0.0
     return found
 
 
-def _descend(found: FloatArray, slot: Slot, addresses: Addresses, heights: FloatArray) -> None:
+def _descend(found: FloatArray, slot: Slot, descent: Descent, share: FloatArray, heights: FloatArray) -> None:
     """Make one outcome more frequent at the foot than at the top, balanced about the plant's middle."""
-    assert slot.descent is not None
     kinds, stated = outcomes(slot)
-    one, filled = kinds.index(slot.descent.of), stated.sum()
-    by = slot.descent.by.quantiles(shares(addresses, "descent"), heights)
+    one, filled = kinds.index(descent.of), stated.sum()
+    by = descent.by.quantiles(share, heights)
     mean = stated[one] / filled
-    share = np.clip(mean + by * (1.0 - 2.0 * heights), 0.0, 1.0)
+    here = np.clip(mean + by * (1.0 - 2.0 * heights), 0.0, 1.0)
     if mean < 1.0:
-        found[:, :-1] *= ((1.0 - share) / (1.0 - mean))[:, None]
-        found[:, one] = share * filled
+        found[:, :-1] *= ((1.0 - here) / (1.0 - mean))[:, None]
+        found[:, one] = here * filled
 
 
 def chosen(probabilities: FloatArray, rows: Indices, share: FloatArray) -> Indices:
