@@ -23,6 +23,7 @@ SMALL = {
     "cultivar": "kaite_february",  # the smallest plants
     "row.plants_front": 2,
     "row.plants_back": 1,
+    "greenhouse.far_rows": 1,
     "greenhouse.far_reach_mm": 700,
     "greenhouse.crop_wire_mm": 2000,
 }
