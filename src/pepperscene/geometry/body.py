@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.spine import Spines, unit
+from pepperscene.geometry.spine import Spines
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +75,25 @@ def solids(
 
 def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.intp]) -> NDArray[np.float64]:
     """`(n, v, 3)` unit normals: the mean of the faces around each vertex, weighted by area."""
-    a, b, c = (vertices[:, faces[:, corner]] for corner in range(3))
-    doubled_area = np.cross(b - a, c - a)
+    # Bodies come last in memory, so that what a face gathers from its corners lies in one piece.
+    corners = np.ascontiguousarray(vertices.transpose(1, 2, 0))
+    origin = corners[faces[:, 0]]
+    p, q = corners[faces[:, 1]] - origin, corners[faces[:, 2]] - origin
+    doubled_area = np.empty_like(p)
+    for axis in range(3):
+        second, third = (axis + 1) % 3, (axis + 2) % 3
+        doubled_area[:, axis] = p[:, second] * q[:, third] - p[:, third] * q[:, second]
+    # The k-th face of every vertex that has so many, k = 0, 1, ...
     order = np.argsort(faces, axis=None, kind="stable")
-    starts = np.searchsorted(faces.ravel()[order], np.arange(vertices.shape[1]))
-    return unit(np.add.reduceat(doubled_area[:, order // 3], starts, axis=1))
+    ends = np.searchsorted(faces.ravel()[order], np.arange(vertices.shape[1] + 1))
+    around = order // 3
+    total = np.zeros_like(corners)
+    for k in range(int(np.diff(ends).max(initial=0))):
+        there = np.flatnonzero(np.diff(ends) > k)
+        total[there] += doubled_area[around[ends[there] + k]]
+    length = np.sqrt(np.einsum("vin,vin->vn", total, total))
+    total /= np.where(length > 0.0, length, 1.0)[:, None]
+    return np.ascontiguousarray(total.transpose(2, 0, 1))
 
 
 @lru_cache(maxsize=64)

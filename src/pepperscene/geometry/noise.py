@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.grammar.hashing import mixed
+
 _WAVES = 8  # chosen: enough plane waves that no single one shows as a stripe
 
 
@@ -20,11 +22,8 @@ def hashed(seed: NDArray[np.float64], salt: int, count: int) -> NDArray[np.float
     """
     start = np.ldexp(np.mod(seed, 1.0), 53).astype(np.uint64)[:, None]
     step = np.arange(1, count + 1, dtype=np.uint64) + np.uint64(salt) * np.uint64(1 << 20)
-    z = start + step * np.uint64(0x9E3779B97F4A7C15)
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z = z ^ (z >> np.uint64(31))
-    return np.ldexp((z >> np.uint64(11)).astype(np.float64), -53)
+    bits = mixed(start + step * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(11)
+    return np.ldexp(bits.astype(np.float64), -53)
 
 
 def signed(seed: NDArray[np.float64], salt: int, count: int) -> NDArray[np.float64]:

@@ -1,0 +1,128 @@
+"""The outline of a flat blade: ovate, drawn out to a tip, rounded or wedge-shaped at its base, lobed or not.
+
+Places along a margin are told by `along`, the share of the length that the outline without lobes has there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.geometry.measures import measure, size
+from pepperscene.geometry.noise import hashed
+from pepperscene.grammar.plant import Organ
+
+Array = NDArray[np.float64]
+
+_WIDEST: Final = 0.35  # chosen with _BASE by eye from photographs: rounded-cuneate base, drawn-out tip
+_BASE: Final = 0.8
+_FINEST_TIP: Final = 2.2  # power of the outline at the tip, chosen
+_RUNNING_DOWN: Final = 0.012  # chosen: below it, as a share of the length, the blade runs down the stalk
+_TABLE: Final = 0.5 - 0.5 * np.cos(
+    np.pi * np.arange(193) / 192
+)  # where outlines are searched for their widest
+_MOST_LOBES: Final = 24  # along a margin; finer teeth need more triangles than a blade should have
+
+
+@dataclass(frozen=True, eq=False)
+class Outlines:
+    """The outlines of n blades, a left and a right margin each.
+
+    Attributes:
+        length: `(n,)` metres.
+        half_width: `(n, 2)` metres, of the left and the right half where it is widest.
+        half_extent: `(n,)` metres, the larger of the two; the material's veins reach so far.
+        base: `(n, 1, 1)` power of the outline at the base.
+        widest: `(n, 1, 1)` where it is widest.
+        scale: `(n, 2, 1)` makes the greatest reach 1.
+        lobes: `(n, 2, 4 + k)` hashed numbers that place the lobes and tell how deep each is.
+        count: `(n, 1, 1)` lobes along a margin.
+        depth: `(n, 1, 1)` of the lobes, as a share of the half-width.
+    """
+
+    length: Array
+    half_width: Array
+    half_extent: Array
+    base: Array
+    widest: Array
+    scale: Array
+    lobes: Array
+    count: Array
+    depth: Array
+
+    def reach(self, along: Array) -> Array:
+        """`(n, 2, m)` metres from the midrib to the margin without lobes.
+
+        Args:
+            along: `(n, 2, m)` shares of the length, or `(m,)` for all margins.
+        """
+        return self.half_width[..., None] * self.scale * _beta(along, self.base, self.widest)
+
+    def lobed(self, along: Array) -> Array:
+        """`(n, 2, m)` the part of the reach that the margin has with its lobes; 1 for an entire margin."""
+        if not np.any(self.depth * self.count > 0.0):
+            return np.ones(np.broadcast_shapes(along.shape, self.scale.shape))
+        return _lobed(along, self.lobes, self.count, self.depth)
+
+
+def outlines(organs: Sequence[Organ], seed: Array) -> Outlines:
+    """The outlines of blades, out of their measures (see `laminae`)."""
+    length, width = size(organs, "length_m"), size(organs, "width_m")
+    widest = np.clip(measure(organs, "widest", _WIDEST), 0.2, 0.45)[:, None, None]
+    # A tip whose power is beyond that would be a thread.
+    finest = _FINEST_TIP * widest / (1.0 - widest)
+    base = np.minimum(np.clip(measure(organs, "base", _BASE), 0.3, 1.1)[:, None, None], finest)
+    uneven = np.clip(measure(organs, "asymmetry", 0.0), -0.5, 0.5)[:, None]
+    half = 0.5 * width[:, None] * (1.0 + uneven * np.array([-1.0, 1.0]))
+    count = np.clip(measure(organs, "lobes", 0.0), 0.0, _MOST_LOBES)[:, None, None]
+    depth = np.clip(measure(organs, "lobe_depth", 0.0), 0.0, 0.6)[:, None, None]
+    numbers = 4 + 2 * int(np.ceil(count.max())) + 3
+    lobes = hashed(seed, 251, 2 * numbers).reshape(len(organs), 2, numbers)
+    # The width is that of the finished outline: over lobes, and with the base that runs down the stalk.
+    profile = _beta(_TABLE, base, widest)
+    if np.any(depth * count > 0.0):
+        profile = profile * _lobed(_TABLE, lobes, count, depth)
+    scale = 1.0 / profile.max(axis=2, keepdims=True)
+    scale = np.broadcast_to(scale, (len(organs), 2, 1))
+    return Outlines(length, half, half.max(axis=1), base, widest, scale, lobes, count, depth)
+
+
+def _beta(along: Array, base: Array, widest: Array) -> Array:
+    """Half-width over the greatest, 0 at both ends, 1 at `widest`: a beta curve, hollow at its very foot."""
+    other = base * (1.0 - widest) / widest
+    body = (along / widest) ** base * ((1.0 - along) / (1.0 - widest)) ** other
+    return body * -np.expm1(-along / _RUNNING_DOWN)
+
+
+def _lobed(along: Array, lobes: Array, count: Array, depth: Array) -> Array:
+    """What lobes of uneven width and depth leave of the reach; foot and tip of a margin are entire."""
+    one, two, ends, shift = (lobes[..., None, k] for k in range(4))
+    # The share of the margin's length; the count runs unevenly along it, but never backwards.
+    at = np.broadcast_to(along, np.broadcast_shapes(along.shape, one.shape)) ** 0.8
+    warp = 0.045 * np.sin(2.0 * np.pi * (1.3 * at + one)) + 0.025 * np.sin(2.0 * np.pi * (2.6 * at + two))
+    running = count * (at + warp) + shift
+    index = np.floor(running).astype(np.intp)
+    # Between a notch and the next: a long side towards the base, a round top, a short side towards the tip.
+    below, above, top = (_looked_up(lobes, index + k) for k in (0, 1, 2))
+    part = running - index
+    notch = (0.4 + 0.6 * below) * np.maximum(1.0 - part / 0.7, 0.0) ** 2.2
+    notch += (0.4 + 0.6 * above) * np.maximum(1.0 - (1.0 - part) / 0.4, 0.0) ** 1.8
+    notch += 0.25 * top * np.sin(np.pi * part) ** 2
+    free = _step((at - 0.05 - 0.08 * ends) / 0.25) * _step((1.0 - at) / 0.35)
+    return 1.0 - depth * free * np.minimum(notch, 1.0)
+
+
+def _looked_up(lobes: Array, index: NDArray[np.intp]) -> Array:
+    """The hashed number of each lobe or notch, `(n, 2, m)`."""
+    table = lobes[..., 4:]
+    return np.take_along_axis(table, index % table.shape[2], axis=2)
+
+
+def _step(part: Array) -> Array:
+    """0 below 0, 1 above 1, smooth between."""
+    part = np.clip(part, 0.0, 1.0)
+    return part * part * (3.0 - 2.0 * part)
