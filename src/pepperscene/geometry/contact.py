@@ -115,6 +115,16 @@ class Bodies:
         """The stems and cords that come close to some blades, and how far these reach in."""
         return self._measured(blades, self.is_stem, self._into_stems, lambda blades, stems: None)
 
+    def depth(self, organ: int, other: int) -> float:
+        """Metres that an organ reaches into a fruit, or a blade into a stem; negative apart.
+
+        Args:
+            organ: the fruit or the blade.
+            other: the organ or the stem.
+        """
+        is_fruit = self.organs.organ_class[organ] == FRUIT
+        return float((self._into_fruit if is_fruit else self._into_stems)(organ, [other])[0])
+
     def depths(
         self, fruit: int, points: Points, starts: Indices, rotation: Vectors, shift: Vectors
     ) -> NDArray[np.float32]:

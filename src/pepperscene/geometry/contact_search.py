@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Final
 
 import numpy as np
@@ -147,10 +148,12 @@ class Surroundings:
                 continue
             low, high = self._low[place], self._high[place]
             stems = [one for one in self._bodies.around(blade, low, high) if self._bodies.is_stem[one]]
-            parts = [(one, self._bodies.capsules(one).near(low - NEAR, high + NEAR)) for one in stems]
-            parts = [(one, part) for one, part in parts if len(part.start)]
-            if parts:
-                found.append(self._stem_met(blade, parts))
+            # Plant by plant: the box around one plant's stem is slender.
+            for _, some in groupby(stems, key=lambda one: int(self._organs.plant[one])):
+                parts = [(one, self._bodies.capsules(one).near(low - NEAR, high + NEAR)) for one in some]
+                parts = [(one, part) for one, part in parts if len(part.start)]
+                if parts:
+                    found.append(self._stem_met(blade, parts))
         return found
 
     def _stem_met(self, blade: int, parts: list[tuple[int, Capsules]]) -> Obstacle:
@@ -168,7 +171,8 @@ class Surroundings:
             way, near = np.nonzero(np.all((moved > low) & (moved < high), axis=2))
             if len(way):
                 deep = np.maximum.reduceat(chain.depth(moved[way, near]), first, axis=1)
-                np.maximum.at(found.T, way, deep)
+                some, start = np.unique(way, return_index=True)
+                found[:, some] = np.maximum.reduceat(deep, start, axis=0).T
             return found
 
         stems = np.array([one for one, _ in parts])

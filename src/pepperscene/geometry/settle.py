@@ -14,14 +14,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.contact import Bodies, Contacts, Near, counted
-from pepperscene.geometry.contact_organs import FRUIT, Vectors
+from pepperscene.geometry.contact import Bodies, Contacts, counted
+from pepperscene.geometry.contact_organs import Vectors
 from pepperscene.geometry.contact_search import CLEAR, Obstacle, Surroundings
 from pepperscene.geometry.contact_units import Unit, joint, rotations, units_of
 from pepperscene.geometry.mesh import Mesh
 from pepperscene.grammar.plant import Plant
 
 _ROUNDS: Final = 6  # chosen: hardly anything is mended later
+_CLOSE: Final = -0.5 * CLEAR  # metres; what comes nearer all but touches
 _POSES: Final = 30  # chosen: poses that a unit might take
 _TRIES: Final = 10  # chosen: those that are looked at all around
 _SMALL: Final = 20.0  # weighted degrees, chosen: a turn that is taken without asking what else could turn
@@ -125,7 +126,7 @@ class _Search:
         found = self._touching()
         for organ, other in found:
             # An earlier turn may have parted them.
-            if self._touch(organ, other):
+            if self.bodies.depth(organ, other) > _CLOSE:
                 self._part(organ, other, hard)
         return bool(found)
 
@@ -133,12 +134,11 @@ class _Search:
         """Fruit and what runs into it, blades and the stems that they run through."""
         bodies = self.bodies
         near = bodies.into_fruit(bodies.fruit.tolist()) | bodies.into_stems(bodies.blades.tolist())
-        return [(organ, other) for organ, some in near.items() for other in _close(some)]
-
-    def _touch(self, organ: int, other: int) -> bool:
-        is_fruit = self.organs.organ_class[organ] == FRUIT
-        near = (self.bodies.into_fruit if is_fruit else self.bodies.into_stems)([organ])
-        return any(other in _close(some) for some in near.values())
+        return [
+            (organ, other)
+            for organ, some in near.items()
+            for other in some.others[some.depth > _CLOSE].tolist()
+        ]
 
     def _part(self, organ: int, other: int, hard: bool) -> None:
         """Turn a unit of either side: the first that a small turn frees, else the one that gains most."""
@@ -189,8 +189,8 @@ class _Search:
         way = joint(self.organs, unit)
         around, up = angles - spent
         for axis, angle, pivot in ((way.across, up, way.foot), (way.axis, around, way.middle)):
-            rotation = rotations(axis, np.array([angle]))[0]
-            self.motions.append(Motion(unit.root, rotation, pivot))
+            if angle != 0.0:
+                self.motions.append(Motion(unit.root, rotations(axis, np.array([angle]))[0], pivot))
         rotation, shift = (part[0] for part in way.turns(angles[None] - spent))
         self.organs.turn(unit.members, rotation, shift)
         self._angles[unit.root] = angles
@@ -199,12 +199,6 @@ class _Search:
 def _total(obstacles: list[Obstacle], rotation: Vectors, shift: Vectors) -> Vectors:
     """`(k,)` cost of all that some turns run into."""
     return np.asarray(sum((one.cost(rotation, shift) for one in obstacles), np.zeros(len(rotation))))
-
-
-def _close(near: Near) -> list[int]:
-    """The organs that touch, or all but touch."""
-    found: list[int] = near.others[near.depth > -0.5 * CLEAR].tolist()
-    return found
 
 
 def _disc(count: int, rng: np.random.Generator) -> Vectors:
