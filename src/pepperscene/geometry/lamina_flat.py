@@ -57,9 +57,10 @@ def flat_blades(outline: Outlines, grid: Grid) -> Flat:
     along[..., low] = ends[..., :1] * spread[low] ** FAN_POWER
     start = vein_start(np.maximum(number, 0.0)) * np.minimum(spread**0.8, 5.0 * spread**FAN_POWER)
     start[~low] = vein_start(number[~low])
-    # Lobes are cut along the rows, so that they point where the veins do.
+    # Lobes are cut along the rows, so that they point where the veins do, and less deep where rows graze the
+    # margin.
     whole = outline.reach(along)
-    lobed = outline.lobed(along)
+    lobed = 1.0 - (1.0 - outline.lobed(along)) * (0.3 + 0.7 * spread)
     edge = whole * lobed
     part = grid.across[-grid.side :]
     rows, extra = grid.row_in_margin, grid.extra_in_margin

@@ -21,8 +21,8 @@ _FAN: Final = 8  # rows below the first vein
 _PER_VEIN: Final = 4  # rows from one vein to the next: the vein, its flanks and the top of the bulge
 _SIDE: Final = 8  # columns in each half
 _MARGIN: Final = 64  # pieces of an entire margin at any detail from 0.5 to 2
-_PER_LOBE: Final = 8  # rows to a lobe, likewise
-_LOBED_SIDE: Final = 5  # columns in each half of a lobed blade
+_PER_LOBE: Final = 10  # rows to a lobe, likewise
+_LOBED_SIDE: Final = 4  # columns in each half of a lobed blade
 
 FAN_POWER: Final = 1.5
 """Row i of k below the first vein meets the margin at (i/k)^1.5 of the way: evenly along a round base."""
@@ -105,7 +105,7 @@ def blade_grid(detail: float, lobes: float) -> Grid:
     if lobes <= 0.0:
         return _grid(fan, veined, fineness(_SIDE, detail, 3), fineness(_MARGIN, share, 16))
     # Every point of a lobe has its row, for the inside must follow it.
-    rows = _PER_LOBE * lobes * max(share, detail)
+    rows = _PER_LOBE * lobes * max(min(1.0, 0.3 + 1.5 * detail), detail)
     fan, veined = max(fan, round(_BELOW * rows)), max(veined, round((1.0 - _BELOW) * rows / TOP))
     return _grid(fan, veined, fineness(_LOBED_SIDE, detail, 3), 1)
 

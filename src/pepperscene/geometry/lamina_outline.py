@@ -82,12 +82,11 @@ def outlines(organs: Sequence[Organ], seed: Array) -> Outlines:
     depth = np.clip(measure(organs, "lobe_depth", 0.0), 0.0, 0.6)[:, None, None]
     numbers = 4 + 2 * int(np.ceil(count.max())) + 3
     lobes = hashed(seed, 251, 2 * numbers).reshape(len(organs), 2, numbers)
-    # The width is that of the finished outline: over lobes, and with the base that runs down the stalk.
-    profile = _beta(_TABLE, base, widest)
+    # The width is that over the lobes; an entire margin reaches 1 where it is widest.
+    scale = np.ones((len(organs), 2, 1))
     if np.any(depth * count > 0.0):
-        profile = profile * _lobed(_TABLE, lobes, count, depth)
-    scale = 1.0 / profile.max(axis=2, keepdims=True)
-    scale = np.broadcast_to(scale, (len(organs), 2, 1))
+        profile = _beta(_TABLE, base, widest) * _lobed(_TABLE, lobes, count, depth)
+        scale = np.where(depth * count > 0.0, 1.0 / profile.max(axis=2, keepdims=True), scale)
     return Outlines(length, half, half.max(axis=1), base, widest, scale, lobes, count, depth)
 
 
@@ -103,14 +102,14 @@ def _lobed(along: Array, lobes: Array, count: Array, depth: Array) -> Array:
     one, two, ends, shift = (lobes[..., None, k] for k in range(4))
     # The share of the margin's length; the count runs unevenly along it, but never backwards.
     at = np.broadcast_to(along, np.broadcast_shapes(along.shape, one.shape)) ** 0.8
-    warp = 0.045 * np.sin(2.0 * np.pi * (1.3 * at + one)) + 0.025 * np.sin(2.0 * np.pi * (2.6 * at + two))
+    warp = 0.03 * np.sin(2.0 * np.pi * (1.3 * at + one)) + 0.015 * np.sin(2.0 * np.pi * (2.6 * at + two))
     running = count * (at + warp) + shift
     index = np.floor(running).astype(np.intp)
     # Between a notch and the next: a long side towards the base, a round top, a short side towards the tip.
     below, above, top = (_looked_up(lobes, index + k) for k in (0, 1, 2))
     part = running - index
-    notch = (0.4 + 0.6 * below) * np.maximum(1.0 - part / 0.7, 0.0) ** 2.2
-    notch += (0.4 + 0.6 * above) * np.maximum(1.0 - (1.0 - part) / 0.4, 0.0) ** 1.8
+    notch = (0.4 + 0.6 * below) * np.maximum(1.0 - part / 0.7, 0.0) ** 1.8
+    notch += (0.4 + 0.6 * above) * np.maximum(1.0 - (1.0 - part) / 0.5, 0.0) ** 1.5
     notch += 0.25 * top * np.sin(np.pi * part) ** 2
     free = _step((at - 0.05 - 0.08 * ends) / 0.25) * _step((1.0 - at) / 0.35)
     return 1.0 - depth * free * np.minimum(notch, 1.0)
