@@ -124,9 +124,14 @@ def _told(facts: Mapping[str, Any]) -> str:
         parts.append(f"Camera at x {x:.3f} m, y {y:.3f} m, height {z:.3f} m")
     instances = facts.get("instances") or {}
     if instances:
-        fruit = sum(item["kind"] == "fruit" for item in instances.values())
-        leaves = sum(item["kind"] == "lamina" for item in instances.values())
-        parts.append(f"{len(instances)} organs in view, {leaves} leaves and {fruit} fruit among them")
+        # Greenhouse and far rows belong to no plant.
+        classes = [item["class"] for item in instances.values() if item["plant"] >= 0]
+        fruit, leaves = classes.count(OrganClass.PEPPER), classes.count(OrganClass.LEAF)
+        parts.append(f"{len(classes)} organs in view, {leaves} leaves and {fruit} fruit among them")
+    contacts = facts.get("contacts")
+    if contacts:
+        touching = contacts["fruit_touching"] + contacts["blades_touching"]
+        parts.append(f"{touching} of the scene's fruit and leaves touch what they should not")
     return escape(". ".join(parts) + "." if parts else "")
 
 
