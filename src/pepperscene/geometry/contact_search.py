@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Final
 
@@ -24,6 +24,7 @@ _HARD: Final = 200.0
 _SOFT: Final = 30.0
 _PER_MM: Final = 0.1
 _WITHIN: Final = 1e4  # what is settled within a plant stays so
+_STALK: Final = 1e-3  # m, chosen: so much deeper may a stalk reach into the fruit that swings on it
 _UNDERGROUND: Final = 1e5
 
 Depths = Callable[[Vectors, Vectors], NDArray[np.float32]]
@@ -101,6 +102,12 @@ class Surroundings:
             others = [one for one in others if not self._inside[one]]
             if others:
                 found.append(self._fruit_moved(fruit, others))
+            # Its own stalk goes into its cavity, but not on through its shoulder.
+            stalks = [one for one in self._bodies.own(fruit) if not self._inside[one]]
+            if stalks:
+                stalk = self._fruit_moved(fruit, sorted(stalks))
+                now = stalk.depths(np.eye(3)[None], np.zeros((1, 3)))[:, 0]
+                found.append(replace(stalk, allowed=np.maximum(now, -CLEAR) + _STALK))
         return found
 
     def _fruit_moved(self, fruit: int, others: list[int]) -> Obstacle:

@@ -22,7 +22,7 @@ _LIMITS: Final = {
 _WEIGHTS: Final = {
     (True, True): np.array([1.0, 1.5]),
     (True, False): np.array([0.8, 1.0]),
-    (False, True): np.array([1.3, 1.3]),
+    (False, True): np.array([1.6, 1.6]),
     (False, False): np.array([0.8, 0.8]),
 }
 
