@@ -42,7 +42,7 @@ def margin_waves(
     warp = 0.07 * np.sin(_TURN * (1.2 * at + one)) + 0.04 * np.sin(_TURN * (2.7 * at + two))
     turns = count * (at + warp) + phase
     high = 1.0 - (0.25 + 0.5 * much) * (0.5 + 0.5 * np.sin(_TURN * (0.9 * at + three)))
-    waves = high * np.sin(_TURN * turns) + 0.14 * np.sin(_TURN * (2.6 * turns + ripple))
+    waves = high * np.sin(_TURN * turns) + 0.1 * np.sin(_TURN * (2.6 * turns + ripple))
     # The stretch turns by up to so many radians at the margin, up or down; chosen.
     curl = np.minimum(np.abs(measure(organs, "curl_rad", 0.0)), 1.5)
     most = (0.5 * lively + 0.4 * curl)[:, None, None]
