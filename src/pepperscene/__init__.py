@@ -28,12 +28,14 @@ if TYPE_CHECKING:
         look_at,
     )
     from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
-    from pepperscene.cultivar import Cultivar, load_cultivar
+    from pepperscene.cultivar import Cultivar, interpolated, load_cultivar
     from pepperscene.dataset import (
         Dataset,
+        GrownPlant,
         Recipe,
         Stage,
         build,
+        grown,
         load_recipe,
         open_dataset,
         read_image,
@@ -43,7 +45,7 @@ if TYPE_CHECKING:
     )
     from pepperscene.errors import InputError, OutputError, PepperError, SetupError
     from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, Frame
-    from pepperscene.geometry import Mesh, concatenate, mesh_plant
+    from pepperscene.geometry import Contacts, Mesh, Settled, concatenate, mesh_plant, settle, write_mesh
     from pepperscene.grammar import Organ, Plant, grow
     from pepperscene.materials import Surface, greenhouse_surfaces, lambertian, organ_surfaces, twine_surface
     from pepperscene.render import Renderer, render
@@ -67,14 +69,14 @@ _ROOMS = {
         "look_at",
     ),
     "classes": ("CLASS_COLOURS", "Instance", "OrganClass"),
-    "cultivar": ("Cultivar", "load_cultivar"),
+    "cultivar": ("Cultivar", "interpolated", "load_cultivar"),
     "dataset": (
-        "Dataset", "Recipe", "Stage", "build", "load_recipe", "open_dataset", "read_image",
-        "render_frame", "report", "write_image",
+        "Dataset", "GrownPlant", "Recipe", "Stage", "build", "grown", "load_recipe", "open_dataset",
+        "read_image", "render_frame", "report", "write_image",
     ),
     "errors": ("InputError", "OutputError", "PepperError", "SetupError"),
     "frame": ("DEFAULT_OUTPUTS", "OUTPUTS", "Frame"),
-    "geometry": ("Mesh", "concatenate", "mesh_plant"),
+    "geometry": ("Contacts", "Mesh", "Settled", "concatenate", "mesh_plant", "settle", "write_mesh"),
     "grammar": ("Organ", "Plant", "grow"),
     "materials": ("Surface", "greenhouse_surfaces", "lambertian", "organ_surfaces", "twine_surface"),
     "render": ("Renderer", "render"),
@@ -92,10 +94,12 @@ __all__ = [
     "DEFAULT_OUTPUTS",
     "OUTPUTS",
     "Camera",
+    "Contacts",
     "Cultivar",
     "Dataset",
     "Developing",
     "Frame",
+    "GrownPlant",
     "InputError",
     "Instance",
     "Mesh",
@@ -107,6 +111,7 @@ __all__ = [
     "Recipe",
     "Renderer",
     "Scene",
+    "Settled",
     "SetupError",
     "Sky",
     "Spectrum",
@@ -125,6 +130,8 @@ __all__ = [
     "double_row",
     "greenhouse_surfaces",
     "grow",
+    "grown",
+    "interpolated",
     "lambertian",
     "load_cover",
     "load_cultivar",
@@ -142,10 +149,12 @@ __all__ = [
     "render",
     "render_frame",
     "report",
+    "settle",
     "twine_surface",
     "uniform_sky",
     "with_twine",
     "write_image",
+    "write_mesh",
 ]
 
 
