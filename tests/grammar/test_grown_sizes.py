@@ -196,7 +196,7 @@ def test_nodes_branch_by_their_probabilities(kaite: Cultivar, plants: list[Plant
             if organ.kind in one.kinds and plant.organs[organ.parent].kind == "node"
         )
         assert not carried or max(carried.values()) == 1
-        counts["none"] += kaite.stem.parts - len(carried)
+        counts["none"] += len(range(one.first, kaite.stem.parts, one.every)) - len(carried)
         counts.update(plant.organs[i].kind for i in _first_on_nodes(plant, one))
     assert matches(one.what, counts)
 

@@ -47,7 +47,8 @@ def chances(
     found = np.empty((len(slots), len(stated) + 1))
     found[:, :-1] = stated
     if slot.descent is not None and filled > 0:
-        _descend(found, slot, slot.descent, shares(slots, "descent"), growth.heights[phytomers])
+        more = slot.descent.by.quantiles(shares(slots, "descent"), growth.heights[phytomers])
+        _descend(found, slot, slot.descent, more * growth.descent(slot)[phytomers])
     if slot.flush is not None:
         # The phase is uniform, so that the mean stays.
         period = max(float(slot.flush.nodes.quantiles(shares(flushing, "nodes"))[0]), 1e-3)
@@ -62,13 +63,12 @@ def chances(
     return found
 
 
-def _descend(found: FloatArray, slot: Slot, descent: Descent, share: FloatArray, heights: FloatArray) -> None:
-    """Make one outcome more frequent at the foot than at the top, balanced about the plant's middle."""
+def _descend(found: FloatArray, slot: Slot, descent: Descent, more: FloatArray) -> None:
+    """Add `(n,)` to one outcome's share of all that grows."""
     kinds, stated = outcomes(slot)
     one, filled = kinds.index(descent.of), stated.sum()
-    by = descent.by.quantiles(share, heights)
     mean = stated[one] / filled
-    here = np.clip(mean + by * (1.0 - 2.0 * heights), 0.0, 1.0)
+    here = np.clip(mean + more, 0.0, 1.0)
     if mean < 1.0:
         found[:, :-1] *= ((1.0 - here) / (1.0 - mean))[:, None]
         found[:, one] = here * filled

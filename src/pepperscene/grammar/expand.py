@@ -78,7 +78,7 @@ class _Expansion:
         """What the nodes bear, each slot at its azimuth around the stem."""
         addresses, around = self.growth.nodes, dict[str, FloatArray]()
         for index, slot in enumerate(self.organs[self.node].bears):
-            bearing = np.arange(self.growth.parts)[slot.first :: slot.every]
+            bearing = np.flatnonzero(self.growth.bears(slot))
             share = self._around(slot, shares(descended(addresses, index), "azimuth"), around)
             around[slot.name] = share
             azimuth = 2.0 * np.pi * share

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pepperscene.cultivar import Cultivar, Distribution
+from pepperscene.cultivar import Cultivar, Distribution, Slot
 from pepperscene.grammar.hashing import Addresses, FloatArray, descended, shares
 
 
@@ -21,7 +22,7 @@ class Growth:
         sizes: `(parts,)` how large each phytomer has grown: 1 but for the young ones at the top, smaller one
             by one.
         places: `(parts,)` of each phytomer along the grown stem, 0 foot to 1 top; 1 where it is young.
-        heights: `(parts,)` of each phytomer along the whole stem; things balance about their mean, 1/2.
+        heights: `(parts,)` of each phytomer along the whole stem.
         grown: how many phytomers are grown.
     """
 
@@ -37,6 +38,16 @@ class Growth:
     def parts(self) -> int:
         """How many phytomers the stem has."""
         return len(self.sizes)
+
+    def bears(self, slot: Slot) -> NDArray[np.bool_]:
+        """`(parts,)` which nodes a slot of theirs is at."""
+        order = np.arange(self.parts)
+        return np.asarray((order >= slot.first) & ((order - slot.first) % slot.every == 0))
+
+    def descent(self, slot: Slot) -> FloatArray:
+        """`(parts,)` a straight fall from 1 to -1 along the nodes that a slot is at, of mean 0."""
+        here = self.bears(slot)
+        return np.where(here, 1.0 - (2.0 * np.cumsum(here) - 1.0) / max(int(here.sum()), 1), 0.0)
 
     def once(self, law: Distribution, name: str) -> float:
         """A value that the plant has once; the law must not be a curve along the stem."""

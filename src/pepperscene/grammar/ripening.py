@@ -44,8 +44,7 @@ def fruit_middle(cultivar: Cultivar, kind: str, growth: Growth) -> float:
     expected = np.zeros(growth.parts)
     per_kind = _fruit_of_each(cultivar, kind)
     for slot in cultivar.organs[cultivar.stem.node].bears:
-        each, bearing = _items(slot), np.zeros(growth.parts)
-        bearing[slot.first :: slot.every] = each
+        bearing = _items(slot) * growth.bears(slot)
         for name in slot.kinds:
             expected += bearing * _chance(slot, name, growth) * per_kind[name]
     expected[growth.sizes < 1.0] = 0.0
@@ -81,7 +80,7 @@ def _chance(slot: Slot, name: str, growth: Growth) -> FloatArray | float:
     if slot.descent is None or slot.filled == 0:
         return stated
     of = slot.what.probabilities[slot.descent.of] / slot.filled
-    more = slot.descent.by.mean * (1.0 - 2.0 * growth.heights)
+    more = slot.descent.by.mean * growth.descent(slot)
     if name == slot.descent.of:
         return np.asarray(stated + slot.filled * more)
     return np.asarray(stated * (1.0 - more / (1.0 - of))) if of < 1.0 else stated
