@@ -12,11 +12,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.materials.venation import ARC, BASE_COT, PAIRS, TIP_COT
+from pepperscene.materials.venation import ARC, ASPECT, BASE_COT, PAIRS, TIP_COT
 
 Array = NDArray[np.float64]
 
-_ASPECT: Final = 112.0 / 135.0  # width over length of the blade that the pattern was drawn for: Table 1, L-6
 _TURN: Final = TIP_COT - BASE_COT
 _MEAN_OFFSET: Final = 0.325  # of the numbers that the material adds to a vein's, uniform in .15 to .5
 
@@ -33,20 +32,20 @@ def vein_at(start: float) -> float:
 
 def vein_rise(start: Array, out: Array) -> Array:
     """How far along the blade a vein has risen when it has come `out` from the midrib."""
-    half = 0.5 * _ASPECT * out
-    return (BASE_COT + _TURN * start) * half + ARC * _ASPECT / 6.0 * out**3
+    half = 0.5 * ASPECT * out
+    return (BASE_COT + _TURN * start) * half + ARC * ASPECT / 6.0 * out**3
 
 
 def vein_through(along: Array, out: Array) -> Array:
     """Where the vein through a place leaves the midrib, the inverse of `vein_rise`; may be below the base."""
-    half = 0.5 * _ASPECT * out
-    return (along - BASE_COT * half - ARC * _ASPECT / 6.0 * out**3) / (1.0 + _TURN * half)
+    half = 0.5 * ASPECT * out
+    return (along - BASE_COT * half - ARC * ASPECT / 6.0 * out**3) / (1.0 + _TURN * half)
 
 
 def veins_crossed(out: Array, start: float) -> Array:
     """How many veins a straight cut across the blade meets per half-width, at the vein that starts there."""
-    half = 0.5 * _ASPECT
-    climb = (BASE_COT + _TURN * start) * half + 0.5 * ARC * _ASPECT * out**2
+    half = 0.5 * ASPECT
+    climb = (BASE_COT + _TURN * start) * half + 0.5 * ARC * ASPECT * out**2
     # d number / d start by the law of `vein_start`.
     crowding = PAIRS / (1.15 * 0.85) * ((start - 0.02) / 0.85) ** (1.0 / 1.15 - 1.0)
     return crowding * climb / (1.0 + _TURN * half * out)

@@ -18,7 +18,9 @@ from pepperscene.materials.noise import Field, cell_walls, noise_mm, smooth_nois
 PIXELS: Final = 512
 PAIRS: Final = 7
 BASE_COT, TIP_COT = 1.0 / np.tan(np.radians(60.0)), 1.0 / np.tan(np.radians(45.0))
-ARC: Final = 1.5
+ASPECT: Final = 112.0 / 135.0
+"""Width over length of the blade that the layout below is told for; on others it is stretched, as uv is."""
+ARC: Final = 0.7
 """How much a secondary vein has bent towards the tip at the margin of the widest part, as a slope."""
 
 
@@ -50,7 +52,8 @@ def grow_veins(size_mm: tuple[float, float], rng: np.random.Generator, pixels: i
 
     A secondary vein that leaves the midrib at y = s L runs along y = s L + c(s) |x| + b(|x|), with the
     cotangent c of its angle to the midrib linear in s and b growing with the cube of |x|. So every place
-    belongs to one s, in closed form, and lies on a vein where s is one of the veins' own.
+    belongs to one s, in closed form, and lies on a vein where s is one of the veins' own. A blade of another
+    shape wears the same layout, stretched, so that meshes of any blade know from uv where its veins run.
     """
     width, length = size_mm
     middle = (np.arange(pixels) + 0.5) / pixels
@@ -61,13 +64,14 @@ def grow_veins(size_mm: tuple[float, float], rng: np.random.Generator, pixels: i
     x = x + 0.35 * smooth_noise(rng, x.shape, ripple)
     y = y + 0.6 * smooth_noise(rng, x.shape, ripple)
 
+    # All in shares of the length, on a blade of the layout's own width.
     out = np.abs(x)
     reach = 2.0 * out / width
-    bend, steeper = ARC * width / 6.0 * reach**3, ARC * reach**2
-    turn = TIP_COT - BASE_COT
-    stretch = length + turn * out
-    origin = (y - BASE_COT * out - bend) / stretch
-    slope = np.hypot(1.0, BASE_COT + turn * origin + steeper)  # |grad| of `origin`, times `stretch`
+    half, turn = 0.5 * ASPECT * reach, TIP_COT - BASE_COT
+    stretch = 1.0 + turn * half
+    origin = (y / length - BASE_COT * half - ARC * ASPECT / 6.0 * reach**3) / stretch
+    # |grad| of `origin`, times `stretch`, per millimetre of this blade.
+    slope = np.hypot(1.0 / length, (BASE_COT + turn * origin + ARC * reach**2) * ASPECT / width)
 
     # Veins stand opposite only by chance: each side has its own.
     secondary = np.full(x.shape, np.inf)
@@ -100,7 +104,8 @@ def vein_pattern(veins: Venation, rng: np.random.Generator) -> NDArray[np.float3
 
     An offset to the state moves along the pigments' path, so that a vein's colour is a spectrum of its own.
     """
-    taper = 1.0 - 0.75 * veins.reach
+    # Veins thin out towards the margin, and those towards the tip are slighter from their start.
+    taper = (1.0 - 0.75 * veins.reach) * (1.0 - 0.8 * veins.height**2)
     parts = (
         0.75 * _line(veins.midrib_mm, 0.4 + 1.0 * (1.0 - veins.height) ** 0.7),
         0.48 * taper * _line(veins.secondary_mm, 0.25 + 0.4 * taper),
