@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 from typing import Any
 
+from pepperscene.render.facing import facing
 from pepperscene.render.optics import Optics
 from pepperscene.render.variant import kernel
 
@@ -41,14 +42,19 @@ def surface_bsdf() -> Any:
             return self
 
         def _point(self, si: Any, active: Any) -> Any:
+            """The interactions with normals that face the viewer, and the optical state there."""
             surface = mi.UInt32(si.shape.eval_attribute_1("face_surface", si, active) + 0.5)
             state = si.shape.eval_attribute_1("vertex_state", si, active)
-            return self.optics.at(si, surface, state, active)
+            turned = facing(si)
+            return turned, self.optics.at(turned, surface, state, active)
 
         def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
-            wo, density, weight, lobe = self._point(si, active).sample(sample1, sample2)
+            turned, point = self._point(si, active)
+            wo, density, weight, lobe = point.sample(sample1, sample2)
             bs = dr.zeros(mi.BSDFSample3f)
-            bs.wo, bs.pdf, bs.eta = wo, dr.select(active, density, 0.0), 1.0
+            # The caller's directions are in the frame that it gave.
+            bs.wo = si.to_local(turned.to_world(wo))
+            bs.pdf, bs.eta = dr.select(active, density, 0.0), 1.0
             bs.sampled_component = lobe
             bs.sampled_type = dr.select(
                 lobe == 0,
@@ -68,11 +74,12 @@ def surface_bsdf() -> Any:
             return self.eval_pdf(ctx, si, wo, active)[1]
 
         def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            value, density = self._point(si, active).eval_pdf(wo)
+            turned, point = self._point(si, active)
+            value, density = point.eval_pdf(turned.to_local(si.to_world(wo)))
             return value & active, dr.select(active, density, 0.0)
 
         def eval_diffuse_reflectance(self, si: Any, active: Any = True) -> Any:
-            return self._point(si, active).albedo() & active
+            return self._point(si, active)[1].albedo() & active
 
         def traverse(self, callback: Any) -> None:
             callback.put("spectra", self.optics.spectra, mi.ParamFlags.Differentiable)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Flash
+from pepperscene.render.facing import facing
 from pepperscene.render.kernel import LightScene, SkyTables
 from pepperscene.render.response import Response
 from pepperscene.render.samples import FrameTables, Samples
@@ -174,5 +175,5 @@ def _hit(scene: LightScene, ray: Any, active: Any = True, *, coherent: bool = Fa
     mi, _ = kernel()
     found = scene.scene.ray_intersect_preliminary(ray, coherent=coherent, active=active)
     hit = found.is_valid()
-    si = found.compute_surface_interaction(ray, mi.RayFlags.All, hit)
+    si = facing(found.compute_surface_interaction(ray, mi.RayFlags.All, hit))
     return hit, si, scene.point(si, found, hit)
