@@ -15,7 +15,7 @@ from pepperscene.geometry.contact_organs import FRUIT, LEAF, SHOOT, Vectors
 from pepperscene.geometry.contact_stems import Capsules, joined
 from pepperscene.geometry.contact_units import Unit
 
-CLEAR: Final = 0.6e-3
+CLEAR: Final = 0.8e-3
 """Metres that what was moved keeps off, chosen: more than is missed between points, and not seen."""
 
 # Chosen: running into something costs as much as turns that no unit can make, so that nothing stays in what

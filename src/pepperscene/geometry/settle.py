@@ -22,8 +22,8 @@ from pepperscene.geometry.mesh import Mesh
 from pepperscene.grammar.plant import Plant
 
 _ROUNDS: Final = 6  # chosen: hardly anything is mended later
-_CLOSE: Final = -0.5 * CLEAR  # metres; what comes nearer all but touches
-_POSES: Final = 30  # chosen: poses that a unit might take
+_CLOSE: Final = -0.75 * CLEAR  # m, chosen; what comes nearer may touch between the points that are looked at
+_POSES: Final = 30  # chosen: poses that a unit might take; twice, three times as many in later rounds
 _TRIES: Final = 10  # chosen: those that are looked at all around
 _SMALL: Final = 20.0  # weighted degrees, chosen: a turn that is taken without asking what else could turn
 _PARTS: Final = np.array([0.2, 0.4, 0.55, 0.7, 0.8, 0.9, 1.0])  # of a turn that helps; a smaller one may do
@@ -81,7 +81,7 @@ def settle(
     search = _Search(Bodies(mesh, between_plants=between_plants), rng)
     for number in range(rounds):
         # Leaves give way at first; what could not, is taken as it stands.
-        if not search.round(hard=2 * number >= rounds):
+        if not search.round(hard=2 * number >= rounds, patience=1 + number):
             break
     return Settled(search.organs.turned_mesh(), tuple(search.motions), counted(search.bodies))
 
@@ -121,13 +121,13 @@ class _Search:
         self._rng = rng
         self._angles: dict[int, Vectors] = {}
 
-    def round(self, *, hard: bool) -> bool:
+    def round(self, *, hard: bool, patience: int) -> bool:
         """Try to part everything that touches, once; tells whether anything did."""
         found = self._touching()
         for organ, other in found:
             # An earlier turn may have parted them.
             if self.bodies.depth(organ, other) > _CLOSE:
-                self._part(organ, other, hard)
+                self._part(organ, other, hard, patience)
         return bool(found)
 
     def _touching(self) -> list[tuple[int, int]]:
@@ -140,13 +140,13 @@ class _Search:
             for other in some.others[some.depth > _CLOSE].tolist()
         ]
 
-    def _part(self, organ: int, other: int, hard: bool) -> None:
+    def _part(self, organ: int, other: int, hard: bool, patience: int) -> None:
         """Turn a unit of either side: the first that a small turn frees, else the one that gains most."""
         best: tuple[float, Unit, Vectors] | None = None
         for unit in (*units_of(self.organs, other), *units_of(self.organs, organ)):
             if organ in unit.members and other in unit.members:
                 continue
-            gain, angles, free = self._tried(unit, organ, other, hard)
+            gain, angles, free = self._tried(unit, organ, other, hard, patience)
             if gain > (best[0] if best else 0.0):
                 best = gain, unit, angles
                 if free and unit.effort(angles) < _SMALL:
@@ -154,10 +154,12 @@ class _Search:
         if best:
             self._turn(best[1], best[2])
 
-    def _tried(self, unit: Unit, organ: int, other: int, hard: bool) -> tuple[float, Vectors, bool]:
+    def _tried(
+        self, unit: Unit, organ: int, other: int, hard: bool, patience: int
+    ) -> tuple[float, Vectors, bool]:
         """How much the best turn of a unit gains, the angles that it stands at then, whether it is free."""
         way, spent = joint(self.organs, unit), self._angles.get(unit.root, np.zeros(2))
-        angles = np.concatenate([spent[None], unit.limits * _disc(_POSES, self._rng)])
+        angles = np.concatenate([spent[None], unit.limits * _disc(_POSES * patience, self._rng)])
         if unit.on_stem and unit.bears_fruit:
             # Lifted only: hanging lower would break the stalk.
             angles[1:, 1] = np.abs(angles[1:, 1])
@@ -168,7 +170,7 @@ class _Search:
         least = effort + around.pair(organ, other).cost(rotation, shift)
         order = 1 + np.argsort(least[1:], kind="stable")
         # Of the cheapest ones, all that they run into.
-        some = np.concatenate([[0], order[:_TRIES]])
+        some = np.concatenate([[0], order[: _TRIES * patience]])
         tried = [angles[some], spent + 0.5 * (angles[some] - spent)]
         obstacles = around.obstacles(*way.turns(np.concatenate(tried) - spent))
         cost = effort[some] + _total(obstacles, rotation[some], shift[some])
