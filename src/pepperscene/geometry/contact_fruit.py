@@ -46,27 +46,26 @@ def walls(organs: Organs, fruit: Sequence[int]) -> list[Wall]:
     """The walls of some fruit, as grown."""
     if not len(fruit):
         return []
-    boxes = [organs.vertices(one) for one in fruit]
-    centre = np.stack([0.5 * (box.min(axis=0) + box.max(axis=0)) for box in boxes])
+    vertices = [organs.vertices(one) for one in fruit]
+    centre = np.stack([0.5 * (some.min(axis=0) + some.max(axis=0)) for some in vertices])
+    reach = [np.sqrt(_squared(some - one).max()) for some, one in zip(vertices, centre, strict=True)]
     corners, number = organs.triangles(fruit)
-    corners -= np.repeat(centre[number], 3, axis=0).reshape(-1, 3, 3)
-    square = np.einsum("fci,fci->cf", corners, corners)
-    nearest, farthest = np.minimum.reduce(square), np.maximum.reduce(square)
-    reach = np.zeros(len(fruit))
-    np.maximum.at(reach, number, np.sqrt(farthest))
-    # Outer triangles are entered over inner ones: sorted by how far off they are.
-    order = np.argsort(farthest, kind="stable")
-    corners, number, nearest = corners[order], number[order], nearest[order]
-    planes = _planes(corners)
-    # Enter every triangle into the cells that it covers; the outermost stays.
-    width = np.sqrt(np.maximum.reduce([_squared(corners[:, i] - corners[:, i - 1]) for i in range(3)]))
-    pieces = np.clip(np.ceil(width / (_STEP * np.sqrt(nearest))), 1, _CELLS).astype(np.intp)
+    corners -= centre[number][:, None]
+    a, b, c = (np.ascontiguousarray(corners[:, corner]) for corner in range(3))
+    planes = _planes(a, b, c)
+    # How finely each triangle has to be cut so that it is entered into all cells that it covers.
+    width = np.maximum(np.maximum(_squared(b - a), _squared(c - b)), _squared(a - c))
+    off = np.minimum(np.minimum(_squared(a), _squared(b)), _squared(c))
+    pieces = np.clip(np.ceil(np.sqrt(width / off) / _STEP), 1, _CELLS).astype(np.intp)
+    # Of the triangles in a cell the outermost stays: keys are distances, then numbers.
+    key = (planes[:, 3] * 1e6).astype(np.int64) << 32 | np.arange(len(planes))
     held = np.full(len(fruit) * _CELLS * _CELLS, -1)
     for count in np.unique(pieces):
         rows = np.flatnonzero(pieces == count)
         spots = _weights(int(count)) @ corners[rows].transpose(2, 1, 0)
         cell = _cell(*spots.reshape(3, -1)).reshape(-1, len(rows)) + _CELLS * _CELLS * number[rows]
-        np.maximum.at(held, cell.ravel(), np.broadcast_to(rows, cell.shape).ravel())
+        np.maximum.at(held, cell.ravel(), np.broadcast_to(key[rows], cell.shape).ravel())
+    held = np.where(held >= 0, held & (2**32 - 1), -1)
     held = _filled(held.reshape(len(fruit), _CELLS, _CELLS))
     maps = planes[held].reshape(len(fruit), -1, 4)
     return [
@@ -75,24 +74,19 @@ def walls(organs: Organs, fruit: Sequence[int]) -> list[Wall]:
     ]
 
 
-def _planes(corners: Points) -> NDArray[np.float32]:
-    """`(f, 4)` outward normal and distance from the origin of the planes of triangles."""
-    a, b = (corners[:, corner] - corners[:, 0] for corner in (1, 2))
-    normal = np.stack(
-        [
-            a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
-            a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
-            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
-        ],
-        axis=1,
-    )
-    middle = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
+def _planes(a: Points, b: Points, c: Points) -> NDArray[np.float32]:
+    """`(f, 4)` outward normals and distances from the origin of the planes through corners `(f, 3)`."""
+    ab, ac = (b - a).T, (c - a).T
+    middle = (a + b + c) / 3.0
+    normal = np.empty_like(a)
+    for axis in range(3):
+        y, z = axis - 2, axis - 1
+        normal[:, axis] = ab[y] * ac[z] - ab[z] * ac[y]
     length, distance = np.sqrt(_squared(normal)), np.sqrt(_squared(middle))
     height = np.einsum("fi,fi->f", normal, middle)
     # A wall that stands on edge to the line of sight, or is seen from behind, counts as one across it.
-    steep = height <= 0.05 * length * distance
-    normal = np.where(steep[:, None], middle, normal)
-    length, height = np.where(steep, distance, length), np.where(steep, distance**2, height)
+    steep = np.flatnonzero(height <= 0.05 * length * distance)
+    normal[steep], height[steep], length[steep] = middle[steep], distance[steep] ** 2, distance[steep]
     planes = np.concatenate([normal, height[:, None]], axis=1) / np.maximum(length, 1e-12)[:, None]
     return planes.astype(np.float32)
 

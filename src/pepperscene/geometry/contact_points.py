@@ -24,28 +24,34 @@ def filling(corners: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[
     Returns:
         `(q, 3)` points and `(q,)` the triangle of each, ascending; none for a triangle without a long edge.
     """
-    square = np.empty((3, len(corners)), dtype=np.float32)
-    for edge in range(3):
-        along = corners[:, edge] - corners[:, edge - 2]
-        square[edge] = np.einsum("fi,fi->f", along, along)
+    a, b, c = (np.ascontiguousarray(corners[:, corner]) for corner in range(3))
+    square = np.stack([_squared(b - a), _squared(c - b), _squared(a - c)])
     longest = np.maximum.reduce(square)
-    large = np.flatnonzero(longest > SPACING**2)
-    # Turned so that the longest edge leads from a to b.
-    turned = (square[:, large].argmax(axis=0)[:, None] + np.arange(3)) % 3
-    a, b, c = corners[large[:, None], turned].swapaxes(0, 1)
-    base, side, length = b - a, c - a, np.sqrt(longest[large])
-    height = np.linalg.norm(np.cross(base, side), axis=1) / length
+    large = np.flatnonzero(longest > np.float32(SPACING**2))
+    # The longest edge leads from a start along a base; across from it is the third corner.
+    edge, row = square[:, large].argmax(axis=0), 3 * large
+    flat = corners.reshape(-1, 3)
+    start = flat[row + edge]
+    base, side = flat[row + (edge + 1) % 3] - start, flat[row + (edge + 2) % 3] - start
+    length = np.sqrt(longest[large])
+    foot = np.einsum("fi,fi->f", base, side) / length
+    height = np.sqrt(np.maximum(_squared(side) - foot * foot, 0.0))
     # Rows of points along the longest edge, ever shorter ones towards the corner across from it.
     rows = np.ceil(0.5 * height / SPACING).astype(np.intp)
     triangle, row = _counted(rows)
-    up = row / rows[triangle]
+    up = (row / rows[triangle]).astype(np.float32)
     number = np.ceil(0.5 * (1.0 - up) * length[triangle] / SPACING).astype(np.intp)
     line, step = _counted(number)
     triangle, up = triangle[line], up[line]
     # A quarter step in: the neighbour, who runs along the same edge the other way, fills the gaps.
-    share = (1.0 - up) * (step + 0.25) / number[line]
-    points = a[triangle] + share[:, None] * base[triangle] + up[:, None] * side[triangle]
-    return points.astype(np.float32), large[triangle]
+    share = (1.0 - up) * ((step + 0.25) / number[line]).astype(np.float32)
+    points = start[triangle] + share[:, None] * base[triangle] + up[:, None] * side[triangle]
+    return points, large[triangle]
+
+
+def _squared(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """`(f,)` squared lengths of vectors `(f, 3)`."""
+    return np.asarray(np.einsum("fi,fi->f", vectors, vectors))
 
 
 def _counted(numbers: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -167,7 +167,10 @@ class _Search:
         # What each pose costs at least: its effort, and what is left of the contact at hand.
         rotation, shift = way.turns(angles - spent)
         effort = unit.effort(angles)
-        least = effort + around.pair(organ, other).cost(rotation, shift)
+        left = around.pair(organ, other).cost(rotation, shift)
+        if patience == 1 and np.all(left > 0.0):
+            return 0.0, spent, False
+        least = effort + left
         order = 1 + np.argsort(least[1:], kind="stable")
         # Of the cheapest ones, all that they run into.
         some = np.concatenate([[0], order[: _TRIES * patience]])
