@@ -115,13 +115,17 @@ def above(rows: list[Picture]) -> Picture:
 
 
 FIGURES: Final[dict[str, Callable[[], Picture]]] = {
-    "plant_photographs": photographs,
-    "plant_cultivars": cultivars,
-    "plant_stages": stages,
+    "plant_photographs.jpg": photographs,
+    "plant_cultivars.png": cultivars,
+    "plant_stages.png": stages,
 }
 
 
+def main(names: list[str]) -> None:
+    """Write the figures asked for, by default all."""
+    for name in names or FIGURES:
+        Image.fromarray(FIGURES[name]()).save(IMAGES / name, optimize=True, quality=90)
+
+
 if __name__ == "__main__":
-    for name in sys.argv[1:] or FIGURES:
-        Image.fromarray(FIGURES[name]()).save(IMAGES / f"{name}.png", optimize=True)
-        print(IMAGES / f"{name}.png")
+    main(sys.argv[1:])
