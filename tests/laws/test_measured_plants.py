@@ -82,9 +82,6 @@ TABLE_1 = {
 """Names of Table 1 and Fig. 4, and the laws in the cultivar file that they stand for."""
 
 SLACK = {
-    # A blade leaves its stalk without a kink: a sixtieth of that bend is left half-way along the midrib.
-    "L-3": (np.radians(1.0), 0.0),
-    "S-5": (np.radians(0.8), 0.0),
     # Fruit is crooked and lobed: the line between its ends strays from the axis that it was hung by.
     "fruit": (0.0, np.radians(0.3)),
     "F-2 slenderness": (0.008, 0.002),

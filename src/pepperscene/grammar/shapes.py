@@ -106,7 +106,9 @@ def blades(name: str, sites: Sites) -> list[Bodies]:
     slopes = hang[:, None] - one["droop"][:, None] * s
     # The midrib: from the stalk's end slope into an even droop about its middle.
     joint = np.where(sites.continues, sites.slope - hang, 0.0)
-    slopes += joint[:, None] * np.exp(-s / _JOINT)
+    # It is over half-way along, where the law tells the inclination.
+    left = np.exp(-0.5 / _JOINT)
+    slopes += joint[:, None] * (np.exp(-s / _JOINT) - left) / (1.0 - left)
     swayed = sites.sway[:, None] + one["sway"][:, None] * s
     steps = direction(sites.azimuth[:, None], slopes, swayed)
     roll = sites.roll(slopes[:, 0], steps[:, 0]) + one["roll"]
