@@ -27,7 +27,7 @@ _WITHIN: Final = 1e4  # what is settled within a plant stays so
 _STALK: Final = 1e-3  # m, chosen: so much deeper may a stalk reach into the fruit that swings on it
 _UNDERGROUND: Final = 1e5
 
-Depths = Callable[[Vectors, Vectors], NDArray[np.float32]]
+Depths = Callable[[Vectors, Vectors, int], NDArray[np.float32]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Obstacle:
 
     Attributes:
         depths: for turns `(k, 3, 3)` and `(k, 3)` of the unit, `(n, k)` metres of how deep it reaches into
-            each.
+            each, by every so-manieth point.
         weight: `(n,)` cost of running into each.
         allowed: `(n,)` metres that it may reach in (below zero: that it must keep off) at no cost.
     """
@@ -45,9 +45,9 @@ class Obstacle:
     weight: NDArray[np.float64]
     allowed: NDArray[np.float64]
 
-    def cost(self, rotation: Vectors, shift: Vectors) -> Vectors:
-        """`(k,)` cost of some turns."""
-        over = self.depths(rotation, shift).astype(np.float64) - self.allowed[:, None]
+    def cost(self, rotation: Vectors, shift: Vectors, every: int = 1) -> Vectors:
+        """`(k,)` cost of some turns, judged by every so-manieth point: at most what it is by all."""
+        over = self.depths(rotation, shift, every).astype(np.float64) - self.allowed[:, None]
         hit = over > 0.0
         graded = self.weight[:, None] * (1.0 + 1e3 * _PER_MM * np.where(hit, over, 0.0))
         return np.asarray((graded * hit).sum(axis=0))
@@ -106,17 +106,18 @@ class Surroundings:
             stalks = [one for one in self._bodies.own(fruit) if not self._inside[one]]
             if stalks:
                 stalk = self._fruit_moved(fruit, sorted(stalks))
-                now = stalk.depths(np.eye(3)[None], np.zeros((1, 3)))[:, 0]
+                now = stalk.depths(np.eye(3)[None], np.zeros((1, 3)), 1)[:, 0]
                 found.append(replace(stalk, allowed=np.maximum(now, -CLEAR) + _STALK))
         return found
 
     def _fruit_moved(self, fruit: int, others: list[int]) -> Obstacle:
         points, starts = self._organs.points(others)
 
-        def depths(rotation: Vectors, shift: Vectors) -> NDArray[np.float32]:
+        def depths(rotation: Vectors, shift: Vectors, every: int) -> NDArray[np.float32]:
             # To turn the fruit is to turn all else back.
             back = rotation.transpose(0, 2, 1)
-            return self._bodies.depths(fruit, points, starts, back, -np.einsum("kij,kj->ki", back, shift))
+            gone = -np.einsum("kij,kj->ki", back, shift)
+            return self._bodies.depths(fruit, points[::every], -(-starts // every), back, gone)
 
         kinds = self._organs.organ_class[others]
         gives_way = np.isin(kinds, [LEAF, SHOOT]) & (not self._hard)
@@ -142,8 +143,8 @@ class Surroundings:
     def _fruit_met(self, fruit: int, movers: list[int]) -> Obstacle:
         points, starts = self._organs.points(movers)
 
-        def depths(rotation: Vectors, shift: Vectors) -> NDArray[np.float32]:
-            return self._bodies.depths(fruit, points, starts, rotation, shift)
+        def depths(rotation: Vectors, shift: Vectors, every: int) -> NDArray[np.float32]:
+            return self._bodies.depths(fruit, points[::every], -(-starts // every), rotation, shift)
 
         return self._obstacle(depths, np.full(len(movers), _HARD), fruit, np.array(movers))
 
@@ -170,9 +171,9 @@ class Surroundings:
 
         low, high = chain.box()
 
-        def depths(rotation: Vectors, shift: Vectors) -> NDArray[np.float32]:
+        def depths(rotation: Vectors, shift: Vectors, every: int) -> NDArray[np.float32]:
             found = np.full((len(first), len(rotation)), -np.inf, dtype=np.float32)
-            moved = np.matmul(points, rotation.transpose(0, 2, 1).astype(np.float32))
+            moved = np.matmul(points[::every], rotation.transpose(0, 2, 1).astype(np.float32))
             moved += shift[:, None].astype(np.float32)
             # Most of a blade is not near a stem.
             way, near = np.nonzero(np.all((moved > low) & (moved < high), axis=2))
@@ -192,7 +193,7 @@ class Surroundings:
             return []
         points, _ = self._organs.points(self._members[self._organs.solid[self._members]].tolist())
 
-        def depths(rotation: Vectors, shift: Vectors) -> NDArray[np.float32]:
+        def depths(rotation: Vectors, shift: Vectors, every: int) -> NDArray[np.float32]:
             lowest = (points @ rotation[:, 2].T).min(axis=0) + shift[:, 2]
             return np.asarray((depth - lowest)[None].astype(np.float32))
 
@@ -202,7 +203,7 @@ class Surroundings:
         allowed = np.full(len(others), -CLEAR)
         within = self._organs.plant[others] == self._organs.plant[organ]
         if self._bodies.between_plants and np.any(within):
-            now = depths(np.eye(3)[None], np.zeros((1, 3)))[:, 0]
+            now = depths(np.eye(3)[None], np.zeros((1, 3)), 1)[:, 0]
             allowed = np.where(within, np.maximum(now, allowed) + 1e-6, allowed)
             weight = np.where(within, _WITHIN, weight)
         return Obstacle(depths, weight, allowed)

@@ -24,9 +24,10 @@ from pepperscene.grammar.plant import Plant
 _ROUNDS: Final = 6  # chosen: hardly anything is mended later
 _CLOSE: Final = -0.75 * CLEAR  # m, chosen; what comes nearer may touch between the points that are looked at
 _POSES: Final = 30  # chosen: poses that a unit might take; twice, three times as many in later rounds
+_EVERY: Final = 3  # of so many points one is looked at while a pose is sought
 _TRIES: Final = 10  # chosen: those that are looked at all around
 _SMALL: Final = 20.0  # weighted degrees, chosen: a turn that is taken without asking what else could turn
-_PARTS: Final = np.array([0.2, 0.4, 0.55, 0.7, 0.8, 0.9, 1.0])  # of a turn that helps; a smaller one may do
+_PARTS: Final = np.array([0.0, 0.2, 0.4, 0.55, 0.7, 0.8, 0.9, 1.0])  # of a turn that helps: less may do
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +168,7 @@ class _Search:
         # What each pose costs at least: its effort, and what is left of the contact at hand.
         rotation, shift = way.turns(angles - spent)
         effort = unit.effort(angles)
-        left = around.pair(organ, other).cost(rotation, shift)
+        left = around.pair(organ, other).cost(rotation, shift, _EVERY)
         if patience == 1 and np.all(left > 0.0):
             return 0.0, spent, False
         least = effort + left
@@ -176,17 +177,15 @@ class _Search:
         some = np.concatenate([[0], order[: _TRIES * patience]])
         tried = [angles[some], spent + 0.5 * (angles[some] - spent)]
         obstacles = around.obstacles(*way.turns(np.concatenate(tried) - spent))
-        cost = effort[some] + _total(obstacles, rotation[some], shift[some])
-        chosen = int(np.argmin(cost))
-        if chosen == 0:
+        cost = effort[some] + _total(obstacles, rotation[some], shift[some], _EVERY)
+        if np.argmin(cost) == 0:
             return 0.0, spent, False
-        # Part of the turn may do.
-        parts = spent + _PARTS[:, None] * (angles[some[chosen]] - spent)
+        # Part of the turn may do, and now every point counts.
+        parts = spent + _PARTS[:, None] * (angles[some[np.argmin(cost)]] - spent)
         effort = unit.effort(parts)
-        finer = effort + _total(obstacles, *way.turns(parts - spent))
-        part = int(np.argmin(finer))
-        gain = float(cost[0] - finer[part])
-        return gain, parts[part], bool(finer[part] == effort[part])
+        cost = effort + _total(obstacles, *way.turns(parts - spent))
+        chosen = int(np.argmin(cost))
+        return float(cost[0] - cost[chosen]), parts[chosen], bool(cost[chosen] == effort[chosen])
 
     def _turn(self, unit: Unit, angles: Vectors) -> None:
         """Turn a unit to some angles."""
@@ -201,9 +200,9 @@ class _Search:
         self._angles[unit.root] = angles
 
 
-def _total(obstacles: list[Obstacle], rotation: Vectors, shift: Vectors) -> Vectors:
+def _total(obstacles: list[Obstacle], rotation: Vectors, shift: Vectors, every: int = 1) -> Vectors:
     """`(k,)` cost of all that some turns run into."""
-    return np.asarray(sum((one.cost(rotation, shift) for one in obstacles), np.zeros(len(rotation))))
+    return np.asarray(sum((one.cost(rotation, shift, every) for one in obstacles), np.zeros(len(rotation))))
 
 
 def _disc(count: int, rng: np.random.Generator) -> Vectors:
