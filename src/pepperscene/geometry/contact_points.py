@@ -36,16 +36,18 @@ def filling(corners: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[
     length = np.sqrt(longest[large])
     foot = np.einsum("fi,fi->f", base, side) / length
     height = np.sqrt(np.maximum(_squared(side) - foot * foot, 0.0))
+    # A slender triangle needs points along its longest edge only, and its neighbour there lays half of them.
+    part = np.where(height > 2.0 * SPACING, 1.0, 0.5)
     # Rows of points along the longest edge, ever shorter ones towards the corner across from it.
-    rows = np.ceil(0.5 * height / SPACING).astype(np.intp)
+    rows = np.ceil(part * height / SPACING).astype(np.intp)
     triangle, row = _counted(rows)
     up = (row / rows[triangle]).astype(np.float32)
-    number = np.ceil(0.5 * (1.0 - up) * length[triangle] / SPACING).astype(np.intp)
+    number = np.ceil(part[triangle] * (1.0 - up) * length[triangle] / SPACING).astype(np.intp)
     line, step = _counted(number)
     triangle, up = triangle[line], up[line]
     # A quarter step in: the neighbour, who runs along the same edge the other way, fills the gaps.
-    share = (1.0 - up) * ((step + 0.25) / number[line]).astype(np.float32)
-    points = start[triangle] + share[:, None] * base[triangle] + up[:, None] * side[triangle]
+    along = (1.0 - up) * ((step + 0.25) / number[line]).astype(np.float32)
+    points = start[triangle] + along[:, None] * base[triangle] + up[:, None] * side[triangle]
     return points, large[triangle]
 
 
