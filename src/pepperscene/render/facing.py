@@ -9,8 +9,8 @@ Keller et al. 2017, "The Iray light transport simulation and rendering system", 
     n' = (n + k g) / |n + k g|,      2 (n' . v) (n' . g) >= g . v
 
 The smallest root of that quadratic is k = (|a g - b n| - a) / b, with a = n . v, b = g . v, c = n . g; it is
-positive where 2 a c < b. So n' . v > 0 as well, no normal turns farther than to g, and where triangles are
-flat (n = g) nothing changes.
+positive where 2 a c < b or a < 0. So n' . v > 0 as well, no normal turns farther than to g, and where
+triangles are flat (n = g) nothing changes.
 """
 
 from __future__ import annotations
@@ -45,11 +45,9 @@ def facing(si: Any) -> Any:
     some = square > _LEAST_SQUARE
     turned = dr.select(some, turned * dr.rsqrt(dr.select(some, square, 1.0)), si.n)
 
-    found = mi.SurfaceInteraction3f(si)
-    found.sh_frame.n = mi.Normal3f(turned)
-    found.initialize_sh_frame()
     # Where nothing needs turning the frame stays as it is, to the last bit.
-    needed = 2.0 * a * c < b
-    found.sh_frame = dr.select(needed, found.sh_frame, si.sh_frame)
+    needed = (a <= 0.0) | (2.0 * a * c < b)
+    found = mi.SurfaceInteraction3f(si)
+    found.sh_frame = dr.select(needed, mi.Frame3f(mi.Normal3f(turned)), si.sh_frame)
     found.wi = dr.select(needed, found.to_local(towards), si.wi)
     return found

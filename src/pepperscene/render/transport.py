@@ -24,7 +24,7 @@ from pepperscene.render.samples import FrameTables, Samples
 from pepperscene.render.variant import kernel
 from pepperscene.render.view import View
 
-_LANES: Final = 1 << 21  # chosen: wavefront of a pass; 15 results of a sample take 126 MB
+_LANES: Final = 1 << 21  # chosen: wavefront of a pass; 16 results of a sample take 134 MB
 _LEAST_SURVIVAL: Final = 0.1  # chosen: bounds the weight of a survivor to ten times its light
 
 
@@ -37,8 +37,10 @@ class Light:
         open_flash: `(h, w, c)` the same with all shadows taken away.
         sky: `(h, w, c)` seen directly.
         soft: `(h, w, c)` all the rest: sun, sky and light that was scattered more than once.
-        albedo: `(h, w, c)` of the first hit, weighted by the response to the flash; for the denoiser.
-        normal: `(h, w, 3)` of the first hit, towards the camera; for the denoiser.
+        albedo: `(h, w, c)` of the first hit, weighted by the response to the flash, 0 where there is none;
+            for the denoiser, as is what follows.
+        normal: `(h, w, 3)` of the first hit, towards the camera, 0 where there is none.
+        covered: `(h, w, 2)` share of the samples that hit something, among the sharp ones and the soft.
     """
 
     flash: NDArray[np.float32]
@@ -47,6 +49,7 @@ class Light:
     soft: NDArray[np.float32]
     albedo: NDArray[np.float32]
     normal: NDArray[np.float32]
+    covered: NDArray[np.float32]
 
     def total(self) -> NDArray[np.float32]:
         """`(h, w, c)` all light as traced."""
@@ -91,11 +94,15 @@ def trace(
     tables = FrameTables(scene, view, spectral, flash, sky)
     sharp = _accumulated(tables, sampling.sharp, seed, lambda samples: _sharp(tables, samples))
     c = len(tables.electrons)
-    flash_light, open_flash, sky_light, albedo, normal = np.split(sharp, [c, 2 * c, 3 * c, 4 * c], axis=-1)
-    soft = np.zeros_like(sky_light)
+    flash_light, open_flash, sky_light, albedo, normal, covered = np.split(
+        sharp, [c, 2 * c, 3 * c, 4 * c, 4 * c + 3], axis=-1
+    )
+    soft, soft_covered = np.zeros_like(sky_light), covered
     if tables.flash is not None or tables.sky is not None:
-        soft = _accumulated(tables, sampling.soft, ~seed, lambda s: _soft(tables, s, sampling.bounces))
-    return Light(flash_light, open_flash, sky_light, soft, albedo, normal)
+        found = _accumulated(tables, sampling.soft, ~seed, lambda s: _soft(tables, s, sampling.bounces))
+        soft, soft_covered = found[..., :c], found[..., c:]
+    covered = np.concatenate([covered, soft_covered], axis=-1)
+    return Light(flash_light, open_flash, sky_light, soft, albedo, normal, covered)
 
 
 def _accumulated(
@@ -126,22 +133,24 @@ def _accumulated(
 
 
 def _sharp(tables: FrameTables, samples: Samples) -> list[Any]:
-    """Flash at the first hit with and without shadows, sky seen, albedo; normal: 4 c + 3 values a sample."""
-    _, dr = kernel()
+    """Flash at the first hit with and without shadows, sky seen, albedo, normal, hit: 4 c + 4 values."""
+    mi, dr = kernel()
     ray = samples.ray
     active, si, point = _hit(tables.scene, ray, coherent=True)
     sky = samples.sky(ray.d, ~active, seen=True)
     flash, open_flash = samples.flash(si, point, active)
-    albedo = dr.select(active, point.albedo(), 1.0)
+    albedo = dr.select(active, point.albedo(), 0.0)
     normal = dr.select(active, dr.select(si.wi.z > 0, si.sh_frame.n, -si.sh_frame.n), 0.0)
     light = [channel for part in (flash, open_flash, sky) for channel in samples.channels(part)]
-    return [*light, *samples.albedo(albedo), normal.x, normal.y, normal.z]
+    hit = dr.select(active, mi.Float(1.0), 0.0)
+    return [*light, *samples.albedo(albedo), normal.x, normal.y, normal.z, hit]
 
 
 def _soft(tables: FrameTables, samples: Samples, bounces: int) -> list[Any]:
-    """Sun at the first hit, and all light that was scattered before it got there: c values a sample."""
+    """Sun at the first hit, all light that was scattered before it got there, hit: c + 1 values."""
     mi, dr = kernel()
     active, si, point = _hit(tables.scene, samples.ray, coherent=True)
+    seen = dr.select(active, mi.Float(1.0), 0.0)
     light = samples.sun(si, point, active)
     throughput = mi.Spectrum(1.0)
     for bounce in range(bounces + 1):
@@ -167,7 +176,7 @@ def _soft(tables: FrameTables, samples: Samples, bounces: int) -> list[Any]:
         active &= hit
         light += throughput * samples.flash(si, point, active)[0]
         light += throughput * samples.sun(si, point, active)
-    return samples.channels(light)
+    return [*samples.channels(light), seen]
 
 
 def _hit(scene: LightScene, ray: Any, active: Any = True, *, coherent: bool = False) -> Any:

@@ -1,0 +1,184 @@
+"""The outline of a body of few triangles is as bright as that of the smooth body that it stands for.
+
+Rationale: where normals are interpolated over flat triangles, the last triangles before an outline are seen
+while their normals look away. Taken as they are, they are black: a drawn line around every fruit and calyx.
+A filter that takes the empty background for a part of the picture draws a second one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from bodies import bench_camera, sphere
+from scipy.ndimage import distance_transform_edt
+
+from pepperscene.camera import look_at
+from pepperscene.cultivar import load_cultivar
+from pepperscene.cultivar.forms import USUAL
+from pepperscene.geometry import mesh_plant
+from pepperscene.grammar import Organ, Plant
+from pepperscene.materials import Surface, lambertian, organ_surfaces
+from pepperscene.render import Renderer
+from pepperscene.render.facing import facing
+from pepperscene.render.variant import kernel
+from pepperscene.scene import assemble, uniform_sky
+from pepperscene.spectra import Spectrum
+
+NM = np.array([300.0, 1100.0])
+SKY = uniform_sky(Spectrum(NM, np.ones(2)), 5500.0)
+
+
+def photographed(mesh, surfaces, quality="reference", seed=0, pose=None, side=72):
+    """`(h, w)` brightness over that of the sky, and each pixel's distance to the outline, 0 outside."""
+    camera = bench_camera(columns=side, rows=side, flash=False)
+    camera = camera if pose is None else camera.at_pose(pose)
+    frame = Renderer(assemble(mesh, surfaces, SKY)).render(camera, ["electrons", "class"], quality, seed)
+    seen = frame["class"] > 0
+    light = frame["electrons"].astype(float)
+    sky = light[distance_transform_edt(~seen) > 3.0].mean(axis=0)
+    return (light / sky).mean(axis=-1), distance_transform_edt(seen)
+
+
+# --- bodies of few triangles --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("ior", "roughness", "least", "rim"),
+    [(1.0, 0.3, 0.92, 0.99), (1.3, 0.2, 0.90, 0.98), (1.5, 0.05, 0.75, 0.94)],
+)
+def test_a_coarse_lossless_ball_has_no_dark_rim_in_an_even_sky(ior, roughness, least, rim):
+    # 80 triangles, whose normals are up to 20 degrees off: left as they are, the darkest pixels fall to .65
+    # and the outermost to .90 to .95. What is still lost is what leaves on the wrong side of a triangle:
+    # (1 - cos t) / 2 of a matt body, and of a mirror's image at the very rim up to a half.
+    both = np.ones((1, 2, 2))
+    white = Surface("white", NM, both, np.zeros((1, 2)), ior, (roughness, roughness))
+    light, depth = photographed(sphere((0.0, 0.0, 0.5), 0.03, "white", subdivisions=1), {"white": white})
+    assert light[depth > 0].min() > least
+    assert light[(depth > 0) & (depth < 1.5)].mean() > rim
+    assert light[depth > 0].mean() == pytest.approx(1.0, abs=0.01)
+
+
+def fruit(detail: float):
+    """A blocky fruit of 8 cm with its calyx and stalk."""
+    down, up = np.array([0.0, 0.1, -1.0]) / np.hypot(0.1, 1.0), np.array([1.0, 0.0, 0.0])
+    top = np.array([0.0, 0.0, 0.04])
+    stalk = top - 0.004 * down + np.linspace(1.0, 0.0, 7)[:, None] * np.array([0.02, 0.0, 0.03])
+    shape = {"length_m": 0.085, "diameter_m": 0.08, "seed": 0.31, "lobes": 4, "ripeness": 1.0}
+    shape |= {"lobe_depth": 0.9, "shoulder": 0.55, "taper": 0.83, "ripeness_spread": 0.0}
+    organs = (
+        Organ("peduncle", -1, 0, stalk, up, {"radius_m": 0.0034, "radius_tip_m": 0.0042, "seed": 0.3}),
+        Organ("calyx", 0, 0, np.stack([stalk[-1], top]), up, {"radius_m": 0.02, "seed": 0.3, "tooth": 0.3}),
+        Organ("fruit", 1, 0, np.stack([top, top + 0.085 * down]), up, shape),
+    )
+    return mesh_plant(Plant("fruit", organs, USUAL), detail)
+
+
+def test_a_coarse_fruit_has_the_outline_of_a_fine_one():
+    # From 15 cm, a pixel .33 mm wide at the fruit. With normals as they are the darkest fortieth of the
+    # coarse fruit's outermost pixels is 15 % darker than the fine one's.
+    surfaces = organ_surfaces(load_cultivar("kaite"), np.arange(360.0, 831.0, 5.0))
+    pose = look_at((0.0, -0.15, 0.03), (0.03, 0.0, 0.0))
+    found = []
+    for detail in (1.0, 4.0):
+        light, depth = photographed(fruit(detail), surfaces, pose=pose, side=96)
+        rim = (depth > 0) & (depth < 2.5)
+        found.append((light[rim].mean(), np.quantile(light[rim], 0.025)))
+    assert found[0] == pytest.approx(found[1], rel=0.04)
+
+
+# --- the normals themselves ---------------------------------------------------------------------------------
+
+
+def turned(g: np.ndarray, n: np.ndarray, v: np.ndarray):
+    """`(m, 3)` shading normals that `facing` makes of these geometric and shading normals and views."""
+    mi, dr = kernel()
+
+    def vectors(values):
+        return mi.Vector3f(*(mi.Float(column.astype(np.float32)) for column in values.T))
+
+    si = dr.zeros(mi.SurfaceInteraction3f, len(g))
+    si.n = mi.Normal3f(vectors(g))
+    si.sh_frame.n = mi.Normal3f(vectors(n))
+    si.dp_du = vectors(np.roll(g, 1, axis=1) + np.array([0.1, 0.2, 0.3]))
+    si.initialize_sh_frame()
+    si.wi = si.to_local(vectors(v))
+    found = facing(si)
+    frame = np.array(found.sh_frame.n).T, np.array(found.sh_frame.s).T, np.array(found.sh_frame.t).T
+    return *frame, np.array(found.wi).T
+
+
+def units(rng, count):
+    found = rng.normal(size=(count, 3))
+    return found / np.linalg.norm(found, axis=1, keepdims=True)
+
+
+def dot(a, b):
+    return np.sum(a * b, axis=-1)
+
+
+def test_normals_are_turned_as_far_as_needed_and_no_farther():
+    rng = np.random.default_rng(7)
+    g, v = units(rng, 20_000), units(rng, 20_000)
+    n = g + 1.2 * rng.uniform(0.0, 1.0, (20_000, 1)) * units(rng, 20_000)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    found, s, t, wi = turned(g, n, v)
+    side = np.sign(dot(g, v))
+    faces = side * dot(n, v)
+    leaves = side * (2.0 * dot(n, v) * dot(n, g) - dot(g, v))
+    fit, needed = (faces > 1e-5) & (leaves > 1e-5), (faces < -1e-5) | (leaves < -1e-5)
+    assert fit.sum() > 2000 < needed.sum()
+    # Nothing moves that need not; the rest mirrors along the triangle.
+    assert found[fit] == pytest.approx(n[fit], abs=1e-6)
+    mirrored = 2.0 * dot(found, v) * dot(found, g) - dot(g, v)
+    assert mirrored[needed] == pytest.approx(0.0, abs=2e-5)
+    # The viewer is on the side of the triangle; the normal is between the two that there were.
+    assert (dot(found, v) * dot(g, v) > 0.0).all()
+    assert (dot(found, g) >= dot(n, g) - 1e-5).all()
+    assert dot(found, np.cross(n, g)) == pytest.approx(0.0, abs=1e-5)
+    # A frame is a frame, and the view is told in it.
+    for a, b, expected in ((found, found, 1), (s, s, 1), (t, t, 1), (found, s, 0), (found, t, 0), (s, t, 0)):
+        assert dot(a, b) == pytest.approx(expected, abs=1e-5)
+    assert wi == pytest.approx(np.stack([dot(s, v), dot(t, v), dot(found, v)], axis=1), abs=1e-5)
+
+
+def test_flat_triangles_keep_their_normals_to_the_last_bit():
+    rng = np.random.default_rng(8)
+    g, v = units(rng, 1000), units(rng, 1000)
+    assert np.array_equal(turned(g, g, v)[0], g.astype(np.float32))
+
+
+def test_views_along_the_triangle_and_normals_against_it_give_numbers():
+    z, x = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+    cases = [(z, -z, z), (z, -z, x), (z, z, x), (z, x, x), (z, x, -x), (z, x, z), (z, -z, -z), (z, x, -z)]
+    g, n, v = (np.array(part) for part in zip(*cases, strict=True))
+    for part in turned(g, n, v):
+        assert np.isfinite(part).all()
+
+
+def test_gradients_with_respect_to_normals_are_finite():
+    mi, dr = kernel()
+    si = dr.zeros(mi.SurfaceInteraction3f, 3)
+    si.n, si.dp_du = mi.Normal3f(0.0, 0.0, 1.0), mi.Vector3f(1.0, 0.0, 0.0)
+    tilt = mi.Float(0.0, 0.3, 1.4)
+    dr.enable_grad(tilt)
+    si.sh_frame.n = mi.Normal3f(dr.sin(tilt), 0.0, dr.cos(tilt))
+    si.initialize_sh_frame()
+    si.wi = si.to_local(mi.Vector3f(-0.8, 0.0, 0.6))
+    dr.backward(dr.sum(facing(si).wi.z))
+    assert np.isfinite(np.array(dr.grad(tilt))).all()
+
+
+# --- the filter ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("reflectance", [0.25, 0.5])
+def test_the_filter_leaves_the_outline_as_bright_as_it_was_traced(reflectance):
+    # A round matt body before the sky. Filtered together with the empty background, the outermost pixels lose
+    # a fifth of the body's light, a tenth of all. Twelve frames of 4 samples: standard error below 1 %.
+    ball, surfaces = sphere((0.0, 0.0, 0.5), 0.03, "grey"), {"grey": lambertian("grey", reflectance)}
+    traced, depth = photographed(ball, surfaces)
+    frames = [photographed(ball, surfaces, "standard", seed)[0] for seed in range(12)]
+    filtered = np.mean(frames, axis=0)
+    for inner, outer in ((0.0, 1.2), (1.2, 2.3), (2.3, 5.0)):
+        ring = (depth > inner) & (depth <= outer)
+        assert filtered[ring].mean() == pytest.approx(traced[ring].mean(), rel=0.03)
