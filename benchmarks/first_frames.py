@@ -27,6 +27,7 @@ from typing import Any, Final
 LABELS: Final = ("class", "instance", "distance")
 PACKAGES: Final = ("pepperscene", "mitsuba", "drjit", "numpy", "pyoidn", "karellen-llvm-core")
 LEAST_RUNS: Final = 5
+PLANT_STAGES: Final = ("grow", "mesh", "twine", "settle plants")
 
 Times = dict[str, float]
 
@@ -51,6 +52,7 @@ def new_scene(recipe_name: str, quality: str, runs: int) -> dict[str, Any]:
 
         import pepperscene as ps
         from pepperscene.dataset.equipment import cover_of, surface_grid
+        from pepperscene.dataset.planting import Planting
         from pepperscene.dataset.seeds import Stream, generator
         from pepperscene.dataset.stage import Stage
         from pepperscene.render import renderer
@@ -60,24 +62,10 @@ def new_scene(recipe_name: str, quality: str, runs: int) -> dict[str, Any]:
 
     recipe = ps.load_recipe(recipe_name)
     stage = Stage(recipe)
-    row, count = recipe.row, recipe.row.plants_front + recipe.row.plants_back
-    with timed(times, "grow"):
-        plants = [ps.grow(stage.cultivar, generator(recipe.seed, Stream.PLANT, 0, n)) for n in range(count)]
-    with timed(times, "mesh"):
-        meshes = [ps.mesh_plant(plant) for plant in plants]
-        if recipe.twine is not None and recipe.twine.diameter_mm > 0:
-            cord = ps.Twine(recipe.twine.diameter_mm / 1e3, recipe.twine.turns_per_m)
-            meshes = [
-                ps.with_twine(plant, mesh, cord, generator(recipe.seed, Stream.TWINE, 0, n))
-                for n, (plant, mesh) in enumerate(zip(plants, meshes, strict=True))
-            ]
-        mesh = ps.double_row(
-            meshes[: row.plants_front],
-            meshes[row.plants_front :],
-            spacing_m=row.spacing_mm / 1e3,
-            gap_m=row.gap_mm / 1e3,
-            shift_m=row.shift_mm / 1e3,
-        )
+    clock_plants(times)
+    with timed(times, "place and settle row"):
+        mesh = Planting(recipe, stage.cultivar).scene(0, 0).mesh
+    times["place and settle row"] -= sum(times[what] for what in PLANT_STAGES)
     with timed(times, "surfaces"):
         nm = surface_grid(stage.camera(recipe.plan.shot(0)).sensor)
         surfaces = {**ps.organ_surfaces(stage.cultivar, nm), **ps.greenhouse_surfaces(nm)}
@@ -155,6 +143,24 @@ CHILDREN: Final[Mapping[str, Callable[[str, str, int], dict[str, Any]]]] = {
     "next_frames": next_frames,
     "labels_alone": labels_alone,
 }
+
+
+def clock_plants(times: Times) -> None:
+    """Clock what makes a plant wherever it is called from here on; `settle` of single plants alone."""
+    from pepperscene import geometry, grammar, scene
+
+    grammar.grow = clocked(times, "grow", grammar.grow)
+    geometry.mesh_plant = clocked(times, "mesh", geometry.mesh_plant)
+    scene.with_twine = clocked(times, "twine", scene.with_twine)
+    settle = geometry.settle
+
+    def settled(*args: Any, between_plants: bool = False, **kwargs: Any) -> Any:
+        if between_plants:
+            return settle(*args, between_plants=True, **kwargs)
+        with timed(times, "settle plants"):
+            return settle(*args, **kwargs)
+
+    geometry.settle = settled
 
 
 def clocked(times: Times, what: str, inner: Callable[..., Any]) -> Callable[..., Any]:
