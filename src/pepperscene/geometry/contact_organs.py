@@ -17,12 +17,12 @@ Vectors = NDArray[np.float64]
 Points = NDArray[np.float32]
 Indices = NDArray[np.intp]
 
-# As plain numbers: members of an enumeration are slow to look up.
-LEAF, FRUIT, STALK, STEM, SHOOT, CORD = (
+# As plain numbers: members of an enumeration are slow to look up. What grows without a class is a flower.
+FLOWER, LEAF, FRUIT, STALK, STEM, SHOOT, CORD = (
     int(item)
     for item in (
-        OrganClass.LEAF, OrganClass.PEPPER, OrganClass.PEDUNCLE, OrganClass.STEM, OrganClass.SHOOT,
-        OrganClass.WIRE,
+        OrganClass.BACKGROUND, OrganClass.LEAF, OrganClass.PEPPER, OrganClass.PEDUNCLE, OrganClass.STEM,
+        OrganClass.SHOOT, OrganClass.WIRE,
     )
 )  # fmt: skip
 
@@ -53,7 +53,7 @@ class Organs:
         self.plant = np.array([item.plant for item in mesh.instances], dtype=np.intp)
         self._faces, self._face_first = _face_runs(mesh)
         self._order, self._first, self._stop = _vertex_runs(mesh, self._faces, self._face_first)
-        scenery = (self.organ_class == OrganClass.BACKGROUND) & (self.parent < 0)
+        scenery = (self.organ_class == FLOWER) & (self.parent < 0)
         self.solid = (self._stop > self._first) & ~scenery
         self.low, self.high = self._boxes()
         self.stamp = np.zeros(len(self.parent), dtype=np.intp)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.geometry.contact import NEAR, Bodies
-from pepperscene.geometry.contact_organs import FRUIT, LEAF, SHOOT, Vectors
+from pepperscene.geometry.contact_organs import FLOWER, FRUIT, LEAF, SHOOT, Vectors
 from pepperscene.geometry.contact_stems import Capsules, joined
 from pepperscene.geometry.contact_units import Unit
 
@@ -120,7 +120,7 @@ class Surroundings:
             return self._bodies.depths(fruit, points[::every], -(-starts // every), back, gone)
 
         kinds = self._organs.organ_class[others]
-        gives_way = np.isin(kinds, [LEAF, SHOOT]) & (not self._hard)
+        gives_way = np.isin(kinds, [FLOWER, LEAF, SHOOT]) & (not self._hard)
         return self._obstacle(depths, np.where(gives_way, _SOFT, _HARD), fruit, np.array(others))
 
     def _other_fruit(self) -> list[Obstacle]:

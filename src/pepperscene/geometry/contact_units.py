@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.geometry.contact_organs import FRUIT, LEAF, SHOOT, STALK, STEM, Organs, Vectors
+from pepperscene.geometry.contact_organs import FLOWER, FRUIT, LEAF, SHOOT, STALK, STEM, Organs, Vectors
 
 # Widest turns, radians, chosen so that parts still grow as they do: on a stem around it, elsewhere aside; and
 # up or down. By (grows on a stem, bears fruit).
@@ -59,7 +59,7 @@ def units_of(organs: Organs, organ: int) -> list[Unit]:
     found = []
     for root, above in pairwise([organ, *organs.ancestors(organ)]):
         kind = organs.organ_class[root]
-        if kind not in (LEAF, SHOOT, FRUIT, STALK):
+        if kind not in (FLOWER, LEAF, SHOOT, FRUIT, STALK):
             break
         # A fruit does not turn within its calyx.
         if kind == FRUIT and organs.mesh.instances[above].kind == "calyx":

@@ -21,7 +21,7 @@ from pepperscene.geometry.contact_units import Unit, joint, rotations, units_of
 from pepperscene.geometry.mesh import Mesh
 from pepperscene.grammar.plant import Plant
 
-_ROUNDS: Final = 6  # chosen: hardly anything is mended later
+_ROUNDS: Final = 9  # chosen: hardly anything is mended later
 _CLOSE: Final = -0.75 * CLEAR  # m, chosen; what comes nearer may touch between the points that are looked at
 _POSES: Final = 30  # chosen: poses that a unit might take; twice, three times as many in later rounds
 _EVERY: Final = 3  # of so many points one is looked at while a pose is sought
@@ -81,8 +81,8 @@ def settle(
     """
     search = _Search(Bodies(mesh, between_plants=between_plants), rng)
     for number in range(rounds):
-        # Leaves give way at first; what could not, is taken as it stands.
-        if not search.round(hard=2 * number >= rounds, patience=1 + number):
+        # Leaves give way twice, then all is taken as it stands for once.
+        if not search.round(hard=number % 3 == 2, patience=1 + number):
             break
     return Settled(search.organs.turned_mesh(), tuple(search.motions), counted(search.bodies))
 
@@ -178,6 +178,7 @@ class _Search:
         tried = [angles[some], spent + 0.5 * (angles[some] - spent)]
         obstacles = around.obstacles(*way.turns(np.concatenate(tried) - spent))
         cost = effort[some] + _total(obstacles, rotation[some], shift[some], _EVERY)
+        cost[0] = effort[0] + _total(obstacles, rotation[:1], shift[:1])[0]
         if np.argmin(cost) == 0:
             return 0.0, spent, False
         # Part of the turn may do, and now every point counts.
