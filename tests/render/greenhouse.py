@@ -26,7 +26,7 @@ POSES = arc_path(3, 0.4, (-0.4, 0.4), (0.1, 0.4), np.radians(20.0))
 def row_of_plants() -> Mesh:
     """Two plants of six stem parts with twine."""
     cultivar = load_cultivar("kaite")
-    short = cultivar.model_copy(update={"plant": cultivar.plant.model_copy(update={"stem_parts": 6})})
+    short = cultivar.model_copy(update={"stem": cultivar.stem.model_copy(update={"parts": 6})})
     meshes = []
     for number in range(2):
         plant = grow(short, np.random.default_rng(number))
