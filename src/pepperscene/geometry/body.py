@@ -97,17 +97,16 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.intp]) -> ND
 
 
 @lru_cache(maxsize=64)
-def _ring_grid(rings: int, sides: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
-    """Which ring point each vertex is, the faces, and uv.
+def ring_faces(rings: int, sides: int) -> NDArray[np.intp]:
+    """`(f, 3)` of a closed body: a first point, `rings` rows of `sides + 1` vertices, and a last point.
 
-    Vertices are the first point, `rings` rows of `sides + 1`, and the last point.
+    In each row the last vertex lies on the first: the seam, where u jumps from 1 to 0.
     """
     row, column = np.mgrid[0:rings, 0 : sides + 1]
-    source = np.concatenate([[0], (1 + row * sides + column % sides).ravel(), [1 + rings * sides]])
     last = 1 + rings * (sides + 1)
     corner = (1 + row * (sides + 1) + column)[:, :-1]
     a, b, d, c = corner[:-1], corner[:-1] + 1, corner[1:], corner[1:] + 1
-    faces = np.concatenate(
+    return np.concatenate(
         [
             np.stack([np.zeros(sides, dtype=np.intp), corner[0] + 1, corner[0]], axis=1),
             np.stack([a, b, c], axis=-1).reshape(-1, 3),
@@ -115,6 +114,18 @@ def _ring_grid(rings: int, sides: int) -> tuple[NDArray[np.intp], NDArray[np.int
             np.stack([np.full(sides, last), corner[-1], corner[-1] + 1], axis=1),
         ]
     )
-    u, v = (column / sides).ravel(), ((row + 1) / (rings + 1)).ravel()
-    uv = np.stack([np.concatenate([[0.5], u, [0.5]]), np.concatenate([[0.0], v, [1.0]])], axis=1)
-    return source, faces, uv
+
+
+def ring_uv(heights: NDArray[np.float64], sides: int) -> NDArray[np.float64]:
+    """`(v, 2)` of the vertices of `ring_faces`: u around, v as given for each row, 0 and 1 at the ends."""
+    row, column = np.mgrid[0 : len(heights), 0 : sides + 1]
+    u, v = (column / sides).ravel(), heights[row].ravel()
+    return np.stack([np.concatenate([[0.5], u, [0.5]]), np.concatenate([[0.0], v, [1.0]])], axis=1)
+
+
+@lru_cache(maxsize=64)
+def _ring_grid(rings: int, sides: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+    """Which ring point each vertex is, the faces, and uv."""
+    row, column = np.mgrid[0:rings, 0 : sides + 1]
+    source = np.concatenate([[0], (1 + row * sides + column % sides).ravel(), [1 + rings * sides]])
+    return source, ring_faces(rings, sides), ring_uv(np.arange(1, rings + 1) / (rings + 1), sides)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.body import Bodies
+from pepperscene.geometry.body import Bodies, ring_faces
 from pepperscene.geometry.spine import unit
 
 
@@ -40,7 +38,7 @@ def shells(
         np.concatenate([normals[0][:, None], _seamed(normals[1]), normals[2][:, None]], axis=1),
         np.concatenate([poles[:, :1], uv, poles[:, 1:]], axis=1),
         np.clip(np.concatenate([ends[0], _seamed(inner[..., None])[..., 0], ends[1]], axis=1), 0.0, 1.0),
-        _faces(r, c),
+        ring_faces(r, c),
     )
 
 
@@ -75,20 +73,3 @@ def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64
 def _seamed(rings: NDArray[np.float64]) -> NDArray[np.float64]:
     """`(n, r * (c + 1), d)` with column 0 repeated at the seam, where u jumps from 1 to 0."""
     return np.concatenate([rings, rings[:, :, :1]], axis=2).reshape(len(rings), -1, rings.shape[-1])
-
-
-@lru_cache(maxsize=64)
-def _faces(rings: int, sides: int) -> NDArray[np.intp]:
-    """Triangles between a first point, `rings` rows of `sides + 1` and a last point, facing outwards."""
-    row, column = np.mgrid[0:rings, 0:sides]
-    here = 1 + row * (sides + 1) + column
-    a, b, d, c = here[:-1], here[:-1] + 1, here[1:], here[1:] + 1
-    end = np.full(sides, 1 + rings * (sides + 1))
-    return np.concatenate(
-        [
-            np.stack([np.zeros(sides, dtype=np.intp), here[0] + 1, here[0]], axis=1),
-            np.stack([a, b, c], axis=-1).reshape(-1, 3),
-            np.stack([a, c, d], axis=-1).reshape(-1, 3),
-            np.stack([end, here[-1], here[-1] + 1], axis=1),
-        ]
-    )

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.body import Bodies
+from pepperscene.geometry.body import Bodies, ring_faces, ring_uv
 from pepperscene.geometry.measures import measure
 from pepperscene.geometry.noise import smooth_field
 from pepperscene.geometry.spine import Spines, spines, unit
@@ -240,21 +240,6 @@ def _woven(ends: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.f
 @lru_cache(maxsize=64)
 def _topology(part: tuple[float, ...], sides: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Faces and uv of a tube with rings at these parts of its length and a smaller ring in either cap."""
-    rings = len(part) + 2
-    row, column = np.mgrid[0:rings, 0 : sides + 1]
-    last = 1 + rings * (sides + 1)
-    corner = (1 + row * (sides + 1) + column)[:, :-1]
-    a, b, d, c = corner[:-1], corner[:-1] + 1, corner[1:], corner[1:] + 1
-    faces = np.concatenate(
-        [
-            np.stack([np.zeros(sides, dtype=np.intp), corner[0] + 1, corner[0]], axis=1),
-            np.stack([a, b, c], axis=-1).reshape(-1, 3),
-            np.stack([a, c, d], axis=-1).reshape(-1, 3),
-            np.stack([np.full(sides, last), corner[-1], corner[-1] + 1], axis=1),
-        ]
-    )
     height = np.concatenate([[0.5 * _MARGIN], _MARGIN + (1.0 - 2.0 * _MARGIN) * np.array(part)])
     height = np.concatenate([height, [1.0 - 0.5 * _MARGIN]])
-    u, v = (column / sides).ravel(), height[row].ravel()
-    uv = np.stack([np.concatenate([[0.5], u, [0.5]]), np.concatenate([[0.0], v, [1.0]])], axis=1)
-    return faces, uv
+    return ring_faces(len(part) + 2, sides), ring_uv(height, sides)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -44,19 +45,17 @@ def leaf_surface(
         size_mm: width and length of the flat blade.
         rng: draws veins and mottling.
     """
+    veins = grow_veins(size_mm, rng)
+    pattern, relief = vein_pattern(veins, rng), vein_relief(veins, rng)
+    return replace(thin_surface("leaf", path, wavelength_nm), pattern=pattern, relief_mm=relief)
+
+
+def thin_surface(name: str, path: PigmentPath, wavelength_nm: Array) -> Surface:
+    """An even leaf of these pigments, without veins."""
     states = enough_states(lambda nm, asked: np.stack(leaf_body(path, nm, asked), axis=1))
     above, below, through = leaf_body(path, wavelength_nm, states)
-    veins = grow_veins(size_mm, rng)
-    return Surface(
-        "leaf",
-        wavelength_nm,
-        np.stack([above, below], axis=1),
-        through,
-        ior=path.ior,
-        roughness=path.roughness,
-        pattern=vein_pattern(veins, rng),
-        relief_mm=vein_relief(veins, rng),
-    )
+    both = np.stack([above, below], axis=1)
+    return Surface(name, wavelength_nm, both, through, ior=path.ior, roughness=path.roughness)
 
 
 def leaf_body(path: PigmentPath, wavelength_nm: Array, states: Array) -> tuple[Array, Array, Array]:

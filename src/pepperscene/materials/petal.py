@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.materials.leaf import leaf_body
+from pepperscene.materials.leaf import thin_surface
 from pepperscene.materials.noise import noise_mm
-from pepperscene.materials.states import enough_states
 from pepperscene.materials.surface import Surface
 
 if TYPE_CHECKING:
@@ -32,16 +32,6 @@ def petal_surface(
         size_mm: width and length of a petal.
         rng: draws faint streaks from base to tip.
     """
-    states = enough_states(lambda nm, asked: np.stack(leaf_body(path, nm, asked), axis=1))
-    above, below, through = leaf_body(path, wavelength_nm, states)
     # Streaks a millimetre wide along the petal: amount chosen by eye.
     streaks = 0.05 * noise_mm(rng, (PIXELS, PIXELS), size_mm, (0.5, 6.0))
-    return Surface(
-        "petal",
-        wavelength_nm,
-        np.stack([above, below], axis=1),
-        through,
-        ior=path.ior,
-        roughness=path.roughness,
-        pattern=streaks.astype(np.float32),
-    )
+    return replace(thin_surface("petal", path, wavelength_nm), pattern=streaks.astype(np.float32))
