@@ -65,9 +65,9 @@ def test_background_is_infinitely_far_and_nothing():
 
 
 def plants_before_the_camera():
-    """Three plants of eight stem parts with twine, seen at 40 cm through a distorting lens."""
+    """Three plants of twelve stem parts with twine, seen at 40 cm through a distorting lens."""
     cultivar = load_cultivar("kaite")
-    short = cultivar.model_copy(update={"stem": cultivar.stem.model_copy(update={"parts": 8})})
+    short = cultivar.model_copy(update={"stem": cultivar.stem.model_copy(update={"parts": 12})})
     meshes = []
     for number in range(3):
         rng = np.random.default_rng(number)
