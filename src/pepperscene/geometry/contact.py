@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.contact_fruit import Wall, walls
-from pepperscene.geometry.contact_organs import (
-    CORD,
-    FRUIT,
-    LEAF,
-    STALK,
-    STEM,
-    Indices,
-    Organs,
-    Points,
-    Vectors,
-)
-from pepperscene.geometry.contact_stems import Capsules, capsules
+from pepperscene.geometry.contact_fruit import Walls
+from pepperscene.geometry.contact_organs import CORD, FRUIT, LEAF, STALK, STEM, Indices, Organs
+from pepperscene.geometry.contact_stems import Chains, deepest
 from pepperscene.geometry.mesh import Mesh
 
 NEAR: Final = 3e-3
@@ -58,6 +47,15 @@ class Near:
     depth: NDArray[np.float32]
 
 
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """Organs whose boxes meet, ascending, and how far one reaches into the other."""
+
+    organ: Indices
+    other: Indices
+    depth: NDArray[np.float32]
+
+
 class Bodies:
     """Organs with what tells whether they touch: the walls of fruit, the capsules of stems.
 
@@ -72,22 +70,13 @@ class Bodies:
         self.fruit = self.organs.of_class(FRUIT)
         self.blades = self.organs.of_class(LEAF)
         self.is_stem = np.isin(self.organs.organ_class, [STEM, CORD])
-        self._walls: dict[int, Wall] = {}
-        self._capsules: dict[int, Capsules] = {}
+        self.walls = Walls(self.organs, self.fruit)
+        self.chains = Chains(self.organs)
         self._own: dict[int, frozenset[int]] = {}
-        self._known: dict[int, tuple[int, Near]] = {}
-
-    def wall(self, fruit: int) -> Wall:
-        """The wall of a fruit, made when first asked for."""
-        if fruit not in self._walls:
-            self._prepare([fruit], [])
-        return self._walls[fruit]
-
-    def capsules(self, tube: int) -> Capsules:
-        """The capsules of a stem or cord, which never moves."""
-        if tube not in self._capsules:
-            self._capsules[tube] = capsules(self.organs, tube)
-        return self._capsules[tube]
+        nothing = np.empty(0, dtype=np.intp)
+        self._known = dict.fromkeys((FRUIT, LEAF), _Pairs(nothing, nothing, np.empty(0, dtype=np.float32)))
+        self._depths: dict[tuple[int, int], float] = {}
+        self._as_of = dict.fromkeys((FRUIT, LEAF), -1)
 
     def own(self, organ: int) -> frozenset[int]:
         """What an organ may touch: a fruit its calyx and the stalks that carry it, any other its parent."""
@@ -101,19 +90,13 @@ class Bodies:
             self._own[organ] = frozenset([organ, *above])
         return self._own[organ]
 
-    def around(self, organ: int, low: Vectors, high: Vectors) -> list[int]:
-        """Organs whose boxes meet a box with the corners `(3,)` and `(3,)`, without what is its own."""
-        near = np.flatnonzero(self.organs.in_box(low, high, NEAR)).tolist()
-        own = self.own(organ)
-        return [one for one in near if one not in own]
-
     def into_fruit(self, fruit: list[int]) -> dict[int, Near]:
         """What comes close to some fruit, and how far it reaches in; nothing for those that stand free."""
-        return self._measured(fruit, self.organs.solid, self._into_fruit, self._prepare)
+        return self._measured(FRUIT, fruit)
 
     def into_stems(self, blades: list[int]) -> dict[int, Near]:
         """The stems and cords that come close to some blades, and how far these reach in."""
-        return self._measured(blades, self.is_stem, self._into_stems, lambda blades, stems: None)
+        return self._measured(LEAF, blades)
 
     def depth(self, organ: int, other: int) -> float:
         """Metres that an organ reaches into a fruit, or a blade into a stem; negative apart.
@@ -122,102 +105,101 @@ class Bodies:
             organ: the fruit or the blade.
             other: the organ or the stem.
         """
-        is_fruit = self.organs.organ_class[organ] == FRUIT
-        return float((self._into_fruit if is_fruit else self._into_stems)(organ, [other])[0])
+        kind = FRUIT if self.organs.organ_class[organ] == FRUIT else LEAF
+        unmoved = max(self.organs.stamp[organ], self.organs.stamp[other]) <= self._as_of[kind]
+        if unmoved and (organ, other) in self._depths:
+            return self._depths[organ, other]
+        pair = np.array([organ]), np.array([other])
+        return float((self._into_fruit if kind == FRUIT else self._into_stems)(*pair)[0])
 
-    def depths(
-        self, fruit: int, points: Points, starts: Indices, rotation: Vectors, shift: Vectors
-    ) -> NDArray[np.float32]:
-        """How deep groups of points reach into a fruit when they are moved in several ways.
+    def _measured(self, kind: int, wanted: list[int]) -> dict[int, Near]:
+        """What is known of organs' neighbours, measured anew only where one of two has turned since."""
+        organs = self.organs
+        turned = organs.stamp > self._as_of[kind]
+        rows, columns = (self.fruit, organs.solid) if kind == FRUIT else (self.blades, self.is_stem)
+        columns = np.flatnonzero(columns & organs.solid)
+        # What has turned with all else, and what has not with what has.
+        found = [self._meeting(rows[turned[rows]], columns)]
+        found.append(self._meeting(rows[~turned[rows]], columns[turned[columns]]))
+        organ, other = (np.concatenate(some) for some in zip(*found, strict=True))
+        depth = (self._into_fruit if kind == FRUIT else self._into_stems)(organ, other)
+        known = self._known[kind]
+        kept = ~turned[known.organ] & ~turned[known.other]
+        organ = np.concatenate([known.organ[kept], organ])
+        other = np.concatenate([known.other[kept], other])
+        depth = np.concatenate([known.depth[kept], depth])
+        order = np.lexsort([other, organ])
+        self._known[kind] = known = _Pairs(organ[order], other[order], depth[order])
+        self._as_of[kind] = organs.turns
+        pairs = zip(known.organ.tolist(), known.other.tolist(), strict=True)
+        self._depths.update(zip(pairs, known.depth.tolist(), strict=True))
+        first = np.flatnonzero(np.diff(known.organ, prepend=-1))
+        others, depths = np.split(known.other, first[1:]), np.split(known.depth, first[1:])
+        near = dict(zip(known.organ[first].tolist(), map(Near, others, depths), strict=len(first) > 0))
+        return near if len(wanted) == len(rows) else {one: near[one] for one in wanted if one in near}
 
-        Args:
-            fruit: which, as it stands.
-            points: `(p, 3)` metres, group after group.
-            starts: `(n + 1,)` where each group starts.
-            rotation: `(k, 3, 3)` and
-            shift: `(k, 3)` metres: a point goes to rotation @ point + shift.
-
-        Returns:
-            `(n, k)` metres; minus infinity where no point of a group comes near.
-        """
-        wall = self.wall(fruit)
-        turned, moved = self.organs.pose(fruit)
-        # Into the fruit's own coordinates, from its centre; numbers are small there, as single ones must be.
-        origin = turned @ wall.centre + moved
-        matrix = turned.T @ rotation
-        offset = (rotation @ origin + shift - moved) @ turned - wall.centre
-        # Points that come near in none of the ways are left out.
-        centre = -np.einsum("kji,kj->ki", matrix, offset)
-        middle = centre.mean(axis=0)
-        far = wall.reach + NEAR
-        swept = far + float(np.sqrt(np.square(centre - middle).sum(axis=1).max()))
-        x, y, z = (points[:, axis] - np.float32(origin[axis] + middle[axis]) for axis in range(3))
-        kept = np.flatnonzero(x * x + y * y + z * z < swept**2)
-        found = np.full((len(starts) - 1, len(rotation)), -np.inf, dtype=np.float32)
-        if not len(kept):
-            return found
-        points = points[kept] - origin.astype(np.float32)
-        # Coordinates, points, ways.
-        local = points @ matrix.transpose(1, 2, 0).astype(np.float32)
-        local += offset.T[:, None].astype(np.float32)
-        local = local.reshape(3, -1)
-        hit = np.flatnonzero(local[0] ** 2 + local[1] ** 2 + local[2] ** 2 < far**2)
-        depth = np.full(local.shape[1], -np.inf, dtype=np.float32)
-        depth[hit] = wall.depth(local[:, hit])
-        # The deepest point of each group.
-        first = np.searchsorted(kept, starts)
-        some = np.flatnonzero(np.diff(first))
-        found[some] = np.maximum.reduceat(depth.reshape(len(kept), -1), first[some], axis=0)
-        return found
-
-    def _measured(
-        self,
-        organs: list[int],
-        others: NDArray[np.bool_],
-        measure: Callable[[int, list[int]], Points],
-        prepare: Callable[[list[int], list[int]], None],
-    ) -> dict[int, Near]:
-        """What is known of organs' neighbours, measured anew where one has turned since."""
-        low, high, stamp = self.organs.low[organs], self.organs.high[organs], self.organs.stamp
-        meet = self.organs.in_box(low, high, NEAR) & others
+    def _meeting(self, organ: Indices, other: Indices) -> tuple[Indices, Indices]:
+        """Pairs of organs whose boxes meet, without what is its own."""
+        organs = self.organs
+        row, column = organs.meeting(organ, other, NEAR)
+        one, two = organ[row], other[column]
+        kept = one != two
         if self.between_plants:
-            meet &= self.organs.plant[organs][:, None] != self.organs.plant
-        number, other = np.nonzero(meet)
-        first = np.searchsorted(number, np.arange(len(organs) + 1))
-        places = np.flatnonzero(np.diff(first)).tolist()
-        prepare([organs[place] for place in places], np.unique(other).tolist())
-        found = {}
-        for place in places:
-            organ, own = organs[place], self.own(organs[place])
-            near = [one for one in other[first[place] : first[place + 1]].tolist() if one not in own]
-            if not near:
-                continue
-            newest = int(max(stamp[organ], stamp[near].max()))
-            known = self._known.get(organ)
-            if known is None or known[0] < newest or not np.array_equal(known[1].others, near):
-                known = newest, Near(np.array(near, dtype=np.intp), measure(organ, near))
-                self._known[organ] = known
-            found[organ] = known[1]
+            kept &= organs.plant[one] != organs.plant[two]
+        one, two = one[kept], two[kept]
+        own = np.fromiter(
+            (b in self.own(a) for a, b in zip(one.tolist(), two.tolist(), strict=True)), bool, len(one)
+        )
+        return one[~own], two[~own]
+
+    def _into_fruit(self, fruit: Indices, other: Indices) -> NDArray[np.float32]:
+        """`(n,)` how deep each organ reaches into a fruit."""
+        found = np.full(len(fruit), -np.inf, dtype=np.float32)
+        if not len(fruit):
+            return found
+        # No point is laid on what stays off the ball around the fruit.
+        which, place = np.unique(fruit, return_inverse=True)
+        balls, far = self.walls.bodies(which.tolist()), NEAR
+        low, high = self.organs.low[other], self.organs.high[other]
+        centre, reach = balls.centre[place], balls.reach[place] + far
+        off = centre - np.clip(centre, low, high)
+        pair = np.flatnonzero(np.einsum("ni,ni->n", off, off) < reach**2)
+        laid, patch, entry = self.organs.patches(other[pair].tolist())
+        pair = pair[entry]
+        off = laid.centre[patch] - centre[pair]
+        kept = np.flatnonzero(np.einsum("ni,ni->n", off, off) < np.square(reach[pair] + laid.radius[patch]))
+        pair, patch = pair[kept], patch[kept]
+        matrix = balls.turned.transpose(0, 2, 1)
+        offset = -np.einsum("fij,fj->fi", matrix, balls.centre)
+        body = place[pair]
+        depth = self.walls.depth(
+            balls.row[body],
+            laid.points[patch],
+            matrix.astype(np.float32)[body],
+            offset.astype(np.float32)[body],
+            reach[pair].astype(np.float32),
+        )
+        np.maximum.at(found, pair, depth)
         return found
 
-    def _prepare(self, fruit: list[int], others: list[int]) -> None:
-        """Make walls and lay points at once, which is faster than one by one."""
-        missing = [one for one in fruit if one not in self._walls]
-        self._walls.update(zip(missing, walls(self.organs, missing), strict=True))
-        self.organs.sample(others)
-
-    def _into_fruit(self, fruit: int, others: list[int]) -> NDArray[np.float32]:
-        points, starts = self.organs.points(others)
-        return self.depths(fruit, points, starts, np.eye(3)[None], np.zeros((1, 3)))[:, 0]
-
-    def _into_stems(self, blade: int, stems: list[int]) -> NDArray[np.float32]:
-        depth = np.full(len(stems), -np.inf, dtype=np.float32)
+    def _into_stems(self, blade: Indices, stem: Indices) -> NDArray[np.float32]:
+        """`(n,)` how deep each blade reaches into a stem or cord."""
+        found = np.full(len(blade), -np.inf, dtype=np.float32)
+        if not len(blade):
+            return found
+        chain, piece, pair = self.chains.pieces(stem)
         low, high = self.organs.low[blade] - NEAR, self.organs.high[blade] + NEAR
-        for place, stem in enumerate(stems):
-            near = self.capsules(stem).near(low, high)
-            if len(near.start):
-                depth[place] = near.depth(self.organs.points([blade])[0]).max()
-        return depth
+        kept = np.flatnonzero(
+            np.all((chain.low[piece] < high[pair]) & (chain.high[piece] > low[pair]), axis=1)
+        )
+        piece, pair = piece[kept], pair[kept]
+        laid, patch, entry = self.organs.patches(blade[pair].tolist())
+        piece, pair = piece[entry], pair[entry]
+        near = deepest(laid.centre[patch][:, None], chain, piece) + laid.radius[patch] > -NEAR
+        hit = np.flatnonzero(near)
+        depth = deepest(laid.points[patch[hit]], chain, piece[hit])
+        np.maximum.at(found, pair[hit], depth)
+        return found
 
 
 def contacts(mesh: Mesh) -> Contacts:

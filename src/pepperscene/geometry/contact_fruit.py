@@ -37,9 +37,90 @@ class Wall:
 
     def depth(self, points: Points) -> NDArray[np.float32]:
         """`(p,)` metres that points `(3, p)`, told from the centre, lie below the wall; negative outside."""
-        x, y, z = points
-        plane = self.planes[_cell(x, y, z)]
-        return np.asarray(plane[:, 3] - plane[:, 0] * x - plane[:, 1] * y - plane[:, 2] * z)
+        return _below(self.planes, 0, points)
+
+
+class Walls:
+    """The walls of many fruit in one table, each made when first asked for.
+
+    Args:
+        organs: of a mesh.
+        fruit: `(f,)` which of them are fruit, ascending.
+    """
+
+    def __init__(self, organs: Organs, fruit: Indices) -> None:
+        self._organs, self._fruit = organs, fruit
+        self._made = np.zeros(len(fruit), dtype=bool)
+        self._planes = np.empty((len(fruit) * _CELLS * _CELLS, 4), dtype=np.float32)
+        self._centre = np.empty((len(fruit), 3))
+        self._reach = np.empty(len(fruit))
+
+    def bodies(self, fruit: Sequence[int]) -> Balls:
+        """Some fruit as they stand."""
+        place = np.searchsorted(self._fruit, fruit)
+        missing = np.unique(place[~self._made[place]])
+        if len(missing):
+            made = walls(self._organs, self._fruit[missing].tolist())
+            for row, wall in zip(missing.tolist(), made, strict=True):
+                self._planes[row * _CELLS**2 : (row + 1) * _CELLS**2] = wall.planes
+                self._centre[row], self._reach[row] = wall.centre, wall.reach
+            self._made[missing] = True
+        poses = [self._organs.pose(one) for one in fruit]
+        turned = np.array([pose[0] for pose in poses]).reshape(-1, 3, 3)
+        shift = np.array([pose[1] for pose in poses]).reshape(-1, 3)
+        centre = self._centre[place]
+        return Balls(place, turned, np.einsum("fij,fj->fi", turned, centre) + shift, self._reach[place])
+
+    def depth(
+        self, row: Indices, points: Points, matrix: Points, offset: Points, far: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """How deep the deepest point of each patch lies in a fruit.
+
+        Args:
+            row: `(h,)` of the fruit in the table.
+            points: `(h, s, 3)` metres.
+            matrix: `(h, 3, 3)` and
+            offset: `(h, 3)` metres: matrix @ point + offset is told from the fruit's centre.
+            far: `(h,)` metres from that centre; what is farther off is not looked at.
+
+        Returns:
+            `(h,)` metres; minus infinity where all is far off.
+        """
+        local = np.matmul(matrix, points.transpose(0, 2, 1)) + offset[:, :, None]
+        square = local[:, 0] * local[:, 0]
+        square += local[:, 1] * local[:, 1]
+        square += local[:, 2] * local[:, 2]
+        patch, number = np.nonzero(square < np.square(far)[:, None])
+        found = np.full(len(row), -np.inf, dtype=np.float32)
+        if len(patch):
+            deep = _below(self._planes, row[patch] * _CELLS**2, local.transpose(1, 0, 2)[:, patch, number])
+            start = np.flatnonzero(np.diff(patch, prepend=-1))
+            found[patch[start]] = np.maximum.reduceat(deep, start)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Balls:
+    """The balls that hold some fruit, as these stand.
+
+    Attributes:
+        row: `(n,)` of each fruit in the table.
+        turned: `(n, 3, 3)` how it is turned from where it grew.
+        centre: `(n, 3)` metres.
+        reach: `(n,)` metres.
+    """
+
+    row: Indices
+    turned: Vectors
+    centre: Vectors
+    reach: NDArray[np.float64]
+
+
+def _below(planes: NDArray[np.float32], first: Indices | int, points: Points) -> NDArray[np.float32]:
+    """`(p,)` metres that points `(3, p)` lie below the wall whose map starts in some row of a table."""
+    x, y, z = points
+    plane = planes[_cell(x, y, z) + first]
+    return np.asarray(plane[:, 3] - plane[:, 0] * x - plane[:, 1] * y - plane[:, 2] * z)
 
 
 def walls(organs: Organs, fruit: Sequence[int]) -> list[Wall]:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.geometry.contact_points import filling
+from pepperscene.geometry.contact_patches import Patches, patched
+from pepperscene.geometry.contact_points import counted, filling
 from pepperscene.geometry.mesh import Mesh
 
 Vectors = NDArray[np.float64]
@@ -27,6 +29,9 @@ FLOWER, LEAF, FRUIT, STALK, STEM, SHOOT, CORD = (
 )  # fmt: skip
 
 
+_BLOCK: Final = 128  # boxes compared at a time, chosen
+
+
 class Organs:
     """The instances of a mesh, each a rigid body that stands where its turns so far have brought it.
 
@@ -40,6 +45,7 @@ class Organs:
         solid: `(n,)` whether it is a body: it has triangles and is no scenery, which is what has no class and
             grows on nothing.
         low, high: `(n, 3)` metres, the corners of the box around each organ, now.
+        turns: how many turns there have been.
         stamp: `(n,)` how many turns there had been when it was turned last.
 
     Raises:
@@ -57,10 +63,12 @@ class Organs:
         self.solid = (self._stop > self._first) & ~scenery
         self.low, self.high = self._boxes()
         self.stamp = np.zeros(len(self.parent), dtype=np.intp)
-        self._turns = 0
+        self.turns = 0
         self._pose: dict[int, tuple[Vectors, Vectors]] = {}
-        self._grown: dict[int, Points] = {}
-        self._now: dict[int, Points] = {}
+        # Patches as they stand, in the order in which they were asked for.
+        self._laid, self._used = Patches.room(0), 0
+        self._patch_first = np.zeros(len(self.parent), dtype=np.intp)
+        self._patch_count = np.full(len(self.parent), -1)
 
     def __len__(self) -> int:
         return len(self.parent)
@@ -82,6 +90,28 @@ class Organs:
             found &= self.low[:, axis] < high[..., axis, None] + margin
             found &= self.high[:, axis] > low[..., axis, None] - margin
         return found
+
+    def meeting(self, some: Indices, others: Indices, margin: float) -> tuple[Indices, Indices]:
+        """Places of those of some organs and of others whose boxes come nearer than `margin` metres."""
+        rows, columns = [], []
+        # Only what lies between the first and the last x is compared with a few at a time.
+        order = some[np.argsort(self.low[some, 0], kind="stable")]
+        place = np.argsort(self.low[some, 0], kind="stable")
+        low, high = self.low[others] - margin, self.high[others] + margin
+        for start in range(0, len(order), _BLOCK):
+            block = order[start : start + _BLOCK]
+            near = np.flatnonzero(
+                (low[:, 0] < self.high[block, 0].max()) & (high[:, 0] > self.low[block, 0].min())
+            )
+            meet = np.ones((len(block), len(near)), dtype=bool)
+            for axis in range(3):
+                meet &= self.low[block, axis, None] < high[near, axis]
+                meet &= self.high[block, axis, None] > low[near, axis]
+            row, column = np.nonzero(meet)
+            rows.append(place[start + row])
+            columns.append(near[column])
+        empty = np.empty(0, dtype=np.intp)
+        return np.concatenate([empty, *rows]), np.concatenate([empty, *columns])
 
     def vertices(self, organ: int) -> Points:
         """`(v, 3)` an organ's vertices as grown."""
@@ -113,28 +143,48 @@ class Organs:
         return np.asarray(0.5 * (self.low[organ] + self.high[organ]))
 
     def sample(self, organs: Iterable[int]) -> None:
-        """Lay points on some organs at once, which is faster than one by one."""
-        missing = [organ for organ in organs if organ not in self._now]
-        if not missing:
+        """Lay patches of points on some organs at once, which is faster than one by one."""
+        wanted = np.fromiter(organs, dtype=np.intp)
+        missing = np.unique(wanted[self._patch_count[wanted] < 0])
+        if not len(missing):
             return
-        corners, owner = self.triangles(missing)
+        corners, owner = self.triangles(missing.tolist())
         more, triangle = filling(corners)
-        stops = np.cumsum(np.bincount(owner[triangle], minlength=len(missing)))
-        for organ, extra in zip(missing, np.split(more, stops[:-1]), strict=True):
-            self._grown[organ] = np.concatenate([self.vertices(organ), extra])
-            self._now[organ] = self._moved(organ, self._grown[organ])
+        vertices = [self.vertices(organ) for organ in missing.tolist()]
+        owner = np.concatenate(
+            [np.repeat(np.arange(len(missing)), [len(one) for one in vertices]), owner[triangle]]
+        )
+        laid, count = patched(np.concatenate([*vertices, more]), owner, len(missing))
+        if self._used + len(laid) > len(self._laid):
+            more_room = Patches.room(2 * (self._used + len(laid)))
+            more_room.put(0, self._laid.part(slice(self._used)))
+            self._laid = more_room
+        first = self._used + np.cumsum(count) - count
+        self._laid.put(self._used, laid)
+        self._used += len(laid)
+        self._patch_first[missing], self._patch_count[missing] = first, count
+        for organ in missing.tolist():
+            if organ in self._pose:
+                self._move_patches(organ, *self._pose[organ])
 
-    def points(self, organs: Sequence[int]) -> tuple[Points, Indices]:
-        """Points on the surfaces of some organs, now, nowhere far apart (see `contact_points`).
+    def _move_patches(self, organ: int, rotation: Vectors, shift: Vectors) -> Points:
+        """Move an organ's patches; returns their points, `(p, 3)`."""
+        first = int(self._patch_first[organ])
+        moved = self._laid.part(slice(first, first + int(self._patch_count[organ]))).moved(rotation, shift)
+        self._laid.put(first, moved)
+        return moved.points.reshape(-1, 3)
+
+    def patches(self, organs: Sequence[int]) -> tuple[Patches, Indices, Indices]:
+        """Points on the surfaces of some organs, now, nowhere far apart (see `contact_points`), in patches.
 
         Returns:
-            `(p, 3)` metres, organ after organ, and `(n + 1,)` where each organ's points start.
+            All patches that were laid so far; `(m,)` those of the organs, organ after organ; and `(m,)` the
+            place of each one's organ.
         """
-        self.sample(organs)
-        parts = [self._now[organ] for organ in organs]
-        starts = np.zeros(len(parts) + 1, dtype=np.intp)
-        np.cumsum([len(part) for part in parts], out=starts[1:])
-        return np.concatenate(parts) if parts else np.empty((0, 3), dtype=np.float32), starts
+        some = np.asarray(organs, dtype=np.intp)
+        self.sample(some)
+        place, number = counted(self._patch_count[some])
+        return self._laid, self._patch_first[some][place] + number, place
 
     def subtree(self, root: int) -> list[int]:
         """An organ and all that grows on it, in order of their numbers."""
@@ -156,16 +206,17 @@ class Organs:
 
     def turn(self, organs: Iterable[int], rotation: Vectors, shift: Vectors) -> None:
         """Move organs: every point p of theirs goes to rotation @ p + shift."""
-        self._turns += 1
+        self.turns += 1
         for organ in organs:
             old, moved = self.pose(organ)
             self._pose[organ] = (rotation @ old, rotation @ moved + shift)
-            self.stamp[organ] = self._turns
+            self.stamp[organ] = self.turns
             if not self.solid[organ]:
                 continue
-            if organ in self._now:
-                self._now[organ] = self._moved(organ, self._grown[organ])
-            now = self._now[organ] if organ in self._now else self._moved(organ, self.vertices(organ))
+            if self._patch_count[organ] < 0:
+                now = self._moved(organ, self.vertices(organ))
+            else:
+                now = self._move_patches(organ, rotation, shift)
             self.low[organ], self.high[organ] = now.min(axis=0), now.max(axis=0)
 
     def turned_mesh(self) -> Mesh:

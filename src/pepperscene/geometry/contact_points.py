@@ -40,10 +40,10 @@ def filling(corners: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[
     part = np.where(height > 2.0 * SPACING, 1.0, 0.5)
     # Rows of points along the longest edge, ever shorter ones towards the corner across from it.
     rows = np.ceil(part * height / SPACING).astype(np.intp)
-    triangle, row = _counted(rows)
+    triangle, row = counted(rows)
     up = (row / rows[triangle]).astype(np.float32)
     number = np.ceil(part[triangle] * (1.0 - up) * length[triangle] / SPACING).astype(np.intp)
-    line, step = _counted(number)
+    line, step = counted(number)
     triangle, up = triangle[line], up[line]
     # A quarter step in: the neighbour, who runs along the same edge the other way, fills the gaps.
     along = (1.0 - up) * ((step + 0.25) / number[line]).astype(np.float32)
@@ -56,7 +56,7 @@ def _squared(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(np.einsum("fi,fi->f", vectors, vectors))
 
 
-def _counted(numbers: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def counted(numbers: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """For numbers n of things, 0 to n - 1 in a row: which thing each entry is for, and its count."""
     owner = np.repeat(np.arange(len(numbers)), numbers)
     return owner, np.arange(len(owner)) - np.repeat(np.cumsum(numbers) - numbers, numbers)

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from itertools import groupby
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.geometry.contact import NEAR, Bodies
-from pepperscene.geometry.contact_organs import FLOWER, FRUIT, LEAF, SHOOT, Vectors
-from pepperscene.geometry.contact_stems import Capsules, joined
+from pepperscene.geometry.contact_organs import FLOWER, FRUIT, LEAF, SHOOT, Indices, Organs, Vectors
+from pepperscene.geometry.contact_tables import FruitTable, StemTable
 from pepperscene.geometry.contact_units import Unit
 
 CLEAR: Final = 0.8e-3
@@ -25,32 +24,72 @@ _SOFT: Final = 30.0
 _PER_MM: Final = 0.1
 _WITHIN: Final = 1e4  # what is settled within a plant stays so
 _STALK: Final = 1e-3  # m, chosen: so much deeper may a stalk reach into the fruit that swings on it
+_BETWEEN: Final = 5e-3  # m, chosen: parts of a turn may stray so far from those that are looked at
 _UNDERGROUND: Final = 1e5
 
 Depths = Callable[[Vectors, Vectors, int], NDArray[np.float32]]
 
 
+class Obstacle(Protocol):
+    """Something that a unit may run into."""
+
+    def cost(self, rotation: Vectors, shift: Vectors, every: int) -> Vectors:
+        """`(k,)` cost of turns `(k, 3, 3)` and `(k, 3)`, of which the first is none.
+
+        Args:
+            rotation: and
+            shift: of the unit.
+            every: judge by every so-manieth point: at most what it is by all.
+        """
+        ...
+
+
 @dataclass(frozen=True, eq=False)
-class Obstacle:
-    """Some organs that a unit may run into.
+class DepthObstacle:
+    """Some organs that others run into.
 
     Attributes:
-        depths: for turns `(k, 3, 3)` and `(k, 3)` of the unit, `(n, k)` metres of how deep it reaches into
-            each, by every so-manieth point.
-        weight: `(n,)` cost of running into each.
-        allowed: `(n,)` metres that it may reach in (below zero: that it must keep off) at no cost.
+        depths: for turns of the unit, `(n, m, k)` metres that each reaches into each.
+        weight: `(n, m)` cost of running into each.
+        slack: `(n, m)` metres that it may reach in deeper than it does; not a number where it must keep off.
     """
 
     depths: Depths
     weight: NDArray[np.float64]
-    allowed: NDArray[np.float64]
+    slack: NDArray[np.float64]
 
-    def cost(self, rotation: Vectors, shift: Vectors, every: int = 1) -> Vectors:
-        """`(k,)` cost of some turns, judged by every so-manieth point: at most what it is by all."""
-        over = self.depths(rotation, shift, every).astype(np.float64) - self.allowed[:, None]
-        hit = over > 0.0
-        graded = self.weight[:, None] * (1.0 + 1e3 * _PER_MM * np.where(hit, over, 0.0))
-        return np.asarray((graded * hit).sum(axis=0))
+    def cost(self, rotation: Vectors, shift: Vectors, every: int) -> Vectors:
+        """`(k,)` cost of some turns."""
+        depth = self.depths(rotation, shift, every)
+        now = np.maximum(depth[:, :, 0], -CLEAR)
+        allowed = np.where(np.isnan(self.slack), -CLEAR, now + self.slack)
+        over = depth - allowed[:, :, None]
+        if not (over > 0.0).any():
+            return np.zeros(len(rotation))
+        graded = self.weight[:, :, None] * (1.0 + 1e3 * _PER_MM * np.maximum(over, 0.0))
+        return np.asarray(np.where(over > 0.0, graded, 0.0).sum(axis=(0, 1)))
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """Nothing goes under the ground, or lower than it is if it is there already.
+
+    Attributes:
+        organs: of which
+        members: belong to the unit.
+        lowest: metres that they may reach down to.
+    """
+
+    organs: Organs
+    members: Indices
+    lowest: float
+
+    def cost(self, rotation: Vectors, shift: Vectors, every: int) -> Vectors:
+        """`(k,)` cost of some turns."""
+        laid, patch, _ = self.organs.patches(self.members.tolist())
+        points = laid.points[patch].reshape(-1, 3)
+        over = self.lowest - ((points @ rotation[:, 2].T).min(axis=0) + shift[:, 2]) - 1e-6
+        return np.asarray(np.where(over > 0.0, _UNDERGROUND * (1.0 + 1e3 * _PER_MM * over), 0.0))
 
 
 class Surroundings:
@@ -71,139 +110,116 @@ class Surroundings:
         self._inside = np.zeros(len(self._organs), dtype=bool)
         self._inside[self._members] = True
 
-    def pair(self, organ: int, other: int) -> Obstacle:
-        """One organ as an obstacle to another: a fruit and what runs into it, a blade and a stem.
+    def pair(self, organ: int, other: int, rotation: Vectors, shift: Vectors, every: int) -> Vectors:
+        """`(k,)` cost of what is left of one contact after some turns; there is one before.
 
         Args:
-            organ: the fruit or the blade; of the unit, or else the other is.
-            other: what touches it.
+            organ: a fruit or blade; of the unit, or else the other is.
+            other: what touches it: any organ, or a stem.
+            rotation: `(k, 3, 3)` and
+            shift: `(k, 3)` metres; the first of the turns is none.
+            every: judge by every so-manieth point.
         """
+        one, two = np.array([organ]), np.array([other])
+        meets = np.ones((1, 1), dtype=bool)
         if self._organs.organ_class[organ] != FRUIT:
-            return self._stem_met(organ, [(other, self._bodies.capsules(other))])
-        return self._fruit_moved(organ, [other]) if self._inside[organ] else self._fruit_met(organ, [other])
+            met = self._stems_met(one, two, meets)
+        elif self._inside[organ]:
+            met = self._fruit_moved(one, two, meets)
+        else:
+            met = self._fruit_met(two, one, meets)
+        cost = met.cost(rotation, shift, every)
+        # Too shallow a contact for so few points is one nevertheless.
+        cost[0] = max(cost[0], float(met.weight.max()))
+        return cost
 
     def obstacles(self, rotation: Vectors, shift: Vectors) -> list[Obstacle]:
         """All that the unit may run into on the ways of some turns, `(k, 3, 3)` and `(k, 3)`."""
+        organs, members = self._organs, self._members[self._organs.solid[self._members]]
         # The boxes around all that each member sweeps.
-        middle = 0.5 * (self._organs.low + self._organs.high)[self._members]
-        half = 0.5 * (self._organs.high - self._organs.low)[self._members]
+        middle, half = 0.5 * (organs.low + organs.high)[members], 0.5 * (organs.high - organs.low)[members]
         gone = np.matmul(middle, rotation.transpose(0, 2, 1)) + shift[:, None]
         reach = np.matmul(half, np.abs(rotation).transpose(0, 2, 1))
-        self._low, self._high = (gone - reach).min(axis=0), (gone + reach).max(axis=0)
-        return [*self._of_own_fruit(), *self._other_fruit(), *self._stems(), *self._ground()]
+        low, high = (gone - reach).min(axis=0) - NEAR, (gone + reach).max(axis=0) + NEAR
+        near = np.flatnonzero(organs.in_box(low.min(axis=0), high.max(axis=0)) & ~self._inside)
+        meets = np.all(organs.low[near] < high[:, None], axis=2)
+        meets &= np.all(organs.high[near] > low[:, None], axis=2)
+        is_fruit, other_is_fruit = (organs.organ_class[some] == FRUIT for some in (members, near))
+        found: list[Obstacle] = []
+        for rows, columns, met in (
+            # Its own fruit may run into everything,
+            (is_fruit, np.ones(len(near), dtype=bool), self._fruit_moved),
+            # its leaves and stalks into fruit,
+            (~is_fruit, other_is_fruit, self._fruit_met),
+            # its blades into stems and cords.
+            (organs.organ_class[members] == LEAF, self._bodies.is_stem[near], self._stems_met),
+        ):
+            part = meets & rows[:, None] & columns
+            if met == self._fruit_moved and part.any():
+                part[rows] &= self._swept(members[rows], near, rotation, shift)
+            if part.any():
+                rows, columns = part.any(axis=1), part.any(axis=0)
+                found.append(met(members[rows], near[columns], part[rows][:, columns]))
+        lowest = min(float(organs.low[members, 2].min()), 0.0)
+        return [*found, Ground(organs, members, lowest)] if low[:, 2].min() < lowest else found
 
-    def _of_own_fruit(self) -> list[Obstacle]:
-        """What the unit's own fruit may run into: everything."""
-        found = []
-        for place, fruit in enumerate(self._members.tolist()):
-            if self._organs.organ_class[fruit] != FRUIT or not self._organs.solid[fruit]:
-                continue
-            others = self._bodies.around(fruit, self._low[place], self._high[place])
-            others = [one for one in others if not self._inside[one]]
-            if others:
-                found.append(self._fruit_moved(fruit, others))
-            # Its own stalk goes into its cavity, but not on through its shoulder.
-            stalks = [one for one in self._bodies.own(fruit) if not self._inside[one]]
-            if stalks:
-                stalk = self._fruit_moved(fruit, sorted(stalks))
-                now = stalk.depths(np.eye(3)[None], np.zeros((1, 3)), 1)[:, 0]
-                found.append(replace(stalk, allowed=np.maximum(now, -CLEAR) + _STALK))
-        return found
+    def _swept(self, fruit: Indices, others: Indices, rotation: Vectors, shift: Vectors) -> NDArray[np.bool_]:
+        """`(f, n)` whose boxes the balls around some fruit meet on the ways of some turns."""
+        balls = self._bodies.walls.bodies(fruit.tolist())
+        centre = (balls.centre @ rotation.transpose(0, 2, 1) + shift[:, None]).transpose(1, 0, 2)
+        low, high = self._organs.low[others], self._organs.high[others]
+        off = np.maximum(np.maximum(low - centre[:, :, None], centre[:, :, None] - high), 0.0)
+        nearest = np.einsum("fkni,fkni->fkn", off, off).min(axis=1)
+        # Some more for what is between the turns that are looked at.
+        return np.asarray(nearest < np.square(balls.reach + NEAR + _BETWEEN)[:, None])
 
-    def _fruit_moved(self, fruit: int, others: list[int]) -> Obstacle:
-        points, starts = self._organs.points(others)
+    def _fruit_moved(self, fruit: Indices, others: Indices, meets: NDArray[np.bool_]) -> DepthObstacle:
+        """What the unit's own fruit runs into; its own stalk may reach a little deeper, and no more."""
+        gives_way = np.isin(self._organs.organ_class[others], [FLOWER, LEAF, SHOOT]) & (not self._hard)
+        own = self._own(fruit, others)
+        weight = np.where(meets, np.where(gives_way & ~own, _SOFT, _HARD), 0.0)
+        table = FruitTable(self._bodies, others, fruit, meets.T)
 
         def depths(rotation: Vectors, shift: Vectors, every: int) -> NDArray[np.float32]:
             # To turn the fruit is to turn all else back.
             back = rotation.transpose(0, 2, 1)
-            gone = -np.einsum("kij,kj->ki", back, shift)
-            return self._bodies.depths(fruit, points[::every], -(-starts // every), back, gone)
+            return table.depths(back, -np.einsum("kij,kj->ki", back, shift), every).transpose(1, 0, 2)
 
-        kinds = self._organs.organ_class[others]
-        gives_way = np.isin(kinds, [FLOWER, LEAF, SHOOT]) & (not self._hard)
-        return self._obstacle(depths, np.where(gives_way, _SOFT, _HARD), fruit, np.array(others))
+        return self._obstacle(depths, weight, fruit, others, own)
 
-    def _other_fruit(self) -> list[Obstacle]:
-        """Fruit that the unit's leaves and stalks may run into."""
-        found = []
-        low, high = self._low.min(axis=0), self._high.max(axis=0)
-        for fruit in np.flatnonzero(self._organs.in_box(low, high, NEAR)).tolist():
-            if self._organs.organ_class[fruit] != FRUIT or self._inside[fruit]:
-                continue
-            meets = np.all(self._low < self._organs.high[fruit] + NEAR, axis=1)
-            meets &= np.all(self._high > self._organs.low[fruit] - NEAR, axis=1)
-            meets &= self._organs.solid[self._members]
-            meets &= self._organs.organ_class[self._members] != FRUIT
-            own = self._bodies.own(fruit)
-            movers = [one for one in self._members[meets].tolist() if one not in own]
-            if movers:
-                found.append(self._fruit_met(fruit, movers))
-        return found
+    def _fruit_met(self, movers: Indices, fruit: Indices, meets: NDArray[np.bool_]) -> DepthObstacle:
+        """What the unit's leaves and stalks run into: fruit."""
+        meets = meets & ~self._own(fruit, movers).T
+        table = FruitTable(self._bodies, movers, fruit, meets)
+        return self._obstacle(table.depths, np.where(meets, _HARD, 0.0), movers, fruit)
 
-    def _fruit_met(self, fruit: int, movers: list[int]) -> Obstacle:
-        points, starts = self._organs.points(movers)
+    def _stems_met(self, blades: Indices, stems: Indices, meets: NDArray[np.bool_]) -> DepthObstacle:
+        """What the unit's blades run through: stems and cords."""
+        meets = meets & ~self._own(blades, stems)
+        table = StemTable(self._bodies, blades, stems, meets)
+        return self._obstacle(table.depths, np.where(meets, _HARD, 0.0), blades, stems)
 
-        def depths(rotation: Vectors, shift: Vectors, every: int) -> NDArray[np.float32]:
-            return self._bodies.depths(fruit, points[::every], -(-starts // every), rotation, shift)
+    def _own(self, organs: Indices, others: Indices) -> NDArray[np.bool_]:
+        """`(n, m)` what organs may touch."""
+        columns = others.tolist()
+        return np.array(
+            [[other in own for other in columns] for own in map(self._bodies.own, organs.tolist())]
+        )
 
-        return self._obstacle(depths, np.full(len(movers), _HARD), fruit, np.array(movers))
-
-    def _stems(self) -> list[Obstacle]:
-        """Stems and cords that the unit's blades may run through."""
-        found = []
-        for place, blade in enumerate(self._members.tolist()):
-            if self._organs.organ_class[blade] != LEAF or not self._organs.solid[blade]:
-                continue
-            low, high = self._low[place], self._high[place]
-            stems = [one for one in self._bodies.around(blade, low, high) if self._bodies.is_stem[one]]
-            # Plant by plant: the box around one plant's stem is slender.
-            for _, some in groupby(stems, key=lambda one: int(self._organs.plant[one])):
-                parts = [(one, self._bodies.capsules(one).near(low - NEAR, high + NEAR)) for one in some]
-                parts = [(one, part) for one, part in parts if len(part.start)]
-                if parts:
-                    found.append(self._stem_met(blade, parts))
-        return found
-
-    def _stem_met(self, blade: int, parts: list[tuple[int, Capsules]]) -> Obstacle:
-        points, _ = self._organs.points([blade])
-        chain = joined([part for _, part in parts])
-        first = np.cumsum([0, *(len(part.start) for _, part in parts[:-1])])
-
-        low, high = chain.box()
-
-        def depths(rotation: Vectors, shift: Vectors, every: int) -> NDArray[np.float32]:
-            found = np.full((len(first), len(rotation)), -np.inf, dtype=np.float32)
-            moved = np.matmul(points[::every], rotation.transpose(0, 2, 1).astype(np.float32))
-            moved += shift[:, None].astype(np.float32)
-            # Most of a blade is not near a stem.
-            way, near = np.nonzero(np.all((moved > low) & (moved < high), axis=2))
-            if len(way):
-                deep = np.maximum.reduceat(chain.depth(moved[way, near]), first, axis=1)
-                some, start = np.unique(way, return_index=True)
-                found[:, some] = np.maximum.reduceat(deep, start, axis=0).T
-            return found
-
-        stems = np.array([one for one, _ in parts])
-        return self._obstacle(depths, np.full(len(parts), _HARD), blade, stems)
-
-    def _ground(self) -> list[Obstacle]:
-        """Nothing goes under the ground, or lower than it is if it is there already."""
-        depth = np.minimum(self._organs.low[self._members, 2].min(), 0.0)
-        if self._low[:, 2].min() >= depth:
-            return []
-        points, _ = self._organs.points(self._members[self._organs.solid[self._members]].tolist())
-
-        def depths(rotation: Vectors, shift: Vectors, every: int) -> NDArray[np.float32]:
-            lowest = (points @ rotation[:, 2].T).min(axis=0) + shift[:, 2]
-            return np.asarray((depth - lowest)[None].astype(np.float32))
-
-        return [Obstacle(depths, np.array([_UNDERGROUND]), np.array([1e-6]))]
-
-    def _obstacle(self, depths: Depths, weight: Vectors, organ: int, others: NDArray[np.intp]) -> Obstacle:
-        allowed = np.full(len(others), -CLEAR)
-        within = self._organs.plant[others] == self._organs.plant[organ]
-        if self._bodies.between_plants and np.any(within):
-            now = depths(np.eye(3)[None], np.zeros((1, 3)), 1)[:, 0]
-            allowed = np.where(within, np.maximum(now, allowed) + 1e-6, allowed)
-            weight = np.where(within, _WITHIN, weight)
-        return Obstacle(depths, weight, allowed)
+    def _obstacle(
+        self,
+        depths: Depths,
+        weight: Vectors,
+        organs: Indices,
+        others: Indices,
+        own: NDArray[np.bool_] | None = None,
+    ) -> DepthObstacle:
+        """Obstacles of such weight; what is the unit's own may reach in a little, its own plant no deeper."""
+        slack = np.full(weight.shape, np.nan)
+        if self._bodies.between_plants:
+            within = self._organs.plant[organs][:, None] == self._organs.plant[others]
+            slack[within] = 1e-6
+            weight = np.where(within & (weight > 0.0), _WITHIN, weight)
+        if own is not None:
+            slack[own] = _STALK
+        return DepthObstacle(depths, weight, slack)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.geometry.contact_organs import Organs, Points, Vectors
+from pepperscene.geometry.contact_points import counted
 
 _PIECE: Final = 0.01  # m, chosen: stems bend so little that pieces of about this length stand for them
 
@@ -27,18 +31,19 @@ class Capsules:
     span: Vectors
     radius: NDArray[np.float64]
 
-    def box(self) -> tuple[Points, Points]:
-        """The corners `(3,)` and `(3,)` of the box around all of them."""
-        end, wide = self.start + self.span, self.radius[:, None]
-        low, high = np.minimum(self.start, end) - wide, np.maximum(self.start, end) + wide
-        return low.min(axis=0).astype(np.float32), high.max(axis=0).astype(np.float32)
+    @cached_property
+    def low(self) -> Vectors:
+        """`(c, 3)` metres, the lower corners of the boxes around them, and"""
+        return np.asarray(np.minimum(self.start, self.start + self.span) - self.radius[:, None])
 
-    def near(self, low: Vectors, high: Vectors) -> Capsules:
-        """Those whose boxes meet a box with the corners `(3,)` and `(3,)`."""
-        end, wide = self.start + self.span, self.radius[:, None]
-        kept = np.all(np.minimum(self.start, end) - wide < high, axis=1)
-        kept &= np.all(np.maximum(self.start, end) + wide > low, axis=1)
-        return Capsules(self.start[kept], self.span[kept], self.radius[kept])
+    @cached_property
+    def high(self) -> Vectors:
+        """`(c, 3)` the upper ones."""
+        return np.asarray(np.maximum(self.start, self.start + self.span) + self.radius[:, None])
+
+    def some(self, which: NDArray[np.intp]) -> Capsules:
+        """Some of them."""
+        return Capsules(self.start[which], self.span[which], self.radius[which])
 
     def depth(self, points: Points) -> NDArray[np.float32]:
         """`(..., c)` metres that points `(..., 3)` lie inside each capsule; negative outside."""
@@ -54,25 +59,87 @@ class Capsules:
         return np.asarray(self.radius.astype(np.float32) - np.sqrt(np.maximum(off, 0.0)))
 
 
+def deepest(points: Points, chain: Capsules, which: NDArray[np.intp]) -> NDArray[np.float32]:
+    """`(h,)` metres that the deepest point of each patch `(h, s, 3)` lies inside one capsule of a chain."""
+    span = chain.span[which].astype(np.float32)
+    square = np.maximum(np.einsum("hi,hi->h", span, span), np.float32(1e-12))
+    off = points - chain.start[which].astype(np.float32)[:, None]
+    along = np.matmul(off, span[:, :, None])[:, :, 0]
+    t = np.clip(along / square[:, None], 0.0, 1.0)
+    off -= t[:, :, None] * span[:, None]
+    nearest = np.sqrt(np.einsum("hsi,hsi->hs", off, off).min(axis=1))
+    return np.asarray(chain.radius[which].astype(np.float32) - nearest)
+
+
 def capsules(organs: Organs, tube: int) -> Capsules:
     """A tube as it stands; each piece is as thick as the wider of the rings at its ends."""
+    return chains(organs, [tube])[0]
+
+
+def chains(organs: Organs, tubes: Sequence[int]) -> list[Capsules]:
+    """Each of some tubes as it stands."""
+    vertices = [organs.vertices(tube) @ pose[0].T + pose[1] for tube in tubes for pose in [organs.pose(tube)]]
+    owner = np.repeat(np.arange(len(tubes)), [len(one) for one in vertices])
+    points = np.concatenate(vertices)
     # The vertices of one ring stand equally far along the tube.
-    place, ring = np.unique(np.round(organs.along(tube) * 1e5), return_inverse=True)
-    rotation, shift = organs.pose(tube)
-    vertices = organs.vertices(tube) @ rotation.T + shift
+    along = np.round(np.concatenate([organs.along(tube) for tube in tubes]).astype(np.float64) * 1e5)
+    key, ring = np.unique(owner * 2**20 + along.astype(np.int64), return_inverse=True)
+    tube_of = key >> 20
     number = np.bincount(ring)
-    centre = np.stack([np.bincount(ring, column) for column in vertices.T], axis=1) / number[:, None]
-    radius = np.zeros(len(place))
-    np.maximum.at(radius, ring, np.linalg.norm(vertices - centre[ring], axis=1))
-    if len(place) < 2:
-        centre, radius = centre.repeat(2, axis=0), radius.repeat(2)
-    # Rings close together make one piece.
-    walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centre, axis=0), axis=1))])
-    first = np.unique(np.searchsorted(walked[:-1], np.arange(0.0, walked[-1], _PIECE)))
-    first = first[first < len(walked) - 1]
-    ends = np.append(first, len(walked) - 1)
-    widest = np.maximum(np.maximum.reduceat(radius, first), radius[ends[1:]])
-    return Capsules(centre[first], np.diff(centre[ends], axis=0), widest)
+    centre = np.stack([np.bincount(ring, column) for column in points.T], axis=1) / number[:, None]
+    radius = np.zeros(len(key))
+    np.maximum.at(radius, ring, np.sqrt(np.square(points - centre[ring]).sum(axis=1)))
+    # Rings close together make one piece: the first ring of each centimetre, and the last of the tube.
+    first = np.searchsorted(tube_of, np.arange(len(tubes)))
+    last = np.append(first[1:], len(key)) - 1
+    steps = np.sqrt(np.square(np.diff(centre, axis=0, prepend=centre[:1])).sum(axis=1))
+    steps[first] = 0.0
+    walked = np.cumsum(steps)
+    walked -= walked[first][tube_of]
+    begins = np.diff(np.floor(walked / _PIECE), prepend=-1.0) > 0.0
+    begins[first] = True
+    begins[last] = False
+    lone = first[first == last]
+    begins[lone] = True
+    start = np.flatnonzero(begins)
+    # Each piece ends where the next of its tube starts, or at the last ring.
+    end = np.minimum(np.append(start[1:], len(key)), last[tube_of[start]])
+    widest = np.maximum(np.maximum.reduceat(radius, start), radius[end])
+    origin, span, stops = (
+        centre[start],
+        centre[end] - centre[start],
+        np.searchsorted(tube_of[start], np.arange(len(tubes) + 1)),
+    )
+    return [
+        Capsules(origin[one:other], span[one:other], widest[one:other])
+        for one, other in pairwise(stops.tolist())
+    ]
+
+
+class Chains:
+    """The capsules of many stems and cords, which never move, made when first asked for.
+
+    Args:
+        organs: of a mesh.
+    """
+
+    def __init__(self, organs: Organs) -> None:
+        self._organs = organs
+        self._first = np.zeros(len(organs), dtype=np.intp)
+        self._count = np.full(len(organs), -1)
+        self._made = Capsules(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+
+    def pieces(self, tubes: NDArray[np.intp]) -> tuple[Capsules, NDArray[np.intp], NDArray[np.intp]]:
+        """All capsules made so far, `(m,)` those of some tubes, and `(m,)` the place of each one's tube."""
+        missing = np.unique(tubes[self._count[tubes] < 0])
+        if len(missing):
+            made = chains(self._organs, missing.tolist())
+            count = np.array([len(one.radius) for one in made])
+            self._first[missing] = len(self._made.radius) + np.cumsum(count) - count
+            self._count[missing] = count
+            self._made = joined([self._made, *made])
+        place, number = counted(self._count[tubes])
+        return self._made, self._first[tubes][place] + number, place
 
 
 def joined(parts: list[Capsules]) -> Capsules:

@@ -24,8 +24,9 @@ from pepperscene.grammar.plant import Plant
 _ROUNDS: Final = 9  # chosen: hardly anything is mended later
 _CLOSE: Final = -0.75 * CLEAR  # m, chosen; what comes nearer may touch between the points that are looked at
 _POSES: Final = 30  # chosen: poses that a unit might take; twice, three times as many in later rounds
-_EVERY: Final = 3  # of so many points one is looked at while a pose is sought
+_EVERY: Final = 4  # of so many points one is looked at while a pose is sought
 _TRIES: Final = 10  # chosen: those that are looked at all around
+_FIRST: Final = 4  # chosen: of these, those that are looked at first
 _SMALL: Final = 20.0  # weighted degrees, chosen: a turn that is taken without asking what else could turn
 _PARTS: Final = np.array([0.0, 0.2, 0.4, 0.55, 0.7, 0.8, 0.9, 1.0])  # of a turn that helps: less may do
 
@@ -82,7 +83,7 @@ def settle(
     search = _Search(Bodies(mesh, between_plants=between_plants), rng)
     for number in range(rounds):
         # Leaves give way twice, then all is taken as it stands for once.
-        if not search.round(hard=number % 3 == 2, patience=1 + number):
+        if not search.round(hard=number % 3 == 2, patience=1 + min(number, 3)):
             break
     return Settled(search.organs.turned_mesh(), tuple(search.motions), counted(search.bodies))
 
@@ -168,23 +169,32 @@ class _Search:
         # What each pose costs at least: its effort, and what is left of the contact at hand.
         rotation, shift = way.turns(angles - spent)
         effort = unit.effort(angles)
-        left = around.pair(organ, other).cost(rotation, shift, _EVERY)
+        left = around.pair(organ, other, rotation, shift, _EVERY)
         if patience == 1 and np.all(left > 0.0):
             return 0.0, spent, False
         least = effort + left
         order = 1 + np.argsort(least[1:], kind="stable")
-        # Of the cheapest ones, all that they run into.
+        # Of the cheapest ones, all that they run into: a few at first, as one of these may be free.
         some = np.concatenate([[0], order[: _TRIES * patience]])
-        tried = [angles[some], spent + 0.5 * (angles[some] - spent)]
-        obstacles = around.obstacles(*way.turns(np.concatenate(tried) - spent))
-        cost = effort[some] + _total(obstacles, rotation[some], shift[some], _EVERY)
-        cost[0] = effort[0] + _total(obstacles, rotation[:1], shift[:1])[0]
+        halves = spent + 0.5 * (angles[some] - spent)
+        met = around.obstacles(*way.turns(np.concatenate([angles[some], halves]) - spent))
+        cost = least[some]
+        for start in (1, 1 + _FIRST):
+            rows = np.concatenate(
+                [[0], np.arange(start, min(start + _FIRST, len(some)) if start == 1 else len(some))]
+            )
+            into = _total(met, rotation[some[rows]], shift[some[rows]], _EVERY)
+            cost[rows] = effort[some[rows]] + np.maximum(left[some[rows]], into)
+            rest = least[some[1 + _FIRST :]]
+            if not len(rest) or cost[: 1 + _FIRST].min() <= rest[0]:
+                cost = cost[: 1 + _FIRST]
+                break
         if np.argmin(cost) == 0:
             return 0.0, spent, False
         # Part of the turn may do, and now every point counts.
         parts = spent + _PARTS[:, None] * (angles[some[np.argmin(cost)]] - spent)
         effort = unit.effort(parts)
-        cost = effort + _total(obstacles, *way.turns(parts - spent))
+        cost = effort + _total(met, *way.turns(parts - spent))
         chosen = int(np.argmin(cost))
         return float(cost[0] - cost[chosen]), parts[chosen], bool(cost[chosen] == effort[chosen])
 

@@ -1,0 +1,108 @@
+"""Points in patches: small groups that lie together, each in a ball, so that far ones are left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.geometry.contact_points import counted
+
+SIZE: Final = 32
+"""Points in a patch, chosen: on a blade, a patch is about 3 cm wide."""
+
+_BITS: Final = 5  # along either axis of an organ's box, so that all three fit into two bytes
+
+Points = NDArray[np.float32]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """Groups of points.
+
+    Attributes:
+        points: `(n, SIZE, 3)` metres.
+        centre: `(n, 3)` metres.
+        radius: `(n,)` metres, of the ball around the centre that holds all points of a patch.
+    """
+
+    points: Points
+    centre: Points
+    radius: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.radius)
+
+    @classmethod
+    def room(cls, number: int) -> Patches:
+        """Room for patches that are put in later."""
+        points = np.empty((number, SIZE, 3), dtype=np.float32)
+        return cls(points, np.empty((number, 3), dtype=np.float32), np.empty(number, dtype=np.float32))
+
+    def part(self, rows: slice) -> Patches:
+        """Some of them, seen."""
+        return Patches(self.points[rows], self.centre[rows], self.radius[rows])
+
+    def put(self, first: int, other: Patches) -> None:
+        """Let others take the place of as many from a first one on."""
+        rows = slice(first, first + len(other))
+        self.points[rows], self.centre[rows], self.radius[rows] = other.points, other.centre, other.radius
+
+    def moved(self, rotation: NDArray[np.float64], shift: NDArray[np.float64]) -> Patches:
+        """With every point at rotation @ point + shift."""
+        points = (self.points.reshape(-1, 3) @ rotation.T + shift).astype(np.float32)
+        centre = (self.centre @ rotation.T + shift).astype(np.float32)
+        return Patches(points.reshape(self.points.shape), centre, self.radius)
+
+
+def patched(points: Points, owner: Indices, owners: int) -> tuple[Patches, Indices]:
+    """Points sorted into patches, owner by owner.
+
+    Points are sorted along a Z-order curve (Morton 1966) through the box of each owner and cut into runs;
+    the last run of an owner is filled up with its last point.
+
+    Args:
+        points: `(p, 3)` metres.
+        owner: `(p,)`.
+        owners: how many; each has a point.
+
+    Returns:
+        Patches, and `(owners,)` how many each has.
+    """
+    small = owner.astype(np.uint16) if owners < 2**16 else owner
+    order = np.argsort(small, kind="stable")
+    number = np.bincount(owner, minlength=owners)
+    first = np.cumsum(number) - number
+    sorted_points = points[order]
+    low = np.minimum.reduceat(sorted_points, first, axis=0)
+    extent = (np.maximum.reduceat(sorted_points, first, axis=0) - low).max(axis=1)
+    scale = np.float32(2**_BITS - 0.01) / np.maximum(extent, np.float32(1e-9))
+    who = small[order]
+    cell = ((sorted_points - low[who]) * scale[who, None]).astype(np.uint8)
+    key = _SPREAD[cell[:, 0]] | _SPREAD[cell[:, 1]] << 1 | _SPREAD[cell[:, 2]] << 2
+    # By place, then by owner: whole numbers of two bytes are sorted by their digits.
+    along = np.argsort(key, kind="stable")
+    along = along[np.argsort(who[along], kind="stable")]
+    # Runs, the last of each owner filled up.
+    count = -(-number // SIZE)
+    place, run = counted(count)
+    last = first[place] + number[place] - 1
+    rows = np.minimum((first[place] + SIZE * run)[:, None] + np.arange(SIZE), last[:, None])
+    laid = sorted_points[along[rows]]
+    centre = 0.5 * (laid.min(axis=1) + laid.max(axis=1))
+    off = laid - centre[:, None]
+    radius = np.sqrt(np.einsum("npi,npi->np", off, off).max(axis=1))
+    # A micrometre for rounding.
+    return Patches(laid, centre, radius + np.float32(1e-6)), count
+
+
+def _spread() -> NDArray[np.uint16]:
+    """Numbers with two empty bits between any two of theirs."""
+    value = np.arange(2**_BITS, dtype=np.uint16)
+    return np.bitwise_or.reduce([(value >> bit & 1) << 3 * bit for bit in range(_BITS)]).astype(np.uint16)
+
+
+_SPREAD: Final = _spread()
