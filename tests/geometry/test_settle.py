@@ -21,6 +21,7 @@ from pepperscene.geometry import (
     settle,
     sphere,
 )
+from pepperscene.geometry.contact import Bodies, counted
 from pepperscene.geometry.contact_fruit import walls
 from pepperscene.geometry.contact_organs import Organs
 from pepperscene.geometry.contact_points import SPACING, filling
@@ -351,3 +352,81 @@ def test_between_plants_leaves_alone_what_stands_within_one() -> None:
     found = settle(concatenate([mesh, far]), np.random.default_rng(0), between_plants=True)
     assert found.motions == ()
     assert found.contacts.fruit_touching == 0
+
+
+# --- what is left out because it is far off -----------------------------------------------------------------
+
+
+def test_boxes_that_meet_are_all_found() -> None:
+    organs = Organs(grown()[1])
+    some, others = organs.of_class(int(OrganClass.LEAF)), np.flatnonzero(organs.solid)
+    row, column = organs.meeting(some, others, 0.003)
+    meet = np.all(organs.low[some][:, None] < organs.high[others] + 0.003, axis=2)
+    meet &= np.all(organs.high[some][:, None] > organs.low[others] - 0.003, axis=2)
+    assert set(zip(row.tolist(), column.tolist(), strict=True)) == set(
+        zip(*(places.tolist() for places in np.nonzero(meet)), strict=True)
+    )
+
+
+def test_patches_hold_the_points_that_they_are_made_of() -> None:
+    organs = Organs(grown()[1])
+    for organ in organs.of_class(int(OrganClass.LEAF), int(OrganClass.PEPPER))[::9].tolist():
+        laid, patch, place = organs.patches([organ])
+        corners, _ = organs.triangles([organ])
+        wanted = np.concatenate([organs.vertices(organ), filling(corners)[0]])
+        points = laid.points[patch]
+        assert not place.any()
+        np.testing.assert_array_equal(np.unique(points.reshape(-1, 3), axis=0), np.unique(wanted, axis=0))
+        off = np.linalg.norm(points.astype(float) - laid.centre[patch][:, None], axis=2)
+        assert np.all(off <= laid.radius[patch][:, None])
+
+
+@pytest.mark.parametrize("between_plants", [False, True])
+def test_depths_are_those_of_every_point(between_plants: bool) -> None:
+    """Balls and boxes leave out nothing that reaches in: all points of all organs, one by one, agree."""
+    second = grown("kaite", 5)[1].of_plant(1).moved(np.eye(3), np.array([0.15, 0.0, 0.0]))
+    mesh = concatenate([grown()[1].of_plant(0), second]) if between_plants else grown()[1]
+    bodies = Bodies(mesh, between_plants=between_plants)
+    organs, found = bodies.organs, bodies.into_fruit(bodies.fruit.tolist())
+    solid = np.flatnonzero(organs.solid)
+    laid, patch, place = organs.patches(solid.tolist())
+    for fruit, wall in zip(bodies.fruit.tolist(), walls(organs, bodies.fruit.tolist()), strict=True):
+        local = laid.points[patch].reshape(-1, 3) - wall.centre
+        near = np.linalg.norm(local, axis=1) < wall.reach
+        depth = np.full(len(local), -np.inf)
+        depth[near] = wall.depth(local[near].T.astype(np.float32))
+        deepest = np.full(len(solid), -np.inf)
+        np.maximum.at(deepest, place, depth.reshape(len(patch), -1).max(axis=1))
+        deepest[np.isin(solid, list(bodies.own(fruit)))] = -np.inf
+        if between_plants:
+            deepest[organs.plant[solid] == organs.plant[fruit]] = -np.inf
+        into = {} if fruit not in found else dict(zip(found[fruit].others, found[fruit].depth, strict=True))
+        # Rounding of single numbers, told from the middle of the row or of the fruit.
+        theirs = {int(solid[one]): deepest[one] for one in np.flatnonzero(deepest > 1e-5)}
+        assert {one for one, depth in into.items() if depth > 2e-5} <= set(theirs)
+        for one, depth in theirs.items():
+            assert into[one] == pytest.approx(depth, abs=2e-4 if depth > 0.0 else 0.0)
+
+
+def test_blades_in_stems_are_those_of_every_point() -> None:
+    bodies = Bodies(grown()[1])
+    organs, found = bodies.organs, bodies.into_stems(bodies.blades.tolist())
+    for blade in bodies.blades.tolist():
+        laid, patch, _ = organs.patches([blade])
+        points = laid.points[patch].reshape(-1, 3)
+        into = {} if blade not in found else dict(zip(found[blade].others, found[blade].depth, strict=True))
+        for stem in np.flatnonzero(bodies.is_stem & organs.solid).tolist():
+            depth = float(capsules(organs, stem).depth(points).max())
+            if depth > -1e-3 and stem not in bodies.own(blade):
+                assert into[stem] == pytest.approx(depth, abs=1e-5)
+
+
+def test_what_is_known_after_turns_is_what_is_found_afresh() -> None:
+    found = settled()
+    search = Bodies(grown()[1])
+    search.into_fruit(search.fruit.tolist())
+    search.into_stems(search.blades.tolist())
+    for motion in found.motions:
+        shift = motion.pivot - motion.rotation @ motion.pivot
+        search.organs.turn(search.organs.subtree(motion.instance), motion.rotation, shift)
+    assert counted(search) == contacts(found.mesh) == found.contacts

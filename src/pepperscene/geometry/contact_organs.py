@@ -62,6 +62,7 @@ class Organs:
         scenery = (self.organ_class == FLOWER) & (self.parent < 0)
         self.solid = (self._stop > self._first) & ~scenery
         self.low, self.high = self._boxes()
+        self._as_grown = self.low.astype(np.float32), (self.high - self.low).max(axis=1).astype(np.float32)
         self.stamp = np.zeros(len(self.parent), dtype=np.intp)
         self.turns = 0
         self._pose: dict[int, tuple[Vectors, Vectors]] = {}
@@ -154,7 +155,9 @@ class Organs:
         owner = np.concatenate(
             [np.repeat(np.arange(len(missing)), [len(one) for one in vertices]), owner[triangle]]
         )
-        laid, count = patched(np.concatenate([*vertices, more]), owner, len(missing))
+        laid, count = patched(
+            np.concatenate([*vertices, more]), owner, self._as_grown[0][missing], self._as_grown[1][missing]
+        )
         if self._used + len(laid) > len(self._laid):
             more_room = Patches.room(2 * (self._used + len(laid)))
             more_room.put(0, self._laid.part(slice(self._used)))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pepperscene.geometry.contact_points import counted
 
-SIZE: Final = 32
+SIZE: Final = 16
 """Points in a patch, chosen: on a blade, a patch is about 3 cm wide."""
 
 _BITS: Final = 5  # along either axis of an organ's box, so that all three fit into two bytes
@@ -58,7 +58,9 @@ class Patches:
         return Patches(points.reshape(self.points.shape), centre, self.radius)
 
 
-def patched(points: Points, owner: Indices, owners: int) -> tuple[Patches, Indices]:
+def patched(
+    points: Points, owner: Indices, low: Points, extent: NDArray[np.float32]
+) -> tuple[Patches, Indices]:
     """Points sorted into patches, owner by owner.
 
     Points are sorted along a Z-order curve (Morton 1966) through the box of each owner and cut into runs;
@@ -67,21 +69,21 @@ def patched(points: Points, owner: Indices, owners: int) -> tuple[Patches, Indic
     Args:
         points: `(p, 3)` metres.
         owner: `(p,)`.
-        owners: how many; each has a point.
+        low: `(owners, 3)` metres, lower corners of the boxes around the points of each; each has a point.
+        extent: `(owners,)` metres, the longest sides of these boxes.
 
     Returns:
         Patches, and `(owners,)` how many each has.
     """
+    owners = len(low)
     small = owner.astype(np.uint16) if owners < 2**16 else owner
     order = np.argsort(small, kind="stable")
     number = np.bincount(owner, minlength=owners)
     first = np.cumsum(number) - number
     sorted_points = points[order]
-    low = np.minimum.reduceat(sorted_points, first, axis=0)
-    extent = (np.maximum.reduceat(sorted_points, first, axis=0) - low).max(axis=1)
     scale = np.float32(2**_BITS - 0.01) / np.maximum(extent, np.float32(1e-9))
     who = small[order]
-    cell = ((sorted_points - low[who]) * scale[who, None]).astype(np.uint8)
+    cell = ((sorted_points - low[who]) * scale[who, None]).astype(np.uint8) & np.uint8(2**_BITS - 1)
     key = _SPREAD[cell[:, 0]] | _SPREAD[cell[:, 1]] << 1 | _SPREAD[cell[:, 2]] << 2
     # By place, then by owner: whole numbers of two bytes are sorted by their digits.
     along = np.argsort(key, kind="stable")
@@ -92,7 +94,7 @@ def patched(points: Points, owner: Indices, owners: int) -> tuple[Patches, Indic
     last = first[place] + number[place] - 1
     rows = np.minimum((first[place] + SIZE * run)[:, None] + np.arange(SIZE), last[:, None])
     laid = sorted_points[along[rows]]
-    centre = 0.5 * (laid.min(axis=1) + laid.max(axis=1))
+    centre = np.matmul(_MEAN, laid)[:, 0]
     off = laid - centre[:, None]
     radius = np.sqrt(np.einsum("npi,npi->np", off, off).max(axis=1))
     # A micrometre for rounding.
@@ -106,3 +108,4 @@ def _spread() -> NDArray[np.uint16]:
 
 
 _SPREAD: Final = _spread()
+_MEAN: Final = np.full((1, SIZE), 1.0 / SIZE, dtype=np.float32)

@@ -83,7 +83,7 @@ def settle(
     search = _Search(Bodies(mesh, between_plants=between_plants), rng)
     for number in range(rounds):
         # Leaves give way twice, then all is taken as it stands for once.
-        if not search.round(hard=number % 3 == 2, patience=1 + min(number, 3)):
+        if not search.round(hard=number % 3 == 2, patience=1 + min(number, 1)):
             break
     return Settled(search.organs.turned_mesh(), tuple(search.motions), counted(search.bodies))
 
