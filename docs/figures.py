@@ -60,7 +60,7 @@ def hung(organ: Mesh) -> Mesh:
     out = organ.normals.mean(axis=0)
     out = out - (out @ down) * down
     out /= np.linalg.norm(out)
-    turn = np.stack([np.cross(down, out), -out, -down])
+    turn = np.stack([np.cross(out, down), -out, -down])
     return organ.moved(turn, -turn @ middle)
 
 
@@ -92,8 +92,8 @@ def leaf_glow() -> Picture:
 
 def ripening() -> Picture:
     """A fruit at six states from green to ripe, by the flash."""
-    fruit = single_organs("fruit")[0]
-    fruit = hung(fruit)
+    # One whose states do not end at 0 or 1 anywhere, so that they can be moved.
+    fruit = hung(min(single_organs("fruit"), key=lambda one: np.mean((one.state <= 0) | (one.state >= 1))))
     middle = float(fruit.state.mean())
     row = [
         dataclasses.replace(fruit, state=np.clip(fruit.state - middle + state, 0, 1)).moved(

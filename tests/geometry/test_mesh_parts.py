@@ -60,3 +60,9 @@ def test_instances_that_share_vertices_are_told():
     )
     with pytest.raises(ValueError, match="together"):
         mixed.instance_vertices  # noqa: B018
+
+
+@pytest.mark.parametrize("matrix", [np.diag([1.0, 1.0, -1.0]), 2.0 * np.eye(3), np.ones((3, 3))])
+def test_a_mesh_is_not_mirrored_or_stretched(matrix: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="rotation must be a rotation"):
+        BALL.moved(matrix, np.zeros(3))

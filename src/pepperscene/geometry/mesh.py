@@ -74,8 +74,14 @@ class Mesh:
         return found
 
     def moved(self, rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> Mesh:
-        """The mesh rotated by a `(3, 3)` matrix, then translated by `(3,)` metres."""
+        """The mesh rotated by a `(3, 3)` matrix, then translated by `(3,)` metres.
+
+        Raises:
+            ValueError: the matrix mirrors or stretches, so that faces would show their backs or normals tilt.
+        """
         turn = np.asarray(rotation, dtype=float)
+        if not (np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) and np.linalg.det(turn) > 0.0):
+            raise ValueError("rotation must be a rotation: orthogonal, with a determinant of 1")
         vertices = (self.vertices @ turn.T + np.asarray(translation, dtype=float)).astype(np.float32)
         return replace(self, vertices=vertices, normals=(self.normals @ turn.T).astype(np.float32))
 
