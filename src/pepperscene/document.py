@@ -19,6 +19,12 @@ _INTEGERS: Final = range(-(2**63), 2**63)
 _BEYOND: Final = f"must be an integer of 64 bits, {_INTEGERS[0]} to {_INTEGERS[-1]}"
 _DEEPEST: Final = 32  # chosen: tables and lists within each other; no model has more than six
 _LONG_NUMBER: Final = re.compile(r"\d[\d_]{999,}")
+_PYTHON_TO_TOML: Final = (
+    (re.compile(r"a valid tuple|a valid list"), "a list"),
+    (re.compile(r"a valid dictionary( or (instance|object) .*)?"), "a table"),
+    (re.compile(r"Input is not a valid path.*"), "must be a path, in quotes"),
+)
+"""What the validator says of Python's types, in the words of those who write files."""
 
 
 class Document(BaseModel):
@@ -130,5 +136,7 @@ def _as_input_error(fault: ValidationError, where: str | Path) -> InputError:
         return InputError(where, key, None, "is required but missing")
     message = first["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     message = message.replace("Input should be", "must be").replace("\n", " ")
+    for said, meant in _PYTHON_TO_TOML:
+        message = said.sub(meant, message)
     value = first["input"] if not isinstance(first["input"], (dict, BaseModel)) else None
     return InputError(where, key, value, message)

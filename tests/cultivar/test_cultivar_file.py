@@ -122,7 +122,7 @@ FAULTS: dict[str, tuple[str, Any, str]] = {
     "no origin": (NODE, {"mean_mm": 16, "sd_mm": 2}, "needs a source"),
     "two laws": (NODE, {"value_mm": 16, "mean_mm": 16, "chosen": "x"}, "only one of them"),
     "mean alone": (NODE, {"mean_mm": 16, "chosen": "x"}, "only one of them"),
-    "spread of nothing": (NODE, {"mean_mm": 16, "sd_mm": 0, "chosen": "x"}, "greater than 0"),
+    "spread of nothing": (NODE, {"mean_mm": 16, "sd_mm": 0, "chosen": "x"}, "the same is a value_mm"),
     "bounds that exclude the mean": (
         NODE, {"mean_mm": 16, "sd_mm": 2, "low_mm": 17, "chosen": "x"}, "must lie between"
     ),
@@ -169,6 +169,12 @@ FAULTS: dict[str, tuple[str, Any, str]] = {
     "a kind that is not there": (f"{LEAF}.what", {"petiol": 1, "none": 0, "chosen": "x"}, "of the organs"),
     "a stem on a node": (f"{LEAF}.what", {"internode": 1, "chosen": "x"}, "only the stem"),
     "thirteen": ("organs.side_shoot.bears.0.count", {"thirteen": 1, "chosen": "x"}, "one of one, two"),
+    "a bare number for a choice": (f"{LEAF}.count", 3, "a table of probabilities, such as { one = 0.7"),
+    "a word for a choice": (f"{LEAF}.what", "petiole", "such as { petiole = 0.9"),
+    "one slot without its list": ("organs.node.bears", {"name": "leaf"}, "must be a list"),
+    "a number for a table": (f"{FRUIT}.flush", 3, "must be a table"),
+    "a number for a scan": ("organs.fruit.scan", 3, "must be a path"),
+    "a misspelt kind": ("organs.friut", {"calyx": False}, "no kind of this name is inherited"),
     "six lobes": ("organs.fruit.lobes", {"six": 1, "chosen": "x"}, "one of two, three, four, five"),
     "flush too strong": (
         f"{FRUIT}.flush.strength", {"value": 0.99, "chosen": "x"}, "at most 1"

@@ -72,3 +72,18 @@ def test_every_law_that_is_shown_is_one() -> None:
 def test_every_shipped_cultivar_is_told() -> None:
     for file in shelf("plants").glob("*.toml"):
         assert f"`{file.stem}`" in PAGE
+
+
+def test_the_crop_that_is_shown_has_one_fruit_and_one_leaf_at_a_node(tmp_path: Path) -> None:
+    (tmp_path / "cucumber.toml").write_text(FILES["cucumber.toml"], encoding="utf-8")
+    crop = load_cultivar(tmp_path / "cucumber.toml")
+    # Nothing of the crop that it extends grows, but for the sections of the stem.
+    assert set(crop.grown) - set(tomllib.loads(FILES["cucumber.toml"])["organs"]) == {crop.stem.internode}
+
+
+def test_the_pigments_that_are_shown_are_valid() -> None:
+    shown = [tomllib.loads(block)["pigments"] for block in BLOCKS if block.startswith("[pigments.")]
+    for paths in shown:
+        for path in paths.values():
+            PigmentPath.model_validate(path)
+    assert shown

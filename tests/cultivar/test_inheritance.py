@@ -59,6 +59,20 @@ def test_slots_are_told_by_their_names(kaite: Cultivar, tmp_path: Path) -> None:
     assert after[2].azimuth == before[2].azimuth
 
 
+def test_an_empty_list_takes_all_slots_away(kaite: Cultivar, tmp_path: Path) -> None:
+    assert kaite.organs["peduncle"].bears
+    child = load_cultivar(write(tmp_path, organs={"peduncle": {"bears": []}}))
+    assert child.organs["peduncle"].bears == ()
+    assert "fruit" not in child.grown
+
+
+def test_a_slot_can_be_emptied_though_it_inherits_a_descent(kaite: Cultivar, tmp_path: Path) -> None:
+    slots = [{"name": "fruit", "what": {"none": 1, "chosen": "x"}}]
+    child = load_cultivar(write(tmp_path, organs={"node": {"bears": slots}}))
+    assert child.organs["node"].bears[2].descent is not None
+    assert set(kaite.grown) - set(child.grown) >= {"peduncle", "fruit", "cut"}
+
+
 def test_a_kind_that_is_like_another_follows_it_through_files(kaite: Cultivar, tmp_path: Path) -> None:
     fold = {"value_deg": 3, "chosen": "x"}
     child = load_cultivar(write(tmp_path, organs={"lamina": {"fold": fold}}))

@@ -32,7 +32,12 @@ class Choice(Origin):
     @classmethod
     def _gathered(cls, raw: Any) -> Any:
         """The file's flat table, with the outcomes set apart from the origin."""
-        if not isinstance(raw, Mapping) or "probabilities" in raw:
+        if isinstance(raw, Choice):
+            return raw
+        if not isinstance(raw, Mapping):
+            outcomes = "one = 0.7, two = 0.3" if issubclass(cls, Number) else "petiole = 0.9, none = 0.1"
+            raise ValueError(f"must be a table of probabilities, such as {{ {outcomes}, chosen = … }}")
+        if "probabilities" in raw:
             return raw
         outcomes = {key: value for key, value in raw.items() if key not in Origin.model_fields}
         for name, value in outcomes.items():

@@ -123,11 +123,14 @@ def _over(below: Tables, above: Tables) -> Tables:
 
 
 def _organ_over(below: Any, above: Any) -> Any:
-    """A kind's table over that of the same kind in the parent; its slots are told by their names."""
+    """A kind's table over that of the same kind in the parent; its slots are told by their names.
+
+    An empty list takes all of them away.
+    """
     if not (isinstance(below, dict) and isinstance(above, dict)):
         return above
     merged = below | above
-    if _are_slots(below.get("bears")) and _are_slots(above.get("bears")):
+    if above.get("bears") and _are_slots(below.get("bears")) and _are_slots(above["bears"]):
         slots = {slot["name"]: slot for slot in below["bears"]}
         for slot in above["bears"]:
             slots[slot["name"]] = slots.get(slot["name"], {}) | slot

@@ -79,7 +79,7 @@ def _law(numbers: dict[str, Any], unit: Unit) -> dict[str, Any]:
 def _normal(numbers: dict[str, float], unit: Unit) -> dict[str, Any]:
     mean, sd, suffix = numbers["mean"], numbers["sd"], _suffix(unit)
     if sd <= 0:
-        raise ValueError(f"sd{suffix} must be greater than 0")
+        raise ValueError(f"sd{suffix} must be greater than 0; what is always the same is a value{suffix}")
     low = numbers.get("low", mean - REACH * sd)
     high = numbers.get("high", mean + REACH * sd)
     if not low < mean < high:

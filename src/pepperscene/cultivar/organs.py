@@ -278,8 +278,10 @@ def _by_form(raw: Any) -> Any:
         raise ValueError("must be a table with a form and that form's parameters")
     form = raw.get("form")
     if not isinstance(form, str) or form not in MODELS:
+        # A kind without a form is most often the misspelt name of one that is inherited.
+        missing = "" if "form" in raw else " (it is missing, and no kind of this name is inherited)"
         allowed = ", ".join(name for name in FORMS if name in MODELS)
-        raise ValueError(f"form must be one of {allowed}")
+        raise ValueError(f"form must be one of {allowed}{missing}")
     return MODELS[form].model_validate(raw)
 
 

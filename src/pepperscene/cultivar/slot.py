@@ -102,11 +102,12 @@ class Slot(Document):
                 raise ValueError("flush.strength must be 0 or more and leave every node's chance at most 1")
             if self.flush.nodes.low <= 0:
                 raise ValueError("flush.nodes must be greater than 0")
-        if self.descent is not None:
+        # Where nothing grows, an inherited descent has nothing to shift.
+        if self.descent is not None and self.filled > 0:
             of, by = self.descent.of, self.descent.by
             if of not in self.kinds:
                 raise ValueError(f"descent.of must be one of what grows here: {', '.join(self.kinds)}")
-            share = self.what.probabilities[of] / self.filled if self.filled else 0.5
+            share = self.what.probabilities[of] / self.filled
             most = min(share, 1.0 - share) + 1e-9
             if not -most <= by.low <= by.high <= most:
                 raise ValueError(
