@@ -85,8 +85,11 @@ def test_parameters_are_frozen(parameters: PlantParameters) -> None:
 
 
 def test_what_is_not_there_cannot_be_changed(parameters: PlantParameters) -> None:
-    for kind, row, name in (("leaf", 0, "length"), ("lamina", 400, "length"), ("lamina", -1, "length")):
+    for kind, row in (("leaf", 0), ("lamina", 400), ("lamina", -1), ("lamina", 1.5)):
         with pytest.raises(ValueError, match="no organ"):
-            parameters.changed(kind, row, **{name: 1.0})
+            parameters.changed(kind, row, length=1.0)  # type: ignore[arg-type]
+    for number in (np.nan, np.inf):
+        with pytest.raises(ValueError, match="length must be a finite number"):
+            parameters.changed("lamina", 0, length=number)
     with pytest.raises(ValueError, match="lamina has no girth"):
         parameters.changed("lamina", 0, girth=1.0)

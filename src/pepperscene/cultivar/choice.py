@@ -35,8 +35,8 @@ class Choice(Origin):
         if isinstance(raw, Choice):
             return raw
         if not isinstance(raw, Mapping):
-            outcomes = "one = 0.7, two = 0.3" if issubclass(cls, Number) else "petiole = 0.9, none = 0.1"
-            raise ValueError(f"must be a table of probabilities, such as {{ {outcomes}, chosen = … }}")
+            such = "one = 0.7, two = 0.3" if issubclass(cls, Number) else "petiole = 0.9, none = 0.1"
+            raise ValueError(f"must be a table of probabilities, such as {{ {such}, chosen = … }}")
         if "probabilities" in raw:
             return raw
         outcomes = {key: value for key, value in raw.items() if key not in Origin.model_fields}

@@ -85,8 +85,7 @@ def write_specimen(
         SetupError: the machine cannot render; nothing is written.
     """
     # All that can be wrong with the arguments comes to light before anything grows.
-    from pepperscene.cultivar import interpolated, load_cultivar
-    from pepperscene.dataset.grown import grown
+    from pepperscene.dataset.grown import grown, stage_of
     from pepperscene.geometry import check_format, mesh_files
     from pepperscene.render import quality_named
 
@@ -99,14 +98,11 @@ def write_specimen(
 
     # The plant.
     start = time.perf_counter()
-    part = 0.5 if share is None else share
-    plant = grown(cultivar, seed, detail=detail, until=until, share=part)
+    law = stage_of(cultivar, until, share)
+    plant = grown(law, seed, detail=detail)
     seconds = time.perf_counter() - start
 
     # Its files, as bytes.
-    law = load_cultivar(cultivar)
-    if until is not None:
-        law = interpolated(law, load_cultivar(until), part)
     files = mesh_files(plant.mesh, path.name, surface_colours(_surfaces(law)))
     if picture:
         from pepperscene.dataset.portrait import portrait

@@ -77,15 +77,17 @@ class PlantParameters:
             values: the new numbers, by the names of `KindParameters.values`.
 
         Raises:
-            ValueError: there is no such kind, organ or number.
+            ValueError: there is no such kind, organ or number, or a new number is not finite.
         """
         found = self.organs.get(kind)
-        if found is None or not 0 <= row < len(found):
+        if found is None or row not in range(len(found)):
             raise ValueError(f"the plant has no organ {row} of the kind {kind}")
         unknown = set(values) - set(found.values)
         if unknown:
             raise ValueError(f"{kind} has no {sorted(unknown)[0]}; it has {', '.join(found.values)}")
         columns = {name: column.copy() for name, column in found.values.items()}
         for name, value in values.items():
+            if not np.isfinite(value):
+                raise ValueError(f"{name} must be a finite number, not {value}")
             columns[name][row] = value
         return replace(self, organs={**self.organs, kind: replace(found, values=columns)})
