@@ -41,4 +41,6 @@ def find(shelf_name: Shelf, wanted: str | Path, *, suffix: str = ".toml") -> Pat
     if path.parent == Path(".") and is_file(shipped):
         return shipped
     names = ", ".join(sorted(p.stem for p in shelf(shelf_name).glob(f"*{suffix}")))
-    raise InputError(str(wanted), "", None, f"no such file, nor one of the shipped {shelf_name}: {names}")
+    # A file that is there is passed over where its name alone could be that of a shipped one.
+    missing = f"is a file without the ending {suffix}" if is_file(path) else "no such file"
+    raise InputError(str(wanted), "", None, f"{missing}, nor one of the shipped {shelf_name}: {names}")
