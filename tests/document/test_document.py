@@ -273,5 +273,7 @@ def test_what_is_not_found_lists_what_is_shipped(wanted):
 def test_a_file_with_another_ending_is_not_said_to_be_missing(write, monkeypatch):
     path = write("", "mine.txt")
     monkeypatch.chdir(path.parent)
-    with pytest.raises(InputError, match="is a file without the ending .toml, nor one of the shipped plants"):
+    with pytest.raises(
+        InputError, match=r"is a file without the ending \.toml, nor one of the shipped plants"
+    ):
         find("plants", "mine.txt")
