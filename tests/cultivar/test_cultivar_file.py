@@ -112,6 +112,11 @@ NODE = "organs.node.width"
 LEAF = "organs.node.bears.0"
 FRUIT = "organs.node.bears.2"
 FAULTS: dict[str, tuple[str, Any, str]] = {
+    "a fruit of a metre": (
+        "organs.fruit.diameter",
+        {"value_mm": 1000, "chosen": "test"},
+        "fruit must be at most 600 mm wide",
+    ),
     "unknown key": ("organs.node.girth", {"mean_mm": 1, "sd_mm": 0.1, "chosen": "x"}, "not a known key"),
     "unknown key of a distribution": (NODE, {"men_mm": 1, "chosen": "x"}, "not a known key"),
     "angle for a length": (NODE, {"mean_deg": 16, "sd_deg": 2, "chosen": "x"}, "wrong unit"),

@@ -20,6 +20,9 @@ from pepperscene.cultivar.notation import Angle, Factor, Ratio, Share, Size, Wid
 from pepperscene.cultivar.slot import Slot
 from pepperscene.document import Document
 
+LARGEST_FRUIT_M: Final = 0.6
+"""Chosen: no crop on a string bears larger ones, and a metre instead of a millimetre is soon written."""
+
 ClassName = Literal["background", "leaf", "pepper", "peduncle", "stem", "shoot", "cut"]
 
 
@@ -239,6 +242,11 @@ class Fruit(OrganModel):
         if ripe.high + descent.high > 1.0 + 1e-9 or ripe.low - descent.high < -1e-9:
             raise ValueError(
                 "ripe_descent must leave the share of ripe fruit within [0, 1] at both ends of the plant"
+            )
+        if self.diameter.high > LARGEST_FRUIT_M:
+            raise ValueError(
+                f"diameter reaches {1e3 * self.diameter.high:g} mm, and fruit must be at most "
+                f"{1e3 * LARGEST_FRUIT_M:g} mm wide"
             )
         return self
 
