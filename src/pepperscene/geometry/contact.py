@@ -72,23 +72,29 @@ class Bodies:
         self.is_stem = np.isin(self.organs.organ_class, [STEM, CORD])
         self.walls = Walls(self.organs, self.fruit)
         self.chains = Chains(self.organs)
-        self._own: dict[int, frozenset[int]] = {}
         nothing = np.empty(0, dtype=np.intp)
         self._known = dict.fromkeys((FRUIT, LEAF), _Pairs(nothing, nothing, np.empty(0, dtype=np.float32)))
-        self._depths: dict[tuple[int, int], float] = {}
         self._as_of = dict.fromkeys((FRUIT, LEAF), -1)
 
     def own(self, organ: int) -> frozenset[int]:
         """What an organ may touch: a fruit its calyx and the stalks that carry it, any other its parent."""
-        if organ not in self._own:
-            above = self.organs.ancestors(organ)
-            if self.organs.organ_class[organ] == FRUIT:
-                stalk = [self.organs.organ_class[one] == STALK for one in above]
-                above = above[: stalk.index(False) if False in stalk else None]
-            else:
-                above = above[:1]
-            self._own[organ] = frozenset([organ, *above])
-        return self._own[organ]
+        everything = np.arange(len(self.organs))
+        return frozenset(np.flatnonzero(self.are_own(np.full(len(everything), organ), everything)).tolist())
+
+    def are_own(self, organs: Indices, others: Indices) -> NDArray[np.bool_]:
+        """`(n,)` whether organs may touch others, as `own` tells."""
+        organ_class, parent = self.organs.organ_class, self.organs.parent
+        above = parent[organs]
+        own = (organs == others) | ((above == others) & (organ_class[organs] != FRUIT))
+        # Up the stalk of each fruit.
+        left = np.flatnonzero(organ_class[organs] == FRUIT)
+        above = above[left]
+        while len(left):
+            kept = (above >= 0) & (organ_class[above] == STALK)
+            left, above = left[kept], above[kept]
+            own[left] |= above == others[left]
+            above = parent[above]
+        return np.asarray(own)
 
     def into_fruit(self, fruit: list[int]) -> dict[int, Near]:
         """What comes close to some fruit, and how far it reaches in; nothing for those that stand free."""
@@ -98,19 +104,18 @@ class Bodies:
         """The stems and cords that come close to some blades, and how far these reach in."""
         return self._measured(LEAF, blades)
 
-    def depth(self, organ: int, other: int) -> float:
-        """Metres that an organ reaches into a fruit, or a blade into a stem; negative apart.
+    def depths(self, organs: Indices, others: Indices) -> NDArray[np.float32]:
+        """`(n,)` metres that organs reach into fruit, or blades into stems; negative apart.
 
         Args:
-            organ: the fruit or the blade.
-            other: the organ or the stem.
+            organs: `(n,)` fruit and blades.
+            others: `(n,)` the organ that each fruit meets, the stem that each blade meets.
         """
-        kind = FRUIT if self.organs.organ_class[organ] == FRUIT else LEAF
-        unmoved = max(self.organs.stamp[organ], self.organs.stamp[other]) <= self._as_of[kind]
-        if unmoved and (organ, other) in self._depths:
-            return self._depths[organ, other]
-        pair = np.array([organ]), np.array([other])
-        return float((self._into_fruit if kind == FRUIT else self._into_stems)(*pair)[0])
+        found = np.empty(len(organs), dtype=np.float32)
+        is_fruit = self.organs.organ_class[organs] == FRUIT
+        found[is_fruit] = self._into_fruit(organs[is_fruit], others[is_fruit])
+        found[~is_fruit] = self._into_stems(organs[~is_fruit], others[~is_fruit])
+        return found
 
     def _measured(self, kind: int, wanted: list[int]) -> dict[int, Near]:
         """What is known of organs' neighbours, measured anew only where one of two has turned since."""
@@ -131,8 +136,6 @@ class Bodies:
         order = np.lexsort([other, organ])
         self._known[kind] = known = _Pairs(organ[order], other[order], depth[order])
         self._as_of[kind] = organs.turns
-        pairs = zip(known.organ.tolist(), known.other.tolist(), strict=True)
-        self._depths.update(zip(pairs, known.depth.tolist(), strict=True))
         first = np.flatnonzero(np.diff(known.organ, prepend=-1))
         others, depths = np.split(known.other, first[1:]), np.split(known.depth, first[1:])
         near = dict(zip(known.organ[first].tolist(), map(Near, others, depths), strict=len(first) > 0))
@@ -147,9 +150,7 @@ class Bodies:
         if self.between_plants:
             kept &= organs.plant[one] != organs.plant[two]
         one, two = one[kept], two[kept]
-        own = np.fromiter(
-            (b in self.own(a) for a, b in zip(one.tolist(), two.tolist(), strict=True)), bool, len(one)
-        )
+        own = self.are_own(one, two)
         return one[~own], two[~own]
 
     def _into_fruit(self, fruit: Indices, other: Indices) -> NDArray[np.float32]:
@@ -174,9 +175,9 @@ class Bodies:
         body = place[pair]
         depth = self.walls.depth(
             balls.row[body],
-            laid.points[patch],
-            matrix.astype(np.float32)[body],
-            offset.astype(np.float32)[body],
+            laid.coordinates(patch),
+            matrix.transpose(1, 2, 0).astype(np.float32)[:, :, body],
+            offset.T.astype(np.float32)[:, body],
             reach[pair].astype(np.float32),
         )
         np.maximum.at(found, pair, depth)
@@ -195,9 +196,9 @@ class Bodies:
         piece, pair = piece[kept], pair[kept]
         laid, patch, entry = self.organs.patches(blade[pair].tolist())
         piece, pair = piece[entry], pair[entry]
-        near = deepest(laid.centre[patch][:, None], chain, piece) + laid.radius[patch] > -NEAR
+        near = deepest(laid.centre[patch].T[:, None], chain, piece) + laid.radius[patch] > -NEAR
         hit = np.flatnonzero(near)
-        depth = deepest(laid.points[patch[hit]], chain, piece[hit])
+        depth = deepest(laid.coordinates(patch[hit]), chain, piece[hit])
         np.maximum.at(found, pair[hit], depth)
         return found
 

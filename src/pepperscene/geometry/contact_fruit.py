@@ -55,7 +55,7 @@ class Walls:
         self._centre = np.empty((len(fruit), 3))
         self._reach = np.empty(len(fruit))
 
-    def bodies(self, fruit: Sequence[int]) -> Balls:
+    def bodies(self, fruit: Sequence[int] | Indices) -> Balls:
         """Some fruit as they stand."""
         place = np.searchsorted(self._fruit, fruit)
         missing = np.unique(place[~self._made[place]])
@@ -65,10 +65,8 @@ class Walls:
                 self._planes[row * _CELLS**2 : (row + 1) * _CELLS**2] = wall.planes
                 self._centre[row], self._reach[row] = wall.centre, wall.reach
             self._made[missing] = True
-        poses = [self._organs.pose(one) for one in fruit]
-        turned = np.array([pose[0] for pose in poses]).reshape(-1, 3, 3)
-        shift = np.array([pose[1] for pose in poses]).reshape(-1, 3)
-        centre = self._centre[place]
+        which = self._fruit[place]
+        turned, shift, centre = self._organs.rotation[which], self._organs.shift[which], self._centre[place]
         return Balls(place, turned, np.einsum("fij,fj->fi", turned, centre) + shift, self._reach[place])
 
     def depth(
@@ -78,25 +76,24 @@ class Walls:
 
         Args:
             row: `(h,)` of the fruit in the table.
-            points: `(h, s, 3)` metres.
-            matrix: `(h, 3, 3)` and
-            offset: `(h, 3)` metres: matrix @ point + offset is told from the fruit's centre.
+            points: `(3, s, h)` metres.
+            matrix: `(3, 3, h)` and
+            offset: `(3, h)` metres: matrix @ point + offset is told from the fruit's centre.
             far: `(h,)` metres from that centre; what is farther off is not looked at.
 
         Returns:
             `(h,)` metres; minus infinity where all is far off.
         """
-        local = np.matmul(matrix, points.transpose(0, 2, 1)) + offset[:, :, None]
-        square = local[:, 0] * local[:, 0]
-        square += local[:, 1] * local[:, 1]
-        square += local[:, 2] * local[:, 2]
-        patch, number = np.nonzero(square < np.square(far)[:, None])
-        found = np.full(len(row), -np.inf, dtype=np.float32)
-        if len(patch):
-            deep = _below(self._planes, row[patch] * _CELLS**2, local.transpose(1, 0, 2)[:, patch, number])
-            start = np.flatnonzero(np.diff(patch, prepend=-1))
-            found[patch[start]] = np.maximum.reduceat(deep, start)
-        return found
+        x, y, z = points
+        local = np.empty_like(points)
+        square = np.zeros_like(x)
+        for axis, (one, other, third) in enumerate(matrix):
+            local[axis] = one * x + other * y + third * z + offset[axis]
+            square += local[axis] * local[axis]
+        number, patch = np.nonzero(square < far * far)
+        depth = np.full(x.shape, -np.inf, dtype=np.float32)
+        depth[number, patch] = _below(self._planes, row[patch] * _CELLS**2, local[:, number, patch])
+        return np.asarray(depth.max(axis=0))
 
 
 @dataclass(frozen=True, eq=False)

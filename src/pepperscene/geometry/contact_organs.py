@@ -46,7 +46,10 @@ class Organs:
             grows on nothing.
         low, high: `(n, 3)` metres, the corners of the box around each organ, now.
         turns: how many turns there have been.
-        stamp: `(n,)` how many turns there had been when it was turned last.
+        stamp: `(n,)` how many turns there had been when it was turned last; 0 for what never was.
+        rotation, shift: `(n, 3, 3)` and `(n, 3)`: points stand now at rotation @ point as grown + shift.
+        laid: the patches of points that were laid so far.
+        patch_first, patch_count: `(n,)` where each organ's patches start, how many it has; -1 for none yet.
 
     Raises:
         ValueError: two instances share vertices, so that one cannot turn without the other.
@@ -57,19 +60,24 @@ class Organs:
         self.parent = np.array([item.parent for item in mesh.instances], dtype=np.intp)
         self.organ_class = np.array([int(item.organ_class) for item in mesh.instances], dtype=np.intp)
         self.plant = np.array([item.plant for item in mesh.instances], dtype=np.intp)
-        self._faces, self._face_first = _face_runs(mesh)
-        self._order, self._first, self._stop = _vertex_runs(mesh, self._faces, self._face_first)
+        self._faces, self._face_first, self._face_stop = _face_runs(mesh)
+        self._order, self._first, self._stop = _vertex_runs(
+            mesh, self._faces, self._face_first, self._face_stop
+        )
         scenery = (self.organ_class == FLOWER) & (self.parent < 0)
         self.solid = (self._stop > self._first) & ~scenery
         self.low, self.high = self._boxes()
         self._as_grown = self.low.astype(np.float32), (self.high - self.low).max(axis=1).astype(np.float32)
         self.stamp = np.zeros(len(self.parent), dtype=np.intp)
         self.turns = 0
-        self._pose: dict[int, tuple[Vectors, Vectors]] = {}
+        # An organ's points stand now at rotation @ point as grown + shift.
+        self.rotation = np.tile(np.eye(3), (len(self.parent), 1, 1))
+        self.shift = np.zeros((len(self.parent), 3))
         # Patches as they stand, in the order in which they were asked for.
-        self._laid, self._used = Patches.room(0), 0
-        self._patch_first = np.zeros(len(self.parent), dtype=np.intp)
-        self._patch_count = np.full(len(self.parent), -1)
+        self.laid, self._used = Patches.room(0), 0
+        self.patch_first = np.zeros(len(self.parent), dtype=np.intp)
+        self.patch_count = np.full(len(self.parent), -1)
+        self._feet: dict[int, Vectors] = {}
 
     def __len__(self) -> int:
         return len(self.parent)
@@ -124,20 +132,21 @@ class Organs:
 
     def triangles(self, organs: Sequence[int]) -> tuple[Points, Indices]:
         """`(f, 3, 3)` the triangles of some organs as grown, and `(f,)` the place of each one's organ."""
-        runs = [self._faces[self._face_first[one] : self._face_first[one + 1]] for one in organs]
+        runs = [self._faces[self._face_first[one] : self._face_stop[one]] for one in organs]
         owner = np.repeat(np.arange(len(runs)), [len(run) for run in runs])
         return self.mesh.vertices[np.concatenate(runs)], owner
 
     def pose(self, organ: int) -> tuple[Vectors, Vectors]:
         """`(3, 3)` and `(3,)`: an organ's points stand now at rotation @ point as grown + shift."""
-        return self._pose.get(organ, (np.eye(3), np.zeros(3)))
+        return self.rotation[organ], self.shift[organ]
 
     def foot(self, organ: int) -> Vectors:
         """`(3,)` where an organ starts, now."""
-        along = self.along(organ)
-        rotation, shift = self.pose(organ)
-        base = self.vertices(organ)[along <= along.min() + 1e-6].mean(axis=0, dtype=np.float64)
-        return np.asarray(rotation @ base + shift)
+        if organ not in self._feet:
+            along = self.along(organ)
+            base = self.vertices(organ)[along <= along.min() + 1e-6]
+            self._feet[organ] = base.mean(axis=0, dtype=np.float64)
+        return np.asarray(self.rotation[organ] @ self._feet[organ] + self.shift[organ])
 
     def middle(self, organ: int) -> Vectors:
         """`(3,)` the middle of an organ's box, now."""
@@ -146,7 +155,7 @@ class Organs:
     def sample(self, organs: Iterable[int]) -> None:
         """Lay patches of points on some organs at once, which is faster than one by one."""
         wanted = np.fromiter(organs, dtype=np.intp)
-        missing = np.unique(wanted[self._patch_count[wanted] < 0])
+        missing = np.unique(wanted[self.patch_count[wanted] < 0])
         if not len(missing):
             return
         corners, owner = self.triangles(missing.tolist())
@@ -158,23 +167,23 @@ class Organs:
         laid, count = patched(
             np.concatenate([*vertices, more]), owner, self._as_grown[0][missing], self._as_grown[1][missing]
         )
-        if self._used + len(laid) > len(self._laid):
+        if self._used + len(laid) > len(self.laid):
             more_room = Patches.room(2 * (self._used + len(laid)))
-            more_room.put(0, self._laid.part(slice(self._used)))
-            self._laid = more_room
+            more_room.put(0, self.laid.part(slice(self._used)))
+            self.laid = more_room
         first = self._used + np.cumsum(count) - count
-        self._laid.put(self._used, laid)
+        self.laid.put(self._used, laid)
         self._used += len(laid)
-        self._patch_first[missing], self._patch_count[missing] = first, count
+        self.patch_first[missing], self.patch_count[missing] = first, count
         for organ in missing.tolist():
-            if organ in self._pose:
-                self._move_patches(organ, *self._pose[organ])
+            if self.stamp[organ]:
+                self._move_patches(organ, *self.pose(organ))
 
     def _move_patches(self, organ: int, rotation: Vectors, shift: Vectors) -> Points:
         """Move an organ's patches; returns their points, `(p, 3)`."""
-        first = int(self._patch_first[organ])
-        moved = self._laid.part(slice(first, first + int(self._patch_count[organ]))).moved(rotation, shift)
-        self._laid.put(first, moved)
+        first = int(self.patch_first[organ])
+        moved = self.laid.part(slice(first, first + int(self.patch_count[organ]))).moved(rotation, shift)
+        self.laid.put(first, moved)
         return moved.points.reshape(-1, 3)
 
     def patches(self, organs: Sequence[int]) -> tuple[Patches, Indices, Indices]:
@@ -186,8 +195,8 @@ class Organs:
         """
         some = np.asarray(organs, dtype=np.intp)
         self.sample(some)
-        place, number = counted(self._patch_count[some])
-        return self._laid, self._patch_first[some][place] + number, place
+        place, number = counted(self.patch_count[some])
+        return self.laid, self.patch_first[some][place] + number, place
 
     def subtree(self, root: int) -> list[int]:
         """An organ and all that grows on it, in order of their numbers."""
@@ -212,11 +221,11 @@ class Organs:
         self.turns += 1
         for organ in organs:
             old, moved = self.pose(organ)
-            self._pose[organ] = (rotation @ old, rotation @ moved + shift)
+            self.rotation[organ], self.shift[organ] = rotation @ old, rotation @ moved + shift
             self.stamp[organ] = self.turns
             if not self.solid[organ]:
                 continue
-            if self._patch_count[organ] < 0:
+            if self.patch_count[organ] < 0:
                 now = self._moved(organ, self.vertices(organ))
             else:
                 now = self._move_patches(organ, rotation, shift)
@@ -224,13 +233,13 @@ class Organs:
 
     def turned_mesh(self) -> Mesh:
         """The mesh with every organ where it stands now; the very mesh if none was turned."""
-        if not self._pose:
+        if not self.turns:
             return self.mesh
         vertices, normals = self.mesh.vertices.copy(), self.mesh.normals.copy()
-        for organ, (rotation, _) in self._pose.items():
+        for organ in np.flatnonzero(self.stamp).tolist():
             rows = self._rows(organ)
             vertices[rows] = self._moved(organ, vertices[rows])
-            normals[rows] = (normals[rows] @ rotation.T).astype(np.float32)
+            normals[rows] = (normals[rows] @ self.rotation[organ].T).astype(np.float32)
         return replace(self.mesh, vertices=vertices, normals=normals)
 
     @cached_property
@@ -246,10 +255,9 @@ class Organs:
         return rows if self._order is None else self._order[rows]
 
     def _moved(self, organ: int, points: Points) -> Points:
-        if organ not in self._pose:
+        if not self.stamp[organ]:
             return points
-        rotation, shift = self._pose[organ]
-        return (points @ rotation.T + shift).astype(np.float32)
+        return (points @ self.rotation[organ].T + self.shift[organ]).astype(np.float32)
 
     def _boxes(self) -> tuple[Vectors, Vectors]:
         """The corners of the box around each organ as grown."""
@@ -264,28 +272,32 @@ class Organs:
         return low, high
 
 
-def _face_runs(mesh: Mesh) -> tuple[NDArray[np.uint32], Indices]:
-    """The faces with those of one instance together, and `(n + 1,)` where each instance's start."""
-    count, instance = len(mesh.instances), mesh.face_instance
-    sorted_already = bool(np.all(instance[1:] >= instance[:-1]))
-    faces = mesh.faces
-    if not sorted_already:
+def _face_runs(mesh: Mesh) -> tuple[NDArray[np.uint32], Indices, Indices]:
+    """The faces with those of one instance together, and `(n,)` where each instance's start and stop."""
+    count, instance, faces = len(mesh.instances), mesh.face_instance, mesh.faces
+    first, stop = np.zeros(count, dtype=np.intp), np.zeros(count, dtype=np.intp)
+    start = np.flatnonzero(np.append(True, instance[1:] != instance[:-1])) if len(instance) else first[:0]
+    if len(np.unique(instance[start])) < len(start):
         # Whole numbers of two bytes are sorted by their digits, much faster.
         small = instance.astype(np.uint16) if count < 2**16 else instance
         order = np.argsort(small, kind="stable")
-        faces, instance = mesh.faces[order], instance[order]
-    return faces, np.searchsorted(instance, np.arange(count + 1))
+        faces, instance = faces[order], instance[order]
+        start = np.flatnonzero(np.append(True, instance[1:] != instance[:-1]))
+    first[instance[start]], stop[instance[start]] = start, np.append(start[1:], len(instance))
+    return faces, first, stop
 
 
 def _vertex_runs(
-    mesh: Mesh, faces: NDArray[np.uint32], face_first: Indices
+    mesh: Mesh, faces: NDArray[np.uint32], face_first: Indices, face_stop: Indices
 ) -> tuple[Indices | None, Indices, Indices]:
     """Where the vertices of each instance start and stop, in the mesh's order or else in the one returned."""
     count = len(mesh.instances)
     first, stop = np.zeros(count, dtype=np.intp), np.zeros(count, dtype=np.intp)
-    used = np.flatnonzero(np.diff(face_first))
+    used = np.flatnonzero(face_stop > face_first)
     if not len(used):
         return None, first, stop
+    # As they lie one after the other, each run ends where the next starts.
+    used = used[np.argsort(face_first[used])]
     first[used] = np.minimum.reduceat(faces.ravel(), 3 * face_first[used])
     stop[used] = np.maximum.reduceat(faces.ravel(), 3 * face_first[used]).astype(np.intp) + 1
     along = used[np.argsort(first[used])]

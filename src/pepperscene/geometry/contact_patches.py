@@ -39,8 +39,14 @@ class Patches:
     @classmethod
     def room(cls, number: int) -> Patches:
         """Room for patches that are put in later."""
-        points = np.empty((number, SIZE, 3), dtype=np.float32)
-        return cls(points, np.empty((number, 3), dtype=np.float32), np.empty(number, dtype=np.float32))
+        points = np.empty((3, number, SIZE), dtype=np.float32).transpose(1, 2, 0)
+        return cls(points, np.empty((3, number), dtype=np.float32).T, np.empty(number, dtype=np.float32))
+
+    def coordinates(self, patch: Indices, every: int = 1) -> Points:
+        """`(3, s, h)` metres: x, y and z of every so-manieth point of some patches."""
+        place = SIZE * patch + np.arange(0, SIZE, every)[:, None]
+        # They lie like this in memory, so that this is a view.
+        return np.stack([axis.take(place) for axis in self.points.transpose(2, 0, 1).reshape(3, -1)])
 
     def part(self, rows: slice) -> Patches:
         """Some of them, seen."""

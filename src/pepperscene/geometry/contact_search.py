@@ -1,17 +1,18 @@
-"""What a turn of a unit costs: how far it goes, and what its organs then run into."""
+"""What turns of units cost in what their organs then run into, for many units in one go."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.geometry.contact import NEAR, Bodies
-from pepperscene.geometry.contact_organs import FLOWER, FRUIT, LEAF, SHOOT, Indices, Organs, Vectors
-from pepperscene.geometry.contact_tables import FruitTable, StemTable
+from pepperscene.geometry.contact_organs import FLOWER, FRUIT, LEAF, SHOOT, STALK, Indices, Organs, Vectors
+from pepperscene.geometry.contact_points import counted
+from pepperscene.geometry.contact_tables import FruitPairs, StemPairs, Turns
 from pepperscene.geometry.contact_units import Unit
 
 CLEAR: Final = 0.8e-3
@@ -21,205 +22,260 @@ CLEAR: Final = 0.8e-3
 # it can leave; running into what can give way costs a fair turn, and each millimetre a little more.
 _HARD: Final = 200.0
 _SOFT: Final = 30.0
+_FRUIT: Final = 90.0  # what can give way as well, but less readily
 _PER_MM: Final = 0.1
 _WITHIN: Final = 1e4  # what is settled within a plant stays so
 _STALK: Final = 1e-3  # m, chosen: so much deeper may a stalk reach into the fruit that swings on it
-_BETWEEN: Final = 5e-3  # m, chosen: parts of a turn may stray so far from those that are looked at
 _UNDERGROUND: Final = 1e5
-
-Depths = Callable[[Vectors, Vectors, int], NDArray[np.float32]]
-
-
-class Obstacle(Protocol):
-    """Something that a unit may run into."""
-
-    def cost(self, rotation: Vectors, shift: Vectors, every: int) -> Vectors:
-        """`(k,)` cost of turns `(k, 3, 3)` and `(k, 3)`, of which the first is none.
-
-        Args:
-            rotation: and
-            shift: of the unit.
-            every: judge by every so-manieth point: at most what it is by all.
-        """
-        ...
 
 
 @dataclass(frozen=True, eq=False)
-class DepthObstacle:
-    """Some organs that others run into.
+class _Pairs:
+    """Organs of units and what they may run into.
 
     Attributes:
-        depths: for turns of the unit, `(n, m, k)` metres that each reaches into each.
-        weight: `(n, m)` cost of running into each.
-        slack: `(n, m)` metres that it may reach in deeper than it does; not a number where it must keep off.
+        table: of `n` pairs.
+        unit: `(n,)` the place of each one's unit.
+        undone: whether all else is turned back rather than the units turned.
+        weight: `(n,)` cost of running into each.
+        slack: `(n,)` metres that it may reach in deeper than it does; not a number where it must keep off.
     """
 
-    depths: Depths
+    table: FruitPairs | StemPairs
+    unit: Indices
+    undone: bool
     weight: NDArray[np.float64]
     slack: NDArray[np.float64]
 
-    def cost(self, rotation: Vectors, shift: Vectors, every: int) -> Vectors:
-        """`(k,)` cost of some turns."""
-        depth = self.depths(rotation, shift, every)
-        now = np.maximum(depth[:, :, 0], -CLEAR)
-        allowed = np.where(np.isnan(self.slack), -CLEAR, now + self.slack)
-        over = depth - allowed[:, :, None]
-        if not (over > 0.0).any():
-            return np.zeros(len(rotation))
-        graded = self.weight[:, :, None] * (1.0 + 1e3 * _PER_MM * np.maximum(over, 0.0))
-        return np.asarray(np.where(over > 0.0, graded, 0.0).sum(axis=(0, 1)))
+    def cost(self, rows: Indices, unit: Indices, turns: Turns, every: int) -> Vectors:
+        """`(r, k)` cost of some pairs.
+
+        Args:
+            rows: `(r,)` ascending.
+            unit: `(r,)` by which turns each moves.
+            turns: `(2 u, k)`, of which the first is none, with their inverses.
+            every: judge by every so-manieth point: at most what it is by all.
+        """
+        turn = unit + len(turns.shift) // 2 if self.undone else unit
+        depth = self.table.depths(rows, turn, turns, every)
+        slack = self.slack[rows]
+        now = np.maximum(depth[:, 0], -CLEAR)
+        over = depth - np.where(np.isnan(slack), -CLEAR, now + slack)[:, None]
+        graded = self.weight[rows, None] * (1.0 + 1e3 * _PER_MM * np.maximum(over, 0.0))
+        return np.asarray(np.where(over > 0.0, graded, 0.0))
 
 
-@dataclass(frozen=True, eq=False)
-class Ground:
-    """Nothing goes under the ground, or lower than it is if it is there already.
+class _Kinds:
+    """How organs of units may meet others.
 
-    Attributes:
-        organs: of which
-        members: belong to the unit.
-        lowest: metres that they may reach down to.
-    """
-
-    organs: Organs
-    members: Indices
-    lowest: float
-
-    def cost(self, rotation: Vectors, shift: Vectors, every: int) -> Vectors:
-        """`(k,)` cost of some turns."""
-        laid, patch, _ = self.organs.patches(self.members.tolist())
-        points = laid.points[patch].reshape(-1, 3)
-        over = self.lowest - ((points @ rotation[:, 2].T).min(axis=0) + shift[:, 2]) - 1e-6
-        return np.asarray(np.where(over > 0.0, _UNDERGROUND * (1.0 + 1e3 * _PER_MM * over), 0.0))
-
-
-class Surroundings:
-    """What a unit may run into when it turns.
-
-    Where bodies are looked at between plants, the unit may come as near to organs of its own plant as it is.
+    Where bodies are looked at between plants, a unit may come as near to organs of its own plant as it is.
 
     Args:
         bodies: the organs as they stand.
-        unit: what turns.
         hard: everything stays where it is; else leaves give way to fruit.
     """
 
-    def __init__(self, bodies: Bodies, unit: Unit, *, hard: bool) -> None:
-        self._bodies, self._organs = bodies, bodies.organs
-        self._hard = hard
-        self._members = np.array(unit.members)
-        self._inside = np.zeros(len(self._organs), dtype=bool)
-        self._inside[self._members] = True
+    def __init__(self, bodies: Bodies, *, hard: bool) -> None:
+        self._bodies, self._organs, self._hard = bodies, bodies.organs, hard
 
-    def pair(self, organ: int, other: int, rotation: Vectors, shift: Vectors, every: int) -> Vectors:
-        """`(k,)` cost of what is left of one contact after some turns; there is one before.
+    def fruit_moved(self, unit: Indices, fruit: Indices, others: Indices) -> _Pairs:
+        """Fruit of units runs into others; its own stalk may reach a little deeper, and no more."""
+        own = self._bodies.are_own(fruit, others)
+        soft = np.isin(self._organs.organ_class[others], [FLOWER, LEAF, SHOOT]) & ~own & (not self._hard)
+        weight = np.full(len(unit), _HARD)
+        if not self._hard:
+            weight[np.isin(self._organs.organ_class[others], [FRUIT, STALK]) & ~own] = _FRUIT
+        weight[soft] = _SOFT
+        table = FruitPairs(self._bodies, others, fruit)
+        return self._pairs(table, unit, True, weight, fruit, others, own)
 
-        Args:
-            organ: a fruit or blade; of the unit, or else the other is.
-            other: what touches it: any organ, or a stem.
-            rotation: `(k, 3, 3)` and
-            shift: `(k, 3)` metres; the first of the turns is none.
-            every: judge by every so-manieth point.
-        """
-        one, two = np.array([organ]), np.array([other])
-        meets = np.ones((1, 1), dtype=bool)
-        if self._organs.organ_class[organ] != FRUIT:
-            met = self._stems_met(one, two, meets)
-        elif self._inside[organ]:
-            met = self._fruit_moved(one, two, meets)
-        else:
-            met = self._fruit_met(two, one, meets)
-        cost = met.cost(rotation, shift, every)
-        # Too shallow a contact for so few points is one nevertheless.
-        cost[0] = max(cost[0], float(met.weight.max()))
-        return cost
+    def fruit_met(self, unit: Indices, movers: Indices, fruit: Indices) -> _Pairs:
+        """Leaves and stalks of units run into fruit."""
+        table = FruitPairs(self._bodies, movers, fruit)
+        return self._pairs(table, unit, False, np.full(len(unit), _HARD), movers, fruit)
 
-    def obstacles(self, rotation: Vectors, shift: Vectors) -> list[Obstacle]:
-        """All that the unit may run into on the ways of some turns, `(k, 3, 3)` and `(k, 3)`."""
-        organs, members = self._organs, self._members[self._organs.solid[self._members]]
-        # The boxes around all that each member sweeps.
-        middle, half = 0.5 * (organs.low + organs.high)[members], 0.5 * (organs.high - organs.low)[members]
-        gone = np.matmul(middle, rotation.transpose(0, 2, 1)) + shift[:, None]
-        reach = np.matmul(half, np.abs(rotation).transpose(0, 2, 1))
-        low, high = (gone - reach).min(axis=0) - NEAR, (gone + reach).max(axis=0) + NEAR
-        near = np.flatnonzero(organs.in_box(low.min(axis=0), high.max(axis=0)) & ~self._inside)
-        meets = np.all(organs.low[near] < high[:, None], axis=2)
-        meets &= np.all(organs.high[near] > low[:, None], axis=2)
-        is_fruit, other_is_fruit = (organs.organ_class[some] == FRUIT for some in (members, near))
-        found: list[Obstacle] = []
-        for rows, columns, met in (
-            # Its own fruit may run into everything,
-            (is_fruit, np.ones(len(near), dtype=bool), self._fruit_moved),
-            # its leaves and stalks into fruit,
-            (~is_fruit, other_is_fruit, self._fruit_met),
-            # its blades into stems and cords.
-            (organs.organ_class[members] == LEAF, self._bodies.is_stem[near], self._stems_met),
-        ):
-            part = meets & rows[:, None] & columns
-            if met == self._fruit_moved and part.any():
-                part[rows] &= self._swept(members[rows], near, rotation, shift)
-            if part.any():
-                rows, columns = part.any(axis=1), part.any(axis=0)
-                found.append(met(members[rows], near[columns], part[rows][:, columns]))
-        lowest = min(float(organs.low[members, 2].min()), 0.0)
-        return [*found, Ground(organs, members, lowest)] if low[:, 2].min() < lowest else found
-
-    def _swept(self, fruit: Indices, others: Indices, rotation: Vectors, shift: Vectors) -> NDArray[np.bool_]:
-        """`(f, n)` whose boxes the balls around some fruit meet on the ways of some turns."""
-        balls = self._bodies.walls.bodies(fruit.tolist())
-        centre = (balls.centre @ rotation.transpose(0, 2, 1) + shift[:, None]).transpose(1, 0, 2)
-        low, high = self._organs.low[others], self._organs.high[others]
-        off = np.maximum(np.maximum(low - centre[:, :, None], centre[:, :, None] - high), 0.0)
-        nearest = np.einsum("fkni,fkni->fkn", off, off).min(axis=1)
-        # Some more for what is between the turns that are looked at.
-        return np.asarray(nearest < np.square(balls.reach + NEAR + _BETWEEN)[:, None])
-
-    def _fruit_moved(self, fruit: Indices, others: Indices, meets: NDArray[np.bool_]) -> DepthObstacle:
-        """What the unit's own fruit runs into; its own stalk may reach a little deeper, and no more."""
-        gives_way = np.isin(self._organs.organ_class[others], [FLOWER, LEAF, SHOOT]) & (not self._hard)
-        own = self._own(fruit, others)
-        weight = np.where(meets, np.where(gives_way & ~own, _SOFT, _HARD), 0.0)
-        table = FruitTable(self._bodies, others, fruit, meets.T)
-
-        def depths(rotation: Vectors, shift: Vectors, every: int) -> NDArray[np.float32]:
-            # To turn the fruit is to turn all else back.
-            back = rotation.transpose(0, 2, 1)
-            return table.depths(back, -np.einsum("kij,kj->ki", back, shift), every).transpose(1, 0, 2)
-
-        return self._obstacle(depths, weight, fruit, others, own)
-
-    def _fruit_met(self, movers: Indices, fruit: Indices, meets: NDArray[np.bool_]) -> DepthObstacle:
-        """What the unit's leaves and stalks run into: fruit."""
-        meets = meets & ~self._own(fruit, movers).T
-        table = FruitTable(self._bodies, movers, fruit, meets)
-        return self._obstacle(table.depths, np.where(meets, _HARD, 0.0), movers, fruit)
-
-    def _stems_met(self, blades: Indices, stems: Indices, meets: NDArray[np.bool_]) -> DepthObstacle:
-        """What the unit's blades run through: stems and cords."""
-        meets = meets & ~self._own(blades, stems)
-        table = StemTable(self._bodies, blades, stems, meets)
-        return self._obstacle(table.depths, np.where(meets, _HARD, 0.0), blades, stems)
-
-    def _own(self, organs: Indices, others: Indices) -> NDArray[np.bool_]:
-        """`(n, m)` what organs may touch."""
-        columns = others.tolist()
-        return np.array(
-            [[other in own for other in columns] for own in map(self._bodies.own, organs.tolist())]
-        )
-
-    def _obstacle(
+    def stems_met(
         self,
-        depths: Depths,
+        unit: Indices,
+        blades: Indices,
+        stems: Indices,
+        low: Vectors | float = -np.inf,
+        high: Vectors | float = np.inf,
+    ) -> _Pairs:
+        """Blades of units, which stay in boxes, run through stems and cords."""
+        shape = len(unit), 3
+        table = StemPairs(
+            self._bodies, blades, stems, np.broadcast_to(low, shape), np.broadcast_to(high, shape)
+        )
+        return self._pairs(table, unit, False, np.full(len(unit), _HARD), blades, stems)
+
+    def _pairs(
+        self,
+        table: FruitPairs | StemPairs,
+        unit: Indices,
+        undone: bool,
         weight: Vectors,
         organs: Indices,
         others: Indices,
         own: NDArray[np.bool_] | None = None,
-    ) -> DepthObstacle:
-        """Obstacles of such weight; what is the unit's own may reach in a little, its own plant no deeper."""
-        slack = np.full(weight.shape, np.nan)
+    ) -> _Pairs:
+        """Pairs of such weight; what is the unit's own may reach in a little, its own plant no deeper."""
+        slack = np.full(len(unit), np.nan)
         if self._bodies.between_plants:
-            within = self._organs.plant[organs][:, None] == self._organs.plant[others]
+            within = self._organs.plant[organs] == self._organs.plant[others]
             slack[within] = 1e-6
-            weight = np.where(within & (weight > 0.0), _WITHIN, weight)
+            weight = np.where(within, _WITHIN, weight)
         if own is not None:
             slack[own] = _STALK
-        return DepthObstacle(depths, weight, slack)
+        return _Pairs(table, unit, undone, weight, slack)
+
+
+def left_of(
+    bodies: Bodies,
+    units: Sequence[Unit],
+    unit: Indices,
+    contacts: Indices,
+    turns: Turns,
+    every: int,
+    *,
+    hard: bool,
+) -> Vectors:
+    """`(c, k)` cost of what is left of some contacts after turns of one side; there is one before.
+
+    Args:
+        bodies: the organs as they stand.
+        units: what turns.
+        unit: `(c,)` which of these for each contact.
+        contacts: `(c, 2)` fruit or blade, and what touches it: any organ, or a stem. One is of the unit.
+        turns: `(u, k)` of the units, the first of each none.
+        every: judge by every so-manieth point.
+        hard: everything stays where it is; else leaves give way to fruit.
+    """
+    organs, others = contacts.T
+    kinds, both = _Kinds(bodies, hard=hard), turns.with_their_inverses()
+    cost = np.zeros((len(unit), turns.shift.shape[1]))
+    is_fruit = bodies.organs.organ_class[organs] == FRUIT
+    inside = np.array(
+        [one in units[row].members for row, one in zip(unit.tolist(), organs.tolist(), strict=True)]
+    )
+    moved, met, stems = (np.flatnonzero(some) for some in (is_fruit & inside, is_fruit & ~inside, ~is_fruit))
+    for rows, pairs in (
+        (moved, kinds.fruit_moved(unit[moved], organs[moved], others[moved])),
+        (met, kinds.fruit_met(unit[met], others[met], organs[met])),
+        (stems, kinds.stems_met(unit[stems], organs[stems], others[stems])),
+    ):
+        if not len(rows):
+            continue
+        cost[rows] = pairs.cost(np.arange(len(rows)), pairs.unit, both, every)
+        # Too shallow a contact for so few points is one nevertheless.
+        cost[rows, 0] = np.maximum(cost[rows, 0], pairs.weight)
+    return cost
+
+
+class Surroundings:
+    """All that some units may run into when they turn, each alone.
+
+    Args:
+        bodies: the organs as they stand.
+        units: what turns.
+        turns: `(u, k)`, the ways on which they may run into something.
+        hard: everything stays where it is; else leaves give way to fruit.
+    """
+
+    def __init__(self, bodies: Bodies, units: Sequence[Unit], turns: Turns, *, hard: bool) -> None:
+        organs = self._organs = bodies.organs
+        self._units = units
+        count = [len(one.members) for one in units]
+        members = np.fromiter((member for one in units for member in one.members), np.intp, sum(count))
+        unit = np.repeat(np.arange(len(units)), count)
+        inside = np.zeros((len(units), len(organs)), dtype=bool)
+        inside[unit, members] = True
+        kept = organs.solid[members]
+        members, unit = members[kept], unit[kept]
+        low, high = boxes(organs, members, unit, turns)
+        low, high = low - NEAR, high + NEAR
+        # What comes near to any of a unit's organs.
+        lowest, highest = np.full((len(units), 3), np.inf), np.full((len(units), 3), -np.inf)
+        np.minimum.at(lowest, unit, low)
+        np.maximum.at(highest, unit, high)
+        met, near = np.nonzero(organs.in_box(lowest, highest) & ~inside)
+        is_fruit, organ_class = organs.organ_class[members] == FRUIT, organs.organ_class
+        kinds, self._pairs = _Kinds(bodies, hard=hard), []
+        for rows, columns, kind in (
+            # Their own fruit may run into everything,
+            (is_fruit, np.ones(len(near), dtype=bool), "fruit moved"),
+            # their leaves and stalks into fruit,
+            (~is_fruit, organ_class[near] == FRUIT, "fruit met"),
+            # their blades into stems and cords.
+            (organ_class[members] == LEAF, bodies.is_stem[near], "stems met"),
+        ):
+            row, column = _crossed(unit, rows, met, columns, len(units))
+            other = near[column]
+            meet = np.ones(len(row), dtype=bool)
+            for axis in range(3):
+                meet &= organs.low[other, axis] < high[row, axis]
+                meet &= organs.high[other, axis] > low[row, axis]
+            row, other = row[meet], other[meet]
+            one = members[row]
+            if kind == "fruit moved":
+                self._pairs.append(kinds.fruit_moved(unit[row], one, other))
+                continue
+            free = ~(bodies.are_own(other, one) if kind == "fruit met" else bodies.are_own(one, other))
+            row, one, other = row[free], one[free], other[free]
+            if kind == "fruit met":
+                self._pairs.append(kinds.fruit_met(unit[row], one, other))
+            else:
+                self._pairs.append(kinds.stems_met(unit[row], one, other, low[row], high[row]))
+        # Nothing goes under the ground, or lower than it is if it is there already.
+        floor = np.zeros(len(units))
+        np.minimum.at(floor, unit, organs.low[members, 2])
+        self._floor = floor
+        self._over_ground = lowest[:, 2] < floor
+
+    def cost(self, some: Indices, turns: Turns, every: int) -> Vectors:
+        """`(u, k)` cost of turns of some units, the first of each none, judged by every so-manieth point."""
+        total, both = np.zeros(turns.shift.shape[:2]), turns.with_their_inverses()
+        place = np.full(len(self._units), -1)
+        place[some] = np.arange(len(some))
+        for pairs in self._pairs:
+            rows = np.flatnonzero(place[pairs.unit] >= 0)
+            if not len(rows):
+                continue
+            unit = place[pairs.unit[rows]]
+            np.add.at(total, unit, pairs.cost(rows, unit, both, every))
+        for row in np.flatnonzero(self._over_ground[some]).tolist():
+            total[row] += self._underground(int(some[row]), turns.rotation[row], turns.shift[row])
+        return total
+
+    def _underground(self, unit: int, rotation: Vectors, shift: Vectors) -> Vectors:
+        """`(k,)` cost of what goes too low."""
+        members = [one for one in self._units[unit].members if self._organs.solid[one]]
+        laid, patch, _ = self._organs.patches(members)
+        points = laid.points[patch].reshape(-1, 3)
+        over = self._floor[unit] - ((points @ rotation[:, 2].T).min(axis=0) + shift[:, 2]) - 1e-6
+        return np.asarray(np.where(over > 0.0, _UNDERGROUND * (1.0 + 1e3 * _PER_MM * over), 0.0))
+
+
+def boxes(
+    organs: Organs, members: Indices, unit: Indices, turns: Turns
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`(m, 3)` the corners of the boxes around all that organs of units sweep on some turns `(u, k)`."""
+    low, high = organs.low[members], organs.high[members]
+    middle, half = 0.5 * (low + high)[:, :, None], 0.5 * (high - low)[:, :, None]
+    # All ways of a unit below each other, so that an organ's box is turned by one product.
+    ways = turns.shift.shape[1]
+    matrix = turns.rotation.reshape(-1, 3 * ways, 3)
+    gone = np.matmul(matrix[unit], middle).reshape(-1, ways, 3) + turns.shift[unit]
+    reach = np.matmul(np.abs(matrix)[unit], half).reshape(-1, ways, 3)
+    return (gone - reach).min(axis=1), (gone + reach).max(axis=1)
+
+
+def _crossed(
+    unit: Indices, rows: NDArray[np.bool_], met: Indices, columns: NDArray[np.bool_], units: int
+) -> tuple[Indices, Indices]:
+    """Every one of some rows of a unit with every one of some columns of it; both are in order of units."""
+    one, other = np.flatnonzero(rows), np.flatnonzero(columns)
+    number = np.bincount(met[other], minlength=units)
+    first = np.cumsum(number) - number
+    place, step = counted(number[unit[one]])
+    return one[place], other[first[unit[one]][place] + step]

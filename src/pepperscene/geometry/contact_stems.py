@@ -60,15 +60,17 @@ class Capsules:
 
 
 def deepest(points: Points, chain: Capsules, which: NDArray[np.intp]) -> NDArray[np.float32]:
-    """`(h,)` metres that the deepest point of each patch `(h, s, 3)` lies inside one capsule of a chain."""
-    span = chain.span[which].astype(np.float32)
-    square = np.maximum(np.einsum("hi,hi->h", span, span), np.float32(1e-12))
-    off = points - chain.start[which].astype(np.float32)[:, None]
-    along = np.matmul(off, span[:, :, None])[:, :, 0]
-    t = np.clip(along / square[:, None], 0.0, 1.0)
-    off -= t[:, :, None] * span[:, None]
-    nearest = np.sqrt(np.einsum("hsi,hsi->hs", off, off).min(axis=1))
-    return np.asarray(chain.radius[which].astype(np.float32) - nearest)
+    """`(h,)` metres that the deepest point of each patch `(3, s, h)` lies inside one capsule of a chain."""
+    start, span = chain.start.T.astype(np.float32)[:, which], chain.span.T.astype(np.float32)[:, which]
+    square = np.maximum(np.einsum("ih,ih->h", span, span), np.float32(1e-12))
+    off = points - start[:, None]
+    along = off[0] * span[0] + off[1] * span[1] + off[2] * span[2]
+    along = np.clip(along / square, 0.0, 1.0)
+    nearest = np.zeros_like(along)
+    for axis in range(3):
+        beside = off[axis] - along * span[axis]
+        nearest += beside * beside
+    return np.asarray(chain.radius.astype(np.float32)[which] - np.sqrt(nearest.min(axis=0)))
 
 
 def capsules(organs: Organs, tube: int) -> Capsules:

@@ -1,113 +1,196 @@
-"""How deep organs that turn reach into fruit and stems: balls around patches first, then points."""
+"""How deep organs that turn reach into fruit and stems, for many organs and turns in one go.
+
+Boxes around organs first, then balls around patches, then points: each leaves little for the next.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.geometry.contact import NEAR, Bodies
-from pepperscene.geometry.contact_organs import Indices, Vectors
-from pepperscene.geometry.contact_stems import deepest
+from pepperscene.geometry.contact_organs import Indices, Organs, Points, Vectors
+from pepperscene.geometry.contact_points import counted
+from pepperscene.geometry.contact_stems import Capsules, deepest
+
+ENTRIES: Final = 1 << 20
+"""So many distances are worked out at a time, chosen: a few tens of megabytes."""
 
 
-class FruitTable:
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """Turns of some units: every point p goes to rotation @ p + shift.
+
+    Attributes:
+        rotation: `(u, k, 3, 3)` of each unit.
+        shift: `(u, k, 3)` metres.
+    """
+
+    rotation: Vectors
+    shift: Vectors
+
+    def with_their_inverses(self) -> Turns:
+        """`(2 u, k)` turns, and after them what undoes them: to turn a fruit is to turn all else back."""
+        back = self.rotation.swapaxes(2, 3)
+        undone = -np.einsum("ukij,ukj->uki", back, self.shift)
+        return Turns(np.concatenate([self.rotation, back]), np.concatenate([self.shift, undone]))
+
+
+class FruitPairs:
     """Organs that move towards fruit.
 
     Args:
         bodies: the organs as they stand.
         movers: `(n,)` organs that turn.
-        fruit: `(f,)` that stay.
-        meets: `(n, f)` which pairs are looked at.
+        fruit: `(n,)` what each moves towards.
     """
 
-    def __init__(self, bodies: Bodies, movers: Indices, fruit: Indices, meets: NDArray[np.bool_]) -> None:
-        self._walls = bodies.walls
-        self._balls = bodies.walls.bodies(fruit.tolist())
-        self._laid, self._patch, self._place = bodies.organs.patches(movers.tolist())
-        self._centre, self._radius = self._laid.centre[self._patch], self._laid.radius[self._patch]
-        self._reach = self._balls.reach + NEAR
-        self._shape = meets.shape
-        # How near the ball of a patch may come.
-        self._close = np.where(meets[self._place], self._reach + self._radius[:, None], 0.0)
+    def __init__(self, bodies: Bodies, movers: Indices, fruit: Indices) -> None:
+        self._bodies, self._movers = bodies, movers
+        self._balls = bodies.walls.bodies(fruit)
 
-    def depths(self, rotation: Vectors, shift: Vectors, every: int) -> NDArray[np.float32]:
-        """`(n, f, k)` metres that organs reach into fruit after turns; minus infinity where far apart."""
-        balls, reach, ways = self._balls, self._reach, len(rotation)
-        found = np.full((*self._shape, ways), -np.inf, dtype=np.float32)
-        # To move patches towards fruit is to move the balls around fruit back to the patches.
-        target = np.matmul(balls.centre - shift[:, None], rotation).transpose(1, 0, 2).reshape(-1, 3)
-        middle = target.mean(axis=0)
-        target = (target - middle).astype(np.float32)
-        spread = np.sqrt(np.einsum("ti,ti->t", target, target).max())
-        centre = self._centre - middle.astype(np.float32)
-        off = np.einsum("pi,pi->p", centre, centre)
-        kept = np.flatnonzero(off < np.square(self._radius + np.float32(spread + reach.max())))
-        if not len(kept):
-            return found
-        # |c - t|^2 written out, so that only (p, t) arrays are made.
-        square = centre[kept] @ (-2.0 * target.T)
-        square += np.einsum("ti,ti->t", target, target)
-        close = np.square(self._close[kept]) - off[kept, None]
-        close[self._close[kept] == 0.0] = -np.inf
-        near = square.reshape(len(kept), -1, ways) < close[:, :, None].astype(np.float32)
-        row, body, way = np.nonzero(near)
-        if not len(row):
-            return found
-        row = kept[row]
-        # Into the fruit's own coordinates, from its centre; numbers are small there, as single ones must be.
-        matrix = np.matmul(balls.turned.transpose(0, 2, 1)[:, None], rotation).astype(np.float32)
-        offset = np.matmul(shift - balls.centre[:, None], balls.turned).astype(np.float32)
-        depth = self._walls.depth(
-            balls.row[body],
-            self._laid.points[self._patch[row], ::every],
-            matrix[body, way],
-            offset[body, way],
-            reach[body].astype(np.float32),
-        )
-        np.maximum.at(found, (self._place[row], body, way), depth)
+    def __len__(self) -> int:
+        return len(self._movers)
+
+    def depths(self, rows: Indices, turn: Indices, turns: Turns, every: int) -> NDArray[np.float32]:
+        """`(r, k)` metres that some organs reach into their fruit; minus infinity where far apart.
+
+        Args:
+            rows: `(r,)` which pairs.
+            turn: `(r,)` by which turns each organ moves.
+            turns: `(t, k)`.
+            every: look at every so-manieth point.
+        """
+        found = np.full((len(rows), turns.shift.shape[1]), -np.inf, dtype=np.float32)
+        balls, movers = self._balls, self._movers[rows]
+        centre, reach = balls.centre[rows], balls.reach[rows] + NEAR
+        turned = balls.turned.transpose(0, 2, 1)[rows]
+        for pair, way, hit, patch in _near(self._bodies.organs, movers, centre, reach, turn, turns):
+            # Told from the fruit's centre numbers are small, as single ones must be.
+            own, by = turned[pair], turn[pair]
+            matrix = np.matmul(own, turns.rotation[by, way])
+            offset = np.matmul(own, (turns.shift[by, way] - centre[pair])[:, :, None])[:, :, 0]
+            depth = self._bodies.walls.depth(
+                balls.row[rows[pair]][hit],
+                self._bodies.organs.laid.coordinates(patch, every),
+                matrix.transpose(1, 2, 0).astype(np.float32, order="C").take(hit, axis=2),
+                offset.T.astype(np.float32, order="C").take(hit, axis=1),
+                reach.astype(np.float32)[pair][hit],
+            )
+            np.maximum.at(found, (pair[hit], way[hit]), depth)
         return found
 
 
-class StemTable:
+class StemPairs:
     """Blades that move towards stems and cords.
 
     Args:
         bodies: the organs as they stand.
         blades: `(n,)` that turn.
-        stems: `(m,)` that stay.
-        meets: `(n, m)` which pairs are looked at.
+        stems: `(n,)` what each moves towards.
+        low: `(n, 3)` and
+        high: `(n, 3)` metres, the corners of boxes that the blades stay in.
     """
 
-    def __init__(self, bodies: Bodies, blades: Indices, stems: Indices, meets: NDArray[np.bool_]) -> None:
-        chain, self._piece, self._tube = bodies.chains.pieces(stems)
-        self._low, self._high = chain.low[self._piece], chain.high[self._piece]
-        self._chain = chain
-        self._laid, self._patch, self._place = bodies.organs.patches(blades.tolist())
-        self._centre, self._radius = self._laid.centre[self._patch], self._laid.radius[self._patch]
-        self._meets = meets
+    def __init__(self, bodies: Bodies, blades: Indices, stems: Indices, low: Vectors, high: Vectors) -> None:
+        self._bodies, self._blades = bodies, blades
+        chain, piece, pair = bodies.chains.pieces(stems)
+        met = (chain.low[piece] < high[pair]).all(axis=1) & (chain.high[piece] > low[pair]).all(axis=1)
+        kept = np.flatnonzero(met)
+        self._chain, self._pair = chain.some(piece[kept]), pair[kept]
 
-    def depths(self, rotation: Vectors, shift: Vectors, every: int) -> NDArray[np.float32]:
-        """`(n, m, k)` metres that blades reach into stems after turns; minus infinity where far apart."""
-        found = np.full((*self._meets.shape, len(rotation)), -np.inf, dtype=np.float32)
-        back, shift = rotation.transpose(0, 2, 1).astype(np.float32), shift.astype(np.float32)
-        gone = (np.matmul(self._centre, back) + shift[:, None]).reshape(-1, 3)
-        # Most of a blade is not near a stem, and most of a stem not near a blade.
-        wide = self._radius.max() + NEAR
-        low, high = gone.min(axis=0) - wide, gone.max(axis=0) + wide
-        kept = np.flatnonzero(((self._low < high) & (self._high > low)).all(axis=1))
-        if not len(kept):
-            return found
-        low, high = self._low[kept].min(axis=0) - wide, self._high[kept].max(axis=0) + wide
-        close = np.flatnonzero(((gone > low) & (gone < high)).all(axis=1))
-        way, row = np.divmod(close, len(self._patch))
-        local, tube = self._chain.some(self._piece[kept]), self._tube[kept]
-        near = local.depth(gone[close]) > -NEAR - self._radius[row][:, None]
-        near &= self._meets[self._place[row]][:, tube]
-        entry, part = np.nonzero(near)
-        if not len(entry):
-            return found
-        way, row = way[entry], row[entry]
-        moved = np.matmul(self._laid.points[self._patch[row], ::every], back[way])
-        moved += shift[way][:, None]
-        np.maximum.at(found, (self._place[row], tube[part], way), deepest(moved, local, part))
+    def __len__(self) -> int:
+        return len(self._blades)
+
+    def depths(self, rows: Indices, turn: Indices, turns: Turns, every: int) -> NDArray[np.float32]:
+        """`(r, k)` metres that some blades reach into their stems; minus infinity where far apart.
+
+        Args:
+            rows: `(r,)` which pairs, ascending.
+            turn: `(r,)` by which turns each blade moves.
+            turns: `(t, k)`.
+            every: look at every so-manieth point.
+        """
+        found = np.full((len(rows), turns.shift.shape[1]), -np.inf, dtype=np.float32)
+        place = np.full(len(self), -1)
+        place[rows] = np.arange(len(rows))
+        kept = np.flatnonzero(place[self._pair] >= 0)
+        entry, chain = place[self._pair[kept]], self._chain.some(kept)
+        middle = chain.start + 0.5 * chain.span
+        reach = chain.radius + 0.5 * np.sqrt(np.einsum("ci,ci->c", chain.span, chain.span)) + NEAR
+        blades, turn = self._blades[rows][entry], turn[entry]
+        for piece, way, hit, patch in _near(self._bodies.organs, blades, middle, reach, turn, turns):
+            # To move blades towards stems is to move stems back towards blades.
+            back = turns.rotation[turn[piece], way]
+            start = chain.start[piece] - turns.shift[turn[piece], way]
+            moved = Capsules(
+                np.matmul(start[:, None], back)[:, 0],
+                np.matmul(chain.span[piece][:, None], back)[:, 0],
+                chain.radius[piece],
+            )
+            depth = deepest(self._bodies.organs.laid.coordinates(patch, every), moved, hit)
+            np.maximum.at(found, (entry[piece[hit]], way[hit]), depth)
         return found
+
+
+def _near(
+    organs: Organs, movers: Indices, centre: Vectors, reach: Vectors, turn: Indices, turns: Turns
+) -> Iterator[tuple[Indices, Indices, Indices, Indices]]:
+    """Patches of organs that come near to balls.
+
+    Yields:
+        `(h,)` pairs of organ and ball and `(h,)` the way on which they meet; `(m,)` the place of each patch's
+        pair among these, and `(m,)` the patches.
+    """
+    if not len(movers):
+        return
+    organs.sample(movers)
+    ways = turns.shift.shape[1]
+    low, high = organs.low[movers].astype(np.float32), organs.high[movers].astype(np.float32)
+    rotation, shift = turns.rotation.astype(np.float32), turns.shift.astype(np.float32)
+    single, far = centre.astype(np.float32), reach.astype(np.float32)
+    for start in range(0, len(movers), max(ENTRIES // (4 * ways), 1)):
+        block = slice(start, start + max(ENTRIES // (4 * ways), 1))
+        # To move organs towards balls is to move balls back to the organs.
+        target = _back(single[block], turn[block], rotation, shift)
+        off = np.zeros(target.shape[1:], dtype=np.float32)
+        for axis in range(3):
+            least, most = low[block, axis, None], high[block, axis, None]
+            beside = target[axis] - np.clip(target[axis], least, most)
+            off += beside * beside
+        pair, way = np.nonzero(off < np.square(far[block])[:, None])
+        ball = target[:, pair, way]
+        pair = pair + start
+        count = organs.patch_count[movers[pair]]
+        for part in _runs(count):
+            hit, number = counted(count[part])
+            patch = organs.patch_first[movers[pair[part]]][hit] + number
+            apart = far.take(pair[part]).take(hit) + organs.laid.radius.take(patch)
+            square = np.zeros(len(patch), dtype=np.float32)
+            for axis in range(3):
+                beside = organs.laid.centre[:, axis].take(patch) - ball[axis, part].take(hit)
+                square += beside * beside
+            kept = np.flatnonzero(square < apart * apart)
+            if len(kept):
+                yield pair[part], way[part], hit[kept], patch[kept]
+
+
+def _back(centre: Points, turn: Indices, rotation: Points, shift: Points) -> Points:
+    """`(3, n, k)` where turns bring centres `(n, 3)` from."""
+    x, y, z = (centre[:, axis, None] - shift[turn, :, axis] for axis in range(3))
+    r = rotation.transpose(2, 3, 0, 1)
+    return np.stack([x * r[0, i][turn] + y * r[1, i][turn] + z * r[2, i][turn] for i in range(3)])
+
+
+def _runs(sizes: Indices) -> Iterator[slice]:
+    """Runs of things whose sizes add up to what is worked out at a time."""
+    total, start = np.cumsum(sizes), 0
+    while start < len(sizes):
+        done = total[start - 1] if start else 0
+        stop = max(int(np.searchsorted(total, done + ENTRIES, side="right")), start + 1)
+        yield slice(start, stop)
+        start = stop

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
-from pepperscene.geometry.contact_organs import FLOWER, FRUIT, LEAF, SHOOT, STALK, STEM, Organs, Vectors
+from pepperscene.geometry.contact_organs import (
+    FLOWER,
+    FRUIT,
+    LEAF,
+    SHOOT,
+    STALK,
+    STEM,
+    Indices,
+    Organs,
+    Vectors,
+)
 
 # Widest turns, radians, chosen so that parts still grow as they do: on a stem around it, elsewhere aside; and
 # up or down. By (grows on a stem, bears fruit).
@@ -48,10 +59,10 @@ class Unit:
         """`(2,)` radians, the widest turns."""
         return _LIMITS[self.on_stem, self.bears_fruit]
 
-    def effort(self, angles: Vectors) -> Vectors:
-        """`(k,)` how far turns by `(k, 2)` radians are from none, in weighted degrees."""
-        squared = np.square(np.degrees(angles) * _WEIGHTS[self.on_stem, self.bears_fruit])
-        return np.asarray(np.sqrt(squared.sum(axis=-1)))
+    @property
+    def weights(self) -> Vectors:
+        """`(2,)` how much a degree of either turn weighs."""
+        return _WEIGHTS[self.on_stem, self.bears_fruit]
 
 
 def units_of(organs: Organs, organ: int) -> list[Unit]:
@@ -71,13 +82,13 @@ def units_of(organs: Organs, organ: int) -> list[Unit]:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """How a unit turns, as it stands: up or down about its foot, then around or aside.
+    """How a unit turns, as it stands: up or down about its foot, then around or aside; or many units.
 
     Attributes:
-        foot: `(3,)` metres, where the unit starts.
-        across: `(3,)` level axis through the foot; right-handed turns lift the unit.
-        middle: `(3,)` metres, on the axis of the second turn.
-        axis: `(3,)` that axis.
+        foot: `(..., 3)` metres, where the unit starts.
+        across: `(..., 3)` level axis through the foot; right-handed turns lift the unit.
+        middle: `(..., 3)` metres, on the axis of the second turn.
+        axis: `(..., 3)` that axis.
     """
 
     foot: Vectors
@@ -86,10 +97,15 @@ class Joint:
     axis: Vectors
 
     def turns(self, angles: Vectors) -> tuple[Vectors, Vectors]:
-        """Rotations `(k, 3, 3)` and shifts `(k, 3)` of turns by `(k, 2)` radians: around, up."""
-        up, around = rotations(self.across, angles[:, 1]), rotations(self.axis, angles[:, 0])
-        after_up = self.foot - up @ self.foot
-        return around @ up, np.einsum("kij,kj->ki", around, after_up - self.middle) + self.middle
+        """Rotations `(..., k, 3, 3)`, shifts `(..., k, 3)` of turns by `(..., k, 2)` radians: around, up."""
+        up, around = rotations(self.across, angles[..., 1]), rotations(self.axis, angles[..., 0])
+        foot, middle = self.foot[..., None, :], self.middle[..., None, :]
+        after_up = foot - _turned(up, foot)
+        return around @ up, _turned(around, after_up - middle) + middle
+
+    def some(self, rows: Indices) -> Joint:
+        """Some of many."""
+        return Joint(self.foot[rows], self.across[rows], self.middle[rows], self.axis[rows])
 
 
 def joint(organs: Organs, unit: Unit) -> Joint:
@@ -113,9 +129,26 @@ def joint(organs: Organs, unit: Unit) -> Joint:
     return Joint(foot, across, middle, axis)
 
 
+def joints(organs: Organs, units: Sequence[Unit]) -> Joint:
+    """The joints of some units, `(u, 3)` each."""
+    each = [joint(organs, unit) for unit in units]
+    return Joint(
+        np.array([one.foot for one in each]),
+        np.array([one.across for one in each]),
+        np.array([one.middle for one in each]),
+        np.array([one.axis for one in each]),
+    )
+
+
 def rotations(axis: Vectors, angles: Vectors) -> Vectors:
-    """`(k, 3, 3)` right-handed rotations about a unit axis `(3,)` by `(k,)` radians (Rodrigues)."""
-    x, y, z = axis
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    sine, cosine = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
+    """`(..., k, 3, 3)` rotations by `(..., k)` radians about unit axes `(..., 3)` (Rodrigues)."""
+    skew = np.zeros((*axis.shape[:-1], 1, 3, 3))
+    for row, column, other in ((2, 1, 0), (0, 2, 1), (1, 0, 2)):
+        skew[..., 0, row, column], skew[..., 0, column, row] = axis[..., other], -axis[..., other]
+    sine, cosine = np.sin(angles)[..., None, None], np.cos(angles)[..., None, None]
     return np.asarray(np.eye(3) + sine * skew + (1.0 - cosine) * (skew @ skew))
+
+
+def _turned(rotation: Vectors, points: Vectors) -> Vectors:
+    """`(..., 3)` points turned by `(..., 3, 3)` rotations."""
+    return np.asarray(np.matmul(rotation, points[..., None])[..., 0])
