@@ -27,6 +27,7 @@ from pepperscene.geometry.contact_organs import Organs
 from pepperscene.geometry.contact_points import SPACING, filling
 from pepperscene.geometry.contact_stems import capsules
 from pepperscene.geometry.contact_units import units_of
+from pepperscene.geometry.settle import _Search
 from pepperscene.grammar import Plant, grow
 
 RADIUS = 0.04
@@ -430,3 +431,64 @@ def test_what_is_known_after_turns_is_what_is_found_afresh() -> None:
         shift = motion.pivot - motion.rotation @ motion.pivot
         search.organs.turn(search.organs.subtree(motion.instance), motion.rotation, shift)
     assert counted(search) == contacts(found.mesh) == found.contacts
+
+
+# --- many units at once -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_units_are_tried_together_as_one_by_one(number: int) -> None:
+    search = _Search(Bodies(grown()[1]), np.random.default_rng(0))
+    found = search._touching()
+    phase = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, len(search.organs))
+    units = {unit.root: [unit, place] for place, pair in enumerate(found) for unit in search._sides(*pair)}
+    together = search._tried(
+        [unit for unit, _ in units.values()], [[place] for _, place in units.values()], found, phase, number
+    )
+    assert sum(one.gain > 0.0 for one in together.values()) > 10
+    for root, (unit, place) in units.items():
+        alone = search._tried([unit], [[place]], found, phase, number)[root]
+        np.testing.assert_array_equal(alone.angles, together[root].angles)
+        assert (alone.gain, alone.small, alone.helps) == (
+            together[root].gain,
+            together[root].small,
+            together[root].helps,
+        )
+
+
+def test_how_much_is_worked_out_at_a_time_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pepperscene.geometry.contact_tables.ENTRIES", 500)
+    again = settle(grown()[1], np.random.default_rng(3))
+    assert again.mesh.vertices.tobytes() == settled().mesh.vertices.tobytes()
+
+
+def test_units_that_are_apart_turn_in_one_go_as_each_would_alone() -> None:
+    single = leafy_node(0.98)
+    number = len(single.instances)
+    parts = [single.moved(np.eye(3), np.array([0.5 * step, 0.0, 0.0])) for step in range(4)]
+    row = concatenate(parts)
+    phase = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, number)
+    together = _Search(Bodies(row), np.random.default_rng(0))
+    found = together._touching()
+    assert len(found) == 4
+    assert not len(together._part(found, np.tile(phase, 4), 0))
+    alone = _Search(Bodies(single), np.random.default_rng(0))
+    alone._part(alone._touching(), phase, 0)
+    assert len(together.motions) == 4 * len(alone.motions) > 0
+    for step in range(4):
+        places = slice(number * step, number * (step + 1))
+        np.testing.assert_allclose(together._angles[places], alone._angles, atol=1e-6)
+
+
+def test_units_that_would_meet_wait_for_each_other() -> None:
+    """In one go much is freed, and what is near to something that was just turned waits."""
+    search = _Search(Bodies(grown()[1]), np.random.default_rng(0))
+    found = search._touching()
+    phase = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, len(search.organs))
+    before = counted(search.bodies)
+    waiting = search._part(found, phase, 0)
+    assert 0 < len(waiting) < len(found)
+    turned = {motion.instance for motion in search.motions}
+    freed = [pair for pair, depth in zip(found, search.bodies.depths(*found.T), strict=True) if depth < 0.0]
+    assert len(freed) > 0.5 * len(turned)
+    assert counted(search.bodies).fruit_touching < before.fruit_touching

@@ -17,8 +17,8 @@ from pepperscene.geometry.contact_organs import Indices, Organs, Points, Vectors
 from pepperscene.geometry.contact_points import counted
 from pepperscene.geometry.contact_stems import Capsules, deepest
 
-ENTRIES: Final = 1 << 20
-"""So many distances are worked out at a time, chosen: a few tens of megabytes."""
+ENTRIES: Final = 1 << 16
+"""So many distances are worked out at a time, chosen: what fits into a cache."""
 
 
 @dataclass(frozen=True, eq=False)
