@@ -99,14 +99,11 @@ class _Kinds:
         unit: Indices,
         blades: Indices,
         stems: Indices,
-        low: Vectors | float = -np.inf,
-        high: Vectors | float = np.inf,
+        low: Vectors,
+        high: Vectors,
     ) -> _Pairs:
         """Blades of units, which stay in boxes, run through stems and cords."""
-        shape = len(unit), 3
-        table = StemPairs(
-            self._bodies, blades, stems, np.broadcast_to(low, shape), np.broadcast_to(high, shape)
-        )
+        table = StemPairs(self._bodies, blades, stems, low, high)
         return self._pairs(table, unit, False, np.full(len(unit), _HARD), blades, stems)
 
     def _pairs(
@@ -159,10 +156,11 @@ def left_of(
         [one in units[row].members for row, one in zip(unit.tolist(), organs.tolist(), strict=True)]
     )
     moved, met, stems = (np.flatnonzero(some) for some in (is_fruit & inside, is_fruit & ~inside, ~is_fruit))
+    low, high = boxes(bodies.organs, organs[stems], unit[stems], turns)
     for rows, pairs in (
         (moved, kinds.fruit_moved(unit[moved], organs[moved], others[moved])),
         (met, kinds.fruit_met(unit[met], others[met], organs[met])),
-        (stems, kinds.stems_met(unit[stems], organs[stems], others[stems])),
+        (stems, kinds.stems_met(unit[stems], organs[stems], others[stems], low - NEAR, high + NEAR)),
     ):
         if not len(rows):
             continue
