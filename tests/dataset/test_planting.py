@@ -6,10 +6,12 @@ import hashlib
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import pepperscene.dataset.planting
 import pepperscene.geometry
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar import load_cultivar
@@ -257,3 +259,17 @@ def test_between_two_stages_a_plant_is_neither():
     between = grown("kaite", 5, detail=0.3, until="kaite_september", share=0.5)
     heights = [np.ptp(made.mesh.vertices[:, 2]) for made in (first, between, last)]
     assert heights == sorted(heights)
+
+
+def test_what_touches_within_plants_counts_too(recipe, planted, monkeypatch):
+    real = pepperscene.dataset.planting.grown_at
+
+    def jammed(*args, **kwargs):
+        made = real(*args, **kwargs)
+        return replace(made, contacts=replace(made.contacts, fruit_touching=1, blades_touching=2))
+
+    monkeypatch.setattr(pepperscene.dataset.planting, "grown_at", jammed)
+    told = planting_of(recipe).scene(0, 0).contacts
+    assert planted.contacts.fruit_touching == 0
+    assert told.fruit_touching == 3
+    assert told.blades_touching == planted.contacts.blades_touching + 6

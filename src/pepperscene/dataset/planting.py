@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -29,7 +29,8 @@ class Planted:
 
     Attributes:
         mesh: plants first, then greenhouse and far rows.
-        contacts: what of the plants' fruit and blades still touches.
+        contacts: what of the plants' fruit and blades still touches, within plants and between them; what
+            does both counts twice.
     """
 
     mesh: Mesh
@@ -50,6 +51,7 @@ class Planting:
         self.recipe = recipe
         self.cultivar = cultivar
         self._set: tuple[int, list[tuple[Mesh, Posture]]] | None = None
+        self._within: list[Contacts] = []
 
     def scene(self, which: int, rotation: int) -> Planted:
         """What stands in the scene of a set at a rotation."""
@@ -78,12 +80,12 @@ class Planting:
             chance = generator(self.recipe.seed, Stream.FAR, 1, which, rotation)
             around += far_rows(self._models, row, house, chance)
         mesh = concatenate([settled.mesh, *around]) if around else settled.mesh
-        return Planted(mesh, settled.contacts)
+        return Planted(mesh, self._with_own(settled.contacts))
 
     def plants(self, which: int) -> list[tuple[Mesh, Posture]]:
         """The meshes of a set's plants with their twine, the front row's first, and how each one stands."""
         if self._set is None or self._set[0] != which:
-            self._set = None
+            self._set, self._within = None, []
             count = self.row.front + self.row.back
             self._set = (which, [self._plant(which, number) for number in range(count)])
         return self._set[1]
@@ -97,7 +99,19 @@ class Planting:
         def hold(plant: Plant, mesh: Mesh) -> Mesh:
             return self._held(plant, mesh, stands, generator(seed, Stream.TWINE, which, number))
 
-        return grown_at(self.cultivar, seed, which, number, lean_rad=stands.lean_rad, hold=hold).mesh, stands
+        made = grown_at(self.cultivar, seed, which, number, lean_rad=stands.lean_rad, hold=hold)
+        self._within.append(made.contacts)
+        return made.mesh, stands
+
+    def _with_own(self, between: Contacts) -> Contacts:
+        """The contacts between plants, and those that are left within each."""
+        fruit = sum(one.fruit_touching for one in self._within)
+        blades = sum(one.blades_touching for one in self._within)
+        return replace(
+            between,
+            fruit_touching=between.fruit_touching + fruit,
+            blades_touching=between.blades_touching + blades,
+        )
 
     def _held(self, plant: Plant, mesh: Mesh, stands: Posture, rng: np.random.Generator) -> Mesh:
         """The plant with its twine, tied to the wire above its row where there is one."""
