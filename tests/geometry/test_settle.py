@@ -26,8 +26,8 @@ from pepperscene.geometry.contact_fruit import walls
 from pepperscene.geometry.contact_organs import Organs
 from pepperscene.geometry.contact_points import SPACING, filling
 from pepperscene.geometry.contact_stems import capsules
+from pepperscene.geometry.contact_turns import Search
 from pepperscene.geometry.contact_units import units_of
-from pepperscene.geometry.settle import _Search
 from pepperscene.grammar import Plant, grow
 
 RADIUS = 0.04
@@ -438,7 +438,7 @@ def test_what_is_known_after_turns_is_what_is_found_afresh() -> None:
 
 @pytest.mark.parametrize("number", [0, 1])
 def test_units_are_tried_together_as_one_by_one(number: int) -> None:
-    search = _Search(Bodies(grown()[1]), np.random.default_rng(0))
+    search = Search(Bodies(grown()[1]), np.random.default_rng(0))
     found = search._touching()
     phase = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, len(search.organs))
     units = {unit.root: [unit, place] for place, pair in enumerate(found) for unit in search._sides(*pair)}
@@ -468,11 +468,11 @@ def test_units_that_are_apart_turn_in_one_go_as_each_would_alone() -> None:
     parts = [single.moved(np.eye(3), np.array([0.5 * step, 0.0, 0.0])) for step in range(4)]
     row = concatenate(parts)
     phase = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, number)
-    together = _Search(Bodies(row), np.random.default_rng(0))
+    together = Search(Bodies(row), np.random.default_rng(0))
     found = together._touching()
     assert len(found) == 4
     assert not len(together._part(found, np.tile(phase, 4), 0))
-    alone = _Search(Bodies(single), np.random.default_rng(0))
+    alone = Search(Bodies(single), np.random.default_rng(0))
     alone._part(alone._touching(), phase, 0)
     assert len(together.motions) == 4 * len(alone.motions) > 0
     for step in range(4):
@@ -482,7 +482,7 @@ def test_units_that_are_apart_turn_in_one_go_as_each_would_alone() -> None:
 
 def test_units_that_would_meet_wait_for_each_other() -> None:
     """In one go much is freed, and what is near to something that was just turned waits."""
-    search = _Search(Bodies(grown()[1]), np.random.default_rng(0))
+    search = Search(Bodies(grown()[1]), np.random.default_rng(0))
     found = search._touching()
     phase = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, len(search.organs))
     before = counted(search.bodies)

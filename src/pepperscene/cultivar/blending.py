@@ -13,6 +13,7 @@ from pepperscene.cultivar.cultivar import Cultivar
 from pepperscene.cultivar.distribution import Distribution
 from pepperscene.cultivar.origin import Origin
 from pepperscene.cultivar.pigments import PigmentPath, Pigments
+from pepperscene.cultivar.slot import Slot
 from pepperscene.document import Document, dotted
 from pepperscene.errors import InputError
 
@@ -114,7 +115,7 @@ class _Mix:
 
     def model(self, first: Model, last: Model, key: Key) -> Model:
         """All fields of a table."""
-        if key[-2:-1] == ("bears",) and first.name != last.name:  # type: ignore[attr-defined]
+        if isinstance(first, Slot) and isinstance(last, Slot) and first.name != last.name:
             raise self.fault((*key, "name"), "must be the same in both")
         fields = type(first).model_fields
         return type(first)(**{n: self.of(getattr(first, n), getattr(last, n), (*key, n)) for n in fields})

@@ -3,8 +3,9 @@
 from pepperscene.geometry.contact import Contacts, contacts
 from pepperscene.geometry.export import check_format, mesh_files, organ_names, write_mesh
 from pepperscene.geometry.mesh import Mesh, concatenate
+from pepperscene.geometry.motion import Motion, moved_plant
 from pepperscene.geometry.plant_mesh import mesh_plant
-from pepperscene.geometry.settle import Motion, Settled, moved_plant, settle
+from pepperscene.geometry.settle import Settled, settle
 from pepperscene.geometry.single import rectangle, sphere
 from pepperscene.geometry.stem import stem_branches, stem_profile
 from pepperscene.geometry.twine import twine

@@ -89,7 +89,7 @@ def _triangles(path: Path) -> tuple[FloatArray, NDArray[np.intp]]:
 
     try:
         read = trimesh.load(path, process=False, skip_materials=True)
-    except Exception as fault:
+    except Exception as fault:  # readers of many formats raise what they like
         raise InputError(path, "", None, f"cannot be read as a mesh ({fault}); {_ALLOWED}") from fault
     bodies = list(read.geometry.values()) if isinstance(read, trimesh.Scene) else [read]
     bodies = [body for body in bodies if len(getattr(body, "faces", ())) > 0]

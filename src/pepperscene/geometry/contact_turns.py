@@ -1,0 +1,267 @@
+"""Which part to turn, and how far: all that touches is tried in many poses, and the least turn is taken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from pepperscene.geometry.contact import NEAR, Bodies
+from pepperscene.geometry.contact_organs import FRUIT, Indices, Vectors
+from pepperscene.geometry.contact_search import CLEAR, Surroundings, boxes, left_of
+from pepperscene.geometry.contact_tables import Turns
+from pepperscene.geometry.contact_units import Unit, joint, joints, rotations, units_of
+from pepperscene.geometry.motion import Motion
+
+_CLOSE: Final = -0.75 * CLEAR  # m, chosen; what comes nearer may touch between the points that are looked at
+_POSES: Final = (30, 60, 60, 120)  # chosen: poses that a unit might take in each round, then as in the last
+_TRIES: Final = (10, 20, 20, 120)  # chosen: the cheapest of these, which are looked at all around
+_ROUGHLY: Final = 16  # of so many points one is looked at while poses are compared by the contact at hand,
+_EVERY: Final = 4  # and of so many by all that they run into
+_FIRST: Final = 4  # chosen: of the cheapest, those that are looked at first
+_FEW: Final = 8  # contacts, chosen: what is tried does not depend on it, only when
+_SMALL: Final = 20.0  # weighted degrees, chosen: a turn that is taken without asking what else could turn
+_PARTS: Final = np.array([0.0, 0.2, 0.4, 0.55, 0.7, 0.8, 0.9, 1.0])  # of a turn that helps: less may do
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """What the best turn of a unit brings.
+
+    Attributes:
+        gain: how much less it costs than no turn.
+        angles: `(2,)` radians at which the unit stands then.
+        small: it runs into nothing then and has turned little.
+        helps: the contacts, by their places, that some turn of it ends.
+    """
+
+    gain: float
+    angles: Vectors
+    small: bool
+    helps: frozenset[int]
+
+
+class Search:
+    """Organs on their way to poses in which they do not touch."""
+
+    def __init__(self, bodies: Bodies, rng: np.random.Generator) -> None:
+        self.bodies, self.organs = bodies, bodies.organs
+        self.motions: list[Motion] = []
+        self._rng = rng
+        self._angles = np.zeros((len(self.organs), 2))
+        self._units: dict[int, list[Unit]] = {}
+
+    def round(self, number: int) -> bool:
+        """Try to part everything that touches, once; tells whether anything did."""
+        found = self._touching()
+        # How the poses of each unit lie in this round.
+        phase = self._rng.uniform(0.0, 2.0 * np.pi, len(self.organs)) if len(found) else np.empty(0)
+        left = found
+        while len(left):
+            left = self._part(left, phase, number)
+            # An earlier turn may have parted them.
+            left = left[self.bodies.depths(*left.T) > _CLOSE]
+        return bool(len(found))
+
+    def _touching(self) -> Indices:
+        """`(c, 2)` fruit and what runs into it, blades and the stems that they run through."""
+        bodies = self.bodies
+        near = bodies.into_fruit(bodies.fruit.tolist()) | bodies.into_stems(bodies.blades.tolist())
+        pairs = [
+            (organ, other)
+            for organ, some in near.items()
+            for other in some.others[some.depth > _CLOSE].tolist()
+        ]
+        return np.array(pairs, dtype=np.intp).reshape(-1, 2)
+
+    def _part(self, contacts: Indices, phase: Vectors, number: int) -> Indices:
+        """Turn a unit of either side of each contact: the first that a small turn frees, else the one that
+        gains most. All units are tried as all stands before any is turned.
+
+        Returns:
+            The contacts that wait because something near them was turned first.
+        """
+        sides = [self._sides(organ, other) for organ, other in contacts.tolist()]
+        of_root: dict[int, list[int]] = {}
+        for place, units in enumerate(sides):
+            for unit in units:
+                of_root.setdefault(unit.root, []).append(place)
+        tried: dict[int, _Tried] = {}
+        best: dict[int, Unit] = {}
+        left = list(range(len(sides)))
+        for turn in range(max(map(len, sides))):
+            left = [place for place in left if turn < len(sides[place])]
+            # To try a few more than are needed costs less than to try them one after the other.
+            ahead = turn + 1 if len(left) > _FEW else None
+            wanted = {unit.root: unit for place in left for unit in sides[place][turn:ahead]}
+            units = [unit for root, unit in wanted.items() if root not in tried]
+            if units:
+                places = [of_root[unit.root] for unit in units]
+                tried |= self._tried(units, places, contacts, phase, number)
+            for place in left.copy():
+                unit = sides[place][turn]
+                new, old = tried[unit.root], best.get(place)
+                if place in new.helps and new.gain > (tried[old.root].gain if old else 0.0):
+                    best[place] = unit
+                    if new.small:
+                        left.remove(place)
+        return self._turned(contacts, best, {root: one.angles for root, one in tried.items()})
+
+    def _sides(self, organ: int, other: int) -> list[Unit]:
+        """The units whose turns may end a contact, the other's first."""
+        for one in (organ, other):
+            if one not in self._units:
+                self._units[one] = units_of(self.organs, one)
+        both = (*self._units[other], *self._units[organ])
+        return [unit for unit in both if not (organ in unit.members and other in unit.members)]
+
+    def _tried(
+        self,
+        units: list[Unit],
+        places: list[list[int]],
+        contacts: Indices,
+        phase: Vectors,
+        number: int,
+    ) -> dict[int, _Tried]:
+        """What the best turn of each unit brings, as all stands.
+
+        Args:
+            units: what to try, each alone.
+            places: of the contacts that each is to end.
+            contacts: `(c, 2)`.
+            phase: `(n,)` radians, by which the poses of each organ's unit are turned.
+            number: of the round.
+        """
+        # Leaves give way twice, then all is taken as it stands for once.
+        hard = number % 3 == 2
+        poses, tries = (some[min(number, len(some) - 1)] for some in (_POSES, _TRIES))
+        roots = np.array([unit.root for unit in units])
+        spent, weights = self._angles[roots][:, None], np.array([unit.weights for unit in units])[:, None]
+        limits = np.array([unit.limits for unit in units])[:, None]
+        angles = np.concatenate([spent, limits * _disc(poses, phase[roots])], axis=1)
+        # Fruit on a stem is lifted only: hanging lower would break the stalk.
+        lifted = np.array([unit.on_stem and unit.bears_fruit for unit in units])
+        angles[lifted, 1:, 1] = np.abs(angles[lifted, 1:, 1])
+        way = joints(self.organs, units)
+        # What each pose costs at least: its effort, and what is left of the contacts at hand.
+        owner, rows = np.repeat(np.arange(len(units)), [len(one) for one in places]), np.concatenate(places)
+        each = left_of(
+            self.bodies,
+            units,
+            owner,
+            contacts[rows],
+            Turns(*way.turns(angles - spent)),
+            _ROUGHLY,
+            hard=hard,
+        )
+        ends = np.any(each <= 0.0, axis=1) | (number > 0)
+        helps = [frozenset(rows[(owner == one) & ends].tolist()) for one in range(len(units))]
+        found = {
+            unit.root: _Tried(0.0, self._angles[unit.root], False, some)
+            for unit, some in zip(units, helps, strict=True)
+        }
+        kept = np.flatnonzero([len(some) > 0 for some in helps])
+        if not len(kept):
+            return found
+        left = np.zeros(angles.shape[:2])
+        np.add.at(left, owner, each)
+        effort = _effort(angles, weights)
+        least = (effort + left)[kept]
+        # Of the cheapest ones, all that they run into: a few at first, as one of these may be free.
+        order = 1 + np.argsort(least[:, 1:], axis=1, kind="stable")[:, :tries]
+        order = np.concatenate([np.zeros((len(kept), 1), dtype=np.intp), order], axis=1)
+        angles = np.take_along_axis(angles[kept], order[:, :, None], axis=1)
+        effort, left = (np.take_along_axis(some[kept], order, axis=1) for some in (effort, left))
+        spent, weights, way = spent[kept], weights[kept], way.some(kept)
+        turns = Turns(*way.turns(angles - spent))
+        some_units = [units[one] for one in kept.tolist()]
+        swept = np.concatenate([angles, 0.5 * (angles + spent)], axis=1)
+        around = Surroundings(self.bodies, some_units, Turns(*way.turns(swept - spent)), hard=hard)
+        cost = effort + left
+        first = np.arange(min(1 + _FIRST, cost.shape[1]))
+        rest = np.append(0, np.arange(len(first), cost.shape[1]))
+        unclear = np.arange(len(kept))
+        for columns in (first, rest):
+            some = np.ix_(unclear, columns)
+            into = around.cost(unclear, Turns(turns.rotation[some], turns.shift[some]), _EVERY)
+            cost[some] = effort[some] + np.maximum(left[some], into)
+            if columns is first and len(rest) > 1:
+                # What is dearer at the least than what was found need not be looked at.
+                clear = cost[:, first].min(axis=1) <= cost[:, len(first)]
+                cost[np.ix_(clear, rest[1:])] = np.inf
+                unclear = np.flatnonzero(~clear)
+        picked = cost.argmin(axis=1)
+        better = np.flatnonzero(picked)
+        if not len(better):
+            return found
+        # Part of the turn may do, and now every point counts.
+        whole = angles[better, picked[better]][:, None]
+        parts = spent[better] + _PARTS[:, None] * (whole - spent[better])
+        effort = _effort(parts, weights[better])
+        turns = Turns(*way.some(better).turns(parts - spent[better]))
+        cost = effort + around.cost(better, turns, 1)
+        chosen = cost.argmin(axis=1)
+        for row, (one, pick) in enumerate(zip(better.tolist(), chosen.tolist(), strict=True)):
+            unit = some_units[one]
+            small = cost[row, pick] == effort[row, pick] < _SMALL
+            gain = float(cost[row, 0] - cost[row, pick])
+            found[unit.root] = _Tried(gain, parts[row, pick], bool(small), found[unit.root].helps)
+        return found
+
+    def _turned(self, contacts: Indices, best: dict[int, Unit], angles: dict[int, Vectors]) -> Indices:
+        """Turn the best unit for each contact, in order, but not where something was turned just now.
+
+        Returns:
+            The contacts that wait.
+        """
+        organs, before = self.organs, self.organs.turns
+        waiting = []
+        for place, unit in best.items():
+            members = np.array(unit.members)
+            just = np.flatnonzero(organs.stamp > before)
+            if len(just) and (
+                np.any(organs.stamp[contacts[place]] > before)
+                or np.any(organs.stamp[members] > before)
+                or self._meets(unit, angles[unit.root], just)
+            ):
+                waiting.append(place)
+            else:
+                self._turn(unit, angles[unit.root])
+        return contacts[waiting]
+
+    def _meets(self, unit: Unit, angles: Vectors, just: Indices) -> bool:
+        """Whether a unit's organs would come near to others; of either one has to be fruit."""
+        organs, members = self.organs, np.array(unit.members)
+        members, just = members[organs.solid[members]], just[organs.solid[just]]
+        way = joint(organs, unit).turns((angles - self._angles[unit.root])[None])
+        turns = Turns(*(part[None] for part in way))
+        low, high = boxes(organs, members, np.zeros(len(members), dtype=np.intp), turns)
+        near = np.all(organs.low[just] < high[:, None] + NEAR, axis=2)
+        near &= np.all(organs.high[just] > low[:, None] - NEAR, axis=2)
+        fruit = organs.organ_class == FRUIT
+        return bool(np.any(near & (fruit[members][:, None] | fruit[just])))
+
+    def _turn(self, unit: Unit, angles: Vectors) -> None:
+        """Turn a unit to some angles."""
+        spent = self._angles[unit.root].copy()
+        way = joint(self.organs, unit)
+        around, up = angles - spent
+        for axis, angle, pivot in ((way.across, up, way.foot), (way.axis, around, way.middle)):
+            if angle != 0.0:
+                self.motions.append(Motion(unit.root, rotations(axis, np.array([angle]))[0], pivot))
+        rotation, shift = (part[0] for part in way.turns(angles[None] - spent))
+        self.organs.turn(unit.members, rotation, shift)
+        self._angles[unit.root] = angles
+
+
+def _effort(angles: Vectors, weights: Vectors) -> Vectors:
+    """`(u, k)` how far angles `(u, k, 2)` radians are from none, in weighted degrees."""
+    return np.asarray(np.sqrt(np.square(np.degrees(angles) * weights).sum(axis=-1)))
+
+
+def _disc(count: int, phase: Vectors) -> Vectors:
+    """`(u, count, 2)` points evenly over unit discs, from the middle outwards, turned by `(u,)` radians."""
+    step = np.arange(count) + 0.5
+    angle = phase[:, None] + np.pi * (3.0 - np.sqrt(5.0)) * step
+    return np.asarray((step / count)[:, None] ** 0.7 * np.stack([np.cos(angle), np.sin(angle)], axis=2))
