@@ -6,7 +6,7 @@ from pepperscene.geometry.mesh import Mesh, concatenate
 from pepperscene.geometry.motion import Motion, moved_plant
 from pepperscene.geometry.plant_mesh import mesh_plant
 from pepperscene.geometry.settle import Settled, settle
-from pepperscene.geometry.single import rectangle, sphere
+from pepperscene.geometry.single import one_instance, rectangle, sphere
 from pepperscene.geometry.stem import stem_branches, stem_profile
 from pepperscene.geometry.twine import twine
 
@@ -21,6 +21,7 @@ __all__ = [
     "mesh_files",
     "mesh_plant",
     "moved_plant",
+    "one_instance",
     "organ_names",
     "rectangle",
     "settle",

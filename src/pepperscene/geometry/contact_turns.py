@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,18 +12,18 @@ from pepperscene.geometry.contact import NEAR, Bodies
 from pepperscene.geometry.contact_organs import FRUIT, Indices, Vectors
 from pepperscene.geometry.contact_search import CLEAR, Surroundings, boxes, left_of
 from pepperscene.geometry.contact_tables import Turns
-from pepperscene.geometry.contact_units import Unit, joint, joints, rotations, units_of
+from pepperscene.geometry.contact_units import Joint, Unit, joint, joints, rotations, units_of
 from pepperscene.geometry.motion import Motion
 
 _CLOSE: Final = -0.75 * CLEAR  # m, chosen; what comes nearer may touch between the points that are looked at
 _POSES: Final = (30, 60, 60, 120)  # chosen: poses that a unit might take in each round, then as in the last
 _TRIES: Final = (10, 20, 20, 120)  # chosen: the cheapest of these, which are looked at all around
-_ROUGHLY: Final = 16  # of so many points one is looked at while poses are compared by the contact at hand,
+_ROUGHLY: Final = 16  # chosen: of so many points one is looked at while poses are compared by the contact,
 _EVERY: Final = 4  # and of so many by all that they run into
 _FIRST: Final = 4  # chosen: of the cheapest, those that are looked at first
 _FEW: Final = 8  # contacts, chosen: what is tried does not depend on it, only when
 _SMALL: Final = 20.0  # weighted degrees, chosen: a turn that is taken without asking what else could turn
-_PARTS: Final = np.array([0.0, 0.2, 0.4, 0.55, 0.7, 0.8, 0.9, 1.0])  # of a turn that helps: less may do
+_PARTS: Final = np.array([0.0, 0.2, 0.4, 0.55, 0.7, 0.8, 0.9, 1.0])  # chosen: of a turn that helps; less may do
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,19 +196,30 @@ class Search:
         better = np.flatnonzero(picked)
         if not len(better):
             return found
-        # Part of the turn may do, and now every point counts.
         whole = angles[better, picked[better]][:, None]
-        parts = spent[better] + _PARTS[:, None] * (whole - spent[better])
-        effort = _effort(parts, weights[better])
-        turns = Turns(*way.some(better).turns(parts - spent[better]))
-        cost = effort + around.cost(better, turns, 1)
-        chosen = cost.argmin(axis=1)
-        for row, (one, pick) in enumerate(zip(better.tolist(), chosen.tolist(), strict=True)):
-            unit = some_units[one]
-            small = cost[row, pick] == effort[row, pick] < _SMALL
-            gain = float(cost[row, 0] - cost[row, pick])
-            found[unit.root] = _Tried(gain, parts[row, pick], bool(small), found[unit.root].helps)
+        for row, (gain, stands, small) in self._shortened(around, better, whole, spent, weights, way):
+            root = some_units[row].root
+            found[root] = _Tried(gain, stands, small, found[root].helps)
         return found
+
+    def _shortened(
+        self,
+        around: Surroundings,
+        rows: Indices,
+        whole: Vectors,
+        spent: Vectors,
+        weights: Vectors,
+        way: Joint,
+    ) -> Iterator[tuple[int, tuple[float, Vectors, bool]]]:
+        """Of each turn that helps the part that does best: gain, angles, and whether it is small and free."""
+        # Now every point counts.
+        parts = spent[rows] + _PARTS[:, None] * (whole - spent[rows])
+        effort = _effort(parts, weights[rows])
+        turns = Turns(*way.some(rows).turns(parts - spent[rows]))
+        cost = effort + around.cost(rows, turns, 1)
+        for row, (one, pick) in enumerate(zip(rows.tolist(), cost.argmin(axis=1).tolist(), strict=True)):
+            small = cost[row, pick] == effort[row, pick] < _SMALL
+            yield one, (float(cost[row, 0] - cost[row, pick]), parts[row, pick], bool(small))
 
     def _turned(self, contacts: Indices, best: dict[int, Unit], angles: dict[int, Vectors]) -> Indices:
         """Turn the best unit for each contact, in order, but not where something was turned just now.

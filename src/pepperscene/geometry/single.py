@@ -19,7 +19,7 @@ def single(bodies: Bodies, organ_class: OrganClass, kind: str, surface: str) -> 
         kind: its instance's kind.
         surface: name of its surface.
     """
-    return _mesh(
+    return one_instance(
         bodies.vertices[0], bodies.normals[0], bodies.uv[0], bodies.state[0], bodies.faces,
         organ_class, kind, surface,
     )  # fmt: skip
@@ -54,7 +54,7 @@ def sphere(
     uv = np.stack([longitude, np.arccos(np.clip(normals[:, 2], -1.0, 1.0)) / np.pi], axis=1)
     vertices = np.asarray(centre, dtype=float) + radius_m * normals
     state = np.full(len(vertices), 0.5)
-    return _mesh(vertices, normals, uv, state, np.asarray(body.faces), organ_class, "sphere", surface)
+    return one_instance(vertices, normals, uv, state, np.asarray(body.faces), organ_class, "sphere", surface)
 
 
 def rectangle(
@@ -85,10 +85,10 @@ def rectangle(
     vertices = np.asarray(centre, dtype=float) + (uv - 0.5) @ np.stack([along, rise])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     normals, state = np.tile(normal / area, (4, 1)), np.full(4, 0.5)
-    return _mesh(vertices, normals, uv, state, faces, organ_class, "rectangle", surface)
+    return one_instance(vertices, normals, uv, state, faces, organ_class, "rectangle", surface)
 
 
-def _mesh(
+def one_instance(
     vertices: NDArray[np.float64],
     normals: NDArray[np.float64],
     uv: NDArray[np.float64],
@@ -98,7 +98,18 @@ def _mesh(
     kind: str,
     surface: str,
 ) -> Mesh:
-    """A mesh of one instance and one surface."""
+    """A mesh of one instance and one surface.
+
+    Args:
+        vertices: `(v, 3)` metres, and with them
+        normals: `(v, 3)`,
+        uv: `(v, 2)`,
+        state: `(v,)`.
+        faces: `(f, 3)`.
+        organ_class: class of all faces.
+        kind: its instance's.
+        surface: its name.
+    """
     return Mesh(
         vertices=vertices.astype(np.float32),
         normals=normals.astype(np.float32),

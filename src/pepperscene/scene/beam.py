@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pepperscene.classes import Instance, OrganClass
-from pepperscene.geometry import Mesh
+from pepperscene.geometry import Mesh, one_instance
 
 _SIDES = 12  # chosen: a wire or a pipe is some pixels wide
 
@@ -54,13 +54,11 @@ def beam(section: ArrayLike, ends: tuple[float, float], surface: str, *, smooth:
     fan = np.stack([np.zeros(k - 2, int), np.arange(1, k - 1), np.arange(2, k)], axis=1)
     faces = np.concatenate([quads.reshape(-1, 3), 4 * k + fan[:, ::-1], 5 * k + fan])
     along = np.tile([0.0, 0.0, 1.0, 1.0], k)
-    return _one(
-        np.concatenate([sides[0].reshape(-1, 3), *lids]),
-        np.concatenate([sides[1].reshape(-1, 3), facing]),
-        np.concatenate([np.column_stack([u.ravel(), along]), flat, flat]),
-        faces,
-        surface,
-    )
+    vertices = np.concatenate([sides[0].reshape(-1, 3), *lids])
+    normals = np.concatenate([sides[1].reshape(-1, 3), facing])
+    uv = np.concatenate([np.column_stack([u.ravel(), along]), flat, flat])
+    state = np.full(len(vertices), 0.5)
+    return one_instance(vertices, normals, uv, state, faces, OrganClass.BACKGROUND, "beam", surface)
 
 
 def box(y: tuple[float, float], z: tuple[float, float], ends: tuple[float, float], surface: str) -> Mesh:
@@ -79,24 +77,3 @@ def as_one(mesh: Mesh, organ_class: OrganClass, kind: str) -> Mesh:
     """The mesh as a single instance."""
     whole = np.zeros(len(mesh.faces), dtype=np.uint32)
     return replace(mesh, face_instance=whole, instances=(Instance(organ_class, kind),))
-
-
-def _one(
-    vertices: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    uv: NDArray[np.float64],
-    faces: NDArray[np.integer],
-    surface: str,
-) -> Mesh:
-    """A mesh of one instance and one surface."""
-    return Mesh(
-        vertices=vertices.astype(np.float32),
-        normals=normals.astype(np.float32),
-        uv=uv.astype(np.float32),
-        state=np.full(len(vertices), 0.5, dtype=np.float32),
-        faces=faces.astype(np.uint32),
-        face_instance=np.zeros(len(faces), dtype=np.uint32),
-        face_surface=np.zeros(len(faces), dtype=np.uint8),
-        surfaces=(surface,),
-        instances=(Instance(OrganClass.BACKGROUND, "beam"),),
-    )
