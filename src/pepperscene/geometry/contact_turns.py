@@ -23,7 +23,7 @@ _EVERY: Final = 4  # and of so many by all that they run into
 _FIRST: Final = 4  # chosen: of the cheapest, those that are looked at first
 _FEW: Final = 8  # contacts, chosen: what is tried does not depend on it, only when
 _SMALL: Final = 20.0  # weighted degrees, chosen: a turn that is taken without asking what else could turn
-_PARTS: Final = np.array([0.0, 0.2, 0.4, 0.55, 0.7, 0.8, 0.9, 1.0])  # chosen: of a turn that helps; less may do
+_PARTS: Final = np.array([0.0, 0.2, 0.4, 0.55, 0.7, 0.8, 0.9, 1.0])  # chosen: shares of a turn
 
 
 @dataclass(frozen=True, eq=False)
