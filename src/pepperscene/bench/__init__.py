@@ -1,0 +1,1 @@
+"""Measures the program: against itself, against the reference and against its peers."""

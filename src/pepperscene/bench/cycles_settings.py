@@ -1,0 +1,59 @@
+"""How Cycles is set: what the peers' users choose, from one sample to Blender's own defaults."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True)
+class CyclesSetting:
+    """One way to render a frame with Cycles.
+
+    Attributes:
+        name: in tables and file names.
+        spp: samples per pixel; the most where sampling is adaptive.
+        denoise: whether Open Image Denoise follows, with Cycles' own albedo and normal.
+        bounces: scattering events after the first hit.
+        clamp: most light that a sample may bring indirectly, in shares of full scale; 0 is no limit.
+        adaptive: noise threshold of adaptive sampling; None samples all pixels alike.
+        filter_glossy: Blender's blurring of gloss behind diffuse bounces; 0 is none.
+        frames: with seeds of their own, where the caller's number does not do; None takes that.
+        limit_s: no further frame is begun after so many seconds; 0 is no limit.
+    """
+
+    name: str
+    spp: int
+    denoise: bool
+    bounces: int = 8
+    clamp: float = 0.0
+    adaptive: float | None = None
+    filter_glossy: float = 0.0
+    frames: int | None = None
+    limit_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.spp < 1 or self.bounces < 0 or (self.frames is not None and self.frames < 1):
+            raise ValueError(f"{self.name}: spp and frames must be at least 1, bounces at least 0")
+        if min(self.clamp, self.filter_glossy, self.limit_s, self.adaptive or 0.0) < 0.0:
+            raise ValueError(f"{self.name}: clamp, filter_glossy, adaptive and limit_s must not be negative")
+
+
+STANDARD_SETTINGS: Final[tuple[CyclesSetting, ...]] = (
+    *(CyclesSetting(f"raw {spp}", spp, denoise=False) for spp in (1, 4, 16, 64, 256)),
+    *(CyclesSetting(f"denoised {spp}", spp, denoise=True) for spp in (4, 8, 16, 64)),
+    *(CyclesSetting(f"clamped raw {n}", n, denoise=False, clamp=10.0, filter_glossy=1.0) for n in (16, 64)),
+    CyclesSetting("clamped denoised 16", 16, denoise=True, clamp=10.0, filter_glossy=1.0),
+    CyclesSetting(
+        "Blender's defaults", 4096, denoise=False, bounces=12, clamp=10.0, adaptive=0.01, filter_glossy=1.0
+    ),
+    CyclesSetting(
+        "as BlenderProc", 1024, denoise=True, bounces=3, clamp=10.0, adaptive=0.01, filter_glossy=1.0
+    ),
+)
+"""Plain and denoised sampling, the same with Blender's clamping, a fresh Blender file's settings (adaptive
+up to 4,096 samples, 12 bounces), and BlenderProc's (1,024 adaptive, 3 bounces, denoised)."""
+
+REFERENCE: Final = CyclesSetting("reference", 256, denoise=False, frames=8, limit_s=600.0)
+"""2,048 samples as eight frames with seeds of their own: their spread tells how far their mean can be
+trusted. No further frame is begun after ten minutes."""
