@@ -17,7 +17,7 @@ from pepperscene.camera import Camera
 from pepperscene.render.bsdf import surface_bsdf
 from pepperscene.render.emitters import SpectralTable, daylight_emitter, flash_emitter
 from pepperscene.render.kernel import kernel_mesh
-from pepperscene.render.optics import Optics
+from pepperscene.render.optics import Optics, Point
 from pepperscene.render.response import Response, response
 from pepperscene.render.tables import pack
 from pepperscene.render.variant import kernel
@@ -65,7 +65,7 @@ def path_scene(scene: Scene, camera: Camera, *, sky_weight: float = 0.0) -> Path
     mi, _ = kernel()
     spectral = response(camera, scene)
     first, last = float(spectral.grid_nm[0]), float(spectral.grid_nm[-1])
-    bsdf = surface_bsdf().of(Optics(pack(scene.surfaces, first, last)))
+    bsdf = surface_bsdf().of(_SteadyOptics(pack(scene.surfaces, first, last)))
     parts: dict[str, Any] = {"type": "scene", "plants": kernel_mesh(scene.mesh, bsdf)}
     if camera.flash is not None:
         parts["flash"] = flash_emitter().of(1.0)
@@ -147,6 +147,18 @@ def samples_taken(sampler: str, spp: int) -> int:
         raise ValueError(f"at least one sample per pixel is needed, not {spp}")
     mi, _ = kernel()
     return int(mi.load_dict({"type": sampler, "sample_count": spp}).sample_count())
+
+
+class _SteadyOptics(Optics):
+    """Optics that hold where Mitsuba's interpolation over a triangle fails.
+
+    It solves for the place in the triangle by normal equations, whose determinant is 0 in single precision
+    where a triangle is some thousand times longer than wide, as wires' are. Their state is the same all over.
+    """
+
+    def at(self, si: Any, surface: Any, state: Any, active: Any) -> Point:
+        _, dr = kernel()
+        return super().at(si, surface, dr.select(dr.isfinite(state), state, 0.5), active)
 
 
 class _Rays:
