@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from pepperscene.dataset.facts import about, frame_facts
 from pepperscene.dataset.folder import OutputFolder
@@ -13,7 +16,7 @@ from pepperscene.dataset.recipe import Recipe
 from pepperscene.dataset.recipe_file import load_recipe
 from pepperscene.dataset.stage import RendererFactory, Stage
 from pepperscene.dataset.store import FORMAT, Dataset
-from pepperscene.errors import OutputError
+from pepperscene.dataset.writer import Addition, FrameWriter
 from pepperscene.frame import DEFAULT_OUTPUTS, check_outputs
 
 
@@ -71,7 +74,7 @@ def build(
         outputs: names out of `OUTPUTS`.
         quality: "draft", "standard" or "reference".
         seed: instead of the recipe's.
-        on_frame: called after every frame.
+        on_frame: called after every frame, in order, once it is whole; by then the next one may be rendered.
         renderer: makes the renderer of a scene; None for Mitsuba.
 
     Raises:
@@ -90,12 +93,25 @@ def build(
     folder = OutputFolder(Path(out), about(told, quality, FORMAT))
 
     made: list[int] = []
+    told_of = itertools.count(1)
+
+    def tell(index: int, new: bool) -> None:
+        made.extend([index] if new else [])
+        done = next(told_of)
+        if on_frame is not None:
+            on_frame(Progress(index, done, len(indices), new))
+
     try:
-        for done, index in enumerate(indices, 1):
-            new = _build_frame(stage, folder, told.plan.shot(index), wanted, quality)
-            made += [index] if new else []
-            if on_frame is not None:
-                on_frame(Progress(index, done, len(indices), new))
+        with FrameWriter(folder) as writer:
+            for index in indices:
+                # While this frame is rendered, the one before is written.
+                addition = _addition(stage, folder.dataset, told.plan.shot(index), wanted, quality)
+                writer.finish()
+                if addition is None:
+                    tell(index, False)
+                else:
+                    writer.start(addition, partial(tell, index, True))
+            writer.finish()
     except BaseException:
         folder.undo()
         raise
@@ -103,24 +119,21 @@ def build(
     return BuildResult(folder.dataset, tuple(made), kept)
 
 
-def _build_frame(
-    stage: Stage, folder: OutputFolder, shot: Shot, outputs: Sequence[str], quality: str
-) -> bool:
-    """Add what is missing of one frame; False when nothing is."""
-    facts, there = folder.dataset.intact(shot.index)
+def _addition(
+    stage: Stage, dataset: Dataset, shot: Shot, outputs: Sequence[str], quality: str
+) -> Addition | None:
+    """What is missing of one frame, rendered; None when nothing is."""
+    before, there = dataset.intact(shot.index)
     missing = [name for name in outputs if name not in there]
     if not missing:
-        return False
+        return None
     frame = stage.render(shot, missing, quality)
-    new = frame_facts(frame, shot, stage.recipe.seed)
-    if not new.get("instances"):
-        # Without labels the renderer does not know what is in view; an earlier build may.
-        new["instances"] = facts.get("instances", {})
-    images = {name: frame.images[name] for name in missing}
-    try:
-        folder.prepare(tuple(missing))
-        folder.dataset.commit(shot.index, images, {**facts, **new}, there)
-    except OSError as fault:
-        where = fault.filename or folder.dataset.folder
-        raise OutputError(f"{where}: cannot be written ({fault.strerror or fault})") from None
-    return True
+
+    def facts() -> dict[str, Any]:
+        new = frame_facts(frame, shot, stage.recipe.seed)
+        if not new.get("instances"):
+            # Without labels the renderer does not know what is in view; an earlier build may.
+            new["instances"] = before.get("instances", {})
+        return {**before, **new}
+
+    return Addition(shot.index, {name: frame.images[name] for name in missing}, facts, there)

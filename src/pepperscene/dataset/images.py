@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import CLASS_COLOURS
+from pepperscene.dataset.png import png_bytes
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
 
@@ -27,9 +28,6 @@ _UNITS: Final = {
     "depth_z": "metres along the optical axis",
     "normal": "unit vector in world coordinates",
 }
-_RUNS_ONLY: Final = 3
-"""zlib's Z_RLE. Sensor noise never repeats and labels repeat their left neighbour, so that looking further
-back costs time for nothing (measured on 800x600 colour: 35 ms and 1.04 MB against 48 ms and 1.11 MB)."""
 
 
 def write_image(path: Path, image: NDArray[Any], output: str) -> None:
@@ -67,15 +65,7 @@ def read_image(path: str | Path) -> NDArray[Any]:
 
 
 def _write_png(path: Path, image: NDArray[Any], output: str) -> None:
-    from PIL import Image
-
-    picture = Image.fromarray(image)
-    options: dict[str, Any] = {"compress_level": 1, "compress_type": _RUNS_ONLY}
-    if output == "class":
-        picture.putpalette([channel for colour in CLASS_COLOURS for channel in colour])
-        options["bits"] = 8
-    with path.open("wb") as file:
-        picture.save(file, format="PNG", **options)
+    path.write_bytes(png_bytes(image, CLASS_COLOURS if output == "class" else None))
 
 
 def _read_png(path: Path) -> NDArray[Any]:

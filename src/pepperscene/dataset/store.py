@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from concurrent.futures import Executor, wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -95,6 +96,7 @@ class Dataset:
         images: Mapping[str, NDArray[Any]],
         facts: Mapping[str, Any],
         kept: Mapping[str, Any],
+        pool: Executor,
     ) -> None:
         """Add a frame, or outputs to a frame: first the images, then the JSON that makes them count.
 
@@ -105,23 +107,30 @@ class Dataset:
             images: arrays by output name.
             facts: the whole JSON but for its `outputs`.
             kept: entries of the outputs that are there already.
+            pool: writes the images, several at a time: what takes long (compressing, hashing, waiting for the
+                disk) is done without Python's lock.
 
         Raises:
             OSError: a file cannot be written.
         """
-        outputs = dict(kept)
-        written: list[Path] = []
         try:
-            for output, image in images.items():
-                path = self.folder / file_name(index, output)
-                written.append(path)
-                with replacing(path) as temporary:
-                    outputs[output] = written_image(temporary, image, output, file_name(index, output))
-            write_json(self.frame_path(index), {**facts, "outputs": outputs})
+            written = {
+                output: pool.submit(self._write, index, output, image) for output, image in images.items()
+            }
+            # All must have come to an end before a fault of one is told: nobody writes behind our back.
+            wait(written.values())
+            new = {output: entry.result() for output, entry in written.items()}
+            write_json(self.frame_path(index), {**facts, "outputs": {**kept, **new}})
         except BaseException:
-            for path in written:
-                path.unlink(missing_ok=True)
+            for output in images:
+                (self.folder / file_name(index, output)).unlink(missing_ok=True)
             raise
+
+    def _write(self, index: int, output: str, image: NDArray[Any]) -> dict[str, Any]:
+        """Put one image in its place, and tell what the frame's JSON says of it."""
+        name = file_name(index, output)
+        with replacing(self.folder / name) as temporary:
+            return written_image(temporary, image, output, name)
 
 
 def written_image(path: Path, image: NDArray[Any], output: str, name: str) -> dict[str, Any]:

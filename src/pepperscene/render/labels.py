@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,11 @@ from pepperscene.camera import Camera
 from pepperscene.geometry import Mesh
 from pepperscene.render.variant import kernel
 from pepperscene.render.view import View
+from pepperscene.truth import class_colour, distance_code
+
+_TILE: Final = 4
+"""Pixels along a tile's sides. Rays are handed to Embree in packets of 16: those of a square stay together
+longer than those of a line (800x600, 2.9 million triangles: 33 ms of processor time against 44)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,21 +36,69 @@ class Hits:
 def first_hits(scene: Any, view: View) -> Hits:
     """One ray per pixel against the scene; no material, light or attribute is touched."""
     mi, dr = kernel()
-    pixel = dr.arange(mi.UInt32, view.width * view.height)
-    row = pixel // view.width
-    towards = view.directions(pixel - row * view.width, row, mi.Float(0.5), mi.Float(0.5))
+    across, down = -(-view.width // _TILE), -(-view.height // _TILE)
+    lane = dr.arange(mi.UInt32, across * down * _TILE**2)
+    tile, place = lane // _TILE**2, lane % _TILE**2
+    # Tiles that reach over the edge see its last pixels again.
+    row = dr.minimum(tile // across * _TILE + place // _TILE, view.height - 1)
+    column = dr.minimum(tile % across * _TILE + place % _TILE, view.width - 1)
+    towards = view.directions(column, row, mi.Float(0.5), mi.Float(0.5))
     found = scene.ray_intersect_preliminary(mi.Ray3f(view.origin, towards), coherent=True)
     hit = found.is_valid()
-    distance = dr.select(hit, found.t, dr.inf)
-    face = dr.select(hit, mi.Int32(found.prim_index), -1)
+    pixels = view.width * view.height
+    distance, face = dr.empty(mi.Float, pixels), dr.empty(mi.Int32, pixels)
+    dr.scatter(distance, dr.select(hit, found.t, dr.inf), row * view.width + column)
+    dr.scatter(face, dr.select(hit, mi.Int32(found.prim_index), -1), row * view.width + column)
     dr.eval(distance, face)
+    # Copies: a frame may be kept, or read by another thread, while the kernel's memory goes on to the next.
     shape = (view.height, view.width)
-    return Hits(np.asarray(face).reshape(shape).astype(np.int64), np.asarray(distance).reshape(shape))
+    return Hits(np.asarray(face).reshape(shape).astype(np.int64), np.array(distance).reshape(shape))
+
+
+def truths(
+    mesh: Mesh, hits: Hits, instance: NDArray[np.uint16], camera: Camera, wanted: Sequence[str]
+) -> dict[str, NDArray[Any]]:
+    """Images by output name: those of `wanted` that need no light.
+
+    Args:
+        mesh: that was hit.
+        hits: behind the camera's pixels.
+        instance: what `instance_ids` makes of them.
+        camera: that looks.
+        wanted: names of outputs.
+    """
+    makers: dict[str, Callable[[], NDArray[Any]]] = {
+        "class": lambda: _class_of(mesh, instance),
+        "class_colour": lambda: class_colour(_class_of(mesh, instance)),
+        "instance": lambda: instance,
+        "distance": lambda: hits.distance,
+        "distance_code": lambda: distance_code(hits.distance),
+        "depth_z": lambda: depth_z(hits, camera),
+        "normal": lambda: normals(mesh, hits, camera),
+    }
+    return {name: make() for name, make in makers.items() if name in wanted}
+
+
+def instances_in_view(mesh: Mesh, instance: NDArray[np.uint16]) -> dict[str, dict[str, Any]]:
+    """Class, kind, plant, phytomer and parent of each instance that has a pixel, by pixel value."""
+    pixels = np.bincount(instance.ravel())
+    pixels[0] = 0
+    return {
+        str(value): {
+            "class": int(mesh.instances[value - 1].organ_class),
+            "kind": mesh.instances[value - 1].kind,
+            "plant": mesh.instances[value - 1].plant,
+            "phytomer": mesh.instances[value - 1].phytomer,
+            "parent": mesh.instances[value - 1].parent + 1,
+            "pixels": int(pixels[value]),
+        }
+        for value in np.flatnonzero(pixels).tolist()
+    }
 
 
 def class_ids(mesh: Mesh, hits: Hits) -> NDArray[np.uint8]:
     """`(h, w)` the `OrganClass` at each pixel; 0 in the background."""
-    return _by_face(np.append(mesh.face_class, np.uint8(0)), hits)
+    return _class_of(mesh, instance_ids(mesh, hits))
 
 
 def instance_ids(mesh: Mesh, hits: Hits) -> NDArray[np.uint16]:
@@ -55,17 +109,31 @@ def instance_ids(mesh: Mesh, hits: Hits) -> NDArray[np.uint16]:
     """
     if len(mesh.instances) > np.iinfo(np.uint16).max:
         raise ValueError(f"{len(mesh.instances)} instances do not fit into a 16-bit image")
-    return _by_face(np.append(mesh.face_instance + 1, 0).astype(np.uint16), hits)
+    # The background looks up the last face, and is overwritten.
+    found = mesh.face_instance[hits.face].astype(np.uint16)
+    found += 1
+    found[hits.face < 0] = 0
+    return found
 
 
 def normals(mesh: Mesh, hits: Hits, camera: Camera) -> NDArray[np.float32]:
-    """`(h, w, 3)` unit geometric normals in the world, on the side that the camera sees; 0 without a hit."""
-    corners = mesh.vertices[mesh.faces[np.maximum(hits.face, 0)]].astype(np.float64)
-    normal = np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
-    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-300)
-    towards = camera.pixel_directions() @ camera.pose[:3, :3].T
-    normal *= -np.sign(np.sum(normal * towards, axis=-1, keepdims=True))
-    return np.where(hits.face[..., None] >= 0, normal, 0.0).astype(np.float32)
+    """`(h, w, 3)` unit geometric normals in the world, on the side that the camera sees; 0 without a hit.
+
+    In double precision, because the difference of two products of needle-like edges loses digits; and once
+    per triangle, because a triangle in view covers several pixels. Each axis lies in one piece in memory.
+    """
+    faces, place = _seen(hits.face, len(mesh.faces))
+    first, second, third = (
+        mesh.vertices[mesh.faces[faces, corner]].astype(np.float64) for corner in range(3)
+    )
+    normal = _cross((second - first).T, (third - first).T)
+    # The camera sees a triangle from the side of its plane that it is on itself.
+    normal *= np.where(np.sum(normal * (camera.pose[:3, 3] - first).T, axis=0) < 0.0, -1.0, 1.0)
+    normal /= np.maximum(np.sqrt(np.sum(normal * normal, axis=0)), 1e-300)
+    # The background is told by the entry behind the last face.
+    table = np.zeros((3, len(faces) + 1), np.float32)
+    table[:, :-1] = normal
+    return np.moveaxis(np.stack([np.take(axis, place) for axis in table]), 0, -1)
 
 
 def depth_z(hits: Hits, camera: Camera) -> NDArray[np.float32]:
@@ -73,6 +141,26 @@ def depth_z(hits: Hits, camera: Camera) -> NDArray[np.float32]:
     return (hits.distance * camera.pixel_directions()[..., 2]).astype(np.float32)
 
 
-def _by_face(of_face: NDArray[Any], hits: Hits) -> NDArray[Any]:
-    """A per-face value at each pixel; the last entry, which index -1 finds, is the background's."""
-    return of_face[hits.face]
+def _class_of(mesh: Mesh, instance: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """The class of each pixel's instance: a table of thousands of entries instead of one of all faces."""
+    table = np.array([0, *(one.organ_class for one in mesh.instances)], dtype=np.uint8)
+    return np.take(table, instance)
+
+
+def _seen(face: NDArray[np.int64], count: int) -> tuple[NDArray[np.intp], NDArray[np.uint32]]:
+    """The faces in view, ascending, and each pixel's place among them; the background's is the last."""
+    # One entry more than there are faces: the one that index -1 finds.
+    seen = np.zeros(count + 1, dtype=bool)
+    seen[face] = True
+    seen[-1] = False
+    faces = np.flatnonzero(seen)
+    # What is not written here is not read, so that memory is touched only where faces are in view.
+    place = np.empty(count + 1, dtype=np.uint32)
+    place[faces] = np.arange(len(faces), dtype=np.uint32)
+    place[-1] = len(faces)
+    return faces, place[face]
+
+
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cross products of `(3, n)` vectors."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
