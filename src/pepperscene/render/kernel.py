@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pepperscene.geometry import Mesh
-from pepperscene.render.bsdf import surface_bsdf
 from pepperscene.render.optics import Optics
 from pepperscene.render.tables import pack
+from pepperscene.render.upload import device_table
 from pepperscene.render.variant import kernel
 from pepperscene.scene import Scene
 
@@ -24,7 +25,8 @@ def kernel_mesh(mesh: Mesh, bsdf: Any | None = None) -> Any:
 
     Args:
         mesh: world coordinates, metres.
-        bsdf: None where rays only need to hit (ground truth); then no attributes are attached either.
+        bsdf: the plugin, for Mitsuba's own integrators; it finds state and surface in attributes. None where
+            rays only need to hit: ours reads both from a table of its own.
     """
     mi, _ = kernel()
     props = mi.Properties()
@@ -41,7 +43,8 @@ def kernel_mesh(mesh: Mesh, bsdf: Any | None = None) -> Any:
     params = mi.traverse(shape)
     params["vertex_positions"] = np.ascontiguousarray(mesh.vertices, np.float32).ravel()
     params["vertex_normals"] = np.ascontiguousarray(mesh.normals, np.float32).ravel()
-    params["vertex_texcoords"] = np.ascontiguousarray(mesh.uv, np.float32).ravel()
+    # The one buffer that the kernel fetches in packets; the others it shares with the mesh itself.
+    params["vertex_texcoords"] = device_table(mesh.uv)
     params["faces"] = np.ascontiguousarray(mesh.faces, np.uint32).ravel()
     params.update()
     if bsdf is not None:
@@ -61,22 +64,45 @@ class LightScene:
 
     Attributes:
         scene: of Mitsuba.
+        shape: its only one.
         optics: of its surfaces.
         corners: `(f * 4,)` states of each triangle's three corners, and the number of its surface: all that
             a hit needs of the mesh's attributes, in one fetch.
     """
 
     scene: Any
+    shape: Any
     optics: Optics
     corners: Any
 
-    def point(self, si: Any, hit: Any, active: Any) -> Any:
-        """The optical state at surface interactions `si` that the preliminary hits `hit` led to."""
+    def interaction(self, ray: Any, hit: Any, active: Any) -> Any:
+        """The surface interactions that the preliminary hits `hit` of rays lead to.
+
+        What `hit.compute_surface_interaction(ray, RayFlags.All, active)` finds, but asked of the one shape
+        there is instead of by a call through a pointer: the code is inlined, what nobody reads is left out,
+        and it stays the same where another scene is still in memory.
+        """
+        mi, dr = kernel()
+        si = self.shape.compute_surface_interaction(ray, hit, mi.RayFlags.All, active)
+        si.time, si.wavelengths = ray.time, ray.wavelengths
+        si.initialize_sh_frame()
+        si.wi = dr.select(active, si.to_local(-ray.d), -ray.d)
+        return si
+
+    def point(self, si: Any, hit: Any, active: Any, optics: Optics | None = None) -> Any:
+        """The optical state at surface interactions `si` that the preliminary hits `hit` led to.
+
+        Args:
+            si: interactions.
+            hit: preliminary ones that led there.
+            active: mask.
+            optics: another view of the scene's surfaces, or None for their spectra.
+        """
         mi, dr = kernel()
         corner = dr.gather(mi.Vector4f, self.corners, hit.prim_index, active)
         u, v = hit.prim_uv.x, hit.prim_uv.y
         state = corner.x * (1.0 - u - v) + corner.y * u + corner.z * v
-        return self.optics.at(si, mi.UInt32(corner.w), state, active)
+        return (optics or self.optics).at(si, mi.UInt32(corner.w), state, active)
 
 
 def light_scene(scene: Scene, first_nm: float, last_nm: float) -> LightScene:
@@ -90,9 +116,17 @@ def light_scene(scene: Scene, first_nm: float, last_nm: float) -> LightScene:
     mi, _ = kernel()
     mesh = scene.mesh
     optics = Optics(pack(scene.surfaces, first_nm, last_nm))
-    corners = np.column_stack([mesh.state[mesh.faces], mesh.face_surface]).astype(np.float32)
-    built = mi.load_dict({"type": "scene", "plants": kernel_mesh(mesh, surface_bsdf().of(optics))})
-    return LightScene(built, optics, mi.Float(corners.ravel()))
+    shape = kernel_mesh(mesh)
+    built = mi.load_dict({"type": "scene", "plants": shape})
+    return LightScene(built, shape, optics, device_table(_corners(mesh)))
+
+
+def _corners(mesh: Mesh) -> NDArray[np.float32]:
+    """`(f, 4)` states of each triangle's corners, and the number of its surface."""
+    corners = np.empty((len(mesh.faces), 4), np.float32)
+    np.take(mesh.state, mesh.faces, out=corners[:, :3])
+    corners[:, 3] = mesh.face_surface
+    return corners
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,13 +153,14 @@ def sky_tables(scene: Scene, grid_nm: np.ndarray) -> SkyTables | None:
     sky = scene.sky
     if sky is None or (sky.sun is None and not sky.weights.any()):
         return None
-    weights = mi.Texture2f(
-        mi.TensorXf(np.ascontiguousarray(np.moveaxis(sky.weights, 0, -1))), wrap_mode=dr.WrapMode.Repeat
-    )
-    radiance = tuple(mi.Float(row) for row in sky.radiance.at(grid_nm))
+    texels = np.moveaxis(sky.weights, 0, -1)
+    weights = mi.Texture2f(mi.TensorXf(device_table(texels), texels.shape), wrap_mode=dr.WrapMode.Repeat)
+    radiance = tuple(device_table(row) for row in sky.radiance.at(grid_nm))
     if sky.sun is None:
         return SkyTables(weights, radiance)
     towards = mi.Vector3f(*(float(x) for x in sky.sun.direction))
     cosine = mi.Float(float(np.cos(sky.sun.angular_radius)))
     dr.make_opaque(towards, cosine)
-    return SkyTables(weights, radiance, mi.Frame3f(towards), cosine, mi.Float(sky.sun.irradiance.at(grid_nm)))
+    return SkyTables(
+        weights, radiance, mi.Frame3f(towards), cosine, device_table(sky.sun.irradiance.at(grid_nm))
+    )

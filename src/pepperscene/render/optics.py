@@ -38,8 +38,11 @@ import math
 from dataclasses import dataclass
 from typing import Any, Final
 
+import numpy as np
+
 from pepperscene.materials.gloss import NODE_SCALE, NODES
 from pepperscene.render.tables import STEP_NM, SurfaceTables
+from pepperscene.render.upload import device_number, device_table
 from pepperscene.render.variant import kernel
 
 _NODES_PER_LOG: Final = (NODES - 1) / math.log1p(1.0 / NODE_SCALE)
@@ -52,20 +55,18 @@ class Optics:
     """The surface tables of a scene on the device."""
 
     def __init__(self, tables: SurfaceTables) -> None:
-        mi, dr = kernel()
-        self.first_nm = mi.Float(tables.first_nm)
-        self.columns = mi.UInt32(tables.columns)
-        self.spectra = mi.Float(tables.spectra)
-        self.first_row = mi.UInt32(tables.first_row)
-        self.last_state = mi.Float(tables.last_state)
-        self.sides = mi.Float(tables.sides)
-        self.openness = mi.Float(tables.openness)
-        self.details = mi.Float(tables.details)
-        self.first_texel = mi.UInt32(tables.first_texel)
-        self.width = mi.UInt32(tables.width)
-        self.height = mi.UInt32(tables.height)
         # Literals would be compiled into the kernel, and every new scene would compile anew.
-        dr.make_opaque(self.first_nm, self.columns)
+        self.first_nm = device_number(tables.first_nm)
+        self.columns = device_number(tables.columns, whole=True)
+        self.spectra = device_table(tables.spectra)
+        self.first_row = device_table(tables.first_row, np.uint32)
+        self.last_state = device_table(tables.last_state)
+        self.sides = device_table(tables.sides)
+        self.openness = device_table(tables.openness)
+        self.details = device_table(tables.details)
+        self.first_texel = device_table(tables.first_texel, np.uint32)
+        self.width = device_table(tables.width, np.uint32)
+        self.height = device_table(tables.height, np.uint32)
 
     def at(self, si: Any, surface: Any, state: Any, active: Any) -> Point:
         """The optical state at surface interactions.
