@@ -208,7 +208,7 @@ def test_entire_margins_have_no_lobes():
 
 
 @pytest.mark.parametrize(
-    ("detail", "low", "high"), [(0.3, 150, 400), (0.5, 250, 600), (1.0, 1000, 1400), (2.0, 3500, 6000)]
+    ("detail", "low", "high"), [(0.3, 150, 400), (0.5, 200, 500), (1.0, 500, 800), (2.0, 2000, 3200)]
 )
 def test_detail_sets_the_number_of_triangles(detail, low, high):
     assert low <= len(blade_grid(detail, 0.0).faces) <= high

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 CROWN_STEPS = 14  # chosen: heights of a crown are a few tenths of a millimetre right between them
-CROWN_COLUMNS = 40  # chosen: as many as a fruit has columns
+CROWN_COLUMNS = 36  # chosen: as many as a fruit has columns
 CROWN = 0.92  # chosen: part of the outline that a crown tells; beyond it the wall turns down too steeply
 _STEEPEST = 1.2  # chosen: how steeply a sepal that is longer than its fruit is wide goes on downwards
 

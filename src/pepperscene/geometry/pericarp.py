@@ -78,7 +78,7 @@ class Pericarps:
 
 def fruit_columns(detail: float) -> int:
     """Vertices around a fruit."""
-    return 4 * fineness(10, detail, 3)
+    return 4 * fineness(9, detail, 3)
 
 
 def pericarps(organs: Sequence[Organ], detail: float) -> Pericarps:
@@ -96,7 +96,7 @@ def pericarps(organs: Sequence[Organ], detail: float) -> Pericarps:
     point = np.clip(measure(organs, "point", 0.0), 0.0, 1.0)[:, None, None]
     # What lets a fruit look blocky: without furrows it is round and even.
     blocky = (lobed**2 / (lobed**2 + 0.1))[:, None, None]
-    profile = _profile(organs, blocky[..., 0], diameter / length, fineness(25, detail, 6))
+    profile = _profile(organs, blocky[..., 0], diameter / length, fineness(24, detail, 6))
     width, level, top, low = (
         part[..., None] for part in (profile.width, profile.level, profile.top, profile.low)
     )
