@@ -16,8 +16,8 @@ from pepperscene.materials.venation import PAIRS
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-# Chosen so that detail 1 gives some 650 triangles, of 5 to 10 mm on a blade of 135 mm. Half of its surface then
-# lies within 0.1 mm of that of detail 4, a ninth of a pixel from 40 cm; from 10 cm both look alike.
+# Chosen so that detail 1 gives some 650 triangles, of 5 to 10 mm on a blade of 135 mm. Half of its surface
+# then lies within 0.1 mm of that of detail 4, a ninth of a pixel from 40 cm; from 10 cm both look alike.
 _FAN: Final = 5  # rows below the first vein
 _PER_VEIN: Final = 3  # rows from one vein to the next: the vein and the flanks of the bulge
 _SIDE: Final = 6  # columns in each half, the fewest that show how tertiary veins part bulges
