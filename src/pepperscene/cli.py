@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, ParamSpec, TypeVar
 
 import typer
 
-from pepperscene.errors import EXIT_BAD_INPUT, PepperError
+from pepperscene.errors import EXIT_BAD_INPUT, InputError, PepperError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, check_outputs
 from pepperscene.version import __version__
 
@@ -206,6 +206,50 @@ def plant(
 
 @app.command()
 @_explained
+def bench(
+    out: Annotated[Path, typer.Option(help="Folder of tables and plots; made when missing.")],
+    scene: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES", help="Of near, standard and dense; all, with --scaling standard, if left out."
+        ),
+    ] = None,
+    runs: Annotated[int, typer.Option(help="Timed frames of each setting.")] = 5,
+    budget: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="About how long it may take.")
+    ] = None,
+    size: Annotated[
+        str | None, typer.Option(metavar="WxH", help="Of the pictures, instead of the cameras' own.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Few settings, a coarse reference.")] = False,
+    peers: Annotated[bool, typer.Option("--peers", help="Measure Blender Cycles as well.")] = False,
+    profile: Annotated[
+        bool, typer.Option("--profile", help="Instead: a frame by stage, from the import on.")
+    ] = False,
+    scaling: Annotated[
+        bool,
+        typer.Option("--scaling", help="Instead: against plants, triangles, pixels, frames and workers."),
+    ] = False,
+) -> None:
+    """Measure run time against error on this machine, with a plot and tables."""
+    from pepperscene import bench as room
+
+    names = ("standard" if scaling else ",".join(room.SCENES)) if scene is None else scene
+    asked = room.scenes_named(names), None if size is None else room.size_of(size)
+    if profile and scaling:
+        raise InputError("--profile", "", None, "goes without --scaling; one at a time")
+    if profile or scaling:
+        measure = room.profile if profile else room.scaling
+        done = measure(out, *asked, runs=runs, quick=quick, told=_told)
+    else:
+        done = room.bench(out, *asked, runs=runs, budget_s=budget, quick=quick, peers=peers, told=_told)
+    typer.echo(done.markdown)
+    for path in done.files:
+        typer.echo(path, err=True)
+
+
+@app.command()
+@_explained
 def cultivars() -> None:
     """List the shipped cultivars."""
     from pepperscene.cultivar import load_cultivar
@@ -280,6 +324,11 @@ def _progress() -> Iterator[Callable[[Progress], None]]:
             bar.update(task, completed=told.done, total=told.total, description=f"frame {told.index:06d}")
 
         yield step
+
+
+def _told(text: str) -> None:
+    """A line of progress, beside what is printed for keeps."""
+    typer.echo(text, err=True)
 
 
 def _plain_line(told: Progress) -> None:

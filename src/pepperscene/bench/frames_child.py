@@ -1,0 +1,179 @@
+"""Frames of a scene in a process of its own, stage by stage, with what a process does only once.
+
+Run as `python -m pepperscene.bench.frames_child JSON`; it prints one line of JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from time import perf_counter
+from typing import Any, Final
+
+BEGAN: Final = perf_counter()
+
+PLANT_STAGES: Final = ("grow", "mesh", "twine", "settle plants")
+"""Of a plant; they run inside the placing of a row."""
+
+LIGHT_STAGES: Final = ("trace", "denoise", "develop")
+"""Of a frame; what is left of its time are labels."""
+
+Times = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a child is to render.
+
+    Attributes:
+        recipe: shipped name.
+        changes: of its values.
+        index: of the first frame; the next ones follow on the path.
+        size: of the picture, or None for the camera's own.
+        frames: after the first.
+        outputs: of each frame.
+        quality: of each frame.
+        divided: how often each triangle is cut into four, which leaves the picture as it is.
+        encode: whether images are written, as a build does.
+    """
+
+    recipe: str
+    changes: dict[str, Any] = field(default_factory=dict)
+    index: int = 0
+    size: tuple[int, int] | None = None
+    frames: int = 1
+    outputs: tuple[str, ...] = ("colour", "class", "instance", "distance", "distance_code")
+    quality: str = "standard"
+    divided: int = 0
+    encode: bool = True
+
+
+@contextmanager
+def timed(times: Times, what: str) -> Iterator[None]:
+    """Add the seconds that the block takes to `times[what]`."""
+    start = perf_counter()
+    yield
+    times[what] = times.get(what, 0.0) + perf_counter() - start
+
+
+def clocked(times: Times, what: str, inner: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, with its time added up."""
+
+    def call(*args: Any, **kwargs: Any) -> Any:
+        with timed(times, what):
+            return inner(*args, **kwargs)
+
+    return call
+
+
+def clock_plants(times: Times) -> None:
+    """Clock what makes a plant wherever it is called from here on; `settle` of single plants alone."""
+    from pepperscene import geometry, grammar, scene
+
+    grammar.grow = clocked(times, "grow", grammar.grow)
+    geometry.mesh_plant = clocked(times, "mesh", geometry.mesh_plant)
+    scene.with_twine = clocked(times, "twine", scene.with_twine)
+    settle = geometry.settle
+
+    def settled(*args: Any, between_plants: bool = False, **kwargs: Any) -> Any:
+        if between_plants:
+            return settle(*args, between_plants=True, **kwargs)
+        with timed(times, "settle plants"):
+            return settle(*args, **kwargs)
+
+    geometry.settle = settled
+
+
+def clock_light(times: Times) -> None:
+    """Clock the steps of a photograph, and the making of the kernel's scene."""
+    from pepperscene.render import renderer
+
+    steps = {"kernel scene": "light_scene", "trace": "trace", "denoise": "denoised", "develop": "develop"}
+    for what, name in steps.items():
+        setattr(renderer, name, clocked(times, what, getattr(renderer, name)))
+
+
+def frames(asked: Asked) -> dict[str, Any]:
+    """Render them; seconds by stage for the scene, the first frame and each of the next ones."""
+    import tempfile
+    from pathlib import Path
+
+    scene_times: Times = {}
+    with timed(scene_times, "import"):
+        import pepperscene as ps
+        from pepperscene.bench.machine import peak_mib
+        from pepperscene.bench.scenes import resized
+        from pepperscene.dataset import Stage
+        from pepperscene.frame import OUTPUTS, check_outputs
+        from pepperscene.render import renderer as _  # noqa: F401
+        from pepperscene.render.variant import kernel, variant_name
+    with timed(scene_times, "start Mitsuba"):
+        kernel()
+    outputs = check_outputs(asked.outputs)
+    traced = any(OUTPUTS[name].traced for name in outputs)
+
+    clock_plants(scene_times)
+    recipe = ps.load_recipe(asked.recipe, asked.changes)
+    plan, stage = recipe.plan, Stage(recipe)
+    shot = plan.shot(asked.index)
+    scene = _scene(stage, shot, traced, asked.divided, scene_times)
+
+    steps: Times = {}
+    clock_light(steps)
+    renderer = ps.Renderer(scene)
+    begin, found, peaks = asked.index - shot.step, [], []
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(asked.frames + 1):
+            view = plan.shot(begin + (shot.step + number) % plan.frames)
+            camera = resized(stage.camera(view), asked.size)
+            steps.clear()
+            with timed(steps, "render"):
+                frame = renderer.render(camera, outputs, asked.quality, number)
+            if asked.encode:
+                with timed(steps, "encode"):
+                    for name, image in frame.images.items():
+                        ps.write_image(Path(folder) / f"{name}{OUTPUTS[name].suffix}", image, name)
+            steps["labels"] = steps.pop("render") - sum(
+                steps.get(what, 0.0) for what in (*LIGHT_STAGES, "kernel scene")
+            )
+            if "kernel scene" in steps:
+                scene_times["kernel scene"] = steps.pop("kernel scene")
+            found.append(dict(steps))
+            peaks.append(peak_mib())
+    return {
+        "asked": asdict(asked),
+        "scene": scene_times,
+        "frames": found,
+        "peaks_mib": peaks,
+        "whole_s": perf_counter() - BEGAN,
+        "triangles": len(scene.mesh.faces),
+        "size": [camera.width, camera.height],
+        "variant": variant_name(),
+    }
+
+
+def _scene(stage: Any, shot: Any, traced: bool, divided: int, times: Times) -> Any:
+    """The scene, with the time for its plants told apart from that for placing and settling the row."""
+    from dataclasses import replace
+
+    from pepperscene.bench.finer import quartered
+
+    planted = stage._planting.scene
+    stage._planting.scene = clocked(times, "place and settle row", planted)
+    with timed(times, "surfaces and sky"):
+        scene = stage.scene(shot, traced=traced)
+    times["surfaces and sky"] -= times["place and settle row"]
+    times["place and settle row"] -= sum(times[what] for what in PLANT_STAGES if what in times)
+    for _ in range(divided):
+        scene = replace(scene, mesh=quartered(scene.mesh))
+    return scene
+
+
+if __name__ == "__main__":
+    wanted = json.loads(sys.argv[1])
+    wanted["size"] = None if wanted["size"] is None else tuple(wanted["size"])
+    wanted["outputs"] = tuple(wanted["outputs"])
+    sys.stdout.write(json.dumps(frames(Asked(**wanted))) + "\n")

@@ -1,0 +1,112 @@
+"""Blender Cycles on the bench's scenes, measured by the same yardsticks against its own converged picture."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.bench.cycles import available, bpy_python, render_cycles
+from pepperscene.bench.cycles_settings import REFERENCE, STANDARD_SETTINGS, CyclesSetting
+from pepperscene.bench.kept import read_arrays, write_arrays
+from pepperscene.bench.measuring import Measured, Told
+from pepperscene.bench.metrics import codes, errors, rms
+from pepperscene.bench.subject import Subject
+from pepperscene.errors import SetupError
+
+CYCLES: Final = "Cycles"
+
+_QUICK: Final = (
+    CyclesSetting("raw 1", 1, denoise=False),
+    CyclesSetting("raw 4", 4, denoise=False),
+    CyclesSetting("denoised 4", 4, denoise=True),
+)
+_QUICK_REFERENCE: Final = CyclesSetting("reference", 64, denoise=False, frames=2)
+
+
+def check_peers() -> None:
+    """Find out before anything is measured whether Cycles is there.
+
+    Raises:
+        SetupError: it is not.
+    """
+    if not available():
+        raise SetupError(
+            f"--peers needs bpy, which {bpy_python()} does not have: install the extra 'peers' into an "
+            "environment of Python 3.11 and name its Python in PEPPERSCENE_BPY_PYTHON"
+        )
+
+
+def measure_cycles(
+    subject: Subject, folder: Path, *, quick: bool, flip: bool = True, told: Told = lambda _: None
+) -> tuple[list[Measured], float | None]:
+    """Cycles' settings on a subject, and the estimated error of its reference in codes (None: not known).
+
+    Args:
+        subject: whose scene and camera it renders.
+        folder: of the cache, where its converged picture is kept.
+        quick: few and cheap settings.
+        flip: whether to take FLIP.
+        told: is told how it goes.
+
+    Raises:
+        SetupError: there is no bpy, or Blender failed.
+        OSError: the cache cannot be written to.
+    """
+    wanted = _QUICK_REFERENCE if quick else REFERENCE
+    asked = _QUICK if quick else STANDARD_SETTINGS
+    cache = folder / f"{subject.name}_cycles_{_digest(subject, wanted)}.npz"
+    kept = read_arrays(cache)
+    told(f"{subject.name}: Cycles, {len(asked)} settings{'' if kept else ' and its reference'}")
+    runs = render_cycles(
+        subject.scene, subject.camera, asked if kept else (*asked, wanted), folder / f"{subject.name}_cycles"
+    )
+    if kept is None:
+        images = np.asarray(runs.pop().images, float)
+        kept = {"electrons": images.mean(axis=0), "error_codes": np.array(_apart(images, subject))}
+        write_arrays(cache, **kept)
+    reference, apart = kept["electrons"], float(kept["error_codes"])
+    found = []
+    for run in runs:
+        wrong = errors(run.image, reference, subject.camera, flip=flip)
+        told(f"{subject.name}: Cycles, {run.setting.name}: {wrong.rmse_codes:.2f} codes, {run.seconds:.2f} s")
+        found.append(
+            Measured(
+                scene=subject.name,
+                family=family(run.setting),
+                name=run.setting.name,
+                effort=dataclasses.asdict(run.setting),
+                errors=wrong,
+                seconds=(run.seconds,),
+                first_s=run.seconds + run.fixed_seconds,
+                variant=f"Blender {run.blender}",
+                peak_mib=run.peak_mib,
+            )
+        )
+    return found, None if np.isnan(apart) else apart
+
+
+def family(setting: CyclesSetting) -> str:
+    """Which line of the plot a setting belongs to."""
+    parts = ["adaptive"] if setting.adaptive is not None else ["clamped"] if setting.clamp else []
+    parts.append("denoised" if setting.denoise else "raw")
+    return f"{CYCLES}, {' '.join(parts)}"
+
+
+def _apart(images: NDArray[np.float64], subject: Subject) -> float:
+    """Estimated RMSE of the mean of independent frames, in codes: half of how far two halves are apart."""
+    if len(images) < 2:
+        return float("nan")
+    halves = [images[part::2].mean(axis=0) for part in (0, 1)]
+    return rms(codes(halves[0], subject.camera) - codes(halves[1], subject.camera)) / 2
+
+
+def _digest(subject: Subject, setting: CyclesSetting) -> str:
+    import hashlib
+
+    told = json.dumps(dataclasses.asdict(setting), sort_keys=True)
+    return hashlib.sha256(f"{subject.digest()}{told}".encode()).hexdigest()[:20]

@@ -1,0 +1,141 @@
+"""Where the time of a frame goes: stage by stage, the first frame of a scene and those that follow."""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from pepperscene.bench.against_error import LEAST_RUNS, Bench, check_arguments
+from pepperscene.bench.children import in_child, seconds_of
+from pepperscene.bench.frames_child import Asked
+from pepperscene.bench.machine import machine, sentence
+from pepperscene.bench.measuring import Told
+from pepperscene.bench.records import FORMAT, plain, write_all
+from pepperscene.bench.scenes import SCENES, BenchScene
+from pepperscene.bench.tables import time_table
+from pepperscene.dataset.atomic import json_bytes
+
+LABELS: Final = ("class", "instance", "distance")
+_FRAME: Final = ("trace", "denoise", "develop", "labels", "encode")
+_SETTLE: Final = ("settle plants", "place and settle row")
+
+
+def profile(
+    out: str | Path,
+    scenes: Sequence[BenchScene] = tuple(SCENES.values()),
+    size: tuple[int, int] | None = None,
+    *,
+    runs: int = LEAST_RUNS,
+    quick: bool = False,
+    told: Told = lambda _: None,
+) -> Bench:
+    """Measure the stages of first and following frames, labels alone, and the start-up; write `profile.*`.
+
+    Args, Raises: as `bench`; no extra is needed. `quick` takes drafts.
+    """
+    folder = Path(out)
+    check_arguments(folder, runs)
+    on, quality = machine(), "draft" if quick else "standard"
+    chapters, found = [sentence(on)], {}
+    for scene in scenes:
+        asked = Asked(scene.recipe, dict(scene.changes), scene.index, size, runs, quality=quality)
+        found[scene.name] = one = _measured(asked, runs, scene.name, told)
+        width, height = one["size"]
+        chapters += [
+            f"#### {scene.name.capitalize()}",
+            f"{width}x{height}, {one['triangles']:,} triangles, quality `{quality}`, {one['variant']}.",
+            time_table(one["seconds"].items(), "stage"),
+            "; ".join(f"{what}: at most {peak:,.0f} MiB" for what, peak in one["peaks_mib"].items()) + ".",
+        ]
+    told("start-up")
+    python = sys.executable
+    start_up = {
+        what: [seconds_of([python, *command]) for _ in range(runs)]
+        for what, command in {
+            "python -c pass": ["-c", "pass"],
+            "import pepperscene": ["-c", "import pepperscene"],
+            "pepperscene --help": ["-m", "pepperscene", "--help"],
+        }.items()
+    }
+    chapters += ["#### Start-up", time_table(start_up.items())]
+    markdown = "\n\n".join(chapters) + "\n"
+    record = {"format": FORMAT, "machine": on, "scenes": found, "start_up": start_up}
+    files = {"profile.json": json_bytes(plain(record)), "profile.md": markdown.encode()}
+    return Bench(write_all(folder, files), markdown)
+
+
+def _measured(asked: Asked, runs: int, name: str, told: Told) -> dict[str, Any]:
+    """Seconds by stage over several processes, the peaks of memory, and what the scene was."""
+    # One process more than counted: the first warms the disk's cache and that of compiled kernels.
+    told(f"{name}: first frame, a run that is not counted")
+    in_child(replace(asked, frames=0))
+    children = []
+    for number in range(runs):
+        told(f"{name}: process {number + 1} of {runs}")
+        children.append(in_child(asked))
+    told(f"{name}: without compiled kernels, and labels alone")
+    with tempfile.TemporaryDirectory() as empty:
+        # Dr.Jit keeps its kernels below the home folder.
+        cold = in_child(replace(asked, frames=1), {"HOME": empty})
+    labels = in_child(replace(asked, outputs=LABELS, encode=False))
+    return {
+        "seconds": {**_by_stage(children), **_of_labels(labels), **_cold(cold)},
+        "peaks_mib": {
+            "photographs and labels": max(child["peaks_mib"][-1] for child in children),
+            "labels alone": labels["peaks_mib"][-1],
+        },
+        "triangles": children[0]["triangles"],
+        "size": children[0]["size"],
+        "variant": children[0]["variant"],
+    }
+
+
+def _by_stage(children: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
+    """Of a new scene, its first frame, and the frames behind it."""
+    stages = {f"new scene: {what}": [child["scene"][what] for child in children] for what in _order(children)}
+    whole = [sum(child["scene"].values()) for child in children]
+    # What the first frame takes longer than those behind it goes into kernels: traced, compiled or loaded.
+    compiling = [
+        child["frames"][0]["trace"] - statistics.median(one["trace"] for one in child["frames"][1:])
+        for child in children
+    ]
+    first = [sum(child["frames"][0].values()) for child in children]
+    following = [one for child in children for one in child["frames"][1:]]
+    once = ("import", "start Mitsuba")
+    per_scene = [
+        sum(seconds for what, seconds in child["scene"].items() if what not in once) + max(compiled, 0.0)
+        for child, compiled in zip(children, compiling, strict=True)
+    ]
+    return {
+        **stages,
+        "new scene: load or compile kernels": compiling,
+        "new scene, without import and start": per_scene,
+        "first frame, from the import on": [a + b for a, b in zip(whole, first, strict=True)],
+        **{
+            f"next frames: {what}": [one[what] for one in following]
+            for what in _FRAME
+            if what in following[0]
+        },
+        "next frames: all of it": [sum(one.values()) for one in following],
+    }
+
+
+def _order(children: Sequence[dict[str, Any]]) -> list[str]:
+    """The stages of a scene in the order in which they run."""
+    order = ("import", "start Mitsuba", "grow", "mesh", "twine", *_SETTLE, "surfaces and sky", "kernel scene")
+    held = children[0]["scene"]
+    return [*(what for what in order if what in held), *(what for what in held if what not in order)]
+
+
+def _of_labels(labels: dict[str, Any]) -> dict[str, list[float]]:
+    return {"labels alone, next frames": [one["labels"] for one in labels["frames"][1:]]}
+
+
+def _cold(cold: dict[str, Any]) -> dict[str, list[float]]:
+    first, second = (frame.get("trace", 0.0) for frame in cold["frames"][:2])
+    return {"new scene: compile, with no kernels on disk": [first - second]}

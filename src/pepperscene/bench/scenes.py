@@ -1,0 +1,125 @@
+"""The bench's own scenes, told here once for all: figures of different days can be compared."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+from pepperscene.errors import InputError
+
+if TYPE_CHECKING:
+    from pepperscene.camera import Camera
+    from pepperscene.dataset import Recipe
+
+_ONE_SCENE: Final = {"plan.sets": 1, "plan.rotations": 1, "plan.frames": 250, "plan.select": [0]}
+_LARGEST: Final = 8192
+"""Chosen: pixels along a side; a picture twice as large hardly fits into memory."""
+
+_SIZE: Final = re.compile(r"([1-9]\d{0,4})x([1-9]\d{0,4})", re.ASCII)
+
+
+@dataclass(frozen=True)
+class BenchScene:
+    """What is rendered, and from where.
+
+    Attributes:
+        name: on the command line and in file names.
+        recipe: of the shipped ones.
+        index: of the frame whose error is measured; those beside it on the camera's path are timed as well.
+        meaning: one line for tables and pages.
+        changes: of single values, as `--set` takes them.
+    """
+
+    name: str
+    recipe: str
+    index: int
+    meaning: str
+    changes: Mapping[str, Any] = field(default_factory=dict)
+
+    def load(self) -> Recipe:
+        """The recipe with the changes."""
+        from pepperscene.dataset import load_recipe
+
+        return load_recipe(self.recipe, dict(self.changes))
+
+
+SCENES: Final[Mapping[str, BenchScene]] = {
+    scene.name: scene
+    for scene in (
+        BenchScene(
+            "near",
+            "barth2018",
+            125,
+            "three plants, a fruit and a leaf before the lens, the rest out of focus",
+            {
+                **_ONE_SCENE,
+                "row.plants_front": 3,
+                "row.plants_back": 0,
+                "path.distance_mm": 150.0,  # chosen: the fruit of frame 125 fills a fifth of the picture
+                "path.pitch_deg": 0.0,
+                "camera.focus_mm": 80.0,  # chosen: on that fruit
+                "camera.exposure_us": 16.0,  # chosen: (80 mm / 150 mm)^2 of the 50 us, the flash being nearer
+            },
+        ),
+        BenchScene("standard", "barth2018", 125, "the thirteen plants of Barth et al. 2018 under the flash"),
+        BenchScene(
+            "dense", "greenhouse", 125, "seventeen plants and the rows beyond them, by daylight", _ONE_SCENE
+        ),
+    )
+}
+
+
+def scenes_named(names: str) -> tuple[BenchScene, ...]:
+    """The scenes of a list with commas, in the order of `SCENES`.
+
+    Raises:
+        InputError: a name is unknown, or there is none.
+    """
+    wanted = [name.strip() for name in names.split(",") if name.strip()]
+    unknown = [name for name in wanted if name not in SCENES]
+    if unknown or not wanted:
+        told = f"unknown scene {unknown[0]!r}" if unknown else "no scene is named"
+        raise InputError("--scene", "", None, f"{told}; allowed are {', '.join(SCENES)}")
+    return tuple(scene for name, scene in SCENES.items() if name in wanted)
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """Width and height out of "WxH".
+
+    Raises:
+        InputError: not of that form, or too large.
+    """
+    found = _SIZE.fullmatch(text.strip())
+    size = (int(found[1]), int(found[2])) if found else (0, 0)
+    if not 1 <= min(size) <= max(size) <= _LARGEST:
+        raise InputError("--size", "", None, f"{text!r} must be WIDTHxHEIGHT, each 1 to {_LARGEST} pixels")
+    return size
+
+
+def resized(camera: Camera, size: Sequence[int] | None) -> Camera:
+    """The camera with another number of pixels across the same width of the scene, exposed alike.
+
+    Pixels become larger or smaller. So that a photosite still gathers the same share of its well, a lens with
+    larger pixels lets less light through, and a sensor with smaller ones amplifies more: both leave the
+    depth of field, the mixture of lights and the picture's brightness as they are.
+
+    Args:
+        camera: as the recipe says.
+        size: width and height, or None for the camera's own.
+    """
+    if size is None or tuple(size) == (camera.width, camera.height):
+        return camera
+    columns, rows = (int(one) for one in size)
+    wider = camera.width / columns
+    sensor = dataclasses.replace(
+        camera.sensor,
+        columns=columns,
+        rows=rows,
+        pitch_m=camera.sensor.pitch_m * wider,
+        gain=camera.sensor.gain * max(1.0, wider**-2),
+    )
+    lens = dataclasses.replace(camera.lens, transmittance=camera.lens.transmittance / max(1.0, wider**2))
+    return dataclasses.replace(camera, sensor=sensor, lens=lens)
