@@ -33,7 +33,7 @@ def footprint(scene, plant):
 
 
 def test_rotation_moves_the_plants_on(three_plants, fake_renderer):
-    stage = Stage(three_plants, fake_renderer)
+    stage = Stage(three_plants, fake_renderer, culled=False)
     plan = three_plants.plan
     before = stage.scene(plan.shot(0), traced=False)
     after = stage.scene(plan.shot(plan.frames), traced=False)
@@ -43,7 +43,7 @@ def test_rotation_moves_the_plants_on(three_plants, fake_renderer):
 
 
 def test_plants_depend_on_set_and_place_but_not_on_how_many_there_are(three_plants, recipe, fake_renderer):
-    many, one = Stage(three_plants, fake_renderer), Stage(recipe, fake_renderer)
+    many, one = (Stage(plan, fake_renderer, culled=False) for plan in (three_plants, recipe))
     first = footprint(many.scene(three_plants.plan.shot(0), traced=False), 0)
     np.testing.assert_allclose(footprint(one.scene(recipe.plan.shot(0), traced=False), 0), first, atol=1e-5)
     other_set = one.scene(recipe.plan.shot(recipe.plan.count - 1), traced=False)

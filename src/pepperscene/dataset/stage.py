@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,9 @@ from pepperscene.frame import OUTPUTS, Frame
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
-    from pepperscene.geometry import Contacts
+    from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
-    from pepperscene.scene import Scene, Sky
+    from pepperscene.scene import Reach, Scene, Sight, Sky
 
 
 class RendererLike(Protocol):
@@ -56,19 +56,23 @@ class Stage:
     Args:
         recipe: what to show.
         renderer: makes the renderer of a scene.
+        culled: False keeps what no frame of a scene can tell; to compare with.
 
     Raises:
         InputError: the cultivar, the cover or a part of the camera is not found or not valid.
     """
 
-    def __init__(self, recipe: Recipe, renderer: RendererFactory | None = None) -> None:
+    def __init__(
+        self, recipe: Recipe, renderer: RendererFactory | None = None, *, culled: bool = True
+    ) -> None:
         self.recipe = recipe
+        self.culled = culled
         self._renderer_of = renderer or mitsuba_renderer
         self.cultivar = cultivar_of(recipe)
         self._cover = cover_of(recipe)
         self._first_camera = camera_of(recipe)
         self._planting = Planting(recipe, self.cultivar)
-        self._contacts: Contacts | None = None
+        self._told: dict[str, Any] = {}
         self._scene: tuple[tuple[int, int, bool], RendererLike] | None = None
 
     def render(self, shot: Shot, outputs: Sequence[str], quality: str = "standard") -> Frame:
@@ -83,9 +87,7 @@ class Stage:
         seed = frame_seed(self.recipe.seed, shot.index)
         renderer = self._renderer(shot, traced)
         frame = renderer.render(self.camera(shot), outputs=outputs, quality=quality, seed=seed)
-        if self._contacts is None:
-            return frame
-        return Frame(frame.images, {**frame.facts, "contacts": asdict(self._contacts)})
+        return Frame(frame.images, {**frame.facts, **self._told})
 
     def camera(self, shot: Shot) -> Camera:
         """The camera of a shot, at its place on the arc path, which leans with the row."""
@@ -101,10 +103,24 @@ class Stage:
         from pepperscene.scene import assemble
 
         planted = self._planting.scene(shot.set, shot.rotation)
-        self._contacts = planted.contacts
+        mesh = self._visible(planted.mesh) if self.culled else planted.mesh
+        self._told = {
+            "contacts": asdict(planted.contacts),
+            "geometry": {"triangles": len(mesh.faces), "of": len(planted.mesh.faces)},
+        }
         if not traced:
-            return assemble(planted.mesh)
-        return assemble(planted.mesh, self._surfaces, self._sky(shot.set))
+            return assemble(mesh)
+        return assemble(mesh, self._surfaces, self._sky(shot.set))
+
+    def _visible(self, mesh: Mesh) -> Mesh:
+        """What the frames of a scene can tell of it.
+
+        All poses and the recipe's light decide, whatever is asked for: a frame's labels fit to its colour,
+        and no frame depends on the others.
+        """
+        from pepperscene.scene import culled
+
+        return culled(mesh, self._sight, self._reach)
 
     def _renderer(self, shot: Shot, traced: bool) -> RendererLike:
         """The renderer of the shot's scene; one that can trace light serves labels as well."""
@@ -134,6 +150,20 @@ class Stage:
             cloud_cover=light.cloud_cover,
             cover=self._cover,
         )
+
+    @cached_property
+    def _sight(self) -> Sight:
+        from pepperscene.scene import sight
+
+        return sight(self._first_camera, self._poses)
+
+    @cached_property
+    def _reach(self) -> Reach:
+        from pepperscene.scene import reach
+
+        light = self.recipe.daylight
+        daylight_lx = 0.0 if light is None else light.illuminance_lx
+        return reach(self._first_camera, self.recipe.path.distance_mm / 1e3, daylight_lx)
 
     @cached_property
     def _surfaces(self) -> dict[str, Surface]:

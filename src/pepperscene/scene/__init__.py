@@ -7,25 +7,31 @@ from pepperscene.scene.irregular import Posture, posture, uneven
 from pepperscene.scene.placed import Scene, assemble
 from pepperscene.scene.row import DoubleRow, Twine, about_z, double_row, standing, with_twine
 from pepperscene.scene.sky import Sky, Sun, partly_cloudy, uniform_sky
+from pepperscene.scene.visible import Reach, Sight, culled, reach, sight
 
 __all__ = [
     "Cover",
     "DoubleRow",
     "Greenhouse",
     "Posture",
+    "Reach",
     "Scene",
+    "Sight",
     "Sky",
     "Sun",
     "Twine",
     "about_z",
     "assemble",
     "coarse",
+    "culled",
     "double_row",
     "far_rows",
     "furniture",
     "load_cover",
     "partly_cloudy",
     "posture",
+    "reach",
+    "sight",
     "standing",
     "uneven",
     "uniform_sky",

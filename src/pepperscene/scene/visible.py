@@ -1,0 +1,311 @@
+"""What the views of a path can see, and what of the rest their light can tell apart from something simpler.
+
+A scene serves all poses of a path, so that a frame does not depend on which others are asked for: what goes
+is decided once, for all of them. An organ that no pose can see, and that stands in no flash's way to what one
+can see, only sends and takes soft light; a stand-in of few triangles does that as well. Far away it does too
+little to count, and is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pepperscene.camera import Camera, Flash
+from pepperscene.geometry import Mesh
+from pepperscene.scene.standin import stand_ins
+
+_LONG: Final = 2500  # chosen: faces of an instance that is looked at in pieces; twine and rows, but no organ
+_PIECE: Final = 256  # chosen: faces of a piece, about the leaves of one node in a far row
+_STRIDE: Final = 16  # chosen: every so many poses find most of what is seen; the others look for the rest
+_ROWS: Final = 512  # chosen: rows of a table of distances at a time, so that it stays in the cache
+_MOST_DAYLIGHT: Final = 0.03
+"""Chosen: stand-ins cover some 15 % less of the sky; of 3 % of the light that is half a per cent, half a code
+at middle grey, were there nothing else overhead."""
+
+LEAST_LIGHT: Final = 1e-3
+"""What all that is left out may change, as a share of the light at the path's distance: chosen, a twentieth
+of a code of 8 bits at middle grey."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """Where the views of a path look: for each pose the half-spaces that hold all it can show.
+
+    Attributes:
+        normals: `(p, k, 3)` float32, unit, into the view.
+        offsets: `(p, k)` float32; a point x lies inside where `normals @ x >= offsets`.
+        places: `(p, 3)` float32, the projection centres.
+    """
+
+    normals: NDArray[np.float32]
+    offsets: NDArray[np.float32]
+    places: NDArray[np.float32]
+
+    def meets(self, centres: NDArray[np.float32], radii: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """`(n,)` whether a ball may reach into any view; never False where it does."""
+        seen = np.zeros(len(centres), dtype=bool)
+        first = np.arange(0, len(self.places), _STRIDE)
+        for poses in (first, np.setdiff1d(np.arange(len(self.places)), first)):
+            left = np.flatnonzero(~seen)
+            inside = np.ones((len(left), len(poses)), dtype=bool)
+            for side in range(self.normals.shape[1]):
+                reach = centres[left] @ self.normals[poses, side].T
+                reach += radii[left, None]
+                inside &= reach >= self.offsets[poses, side]
+            seen[left] = inside.any(axis=1)
+        return seen
+
+    def distances(self, centres: NDArray[np.float32], radii: NDArray[np.float32]) -> NDArray[np.float32]:
+        """`(n,)` metres from each ball to the nearest pose, 0 where it holds one."""
+        return _gaps(centres, self.places) - radii
+
+
+def sight(camera: Camera, poses: ArrayLike) -> Sight:
+    """Where a camera looks from some poses.
+
+    The lens' distortion may bow the picture's border: the half-spaces go by its widest slopes. A ray starts
+    anywhere on the entrance pupil, a shadow ray ends anywhere on the flash: the half-spaces hold both, and so
+    all that stands between them and what is seen.
+
+    Args:
+        camera: its lens, sensor, focus and flash; its own pose is not used.
+        poses: `(p, 4, 4)` camera to world.
+    """
+    pose = np.asarray(poses, dtype=float).reshape(-1, 4, 4)
+    slopes = camera.ray_slopes().reshape(-1, 2)
+    # Beyond the plane in focus the rays of a pixel spread by the pupil's radius per focus distance.
+    pupil = 0.0 if camera.focus_m is None else camera.aperture_radius_m
+    spread = 0.0 if camera.focus_m is None else pupil / camera.focus_m
+    (left, top), (right, bottom) = slopes.min(axis=0) - spread, slopes.max(axis=0) + spread
+    into = np.array([[1, 0, -left], [-1, 0, right], [0, 1, -top], [0, -1, bottom], [0, 0, 1.0]])
+    into /= np.linalg.norm(into, axis=1, keepdims=True)
+    behind = np.maximum(pupil, _behind(into, camera.flash))
+
+    normals = np.einsum("pij,kj->pki", pose[:, :3, :3], into)
+    offsets = np.einsum("pki,pi->pk", normals, pose[:, :3, 3]) - behind
+    # Rounding to single precision is worth a hair's breadth.
+    offsets -= 1e-5 * (1.0 + np.abs(pose[:, :3, 3]).max(initial=0.0))
+    return Sight(normals.astype(np.float32), offsets.astype(np.float32), pose[:, :3, 3].astype(np.float32))
+
+
+def _behind(into: NDArray[np.float64], flash: Flash | None) -> NDArray[np.float64]:
+    """`(k,)` how far the flash reaches out of half-spaces `(k, 3)` through the projection centre, metres."""
+    if flash is None:
+        return np.zeros(len(into))
+    lamps = np.asarray(flash.offset_m) + np.pad(flash.emitters_m, ((0, 0), (0, 1)))
+    return np.maximum((flash.radius_m - into @ lamps.T).max(axis=1), 0.0)
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How much light what is not seen can give or take, as shares of the light at the path's distance.
+
+    Attributes:
+        daylight: what sky and sun give to a level plane in the open.
+        stray: what the flash gives just beside the picture, at the path's distance.
+        distance_m: the path's.
+    """
+
+    daylight: float
+    stray: float
+    distance_m: float
+
+    @property
+    def simple(self) -> bool:
+        """Whether stand-ins will do: daylight is small enough that nobody sees what shades it."""
+        return self.daylight <= _MOST_DAYLIGHT
+
+
+def reach(camera: Camera, distance_m: float, daylight_lx: float) -> Reach:
+    """How much light what is not seen can give or take.
+
+    A flash told in W m-2 cannot be compared with lux: daylight then counts in full.
+
+    Args:
+        camera: its flash and its field of view.
+        distance_m: from the path to what it shows.
+        daylight_lx: from sky and sun on a level plane in the open.
+    """
+    flash, slopes = camera.flash, np.abs(camera.ray_slopes())
+    if flash is None:
+        return Reach(1.0, 0.0, distance_m)
+    # Beside the picture lies what is at least as far off the axis as the nearest border.
+    borders = (slopes[0, :, 1].min(), slopes[-1, :, 1].min(), slopes[:, 0, 0].min(), slopes[:, -1, 0].min())
+    beyond = np.linspace(np.arctan(min(borders)), np.pi / 2.0, 65)
+    stray = float(np.max(flash.profile.at(beyond)))
+    if flash.illuminance_lx is None:
+        return Reach(1.0 if daylight_lx > 0.0 else 0.0, stray, distance_m)
+    flash_lx = flash.illuminance_lx * (flash.at_m / distance_m) ** 2
+    # The flash shines for a part of the exposure.
+    flash_lx *= camera.flash_duty
+    whole = flash_lx + daylight_lx
+    return Reach(daylight_lx / whole, stray * flash_lx / whole, distance_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """The runs of faces of a mesh that are kept or go together: an organ, or a part of a long thing.
+
+    Attributes:
+        faces: `(n + 1,)` first face of each, and the end of the last.
+        vertices: `(n, 2)` first vertex that it uses and the one after the last.
+        owner: `(n,)` its instance.
+        whole: `(n,)` whether it is all of its instance.
+        centres, radii: `(n, 3)` and `(n,)` float32, metres: of a ball that holds it.
+    """
+
+    faces: NDArray[np.intp]
+    vertices: NDArray[np.intp]
+    owner: NDArray[np.intp]
+    whole: NDArray[np.bool_]
+    centres: NDArray[np.float32]
+    radii: NDArray[np.float32]
+
+
+def pieces(mesh: Mesh) -> Pieces:
+    """The organs of a mesh, and the parts of what is long."""
+    change = 1 + np.flatnonzero(mesh.face_instance[1:] != mesh.face_instance[:-1])
+    runs = np.concatenate([[0], change, [len(mesh.faces)]])
+    size = np.diff(runs)
+    parts = np.where(size > _LONG, -(-size // _PIECE), 1)
+    # Part k of n begins at face k * size / n of its run.
+    number = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    starts = np.repeat(runs[:-1], parts) + number * np.repeat(size, parts) // np.repeat(parts, parts)
+    owner = mesh.face_instance[starts].astype(np.intp)
+    runs_of = np.bincount(owner, minlength=len(mesh.instances))
+
+    # The box of all vertices between the first and the last of a piece holds the piece.
+    corners = mesh.faces.ravel()
+    low = np.minimum.reduceat(corners, 3 * starts).astype(np.intp)
+    high = np.maximum.reduceat(corners, 3 * starts).astype(np.intp) + 1
+    least, most = _bounds(mesh.vertices, low, high)
+    middle = (least + most) / 2.0
+    radii = np.linalg.norm(most - least, axis=1) / 2.0 * np.float32(1.0 + 1e-6)
+    return Pieces(
+        np.append(starts, len(mesh.faces)),
+        np.stack([low, high], axis=1),
+        owner,
+        runs_of[owner] == 1,
+        middle,
+        radii.astype(np.float32),
+    )
+
+
+def _bounds(
+    points: NDArray[np.float32], low: NDArray[np.intp], high: NDArray[np.intp]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """`(n, 3)` and `(n, 3)`: least and greatest coordinates of points low to high - 1, for each of n."""
+    ends = np.stack([low, np.minimum(high, len(points) - 1)], axis=1).ravel()
+    least = np.minimum.reduceat(points, ends, axis=0)[::2]
+    most = np.maximum.reduceat(points, ends, axis=0)[::2]
+    # The last point of all cannot be an end.
+    last = high == len(points)
+    least[last], most[last] = np.minimum(least[last], points[-1]), np.maximum(most[last], points[-1])
+    return least, most
+
+
+def _gaps(
+    points: NDArray[np.float32], others: NDArray[np.float32], radii: NDArray[np.float32] | float = 0.0
+) -> NDArray[np.float32]:
+    """`(n,)` distance from each point to the surface of the nearest of other balls, `(m, 3)` and `(m,)`."""
+    nearest = np.empty(len(points), dtype=np.float32)
+    lengths = (others**2).sum(axis=1)
+    for start in range(0, len(points), _ROWS):
+        rows = slice(start, start + _ROWS)
+        squared = (points[rows] ** 2).sum(axis=1)[:, None] + lengths - 2.0 * (points[rows] @ others.T)
+        nearest[rows] = (np.sqrt(np.maximum(squared, 0.0)) - radii).min(axis=1)
+    return nearest
+
+
+def negligible(found: Pieces, seen: NDArray[np.bool_], view: Sight, light: Reach) -> NDArray[np.bool_]:
+    """`(n,)` which pieces can be left out: those that matter least, as many as together stay below
+    `LEAST_LIGHT`.
+
+    A ball of radius r at the distance d from a point covers at most (r / d)^2 of the cosine-weighted sky
+    there. By so much of the daylight it can shade or light the point; and of the flash's stray light, which
+    falls with the square of the distance from the flash, it can throw as much there, were it white.
+    """
+    out = np.zeros(len(seen), dtype=bool)
+    if not seen.any() or seen.all():
+        return out
+    hidden, lit = np.flatnonzero(~seen), np.flatnonzero(seen)
+    centres, radii = found.centres[hidden], found.radii[hidden]
+    near = np.maximum(view.distances(centres, radii), 1e-3)
+    share = light.daylight + light.stray * (light.distance_m / near) ** 2
+
+    def weight(rows: NDArray[np.intp], others: NDArray[np.intp]) -> NDArray[np.float32]:
+        """At the surface of the nearest of other balls, as seen from the middle of a ball."""
+        away = _gaps(centres[rows], found.centres[others], found.radii[others])
+        return np.asarray(share[rows] * (radii[rows] / np.maximum(away, radii[rows])) ** 2)
+
+    # By a few of those that are seen each matters at least so much; all are asked about the rest alone.
+    few = _cheapest(weight(np.arange(len(hidden)), lit[:: max(1, len(lit) // 64)]))
+    if few.size:
+        out[hidden[few[_cheapest(weight(few, lit))]]] = True
+    return out
+
+
+def _cheapest(weights: NDArray[np.float32]) -> NDArray[np.intp]:
+    """The smallest of the weights, as many as together stay below `LEAST_LIGHT`."""
+    order = np.argsort(weights, kind="stable")
+    return order[np.cumsum(weights[order], dtype=float) <= LEAST_LIGHT]
+
+
+def culled(mesh: Mesh, view: Sight, light: Reach) -> Mesh:
+    """The mesh with what no view can see made simple, or left out where it does not matter.
+
+    Instances stay as they are, so that their numbers do. Triangles that a view can see, or that can stand
+    between it or its flash and what is seen, are those of the mesh, in the same order.
+
+    Args:
+        mesh: everything placed; the faces of an organ lie together.
+        view: all views of the scene.
+        light: how much light what is not seen can give or take.
+    """
+    found = pieces(mesh)
+    seen = view.meets(found.centres, found.radii)
+    if seen.all() or not seen.any():
+        return mesh
+    out = negligible(found, seen, view, light)
+    if not light.simple:
+        return _kept(mesh, np.repeat(~out, np.diff(found.faces))) if out.any() else mesh
+    simple = np.flatnonzero(~seen & ~out & found.whole)
+    ends = np.stack([found.faces[simple], found.faces[simple + 1]], axis=1)
+    stand_in, replaced = stand_ins(mesh, ends, found.vertices[simple])
+    out[simple[replaced]] = True
+    return _joined(_kept(mesh, np.repeat(~out, np.diff(found.faces))), stand_in)
+
+
+def _kept(mesh: Mesh, kept: NDArray[np.bool_]) -> Mesh:
+    """The mesh with some of its faces, and the vertices that they use."""
+    faces = mesh.faces.compress(kept, axis=0)
+    used = np.zeros(len(mesh.vertices), dtype=bool)
+    used[faces] = True
+    return replace(
+        mesh,
+        vertices=mesh.vertices.compress(used, axis=0),
+        normals=mesh.normals.compress(used, axis=0),
+        uv=mesh.uv.compress(used, axis=0),
+        state=mesh.state[used],
+        faces=(np.cumsum(used, dtype=np.uint32) - np.uint32(1))[faces],
+        face_instance=mesh.face_instance[kept],
+        face_surface=mesh.face_surface[kept],
+    )
+
+
+def _joined(one: Mesh, other: Mesh) -> Mesh:
+    """Both meshes, which share instances and surfaces."""
+    return replace(
+        one,
+        vertices=np.concatenate([one.vertices, other.vertices]),
+        normals=np.concatenate([one.normals, other.normals]),
+        uv=np.concatenate([one.uv, other.uv]),
+        state=np.concatenate([one.state, other.state]),
+        faces=np.concatenate([one.faces, other.faces + np.uint32(len(one.vertices))]),
+        face_instance=np.concatenate([one.face_instance, other.face_instance]),
+        face_surface=np.concatenate([one.face_surface, other.face_surface]),
+    )
