@@ -74,7 +74,7 @@ def test_rotations_reuse_the_plants_of_their_set(recipe, monkeypatch):
     before = [one.mesh for one in planting.plants(0)]
     planting.scene(0, 1)
     planting.scene(0, 2)
-    assert all(one is other for one, (other, _) in zip(before, planting.plants(0), strict=True))
+    assert all(one is other.mesh for one, other in zip(before, planting.plants(0), strict=True))
     assert len(made) == 3 + MODELS
     # The far rows' plants serve all sets.
     planting.plants(1)
@@ -83,10 +83,10 @@ def test_rotations_reuse_the_plants_of_their_set(recipe, monkeypatch):
 
 def test_a_scene_leaves_the_plants_of_its_set_alone(recipe):
     planting = planting_of(recipe)
-    before = [mesh.vertices.copy() for mesh, _ in planting.plants(0)]
+    before = [one.mesh.vertices.copy() for one in planting.plants(0)]
     planting.scene(0, 0)
-    for kept, (mesh, _) in zip(before, planting.plants(0), strict=True):
-        np.testing.assert_array_equal(kept, mesh.vertices)
+    for kept, one in zip(before, planting.plants(0), strict=True):
+        np.testing.assert_array_equal(kept, one.mesh.vertices)
 
 
 def test_scenes_depend_on_no_other_scene(recipe, planting):
@@ -137,7 +137,7 @@ def test_the_greenhouse_of_the_recipe_in_metres(planting):
 
 
 def test_rows_lean_apart_and_stand_on_their_blocks(planting, planted):
-    for number, (_, posture) in enumerate(planting.plants(0)):
+    for number, posture in enumerate(one.posture for one in planting.plants(0)):
         stem = of_plant(planted.mesh, number)
         assert stem[:, 2].min() == pytest.approx(planting.house.foot_m, abs=0.01)
         # The stem's own wander is some centimetres a metre; the rows' lean is 7.
@@ -152,7 +152,7 @@ def test_plants_keep_their_posture_and_places_their_blocks(planting):
     for rotation in (0, 1):
         mesh = planting.scene(0, rotation).mesh
         feet.append([foot(of_plant(mesh, number)) for number in range(3)])
-    row, postures = planting.row, [posture for _, posture in planting.plants(0)]
+    row, postures = planting.row, [one.posture for one in planting.plants(0)]
     first, second = np.array(feet)
     # Along the row, places are off their even spots, and stay so when the plants move on.
     np.testing.assert_allclose(first[:, 0], second[:, 0], atol=2e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ import numpy as np
 from pepperscene.dataset.grown import grown_at
 from pepperscene.dataset.plan import rotated
 from pepperscene.dataset.recipe import Recipe
+from pepperscene.dataset.second import made_by_two, processes
 from pepperscene.dataset.seeds import Stream, generator
 
 if TYPE_CHECKING:
@@ -37,6 +39,21 @@ class Planted:
     contacts: Contacts
 
 
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """A plant of a set.
+
+    Attributes:
+        mesh: with its twine, in the plant's own coordinates.
+        posture: how it stands.
+        contacts: what of its fruit and blades still touches within it.
+    """
+
+    mesh: Mesh
+    posture: Posture
+    contacts: Contacts
+
+
 class Planting:
     """Grows the sets of a recipe and plants them, in any order.
 
@@ -45,13 +62,18 @@ class Planting:
     Args:
         recipe: what to show.
         cultivar: of the plants.
+        in_processes: 1 or 2, in which the plants of a set are made, which changes nothing but the time; None
+            leaves it to the environment (see `second.processes`).
+
+    Raises:
+        InputError: another number of processes is asked for.
     """
 
-    def __init__(self, recipe: Recipe, cultivar: Cultivar) -> None:
+    def __init__(self, recipe: Recipe, cultivar: Cultivar, in_processes: int | None = None) -> None:
         self.recipe = recipe
         self.cultivar = cultivar
-        self._set: tuple[int, list[tuple[Mesh, Posture]]] | None = None
-        self._within: list[Contacts] = []
+        self._processes = processes(in_processes)
+        self._set: tuple[int, list[Standing]] | None = None
 
     def scene(self, which: int, rotation: int) -> Planted:
         """What stands in the scene of a set at a rotation."""
@@ -64,15 +86,15 @@ class Planting:
         # Places belong to the greenhouse, postures to the plants that move on.
         places = uneven(row, house, generator(self.recipe.seed, Stream.PLACE, which, 0))
         feet = np.column_stack([places, np.full(len(places), house.foot_m)])
-        turns = np.array([posture.turn_rad for _, posture in moved_on])
-        across = np.array([posture.across_m for _, posture in moved_on])
+        turns = np.array([plant.posture.turn_rad for plant in moved_on])
+        across = np.array([plant.posture.across_m for plant in moved_on])
         if self.recipe.greenhouse is not None:
             # The back row faces its own aisle, behind it.
             turns[row.front :] += np.pi
             across[row.front :] *= -1.0
         feet[:, 1] += across
 
-        together = standing([mesh for mesh, _ in moved_on], feet, turns)
+        together = standing([plant.mesh for plant in moved_on], feet, turns)
         settling = generator(self.recipe.seed, Stream.SETTLE, which, rotation, 0)
         settled = settle(together, settling, between_plants=True)
         around = furniture(row, house, places)
@@ -80,17 +102,22 @@ class Planting:
             chance = generator(self.recipe.seed, Stream.FAR, 1, which, rotation)
             around += far_rows(self._models, row, house, chance)
         mesh = concatenate([settled.mesh, *around]) if around else settled.mesh
-        return Planted(mesh, self._with_own(settled.contacts))
+        return Planted(mesh, _all_contacts(settled.contacts, plants))
 
-    def plants(self, which: int) -> list[tuple[Mesh, Posture]]:
-        """The meshes of a set's plants with their twine, the front row's first, and how each one stands."""
+    def plants(self, which: int) -> list[Standing]:
+        """A set's plants, the front row's first."""
         if self._set is None or self._set[0] != which:
-            self._set, self._within = None, []
+            self._set = None
             count = self.row.front + self.row.back
-            self._set = (which, [self._plant(which, number) for number in range(count)])
+            if self._processes > 1:
+                made = made_by_two(self.recipe, self.cultivar, which, count, self.plant)
+            else:
+                made = [self.plant(which, number) for number in range(count)]
+            self._set = (which, made)
         return self._set[1]
 
-    def _plant(self, which: int, number: int) -> tuple[Mesh, Posture]:
+    def plant(self, which: int, number: int) -> Standing:
+        """A plant of a set; it depends on nothing else."""
         from pepperscene.scene import posture
 
         seed = self.recipe.seed
@@ -100,18 +127,7 @@ class Planting:
             return self._held(plant, mesh, stands, generator(seed, Stream.TWINE, which, number))
 
         made = grown_at(self.cultivar, seed, which, number, lean_rad=stands.lean_rad, hold=hold)
-        self._within.append(made.contacts)
-        return made.mesh, stands
-
-    def _with_own(self, between: Contacts) -> Contacts:
-        """The contacts between plants, and those that are left within each."""
-        fruit = sum(one.fruit_touching for one in self._within)
-        blades = sum(one.blades_touching for one in self._within)
-        return replace(
-            between,
-            fruit_touching=between.fruit_touching + fruit,
-            blades_touching=between.blades_touching + blades,
-        )
+        return Standing(made.mesh, stands, made.contacts)
 
     def _held(self, plant: Plant, mesh: Mesh, stands: Posture, rng: np.random.Generator) -> Mesh:
         """The plant with its twine, tied to the wire above its row where there is one."""
@@ -185,3 +201,12 @@ class Planting:
             plant = grow(self.cultivar, rng, lean=self.house.row_lean_rad)
             made.append(coarse(mesh_plant(plant, FAR_DETAIL)))
         return made
+
+
+def _all_contacts(between: Contacts, plants: Sequence[Standing]) -> Contacts:
+    """The contacts between plants, and those that are left within each."""
+    return replace(
+        between,
+        fruit_touching=between.fruit_touching + sum(one.contacts.fruit_touching for one in plants),
+        blades_touching=between.blades_touching + sum(one.contacts.blades_touching for one in plants),
+    )
