@@ -1,4 +1,4 @@
-"""Our integrator against Mitsuba's own path tracer, over the same BSDF, rays and wavelengths."""
+"""Our integrator against Mitsuba's own path tracer and emitters, over the same BSDF, rays and wavelengths."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from bodies import bench_camera, sheet, sphere
 from pepperscene.camera import AngularProfile
 from pepperscene.geometry import concatenate
 from pepperscene.materials import Surface, lambertian
-from pepperscene.render.kernel import kernel_mesh, light_scene, sky_tables
+from pepperscene.render.kernel import light_scene, sky_tables
+from pepperscene.render.reference import path_scene, path_traced
 from pepperscene.render.response import response
 from pepperscene.render.transport import Sampling, trace
 from pepperscene.render.variant import kernel
@@ -38,52 +39,15 @@ def scene_with(sky):
     return assemble(mesh, {"matt": lambertian("matt", 0.6), "leaf": glossy_leaf()}, sky)
 
 
-def path_traced(scene, camera, emitters, spp: int, bounces: int) -> np.ndarray:
+def theirs_traced(scene, camera, emitters, spp: int, bounces: int) -> np.ndarray:
     """`(batches, h, w, 3)`: Mitsuba's `path` along our rays, with its own emitters and its own sampling."""
-    mi, dr = kernel()
-    spectral = response(camera, scene)
-    ours = light_scene(scene, float(spectral.grid_nm[0]), float(spectral.grid_nm[-1]))
-    bsdf = ours.scene.shapes()[0].bsdf()
-    theirs = mi.load_dict({"type": "scene", "plants": kernel_mesh(scene.mesh, bsdf), **emitters})
-    view = LensCache().view(camera)
-    integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2, "rr_depth": 100})
-    pixels = view.width * view.height
-    wavelengths = mi.ContinuousDistribution(
-        mi.ScalarVector2f(spectral.grid_nm[0], spectral.grid_nm[-1]), spectral.density.astype(np.float32)
-    )
-    batches = []
-    for batch in range(8):
-        sampler = mi.load_dict({"type": "independent", "sample_count": spp})
-        sampler.seed(100 + batch, pixels * spp)
-        pixel = dr.arange(mi.UInt32, pixels * spp) // spp
-        row = pixel // view.width
-        place = sampler.next_2d()
-        towards = view.directions(pixel - row * view.width, row, place.x, place.y)
-        nm, weight = mi.Spectrum(0.0), mi.Spectrum(0.0)
-        shift = sampler.next_1d()
-        for k in range(4):
-            nm[k], density = wavelengths.sample_pdf((shift + k) / 4.0)
-            weight[k] = 0.25 / density
-        ray = mi.RayDifferential3f(view.origin, towards, 0.0, nm)
-        radiance, _, _ = integrator.sample(theirs, sampler, ray)
-        index = mi.Float(nm[0] - spectral.grid_nm[0])
-        channels = []
-        for column in spectral.electrons.T:
-            table = mi.Float(column)
-            total = mi.Float(0.0)
-            for k in range(4):
-                index = dr.clip(nm[k] - spectral.grid_nm[0], 0, spectral.grid_nm.size - 1.001)
-                low = mi.UInt32(index)
-                a, b = dr.gather(mi.Float, table, low), dr.gather(mi.Float, table, low + 1)
-                total += radiance[k] * weight[k] * dr.lerp(a, b, index - mi.Float(low))
-            channels.append(total)
-        dr.eval(channels)
-        images = [
-            np.asarray(dr.block_reduce(dr.ReduceOp.Add, c, spp)).reshape(view.height, view.width)
-            for c in channels
+    built = path_scene(scene, camera, emitters=emitters)
+    return np.array(
+        [
+            path_traced(scene, camera, spp=spp, bounces=bounces, seed=100 + batch, kernel_scene=built)
+            for batch in range(8)
         ]
-        batches.append(np.stack(images, -1) / spp)
-    return np.array(batches)
+    )
 
 
 def ours_traced(scene, camera, spp: int, bounces: int) -> np.ndarray:
@@ -154,7 +118,7 @@ def test_spot_and_sky_agree_with_the_path_tracer():
         },
         "sky": {"type": "constant", "radiance": spectrum_entry(NM, scene.sky.radiance.values[0])},
     }
-    assert_agree(ours_traced(scene, camera, 64, 2), path_traced(scene, camera, emitters, 256, 2))
+    assert_agree(ours_traced(scene, camera, 64, 2), theirs_traced(scene, camera, emitters, 256, 2))
 
 
 def test_sun_agrees_with_the_path_tracer():
@@ -173,4 +137,4 @@ def test_sun_agrees_with_the_path_tracer():
             "irradiance": spectrum_entry(NM, np.full(NM.size, 2.0)),
         }
     }
-    assert_agree(ours_traced(scene, camera, 64, 2), path_traced(scene, camera, emitters, 256, 2))
+    assert_agree(ours_traced(scene, camera, 64, 2), theirs_traced(scene, camera, emitters, 256, 2))

@@ -53,7 +53,7 @@ def flash_emitter() -> Any:
     mi, dr = kernel()
 
     class FlashEmitter(mi.Emitter):  # type: ignore[name-defined]
-        """Equal discs across the camera's axis; construct through `of`, then `aim`.
+        """Equal discs across the camera's axis; construct through `of`.
 
         A light sample is a point of them, evenly. Scattered rays pass through: the discs are no shapes.
         """
@@ -63,9 +63,11 @@ def flash_emitter() -> Any:
             self.m_flags = mi.EmitterFlags.DeltaPosition
 
         @classmethod
-        def of(cls, weight: float) -> Any:
-            """An emitter that is chosen for light samples in proportion to `weight`."""
-            return cls(_weighted(weight))
+        def of(cls, flash: Flash, view: View, intensity: SpectralTable) -> Any:
+            """The flash of a camera; see `aim`."""
+            self = cls(_weighted(1.0))
+            self.aim(flash, view, intensity)
+            return self
 
         def aim(self, flash: Flash, view: View, intensity: SpectralTable) -> None:
             """Put the flash where the camera is; `intensity` on its axis, of all discs, W sr-1 nm-1."""

@@ -7,8 +7,9 @@ importance sampling (Veach 1997), and Mitsuba's own Russian roulette.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,14 +39,18 @@ class PathScene:
         scene: of Mitsuba.
         flash: the emitter that goes with the camera, or None.
         range_nm: first and last wavelength of the materials and the daylight.
+        lights: whose they are: the camera's and the scene's, or others that stay where they are.
     """
 
     scene: Any
     flash: Any
     range_nm: tuple[float, float]
+    lights: Literal["own", "others"] = "own"
 
 
-def path_scene(scene: Scene, camera: Camera, *, sky_weight: float = 0.0) -> PathScene:
+def path_scene(
+    scene: Scene, camera: Camera, *, sky_weight: float = 0.0, emitters: Mapping[str, Any] | None = None
+) -> PathScene:
     """The scene with its emitters.
 
     Light samples go to the flash and to the sun, evenly. Those to the sky are dear: half of them would miss
@@ -56,6 +61,7 @@ def path_scene(scene: Scene, camera: Camera, *, sky_weight: float = 0.0) -> Path
         camera: its sensor and flash set the range of wavelengths.
         sky_weight: chance of a light sample to look for the sky, against 1 for the flash and 1 for the sun;
             1 where there is neither.
+        emitters: of Mitsuba by name, in place of the camera's and the scene's lights.
 
     Raises:
         ValueError: the scene was assembled without surfaces.
@@ -67,8 +73,11 @@ def path_scene(scene: Scene, camera: Camera, *, sky_weight: float = 0.0) -> Path
     first, last = float(spectral.grid_nm[0]), float(spectral.grid_nm[-1])
     bsdf = surface_bsdf().of(_SteadyOptics(pack(scene.surfaces, first, last)))
     parts: dict[str, Any] = {"type": "scene", "plants": kernel_mesh(scene.mesh, bsdf)}
+    if emitters is not None:
+        return PathScene(mi.load_dict({**parts, **emitters}), None, (first, last), "others")
     if camera.flash is not None:
-        parts["flash"] = flash_emitter().of(1.0)
+        intensity = SpectralTable(spectral.grid_nm, spectral.flash)
+        parts["flash"] = flash_emitter().of(camera.flash, LensCache().view(camera), intensity)
     if scene.sky is not None:
         sun = 1.0 if scene.sky.sun is not None else 0.0
         if not sun and camera.flash is None:
@@ -201,6 +210,8 @@ def _aim(built: PathScene, camera: Camera, view: View, spectral: Response) -> No
     """
     if built.range_nm != (float(spectral.grid_nm[0]), float(spectral.grid_nm[-1])):
         raise ValueError("the kernel scene was made for a camera that sees another range of wavelengths")
+    if built.lights == "others":
+        return
     if (built.flash is None) != (camera.flash is None):
         raise ValueError("the kernel scene was made for a camera that has a flash where this has none")
     if camera.flash is not None:
