@@ -1,0 +1,311 @@
+"""Our integrator against Mitsuba's own path tracer, on every kind of scene that we render.
+
+Both see the same meshes, materials, camera rays and response. How light is found is written twice: ours in
+`pepperscene.render.transport`, the other's in Mitsuba and in `pepperscene.render.emitters`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bodies import bench_camera, sheet, sphere
+
+from pepperscene.camera import AngularProfile, Camera, expected_electrons, load_sensor
+from pepperscene.dataset.recipe_file import load_recipe
+from pepperscene.dataset.stage import Stage
+from pepperscene.geometry import concatenate
+from pepperscene.materials import Surface, lambertian
+from pepperscene.render import QUALITIES, Renderer
+from pepperscene.render.emitters import daylight_emitter
+from pepperscene.render.reference import SAMPLERS, path_scene, path_traced, samples_taken
+from pepperscene.render.variant import kernel
+from pepperscene.scene import Scene, Sky, Sun, assemble, uniform_sky
+from pepperscene.spectra import Spectrum
+
+NM = np.arange(360.0, 831.0, 5.0)  # wider than the sensor sees
+BLOCK = 4
+"""Pixels; statistics are taken over square blocks, whose means are nearly normal."""
+
+OURS, THEIRS = 3, 10
+"""Frames of each: theirs have most of the noise."""
+
+GRANTED = 2e-4
+"""Of a block's light; what a step of 1 nm leaves of the spectra's kinks."""
+
+BOUNCES = QUALITIES["reference"].bounces
+
+
+# --- scenes ---------------------------------------------------------------------------------------------
+
+
+def thin_leaf() -> Surface:
+    """Lets through most of what it does not absorb, under cuticles of different gloss."""
+    red_edge = 0.05 + 0.4 / (1.0 + np.exp(-(NM - 600.0) / 15.0))
+    both = np.stack([red_edge, 1.1 * red_edge])[None].repeat(3, axis=0)
+    return Surface("leaf", NM, both, 0.8 * red_edge[None].repeat(3, axis=0), 1.45, (0.25, 0.4))
+
+
+def glossy_fruit() -> Surface:
+    """An opaque yellow body that mirrors."""
+    yellow = 0.05 + 0.65 / (1.0 + np.exp(-(NM - 510.0) / 12.0))
+    both = np.broadcast_to(yellow, (1, 2, NM.size)).copy()
+    return Surface("fruit", NM, both, np.zeros((1, NM.size)), 1.5, (0.12, 0.12))
+
+
+def still_life(sky: Sky | None = None, card_m: float = 2.0) -> Scene:
+    """A thin leaf that shades a glossy fruit, both before a matt card; the camera looks along +z."""
+    mesh = concatenate(
+        [
+            sphere((0.03, 0.02, 0.45), 0.06, "fruit", subdivisions=3),
+            sheet(0.15, 0.4, 0.4, "leaf").moved(np.eye(3), np.array([-0.12, 0.0, 0.0])),
+            sheet(card_m, card_m, 0.6, "card"),
+        ]
+    )
+    surfaces = {"card": lambertian("card", 0.6), "leaf": thin_leaf(), "fruit": glossy_fruit()}
+    return assemble(mesh, surfaces, sky)
+
+
+def camera(*, flash: bool = True, **flash_changes: object) -> Camera:
+    """The recipe's camera a metre from the still life, with few large pixels."""
+    pose = np.eye(4)
+    pose[2, 3] = -0.4
+    return few_pixels(bench_camera(flash=flash, **flash_changes).at_pose(pose))
+
+
+def few_pixels(whole: Camera, columns: int = 32) -> Camera:
+    """The same field of view in fewer pixels, each of them larger."""
+    sensor, binned = whole.sensor, whole.sensor.columns // columns
+    rows = sensor.rows // binned // BLOCK * BLOCK
+    return replace(whole, sensor=replace(sensor, columns=columns, rows=rows, binning=sensor.binning * binned))
+
+
+def patchy_sky(sun: Sun | None = None) -> Sky:
+    """Two spectra in bold, unlike patterns over the whole sphere."""
+    weights = np.random.default_rng(3).uniform(0.0, 1.0, (2, 6, 12)).astype(np.float32) ** 3
+    slopes = np.stack([1.0 + 0.002 * (NM - 580.0), 1.0 - 0.002 * (NM - 580.0)])
+    return Sky(weights, Spectrum(NM, slopes), sun)
+
+
+def sun(towards: tuple[float, float, float], radius: float, irradiance: float = 5.0) -> Sun:
+    direction = np.array(towards) / np.linalg.norm(towards)
+    return Sun(direction, Spectrum(NM, irradiance * (1.0 + 0.001 * (NM - 580.0))), radius)
+
+
+def point_flash() -> dict[str, object]:
+    """Beside the lens, so that shadows show, with a beam that ends inside the picture."""
+    beam = AngularProfile(np.radians([0.0, 5.0, 12.0, 18.0]), np.array([1.0, 0.9, 0.4, 0.0]))
+    return {
+        "radius_m": 0.0,
+        "emitters_m": np.zeros((1, 2)),
+        "offset_m": (0.05, -0.02, 0.01),
+        "profile": beam,
+    }
+
+
+def few_discs() -> dict[str, object]:
+    """Three wide discs at unlike distances, each with the whole profile."""
+    beam = AngularProfile(np.radians([0.0, 10.0, 30.0]), np.array([1.0, 1.2, 0.1]))
+    places = np.array([[0.1, 0.0], [-0.06, 0.05], [0.0, -0.15]])
+    return {"radius_m": 0.03, "emitters_m": places, "profile": beam}
+
+
+def mono() -> Camera:
+    whole = camera()
+    return few_pixels(replace(whole, sensor=load_sensor("onsemi_mt9v024_mono")))
+
+
+BACK, FRONT = (0.4, -0.5, -1.0), (0.12, -0.05, 1.0)  # of the camera, and in its picture
+
+SCENES = {
+    "flash of many emitters": lambda: (still_life(), camera()),
+    "point flash with a narrow beam": lambda: (still_life(), camera(**point_flash())),
+    "flash of a few wide discs": lambda: (still_life(), camera(**few_discs())),
+    "even sky": lambda: (
+        still_life(uniform_sky(Spectrum(NM, np.ones(NM.size)), 5e4), 0.5),
+        camera(flash=False),
+    ),
+    "patchy sky": lambda: (still_life(patchy_sky(), 0.5), camera(flash=False)),
+    "wide sun": lambda: (still_life(patchy_sky(sun(BACK, 0.2))), camera(flash=False)),
+    "wide sun in the picture, through the leaf": lambda: (
+        still_life(patchy_sky(sun(FRONT, 0.15)), 0.3),
+        camera(flash=False),
+    ),
+    "real sun, flash and sky": lambda: (still_life(patchy_sky(sun(BACK, 0.004654))), camera()),
+    "mono sensor": lambda: (still_life(patchy_sky(), 0.5), mono()),
+    "out of focus": lambda: (
+        still_life(patchy_sky(), 0.5),
+        replace(camera(), lens=replace(camera().lens, f_number=0.8), focus_m=0.4),
+    ),
+}
+
+
+# --- the two ways, and statistics -----------------------------------------------------------------------
+
+
+def ours(scene: Scene, camera: Camera) -> np.ndarray:
+    """`(n, h, w, c)` electrons as users get them, with one seed each."""
+    renderer = Renderer(scene)
+    return np.stack(
+        [renderer.render(camera, ["electrons"], "reference", seed)["electrons"] for seed in range(OURS)]
+    )
+
+
+def theirs(scene: Scene, camera: Camera, spp: int = 144, frames: int = THEIRS, **options: object):
+    """`(n, h, w, c)` electrons by Mitsuba's path tracer, with one seed each."""
+    built = path_scene(scene, camera)
+    options = {"bounces": BOUNCES, "kernel_scene": built, **options}
+    signals = [path_traced(scene, camera, spp=spp, seed=100 + n, **options) for n in range(frames)]
+    return np.stack([expected_electrons(signal, camera) for signal in signals])
+
+
+def block_means(frames: np.ndarray) -> np.ndarray:
+    """`(n, blocks * c + c)` means over blocks and over the whole picture."""
+    n, h, w, c = frames.shape
+    blocks = frames.astype(float).reshape(n, h // BLOCK, BLOCK, w // BLOCK, BLOCK, c).mean((2, 4))
+    return np.concatenate([blocks.reshape(n, -1), blocks.mean((1, 2))], axis=1)
+
+
+def assert_agree(first: np.ndarray, second: np.ndarray, precision: float = 0.005) -> None:
+    """Welch's tests (1947) over blocks and channels: the least p-value must pass Bonferroni's correction.
+
+    Args:
+        first, second: `(n, h, w, c)`.
+        precision: the standard error of the picture's mean must be below this share of it, so that passing
+            means something.
+    """
+    from scipy.stats import t
+
+    assert np.isfinite(first).all()
+    assert np.isfinite(second).all()
+    a, b = block_means(first), block_means(second)
+    squares = a.var(axis=0, ddof=1) / len(a), b.var(axis=0, ddof=1) / len(b)
+    spread = np.sqrt(squares[0] + squares[1])
+    channels = first.shape[-1]
+    assert (spread[-channels:] < precision * b[:, -channels:].mean(axis=0)).all(), "too noisy to tell"
+
+    # What wavelengths' grids and single precision make of light that has no noise is granted.
+    apart = np.abs(a.mean(axis=0) - b.mean(axis=0)) - GRANTED * b.mean(axis=0)
+    tiny = 1e-9 * b.mean()
+    freedom = spread**4 / (squares[0] ** 2 / (len(a) - 1) + squares[1] ** 2 / (len(b) - 1) + tiny**4)
+    p = 2.0 * t.sf(np.maximum(apart, 0.0) / (spread + tiny), np.maximum(freedom, 1.0))
+    worst = int(p.argmin())
+    told = a.mean(axis=0)[worst], b.mean(axis=0)[worst], spread[worst], freedom[worst]
+    ratio = a[:, -channels:].mean(axis=0) / b[:, -channels:].mean(axis=0)
+    assert p[worst] * p.size > 1e-3, (p[worst], p.size, told, ratio)
+
+
+# --- laws -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_ours_is_what_the_path_tracer_finds(kind):
+    scene, camera = SCENES[kind]()
+    assert_agree(ours(scene, camera), theirs(scene, camera))
+
+
+def test_without_light_both_are_black():
+    scene, dark = still_life(), camera(flash=False)
+    assert not ours(scene, dark).any()
+    assert not theirs(scene, dark, spp=4, frames=1).any()
+
+
+def recipe_frame(name: str, index: int, columns: int, **changes: object) -> tuple[Scene, Camera]:
+    recipe = load_recipe(name, {key.replace("__", "."): value for key, value in changes.items()})
+    stage = Stage(recipe)
+    shot = recipe.plan.shot(index)
+    return stage.scene(shot), few_pixels(stage.camera(shot), columns)
+
+
+def test_on_a_plant_by_flash():
+    scene, camera = recipe_frame("demo", 110, 40, row__plants_front=1, row__plants_back=1)
+    assert_agree(ours(scene, camera), theirs(scene, camera))
+
+
+def test_on_a_plant_by_daylight():
+    few = {"row__plants_front": 1, "row__plants_back": 1, "greenhouse__far_rows": 0}
+    scene, camera = recipe_frame("greenhouse", 1, 40, **few)
+    assert_agree(ours(scene, camera), theirs(scene, camera))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "index"), [("demo", 2290), ("barth2018", 125), ("greenhouse", 4)])
+def test_on_whole_recipes(name, index):
+    scene, camera = recipe_frame(name, index, 160)
+    assert_agree(ours(scene, camera), theirs(scene, camera))
+
+
+# --- the path tracer by itself --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS[1:])
+def test_samplers_agree(sampler):
+    scene, lit = still_life(patchy_sky(sun(BACK, 0.2))), camera()
+    assert_agree(theirs(scene, lit, spp=64, bounces=1, sampler=sampler), theirs(scene, lit, bounces=1))
+
+
+def test_light_samples_of_the_sky_change_nothing_but_noise():
+    scene, lit = still_life(patchy_sky(sun(BACK, 0.2)), 0.5), camera()
+    chosen = path_scene(scene, lit, sky_weight=1.0)
+    assert_agree(theirs(scene, lit, bounces=2, kernel_scene=chosen), theirs(scene, lit, bounces=2))
+
+
+def test_the_same_seed_gives_the_same_bits():
+    scene, lit = still_life(patchy_sky(sun(BACK, 0.2))), camera()
+    built = path_scene(scene, lit)
+    first, again = (
+        path_traced(scene, lit, spp=16, bounces=2, seed=5, kernel_scene=kept) for kept in (built, built)
+    )
+    other = path_traced(scene, lit, spp=16, bounces=2, seed=6, kernel_scene=built)
+    np.testing.assert_array_equal(first, again)
+    np.testing.assert_array_equal(first, path_traced(scene, lit, spp=16, bounces=2, seed=5))
+    assert (first != other).mean() > 0.9
+
+
+def test_a_kept_scene_follows_the_camera():
+    scene, here = still_life(), camera()
+    pose = np.array(here.pose)
+    pose[:3, 3] += (0.02, 0.01, 0.1)
+    there = here.at_pose(pose)
+    built = path_scene(scene, here)
+    kept = path_traced(scene, there, spp=16, bounces=1, kernel_scene=built)
+    np.testing.assert_array_equal(kept, path_traced(scene, there, spp=16, bounces=1))
+    assert not np.array_equal(kept, path_traced(scene, here, spp=16, bounces=1, kernel_scene=built))
+    with pytest.raises(ValueError, match="flash"):
+        path_traced(scene, camera(flash=False), spp=1, bounces=0, kernel_scene=built)
+
+
+def test_samples_are_as_many_as_the_sampler_spreads_evenly():
+    assert [samples_taken("independent", n) for n in (1, 7, 64)] == [1, 7, 64]
+    assert all(samples_taken(sampler, 5) >= 5 for sampler in SAMPLERS)
+    with pytest.raises(ValueError, match="sobol"):
+        samples_taken("sobol", 4)
+    with pytest.raises(ValueError, match="at least one"):
+        samples_taken("independent", 0)
+
+
+@pytest.mark.parametrize(("radius", "share"), [(0.004654, 0.0), (0.2, 0.3), (1.2, 0.5)])
+def test_light_samples_of_the_daylight_follow_their_density(radius, share):
+    # Of the density over solid angle, 1 is the integral; of the radiance over it, the irradiance of a sphere.
+    mi, dr = kernel()
+    grid = np.arange(400.0, 701.0)
+    sky = patchy_sky(sun((0.3, -0.2, 0.8), radius))
+    emitter = daylight_emitter().of(sky, grid, 1.0, share, 10.0)
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(1, 1 << 18)
+    it = dr.zeros(mi.SurfaceInteraction3f, 1 << 18)
+    it.wavelengths = mi.Spectrum(550.0)
+    found, weight = emitter.sample_direction(it, sampler.next_2d())
+    it.wi = -found.d
+    radiance = np.asarray(emitter.eval(it))[0]
+    density = np.asarray(emitter.pdf_direction(it, found))
+    inside = density > 0.0
+    assert inside.mean() > 0.999  # the rest is rounded over the rim
+    np.testing.assert_allclose(np.asarray(found.pdf), density, rtol=1e-5)
+    np.testing.assert_allclose((np.asarray(weight)[0] * density)[inside], radiance[inside], rtol=1e-4)
+    # Importance sampling of the constant 1 gives the solid angle that is sampled at all.
+    solid_angle = 4.0 * np.pi if share else 2.0 * np.pi * (1.0 - np.cos(radius))
+    values = np.where(inside, 1.0 / np.maximum(density, 1e-20), 0.0)
+    error = values.std() / np.sqrt(values.size) + 1e-3 * solid_angle
+    assert values.mean() == pytest.approx(solid_angle, abs=4.0 * error)
