@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -67,9 +68,10 @@ def truths(
         camera: that looks.
         wanted: names of outputs.
     """
+    classes = functools.cache(lambda: class_ids(mesh, hits, instance))
     makers: dict[str, Callable[[], NDArray[Any]]] = {
-        "class": lambda: _class_of(mesh, instance),
-        "class_colour": lambda: class_colour(_class_of(mesh, instance)),
+        "class": classes,
+        "class_colour": lambda: class_colour(classes()),
         "instance": lambda: instance,
         "distance": lambda: hits.distance,
         "distance_code": lambda: distance_code(hits.distance),
@@ -96,9 +98,17 @@ def instances_in_view(mesh: Mesh, instance: NDArray[np.uint16]) -> dict[str, dic
     }
 
 
-def class_ids(mesh: Mesh, hits: Hits) -> NDArray[np.uint8]:
-    """`(h, w)` the `OrganClass` at each pixel; 0 in the background."""
-    return _class_of(mesh, instance_ids(mesh, hits))
+def class_ids(mesh: Mesh, hits: Hits, instance: NDArray[np.uint16] | None = None) -> NDArray[np.uint8]:
+    """`(h, w)` the `OrganClass` at each pixel; 0 in the background.
+
+    Args:
+        mesh: that was hit.
+        hits: behind the camera's pixels.
+        instance: what `instance_ids` makes of them, where it is there already.
+    """
+    # A table of thousands of instances is looked up faster than one of millions of faces.
+    table = np.array([0, *(one.organ_class for one in mesh.instances)], dtype=np.uint8)
+    return np.take(table, instance_ids(mesh, hits) if instance is None else instance)
 
 
 def instance_ids(mesh: Mesh, hits: Hits) -> NDArray[np.uint16]:
@@ -139,12 +149,6 @@ def normals(mesh: Mesh, hits: Hits, camera: Camera) -> NDArray[np.float32]:
 def depth_z(hits: Hits, camera: Camera) -> NDArray[np.float32]:
     """`(h, w)` metres along the optical axis; inf in the background."""
     return (hits.distance * camera.pixel_directions()[..., 2]).astype(np.float32)
-
-
-def _class_of(mesh: Mesh, instance: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """The class of each pixel's instance: a table of thousands of entries instead of one of all faces."""
-    table = np.array([0, *(one.organ_class for one in mesh.instances)], dtype=np.uint8)
-    return np.take(table, instance)
 
 
 def _seen(face: NDArray[np.int64], count: int) -> tuple[NDArray[np.intp], NDArray[np.uint32]]:
