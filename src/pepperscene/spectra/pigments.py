@@ -47,7 +47,13 @@ def absorption_coefficients(wavelength_nm: ArrayLike) -> Mapping[str, NDArray[np
         ValueError: a wavelength lies beyond 2500 nm.
     """
     nm = np.atleast_1d(np.asarray(wavelength_nm, dtype=float))
-    table = _coefficients()
+    # Surfaces are made of many leaves on few grids of wavelengths.
+    return {name: values.copy() for name, values in _on_grid(tuple(nm.tolist())).items()}
+
+
+@lru_cache(maxsize=8)
+def _on_grid(wavelength_nm: tuple[float, ...]) -> Mapping[str, NDArray[np.float64]]:
+    nm, table = np.array(wavelength_nm), _coefficients()
     first, last = table["chlorophyll"].wavelength_nm[[0, -1]]
     if nm.max() > last:
         raise ValueError(f"{nm.max():g} nm lies beyond the coefficients' {last:g} nm")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import itertools
 from pathlib import Path
 from typing import Final, Literal
 
@@ -119,6 +121,12 @@ def _table(file: Path) -> tuple[list[str], NDArray[np.float64]]:
     if len(lines) < 3:
         raise InputError(file, "rows", len(lines) - 1, "must be at least two below the header")
 
+    # All at once; where that fails, one by one to say where.
+    if all(len(line) == len(header) for line in lines[1:]):
+        with contextlib.suppress(ValueError):
+            read = np.fromiter(map(float, itertools.chain.from_iterable(lines[1:])), float)
+            if np.isfinite(read).all():
+                return header, read.reshape(-1, len(header))
     numbers = np.empty((len(lines) - 1, len(header)))
     for row, line in enumerate(lines[1:]):
         if len(line) != len(header):
