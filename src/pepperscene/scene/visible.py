@@ -4,11 +4,17 @@ A scene serves all poses of a path, so that a frame does not depend on which oth
 is decided once, for all of them. An organ that no pose can see, and that stands in no flash's way to what one
 can see, only sends and takes soft light; a stand-in of few triangles does that as well. Far away it does too
 little to count, and is left out.
+
+What a view can see stays as it is, however far: labels leave no room for less. Outlines that shift by d
+pixels change the labels of d times the outlines' length. In `barth2018` at 800x600 that length is 0.07 a
+pixel, so that 0.05 % of the pixels allow a shift of 0.007 pixels. Half the grid lines move the points of a
+leaf by 0.7 mm on average, which comes down to so little beyond 45 m.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -45,17 +51,23 @@ class Sight:
     offsets: NDArray[np.float32]
     places: NDArray[np.float32]
 
-    def meets(self, centres: NDArray[np.float32], radii: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """`(n,)` whether a ball may reach into any view; never False where it does."""
+    def meets(self, centres: NDArray[np.float32], halves: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """`(n,)` whether a box may reach into any view; never False where it does.
+
+        Args:
+            centres: `(n, 3)` metres.
+            halves: `(n, 3)` half of its extent along the world's axes, metres.
+        """
         seen = np.zeros(len(centres), dtype=bool)
         first = np.arange(0, len(self.places), _STRIDE)
         for poses in (first, np.setdiff1d(np.arange(len(self.places)), first)):
             left = np.flatnonzero(~seen)
             inside = np.ones((len(left), len(poses)), dtype=bool)
             for side in range(self.normals.shape[1]):
-                reach = centres[left] @ self.normals[poses, side].T
-                reach += radii[left, None]
-                inside &= reach >= self.offsets[poses, side]
+                into = self.normals[poses, side].T
+                # The corner that reaches furthest.
+                furthest = centres[left] @ into + halves[left] @ np.abs(into)
+                inside &= furthest >= self.offsets[poses, side]
             seen[left] = inside.any(axis=1)
         return seen
 
@@ -155,7 +167,7 @@ class Pieces:
         vertices: `(n, 2)` first vertex that it uses and the one after the last.
         owner: `(n,)` its instance.
         whole: `(n,)` whether it is all of its instance.
-        centres, radii: `(n, 3)` and `(n,)` float32, metres: of a ball that holds it.
+        centres, halves: `(n, 3)` float32, metres: middle and half extent of the box that holds it.
     """
 
     faces: NDArray[np.intp]
@@ -163,7 +175,12 @@ class Pieces:
     owner: NDArray[np.intp]
     whole: NDArray[np.bool_]
     centres: NDArray[np.float32]
-    radii: NDArray[np.float32]
+    halves: NDArray[np.float32]
+
+    @cached_property
+    def radii(self) -> NDArray[np.float32]:
+        """`(n,)` metres, of the ball round the centre that holds the box."""
+        return np.asarray(np.linalg.norm(self.halves, axis=1))
 
 
 def pieces(mesh: Mesh) -> Pieces:
@@ -183,15 +200,14 @@ def pieces(mesh: Mesh) -> Pieces:
     low = np.minimum.reduceat(corners, 3 * starts).astype(np.intp)
     high = np.maximum.reduceat(corners, 3 * starts).astype(np.intp) + 1
     least, most = _bounds(mesh.vertices, low, high)
-    middle = (least + most) / 2.0
-    radii = np.linalg.norm(most - least, axis=1) / 2.0 * np.float32(1.0 + 1e-6)
+    half = (most - least) / 2.0
     return Pieces(
         np.append(starts, len(mesh.faces)),
         np.stack([low, high], axis=1),
         owner,
         runs_of[owner] == 1,
-        middle,
-        radii.astype(np.float32),
+        least + half,
+        half,
     )
 
 
@@ -267,7 +283,7 @@ def culled(mesh: Mesh, view: Sight, light: Reach) -> Mesh:
         light: how much light what is not seen can give or take.
     """
     found = pieces(mesh)
-    seen = view.meets(found.centres, found.radii)
+    seen = view.meets(found.centres, found.halves)
     if seen.all() or not seen.any():
         return mesh
     out = negligible(found, seen, view, light)
