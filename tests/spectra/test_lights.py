@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -7,6 +10,7 @@ from pepperscene.spectra import (
     LUMINOUS_EFFICACY,
     PLANCK,
     Spectrum,
+    colour_science,
     illuminance,
     led_spectrum,
     photons_per_joule,
@@ -34,6 +38,21 @@ def colour_temperature(spd: Spectrum) -> float:
 def test_a_narrow_line_at_555_nm_has_the_maximum_efficacy():
     line = Spectrum(np.array([554.0, 555.0, 556.0]), np.array([0.0, 1.0, 0.0]))  # 1 W m-2
     assert illuminance(line) == pytest.approx(LUMINOUS_EFFICACY, rel=1e-3)
+
+
+def test_v_lambda_is_the_table_of_colour_science():
+    table = colour_science().colorimetry.SDS_LEFS_PHOTOPIC["CIE 1924 Photopic Standard Observer"]
+    v = photopic_efficiency()
+    assert np.array_equal(v.wavelength_nm, table.wavelengths)
+    assert np.array_equal(v.values, table.values)
+
+
+def test_lux_needs_no_slow_import():
+    ask = (
+        "import sys; from pepperscene.spectra import illuminance, sun_spectrum; illuminance(sun_spectrum()); "
+        "assert 'colour' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", ask], check=True)
 
 
 def test_lux_is_exact_for_linear_pieces():
