@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -137,8 +138,11 @@ class Bodies:
         self._known[kind] = known = _Pairs(organ[order], other[order], depth[order])
         self._as_of[kind] = organs.turns
         first = np.flatnonzero(np.diff(known.organ, prepend=-1))
-        others, depths = np.split(known.other, first[1:]), np.split(known.depth, first[1:])
-        near = dict(zip(known.organ[first].tolist(), map(Near, others, depths), strict=len(first) > 0))
+        ends = [*first.tolist(), len(known.organ)]
+        near = {
+            one: Near(known.other[start:stop], known.depth[start:stop])
+            for one, (start, stop) in zip(known.organ[first].tolist(), pairwise(ends), strict=True)
+        }
         return near if len(wanted) == len(rows) else {one: near[one] for one in wanted if one in near}
 
     def _meeting(self, organ: Indices, other: Indices) -> tuple[Indices, Indices]:

@@ -41,7 +41,7 @@ class Wall:
 
 
 class Walls:
-    """The walls of many fruit in one table, each made when first asked for.
+    """The walls of many fruit in one table, and the balls that hold them; each is made when first asked for.
 
     Args:
         organs: of a mesh.
@@ -50,6 +50,7 @@ class Walls:
 
     def __init__(self, organs: Organs, fruit: Indices) -> None:
         self._organs, self._fruit = organs, fruit
+        self._held = np.zeros(len(fruit), dtype=bool)
         self._made = np.zeros(len(fruit), dtype=bool)
         self._planes = np.empty((len(fruit) * _CELLS * _CELLS, 4), dtype=np.float32)
         self._centre = np.empty((len(fruit), 3))
@@ -58,13 +59,11 @@ class Walls:
     def bodies(self, fruit: Sequence[int] | Indices) -> Balls:
         """Some fruit as they stand."""
         place = np.searchsorted(self._fruit, fruit)
-        missing = np.unique(place[~self._made[place]])
+        missing = np.unique(place[~self._held[place]])
         if len(missing):
-            made = walls(self._organs, self._fruit[missing].tolist())
-            for row, wall in zip(missing.tolist(), made, strict=True):
-                self._planes[row * _CELLS**2 : (row + 1) * _CELLS**2] = wall.planes
-                self._centre[row], self._reach[row] = wall.centre, wall.reach
-            self._made[missing] = True
+            grown = [self._organs.vertices(one) for one in self._fruit[missing].tolist()]
+            self._centre[missing], self._reach[missing] = _balls(grown)
+            self._held[missing] = True
         which = self._fruit[place]
         turned, shift, centre = self._organs.rotation[which], self._organs.shift[which], self._centre[place]
         return Balls(place, turned, np.einsum("fij,fj->fi", turned, centre) + shift, self._reach[place])
@@ -84,6 +83,12 @@ class Walls:
         Returns:
             `(h,)` metres; minus infinity where all is far off.
         """
+        missing = np.unique(row[~self._made[row]])
+        if len(missing):
+            made = walls(self._organs, self._fruit[missing].tolist())
+            for one, wall in zip(missing.tolist(), made, strict=True):
+                self._planes[one * _CELLS**2 : (one + 1) * _CELLS**2] = wall.planes
+            self._made[missing] = True
         x, y, z = points
         local = np.empty_like(points)
         square = np.zeros_like(x)
@@ -124,9 +129,7 @@ def walls(organs: Organs, fruit: Sequence[int]) -> list[Wall]:
     """The walls of some fruit, as grown."""
     if not len(fruit):
         return []
-    vertices = [organs.vertices(one) for one in fruit]
-    centre = np.stack([0.5 * (some.min(axis=0) + some.max(axis=0)) for some in vertices])
-    reach = [np.sqrt(_squared(some - one).max()) for some, one in zip(vertices, centre, strict=True)]
+    centre, reach = _balls([organs.vertices(one) for one in fruit])
     corners, number = organs.triangles(fruit)
     corners -= centre[number][:, None]
     a, b, c = (np.ascontiguousarray(corners[:, corner]) for corner in range(3))
@@ -150,6 +153,13 @@ def walls(organs: Organs, fruit: Sequence[int]) -> list[Wall]:
         Wall(middle.astype(np.float64), float(far), one)
         for middle, far, one in zip(centre, reach, maps, strict=True)
     ]
+
+
+def _balls(bodies: Sequence[Points]) -> tuple[Points, NDArray[np.float32]]:
+    """`(n, 3)` middles of the boxes around bodies, and `(n,)` metres from there to the farthest point."""
+    centre = np.stack([0.5 * (some.min(axis=0) + some.max(axis=0)) for some in bodies])
+    reach = [np.sqrt(_squared(some - one).max()) for some, one in zip(bodies, centre, strict=True)]
+    return centre, np.array(reach)
 
 
 def _planes(a: Points, b: Points, c: Points) -> NDArray[np.float32]:

@@ -148,11 +148,11 @@ def _near(
     """
     if not len(movers):
         return
-    organs.sample(movers)
     ways = turns.shift.shape[1]
     low, high = organs.low[movers].astype(np.float32), organs.high[movers].astype(np.float32)
     rotation, shift = turns.rotation.astype(np.float32), turns.shift.astype(np.float32)
     single, far = centre.astype(np.float32), reach.astype(np.float32)
+    pairs, balls, on = [], [], []
     for start in range(0, len(movers), max(ENTRIES // (4 * ways), 1)):
         block = slice(start, start + max(ENTRIES // (4 * ways), 1))
         # To move organs towards balls is to move balls back to the organs.
@@ -163,20 +163,24 @@ def _near(
             beside = target[axis] - np.clip(target[axis], least, most)
             off += beside * beside
         pair, way = np.nonzero(off < np.square(far[block])[:, None])
-        ball = target[:, pair, way]
-        pair = pair + start
-        count = organs.patch_count[movers[pair]]
-        for part in _runs(count):
-            hit, number = counted(count[part])
-            patch = organs.patch_first[movers[pair[part]]][hit] + number
-            apart = far.take(pair[part]).take(hit) + organs.laid.radius.take(patch)
-            square = np.zeros(len(patch), dtype=np.float32)
-            for axis in range(3):
-                beside = organs.laid.centre[:, axis].take(patch) - ball[axis, part].take(hit)
-                square += beside * beside
-            kept = np.flatnonzero(square < apart * apart)
-            if len(kept):
-                yield pair[part], way[part], hit[kept], patch[kept]
+        balls.append(target[:, pair, way])
+        pairs.append(pair + start)
+        on.append(way)
+    pair, way, ball = np.concatenate(pairs), np.concatenate(on), np.concatenate(balls, axis=1)
+    # Only now, so that none is laid on what comes near to nothing.
+    organs.sample(movers[np.unique(pair)])
+    count = organs.patch_count[movers[pair]]
+    for part in _runs(count):
+        hit, number = counted(count[part])
+        patch = organs.patch_first[movers[pair[part]]][hit] + number
+        apart = far.take(pair[part]).take(hit) + organs.laid.radius.take(patch)
+        square = np.zeros(len(patch), dtype=np.float32)
+        for axis in range(3):
+            beside = organs.laid.centre[:, axis].take(patch) - ball[axis, part].take(hit)
+            square += beside * beside
+        kept = np.flatnonzero(square < apart * apart)
+        if len(kept):
+            yield pair[part], way[part], hit[kept], patch[kept]
 
 
 def _back(centre: Points, turn: Indices, rotation: Points, shift: Points) -> Points:

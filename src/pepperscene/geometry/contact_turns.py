@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,20 +9,17 @@ import numpy as np
 
 from pepperscene.geometry.contact import NEAR, Bodies
 from pepperscene.geometry.contact_organs import FRUIT, Indices, Vectors
+from pepperscene.geometry.contact_poses import Poses, disc, effort
 from pepperscene.geometry.contact_search import CLEAR, Surroundings, boxes, left_of
 from pepperscene.geometry.contact_tables import Turns
-from pepperscene.geometry.contact_units import Joint, Unit, joint, joints, rotations, units_of
+from pepperscene.geometry.contact_units import Unit, joint, joints, rotations, units_of
 from pepperscene.geometry.motion import Motion
 
 _CLOSE: Final = -0.75 * CLEAR  # m, chosen; what comes nearer may touch between the points that are looked at
 _POSES: Final = (30, 60, 60, 120)  # chosen: poses that a unit might take in each round, then as in the last
 _TRIES: Final = (10, 20, 20, 120)  # chosen: the cheapest of these, which are looked at all around
-_ROUGHLY: Final = 16  # chosen: of so many points one is looked at while poses are compared by the contact,
-_EVERY: Final = 4  # and of so many by all that they run into
-_FIRST: Final = 4  # chosen: of the cheapest, those that are looked at first
+_ROUGHLY: Final = 16  # chosen: of so many points one is looked at while poses are compared by the contact
 _FEW: Final = 8  # contacts, chosen: what is tried does not depend on it, only when
-_SMALL: Final = 20.0  # weighted degrees, chosen: a turn that is taken without asking what else could turn
-_PARTS: Final = np.array([0.0, 0.2, 0.4, 0.55, 0.7, 0.8, 0.9, 1.0])  # chosen: shares of a turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,28 +132,8 @@ class Search:
         """
         # Leaves give way twice, then all is taken as it stands for once.
         hard = number % 3 == 2
-        poses, tries = (some[min(number, len(some) - 1)] for some in (_POSES, _TRIES))
-        roots = np.array([unit.root for unit in units])
-        spent, weights = self._angles[roots][:, None], np.array([unit.weights for unit in units])[:, None]
-        limits = np.array([unit.limits for unit in units])[:, None]
-        angles = np.concatenate([spent, limits * _disc(poses, phase[roots])], axis=1)
-        # Fruit on a stem is lifted only: hanging lower would break the stalk.
-        lifted = np.array([unit.on_stem and unit.bears_fruit for unit in units])
-        angles[lifted, 1:, 1] = np.abs(angles[lifted, 1:, 1])
-        way = joints(self.organs, units)
-        # What each pose costs at least: its effort, and what is left of the contacts at hand.
-        owner, rows = np.repeat(np.arange(len(units)), [len(one) for one in places]), np.concatenate(places)
-        each = left_of(
-            self.bodies,
-            units,
-            owner,
-            contacts[rows],
-            Turns(*way.turns(angles - spent)),
-            _ROUGHLY,
-            hard=hard,
-        )
-        ends = np.any(each <= 0.0, axis=1) | (number > 0)
-        helps = [frozenset(rows[(owner == one) & ends].tolist()) for one in range(len(units))]
+        count, tries = (some[min(number, len(some) - 1)] for some in (_POSES, _TRIES))
+        poses, helps = self._posed(units, places, contacts, phase, count, hard=hard, first=number == 0)
         found = {
             unit.root: _Tried(0.0, self._angles[unit.root], False, some)
             for unit, some in zip(units, helps, strict=True)
@@ -165,61 +141,50 @@ class Search:
         kept = np.flatnonzero([len(some) > 0 for some in helps])
         if not len(kept):
             return found
-        left = np.zeros(angles.shape[:2])
-        np.add.at(left, owner, each)
-        effort = _effort(angles, weights)
-        least = (effort + left)[kept]
-        # Of the cheapest ones, all that they run into: a few at first, as one of these may be free.
-        order = 1 + np.argsort(least[:, 1:], axis=1, kind="stable")[:, :tries]
-        order = np.concatenate([np.zeros((len(kept), 1), dtype=np.intp), order], axis=1)
-        angles = np.take_along_axis(angles[kept], order[:, :, None], axis=1)
-        effort, left = (np.take_along_axis(some[kept], order, axis=1) for some in (effort, left))
-        spent, weights, way = spent[kept], weights[kept], way.some(kept)
-        turns = Turns(*way.turns(angles - spent))
-        some_units = [units[one] for one in kept.tolist()]
-        swept = np.concatenate([angles, 0.5 * (angles + spent)], axis=1)
-        around = Surroundings(self.bodies, some_units, Turns(*way.turns(swept - spent)), hard=hard)
-        cost = effort + left
-        first = np.arange(min(1 + _FIRST, cost.shape[1]))
-        rest = np.append(0, np.arange(len(first), cost.shape[1]))
-        unclear = np.arange(len(kept))
-        for columns in (first, rest):
-            some = np.ix_(unclear, columns)
-            into = around.cost(unclear, Turns(turns.rotation[some], turns.shift[some]), _EVERY)
-            cost[some] = effort[some] + np.maximum(left[some], into)
-            if columns is first and len(rest) > 1:
-                # What is dearer at the least than what was found need not be looked at.
-                clear = cost[:, first].min(axis=1) <= cost[:, len(first)]
-                cost[np.ix_(clear, rest[1:])] = np.inf
-                unclear = np.flatnonzero(~clear)
-        picked = cost.argmin(axis=1)
+        # Of the cheapest ones, all that they run into.
+        poses, some_units = poses.cheapest(kept, tries), [units[one] for one in kept.tolist()]
+        swept = np.concatenate([poses.angles, 0.5 * (poses.angles + poses.spent)], axis=1)
+        around = Surroundings(self.bodies, some_units, poses.turns(swept), hard=hard)
+        picked = poses.cost(around).argmin(axis=1)
         better = np.flatnonzero(picked)
         if not len(better):
             return found
-        whole = angles[better, picked[better]][:, None]
-        for row, (gain, stands, small) in self._shortened(around, better, whole, spent, weights, way):
+        for row, (gain, stands, small) in poses.shortened(around, better, picked[better]):
             root = some_units[row].root
             found[root] = _Tried(gain, stands, small, found[root].helps)
         return found
 
-    def _shortened(
+    def _posed(
         self,
-        around: Surroundings,
-        rows: Indices,
-        whole: Vectors,
-        spent: Vectors,
-        weights: Vectors,
-        way: Joint,
-    ) -> Iterator[tuple[int, tuple[float, Vectors, bool]]]:
-        """Of each turn that helps the part that does best: gain, angles, and whether it is small and free."""
-        # Now every point counts.
-        parts = spent[rows] + _PARTS[:, None] * (whole - spent[rows])
-        effort = _effort(parts, weights[rows])
-        turns = Turns(*way.some(rows).turns(parts - spent[rows]))
-        cost = effort + around.cost(rows, turns, 1)
-        for row, (one, pick) in enumerate(zip(rows.tolist(), cost.argmin(axis=1).tolist(), strict=True)):
-            small = cost[row, pick] == effort[row, pick] < _SMALL
-            yield one, (float(cost[row, 0] - cost[row, pick]), parts[row, pick], bool(small))
+        units: list[Unit],
+        places: list[list[int]],
+        contacts: Indices,
+        phase: Vectors,
+        count: int,
+        *,
+        hard: bool,
+        first: bool,
+    ) -> tuple[Poses, list[frozenset[int]]]:
+        """So many poses of each unit, and the contacts that some of its poses end, or may end.
+
+        What a pose costs at least is its effort, and what is left of the contacts at hand.
+        """
+        roots = np.array([unit.root for unit in units])
+        spent, weights = self._angles[roots][:, None], np.array([unit.weights for unit in units])[:, None]
+        limits = np.array([unit.limits for unit in units])[:, None]
+        angles = np.concatenate([spent, limits * disc(count, phase[roots])], axis=1)
+        # Fruit on a stem is lifted only: hanging lower would break the stalk.
+        lifted = np.array([unit.on_stem and unit.bears_fruit for unit in units])
+        angles[lifted, 1:, 1] = np.abs(angles[lifted, 1:, 1])
+        way = joints(self.organs, units)
+        owner, rows = np.repeat(np.arange(len(units)), [len(one) for one in places]), np.concatenate(places)
+        turns = Turns(*way.turns(angles - spent))
+        each = left_of(self.bodies, units, owner, contacts[rows], turns, _ROUGHLY, hard=hard)
+        ends = np.any(each <= 0.0, axis=1) | (not first)
+        helps = [frozenset(rows[(owner == one) & ends].tolist()) for one in range(len(units))]
+        left = np.zeros(angles.shape[:2])
+        np.add.at(left, owner, each)
+        return Poses(angles, spent, weights, effort(angles, weights), left, way), helps
 
     def _turned(self, contacts: Indices, best: dict[int, Unit], angles: dict[int, Vectors]) -> Indices:
         """Turn the best unit for each contact, in order, but not where something was turned just now.
@@ -265,15 +230,3 @@ class Search:
         rotation, shift = (part[0] for part in way.turns(angles[None] - spent))
         self.organs.turn(unit.members, rotation, shift)
         self._angles[unit.root] = angles
-
-
-def _effort(angles: Vectors, weights: Vectors) -> Vectors:
-    """`(u, k)` how far angles `(u, k, 2)` radians are from none, in weighted degrees."""
-    return np.asarray(np.sqrt(np.square(np.degrees(angles) * weights).sum(axis=-1)))
-
-
-def _disc(count: int, phase: Vectors) -> Vectors:
-    """`(u, count, 2)` points evenly over unit discs, from the middle outwards, turned by `(u,)` radians."""
-    step = np.arange(count) + 0.5
-    angle = phase[:, None] + np.pi * (3.0 - np.sqrt(5.0)) * step
-    return np.asarray((step / count)[:, None] ** 0.7 * np.stack([np.cos(angle), np.sin(angle)], axis=2))

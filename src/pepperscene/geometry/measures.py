@@ -16,14 +16,14 @@ def measure(organs: Sequence[Organ], name: str, default: float | None = None) ->
     Raises:
         ValueError: an organ lacks it and there is no default, or it is not a finite number.
     """
-    values = np.empty(len(organs))
-    for index, organ in enumerate(organs):
-        value = organ.measures.get(name, default)
-        if value is None or not np.isfinite(value):
-            raise ValueError(
-                f"{organ.kind} of phytomer {organ.phytomer} needs a finite measure {name}, not {value}"
-            )
-        values[index] = value
+    # What is missing becomes a NaN.
+    values = np.array([organ.measures.get(name, default) for organ in organs], dtype=np.float64)
+    if not np.isfinite(values).all():
+        organ = organs[int(np.argmin(np.isfinite(values)))]
+        raise ValueError(
+            f"{organ.kind} of phytomer {organ.phytomer} needs a finite measure {name}, "
+            f"not {organ.measures.get(name, default)}"
+        )
     return values
 
 

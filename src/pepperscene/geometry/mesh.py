@@ -126,7 +126,12 @@ class Mesh:
 
     def of_plant(self, plant: int) -> Mesh:
         """The same mesh with its instances assigned to plant number `plant` of a scene."""
-        return replace(self, instances=tuple(replace(item, plant=plant) for item in self.instances))
+        return replace(
+            self,
+            instances=tuple(
+                Instance(one.organ_class, one.kind, plant, one.phytomer, one.parent) for one in self.instances
+            ),
+        )
 
 
 def concatenate(meshes: Sequence[Mesh]) -> Mesh:
@@ -148,7 +153,9 @@ def concatenate(meshes: Sequence[Mesh]) -> Mesh:
         face_instances.append(mesh.face_instance + np.uint32(first))
         face_surfaces.append(renumber[mesh.face_surface])
         instances += [
-            replace(one, parent=one.parent + first) if first and one.parent >= 0 else one
+            Instance(one.organ_class, one.kind, one.plant, one.phytomer, one.parent + first)
+            if first and one.parent >= 0
+            else one
             for one in mesh.instances
         ]
         vertex_offset += len(mesh.vertices)

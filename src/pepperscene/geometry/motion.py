@@ -36,17 +36,25 @@ def moved_plant(plant: Plant, motions: Sequence[Motion]) -> Plant:
     Raises:
         ValueError: a motion's instance is no organ of the plant.
     """
-    organs = list(plant.organs)
+    organs = plant.organs
+    curves, ups = [organ.curve for organ in organs], [organ.up for organ in organs]
+    moved = set()
     for motion in motions:
         if not 0 <= motion.instance < len(organs):
             raise ValueError(f"instance {motion.instance} is no organ of a plant of {len(organs)}")
-        turned = np.zeros(len(organs), dtype=bool)
-        turned[motion.instance] = True
+        turned = {motion.instance}
         # A parent stands before its children.
-        for index, organ in enumerate(organs):
-            turned[index] |= organ.parent >= 0 and turned[organ.parent]
-        for index in np.flatnonzero(turned).tolist():
-            organ = organs[index]
-            curve = (organ.curve - motion.pivot) @ motion.rotation.T + motion.pivot
-            organs[index] = replace(organ, curve=curve, up=motion.rotation @ organ.up)
-    return replace(plant, organs=tuple(organs))
+        for index in range(motion.instance + 1, len(organs)):
+            if organs[index].parent in turned:
+                turned.add(index)
+        for index in turned:
+            curves[index] = (curves[index] - motion.pivot) @ motion.rotation.T + motion.pivot
+            ups[index] = motion.rotation @ ups[index]
+        moved |= turned
+    return replace(
+        plant,
+        organs=tuple(
+            replace(organ, curve=curves[index], up=ups[index]) if index in moved else organ
+            for index, organ in enumerate(organs)
+        ),
+    )
