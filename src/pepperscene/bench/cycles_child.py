@@ -54,7 +54,7 @@ def main(folder: Path) -> None:
         _rendered(bpy, 0)  # loads the denoiser, takes over what has changed
         _set(bpy, setting)
         seconds: list[float] = []
-        while len(seconds) < setting["frames"] and not _spent(sum(seconds), setting["limit_s"]):
+        while not _enough(seconds, setting):
             seconds.append(_rendered(bpy, _SEEDS * (number + 1) + len(seconds)))
             np.save(folder / f"picture_{number}_{len(seconds) - 1}.npy", _picture(bpy, folder))
         results["settings"].append(
@@ -73,8 +73,10 @@ def _beside(name: str) -> Any:
     return module
 
 
-def _spent(seconds: float, limit: float) -> bool:
-    return 0.0 < limit <= seconds
+def _enough(seconds: list[float], setting: dict[str, Any]) -> bool:
+    """All frames, or as many as the time allows; two at least, for one alone tells nothing of its error."""
+    late = 0.0 < setting["limit_s"] <= sum(seconds) and len(seconds) >= 2
+    return late or len(seconds) == setting["frames"]
 
 
 # --- settings -----------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ class CyclesSetting:
         adaptive: noise threshold of adaptive sampling; None samples all pixels alike.
         filter_glossy: Blender's blurring of gloss behind diffuse bounces; 0 is none.
         frames: with seeds of their own, where the caller's number does not do; None takes that.
-        limit_s: no further frame is begun after so many seconds; 0 is no limit.
+        limit_s: no third or further frame is begun after so many seconds; 0 is no limit.
     """
 
     name: str
