@@ -6,7 +6,7 @@ from plant_colours import at, lab, lab_hue
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.cultivar.forms import USUAL
-from pepperscene.materials import greenhouse_surfaces, leaf_body, organ_surfaces, rind_reflectance
+from pepperscene.materials import greenhouse_surfaces, leaf_body, organ_surfaces, organs, rind_reflectance
 
 ORGANS = {"leaf", "petiole", "stem", "fruit", "peduncle", "calyx", "cut"}
 GREENHOUSE = set(greenhouse_surfaces(np.array([550.0])))
@@ -161,3 +161,12 @@ def test_a_coarse_grid_is_the_fine_one_sampled(surfaces, kaite, nm):
     coarse = organ_surfaces(kaite, nm[::8]) | greenhouse_surfaces(nm[::8])
     for name, surface in coarse.items():
         assert surface.reflectance == pytest.approx(surfaces[name].reflectance[..., ::8], abs=1e-12)
+
+
+def test_surfaces_made_side_by_side_are_those_made_one_by_one(kaite):
+    nm = np.arange(400.0, 801.0, 50.0)
+    for name, found in organ_surfaces(kaite, nm).items():
+        kind = next(kind for kind in kaite.grown if kaite.kinds[kind].surface == name)
+        alone = organs._surface(kaite, kind, name, nm)
+        for part in ("reflectance", "transmittance", "pattern", "relief_mm"):
+            assert np.array_equal(getattr(found, part), getattr(alone, part)), (name, part)
