@@ -1,7 +1,7 @@
 """How long plants take: one of forty nodes, a row of thirteen, and the row after its plants have moved on.
 
-One process, one core, medians over plants and rows of different seeds; the first of each kind warms up and is
-not counted. Run it from the top of the repository:
+One process, one core, but where two processes are named; medians over plants and rows of different seeds; the
+first of each kind warms up and is not counted. Run it from the top of the repository:
 
     OMP_NUM_THREADS=1 python benchmarks/plants.py
 """
@@ -47,7 +47,8 @@ def rows(recipe_name: str, runs: int) -> dict[str, list[float]]:
     for seed in range(runs + 1):
         clocks.clear()
         recipe = ps.load_recipe(recipe_name).with_seed(seed)
-        planting, times = Planting(recipe, ps.load_cultivar(recipe.cultivar)), Times()
+        cultivar, times = ps.load_cultivar(recipe.cultivar), Times()
+        planting = Planting(recipe, cultivar, 1)
         with timed(times, "all of it"):
             planting.scene(0, 0)
         # Far rows are grown and meshed too where a recipe has them; they count to their stages.
@@ -55,6 +56,8 @@ def rows(recipe_name: str, runs: int) -> dict[str, list[float]]:
         times = {**stages, "place and settle row": times["all of it"] - sum(stages.values()), **times}
         with timed(times, "the next rotation"):
             planting.scene(0, 1)
+        with timed(times, "all of it in two processes"):
+            Planting(recipe, cultivar, 2).scene(0, 0)
         found.append(times)
     return columns(found[1:])
 
