@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import os
+import subprocess
 import sys
+import threading
+import time
+import types
 from pathlib import Path
 
 import pytest
@@ -219,3 +224,68 @@ def test_a_drjit_that_runs_an_older_llvm_is_not_trusted(monkeypatch, tmp_path):
     monkeypatch.setattr(FakeDrJit, "loaded", False)
     with pytest.raises(SetupError, match="no usable renderer"):
         choose_variant()
+
+
+# --- an early start ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def not_started(monkeypatch):
+    """As in a process that has not asked for the renderer yet."""
+    monkeypatch.setattr(variant, "_started", functools.cache(variant._started.__wrapped__))
+    monkeypatch.setattr(variant, "kernel", functools.cache(variant.kernel.__wrapped__))
+
+
+def test_an_early_start_that_fails_is_told_when_the_renderer_is_needed(monkeypatch, not_started):
+    def refuse(wanted=None):
+        raise SetupError("there is none")
+
+    monkeypatch.setattr(variant, "choose_variant", refuse)
+    variant.start_early().join()
+    with pytest.raises(SetupError, match="there is none"):
+        variant.kernel()
+
+
+def test_the_renderer_starts_once_however_many_ask(monkeypatch, not_started):
+    asked, begun = [], threading.Barrier(4)
+
+    def slowly(wanted=None):
+        asked.append(threading.get_ident())
+        time.sleep(0.05)
+        return "llvm_ad_spectral"
+
+    monkeypatch.setattr(variant, "choose_variant", slowly)
+    monkeypatch.setitem(sys.modules, "drjit", types.ModuleType("drjit"))
+    mitsuba = types.ModuleType("mitsuba")
+    mitsuba.set_variant = mitsuba.set_log_level = lambda _: None
+    mitsuba.LogLevel = types.SimpleNamespace(Error=0)
+    monkeypatch.setitem(sys.modules, "mitsuba", mitsuba)
+
+    def ask():
+        begun.wait()
+        assert variant.kernel()[0] is mitsuba
+
+    askers = [threading.Thread(target=ask) for _ in range(4)]
+    for thread in askers:
+        thread.start()
+    for thread in askers:
+        thread.join()
+    assert len(asked) == 1
+
+
+def test_a_renderer_that_started_early_renders_from_the_main_thread():
+    # In a process of its own; the machine's real library.
+    ask = (
+        "from pepperscene.render.variant import kernel, start_early\n"
+        "assert start_early().join() is None\n"
+        "mi, dr = kernel()\n"
+        "assert mi.variant() in ('llvm_ad_spectral', 'cuda_ad_spectral')\n"
+        "assert dr.sum(mi.Float([1.0, 2.0, 3.0]) * 2.0)[0] == 12.0\n"
+    )
+    subprocess.run([sys.executable, "-c", ask], check=True)
+
+
+def test_a_process_may_end_while_the_renderer_starts():
+    ask = "from pepperscene.render.variant import start_early; start_early(); raise SystemExit(3)"
+    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (3, "")

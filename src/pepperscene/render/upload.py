@@ -31,11 +31,11 @@ def device_table(values: ArrayLike, dtype: DTypeLike = np.float32) -> Any:
         ValueError: there are no values, or no such tables.
     """
     mi, _ = kernel()
-    kinds = {np.dtype(np.float32): mi.Float, np.dtype(np.uint32): mi.UInt32}
+    kinds = {"float32": mi.Float, "uint32": mi.UInt32}
     wanted = np.dtype(dtype)
-    if wanted not in kinds:
+    if wanted.name not in kinds:
         raise ValueError(f"there are tables of float32 and of uint32, not of {wanted}")
-    return kinds[wanted](aligned(values, wanted))
+    return kinds[wanted.name](aligned(values, wanted))
 
 
 def device_number(value: float, *, whole: bool = False) -> Any:

@@ -7,11 +7,13 @@ first kernel ("Cannot select: fmaximum"; x86 gained that instruction's selection
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import re
 import subprocess
 import sys
+import threading
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
@@ -33,6 +35,7 @@ _SYSTEM_FOLDERS: Final = (
     "/opt/homebrew/opt/llvm/lib",
     "/usr/local/opt/llvm/lib",
 )
+_one_at_a_time = threading.RLock()
 _ASK_VERSION: Final = (
     "import ctypes, sys\n"
     "numbers = [ctypes.c_uint() for _ in range(3)]\n"
@@ -113,6 +116,12 @@ def kernel() -> tuple[Any, Any]:
     Raises:
         SetupError: no JIT variant runs here.
     """
+    with _one_at_a_time:
+        return _started()
+
+
+@functools.cache
+def _started() -> tuple[Any, Any]:
     variant = choose_variant()
     import drjit
     import mitsuba
@@ -120,6 +129,22 @@ def kernel() -> tuple[Any, Any]:
     mitsuba.set_variant(variant)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
     return mitsuba, drjit
+
+
+def start_early() -> threading.Thread:
+    """Mitsuba begins to start in a thread of its own, which is returned, while other work is done.
+
+    What fails there fails again, and is told, where the renderer is first needed.
+    """
+
+    def start() -> None:
+        with contextlib.suppress(Exception):
+            kernel()
+
+    # No daemon: a process that ends meanwhile must not pull the library from under it.
+    thread = threading.Thread(target=start, name="start of the renderer")
+    thread.start()
+    return thread
 
 
 def variant_name() -> str:
