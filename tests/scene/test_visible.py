@@ -18,7 +18,7 @@ from pepperscene.scene import Reach, about_z, culled, reach, sight, standing
 from pepperscene.scene.standin import pattern, stand_ins
 from pepperscene.scene.visible import LEAST_LIGHT, negligible, pieces
 
-NIGHT = Reach(0.0, 0.05, 0.4)
+NIGHT = Reach(0.0, 0.0, 0.05, 0.4)
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +113,7 @@ def test_what_lies_outside_every_view_is_found(camera):
     assert view.meets(np.array([[0.0, 0.0, 0.9]], np.float32), box[:1]).all()
 
 
-@pytest.mark.parametrize("light", [NIGHT, Reach(0.02, 0.05, 0.4), Reach(1.0, 0.0, 0.4)])
+@pytest.mark.parametrize("light", [NIGHT, Reach(0.01, 0.01, 0.05, 0.4), Reach(1.0, 1.0, 0.0, 0.4)])
 def test_no_triangle_that_a_view_can_show_is_touched(camera, row, light):
     poses = path()
     made = culled(row, sight(camera, poses), light)
@@ -169,16 +169,16 @@ def test_boxes_hold_their_pieces(row):
 # --- what does not matter -----------------------------------------------------------------------------------
 
 
-@given(seed=st.integers(0, 2**32 - 1), daylight=st.floats(0.0, 1.0))
+@given(seed=st.integers(0, 2**32 - 1), daylight=st.floats(0.0, 1.0), sun=st.sampled_from([0.0, 1e-4, 0.3]))
 @settings(max_examples=20, deadline=None)
-def test_all_that_is_left_out_stays_below_the_bound(camera, seed, daylight):
+def test_all_that_is_left_out_stays_below_the_bound(camera, seed, daylight, sun):
     rng = np.random.default_rng(seed)
     seen_at = rng.uniform((-0.1, -0.1, 0.9), (0.1, 0.1, 1.1), (3, 3))
     near = [sphere(at, 0.05, "leaf", subdivisions=1) for at in seen_at]
     places, sizes = rng.uniform((-9, -9, -40), (9, 9, 0), (40, 3)), rng.uniform(0.001, 0.1, 40)
     far = [sphere(at, size, "leaf", subdivisions=1) for at, size in zip(places, sizes, strict=True)]
     found = pieces(concatenate([*near, *far]))
-    light = Reach(daylight, 0.05, 0.4)
+    light = Reach(daylight, sun, 0.05, 0.4, 0.07)
     view = sight(camera, path(5, 0.9, 1.1))
     seen = view.meets(found.centres, found.halves)
     out = negligible(found, seen, view, light)
@@ -187,8 +187,11 @@ def test_all_that_is_left_out_stays_below_the_bound(camera, seed, daylight):
     total = 0.0
     for centre, radius in zip(found.centres[out].astype(float), found.radii[out].astype(float), strict=True):
         away = (np.linalg.norm(found.centres[seen] - centre, axis=1) - found.radii[seen]).min()
-        flash = np.linalg.norm(view.places - centre, axis=1).min() - radius
-        total += (daylight + 0.05 * (0.4 / flash) ** 2) * min(1.0, (radius / max(away, radius)) ** 2)
+        flash = np.linalg.norm(view.places - centre, axis=1).min() - radius - 0.07
+        covered = min(1.0, (radius / max(away, radius)) ** 2)
+        total += (daylight + sun + 0.05 * (0.4 / flash) ** 2) * covered
+        # The sun's disc is half a degree wide.
+        total += sun * min(1.0, covered / np.radians(0.2666) ** 2)
     assert total <= LEAST_LIGHT * 1.001
 
 
@@ -197,7 +200,7 @@ def test_far_away_things_go_and_near_ones_stay(camera):
         sphere(place, 0.05, "leaf", subdivisions=2) for place in ((0, 0, 1.0), (0, 0, 0.3), (0, 0, -60.0))
     )
     mesh = concatenate([seen, below, far])
-    made = culled(mesh, sight(camera, path(5, 0.9, 0.9)), Reach(0.5, 0.05, 0.4))
+    made = culled(mesh, sight(camera, path(5, 0.9, 0.9)), Reach(0.5, 0.0, 0.05, 0.4))
     assert {*made.face_instance.tolist()} == {0, 1}
     assert len(made.instances) == 3
 
@@ -205,15 +208,17 @@ def test_far_away_things_go_and_near_ones_stay(camera):
 def test_reach_tells_the_shares_of_flash_and_daylight(camera):
     flash = camera.flash
     bright = reach(camera, flash.at_m, flash.illuminance_lx * camera.flash_duty)
-    assert bright.daylight == pytest.approx(0.5)
+    assert bright.sky == pytest.approx(0.5)
+    assert bright.sun == 0.0
     assert not bright.simple
     # Beside the picture the beam is weak.
     border = np.arctan(np.abs(camera.ray_slopes()[0, :, 1]).min())
     assert bright.stray == pytest.approx(0.5 * float(flash.profile.at(border)), rel=1e-3)
-    assert reach(camera, 0.4, 0.0).daylight == 0.0
-    assert reach(replace(camera, flash=None), 0.4, 100.0) == Reach(1.0, 0.0, 0.4)
+    assert reach(camera, 0.4, 0.0).sky == 0.0
+    assert reach(camera, 0.4, 3000.0, 2000.0).sun == pytest.approx(reach(camera, 0.4, 2000.0, 3000.0).sky)
+    assert reach(replace(camera, flash=None), 0.4, 100.0) == Reach(1.0, 1.0, 0.0, 0.4)
     # Twice as near the flash is four times as bright.
-    one, two = reach(camera, 0.4, 5500.0).daylight, reach(camera, 0.2, 5500.0).daylight
+    one, two = reach(camera, 0.4, 5500.0).sky, reach(camera, 0.2, 5500.0).sky
     assert (1 / two - 1) == pytest.approx(4 * (1 / one - 1))
 
 

@@ -161,9 +161,13 @@ class Stage:
     def _reach(self) -> Reach:
         from pepperscene.scene import reach
 
-        light = self.recipe.daylight
-        daylight_lx = 0.0 if light is None else light.illuminance_lx
-        return reach(self._first_camera, self.recipe.path.distance_mm / 1e3, daylight_lx)
+        light, distance_m = self.recipe.daylight, self.recipe.path.distance_mm / 1e3
+        if light is None or light.illuminance_lx == 0:
+            return reach(self._first_camera, distance_m, 0.0)
+        # As from a clear sky: a hazy cover only softens the disc's shadows.
+        sun_lx = light.illuminance_lx * light.sun_fraction
+        facing_lx = sun_lx / np.sin(np.radians(light.sun_elevation_deg)) if sun_lx > 0 else 0.0
+        return reach(self._first_camera, distance_m, light.illuminance_lx - sun_lx, float(facing_lx))
 
     @cached_property
     def _surfaces(self) -> dict[str, Surface]:

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera, Flash
 from pepperscene.geometry import Mesh
+from pepperscene.scene.sky import SUN_ANGULAR_RADIUS
 from pepperscene.scene.standin import stand_ins
 
 _LONG: Final = 2500  # chosen: faces of an instance that is looked at in pieces; twine and rows, but no organ
@@ -108,8 +109,12 @@ def _behind(into: NDArray[np.float64], flash: Flash | None) -> NDArray[np.float6
     """`(k,)` how far the flash reaches out of half-spaces `(k, 3)` through the projection centre, metres."""
     if flash is None:
         return np.zeros(len(into))
-    lamps = np.asarray(flash.offset_m) + np.pad(flash.emitters_m, ((0, 0), (0, 1)))
-    return np.maximum((flash.radius_m - into @ lamps.T).max(axis=1), 0.0)
+    return np.maximum((flash.radius_m - into @ _lamps(flash).T).max(axis=1), 0.0)
+
+
+def _lamps(flash: Flash) -> NDArray[np.float64]:
+    """`(k, 3)` centres of its emitters in camera axes, metres."""
+    return np.asarray(flash.offset_m) + np.pad(flash.emitters_m, ((0, 0), (0, 1)))
 
 
 @dataclass(frozen=True)
@@ -117,45 +122,51 @@ class Reach:
     """How much light what is not seen can give or take, as shares of the light at the path's distance.
 
     Attributes:
-        daylight: what sky and sun give to a level plane in the open.
+        sky: what the sky gives to a level plane in the open.
+        sun: what the sun's disc gives to a plane that faces it.
         stray: what the flash gives just beside the picture, at the path's distance.
         distance_m: the path's.
+        lamp_m: from the projection centre to the furthest point of the flash.
     """
 
-    daylight: float
+    sky: float
+    sun: float
     stray: float
     distance_m: float
+    lamp_m: float = 0.0
 
     @property
     def simple(self) -> bool:
         """Whether stand-ins will do: daylight is small enough that nobody sees what shades it."""
-        return self.daylight <= _MOST_DAYLIGHT
+        return self.sky + self.sun <= _MOST_DAYLIGHT
 
 
-def reach(camera: Camera, distance_m: float, daylight_lx: float) -> Reach:
+def reach(camera: Camera, distance_m: float, sky_lx: float, sun_lx: float = 0.0) -> Reach:
     """How much light what is not seen can give or take.
 
-    A flash told in W m-2 cannot be compared with lux: daylight then counts in full.
+    A flash told in W m-2 cannot be compared with lux: daylight then counts in full, as it does without one.
 
     Args:
         camera: its flash and its field of view.
         distance_m: from the path to what it shows.
-        daylight_lx: from sky and sun on a level plane in the open.
+        sky_lx: from the sky on a level plane in the open.
+        sun_lx: from the sun's disc on a plane that faces it.
     """
     flash, slopes = camera.flash, np.abs(camera.ray_slopes())
     if flash is None:
-        return Reach(1.0, 0.0, distance_m)
-    # Beside the picture lies what is at least as far off the axis as the nearest border.
+        return Reach(1.0, 1.0, 0.0, distance_m)
+    # Beside the picture, and beside what lies in the flash's way to it, lies what is at least as far off the
+    # flash's axis as the nearest border.
     borders = (slopes[0, :, 1].min(), slopes[-1, :, 1].min(), slopes[:, 0, 0].min(), slopes[:, -1, 0].min())
     beyond = np.linspace(np.arctan(min(borders)), np.pi / 2.0, 65)
     stray = float(np.max(flash.profile.at(beyond)))
+    lamp = float(np.linalg.norm(_lamps(flash), axis=1).max()) + flash.radius_m
     if flash.illuminance_lx is None:
-        return Reach(1.0 if daylight_lx > 0.0 else 0.0, stray, distance_m)
-    flash_lx = flash.illuminance_lx * (flash.at_m / distance_m) ** 2
+        return Reach(float(sky_lx > 0.0), float(sun_lx > 0.0), stray, distance_m, lamp)
     # The flash shines for a part of the exposure.
-    flash_lx *= camera.flash_duty
-    whole = flash_lx + daylight_lx
-    return Reach(daylight_lx / whole, stray * flash_lx / whole, distance_m)
+    flash_lx = flash.illuminance_lx * (flash.at_m / distance_m) ** 2 * camera.flash_duty
+    whole = flash_lx + sky_lx + sun_lx
+    return Reach(sky_lx / whole, sun_lx / whole, stray * flash_lx / whole, distance_m, lamp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,21 +253,23 @@ def negligible(found: Pieces, seen: NDArray[np.bool_], view: Sight, light: Reach
     `LEAST_LIGHT`.
 
     A ball of radius r at the distance d from a point covers at most (r / d)^2 of the cosine-weighted sky
-    there. By so much of the daylight it can shade or light the point; and of the flash's stray light, which
-    falls with the square of the distance from the flash, it can throw as much there, were it white.
+    there. By so much of the sky's and the sun's light it can shade or light the point, were it white; so much
+    can it throw there of the flash's stray light, which falls with the square of the distance from the flash.
+    Of the sun's disc, of angular radius s, it can hide (r / d)^2 / s^2.
     """
     out = np.zeros(len(seen), dtype=bool)
     if not seen.any() or seen.all():
         return out
     hidden, lit = np.flatnonzero(~seen), np.flatnonzero(seen)
     centres, radii = found.centres[hidden], found.radii[hidden]
-    near = np.maximum(view.distances(centres, radii), 1e-3)
-    share = light.daylight + light.stray * (light.distance_m / near) ** 2
+    near = np.maximum(view.distances(centres, radii) - light.lamp_m, 1e-3)
+    share = light.sky + light.sun + light.stray * (light.distance_m / near) ** 2
 
     def weight(rows: NDArray[np.intp], others: NDArray[np.intp]) -> NDArray[np.float32]:
         """At the surface of the nearest of other balls, as seen from the middle of a ball."""
         away = _gaps(centres[rows], found.centres[others], found.radii[others])
-        return np.asarray(share[rows] * (radii[rows] / np.maximum(away, radii[rows])) ** 2)
+        form = (radii[rows] / np.maximum(away, radii[rows])) ** 2
+        return np.asarray(share[rows] * form + light.sun * np.minimum(form / SUN_ANGULAR_RADIUS**2, 1.0))
 
     # By a few of those that are seen each matters at least so much; all are asked about the rest alone.
     few = _cheapest(weight(np.arange(len(hidden)), lit[:: max(1, len(lit) // 64)]))
