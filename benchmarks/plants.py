@@ -13,7 +13,9 @@ import statistics
 import sys
 from collections.abc import Mapping
 
-from first_frames import LEAST_RUNS, PLANT_STAGES, Times, clock_plants, machine, timed
+from pepperscene.bench.against_error import LEAST_RUNS
+from pepperscene.bench.frames_child import PLANT_STAGES, Times, clock_plants, timed
+from pepperscene.bench.machine import machine
 
 
 def single_plants(cultivar: str, runs: int, detail: float) -> dict[str, list[float]]:

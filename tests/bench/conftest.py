@@ -58,7 +58,8 @@ def wall():
 @pytest.fixture
 def subject(camera, wall):
     path = tuple(camera.at_pose(camera.pose) for _ in range(3))
-    return Subject("made", wall, camera, path, Noisy(wall))
+    noisy = Noisy(wall)
+    return Subject("made", wall, wall, camera, path, noisy, noisy)
 
 
 @pytest.fixture

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
 
-from pepperscene.bench.converged import SHARE, SMALLEST_ERROR, Converged, converged
+from pepperscene.bench.converged import Converged, converged
 from pepperscene.bench.machine import machine, sentence
 from pepperscene.bench.measuring import Measured, Told, measure
 from pepperscene.bench.metrics import check_extra
@@ -24,6 +25,7 @@ from pepperscene.camera import Camera
 from pepperscene.dataset.atomic import json_bytes
 from pepperscene.dataset.folder import examine_place
 from pepperscene.errors import InputError, OutputError
+from pepperscene.render import QUALITIES
 
 LEAST_RUNS: Final = 5
 """Rounds of a whole bench: a median of fewer says little."""
@@ -34,8 +36,8 @@ REFERENCES: Final = "references"
 _REFERENCE_SHARE: Final = 0.5
 """Chosen: of a time limit, what the reference may take where it is not there yet."""
 
-_QUICK_CODES: Final = 0.5
-"""Codes: what a quick bench is content with in its reference."""
+_QUICK: Final = dataclasses.replace(QUALITIES["reference"], samples=64, soft=64, most=64)
+"""Of the two pictures that a quick bench takes for its reference."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ class _SceneResult:
     scene: BenchScene
     camera: Camera
     triangles: int
+    of_triangles: int
     reference: Converged
     measured: tuple[Measured, ...]
     cycles_floor: float | None
@@ -149,9 +152,10 @@ def _measured(
     start = perf_counter()
     here = subject(scene, size, runs, factory)
     references = folder / REFERENCES
-    wanted = _QUICK_CODES if quick else SHARE * SMALLEST_ERROR
-    limit = None if share is None else _REFERENCE_SHARE * share
-    reference = _kept(lambda: converged(here, references, "reference", wanted, limit, told), references)
+    limit = 0.0 if quick else None if share is None else _REFERENCE_SHARE * share
+    effort = _QUICK if quick else QUALITIES["reference"]
+    reference = _kept(lambda: converged(here, references, effort, limit_s=limit, told=told), references)
+    limit = None
     if share is not None:
         # What a reference out of the cache leaves is for the measuring.
         limit = max(share - (perf_counter() - start), _REFERENCE_SHARE * share)
@@ -165,7 +169,8 @@ def _measured(
         theirs, floor = _kept(lambda: measure_cycles(here, references, quick=quick, told=told), references)
         found += theirs
     # The renderer and all that it holds go before the next scene comes.
-    return _SceneResult(scene, here.camera, len(here.scene.mesh.faces), reference, tuple(found), floor)
+    triangles, of = (len(one.mesh.faces) for one in (here.scene, here.whole))
+    return _SceneResult(scene, here.camera, triangles, of, reference, tuple(found), floor)
 
 
 def _kept(make: Callable[[], Any], folder: Path) -> Any:
@@ -185,6 +190,7 @@ def _about(one: _SceneResult) -> dict[str, Any]:
         "meaning": one.scene.meaning,
         "size": [camera.width, camera.height],
         "triangles": one.triangles,
+        "of_triangles": one.of_triangles,
         "reference": {
             "pictures": reference.renders,
             "seconds": reference.seconds,
@@ -217,7 +223,8 @@ def _head(one: _SceneResult) -> str:
     return (
         f"{one.scene.meaning[0].upper()}{one.scene.meaning[1:]} (frame {one.scene.index} of "
         f"`{one.scene.recipe}`), {camera.width}x{camera.height}, "
-        f"{one.triangles:,} triangles. The reference is the mean of "
+        f"{one.triangles:,} triangles out of the whole scene's {one.of_triangles:,}. The reference, of the "
+        f"whole scene, is the mean of "
         f"{reference.renders} pictures of quality `reference`; its own error is "
         f"{reference.error_codes:.3f} codes.{theirs}"
     )

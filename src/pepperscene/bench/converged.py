@@ -90,7 +90,7 @@ def converged(
     What is rendered is added to what an earlier call left, so that no sample is paid for twice.
 
     Args:
-        subject: whose camera's view it is.
+        subject: whose camera's view of the whole scene it is.
         folder: of the cache; made when missing. Files are named after scene, camera and version.
         quality: of the pictures that are added up; without denoiser.
         wanted_codes: the error at which it ends.
@@ -121,7 +121,7 @@ def converged(
                 f"{subject.name}: reference, {halves.renders} pictures, {found.error_codes:.3f} of "
                 f"{wanted_codes:g} codes"
             )
-        electrons = subject.electrons(quality, _SEEDS + halves.renders)
+        electrons = subject.truth(quality, _SEEDS + halves.renders)
         halves.add(electrons, perf_counter() - now)
 
 

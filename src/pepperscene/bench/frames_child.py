@@ -16,7 +16,7 @@ from typing import Any, Final
 BEGAN: Final = perf_counter()
 
 PLANT_STAGES: Final = ("grow", "mesh", "twine", "settle plants")
-"""Of a plant; they run inside the placing of a row."""
+"""Of plants, where one process makes them all; of its share where two do."""
 
 LIGHT_STAGES: Final = ("trace", "denoise", "develop")
 """Of a frame; what is left of its time are labels."""
@@ -102,6 +102,7 @@ def frames(asked: Asked) -> dict[str, Any]:
     from pathlib import Path
 
     scene_times: Times = {}
+    plant_times: Times = {}
     with timed(scene_times, "import"):
         import pepperscene as ps
         from pepperscene.bench.machine import peak_mib
@@ -115,7 +116,7 @@ def frames(asked: Asked) -> dict[str, Any]:
     outputs = check_outputs(asked.outputs)
     traced = any(OUTPUTS[name].traced for name in outputs)
 
-    clock_plants(scene_times)
+    clock_plants(plant_times)
     recipe = ps.load_recipe(asked.recipe, asked.changes)
     plan, stage = recipe.plan, Stage(recipe)
     shot = plan.shot(asked.index)
@@ -146,6 +147,7 @@ def frames(asked: Asked) -> dict[str, Any]:
     return {
         "asked": asdict(asked),
         "scene": scene_times,
+        "plants": plant_times,
         "frames": found,
         "peaks_mib": peaks,
         "whole_s": perf_counter() - BEGAN,
@@ -156,17 +158,19 @@ def frames(asked: Asked) -> dict[str, Any]:
 
 
 def _scene(stage: Any, shot: Any, traced: bool, divided: int, times: Times) -> Any:
-    """The scene, with the time for its plants told apart from that for placing and settling the row."""
+    """The scene; making plants, placing them and leaving out what is not seen are told apart."""
     from dataclasses import replace
 
     from pepperscene.bench.finer import quartered
 
-    planted = stage._planting.scene
-    stage._planting.scene = clocked(times, "place and settle row", planted)
+    planting = stage._planting
+    planting.plants = clocked(times, "plants", planting.plants)
+    planting.scene = clocked(times, "place and settle row", planting.scene)
+    stage._visible = clocked(times, "leave out what is not seen", stage._visible)
     with timed(times, "surfaces and sky"):
         scene = stage.scene(shot, traced=traced)
-    times["surfaces and sky"] -= times["place and settle row"]
-    times["place and settle row"] -= sum(times[what] for what in PLANT_STAGES if what in times)
+    times["surfaces and sky"] -= times["place and settle row"] + times["leave out what is not seen"]
+    times["place and settle row"] -= times["plants"]
     for _ in range(divided):
         scene = replace(scene, mesh=quartered(scene.mesh))
     return scene

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -35,6 +36,20 @@ class Errors:
     rmse_codes: float
     relative_mse: float
     flip: float = float("nan")
+
+    def without(self, rmse_codes: float, relative_mse: float) -> Errors:
+        """What is left when a reference's own error, independent of the picture's, is taken off in squares.
+
+        Args:
+            rmse_codes: of the reference; nan where it is not known, which takes nothing off.
+            relative_mse: of it.
+        """
+        own_codes, own_relative = (0.0 if x != x else x for x in (rmse_codes, relative_mse))
+        return dataclasses.replace(
+            self,
+            rmse_codes=math.sqrt(max(self.rmse_codes**2 - own_codes**2, 0.0)),
+            relative_mse=max(self.relative_mse - own_relative, 0.0),
+        )
 
 
 def errors(

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pepperscene.bench.cycles import available, bpy_python, render_cycles
+from pepperscene.bench.cycles import CyclesRun, available, bpy_python, render_cycles
+from pepperscene.bench.cycles_scene import pinhole
 from pepperscene.bench.cycles_settings import REFERENCE, STANDARD_SETTINGS, CyclesSetting
+from pepperscene.bench.cycles_table import reference_error
 from pepperscene.bench.kept import read_arrays, write_arrays
 from pepperscene.bench.measuring import Measured, Told
-from pepperscene.bench.metrics import codes, errors, rms
+from pepperscene.bench.metrics import errors, relative_mse
 from pepperscene.bench.subject import Subject
 from pepperscene.errors import SetupError
 
@@ -66,13 +68,18 @@ def measure_cycles(
         subject.scene, subject.camera, asked if kept else (*asked, wanted), folder / f"{subject.name}_cycles"
     )
     if kept is None:
-        images = np.asarray(runs.pop().images, float)
-        kept = {"electrons": images.mean(axis=0), "error_codes": np.array(_apart(images, subject))}
+        last = runs.pop()
+        kept = {
+            "electrons": np.asarray(last.mean),
+            "error_codes": np.array(reference_error(last, subject.camera)),
+            "relative_mse": np.array(_relative(last)),
+        }
         write_arrays(cache, **kept)
-    reference, apart = kept["electrons"], float(kept["error_codes"])
-    found = []
+    reference, own = kept["electrons"], float(kept["error_codes"])
+    camera, found = pinhole(subject.camera), []
     for run in runs:
-        wrong = errors(run.image, reference, subject.camera, flip=flip)
+        wrong = errors(run.image, reference, camera, flip=flip)
+        wrong = wrong.without(own, float(kept["relative_mse"]))
         told(f"{subject.name}: Cycles, {run.setting.name}: {wrong.rmse_codes:.2f} codes, {run.seconds:.2f} s")
         found.append(
             Measured(
@@ -87,7 +94,7 @@ def measure_cycles(
                 peak_mib=run.peak_mib,
             )
         )
-    return found, None if np.isnan(apart) else apart
+    return found, own if own == own else None
 
 
 def family(setting: CyclesSetting) -> str:
@@ -97,16 +104,14 @@ def family(setting: CyclesSetting) -> str:
     return f"{CYCLES}, {' '.join(parts)}"
 
 
-def _apart(images: NDArray[np.float64], subject: Subject) -> float:
-    """Estimated RMSE of the mean of independent frames, in codes: half of how far two halves are apart."""
-    if len(images) < 2:
+def _relative(run: CyclesRun) -> float:
+    """Estimated relative MSE of the mean of a run's frames, from two halves of them; nan for a single one."""
+    if len(run.images) < 2:
         return float("nan")
-    halves = [images[part::2].mean(axis=0) for part in (0, 1)]
-    return rms(codes(halves[0], subject.camera) - codes(halves[1], subject.camera)) / 2
+    halves = [run.images[part::2].mean(axis=0, dtype=float) for part in (0, 1)]
+    return relative_mse(run.mean + (halves[0] - halves[1]) / 2, run.mean)
 
 
 def _digest(subject: Subject, setting: CyclesSetting) -> str:
-    import hashlib
-
     told = json.dumps(dataclasses.asdict(setting), sort_keys=True)
     return hashlib.sha256(f"{subject.digest()}{told}".encode()).hexdigest()[:20]

@@ -17,7 +17,18 @@ from pepperscene.errors import OutputError
 
 FORMAT: Final = "pepperscene bench 1"
 
-EFFORT: Final = ("integrator", "sampler", "samples", "soft", "most", "bounces", "target", "denoise", "spp")
+EFFORT: Final = (
+    "integrator",
+    "sampler",
+    "samples",
+    "soft",
+    "most",
+    "bounces",
+    "target",
+    "denoise",
+    "whole_scene",
+    "spp",
+)
 """Of a setting, in the table; all of it is in the JSON."""
 
 

@@ -13,6 +13,7 @@ OURS: Final = "ours, adaptive"
 OURS_FIXED: Final = "ours, fixed samples"
 OURS_RAW: Final = "ours, no denoiser"
 NAMED: Final = "ours, by name"
+WHOLE: Final = "ours, whole scene"
 PLAIN: Final = "plain path"
 PATH: Final = "path, "
 """Families of settings: a line each in the plot."""
@@ -28,15 +29,17 @@ class Setting:
         family: settings that differ in effort alone.
         name: within the family.
         quality: what is traced.
+        whole: True keeps what frames cannot tell of the scene, which builds leave out.
     """
 
     family: str
     name: str
     quality: Quality
+    whole: bool = False
 
     def effort(self) -> dict[str, Any]:
         """The quality's values, for tables."""
-        return dataclasses.asdict(self.quality)
+        return {**dataclasses.asdict(self.quality), "whole_scene": self.whole}
 
 
 def settings(*, quick: bool = False) -> tuple[Setting, ...]:
@@ -49,6 +52,7 @@ def settings(*, quick: bool = False) -> tuple[Setting, ...]:
         *_named(("draft",) if quick else ("draft", "standard")),
         *_adaptive((1.0,) if quick else (2.0, 1.0, 0.5, 0.25)),
         *_fixed((1, 4) if quick else (1, 4, 16, 64)),
+        *(() if quick else (Setting(WHOLE, "standard", QUALITIES["standard"], whole=True),)),
         *_path((1, 4) if quick else (1, 4, 16, 64, 256), "independent", PLAIN),
         *(one for name in _other_samplers(quick) for one in _path((16, 64), name, f"{PATH}{name}")),
     )

@@ -1,4 +1,4 @@
-"""A scene in the renderer's hands, and the cameras that are timed before it."""
+"""A scene in the renderers' hands, and the cameras that are timed before it."""
 
 from __future__ import annotations
 
@@ -45,30 +45,37 @@ class Subject:
 
     Attributes:
         name: of the bench's scene.
-        scene: all that stands there.
+        whole: all that stands there.
+        scene: without what the frames cannot tell, as they are built.
         camera: of the frame whose error is measured.
         path: cameras beside it on the path, in the order of frames.
-        renderer: that holds the scene.
+        whole_renderer: holds the whole scene.
+        renderer: holds what frames are built from.
     """
 
     name: str
+    whole: Scene
     scene: Scene
     camera: Camera
     path: tuple[Camera, ...]
+    whole_renderer: BenchRenderer
     renderer: BenchRenderer
 
-    def electrons(self, quality: str | Quality, seed: int, camera: Camera | None = None) -> NDArray[Any]:
-        """`(h, w, c)` expected electrons of a view, by default the one whose error is measured."""
-        return self.frame(quality, seed, camera)["electrons"]
+    def truth(self, quality: str | Quality, seed: int) -> NDArray[Any]:
+        """`(h, w, c)` expected electrons of the whole scene, of the frame whose error is measured."""
+        return self.frame(quality, seed, whole=True)["electrons"]
 
-    def frame(self, quality: str | Quality, seed: int, camera: Camera | None = None) -> Frame:
-        """A view, light alone."""
-        return self.renderer.render(camera or self.camera, TRACED, quality, seed)
+    def frame(
+        self, quality: str | Quality, seed: int, camera: Camera | None = None, *, whole: bool = False
+    ) -> Frame:
+        """A view, light alone; by default that whose error is measured."""
+        renderer = self.whole_renderer if whole else self.renderer
+        return renderer.render(camera or self.camera, TRACED, quality, seed)
 
     def digest(self) -> str:
-        """SHA-256 over all that decides the true picture: version, scene and camera."""
+        """SHA-256 over all that decides the true picture: version, whole scene and camera."""
         found = hashlib.sha256(__version__.encode())
-        _feed(found, self.scene)
+        _feed(found, self.whole)
         _feed(found, self.camera)
         return found.hexdigest()
 
@@ -91,19 +98,21 @@ def subject(
         SetupError: the machine cannot render.
     """
     recipe = bench_scene.load()
-    stage, plan = Stage(recipe), recipe.plan
+    stage, plan, make = Stage(recipe), recipe.plan, factory or _renderer
     shot = plan.shot(bench_scene.index)
-    scene = stage.scene(shot)
+    whole, scene = Stage(recipe, culled=False).scene(shot), stage.scene(shot)
     # Neighbours on the path, as a build goes through them; they stay in the same scene.
     first = bench_scene.index - bench_scene.index % plan.frames
     steps = [(shot.step + 1 + number) % plan.frames for number in range(frames)]
     cameras = [resized(stage.camera(plan.shot(first + step)), size) for step in steps]
     return Subject(
         bench_scene.name,
+        whole,
         scene,
         resized(stage.camera(shot), size),
         tuple(cameras),
-        (factory or _renderer)(scene),
+        make(whole),
+        make(scene),
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from pepperscene.bench.against_error import LEAST_RUNS, Bench, check_arguments
 from pepperscene.bench.children import in_child, seconds_of
-from pepperscene.bench.frames_child import Asked
+from pepperscene.bench.frames_child import PLANT_STAGES, Asked
 from pepperscene.bench.machine import machine, sentence
 from pepperscene.bench.measuring import Told
 from pepperscene.bench.records import FORMAT, plain, write_all
@@ -22,7 +22,11 @@ from pepperscene.dataset.atomic import json_bytes
 
 LABELS: Final = ("class", "instance", "distance")
 _FRAME: Final = ("trace", "denoise", "develop", "labels", "encode")
-_SETTLE: Final = ("settle plants", "place and settle row")
+_SCENE: Final = (
+    "import", "start Mitsuba", "plants", "place and settle row", "leave out what is not seen",
+    "surfaces and sky", "kernel scene",
+)  # fmt: skip
+_ONE_PROCESS: Final = {"PEPPERSCENE_PROCESSES": "1"}
 
 
 def profile(
@@ -83,8 +87,10 @@ def _measured(asked: Asked, runs: int, name: str, told: Told) -> dict[str, Any]:
         # Dr.Jit keeps its kernels below the home folder.
         cold = in_child(replace(asked, frames=1), {"HOME": empty})
     labels = in_child(replace(asked, outputs=LABELS, encode=False))
+    told(f"{name}: plants in one process")
+    alone = [in_child(replace(asked, outputs=("class",), frames=0), _ONE_PROCESS) for _ in range(runs)]
     return {
-        "seconds": {**_by_stage(children), **_of_labels(labels), **_cold(cold)},
+        "seconds": {**_by_stage(children), **_of_labels(labels), **_cold(cold), **_of_plants(alone)},
         "peaks_mib": {
             "photographs and labels": max(child["peaks_mib"][-1] for child in children),
             "labels alone": labels["peaks_mib"][-1],
@@ -127,9 +133,16 @@ def _by_stage(children: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
 
 def _order(children: Sequence[dict[str, Any]]) -> list[str]:
     """The stages of a scene in the order in which they run."""
-    order = ("import", "start Mitsuba", "grow", "mesh", "twine", *_SETTLE, "surfaces and sky", "kernel scene")
     held = children[0]["scene"]
-    return [*(what for what in order if what in held), *(what for what in held if what not in order)]
+    return [*(what for what in _SCENE if what in held), *(what for what in held if what not in _SCENE)]
+
+
+def _of_plants(alone: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
+    return {
+        f"all plants in one process: {what}": [child["plants"][what] for child in alone]
+        for what in PLANT_STAGES
+        if what in alone[0]["plants"]
+    }
 
 
 def _of_labels(labels: dict[str, Any]) -> dict[str, list[float]]:
