@@ -124,7 +124,7 @@ def light_scene(scene: Scene, first_nm: float, last_nm: float) -> LightScene:
 def _corners(mesh: Mesh) -> NDArray[np.float32]:
     """`(f, 4)` states of each triangle's corners, and the number of its surface."""
     corners = np.empty((len(mesh.faces), 4), np.float32)
-    np.take(mesh.state, mesh.faces, out=corners[:, :3])
+    corners[:, :3] = mesh.state[mesh.faces]
     corners[:, 3] = mesh.face_surface
     return corners
 
