@@ -232,7 +232,7 @@ def test_on_a_plant_by_daylight():
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "index"), [("demo", 2290), ("barth2018", 125), ("greenhouse", 4)])
 def test_on_whole_recipes(name, index):
-    scene, camera = recipe_frame(name, index, 160)
+    scene, camera = recipe_frame(name, index, 100)
     assert_agree(ours(scene, camera), theirs(scene, camera))
 
 
