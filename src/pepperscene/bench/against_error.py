@@ -225,7 +225,7 @@ def _head(one: _SceneResult) -> str:
         f"`{one.scene.recipe}`), {camera.width}x{camera.height}, "
         f"{one.triangles:,} triangles out of the whole scene's {one.of_triangles:,}. The reference, of the "
         f"whole scene, is the mean of "
-        f"{reference.renders} pictures of quality `reference`; its own error is "
+        f"{reference.renders} pictures, not denoised; its own error is "
         f"{reference.error_codes:.3f} codes.{theirs}"
     )
 

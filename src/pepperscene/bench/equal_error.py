@@ -5,6 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Final
+
+FURTHEST: Final = 4.0
+"""Chosen: how many times smaller, or larger, than all that were measured an error may be. Further off, a line
+through two points says nothing."""
 
 Point = tuple[float, float]
 """Seconds and error, both above 0."""
@@ -34,7 +39,7 @@ def front(points: Iterable[Point]) -> list[Point]:
 
 
 def time_for(error: float, points: Sequence[Point]) -> TimeFor | None:
-    """Seconds for an error on the front of the points; None with fewer than two points on it.
+    """Seconds for an error on the front of the points; None with fewer than two points on it, or far beyond.
 
     Between neighbours, and beyond the ends, log(seconds) is linear in log(error): the law of Monte Carlo
     integration, error ~ seconds^-1/2, is such a line, whatever its slope.
@@ -48,7 +53,7 @@ def time_for(error: float, points: Sequence[Point]) -> TimeFor | None:
     measured = [seconds for seconds, held in best if held == error]
     if measured:
         return TimeFor(measured[0], beyond=False)
-    if len(best) < 2:
+    if len(best) < 2 or not best[-1][1] / FURTHEST <= error <= best[0][1] * FURTHEST:
         return None
     beyond = not best[-1][1] < error < best[0][1]
     # The pair about the error; outside, the pair at that end.

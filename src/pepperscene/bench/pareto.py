@@ -102,6 +102,8 @@ def _draw(axes: Any, measured: Sequence[Measured], floor: float | None) -> None:
     if len(best) > 1:
         axes.plot(*zip(*best, strict=True), color="0.85", linewidth=7, zorder=1, solid_capstyle="round")
     axes.margins(x=0.08, y=0.1)
+    axes.set_xlim(_wide(*axes.get_xlim()))
+    axes.set_ylim(_wide(*axes.get_ylim()))
     low, high = axes.get_ylim()
     for error, name in ((_LINE_OF_NOTE, "1 code"), (floor, "reference's own error")):
         if error and low < error < high:
@@ -117,6 +119,12 @@ def _draw(axes: Any, measured: Sequence[Measured], floor: float | None) -> None:
     axes.set_xlabel("seconds a frame, in sequence (median)")
     axes.set_ylabel("RMSE of the noise-free picture, codes of 8 bits")
     _name_lines(axes, ends)
+
+
+def _wide(low: float, high: float) -> tuple[float, float]:
+    """Limits of an axis that hold a decade at least, so that some of its marks fall between them."""
+    more = max((10.0 * low / high) ** 0.5, 1.0)
+    return low / more, high * more
 
 
 def _name_lines(axes: Any, ends: list[tuple[str, Point, _Style]]) -> None:
