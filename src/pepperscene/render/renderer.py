@@ -4,47 +4,25 @@ from __future__ import annotations
 
 import functools
 import platform
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
 from importlib import metadata
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, develop, expected_electrons, raw_frame
-from pepperscene.errors import InputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, Frame, check_outputs
 from pepperscene.render import labels
 from pepperscene.render.denoise import denoised
 from pepperscene.render.kernel import LightScene, light_scene, sky_tables, truth_scene
+from pepperscene.render.quality import Quality, quality_named
 from pepperscene.render.response import response
 from pepperscene.render.transport import Sampling, trace
 from pepperscene.render.variant import kernel, variant_name
 from pepperscene.render.view import LensCache, View
 from pepperscene.scene import Scene
-from pepperscene.truth import class_colour, distance_code
 from pepperscene.version import __version__
-
-
-@dataclass(frozen=True)
-class Quality:
-    """How much light is traced.
-
-    Attributes:
-        sampling: samples and bounces. Of the light of `barth2018` two bounces lose 0.15 %, one loses 1 %.
-        denoise: whether soft light goes through the denoiser.
-    """
-
-    sampling: Sampling
-    denoise: bool
-
-
-QUALITIES: Final[Mapping[str, Quality]] = {
-    "draft": Quality(Sampling(sharp=4, soft=1, bounces=1), denoise=True),
-    "standard": Quality(Sampling(sharp=16, soft=4, bounces=2), denoise=True),
-    "reference": Quality(Sampling(sharp=256, soft=256, bounces=6), denoise=False),
-}
 
 
 def render(
@@ -95,27 +73,16 @@ class Renderer:
         # Light first: its scene then serves the ground truth as well.
         if any(OUTPUTS[name].traced for name in wanted):
             images |= self._photographs(wanted, view, camera, effort, seed)
-        hits = None
+        seen: dict[str, dict[str, Any]] = {}
         if any(not OUTPUTS[name].traced for name in wanted):
             hits = labels.first_hits(self._truth_scene(), view)
-            images |= self._truths(wanted, hits, camera)
-        facts = {**self._facts(camera, seed), "instances": self._instances_in_view(hits)}
+            instance = labels.instance_ids(self.scene.mesh, hits)
+            images |= labels.truths(self.scene.mesh, hits, instance, camera, wanted)
+            seen = labels.instances_in_view(self.scene.mesh, instance)
+        facts = {**self._facts(camera, seed), "instances": seen}
         return Frame({name: images[name] for name in wanted}, facts)
 
     # --- passes -----------------------------------------------------------------------------------------
-
-    def _truths(self, wanted: tuple[str, ...], hits: labels.Hits, camera: Camera) -> dict[str, NDArray[Any]]:
-        mesh = self.scene.mesh
-        makers: dict[str, Callable[[], NDArray[Any]]] = {
-            "class": lambda: labels.class_ids(mesh, hits),
-            "class_colour": lambda: class_colour(labels.class_ids(mesh, hits)),
-            "instance": lambda: labels.instance_ids(mesh, hits),
-            "distance": lambda: hits.distance,
-            "distance_code": lambda: distance_code(hits.distance),
-            "depth_z": lambda: labels.depth_z(hits, camera),
-            "normal": lambda: labels.normals(mesh, hits, camera),
-        }
-        return {name: make() for name, make in makers.items() if name in wanted}
 
     def _photographs(
         self, wanted: tuple[str, ...], view: View, camera: Camera, quality: Quality, seed: int
@@ -128,7 +95,7 @@ class Renderer:
             spectral,
             camera.flash,
             sky_tables(self.scene, spectral.grid_nm),
-            quality.sampling,
+            Sampling(quality.samples, quality.soft, quality.bounces),
             int(sampling.generate_state(1)[0]),
         )
         signal = denoised(light) if quality.denoise else light.total()
@@ -171,25 +138,6 @@ class Renderer:
             },
         }
 
-    def _instances_in_view(self, hits: labels.Hits | None) -> dict[str, dict[str, Any]]:
-        """Class, kind, plant, phytomer and parent of each instance that has a pixel, by pixel value."""
-        if hits is None:
-            return {}
-        pixels = np.bincount(labels.instance_ids(self.scene.mesh, hits).ravel())
-        pixels[0] = 0
-        instances = self.scene.mesh.instances
-        return {
-            str(value): {
-                "class": int(instances[value - 1].organ_class),
-                "kind": instances[value - 1].kind,
-                "plant": instances[value - 1].plant,
-                "phytomer": instances[value - 1].phytomer,
-                "parent": instances[value - 1].parent + 1,
-                "pixels": int(pixels[value]),
-            }
-            for value in np.flatnonzero(pixels).tolist()
-        }
-
 
 @functools.cache
 def _library_versions() -> dict[str, str]:
@@ -199,16 +147,3 @@ def _library_versions() -> dict[str, str]:
     if mi.variant().startswith("llvm"):
         found["llvm"] = ".".join(str(part) for part in dr.detail.llvm_version())
     return {"mitsuba": mi.__version__, **found}
-
-
-def quality_named(name: str) -> Quality:
-    """The quality of that name.
-
-    Raises:
-        InputError: there is none.
-    """
-    if name not in QUALITIES:
-        raise InputError(
-            "--quality", "", None, f"unknown quality {name!r}; allowed are {', '.join(QUALITIES)}"
-        )
-    return QUALITIES[name]

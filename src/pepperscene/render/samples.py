@@ -1,17 +1,42 @@
-"""A wavefront of samples: camera rays, their wavelengths, and the light on what they meet."""
+"""A wavefront of samples: camera rays, what the lights send along them, and their wavelengths."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence as Row
+from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Flash
+from pepperscene.render.channels import ChannelOptics
+from pepperscene.render.flash import FlashMatrix
 from pepperscene.render.kernel import LightScene, SkyTables
 from pepperscene.render.response import STEP_NM, Response
+from pepperscene.render.sequence import Sequence
+from pepperscene.render.upload import aligned, device_number, device_table
 from pepperscene.render.variant import kernel
 from pepperscene.render.view import View
+
+_DISTINCT_SUN: Final = 0.02
+"""Chosen: where a white body half a metre from the flash owes the sun more than this share of its light, the
+sun's edges are as sharp as the flash's. Below, its light at first hits is soft light like any other."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lamps:
+    """What the lights send out, by channel or at a sample's wavelengths, whichever its light is carried in.
+
+    Attributes:
+        flash: radiant intensity on the axis; None without a flash.
+        sun: irradiance across its beam; None without a sun.
+        sky: radiance of each of the sky's spectra.
+    """
+
+    flash: Any | None
+    sun: Any | None
+    sky: Row[Any]
 
 
 class FrameTables:
@@ -20,182 +45,192 @@ class FrameTables:
     def __init__(
         self, scene: LightScene, view: View, spectral: Response, flash: Flash | None, sky: SkyTables | None
     ) -> None:
-        mi, dr = kernel()
-        self.scene, self.view, self.sky = scene, view, sky
-        self.first_nm = mi.Float(float(spectral.grid_nm[0]))
-        self.entries = spectral.grid_nm.size
-        self.wavelengths = mi.ContinuousDistribution(
-            mi.ScalarVector2f(spectral.grid_nm[0], spectral.grid_nm[-1]), spectral.density.astype(np.float32)
+        self.scene, self.view, self.sky, self.spectral = scene, view, sky, spectral
+        self.channels = spectral.electrons.shape[1]
+        self.flash = FlashMatrix(flash, view) if flash is not None and spectral.flash.any() else None
+        sun = None if sky is None or sky.sun_frame is None else np.asarray(sky.sun_irradiance)
+
+        # Light that comes by one surface only is carried by channel, all its integrals taken here by the
+        # trapezoidal rule, which light carried at wavelengths follows as well.
+        self._steps = np.full(spectral.grid_nm.size, STEP_NM)
+        self._steps[[0, -1]] *= 0.5
+        reference = spectral.flash if spectral.flash.any() else np.ones(spectral.grid_nm.size)
+        self.white = self._integrals(reference)
+        self.lit = ChannelOptics.of(scene.optics, self._weights(reference))
+        self.sunlit: ChannelOptics | None = None
+        if sun is not None and self._is_distinct(sun):
+            self.sunlit = ChannelOptics.of(scene.optics, self._weights(sun))
+        self.lamps = Lamps(
+            flash=None if self.flash is None else self._colour(spectral.flash),
+            sun=None if sun is None else self._colour(sun),
+            sky=[self._colour(np.asarray(table)[: spectral.grid_nm.size]) for table in sky.radiance]
+            if sky is not None
+            else [],
         )
-        self.electrons = [mi.Float(column) for column in spectral.electrons.T]
-        reference = spectral.flash if spectral.flash.any() else np.ones(self.entries)
-        white = (spectral.electrons * reference[:, None]).sum(axis=0) * STEP_NM
-        self.reference = mi.Float(reference)
-        self.per_white = [mi.Float(float(1.0 / channel)) for channel in white]
-        self.flash: FlashMatrix | None = None
-        if flash is not None and spectral.flash.any():
-            self.flash = FlashMatrix(flash, view, mi.Float(spectral.flash))
-        dr.make_opaque(self.first_nm, self.per_white)
+        self.per_white = [device_number(1.0 / value) for value in self.white]
+
+    def _weights(self, spectrum: NDArray[np.floating]) -> NDArray[np.float64]:
+        """`(n, c)` what each wavelength of a light counts for in each channel."""
+        return np.asarray(self.spectral.electrons * (self._steps * spectrum)[:, None])
+
+    def _integrals(self, spectrum: NDArray[np.floating]) -> NDArray[np.float64]:
+        """`(c,)` a light's integral over wavelength as each channel counts it."""
+        return self._weights(spectrum).sum(axis=0)
+
+    def _colour(self, spectrum: NDArray[np.floating]) -> Any:
+        mi, dr = kernel()
+        colour = (mi.Color3f if self.channels == 3 else mi.Color1f)(
+            *(float(x) for x in self._integrals(spectrum))
+        )
+        dr.make_opaque(colour)
+        return colour
+
+    def _is_distinct(self, sun: NDArray[np.floating]) -> bool:
+        """Whether the sun's light on surfaces matters beside the flash's."""
+        if self.flash is None:
+            return True
+        # A flash of intensity I lights what is half a metre away with I / .25 m2.
+        flash = self._integrals(self.spectral.flash).sum() / 0.25
+        return bool(self._integrals(sun).sum() > _DISTINCT_SUN * flash)
+
+
+class SpectralTables:
+    """The camera's and the lights' spectra for light that is carried at single wavelengths."""
+
+    def __init__(self, tables: FrameTables) -> None:
+        mi, _ = kernel()
+        spectral, sky = tables.spectral, tables.sky
+        self.first_nm = device_number(spectral.grid_nm[0])
+        self.last_entry = device_number(spectral.grid_nm.size - 1.001)
+        self.distribution = mi.ContinuousDistribution(
+            mi.ScalarVector2f(spectral.grid_nm[0], spectral.grid_nm[-1]), aligned(spectral.density)
+        )
+        self.electrons = [device_table(column) for column in spectral.electrons.T]
+        self.flash = device_table(spectral.flash) if tables.flash is not None else None
+        self.sun = sky.sun_irradiance if sky is not None and sky.sun_frame is not None else None
+        self.sky = sky.radiance if sky is not None else ()
 
 
 class Samples:
-    """A wavefront of samples: camera rays, wavelengths, and the light on them.
+    """Camera rays of a wavefront and the light on what they meet."""
 
-    Samples of a pixel lie side by side. Each carries four wavelengths; a pixel's samples share out the
-    spectrum evenly, shifted by a number of the pixel's own.
+    def __init__(self, tables: FrameTables, pixel: Any, index: Any, seed: Any) -> None:
+        mi, _ = kernel()
+        self.tables = tables
+        sequence = Sequence(pixel, index, seed)
+        self.next_1d, self.next_2d = sequence.next_1d, sequence.next_2d
+        view = tables.view
+        row = pixel // view.columns
+        start, towards = view.rays(pixel - row * view.columns, row, self.next_2d(), self.next_2d)
+        self.ray = mi.Ray3f(start, towards)
+
+    def flash(self, si: Any, point: Any, active: Any, lamps: Lamps) -> Any:
+        """Radiance towards the viewer from one point of the flash."""
+        if self.tables.flash is None or lamps.flash is None:
+            return point.reflectance * 0.0
+        _, dr = kernel()
+        light, target = self._from_emitter(si, point, active, lamps, self.next_2d())
+        return light & ~self._between(si, target, active & dr.any(light > 0.0))
+
+    def whole_flash(self, si: Any, point: Any, active: Any, lamps: Lamps, places: int) -> tuple[Any, Any]:
+        """Radiance towards the viewer from the flash, with shadows and without.
+
+        Near the camera the emitters differ by far in what they send to a point, and most of the picture lies
+        in their half-shadows: so the mean over several places is taken, spread evenly over the flash, with a
+        shadow ray to each. Rays from one hit to the same part of the flash are coherent and cheaper than
+        those to new hits.
+        """
+        mi, _ = kernel()
+        if self.tables.flash is None or lamps.flash is None:
+            return point.reflectance * 0.0, point.reflectance * 0.0
+        choice = self.next_2d()
+        shadowed, whole = 0.0, 0.0
+        for k in range(places):
+            place = mi.Point2f((k + choice.x) / places, choice.y)
+            light, target = self._from_emitter(si, point, active, lamps, place)
+            some = active & (light[0] > 0.0)
+            whole += light
+            shadowed += light & ~self._between(si, target, some)
+        return shadowed / places, whole / places
+
+    def _between(self, si: Any, target: Any, active: Any) -> Any:
+        """Whether something stands between a hit and a point."""
+        mi, _ = kernel()
+        return self.tables.scene.scene.ray_test(si.spawn_ray_to(target), mi.Bool(True), active)
+
+    def _from_emitter(self, si: Any, point: Any, active: Any, lamps: Lamps, place: Any) -> tuple[Any, Any]:
+        """Unshadowed light of a point of the flash, and that point."""
+        _, dr = kernel()
+        assert self.tables.flash is not None
+        target, falloff = self.tables.flash.towards(si.p, place)
+        value, _ = point.eval_pdf(si.to_local(dr.normalize(target - si.p)))
+        return (value * lamps.flash * falloff) & (active & (falloff > 0.0)), target
+
+    def sun(self, si: Any, point: Any, active: Any, lamps: Lamps) -> Any:
+        """Radiance towards the viewer from the sun's disc alone."""
+        mi, _ = kernel()
+        sky = self.tables.sky
+        if sky is None or lamps.sun is None:
+            return point.reflectance * 0.0
+        towards = sky.sun_frame.to_world(mi.warp.square_to_uniform_cone(self.next_2d(), sky.sun_cosine))
+        lit = active & ~self.tables.scene.scene.ray_test(si.spawn_ray(towards), active)
+        value, _ = point.eval_pdf(si.to_local(towards))
+        return (value * lamps.sun) & lit
+
+    def sky(self, towards: Any, active: Any, lamps: Lamps, *, seen: bool) -> Any:
+        """Radiance of the sky from a direction; the sun's disc only where it is seen directly."""
+        mi, dr = kernel()
+        sky = self.tables.sky
+        if sky is None:
+            return 0.0
+        azimuth = dr.atan2(towards.y, towards.x) * dr.inv_two_pi
+        place = mi.Point2f(azimuth - dr.floor(azimuth), dr.safe_acos(towards.z) * dr.inv_pi)
+        nothing: Any = lamps.sky[0] if lamps.sky else lamps.sun
+        radiance = nothing * 0.0
+        for weight, spectrum in zip(sky.weights.eval(place, active), lamps.sky, strict=True):
+            radiance += weight * spectrum
+        if seen and lamps.sun is not None:
+            inside = dr.dot(towards, sky.sun_frame.n) > sky.sun_cosine
+            radiance += (lamps.sun / (dr.two_pi * (1.0 - sky.sun_cosine))) & inside
+        return radiance & active
+
+
+class Wavelengths:
+    """Four wavelengths for each sample, with the lights and the sensor at them.
+
+    A pixel's samples share out the spectrum evenly: `place` is well spread over them.
     """
 
-    def __init__(
-        self, tables: FrameTables, sampler: Any, count: int, first: int, per_pass: int, seed: int
-    ) -> None:
-        mi, dr = kernel()
-        self.tables, self.sampler = tables, sampler
-        self.next_1d, self.next_2d = sampler.next_1d, sampler.next_2d
-        view = tables.view
-        lane = dr.arange(mi.UInt32, view.width * view.height * per_pass)
-        pixel = lane // per_pass
-        row = pixel // view.width
-        start, towards = view.rays(pixel - row * view.width, row, sampler.next_2d(), sampler.next_2d)
-
-        # Each sample takes a stratum of the spectrum, in turn from a start of the pixel's own: a permutation
-        # drawn from the sampler is correlated with its other dimensions where samples are few (a bias of 1 %
-        # in blocks of pixels was seen).
-        salt, first_sample = mi.UInt32(seed & 0xFFFFFFFF), mi.UInt32(first)
-        dr.make_opaque(salt, first_sample)
-        turn = mi.UInt32(mi.sample_tea_float32(pixel, salt ^ 0x9E3779B9) * count)
-        stratum = mi.Float((first_sample + lane - pixel * per_pass + turn) % count)
-        quarter = (stratum + mi.sample_tea_float32(pixel, salt)) / count
-        self.wavelengths, self.weights = mi.Spectrum(0.0), mi.Spectrum(0.0)
+    def __init__(self, tables: SpectralTables, place: Any) -> None:
+        mi, _ = kernel()
+        self.tables = tables
+        self.nm, self.weights = mi.Spectrum(0.0), mi.Spectrum(0.0)
         for k in range(4):
-            nm, density = tables.wavelengths.sample_pdf((quarter + k) / 4.0)
-            self.wavelengths[k] = nm
+            nm, density = tables.distribution.sample_pdf((place + k) / 4.0)
+            self.nm[k] = nm
             self.weights[k] = 0.25 / density
-        self.ray = mi.Ray3f(start, towards, 0.0, self.wavelengths)
-
         # Spectra are looked up once: under each hit's own mask they would be fetched again and again.
-        self._electrons = [self._at_wavelengths(table) for table in tables.electrons]
-        self._flash_intensity = self._at_wavelengths(tables.flash.intensity) if tables.flash else None
-        sky = tables.sky
-        self._sky_radiance = [self._at_wavelengths(table) for table in sky.radiance] if sky else []
-        has_sun = sky is not None and sky.sun_frame is not None
-        self._sun_irradiance = self._at_wavelengths(sky.sun_irradiance) if sky and has_sun else None
+        self.electrons = [self._at(table) for table in tables.electrons]
+        self.lamps = Lamps(
+            flash=None if tables.flash is None else self._at(tables.flash),
+            sun=None if tables.sun is None else self._at(tables.sun),
+            sky=[self._at(table) for table in tables.sky],
+        )
 
-    # --- spectra ----------------------------------------------------------------------------------------
+    def channels(self, radiance: Any) -> list[Any]:
+        """The sensor's sum over wavelengths for each channel, electrons s-1 m-2 sr-1."""
+        _, dr = kernel()
+        return [dr.sum(radiance * self.weights * electrons) for electrons in self.electrons]
 
-    def _at_wavelengths(self, table: Any) -> Any:
+    def _at(self, table: Any) -> Any:
         """A table on the response's grid, linear in between, at the samples' wavelengths."""
         mi, dr = kernel()
         found = mi.Spectrum(0.0)
         for k in range(4):
-            x = dr.clip(
-                (self.wavelengths[k] - self.tables.first_nm) / STEP_NM, 0.0, self.tables.entries - 1.001
-            )
+            x = dr.clip((self.nm[k] - self.tables.first_nm) / STEP_NM, 0.0, self.tables.last_entry)
             left = dr.floor(x)
             index = mi.UInt32(left)
             found[k] = dr.lerp(
                 dr.gather(mi.Float, table, index), dr.gather(mi.Float, table, index + 1), x - left
             )
         return found
-
-    def channels(self, radiance: Any) -> list[Any]:
-        """The sensor's sum over wavelengths for each channel, electrons s-1 m-2 sr-1."""
-        _, dr = kernel()
-        return [dr.sum(radiance * self.weights * electrons) for electrons in self._electrons]
-
-    def albedo(self, albedo: Any) -> list[Any]:
-        """The albedo as each channel sees it under the flash, 1 for a white body."""
-        lit = self.channels(albedo * self._at_wavelengths(self.tables.reference))
-        return [channel * scale for channel, scale in zip(lit, self.tables.per_white, strict=True)]
-
-    # --- lights -----------------------------------------------------------------------------------------
-
-    def flash(self, si: Any, point: Any, active: Any) -> Any:
-        """Radiance towards the viewer from the flash alone, with shadows and without."""
-        mi, _ = kernel()
-        if self.tables.flash is None:
-            return mi.Spectrum(0.0), mi.Spectrum(0.0)
-        target, falloff = self.tables.flash.towards(si.p, self.next_2d())
-        shadow = si.spawn_ray_to(target)
-        reached = active & (falloff > 0.0)
-        value, _ = point.eval_pdf(si.to_local(shadow.d))
-        unshadowed = (value * self._flash_intensity * falloff) & reached
-        lit = ~self.tables.scene.scene.ray_test(shadow, reached)
-        return unshadowed & lit, unshadowed
-
-    def sun(self, si: Any, point: Any, active: Any) -> Any:
-        """Radiance towards the viewer from the sun's disc alone."""
-        mi, _ = kernel()
-        sky = self.tables.sky
-        if sky is None or self._sun_irradiance is None:
-            return mi.Spectrum(0.0)
-        towards = sky.sun_frame.to_world(mi.warp.square_to_uniform_cone(self.next_2d(), sky.sun_cosine))
-        lit = active & ~self.tables.scene.scene.ray_test(si.spawn_ray(towards), active)
-        value, _ = point.eval_pdf(si.to_local(towards))
-        return (value * self._sun_irradiance) & lit
-
-    def sky(self, towards: Any, active: Any, *, seen: bool) -> Any:
-        """Radiance of the sky from a direction; the sun's disc only where it is seen directly."""
-        mi, dr = kernel()
-        sky = self.tables.sky
-        if sky is None:
-            return mi.Spectrum(0.0)
-        azimuth = dr.atan2(towards.y, towards.x) * dr.inv_two_pi
-        place = mi.Point2f(azimuth - dr.floor(azimuth), dr.safe_acos(towards.z) * dr.inv_pi)
-        radiance = mi.Spectrum(0.0)
-        for weight, spectrum in zip(sky.weights.eval(place, active), self._sky_radiance, strict=True):
-            radiance += weight * spectrum
-        if seen and self._sun_irradiance is not None:
-            inside = dr.dot(towards, sky.sun_frame.n) > sky.sun_cosine
-            radiance += (self._sun_irradiance / (dr.two_pi * (1.0 - sky.sun_cosine))) & inside
-        return radiance & active
-
-
-class FlashMatrix:
-    """The flash as discs across the camera's axis, each point of them with the same angular profile."""
-
-    def __init__(self, flash: Flash, view: View, intensity: Any) -> None:
-        mi, dr = kernel()
-        angles = np.linspace(0.0, np.pi / 2.0, 512)
-        self.intensity = intensity
-        self.profile = mi.Float(flash.profile.at(angles))
-        self.steps = 511.0 / (np.pi / 2.0)
-        offset = mi.Point3f(*(float(x) for x in flash.offset_m))
-        self.radius, self.count = mi.Float(float(flash.radius_m)), mi.Float(len(flash.emitters_m))
-        self.emitters = mi.Float(_neighbours_first(flash.emitters_m).astype(np.float32).ravel())
-        dr.make_opaque(offset, self.radius, self.count)
-        self.rotation = view.rotation
-        self.centre = view.origin + view.rotation @ mi.Vector3f(offset)
-
-    def towards(self, p: Any, sample: Any) -> Any:
-        """A point of the flash, and its falloff (profile over squared distance, m-2) seen from `p`."""
-        mi, dr = kernel()
-        # One coordinate takes the emitter and, in what is left of it, a place on its disc.
-        turn = sample.x * self.count
-        chosen = dr.minimum(dr.floor(turn), self.count - 1.0)
-        emitter = dr.gather(mi.Point2f, self.emitters, mi.UInt32(chosen))
-        within = mi.Point2f(dr.clip(turn - chosen, 0.0, 1.0), sample.y)
-        on_disc = emitter + self.radius * mi.warp.square_to_uniform_disk_concentric(within)
-        point = self.centre + self.rotation @ mi.Vector3f(on_disc.x, on_disc.y, 0.0)
-        away = p - point
-        distance = dr.norm(away)
-        forward = self.rotation @ mi.Vector3f(0.0, 0.0, 1.0)
-        cosine = dr.dot(away, forward) / distance
-        x = dr.clip(dr.safe_acos(cosine) * self.steps, 0.0, 510.999)
-        left = dr.floor(x)
-        index = mi.UInt32(left)
-        profile = dr.lerp(
-            dr.gather(mi.Float, self.profile, index), dr.gather(mi.Float, self.profile, index + 1), x - left
-        )
-        return point, dr.select(cosine > 0.0, profile / (distance * distance), 0.0)
-
-
-def _neighbours_first(places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Places `(k, 2)` along a Z-order curve (Morton 1966): an even share of them is a compact block.
-
-    So an even spread of samples over the list is one over the plane as well.
-    """
-    extent = max(float(np.ptp(places, axis=0).max()), 1e-12)
-    cells = np.rint((places - places.min(axis=0)) / extent * 255.0).astype(np.int64)
-    bits = np.arange(8)
-    spread = ((cells[:, None, :] >> bits[:, None]) & 1) << (2 * bits[:, None] + np.arange(2))
-    return places[np.argsort(spread.sum(axis=(1, 2)), kind="stable")]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pepperscene.camera import Camera
+from pepperscene.render.upload import device_number, device_table
 from pepperscene.render.variant import kernel
 
 
@@ -20,6 +21,7 @@ class View:
 
     Attributes:
         width, height: of the image, pixels.
+        columns: the width as a number that the kernel reads, so that other sizes compile nothing anew.
         slopes: `((h + 1) * (w + 1) * 2,)` undistorted (x/z, y/z) at the pixels' corners.
         rotation: camera to world.
         origin: the projection centre in the world, metres.
@@ -29,6 +31,7 @@ class View:
 
     width: int
     height: int
+    columns: Any
     slopes: Any
     rotation: Any
     origin: Any
@@ -64,13 +67,13 @@ class View:
     def _towards(self, column: Any, row: Any, dx: Any, dy: Any) -> Any:
         """Camera-axis directions (x/z, y/z, 1), bilinear between the pixels' corners."""
         mi, dr = kernel()
-        first = row * (self.width + 1) + column
+        first = row * (self.columns + 1) + column
 
-        def corner(offset: int) -> Any:
+        def corner(offset: Any) -> Any:
             return dr.gather(mi.Point2f, self.slopes, first + offset)
 
         upper = dr.lerp(corner(0), corner(1), dx)
-        lower = dr.lerp(corner(self.width + 1), corner(self.width + 2), dx)
+        lower = dr.lerp(corner(self.columns + 1), corner(self.columns + 2), dx)
         slope = dr.lerp(upper, lower, dy)
         return mi.Vector3f(slope.x, slope.y, 1.0)
 
@@ -87,12 +90,13 @@ class LensCache:
         mi, dr = kernel()
         key = (camera.lens, camera.width, camera.height, camera.sensor.name, camera.intrinsics.tobytes())
         if key != self._key:
-            self._slopes = mi.Float(np.asarray(camera.ray_slopes(), np.float32).ravel())
+            self._slopes = device_table(camera.ray_slopes())
             self._key = key
         rotation = mi.Matrix3f(np.asarray(camera.pose[:3, :3], np.float32))
         origin = mi.Point3f(*(float(x) for x in camera.pose[:3, 3]))
         dr.make_opaque(rotation, origin)
-        view = View(camera.width, camera.height, self._slopes, rotation, origin)
+        columns = device_number(camera.width, whole=True)
+        view = View(camera.width, camera.height, columns, self._slopes, rotation, origin)
         if camera.focus_m is None:
             return view
         focus, aperture = mi.Float(float(camera.focus_m)), mi.Float(float(camera.aperture_radius_m))
