@@ -166,7 +166,9 @@ def _measured(
             found += measure_variant(variant, scene.name, size, runs, references, quick=quick)
     floor = None
     if peers:
-        theirs, floor = _kept(lambda: measure_cycles(here, references, quick=quick, told=told), references)
+        theirs, floor = _kept(
+            lambda: measure_cycles(here, references, runs, quick=quick, told=told), references
+        )
         found += theirs
     # The renderer and all that it holds go before the next scene comes.
     triangles, of = (len(one.mesh.faces) for one in (here.scene, here.whole))

@@ -34,6 +34,7 @@ class Measured:
         sampling: what the frame tells of its sampling.
         variant: of Mitsuba, or the other program.
         peak_mib: most memory of its process, where it has one of its own.
+        frames: that were timed, where `seconds` holds their median alone.
     """
 
     scene: str
@@ -46,6 +47,12 @@ class Measured:
     sampling: Mapping[str, Any] = field(default_factory=dict)
     variant: str = ""
     peak_mib: float | None = None
+    frames: int | None = None
+
+    @property
+    def runs(self) -> int:
+        """How many frames were timed."""
+        return len(self.seconds) if self.frames is None else self.frames
 
     @property
     def median_s(self) -> float:

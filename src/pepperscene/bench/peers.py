@@ -5,6 +5,9 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
+import statistics
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -16,7 +19,7 @@ from pepperscene.bench.cycles_settings import REFERENCE, STANDARD_SETTINGS, Cycl
 from pepperscene.bench.cycles_table import reference_error
 from pepperscene.bench.kept import read_arrays, write_arrays
 from pepperscene.bench.measuring import Measured, Told
-from pepperscene.bench.metrics import errors, relative_mse
+from pepperscene.bench.metrics import Errors, errors, relative_mse
 from pepperscene.bench.subject import Subject
 from pepperscene.errors import SetupError
 
@@ -44,13 +47,14 @@ def check_peers() -> None:
 
 
 def measure_cycles(
-    subject: Subject, folder: Path, *, quick: bool, flip: bool = True, told: Told = lambda _: None
+    subject: Subject, folder: Path, runs: int, *, quick: bool, flip: bool = True, told: Told = lambda _: None
 ) -> tuple[list[Measured], float | None]:
     """Cycles' settings on a subject, and the estimated error of its reference in codes (None: not known).
 
     Args:
         subject: whose scene and camera it renders.
         folder: of the cache, where its converged picture is kept.
+        runs: frames of each setting, one after the other; Cycles has a process to itself.
         quick: few and cheap settings.
         flip: whether to take FLIP.
         told: is told how it goes.
@@ -64,11 +68,11 @@ def measure_cycles(
     cache = folder / f"{subject.name}_cycles_{_digest(subject, wanted)}.npz"
     kept = read_arrays(cache)
     told(f"{subject.name}: Cycles, {len(asked)} settings{'' if kept else ' and its reference'}")
-    runs = render_cycles(
-        subject.scene, subject.camera, asked if kept else (*asked, wanted), folder / f"{subject.name}_cycles"
-    )
+    # Its own converged picture is not paid for twice.
+    every = asked if kept else (*asked, wanted)
+    made = render_cycles(subject.scene, subject.camera, every, folder / f"{subject.name}_cycles", runs)
     if kept is None:
-        last = runs.pop()
+        last = made.pop()
         kept = {
             "electrons": np.asarray(last.mean),
             "error_codes": np.array(reference_error(last, subject.camera)),
@@ -77,8 +81,8 @@ def measure_cycles(
         write_arrays(cache, **kept)
     reference, own = kept["electrons"], float(kept["error_codes"])
     camera, found = pinhole(subject.camera), []
-    for run in runs:
-        wrong = errors(run.image, reference, camera, flip=flip)
+    for run in made:
+        wrong = _mean([errors(image, reference, camera, flip=flip) for image in run.images])
         wrong = wrong.without(own, float(kept["relative_mse"]))
         told(f"{subject.name}: Cycles, {run.setting.name}: {wrong.rmse_codes:.2f} codes, {run.seconds:.2f} s")
         found.append(
@@ -92,6 +96,7 @@ def measure_cycles(
                 first_s=run.seconds + run.fixed_seconds,
                 variant=f"Blender {run.blender}",
                 peak_mib=run.peak_mib,
+                frames=len(run.images),
             )
         )
     return found, own if own == own else None
@@ -102,6 +107,15 @@ def family(setting: CyclesSetting) -> str:
     parts = ["adaptive"] if setting.adaptive is not None else ["clamped"] if setting.clamp else []
     parts.append("denoised" if setting.denoise else "raw")
     return f"{CYCLES}, {' '.join(parts)}"
+
+
+def _mean(every: Sequence[Errors]) -> Errors:
+    """Of several pictures: squares are averaged as squares."""
+    return Errors(
+        rmse_codes=math.sqrt(statistics.fmean(one.rmse_codes**2 for one in every)),
+        relative_mse=statistics.fmean(one.relative_mse for one in every),
+        flip=statistics.fmean(one.flip for one in every),
+    )
 
 
 def _relative(run: CyclesRun) -> float:

@@ -49,6 +49,7 @@ def row(one: Measured) -> dict[str, Any]:
         "sampling": dict(one.sampling),
         "variant": one.variant,
         "peak_mib": one.peak_mib,
+        "runs": one.runs,
     }
 
 
@@ -69,7 +70,7 @@ def csv_text(measured: Sequence[Measured]) -> str:
                 *(told[key] for key in ("scene", "family", "name")),
                 *(_cell(one.effort.get(key)) for key in EFFORT),
                 *(_cell(told[key]) for key in ("variant", "rmse_codes", "relative_mse", "flip", "median_s")),
-                min(one.seconds), max(one.seconds), one.first_s, len(one.seconds),
+                min(one.seconds), max(one.seconds), one.first_s, one.runs,
                 *one.seconds, *[""] * (most - len(one.seconds)),
             ]
         )  # fmt: skip

@@ -27,7 +27,7 @@ def error_table(measured: Sequence[Measured]) -> str:
         spans = " | ".join(duration(s) for s in (one.median_s, min(one.seconds), max(one.seconds)))
         lines.append(
             f"| {one.family} | {one.name} | {wrong.rmse_codes:.2f} | {wrong.relative_mse:.2g} | {flip} "
-            f"| {spans} | {len(one.seconds)} |"
+            f"| {spans} | {one.runs} |"
         )
     return "\n".join(lines)
 
