@@ -109,8 +109,8 @@ def test_profile_and_scaling_fill_their_tables(tmp_path, monkeypatch):
     done = profile(tmp_path, [scene], (32, 24), runs=2, quick=True)
     assert [path.name for path in done.files] == ["profile.json", "profile.md"]
     # What the first frame's tracing takes longer than the next ones' is the kernels'.
-    assert "| new scene: load or compile kernels | 2,000 ms | 2,000 ms | 2,000 ms | 2 |" in done.markdown
-    assert "| new scene, without import and start | 3,500 ms | 3,500 ms | 3,500 ms | 2 |" in done.markdown
+    assert "| first frame, on top of a next one: trace | 2,000 ms |" in done.markdown
+    assert "| new scene: all of that, without import and start | 3,500 ms |" in done.markdown
     assert "| next frames: all of it | 1,200 ms | 1,200 ms | 1,200 ms | 4 |" in done.markdown
     assert "| all plants in one process: grow | 400 ms |" in done.markdown
     assert {one.quality for one in asked} == {"draft"}

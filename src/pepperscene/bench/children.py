@@ -8,11 +8,15 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, Final
 
 from pepperscene.bench.frames_child import Asked
 from pepperscene.errors import SetupError
+
+_CHILD: Final = Path(__file__).with_name("frames_child.py")
+"""Run as a file: as a module, its room would be imported before its clock starts."""
 
 
 def in_child(asked: Asked, environment: Mapping[str, str] | None = None) -> dict[str, Any]:
@@ -32,7 +36,7 @@ def in_children(asked: Sequence[Asked], environment: Mapping[str, str] | None = 
     """
     running = [
         subprocess.Popen(
-            [sys.executable, "-m", "pepperscene.bench.frames_child", json.dumps(asdict(one))],
+            [sys.executable, "-P", str(_CHILD), json.dumps(asdict(one))],
             env={**os.environ, **(environment or {})},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -1,6 +1,6 @@
 """Frames of a scene in a process of its own, stage by stage, with what a process does only once.
 
-Run as `python -m pepperscene.bench.frames_child JSON`; it prints one line of JSON.
+Run as `python -P frames_child.py JSON`; it prints one line of JSON.
 """
 
 from __future__ import annotations
@@ -105,14 +105,16 @@ def frames(asked: Asked) -> dict[str, Any]:
     plant_times: Times = {}
     with timed(scene_times, "import"):
         import pepperscene as ps
-        from pepperscene.bench.machine import peak_mib
-        from pepperscene.bench.scenes import resized
         from pepperscene.dataset import Stage
         from pepperscene.frame import OUTPUTS, check_outputs
         from pepperscene.render import renderer as _  # noqa: F401
         from pepperscene.render.variant import kernel, variant_name
     with timed(scene_times, "start Mitsuba"):
         kernel()
+    # The bench's own are no part of a frame.
+    from pepperscene.bench.machine import peak_mib
+    from pepperscene.bench.scenes import resized
+
     outputs = check_outputs(asked.outputs)
     traced = any(OUTPUTS[name].traced for name in outputs)
 

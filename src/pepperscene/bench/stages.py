@@ -103,30 +103,29 @@ def _measured(asked: Asked, runs: int, name: str, told: Told) -> dict[str, Any]:
 
 def _by_stage(children: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
     """Of a new scene, its first frame, and the frames behind it."""
-    stages = {f"new scene: {what}": [child["scene"][what] for child in children] for what in _order(children)}
-    whole = [sum(child["scene"].values()) for child in children]
-    # What the first frame takes longer than those behind it goes into kernels: traced, compiled or loaded.
-    compiling = [
-        child["frames"][0]["trace"] - statistics.median(one["trace"] for one in child["frames"][1:])
-        for child in children
-    ]
-    first = [sum(child["frames"][0].values()) for child in children]
-    following = [one for child in children for one in child["frames"][1:]]
     once = ("import", "start Mitsuba")
+    following = [one for child in children for one in child["frames"][1:]]
+    held = [what for what in _FRAME if what in following[0]]
+    # What the first frame takes longer than those behind it: kernels compiled or loaded, libraries imported.
+    on_top = {
+        what: [
+            child["frames"][0][what] - statistics.median(one[what] for one in child["frames"][1:])
+            for child in children
+        ]
+        for what in held
+    }
     per_scene = [
-        sum(seconds for what, seconds in child["scene"].items() if what not in once) + max(compiled, 0.0)
-        for child, compiled in zip(children, compiling, strict=True)
+        sum(seconds for what, seconds in child["scene"].items() if what not in once)
+        + sum(more[number] for more in on_top.values())
+        for number, child in enumerate(children)
     ]
+    whole = [sum(child["scene"].values()) + sum(child["frames"][0].values()) for child in children]
     return {
-        **stages,
-        "new scene: load or compile kernels": compiling,
-        "new scene, without import and start": per_scene,
-        "first frame, from the import on": [a + b for a, b in zip(whole, first, strict=True)],
-        **{
-            f"next frames: {what}": [one[what] for one in following]
-            for what in _FRAME
-            if what in following[0]
-        },
+        **{f"new scene: {what}": [child["scene"][what] for child in children] for what in _order(children)},
+        **{f"first frame, on top of a next one: {what}": more for what, more in on_top.items()},
+        "new scene: all of that, without import and start": per_scene,
+        "from the import to the end of the first frame": whole,
+        **{f"next frames: {what}": [one[what] for one in following] for what in held},
         "next frames: all of it": [sum(one.values()) for one in following],
     }
 
@@ -151,4 +150,4 @@ def _of_labels(labels: dict[str, Any]) -> dict[str, list[float]]:
 
 def _cold(cold: dict[str, Any]) -> dict[str, list[float]]:
     first, second = (frame.get("trace", 0.0) for frame in cold["frames"][:2])
-    return {"new scene: compile, with no kernels on disk": [first - second]}
+    return {"first frame, on top of a next one: trace, with no kernels on disk": [first - second]}
