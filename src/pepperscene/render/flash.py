@@ -19,11 +19,13 @@ class FlashMatrix:
     def __init__(self, flash: Flash, view: View) -> None:
         mi, dr = kernel()
         angles = np.linspace(0.0, np.pi / 2.0, 512)
-        self.profile = device_table(flash.profile.at(angles))
+        # Over squared distance, which the kernel tells in its own unit.
+        self.profile = device_table(flash.profile.at(angles) / view.unit**2)
         self.steps = 511.0 / (np.pi / 2.0)
-        offset = mi.Point3f(*(float(x) for x in flash.offset_m))
-        self.radius, self.count = device_number(flash.radius_m), device_number(len(flash.emitters_m))
-        self.emitters = device_table(_neighbours_first(flash.emitters_m))
+        offset = mi.Point3f(*(float(x / view.unit) for x in flash.offset_m))
+        self.radius = device_number(flash.radius_m / view.unit)
+        self.count = device_number(len(flash.emitters_m))
+        self.emitters = device_table(_neighbours_first(flash.emitters_m) / view.unit)
         dr.make_opaque(offset)
         self.rotation = view.rotation
         self.centre = view.origin + view.rotation @ mi.Vector3f(offset)

@@ -14,20 +14,28 @@ from numpy.typing import NDArray
 
 from pepperscene.geometry import Mesh
 from pepperscene.render.optics import Optics
+from pepperscene.render.region import WORLD, Region, region_of
 from pepperscene.render.tables import pack
 from pepperscene.render.upload import device_table
 from pepperscene.render.variant import kernel
 from pepperscene.scene import Scene
 
 
-def kernel_mesh(mesh: Mesh, bsdf: Any | None = None) -> Any:
+def kernel_mesh(mesh: Mesh, bsdf: Any | None = None, region: Region = WORLD) -> Any:
     """The mesh as a Mitsuba shape.
 
     Args:
         mesh: world coordinates, metres.
         bsdf: the plugin, for Mitsuba's own integrators; it finds state and surface in attributes. None where
             rays only need to hit: ours reads both from a table of its own.
+        region: whose coordinates the shape is told in.
+
+    Raises:
+        ValueError: normals, surface coordinates or states are no finite numbers.
     """
+    for name in ("normals", "uv", "state"):
+        if not np.isfinite(getattr(mesh, name)).all():
+            raise ValueError(f"the mesh's {name} must be finite numbers")
     mi, _ = kernel()
     props = mi.Properties()
     if bsdf is not None:
@@ -41,7 +49,7 @@ def kernel_mesh(mesh: Mesh, bsdf: Any | None = None) -> Any:
         has_vertex_texcoords=True,
     )
     params = mi.traverse(shape)
-    params["vertex_positions"] = np.ascontiguousarray(mesh.vertices, np.float32).ravel()
+    params["vertex_positions"] = np.ascontiguousarray(region.vertices(mesh), np.float32).ravel()
     params["vertex_normals"] = np.ascontiguousarray(mesh.normals, np.float32).ravel()
     # The one buffer that the kernel fetches in packets; the others it shares with the mesh itself.
     params["vertex_texcoords"] = device_table(mesh.uv)
@@ -54,8 +62,13 @@ def kernel_mesh(mesh: Mesh, bsdf: Any | None = None) -> Any:
 
 
 def truth_scene(scene: Scene) -> Any:
-    """A Mitsuba scene that rays can hit, without materials or lights."""
-    return kernel()[0].load_dict({"type": "scene", "plants": kernel_mesh(scene.mesh)})
+    """A Mitsuba scene that rays can hit, without materials or lights; in its region's coordinates.
+
+    Raises:
+        ValueError: as `region_of`.
+    """
+    shape = kernel_mesh(scene.mesh, region=region_of(scene.mesh))
+    return kernel()[0].load_dict({"type": "scene", "plants": shape})
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,14 +122,15 @@ def light_scene(scene: Scene, first_nm: float, last_nm: float) -> LightScene:
     """The scene with its materials.
 
     Raises:
-        ValueError: the scene was assembled without surfaces.
+        ValueError: the scene was assembled without surfaces; or as `region_of`.
     """
     if not scene.surfaces:
         raise ValueError("the scene has no surfaces: assemble it with them to render colour")
     mi, _ = kernel()
     mesh = scene.mesh
-    optics = Optics(pack(scene.surfaces, first_nm, last_nm))
-    shape = kernel_mesh(mesh)
+    region = region_of(mesh)
+    optics = Optics(pack(scene.surfaces, first_nm, last_nm, region.unit))
+    shape = kernel_mesh(mesh, region=region)
     built = mi.load_dict({"type": "scene", "plants": shape})
     return LightScene(built, shape, optics, device_table(_corners(mesh)))
 

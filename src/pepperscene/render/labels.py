@@ -53,7 +53,8 @@ def first_hits(scene: Any, view: View) -> Hits:
     dr.eval(distance, face)
     # Copies: a frame may be kept, or read by another thread, while the kernel's memory goes on to the next.
     shape = (view.height, view.width)
-    return Hits(np.asarray(face).reshape(shape).astype(np.int64), np.array(distance).reshape(shape))
+    metres = np.array(distance).reshape(shape) * np.float32(view.unit)
+    return Hits(np.asarray(face).reshape(shape).astype(np.int64), metres)
 
 
 def truths(

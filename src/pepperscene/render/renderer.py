@@ -17,6 +17,7 @@ from pepperscene.render import labels
 from pepperscene.render.denoise import denoised
 from pepperscene.render.kernel import LightScene, light_scene, sky_tables, truth_scene
 from pepperscene.render.quality import Quality, quality_named
+from pepperscene.render.region import region_of
 from pepperscene.render.response import response
 from pepperscene.render.transport import Sampling, trace
 from pepperscene.render.variant import kernel, variant_name
@@ -68,7 +69,7 @@ class Renderer:
         """One frame; see `render`."""
         wanted = check_outputs(outputs)
         effort = quality_named(quality)
-        view = self._lens.view(camera)
+        view = self._lens.view(camera, region_of(self.scene.mesh))
         images: dict[str, NDArray[Any]] = {}
         # Light first: its scene then serves the ground truth as well.
         if any(OUTPUTS[name].traced for name in wanted):

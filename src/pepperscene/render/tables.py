@@ -35,7 +35,7 @@ class SurfaceTables:
             out on the other side (the rest is thrown back).
         openness: `(k * 2 * NODES * 2,)` float32, of front and back: the cuticle's openness 1 - E at the
             nodes over its mean, and the step to the next node.
-        details: `(texels * 2,)` float32: offset to the state, relief in metres.
+        details: `(texels * 2,)` float32: offset to the state, relief in the kernel's unit.
         first_texel, width, height: `(k,)` uint32, a surface's part of `details`.
     """
 
@@ -52,11 +52,18 @@ class SurfaceTables:
     height: NDArray[np.uint32]
 
 
-def pack(surfaces: Sequence[Surface], first_nm: float, last_nm: float) -> SurfaceTables:
-    """The surfaces' spectra on a common grid over [first_nm, last_nm]; end values hold beyond their range."""
+def pack(surfaces: Sequence[Surface], first_nm: float, last_nm: float, unit: float = 1.0) -> SurfaceTables:
+    """The surfaces' spectra on a common grid over [first_nm, last_nm]; end values hold beyond their range.
+
+    Args:
+        surfaces: in the order of the mesh's.
+        first_nm: where the range begins.
+        last_nm: where it ends.
+        unit: that the kernel's coordinates and reliefs count in, metres.
+    """
     grid = np.arange(first_nm, last_nm + STEP_NM, STEP_NM)
     blocks = [_spectra(surface, grid) for surface in surfaces]
-    details = [_details(surface) for surface in surfaces]
+    details = [_details(surface, unit) for surface in surfaces]
     states = np.array([len(block) for block in blocks])
     texels = np.array([detail.shape[0] * detail.shape[1] for detail in details])
     cuticles = [_cuticle(surface) for surface in surfaces]
@@ -100,7 +107,7 @@ def _cuticle(surface: Surface) -> tuple[NDArray[np.float32], NDArray[np.float32]
     return sides.astype(np.float32), packed.astype(np.float32)
 
 
-def _details(surface: Surface) -> NDArray[np.float32]:
+def _details(surface: Surface, unit: float) -> NDArray[np.float32]:
     """`(h, w, 2)`: pattern and relief; a single zero texel where a surface has neither."""
     sizes = [image.shape for image in (surface.pattern, surface.relief_mm) if image is not None]
     if len(set(sizes)) > 1:
@@ -109,7 +116,7 @@ def _details(surface: Surface) -> NDArray[np.float32]:
     if surface.pattern is not None:
         packed[..., 0] = surface.pattern
     if surface.relief_mm is not None:
-        packed[..., 1] = surface.relief_mm * 1e-3
+        packed[..., 1] = surface.relief_mm * (1e-3 / unit)
     return packed
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pepperscene.camera import Camera
+from pepperscene.render.region import WORLD, Region
 from pepperscene.render.upload import device_number, device_table
 from pepperscene.render.variant import kernel
 
@@ -24,9 +25,10 @@ class View:
         columns: the width as a number that the kernel reads, so that other sizes compile nothing anew.
         slopes: `((h + 1) * (w + 1) * 2,)` undistorted (x/z, y/z) at the pixels' corners.
         rotation: camera to world.
-        origin: the projection centre in the world, metres.
-        focus: distance of the plane in focus along the axis, metres; None where all is sharp.
-        aperture: radius of the entrance pupil, metres.
+        origin: the projection centre, in the coordinates of the scene's region.
+        focus: distance of the plane in focus along the axis, units; None where all is sharp.
+        aperture: radius of the entrance pupil, units.
+        unit: of the region, metres.
     """
 
     width: int
@@ -37,6 +39,7 @@ class View:
     origin: Any
     focus: Any = None
     aperture: Any = None
+    unit: float = 1.0
 
     def directions(self, column: Any, row: Any, dx: Any, dy: Any) -> Any:
         """Unit world directions through points (dx, dy) in [0, 1]^2 of pixels.
@@ -85,20 +88,22 @@ class LensCache:
         self._key: tuple[object, ...] = ()
         self._slopes: Any = None
 
-    def view(self, camera: Camera) -> View:
-        """The camera's rays."""
+    def view(self, camera: Camera, region: Region = WORLD) -> View:
+        """The camera's rays in a region's coordinates."""
         mi, dr = kernel()
         key = (camera.lens, camera.width, camera.height, camera.sensor.name, camera.intrinsics.tobytes())
         if key != self._key:
             self._slopes = device_table(camera.ray_slopes())
             self._key = key
         rotation = mi.Matrix3f(np.asarray(camera.pose[:3, :3], np.float32))
-        origin = mi.Point3f(*(float(x) for x in camera.pose[:3, 3]))
+        origin = mi.Point3f(*(float(x) for x in region.places(camera.pose[:3, 3])))
         dr.make_opaque(rotation, origin)
         columns = device_number(camera.width, whole=True)
-        view = View(camera.width, camera.height, columns, self._slopes, rotation, origin)
+        view = View(camera.width, camera.height, columns, self._slopes, rotation, origin, unit=region.unit)
         if camera.focus_m is None:
             return view
-        focus, aperture = mi.Float(float(camera.focus_m)), mi.Float(float(camera.aperture_radius_m))
+        focus, aperture = (
+            mi.Float(float(length / region.unit)) for length in (camera.focus_m, camera.aperture_radius_m)
+        )
         dr.make_opaque(focus, aperture)
         return dataclasses.replace(view, focus=focus, aperture=aperture)
