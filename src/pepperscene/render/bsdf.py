@@ -45,6 +45,9 @@ def surface_bsdf() -> Any:
             """The interactions with normals that face the viewer, and the optical state there."""
             surface = mi.UInt32(si.shape.eval_attribute_1("face_surface", si, active) + 0.5)
             state = si.shape.eval_attribute_1("vertex_state", si, active)
+            # Mitsuba finds the place in the triangle by normal equations, whose determinant is 0 in single
+            # precision where it is thousands of times longer than wide, as wires' are: of one state all over.
+            state = dr.select(dr.isfinite(state), state, 0.5)
             turned = facing(si)
             return turned, self.optics.at(turned, surface, state, active)
 

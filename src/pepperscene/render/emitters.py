@@ -72,12 +72,15 @@ def flash_emitter() -> Any:
         def aim(self, flash: Flash, view: View, intensity: SpectralTable) -> None:
             """Put the flash where the camera is; `intensity` on its axis, of all discs, W sr-1 nm-1."""
             centres = np.asarray(flash.emitters_m) + np.array(flash.offset_m[:2])
-            self.discs = mi.Float(centres.astype(np.float32).ravel())
+            self.discs = mi.Float((centres / view.unit).astype(np.float32).ravel())
             self.count = mi.UInt32(len(centres))
-            self.radius, self.forward = mi.Float(float(flash.radius_m)), mi.Float(float(flash.offset_m[2]))
+            self.radius, self.forward = (
+                mi.Float(float(length / view.unit)) for length in (flash.radius_m, flash.offset_m[2])
+            )
             dr.make_opaque(self.count, self.radius, self.forward)
             angles = np.linspace(0.0, math.pi / 2.0, _PROFILE_STEPS + 1)
-            self.profile = mi.Float(flash.profile.at(angles).astype(np.float32))
+            # Over squared distance, which the kernel tells in its own unit.
+            self.profile = mi.Float((flash.profile.at(angles) / view.unit**2).astype(np.float32))
             self.rotation, self.origin, self.intensity = view.rotation, view.origin, intensity
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
@@ -148,7 +151,7 @@ def daylight_emitter() -> Any:
 
         @classmethod
         def of(
-            cls, sky: Sky, grid_nm: NDArray[np.float64], weight: float, sky_share: float, reach_m: float
+            cls, sky: Sky, grid_nm: NDArray[np.float64], weight: float, sky_share: float, reach: float
         ) -> Any:
             """The daylight of a scene.
 
@@ -157,13 +160,13 @@ def daylight_emitter() -> Any:
                 grid_nm: even, for the spectra.
                 weight: it is chosen for light samples in proportion to this.
                 sky_share: of its light samples, the share that looks for the maps; 1 without a sun.
-                reach_m: a distance that leaves the scene from anywhere in it.
+                reach: a distance in the kernel's unit that leaves the scene from anywhere in it.
             """
             self = cls(_weighted(weight))
             maps = np.ascontiguousarray(np.moveaxis(sky.weights, 0, -1))
             self.maps = mi.Texture2f(mi.TensorXf(maps), wrap_mode=dr.WrapMode.Repeat)
             self.spectra = [SpectralTable(grid_nm, row) for row in sky.radiance.at(grid_nm)]
-            self.reach, self.sky_share = mi.Float(reach_m), mi.Float(sky_share)
+            self.reach, self.sky_share = mi.Float(reach), mi.Float(sky_share)
             dr.make_opaque(self.reach, self.sky_share)
             self.sun = None
             if sky.sun is None:

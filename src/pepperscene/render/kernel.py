@@ -6,8 +6,9 @@ the JIT variants (mitsuba3 #1017, #1712), and per-face attributes survive mergin
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,9 @@ from pepperscene.render.tables import pack
 from pepperscene.render.upload import device_table
 from pepperscene.render.variant import kernel
 from pepperscene.scene import Scene
+
+_LEAST_CHORD: Final = 1e-4
+"""Chosen: of a sun's disc. Single precision tells directions apart to 1e-7, a thousandth of it."""
 
 
 def kernel_mesh(mesh: Mesh, bsdf: Any | None = None, region: Region = WORLD) -> Any:
@@ -150,14 +154,15 @@ class SkyTables:
     Attributes:
         weights: texture with one channel per spectrum.
         radiance: one `Float` table per spectrum on the response's grid.
-        sun_frame, sun_cosine, sun_irradiance: towards the disc, cosine of its radius, W m-2 nm-1 on the
-            response's grid; None without a sun.
+        sun_frame, sun_chord, sun_irradiance: towards the disc, chord from its centre to its rim, W m-2 nm-1
+            on the response's grid; None without a sun. Single precision cannot tell the cosine of such a
+            radius from 1. A cap of the chord s has the solid angle pi s^2 (Archimedes).
     """
 
     weights: Any
     radiance: tuple[Any, ...]
     sun_frame: Any = None
-    sun_cosine: Any = None
+    sun_chord: Any = None
     sun_irradiance: Any = None
 
 
@@ -173,8 +178,8 @@ def sky_tables(scene: Scene, grid_nm: np.ndarray) -> SkyTables | None:
     if sky.sun is None:
         return SkyTables(weights, radiance)
     towards = mi.Vector3f(*(float(x) for x in sky.sun.direction))
-    cosine = mi.Float(float(np.cos(sky.sun.angular_radius)))
-    dr.make_opaque(towards, cosine)
+    chord = mi.Float(max(2.0 * math.sin(sky.sun.angular_radius / 2.0), _LEAST_CHORD))
+    dr.make_opaque(towards, chord)
     return SkyTables(
-        weights, radiance, mi.Frame3f(towards), cosine, device_table(sky.sun.irradiance.at(grid_nm))
+        weights, radiance, mi.Frame3f(towards), chord, device_table(sky.sun.irradiance.at(grid_nm))
     )

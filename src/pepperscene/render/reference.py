@@ -18,7 +18,8 @@ from pepperscene.camera import Camera
 from pepperscene.render.bsdf import surface_bsdf
 from pepperscene.render.emitters import SpectralTable, daylight_emitter, flash_emitter
 from pepperscene.render.kernel import kernel_mesh
-from pepperscene.render.optics import Optics, Point
+from pepperscene.render.optics import Optics
+from pepperscene.render.region import Region, region_of
 from pepperscene.render.response import Response, response
 from pepperscene.render.tables import pack
 from pepperscene.render.variant import kernel
@@ -39,12 +40,14 @@ class PathScene:
         scene: of Mitsuba.
         flash: the emitter that goes with the camera, or None.
         range_nm: first and last wavelength of the materials and the daylight.
+        region: whose coordinates it is told in.
         lights: whose they are: the camera's and the scene's, or others that stay where they are.
     """
 
     scene: Any
     flash: Any
     range_nm: tuple[float, float]
+    region: Region
     lights: Literal["own", "others"] = "own"
 
 
@@ -64,29 +67,30 @@ def path_scene(
         emitters: of Mitsuba by name, in place of the camera's and the scene's lights.
 
     Raises:
-        ValueError: the scene was assembled without surfaces.
+        ValueError: the scene was assembled without surfaces; or as `region_of`.
     """
     if not scene.surfaces:
         raise ValueError("the scene has no surfaces: assemble it with them to render colour")
     mi, _ = kernel()
     spectral = response(camera, scene)
     first, last = float(spectral.grid_nm[0]), float(spectral.grid_nm[-1])
-    bsdf = surface_bsdf().of(_SteadyOptics(pack(scene.surfaces, first, last)))
-    parts: dict[str, Any] = {"type": "scene", "plants": kernel_mesh(scene.mesh, bsdf)}
+    region = region_of(scene.mesh)
+    bsdf = surface_bsdf().of(Optics(pack(scene.surfaces, first, last, region.unit)))
+    parts: dict[str, Any] = {"type": "scene", "plants": kernel_mesh(scene.mesh, bsdf, region)}
     if emitters is not None:
-        return PathScene(mi.load_dict({**parts, **emitters}), None, (first, last), "others")
+        return PathScene(mi.load_dict({**parts, **emitters}), None, (first, last), region, "others")
     if camera.flash is not None:
         intensity = SpectralTable(spectral.grid_nm, spectral.flash)
-        parts["flash"] = flash_emitter().of(camera.flash, LensCache().view(camera), intensity)
+        parts["flash"] = flash_emitter().of(camera.flash, LensCache().view(camera, region), intensity)
     if scene.sky is not None:
         sun = 1.0 if scene.sky.sun is not None else 0.0
         if not sun and camera.flash is None:
             sky_weight = 1.0
         weight = sun + sky_weight
         share = sky_weight / weight if sun else 1.0
-        reach = 2.0 * float(np.linalg.norm(np.ptp(scene.mesh.vertices, axis=0))) + 1.0
+        reach = 2.0 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0))) / region.unit + 1.0
         parts["daylight"] = daylight_emitter().of(scene.sky, spectral.grid_nm, weight, share, reach)
-    return PathScene(mi.load_dict(parts), parts.get("flash"), (first, last))
+    return PathScene(mi.load_dict(parts), parts.get("flash"), (first, last), region)
 
 
 def path_traced(
@@ -116,7 +120,7 @@ def path_traced(
     mi, dr = kernel()
     spectral = response(camera, scene)
     built = kernel_scene or path_scene(scene, camera)
-    view = LensCache().view(camera)
+    view = LensCache().view(camera, built.region)
     _aim(built, camera, view, spectral)
 
     integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2})
@@ -156,18 +160,6 @@ def samples_taken(sampler: str, spp: int) -> int:
         raise ValueError(f"at least one sample per pixel is needed, not {spp}")
     mi, _ = kernel()
     return int(mi.load_dict({"type": sampler, "sample_count": spp}).sample_count())
-
-
-class _SteadyOptics(Optics):
-    """Optics that hold where Mitsuba's interpolation over a triangle fails.
-
-    It solves for the place in the triangle by normal equations, whose determinant is 0 in single precision
-    where a triangle is some thousand times longer than wide, as wires' are. Their state is the same all over.
-    """
-
-    def at(self, si: Any, surface: Any, state: Any, active: Any) -> Point:
-        _, dr = kernel()
-        return super().at(si, surface, dr.select(dr.isfinite(state), state, 0.5), active)
 
 
 class _Rays:

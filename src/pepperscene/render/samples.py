@@ -168,11 +168,15 @@ class Samples:
 
     def sun(self, si: Any, point: Any, active: Any, lamps: Lamps) -> Any:
         """Radiance towards the viewer from the sun's disc alone."""
-        mi, _ = kernel()
+        mi, dr = kernel()
         sky = self.tables.sky
         if sky is None or lamps.sun is None:
             return point.reflectance * 0.0
-        towards = sky.sun_frame.to_world(mi.warp.square_to_uniform_cone(self.next_2d(), sky.sun_cosine))
+        # Squared chords from the disc's centre are even over it, as squared radii are over a flat disc.
+        place = sky.sun_chord * mi.warp.square_to_uniform_disk_concentric(self.next_2d())
+        square = dr.squared_norm(place)
+        beside = place * dr.sqrt(1.0 - 0.25 * square)
+        towards = sky.sun_frame.to_world(mi.Vector3f(beside.x, beside.y, 1.0 - 0.5 * square))
         lit = active & ~self.tables.scene.scene.ray_test(si.spawn_ray(towards), active)
         value, _ = point.eval_pdf(si.to_local(towards))
         return (value * lamps.sun) & lit
@@ -190,8 +194,9 @@ class Samples:
         for weight, spectrum in zip(sky.weights.eval(place, active), lamps.sky, strict=True):
             radiance += weight * spectrum
         if seen and lamps.sun is not None:
-            inside = dr.dot(towards, sky.sun_frame.n) > sky.sun_cosine
-            radiance += (lamps.sun / (dr.two_pi * (1.0 - sky.sun_cosine))) & inside
+            square = dr.square(sky.sun_chord)
+            inside = dr.squared_norm(towards - sky.sun_frame.n) < square
+            radiance += (lamps.sun / (dr.pi * square)) & inside
         return radiance & active
 
 
