@@ -48,8 +48,14 @@ class Surface:
                 f"{self.name}: reflectance (s, 2, n) and transmittance (s, n) do not match n={n}"
             )
         total = self.reflectance + self.transmittance[:, None, :]
-        if min(self.reflectance.min(), self.transmittance.min()) < 0 or total.max() > 1 + 1e-9:
+        # So asked, what is no number fails as well.
+        if not (min(self.reflectance.min(), self.transmittance.min()) >= 0 and total.max() <= 1 + 1e-9):
             raise ValueError(f"{self.name}: reflectance and transmittance must be >= 0 and sum to at most 1")
+        if not (1 <= self.ior < np.inf and all(0 <= alpha < np.inf for alpha in self.roughness)):
+            raise ValueError(f"{self.name}: an index of at least 1 and roughness of at least 0 are needed")
+        for image in (self.pattern, self.relief_mm):
+            if image is not None and not np.isfinite(image).all():
+                raise ValueError(f"{self.name}: pattern and relief must be finite")
 
 
 def lambertian(name: str, reflectance: float) -> Surface:

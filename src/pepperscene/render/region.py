@@ -49,7 +49,7 @@ class Region:
         if self == WORLD:
             return mesh.vertices
         # Exact in single precision: the origin is a multiple of what neighbouring vertices differ by.
-        return np.asarray((mesh.vertices - np.float32(self.origin)) / np.float32(self.unit))
+        return (mesh.vertices - np.array(self.origin, np.float32)) / np.float32(self.unit)
 
 
 WORLD: Final = Region()

@@ -14,6 +14,13 @@ from pepperscene.scene import Scene
 STEP_NM: Final = 1.0
 _NEGLIGIBLE: Final = 1e-5  # chosen: response below this share of its peak is left out; error below 1e-5
 
+_STRONGEST: Final = 1e30
+"""Electrons s-1 m-2 (sr-1) that a light may send: chosen, a hundred thousand million suns. Single precision
+ends at 3e38, and a millimetre before the flash there is a million times more of it."""
+_FAINTEST: Final = 1e-13
+"""Chosen: a flash with less than this share of the daylight is none. Even at a millimetre single precision
+would lose it in the sum."""
+
 
 @dataclass(frozen=True, eq=False)
 class Response:
@@ -33,7 +40,11 @@ class Response:
 
 
 def response(camera: Camera, scene: Scene) -> Response:
-    """The response over the range that the sensor sees and a light shines in, no wider."""
+    """The response over the range that the sensor sees and a light shines in, no wider.
+
+    Raises:
+        ValueError: a light is too strong for single precision.
+    """
     efficiency = camera.sensor.quantum_efficiency
     peak = efficiency.values.max()
     seen = efficiency.wavelength_nm[(efficiency.values > _NEGLIGIBLE * peak).any(axis=0)]
@@ -42,10 +53,20 @@ def response(camera: Camera, scene: Scene) -> Response:
     if lit.size:
         grid = grid[max(lit[0] - 1, 0) : lit[-1] + 2]
     electrons = camera.sensor.electrons_per_joule(grid).T
-    flash = _flash(camera, grid)
+    flash, daylight = _flash(camera, grid), _sky_spectra(scene, grid)
+    strengths = [float((light @ electrons).max()) for light in (flash, *daylight)]
+    if scene.sky is not None:
+        # The sky's spectra come first, each with its map.
+        for k, weights in enumerate(scene.sky.weights, start=1):
+            strengths[k] *= float(weights.max())
+    if not max(strengths) <= _STRONGEST:
+        most = f"{_STRONGEST:g} are allowed"
+        raise ValueError(f"a light is too strong: {max(strengths):.3g} electrons s-1 m-2 where {most}")
+    if strengths[0] < _FAINTEST * max(strengths):
+        flash = np.zeros(grid.size)
 
     # Half of the density follows all lights alike, half the response alone: no light is left out.
-    lights = [light for light in (flash, *_sky_spectra(scene, grid)) if light.any()]
+    lights = [light for light in (flash, *daylight) if light.any()]
     light = (
         np.mean([spectrum / spectrum.mean() for spectrum in lights], axis=0) if lights else np.ones(grid.size)
     )

@@ -41,6 +41,12 @@ class Sun:
     irradiance: Spectrum
     angular_radius: float = SUN_ANGULAR_RADIUS
 
+    def __post_init__(self) -> None:
+        if not abs(float(np.linalg.norm(self.direction)) - 1.0) < 1e-6:
+            raise ValueError("the direction towards the sun must be a unit vector")
+        if not (self.irradiance.values.min() >= 0 and 0 < self.angular_radius <= np.pi / 2):
+            raise ValueError("the sun's irradiance must be at least 0, its radius in (0, pi/2]")
+
 
 @dataclass(frozen=True, eq=False)
 class Sky:
@@ -55,6 +61,11 @@ class Sky:
     weights: NDArray[np.float32]
     radiance: Spectrum
     sun: Sun | None = None
+
+    def __post_init__(self) -> None:
+        # So asked, what is no number fails as well.
+        if not (self.weights.min() >= 0 and self.weights.max() < np.inf and self.radiance.values.min() >= 0):
+            raise ValueError("a sky's weights and radiance must be finite and at least 0")
 
     def horizontal_illuminance(self) -> float:
         """Lux on an unobstructed level plane, sky and sun together."""
