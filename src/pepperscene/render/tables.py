@@ -62,19 +62,19 @@ def pack(surfaces: Sequence[Surface], first_nm: float, last_nm: float, unit: flo
         unit: that the kernel's coordinates and reliefs count in, metres.
     """
     grid = np.arange(first_nm, last_nm + STEP_NM, STEP_NM)
-    blocks = [_spectra(surface, grid) for surface in surfaces]
+    blocks = [spectra_rows(surface, grid) for surface in surfaces]
     details = [_details(surface, unit) for surface in surfaces]
     states = np.array([len(block) for block in blocks])
     texels = np.array([detail.shape[0] * detail.shape[1] for detail in details])
-    cuticles = [_cuticle(surface) for surface in surfaces]
+    cuticles = [cuticle_tables(surface) for surface in surfaces]
     return SurfaceTables(
         first_nm=first_nm,
         columns=grid.size,
-        spectra=np.concatenate(blocks).ravel(),
+        spectra=np.concatenate(blocks).ravel().astype(np.float32),
         first_row=_starts(states),
         last_state=(states - 1).astype(np.float32),
-        sides=np.concatenate([sides.ravel() for sides, _ in cuticles]),
-        openness=np.concatenate([table.ravel() for _, table in cuticles]),
+        sides=np.concatenate([sides.ravel() for sides, _ in cuticles]).astype(np.float32),
+        openness=np.concatenate([table.ravel() for _, table in cuticles]).astype(np.float32),
         details=np.concatenate([detail.ravel() for detail in details]),
         first_texel=_starts(texels),
         width=np.array([detail.shape[1] for detail in details], np.uint32),
@@ -82,18 +82,18 @@ def pack(surfaces: Sequence[Surface], first_nm: float, last_nm: float, unit: flo
     )
 
 
-def _spectra(surface: Surface, grid: NDArray[np.float64]) -> NDArray[np.float32]:
-    """`(s, columns, 4)`: front and back reflectance, transmittance, 0."""
+def spectra_rows(surface: Surface, grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A surface's part of the spectra, `(s, columns, 4)`: front and back reflectance, transmittance, 0."""
 
     def at(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.stack([np.interp(grid, surface.wavelength_nm, row) for row in values])
 
     front, back = at(surface.reflectance[:, 0]), at(surface.reflectance[:, 1])
     through = at(surface.transmittance)
-    return np.stack([front, back, through, np.zeros_like(front)], axis=-1).astype(np.float32)
+    return np.stack([front, back, through, np.zeros_like(front)], axis=-1)
 
 
-def _cuticle(surface: Surface) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def cuticle_tables(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """`(2, 4)` constants of a surface's sides and `(2, NODES, 2)` tables of their openness."""
     ior = max(float(surface.ior), 1.0)
     alphas = [max(float(alpha), LEAST_ALPHA) for alpha in surface.roughness]
@@ -104,7 +104,7 @@ def _cuticle(surface: Surface) -> tuple[NDArray[np.float32], NDArray[np.float32]
     steps = np.diff(relative, axis=1, append=relative[:, -1:])
     packed = np.stack([relative, steps], axis=-1)
     assert packed.shape == (2, NODES, 2)
-    return sides.astype(np.float32), packed.astype(np.float32)
+    return sides, packed
 
 
 def _details(surface: Surface, unit: float) -> NDArray[np.float32]:
