@@ -1,0 +1,127 @@
+"""What every picture must be, however strained; scenes moved, scaled and made of single triangles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from bodies import RANGE_NM, bench_camera
+
+from pepperscene.camera import Camera
+from pepperscene.classes import Instance, OrganClass
+from pepperscene.frame import Frame
+from pepperscene.geometry import Mesh
+from pepperscene.materials import Surface, lambertian
+from pepperscene.render import Renderer
+from pepperscene.scene import Scene, Sky, assemble, uniform_sky
+from pepperscene.spectra import Spectrum
+
+OUTPUTS = ("electrons", "class", "instance", "distance", "normal")
+DAYLIGHT = uniform_sky(Spectrum(RANGE_NM, np.ones(2)), 5500.0)
+
+
+def picture(scene: Scene, camera: Camera, quality: str = "draft", outputs=OUTPUTS, seed: int = 0) -> Frame:
+    """A frame that holds together."""
+    frame = Renderer(scene).render(camera, outputs, quality, seed)
+    assert_sound(frame)
+    return frame
+
+
+def assert_sound(frame: Frame) -> None:
+    """All numbers are numbers, light is not negative, and the labels tell of the same hits."""
+    if "electrons" in frame.images:
+        assert np.isfinite(frame["electrons"]).all()
+        assert frame["electrons"].min() >= 0.0
+    if "distance" in frame.images:
+        hit = np.isfinite(frame["distance"])
+        assert (frame["distance"][hit] >= 0.0).all()
+        assert not np.isnan(frame["distance"]).any()
+        assert np.array_equal(frame["class"] > 0, hit)
+        assert np.array_equal(frame["instance"] > 0, hit)
+        length = np.linalg.norm(frame["normal"], axis=-1)
+        assert np.isfinite(length).all()
+        assert (length[~hit] == 0.0).all()
+
+
+def surface(
+    name: str, reflectance: float, transmittance: float = 0.0, ior: float = 1.0, roughness: float = 0.3
+) -> Surface:
+    """A grey surface, the same on both sides."""
+    both = np.full((1, 2, 2), float(reflectance))
+    return Surface(name, RANGE_NM, both, np.full((1, 2), float(transmittance)), ior, (roughness, roughness))
+
+
+def grey(mesh: Mesh, reflectance: float = 0.5, sky: Sky | None = None) -> Scene:
+    """A mesh with all surfaces matt and of one grey."""
+    return assemble(mesh, {name: lambertian(name, reflectance) for name in mesh.surfaces}, sky)
+
+
+def point_flash_camera(columns: int = 16, rows: int = 12, **changes: object) -> Camera:
+    """The laws' camera with its flash a point in the lens' place."""
+    point: Mapping[str, object] = {
+        "radius_m": 0.0,
+        "emitters_m": np.zeros((1, 2)),
+        "offset_m": (0.0, 0.0, 0.0),
+        **changes,
+    }
+    return bench_camera(columns=columns, rows=rows, **point)
+
+
+def triangles(corners: np.ndarray, uv: np.ndarray | None = None, name: str = "leaf") -> Mesh:
+    """`(f, 3, 3)` corners as a mesh of one instance, each triangle with its own flat normal."""
+    places = np.asarray(corners, np.float32).reshape(-1, 3)
+    count = len(places) // 3
+    edges = np.asarray(corners, float)
+    across = np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0])
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    flat = np.where(length > 0, across / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
+    return Mesh(
+        vertices=places,
+        normals=np.repeat(flat, 3, axis=0).astype(np.float32),
+        uv=np.asarray(np.tile([[0, 0], [1, 0], [0, 1]], (count, 1)) if uv is None else uv, np.float32),
+        state=np.full(3 * count, 0.5, np.float32),
+        faces=np.arange(3 * count, dtype=np.uint32).reshape(-1, 3),
+        face_instance=np.zeros(count, np.uint32),
+        face_surface=np.zeros(count, np.uint8),
+        surfaces=(name,),
+        instances=(Instance(OrganClass.LEAF, "test body"),),
+    )
+
+
+def with_faces(mesh: Mesh, faces: np.ndarray) -> Mesh:
+    """The mesh with more faces of its first instance and surface, after its own."""
+    return replace(
+        mesh,
+        faces=np.concatenate([mesh.faces, faces.astype(np.uint32)]),
+        face_instance=np.concatenate([mesh.face_instance, np.zeros(len(faces), np.uint32)]),
+        face_surface=np.concatenate([mesh.face_surface, np.zeros(len(faces), np.uint8)]),
+    )
+
+
+def moved(scene: Scene, camera: Camera, by: np.ndarray) -> tuple[Scene, Camera]:
+    """Scene and camera, `(3,)` metres away."""
+    pose = camera.pose.copy()
+    pose[:3, 3] += by
+    return replace(scene, mesh=scene.mesh.moved(np.eye(3), by)), camera.at_pose(pose)
+
+
+def scaled(scene: Scene, camera: Camera, factor: float) -> tuple[Scene, Camera]:
+    """Scene, reliefs, camera's place and flash, all `factor` times as large about the origin."""
+    pose = camera.pose.copy()
+    pose[:3, 3] *= factor
+    flash = camera.flash
+    if flash is not None:
+        flash = replace(
+            flash,
+            at_m=flash.at_m * factor,
+            radius_m=flash.radius_m * factor,
+            emitters_m=flash.emitters_m * factor,
+            offset_m=tuple(x * factor for x in flash.offset_m),
+        )
+    mesh = replace(scene.mesh, vertices=(scene.mesh.vertices * factor).astype(np.float32))
+    surfaces = tuple(
+        one if one.relief_mm is None else replace(one, relief_mm=one.relief_mm * np.float32(factor))
+        for one in scene.surfaces
+    )
+    return replace(scene, mesh=mesh, surfaces=surfaces), replace(camera, pose=pose, flash=flash)
