@@ -1,0 +1,326 @@
+"""Derivatives of the camera's expected electrons with respect to pigments, cuticles, flash and exposure.
+
+The picture is traced as any other, at places and in directions that do not depend on the parameters, so that
+nothing that is seen or shaded moves, and with the same random numbers each time. What is left is a smooth
+function of the tables that the kernel reads: Dr.Jit differentiates it both ways, pass by pass over blocks of
+pixels so that memory is bounded, and the chain goes on from the tables to the parameters in `Tunable`.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pepperscene.camera import Camera, expected_electrons
+from pepperscene.render.frozen import FrozenOptics
+from pepperscene.render.kernel import light_scene, sky_tables
+from pepperscene.render.leaves import Leaves, Tables
+from pepperscene.render.optics import Optics
+from pepperscene.render.quality import Quality, quality_named
+from pepperscene.render.region import region_of
+from pepperscene.render.response import response
+from pepperscene.render.samples import FrameTables, Samples, SpectralTables
+from pepperscene.render.transport import all_light
+from pepperscene.render.tunable import RANGES, Parameters, Tunable, Values
+from pepperscene.render.upload import device_number, device_table
+from pepperscene.render.variant import kernel
+from pepperscene.render.view import LensCache
+from pepperscene.scene import Scene
+
+if TYPE_CHECKING:
+    from pepperscene.cultivar import Cultivar
+
+Array = NDArray[np.float64]
+
+_LANES: Final = 1 << 17
+"""Chosen: samples of a pass. Sums over a pass are in single precision, those over passes in double."""
+
+_POWERS: Final = {"exposure.time": 1.0, "exposure.gain": 1.0, "exposure.f_number": -2.0}
+"""Of each parameter of the exposure in the picture."""
+
+FLASH_WEIGHTS: Final = 8  # chosen: an LED's blue peak and the rise and fall of its phosphor lie apart
+
+
+class DifferentiableRenderer:
+    """A picture of a scene as a smooth function of parameters, with its derivatives.
+
+    Parameters are named after the scene's surfaces: `leaf.chlorophyll_ug_cm2` and the other contents of
+    `Pigments`, `(k,)` at the knots of the surface's path through pigment space; `fruit.flesh_reflectance`,
+    `fruit.ior`, and `fruit.roughness`, `(2,)` for front and back. For the light there are `flash.power`,
+    a factor, and `flash.spectrum`, `(m,)` factors at `flash_nodes_nm`, linear in between; for the exposure
+    `exposure.time` and `exposure.gain`, factors of the whole picture, and `exposure.f_number`.
+
+    The flash shines through the whole exposure, as `exposure.time` takes it, and a change of the f-number
+    leaves the depth of field as it is.
+
+    Directions and wavelengths are drawn for the surfaces and lights that the scene has (see
+    `pepperscene.render.frozen`) and no path ends by chance: the same parameters give the same picture, and
+    any others one with the same random numbers. Far from the scene's own surfaces noise grows, and nothing is
+    drawn through one that lets no light through at all: there go on from a scene of the new ones.
+
+    Args:
+        scene: with surfaces.
+        camera: lens, sensor, flash and pose.
+        cultivar: whose pigments made the surfaces; None offers those of cuticles, flash and exposure alone.
+        quality: of `QUALITIES`; its samples in every pixel, and its bounces.
+        seed: of all that is random.
+        flash_weights: number of the spectrum's factors.
+
+    Attributes:
+        parameters: every parameter with the value that the scene and the camera have.
+        flash_nodes_nm: `(m,)` evenly over the range in which the sensor sees the flash.
+
+    Raises:
+        InputError: unknown quality.
+        ValueError: a surface is not what the cultivar's pigments make, or fewer than one weight is asked for.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        camera: Camera,
+        cultivar: Cultivar | None = None,
+        quality: str | Quality = "standard",
+        seed: int = 0,
+        flash_weights: int = FLASH_WEIGHTS,
+    ) -> None:
+        if flash_weights < 1:
+            raise ValueError(f"at least one weight of the flash's spectrum is needed, not {flash_weights}")
+        effort = quality_named(quality) if isinstance(quality, str) else quality
+        self._samples, self._bounces = effort.samples, effort.bounces
+        self._seed, self._camera = seed & 0xFFFFFFFF, camera
+
+        # The renderer as it is, with everything that is drawn from it.
+        spectral = response(camera, scene)
+        grid = spectral.grid_nm
+        light = light_scene(scene, float(grid[0]), float(grid[-1]))
+        view, sky = LensCache().view(camera, region_of(scene.mesh)), sky_tables(scene, grid)
+        self._frame = FrameTables(light, view, spectral, camera.flash, sky)
+        self._frame.roulette = False
+        self._spectra = SpectralTables(self._frame)
+
+        # What it depends on, and how.
+        tunable = Tunable(scene.surfaces, cultivar, grid)
+        self.flash_nodes_nm = np.zeros(0)
+        values = dict(tunable.defaults)
+        if self._frame.flash is not None:
+            lit = grid[spectral.flash > 0.0]
+            self.flash_nodes_nm = np.linspace(lit[0], lit[-1], flash_weights)
+            values |= {"flash.power": np.array(1.0), "flash.spectrum": np.ones(flash_weights)}
+        values |= {"exposure.time": np.array(1.0), "exposure.gain": np.array(1.0)}
+        values["exposure.f_number"] = np.array(float(camera.lens.f_number))
+        sun = None
+        if sky is not None and self._frame.sunlit is not None:
+            sun = np.asarray(sky.sun_irradiance, float)[: grid.size]
+        self._leaves = Leaves(tunable, spectral, self.flash_nodes_nm, sun)
+        for value in values.values():
+            value.setflags(write=False)
+        self.parameters: Mapping[str, Array] = MappingProxyType(values)
+
+    # --- the picture and its derivatives ----------------------------------------------------------------
+
+    def rgb(self, parameters: Parameters | None = None) -> Array:
+        """`(h, w, c)` electrons that each photosite expects, before noise and saturation.
+
+        Args:
+            parameters: those that differ from the scene's own.
+
+        Raises:
+            ValueError: an unknown parameter, or one of a wrong shape or out of its range.
+        """
+        values = self._values(parameters or {})
+        leaves = _on_device(self._leaves.tables(values))
+        return self._picture([self._sums(self._lanes(leaves, block)) for block in self._blocks()], values)
+
+    def forward(self, parameters: Parameters, direction: Parameters) -> Array:
+        """`(h, w, c)` how the picture changes along a direction: its derivative times that direction.
+
+        Args:
+            parameters: those that differ from the scene's own.
+            direction: how much the entries of some parameters change.
+
+        Raises:
+            ValueError: as of `rgb`.
+        """
+        _, dr = kernel()
+        values, along = self._values(parameters), self._shaped(direction)
+        leaves = _on_device(self._leaves.tables(values))
+        tangents = _on_device(self._leaves.forward(values, along))
+        channels, found = self._frame.channels, []
+        for block in self._blocks():
+            for name, leaf in leaves.items():
+                dr.enable_grad(leaf)
+                dr.set_grad(leaf, tangents[name])
+            light = self._lanes(leaves, block)
+            slopes = dr.forward_to(light, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
+            found.append(self._sums([*slopes, *dr.detach(light)]))
+            dr.disable_grad(leaves)
+        exposed = self._picture([sums[:, channels:] for sums in found], values)
+        slope = self._picture([sums[:, :channels] for sums in found], values)
+        return slope + _relative_exposure(values, along) * exposed
+
+    def backward(self, parameters: Parameters, loss_gradient: ArrayLike) -> dict[str, Array]:
+        """Derivatives of a loss with respect to the parameters that are given.
+
+        Args:
+            parameters: those that are wanted, at the values where they are.
+            loss_gradient: `(h, w, c)` derivatives of the loss with respect to the picture.
+
+        Raises:
+            ValueError: as of `rgb`, or the gradient does not have the picture's shape.
+        """
+        mi, dr = kernel()
+        values = self._values(parameters)
+        # What comes behind the light scales each pixel, and is its own transpose.
+        weights = self._picture([self._flat(loss_gradient)], values).reshape(-1, self._frame.channels)
+        scale = float(np.abs(weights).max()) or 1.0  # so that single precision holds it
+        blocks = self._blocks()
+        weights = np.pad(weights / scale, ((0, blocks[-1].stop - len(weights)), (0, 0)))
+        tables = self._leaves.tables(values)
+        leaves, loss = _on_device(tables), 0.0
+        found = {name: np.zeros(table.shape) for name, table in tables.items()}
+        for block in blocks:
+            columns = [device_table(column) for column in weights[block.start : block.stop].T]
+            dr.enable_grad(leaves)
+            lanes, place = mi.Float(0.0), self._place(block)
+            for light, weight in zip(self._lanes(leaves, block), columns, strict=True):
+                lanes += light * dr.gather(mi.Float, weight, place)
+            dr.backward(lanes, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
+            slopes = {name: dr.grad(leaf) for name, leaf in leaves.items()}
+            lanes = dr.detach(lanes)
+            dr.eval(lanes, slopes)
+            loss += float(np.asarray(lanes).sum(dtype=np.float64))
+            for name, slope in slopes.items():
+                # A table of one entry is there twice, and the second is never read.
+                found[name] += np.asarray(slope)[: found[name].size].reshape(found[name].shape)
+            dr.disable_grad(leaves)
+        scaled = {name: scale * slope for name, slope in found.items()}
+        names = tuple(parameters)
+        slopes = self._leaves.backward(values, scaled, names) | _by_exposure(values, scale * loss)
+        return {name: slopes[name] for name in names}
+
+    # --- light ------------------------------------------------------------------------------------------
+
+    def _blocks(self) -> list[range]:
+        """Pixels of each pass: equally many, as Dr.Jit compiles anew for another number.
+
+        The last pass can go on beyond the picture, with its last pixel over and over.
+        """
+        total = self._camera.width * self._camera.height
+        block = min(max(_LANES // self._samples, 1), total)
+        return [range(start, start + block) for start in range(0, total, block)]
+
+    def _place(self, block: range) -> Any:
+        """The pixel of each sample, counted from the block's first."""
+        mi, dr = kernel()
+        return dr.arange(mi.UInt32, len(block) * self._samples) // device_number(self._samples, whole=True)
+
+    def _lanes(self, leaves: Mapping[str, Any], block: range) -> list[Any]:
+        """Light of each sample by channel: what the tables make of it, along paths that they do not turn."""
+        mi, dr = kernel()
+        frame, spectra = copy.copy(self._frame), copy.copy(self._spectra)
+        cuticles = {name: leaves[name] for name in ("sides", "openness")}
+        own = frame.scene.optics
+        values = _changed(own, spectra=leaves["spectra"], **cuticles)
+        frame.scene = replace(frame.scene, optics=FrozenOptics(values, own))  # type: ignore[arg-type]
+        for name in ("lit", "sunlit"):
+            if name in leaves:
+                seen = _changed(getattr(frame, name), spectra=leaves[name], **cuticles)
+                setattr(frame, name, FrozenOptics(seen))
+        lanes = len(block) * self._samples
+        if "colour" in leaves:
+            # Fetched lane by lane: a number alone would sum up its derivatives in a kernel of its own.
+            entries = [dr.opaque(mi.UInt32, k, lanes) for k in range(frame.channels)]
+            colour = (mi.Color3f if frame.channels == 3 else mi.Color1f)(
+                *(dr.gather(mi.Float, leaves["colour"], entry) for entry in entries)
+            )
+            frame.lamps, spectra.flash = replace(frame.lamps, flash=colour), leaves["flash"]
+        place = self._place(block)
+        index = dr.arange(mi.UInt32, lanes) - place * device_number(self._samples, whole=True)
+        last = device_number(self._camera.width * self._camera.height - 1, whole=True)
+        pixel = dr.minimum(place + device_number(block.start, whole=True), last)
+        samples = Samples(frame, pixel, index, device_number(self._seed, whole=True))
+        return all_light(frame, spectra, samples, self._bounces)
+
+    def _sums(self, lanes: list[Any]) -> Array:
+        """`(n, k)` sums over the samples of each pixel."""
+        _, dr = kernel()
+        dr.eval(lanes)
+        sums = [dr.block_reduce(dr.ReduceOp.Add, lane, self._samples) for lane in lanes]
+        dr.eval(sums)
+        return np.stack([np.asarray(one, np.float64) for one in sums], axis=-1)
+
+    def _picture(self, sums: list[Array], values: Values) -> Array:
+        """`(h, w, c)` electrons from sums over samples."""
+        height, width = self._camera.height, self._camera.width
+        signal = np.concatenate(sums)[: height * width].reshape(height, width, -1) / self._samples
+        return expected_electrons(signal, self._camera) * _exposure(values, self.parameters)
+
+    # --- parameters -------------------------------------------------------------------------------------
+
+    def _flat(self, image: ArrayLike) -> Array:
+        given = np.asarray(image, dtype=float)
+        shape = (self._camera.height, self._camera.width, self._frame.channels)
+        if given.shape != shape:
+            raise ValueError(
+                f"derivatives with respect to a picture of {shape} are needed, not {given.shape}"
+            )
+        return given.reshape(-1, shape[2])
+
+    def _shaped(self, parameters: Parameters) -> dict[str, Array]:
+        """Arrays of the parameters' own shapes; a single number stands for all of a parameter's entries."""
+        found = {}
+        for name, value in parameters.items():
+            if name not in self.parameters:
+                known = ", ".join(self.parameters)
+                raise ValueError(f"there is no parameter {name!r}; there are {known}")
+            shape, given = self.parameters[name].shape, np.asarray(value, dtype=float)
+            if given.shape not in ((), shape):
+                raise ValueError(f"{name} has the shape {shape}, not {given.shape}")
+            found[name] = np.broadcast_to(given, shape).copy()
+        return found
+
+    def _values(self, parameters: Parameters) -> dict[str, Array]:
+        """All parameters, those that are given checked."""
+        given = self._shaped(parameters)
+        for name, value in given.items():
+            low, high = RANGES.get(name.rpartition(".")[2], (0.0, np.inf))
+            if not ((value >= low) & (value <= high) & (value < np.inf)).all():
+                raise ValueError(f"{name} must lie in [{low:g}, {high:g}] and be finite, not {value}")
+        for name in ("flash.power", "flash.spectrum", "exposure.time", "exposure.gain", "exposure.f_number"):
+            if name in given and not (given[name] > 0.0).any():
+                raise ValueError(f"{name} must be above 0")
+        return {**self.parameters, **given}
+
+
+def _on_device(tables: Tables) -> dict[str, Any]:
+    return {name: device_table(table) for name, table in tables.items()}
+
+
+def _changed(optics: Optics, **tables: Any) -> Optics:
+    """The same optics with other tables."""
+    found = copy.copy(optics)
+    found.__dict__.update(tables)
+    return found
+
+
+def _exposure(values: Values, own: Values) -> float:
+    """What the exposure makes of the camera's own picture, as a factor."""
+    stops = own["exposure.f_number"] / values["exposure.f_number"]
+    return float(values["exposure.time"] * values["exposure.gain"] * stops**2)
+
+
+def _relative_exposure(values: Values, along: Values) -> float:
+    """The exposure's relative change along a direction."""
+    return sum(float(power * along[name] / values[name]) for name, power in _POWERS.items() if name in along)
+
+
+def _by_exposure(values: Values, loss: float) -> dict[str, Array]:
+    """Derivatives by the exposure of what grows with it in proportion."""
+    return {name: np.asarray(power * loss / values[name]) for name, power in _POWERS.items()}
