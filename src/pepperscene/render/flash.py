@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,9 @@ from pepperscene.camera import Flash
 from pepperscene.render.upload import device_number, device_table
 from pepperscene.render.variant import kernel
 from pepperscene.render.view import View
+
+_LEAST_DISTANCE: Final = 1e-4
+"""Metres: chosen, for a lamp is not smaller, and single precision does not end before its light."""
 
 
 class FlashMatrix:
@@ -24,6 +27,7 @@ class FlashMatrix:
         self.steps = 511.0 / (np.pi / 2.0)
         offset = mi.Point3f(*(float(x / view.unit) for x in flash.offset_m))
         self.radius = device_number(flash.radius_m / view.unit)
+        self.least = device_number((_LEAST_DISTANCE / view.unit) ** 2)
         self.count = device_number(len(flash.emitters_m))
         self.emitters = device_table(_neighbours_first(flash.emitters_m) / view.unit)
         dr.make_opaque(offset)
@@ -41,7 +45,9 @@ class FlashMatrix:
         on_disc = emitter + self.radius * mi.warp.square_to_uniform_disk_concentric(within)
         point = self.centre + self.rotation @ mi.Vector3f(on_disc.x, on_disc.y, 0.0)
         away = p - point
-        distance = dr.norm(away)
+        # Nearer than that the light no longer grows, and at no distance there is none.
+        square = dr.maximum(dr.squared_norm(away), self.least)
+        distance = dr.sqrt(square)
         forward = self.rotation @ mi.Vector3f(0.0, 0.0, 1.0)
         cosine = dr.dot(away, forward) / distance
         x = dr.clip(dr.safe_acos(cosine) * self.steps, 0.0, 510.999)
@@ -50,7 +56,7 @@ class FlashMatrix:
         profile = dr.lerp(
             dr.gather(mi.Float, self.profile, index), dr.gather(mi.Float, self.profile, index + 1), x - left
         )
-        return point, dr.select(cosine > 0.0, profile / (distance * distance), 0.0)
+        return point, dr.select(cosine > 0.0, profile / square, 0.0)
 
 
 def _neighbours_first(places: NDArray[np.float64]) -> NDArray[np.float64]:

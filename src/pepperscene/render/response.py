@@ -14,12 +14,12 @@ from pepperscene.scene import Scene
 STEP_NM: Final = 1.0
 _NEGLIGIBLE: Final = 1e-5  # chosen: response below this share of its peak is left out; error below 1e-5
 
-_STRONGEST: Final = 1e30
-"""Electrons s-1 m-2 (sr-1) that a light may send: chosen, a hundred thousand million suns. Single precision
-ends at 3e38, and a millimetre before the flash there is a million times more of it."""
-_FAINTEST: Final = 1e-13
-"""Chosen: a flash with less than this share of the daylight is none. Even at a millimetre single precision
-would lose it in the sum."""
+_STRONGEST: Final = 1e24
+"""Electrons s-1 m-2 (sr-1) that a light may send: chosen, ten thousand times a flash of 200 klx at 50 cm.
+Single precision ends at 3e38; a flash has 1e8 times more next to it, and 1e5 times more of that mirrored."""
+_FAINTEST: Final = 1e-10
+"""Chosen: a flash with less than this share of the daylight is none. Even at a centimetre it adds one part in
+a million."""
 
 
 @dataclass(frozen=True, eq=False)

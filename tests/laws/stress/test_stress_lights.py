@@ -99,7 +99,7 @@ def test_a_sun_in_no_direction_is_refused(direction):
 # --- faint and strong ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("lux", [1e-12, 1e-3, 1e6, 1e13])
+@pytest.mark.parametrize("lux", [1e-12, 1e-3, 1e6, 1e9])
 def test_light_is_proportional_to_the_lamp(lux):
     scene = grey(sheet(0.2, 0.2, 0.5, "leaf"))
     found, expected = (
