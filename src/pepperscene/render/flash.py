@@ -13,7 +13,8 @@ from pepperscene.render.variant import kernel
 from pepperscene.render.view import View
 
 _LEAST_DISTANCE: Final = 1e-4
-"""Metres: chosen, for a lamp is not smaller, and single precision does not end before its light."""
+"""In the kernel's unit, a metre for all but tiny scenes: chosen, for a lamp is not smaller, and its light
+stays within single precision."""
 
 
 class FlashMatrix:
@@ -27,7 +28,7 @@ class FlashMatrix:
         self.steps = 511.0 / (np.pi / 2.0)
         offset = mi.Point3f(*(float(x / view.unit) for x in flash.offset_m))
         self.radius = device_number(flash.radius_m / view.unit)
-        self.least = device_number((_LEAST_DISTANCE / view.unit) ** 2)
+        self.least = device_number(_LEAST_DISTANCE**2)
         self.count = device_number(len(flash.emitters_m))
         self.emitters = device_table(_neighbours_first(flash.emitters_m) / view.unit)
         dr.make_opaque(offset)

@@ -14,9 +14,9 @@ from pepperscene.scene import Scene
 STEP_NM: Final = 1.0
 _NEGLIGIBLE: Final = 1e-5  # chosen: response below this share of its peak is left out; error below 1e-5
 
-_STRONGEST: Final = 1e24
-"""Electrons s-1 m-2 (sr-1) that a light may send: chosen, ten thousand times a flash of 200 klx at 50 cm.
-Single precision ends at 3e38; a flash has 1e8 times more next to it, and 1e5 times more of that mirrored."""
+_STRONGEST: Final = 1e26
+"""Electrons s-1 m-2 (sr-1) that a light may send: chosen, a million times a flash of 200 klx at 50 cm. Single
+precision ends at 3e38; next to a flash there is 1e8 times more, and mirrors gather 1e4 times more of that."""
 _FAINTEST: Final = 1e-10
 """Chosen: a flash with less than this share of the daylight is none. Even at a centimetre it adds one part in
 a million."""
