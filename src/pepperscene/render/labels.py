@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.geometry import Mesh
+from pepperscene.render.upload import device_number
 from pepperscene.render.variant import kernel
 from pepperscene.render.view import View
 from pepperscene.truth import class_colour, distance_code
@@ -40,16 +41,19 @@ def first_hits(scene: Any, view: View) -> Hits:
     across, down = -(-view.width // _TILE), -(-view.height // _TILE)
     lane = dr.arange(mi.UInt32, across * down * _TILE**2)
     tile, place = lane // _TILE**2, lane % _TILE**2
+    # The sizes are numbers that the kernel reads, so that another picture compiles nothing anew.
+    columns, rows, tiles = (device_number(n, whole=True) for n in (view.width, view.height, across))
+    tile_row = tile // tiles
     # Tiles that reach over the edge see its last pixels again.
-    row = dr.minimum(tile // across * _TILE + place // _TILE, view.height - 1)
-    column = dr.minimum(tile % across * _TILE + place % _TILE, view.width - 1)
+    row = dr.minimum(tile_row * _TILE + place // _TILE, rows - 1)
+    column = dr.minimum((tile - tile_row * tiles) * _TILE + place % _TILE, columns - 1)
     towards = view.directions(column, row, mi.Float(0.5), mi.Float(0.5))
     found = scene.ray_intersect_preliminary(mi.Ray3f(view.origin, towards), coherent=True)
     hit = found.is_valid()
     pixels = view.width * view.height
     distance, face = dr.empty(mi.Float, pixels), dr.empty(mi.Int32, pixels)
-    dr.scatter(distance, dr.select(hit, found.t, dr.inf), row * view.width + column)
-    dr.scatter(face, dr.select(hit, mi.Int32(found.prim_index), -1), row * view.width + column)
+    dr.scatter(distance, dr.select(hit, found.t, dr.inf), row * columns + column)
+    dr.scatter(face, dr.select(hit, mi.Int32(found.prim_index), -1), row * columns + column)
     dr.eval(distance, face)
     # Copies: a frame may be kept, or read by another thread, while the kernel's memory goes on to the next.
     shape = (view.height, view.width)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal, get_args
 
 from pepperscene.errors import InputError
+
+MOST_EXACT: Final = 0.01
+LEAST_EXACT: Final = 10.0
+"""Chosen: targets beyond take a day a frame, or no more samples than a draft."""
 
 Integrator = Literal["flash", "path"]
 Sampler = Literal["independent", "stratified", "multijitter", "orthogonal", "ldsampler"]
@@ -51,7 +56,7 @@ class Quality:
 
 QUALITIES: Final[Mapping[str, Quality]] = {
     "draft": Quality(samples=4, soft=1, most=4, bounces=1, target=None, denoise=True),
-    "standard": Quality(samples=4, soft=4, most=64, bounces=2, target=0.5, denoise=True),
+    "standard": Quality(samples=4, soft=2, most=64, bounces=2, target=0.14, denoise=True),
     "reference": Quality(samples=256, soft=256, most=256, bounces=6, target=None, denoise=False),
 }
 
@@ -67,3 +72,32 @@ def quality_named(name: str) -> Quality:
             "--quality", "", None, f"unknown quality {name!r}; allowed are {', '.join(QUALITIES)}"
         )
     return QUALITIES[name]
+
+
+def quality_of(quality: str | Quality, target_error: float | None = None) -> Quality:
+    """A quality, or the one of that name, with another target where one is given.
+
+    Args:
+        quality: itself or its name.
+        target_error: standard error over the sensor's noise at which sampling stops. A quality that has none
+            gets it with as many samples at most as are worth it.
+
+    Raises:
+        InputError: there is no such quality, or the target is not above 0 or asks for what takes forever.
+    """
+    found = quality_named(quality) if isinstance(quality, str) else quality
+    if target_error is None:
+        return found
+    if not MOST_EXACT <= target_error <= LEAST_EXACT:
+        raise InputError(
+            "--target-error",
+            "",
+            None,
+            f"must lie in [{MOST_EXACT:g}, {LEAST_EXACT:g}], the light's error over the sensor's noise, "
+            f"not {target_error:g}",
+        )
+    # Errors fall with samples^(-3/4): what is left below the usual most goes with the target.
+    most = 2 ** math.ceil(math.log2(max(found.most, 64) * max(0.5 / target_error, 1.0) ** (4 / 3)))
+    soft = math.ceil(found.soft * max(0.5 / target_error, 1.0))
+    samples = max(found.samples, 2 ** math.ceil(math.log2(soft)))
+    return replace(found, target=float(target_error), most=max(most, samples), soft=soft, samples=samples)

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from pepperscene.camera import Camera, develop, expected_electrons, raw_frame
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, Frame, check_outputs
 from pepperscene.render import labels
+from pepperscene.render.adaptive import Stop
 from pepperscene.render.denoise import denoised
 from pepperscene.render.kernel import LightScene, light_scene, sky_tables, truth_scene
-from pepperscene.render.quality import Quality, quality_named
+from pepperscene.render.quality import Quality, quality_of
+from pepperscene.render.reference import PathScene, path_scene, path_traced, samples_taken
 from pepperscene.render.region import region_of
 from pepperscene.render.response import response
 from pepperscene.render.transport import Sampling, trace
@@ -25,13 +27,17 @@ from pepperscene.render.view import LensCache, View
 from pepperscene.scene import Scene
 from pepperscene.version import __version__
 
+Traced = tuple[NDArray[np.float32], dict[str, Any]]
+"""Light `(h, w, c)` in electrons s-1 m-2 sr-1, and what a frame's facts say of its samples."""
+
 
 def render(
     scene: Scene,
     camera: Camera,
     outputs: Iterable[str] = DEFAULT_OUTPUTS,
-    quality: str = "standard",
+    quality: str | Quality = "standard",
     seed: int = 0,
+    target_error: float | None = None,
 ) -> Frame:
     """One frame of a scene; for several frames of the same scene keep a `Renderer`.
 
@@ -39,14 +45,16 @@ def render(
         scene: what stands where.
         camera: lens, sensor, flash and pose.
         outputs: names of `OUTPUTS`.
-        quality: one of `QUALITIES`.
+        quality: one of `QUALITIES` by name, or one of your own.
         seed: of light transport and of the sensor's noise.
+        target_error: standard error of a pixel's light over the sensor's noise at which sampling stops,
+            instead of the quality's.
 
     Raises:
-        InputError: unknown output or quality.
+        InputError: unknown output or quality, or a target out of range.
         SetupError: no JIT variant of Mitsuba runs here.
     """
-    return Renderer(scene).render(camera, outputs, quality, seed)
+    return Renderer(scene).render(camera, outputs, quality, seed, target_error)
 
 
 class Renderer:
@@ -58,56 +66,72 @@ class Renderer:
         self._truth: Any = None
         self._light: LightScene | None = None
         self._light_range: tuple[float, float] | None = None
+        self._path: tuple[tuple[float, float, bool], PathScene] | None = None
 
     def render(
         self,
         camera: Camera,
         outputs: Iterable[str] = DEFAULT_OUTPUTS,
-        quality: str = "standard",
+        quality: str | Quality = "standard",
         seed: int = 0,
+        target_error: float | None = None,
     ) -> Frame:
         """One frame; see `render`."""
         wanted = check_outputs(outputs)
-        effort = quality_named(quality)
+        effort = quality_of(quality, target_error)
         view = self._lens.view(camera, region_of(self.scene.mesh))
         images: dict[str, NDArray[Any]] = {}
+        told: dict[str, Any] = {}
         # Light first: its scene then serves the ground truth as well.
         if any(OUTPUTS[name].traced for name in wanted):
-            images |= self._photographs(wanted, view, camera, effort, seed)
+            noise, sampling = np.random.SeedSequence(seed).spawn(2)
+            number = int(sampling.generate_state(1)[0])
+            trace_with = self._path_traced if effort.integrator == "path" else self._traced
+            signal, told["sampling"] = trace_with(view, camera, effort, number)
+            images |= _photographs(wanted, signal, camera, noise)
         seen: dict[str, dict[str, Any]] = {}
         if any(not OUTPUTS[name].traced for name in wanted):
             hits = labels.first_hits(self._truth_scene(), view)
             instance = labels.instance_ids(self.scene.mesh, hits)
             images |= labels.truths(self.scene.mesh, hits, instance, camera, wanted)
             seen = labels.instances_in_view(self.scene.mesh, instance)
-        facts = {**self._facts(camera, seed), "instances": seen}
+        facts = {**self._facts(camera, seed), **told, "instances": seen}
         return Frame({name: images[name] for name in wanted}, facts)
 
     # --- passes -----------------------------------------------------------------------------------------
 
-    def _photographs(
-        self, wanted: tuple[str, ...], view: View, camera: Camera, quality: Quality, seed: int
-    ) -> dict[str, NDArray[Any]]:
+    def _traced(self, view: View, camera: Camera, quality: Quality, seed: int) -> Traced:
+        """Light by our own integrator, and what is to be said of its samples."""
         spectral = response(camera, self.scene)
-        noise, sampling = np.random.SeedSequence(seed).spawn(2)
+        stop = Stop(camera, quality.target, quality.most, denoised=quality.denoise)
         light = trace(
             self._light_scene(float(spectral.grid_nm[0]), float(spectral.grid_nm[-1])),
             view,
             spectral,
             camera.flash,
             sky_tables(self.scene, spectral.grid_nm),
-            Sampling(quality.samples, quality.soft, quality.bounces),
-            int(sampling.generate_state(1)[0]),
+            Sampling(quality.samples, quality.soft, quality.bounces, stop.wanted),
+            seed,
         )
         signal = denoised(light) if quality.denoise else light.total()
-        electrons = expected_electrons(signal, camera)
-        images: dict[str, NDArray[Any]] = {"electrons": electrons.astype(np.float32)}
-        # The same generator twice: the raw frame is the very one that the picture is developed from.
-        if "raw" in wanted:
-            images["raw"] = raw_frame(electrons, camera, np.random.default_rng(noise))
-        if "colour" in wanted:
-            images["colour"] = develop(electrons, camera, np.random.default_rng(noise))
-        return images
+        return signal, stop.achieved(light)
+
+    def _path_traced(self, view: View, camera: Camera, quality: Quality, seed: int) -> Traced:
+        """Light by Mitsuba's own path tracer."""
+        grid = response(camera, self.scene).grid_nm
+        lit_by = (float(grid[0]), float(grid[-1]), camera.flash is not None)
+        if self._path is None or self._path[0] != lit_by:
+            self._path = (lit_by, path_scene(self.scene, camera))
+        signal = path_traced(
+            self.scene,
+            camera,
+            spp=quality.samples,
+            bounces=quality.bounces,
+            sampler=quality.sampler,
+            seed=seed,
+            kernel_scene=self._path[1],
+        )
+        return signal, {"samples_per_pixel": float(samples_taken(quality.sampler, quality.samples))}
 
     # --- scenes, made when first needed -----------------------------------------------------------------
 
@@ -138,6 +162,20 @@ class Renderer:
                 **_library_versions(),
             },
         }
+
+
+def _photographs(
+    wanted: tuple[str, ...], signal: NDArray[np.float32], camera: Camera, noise: np.random.SeedSequence
+) -> dict[str, NDArray[Any]]:
+    """What the camera makes of the light that reaches its pixels."""
+    electrons = expected_electrons(signal, camera)
+    images: dict[str, NDArray[Any]] = {"electrons": electrons.astype(np.float32)}
+    # The same generator twice: the raw frame is the very one that the picture is developed from.
+    if "raw" in wanted:
+        images["raw"] = raw_frame(electrons, camera, np.random.default_rng(noise))
+    if "colour" in wanted:
+        images["colour"] = develop(electrons, camera, np.random.default_rng(noise))
+    return images
 
 
 @functools.cache

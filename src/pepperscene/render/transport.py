@@ -13,7 +13,7 @@ the same bits in each run, however the wavefront is cut.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from pepperscene.camera import Flash
 from pepperscene.render.facing import facing
 from pepperscene.render.kernel import LightScene, SkyTables
+from pepperscene.render.light import Counts, Gathered, Images, Light
 from pepperscene.render.response import Response
 from pepperscene.render.samples import FrameTables, Samples, SpectralTables, Wavelengths
 from pepperscene.render.upload import device_number, device_table
@@ -30,51 +31,11 @@ from pepperscene.render.variant import kernel
 from pepperscene.render.view import View
 
 _LANES: Final = 1 << 21  # chosen: wavefront of a pass; 25 results of a sample take 210 MB
-_PLACES: Final = 4  # chosen among 1, 2, 4 and 8: the least error for the same time
+_ROUNDS: Final = 3  # chosen: how often edges are asked whether they need more
 _SURVIVAL, _LEAST_SURVIVAL = 2.0, 0.25
 """Chosen: a path lives on with twice the share of light that it still carries, so that pale surfaces end
 none, and at least with this chance, which bounds the weight of a survivor. With half of the former there is a
 third less time and a quarter more noise: the same worth."""
-
-Images = NDArray[np.float32]
-
-
-@dataclass(frozen=True, eq=False)
-class Light:
-    """One frame's light, summed over wavelengths by the sensor, per pixel and channel (c, 3 or 1).
-
-    Attributes:
-        flash: `(h, w, c)` straight from the flash to the first hit and back; electrons s-1 m-2 sr-1.
-        open_flash: `(h, w, c)` the same with all shadows taken away.
-        sky: `(h, w, c)` seen directly, and the sun at the first hit where it is as distinct as the flash.
-        soft: `(h, w, c)` all the rest: daylight on surfaces and light that was scattered more than once.
-        albedo: `(h, w, c)` of the first hit, weighted by the response to the flash, 0 where there is none;
-            for the denoiser, as is what follows.
-        normal: `(h, w, 3)` of the first hit, towards the camera, 0 where there is none.
-        covered: `(h, w, 2)` share of the samples that hit something, among all and among the soft ones.
-        samples: `(h, w)` how many there were.
-        sharp_variance, soft_variance: `(h, w)` of one sample of open flash and sky, and of one of soft light:
-            summed over the channels, each in units of a white body's light under the flash at one metre.
-        white: `(c,)` that unit.
-        soft_samples: how many samples carried soft light.
-    """
-
-    flash: Images
-    open_flash: Images
-    sky: Images
-    soft: Images
-    albedo: Images
-    normal: Images
-    covered: Images
-    samples: NDArray[np.int32]
-    sharp_variance: Images
-    soft_variance: Images
-    white: NDArray[np.float64]
-    soft_samples: int
-
-    def total(self) -> Images:
-        """`(h, w, c)` all light as traced."""
-        return self.flash + self.sky + self.soft
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,14 +46,14 @@ class Sampling:
         samples: per pixel, everywhere.
         soft: of these, how many carry soft light.
         bounces: scattering events after the first hit.
-        more: from the light of the first samples to how many each pixel should have, `(h, w)`; None for no
-            more.
+        more: asked, from what there is, how many samples each pixel should have, `(h w,)`, until it wants no
+            more than there are; None where `samples` are enough.
     """
 
     samples: int
     soft: int
     bounces: int
-    more: Callable[[Light], NDArray[np.int32]] | None = None
+    more: Callable[[Gathered], NDArray[np.int32]] | None = None
 
 
 def trace(
@@ -116,92 +77,38 @@ def trace(
         seed: of all that is random.
     """
     tables = FrameTables(scene, view, spectral, flash, sky)
-    if tables.flash is None and tables.sky is None:
-        sums = _Sums(view.height, view.width, tables.channels)
-        sums.add_sharp(None, _summed(tables, None, 0, sampling.samples, seed, _sharp_alone), sampling.samples)
-        return sums.light(tables.white)
+    gathered = Gathered(view.height, view.width, tables.white)
+    first = 0
+    if tables.lights:
+        # One traversal for all kinds of light, then the samples that carry none that is soft.
+        spectra, first = SpectralTables(tables), min(sampling.soft, sampling.samples)
 
-    # One traversal for all kinds of light, then the samples that carry none that is soft.
-    sums = _Sums(view.height, view.width, tables.channels)
-    soft = min(sampling.soft, sampling.samples)
-    spectra = SpectralTables(tables)
-    sums.add_both(
-        _summed(tables, None, 0, soft, seed, lambda t, s: _both(t, spectra, s, sampling.bounces)), soft
-    )
-    if sampling.samples > soft:
-        rest = sampling.samples - soft
-        sums.add_sharp(None, _summed(tables, None, soft, rest, seed, _sharp_alone), rest)
-    if sampling.more is None:
-        return sums.light(tables.white)
+        def both(tables: FrameTables, samples: Samples) -> list[Any]:
+            return _both(tables, spectra, samples, sampling.bounces)
+
+        gathered.add_both(_summed(tables, None, 0, first, seed, both), first)
+    if sampling.samples > first:
+        rest = sampling.samples - first
+        gathered.add_sharp(_summed(tables, None, first, rest, seed, _sharp_alone), rest)
 
     # Edges and half-shadows go on where the first samples ended.
-    wanted = sampling.more(sums.light(tables.white)).ravel()
-    for count in np.unique(wanted[wanted > sampling.samples]).tolist():
-        pixels = np.flatnonzero(wanted == count)
-        extra = count - sampling.samples
-        sums.add_sharp(pixels, _summed(tables, pixels, sampling.samples, extra, seed, _edge), extra)
-    return sums.light(tables.white)
+    for _ in range(_ROUNDS if sampling.more is not None and tables.lights else 0):
+        assert sampling.more is not None
+        steps = list(_steps(gathered.samples, sampling.more(gathered)))
+        for begin, end, pixels in steps:
+            sums = _summed(tables, pixels, begin, end - begin, seed, _sharp_alone)
+            gathered.add_sharp(sums, end - begin, pixels)
+        if not steps:
+            break
+    return gathered.light()
 
 
-class _Sums:
-    """Sums over the samples of each pixel, as they come in."""
-
-    def __init__(self, height: int, width: int, channels: int) -> None:
-        self.shape, self.channels = (height, width), channels
-        self.sharp = np.zeros((height * width, 4 * channels + 5), np.float32)
-        self.soft = np.zeros((height * width, channels + 1), np.float32)
-        self.covered_soft = np.zeros(height * width, np.float32)
-        self.count = np.zeros(height * width, np.int32)
-        self.soft_count = 0
-
-    def add_sharp(self, pixels: NDArray[np.int64] | None, found: Images, count: int) -> None:
-        """Sums of `count` samples each of some pixels, or of all."""
-        where = slice(None) if pixels is None else pixels
-        self.sharp[where] += found
-        self.count[where] += count
-
-    def add_both(self, found: Images, count: int) -> None:
-        """Sums of samples that carry soft light as well."""
-        edge = self.sharp.shape[1]
-        self.add_sharp(None, found[:, :edge], count)
-        self.soft += found[:, edge:]
-        self.covered_soft += found[:, edge - 2]
-        self.soft_count += count
-
-    def light(self, white: NDArray[np.float64]) -> Light:
-        """Means and variances."""
-        c, (h, w) = self.channels, self.shape
-        mean: Images = np.divide(self.sharp, self.count[:, None], dtype=np.float32)
-        soft = self.soft / np.float32(max(self.soft_count, 1))
-        flash, open_flash, sky, albedo = (mean[:, k * c : (k + 1) * c] for k in range(4))
-        per_white = (1.0 / white).astype(np.float32)
-        sharp_variance = _variance(mean[:, -1], (open_flash + sky) * per_white, self.count)
-        soft_variance = _variance(soft[:, -1], soft[:, :c] * per_white, self.soft_count)
-        covered = np.stack([mean[:, -2], self.covered_soft / np.float32(max(self.soft_count, 1))], axis=-1)
-
-        def image(values: Images) -> Images:
-            return np.ascontiguousarray(values.reshape(h, w, *values.shape[1:]), np.float32)
-
-        return Light(
-            flash=image(flash),
-            open_flash=image(open_flash),
-            sky=image(sky),
-            soft=image(soft[:, :c]),
-            albedo=image(albedo),
-            normal=image(mean[:, 4 * c : 4 * c + 3]),
-            covered=image(covered),
-            samples=self.count.reshape(h, w).copy(),
-            sharp_variance=image(sharp_variance),
-            soft_variance=image(soft_variance),
-            white=white,
-            soft_samples=self.soft_count,
-        )
-
-
-def _variance(mean_square: Images, means: Images, count: Any) -> Images:
-    """Variance of one sample, summed over channels, from the mean of squares and the means `(n, c)`."""
-    spread = np.maximum(mean_square - np.square(means).sum(axis=-1), 0.0)
-    return np.asarray(spread * (count / np.maximum(count - 1, 1)), np.float32)
+def _steps(there: Counts, wanted: Counts) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
+    """Samples from, to, and the pixels that go that way, wherever more are wanted."""
+    for begin in np.flatnonzero(np.bincount(there)).tolist():
+        pixels = np.flatnonzero((there == begin) & (wanted > begin))
+        for end in np.flatnonzero(np.bincount(wanted[pixels])).tolist():
+            yield begin, end, pixels[wanted[pixels] == end]
 
 
 def _summed(
@@ -211,8 +118,8 @@ def _summed(
     count: int,
     seed: int,
     wavefront: Callable[[FrameTables, Samples], list[Any]],
-) -> Images:
-    """`(n, k)`: sums over samples `first` to `first + count - 1` of the values that a wavefront gives.
+) -> list[Images]:
+    """Sums, k times `(n,)`, over samples `first` to `first + count - 1` of what a wavefront gives.
 
     Args:
         tables: of the frame.
@@ -226,7 +133,7 @@ def _summed(
     total = tables.view.width * tables.view.height if pixels is None else len(pixels)
     block = max(_LANES // count, 1)
     salt, begin, per_pixel = (device_number(n, whole=True) for n in (seed & 0xFFFFFFFF, first, count))
-    found: list[Images] = []
+    found: list[list[Images]] = []
     for start in range(0, total, block):
         here = min(block, total - start)
         lane = dr.arange(mi.UInt32, here * count)
@@ -241,41 +148,46 @@ def _summed(
         dr.eval(values)
         sums = [dr.block_reduce(dr.ReduceOp.Add, value, count) for value in values]
         dr.eval(sums)
-        found.append(np.stack([np.asarray(one) for one in sums], axis=-1))
-    return found[0] if len(found) == 1 else np.concatenate(found)
+        found.append([np.asarray(one) for one in sums])
+    return found[0] if len(found) == 1 else [np.concatenate(parts) for parts in zip(*found, strict=True)]
 
 
 def _sharp_alone(tables: FrameTables, samples: Samples) -> list[Any]:
-    """Light that meets one surface, from several places of the flash: 4 c + 5 values."""
-    return _sharp(tables, samples, _PLACES, *_hit(tables.scene, samples.ray, coherent=True))
-
-
-def _edge(tables: FrameTables, samples: Samples) -> list[Any]:
-    """Light that meets one surface, from one place of the flash, for pixels that have many samples."""
-    return _sharp(tables, samples, 1, *_hit(tables.scene, samples.ray, coherent=True))
+    """Light that meets one surface: 3 c + 5 values."""
+    return _sharp(tables, samples, *_hit(tables.scene, samples.ray, coherent=True))
 
 
 def _both(tables: FrameTables, spectra: SpectralTables, samples: Samples, bounces: int) -> list[Any]:
-    """Light that meets one surface and light that meets more, along the same camera rays: 5 c + 6 values."""
+    """Light that meets one surface and light that meets more, along the same camera rays: 4 c + 6
+    values.
+    """
     found = _hit(tables.scene, samples.ray, coherent=True)
-    sharp = _sharp(tables, samples, _PLACES, *found)
+    sharp = _sharp(tables, samples, *found)
     return sharp + _soft(tables, spectra, samples, bounces, *found)
 
 
-def _sharp(tables: FrameTables, samples: Samples, places: int, active: Any, si: Any, hit: Any) -> list[Any]:
-    """Flash at the first hit with and without shadows, sky seen and distinct sun, albedo, normal, hit, and
-    the sum of squares: 4 c + 5 values.
+def all_light(tables: FrameTables, spectra: SpectralTables, samples: Samples, bounces: int) -> list[Any]:
+    """Light of all kinds together: c values, and nothing that is not needed to differentiate them."""
+    found, c = _hit(tables.scene, samples.ray, coherent=True), tables.channels
+    flash_and_direct = _sharp(tables, samples, *found)[: 2 * c]
+    soft = _soft(tables, spectra, samples, bounces, *found)
+    return [flash_and_direct[k] + flash_and_direct[c + k] + soft[k] for k in range(c)]
+
+
+def _sharp(tables: FrameTables, samples: Samples, active: Any, si: Any, hit: Any) -> list[Any]:
+    """Flash at the first hit, sky seen and distinct sun, albedo, normal, hit, and the sum of squares of the
+    light: 3 c + 5 values.
     """
     mi, dr = kernel()
     point = tables.scene.point(si, hit, active, tables.lit)
-    flash, open_flash = samples.whole_flash(si, point, active, tables.lamps, places)
+    flash = samples.whole_flash(si, point, active, tables.lamps)
     direct = point.reflectance * 0.0 + samples.sky(samples.ray.d, ~active, tables.lamps, seen=True)
     if tables.sunlit is not None:
         direct += samples.sun(si, tables.scene.point(si, hit, active, tables.sunlit), active, tables.lamps)
     albedo = dr.select(active, point.albedo(), 0.0)
     normal = dr.select(active, dr.select(si.wi.z > 0, si.sh_frame.n, -si.sh_frame.n), 0.0)
-    values = [*flash, *open_flash, *direct, *albedo, normal.x, normal.y, normal.z]
-    return [*values, dr.select(active, mi.Float(1.0), 0.0), _square(tables, open_flash + direct)]
+    values = [*flash, *direct, *albedo, normal.x, normal.y, normal.z]
+    return [*values, dr.select(active, mi.Float(1.0), 0.0), _square(tables, flash + direct)]
 
 
 def _soft(
@@ -305,7 +217,9 @@ def _soft(
         wo, density, weight, _ = point.sample(samples.next_1d(), samples.next_2d())
         throughput *= weight
         # Russian roulette: leaves absorb most of the light, and rays for the rest are dear.
-        survival = dr.clip(_SURVIVAL * dr.max(throughput), _LEAST_SURVIVAL, 1.0)
+        survival = mi.Float(1.0)
+        if tables.roulette:
+            survival = dr.clip(_SURVIVAL * dr.max(throughput), _LEAST_SURVIVAL, 1.0)
         active &= (density > 0.0) & (samples.next_1d() < survival) & dr.any(throughput > 0.0)
         # Ended paths hold what their lane last saw, which can be NaN, and NaN times no light is NaN.
         throughput = dr.select(active, throughput / survival, 0.0)
