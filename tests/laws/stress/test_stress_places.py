@@ -95,13 +95,14 @@ def test_tiny_scenes_are_told_in_a_unit_of_their_own(factor):
 @pytest.mark.parametrize("factor", [1e-3, 0.03, 1.0 / 3.0, 30.0, 1000.0])
 def test_scaled_scenes_look_the_same(plants, factor):
     # Vertices and poses are rounded once more, by 6e-8 of their size. Rays are lifted by 1.8e-4 (1 + |p|)
-    # units: of a scene about a unit wide .04 %, of one a thousand wide .02 %.
+    # units: of a scene about a unit wide .04 %, of one a thousand wide .02 %. Paths that part there are
+    # noise: in the mean of 1,200 pixels 1 %.
     scene, camera, expected = plants
     found = picture(*scaled(scene, camera, factor), "standard")
     both = np.isfinite(found["distance"]) & (found["class"] == expected["class"])
     near = np.abs(found["distance"][both] / factor - expected["distance"][both]) < 1e-5
     assert near.mean() > 0.995
-    alike(found, expected, labels=0.002, pixels=0.05, mean=0.01)
+    alike(found, expected, labels=0.002, pixels=0.05, mean=0.02)
 
 
 def test_a_tiny_scene_far_from_the_origin_keeps_its_light():
