@@ -183,4 +183,5 @@ def _nearby(spread: Floats) -> Floats:
     """Means over squares of 3x3 pixels."""
     from scipy.ndimage import uniform_filter
 
-    return np.asarray(uniform_filter(spread, 3, mode="nearest"), np.float32)
+    # Beside a glint, running sums leave a little less than nothing.
+    return np.asarray(np.maximum(uniform_filter(spread, 3, mode="nearest"), 0.0), np.float32)
