@@ -87,6 +87,12 @@ OutputsOption = Annotated[
 QualityOption = Annotated[
     str, typer.Option(metavar="NAME", help="draft, standard or reference: how much light is traced.")
 ]
+TargetOption = Annotated[
+    float | None,
+    typer.Option(
+        help="Light's error over the sensor's noise at which sampling stops; the quality's own otherwise."
+    ),
+]
 SeedOption = Annotated[int | None, typer.Option(help="Instead of the recipe's.")]
 SetOption = Annotated[
     list[str] | None,
@@ -109,6 +115,7 @@ def build(
     ] = None,
     outputs: OutputsOption = _DEFAULTS,
     quality: QualityOption = "standard",
+    target_error: TargetOption = None,
     seed: SeedOption = None,
     set: SetOption = None,
 ) -> None:
@@ -119,7 +126,9 @@ def build(
 
     told = load_recipe(recipe, read_changes(set or ()))
     with _progress() as on_frame:
-        done = build_dataset(told, out, frames, names, quality, seed, on_frame=on_frame)
+        done = build_dataset(
+            told, out, frames, names, quality, seed, on_frame=on_frame, target_error=target_error
+        )
     kept = f", {len(done.kept)} were there already" if done.kept else ""
     typer.echo(f"{len(done.made)} frame{'' if len(done.made) == 1 else 's'} built{kept}: {out}")
 
@@ -135,6 +144,7 @@ def render(
     ] = None,
     outputs: OutputsOption = _DEFAULTS,
     quality: QualityOption = "standard",
+    target_error: TargetOption = None,
     seed: SeedOption = None,
     set: SetOption = None,
 ) -> None:
@@ -143,7 +153,7 @@ def render(
     from pepperscene.dataset import load_recipe, read_changes, render_frame
 
     told = load_recipe(recipe, read_changes(set or ()))
-    for path in render_frame(told, out, frame, names, quality, seed):
+    for path in render_frame(told, out, frame, names, quality, seed, target_error=target_error):
         typer.echo(path)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pepperscene.dataset.facts import about, frame_facts
 from pepperscene.dataset.folder import OutputFolder
@@ -18,6 +18,9 @@ from pepperscene.dataset.stage import RendererFactory, Stage
 from pepperscene.dataset.store import FORMAT, Dataset
 from pepperscene.dataset.writer import Addition, FrameWriter
 from pepperscene.frame import DEFAULT_OUTPUTS, check_outputs
+
+if TYPE_CHECKING:
+    from pepperscene.render import Quality
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,7 @@ def build(
     seed: int | None = None,
     on_frame: Callable[[Progress], None] | None = None,
     renderer: RendererFactory | None = None,
+    target_error: float | None = None,
 ) -> BuildResult:
     """Render the frames of a recipe into a folder.
 
@@ -74,6 +78,8 @@ def build(
         outputs: names out of `OUTPUTS`.
         quality: "draft", "standard" or "reference".
         seed: instead of the recipe's.
+        target_error: of the traced light over the sensor's noise, at which sampling stops, instead of the
+            quality's own; see `pepperscene.render.render`.
         on_frame: called after every frame, in order, once it is whole; by then the next one may be rendered.
         renderer: makes the renderer of a scene; None for Mitsuba.
 
@@ -83,14 +89,15 @@ def build(
         SetupError: the machine cannot render; nothing is written.
     """
     # All that can be wrong with the arguments comes to light before the first file is touched.
-    from pepperscene.render import quality_named
+    from pepperscene.render import quality_of
 
     wanted = check_outputs(outputs)
-    quality_named(quality)
+    effort = quality if target_error is None else quality_of(quality, target_error)
+    quality_of(effort)
     told = (recipe if isinstance(recipe, Recipe) else load_recipe(recipe)).with_seed(seed)
     indices = told.plan.chosen(frames)
     stage = Stage(told, renderer)
-    folder = OutputFolder(Path(out), about(told, quality, FORMAT))
+    folder = OutputFolder(Path(out), about(told, quality, FORMAT, target_error))
 
     made: list[int] = []
     told_of = itertools.count(1)
@@ -105,7 +112,7 @@ def build(
         with FrameWriter(folder) as writer:
             for index in indices:
                 # While this frame is rendered, the one before is written.
-                addition = _addition(stage, folder.dataset, told.plan.shot(index), wanted, quality)
+                addition = _addition(stage, folder.dataset, told.plan.shot(index), wanted, effort)
                 writer.finish()
                 if addition is None:
                     tell(index, False)
@@ -120,7 +127,7 @@ def build(
 
 
 def _addition(
-    stage: Stage, dataset: Dataset, shot: Shot, outputs: Sequence[str], quality: str
+    stage: Stage, dataset: Dataset, shot: Shot, outputs: Sequence[str], quality: str | Quality
 ) -> Addition | None:
     """What is missing of one frame, rendered; None when nothing is."""
     before, there = dataset.intact(shot.index)

@@ -12,18 +12,19 @@ from pepperscene.truth import class_pixels
 from pepperscene.version import __version__
 
 
-def about(recipe: Recipe, quality: str, form: str) -> dict[str, Any]:
+def about(recipe: Recipe, quality: str, form: str, target_error: float | None = None) -> dict[str, Any]:
     """What frames depend on, but for their index: recipe, files, quality and version.
 
     Args:
         recipe: what is shown.
         quality: "draft", "standard" or "reference".
         form: name and number of the file's format.
+        target_error: instead of the quality's own, or None.
     """
     return {
         "format": form,
         "version": __version__,
-        "quality": quality,
+        "quality": quality if target_error is None else f"{quality}, target error {target_error:g}",
         "recipe_sha256": recipe.sha256(),
         **recipe.identity(),
     }

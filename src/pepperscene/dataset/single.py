@@ -31,6 +31,7 @@ def render_frame(
     quality: str = "standard",
     seed: int | None = None,
     renderer: RendererFactory | None = None,
+    target_error: float | None = None,
 ) -> tuple[Path, ...]:
     """Render one frame into a folder: an image for each output, and `frame.json`.
 
@@ -44,6 +45,8 @@ def render_frame(
         outputs: names out of `OUTPUTS`.
         quality: "draft", "standard" or "reference".
         seed: instead of the recipe's.
+        target_error: of the traced light over the sensor's noise, at which sampling stops, instead of the
+            quality's own; see `pepperscene.render.render`.
         renderer: makes the renderer of a scene; None for Mitsuba.
 
     Returns:
@@ -55,18 +58,19 @@ def render_frame(
         SetupError: the machine cannot render; nothing is written.
     """
     # All that can be wrong with the arguments comes to light before light is traced.
-    from pepperscene.render import quality_named
+    from pepperscene.render import quality_of
 
     wanted = check_outputs(outputs)
-    quality_named(quality)
+    effort = quality if target_error is None else quality_of(quality, target_error)
+    quality_of(effort)
     told = (recipe if isinstance(recipe, Recipe) else load_recipe(recipe)).with_seed(seed)
     chosen = told.plan.chosen(None if index is None else [index], "--frame")
     shot = told.plan.shot(chosen[0])
     folder = Path(out)
     _examine(folder, wanted)
 
-    frame = Stage(told, renderer).render(shot, wanted, quality)
-    facts = {**about(told, quality, FORMAT), **frame_facts(frame, shot, told.seed)}
+    frame = Stage(told, renderer).render(shot, wanted, effort)
+    facts = {**about(told, quality, FORMAT, target_error), **frame_facts(frame, shot, told.seed)}
     try:
         return _write(folder, {name: frame.images[name] for name in wanted}, facts)
     except OSError as fault:

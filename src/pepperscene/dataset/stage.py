@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pepperscene.camera import Camera
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
+    from pepperscene.render import Quality
     from pepperscene.scene import Reach, Scene, Sight, Sky
 
 
@@ -28,7 +29,7 @@ class RendererLike(Protocol):
     """What renders the views of one scene."""
 
     def render(
-        self, camera: Camera, outputs: Sequence[str] = ..., quality: str = ..., seed: int = ...
+        self, camera: Camera, outputs: Sequence[str] = ..., quality: str | Quality = ..., seed: int = ...
     ) -> Frame:
         """One view."""
 
@@ -75,13 +76,13 @@ class Stage:
         self._told: dict[str, Any] = {}
         self._scene: tuple[tuple[int, int, bool], RendererLike] | None = None
 
-    def render(self, shot: Shot, outputs: Sequence[str], quality: str = "standard") -> Frame:
+    def render(self, shot: Shot, outputs: Sequence[str], quality: str | Quality = "standard") -> Frame:
         """One frame.
 
         Args:
             shot: which one; `recipe.plan.shot(index)` gives it.
             outputs: names out of `OUTPUTS`.
-            quality: "draft", "standard" or "reference".
+            quality: "draft", "standard" or "reference", or one of your own.
         """
         traced = any(OUTPUTS[name].traced for name in outputs)
         seed = frame_seed(self.recipe.seed, shot.index)
