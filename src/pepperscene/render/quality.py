@@ -96,8 +96,9 @@ def quality_of(quality: str | Quality, target_error: float | None = None) -> Qua
             f"must lie in [{MOST_EXACT:g}, {LEAST_EXACT:g}], the light's error over the sensor's noise, "
             f"not {target_error:g}",
         )
-    # Errors fall with samples^(-3/4): what is left below the usual most goes with the target.
-    most = 2 ** math.ceil(math.log2(max(found.most, 64) * max(0.5 / target_error, 1.0) ** (4 / 3)))
-    soft = math.ceil(found.soft * max(0.5 / target_error, 1.0))
+    # Errors of the sharp light fall with samples^(-3/4): the most goes with that; soft light with the ratio.
+    finer = max((found.target or QUALITIES["standard"].target or 1.0) / target_error, 1.0)
+    most = 2 ** math.ceil(math.log2(max(found.most, 64) * finer ** (4 / 3)))
+    soft = math.ceil(found.soft * finer)
     samples = max(found.samples, 2 ** math.ceil(math.log2(soft)))
     return replace(found, target=float(target_error), most=max(most, samples), soft=soft, samples=samples)
