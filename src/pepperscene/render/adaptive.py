@@ -95,7 +95,9 @@ class Stop:
         """Powers of two whose mean variance is as allowed, for the least samples."""
         some = spread[:: max(spread.size // _ASKED, 1)]
         scale = _least_scale(some, allowed, self.most)
-        need = np.power(np.maximum(scale * spread, np.float32(1e-9)), np.float32(0.4))
+        # A glint can ask for more than all numbers, and gets the most.
+        with np.errstate(over="ignore"):
+            need = np.power(np.maximum(scale * spread, np.float32(1e-9)), np.float32(0.4))
         return np.exp2(np.rint(np.log2(np.clip(need, 1.0, self.most))))
 
 
