@@ -69,7 +69,8 @@ class Stop:
         spread, shows = light.spread, self._shows(light.total(), light.spread.white)
         variance = GAIN * _nearby(spread.sharp) * spread.samples.astype(np.float32) ** np.float32(-1.5)
         variance += spread.soft * np.float32(self._left / max(spread.soft_samples, 1))
-        error, noise = np.square(shows.per_white) * variance, np.square(shows.noise)
+        # The square of a glint's error can be beyond single precision.
+        error, noise = np.square(shows.per_white, dtype=np.float64) * variance, np.square(shows.noise)
         rms_error, rms_noise = (float(np.sqrt(part.mean())) for part in (error, noise))
         return {
             "target": self.target,

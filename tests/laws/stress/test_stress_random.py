@@ -107,7 +107,9 @@ def assert_light_needs_a_hit(light) -> None:
     assert not light.soft[soft].any()
 
 
-def assert_pictures_hold(count: int, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def assert_pictures_hold(
+    count: int, seed: int, monkeypatch: pytest.MonkeyPatch, quality: str = "draft"
+) -> None:
     traced = []
 
     def watched(light):
@@ -119,7 +121,7 @@ def assert_pictures_hold(count: int, seed: int, monkeypatch: pytest.MonkeyPatch)
     lit = hit = 0
     for number in range(count):
         scene, camera = drawn(np.random.default_rng((seed, number)))
-        frame = Renderer(scene).render(camera, OUTPUTS, "draft", number)
+        frame = Renderer(scene).render(camera, OUTPUTS, quality, number)
         try:
             assert_sound(frame)
             for light in traced:
@@ -136,8 +138,9 @@ def assert_pictures_hold(count: int, seed: int, monkeypatch: pytest.MonkeyPatch)
     assert hit > 0.2 * count
 
 
-def test_a_few_hundred_random_scenes(monkeypatch):
-    assert_pictures_hold(300, 1, monkeypatch)
+@pytest.mark.parametrize(("count", "quality"), [(300, "draft"), (100, "standard")])
+def test_a_few_hundred_random_scenes(count, quality, monkeypatch):
+    assert_pictures_hold(count, 1, monkeypatch, quality)
 
 
 @pytest.mark.long
