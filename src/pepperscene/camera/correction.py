@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.camera.observer import SRGB_TO_XYZ, XYZ_TO_SRGB, adaptation, lab, observer
 from pepperscene.camera.sensor import Sensor
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum, colour_science, read_spectra, sky_spectrum
@@ -27,12 +28,18 @@ class Correction:
     Attributes:
         gains: `(3,)` white balance, the smallest is 1.
         matrix: `(3, 3)` colour correction matrix (CCM) behind the gains; its rows sum to 1.
-        mean_delta_e_2000: left over on the chart that the matrix was fitted to.
+        chart_lab: `(2, 24, 3)` CIELAB of the chart that the matrix was fitted to: wanted, and found.
     """
 
     gains: Array
     matrix: Array
-    mean_delta_e_2000: float
+    chart_lab: Array = field(repr=False)
+
+    @cached_property
+    def mean_delta_e_2000(self) -> float:
+        """Mean CIEDE2000 left over on the chart."""
+        wanted, found = self.chart_lab
+        return float(np.mean(colour_science().delta_E(wanted, found, method="CIE 2000")))
 
 
 @lru_cache(maxsize=32)
@@ -47,7 +54,6 @@ def correction(sensor: Sensor, light: Spectrum) -> Correction:
         InputError: the light does not let this sensor tell colours apart: a colour of the sensor does not see
             it, hardly any of it is visible, or it is so narrow that the matrix would show noise alone.
     """
-    colour = colour_science()
     gains = white_gains(sensor, light)
     if not _visible_share(light) > _LEAST_VISIBLE:
         raise InputError(
@@ -57,14 +63,11 @@ def correction(sensor: Sensor, light: Spectrum) -> Correction:
     rgb = _seen(sensor, light, chart) / _seen(sensor, light, _WHITE)  # balanced, white diffuser at 1
 
     xyz = adapted_xyz(light, chart)
-    srgb = colour.RGB_COLOURSPACES["sRGB"]
-    aim = xyz @ srgb.matrix_XYZ_to_RGB.T
-    matrix = _fit(rgb, _linear_start(rgb, aim), xyz, srgb.matrix_RGB_to_XYZ)
+    matrix = _fit(rgb, _linear_start(rgb, xyz @ XYZ_TO_SRGB.T), xyz)
     if np.abs(matrix).max() > _LARGEST_ENTRY:
         allowed = "needs a reference light of more colours; leave the colour matrix out"
         raise InputError(sensor.name, "colour_matrix", True, allowed)
-    left = colour.delta_E(_lab(xyz), _lab(rgb @ matrix.T @ srgb.matrix_RGB_to_XYZ.T), method="CIE 2000")
-    return Correction(gains, matrix, float(np.mean(left)))
+    return Correction(gains, matrix, np.stack([lab(xyz), lab(rgb @ matrix.T @ SRGB_TO_XYZ.T)]))
 
 
 def white_gains(sensor: Sensor, light: Spectrum) -> Array:
@@ -89,14 +92,7 @@ def _seen(sensor: Sensor, light: Spectrum, reflectance: Array) -> Array:
 def _visible_share(light: Spectrum) -> float:
     """Of the light's power, weighted by the eye's luminous efficiency, whose peak is 1."""
     power = light.at(_NM)
-    return float(power @ _observer().at(_NM)[1] / power.sum())
-
-
-@lru_cache(maxsize=1)
-def _observer() -> Spectrum:
-    """CIE 1931 colour matching functions, `(3, n)`."""
-    table = colour_science().MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
-    return Spectrum(table.wavelengths, table.values.T)
+    return float(power @ observer().at(_NM)[1] / power.sum())
 
 
 @lru_cache(maxsize=1)
@@ -113,21 +109,9 @@ def chart_reflectances() -> Spectrum:
 
 def adapted_xyz(light: Spectrum, reflectance: Array) -> Array:
     """`(m, 3)` XYZ (white at Y = 1) of reflectances `(m, 801)` under `light`, adapted to D65."""
-    colour = colour_science()
-    weight = light.at(_NM) * _observer().at(_NM)
+    weight = light.at(_NM) * observer().at(_NM)
     white = weight.sum(axis=-1)
-    adapt = colour.adaptation.matrix_chromatic_adaptation_VonKries(
-        white / white[1], colour.xy_to_XYZ(_d65_white()), transform="Bradford"
-    )
-    return np.asarray(reflectance @ weight.T / white[1] @ adapt.T)
-
-
-def _d65_white() -> Array:
-    return np.asarray(colour_science().RGB_COLOURSPACES["sRGB"].whitepoint)
-
-
-def _lab(xyz: Array) -> Array:
-    return np.asarray(colour_science().XYZ_to_Lab(xyz, _d65_white()))
+    return np.asarray(reflectance @ weight.T / white[1] @ adaptation(white / white[1]).T)
 
 
 def _matrix(free: Array) -> Array:
@@ -142,9 +126,9 @@ def _linear_start(rgb: Array, aim: Array) -> Array:
     return np.asarray(np.linalg.lstsq(basis, aim - rgb[:, 2:], rcond=None)[0].T.ravel())
 
 
-def _fit(rgb: Array, start: Array, xyz: Array, to_xyz: Array) -> Array:
+def _fit(rgb: Array, start: Array, xyz: Array) -> Array:
     from scipy.optimize import least_squares
 
-    aim = _lab(xyz)
-    found = least_squares(lambda free: (_lab(rgb @ _matrix(free).T @ to_xyz.T) - aim).ravel(), start)
+    aim = lab(xyz)
+    found = least_squares(lambda free: (lab(rgb @ _matrix(free).T @ SRGB_TO_XYZ.T) - aim).ravel(), start)
     return _matrix(found.x)

@@ -37,6 +37,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.render.oidn import open_image_denoise
 from pepperscene.render.transport import Light
 
 Image = NDArray[np.float32]
@@ -131,7 +132,7 @@ class _Cover:
 
 def _filtered(image: Image, albedo: Image, normal: Image) -> Image:
     """Filter "RT" of Open Image Denoise, which wants three channels; one is shown to it three times."""
-    import pyoidn
+    pyoidn = open_image_denoise()
 
     h, w, c = image.shape
     found = pyoidn.denoise(_framed(image), _framed(albedo), _framed(normal), hdr=True)
