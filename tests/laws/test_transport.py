@@ -87,7 +87,8 @@ def assert_agree(ours: np.ndarray, theirs: np.ndarray) -> None:
     assert a.mean() == pytest.approx(b.mean(), rel=0.01)
 
 
-def test_spot_and_sky_agree_with_the_path_tracer():
+def spot_camera():
+    """A camera with a point flash beside it, and that flash as Mitsuba's own emitter."""
     beam, cutoff = np.radians(15.0), np.radians(30.0)
     profile = AngularProfile(np.array([0.0, beam, cutoff]), np.array([1.0, 1.0, 0.0]))
     camera = bench_camera(
@@ -102,22 +103,40 @@ def test_spot_and_sky_agree_with_the_path_tracer():
     pose = np.eye(4)
     pose[2, 3] = -0.6
     camera = camera.at_pose(pose)
-    scene = scene_with(uniform_sky(Spectrum(NM, 1.0 + 0.001 * (NM - 550.0)), 60_000.0))
     mi, _ = kernel()
     origin = pose[:3, 3] + np.array(camera.flash.offset_m)
     intensity = camera.flash.radiant_intensity(NM) * camera.flash_duty
-    emitters = {
-        "flash": {
-            "type": "spot",
-            "to_world": mi.ScalarTransform4f().look_at(
-                origin.tolist(), (origin + np.array([0, 0, 1])).tolist(), [0, 1, 0]
-            ),
-            "beam_width": 15.0,
-            "cutoff_angle": 30.0,
-            "intensity": spectrum_entry(NM, intensity),
-        },
-        "sky": {"type": "constant", "radiance": spectrum_entry(NM, scene.sky.radiance.values[0])},
+    spot = {
+        "type": "spot",
+        "to_world": mi.ScalarTransform4f().look_at(
+            origin.tolist(), (origin + np.array([0, 0, 1])).tolist(), [0, 1, 0]
+        ),
+        "beam_width": 15.0,
+        "cutoff_angle": 30.0,
+        "intensity": spectrum_entry(NM, intensity),
     }
+    return camera, spot
+
+
+def sun_alone(irradiance: float):
+    """A sun without a sky, as ours and as Mitsuba's."""
+    towards = np.array([0.4, -0.5, -1.0]) / np.linalg.norm([0.4, -0.5, -1.0])
+    spectrum = np.full(NM.size, irradiance)
+    sun = Sun(towards, Spectrum(NM, spectrum), angular_radius=1e-4)
+    sky = Sky(np.full((1, 2, 4), 1e-9, np.float32), Spectrum(NM, np.ones((1, NM.size))), sun)
+    theirs = {
+        "type": "directional",
+        "direction": (-towards).tolist(),
+        "irradiance": spectrum_entry(NM, spectrum),
+    }
+    return sky, theirs
+
+
+def test_spot_and_sky_agree_with_the_path_tracer():
+    camera, spot = spot_camera()
+    scene = scene_with(uniform_sky(Spectrum(NM, 1.0 + 0.001 * (NM - 550.0)), 60_000.0))
+    sky = {"type": "constant", "radiance": spectrum_entry(NM, scene.sky.radiance.values[0])}
+    emitters = {"flash": spot, "sky": sky}
     assert_agree(ours_traced(scene, camera, 64, 2), theirs_traced(scene, camera, emitters, 256, 2))
 
 
@@ -126,15 +145,16 @@ def test_sun_agrees_with_the_path_tracer():
     pose = np.eye(4)
     pose[2, 3] = -0.6
     camera = camera.at_pose(pose)
-    towards = np.array([0.4, -0.5, -1.0]) / np.linalg.norm([0.4, -0.5, -1.0])
-    sun = Sun(towards, Spectrum(NM, np.full(NM.size, 2.0)), angular_radius=1e-4)
-    sky = Sky(np.full((1, 2, 4), 1e-9, np.float32), Spectrum(NM, np.ones((1, NM.size))), sun)
+    sky, sun = sun_alone(2.0)
     scene = scene_with(sky)
-    emitters = {
-        "sun": {
-            "type": "directional",
-            "direction": (-towards).tolist(),
-            "irradiance": spectrum_entry(NM, np.full(NM.size, 2.0)),
-        }
-    }
+    assert_agree(ours_traced(scene, camera, 64, 2), theirs_traced(scene, camera, {"sun": sun}, 256, 2))
+
+
+@pytest.mark.parametrize("irradiance", [0.03, 1.0])
+def test_spot_and_sun_agree_with_the_path_tracer(irradiance):
+    # Later hits send one shadow ray for both; the first hits' sun is soft light where it is weak.
+    camera, spot = spot_camera()
+    sky, sun = sun_alone(irradiance)
+    scene = scene_with(sky)
+    emitters = {"flash": spot, "sun": sun}
     assert_agree(ours_traced(scene, camera, 64, 2), theirs_traced(scene, camera, emitters, 256, 2))

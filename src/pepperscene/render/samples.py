@@ -24,6 +24,7 @@ _PLACES: Final = 4  # chosen among 1, 2, 4 and 8: the least error for the same t
 _DISTINCT_SUN: Final = 0.02
 """Chosen: where a white body half a metre from the flash owes the sun more than this share of its light, the
 sun's edges are as sharp as the flash's. Below, its light at first hits is soft light like any other."""
+_LEAST: Final = 1e-30  # chosen: no light or chance that matters is smaller, and single precision holds it
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,10 +135,32 @@ class Samples:
         start, towards = view.rays(pixel - row * view.columns, row, self.next_2d(), self.next_2d)
         self.ray = mi.Ray3f(start, towards)
 
-    def flash(self, si: Any, point: Any, active: Any, lamps: Lamps) -> Any:
+    def flash_and_sun(self, si: Any, point: Any, active: Any, lamps: Lamps) -> Any:
+        """Radiance towards the viewer from one point of the flash and one of the sun's disc.
+
+        Rays from later hits are incoherent and dear, so one shadow ray serves both: it goes to either, with a
+        chance in proportion to what that would send unshadowed, by which its light is then divided.
+        """
+        nothing = point.reflectance * 0.0
+        flashed = self.tables.flash is not None and lamps.flash is not None
+        if self.tables.sky is None or lamps.sun is None:
+            return self._flash(si, point, active, lamps) if flashed else nothing
+        if not flashed:
+            return self.sun(si, point, active, lamps)
+        _, dr = kernel()
+        flash, target = self._from_emitter(si, point, active, lamps, self.next_2d())
+        sun, towards = self._from_sun(si, point, active, lamps)
+        both = dr.sum(flash) + dr.sum(sun)
+        share = dr.select(both > 0.0, dr.sum(flash) / dr.maximum(both, _LEAST), 0.0)
+        to_flash = self.next_1d() < share
+        chance = dr.select(to_flash, share, 1.0 - share)
+        light = dr.select(to_flash, flash, sun) / dr.maximum(chance, _LEAST)
+        ray = dr.select(to_flash, si.spawn_ray_to(target), si.spawn_ray(towards))
+        some = active & (both > 0.0)
+        return light & (some & ~self.tables.scene.scene.ray_test(ray, some))
+
+    def _flash(self, si: Any, point: Any, active: Any, lamps: Lamps) -> Any:
         """Radiance towards the viewer from one point of the flash."""
-        if self.tables.flash is None or lamps.flash is None:
-            return point.reflectance * 0.0
         _, dr = kernel()
         light, target = self._from_emitter(si, point, active, lamps, self.next_2d())
         return light & ~self._between(si, target, active & dr.any(light > 0.0))
@@ -176,18 +199,23 @@ class Samples:
 
     def sun(self, si: Any, point: Any, active: Any, lamps: Lamps) -> Any:
         """Radiance towards the viewer from the sun's disc alone."""
+        if self.tables.sky is None or lamps.sun is None:
+            return point.reflectance * 0.0
+        light, towards = self._from_sun(si, point, active, lamps)
+        return light & ~self.tables.scene.scene.ray_test(si.spawn_ray(towards), active)
+
+    def _from_sun(self, si: Any, point: Any, active: Any, lamps: Lamps) -> tuple[Any, Any]:
+        """Unshadowed light of a point of the sun's disc, and the direction to it."""
         mi, dr = kernel()
         sky = self.tables.sky
-        if sky is None or lamps.sun is None:
-            return point.reflectance * 0.0
+        assert sky is not None
         # Squared chords from the disc's centre are even over it, as squared radii are over a flat disc.
         place = sky.sun_chord * mi.warp.square_to_uniform_disk_concentric(self.next_2d())
         square = dr.squared_norm(place)
         beside = place * dr.sqrt(1.0 - 0.25 * square)
         towards = sky.sun_frame.to_world(mi.Vector3f(beside.x, beside.y, 1.0 - 0.5 * square))
-        lit = active & ~self.tables.scene.scene.ray_test(si.spawn_ray(towards), active)
         value, _ = point.eval_pdf(si.to_local(towards))
-        return (value * lamps.sun) & lit
+        return (value * lamps.sun) & active, towards
 
     def sky(self, towards: Any, active: Any, lamps: Lamps, *, seen: bool) -> Any:
         """Radiance of the sky from a direction; the sun's disc only where it is seen directly."""

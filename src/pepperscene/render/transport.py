@@ -1,11 +1,11 @@
 """Light transport for a flash at the camera: one traversal for all of it, then more of what has edges.
 
 The flash is nearly deterministic, all else is small and smooth (a tenth of the signal in `barth2018`). So at
-each hit the flash is evaluated with one shadow ray towards a point of its discs, the sun with one towards its
-disc, and the sky is found by BSDF sampling alone. Light that meets one surface only is carried by sensor
-channel, with its integrals over wavelength taken beforehand; light that meets more is carried at four
-wavelengths a sample. The first samples of a pixel trace both; where they show edges, more follow that stop at
-the first hit.
+the first hit flash and sun are evaluated with shadow rays of their own, towards points of their discs, at
+later hits with one for both, and the sky is found by BSDF sampling alone. Light that meets one surface only
+is carried by sensor channel, with its integrals over wavelength taken beforehand; light that meets more is
+carried at four wavelengths a sample. The first samples of a pixel trace both; where they show edges, more
+follow that stop at the first hit.
 
 Samples lie pixel by pixel in the wavefront, so that the sum over a pixel is a block reduction: no atomics,
 the same bits in each run, however the wavefront is cut.
@@ -234,8 +234,7 @@ def _soft(
         point = tables.scene.point(si, hit, active & met)
         light += throughput * samples.sky(ray.d, active & ~met, lamps, seen=False)
         active &= met
-        light += throughput * samples.flash(si, point, active, lamps)
-        light += throughput * samples.sun(si, point, active, lamps)
+        light += throughput * samples.flash_and_sun(si, point, active, lamps)
     channels = waves.channels(light)
     return [*channels, _square(tables, channels)]
 
