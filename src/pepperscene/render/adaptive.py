@@ -94,7 +94,8 @@ class Stop:
 
     def _shared_out(self, spread: Floats, allowed: float) -> NDArray[np.float32]:
         """Powers of two whose mean variance is as allowed, for the least samples."""
-        some = spread[:: max(spread.size // _ASKED, 1)]
+        # An odd step does not follow the columns of a picture, whose widths are even.
+        some = spread[:: spread.size // _ASKED | 1]
         scale = _least_scale(some, allowed, self.most)
         # A glint can ask for more than all numbers, and gets the most.
         with np.errstate(over="ignore"):
