@@ -155,7 +155,8 @@ def test_every_command_and_option_is_told() -> None:
         options = _options(inspect.unwrap(command.callback))
         assert options or name in ("cultivars", "doctor", "recipes")
         for option in options:
-            assert f"--{option}" in section, f"{name} --{option}"
+            flag = "--" + option.replace("_", "-")
+            assert flag in section, f"{name} {flag}"
 
 
 def test_every_public_name_is_told_and_every_function_has_an_example() -> None:
