@@ -31,6 +31,11 @@ SOFT_LEFT: Final = 0.15
 _GROWTH: Final = 4  # chosen: of a pixel's samples from one look at it to the next
 _ASKED: Final = 1 << 14  # chosen: pixels that the sum is worked out for
 
+_WORST: Final = 127.5
+"""Codes: the error of a pixel that may be anything. Beside the sun the slope of the tone curve would tell of
+thousands."""
+_WIDEST: Final = 510.0  # chosen: codes by which samples differ that show black and what is blown out
+
 Floats = NDArray[np.float32]
 
 
@@ -54,9 +59,8 @@ class Stop:
             return there.samples
         # How light shows in the picture is clear enough from the first look.
         shows = self._shows(there.total(), there.white)
-        per_white = np.square(shows.per_white)
-        spread = per_white * _nearby(there.sharp_variance())
-        soft = float(np.mean(per_white * there.soft_variance())) * self._left
+        spread = _in_codes(_nearby(there.sharp_variance()), shows, _WIDEST)
+        soft = float(np.mean(_in_codes(there.soft_variance(), shows, _WIDEST))) * self._left
         # What soft light leaves of the error is the sharp light's; half of it, where soft light takes more.
         allowed = self.target**2 * float(np.mean(np.square(shows.noise)))
         allowed = max(allowed - soft / there.soft_samples, 0.5 * allowed)
@@ -69,8 +73,7 @@ class Stop:
         spread, shows = light.spread, self._shows(light.total(), light.spread.white)
         variance = GAIN * _nearby(spread.sharp) * spread.samples.astype(np.float32) ** np.float32(-1.5)
         variance += spread.soft * np.float32(self._left / max(spread.soft_samples, 1))
-        # The square of a glint's error can be beyond single precision.
-        error, noise = np.square(shows.per_white, dtype=np.float64) * variance, np.square(shows.noise)
+        error, noise = _in_codes(variance, shows, _WORST), np.square(shows.noise)
         rms_error, rms_noise = (float(np.sqrt(part.mean())) for part in (error, noise))
         return {
             "target": self.target,
@@ -97,9 +100,7 @@ class Stop:
         # An odd step does not follow the columns of a picture, whose widths are even.
         some = spread[:: spread.size // _ASKED | 1]
         scale = _least_scale(some, allowed, self.most)
-        # A glint can ask for more than all numbers, and gets the most.
-        with np.errstate(over="ignore"):
-            need = np.power(np.maximum(scale * spread, np.float32(1e-9)), np.float32(0.4))
+        need = np.power(np.maximum(scale * spread, 1e-9), 0.4)
         return np.exp2(np.rint(np.log2(np.clip(need, 1.0, self.most))))
 
 
@@ -181,6 +182,11 @@ def _slope(linear: Floats, tone: str) -> Floats:
     power[linear <= 0.0031308] = 255.0 * 12.92
     power[linear >= 1.0] = 0.0
     return power
+
+
+def _in_codes(variance: Floats, shows: Shown, most: float) -> Floats:
+    """Squared codes of a variance in the unit of `Spread`, with deviations of `most` codes at most."""
+    return np.square(np.minimum(shows.per_white * np.sqrt(variance), np.float32(most)))
 
 
 def _nearby(spread: Floats) -> Floats:
