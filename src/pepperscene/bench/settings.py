@@ -6,7 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any, Final, get_args
 
-from pepperscene.render import QUALITIES, Quality
+from pepperscene.render import QUALITIES, Quality, quality_of
 from pepperscene.render.quality import Sampler
 
 OURS: Final = "ours, adaptive"
@@ -50,7 +50,7 @@ def settings(*, quick: bool = False) -> tuple[Setting, ...]:
     """
     return (
         *_named(("draft",) if quick else ("draft", "standard")),
-        *_adaptive((1.0,) if quick else (2.0, 1.0, 0.5, 0.25)),
+        *_adaptive((1.0,) if quick else (0.5, 0.25, 0.1, 0.07)),
         *_fixed((1, 4) if quick else (1, 4, 16, 64)),
         *(() if quick else (Setting(WHOLE, "standard", QUALITIES["standard"], whole=True),)),
         *_path((1, 4) if quick else (1, 4, 16, 64, 256), "independent", PLAIN),
@@ -64,8 +64,7 @@ def _named(names: tuple[str, ...]) -> list[Setting]:
 
 def _adaptive(targets: tuple[float, ...]) -> list[Setting]:
     """The standard quality with other target errors."""
-    standard = QUALITIES["standard"]
-    return [Setting(OURS, f"target {one:g}", dataclasses.replace(standard, target=one)) for one in targets]
+    return [Setting(OURS, f"target {one:g}", quality_of("standard", one)) for one in targets]
 
 
 def _fixed(counts: tuple[int, ...]) -> list[Setting]:
