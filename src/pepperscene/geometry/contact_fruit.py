@@ -14,6 +14,9 @@ from pepperscene.geometry.contact_organs import Indices, Organs, Points, Vectors
 
 _CELLS: Final = 64  # along either side of the map of directions: cells of 3 degrees, 2 mm on a fruit
 _STEP: Final = 0.06  # rad; a triangle is entered into the map at points no farther apart than this
+_PRODUCTS: Final = 1 << 17
+"""Chosen: of a matrix product at a time. Larger ones, in OpenBLAS from 2^18 on, are shared out to threads,
+which costs more than it gains where the cores have other work."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,10 +145,13 @@ def walls(organs: Organs, fruit: Sequence[int]) -> list[Wall]:
     key = (planes[:, 3] * 1e6).astype(np.int64) << 32 | np.arange(len(planes))
     held = np.full(len(fruit) * _CELLS * _CELLS, -1)
     for count in np.unique(pieces):
-        rows = np.flatnonzero(pieces == count)
-        spots = _weights(int(count)) @ corners[rows].transpose(2, 1, 0)
-        cell = _cell(*spots.reshape(3, -1)).reshape(-1, len(rows)) + _CELLS * _CELLS * number[rows]
-        np.maximum.at(held, cell.ravel(), np.broadcast_to(key[rows], cell.shape).ravel())
+        alike, weights = np.flatnonzero(pieces == count), _weights(int(count))
+        block = max(_PRODUCTS // weights.size, 1)
+        for start in range(0, len(alike), block):
+            rows = alike[start : start + block]
+            spots = weights @ corners[rows].transpose(2, 1, 0)
+            cell = _cell(*spots.reshape(3, -1)).reshape(-1, len(rows)) + _CELLS * _CELLS * number[rows]
+            np.maximum.at(held, cell.ravel(), np.broadcast_to(key[rows], cell.shape).ravel())
     held = np.where(held >= 0, held & (2**32 - 1), -1)
     held = _filled(held.reshape(len(fruit), _CELLS, _CELLS))
     maps = planes[held].reshape(len(fruit), -1, 4)

@@ -28,6 +28,9 @@ from pepperscene.scene.standin import stand_ins
 _LONG: Final = 2500  # chosen: faces of an instance that is looked at in pieces; twine and rows, but no organ
 _PIECE: Final = 256  # chosen: faces of a piece, about the leaves of one node in a far row
 _STRIDE: Final = 16  # chosen: every so many poses find most of what is seen; the others look for the rest
+_PRODUCTS: Final = 1 << 17
+"""Chosen: of a matrix product at a time. Larger ones, in OpenBLAS from 2^18 on, are shared out to threads,
+which costs more than it gains where the cores have other work."""
 _ROWS: Final = 512  # chosen: rows of a table of distances at a time, so that it stays in the cache
 _MOST_DAYLIGHT: Final = 0.03
 """Chosen: stand-ins cover some 15 % less of the sky; of 3 % of the light that is half a per cent, half a code
@@ -62,14 +65,16 @@ class Sight:
         seen = np.zeros(len(centres), dtype=bool)
         first = np.arange(0, len(self.places), _STRIDE)
         for poses in (first, np.setdiff1d(np.arange(len(self.places)), first)):
-            left = np.flatnonzero(~seen)
-            inside = np.ones((len(left), len(poses)), dtype=bool)
-            for side in range(self.normals.shape[1]):
-                into = self.normals[poses, side].T
-                # The corner that reaches furthest.
-                furthest = centres[left] @ into + halves[left] @ np.abs(into)
-                inside &= furthest >= self.offsets[poses, side]
-            seen[left] = inside.any(axis=1)
+            unseen, block = np.flatnonzero(~seen), max(_PRODUCTS // (3 * max(len(poses), 1)), 1)
+            for start in range(0, len(unseen), block):
+                left = unseen[start : start + block]
+                inside = np.ones((len(left), len(poses)), dtype=bool)
+                for side in range(self.normals.shape[1]):
+                    into = self.normals[poses, side].T
+                    # The corner that reaches furthest.
+                    furthest = centres[left] @ into + halves[left] @ np.abs(into)
+                    inside &= furthest >= self.offsets[poses, side]
+                seen[left] = inside.any(axis=1)
         return seen
 
     def distances(self, centres: NDArray[np.float32], radii: NDArray[np.float32]) -> NDArray[np.float32]:
