@@ -50,7 +50,7 @@ def settings(*, quick: bool = False) -> tuple[Setting, ...]:
     """
     return (
         *_named(("draft",) if quick else ("draft", "standard")),
-        *_adaptive((1.0,) if quick else (0.5, 0.25, 0.1, 0.07)),
+        *_adaptive((0.5,) if quick else (0.5, 0.25, 0.1, 0.07)),
         *_fixed((1, 4) if quick else (1, 4, 16, 64)),
         *(() if quick else (Setting(WHOLE, "standard", QUALITIES["standard"], whole=True),)),
         *_path((1, 4) if quick else (1, 4, 16, 64, 256), "independent", PLAIN),
