@@ -1,0 +1,104 @@
+"""Small pictures whose light has a reference, shared by the laws about its error."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from bodies import bench_camera
+from test_convergence import bench
+
+from pepperscene.camera import Camera, corrected
+from pepperscene.dataset import Stage, load_recipe
+from pepperscene.render import Quality, Renderer
+from pepperscene.scene import Scene
+
+COLUMNS, ROWS = 112, 84
+
+
+def bench_shot() -> tuple[Scene, Camera]:
+    """The bench of the law of convergence, which its flash and its sun do not blow out."""
+    whole = bench_camera(columns=COLUMNS, rows=ROWS)
+    return bench(), replace(whole, sensor=replace(whole.sensor, binning=8), exposure_s=15e-6)
+
+
+def plants_shot(*, daylight: bool = False) -> tuple[Scene, Camera]:
+    """Two plants of the demo: the middle of a picture by flash, or by a bright day alone."""
+    recipe = load_recipe("demo")
+    changes: dict[str, object] = {"row": recipe.row.model_copy(update={"plants_front": 1, "plants_back": 1})}
+    if daylight:
+        sun = {"illuminance_lx": 30e3, "sun_azimuth_deg": -60.0, "sun_elevation_deg": 50.0}
+        changes |= {
+            "daylight": recipe.daylight.model_copy(update=sun),
+            "camera": recipe.camera.model_copy(update={"flash": "none", "exposure_us": 300.0}),
+            "developing": recipe.developing.model_copy(update={"white_balance": "daylight"}),
+        }
+    stage = Stage(recipe.model_copy(update=changes))
+    shot = stage.recipe.plan.shot(125)
+    camera = stage.camera(shot)
+    return stage.scene(shot), replace(camera, sensor=replace(camera.sensor, columns=COLUMNS, rows=ROWS))
+
+
+class Codes:
+    """Errors of a camera's light in the codes of its picture, linear in the light.
+
+    Args:
+        camera: whose pictures.
+        electrons: `(h, w, c)` nearly without noise; the tone curve's slope is taken there.
+    """
+
+    def __init__(self, camera: Camera, electrons: np.ndarray) -> None:
+        # White balance and matrix alone: clipped channels have no slope anyway.
+        self._camera = replace(camera, developing=replace(camera.developing, saturation=False))
+        linear = self._linear(electrons)
+        # IEC 61966-2-1; beyond black and white nothing shows.
+        value = np.clip(linear, 0.0031308, 1.0)
+        slope = np.where(linear <= 0.0031308, 12.92, 1.055 / 2.4 * value ** (1 / 2.4 - 1.0))
+        self._slope = np.where((linear <= 0.0) | (linear >= 1.0), 0.0, 255.0 * slope)
+
+    def of(self, electrons: np.ndarray) -> np.ndarray:
+        """`(h, w, 3)` of a difference in electrons."""
+        return self._slope * self._linear(electrons)
+
+    def _linear(self, electrons: np.ndarray) -> np.ndarray:
+        sensor = self._camera.sensor
+        full = sensor.gain_e_per_dn * (sensor.full_scale_dn - sensor.black_level_dn)
+        return corrected((electrons / full).astype(np.float32), self._camera).astype(float)
+
+
+class Referred:
+    """A shot with a reference in two independent halves.
+
+    Differences to either half, multiplied, give the square of an error without the reference's own noise.
+    """
+
+    def __init__(self, scene: Scene, camera: Camera, *, bounces: int = 2, frames: int = 1) -> None:
+        self.renderer, self.camera = Renderer(scene), camera
+        best = Quality(256, 256, 256, bounces, target=None, denoise=False)
+        self.halves = [
+            np.mean([self.electrons(best, 1000 * half + k)[0] for k in range(1, frames + 1)], axis=0)
+            for half in (1, 2)
+        ]
+        self.mean = np.mean(self.halves, axis=0)
+        self.codes = Codes(camera, self.mean)
+
+    def electrons(
+        self, quality: str | Quality, seed: int, target: float | None = None
+    ) -> tuple[np.ndarray, dict[str, float]]:
+        """`(h, w, 3)` electrons of a frame, and what it says of its samples."""
+        frame = self.renderer.render(self.camera, ["electrons"], quality, seed, target)
+        return frame["electrons"].astype(float), frame.facts["sampling"]
+
+    def true_square(self, electrons: np.ndarray) -> float:
+        """Mean square of the true error, codes."""
+        first, second = (self.codes.of(electrons - half) for half in self.halves)
+        return float((first * second).mean())
+
+    def errors(
+        self, quality: str | Quality, target: float | None = None, frames: int = 6
+    ) -> tuple[float, float, list[dict[str, float]]]:
+        """The true error and the one told, root mean square over frames, codes; and what they say."""
+        found = [self.electrons(quality, seed, target) for seed in range(frames)]
+        true = np.sqrt(np.mean([self.true_square(electrons) for electrons, _ in found]))
+        told = np.sqrt(np.mean([facts["error_codes"] ** 2 for _, facts in found]))
+        return float(true), float(told), [facts for _, facts in found]
