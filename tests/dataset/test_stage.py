@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +11,10 @@ import pytest
 from pepperscene.camera import load_filter, load_sensor
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import Stage, load_recipe
+from pepperscene.dataset import stage as stage_module
 from pepperscene.dataset.equipment import surface_grid
 from pepperscene.dataset.seeds import frame_seed
+from pepperscene.render import QUALITIES
 from pepperscene.spectra import Spectrum
 
 LABELS = ("class", "distance")
@@ -124,6 +127,57 @@ def test_scenes_do_not_depend_on_the_order_of_the_frames(recipe, fake_renderer):
     fresh = Stage(recipe, fake_renderer).scene(plan.shot(last))
     np.testing.assert_array_equal(scene.mesh.vertices, fresh.mesh.vertices)
     np.testing.assert_array_equal(scene.sky.weights, fresh.sky.weights)
+
+
+# --- what is begun while the row settles --------------------------------------------------------------------
+
+
+def test_surfaces_that_were_begun_early_are_those_made_in_time(recipe, fake_renderer):
+    early, shot = Stage(recipe, fake_renderer), recipe.plan.shot(0)
+    early.render(shot, ("colour",))
+    (begun,) = (made.scene for made in fake_renderer.made)
+    late = Stage(recipe, fake_renderer).scene(shot)
+    for one, other in zip(begun.surfaces, late.surfaces, strict=True):
+        assert one.name == other.name
+        np.testing.assert_array_equal(one.reflectance, other.reflectance)
+        np.testing.assert_array_equal(one.transmittance, other.transmittance)
+    np.testing.assert_array_equal(begun.mesh.vertices, late.mesh.vertices)
+
+
+def test_labels_alone_begin_nothing(recipe, fake_renderer, monkeypatch):
+    def fail(_):
+        raise AssertionError("labels need no surfaces")
+
+    monkeypatch.setattr(Stage, "_made_surfaces", fail)
+    monkeypatch.setattr(Stage, "_begin", fail)
+    Stage(recipe, fake_renderer).render(recipe.plan.shot(0), LABELS)
+    assert len(fake_renderer.made) == 1
+
+
+def test_what_fails_while_the_row_settles_is_told(recipe, fake_renderer, monkeypatch):
+    def fail(_):
+        raise ValueError("no such pigments")
+
+    monkeypatch.setattr(Stage, "_made_surfaces", fail)
+    with pytest.raises(ValueError, match="no such pigments"):
+        Stage(recipe, fake_renderer).render(recipe.plan.shot(0), ("colour",))
+    assert not fake_renderer.made
+
+
+def test_the_renderer_begins_early_where_mitsuba_is_to_render(recipe, fake_renderer, monkeypatch):
+    begun = []
+    room = importlib.import_module("pepperscene.render")
+    monkeypatch.setattr(room, "begin", lambda camera, quality: begun.append((camera, quality)))
+    monkeypatch.setattr(stage_module, "mitsuba_renderer", fake_renderer)
+    stage = Stage(recipe)
+    for index in (0, 1):
+        stage.render(recipe.plan.shot(index), LABELS)
+    assert not begun
+    for index in (0, 1, 2):
+        stage.render(recipe.plan.shot(index), ("colour", "class"), "draft")
+    ((camera, quality),) = begun
+    assert camera.sensor is stage.camera(recipe.plan.shot(0)).sensor
+    assert quality == QUALITIES["draft"]
 
 
 # --- the camera as it is set --------------------------------------------------------------------------------

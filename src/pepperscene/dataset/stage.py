@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
@@ -75,6 +76,7 @@ class Stage:
         self._planting = Planting(recipe, self.cultivar)
         self._told: dict[str, Any] = {}
         self._scene: tuple[tuple[int, int, bool], RendererLike] | None = None
+        self._begun: Future[dict[str, Surface]] | None = None
 
     def render(self, shot: Shot, outputs: Sequence[str], quality: str | Quality = "standard") -> Frame:
         """One frame.
@@ -86,7 +88,7 @@ class Stage:
         """
         traced = any(OUTPUTS[name].traced for name in outputs)
         seed = frame_seed(self.recipe.seed, shot.index)
-        renderer = self._renderer(shot, traced)
+        renderer = self._renderer(shot, traced, quality)
         frame = renderer.render(self.camera(shot), outputs=outputs, quality=quality, seed=seed)
         return Frame(frame.images, {**frame.facts, **self._told})
 
@@ -123,7 +125,7 @@ class Stage:
 
         return culled(mesh, self._sight, self._reach)
 
-    def _renderer(self, shot: Shot, traced: bool) -> RendererLike:
+    def _renderer(self, shot: Shot, traced: bool, quality: str | Quality) -> RendererLike:
         """The renderer of the shot's scene; one that can trace light serves labels as well."""
         if self._scene is not None:
             (held_set, held_rotation, held_traced), renderer = self._scene
@@ -132,9 +134,28 @@ class Stage:
             # The old scene goes before the new one comes.
             del renderer
             self._scene = None
+        # While two processes make plants no core is idle; while the row settles one is.
+        self._planting.plants(shot.set)
+        if traced:
+            self._begin(quality)
         made = self._renderer_of(self.scene(shot, traced=traced))
         self._scene = ((shot.set, shot.rotation, traced), made)
         return made
+
+    def _begin(self, quality: str | Quality) -> None:
+        """Begin what a first picture needs besides its row, which settles meanwhile.
+
+        What fails there is told where it is first needed.
+        """
+        if self._begun is not None:
+            return
+        with_surfaces = ThreadPoolExecutor(1, "surfaces")
+        self._begun = with_surfaces.submit(self._made_surfaces)
+        with_surfaces.shutdown(wait=False)
+        if self._renderer_of is mitsuba_renderer:
+            from pepperscene.render import begin, quality_of
+
+            begin(self._first_camera, quality_of(quality))
 
     def _sky(self, which: int) -> Sky | None:
         from pepperscene.scene import partly_cloudy
@@ -172,6 +193,9 @@ class Stage:
 
     @cached_property
     def _surfaces(self) -> dict[str, Surface]:
+        return self._made_surfaces() if self._begun is None else self._begun.result()
+
+    def _made_surfaces(self) -> dict[str, Surface]:
         from pepperscene.materials import greenhouse_surfaces, organ_surfaces
 
         nm = surface_grid(self._first_camera.sensor)

@@ -3,8 +3,18 @@
 Importing this room does not import Mitsuba yet; the first render does.
 """
 
+from pepperscene.render.early import begin
 from pepperscene.render.quality import QUALITIES, Quality, quality_named, quality_of
 from pepperscene.render.renderer import Renderer, render
 from pepperscene.render.variant import variant_name
 
-__all__ = ["QUALITIES", "Quality", "Renderer", "quality_named", "quality_of", "render", "variant_name"]
+__all__ = [
+    "QUALITIES",
+    "Quality",
+    "Renderer",
+    "begin",
+    "quality_named",
+    "quality_of",
+    "render",
+    "variant_name",
+]

@@ -60,6 +60,12 @@ def denoised(light: Light) -> Image:
     return light.flash + light.sky + _soft(light)
 
 
+def begin() -> None:
+    """Load the libraries and the filter's weights; changes nothing but the time of the first picture."""
+    grey = np.full((_FRAME, _FRAME, 3), 0.5, np.float32)
+    _with_mean_of(grey, _filtered(grey, grey, grey))
+
+
 def _soft(light: Light) -> Image:
     """The soft light, guided by albedo and normal."""
     level = float(light.soft.mean(dtype=np.float64))
