@@ -69,3 +69,30 @@ def test_a_denoiser_that_began_early_makes_the_same_picture():
     )
     assert late == early_one
     assert np.frombuffer(late, np.float32).std() > 0.0
+
+
+BEGIN = (
+    "from pepperscene.camera import Camera, load_lens, load_sensor\n"
+    "from pepperscene.render import QUALITIES, begin\n"
+    "camera = Camera(load_lens('lensagon_cmfa0420nd'), load_sensor('ueye_ui5250re'))\n"
+    "started = begin(camera, QUALITIES['standard'])\n"
+)
+
+
+def test_a_renderer_that_began_early_renders_from_the_main_thread():
+    # In a process of its own; the machine's real library.
+    ask = (
+        "started.join()\n"
+        "from pepperscene.render.variant import kernel\n"
+        "mi, dr = kernel()\n"
+        "assert mi.variant() in ('llvm_ad_spectral', 'cuda_ad_spectral')\n"
+        "assert dr.sum(mi.Float([1.0, 2.0, 3.0]) * 2.0)[0] == 12.0\n"
+    )
+    subprocess.run([sys.executable, "-c", BEGIN + ask], check=True)
+
+
+def test_a_process_may_end_while_the_renderer_begins():
+    done = subprocess.run(
+        [sys.executable, "-c", BEGIN + "raise SystemExit(3)"], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (3, "")

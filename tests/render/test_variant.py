@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import os
-import subprocess
 import sys
 import threading
 import time
@@ -226,7 +225,7 @@ def test_a_drjit_that_runs_an_older_llvm_is_not_trusted(monkeypatch, tmp_path):
         choose_variant()
 
 
-# --- an early start ---------------------------------------------------------------------------------------
+# --- a start in another thread ------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -236,14 +235,14 @@ def not_started(monkeypatch):
     monkeypatch.setattr(variant, "kernel", functools.cache(variant.kernel.__wrapped__))
 
 
-def test_an_early_start_that_fails_is_told_when_the_renderer_is_needed(monkeypatch, not_started):
+def test_a_start_that_failed_elsewhere_fails_again_where_the_renderer_is_needed(monkeypatch, not_started):
     def refuse(wanted=None):
         raise SetupError("there is none")
 
     monkeypatch.setattr(variant, "choose_variant", refuse)
-    variant.start_early().join()
-    with pytest.raises(SetupError, match="there is none"):
-        variant.kernel()
+    for _ in range(2):
+        with pytest.raises(SetupError, match="there is none"):
+            variant.kernel()
 
 
 def test_the_renderer_starts_once_however_many_ask(monkeypatch, not_started):
@@ -271,21 +270,3 @@ def test_the_renderer_starts_once_however_many_ask(monkeypatch, not_started):
     for thread in askers:
         thread.join()
     assert len(asked) == 1
-
-
-def test_a_renderer_that_started_early_renders_from_the_main_thread():
-    # In a process of its own; the machine's real library.
-    ask = (
-        "from pepperscene.render.variant import kernel, start_early\n"
-        "assert start_early().join() is None\n"
-        "mi, dr = kernel()\n"
-        "assert mi.variant() in ('llvm_ad_spectral', 'cuda_ad_spectral')\n"
-        "assert dr.sum(mi.Float([1.0, 2.0, 3.0]) * 2.0)[0] == 12.0\n"
-    )
-    subprocess.run([sys.executable, "-c", ask], check=True)
-
-
-def test_a_process_may_end_while_the_renderer_starts():
-    ask = "from pepperscene.render.variant import start_early; start_early(); raise SystemExit(3)"
-    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (3, "")

@@ -7,7 +7,6 @@ first kernel ("Cannot select: fmaximum"; x86 gained that instruction's selection
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import os
 import re
@@ -129,22 +128,6 @@ def _started() -> tuple[Any, Any]:
     mitsuba.set_variant(variant)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
     return mitsuba, drjit
-
-
-def start_early() -> threading.Thread:
-    """Mitsuba begins to start in a thread of its own, which is returned, while other work is done.
-
-    What fails there fails again, and is told, where the renderer is first needed.
-    """
-
-    def start() -> None:
-        with contextlib.suppress(Exception):
-            kernel()
-
-    # No daemon: a process that ends meanwhile must not pull the library from under it.
-    thread = threading.Thread(target=start, name="start of the renderer")
-    thread.start()
-    return thread
 
 
 def variant_name() -> str:
