@@ -46,8 +46,8 @@ class FrameTables:
     """What all samples of a frame share.
 
     Attributes:
-        roulette: whether paths may end by chance. Its decisions jump with what surfaces do to light, so
-            pictures that are differentiated go without.
+        roulette: whether paths may end, and shadow rays go to one of two lights, by a chance that follows the
+            light. Such decisions jump with what surfaces do, so pictures that are differentiated go without.
     """
 
     roulette = True
@@ -147,6 +147,8 @@ class Samples:
             return self._flash(si, point, active, lamps) if flashed else nothing
         if not flashed:
             return self.sun(si, point, active, lamps)
+        if not self.tables.roulette:
+            return self._flash(si, point, active, lamps) + self.sun(si, point, active, lamps)
         _, dr = kernel()
         flash, target = self._from_emitter(si, point, active, lamps, self.next_2d())
         sun, towards = self._from_sun(si, point, active, lamps)
