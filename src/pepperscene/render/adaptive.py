@@ -174,13 +174,12 @@ def _developing(camera: Camera) -> Floats:
 
 
 def _slope(linear: Floats, tone: str) -> Floats:
-    """Codes per linear value; 0 where the picture is blown out."""
+    """Codes per linear value. Above white the curve is thought to go on: electrons are an output as well."""
     if tone != "srgb":
-        return np.where(linear < 1.0, np.float32(255.0), np.float32(0.0))
-    value = np.clip(linear, np.float32(0.0031308), np.float32(1.0))
+        return np.full(linear.shape, np.float32(255.0))
+    value = np.maximum(linear, np.float32(0.0031308))
     power = np.float32(255.0 * 1.055 / 2.4) * value ** np.float32(1.0 / 2.4 - 1.0)
     power[linear <= 0.0031308] = 255.0 * 12.92
-    power[linear >= 1.0] = 0.0
     return power
 
 
