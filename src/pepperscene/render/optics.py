@@ -224,8 +224,10 @@ class Point:
         """
         _, dr = kernel()
         specular = dr.maximum(1.0 - self.entering, 0.0)
-        reflected = dr.sqrt(dr.mean(dr.square(self.reflectance)))
-        transmitted = dr.sqrt(dr.mean(dr.square(self.transmittance)))
+        # `dr.mean` would write the number of rays into the code, which would be compiled for each anew.
+        share = 1.0 / len(self.reflectance)
+        reflected = dr.sqrt(dr.sum(dr.square(self.reflectance)) * share)
+        transmitted = dr.sqrt(dr.sum(dr.square(self.transmittance)) * share)
         body = self.entering * (reflected + transmitted)
         gloss = dr.select(specular > 0.0, specular / (specular + body), 0.0)
         through = dr.select(transmitted > 0.0, transmitted / (reflected + transmitted), 0.0)
