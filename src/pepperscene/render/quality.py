@@ -56,7 +56,7 @@ class Quality:
 
 QUALITIES: Final[Mapping[str, Quality]] = {
     "draft": Quality(samples=4, soft=1, most=4, bounces=1, target=None, denoise=True),
-    "standard": Quality(samples=4, soft=2, most=64, bounces=2, target=0.14, denoise=True),
+    "standard": Quality(samples=4, soft=2, most=64, bounces=2, target=0.15, denoise=True),
     "reference": Quality(samples=256, soft=256, most=256, bounces=6, target=None, denoise=False),
 }
 
