@@ -13,7 +13,7 @@ from pepperscene.classes import Instance, OrganClass
 from pepperscene.frame import Frame
 from pepperscene.geometry import Mesh
 from pepperscene.materials import Surface, lambertian
-from pepperscene.render import Renderer
+from pepperscene.render import QUALITIES, Quality, Renderer
 from pepperscene.scene import Scene, Sky, assemble, uniform_sky
 from pepperscene.spectra import Spectrum
 
@@ -21,7 +21,13 @@ OUTPUTS = ("electrons", "class", "instance", "distance", "normal")
 DAYLIGHT = uniform_sky(Spectrum(RANGE_NM, np.ones(2)), 5500.0)
 
 
-def picture(scene: Scene, camera: Camera, quality: str = "draft", outputs=OUTPUTS, seed: int = 0) -> Frame:
+FIXED = replace(QUALITIES["standard"], target=None)
+"""The standard quality with as many samples whatever the light: pictures of two lights differ by it alone."""
+
+
+def picture(
+    scene: Scene, camera: Camera, quality: str | Quality = "draft", outputs=OUTPUTS, seed: int = 0
+) -> Frame:
     """A frame that holds together."""
     frame = Renderer(scene).render(camera, outputs, quality, seed)
     assert_sound(frame)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bodies import RANGE_NM, bench_camera, card, response_by_hand, sheet
-from strain import DAYLIGHT, grey, picture, point_flash_camera, surface
+from strain import DAYLIGHT, FIXED, grey, picture, point_flash_camera, surface
 from typer.testing import CliRunner
 
 from pepperscene.camera import Camera
@@ -103,7 +103,7 @@ def test_a_sun_in_no_direction_is_refused(direction):
 def test_light_is_proportional_to_the_lamp(lux):
     scene = grey(sheet(0.2, 0.2, 0.5, "leaf"))
     found, expected = (
-        picture(scene, point_flash_camera(illuminance_lx=lx), "standard")["electrons"] / lx
+        picture(scene, point_flash_camera(illuminance_lx=lx), FIXED)["electrons"] / lx
         for lx in (lux, 200_000.0)
     )
     assert found == pytest.approx(expected, rel=1e-5)
@@ -122,16 +122,16 @@ def test_light_is_proportional_to_the_lamp(lux):
 def test_next_to_no_light_is_none(lux):
     # Beside daylight, a lamp of so little adds nothing; alone, it shows as little, or nothing.
     scene = grey(sheet(0.2, 0.2, 0.5, "leaf"), sky=DAYLIGHT)
-    with_lamp = picture(scene, point_flash_camera(illuminance_lx=lux), "standard")["electrons"]
-    without = picture(scene, replace(point_flash_camera(), flash=None), "standard")["electrons"]
+    with_lamp = picture(scene, point_flash_camera(illuminance_lx=lux), FIXED)["electrons"]
+    without = picture(scene, replace(point_flash_camera(), flash=None), FIXED)["electrons"]
     assert with_lamp == pytest.approx(without, rel=1e-4)
     night = replace(scene, sky=None)
-    assert picture(night, point_flash_camera(illuminance_lx=lux), "standard")["electrons"].max() <= lux
+    assert picture(night, point_flash_camera(illuminance_lx=lux), FIXED)["electrons"].max() <= lux
     dusk = replace(scene, sky=uniform_sky(EVEN, lux))
-    assert picture(dusk, replace(point_flash_camera(), flash=None), "standard")["electrons"].max() <= lux
+    assert picture(dusk, replace(point_flash_camera(), flash=None), FIXED)["electrons"].max() <= lux
     lamp = point_flash_camera()
-    found = picture(dusk, lamp, "standard")["electrons"]
-    assert found == pytest.approx(picture(night, lamp, "standard")["electrons"], rel=1e-4)
+    found = picture(dusk, lamp, FIXED)["electrons"]
+    assert found == pytest.approx(picture(night, lamp, FIXED)["electrons"], rel=1e-4)
 
 
 @pytest.mark.parametrize(
