@@ -41,8 +41,8 @@ def check_peers() -> None:
     """
     if not available():
         raise SetupError(
-            f"--peers needs bpy, which {bpy_python()} does not have: install the extra 'peers' into an "
-            "environment of Python 3.11 and name its Python in PEPPERSCENE_BPY_PYTHON"
+            f"--peers needs bpy, which {bpy_python()} does not have: `pip install bpy` in an "
+            "environment of its own, with Python 3.11, and name its Python in PEPPERSCENE_BPY_PYTHON"
         )
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera, expected_electrons
+from pepperscene.render.exposures import by_exposure, exposure, relative_exposure
 from pepperscene.render.frozen import FrozenOptics
 from pepperscene.render.kernel import light_scene, sky_tables
 from pepperscene.render.leaves import Leaves, Tables
@@ -40,9 +41,6 @@ Array = NDArray[np.float64]
 
 _LANES: Final = 1 << 17
 """Chosen: samples of a pass. Sums over a pass are in single precision, those over passes in double."""
-
-_POWERS: Final = {"exposure.time": 1.0, "exposure.gain": 1.0, "exposure.f_number": -2.0}
-"""Of each parameter of the exposure in the picture."""
 
 FLASH_WEIGHTS: Final = 8  # chosen: an LED's blue peak and the rise and fall of its phosphor lie apart
 
@@ -163,7 +161,7 @@ class DifferentiableRenderer:
             dr.disable_grad(leaves)
         exposed = self._picture([sums[:, channels:] for sums in found], values)
         slope = self._picture([sums[:, :channels] for sums in found], values)
-        return slope + _relative_exposure(values, along) * exposed
+        return slope + relative_exposure(values, along) * exposed
 
     def backward(self, parameters: Parameters, loss_gradient: ArrayLike) -> dict[str, Array]:
         """Derivatives of a loss with respect to the parameters that are given.
@@ -202,7 +200,7 @@ class DifferentiableRenderer:
             dr.disable_grad(leaves)
         scaled = {name: scale * slope for name, slope in found.items()}
         names = tuple(parameters)
-        slopes = self._leaves.backward(values, scaled, names) | _by_exposure(values, scale * loss)
+        slopes = self._leaves.backward(values, scaled, names) | by_exposure(values, scale * loss)
         return {name: slopes[name] for name in names}
 
     # --- light ------------------------------------------------------------------------------------------
@@ -260,7 +258,7 @@ class DifferentiableRenderer:
         """`(h, w, c)` electrons from sums over samples."""
         height, width = self._camera.height, self._camera.width
         signal = np.concatenate(sums)[: height * width].reshape(height, width, -1) / self._samples
-        return expected_electrons(signal, self._camera) * _exposure(values, self.parameters)
+        return expected_electrons(signal, self._camera) * exposure(values, self.parameters)
 
     # --- parameters -------------------------------------------------------------------------------------
 
@@ -308,19 +306,3 @@ def _changed(optics: Optics, **tables: Any) -> Optics:
     found = copy.copy(optics)
     found.__dict__.update(tables)
     return found
-
-
-def _exposure(values: Values, own: Values) -> float:
-    """What the exposure makes of the camera's own picture, as a factor."""
-    stops = own["exposure.f_number"] / values["exposure.f_number"]
-    return float(values["exposure.time"] * values["exposure.gain"] * stops**2)
-
-
-def _relative_exposure(values: Values, along: Values) -> float:
-    """The exposure's relative change along a direction."""
-    return sum(float(power * along[name] / values[name]) for name, power in _POWERS.items() if name in along)
-
-
-def _by_exposure(values: Values, loss: float) -> dict[str, Array]:
-    """Derivatives by the exposure of what grows with it in proportion."""
-    return {name: np.asarray(power * loss / values[name]) for name, power in _POWERS.items()}

@@ -19,7 +19,7 @@ from pepperscene.render.upload import aligned, device_number, device_table
 from pepperscene.render.variant import kernel
 from pepperscene.render.view import View
 
-_PLACES: Final = 4  # chosen among 1, 2, 4 and 8: the least error for the same time
+_PLACES: Final = 4  # chosen among 1, 2 and 4: the least error for the same time
 
 _DISTINCT_SUN: Final = 0.02
 """Chosen: where a white body half a metre from the flash owes the sun more than this share of its light, the

@@ -35,7 +35,7 @@ _ROUNDS: Final = 3  # chosen: how often edges are asked whether they need more
 _SURVIVAL, _LEAST_SURVIVAL = 2.0, 0.25
 """Chosen: a path lives on with twice the share of light that it still carries, so that pale surfaces end
 none, and at least with this chance, which bounds the weight of a survivor. With half of the former there is a
-third less time and a quarter more noise: the same worth."""
+quarter less time and a fifth more noise: the same worth."""
 
 
 @dataclass(frozen=True, eq=False)

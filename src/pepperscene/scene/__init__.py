@@ -6,8 +6,9 @@ from pepperscene.scene.greenhouse import Greenhouse, furniture
 from pepperscene.scene.irregular import Posture, posture, uneven
 from pepperscene.scene.placed import Scene, assemble
 from pepperscene.scene.row import DoubleRow, Twine, about_z, double_row, standing, with_twine
+from pepperscene.scene.sight import Sight, sight
 from pepperscene.scene.sky import Sky, Sun, partly_cloudy, uniform_sky
-from pepperscene.scene.visible import Reach, Sight, culled, reach, sight
+from pepperscene.scene.visible import Reach, culled, reach
 
 __all__ = [
     "Cover",

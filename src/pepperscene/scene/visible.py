@@ -18,20 +18,16 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from pepperscene.camera import Camera, Flash
+from pepperscene.camera import Camera
 from pepperscene.geometry import Mesh
+from pepperscene.scene.sight import Sight, gaps, lamps
 from pepperscene.scene.sky import SUN_ANGULAR_RADIUS
 from pepperscene.scene.standin import stand_ins
 
 _LONG: Final = 2500  # chosen: faces of an instance that is looked at in pieces; twine and rows, but no organ
 _PIECE: Final = 256  # chosen: faces of a piece, about the leaves of one node in a far row
-_STRIDE: Final = 16  # chosen: every so many poses find most of what is seen; the others look for the rest
-_PRODUCTS: Final = 1 << 17
-"""Chosen: of a matrix product at a time. Larger ones, in OpenBLAS from 2^18 on, are shared out to threads,
-which costs more than it gains where the cores have other work."""
-_ROWS: Final = 512  # chosen: rows of a table of distances at a time, so that it stays in the cache
 _MOST_DAYLIGHT: Final = 0.03
 """Chosen: stand-ins cover some 15 % less of the sky; of 3 % of the light that is half a per cent, half a code
 at middle grey, were there nothing else overhead."""
@@ -39,87 +35,6 @@ at middle grey, were there nothing else overhead."""
 LEAST_LIGHT: Final = 1e-3
 """What all that is left out may change, as a share of the light at the path's distance: chosen, a twentieth
 of a code of 8 bits at middle grey."""
-
-
-@dataclass(frozen=True, eq=False)
-class Sight:
-    """Where the views of a path look: for each pose the half-spaces that hold all it can show.
-
-    Attributes:
-        normals: `(p, k, 3)` float32, unit, into the view.
-        offsets: `(p, k)` float32; a point x lies inside where `normals @ x >= offsets`.
-        places: `(p, 3)` float32, the projection centres.
-    """
-
-    normals: NDArray[np.float32]
-    offsets: NDArray[np.float32]
-    places: NDArray[np.float32]
-
-    def meets(self, centres: NDArray[np.float32], halves: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """`(n,)` whether a box may reach into any view; never False where it does.
-
-        Args:
-            centres: `(n, 3)` metres.
-            halves: `(n, 3)` half of its extent along the world's axes, metres.
-        """
-        seen = np.zeros(len(centres), dtype=bool)
-        first = np.arange(0, len(self.places), _STRIDE)
-        for poses in (first, np.setdiff1d(np.arange(len(self.places)), first)):
-            unseen, block = np.flatnonzero(~seen), max(_PRODUCTS // (3 * max(len(poses), 1)), 1)
-            for start in range(0, len(unseen), block):
-                left = unseen[start : start + block]
-                inside = np.ones((len(left), len(poses)), dtype=bool)
-                for side in range(self.normals.shape[1]):
-                    into = self.normals[poses, side].T
-                    # The corner that reaches furthest.
-                    furthest = centres[left] @ into + halves[left] @ np.abs(into)
-                    inside &= furthest >= self.offsets[poses, side]
-                seen[left] = inside.any(axis=1)
-        return seen
-
-    def distances(self, centres: NDArray[np.float32], radii: NDArray[np.float32]) -> NDArray[np.float32]:
-        """`(n,)` metres from each ball to the nearest pose, 0 where it holds one."""
-        return _gaps(centres, self.places) - radii
-
-
-def sight(camera: Camera, poses: ArrayLike) -> Sight:
-    """Where a camera looks from some poses.
-
-    The lens' distortion may bow the picture's border: the half-spaces go by its widest slopes. A ray starts
-    anywhere on the entrance pupil, a shadow ray ends anywhere on the flash: the half-spaces hold both, and so
-    all that stands between them and what is seen.
-
-    Args:
-        camera: its lens, sensor, focus and flash; its own pose is not used.
-        poses: `(p, 4, 4)` camera to world.
-    """
-    pose = np.asarray(poses, dtype=float).reshape(-1, 4, 4)
-    slopes = camera.ray_slopes().reshape(-1, 2)
-    # Beyond the plane in focus the rays of a pixel spread by the pupil's radius per focus distance.
-    pupil = 0.0 if camera.focus_m is None else camera.aperture_radius_m
-    spread = 0.0 if camera.focus_m is None else pupil / camera.focus_m
-    (left, top), (right, bottom) = slopes.min(axis=0) - spread, slopes.max(axis=0) + spread
-    into = np.array([[1, 0, -left], [-1, 0, right], [0, 1, -top], [0, -1, bottom], [0, 0, 1.0]])
-    into /= np.linalg.norm(into, axis=1, keepdims=True)
-    behind = np.maximum(pupil, _behind(into, camera.flash))
-
-    normals = np.einsum("pij,kj->pki", pose[:, :3, :3], into)
-    offsets = np.einsum("pki,pi->pk", normals, pose[:, :3, 3]) - behind
-    # Rounding to single precision is worth a hair's breadth.
-    offsets -= 1e-5 * (1.0 + np.abs(pose[:, :3, 3]).max(initial=0.0))
-    return Sight(normals.astype(np.float32), offsets.astype(np.float32), pose[:, :3, 3].astype(np.float32))
-
-
-def _behind(into: NDArray[np.float64], flash: Flash | None) -> NDArray[np.float64]:
-    """`(k,)` how far the flash reaches out of half-spaces `(k, 3)` through the projection centre, metres."""
-    if flash is None:
-        return np.zeros(len(into))
-    return np.maximum((flash.radius_m - into @ _lamps(flash).T).max(axis=1), 0.0)
-
-
-def _lamps(flash: Flash) -> NDArray[np.float64]:
-    """`(k, 3)` centres of its emitters in camera axes, metres."""
-    return np.asarray(flash.offset_m) + np.pad(flash.emitters_m, ((0, 0), (0, 1)))
 
 
 @dataclass(frozen=True)
@@ -165,7 +80,7 @@ def reach(camera: Camera, distance_m: float, sky_lx: float, sun_lx: float = 0.0)
     borders = (slopes[0, :, 1].min(), slopes[-1, :, 1].min(), slopes[:, 0, 0].min(), slopes[:, -1, 0].min())
     beyond = np.linspace(np.arctan(min(borders)), np.pi / 2.0, 65)
     stray = float(np.max(flash.profile.at(beyond)))
-    lamp = float(np.linalg.norm(_lamps(flash), axis=1).max()) + flash.radius_m
+    lamp = float(np.linalg.norm(lamps(flash), axis=1).max()) + flash.radius_m
     if flash.illuminance_lx is None:
         return Reach(float(sky_lx > 0.0), float(sun_lx > 0.0), stray, distance_m, lamp)
     # The flash shines for a part of the exposure.
@@ -240,19 +155,6 @@ def _bounds(
     return least, most
 
 
-def _gaps(
-    points: NDArray[np.float32], others: NDArray[np.float32], radii: NDArray[np.float32] | float = 0.0
-) -> NDArray[np.float32]:
-    """`(n,)` distance from each point to the surface of the nearest of other balls, `(m, 3)` and `(m,)`."""
-    nearest = np.empty(len(points), dtype=np.float32)
-    lengths = (others**2).sum(axis=1)
-    for start in range(0, len(points), _ROWS):
-        rows = slice(start, start + _ROWS)
-        squared = (points[rows] ** 2).sum(axis=1)[:, None] + lengths - 2.0 * (points[rows] @ others.T)
-        nearest[rows] = (np.sqrt(np.maximum(squared, 0.0)) - radii).min(axis=1)
-    return nearest
-
-
 def negligible(found: Pieces, seen: NDArray[np.bool_], view: Sight, light: Reach) -> NDArray[np.bool_]:
     """`(n,)` which pieces can be left out: those that matter least, as many as together stay below
     `LEAST_LIGHT`.
@@ -272,7 +174,7 @@ def negligible(found: Pieces, seen: NDArray[np.bool_], view: Sight, light: Reach
 
     def weight(rows: NDArray[np.intp], others: NDArray[np.intp]) -> NDArray[np.float32]:
         """At the surface of the nearest of other balls, as seen from the middle of a ball."""
-        away = _gaps(centres[rows], found.centres[others], found.radii[others])
+        away = gaps(centres[rows], found.centres[others], found.radii[others])
         form = (radii[rows] / np.maximum(away, radii[rows])) ** 2
         return np.asarray(share[rows] * form + light.sun * np.minimum(form / SUN_ANGULAR_RADIUS**2, 1.0))
 
