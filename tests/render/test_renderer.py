@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 from greenhouse import built_from_nothing, camera, digests, greenhouse
 
+from pepperscene.camera import expected_electrons
 from pepperscene.errors import InputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
 from pepperscene.render import QUALITIES, Renderer, labels, quality_named, render, renderer
+from pepperscene.render.reference import path_traced, samples_taken
 from pepperscene.scene import assemble
 
 LABELS = tuple(name for name, output in OUTPUTS.items() if not output.traced)
@@ -252,6 +254,21 @@ def test_the_reference_is_not_denoised(scene, calls):
     light = Renderer(scene).render(small, ["electrons"], "reference")
     assert "denoised" not in calls
     assert light["electrons"].any()
+
+
+def test_the_path_tracer_serves_frames(scene):
+    """As asked for by the quality; its scene is kept along a path and made anew where the flash is gone."""
+    plain = replace(
+        QUALITIES["reference"], samples=2, soft=2, most=2, bounces=1, integrator="path", sampler="stratified"
+    )
+    made, seed = Renderer(scene), 9
+    number = int(np.random.SeedSequence(seed).spawn(2)[1].generate_state(1)[0])
+    for small in (camera(columns=16, rows=12), camera(2, columns=16, rows=12), camera(flash=False)):
+        found = made.render(small, ["electrons"], plain, seed)
+        signal = path_traced(scene, small, spp=2, bounces=1, sampler="stratified", seed=number)
+        assert (found["electrons"] == expected_electrons(signal, small).astype(np.float32)).all()
+        assert found["electrons"].any()
+        assert found.facts["sampling"] == {"samples_per_pixel": float(samples_taken("stratified", 2))}
 
 
 def test_a_scene_is_built_once(scene, calls):

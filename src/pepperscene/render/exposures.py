@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.render.tunable import Values
+from pepperscene.render.bodies import Values
 
 _POWERS: Final = {"exposure.time": 1.0, "exposure.gain": 1.0, "exposure.f_number": -2.0}
 """Of each parameter of the exposure in the picture."""

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera, expected_electrons
+from pepperscene.render.bodies import RANGES, Values
 from pepperscene.render.exposures import by_exposure, exposure, relative_exposure
 from pepperscene.render.frozen import FrozenOptics
 from pepperscene.render.kernel import light_scene, sky_tables
@@ -28,7 +29,7 @@ from pepperscene.render.region import region_of
 from pepperscene.render.response import response
 from pepperscene.render.samples import FrameTables, Samples, SpectralTables
 from pepperscene.render.transport import all_light
-from pepperscene.render.tunable import RANGES, Parameters, Tunable, Values
+from pepperscene.render.tunable import Parameters, Tunable
 from pepperscene.render.upload import device_number, device_table
 from pepperscene.render.variant import kernel
 from pepperscene.render.view import LensCache

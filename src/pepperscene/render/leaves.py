@@ -13,8 +13,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.render.bodies import Values
 from pepperscene.render.response import STEP_NM, Response
-from pepperscene.render.tunable import Part, Tunable, Values
+from pepperscene.render.tunable import Part, Tunable
 
 Array = NDArray[np.float64]
 Tables = dict[str, Array]

@@ -53,7 +53,7 @@ class Sampling:
     samples: int
     soft: int
     bounces: int
-    more: Callable[[Gathered], NDArray[np.int32]] | None = None
+    more: Callable[[Gathered], Counts] | None = None
 
 
 def trace(
@@ -91,16 +91,20 @@ def trace(
         rest = sampling.samples - first
         gathered.add_sharp(_summed(tables, None, first, rest, seed, _sharp_alone), rest)
 
-    # Edges and half-shadows go on where the first samples ended.
-    for _ in range(_ROUNDS if sampling.more is not None and tables.lights else 0):
-        assert sampling.more is not None
-        steps = list(_steps(gathered.samples, sampling.more(gathered)))
+    if tables.lights and sampling.more is not None:
+        _refine(gathered, tables, sampling.more, seed)
+    return gathered.light()
+
+
+def _refine(gathered: Gathered, tables: FrameTables, more: Callable[[Gathered], Counts], seed: int) -> None:
+    """Edges and half-shadows go on where the first samples ended, until no pixel wants more."""
+    for _ in range(_ROUNDS):
+        steps = list(_steps(gathered.samples, more(gathered)))
         for begin, end, pixels in steps:
             sums = _summed(tables, pixels, begin, end - begin, seed, _sharp_alone)
             gathered.add_sharp(sums, end - begin, pixels)
         if not steps:
-            break
-    return gathered.light()
+            return
 
 
 def _steps(there: Counts, wanted: Counts) -> Iterator[tuple[int, int, NDArray[np.int64]]]:

@@ -10,40 +10,33 @@ of a pigment at once, and the flash and the channels' integrals are bilinear.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from pepperscene.materials import Surface, cut_surface, leaf_body, rind_reflectance
-from pepperscene.render.tables import LEAST_ALPHA, cuticle_tables, spectra_rows
+from pepperscene.materials import Surface
+from pepperscene.render.bodies import (
+    CONTENTS,
+    RANGES,
+    Array,
+    Body,
+    GivenContents,
+    Values,
+    body_of,
+    contents_of,
+    path_values,
+)
+from pepperscene.render.tables import cuticle_tables, spectra_rows
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar, PigmentPath
 
-Array = NDArray[np.float64]
 Parameters = Mapping[str, ArrayLike]
-Values = Mapping[str, Array]
 Part = tuple[Array, Array, Array]
 """Of one surface: `(s, n, 4)` rows of spectra, `(2, 4)` sides and `(2, NODES, 2)` openness."""
-
-RANGES: Final[Mapping[str, tuple[float, float]]] = {
-    "structure_n": (1.0, 4.0),
-    "chlorophyll_ug_cm2": (0.0, np.inf),
-    "carotenoid_ug_cm2": (0.0, np.inf),
-    "capsanthin_ug_cm2": (0.0, np.inf),
-    "anthocyanin_ug_cm2": (0.0, np.inf),
-    "brown": (0.0, np.inf),
-    "water_cm": (0.0, np.inf),
-    "dry_matter_g_cm2": (0.0, np.inf),
-    "flesh_reflectance": (0.0, 1.0 - 1e-9),
-    "ior": (1.0, 2.5),
-    "roughness": (LEAST_ALPHA, 1.0),
-}
-"""Smallest and largest value of a surface's parameters, as a cultivar's file allows them."""
-CONTENTS: Final = tuple(RANGES)[:8]
 
 _STEPS: Final[Mapping[str, float]] = {
     "water_cm": 1e-2,
@@ -57,43 +50,6 @@ _STEP, _ROUGHNESS_STEP = 1e-5, 1e-3
 """Shares of a value by which differences step. The openness of a cuticle is a quadrature with kinks where a
 node's mirror direction sets at the horizon: over a thousandth of the roughness they level out."""
 _AGREEMENT: Final = 1e-6  # largest difference to the scene's spectra; both come out of the same functions
-
-
-@dataclass(frozen=True)
-class _Contents:
-    """Stands for a pigment path whose contents are known at the very states that are asked for."""
-
-    contents: Mapping[str, Array]
-    flesh_reflectance: float | None
-    ior: float
-    roughness: tuple[float, float]
-
-    def at(self, states: ArrayLike) -> dict[str, Array]:
-        """The contents, whatever the states."""
-        return dict(self.contents)
-
-
-Model = Callable[["PigmentPath", Array, Array], tuple[Array, Array]]
-"""(path, wavelengths `(n,)`, states `(s,)`) -> reflectance `(s, 2, n)` and transmittance `(s, n)`."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Body:
-    """What a surface's spectra are made of.
-
-    Attributes:
-        path: name of the pigments, also that of the parameters.
-        states: `(a,)` at which the model asks for contents.
-        shares: `(a, k)` of each knot in the contents at each of these states.
-        rows: `(s,)` which of these states a row of spectra depends on.
-        model: makes the spectra.
-    """
-
-    path: str
-    states: Array
-    shares: Array
-    rows: NDArray[np.intp]
-    model: Model
 
 
 class Tunable:
@@ -114,11 +70,11 @@ class Tunable:
     def __init__(self, surfaces: tuple[Surface, ...], cultivar: Cultivar | None, grid_nm: Array) -> None:
         self.surfaces, self.grid_nm = surfaces, grid_nm
         self.defaults: dict[str, Array] = {}
-        self._bodies = [_body(surface, cultivar) for surface in surfaces]
+        self._bodies = [body_of(surface, cultivar) for surface in surfaces]
         self._known: list[dict[tuple[tuple[str, bytes], ...], Part]] = [{} for _ in surfaces]
         for body in self._bodies:
             if body is not None and cultivar is not None:
-                self.defaults |= _path_values(body.path, cultivar.pigments[body.path])
+                self.defaults |= path_values(body.path, cultivar.pigments[body.path])
         for surface, body in zip(surfaces, self._bodies, strict=True):
             if surface.ior > 1.0 and (body is None or body.path != surface.name):
                 self.defaults[f"{surface.name}.ior"] = np.array(float(surface.ior))
@@ -174,10 +130,10 @@ class Tunable:
             surface = replace(surface, ior=ior, roughness=(front, back))
         if body is None:
             return surface
-        given = _contents(body, values) if contents is None else contents
+        given = contents_of(body, values) if contents is None else contents
         front, back = np.asarray(values[f"{body.path}.roughness"]).tolist()
         flesh = values.get(f"{body.path}.flesh_reflectance")
-        path = _Contents(
+        path = GivenContents(
             given, None if flesh is None else float(flesh), float(values[f"{body.path}.ior"]), (front, back)
         )
         reflectance, transmittance = body.model(cast("PigmentPath", path), surface.wavelength_nm, body.states)
@@ -201,9 +157,9 @@ class Tunable:
                 entries = [self._entry_slopes(i, values, name, k) for k in range(value.size)]
                 yield i, tuple(np.stack(tables) for tables in zip(*entries, strict=True)), None
 
-    def _content_slopes(self, i: int, body: _Body, values: Values, what: str) -> Array:
+    def _content_slopes(self, i: int, body: Body, values: Values, what: str) -> Array:
         """`(s, n, 4)` of the spectra, each row by the content at the state that it depends on."""
-        contents = _contents(body, values)
+        contents = contents_of(body, values)
         scale = np.maximum(np.abs(contents[what]), _STEPS.get(what, 1.0))
         first, second = _moves(contents[what], _STEP * scale, *RANGES[what])
 
@@ -228,61 +184,6 @@ class Tunable:
 
         tables = zip(at(0.0), at(float(first[0])), at(float(second[0])), strict=True)
         return tuple(_slope(*three, first, second) for three in tables)
-
-
-def _body(surface: Surface, cultivar: Cultivar | None) -> _Body | None:
-    """How the cultivar's pigments make the surface; None where they do not."""
-    if cultivar is None:
-        return None
-    states = np.linspace(0.0, 1.0, len(surface.reflectance))
-    if surface.name == "cut":
-        # The rim of a scar is half of the stem's darkest rind: both rows follow from state 1.
-        stem = cultivar.kinds[cultivar.stem.node].surface
-        path, one = cultivar.pigments[stem], np.ones(1)
-        return _Body(stem, one, _shares(path, one), np.zeros(len(states), np.intp), _scar)
-    if surface.name not in cultivar.pigments:
-        return None
-    path = cultivar.pigments[surface.name]
-    forms = {kind.form for kind in cultivar.kinds.values() if kind.surface == surface.name}
-    model = _leaf if forms & {"blade", "flower"} else _rind
-    return _Body(surface.name, states, _shares(path, states), np.arange(len(states)), model)
-
-
-def _leaf(path: PigmentPath, nm: Array, states: Array) -> tuple[Array, Array]:
-    above, below, through = leaf_body(path, nm, states)
-    return np.stack([above, below], axis=1), through
-
-
-def _rind(path: PigmentPath, nm: Array, states: Array) -> tuple[Array, Array]:
-    rows = rind_reflectance(path, nm, states)
-    return np.repeat(rows[:, None, :], 2, axis=1), np.zeros_like(rows)
-
-
-def _scar(path: PigmentPath, nm: Array, states: Array) -> tuple[Array, Array]:
-    # Its speckle is drawn with it, but is no part of the spectra.
-    made = cut_surface(path, nm, np.random.default_rng(0))
-    return made.reflectance, made.transmittance
-
-
-def _path_values(name: str, path: PigmentPath) -> dict[str, Array]:
-    """A path's parameters: `(k,)` contents at its knots, its flesh if it has any, and its cuticle."""
-    found = {
-        f"{name}.{what}": np.array([getattr(pigments, what) for _, pigments in path.knots], float)
-        for what in CONTENTS
-    }
-    if path.flesh_reflectance is not None:
-        found[f"{name}.flesh_reflectance"] = np.array(float(path.flesh_reflectance))
-    return found | {f"{name}.ior": np.array(float(path.ior)), f"{name}.roughness": np.array(path.roughness)}
-
-
-def _shares(path: PigmentPath, states: Array) -> Array:
-    """`(a, k)` of each knot in the contents at states: contents are linear between the knots."""
-    knots = np.array([state for state, _ in path.knots])
-    return np.stack([np.interp(states, knots, one) for one in np.eye(len(knots))], axis=1)
-
-
-def _contents(body: _Body, values: Values) -> dict[str, Array]:
-    return {what: body.shares @ values[f"{body.path}.{what}"] for what in CONTENTS}
 
 
 # --- differences ----------------------------------------------------------------------------------------
