@@ -14,7 +14,7 @@ import typer
 from PIL import Image
 
 import pepperscene
-from pepperscene import cli
+from pepperscene.cli.application import EXIT_INTERRUPTED, app
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
 from pepperscene.errors import EXIT_BAD_INPUT
@@ -187,7 +187,7 @@ def test_a_build_with_a_change_is_another_data_set(command, tmp_path):
 
 def test_every_command_and_option_is_told():
     text = (Path(__file__).resolve().parents[2] / "docs" / "command_line.md").read_text(encoding="utf-8")
-    for name, command in typer.main.get_command(cli.app).commands.items():
+    for name, command in typer.main.get_command(app).commands.items():
         section = text.partition(f"## `pepperscene {name}")[2].partition("\n## ")[0]
         for parameter in command.params:
             if parameter.param_type_name == "option" and parameter.name != "help":
@@ -270,7 +270,7 @@ def test_an_interrupt_is_told(command, tmp_path, monkeypatch):
 
     monkeypatch.setattr(sys.modules["pepperscene.dataset"], "build", interrupted)
     done = command("build", "--out", tmp_path / "set")
-    assert done.exit_code == cli.EXIT_INTERRUPTED
+    assert done.exit_code == EXIT_INTERRUPTED
     assert "interrupted" in done.stderr
 
 

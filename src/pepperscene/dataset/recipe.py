@@ -14,6 +14,7 @@ from pepperscene.dataset.tables import (
     CameraTable,
     DaylightTable,
     DevelopingTable,
+    ExpectTable,
     GreenhouseTable,
     GrowthTable,
     Name,
@@ -38,6 +39,7 @@ class Recipe(Document):
         twine: or None for none.
         growth: a stage between two cultivar files, or None for the cultivar as its file says.
         greenhouse: what surrounds an uneven row, or None for plants alone, evenly spaced and upright.
+        expect: what the finished data set is to look like, or None; see `pepperscene check`.
     """
 
     name: Name
@@ -52,6 +54,7 @@ class Recipe(Document):
     twine: TwineTable | None = None
     growth: GrowthTable | None = None
     greenhouse: GreenhouseTable | None = None
+    expect: ExpectTable | None = None
 
     def with_seed(self, seed: int | None, where: str = "--seed") -> Recipe:
         """The same recipe with another seed; the same when that is None.
@@ -69,7 +72,7 @@ class Recipe(Document):
         """What makes two data sets the same: all values that frames depend on, in whatever file.
 
         Paths are reduced to names, so that the identity is the same on every machine. The plan's `select` is
-        left out, because it says which frames to build, not what they show.
+        left out, because it says which frames to build, not what they show, and so is `expect`.
 
         Returns:
             Ready for JSON, the recipe's values under `recipe`, and under `files` a `name` and a `sha256` for
@@ -79,7 +82,7 @@ class Recipe(Document):
         Raises:
             InputError: one of these files is missing or cannot be read.
         """
-        recipe = self.model_dump(mode="json", exclude={"plan": {"select"}})
+        recipe = self.model_dump(mode="json", exclude={"plan": {"select"}, "expect": True})
         recipe["cultivar"] = Path(self.cultivar).stem
         files = cultivar_fingerprints("cultivar", self.cultivar)
         if self.growth is not None:
@@ -89,6 +92,8 @@ class Recipe(Document):
         for table in ("growth", "greenhouse"):
             if recipe[table] is None:
                 del recipe[table]
+        if self.camera.baseline_mm is None:
+            del recipe["camera"]["baseline_mm"]
         for table, part, folder in _MATERIALS:
             wanted = (recipe[table] or {}).get(part, NONE)
             if wanted != NONE:

@@ -7,6 +7,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field, model_validator
 
+from pepperscene.classes import OrganClass
 from pepperscene.document import Document
 
 Name = Annotated[str, Field(strict=True, min_length=1, max_length=400, pattern=r"^[^\x00-\x1f]+$")]
@@ -48,7 +49,8 @@ class PathTable(Document):
 class CameraTable(Document):
     """The camera's parts by shipped name or path, and how they are set; flash and filter may be "none".
 
-    Where `focus_mm` is missing everything is sharp; where `bits` is missing it is the sensor file's.
+    Where `focus_mm` is missing everything is sharp; where `bits` is missing it is the sensor file's. A second
+    camera of the same make stands `baseline_mm` to the right; without it there is no stereo partner.
     """
 
     sensor: Name
@@ -59,6 +61,7 @@ class CameraTable(Document):
     focus_mm: Annotated[float, Field(strict=True, ge=1, le=1_000_000)] | None = None
     gain: Annotated[float, Field(strict=True, ge=0.01, le=1000)] = 1.0
     bits: Annotated[int, Field(strict=True, ge=1, le=16)] | None = None
+    baseline_mm: Annotated[float, Field(strict=True, gt=0, le=10_000)] | None = None
 
 
 Switch = Annotated[bool, Field(strict=True)]
@@ -141,4 +144,37 @@ class GrowthTable(Document):
     def _one_of_two(self) -> GrowthTable:
         if (self.share is None) == (self.date is None):
             raise ValueError("must say either share or date, one of the two")
+        return self
+
+
+Share = Annotated[float, Field(strict=True, ge=0, le=1)]
+Grey = Annotated[float, Field(strict=True, ge=0, le=255)]
+
+
+class ExpectTable(Document):
+    """What a finished data set is to look like, for `pepperscene check`; frames do not depend on it.
+
+    Attributes:
+        intensity: least and greatest mean of the photographs' grey values over the whole set, 0 to 255.
+        frame_intensity: the same of every single frame.
+        saturated: greatest share of pixels of a frame with a channel at 255.
+        share: least and greatest share of all pixels of the set, by lower-case class name.
+    """
+
+    intensity: tuple[Grey, Grey] | None = None
+    frame_intensity: tuple[Grey, Grey] | None = None
+    saturated: Share | None = None
+    share: dict[str, tuple[Share, Share]] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> ExpectTable:
+        names = [one.name.lower() for one in OrganClass]
+        for name in self.share:
+            if name not in names:
+                raise ValueError(f"share.{name} is not a class; allowed are {', '.join(names)}")
+        ranges = {"intensity": self.intensity, "frame_intensity": self.frame_intensity}
+        ranges |= {f"share.{name}": pair for name, pair in self.share.items()}
+        for name, pair in ranges.items():
+            if pair is not None and not pair[0] <= pair[1]:
+                raise ValueError(f"{name} = {list(pair)} must be [least, greatest]")
         return self
