@@ -17,9 +17,12 @@ class NoLight:
         assert np.isfinite(scene.mesh.vertices).all()
         self.scene = scene
 
-    def render(self, camera, outputs=(), quality="standard", seed=0):
-        shapes = {name: (4, 4, *OUTPUTS[name].channels[-1:]) for name in outputs}
-        images = {name: np.zeros(shape, OUTPUTS[name].dtype) for name, shape in shapes.items()}
+    def render(self, camera, outputs=(), quality="standard", seed=0, others=None):
+        images = {
+            name: np.zeros((4, 4, *output.channels[-1:]), output.dtype) if output.is_image else {}
+            for name, output in OUTPUTS.items()
+            if name in outputs
+        }
         return Frame(images, {"camera": camera.facts(), "instances": {}})
 
 

@@ -20,12 +20,13 @@ class FakeRenderer:
 
     def __init__(self, scene):
         self.scene = scene
-        self.views = []
+        self.views, self.others = [], []
         FakeRenderer.made.append(self)
 
-    def render(self, camera, outputs=(), quality="standard", seed=0):
+    def render(self, camera, outputs=(), quality="standard", seed=0, others=None):
         names = check_outputs(outputs)
         self.views.append((camera, names, quality, seed))
+        self.others.append(others)
         images = {name: self._image(name, camera, seed) for name in names}
         seen = {"1": {"class": 1, "kind": "lamina", "plant": 0, "phytomer": 3, "parent": 0}}
         labelled = any(not OUTPUTS[name].traced for name in names)
@@ -40,9 +41,11 @@ class FakeRenderer:
     def _image(self, name, camera, seed):
         place = int(abs(camera.pose[0, 3]) * 1e9)
         rng = np.random.default_rng([list(OUTPUTS).index(name), place, seed])
+        if name == "harvest":
+            return {"format": "pepperscene harvest 1", "fruit": [], "graph": {"nodes": [], "edges": []}}
         shape = (*SIZE, *OUTPUTS[name].channels[-1:])
-        if OUTPUTS[name].dtype == "float32":
-            values = rng.uniform(0.1, 2.0, shape).astype(np.float32)
+        if OUTPUTS[name].dtype.startswith("float"):
+            values = rng.uniform(0.1, 2.0, shape).astype(OUTPUTS[name].dtype)
             if name in ("distance", "depth_z"):
                 values[0, 0] = np.inf
             return values
@@ -62,7 +65,9 @@ def recipe() -> Recipe:
     whole = load_recipe("barth2018")
     plan = whole.plan.model_copy(update={"sets": 2, "rotations": 3, "frames": 4})
     row = whole.row.model_copy(update={"plants_front": 1, "plants_back": 0})
-    return whole.model_copy(update={"name": "small", "plan": plan, "row": row, "cultivar": "kaite_february"})
+    camera = whole.camera.model_copy(update={"baseline_mm": 60.0})
+    changes = {"name": "small", "plan": plan, "row": row, "camera": camera, "cultivar": "kaite_february"}
+    return whole.model_copy(update=changes)
 
 
 @pytest.fixture

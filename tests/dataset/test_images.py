@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import OpenEXR
 import pytest
@@ -11,14 +13,17 @@ from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
 
 
-def picture(output: str) -> np.ndarray:
+def picture(output: str) -> Any:
     """Values that use the whole range of an output."""
+    if output == "harvest":
+        return {"format": "pepperscene harvest 1", "fruit": [{"instance": 3, "pose": [[1.0, 0.1]]}]}
     rng = np.random.default_rng(3)
     shape = (37, 53, *OUTPUTS[output].channels[-1:])
-    if OUTPUTS[output].dtype == "float32":
-        values = rng.normal(0, 1e3, shape).astype(np.float32)
+    if OUTPUTS[output].dtype.startswith("float"):
+        values = rng.normal(0, 1e3, shape).astype(OUTPUTS[output].dtype)
         values[0, 0] = np.inf
-        values[0, 1] = np.float32(1e-40)  # a subnormal number
+        values[0, 1] = np.finfo(values.dtype).smallest_subnormal * 3
+        values[0, 2] = np.nan
         return values
     top = 8 if output == "class" else np.iinfo(OUTPUTS[output].dtype).max + 1
     return rng.integers(0, top, shape).astype(OUTPUTS[output].dtype)
@@ -30,6 +35,9 @@ def test_every_output_comes_back_bit_for_bit(tmp_path, output):
     image = picture(output)
     write_image(path, image, output)
     back = read_image(path)
+    if output == "harvest":
+        assert back == image
+        return
     assert back.dtype == image.dtype
     np.testing.assert_array_equal(back, image)
 
@@ -59,14 +67,36 @@ def test_png_of_16_bits(tmp_path, output):
 
 @pytest.mark.parametrize(
     ("output", "channels"),
-    [("distance", "distance"), ("depth_z", "depth_z"), ("electrons", "BGR"), ("normal", "XYZ")],
+    [
+        ("distance", ["distance"]),
+        ("depth_z", ["depth_z"]),
+        ("electrons", ["R", "G", "B"]),
+        ("normal", ["X", "Y", "Z"]),
+        ("position", ["X", "Y", "Z"]),
+        ("uv", ["U", "V"]),
+        ("flow", ["flow.x", "flow.y", "visible"]),
+        ("stereo", ["stereo.x", "stereo.y", "visible"]),
+        ("coverage", ["background", "leaf", "pepper", "peduncle", "stem", "shoot", "wire", "cut"]),
+    ],
 )
 def test_exr_channels_are_named_and_the_header_tells_the_unit(tmp_path, output, channels):
-    path = tmp_path / "x.exr"
-    write_image(path, picture(output), output)
+    path, image = tmp_path / "x.exr", picture(output)
+    write_image(path, image, output)
     with OpenEXR.File(str(path), separate_channels=True) as file:
-        assert set(file.channels()) == ({channels} if len(channels) > 3 else set(channels))
+        assert set(file.channels()) == set(channels)
         assert file.header()["unit"]
+        for axis, name in enumerate(channels):
+            plane = np.atleast_3d(image)[..., axis]
+            pixels = file.channels()[name].pixels
+            assert pixels.dtype == OUTPUTS[output].dtype
+            np.testing.assert_array_equal(pixels, plane)
+
+
+def test_coverage_of_few_edges_takes_little_space(tmp_path):
+    image = np.zeros((100, 100, 8), np.float16)
+    image[:, :50, 0], image[:, 50:, 1] = 1, 1
+    write_image(tmp_path / "x.exr", image, "coverage")
+    assert (tmp_path / "x.exr").stat().st_size < 0.05 * image.nbytes
 
 
 def test_electrons_of_a_monochrome_sensor_have_one_channel(tmp_path):
@@ -90,6 +120,13 @@ def test_electrons_of_a_monochrome_sensor_have_one_channel(tmp_path):
         ("electrons", np.zeros((4, 4, 2), np.float32)),
         ("raw", np.zeros((4, 4, 3), np.uint16)),
         ("raw", np.zeros((4, 4), np.uint8)),
+        ("coverage", np.zeros((4, 4, 8), np.float32)),
+        ("coverage", np.zeros((4, 4, 7), np.float16)),
+        ("uv", np.zeros((4, 4, 3), np.float32)),
+        ("flow", np.zeros((4, 4, 2), np.float32)),
+        ("harvest", np.zeros((4, 4), np.float32)),
+        ("harvest", [1, 2]),
+        ("class", {"fruit": []}),
     ],
 )
 def test_wrong_arrays_are_refused(tmp_path, output, image):
@@ -98,13 +135,21 @@ def test_wrong_arrays_are_refused(tmp_path, output, image):
     assert not (tmp_path / "x").exists()
 
 
-@pytest.mark.parametrize("name", ["x.png", "x.exr"])
+@pytest.mark.parametrize("name", ["x.png", "x.exr", "x.json"])
 def test_damaged_or_missing_files_are_input_errors(tmp_path, name):
     with pytest.raises(InputError, match="cannot be read"):
         read_image(tmp_path / name)
     (tmp_path / name).write_bytes(b"\x89PNG\r\n\x1a\n nothing")
     with pytest.raises(InputError, match="cannot be read"):
         read_image(tmp_path / name)
+
+
+def test_an_object_holds_what_json_knows(tmp_path):
+    with pytest.raises(ValueError, match="JSON"):
+        write_image(tmp_path / "x", {"fruit": float("nan")}, "harvest")
+    (tmp_path / "x.json").write_text("[1, 2]")
+    with pytest.raises(InputError, match="no JSON object"):
+        read_image(tmp_path / "x.json")
 
 
 def test_truncated_files_are_input_errors(tmp_path):

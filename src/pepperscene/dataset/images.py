@@ -1,67 +1,101 @@
-"""Images on disk: PNG for what is whole numbers, OpenEXR for what is measured.
+"""Images on disk: PNG for what is whole numbers, OpenEXR for what is measured, JSON for what is no image.
 
-An EXR file has 32-bit float channels named by what they hold (`distance`; `depth_z`; `R`, `G`, `B` for
-electrons, or `Y` for those of a monochrome sensor; `X`, `Y`, `Z` for normals), without compression, and their
-unit in the header attribute `unit`. Class images are palette PNGs: the pixel values are the class ids, and a
-viewer shows the class colours.
+An EXR file has channels of 32-bit floats named by what they hold: `distance`; `depth_z`; `R`, `G`, `B` for
+electrons, or `Y` for those of a monochrome sensor; `X`, `Y`, `Z` for normals and positions; `U`, `V`;
+`flow.x`, `flow.y`, `visible`; and of 16-bit floats named by the classes (`background`, `leaf`, ...) for their
+coverage. Their unit stands in the header attribute `unit`. Class images are palette PNGs: the pixel values
+are the class ids, and a viewer shows the class colours.
 """
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import CLASS_COLOURS
+from pepperscene.classes import CLASS_COLOURS, OrganClass
+from pepperscene.dataset.atomic import json_bytes
 from pepperscene.dataset.png import png_bytes
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
 
-_CHANNELS: Final = (("R", "G", "B"), ("Y",), ("X", "Y", "Z"))
-"""Names of the channels along a third axis: colours, luminance alone, directions."""
+_CHANNELS: Final[Mapping[str, tuple[str, ...]]] = {
+    "electrons": ("R", "G", "B"),
+    "normal": ("X", "Y", "Z"),
+    "position": ("X", "Y", "Z"),
+    "coverage": tuple(one.name.lower() for one in OrganClass),
+    "uv": ("U", "V"),
+    "flow": ("flow.x", "flow.y", "visible"),
+    "stereo": ("stereo.x", "stereo.y", "visible"),
+}
+"""Names of the channels along a third axis."""
+
+_LUMINANCE: Final = ("Y",)
+"""Of electrons behind no colour filter."""
 
 _UNITS: Final = {
     "electrons": "photo-electrons per photosite",
     "distance": "metres along the ray from the projection centre",
     "depth_z": "metres along the optical axis",
     "normal": "unit vector in world coordinates",
+    "coverage": "share of the pixel's area",
+    "position": "metres in world coordinates",
+    "uv": "surface coordinates from 0 to 1",
+    "flow": "pixels right and down to the next frame; 1 where visible there",
+    "stereo": "pixels right and down in the partner's picture; 1 where visible there",
 }
 
 
-def write_image(path: Path, image: NDArray[Any], output: str) -> None:
+def write_image(path: Path, image: Any, output: str) -> None:
     """Write one image of a frame in the format of its output, the same bytes for the same values.
 
     Args:
         path: the file, whatever its suffix.
-        image: of the shape and dtype that `OUTPUTS[output]` tells.
+        image: of the shape and dtype that `OUTPUTS[output]` tells; a JSON-ready object where it is no array.
         output: name of the output.
 
     Raises:
-        ValueError: shape or dtype are not the output's.
+        ValueError: shape or dtype are not the output's, or the object holds what JSON does not know.
         OSError: the file cannot be written.
     """
     wanted = OUTPUTS[output]
     if not wanted.fits(image):
-        raise ValueError(f"{output} must be {wanted.shape} {wanted.dtype}, not {image.shape} {image.dtype}")
-    if wanted.suffix == ".exr":
+        found = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
+        raise ValueError(f"{output} must be {f'{wanted.shape} {wanted.dtype}'.strip()}, not {found}")
+    if not wanted.is_image:
+        path.write_bytes(json_bytes(image))
+    elif wanted.suffix == ".exr":
         _write_exr(path, image, output)
     else:
         _write_png(path, image, output)
 
 
-def read_image(path: str | Path) -> NDArray[Any]:
+def read_image(path: str | Path) -> Any:
     """Read a PNG or EXR image as `Frame` holds it; of a palette PNG the indices, which are class ids.
+
+    Of a JSON file the object that it holds.
 
     Raises:
         InputError: the file is missing or no such image.
     """
     path = Path(path)
     try:
+        if path.suffix == ".json":
+            return _read_object(path)
         return _read_exr(path) if path.suffix == ".exr" else _read_png(path)
     except (OSError, RuntimeError, ValueError, SyntaxError) as fault:
         raise InputError(path, "", None, f"cannot be read as an image ({fault})") from None
+
+
+def _read_object(path: Path) -> dict[str, Any]:
+    found = json.loads(path.read_bytes())
+    if not isinstance(found, dict):
+        raise ValueError("it holds no JSON object")
+    return found
 
 
 def _write_png(path: Path, image: NDArray[Any], output: str) -> None:
@@ -79,13 +113,15 @@ def _write_exr(path: Path, image: NDArray[Any], output: str) -> None:
     import OpenEXR
 
     planes = image[..., None] if image.ndim == 2 else image
-    names = (output,) if image.ndim == 2 else _channels(output, image.shape[2])
+    names = _LUMINANCE if planes.shape[2] == 1 else _CHANNELS[output]
+    if image.ndim == 2:
+        names = (output,)
     channels = {name: np.ascontiguousarray(planes[..., axis]) for axis, name in enumerate(names)}
     header = {
         # The low bits of what is measured are noise to a compressor: ZIP takes 14 % off distances and 4 % off
         # electrons for six times the time (800x600: 16 and 55 ms against 3 and 6). Of normals it takes 58 %,
         # but for 43 ms against 6, most of what a frame's ground truth takes in all.
-        "compression": OpenEXR.NO_COMPRESSION,
+        "compression": OpenEXR.ZIP_COMPRESSION if output == "coverage" else OpenEXR.NO_COMPRESSION,
         "type": OpenEXR.scanlineimage,
         "unit": _UNITS[output],
     }
@@ -95,14 +131,6 @@ def _write_exr(path: Path, image: NDArray[Any], output: str) -> None:
         raise OSError(str(fault)) from None
 
 
-def _channels(output: str, count: int) -> tuple[str, ...]:
-    """Names of the channels of an image with a third axis."""
-    colour, luminance, direction = _CHANNELS
-    if count == 1:
-        return luminance
-    return direction if output == "normal" else colour
-
-
 def _read_exr(path: Path) -> NDArray[Any]:
     import OpenEXR
 
@@ -110,7 +138,7 @@ def _read_exr(path: Path) -> NDArray[Any]:
         raise FileNotFoundError("no such file")
     with OpenEXR.File(str(path), separate_channels=True) as file:
         channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-    for names in _CHANNELS:
+    for names in (*_CHANNELS.values(), _LUMINANCE):
         if set(channels) == set(names):
             return np.stack([channels[name] for name in names], axis=-1)
     if len(channels) == 1:

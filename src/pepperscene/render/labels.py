@@ -87,20 +87,56 @@ def truths(
 
 
 def instances_in_view(mesh: Mesh, instance: NDArray[np.uint16]) -> dict[str, dict[str, Any]]:
-    """Class, kind, plant, phytomer and parent of each instance that has a pixel, by pixel value."""
-    pixels = np.bincount(instance.ravel())
-    pixels[0] = 0
-    return {
-        str(value): {
-            "class": int(mesh.instances[value - 1].organ_class),
-            "kind": mesh.instances[value - 1].kind,
-            "plant": mesh.instances[value - 1].plant,
-            "phytomer": mesh.instances[value - 1].phytomer,
-            "parent": mesh.instances[value - 1].parent + 1,
-            "pixels": int(pixels[value]),
+    """What there is to say of each instance that has a pixel, by pixel value.
+
+    Class, kind, plant, phytomer and parent, the number of its pixels, and the `box` [x0, y0, x1, y1] that
+    holds them: columns x0 to x1 - 1, rows y0 to y1 - 1.
+    """
+    told: dict[str, dict[str, Any]] = {}
+    for value, pixels, *box in _extents(instance).tolist():
+        one = mesh.instances[value - 1]
+        told[str(value)] = {
+            "class": int(one.organ_class),
+            "kind": one.kind,
+            "plant": one.plant,
+            "phytomer": one.phytomer,
+            "parent": one.parent + 1,
+            "pixels": pixels,
+            "box": box,
         }
-        for value in np.flatnonzero(pixels).tolist()
-    }
+    return told
+
+
+def _extents(instance: NDArray[np.uint16]) -> NDArray[np.int64]:
+    """`(n, 6)` each value but 0, ascending, its pixels, and x0, y0, x1, y1 of its half-open box."""
+    # Runs of equal values along the rows: an image has ten times fewer of them than pixels.
+    width, flat = instance.shape[1], instance.ravel()
+    begins = np.ones(flat.size, dtype=bool)
+    np.not_equal(flat[1:], flat[:-1], out=begins[1:])
+    begins[::width] = True
+    first = np.flatnonzero(begins)
+    length = np.diff(first, append=flat.size)
+    organs = flat[first] > 0
+    first, length = first[organs], length[organs]
+    if not first.size:
+        return np.empty((0, 6), dtype=np.int64)
+    # The runs of each value lie together, and stay in the order of their rows.
+    order = np.argsort(flat[first], kind="stable")
+    first, length = first[order], length[order]
+    value, row, column = flat[first], first // width, first % width
+    start = np.flatnonzero(np.diff(value, prepend=0))
+    end = np.append(start[1:], len(value)) - 1
+    return np.stack(
+        [
+            value[start].astype(np.int64),
+            np.add.reduceat(length, start),
+            np.minimum.reduceat(column, start),
+            row[start],
+            np.maximum.reduceat(column + length, start),
+            row[end] + 1,
+        ],
+        axis=1,
+    )
 
 
 def class_ids(mesh: Mesh, hits: Hits, instance: NDArray[np.uint16] | None = None) -> NDArray[np.uint8]:

@@ -6,7 +6,7 @@ import functools
 import platform
 from collections.abc import Iterable
 from importlib import metadata
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ from pepperscene.render.variant import kernel, variant_name
 from pepperscene.render.view import LensCache, View
 from pepperscene.scene import Scene
 from pepperscene.version import __version__
+
+if TYPE_CHECKING:
+    from pepperscene.render.harvest import Harvest
 
 Traced = tuple[NDArray[np.float32], dict[str, Any]]
 """Light `(h, w, c)` in electrons s-1 m-2 sr-1, and what a frame's facts say of its samples."""
@@ -67,6 +70,7 @@ class Renderer:
         self._light: LightScene | None = None
         self._light_range: tuple[float, float] | None = None
         self._path: tuple[tuple[float, float, bool], PathScene] | None = None
+        self._harvest: Harvest | None = None
 
     def render(
         self,
@@ -80,7 +84,7 @@ class Renderer:
         wanted = check_outputs(outputs)
         effort = quality_of(quality, target_error)
         view = self._lens.view(camera, region_of(self.scene.mesh))
-        images: dict[str, NDArray[Any]] = {}
+        images: dict[str, Any] = {}
         told: dict[str, Any] = {}
         # Light first: its scene then serves the ground truth as well.
         if any(OUTPUTS[name].traced for name in wanted):
@@ -95,6 +99,8 @@ class Renderer:
             instance = labels.instance_ids(self.scene.mesh, hits)
             images |= labels.truths(self.scene.mesh, hits, instance, camera, wanted)
             seen = labels.instances_in_view(self.scene.mesh, instance)
+            if "harvest" in wanted:
+                images["harvest"] = self._harvested().truth(camera, view, hits, instance)
         facts = {**self._facts(camera, seed), **told, "instances": seen}
         return Frame({name: images[name] for name in wanted}, facts)
 
@@ -148,6 +154,14 @@ class Renderer:
             self._light = light_scene(self.scene, first_nm, last_nm)
             self._light_range = (first_nm, last_nm)
         return self._light
+
+    def _harvested(self) -> Harvest:
+        """What the harvest truth keeps of the scene."""
+        if self._harvest is None:
+            from pepperscene.render.harvest import Harvest
+
+            self._harvest = Harvest(self.scene, self._truth_scene())
+        return self._harvest
 
     # --- facts ------------------------------------------------------------------------------------------
 
