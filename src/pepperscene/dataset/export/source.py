@@ -1,0 +1,126 @@
+"""The data set that is exported: one frame at a time, every file held against its checksum."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.dataset.images import read_image
+from pepperscene.dataset.store import Dataset, file_name
+from pepperscene.errors import InputError
+
+OnFrame = Callable[[int, int, int], None]
+"""Called after every frame with its index, how many are done, and how many there are in all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """One frame of a data set.
+
+    Attributes:
+        dataset: that it belongs to.
+        index: of the frame.
+    """
+
+    dataset: Dataset
+    index: int
+
+    @cached_property
+    def facts(self) -> dict[str, Any]:
+        """What its JSON says."""
+        return self.dataset.facts(self.index)
+
+    @property
+    def name(self) -> str:
+        """What its files are called, without their endings."""
+        return self.dataset.frame_path(self.index).stem
+
+    def has(self, output: str) -> bool:
+        """Whether the frame has an output."""
+        return output in self.facts.get("outputs", {})
+
+    def path(self, output: str) -> Path:
+        """The file of an output."""
+        return self.dataset.folder / file_name(self.index, output)
+
+    def content(self, output: str) -> bytes:
+        """The bytes of an output's file, as the build wrote them.
+
+        Raises:
+            InputError: the file is missing or damaged.
+        """
+        path = self.path(output)
+        try:
+            content = path.read_bytes()
+        except OSError as fault:
+            raise InputError(path, "", None, f"cannot be read ({fault.strerror})") from None
+        if hashlib.sha256(content).hexdigest() != self.facts["outputs"].get(output, {}).get("sha256"):
+            raise InputError(path, "", None, "is not what the build wrote; the same build command mends it")
+        return content
+
+    def image(self, output: str) -> NDArray[Any]:
+        """An output as `Frame` holds it.
+
+        Raises:
+            InputError: the file is missing or damaged.
+        """
+        content = self.content(output)
+        if self.path(output).suffix != ".png":
+            return read_image(self.path(output))
+        from PIL import Image
+
+        try:
+            with Image.open(io.BytesIO(content), formats=["PNG"]) as picture:
+                return np.array(picture)
+        except (OSError, ValueError, SyntaxError) as fault:
+            raise InputError(self.path(output), "", None, f"cannot be read as an image ({fault})") from None
+
+
+def sources(dataset: Dataset, indices: Sequence[int], on_frame: OnFrame | None = None) -> Iterator[Source]:
+    """The frames one after another; each is told as done when the next is asked for."""
+    for done, index in enumerate(indices, start=1):
+        yield Source(dataset, index)
+        if on_frame is not None:
+            on_frame(index, done, len(indices))
+
+
+def require(
+    dataset: Dataset, indices: Sequence[int], outputs: Sequence[str], instead: Mapping[str, str] | None = None
+) -> None:
+    """Make sure that all frames have what a format needs, before the first is written.
+
+    Args:
+        dataset: to be exported.
+        indices: of the frames wanted.
+        outputs: that are needed.
+        instead: by output, another one that it can be made from.
+
+    Raises:
+        InputError: a frame lacks one; the message tells how to add it.
+    """
+    for output in outputs:
+        names = {output, (instead or {}).get(output, output)}
+        for index in indices:
+            if not any((dataset.folder / file_name(index, name)).is_file() for name in names):
+                recipe = _recipe(dataset)
+                raise InputError(
+                    dataset.folder, "", None,
+                    f"frame {index:06d} has no output {output!r}, which this format needs; "
+                    f"`pepperscene build {recipe} --out {dataset.folder} --outputs {output}` adds it",
+                )  # fmt: skip
+
+
+def _recipe(dataset: Dataset) -> str:
+    name = ""
+    with suppress(KeyError, TypeError):
+        name = str(dataset.about["recipe"]["name"])
+    return name or "RECIPE"
