@@ -1,4 +1,4 @@
-"""Ground truth as arrays: the published data set's encodings, their inverses, and counts."""
+"""Ground truth as arrays: the published data set's encodings and their inverses, and measures of a set."""
 
 from pepperscene.truth.counts import class_pixels
 from pepperscene.truth.encodings import (
@@ -8,12 +8,32 @@ from pepperscene.truth.encodings import (
     distance_code,
     distance_from_code,
 )
+from pepperscene.truth.hue import (
+    CENTRE_PX,
+    HUE_BINS,
+    centre,
+    hue_bins,
+    hue_counts,
+    mean_hue,
+    spectrum_correlation,
+)
+from pepperscene.truth.statistics import Statistics, grey_values, saturated_share
 
 __all__ = [
+    "CENTRE_PX",
     "FARTHEST_CODED_M",
+    "HUE_BINS",
+    "Statistics",
+    "centre",
     "class_colour",
     "class_from_colour",
     "class_pixels",
     "distance_code",
     "distance_from_code",
+    "grey_values",
+    "hue_bins",
+    "hue_counts",
+    "mean_hue",
+    "saturated_share",
+    "spectrum_correlation",
 ]
