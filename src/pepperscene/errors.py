@@ -31,9 +31,18 @@ class InputError(PepperError):
         subject = f"{key} = {_shown(value)}" if key and value is not None else key
         super().__init__(": ".join(part for part in (str(where), subject, allowed) if part))
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, object, str]]:
+        """Another process may be the one that finds the fault."""
+        value = self.value if isinstance(self.value, str | int | float | bool | None) else _shown(self.value)
+        return type(self), (self.where, self.key, value, self.allowed)
+
 
 class OutputError(PepperError):
     """The output folder cannot take what is to be written there."""
+
+
+class WorkerError(PepperError):
+    """Whoever was to make frames is lost; what was finished is kept."""
 
 
 class SetupError(PepperError):

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import os
+import platform
 import re
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 _STALE_S: Final = 3600.0
 """Chosen: no write takes an hour, so that an older temporary file is a killed build's."""
+
+_MADE_BY: Final = re.compile(r"\.(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.\d+\.tmp$")
+_number: Final = itertools.count()
 
 _INNERMOST: Final = re.compile(r"\[\n[^][{}]*\n *\]|\{\n[^][{}]*\n *\}")
 
@@ -25,7 +31,7 @@ def replacing(path: Path) -> Iterator[Path]:
     The content is on the disk before the name is: after a power cut there is the old file or the new one.
     When the block raises, the temporary file is removed and `path` stays as it was.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = path.with_name(f".{path.name}.{_host()}.{os.getpid()}.{next(_number)}.tmp")
     try:
         yield temporary
         with temporary.open("rb+") as file:
@@ -67,8 +73,30 @@ def is_temporary(path: Path) -> bool:
 def sweep(folder: Path) -> None:
     """Remove the temporary files that killed builds left in a folder."""
     for path in folder.iterdir():
-        if is_temporary(path) and time.time() - path.stat().st_mtime > _STALE_S:
-            path.unlink(missing_ok=True)
+        with suppress(FileNotFoundError):
+            if is_temporary(path) and (_orphaned(path) or time.time() - path.stat().st_mtime > _STALE_S):
+                path.unlink(missing_ok=True)
+
+
+def _orphaned(path: Path) -> bool:
+    """Whether a temporary file's process ran on this machine, and does no more."""
+    found = _MADE_BY.search(path.name)
+    # Elsewhere, asking after a process would end it.
+    if os.name != "posix" or found is None or found["host"] != _host():
+        return False
+    try:
+        os.kill(int(found["process"]), 0)
+    except ProcessLookupError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+@cache
+def _host() -> str:
+    """This machine's name, without what has no place in a file's."""
+    return re.sub(r"[^A-Za-z0-9-]", "-", platform.node()) or "unnamed"
 
 
 def _plain(value: Any) -> Any:

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-import itertools
+import shutil
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Final
 
-from pepperscene.dataset.facts import about, frame_facts
-from pepperscene.dataset.folder import OutputFolder
-from pepperscene.dataset.plan import Shot
+from pepperscene.dataset.folder import OutputFolder, examine
+from pepperscene.dataset.journal import Journal
+from pepperscene.dataset.manifest import write_manifest
+from pepperscene.dataset.pace import Pace
 from pepperscene.dataset.recipe import Recipe
 from pepperscene.dataset.recipe_file import load_recipe
-from pepperscene.dataset.stage import RendererFactory, Stage
-from pepperscene.dataset.store import FORMAT, Dataset
-from pepperscene.dataset.writer import Addition, FrameWriter
+from pepperscene.dataset.stage import RendererFactory
+from pepperscene.dataset.store import Dataset
+from pepperscene.dataset.work import Crew, Done, Job, crew_of, units_of
+from pepperscene.errors import OutputError
 from pepperscene.frame import DEFAULT_OUTPUTS, check_outputs
 
-if TYPE_CHECKING:
-    from pepperscene.render import Quality
+_SHOWN: Final = ("colour", "class_colour", "class", "instance", "distance_code", "raw")
+"""Outputs that any viewer shows, the best first."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +34,18 @@ class Progress:
         done: frames so far, this one included.
         total: frames wanted.
         made: False when it was there already.
+        frames_per_s: that are made, lately; None before the first.
+        left_s: seconds that are left at this rate; None before the first.
+        picture: the frame's file that a viewer can show, or None.
     """
 
     index: int
     done: int
     total: int
     made: bool
+    frames_per_s: float | None = None
+    left_s: float | None = None
+    picture: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -65,11 +73,15 @@ def build(
     on_frame: Callable[[Progress], None] | None = None,
     renderer: RendererFactory | None = None,
     target_error: float | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    slurm: str | Path | None = None,
+    on_notice: Callable[[str], None] | None = None,
 ) -> BuildResult:
     """Render the frames of a recipe into a folder.
 
-    Frames and outputs that are there already are kept, so that a build can be interrupted, continued and
-    widened. A frame's bytes depend on the recipe, the version and its index alone.
+    Frames and outputs that are there already are kept, if their checksums are right, so that a build can be
+    interrupted, continued and widened. A frame's bytes depend on the recipe, the version and its index alone.
 
     Args:
         recipe: or the name of a shipped one, or a path.
@@ -78,69 +90,113 @@ def build(
         outputs: names out of `OUTPUTS`.
         quality: "draft", "standard" or "reference".
         seed: instead of the recipe's.
+        on_frame: called in this thread after every frame, once it is whole; by then the next one may be
+            rendered. In the order of the indices, unless several workers make frames.
+        renderer: makes the renderer of a scene; None for Mitsuba. Workers need one that can be pickled.
         target_error: of the traced light over the sensor's noise, at which sampling stops, instead of the
             quality's own; see `pepperscene.render.render`.
-        on_frame: called after every frame, in order, once it is whole; by then the next one may be rendered.
-        renderer: makes the renderer of a scene; None for Mitsuba.
+        workers: processes on this machine, each with its share of the cores, one scene each; None makes all
+            frames in this process, with all cores.
+        scheduler: address of a running Dask scheduler, whose workers see `out` under the same path; needs the
+            extra `cluster`.
+        slurm: TOML file that tells what jobs to ask Slurm for; needs the extra `cluster`.
+        on_notice: called with a sentence for the user, such as that a worker was lost.
 
     Raises:
         InputError: an argument, the recipe or a file that it names is not valid; nothing is written.
         OutputError: the folder holds something else than this data set, or cannot be written to.
-        SetupError: the machine cannot render; nothing is written.
+        SetupError: the machine cannot render, or an extra is missing; nothing is written.
+        WorkerError: workers were lost again and again, or the cluster cannot be reached.
     """
     # All that can be wrong with the arguments comes to light before the first file is touched.
     from pepperscene.render import quality_of
 
     wanted = check_outputs(outputs)
-    effort = quality if target_error is None else quality_of(quality, target_error)
-    quality_of(effort)
+    quality_of(quality, target_error)
+    crew = crew_of(workers, scheduler, slurm)
     told = (recipe if isinstance(recipe, Recipe) else load_recipe(recipe)).with_seed(seed)
     indices = told.plan.chosen(frames)
-    stage = Stage(told, renderer)
-    folder = OutputFolder(Path(out), about(told, quality, FORMAT, target_error))
+    job = Job(told, Path(out).absolute(), wanted, quality, target_error, renderer)
+    job.check()
+    examine(Path(out), job.about())
+    return _built(job, Path(out), indices, crew, on_frame or _unheard, on_notice or _unheard)
 
+
+def _built(
+    job: Job,
+    out: Path,
+    indices: Sequence[int],
+    crew: Crew,
+    on_frame: Callable[[Progress], None],
+    on_notice: Callable[[str], None],
+) -> BuildResult:
+    folder = OutputFolder(out, job.about())
     made: list[int] = []
-    told_of = itertools.count(1)
+    pace = Pace(len(indices))
+    picture = next((name for name in _SHOWN if name in job.outputs), None)
+    room = _Room(out, len(indices), on_notice)
 
-    def tell(index: int, new: bool) -> None:
-        made.extend([index] if new else [])
-        done = next(told_of)
-        if on_frame is not None:
-            on_frame(Progress(index, done, len(indices), new))
+    with Journal(out) as journal:
 
-    try:
-        with FrameWriter(folder) as writer:
-            for index in indices:
-                # While this frame is rendered, the one before is written.
-                addition = _addition(stage, folder.dataset, told.plan.shot(index), wanted, effort)
-                writer.finish()
-                if addition is None:
-                    tell(index, False)
-                else:
-                    writer.start(addition, partial(tell, index, True))
-            writer.finish()
-    except BaseException:
-        folder.undo()
-        raise
+        def tell(done: Done) -> None:
+            _noted(journal, done)
+            made.extend([done.index] if done.made else [])
+            pace.count(done.made)
+            room.look(done, pace.done)
+            file = None if picture is None else folder.dataset.path(done.index, picture)
+            rate, left = pace.frames_per_s, pace.left_s
+            on_frame(Progress(done.index, pace.done, len(indices), done.made, rate, left, file))
+
+        try:
+            crew.make(job, units_of(job.recipe.plan, indices, crew.size), tell, on_notice)
+        except BaseException:
+            folder.undo()
+            with suppress(OutputError):
+                _tabulate(folder.dataset, journal)
+            raise
+        _tabulate(folder.dataset, journal)
     kept = tuple(sorted(set(indices).difference(made)))
-    return BuildResult(folder.dataset, tuple(made), kept)
+    return BuildResult(folder.dataset, tuple(sorted(made)), kept)
 
 
-def _addition(
-    stage: Stage, dataset: Dataset, shot: Shot, outputs: Sequence[str], quality: str | Quality
-) -> Addition | None:
-    """What is missing of one frame, rendered; None when nothing is."""
-    before, there = dataset.intact(shot.index)
-    missing = [name for name in outputs if name not in there]
-    if not missing:
-        return None
-    frame = stage.render(shot, missing, quality)
+def _noted(journal: Journal, done: Done) -> None:
+    try:
+        journal.add(done.row)
+    except OSError as fault:
+        raise OutputError(f"the journal cannot be written ({fault.strerror or fault})") from None
 
-    def facts() -> dict[str, Any]:
-        new = frame_facts(frame, shot, stage.recipe.seed)
-        if not new.get("instances"):
-            # Without labels the renderer does not know what is in view; an earlier build may.
-            new["instances"] = before.get("instances", {})
-        return {**before, **new}
 
-    return Addition(shot.index, {name: frame.images[name] for name in missing}, facts, there)
+def _tabulate(dataset: Dataset, journal: Journal) -> None:
+    """Write the tables, also of a build that was ended early."""
+    if not dataset.indices():
+        return
+    try:
+        write_manifest(dataset, journal)
+    except OSError as fault:
+        raise OutputError(
+            f"{dataset.folder}: the manifest cannot be written ({fault.strerror or fault}); the frames are kept"
+        ) from None
+
+
+class _Room:
+    """Looks ahead, once, whether the disk has room for all frames."""
+
+    def __init__(self, folder: Path, total: int, notice: Callable[[str], None]) -> None:
+        self._folder, self._total, self._notice = folder, total, notice
+        self._asked = False
+
+    def look(self, done: Done, count: int) -> None:
+        """After a frame: what the rest will take, if it is like this one."""
+        if self._asked or not done.made:
+            return
+        self._asked = True
+        needed = (self._total - count) * int(done.row["bytes"])
+        free = shutil.disk_usage(self._folder).free
+        if needed > free:
+            self._notice(
+                f"{self._folder}: what is to come needs {needed / 1e9:.1f} GB, but {free / 1e9:.1f} GB are free"
+            )
+
+
+def _unheard(_: object) -> None:
+    """Nobody listens."""

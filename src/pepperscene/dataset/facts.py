@@ -21,13 +21,16 @@ def about(recipe: Recipe, quality: str, form: str, target_error: float | None = 
         form: name and number of the file's format.
         target_error: instead of the quality's own, or None.
     """
-    return {
+    told = {
         "format": form,
         "version": __version__,
         "quality": quality if target_error is None else f"{quality}, target error {target_error:g}",
         "recipe_sha256": recipe.sha256(),
         **recipe.identity(),
     }
+    if recipe.expect is not None:
+        told["expect"] = recipe.expect.model_dump(mode="json", exclude_none=True)
+    return told
 
 
 def frame_facts(frame: Frame, shot: Shot, recipe_seed: int) -> dict[str, Any]:

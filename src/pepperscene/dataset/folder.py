@@ -8,57 +8,69 @@ from pathlib import Path
 from typing import Any, Final
 
 from pepperscene.dataset.atomic import is_temporary, sweep, write_json
+from pepperscene.dataset.journal import JOURNAL
+from pepperscene.dataset.manifest import FRUIT, MANIFEST
 from pepperscene.dataset.store import FRAMES, MARK, Dataset, read_json
 from pepperscene.errors import InputError, OutputError
 from pepperscene.frame import OUTPUTS
 
 REPORT_FILES: Final = ("index.html", "contact_sheet.png")
-_OWN: Final = {MARK, FRAMES, *OUTPUTS, *REPORT_FILES}
+_OWN: Final = {MARK, FRAMES, MANIFEST, FRUIT, JOURNAL, *OUTPUTS, *REPORT_FILES}
 _LITTER: Final = {".DS_Store", "Thumbs.db"}
 """Written by file managers into every folder that they show."""
 
 _COMPARED: Final = ("format", "quality", "version", "recipe", "files")
+_MOST_DIFFERENCES: Final = 4  # chosen: that a message tells
 
 
 class OutputFolder:
-    """The folder of a build, examined but not touched until the first frame is ready.
+    """The folder of a build, not touched until the first frame is ready.
 
     Args:
-        folder: wanted by the user.
+        folder: wanted by the user; `examine` tells whether it will do.
         about: what `dataset.json` is to say.
-
-    Raises:
-        OutputError: it holds foreign files or another data set, is no folder, or cannot be written to.
     """
 
     def __init__(self, folder: Path, about: Mapping[str, Any]) -> None:
         self.dataset = Dataset(folder, about)
-        self._made: list[Path] = []
-        _examine(folder, about)
+        self._missing = [path for path in self._ours() if not path.exists()]
 
     def prepare(self, outputs: tuple[str, ...]) -> None:
-        """Make the folders and `dataset.json` where they are missing.
+        """Make the folders and `dataset.json` where they are missing; others may do so at the same time.
 
         Raises:
             OSError: something cannot be made.
         """
-        for folder in (self.dataset.folder, *(self.dataset.folder / name for name in (*outputs, FRAMES))):
-            make_folder(folder, self._made)
-            sweep(folder)
+        self.dataset.folder.mkdir(parents=True, exist_ok=True)
         mark = self.dataset.folder / MARK
         if not mark.is_file():
-            self._made.append(mark)
             write_json(mark, self.dataset.about)
+        for folder in (self.dataset.folder / name for name in (*outputs, FRAMES)):
+            folder.mkdir(exist_ok=True)
+            sweep(folder)
 
     def undo(self) -> None:
-        """Remove what `prepare` made, as far as no frame has come to depend on it."""
-        if self.dataset.indices():
-            return
-        remove(self._made)
+        """Remove what was made since, by whomever, as far as no frame has come to depend on it."""
+        if not self.dataset.indices():
+            for path in (self.dataset.folder / name for name in (*OUTPUTS, FRAMES)):
+                if path.is_dir():
+                    sweep(path)
+            remove(self._missing)
+
+    def _ours(self) -> list[Path]:
+        """All that a build may make but for frames, outer folders first."""
+        folder = self.dataset.folder
+        inside = (MARK, MANIFEST, FRUIT, JOURNAL, FRAMES, *OUTPUTS)
+        return [*reversed(folder.parents), folder, *(folder / name for name in inside)]
 
 
-def _examine(folder: Path, about: Mapping[str, Any]) -> None:
-    """Raise the `OutputError` that tells why the folder cannot take this data set, if there is a reason."""
+def examine(folder: Path, about: Mapping[str, Any]) -> None:
+    """Raise the `OutputError` that tells why the folder cannot take this data set, if there is a reason.
+
+    Args:
+        folder: of the data set; it need not be there.
+        about: what its `dataset.json` is to say.
+    """
     examine_place(folder)
     try:
         if folder.exists():
@@ -120,18 +132,21 @@ def _examine_content(folder: Path, about: Mapping[str, Any]) -> None:
         there = read_json(folder / MARK)
     except InputError as fault:
         raise OutputError(f"{fault}; choose another folder") from None
-    for name in _COMPARED:
-        difference = _difference(name, there.get(name), about[name])
-        if difference:
-            raise OutputError(f"{folder}: holds another data set: {difference}; choose another folder")
+    differences = [
+        difference for name in _COMPARED for difference in _differences(name, there.get(name), about[name])
+    ]
+    if differences:
+        more = len(differences) - _MOST_DIFFERENCES
+        told = ", ".join(differences[:_MOST_DIFFERENCES]) + (f", and {more} more" if more > 0 else "")
+        raise OutputError(f"{folder}: holds another data set: {told}; choose another folder")
 
 
-def _difference(key: str, there: Any, wanted: Any) -> str:
-    """The first dotted key that differs, with both values; "" when there is none."""
+def _differences(key: str, there: Any, wanted: Any) -> list[str]:
+    """The dotted keys that differ, with both values."""
     if isinstance(there, dict) and isinstance(wanted, dict):
-        for name in sorted(there.keys() | wanted.keys()):
-            found = _difference(f"{key}.{name}", there.get(name), wanted.get(name))
-            if found:
-                return found
-        return ""
-    return "" if there == wanted else f"{key} is {there!r} there and {wanted!r} here"
+        return [
+            found
+            for name in sorted(there.keys() | wanted.keys())
+            for found in _differences(f"{key}.{name}", there.get(name), wanted.get(name))
+        ]
+    return [] if there == wanted else [f"{key} is {there!r} there and {wanted!r} here"]

@@ -1,25 +1,20 @@
 """A second process that makes plants of a set while this one makes others: plants depend on nothing but
 their address, so that it does not matter who makes which.
-
-It is a Python of its own, not a fork, as the kernel may have started its threads; and none of the
-`multiprocessing` module, which would run the user's script again. It ends with its input, whatever becomes of
-the first process, and is not told of Ctrl-C.
 """
 
 from __future__ import annotations
 
 import os
 import pickle
-import subprocess
 import sys
 import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from types import TracebackType
-from typing import IO, TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
+from pepperscene.dataset.child import Child, listening, say
 from pepperscene.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,9 +40,9 @@ def processes(wanted: int | None = None) -> int:
         return int(told)
     if told:
         raise InputError(VARIABLE, "", None, f"must be 1 or 2, not {told}")
-    # A worker of a pool has its core, and no more.
+    # A worker of somebody's pool has its core, and no more.
     worker = "multiprocessing" in sys.modules and sys.modules["multiprocessing"].parent_process() is not None
-    return 1 if worker or _cores() < 2 else 2
+    return 1 if worker or cores() < 2 else 2
 
 
 def made_by_two(
@@ -86,52 +81,44 @@ class _Second:
     def __init__(self, recipe: Recipe, cultivar: Cultivar, which: int, left: deque[int]) -> None:
         self._asked, self._which, self._left = (recipe, cultivar), which, left
         self._made: dict[int, Standing] = {}
-        self._process: subprocess.Popen[bytes] | None = None
+        self._child: Child | None = None
         self._thread = threading.Thread(target=self._talk, name="second process", daemon=True)
 
     def __enter__(self) -> Self:
         with suppress(OSError):
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", f"from {__name__} import serve; serve()"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                start_new_session=True,
-            )
+            self._child = Child(__name__)
             self._thread.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._process is None:
+        if self._child is None:
             return
         self._left.clear()
         if self._thread.is_alive():
             # Only where this process has failed or was told to stop.
-            self._process.kill()
+            self._child.kill()
         self._thread.join()
-        with suppress(OSError):
-            self._process.__exit__(None, None, None)
+        self._child.close()
 
     def made(self) -> dict[int, Standing]:
         """The plants that it made, by their numbers; waits for the last."""
-        if self._process is not None:
+        if self._child is not None:
             self._thread.join()
         return self._made
 
     def _talk(self) -> None:
-        process = self._process
-        if process is None or process.stdin is None or process.stdout is None:
+        child = self._child
+        if child is None:
             return
-        with suppress(OSError, EOFError, pickle.UnpicklingError):
-            # Another version of this package would make other plants.
-            if pickle.load(process.stdout) != _identity():
+        with suppress(OSError, EOFError):
+            if not child.same():
                 return
-            _say(process.stdin, self._asked)
+            child.say(self._asked)
             while (number := _next(self._left.pop)) is not None:
-                _say(process.stdin, (self._which, number))
-                self._made[number] = pickle.load(process.stdout)
+                child.say((self._which, number))
+                self._made[number] = child.hear()
 
 
 def _next(take: Callable[[], int]) -> int | None:
@@ -142,17 +129,7 @@ def _next(take: Callable[[], int]) -> int | None:
         return None
 
 
-def _say(pipe: IO[bytes], thing: Any) -> None:
-    pickle.dump(thing, pipe, protocol=5)
-    pipe.flush()
-
-
-def _identity() -> tuple[str, str]:
-    """Which Python and which package this is."""
-    return sys.version, str(Path(__file__).resolve())
-
-
-def _cores() -> int:
+def cores() -> int:
     """Processor cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
@@ -161,15 +138,12 @@ def _cores() -> int:
 
 def serve() -> None:
     """The second process: makes the plants that it is asked for until its input ends."""
-    asked, told = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    # Whatever prints must not get between the plants.
-    os.dup2(2, 1)
+    asked, told = listening()
     with told, suppress(EOFError, BrokenPipeError):
-        _say(told, _identity())
         from pepperscene.dataset.planting import Planting
 
         recipe, cultivar = pickle.load(asked)
         planting = Planting(recipe, cultivar, in_processes=1)
         while True:
             which, number = pickle.load(asked)
-            _say(told, planting.plant(which, number))
+            say(told, planting.plant(which, number))

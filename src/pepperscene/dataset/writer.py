@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from typing import Any, Final
 from numpy.typing import NDArray
 
 from pepperscene.dataset.folder import OutputFolder
+from pepperscene.dataset.store import Standing
 from pepperscene.errors import OutputError
 
 _AT_ONCE: Final = 4
@@ -35,6 +37,19 @@ class Addition:
     kept: Mapping[str, Any]
 
 
+@dataclass(frozen=True, eq=False)
+class Written:
+    """A frame that is whole.
+
+    Attributes:
+        standing: what is there of it now.
+        seconds: that writing took.
+    """
+
+    standing: Standing
+    seconds: float
+
+
 class FrameWriter:
     """Writes one frame at a time behind the caller's back; none begins before the last one is whole.
 
@@ -47,7 +62,7 @@ class FrameWriter:
         self._frames = ThreadPoolExecutor(1, "frame")
         self._images = ThreadPoolExecutor(_AT_ONCE, "image")
         self._prepared: set[str] = set()
-        self._under_way: tuple[Future[None], Callable[[], None]] | None = None
+        self._under_way: tuple[Future[Written], Callable[[Written], None]] | None = None
 
     def __enter__(self) -> FrameWriter:
         return self
@@ -58,7 +73,7 @@ class FrameWriter:
         self._frames.shutdown()
         self._images.shutdown()
 
-    def start(self, addition: Addition, then: Callable[[], None]) -> None:
+    def start(self, addition: Addition, then: Callable[[Written], None]) -> None:
         """Begin to write, once the frame before has been finished.
 
         Args:
@@ -80,18 +95,20 @@ class FrameWriter:
         if self._under_way is None:
             return
         (written, then), self._under_way = self._under_way, None
-        written.result()
-        then()
+        then(written.result())
 
-    def _write(self, addition: Addition) -> None:
-        dataset = self._folder.dataset
+    def _write(self, addition: Addition) -> Written:
+        dataset, begun = self._folder.dataset, time.perf_counter()
         try:
             # Folders are made and swept once in a build, not once a frame: sweeping reads them whole.
             new = [name for name in addition.images if name not in self._prepared]
             if new:
                 self._folder.prepare(tuple(new))
                 self._prepared.update(new)
-            dataset.commit(addition.index, addition.images, addition.facts(), addition.kept, self._images)
+            standing = dataset.commit(
+                addition.index, addition.images, addition.facts(), addition.kept, self._images
+            )
         except OSError as fault:
             where = fault.filename or dataset.folder
             raise OutputError(f"{where}: cannot be written ({fault.strerror or fault})") from None
+        return Written(standing, time.perf_counter() - begun)

@@ -24,6 +24,8 @@ VARIANTS: Final = ("cuda_ad_spectral", "llvm_ad_spectral")
 
 OLDEST_LLVM: Final = 17
 LLVM_VARIABLE: Final = "DRJIT_LIBLLVM_PATH"
+THREADS_VARIABLE: Final = "PEPPERSCENE_THREADS"
+_MOST_THREADS: Final = 4096  # chosen: more than any machine's
 _LLVM_PACKAGE: Final = "karellen-llvm-core"
 _SYSTEM_FOLDERS: Final = (
     "/usr/lib/x86_64-linux-gnu",
@@ -127,7 +129,24 @@ def _started() -> tuple[Any, Any]:
 
     mitsuba.set_variant(variant)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
+    threads = wanted_threads()
+    if threads is not None:
+        drjit.set_thread_count(threads)
     return mitsuba, drjit
+
+
+def wanted_threads() -> int | None:
+    """How many threads Mitsuba is to work with, as the environment says; None for one on each core.
+
+    Raises:
+        SetupError: the environment says no number above 0.
+    """
+    told = os.environ.get(THREADS_VARIABLE, "").strip()
+    if not told:
+        return None
+    if not (told.isascii() and told.isdigit() and 0 < int(told) <= _MOST_THREADS):
+        raise SetupError(f"{THREADS_VARIABLE} = {told!r}: must be a number of threads, 1 to {_MOST_THREADS}")
+    return int(told)
 
 
 def variant_name() -> str:
