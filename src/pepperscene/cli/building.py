@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -19,14 +16,10 @@ from pepperscene.cli.application import (
     SetOption,
     TargetOption,
     app,
+    ended_by_signals,
     explained,
     names_of,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from pepperscene.dataset import Progress
 
 
 @app.command()
@@ -45,19 +38,46 @@ def build(
     target_error: TargetOption = None,
     seed: SeedOption = None,
     set: SetOption = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Processes on this machine, each with its share of the cores; without it, one with all.",
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Of a running Dask cluster that sees the folder.")
+    ] = None,
+    slurm: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Jobs to ask Slurm for, as a TOML file.")
+    ] = None,
+    json: Annotated[
+        bool, typer.Option("--json", help="Tell of each frame as a line of JSON on standard output.")
+    ] = False,
 ) -> None:
     """Build a data set, or what is missing of it."""
     names = names_of(outputs)
+    from pepperscene.cli.progress import teller
     from pepperscene.dataset import build as build_dataset
     from pepperscene.dataset import load_recipe, read_changes
 
     told = load_recipe(recipe, read_changes(set or ()))
-    with _progress() as on_frame:
+    with ended_by_signals(), teller(json) as shown:
         done = build_dataset(
-            told, out, frames, names, quality, seed, on_frame=on_frame, target_error=target_error
+            told,
+            out,
+            frames,
+            names,
+            quality,
+            seed,
+            on_frame=shown.frame,
+            target_error=target_error,
+            workers=workers,
+            scheduler=scheduler,
+            slurm=slurm,
+            on_notice=shown.notice,
         )
-    kept = f", {len(done.kept)} were there already" if done.kept else ""
-    typer.echo(f"{len(done.made)} frame{'' if len(done.made) == 1 else 's'} built{kept}: {out}")
+    shown.end(done, out)
 
 
 @app.command()
@@ -96,33 +116,3 @@ def recipes() -> None:
         chosen = len(plan.chosen(None))
         total = f"{plan.count:,} frames: {plan.sets} sets x {plan.rotations} rotations x {plan.frames} steps"
         typer.echo(f"{path.stem:<12} {total}{f'; builds {chosen} of them' if chosen < plan.count else ''}")
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[Progress], None]]:
-    """What to call after every frame: a bar on a terminal, a line each elsewhere."""
-    if not sys.stderr.isatty():
-        yield _plain_line
-        return
-    from rich import progress
-    from rich.console import Console
-
-    columns: tuple[Any, ...] = (
-        progress.TextColumn("{task.description}"),
-        progress.BarColumn(),
-        progress.MofNCompleteColumn(),
-        progress.TimeElapsedColumn(),
-        progress.TimeRemainingColumn(),
-    )
-    with progress.Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("growing plants", total=None)
-
-        def step(told: Progress) -> None:
-            bar.update(task, completed=told.done, total=told.total, description=f"frame {told.index:06d}")
-
-        yield step
-
-
-def _plain_line(told: Progress) -> None:
-    state = "built" if told.made else "kept"
-    typer.echo(f"frame {told.index:06d} {state} ({told.done} of {told.total})", err=True)

@@ -174,7 +174,7 @@ def _tabulate(dataset: Dataset, journal: Journal) -> None:
         write_manifest(dataset, journal)
     except OSError as fault:
         raise OutputError(
-            f"{dataset.folder}: the manifest cannot be written ({fault.strerror or fault}); the frames are kept"
+            f"{dataset.folder}: the manifest cannot be written ({fault.strerror or fault}), the frames stay"
         ) from None
 
 
@@ -194,7 +194,7 @@ class _Room:
         free = shutil.disk_usage(self._folder).free
         if needed > free:
             self._notice(
-                f"{self._folder}: what is to come needs {needed / 1e9:.1f} GB, but {free / 1e9:.1f} GB are free"
+                f"{self._folder}: the rest needs {needed / 1e9:.1f} GB, but {free / 1e9:.1f} GB are free"
             )
 
 

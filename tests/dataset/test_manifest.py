@@ -1,0 +1,137 @@
+"""The journal and the tables: they tell what the files tell, and can be lost."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from pepperscene.classes import OrganClass
+from pepperscene.dataset import build, open_dataset
+from pepperscene.dataset.journal import JOURNAL, Journal
+from pepperscene.dataset.manifest import MANIFEST
+from pepperscene.dataset.rows import FRAME_COLUMNS
+from pepperscene.errors import InputError, OutputError
+
+pytestmark = pytest.mark.usefixtures("empty_scenes")
+OUTPUTS = ("colour", "class", "distance")
+TIMED = ("render_s", "write_s", "worker")
+
+
+@pytest.fixture
+def folder(recipe, fake_renderer, tmp_path):
+    def run(frames="0:6", out="set", **arguments):
+        build(recipe, tmp_path / out, frames, OUTPUTS, renderer=fake_renderer, **arguments)
+        return tmp_path / out
+
+    return run
+
+
+def rows(folder):
+    return open_dataset(folder).manifest().to_pylist()
+
+
+def test_a_row_for_each_frame_tells_what_its_files_tell(folder, recipe):
+    dataset = open_dataset(folder("2:9"))
+    told = rows(dataset.folder)
+    assert list(told[0]) == list(FRAME_COLUMNS)
+    assert [row["index"] for row in told] == list(range(2, 9))
+    for row in told:
+        facts, shot = dataset.facts(row["index"]), recipe.plan.shot(row["index"])
+        assert (row["set"], row["rotation"], row["step"]) == (shot.set, shot.rotation, shot.step)
+        assert [row["x_m"], row["y_m"], row["z_m"]] == [line[3] for line in facts["camera"]["pose"][:3]]
+        counted = np.bincount(dataset.image(row["index"], "class").ravel(), minlength=8)
+        assert [row[f"pixels_{one.name.lower()}"] for one in OrganClass] == counted.tolist()
+        assert row["class_sha256"] == facts["outputs"]["class"]["sha256"]
+        assert row["instance_sha256"] is None
+        assert row["checksum"] == facts["checksum"]
+        assert row["bytes"] == sum(entry["bytes"] for entry in facts["outputs"].values())
+        assert row["render_s"] >= 0
+        assert row["write_s"] > 0
+        assert row["worker"]
+
+
+def test_a_lost_manifest_comes_out_of_the_journal(folder):
+    where = folder()
+    before = rows(where)
+    (where / MANIFEST).unlink()
+    assert rows(where) == before
+    (where / MANIFEST).write_bytes(b"no table")
+    assert rows(where) == before
+
+
+def test_lost_tables_come_out_of_the_files_but_for_timings(folder):
+    where = folder()
+    before = rows(where)
+    (where / MANIFEST).unlink()
+    (where / JOURNAL).unlink()
+    assert rows(where) == [{**row, **dict.fromkeys(TIMED)} for row in before]
+
+
+def test_another_build_adds_rows_and_keeps_timings(folder):
+    where = folder("3:5")
+    before = {row["index"]: row for row in rows(where)}
+    folder("0:6")
+    after = {row["index"]: row for row in rows(where)}
+    assert sorted(after) == list(range(6))
+    assert {index: after[index] for index in before} == before
+
+
+def test_frames_that_were_there_add_no_line(folder):
+    where = folder()
+    lines = (where / JOURNAL).read_bytes()
+    folder()
+    assert (where / JOURNAL).read_bytes() == lines
+
+
+def test_a_frame_that_was_made_again_is_told_as_it_is_now(folder, recipe, fake_renderer):
+    where = folder("0:2")
+    build(recipe, where, "0:1", ("normal",), renderer=fake_renderer)
+    first, second = rows(where)
+    assert first["normal_sha256"]
+    assert first["class_sha256"]
+    assert second["normal_sha256"] is None
+
+
+def test_a_frame_taken_away_leaves_the_table(folder):
+    where = folder()
+    (where / "frames" / "000002.json").unlink()
+    assert [row["index"] for row in rows(where)] == [0, 1, 3, 4, 5]
+
+
+@pytest.mark.parametrize("cut", [1, 20, 200])
+def test_a_torn_line_is_skipped_and_ended(folder, cut):
+    where = folder("0:3")
+    whole = (where / JOURNAL).read_bytes()
+    (where / JOURNAL).write_bytes(whole[:-cut])
+    (where / MANIFEST).unlink()
+    assert [row["index"] for row in rows(where)] == [0, 1, 2]
+    folder("0:4")
+    for line in (where / JOURNAL).read_bytes().splitlines()[-2:]:
+        assert json.loads(line)["checksum"]
+    assert [row["index"] for row in rows(where)] == [0, 1, 2, 3]
+
+
+def test_the_last_line_of_a_frame_counts(tmp_path):
+    with Journal(tmp_path) as journal:
+        journal.add({"index": 7, "checksum": "a", "bytes": 1})
+        journal.add({"index": 7, "checksum": "b", "bytes": 2})
+        journal.add({"index": 7, "checksum": "b", "bytes": 3})
+    again = Journal(tmp_path)
+    assert list(again.rows(iter([7, 8]))) == [(7, {"index": 7, "checksum": "b", "bytes": 2}), (8, None)]
+
+
+def test_no_fruit_table_without_harvest(folder):
+    with pytest.raises(InputError, match="harvest"):
+        open_dataset(folder("0:1")).fruit()
+
+
+def test_a_full_disk_under_the_journal_is_told(folder, monkeypatch):
+    def full(*_args):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(sys.modules["pepperscene.dataset.journal"].Journal, "add", full)
+    with pytest.raises(OutputError, match="No space left on device"):
+        folder("0:2")
