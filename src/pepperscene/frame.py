@@ -144,6 +144,9 @@ OUTPUTS: Final[Mapping[str, Output]] = {
         Output("harvest", "", "dict", ".json", "what a robot needs to know of each fruit in view"),
     )
 }
+PARTNERED: Final = frozenset({"stereo", "colour_stereo"})
+"""Outputs that need a second camera beside the first."""
+
 DEFAULT_OUTPUTS: Final = ("colour", "class", "instance", "distance", "distance_code")
 
 

@@ -6,13 +6,14 @@ Also run by the tests in processes of their own.
 from __future__ import annotations
 
 import hashlib
+import json
 from dataclasses import replace
 
 import numpy as np
 
 from pepperscene.camera import Camera, Distortion, arc_path, load_flash, load_lens, load_sensor
 from pepperscene.cultivar import load_cultivar
-from pepperscene.frame import DEFAULT_OUTPUTS, Frame
+from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, Frame
 from pepperscene.geometry import Mesh, mesh_plant
 from pepperscene.grammar import grow
 from pepperscene.materials import organ_surfaces, twine_surface
@@ -62,10 +63,21 @@ def camera(
     return Camera(lens, sensor, POSES[step], 50e-6, load_flash("led_matrix_200klx") if flash else None)
 
 
+def others(step: int = 1) -> dict[str, Camera]:
+    """The cameras that the outputs of a step's frame lead to: the last pose, and a partner 60 mm beside."""
+    pose = POSES[step].copy()
+    pose[:3, 3] += 0.06 * pose[:3, 0]
+    return {"flow": camera(2), "stereo": camera(step).at_pose(pose)}
+
+
 def digests(frame: Frame) -> dict[str, str]:
-    """SHA-256 of the bytes of each image."""
+    """SHA-256 of the bytes of each image, or of the text of what is none."""
     return {
-        name: hashlib.sha256(np.ascontiguousarray(image).tobytes()).hexdigest()
+        name: hashlib.sha256(
+            np.ascontiguousarray(image).tobytes()
+            if OUTPUTS[name].is_image
+            else json.dumps(image, sort_keys=True).encode()
+        ).hexdigest()
         for name, image in frame.images.items()
     }
 

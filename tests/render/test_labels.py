@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from greenhouse import camera, row_of_plants
 
 from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
@@ -17,7 +18,8 @@ from pepperscene.render.labels import Hits
 from pepperscene.render.view import LensCache
 from pepperscene.scene import assemble
 
-LABELS = tuple(name for name, output in OUTPUTS.items() if not output.traced)
+OTHERWISE = ("coverage", "flow", "stereo", "harvest")  # by rays or cameras of their own
+LABELS = tuple(name for name, output in OUTPUTS.items() if not output.traced and name not in OTHERWISE)
 
 
 @pytest.fixture(scope="module")
@@ -88,11 +90,70 @@ def test_the_instances_in_view_are_counted(mesh, hits):
     assert labels.instances_in_view(mesh, np.zeros((2, 2), np.uint16)) == {}
 
 
+def assert_boxes_are_those_of(told, instance):
+    for value in range(1, instance.max() + 1):
+        rows, columns = np.nonzero(instance == value)
+        if not rows.size:
+            assert str(value) not in told
+            continue
+        box = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+        assert told[str(value)]["box"] == box
+        assert told[str(value)]["pixels"] == rows.size
+        assert all(isinstance(number, int) for number in told[str(value)]["box"])
+
+
+def test_boxes_hold_their_instances_pixels(mesh, hits):
+    instance = labels.instance_ids(mesh, hits)
+    assert_boxes_are_those_of(labels.instances_in_view(mesh, instance), instance)
+    # Where each pixel may be of any instance: runs that end and begin at every border.
+    rng = np.random.default_rng(3)
+    for shape in ((1, 1), (1, 40), (40, 1), (17, 23)):
+        random = rng.integers(0, 6, shape).astype(np.uint16)
+        assert_boxes_are_those_of(labels.instances_in_view(mesh, random), random)
+
+
+# --- points and surface coordinates ------------------------------------------------------------------------
+
+
+def test_positions_lie_at_their_distance_on_the_pixels_ray(hits):
+    view = camera(distorted=True)
+    position = labels.points(hits, view)
+    seen = hits.face >= 0
+    np.testing.assert_array_equal(np.isinf(position).all(axis=-1), ~seen)
+    expected = view.pose[:3, 3] + hits.distance[..., None] * (view.pixel_directions() @ view.pose[:3, :3].T)
+    np.testing.assert_allclose(position[seen], expected[seen], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("distorted", [False, True])
+def test_surface_coordinates_are_those_that_trimesh_finds(mesh, kernel_scene, distorted):
+    view = camera(distorted=distorted)
+    hits = labels.first_hits(kernel_scene, LensCache().view(view))
+    uv = labels.surface_coordinates(mesh, hits, view)
+    assert OUTPUTS["uv"].fits(uv)
+    assert (uv[hits.face < 0] == -1).all()
+    assert ((uv[hits.face >= 0] >= 0) & (uv[hits.face >= 0] <= 1)).all()
+    row, column = np.nonzero(hits.face >= 0)
+    chosen = np.random.default_rng(5).choice(len(row), 200, replace=False)
+    row, column = row[chosen], column[chosen]
+    # Where the lens formula's ray meets the triangle's plane, and the corners' weights there.
+    triangle = mesh.faces[hits.face[row, column]]
+    corners = mesh.vertices[triangle].astype(float)
+    ray = view.pixel_directions()[row, column] @ view.pose[:3, :3].T
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    depth = ((corners[:, 0] - view.pose[:3, 3]) * normal).sum(1) / (ray * normal).sum(1)
+    weights = trimesh.triangles.points_to_barycentric(corners, view.pose[:3, 3] + depth[:, None] * ray)
+    expected = (weights[..., None] * mesh.uv[triangle]).sum(axis=1)
+    np.testing.assert_allclose(uv[row, column], expected, atol=1e-4)
+    assert np.median(np.abs(uv[row, column] - expected)) < 1e-6
+
+
 def test_nothing_in_view_is_no_face_and_no_normal(mesh):
     empty = Hits(np.full((4, 5), -1), np.full((4, 5), np.inf, np.float32))
     assert not labels.normals(mesh, empty, camera()).any()
     assert not labels.class_ids(mesh, empty).any()
     assert not labels.instance_ids(mesh, empty).any()
+    assert np.isinf(labels.points(empty, camera(columns=5, rows=4))).all()
+    assert (labels.surface_coordinates(mesh, empty, camera(columns=5, rows=4)) == -1).all()
 
 
 def test_the_last_face_is_not_taken_for_the_background():

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from greenhouse import built_from_nothing, camera, digests, greenhouse
+from greenhouse import built_from_nothing, camera, digests, greenhouse, others
 
 from pepperscene.camera import expected_electrons
 from pepperscene.errors import InputError
@@ -20,8 +20,8 @@ from pepperscene.render import QUALITIES, Renderer, labels, quality_named, rende
 from pepperscene.render.reference import path_traced, samples_taken
 from pepperscene.scene import assemble
 
-LABELS = tuple(name for name, output in OUTPUTS.items() if not output.traced)
-TRACED = tuple(name for name, output in OUTPUTS.items() if output.traced)
+ALL = tuple(name for name in OUTPUTS if name != "harvest")  # which needs plants whose organs are known
+LABELS = tuple(name for name in ALL if not OUTPUTS[name].traced)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def used(scene):
 
 @pytest.fixture(scope="module")
 def frame(used):
-    return used.render(camera(), tuple(OUTPUTS), "standard", 5)
+    return used.render(camera(), ALL, "standard", 5, others=others())
 
 
 # --- same question, same bytes ----------------------------------------------------------------------------
@@ -74,7 +74,7 @@ def test_a_frame_is_the_same_bytes_in_any_process():
 
 
 def test_a_frame_is_the_same_bytes_twice_in_one_process(scene, frame):
-    assert digests(Renderer(scene).render(camera(), tuple(OUTPUTS), "standard", 5)) == digests(frame)
+    assert digests(Renderer(scene).render(camera(), ALL, "standard", 5, others=others())) == digests(frame)
 
 
 def test_frame_after_frame_is_the_same_and_a_number(scene, used):
@@ -93,8 +93,8 @@ def test_frame_after_frame_is_the_same_and_a_number(scene, used):
 
 @pytest.mark.parametrize("step", [0, 2])
 def test_a_moved_camera_needs_no_new_renderer(scene, used, step):
-    moved = used.render(camera(step), tuple(OUTPUTS), "draft", 9)
-    fresh = Renderer(scene).render(camera(step), tuple(OUTPUTS), "draft", 9)
+    moved = used.render(camera(step), ALL, "draft", 9, others=others(step))
+    fresh = Renderer(scene).render(camera(step), ALL, "draft", 9, others=others(step))
     assert digests(moved) == digests(fresh)
     assert moved.facts == fresh.facts
 
@@ -105,25 +105,41 @@ def test_other_lenses_and_sizes_need_no_new_renderer(scene, used):
         assert digests(again) == digests(Renderer(scene).render(other, DEFAULT_OUTPUTS, "draft", 3))
 
 
-@pytest.mark.parametrize("name", OUTPUTS)
+@pytest.mark.parametrize("name", ALL)
 def test_an_output_does_not_depend_on_what_else_is_asked_for(scene, frame, name):
-    alone = Renderer(scene).render(camera(), [name], "standard", 5)
+    alone = Renderer(scene).render(camera(), [name], "standard", 5, others=others())
     assert set(alone.images) == {name}
     assert digests(alone)[name] == digests(frame)[name]
 
 
 def test_another_seed_is_other_noise_under_the_same_labels(used, frame):
-    other = used.render(camera(), tuple(OUTPUTS), "standard", 6)
-    same = {name: digests(other)[name] == digests(frame)[name] for name in OUTPUTS}
-    assert same == {name: not output.traced for name, output in OUTPUTS.items()}
+    other = used.render(camera(), ALL, "standard", 6, others=others())
+    same = {name: digests(other)[name] == digests(frame)[name] for name in ALL}
+    assert same == {name: not OUTPUTS[name].traced for name in ALL}
     # Noise it is, and no other picture: before the sensor's noise the two agree to a few per cent.
     difference = np.abs(other["electrons"] - frame["electrons"]).mean()
     assert 0.0 < difference < 0.05 * frame["electrons"].mean()
     assert np.abs(other["colour"].astype(int) - frame["colour"]).mean() < 8
 
 
+def test_a_partners_photograph_has_noise_of_its_own_and_the_same_light(scene, frame):
+    # From the camera's own place it is another photograph of the same thing.
+    twin = Renderer(scene).render(camera(), ["colour_stereo"], "standard", 5, others={"stereo": camera()})
+    difference = twin["colour_stereo"].astype(float) - frame["colour"]
+    assert 0.5 < np.abs(difference).mean() < 8
+    assert abs(difference.mean()) < 0.5
+    # It is the photograph that a camera there takes.
+    partner = others()["stereo"]
+    own = Renderer(scene).render(partner, ["colour"], "standard", 77)
+    near, far = (
+        np.abs(own["colour"] - frame[name].astype(float)).mean() for name in ("colour_stereo", "colour")
+    )
+    assert near < 0.25 * far
+    assert frame.facts["stereo_pose"] == partner.pose.tolist()
+
+
 def test_the_short_form_gives_the_same_frame(scene, frame):
-    short = render(scene, camera(), DEFAULT_OUTPUTS, "standard", 5)
+    short = render(scene, camera(), DEFAULT_OUTPUTS, "standard", 5, others=others())
     assert digests(short) == {name: digests(frame)[name] for name in DEFAULT_OUTPUTS}
     assert list(short.images) == list(DEFAULT_OUTPUTS)
 
@@ -132,9 +148,9 @@ def test_the_short_form_gives_the_same_frame(scene, frame):
 
 
 def test_images_are_as_the_outputs_tell(frame):
-    for name, output in OUTPUTS.items():
+    for name in ALL:
         image = frame[name]
-        assert output.fits(image), name
+        assert OUTPUTS[name].fits(image), name
         assert image.shape[:2] == (camera().sensor.site_shape if name == "raw" else (60, 80)), name
     # The scene is in the picture, and so is the sky behind it.
     assert {0, 1, 2, 4} <= set(np.unique(frame["class"]).tolist())
@@ -178,7 +194,7 @@ def test_facts_are_plain_json_and_complete(frame, scene):
 
 
 def test_a_lens_that_distorts_bends_the_picture_and_is_told(used, frame):
-    bent = used.render(camera(distorted=True), tuple(OUTPUTS), "draft", 5)
+    bent = used.render(camera(distorted=True), ["class"], "draft", 5)
     assert bent.facts["camera"]["distortion"]["k1"] == -0.1
     changed = bent["class"] != frame["class"]
     assert changed.any()
@@ -187,9 +203,10 @@ def test_a_lens_that_distorts_bends_the_picture_and_is_told(used, frame):
 
 
 def test_a_single_pixel_is_a_picture(used):
-    tiny = used.render(camera(columns=1, rows=1), tuple(OUTPUTS), "standard", 5)
-    for name, output in OUTPUTS.items():
-        assert output.fits(tiny[name])
+    eye = camera(columns=1, rows=1)
+    tiny = used.render(eye, ALL, "standard", 5, others={"flow": eye, "stereo": eye})
+    for name in ALL:
+        assert OUTPUTS[name].fits(tiny[name])
         assert name == "raw" or tiny[name].shape[:2] == (1, 1)
         assert not np.isnan(tiny[name].astype(float)).any()
 
@@ -225,7 +242,7 @@ def calls(monkeypatch):
 
 
 def test_labels_alone_build_no_light(scene, calls):
-    made = Renderer(scene).render(camera(), LABELS)
+    made = Renderer(scene).render(camera(), LABELS, others=others())
     assert set(calls) == {
         "truth_scene", "first_hits", "class_ids", "instance_ids", "normals", "depth_z",
     }  # fmt: skip
@@ -247,6 +264,13 @@ def test_colour_alone_casts_no_ray_for_labels(scene, calls):
 def test_electrons_alone_are_not_developed(scene, calls):
     Renderer(scene).render(camera(), ["electrons"], "draft")
     assert "develop" not in calls
+
+
+def test_a_partners_photograph_alone_is_one_photograph(scene, calls):
+    made = Renderer(scene).render(camera(), ["colour_stereo"], "draft", others=others())
+    assert calls == ["light_scene", "sky_tables", "trace", "denoised", "develop"]
+    assert set(made.facts) >= {"sampling_stereo", "stereo_pose"}
+    assert "sampling" not in made.facts
 
 
 def test_the_reference_is_not_denoised(scene, calls):
@@ -302,6 +326,22 @@ def test_importing_the_room_does_not_import_mitsuba():
     assert found == []
 
 
+def test_what_further_outputs_need_is_imported_for_them_alone():
+    mine = {f"pepperscene.render.{name}" for name in ("coverage", "correspondence", "harvest", "amodal")}
+    found = in_a_process(
+        "import json, sys\n"
+        "from pepperscene.render import Renderer\n"
+        "from pepperscene.scene import assemble\n"
+        "from greenhouse import camera, row_of_plants\n"
+        "made = Renderer(assemble(row_of_plants()))\n"
+        "made.render(camera(flash=False), ['class', 'normal', 'position', 'uv'])\n"
+        f"before = sorted({mine!r} & set(sys.modules))\n"
+        "made.render(camera(flash=False), ['flow', 'coverage'])\n"
+        f"print(json.dumps([before, sorted({mine!r} & set(sys.modules))]))"
+    )
+    assert found == [[], ["pepperscene.render.correspondence", "pepperscene.render.coverage"]]
+
+
 # --- refusals ---------------------------------------------------------------------------------------------
 
 
@@ -309,6 +349,14 @@ def test_importing_the_room_does_not_import_mitsuba():
 def test_an_unknown_output_is_the_callers_fault(used, outputs):
     with pytest.raises(InputError, match="colour, raw, electrons, class"):
         used.render(camera(), outputs)
+
+
+@pytest.mark.parametrize("name", ["stereo", "colour_stereo"])
+def test_a_partner_that_is_missing_is_the_callers_fault(used, name):
+    with pytest.raises(InputError, match=f"others: stereo: .*{name}"):
+        used.render(camera(), [name], others={"flow": camera()})
+    with pytest.raises(InputError, match=r"others: left: .*flow, stereo"):
+        used.render(camera(), ["class"], others={"left": camera()})
 
 
 def test_an_unknown_quality_is_the_callers_fault(used):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -16,7 +16,8 @@ from pepperscene.dataset.plan import Shot
 from pepperscene.dataset.planting import Planting
 from pepperscene.dataset.recipe import Recipe
 from pepperscene.dataset.seeds import Stream, frame_seed, generator
-from pepperscene.frame import OUTPUTS, Frame
+from pepperscene.errors import InputError
+from pepperscene.frame import OUTPUTS, PARTNERED, Frame
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
@@ -30,9 +31,15 @@ class RendererLike(Protocol):
     """What renders the views of one scene."""
 
     def render(
-        self, camera: Camera, outputs: Sequence[str] = ..., quality: str | Quality = ..., seed: int = ...
+        self,
+        camera: Camera,
+        outputs: Sequence[str] = ...,
+        quality: str | Quality = ...,
+        seed: int = ...,
+        *,
+        others: Mapping[str, Camera] = ...,
     ) -> Frame:
-        """One view."""
+        """One view; `others` is there only where an output needs another camera."""
 
 
 RendererFactory = Callable[["Scene"], RendererLike]
@@ -47,6 +54,22 @@ def mitsuba_renderer(scene: Scene) -> RendererLike:
     from pepperscene.render import Renderer
 
     return Renderer(scene)
+
+
+def check_partner(recipe: Recipe, outputs: Iterable[str]) -> None:
+    """Whether a recipe has the stereo partner that outputs need.
+
+    Raises:
+        InputError: it has none.
+    """
+    needing = sorted(PARTNERED.intersection(outputs))
+    if needing and recipe.camera.baseline_mm is None:
+        raise InputError(
+            recipe.name,
+            "camera.baseline_mm",
+            None,
+            f"must be told for the output {needing[0]}, in millimetres",
+        )
 
 
 class Stage:
@@ -85,16 +108,39 @@ class Stage:
             shot: which one; `recipe.plan.shot(index)` gives it.
             outputs: names out of `OUTPUTS`.
             quality: "draft", "standard" or "reference", or one of your own.
+
+        Raises:
+            InputError: an output needs a stereo partner, and the recipe has none.
         """
+        others = self.others(shot, outputs)
         traced = any(OUTPUTS[name].traced for name in outputs)
         seed = frame_seed(self.recipe.seed, shot.index)
         renderer = self._renderer(shot, traced, quality)
-        frame = renderer.render(self.camera(shot), outputs=outputs, quality=quality, seed=seed)
+        # What needs no other camera is asked for without: a renderer need not know of them.
+        further = {"others": others} if others else {}
+        frame = renderer.render(self.camera(shot), outputs=outputs, quality=quality, seed=seed, **further)
         return Frame(frame.images, {**frame.facts, **self._told})
 
     def camera(self, shot: Shot) -> Camera:
         """The camera of a shot, at its place on the arc path, which leans with the row."""
         return self._first_camera.at_pose(self._poses[shot.step])
+
+    def others(self, shot: Shot, outputs: Sequence[str]) -> dict[str, Camera]:
+        """The cameras that outputs of a shot need besides its own, by what for.
+
+        "flow" is the camera of the next step, not there at the path's end; "stereo" the partner, which looks
+        the same way from the baseline's length to the right, at the same time and so by the same flash.
+
+        Raises:
+            InputError: an output needs a stereo partner, and the recipe has none.
+        """
+        check_partner(self.recipe, outputs)
+        found = {}
+        if "flow" in outputs and shot.step + 1 < self.recipe.plan.frames:
+            found["flow"] = self._first_camera.at_pose(self._poses[shot.step + 1])
+        if PARTNERED.intersection(outputs):
+            found["stereo"] = self._partner.at_pose(self._partner_poses[shot.step])
+        return found
 
     def scene(self, shot: Shot, *, traced: bool = True) -> Scene:
         """The scene of a shot.
@@ -112,8 +158,8 @@ class Stage:
             "geometry": {"triangles": len(mesh.faces), "of": len(planted.mesh.faces)},
         }
         if not traced:
-            return assemble(mesh)
-        return assemble(mesh, self._surfaces, self._sky(shot.set))
+            return assemble(mesh, skeleton=planted.skeleton)
+        return assemble(mesh, self._surfaces, self._sky(shot.set), planted.skeleton)
 
     def _visible(self, mesh: Mesh) -> Mesh:
         """What the frames of a scene can tell of it.
@@ -175,9 +221,17 @@ class Stage:
 
     @cached_property
     def _sight(self) -> Sight:
-        from pepperscene.scene import sight
+        from pepperscene.scene import Sight, sight
 
-        return sight(self._first_camera, self._poses)
+        own = sight(self._first_camera, self._poses)
+        if self.recipe.camera.baseline_mm is None:
+            return own
+        beside = sight(self._partner, self._partner_poses)
+        return Sight(
+            np.concatenate([own.normals, beside.normals]),
+            np.concatenate([own.offsets, beside.offsets]),
+            np.concatenate([own.places, beside.places]),
+        )
 
     @cached_property
     def _reach(self) -> Reach:
@@ -200,6 +254,29 @@ class Stage:
 
         nm = surface_grid(self._first_camera.sensor)
         return {**organ_surfaces(self.cultivar, nm), **greenhouse_surfaces(nm)}
+
+    @cached_property
+    def _partner(self) -> Camera:
+        """The stereo partner's camera; the one flash of the two stays where it is."""
+        camera = self._first_camera
+        if camera.flash is None:
+            return camera
+        right, down, forward = camera.flash.offset_m
+        flash = replace(camera.flash, offset_m=(right - self._baseline_m, down, forward))
+        return replace(camera, flash=flash)
+
+    @cached_property
+    def _partner_poses(self) -> NDArray[np.float64]:
+        poses = self._poses.copy()
+        poses[:, :3, 3] += self._baseline_m * poses[:, :3, 0]
+        return poses
+
+    @property
+    def _baseline_m(self) -> float:
+        assert (
+            self.recipe.camera.baseline_mm is not None
+        )  # asked for by `check_partner`, or where there is one
+        return self.recipe.camera.baseline_mm / 1e3
 
     @cached_property
     def _poses(self) -> NDArray[np.float64]:

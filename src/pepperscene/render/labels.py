@@ -82,6 +82,8 @@ def truths(
         "distance_code": lambda: distance_code(hits.distance),
         "depth_z": lambda: depth_z(hits, camera),
         "normal": lambda: normals(mesh, hits, camera),
+        "position": lambda: points(hits, camera).astype(np.float32),
+        "uv": lambda: surface_coordinates(mesh, hits, camera),
     }
     return {name: make() for name, make in makers.items() if name in wanted}
 
@@ -190,6 +192,54 @@ def normals(mesh: Mesh, hits: Hits, camera: Camera) -> NDArray[np.float32]:
 def depth_z(hits: Hits, camera: Camera) -> NDArray[np.float32]:
     """`(h, w)` metres along the optical axis; inf in the background."""
     return (hits.distance * camera.pixel_directions()[..., 2]).astype(np.float32)
+
+
+def points(hits: Hits, camera: Camera) -> NDArray[np.float64]:
+    """`(h, w, 3)` what is hit, in world coordinates, metres; inf in the background."""
+    rays = world_rays(camera)
+    seen = hits.face >= 0
+    # Infinity times 0 is no number.
+    found = np.where(seen, hits.distance, 0.0)[..., None] * rays + camera.pose[:3, 3]
+    found[~seen] = np.inf
+    return found
+
+
+def world_rays(camera: Camera) -> NDArray[np.float64]:
+    """`(h, w, 3)` unit directions in the world of the rays through the pixels' centres."""
+    x, y, z = np.moveaxis(camera.pixel_directions(), -1, 0)
+    found = np.empty((3, *x.shape))
+    # Coordinate by coordinate: the matrix library shares such products out to threads, and its last bits
+    # depend on them.
+    for axis, (one, other, third) in enumerate(camera.pose[:3, :3]):
+        found[axis] = one * x + other * y + third * z
+    return np.moveaxis(found, 0, -1)
+
+
+def surface_coordinates(mesh: Mesh, hits: Hits, camera: Camera) -> NDArray[np.float32]:
+    """`(h, w, 2)` surface coordinates in [0, 1], linear over each triangle; -1 in the background.
+
+    Where on its triangle a ray falls is told in double precision, as `normals` are: single precision loses
+    what a needle-like triangle is narrower by than it is long.
+
+    Method: T. Moeller and B. Trumbore, "Fast, minimum storage ray-triangle intersection", Journal of Graphics
+    Tools 2 (1997) 21.
+    """
+    found = np.full((*hits.face.shape, 2), -1.0, np.float32)
+    seen = hits.face >= 0
+    corners = mesh.faces[hits.face[seen]]
+    first, second, third = (mesh.vertices[corners[:, corner]].astype(np.float64).T for corner in range(3))
+    ray = world_rays(camera)[seen].T
+    along, across = second - first, third - first
+    back = camera.pose[:3, 3][:, None] - first
+    ray_across, back_along = _cross(ray, across), _cross(back, along)
+    volume = (along * ray_across).sum(axis=0)
+    # A ray may fall beside its triangle by rounding, and on one of no width anywhere.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = np.nan_to_num(np.clip((back * ray_across).sum(axis=0) / volume, 0.0, 1.0))
+        v = np.nan_to_num(np.clip((ray * back_along).sum(axis=0) / volume, 0.0, 1.0 - u))
+    one, two, three = (mesh.uv[corners[:, corner]].T for corner in range(3))
+    found[seen] = ((1.0 - u - v) * one + u * two + v * three).T
+    return found
 
 
 def _seen(face: NDArray[np.int64], count: int) -> tuple[NDArray[np.intp], NDArray[np.uint32]]:

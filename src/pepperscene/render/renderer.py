@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import platform
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, develop, expected_electrons, raw_frame
-from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, Frame, check_outputs
+from pepperscene.errors import InputError
+from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, PARTNERED, Frame, check_outputs
 from pepperscene.render import labels
 from pepperscene.render.adaptive import Stop
 from pepperscene.render.denoise import denoised
 from pepperscene.render.kernel import LightScene, light_scene, sky_tables, truth_scene
 from pepperscene.render.quality import Quality, quality_of
 from pepperscene.render.reference import PathScene, path_scene, path_traced, samples_taken
-from pepperscene.render.region import region_of
+from pepperscene.render.region import Region, region_of
 from pepperscene.render.response import response
 from pepperscene.render.transport import Sampling, trace
 from pepperscene.render.variant import kernel, variant_name
@@ -28,6 +29,7 @@ from pepperscene.scene import Scene
 from pepperscene.version import __version__
 
 if TYPE_CHECKING:
+    from pepperscene.render.coverage import Coverage
     from pepperscene.render.harvest import Harvest
 
 Traced = tuple[NDArray[np.float32], dict[str, Any]]
@@ -41,6 +43,7 @@ def render(
     quality: str | Quality = "standard",
     seed: int = 0,
     target_error: float | None = None,
+    others: Mapping[str, Camera] | None = None,
 ) -> Frame:
     """One frame of a scene; for several frames of the same scene keep a `Renderer`.
 
@@ -52,12 +55,14 @@ def render(
         seed: of light transport and of the sensor's noise.
         target_error: standard error of a pixel's light over the sensor's noise at which sampling stops,
             instead of the quality's.
+        others: cameras that look at the same scene: "flow", the one that the output `flow` leads to (without
+            it there is no flow), and "stereo", the partner of `stereo` and `colour_stereo`.
 
     Raises:
-        InputError: unknown output or quality, or a target out of range.
+        InputError: unknown output or quality, a target out of range, or a partner that is missing.
         SetupError: no JIT variant of Mitsuba runs here.
     """
-    return Renderer(scene).render(camera, outputs, quality, seed, target_error)
+    return Renderer(scene).render(camera, outputs, quality, seed, target_error, others)
 
 
 class Renderer:
@@ -70,6 +75,7 @@ class Renderer:
         self._light: LightScene | None = None
         self._light_range: tuple[float, float] | None = None
         self._path: tuple[tuple[float, float, bool], PathScene] | None = None
+        self._coverage: Coverage | None = None
         self._harvest: Harvest | None = None
 
     def render(
@@ -79,32 +85,61 @@ class Renderer:
         quality: str | Quality = "standard",
         seed: int = 0,
         target_error: float | None = None,
+        others: Mapping[str, Camera] | None = None,
     ) -> Frame:
         """One frame; see `render`."""
         wanted = check_outputs(outputs)
+        onto = _examined(wanted, others or {})
         effort = quality_of(quality, target_error)
-        view = self._lens.view(camera, region_of(self.scene.mesh))
+        view = self._lens.view(camera, self._region)
         images: dict[str, Any] = {}
         told: dict[str, Any] = {}
         # Light first: its scene then serves the ground truth as well.
-        if any(OUTPUTS[name].traced for name in wanted):
+        if any(OUTPUTS[name].traced and name not in PARTNERED for name in wanted):
             noise, sampling = np.random.SeedSequence(seed).spawn(2)
-            number = int(sampling.generate_state(1)[0])
-            trace_with = self._path_traced if effort.integrator == "path" else self._traced
-            signal, told["sampling"] = trace_with(view, camera, effort, number)
+            signal, told["sampling"] = self._light_through(view, camera, effort, sampling)
             images |= _photographs(wanted, signal, camera, noise)
+        if "colour_stereo" in wanted:
+            # Noise and samples of its own: a third branch of the frame's seed.
+            noise, sampling = np.random.SeedSequence(seed).spawn(3)[2].spawn(2)
+            partner = onto["stereo"]
+            beside = self._lens.view(partner, self._region)
+            signal, told["sampling_stereo"] = self._light_through(beside, partner, effort, sampling)
+            images["colour_stereo"] = _photographs(("colour",), signal, partner, noise)["colour"]
+        if set(wanted) & PARTNERED:
+            told["stereo_pose"] = onto["stereo"].pose.tolist()
         seen: dict[str, dict[str, Any]] = {}
         if any(not OUTPUTS[name].traced for name in wanted):
             hits = labels.first_hits(self._truth_scene(), view)
             instance = labels.instance_ids(self.scene.mesh, hits)
             images |= labels.truths(self.scene.mesh, hits, instance, camera, wanted)
             seen = labels.instances_in_view(self.scene.mesh, instance)
+            if "coverage" in wanted:
+                images["coverage"] = self._covered().image(self._truth_scene(), view)
+            for name in [name for name in wanted if name in ("flow", "stereo")]:
+                images[name] = self._motion(hits, camera, onto.get(name))
             if "harvest" in wanted:
                 images["harvest"] = self._harvested().truth(camera, view, hits, instance)
         facts = {**self._facts(camera, seed), **told, "instances": seen}
         return Frame({name: images[name] for name in wanted}, facts)
 
     # --- passes -----------------------------------------------------------------------------------------
+
+    def _light_through(
+        self, view: View, camera: Camera, quality: Quality, sampling: np.random.SeedSequence
+    ) -> Traced:
+        """Light by the integrator that the quality asks for."""
+        number = int(sampling.generate_state(1)[0])
+        trace_with = self._path_traced if quality.integrator == "path" else self._traced
+        return trace_with(view, camera, quality, number)
+
+    def _motion(self, hits: labels.Hits, camera: Camera, other: Camera | None) -> NDArray[np.float32]:
+        """Where what is hit lies for another camera."""
+        from pepperscene.render.correspondence import motion, nowhere
+
+        if other is None:
+            return nowhere(hits)
+        return motion(self._truth_scene(), self._region, hits, camera, other)
 
     def _traced(self, view: View, camera: Camera, quality: Quality, seed: int) -> Traced:
         """Light by our own integrator, and what is to be said of its samples."""
@@ -141,6 +176,10 @@ class Renderer:
 
     # --- scenes, made when first needed -----------------------------------------------------------------
 
+    @functools.cached_property
+    def _region(self) -> Region:
+        return region_of(self.scene.mesh)
+
     def _truth_scene(self) -> Any:
         """Any Mitsuba scene will do for hits: the one with materials where it is there already."""
         if self._light is not None:
@@ -155,12 +194,20 @@ class Renderer:
             self._light_range = (first_nm, last_nm)
         return self._light
 
+    def _covered(self) -> Coverage:
+        """The classes of the scene's triangles inside the kernel."""
+        if self._coverage is None:
+            from pepperscene.render.coverage import Coverage
+
+            self._coverage = Coverage(self.scene.mesh)
+        return self._coverage
+
     def _harvested(self) -> Harvest:
         """What the harvest truth keeps of the scene."""
         if self._harvest is None:
             from pepperscene.render.harvest import Harvest
 
-            self._harvest = Harvest(self.scene, self._truth_scene())
+            self._harvest = Harvest(self.scene)
         return self._harvest
 
     # --- facts ------------------------------------------------------------------------------------------
@@ -176,6 +223,17 @@ class Renderer:
                 **_library_versions(),
             },
         }
+
+
+def _examined(wanted: tuple[str, ...], others: Mapping[str, Camera]) -> Mapping[str, Camera]:
+    """The other cameras, unless one that is needed is missing, or is none that is known."""
+    for name in others:
+        if name not in ("flow", "stereo"):
+            raise InputError("others", name, None, "is no camera that is asked for; allowed are flow, stereo")
+    missing = [name for name in wanted if name in PARTNERED]
+    if missing and "stereo" not in others:
+        raise InputError("others", "stereo", None, f"must be a partner's camera for the output {missing[0]}")
+    return others
 
 
 def _photographs(
