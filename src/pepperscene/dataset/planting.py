@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
     from pepperscene.geometry import Contacts, Mesh
     from pepperscene.grammar import Plant
-    from pepperscene.scene import DoubleRow, Greenhouse, Posture
+    from pepperscene.scene import DoubleRow, Greenhouse, Posture, Skeleton
 
 FAR_DETAIL = 0.3
 """Fineness of the plants that far rows are made coarse from: chosen, their leaves still hang and fold."""
@@ -33,10 +33,12 @@ class Planted:
         mesh: plants first, then greenhouse and far rows.
         contacts: what of the plants' fruit and blades still touches, within plants and between them; what
             does both counts twice.
+        skeleton: the plants' organs as they lie in the mesh.
     """
 
     mesh: Mesh
     contacts: Contacts
+    skeleton: Skeleton
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +46,13 @@ class Standing:
     """A plant of a set.
 
     Attributes:
+        plant: its organs as they lie in the mesh.
         mesh: with its twine, in the plant's own coordinates.
         posture: how it stands.
         contacts: what of its fruit and blades still touches within it.
     """
 
+    plant: Plant
     mesh: Mesh
     posture: Posture
     contacts: Contacts
@@ -78,7 +82,7 @@ class Planting:
     def scene(self, which: int, rotation: int) -> Planted:
         """What stands in the scene of a set at a rotation."""
         from pepperscene.geometry import concatenate, settle
-        from pepperscene.scene import far_rows, furniture, standing, uneven
+        from pepperscene.scene import Skeleton, far_rows, furniture, standing, uneven
 
         plants, row, house = self.plants(which), self.row, self.house
         moved_on = rotated(plants[: row.front], rotation) + rotated(plants[row.front :], rotation)
@@ -102,7 +106,14 @@ class Planting:
             chance = generator(self.recipe.seed, Stream.FAR, 1, which, rotation)
             around += far_rows(self._models, row, house, chance)
         mesh = concatenate([settled.mesh, *around]) if around else settled.mesh
-        return Planted(mesh, _all_contacts(settled.contacts, plants))
+        organs = Skeleton(
+            tuple(one.plant for one in moved_on),
+            tuple(len(one.mesh.instances) for one in moved_on),
+            feet,
+            turns,
+            settled.motions,
+        )
+        return Planted(mesh, _all_contacts(settled.contacts, plants), organs)
 
     def plants(self, which: int) -> list[Standing]:
         """A set's plants, the front row's first."""
@@ -127,7 +138,7 @@ class Planting:
             return self._held(plant, mesh, stands, generator(seed, Stream.TWINE, which, number))
 
         made = grown_at(self.cultivar, seed, which, number, lean_rad=stands.lean_rad, hold=hold)
-        return Standing(made.mesh, stands, made.contacts)
+        return Standing(made.plant, made.mesh, stands, made.contacts)
 
     def _held(self, plant: Plant, mesh: Mesh, stands: Posture, rng: np.random.Generator) -> Mesh:
         """The plant with its twine, tied to the wire above its row where there is one."""

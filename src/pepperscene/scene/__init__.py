@@ -7,6 +7,7 @@ from pepperscene.scene.irregular import Posture, posture, uneven
 from pepperscene.scene.placed import Scene, assemble
 from pepperscene.scene.row import DoubleRow, Twine, about_z, double_row, standing, with_twine
 from pepperscene.scene.sight import Sight, sight
+from pepperscene.scene.skeleton import Skeleton, skeleton
 from pepperscene.scene.sky import Sky, Sun, partly_cloudy, uniform_sky
 from pepperscene.scene.visible import Reach, culled, reach
 
@@ -18,6 +19,7 @@ __all__ = [
     "Reach",
     "Scene",
     "Sight",
+    "Skeleton",
     "Sky",
     "Sun",
     "Twine",
@@ -33,6 +35,7 @@ __all__ = [
     "posture",
     "reach",
     "sight",
+    "skeleton",
     "standing",
     "uneven",
     "uniform_sky",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from pepperscene.geometry import Mesh
 from pepperscene.materials import Surface
+from pepperscene.scene.skeleton import Skeleton
 from pepperscene.scene.sky import Sky
 
 
@@ -20,11 +21,14 @@ class Scene:
         mesh: all triangles.
         surfaces: one for each of `mesh.surfaces`, in that order; empty when only ground truth is wanted.
         sky: daylight, or None for a night scene.
+        skeleton: the plants whose organs are the first of the mesh's instances; None where nobody can tell
+            where a fruit is to be cut.
     """
 
     mesh: Mesh
     surfaces: tuple[Surface, ...] = ()
     sky: Sky | None = None
+    skeleton: Skeleton | None = None
 
     def __post_init__(self) -> None:
         names = tuple(surface.name for surface in self.surfaces)
@@ -32,20 +36,26 @@ class Scene:
             raise ValueError(f"surfaces {names} do not match the mesh's {self.mesh.surfaces}")
 
 
-def assemble(mesh: Mesh, surfaces: Mapping[str, Surface] | None = None, sky: Sky | None = None) -> Scene:
+def assemble(
+    mesh: Mesh,
+    surfaces: Mapping[str, Surface] | None = None,
+    sky: Sky | None = None,
+    skeleton: Skeleton | None = None,
+) -> Scene:
     """A scene out of a mesh and the surfaces by name; those that the mesh lacks are left out.
 
     Args:
         mesh: everything placed.
         surfaces: by surface name; None when only ground truth will be asked for.
         sky: daylight, or None.
+        skeleton: of the plants in it, which the output "harvest" needs.
 
     Raises:
         ValueError: the mesh names a surface that is not given.
     """
     if surfaces is None:
-        return Scene(mesh, (), sky)
+        return Scene(mesh, (), sky, skeleton)
     missing = [name for name in mesh.surfaces if name not in surfaces]
     if missing:
         raise ValueError(f"no surface is given for {', '.join(missing)}")
-    return Scene(mesh, tuple(surfaces[name] for name in mesh.surfaces), sky)
+    return Scene(mesh, tuple(surfaces[name] for name in mesh.surfaces), sky, skeleton)

@@ -1,0 +1,248 @@
+"""What a harvest robot would want to know of every fruit in a picture, as JSON tells it.
+
+Instances are told as the values of the instance image: the index of the organ plus 1. Lengths are metres,
+places in the picture continuous pixel coordinates; both are rounded far below what can be seen of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pepperscene.camera import Camera
+from pepperscene.classes import Instance
+from pepperscene.truth.boxes import mask_box, touches_border
+from pepperscene.truth.harvest_approach import Approach
+from pepperscene.truth.harvest_graph import organ_graph
+from pepperscene.truth.harvest_stalk import FruitStalk
+from pepperscene.truth.rle import run_lengths
+
+FORMAT: Final = "pepperscene harvest 1"
+
+FloatArray = NDArray[np.float64]
+
+_NEAR: Final = 2.0
+"""Chosen: radii of the stalk that a surface lies before its centreline at most, where that counts as seen. A
+tube seen at 30 degrees to its axis shows its skin so far in front."""
+_CORNERS: Final = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
+
+
+@dataclass(frozen=True, eq=False)
+class Fruit:
+    """A fruit of a scene, in world metres; the same in all its views.
+
+    Attributes:
+        instance: its index.
+        about: the organ, as the scene's instances tell it.
+        pose: `(4, 4)` fruit to world: from where it hangs, x to its upper side, y right, z along its axis.
+        low, high: `(3,)` the box that holds it, in those axes.
+        measures: `ripeness`, `ripeness_spread`, `length_m`, `diameter_m`.
+        line: indices of the organs from it down to the main stem, itself first.
+        stalk: that it is harvested with, or None.
+        approach: to it, or None.
+    """
+
+    instance: int
+    about: Instance
+    pose: FloatArray
+    low: FloatArray
+    high: FloatArray
+    measures: dict[str, float]
+    line: tuple[int, ...]
+    stalk: FruitStalk | None
+    approach: Approach | None
+
+
+@dataclass(frozen=True, eq=False)
+class Amodal:
+    """The pixels that a fruit would have if nothing stood before it.
+
+    Attributes:
+        corner: column and row of the first pixel of `mask` in the picture.
+        mask: `(h, w)` of a part of the picture that holds them all.
+    """
+
+    corner: tuple[int, int]
+    mask: NDArray[np.bool_]
+
+    def of(self, image: NDArray[Any]) -> NDArray[Any]:
+        """The part of a picture that the mask tells of."""
+        (x, y), (height, width) = self.corner, self.mask.shape
+        return image[y : y + height, x : x + width]
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What is seen.
+
+    Attributes:
+        camera: that looks.
+        instance: `(h, w)` the instance image.
+        distance: `(h, w)` metres along the rays through the pixels' centres.
+        pixels: how many each value of the instance image has.
+    """
+
+    camera: Camera
+    instance: NDArray[np.uint16]
+    distance: NDArray[np.float32]
+    pixels: NDArray[np.intp] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pixels", np.bincount(self.instance.ravel()))
+
+    @property
+    def rotation(self) -> FloatArray:
+        """`(3, 3)` world to camera."""
+        return self.camera.pose[:3, :3].T
+
+    def points(self, world: FloatArray) -> FloatArray:
+        """`(n, 3)` world points in camera metres."""
+        return (world - self.camera.pose[:3, 3]) @ self.camera.pose[:3, :3]
+
+
+def harvest_facts(
+    found: Sequence[tuple[Fruit, Amodal]], picture: Picture, instances: Sequence[Instance]
+) -> dict[str, Any]:
+    """The output `harvest` of a picture.
+
+    Args:
+        found: its fruit, and the pixels that each would have.
+        picture: what is seen.
+        instances: of the scene.
+    """
+    return {
+        "format": FORMAT,
+        "fruit": [fruit_facts(fruit, amodal, picture) for fruit, amodal in found],
+        "graph": organ_graph((fruit.line for fruit, _ in found), instances, picture.pixels),
+    }
+
+
+def fruit_facts(fruit: Fruit, amodal: Amodal, picture: Picture) -> dict[str, Any]:
+    """What is told of one fruit.
+
+    Raises:
+        ValueError: it has no pixel at all.
+    """
+    return {
+        "instance": fruit.instance + 1,
+        "plant": fruit.about.plant,
+        "phytomer": fruit.about.phytomer,
+        "kind": fruit.about.kind,
+        **{name: _rounded(value) for name, value in fruit.measures.items()},
+        "pose": _pose(fruit, picture),
+        **_seen(fruit, amodal, picture),
+        "box_3d": _box_3d(fruit, picture),
+        "peduncle": None if fruit.stalk is None else _stalk(fruit.stalk, picture),
+        "approach": None if fruit.approach is None else _approach(fruit.approach, picture),
+    }
+
+
+def _seen(fruit: Fruit, amodal: Amodal, picture: Picture) -> dict[str, Any]:
+    """Masks and boxes: what is seen of it, what would be, and what stands before it."""
+    shown = amodal.of(picture.instance)
+    visible = shown == fruit.instance + 1
+    whole = mask_box(amodal.mask, amodal.corner)
+    if whole is None:
+        raise ValueError("a fruit without any pixel is not in the picture")
+    count, seen = int(amodal.mask.sum()), int(visible.sum())
+    box = mask_box(visible, amodal.corner)
+    before = np.bincount(shown[amodal.mask & ~visible])
+    others = np.flatnonzero(before)
+    # Most pixels first; the lower number where two have as many.
+    others = others[np.argsort(-before[others], kind="stable")]
+    return {
+        "box": None if box is None else list(box),
+        "amodal_box": list(whole),
+        "visible_pixels": seen,
+        "amodal_pixels": count,
+        "visible_fraction": _rounded(seen / count),
+        "truncated": touches_border(whole, picture.instance.shape),
+        "occluders": [{"instance": int(one), "pixels": int(before[one])} for one in others if one > 0],
+        "amodal": run_lengths(amodal.mask, picture.instance.shape, amodal.corner),
+    }
+
+
+def _pose(fruit: Fruit, picture: Picture) -> list[list[float]]:
+    """`(4, 4)` fruit to camera."""
+    pose = np.eye(4)
+    pose[:3, :3] = picture.rotation @ fruit.pose[:3, :3]
+    pose[:3, 3] = picture.points(fruit.pose[:3, 3])
+    return _lists(pose, 9)
+
+
+def _box_3d(fruit: Fruit, picture: Picture) -> dict[str, Any]:
+    """The box that holds the fruit, with edges along its own axes."""
+    size = fruit.high - fruit.low
+    turn, foot = fruit.pose[:3, :3], fruit.pose[:3, 3]
+    centre = foot + turn @ (0.5 * (fruit.low + fruit.high))
+    corners = picture.camera.project(centre + (_CORNERS * size) @ turn.T)
+    return {
+        "centre": _lists(picture.points(centre)),
+        "size": _lists(size),
+        "rotation": _lists(picture.rotation @ turn, 9),
+        # A corner behind the camera is nowhere in the picture.
+        "corners_px": [_lists(corner, 3) if np.isfinite(corner).all() else None for corner in corners],
+    }
+
+
+def _stalk(stalk: FruitStalk, picture: Picture) -> dict[str, Any]:
+    """The fruit's stalk, and where it is cut."""
+    # At the joint, the body that bears the stalk shows as well.
+    joint = (stalk.instance, stalk.bearer)
+    return {
+        "instance": stalk.instance + 1,
+        "length_m": _rounded(stalk.length_m),
+        "radius_m": _rounded(stalk.radius_m),
+        "curve_m": _lists(picture.points(stalk.curve)),
+        "attachment": _point(stalk.attachment, joint, stalk.radius_m, picture),
+        "cut": {
+            **_point(stalk.cut, joint[:1], stalk.radius_m, picture),
+            "tangent": _lists(picture.rotation @ stalk.tangent, 9),
+        },
+    }
+
+
+def _point(point: FloatArray, own: Sequence[int], radius_m: float, picture: Picture) -> dict[str, Any]:
+    """A point of a stalk's centreline; seen where its pixel shows the skin right in front of it."""
+    place = picture.camera.project(point)[0]
+    # Comparisons with nan are false.
+    inside = bool((place >= 0.0).all() and (place < [picture.camera.width, picture.camera.height]).all())
+    return {
+        "camera_m": _lists(picture.points(point)),
+        "world_m": _lists(point),
+        "px": _lists(place, 3) if inside else None,
+        "visible": inside and _shown(point, place, own, radius_m, picture),
+    }
+
+
+def _shown(
+    point: FloatArray, place: FloatArray, own: Sequence[int], radius_m: float, picture: Picture
+) -> bool:
+    """Whether the first surface behind the pixel that a point falls into is its own, and near it."""
+    row, column = int(place[1]), int(place[0])
+    away = float(picture.distance[row, column]) - float(np.linalg.norm(picture.points(point)))
+    return int(picture.instance[row, column]) - 1 in own and abs(away) <= _NEAR * radius_m
+
+
+def _approach(approach: Approach, picture: Picture) -> dict[str, Any]:
+    return {
+        "camera": _lists(picture.rotation @ approach.direction, 9),
+        "world": _lists(approach.direction, 9),
+        "azimuth_rad": _rounded(approach.azimuth(picture.camera.pose)),
+        "stem_camera_m": _lists(picture.points(approach.stem)),
+        "stem_world_m": _lists(approach.stem),
+    }
+
+
+def _rounded(value: float, digits: int = 6) -> float:
+    """To a micrometre, as a rule; no negative zero."""
+    return round(float(value), digits) + 0.0
+
+
+def _lists(values: ArrayLike, digits: int = 6) -> list[Any]:
+    """An array as lists of rounded numbers."""
+    return list((np.round(np.asarray(values, dtype=float), digits) + 0.0).tolist())
