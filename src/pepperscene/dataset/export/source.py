@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.images import read_image
 from pepperscene.dataset.store import Dataset, file_name
 from pepperscene.errors import InputError
 
@@ -75,7 +74,7 @@ class Source:
         """
         content = self.content(output)
         if self.path(output).suffix != ".png":
-            return read_image(self.path(output))
+            return self.dataset.image(self.index, output)
         from PIL import Image
 
         try:
