@@ -1,0 +1,93 @@
+"""Which files a data set has, against which it should have."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from pepperscene.dataset.atomic import is_temporary
+from pepperscene.dataset.check.verdict import Finding
+from pepperscene.dataset.folder import REPORT_FILES
+from pepperscene.dataset.journal import JOURNAL
+from pepperscene.dataset.manifest import FRUIT, MANIFEST
+from pepperscene.dataset.recipe_identity import digest
+from pepperscene.dataset.store import DIGITS, FORMAT, FRAMES, MARK, Dataset, read_json
+from pepperscene.errors import InputError
+from pepperscene.frame import OUTPUTS
+
+LITTER: Final = {".DS_Store", "Thumbs.db"}
+"""Written by file managers into every folder that they show."""
+
+_OWN: Final = {MARK, FRAMES, MANIFEST, FRUIT, JOURNAL, *OUTPUTS, *REPORT_FILES}
+
+
+def frame_indices(dataset: Dataset) -> tuple[int, ...]:
+    """The frames whose JSON is there, ascending; files of other names than builds give are none."""
+    folder = dataset.folder / FRAMES
+    names = (entry.name for entry in os.scandir(folder)) if folder.is_dir() else ()
+    return tuple(sorted(int(stem) for stem in map(_stem, names) if stem is not None))
+
+
+def _stem(name: str, suffix: str = ".json") -> str | None:
+    """The six digits of a frame's file, None when it is not one."""
+    stem = name.removesuffix(suffix)
+    own = name.endswith(suffix) and len(stem) == DIGITS and stem.isascii() and stem.isdecimal()
+    return stem if own else None
+
+
+def opened(folder: Path) -> tuple[Dataset, list[Finding]]:
+    """The data set in a folder, as far as its `dataset.json` can be read, and what is wrong with that.
+
+    Raises:
+        InputError: there is nothing of a data set in the folder.
+    """
+    if not (folder / MARK).exists() and not (folder / FRAMES).is_dir():
+        raise InputError(folder, "", None, f"holds no data set: there is no {MARK} in it")
+    try:
+        about = read_json(folder / MARK)
+    except InputError as fault:
+        return Dataset(folder, {}), [Finding("damaged", None, MARK, fault.allowed)]
+    return Dataset(folder, about), [Finding("damaged", None, MARK, what) for what in _about_faults(about)]
+
+
+def _about_faults(about: Mapping[str, Any]) -> Iterator[str]:
+    if about.get("format") != FORMAT:
+        yield f"says format = {about.get('format')!r}, which must be {FORMAT!r}"
+    elif about.get("recipe_sha256") != digest({name: about.get(name) for name in ("recipe", "files")}):
+        yield "is not what was written: the recipe's checksum is another"
+
+
+def stray_files(dataset: Dataset, indices: Sequence[int]) -> Iterator[Finding]:
+    """Files that belong to no frame of the data set: foreign ones, and those that a killed build left."""
+    known = set(indices)
+    for entry in sorted(os.scandir(dataset.folder), key=lambda one: one.name):
+        if entry.name in LITTER:
+            continue
+        if entry.name not in _OWN:
+            yield Finding("extra", None, entry.name, _stray(entry))
+        elif entry.name == FRAMES or entry.name in OUTPUTS:
+            if entry.is_dir():
+                suffix = ".json" if entry.name == FRAMES else OUTPUTS[entry.name].suffix
+                yield from _stray_in(entry, suffix, known)
+            else:
+                yield Finding("extra", None, entry.name, "is a file where a folder should be")
+
+
+def _stray_in(folder: os.DirEntry[str], suffix: str, known: set[int]) -> Iterator[Finding]:
+    for entry in os.scandir(folder):
+        stem = _stem(entry.name, suffix)
+        if entry.name in LITTER or (stem is not None and int(stem) in known):
+            continue
+        name = f"{folder.name}/{entry.name}"
+        if stem is not None:
+            yield Finding("extra", int(stem), name, "belongs to no frame: its JSON is not there")
+        else:
+            yield Finding("extra", None, name, _stray(entry))
+
+
+def _stray(entry: os.DirEntry[str]) -> str:
+    if is_temporary(Path(entry.path)):
+        return "is a temporary file, left by a build that was ended or still runs"
+    return "does not belong to a data set"
