@@ -33,7 +33,7 @@ class StandIn:
 
 
 class Deadly(StandIn):
-    """Ends its process at the frame whose seed is `DEADLY_SEED`, as the system does that runs out of memory."""
+    """Ends its process at the frame whose seed is `DEADLY_SEED`, as a system does without memory."""
 
     def render(self, camera, outputs=(), quality="standard", seed=0, **others):
         if str(seed) == os.environ.get("DEADLY_SEED") and not _once("DEADLY_ONCE"):

@@ -7,7 +7,9 @@ import pickle
 import platform
 import queue
 import signal
+import sys
 import threading
+import traceback
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import IO, Any, Final, final
@@ -62,8 +64,10 @@ class _Worker:
         environment = {**dict.fromkeys(_THREADS, str(threads)), PROCESSES: "1"}
         self.unit: Unit | None = None
         self.told: set[int] = set()
-        self._job, self._events = job, events
+        self._events = events
         self.child = Child(__name__, environment)
+        with suppress(OSError):
+            self.child.say(job)
         self._thread = threading.Thread(target=self._listen, name="worker", daemon=True)
         self._thread.start()
 
@@ -77,8 +81,6 @@ class _Worker:
         try:
             if not self.child.same():
                 raise EOFError
-            with suppress(OSError):
-                self.child.say(self._job)
             while True:
                 self._events.put((self, self.child.hear()))
         except EOFError:
@@ -180,8 +182,21 @@ def _how(child: Child) -> str:
 
 def serve() -> None:
     """A worker: makes the units that it is asked for until its input ends."""
+    status = 1
+    try:
+        _serve()
+        status = 0
+    except Exception:
+        traceback.print_exc()
+    finally:
+        # The thread that waits for input holds it, and Python would wait for that thread.
+        sys.stderr.flush()
+        os._exit(status)
+
+
+def _serve() -> None:
     asked, told = listening()
-    with told, suppress(EOFError, OSError):
+    with told, suppress(EOFError, BrokenPipeError):
         job: Job = pickle.load(asked)
         wanted: queue.SimpleQueue[tuple[int, ...] | None] = queue.SimpleQueue()
         ended = threading.Event()
@@ -194,10 +209,7 @@ def serve() -> None:
         except PepperError as fault:
             say(told, fault)
         except MemoryError:
-            say(
-                told,
-                WorkerError("a worker ran out of memory; take fewer of them, the frames so far are kept"),
-            )
+            say(told, WorkerError("a worker ran out of memory; take fewer, the frames so far are kept"))
 
 
 def _asked(
