@@ -22,14 +22,24 @@ class StandIn:
         self.triangles = len(scene.mesh.faces)
 
     def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
-        log = os.environ.get("STAND_IN_LOG")
-        if log:
-            with open(log, "a", encoding="utf-8") as file:
-                file.write(f"{seed}\n")
+        _note(seed)
         time.sleep(float(os.environ.get("STAND_IN_S", "0")))
         seen = {"1": {"class": 1, "kind": "lamina", "plant": 0, "phytomer": 3, "parent": 0, "pixels": 5}}
         facts = {"camera": camera.facts(), "instances": seen, "triangles": self.triangles}
         return Frame({name: _image(name, camera, seed) for name in outputs}, facts)
+
+
+class Logged:
+    """Mitsuba, noting what it renders."""
+
+    def __init__(self, scene):
+        from pepperscene.render import Renderer
+
+        self.renderer = Renderer(scene)
+
+    def render(self, camera, outputs=(), quality="standard", seed=0, **others):
+        _note(seed)
+        return self.renderer.render(camera, outputs, quality, seed, **others)
 
 
 class Deadly(StandIn):
@@ -46,6 +56,13 @@ class Hungry(StandIn):
 
     def render(self, camera, outputs=(), quality="standard", seed=0, **others):
         raise MemoryError
+
+
+def _note(seed):
+    log = os.environ.get("STAND_IN_LOG")
+    if log:
+        with open(log, "a", encoding="utf-8") as file:
+            file.write(f"{seed}\n")
 
 
 def _once(variable):

@@ -1,0 +1,173 @@
+"""A build that is killed at any moment goes on with the same command, and ends as if nothing had been."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pepperscene.dataset import open_dataset
+from pepperscene.dataset.plan import Plan
+from pepperscene.dataset.seeds import frame_seed
+
+TABLES = {"manifest.parquet", "fruit.parquet", "journal.jsonl"}
+FRAMES = 60
+SEED = 2018
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="children are found in /proc")
+
+STAND_IN = """
+import sys
+from stand_in import StandIn
+from pepperscene.dataset import build, load_recipe
+recipe = load_recipe("barth2018")
+plan = recipe.plan.model_copy(update={"sets": 2, "rotations": 2, "frames": 15})
+row = recipe.row.model_copy(update={"plants_front": 1, "plants_back": 0})
+recipe = recipe.model_copy(update={"plan": plan, "row": row, "cultivar": "kaite_february"})
+workers = int(sys.argv[2]) or None
+build(recipe, sys.argv[1], outputs=("class", "distance", "colour"), renderer=StandIn, workers=workers)
+"""
+REAL = """
+import sys
+from pepperscene.dataset import build, load_recipe
+from stand_in import Logged
+recipe = load_recipe("barth2018")
+plan = recipe.plan.model_copy(update={"sets": 2, "rotations": 2, "frames": 15})
+row = recipe.row.model_copy(update={"plants_front": 2, "plants_back": 1})
+recipe = recipe.model_copy(update={"plan": plan, "row": row, "cultivar": "kaite_february"})
+workers = int(sys.argv[2]) or None
+outputs = ("class", "instance", "distance", "distance_code", "harvest", "colour")
+build(recipe, sys.argv[1], outputs=outputs, quality="draft", workers=workers, renderer=Logged)
+"""
+
+
+@pytest.fixture
+def begin(tmp_path, monkeypatch):
+    """Starts a build of 60 frames in a process of its own."""
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    monkeypatch.setenv("STAND_IN_LOG", str(tmp_path / "rendered"))
+    monkeypatch.setenv("STAND_IN_S", "0.02")
+
+    def start(out, workers=0, script=STAND_IN):
+        return subprocess.Popen(
+            [sys.executable, "-c", script, str(tmp_path / out), str(workers)],
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+        )
+
+    return start
+
+
+def contents(folder):
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name not in TABLES
+    }
+
+
+def family(process):
+    """A process and all that it has started, directly or not."""
+    parents = {}
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            parents[int(status.parent.name)] = int(status.read_text().rpartition(")")[2].split()[1])
+        except OSError:
+            continue
+    found = {process}
+    while more := {child for child, parent in parents.items() if parent in found} - found:
+        found |= more
+    return found
+
+
+def kill(process, everybody):
+    """`kill -9`, of the build alone or of its workers as well; all have ended on return."""
+    members = family(process.pid)
+    for member in members if everybody else [process.pid]:
+        try:
+            os.kill(member, signal.SIGKILL)
+        except ProcessLookupError:
+            continue
+    process.communicate()
+    deadline = time.monotonic() + 60
+    while any(_lives(member) for member in members) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(_lives(member) for member in members), "workers outlive their build"
+
+
+def _lives(process):
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def whole(folder):
+    """Frames that count, each verified to the last bit; none is damaged."""
+    if not (folder / "dataset.json").is_file():
+        return set()
+    dataset = open_dataset(folder)
+    for index in dataset.indices():
+        entries = dataset.facts(index)["outputs"]
+        assert set(dataset.intact(index).outputs) == set(entries), f"frame {index} is damaged"
+    return set(dataset.indices())
+
+
+def interrupted(begin, tmp_path, rng, kills, script, longest_s, log):
+    """A build that is killed at random moments until the last one may finish; how often it was."""
+    times = 0
+    while True:
+        before = whole(tmp_path / "set")
+        rendered = len(log.read_text().splitlines()) if log.exists() else 0
+        process = begin("set", workers=int(rng.integers(0, 3)), script=script)
+        if times == kills:
+            assert process.communicate()[1] == b""
+            assert process.returncode == 0
+        else:
+            try:
+                process.wait(rng.uniform(0.3, longest_s))
+            except subprocess.TimeoutExpired:
+                kill(process, everybody=bool(rng.integers(2)))
+                times += 1
+            else:
+                process.communicate()
+        seeds = {frame_seed(SEED, index) for index in before}
+        again = [int(line) for line in log.read_text().splitlines()[rendered:]] if log.exists() else []
+        assert not seeds & set(again), "a frame was rendered that was whole already"
+        if process.returncode == 0:
+            return times
+
+
+def test_killed_at_random_moments_and_resumed(begin, tmp_path):
+    rng = np.random.default_rng(6)
+    assert begin("whole").communicate()[1] == b""
+    log = tmp_path / "rendered"
+    log.unlink()
+    times = interrupted(begin, tmp_path, rng, 6, STAND_IN, 4.0, log)
+    assert times > 1
+    assert contents(tmp_path / "set") == contents(tmp_path / "whole")
+    manifest = open_dataset(tmp_path / "set").manifest()
+    assert manifest["index"].to_pylist() == list(range(FRAMES))
+    plan = Plan(sets=2, rotations=2, frames=15)
+    assert manifest["seed"].to_pylist() == [frame_seed(SEED, plan.shot(i).index) for i in range(FRAMES)]
+
+
+@pytest.mark.long
+def test_thirty_kills_of_real_builds(begin, tmp_path):
+    """Sixty frames in colour with all labels, killed at thirty random moments of several builds."""
+    rng = np.random.default_rng(30)
+    process = begin("whole", script=REAL)
+    assert process.communicate()[1] == b""
+    truth, kills, log = contents(tmp_path / "whole"), 0, tmp_path / "rendered"
+    assert len(truth) == 1 + FRAMES * 7
+    while kills < 30:
+        kills += interrupted(begin, tmp_path, rng, 30 - kills, REAL, 30.0, log)
+        assert contents(tmp_path / "set") == truth
+        for path in sorted((tmp_path / "set").rglob("*"), reverse=True):
+            path.rmdir() if path.is_dir() else path.unlink()
