@@ -2,6 +2,8 @@
 
 from pepperscene.dataset.build import BuildResult, Progress, build
 from pepperscene.dataset.changes import read_changes
+from pepperscene.dataset.check import Finding, Verdict, check
+from pepperscene.dataset.export import FORMATS, Exported, Splits, export
 from pepperscene.dataset.grown import GrownPlant, grown
 from pepperscene.dataset.images import read_image, write_image
 from pepperscene.dataset.plan import Plan, Shot
@@ -13,16 +15,23 @@ from pepperscene.dataset.stage import Stage
 from pepperscene.dataset.store import Dataset, open_dataset
 
 __all__ = [
+    "FORMATS",
     "BuildResult",
     "Dataset",
+    "Exported",
+    "Finding",
     "GrownPlant",
     "Plan",
     "Progress",
     "Recipe",
     "Report",
     "Shot",
+    "Splits",
     "Stage",
+    "Verdict",
     "build",
+    "check",
+    "export",
     "grown",
     "load_recipe",
     "open_dataset",

@@ -34,11 +34,12 @@ def export_coco(
     *,
     indices: Sequence[int] | None = None,
     on_frame: OnFrame | None = None,
+    smallest_px: int = 1,
 ) -> Exported:
     """Write `train/000110.png`, `annotations/instances_train.json` and `panoptic_train.json`, a set a split.
 
-    An annotation is one organ of a plant. What has an organ's class but belongs to no plant is one annotation
-    of its class with `iscrowd` 1, which evaluation ignores. Category ids are class ids.
+    An annotation is one organ of a plant. What else has an organ's class is one annotation of that class with
+    `iscrowd` 1, which evaluation ignores. Category ids are class ids.
 
     Args:
         dataset: with the outputs colour and instance; with harvest fruit get amodal masks and cut points.
@@ -46,6 +47,7 @@ def export_coco(
         splits: frames in none are left out.
         indices: of the frames wanted; None for all.
         on_frame: called after every frame.
+        smallest_px: organs of which fewer pixels are seen belong to the crowd of their class.
 
     Raises:
         InputError: an output is missing, or a file is damaged.
@@ -63,7 +65,7 @@ def export_coco(
         (folder / ANNOTATIONS).mkdir()
         parts = {name: files.enter_context(_part(folder, name, dataset.about, harvest)) for name in names}
         for source in sources(dataset, wanted, on_frame):
-            parts[splits.named(source.index)].add(source, harvest)
+            parts[splits.named(source.index)].add(source, harvest, smallest_px)
     return Exported(out, len(wanted), 2 * len(wanted) + 2 * len(names))
 
 
@@ -76,9 +78,9 @@ class _Part:
     instances: Records
     panoptic: Records
 
-    def add(self, source: Source, harvest: bool) -> None:
+    def add(self, source: Source, harvest: bool, smallest_px: int) -> None:
         """Write what belongs to a frame."""
-        ids = segment_ids(source)
+        ids = segment_ids(source, smallest_px)
         found = segments(source, ids)
         image = image_record(source, ids.shape)
         (self.pictures / image["file_name"]).write_bytes(source.content("colour"))
@@ -127,7 +129,7 @@ def annotation_id(index: int, segment: int) -> int:
 
 
 def instance_records(source: Source, found: Sequence[Segment], harvest: bool) -> list[dict[str, Any]]:
-    """One annotation for each organ in view, and for what is no plant's, one for each class."""
+    """One annotation for each organ in view, and one for the rest of each class."""
     fruit = fruit_of(source) if harvest else {}
     in_view = {segment.id for segment in found}
     records = []

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -21,11 +22,13 @@ class Exported:
         folder: that was filled.
         frames: how many frames are in it.
         files: how many files are.
+        splits: how many frames each split has, where `export` tells.
     """
 
     folder: Path
     frames: int
     files: int
+    splits: Mapping[str, int] = field(default_factory=dict)
 
 
 class Exporter(Protocol):
@@ -53,10 +56,13 @@ class Format:
     Attributes:
         name: as on the command line; its module has that name and its exporter that name after `export_`.
         meaning: one line for help texts.
+        smallest_px: fewest visible pixels of an organ that is an object of its own, unless another number is
+            asked for; None for formats that know no objects.
     """
 
     name: str
     meaning: str
+    smallest_px: int | None = None
 
     def __call__(self, *arguments: Any, **options: Any) -> Exported:
         """Write a data set; see `Exporter`."""
@@ -70,8 +76,8 @@ FORMATS: Final = MappingProxyType(
         one.name: one
         for one in (
             Format("published", "folders, names and codes of the published data set"),
-            Format("coco", "COCO instances and panoptic"),
-            Format("yolo", "YOLO segmentation: a polygon a line"),
+            Format("coco", "COCO instances and panoptic", smallest_px=1),
+            Format("yolo", "YOLO segmentation: a polygon a line", smallest_px=12),
             Format("webdataset", "shards of samples, for webdataset"),
             Format("huggingface", "Parquet with pictures and a card, for Hugging Face's datasets"),
         )

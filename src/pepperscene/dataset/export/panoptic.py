@@ -27,8 +27,8 @@ def write_panoptic(path: Path, ids: NDArray[np.uint32]) -> None:
 def panoptic_record(image: Mapping[str, Any], found: Sequence[Segment]) -> dict[str, Any]:
     """The annotation of a picture.
 
-    The background is stuff. What has an organ's class but belongs to no plant is a crowd, which evaluation
-    ignores.
+    The background is stuff. What has an organ's class and is no segment of its own is a crowd, which
+    evaluation ignores.
     """
     segments_info = [
         {

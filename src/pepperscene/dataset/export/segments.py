@@ -2,8 +2,8 @@
 
 - Organs: instances of a plant, of any class but the background. Their id is their value in the instance
   image.
-- The rest of each class, 65536 + class: the background, and what has an organ's class but belongs to no
-  plant, as the wire that a whole row hangs from.
+- The rest of each class, 65536 + class: the background, what has an organ's class but belongs to no plant, as
+  the wire that a whole row hangs from, and organs of which too little is seen.
 """
 
 from __future__ import annotations
@@ -53,8 +53,12 @@ class Segment:
         return self.id < REST
 
 
-def segment_ids(source: Source) -> NDArray[np.uint32]:
+def segment_ids(source: Source, smallest_px: int = 1) -> NDArray[np.uint32]:
     """The segment of every pixel of a frame, `(h, w)`; above 0.
+
+    Args:
+        source: the frame.
+        smallest_px: organs of which fewer pixels are seen belong to the rest of their class.
 
     Raises:
         InputError: the instance image is damaged or holds a value that the frame's JSON does not tell.
@@ -64,7 +68,7 @@ def segment_ids(source: Source) -> NDArray[np.uint32]:
     table[0] = REST
     for value, about in source.facts["instances"].items():
         organ_class = about["class"]
-        own = organ_class != OrganClass.BACKGROUND and about["plant"] >= 0
+        own = organ_class != OrganClass.BACKGROUND and about["plant"] >= 0 and about["pixels"] >= smallest_px
         table[int(value)] = int(value) if own else REST + organ_class
     ids = np.take(table, instance)
     if not ids.all():

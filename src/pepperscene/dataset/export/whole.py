@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from pepperscene.dataset.export.formats import FORMATS, Exported
@@ -19,6 +20,7 @@ def export(
     split: str | None = None,
     frames: str | None = None,
     on_frame: OnFrame | None = None,
+    smallest_px: int | None = None,
 ) -> Exported:
     """Write a data set in another format.
 
@@ -30,6 +32,8 @@ def export(
             as "train". Shares keep the plants of a set together, as far as the number of sets allows.
         frames: "A:B", indices A to B - 1; None for all that are there.
         on_frame: called after every frame with its index, how many are done, and how many there are.
+        smallest_px: organs of which fewer pixels are seen are no objects of their own; None for the format's
+            own number.
 
     Raises:
         InputError: there is no data set or no frame in it, an argument is wrong, an output is missing, or a
@@ -39,6 +43,10 @@ def export(
     """
     if form not in FORMATS:
         raise InputError("--format", "", None, f"unknown format {form!r}; allowed are {', '.join(FORMATS)}")
+    own = FORMATS[form].smallest_px
+    if smallest_px is not None and (own is None or smallest_px < 1):
+        allowed = "must be at least 1" if own is not None else f"is for objects, which {form} does not tell"
+        raise InputError("--smallest", "", None, f"{smallest_px} {allowed}")
     dataset = open_dataset(folder)
     there = dataset.indices()
     if not there:
@@ -51,4 +59,6 @@ def export(
             raise InputError("--frames", "", None, f"{frames!r} holds none of the data set's frames")
     splits = read_splits(split, plan, there)
     indices = tuple(index for index in there if splits.named(index))
-    return FORMATS[form](dataset, Path(out), splits, indices=indices, on_frame=on_frame)
+    options = {} if own is None else {"smallest_px": smallest_px or own}
+    done = FORMATS[form](dataset, Path(out), splits, indices=indices, on_frame=on_frame, **options)
+    return replace(done, splits={name: len(of) for name, of in splits.members(indices).items()})

@@ -19,9 +19,6 @@ from pepperscene.dataset.export.splits import EVERYTHING, Splits
 from pepperscene.dataset.export.target import new_folder
 from pepperscene.dataset.store import Dataset
 
-SMALLEST_PX: Final = 12
-"""Chosen: three by four pixels, less than one pixel of a network's masks, a quarter as wide as its input."""
-
 _VALIDATION: Final = ("val", "valid", "validation", "dev")
 _DECIMALS: Final = 6  # a two-hundredth of a pixel in pictures of 5,000
 
@@ -33,7 +30,7 @@ def export_yolo(
     *,
     indices: Sequence[int] | None = None,
     on_frame: OnFrame | None = None,
-    smallest_px: int = SMALLEST_PX,
+    smallest_px: int = 12,
 ) -> Exported:
     """Write `images/train/000110.png`, `labels/train/000110.txt` and `data.yaml`.
 
@@ -47,7 +44,8 @@ def export_yolo(
         splits: frames in none are left out.
         indices: of the frames wanted; None for all.
         on_frame: called after every frame.
-        smallest_px: organs of which fewer pixels are seen are left out.
+        smallest_px: organs of which fewer pixels are seen are left out, and pieces of fewer. Chosen: three by
+            four pixels, less than one pixel of a network's masks, a quarter as wide as its input.
 
     Raises:
         InputError: an output is missing, or a file is damaged.
@@ -74,11 +72,11 @@ def export_yolo(
     return Exported(out, len(wanted), 2 * len(wanted) + 1)
 
 
-def label_lines(source: Source, smallest_px: int = SMALLEST_PX) -> list[str]:
+def label_lines(source: Source, smallest_px: int) -> list[str]:
     """The lines of a frame's label file, by ascending instance."""
     from scipy import ndimage
 
-    ids = segment_ids(source)
+    ids = segment_ids(source, smallest_px)
     height, width = ids.shape
     across, down = _centres(width), _centres(height)
     known = source.facts["instances"]
