@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.export.source import Source
+from pepperscene.dataset.rows import FRUIT_COLUMNS, fruit_rows
 
 CLASS_NAMES: Final = tuple(organ.name.lower() for organ in OrganClass)
 
 _IMAGE: Final = {"_type": "Image"}
-_TRUTH: Final = {"dtype": "bool", "_type": "Value"}
 _WHOLE: Final = {"dtype": "int64", "_type": "Value"}
 _REAL: Final = {"dtype": "float64", "_type": "Value"}
 _TEXT: Final = {"dtype": "string", "_type": "Value"}
@@ -34,22 +34,13 @@ _ORGAN: Final = {
     "pixels": _WHOLE,
     "box": [_WHOLE],
 }
+_KINDS: Final = {"double": "float64"}
+"""Parquet's words that Hugging Face has others for."""
+
 _FRUIT: Final = {
-    "instance": _WHOLE,
-    "plant": _WHOLE,
-    "phytomer": _WHOLE,
-    "ripeness": _REAL,
-    "length_m": _REAL,
-    "diameter_m": _REAL,
-    "box": [_WHOLE],
-    "amodal_box": [_WHOLE],
-    "visible_pixels": _WHOLE,
-    "amodal_pixels": _WHOLE,
-    "visible_fraction": _REAL,
-    "truncated": _TRUTH,
-    "cut_camera_m": [_REAL],
-    "cut_px": [_REAL],
-    "cut_visible": _TRUTH,
+    name: {"dtype": _KINDS.get(kind, kind), "_type": "Value"}
+    for name, kind in FRUIT_COLUMNS.items()
+    if name != "index"
 }
 
 
@@ -162,8 +153,7 @@ def enumerate_text(names: Sequence[str]) -> list[tuple[str, str]]:
 def _scalar(dtype: str) -> Any:
     import pyarrow as pa
 
-    return {"bool": pa.bool_(), "int64": pa.int64(), "float32": pa.float32(), "float64": pa.float64(),
-            "string": pa.string()}[dtype]  # fmt: skip
+    return pa.type_for_alias(dtype)
 
 
 def _nested(stack: NDArray[Any]) -> Any:
@@ -197,17 +187,8 @@ def _organs(source: Source) -> list[dict[str, Any]]:
 
 
 def _fruit(source: Source) -> list[dict[str, Any]]:
-    found = []
-    for fruit in source.dataset.image(source.index, "harvest")["fruit"]:
-        cut = (fruit.get("peduncle") or {}).get("cut") or {}
-        told = {key: fruit.get(key) for key in _FRUIT}
-        told |= {
-            "cut_camera_m": cut.get("camera_m"),
-            "cut_px": cut.get("px"),
-            "cut_visible": cut.get("visible"),
-        }
-        found.append(told)
-    return found
+    rows = fruit_rows(source.index, source.image("harvest"))  # type: ignore[arg-type]
+    return [{name: row.get(name) for name in _FRUIT} for row in rows]
 
 
 def _pose(source: Source) -> NDArray[np.float64]:

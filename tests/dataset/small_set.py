@@ -1,0 +1,59 @@
+"""A data set of a few tiny frames with all that exports carry, made once and copied for each test."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from stand_in import StandIn
+
+from pepperscene.dataset import Stage, build, load_recipe
+from pepperscene.frame import Frame
+from pepperscene.geometry import rectangle
+from pepperscene.scene import assemble
+
+OUTPUTS = ("colour", "class", "instance", "distance", "harvest")
+FRAMES = 9
+
+CUT = {"camera_m": [0.1, 0.0, 0.4], "world_m": [0.0, 0.0, 1.0], "px": [3.5, 1.25], "visible": True}
+FRUIT = {
+    "instance": 412, "plant": 3, "phytomer": 17, "kind": "fruit", "ripeness": 0.75, "ripeness_spread": 0.1,
+    "length_m": 0.08, "diameter_m": 0.075, "pose": np.eye(4).tolist(),
+    "box": [1, 2, 5, 4], "amodal_box": [0, 2, 6, 5], "visible_pixels": 7, "amodal_pixels": 14,
+    "visible_fraction": 0.5, "truncated": False, "occluders": [{"instance": 88, "pixels": 7}],
+    "amodal": {"size": [6, 8], "counts": [0, 14, 34]},
+    "peduncle": {"instance": 411, "attachment": CUT, "cut": CUT},
+    "approach": {"camera": [0.0, 0.0, 1.0], "world": [0.0, 1.0, 0.0]},
+}  # fmt: skip
+HIDDEN = {
+    **FRUIT,
+    "instance": 500,
+    "box": None,
+    "visible_pixels": 0,
+    "visible_fraction": 0.0,
+    "peduncle": None,
+}
+HARVEST = {"format": "pepperscene harvest 1", "fruit": [FRUIT, HIDDEN], "graph": {"nodes": [], "edges": []}}
+
+
+class Harvested(StandIn):
+    """Every frame has the same two fruit, and a corner of sky."""
+
+    def render(self, camera, outputs=(), quality="standard", seed=0, **others):
+        frame = super().render(
+            camera, [name for name in outputs if name != "harvest"], quality, seed, **others
+        )
+        frame.images["distance"][0, 0] = np.inf
+        return Frame({**frame.images, "harvest": HARVEST}, frame.facts)
+
+
+def make_small_set(folder):
+    """Nine frames of three scenes."""
+    changes = {
+        "plan.sets": 2, "plan.rotations": 3, "plan.frames": 4, "row.plants_front": 1, "row.plants_back": 0,
+        "cultivar": "kaite_february",
+    }  # fmt: skip
+    scene = assemble(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Stage, "scene", lambda *_args, **_kwargs: scene)
+        recipe = load_recipe("barth2018", changes)
+        return build(recipe, folder, frames=range(FRAMES), outputs=OUTPUTS, renderer=Harvested).dataset
