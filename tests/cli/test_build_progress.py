@@ -1,0 +1,99 @@
+"""What a build tells while it goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pepperscene.cli.progress import OnTerminal, Plain, Scripted, teller
+from pepperscene.dataset import Progress
+
+SMALL = (
+    "--set", "plan.sets=1", "--set", "plan.rotations=2", "--set", "plan.frames=2",
+    "--set", "row.plants_front=1",
+    "--set", "row.plants_back=0", "--set", "cultivar=kaite_february", "--outputs", "class,distance",
+)  # fmt: skip
+
+
+def told(done, total=3, **more):
+    return Progress(7, done, total, True, 12.5, 75.0, Path("set/class/000007.png"), **more)
+
+
+def test_json_lines_tell_every_frame_and_the_end(command, tmp_path):
+    folder = tmp_path / "set"
+    done = command("build", "barth2018", "--out", folder, *SMALL, "--json")
+    assert done.exit_code == 0, done.stderr
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [line["event"] for line in lines] == ["frame"] * 4 + ["end"]
+    assert [(line["index"], line["done"], line["total"], line["made"]) for line in lines[:-1]] == [
+        (index, index + 1, 4, True) for index in range(4)
+    ]
+    assert all(Path(line["picture"]).is_file() for line in lines[:-1])
+    assert (lines[-1]["made"], lines[-1]["kept"], lines[-1]["folder"]) == (4, 0, str(folder))
+    assert done.stderr == ""
+    again = command("build", "barth2018", "--out", folder, *SMALL, "--json")
+    assert json.loads(again.stdout.splitlines()[-1])["kept"] == 4
+
+
+def test_plain_lines_tell_rate_and_time_left(capsys):
+    Plain().frame(told(2))
+    assert capsys.readouterr().err == "frame 000007 built (2 of 3, 12.5 frames/s, 1 min 15 s left)\n"
+
+
+def test_of_many_frames_a_line_comes_now_and_then(capsys):
+    plain = Plain()
+    for done in range(1, 5001):
+        plain.frame(told(done, 5000))
+    lines = capsys.readouterr().err.splitlines()
+    assert 2 <= len(lines) < 50
+    assert "5000 of 5000" in lines[-1]
+
+
+def test_a_notice_is_told_in_every_way(capsys):
+    Plain().notice("a worker was lost")
+    assert "a worker was lost" in capsys.readouterr().err
+    Scripted().notice("a worker was lost")
+    assert json.loads(capsys.readouterr().out) == {"event": "notice", "text": "a worker was lost"}
+
+
+def test_a_terminal_gets_a_bar_with_the_last_picture(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("TERM", "xterm")
+    with teller(False) as shown:
+        assert isinstance(shown, OnTerminal)
+        shown.frame(told(2))
+        shown.notice("[red]brackets stay")
+    out = capsys.readouterr().err
+    assert "000007.png" in out
+    assert "12.5 frames/s" in out
+    assert "[red]brackets stay" in out
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGTERM ends processes otherwise")
+def test_sigterm_ends_a_build_as_ctrl_c_does(tmp_path):
+    stand_in = Path(__file__).resolve().parents[1] / "dataset"
+    script = (
+        "import sys, pepperscene.dataset.stage as stage, stand_in\n"
+        "stage.mitsuba_renderer = stand_in.StandIn\n"
+        "from pepperscene.cli import main\n"
+        "main()\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(stand_in), "STAND_IN_S": "0.3"}
+    process = subprocess.Popen(
+        [sys.executable, "-c", script, "build", "barth2018", "--out", str(tmp_path / "set"), "--json",
+         *SMALL, "--set", "plan.frames=200"],
+        env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert json.loads(process.stdout.readline())["event"] == "frame"
+    process.send_signal(signal.SIGTERM)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "goes on with the same command" in errors
+    assert (tmp_path / "set" / "manifest.parquet").is_file()
