@@ -54,7 +54,7 @@ def motion(scene: Any, region: Region, hits: Hits, camera: Camera, other: Camera
     found[..., 2] = 0.0
     if inside.any():
         start = region.places(place)
-        found[inside, 2] = _reached(scene, start, towards[inside] / region.unit, hits.face[inside])
+        found[inside, 2] = reached(scene, start, towards[inside] / region.unit, hits.face[inside])
     return found
 
 
@@ -65,7 +65,7 @@ def nowhere(hits: Hits) -> NDArray[np.float32]:
     return found
 
 
-def _reached(
+def reached(
     scene: Any, start: NDArray[np.float64], towards: NDArray[np.float64], face: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
     """`(n,)` whether nothing stands between a place and what lies at vectors `(n, 3)` from it.
