@@ -135,7 +135,7 @@ def test_an_export_to_the_layout_is_read_as_the_data_set(tmp_path, built):
         # To half a step of the code; the corner without anything stays without.
         seen = np.isfinite(ours.distance_m)
         np.testing.assert_array_equal(np.isfinite(theirs.distance_m), seen)
-        assert np.abs(theirs.distance_m - ours.distance_m)[seen].max() <= 0.00425 + 1e-6
+        assert np.abs(theirs.distance_m[seen] - ours.distance_m[seen]).max() <= 0.00425 + 1e-6
 
 
 def test_colours_of_other_readers_are_the_nearest_class(tmp_path, ids):

@@ -13,13 +13,13 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
+from pepperscene.dataset.export.available import in_all
 from pepperscene.dataset.export.card import Card
 from pepperscene.dataset.export.columns import Column, arrow_array, arrow_type, columns
 from pepperscene.dataset.export.formats import Exported
 from pepperscene.dataset.export.source import OnFrame, Source, require, sources
 from pepperscene.dataset.export.splits import Splits
 from pepperscene.dataset.export.target import new_folder
-from pepperscene.dataset.export.webdataset import in_all
 from pepperscene.dataset.store import MARK, Dataset
 
 SHARD_BYTES: Final = 500_000_000

@@ -26,11 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.dataset.atomic import json_bytes
+from pepperscene.dataset.export.available import in_all
 from pepperscene.dataset.export.formats import Exported
 from pepperscene.dataset.export.source import OnFrame, Source, require, sources
 from pepperscene.dataset.export.splits import Splits
 from pepperscene.dataset.export.target import new_folder
-from pepperscene.dataset.store import Dataset, file_name
+from pepperscene.dataset.store import Dataset
 
 SHARD_BYTES: Final = 1_000_000_000
 """Chosen: webdataset's own advice is shards of about a gigabyte, read in one go and still many enough."""
@@ -97,15 +98,6 @@ def export_webdataset(
         (folder / LIST).write_bytes(json_bytes({"splits": told, "dataset": dict(dataset.about)}))
     files = 1 + sum(len(shards) for shards in told.values())
     return Exported(out, len(every), files)
-
-
-def in_all(dataset: Dataset, indices: Sequence[int], outputs: Sequence[str]) -> tuple[str, ...]:
-    """Those of some outputs that all frames have."""
-    return tuple(
-        output
-        for output in outputs
-        if all((dataset.folder / file_name(index, output)).is_file() for index in indices)
-    )
 
 
 def _shuffled(indices: Sequence[int], seed: int) -> list[int]:
