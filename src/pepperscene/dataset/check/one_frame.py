@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.check import told
-from pepperscene.dataset.check.edges import CHANCE, match
+from pepperscene.dataset.check.edges import CHANCE, Match, match
 from pepperscene.dataset.check.harvest import harvest_faults
 from pepperscene.dataset.check.labels import label_faults
 from pepperscene.dataset.check.measured import value_faults
@@ -200,14 +200,17 @@ def _content_faults(images: Mapping[str, Any], facts: Mapping[str, Any]) -> Iter
     if good and labels is not None:
         found = match(images["colour"], images[labels])
         if found is not None and not found.fits:
-            if found.height < CHANCE:
-                what = "fits the photograph at no shift: mirrored, or another frame's"
-            else:
-                what = (
-                    f"lies {found.right_px:+d} px to the right of and {found.down_px:+d} px below the "
-                    f"photograph's edges ({found.height:.0f} standard deviations above other shifts)"
-                )
-            yield "edges", labels, what
+            yield "edges", labels, _misfit(found)
+
+
+def _misfit(found: Match) -> str:
+    if found.height < CHANCE:
+        return "fits the photograph at no shift: mirrored, or another frame's"
+    where = f"its {found.quarter} quarter lies" if found.quarter else "lies"
+    return (
+        f"{where} {found.right_px:+d} px to the right of and {found.down_px:+d} px below "
+        f"the photograph's edges ({found.height:.0f} standard deviations above other shifts)"
+    )
 
 
 def _traits(
