@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from distributed import Worker
 
 TOPIC: Final = "pepperscene"
-"""Of the events through which workers tell of frames; one for all builds, as a scheduler never forgets one."""
+"""Of the events through which workers tell of frames; one for all builds, as schedulers never forget one."""
 
 _THREADS: Final = ("PEPPERSCENE_THREADS", "OIDN_NUM_THREADS")
 """Environment variables that keep a worker to its cores; Dask's own see to the matrix library's."""
@@ -36,7 +36,7 @@ _LIBRARIES: Final = ("mitsuba", "drjit", "numpy", "scipy")
 """Other versions of these may make other bytes."""
 
 
-class Misfit(WorkerError):
+class MisfitError(WorkerError):
     """This worker cannot make frames of this build; another one may."""
 
 
@@ -70,6 +70,13 @@ def versions() -> dict[str, str]:
     return {"pepperscene": __version__, "Python": python, **{one: _version(one) for one in _LIBRARIES}}
 
 
+def _version(library: str) -> str:
+    try:
+        return metadata.version(library)
+    except metadata.PackageNotFoundError:
+        return "none"
+
+
 def make_unit(order: Order, number: int, indices: tuple[int, ...]) -> None:
     """Make frames; the task that is sent to a worker.
 
@@ -81,7 +88,7 @@ def make_unit(order: Order, number: int, indices: tuple[int, ...]) -> None:
         indices: of the frames.
 
     Raises:
-        Misfit: this worker would make other frames, or would write them elsewhere.
+        MisfitError: this worker would make other frames, or would write them elsewhere.
         PepperError: a frame cannot be made.
     """
     from distributed import get_worker
@@ -106,15 +113,15 @@ def make_unit(order: Order, number: int, indices: tuple[int, ...]) -> None:
 
 
 def _examine(order: Order) -> None:
-    """Raise the `Misfit` that tells why this worker cannot make frames, if there is a reason."""
+    """Raise the `MisfitError` that tells why this worker cannot make frames, if there is a reason."""
     here = versions()
     for name, wanted in order.versions.items():
         if here.get(name) != wanted:
-            raise Misfit(f"has {name} {here.get(name)} instead of {wanted}, and would make other frames")
+            raise MisfitError(f"has {name} {here.get(name)} instead of {wanted}, and would make other frames")
     if not order.marker.is_file():
-        raise Misfit(f"does not see {order.marker.parent}; the folder has to be on a shared file system")
+        raise MisfitError(f"does not see {order.marker.parent}; the folder has to be on a shared file system")
     if not os.access(order.marker.parent, os.W_OK | os.X_OK):
-        raise Misfit(f"must not write into {order.marker.parent}")
+        raise MisfitError(f"must not write into {order.marker.parent}")
 
 
 def _keep_to(threads: int) -> None:
@@ -125,7 +132,7 @@ def _keep_to(threads: int) -> None:
 
 
 def _unwanted(worker: Worker, key: Any) -> bool:
-    """Whether nobody waits for a task any more: it was cancelled, who asked is gone, or the worker is to end."""
+    """Whether nobody waits for a task any more: it is cancelled, who asked is gone, or the worker closes."""
     task = worker.state.tasks.get(key)
     return task is None or task.state == "cancelled" or worker.status.name not in ("running", "paused")
 
@@ -165,7 +172,7 @@ class _Bench:
             self._drop()
             job: Job = pickle.loads(order.job)
             if digest(job.about()) != order.about:
-                raise Misfit("reads other files by the names in the recipe, and would make other frames")
+                raise MisfitError("reads other files by the names in the recipe, and would make other frames")
             self._held = order.build, Maker(job, f"{platform.node()}-{os.getpid()}")
         return self._held[1]
 
