@@ -61,7 +61,7 @@ class _Worker:
     """A worker as the pool sees it: its process, the thread that listens to it, and what it is at."""
 
     def __init__(self, job: Job, threads: int, events: queue.SimpleQueue[tuple[_Worker, Any]]) -> None:
-        environment = {**dict.fromkeys(_THREADS, str(threads)), PROCESSES: "1"}
+        environment = {**dict.fromkeys(_THREADS, str(threads)), PROCESSES: "2" if threads > 1 else "1"}
         self.unit: Unit | None = None
         self.told: set[int] = set()
         self._events = events
