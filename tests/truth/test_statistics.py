@@ -88,13 +88,13 @@ def test_pictures_of_other_sizes_are_fitted_where_places_are_compared():
     assert both.pixels.sum() == 5 * alone.pixels.sum()
 
 
-def test_what_has_no_label_is_left_out_and_told():
+def test_what_has_no_label_is_counted_apart():
     class_id = np.full((4, 5), 255, np.uint8)
     class_id[0] = 2
     statistics = Statistics()
     statistics.add(None, class_id)
     assert statistics.unlabelled == 15
-    assert statistics.shares()[2] == 1.0
+    assert statistics.shares().tolist() == [0, 0, 0.25, 0, 0, 0, 0, 0]
     assert statistics.mean_masks()[:, 1:].sum() == 0
     assert statistics.mean_intensity() is None
 

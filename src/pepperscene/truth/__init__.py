@@ -17,7 +17,7 @@ from pepperscene.truth.hue import (
     mean_hue,
     spectrum_correlation,
 )
-from pepperscene.truth.statistics import Statistics, grey_values, saturated_share
+from pepperscene.truth.statistics import Statistics, centre_falloff, grey_values, saturated_share
 
 __all__ = [
     "CENTRE_PX",
@@ -25,6 +25,7 @@ __all__ = [
     "HUE_BINS",
     "Statistics",
     "centre",
+    "centre_falloff",
     "class_colour",
     "class_from_colour",
     "class_pixels",

@@ -25,9 +25,9 @@ FORMAT: Final = "pepperscene harvest 1"
 
 FloatArray = NDArray[np.float64]
 
-_NEAR: Final = 2.0
+_NEAR: Final = 3.0
 """Chosen: radii of the stalk that a surface lies before its centreline at most, where that counts as seen. A
-tube seen at 30 degrees to its axis shows its skin so far in front."""
+tube seen at 20 degrees to its axis shows its skin so far in front."""
 _CORNERS: Final = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
 
 
@@ -114,19 +114,30 @@ def harvest_facts(
         picture: what is seen.
         instances: of the scene.
     """
+    # All places at once: a camera projects many points in the time of one.
+    points = [_points(fruit) for fruit, _ in found]
+    places = picture.camera.project(np.concatenate([*points, np.empty((0, 3))]))
+    ends = np.cumsum([len(one) for one in points])
     return {
         "format": FORMAT,
-        "fruit": [fruit_facts(fruit, amodal, picture) for fruit, amodal in found],
+        "fruit": [
+            _fruit(fruit, amodal, picture, places[end - len(one) : end])
+            for (fruit, amodal), one, end in zip(found, points, ends, strict=True)
+        ],
         "graph": organ_graph((fruit.line for fruit, _ in found), instances, picture.pixels),
     }
 
 
-def fruit_facts(fruit: Fruit, amodal: Amodal, picture: Picture) -> dict[str, Any]:
-    """What is told of one fruit.
+def _points(fruit: Fruit) -> FloatArray:
+    """`(n, 3)` world points whose places in the picture are told: corners of the box, attachment and cut."""
+    centre = fruit.pose[:3, 3] + fruit.pose[:3, :3] @ (0.5 * (fruit.low + fruit.high))
+    corners = centre + (_CORNERS * (fruit.high - fruit.low)) @ fruit.pose[:3, :3].T
+    return corners if fruit.stalk is None else np.vstack([corners, fruit.stalk.attachment, fruit.stalk.cut])
 
-    Raises:
-        ValueError: it has no pixel at all.
-    """
+
+def _fruit(fruit: Fruit, amodal: Amodal, picture: Picture, places: FloatArray) -> dict[str, Any]:
+    """What is told of one fruit, of whose `_points` these are the places in the picture."""
+    stalk, approach = fruit.stalk, fruit.approach
     return {
         "instance": fruit.instance + 1,
         "plant": fruit.about.plant,
@@ -135,9 +146,9 @@ def fruit_facts(fruit: Fruit, amodal: Amodal, picture: Picture) -> dict[str, Any
         **{name: _rounded(value) for name, value in fruit.measures.items()},
         "pose": _pose(fruit, picture),
         **_seen(fruit, amodal, picture),
-        "box_3d": _box_3d(fruit, picture),
-        "peduncle": None if fruit.stalk is None else _stalk(fruit.stalk, picture),
-        "approach": None if fruit.approach is None else _approach(fruit.approach, picture),
+        "box_3d": _box_3d(fruit, picture, places[: len(_CORNERS)]),
+        "peduncle": None if stalk is None else _stalk(stalk, picture, places[len(_CORNERS) :]),
+        "approach": None if approach is None else _approach(approach, picture),
     }
 
 
@@ -174,41 +185,44 @@ def _pose(fruit: Fruit, picture: Picture) -> list[list[float]]:
     return _lists(pose, 9)
 
 
-def _box_3d(fruit: Fruit, picture: Picture) -> dict[str, Any]:
+def _box_3d(fruit: Fruit, picture: Picture, corners: FloatArray) -> dict[str, Any]:
     """The box that holds the fruit, with edges along its own axes."""
-    size = fruit.high - fruit.low
     turn, foot = fruit.pose[:3, :3], fruit.pose[:3, 3]
-    centre = foot + turn @ (0.5 * (fruit.low + fruit.high))
-    corners = picture.camera.project(centre + (_CORNERS * size) @ turn.T)
     return {
-        "centre": _lists(picture.points(centre)),
-        "size": _lists(size),
+        "centre": _lists(picture.points(foot + turn @ (0.5 * (fruit.low + fruit.high)))),
+        "size": _lists(fruit.high - fruit.low),
         "rotation": _lists(picture.rotation @ turn, 9),
         # A corner behind the camera is nowhere in the picture.
         "corners_px": [_lists(corner, 3) if np.isfinite(corner).all() else None for corner in corners],
     }
 
 
-def _stalk(stalk: FruitStalk, picture: Picture) -> dict[str, Any]:
-    """The fruit's stalk, and where it is cut."""
+def _stalk(stalk: FruitStalk, picture: Picture, places: FloatArray) -> dict[str, Any]:
+    """The fruit's stalk; its attachment and its cut lie at these places in the picture."""
     # At the joint, the body that bears the stalk shows as well.
-    joint = (stalk.instance, stalk.bearer)
+    joint, cut = (
+        _point(point, place, own, stalk.radius_m, picture)
+        for point, place, own in zip(
+            (stalk.attachment, stalk.cut),
+            places,
+            ((stalk.instance, stalk.bearer), (stalk.instance,)),
+            strict=True,
+        )
+    )
     return {
         "instance": stalk.instance + 1,
         "length_m": _rounded(stalk.length_m),
         "radius_m": _rounded(stalk.radius_m),
         "curve_m": _lists(picture.points(stalk.curve)),
-        "attachment": _point(stalk.attachment, joint, stalk.radius_m, picture),
-        "cut": {
-            **_point(stalk.cut, joint[:1], stalk.radius_m, picture),
-            "tangent": _lists(picture.rotation @ stalk.tangent, 9),
-        },
+        "attachment": joint,
+        "cut": {**cut, "tangent": _lists(picture.rotation @ stalk.tangent, 9)},
     }
 
 
-def _point(point: FloatArray, own: Sequence[int], radius_m: float, picture: Picture) -> dict[str, Any]:
+def _point(
+    point: FloatArray, place: FloatArray, own: Sequence[int], radius_m: float, picture: Picture
+) -> dict[str, Any]:
     """A point of a stalk's centreline; seen where its pixel shows the skin right in front of it."""
-    place = picture.camera.project(point)[0]
     # Comparisons with nan are false.
     inside = bool((place >= 0.0).all() and (place < [picture.camera.width, picture.camera.height]).all())
     return {

@@ -94,8 +94,13 @@ class Statistics:
         self.pictures += 1
 
     def shares(self) -> NDArray[np.float64]:
-        """Share of each class in all labelled pixels `(8,)`, in [0, 1]; nan when there are none."""
-        return self.pixels / total if (total := int(self.pixels.sum())) else np.full(_CLASSES, np.nan)
+        """Share of each class in all pixels of the label images `(8,)`, in [0, 1]; nan when there are none.
+
+        Pixels without a label are counted among all, so that the shares of a set in which but one class was
+        labelled can be compared with another's.
+        """
+        total = int(self.pixels.sum()) + self.unlabelled
+        return self.pixels / total if total else np.full(_CLASSES, np.nan)
 
     def hue_spectra(self) -> NDArray[np.float64]:
         """Percentage of a class's pixels at each hue `(8, 180)`, averaged over the pictures that show it.
@@ -170,3 +175,22 @@ def _fitted(image: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
         (2 * np.arange(new) + 1) * old // (2 * new) for new, old in zip(shape, image.shape, strict=True)
     )
     return image[np.ix_(rows, columns)]
+
+
+def centre_falloff(image: NDArray[np.floating[Any]], radii: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    """Mean of an image `(h, w)` in rings around its middle.
+
+    Args:
+        image: any values.
+        radii: `(n + 1,)`, ascending borders of the rings; the corners lie at 1.
+
+    Returns:
+        `(n,)`; nan in a ring that holds no pixel's centre.
+    """
+    height, width = image.shape
+    rows, columns = np.arange(height) - (height - 1) / 2.0, np.arange(width) - (width - 1) / 2.0
+    away = np.hypot(rows[:, None], columns[None, :]) / np.hypot(height / 2.0, width / 2.0)
+    counts, _ = np.histogram(away, radii)
+    sums, _ = np.histogram(away, radii, weights=image)
+    with np.errstate(invalid="ignore"):
+        return sums / counts

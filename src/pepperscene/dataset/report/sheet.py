@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
-from pepperscene.dataset.display import View, distance_colours
+from pepperscene.dataset.report.display import distance_colours
+from pepperscene.dataset.report.view import TITLES, View
 
 if TYPE_CHECKING:
     from PIL import Image, ImageDraw
 
+MOST_ROWS: Final = 24
+"""Chosen: a sheet of more is taller than what viewers of pictures open."""
 
 # Layout in pixels; chosen so that four pictures fill a wide screen.
 _WIDTH: Final = 440
@@ -25,45 +29,51 @@ _PAPER: Final = (22, 24, 29)
 _INK: Final = (236, 238, 242)
 _FAINT: Final = (150, 156, 168)
 
-TITLES: Final = {
-    "colour": "Colour", "class": "Class", "instance": "Organ instance", "distance": "Distance along the ray",
-}  # fmt: skip
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One frame's pictures in the size of the sheet, and the line below them."""
+
+    pictures: dict[str, Image.Image]
+    caption: str
 
 
-def contact_sheet(views: Sequence[View], near_m: float, far_m: float) -> Image.Image:
-    """All views below each other, their pictures side by side; legends for class and distance at the foot."""
+def row(view: View) -> Row:
+    """A frame's row of the sheet."""
+    from PIL import Image
+
+    small = {}
+    for name, picture in view.pictures.items():
+        # Labels must not be blended: a mixed colour would be another class.
+        way = Image.Resampling.LANCZOS if name == "colour" else Image.Resampling.NEAREST
+        height = round(_WIDTH * picture.shape[0] / picture.shape[1])
+        small[name] = Image.fromarray(np.ascontiguousarray(picture)).resize((_WIDTH, height), way)
+    return Row(small, " · ".join(part for part in (view.title, view.place) if part))
+
+
+def contact_sheet(rows: Sequence[Row], near_m: float, far_m: float) -> Image.Image:
+    """All rows below each other; legends for class and distance at the foot."""
     from PIL import Image, ImageDraw
 
-    columns = [name for name in TITLES if any(name in view.pictures for view in views)]
-    first = next((image for view in views for image in view.pictures.values()), None)
-    ratio = 0.75 if first is None else first.shape[0] / first.shape[1]
-    height = round(_WIDTH * ratio)
+    columns = [name for name in TITLES if any(name in row.pictures for row in rows)]
+    heights = [max((image.height for image in row.pictures.values()), default=0) for row in rows]
     across = max(2, len(columns))
     size = (
         2 * _MARGIN + across * _WIDTH + (across - 1) * _GAP,
-        _HEAD + len(views) * (height + _CAPTION) + _FOOT,
+        _HEAD + sum(heights) + len(rows) * _CAPTION + _FOOT,
     )
     sheet = Image.new("RGB", size, _PAPER)
     pen = ImageDraw.Draw(sheet)
     for column, name in enumerate(columns):
         pen.text((_left(column), _HEAD - 30), TITLES[name], fill=_INK, font=_font(19))
-    for row, view in enumerate(views):
-        top = _HEAD + row * (height + _CAPTION)
-        for name, picture in view.pictures.items():
-            # Labels must not be blended: a mixed colour would be another class.
-            way = Image.Resampling.LANCZOS if name == "colour" else Image.Resampling.NEAREST
-            small = Image.fromarray(picture).resize((_WIDTH, height), way)
-            sheet.paste(small, (_left(columns.index(name)), top))
-        pen.text((_MARGIN, top + height + 6), caption(view.index, view.facts), fill=_FAINT, font=_font(15))
+    top = _HEAD
+    for row, height in zip(rows, heights, strict=True):
+        for name, picture in row.pictures.items():
+            sheet.paste(picture, (_left(columns.index(name)), top))
+        pen.text((_MARGIN, top + height + 6), row.caption, fill=_FAINT, font=_font(15))
+        top += height + _CAPTION
     _legends(sheet, pen, size[1] - _FOOT + 14, near_m, far_m, columns)
     return sheet
-
-
-def caption(index: int, facts: dict[str, Any]) -> str:
-    """What a frame is, in one line."""
-    place = f"frame {index:06d} · set {facts['set']} · rotation {facts['rotation']} · step {facts['step']}"
-    pose = facts.get("camera", {}).get("pose")
-    return f"{place} · camera at {pose[2][3]:.2f} m" if pose else place
 
 
 def _legends(

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import colorsys
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pepperscene.classes import CLASS_COLOURS
 
 VIRIDIS: Final = (
     "#440154", "#472D7B", "#3B528B", "#2C728E", "#21908C", "#27AD81", "#5DC863", "#AADC32", "#FDE725",
@@ -15,35 +16,43 @@ VIRIDIS: Final = (
 """Nine even steps of viridis (S. van der Walt and N. Smith 2015, CC0), as R's viridisLite prints them."""
 
 _NOTHING: Final = (13, 15, 20)  # chosen: nearly black, apart from viridis' dark violet
+_VOID: Final = (120, 120, 120)  # chosen: a grey that no class has
 _GOLDEN: Final = 0.6180339887498949
+_STEPS_BETWEEN: Final = 30
+"""Chosen: colours from one of viridis' steps to the next. With the colour for nothing they are 242, which a
+palette of 256 holds, and a picture with a palette takes a third of the room."""
 
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """One frame as it is shown.
+def _ramp() -> NDArray[np.uint8]:
+    steps = np.array([[int(code[k : k + 2], 16) for k in (1, 3, 5)] for code in VIRIDIS], dtype=float)
+    places = np.arange((len(VIRIDIS) - 1) * _STEPS_BETWEEN + 1) / _STEPS_BETWEEN
+    channels = [np.interp(places, np.arange(len(VIRIDIS)), steps[:, channel]) for channel in range(3)]
+    return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
 
-    Attributes:
-        index: of the frame.
-        facts: its JSON.
-        pictures: `(h, w, 3)` uint8 by output name, in the order shown.
-    """
 
-    index: int
-    facts: dict[str, Any]
-    pictures: dict[str, NDArray[np.uint8]]
+_RAMP: Final = _ramp()
+
+
+def share_colours(share: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+    """Values in [0, 1] `(h, w)` as viridis' colours `(h, w, 3)`, from dark violet to yellow."""
+    place = np.rint(np.clip(share, 0.0, 1.0) * (len(_RAMP) - 1)).astype(np.intp)
+    return np.take(_RAMP, place, axis=0)
 
 
 def distance_colours(distance_m: NDArray[np.floating[Any]], near_m: float, far_m: float) -> NDArray[np.uint8]:
     """Distances `(h, w)` as colours `(h, w, 3)`: near is yellow, far dark violet, nothing almost black."""
     found = np.isfinite(distance_m)
     depth = np.where(found, distance_m, far_m)
-    place = np.clip((far_m - depth) / max(far_m - near_m, 1e-9), 0.0, 1.0) * (len(VIRIDIS) - 1)
-    steps = np.array([[int(code[k : k + 2], 16) for k in (1, 3, 5)] for code in VIRIDIS], dtype=float)
-    below = np.minimum(place.astype(int), len(VIRIDIS) - 2)
-    share = (place - below)[..., None]
-    rgb = np.rint((1.0 - share) * steps[below] + share * steps[below + 1]).astype(np.uint8)
+    rgb = share_colours((far_m - depth) / max(far_m - near_m, 1e-9))
     rgb[~found] = _NOTHING
     return rgb
+
+
+def class_colours(class_id: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Class ids `(h, w)` as the published colours `(h, w, 3)`; grey where the id is no class's."""
+    palette = np.full((256, 3), _VOID, np.uint8)
+    palette[: len(CLASS_COLOURS)] = CLASS_COLOURS
+    return np.take(palette, class_id, axis=0)
 
 
 def instance_colours(instance: NDArray[np.integer[Any]]) -> NDArray[np.uint8]:
