@@ -33,7 +33,7 @@ def test_a_camera_is_handed_on_where_an_output_needs_it(recipe, fake_renderer, e
 
 def test_the_partner_stands_beside_and_looks_the_same_way(recipe, fake_renderer):
     stage, shot = Stage(recipe, fake_renderer), recipe.plan.shot(2)
-    own, partner = stage.camera(shot), stage.others(shot, ["stereo"])["stereo"]
+    own, partner = stage.camera(shot), stage.views.others(shot.step, ["stereo"])["stereo"]
     np.testing.assert_array_equal(partner.pose[:3, :3], own.pose[:3, :3])
     step = own.pose[:3, :3].T @ (partner.pose[:3, 3] - own.pose[:3, 3])
     np.testing.assert_allclose(step, [BASELINE_M, 0, 0], atol=1e-12)
@@ -47,12 +47,12 @@ def test_without_a_flash_there_is_none_beside(recipe, fake_renderer):
     dark = recipe.camera.model_copy(update={"flash": "none"})
     light = recipe.developing.model_copy(update={"white_balance": "daylight"})
     stage = Stage(recipe.model_copy(update={"camera": dark, "developing": light}), fake_renderer)
-    assert stage.others(recipe.plan.shot(0), ["colour_stereo"])["stereo"].flash is None
+    assert stage.views.others(recipe.plan.shot(0).step, ["colour_stereo"])["stereo"].flash is None
 
 
 @pytest.mark.parametrize("name", ["stereo", "colour_stereo"])
 def test_a_recipe_without_baseline_has_no_partner(alone, fake_renderer, empty_scenes, tmp_path, name):
-    with pytest.raises(InputError, match=rf"small: camera\.baseline_mm: must be told for .*{name}"):
+    with pytest.raises(InputError, match=rf"small: camera\.baseline_mm: must be told .*{name}"):
         Stage(alone, fake_renderer).render(alone.plan.shot(0), ("class", name))
     with pytest.raises(InputError, match=r"camera\.baseline_mm"):
         build(alone, tmp_path / "set", [0], ("class", name), renderer=fake_renderer)
@@ -63,7 +63,7 @@ def test_a_path_without_partner_is_seen_as_before(alone, fake_renderer):
     stage = Stage(alone, fake_renderer)
     camera = stage.camera(alone.plan.shot(0))
     poses = [stage.camera(alone.plan.shot(step)).pose for step in range(alone.plan.frames)]
-    expected, found = sight(camera, poses), stage._sight
+    expected, found = sight(camera, poses), stage.views.sight
     for name in ("normals", "offsets", "places"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
@@ -72,8 +72,8 @@ def test_a_partners_view_is_part_of_what_is_seen(recipe, fake_renderer):
     stage, plan = Stage(recipe, fake_renderer), recipe.plan
     half = np.full((1, 3), 1e-3, np.float32)
     for step in range(plan.frames):
-        partner = stage.others(plan.shot(step), ["stereo"])["stereo"]
+        partner = stage.views.others(plan.shot(step).step, ["stereo"])["stereo"]
         wide = replace(partner, focus_m=None)
         for slope in wide.ray_slopes()[[1, 1, -2, -2], [1, -2, 1, -2]]:
             corner = wide.pose[:3, :3] @ [*(0.99 * slope), 1.0] + wide.pose[:3, 3]
-            assert stage._sight.meets(corner[None].astype(np.float32), half).all()
+            assert stage.views.sight.meets(corner[None].astype(np.float32), half).all()

@@ -135,7 +135,7 @@ def test_a_culled_scene_shows_the_partner_all_that_it_sees():
     beside = {"row.plants_front": 5, "row.plants_back": 0, "path.azimuth_deg": [0.0, 0.0]}
     recipe = load_recipe("barth2018", {**beside, "camera.baseline_mm": 500.0, "plan.frames": 3})
     stage, shot = Stage(recipe), recipe.plan.shot(1)
-    partner = few_pixels(stage.others(shot, ["stereo"])["stereo"], 8)
+    partner = few_pixels(stage.views.others(shot.step, ["stereo"])["stereo"], 8)
     frames = []
     for stage.culled in (False, True):
         scene = stage.scene(shot, traced=False)

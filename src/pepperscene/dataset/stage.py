@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pepperscene.dataset.equipment import camera_of, cover_of, cultivar_of, surface_grid
+from pepperscene.dataset.equipment import cover_of, cultivar_of, surface_grid
 from pepperscene.dataset.plan import Shot
 from pepperscene.dataset.planting import Planting
 from pepperscene.dataset.recipe import Recipe
 from pepperscene.dataset.seeds import Stream, frame_seed, generator
-from pepperscene.errors import InputError
-from pepperscene.frame import OUTPUTS, PARTNERED, Frame
+from pepperscene.dataset.viewpoints import Viewpoints
+from pepperscene.frame import OUTPUTS, Frame
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
     from pepperscene.render import Quality
-    from pepperscene.scene import Reach, Scene, Sight, Sky
+    from pepperscene.scene import Reach, Scene, Sky
 
 
 class RendererLike(Protocol):
@@ -56,27 +55,17 @@ def mitsuba_renderer(scene: Scene) -> RendererLike:
     return Renderer(scene)
 
 
-def check_partner(recipe: Recipe, outputs: Iterable[str]) -> None:
-    """Whether a recipe has the stereo partner that outputs need.
-
-    Raises:
-        InputError: it has none.
-    """
-    needing = sorted(PARTNERED.intersection(outputs))
-    if needing and recipe.camera.baseline_mm is None:
-        raise InputError(
-            recipe.name,
-            "camera.baseline_mm",
-            None,
-            f"must be told for the output {needing[0]}, in millimetres",
-        )
-
-
 class Stage:
     """Renders the shots of a recipe, in any order, and keeps what neighbours share.
 
     The plants of one set and the renderer of one scene are held at a time, so that memory does not grow with
     the number of frames; going through the indices in ascending order makes each of them once.
+
+    Attributes:
+        recipe: what is shown.
+        cultivar: that grows.
+        views: the cameras of its path.
+        culled: whether scenes go without what no frame can tell.
 
     Args:
         recipe: what to show.
@@ -95,8 +84,8 @@ class Stage:
         self._renderer_of = renderer or mitsuba_renderer
         self.cultivar = cultivar_of(recipe)
         self._cover = cover_of(recipe)
-        self._first_camera = camera_of(recipe)
         self._planting = Planting(recipe, self.cultivar)
+        self.views = Viewpoints(recipe, self._planting.house)
         self._told: dict[str, Any] = {}
         self._scene: tuple[tuple[int, int, bool], RendererLike] | None = None
         self._begun: Future[dict[str, Surface]] | None = None
@@ -112,7 +101,7 @@ class Stage:
         Raises:
             InputError: an output needs a stereo partner, and the recipe has none.
         """
-        others = self.others(shot, outputs)
+        others = self.views.others(shot.step, outputs)
         traced = any(OUTPUTS[name].traced for name in outputs)
         seed = frame_seed(self.recipe.seed, shot.index)
         renderer = self._renderer(shot, traced, quality)
@@ -123,24 +112,7 @@ class Stage:
 
     def camera(self, shot: Shot) -> Camera:
         """The camera of a shot, at its place on the arc path, which leans with the row."""
-        return self._first_camera.at_pose(self._poses[shot.step])
-
-    def others(self, shot: Shot, outputs: Sequence[str]) -> dict[str, Camera]:
-        """The cameras that outputs of a shot need besides its own, by what for.
-
-        "flow" is the camera of the next step, not there at the path's end; "stereo" the partner, which looks
-        the same way from the baseline's length to the right, at the same time and so by the same flash.
-
-        Raises:
-            InputError: an output needs a stereo partner, and the recipe has none.
-        """
-        check_partner(self.recipe, outputs)
-        found = {}
-        if "flow" in outputs and shot.step + 1 < self.recipe.plan.frames:
-            found["flow"] = self._first_camera.at_pose(self._poses[shot.step + 1])
-        if PARTNERED.intersection(outputs):
-            found["stereo"] = self._partner.at_pose(self._partner_poses[shot.step])
-        return found
+        return self.views.camera(shot.step)
 
     def scene(self, shot: Shot, *, traced: bool = True) -> Scene:
         """The scene of a shot.
@@ -169,7 +141,7 @@ class Stage:
         """
         from pepperscene.scene import culled
 
-        return culled(mesh, self._sight, self._reach)
+        return culled(mesh, self.views.sight, self._reach)
 
     def _renderer(self, shot: Shot, traced: bool, quality: str | Quality) -> RendererLike:
         """The renderer of the shot's scene; one that can trace light serves labels as well."""
@@ -201,7 +173,7 @@ class Stage:
         if self._renderer_of is mitsuba_renderer:
             from pepperscene.render import begin, quality_of
 
-            begin(self._first_camera, quality_of(quality))
+            begin(self.views.equipment, quality_of(quality))
 
     def _sky(self, which: int) -> Sky | None:
         from pepperscene.scene import partly_cloudy
@@ -220,30 +192,16 @@ class Stage:
         )
 
     @cached_property
-    def _sight(self) -> Sight:
-        from pepperscene.scene import Sight, sight
-
-        own = sight(self._first_camera, self._poses)
-        if self.recipe.camera.baseline_mm is None:
-            return own
-        beside = sight(self._partner, self._partner_poses)
-        return Sight(
-            np.concatenate([own.normals, beside.normals]),
-            np.concatenate([own.offsets, beside.offsets]),
-            np.concatenate([own.places, beside.places]),
-        )
-
-    @cached_property
     def _reach(self) -> Reach:
         from pepperscene.scene import reach
 
         light, distance_m = self.recipe.daylight, self.recipe.path.distance_mm / 1e3
         if light is None or light.illuminance_lx == 0:
-            return reach(self._first_camera, distance_m, 0.0)
+            return reach(self.views.equipment, distance_m, 0.0)
         # As from a clear sky: a hazy cover only softens the disc's shadows.
         sun_lx = light.illuminance_lx * light.sun_fraction
         facing_lx = sun_lx / np.sin(np.radians(light.sun_elevation_deg)) if sun_lx > 0 else 0.0
-        return reach(self._first_camera, distance_m, light.illuminance_lx - sun_lx, float(facing_lx))
+        return reach(self.views.equipment, distance_m, light.illuminance_lx - sun_lx, float(facing_lx))
 
     @cached_property
     def _surfaces(self) -> dict[str, Surface]:
@@ -252,45 +210,5 @@ class Stage:
     def _made_surfaces(self) -> dict[str, Surface]:
         from pepperscene.materials import greenhouse_surfaces, organ_surfaces
 
-        nm = surface_grid(self._first_camera.sensor)
+        nm = surface_grid(self.views.equipment.sensor)
         return {**organ_surfaces(self.cultivar, nm), **greenhouse_surfaces(nm)}
-
-    @cached_property
-    def _partner(self) -> Camera:
-        """The stereo partner's camera; the one flash of the two stays where it is."""
-        camera = self._first_camera
-        if camera.flash is None:
-            return camera
-        right, down, forward = camera.flash.offset_m
-        flash = replace(camera.flash, offset_m=(right - self._baseline_m, down, forward))
-        return replace(camera, flash=flash)
-
-    @cached_property
-    def _partner_poses(self) -> NDArray[np.float64]:
-        poses = self._poses.copy()
-        poses[:, :3, 3] += self._baseline_m * poses[:, :3, 0]
-        return poses
-
-    @property
-    def _baseline_m(self) -> float:
-        assert (
-            self.recipe.camera.baseline_mm is not None
-        )  # asked for by `check_partner`, or where there is one
-        return self.recipe.camera.baseline_mm / 1e3
-
-    @cached_property
-    def _poses(self) -> NDArray[np.float64]:
-        from pepperscene.camera import arc_path
-
-        path, house = self.recipe.path, self._planting.house
-        first, last = (float(angle) for angle in np.radians(path.azimuth_deg))
-        poses = arc_path(
-            self.recipe.plan.frames,
-            path.distance_mm / 1e3,
-            (first, last),
-            (path.height_mm[0] / 1e3, path.height_mm[1] / 1e3),
-            float(np.radians(path.pitch_deg)),
-        )
-        # The arc keeps its distance from the row, wherever the row has leant to at that height.
-        poses[:, 1, 3] -= [house.away(float(height)) for height in poses[:, 2, 3]]
-        return poses
