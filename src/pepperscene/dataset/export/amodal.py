@@ -25,7 +25,7 @@ def fruit_of(source: Source) -> dict[int, dict[str, Any]]:
 
 
 def keypoint(cut: Mapping[str, Any] | None) -> dict[str, Any]:
-    """COCO's `keypoints` of a cut point: x, y, and 2 where it is seen, 1 where hidden, 0 where unknown."""
+    """COCO's `keypoints` of a cut: x, y, and 2 where it is seen, 1 where hidden, 0 outside the picture."""
     if cut is None or cut["px"] is None:
         return {"keypoints": [0, 0, 0], "num_keypoints": 0}
     x, y = (round(value - _CENTRE, 2) for value in cut["px"])

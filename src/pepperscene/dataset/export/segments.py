@@ -89,7 +89,7 @@ def segments(source: Source, ids: NDArray[np.uint32]) -> list[Segment]:
     """
     coder = library("pycocotools.mask")
     height, width = ids.shape
-    counts = run_lengths(ids)
+    counts = all_run_lengths(ids)
     masks = coder.frPyObjects(
         [{"size": [height, width], "counts": runs} for runs in counts.values()], height, width
     )
@@ -108,7 +108,7 @@ def as_text(mask: Mapping[str, Any]) -> Encoded:
     return {"size": [int(side) for side in mask["size"]], "counts": mask["counts"].decode("ascii")}
 
 
-def run_lengths(ids: NDArray[np.integer[Any]]) -> dict[int, list[int]]:
+def all_run_lengths(ids: NDArray[np.integer[Any]]) -> dict[int, list[int]]:
     """COCO's uncompressed run lengths of every value's mask, by ascending value.
 
     Lengths go down the columns, first the pixels of other values, then its own, and so on in turn. All masks

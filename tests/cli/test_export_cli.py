@@ -1,0 +1,81 @@
+"""`pepperscene export`: progress, a summary, and faults in one sentence."""
+
+from __future__ import annotations
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def folder(command, tmp_path_factory):
+    """A data set of empty pictures."""
+    out = tmp_path_factory.mktemp("cli") / "set"
+    done = command(
+        "build", "demo", "--out", out, "--frames", "6137:6140", "--outputs", "colour,class,instance,distance",
+        "--set", "row.plants_front=1", "--set", "row.plants_back=0", "--set", "cultivar=kaite_february",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.stderr
+    return out
+
+
+@pytest.mark.parametrize("form", ["published", "coco", "yolo"])
+def test_an_export_tells_what_it_did(form, folder, command, tmp_path):
+    out = tmp_path / form
+    done = command("export", folder, "--format", form, "--out", out, "--split", "train=:6139,val=6139:")
+    assert done.exit_code == 0, done.stderr
+    assert done.stdout == f"3 frames as {form} (2 train, 1 val): {out}\n"
+    assert done.stderr.splitlines() == [
+        "frame 006137 (1 of 3)",
+        "frame 006138 (2 of 3)",
+        "frame 006139 (3 of 3)",
+    ]
+    assert any(out.iterdir())
+
+
+def test_options_reach_the_export(folder, command, tmp_path):
+    done = command(
+        "export",
+        folder,
+        "--format",
+        "yolo",
+        "--out",
+        tmp_path / "o",
+        "--frames",
+        "6138:6139",
+        "--smallest",
+        3,
+    )
+    assert done.stdout == f"1 frame as yolo (1 train): {tmp_path / 'o'}\n"
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"--format": "coc"}, "--format: unknown format 'coc'; allowed are published, coco, yolo"),
+        ({"--split": "train=.5"}, "--split: the shares sum to 0.5; they must sum to 1"),
+        ({"--split": "a=0:10,b=9:6140"}, "--split: a and b overlap: frame 9 belongs to both"),
+        ({"--frames": "0:5"}, "--frames: '0:5' holds none of the data set's frames"),
+        ({"--smallest": "0"}, "--smallest: 0 must be at least 1"),
+    ],
+)
+def test_wrong_options_are_told_in_a_sentence(change, told, folder, command, tmp_path):
+    options = {"--format": "coco", "--out": str(tmp_path / "out")} | change
+    done = command("export", folder, *(word for pair in options.items() for word in pair))
+    assert done.exit_code == 2
+    assert done.stdout == ""
+    assert len(done.stderr.splitlines()) == 1
+    assert told in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_folders_that_will_not_do_are_told_in_a_sentence(folder, command, tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine").touch()
+    for source, out, told in [
+        (tmp_path, tmp_path / "out", "holds no data set"),
+        (folder, tmp_path / "full", "holds 'mine'; choose an empty or a new folder"),
+        (folder, folder / "coco", "lies inside the data set"),
+    ]:
+        done = command("export", source, "--format", "coco", "--out", out)
+        assert done.exit_code == 2
+        assert len(done.stderr.splitlines()) == 1
+        assert told in done.stderr

@@ -1,0 +1,135 @@
+"""A data set whose pictures are painted: organs in pieces and with holes, things that belong to no plant."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from pepperscene.dataset import Stage, build, load_recipe
+from pepperscene.frame import OUTPUTS, Frame
+from pepperscene.geometry import rectangle
+from pepperscene.scene import assemble
+from pepperscene.truth import class_colour, distance_code
+from pepperscene.truth.rle import run_lengths
+
+SIZE = (180, 240)
+ALL = ("colour", "class", "class_colour", "instance", "distance", "distance_code", "harvest")
+FRAMES = (0, 3, 5, 9, 14, 20)
+"""Of 2 sets x 3 rotations x 4 steps: four of the first set, two of the second."""
+
+KINDS = {1: "lamina", 2: "fruit", 3: "peduncle", 4: "internode", 5: "petiole", 6: "twine", 7: "cut"}
+WIRE, FLOOR = 60_000, 60_001
+"""Instances that belong to no plant: one has an organ's class, the other the background."""
+
+
+class Painter:
+    def __init__(self, scene):
+        pass
+
+    def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
+        rng = np.random.default_rng(seed)
+        instance, told, whole = paint(rng)
+        pixels = np.bincount(instance.ravel(), minlength=65536)
+        told = {value: {**one, "pixels": int(pixels[value])} for value, one in told.items() if pixels[value]}
+        classes = np.zeros(65536, np.uint8)
+        classes[list(told)] = [one["class"] for one in told.values()]
+        distance = rng.uniform(0.2, 1.5, SIZE).astype(np.float32)
+        distance[instance == 0] = np.inf
+        images = {
+            "colour": rng.integers(0, 256, (*SIZE, 3)).astype(np.uint8),
+            "class": classes[instance],
+            "class_colour": class_colour(classes[instance]),
+            "instance": instance,
+            "distance": distance,
+            "distance_code": distance_code(distance),
+            "harvest": harvest(rng, told, whole),
+        }
+        assert set(images) <= set(OUTPUTS)
+        facts = {"camera": camera.facts(), "instances": {str(value): one for value, one in told.items()}}
+        return Frame({name: images[name] for name in outputs}, facts)
+
+
+def paint(rng):
+    """An instance image, what is told of each, and the whole masks of fruit, hidden pixels included."""
+    instance = np.zeros(SIZE, np.uint16)
+    instance[-20:] = FLOOR
+    told = {
+        FLOOR: {"class": 0, "kind": "floor_film", "plant": -1, "phytomer": -1, "parent": 0},
+        WIRE: {"class": 6, "kind": "crop_wire", "plant": -1, "phytomer": -1, "parent": 0},
+    }
+    values = rng.choice(np.arange(1, WIRE), 340, replace=False)
+    whole = {}
+
+    def add(value, mask, organ_class, parent=0):
+        instance[mask] = value
+        kind, plant = KINDS[organ_class], int(value) % 3
+        told[int(value)] = {
+            "class": organ_class, "kind": kind, "plant": plant, "phytomer": int(rng.integers(20)),
+            "parent": int(parent),
+        }  # fmt: skip
+        if organ_class == 2:
+            whole[int(value)] = mask
+
+    # More organs than a byte can count, of a few pixels each.
+    for k, value in enumerate(values[40:]):
+        row, column = 2 + 3 * (k // 75), 3 + 3 * (k % 75)
+        add(value, _boxed(row, row + 2, column, column + 1 + k % 2), 5)
+    for k, value in enumerate(values[:30]):
+        centre = (int(rng.integers(0, SIZE[1])), int(rng.integers(30, SIZE[0])))
+        axes = (int(rng.integers(12, 30)), int(rng.integers(8, 24)))
+        mask = _drawn(cv2.ellipse, centre, axes, float(rng.uniform(0, 180)), 0, 360, 1, -1)
+        if k % 3 == 0:
+            mask &= ~_drawn(cv2.circle, centre, 4, 1, -1)
+        add(value, mask, 1 + k % 3, parent=values[(k + 1) % 30])
+    # Thin things in front cut what lies behind into pieces.
+    for k, value in enumerate(values[30:40]):
+        column = int(rng.integers(0, SIZE[1]))
+        mask = _drawn(cv2.line, (column, 0), (SIZE[1] - column, SIZE[0]), 1, 2 + k % 3)
+        add(value, mask, 4 + k % 4)
+    instance[_drawn(cv2.line, (0, 25), (SIZE[1], 40), 1, 3)] = WIRE
+    return instance, told, whole
+
+
+def harvest(rng, told, whole):
+    """All fruit in view, as the output `harvest` tells them; each third without a stalk."""
+    fruit = []
+    for place, (value, mask) in enumerate(sorted(whole.items())):
+        if value not in told:
+            continue
+        seen = told[value]["pixels"]
+        px = rng.uniform(0, 180, 2).tolist() if place % 2 else None
+        cut = {"camera_m": [0.0, 0.0, 0.4], "px": px, "visible": place % 4 == 1}
+        fruit.append({
+            "instance": value, "plant": told[value]["plant"], "phytomer": 4, "kind": "fruit", "ripeness": 0.5,
+            "length_m": 0.08, "diameter_m": 0.07, "visible_pixels": seen, "amodal_pixels": int(mask.sum()),
+            "visible_fraction": seen / int(mask.sum()), "truncated": False, "amodal": run_lengths(mask),
+            "peduncle": {"instance": 7, "cut": cut} if place % 3 else None, "pose": np.eye(4).tolist(),
+            "occluders": [], "box": None, "amodal_box": [0, 0, 1, 1], "approach": None,
+        })  # fmt: skip
+    return {"format": "pepperscene harvest 1", "fruit": fruit, "graph": {"nodes": [], "edges": []}}
+
+
+def make_painted_set(folder, outputs=ALL, frames=FRAMES):
+    """Frames of two sets of plants."""
+    changes = {
+        "plan.sets": 2, "plan.rotations": 3, "plan.frames": 4, "row.plants_front": 1, "row.plants_back": 0,
+        "cultivar": "kaite_february",
+    }  # fmt: skip
+    scene = assemble(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Stage, "scene", lambda *_args, **_kwargs: scene)
+        recipe = load_recipe("barth2018", changes)
+        return build(recipe, folder, frames=list(frames), outputs=outputs, renderer=Painter).dataset
+
+
+def _drawn(how, *arguments):
+    canvas = np.zeros(SIZE, np.uint8)
+    how(canvas, *arguments)
+    return canvas > 0
+
+
+def _boxed(top, bottom, left, right):
+    mask = np.zeros(SIZE, bool)
+    mask[top:bottom, left:right] = True
+    return mask
