@@ -117,7 +117,7 @@ def _examine(order: Order) -> None:
     here = versions()
     for name, wanted in order.versions.items():
         if here.get(name) != wanted:
-            raise MisfitError(f"has {name} {here.get(name)} instead of {wanted}, and would make other frames")
+            raise MisfitError(f"has {name} {here.get(name)}, not {wanted}, and would make other frames")
     if not order.marker.is_file():
         raise MisfitError(f"does not see {order.marker.parent}; the folder has to be on a shared file system")
     if not os.access(order.marker.parent, os.W_OK | os.X_OK):
