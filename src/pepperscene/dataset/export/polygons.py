@@ -50,8 +50,10 @@ class Ring:
 
         The walk ends one point before it would be closed.
         """
-        found: list[list[int]] = []
-        points = self.points.tolist()
+        points: list[list[int]] = self.points.tolist()
+        if not self.hung:
+            return points[start:] + points[:start]
+        found = []
         for place in (*range(start, len(points)), *range(start)):
             found.append(points[place])
             for ring, there in self.hung.get(place, ()):
@@ -89,6 +91,8 @@ def _pieces(mask: NDArray[np.bool_]) -> list[Ring]:
     """The connected pieces of a mask, with their holes."""
     cv2 = library("cv2")
     outlines, tree = cv2.findContours(mask.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    if len(outlines) == 1:
+        return [Ring(_simple(outlines[0]), int(np.count_nonzero(mask)))]
     rings = []
     for outline, (_next, _previous, _child, parent) in zip(
         outlines, tree[0] if outlines else (), strict=True
@@ -96,7 +100,7 @@ def _pieces(mask: NDArray[np.bool_]) -> list[Ring]:
         # The pixels on and within a line through pixels, by Pick's theorem; a hole's line is not its own.
         steps = _steps(outline[:, 0])
         pixels = round(cv2.contourArea(outline) + (1 if parent < 0 else -1) * steps / 2) + 1
-        rings.append(Ring(cv2.approxPolyDP(outline, TOLERANCE_PX, True)[:, 0], pixels))
+        rings.append(Ring(_simple(outline), pixels))
     pieces = []
     for place, ring in enumerate(rings):
         holes = [rings[other] for other in range(len(rings)) if tree[0][other][3] == place]
@@ -135,11 +139,20 @@ def _joined(pieces: list[Ring], smallest_px: int) -> tuple[Ring, int, list[Ring]
 
 def _nearest(these: Points, those: Points) -> tuple[float, int, int]:
     """How many pixels a line between the nearest points steps over, and their indices."""
-    steps = np.abs(these[:, None, :] - those[None, :, :]).max(axis=-1)
+    steps = np.maximum(
+        np.abs(these[:, None, 0] - those[None, :, 0]), np.abs(these[:, None, 1] - those[None, :, 1])
+    )
     here, there = divmod(int(steps.argmin()), len(those))
     return float(steps[here, there]), here, there
 
 
 def _steps(points: Points) -> int:
     """How many pixels a closed line steps over; its sides run straight or diagonally."""
-    return int(np.abs(points - np.roll(points, 1, axis=0)).max(axis=-1).sum())
+    steps = np.abs(np.diff(points, axis=0, append=points[:1]))
+    return int(np.maximum(steps[:, 0], steps[:, 1]).sum())
+
+
+def _simple(outline: Points) -> Points:
+    """The outline that OpenCV gives, with fewer points."""
+    points: Points = library("cv2").approxPolyDP(outline, TOLERANCE_PX, True)[:, 0]
+    return points
