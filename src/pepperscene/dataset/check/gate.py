@@ -11,7 +11,7 @@ from pepperscene.dataset.check.listing import frame_indices, opened, stray_files
 from pepperscene.dataset.check.manifest_rows import manifest_faults
 from pepperscene.dataset.check.verdict import Finding, Verdict, in_order
 from pepperscene.dataset.plan import Plan
-from pepperscene.dataset.store import MARK, Dataset
+from pepperscene.dataset.store import FRAMES, MARK, Dataset
 from pepperscene.dataset.tables import ExpectTable
 from pepperscene.document import validated
 from pepperscene.errors import InputError
@@ -92,7 +92,7 @@ def _incomplete(dataset: Dataset, indices: Sequence[int], wanted: Sequence[int])
         return [Finding("incomplete", None, "", "there are no frames")]
     there = set(indices)
     return [
-        Finding("incomplete", index, dataset.frame_path(index).name, "this frame is not there")
+        Finding("incomplete", index, f"{FRAMES}/{dataset.frame_path(index).name}", "is not there")
         for index in wanted
         if index not in there
     ]
