@@ -41,7 +41,7 @@ def drawing(picture: NDArray[np.uint8], longest_px: int = _LONGEST_PX) -> str:
     else:
         image = Image.fromarray(picture)
     buffer = io.BytesIO()
-    image.save(buffer, format="PNG", compress_level=9)
+    image.save(buffer, format="PNG")
     return _address("png", buffer.getvalue())
 
 

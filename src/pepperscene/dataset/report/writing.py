@@ -100,7 +100,7 @@ def report(
     text = page(dataset.about, sides, *((near, far) if known else (None, None)))
     try:
         with replacing(target.sheet) as temporary:
-            contact_sheet(rows[0], near, far).save(temporary, format="PNG", optimize=True)
+            contact_sheet(rows[0], near, far).save(temporary, format="PNG")
         with replacing(target.page) as temporary:
             temporary.write_text(text, encoding="utf-8")
     except OSError as fault:
