@@ -120,7 +120,9 @@ def _write_exr(path: Path, image: NDArray[Any], output: str) -> None:
     header = {
         # The low bits of what is measured are noise to a compressor: ZIP takes 14 % off distances and 4 % off
         # electrons for six times the time (800x600: 16 and 55 ms against 3 and 6). Of normals it takes 58 %,
-        # but for 43 ms against 6, most of what a frame's ground truth takes in all.
+        # but for 43 ms against 6, most of what a frame's ground truth takes in all; of positions 18 % and of
+        # flow 35 %, for six times the time. Coverage is runs of 0 and 1: 195 KiB instead of 7.3 MiB, for 16
+        # ms against 8.
         "compression": OpenEXR.ZIP_COMPRESSION if output == "coverage" else OpenEXR.NO_COMPRESSION,
         "type": OpenEXR.scanlineimage,
         "unit": _UNITS[output],
