@@ -16,6 +16,7 @@ from pepperscene.dataset.recipe import Recipe
 from pepperscene.dataset.recipe_file import load_recipe
 from pepperscene.dataset.stage import RendererFactory, Stage
 from pepperscene.dataset.store import MARK, read_json, written_image
+from pepperscene.dataset.viewpoints import check_partner
 from pepperscene.errors import InputError, OutputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, check_outputs
 
@@ -67,6 +68,7 @@ def render_frame(
     chosen = told.plan.chosen(None if index is None else [index], "--frame")
     shot = told.plan.shot(chosen[0])
     folder = Path(out)
+    check_partner(told, wanted)
     _examine(folder, wanted)
 
     frame = Stage(told, renderer).render(shot, wanted, effort)

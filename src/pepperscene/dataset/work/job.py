@@ -16,6 +16,7 @@ from pepperscene.dataset.recipe import Recipe
 from pepperscene.dataset.rows import Row, row_of
 from pepperscene.dataset.stage import RendererFactory, Stage
 from pepperscene.dataset.store import FORMAT
+from pepperscene.dataset.viewpoints import check_partner
 from pepperscene.dataset.writer import Addition, FrameWriter, Written
 
 
@@ -40,7 +41,8 @@ class Job:
     renderer: RendererFactory | None = None
 
     def check(self) -> None:
-        """Raise the `InputError` that tells what of the recipe's files is not valid, if something is."""
+        """Raise the `InputError` that tells what the recipe lacks, or what of its files is not valid."""
+        check_partner(self.recipe, self.outputs)
         Stage(self.recipe, self.renderer)
 
     def about(self) -> dict[str, Any]:
