@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pepperscene.truth import HUE_BINS, Statistics, grey_values, hue_bins, saturated_share
+from pepperscene.truth import HUE_BINS, Statistics, centre_falloff, grey_values, hue_bins, saturated_share
 
 
 def picture(rng, shape=(20, 30), top=8):
@@ -131,3 +131,21 @@ def test_single_measures():
     assert saturated_share(np.array([[[255, 0, 0], [254, 254, 254]]], np.uint8)) == 0.5
     with pytest.raises(ValueError, match="uint8"):
         grey_values(np.zeros((2, 2)))
+
+
+@pytest.mark.parametrize("shape", [(60, 80), (61, 81), (90, 90)])
+def test_the_fall_towards_the_corners_is_that_of_a_picture_made_of_rings(shape):
+    rows, columns = (np.arange(length) - (length - 1) / 2 for length in shape)
+    away = np.hypot(rows[:, None], columns[None]) / np.hypot(shape[0] / 2, shape[1] / 2)
+    assert away.max() < 1.0
+    radii = np.linspace(0.0, 1.0, 11)
+    # What falls evenly has in each ring a mean between the values at its borders; a ring's area grows outwards.
+    found = centre_falloff(200.0 * (1.0 - away), radii)
+    assert (found[1:-1] < 200.0 * (1.0 - radii[1:-2])).all()
+    assert (found[1:-1] > 200.0 * (1.0 - radii[2:-1])).all()
+    np.testing.assert_allclose(centre_falloff(np.full(shape, 7.0), radii), 7.0)
+
+
+def test_rings_without_a_pixel_have_no_mean():
+    found = centre_falloff(np.ones((2, 2)), np.array([0.0, 0.25, 0.75, 1.0]))
+    np.testing.assert_array_equal(found, [np.nan, 1.0, np.nan])

@@ -106,7 +106,7 @@ def _told(facts: Mapping[str, Any]) -> str:
         # Greenhouse and far rows belong to no plant.
         classes = [item["class"] for item in instances.values() if item["plant"] >= 0]
         fruit, leaves = classes.count(OrganClass.PEPPER), classes.count(OrganClass.LEAF)
-        parts.append(f"{len(classes)} organs in view, {leaves} leaves and {fruit} fruit among them")
+        parts.append(f"{len(classes)} organs in view: {leaves} leaves, {fruit} fruit")
     contacts = facts.get("contacts")
     if contacts and (touching := contacts["fruit_touching"] + contacts["blades_touching"]):
         parts.append(f"{touching} of the scene's fruit and leaves touch what they should not")

@@ -40,7 +40,7 @@ def class_shares(sides: Sequence[Side]) -> str:
     )
     counted = " and ".join(f"{plural(side.counted(), 'picture')} of {escape(side.name)}" for side in sides)
     return (
-        '<table class="shares"><thead>'
+        f'<table class="shares" style="--sets: {len(sides)}"><thead>'
         f'<tr><th scope="col">Class</th>{heads}<th class="bars"></th></tr></thead>'
         f"<tbody>{rows}{_unlabelled(sides)}</tbody></table><p>Share of all pixels, in {counted}.</p>"
     )
@@ -148,7 +148,7 @@ def _place_map(side: Side, organ_class: OrganClass, mask: NDArray[np.float64] | 
     picture = share_colours(mask / greatest)
     alt = f"Where {organ_class.name.lower()} lies in {side.name}"
     button = picture_button("map", drawing(picture, _MAP_PX), alt, (picture.shape[1], picture.shape[0]))
-    return f"<div>{button}<p>{name_of(side)} at most in {_percent(greatest, 0)}</p></div>"
+    return f"<div>{button}<p>{name_of(side)} up to {_percent(greatest, 0)}</p></div>"
 
 
 def _hue_numbers(
