@@ -139,7 +139,7 @@ def test_the_fall_towards_the_corners_is_that_of_a_picture_made_of_rings(shape):
     away = np.hypot(rows[:, None], columns[None]) / np.hypot(shape[0] / 2, shape[1] / 2)
     assert away.max() < 1.0
     radii = np.linspace(0.0, 1.0, 11)
-    # What falls evenly has in each ring a mean between the values at its borders; a ring's area grows outwards.
+    # What falls evenly has in each ring a mean between the values at its borders.
     found = centre_falloff(200.0 * (1.0 - away), radii)
     assert (found[1:-1] < 200.0 * (1.0 - radii[1:-2])).all()
     assert (found[1:-1] > 200.0 * (1.0 - radii[2:-1])).all()
