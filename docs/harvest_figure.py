@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 import numpy as np
-from figures import IMAGES, Picture, beside
+from figures import IMAGES, Picture
 from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw
 from skimage.measure import find_contours
@@ -18,11 +18,12 @@ from pepperscene import Camera, Stage, load_recipe
 from pepperscene.truth.rle import mask_of
 
 SEEN: Final = (255, 255, 255)
+HIDDEN: Final = (190, 190, 190)
 CUT: Final = (255, 0, 255)
 WAY: Final = (0, 220, 255)
 BOX: Final = (255, 200, 0)
 LEAST: Final = 400
-"""Pixels that a fruit shows if boxes and arrows are drawn for it: chosen, so that the picture stays readable."""
+"""Pixels that a fruit shows if boxes and arrows are drawn for it: chosen, for a picture that can be read."""
 TWICE: Final = 2  # lines are drawn on a picture so many times as large, and come out smooth
 
 
@@ -39,9 +40,10 @@ def drawn(colour: Picture, camera: Camera, harvest: Mapping[str, Any], scale: in
             pen.line([tuple(place) for place in places], fill=fill, width=width * scale // 2 or 1)
 
     for fruit in harvest["fruit"]:
+        well_seen = fruit["visible_pixels"] >= LEAST
         for line in outlines(fruit):
-            stroke(line, SEEN, 2)
-        if fruit["visible_pixels"] < LEAST:
+            stroke(line, SEEN if well_seen else HIDDEN, 2 if well_seen else 1)
+        if not well_seen:
             continue
         for edge in edges(fruit["box_3d"]["corners_px"]):
             stroke(edge, BOX)
@@ -87,5 +89,6 @@ def shot(recipe: str, index: int, changes: Mapping[str, Any]) -> Image.Image:
 
 
 if __name__ == "__main__":
-    pepper = shot("barth2018", 125, {})
-    pepper.resize((800, 600), Image.Resampling.LANCZOS).save(IMAGES / "harvest.png", optimize=True)
+    size = (800, 600)
+    sheet = shot("greenhouse", 4, {})
+    sheet.resize(size, Image.Resampling.LANCZOS).save(IMAGES / "harvest.jpg", quality=90)

@@ -111,6 +111,27 @@ def test_camera_and_world_tell_the_same_places(plant, frame):
         np.testing.assert_allclose(taken.pose[:3, :3] @ way["camera"], way["world"], atol=1e-8)
 
 
+def test_stalks_are_cut_in_the_furrow_above_their_collar():
+    # Of the rings that a stalk's body is made of, the thinnest near its foot lies at the cut.
+    plant = plant_of(5)
+    mesh, bones = mesh_plant(plant), skeleton([plant])
+    scene = assemble(mesh, skeleton=bones)
+    renderer, taken = Renderer(scene), facing(plant, 0.6, columns=320, rows=240)
+    found = [fruit["peduncle"] for fruit in renderer.render(taken, OUTPUTS)["harvest"]["fruit"]]
+    assert len(found) >= 3
+    for stalk in found:
+        body = mesh.of_instances([stalk["instance"] - 1]).vertices
+        off = (body - stalk["cut"]["world_m"]) @ (taken.pose[:3, :3] @ stalk["cut"]["tangent"])
+        # Rings next to it lie half a foot's length farther.
+        foot = min(stalk["radius_m"], 0.12 * stalk["length_m"])
+        radii = []
+        for place in (-0.5 * foot, 0.0, 0.6 * foot):
+            ring = body[np.abs(off - place) < 0.2 * foot]
+            assert len(ring) >= 6
+            radii.append(np.linalg.norm(ring - ring.mean(axis=0), axis=1).max())
+        assert radii[1] < min(radii[0], radii[2])
+
+
 def test_the_graph_leads_from_each_fruit_to_the_stem(plant, scene, frame):
     harvest = frame["harvest"]
     parent = dict(harvest["graph"]["edges"])
