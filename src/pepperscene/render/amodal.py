@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -32,12 +33,16 @@ class Alone:
     Attributes:
         mesh: its triangles alone.
         region: of the whole scene's mesh.
-        scene: of Mitsuba, with this organ and nothing else.
     """
 
     mesh: Mesh
     region: Region
-    scene: Any
+
+    @cached_property
+    def scene(self) -> Any:
+        """Of Mitsuba, with this organ and nothing else; made when it first comes into view."""
+        shape = kernel_mesh(self.mesh, region=self.region)
+        return kernel()[0].load_dict({"type": "scene", "organ": shape})
 
     def box(self, camera: Camera) -> Box | None:
         """The part of a picture outside of which no ray can hit the organ; None where there is none."""
@@ -62,12 +67,8 @@ def alone(mesh: Mesh, instances: Sequence[int]) -> dict[int, Alone]:
         mesh: of the scene; the vertices of each organ lie together.
         instances: indices of the organs.
     """
-    mi, _ = kernel()
-    region, found = region_of(mesh), {}
-    for instance, part in parts(mesh, instances):
-        shape = kernel_mesh(part, region=region)
-        found[instance] = Alone(part, region, mi.load_dict({"type": "scene", "organ": shape}))
-    return found
+    region = region_of(mesh)
+    return {instance: Alone(part, region) for instance, part in parts(mesh, instances)}
 
 
 def parts(mesh: Mesh, instances: Sequence[int]) -> Iterable[tuple[int, Mesh]]:
