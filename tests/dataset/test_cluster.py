@@ -34,13 +34,24 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals end processe
 
 
 @contextmanager
-def local_cluster(workers, **variables):
-    """Worker processes on this machine, with a renderer that takes some time."""
+def local_cluster(workers, preload=(), **variables):
+    """Worker processes on this machine, with a renderer that takes some time.
+
+    Args:
+        workers: how many.
+        preload: Python that each runs first.
+        variables: of their environment.
+    """
     before = dict(os.environ)
     os.environ.update({"PYTHONPATH": HERE, "STAND_IN_S": "0.05", **{k: str(v) for k, v in variables.items()}})
     try:
         with distributed.LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=":0",
+            silence_logs=50,
+            preload=list(preload),
         ) as cluster:
             yield cluster
     finally:
@@ -293,6 +304,15 @@ def test_a_renderer_that_workers_cannot_import_is_told(make, cluster, tmp_path, 
 
     with pytest.raises(WorkerError, match=r"cannot begin \(No module named 'only_here'\)"):
         make(renderer=only_here.Own, scheduler=cluster.scheduler_address)
+
+
+def test_workers_without_the_package_are_left_out_and_live_on(make):
+    with local_cluster(1, preload=["import sys; sys.modules['pepperscene'] = None"]) as cluster:
+        process = next(iter(cluster.workers.values())).pid
+        with pytest.raises(WorkerError, match=r"no worker at tcp.* fits: .* cannot begin \(.*pepperscene"):
+            make(scheduler=cluster.scheduler_address)
+        assert len(cluster.scheduler.workers) == 1
+        assert next(iter(cluster.workers.values())).pid == process
 
 
 def test_nobody_answers(make, tmp_path, monkeypatch):

@@ -64,6 +64,26 @@ class Order:
         return cls(build, versions(), marker, pickle.dumps(job, protocol=5), digest(job.about()))
 
 
+@dataclass(frozen=True)
+class Call:
+    """What a worker is to do, as bytes that do it where they are read.
+
+    A worker that cannot read a message ends, and a scheduler that cannot read a task refuses it. So the task
+    is none of this package's: it is `pickle.loads`, which everybody knows, and it reads the rest. Where this
+    package is missing or an older one the task fails, and the worker goes on with what others want of it.
+
+    Attributes:
+        order, number, indices: as for `make_unit`.
+    """
+
+    order: Order
+    number: int
+    indices: tuple[int, ...]
+
+    def __reduce__(self) -> tuple[Callable[..., None], tuple[Any, ...]]:
+        return make_unit, (self.order, self.number, self.indices)
+
+
 def versions() -> dict[str, str]:
     """What decides a frame's bytes besides the recipe, by name."""
     python = ".".join(platform.python_version_tuple()[:2])
@@ -78,7 +98,7 @@ def _version(library: str) -> str:
 
 
 def make_unit(order: Order, number: int, indices: tuple[int, ...]) -> None:
-    """Make frames; the task that is sent to a worker.
+    """Make frames; what a worker does when it reads a `Call`.
 
     Each frame is told through an event, and so is the end, as nobody hears a task that was cancelled.
 

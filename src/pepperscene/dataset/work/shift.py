@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from pepperscene.dataset.work.afar import TOPIC, MisfitError, Order, make_unit
+from pepperscene.dataset.work.afar import TOPIC, Call, MisfitError, Order
 from pepperscene.dataset.work.crew import Losses, Notice
 from pepperscene.dataset.work.job import Done, Job, Tell
 from pepperscene.dataset.work.units import Queue, Unit
@@ -130,14 +130,15 @@ class Shift:
 
         errand = self._busy[number]
         fault = errand.future.exception() if errand.future.status == "error" else None
+        if errand.future.status in ("finished", "error"):
+            # Also where it could not even be begun, and nobody tells so.
+            self._open.discard(number)
         if fault is None and not errand.unit.after(self._told).indices:
             self._recall(number)
             self._give(errand.address)
         elif fault is None or isinstance(fault, KilledWorker):
             self._lose(number, notice)
-        elif isinstance(fault, MisfitError | ImportError | AttributeError):
-            # Where the package is missing or older, already the task cannot be read.
-            why = str(fault) if isinstance(fault, MisfitError) else f"cannot begin ({fault})"
+        elif (why := _misfit(fault)) is not None:
             self._dismiss(number, why, notice)
         else:
             self._recall(number)
@@ -185,10 +186,8 @@ class Shift:
             return
         number, self._number = self._number, self._number + 1
         future = self._client.submit(
-            make_unit,
-            self._order,
-            number,
-            unit.indices,
+            pickle.loads,
+            pickle.dumps(Call(self._order, number, unit.indices), protocol=5),
             key=f"pepperscene-{self._order.build}-{number}",
             workers=[address],
             allow_other_workers=False,
@@ -229,6 +228,15 @@ class Shift:
         until = time.monotonic() + patience_s
         while self._open and time.monotonic() < until:
             time.sleep(0.05)
+
+
+def _misfit(fault: BaseException) -> str | None:
+    """What keeps a worker from making frames at all, if that is what a fault says."""
+    if isinstance(fault, MisfitError):
+        return str(fault)
+    # Where this package, or a module of the user's, is missing or another one, the call cannot be read.
+    unread = isinstance(fault, AttributeError) and str(fault).startswith("Can't get attribute")
+    return f"cannot begin ({fault})" if unread or isinstance(fault, ImportError) else None
 
 
 @contextmanager

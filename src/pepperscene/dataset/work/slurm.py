@@ -43,8 +43,8 @@ _NAME: Final = "pepperscene"
 class Slurm(Crew):
     """Workers in jobs of a Slurm cluster, started from a machine that can submit jobs.
 
-    The scheduler runs in this process. The jobs wait in Slurm's queue for as long as it takes; frames are made
-    as soon as the first one runs. A job whose time is over is asked for again.
+    The scheduler runs in this process. The jobs wait in Slurm's queue for as long as it takes; frames are
+    made as soon as the first one runs. A job whose time is over is asked for again.
 
     Args:
         path: of the file that tells what to ask for; see `SlurmJobs`.
