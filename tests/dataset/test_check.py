@@ -199,7 +199,7 @@ def test_processes_find_the_same_in_the_same_order(folder, monkeypatch):
     many = check(folder, workers=2, on_frame=lambda done, total: told.append((done, total)))
     assert many == check(folder, workers=1)
     assert told == [(done, 6) for done in range(1, 7)]
-    assert many.counts() == {"unreadable": 2, "checksum": 2}
+    assert many.counts() == {"checksum": 2}
 
 
 # --- files --------------------------------------------------------------------------------------------------
@@ -242,6 +242,12 @@ def test_files_that_do_not_belong(folder, name):
     assert found(folder) == {("extra", None, expected)}
 
 
+def test_a_name_that_is_no_text(folder):
+    with open(bytes(folder / "class") + b"/\xff.png", "wb"):
+        pass
+    assert found(folder) == {("extra", None, "class/\\udcff.png")}
+
+
 def test_what_file_managers_and_reports_leave_is_no_fault(folder):
     for name in ("index.html", "contact_sheet.png", ".DS_Store", "class/Thumbs.db"):
         (folder / name).write_bytes(b"")
@@ -253,13 +259,21 @@ def test_a_flipped_bit(folder):
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
-    assert ("checksum", 5, "distance/000005.exr") in found(folder)
+    assert found(folder) == {("checksum", 5, "distance/000005.exr")}
 
 
 def test_a_file_cut_short(folder):
     path = folder / "colour/000005.png"
     path.write_bytes(path.read_bytes()[:-900])
-    assert found(folder) == {("checksum", 5, "colour/000005.png"), ("unreadable", 5, "colour/000005.png")}
+    assert found(folder) == {("checksum", 5, "colour/000005.png")}
+
+
+def test_what_cannot_be_decoded(folder):
+    (folder / "colour/000005.png").write_bytes(b"no picture")
+    (folder / "distance/000004.exr").write_bytes(b"")
+    for index in (4, 5):
+        sign(folder, index)
+    assert found(folder) == {("unreadable", 5, "colour/000005.png"), ("unreadable", 4, "distance/000004.exr")}
 
 
 def test_an_image_of_another_size_or_type(folder):

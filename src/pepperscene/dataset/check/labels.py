@@ -71,7 +71,7 @@ def _instances(instances: NDArray[np.uint16], facts: Mapping[str, Any]) -> Itera
             f"the JSON lists instance {_named(absent)}, of which there is no pixel",
         )
     both = sorted(seen & known.keys())
-    wrong = [number for number in both if known[number].get("pixels") != counts[number]]
+    wrong = [number for number in both if known[number].get("pixels") != int(counts[number])]
     if wrong:
         first = wrong[0]
         yield (

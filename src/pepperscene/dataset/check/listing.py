@@ -66,7 +66,7 @@ def stray_files(dataset: Dataset, indices: Sequence[int]) -> Iterator[Finding]:
         if entry.name in LITTER:
             continue
         if entry.name not in _OWN:
-            yield Finding("extra", None, entry.name, _stray(entry))
+            yield Finding("extra", None, _printable(entry.name), _stray(entry))
         elif entry.name == FRAMES or entry.name in OUTPUTS:
             if entry.is_dir():
                 suffix = ".json" if entry.name == FRAMES else OUTPUTS[entry.name].suffix
@@ -80,11 +80,16 @@ def _stray_in(folder: os.DirEntry[str], suffix: str, known: set[int]) -> Iterato
         stem = _stem(entry.name, suffix)
         if entry.name in LITTER or (stem is not None and int(stem) in known):
             continue
-        name = f"{folder.name}/{entry.name}"
+        name = f"{folder.name}/{_printable(entry.name)}"
         if stem is not None:
             yield Finding("extra", int(stem), name, "belongs to no frame: its JSON is not there")
         else:
             yield Finding("extra", None, name, _stray(entry))
+
+
+def _printable(name: str) -> str:
+    """A file's name, of which file systems allow bytes that are no text."""
+    return name.encode(errors="backslashreplace").decode()
 
 
 def _stray(entry: os.DirEntry[str]) -> str:

@@ -32,7 +32,7 @@ def manifest_faults(dataset: Dataset, rows: Mapping[int, int], harvested: bool) 
     except FileNotFoundError:
         yield Finding("missing", None, MANIFEST, "is not there; the same build writes it again")
         return
-    except (OSError, ArrowException, KeyError) as fault:
+    except (OSError, ArrowException, KeyError, ValueError) as fault:
         yield Finding("damaged", None, MANIFEST, f"cannot be read ({' '.join(str(fault).split())[:80]})")
         return
     for index in sorted(left):

@@ -32,7 +32,7 @@ def value_faults(images: Mapping[str, Any], facts: Mapping[str, Any]) -> Iterato
     for output, rule in _RULES.items():
         if output in images:
             # Comparisons with nan are False, as they should be, and need no warning.
-            with np.errstate(invalid="ignore"):
+            with np.errstate(invalid="ignore", over="ignore"):
                 for what, wrong in rule(images[output], nothing, images, facts):
                     if wrong.any():
                         yield "value", output, f"{np.count_nonzero(wrong)} pixels {what}"

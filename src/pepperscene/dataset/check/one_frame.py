@@ -109,7 +109,7 @@ def examine(dataset: Dataset, index: int) -> Examined:
 def manifest_digest(row: Mapping[str, Any]) -> int:
     """Digest of what a row of the manifest says of a frame, without what only the journal knows."""
     known = {name: value for name, value in row.items() if value is not None and name not in _JOURNALS}
-    return _digest(json.dumps(known, sort_keys=True).encode())
+    return _digest(json.dumps(known, sort_keys=True, default=str).encode())
 
 
 def _facts_faults(dataset: Dataset, facts: dict[str, Any], index: int) -> Iterator[tuple[str, str]]:
@@ -158,8 +158,11 @@ def _file_faults(
         yield "contradiction", f"is called {said.get('file')!r} in the frame's JSON"
     if said.get("bytes") != size:
         yield "checksum", f"has {size} bytes, the frame's JSON says {said.get('bytes')}"
-    elif said.get("sha256") != digests[output]:
+        return
+    if said.get("sha256") != digests[output]:
         yield "checksum", "has other content than was written: its checksum is another"
+        return
+    # What a damaged file shows says nothing of what was rendered.
     try:
         images[output] = read_image(path)
     except InputError as fault:
@@ -227,7 +230,7 @@ def _traits(
         scene=_scene(facts.get("set"), facts.get("rotation")),
         picture=_digest(np.ascontiguousarray(images[traced]).data) if traced else 0,
         content=_digest(json.dumps(digests, sort_keys=True).encode()) if varied else 0,
-        view=0 if pose is None or seed is None else _digest(f"{pose.tolist()} {seed}".encode()),
+        view=0 if pose is None or seed is None else _digest(json.dumps([pose.tolist(), seed]).encode()),
         row=_row_digest(facts, outputs),
         shares=_shares(images.get("class")),
         mean=light.mean if light else None,

@@ -11,7 +11,7 @@ KINDS: Final[Mapping[str, str]] = {
     "damaged": "a JSON file cannot be read, or is not what was written",
     "missing": "a file that a frame's JSON names is not there",
     "incomplete": "a frame that must be there is not",
-    "unreadable": "an image cannot be decoded",
+    "unreadable": "an image cannot be decoded, though it is what was written",
     "checksum": "a file has other bytes than the frame's JSON says",
     "shape": "an image has another size or type than its output",
     "contradiction": "JSON says otherwise than the images, the recipe's plan or the manifest",
