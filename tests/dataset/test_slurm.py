@@ -7,6 +7,7 @@ import re
 import shutil
 import signal
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -177,6 +178,14 @@ def test_what_must_be_said(written, key):
 @pytest.mark.parametrize("time", ["90", "90:00", "1:30:00", "2-0", "2-12:30", "7-00:00:00"])
 def test_times_as_the_manual_has_them(time):
     assert SlurmJobs(jobs=1, cores=1, memory="2G", walltime=time).walltime == time
+
+
+def test_every_key_is_told():
+    page = (Path(__file__).parents[2] / "docs" / "cluster.md").read_text(encoding="utf-8")
+    rows = "".join(line.split("|")[1] for line in page.splitlines() if line.startswith("| `"))
+    assert set(re.findall(r"`(\w+)`", rows)) == set(SlurmJobs.model_fields)
+    example = re.search(r"```toml\n(.+?)```", page, re.DOTALL)[1]
+    assert SlurmJobs.model_validate(tomllib.loads(example)).workers == 32
 
 
 def test_a_machine_without_slurm(recipe, written, tmp_path, monkeypatch):
