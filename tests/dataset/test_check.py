@@ -14,7 +14,7 @@ from pepperscene.dataset import build, check, load_recipe, read_image, write_ima
 from pepperscene.dataset.atomic import digest, write_json
 from pepperscene.dataset.check import crew
 from pepperscene.dataset.check.across import Comparison
-from pepperscene.dataset.check.one_frame import Traits
+from pepperscene.dataset.check.traits import Traits
 from pepperscene.dataset.check.verdict import KINDS, Finding
 from pepperscene.dataset.manifest import write_manifest
 from pepperscene.dataset.stage import Stage

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.check.one_frame import Traits
+from pepperscene.dataset.check.traits import Traits
 from pepperscene.dataset.check.verdict import Finding
 from pepperscene.dataset.store import DIGITS, FRAMES, file_name
 from pepperscene.dataset.tables import ExpectTable

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from pepperscene.dataset.check.one_frame import manifest_digest
+from pepperscene.dataset.check.traits import manifest_digest
 from pepperscene.dataset.check.verdict import Finding
 from pepperscene.dataset.manifest import FRUIT, MANIFEST
 from pepperscene.dataset.store import Dataset
