@@ -150,11 +150,13 @@ def _built(
         try:
             crew.make(job, units_of(job.recipe.plan, indices, crew.size), tell, on_notice)
         except BaseException:
-            folder.undo()
-            with suppress(OutputError):
+            with suppress(OutputError, OSError):
+                folder.sweep()
+                folder.undo()
                 _tabulate(folder.dataset, journal)
             raise
         _tabulate(folder.dataset, journal)
+    folder.sweep()
     kept = tuple(sorted(set(indices).difference(made)))
     return BuildResult(folder.dataset, tuple(sorted(made)), kept)
 

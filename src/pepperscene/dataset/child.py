@@ -17,6 +17,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Final
 
+THREADS: Final = ("PEPPERSCENE_THREADS", "OIDN_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+"""Environment variables that keep a process to its cores: for Mitsuba, the denoiser, the matrix library."""
+
 _LAST_WORDS: Final = 4000  # chosen: bytes of what a child wrote on its standard error
 _GRACE_S: Final = 5.0  # chosen: a child that is told to end has nothing to finish but system calls
 

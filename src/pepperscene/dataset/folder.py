@@ -47,14 +47,18 @@ class OutputFolder:
             write_json(mark, self.dataset.about)
         for folder in (self.dataset.folder / name for name in (*outputs, FRAMES)):
             folder.mkdir(exist_ok=True)
-            sweep(folder)
+        self.sweep()
+
+    def sweep(self) -> None:
+        """Remove what workers that were lost have left."""
+        for name in ("", FRAMES, *OUTPUTS):
+            folder = self.dataset.folder / name
+            if folder.is_dir():
+                sweep(folder)
 
     def undo(self) -> None:
         """Remove what was made since, by whomever, as far as no frame has come to depend on it."""
         if not self.dataset.indices():
-            for path in (self.dataset.folder / name for name in (*OUTPUTS, FRAMES)):
-                if path.is_dir():
-                    sweep(path)
             remove(self._missing)
 
     def _ours(self) -> list[Path]:

@@ -55,10 +55,14 @@ class FrameWriter:
 
     So memory holds the images of two frames, and the order in which frames come to count is the caller's. On
     leaving the `with` block, also by an exception, the frame that is being written is finished first.
+
+    Args:
+        folder: of the data set.
+        eager: tell of a frame in the thread that writes it, as soon as it is whole, not by `finish`.
     """
 
-    def __init__(self, folder: OutputFolder) -> None:
-        self._folder = folder
+    def __init__(self, folder: OutputFolder, *, eager: bool = False) -> None:
+        self._folder, self._eager = folder, eager
         self._frames = ThreadPoolExecutor(1, "frame")
         self._images = ThreadPoolExecutor(_AT_ONCE, "image")
         self._prepared: set[str] = set()
@@ -78,13 +82,13 @@ class FrameWriter:
 
         Args:
             addition: what is written.
-            then: called by `finish` when the frame is whole.
+            then: called when the frame is whole.
 
         Raises:
             OutputError: the frame before could not be written.
         """
         self.finish()
-        self._under_way = self._frames.submit(self._write, addition), then
+        self._under_way = self._frames.submit(self._done, addition, then), then
 
     def finish(self) -> None:
         """Wait until the frame that is being written is whole, if there is one.
@@ -95,7 +99,15 @@ class FrameWriter:
         if self._under_way is None:
             return
         (written, then), self._under_way = self._under_way, None
-        then(written.result())
+        whole = written.result()
+        if not self._eager:
+            then(whole)
+
+    def _done(self, addition: Addition, then: Callable[[Written], None]) -> Written:
+        whole = self._write(addition)
+        if self._eager:
+            then(whole)
+        return whole
 
     def _write(self, addition: Addition) -> Written:
         dataset, begun = self._folder.dataset, time.perf_counter()

@@ -11,7 +11,7 @@ from contextlib import ExitStack, suppress
 from typing import Final
 
 from pepperscene.dataset.check.one_frame import Examined, examine
-from pepperscene.dataset.child import Child, listening, say
+from pepperscene.dataset.child import THREADS, Child, listening, say
 from pepperscene.dataset.second import cores
 from pepperscene.dataset.store import Dataset
 from pepperscene.errors import InputError, WorkerError
@@ -20,7 +20,7 @@ MOST_WORKERS: Final = 256
 _WORTH: Final = 64  # chosen: frames for which it pays to start a process, which takes half a second
 _AT_A_TIME: Final = 16  # chosen: frames that a process is asked for
 _AHEAD: Final = 2  # chosen: such parts for each process that may wait to be told, so that memory stays flat
-_ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+_ONE_THREAD: Final = dict.fromkeys(THREADS, "1")
 
 
 def examined(dataset: Dataset, indices: Sequence[int], workers: int | None) -> Iterator[Examined]:

@@ -10,7 +10,5 @@ from pepperscene.dataset.store import Dataset
 def in_all(dataset: Dataset, indices: Sequence[int], outputs: Sequence[str]) -> tuple[str, ...]:
     """Those of some outputs that all frames have."""
     return tuple(
-        output
-        for output in outputs
-        if all(dataset.path(index, output).is_file() for index in indices)
+        output for output in outputs if all(dataset.path(index, output).is_file() for index in indices)
     )

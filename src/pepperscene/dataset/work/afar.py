@@ -14,6 +14,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from pepperscene.dataset.child import THREADS
 from pepperscene.dataset.recipe_identity import digest
 from pepperscene.dataset.second import VARIABLE as PROCESSES
 from pepperscene.dataset.work.job import Done, Job, Maker, Tell
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
 
 TOPIC: Final = "pepperscene"
 """Of the events through which workers tell of frames; one for all builds, as schedulers never forget one."""
-
-_THREADS: Final = ("PEPPERSCENE_THREADS", "OIDN_NUM_THREADS")
-"""Environment variables that keep a worker to its cores; Dask's own see to the matrix library's."""
 
 _IDLE_S: Final = 60.0
 """Chosen: a worker that had no unit for so long gives back the memory of its plants and its scene."""
@@ -146,7 +144,7 @@ def _examine(order: Order) -> None:
 
 def _keep_to(threads: int) -> None:
     """Let this process take no more cores than its worker's; what its environment says already stands."""
-    for name in _THREADS:
+    for name in THREADS:
         os.environ.setdefault(name, str(threads))
     os.environ.setdefault(PROCESSES, "1")
 
@@ -193,7 +191,7 @@ class _Bench:
             job: Job = pickle.loads(order.job)
             if digest(job.about()) != order.about:
                 raise MisfitError("reads other files by the names in the recipe, and would make other frames")
-            self._held = order.build, Maker(job, f"{platform.node()}-{os.getpid()}")
+            self._held = order.build, Maker(job, f"{platform.node()}-{os.getpid()}", eager=True)
         return self._held[1]
 
     def _drop(self) -> None:

@@ -74,16 +74,17 @@ class Maker:
     Args:
         job: what is asked for.
         worker: who makes them, for the manifest.
+        eager: tell of a frame as soon as it is whole, in another thread, while the next one is rendered.
     """
 
-    def __init__(self, job: Job, worker: str = "") -> None:
+    def __init__(self, job: Job, worker: str = "", *, eager: bool = False) -> None:
         from pepperscene.render import quality_of
 
         self._job, self._worker = job, worker
         self._effort = quality_of(job.quality, job.target_error)
         self._stage = Stage(job.recipe, job.renderer)
         self._folder = OutputFolder(job.folder, job.about())
-        self._writer = FrameWriter(self._folder)
+        self._writer = FrameWriter(self._folder, eager=eager)
 
     def __enter__(self) -> Self:
         return self

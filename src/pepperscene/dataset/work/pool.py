@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import IO, Any, Final, final
 
-from pepperscene.dataset.child import Child, listening, say
+from pepperscene.dataset.child import THREADS, Child, listening, say
 from pepperscene.dataset.second import VARIABLE as PROCESSES
 from pepperscene.dataset.second import cores
 from pepperscene.dataset.work.crew import Crew, Losses, Notice
@@ -26,9 +26,6 @@ MOST_WORKERS: Final = 1024
 
 _PATIENCE_S: Final = 60.0
 """Chosen: how long the others may take to finish the frames that they are at when one has failed."""
-
-_THREADS: Final = ("PEPPERSCENE_THREADS", "OIDN_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-"""Environment variables that keep a worker to its cores: for Mitsuba, the denoiser, the matrix library."""
 
 
 @final
@@ -61,7 +58,7 @@ class _Worker:
     """A worker as the pool sees it: its process, the thread that listens to it, and what it is at."""
 
     def __init__(self, job: Job, threads: int, events: queue.SimpleQueue[tuple[_Worker, Any]]) -> None:
-        environment = {**dict.fromkeys(_THREADS, str(threads)), PROCESSES: "2" if threads > 1 else "1"}
+        environment = {**dict.fromkeys(THREADS, str(threads)), PROCESSES: "2" if threads > 1 else "1"}
         self.unit: Unit | None = None
         self.told: set[int] = set()
         self._events = events
@@ -202,7 +199,7 @@ def _serve() -> None:
         ended = threading.Event()
         threading.Thread(target=_asked, args=(asked, wanted, ended), daemon=True).start()
         try:
-            with Maker(job, f"{platform.node()}-{os.getpid()}") as maker:
+            with Maker(job, f"{platform.node()}-{os.getpid()}", eager=True) as maker:
                 while (indices := wanted.get()) is not None:
                     maker.make(indices, lambda done: say(told, done), ended.is_set)
                     say(told, None)
