@@ -210,10 +210,14 @@ def test_a_missing_image(folder):
     assert found(folder) == {("missing", 4, "class/000004.png")}
 
 
-def test_a_missing_frame_is_known_by_the_manifest_and_its_images_are_left_over(folder):
+@pytest.mark.parametrize(
+    ("lost", "known_by"), [("manifest.parquet", "frames/000004.json"), ("journal.jsonl", "manifest.parquet")]
+)
+def test_a_missing_frame_is_known_by_the_tables_and_its_images_are_left_over(folder, lost, known_by):
     (folder / "frames/000004.json").unlink()
-    kinds = found(folder)
-    assert ("incomplete", 4, "manifest.parquet") in kinds
+    (folder / lost).unlink()
+    kinds = {one for one in found(folder) if one[0] != "missing"}
+    assert ("incomplete", 4, known_by) in kinds
     assert {kind for kind in kinds if kind[0] == "extra"} == {
         ("extra", 4, f"{name}/000004{OUTPUTS[name].suffix}") for name in (*DEFAULT_OUTPUTS, "class_colour")
     }
@@ -223,6 +227,7 @@ def test_a_missing_frame_is_known_by_the_manifest_and_its_images_are_left_over(f
 def test_frames_that_were_asked_for(folder):
     for path in folder.glob("*/000005.*"):
         path.unlink()
+    (folder / "journal.jsonl").unlink()
     write_manifest_of(folder)
     assert found(folder) == set()
     assert found(folder, frames="0:6") == {("incomplete", 5, "frames/000005.json")}

@@ -109,9 +109,21 @@ def test_a_torn_line_is_skipped_and_ended(folder, cut):
     (where / MANIFEST).unlink()
     assert [row["index"] for row in rows(where)] == [0, 1, 2]
     folder("0:4")
-    for line in (where / JOURNAL).read_bytes().splitlines()[-2:]:
-        assert json.loads(line)["checksum"]
+    # Whatever was added stands on lines of its own.
+    added = (where / JOURNAL).read_bytes().splitlines()[-2:]
+    assert all({"checksum", "wanted"} & set(json.loads(line)) for line in added)
     assert [row["index"] for row in rows(where)] == [0, 1, 2, 3]
+
+
+def test_the_journal_knows_which_frames_are_wanted(folder, tmp_path):
+    where = folder("3:5")
+    assert Journal(where).wanted == {3, 4}
+    lines = (where / JOURNAL).read_bytes()
+    folder("4:5")
+    assert (where / JOURNAL).read_bytes() == lines
+    build_of = {3, 4, *range(6, 9)}
+    folder("6:9")
+    assert Journal(where).wanted == build_of
 
 
 def test_the_last_line_of_a_frame_counts(tmp_path):

@@ -276,3 +276,22 @@ def test_the_developing_table_is_the_cameras(write):
 def test_a_monochrome_camera_needs_no_white_balance(write):
     mono = {"flash": "none", "sensor": "onsemi_mt9v024_mono"}
     assert load_recipe(write(extends="barth2018", camera=mono)).camera.flash == "none"
+
+
+@pytest.mark.parametrize(
+    ("text", "changes", "kept"),
+    [
+        ('name = "other"\nseed = 5', {}, True),
+        ("[plan]\nselect = [3]", {}, True),
+        ("[camera]\nexposure_us = 25", {}, False),
+        ("", {"camera.exposure_us": 25.0}, False),
+        ("", {"seed": 7}, True),
+        ("[camera]\nexposure_us = 25\n[expect]\nintensity = [1, 50]", {}, True),
+        ("[expect]\nintensity = [1, 50]", {"camera.exposure_us": 25.0}, False),
+        ("[camera]\nexposure_us = 25", {"expect.saturated": 0.5}, True),
+    ],
+)
+def test_what_is_expected_goes_on_for_the_same_kind_of_frames_alone(tmp_path, text, changes, kept):
+    file = tmp_path / "mine.toml"
+    file.write_text(f'extends = "barth2018"\n{text}\n')
+    assert (load_recipe(file, changes).expect is not None) == kept

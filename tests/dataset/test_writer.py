@@ -45,7 +45,7 @@ def test_the_caller_goes_on_while_a_frame_is_written_and_is_told_when_it_is_whol
     go, begun = held_writes(monkeypatch)
     told = []
     with FrameWriter(folder) as writer:
-        writer.start(addition(3), lambda: told.append(folder.dataset.indices()))
+        writer.start(addition(3), lambda _: told.append(folder.dataset.indices()))
         # Here the caller renders: nothing is whole, and nothing has been told.
         assert (folder.dataset.indices(), told) == ((), [])
         go.set()
@@ -61,7 +61,8 @@ def test_the_next_frame_begins_when_the_last_one_is_whole(folder):
     told = []
     with FrameWriter(folder) as writer:
         for index in range(5):
-            writer.start(addition(index), lambda index=index: told.append((index, folder.dataset.indices())))
+            then = lambda _, index=index: told.append((index, folder.dataset.indices()))  # noqa: E731
+            writer.start(addition(index), then)
             assert len(told) == index
     # The last frame is whole although nobody asked for it, and its news went nowhere.
     assert told == [(index, tuple(range(index + 1))) for index in range(4)]
@@ -73,14 +74,14 @@ def test_a_frame_under_way_is_finished_when_the_caller_fails(folder, monkeypatch
 
     def interrupted():
         with FrameWriter(folder) as writer:
-            writer.start(addition(0), lambda: None)
+            writer.start(addition(0), lambda _: None)
             threading.Timer(0.05, go.set).start()
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert folder.dataset.indices() == (0,)
-    assert set(folder.dataset.intact(0)[1]) == set(IMAGES)
+    assert set(folder.dataset.intact(0).outputs) == set(IMAGES)
 
 
 def test_a_fault_is_told_once_and_leaves_nothing_of_its_frame(folder, monkeypatch):
@@ -94,10 +95,10 @@ def test_a_fault_is_told_once_and_leaves_nothing_of_its_frame(folder, monkeypatc
 
     told = []
     with FrameWriter(folder) as writer:
-        writer.start(addition(0), lambda: told.append(0))
+        writer.start(addition(0), lambda _: told.append(0))
         writer.finish()
         monkeypatch.setattr(STORE, "write_image", full)
-        writer.start(addition(1), lambda: told.append(1))
+        writer.start(addition(1), lambda _: told.append(1))
         with pytest.raises(OutputError, match=r"distance.*No space left"):
             writer.finish()
         writer.finish()
@@ -127,4 +128,4 @@ def test_a_renderer_that_fails_later_keeps_the_frames_before(recipe, fake_render
         build(recipe, tmp_path / "set", frames="0:4", renderer=Failing)
     dataset = open_dataset(tmp_path / "set")
     assert dataset.indices() == (0, 1)
-    assert all(set(dataset.intact(index)[1]) == set(dataset.facts(index)["outputs"]) for index in (0, 1))
+    assert all(set(dataset.intact(index).outputs) == set(dataset.facts(index)["outputs"]) for index in (0, 1))

@@ -9,7 +9,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-CODE = ("src", "tests", "benchmarks", "docs/conf.py", "docs/figures.py", "docs/plant_figures.py", "docs/harvest_figure.py", "notebooks")
+CODE = (
+    "src", "tests", "benchmarks", "docs/conf.py", "docs/figures.py", "docs/plant_figures.py",
+    "docs/harvest_figure.py", "notebooks",
+)  # fmt: skip
 
 
 def _passes(*command: str) -> None:

@@ -21,7 +21,7 @@ _STALE_S: Final = 3600.0
 _MADE_BY: Final = re.compile(r"\.(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.\d+\.tmp$")
 _number: Final = itertools.count()
 
-_INNERMOST: Final = re.compile(r"\[\n[^][{}]*\n *\]|\{\n[^][{}]*\n *\}")
+_LEVELS: Final = 2
 
 
 @contextmanager
@@ -53,11 +53,22 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def json_bytes(content: Any) -> bytes:
-    """Canonical JSON text: sorted keys, what holds no further list or object on one line."""
-    text = json.dumps(content, sort_keys=True, indent=1, allow_nan=False, default=_plain)
-    # A line break never stands inside a JSON string, so that only innermost brackets match.
-    text = _INNERMOST.sub(lambda found: re.sub(r"\n *", " ", found[0]), text)
-    return (text + "\n").encode()
+    """Canonical JSON text: sorted keys, what lies two levels down on a line of its own.
+
+    Raises:
+        ValueError: the content holds a number that JSON does not know (nan, inf).
+    """
+    return (_lines(content, _LEVELS) + "\n").encode()
+
+
+def _lines(value: Any, levels: int) -> str:
+    """Some levels in lines, the rest by Python's encoder, which is fast only without line breaks."""
+    if levels and isinstance(value, dict) and value:
+        told = [f"{_dumps(str(key))}: {_lines(value[key], levels - 1)}" for key in sorted(value)]
+        return "{\n" + ",\n".join(told) + "\n}"
+    if levels and isinstance(value, list) and value and isinstance(value[0], dict):
+        return "[\n" + ",\n".join(_lines(one, 0) for one in value) + "\n]"
+    return _dumps(value)
 
 
 def digest(path: Path) -> str:
@@ -104,3 +115,6 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} has no place in JSON")
+
+
+_dumps: Final = json.JSONEncoder(sort_keys=True, allow_nan=False, default=_plain).encode

@@ -139,7 +139,7 @@ def _built(
     with Journal(out) as journal:
 
         def tell(done: Done) -> None:
-            _noted(journal, done)
+            _noted(journal, done, () if pace.done else indices)
             made.extend([done.index] if done.made else [])
             pace.count(done.made)
             room.look(done, pace.done)
@@ -161,8 +161,10 @@ def _built(
     return BuildResult(folder.dataset, tuple(sorted(made)), kept)
 
 
-def _noted(journal: Journal, done: Done) -> None:
+def _noted(journal: Journal, done: Done, wanted: Sequence[int]) -> None:
+    """Note a frame, and before the first one, when there is a folder, which are wanted."""
     try:
+        journal.want(wanted)
         journal.add(done.row)
     except OSError as fault:
         raise OutputError(f"the journal cannot be written ({fault.strerror or fault})") from None

@@ -15,8 +15,10 @@ from pepperscene.errors import InputError, OutputError
 from pepperscene.frame import OUTPUTS
 
 REPORT_FILES: Final = ("index.html", "contact_sheet.png")
-_OWN: Final = {MARK, FRAMES, MANIFEST, FRUIT, JOURNAL, *OUTPUTS, *REPORT_FILES}
-_LITTER: Final = {".DS_Store", "Thumbs.db"}
+OWN: Final = frozenset({MARK, FRAMES, MANIFEST, FRUIT, JOURNAL, *OUTPUTS, *REPORT_FILES})
+"""What a data set's folder holds."""
+
+LITTER: Final = frozenset({".DS_Store", "Thumbs.db"})
 """Written by file managers into every folder that they show."""
 
 _COMPARED: Final = ("format", "quality", "version", "recipe", "files")
@@ -123,8 +125,8 @@ def remove(made: list[Path]) -> None:
 
 
 def _examine_content(folder: Path, about: Mapping[str, Any]) -> None:
-    held = sorted(path for path in folder.iterdir() if not is_temporary(path) and path.name not in _LITTER)
-    foreign = next((path.name for path in held if path.name not in _OWN), None)
+    held = sorted(path for path in folder.iterdir() if not is_temporary(path) and path.name not in LITTER)
+    foreign = next((path.name for path in held if path.name not in OWN), None)
     if foreign is not None or (held and not (folder / MARK).is_file()):
         what = foreign or held[0].name
         raise OutputError(

@@ -87,7 +87,7 @@ def read_image(path: str | Path) -> Any:
         if path.suffix == ".json":
             return _read_object(path)
         return _read_exr(path) if path.suffix == ".exr" else _read_png(path)
-    except (OSError, RuntimeError, ValueError, SyntaxError) as fault:
+    except (OSError, RuntimeError, ValueError, SyntaxError, MemoryError) as fault:
         raise InputError(path, "", None, f"cannot be read as an image ({fault})") from None
 
 
@@ -105,8 +105,11 @@ def _write_png(path: Path, image: NDArray[Any], output: str) -> None:
 def _read_png(path: Path) -> NDArray[Any]:
     from PIL import Image
 
-    with Image.open(path, formats=["PNG"]) as picture:
-        return np.array(picture)
+    try:
+        with Image.open(path, formats=["PNG"]) as picture:
+            return np.array(picture)
+    except Image.DecompressionBombError as fault:
+        raise ValueError(str(fault)) from None
 
 
 def _write_exr(path: Path, image: NDArray[Any], output: str) -> None:

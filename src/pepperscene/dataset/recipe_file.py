@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,6 +21,10 @@ _FILE_KEYS: Final = (
 )  # fmt: skip
 """Keys whose value may be a path, relative to the recipe file that says it."""
 
+_EXPECT: Final = "expect"
+_SAME_FRAMES: Final = {"name", "seed", "plan"}
+"""Tables and keys that change which frames there are, but not what they are like."""
+
 _Layer = tuple[str, dict[str, Any]]
 
 
@@ -28,7 +32,8 @@ def load_recipe(name_or_path: str | Path, changes: Mapping[str, Any] | None = No
     """Read a recipe by the name of a shipped one or by path.
 
     A recipe with `extends = "other"` starts from that recipe, a shipped one or a path relative to its own
-    file, and replaces single values: tables are merged key by key, lists are replaced whole.
+    file, and replaces single values: tables are merged key by key, lists are replaced whole. What it expects
+    goes on for other names, seeds and plans alone: what was measured tells nothing of other views or light.
 
     Args:
         name_or_path: of the recipe.
@@ -47,6 +52,8 @@ def load_recipe(name_or_path: str | Path, changes: Mapping[str, Any] | None = No
     for _, table in reversed(layers):
         merged = _merge(merged, table)
 
+    if _outgrown(list(changes or ()), files):
+        del merged[_EXPECT]
     where = files[0][0]
     try:
         recipe = validated(Recipe, merged, where)
@@ -58,6 +65,20 @@ def load_recipe(name_or_path: str | Path, changes: Mapping[str, Any] | None = No
             raise
         raise _placed(fault, layers, OPTION if changed else where) from None
     return recipe
+
+
+def _outgrown(changed: Sequence[str], files: Sequence[_Layer]) -> bool:
+    """Whether what is expected of the frames was said of others: by a file whose views, plants or light
+    another file or a change has replaced since.
+    """
+    above = {key.partition(".")[0] for key in changed}
+    for _, table in files:
+        if _EXPECT in above:
+            return False
+        if _EXPECT in table:
+            return not above <= _SAME_FRAMES
+        above |= table.keys()
+    return False
 
 
 def _placed(fault: InputError, layers: list[_Layer], default: str) -> InputError:

@@ -10,6 +10,7 @@ from pepperscene.dataset.check.crew import examined
 from pepperscene.dataset.check.listing import frame_indices, opened, stray_files
 from pepperscene.dataset.check.manifest_rows import manifest_faults
 from pepperscene.dataset.check.verdict import Finding, Verdict, in_order
+from pepperscene.dataset.journal import Journal
 from pepperscene.dataset.plan import Plan
 from pepperscene.dataset.store import FRAMES, MARK, Dataset
 from pepperscene.dataset.tables import ExpectTable
@@ -33,8 +34,8 @@ def check(
         folder: of the data set.
         workers: processes that read frames; None for one for each core.
         on_frame: called after every frame with the number of frames so far and of all.
-        frames: that must be there, "A:B" (0-based, half-open) or indices; None for those that the manifest
-            names.
+        frames: that must be there, "A:B" (0-based, half-open) or indices; None for those that builds were
+            asked for, as the journal knows them, and those that the manifest names.
 
     Raises:
         InputError: the folder holds no data set, or an argument is not valid.
@@ -70,9 +71,9 @@ def check(
 
 
 def _wanted(dataset: Dataset, frames: str | Sequence[int] | None) -> Sequence[int]:
-    """The frames that must be there for what the user says."""
+    """The frames that must be there for what the user says, or for what builds were asked for."""
     if frames is None:
-        return ()
+        return sorted(Journal(dataset.folder).wanted)
     try:
         plan = validated(Plan, dataset.about["recipe"]["plan"], dataset.folder / MARK)
     except (KeyError, TypeError):

@@ -5,22 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from pepperscene.dataset.atomic import is_temporary
 from pepperscene.dataset.check.verdict import Finding
-from pepperscene.dataset.folder import REPORT_FILES
-from pepperscene.dataset.journal import JOURNAL
-from pepperscene.dataset.manifest import FRUIT, MANIFEST
+from pepperscene.dataset.folder import LITTER, OWN
 from pepperscene.dataset.recipe_identity import digest
 from pepperscene.dataset.store import DIGITS, FORMAT, FRAMES, MARK, Dataset, read_json
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
-
-LITTER: Final = {".DS_Store", "Thumbs.db"}
-"""Written by file managers into every folder that they show."""
-
-_OWN: Final = {MARK, FRAMES, MANIFEST, FRUIT, JOURNAL, *OUTPUTS, *REPORT_FILES}
 
 
 def frame_indices(dataset: Dataset) -> tuple[int, ...]:
@@ -65,7 +58,7 @@ def stray_files(dataset: Dataset, indices: Sequence[int]) -> Iterator[Finding]:
     for entry in sorted(os.scandir(dataset.folder), key=lambda one: one.name):
         if entry.name in LITTER:
             continue
-        if entry.name not in _OWN:
+        if entry.name not in OWN:
             yield Finding("extra", None, _printable(entry.name), _stray(entry))
         elif entry.name == FRAMES or entry.name in OUTPUTS:
             if entry.is_dir():

@@ -7,13 +7,9 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
 
-from pepperscene.dataset.folder import examine_place, make_folder, remove
+from pepperscene.dataset.folder import LITTER, examine_place, make_folder, remove
 from pepperscene.errors import OutputError
-
-_LITTER: Final = {".DS_Store", "Thumbs.db"}
-"""Written by file managers into every folder that they show."""
 
 
 @contextmanager
@@ -55,7 +51,7 @@ def new_folder(out: Path, source: Path) -> Iterator[Path]:
 def _examine(out: Path, source: Path) -> None:
     if out.resolve().is_relative_to(source.resolve()):
         raise OutputError(f"{out}: lies inside the data set {source}; choose a folder elsewhere")
-    held = sorted(path.name for path in out.iterdir() if path.name not in _LITTER) if out.is_dir() else []
+    held = sorted(path.name for path in out.iterdir() if path.name not in LITTER) if out.is_dir() else []
     if held:
         raise OutputError(f"{out}: holds {held[0]!r}; choose an empty or a new folder")
 
