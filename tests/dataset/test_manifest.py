@@ -42,6 +42,8 @@ def test_a_row_for_each_frame_tells_what_its_files_tell(folder, recipe):
         facts, shot = dataset.facts(row["index"]), recipe.plan.shot(row["index"])
         assert (row["set"], row["rotation"], row["step"]) == (shot.set, shot.rotation, shot.step)
         assert [row["x_m"], row["y_m"], row["z_m"]] == [line[3] for line in facts["camera"]["pose"][:3]]
+        assert np.reshape(row["pose"], (4, 4)).tolist() == facts["camera"]["pose"]
+        assert row["recipe_seed"] == recipe.seed
         counted = np.bincount(dataset.image(row["index"], "class").ravel(), minlength=8)
         assert [row[f"pixels_{one.name.lower()}"] for one in OrganClass] == counted.tolist()
         assert row["class_sha256"] == facts["outputs"]["class"]["sha256"]

@@ -111,6 +111,7 @@ def _type(pyarrow: Any, kind: str) -> Any:
         "int64": pyarrow.int64,
         "int32": pyarrow.int32,
         "double": pyarrow.float64,
+        "doubles": lambda: pyarrow.list_(pyarrow.float64()),
         "string": pyarrow.string,
         "bool": pyarrow.bool_,
     }

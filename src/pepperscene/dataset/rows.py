@@ -20,7 +20,9 @@ FRAME_COLUMNS: Final[Mapping[str, str]] = {
     "rotation": "int32",
     "step": "int32",
     "seed": "int64",
+    "recipe_seed": "int64",
     **dict.fromkeys(("x_m", "y_m", "z_m"), "double"),
+    "pose": "doubles",
     **{f"pixels_{one.name.lower()}": "int64" for one in OrganClass},
     "samples_per_pixel": "double",
     "error_codes": "double",
@@ -61,10 +63,11 @@ FRUIT_COLUMNS: Final[Mapping[str, str]] = {
 def row_of(standing: Standing) -> Row:
     """A frame's row, as far as its files tell it."""
     facts, outputs = standing.facts, standing.outputs
-    row: Row = {name: facts.get(name) for name in ("index", "set", "rotation", "step", "seed")}
+    row: Row = {name: facts.get(name) for name in ("index", "set", "rotation", "step", "seed", "recipe_seed")}
     pose = facts.get("camera", {}).get("pose")
     if pose is not None:
         row |= {name: pose[axis][3] for axis, name in enumerate(("x_m", "y_m", "z_m"))}
+        row["pose"] = [number for line in pose for number in line]
     row |= {f"pixels_{name}": count for name, count in facts.get("class_pixels", {}).items()}
     sampling = facts.get("sampling", {})
     row |= {name: sampling.get(name) for name in ("samples_per_pixel", "error_codes", "noise_codes")}
