@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset.atomic import json_bytes
+from pepperscene.dataset.exr import exr_bytes
 from pepperscene.dataset.png import png_bytes
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
@@ -113,25 +114,28 @@ def _read_png(path: Path) -> NDArray[Any]:
 
 
 def _write_exr(path: Path, image: NDArray[Any], output: str) -> None:
-    import OpenEXR
-
     planes = image[..., None] if image.ndim == 2 else image
     names = _LUMINANCE if planes.shape[2] == 1 else _CHANNELS[output]
     if image.ndim == 2:
         names = (output,)
-    channels = {name: np.ascontiguousarray(planes[..., axis]) for axis, name in enumerate(names)}
-    header = {
-        # The low bits of what is measured are noise to a compressor: ZIP takes 14 % off distances and 4 % off
-        # electrons for six times the time (800x600: 16 and 55 ms against 3 and 6). Of normals it takes 58 %,
-        # but for 43 ms against 6, most of what a frame's ground truth takes in all; of positions 18 % and of
-        # flow 35 %, for six times the time. Coverage is runs of 0 and 1: 195 KiB instead of 7.3 MiB, for 16
-        # ms against 8.
-        "compression": OpenEXR.ZIP_COMPRESSION if output == "coverage" else OpenEXR.NO_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
-        "unit": _UNITS[output],
-    }
+    channels = {name: planes[..., axis] for axis, name in enumerate(names)}
+    # The low bits of what is measured are noise to a compressor: ZIP takes 14 % off distances and 4 % off
+    # electrons for six times the time (800x600: 16 and 55 ms against 3 and 6). Of normals it takes 58 %, but
+    # for 43 ms against 6, most of what a frame's ground truth takes; of positions 18 % and of flow 35 %, for
+    # six times the time. Coverage is runs of 0 and 1: 195 KiB instead of 7.3 MiB, for 16 ms against 8.
+    if output == "coverage":
+        _write_compressed(path, channels, _UNITS[output])
+    else:
+        path.write_bytes(exr_bytes(channels, {"unit": _UNITS[output]}))
+
+
+def _write_compressed(path: Path, channels: Mapping[str, NDArray[Any]], unit: str) -> None:
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "unit": unit}
+    planes = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
     try:
-        OpenEXR.File(header, channels).write(str(path))
+        OpenEXR.File(header, planes).write(str(path))
     except RuntimeError as fault:
         raise OSError(str(fault)) from None
 
