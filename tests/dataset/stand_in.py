@@ -51,6 +51,14 @@ class Deadly(StandIn):
         return super().render(camera, outputs, quality, seed, **others)
 
 
+class Threaded(StandIn):
+    """Tells with how many threads Mitsuba would work."""
+
+    def render(self, camera, outputs=(), quality="standard", seed=0, **others):
+        frame = super().render(camera, outputs, quality, seed, **others)
+        return Frame(frame.images, {**frame.facts, "threads": os.environ["PEPPERSCENE_THREADS"]})
+
+
 class Hungry(StandIn):
     """Asks for more memory than there is."""
 

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from stand_in import Deadly, Hungry, StandIn
+from stand_in import Deadly, Hungry, StandIn, Threaded
 
 from pepperscene.dataset import build, open_dataset
 from pepperscene.dataset.seeds import frame_seed
@@ -191,3 +191,13 @@ def _children():
         if int(fields[1]) == os.getpid() and fields[0] != "Z" and b"work.pool" in words:
             found.append(int(status.parent.name))
     return found
+
+
+@pytest.mark.parametrize(("said", "threads"), [(None, "1"), ("3", "3")])
+def test_a_worker_keeps_to_its_cores(make, tmp_path, monkeypatch, said, threads):
+    monkeypatch.setattr(sys.modules["pepperscene.dataset.work.pool"], "cores", lambda: 2)
+    monkeypatch.delenv("PEPPERSCENE_THREADS", raising=False)
+    if said is not None:
+        monkeypatch.setenv("PEPPERSCENE_THREADS", said)
+    done = make(renderer=Threaded, frames="0:1", workers=2)
+    assert done.dataset.facts(0)["threads"] == threads

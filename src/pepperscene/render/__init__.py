@@ -6,7 +6,7 @@ Importing this room does not import Mitsuba yet; the first render does.
 from pepperscene.render.early import begin
 from pepperscene.render.quality import QUALITIES, Quality, quality_named, quality_of
 from pepperscene.render.renderer import Renderer, render
-from pepperscene.render.variant import variant_name
+from pepperscene.render.variant import variant_name, wanted_threads
 
 __all__ = [
     "QUALITIES",
@@ -17,4 +17,5 @@ __all__ = [
     "quality_of",
     "render",
     "variant_name",
+    "wanted_threads",
 ]

@@ -49,8 +49,11 @@ class Pool(Crew):
 
     def make(self, job: Job, units: Sequence[Unit], tell: Tell, notice: Notice) -> None:
         """See `Crew.make`; the frames of different workers are told as they come."""
+        from pepperscene.render import wanted_threads
+
         pickle.dumps(job)  # what cannot be sent is told here
-        with _Shift(job, units, min(self._workers, len(units)), max(1, cores() // self._workers)) as shift:
+        threads = wanted_threads() or max(1, cores() // self._workers)
+        with _Shift(job, units, min(self._workers, len(units)), threads) as shift:
             shift.run(tell, notice)
 
 
