@@ -36,8 +36,8 @@ def rate(recipe: ps.Recipe, frames: Sequence[int], workers: int | None) -> float
 def overhead(recipe: ps.Recipe, frames: Sequence[int]) -> float:
     """What a build of colour and labels takes beyond rendering the same frames one after the other, a share.
 
-    Both have made their scene ready with the frame before the first. A build tells of a frame once the next one
-    is rendered, so that its clock begins behind the first.
+    Both have made their scene ready with the frame before the first. A build tells of a frame once the next
+    one is rendered, so that its clock begins behind the first.
     """
     outputs = ("colour", *TRUTH)
     stage = ps.Stage(recipe)
