@@ -148,7 +148,8 @@ def test_one_worker_of_four_killed_twice(make, recipe, tmp_path, monkeypatch):
     rows = done.dataset.manifest().to_pylist()
     assert [row["index"] for row in rows] == list(range(24))
     lines = (tmp_path / "set" / "journal.jsonl").read_text().splitlines()
-    assert sorted(json.loads(line)["index"] for line in lines) == list(range(24))
+    frames = [row["index"] for row in map(json.loads, lines) if "index" in row]
+    assert sorted(frames) == list(range(24))
     # Both losses were told, and what was whole then was not rendered again.
     assert len(notices) == 2
     assert all("a worker was lost over frame 0000" in notice for notice in notices)
