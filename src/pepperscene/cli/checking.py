@@ -59,7 +59,8 @@ def _tell(verdict: Verdict, folder: Path, most: int) -> None:
         return
     _table(list(_lines(verdict, most)))
     kinds = ", ".join(f"{count} {kind}" for kind, count in verdict.counts().items())
-    typer.echo(f"{folder}: {counted}, {len(verdict.findings):,} faults: {kinds}")
+    faults = f"{len(verdict.findings):,} fault{'' if len(verdict.findings) == 1 else 's'}"
+    typer.echo(f"{folder}: {counted}, {faults}: {kinds}")
 
 
 def _lines(verdict: Verdict, most: int) -> Iterator[tuple[str, str, str, str]]:
