@@ -19,7 +19,7 @@ from pepperscene.cultivar import Cultivar, load_cultivar
 from pepperscene.geometry import concatenate
 from pepperscene.materials import Surface, lambertian, organ_surfaces
 from pepperscene.materials.leaf import thin_surface
-from pepperscene.render import gradients
+from pepperscene.render import passes
 from pepperscene.render.gradients import DifferentiableRenderer
 from pepperscene.render.kernel import light_scene
 from pepperscene.render.quality import Quality
@@ -241,7 +241,7 @@ def test_gradients_add_up_over_passes(renderer, monkeypatch):
     name = "fruit.carotenoid_ug_cm2"
     whole = renderer.backward({name: renderer.parameters[name]}, image_side)[name]
     forward = renderer.forward({}, {name: 1.0})
-    monkeypatch.setattr(gradients, "_LANES", 40 * 16)
+    monkeypatch.setattr(passes, "_LANES", 40 * 16)
     assert renderer.backward({name: renderer.parameters[name]}, image_side)[name] == pytest.approx(
         whole, rel=1e-5
     )

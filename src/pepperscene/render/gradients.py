@@ -2,15 +2,13 @@
 
 The picture is traced as any other, at places and in directions that do not depend on the parameters, so that
 nothing that is seen or shaded moves, and with the same random numbers each time. What is left is a smooth
-function of the tables that the kernel reads: Dr.Jit differentiates it both ways, pass by pass over blocks of
-pixels so that memory is bounded, and the chain goes on from the tables to the parameters in `Tunable`.
+function of the tables that the kernel reads: Dr.Jit differentiates it both ways, pass by pass (see `passes`),
+and the chain goes on from the tables to the parameters in `Tunable`.
 """
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
-from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,17 +18,15 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.camera import Camera, expected_electrons
 from pepperscene.render.bodies import RANGES, Values
 from pepperscene.render.exposures import by_exposure, exposure, relative_exposure
-from pepperscene.render.frozen import FrozenOptics
 from pepperscene.render.kernel import light_scene, sky_tables
 from pepperscene.render.leaves import Leaves, Tables
-from pepperscene.render.optics import Optics
+from pepperscene.render.passes import Passes
 from pepperscene.render.quality import Quality, quality_named
 from pepperscene.render.region import region_of
 from pepperscene.render.response import response
-from pepperscene.render.samples import FrameTables, Samples, SpectralTables
-from pepperscene.render.transport import all_light
+from pepperscene.render.samples import FrameTables
 from pepperscene.render.tunable import Parameters, Tunable
-from pepperscene.render.upload import device_number, device_table
+from pepperscene.render.upload import device_table
 from pepperscene.render.variant import kernel
 from pepperscene.render.view import LensCache
 from pepperscene.scene import Scene
@@ -39,9 +35,6 @@ if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
 
 Array = NDArray[np.float64]
-
-_LANES: Final = 1 << 17
-"""Chosen: samples of a pass. Sums over a pass are in single precision, those over passes in double."""
 
 FLASH_WEIGHTS: Final = 8  # chosen: an LED's blue peak and the rise and fall of its phosphor lie apart
 
@@ -92,8 +85,7 @@ class DifferentiableRenderer:
         if flash_weights < 1:
             raise ValueError(f"at least one weight of the flash's spectrum is needed, not {flash_weights}")
         effort = quality_named(quality) if isinstance(quality, str) else quality
-        self._samples, self._bounces = effort.samples, effort.bounces
-        self._seed, self._camera = seed & 0xFFFFFFFF, camera
+        self._camera = camera
 
         # The renderer as it is, with everything that is drawn from it.
         spectral = response(camera, scene)
@@ -102,7 +94,7 @@ class DifferentiableRenderer:
         view, sky = LensCache().view(camera, region_of(scene.mesh)), sky_tables(scene, grid)
         self._frame = FrameTables(light, view, spectral, camera.flash, sky)
         self._frame.roulette = False
-        self._spectra = SpectralTables(self._frame)
+        self._passes = Passes(self._frame, camera.width * camera.height, effort, seed)
 
         # What it depends on, and how.
         tunable = Tunable(scene.surfaces, cultivar, grid)
@@ -135,7 +127,8 @@ class DifferentiableRenderer:
         """
         values = self._values(parameters or {})
         leaves = _on_device(self._leaves.tables(values))
-        return self._picture([self._sums(self._lanes(leaves, block)) for block in self._blocks()], values)
+        passes = self._passes
+        return self._picture([passes.sums(passes.lanes(leaves, block)) for block in passes.blocks], values)
 
     def forward(self, parameters: Parameters, direction: Parameters) -> Array:
         """`(h, w, c)` how the picture changes along a direction: its derivative times that direction.
@@ -152,13 +145,13 @@ class DifferentiableRenderer:
         leaves = _on_device(self._leaves.tables(values))
         tangents = _on_device(self._leaves.forward(values, along))
         channels, found = self._frame.channels, []
-        for block in self._blocks():
+        for block in self._passes.blocks:
             for name, leaf in leaves.items():
                 dr.enable_grad(leaf)
                 dr.set_grad(leaf, tangents[name])
-            light = self._lanes(leaves, block)
+            light = self._passes.lanes(leaves, block)
             slopes = dr.forward_to(light, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
-            found.append(self._sums([*slopes, *dr.detach(light)]))
+            found.append(self._passes.sums([*slopes, *dr.detach(light)]))
             dr.disable_grad(leaves)
         exposed = self._picture([sums[:, channels:] for sums in found], values)
         slope = self._picture([sums[:, :channels] for sums in found], values)
@@ -179,7 +172,7 @@ class DifferentiableRenderer:
         # What comes behind the light scales each pixel, and is its own transpose.
         weights = self._picture([self._flat(loss_gradient)], values).reshape(-1, self._frame.channels)
         scale = float(np.abs(weights).max()) or 1.0  # so that single precision holds it
-        blocks = self._blocks()
+        blocks = self._passes.blocks
         weights = np.pad(weights / scale, ((0, blocks[-1].stop - len(weights)), (0, 0)))
         tables = self._leaves.tables(values)
         leaves, loss = _on_device(tables), 0.0
@@ -187,8 +180,8 @@ class DifferentiableRenderer:
         for block in blocks:
             columns = [device_table(column) for column in weights[block.start : block.stop].T]
             dr.enable_grad(leaves)
-            lanes, place = mi.Float(0.0), self._place(block)
-            for light, weight in zip(self._lanes(leaves, block), columns, strict=True):
+            lanes, place = mi.Float(0.0), self._passes.place(block)
+            for light, weight in zip(self._passes.lanes(leaves, block), columns, strict=True):
                 lanes += light * dr.gather(mi.Float, weight, place)
             dr.backward(lanes, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
             slopes = {name: dr.grad(leaf) for name, leaf in leaves.items()}
@@ -204,61 +197,12 @@ class DifferentiableRenderer:
         slopes = self._leaves.backward(values, scaled, names) | by_exposure(values, scale * loss)
         return {name: slopes[name] for name in names}
 
-    # --- light ------------------------------------------------------------------------------------------
-
-    def _blocks(self) -> list[range]:
-        """Pixels of each pass: equally many, as Dr.Jit compiles anew for another number.
-
-        The last pass can go on beyond the picture, with its last pixel over and over.
-        """
-        total = self._camera.width * self._camera.height
-        block = min(max(_LANES // self._samples, 1), total)
-        return [range(start, start + block) for start in range(0, total, block)]
-
-    def _place(self, block: range) -> Any:
-        """The pixel of each sample, counted from the block's first."""
-        mi, dr = kernel()
-        return dr.arange(mi.UInt32, len(block) * self._samples) // device_number(self._samples, whole=True)
-
-    def _lanes(self, leaves: Mapping[str, Any], block: range) -> list[Any]:
-        """Light of each sample by channel: what the tables make of it, along paths that they do not turn."""
-        mi, dr = kernel()
-        frame, spectra = copy.copy(self._frame), copy.copy(self._spectra)
-        cuticles = {name: leaves[name] for name in ("sides", "openness")}
-        own = frame.scene.optics
-        values = _changed(own, spectra=leaves["spectra"], **cuticles)
-        frame.scene = replace(frame.scene, optics=FrozenOptics(values, own))  # type: ignore[arg-type]
-        for name in ("lit", "sunlit"):
-            if name in leaves:
-                seen = _changed(getattr(frame, name), spectra=leaves[name], **cuticles)
-                setattr(frame, name, FrozenOptics(seen))
-        lanes = len(block) * self._samples
-        if "colour" in leaves:
-            # Fetched lane by lane: a number alone would sum up its derivatives in a kernel of its own.
-            entries = [dr.opaque(mi.UInt32, k, lanes) for k in range(frame.channels)]
-            colour = (mi.Color3f if frame.channels == 3 else mi.Color1f)(
-                *(dr.gather(mi.Float, leaves["colour"], entry) for entry in entries)
-            )
-            frame.lamps, spectra.flash = replace(frame.lamps, flash=colour), leaves["flash"]
-        place = self._place(block)
-        index = dr.arange(mi.UInt32, lanes) - place * device_number(self._samples, whole=True)
-        last = device_number(self._camera.width * self._camera.height - 1, whole=True)
-        pixel = dr.minimum(place + device_number(block.start, whole=True), last)
-        samples = Samples(frame, pixel, index, device_number(self._seed, whole=True))
-        return all_light(frame, spectra, samples, self._bounces)
-
-    def _sums(self, lanes: list[Any]) -> Array:
-        """`(n, k)` sums over the samples of each pixel."""
-        _, dr = kernel()
-        dr.eval(lanes)
-        sums = [dr.block_reduce(dr.ReduceOp.Add, lane, self._samples) for lane in lanes]
-        dr.eval(sums)
-        return np.stack([np.asarray(one, np.float64) for one in sums], axis=-1)
+    # --- the camera --------------------------------------------------------------------------------------
 
     def _picture(self, sums: list[Array], values: Values) -> Array:
         """`(h, w, c)` electrons from sums over samples."""
         height, width = self._camera.height, self._camera.width
-        signal = np.concatenate(sums)[: height * width].reshape(height, width, -1) / self._samples
+        signal = np.concatenate(sums)[: height * width].reshape(height, width, -1) / self._passes.samples
         return expected_electrons(signal, self._camera) * exposure(values, self.parameters)
 
     # --- parameters -------------------------------------------------------------------------------------
@@ -300,10 +244,3 @@ class DifferentiableRenderer:
 
 def _on_device(tables: Tables) -> dict[str, Any]:
     return {name: device_table(table) for name, table in tables.items()}
-
-
-def _changed(optics: Optics, **tables: Any) -> Optics:
-    """The same optics with other tables."""
-    found = copy.copy(optics)
-    found.__dict__.update(tables)
-    return found
