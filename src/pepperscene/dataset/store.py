@@ -79,8 +79,8 @@ class Dataset:
         """
         return read_json(self.frame_path(index))
 
-    def image(self, index: int, output: str) -> NDArray[Any]:
-        """One image of a frame, as `Frame` holds it.
+    def image(self, index: int, output: str) -> Any:
+        """One output of a frame, as `Frame` holds it: an array, or the object of a JSON file.
 
         Raises:
             InputError: the frame has no such output.

@@ -21,10 +21,8 @@ from pepperscene.truth.harvest import Amodal, Fruit, Picture, harvest_facts
 from pepperscene.truth.harvest_approach import approach
 from pepperscene.truth.harvest_stalk import FruitStalk, fruit_stalk
 
-_STEPS: Final = (
-    32  # chosen: pieces of a stalk's centreline; its corners then lie within micrometres of the curve
-)
-_TOLD: Final = 2  # one of so many of its points is told
+_STEPS: Final = 32
+"""Chosen: pieces of a stalk's centreline; its corners then lie within micrometres of the curve."""
 
 
 class Harvest:

@@ -16,7 +16,7 @@ from pepperscene.dataset.second import cores
 from pepperscene.dataset.store import Dataset
 from pepperscene.errors import InputError, WorkerError
 
-MOST_WORKERS: Final = 256
+MOST_WORKERS: Final = 256  # chosen: more would wait for the disk
 _WORTH: Final = 64  # chosen: frames for which it pays to start a process, which takes half a second
 _AT_A_TIME: Final = 16  # chosen: frames that a process is asked for
 _AHEAD: Final = 2  # chosen: such parts for each process that may wait to be told, so that memory stays flat

@@ -18,7 +18,7 @@ from pepperscene.dataset.export.libraries import library
 from pepperscene.dataset.export.panoptic import panoptic_record, write_panoptic
 from pepperscene.dataset.export.records import Records, category, panoptic_category
 from pepperscene.dataset.export.segments import REST, Segment, segment_ids, segments
-from pepperscene.dataset.export.source import OnFrame, Source, require, sources
+from pepperscene.dataset.export.source import OnFrame, Source, sources, wanted_frames
 from pepperscene.dataset.export.splits import Splits
 from pepperscene.dataset.export.target import new_folder
 from pepperscene.dataset.store import Dataset, file_name
@@ -55,9 +55,7 @@ def export_coco(
         SetupError: pycocotools is not installed.
     """
     library("pycocotools.mask")
-    there = dataset.indices() if indices is None else indices
-    wanted = [index for index in there if splits.named(index)]
-    require(dataset, wanted, ("colour", "instance"))
+    wanted = wanted_frames(dataset, splits, indices, ("colour", "instance"))
     # Keypoints belong to a category, so that they are told of all frames or of none.
     harvest = all((dataset.folder / file_name(index, "harvest")).is_file() for index in wanted)
     names = list(splits.members(wanted))

@@ -187,7 +187,7 @@ def _organs(source: Source) -> list[dict[str, Any]]:
 
 
 def _fruit(source: Source) -> list[dict[str, Any]]:
-    rows = fruit_rows(source.index, source.image("harvest"))  # type: ignore[arg-type]
+    rows = fruit_rows(source.index, source.image("harvest"))
     return [{name: row.get(name) for name in _FRUIT} for row in rows]
 
 

@@ -17,7 +17,7 @@ from pepperscene.dataset.export.available import in_all
 from pepperscene.dataset.export.card import Card
 from pepperscene.dataset.export.columns import Column, arrow_array, arrow_type, columns
 from pepperscene.dataset.export.formats import Exported
-from pepperscene.dataset.export.source import OnFrame, Source, require, sources
+from pepperscene.dataset.export.source import OnFrame, Source, sources, wanted_frames
 from pepperscene.dataset.export.splits import Splits
 from pepperscene.dataset.export.target import new_folder
 from pepperscene.dataset.store import MARK, Dataset
@@ -80,13 +80,9 @@ def export_huggingface(
     """
     if shard_bytes <= 0:
         raise ValueError("shard_bytes must be positive")
-    wanted = {
-        name: members
-        for name, members in splits.members(dataset.indices() if indices is None else indices).items()
-        if members
-    }
+    found = splits.members(wanted_frames(dataset, splits, indices, _REQUIRED))
+    wanted = {name: members for name, members in found.items() if members}
     every = [index for members in wanted.values() for index in members]
-    require(dataset, every, _REQUIRED)
     outputs = (*_REQUIRED, *in_all(dataset, every, _OPTIONAL))
     told = columns(outputs, _shape(dataset, every))
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.export.formats import Exported
-from pepperscene.dataset.export.source import OnFrame, Source, require, sources
+from pepperscene.dataset.export.source import OnFrame, Source, sources, wanted_frames
 from pepperscene.dataset.export.splits import Splits
 from pepperscene.dataset.export.target import new_folder
 from pepperscene.dataset.png import png_bytes
@@ -58,9 +58,8 @@ def export_published(
         InputError: an output is missing, or a file is damaged.
         OutputError: the folder holds something, or cannot be written to.
     """
-    there = dataset.indices() if indices is None else indices
-    wanted = [index for index in there if splits.named(index)]
-    require(dataset, wanted, ("colour", "class", "distance_code"), {"distance_code": "distance"})
+    needed, instead = ("colour", "class", "distance_code"), {"distance_code": "distance"}
+    wanted = wanted_frames(dataset, splits, indices, needed, instead)
     files = 1
     with new_folder(out, dataset.folder) as folder:
         for path in (*map(Path, (_COLOUR, _GREY, _COLOURED, _DISTANCE)), *map(_binary, _ORGANS)):

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pepperscene.dataset.export.splits import Splits
 from pepperscene.dataset.store import Dataset, file_name
 from pepperscene.errors import InputError
 
@@ -66,7 +66,7 @@ class Source:
             raise InputError(path, "", None, "is not what the build wrote; the same build command mends it")
         return content
 
-    def image(self, output: str) -> NDArray[Any]:
+    def image(self, output: str) -> Any:
         """An output as `Frame` holds it.
 
         Raises:
@@ -90,6 +90,31 @@ def sources(dataset: Dataset, indices: Sequence[int], on_frame: OnFrame | None =
         yield Source(dataset, index)
         if on_frame is not None:
             on_frame(index, done, len(indices))
+
+
+def wanted_frames(
+    dataset: Dataset,
+    splits: Splits,
+    indices: Sequence[int] | None,
+    outputs: Sequence[str],
+    instead: Mapping[str, str] | None = None,
+) -> list[int]:
+    """The frames that an export writes: those of the indices, or of all, that belong to a split.
+
+    Args:
+        dataset: to be exported.
+        splits: frames in none are left out.
+        indices: of the frames; None for all.
+        outputs: that each of them must have.
+        instead: by output, another one that it can be made from.
+
+    Raises:
+        InputError: a frame lacks an output.
+    """
+    there = dataset.indices() if indices is None else indices
+    wanted = [index for index in there if splits.named(index)]
+    require(dataset, wanted, outputs, instead)
+    return wanted
 
 
 def require(

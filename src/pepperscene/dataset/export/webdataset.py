@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from pepperscene.dataset.atomic import json_bytes
 from pepperscene.dataset.export.available import in_all
 from pepperscene.dataset.export.formats import Exported
-from pepperscene.dataset.export.source import OnFrame, Source, require, sources
+from pepperscene.dataset.export.source import OnFrame, Source, sources, wanted_frames
 from pepperscene.dataset.export.splits import Splits
 from pepperscene.dataset.export.target import new_folder
 from pepperscene.dataset.store import Dataset
@@ -79,9 +79,8 @@ def export_webdataset(
     """
     if shard_bytes <= 0:
         raise ValueError("shard_bytes must be positive")
-    wanted = splits.members(dataset.indices() if indices is None else indices)
-    every = [index for members in wanted.values() for index in members]
-    require(dataset, every, _REQUIRED)
+    every = wanted_frames(dataset, splits, indices, _REQUIRED)
+    wanted = splits.members(every)
     outputs = (*_REQUIRED, *in_all(dataset, every, _OPTIONAL))
     seed = int(dataset.about["recipe"]["seed"])
 

@@ -14,7 +14,7 @@ from pepperscene.dataset.export.formats import Exported
 from pepperscene.dataset.export.libraries import library
 from pepperscene.dataset.export.polygons import Points, polygons
 from pepperscene.dataset.export.segments import REST, segment_ids
-from pepperscene.dataset.export.source import OnFrame, Source, require, sources
+from pepperscene.dataset.export.source import OnFrame, Source, sources, wanted_frames
 from pepperscene.dataset.export.splits import EVERYTHING, Splits
 from pepperscene.dataset.export.target import new_folder
 from pepperscene.dataset.store import Dataset
@@ -53,9 +53,7 @@ def export_yolo(
         SetupError: OpenCV is not installed.
     """
     library("cv2")
-    there = dataset.indices() if indices is None else indices
-    wanted = [index for index in there if splits.named(index)]
-    require(dataset, wanted, ("colour", "instance"))
+    wanted = wanted_frames(dataset, splits, indices, ("colour", "instance"))
     names = list(splits.members(wanted))
     with new_folder(out, dataset.folder) as folder:
         for name in names:

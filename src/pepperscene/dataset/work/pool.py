@@ -22,7 +22,7 @@ from pepperscene.dataset.work.job import Done, Job, Maker, Tell
 from pepperscene.dataset.work.units import Queue, Unit
 from pepperscene.errors import PepperError, WorkerError
 
-MOST_WORKERS: Final = 1024
+MOST_WORKERS: Final = 1024  # chosen: more than one machine has cores
 
 _PATIENCE_S: Final = 60.0
 """Chosen: how long the others may take to finish the frames that they are at when one has failed."""
