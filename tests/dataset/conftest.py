@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 
-from pepperscene.dataset import Recipe, Stage, load_recipe
+from pepperscene.dataset import Recipe, Stage, load_recipe, open_dataset
 from pepperscene.frame import OUTPUTS, Frame, check_outputs
 from pepperscene.geometry import rectangle
 from pepperscene.scene import assemble
@@ -75,3 +77,30 @@ def empty_scenes(monkeypatch):
     """Scenes without plants, where only files are examined."""
     scene = assemble(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
     monkeypatch.setattr(Stage, "scene", lambda *_args, **_kwargs: scene)
+
+
+@pytest.fixture(scope="session")
+def small(tmp_path_factory):
+    """Nine tiny frames with all that exports carry; to be read, not changed."""
+    from small_set import make_small_set
+
+    return make_small_set(tmp_path_factory.mktemp("small") / "set")
+
+
+@pytest.fixture(scope="session")
+def painted(tmp_path_factory):
+    """Six painted frames, with organs in pieces and with holes; to be read, not changed."""
+    from painted_set import make_painted_set
+
+    return make_painted_set(tmp_path_factory.mktemp("painted") / "set")
+
+
+@pytest.fixture
+def copied(tmp_path):
+    """Copies a data set, to be damaged at will."""
+
+    def copy(dataset):
+        shutil.copytree(dataset.folder, tmp_path / "set")
+        return open_dataset(tmp_path / "set")
+
+    return copy

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import pytest
+from set_files import set_without_plants
 
-from pepperscene.dataset import Stage, build, load_recipe
 from pepperscene.frame import OUTPUTS, Frame
-from pepperscene.geometry import rectangle
-from pepperscene.scene import assemble
 from pepperscene.truth import class_colour, distance_code
 from pepperscene.truth.rle import run_lengths
 
@@ -112,15 +109,7 @@ def harvest(rng, told, whole):
 
 def make_painted_set(folder, outputs=ALL, frames=FRAMES):
     """Frames of two sets of plants."""
-    changes = {
-        "plan.sets": 2, "plan.rotations": 3, "plan.frames": 4, "row.plants_front": 1, "row.plants_back": 0,
-        "cultivar": "kaite_february",
-    }  # fmt: skip
-    scene = assemble(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Stage, "scene", lambda *_args, **_kwargs: scene)
-        recipe = load_recipe("barth2018", changes)
-        return build(recipe, folder, frames=list(frames), outputs=outputs, renderer=Painter).dataset
+    return set_without_plants(folder, frames, outputs, Painter)
 
 
 def _drawn(how, *arguments):

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
+from set_files import set_without_plants
 from stand_in import StandIn
 
-from pepperscene.dataset import Stage, build, load_recipe
 from pepperscene.frame import Frame
-from pepperscene.geometry import rectangle
-from pepperscene.scene import assemble
 
 OUTPUTS = ("colour", "class", "instance", "distance", "harvest")
 FRAMES = 9
@@ -48,12 +45,4 @@ class Harvested(StandIn):
 
 def make_small_set(folder):
     """Nine frames of three scenes."""
-    changes = {
-        "plan.sets": 2, "plan.rotations": 3, "plan.frames": 4, "row.plants_front": 1, "row.plants_back": 0,
-        "cultivar": "kaite_february",
-    }  # fmt: skip
-    scene = assemble(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Stage, "scene", lambda *_args, **_kwargs: scene)
-        recipe = load_recipe("barth2018", changes)
-        return build(recipe, folder, frames=range(FRAMES), outputs=OUTPUTS, renderer=Harvested).dataset
+    return set_without_plants(folder, range(FRAMES), OUTPUTS, Harvested)

@@ -3,30 +3,21 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
 import sys
 import time
 
 import numpy as np
 import pytest
+from set_files import contents
 
 from pepperscene.dataset import build, open_dataset, read_image
 from pepperscene.errors import InputError, OutputError, SetupError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
 
-TABLES = {"manifest.parquet", "fruit.parquet", "journal.jsonl"}
-
 pytestmark = pytest.mark.usefixtures("empty_scenes")
 STORE = sys.modules["pepperscene.dataset.store"]
 ATOMIC = sys.modules["pepperscene.dataset.atomic"]
-
-
-def contents(folder):
-    """Bytes of every file below a folder by relative path, but for the tables that hold timings."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name not in TABLES
-    }
 
 
 @pytest.fixture
@@ -300,3 +291,20 @@ def _fail_after(monkeypatch, count):
         write(path, image, output)
 
     monkeypatch.setattr(STORE, "write_image", full)
+
+
+@pytest.mark.parametrize("free", [0, 10**15])
+def test_a_disk_that_will_be_full_is_told_after_the_first_frame(make, monkeypatch, free):
+    notices, told = [], []
+
+    def listen(text):
+        notices.append((len(told), text))
+
+    usage = shutil.disk_usage("/")
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=free))
+    done = make(frames="0:3", on_frame=told.append, on_notice=listen)
+    assert done.made == (0, 1, 2)
+    assert len(notices) == (1 if free == 0 else 0)
+    for before, text in notices:
+        assert before == 0
+        assert "GB are free" in text

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import pytest
 from gated_stand_in import Gated, Noting
+from set_files import contents
 from stand_in import Hungry, StandIn
 
 from pepperscene.dataset import build, open_dataset
-from pepperscene.dataset.atomic import is_temporary
 from pepperscene.dataset.seeds import frame_seed
 from pepperscene.dataset.work import afar, shift
 from pepperscene.dataset.work import cluster as crew
@@ -26,7 +26,6 @@ from pepperscene.errors import InputError, OutputError, WorkerError
 
 distributed = pytest.importorskip("distributed", reason="needs the extra `cluster`")
 
-TABLES = {"manifest.parquet", "fruit.parquet", "journal.jsonl"}
 OUTPUTS = ("class", "distance")
 HERE = str(Path(__file__).parent)
 
@@ -76,15 +75,6 @@ def make(recipe, tmp_path):
         return build(recipe, tmp_path / out, renderer=renderer, outputs=OUTPUTS, **arguments)
 
     return run
-
-
-def contents(folder):
-    """All files but the tables, which hold timings, and what a killed process left half-written."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name not in TABLES and not is_temporary(path)
-    }
 
 
 def rendered(notes):

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from painted_set import ALL, FRAMES, WIRE, make_painted_set
+from painted_set import ALL, FRAMES, WIRE
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import read_image
@@ -30,8 +30,8 @@ from pycocotools.cocoeval import COCOeval  # noqa: E402
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    return make_painted_set(tmp_path_factory.mktemp("painted") / "set")
+def made(painted):
+    return painted
 
 
 @pytest.fixture(scope="module")

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import sys
 
 import numpy as np
 import pytest
-from small_set import FRUIT, make_small_set
+from small_set import FRUIT
 
-from pepperscene.dataset import open_dataset
 from pepperscene.dataset.export import Splits, export
 from pepperscene.dataset.export.card import Card
 from pepperscene.dataset.export.columns import CLASS_NAMES, columns
@@ -33,15 +31,14 @@ def hub(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    return make_small_set(tmp_path_factory.mktemp("made") / "set")
+def made(small):
+    return small
 
 
 @pytest.fixture
-def built(made, tmp_path):
+def built(made, copied):
     """A copy, to be damaged at will."""
-    shutil.copytree(made.folder, tmp_path / "set")
-    return open_dataset(tmp_path / "set")
+    return copied(made)
 
 
 def load(hub, folder, cache):

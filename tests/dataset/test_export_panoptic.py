@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from painted_set import WIRE, make_painted_set
+from painted_set import WIRE
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset import read_image
@@ -23,8 +23,8 @@ REST = 65536
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    return make_painted_set(tmp_path_factory.mktemp("painted") / "set")
+def made(painted):
+    return painted
 
 
 @pytest.fixture(scope="module")

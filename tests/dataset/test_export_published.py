@@ -17,8 +17,8 @@ from pepperscene.truth import class_from_colour, distance_from_code
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    return make_painted_set(tmp_path_factory.mktemp("painted") / "set")
+def made(painted):
+    return painted
 
 
 @pytest.fixture(scope="module")

@@ -5,14 +5,12 @@ from __future__ import annotations
 import gc
 import hashlib
 import json
-import shutil
 import tarfile
 
 import numpy as np
 import pytest
-from small_set import HARVEST, make_small_set
+from small_set import HARVEST
 
-from pepperscene.dataset import open_dataset
 from pepperscene.dataset.export import FORMATS, Splits, export
 from pepperscene.dataset.export.webdataset import export_webdataset
 from pepperscene.errors import InputError, OutputError
@@ -29,15 +27,14 @@ ARRAYS = ("class", "instance", "distance")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    return make_small_set(tmp_path_factory.mktemp("made") / "set")
+def made(small):
+    return small
 
 
 @pytest.fixture
-def built(made, tmp_path):
+def built(made, copied):
     """A copy, to be damaged at will."""
-    shutil.copytree(made.folder, tmp_path / "set")
-    return open_dataset(tmp_path / "set")
+    return copied(made)
 
 
 def read(shards, how="rgb8"):

@@ -9,9 +9,8 @@ import sys
 import tracemalloc
 
 import pytest
-from painted_set import FRAMES, make_painted_set
+from painted_set import FRAMES
 
-from pepperscene.dataset import open_dataset
 from pepperscene.dataset.export import FORMATS, Splits, export, new_folder
 from pepperscene.errors import InputError, OutputError, SetupError
 
@@ -19,15 +18,14 @@ OURS = ("published", "coco", "yolo")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    return make_painted_set(tmp_path_factory.mktemp("painted") / "set")
+def made(painted):
+    return painted
 
 
 @pytest.fixture
-def damaged(made, tmp_path):
+def damaged(made, copied):
     """A copy, to be damaged at will."""
-    shutil.copytree(made.folder, tmp_path / "set")
-    return open_dataset(tmp_path / "set")
+    return copied(made)
 
 
 def contents(folder):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from painted_set import FRAMES, SIZE, make_painted_set
+from painted_set import FRAMES, SIZE
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import read_image
@@ -19,8 +19,8 @@ cv2 = pytest.importorskip("cv2", reason="the extra `test` brings OpenCV")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    return make_painted_set(tmp_path_factory.mktemp("painted") / "set")
+def made(painted):
+    return painted
 
 
 @pytest.fixture(scope="module")

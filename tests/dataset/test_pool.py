@@ -6,17 +6,16 @@ import os
 import signal
 import sys
 import threading
-import time
 from pathlib import Path
 
 import pytest
+from set_files import contents
 from stand_in import Deadly, Hungry, StandIn, Threaded
 
 from pepperscene.dataset import build, open_dataset
 from pepperscene.dataset.seeds import frame_seed
 from pepperscene.errors import InputError, OutputError, WorkerError
 
-TABLES = {"manifest.parquet", "fruit.parquet", "journal.jsonl"}
 OUTPUTS = ("class", "distance")
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals end processes here")
@@ -26,14 +25,6 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals end processe
 def importable(monkeypatch):
     """Workers find the stand-in as well."""
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
-
-
-def contents(folder):
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name not in TABLES
-    }
 
 
 @pytest.fixture
@@ -142,12 +133,11 @@ def test_workers_end_with_the_build(make):
 
 
 def test_a_worker_killed_from_outside(make, tmp_path, monkeypatch):
-    monkeypatch.setenv("STAND_IN_S", "0.05")
-    killed = []
+    monkeypatch.setenv("STAND_IN_S", "0.3")
+    killed, over = [], threading.Event()
 
     def kill():
-        while len(killed) < 3:
-            time.sleep(0.7)
+        while len(killed) < 3 and not over.wait(0.7):
             for process in _children()[:1]:
                 os.kill(process, signal.SIGKILL)
                 killed.append(process)
@@ -160,8 +150,9 @@ def test_a_worker_killed_from_outside(make, tmp_path, monkeypatch):
 
     monkeypatch.setattr(sys.modules["pepperscene.dataset.work.crew"], "MOST_LOSSES", 10)
     done = make("set", workers=2, on_frame=begin)
-    killed.extend([0] * 3)
+    over.set()
     thread.join()
+    assert killed
     assert done.made == tuple(range(24))
     make("whole")
     assert contents(tmp_path / "whole") == contents(tmp_path / "set")

@@ -11,40 +11,33 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from set_files import contents
 
 from pepperscene.dataset import open_dataset
 from pepperscene.dataset.plan import Plan
 from pepperscene.dataset.seeds import frame_seed
 
-TABLES = {"manifest.parquet", "fruit.parquet", "journal.jsonl"}
 FRAMES = 60
 SEED = 2018
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="children are found in /proc")
 
-STAND_IN = """
+_SCRIPT = """
 import sys
-from stand_in import StandIn
+from stand_in import {renderer} as Renderer
 from pepperscene.dataset import build, load_recipe
-recipe = load_recipe("barth2018")
-plan = recipe.plan.model_copy(update={"sets": 2, "rotations": 2, "frames": 15})
-row = recipe.row.model_copy(update={"plants_front": 1, "plants_back": 0})
-recipe = recipe.model_copy(update={"plan": plan, "row": row, "cultivar": "kaite_february"})
+recipe = load_recipe("barth2018", {{"cultivar": "kaite_february", "plan.sets": 2, "plan.rotations": 2,
+    "plan.frames": 15, "row.plants_front": {front}, "row.plants_back": {back}}})
 workers = int(sys.argv[2]) or None
-build(recipe, sys.argv[1], outputs=("class", "distance", "colour"), renderer=StandIn, workers=workers)
+build(recipe, sys.argv[1], outputs={outputs}, quality="draft", workers=workers, renderer=Renderer)
 """
-REAL = """
-import sys
-from pepperscene.dataset import build, load_recipe
-from stand_in import Logged
-recipe = load_recipe("barth2018")
-plan = recipe.plan.model_copy(update={"sets": 2, "rotations": 2, "frames": 15})
-row = recipe.row.model_copy(update={"plants_front": 2, "plants_back": 1})
-recipe = recipe.model_copy(update={"plan": plan, "row": row, "cultivar": "kaite_february"})
-workers = int(sys.argv[2]) or None
-outputs = ("class", "instance", "distance", "distance_code", "harvest", "colour")
-build(recipe, sys.argv[1], outputs=outputs, quality="draft", workers=workers, renderer=Logged)
-"""
+STAND_IN = _SCRIPT.format(renderer="StandIn", front=1, back=0, outputs=("class", "distance", "colour"))
+REAL = _SCRIPT.format(
+    renderer="Logged",
+    front=2,
+    back=1,
+    outputs=("class", "instance", "distance", "distance_code", "harvest", "colour"),
+)
 
 
 @pytest.fixture
@@ -62,14 +55,6 @@ def begin(tmp_path, monkeypatch):
         )
 
     return start
-
-
-def contents(folder):
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name not in TABLES
-    }
 
 
 def family(process):

@@ -9,7 +9,7 @@ from bodies import bench_camera
 from test_convergence import bench
 
 from pepperscene.camera import Camera, corrected
-from pepperscene.dataset import Stage, load_recipe
+from pepperscene.dataset import Recipe, Stage, load_recipe
 from pepperscene.render import Quality, Renderer
 from pepperscene.scene import Scene
 
@@ -22,17 +22,22 @@ def bench_shot() -> tuple[Scene, Camera]:
     return bench(), replace(whole, sensor=replace(whole.sensor, binning=8), exposure_s=15e-6)
 
 
+def bright_day(recipe: Recipe, exposure_us: float) -> dict[str, object]:
+    """Changes of a recipe to one that a bright day lights alone."""
+    sun = {"illuminance_lx": 30e3, "sun_azimuth_deg": -60.0, "sun_elevation_deg": 50.0}
+    return {
+        "daylight": recipe.daylight.model_copy(update=sun),
+        "camera": recipe.camera.model_copy(update={"flash": "none", "exposure_us": exposure_us}),
+        "developing": recipe.developing.model_copy(update={"white_balance": "daylight"}),
+    }
+
+
 def plants_shot(*, daylight: bool = False) -> tuple[Scene, Camera]:
     """Two plants of the demo: the middle of a picture by flash, or by a bright day alone."""
     recipe = load_recipe("demo")
     changes: dict[str, object] = {"row": recipe.row.model_copy(update={"plants_front": 1, "plants_back": 1})}
     if daylight:
-        sun = {"illuminance_lx": 30e3, "sun_azimuth_deg": -60.0, "sun_elevation_deg": 50.0}
-        changes |= {
-            "daylight": recipe.daylight.model_copy(update=sun),
-            "camera": recipe.camera.model_copy(update={"flash": "none", "exposure_us": 300.0}),
-            "developing": recipe.developing.model_copy(update={"white_balance": "daylight"}),
-        }
+        changes |= bright_day(recipe, 300.0)
     stage = Stage(recipe.model_copy(update=changes))
     shot = stage.recipe.plan.shot(125)
     camera = stage.camera(shot)

@@ -18,6 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_scenes import bright_day
 
 from pepperscene.dataset import Stage, load_recipe
 from pepperscene.dataset.check.edges import CHANCE, match
@@ -32,12 +33,7 @@ def seen(request):
     recipe = load_recipe("demo")
     changes = {"row": recipe.row.model_copy(update={"plants_front": 2, "plants_back": 1})}
     if request.param == "daylight":
-        sun = {"illuminance_lx": 30e3, "sun_azimuth_deg": -60.0, "sun_elevation_deg": 50.0}
-        changes |= {
-            "daylight": recipe.daylight.model_copy(update=sun),
-            "camera": recipe.camera.model_copy(update={"flash": "none", "exposure_us": 3000.0}),
-            "developing": recipe.developing.model_copy(update={"white_balance": "daylight"}),
-        }
+        changes |= bright_day(recipe, 3000.0)
     stage = Stage(recipe.model_copy(update=changes))
     shot = stage.recipe.plan.shot(140)
     whole = stage.camera(shot)
