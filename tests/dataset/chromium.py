@@ -106,7 +106,9 @@ class Browser:
             mobile=False,
         )
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
-        self.call("Emulation.setEmulatedMedia", media="", features=[scheme])
+        # Leaps to a place are taken at once: a glide can be cut short on a machine with much to do.
+        motion = {"name": "prefers-reduced-motion", "value": "reduce"}
+        self.call("Emulation.setEmulatedMedia", media="", features=[scheme, motion])
         self.call(
             "Network.emulateNetworkConditions",
             offline=offline,
@@ -159,12 +161,22 @@ class Browser:
             )
 
     def click(self, selector: str) -> None:
-        """Click with the mouse on the middle of an element."""
+        """Click with the mouse on the middle of an element, once it lies there for two pictures on end."""
+        found = f"document.querySelector({selector!r})"
+        self.until(f"!!{found} && {found}.getClientRects().length > 0")
         place = self.run(
-            f"(() => {{ const one = document.querySelector({selector!r}); "
-            "one.scrollIntoView({block: 'center', behavior: 'instant'}); "
-            "const box = one.getBoundingClientRect(); "
-            "return [box.x + box.width / 2, box.y + box.height / 2]; })()"
+            f"""(async () => {{
+              const one = {found};
+              one.scrollIntoView({{block: "center", behavior: "instant"}});
+              const drawn = () => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
+              for (let before = null; ; ) {{
+                await drawn();
+                const box = one.getBoundingClientRect();
+                const place = [box.x + box.width / 2, box.y + box.height / 2];
+                if (before && before[0] === place[0] && before[1] === place[1]) return place;
+                before = place;
+              }}
+            }})()"""
         )
         for kind in ("mousePressed", "mouseReleased"):
             self.call(
