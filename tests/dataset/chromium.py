@@ -168,7 +168,8 @@ class Browser:
             f"""(async () => {{
               const one = {found};
               one.scrollIntoView({{block: "center", behavior: "instant"}});
-              const drawn = () => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
+              const drawn = () => new Promise(
+                next => requestAnimationFrame(() => requestAnimationFrame(next)));
               for (let before = null; ; ) {{
                 await drawn();
                 const box = one.getBoundingClientRect();
