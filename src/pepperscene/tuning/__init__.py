@@ -1,3 +1,3 @@
-"""The tuning room: pigments, light and exposure fitted to measured colour through the renderer's derivatives."""
+"""The tuning room: pigments, light and exposure fitted to measured colour by the renderer's derivatives."""
 
 __all__: list[str] = []
