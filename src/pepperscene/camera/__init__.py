@@ -4,7 +4,9 @@ from pepperscene.camera.camera import Camera
 from pepperscene.camera.correction import Correction
 from pepperscene.camera.developing import (
     camera_rgb,
+    colour_steps,
     corrected,
+    decode,
     develop,
     encode,
     raw_frame,
@@ -34,7 +36,9 @@ __all__ = [
     "Sensor",
     "arc_path",
     "camera_rgb",
+    "colour_steps",
     "corrected",
+    "decode",
     "develop",
     "encode",
     "expected_electrons",

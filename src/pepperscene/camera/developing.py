@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -72,6 +73,10 @@ def camera_rgb(electrons: ArrayLike, camera: Camera, rng: np.random.Generator | 
 def corrected(rgb: Floats, camera: Camera) -> Floats:
     """`(h, w, 3)` linear sRGB of camera_rgb, as far as the camera's `developing` asks for; may leave [0, 1].
 
+    The numbers are those of `colour_steps`. All channels clip where the one of the smallest gain does: at the
+    sensor's limit times that gain. So gains of k times the size give a picture k times as bright, clipped
+    light included, and below a smallest gain of 1 blown-out white stays below 1.
+
     Monochrome camera_rgb `(h, w, 1)` passes through.
 
     Raises:
@@ -81,13 +86,41 @@ def corrected(rgb: Floats, camera: Camera) -> Floats:
     sensor, choice = camera.sensor, camera.developing
     if sensor.channels == 1:
         return rgb
+    gains, matrix = colour_steps(camera)
     if choice.white_balance is not None:
-        rgb = rgb * white_gains(sensor, _reference_light(camera)).astype(np.float32)
+        rgb = rgb * gains.astype(np.float32)
         if choice.saturation:
             # Channels clip at different lights once gained; clipping all where the sensor does, at full scale
             # or, with a gain below 1, at the full well, keeps blown-out white white.
-            rgb = np.minimum(rgb, np.float32(min(sensor.gain, 1.0)))
-    return rgb @ reference_correction(camera).matrix.T.astype(np.float32) if choice.colour_matrix else rgb
+            rgb = np.minimum(rgb, np.float32(min(sensor.gain, 1.0) * gains.min()))
+    return rgb if choice.colour_matrix is False else rgb @ matrix.T.astype(np.float32)
+
+
+def colour_steps(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """White balance gains `(3,)` and colour matrix `(3, 3)` in use: linear sRGB is `matrix @ (gains * rgb)`.
+
+    Each is the one that the camera's `developing` tells, or that of its reference light (see
+    `reference_correction`); ones, or the identity, where the step is left out. Clipping is not in them.
+
+    Raises:
+        ValueError: the sensor is monochrome, or the white balance asks for a flash that is not there.
+        InputError: the reference light does not let the sensor tell colours apart.
+    """
+    _check_colours(camera)
+    balance, choice = camera.developing.white_balance, camera.developing.colour_matrix
+    if balance is None:
+        gains = np.ones(3)
+    elif isinstance(balance, str):
+        # Not out of the whole correction: light without colours can be balanced all the same.
+        gains = white_gains(camera.sensor, _reference_light(camera))
+    else:
+        gains = np.array(balance)
+
+    if isinstance(choice, bool):
+        matrix = reference_correction(camera).matrix if choice else np.eye(3)
+    else:
+        matrix = np.array(choice)
+    return gains, matrix.copy()
 
 
 def encode(linear: Floats, tone: Tone = "srgb") -> NDArray[np.uint8]:
@@ -101,18 +134,50 @@ def encode(linear: Floats, tone: Tone = "srgb") -> NDArray[np.uint8]:
     return np.rint(value * np.float32(255)).astype(np.uint8)
 
 
+def decode(codes: ArrayLike, tone: Tone = "srgb") -> NDArray[np.float64]:
+    """Linear values in [0, 1] of codes 0 to 255, of any shape: what `encode` gives these codes for.
+
+    Args:
+        codes: 8-bit codes, or numbers between them (means of codes); what lies outside is clipped.
+        tone: the curve that they have.
+    """
+    value = np.asarray(codes)
+    if value.dtype == np.uint8:
+        return _every_code(tone)[value]
+    return _decoded(np.clip(np.asarray(value, dtype=np.float64) / 255.0, 0.0, 1.0), tone)
+
+
+@lru_cache(maxsize=2)
+def _every_code(tone: Tone) -> NDArray[np.float64]:
+    """`(256,)` linear values by code: far faster than as many powers as a picture has pixels."""
+    return _decoded(np.arange(256) / 255.0, tone)
+
+
+def _decoded(value: NDArray[np.float64], tone: Tone) -> NDArray[np.float64]:
+    """Linear values of encoded ones in [0, 1]; the inverse of the curve of IEC 61966-2-1, or none."""
+    if tone != "srgb":
+        return value
+    # The standard rounds the knee to 0.04045; here it is where the curve of `encode` has it.
+    return np.where(value <= 12.92 * 0.0031308, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
 def reference_correction(camera: Camera) -> Correction:
     """Gains and colour matrix of the camera under its reference light, worked out once per sensor and light.
 
-    Without white balance the matrix is that of the flash, or of daylight where there is no flash.
+    That is the light of the white balance; where this names none, the flash, or daylight where there is no
+    flash. What `developing` says in numbers plays no part.
 
     Raises:
         ValueError: the sensor is monochrome, or the white balance asks for a flash that is not there.
         InputError: the reference light does not let the sensor tell colours apart.
     """
+    _check_colours(camera)
+    return correction(camera.sensor, _reference_light(camera))
+
+
+def _check_colours(camera: Camera) -> None:
     if camera.sensor.channels == 1:
         raise ValueError(f"{camera.sensor.name} sees no colours that could be corrected")
-    return correction(camera.sensor, _reference_light(camera))
 
 
 def _reference_light(camera: Camera) -> Spectrum:

@@ -116,7 +116,7 @@ def camera_of(recipe: Recipe, where: str | Path = "") -> Camera:
         raise InputError(where, "camera.focus_mm", table.focus_mm, allowed)
     steps = recipe.developing.model_dump()
     if steps["white_balance"] == "flash" and flash is None and sensor.channels > 1:
-        allowed = f'needs a developing.white_balance of "daylight" or "{NONE}", not "flash"'
+        allowed = f'needs a developing.white_balance of "daylight", "{NONE}" or three gains, not "flash"'
         raise InputError(where, "camera.flash", NONE, allowed)
     if steps["white_balance"] == NONE:
         steps["white_balance"] = None

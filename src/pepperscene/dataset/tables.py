@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import datetime
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator, model_validator
 
 from pepperscene.classes import OrganClass
 from pepperscene.document import Document
@@ -67,6 +67,31 @@ class CameraTable(Document):
 Switch = Annotated[bool, Field(strict=True)]
 
 
+def _told(allowed: str) -> WrapValidator:
+    """One sentence for a value of several forms, instead of a fault for each form."""
+
+    def check(value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
+        try:
+            return handler(value)
+        except ValidationError:
+            raise ValueError(allowed) from None
+
+    return WrapValidator(check)
+
+
+Gain = Annotated[float, Field(strict=True, ge=0.01, le=100)]
+Entry = Annotated[float, Field(strict=True, ge=-100, le=100)]
+Row = tuple[Entry, Entry, Entry]
+Balance = Annotated[
+    Literal["flash", "daylight", "none"] | tuple[Gain, Gain, Gain],
+    _told('must be "flash", "daylight", "none", or the gains of red, green and blue, each 0.01 to 100'),
+]
+ColourMatrix = Annotated[
+    Switch | tuple[Row, Row, Row],
+    _told("must be true, false, or three rows of three numbers, each -100 to 100"),
+]
+
+
 class DevelopingTable(Document):
     """The steps from light to picture, as `pepperscene.camera.Developing`; "none" leaves a balance out."""
 
@@ -76,8 +101,8 @@ class DevelopingTable(Document):
     saturation: Switch = True
     quantise: Switch = True
     demosaic: Literal["malvar", "menon", "bilinear"] = "malvar"
-    white_balance: Literal["flash", "daylight", "none"] = "flash"
-    colour_matrix: Switch = True
+    white_balance: Balance = "flash"
+    colour_matrix: ColourMatrix = True
     tone: Literal["srgb", "linear"] = "srgb"
 
 

@@ -38,5 +38,5 @@ def _steps(camera: Camera, quality: Quality) -> Iterator[Callable[[], Any]]:
     yield kernel
     if quality.denoise:
         yield begin_denoising
-    if camera.sensor.channels > 1 and camera.developing.colour_matrix:
+    if camera.sensor.channels > 1 and camera.developing.colour_matrix is True:
         yield lambda: reference_correction(camera)
