@@ -1,0 +1,247 @@
+"""The direct model: measured reflectances of organs, straight from their pigments, without a renderer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.classes import OrganClass
+from pepperscene.errors import InputError
+from pepperscene.tuning.instrument import Instrument, read_reflectance
+
+if TYPE_CHECKING:
+    from pepperscene.colour import MeasuredSpectrum
+    from pepperscene.cultivar import Cultivar, PigmentPath
+    from pepperscene.tuning.parameter import Parameter
+
+Array = NDArray[np.float64]
+Values = Mapping[str, Array]
+Pathways = Callable[[Values], Mapping[str, "PigmentPath"]]
+"""The pigment paths of the surfaces that a fit changes, at a fit's values."""
+
+RANGE_NM: Final = (400.0, 730.0)
+"""Where spectra are compared: PROSPECT's pigments are known from 400 nm on, and beyond 730 nm, where the
+measurements of fruit that ship end too, they no longer absorb: what is left there is water and dry matter,
+which no fit changes."""
+MODEL_ERROR: Final = 0.01
+"""Standard deviation of what the model itself errs by at one wavelength, in reflectance: .010 is the RMSE of
+a layer on flesh that was fitted to the measured green pepper, .011 the median of PROSPECT's fits to twelve
+shipped leaves (Vrhel et al. 1994). An instrument's noise is small beside it."""
+CORRELATION_NM: Final = 30.0
+"""How far apart the model's errors are independent: the integral of the autocorrelation of what those fits
+leave over, up to its first zero, is 28 nm in the median. A spectrum that is sampled more finely says no more."""
+
+FORMS: Final[Mapping[OrganClass, str]] = {
+    OrganClass.LEAF: "blade",
+    OrganClass.PEPPER: "fruit",
+    OrganClass.PEDUNCLE: "peduncle",
+    OrganClass.STEM: "internode",
+    OrganClass.SHOOT: "stalk",
+}
+"""Which organs of a class are measured, where a plant has several: a peduncle and not its calyx, an internode
+and not a node. A class whose plants lack that form is shown by the first kind that it has."""
+STAGES: Final = ("unripe", "breaker", "ripe")
+"""The stages of a fruit, which are the names of its laws; of all else the law is called `state`."""
+THIN: Final = ("blade", "flower")
+"""Forms that light passes through; all others are a rind on its flesh."""
+
+
+STEP: Final = 2e-3
+"""Step of the differences as a share of the bounds' standard deviation: chosen, so that what is cut off (of
+the order of its fourth power) and what rounding takes are both far below 1e-9 of the slope."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What of a plant a measured spectrum shows.
+
+    Attributes:
+        surface: whose pigments.
+        state: along their path, the mean of the law that the organ's state is drawn from.
+        thin: a blade or a petal, seen from above with nothing behind it.
+    """
+
+    surface: str
+    state: float
+    thin: bool
+
+
+def shown(cultivar: Cultivar, kind: str) -> Shown:
+    """The surface and the state that a kind of spectrum stands for.
+
+    Args:
+        cultivar: whose plants.
+        kind: a class in lower case ("leaf", "stem"), for fruit with its stage ("pepper.unripe").
+
+    Raises:
+        InputError: the plants have no such organ, or the stage is none of the organ's.
+    """
+    name, _, stage = kind.partition(".")
+    classes = {one.name.lower(): one for one in OrganClass}
+    kinds, grown = cultivar.kinds, cultivar.grown
+    having = {kinds[one].organ_class for one in grown if kinds[one].surface in cultivar.pigments}
+    if name not in classes or classes[name] not in having:
+        allowed = ", ".join(one.name.lower() for one in sorted(having - {OrganClass.BACKGROUND}))
+        raise InputError(f"cultivar {cultivar.name}", "kind", kind, f"must be one of {allowed}")
+
+    # The usual organ of the class, or the first of those that it has.
+    of_class = [one for one in grown if kinds[one].organ_class == classes[name] and one in cultivar.organs]
+    usual = [one for one in of_class if kinds[one].form == FORMS.get(classes[name])]
+    chosen = (usual or of_class)[0]
+
+    # Fruit has a law for each of its stages, all else one.
+    laws = cultivar.organs[chosen].laws
+    law = stage or "state"
+    if law not in laws or law not in (*STAGES, "state"):
+        stages = [f"{name}.{one}" for one in STAGES if one in laws] or [name]
+        raise InputError(f"cultivar {cultivar.name}", "kind", kind, f"must be one of {', '.join(stages)}")
+    surface = kinds[chosen].surface
+    forms = {one.form for one in kinds.values() if one.surface == surface}
+    return Shown(surface, laws[law].mean, bool(forms & set(THIN)))
+
+
+@dataclass(frozen=True, eq=False)
+class DirectModel:
+    """Measured spectra, and what the pigments at a fit's values make of them.
+
+    Attributes:
+        spectra: measured reflectances.
+        shown: what each of them shows.
+        wavelength_nm: `(n,)` of each, its own within `RANGE_NM`.
+        cultivar: whose paths hold for the surfaces that the fit does not change.
+        parameters: of the fit, in order; their entries are the columns of the Jacobian.
+        pathways: gives the paths at values.
+        instrument: that read the spectra.
+    """
+
+    spectra: tuple[MeasuredSpectrum, ...]
+    shown: tuple[Shown, ...]
+    wavelength_nm: tuple[Array, ...]
+    cultivar: Cultivar
+    parameters: tuple[Parameter, ...]
+    pathways: Pathways
+    instrument: Instrument = "8/d"
+
+    @classmethod
+    def of(
+        cls,
+        spectra: Sequence[MeasuredSpectrum],
+        cultivar: Cultivar,
+        parameters: Sequence[Parameter],
+        pathways: Pathways,
+        instrument: Instrument = "8/d",
+    ) -> Self:
+        """The model of these spectra.
+
+        Raises:
+            InputError: the cultivar has no organ of a spectrum's kind, or a spectrum has fewer than two
+                wavelengths within `RANGE_NM`.
+        """
+        low, high = RANGE_NM
+        wavelengths = []
+        for one in spectra:
+            nm = one.spectrum.wavelength_nm
+            inside = nm[(nm >= low) & (nm <= high)]
+            if inside.size < 2:
+                where = f"must have at least two values from {low:g} to {high:g} nm"
+                raise InputError(f"spectrum {one.name}", "wavelength_nm", None, where)
+            wavelengths.append(inside)
+        seen = tuple(shown(cultivar, one.kind) for one in spectra)
+        return cls(
+            tuple(spectra), seen, tuple(wavelengths), cultivar, tuple(parameters), pathways, instrument
+        )
+
+    @property
+    def measured(self) -> Array:
+        """`(m,)` reflectances of all spectra, one after the other."""
+        pairs = zip(self.spectra, self.wavelength_nm, strict=True)
+        return np.concatenate([np.empty(0), *(one.spectrum.at(nm) for one, nm in pairs)])
+
+    @property
+    def sd(self) -> Array:
+        """`(m,)` standard deviation that a difference has to be seen against: the model's own error.
+
+        Errors are alike over `CORRELATION_NM`: of k values within it, each counts as a k-th of one, its
+        variance being k times the error's. So finer sampling adds no weight.
+        """
+        found = [np.empty(0)]
+        for nm in self.wavelength_nm:
+            spacing = np.gradient(nm)
+            found.append(MODEL_ERROR * np.sqrt(np.maximum(1.0, CORRELATION_NM / spacing)))
+        return np.concatenate(found)
+
+    @property
+    def parts(self) -> Mapping[str, slice]:
+        """Which of the `(m,)` belong to which spectrum, by name."""
+        ends = np.cumsum([0, *(nm.size for nm in self.wavelength_nm)]).tolist()
+        places = zip(self.spectra, pairwise(ends), strict=True)
+        return {one.name: slice(first, end) for one, (first, end) in places}
+
+    def predicted(self, values: Values) -> Array:
+        """`(m,)` reflectances that the instrument would read at these values."""
+        return self._of_paths(self.pathways(values))
+
+    def residuals(self, values: Values) -> Array:
+        """`(m,)` predicted less measured, in standard deviations."""
+        return (self.predicted(values) - self.measured) / self.sd
+
+    def jacobian(self, values: Values) -> Array:
+        """`(m, p)` derivatives of `residuals` with respect to every entry of the parameters, in their order.
+
+        Finite differences of fourth order (five points), all of them within the entry's bounds: central, or
+        to one side near a bound. The chain is smooth, so that they err by 1e-9 of the slope.
+        """
+        columns = []
+        for parameter in self.parameters:
+            for k in range(parameter.default.size):
+                columns.append(self._slope(values, parameter, k) / self.sd)
+        return np.stack(columns, axis=1) if columns else np.empty((self.sd.size, 0))
+
+    def rmse(self, values: Values) -> float:
+        """Root mean square difference of all wavelengths, in reflectance."""
+        return _rms(self.predicted(values) - self.measured)
+
+    def rmse_by_name(self, values: Values) -> Mapping[str, float]:
+        """The same of each spectrum."""
+        off = self.predicted(values) - self.measured
+        return {name: _rms(off[part]) for name, part in self.parts.items()}
+
+    def _of_paths(self, paths: Mapping[str, PigmentPath]) -> Array:
+        found = [np.empty(0)]
+        for seen, nm in zip(self.shown, self.wavelength_nm, strict=True):
+            path = paths.get(seen.surface, self.cultivar.pigments[seen.surface])
+            found.append(read_reflectance(path, nm, seen.state, thin=seen.thin, instrument=self.instrument))
+        return np.concatenate(found)
+
+    def _slope(self, values: Values, parameter: Parameter, k: int) -> Array:
+        """`(m,)` derivative of `predicted` with respect to one entry."""
+        law, here = parameter.prior[k], float(values[parameter.name][k])
+        step = STEP * (law.sd or law.high - law.low)
+        # Light and camera do not change a reflectance, and what may not move has no slope.
+        if step == 0.0 or parameter.group not in ("pigments", "cuticle"):
+            return np.zeros(self.sd.size)
+        offsets, weights = _stencil(here - law.low, law.high - here, step)
+        slope = np.zeros(self.sd.size)
+        for offset, weight in zip(offsets, weights, strict=True):
+            moved = np.array(values[parameter.name], dtype=float)
+            moved[k] = here + offset * step
+            slope += weight * self.predicted({**values, parameter.name: moved})
+        return slope / step
+
+
+def _stencil(below: float, above: float, step: float) -> tuple[Array, Array]:
+    """Offsets in steps and weights of a five-point first derivative with this much room to either side."""
+    if min(below, above) >= 2.0 * step:
+        return np.array([-2.0, -1.0, 1.0, 2.0]), np.array([1.0, -8.0, 8.0, -1.0]) / 12.0
+    one_sided = np.array([-25.0, 48.0, -36.0, 16.0, -3.0]) / 12.0
+    sign = 1.0 if above >= below else -1.0
+    return sign * np.arange(5.0), sign * one_sided
+
+
+def _rms(difference: Array) -> float:
+    return float(np.sqrt(np.mean(difference**2)))
