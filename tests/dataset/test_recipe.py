@@ -1,15 +1,19 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import shutil
 from pathlib import Path
 
 import pytest
 import tomli_w
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from pepperscene.dataset import Stage, load_recipe
+from pepperscene.dataset.changes import read_changes
 from pepperscene.dataset.tables import DevelopingTable
-from pepperscene.document import read_toml
+from pepperscene.document import read_toml, validated
 from pepperscene.errors import InputError
 from pepperscene.shipped import shelf
 
@@ -187,6 +191,20 @@ def test_seed_can_be_replaced():
         ("camera", "bits", 0),
         ("camera", "bits", 8.0),
         ("developing", "white_balance", "tungsten"),
+        ("developing", "white_balance", True),
+        ("developing", "white_balance", 1.5),
+        ("developing", "white_balance", [1.9, 1.0]),
+        ("developing", "white_balance", [1.9, 0.0, 1.5]),
+        ("developing", "white_balance", [1.9, 1000.0, 1.5]),
+        ("developing", "white_balance", [1.9, float("nan"), 1.5]),
+        ("developing", "white_balance", [1.9, True, 1.5]),
+        ("developing", "white_balance", ["flash", 1.0, 1.5]),
+        ("developing", "colour_matrix", "none"),
+        ("developing", "colour_matrix", 1),
+        ("developing", "colour_matrix", [1.0, 0.0, 0.0]),
+        ("developing", "colour_matrix", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+        ("developing", "colour_matrix", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0]]),
+        ("developing", "colour_matrix", [[1.0, 0.0, 0.0], [0.0, float("inf"), 0.0], [0.0, 0.0, 1.0]]),
         ("developing", "demosaic", "best"),
         ("developing", "falloff", 0),
         ("daylight", "cover", ""),
@@ -271,6 +289,107 @@ def test_the_developing_table_is_the_cameras(write):
     # A recipe without the table is developed as a camera without a word.
     assert set(DevelopingTable.model_fields) == {field.name for field in dataclasses.fields(Developing)}
     assert Developing(**DevelopingTable().model_dump()) == Developing()
+
+
+GAINS = (1.9, 1.0, 1.5)
+MATRIX = ((1.6, -0.4, -0.2), (-0.2, 1.5, -0.3), (0.1, -0.6, 1.5))
+
+
+def test_gains_and_a_matrix_are_the_cameras_and_need_no_flash(write):
+    told = {"white_balance": list(GAINS), "colour_matrix": [list(row) for row in MATRIX]}
+    base = write("base.toml", extends="barth2018", camera={"flash": "none"}, developing=told)
+    recipe = load_recipe(base)
+    steps = Stage(recipe).camera(recipe.plan.shot(0)).developing
+    assert (steps.white_balance, steps.colour_matrix) == (GAINS, MATRIX)
+
+    # The identity goes through JSON and says them; every entry counts.
+    identity = json.loads(json.dumps(recipe.identity()))
+    assert identity == recipe.identity()
+    assert {key: identity["recipe"]["developing"][key] for key in told} == told
+    other = load_recipe(base, {"developing.white_balance": [1.9, 1.0, 1.50001]})
+    assert other.sha256() != recipe.sha256()
+
+    # A list is replaced whole, and may be given up again.
+    above = load_recipe(write(extends=base.name, developing={"white_balance": [2, 1, 1]}))
+    assert above.developing.white_balance == (2.0, 1.0, 1.0)
+    assert above.developing.colour_matrix == MATRIX
+    given_up = load_recipe(base, {"developing.white_balance": "daylight", "developing.colour_matrix": True})
+    plain = write("plain.toml", extends="barth2018", camera={"flash": "none"},
+                  developing={"white_balance": "daylight"})  # fmt: skip
+    assert given_up.sha256() == load_recipe(plain).sha256()
+
+
+def test_the_command_line_gives_gains_and_a_matrix():
+    changes = read_changes(
+        [
+            "developing.white_balance=[1.9, 1, 1.5]",
+            "developing.colour_matrix=[[1, 0, 0], [0, 1, 0], [0, 0, 1]]",
+        ]
+    )
+    found = load_recipe("barth2018", changes).developing
+    assert found.white_balance == GAINS
+    assert found.colour_matrix == ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "allowed"),
+    [
+        ("white_balance", [1.9, 1.0], "gains of red, green and blue, each 0.01 to 100"),
+        ("white_balance", "tungsten", '"flash", "daylight", "none"'),
+        ("colour_matrix", [[1.0]], "three rows of three numbers, each -100 to 100"),
+    ],
+)
+def test_a_wrong_balance_or_matrix_is_told_in_one_sentence(write, key, value, allowed):
+    path = write(extends="barth2018", developing={key: value})
+    with pytest.raises(InputError) as caught:
+        load_recipe(path)
+    assert (caught.value.key, caught.value.value) == (f"developing.{key}", value)
+    assert allowed in caught.value.allowed
+
+
+NUMBERS = st.floats() | st.floats(0.01, 100) | st.integers(-2, 200)
+ROWS = st.lists(NUMBERS, min_size=2, max_size=4)
+VALUES = st.one_of(
+    st.none() | st.booleans() | NUMBERS,
+    st.sampled_from(["flash", "daylight", "none", "", "[1, 1, 1]"]),
+    ROWS | st.lists(ROWS, min_size=2, max_size=4) | st.tuples(*3 * [NUMBERS]),
+    st.lists(st.booleans() | st.text(), max_size=3),
+)
+
+
+@given(VALUES, st.sampled_from(["white_balance", "colour_matrix"]))
+@settings(max_examples=300, deadline=None)
+def test_whatever_a_recipe_takes_a_camera_takes(value, key):
+    """And whatever else stands there is a fault of the key itself."""
+    from pepperscene.camera import Developing
+
+    found = read_or_fault({key: value})
+    if isinstance(found, InputError):
+        assert found.key == key
+    else:
+        steps = {name: None if step == "none" else step for name, step in found.model_dump().items()}
+        assert getattr(Developing(**steps), key) == steps[key]
+
+
+def read_or_fault(steps):
+    try:
+        return validated(DevelopingTable, steps, "mine.toml")
+    except InputError as fault:
+        return fault
+
+
+def test_the_limits_of_gains_and_matrix_are_the_cameras():
+    from pepperscene.camera.steps import GAIN_RANGE, LARGEST_ENTRY
+
+    for limit, beyond in zip(GAIN_RANGE, (0.99, 1.01), strict=True):
+        assert DevelopingTable(white_balance=(limit, 1.0, 1.0)).white_balance[0] == limit
+        with pytest.raises(ValueError, match="must be"):
+            DevelopingTable(white_balance=(beyond * limit, 1.0, 1.0))
+    for entry in (LARGEST_ENTRY, -LARGEST_ENTRY):
+        rows = ((entry, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+        assert DevelopingTable(colour_matrix=rows).colour_matrix == rows
+        with pytest.raises(ValueError, match="must be"):
+            DevelopingTable(colour_matrix=((1.01 * entry, 0.0, 0.0), *rows[1:]))
 
 
 def test_a_monochrome_camera_needs_no_white_balance(write):

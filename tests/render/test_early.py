@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from pepperscene.camera import load_flash, load_lens, load_sensor
+from pepperscene.camera import Developing, load_flash, load_lens, load_sensor
 from pepperscene.camera.camera import Camera
 from pepperscene.render import QUALITIES, early
 
@@ -41,6 +42,9 @@ def test_nothing_is_begun_that_is_not_needed(camera, called):
     called.clear()
     grey = Camera(camera.lens, load_sensor("onsemi_mt9v024_mono"), flash=camera.flash)
     early.begin(grey, QUALITIES["draft"]).join()
+    assert "reference_correction" not in called
+    told = replace(camera, developing=Developing(colour_matrix=((1, 0, 0), (0, 1, 0), (0, 0, 1))))
+    early.begin(told, QUALITIES["draft"]).join()
     assert "reference_correction" not in called
 
 
