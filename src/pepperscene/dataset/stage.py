@@ -131,7 +131,7 @@ class Stage:
         }
         if not traced:
             return assemble(mesh, skeleton=planted.skeleton)
-        return assemble(mesh, self._surfaces, self._sky(shot.set), planted.skeleton)
+        return assemble(mesh, self._surfaces, self.sky(shot.set), planted.skeleton)
 
     def _visible(self, mesh: Mesh) -> Mesh:
         """What the frames of a scene can tell of it.
@@ -175,7 +175,8 @@ class Stage:
 
             begin(self.views.equipment, quality_of(quality))
 
-    def _sky(self, which: int) -> Sky | None:
+    def sky(self, which: int) -> Sky | None:
+        """The daylight above a set, or None where the recipe has none."""
         from pepperscene.scene import partly_cloudy
 
         light = self.recipe.daylight

@@ -1,4 +1,4 @@
-"""Small pictures of single organs, in the recipe's own light and camera: what a fit looks at most of the time.
+"""Small pictures of single organs, in the recipe's own light and camera: what a fit looks at in each step.
 
 An organ stands alone, somewhere in the middle of the picture that the camera of the recipe's path takes, at
 its distance or a little further, as most of a plant is. A longer lens of the same f-number shows it large:

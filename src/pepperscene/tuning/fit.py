@@ -1,0 +1,181 @@
+"""The fit itself: bounded least squares with the renderer's derivatives, from several starts.
+
+Steps are those of a trust region around Gauss and Newton's (Branch, Coleman & Li 1999, SIAM J. Sci. Comput.
+21:1, as SciPy has it): the derivatives of a few dozen numbers cost no more than a few pictures, and what
+would take an optimiser of first order hundreds of pictures takes ten (see benchmarks/tuning.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.tuning.observables import lab_of
+from pepperscene.tuning.outcome import Fit, KindFit, SpectrumFit, Start
+from pepperscene.tuning.problem import Problem
+from pepperscene.tuning.verdict import (
+    as_expected,
+    certainty,
+    chi_squared,
+    leftover,
+    sentences,
+    undetermined,
+)
+
+if TYPE_CHECKING:
+    from pepperscene.tuning.subject import Subject
+
+Array = NDArray[np.float64]
+Told = Callable[[str], None]
+
+STARTS: Final = 4
+_DRAWN: Final = 12  # chosen: points of the bounds that are looked at for each further start
+_EVALUATIONS: Final = 30  # chosen: of a start; ten are usual
+_TOLERANCE: Final = 1e-5  # chosen: relative change of the cost at which a start ends
+_SHOWN: Final = 4000  # pixels of a kind that are kept to be shown
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    vector: Array
+    told: Start
+
+
+def fitted(
+    subject: Subject,
+    problem: Problem,
+    *,
+    starts: int = STARTS,
+    seed: int = 0,
+    told: Told | None = None,
+) -> Fit:
+    """The best values of a problem, and what is known of them.
+
+    The first start is the recipe itself; further ones are the best of a dozen points drawn from the bounds.
+    Once a start ends as near to the data as their errors allow, no further one is run.
+
+    Args:
+        subject: the recipe's parts.
+        problem: what is fitted, to what.
+        starts: at most.
+        seed: of the drawn points.
+        told: is called with a line after each start.
+    """
+    rng = np.random.default_rng(seed)
+    runs: list[_Run] = []
+    for number in range(starts):
+        start = problem.default if number == 0 else _drawn(problem, rng)
+        runs.append(_run(problem, problem.inside(start)))
+        best = min(runs, key=lambda run: run.told.cost)
+        chi = chi_squared(problem, best.vector)
+        if told is not None:
+            told(
+                f"start {number + 1} of {starts}: misses the patches by "
+                f"{np.sqrt(chi / max(problem.data, 1)):.2f} times what is expected, "
+                f"after {runs[-1].told.evaluations} evaluations"
+            )
+        if as_expected(chi, problem.data):
+            break
+    return _outcome(subject, problem, best.vector, tuple(run.told for run in runs))
+
+
+def _drawn(problem: Problem, rng: np.random.Generator) -> Array:
+    """The best of some points drawn from the bounds."""
+    points = [
+        np.array([entry.parameter.prior[entry.place].draw(rng) for entry in problem.entries])
+        for _ in range(_DRAWN)
+    ]
+    return min(points, key=lambda point: float((problem.residuals(problem.inside(point)) ** 2).sum()))
+
+
+def _run(problem: Problem, start: Array) -> _Run:
+    from scipy.optimize import least_squares
+
+    done = least_squares(
+        problem.residuals,
+        start,
+        problem.jacobian,
+        bounds=(problem.low, problem.high),
+        x_scale=problem.sd,
+        ftol=_TOLERANCE,
+        xtol=_TOLERANCE,
+        max_nfev=_EVALUATIONS,
+    )
+    begun = {name: tuple(value.tolist()) for name, value in problem.values(start).items()}
+    return _Run(done.x, Start(begun, float(done.cost), int(done.nfev), str(done.message)))
+
+
+def _outcome(subject: Subject, problem: Problem, vector: Array, starts: tuple[Start, ...]) -> Fit:
+    """Everything that is known at the best values."""
+    known, chi = certainty(problem, vector), chi_squared(problem, vector)
+    values, before = problem.values(vector), problem.values(problem.default)
+    left: dict[str, float] = {}
+    if not as_expected(chi, problem.data):
+        left = leftover(problem, vector, subject.others([one.name for one in problem.parameters]))
+    open_entries = undetermined(problem, vector, known)
+    return Fit(
+        parameters=problem.parameters,
+        values=values,
+        sd=problem.values(known.sd),
+        gained=problem.values(known.gained),
+        correlation=known.correlation,
+        undetermined=open_entries,
+        kinds=_kinds(problem, before, values, subject.targets),
+        spectra=_spectra(problem, before, values),
+        starts=starts,
+        chi_squared=chi,
+        data=problem.data,
+        leftover=left,
+        verdict=sentences(problem, chi, open_entries, left),
+        tuned=subject.tuned(values),
+    )
+
+
+def _kinds(
+    problem: Problem, before: Mapping[str, Array], after: Mapping[str, Array], targets: Mapping[str, Array]
+) -> dict[str, KindFit]:
+    """Colours of each kind, all its views together."""
+    found = {}
+    for kind, target in targets.items():
+        cells = [cell for cell in problem.cells if any(eye.view.kind == kind for eye in cell.eyes)]
+        if not cells:
+            continue
+        pixels = [np.concatenate([cell.linear(values) for cell in cells]) for values in (before, after)]
+        means = [lab_of(one.mean(axis=0)) for one in (target, *pixels)]
+        away = _delta_e(np.array(means[1:]), means[0])
+        both = [
+            np.stack([mean, lab_of(one).std(axis=0)])
+            for mean, one in zip(means, (target, *pixels), strict=True)
+        ]
+        shown = [one[:: max(1, -(-len(one) // _SHOWN))] for one in (target, *pixels)]
+        found[kind] = KindFit(*both, float(away[0]), float(away[1]), *shown)
+    return found
+
+
+def _spectra(
+    problem: Problem, before: Mapping[str, Array], after: Mapping[str, Array]
+) -> dict[str, SpectrumFit]:
+    """Reflectances, where there are any."""
+    model = problem.spectra
+    if model is None:
+        return {}
+    target, one, other = model.measured, model.predicted(before), model.predicted(after)
+    found = {}
+    for (name, part), nm in zip(model.parts.items(), model.wavelength_nm, strict=True):
+        off = [_rms((made - target)[part]) for made in (one, other)]
+        found[name] = SpectrumFit(nm, target[part], one[part], other[part], *off)
+    return found
+
+
+def _rms(difference: Array) -> float:
+    return float(np.sqrt(np.mean(difference**2)))
+
+
+def _delta_e(lab: Array, other: Array) -> Array:
+    from pepperscene.colour import delta_e_2000
+
+    return np.asarray(delta_e_2000(lab, np.broadcast_to(other, lab.shape)))

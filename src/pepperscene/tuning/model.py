@@ -1,0 +1,152 @@
+"""What views look like at other values of the parameters, and how that changes with each of them.
+
+Light goes through the differentiable renderer, in every wavelength; what the camera makes of it is a few
+formulas. Derivatives of the parameters that change light are Dr.Jit's, forward; those of exposure, white
+balance and colour matrix, which act on what was counted, are differences of those formulas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.render.bodies import path_values
+from pepperscene.render.gradients import DifferentiableRenderer
+from pepperscene.render.quality import Quality
+from pepperscene.tuning.observables import Photograph
+from pepperscene.tuning.views import View
+
+if TYPE_CHECKING:
+    from pepperscene.cultivar import Cultivar
+    from pepperscene.tuning.parameter import Parameter
+    from pepperscene.tuning.pathways import Tuned
+
+Array = NDArray[np.float64]
+Values = Mapping[str, Array]
+
+EFFORT: Final = Quality(16, 16, 16, 1, target=None, denoise=False)
+"""Chosen: the noise of a view's mean is then a thousandth of it; organs alone hardly light themselves."""
+
+IN_THE_SCENE: Final = ("pigments", "cuticle", "light")
+"""Groups of parameters that change light; others change what the camera makes of it."""
+
+_STEP: Final = 1e-4
+"""Of a parameter's own scale, by which the chain from it to the renderer's tables is differentiated: its
+functions are smooth and in double precision, so that the error is about 1e-8 of the slope."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One number of a fit.
+
+    Attributes:
+        parameter: that it belongs to.
+        place: among its entries.
+    """
+
+    parameter: Parameter
+    place: int
+
+    @property
+    def label(self) -> str:
+        """Name, with the entry's own where there are several."""
+        own = self.parameter.labels[self.place]
+        return f"{self.parameter.name} ({own})" if own else self.parameter.name
+
+    @property
+    def scale(self) -> float:
+        """Standard deviation of its bounds."""
+        return float(self.parameter.prior[self.place].sd)
+
+    def moved(self, values: Values, step: float) -> dict[str, Array]:
+        """Values with this one moved by a step."""
+        own = np.array(values.get(self.parameter.name, self.parameter.default), float)
+        own[self.place] += step
+        return {**values, self.parameter.name: own}
+
+
+def entries_of(parameters: Sequence[Parameter]) -> tuple[Entry, ...]:
+    """Their numbers, in order."""
+    return tuple(Entry(one, place) for one in parameters for place in range(len(one.default)))
+
+
+class Eye:
+    """One view as a function of the parameters.
+
+    Args:
+        view: what is seen.
+        cultivar: whose pigments made its surfaces.
+        tuned: the recipe's parts at some values.
+        seed: of light and noise.
+    """
+
+    def __init__(
+        self, view: View, cultivar: Cultivar, tuned: Callable[[Values], Tuned], seed: int, effort: Quality
+    ) -> None:
+        self.view, self._tuned = view, tuned
+        self._cultivar, self._seed, self._effort = cultivar, seed, effort
+        steps = view.camera.developing
+        pixels, channels = int(view.mask.sum()), view.camera.sensor.channels
+        noise = np.random.default_rng([seed, 1]).standard_normal((pixels, channels))
+        noisy = steps.shot_noise or steps.read_noise
+        self._photograph = Photograph(
+            view.camera.sensor, steps.saturation, noise if noisy else None, steps.shot_noise, steps.read_noise
+        )
+
+    def linear(self, values: Values) -> Array:
+        """`(n, 3)` linear sRGB of the view's pixels."""
+        made = self._tuned(values)
+        return self._developed(self._electrons(made), made)
+
+    def linear_and_slopes(self, values: Values, entries: Sequence[Entry]) -> tuple[Array, Array]:
+        """`linear`, and its derivatives `(p, n, 3)` with respect to entries."""
+        made = self._tuned(values)
+        electrons = self._electrons(made)
+        found, by_electrons, _, free = self._photograph.linear(
+            electrons, made.exposure, made.gains, made.matrix
+        )
+        slopes = np.zeros((len(entries), *found.shape))
+        parameters = self._light(made)
+        for slope, entry in zip(slopes, entries, strict=True):
+            step = _STEP * entry.scale
+            above, below = (self._tuned(entry.moved(values, sign * step)) for sign in (1.0, -1.0))
+            if entry.parameter.group in IN_THE_SCENE:
+                direction = _direction(self._light(above), self._light(below), 2.0 * step)
+                if direction:
+                    change = self._renderer.forward(parameters, direction)[self.view.mask]
+                    slope[:] = free * ((by_electrons * change) @ made.matrix.T)
+            else:
+                here = (self._developed(electrons, one) for one in (above, below))
+                slope[:] = np.subtract(*here) / (2.0 * step)
+        return found, slopes
+
+    @cached_property
+    def _renderer(self) -> DifferentiableRenderer:
+        return DifferentiableRenderer(
+            self.view.scene, self.view.camera, self._cultivar, self._effort, self._seed
+        )
+
+    def _light(self, made: Tuned) -> dict[str, Array]:
+        """The renderer's parameters of this view."""
+        found = {}
+        for surface, path in made.pigments.items():
+            found |= path_values(surface, path)
+        found |= {"flash.power": np.array(made.flash_power), "flash.spectrum": made.flash_spectrum}
+        return {name: np.asarray(found[name]) for name in self._renderer.parameters if name in found}
+
+    def _electrons(self, made: Tuned) -> Array:
+        return self._renderer.rgb(self._light(made))[self.view.mask]
+
+    def _developed(self, electrons: Array, made: Tuned) -> Array:
+        return self._photograph.linear(electrons, made.exposure, made.gains, made.matrix)[0]
+
+
+def _direction(above: dict[str, Array], below: dict[str, Array], step: float) -> dict[str, Array]:
+    """How the renderer's parameters change, those that do."""
+    found = {name: (value - below[name]) / step for name, value in above.items()}
+    return {name: change for name, change in found.items() if np.any(change != 0.0)}

@@ -1,0 +1,117 @@
+"""What a fit compares: mean and spread of an organ's colour in CIELAB, with their derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.camera.observer import D65_WHITE, SRGB_TO_XYZ, lab
+
+if TYPE_CHECKING:
+    from pepperscene.camera import Sensor
+
+Array = NDArray[np.float64]
+
+NUMBERS: Final = 6
+"""Of each cell: L*, a*, b* of the mean colour, and the sd of the pixels in each."""
+
+_KNEE: Final = (6.0 / 29.0) ** 3
+_TOE: Final = 1.0 / (3.0 * (6.0 / 29.0) ** 2)
+_LEAST_SD: Final = 1e-6
+_FROM_LAB: Final = np.array([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.0, -200.0]])
+
+
+def lab_of(linear: Array) -> Array:
+    """`(..., 3)` CIELAB (D65) of linear sRGB `(..., 3)`, white at 1."""
+    return lab(linear @ SRGB_TO_XYZ.T)
+
+
+def lab_slopes(linear: Array) -> Array:
+    """`(..., 3, 3)` derivatives of `lab_of`: rows are L*, a*, b*, columns red, green, blue."""
+    share = linear @ SRGB_TO_XYZ.T / D65_WHITE
+    # Of the cube root, and of the line that takes its place in the dark.
+    slope = np.where(share > _KNEE, np.cbrt(np.maximum(share, _KNEE)) ** -2 / 3.0, _TOE)
+    return np.asarray(np.einsum("ij,...j,jk->...ik", _FROM_LAB, slope / D65_WHITE, SRGB_TO_XYZ))
+
+
+def numbers(linear: Array) -> Array:
+    """`(6,)` CIELAB of the mean of pixels `(n, 3)`, and the sd of their CIELAB."""
+    return np.concatenate([lab_of(linear.mean(axis=0)), lab_of(linear).std(axis=0)])
+
+
+def numbers_and_slopes(linear: Array, slopes: Array) -> tuple[Array, Array]:
+    """`numbers` of pixels `(n, 3)`, and their derivatives `(6, p)` from the pixels' `(p, n, 3)`."""
+    mean, pixels = linear.mean(axis=0), lab_of(linear)
+    of_mean = lab_slopes(mean) @ slopes.mean(axis=1).T
+    moved = np.einsum("nij,pnj->pni", lab_slopes(linear), slopes)
+    away, sd = pixels - pixels.mean(axis=0), np.maximum(pixels.std(axis=0), _LEAST_SD)
+    of_sd = np.einsum("ni,pni->ip", away, moved) / (len(linear) * sd[:, None])
+    return np.concatenate([lab_of(mean), pixels.std(axis=0)]), np.concatenate([of_mean, of_sd])
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """From the electrons that pixels expect to their linear sRGB, with the sensor's noise and its limits.
+
+    Noise is drawn once and for all, so that a picture stays a smooth function of its light: where there is
+    none in the camera's `developing`, `noise` is None.
+
+    Attributes:
+        sensor: whose picture it is.
+        saturation: whether light beyond full scale is cut.
+        noise: `(n, c)` standard normal deviates of pixels, or None.
+        shot, read: which kinds of noise there are.
+    """
+
+    sensor: Sensor
+    saturation: bool
+    noise: Array | None
+    shot: bool = True
+    read: bool = True
+
+    def linear(
+        self, electrons: Array, exposure: float, gains: Array, matrix: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Pixels `(n, 3)` in linear sRGB, and what their derivatives need.
+
+        Args:
+            electrons: `(n, c)` that photosites expect.
+            exposure: factor on the sensor's gain.
+            gains: `(3,)` white balance.
+            matrix: `(3, 3)` colour matrix.
+
+        Returns:
+            linear sRGB, cut to [0, 1]; `(n, c)` the slope of balanced colour by electrons; `(n, 3)` balanced
+            colour before the matrix; and `(n, 3)` where the result is not cut.
+        """
+        full = self.sensor.gain_e_per_dn * (self.sensor.full_scale_dn - self.sensor.black_level_dn)
+        counted, slope = electrons, np.ones_like(electrons)
+        if self.noise is not None:
+            variance = np.zeros_like(electrons)
+            sites = np.array(self.sensor.photosites, float)
+            if self.shot:
+                variance += np.maximum(electrons, 0.0)
+            if self.read:
+                variance += self.sensor.read_noise_e**2
+            sd = np.sqrt(variance / sites)
+            counted = electrons + sd * self.noise
+            if self.shot:
+                slope = 1.0 + self.noise / (2.0 * np.maximum(sd * sites, 1e-9))
+        raw = exposure * counted / full
+        if self.saturation:
+            # The well is full whatever the amplifier does; the converter ends at full scale.
+            most = np.minimum(exposure * self.sensor.full_well_e / full, 1.0)
+            slope = np.where(raw < most, slope, 0.0)
+            raw = np.minimum(raw, most)
+        balanced = raw * gains
+        slope = slope * (exposure / full) * gains
+        if self.saturation:
+            limit = min(self.sensor.gain * exposure, 1.0)
+            slope = np.where(balanced < limit, slope, 0.0)
+            balanced = np.minimum(balanced, limit)
+        found = balanced @ matrix.T
+        free = (found > 0.0) & (found < 1.0)
+        return np.clip(found, 0.0, 1.0), slope, balanced, free.astype(float)

@@ -1,0 +1,131 @@
+"""A fit as a least-squares problem: what the data miss the model by, in units of what is expected.
+
+Mean and spread of each kind's colour, measured spectra, and the bounds themselves are rows of one vector: the
+bounds are distributions, and a value as far from its mean as its sd costs as much as a datum that is one sd
+off (maximum a posteriori; Tarantola 2005, "Inverse problem theory", section 3.2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.tuning.model import Entry, Eye, Values, entries_of
+from pepperscene.tuning.observables import NUMBERS, numbers, numbers_and_slopes
+
+if TYPE_CHECKING:
+    from pepperscene.tuning.direct import DirectModel
+    from pepperscene.tuning.parameter import Parameter
+
+Array = NDArray[np.float64]
+
+_INSIDE: Final = 1e-6  # of a bound's width: where a start that lies on it begins
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """Patches that are compared with views.
+
+    Attributes:
+        label: the kind, or a single view's name.
+        eyes: the views.
+        target: `(6,)` numbers of the patches (see `observables.numbers`).
+        sigma: `(6,)` by how much model and patches may differ.
+        offset: `(6,)` what the whole scene adds to the views' numbers.
+    """
+
+    label: str
+    eyes: tuple[Eye, ...]
+    target: Array
+    sigma: Array
+    offset: Array
+
+    def linear(self, values: Values) -> Array:
+        """`(n, 3)` linear sRGB of all pixels of its views."""
+        return np.concatenate([eye.linear(values) for eye in self.eyes])
+
+    def predicted(self, values: Values) -> Array:
+        """`(6,)` the model's numbers."""
+        return numbers(self.linear(values)) + self.offset
+
+    def predicted_and_slopes(self, values: Values, entries: Sequence[Entry]) -> tuple[Array, Array]:
+        """`predicted`, and its derivatives `(6, p)`."""
+        parts = [eye.linear_and_slopes(values, entries) for eye in self.eyes]
+        found, slopes = numbers_and_slopes(
+            np.concatenate([linear for linear, _ in parts]), np.concatenate([slope for _, slope in parts], 1)
+        )
+        return found + self.offset, slopes
+
+
+class Problem:
+    """Residuals of data and bounds, and their derivatives, as functions of one vector.
+
+    Args:
+        parameters: that are fitted.
+        cells: what pictures tell.
+        spectra: what measured reflectances tell, or None.
+
+    Attributes:
+        entries: the vector's numbers.
+        low, high: `(p,)` their ends.
+        data: number of residuals that are not the bounds' own.
+    """
+
+    def __init__(
+        self, parameters: Sequence[Parameter], cells: Sequence[Cell], spectra: DirectModel | None = None
+    ) -> None:
+        self.parameters, self.cells, self.spectra = tuple(parameters), tuple(cells), spectra
+        self.entries = entries_of(parameters)
+        laws = [one.parameter.prior[one.place] for one in self.entries]
+        self.low = np.array([law.low for law in laws])
+        self.high = np.array([law.high for law in laws])
+        self.mean = np.array([law.mean for law in laws])
+        self.sd = np.array([law.sd for law in laws])
+        self.data = len(self.data_residuals(self.values(self.default)))
+
+    @property
+    def default(self) -> Array:
+        """`(p,)` the recipe's own values."""
+        return np.concatenate([one.default for one in self.parameters])
+
+    def inside(self, vector: Array) -> Array:
+        """The vector, moved off the ends of its bounds."""
+        margin = _INSIDE * (self.high - self.low)
+        return np.clip(vector, self.low + margin, self.high - margin)
+
+    def values(self, vector: Array) -> dict[str, Array]:
+        """A vector's numbers by parameter."""
+        ends = np.cumsum([len(one.default) for one in self.parameters])[:-1]
+        parts = np.split(np.asarray(vector, float), ends)
+        return {one.name: part for one, part in zip(self.parameters, parts, strict=True)}
+
+    def residuals(self, vector: Array) -> Array:
+        """`(m + p,)` of the data, then of the bounds."""
+        return np.concatenate([self.data_residuals(self.values(vector)), (vector - self.mean) / self.sd])
+
+    def jacobian(self, vector: Array) -> Array:
+        """`(m + p, p)` derivatives of `residuals`."""
+        return np.vstack([self.data_jacobian(self.values(vector), self.entries), np.diag(1.0 / self.sd)])
+
+    def data_residuals(self, values: Values) -> Array:
+        """`(m,)` cell by cell, then of spectra."""
+        rows = [(cell.predicted(values) - cell.target) / cell.sigma for cell in self.cells]
+        if self.spectra is not None:
+            rows.append(self.spectra.residuals(values))
+        return np.concatenate(rows) if rows else np.zeros(0)
+
+    def data_jacobian(self, values: Values, entries: Sequence[Entry]) -> Array:
+        """`(m, p)` with respect to any entries."""
+        rows = [cell.predicted_and_slopes(values, entries)[1] / cell.sigma[:, None] for cell in self.cells]
+        if self.spectra is not None:
+            rows.append(self.spectra.jacobian(values, entries))
+        return np.concatenate(rows) if rows else np.zeros((0, len(entries)))
+
+
+def no_offset() -> Array:
+    """What the whole scene adds, before it has been looked at."""
+    return np.zeros(NUMBERS)

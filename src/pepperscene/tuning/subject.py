@@ -1,0 +1,195 @@
+"""What a fit may change and what it is compared with: the recipe's parts, its views, and the patches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.dataset import Stage
+from pepperscene.errors import InputError
+from pepperscene.tuning.direct import DirectModel
+from pepperscene.tuning.model import EFFORT, Eye, Values
+from pepperscene.tuning.observables import lab_of, numbers
+from pepperscene.tuning.parameter import Parameter, known_parameters, parameters_of
+from pepperscene.tuning.pathways import Tuned, dense, tuned
+from pepperscene.tuning.problem import Cell, Problem, no_offset
+from pepperscene.tuning.views import ORGANS, View, organ_views
+
+if TYPE_CHECKING:
+    from pepperscene.colour import Patch, PatchSet
+    from pepperscene.dataset import Recipe
+    from pepperscene.render import Quality
+
+Array = NDArray[np.float64]
+
+FLOOR: Final = 0.5
+"""Chosen: CIELAB units by which mean and spread of a colour may always differ: half of what can be seen."""
+FLOOR_REGISTERED: Final = 0.2
+"""Chosen: the same where patches show the very organs of the views: noise of light and sensor alone."""
+SPREAD: Final = 0.2
+"""Chosen: share of a spread by which that of other organs differs; a few organs tell it no better."""
+
+_PIXELS: Final = 20_000  # of a kind that are compared; more tell nothing new
+_NOT_ORGANS: Final = ("background", "wire", "cut")
+
+
+class Subject:
+    """A recipe about to be tuned to patches.
+
+    Args:
+        recipe: what is tuned.
+        patches: what is measured.
+        bounds: of parameters, over the shipped ones: a file or a table (see `parameters_of`).
+        registered: whether patches are named after views and show the same organs, as of a twin; else
+            organs are a sample on either side.
+        organs: of each kind that are looked at.
+        effort: of light.
+        seed: of organs, light and noise.
+
+    Raises:
+        InputError: the recipe, the bounds or the patches do not go with each other.
+    """
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        patches: PatchSet,
+        *,
+        bounds: Path | Mapping[str, Any] | None = None,
+        registered: bool = False,
+        organs: int = ORGANS,
+        effort: Quality = EFFORT,
+        seed: int = 0,
+    ) -> None:
+        self.recipe, self.patches, self.registered = recipe, patches, registered
+        self._bounds, self._organs, self._effort, self._seed = bounds, organs, effort, seed
+        self.stage = Stage(recipe)
+        self.camera = self.stage.views.equipment
+        if self.camera.sensor.channels != 3:
+            raise InputError(
+                recipe.name, "camera.sensor", recipe.camera.sensor, "must see colours to be tuned"
+            )
+        self.cultivar = dense(self.stage.cultivar)
+
+    # --- parameters -------------------------------------------------------------------------------------
+
+    def parameters(self, names: Sequence[str]) -> tuple[Parameter, ...]:
+        """Those of these names.
+
+        Raises:
+            InputError: as of `parameters_of`.
+        """
+        return parameters_of(self.recipe, self.cultivar, self.camera, names, self._bounds)
+
+    def others(self, fitted: Iterable[str]) -> dict[str, tuple[Parameter, ...]]:
+        """Parameters that were not fitted and that what is measured could depend on, by group."""
+        taken = set(fitted)
+        surfaces = {name for view in self.views for name in view.scene.mesh.surfaces}
+        surfaces |= {one.surface for one in self.direct.shown} if self.direct is not None else set()
+        known = known_parameters(self.cultivar, self.camera)
+        # One name for each thing: those of single ends and whole spectra repeat others.
+        plain = [name for name in known if name.count(".") < 2 and name != "flash.spectrum"]
+        wanted = [
+            one
+            for one in self.parameters([name for name in plain if name not in taken])
+            if one.group not in ("pigments", "cuticle") or one.name.partition(".")[0] in surfaces
+        ]
+        groups = dict.fromkeys(one.group for one in wanted)
+        return {group: tuple(one for one in wanted if one.group == group) for group in groups}
+
+    def tuned(self, values: Values) -> Tuned:
+        """The recipe's parts at some values."""
+        return tuned(self.cultivar, self.camera, values)
+
+    # --- what is seen -----------------------------------------------------------------------------------
+
+    @cached_property
+    def kinds(self) -> tuple[str, ...]:
+        """Of the patches out of pictures that have an organ."""
+        found = dict.fromkeys(patch.kind for patch in self.patches.patches)
+        return tuple(kind for kind in found if kind not in _NOT_ORGANS)
+
+    @cached_property
+    def targets(self) -> Mapping[str, Array]:
+        """`(n, 3)` linear sRGB of the patches, by kind."""
+        return {kind: self.patches.pixels(kind, _PIXELS) for kind in self.kinds}
+
+    @cached_property
+    def views(self) -> tuple[View, ...]:
+        """Of the organs that the patches show."""
+        if not self.kinds:
+            return ()
+        return organ_views(
+            self.recipe,
+            self.cultivar,
+            self.camera,
+            self.kinds,
+            sky=self.stage.sky(0),
+            organs=self._organs,
+            seed=self._seed,
+        )
+
+    @cached_property
+    def eyes(self) -> tuple[Eye, ...]:
+        """The views as functions of the parameters."""
+        return tuple(
+            Eye(view, self.cultivar, self.tuned, self._seed + place, self._effort)
+            for place, view in enumerate(self.views)
+        )
+
+    @cached_property
+    def direct(self) -> DirectModel | None:
+        """The model of the measured reflectances, if there are any."""
+        return (
+            DirectModel.of(self.patches.spectra, self.cultivar, self.tuned) if self.patches.spectra else None
+        )
+
+    # --- the problem ------------------------------------------------------------------------------------
+
+    def problem(self, names: Sequence[str], offsets: Mapping[str, Array] | None = None) -> Problem:
+        """The fit of some parameters to all patches.
+
+        Args:
+            names: of the parameters.
+            offsets: by kind, what the whole scene adds to the views' numbers `(6,)`.
+        """
+        cells = self._by_view() if self.registered else self._by_kind(offsets or {})
+        return Problem(self.parameters(names), cells, self.direct)
+
+    def _by_view(self) -> list[Cell]:
+        """A cell for each view that a patch is named after."""
+        patches = {patch.name: patch for patch in self.patches.patches}
+        eyes = [eye for eye in self.eyes if eye.view.name in patches]
+        sigma = np.full(6, FLOOR_REGISTERED)
+        return [
+            Cell(eye.view.name, (eye,), numbers(patches[eye.view.name].linear), sigma, no_offset())
+            for eye in eyes
+        ]
+
+    def _by_kind(self, offsets: Mapping[str, Array]) -> list[Cell]:
+        """A cell for each kind, all its organs together."""
+        found = []
+        for kind, pixels in self.targets.items():
+            eyes = tuple(eye for eye in self.eyes if eye.view.kind == kind)
+            if not eyes:
+                continue
+            target = numbers(pixels)
+            sigma = self._sigma(self.patches.of_kind(kind), eyes, target)
+            found.append(Cell(kind, eyes, target, sigma, offsets.get(kind, no_offset())))
+        return found
+
+    def _sigma(self, patches: Sequence[Patch], eyes: Sequence[Eye], target: Array) -> Array:
+        """`(6,)` by how much the numbers of two samples of organs may differ."""
+        sides = [[patch.linear for patch in patches], [eye.linear({}) for eye in eyes]]
+        between = np.zeros(3)
+        for side in sides:
+            if len(side) > 1:
+                means = lab_of(np.array([one.mean(axis=0) for one in side]))
+                between = np.maximum(between, means.std(axis=0, ddof=1))
+        of_mean = np.sqrt(FLOOR**2 + between**2 * sum(1.0 / len(side) for side in sides))
+        return np.concatenate([of_mean, FLOOR + SPREAD * target[3:]])
