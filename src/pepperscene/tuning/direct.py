@@ -17,12 +17,11 @@ from pepperscene.tuning.instrument import Instrument, read_reflectance
 if TYPE_CHECKING:
     from pepperscene.colour import MeasuredSpectrum
     from pepperscene.cultivar import Cultivar, PigmentPath
-    from pepperscene.tuning.parameter import Parameter
+    from pepperscene.tuning.model import Entry
+    from pepperscene.tuning.pathways import Tuned
 
 Array = NDArray[np.float64]
 Values = Mapping[str, Array]
-Pathways = Callable[[Values], Mapping[str, "PigmentPath"]]
-"""The pigment paths of the surfaces that a fit changes, at a fit's values."""
 
 RANGE_NM: Final = (400.0, 730.0)
 """Where spectra are compared: PROSPECT's pigments are known from 400 nm on, and beyond 730 nm, where the
@@ -34,7 +33,7 @@ a layer on flesh that was fitted to the measured green pepper, .011 the median o
 shipped leaves (Vrhel et al. 1994). An instrument's noise is small beside it."""
 CORRELATION_NM: Final = 30.0
 """How far apart the model's errors are independent: the integral of the autocorrelation of what those fits
-leave over, up to its first zero, is 28 nm in the median. A spectrum that is sampled more finely says no more."""
+leave over, up to its first zero, is 28 nm in the median. Sampling a spectrum more finely says no more."""
 
 FORMS: Final[Mapping[OrganClass, str]] = {
     OrganClass.LEAF: "blade",
@@ -114,8 +113,7 @@ class DirectModel:
         shown: what each of them shows.
         wavelength_nm: `(n,)` of each, its own within `RANGE_NM`.
         cultivar: whose paths hold for the surfaces that the fit does not change.
-        parameters: of the fit, in order; their entries are the columns of the Jacobian.
-        pathways: gives the paths at values.
+        tuned: the recipe's parts at some values, of which the pigment paths are used.
         instrument: that read the spectra.
     """
 
@@ -123,8 +121,7 @@ class DirectModel:
     shown: tuple[Shown, ...]
     wavelength_nm: tuple[Array, ...]
     cultivar: Cultivar
-    parameters: tuple[Parameter, ...]
-    pathways: Pathways
+    tuned: Callable[[Values], Tuned]
     instrument: Instrument = "8/d"
 
     @classmethod
@@ -132,8 +129,7 @@ class DirectModel:
         cls,
         spectra: Sequence[MeasuredSpectrum],
         cultivar: Cultivar,
-        parameters: Sequence[Parameter],
-        pathways: Pathways,
+        tuned: Callable[[Values], Tuned],
         instrument: Instrument = "8/d",
     ) -> Self:
         """The model of these spectra.
@@ -152,9 +148,7 @@ class DirectModel:
                 raise InputError(f"spectrum {one.name}", "wavelength_nm", None, where)
             wavelengths.append(inside)
         seen = tuple(shown(cultivar, one.kind) for one in spectra)
-        return cls(
-            tuple(spectra), seen, tuple(wavelengths), cultivar, tuple(parameters), pathways, instrument
-        )
+        return cls(tuple(spectra), seen, tuple(wavelengths), cultivar, tuned, instrument)
 
     @property
     def measured(self) -> Array:
@@ -184,23 +178,20 @@ class DirectModel:
 
     def predicted(self, values: Values) -> Array:
         """`(m,)` reflectances that the instrument would read at these values."""
-        return self._of_paths(self.pathways(values))
+        return self._of_paths(self.tuned(values).pigments)
 
     def residuals(self, values: Values) -> Array:
         """`(m,)` predicted less measured, in standard deviations."""
         return (self.predicted(values) - self.measured) / self.sd
 
-    def jacobian(self, values: Values) -> Array:
-        """`(m, p)` derivatives of `residuals` with respect to every entry of the parameters, in their order.
+    def jacobian(self, values: Values, entries: Sequence[Entry]) -> Array:
+        """`(m, p)` derivatives of `residuals` with respect to entries of the fit's parameters.
 
         Finite differences of fourth order (five points), all of them within the entry's bounds: central, or
         to one side near a bound. The chain is smooth, so that they err by 1e-9 of the slope.
         """
-        columns = []
-        for parameter in self.parameters:
-            for k in range(parameter.default.size):
-                columns.append(self._slope(values, parameter, k) / self.sd)
-        return np.stack(columns, axis=1) if columns else np.empty((self.sd.size, 0))
+        slopes = [self._slope(values, entry) / self.sd for entry in entries]
+        return np.stack(slopes, axis=1) if slopes else np.empty((self.sd.size, 0))
 
     def rmse(self, values: Values) -> float:
         """Root mean square difference of all wavelengths, in reflectance."""
@@ -218,20 +209,17 @@ class DirectModel:
             found.append(read_reflectance(path, nm, seen.state, thin=seen.thin, instrument=self.instrument))
         return np.concatenate(found)
 
-    def _slope(self, values: Values, parameter: Parameter, k: int) -> Array:
+    def _slope(self, values: Values, entry: Entry) -> Array:
         """`(m,)` derivative of `predicted` with respect to one entry."""
-        law, here = parameter.prior[k], float(values[parameter.name][k])
-        step = STEP * (law.sd or law.high - law.low)
+        parameter, law = entry.parameter, entry.parameter.prior[entry.place]
+        here = float(values.get(parameter.name, parameter.default)[entry.place])
+        step, slope = STEP * law.sd, np.zeros(self.sd.size)
         # Light and camera do not change a reflectance, and what may not move has no slope.
-        if step == 0.0 or parameter.group not in ("pigments", "cuticle"):
-            return np.zeros(self.sd.size)
-        offsets, weights = _stencil(here - law.low, law.high - here, step)
-        slope = np.zeros(self.sd.size)
-        for offset, weight in zip(offsets, weights, strict=True):
-            moved = np.array(values[parameter.name], dtype=float)
-            moved[k] = here + offset * step
-            slope += weight * self.predicted({**values, parameter.name: moved})
-        return slope / step
+        if step > 0.0 and parameter.group in ("pigments", "cuticle"):
+            offsets, weights = _stencil(here - law.low, law.high - here, step)
+            for offset, weight in zip(offsets, weights, strict=True):
+                slope += weight / step * self.predicted(entry.moved(values, offset * step))
+        return slope
 
 
 def _stencil(below: float, above: float, step: float) -> tuple[Array, Array]:
