@@ -125,6 +125,11 @@ class Eye:
                 slope[:] = np.subtract(*here) / (2.0 * step)
         return found, slopes
 
+    @property
+    def nodes_nm(self) -> Array:
+        """`(m,)` where the renderer takes factors of the flash's spectrum."""
+        return self._renderer.flash_nodes_nm
+
     @cached_property
     def _renderer(self) -> DifferentiableRenderer:
         return DifferentiableRenderer(
@@ -136,7 +141,9 @@ class Eye:
         found = {}
         for surface, path in made.pigments.items():
             found |= path_values(surface, path)
-        found |= {"flash.power": np.array(made.flash_power), "flash.spectrum": made.flash_spectrum}
+        if made.flash_spectrum.size:
+            found |= {"flash.spectrum": made.flash_spectrum}
+        found |= {"flash.power": np.array(made.flash_power)}
         return {name: np.asarray(found[name]) for name in self._renderer.parameters if name in found}
 
     def _electrons(self, made: Tuned) -> Array:

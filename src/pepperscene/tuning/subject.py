@@ -74,7 +74,7 @@ class Subject:
             raise InputError(
                 recipe.name, "camera.sensor", recipe.camera.sensor, "must see colours to be tuned"
             )
-        self.cultivar = dense(self.stage.cultivar)
+        self.cultivar = dense(self.stage.cultivar, self.stage.cultivar.pigments)
 
     # --- parameters -------------------------------------------------------------------------------------
 
@@ -104,7 +104,12 @@ class Subject:
 
     def tuned(self, values: Values) -> Tuned:
         """The recipe's parts at some values."""
-        return tuned(self.cultivar, self.camera, values)
+        return tuned(self.cultivar, self.camera, values, self._nodes_nm)
+
+    @cached_property
+    def _nodes_nm(self) -> Array:
+        """Where the renderer takes factors of the flash's spectrum."""
+        return self.eyes[0].nodes_nm if self.eyes else np.zeros(0)
 
     # --- what is seen -----------------------------------------------------------------------------------
 

@@ -76,8 +76,8 @@ def undetermined(problem: Problem, vector: Array, known: Certainty) -> tuple[str
         label = entry.label
         if at_end:
             found.append(
-                f"{label} lies at an end of its bounds, {vector[i]:.4g}: the data ask for more than they allow, "
-                "or for something else"
+                f"{label} lies at an end of its bounds, {vector[i]:.4g}: the data ask for more than they "
+                "allow, or for something else"
             )
         elif known.gained[i] < LEAST_GAIN:
             found.append(_open(problem, known, i))

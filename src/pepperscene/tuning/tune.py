@@ -1,0 +1,170 @@
+"""Tuning from end to end: patches in, a tuned recipe out, held against the whole scene and against patches
+that the fit did not see.
+"""
+
+from __future__ import annotations
+
+import datetime
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.tuning.before_after import Frames
+from pepperscene.tuning.fit import STARTS, fitted
+from pepperscene.tuning.outcome import Fit
+from pepperscene.tuning.subject import Subject
+from pepperscene.tuning.whole import Likeness, Whole, likeness, rendered
+from pepperscene.tuning.written import write_tuned
+
+if TYPE_CHECKING:
+    from pepperscene.colour import PatchSet
+    from pepperscene.dataset import Recipe
+
+Array = NDArray[np.float64]
+
+ROUNDS: Final = 3
+_NEAR: Final = 0.5
+"""Chosen: CIELAB units by which what the whole scene adds may still change; less is not seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """Frames of the whole scene against the patches, by kind.
+
+    Attributes:
+        before, after: against the patches of the fit, at the recipe's values and at the tuned ones.
+        held_before, held_after: the same against those that the fit did not see.
+        frames: how many were rendered for each.
+        rounds: fits that were made, the later ones with what the scene adds to single organs.
+    """
+
+    before: Mapping[str, Likeness]
+    after: Mapping[str, Likeness]
+    held_before: Mapping[str, Likeness]
+    held_after: Mapping[str, Likeness]
+    frames: int
+    rounds: int
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """What `tune` did.
+
+    Attributes:
+        fit: what was found.
+        files: that were written, the recipe first.
+        verification: against the whole scene, or None.
+    """
+
+    fit: Fit
+    files: tuple[Path, ...]
+    verification: Verification | None
+
+
+def tune(
+    recipe: Recipe | str | Path,
+    patches: PatchSet | str | Path,
+    names: Sequence[str],
+    out: str | Path,
+    *,
+    bounds: str | Path | Mapping[str, Any] | None = None,
+    hold_out: Sequence[str] = (),
+    starts: int = STARTS,
+    seed: int = 0,
+    verify: int = 0,
+    quality: str = "draft",
+    when: datetime.date | None = None,
+    options: Mapping[str, Any] | None = None,
+    told: Callable[[str], None] | None = None,
+) -> Tuning:
+    """Fit parameters of a recipe to patches, and write the tuned recipe.
+
+    Args:
+        recipe: or the name of a shipped one, or a path.
+        patches: or what `open_patches` opens.
+        names: of the parameters (see `known_parameters`).
+        out: a new or an empty folder.
+        bounds: of parameters, over the shipped ones.
+        hold_out: pictures whose patches the fit does not see.
+        starts: at most.
+        seed: of organs, light, noise and starts.
+        verify: frames of the whole scene that are rendered before and after; 0 leaves the scene out. With
+            frames, the fit is made again with what the scene adds to single organs, until that stays.
+        quality: of those frames.
+        when: the date to write down; None for today.
+        options: to write down, ready for JSON.
+        told: is called with a line now and then.
+
+    Raises:
+        InputError: an argument or a file is not valid; nothing is written.
+        OutputError: the folder holds something, or cannot be written to.
+        SetupError: the machine cannot render; nothing is written.
+    """
+    from pepperscene.colour import PatchSet, open_patches
+    from pepperscene.dataset import Recipe, load_recipe
+
+    source = None if isinstance(recipe, Recipe) else recipe
+    shown = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
+    every = patches if isinstance(patches, PatchSet) else open_patches(patches)
+    seen, held = (every.without(hold_out), every.select(hold_out)) if hold_out else (every, None)
+    date = when or datetime.date.today()
+    subject = Subject(shown, seen, bounds=bounds, seed=seed)
+    subject.parameters(names)
+
+    def write(fit: Fit, folder: str | Path, frames: Frames | None) -> tuple[Path, ...]:
+        return write_tuned(
+            shown,
+            fit,
+            folder,
+            patches=seen,
+            when=date,
+            extends=source,
+            nodes_nm=fit.tuned.flash_nodes_nm,
+            options=options,
+            frames=frames,
+        )
+
+    fit = fitted(subject, subject.problem(names), starts=starts, seed=seed, told=told)
+    if not verify:
+        return Tuning(fit, write(fit, out, None), None)
+
+    # The whole scene tells what neighbours add to an organ's colour; with that the fit is made again.
+    before = rendered(shown, verify, quality)
+    offsets: dict[str, Array] = {}
+    for round_ in range(1, ROUNDS + 1):
+        with tempfile.TemporaryDirectory(prefix="pepperscene-") as folder:
+            after = rendered(load_recipe(write(fit, folder, None)[0]), verify, quality)
+        further = added(subject, fit, after)
+        moved = max((np.abs(further[kind] - offsets.get(kind, 0.0)).max() for kind in further), default=0.0)
+        if told is not None:
+            told(f"whole scene, round {round_}: it adds {moved:.1f} CIELAB units that were not known")
+        if moved < _NEAR or round_ == ROUNDS:
+            break
+        offsets = further
+        fit = fitted(subject, subject.problem(names, offsets), starts=1, seed=seed, told=told)
+    kinds = subject.kinds
+    nothing: Mapping[str, Likeness] = {}
+    verification = Verification(
+        likeness(before.patches, seen, kinds),
+        likeness(after.patches, seen, kinds),
+        nothing if held is None else likeness(before.patches, held, kinds),
+        nothing if held is None else likeness(after.patches, held, kinds),
+        verify,
+        round_,
+    )
+    return Tuning(fit, write(fit, out, Frames(before.picture, after.picture)), verification)
+
+
+def added(subject: Subject, fit: Fit, whole: Whole) -> dict[str, Array]:
+    """What the whole scene adds to the numbers of single organs `(6,)`, by kind."""
+    found = {}
+    for cell in subject.problem([one.name for one in fit.parameters]).cells:
+        seen = whole.numbers(cell.label)
+        if seen is not None:
+            found[cell.label] = seen - cell.predicted(fit.values)
+    return found
