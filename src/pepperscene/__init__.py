@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         look_at,
     )
     from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
+    from pepperscene.colour import PatchSet, open_patches
     from pepperscene.cultivar import Cultivar, interpolated, load_cultivar
     from pepperscene.dataset import (
         VOID,
@@ -77,6 +78,7 @@ _ROOMS = {
         "look_at",
     ),
     "classes": ("CLASS_COLOURS", "Instance", "OrganClass"),
+    "colour": ("PatchSet", "open_patches"),
     "cultivar": ("Cultivar", "interpolated", "load_cultivar"),
     "dataset": (
         "VOID", "Dataset", "GrownPlant", "ImageSet", "Labelled", "Recipe", "Stage", "Verdict", "build",
@@ -118,6 +120,7 @@ __all__ = [
     "Organ",
     "OrganClass",
     "OutputError",
+    "PatchSet",
     "PepperError",
     "Plant",
     "Recipe",
@@ -159,6 +162,7 @@ __all__ = [
     "mesh_plant",
     "open_dataset",
     "open_images",
+    "open_patches",
     "organ_surfaces",
     "partly_cloudy",
     "read_image",

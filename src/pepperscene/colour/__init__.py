@@ -1,5 +1,6 @@
 """The colour room: patches of measured colour, what they have in common, and how alike two sets are."""
 
+from pepperscene.colour.chart import Calibration, calibrate
 from pepperscene.colour.circle import (
     circular_emd,
     circular_mean,
@@ -7,19 +8,23 @@ from pepperscene.colour.circle import (
     circular_sd,
     resultant_length,
 )
+from pepperscene.colour.opening import open_patches
 from pepperscene.colour.patch import MeasuredSpectrum, Patch, PatchSet
 from pepperscene.colour.statistics import ColourStatistics, delta_e_2000, lab
 
 __all__ = [
+    "Calibration",
     "ColourStatistics",
     "MeasuredSpectrum",
     "Patch",
     "PatchSet",
+    "calibrate",
     "circular_emd",
     "circular_mean",
     "circular_median",
     "circular_sd",
     "delta_e_2000",
     "lab",
+    "open_patches",
     "resultant_length",
 ]
