@@ -1,0 +1,77 @@
+"""What the direct model takes a spectrophotometer to read is what the renderer's surfaces would show it."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scatterers import GRID_NM, SEEN_NM, Cases, plain
+
+from pepperscene.cultivar import load_cultivar
+from pepperscene.materials import organ_surfaces
+from pepperscene.materials.gloss import gloss_albedo
+from pepperscene.render.variant import kernel
+from pepperscene.tuning.instrument import gloss_along_normal, read_reflectance
+
+THIN = {"leaf": True, "fruit": False, "stem": False, "peduncle": False}
+STATES = (0.0, 0.5, 1.0)  # rows of every surface's table
+
+
+@cache
+def cases(cosine: float) -> Cases:
+    """These surfaces of the shipped cultivar without patterns, in these states, lit at this cosine."""
+    organs = organ_surfaces(load_cultivar("kaite"), GRID_NM)
+    return Cases.over([plain(organs[name]) for name in THIN], STATES, [cosine], seed=1)
+
+
+def scattered(of: Cases, towards: np.ndarray) -> np.ndarray:
+    """BRDF times cosine `(cases, directions, 4)` by the renderer's own code, of directions `(n, 3)`."""
+    mi, dr = kernel()
+    lane = dr.arange(mi.UInt32, len(of) * len(towards))
+    wo = np.tile(towards, (len(of), 1)).astype(np.float32)
+    value, _ = of.points(of.optics(), lane // len(towards)).eval_pdf(mi.Vector3f(*wo.T))
+    return np.asarray(value).reshape(4, len(of), len(towards)).transpose(1, 2, 0)
+
+
+def read(of: Cases, instrument: str) -> np.ndarray:
+    """`(cases, 4)` by the direct model."""
+    pigments = load_cultivar("kaite").pigments
+    names = [of.surfaces[k].name for k in of.surface]
+    found = [
+        read_reflectance(pigments[name], SEEN_NM, state, thin=THIN[name], instrument=instrument)
+        for name, state in zip(names, of.state, strict=True)
+    ]
+    return np.array(found)
+
+
+def test_at_45_0_it_reads_pi_times_the_renderers_brdf():
+    # The kernel takes the nearest nanometre and single precision, and interpolates the gloss' albedo.
+    of = cases(float(np.cos(np.radians(45.0))))
+    wanted = np.pi * scattered(of, np.array([[0.0, 0.0, 1.0]]))[:, 0]
+    assert read(of, "45/0") == pytest.approx(wanted, rel=2e-3, abs=2e-4)
+
+
+def test_a_sphere_gathers_what_the_renderers_surface_sends_out_less_its_gloss():
+    # All that is reflected from 8 degrees, by quadrature over the hemisphere, less the gloss' own albedo.
+    of = cases(float(np.cos(np.radians(8.0))))
+    place, weight = np.polynomial.legendre.leggauss(200)
+    polar, azimuth = (place + 1.0) * np.pi / 4.0, (np.arange(400) + 0.5) / 400 * 2.0 * np.pi
+    polar, azimuth = (axis.ravel() for axis in np.meshgrid(polar, azimuth, indexing="ij"))
+    towards = np.stack(
+        [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=1
+    )
+    share = np.repeat(weight * np.pi / 4.0, 400) * np.sin(polar) * 2.0 * np.pi / 400
+    sent = np.einsum("cnk,n->ck", scattered(of, towards), share)
+    gloss = [gloss_albedo(np.cos(np.radians(8.0)), of.surfaces[k].ior, a)[0] for k, a in
+             zip(of.surface, of.alpha(), strict=True)]  # fmt: skip
+    assert read(of, "8/d") == pytest.approx(sent - np.array(gloss)[:, None], abs=1e-3)
+
+
+@pytest.mark.parametrize(("ior", "alpha"), [(1.25, 0.5), (1.45, 0.1), (1.45, 0.02), (2.0, 1.0)])
+def test_the_gloss_along_the_normal_adds_up_to_its_albedo(ior, alpha):
+    # By reciprocity: light from all sides seen along the normal is light from there sent to all sides.
+    place, weight = np.polynomial.legendre.leggauss(4000)
+    cosine = (place + 1.0) / 2.0
+    total = np.pi * np.sum(weight * cosine * gloss_along_normal(cosine, ior, alpha))
+    assert total == pytest.approx(gloss_albedo(1.0, ior, alpha)[0], abs=1e-4)
