@@ -19,39 +19,38 @@ Array = NDArray[np.float64]
 MIDDLE_NM: Final = 550.0
 WARMTH_NM: Final = 150.0
 GREEN_NM: Final = 50.0
-"""Chosen: a warmth of 1 doubles to trebles the ends of the visible range against its middle, as between daylight
-and a warm lamp; the green is as wide as the rise or fall of an LED's phosphor."""
+"""Chosen: a warmth of 1 makes 700 nm e times as strong as the middle and 400 nm as weak; between black bodies
+of 6500 K and 3000 K lies a warmth of 1.4. The green is about as wide as a camera's green channel."""
 
 OFF_DIAGONAL: Final = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
 _COLOURS: Final = ("red", "green", "blue")
 _ENTRIES: Final = tuple(f"{_COLOURS[row]}_from_{_COLOURS[column]}" for row, column in OFF_DIAGONAL)
-_LEAST, _MOST = 0.01, 100.0  # of factors; chosen: seven stops to either side, gains of a file reach as far
+_FACTORS: Final = (0.01, 100.0)  # chosen: seven stops to either side, as gains of a recipe may reach
 
 
 def camera_side(camera: Camera) -> dict[str, Own]:
     """What can be fitted of the light and the camera: no flash's without one, no colours of a grey sensor."""
-    factor = {"low": _LEAST, "high": _MOST}
     found = []
     if camera.flash is not None:
         nodes = tuple(str(i + 1) for i in range(FLASH_WEIGHTS))
         found = [
-            Own("flash.power", "", "factor on the flash's light", "light", np.ones(1), **factor),
+            Own("flash.power", "", "factor on the flash's light", "light", np.ones(1), *_FACTORS),
             Own(
                 "flash.colour", "", "exponents of the flash's spectrum", "light", np.zeros(2), -5.0, 5.0,
                 labels=("warmth", "green"),
             ),
             Own(
                 "flash.spectrum", "", "factors on the flash's spectrum at even wavelengths", "light",
-                np.ones(FLASH_WEIGHTS), **factor, labels=nodes,
+                np.ones(FLASH_WEIGHTS), *_FACTORS, labels=nodes,
             ),
         ]  # fmt: skip
-    found.append(Own("exposure", "", "factor on the sensor's gain", "exposure", np.ones(1), **factor))
+    found.append(Own("exposure", "", "factor on the sensor's gain", "exposure", np.ones(1), *_FACTORS))
     if camera.sensor.channels > 1:
         _, matrix = _colour_steps(camera)
         own = np.array([matrix[at] for at in OFF_DIAGONAL])
         found += [
             Own(
-                "white_balance", "", "factors on the gains of red and blue", "camera", np.ones(2), **factor,
+                "white_balance", "", "factors on the gains of red and blue", "camera", np.ones(2), *_FACTORS,
                 labels=("red", "blue"),
             ),
             Own(

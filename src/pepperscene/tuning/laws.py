@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -29,7 +30,7 @@ class StateLaw:
     Attributes:
         mean: of the state over organs; kinds that plants grow count alike, however many a plant has.
         sd: of the same.
-        ripe: mean ripeness of ripe fruit, kinds alike; None where no fruit has this surface.
+        ripe: mean ripeness of ripe fruit, kinds alike; None where no fruit has this surface, or none ripens.
     """
 
     mean: float
@@ -51,8 +52,9 @@ def state_law(cultivar: Cultivar, surface: str) -> StateLaw | None:
     weights /= weights.sum()
     mean = float(weights @ means)
     sd = float(np.sqrt(weights @ (sds**2 + (means - mean) ** 2)))
-    ripe = [organ.ripe.mean for organ in _fruits(cultivar, surface)]
-    return StateLaw(mean, sd, float(np.mean(ripe)) if ripe else None)
+    fruits = _fruits(cultivar, surface)
+    ripe = float(np.mean([organ.ripe.mean for organ in fruits])) if fruits else 0.0
+    return StateLaw(mean, sd, ripe if ripe > 0.0 else None)
 
 
 def surfaces_of(cultivar: Cultivar) -> tuple[str, ...]:
@@ -79,11 +81,8 @@ def _parts(cultivar: Cultivar, kind: str, surface: str) -> list[Part]:
     if isinstance(organ, Fruit):
         turning = organ.breaker_fraction.mean
         ripe = max(organ.ripe_fraction.mean - 0.5 * turning, 0.0)
-        stages = (
-            (organ.unripe, max(1.0 - ripe - turning, 0.0)),
-            (organ.breaker, turning),
-            (organ.ripe, ripe),
-        )
+        unripe = max(1.0 - ripe - turning, 0.0)
+        stages = ((organ.unripe, unripe), (organ.breaker, turning), (organ.ripe, ripe))
         return [_moments(law, share) for law, share in stages]
     law = getattr(organ, "state", None)
     return [] if law is None else [_moments(law, 1.0)]
@@ -91,8 +90,12 @@ def _parts(cultivar: Cultivar, kind: str, surface: str) -> list[Part]:
 
 def _moments(law: Distribution, weight: float) -> Part:
     """Mean and standard deviation over all places along the stem."""
+    return weight, law.mean, _spread_along(law) if law.follows_height else law.sd
+
+
+@lru_cache(maxsize=256)
+def _spread_along(law: Distribution) -> float:
+    """Standard deviation over shares and places together; a fit asks for it again and again."""
     shares = (np.arange(_SHARES) + 0.5) / _SHARES
-    if not law.follows_height:
-        return weight, law.mean, law.sd
     places = (np.arange(_PLACES) + 0.5) / _PLACES
-    return weight, law.mean, float(law.quantiles(shares[:, None], places).std())
+    return float(law.quantiles(shares[:, None], places).std())

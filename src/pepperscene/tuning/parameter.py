@@ -78,14 +78,14 @@ def parameters_of(
     every = _everything(cultivar, camera)
     wanted = [_canonical(name.strip(), every) for name in names]
     if not wanted:
-        raise InputError(WHERE, "", None, f"needs at least one of {', '.join(every)}")
+        raise InputError(WHERE, "", None, f"needs at least one of {_listed(every)}")
     for i, name in enumerate(wanted):
         if name not in every:
             raise InputError(WHERE, "", None, _unknown(name, every, recipe, cultivar, camera))
         if name in wanted[:i]:
             raise InputError(WHERE, "", None, f"{name} is named twice")
     _check_overlap(wanted)
-    laws = priors([every[name] for name in wanted], tuple(every), bounds)
+    laws = priors([every[name] for name in wanted], every.values(), bounds)
     return tuple(
         Parameter(one.name, one.unit, one.meaning, one.labels, one.value.copy(), law, one.group)
         for one, law in zip((every[name] for name in wanted), laws, strict=True)
@@ -114,7 +114,7 @@ def _check_overlap(names: Iterable[str]) -> None:
 
 def _unknown(name: str, every: Mapping[str, Own], recipe: Recipe, cultivar: Cultivar, camera: Camera) -> str:
     """Why there is no such parameter, and what there is, the closest first."""
-    surface, _, what = name.rpartition(".")
+    surface = name.partition(".")[0]
     if surface == "flash" and camera.flash is None:
         why = f"{name} cannot be fitted, since {recipe.name} has no flash"
     elif name in ("white_balance", "colour_matrix"):
@@ -124,5 +124,28 @@ def _unknown(name: str, every: Mapping[str, Own], recipe: Recipe, cultivar: Cult
     else:
         why = f"there is no parameter {name!r}"
     close = get_close_matches(name, every, n=3, cutoff=0.5)
-    others = [one for one in every if one not in close]
-    return f"{why}; there are {', '.join([*close, *others])}"
+    closest = f"closest are {', '.join(close)}; " if close else ""
+    return f"{why}; {closest}there are {_listed(every)}"
+
+
+def _listed(every: Mapping[str, Own]) -> str:
+    """All names in few words: {leaf,stem}.{ior,roughness} are four."""
+    surfaces: dict[str, list[str]] = {}
+    for own in every.values():
+        if own.group in ("pigments", "cuticle"):
+            surface, _, what = own.name.rpartition(".")
+            surfaces.setdefault(what, []).append(surface.partition(".")[0])
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for what, names in surfaces.items():
+        alike.setdefault(tuple(dict.fromkeys(names)), []).append(what)
+    found = []
+    for shared, whats in alike.items():
+        found.append(f"{_braced(shared)}.{_braced(whats)}")
+        contents = [what for what in whats if what in NAMES]
+        found += [f"{_braced(shared)}.{_braced(ENDS)}.{_braced(contents)}"] * bool(contents)
+    return ", ".join(found + [own.name for own in every.values() if own.group not in ("pigments", "cuticle")])
+
+
+def _braced(names: Iterable[str]) -> str:
+    words = list(names)
+    return words[0] if len(words) == 1 else f"{{{','.join(words)}}}"

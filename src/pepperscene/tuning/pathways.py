@@ -86,14 +86,14 @@ def tuned(
 
 
 def dense(cultivar: Cultivar, surfaces: Iterable[str]) -> Cultivar:
-    """The same cultivar with more knots on the paths of some surfaces, and the same contents at every state."""
+    """The same cultivar with more knots on the paths of some surfaces, and the same contents everywhere."""
     paths = {name: dense_path(cultivar.pigments[name]) for name in surfaces}
     return cultivar.model_copy(update={"pigments": {**cultivar.pigments, **paths}})
 
 
 def dense_path(path: PigmentPath) -> PigmentPath:
     """The same path with its own knots and further ones in between, at most `NEAREST` from even steps."""
-    own = {state: pigments for state, pigments in path.knots}
+    own = dict(path.knots)
     known = np.array(list(own))
     even = np.arange(1, STEPS) / STEPS
     further = [float(state) for state in even if np.abs(known - state).min() > NEAREST]
@@ -103,9 +103,8 @@ def dense_path(path: PigmentPath) -> PigmentPath:
         state: Pigments(**{what: float(contents[what][i]) for what in fields})
         for i, state in enumerate(further)
     }
-    between = tuple(
-        sorted(((s, p) for s, p in {**own, **more}.items() if 0.0 < s < 1.0), key=lambda at: at[0])
-    )
+    every = own | more
+    between = tuple((state, every[state]) for state in sorted(every) if 0.0 < state < 1.0)
     return path.model_copy(update={"path": between})
 
 

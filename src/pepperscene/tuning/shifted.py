@@ -26,29 +26,32 @@ def shifted(states: Array, contents: Array, moved: Array) -> Array:
 
     Args:
         states: `(k,)` of the knots, from 0 to 1.
-        contents: `(k,)` at the knots, at least 0; beyond the ends those of the ends hold.
-        moved: `(k,)` where each knot takes its content from.
+        contents: `(k, c)` at the knots, at least 0; beyond the ends those of the ends hold.
+        moved: `(k,)` where each knot takes its contents from.
     """
     smooth = _averaged(states, contents, states)
     # A ratio, since a difference could lead below 0 where the path comes down to it.
     ratio = np.divide(contents, smooth, out=np.ones_like(smooth), where=smooth > 0.0)
     off = np.clip((moved - states) / REACH, -1.0, 1.0)
     kept = (1.0 - off**2) ** 2
-    return np.asarray(_averaged(states, contents, moved) * (1.0 + kept * (ratio - 1.0)))
+    return np.asarray(_averaged(states, contents, moved) * (1.0 + kept[:, None] * (ratio - 1.0)))
 
 
 def _averaged(states: Array, contents: Array, at: Array) -> Array:
-    """The path's means over intervals of twice `REACH` about states."""
+    """`(n, c)` the path's means over intervals of twice `REACH` about states `(n,)`."""
     above, below = (_integral(states, contents, at + side * REACH) for side in (1.0, -1.0))
     return np.maximum((above - below) / (2.0 * REACH), 0.0)  # rounding
 
 
 def _integral(states: Array, contents: Array, to: Array) -> Array:
-    """Of the path from state 0 on, with its ends held beyond."""
-    slopes = np.diff(contents) / np.diff(states)
-    sums = np.concatenate(([0.0], np.cumsum(0.5 * (contents[1:] + contents[:-1]) * np.diff(states))))
+    """`(n, c)` of the path from state 0 on, with its ends held beyond."""
+    steps = np.diff(states)[:, None]
+    slopes = np.diff(contents, axis=0) / steps
+    parts = 0.5 * (contents[1:] + contents[:-1]) * steps
+    sums = np.concatenate([np.zeros((1, contents.shape[1])), np.cumsum(parts, axis=0)])
     inside = np.clip(to, 0.0, 1.0)
     knot = np.clip(np.searchsorted(states, inside, side="right") - 1, 0, len(slopes) - 1)
-    step = inside - states[knot]
+    step = (inside - states[knot])[:, None]
     within = sums[knot] + step * (contents[knot] + 0.5 * slopes[knot] * step)
-    return np.asarray(within + contents[0] * np.minimum(to, 0.0) + contents[-1] * np.maximum(to - 1.0, 0.0))
+    before, behind = np.minimum(to, 0.0)[:, None], np.maximum(to - 1.0, 0.0)[:, None]
+    return np.asarray(within + contents[0] * before + contents[-1] * behind)

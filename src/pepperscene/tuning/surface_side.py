@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.cultivar import PigmentPath, Pigments
 from pepperscene.render.bodies import CONTENTS, RANGES
 from pepperscene.tuning.laws import StateLaw, state_law, surfaces_of
-from pepperscene.tuning.own import Own
+from pepperscene.tuning.own import Group, Own
 from pepperscene.tuning.shifted import shifted
 
 if TYPE_CHECKING:
@@ -41,47 +41,33 @@ def surface_side(cultivar: Cultivar) -> dict[str, Own]:
 
 
 def _of_surface(cultivar: Cultivar, surface: str) -> list[Own]:
-    path, found = cultivar.pigments[surface], []
-    for name, (field, unit) in NAMES.items():
-        low, high = RANGES[field]
-        values = np.array([getattr(pigments, field) for _, pigments in path.knots])
-        limits = {"low": low, "high": high, "floor": low}
-        places = {"": values.max()} | {f"{end}.": values[at] for end, at in ENDS.items()}
-        words = ("largest along the path", "at state 0", "at state 1")
-        found += [
-            Own(f"{surface}.{end}{name}", unit, f"{name}, {place}", "pigments", np.array([value]), **limits)
-            for (end, value), place in zip(places.items(), words, strict=True)
-        ]
-    law = state_law(cultivar, surface)
-    if law is not None and law.ripe is not None and law.ripe > 0.0:
-        ripe = np.array([law.ripe])
-        found.append(
-            Own(f"{surface}.ripeness", "", "mean ripeness of ripe fruit", "pigments", ripe, 0.0, 1.0)
-        )
+    path, law, found = cultivar.pigments[surface], state_law(cultivar, surface), []
+
+    def add(what: str, meaning: str, value: float, low: float, high: float, floor: float = 0.0) -> None:
+        unit = NAMES[what.rpartition(".")[2]][1] if what.rpartition(".")[2] in NAMES else ""
+        group: Group = "cuticle" if what in ("ior", "roughness") else "pigments"
+        value_of = np.array([value], float)
+        found.append(Own(f"{surface}.{what}", unit, meaning, group, value_of, low, high, floor))
+
+    for name, (field, _) in NAMES.items():
+        (low, high), values = RANGES[field], [getattr(pigments, field) for _, pigments in path.knots]
+        add(name, f"{name}, largest along the path", max(values), low, high, low)
+        for end, at in ENDS.items():
+            add(f"{end}.{name}", f"{name} at the {end} end of the path", values[at], low, high, low)
+    if law is not None and law.ripe is not None:
+        add("ripeness", "mean ripeness of ripe fruit", law.ripe, 0.0, 1.0)
     elif law is not None:
-        mean = np.array([law.mean])
-        found.append(Own(f"{surface}.state", "", "mean state of the organs", "pigments", mean, 0.0, 1.0))
+        add("state", "mean state of the organs", law.mean, 0.0, 1.0)
     if law is not None and law.sd > 0.0:
-        sd = np.array([law.sd])
-        found.append(Own(f"{surface}.spread", "", "sd of the organs' states", "pigments", sd, 0.0, 1.0))
+        add("spread", "standard deviation of the organs' states", law.sd, 0.0, 1.0)
     if path.flesh_reflectance is not None:
-        flesh = np.array([path.flesh_reflectance])
-        high = RANGES["flesh_reflectance"][1]
-        found.append(Own(f"{surface}.flesh", "", "reflectance of the flesh", "pigments", flesh, 0.0, high))
-    front, back = path.roughness
-    least, most = RANGES["roughness"]
-    return [
-        *found,
-        Own(
-            f"{surface}.ior", "", "refractive index of the cuticle", "cuticle", np.array([path.ior]),
-            *RANGES["ior"], floor=1.0,
-        ),
-        # The back scales alike and has to stay within its range as well.
-        Own(
-            f"{surface}.roughness", "", "GGX alpha of the cuticle's front", "cuticle", np.array([front]),
-            least * max(1.0, front / back), most * min(1.0, front / back),
-        ),
-    ]  # fmt: skip
+        add("flesh", "reflectance of the flesh", path.flesh_reflectance, *RANGES["flesh_reflectance"])
+    add("ior", "refractive index of the cuticle", path.ior, *RANGES["ior"], floor=1.0)
+    # The back scales alike and has to stay within its range as well.
+    (front, back), (least, most) = path.roughness, RANGES["roughness"]
+    least, most = least * max(1.0, front / back), most * min(1.0, front / back)
+    add("roughness", "GGX alpha of the cuticle's front", front, least, most)
+    return found
 
 
 def path_at(surface: str, path: PigmentPath, law: StateLaw | None, values: Values) -> PigmentPath:
@@ -104,14 +90,16 @@ def path_at(surface: str, path: PigmentPath, law: StateLaw | None, values: Value
 
     moved = _moved(given, states, law)
     if moved is not None:
-        for field in CONTENTS:
-            floor = RANGES[field][0]
-            table[field] = floor + shifted(states, table[field] - floor, moved)
+        floors = np.array([RANGES[field][0] for field in CONTENTS])
+        above = np.stack([table[field] for field in CONTENTS], axis=1) - floors
+        table = dict(zip(CONTENTS, (floors + shifted(states, above, moved)).T, strict=True))
 
+    table = {what: np.clip(content, *RANGES[what]) for what, content in table.items()}
     knots = [Pigments(**{what: float(table[what][i]) for what in CONTENTS}) for i in range(len(states))]
     between = tuple(zip(states[1:-1].tolist(), knots[1:-1], strict=True))
-    changes = {"start": knots[0], "end": knots[-1], "path": between, **_cuticle(given, path)}
-    return PigmentPath(**{name: changes.get(name, getattr(path, name)) for name in PigmentPath.model_fields})
+    changes: dict[str, Any] = {"start": knots[0], "end": knots[-1], "path": between}
+    fields = {name: getattr(path, name) for name in PigmentPath.model_fields}
+    return PigmentPath(**fields | changes | _cuticle(given, path))
 
 
 def _content(
@@ -133,7 +121,7 @@ def _content(
 
 
 def _fading(states: Array, own: Array, at: int) -> Array:
-    """`(k,)` shares of a change at one end: linearly to none at the other, less where there is less to change.
+    """`(k,)` shares of a change at one end: linear to none at the other, less where there is less to change.
 
     So both ends can be taken down to nothing, and nowhere is less than nothing left.
     """
@@ -152,15 +140,15 @@ def _moved(given: Mapping[str, Array], states: Array, law: StateLaw | None) -> A
     return (float(given["state"][0]) if "state" in given else law.mean) + off
 
 
-def _cuticle(given: Mapping[str, Array], path: PigmentPath) -> dict[str, object]:
-    """What changes of flesh and cuticle."""
-    found: dict[str, object] = {}
+def _cuticle(given: Mapping[str, Array], path: PigmentPath) -> dict[str, Any]:
+    """What changes of flesh and cuticle; a step of a difference may lead out of what is possible."""
+    found: dict[str, Any] = {}
     if "flesh" in given:
-        found["flesh_reflectance"] = float(given["flesh"][0])
+        found["flesh_reflectance"] = float(np.clip(given["flesh"][0], *RANGES["flesh_reflectance"]))
     if "ior" in given:
-        found["ior"] = float(given["ior"][0])
+        found["ior"] = float(np.clip(given["ior"][0], *RANGES["ior"]))
     if "roughness" in given:
-        front, back = path.roughness
-        wanted = float(given["roughness"][0])
-        found["roughness"] = (wanted, wanted * back / front)
+        alphas = np.array(path.roughness)
+        front, back = np.clip(given["roughness"][0] / alphas[0] * alphas, *RANGES["roughness"])
+        found["roughness"] = (float(front), float(back))
     return found
