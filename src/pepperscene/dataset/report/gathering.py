@@ -35,7 +35,7 @@ def gathered(images: ImageSet, sample: int, told: Told | None = None) -> Statist
     """
     places = spread(len(images), sample)
     statistics = Statistics()
-    for picture in _ahead(images.select("colour", "classes"), places):
+    for picture in ahead(images.select("colour", "classes"), places):
         statistics.add(picture.colour, picture.classes)
         if told is not None:
             told(statistics.pictures, len(places))
@@ -48,7 +48,7 @@ def distance_range(images: ImageSet, places: Sequence[int]) -> tuple[float, floa
     One range for all pictures, so that they can be compared.
     """
     samples = []
-    for picture in _ahead(images.select("distance_m"), places):
+    for picture in ahead(images.select("distance_m"), places):
         if picture.distance_m is not None:
             distance = picture.distance_m[::8, ::8]
             samples.append(distance[np.isfinite(distance)])
@@ -59,7 +59,7 @@ def distance_range(images: ImageSet, places: Sequence[int]) -> tuple[float, floa
     return float(near), float(max(far, near + 0.01))
 
 
-def _ahead(images: ImageSet, places: Sequence[int]) -> Iterator[Labelled]:
+def ahead(images: ImageSet, places: Sequence[int]) -> Iterator[Labelled]:
     """The pictures at these places, in order; few are in memory at a time."""
     with ThreadPoolExecutor(_WORKERS) as pool:
         waiting: deque[Future[Labelled]] = deque()
