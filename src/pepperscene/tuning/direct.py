@@ -170,6 +170,13 @@ class DirectModel:
         return np.concatenate(found)
 
     @property
+    def independent(self) -> float:
+        """How many independent data the `(m,)` residuals are worth: what their squares add up to if the model
+        errs as it is expected to.
+        """
+        return float(((MODEL_ERROR / self.sd) ** 2).sum())
+
+    @property
     def parts(self) -> Mapping[str, slice]:
         """Which of the `(m,)` belong to which spectrum, by name."""
         ends = np.cumsum([0, *(nm.size for nm in self.wavelength_nm)]).tolist()
@@ -188,7 +195,8 @@ class DirectModel:
         """`(m, p)` derivatives of `residuals` with respect to entries of the fit's parameters.
 
         Finite differences of fourth order (five points), all of them within the entry's bounds: central, or
-        to one side near a bound. The chain is smooth, so that they err by 1e-9 of the slope.
+        to one side near a bound. The chain is smooth, so that they err by 1e-9 of the slope; by 2e-3 for
+        `roughness`, because the gloss' albedo is a quadrature with that much grain in its slope.
         """
         slopes = [self._slope(values, entry) / self.sd for entry in entries]
         return np.stack(slopes, axis=1) if slopes else np.empty((self.sd.size, 0))
