@@ -7,7 +7,7 @@ from __future__ import annotations
 import datetime
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -80,6 +80,7 @@ def tune(
     quality: str = "draft",
     when: datetime.date | None = None,
     options: Mapping[str, Any] | None = None,
+    extends: str | Path | None = None,
     told: Callable[[str], None] | None = None,
 ) -> Tuning:
     """Fit parameters of a recipe to patches, and write the tuned recipe.
@@ -98,6 +99,8 @@ def tune(
         quality: of those frames.
         when: the date to write down; None for today.
         options: to write down, ready for JSON.
+        extends: file that a `Recipe` was read from, which the written one extends; a name or a path is its
+            own.
         told: is called with a line now and then.
 
     Raises:
@@ -108,7 +111,7 @@ def tune(
     from pepperscene.colour import PatchSet, open_patches
     from pepperscene.dataset import Recipe, load_recipe
 
-    source = None if isinstance(recipe, Recipe) else recipe
+    source = extends if isinstance(recipe, Recipe) else recipe
     shown = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
     every = patches if isinstance(patches, PatchSet) else open_patches(patches)
     seen, held = (every.without(hold_out), every.select(hold_out)) if hold_out else (every, None)
@@ -116,7 +119,9 @@ def tune(
     subject = Subject(shown, seen, bounds=bounds, seed=seed)
     subject.parameters(names)
 
-    def write(fit: Fit, folder: str | Path, frames: Frames | None) -> tuple[Path, ...]:
+    def write(
+        fit: Fit, folder: str | Path, frames: Frames | None, verification: Verification | None = None
+    ) -> tuple[Path, ...]:
         return write_tuned(
             shown,
             fit,
@@ -124,9 +129,9 @@ def tune(
             patches=seen,
             when=date,
             extends=source,
-            nodes_nm=fit.tuned.flash_nodes_nm,
             options=options,
             frames=frames,
+            verification=None if verification is None else asdict(verification),
         )
 
     fit = fitted(subject, subject.problem(names), starts=starts, seed=seed, told=told)
@@ -157,7 +162,7 @@ def tune(
         verify,
         round_,
     )
-    return Tuning(fit, write(fit, out, Frames(before.picture, after.picture)), verification)
+    return Tuning(fit, write(fit, out, Frames(before.picture, after.picture), verification), verification)
 
 
 def added(subject: Subject, fit: Fit, whole: Whole) -> dict[str, Array]:
