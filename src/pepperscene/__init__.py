@@ -28,7 +28,7 @@ if TYPE_CHECKING:
         look_at,
     )
     from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
-    from pepperscene.colour import PatchSet, open_patches
+    from pepperscene.colour import Comparison, PatchSet, compare, open_patches
     from pepperscene.cultivar import Cultivar, interpolated, load_cultivar
     from pepperscene.dataset import (
         VOID,
@@ -78,7 +78,7 @@ _ROOMS = {
         "look_at",
     ),
     "classes": ("CLASS_COLOURS", "Instance", "OrganClass"),
-    "colour": ("PatchSet", "open_patches"),
+    "colour": ("Comparison", "PatchSet", "compare", "open_patches"),
     "cultivar": ("Cultivar", "interpolated", "load_cultivar"),
     "dataset": (
         "VOID", "Dataset", "GrownPlant", "ImageSet", "Labelled", "Recipe", "Stage", "Verdict", "build",
@@ -106,6 +106,7 @@ __all__ = [
     "OUTPUTS",
     "VOID",
     "Camera",
+    "Comparison",
     "Contacts",
     "Cultivar",
     "Dataset",
@@ -141,6 +142,7 @@ __all__ = [
     "check",
     "class_colour",
     "class_from_colour",
+    "compare",
     "concatenate",
     "distance_code",
     "distance_from_code",

@@ -4,7 +4,9 @@ Exit codes: 0 done, 1 a data set has faults, 2 something that the user can mend 
 interrupted.
 """
 
-from pepperscene.cli import building, checking, exporting, machine, plants, reporting
+from pepperscene.cli import building, checking, comparing, exporting, machine, plants, reporting
 from pepperscene.cli.application import app, main
 
-__all__ = ["app", "building", "checking", "exporting", "machine", "main", "plants", "reporting"]
+__all__ = [
+    "app", "building", "checking", "comparing", "exporting", "machine", "main", "plants", "reporting",
+]  # fmt: skip

@@ -43,7 +43,7 @@ def report(
     for name, value in (("labels", labels), ("half", half)):
         if beside is None and value is not None:
             raise InputError(f"--{name}", "", None, "goes only with --beside")
-    done = write_report(folder, limit, other, sample=sample, told=_progress)
+    done = write_report(folder, limit, other, sample=sample, told=measuring)
     typer.echo(
         f"{done.shown} of {done.frames} frames shown, {done.measured} measured:\n"
         f"  {done.sheet}\n  {done.page}"
@@ -56,6 +56,7 @@ def _opened(folder: Path, labels: str | None, half: str | None) -> ImageSet:
     return open_images(folder, labels=labels, half=half)
 
 
-def _progress(done: int, of: int) -> None:
+def measuring(done: int, of: int) -> None:
+    """A line now and then about how many pictures are measured."""
     if of > _TOLD_EVERY and (done % _TOLD_EVERY == 0 or done == of):
         told(f"{done:,} of {of:,} pictures measured")

@@ -8,6 +8,9 @@ from pepperscene.colour.circle import (
     circular_sd,
     resultant_length,
 )
+from pepperscene.colour.comparing import compare
+from pepperscene.colour.comparison import Comparison, KindComparison
+from pepperscene.colour.measure import Measure
 from pepperscene.colour.opening import open_patches
 from pepperscene.colour.patch import MeasuredSpectrum, Patch, PatchSet
 from pepperscene.colour.statistics import ColourStatistics, delta_e_2000, lab
@@ -15,6 +18,9 @@ from pepperscene.colour.statistics import ColourStatistics, delta_e_2000, lab
 __all__ = [
     "Calibration",
     "ColourStatistics",
+    "Comparison",
+    "KindComparison",
+    "Measure",
     "MeasuredSpectrum",
     "Patch",
     "PatchSet",
@@ -23,6 +29,7 @@ __all__ = [
     "circular_mean",
     "circular_median",
     "circular_sd",
+    "compare",
     "delta_e_2000",
     "lab",
     "open_patches",

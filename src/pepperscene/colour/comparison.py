@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from pepperscene.colour.measure import Measure
 from pepperscene.colour.measuring import Measured
 from pepperscene.colour.resampling import LEVEL, REPLICATES
+
+if TYPE_CHECKING:
+    from pepperscene.colour.table import Table
 
 FORMAT: Final = "pepperscene compare 1"
 
@@ -128,11 +131,17 @@ class Comparison:
             "light": as_json(self.light),
         }
 
-    def table(self) -> str:
-        """Everything as lines of text."""
-        from pepperscene.colour.table import plain, tables
+    def tables(self) -> tuple[Table, ...]:
+        """Everything as tables for people."""
+        from pepperscene.colour.table import tables
 
-        return plain(tables(self))
+        return tables(self)
+
+    def table(self) -> str:
+        """The tables as lines of text."""
+        from pepperscene.colour.table import plain
+
+        return plain(self.tables())
 
     def figure(self) -> str:
         """Figs. 10 to 13 of the paper with both sets in one picture, as SVG."""

@@ -77,8 +77,13 @@ def _parts(found: Comparison) -> Iterator[tuple[str, str, float]]:
         yield ("Fig. 10: share of each class in all pixels", *_shares(found))
         yield ("Fig. 11: where each class lies (its mean mask over the greatest value)", *_places(found))
     yield ("Fig. 12: hues of each kind, in the middle of the pictures", *_hues(found))
-    if found.one.light.count or found.other.light.count:
-        yield ("Fig. 13: mean intensity over all pictures", *_light(found))
+    means = [side.statistics.mean_intensity() for side in (found.one, found.other)]
+    if any(mean is not None for mean in means):
+        # All are brightened alike, as far as none is cut off, as the paper does.
+        brightest = max(float(np.percentile(mean, 99.5)) for mean in means if mean is not None)
+        factor = max(1.0, float(np.floor(10.0 * 255.0 / max(1.0, brightest)) / 10.0))
+        shown = f", shown {factor:g} times as bright" if factor > 1.0 else ""
+        yield (f"Fig. 13: mean intensity over all pictures{shown}", *_light(found, factor))
 
 
 def _heading(found: Comparison) -> str:
@@ -142,12 +147,13 @@ def _places(found: Comparison) -> tuple[str, float]:
         maps = []
         for place, mask in enumerate(masks):
             some = None if mask is None else mask[organ_class]
-            maps.append(_map(found.names[place], some, place * (_CHART[0] - _MAP), tallest))
+            why = (kind.one, kind.other)[place].share.why or "not seen"
+            maps.append(_map(found.names[place], some, place * (_CHART[0] - _MAP), tallest, why))
         r = kind.place_correlation
         told = "" if r.value is None else f"r = {cell(r)},  SSIM {cell(kind.place_ssim)}"
         cells.append(f'<text class="name" x="0" y="0">{escape(kind.kind)}</text>{"".join(maps)}'
                      f'<text x="0" y="{tallest + 44:g}">{told}</text>')  # fmt: skip
-    drawn, height = _in_rows(cells, tallest + 66)
+    drawn, height = _in_rows(cells, tallest + 76)
     ramp = "".join(
         f'<stop offset="{place / (len(VIRIDIS) - 1):g}" stop-color="{code}"/>'
         for place, code in enumerate(VIRIDIS)
@@ -161,13 +167,13 @@ def _places(found: Comparison) -> tuple[str, float]:
     return drawn + legend, height + 10
 
 
-def _map(name: str, mask: NDArray[np.float64] | None, left: float, tallest: float) -> str:
-    """One class in one set; its greatest value stands below."""
+def _map(name: str, mask: NDArray[np.float64] | None, left: float, tallest: float, why: str) -> str:
+    """One class in one set; its greatest value stands below, or the reason why there is none."""
     greatest = 0.0 if mask is None else float(mask.max())
     if mask is None or greatest == 0.0:
         return (
             f'<rect class="none" x="{left:g}" y="10" width="{_MAP}" height="{tallest:g}"/>'
-            f'<text class="mid" x="{left + _MAP / 2:g}" y="{10 + tallest / 2 + 4:g}">not seen</text>'
+            f'<text class="mid" x="{left + _MAP / 2:g}" y="{10 + tallest / 2 + 4:g}">{escape(_short(why, 20))}</text>'
         )
     height = _MAP * mask.shape[0] / mask.shape[1]
     address = drawing(share_colours(mask / greatest), _MAP_PX)
@@ -214,14 +220,11 @@ def _colours(kind: KindComparison) -> str:
     return f"ΔE2000 of the mean colours {cell(kind.delta_e_2000, 1)}"
 
 
-def _light(found: Comparison) -> tuple[str, float]:
-    """Both mean pictures, brightened alike as in the paper, and how they fall from the middle."""
+def _light(found: Comparison, factor: float) -> tuple[str, float]:
+    """Both mean pictures, `factor` times as bright, and how they fall from the middle."""
     sides = [(key, name, mean) for key, name, side in zip("ab", found.names, (found.one, found.other),
              strict=True) if (mean := side.statistics.mean_intensity()) is not None]  # fmt: skip
-    factor = 255.0 / max(1.0, max(float(np.percentile(mean, 99.5)) for _, _, mean in sides))
-    factor = max(1.0, np.floor(10.0 * factor) / 10.0)
     cells, tallest = [], max(_CHART[0] * mean.shape[0] / mean.shape[1] for _, _, mean in sides)
-    bright = f", shown {factor:g} times as bright" if factor > 1.0 else ""
     for _key, name, mean in sides:
         grey = np.rint(np.minimum(factor * mean, 255.0)).astype(np.uint8)
         measure = found.light.one if name == found.names[0] else found.light.other
@@ -230,14 +233,14 @@ def _light(found: Comparison) -> tuple[str, float]:
             f'<text class="name" x="0" y="0">{escape(name)}</text>'
             f'<image x="0" y="10" width="{_CHART[0]}" height="{height:.1f}" '
             f'href="{drawing(np.repeat(grey[..., None], 3, axis=-1), 2 * _MAP_PX)}"/>'
-            f'<text x="0" y="{tallest + 28:g}">mean {cell(measure, 1)} of 255{bright}</text>'
+            f'<text x="0" y="{tallest + 28:g}">mean {cell(measure, 1)} of 255</text>'
         )
     chart = line_chart("falloff", "Mean intensity by distance from the middle",
                        [_falloff(*side) for side in sides], _FALLOFF_AXIS, "grey value")  # fmt: skip
     light = found.light
     told = (
-        f"of the falls r = {cell(light.falloff_correlation)}",
-        f"of the pictures r = {cell(light.correlation)},  SSIM {cell(light.ssim)}",
+        f"correlation of the falls r = {cell(light.falloff_correlation)}",
+        f"of the mean pictures r = {cell(light.correlation)},  SSIM {cell(light.ssim)}",
     )
     lines = "" if light.correlation.value is None else "".join(
         f'<text x="0" y="{_CHART[1] + 26 + 17 * row}">{line}</text>' for row, line in enumerate(told)
