@@ -176,7 +176,7 @@ def away(name: str) -> tuple[tuple[Entry, ...], dict]:
 
 
 def tolerance(name: str) -> float:
-    """By how much two ways of taking a derivative may differ; a gloss' albedo is a quadrature, with a grain."""
+    """By how much two derivatives may differ; the albedo of a rough gloss is a quadrature, with a grain."""
     return 5e-3 if name.endswith("roughness") else 1e-6
 
 
