@@ -78,9 +78,7 @@ def test_the_median_has_the_least_mean_arc_of_all_angles() -> None:
     turn=st.integers(-720, 720),
     seed=st.integers(0, 1000),
 )
-def test_all_turn_with_the_angles_and_none_minds_their_order(
-    angles: list[int], turn: int, seed: int
-) -> None:
+def test_all_turn_with_the_angles_and_none_minds_their_order(angles: list[int], turn: int, seed: int) -> None:
     given_deg = np.array(angles) / 2.0
     mixed = np.random.default_rng(seed).permutation(given_deg)
     for centre in (circular_mean, circular_median):

@@ -92,14 +92,12 @@ def calibrate(
     else:
         told = _checked(corners, picture.shape, where)
     turned, means, saturated = _best_orientation(picture, told, tone, where)
+    found = _fitted(means, saturated, turned, where)
     if corners is not None and turned.tolist() != told.tolist():
-        first = 1 + int(np.flatnonzero((told == turned[0]).all(axis=1))[0])
-        second = 1 + int(np.flatnonzero((told == turned[1]).all(axis=1))[0])
-        allowed = (
-            f"must begin at dark skin and go to bluish green: here with corner {first}, then corner {second}"
-        )
+        first, second = (1 + int(np.flatnonzero((told == turned[k]).all(axis=1))[0]) for k in range(2))
+        allowed = f"must go from dark skin to bluish green, here from corner {first} to corner {second}"
         raise InputError(where, "corners", told.tolist(), allowed)
-    return _fitted(means, saturated, turned, where)
+    return found
 
 
 @lru_cache(maxsize=1)

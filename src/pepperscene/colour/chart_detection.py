@@ -56,8 +56,14 @@ def find_chart(picture: NDArray[np.uint8], where: str | Path) -> Floats:
     if not found:
         allowed = "shows no ColorChecker that can be found: give the four corners of its fields"
         raise InputError(where, "chart", None, allowed)
-    cells, middles = max(found, key=lambda grid: len(grid[0]))
+    cells, middles = max(found, key=lambda grid: (len(grid[0]), -_misfit(*grid)))
     return mapped(homography(cells + 0.5, middles), _around(cells)) * scale
+
+
+def _misfit(cells: Floats, middles: Floats) -> float:
+    """Mean distance of the fields from where the grid has them."""
+    placed = mapped(homography(cells + 0.5, middles), cells + 0.5)
+    return float(np.linalg.norm(placed - middles, axis=1).mean())
 
 
 def _smaller(picture: NDArray[np.uint8], scale: float) -> Floats:
@@ -95,11 +101,15 @@ def _grids(fields: _Fields) -> Iterator[tuple[Floats, Floats]]:
             continue
         cells = _spread(fields, seed)
         seen |= cells.keys()
-        places = np.array(list(cells.values()))
-        places -= places.min(axis=0)
-        extent = tuple((places.max(axis=0) + 1).tolist())
-        if len(cells) >= _LEAST_FOUND and extent in {(COLUMNS, ROWS), (ROWS, COLUMNS)}:
-            yield places.astype(float), fields.middles[list(cells)]
+        places, middles = np.array(list(cells.values())), fields.middles[list(cells)]
+        # What happens to lie beside the chart may have joined: every part that could be the chart is tried.
+        for size in ((COLUMNS, ROWS), (ROWS, COLUMNS)):
+            for first in np.ndindex(*np.maximum(np.ptp(places, axis=0) + 2 - size, 1).tolist()):
+                inside = places - places.min(axis=0) - first
+                held = ((inside >= 0) & (inside < size)).all(axis=1)
+                filled = tuple((np.ptp(inside[held], axis=0) + 1).tolist()) if held.any() else ()
+                if held.sum() >= _LEAST_FOUND and filled == size:
+                    yield inside[held].astype(float), middles[held]
 
 
 def _spread(fields: _Fields, seed: int) -> dict[int, tuple[int, int]]:

@@ -1,0 +1,155 @@
+"""Charts drawn with a known camera: their colours come back, found or told; what is no chart is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pepperscene.camera import encode
+from pepperscene.camera.correction import XYZ_TO_SRGB
+from pepperscene.colour import calibrate, delta_e_2000, lab
+from pepperscene.colour.chart import chart_linear, chart_names
+from pepperscene.colour.chart_geometry import grid_corners, homography, mapped
+from pepperscene.errors import InputError
+from pepperscene.spectra import colour_science
+
+CAMERA = np.array([[0.62, 0.20, 0.06], [0.12, 0.70, 0.08], [0.02, 0.20, 0.50]])
+"""Linear sRGB to camera_rgb: overlapping filters, no white balance, and dark enough to clip nothing."""
+
+UPRIGHT = ((100, 100), (500, 100), (500, 367), (100, 367))
+TILTED = ((120, 80), (520, 140), (470, 400), (90, 330))
+UPSIDE_DOWN = ((400, 420), (120, 380), (160, 150), (430, 200))
+ON_ITS_SIDE = ((420, 90), (440, 400), (220, 410), (210, 80))
+
+
+def drawn(
+    corners: object,
+    camera: NDArray[np.float64] = CAMERA,
+    *,
+    noise: float = 0.004,
+    tone: str = "srgb",
+    clutter: bool = False,
+) -> NDArray[np.uint8]:
+    """A picture `(480, 640, 3)` of a chart in a black frame, fields 87 % of their pitch wide."""
+    rng = np.random.default_rng(3)
+    linear = np.full((480, 640, 3), 0.18)
+    if clutter:
+        # Flat quadrangles of many sizes, as of shelves and panes, and something rough.
+        for _ in range(60):
+            x, y, w, h = rng.integers((0, 0, 10, 10), (600, 440, 60, 60))
+            linear[y : y + h, x : x + w] = rng.uniform(0.02, 0.6, 3)
+        linear[:, 560:] = rng.uniform(0.0, 0.5, (480, 80, 3))
+    x, y = np.meshgrid(np.arange(640) + 0.5, np.arange(480) + 0.5)
+    place = mapped(homography(np.array(corners, float), grid_corners()), np.stack([x, y], axis=-1))
+    linear[((place > -0.25) & (place < [6.25, 4.25])).all(axis=-1)] = 0.02
+    cell = np.floor(place)
+    field = ((np.abs(place - cell - 0.5) < 0.435) & (cell >= 0) & (cell < [6, 4])).all(axis=-1)
+    linear[field] = chart_linear()[(cell[..., 1] * 6 + cell[..., 0])[field].astype(int)]
+    seen = linear @ camera.T + rng.normal(0.0, noise, linear.shape)
+    return encode(seen.astype(np.float32), tone)
+
+
+def test_the_aim_is_what_colour_science_tabulates() -> None:
+    """The chart of November 2014 as measured by X-Rite, another chart and another illuminant's adaptation."""
+    colour = colour_science()
+    chart = colour.CCS_COLOURCHECKERS["ColorChecker24 - After November 2014"]
+    xyz = colour.xyY_to_XYZ(list(chart.data.values()))
+    adapted = colour.chromatic_adaptation(
+        xyz, colour.xy_to_XYZ(chart.illuminant), colour.xy_to_XYZ([0.3127, 0.3290]), transform="Bradford"
+    )
+    differences = delta_e_2000(lab(chart_linear()), lab(adapted @ XYZ_TO_SRGB.T))
+    assert np.median(differences) < 1.5
+    assert differences.max() < 5.0
+
+
+@pytest.mark.parametrize("corners", [UPRIGHT, TILTED, UPSIDE_DOWN, ON_ITS_SIDE])
+@pytest.mark.parametrize("told", [True, False])
+def test_a_known_camera_is_undone(corners: tuple[tuple[int, int], ...], told: bool) -> None:
+    found = calibrate(drawn(corners), corners if told else None)
+    assert found.after.max() < 1.0
+    assert found.before.mean() > 5.0
+    assert found.corners == pytest.approx(np.array(corners, float), abs=2.0)
+    # Other colours than the chart's come back as well.
+    others = np.random.default_rng(4).uniform(0.02, 0.9, (200, 3))
+    restored = found.apply(others @ CAMERA.T)
+    assert delta_e_2000(lab(restored), lab(others)).max() < 1.0
+
+
+def test_a_chart_is_found_among_other_things() -> None:
+    found = calibrate(drawn(TILTED, clutter=True))
+    assert found.corners == pytest.approx(np.array(TILTED, float), abs=2.0)
+    assert found.after.max() < 1.0
+
+
+def test_a_large_picture_is_searched_at_a_smaller_scale() -> None:
+    large = drawn(TILTED).repeat(4, axis=0).repeat(4, axis=1)
+    assert calibrate(large).corners == pytest.approx(4.0 * np.array(TILTED, float), abs=8.0)
+
+
+def test_linear_codes_need_no_curve() -> None:
+    found = calibrate(drawn(TILTED, tone="linear"), TILTED, tone="linear")
+    assert found.after.mean() < 1.0
+    assert found.matrix @ CAMERA == pytest.approx(np.eye(3), abs=0.02)
+
+
+def test_a_mirrored_picture_is_understood_when_the_chart_is_looked_for() -> None:
+    found = calibrate(drawn(TILTED)[:, ::-1])
+    assert found.corners == pytest.approx(np.array([(640 - x, y) for x, y in TILTED], float), abs=2.0)
+
+
+def test_a_colour_cut_off_at_zero_is_left_out_of_the_fit() -> None:
+    """Cyan lies outside of sRGB, so that a picture in sRGB cannot hold it."""
+    found = calibrate(drawn(UPRIGHT, np.eye(3), noise=0.0), UPRIGHT)
+    assert found.left_out == ("cyan",)
+    others = [name != "cyan" for name in chart_names()]
+    # The black field has but nine codes of light.
+    assert found.after[others].max() < 1.0
+    assert np.median(found.after) < 0.3
+    assert found.matrix == pytest.approx(np.eye(3), abs=0.01)
+
+
+@pytest.mark.parametrize("turn", [1, 2, 3])
+def test_corners_in_another_order_are_told(turn: int) -> None:
+    turned = np.roll(np.array(TILTED), turn, axis=0)
+    with pytest.raises(InputError, match=f"from corner {turn + 1} to corner {(turn + 1) % 4 + 1}"):
+        calibrate(drawn(TILTED), turned)
+
+
+def test_corners_around_the_other_way_are_told() -> None:
+    with pytest.raises(InputError, match="from corner 4 to corner 3"):
+        calibrate(drawn(TILTED), TILTED[::-1])
+
+
+@pytest.mark.parametrize(
+    ("corners", "said"),
+    [
+        ([(0, 0), (10, 0), (10, 10)], "four pairs"),
+        ([(0, 0), (10, 0), (10, 10), (0, 900)], "must lie in"),
+        ([(100, 100), (500, 367), (500, 100), (100, 367)], "go around"),
+        ([(10, 10), (22, 10), (22, 18), (10, 18)], "fields of"),
+        ([(520, 10), (635, 10), (635, 90), (520, 90)], "shows no ColorChecker"),
+    ],
+)
+def test_corners_that_hold_no_chart_are_refused(corners: list[tuple[int, int]], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        calibrate(drawn(UPRIGHT), corners)
+
+
+@pytest.mark.parametrize("corners", [TILTED, None])
+def test_a_saturated_chart_is_refused(corners: object) -> None:
+    with pytest.raises(InputError, match=r"saturated in the fields .*white"):
+        calibrate(drawn(TILTED, 1.6 * CAMERA), corners)
+
+
+def test_a_dark_chart_is_refused() -> None:
+    with pytest.raises(InputError, match="too dark"):
+        calibrate(drawn(TILTED, 0.04 * CAMERA, noise=0.0), TILTED)
+
+
+def test_a_picture_without_a_chart_is_refused() -> None:
+    rng = np.random.default_rng(5)
+    with pytest.raises(InputError, match="no ColorChecker"):
+        calibrate(rng.integers(0, 256, (200, 300, 3), dtype=np.uint8))
+    with pytest.raises(InputError, match="no ColorChecker"):
+        calibrate(np.full((200, 300, 3), 90, np.uint8))
