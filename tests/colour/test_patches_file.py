@@ -1,0 +1,220 @@
+"""Patches files: regions, charts and reflectances; every slip is one sentence that names its key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pepperscene import open_patches
+from pepperscene.camera import decode, encode
+from pepperscene.colour import delta_e_2000, lab
+from pepperscene.colour.chart import chart_linear
+from pepperscene.errors import InputError
+from pepperscene.spectra import read_spectrum
+
+CAMERA = np.array([[0.6, 0.2, 0.05], [0.1, 0.7, 0.1], [0.05, 0.2, 0.5]])
+
+PEPPER = """
+[[spectrum]]
+file = "vrhel_fruit_vegetable_reflectance"
+column = "green_pepper_136"
+kind = "pepper.unripe"
+"""
+
+
+@pytest.fixture
+def pictures(tmp_path: Path) -> Path:
+    """`p1.png` and `days/p2.png`, 20 x 30 pixels whose red is the column and green the row, and a mask."""
+    (tmp_path / "days").mkdir()
+    rows, columns = np.meshgrid(np.arange(20), np.arange(30), indexing="ij")
+    for k, name in enumerate(("p1.png", "days/p2.png")):
+        codes = np.stack([columns + 100, rows + 100, np.full_like(rows, 50 + k)], axis=-1)
+        Image.fromarray(codes.astype(np.uint8)).save(tmp_path / name)
+    Image.fromarray((columns // 10).astype(np.uint8)).save(tmp_path / "mask.png")
+    return tmp_path
+
+
+def _written(folder: Path, text: str) -> Path:
+    path = folder / "patches.toml"
+    path.write_text(text)
+    return path
+
+
+def test_regions_are_the_pixels_told(pictures: Path) -> None:
+    found = open_patches(
+        _written(
+            pictures,
+            """
+            [[patch]]
+            picture = "p1.png"
+            kind = "leaf"
+            box = [3, 5, 9, 7]
+
+            [[patch]]
+            picture = "days/p2.png"
+            kind = "pepper.ripe"
+            name = "triangle"
+            polygon = [[0, 0], [10, 0], [0, 10]]
+
+            [[patch]]
+            picture = "p1.png"
+            kind = "stem"
+            mask = { file = "mask.png", value = 2 }
+            """,
+        )
+    )
+    box, stem, triangle = (
+        next(patch for patch in found.patches if patch.kind == kind)
+        for kind in ("leaf", "stem", "pepper.ripe")
+    )
+    assert sorted(map(tuple, box.codes[:, :2].tolist())) == [
+        (100 + x, 100 + y) for x in range(3, 9) for y in range(5, 7)
+    ]
+    assert box.linear == pytest.approx(decode(box.codes))
+    assert stem.codes[:, 0].min() == 120
+    assert stem.pixels == 200
+    # The centres of pixels x + 0.5, y + 0.5 below the diagonal; those on it may count or not.
+    inside = triangle.codes[:, 0].astype(int) + triangle.codes[:, 1] - 200
+    assert inside.max() <= 9
+    assert 45 <= triangle.pixels <= 55
+    assert (box.picture, triangle.picture) == ("p1", "days/p2")
+    assert triangle.name == "triangle"
+    assert found.name == "patches"
+    # Pictures may be moved elsewhere.
+    moved = pictures.parent / f"{pictures.name}_toml"
+    moved.mkdir()
+    again = open_patches(_written(moved, (pictures / "patches.toml").read_text()), pictures=pictures)
+    assert [patch.pixels for patch in again.patches] == [patch.pixels for patch in found.patches]
+
+
+def test_a_file_says_how_pixels_are_taken(pictures: Path) -> None:
+    text = '\n[[patch]]\npicture = "p1.png"\nkind = "leaf"\nbox = [0, 0, 20, 10]\n'
+    (plain,) = open_patches(_written(pictures, text)).patches
+    (inner,) = open_patches(_written(pictures, "erode_px = 1" + text)).patches
+    (middle,) = open_patches(_written(pictures, "centre_px = 6" + text)).patches
+    (linear,) = open_patches(_written(pictures, 'tone = "linear"' + text)).patches
+    assert plain.pixels == 200
+    assert inner.pixels == 19 * 9  # the picture's own border is no border of the region
+    assert middle.pixels == 6 * 3
+    assert linear.linear.mean() > 2.0 * plain.linear.mean()
+    (over,) = open_patches(_written(pictures, "erode_px = 1" + text), erode_px=3).patches
+    assert over.pixels == 17 * 7
+
+
+def test_measured_reflectances_are_patches_too(tmp_path: Path) -> None:
+    found = open_patches(_written(tmp_path, PEPPER))
+    (pepper,) = found.spectra
+    assert (pepper.name, pepper.kind) == ("green_pepper_136", "pepper.unripe")
+    shipped = read_spectrum("fruit/vrhel_fruit_vegetable_reflectance", "green_pepper_136")
+    assert (pepper.spectrum.values == shipped.values).all()
+    assert found.kinds == ("pepper.unripe",)
+    assert found.pictures == ()
+
+
+def test_a_table_of_reflectances_tells_its_kinds(tmp_path: Path) -> None:
+    table = tmp_path / "mine.csv"
+    table.write_text("wavelength_nm,a,b\n400,0.1,0.2\n700,0.3,0.4\n")
+    with pytest.raises(InputError, match=r"mine\.toml"):
+        open_patches(table)
+    about = 'title = "t"\nsource = "s"\nlicence = "CC0"\nkind = "measured"\n'
+    table.with_suffix(".toml").write_text(about)
+    with pytest.raises(InputError, match="patches file"):
+        open_patches(table)
+    table.with_suffix(".toml").write_text(about + '[kinds]\na = "leaf"\n')
+    (leaf,) = open_patches(table).spectra
+    assert leaf.spectrum.at(550.0) == pytest.approx([0.2])
+    table.with_suffix(".toml").write_text(about + '[kinds]\nc = "leaf"\n')
+    with pytest.raises(InputError, match="is not one of a, b"):
+        open_patches(table)
+    table.with_suffix(".toml").write_text(about + '[kinds]\na = "tree"\n')
+    with pytest.raises(InputError, match=r"kinds\.a"):
+        open_patches(table)
+    table.write_text("wavelength_nm,a,b\n400,10,20\n700,30,40\n")
+    table.with_suffix(".toml").write_text(about + '[kinds]\na = "leaf"\n')
+    with pytest.raises(InputError, match=r"reflectances in \[0, 1\]"):
+        open_patches(table)
+
+
+def _chart(path: Path, scale: float = 1.0) -> None:
+    """A drawn chart of 240 x 160 pixels without a frame, through a camera."""
+    linear = chart_linear().reshape(4, 6, 3).repeat(40, axis=0).repeat(40, axis=1)
+    Image.fromarray(encode((scale * linear @ CAMERA.T).astype(np.float32))).save(path)
+
+
+CHARTED = """
+[[patch]]
+picture = "p1.png"
+kind = "leaf"
+box = [0, 0, 10, 10]
+
+[chart]
+picture = "chart.png"
+corners = [[0, 0], [240, 0], [240, 160], [0, 160]]
+"""
+
+
+def test_a_chart_calibrates_the_pictures(tmp_path: Path) -> None:
+    leaf = np.array([0.08, 0.16, 0.03])
+    Image.fromarray(encode(np.tile((CAMERA @ leaf).astype(np.float32), (12, 12, 1)))).save(
+        tmp_path / "p1.png"
+    )
+    _chart(tmp_path / "chart.png")
+    (found,) = open_patches(_written(tmp_path, CHARTED)).patches
+    assert delta_e_2000(lab(found.linear.mean(axis=0)), lab(leaf)) < 1.0
+    # Hues are counted in the calibrated colours.
+    assert found.codes[0] == pytest.approx(encode(leaf.astype(np.float32)), abs=3)
+    (other,) = open_patches(
+        _written(tmp_path, CHARTED.replace("[chart]", '[[chart]]\npictures = ["p7.png"]'))
+    ).patches
+    assert delta_e_2000(lab(other.linear.mean(axis=0)), lab(leaf)) > 3.0
+
+
+def test_a_chart_may_stand_in_every_picture(tmp_path: Path) -> None:
+    """Two exposures of the same scene become one colour."""
+    for k, scale in ((1, 1.0), (2, 0.4)):
+        _chart(tmp_path / f"p{k}.png", scale)
+    text = "".join(
+        f'[[patch]]\npicture = "p{k}.png"\nkind = "leaf"\nbox = [125, 5, 155, 35]\n' for k in (1, 2)
+    )
+    text += "[chart]\ncorners = [[0, 0], [240, 0], [240, 160], [0, 160]]\n"
+    one, other = open_patches(_written(tmp_path, text)).patches
+    foliage = lab(chart_linear()[3])
+    assert delta_e_2000(lab(one.linear.mean(axis=0)), foliage) < 1.0
+    assert delta_e_2000(lab(other.linear.mean(axis=0)), foliage) < 1.0
+
+
+BOX = '[[patch]]\npicture = "p1.png"\nkind = "leaf"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "at least one"),
+        (BOX, "one of box, polygon and mask"),
+        (BOX + "box = [0, 0, 4, 4]\npolygon = [[0, 0], [1, 0], [1, 1]]", "box and polygon"),
+        (BOX + "box = [0, 0, 400, 4]", r"patch\.0\.box.* 30"),
+        (BOX + "box = [5, 5, 5, 9]", "x0 < x1"),
+        (BOX + "polygon = [[0, 0], [1, 0]]", r"patch\.0\.polygon"),
+        (BOX + "polygon = [[0, 0], [1, 0], [99, 1]]", "within the 30x20"),
+        (BOX + 'mask = { file = "mask.png", value = 9 }', "leaves no pixel"),
+        (BOX + 'mask = { file = "p1.png", value = 9 }', "colours, not values"),
+        (BOX + 'mask = { file = "mask.png", value = "#ff0000" }', "values, not colours"),
+        (BOX + 'mask = { file = "none.png", value = 9 }', "cannot be read"),
+        (BOX.replace("leaf", "tree") + "box = [0, 0, 4, 4]", r"patch\.0\.kind.*stage"),
+        (BOX.replace("p1", "p9") + "box = [0, 0, 4, 4]", "p9.png"),
+        (BOX + 'box = [0, 0, 4, 4]\nname = "n"\n' + BOX + 'box = [0, 0, 4, 4]\nname = "n"', "'n'.*one patch"),
+        ("erode_px = 9\n" + BOX + "box = [5, 5, 9, 9]", "leaves no pixel"),
+        (PEPPER.replace("green_pepper_136", "blue_pepper"), "is not one of"),
+        (PEPPER.replace("vrhel", "no"), "nor one of the shipped"),
+        (PEPPER + "[chart]\ndetect = false", "corners or detect"),
+        (PEPPER + "[[chart]]\ndetect = true\n[[chart]]\ndetect = true", "must tell its pictures"),
+        (BOX + "box = [0, 0, 4, 4]\n[chart]\ndetect = true", "shows no ColorChecker"),
+        (PEPPER + "colour = 3", "not a known key"),
+    ],
+)
+def test_slips_are_told(pictures: Path, text: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        open_patches(_written(pictures, text))
