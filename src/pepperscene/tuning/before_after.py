@@ -108,9 +108,8 @@ def _kind_row(kind: str, one: KindFit) -> Image.Image:
             pen.rectangle((middle - 70, 32, middle + 69, _FIELD - 33), fill=measured)
         block.paste(Image.fromarray(_strip(pixels)), (left, _FIELD))
         light, red, yellow = moments[0]
-        told = (
-            f"L* {light:.0f}   a* {red:.0f}   b* {yellow:.0f}   sd {' '.join(f'{s:.0f}' for s in moments[1])}"
-        )
+        spread = " / ".join(f"{one:.0f}" for one in moments[1])
+        told = f"L* {light:.0f}   a* {red:.0f}   b* {yellow:.0f}   spread {spread}"
         if difference is None:
             pen.text((left, low + 8), told, fill=_FAINT, font=_font(16))
             continue

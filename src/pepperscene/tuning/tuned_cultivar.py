@@ -52,7 +52,7 @@ def cultivar_text(
         fit: that changed them.
         occasion: when and to what.
     """
-    surfaces = ", ".join(pigments)
+    surfaces = " and ".join(pigments)
     tables = {
         "extends": extends,
         "name": f"{cultivar.name}, tuned",

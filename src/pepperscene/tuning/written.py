@@ -77,7 +77,7 @@ def write_tuned(
     texts = _texts(recipe, fit, folder, extends, occasion)
     files = {name: text.encode() for name, text in texts.items()}
     picture = BytesIO()
-    sheet(fit, recipe.name, frames).save(picture, "PNG", optimize=True)
+    sheet(fit, recipe.name, frames).save(picture, "PNG")
     files[PICTURE] = picture.getvalue()
     files[RECORD] = json_bytes(as_json(fit, occasion, verification))
     try:
