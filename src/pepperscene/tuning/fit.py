@@ -144,15 +144,23 @@ def _kinds(
         cells = [cell for cell in problem.cells if any(eye.view.kind == kind for eye in cell.eyes)]
         if not cells:
             continue
-        pixels = [np.concatenate([cell.linear(values) for cell in cells]) for values in (before, after)]
+        made = [problem.tuned(values) for values in (before, after)]
+        pixels = [np.concatenate([cell.linear(one) for cell in cells]) for one in made]
         means = [lab_of(one.mean(axis=0)) for one in (target, *pixels)]
         away = _delta_e(np.array(means[1:]), means[0])
-        both = [
-            np.stack([mean, lab_of(one).std(axis=0)])
-            for mean, one in zip(means, (target, *pixels), strict=True)
-        ]
-        shown = [one[:: max(1, -(-len(one) // _SHOWN))] for one in (target, *pixels)]
-        found[kind] = KindFit(*both, float(away[0]), float(away[1]), *shown)
+        sides = (target, *pixels)
+        both = [np.stack([mean, lab_of(one).std(axis=0)]) for mean, one in zip(means, sides, strict=True)]
+        shown = [one[:: max(1, -(-len(one) // _SHOWN))] for one in sides]
+        found[kind] = KindFit(
+            target=both[0],
+            before=both[1],
+            after=both[2],
+            delta_e_before=float(away[0]),
+            delta_e_after=float(away[1]),
+            pixels_target=shown[0],
+            pixels_before=shown[1],
+            pixels_after=shown[2],
+        )
     return found
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pepperscene.render.bodies import path_values
 from pepperscene.render.gradients import DifferentiableRenderer
 from pepperscene.render.quality import Quality
-from pepperscene.tuning.observables import Photograph
+from pepperscene.tuning.observables import Photograph, pixel_noise
 from pepperscene.tuning.views import View
 
 if TYPE_CHECKING:
@@ -75,54 +75,71 @@ def entries_of(parameters: Sequence[Parameter]) -> tuple[Entry, ...]:
     return tuple(Entry(one, place) for one in parameters for place in range(len(one.default)))
 
 
+@dataclass(frozen=True, eq=False)
+class Move:
+    """The recipe's parts a little to either side of some values, along one entry.
+
+    Attributes:
+        above, below: the parts there.
+        width: of the entry between the two.
+        in_the_scene: whether light changes.
+    """
+
+    above: Tuned
+    below: Tuned
+    width: float
+    in_the_scene: bool
+
+    @classmethod
+    def along(cls, entry: Entry, values: Values, tuned: Callable[[Values], Tuned]) -> Self:
+        """The move along an entry."""
+        step = _STEP * entry.scale
+        above, below = (tuned(entry.moved(values, sign * step)) for sign in (1.0, -1.0))
+        return cls(above, below, 2.0 * step, entry.parameter.group in IN_THE_SCENE)
+
+
 class Eye:
-    """One view as a function of the parameters.
+    """One view as a function of the recipe's parts.
 
     Args:
         view: what is seen.
         cultivar: whose pigments made its surfaces.
-        tuned: the recipe's parts at some values.
         seed: of light and noise.
+        effort: of light.
     """
 
-    def __init__(
-        self, view: View, cultivar: Cultivar, tuned: Callable[[Values], Tuned], seed: int, effort: Quality
-    ) -> None:
-        self.view, self._tuned = view, tuned
+    def __init__(self, view: View, cultivar: Cultivar, seed: int, effort: Quality) -> None:
+        self.view = view
         self._cultivar, self._seed, self._effort = cultivar, seed, effort
         steps = view.camera.developing
         pixels, channels = int(view.mask.sum()), view.camera.sensor.channels
-        noise = np.random.default_rng([seed, 1]).standard_normal((pixels, channels))
+        noise = pixel_noise(pixels, channels, np.random.default_rng([seed, 1]))
         noisy = steps.shot_noise or steps.read_noise
         self._photograph = Photograph(
             view.camera.sensor, steps.saturation, noise if noisy else None, steps.shot_noise, steps.read_noise
         )
 
-    def linear(self, values: Values) -> Array:
+    def linear(self, made: Tuned) -> Array:
         """`(n, 3)` linear sRGB of the view's pixels."""
-        made = self._tuned(values)
         return self._developed(self._electrons(made), made)
 
-    def linear_and_slopes(self, values: Values, entries: Sequence[Entry]) -> tuple[Array, Array]:
-        """`linear`, and its derivatives `(p, n, 3)` with respect to entries."""
-        made = self._tuned(values)
+    def linear_and_slopes(self, made: Tuned, moves: Sequence[Move]) -> tuple[Array, Array]:
+        """`linear`, and its derivatives `(p, n, 3)` along moves."""
         electrons = self._electrons(made)
-        found, by_electrons, _, free = self._photograph.linear(
+        found, by_electrons, free = self._photograph.linear_and_slope(
             electrons, made.exposure, made.gains, made.matrix
         )
-        slopes = np.zeros((len(entries), *found.shape))
+        slopes = np.zeros((len(moves), *found.shape))
         parameters = self._light(made)
-        for slope, entry in zip(slopes, entries, strict=True):
-            step = _STEP * entry.scale
-            above, below = (self._tuned(entry.moved(values, sign * step)) for sign in (1.0, -1.0))
-            if entry.parameter.group in IN_THE_SCENE:
-                direction = _direction(self._light(above), self._light(below), 2.0 * step)
+        for slope, move in zip(slopes, moves, strict=True):
+            if move.in_the_scene:
+                direction = _direction(self._light(move.above), self._light(move.below), move.width)
                 if direction:
                     change = self._renderer.forward(parameters, direction)[self.view.mask]
                     slope[:] = free * ((by_electrons * change) @ made.matrix.T)
             else:
-                here = (self._developed(electrons, one) for one in (above, below))
-                slope[:] = np.subtract(*here) / (2.0 * step)
+                here = [self._developed(electrons, one) for one in (move.above, move.below)]
+                slope[:] = (here[0] - here[1]) / move.width
         return found, slopes
 
     @property
@@ -138,7 +155,7 @@ class Eye:
 
     def _light(self, made: Tuned) -> dict[str, Array]:
         """The renderer's parameters of this view."""
-        found = {}
+        found: dict[str, Array] = {}
         for surface, path in made.pigments.items():
             found |= path_values(surface, path)
         if made.flash_spectrum.size:
@@ -150,7 +167,7 @@ class Eye:
         return self._renderer.rgb(self._light(made))[self.view.mask]
 
     def _developed(self, electrons: Array, made: Tuned) -> Array:
-        return self._photograph.linear(electrons, made.exposure, made.gains, made.matrix)[0]
+        return self._photograph.linear(electrons, made.exposure, made.gains, made.matrix)
 
 
 def _direction(above: dict[str, Array], below: dict[str, Array], step: float) -> dict[str, Array]:

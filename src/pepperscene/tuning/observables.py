@@ -52,12 +52,22 @@ def numbers_and_slopes(linear: Array, slopes: Array) -> tuple[Array, Array]:
     return np.concatenate([lab_of(mean), pixels.std(axis=0)]), np.concatenate([of_mean, of_sd])
 
 
+def pixel_noise(pixels: int, channels: int, rng: np.random.Generator) -> Array:
+    """`(n, c)` normal deviates whose mean is 0 and whose sd is 1 over the pixels, channel by channel.
+
+    So noise spreads a view's colours and leaves their mean alone: that of a model is known without it.
+    """
+    drawn = rng.standard_normal((pixels, channels))
+    drawn -= drawn.mean(axis=0)
+    return np.asarray(drawn / np.maximum(drawn.std(axis=0), 1e-9))
+
+
 @dataclass(frozen=True, eq=False)
 class Photograph:
     """From the electrons that pixels expect to their linear sRGB, with the sensor's noise and its limits.
 
-    Noise is drawn once and for all, so that a picture stays a smooth function of its light: where there is
-    none in the camera's `developing`, `noise` is None.
+    Noise is drawn once and for all, so that a picture stays a smooth function of its light (see
+    `pixel_noise`); where there is none in the camera's `developing`, `noise` is None.
 
     Attributes:
         sensor: whose picture it is.
@@ -72,46 +82,48 @@ class Photograph:
     shot: bool = True
     read: bool = True
 
-    def linear(
-        self, electrons: Array, exposure: float, gains: Array, matrix: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        """Pixels `(n, 3)` in linear sRGB, and what their derivatives need.
+    def linear(self, electrons: Array, exposure: float, gains: Array, matrix: Array) -> Array:
+        """Pixels `(n, 3)` in linear sRGB, cut to [0, 1].
 
         Args:
             electrons: `(n, c)` that photosites expect.
             exposure: factor on the sensor's gain.
             gains: `(3,)` white balance.
             matrix: `(3, 3)` colour matrix.
-
-        Returns:
-            linear sRGB, cut to [0, 1]; `(n, c)` the slope of balanced colour by electrons; `(n, 3)` balanced
-            colour before the matrix; and `(n, 3)` where the result is not cut.
         """
+        return self.linear_and_slope(electrons, exposure, gains, matrix)[0]
+
+    def linear_and_slope(
+        self, electrons: Array, exposure: float, gains: Array, matrix: Array
+    ) -> tuple[Array, Array, Array]:
+        """`linear`, the slope `(n, c)` of balanced colour by electrons, and `(n, 3)` 1 where nothing is cut.
+
+        A change of electrons, times that slope, through the matrix, where nothing is cut, is that of pixels.
+        """
+        counted, slope = self._counted(electrons)
+        # The well is full whatever the amplifier does; the converter ends at full scale.
         full = self.sensor.gain_e_per_dn * (self.sensor.full_scale_dn - self.sensor.black_level_dn)
-        counted, slope = electrons, np.ones_like(electrons)
-        if self.noise is not None:
-            variance = np.zeros_like(electrons)
-            sites = np.array(self.sensor.photosites, float)
-            if self.shot:
-                variance += np.maximum(electrons, 0.0)
-            if self.read:
-                variance += self.sensor.read_noise_e**2
-            sd = np.sqrt(variance / sites)
-            counted = electrons + sd * self.noise
-            if self.shot:
-                slope = 1.0 + self.noise / (2.0 * np.maximum(sd * sites, 1e-9))
-        raw = exposure * counted / full
-        if self.saturation:
-            # The well is full whatever the amplifier does; the converter ends at full scale.
-            most = np.minimum(exposure * self.sensor.full_well_e / full, 1.0)
-            slope = np.where(raw < most, slope, 0.0)
-            raw = np.minimum(raw, most)
+        raw, slope = exposure * counted / full, slope * (exposure / full) * gains
         balanced = raw * gains
-        slope = slope * (exposure / full) * gains
         if self.saturation:
-            limit = min(self.sensor.gain * exposure, 1.0)
+            most = min(exposure * self.sensor.full_well_e / full, 1.0)
+            limit = np.minimum(most * gains, min(self.sensor.gain * exposure, 1.0) * gains.min())
             slope = np.where(balanced < limit, slope, 0.0)
             balanced = np.minimum(balanced, limit)
         found = balanced @ matrix.T
         free = (found > 0.0) & (found < 1.0)
-        return np.clip(found, 0.0, 1.0), slope, balanced, free.astype(float)
+        return np.clip(found, 0.0, 1.0), slope, free.astype(float)
+
+    def _counted(self, electrons: Array) -> tuple[Array, Array]:
+        """Electrons with their noise, and their slope by those expected."""
+        if self.noise is None:
+            return electrons, np.ones_like(electrons)
+        sites = np.array(self.sensor.photosites, float)
+        variance = np.full_like(electrons, self.sensor.read_noise_e**2 if self.read else 0.0)
+        if self.shot:
+            variance += np.maximum(electrons, 0.0)
+        sd = np.sqrt(variance / sites)
+        slope = np.ones_like(electrons)
+        if self.shot:
+            slope += self.noise / (2.0 * np.maximum(sd * sites, 1e-9))
+        return electrons + sd * self.noise, slope

@@ -7,19 +7,20 @@ off (maximum a posteriori; Tarantola 2005, "Inverse problem theory", section 3.2
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.tuning.model import Entry, Eye, Values, entries_of
+from pepperscene.tuning.model import Entry, Eye, Move, Values, entries_of
 from pepperscene.tuning.observables import NUMBERS, numbers, numbers_and_slopes
 
 if TYPE_CHECKING:
     from pepperscene.tuning.direct import DirectModel
     from pepperscene.tuning.parameter import Parameter
+    from pepperscene.tuning.pathways import Tuned
 
 Array = NDArray[np.float64]
 
@@ -44,21 +45,19 @@ class Cell:
     sigma: Array
     offset: Array
 
-    def linear(self, values: Values) -> Array:
+    def linear(self, made: Tuned) -> Array:
         """`(n, 3)` linear sRGB of all pixels of its views."""
-        return np.concatenate([eye.linear(values) for eye in self.eyes])
+        return np.concatenate([eye.linear(made) for eye in self.eyes])
 
-    def predicted(self, values: Values) -> Array:
+    def predicted(self, made: Tuned) -> Array:
         """`(6,)` the model's numbers."""
-        return numbers(self.linear(values)) + self.offset
+        return numbers(self.linear(made)) + self.offset
 
-    def predicted_and_slopes(self, values: Values, entries: Sequence[Entry]) -> tuple[Array, Array]:
-        """`predicted`, and its derivatives `(6, p)`."""
-        parts = [eye.linear_and_slopes(values, entries) for eye in self.eyes]
-        found, slopes = numbers_and_slopes(
-            np.concatenate([linear for linear, _ in parts]), np.concatenate([slope for _, slope in parts], 1)
-        )
-        return found + self.offset, slopes
+    def slopes(self, made: Tuned, moves: Sequence[Move]) -> Array:
+        """`(6, p)` derivatives of `predicted` along moves."""
+        parts = [eye.linear_and_slopes(made, moves) for eye in self.eyes]
+        linear = np.concatenate([linear for linear, _ in parts])
+        return numbers_and_slopes(linear, np.concatenate([slope for _, slope in parts], axis=1))[1]
 
 
 class Problem:
@@ -66,6 +65,7 @@ class Problem:
 
     Args:
         parameters: that are fitted.
+        tuned: the recipe's parts at some values.
         cells: what pictures tell.
         spectra: what measured reflectances tell, or None.
 
@@ -76,9 +76,14 @@ class Problem:
     """
 
     def __init__(
-        self, parameters: Sequence[Parameter], cells: Sequence[Cell], spectra: DirectModel | None = None
+        self,
+        parameters: Sequence[Parameter],
+        tuned: Callable[[Values], Tuned],
+        cells: Sequence[Cell],
+        spectra: DirectModel | None = None,
     ) -> None:
         self.parameters, self.cells, self.spectra = tuple(parameters), tuple(cells), spectra
+        self.tuned = tuned
         self.entries = entries_of(parameters)
         laws = [one.parameter.prior[one.place] for one in self.entries]
         self.low = np.array([law.low for law in laws])
@@ -113,14 +118,17 @@ class Problem:
 
     def data_residuals(self, values: Values) -> Array:
         """`(m,)` cell by cell, then of spectra."""
-        rows = [(cell.predicted(values) - cell.target) / cell.sigma for cell in self.cells]
+        made = self.tuned(values)
+        rows = [(cell.predicted(made) - cell.target) / cell.sigma for cell in self.cells]
         if self.spectra is not None:
             rows.append(self.spectra.residuals(values))
         return np.concatenate(rows) if rows else np.zeros(0)
 
     def data_jacobian(self, values: Values, entries: Sequence[Entry]) -> Array:
         """`(m, p)` with respect to any entries."""
-        rows = [cell.predicted_and_slopes(values, entries)[1] / cell.sigma[:, None] for cell in self.cells]
+        made = self.tuned(values)
+        moves = [Move.along(entry, values, self.tuned) for entry in entries] if self.cells else []
+        rows = [cell.slopes(made, moves) / cell.sigma[:, None] for cell in self.cells]
         if self.spectra is not None:
             rows.append(self.spectra.jacobian(values, entries))
         return np.concatenate(rows) if rows else np.zeros((0, len(entries)))

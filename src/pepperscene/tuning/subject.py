@@ -60,7 +60,7 @@ class Subject:
         recipe: Recipe,
         patches: PatchSet,
         *,
-        bounds: Path | Mapping[str, Any] | None = None,
+        bounds: str | Path | Mapping[str, Any] | None = None,
         registered: bool = False,
         organs: int = ORGANS,
         effort: Quality = EFFORT,
@@ -141,9 +141,9 @@ class Subject:
 
     @cached_property
     def eyes(self) -> tuple[Eye, ...]:
-        """The views as functions of the parameters."""
+        """The views as functions of the recipe's parts."""
         return tuple(
-            Eye(view, self.cultivar, self.tuned, self._seed + place, self._effort)
+            Eye(view, self.cultivar, self._seed + place, self._effort)
             for place, view in enumerate(self.views)
         )
 
@@ -164,17 +164,21 @@ class Subject:
             offsets: by kind, what the whole scene adds to the views' numbers `(6,)`.
         """
         cells = self._by_view() if self.registered else self._by_kind(offsets or {})
-        return Problem(self.parameters(names), cells, self.direct)
+        return Problem(self.parameters(names), self.tuned, cells, self.direct)
 
     def _by_view(self) -> list[Cell]:
         """A cell for each view that a patch is named after."""
         patches = {patch.name: patch for patch in self.patches.patches}
         eyes = [eye for eye in self.eyes if eye.view.name in patches]
-        sigma = np.full(6, FLOOR_REGISTERED)
-        return [
-            Cell(eye.view.name, (eye,), numbers(patches[eye.view.name].linear), sigma, no_offset())
-            for eye in eyes
-        ]
+        found = []
+        for eye in eyes:
+            pixels = patches[eye.view.name].linear
+            target = numbers(pixels)
+            # The standard errors of a mean and of a standard deviation of so many pixels.
+            noise = np.concatenate([target[3:], target[3:] / np.sqrt(2.0)]) / np.sqrt(len(pixels))
+            sigma = np.hypot(FLOOR_REGISTERED, noise)
+            found.append(Cell(eye.view.name, (eye,), target, sigma, no_offset()))
+        return found
 
     def _by_kind(self, offsets: Mapping[str, Array]) -> list[Cell]:
         """A cell for each kind, all its organs together."""
@@ -190,7 +194,7 @@ class Subject:
 
     def _sigma(self, patches: Sequence[Patch], eyes: Sequence[Eye], target: Array) -> Array:
         """`(6,)` by how much the numbers of two samples of organs may differ."""
-        sides = [[patch.linear for patch in patches], [eye.linear({}) for eye in eyes]]
+        sides = [[patch.linear for patch in patches], [eye.linear(self.tuned({})) for eye in eyes]]
         between = np.zeros(3)
         for side in sides:
             if len(side) > 1:

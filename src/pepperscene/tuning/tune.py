@@ -171,5 +171,5 @@ def added(subject: Subject, fit: Fit, whole: Whole) -> dict[str, Array]:
     for cell in subject.problem([one.name for one in fit.parameters]).cells:
         seen = whole.numbers(cell.label)
         if seen is not None:
-            found[cell.label] = seen - cell.predicted(fit.values)
+            found[cell.label] = seen - cell.predicted(fit.tuned)
     return found

@@ -151,8 +151,8 @@ def _shown(mesh: Mesh, kind: str, forward: Array, most: int) -> list[Mesh]:
     corners = mesh.vertices[mesh.faces].astype(float)
     normal = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.bincount(mesh.face_instance, np.abs(normal @ forward), minlength=len(mesh.instances))
-    state = np.bincount(mesh.face_instance, mesh.state[mesh.faces].mean(axis=1), minlength=len(area))
-    state /= np.maximum(np.bincount(mesh.face_instance, minlength=len(area)), 1)
+    states = np.bincount(mesh.face_instance, mesh.state[mesh.faces].mean(axis=1), minlength=len(area))
+    state = states / np.maximum(np.bincount(mesh.face_instance, minlength=len(area)), 1)
     if stage:
         chosen = [i for i in chosen if (state[i] >= _RIPE) == (stage == "ripe")]
     largest = sorted(chosen, key=lambda i: -area[i])[: _CANDIDATES * most]
