@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -73,6 +74,7 @@ def priors(
 # --- tables ---------------------------------------------------------------------------------------------
 
 
+@lru_cache(maxsize=1)
 def _shipped() -> Bounds:
     path = shelf("materials") / SHIPPED
     return Bounds(path.name, dict(_flat(read_toml(path), path.name)), binding=False)
