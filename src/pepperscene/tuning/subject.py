@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 FLOOR: Final = 0.5
 """Chosen: CIELAB units by which mean and spread of a colour may always differ: half of what can be seen."""
-FLOOR_REGISTERED: Final = 0.2
+FLOOR_REGISTERED: Final = 0.1
 """Chosen: the same where patches show the very organs of the views: noise of light and sensor alone."""
 SPREAD: Final = 0.2
 """Chosen: share of a spread by which that of other organs differs; a few organs tell it no better."""
