@@ -4,9 +4,10 @@ Exit codes: 0 done, 1 a data set has faults, 2 something that the user can mend 
 interrupted.
 """
 
-from pepperscene.cli import building, checking, comparing, exporting, machine, plants, reporting
+from pepperscene.cli import building, checking, comparing, exporting, machine, plants, reporting, tuning
 from pepperscene.cli.application import app, main
 
 __all__ = [
     "app", "building", "checking", "comparing", "exporting", "machine", "main", "plants", "reporting",
+    "tuning",
 ]  # fmt: skip

@@ -19,7 +19,7 @@ from pepperscene.tuning.fit import STARTS, fitted
 from pepperscene.tuning.outcome import Fit
 from pepperscene.tuning.subject import Subject
 from pepperscene.tuning.whole import Likeness, Whole, likeness, rendered
-from pepperscene.tuning.written import write_tuned
+from pepperscene.tuning.written import check_folder, write_tuned
 
 if TYPE_CHECKING:
     from pepperscene.colour import PatchSet
@@ -118,6 +118,7 @@ def tune(
     date = when or datetime.date.today()
     subject = Subject(shown, seen, bounds=bounds, seed=seed)
     subject.parameters(names)
+    check_folder(Path(out))
 
     def write(
         fit: Fit, folder: str | Path, frames: Frames | None, verification: Verification | None = None

@@ -72,7 +72,7 @@ def write_tuned(
         InputError: a file that the recipe names is gone, or a tuned value is none that a file may say.
     """
     folder = Path(out)
-    _examine(folder)
+    check_folder(folder)
     occasion = Occasion.of(patches, when, options)
     texts = _texts(recipe, fit, folder, extends, occasion)
     files = {name: text.encode() for name, text in texts.items()}
@@ -146,7 +146,7 @@ class _Names:
         return name
 
 
-def _examine(folder: Path) -> None:
+def check_folder(folder: Path) -> None:
     """Raise the `OutputError` that tells why nothing can be written there, if there is a reason."""
     examine_place(folder)
     try:
