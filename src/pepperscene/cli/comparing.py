@@ -40,7 +40,7 @@ def compare(
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
-    """Tell how alike two sets of images are: hues, CIELAB, class shares, places and light, each with bounds."""
+    """Tell how alike two sets of images are: hues, CIELAB, class shares, places, light; with intervals."""
     from pepperscene.colour.comparing import compare as compare_sets
     from pepperscene.colour.sides import open_sides
 

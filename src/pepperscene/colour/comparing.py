@@ -94,8 +94,16 @@ def _kind(kind: str, one: Measured, other: Measured, names: tuple[str, str]) -> 
     labs = [similarity.mean_labs(sums) for sums in rows if sums is not None]
     return KindComparison(
         kind,
-        of_values(similarity.paired(similarity.correlation, *spectra), known, "all its pixels are grey"),
-        of_values(similarity.paired(similarity.hue_distance, *spectra), known, "all its pixels are grey"),
+        of_values(
+            similarity.paired(similarity.correlation, *spectra, resampled=known),
+            known,
+            "all its pixels are grey",
+        ),
+        of_values(
+            similarity.paired(similarity.hue_distance, *spectra, resampled=known),
+            known,
+            "all its pixels are grey",
+        ),
         of_values(delta_e_2000(*labs), known),
         *places,
         *sides,
@@ -141,8 +149,12 @@ def _places(kind: str, one: Measured, other: Measured, names: tuple[str, str]) -
         maps.append(similarity.place_maps(side.places.totals(), organ_class))
     known = min(one.places.count, other.places.count) > 1
     return (
-        of_values(similarity.paired(similarity.correlation, *maps), known, "it lies everywhere alike"),
-        of_values(similarity.paired(similarity.structure, *maps), known),
+        of_values(
+            similarity.paired(similarity.correlation, *maps, resampled=known),
+            known,
+            "it lies everywhere alike",
+        ),
+        of_values(similarity.paired(similarity.structure, *maps, resampled=known), known),
     )
 
 
@@ -202,7 +214,7 @@ def _light(one: Measured, other: Measured, names: tuple[str, str]) -> LightCompa
     rings = [np.array([similarity.falloff(image) for image in some]) for some in maps]
 
     def alike(measure: Callable[[Floats, Floats], float], some: list[Floats]) -> Measure:
-        return of_values(similarity.paired(measure, *some), known, "a mean picture is flat")
+        return of_values(similarity.paired(measure, *some, resampled=known), known, "a mean picture is flat")
 
     return LightComparison(
         alike(similarity.correlation, maps), alike(similarity.structure, maps),

@@ -171,9 +171,10 @@ def _map(name: str, mask: NDArray[np.float64] | None, left: float, tallest: floa
     """One class in one set; its greatest value stands below, or the reason why there is none."""
     greatest = 0.0 if mask is None else float(mask.max())
     if mask is None or greatest == 0.0:
+        x, y = left + _MAP / 2.0, 14.0 + tallest / 2.0
         return (
             f'<rect class="none" x="{left:g}" y="10" width="{_MAP}" height="{tallest:g}"/>'
-            f'<text class="mid" x="{left + _MAP / 2:g}" y="{10 + tallest / 2 + 4:g}">{escape(_short(why, 20))}</text>'
+            f'<text class="mid" x="{x:g}" y="{y:g}">{escape(_short(why, 22))}</text>'
         )
     height = _MAP * mask.shape[0] / mask.shape[1]
     address = drawing(share_colours(mask / greatest), _MAP_PX)

@@ -9,6 +9,7 @@ from typing import Any, Final
 from pepperscene.colour.measuring import Measured
 from pepperscene.colour.opening import open_patches
 from pepperscene.colour.patch import PatchSet
+from pepperscene.colour.reflectances import reflectance_file
 from pepperscene.colour.stages import regions
 from pepperscene.dataset import ImageSet
 from pepperscene.dataset.readers import open_images
@@ -26,7 +27,7 @@ MOST: Final = 1000
 
 
 def open_side(path: str | Path, *, labels: Any = None, half: str | None = None) -> ImageSet | PatchSet:
-    """A folder as a set of images; a file as patches.
+    """A folder as a set of images; a file, or the name of shipped reflectances, as patches.
 
     Raises:
         InputError: it is neither, or an argument does not go with it.
@@ -34,8 +35,14 @@ def open_side(path: str | Path, *, labels: Any = None, half: str | None = None) 
     if Path(path).is_dir():
         return open_images(path, labels=labels, half=half)
     if not Path(path).exists():
-        raise InputError(path, "", None, "must be a folder of images, or a file of patches")
-
+        try:
+            reflectance_file(path)
+        except InputError:
+            allowed = "must be a folder of images, or a file of patches or of measured reflectances"
+            raise InputError(path, "", None, allowed) from None
+    for name, value in (("labels", labels), ("half", half)):
+        if value is not None:
+            raise InputError(path, name, None, "goes only with a folder of images")
     return open_patches(path)
 
 

@@ -21,8 +21,19 @@ _RINGS: Final = np.linspace(0.0, 1.0, 13)
 """Chosen: twelve rings, each two cells wide."""
 
 
-def paired(measure: Callable[[Floats, Floats], float], one: Floats, other: Floats) -> Floats:
-    """`(n,)` a measure of each pair of rows of two arrays `(n, ...)`; nan where a row is not finite."""
+def paired(
+    measure: Callable[[Floats, Floats], float], one: Floats, other: Floats, *, resampled: bool = True
+) -> Floats:
+    """`(n,)` a measure of each pair of rows of two arrays `(n, ...)`; nan where a row is not finite.
+
+    Args:
+        measure: of two rows.
+        one: of the first set.
+        other: of the second.
+        resampled: whether the replicates are wanted; else the first rows alone are looked at.
+    """
+    if not resampled:
+        one, other = one[:1], other[:1]
     return np.array([
         measure(p, q) if np.isfinite(p).all() and np.isfinite(q).all() else np.nan
         for p, q in zip(one, other, strict=True)
