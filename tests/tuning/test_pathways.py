@@ -303,6 +303,7 @@ def test_the_flash_gets_factors():
 def test_factors_must_fit_the_nodes():
     with pytest.raises(ValueError, match="5 factors and the renderer 8 nodes"):
         at({"flash.spectrum": np.ones(5)})
+    assert tuned(KAITE, CAMERA, {"flash.spectrum": np.ones(5)}).flash_spectrum.size == 0
 
 
 def test_gains_and_matrix():

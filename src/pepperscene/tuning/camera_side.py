@@ -64,12 +64,14 @@ def camera_side(camera: Camera) -> dict[str, Own]:
 def flash_factors(values: Mapping[str, ArrayLike], nodes_nm: ArrayLike) -> Array:
     """`(m,)` factors on the flash's spectrum at the nodes: those of `flash.spectrum` times `flash.colour`'s.
 
+    Without nodes, as of measured spectra that no flash has lit, there are none.
+
     Raises:
         ValueError: `flash.spectrum` has another number of factors than there are nodes.
     """
     nm = np.asarray(nodes_nm, dtype=float)
     factors = np.ones(nm.size)
-    if "flash.spectrum" in values:
+    if nm.size and "flash.spectrum" in values:
         factors = np.atleast_1d(np.asarray(values["flash.spectrum"], dtype=float))
         if factors.shape != nm.shape:
             raise ValueError(f"flash.spectrum has {factors.size} factors and the renderer {nm.size} nodes")
