@@ -1,0 +1,405 @@
+"""How quickly a fit comes how near: ways to fit the same hidden values to the same small pictures.
+
+A twin: pigments and light are drawn from their bounds, pictures of single organs are made with them, with
+noise and other random numbers, and every way starts from the recipe's own values.
+
+- *Gauss-Newton, forward derivatives*: a trust region about Gauss and Newton's steps, as `pepperscene tune`.
+- *the same, finite differences*: each derivative is one more picture, a hundredth of a bound's sd away.
+- *L-BFGS, backward derivatives*: one derivative pass for all entries, of the cost alone (SciPy's L-BFGS-B).
+- *Adam, backward derivatives*: the same, with steps of first order (Kingma & Ba 2015); two step sizes.
+
+All minimise the same cost within the same bounds. Errors are taken off the clock, at the best cost so far.
+One process, all cores; the ways take turns, twin by twin, and the first twin warms up and is not counted.
+
+    python benchmarks/tuning.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.bench.machine import machine, sentence
+from pepperscene.camera import encode
+from pepperscene.colour import Patch, PatchSet, delta_e_2000
+from pepperscene.dataset import load_recipe
+from pepperscene.tuning.model import EFFORT, Eye, Move
+from pepperscene.tuning.observables import lab_of, lab_slopes
+from pepperscene.tuning.problem import Cell, Problem
+from pepperscene.tuning.subject import Subject
+
+if TYPE_CHECKING:
+    from pepperscene.tuning.pathways import Tuned
+
+Array = NDArray[np.float64]
+
+KINDS: Final = ("leaf", "pepper.unripe")
+NAMES: Final = ("leaf.chlorophyll", "leaf.carotenoid", "fruit.chlorophyll", "fruit.brown", "flash.colour")
+DIFFERENCE: Final = 0.01
+"""Step of the finite differences, in sd of the bounds: pictures are in single precision, so that a much
+smaller step finds rounding, and a larger one the curve."""
+TOLERANCE: Final = 1e-4
+"""Relative change of the cost at which a way of second order ends."""
+STEPS: Final = (0.03, 0.1)
+"""Adam's, in sd of the bounds: larger ones overshoot, smaller ones are slower yet."""
+CHECKPOINTS_S: Final = (1.0, 3.0, 10.0, 30.0)
+NEAR: Final = 0.05
+"""Share by which a way's cost may exceed the least that any way finds, to count as there."""
+
+
+# --- pictures with backward derivatives ---------------------------------------------------------------------
+
+
+class BackwardEye(Eye):
+    """A view that also takes derivatives of a cost the other way: from its pixels to every entry at once."""
+
+    def backward(self, made: Tuned, of_linear: Callable[[Array], Array], moves: Sequence[Move]) -> Array:
+        """`(p,)` derivatives of a cost along moves.
+
+        Args:
+            made: the recipe's parts.
+            of_linear: from pixels `(n, 3)` to the derivatives of the cost with respect to them.
+            moves: of the entries.
+        """
+        parameters, electrons = self._light(made), self._electrons(made)
+        linear, by_electrons, free = self._photograph.linear_and_slope(
+            electrons, made.exposure, made.gains, made.matrix
+        )
+        wanted = of_linear(linear)
+        # From pixels back to electrons, from there to the renderer's tables, and to what they are made of.
+        picture = np.zeros((*self.view.mask.shape, electrons.shape[1]))
+        picture[self.view.mask] = by_electrons * ((free * wanted) @ made.matrix)
+        slopes = self._renderer.backward(parameters, picture)
+        found = np.zeros(len(moves))
+        for i, move in enumerate(moves):
+            if move.in_the_scene:
+                above, below = self._light(move.above), self._light(move.below)
+                found[i] = sum(float((slopes[one] * (above[one] - below[one])).sum()) for one in parameters)
+            else:
+                here = [self._developed(electrons, one) for one in (move.above, move.below)]
+                found[i] = float((wanted * (here[0] - here[1])).sum())
+            found[i] /= move.width
+        return found
+
+
+def pixel_slopes(linear: Array, weight: Array) -> Array:
+    """`(n, 3)` derivatives by pixels of the weighted sum of a cell's six numbers: their transpose."""
+    mean, pixels = linear.mean(axis=0), lab_of(linear)
+    of_mean = weight[:3] @ lab_slopes(mean) / len(linear)
+    away = (pixels - pixels.mean(axis=0)) / (len(linear) * pixels.std(axis=0))
+    return of_mean + np.einsum("ni,nij->nj", weight[3:] * away, lab_slopes(linear))
+
+
+# --- a twin -------------------------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class Twin:
+    """A problem whose answer is known, and what is asked of it.
+
+    Attributes:
+        problem: the fit.
+        hidden: `(p,)` the answer.
+        pictures, passes: rendered, and differentiated, since the clock was started.
+        path: (seconds, pictures, passes, cost, vector) after each evaluation of the cost.
+    """
+
+    problem: Problem
+    hidden: Array
+    pictures: int = 0
+    passes: int = 0
+    path: list[tuple[float, int, int, float, Array]] = field(default_factory=list)
+    began: float = 0.0
+
+    @contextmanager
+    def clock(self) -> Iterator[None]:
+        """Count from here."""
+        self.pictures, self.passes, self.path = 0, 0, []
+        self.began = time.perf_counter()
+        yield
+
+    @property
+    def seconds(self) -> float:
+        """Since the clock was started."""
+        return time.perf_counter() - self.began
+
+    def vector(self, scaled: Array) -> Array:
+        """From units of the bounds' sd about their mean."""
+        problem = self.problem
+        return np.clip(problem.mean + problem.sd * scaled, problem.low, problem.high)
+
+    @property
+    def start(self) -> Array:
+        """The recipe's own values, in those units."""
+        problem = self.problem
+        return (problem.inside(problem.default) - problem.mean) / problem.sd
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Their ends, in those units."""
+        problem = self.problem
+        return (problem.low - problem.mean) / problem.sd, (problem.high - problem.mean) / problem.sd
+
+    def residuals(self, scaled: Array) -> Array:
+        """Of data and bounds."""
+        found = self.problem.residuals(self.vector(scaled))
+        self.pictures += len(self.problem.cells)
+        self._note(0.5 * float(found @ found), scaled)
+        return found
+
+    def jacobian(self, scaled: Array) -> Array:
+        """By forward derivatives: a pass for each entry that changes light."""
+        found = self.problem.jacobian(self.vector(scaled)) * self.problem.sd
+        self.pictures += len(self.problem.cells)
+        self.passes += len(self.problem.cells) * len(self.problem.entries)
+        return found
+
+    def differences(self, scaled: Array) -> Array:
+        """By finite differences: a picture for each entry, and inwards."""
+        _, high = self.bounds
+        here, columns = self.problem.residuals(self.vector(scaled)), []
+        for i in range(scaled.size):
+            step = DIFFERENCE if scaled[i] + DIFFERENCE <= high[i] else -DIFFERENCE
+            moved = scaled.copy()
+            moved[i] += step
+            columns.append((self.problem.residuals(self.vector(moved)) - here) / step)
+        self.pictures += len(self.problem.cells) * (1 + scaled.size)
+        return np.stack(columns, axis=1)
+
+    def cost_and_slope(self, scaled: Array) -> tuple[float, Array]:
+        """Half the sum of squares, and its derivatives by one backward pass for each view."""
+        problem, vector = self.problem, self.vector(scaled)
+        values = problem.values(vector)
+        made = problem.tuned(values)
+        moves = [Move.along(entry, values, problem.tuned) for entry in problem.entries]
+        pull = (vector - problem.mean) / problem.sd
+        cost, slope = 0.5 * float(pull @ pull), pull / problem.sd
+        for cell in problem.cells:
+            # One picture gives the residuals, and these what the pass starts from.
+            (eye,) = cell.eyes
+            missed: list[Array] = []
+
+            def of_linear(linear: Array, cell: Cell = cell, missed: list[Array] = missed) -> Array:
+                found = np.concatenate([lab_of(linear.mean(axis=0)), lab_of(linear).std(axis=0)])
+                missed.append((found + cell.offset - cell.target) / cell.sigma)
+                return pixel_slopes(linear, missed[0] / cell.sigma)
+
+            slope = slope + eye.backward(made, of_linear, moves)
+            cost += 0.5 * float(missed[0] @ missed[0])
+        self.pictures += len(problem.cells)
+        self.passes += len(problem.cells)
+        self._note(cost, scaled)
+        return cost, slope * problem.sd
+
+    def errors(self, vector: Array) -> tuple[float, float]:
+        """CIEDE2000 of the patches, their mean, and the entries' distance from the answer in sd, theirs."""
+        made = self.problem.tuned(self.problem.values(vector))
+        seen = np.array([cell.predicted(made)[:3] for cell in self.problem.cells])
+        target = np.array([cell.target[:3] for cell in self.problem.cells])
+        off = np.abs(vector - self.hidden) / self.problem.sd
+        return float(np.mean(delta_e_2000(seen, target))), float(np.mean(off))
+
+    def _note(self, cost: float, scaled: Array) -> None:
+        self.path.append((self.seconds, self.pictures, self.passes, cost, self.vector(scaled)))
+
+
+def twin(recipe_name: str, seed: int) -> Twin:
+    """Hidden values drawn from the bounds, and pictures of them with other random numbers."""
+    recipe = load_recipe(recipe_name)
+    blank = np.zeros((1, 3))
+    kinds = tuple(Patch(kind, kind, "twin", blank, blank.astype(np.uint8)) for kind in KINDS)
+    first = Subject(recipe, PatchSet("kinds", kinds), organs=1, seed=seed)
+    parameters = first.parameters(NAMES)
+    rng = np.random.default_rng(seed)
+    hidden = {one.name: np.array([law.draw(rng) for law in one.prior]) for one in parameters}
+    made = first.tuned(hidden)
+    patches = []
+    for i, view in enumerate(first.views):
+        linear = Eye(view, first.cultivar, 1000 * (seed + 1) + i, EFFORT).linear(made)
+        codes = np.round(255.0 * np.clip(encode(linear), 0.0, 1.0)).astype(np.uint8)
+        patches.append(Patch(view.name, view.kind, "twin", linear, codes))
+    subject = Subject(recipe, PatchSet("twin", tuple(patches)), registered=True, organs=1, seed=seed)
+    given = subject.problem(NAMES)
+    eyes = (BackwardEye(one, subject.cultivar, seed + i, EFFORT) for i, one in enumerate(subject.views))
+    own = {eye.view.name: eye for eye in eyes}
+    cells = [
+        Cell(cell.label, (own[cell.label],), cell.target, cell.sigma, cell.offset) for cell in given.cells
+    ]
+    problem = Problem(given.parameters, subject.tuned, cells)
+    return Twin(problem, np.concatenate([hidden[one.name] for one in parameters]))
+
+
+# --- ways to fit --------------------------------------------------------------------------------------------
+
+
+def gauss_newton(of: Twin, budget_s: float, derivatives: Callable[[Array], Array]) -> None:
+    """Trust region about Gauss and Newton's steps (Branch, Coleman & Li 1999)."""
+    from scipy.optimize import least_squares
+
+    least_squares(
+        of.residuals, of.start, derivatives, bounds=of.bounds, ftol=TOLERANCE, xtol=TOLERANCE, max_nfev=40
+    )
+
+
+def l_bfgs(of: Twin, budget_s: float) -> None:
+    """A limited-memory approximation of the curvature, from gradients (Byrd et al. 1995)."""
+    from scipy.optimize import minimize
+
+    options = {"ftol": TOLERANCE, "maxfun": 400}
+    minimize(
+        of.cost_and_slope,
+        of.start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=np.transpose(of.bounds),
+        options=options,
+    )
+
+
+def adam(of: Twin, budget_s: float, step: float) -> None:
+    """Kingma & Ba 2015 with their constants, kept within the bounds, until the time is over."""
+    place, (low, high) = of.start, of.bounds
+    mean, square = np.zeros(place.size), np.zeros(place.size)
+    for i in range(1, 10_000):
+        _, slope = of.cost_and_slope(place)
+        mean, square = 0.9 * mean + 0.1 * slope, 0.999 * square + 0.001 * slope**2
+        unbiased = mean / (1.0 - 0.9**i), square / (1.0 - 0.999**i)
+        place = np.clip(place - step * unbiased[0] / (np.sqrt(unbiased[1]) + 1e-8), low, high)
+        if of.seconds > budget_s:
+            break
+
+
+WAYS: Final[Mapping[str, Callable[[Twin, float], None]]] = {
+    "Gauss-Newton, forward derivatives": lambda of, budget: gauss_newton(of, budget, of.jacobian),
+    "the same, finite differences": lambda of, budget: gauss_newton(of, budget, of.differences),
+    "L-BFGS, backward derivatives": l_bfgs,
+    **{
+        f"Adam, backward derivatives, steps of {step:g} sd": (
+            lambda of, budget, step=step: adam(of, budget, step)
+        )
+        for step in STEPS
+    },
+}
+
+
+@dataclass(frozen=True)
+class Ran:
+    """One way on one twin: what it reached, and when it was there.
+
+    Attributes:
+        cost: the least.
+        there_s, there_pictures, there_passes: until the cost was within `NEAR` of the least of any way.
+        total_s: until it ended.
+        errors: (CIEDE2000, distance) in the end.
+        by_time: the same at `CHECKPOINTS_S`.
+    """
+
+    cost: float
+    there_s: float
+    there_pictures: float
+    there_passes: float
+    total_s: float
+    errors: tuple[float, float]
+    by_time: tuple[tuple[float, float], ...]
+
+
+def compared(of: Twin, order: Sequence[str], budget_s: float) -> dict[str, Ran]:
+    """All ways on one twin, in an order."""
+    paths, totals = {}, {}
+    for name in order:
+        with of.clock():
+            WAYS[name](of, budget_s)
+            totals[name] = of.seconds
+        paths[name] = of.path
+    least = min(cost for path in paths.values() for *_, cost, _ in path)
+    found = {}
+    for name, path in paths.items():
+        there = next((one for one in path if one[3] <= (1.0 + NEAR) * least), None)
+        best = min(path, key=lambda one: one[3])
+        by_time = []
+        for limit in CHECKPOINTS_S:
+            until = [one for one in path if one[0] <= limit] or path[:1]
+            by_time.append(of.errors(min(until, key=lambda one: one[3])[4]))
+        missed = (np.inf, np.inf, np.inf)
+        reached = there[:3] if there is not None else missed
+        found[name] = Ran(best[3], *reached, totals[name], of.errors(best[4]), tuple(by_time))
+    return found
+
+
+def check(of: Twin) -> None:
+    """Forward, backward and finite differences agree: else the comparison would be of faults."""
+    scaled = 0.5 * of.start
+    residuals, jacobian = of.residuals(scaled), of.jacobian(scaled)
+    cost, slope = of.cost_and_slope(scaled)
+    wanted = jacobian.T @ residuals
+    assert abs(cost - 0.5 * residuals @ residuals) <= 1e-6 * cost
+    assert np.abs(slope - wanted).max() <= 1e-2 * np.abs(wanted).max(), (slope, wanted)
+    finite = of.differences(scaled)
+    assert np.abs(finite - jacobian).max() <= 5e-2 * np.abs(jacobian).max()
+
+
+# --- the table ----------------------------------------------------------------------------------------------
+
+
+def table(runs: Sequence[Mapping[str, Ran]]) -> list[str]:
+    """Rows of two Markdown tables: until there, and errors by time."""
+    first = next(iter(WAYS))
+    median = statistics.median
+    ours = median(one[first].there_s for one in runs)
+    told = [
+        "| way | seconds until there | against the first | pictures | derivative passes "
+        f"| there, of {len(runs)} | ΔE₀₀ in the end | entries off, in sd |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    for name in WAYS:
+        every = [one[name] for one in runs]
+        clocks = [one.there_s for one in every]
+        seconds = median(clocks)
+        spread = f"{seconds:.2f} ({min(clocks):.2f} to {max(clocks):.2f})"
+        told.append(
+            f"| {name} | {spread} | {seconds / ours:.2f} | {median(one.there_pictures for one in every):.0f} "
+            f"| {median(one.there_passes for one in every):.0f} "
+            f"| {sum(np.isfinite(one.there_s) for one in every)} "
+            f"| {median(one.errors[0] for one in every):.3f} | {median(one.errors[1] for one in every):.3f} |"
+        )
+    times = " | ".join(f"{one:g} s" for one in CHECKPOINTS_S)
+    told += ["", f"| ΔE₀₀, and entries off in sd, after | {times} |", "|---|" + "---:|" * len(CHECKPOINTS_S)]
+    for name in WAYS:
+        cells = []
+        for i in range(len(CHECKPOINTS_S)):
+            errors = [one[name].by_time[i] for one in runs]
+            cells.append(f"{median(one[0] for one in errors):.2f}, {median(one[1] for one in errors):.2f}")
+        told.append(f"| {name} | {' | '.join(cells)} |")
+    return told
+
+
+def main() -> None:
+    """Measure and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--recipe", default="barth2018", help="whose organs, light and camera")
+    parser.add_argument("--twins", type=int, default=5, help="that are counted")
+    parser.add_argument("--budget", type=float, default=30.0, metavar="SECONDS", help="of Adam")
+    options = parser.parse_args()
+    names, runs = list(WAYS), []
+    for seed in range(options.twins + 1):
+        of = twin(options.recipe, seed)
+        check(of)  # compiles, too
+        turn = seed % len(names)
+        ran = compared(of, names[turn:] + names[:turn], options.budget if seed else 1.0)
+        if seed:
+            runs.append(ran)
+    told = [sentence(machine()), "", *table(runs)]
+    sys.stdout.write("\n".join(told) + "\n")
+
+
+if __name__ == "__main__":
+    main()
