@@ -214,3 +214,14 @@ def test_the_documentation_has_the_shipped_bounds():
         said = factors.get(table.get("relative"), "")
         numbers = f"{said}{table['mean']:g} ± {table['sd']:g}, {table['low']:g} to {table['high']:g}"
         assert listed[key.replace("*", "<surface>")][-1] == numbers.replace("-", "−"), key
+
+
+def test_the_example_of_the_documentation_is_a_bounds_file(tmp_path):
+    (text,) = re.findall(r"```toml\n(.*?)```", DOCS.read_text("utf-8"), re.DOTALL)
+    path = tmp_path / "bounds.toml"
+    path.write_text(text, "utf-8")
+    assert prior("leaf.chlorophyll", path).sd == 8
+    assert prior("stem.brown", path).sd == pytest.approx(0.22)
+    assert prior("flash.colour", path, entry=1).law == "uniform"
+    assert prior("colour_matrix", path, entry=1).sd == 0.05
+    assert prior("colour_matrix", path, entry=0) == prior("colour_matrix")
