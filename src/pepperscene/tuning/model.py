@@ -119,13 +119,22 @@ class Eye:
             view.camera.sensor, steps.saturation, noise if noisy else None, steps.shot_noise, steps.read_noise
         )
 
-    def linear(self, made: Tuned) -> Array:
-        """`(n, 3)` linear sRGB of the view's pixels."""
-        return self._developed(self._electrons(made), made)
+    def electrons(self, made: Tuned) -> Array:
+        """`(n, c)` that the photosites of the view's pixels expect."""
+        return self._renderer.rgb(self._light(made))[self.view.mask]
 
-    def linear_and_slopes(self, made: Tuned, moves: Sequence[Move]) -> tuple[Array, Array]:
+    def linear(self, made: Tuned, shade: Array) -> Array:
+        """`(n, 3)` linear sRGB of the view's pixels.
+
+        Args:
+            made: the recipe's parts.
+            shade: `(c,)` share of the light that neighbours let through, by colour.
+        """
+        return self._developed(shade * self.electrons(made), made)
+
+    def linear_and_slopes(self, made: Tuned, moves: Sequence[Move], shade: Array) -> tuple[Array, Array]:
         """`linear`, and its derivatives `(p, n, 3)` along moves."""
-        electrons = self._electrons(made)
+        electrons = shade * self.electrons(made)
         found, by_electrons, free = self._photograph.linear_and_slope(
             electrons, made.exposure, made.gains, made.matrix
         )
@@ -135,7 +144,7 @@ class Eye:
             if move.in_the_scene:
                 direction = _direction(self._light(move.above), self._light(move.below), move.width)
                 if direction:
-                    change = self._renderer.forward(parameters, direction)[self.view.mask]
+                    change = shade * self._renderer.forward(parameters, direction)[self.view.mask]
                     slope[:] = free * ((by_electrons * change) @ made.matrix.T)
             else:
                 here = [self._developed(electrons, one) for one in (move.above, move.below)]
@@ -162,9 +171,6 @@ class Eye:
             found |= {"flash.spectrum": made.flash_spectrum}
         found |= {"flash.power": np.array(made.flash_power)}
         return {name: np.asarray(found[name]) for name in self._renderer.parameters if name in found}
-
-    def _electrons(self, made: Tuned) -> Array:
-        return self._renderer.rgb(self._light(made))[self.view.mask]
 
     def _developed(self, electrons: Array, made: Tuned) -> Array:
         return self._photograph.linear(electrons, made.exposure, made.gains, made.matrix)

@@ -28,6 +28,24 @@ _INSIDE: Final = 1e-6  # of a bound's width: where a start that lies on it begin
 
 
 @dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What neighbours do to an organ's light and colours, as the whole scene shows it.
+
+    Attributes:
+        shade: `(c,)` electrons of the kind's pixels in the scene, in shares of those in the views.
+        offset: `(6,)` what is left to add to the views' numbers after that.
+    """
+
+    shade: Array
+    offset: Array
+
+
+def alone() -> Surroundings:
+    """Organs without neighbours, or before the scene has been looked at."""
+    return Surroundings(np.ones(3), np.zeros(NUMBERS))
+
+
+@dataclass(frozen=True, eq=False)
 class Cell:
     """Patches that are compared with views.
 
@@ -36,26 +54,26 @@ class Cell:
         eyes: the views.
         target: `(6,)` numbers of the patches (see `observables.numbers`).
         sigma: `(6,)` by how much model and patches may differ.
-        offset: `(6,)` what the whole scene adds to the views' numbers.
+        around: what neighbours do to the views' light and colours.
     """
 
     label: str
     eyes: tuple[Eye, ...]
     target: Array
     sigma: Array
-    offset: Array
+    around: Surroundings
 
     def linear(self, made: Tuned) -> Array:
         """`(n, 3)` linear sRGB of all pixels of its views."""
-        return np.concatenate([eye.linear(made) for eye in self.eyes])
+        return np.concatenate([eye.linear(made, self.around.shade) for eye in self.eyes])
 
     def predicted(self, made: Tuned) -> Array:
         """`(6,)` the model's numbers."""
-        return numbers(self.linear(made)) + self.offset
+        return numbers(self.linear(made)) + self.around.offset
 
     def slopes(self, made: Tuned, moves: Sequence[Move]) -> Array:
         """`(6, p)` derivatives of `predicted` along moves."""
-        parts = [eye.linear_and_slopes(made, moves) for eye in self.eyes]
+        parts = [eye.linear_and_slopes(made, moves, self.around.shade) for eye in self.eyes]
         linear = np.concatenate([linear for linear, _ in parts])
         return numbers_and_slopes(linear, np.concatenate([slope for _, slope in parts], axis=1))[1]
 
@@ -132,8 +150,3 @@ class Problem:
         if self.spectra is not None:
             rows.append(self.spectra.jacobian(values, entries))
         return np.concatenate(rows) if rows else np.zeros((0, len(entries)))
-
-
-def no_offset() -> Array:
-    """What the whole scene adds, before it has been looked at."""
-    return np.zeros(NUMBERS)

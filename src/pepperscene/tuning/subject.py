@@ -17,8 +17,8 @@ from pepperscene.tuning.model import EFFORT, Eye, Values
 from pepperscene.tuning.observables import lab_of, numbers
 from pepperscene.tuning.parameter import Parameter, known_parameters, parameters_of
 from pepperscene.tuning.pathways import Tuned, dense, tuned
-from pepperscene.tuning.problem import Cell, Problem, no_offset
-from pepperscene.tuning.views import ORGANS, View, organ_views
+from pepperscene.tuning.problem import Cell, Problem, Surroundings, alone
+from pepperscene.tuning.views import ORGANS, PIXELS, View, organ_views
 
 if TYPE_CHECKING:
     from pepperscene.colour import Patch, PatchSet
@@ -48,6 +48,7 @@ class Subject:
         registered: whether patches are named after views and show the same organs, as of a twin; else
             organs are a sample on either side.
         organs: of each kind that are looked at.
+        pixels: along the sides of a view.
         effort: of light.
         seed: of organs, light and noise.
 
@@ -63,11 +64,13 @@ class Subject:
         bounds: str | Path | Mapping[str, Any] | None = None,
         registered: bool = False,
         organs: int = ORGANS,
+        pixels: int = PIXELS,
         effort: Quality = EFFORT,
         seed: int = 0,
     ) -> None:
         self.recipe, self.patches, self.registered = recipe, patches, registered
-        self._bounds, self._organs, self._effort, self._seed = bounds, organs, effort, seed
+        self._bounds, self._organs, self._pixels = bounds, organs, pixels
+        self._effort, self._seed = effort, seed
         self.stage = Stage(recipe)
         self.camera = self.stage.views.equipment
         if self.camera.sensor.channels != 3:
@@ -136,6 +139,7 @@ class Subject:
             self.kinds,
             sky=self.stage.sky(0),
             organs=self._organs,
+            pixels=self._pixels,
             seed=self._seed,
         )
 
@@ -156,14 +160,14 @@ class Subject:
 
     # --- the problem ------------------------------------------------------------------------------------
 
-    def problem(self, names: Sequence[str], offsets: Mapping[str, Array] | None = None) -> Problem:
+    def problem(self, names: Sequence[str], around: Mapping[str, Surroundings] | None = None) -> Problem:
         """The fit of some parameters to all patches.
 
         Args:
             names: of the parameters.
-            offsets: by kind, what the whole scene adds to the views' numbers `(6,)`.
+            around: by kind, what the whole scene does to single organs.
         """
-        cells = self._by_view() if self.registered else self._by_kind(offsets or {})
+        cells = self._by_view() if self.registered else self._by_kind(around or {})
         return Problem(self.parameters(names), self.tuned, cells, self.direct)
 
     def _by_view(self) -> list[Cell]:
@@ -177,10 +181,10 @@ class Subject:
             # The standard errors of a mean and of a standard deviation of so many pixels.
             noise = np.concatenate([target[3:], target[3:] / np.sqrt(2.0)]) / np.sqrt(len(pixels))
             sigma = np.hypot(FLOOR_REGISTERED, noise)
-            found.append(Cell(eye.view.name, (eye,), target, sigma, no_offset()))
+            found.append(Cell(eye.view.name, (eye,), target, sigma, alone()))
         return found
 
-    def _by_kind(self, offsets: Mapping[str, Array]) -> list[Cell]:
+    def _by_kind(self, around: Mapping[str, Surroundings]) -> list[Cell]:
         """A cell for each kind, all its organs together."""
         found = []
         for kind, pixels in self.targets.items():
@@ -188,13 +192,14 @@ class Subject:
             if not eyes:
                 continue
             target = numbers(pixels)
-            sigma = self._sigma(self.patches.of_kind(kind), eyes, target)
-            found.append(Cell(kind, eyes, target, sigma, offsets.get(kind, no_offset())))
+            shade = around.get(kind, alone()).shade
+            sigma = self._sigma(self.patches.of_kind(kind), eyes, shade, target)
+            found.append(Cell(kind, eyes, target, sigma, around.get(kind, alone())))
         return found
 
-    def _sigma(self, patches: Sequence[Patch], eyes: Sequence[Eye], target: Array) -> Array:
+    def _sigma(self, patches: Sequence[Patch], eyes: Sequence[Eye], shade: Array, target: Array) -> Array:
         """`(6,)` by how much the numbers of two samples of organs may differ."""
-        sides = [[patch.linear for patch in patches], [eye.linear(self.tuned({})) for eye in eyes]]
+        sides = [[patch.linear for patch in patches], [eye.linear(self.tuned({}), shade) for eye in eyes]]
         between = np.zeros(3)
         for side in sides:
             if len(side) > 1:

@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 
 from pepperscene.tuning.before_after import Frames
 from pepperscene.tuning.fit import STARTS, fitted
+from pepperscene.tuning.observables import numbers
 from pepperscene.tuning.outcome import Fit
+from pepperscene.tuning.pathways import Tuned
+from pepperscene.tuning.problem import Problem, Surroundings
 from pepperscene.tuning.subject import Subject
 from pepperscene.tuning.whole import Likeness, Whole, likeness, rendered
 from pepperscene.tuning.written import check_folder, write_tuned
@@ -28,8 +31,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 ROUNDS: Final = 3
-_NEAR: Final = 0.5
-"""Chosen: CIELAB units by which what the whole scene adds may still change; less is not seen."""
+VERIFY: Final = 4
+"""Chosen: frames of the whole scene; organs enough, in half a minute each time."""
+_NEAR: Final = 1.0
+"""Chosen: CIELAB units by which the whole scene may miss what a fit took it for: what can just be seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +81,7 @@ def tune(
     hold_out: Sequence[str] = (),
     starts: int = STARTS,
     seed: int = 0,
-    verify: int = 0,
+    verify: int = VERIFY,
     quality: str = "draft",
     when: datetime.date | None = None,
     options: Mapping[str, Any] | None = None,
@@ -135,24 +140,25 @@ def tune(
             verification=None if verification is None else asdict(verification),
         )
 
-    fit = fitted(subject, subject.problem(names), starts=starts, seed=seed, told=told)
     if not verify:
+        fit = fitted(subject, subject.problem(names), starts=starts, seed=seed, told=told)
         return Tuning(fit, write(fit, out, None), None)
 
-    # The whole scene tells what neighbours add to an organ's colour; with that the fit is made again.
+    # The whole scene tells what neighbours do to an organ's light; with that the fit is made, and again with
+    # what the tuned scene tells.
     before = rendered(shown, verify, quality)
-    offsets: dict[str, Array] = {}
+    around = surroundings(subject, subject.tuned({}), before)
     for round_ in range(1, ROUNDS + 1):
+        problem = subject.problem(names, around)
+        fit = fitted(subject, problem, starts=starts if round_ == 1 else 1, seed=seed, told=told)
         with tempfile.TemporaryDirectory(prefix="pepperscene-") as folder:
             after = rendered(load_recipe(write(fit, folder, None)[0]), verify, quality)
-        further = added(subject, fit, after)
-        moved = max((np.abs(further[kind] - offsets.get(kind, 0.0)).max() for kind in further), default=0.0)
+        off = farthest(problem, fit.tuned, after)
         if told is not None:
-            told(f"whole scene, round {round_}: it adds {moved:.1f} CIELAB units that were not known")
-        if moved < _NEAR or round_ == ROUNDS:
+            told(f"round {round_}: the whole scene lies {off:.1f} CIELAB units from what the fit took it for")
+        if off < _NEAR:
             break
-        offsets = further
-        fit = fitted(subject, subject.problem(names, offsets), starts=1, seed=seed, told=told)
+        around = surroundings(subject, fit.tuned, after)
     kinds = subject.kinds
     nothing: Mapping[str, Likeness] = {}
     verification = Verification(
@@ -166,11 +172,25 @@ def tune(
     return Tuning(fit, write(fit, out, Frames(before.picture, after.picture), verification), verification)
 
 
-def added(subject: Subject, fit: Fit, whole: Whole) -> dict[str, Array]:
-    """What the whole scene adds to the numbers of single organs `(6,)`, by kind."""
+def surroundings(subject: Subject, made: Tuned, whole: Whole) -> dict[str, Surroundings]:
+    """What the whole scene does to single organs of each kind, at a recipe's tuned parts."""
     found = {}
-    for cell in subject.problem([one.name for one in fit.parameters]).cells:
+    for kind in subject.kinds:
+        eyes, seen = [eye for eye in subject.eyes if eye.view.kind == kind], whole.numbers(kind)
+        if seen is None:
+            continue
+        mean = np.concatenate([eye.electrons(made) for eye in eyes]).mean(axis=0)
+        shade = whole.electrons[kind] / np.maximum(mean, 1e-9)
+        alike = numbers(np.concatenate([eye.linear(made, shade) for eye in eyes]))
+        found[kind] = Surroundings(shade, seen - alike)
+    return found
+
+
+def farthest(problem: Problem, made: Tuned, whole: Whole) -> float:
+    """By how much the whole scene's mean colours miss those that a fit took them for, CIELAB units."""
+    found = [0.0]
+    for cell in problem.cells:
         seen = whole.numbers(cell.label)
         if seen is not None:
-            found[cell.label] = seen - cell.predicted(fit.tuned)
-    return found
+            found.append(float(np.linalg.norm((seen - cell.predicted(made))[:3])))
+    return max(found)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -16,11 +16,11 @@ from pepperscene.truth.hue import spectrum_correlation
 from pepperscene.tuning.observables import numbers
 
 if TYPE_CHECKING:
-    from pepperscene.dataset import Recipe
+    from pepperscene.dataset import Dataset, Recipe
 
 Array = NDArray[np.float64]
 
-OUTPUTS: Final = ("colour", "class", "instance", "harvest")
+OUTPUTS: Final = ("colour", "class", "instance", "harvest", "electrons")
 _PIXELS: Final = 20_000  # of a kind
 
 
@@ -30,10 +30,12 @@ class Whole:
 
     Attributes:
         patches: their organs.
+        electrons: `(3,)` that photosites expect on average, by kind.
         picture: `(h, w, 3)` uint8, the middle one of the frames.
     """
 
     patches: PatchSet
+    electrons: Mapping[str, Array]
     picture: NDArray[np.uint8]
 
     def numbers(self, kind: str) -> Array | None:
@@ -74,7 +76,22 @@ def rendered(recipe: Recipe, frames: int, quality: str = "draft") -> Whole:
     with tempfile.TemporaryDirectory(prefix="pepperscene-") as folder:
         dataset = build(recipe, Path(folder) / "frames", chosen, OUTPUTS, quality).dataset
         picture = dataset.image(chosen[count // 2], "colour")
-        return Whole(open_patches(dataset.folder), picture)
+        return Whole(open_patches(dataset.folder), _electrons(dataset, chosen), picture)
+
+
+def _electrons(dataset: Dataset, frames: Sequence[int]) -> dict[str, Array]:
+    """Mean electrons `(3,)` of each kind over all its pixels."""
+    from pepperscene.colour.stages import regions
+    from pepperscene.dataset.readers import open_images
+
+    images = open_images(dataset.folder)
+    sums: dict[str, Array] = {}
+    for picture, index in zip(images, frames, strict=True):
+        light = dataset.image(index, "electrons")
+        for kind, pixels in regions(images, picture):
+            seen = np.array([*light[pixels].sum(axis=0, dtype=float), pixels.sum()])
+            sums[kind] = sums.get(kind, np.zeros(4)) + seen
+    return {kind: total[:3] / total[3] for kind, total in sums.items()}
 
 
 def likeness(one: PatchSet, other: PatchSet, kinds: Iterable[str]) -> Mapping[str, Likeness]:
