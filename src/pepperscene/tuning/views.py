@@ -145,7 +145,9 @@ def _check(kind: str) -> None:
 
 
 def _shown(mesh: Mesh, kind: str, forward: Array, most: int) -> list[Mesh]:
-    """Organs of a kind by themselves: of those that show most, from the lowest to the highest state."""
+    """Organs of a kind by themselves, surface by surface: of those that show most, from the lowest to the
+    highest state.
+    """
     name, _, stage = kind.partition(".")
     chosen = [i for i, one in enumerate(mesh.instances) if one.organ_class == OrganClass[name.upper()]]
     corners = mesh.vertices[mesh.faces].astype(float)
@@ -155,12 +157,20 @@ def _shown(mesh: Mesh, kind: str, forward: Array, most: int) -> list[Mesh]:
     state = states / np.maximum(np.bincount(mesh.face_instance, minlength=len(area)), 1)
     if stage:
         chosen = [i for i in chosen if (state[i] >= _RIPE) == (stage == "ripe")]
-    largest = sorted(chosen, key=lambda i: -area[i])[: _CANDIDATES * most]
-    if not largest:
-        return []
-    by_state = sorted(largest, key=lambda i: float(state[i]))
-    places = np.unique(np.round((np.arange(most) + 0.5) / most * len(by_state) - 0.5).astype(int))
-    return [mesh.of_instances([by_state[place]]) for place in places]
+    # The stalk of a fruit and its calyx are one kind of two surfaces: they take turns, what shows more first.
+    surface = np.zeros(len(mesh.instances), int)
+    surface[mesh.face_instance] = mesh.face_surface
+    by_surface: dict[int, list[int]] = {}
+    for i in sorted(chosen, key=lambda i: -area[i]):
+        by_surface.setdefault(int(surface[i]), []).append(i)
+    turns = sorted(by_surface.values(), key=lambda own: -area[own].sum())
+    found: list[int] = []
+    for turn, own in enumerate(turns):
+        share = -(-(most - turn) // len(turns))
+        by_state = sorted(own[: _CANDIDATES * share], key=lambda i: float(state[i]))
+        places = np.round((np.arange(share) + 0.5) / max(share, 1) * len(by_state) - 0.5)
+        found += [by_state[place] for place in np.unique(places.astype(int))]
+    return [mesh.of_instances([i]) for i in found]
 
 
 # --- cameras ----------------------------------------------------------------------------------------------

@@ -1,0 +1,188 @@
+"""Twins: patches that the ordinary renderer and the camera's own chain make at hidden values.
+
+Light is drawn anew (other random numbers, 64 samples in every pixel, the renderer of pictures rather than the
+one with derivatives), photons and amplifier add their noise, the converter its steps, and the picture is told
+in 8-bit codes. What a fit then sees is what a camera would have handed on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pepperscene.camera import Camera, camera_rgb, corrected, decode, encode
+from pepperscene.colour import Patch, PatchSet, delta_e_2000
+from pepperscene.dataset.equipment import surface_grid
+from pepperscene.materials import organ_surfaces
+from pepperscene.render import Renderer
+from pepperscene.render.quality import Quality
+from pepperscene.spectra import illuminance
+from pepperscene.tuning.fit import fitted
+from pepperscene.tuning.observables import lab_of
+from pepperscene.tuning.outcome import Fit
+from pepperscene.tuning.parameter import Parameter
+from pepperscene.tuning.problem import Problem
+from pepperscene.tuning.subject import Subject
+from pepperscene.tuning.tuned_flash import tuned_spectrum
+from pepperscene.tuning.views import View, organ_views, with_surfaces
+
+KINDS = ("leaf", "pepper.unripe", "pepper.ripe", "peduncle", "stem", "shoot")
+"""Of organs that a fit looks at: together they show every surface but the calyx."""
+
+HIDDEN = (
+    "leaf.chlorophyll", "leaf.carotenoid", "leaf.structure", "leaf.state", "leaf.spread", "leaf.roughness",
+    "fruit.chlorophyll", "fruit.carotenoid", "fruit.brown", "fruit.flesh", "fruit.ripeness",
+    "fruit.roughness", "fruit.ior", "petiole.chlorophyll", "stem.chlorophyll", "stem.brown",
+    "peduncle.chlorophyll", "peduncle.flesh", "flash.colour", "flash.power", "exposure", "white_balance",
+)  # fmt: skip
+"""What a twin may hide: of every kind of parameter some."""
+
+SAME = (("flash.power", "exposure"),)
+"""Pairs of which a draw takes one: twice the light and twice the gain differ by their noise alone."""
+
+FINE = Quality(64, 64, 64, 1, target=None, denoise=False)
+
+
+def no_patches(kinds: Sequence[str] = KINDS) -> PatchSet:
+    """A grey pixel of each kind: what a subject needs to have views."""
+    grey = np.full((1, 3), 188, np.uint8)
+    return PatchSet("none", tuple(Patch(kind, kind, "none", decode(grey), grey) for kind in kinds))
+
+
+def drawn_names(rng: np.random.Generator, count: int = 5, among: Sequence[str] = HIDDEN) -> tuple[str, ...]:
+    """Some of the names, drawn again where two of them move the same thing."""
+    while True:
+        names = tuple(sorted(rng.choice(among, count, replace=False).tolist(), key=among.index))
+        if not any(set(pair) <= set(names) for pair in SAME):
+            return names
+
+
+def drawn_values(parameters: Sequence[Parameter], rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """A point of the bounds: every entry by its own law."""
+    return {one.name: np.array([law.draw(rng) for law in one.prior]) for one in parameters}
+
+
+# --- what a camera would have handed on -------------------------------------------------------------------
+
+
+def twin_patches(
+    subject: Subject, values: Mapping[str, np.ndarray], seed: int, views: Sequence[View] | None = None
+) -> PatchSet:
+    """Patches named after views, at hidden values.
+
+    Args:
+        subject: whose recipe is tuned.
+        values: that are hidden.
+        seed: of light and noise.
+        views: other ones than the subject's own.
+    """
+    made = subject.tuned(values)
+    plants = subject.cultivar
+    plants = plants.model_copy(update={"pigments": {**plants.pigments, **made.pigments}})
+    surfaces = organ_surfaces(plants, surface_grid(subject.camera.sensor))
+    found = []
+    for i, view in enumerate(subject.views if views is None else views):
+        seen = with_surfaces(view, surfaces)
+        found.append(picture_patch(seen, tuned_camera(view.camera, made), seed, i))
+    return PatchSet("twin", tuple(found))
+
+
+def tuned_camera(camera: Camera, made) -> Camera:
+    """The camera with a recipe's parts as they were tuned: what would be written, in its own words."""
+    flash = camera.flash
+    if flash is not None:
+        spectrum = tuned_spectrum(flash.spectrum, made.flash_nodes_nm, made.flash_spectrum)
+        # Power and spectrum are factors of the light itself, lux follow.
+        factor = made.flash_power * illuminance(spectrum) / illuminance(flash.spectrum)
+        flash = replace(flash, spectrum=spectrum, illuminance_lx=flash.illuminance_lx * factor)
+    return replace(
+        camera,
+        flash=flash,
+        sensor=camera.sensor.with_settings(gain=camera.sensor.gain * made.exposure),
+        developing=replace(camera.developing, white_balance=tuple(made.gains), colour_matrix=made.matrix),
+    )
+
+
+def picture_patch(view: View, camera: Camera, seed: int, number: int) -> Patch:
+    """The organ's pixels in a picture of a view."""
+    electrons = Renderer(view.scene).render(camera, ["electrons"], FINE, 100 * seed + number)["electrons"]
+    rgb = camera_rgb(electrons, camera, np.random.default_rng([seed, number]))
+    codes = encode(corrected(rgb, camera), camera.developing.tone)[view.mask]
+    return Patch(view.name, view.kind, view.name, decode(codes, camera.developing.tone), codes)
+
+
+# --- one twin from end to end -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Recovery:
+    """What a fit found of what was hidden.
+
+    Attributes:
+        labels: `(p,)` of the entries.
+        true, found, sd: `(p,)`.
+        relative: `(p,)` errors, of the true values' sizes; of those that can be 0 (exponents of the flash's
+            colour), of the sd of their bounds.
+        deviance: of all entries together, squared, in units of the fit's own covariance: chi-squared with p
+            degrees of freedom if that is honest.
+        open: `(p,)` whether the fit says that it cannot be determined.
+        delta_e: by view, CIEDE2000 between patch and model at the end.
+        fit: itself.
+    """
+
+    labels: tuple[str, ...]
+    true: np.ndarray
+    found: np.ndarray
+    sd: np.ndarray
+    relative: np.ndarray
+    deviance: float
+    open: np.ndarray
+    delta_e: dict[str, float]
+    fit: Fit
+
+
+def recovered(subject: Subject, problem: Problem, values: Mapping[str, np.ndarray], told=None) -> Recovery:
+    """Fit a twin, and hold what was found against what was hidden."""
+    fit = fitted(subject, problem, told=told)
+    true, found, sd = (
+        np.concatenate([what[one.name] for one in fit.parameters]) for what in (values, fit.values, fit.sd)
+    )
+    size = np.where(
+        [one.parameter.name == "flash.colour" for one in problem.entries], problem.sd, np.abs(true)
+    )
+    off = (found - true) / sd
+    labels = tuple(entry.label for entry in problem.entries)
+    return Recovery(
+        labels=labels,
+        true=true,
+        found=found,
+        sd=sd,
+        relative=np.abs(found - true) / size,
+        deviance=float(off @ np.linalg.solve(fit.correlation, off)),
+        open=np.array([any(said.startswith(label) for said in fit.undetermined) for label in labels]),
+        delta_e=patch_delta_e(problem, fit),
+        fit=fit,
+    )
+
+
+def patch_delta_e(problem: Problem, fit: Fit) -> dict[str, float]:
+    """CIEDE2000 between the mean colours of each cell's patch and model, at the best values."""
+    target = np.array([cell.target[:3] for cell in problem.cells])
+    model = np.array([lab_of(cell.linear(fit.tuned).mean(axis=0)) for cell in problem.cells])
+    labels = [cell.label for cell in problem.cells]
+    return dict(zip(labels, delta_e_2000(target, model).tolist(), strict=True))
+
+
+def other_organs(subject: Subject, seed: int, **how: int) -> tuple[View, ...]:
+    """Views of further organs of the same cultivar."""
+    return organ_views(
+        subject.recipe,
+        subject.cultivar,
+        subject.camera,
+        subject.kinds,
+        sky=subject.stage.sky(0),
+        seed=seed,
+        **how,
+    )
