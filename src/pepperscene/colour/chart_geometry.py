@@ -15,6 +15,9 @@ ROWS: Final = 4
 _MIDDLE: Final = 0.25
 """Half the side of a field's middle, in fields: what lies further out may be the frame (chosen)."""
 
+_MOST_PIXELS: Final = 500_000
+"""Of a chart, that are looked at: some five thousand in the middle of each field (chosen)."""
+
 
 def homography(source: Floats, target: Floats) -> Floats:
     """`(3, 3)` projective map of points `(n, 2)` onto others, n >= 4, by least squares.
@@ -48,7 +51,7 @@ def grid_corners(columns: int = COLUMNS, rows: int = ROWS) -> Floats:
 
 
 def field_numbers(shape: tuple[int, int], corners: Floats) -> tuple[tuple[slice, slice], NDArray[np.intp]]:
-    """Which field's middle half each pixel shows.
+    """Which field's middle half each pixel shows; of a large chart, only some rows and columns are asked.
 
     Args:
         shape: height and width of the picture.
@@ -60,13 +63,14 @@ def field_numbers(shape: tuple[int, int], corners: Floats) -> tuple[tuple[slice,
     """
     left, top = np.maximum(np.floor(corners.min(axis=0)).astype(int), 0)
     right, bottom = np.minimum(np.ceil(corners.max(axis=0)).astype(int), [shape[1], shape[0]])
-    columns, rows = np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5)
+    step = 1 + int(np.sqrt((right - left) * (bottom - top) / _MOST_PIXELS))
+    columns, rows = np.meshgrid(np.arange(left, right, step) + 0.5, np.arange(top, bottom, step) + 0.5)
     place = mapped(homography(corners, grid_corners()), np.stack([columns, rows], axis=-1))
     cell = np.floor(place)
     near = (np.abs(place - cell - 0.5) <= _MIDDLE).all(axis=-1)
     inside = near & (cell >= 0).all(axis=-1) & (cell < [COLUMNS, ROWS]).all(axis=-1)
     numbers = np.where(inside, cell[..., 1] * COLUMNS + cell[..., 0], -1.0).astype(np.intp)
-    return (slice(int(top), int(bottom)), slice(int(left), int(right))), numbers
+    return (slice(int(top), int(bottom), step), slice(int(left), int(right), step)), numbers
 
 
 def orientations(corners: Floats) -> Iterator[Floats]:
