@@ -90,13 +90,13 @@ def _heading(found: Comparison) -> str:
     left, texts = float(_MARGIN), []
     for key, name, side in zip("ab", found.names, (found.one, found.other), strict=True):
         noun = "pictures" if side.pictured else "pictures and spectra that patches are from"
-        words = f"{name}: {side.units:,} of {side.of:,} {noun}"
+        words = f"{_short(name, 45)}: {side.units:,} of {side.of:,} {noun}"
         texts.append(
             f'<rect class="{key}" x="{left:g}" y="52" width="14" height="8"/>'
             f'<text x="{left + 20:g}" y="60">{escape(words)}</text>'
         )
         left += 20 + 7.6 * len(words) + 30
-    title = f"{found.names[0]} and {found.names[1]}"
+    title = f"{_short(found.names[0], 45)} and {_short(found.names[1], 45)}"
     return f'<text class="head" x="{_MARGIN}" y="36">{escape(title)}</text>{"".join(texts)}'
 
 
