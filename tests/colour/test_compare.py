@@ -228,6 +228,9 @@ def test_spectra_are_seen_under_daylight():
     leaf = compare(PatchSet("card", (), (white,)), PatchSet("grey", (), (grey,))).kinds["leaf"]
     # Of a reflectance of .184 the lightness is 50, by the definition of L*.
     assert [one.value for one in leaf.one.lab] == pytest.approx([100.0, 0.0, 0.0], abs=0.05)
+    green = MeasuredSpectrum("green", "leaf", Spectrum(nm, np.exp(-(((nm - 550) / 40) ** 2))))
+    narrow = compare(PatchSet("green", (), (green,)), PatchSet("grey", (), (grey,)))
+    assert str(narrow.kinds["leaf"].one.hue_spread_deg.value) == "0.0"
     assert [one.value for one in leaf.other.lab] == pytest.approx([50.0, 0.0, 0.0], abs=0.05)
 
 

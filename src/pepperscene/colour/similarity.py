@@ -58,7 +58,8 @@ def mean_hues(spectra: Floats) -> Floats:
 def hue_spreads(spectra: Floats) -> Floats:
     """`(n,)` circular standard deviation of hue spectra, degrees; nan where they have no direction."""
     spreads = np.array([circular_sd(_ANGLES, spectrum) for spectrum in spectra])
-    return np.where(np.isfinite(spreads), spreads, np.nan)
+    # Of a single hue the logarithm leaves a minus zero.
+    return np.where(np.isfinite(spreads), np.abs(spreads), np.nan)
 
 
 def correlation(one: Floats, other: Floats) -> float:
