@@ -33,7 +33,7 @@ class Surroundings:
 
     Attributes:
         shade: `(c,)` electrons of the kind's pixels in the scene, in shares of those in the views.
-        offset: `(6,)` what is left to add to the views' numbers after that.
+        offset: `(8,)` what is left to add to the views' numbers after that.
     """
 
     shade: Array
@@ -52,8 +52,8 @@ class Cell:
     Attributes:
         label: the kind, or a single view's name.
         eyes: the views.
-        target: `(6,)` numbers of the patches (see `observables.numbers`).
-        sigma: `(6,)` by how much model and patches may differ.
+        target: `(8,)` numbers of the patches (see `observables.numbers`).
+        sigma: `(8,)` by how much model and patches may differ.
         around: what neighbours do to the views' light and colours.
     """
 
@@ -68,11 +68,11 @@ class Cell:
         return np.concatenate([eye.linear(made, self.around.shade) for eye in self.eyes])
 
     def predicted(self, made: Tuned) -> Array:
-        """`(6,)` the model's numbers."""
+        """`(8,)` the model's numbers."""
         return numbers(self.linear(made)) + self.around.offset
 
     def slopes(self, made: Tuned, moves: Sequence[Move]) -> Array:
-        """`(6, p)` derivatives of `predicted` along moves."""
+        """`(8, p)` derivatives of `predicted` along moves."""
         parts = [eye.linear_and_slopes(made, moves, self.around.shade) for eye in self.eyes]
         linear = np.concatenate([linear for linear, _ in parts])
         return numbers_and_slopes(linear, np.concatenate([slope for _, slope in parts], axis=1))[1]

@@ -14,7 +14,7 @@ from pepperscene.dataset import Stage
 from pepperscene.errors import InputError
 from pepperscene.tuning.direct import DirectModel
 from pepperscene.tuning.model import EFFORT, Eye, Values
-from pepperscene.tuning.observables import lab_of, numbers
+from pepperscene.tuning.observables import noise_of, numbers
 from pepperscene.tuning.parameter import Parameter, known_parameters, parameters_of
 from pepperscene.tuning.pathways import Tuned, dense, tuned
 from pepperscene.tuning.problem import Cell, Problem, Surroundings, alone
@@ -31,9 +31,14 @@ FLOOR: Final = 0.5
 """Chosen: CIELAB units by which mean and spread of a colour may always differ: half of what can be seen."""
 FLOOR_REGISTERED: Final = 0.1
 """Chosen: the same where patches show the very organs of the views: noise of light and sensor alone."""
+FLOOR_HUE: Final = 0.05
+"""Chosen: radians by which hues may always differ, three degrees; half a bin and more of their spectra."""
+FLOOR_HUE_REGISTERED: Final = 0.005
+"""Chosen: the same where patches show the very organs of the views."""
 SPREAD: Final = 0.2
 """Chosen: share of a spread by which that of other organs differs; a few organs tell it no better."""
 
+_FLOORS_REGISTERED: Final = np.array([FLOOR_REGISTERED] * 6 + [FLOOR_HUE_REGISTERED] * 2)
 _PIXELS: Final = 20_000  # of a kind that are compared; more tell nothing new
 _NOT_ORGANS: Final = ("background", "wire", "cut")
 
@@ -178,9 +183,7 @@ class Subject:
         for eye in eyes:
             pixels = patches[eye.view.name].linear
             target = numbers(pixels)
-            # The standard errors of a mean and of a standard deviation of so many pixels.
-            noise = np.concatenate([target[3:], target[3:] / np.sqrt(2.0)]) / np.sqrt(len(pixels))
-            sigma = np.hypot(FLOOR_REGISTERED, noise)
+            sigma = np.hypot(_FLOORS_REGISTERED, noise_of(pixels))
             found.append(Cell(eye.view.name, (eye,), target, sigma, alone()))
         return found
 
@@ -198,12 +201,13 @@ class Subject:
         return found
 
     def _sigma(self, patches: Sequence[Patch], eyes: Sequence[Eye], shade: Array, target: Array) -> Array:
-        """`(6,)` by how much the numbers of two samples of organs may differ."""
+        """`(8,)` by how much the numbers of two samples of organs may differ."""
         sides = [[patch.linear for patch in patches], [eye.linear(self.tuned({}), shade) for eye in eyes]]
-        between = np.zeros(3)
+        between = np.zeros(5)
         for side in sides:
             if len(side) > 1:
-                means = lab_of(np.array([one.mean(axis=0) for one in side]))
-                between = np.maximum(between, means.std(axis=0, ddof=1))
-        of_mean = np.sqrt(FLOOR**2 + between**2 * sum(1.0 / len(side) for side in sides))
-        return np.concatenate([of_mean, FLOOR + SPREAD * target[3:]])
+                seen = np.array([numbers(one) for one in side])[:, [0, 1, 2, 6, 7]]
+                between = np.maximum(between, seen.std(axis=0, ddof=1))
+        floors = np.array([FLOOR, FLOOR, FLOOR, FLOOR_HUE, FLOOR_HUE])
+        of_mean = np.sqrt(floors**2 + between**2 * sum(1.0 / len(side) for side in sides))
+        return np.concatenate([of_mean[:3], FLOOR + SPREAD * target[3:6], of_mean[3:]])

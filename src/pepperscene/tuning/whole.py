@@ -39,7 +39,7 @@ class Whole:
     picture: NDArray[np.uint8]
 
     def numbers(self, kind: str) -> Array | None:
-        """`(6,)` of a kind's pixels as views have them; None where no frame shows it."""
+        """`(8,)` of a kind's pixels as views have them; None where no frame shows it."""
         pixels = self.patches.pixels(kind, _PIXELS)
         return numbers(pixels) if len(pixels) else None
 
