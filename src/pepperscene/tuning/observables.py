@@ -64,7 +64,7 @@ def hues(linear: Array) -> tuple[Array, Array]:
 
 
 def numbers(linear: Array) -> Array:
-    """`(8,)` of pixels `(n, 3)`: CIELAB of their mean, sd of their CIELAB, mean cosine and sine of their hue."""
+    """`(8,)` of pixels `(n, 3)`: their mean in CIELAB, the sd in it, and mean cosine and sine of their hue."""
     direction, _ = hues(linear)
     return np.concatenate([lab_of(linear.mean(axis=0)), lab_of(linear).std(axis=0), direction.mean(axis=0)])
 
