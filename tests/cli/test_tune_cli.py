@@ -1,0 +1,166 @@
+"""`pepperscene tune`: names, patches, progress, tables and faults; fits to reflectances alone."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import shutil
+import tomllib
+
+import pytest
+
+from pepperscene.dataset import load_recipe
+from pepperscene.dataset.equipment import cultivar_of
+from pepperscene.errors import EXIT_BAD_INPUT
+from pepperscene.shipped import shelf
+
+FIT = ("--fit", "fruit.unripe.chlorophyll,fruit.unripe.brown", "--starts", "1")
+
+
+@pytest.fixture(scope="module")
+def green(tmp_path_factory):
+    """A patches file with a measured green pepper."""
+    folder = tmp_path_factory.mktemp("patches")
+    for suffix in ("csv", "toml"):
+        shutil.copy(shelf("materials") / f"fruit/vrhel_fruit_vegetable_reflectance.{suffix}", folder)
+    (folder / "green.toml").write_text(
+        '[[spectrum]]\nfile = "vrhel_fruit_vegetable_reflectance.csv"\n'
+        'column = "green_pepper_136"\nkind = "pepper.unripe"\n'
+    )
+    return folder / "green.toml"
+
+
+@pytest.fixture(scope="module")
+def done(command, green, tmp_path_factory):
+    """A fit that a wrong cultivar is given to start from."""
+    folder = tmp_path_factory.mktemp("tuned")
+    wrong = ("--set", f"cultivar={_paler(folder)}", "--set", "camera.gain=2")
+    found = command("tune", "demo", "--patches", green, *FIT, *wrong, "--out", folder / "out")
+    assert found.exit_code == 0, found.stderr
+    return found, folder
+
+
+def _paler(folder):
+    """A cultivar file whose green fruit has half of the chlorophyll."""
+    path = cultivar_of(load_recipe("demo")).pigments["fruit"]
+
+    def row(pigments, share):
+        fields = pigments.model_dump() | {"chlorophyll_ug_cm2": share * pigments.chlorophyll_ug_cm2}
+        return "{ " + ", ".join(f"{name} = {value}" for name, value in fields.items()) + " }"
+
+    (folder / "paler.toml").write_text(
+        'extends = "kaite"\nname = "Paler"\n[pigments.fruit]\nchosen = "to be tuned"\n'
+        f"flesh_reflectance = {path.flesh_reflectance}\nior = {path.ior}\n"
+        f"roughness = {list(path.roughness)}\n"
+        f"start = {row(path.start, 0.5)}\nend = {row(path.end, 1.0)}\n"
+    )
+    return folder / "paler.toml"
+
+
+def test_a_fit_is_told_and_written(done):
+    found, folder = done
+    assert [line[:12] for line in found.stderr.splitlines()] == ["start 1 of 1"]
+    lines = found.stdout.splitlines()
+    assert lines[0] == "What was fitted"
+    assert lines[2].split()[:2] == ["fruit.unripe.chlorophyll", "7.85"]
+    before, after = (float(cell) for cell in lines[lines.index("") + 3].split()[1:])
+    assert after < 0.02 < before
+    assert any(line.startswith("The model m") for line in lines)
+    assert lines[-4:] == [
+        str(folder / "out" / name)
+        for name in ("demo_tuned.toml", "paler_tuned.toml", "before_after.png", "tuning.json")
+    ]
+
+
+def test_what_is_written_has_the_green_of_the_measured_fruit(done):
+    _, folder = done
+    start = cultivar_of(load_recipe(folder / "out" / "demo_tuned.toml")).pigments["fruit"].start
+    # The shipped fruit was fitted to the same spectrum by other means, all its contents together.
+    assert start.chlorophyll_ug_cm2 == pytest.approx(15.7, rel=0.15)
+
+
+def test_changes_by_hand_are_stated_beside_what_was_tuned(done):
+    _, folder = done
+    stated = tomllib.loads((folder / "out" / "demo_tuned.toml").read_text())
+    assert stated == {
+        "extends": "demo", "name": "demo_tuned", "cultivar": "paler_tuned.toml", "camera": {"gain": 2}
+    }  # fmt: skip
+    told = json.loads((folder / "out" / "tuning.json").read_text())["options"]
+    assert told["fit"] == ["fruit.unripe.chlorophyll", "fruit.unripe.brown"]
+    assert told["starts"] == 1
+    assert "camera.gain=2" in told["set"]
+
+
+def test_json_is_all_that_is_printed(command, green, tmp_path):
+    found = command("tune", "demo", "--patches", green, *FIT, "--out", tmp_path / "out", "--json")
+    assert found.exit_code == 0
+    assert found.stderr == ""
+    told = json.loads(found.stdout)
+    assert [one["name"] for one in told["parameters"]] == ["fruit.unripe.chlorophyll", "fruit.unripe.brown"]
+    assert told["files"][0] == str(tmp_path / "out" / "demo_tuned.toml")
+
+
+def test_patches_of_several_files_are_one_set(command, green, tmp_path):
+    found = command(
+        "tune", "demo", "--patches", green, "--patches", green, *FIT, "--out", tmp_path / "out", "--json"
+    )
+    assert found.exit_code == 0, found.stderr
+    told = json.loads(found.stdout)
+    assert len(told["patches"]["members"]) == len(told["spectra"]) == 2
+
+
+def test_the_names_are_listed(command):
+    found = command("tune", "demo", "--fit", "help")
+    assert found.exit_code == 0
+    for name in ("leaf.chlorophyll", "fruit.unripe.brown", "flash.colour (warmth)", "white_balance (red)"):
+        assert f"\n{name} " in found.stdout
+    names = json.loads(command("tune", "greenhouse", "--fit", "help", "--json").stdout)
+    assert "exposure" in names
+    assert not [name for name in names if name.startswith("flash.")]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"--fit": "leaf.chlorophyl"}, "closest are leaf.chlorophyll"),
+        ({"--fit": ","}, "--fit: needs at least one"),
+        ({"--fit": "flash.power", "--set": "camera.flash=none"}, "flash"),
+        ({"--patches": "nowhere.toml"}, "nowhere.toml"),
+        ({"--patches": None}, "--patches: is needed"),
+        ({"--bounds": "nowhere.toml"}, "nowhere.toml"),
+        ({"--hold-out": "img9"}, "--hold-out: no patch is of a picture 'img9'"),
+        ({"--labels": "barth2018"}, "--labels: goes only with a folder"),
+        ({"--quality": "best", "--verify": "1"}, "draft, standard, reference"),
+    ],
+)
+def test_faults_are_told_in_a_sentence_and_nothing_is_written(change, told, command, green, tmp_path):
+    options = {"--fit": FIT[1], "--patches": str(green), "--out": str(tmp_path / "out")} | change
+    if options.get("--set"):
+        options["--set"] = "camera.flash=none"
+    arguments = [part for name, value in options.items() if value is not None for part in (name, value)]
+    more = ("--set", "developing.white_balance=daylight") if "--set" in options else ()
+    found = command("tune", "demo", *arguments, *more)
+    assert found.exit_code == EXIT_BAD_INPUT, found.stdout
+    assert found.stderr.startswith("error: ")
+    assert told in found.stderr
+    assert len(found.stderr.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_folder_that_holds_something_is_refused_before_the_fit(command, green, tmp_path):
+    (tmp_path / "mine.txt").write_text("keep")
+    found = command("tune", "demo", "--patches", green, *FIT, "--out", tmp_path)
+    assert found.exit_code == EXIT_BAD_INPUT
+    assert "mine.txt" in found.stderr
+    assert "start 1" not in found.stderr
+
+
+def test_interrupted_nothing_is_written(command, green, tmp_path, monkeypatch):
+    def interrupted(*_args, **_more):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(importlib.import_module("pepperscene.tuning.tune"), "fitted", interrupted)
+    found = command("tune", "demo", "--patches", green, *FIT, "--out", tmp_path / "out")
+    assert found.exit_code == 130
+    assert found.stderr == "interrupted; nothing was written\n"
+    assert not (tmp_path / "out").exists()
