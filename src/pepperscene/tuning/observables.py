@@ -64,7 +64,7 @@ def hues(linear: Array) -> tuple[Array, Array]:
 
 
 def numbers(linear: Array) -> Array:
-    """`(8,)` of pixels `(n, 3)`: their mean in CIELAB, the sd in it, and mean cosine and sine of their hue."""
+    """`(8,)` of pixels `(n, 3)`: CIELAB of the mean, sd of CIELAB, mean cosine and sine of the hue."""
     direction, _ = hues(linear)
     return np.concatenate([lab_of(linear.mean(axis=0)), lab_of(linear).std(axis=0), direction.mean(axis=0)])
 
@@ -80,13 +80,6 @@ def numbers_and_slopes(linear: Array, slopes: Array) -> tuple[Array, Array]:
     of_hue = np.einsum("nij,pnj->ip", turned, slopes) / len(linear)
     found = np.concatenate([lab_of(mean), pixels.std(axis=0), direction.mean(axis=0)])
     return found, np.concatenate([of_mean, of_sd, of_hue])
-
-
-def noise_of(linear: Array) -> Array:
-    """`(8,)` standard errors of the `numbers` of pixels `(n, 3)` whose differences are all by chance."""
-    spread, count = lab_of(linear).std(axis=0), len(linear)
-    turning = hues(linear)[0].std(axis=0)
-    return np.concatenate([spread, spread / np.sqrt(2.0), turning]) / np.sqrt(count)
 
 
 def pixel_noise(pixels: int, channels: int, rng: np.random.Generator) -> Array:
