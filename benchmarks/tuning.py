@@ -352,9 +352,7 @@ def check(of: Twin) -> None:
 
 def table(runs: Sequence[Mapping[str, Ran]]) -> list[str]:
     """Rows of two Markdown tables: until there, and errors by time."""
-    first = next(iter(WAYS))
-    median = statistics.median
-    ours = median(one[first].there_s for one in runs)
+    first, median = next(iter(WAYS)), statistics.median
     told = [
         "| way | seconds until there | against the first | pictures | derivative passes "
         f"| there, of {len(runs)} | ΔE₀₀ in the end | entries off, in sd |",
@@ -362,15 +360,18 @@ def table(runs: Sequence[Mapping[str, Ran]]) -> list[str]:
     ]
     for name in WAYS:
         every = [one[name] for one in runs]
-        clocks = [one.there_s for one in every]
-        seconds = median(clocks)
-        spread = f"{seconds:.2f} ({min(clocks):.2f} to {max(clocks):.2f})"
-        told.append(
-            f"| {name} | {spread} | {seconds / ours:.2f} | {median(one.there_pictures for one in every):.0f} "
-            f"| {median(one.there_passes for one in every):.0f} "
-            f"| {sum(np.isfinite(one.there_s) for one in every)} "
-            f"| {median(one.errors[0] for one in every):.3f} | {median(one.errors[1] for one in every):.3f} |"
-        )
+        # A ratio within each twin, so that what slows all ways of a twin alike drops out.
+        ratio = median(one[name].there_s / one[first].there_s for one in runs)
+        numbers = [
+            _told(median(one.there_s for one in every), ".2f"),
+            _told(ratio, ".2f"),
+            _told(median(one.there_pictures for one in every), ".0f"),
+            _told(median(one.there_passes for one in every), ".0f"),
+            str(sum(bool(np.isfinite(one.there_s)) for one in every)),
+            _told(median(one.errors[0] for one in every), ".3f"),
+            _told(median(one.errors[1] for one in every), ".3f"),
+        ]
+        told.append(f"| {name} | {' | '.join(numbers)} |")
     times = " | ".join(f"{one:g} s" for one in CHECKPOINTS_S)
     told += ["", f"| ΔE₀₀, and entries off in sd, after | {times} |", "|---|" + "---:|" * len(CHECKPOINTS_S)]
     for name in WAYS:
@@ -380,6 +381,10 @@ def table(runs: Sequence[Mapping[str, Ran]]) -> list[str]:
             cells.append(f"{median(one[0] for one in errors):.2f}, {median(one[1] for one in errors):.2f}")
         told.append(f"| {name} | {' | '.join(cells)} |")
     return told
+
+
+def _told(number: float, form: str) -> str:
+    return format(number, form) if np.isfinite(number) else "-"
 
 
 def main() -> None:
