@@ -8,7 +8,7 @@ balance and colour matrix, which act on what was counted, are differences of tho
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, Self
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pepperscene.render.bodies import path_values
 from pepperscene.render.gradients import DifferentiableRenderer
 from pepperscene.render.quality import Quality
-from pepperscene.tuning.observables import Photograph, pixel_noise
+from pepperscene.tuning.observables import NUMBERS, Photograph, numbers, pixel_noise
 from pepperscene.tuning.views import View
 
 if TYPE_CHECKING:
@@ -38,6 +38,8 @@ IN_THE_SCENE: Final = ("pigments", "cuticle", "light")
 _STEP: Final = 1e-4
 """Of a parameter's own scale, by which the chain from it to the renderer's tables is differentiated: its
 functions are smooth and in double precision, so that the error is about 1e-8 of the slope."""
+
+_PICTURES: Final = 24  # chosen: a standard error is then known to a seventh
 
 
 @dataclass(frozen=True)
@@ -150,6 +152,17 @@ class Eye:
                 here = [self._developed(electrons, one) for one in (move.above, move.below)]
                 slope[:] = (here[0] - here[1]) / move.width
         return found, slopes
+
+    def noise(self, made: Tuned) -> Array:
+        """`(8,)` standard errors of the numbers of one picture, by the noise of its sensor alone."""
+        electrons, rng = self.electrons(made), np.random.default_rng([self._seed, 2])
+        if self._photograph.noise is None:
+            return np.zeros(NUMBERS)
+        found = []
+        for _ in range(_PICTURES):
+            taken = replace(self._photograph, noise=rng.standard_normal(electrons.shape))
+            found.append(numbers(taken.linear(electrons, made.exposure, made.gains, made.matrix)))
+        return np.asarray(np.std(found, axis=0, ddof=1))
 
     @property
     def nodes_nm(self) -> Array:

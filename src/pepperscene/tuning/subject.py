@@ -14,7 +14,7 @@ from pepperscene.dataset import Stage
 from pepperscene.errors import InputError
 from pepperscene.tuning.direct import DirectModel
 from pepperscene.tuning.model import EFFORT, Eye, Values
-from pepperscene.tuning.observables import noise_of, numbers
+from pepperscene.tuning.observables import numbers
 from pepperscene.tuning.parameter import Parameter, known_parameters, parameters_of
 from pepperscene.tuning.pathways import Tuned, dense, tuned
 from pepperscene.tuning.problem import Cell, Problem, Surroundings, alone
@@ -29,12 +29,13 @@ Array = NDArray[np.float64]
 
 FLOOR: Final = 0.5
 """Chosen: CIELAB units by which mean and spread of a colour may always differ: half of what can be seen."""
-FLOOR_REGISTERED: Final = 0.1
-"""Chosen: the same where patches show the very organs of the views: noise of light and sensor alone."""
+FLOOR_REGISTERED: Final = 0.04
+"""The same where patches show the very organs of the views, besides the sensor's noise: what few samples of
+light leave. Chosen: a little above what twins show, 0.03."""
 FLOOR_HUE: Final = 0.05
 """Chosen: radians by which hues may always differ, three degrees; half a bin and more of their spectra."""
-FLOOR_HUE_REGISTERED: Final = 0.005
-"""Chosen: the same where patches show the very organs of the views."""
+FLOOR_HUE_REGISTERED: Final = 0.0015
+"""Chosen: the same where patches show the very organs of the views; twins show 0.001."""
 SPREAD: Final = 0.2
 """Chosen: share of a spread by which that of other organs differs; a few organs tell it no better."""
 
@@ -183,7 +184,7 @@ class Subject:
         for eye in eyes:
             pixels = patches[eye.view.name].linear
             target = numbers(pixels)
-            sigma = np.hypot(_FLOORS_REGISTERED, noise_of(pixels))
+            sigma = np.hypot(_FLOORS_REGISTERED, eye.noise(self.tuned({})))
             found.append(Cell(eye.view.name, (eye,), target, sigma, alone()))
         return found
 
