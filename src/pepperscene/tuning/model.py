@@ -94,10 +94,16 @@ class Move:
 
     @classmethod
     def along(cls, entry: Entry, values: Values, tuned: Callable[[Values], Tuned]) -> Self:
-        """The move along an entry."""
+        """The move along an entry; at an end of its bounds, inwards alone: beyond lies what cannot be."""
+        law = entry.parameter.prior[entry.place]
+        value = float(np.asarray(values.get(entry.parameter.name, entry.parameter.default))[entry.place])
         step = _STEP * entry.scale
-        above, below = (tuned(entry.moved(values, sign * step)) for sign in (1.0, -1.0))
-        return cls(above, below, 2.0 * step, entry.parameter.group in IN_THE_SCENE)
+        up, down = min(step, law.high - value), min(step, value - law.low)
+        if up <= 0.0 and down <= 0.0:
+            raise ValueError(f"{entry.label} cannot move: its bounds are {law.low:g} to {law.high:g}")
+        up, down = max(up, 0.0), max(down, 0.0)
+        above, below = tuned(entry.moved(values, up)), tuned(entry.moved(values, -down))
+        return cls(above, below, up + down, entry.parameter.group in IN_THE_SCENE)
 
 
 class Eye:
@@ -118,7 +124,12 @@ class Eye:
         noise = pixel_noise(pixels, channels, np.random.default_rng([seed, 1]))
         noisy = steps.shot_noise or steps.read_noise
         self._photograph = Photograph(
-            view.camera.sensor, steps.saturation, noise if noisy else None, steps.shot_noise, steps.read_noise
+            view.camera.sensor,
+            steps.saturation,
+            noise if noisy else None,
+            steps.shot_noise,
+            steps.read_noise,
+            timed=view.camera.flash is None,
         )
 
     def electrons(self, made: Tuned) -> Array:
