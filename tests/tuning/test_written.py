@@ -51,7 +51,9 @@ def light(flash, nm):
 
 def check_camera(found, before, tuned):
     """Exposure, gains, matrix and light are those of the fit."""
-    assert found.sensor.gain == pytest.approx(before.sensor.gain * tuned.exposure, rel=1e-10)
+    in_time, in_gain = (tuned.exposure, 1.0) if before.flash is None else (1.0, tuned.exposure)
+    assert found.exposure_s == pytest.approx(before.exposure_s * in_time, rel=1e-10)
+    assert found.sensor.gain == pytest.approx(before.sensor.gain * in_gain, rel=1e-10)
     if before.sensor.channels > 1:
         gains, matrix = colour_steps(found)
         np.testing.assert_allclose(gains, tuned.gains, rtol=1e-9)

@@ -44,7 +44,16 @@ def camera_side(camera: Camera) -> dict[str, Own]:
                 np.ones(FLASH_WEIGHTS), *_FACTORS, labels=nodes,
             ),
         ]  # fmt: skip
-    found.append(Own("exposure", "", "factor on the sensor's gain", "exposure", np.ones(1), *_FACTORS))
+    found.append(
+        Own(
+            "exposure",
+            "",
+            "factor on the sensor's gain; without a flash, on the exposure time",
+            "exposure",
+            np.ones(1),
+            *_FACTORS,
+        )
+    )
     if camera.sensor.channels > 1:
         _, matrix = _colour_steps(camera)
         own = np.array([matrix[at] for at in OFF_DIAGONAL])

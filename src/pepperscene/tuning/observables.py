@@ -104,6 +104,8 @@ class Photograph:
         saturation: whether light beyond full scale is cut.
         noise: `(n, c)` standard normal deviates of pixels, or None.
         shot, read: which kinds of noise there are.
+        timed: whether exposure is one of time: electrons, and not what is made of them. The light of a flash
+            is over before the time is.
     """
 
     sensor: Sensor
@@ -111,13 +113,14 @@ class Photograph:
     noise: Array | None
     shot: bool = True
     read: bool = True
+    timed: bool = False
 
     def linear(self, electrons: Array, exposure: float, gains: Array, matrix: Array) -> Array:
         """Pixels `(n, 3)` in linear sRGB, cut to [0, 1].
 
         Args:
             electrons: `(n, c)` that photosites expect.
-            exposure: factor on the sensor's gain.
+            exposure: factor on the sensor's gain, or on the time.
             gains: `(3,)` white balance.
             matrix: `(3, 3)` colour matrix.
         """
@@ -130,14 +133,15 @@ class Photograph:
 
         A change of electrons, times that slope, through the matrix, where nothing is cut, is that of pixels.
         """
-        counted, slope = self._counted(electrons)
-        # The well is full whatever the amplifier does; the converter ends at full scale.
+        time, gain = (exposure, 1.0) if self.timed else (1.0, exposure)
+        counted, slope = self._counted(time * electrons)
         full = self.sensor.gain_e_per_dn * (self.sensor.full_scale_dn - self.sensor.black_level_dn)
-        raw, slope = exposure * counted / full, slope * (exposure / full) * gains
+        raw, slope = gain * counted / full, slope * (time * gain / full) * gains
         balanced = raw * gains
         if self.saturation:
-            most = min(exposure * self.sensor.full_well_e / full, 1.0)
-            limit = np.minimum(most * gains, min(self.sensor.gain * exposure, 1.0) * gains.min())
+            # The well is full whatever the amplifier does; the converter ends at full scale.
+            most = min(gain * self.sensor.full_well_e / full, 1.0)
+            limit = np.minimum(most * gains, min(self.sensor.gain * gain, 1.0) * gains.min())
             slope = np.where(balanced < limit, slope, 0.0)
             balanced = np.minimum(balanced, limit)
         found = balanced @ matrix.T

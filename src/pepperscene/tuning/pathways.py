@@ -40,7 +40,7 @@ class Tuned:
         flash_power: factor on the flash's light.
         flash_nodes_nm: `(m,)` wavelengths.
         flash_spectrum: `(m,)` factors on its spectrum there, linear in between.
-        exposure: factor on the sensor's gain.
+        exposure: factor on the sensor's gain; without a flash, on the exposure time.
         gains: `(3,)` white balance in use.
         matrix: `(3, 3)` colour matrix in use, behind the gains.
     """

@@ -28,6 +28,7 @@ _FILE_KEYS: Final = (
 _SAME: Final = 1e-9
 """Chosen: gains and entries of matrices that are closer give the same picture to the last code."""
 _COMMENTED: Final[Mapping[str, tuple[str, ...]]] = {
+    "camera.exposure_us": ("exposure",),
     "camera.gain": ("exposure",),
     "camera.flash": ("flash.power", "flash.colour", "flash.spectrum"),
     "developing.white_balance": ("white_balance",),
@@ -91,7 +92,11 @@ def camera_changes(camera: Camera, flash: Flash | None, tuned: Tuned) -> Changes
     """
     found: Changes = {}
     if abs(tuned.exposure - 1.0) > 1e-12:
-        found["camera.gain"] = rounded(camera.sensor.gain * tuned.exposure)
+        # A flash is over before the shutter closes: more of its light is more gain.
+        if camera.flash is None:
+            found["camera.exposure_us"] = rounded(1e6 * camera.exposure_s * tuned.exposure)
+        else:
+            found["camera.gain"] = rounded(camera.sensor.gain * tuned.exposure)
     if camera.sensor.channels == 1:
         return found
     # What the written recipe would make of its own light, if that is not told otherwise.
