@@ -5,6 +5,7 @@ from pepperscene.tuning.outcome import Fit, KindFit, SpectrumFit
 from pepperscene.tuning.parameter import Parameter, known_parameters, parameters_of
 from pepperscene.tuning.subject import Subject
 from pepperscene.tuning.tune import Tuning, Verification, tune
+from pepperscene.tuning.twin import twin_patches
 from pepperscene.tuning.written import write_tuned
 
 __all__ = [
@@ -19,5 +20,6 @@ __all__ = [
     "known_parameters",
     "parameters_of",
     "tune",
+    "twin_patches",
     "write_tuned",
 ]
