@@ -41,7 +41,7 @@ SPREAD: Final = 0.2
 
 _FLOORS_REGISTERED: Final = np.array([FLOOR_REGISTERED] * 6 + [FLOOR_HUE_REGISTERED] * 2)
 _PIXELS: Final = 20_000  # of a kind that are compared; more tell nothing new
-_NOT_ORGANS: Final = ("background", "wire", "cut")
+NOT_ORGANS: Final = ("background", "wire", "cut")
 
 
 class Subject:
@@ -126,7 +126,7 @@ class Subject:
     def kinds(self) -> tuple[str, ...]:
         """Of the patches out of pictures that have an organ."""
         found = dict.fromkeys(patch.kind for patch in self.patches.patches)
-        return tuple(kind for kind in found if kind not in _NOT_ORGANS)
+        return tuple(kind for kind in found if kind not in NOT_ORGANS)
 
     @cached_property
     def targets(self) -> Mapping[str, Array]:
