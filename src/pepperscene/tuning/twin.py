@@ -69,7 +69,7 @@ def twin_patches(
     for one in known:
         if own[one.name].shape != one.default.shape:
             entries = one.default.size
-            raise InputError("values", one.name, values[one.name], f"must be {entries} number(s)")
+            raise InputError("twin", one.name, values[one.name], f"must be {entries} number(s)")
     made = subject.tuned(own)
     pigments = {**subject.cultivar.pigments, **made.pigments}
     plants = subject.cultivar.model_copy(update={"pigments": pigments})
@@ -126,5 +126,5 @@ def _seen(recipe: Recipe, kinds: Sequence[str], organs: int, pixels: int, seed: 
     subject = Subject(recipe, blank, registered=True, organs=organs, pixels=pixels, seed=seed)
     for kind in kinds:
         if kind not in subject.kinds:
-            raise InputError("kinds", "", kind, 'must be of organs, such as "leaf" and "pepper.unripe"')
+            raise InputError("twin", "kind", kind, 'must be an organ\'s, such as "leaf" or "pepper.unripe"')
     return subject
