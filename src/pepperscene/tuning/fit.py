@@ -117,6 +117,7 @@ def _outcome(subject: Subject, problem: Problem, vector: Array, starts: tuple[St
     if not as_expected(chi, problem.data):
         left = leftover(problem, vector, subject.others([one.name for one in problem.parameters]))
     open_entries = undetermined(problem, vector, known)
+    kinds = _kinds(problem, before, values, subject.targets)
     return Fit(
         parameters=problem.parameters,
         values=values,
@@ -124,13 +125,13 @@ def _outcome(subject: Subject, problem: Problem, vector: Array, starts: tuple[St
         gained=problem.values(known.gained),
         correlation=known.correlation,
         undetermined=open_entries,
-        kinds=_kinds(problem, before, values, subject.targets),
+        kinds=kinds,
         spectra=_spectra(problem, before, values),
         starts=starts,
         chi_squared=chi,
         data=problem.data,
         leftover=left,
-        verdict=sentences(problem, chi, open_entries, left),
+        verdict=sentences(problem, chi, open_entries, left, kinds),
         tuned=subject.tuned(values),
     )
 

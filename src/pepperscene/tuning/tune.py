@@ -7,7 +7,7 @@ from __future__ import annotations
 import datetime
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -21,6 +21,7 @@ from pepperscene.tuning.outcome import Fit
 from pepperscene.tuning.pathways import Tuned
 from pepperscene.tuning.problem import Problem, Surroundings
 from pepperscene.tuning.subject import Subject
+from pepperscene.tuning.verdict import SEEN
 from pepperscene.tuning.whole import Likeness, Whole, likeness, rendered
 from pepperscene.tuning.written import check_folder, write_tuned
 
@@ -169,7 +170,26 @@ def tune(
         verify,
         round_,
     )
+    fit = replace(fit, verdict=(*fit.verdict, *told_of(verification)))
     return Tuning(fit, write(fit, out, Frames(before.picture, after.picture), verification), verification)
+
+
+def told_of(verification: Verification) -> tuple[str, ...]:
+    """Sentences on kinds whose colour came no nearer in the whole scene, or lies far off there."""
+    sides = {"the patches": (verification.before, verification.after)}
+    sides["patches that the fit did not see"] = (verification.held_before, verification.held_after)
+    found = []
+    for whose, (before, after) in sides.items():
+        for kind, now in after.items():
+            was = before[kind].delta_e
+            if now.delta_e is None or was is None or now.delta_e <= SEEN:
+                continue
+            how = "came no nearer to" if now.delta_e >= was else "still lies off"
+            found.append(
+                f"In the whole scene the mean colour of {kind} {how} {whose}: dE2000 {was:.1f} before, "
+                f"{now.delta_e:.1f} after."
+            )
+    return tuple(found)
 
 
 def surroundings(subject: Subject, made: Tuned, whole: Whole) -> dict[str, Surroundings]:

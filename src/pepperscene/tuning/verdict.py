@@ -13,6 +13,7 @@ from pepperscene.tuning.model import Entry, entries_of
 from pepperscene.tuning.problem import Problem
 
 if TYPE_CHECKING:
+    from pepperscene.tuning.outcome import KindFit
     from pepperscene.tuning.parameter import Parameter
 
 Array = NDArray[np.float64]
@@ -23,6 +24,9 @@ TIED: Final = 0.95
 """Chosen: correlation from which two entries are told to be known together only."""
 WORTH_TELLING: Final = 0.25
 """Chosen: share of what is left from which a group of parameters is named."""
+
+SEEN: Final = 3.0
+"""Chosen: CIEDE2000 from which a difference is seen at a glance."""
 
 _AT_AN_END: Final = 1e-3  # of a bound's width
 
@@ -137,7 +141,11 @@ def _step(
 
 
 def sentences(
-    problem: Problem, value: float, open_entries: Sequence[str], left: Mapping[str, float]
+    problem: Problem,
+    value: float,
+    open_entries: Sequence[str],
+    left: Mapping[str, float],
+    kinds: Mapping[str, KindFit],
 ) -> tuple[str, ...]:
     """What was found, for people."""
     ratio = np.sqrt(value / max(problem.data, 1))
@@ -156,4 +164,12 @@ def sentences(
                 "No parameter that was left out takes away a quarter of it: look at the patches themselves, "
                 "their labels and their light."
             )
+    far = [
+        f"{kind} (dE2000 {one.delta_e_after:.1f})" for kind, one in kinds.items() if one.delta_e_after > SEEN
+    ]
+    if far:
+        told.append(
+            f"Mean colours still lie off: {', '.join(far)}. Where the model meets the patches all the same, these "
+            "differ so much among themselves that they tell no more."
+        )
     return (*told, *open_entries)
