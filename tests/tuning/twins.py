@@ -1,32 +1,20 @@
-"""Twins: patches that the ordinary renderer and the camera's own chain make at hidden values.
-
-Light is drawn anew (other random numbers, 64 samples in every pixel, the renderer of pictures rather than the
-one with derivatives), photons and amplifier add their noise, the converter its steps, and the picture is told
-in 8-bit codes. What a fit then sees is what a camera would have handed on.
-"""
+"""What twins hide, and how what a fit finds of it is held against the truth."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from pepperscene.camera import Camera, camera_rgb, corrected, decode, encode
+from pepperscene.camera import decode
 from pepperscene.colour import Patch, PatchSet, delta_e_2000
-from pepperscene.dataset.equipment import surface_grid
-from pepperscene.materials import organ_surfaces
-from pepperscene.render import Renderer
-from pepperscene.render.quality import Quality
-from pepperscene.spectra import illuminance
 from pepperscene.tuning.fit import fitted
 from pepperscene.tuning.observables import lab_of
 from pepperscene.tuning.outcome import Fit
 from pepperscene.tuning.parameter import Parameter
 from pepperscene.tuning.problem import Problem
 from pepperscene.tuning.subject import Subject
-from pepperscene.tuning.tuned_flash import tuned_spectrum
-from pepperscene.tuning.views import View, organ_views, with_surfaces
 
 KINDS = ("leaf", "pepper.unripe", "pepper.ripe", "peduncle", "stem", "shoot")
 """Of organs that a fit looks at: together they show every surface but the calyx."""
@@ -41,8 +29,6 @@ HIDDEN = (
 
 SAME = (("flash.power", "exposure"),)
 """Pairs of which a draw takes one: twice the light and twice the gain differ by their noise alone."""
-
-FINE = Quality(64, 64, 64, 1, target=None, denoise=False)
 
 
 def no_patches(kinds: Sequence[str] = KINDS) -> PatchSet:
@@ -62,55 +48,6 @@ def drawn_names(rng: np.random.Generator, count: int = 5, among: Sequence[str] =
 def drawn_values(parameters: Sequence[Parameter], rng: np.random.Generator) -> dict[str, np.ndarray]:
     """A point of the bounds: every entry by its own law."""
     return {one.name: np.array([law.draw(rng) for law in one.prior]) for one in parameters}
-
-
-# --- what a camera would have handed on -------------------------------------------------------------------
-
-
-def twin_patches(
-    subject: Subject, values: Mapping[str, np.ndarray], seed: int, views: Sequence[View] | None = None
-) -> PatchSet:
-    """Patches named after views, at hidden values.
-
-    Args:
-        subject: whose recipe is tuned.
-        values: that are hidden.
-        seed: of light and noise.
-        views: other ones than the subject's own.
-    """
-    made = subject.tuned(values)
-    plants = subject.cultivar
-    plants = plants.model_copy(update={"pigments": {**plants.pigments, **made.pigments}})
-    surfaces = organ_surfaces(plants, surface_grid(subject.camera.sensor))
-    found = []
-    for i, view in enumerate(subject.views if views is None else views):
-        seen = with_surfaces(view, surfaces)
-        found.append(picture_patch(seen, tuned_camera(view.camera, made), seed, i))
-    return PatchSet("twin", tuple(found))
-
-
-def tuned_camera(camera: Camera, made) -> Camera:
-    """The camera with a recipe's parts as they were tuned: what would be written, in its own words."""
-    flash = camera.flash
-    if flash is not None:
-        spectrum = tuned_spectrum(flash.spectrum, made.flash_nodes_nm, made.flash_spectrum)
-        # Power and spectrum are factors of the light itself, lux follow.
-        factor = made.flash_power * illuminance(spectrum) / illuminance(flash.spectrum)
-        flash = replace(flash, spectrum=spectrum, illuminance_lx=flash.illuminance_lx * factor)
-    return replace(
-        camera,
-        flash=flash,
-        sensor=camera.sensor.with_settings(gain=camera.sensor.gain * made.exposure),
-        developing=replace(camera.developing, white_balance=tuple(made.gains), colour_matrix=made.matrix),
-    )
-
-
-def picture_patch(view: View, camera: Camera, seed: int, number: int) -> Patch:
-    """The organ's pixels in a picture of a view."""
-    electrons = Renderer(view.scene).render(camera, ["electrons"], FINE, 100 * seed + number)["electrons"]
-    rgb = camera_rgb(electrons, camera, np.random.default_rng([seed, number]))
-    codes = encode(corrected(rgb, camera), camera.developing.tone)[view.mask]
-    return Patch(view.name, view.kind, view.name, decode(codes, camera.developing.tone), codes)
 
 
 # --- one twin from end to end -----------------------------------------------------------------------------
@@ -173,16 +110,3 @@ def patch_delta_e(problem: Problem, fit: Fit) -> dict[str, float]:
     model = np.array([lab_of(cell.linear(fit.tuned).mean(axis=0)) for cell in problem.cells])
     labels = [cell.label for cell in problem.cells]
     return dict(zip(labels, delta_e_2000(target, model).tolist(), strict=True))
-
-
-def other_organs(subject: Subject, seed: int, **how: int) -> tuple[View, ...]:
-    """Views of further organs of the same cultivar."""
-    return organ_views(
-        subject.recipe,
-        subject.cultivar,
-        subject.camera,
-        subject.kinds,
-        sky=subject.stage.sky(0),
-        seed=seed,
-        **how,
-    )
