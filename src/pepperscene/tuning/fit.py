@@ -147,10 +147,12 @@ def _kinds(
             continue
         made = [problem.tuned(values) for values in (before, after)]
         pixels = [np.concatenate([cell.linear(one) for cell in cells]) for one in made]
-        means = [lab_of(one.mean(axis=0)) for one in (target, *pixels)]
-        away = _delta_e(np.array(means[1:]), means[0])
         sides = (target, *pixels)
-        both = [np.stack([mean, lab_of(one).std(axis=0)]) for mean, one in zip(means, sides, strict=True)]
+        both = [np.stack([lab_of(one.mean(axis=0)), lab_of(one).std(axis=0)]) for one in sides]
+        # Views' colours as they are among their neighbours.
+        offset = np.mean([cell.around.offset for cell in cells], axis=0)[:6].reshape(2, 3)
+        both[1:] = [one + offset for one in both[1:]]
+        away = _delta_e(np.array([one[0] for one in both[1:]]), both[0][0])
         shown = [one[:: max(1, -(-len(one) // _SHOWN))] for one in sides]
         found[kind] = KindFit(
             target=both[0],

@@ -200,7 +200,9 @@ def surroundings(subject: Subject, made: Tuned, whole: Whole) -> dict[str, Surro
         if seen is None:
             continue
         mean = np.concatenate([eye.electrons(made) for eye in eyes]).mean(axis=0)
-        shade = whole.electrons[kind] / np.maximum(mean, 1e-9)
+        # Views count electrons of the recipe's own time, which without a flash is what exposure changes.
+        time = made.exposure if subject.camera.flash is None else 1.0
+        shade = whole.electrons[kind] / np.maximum(time * mean, 1e-9)
         alike = numbers(np.concatenate([eye.linear(made, shade) for eye in eyes]))
         found[kind] = Surroundings(shade, seen - alike)
     return found

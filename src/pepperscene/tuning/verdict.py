@@ -169,7 +169,7 @@ def sentences(
     ]
     if far:
         told.append(
-            f"Mean colours still lie off: {', '.join(far)}. Where the model meets the patches all the same, these "
-            "differ so much among themselves that they tell no more."
+            f"Mean colours still lie off: {', '.join(far)}. Where the model meets the patches all the same, "
+            "these differ so much among themselves that they tell no more."
         )
     return (*told, *open_entries)
