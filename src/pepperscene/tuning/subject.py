@@ -21,7 +21,7 @@ from pepperscene.tuning.problem import Cell, Problem, Surroundings, alone
 from pepperscene.tuning.views import ORGANS, PIXELS, View, organ_views
 
 if TYPE_CHECKING:
-    from pepperscene.colour import Patch, PatchSet
+    from pepperscene.colour import PatchSet
     from pepperscene.dataset import Recipe
     from pepperscene.render import Quality
 
@@ -39,6 +39,7 @@ FLOOR_HUE_REGISTERED: Final = 0.0015
 SPREAD: Final = 0.2
 """Chosen: share of a spread by which that of other organs differs; a few organs tell it no better."""
 
+_HUE_OF_ORGANS: Final = 0.1  # radians by which hues of organs differ where nothing is known; chosen
 _FLOORS_REGISTERED: Final = np.array([FLOOR_REGISTERED] * 6 + [FLOOR_HUE_REGISTERED] * 2)
 _PIXELS: Final = 20_000  # of a kind that are compared; more tell nothing new
 NOT_ORGANS: Final = ("background", "wire", "cut")
@@ -130,8 +131,15 @@ class Subject:
 
     @cached_property
     def targets(self) -> Mapping[str, Array]:
-        """`(n, 3)` linear sRGB of the patches, by kind."""
-        return {kind: self.patches.pixels(kind, _PIXELS) for kind in self.kinds}
+        """`(n, 3)` linear sRGB of the patches, by kind; every picture counts the same, as in hue spectra."""
+        found = {}
+        for kind in self.kinds:
+            pictures = dict.fromkeys(patch.picture for patch in self.patches.of_kind(kind))
+            share = _PIXELS // len(pictures)
+            parts = [self.patches.select([picture]).pixels(kind) for picture in pictures]
+            evenly = [np.arange(share) * len(part) // share for part in parts]
+            found[kind] = np.concatenate([part[at] for part, at in zip(parts, evenly, strict=True)])
+        return found
 
     @cached_property
     def views(self) -> tuple[View, ...]:
@@ -196,19 +204,30 @@ class Subject:
             if not eyes:
                 continue
             target = numbers(pixels)
-            shade = around.get(kind, alone()).shade
-            sigma = self._sigma(self.patches.of_kind(kind), eyes, shade, target)
-            found.append(Cell(kind, eyes, target, sigma, around.get(kind, alone())))
+            sides = [[patch.linear for patch in self.patches.of_kind(kind)]]
+            if kind not in around:
+                # The scene as a whole shows many organs; the views' few are a sample as the patches are.
+                sides.append([eye.linear(self.tuned({}), alone().shade) for eye in eyes])
+            found.append(Cell(kind, eyes, target, _sigma(sides, target), around.get(kind, alone())))
         return found
 
-    def _sigma(self, patches: Sequence[Patch], eyes: Sequence[Eye], shade: Array, target: Array) -> Array:
-        """`(8,)` by how much the numbers of two samples of organs may differ."""
-        sides = [[patch.linear for patch in patches], [eye.linear(self.tuned({}), shade) for eye in eyes]]
-        between = np.zeros(5)
-        for side in sides:
-            if len(side) > 1:
-                seen = np.array([numbers(one) for one in side])[:, [0, 1, 2, 6, 7]]
-                between = np.maximum(between, seen.std(axis=0, ddof=1))
-        floors = np.array([FLOOR, FLOOR, FLOOR, FLOOR_HUE, FLOOR_HUE])
-        of_mean = np.sqrt(floors**2 + between**2 * sum(1.0 / len(side) for side in sides))
-        return np.concatenate([of_mean[:3], FLOOR + SPREAD * target[3:6], of_mean[3:]])
+
+def _sigma(sides: Sequence[Sequence[Array]], target: Array) -> Array:
+    """`(8,)` by how much the numbers of samples of organs may differ from those of all.
+
+    Args:
+        sides: the pixels `(n, 3)` of each organ of each sample.
+        target: numbers of the patches.
+    """
+    between = np.zeros(5)
+    if len(sides[0]) == 1:
+        # Of a single organ nobody knows how others differ; about as much as it does from place to place.
+        between = np.append(target[3:6], [_HUE_OF_ORGANS] * 2)
+    for side in sides:
+        if len(side) > 1:
+            seen = np.array([numbers(one) for one in side])[:, [0, 1, 2, 6, 7]]
+            between = np.maximum(between, seen.std(axis=0, ddof=1))
+    floors = np.array([FLOOR, FLOOR, FLOOR, FLOOR_HUE, FLOOR_HUE])
+    of_mean = np.sqrt(floors**2 + between**2 * sum(1.0 / len(side) for side in sides))
+    of_spread = FLOOR + SPREAD * np.sqrt(len(sides) / 2.0) * target[3:6]
+    return np.concatenate([of_mean[:3], of_spread, of_mean[3:]])
