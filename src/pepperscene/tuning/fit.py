@@ -18,11 +18,12 @@ from pepperscene.tuning.observables import lab_of
 from pepperscene.tuning.outcome import Fit, KindFit, SpectrumFit, Start
 from pepperscene.tuning.problem import Problem
 from pepperscene.tuning.verdict import (
+    Suspect,
     as_expected,
     certainty,
     chi_squared,
-    leftover,
     sentences,
+    suspects,
     undetermined,
 )
 
@@ -113,9 +114,9 @@ def _outcome(subject: Subject, problem: Problem, vector: Array, starts: tuple[St
     """Everything that is known at the best values."""
     known, chi = certainty(problem, vector), chi_squared(problem, vector)
     values, before = problem.values(vector), problem.values(problem.default)
-    left: dict[str, float] = {}
+    left: dict[str, Suspect] = {}
     if not as_expected(chi, problem.data):
-        left = leftover(problem, vector, subject.others([one.name for one in problem.parameters]))
+        left = suspects(problem, vector, subject.others([one.name for one in problem.parameters]))
     open_entries = undetermined(problem, vector, known)
     kinds = _kinds(problem, before, values, subject.targets)
     return Fit(
@@ -130,7 +131,7 @@ def _outcome(subject: Subject, problem: Problem, vector: Array, starts: tuple[St
         starts=starts,
         chi_squared=chi,
         data=problem.data,
-        leftover=left,
+        leftover={group: one.share for group, one in left.items()},
         verdict=sentences(problem, chi, open_entries, left, kinds),
         tuned=subject.tuned(values),
     )

@@ -85,8 +85,8 @@ class Fit:
         starts: in the order in which they were run.
         chi_squared: sum of squared residuals of the data at the best values.
         data: number of those residuals.
-        leftover: by group of parameters that were not fitted, the share of `chi_squared` that they could
-            still take away.
+        leftover: by group of parameters that were not fitted, the likeliest cause first, the share of
+            `chi_squared` that they could still take away.
         verdict: sentences that say what was found.
         tuned: the recipe's parts at the best values.
     """

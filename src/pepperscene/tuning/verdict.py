@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.tuning.model import Entry, entries_of
+from pepperscene.tuning.model import entries_of
 from pepperscene.tuning.problem import Problem
 
 if TYPE_CHECKING:
@@ -24,11 +24,17 @@ TIED: Final = 0.95
 """Chosen: correlation from which two entries are told to be known together only."""
 WORTH_TELLING: Final = 0.25
 """Chosen: share of what is left from which a group of parameters is named."""
+ALIKE: Final = 10.0
+"""Twice the logarithm of the odds from which one group is far likelier than another: 150 to 1, "very strong"
+evidence to Kass & Raftery 1995 (J. Am. Stat. Assoc. 90:773)."""
+UNSEEN: Final = 1.0
+"""CIEDE2000 below which two colours look the same."""
 
 SEEN: Final = 3.0
 """Chosen: CIEDE2000 from which a difference is seen at a glance."""
 
 _AT_AN_END: Final = 1e-3  # of a bound's width
+_LEAST_ROOM: Final = 1e-9  # of the bounds' sd
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +59,7 @@ def certainty(problem: Problem, vector: Array) -> Certainty:
     Birge ratio; Birge 1932, Phys. Rev. 40:207).
     """
     slopes = problem.data_jacobian(problem.values(vector), problem.entries)
-    free = max(problem.data - len(vector), 1)
-    excess = max(1.0, chi_squared(problem, vector) / free)
-    curvature = slopes.T @ slopes / excess + np.diag(problem.sd**-2.0)
+    curvature = slopes.T @ slopes / _excess(problem, vector) + np.diag(problem.sd**-2.0)
     covariance = np.linalg.inv(curvature)
     sd = np.sqrt(np.diag(covariance))
     return Certainty(sd, 1.0 - (sd / problem.sd) ** 2, covariance / np.outer(sd, sd))
@@ -99,52 +103,142 @@ def _open(problem: Problem, known: Certainty, i: int) -> str:
     )
     if others[tied] < TIED:
         return what
-    with_it = f"{problem.entries[tied].label} only (correlation {known.correlation[i, tied]:+.2f})"
-    return f"{what}; it is known together with {with_it}"
+    with_it = f"{problem.entries[tied].label} is known (correlation {known.correlation[i, tied]:+.2f})"
+    return f"{what}; only a combination with {with_it}"
 
 
-def leftover(problem: Problem, vector: Array, others: Mapping[str, Sequence[Parameter]]) -> dict[str, float]:
-    """Share of the data's squared residuals that groups of further parameters could still take away.
+@dataclass(frozen=True)
+class Suspect:
+    """A group of parameters that was not fitted, as the cause of what is left.
 
-    A linear step of the fitted and the further parameters together, within their bounds' sd: the score test
-    of whether they are missed (Rao 1948, Proc. Camb. Phil. Soc. 44:50).
+    Attributes:
+        share: of the data's squared residuals that it could take away within its bounds.
+        evidence: twice the logarithm of how many times likelier it makes the data.
+    """
+
+    share: float
+    evidence: float
+
+
+def suspects(
+    problem: Problem, vector: Array, others: Mapping[str, Sequence[Parameter]]
+) -> dict[str, Suspect]:
+    """Who could have caused what is left, the likeliest first.
+
+    A linear step of the fitted and the further parameters together, within their bounds, tells what they
+    could take away (the score test of whether they are missed; Rao 1948, Proc. Camb. Phil. Soc. 44:50).
+    Dozens of pigments can take away nearly anything, so the groups are ordered by the evidence: it asks in
+    addition how well the step goes with what is known beforehand, and how much else the group could have
+    explained (MacKay 1992, Neural Comput. 4:415). For that the data's errors are as large as in `certainty`.
 
     Args:
         problem: with the fitted parameters.
         vector: at the minimum.
-        others: further parameters, at their defaults, by group.
+        others: further parameters, at the recipe's own values, by group.
     """
     values = problem.values(vector)
     residuals = problem.data_residuals(values)
-    before = float(residuals @ residuals)
-    own = problem.data_jacobian(values, problem.entries)
+    if not np.any(residuals):
+        return {}
+    wider = np.sqrt(_excess(problem, vector))
+    # In units of the bounds' sd, so that those are rows of ones.
+    own = problem.data_jacobian(values, problem.entries) * problem.sd
+    pull = (vector - problem.mean) / problem.sd
+    room = [(problem.low - vector) / problem.sd, (problem.high - vector) / problem.sd]
     found = {}
     for group, parameters in others.items():
         entries = entries_of(parameters)
-        if not entries or before == 0.0:
+        if not entries:
             continue
-        further = problem.data_jacobian(values, entries)
-        step = _step(problem, vector, residuals, np.hstack([own, further]), entries)
-        after = residuals + np.hstack([own, further]) @ step
-        found[group] = float(np.clip(1.0 - after @ after / before, 0.0, 1.0))
+        scales = np.array([entry.scale for entry in entries])
+        laws = [entry.parameter.prior[entry.place] for entry in entries]
+        start = np.array([entry.parameter.default[entry.place] for entry in entries])
+        low, high = (np.array([getattr(law, end) for law in laws]) for end in ("low", "high"))
+        step = _Step(
+            np.hstack([own, problem.data_jacobian(values, entries) * scales]),
+            residuals,
+            np.concatenate([pull, np.zeros(len(entries))]),
+            np.concatenate([room[0], (low - start) / scales]),
+            np.concatenate([room[1], (high - start) / scales]),
+        )
+        found[group] = step.suspect(len(vector), wider)
+    return dict(sorted(found.items(), key=lambda item: -item[1].evidence))
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A linear model of fitted and further parameters, in units of their bounds' sd."""
+
+    slopes: Array
+    residuals: Array
+    pull: Array
+    low: Array
+    high: Array
+
+    def suspect(self, fitted: int, wider: float) -> Suspect:
+        """What those behind the fitted ones explain, where errors may be wider than expected."""
+        before = float(self.residuals @ self.residuals)
+        share = 1.0 - self._costs(1.0)[0] / before
+        slopes = self.slopes / wider
+        gained = before / wider**2 + self.pull @ self.pull - sum(self._costs(wider))
+        occam = _freedom(slopes) - _freedom(slopes[:, :fitted])
+        return Suspect(float(np.clip(share, 0.0, 1.0)), float(gained - occam))
+
+    def _costs(self, wider: float) -> tuple[float, float]:
+        """Of data and bounds after the best step."""
+        from scipy.optimize import lsq_linear
+
+        slopes, residuals = self.slopes / wider, self.residuals / wider
+        rows = np.vstack([slopes, np.eye(len(self.pull))])
+        aim = -np.concatenate([residuals, self.pull])
+        # What lies on a bound has no room there, and rounding must not make it less than none.
+        room = np.minimum(self.low, -_LEAST_ROOM), np.maximum(self.high, _LEAST_ROOM)
+        step = lsq_linear(rows, aim, room).x
+        left = residuals + slopes @ step
+        return float(left @ left), float(((self.pull + step) ** 2).sum())
+
+
+def _freedom(slopes: Array) -> float:
+    """How much parameters with these slopes could explain: logarithm of the volume of the bounds over that of
+    what data of unit errors leave of it, squared.
+    """
+    return float(np.linalg.slogdet(np.eye(slopes.shape[1]) + slopes.T @ slopes)[1])
+
+
+def _excess(problem: Problem, vector: Array) -> float:
+    """By how much the data's squared errors are larger than expected; 1 where they are not."""
+    return max(1.0, chi_squared(problem, vector) / max(problem.data - len(vector), 1))
+
+
+def _causes(left: Mapping[str, Suspect]) -> list[str]:
+    """Which of the groups that were not fitted is missed, the likeliest first."""
+    if not left:
+        return []
+    named = [group for group, one in left.items() if one.share >= WORTH_TELLING and one.evidence > 0.0]
+    if not named:
+        return [
+            "No parameter that was left out takes away a quarter of it: look at the patches themselves, "
+            "their labels and their light."
+        ]
+    shares = {group: f"{100 * left[group].share:.0f} %" for group in named}
+    likely = [group for group in named if left[named[0]].evidence - left[group].evidence < ALIKE]
+    one = len(likely) == 1
+    found = [
+        f"The likeliest cause is the {' or the '.join(likely)}, which {'was' if one else 'were'} not fitted: "
+        f"{'it' if one else 'they'} could take away {' or '.join(shares[group] for group in likely)} of what "
+        "is left."
+    ]
+    others = [f"the {group} ({shares[group]})" for group in named if group not in likely]
+    if others:
+        found.append(f"Far less likely, though some of it goes with them: {', '.join(others)}.")
     return found
-
-
-def _step(
-    problem: Problem, vector: Array, residuals: Array, slopes: Array, further: Sequence[Entry]
-) -> Array:
-    """The best linear step: data and bounds in one least-squares system."""
-    sd = np.concatenate([problem.sd, [entry.scale for entry in further]])
-    pull = np.concatenate([(vector - problem.mean) / problem.sd, np.zeros(len(further))])
-    rows = np.vstack([slopes, np.diag(1.0 / sd)])
-    return np.linalg.lstsq(rows, -np.concatenate([residuals, pull]), rcond=None)[0]
 
 
 def sentences(
     problem: Problem,
     value: float,
     open_entries: Sequence[str],
-    left: Mapping[str, float],
+    left: Mapping[str, Suspect],
     kinds: Mapping[str, KindFit],
 ) -> tuple[str, ...]:
     """What was found, for people."""
@@ -153,17 +247,10 @@ def sentences(
         told = [f"The model meets the patches: what is left is {ratio:.2f} times what is expected."]
     else:
         told = [f"The model misses the patches by {ratio:.1f} times what is expected."]
-        named = [group for group in sorted(left, key=lambda one: -left[one]) if left[group] >= WORTH_TELLING]
-        told += [
-            f"Parameters of the {group}, which were not fitted, could take away {100 * left[group]:.0f} % of "
-            "what is left."
-            for group in named
-        ]
-        if left and not named:
-            told.append(
-                "No parameter that was left out takes away a quarter of it: look at the patches themselves, "
-                "their labels and their light."
-            )
+        told += _causes(left)
+        most = max((one.delta_e_after for one in kinds.values()), default=np.inf)
+        if most < UNSEEN:
+            told.append(f"No mean colour lies further off than dE2000 {most:.1f}, which is not seen.")
     far = [
         f"{kind} (dE2000 {one.delta_e_after:.1f})" for kind, one in kinds.items() if one.delta_e_after > SEEN
     ]
