@@ -71,6 +71,7 @@ if TYPE_CHECKING:
     )
     from pepperscene.spectra import Spectrum
     from pepperscene.truth import class_colour, class_from_colour, distance_code, distance_from_code
+    from pepperscene.tuning import Tuning, tune, twin_patches
 
 _ROOMS = {
     "camera": (
@@ -97,6 +98,7 @@ _ROOMS = {
     ),
     "spectra": ("Spectrum",),
     "truth": ("class_colour", "class_from_colour", "distance_code", "distance_from_code"),
+    "tuning": ("Tuning", "tune", "twin_patches"),
 }  # fmt: skip
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
 
@@ -133,6 +135,7 @@ __all__ = [
     "Spectrum",
     "Stage",
     "Surface",
+    "Tuning",
     "Twine",
     "Verdict",
     "__version__",
@@ -173,6 +176,8 @@ __all__ = [
     "report",
     "settle",
     "torch_images",
+    "tune",
+    "twin_patches",
     "twine_surface",
     "uniform_sky",
     "with_twine",
