@@ -209,6 +209,21 @@ def test_many_parameters_take_away_much_and_are_blamed_for_little():
     assert found["pigments"].evidence < found["light"].evidence - ALIKE
 
 
+def test_one_among_many_is_named():
+    """Forty pigments together promise too much to be likely; the one that is missed does not."""
+    each = tuple(parameter(f"leaf.p{i}") for i in range(MANY))
+    columns = {one.name: CHANCE[:, i : i + 1] for i, one in enumerate(each)}
+    columns |= {"stem.a": np.zeros((60, 1)), "flash.colour": COLUMNS[:, :2]}
+    data = 2.0 * CHANCE[:, 17] + np.random.default_rng(4).standard_normal(60)
+    problem, best = fit([parameter("stem.a")], columns, data)
+    found = suspects(problem, best, {"light": OTHERS["light"], "pigments": each})
+    assert next(iter(found)) == "pigments"
+    assert found["pigments"].alone == "leaf.p17"
+    assert found["pigments"].evidence > ALIKE
+    (told, *_) = said(3600.0, found, leaf=4.0)[1:]
+    assert told.startswith("Most likely the fit lacks the pigments (leaf.p17), which could take away ")
+
+
 def test_noise_alone_speaks_for_no_one():
     """Three times what is expected, and at random: each group explains less than its number promises."""
     for seed in range(5):
@@ -279,19 +294,17 @@ def test_one_likely_cause():
     left = {"light": Suspect(0.91, 80.0), "pigments": Suspect(0.76, 20.0), "cuticle": Suspect(0.4, -3.0)}
     told = said(3600.0, left, leaf=4.0)
     assert told[0] == "The model misses the patches by 6.0 times what is expected."
-    assert told[1] == (
-        "The likeliest cause is the light, which was not fitted: it could take away 91 % of what is left."
-    )
+    assert told[1] == ("Most likely the fit lacks the light, which could take away 91 % of what is left.")
     assert told[2] == "Far less likely, though some of it goes with them: the pigments (76 %)."
     assert told[3].startswith("Mean colours still lie off: leaf (dE2000 4.0).")
     assert not any("cuticle" in one for one in told)
 
 
 def test_two_causes_that_cannot_be_told_apart():
-    left = {"camera": Suspect(0.92, 104.0), "light": Suspect(0.9, 101.0)}
+    left = {"camera": Suspect(0.92, 104.0, "white_balance"), "light": Suspect(0.9, 101.0)}
     assert said(3600.0, left, leaf=4.0)[1] == (
-        "The likeliest cause is the camera or the light, which were not fitted: they could take away 92 % or "
-        "90 % of what is left."
+        "Most likely the fit lacks the camera (white_balance) or the light, which could take away 92 % or 90 % "
+        "of what is left."
     )
 
 

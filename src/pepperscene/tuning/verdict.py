@@ -114,10 +114,12 @@ class Suspect:
     Attributes:
         share: of the data's squared residuals that it could take away within its bounds.
         evidence: twice the logarithm of how many times likelier it makes the data.
+        alone: the one parameter that explains them better by itself than all of the group do; or "".
     """
 
     share: float
     evidence: float
+    alone: str = ""
 
 
 def suspects(
@@ -129,7 +131,8 @@ def suspects(
     could take away (the score test of whether they are missed; Rao 1948, Proc. Camb. Phil. Soc. 44:50).
     Dozens of pigments can take away nearly anything, so the groups are ordered by the evidence: it asks in
     addition how well the step goes with what is known beforehand, and how much else the group could have
-    explained (MacKay 1992, Neural Comput. 4:415). For that the data's errors are as large as in `certainty`.
+    explained (MacKay 1992, Neural Comput. 4:415). For that the data's errors are as large as in `certainty`,
+    and the cause is all of a group, or one parameter of it, each as likely beforehand as any other one.
 
     Args:
         problem: with the fitted parameters.
@@ -161,7 +164,8 @@ def suspects(
             np.concatenate([room[0], (low - start) / scales]),
             np.concatenate([room[1], (high - start) / scales]),
         )
-        found[group] = step.suspect(len(vector), wider)
+        names = [entry.parameter.name for entry in entries]
+        found[group] = step.suspect(len(vector), names, wider)
     return dict(sorted(found.items(), key=lambda item: -item[1].evidence))
 
 
@@ -175,27 +179,41 @@ class _Step:
     low: Array
     high: Array
 
-    def suspect(self, fitted: int, wider: float) -> Suspect:
-        """What those behind the fitted ones explain, where errors may be wider than expected."""
-        before = float(self.residuals @ self.residuals)
-        share = 1.0 - self._costs(1.0)[0] / before
-        slopes = self.slopes / wider
-        gained = before / wider**2 + self.pull @ self.pull - sum(self._costs(wider))
-        occam = _freedom(slopes) - _freedom(slopes[:, :fitted])
-        return Suspect(float(np.clip(share, 0.0, 1.0)), float(gained - occam))
+    def suspect(self, fitted: int, names: Sequence[str], wider: float) -> Suspect:
+        """What those behind the fitted ones explain, where errors may be wider than expected.
 
-    def _costs(self, wider: float) -> tuple[float, float]:
-        """Of data and bounds after the best step."""
+        Args:
+            fitted: how many are.
+            names: of the parameters that the further ones belong to.
+            wider: by how much.
+        """
+        every, own = np.arange(len(self.pull)), np.arange(fitted)
+        share = 1.0 - self._costs(every, 1.0)[0] / float(self.residuals @ self.residuals)
+        # Where errors are wider, the fitted ones alone would give way to their bounds as well.
+        before = self._badness(own, wider)
+        evidence = {"": before - self._badness(every, wider)}
+        for name in dict.fromkeys(names):
+            chosen = np.concatenate([own, fitted + np.flatnonzero([one == name for one in names])])
+            gained = before - self._badness(chosen, wider)
+            evidence[name] = gained - 2.0 * np.log(len(set(names)))
+        alone = max(evidence, key=lambda name: evidence[name])
+        return Suspect(float(np.clip(share, 0.0, 1.0)), float(evidence[alone]), alone)
+
+    def _badness(self, chosen: NDArray[np.intp], wider: float) -> float:
+        """Minus twice the logarithm of how likely the data are if no others change, up to a constant."""
+        return sum(self._costs(chosen, wider)) + _freedom(self.slopes[:, chosen] / wider)
+
+    def _costs(self, chosen: NDArray[np.intp], wider: float) -> tuple[float, float]:
+        """Of data and bounds after the best step of some."""
         from scipy.optimize import lsq_linear
 
-        slopes, residuals = self.slopes / wider, self.residuals / wider
-        rows = np.vstack([slopes, np.eye(len(self.pull))])
-        aim = -np.concatenate([residuals, self.pull])
+        slopes, residuals, pull = self.slopes[:, chosen] / wider, self.residuals / wider, self.pull[chosen]
+        rows = np.vstack([slopes, np.eye(len(pull))])
         # What lies on a bound has no room there, and rounding must not make it less than none.
-        room = np.minimum(self.low, -_LEAST_ROOM), np.maximum(self.high, _LEAST_ROOM)
-        step = lsq_linear(rows, aim, room).x
+        room = np.minimum(self.low[chosen], -_LEAST_ROOM), np.maximum(self.high[chosen], _LEAST_ROOM)
+        step = lsq_linear(rows, -np.concatenate([residuals, pull]), room).x
         left = residuals + slopes @ step
-        return float(left @ left), float(((self.pull + step) ** 2).sum())
+        return float(left @ left), float(((pull + step) ** 2).sum())
 
 
 def _freedom(slopes: Array) -> float:
@@ -222,11 +240,10 @@ def _causes(left: Mapping[str, Suspect]) -> list[str]:
         ]
     shares = {group: f"{100 * left[group].share:.0f} %" for group in named}
     likely = [group for group in named if left[named[0]].evidence - left[group].evidence < ALIKE]
-    one = len(likely) == 1
+    causes = [f"the {group}" + f" ({left[group].alone})" * bool(left[group].alone) for group in likely]
     found = [
-        f"The likeliest cause is the {' or the '.join(likely)}, which {'was' if one else 'were'} not fitted: "
-        f"{'it' if one else 'they'} could take away {' or '.join(shares[group] for group in likely)} of what "
-        "is left."
+        f"Most likely the fit lacks {' or '.join(causes)}, which could take away "
+        f"{' or '.join(shares[group] for group in likely)} of what is left."
     ]
     others = [f"the {group} ({shares[group]})" for group in named if group not in likely]
     if others:
