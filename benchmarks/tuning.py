@@ -17,25 +17,28 @@ One process, all cores; the ways take turns, twin by twin, and the first twin wa
 from __future__ import annotations
 
 import argparse
+import functools
 import statistics
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.bench.machine import machine, sentence
-from pepperscene.camera import encode
-from pepperscene.colour import Patch, PatchSet, delta_e_2000
+from pepperscene.colour import PatchSet, delta_e_2000
 from pepperscene.dataset import load_recipe
+from pepperscene.render.gradients import DifferentiableRenderer
 from pepperscene.tuning.model import EFFORT, Eye, Move
-from pepperscene.tuning.observables import lab_of, lab_slopes
+from pepperscene.tuning.observables import hues, lab_of, lab_slopes, numbers
 from pepperscene.tuning.problem import Cell, Problem
 from pepperscene.tuning.subject import Subject
+from pepperscene.tuning.twin import twin_patches
 
 if TYPE_CHECKING:
     from pepperscene.tuning.pathways import Tuned
@@ -56,28 +59,48 @@ NEAR: Final = 0.05
 """Share by which a way's cost may exceed the least that any way finds, to count as there."""
 
 
-# --- pictures with backward derivatives ---------------------------------------------------------------------
+# --- pictures, and what is asked of them --------------------------------------------------------------------
+
+
+COUNTS: Final[Counter[str]] = Counter()
+"""Pictures ("rgb") and derivative passes ("forward", "backward") that the renderer was asked for."""
+
+
+def count_calls() -> None:
+    """Count what `DifferentiableRenderer` does from now on."""
+    for name in ("rgb", "forward", "backward"):
+        plain = getattr(DifferentiableRenderer, name)
+
+        @functools.wraps(plain)
+        def counted(*args: Any, plain: Callable[..., Any] = plain, name: str = name) -> Any:
+            COUNTS[name] += 1
+            return plain(*args)
+
+        setattr(DifferentiableRenderer, name, counted)
 
 
 class BackwardEye(Eye):
     """A view that also takes derivatives of a cost the other way: from its pixels to every entry at once."""
 
-    def backward(self, made: Tuned, of_linear: Callable[[Array], Array], moves: Sequence[Move]) -> Array:
+    def backward(
+        self, made: Tuned, of_linear: Callable[[Array], Array], moves: Sequence[Move], shade: Array
+    ) -> Array:
         """`(p,)` derivatives of a cost along moves.
 
         Args:
             made: the recipe's parts.
             of_linear: from pixels `(n, 3)` to the derivatives of the cost with respect to them.
             moves: of the entries.
+            shade: `(c,)` share of the light that neighbours let through.
         """
-        parameters, electrons = self._light(made), self._electrons(made)
+        parameters, electrons = self._light(made), shade * self.electrons(made)
         linear, by_electrons, free = self._photograph.linear_and_slope(
             electrons, made.exposure, made.gains, made.matrix
         )
         wanted = of_linear(linear)
         # From pixels back to electrons, from there to the renderer's tables, and to what they are made of.
         picture = np.zeros((*self.view.mask.shape, electrons.shape[1]))
-        picture[self.view.mask] = by_electrons * ((free * wanted) @ made.matrix)
+        picture[self.view.mask] = shade * by_electrons * ((free * wanted) @ made.matrix)
         slopes = self._renderer.backward(parameters, picture)
         found = np.zeros(len(moves))
         for i, move in enumerate(moves):
@@ -92,11 +115,12 @@ class BackwardEye(Eye):
 
 
 def pixel_slopes(linear: Array, weight: Array) -> Array:
-    """`(n, 3)` derivatives by pixels of the weighted sum of a cell's six numbers: their transpose."""
-    mean, pixels = linear.mean(axis=0), lab_of(linear)
-    of_mean = weight[:3] @ lab_slopes(mean) / len(linear)
-    away = (pixels - pixels.mean(axis=0)) / (len(linear) * pixels.std(axis=0))
-    return of_mean + np.einsum("ni,nij->nj", weight[3:] * away, lab_slopes(linear))
+    """`(n, 3)` slopes by pixels of a weighted sum of a cell's numbers: `numbers_and_slopes` the other way."""
+    mean, pixels, (_, turned) = linear.mean(axis=0), lab_of(linear), hues(linear)
+    away = (pixels - pixels.mean(axis=0)) / pixels.std(axis=0)
+    of_pixels = np.einsum("ni,nij->nj", weight[3:6] * away, lab_slopes(linear))
+    of_hues = np.einsum("i,nij->nj", weight[6:], turned)
+    return (weight[:3] @ lab_slopes(mean) + of_pixels + of_hues) / len(linear)
 
 
 # --- a twin -------------------------------------------------------------------------------------------------
@@ -109,21 +133,19 @@ class Twin:
     Attributes:
         problem: the fit.
         hidden: `(p,)` the answer.
-        pictures, passes: rendered, and differentiated, since the clock was started.
         path: (seconds, pictures, passes, cost, vector) after each evaluation of the cost.
     """
 
     problem: Problem
     hidden: Array
-    pictures: int = 0
-    passes: int = 0
     path: list[tuple[float, int, int, float, Array]] = field(default_factory=list)
     began: float = 0.0
 
     @contextmanager
     def clock(self) -> Iterator[None]:
         """Count from here."""
-        self.pictures, self.passes, self.path = 0, 0, []
+        COUNTS.clear()
+        self.path = []
         self.began = time.perf_counter()
         yield
 
@@ -152,16 +174,12 @@ class Twin:
     def residuals(self, scaled: Array) -> Array:
         """Of data and bounds."""
         found = self.problem.residuals(self.vector(scaled))
-        self.pictures += len(self.problem.cells)
         self._note(0.5 * float(found @ found), scaled)
         return found
 
     def jacobian(self, scaled: Array) -> Array:
         """By forward derivatives: a pass for each entry that changes light."""
-        found = self.problem.jacobian(self.vector(scaled)) * self.problem.sd
-        self.pictures += len(self.problem.cells)
-        self.passes += len(self.problem.cells) * len(self.problem.entries)
-        return found
+        return self.problem.jacobian(self.vector(scaled)) * self.problem.sd
 
     def differences(self, scaled: Array) -> Array:
         """By finite differences: a picture for each entry, and inwards."""
@@ -172,7 +190,6 @@ class Twin:
             moved = scaled.copy()
             moved[i] += step
             columns.append((self.problem.residuals(self.vector(moved)) - here) / step)
-        self.pictures += len(self.problem.cells) * (1 + scaled.size)
         return np.stack(columns, axis=1)
 
     def cost_and_slope(self, scaled: Array) -> tuple[float, Array]:
@@ -189,14 +206,11 @@ class Twin:
             missed: list[Array] = []
 
             def of_linear(linear: Array, cell: Cell = cell, missed: list[Array] = missed) -> Array:
-                found = np.concatenate([lab_of(linear.mean(axis=0)), lab_of(linear).std(axis=0)])
-                missed.append((found + cell.offset - cell.target) / cell.sigma)
+                missed.append((numbers(linear) + cell.around.offset - cell.target) / cell.sigma)
                 return pixel_slopes(linear, missed[0] / cell.sigma)
 
-            slope = slope + eye.backward(made, of_linear, moves)
+            slope = slope + eye.backward(made, of_linear, moves, cell.around.shade)
             cost += 0.5 * float(missed[0] @ missed[0])
-        self.pictures += len(problem.cells)
-        self.passes += len(problem.cells)
         self._note(cost, scaled)
         return cost, slope * problem.sd
 
@@ -209,31 +223,21 @@ class Twin:
         return float(np.mean(delta_e_2000(seen, target))), float(np.mean(off))
 
     def _note(self, cost: float, scaled: Array) -> None:
-        self.path.append((self.seconds, self.pictures, self.passes, cost, self.vector(scaled)))
+        passes = COUNTS["forward"] + COUNTS["backward"]
+        self.path.append((self.seconds, COUNTS["rgb"], passes, cost, self.vector(scaled)))
 
 
 def twin(recipe_name: str, seed: int) -> Twin:
     """Hidden values drawn from the bounds, and pictures of them with other random numbers."""
-    recipe = load_recipe(recipe_name)
-    blank = np.zeros((1, 3))
-    kinds = tuple(Patch(kind, kind, "twin", blank, blank.astype(np.uint8)) for kind in KINDS)
-    first = Subject(recipe, PatchSet("kinds", kinds), organs=1, seed=seed)
-    parameters = first.parameters(NAMES)
-    rng = np.random.default_rng(seed)
+    recipe, rng = load_recipe(recipe_name), np.random.default_rng(seed)
+    parameters = Subject(recipe, PatchSet("none", ())).parameters(NAMES)
     hidden = {one.name: np.array([law.draw(rng) for law in one.prior]) for one in parameters}
-    made = first.tuned(hidden)
-    patches = []
-    for i, view in enumerate(first.views):
-        linear = Eye(view, first.cultivar, 1000 * (seed + 1) + i, EFFORT).linear(made)
-        codes = np.round(255.0 * np.clip(encode(linear), 0.0, 1.0)).astype(np.uint8)
-        patches.append(Patch(view.name, view.kind, "twin", linear, codes))
-    subject = Subject(recipe, PatchSet("twin", tuple(patches)), registered=True, organs=1, seed=seed)
+    patches = twin_patches(recipe, hidden, KINDS, organs=1, seed=seed, noise=seed + 1)
+    subject = Subject(recipe, patches, registered=True, organs=1, seed=seed)
     given = subject.problem(NAMES)
     eyes = (BackwardEye(one, subject.cultivar, seed + i, EFFORT) for i, one in enumerate(subject.views))
     own = {eye.view.name: eye for eye in eyes}
-    cells = [
-        Cell(cell.label, (own[cell.label],), cell.target, cell.sigma, cell.offset) for cell in given.cells
-    ]
+    cells = [replace(cell, eyes=(own[cell.label],)) for cell in given.cells]
     problem = Problem(given.parameters, subject.tuned, cells)
     return Twin(problem, np.concatenate([hidden[one.name] for one in parameters]))
 
@@ -362,7 +366,7 @@ def table(runs: Sequence[Mapping[str, Ran]]) -> list[str]:
         every = [one[name] for one in runs]
         # A ratio within each twin, so that what slows all ways of a twin alike drops out.
         ratio = median(one[name].there_s / one[first].there_s for one in runs)
-        numbers = [
+        row = [
             _told(median(one.there_s for one in every), ".2f"),
             _told(ratio, ".2f"),
             _told(median(one.there_pictures for one in every), ".0f"),
@@ -371,7 +375,7 @@ def table(runs: Sequence[Mapping[str, Ran]]) -> list[str]:
             _told(median(one.errors[0] for one in every), ".3f"),
             _told(median(one.errors[1] for one in every), ".3f"),
         ]
-        told.append(f"| {name} | {' | '.join(numbers)} |")
+        told.append(f"| {name} | {' | '.join(row)} |")
     times = " | ".join(f"{one:g} s" for one in CHECKPOINTS_S)
     told += ["", f"| ΔE₀₀, and entries off in sd, after | {times} |", "|---|" + "---:|" * len(CHECKPOINTS_S)]
     for name in WAYS:
@@ -395,6 +399,7 @@ def main() -> None:
     parser.add_argument("--budget", type=float, default=30.0, metavar="SECONDS", help="of Adam")
     options = parser.parse_args()
     names, runs = list(WAYS), []
+    count_calls()
     for seed in range(options.twins + 1):
         of = twin(options.recipe, seed)
         check(of)  # compiles, too
