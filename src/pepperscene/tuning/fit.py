@@ -1,8 +1,8 @@
 """The fit itself: bounded least squares with the renderer's derivatives, from several starts.
 
 Steps are those of a trust region around Gauss and Newton's (Branch, Coleman & Li 1999, SIAM J. Sci. Comput.
-21:1, as SciPy has it): the derivatives of a few dozen numbers cost no more than a few pictures, and what
-would take an optimiser of first order hundreds of pictures takes ten (see benchmarks/tuning.py).
+21:1, as SciPy has it). A derivative by one number costs about one picture of a small view, and ten steps are
+enough where an optimiser that knows the cost's slope alone is not there after hundreds (benchmarks/tuning.py).
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ class Problem:
     Attributes:
         entries: the vector's numbers.
         low, high: `(p,)` their ends.
-        data: number of residuals that are not the bounds' own.
+        data: how many independent data there are: the numbers of all cells, and what spectra are worth.
     """
 
     def __init__(
@@ -108,7 +108,9 @@ class Problem:
         self.high = np.array([law.high for law in laws])
         self.mean = np.array([law.mean for law in laws])
         self.sd = np.array([law.sd for law in laws])
-        self.data = len(self.data_residuals(self.values(self.default)))
+        # Neighbouring wavelengths miss alike: a spectrum is worth fewer data than it has residuals.
+        worth = 0 if spectra is None else round(spectra.independent)
+        self.data = NUMBERS * len(self.cells) + worth
 
     @property
     def default(self) -> Array:
