@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 CODE = (
     "src", "tests", "benchmarks", "docs/conf.py", "docs/figures.py", "docs/plant_figures.py",
-    "docs/harvest_figure.py", "notebooks",
+    "docs/harvest_figure.py", "docs/colour_figures.py", "notebooks",
 )  # fmt: skip
 
 
