@@ -2,7 +2,7 @@
 
 Steps are those of a trust region around Gauss and Newton's (Branch, Coleman & Li 1999, SIAM J. Sci. Comput.
 21:1, as SciPy has it). A derivative by one number costs about one picture of a small view, and ten steps are
-enough where an optimiser that knows the cost's slope alone is not there after hundreds (benchmarks/tuning.py).
+enough, where an optimiser that knows the slope of the cost alone needs hundreds (benchmarks/tuning.py).
 """
 
 from __future__ import annotations
