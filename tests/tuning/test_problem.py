@@ -61,7 +61,7 @@ def place(problem) -> np.ndarray:
 
 
 def slopes_by_differences(problem: Problem, place: np.ndarray, step: float) -> np.ndarray:
-    """`(m, p)` central differences and Richardson's step from two of them."""
+    """`(m, p)` central differences, and for a large step Richardson's from two of them."""
     columns = []
     for entry, sd in enumerate(problem.sd):
         along = np.zeros(place.size)
@@ -71,7 +71,7 @@ def slopes_by_differences(problem: Problem, place: np.ndarray, step: float) -> n
             above, below = problem.residuals(place + h * along), problem.residuals(place - h * along)
             return (above - below) / (2.0 * h * sd)
 
-        columns.append((4.0 * slope(step / 2.0) - slope(step)) / 3.0)
+        columns.append((4.0 * slope(step / 2.0) - slope(step)) / 3.0 if step > 0.01 else slope(step))
     return np.array(columns).T
 
 

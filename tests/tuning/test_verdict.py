@@ -303,8 +303,8 @@ def test_one_likely_cause():
 def test_two_causes_that_cannot_be_told_apart():
     left = {"camera": Suspect(0.92, 104.0, "white_balance"), "light": Suspect(0.9, 101.0)}
     assert said(3600.0, left, leaf=4.0)[1] == (
-        "Most likely the fit lacks the camera (white_balance) or the light, which could take away 92 % or 90 % "
-        "of what is left."
+        "Most likely the fit lacks the camera (white_balance) or the light, which could take away 92 % or "
+        "90 % of what is left."
     )
 
 

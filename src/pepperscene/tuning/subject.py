@@ -102,8 +102,8 @@ class Subject:
         surfaces = {name for view in self.views for name in view.scene.mesh.surfaces}
         surfaces |= {one.surface for one in self.direct.shown} if self.direct is not None else set()
         known = known_parameters(self.cultivar, self.camera)
-        # One name for each thing: those of single ends and whole spectra repeat others.
-        plain = [name for name in known if name.count(".") < 2 and name != "flash.spectrum"]
+        # One name for each thing: those of single ends repeat others.
+        plain = [name for name in known if name.count(".") < 2]
         wanted = [
             one
             for one in self.parameters([name for name in plain if name not in taken])
@@ -131,7 +131,12 @@ class Subject:
 
     @cached_property
     def targets(self) -> Mapping[str, Array]:
-        """`(n, 3)` linear sRGB of the patches, by kind; every picture counts the same, as in hue spectra."""
+        """`(n, 3)` linear sRGB of the patches, by kind; every picture counts the same, as in hue spectra.
+
+        Where patches show the organs of the views, they are pooled pixel by pixel as those are.
+        """
+        if self.registered:
+            return {kind: self.patches.pixels(kind) for kind in self.kinds}
         found = {}
         for kind in self.kinds:
             pictures = dict.fromkeys(patch.picture for patch in self.patches.of_kind(kind))
