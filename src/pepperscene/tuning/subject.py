@@ -29,12 +29,13 @@ Array = NDArray[np.float64]
 
 FLOOR: Final = 0.5
 """Chosen: CIELAB units by which mean and spread of a colour may always differ: half of what can be seen."""
-FLOOR_REGISTERED: Final = 0.04
+FLOOR_REGISTERED: Final = 0.06
 """The same where patches show the very organs of the views, besides the sensor's noise: what few samples of
-light leave. Chosen: a little above what twins show, 0.03."""
+light leave, 8 bits, and a camera in formulas. Chosen: twice what twins show, 0.03, as it is not by chance
+alone and shifts numbers together."""
 FLOOR_HUE: Final = 0.05
 """Chosen: radians by which hues may always differ, three degrees; half a bin and more of their spectra."""
-FLOOR_HUE_REGISTERED: Final = 0.0015
+FLOOR_HUE_REGISTERED: Final = 0.0025
 """Chosen: the same where patches show the very organs of the views; twins show 0.001."""
 SPREAD: Final = 0.2
 """Chosen: share of a spread by which that of other organs differs; a few organs tell it no better."""
