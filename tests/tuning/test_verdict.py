@@ -47,6 +47,7 @@ class Linear:
     def __init__(self, columns, data):
         self.columns = {name: np.asarray(column, float) for name, column in columns.items()}
         self.data = np.asarray(data, float)
+        self.independent = float(self.data.size)
 
     def residuals(self, values):
         found = -self.data

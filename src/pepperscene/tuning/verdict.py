@@ -272,8 +272,7 @@ def sentences(
         f"{kind} (dE2000 {one.delta_e_after:.1f})" for kind, one in kinds.items() if one.delta_e_after > SEEN
     ]
     if far:
-        told.append(
-            f"Mean colours still lie off: {', '.join(far)}. Where the model meets the patches all the same, "
-            "these differ so much among themselves that they tell no more."
-        )
+        told.append(f"Mean colours still lie off: {', '.join(far)}.")
+        if as_expected(value, problem.data):
+            told.append("Patches of a kind differ so much among themselves that they tell no more.")
     return (*told, *open_entries)
