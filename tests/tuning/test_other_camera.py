@@ -163,7 +163,7 @@ def test_pigments_are_nearer_to_the_truth_then(recipe, case, by_pigments, by_eve
     [
         ({"flash.colour": [-0.4, 0.05]}, ("light", "camera")),
         ({"white_balance": [1.2, 0.9]}, ("light", "camera")),
-        ({"exposure": [0.75]}, ("exposure", "light")),
+        ({"exposure": [0.75]}, ("exposure", "light", "camera")),
         ({"leaf.carotenoid": [7.0]}, ("pigments",)),
         ({"leaf.structure": [2.3], "petiole.chlorophyll": [6.0], "fruit.brown": [0.7]}, ("pigments",)),
         ({"fruit.ior": [1.52], "leaf.roughness": [0.3]}, ("cuticle",)),
