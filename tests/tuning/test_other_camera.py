@@ -32,7 +32,7 @@ from pepperscene.tuning.views import with_surfaces
 
 PIGMENTS = ("leaf.chlorophyll", "fruit.chlorophyll", "fruit.carotenoid", "stem.chlorophyll")
 LIGHT_AND_CAMERA = ("flash.colour", "exposure", "white_balance", "colour_matrix")
-EVALUATIONS = 10
+EVALUATIONS = 7
 """Of each fit here: colours are met by then, the rest is polish."""
 
 
