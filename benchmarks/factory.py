@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pepperscene as ps
-from pepperscene.bench.machine import machine, sentence
+from pepperscene.bench.records import machine, sentence
 from pepperscene.dataset import Progress
 
 TRUTH = ("class", "instance", "distance", "distance_code")

@@ -13,9 +13,9 @@ import statistics
 import sys
 from collections.abc import Mapping
 
-from pepperscene.bench.against_error import LEAST_RUNS
 from pepperscene.bench.frames_child import PLANT_STAGES, Times, clock_plants, timed
-from pepperscene.bench.machine import machine
+from pepperscene.bench.records import machine
+from pepperscene.bench.run import LEAST_RUNS
 
 
 def single_plants(cultivar: str, runs: int, detail: float) -> dict[str, list[float]]:
@@ -41,7 +41,7 @@ def single_plants(cultivar: str, runs: int, detail: float) -> dict[str, list[flo
 def rows(recipe_name: str, runs: int) -> dict[str, list[float]]:
     """Seconds to make the plants of a recipe's row and to place it, by stage; and to place it once more."""
     import pepperscene as ps
-    from pepperscene.dataset.planting import Planting
+    from pepperscene.dataset.scenes.scene_builder import Planting
 
     found = []
     clocks: Times = {}

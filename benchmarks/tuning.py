@@ -30,18 +30,18 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.bench.machine import machine, sentence
+from pepperscene.bench.records import machine, sentence
 from pepperscene.colour import PatchSet, delta_e_2000
 from pepperscene.dataset import load_recipe
-from pepperscene.render.gradients import DifferentiableRenderer
-from pepperscene.tuning.model import EFFORT, Eye, Move
-from pepperscene.tuning.observables import hues, lab_of, lab_slopes, numbers
-from pepperscene.tuning.problem import Cell, Problem
-from pepperscene.tuning.subject import Subject
+from pepperscene.render.gradients.renderer import DifferentiableRenderer
+from pepperscene.tuning.model.observables import hues, lab_of, lab_slopes, numbers
+from pepperscene.tuning.model.problem import Cell, Problem
+from pepperscene.tuning.model.subject import Subject
+from pepperscene.tuning.model.view_model import EFFORT, Eye, Move
 from pepperscene.tuning.twin import twin_patches
 
 if TYPE_CHECKING:
-    from pepperscene.tuning.pathways import Tuned
+    from pepperscene.tuning.parameters.tuned import Tuned
 
 Array = NDArray[np.float64]
 

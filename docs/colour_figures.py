@@ -19,7 +19,7 @@ from PIL import Image
 from pepperscene import load_recipe
 from pepperscene.colour import Patch
 from pepperscene.tuning import Subject, fitted, twin_patches, write_tuned
-from pepperscene.tuning.views import View
+from pepperscene.tuning.model.views import View
 
 KINDS: Final = ("leaf", "pepper.unripe", "pepper.ripe", "peduncle", "stem", "shoot")
 LARGER: Final = 3

@@ -35,7 +35,7 @@ from pepperscene import (
     render,
 )
 from pepperscene.camera import Developing
-from pepperscene.dataset.report.display import distance_colours
+from pepperscene.dataset.report.colours import distance_colours
 
 IMAGES: Final = Path(__file__).parent / "images"
 NM: Final = np.arange(360.0, 831.0, 5.0)

@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw
 from skimage.measure import find_contours
 
 from pepperscene import Camera, Stage, load_recipe
-from pepperscene.truth.rle import mask_of
+from pepperscene.truth.encodings import mask_of
 
 SEEN: Final = (255, 255, 255)
 HIDDEN: Final = (190, 190, 190)

@@ -29,7 +29,7 @@ from pepperscene import (
     look_at,
 )
 from pepperscene.camera import Developing
-from pepperscene.dataset.portrait import portrait
+from pepperscene.dataset.scenes.portrait import portrait
 
 PHOTOS: Final = Path(__file__).parent / "photos"
 SIZE: Final = (613, 346)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pepperscene.bench.scenes import resized
-from pepperscene.bench.subject import Subject
+from pepperscene.bench.scenes import Subject, resized
 from pepperscene.dataset import Stage, load_recipe
 from pepperscene.frame import Frame
 from pepperscene.geometry import rectangle

@@ -12,10 +12,11 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from pepperscene.bench import SCENES, against_error, bench, scenes_named, size_of
-from pepperscene.bench.measuring import Measured
-from pepperscene.bench.metrics import Errors
-from pepperscene.bench.pareto import pareto
+from pepperscene.bench import SCENES, bench, scenes_named, size_of
+from pepperscene.bench import run as against_error
+from pepperscene.bench.measure import Measured
+from pepperscene.bench.plot import pareto
+from pepperscene.bench.reference import Errors
 from pepperscene.bench.scenes import resized
 from pepperscene.bench.settings import NAMED, OURS, PLAIN, settings
 from pepperscene.bench.tables import duration, error_table, ratio_table, ratios

@@ -10,9 +10,8 @@ import pytest
 import trimesh
 
 from pepperscene.bench import SCENES, profile, scaling
-from pepperscene.bench.children import in_child, in_children
-from pepperscene.bench.finer import quartered
-from pepperscene.bench.frames_child import Asked
+from pepperscene.bench.frames_child import Asked, quartered
+from pepperscene.bench.profile import in_child, in_children
 from pepperscene.cultivar import load_cultivar
 from pepperscene.errors import SetupError
 from pepperscene.geometry import mesh_plant
@@ -102,9 +101,9 @@ def test_profile_and_scaling_fill_their_tables(tmp_path, monkeypatch):
             for one in wanted
         ]
 
-    monkeypatch.setattr("pepperscene.bench.children.in_children", quickly)
-    monkeypatch.setattr("pepperscene.bench.costs.in_children", quickly)
-    monkeypatch.setattr("pepperscene.bench.stages.seconds_of", lambda command: 0.01)
+    monkeypatch.setattr("pepperscene.bench.profile.in_children", quickly)
+    monkeypatch.setattr("pepperscene.bench.scaling.in_children", quickly)
+    monkeypatch.setattr("pepperscene.bench.profile.seconds_of", lambda command: 0.01)
 
     done = profile(tmp_path, [scene], (32, 24), runs=2, quick=True)
     assert [path.name for path in done.files] == ["profile.json", "profile.md"]

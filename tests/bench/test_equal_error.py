@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pepperscene.bench.equal_error import FURTHEST, front, ratio, time_for
+from pepperscene.bench.tables import FURTHEST, front, ratio, time_for
 
 
 def law(times, level, slope):

@@ -7,9 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pepperscene.bench.converged import Converged, converged
-from pepperscene.bench.measuring import measure
-from pepperscene.bench.metrics import codes, rms
+from pepperscene.bench.measure import measure
+from pepperscene.bench.reference import Converged, codes, converged, rms
 from pepperscene.bench.settings import PLAIN, Setting, settings
 from pepperscene.render import QUALITIES
 

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pepperscene.bench import metrics
-from pepperscene.bench.metrics import REGULARISER, codes, errors, relative_mse, rms
+from pepperscene.bench import reference as metrics
+from pepperscene.bench.reference import REGULARISER, codes, errors, relative_mse, rms
 from pepperscene.camera import develop
 from pepperscene.errors import SetupError
 

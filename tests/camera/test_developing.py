@@ -23,7 +23,7 @@ from pepperscene.camera import (
     reference_correction,
     relative_illumination,
 )
-from pepperscene.camera.correction import correction, daylight, white_gains
+from pepperscene.camera.colorimetry import correction, daylight, white_gains
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum, read_spectra
 

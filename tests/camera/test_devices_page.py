@@ -9,10 +9,9 @@ import pytest
 from pydantic import BaseModel
 
 from pepperscene.camera import Filter, Flash, Lens, Sensor, load_filter, load_flash, load_lens, load_sensor
-from pepperscene.camera.filter_file import FilterDocument
-from pepperscene.camera.flash_file import FlashDocument
-from pepperscene.camera.lens_file import LensDocument
-from pepperscene.camera.sensor_file import SensorDocument
+from pepperscene.camera.flash import FlashDocument
+from pepperscene.camera.lens import LensDocument
+from pepperscene.camera.sensor import FilterDocument, SensorDocument
 from pepperscene.scene.cover import Cover, CoverDocument, load_cover
 from pepperscene.shipped import shelf
 

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from pepperscene.camera.observer import (
+from pepperscene.camera.colorimetry import (
     D65_WHITE,
     SRGB_TO_XYZ,
     XYZ_TO_SRGB,
@@ -65,7 +65,7 @@ def test_srgb_is_that_of_colour_science():
 def test_correcting_colours_needs_no_slow_import():
     ask = (
         "import sys; from pepperscene.camera import load_sensor\n"
-        "from pepperscene.camera.correction import correction, daylight\n"
+        "from pepperscene.camera.colorimetry import correction, daylight\n"
         "found = correction(load_sensor('ueye_ui5250re'), daylight())\n"
         "assert 'colour' not in sys.modules\n"
         "assert 0 < found.mean_delta_e_2000 < 10 and 'colour' in sys.modules\n"

@@ -20,8 +20,7 @@ from pepperscene.camera import (
     raw_frame,
     reference_correction,
 )
-from pepperscene.camera.demosaic import demosaiced
-from pepperscene.camera.mosaic import gathered, spread
+from pepperscene.camera.readout import demosaiced, gathered, spread
 from pepperscene.spectra import Spectrum
 
 with warnings.catch_warnings():

@@ -29,7 +29,7 @@ class NoLight:
 @pytest.fixture(scope="session")
 def command():
     """Runs a command line; gives exit code, standard output and standard error."""
-    from pepperscene.dataset import stage
+    from pepperscene.dataset.scenes import frame_renderer as stage
 
     runner, patch = CliRunner(), pytest.MonkeyPatch()
     patch.setattr(stage, "mitsuba_renderer", NoLight)

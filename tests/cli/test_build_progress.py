@@ -80,7 +80,7 @@ def test_a_terminal_gets_a_bar_with_the_last_picture(monkeypatch, capsys):
 def test_sigterm_ends_a_build_as_ctrl_c_does(tmp_path):
     stand_in = Path(__file__).resolve().parents[1] / "dataset"
     script = (
-        "import sys, pepperscene.dataset.stage as stage, stand_in\n"
+        "import sys, pepperscene.dataset.scenes.frame_renderer as stage, stand_in\n"
         "stage.mitsuba_renderer = stand_in.StandIn\n"
         "from pepperscene.cli import main\n"
         "main()\n"

@@ -20,7 +20,7 @@ BUILD = (
 @pytest.fixture
 def folder(command, tmp_path, monkeypatch):
     """Three frames whose class image shows nothing; a stand-in renders them."""
-    from pepperscene.dataset.stage import Stage
+    from pepperscene.dataset.scenes.frame_renderer import Stage
     from pepperscene.geometry import rectangle
     from pepperscene.scene import assemble
 
@@ -33,8 +33,8 @@ def folder(command, tmp_path, monkeypatch):
     # The stand-in's pictures are of four by four pixels, the camera's are not.
     for path in sorted((tmp_path / "set" / "frames").glob("*.json")):
         shrunk(path)
-    from pepperscene.dataset.manifest import write_manifest
-    from pepperscene.dataset.store import open_dataset
+    from pepperscene.dataset.store.dataset import open_dataset
+    from pepperscene.dataset.store.manifest import write_manifest
 
     (tmp_path / "set" / "journal.jsonl").unlink(missing_ok=True)
     write_manifest(open_dataset(tmp_path / "set"))
@@ -42,8 +42,8 @@ def folder(command, tmp_path, monkeypatch):
 
 
 def shrunk(path):
-    from pepperscene.dataset.atomic import write_json
-    from pepperscene.dataset.store import checksum_of
+    from pepperscene.dataset.store.atomic import write_json
+    from pepperscene.dataset.store.dataset import checksum_of
 
     facts = json.loads(path.read_text())
     facts["camera"] |= {"width": 4, "height": 4}

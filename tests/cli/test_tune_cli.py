@@ -10,7 +10,7 @@ import tomllib
 import pytest
 
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.equipment import cultivar_of
+from pepperscene.dataset.recipe.equipment import cultivar_of
 from pepperscene.errors import EXIT_BAD_INPUT
 from pepperscene.shipped import shelf
 
@@ -162,7 +162,7 @@ def test_interrupted_nothing_is_written(command, green, tmp_path, monkeypatch):
     def interrupted(*_args, **_more):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(importlib.import_module("pepperscene.tuning.tune"), "fitted", interrupted)
+    monkeypatch.setattr(importlib.import_module("pepperscene.tuning.workflow"), "fitted", interrupted)
     found = command("tune", "demo", "--patches", green, *FIT, "--out", tmp_path / "out")
     assert found.exit_code == 130
     assert found.stderr == "interrupted; nothing was written\n"

@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from pepperscene.camera import encode
-from pepperscene.camera.correction import XYZ_TO_SRGB
+from pepperscene.camera.colorimetry import XYZ_TO_SRGB
 from pepperscene.colour import calibrate, delta_e_2000, lab
-from pepperscene.colour.chart import chart_linear, chart_names
-from pepperscene.colour.chart_geometry import grid_corners, homography, mapped
+from pepperscene.colour.patches.chart import chart_linear, chart_names
+from pepperscene.colour.patches.chart_detection import grid_corners, homography, mapped
 from pepperscene.errors import InputError
 from pepperscene.spectra import colour_science
 

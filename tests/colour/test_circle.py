@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize, stats
 
-from pepperscene.colour.circle import (
+from pepperscene.colour.statistics.circular import (
     bin_angles,
     circular_emd,
     circular_mean,

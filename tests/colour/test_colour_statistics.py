@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from pepperscene.colour import ColourStatistics, lab
-from pepperscene.colour.statistics import mean_hue_shares
+from pepperscene.colour.statistics.colours import mean_hue_shares
 from pepperscene.spectra import colour_science
-from pepperscene.truth.hue import hue_counts
+from pepperscene.truth.statistics import hue_counts
 
 RNG = np.random.default_rng(20180102)
 CODES = RNG.integers(0, 256, (500, 3), dtype=np.uint8)

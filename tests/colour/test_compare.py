@@ -14,7 +14,7 @@ from PIL import Image
 from pepperscene.camera import decode
 from pepperscene.classes import OrganClass
 from pepperscene.colour import MeasuredSpectrum, PatchSet, compare, delta_e_2000, lab, open_patches
-from pepperscene.colour.sides import measured
+from pepperscene.colour.comparison.measure import measured
 from pepperscene.dataset import VOID, open_images
 from pepperscene.spectra import Spectrum
 

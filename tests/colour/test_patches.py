@@ -13,10 +13,10 @@ from PIL import Image
 from pepperscene import OrganClass, Spectrum, open_images, open_patches
 from pepperscene.camera import decode
 from pepperscene.colour import MeasuredSpectrum, Patch, PatchSet
-from pepperscene.colour.extraction import Extraction, eroded
-from pepperscene.colour.patch import belongs, evenly, is_kind
-from pepperscene.colour.stages import regions
-from pepperscene.colour.statistics import encoded, hue_counts_of
+from pepperscene.colour.patches.extraction import Extraction, eroded
+from pepperscene.colour.patches.open import regions
+from pepperscene.colour.patches.patch import belongs, evenly, is_kind
+from pepperscene.colour.statistics.colours import encoded, hue_counts_of
 from pepperscene.dataset import Labelled
 from pepperscene.errors import InputError
 from pepperscene.truth.statistics import Statistics

@@ -11,7 +11,7 @@ from PIL import Image
 from pepperscene import open_patches
 from pepperscene.camera import decode, encode
 from pepperscene.colour import delta_e_2000, lab
-from pepperscene.colour.chart import chart_linear
+from pepperscene.colour.patches.chart import chart_linear
 from pepperscene.errors import InputError
 from pepperscene.spectra import read_spectrum
 

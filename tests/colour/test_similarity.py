@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from pepperscene.colour import similarity
-from pepperscene.colour.measure import of_angles, of_values
-from pepperscene.colour.resampling import REPLICATES, Resampled, interval, weights_of
+from pepperscene.colour.comparison import similarity
+from pepperscene.colour.statistics.bootstrap import (
+    REPLICATES,
+    Resampled,
+    interval,
+    of_angles,
+    of_values,
+    weights_of,
+)
 
 
 def resampled_mean(values):

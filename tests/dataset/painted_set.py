@@ -8,7 +8,7 @@ from set_files import set_without_plants
 
 from pepperscene.frame import OUTPUTS, Frame
 from pepperscene.truth import class_colour, distance_code
-from pepperscene.truth.rle import run_lengths
+from pepperscene.truth.encodings import run_lengths
 
 SIZE = (180, 240)
 ALL = ("colour", "class", "class_colour", "instance", "distance", "distance_code", "harvest")

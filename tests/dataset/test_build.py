@@ -16,8 +16,8 @@ from pepperscene.errors import InputError, OutputError, SetupError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
 
 pytestmark = pytest.mark.usefixtures("empty_scenes")
-STORE = sys.modules["pepperscene.dataset.store"]
-ATOMIC = sys.modules["pepperscene.dataset.atomic"]
+STORE = sys.modules["pepperscene.dataset.store.dataset"]
+ATOMIC = sys.modules["pepperscene.dataset.store.atomic"]
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pepperscene.dataset import load_recipe, read_changes
-from pepperscene.dataset.changes import label
+from pepperscene.dataset.recipe.load import label
 from pepperscene.errors import InputError
 from pepperscene.shipped import shelf
 

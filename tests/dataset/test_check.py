@@ -11,15 +11,15 @@ import pytest
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import build, check, load_recipe, read_image, write_image
-from pepperscene.dataset.atomic import digest, write_json
-from pepperscene.dataset.check import crew
-from pepperscene.dataset.check.across import Comparison
-from pepperscene.dataset.check.traits import Traits
-from pepperscene.dataset.check.verdict import KINDS, Finding
-from pepperscene.dataset.manifest import write_manifest
-from pepperscene.dataset.stage import Stage
-from pepperscene.dataset.store import checksum_of, open_dataset
-from pepperscene.dataset.tables import ExpectTable
+from pepperscene.dataset.check import run as crew
+from pepperscene.dataset.check.cross_frame import Comparison
+from pepperscene.dataset.check.findings import KINDS, Finding
+from pepperscene.dataset.check.one_frame import Traits
+from pepperscene.dataset.recipe.tables import ExpectTable
+from pepperscene.dataset.scenes.frame_renderer import Stage
+from pepperscene.dataset.store.atomic import digest, write_json
+from pepperscene.dataset.store.dataset import checksum_of, open_dataset
+from pepperscene.dataset.store.manifest import write_manifest
 from pepperscene.errors import InputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, Frame
 from pepperscene.geometry import rectangle

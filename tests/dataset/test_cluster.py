@@ -19,9 +19,10 @@ from set_files import contents
 from stand_in import Hungry, StandIn
 
 from pepperscene.dataset import build, open_dataset
-from pepperscene.dataset.seeds import frame_seed
-from pepperscene.dataset.work import afar, shift
-from pepperscene.dataset.work import cluster as crew
+from pepperscene.dataset.execution import dask_cluster as crew
+from pepperscene.dataset.execution import dask_dispatch as shift
+from pepperscene.dataset.execution import dask_worker as afar
+from pepperscene.dataset.recipe.plan import frame_seed
 from pepperscene.errors import InputError, OutputError, WorkerError
 
 distributed = pytest.importorskip("distributed", reason="needs the extra `cluster`")

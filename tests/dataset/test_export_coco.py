@@ -18,7 +18,7 @@ from pepperscene.classes import OrganClass
 from pepperscene.dataset import read_image
 from pepperscene.dataset.export import export
 from pepperscene.dataset.export.segments import all_run_lengths
-from pepperscene.truth.rle import mask_of
+from pepperscene.truth.encodings import mask_of
 
 mask_tools = pytest.importorskip("pycocotools.mask", reason="the extra `export` brings pycocotools")
 

@@ -11,10 +11,9 @@ import pytest
 from small_set import FRUIT
 
 from pepperscene.dataset.export import Splits, export
-from pepperscene.dataset.export.card import Card
 from pepperscene.dataset.export.columns import CLASS_NAMES, columns
-from pepperscene.dataset.export.huggingface import export_huggingface
-from pepperscene.dataset.rows import FRUIT_COLUMNS
+from pepperscene.dataset.export.huggingface import Card, export_huggingface
+from pepperscene.dataset.store.rows import FRUIT_COLUMNS
 from pepperscene.errors import InputError
 
 SPLITS = Splits((("train", range(5)), ("test", range(6, 8))))

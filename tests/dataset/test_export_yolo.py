@@ -13,7 +13,7 @@ from painted_set import FRAMES, SIZE
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import read_image
 from pepperscene.dataset.export import export
-from pepperscene.dataset.export.polygons import BRIDGED, polygons
+from pepperscene.dataset.export.yolo import BRIDGED, polygons
 
 cv2 = pytest.importorskip("cv2", reason="the extra `test` brings OpenCV")
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pepperscene.dataset.exr import exr_bytes
+from pepperscene.dataset.store.codecs import exr_bytes
 
 
 def read(path):

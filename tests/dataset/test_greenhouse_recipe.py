@@ -11,9 +11,9 @@ import tomli_w
 
 from pepperscene.cultivar import interpolated, load_cultivar
 from pepperscene.dataset import Stage, load_recipe, read_changes
-from pepperscene.dataset.equipment import cultivar_of
-from pepperscene.dataset.recipe import Recipe
-from pepperscene.dataset.tables import GreenhouseTable
+from pepperscene.dataset.recipe.equipment import cultivar_of
+from pepperscene.dataset.recipe.recipe import Recipe
+from pepperscene.dataset.recipe.tables import GreenhouseTable
 from pepperscene.errors import InputError
 from pepperscene.shipped import shelf
 
@@ -196,7 +196,7 @@ def test_both_stages_and_their_parents_are_part_of_the_identity(tmp_path):
 
 
 def test_a_date_in_a_change_is_told_as_a_date():
-    from pepperscene.dataset.changes import label
+    from pepperscene.dataset.recipe.load import label
 
     assert label("growth.date", datetime.date(2016, 6, 1)) == "--set growth.date=2016-06-01"
     assert read_changes(["growth.date=2016-06-01"]) == {"growth.date": datetime.date(2016, 6, 1)}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from pepperscene.dataset.labelled import FIELDS, VOID, ImageSet, Labelled
+from pepperscene.dataset.readers.image_set import FIELDS, VOID, ImageSet, Labelled
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

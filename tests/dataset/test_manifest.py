@@ -10,9 +10,9 @@ import pytest
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import build, open_dataset
-from pepperscene.dataset.journal import JOURNAL, Journal
-from pepperscene.dataset.manifest import MANIFEST
-from pepperscene.dataset.rows import FRAME_COLUMNS
+from pepperscene.dataset.store.journal import JOURNAL, Journal
+from pepperscene.dataset.store.manifest import MANIFEST
+from pepperscene.dataset.store.rows import FRAME_COLUMNS
 from pepperscene.errors import InputError, OutputError
 
 pytestmark = pytest.mark.usefixtures("empty_scenes")
@@ -146,6 +146,6 @@ def test_a_full_disk_under_the_journal_is_told(folder, monkeypatch):
     def full(*_args):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(sys.modules["pepperscene.dataset.journal"].Journal, "add", full)
+    monkeypatch.setattr(sys.modules["pepperscene.dataset.store.journal"].Journal, "add", full)
     with pytest.raises(OutputError, match="No space left on device"):
         folder("0:2")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pepperscene.dataset.pace import Pace
+from pepperscene.dataset.execution.build import Pace
 
 
 class Clock:

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pepperscene.dataset.plan import Plan, rotated
-from pepperscene.dataset.seeds import Stream, frame_seed, generator
+from pepperscene.dataset.recipe.plan import Plan, Stream, frame_seed, generator, rotated
 from pepperscene.errors import InputError
 
 PAPER = Plan(sets=6, rotations=7, frames=250)

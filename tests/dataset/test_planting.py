@@ -11,13 +11,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import pepperscene.dataset.planting
+import pepperscene.dataset.scenes.scene_builder
 import pepperscene.geometry
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import Stage, grown, load_recipe
-from pepperscene.dataset.planting import Planting
-from pepperscene.dataset.seeds import Stream, generator
+from pepperscene.dataset.recipe.plan import Stream, generator
+from pepperscene.dataset.scenes.scene_builder import Planting
 from pepperscene.grammar import grow
 from pepperscene.scene.far_rows import MODELS
 
@@ -102,7 +102,7 @@ SCRIPT = f"""
 import hashlib
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.planting import Planting
+from pepperscene.dataset.scenes.scene_builder import Planting
 recipe = load_recipe("greenhouse", {SMALL!r})
 mesh = Planting(recipe, load_cultivar(recipe.cultivar)).scene(0, 0).mesh
 arrays = (mesh.vertices, mesh.normals, mesh.uv, mesh.state, mesh.faces, mesh.face_instance)
@@ -262,13 +262,13 @@ def test_between_two_stages_a_plant_is_neither():
 
 
 def test_what_touches_within_plants_counts_too(recipe, planted, monkeypatch):
-    real = pepperscene.dataset.planting.grown_at
+    real = pepperscene.dataset.scenes.scene_builder.grown_at
 
     def jammed(*args, **kwargs):
         made = real(*args, **kwargs)
         return replace(made, contacts=replace(made.contacts, fruit_touching=1, blades_touching=2))
 
-    monkeypatch.setattr(pepperscene.dataset.planting, "grown_at", jammed)
+    monkeypatch.setattr(pepperscene.dataset.scenes.scene_builder, "grown_at", jammed)
     told = planting_of(recipe).scene(0, 0).contacts
     assert planted.contacts.fruit_touching == 0
     assert told.fruit_touching == 3

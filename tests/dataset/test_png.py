@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
 
-from pepperscene.dataset.png import png_bytes
+from pepperscene.dataset.store.codecs import png_bytes
 
 
 def sides(*tail):

@@ -13,7 +13,7 @@ from set_files import contents
 from stand_in import Deadly, Hungry, StandIn, Threaded
 
 from pepperscene.dataset import build, open_dataset
-from pepperscene.dataset.seeds import frame_seed
+from pepperscene.dataset.recipe.plan import frame_seed
 from pepperscene.errors import InputError, OutputError, WorkerError
 
 OUTPUTS = ("class", "distance")
@@ -148,7 +148,7 @@ def test_a_worker_killed_from_outside(make, tmp_path, monkeypatch):
         if progress.done == 1:
             thread.start()
 
-    monkeypatch.setattr(sys.modules["pepperscene.dataset.work.crew"], "MOST_LOSSES", 10)
+    monkeypatch.setattr(sys.modules["pepperscene.dataset.execution.executor"], "MOST_LOSSES", 10)
     done = make("set", workers=2, on_frame=begin)
     over.set()
     thread.join()
@@ -186,7 +186,7 @@ def _children():
 
 @pytest.mark.parametrize(("said", "threads"), [(None, "1"), ("3", "3")])
 def test_a_worker_keeps_to_its_cores(make, tmp_path, monkeypatch, said, threads):
-    monkeypatch.setattr(sys.modules["pepperscene.dataset.work.pool"], "cores", lambda: 2)
+    monkeypatch.setattr(sys.modules["pepperscene.dataset.execution.local"], "cores", lambda: 2)
     monkeypatch.delenv("PEPPERSCENE_THREADS", raising=False)
     if said is not None:
         monkeypatch.setenv("PEPPERSCENE_THREADS", said)

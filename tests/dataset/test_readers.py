@@ -9,11 +9,11 @@ from PIL import Image
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset import build
 from pepperscene.dataset.export import export
-from pepperscene.dataset.labelled import VOID
-from pepperscene.dataset.png import png_bytes
 from pepperscene.dataset.readers import FolderSet, PublishedSet, RenderedSet, open_images
+from pepperscene.dataset.readers.folder import natural, pairs
+from pepperscene.dataset.readers.image_set import VOID
 from pepperscene.dataset.readers.labels import KNOWN_LABELS, labels_of
-from pepperscene.dataset.readers.pairing import natural, pairs
+from pepperscene.dataset.store.codecs import png_bytes
 from pepperscene.errors import InputError
 from pepperscene.truth import class_colour, distance_code, distance_from_code
 

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pepperscene.dataset import Stage, load_recipe
-from pepperscene.dataset.changes import read_changes
-from pepperscene.dataset.tables import DevelopingTable
+from pepperscene.dataset.recipe.load import read_changes
+from pepperscene.dataset.recipe.tables import DevelopingTable
 from pepperscene.document import read_toml, validated
 from pepperscene.errors import InputError
 from pepperscene.shipped import shelf
@@ -379,7 +379,7 @@ def read_or_fault(steps):
 
 
 def test_the_limits_of_gains_and_matrix_are_the_cameras():
-    from pepperscene.camera.steps import GAIN_RANGE, LARGEST_ENTRY
+    from pepperscene.camera.readout import GAIN_RANGE, LARGEST_ENTRY
 
     for limit, beyond in zip(GAIN_RANGE, (0.99, 1.01), strict=True):
         assert DevelopingTable(white_balance=(limit, 1.0, 1.0)).white_balance[0] == limit

@@ -14,9 +14,8 @@ from PIL import Image
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import build, open_dataset, report
-from pepperscene.dataset.labelled import FIELDS, ImageSet, Labelled
-from pepperscene.dataset.report.gathering import distance_range, gathered, spread
-from pepperscene.dataset.report.records import NUMBERS, records
+from pepperscene.dataset.readers.image_set import FIELDS, ImageSet, Labelled
+from pepperscene.dataset.report.data import NUMBERS, distance_range, gathered, records, spread
 from pepperscene.errors import InputError, OutputError
 from pepperscene.frame import DEFAULT_OUTPUTS
 

@@ -10,8 +10,8 @@ from chromium import Browser, chromium
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import report
-from pepperscene.dataset.labelled import FIELDS, ImageSet, Labelled
-from pepperscene.dataset.store import FORMAT, FRAMES, MARK, file_name, written_image
+from pepperscene.dataset.readers.image_set import FIELDS, ImageSet, Labelled
+from pepperscene.dataset.store.dataset import FORMAT, FRAMES, MARK, file_name, written_image
 from pepperscene.frame import OUTPUTS
 
 pytestmark = pytest.mark.skipif(chromium() is None, reason="there is no Chromium on this machine")

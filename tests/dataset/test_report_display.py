@@ -9,14 +9,15 @@ import pytest
 from PIL import Image
 
 from pepperscene.classes import CLASS_COLOURS
-from pepperscene.dataset.report.display import (
+from pepperscene.dataset.report.colours import (
     VIRIDIS,
     class_colours,
     distance_colours,
+    drawing,
     instance_colours,
+    photograph,
     share_colours,
 )
-from pepperscene.dataset.report.embedding import drawing, photograph
 
 
 def decoded(address):

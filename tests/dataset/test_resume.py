@@ -14,8 +14,7 @@ import pytest
 from set_files import contents
 
 from pepperscene.dataset import open_dataset
-from pepperscene.dataset.plan import Plan
-from pepperscene.dataset.seeds import frame_seed
+from pepperscene.dataset.recipe.plan import Plan, frame_seed
 
 FRAMES = 60
 SEED = 2018

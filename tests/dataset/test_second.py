@@ -11,8 +11,8 @@ import pytest
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.planting import Planting
-from pepperscene.dataset.second import VARIABLE, processes
+from pepperscene.dataset.scenes.plant_worker import VARIABLE, processes
+from pepperscene.dataset.scenes.scene_builder import Planting
 from pepperscene.errors import InputError
 
 SMALL = {"cultivar": "kaite_february", "row.plants_front": 6, "row.plants_back": 2}

@@ -12,7 +12,7 @@ from pepperscene.errors import InputError, OutputError, SetupError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
 
 pytestmark = pytest.mark.usefixtures("empty_scenes")
-STORE = sys.modules["pepperscene.dataset.store"]
+STORE = sys.modules["pepperscene.dataset.store.dataset"]
 
 
 def contents(folder):

@@ -14,8 +14,8 @@ import pytest
 from stand_in import StandIn
 
 from pepperscene.dataset import build
-from pepperscene.dataset.work import slurm
-from pepperscene.dataset.work.slurm_file import SlurmJobs, read_slurm_file
+from pepperscene.dataset.execution import slurm
+from pepperscene.dataset.execution.slurm import SlurmJobs, read_slurm_file
 from pepperscene.errors import InputError, SetupError, WorkerError
 
 dask = pytest.importorskip("dask", reason="needs the extra `cluster`")

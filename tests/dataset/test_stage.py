@@ -11,9 +11,9 @@ import pytest
 from pepperscene.camera import load_filter, load_sensor
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import Stage, load_recipe
-from pepperscene.dataset import stage as stage_module
-from pepperscene.dataset.equipment import surface_grid
-from pepperscene.dataset.seeds import frame_seed
+from pepperscene.dataset.recipe.equipment import surface_grid
+from pepperscene.dataset.recipe.plan import frame_seed
+from pepperscene.dataset.scenes import frame_renderer as stage_module
 from pepperscene.render import QUALITIES
 from pepperscene.spectra import Spectrum
 

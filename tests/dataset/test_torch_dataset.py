@@ -11,9 +11,9 @@ import pytest
 from small_set import FRAMES, make_small_set
 
 from pepperscene.dataset.export import Splits
-from pepperscene.dataset.labelled import VOID
 from pepperscene.dataset.readers import open_images
-from pepperscene.dataset.torch_images import torch_images
+from pepperscene.dataset.readers.image_set import VOID
+from pepperscene.dataset.readers.torch_images import torch_images
 from pepperscene.errors import InputError, SetupError
 
 ALL = ("image", "mask", "instances", "distance")
@@ -123,7 +123,7 @@ def test_without_torch_one_sentence_tells_what_to_install(built, monkeypatch):
             raise ModuleNotFoundError("No module named 'torch'", name="torch")
         return found(name, *args, **kwargs)
 
-    monkeypatch.delitem(sys.modules, "pepperscene.dataset.torch_dataset", raising=False)
+    monkeypatch.delitem(sys.modules, "pepperscene.dataset.readers.torch_dataset", raising=False)
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(SetupError, match="`pip install torch`"):
         torch_images(built.folder)

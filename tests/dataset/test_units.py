@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pepperscene.dataset.plan import Plan
-from pepperscene.dataset.work import Queue, units_of
+from pepperscene.dataset.execution.executor import Queue, units_of
+from pepperscene.dataset.recipe.plan import Plan
 
 PLAN = Plan(sets=3, rotations=2, frames=5)
 

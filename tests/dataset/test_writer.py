@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from pepperscene.dataset import build, open_dataset
-from pepperscene.dataset.folder import OutputFolder
-from pepperscene.dataset.store import FORMAT
-from pepperscene.dataset.writer import Addition, FrameWriter
+from pepperscene.dataset.execution.job import Addition, FrameWriter
+from pepperscene.dataset.store.dataset import FORMAT
+from pepperscene.dataset.store.folder import OutputFolder
 from pepperscene.errors import InputError, OutputError
 
-STORE = sys.modules["pepperscene.dataset.store"]
+STORE = sys.modules["pepperscene.dataset.store.dataset"]
 IMAGES = {"class": np.zeros((4, 5), np.uint8), "distance": np.ones((4, 5), np.float32)}
 
 

@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pepperscene.geometry.body import vertex_normals
-from pepperscene.geometry.lamina import laminae
-from pepperscene.geometry.lamina_grid import blade_grid
-from pepperscene.geometry.lamina_relief import grid_noise
-from pepperscene.geometry.lamina_veins import vein_at, vein_rise, vein_start, vein_through
-from pepperscene.geometry.noise import hashed
+from pepperscene.geometry.blade.blades import laminae
+from pepperscene.geometry.blade.grid import blade_grid, vein_at, vein_rise, vein_start, vein_through
+from pepperscene.geometry.blade.relief import grid_noise
+from pepperscene.geometry.bodies import vertex_normals
+from pepperscene.geometry.organ_arrays import hashed
 from pepperscene.grammar.plant import Organ
 
 LENGTH, WIDTH = 0.135, 0.112
@@ -421,7 +420,7 @@ def test_the_law_of_veins_has_its_inverse():
 @pytest.mark.parametrize("width", [0.06, WIDTH])
 def test_bulges_rise_between_the_veins_of_the_material(seed, width):
     """Veins as the material grows them on its own leaf, found on the mesh through uv."""
-    from pepperscene.materials.venation import grow_veins
+    from pepperscene.materials.patterns import grow_veins
 
     made = blade(blister_m=0.002, vein_m=0.0006, detail=3.0, seed=seed, width_m=width)
     distance_mm = np.mean(

@@ -6,7 +6,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pepperscene.cultivar.forms import USUAL
+from pepperscene.cultivar.organs import USUAL
 from pepperscene.geometry import mesh_plant
 from pepperscene.grammar.plant import Organ, Plant
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar import load_cultivar
-from pepperscene.cultivar.forms import FORMS, USUAL, Kind
+from pepperscene.cultivar.organs import FORMS, USUAL, Kind
 from pepperscene.geometry import Mesh, concatenate, mesh_plant
 from pepperscene.grammar import grow
 from pepperscene.grammar.plant import Organ, Plant

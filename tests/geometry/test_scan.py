@@ -9,10 +9,10 @@ import pytest
 import trimesh
 
 from pepperscene.classes import OrganClass
-from pepperscene.cultivar.forms import USUAL, Kind
+from pepperscene.cultivar.organs import USUAL, Kind
 from pepperscene.errors import InputError
 from pepperscene.geometry import mesh_plant
-from pepperscene.geometry.scan import MOST_TRIANGLES, load_scan
+from pepperscene.geometry.fruit.scan import MOST_TRIANGLES, load_scan
 from pepperscene.grammar.plant import Organ, Plant
 
 AXIS = np.array([[0.1, 0.2, 1.0], [0.11, 0.18, 0.92]])

@@ -21,13 +21,13 @@ from pepperscene.geometry import (
     settle,
     sphere,
 )
-from pepperscene.geometry.contact import Bodies, counted
-from pepperscene.geometry.contact_fruit import walls
-from pepperscene.geometry.contact_organs import Organs
-from pepperscene.geometry.contact_points import SPACING, filling
-from pepperscene.geometry.contact_stems import capsules
-from pepperscene.geometry.contact_turns import Search
-from pepperscene.geometry.contact_units import units_of
+from pepperscene.geometry.contacts.detect import Bodies, counted
+from pepperscene.geometry.contacts.fruit import walls
+from pepperscene.geometry.contacts.joints import units_of
+from pepperscene.geometry.contacts.organs import Organs
+from pepperscene.geometry.contacts.resolve import Search
+from pepperscene.geometry.contacts.samples import SPACING, filling
+from pepperscene.geometry.contacts.stems import capsules
 from pepperscene.grammar import Plant, grow
 
 RADIUS = 0.04
@@ -457,7 +457,7 @@ def test_units_are_tried_together_as_one_by_one(number: int) -> None:
 
 
 def test_how_much_is_worked_out_at_a_time_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pepperscene.geometry.contact_tables.ENTRIES", 500)
+    monkeypatch.setattr("pepperscene.geometry.contacts.pairs.ENTRIES", 500)
     again = settle(grown()[1], np.random.default_rng(3))
     assert again.mesh.vertices.tobytes() == settled().mesh.vertices.tobytes()
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pepperscene.cultivar import load_cultivar
-from pepperscene.cultivar.forms import USUAL
+from pepperscene.cultivar.organs import USUAL
 from pepperscene.geometry import mesh_plant
 from pepperscene.grammar import grow
 from pepperscene.grammar.plant import Organ, Plant

@@ -19,7 +19,7 @@ import pepperscene
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.cli import app
 from pepperscene.cultivar import Cultivar, Distribution
-from pepperscene.dataset.recipe import Recipe
+from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.frame import OUTPUTS
 
 ROOT = Path(__file__).resolve().parents[2]

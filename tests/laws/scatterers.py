@@ -11,8 +11,8 @@ import numpy as np
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import Surface, greenhouse_surfaces, organ_surfaces
 from pepperscene.materials.gloss import gloss_albedo
-from pepperscene.render.optics import Optics
-from pepperscene.render.tables import LEAST_ALPHA, pack
+from pepperscene.render.surface.optics import Optics
+from pepperscene.render.surface.tables import LEAST_ALPHA, pack
 from pepperscene.render.variant import kernel
 
 GRID_NM = np.arange(380.0, 961.0, 5.0)

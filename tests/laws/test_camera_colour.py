@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pepperscene.camera import Camera, Developing, develop, load_flash, load_lens, load_sensor
-from pepperscene.camera.correction import daylight
+from pepperscene.camera.colorimetry import daylight
 from pepperscene.shipped import shelf
 
 NM = np.arange(380.0, 781.0)

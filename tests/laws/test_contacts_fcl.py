@@ -27,7 +27,7 @@ from trimesh.collision import CollisionManager
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar import Cultivar, load_cultivar
 from pepperscene.geometry import Mesh, concatenate, contacts, mesh_plant, settle
-from pepperscene.geometry.contact import Bodies
+from pepperscene.geometry.contacts.detect import Bodies
 from pepperscene.grammar import grow
 from pepperscene.scene import Twine, double_row, with_twine
 

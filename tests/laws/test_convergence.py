@@ -15,11 +15,10 @@ from scipy import stats
 
 from pepperscene.geometry import concatenate
 from pepperscene.materials import Surface, lambertian
-from pepperscene.render import transport
-from pepperscene.render.kernel import light_scene, sky_tables
-from pepperscene.render.response import response
-from pepperscene.render.transport import Sampling, trace
-from pepperscene.render.view import LensCache
+from pepperscene.render.kernel.camera import LensCache, response
+from pepperscene.render.kernel.scene import light_scene, sky_tables
+from pepperscene.render.transport import trace as transport
+from pepperscene.render.transport.trace import Sampling, trace
 from pepperscene.scene import Sky, Sun, assemble
 from pepperscene.spectra import Spectrum, sky_spectrum, sun_spectrum, with_illuminance
 

@@ -18,15 +18,14 @@ from pepperscene.camera import load_sensor
 from pepperscene.cultivar import Cultivar, load_cultivar
 from pepperscene.geometry import concatenate
 from pepperscene.materials import Surface, lambertian, organ_surfaces
-from pepperscene.materials.leaf import thin_surface
-from pepperscene.render import passes
-from pepperscene.render.gradients import DifferentiableRenderer
-from pepperscene.render.kernel import light_scene
+from pepperscene.materials.organs import thin_surface
+from pepperscene.render.gradients import detached_sampling as passes
+from pepperscene.render.gradients.renderer import DifferentiableRenderer
+from pepperscene.render.kernel.arrays import region_of
+from pepperscene.render.kernel.camera import LensCache, response
+from pepperscene.render.kernel.scene import light_scene
 from pepperscene.render.quality import Quality
-from pepperscene.render.region import region_of
-from pepperscene.render.response import response
-from pepperscene.render.transport import Sampling, trace
-from pepperscene.render.view import LensCache
+from pepperscene.render.transport.trace import Sampling, trace
 from pepperscene.scene import Sun, assemble, uniform_sky
 from pepperscene.scene.sky import Sky
 from pepperscene.spectra import Spectrum

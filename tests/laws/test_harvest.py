@@ -27,7 +27,7 @@ from pepperscene.camera import Camera, Distortion
 from pepperscene.dataset import Stage, load_recipe
 from pepperscene.geometry import Mesh
 from pepperscene.render import Renderer
-from pepperscene.truth.rle import mask_of
+from pepperscene.truth.encodings import mask_of
 
 CROPS = ("kaite", "red_blocky", "tomato", "orange_pointed")
 DISTORTION = Distortion(k1=-0.1, k2=0.04, p1=1e-3, p2=-1e-3)

@@ -12,7 +12,7 @@ from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import organ_surfaces
 from pepperscene.materials.gloss import gloss_albedo
 from pepperscene.render.variant import kernel
-from pepperscene.tuning.instrument import gloss_along_normal, read_reflectance
+from pepperscene.tuning.model.reflectance import gloss_along_normal, read_reflectance
 
 THIN = {"leaf": True, "fruit": False, "stem": False, "peduncle": False}
 STATES = (0.0, 0.5, 1.0)  # rows of every surface's table

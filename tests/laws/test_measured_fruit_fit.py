@@ -16,12 +16,12 @@ import pytest
 from pepperscene.colour import MeasuredSpectrum, PatchSet
 from pepperscene.cultivar import Cultivar, PigmentPath, load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.equipment import camera_of
+from pepperscene.dataset.recipe.equipment import camera_of
 from pepperscene.spectra import Spectrum, read_spectra, read_spectrum
-from pepperscene.tuning.direct import CORRELATION_NM, MODEL_ERROR, DirectModel
-from pepperscene.tuning.model import entries_of
-from pepperscene.tuning.parameter import parameters_of
-from pepperscene.tuning.pathways import tuned
+from pepperscene.tuning.model.reflectance import CORRELATION_NM, MODEL_ERROR, DirectModel
+from pepperscene.tuning.model.view_model import entries_of
+from pepperscene.tuning.parameters.parameter import parameters_of
+from pepperscene.tuning.parameters.tuned import tuned
 
 FRUITS, LEAVES = "fruit/vrhel_fruit_vegetable_reflectance", "leaf/vrhel_leaf_reflectance"
 CONTENTS = ("chlorophyll", "carotenoid", "brown", "structure", "flesh")
@@ -119,8 +119,8 @@ def test_the_fit_finds_the_measured_green_pepper(instrument):
 
 def test_a_tuned_recipe_finds_it_too():
     # The whole machinery of a fit, with spectra alone: nothing is rendered. Its bounds weigh nothing.
-    from pepperscene.tuning.fit import fitted
-    from pepperscene.tuning.subject import Subject
+    from pepperscene.tuning.fit.least_squares import fitted
+    from pepperscene.tuning.model.subject import Subject
 
     spectrum = green_pepper().model.spectra[0]
     laws = {

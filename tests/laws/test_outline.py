@@ -13,12 +13,12 @@ from bodies import bench_camera, sphere
 from scipy.ndimage import distance_transform_edt
 
 from pepperscene.camera import look_at
-from pepperscene.cultivar.forms import USUAL
+from pepperscene.cultivar.organs import USUAL
 from pepperscene.geometry import mesh_plant
 from pepperscene.grammar import Organ, Plant
 from pepperscene.materials import Surface, lambertian
 from pepperscene.render import Renderer
-from pepperscene.render.facing import facing
+from pepperscene.render.surface.optics import facing
 from pepperscene.render.variant import kernel
 from pepperscene.scene import assemble, uniform_sky
 from pepperscene.spectra import Spectrum

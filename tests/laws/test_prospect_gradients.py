@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from pepperscene.spectra import absorption_coefficients, leaf_spectra, over_body
-from pepperscene.spectra.arrays import floats
-from pepperscene.spectra.plates import cone_transmissivity, pile, plate, slab_transmission
+from pepperscene.spectra.plates import cone_transmissivity, floats, pile, plate, slab_transmission
 
 torch = pytest.importorskip("torch", reason="gradients need the optional package torch (extra `tuning`)")
 

@@ -1,7 +1,7 @@
 """Our integrator against Mitsuba's own path tracer, on every kind of scene that we render.
 
 Both see the same meshes, materials, camera rays and response. How light is found is written twice: ours in
-`pepperscene.render.transport`, the other's in Mitsuba and in `pepperscene.render.emitters`.
+`pepperscene.render.transport.trace`, the other's in Mitsuba and in `pepperscene.render.reference.emitters`.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import pytest
 from bodies import bench_camera, sheet, sphere
 
 from pepperscene.camera import AngularProfile, Camera, expected_electrons, load_sensor
-from pepperscene.dataset.recipe_file import load_recipe
-from pepperscene.dataset.stage import Stage
+from pepperscene.dataset.recipe.load import load_recipe
+from pepperscene.dataset.scenes.frame_renderer import Stage
 from pepperscene.geometry import concatenate
 from pepperscene.materials import Surface, lambertian
 from pepperscene.render import QUALITIES, Renderer
-from pepperscene.render.emitters import daylight_emitter
-from pepperscene.render.reference import SAMPLERS, path_scene, path_traced, samples_taken
+from pepperscene.render.reference.emitters import daylight_emitter
+from pepperscene.render.reference.path_tracer import SAMPLERS, path_scene, path_traced, samples_taken
 from pepperscene.render.variant import kernel
 from pepperscene.scene import Scene, Sky, Sun, assemble, uniform_sky
 from pepperscene.spectra import Spectrum

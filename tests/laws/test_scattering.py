@@ -8,8 +8,8 @@ from bodies import bench_camera
 from scatterers import Cases, interaction, lossless, plain, shipped
 
 from pepperscene.materials import Surface
-from pepperscene.render.optics import Optics
-from pepperscene.render.tables import pack
+from pepperscene.render.surface.optics import Optics
+from pepperscene.render.surface.tables import pack
 from pepperscene.render.variant import kernel
 
 PAIRS = 1 << 16

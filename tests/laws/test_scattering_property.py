@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from scatterers import GRID_NM, interaction, made
 
 from pepperscene.materials import Surface
-from pepperscene.render.optics import Optics
-from pepperscene.render.tables import pack
+from pepperscene.render.surface.optics import Optics
+from pepperscene.render.surface.tables import pack
 from pepperscene.render.variant import kernel
 
 PAIRS = 4096

@@ -9,12 +9,11 @@ from bodies import bench_camera, sheet, sphere
 from pepperscene.camera import AngularProfile
 from pepperscene.geometry import concatenate
 from pepperscene.materials import Surface, lambertian
-from pepperscene.render.kernel import light_scene, sky_tables
-from pepperscene.render.reference import path_scene, path_traced
-from pepperscene.render.response import response
-from pepperscene.render.transport import Sampling, trace
+from pepperscene.render.kernel.camera import LensCache, response
+from pepperscene.render.kernel.scene import light_scene, sky_tables
+from pepperscene.render.reference.path_tracer import path_scene, path_traced
+from pepperscene.render.transport.trace import Sampling, trace
 from pepperscene.render.variant import kernel
-from pepperscene.render.view import LensCache
 from pepperscene.scene import Sun, assemble, uniform_sky
 from pepperscene.scene.sky import Sky
 from pepperscene.spectra import Spectrum

@@ -5,7 +5,7 @@ import pytest
 from plant_colours import at, lab, lab_hue, srgb_hue
 
 from pepperscene.cultivar import load_cultivar
-from pepperscene.cultivar.forms import USUAL
+from pepperscene.cultivar.organs import USUAL
 from pepperscene.geometry import mesh_plant
 from pepperscene.grammar.plant import Organ, Plant
 from pepperscene.materials import flesh_reflectance, rind_reflectance

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from pepperscene.materials.noise import cell_walls, smooth_noise
+from pepperscene.materials.patterns import cell_walls, smooth_noise
 
 
 def test_smooth_noise_is_standard_periodic_and_of_the_wanted_grain():

@@ -5,7 +5,7 @@ import pytest
 from plant_colours import at, lab, lab_hue
 
 from pepperscene.cultivar import load_cultivar
-from pepperscene.cultivar.forms import USUAL
+from pepperscene.cultivar.organs import USUAL
 from pepperscene.materials import greenhouse_surfaces, leaf_body, organ_surfaces, organs, rind_reflectance
 
 ORGANS = {"leaf", "petiole", "stem", "fruit", "peduncle", "calyx", "cut"}

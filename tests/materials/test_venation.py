@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from pepperscene.materials.venation import grow_veins, vein_pattern, vein_relief
+from pepperscene.materials.patterns import grow_veins, vein_pattern, vein_relief
 
 SIZE_MM = (112.0, 135.0)
 

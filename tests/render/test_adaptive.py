@@ -18,8 +18,8 @@ from pepperscene.camera import (
     load_lens,
     load_sensor,
 )
-from pepperscene.render.adaptive import GAIN, SOFT_LEFT, Stop, _least_scale, shown
-from pepperscene.render.light import Gathered
+from pepperscene.render.transport.accumulate import Gathered
+from pepperscene.render.transport.adaptive import GAIN, SOFT_LEFT, Stop, _least_scale, shown
 from pepperscene.spectra import Spectrum
 
 HEIGHT, WIDTH = 24, 32

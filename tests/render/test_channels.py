@@ -10,16 +10,15 @@ from scipy import stats
 from pepperscene.camera import Camera
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import Surface, greenhouse_surfaces, organ_surfaces
-from pepperscene.render import samples as samples_module
-from pepperscene.render.channels import ChannelOptics
-from pepperscene.render.kernel import light_scene, sky_tables
-from pepperscene.render.optics import Optics
-from pepperscene.render.response import response
-from pepperscene.render.samples import FrameTables, Samples, SpectralTables, Wavelengths
-from pepperscene.render.tables import pack
-from pepperscene.render.transport import _hit, _summed
+from pepperscene.render.kernel.camera import LensCache, response
+from pepperscene.render.kernel.scene import light_scene, sky_tables
+from pepperscene.render.surface.channels import ChannelOptics
+from pepperscene.render.surface.optics import Optics
+from pepperscene.render.surface.tables import pack
+from pepperscene.render.transport import samples as samples_module
+from pepperscene.render.transport.samples import FrameTables, Samples, SpectralTables, Wavelengths
+from pepperscene.render.transport.trace import _hit, _summed
 from pepperscene.render.variant import kernel
-from pepperscene.render.view import LensCache
 
 NM = np.arange(360.0, 831.0, 5.0)
 GRID = np.arange(380.0, 751.0)

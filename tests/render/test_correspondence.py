@@ -15,8 +15,8 @@ from pepperscene.classes import OrganClass
 from pepperscene.frame import OUTPUTS
 from pepperscene.geometry import Mesh, concatenate
 from pepperscene.render import Renderer
-from pepperscene.render.correspondence import CLEARANCE, reached
-from pepperscene.render.kernel import truth_scene
+from pepperscene.render.aov.flow import CLEARANCE, reached
+from pepperscene.render.kernel.scene import truth_scene
 from pepperscene.scene import assemble
 
 BENT = Distortion(k1=-0.1, k2=0.04, p1=1e-3, p2=-1e-3)

@@ -14,10 +14,10 @@ from pepperscene.camera import Camera, load_lens, load_sensor
 from pepperscene.classes import Instance, OrganClass
 from pepperscene.geometry import Mesh, concatenate
 from pepperscene.render import Renderer
-from pepperscene.render.coverage import POINTS, Coverage, pixel_points
-from pepperscene.render.kernel import truth_scene
-from pepperscene.render.region import region_of
-from pepperscene.render.view import LensCache
+from pepperscene.render.aov.coverage import POINTS, Coverage, pixel_points
+from pepperscene.render.kernel.arrays import region_of
+from pepperscene.render.kernel.camera import LensCache
+from pepperscene.render.kernel.scene import truth_scene
 from pepperscene.scene import assemble
 
 FOCAL_PX = 4.16e-3 / 9e-6  # of the bench camera: the lens' focal length over the pixels' pitch

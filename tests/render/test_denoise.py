@@ -10,7 +10,7 @@ import pytest
 from greenhouse import camera, greenhouse
 
 from pepperscene.render import Renderer
-from pepperscene.render.denoise import denoised
+from pepperscene.render.transport.denoise import denoised
 
 
 def picture(soft, *, flash=0.0, sky=0.0, covered=1.0, albedo=0.5):

@@ -11,7 +11,8 @@ import pytest
 
 from pepperscene.camera import Developing, load_flash, load_lens, load_sensor
 from pepperscene.camera.camera import Camera
-from pepperscene.render import QUALITIES, early
+from pepperscene.render import QUALITIES
+from pepperscene.render import renderer as early
 
 PARTS = ("kernel", "begin_denoising", "reference_correction")
 
@@ -61,7 +62,7 @@ def test_what_fails_early_leaves_the_rest_alone(camera, called, monkeypatch):
 def test_a_denoiser_that_began_early_makes_the_same_picture():
     ask = (
         "import sys, numpy as np\n"
-        "from pepperscene.render.denoise import _filtered, begin\n"
+        "from pepperscene.render.transport.denoise import _filtered, begin\n"
         "rng = np.random.default_rng(1)\n"
         "light, albedo, normal = (rng.random((40, 56, 3), np.float32) for _ in range(3))\n"
         "if 'early' in sys.argv: begin()\n"

@@ -17,7 +17,7 @@ from pepperscene.geometry import concatenate, mesh_plant, rectangle
 from pepperscene.grammar import grow
 from pepperscene.render import Renderer
 from pepperscene.scene import assemble, skeleton
-from pepperscene.truth.rle import mask_of
+from pepperscene.truth.encodings import mask_of
 
 OUTPUTS = ["instance", "distance", "harvest"]
 

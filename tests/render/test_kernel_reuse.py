@@ -14,7 +14,7 @@ from pepperscene.geometry import mesh_plant
 from pepperscene.grammar import grow
 from pepperscene.materials import lambertian, organ_surfaces, twine_surface
 from pepperscene.render import Renderer
-from pepperscene.render.upload import ALIGNMENT, aligned, device_number, device_table
+from pepperscene.render.kernel.arrays import ALIGNMENT, aligned, device_number, device_table
 from pepperscene.render.variant import kernel
 from pepperscene.scene import Sky, Twine, assemble, double_row, partly_cloudy, with_twine
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from greenhouse import greenhouse
 
-from pepperscene.render.kernel import kernel_mesh, light_scene, truth_scene
+from pepperscene.render.kernel.scene import kernel_mesh, light_scene, truth_scene
 from pepperscene.render.variant import kernel
 
 RAYS = 20_000
@@ -63,7 +63,7 @@ def test_interactions_are_those_of_mitsuba(built, rays):
 
 
 def test_the_table_of_corners_says_what_attributes_say(scene, built, rays):
-    from pepperscene.render.bsdf import surface_bsdf
+    from pepperscene.render.reference.bsdf import surface_bsdf
 
     mi, _ = kernel()
     shape = kernel_mesh(scene.mesh, surface_bsdf().of(built.optics))
@@ -104,7 +104,7 @@ def test_large_buffers_are_shared_with_the_mesh(scene):
 
 
 def test_attributes_only_where_a_bsdf_reads_them(scene, built):
-    from pepperscene.render.bsdf import surface_bsdf
+    from pepperscene.render.reference.bsdf import surface_bsdf
 
     names = ("vertex_state", "face_surface")
     plain, with_bsdf = kernel_mesh(scene.mesh), kernel_mesh(scene.mesh, surface_bsdf().of(built.optics))

@@ -12,10 +12,10 @@ from greenhouse import camera, row_of_plants
 from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
 from pepperscene.frame import OUTPUTS
 from pepperscene.geometry import Mesh
-from pepperscene.render import labels
-from pepperscene.render.kernel import truth_scene
-from pepperscene.render.labels import Hits
-from pepperscene.render.view import LensCache
+from pepperscene.render.aov import labels
+from pepperscene.render.aov.labels import Hits
+from pepperscene.render.kernel.camera import LensCache
+from pepperscene.render.kernel.scene import truth_scene
 from pepperscene.scene import assemble
 
 OTHERWISE = ("coverage", "flow", "stereo", "harvest")  # by rays or cameras of their own

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from greenhouse import camera, greenhouse
 
-from pepperscene.render import transport
-from pepperscene.render.kernel import light_scene, sky_tables
-from pepperscene.render.light import Gathered
-from pepperscene.render.response import response
-from pepperscene.render.transport import Sampling, trace
-from pepperscene.render.view import LensCache
+from pepperscene.render.kernel.camera import LensCache, response
+from pepperscene.render.kernel.scene import light_scene, sky_tables
+from pepperscene.render.transport import trace as transport
+from pepperscene.render.transport.accumulate import Gathered
+from pepperscene.render.transport.trace import Sampling, trace
 
 HEIGHT, WIDTH = 5, 7
 PIXELS = HEIGHT * WIDTH

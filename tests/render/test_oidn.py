@@ -8,7 +8,7 @@ import pytest
 
 DENOISE = (
     "import sys, numpy as np\n"
-    "from pepperscene.render.oidn import open_image_denoise\n"
+    "from pepperscene.render.transport.denoise import open_image_denoise\n"
     "grey = np.full((8, 8, 3), 0.5, np.float32)\n"
     "oidn = open_image_denoise()\n"
     "found = oidn.denoise(grey, grey, grey, hdr=True)\n"
@@ -44,7 +44,7 @@ def test_torch_that_is_there_already_stays():
 def test_a_denoiser_that_cannot_be_imported_says_so_and_leaves_nothing_behind():
     run(
         "import sys\n"
-        "from pepperscene.render.oidn import open_image_denoise\n"
+        "from pepperscene.render.transport.denoise import open_image_denoise\n"
         "sys.modules['pyoidn'] = None\n"
         "try:\n    open_image_denoise()\n"
         "except ImportError:\n    pass\n"

@@ -16,8 +16,9 @@ from greenhouse import built_from_nothing, camera, digests, greenhouse, others
 from pepperscene.camera import expected_electrons
 from pepperscene.errors import InputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
-from pepperscene.render import QUALITIES, Renderer, labels, quality_named, render, renderer
-from pepperscene.render.reference import path_traced, samples_taken
+from pepperscene.render import QUALITIES, Renderer, quality_named, render, renderer
+from pepperscene.render.aov import labels
+from pepperscene.render.reference.path_tracer import path_traced, samples_taken
 from pepperscene.scene import assemble
 
 ALL = tuple(name for name in OUTPUTS if name != "harvest")  # which needs plants whose organs are known
@@ -339,7 +340,7 @@ def test_what_further_outputs_need_is_imported_for_them_alone():
         "made.render(camera(flash=False), ['flow', 'coverage'])\n"
         f"print(json.dumps([before, sorted({mine!r} & set(sys.modules))]))"
     )
-    assert found == [[], ["pepperscene.render.correspondence", "pepperscene.render.coverage"]]
+    assert found == [[], ["pepperscene.render.aov.flow", "pepperscene.render.aov.coverage"]]
 
 
 # --- refusals ---------------------------------------------------------------------------------------------

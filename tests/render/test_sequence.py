@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pepperscene.render.sequence import Sequence
-from pepperscene.render.upload import device_number, device_table
+from pepperscene.render.kernel.arrays import device_number, device_table
+from pepperscene.render.transport.owen_sobol import Sequence
 from pepperscene.render.variant import kernel
 
 CHANCE = 1e-3

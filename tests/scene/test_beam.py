@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from pepperscene.scene.beam import beam, box, rod
+from pepperscene.scene.greenhouse import beam, box, rod
 
 HEXAGON = [(np.cos(a), 2 * np.sin(a)) for a in np.arange(6) * np.pi / 3]
 

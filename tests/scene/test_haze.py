@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pepperscene.scene.haze import directions, haze
+from pepperscene.scene.cover import directions, haze
 
 ROWS, COLUMNS, LOWEST = 64, 128, 40
 WIDTHS = np.radians([4.0, 12.0, 30.0, 90.0])

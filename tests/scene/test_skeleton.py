@@ -11,7 +11,7 @@ import trimesh
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.planting import Planting
+from pepperscene.dataset.scenes.scene_builder import Planting
 from pepperscene.geometry import Motion, mesh_plant, moved_plant
 from pepperscene.grammar import grow
 from pepperscene.scene import Skeleton, skeleton

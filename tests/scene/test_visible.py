@@ -15,8 +15,8 @@ from pepperscene.cultivar import load_cultivar
 from pepperscene.geometry import Mesh, concatenate, mesh_plant, rectangle, sphere
 from pepperscene.grammar import grow
 from pepperscene.scene import Reach, about_z, culled, reach, sight, standing
-from pepperscene.scene.standin import pattern, stand_ins
-from pepperscene.scene.visible import LEAST_LIGHT, negligible, pieces
+from pepperscene.scene.culling import LEAST_LIGHT, negligible, pieces
+from pepperscene.scene.lod import pattern, stand_ins
 
 NIGHT = Reach(0.0, 0.0, 0.05, 0.4)
 

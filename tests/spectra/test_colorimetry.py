@@ -45,7 +45,7 @@ def test_nothing_is_said_without_matplotlib():
     # What a build asks of it: the brightness of a light and the colour correction of a camera.
     code = (
         "from pepperscene.camera import load_sensor\n"
-        "from pepperscene.camera.correction import correction, daylight\n"
+        "from pepperscene.camera.colorimetry import correction, daylight\n"
         "from pepperscene.spectra import illuminance\n"
         "assert illuminance(daylight()) > 0\n"
         "assert correction(load_sensor('ueye_ui5250re'), daylight()).mean_delta_e_2000 > 0\n"

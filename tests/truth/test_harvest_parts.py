@@ -7,11 +7,9 @@ import pytest
 
 from pepperscene.camera import look_at
 from pepperscene.classes import Instance, OrganClass
-from pepperscene.truth.boxes import mask_box, touches_border
-from pepperscene.truth.harvest_approach import approach
-from pepperscene.truth.harvest_graph import organ_graph
-from pepperscene.truth.harvest_stalk import fruit_stalk
-from pepperscene.truth.rle import mask_of, run_lengths
+from pepperscene.truth.cut_point import approach, fruit_stalk
+from pepperscene.truth.encodings import mask_box, mask_of, run_lengths, touches_border
+from pepperscene.truth.harvest import organ_graph
 
 # --- masks and boxes ----------------------------------------------------------------------------------------
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from pepperscene.colour import Patch, PatchSet
-from pepperscene.colour.patch import MeasuredSpectrum
-from pepperscene.dataset.equipment import camera_of, cultivar_of
+from pepperscene.colour.patches.patch import MeasuredSpectrum
+from pepperscene.dataset.recipe.equipment import camera_of, cultivar_of
 from pepperscene.spectra import Spectrum
-from pepperscene.tuning.observables import lab_of
-from pepperscene.tuning.outcome import Fit, KindFit, SpectrumFit, Start
-from pepperscene.tuning.parameter import parameters_of
-from pepperscene.tuning.pathways import tuned
+from pepperscene.tuning.fit.result import Fit, KindFit, SpectrumFit, Start
+from pepperscene.tuning.model.observables import lab_of
+from pepperscene.tuning.parameters.parameter import parameters_of
+from pepperscene.tuning.parameters.tuned import tuned
 
 VALUES = {
     "leaf.chlorophyll": [48.123456789],

@@ -9,9 +9,9 @@ import pytest
 from fits import a_fit
 
 from pepperscene.camera import decode
-from pepperscene.camera.observer import SRGB_TO_XYZ, lab
+from pepperscene.camera.colorimetry import SRGB_TO_XYZ, lab
 from pepperscene.dataset import load_recipe
-from pepperscene.tuning.before_after import WIDTH, Frames, sheet
+from pepperscene.tuning.output.figure import WIDTH, Frames, sheet
 
 
 @pytest.fixture(scope="module")

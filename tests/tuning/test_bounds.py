@@ -11,12 +11,12 @@ import pytest
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.equipment import camera_of
+from pepperscene.dataset.recipe.equipment import camera_of
 from pepperscene.errors import InputError
-from pepperscene.render.bodies import RANGES
+from pepperscene.render.gradients.pigment_models import RANGES
 from pepperscene.shipped import shelf
-from pepperscene.tuning.parameter import known_parameters, parameters_of
-from pepperscene.tuning.surface_side import NAMES
+from pepperscene.tuning.parameters.parameter import known_parameters, parameters_of
+from pepperscene.tuning.parameters.surface import NAMES
 
 RECIPE = load_recipe("barth2018")
 CAMERA = camera_of(RECIPE)

@@ -10,13 +10,13 @@ import pytest
 from pepperscene.colour import MeasuredSpectrum
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.equipment import camera_of
+from pepperscene.dataset.recipe.equipment import camera_of
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum, read_spectrum
-from pepperscene.tuning.direct import MODEL_ERROR, RANGE_NM, DirectModel, Shown, shown
-from pepperscene.tuning.model import Entry, entries_of
-from pepperscene.tuning.parameter import known_parameters, parameters_of
-from pepperscene.tuning.pathways import tuned
+from pepperscene.tuning.model.reflectance import MODEL_ERROR, RANGE_NM, DirectModel, Shown, shown
+from pepperscene.tuning.model.view_model import Entry, entries_of
+from pepperscene.tuning.parameters.parameter import known_parameters, parameters_of
+from pepperscene.tuning.parameters.tuned import tuned
 
 FRUITS, LEAVES = "fruit/vrhel_fruit_vegetable_reflectance", "leaf/vrhel_leaf_reflectance"
 MEASURED = {

@@ -23,7 +23,7 @@ from pepperscene.camera import (
 from pepperscene.dataset import load_recipe
 from pepperscene.render.quality import Quality
 from pepperscene.spectra import colour_science
-from pepperscene.tuning.observables import (
+from pepperscene.tuning.model.observables import (
     NUMBERS,
     Photograph,
     hues,
@@ -33,7 +33,7 @@ from pepperscene.tuning.observables import (
     numbers_and_slopes,
     pixel_noise,
 )
-from pepperscene.tuning.subject import Subject
+from pepperscene.tuning.model.subject import Subject
 
 SIGNIFICANCE = 1e-4
 """Of each statistical test, all its comparisons together: a right camera fails once in ten thousand."""

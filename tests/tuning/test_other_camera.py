@@ -22,13 +22,13 @@ from twins import KINDS, drawn_values, no_patches, patch_delta_e
 from pepperscene.camera import Camera, load_sensor, reference_correction
 from pepperscene.colour import PatchSet
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.equipment import surface_grid
+from pepperscene.dataset.recipe.equipment import surface_grid
 from pepperscene.materials import organ_surfaces
 from pepperscene.spectra import read_spectrum
-from pepperscene.tuning import fit
-from pepperscene.tuning.subject import Subject
+from pepperscene.tuning.fit import least_squares as fit
+from pepperscene.tuning.model.subject import Subject
+from pepperscene.tuning.model.views import with_surfaces
 from pepperscene.tuning.twin import photographed, twin_patches
-from pepperscene.tuning.views import with_surfaces
 
 PIGMENTS = ("leaf.chlorophyll", "fruit.chlorophyll", "fruit.carotenoid", "stem.chlorophyll")
 LIGHT_AND_CAMERA = ("flash.colour", "exposure", "white_balance", "colour_matrix")

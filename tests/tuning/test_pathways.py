@@ -11,15 +11,13 @@ from hypothesis import strategies as st
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.equipment import camera_of
+from pepperscene.dataset.recipe.equipment import camera_of
 from pepperscene.materials import leaf_body, rind_reflectance
-from pepperscene.render.bodies import CONTENTS, RANGES, path_values
-from pepperscene.tuning.camera_side import OFF_DIAGONAL
-from pepperscene.tuning.laws import state_law, surfaces_of
-from pepperscene.tuning.parameter import known_parameters, parameters_of
-from pepperscene.tuning.pathways import dense, dense_path, tuned
-from pepperscene.tuning.shifted import REACH
-from pepperscene.tuning.surface_side import NAMES
+from pepperscene.render.gradients.pigment_models import CONTENTS, RANGES, path_values
+from pepperscene.tuning.parameters.camera import OFF_DIAGONAL
+from pepperscene.tuning.parameters.parameter import known_parameters, parameters_of
+from pepperscene.tuning.parameters.surface import NAMES, REACH, state_law, surfaces_of
+from pepperscene.tuning.parameters.tuned import dense, dense_path, tuned
 
 CULTIVARS = ("kaite", "red_blocky", "orange_pointed", "tomato", "kaite_september", "kaite_february")
 NODES = np.linspace(400.0, 710.0, 8)

@@ -17,11 +17,12 @@ from twins import no_patches
 
 from pepperscene.dataset import load_recipe
 from pepperscene.render.quality import Quality
-from pepperscene.tuning import model, observables
-from pepperscene.tuning.model import Entry, Move
-from pepperscene.tuning.observables import NUMBERS, Photograph
-from pepperscene.tuning.problem import Problem, Surroundings
-from pepperscene.tuning.subject import Subject
+from pepperscene.tuning.model import observables
+from pepperscene.tuning.model import view_model as model
+from pepperscene.tuning.model.observables import NUMBERS, Photograph
+from pepperscene.tuning.model.problem import Problem, Surroundings
+from pepperscene.tuning.model.subject import Subject
+from pepperscene.tuning.model.view_model import Entry, Move
 
 NAMES = (
     "leaf.chlorophyll", "leaf.unripe.carotenoid", "leaf.anthocyanin", "leaf.structure", "leaf.state",

@@ -29,11 +29,11 @@ from twins import (
 )
 
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.equipment import camera_of, cultivar_of
-from pepperscene.tuning.parameter import parameters_of
-from pepperscene.tuning.subject import Subject
+from pepperscene.dataset.recipe.equipment import camera_of, cultivar_of
+from pepperscene.tuning.fit.diagnostics import as_expected
+from pepperscene.tuning.model.subject import Subject
+from pepperscene.tuning.parameters.parameter import parameters_of
 from pepperscene.tuning.twin import twin_patches
-from pepperscene.tuning.verdict import as_expected
 
 DRAWS = 20
 SIGNIFICANCE = 1e-4

@@ -11,11 +11,11 @@ import pytest
 
 from pepperscene.camera import decode, load_flash
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.equipment import camera_of, cultivar_of
+from pepperscene.dataset.recipe.equipment import camera_of, cultivar_of
 from pepperscene.errors import InputError
 from pepperscene.tuning import Subject, twin_patches
-from pepperscene.tuning.camera_side import colour_steps_at
-from pepperscene.tuning.pathways import tuned
+from pepperscene.tuning.parameters.camera import colour_steps_at
+from pepperscene.tuning.parameters.tuned import tuned
 from pepperscene.tuning.twin import tuned_camera, tuned_light
 
 SMALL = {"organs": 1, "pixels": 16}

@@ -12,10 +12,7 @@ import pytest
 from scipy.stats import kstest
 
 from pepperscene.cultivar import Distribution
-from pepperscene.tuning.model import entries_of
-from pepperscene.tuning.parameter import Parameter
-from pepperscene.tuning.problem import Problem
-from pepperscene.tuning.verdict import (
+from pepperscene.tuning.fit.diagnostics import (
     ALIKE,
     LEAST_GAIN,
     TIED,
@@ -27,6 +24,9 @@ from pepperscene.tuning.verdict import (
     suspects,
     undetermined,
 )
+from pepperscene.tuning.model.problem import Problem
+from pepperscene.tuning.model.view_model import entries_of
+from pepperscene.tuning.parameters.parameter import Parameter
 
 
 def parameter(name, group="pigments", *, entries=1, default=0.0, sd=1.0, low=-10.0, high=10.0) -> Parameter:

@@ -11,13 +11,13 @@ from twins import KINDS, no_patches
 from pepperscene.camera import Distortion
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.equipment import surface_grid
+from pepperscene.dataset.recipe.equipment import surface_grid
 from pepperscene.errors import InputError
 from pepperscene.materials import organ_surfaces
 from pepperscene.render import Renderer
 from pepperscene.render.quality import Quality
-from pepperscene.tuning.subject import Subject
-from pepperscene.tuning.views import PLACES, organ_views, with_surfaces
+from pepperscene.tuning.model.subject import Subject
+from pepperscene.tuning.model.views import PLACES, organ_views, with_surfaces
 
 PIXELS = 24
 

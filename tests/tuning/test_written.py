@@ -15,13 +15,13 @@ from PIL import Image
 from pepperscene.camera import colour_steps
 from pepperscene.cultivar import PigmentPath, Pigments, load_cultivar
 from pepperscene.dataset import Stage, load_recipe
-from pepperscene.dataset.equipment import camera_of, cultivar_of
+from pepperscene.dataset.recipe.equipment import camera_of, cultivar_of
 from pepperscene.errors import InputError, OutputError
-from pepperscene.tuning import written
-from pepperscene.tuning.provenance import plain, with_spread
-from pepperscene.tuning.toml_text import document, inline
-from pepperscene.tuning.tuned_cultivar import thinned
-from pepperscene.tuning.written import write_tuned
+from pepperscene.tuning.output import write as written
+from pepperscene.tuning.output.cultivar import thinned
+from pepperscene.tuning.output.provenance import plain, with_spread
+from pepperscene.tuning.output.toml_text import document, inline
+from pepperscene.tuning.output.write import write_tuned
 
 WHEN = datetime.date(2026, 1, 2)
 STATES = np.linspace(0.0, 1.0, 401)

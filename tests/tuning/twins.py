@@ -9,12 +9,12 @@ import numpy as np
 
 from pepperscene.camera import decode
 from pepperscene.colour import Patch, PatchSet, delta_e_2000
-from pepperscene.tuning.fit import fitted
-from pepperscene.tuning.observables import lab_of
-from pepperscene.tuning.outcome import Fit
-from pepperscene.tuning.parameter import Parameter
-from pepperscene.tuning.problem import Problem
-from pepperscene.tuning.subject import Subject
+from pepperscene.tuning.fit.least_squares import fitted
+from pepperscene.tuning.fit.result import Fit
+from pepperscene.tuning.model.observables import lab_of
+from pepperscene.tuning.model.problem import Problem
+from pepperscene.tuning.model.subject import Subject
+from pepperscene.tuning.parameters.parameter import Parameter
 
 KINDS = ("leaf", "pepper.unripe", "pepper.ripe", "peduncle", "stem", "shoot")
 """Of organs that a fit looks at: together they show every surface but the calyx."""

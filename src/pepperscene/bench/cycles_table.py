@@ -25,7 +25,7 @@ import numpy as np
 from pepperscene.bench.cycles import CyclesRun, render_cycles
 from pepperscene.bench.cycles_scene import pinhole
 from pepperscene.bench.cycles_settings import REFERENCE, STANDARD_SETTINGS, CyclesSetting
-from pepperscene.bench.metrics import codes, rms
+from pepperscene.bench.reference import codes, rms
 from pepperscene.bench.scenes import SCENES, resized, scenes_named, size_of
 from pepperscene.camera import Camera
 from pepperscene.errors import InputError, PepperError

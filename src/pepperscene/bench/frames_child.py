@@ -9,9 +9,50 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from time import perf_counter
 from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.geometry import Mesh
+
+
+def quartered(mesh: Mesh) -> Mesh:
+    """The mesh with each triangle cut into four at the middles of its sides, which leaves all as it is seen.
+
+    Instances keep their vertices together, as `Mesh.instance_vertices` asks for.
+    """
+    sides = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    sides, where = np.unique(sides, axis=0, return_inverse=True)
+    owner = np.concatenate([mesh.vertex_instance, mesh.vertex_instance[sides[:, 0]]])
+    order = np.argsort(owner, kind="stable")
+    place = np.empty_like(order)
+    place[order] = np.arange(order.size)
+
+    def halved(values: NDArray[np.float32]) -> NDArray[np.float32]:
+        middles = values[sides].mean(axis=1, dtype=np.float32)
+        return np.concatenate([values, middles])[order]
+
+    corners: list[Any] = [place[column] for column in mesh.faces.T]
+    middles: list[Any] = [place[column + len(mesh.vertices)] for column in where.reshape(-1, 3).T]
+    (a, b, c), (ab, bc, ca) = corners, middles
+    parts = np.array([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]])
+    normals = halved(mesh.normals)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return replace(
+        mesh,
+        vertices=halved(mesh.vertices),
+        normals=(normals / np.maximum(lengths, 1e-12)).astype(np.float32),
+        uv=halved(mesh.uv),
+        state=halved(mesh.state),
+        # The four parts of a triangle lie side by side, as what belongs to a face is repeated.
+        faces=parts.transpose(2, 0, 1).reshape(-1, 3).astype(np.uint32),
+        face_instance=np.repeat(mesh.face_instance, 4),
+        face_surface=np.repeat(mesh.face_surface, 4),
+    )
+
 
 BEGAN: Final = perf_counter()
 
@@ -107,12 +148,11 @@ def frames(asked: Asked) -> dict[str, Any]:
         import pepperscene as ps
         from pepperscene.dataset import Stage
         from pepperscene.frame import OUTPUTS, check_outputs
-        from pepperscene.render import renderer as _  # noqa: F401
         from pepperscene.render.variant import kernel, variant_name
     with timed(scene_times, "start Mitsuba"):
         kernel()
     # The bench's own are no part of a frame.
-    from pepperscene.bench.machine import peak_mib
+    from pepperscene.bench.records import peak_mib
     from pepperscene.bench.scenes import resized
 
     outputs = check_outputs(asked.outputs)
@@ -162,8 +202,6 @@ def frames(asked: Asked) -> dict[str, Any]:
 def _scene(stage: Any, shot: Any, traced: bool, divided: int, times: Times) -> Any:
     """The scene; making plants, placing them and leaving out what is not seen are told apart."""
     from dataclasses import replace
-
-    from pepperscene.bench.finer import quartered
 
     planting = stage._planting
     planting.plants = clocked(times, "plants", planting.plants)

@@ -17,10 +17,9 @@ from pepperscene.bench.cycles import CyclesRun, available, bpy_python, render_cy
 from pepperscene.bench.cycles_scene import pinhole
 from pepperscene.bench.cycles_settings import REFERENCE, STANDARD_SETTINGS, CyclesSetting
 from pepperscene.bench.cycles_table import reference_error
-from pepperscene.bench.kept import read_arrays, write_arrays
-from pepperscene.bench.measuring import Measured, Told
-from pepperscene.bench.metrics import Errors, errors, relative_mse
-from pepperscene.bench.subject import Subject
+from pepperscene.bench.measure import Measured, Told
+from pepperscene.bench.reference import Errors, errors, read_arrays, relative_mse, write_arrays
+from pepperscene.bench.scenes import Subject
 from pepperscene.errors import SetupError
 
 CYCLES: Final = "Cycles"

@@ -13,12 +13,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pepperscene.bench.converged import converged
-from pepperscene.bench.measuring import Measured, measure
-from pepperscene.bench.metrics import Errors
-from pepperscene.bench.scenes import SCENES
+from pepperscene.bench.measure import Measured, measure
+from pepperscene.bench.reference import Errors, converged
+from pepperscene.bench.scenes import SCENES, subject
 from pepperscene.bench.settings import NAMED, settings
-from pepperscene.bench.subject import subject
 from pepperscene.errors import SetupError
 
 

@@ -1,7 +1,7 @@
 """The camera room: lens, sensor, flash, poses, and the way from light to a photograph."""
 
-from pepperscene.camera.camera import Camera
-from pepperscene.camera.correction import Correction
+from pepperscene.camera.camera import Camera, expected_electrons, relative_illumination
+from pepperscene.camera.colorimetry import Correction
 from pepperscene.camera.developing import (
     camera_rgb,
     colour_steps,
@@ -12,17 +12,11 @@ from pepperscene.camera.developing import (
     raw_frame,
     reference_correction,
 )
-from pepperscene.camera.exposure import expected_electrons, relative_illumination
-from pepperscene.camera.filter_file import Filter, load_filter
-from pepperscene.camera.flash import Flash
-from pepperscene.camera.flash_file import load_flash
-from pepperscene.camera.lens import Distortion, Lens
-from pepperscene.camera.lens_file import load_lens
+from pepperscene.camera.flash import Flash, load_flash
+from pepperscene.camera.lens import AngularProfile, Distortion, Lens, load_lens
 from pepperscene.camera.poses import arc_path, look_at
-from pepperscene.camera.profile import AngularProfile
-from pepperscene.camera.sensor import Sensor
-from pepperscene.camera.sensor_file import load_sensor
-from pepperscene.camera.steps import Developing
+from pepperscene.camera.readout import Developing
+from pepperscene.camera.sensor import Filter, Sensor, load_filter, load_sensor
 
 __all__ = [
     "AngularProfile",

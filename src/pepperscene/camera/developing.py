@@ -9,11 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.camera import Camera
-from pepperscene.camera.correction import Correction, correction, daylight, white_gains
-from pepperscene.camera.demosaic import demosaiced
-from pepperscene.camera.mosaic import Floats, gathered
-from pepperscene.camera.readout import read_out
-from pepperscene.camera.steps import Tone
+from pepperscene.camera.colorimetry import Correction, correction, daylight, white_gains
+from pepperscene.camera.readout import Floats, Tone, demosaiced, gathered, read_out
 from pepperscene.spectra import Spectrum
 
 

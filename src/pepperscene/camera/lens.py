@@ -1,14 +1,55 @@
-"""The lens: focal length, aperture, glass losses and geometric distortion."""
+"""A share against the angle to an axis: a lamp's beam, a lens' vignetting."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, model_validator
 
-from pepperscene.camera.profile import AngularProfile
+from pepperscene.document import Document, read_toml, validated
+from pepperscene.spectra.files import Coefficient, SourcedDocument, locate
+
+
+@dataclass(frozen=True, eq=False)
+class AngularProfile:
+    """Relative intensity against the angle to the axis; linear in between.
+
+    Attributes:
+        angle_rad: `(n,)` increasing from 0, at most pi/2; read-only.
+        relative_intensity: `(n,)` at least 0, and 1 on the axis; read-only.
+        beyond: the last angle: nothing (a lamp's beam ends), or what the last angle has (a lens' table).
+    """
+
+    angle_rad: NDArray[np.float64]
+    relative_intensity: NDArray[np.float64]
+    beyond: Literal["zero", "hold"] = "zero"
+
+    def __post_init__(self) -> None:
+        angle = np.array(self.angle_rad, dtype=float)
+        relative = np.array(self.relative_intensity, dtype=float)
+        if angle.ndim != 1 or angle.size < 2 or angle[0] != 0 or not np.all(np.diff(angle) > 0):
+            raise ValueError("angles must be one increasing list of at least two from 0")
+        if angle[-1] > math.pi / 2 + 1e-12:
+            raise ValueError("angles must not pass a right angle")
+        if relative.shape != angle.shape:
+            raise ValueError("angles and relative intensities must be equally long")
+        if relative[0] != 1 or not np.all((relative >= 0) & np.isfinite(relative)):
+            raise ValueError("relative intensities must be finite, at least 0, and 1 at angle 0")
+        for name, values in (("angle_rad", angle), ("relative_intensity", relative)):
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+
+    def at(self, angle_rad: ArrayLike) -> NDArray[np.float64]:
+        """Relative intensity `(...)` at angles `(...)`."""
+        end = 0.0 if self.beyond == "zero" else float(self.relative_intensity[-1])
+        angle = np.asarray(angle_rad, dtype=float)
+        return np.asarray(np.interp(angle, self.angle_rad, self.relative_intensity, right=end))
+
 
 _NEWTON_STEPS = 30  # chosen: quadratic convergence needs about 6; the rest is for strong distortion
 _TOLERANCE = 1e-12  # chosen: of the normalised image coordinate, 1e-9 of a pixel and far above rounding
@@ -157,3 +198,64 @@ class Lens:
         if not (math.isfinite(right) and math.isfinite(down)):
             raise ValueError(f"{self.name}: the principal point's offset must be finite")
         object.__setattr__(self, "principal_offset_m", (right, down))
+
+
+class DistortionTable(Document):
+    """The plumb bob's coefficients, on slopes."""
+
+    k1: Coefficient = 0.0
+    k2: Coefficient = 0.0
+    p1: Coefficient = 0.0
+    p2: Coefficient = 0.0
+    k3: Coefficient = 0.0
+
+
+class VignettingTable(Document):
+    """What the rims leave of oblique light, against the field angle."""
+
+    angle_deg: Annotated[tuple[Annotated[float, Field(ge=0, le=90)], ...], Field(min_length=2)]
+    # Above 1 for lenses whose pupil grows with the angle; twice is beyond what is built.
+    relative: tuple[Annotated[float, Field(ge=0, le=2)], ...]
+
+    @model_validator(mode="after")
+    def _is_a_profile(self) -> VignettingTable:
+        self.profile()
+        return self
+
+    def profile(self) -> AngularProfile:
+        """The table as a curve, held beyond its last angle."""
+        return AngularProfile(np.deg2rad(self.angle_deg), np.array(self.relative), beyond="hold")
+
+
+SensorMillimetres = Annotated[float, Field(ge=-100, le=100)]
+
+
+class LensDocument(SourcedDocument):
+    """A file of `materials/lenses`."""
+
+    focal_length_mm: Annotated[float, Field(gt=0, le=10_000)]
+    f_number: Annotated[float, Field(ge=0.5, le=1000)]
+    transmittance: Annotated[float, Field(gt=0, le=1)]
+    principal_offset_mm: tuple[SensorMillimetres, SensorMillimetres] = (0.0, 0.0)
+    distortion: DistortionTable
+    vignetting: VignettingTable | None = None
+
+
+def load_lens(wanted: str | Path) -> Lens:
+    """The lens of a file, or of a shipped one by its bare name.
+
+    Raises:
+        InputError: the file is missing or wrong; the message names file, key and value.
+    """
+    path = locate("lenses", wanted)
+    told = validated(LensDocument, read_toml(path), path)
+    right, down = told.principal_offset_mm
+    return Lens(
+        name=told.name,
+        focal_length_m=told.focal_length_mm * 1e-3,
+        f_number=told.f_number,
+        transmittance=told.transmittance,
+        distortion=Distortion(**told.distortion.model_dump()),
+        principal_offset_m=(right * 1e-3, down * 1e-3),
+        vignetting=told.vignetting.profile() if told.vignetting else None,
+    )

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pepperscene.cli.application import app, explained, told
-from pepperscene.cli.reporting import measuring
+from pepperscene.cli.datasets import measuring
 from pepperscene.errors import InputError, OutputError
 
 if TYPE_CHECKING:
-    from pepperscene.colour.table import Table
+    from pepperscene.colour.comparison.tables import Table
+
 
 _SIDE = "Folder of images, or a file of patches or measured reflectances."
 
@@ -41,8 +42,8 @@ def compare(
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
     """Tell how alike two sets of images are: hues, CIELAB, class shares, places, light; with intervals."""
-    from pepperscene.colour.comparing import compare as compare_sets
-    from pepperscene.colour.sides import open_sides
+    from pepperscene.colour.comparison.compare import compare as compare_sets
+    from pepperscene.colour.comparison.measure import open_sides
 
     if figure is not None and figure.suffix.lower() != ".svg":
         raise InputError("--figure", "", None, f"only .svg is written, not {figure.name}")
@@ -74,7 +75,7 @@ def _show(parts: tuple[Table, ...]) -> None:
 
 
 def _write(file: Path, text: str) -> None:
-    from pepperscene.dataset.atomic import replacing
+    from pepperscene.dataset.store.atomic import replacing
 
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

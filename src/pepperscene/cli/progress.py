@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from pepperscene.dataset import BuildResult, Progress
 
+
 _FEW: Final = 200  # chosen: frames that are told a line each
 _EVERY_S: Final = 5.0  # chosen: of more frames, how often a line is told
 

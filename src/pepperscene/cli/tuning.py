@@ -25,8 +25,9 @@ from pepperscene.errors import InputError
 if TYPE_CHECKING:
     from pepperscene.colour import PatchSet
     from pepperscene.dataset import Recipe
-    from pepperscene.tuning.parameter import Parameter
-    from pepperscene.tuning.tune import Tuning
+    from pepperscene.tuning.parameters.parameter import Parameter
+    from pepperscene.tuning.workflow import Tuning
+
 
 _HELP: Final = "help"
 
@@ -101,7 +102,7 @@ def tune(
         "seed": seed, "labels": labels, "half": half, "verify": verify, "quality": quality,
     }  # fmt: skip
 
-    from pepperscene.tuning.tune import tune as tune_recipe
+    from pepperscene.tuning.workflow import tune as tune_recipe
 
     try:
         with _progress(quiet=json) as tell:
@@ -132,7 +133,7 @@ def tune(
 def _opened(patches: Sequence[str], labels: str | None, half: str | None) -> PatchSet:
     """All patches in one set; labels and half go with those that are folders."""
     from pepperscene.colour import open_patches
-    from pepperscene.tuning.several import together
+    from pepperscene.tuning.workflow import together
 
     folders = [Path(one).is_dir() for one in patches]
     for option, value in (("--labels", labels), ("--half", half)):
@@ -159,18 +160,18 @@ def _check_held_out(measured: PatchSet, held: Sequence[str]) -> None:
 
 
 def _parameters(recipe: Recipe, names: Sequence[str], bounds: Path | None = None) -> tuple[Parameter, ...]:
-    from pepperscene.dataset.equipment import camera_of, cultivar_of
-    from pepperscene.tuning.parameter import parameters_of
+    from pepperscene.dataset.recipe.equipment import camera_of, cultivar_of
+    from pepperscene.tuning.parameters.parameter import parameters_of
 
     return parameters_of(recipe, cultivar_of(recipe), camera_of(recipe), names, bounds)
 
 
 def _list(recipe: Recipe, json: bool) -> None:
     """All that can be fitted of a recipe."""
-    from pepperscene.colour.table import plain
-    from pepperscene.dataset.equipment import camera_of, cultivar_of
-    from pepperscene.tuning.parameter import known_parameters
-    from pepperscene.tuning.tables import known_table
+    from pepperscene.colour.comparison.tables import plain
+    from pepperscene.dataset.recipe.equipment import camera_of, cultivar_of
+    from pepperscene.tuning.output.tables import known_table
+    from pepperscene.tuning.parameters.parameter import known_parameters
 
     names = known_parameters(cultivar_of(recipe), camera_of(recipe))
     if json:
@@ -185,7 +186,7 @@ def _list(recipe: Recipe, json: bool) -> None:
 
 def _record(done: Tuning) -> dict[str, Any]:
     """What stands in the record, and which files there are."""
-    from pepperscene.tuning.written import RECORD
+    from pepperscene.tuning.output.write import RECORD
 
     (record,) = (path for path in done.files if path.name == RECORD)
     told: dict[str, Any] = json_text.loads(record.read_text(encoding="utf-8"))
@@ -193,8 +194,8 @@ def _record(done: Tuning) -> dict[str, Any]:
 
 
 def _tell(done: Tuning) -> None:
-    from pepperscene.colour.table import plain
-    from pepperscene.tuning.tables import tables
+    from pepperscene.colour.comparison.tables import plain
+    from pepperscene.tuning.output.tables import tables
 
     typer.echo(plain(tables(done.fit, done.verification)))
     typer.echo()

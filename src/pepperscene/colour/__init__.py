@@ -1,19 +1,19 @@
 """The colour room: patches of measured colour, what they have in common, and how alike two sets are."""
 
-from pepperscene.colour.chart import Calibration, calibrate
-from pepperscene.colour.circle import (
+from pepperscene.colour.comparison.compare import compare
+from pepperscene.colour.comparison.result import Comparison, KindComparison
+from pepperscene.colour.patches.chart import Calibration, calibrate
+from pepperscene.colour.patches.open import open_patches
+from pepperscene.colour.patches.patch import MeasuredSpectrum, Patch, PatchSet
+from pepperscene.colour.statistics.bootstrap import Measure
+from pepperscene.colour.statistics.circular import (
     circular_emd,
     circular_mean,
     circular_median,
     circular_sd,
     resultant_length,
 )
-from pepperscene.colour.comparing import compare
-from pepperscene.colour.comparison import Comparison, KindComparison
-from pepperscene.colour.measure import Measure
-from pepperscene.colour.opening import open_patches
-from pepperscene.colour.patch import MeasuredSpectrum, Patch, PatchSet
-from pepperscene.colour.statistics import ColourStatistics, delta_e_2000, lab
+from pepperscene.colour.statistics.colours import ColourStatistics, delta_e_2000, lab
 
 __all__ = [
     "Calibration",

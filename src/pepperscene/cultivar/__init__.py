@@ -4,30 +4,27 @@ Read from TOML. The parameters are those of Barth et al. 2018, Table 1 and Fig. 
 needs to stand, each with its `source`, or `chosen` and why. Lengths are metres and angles radians.
 """
 
-from pepperscene.cultivar.blending import interpolated
-from pepperscene.cultivar.choice import Choice, Number, Probability
-from pepperscene.cultivar.cultivar import Cultivar, load_cultivar
-from pepperscene.cultivar.distribution import Distribution
-from pepperscene.cultivar.forms import FORMS, USUAL, Form, Kind
-from pepperscene.cultivar.lineage import files_of
-from pepperscene.cultivar.notation import Angle, Length, Ratio
+from pepperscene.cultivar.cultivar import Cultivar, interpolated, load_cultivar
+from pepperscene.cultivar.distribution import Distribution, Origin, truncated_moments
+from pepperscene.cultivar.inheritance import files_of
+from pepperscene.cultivar.notation import Angle, Choice, Length, Number, Probability, Ratio
 from pepperscene.cultivar.organs import (
+    FORMS,
+    USUAL,
     Blade,
     Cut,
     Flower,
+    Form,
     Fruit,
     Internode,
+    Kind,
     Node,
     OrganModel,
     Peduncle,
     Stalk,
 )
-from pepperscene.cultivar.origin import Origin
-from pepperscene.cultivar.pigments import PigmentPath, Pigments
 from pepperscene.cultivar.slot import Descent, Flush, Slot
-from pepperscene.cultivar.stem import Stem
-from pepperscene.cultivar.structure import CALYX
-from pepperscene.cultivar.truncated import truncated_moments
+from pepperscene.cultivar.structure import CALYX, PigmentPath, Pigments, Stem
 
 __all__ = [
     "CALYX",

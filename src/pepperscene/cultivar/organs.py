@@ -7,18 +7,56 @@ positive upwards, in the vertical plane that the organ grows in. What a file lea
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Final, Literal, Self, get_args
 
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from pepperscene.classes import OrganClass
-from pepperscene.cultivar.choice import Lobes, Number
 from pepperscene.cultivar.distribution import Distribution
-from pepperscene.cultivar.forms import FORMS, USUAL, Form, Kind
-from pepperscene.cultivar.notation import Angle, Factor, Ratio, Share, Size, Width
+from pepperscene.cultivar.notation import Angle, Factor, Lobes, Number, Ratio, Share, Size, Width
 from pepperscene.cultivar.slot import Slot
 from pepperscene.document import Document
+
+Form = Literal["internode", "node", "stalk", "blade", "peduncle", "calyx", "fruit", "cut", "flower"]
+FORMS: Final[tuple[Form, ...]] = get_args(Form)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """An organ kind: its body, what it is labelled as, and what its surface is.
+
+    Attributes:
+        form: the body that geometry gives it.
+        organ_class: of all its pixels.
+        surface: the surface that light meets.
+        scan: file of a scanned mesh that takes the place of the body, or None.
+    """
+
+    form: Form
+    organ_class: OrganClass
+    surface: str
+    scan: Path | None = None
+
+
+USUAL: Final[Mapping[Form, Kind]] = MappingProxyType(
+    {
+        "internode": Kind("internode", OrganClass.STEM, "stem"),
+        "node": Kind("node", OrganClass.STEM, "stem"),
+        "stalk": Kind("stalk", OrganClass.SHOOT, "petiole"),
+        "blade": Kind("blade", OrganClass.LEAF, "leaf"),
+        "peduncle": Kind("peduncle", OrganClass.PEDUNCLE, "peduncle"),
+        "calyx": Kind("calyx", OrganClass.PEDUNCLE, "calyx"),
+        "fruit": Kind("fruit", OrganClass.PEPPER, "fruit"),
+        "cut": Kind("cut", OrganClass.CUT, "cut"),
+        # The published classes have none for flowers.
+        "flower": Kind("flower", OrganClass.BACKGROUND, "petal"),
+    }
+)
+"""What a kind of each form is where its file does not say otherwise."""
+
 
 LARGEST_FRUIT_M: Final = 0.6
 """Chosen: no crop on a string bears larger ones, and a metre instead of a millimetre is soon written."""

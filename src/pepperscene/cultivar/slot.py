@@ -6,8 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from pepperscene.cultivar.choice import NOTHING, Choice, Count, Number
-from pepperscene.cultivar.notation import Angle, Ratio
+from pepperscene.cultivar.notation import NOTHING, Angle, Choice, Count, Number, Ratio
 from pepperscene.document import Document
 
 Place = Annotated[float, Field(ge=0.0, le=1.0)]

@@ -18,6 +18,7 @@ from pepperscene.geometry.mesh import Mesh
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
+
 FORMATS: Final = (".glb", ".obj", ".ply", ".stl")
 STATE_STEPS: Final = 20
 """Steps of pigment state that a GLB's materials tell apart: chosen, each too small to be seen."""

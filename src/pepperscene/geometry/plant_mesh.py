@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import Instance
-from pepperscene.cultivar.forms import Form
-from pepperscene.geometry.body import Bodies
-from pepperscene.geometry.calyx import calyces
-from pepperscene.geometry.flower import flowers
-from pepperscene.geometry.fruit import frames, fruits, scanned_fruits
-from pepperscene.geometry.fruit_crown import crowns, joined, scanned_crowns
-from pepperscene.geometry.lamina import laminae
+from pepperscene.cultivar.organs import Form
+from pepperscene.geometry.blade.blades import laminae
+from pepperscene.geometry.bodies import Bodies
+from pepperscene.geometry.fruit.calyx import calyces
+from pepperscene.geometry.fruit.crown import crowns, joined, scanned_crowns
+from pepperscene.geometry.fruit.fruits import frames, fruits, scanned_fruits
+from pepperscene.geometry.fruit.pericarp import pericarps
+from pepperscene.geometry.fruit.scan import load_scan
 from pepperscene.geometry.mesh import Mesh
-from pepperscene.geometry.pericarp import pericarps
-from pepperscene.geometry.scan import load_scan
-from pepperscene.geometry.stalk import cuts, peduncles, stalks
-from pepperscene.geometry.stem import internodes, nodes
+from pepperscene.geometry.tubes.flower import flowers
+from pepperscene.geometry.tubes.stalk import cuts, peduncles, stalks
+from pepperscene.geometry.tubes.stem import internodes, nodes
 from pepperscene.grammar.plant import Organ, Plant
 
 _MAKERS: Final[Mapping[Form, Callable[[Sequence[Organ], float], Bodies]]] = {

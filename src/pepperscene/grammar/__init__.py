@@ -1,11 +1,9 @@
 """Plants: drawing a cultivar's parameters, and building organs with poses from them; no triangles."""
 
 from pepperscene.cultivar import Form, Kind
-from pepperscene.grammar.build import build
+from pepperscene.grammar.build import build, grow
 from pepperscene.grammar.draw import draw_parameters
-from pepperscene.grammar.grow import grow
-from pepperscene.grammar.parameters import KindParameters, PlantParameters
-from pepperscene.grammar.plant import Organ, Plant
+from pepperscene.grammar.plant import KindParameters, Organ, Plant, PlantParameters
 
 __all__ = [
     "Form",

@@ -1,16 +1,19 @@
 """Materials: what the surfaces of organs and of the greenhouse do to light."""
 
-from pepperscene.materials.fruit import fruit_surface
-from pepperscene.materials.green import cut_surface, green_surface
 from pepperscene.materials.greenhouse import (
     floor_film_surface,
     greenhouse_surfaces,
     gutter_surface,
     twine_surface,
 )
-from pepperscene.materials.leaf import leaf_body, leaf_surface
-from pepperscene.materials.organs import organ_surfaces
-from pepperscene.materials.rind import flesh_reflectance, rind_reflectance
+from pepperscene.materials.organs import leaf_body, leaf_surface, organ_surfaces
+from pepperscene.materials.rind import (
+    cut_surface,
+    flesh_reflectance,
+    fruit_surface,
+    green_surface,
+    rind_reflectance,
+)
 from pepperscene.materials.surface import Surface, lambertian
 
 __all__ = [

@@ -7,7 +7,7 @@ that are drawn as they are visible from i (Heitz 2018, JCGT 7(4)), its albedo is
     E(i) = < F(i . h) G1(o) [o_z > 0] >,        o = 2 (i . h) h - i,
 
 which is below the mean of F: masked light and light sent below the horizon is lost to the lobe. What a
-surface does with the rest, 1 - E, is the body's affair (`pepperscene.render.optics`).
+surface does with the rest, 1 - E, is the body's affair (`pepperscene.render.surface.optics`).
 """
 
 from __future__ import annotations

@@ -3,9 +3,8 @@
 Importing this room does not import Mitsuba yet; the first render does.
 """
 
-from pepperscene.render.early import begin
 from pepperscene.render.quality import QUALITIES, Quality, quality_named, quality_of
-from pepperscene.render.renderer import Renderer, render
+from pepperscene.render.renderer import Renderer, begin, render
 from pepperscene.render.variant import variant_name, wanted_threads
 
 __all__ = [

@@ -31,7 +31,7 @@ class Quality:
         target: standard error of a pixel's mean over the sensor's noise at that signal, at which sampling
             stops; None for `samples` in every pixel.
         denoise: whether soft light goes through the denoiser.
-        integrator: "flash" for the one of `pepperscene.render.transport`, "path" for Mitsuba's own path
+        integrator: "flash" for the one of `pepperscene.render.transport.trace`, "path" for Mitsuba's own path
             tracer with `samples` in every pixel, the reference to compare with.
         sampler: that "path" draws from; "flash" has its own.
     """

@@ -4,33 +4,65 @@ from __future__ import annotations
 
 import functools
 import platform
-from collections.abc import Iterable, Mapping
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera import Camera, develop, expected_electrons, raw_frame
+from pepperscene.camera import Camera, develop, expected_electrons, raw_frame, reference_correction
 from pepperscene.errors import InputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, PARTNERED, Frame, check_outputs
-from pepperscene.render import labels
-from pepperscene.render.adaptive import Stop
-from pepperscene.render.denoise import denoised
-from pepperscene.render.kernel import LightScene, light_scene, sky_tables, truth_scene
+from pepperscene.render.aov import labels
+from pepperscene.render.kernel.arrays import Region, region_of
+from pepperscene.render.kernel.camera import LensCache, View, response
+from pepperscene.render.kernel.scene import LightScene, light_scene, sky_tables, truth_scene
 from pepperscene.render.quality import Quality, quality_of
-from pepperscene.render.reference import PathScene, path_scene, path_traced, samples_taken
-from pepperscene.render.region import Region, region_of
-from pepperscene.render.response import response
-from pepperscene.render.transport import Sampling, trace
+from pepperscene.render.reference.path_tracer import PathScene, path_scene, path_traced, samples_taken
+from pepperscene.render.transport.adaptive import Stop
+from pepperscene.render.transport.denoise import begin as begin_denoising
+from pepperscene.render.transport.denoise import denoised
+from pepperscene.render.transport.trace import Sampling, trace
 from pepperscene.render.variant import kernel, variant_name
-from pepperscene.render.view import LensCache, View
 from pepperscene.scene import Scene
 from pepperscene.version import __version__
 
 if TYPE_CHECKING:
-    from pepperscene.render.coverage import Coverage
-    from pepperscene.render.harvest import Harvest
+    from pepperscene.render.aov.coverage import Coverage
+    from pepperscene.render.aov.harvest import Harvest
+
+
+def begin(camera: Camera, quality: Quality) -> threading.Thread:
+    """Mitsuba, the denoiser and the camera's colour matrix begin in a thread of their own, which is returned.
+
+    Nothing depends on it but the time: what fails there fails again, and is told, where it is first needed.
+
+    Args:
+        camera: whose pictures will be developed.
+        quality: of them.
+    """
+
+    def work() -> None:
+        for step in _steps(camera, quality):
+            with suppress(Exception):
+                step()
+
+    # No daemon: a process that ends meanwhile must not pull the libraries from under it.
+    thread = threading.Thread(target=work, name="start of the renderer")
+    thread.start()
+    return thread
+
+
+def _steps(camera: Camera, quality: Quality) -> Iterator[Callable[[], Any]]:
+    yield kernel
+    if quality.denoise:
+        yield begin_denoising
+    if camera.sensor.channels > 1 and camera.developing.colour_matrix is True:
+        yield lambda: reference_correction(camera)
+
 
 Traced = tuple[NDArray[np.float32], dict[str, Any]]
 """Light `(h, w, c)` in electrons s-1 m-2 sr-1, and what a frame's facts say of its samples."""
@@ -135,7 +167,7 @@ class Renderer:
 
     def _motion(self, hits: labels.Hits, camera: Camera, other: Camera | None) -> NDArray[np.float32]:
         """Where what is hit lies for another camera."""
-        from pepperscene.render.correspondence import motion, nowhere
+        from pepperscene.render.aov.flow import motion, nowhere
 
         if other is None:
             return nowhere(hits)
@@ -197,7 +229,7 @@ class Renderer:
     def _covered(self) -> Coverage:
         """The classes of the scene's triangles inside the kernel."""
         if self._coverage is None:
-            from pepperscene.render.coverage import Coverage
+            from pepperscene.render.aov.coverage import Coverage
 
             self._coverage = Coverage(self.scene.mesh)
         return self._coverage
@@ -205,7 +237,7 @@ class Renderer:
     def _harvested(self) -> Harvest:
         """What the harvest truth keeps of the scene."""
         if self._harvest is None:
-            from pepperscene.render.harvest import Harvest
+            from pepperscene.render.aov.harvest import Harvest
 
             self._harvest = Harvest(self.scene)
         return self._harvest

@@ -1,15 +1,13 @@
 """Where things stand: plant rows in their greenhouse, sky and roof, as data that any renderer could read."""
 
 from pepperscene.scene.cover import Cover, load_cover
+from pepperscene.scene.culling import Reach, culled, reach
 from pepperscene.scene.far_rows import coarse, far_rows
-from pepperscene.scene.greenhouse import Greenhouse, furniture
-from pepperscene.scene.irregular import Posture, posture, uneven
-from pepperscene.scene.placed import Scene, assemble
+from pepperscene.scene.frustum import Sight, sight
+from pepperscene.scene.greenhouse import Greenhouse, Posture, furniture, posture, uneven
+from pepperscene.scene.placement import Scene, Skeleton, assemble, skeleton
 from pepperscene.scene.row import DoubleRow, Twine, about_z, double_row, standing, with_twine
-from pepperscene.scene.sight import Sight, sight
-from pepperscene.scene.skeleton import Skeleton, skeleton
 from pepperscene.scene.sky import Sky, Sun, partly_cloudy, uniform_sky
-from pepperscene.scene.visible import Reach, culled, reach
 
 __all__ = [
     "Cover",

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import Mesh, concatenate
-from pepperscene.scene.beam import as_one
-from pepperscene.scene.greenhouse import Greenhouse, RowLine, row_lines
+from pepperscene.scene.greenhouse import Greenhouse, RowLine, as_one, row_lines
 from pepperscene.scene.row import DoubleRow, about_z
 
 MODELS: Final = 6

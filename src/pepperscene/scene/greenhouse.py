@@ -1,18 +1,86 @@
-"""What a greenhouse holds besides plants: gutters with substrate, floor film, crop wires, heating pipes."""
+"""Long straight bodies along x with one convex cross-section: what a greenhouse is built of."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.classes import OrganClass
-from pepperscene.geometry import Mesh, concatenate, rectangle
-from pepperscene.scene.beam import as_one, box, rod
+from pepperscene.classes import Instance, OrganClass
+from pepperscene.geometry import Mesh, concatenate, one_instance, rectangle
 from pepperscene.scene.row import DoubleRow
+
+_SIDES = 12  # chosen: a wire or a pipe is some pixels wide
+
+
+def beam(section: ArrayLike, ends: tuple[float, float], surface: str, *, smooth: bool = False) -> Mesh:
+    """A closed prism along x.
+
+    Args:
+        section: `(k, 2)` y and z of its convex cross-section in metres, counter-clockwise seen from +x.
+        ends: x of its two ends in metres, the first one less.
+        surface: name of its surface.
+        smooth: whether its sides look round.
+
+    Returns:
+        u runs around, v along; state is 0.5; one instance "beam" of the background.
+
+    Raises:
+        ValueError: the section is not convex and counter-clockwise, or the ends are not in order.
+    """
+    corners = np.asarray(section, dtype=float)
+    k = len(corners)
+    edge = np.roll(corners, -1, axis=0) - corners
+    turning = edge[:, 0] * np.roll(edge, -1, axis=0)[:, 1] - edge[:, 1] * np.roll(edge, -1, axis=0)[:, 0]
+    if k < 3 or not np.all(turning > 0.0) or not ends[0] < ends[1]:
+        raise ValueError("a beam needs a convex section, counter-clockwise, and two ends in order")
+    out = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    # Four corners to a side: both ends of its first edge, then of its second.
+    side = np.stack([np.arange(k), (np.arange(k) + 1) % k] * 2, axis=1)
+    at = np.repeat(ends, 2)[None, :].repeat(k, axis=0)
+    normals = np.repeat(out[:, None], 4, axis=1)
+    if smooth:
+        mean = out + np.roll(out, 1, axis=0)
+        normals = (mean / np.linalg.norm(mean, axis=1, keepdims=True))[side]
+    u = np.stack([np.arange(k), np.arange(k) + 1] * 2, axis=1) / k
+    sides = np.dstack([at, corners[side]]), np.pad(normals, ((0, 0), (0, 0), (1, 0)))
+    quads = 4 * np.arange(k)[:, None, None] + np.array([[0, 1, 3], [0, 3, 2]])
+    # Lids are fans about their first corner.
+    span = np.ptp(corners, axis=0)
+    flat = (corners - corners.min(axis=0)) / span
+    lids = [np.column_stack([np.full(k, x), corners]) for x in ends]
+    facing = np.repeat([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], k, axis=0)
+    fan = np.stack([np.zeros(k - 2, int), np.arange(1, k - 1), np.arange(2, k)], axis=1)
+    faces = np.concatenate([quads.reshape(-1, 3), 4 * k + fan[:, ::-1], 5 * k + fan])
+    along = np.tile([0.0, 0.0, 1.0, 1.0], k)
+    vertices = np.concatenate([sides[0].reshape(-1, 3), *lids])
+    normals = np.concatenate([sides[1].reshape(-1, 3), facing])
+    uv = np.concatenate([np.column_stack([u.ravel(), along]), flat, flat])
+    state = np.full(len(vertices), 0.5)
+    return one_instance(vertices, normals, uv, state, faces, OrganClass.BACKGROUND, "beam", surface)
+
+
+def box(y: tuple[float, float], z: tuple[float, float], ends: tuple[float, float], surface: str) -> Mesh:
+    """A closed box between two values of each coordinate, in metres."""
+    return beam([(y[0], z[0]), (y[1], z[0]), (y[1], z[1]), (y[0], z[1])], ends, surface)
+
+
+def rod(y: float, z: float, radius_m: float, ends: tuple[float, float], surface: str) -> Mesh:
+    """A closed round rod about the line at this y and z, in metres."""
+    angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
+    section = np.column_stack([y + radius_m * np.cos(angle), z + radius_m * np.sin(angle)])
+    return beam(section, ends, surface, smooth=True)
+
+
+def as_one(mesh: Mesh, organ_class: OrganClass, kind: str) -> Mesh:
+    """The mesh as a single instance."""
+    whole = np.zeros(len(mesh.faces), dtype=np.uint32)
+    return replace(mesh, face_instance=whole, instances=(Instance(organ_class, kind),))
+
 
 _SHEET: Final = 0.004  # chosen: folded steel is thinner, but its rims are rolled
 _RIM: Final = 0.05  # chosen: the slab stands out of the gutter, so that it can be changed
@@ -184,3 +252,43 @@ def _floor() -> Mesh:
         (0.0, 0.0, 0.0), (2.0 * _FLOOR_REACH, 0.0, 0.0), (0.0, 2.0 * _FLOOR_REACH, 0.0), "floor_film"
     )
     return as_one(film, OrganClass.BACKGROUND, "floor_film")
+
+
+_MOST: Final = 3.0  # standard deviations; what lies beyond is laid there, 0.3 % of all
+
+
+@dataclass(frozen=True)
+class Posture:
+    """What a plant keeps wherever it stands.
+
+    Attributes:
+        across_m: of its foot, away from its aisle.
+        lean_rad: towards its aisle.
+        turn_rad: about its own vertical axis, counter-clockwise seen from above.
+    """
+
+    across_m: float = 0.0
+    lean_rad: float = 0.0
+    turn_rad: float = 0.0
+
+
+def posture(house: Greenhouse, rng: np.random.Generator) -> Posture:
+    """How one plant stands: normal spreads about its row's line, lean and facing."""
+    across, lean, turn = _normal(rng, 3)
+    return Posture(
+        across_m=float(house.across_sd_m * across),
+        lean_rad=float(house.row_lean_rad + house.lean_sd_rad * lean),
+        turn_rad=float(house.turn_sd_rad * turn),
+    )
+
+
+def uneven(row: DoubleRow, house: Greenhouse, rng: np.random.Generator) -> NDArray[np.float64]:
+    """`(n, 2)` x and y of the places of a double row: along the row, each lies by chance off its spot."""
+    places = row.places()
+    places[:, 0] += house.spacing_sd_m * _normal(rng, len(places))
+    return places
+
+
+def _normal(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+    """Standard normal numbers, none further out than `_MOST`."""
+    return np.clip(rng.standard_normal(count), -_MOST, _MOST)

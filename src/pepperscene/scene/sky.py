@@ -12,8 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.scene.cover import Cover
-from pepperscene.scene.haze import directions, haze, row_geometry
+from pepperscene.scene.cover import Cover, directions, haze, row_geometry
 from pepperscene.spectra import Spectrum, illuminance, sky_spectrum, sun_spectrum, with_illuminance
 
 SUN_ANGULAR_RADIUS: Final = 0.004654

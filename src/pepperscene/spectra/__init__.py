@@ -1,6 +1,12 @@
 """Spectra: the sampled function, files, lights, and the pigment model of leaves."""
 
-from pepperscene.spectra.colorimetry import colour_science
+from pepperscene.spectra.files import (
+    Provenance,
+    read_provenance,
+    read_spectra,
+    read_spectrum,
+    spectra_file,
+)
 from pepperscene.spectra.lights import (
     LUMINOUS_EFFICACY,
     illuminance,
@@ -10,17 +16,14 @@ from pepperscene.spectra.lights import (
     sun_spectrum,
     with_illuminance,
 )
-from pepperscene.spectra.photons import LIGHT_SPEED, PLANCK, photons_per_joule
-from pepperscene.spectra.pigments import absorption_coefficients
-from pepperscene.spectra.prospect import LeafOptics, cuticle_gloss, leaf_spectra, over_body
-from pepperscene.spectra.reading import (
-    Provenance,
-    read_provenance,
-    read_spectra,
-    read_spectrum,
-    spectra_file,
+from pepperscene.spectra.prospect import (
+    LeafOptics,
+    absorption_coefficients,
+    cuticle_gloss,
+    leaf_spectra,
+    over_body,
 )
-from pepperscene.spectra.spectrum import Spectrum
+from pepperscene.spectra.spectrum import LIGHT_SPEED, PLANCK, Spectrum, colour_science, photons_per_joule
 
 __all__ = [
     "LIGHT_SPEED",

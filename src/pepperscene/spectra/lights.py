@@ -8,7 +8,7 @@ from typing import Final, Literal
 import numpy as np
 
 from pepperscene.errors import InputError
-from pepperscene.spectra.reading import read_spectra, read_spectrum
+from pepperscene.spectra.files import read_spectra, read_spectrum
 from pepperscene.spectra.spectrum import Spectrum
 
 LUMINOUS_EFFICACY: Final = 683.002

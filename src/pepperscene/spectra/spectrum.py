@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
-from typing import Literal
+from functools import cache
+from types import ModuleType
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -142,3 +145,28 @@ class Spectrum:
         counts = within if self.outside == "zero" else np.ones_like(within)
         held = self._held(nm)
         return held[..., :-1] * counts, held[..., 1:] * counts
+
+
+PLANCK: Final = 6.62607015e-34
+"""Planck constant, J s; exact in the SI of 2019."""
+
+LIGHT_SPEED: Final = 299_792_458.0
+"""Speed of light in vacuum, m s-1; exact."""
+
+
+def photons_per_joule(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    """Photons in one joule of light, lambda / (h c), at each wavelength."""
+    return np.asarray(wavelength_nm, dtype=float) * 1e-9 / (PLANCK * LIGHT_SPEED)
+
+
+@cache
+def colour_science() -> ModuleType:
+    """The package `colour`, imported when first asked for.
+
+    It warns where matplotlib is not installed, which only its plots need; nothing here plots, so that a user
+    should not have to wonder.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", '"Matplotlib" related API features are not available')
+        import colour
+    return colour

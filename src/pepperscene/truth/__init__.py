@@ -1,23 +1,26 @@
 """Ground truth as arrays: the published data set's encodings and their inverses, and measures of a set."""
 
-from pepperscene.truth.counts import class_pixels
 from pepperscene.truth.encodings import (
     FARTHEST_CODED_M,
     class_colour,
     class_from_colour,
+    class_pixels,
     distance_code,
     distance_from_code,
 )
-from pepperscene.truth.hue import (
+from pepperscene.truth.statistics import (
     CENTRE_PX,
     HUE_BINS,
+    Statistics,
     centre,
+    centre_falloff,
+    grey_values,
     hue_bins,
     hue_counts,
     mean_hue,
+    saturated_share,
     spectrum_correlation,
 )
-from pepperscene.truth.statistics import Statistics, centre_falloff, grey_values, saturated_share
 
 __all__ = [
     "CENTRE_PX",

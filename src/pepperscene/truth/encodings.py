@@ -1,17 +1,27 @@
-"""The published data set's 8-bit codes of class and distance, and their inverses.
-
-Source: Barth et al. 2018, section 2.6, and the layout of their data set,
-doi 10.4121/uuid:884958f5-b868-46e1-b3d8-a0b5d91b02c0.
-"""
+"""How much of an image each class takes."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import CLASS_COLOURS
+from pepperscene.classes import CLASS_COLOURS, OrganClass
+
+
+def class_pixels(class_id: NDArray[np.integer[Any]]) -> dict[str, int]:
+    """Number of pixels of each class by lower-case class name; all eight, their sum is the image's size.
+
+    Raises:
+        ValueError: an id is not one of the eight.
+    """
+    counts = np.bincount(np.asarray(class_id).ravel(), minlength=len(OrganClass))
+    if len(counts) > len(OrganClass):
+        raise ValueError(f"class ids must lie in 0 to {len(OrganClass) - 1}")
+    return {organ_class.name.lower(): int(counts[organ_class]) for organ_class in OrganClass}
+
 
 _CM_PER_STEP: Final = 255.0 / (2.0 * 150.0)
 """Centimetres of distance from one grey value to the next: z = (255 - I) / (2 * 150 / 255)."""
@@ -81,3 +91,70 @@ def class_from_colour(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
         part = flat[first : first + _CHUNK, None, :] - _PALETTE.astype(np.int32)
         ids[first : first + _CHUNK] = np.square(part).sum(-1).argmin(-1)
     return ids.reshape(colours.shape[:-1])
+
+
+Box = tuple[int, int, int, int]
+"""Columns x0 to x1 - 1 and rows y0 to y1 - 1, as (x0, y0, x1, y1)."""
+
+
+def mask_box(mask: NDArray[np.bool_], corner: tuple[int, int] = (0, 0)) -> Box | None:
+    """The smallest box that holds all pixels of a mask; None where there are none.
+
+    Args:
+        mask: `(h, w)`, of a picture or of a part of one.
+        corner: column and row of the part's first pixel in the picture.
+    """
+    columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
+    if not columns.size:
+        return None
+    x, y = corner
+    return x + int(columns[0]), y + int(rows[0]), x + int(columns[-1]) + 1, y + int(rows[-1]) + 1
+
+
+def touches_border(box: Box, shape: tuple[int, ...] | NDArray[Any]) -> bool:
+    """Whether a box reaches the border of a picture of `(h, w, ...)` pixels: more may lie outside."""
+    height, width = shape[:2]
+    x0, y0, x1, y1 = box
+    return bool(x0 <= 0 or y0 <= 0 or x1 >= width or y1 >= height)
+
+
+def run_lengths(
+    mask: NDArray[np.bool_], size: tuple[int, int] | None = None, corner: tuple[int, int] = (0, 0)
+) -> dict[str, list[int]]:
+    """`{"size": [h, w], "counts": [...]}` of a mask, which may be a part of a picture.
+
+    Args:
+        mask: `(rows, columns)`.
+        size: `(h, w)` of the picture; None where the mask is all of it.
+        corner: column and row of the mask's first pixel in the picture.
+
+    Raises:
+        ValueError: the mask does not lie in the picture.
+    """
+    height, width = size or mask.shape
+    left, top = corner
+    if min(left, top) < 0 or left + mask.shape[1] > width or top + mask.shape[0] > height:
+        raise ValueError(f"a mask of {mask.shape} at {corner} does not lie in a picture of {(height, width)}")
+    column, row = np.nonzero(mask.T)
+    inside = (left + column) * height + top + row
+    # Runs end where the next pixel inside is not the next pixel.
+    gap = np.flatnonzero(np.diff(inside) != 1)
+    first, last = inside[np.append(0, gap + 1)[: inside.size]], inside[np.append(gap, -1)[: inside.size]]
+    edges = np.concatenate([[0], np.stack([first, last + 1], axis=1).ravel(), [height * width]])
+    counts = np.diff(edges).tolist()
+    # Nothing is left behind the last pixel: no run.
+    return {"size": [height, width], "counts": counts[:-1] if len(counts) > 1 and counts[-1] == 0 else counts}
+
+
+def mask_of(runs: Mapping[str, Sequence[Any]]) -> NDArray[np.bool_]:
+    """`(h, w)` the mask that run lengths tell.
+
+    Raises:
+        ValueError: the runs do not fill the picture.
+    """
+    height, width = runs["size"]
+    counts = np.asarray(runs["counts"], dtype=np.intp)
+    if (counts.size and counts.min() < 0) or counts.sum() != height * width:
+        raise ValueError(f"runs of {counts.sum()} pixels do not fill a picture of {height} x {width}")
+    inside = np.repeat(np.arange(counts.size) % 2 == 1, counts)
+    return inside.reshape(width, height).T

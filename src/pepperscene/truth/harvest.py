@@ -6,8 +6,9 @@ places in the picture continuous pixel coordinates; both are rounded far below w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -15,11 +16,38 @@ from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.classes import Instance
-from pepperscene.truth.boxes import mask_box, touches_border
-from pepperscene.truth.harvest_approach import Approach
-from pepperscene.truth.harvest_graph import organ_graph
-from pepperscene.truth.harvest_stalk import FruitStalk
-from pepperscene.truth.rle import run_lengths
+from pepperscene.truth.cut_point import Approach, FruitStalk
+from pepperscene.truth.encodings import mask_box, run_lengths, touches_border
+
+
+def organ_graph(
+    lines: Iterable[Sequence[int]], instances: Sequence[Instance], pixels: NDArray[np.integer[Any]]
+) -> dict[str, list[Any]]:
+    """Nodes and edges as JSON tells them; an edge goes from what grows to what it grows on.
+
+    Args:
+        lines: for each fruit its index, that of what it grows on, and so on down to the main stem's organ.
+        instances: of the scene.
+        pixels: how many each value of the instance image has.
+    """
+    told = list(lines)
+    nodes = sorted({index for line in told for index in line})
+    edges = sorted({(child, parent) for line in told for child, parent in pairwise(line)})
+    return {
+        "nodes": [
+            {
+                "instance": index + 1,
+                "kind": instances[index].kind,
+                "class": int(instances[index].organ_class),
+                "plant": instances[index].plant,
+                "phytomer": instances[index].phytomer,
+                "pixels": int(pixels[index + 1]) if index + 1 < len(pixels) else 0,
+            }
+            for index in nodes
+        ],
+        "edges": [[child + 1, parent + 1] for child, parent in edges],
+    }
+
 
 FORMAT: Final = "pepperscene harvest 1"
 

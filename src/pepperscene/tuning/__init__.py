@@ -1,12 +1,12 @@
 """The tuning room: pigments, light and exposure fitted to measured colour by the renderer's derivatives."""
 
-from pepperscene.tuning.fit import fitted
-from pepperscene.tuning.outcome import Fit, KindFit, SpectrumFit
-from pepperscene.tuning.parameter import Parameter, known_parameters, parameters_of
-from pepperscene.tuning.subject import Subject
-from pepperscene.tuning.tune import Tuning, Verification, tune
+from pepperscene.tuning.fit.least_squares import fitted
+from pepperscene.tuning.fit.result import Fit, KindFit, SpectrumFit
+from pepperscene.tuning.model.subject import Subject
+from pepperscene.tuning.output.write import write_tuned
+from pepperscene.tuning.parameters.parameter import Parameter, known_parameters, parameters_of
 from pepperscene.tuning.twin import twin_patches
-from pepperscene.tuning.written import write_tuned
+from pepperscene.tuning.workflow import Tuning, Verification, tune
 
 __all__ = [
     "Fit",

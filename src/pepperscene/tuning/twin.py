@@ -16,20 +16,21 @@ from numpy.typing import ArrayLike
 
 from pepperscene.camera import Camera, camera_rgb, corrected, decode, encode
 from pepperscene.colour import Patch, PatchSet
-from pepperscene.colour.patch import is_kind
-from pepperscene.dataset.equipment import surface_grid
+from pepperscene.colour.patches.patch import is_kind
+from pepperscene.dataset.recipe.equipment import surface_grid
 from pepperscene.errors import InputError
 from pepperscene.materials import organ_surfaces
 from pepperscene.render.quality import Quality
 from pepperscene.spectra import illuminance
-from pepperscene.tuning.subject import Subject
-from pepperscene.tuning.tuned_flash import tuned_spectrum
-from pepperscene.tuning.views import ORGANS, PIXELS, View, with_surfaces
+from pepperscene.tuning.model.subject import Subject
+from pepperscene.tuning.model.views import ORGANS, PIXELS, View, with_surfaces
+from pepperscene.tuning.output.flash import tuned_spectrum
 
 if TYPE_CHECKING:
     from pepperscene.camera import Flash
     from pepperscene.dataset import Recipe
-    from pepperscene.tuning.pathways import Tuned
+    from pepperscene.tuning.parameters.tuned import Tuned
+
 
 LIGHT: Final = Quality(64, 64, 64, 1, target=None, denoise=False)
 """Chosen: the noise of light is then far below that of photons."""

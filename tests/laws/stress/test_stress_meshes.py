@@ -23,7 +23,7 @@ from strain import (
 
 from pepperscene.geometry import Mesh, concatenate
 from pepperscene.render import Renderer
-from pepperscene.render.reference import path_traced
+from pepperscene.render.reference.path_tracer import path_traced
 from pepperscene.scene import assemble
 
 

@@ -17,7 +17,7 @@ from strain import DAYLIGHT, OUTPUTS, grey, moved, picture, point_flash_camera, 
 from trimesh.creation import cylinder
 
 from pepperscene.classes import OrganClass
-from pepperscene.render.region import WORLD, region_of
+from pepperscene.render.kernel.arrays import WORLD, region_of
 from pepperscene.scene import assemble
 
 FAR = np.array([10_000.0, -10_000.0, 10_000.0])

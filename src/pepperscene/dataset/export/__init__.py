@@ -1,10 +1,8 @@
 """Exports: a data set in the formats that training code reads."""
 
-from pepperscene.dataset.export.formats import FORMATS, Exported, Exporter, Format
-from pepperscene.dataset.export.source import OnFrame, Source, require, sources
+from pepperscene.dataset.export.run import FORMATS, Exported, Exporter, Format, export
+from pepperscene.dataset.export.source import OnFrame, Source, new_folder, require, sources
 from pepperscene.dataset.export.splits import Splits, read_splits, split_by_sets
-from pepperscene.dataset.export.target import new_folder
-from pepperscene.dataset.export.whole import export
 
 __all__ = [
     "FORMATS",

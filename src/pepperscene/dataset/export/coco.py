@@ -5,23 +5,144 @@ Format: https://cocodataset.org/#format-data, and pycocotools, which reads it.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 from typing import Any, Final
 
-from pepperscene.classes import OrganClass
-from pepperscene.dataset.export.amodal import fruit_of, keypoint
-from pepperscene.dataset.export.formats import Exported
-from pepperscene.dataset.export.libraries import library
-from pepperscene.dataset.export.panoptic import panoptic_record, write_panoptic
-from pepperscene.dataset.export.records import Records, category, panoptic_category
-from pepperscene.dataset.export.segments import REST, Segment, segment_ids, segments
-from pepperscene.dataset.export.source import OnFrame, Source, sources, wanted_frames
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.classes import CLASS_COLOURS, OrganClass
+from pepperscene.dataset.export.run import Exported
+from pepperscene.dataset.export.segments import REST, Segment, as_text, library, segment_ids, segments
+from pepperscene.dataset.export.source import OnFrame, Source, new_folder, sources, wanted_frames
 from pepperscene.dataset.export.splits import Splits
-from pepperscene.dataset.export.target import new_folder
-from pepperscene.dataset.store import Dataset, file_name
+from pepperscene.dataset.store.codecs import png_bytes
+from pepperscene.dataset.store.dataset import Dataset, file_name
+
+_CENTRE: Final = 0.5
+"""Here the first pixel's centre is at .5, in COCO's keypoints at 0."""
+
+_KNOWN: Final = ("ripeness", "length_m", "diameter_m", "visible_fraction", "truncated")
+
+
+def fruit_of(source: Source) -> dict[int, dict[str, Any]]:
+    """By instance: `attributes` of a fruit, and the harvest truth's `cut` point or None.
+
+    The attribute `amodal` holds `segmentation`, `area` and `bbox` of all that the picture would show of the
+    fruit if nothing hid it.
+    """
+    return {fruit["instance"]: _told(fruit) for fruit in source.image("harvest")["fruit"]}
+
+
+def keypoint(cut: Mapping[str, Any] | None) -> dict[str, Any]:
+    """COCO's `keypoints` of a cut: x, y, and 2 where it is seen, 1 where hidden, 0 outside the picture."""
+    if cut is None or cut["px"] is None:
+        return {"keypoints": [0, 0, 0], "num_keypoints": 0}
+    x, y = (round(value - _CENTRE, 2) for value in cut["px"])
+    return {"keypoints": [x, y, 2 if cut["visible"] else 1], "num_keypoints": 1}
+
+
+def _told(fruit: Mapping[str, Any]) -> dict[str, Any]:
+    coder = library("pycocotools.mask")
+    size = fruit["amodal"]["size"]
+    mask = coder.frPyObjects(dict(fruit["amodal"]), *size)
+    amodal = {
+        "segmentation": as_text(mask),
+        "area": int(coder.area(mask)),
+        "bbox": [int(value) for value in coder.toBbox(mask)],
+    }
+    known = {key: fruit[key] for key in _KNOWN if key in fruit}
+    return {"attributes": {**known, "amodal": amodal}, "cut": (fruit.get("peduncle") or {}).get("cut")}
+
+
+def write_panoptic(path: Path, ids: NDArray[np.uint32]) -> None:
+    """Write the PNG of `(h, w)` segment ids, which are below 2^24."""
+    little = ids.astype("<u4", copy=False)
+    path.write_bytes(png_bytes(np.ascontiguousarray(little.view(np.uint8).reshape(*ids.shape, 4)[..., :3])))
+
+
+def panoptic_record(image: Mapping[str, Any], found: Sequence[Segment]) -> dict[str, Any]:
+    """The annotation of a picture.
+
+    The background is stuff. What has an organ's class and is no segment of its own is a crowd, which
+    evaluation ignores.
+    """
+    segments_info = [
+        {
+            "id": segment.id,
+            "category_id": int(segment.organ_class),
+            "area": segment.area,
+            "bbox": segment.box,
+            "iscrowd": int(not segment.is_organ and segment.organ_class != OrganClass.BACKGROUND),
+        }
+        for segment in found
+    ]
+    return {"image_id": image["id"], "file_name": image["file_name"], "segments_info": segments_info}
+
+
+class Records:
+    """One JSON file with a record a line: `info`, `licenses`, `categories`, `annotations`, `images`.
+
+    Args:
+        path: of the file.
+        about: of the data set.
+        categories: what annotations refer to.
+    """
+
+    def __init__(self, path: Path, about: Mapping[str, Any], categories: Sequence[Mapping[str, Any]]) -> None:
+        self._images: list[str] = []
+        self._between = "\n"
+        self._file = path.open("w", encoding="utf-8")
+        head = {"info": _info(about), "licenses": [], "categories": categories}
+        self._file.write(f'{_line(head)[:-1]},"annotations":[')
+
+    def __enter__(self) -> Records:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Finish the file; a broken export's is left as it is, to be removed."""
+        if kind is None:
+            self._file.write('\n],"images":[\n' + ",\n".join(self._images) + "\n]}\n")
+        self._file.close()
+
+    def image(self, record: Mapping[str, Any]) -> None:
+        """Add a picture; the few bytes are kept until the end."""
+        self._images.append(_line(record))
+
+    def annotation(self, record: Mapping[str, Any]) -> None:
+        """Add an annotation."""
+        self._file.write(self._between + _line(record))
+        self._between = ",\n"
+
+
+def category(organ_class: OrganClass) -> dict[str, Any]:
+    """A class as COCO's files tell it."""
+    return {"id": int(organ_class), "name": organ_class.name.lower(), "supercategory": "sweet pepper"}
+
+
+def panoptic_category(organ_class: OrganClass) -> dict[str, Any]:
+    """A class as COCO's panoptic files tell it; the background is no thing that could be counted."""
+    is_thing = int(organ_class != OrganClass.BACKGROUND)
+    return {**category(organ_class), "isthing": is_thing, "color": list(CLASS_COLOURS[organ_class])}
+
+
+def _info(about: Mapping[str, Any]) -> dict[str, Any]:
+    """Whence the data set comes; no date, so that the same frames make the same bytes."""
+    name = about["recipe"].get("name", "")
+    kept = {key: about[key] for key in ("quality", "recipe_sha256", "version") if key in about}
+    return {"description": f"pepperscene data set {name}".rstrip(), **kept}
+
+
+def _line(record: Mapping[str, Any]) -> str:
+    return json.dumps(record, separators=(",", ":"), allow_nan=False)
+
 
 ANNOTATIONS: Final = "annotations"
 CUT: Final = "cut"  # the name of a fruit's keypoint

@@ -13,12 +13,11 @@ from typing import Final
 import numpy as np
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.export.formats import Exported
-from pepperscene.dataset.export.source import OnFrame, Source, sources, wanted_frames
+from pepperscene.dataset.export.run import Exported
+from pepperscene.dataset.export.source import OnFrame, Source, new_folder, sources, wanted_frames
 from pepperscene.dataset.export.splits import Splits
-from pepperscene.dataset.export.target import new_folder
-from pepperscene.dataset.png import png_bytes
-from pepperscene.dataset.store import Dataset
+from pepperscene.dataset.store.codecs import png_bytes
+from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.truth import class_colour, distance_code
 
 SET: Final = "synthetic"

@@ -10,15 +10,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.export.libraries import library
 from pepperscene.dataset.export.source import Source
-from pepperscene.errors import InputError
+from pepperscene.errors import InputError, SetupError
+
+
+def library(module: str) -> Any:
+    """A module of a library that comes with the extra `export`.
+
+    Raises:
+        SetupError: it is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError:
+        name = module.partition(".")[0]
+        raise SetupError(
+            f"this format needs {name}, which is not installed; `pip install 'pepperscene[export]'` brings it"
+        ) from None
+
 
 REST: Final = 1 << 16
 """Id of the rest of class 0; instances are 16-bit numbers."""

@@ -1,11 +1,13 @@
-"""The data set that is exported: one frame at a time, every file held against its checksum."""
+"""What an export can add to what its format needs."""
 
 from __future__ import annotations
 
 import hashlib
 import io
+import os
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,8 +16,17 @@ from typing import Any
 import numpy as np
 
 from pepperscene.dataset.export.splits import Splits
-from pepperscene.dataset.store import Dataset, file_name
-from pepperscene.errors import InputError
+from pepperscene.dataset.store.dataset import Dataset, file_name
+from pepperscene.dataset.store.folder import LITTER, examine_place, make_folder, remove
+from pepperscene.errors import InputError, OutputError
+
+
+def in_all(dataset: Dataset, indices: Sequence[int], outputs: Sequence[str]) -> tuple[str, ...]:
+    """Those of some outputs that all frames have."""
+    return tuple(
+        output for output in outputs if all(dataset.path(index, output).is_file() for index in indices)
+    )
+
 
 OnFrame = Callable[[int, int, int], None]
 """Called after every frame with its index, how many are done, and how many there are in all."""
@@ -148,3 +159,63 @@ def _recipe(dataset: Dataset) -> str:
     with suppress(KeyError, TypeError):
         name = str(dataset.about["recipe"]["name"])
     return name or "RECIPE"
+
+
+@contextmanager
+def new_folder(out: Path, source: Path) -> Iterator[Path]:
+    """A temporary folder that becomes `out` when the block ends well, and is removed when it does not.
+
+    It lies beside `out`. Where `out` is there already (and empty) it lies inside, and its content moves up: a
+    mounted folder can be filled but not replaced. All is on the disk before the name is.
+
+    Args:
+        out: a new folder, or an empty one.
+        source: of the data set, which takes no foreign folder inside.
+
+    Raises:
+        OutputError: `out` holds something, lies inside the data set, or cannot be written to; or there is no
+            room left.
+    """
+    examine_place(out)
+    made: list[Path] = []
+    try:
+        _examine(out, source)
+        name = f".{out.resolve().name}.{os.getpid()}.tmp"
+        temporary = out / name if out.is_dir() else out.absolute().with_name(name)
+        try:
+            make_folder(temporary.parent, made)
+            shutil.rmtree(temporary, ignore_errors=True)
+            temporary.mkdir()
+            yield temporary
+            _flush()
+            _put(temporary, out)
+        except BaseException:
+            shutil.rmtree(temporary, ignore_errors=True)
+            remove(made)
+            raise
+    except OSError as fault:
+        raise OutputError(f"{out}: cannot be written ({fault.strerror or fault})") from None
+
+
+def _examine(out: Path, source: Path) -> None:
+    if out.resolve().is_relative_to(source.resolve()):
+        raise OutputError(f"{out}: lies inside the data set {source}; choose a folder elsewhere")
+    held = sorted(path.name for path in out.iterdir() if path.name not in LITTER) if out.is_dir() else []
+    if held:
+        raise OutputError(f"{out}: holds {held[0]!r}; choose an empty or a new folder")
+
+
+def _put(temporary: Path, out: Path) -> None:
+    """Give what is finished its name."""
+    if not out.is_dir():
+        os.rename(temporary, out)
+        return
+    for path in sorted(temporary.iterdir()):
+        os.rename(path, out / path.name)
+    temporary.rmdir()
+
+
+def _flush() -> None:
+    """Have the disk hold what has been written, by one call: one for each of 100,000 files takes minutes."""
+    if hasattr(os, "sync"):
+        os.sync()

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from pepperscene.dataset.plan import Plan
+from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.errors import InputError
 
 EVERYTHING: Final = "train"

@@ -25,13 +25,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.atomic import json_bytes
-from pepperscene.dataset.export.available import in_all
-from pepperscene.dataset.export.formats import Exported
-from pepperscene.dataset.export.source import OnFrame, Source, sources, wanted_frames
+from pepperscene.dataset.export.run import Exported
+from pepperscene.dataset.export.source import OnFrame, Source, in_all, new_folder, sources, wanted_frames
 from pepperscene.dataset.export.splits import Splits
-from pepperscene.dataset.export.target import new_folder
-from pepperscene.dataset.store import Dataset
+from pepperscene.dataset.store.atomic import json_bytes
+from pepperscene.dataset.store.dataset import Dataset
 
 SHARD_BYTES: Final = 1_000_000_000
 """Chosen: webdataset's own advice is shards of about a gigabyte, read in one go and still many enough."""

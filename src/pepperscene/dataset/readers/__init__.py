@@ -2,8 +2,7 @@
 
 from pepperscene.dataset.readers.folder import FolderSet
 from pepperscene.dataset.readers.labels import KNOWN_LABELS, Labels
-from pepperscene.dataset.readers.opening import open_images
+from pepperscene.dataset.readers.open import RenderedSet, open_images
 from pepperscene.dataset.readers.published import PublishedSet
-from pepperscene.dataset.readers.rendered import RenderedSet
 
 __all__ = ["KNOWN_LABELS", "FolderSet", "Labels", "PublishedSet", "RenderedSet", "open_images"]

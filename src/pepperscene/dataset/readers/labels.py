@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
-from pepperscene.dataset.labelled import VOID
+from pepperscene.dataset.readers.image_set import VOID
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError
 

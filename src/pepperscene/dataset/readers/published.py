@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.labelled import VOID, ImageSet, Labelled
+from pepperscene.dataset.readers.image_set import VOID, ImageSet, Labelled
 from pepperscene.dataset.readers.pictures import read_mask, read_photo
 from pepperscene.errors import InputError
 from pepperscene.truth import class_from_colour, distance_from_code

@@ -1,0 +1,1 @@
+"""Patches of measured colour, and how they are read."""

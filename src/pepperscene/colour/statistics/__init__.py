@@ -1,0 +1,1 @@
+"""Statistics of colours and hue angles, with confidence intervals."""

@@ -1,0 +1,1 @@
+"""Building a data set: executors for this machine, Dask and Slurm."""

@@ -1,0 +1,1 @@
+"""From a recipe to scenes, cameras and rendered frames."""

@@ -1,0 +1,1 @@
+"""A data set on disk: images, metadata, journal and tables."""

@@ -1,0 +1,1 @@
+"""Leaf blades: outline, triangle grid, relief and bending."""

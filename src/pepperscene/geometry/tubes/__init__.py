@@ -1,0 +1,1 @@
+"""Round organs along a centreline: stems, stalks, flowers and twine."""

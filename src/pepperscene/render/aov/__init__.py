@@ -1,0 +1,1 @@
+"""Arbitrary output variables: labels, geometry, coverage, flow and harvest truth."""

@@ -1,0 +1,1 @@
+"""Derivatives of a picture with respect to pigments, cuticles, flash and exposure."""

@@ -1,0 +1,1 @@
+"""The scene on the device: mesh, camera rays, spectral response, arrays."""

@@ -1,0 +1,1 @@
+"""Mitsuba's own path tracer over the same scene, to compare with."""

@@ -1,0 +1,1 @@
+"""Light transport: samples, tracing, accumulation, adaptive sampling and denoising."""

@@ -1,0 +1,1 @@
+"""The least-squares fit, its result and diagnostics."""

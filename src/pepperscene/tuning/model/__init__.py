@@ -1,0 +1,1 @@
+"""The forward model of a fit: views of organs, observables and residuals."""
