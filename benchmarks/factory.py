@@ -19,8 +19,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pepperscene as ps
-from pepperscene.bench.records import machine, sentence
-from pepperscene.dataset import Progress
+from pepperscene.bench.records import machine_info, sentence
+from pepperscene.dataset import BuildProgress
 
 TRUTH = ("class", "instance", "distance", "distance_code")
 
@@ -40,16 +40,16 @@ def overhead(recipe: ps.Recipe, frames: Sequence[int]) -> float:
     one is rendered, so that its clock begins behind the first.
     """
     outputs = ("colour", *TRUTH)
-    stage = ps.Stage(recipe)
+    stage = ps.FrameRenderer(recipe)
     for index in (frames[0] - 1, frames[0]):
-        stage.render(recipe.plan.shot(index), outputs)
+        stage.render(recipe.plan.frame(index), outputs)
     begun = time.perf_counter()
     for index in frames[1:]:
-        stage.render(recipe.plan.shot(index), outputs)
+        stage.render(recipe.plan.frame(index), outputs)
     alone = time.perf_counter() - begun
     told: list[float] = []
 
-    def note(_: Progress) -> None:
+    def note(_: BuildProgress) -> None:
         told.append(time.perf_counter())
 
     with tempfile.TemporaryDirectory() as folder:
@@ -63,7 +63,7 @@ def main() -> None:
     asked.add_argument("--runs", type=int, default=3, help="of each kind (default 3)")
     asked.add_argument("--scenes", type=int, default=2, help="of 250 frames each, for labels (default 2)")
     given = asked.parse_args()
-    sys.stdout.write(sentence(machine()) + "\n\n")
+    sys.stdout.write(sentence(machine_info()) + "\n\n")
     _labels(given.runs, given.scenes)
     _colour(given.runs)
 

@@ -14,7 +14,7 @@ import sys
 from collections.abc import Mapping
 
 from pepperscene.bench.frames_child import PLANT_STAGES, Times, clock_plants, timed
-from pepperscene.bench.records import machine
+from pepperscene.bench.records import machine_info
 from pepperscene.bench.run import LEAST_RUNS
 
 
@@ -33,7 +33,7 @@ def single_plants(cultivar: str, runs: int, detail: float) -> dict[str, list[flo
             mesh = ps.mesh_plant(plant, detail)
         times["grow and mesh"] = times["grow"] + times["mesh"]
         with timed(times, "settle"):
-            ps.settle(mesh, np.random.default_rng(seed))
+            ps.resolve_contacts(mesh, np.random.default_rng(seed))
         found.append(times)
     return columns(found[1:])
 
@@ -41,7 +41,7 @@ def single_plants(cultivar: str, runs: int, detail: float) -> dict[str, list[flo
 def rows(recipe_name: str, runs: int) -> dict[str, list[float]]:
     """Seconds to make the plants of a recipe's row and to place it, by stage; and to place it once more."""
     import pepperscene as ps
-    from pepperscene.dataset.scenes.scene_builder import Planting
+    from pepperscene.dataset.scenes.scene_builder import SceneBuilder
 
     found = []
     clocks: Times = {}
@@ -50,7 +50,7 @@ def rows(recipe_name: str, runs: int) -> dict[str, list[float]]:
         clocks.clear()
         recipe = ps.load_recipe(recipe_name).with_seed(seed)
         cultivar, times = ps.load_cultivar(recipe.cultivar), Times()
-        planting = Planting(recipe, cultivar, 1)
+        planting = SceneBuilder(recipe, cultivar, 1)
         with timed(times, "all of it"):
             planting.scene(0, 0)
         # Far rows are grown and meshed too where a recipe has them; they count to their stages.
@@ -59,7 +59,7 @@ def rows(recipe_name: str, runs: int) -> dict[str, list[float]]:
         with timed(times, "the next rotation"):
             planting.scene(0, 1)
         with timed(times, "all of it in two processes"):
-            Planting(recipe, cultivar, 2).scene(0, 0)
+            SceneBuilder(recipe, cultivar, 2).scene(0, 0)
         found.append(times)
     return columns(found[1:])
 
@@ -89,7 +89,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.runs < LEAST_RUNS:
         parser.error(f"--runs must be at least {LEAST_RUNS}: a median of fewer says little")
-    on = machine()
+    on = machine_info()
     told = [f"On one of {on['cores']} cores of {on['cpu']}, {on['system']}; Python {on['python']}, "]
     told[0] += f"numpy {on['packages']['numpy']}."
     told += ["", "| what | median | least | most | runs |", "|---|---:|---:|---:|---:|"]

@@ -30,18 +30,18 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.bench.records import machine, sentence
+from pepperscene.bench.records import machine_info, sentence
 from pepperscene.colour import PatchSet, delta_e_2000
 from pepperscene.dataset import load_recipe
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
 from pepperscene.tuning.model.observables import hues, lab_of, lab_slopes, numbers
-from pepperscene.tuning.model.problem import Cell, Problem
-from pepperscene.tuning.model.subject import Subject
-from pepperscene.tuning.model.view_model import EFFORT, Eye, Move
-from pepperscene.tuning.twin import twin_patches
+from pepperscene.tuning.model.problem import Cell, FitProblem
+from pepperscene.tuning.model.subject import TuningTarget
+from pepperscene.tuning.model.view_model import EFFORT, ParameterStep, ViewModel
+from pepperscene.tuning.twin import simulate_patches
 
 if TYPE_CHECKING:
-    from pepperscene.tuning.parameters.tuned import Tuned
+    from pepperscene.tuning.parameters.tuned import TunedParts
 
 Array = NDArray[np.float64]
 
@@ -79,11 +79,15 @@ def count_calls() -> None:
         setattr(DifferentiableRenderer, name, counted)
 
 
-class BackwardEye(Eye):
+class BackwardEye(ViewModel):
     """A view that also takes derivatives of a cost the other way: from its pixels to every entry at once."""
 
     def backward(
-        self, made: Tuned, of_linear: Callable[[Array], Array], moves: Sequence[Move], shade: Array
+        self,
+        made: TunedParts,
+        of_linear: Callable[[Array], Array],
+        moves: Sequence[ParameterStep],
+        shade: Array,
     ) -> Array:
         """`(p,)` derivatives of a cost along moves.
 
@@ -136,7 +140,7 @@ class Twin:
         path: (seconds, pictures, passes, cost, vector) after each evaluation of the cost.
     """
 
-    problem: Problem
+    problem: FitProblem
     hidden: Array
     path: list[tuple[float, int, int, float, Array]] = field(default_factory=list)
     began: float = 0.0
@@ -197,7 +201,7 @@ class Twin:
         problem, vector = self.problem, self.vector(scaled)
         values = problem.values(vector)
         made = problem.tuned(values)
-        moves = [Move.along(entry, values, problem.tuned) for entry in problem.entries]
+        moves = [ParameterStep.along(entry, values, problem.tuned) for entry in problem.entries]
         pull = (vector - problem.mean) / problem.sd
         cost, slope = 0.5 * float(pull @ pull), pull / problem.sd
         for cell in problem.cells:
@@ -230,15 +234,15 @@ class Twin:
 def twin(recipe_name: str, seed: int) -> Twin:
     """Hidden values drawn from the bounds, and pictures of them with other random numbers."""
     recipe, rng = load_recipe(recipe_name), np.random.default_rng(seed)
-    parameters = Subject(recipe, PatchSet("none", ())).parameters(NAMES)
+    parameters = TuningTarget(recipe, PatchSet("none", ())).parameters(NAMES)
     hidden = {one.name: np.array([law.draw(rng) for law in one.prior]) for one in parameters}
-    patches = twin_patches(recipe, hidden, KINDS, organs=1, seed=seed, noise=seed + 1)
-    subject = Subject(recipe, patches, registered=True, organs=1, seed=seed)
+    patches = simulate_patches(recipe, hidden, KINDS, organs=1, seed=seed, noise=seed + 1)
+    subject = TuningTarget(recipe, patches, registered=True, organs=1, seed=seed)
     given = subject.problem(NAMES)
     eyes = (BackwardEye(one, subject.cultivar, seed + i, EFFORT) for i, one in enumerate(subject.views))
     own = {eye.view.name: eye for eye in eyes}
     cells = [replace(cell, eyes=(own[cell.label],)) for cell in given.cells]
-    problem = Problem(given.parameters, subject.tuned, cells)
+    problem = FitProblem(given.parameters, subject.tuned, cells)
     return Twin(problem, np.concatenate([hidden[one.name] for one in parameters]))
 
 
@@ -407,7 +411,7 @@ def main() -> None:
         ran = compared(of, names[turn:] + names[:turn], options.budget if seed else 1.0)
         if seed:
             runs.append(ran)
-    told = [sentence(machine()), "", *table(runs)]
+    told = [sentence(machine_info()), "", *table(runs)]
     sys.stdout.write("\n".join(told) + "\n")
 
 

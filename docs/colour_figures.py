@@ -18,8 +18,8 @@ from PIL import Image
 
 from pepperscene import load_recipe
 from pepperscene.colour import Patch
-from pepperscene.tuning import Subject, fitted, twin_patches, write_tuned
-from pepperscene.tuning.model.views import View
+from pepperscene.tuning import TuningTarget, fit_parameters, simulate_patches, write_tuned
+from pepperscene.tuning.model.views import OrganView
 
 KINDS: Final = ("leaf", "pepper.unripe", "pepper.ripe", "peduncle", "stem", "shoot")
 LARGER: Final = 3
@@ -33,7 +33,7 @@ HIDDEN: Final[dict[str, ArrayLike]] = {
 """Of the twin on the sheet: chosen to be seen, and well within the bounds."""
 
 
-def shown(view: View, patch: Patch) -> Picture:
+def shown(view: OrganView, patch: Patch) -> Picture:
     """A view's organ on white."""
     picture = np.full((*view.mask.shape, 3), 255, np.uint8)
     picture[view.mask] = patch.codes
@@ -43,8 +43,8 @@ def shown(view: View, patch: Patch) -> Picture:
 def views() -> Picture:
     """What a fit looks at: three organs of each kind, each at its place of the picture and in its light."""
     recipe = load_recipe("barth2018", {"cultivar": "red_blocky"})
-    patches = twin_patches(recipe, {}, KINDS)
-    subject = Subject(recipe, patches, registered=True)
+    patches = simulate_patches(recipe, {}, KINDS)
+    subject = TuningTarget(recipe, patches, registered=True)
     by_name = {patch.name: patch for patch in patches.patches}
     rows: dict[str, list[Picture]] = {}
     for view in subject.views:
@@ -57,9 +57,9 @@ def views() -> Picture:
 def sheet(path: Path) -> None:
     """The picture that a fit leaves behind, of a twin."""
     recipe = load_recipe("barth2018", {"cultivar": "red_blocky"})
-    twin = twin_patches(recipe, HIDDEN, KINDS[:3], organs=1)
-    subject = Subject(recipe, twin, registered=True, organs=1)
-    fit = fitted(subject, subject.problem(list(HIDDEN)))
+    twin = simulate_patches(recipe, HIDDEN, KINDS[:3], organs=1)
+    subject = TuningTarget(recipe, twin, registered=True, organs=1)
+    fit = fit_parameters(subject, subject.problem(list(HIDDEN)))
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "tuned"
         write_tuned(recipe, fit, out, patches=twin, when=date(2026, 1, 31), extends="barth2018")

@@ -17,11 +17,11 @@ from PIL import Image
 
 from pepperscene import (
     Camera,
+    FrameRenderer,
     Mesh,
     Scene,
-    Stage,
-    assemble,
-    concatenate,
+    assemble_scene,
+    concatenate_meshes,
     grow,
     load_cultivar,
     load_flash,
@@ -31,8 +31,8 @@ from pepperscene import (
     look_at,
     mesh_plant,
     organ_surfaces,
-    partly_cloudy,
-    render,
+    partly_cloudy_sky,
+    render_scene,
 )
 from pepperscene.camera import Developing
 from pepperscene.dataset.report.colours import distance_colours
@@ -48,7 +48,7 @@ Picture = NDArray[np.uint8]
 def single_organs(kind: str, seed: int = 3) -> list[Mesh]:
     """The organs of one kind of a plant of Kaite, each as a mesh of its own."""
     mesh = mesh_plant(grow(load_cultivar("kaite"), np.random.default_rng(seed)), detail=3.0)
-    return [mesh.of_instances([i]) for i, one in enumerate(mesh.instances) if one.kind == kind]
+    return [mesh.select_instances([i]) for i, one in enumerate(mesh.instances) if one.kind == kind]
 
 
 def hung(organ: Mesh) -> Mesh:
@@ -76,18 +76,20 @@ def portrait_camera(width: int, height: int, distance_m: float, exposure_s: floa
 
 def daylit(mesh: Mesh, sun_azimuth_rad: float) -> Scene:
     """The mesh in the sun: from the camera's side at -pi/2, from behind at pi/2."""
-    sky = partly_cloudy(
+    sky = partly_cloudy_sky(
         np.random.default_rng(5), illuminance_lx=5500.0, sun_azimuth_rad=sun_azimuth_rad,
         sun_elevation_rad=float(np.radians(32.0)), sun_fraction=0.85, cloud_cover=0.0,
     )  # fmt: skip
-    return assemble(mesh, organ_surfaces(load_cultivar("kaite"), NM), sky)
+    return assemble_scene(mesh, organ_surfaces(load_cultivar("kaite"), NM), sky)
 
 
 def leaf_glow() -> Picture:
     """One leaf with the sun in front of it, and with the sun behind."""
     leaf = hung(max(single_organs("lamina"), key=lambda one: np.ptp(one.vertices, axis=0).max()))
     camera = portrait_camera(420, 520, 0.5, 1 / 1600, flash=False)
-    return beside([render(daylit(leaf, side * np.pi / 2), camera, ["colour"])["colour"] for side in (-1, 1)])
+    return beside(
+        [render_scene(daylit(leaf, side * np.pi / 2), camera, ["colour"])["colour"] for side in (-1, 1)]
+    )
 
 
 def ripening() -> Picture:
@@ -102,8 +104,8 @@ def ripening() -> Picture:
         for place, state in enumerate((0.0, 0.3, 0.5, 0.65, 0.8, 1.0))
     ]
     camera = portrait_camera(1000, 240, 0.9, 110e-6, flash=True)
-    scene = assemble(concatenate(row), organ_surfaces(load_cultivar("kaite"), NM))
-    return render(scene, camera, ["colour"])["colour"]
+    scene = assemble_scene(concatenate_meshes(row), organ_surfaces(load_cultivar("kaite"), NM))
+    return render_scene(scene, camera, ["colour"])["colour"]
 
 
 def cameras() -> Picture:
@@ -121,7 +123,7 @@ def cameras() -> Picture:
     views = []
     for changes in choices:
         recipe = load_recipe("barth2018", changes)
-        colour = Stage(recipe).render(recipe.plan.shot(2290), ["colour"])["colour"]
+        colour = FrameRenderer(recipe).render(recipe.plan.frame(2290), ["colour"])["colour"]
         views.append(np.asarray(Image.fromarray(colour).resize((480, 360), Image.Resampling.BOX)))
     white = np.full((GAP, 2 * 480 + GAP, 3), 255, np.uint8)
     return np.vstack([beside(views[:2]), white, beside(views[2:])])
@@ -130,7 +132,7 @@ def cameras() -> Picture:
 def demo() -> Picture:
     """A frame beside its class image and its distance image, as a data set keeps them."""
     recipe = load_recipe("demo")
-    frame = Stage(recipe).render(recipe.plan.shot(6137), ["colour", "class_colour", "distance"])
+    frame = FrameRenderer(recipe).render(recipe.plan.frame(6137), ["colour", "class_colour", "distance"])
     shown = [frame["colour"], frame["class_colour"], distance_colours(frame["distance"], 0.2, 1.0)]
     ways = [Image.Resampling.BOX, Image.Resampling.NEAREST, Image.Resampling.NEAREST]
     return beside(

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw
 from skimage.measure import find_contours
 
-from pepperscene import Camera, Stage, load_recipe
-from pepperscene.truth.encodings import mask_of
+from pepperscene import Camera, FrameRenderer, load_recipe
+from pepperscene.truth.encodings import decode_rle
 
 SEEN: Final = (255, 255, 255)
 HIDDEN: Final = (190, 190, 190)
@@ -67,7 +67,7 @@ def drawn(colour: Picture, camera: Camera, harvest: Mapping[str, Any], scale: in
 
 def outlines(fruit: Mapping[str, Any]) -> Iterable[np.ndarray]:
     """`(n, 2)` pixel coordinates of the amodal mask's outlines."""
-    mask = np.pad(mask_of(fruit["amodal"]), 1).astype(float)
+    mask = np.pad(decode_rle(fruit["amodal"]), 1).astype(float)
     return [line[:, ::-1] - 0.5 for line in find_contours(mask, 0.5)]
 
 
@@ -83,7 +83,7 @@ def edges(corners: list[list[float] | None]) -> Iterable[list[list[float]]]:
 def shot(recipe: str, index: int, changes: Mapping[str, Any]) -> Image.Image:
     """A frame of a recipe with its harvest truth drawn over it."""
     told = load_recipe(recipe, dict(changes))
-    stage, frame = Stage(told), told.plan.shot(index)
+    stage, frame = FrameRenderer(told), told.plan.frame(index)
     made = stage.render(frame, ["colour", "harvest"])
     return drawn(made["colour"], stage.camera(frame), made["harvest"])
 

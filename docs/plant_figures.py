@@ -18,10 +18,10 @@ from PIL import Image
 
 from pepperscene import (
     Camera,
+    FrameRenderer,
     Renderer,
-    Stage,
-    grown,
-    interpolated,
+    grow_plant,
+    interpolate_cultivars,
     load_cultivar,
     load_lens,
     load_recipe,
@@ -57,7 +57,7 @@ def photographs() -> Picture:
             "daylight": {"sun_fraction": 0.1, "cloud_cover": 0.9},
         },
     )
-    renderer = Renderer(Stage(recipe).scene(recipe.plan.shot(0)))
+    renderer = Renderer(FrameRenderer(recipe).scene(recipe.plan.frame(0)))
     rows = []
     for name, place, target in PAIRS:
         photo = np.asarray(Image.open(PHOTOS / f"{name}.png").convert("RGB").resize(SIZE))
@@ -78,19 +78,19 @@ PAIRS: Final[tuple[tuple[str, Point, Point], ...]] = (
 def cultivars() -> Picture:
     """Four cultivars and crops: whole, from 50 cm, and with a fruit 10 cm before the lens."""
     names = ("kaite", "red_blocky", "orange_pointed", "tomato")
-    sheets = [portrait(grown(name, seed=5).mesh, load_cultivar(name)) for name in names]
+    sheets = [portrait(grow_plant(name, seed=5).mesh, load_cultivar(name)) for name in names]
     return above([beside(even(sheets[:2])), beside(even(sheets[2:]))])
 
 
 def stages() -> Picture:
     """One plant at four dates: the same seed, the shipped stages, and one between them."""
     spring, autumn = load_cultivar("kaite"), load_cultivar("kaite_september")
-    summer = interpolated(spring, autumn, 0.5)
+    summer = interpolate_cultivars(spring, autumn, 0.5)
     sheets = [
-        portrait(grown("kaite_february", seed=7).mesh, load_cultivar("kaite_february")),
-        portrait(grown("kaite", seed=7).mesh, spring),
-        portrait(grown("kaite", seed=7, until="kaite_september", share=0.5).mesh, summer),
-        portrait(grown("kaite_september", seed=7).mesh, autumn),
+        portrait(grow_plant("kaite_february", seed=7).mesh, load_cultivar("kaite_february")),
+        portrait(grow_plant("kaite", seed=7).mesh, spring),
+        portrait(grow_plant("kaite", seed=7, until="kaite_september", share=0.5).mesh, summer),
+        portrait(grow_plant("kaite_september", seed=7).mesh, autumn),
     ]
     return above([beside(even(sheets[:2])), beside(even(sheets[2:]))])
 

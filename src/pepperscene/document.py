@@ -47,12 +47,12 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as fault:
-        raise InputError(path, "", None, f"is not valid TOML: {fault}") from None
+        raise InputError(path, f"is not valid TOML: {fault}") from None
     except RecursionError:
-        raise InputError(path, "", None, "is not valid TOML: nested too deeply") from None
+        raise InputError(path, "is not valid TOML: nested too deeply") from None
     except ValueError as fault:
         # Python refuses to read integers of thousands of digits; what else it refuses is told as it stands.
-        raise _enormous(path, text) or InputError(path, "", None, f"is not valid TOML: {fault}") from None
+        raise _enormous(path, text) or InputError(path, f"is not valid TOML: {fault}") from None
     return _checked(tables, path)
 
 
@@ -60,21 +60,21 @@ def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except OSError as fault:
-        raise InputError(path, "", None, f"cannot be read ({fault.strerror})") from None
+        raise InputError(path, f"cannot be read ({fault.strerror})") from None
     except UnicodeDecodeError:
-        raise InputError(path, "", None, "must be a text file in UTF-8") from None
+        raise InputError(path, "must be a text file in UTF-8") from None
     except ValueError as fault:
         # A path that no file system takes.
-        raise InputError(repr(str(path)), "", None, f"cannot be read ({fault})") from None
+        raise InputError(repr(str(path)), f"cannot be read ({fault})") from None
 
 
 def _checked(tables: dict[str, Any], path: Path) -> dict[str, Any]:
     """The tables, with no integer beyond 64 bits and no deeper than a validator can follow."""
     for key, value in _places(tables):
         if len(key) > _DEEPEST:
-            raise InputError(path, "", None, f"is nested too deeply: more than {_DEEPEST} levels")
+            raise InputError(path, f"is nested too deeply: more than {_DEEPEST} levels")
         if type(value) is int and value not in _INTEGERS:
-            raise InputError(path, dotted(key), value, _BEYOND)
+            raise InputError(path, _BEYOND, key=toml_key(key), value=value)
     return tables
 
 
@@ -99,13 +99,13 @@ def _enormous(path: Path, text: str) -> InputError | None:
     try:
         _checked(tomllib.loads(short), path)
     except InputError as fault:
-        return InputError(path, fault.key, None, fault.allowed)
+        return InputError(path, fault.problem, key=fault.key)
     except (ValueError, RecursionError):
         pass
     return None
 
 
-def dotted(key: tuple[str | int, ...]) -> str:
+def toml_key(key: tuple[str | int, ...]) -> str:
     """A key as TOML writes it: parts joined by dots, those that would be misread in quotes."""
     parts = (str(part) for part in key)
     return ".".join(part if _plain(part) else json.dumps(part) for part in parts)
@@ -115,7 +115,7 @@ def _plain(part: str) -> bool:
     return bool(part) and part.isprintable() and not set(part) & set(" .\"'")
 
 
-def validated(model: type[Model], data: Mapping[str, Any], where: str | Path) -> Model:
+def validate(model: type[Model], data: Mapping[str, Any], where: str | Path) -> Model:
     """`data` as a `model`.
 
     Raises:
@@ -129,14 +129,14 @@ def validated(model: type[Model], data: Mapping[str, Any], where: str | Path) ->
 
 def _as_input_error(fault: ValidationError, where: str | Path) -> InputError:
     first = fault.errors(include_url=False, include_context=True)[0]
-    key = dotted(first["loc"])
+    key = toml_key(first["loc"])
     if first["type"] == "extra_forbidden":
-        return InputError(where, key, None, "is not a known key")
+        return InputError(where, "is not a known key", key=key)
     if first["type"] == "missing":
-        return InputError(where, key, None, "is required but missing")
+        return InputError(where, "is required but missing", key=key)
     message = first["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     message = message.replace("Input should be", "must be").replace("\n", " ")
     for said, meant in _PYTHON_TO_TOML:
         message = said.sub(meant, message)
     value = first["input"] if not isinstance(first["input"], (dict, BaseModel)) else None
-    return InputError(where, key, value, message)
+    return InputError(where, message, key=key, value=value)

@@ -1,7 +1,7 @@
 """Every error that a user can meet.
 
-Each message is one sentence that names the file, the key, the value and what is allowed. The command line
-prints it without a traceback and leaves with exit code 2.
+Each message is one sentence that names the file or argument, the key, the value and what is allowed. The
+command line prints it without a traceback and exits with code 2.
 """
 
 from __future__ import annotations
@@ -13,36 +13,52 @@ EXIT_BAD_INPUT: Final = 2
 
 
 class PepperError(Exception):
-    """Base of all errors that are the caller's to mend; never raised itself."""
+    """Base of all errors that the user can fix; never raised itself."""
 
 
 class InputError(PepperError):
-    """A file or an argument says something that is not allowed.
+    """A file holds something that is not allowed.
 
     Args:
-        where: the file or the command-line option that holds the fault.
-        key: dotted key inside it ("flash.illuminance_lx"), or "" when the whole is meant.
+        where: the file.
+        problem: what is wrong, or what is allowed, as the end of a sentence ("must be ...").
+        key: dotted key inside the file ("flash.illuminance_lx"), or "" when the whole file is meant.
         value: the value found, or None when it is missing or the fault is not a value's.
-        allowed: what would be right, as the end of a sentence ("must be ...").
     """
 
-    def __init__(self, where: str | Path, key: str, value: object, allowed: str) -> None:
-        self.where, self.key, self.value, self.allowed = str(where), key, value, allowed
-        subject = f"{key} = {_shown(value)}" if key and value is not None else key
-        super().__init__(": ".join(part for part in (str(where), subject, allowed) if part))
+    def __init__(self, where: str | Path, problem: str, *, key: str = "", value: object = None) -> None:
+        self.where, self.problem, self.key, self.value = str(where), problem, key, value
+        super().__init__(": ".join(part for part in (self.where, self.detail) if part))
 
-    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, object, str]]:
-        """Another process may be the one that finds the fault."""
+    @property
+    def detail(self) -> str:
+        """The message without the name of the file or argument."""
+        subject = f"{self.key} = {_shown(self.value)}" if self.key and self.value is not None else self.key
+        return ": ".join(part for part in (subject, self.problem) if part)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Errors are sent between processes, and not every value can be pickled."""
         value = self.value if isinstance(self.value, str | int | float | bool | None) else _shown(self.value)
-        return type(self), (self.where, self.key, value, self.allowed)
+        return _restored, (type(self), self.where, self.problem, self.key, value)
+
+
+class ArgumentError(InputError):
+    """An argument of a function has a value that is not allowed.
+
+    `where` is the argument's name; the command line prints the option of that name instead.
+    """
+
+
+def _restored(kind: type[InputError], where: str, problem: str, key: str, value: object) -> InputError:
+    return kind(where, problem, key=key, value=value)
 
 
 class OutputError(PepperError):
-    """The output folder cannot take what is to be written there."""
+    """The output folder cannot be used or written to."""
 
 
 class WorkerError(PepperError):
-    """Whoever was to make frames is lost; what was finished is kept."""
+    """Worker processes were lost; finished frames are kept."""
 
 
 class SetupError(PepperError):

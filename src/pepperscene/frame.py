@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError
 
 
 @dataclass(frozen=True)
@@ -150,18 +150,18 @@ PARTNERED: Final = frozenset({"stereo", "colour_stereo"})
 DEFAULT_OUTPUTS: Final = ("colour", "class", "instance", "distance", "distance_code")
 
 
-def check_outputs(names: Iterable[str], where: str = "--outputs") -> tuple[str, ...]:
+def check_outputs(names: Iterable[str]) -> tuple[str, ...]:
     """The output names in canonical order, without repeats.
 
     Raises:
-        InputError: a name is unknown, or there is none at all.
+        ArgumentError: a name is unknown, or there is none at all.
     """
     wanted = list(names)
     for name in wanted:
         if name not in OUTPUTS:
-            raise InputError(where, "", None, f"unknown output {name!r}; allowed are {', '.join(OUTPUTS)}")
+            raise ArgumentError("outputs", f"unknown output {name!r}; allowed are {', '.join(OUTPUTS)}")
     if not wanted:
-        raise InputError(where, "", None, f"at least one output is needed of {', '.join(OUTPUTS)}")
+        raise ArgumentError("outputs", f"at least one output is needed of {', '.join(OUTPUTS)}")
     return tuple(name for name in OUTPUTS if name in wanted)
 
 
@@ -176,7 +176,7 @@ class Frame:
     """
 
     images: Mapping[str, Any]
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __getitem__(self, output: str) -> Any:
         return self.images[output]

@@ -10,10 +10,10 @@ from typing import Literal
 
 from pepperscene.errors import InputError
 
-Shelf = Literal["plants", "materials", "recipes"]
+ShippedFolder = Literal["plants", "materials", "recipes"]
 
 
-def shelf(name: Shelf) -> Path:
+def shipped_folder(name: ShippedFolder) -> Path:
     """The folder that holds the shipped files of one kind."""
     package = Path(__file__).resolve().parent
     inside = package / "shipped" / name
@@ -28,7 +28,7 @@ def is_file(path: Path) -> bool:
         return False
 
 
-def find(shelf_name: Shelf, wanted: str | Path, *, suffix: str = ".toml") -> Path:
+def find_file(folder: ShippedFolder, wanted: str | Path, *, suffix: str = ".toml") -> Path:
     """The path of a file given by its own path or by the bare name of a shipped one.
 
     Raises:
@@ -37,10 +37,10 @@ def find(shelf_name: Shelf, wanted: str | Path, *, suffix: str = ".toml") -> Pat
     path = Path(wanted)
     if (path.suffix == suffix or path.parent != Path(".")) and is_file(path):
         return path
-    shipped = shelf(shelf_name) / f"{wanted}{suffix}"
+    shipped = shipped_folder(folder) / f"{wanted}{suffix}"
     if path.parent == Path(".") and is_file(shipped):
         return shipped
-    names = ", ".join(sorted(p.stem for p in shelf(shelf_name).glob(f"*{suffix}")))
+    names = ", ".join(sorted(p.stem for p in shipped_folder(folder).glob(f"*{suffix}")))
     # A file that is there is passed over where its name alone could be that of a shipped one.
     missing = f"is a file without the ending {suffix}" if is_file(path) else "no such file"
-    raise InputError(str(wanted), "", None, f"{missing}, nor one of the shipped {shelf_name}: {names}")
+    raise InputError(str(wanted), f"{missing}, nor one of the shipped {folder}: {names}")

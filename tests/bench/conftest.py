@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pepperscene.bench.scenes import Subject, resized
-from pepperscene.dataset import Stage, load_recipe
+from pepperscene.bench.scenes import BenchSubject, resized
+from pepperscene.dataset import FrameRenderer, load_recipe
 from pepperscene.frame import Frame
 from pepperscene.geometry import rectangle
-from pepperscene.materials import lambertian
+from pepperscene.materials import lambertian_surface
 from pepperscene.render import QUALITIES
-from pepperscene.scene import assemble
+from pepperscene.scene import assemble_scene
 
 SIZE = (24, 18)
 LEVEL_E = 2_000.0
@@ -45,26 +45,28 @@ class Noisy:
 def camera():
     """Of the standard scene, with few pixels."""
     recipe = load_recipe("barth2018")
-    return resized(Stage(recipe).camera(recipe.plan.shot(125)), SIZE)
+    return resized(FrameRenderer(recipe).camera(recipe.plan.frame(125)), SIZE)
 
 
 @pytest.fixture(scope="session")
 def wall():
     """A scene of two triangles."""
-    return assemble(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)), {"leaf": lambertian("leaf", 0.5)})
+    return assemble_scene(
+        rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)), {"leaf": lambertian_surface("leaf", 0.5)}
+    )
 
 
 @pytest.fixture
 def subject(camera, wall):
     path = tuple(camera.at_pose(camera.pose) for _ in range(3))
     noisy = Noisy(wall)
-    return Subject("made", wall, wall, camera, path, noisy, noisy)
+    return BenchSubject("made", wall, wall, camera, path, noisy, noisy)
 
 
 @pytest.fixture
 def no_plants(monkeypatch, wall):
     """Stages without plants."""
-    monkeypatch.setattr(Stage, "scene", lambda *_args, **_kwargs: wall)
+    monkeypatch.setattr(FrameRenderer, "scene", lambda *_args, **_kwargs: wall)
 
 
 @pytest.fixture

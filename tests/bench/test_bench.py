@@ -12,9 +12,9 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from pepperscene.bench import SCENES, bench, scenes_named, size_of
+from pepperscene.bench import SCENES, run_benchmark, scenes_named, size_of
 from pepperscene.bench import run as against_error
-from pepperscene.bench.measure import Measured
+from pepperscene.bench.measure import BenchResult
 from pepperscene.bench.plot import pareto
 from pepperscene.bench.reference import Errors
 from pepperscene.bench.scenes import resized
@@ -35,12 +35,12 @@ def noisy(no_plants, noisy_renderer):
 
 def of(family, name, seconds, error, scene="near"):
     """A measurement."""
-    return Measured(scene, family, name, {}, Errors(error, error**2), (seconds,), 2 * seconds)
+    return BenchResult(scene, family, name, {}, Errors(error, error**2), (seconds,), 2 * seconds)
 
 
 def test_all_that_was_measured_is_in_the_files(noisy, tmp_path):
     lines = []
-    done = bench(
+    done = run_benchmark(
         tmp_path / "out", [SCENES["near"]], (16, 12), runs=2, quick=True, factory=noisy, told=lines.append
     )
     assert {path.name for path in done.files} == FILES
@@ -80,7 +80,7 @@ def test_all_that_was_measured_is_in_the_files(noisy, tmp_path):
 def test_a_second_bench_replaces_the_first_and_keeps_foreign_files(noisy, tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     for _ in range(2):
-        bench(tmp_path, [SCENES["near"]], (16, 12), runs=1, quick=True, factory=noisy)
+        run_benchmark(tmp_path, [SCENES["near"]], (16, 12), runs=1, quick=True, factory=noisy)
     assert {path.name for path in tmp_path.iterdir()} == {*FILES, "mine.txt", "references"}
 
 
@@ -90,7 +90,7 @@ def test_a_fault_on_the_way_leaves_no_half_of_a_result(noisy, tmp_path, monkeypa
 
     monkeypatch.setattr(against_error, "pareto", broken)
     with pytest.raises(KeyboardInterrupt):
-        bench(tmp_path, [SCENES["near"]], (16, 12), runs=1, quick=True, factory=noisy)
+        run_benchmark(tmp_path, [SCENES["near"]], (16, 12), runs=1, quick=True, factory=noisy)
     # What was paid for is kept, and nothing else.
     assert [path.name for path in tmp_path.iterdir()] == ["references"]
 
@@ -154,7 +154,7 @@ def test_a_resized_camera_sees_as_much_and_exposes_alike(camera, size):
 def test_every_scene_loads_with_room_beside_its_frame():
     for scene in SCENES.values():
         recipe = scene.load()
-        assert 0 < recipe.plan.shot(scene.index).step < recipe.plan.frames - 10
+        assert 0 < recipe.plan.frame(scene.index).step < recipe.plan.frames - 10
 
 
 @pytest.mark.parametrize(

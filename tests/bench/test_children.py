@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from pepperscene.bench import SCENES, profile, scaling
+from pepperscene.bench import SCENES, measure_scaling, profile_frames
 from pepperscene.bench.frames_child import Asked, quartered
 from pepperscene.bench.profile import in_child, in_children
 from pepperscene.cultivar import load_cultivar
@@ -105,7 +105,7 @@ def test_profile_and_scaling_fill_their_tables(tmp_path, monkeypatch):
     monkeypatch.setattr("pepperscene.bench.scaling.in_children", quickly)
     monkeypatch.setattr("pepperscene.bench.profile.seconds_of", lambda command: 0.01)
 
-    done = profile(tmp_path, [scene], (32, 24), runs=2, quick=True)
+    done = profile_frames(tmp_path, [scene], (32, 24), runs=2, quick=True)
     assert [path.name for path in done.files] == ["profile.json", "profile.md"]
     # What the first frame's tracing takes longer than the next ones' is the kernels'.
     assert "| first frame, on top of a next one: trace | 2,000 ms |" in done.markdown
@@ -114,7 +114,7 @@ def test_profile_and_scaling_fill_their_tables(tmp_path, monkeypatch):
     assert "| all plants in one process: grow | 400 ms |" in done.markdown
     assert {one.quality for one in asked} == {"draft"}
 
-    done = scaling(tmp_path, [scene], (32, 24), runs=2, quick=True)
+    done = measure_scaling(tmp_path, [scene], (32, 24), runs=2, quick=True)
     told = json.loads((tmp_path / "scaling.json").read_text())["scenes"]["near"]
     assert set(told) == {"plants", "triangles", "pixels", "frames", "workers"}
     # Eight frames of 1.2 s, the first 2 s longer, and a scene of 1.8 s.

@@ -16,10 +16,10 @@ from pepperscene.bench.cycles_settings import REFERENCE, STANDARD_SETTINGS, Cycl
 from pepperscene.camera import Camera, Distortion, Lens, Sensor, expected_electrons, load_flash, load_sensor
 from pepperscene.classes import Instance, OrganClass
 from pepperscene.errors import InputError, SetupError
-from pepperscene.geometry import Mesh, concatenate
-from pepperscene.materials import Surface, lambertian
-from pepperscene.materials.gloss import openness
-from pepperscene.scene import Scene, Sky, Sun, assemble, partly_cloudy, uniform_sky
+from pepperscene.geometry import Mesh, concatenate_meshes
+from pepperscene.materials import Surface, lambertian_surface
+from pepperscene.materials.gloss import cuticle_transmittance
+from pepperscene.scene import Scene, Sky, Sun, assemble_scene, partly_cloudy_sky, uniform_sky
 from pepperscene.spectra import Spectrum, photons_per_joule, sky_spectrum
 
 WITH_BPY = pytest.mark.skipif(
@@ -75,20 +75,20 @@ def sloped(name: str = "plate", **changes: object) -> Surface:
 
 @pytest.mark.parametrize("reflectance", [0.0, 0.18, 1.0])
 def test_grey_is_grey_in_every_channel(reflectance: float) -> None:
-    scene = assemble(flat("plate"), {"plate": lambertian("plate", reflectance)})
+    scene = assemble_scene(flat("plate"), {"plate": lambertian_surface("plate", reflectance)})
     np.testing.assert_allclose(exported(scene, camera()).arrays["front"], reflectance, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("nm", [450.0, 550.0, 640.0])
 def test_under_one_wavelength_all_channels_see_that_wavelength(nm: float) -> None:
-    scene = assemble(flat("plate"), {"plate": sloped()})
+    scene = assemble_scene(flat("plate"), {"plate": sloped()})
     front = exported(scene, narrow(camera(), nm)).arrays["front"]
     np.testing.assert_allclose(front, 0.6 * (nm - 400.0) / 300.0, rtol=1e-3)  # the line is 2 nm wide
 
 
 def test_a_reddish_body_is_brightest_in_red_and_weighted_by_photons() -> None:
     lens_camera = camera()
-    front = exported(assemble(flat("plate"), {"plate": sloped()}), lens_camera).arrays["front"][0]
+    front = exported(assemble_scene(flat("plate"), {"plate": sloped()}), lens_camera).arrays["front"][0]
     assert front[0] > front[1] > front[2]
     # The same integrals by the trapezium rule on a grid of another spacing.
     nm = np.linspace(350.0, 1000.0, 40_001)
@@ -105,16 +105,16 @@ def test_states_patterns_and_sides_end_up_at_the_vertices() -> None:
     front, back = np.array([0.0, 0.25, 1.0]) * 0.8, np.array([0.1, 0.1, 0.1])
     body = np.stack([np.tile(front, (2, 1)).T, np.tile(back, (2, 1)).T], axis=1)
     leaf = Surface("plate", nm, body, np.full((3, 2), 0.2))
-    at = exported(assemble(flat("plate", state=0.25), {"plate": leaf}), camera()).arrays
+    at = exported(assemble_scene(flat("plate", state=0.25), {"plate": leaf}), camera()).arrays
     np.testing.assert_allclose(at["front"], 0.8 * 0.125, rtol=1e-5)  # half way between two rows
     np.testing.assert_allclose(at["back"], 0.1, rtol=1e-5)
     np.testing.assert_allclose(at["through"], 0.2, rtol=1e-5)
     # A pattern shifts the state, and what it shifts beyond the end stays there.
     shifted = dataclasses.replace(leaf, pattern=np.full((2, 2), 0.25, np.float32))
-    moved = exported(assemble(flat("plate", state=0.25), {"plate": shifted}), camera()).arrays["front"]
+    moved = exported(assemble_scene(flat("plate", state=0.25), {"plate": shifted}), camera()).arrays["front"]
     np.testing.assert_allclose(moved, 0.8 * 0.25, rtol=1e-5)
     far = dataclasses.replace(leaf, pattern=np.full((2, 2), 9.0, np.float32))
-    end = exported(assemble(flat("plate", state=0.25), {"plate": far}), camera()).arrays["front"]
+    end = exported(assemble_scene(flat("plate", state=0.25), {"plate": far}), camera()).arrays["front"]
     np.testing.assert_allclose(end, 0.8, rtol=1e-5)
 
 
@@ -123,9 +123,9 @@ def test_no_side_sends_out_more_than_the_body_does() -> None:
     glossy = Surface(
         "plate", nm, np.full((1, 2, 2), 0.3), np.full((1, 2), 0.6), ior=1.45, roughness=(0.2, 0.7)
     )
-    peer = exported(assemble(flat("plate"), {"plate": glossy}), camera())
+    peer = exported(assemble_scene(flat("plate"), {"plate": glossy}), camera())
     (material,) = peer.facts["materials"]
-    means = [openness(1.45, alpha)[1] for alpha in (0.2, 0.7)]
+    means = [cuticle_transmittance(1.45, alpha)[1] for alpha in (0.2, 0.7)]
     for side, share, mean in zip(("front", "back"), material["let_out"], means, strict=True):
         # Helmholtz: what goes through is let out equally, whichever side it comes from.
         assert share * mean == pytest.approx(min(means))
@@ -134,10 +134,12 @@ def test_no_side_sends_out_more_than_the_body_does() -> None:
 
 def test_surfaces_of_one_cuticle_share_a_material_and_no_vertex() -> None:
     near, far = flat("near", 0.4), flat("far", 0.6)
-    both = concatenate([near, far])
+    both = concatenate_meshes([near, far])
     # Let the far plate use the near one's vertices as well.
     shared = dataclasses.replace(both, faces=both.faces % np.uint32(4))
-    scene = assemble(shared, {"near": lambertian("near", 0.2), "far": lambertian("far", 0.7)})
+    scene = assemble_scene(
+        shared, {"near": lambertian_surface("near", 0.2), "far": lambertian_surface("far", 0.7)}
+    )
     peer = exported(scene, camera())
     assert len(peer.facts["materials"]) == 1
     assert len(peer.arrays["vertices"]) == 8
@@ -152,7 +154,7 @@ def test_surfaces_of_one_cuticle_share_a_material_and_no_vertex() -> None:
 
 def test_white_under_the_flash_is_neutral_and_full_scale_is_one() -> None:
     lens_camera = camera()
-    peer = exported(assemble(flat("plate"), {"plate": lambertian("plate", 1.0)}), lens_camera)
+    peer = exported(assemble_scene(flat("plate"), {"plate": lambertian_surface("plate", 1.0)}), lens_camera)
     intensity = np.array(peer.facts["flash"]["intensity"])
     np.testing.assert_allclose(intensity, intensity[0], rtol=1e-6)
     # The strongest channel of a picture of ones fills the well in the middle of the picture.
@@ -162,7 +164,9 @@ def test_white_under_the_flash_is_neutral_and_full_scale_is_one() -> None:
 
 def test_the_rectangle_has_the_discs_extent_and_place() -> None:
     lens_camera = camera()
-    flash = exported(assemble(flat("plate"), {"plate": lambertian("plate", 1.0)}), lens_camera).facts["flash"]
+    flash = exported(
+        assemble_scene(flat("plate"), {"plate": lambertian_surface("plate", 1.0)}), lens_camera
+    ).facts["flash"]
     matrix = np.array(flash["matrix_world"])
     np.testing.assert_allclose(matrix[:3, 3], [0.0, -0.04, 0.0], atol=1e-12)
     np.testing.assert_allclose(matrix[:3, 2], [0.0, 0.0, -1.0])  # shines along its own -z
@@ -180,7 +184,7 @@ def test_a_shorter_pulse_gives_less_light() -> None:
     whole = camera()
     lamp = dataclasses.replace(whole.flash, pulse_s=whole.exposure_s / 4)
     short = dataclasses.replace(whole, flash=lamp)
-    scene = assemble(flat("plate"), {"plate": lambertian("plate", 1.0)})
+    scene = assemble_scene(flat("plate"), {"plate": lambertian_surface("plate", 1.0)})
     a, b = (exported(scene, one) for one in (whole, short))
     lit, dimmed = (np.array(one.facts["flash"]["intensity"]) * one.unit for one in (a, b))
     np.testing.assert_allclose(dimmed / lit, 0.25, rtol=1e-6)
@@ -192,7 +196,7 @@ def test_sky_and_sun_in_electrons() -> None:
     weights = np.arange(8, dtype=np.float32).reshape(1, 2, 4)
     sky = Sky(weights, Spectrum(nm, np.array([[0.5, 0.5]])), sun)
     lens_camera = camera(flash=False)
-    peer = exported(Scene(flat("plate"), (lambertian("plate", 0.5),), sky), lens_camera)
+    peer = exported(Scene(flat("plate"), (lambertian_surface("plate", 0.5),), sky), lens_camera)
     fine = np.linspace(300.0, 1100.0, 80_001)
     per_unit = np.trapezoid(lens_camera.sensor.electrons_per_joule(fine), fine, axis=-1)
     np.testing.assert_allclose(np.array(peer.facts["sun"]["irradiance"]) * peer.unit, 2 * per_unit, rtol=2e-3)
@@ -209,9 +213,9 @@ def test_blender_camera_sees_points_where_ours_does() -> None:
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = turn, [0.3, -0.2, 1.1]
     lens_camera = camera(80, 60, principal_offset_m=(1e-4, -2e-4)).at_pose(pose)
-    facts = exported(assemble(flat("plate"), {"plate": lambertian("plate", 1.0)}), lens_camera).facts[
-        "camera"
-    ]
+    facts = exported(
+        assemble_scene(flat("plate"), {"plate": lambertian_surface("plate", 1.0)}), lens_camera
+    ).facts["camera"]
     points = np.random.default_rng(2).uniform([-0.3, -0.2, 0.5], [0.3, 0.2, 2.0], (50, 3))
     world = points @ pose[:3, :3].T + pose[:3, 3]
     # Blender's own rule (manual, "Cameras"): a shift of 1 moves the picture by its larger side.
@@ -231,7 +235,7 @@ def test_distortion_is_left_out_and_nothing_else() -> None:
 
 
 def test_what_cycles_cannot_show_is_refused() -> None:
-    plate = assemble(flat("plate"), {"plate": lambertian("plate", 1.0)})
+    plate = assemble_scene(flat("plate"), {"plate": lambertian_surface("plate", 1.0)})
     with pytest.raises(ValueError, match="no surfaces"):
         exported(Scene(flat("plate")), camera())
     with pytest.raises(ValueError, match="flash or a sky"):
@@ -298,7 +302,7 @@ def test_errors_are_those_of_one_frame_with_the_reference_taken_off() -> None:
 
 
 def test_without_bpy_it_is_said_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = assemble(flat("plate"), {"plate": lambertian("plate", 0.5)})
+    scene = assemble_scene(flat("plate"), {"plate": lambertian_surface("plate", 0.5)})
     for missing in (str(tmp_path / "python"), "false"):
         monkeypatch.setenv(PYTHON_VARIABLE, missing)
         assert not available()
@@ -307,7 +311,7 @@ def test_without_bpy_it_is_said_what_to_install(tmp_path: Path, monkeypatch: pyt
 
 
 def test_a_failed_blender_is_told_with_its_last_words(tmp_path: Path) -> None:
-    scene = assemble(flat("plate"), {"plate": lambertian("plate", 0.5)})
+    scene = assemble_scene(flat("plate"), {"plate": lambertian_surface("plate", 0.5)})
     python = tmp_path / "python"
     python.write_text('#!/bin/sh\ncase "$*" in *find_spec*) exit 0;; esac\necho out of luck\nexit 1\n')
     python.chmod(0o755)
@@ -323,7 +327,7 @@ def test_a_failed_blender_is_told_with_its_last_words(tmp_path: Path) -> None:
 @WITH_BPY
 def test_a_matt_plate_under_the_flash_is_as_bright_as_the_law_says(tmp_path: Path) -> None:
     lens_camera, reflectance = camera(), 0.5
-    scene = assemble(flat("plate", side=2.0), {"plate": lambertian("plate", reflectance)})
+    scene = assemble_scene(flat("plate", side=2.0), {"plate": lambertian_surface("plate", reflectance)})
     setting = CyclesSetting("test", 64, denoise=False, bounces=0)
     (run,) = render_cycles(scene, lens_camera, [setting], tmp_path, threads=1)
     # E = sum over the discs of I p(t) cos(t) / d^2, taken at the discs' centres; L = R E / pi.
@@ -350,7 +354,7 @@ def test_sky_lies_where_ours_lies_and_through_a_sheet_comes_its_share(tmp_path: 
     sheet = Surface("plate", nm, np.zeros((1, 2, 2)), np.full((1, 2), 0.5))
     lens_camera = camera(flash=False)
     setting = CyclesSetting("test", 64, denoise=False, bounces=1)
-    even = assemble(flat("plate", side=0.2), {"plate": sheet}, uniform_sky(sky_spectrum("d65"), 1e5))
+    even = assemble_scene(flat("plate", side=0.2), {"plate": sheet}, uniform_sky(sky_spectrum("d65"), 1e5))
     (run,) = render_cycles(even, lens_camera, [setting], tmp_path / "even", threads=1)
     peer = exported(even, lens_camera)
     sky = expected_electrons(np.broadcast_to(peer.arrays["sky"][0, 0] * peer.unit, (30, 40, 3)), lens_camera)
@@ -360,12 +364,12 @@ def test_sky_lies_where_ours_lies_and_through_a_sheet_comes_its_share(tmp_path: 
 
     # Clouds are seen in the directions that the map says.
     rng = np.random.default_rng(3)
-    clouds = partly_cloudy(
+    clouds = partly_cloudy_sky(
         rng, illuminance_lx=1e5, sun_azimuth_rad=0.3, sun_elevation_rad=0.6, sun_fraction=0.0, cloud_cover=0.5
     )
     tilted = np.eye(4)
     tilted[:3, :3] = [[0.0, 0.5, np.sqrt(0.75)], [-1.0, 0.0, 0.0], [0.0, -np.sqrt(0.75), 0.5]]
-    open_air = assemble(flat("plate", z=-5.0, side=0.01), {"plate": sheet}, clouds)
+    open_air = assemble_scene(flat("plate", z=-5.0, side=0.01), {"plate": sheet}, clouds)
     seen_by = lens_camera.at_pose(tilted)
     (run,) = render_cycles(open_air, seen_by, [setting], tmp_path / "clouds", threads=1)
     peer = exported(open_air, seen_by)

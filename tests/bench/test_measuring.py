@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pepperscene.bench.measure import measure
+from pepperscene.bench.measure import measure_settings
 from pepperscene.bench.reference import Converged, codes, converged, rms
 from pepperscene.bench.settings import PLAIN, Setting, settings
 from pepperscene.render import QUALITIES
@@ -29,7 +29,9 @@ def of_samples(*counts):
 
 def test_every_setting_is_timed_in_turn_at_shifted_places(subject):
     renderer = subject.renderer
-    found = measure(subject, of_samples(1, 4, 16), truth(subject), 3, flip=False, clock=renderer.clock)
+    found = measure_settings(
+        subject, of_samples(1, 4, 16), truth(subject), 3, flip=False, clock=renderer.clock
+    )
     assert [len(one.seconds) for one in found] == [3, 3, 3]
     for one, count in zip(found, (1, 4, 16), strict=True):
         assert one.seconds == pytest.approx([0.01 * count] * 3)
@@ -45,7 +47,7 @@ def test_every_setting_is_timed_in_turn_at_shifted_places(subject):
 
 
 def test_the_error_follows_the_law_of_the_noise(subject):
-    found = measure(subject, of_samples(1, 4, 16, 64), truth(subject), 1, flip=False)
+    found = measure_settings(subject, of_samples(1, 4, 16, 64), truth(subject), 1, flip=False)
     logs = np.log([[one.effort["samples"], one.errors.relative_mse] for one in found])
     slope = np.polyfit(*logs.T, 1)[0]
     # The squared error of a mean falls with the number of samples: four points of 1,296 values each.
@@ -56,7 +58,7 @@ def test_the_error_follows_the_law_of_the_noise(subject):
 
 def test_a_limit_leaves_out_late_settings_and_rounds(subject):
     renderer, told = subject.renderer, []
-    found = measure(
+    found = measure_settings(
         subject, of_samples(1, 1, 200, 300), truth(subject), 5, flip=False, limit_s=3.0, told=told.append,
         clock=renderer.clock,
     )  # fmt: skip

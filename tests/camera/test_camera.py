@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 
 from pepperscene.camera import Camera, Distortion, load_flash, load_lens, load_sensor, look_at
 from pepperscene.errors import InputError
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 
 SENSOR = load_sensor("ueye_ui5250re")
 PINHOLE = load_lens("lensagon_cmfa0420nd")
 BARREL = dataclasses.replace(PINHOLE, distortion=Distortion(-0.107, 0.043, 0.001, -0.0005))
 POSE = look_at((0.3, -0.4, 1.1), (0.0, 0.1, 1.3))
-LENSES = [path.stem for path in sorted((shelf("materials") / "lenses").glob("*.toml"))]
+LENSES = [path.stem for path in sorted((shipped_folder("materials") / "lenses").glob("*.toml"))]
 # The same field in fewer, larger pixels, so that many lenses can be tried.
 COARSE = dataclasses.replace(SENSOR, columns=80, rows=60, pitch_m=10 * SENSOR.pitch_m)
 
@@ -186,7 +186,7 @@ def test_facts_are_json_and_rebuild_the_geometry():
         load_lens("lensagon_cmfa0420nd_typical_distortion"), principal_offset_m=(9e-6, -18e-6)
     )
     camera = Camera(lens, SENSOR, POSE, flash=load_flash("led_matrix_200klx"), focus_m=0.4)
-    facts = json.loads(json.dumps(camera.facts()))
+    facts = json.loads(json.dumps(camera.metadata()))
     assert (facts["width"], facts["height"], facts["exposure_s"]) == (800, 600, 50e-6)
     np.testing.assert_array_equal(facts["pose"], POSE)
     assert Distortion(**facts["distortion"]) == lens.distortion
@@ -195,8 +195,8 @@ def test_facts_are_json_and_rebuild_the_geometry():
     assert (facts["focus_m"], facts["vignetting"]) == (0.4, True)
     assert (facts["bits"], facts["gain"]) == (10, 1.0)
     assert {facts["lens"], facts["sensor"]} == {lens.name, SENSOR.name}
-    assert Camera(PINHOLE, SENSOR).facts()["focus_m"] is None
-    assert Camera(PINHOLE, SENSOR).facts()["vignetting"] is False
+    assert Camera(PINHOLE, SENSOR).metadata()["focus_m"] is None
+    assert Camera(PINHOLE, SENSOR).metadata()["vignetting"] is False
 
 
 @pytest.mark.parametrize(

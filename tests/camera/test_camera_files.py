@@ -10,10 +10,10 @@ import tomli_w
 
 from pepperscene.camera import load_flash, load_lens, load_sensor
 from pepperscene.errors import InputError
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import read_provenance, read_spectra, read_spectrum
 
-FOLDER = shelf("materials")
+FOLDER = shipped_folder("materials")
 LOADERS = {"sensors": load_sensor, "lenses": load_lens, "flashes": load_flash}
 SHIPPED = [
     (shelf_name, path.stem) for shelf_name in LOADERS for path in sorted((FOLDER / shelf_name).glob("*.toml"))

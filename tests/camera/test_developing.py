@@ -12,9 +12,9 @@ from pepperscene.camera import (
     Camera,
     Developing,
     camera_rgb,
-    corrected,
+    correct_colours,
     develop,
-    encode,
+    encode_tone,
     expected_electrons,
     load_filter,
     load_flash,
@@ -23,7 +23,7 @@ from pepperscene.camera import (
     reference_correction,
     relative_illumination,
 )
-from pepperscene.camera.colorimetry import correction, daylight, white_gains
+from pepperscene.camera.colorimetry import colour_correction, d65_spectrum, white_balance_gains
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum, read_spectra
 
@@ -81,7 +81,7 @@ def test_without_saturation_light_beyond_the_full_well_counts():
     free = with_developing(saturation=False, quantise=False, tone="linear")
     electrons = white_under_flash(3.0)
     np.testing.assert_allclose(camera_rgb(electrons, free), electrons / SENSOR.full_well_e, rtol=1e-5)
-    np.testing.assert_allclose(corrected(camera_rgb(electrons, free), free), 3.0, rtol=1e-4)
+    np.testing.assert_allclose(correct_colours(camera_rgb(electrons, free), free), 3.0, rtol=1e-4)
     assert np.all(develop(electrons, free) == 255)
 
 
@@ -123,7 +123,7 @@ def test_each_step_can_be_left_out():
         develop(electrons, still, np.random.default_rng(0)), develop(electrons, CAMERA, None)
     )
     raw = camera_rgb(electrons, bare)
-    np.testing.assert_array_equal(corrected(raw, bare), raw)
+    np.testing.assert_array_equal(correct_colours(raw, bare), raw)
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not():
@@ -136,10 +136,10 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not():
 def test_the_tone_curve_is_srgb():
     value = np.linspace(-0.2, 1.2, 5000)
     curve = colour.cctf_encoding(np.clip(value, 0, 1), function="sRGB") * 255
-    codes = encode(value.astype(np.float32))
+    codes = encode_tone(value.astype(np.float32))
     assert np.abs(codes - curve).max() <= 0.5 + 1e-4
     np.testing.assert_allclose(
-        encode(value.astype(np.float32), "linear"), np.clip(value, 0, 1) * 255, atol=0.5001
+        encode_tone(value.astype(np.float32), "linear"), np.clip(value, 0, 1) * 255, atol=0.5001
     )
 
 
@@ -185,9 +185,9 @@ def line(nm, width=10.0):
 
 def test_a_light_that_a_colour_does_not_see_is_refused():
     with pytest.raises(InputError, match="must see the reference light"):
-        correction(SENSOR, line(1050))
+        colour_correction(SENSOR, line(1050))
     with pytest.raises(InputError, match="must see the reference light"):
-        white_gains(SENSOR, line(1050))
+        white_balance_gains(SENSOR, line(1050))
 
 
 def without_filter():
@@ -200,21 +200,24 @@ def without_filter():
 @pytest.mark.parametrize("nm", [850.0, 950.0, 1050.0])
 def test_light_beyond_the_visible_can_be_balanced_but_has_no_colours(nm):
     sensor = without_filter()
-    gains = white_gains(sensor, line(nm))
+    gains = white_balance_gains(sensor, line(nm))
     assert np.all(np.isfinite(gains))
     assert gains.min() == 1
     with pytest.raises(InputError, match="needs a visible reference light"):
-        correction(sensor, line(nm))
+        colour_correction(sensor, line(nm))
 
 
 def test_a_colour_of_light_that_shows_no_colours_is_refused():
     with pytest.raises(InputError, match="of more colours"):
-        correction(SENSOR, line(600, 3))
+        colour_correction(SENSOR, line(600, 3))
 
 
 def test_a_sensor_that_sees_infrared_keeps_white_and_pays_in_colour():
     sensor, cut = without_filter(), load_filter("schott_22022010").transmittance
-    seen, filtered = correction(sensor, daylight()), correction(sensor.behind(cut), daylight())
+    seen, filtered = (
+        colour_correction(sensor, d65_spectrum()),
+        colour_correction(sensor.with_filter(cut), d65_spectrum()),
+    )
     for found in (seen, filtered):
         np.testing.assert_allclose(found.matrix.sum(axis=1), 1)
         assert np.isfinite(found.matrix).all()

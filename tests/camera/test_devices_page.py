@@ -13,7 +13,7 @@ from pepperscene.camera.flash import FlashDocument
 from pepperscene.camera.lens import LensDocument
 from pepperscene.camera.sensor import FilterDocument, SensorDocument
 from pepperscene.scene.cover import Cover, CoverDocument, load_cover
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "devices.md").read_text(encoding="utf-8")
 DEVICES = {
@@ -70,4 +70,4 @@ def test_every_shipped_device_is_told(title):
     folder = DEVICES[title][3]
     (row,) = (row for row in TEXT.splitlines() if re.match(rf"\| .+ \| `{folder}` \|", row))
     told = set(re.findall(r"`(\w+)`", row.split("|")[3]))
-    assert told == {path.stem for path in (shelf("materials") / folder).glob("*.toml")}
+    assert told == {path.stem for path in (shipped_folder("materials") / folder).glob("*.toml")}

@@ -15,11 +15,11 @@ from pepperscene.camera import (
     Camera,
     Developing,
     camera_rgb,
-    colour_steps,
-    corrected,
-    decode,
+    colour_transform,
+    correct_colours,
+    decode_tone,
     develop,
-    encode,
+    encode_tone,
     load_flash,
     load_lens,
     load_sensor,
@@ -44,14 +44,14 @@ def light(most=2.0, seed=0):
 
 
 def linear(electrons, camera):
-    return corrected(camera_rgb(electrons, camera), camera)
+    return correct_colours(camera_rgb(electrons, camera), camera)
 
 
 # --- the numbers in use -------------------------------------------------------------------------------------
 
 
 def test_what_is_told_is_what_is_used():
-    gains, matrix = colour_steps(a_camera(white_balance=GAINS, colour_matrix=MATRIX))
+    gains, matrix = colour_transform(a_camera(white_balance=GAINS, colour_matrix=MATRIX))
     assert gains.dtype == matrix.dtype == np.float64
     np.testing.assert_array_equal(gains, GAINS)
     np.testing.assert_array_equal(matrix, MATRIX)
@@ -59,7 +59,7 @@ def test_what_is_told_is_what_is_used():
 
 def test_steps_left_out_change_nothing():
     camera = a_camera(white_balance=None, colour_matrix=False)
-    gains, matrix = colour_steps(camera)
+    gains, matrix = colour_transform(camera)
     np.testing.assert_array_equal(gains, np.ones(3))
     np.testing.assert_array_equal(matrix, np.eye(3))
     told = a_camera(white_balance=tuple(gains), colour_matrix=matrix)
@@ -68,11 +68,11 @@ def test_steps_left_out_change_nothing():
 
 def test_the_caller_s_numbers_are_the_caller_s():
     camera = a_camera(flash=FLASH)
-    gains, matrix = colour_steps(camera)
+    gains, matrix = colour_transform(camera)
     gains *= 2
     matrix *= 2
     np.testing.assert_array_equal(2 * reference_correction(camera).matrix, matrix)
-    np.testing.assert_array_equal(2 * colour_steps(camera)[0], gains)
+    np.testing.assert_array_equal(2 * colour_transform(camera)[0], gains)
 
 
 @pytest.mark.parametrize("balance", ["flash", "daylight"])
@@ -85,24 +85,24 @@ def test_the_reference_light_s_numbers_told_give_the_same_picture(balance, gain)
     for rng in (None, 4):
         one, two = (develop(light(), camera, rng and np.random.default_rng(rng)) for camera in (named, told))
         np.testing.assert_array_equal(one, two)
-    for name, number in zip(colour_steps(named), colour_steps(told), strict=True):
+    for name, number in zip(colour_transform(named), colour_transform(told), strict=True):
         np.testing.assert_array_equal(name, number)
 
 
 @pytest.mark.parametrize(("flash", "named"), [(FLASH, "flash"), (None, "daylight")])
 def test_with_gains_alone_the_matrix_is_the_reference_light_s(flash, named):
     expected = reference_correction(a_camera(flash=flash, white_balance=named)).matrix
-    gains, matrix = colour_steps(a_camera(flash=flash, white_balance=GAINS))
+    gains, matrix = colour_transform(a_camera(flash=flash, white_balance=GAINS))
     np.testing.assert_array_equal(matrix, expected)
     np.testing.assert_array_equal(gains, GAINS)
 
 
 def test_a_named_light_goes_with_a_matrix_that_is_told():
     camera = a_camera(flash=FLASH, colour_matrix=MATRIX)
-    np.testing.assert_array_equal(colour_steps(camera)[0], reference_correction(camera).gains)
-    np.testing.assert_array_equal(colour_steps(camera)[1], MATRIX)
+    np.testing.assert_array_equal(colour_transform(camera)[0], reference_correction(camera).gains)
+    np.testing.assert_array_equal(colour_transform(camera)[1], MATRIX)
     with pytest.raises(ValueError, match="needs a flash"):
-        colour_steps(a_camera(colour_matrix=MATRIX))
+        colour_transform(a_camera(colour_matrix=MATRIX))
 
 
 def test_a_sensor_without_colours_has_none_to_tell():
@@ -110,9 +110,9 @@ def test_a_sensor_without_colours_has_none_to_tell():
     camera = Camera(LENS, mono, developing=Developing(white_balance=GAINS, colour_matrix=MATRIX))
     electrons = light()[..., :1]
     rgb = camera_rgb(electrons, camera)
-    np.testing.assert_array_equal(corrected(rgb, camera), rgb)
+    np.testing.assert_array_equal(correct_colours(rgb, camera), rgb)
     with pytest.raises(ValueError, match="sees no colours"):
-        colour_steps(camera)
+        colour_transform(camera)
 
 
 # --- the picture --------------------------------------------------------------------------------------------
@@ -125,7 +125,7 @@ def test_below_saturation_the_picture_is_the_matrix_times_gained_light(gains, ma
     rgb = camera_rgb(light(), camera)
     expected = np.einsum("ij,hwj->hwi", np.array(matrix), np.array(gains) * rgb.astype(float))
     size = np.abs(matrix).sum() * max(gains) * rgb.max()
-    np.testing.assert_allclose(corrected(rgb, camera), expected, atol=1e-6 * size)
+    np.testing.assert_allclose(correct_colours(rgb, camera), expected, atol=1e-6 * size)
 
 
 @settings(max_examples=50, deadline=None)
@@ -166,7 +166,7 @@ def test_any_sequence_becomes_plain_numbers(form):
     assert hash(choice) == hash(Developing(white_balance=GAINS, colour_matrix=MATRIX))
     assert dataclasses.replace(choice, tone="linear").white_balance == GAINS
     camera = Camera(LENS, SENSOR, developing=choice)
-    facts = json.loads(json.dumps(camera.facts(), allow_nan=False))["developing"]
+    facts = json.loads(json.dumps(camera.metadata(), allow_nan=False))["developing"]
     # And back from a frame's JSON.
     assert Developing(**facts) == choice
 
@@ -203,29 +203,31 @@ CODES = np.arange(256, dtype=np.uint8)
 
 @pytest.mark.parametrize("tone", ["srgb", "linear"])
 def test_every_code_comes_back(tone):
-    light = decode(CODES, tone)
+    light = decode_tone(CODES, tone)
     assert light.dtype == np.float64
     assert (light[0], light[-1]) == (0.0, 1.0)
     assert np.all(np.diff(light) > 0)
-    np.testing.assert_array_equal(encode(light, tone), CODES)
+    np.testing.assert_array_equal(encode_tone(light, tone), CODES)
     # Single precision, as pictures are developed in, as well; and whichever number type holds the codes.
-    np.testing.assert_array_equal(encode(light.astype(np.float32), tone), CODES)
+    np.testing.assert_array_equal(encode_tone(light.astype(np.float32), tone), CODES)
     for form in (np.uint16, np.float32, np.float64):
-        np.testing.assert_allclose(decode(CODES.astype(form), tone), light, rtol=1e-14)
+        np.testing.assert_allclose(decode_tone(CODES.astype(form), tone), light, rtol=1e-14)
 
 
 def test_decoding_is_srgb_s():
-    np.testing.assert_allclose(decode(CODES), colour.cctf_decoding(CODES / 255, function="sRGB"), rtol=1e-12)
+    np.testing.assert_allclose(
+        decode_tone(CODES), colour.cctf_decoding(CODES / 255, function="sRGB"), rtol=1e-12
+    )
     between = np.linspace(0, 255, 5000)
     np.testing.assert_allclose(
-        decode(between), colour.cctf_decoding(between / 255, function="sRGB"), rtol=1e-6
+        decode_tone(between), colour.cctf_decoding(between / 255, function="sRGB"), rtol=1e-6
     )
-    np.testing.assert_array_equal(decode(between, "linear"), between / 255)
+    np.testing.assert_array_equal(decode_tone(between, "linear"), between / 255)
 
 
 def test_decoding_keeps_shapes_and_clips_what_is_no_code():
-    assert decode(CODES.reshape(4, 64)).shape == (4, 64)
-    np.testing.assert_array_equal(decode([[-1.0, 256.0]]), [[0.0, 1.0]])
-    table = decode(CODES)
+    assert decode_tone(CODES.reshape(4, 64)).shape == (4, 64)
+    np.testing.assert_array_equal(decode_tone([[-1.0, 256.0]]), [[0.0, 1.0]])
+    table = decode_tone(CODES)
     table[:] = 7.0
-    assert decode(CODES).max() == 1.0
+    assert decode_tone(CODES).max() == 1.0

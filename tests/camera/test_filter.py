@@ -7,10 +7,10 @@ import pytest
 
 from pepperscene.camera import Filter, load_filter, load_flash, load_sensor
 from pepperscene.errors import InputError
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import Spectrum, read_provenance, sky_spectrum
 
-FOLDER = shelf("materials") / "filters"
+FOLDER = shipped_folder("materials") / "filters"
 NAMES = [path.stem for path in sorted(FOLDER.glob("*.toml"))]
 NM = np.arange(300.0, 1201.0)
 
@@ -53,7 +53,7 @@ def test_the_band_pass_follows_its_formula_and_belongs_to_the_infrared_flash():
 @pytest.mark.parametrize("name", NAMES)
 def test_a_sensor_behind_a_filter_sees_the_product(name):
     sensor, filter_ = load_sensor("onsemi_mt9v024"), load_filter(name)
-    behind = sensor.behind(filter_.transmittance)
+    behind = sensor.with_filter(filter_.transmittance)
     # On the knots of both curves; in between a product of lines is not a line.
     nm = np.union1d(sensor.quantum_efficiency.wavelength_nm, filter_.transmittance.wavelength_nm)
     expected = sensor.quantum_efficiency.at(nm) * filter_.transmittance.at(nm)

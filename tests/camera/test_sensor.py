@@ -13,14 +13,14 @@ from pepperscene.camera import (
     Developing,
     camera_rgb,
     develop,
-    encode,
+    encode_tone,
     load_flash,
     load_lens,
     load_sensor,
     raw_frame,
     reference_correction,
 )
-from pepperscene.camera.readout import demosaiced, gathered, spread
+from pepperscene.camera.readout import bin_photosites, demosaic_image, spread_to_photosites
 from pepperscene.spectra import Spectrum
 
 with warnings.catch_warnings():
@@ -131,7 +131,9 @@ def test_pure_colours_land_on_their_photosites(pattern, binning):
 def test_the_mosaic_is_that_of_the_library(pattern):
     light = np.random.default_rng(1).uniform(0, 6000, (12, 16, 3))
     sensor = small(pattern=pattern, binning=1)
-    np.testing.assert_allclose(spread(light, sensor), mosaicing_CFA_Bayer(light, pattern.upper()), rtol=1e-6)
+    np.testing.assert_allclose(
+        spread_to_photosites(light, sensor), mosaicing_CFA_Bayer(light, pattern.upper()), rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize(
@@ -140,7 +142,7 @@ def test_the_mosaic_is_that_of_the_library(pattern):
 )
 def test_averaged_photosites_give_their_pixel_back(sensor):
     light = np.random.default_rng(2).uniform(0, 6000, (12, 16, sensor.channels))
-    np.testing.assert_allclose(gathered(spread(light, sensor), sensor), light, rtol=1e-6)
+    np.testing.assert_allclose(bin_photosites(spread_to_photosites(light, sensor), sensor), light, rtol=1e-6)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -150,13 +152,17 @@ def test_demosaicing_returns_a_flat_colour_everywhere_and_a_gradient_nearly(patt
     # To single precision, up to the border and for colours of one channel alone as well.
     for colour in ([0.2, 0.7, 0.4], [0.6, 0.0, 0.0], [0.0, 0.0, 0.9]):
         flat = np.broadcast_to(np.array(colour), (12, 16, 3))
-        np.testing.assert_allclose(demosaiced(spread(flat, sensor), pattern, method), flat, atol=1e-6)
+        np.testing.assert_allclose(
+            demosaic_image(spread_to_photosites(flat, sensor), pattern, method), flat, atol=1e-6
+        )
 
     # A ramp across the picture, of another slope in each colour: 1 % of the range inside; at the border,
     # where a mirrored ramp turns back, what it climbs over the two photosites that the mirror shows, 2/60.
     y, x = np.mgrid[0:40, 0:60] / 60
     ramp = np.stack([0.2 + 0.5 * x, 0.1 + 0.6 * y + 0.2 * x, 0.8 - 0.4 * x], axis=-1)
-    found = demosaiced(spread(ramp, small(rows=40, columns=60, pattern=pattern, binning=1)), pattern, method)
+    found = demosaic_image(
+        spread_to_photosites(ramp, small(rows=40, columns=60, pattern=pattern, binning=1)), pattern, method
+    )
     wrong = np.abs(found - ramp)
     assert wrong[4:-4, 4:-4].max() < 0.01
     assert wrong.max() < 2 / 60
@@ -168,7 +174,9 @@ def test_the_smallest_mosaics_are_demosaiced(rows_columns, method):
     rows, columns = rows_columns
     sensor = small(rows=rows, columns=columns, binning=1)
     flat = np.broadcast_to(np.array([0.2, 0.7, 0.4]), (rows, columns, 3))
-    np.testing.assert_allclose(demosaiced(spread(flat, sensor), "rggb", method), flat, atol=1e-6)
+    np.testing.assert_allclose(
+        demosaic_image(spread_to_photosites(flat, sensor), "rggb", method), flat, atol=1e-6
+    )
 
 
 # Raw frame and picture --------------------------------------------------------------------------------------
@@ -219,7 +227,7 @@ def test_a_monochrome_picture_is_grey_and_needs_no_reference_light():
     camera = camera_of(sensor, flash=None)
     picture = develop(light, camera)
     assert np.all(picture == picture[..., :1])
-    np.testing.assert_array_equal(picture[..., 0], encode((light[..., 0] / 14000).astype(np.float32)))
+    np.testing.assert_array_equal(picture[..., 0], encode_tone((light[..., 0] / 14000).astype(np.float32)))
     with pytest.raises(ValueError, match="sees no colours"):
         reference_correction(camera)
     with pytest.raises(ValueError, match="are needed"):

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from pepperscene.cli.progress import OnTerminal, Plain, Scripted, teller
-from pepperscene.dataset import Progress
+from pepperscene.cli.progress import OnTerminal, Plain, Scripted, progress_reporter
+from pepperscene.dataset import BuildProgress
 
 SMALL = (
     "--set", "plan.sets=1", "--set", "plan.rotations=2", "--set", "plan.frames=2",
@@ -22,7 +22,7 @@ SMALL = (
 
 
 def told(done, total=3, **more):
-    return Progress(7, done, total, True, 12.5, 75.0, Path("set/class/000007.png"), **more)
+    return BuildProgress(7, done, total, True, 12.5, 75.0, Path("set/class/000007.png"), **more)
 
 
 def test_json_lines_tell_every_frame_and_the_end(command, tmp_path):
@@ -66,7 +66,7 @@ def test_a_terminal_gets_a_bar_with_the_last_picture(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setenv("TERM", "xterm")
-    with teller(False) as shown:
+    with progress_reporter(False) as shown:
         assert isinstance(shown, OnTerminal)
         shown.frame(told(2))
         shown.notice("[red]brackets stay")

@@ -20,12 +20,12 @@ BUILD = (
 @pytest.fixture
 def folder(command, tmp_path, monkeypatch):
     """Three frames whose class image shows nothing; a stand-in renders them."""
-    from pepperscene.dataset.scenes.frame_renderer import Stage
+    from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
     from pepperscene.geometry import rectangle
-    from pepperscene.scene import assemble
+    from pepperscene.scene import assemble_scene
 
-    scene = assemble(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
-    monkeypatch.setattr(Stage, "scene", lambda *_args, **_kwargs: scene)
+    scene = assemble_scene(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
+    monkeypatch.setattr(FrameRenderer, "scene", lambda *_args, **_kwargs: scene)
     done = command(
         *BUILD, "--outputs", "class,instance", "--set", "cultivar=kaite_february", "--out", tmp_path / "set"
     )

@@ -18,7 +18,7 @@ from pepperscene.cli.application import EXIT_INTERRUPTED, app
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
 from pepperscene.errors import EXIT_BAD_INPUT
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 from pepperscene.version import __version__
 
 
@@ -87,14 +87,14 @@ def test_python_dash_m_works():
 
 def test_recipes_lists_the_shipped_ones(command):
     lines = command("recipes").stdout.splitlines()
-    names = [path.stem for path in sorted(shelf("recipes").glob("*.toml"))]
+    names = [path.stem for path in sorted(shipped_folder("recipes").glob("*.toml"))]
     assert [line.split()[0] for line in lines] == names
     assert "10,500 frames" in lines[names.index("barth2018")]
 
 
 def test_cultivars_lists_the_shipped_ones(command):
     lines = command("cultivars").stdout.splitlines()
-    names = [path.stem for path in sorted(shelf("plants").glob("*.toml"))]
+    names = [path.stem for path in sorted(shipped_folder("plants").glob("*.toml"))]
     assert [line.split()[0] for line in lines] == names
     kaite = lines[names.index("kaite")]
     assert "Capsicum annuum" in kaite

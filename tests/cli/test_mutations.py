@@ -12,12 +12,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pepperscene.document import read_toml
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 
 EXAMPLES = 150
 
 # One short plant in the night is grown in a moment.
-RECIPE = read_toml(shelf("recipes") / "barth2018.toml") | {"cultivar": "plant.toml"}
+RECIPE = read_toml(shipped_folder("recipes") / "barth2018.toml") | {"cultivar": "plant.toml"}
 RECIPE["row"] |= {"plants_front": 1, "plants_back": 0}
 RECIPE["daylight"]["illuminance_lx"] = 0
 RECIPE["camera"] |= {"filter": "schott_22022010", "focus_mm": 400, "gain": 2.0, "bits": 10}
@@ -31,7 +31,7 @@ RECIPE["developing"] |= {
     "colour_matrix": True,
     "tone": "srgb",
 }
-CULTIVAR = read_toml(shelf("plants") / "kaite.toml")
+CULTIVAR = read_toml(shipped_folder("plants") / "kaite.toml")
 CULTIVAR["stem"] |= {"parts": 4, "young_nodes": 2}
 
 REPLACEMENTS = st.one_of(

@@ -10,9 +10,9 @@ import tomllib
 import pytest
 
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import cultivar_of
+from pepperscene.dataset.recipe.equipment import load_recipe_cultivar
 from pepperscene.errors import EXIT_BAD_INPUT
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 
 FIT = ("--fit", "fruit.unripe.chlorophyll,fruit.unripe.brown", "--starts", "1")
 
@@ -22,7 +22,7 @@ def green(tmp_path_factory):
     """A patches file with a measured green pepper."""
     folder = tmp_path_factory.mktemp("patches")
     for suffix in ("csv", "toml"):
-        shutil.copy(shelf("materials") / f"fruit/vrhel_fruit_vegetable_reflectance.{suffix}", folder)
+        shutil.copy(shipped_folder("materials") / f"fruit/vrhel_fruit_vegetable_reflectance.{suffix}", folder)
     (folder / "green.toml").write_text(
         '[[spectrum]]\nfile = "vrhel_fruit_vegetable_reflectance.csv"\n'
         'column = "green_pepper_136"\nkind = "pepper.unripe"\n'
@@ -42,7 +42,7 @@ def done(command, green, tmp_path_factory):
 
 def _paler(folder):
     """A cultivar file whose green fruit has half of the chlorophyll."""
-    path = cultivar_of(load_recipe("demo")).pigments["fruit"]
+    path = load_recipe_cultivar(load_recipe("demo")).pigments["fruit"]
 
     def row(pigments, share):
         fields = pigments.model_dump() | {"chlorophyll_ug_cm2": share * pigments.chlorophyll_ug_cm2}
@@ -77,7 +77,7 @@ def test_a_fit_is_told_and_written(done):
 
 def test_what_is_written_has_the_green_of_the_measured_fruit(done):
     _, folder = done
-    start = cultivar_of(load_recipe(folder / "out" / "demo_tuned.toml")).pigments["fruit"].start
+    start = load_recipe_cultivar(load_recipe(folder / "out" / "demo_tuned.toml")).pigments["fruit"].start
     # The shipped fruit was fitted to the same spectrum by other means, all its contents together.
     assert start.chlorophyll_ug_cm2 == pytest.approx(15.7, rel=0.15)
 

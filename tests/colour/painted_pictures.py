@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset import ImageSet, Labelled
+from pepperscene.dataset import ImageSet, LabelledImage
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -24,7 +24,9 @@ class Painted(ImageSet):
 
 def painted(*pictures, name="painted"):
     """A set of `(colour, classes)`; either may be None."""
-    items = tuple(Labelled(f"{name}{k}", colour, classes) for k, (colour, classes) in enumerate(pictures))
+    items = tuple(
+        LabelledImage(f"{name}{k}", colour, classes) for k, (colour, classes) in enumerate(pictures)
+    )
     return Painted(name=name, items=items)
 
 

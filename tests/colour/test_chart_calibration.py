@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pepperscene.camera import encode
+from pepperscene.camera import encode_tone
 from pepperscene.camera.colorimetry import XYZ_TO_SRGB
-from pepperscene.colour import calibrate, delta_e_2000, lab
+from pepperscene.colour import calibrate, delta_e_2000, linear_srgb_to_lab
 from pepperscene.colour.patches.chart import chart_linear, chart_names
 from pepperscene.colour.patches.chart_detection import grid_corners, homography, mapped
 from pepperscene.errors import InputError
@@ -47,7 +47,7 @@ def drawn(
     field = ((np.abs(place - cell - 0.5) < 0.435) & (cell >= 0) & (cell < [6, 4])).all(axis=-1)
     linear[field] = chart_linear()[(cell[..., 1] * 6 + cell[..., 0])[field].astype(int)]
     seen = linear @ camera.T + rng.normal(0.0, noise, linear.shape)
-    return encode(seen.astype(np.float32), tone)
+    return encode_tone(seen.astype(np.float32), tone)
 
 
 def test_the_aim_is_what_colour_science_tabulates() -> None:
@@ -58,7 +58,9 @@ def test_the_aim_is_what_colour_science_tabulates() -> None:
     adapted = colour.chromatic_adaptation(
         xyz, colour.xy_to_XYZ(chart.illuminant), colour.xy_to_XYZ([0.3127, 0.3290]), transform="Bradford"
     )
-    differences = delta_e_2000(lab(chart_linear()), lab(adapted @ XYZ_TO_SRGB.T))
+    differences = delta_e_2000(
+        linear_srgb_to_lab(chart_linear()), linear_srgb_to_lab(adapted @ XYZ_TO_SRGB.T)
+    )
     assert np.median(differences) < 1.5
     assert differences.max() < 5.0
 
@@ -73,7 +75,7 @@ def test_a_known_camera_is_undone(corners: tuple[tuple[int, int], ...], told: bo
     # Other colours than the chart's come back as well.
     others = np.random.default_rng(4).uniform(0.02, 0.9, (200, 3))
     restored = found.apply(others @ CAMERA.T)
-    assert delta_e_2000(lab(restored), lab(others)).max() < 1.0
+    assert delta_e_2000(linear_srgb_to_lab(restored), linear_srgb_to_lab(others)).max() < 1.0
 
 
 def test_a_chart_is_found_among_other_things() -> None:

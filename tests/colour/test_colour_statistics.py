@@ -7,7 +7,7 @@ import colorsys
 import numpy as np
 import pytest
 
-from pepperscene.colour import ColourStatistics, lab
+from pepperscene.colour import ColourStatistics, linear_srgb_to_lab
 from pepperscene.colour.statistics.colours import mean_hue_shares
 from pepperscene.spectra import colour_science
 from pepperscene.truth.statistics import hue_counts
@@ -22,14 +22,14 @@ def test_lab_is_colour_sciences() -> None:
     xyz = colour.RGB_to_XYZ(LINEAR, "sRGB")
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
     # The matrix of IEC 61966-2-1 has four digits.
-    assert lab(LINEAR) == pytest.approx(colour.XYZ_to_Lab(xyz, white), abs=0.02)
+    assert linear_srgb_to_lab(LINEAR) == pytest.approx(colour.XYZ_to_Lab(xyz, white), abs=0.02)
 
 
 def test_the_mean_is_that_of_light_and_the_spread_that_of_what_is_seen() -> None:
     found = ColourStatistics.of(LINEAR)
-    pixels = lab(LINEAR)
+    pixels = linear_srgb_to_lab(LINEAR)
     assert found.n == 400
-    assert found.mean_lab == pytest.approx(lab(LINEAR.mean(axis=0)))
+    assert found.mean_lab == pytest.approx(linear_srgb_to_lab(LINEAR.mean(axis=0)))
     assert found.lab_of_pixels == pytest.approx(pixels.mean(axis=0))
     assert found.covariance == pytest.approx(np.cov(pixels.T, ddof=0))
     assert found.sd == pytest.approx(pixels.std(axis=0))

@@ -11,10 +11,17 @@ import pytest
 from painted_pictures import flat, hue, noisy, numbers, painted
 from PIL import Image
 
-from pepperscene.camera import decode
+from pepperscene.camera import decode_tone
 from pepperscene.classes import OrganClass
-from pepperscene.colour import MeasuredSpectrum, PatchSet, compare, delta_e_2000, lab, open_patches
-from pepperscene.colour.comparison.measure import measured
+from pepperscene.colour import (
+    MeasuredSpectrum,
+    PatchSet,
+    compare,
+    delta_e_2000,
+    linear_srgb_to_lab,
+    open_patches,
+)
+from pepperscene.colour.comparison.measure import measure_set
 from pepperscene.dataset import VOID, open_images
 from pepperscene.spectra import Spectrum
 
@@ -89,7 +96,7 @@ def test_opposite_hues_are_as_far_apart_as_hues_can_be():
 
 def test_the_hues_are_those_of_the_paper():
     """The sums in which a bootstrap is done are the spectra that the report shows."""
-    sums = measured(A, None)
+    sums = measure_set(A, None)
     spectra = sums.statistics.hue_spectra()
     for organ in OrganClass:
         shares = sums.totals(organ.name.lower())[0, :180] / len(A)
@@ -102,12 +109,14 @@ def test_mean_colours_are_means_of_light():
     mixed = flat(dark)
     mixed[0][:, ::4] = bright
     leaf = compare(painted(mixed), painted(flat(other))).kinds["leaf"]
-    light = 0.75 * decode(np.uint8(dark)) + 0.25 * decode(np.uint8(bright))
+    light = 0.75 * decode_tone(np.uint8(dark)) + 0.25 * decode_tone(np.uint8(bright))
     found = [measure.value for measure in leaf.one.lab]
-    np.testing.assert_allclose(found, lab(light), atol=1e-9)
-    expected = delta_e_2000(lab(light), lab(decode(np.uint8(other))))
+    np.testing.assert_allclose(found, linear_srgb_to_lab(light), atol=1e-9)
+    expected = delta_e_2000(linear_srgb_to_lab(light), linear_srgb_to_lab(decode_tone(np.uint8(other))))
     assert leaf.delta_e_2000.value == pytest.approx(float(expected), abs=1e-9)
-    apart = lab(decode(np.uint8(bright))) - lab(decode(np.uint8(dark)))
+    apart = linear_srgb_to_lab(decode_tone(np.uint8(bright))) - linear_srgb_to_lab(
+        decode_tone(np.uint8(dark))
+    )
     spread = [measure.value for measure in leaf.one.lab_spread]
     np.testing.assert_allclose(spread, np.abs(apart) * np.sqrt(0.75 * 0.25), atol=1e-6)
 
@@ -261,7 +270,7 @@ def test_memory_does_not_grow_with_the_set():
         for _ in range(count):
             yield np.clip(colour.astype(int) + rng.integers(-3, 4), 0, 255).astype(np.uint8)
 
-    sums = measured(B, None)
+    sums = measure_set(B, None)
     for picture in many(32):
         sums.add_picture(picture, classes)
     tracemalloc.start()

@@ -11,22 +11,22 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pepperscene import OrganClass, Spectrum, open_images, open_patches
-from pepperscene.camera import decode
+from pepperscene.camera import decode_tone
 from pepperscene.colour import MeasuredSpectrum, Patch, PatchSet
 from pepperscene.colour.patches.extraction import Extraction, eroded
-from pepperscene.colour.patches.open import regions
-from pepperscene.colour.patches.patch import belongs, evenly, is_kind
+from pepperscene.colour.patches.open import organ_regions
+from pepperscene.colour.patches.patch import belongs, evenly, is_organ_kind
 from pepperscene.colour.statistics.colours import encoded, hue_counts_of
-from pepperscene.dataset import Labelled
+from pepperscene.dataset import LabelledImage
 from pepperscene.errors import InputError
-from pepperscene.truth.statistics import Statistics
+from pepperscene.truth.statistics import ImageStatistics
 
 RNG = np.random.default_rng(20180103)
 
 
 def _patch(name: str, kind: str, picture: str, n: int = 20) -> Patch:
     codes = RNG.integers(1, 255, (n, 3), dtype=np.uint8)
-    return Patch(name, kind, picture, decode(codes), codes)
+    return Patch(name, kind, picture, decode_tone(codes), codes)
 
 
 @pytest.fixture(scope="module")
@@ -46,8 +46,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_kinds_are_classes_with_stages() -> None:
-    assert all(map(is_kind, ("leaf", "pepper.ripe", "shoot.young_2")))
-    assert not any(map(is_kind, ("Leaf", "fruit", "pepper.", "pepper.Ripe", "pepper.a.b", "")))
+    assert all(map(is_organ_kind, ("leaf", "pepper.ripe", "shoot.young_2")))
+    assert not any(map(is_organ_kind, ("Leaf", "fruit", "pepper.", "pepper.Ripe", "pepper.a.b", "")))
     assert belongs("pepper.ripe", "pepper")
     assert not belongs("pepper", "pepper.ripe")
     assert not belongs("peppery", "pepper")
@@ -71,7 +71,7 @@ def test_a_set_pools_and_selects() -> None:
     assert found.pixels("pepper").shape == (27, 3)
     assert found.pixels("pepper", 5).shape == found.codes("pepper", 5).shape == (5, 3)
     assert found.pixels("stem").shape == (0, 3)
-    assert found.pixels("pepper") == pytest.approx(decode(found.codes("pepper")))
+    assert found.pixels("pepper") == pytest.approx(decode_tone(found.codes("pepper")))
     assert found.without(["one"]).patches == found.select(["two"]).patches == (ripe, leaf)
     assert found.without(["one"]).spectra == (reflectance,)
     with pytest.raises(ValueError, match="three"):
@@ -95,7 +95,7 @@ def test_the_order_of_pictures_changes_nothing() -> None:
 def test_hue_spectra_are_those_of_the_pictures(folder: Path, centre_px: int | None) -> None:
     """The paper's: percentage of a class's pixels in the middle of each picture, averaged over pictures."""
     images = open_images(folder)
-    sums = Statistics()
+    sums = ImageStatistics()
     for picture in images:
         height, width = picture.size
         size = centre_px or 100
@@ -144,7 +144,7 @@ def test_clipped_pixels_are_told_and_can_be_left_out(folder: Path) -> None:
         off = ((codes == 0) | (codes == 255)).any(axis=1)
         assert all_of_it.clipped == rest.clipped == off.sum() > 0
         assert (rest.codes == codes[~off]).all()
-        assert (rest.linear == decode(codes[~off])).all()
+        assert (rest.linear == decode_tone(codes[~off])).all()
         assert (rest.hues == all_of_it.hues).all()
 
 
@@ -166,24 +166,24 @@ def test_linear_pictures_are_taken_as_light() -> None:
     assert (found.codes == encoded(found.linear)).all()
 
 
-def _frame(instances: NDArray[np.uint16], harvest: object) -> Labelled:
+def _frame(instances: NDArray[np.uint16], harvest: object) -> LabelledImage:
     classes = np.where(instances > 0, np.uint8(OrganClass.PEPPER), np.uint8(OrganClass.BACKGROUND))
     classes[0] = OrganClass.LEAF
     facts = {} if harvest is None else {"harvest": harvest}
-    return Labelled("000001", np.zeros((*classes.shape, 3), np.uint8), classes, instances, facts=facts)
+    return LabelledImage("000001", np.zeros((*classes.shape, 3), np.uint8), classes, instances, facts=facts)
 
 
 def test_a_rendered_fruit_is_ripe_or_not_by_its_harvest(folder: Path) -> None:
     instances = np.array([[0, 7, 7, 8, 9, 3]] * 4, np.uint16)
     harvest = {"fruit": [{"instance": k, "ripeness": ripe} for k, ripe in ((7, 0.49), (8, 0.5), (9, 1.0))]}
-    found = dict(regions(open_images(folder), _frame(instances, harvest)))
+    found = dict(organ_regions(open_images(folder), _frame(instances, harvest)))
     assert set(found) == {"leaf", "pepper.unripe", "pepper.ripe", "pepper"}
     assert (found["pepper.unripe"][1:] == (instances[1:] == 7)).all()
     assert (found["pepper.ripe"][1:] == (instances[1:] >= 8)).all()
     # A fruit of which the harvest says nothing; and the leaf in the first row is no fruit.
     assert (found["pepper"][1:] == (instances[1:] == 3)).all()
     assert all(found[kind][0].any() == (kind == "leaf") for kind in found)
-    assert set(dict(regions(open_images(folder), _frame(instances, None)))) == {"leaf", "pepper"}
+    assert set(dict(organ_regions(open_images(folder), _frame(instances, None)))) == {"leaf", "pepper"}
 
 
 def test_montoyas_masks_tell_green_from_red_and_yellow(tmp_path: Path) -> None:

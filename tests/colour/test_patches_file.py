@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from pepperscene import open_patches
-from pepperscene.camera import decode, encode
-from pepperscene.colour import delta_e_2000, lab
+from pepperscene.camera import decode_tone, encode_tone
+from pepperscene.colour import delta_e_2000, linear_srgb_to_lab
 from pepperscene.colour.patches.chart import chart_linear
 from pepperscene.errors import InputError
 from pepperscene.spectra import read_spectrum
@@ -73,7 +73,7 @@ def test_regions_are_the_pixels_told(pictures: Path) -> None:
     assert sorted(map(tuple, box.codes[:, :2].tolist())) == [
         (100 + x, 100 + y) for x in range(3, 9) for y in range(5, 7)
     ]
-    assert box.linear == pytest.approx(decode(box.codes))
+    assert box.linear == pytest.approx(decode_tone(box.codes))
     assert stem.codes[:, 0].min() == 120
     assert stem.pixels == 200
     # The centres of pixels x + 0.5, y + 0.5 below the diagonal; those on it may count or not.
@@ -141,7 +141,7 @@ def test_a_table_of_reflectances_tells_its_kinds(tmp_path: Path) -> None:
 def _chart(path: Path, scale: float = 1.0) -> None:
     """A drawn chart of 240 x 160 pixels without a frame, through a camera."""
     linear = chart_linear().reshape(4, 6, 3).repeat(40, axis=0).repeat(40, axis=1)
-    Image.fromarray(encode((scale * linear @ CAMERA.T).astype(np.float32))).save(path)
+    Image.fromarray(encode_tone((scale * linear @ CAMERA.T).astype(np.float32))).save(path)
 
 
 CHARTED = """
@@ -158,18 +158,18 @@ corners = [[0, 0], [240, 0], [240, 160], [0, 160]]
 
 def test_a_chart_calibrates_the_pictures(tmp_path: Path) -> None:
     leaf = np.array([0.08, 0.16, 0.03])
-    Image.fromarray(encode(np.tile((CAMERA @ leaf).astype(np.float32), (12, 12, 1)))).save(
+    Image.fromarray(encode_tone(np.tile((CAMERA @ leaf).astype(np.float32), (12, 12, 1)))).save(
         tmp_path / "p1.png"
     )
     _chart(tmp_path / "chart.png")
     (found,) = open_patches(_written(tmp_path, CHARTED)).patches
-    assert delta_e_2000(lab(found.linear.mean(axis=0)), lab(leaf)) < 1.0
+    assert delta_e_2000(linear_srgb_to_lab(found.linear.mean(axis=0)), linear_srgb_to_lab(leaf)) < 1.0
     # Hues are counted in the calibrated colours.
-    assert found.codes[0] == pytest.approx(encode(leaf.astype(np.float32)), abs=3)
+    assert found.codes[0] == pytest.approx(encode_tone(leaf.astype(np.float32)), abs=3)
     (other,) = open_patches(
         _written(tmp_path, CHARTED.replace("[chart]", '[[chart]]\npictures = ["p7.png"]'))
     ).patches
-    assert delta_e_2000(lab(other.linear.mean(axis=0)), lab(leaf)) > 3.0
+    assert delta_e_2000(linear_srgb_to_lab(other.linear.mean(axis=0)), linear_srgb_to_lab(leaf)) > 3.0
 
 
 def test_a_chart_may_stand_in_every_picture(tmp_path: Path) -> None:
@@ -181,9 +181,9 @@ def test_a_chart_may_stand_in_every_picture(tmp_path: Path) -> None:
     )
     text += "[chart]\ncorners = [[0, 0], [240, 0], [240, 160], [0, 160]]\n"
     one, other = open_patches(_written(tmp_path, text)).patches
-    foliage = lab(chart_linear()[3])
-    assert delta_e_2000(lab(one.linear.mean(axis=0)), foliage) < 1.0
-    assert delta_e_2000(lab(other.linear.mean(axis=0)), foliage) < 1.0
+    foliage = linear_srgb_to_lab(chart_linear()[3])
+    assert delta_e_2000(linear_srgb_to_lab(one.linear.mean(axis=0)), foliage) < 1.0
+    assert delta_e_2000(linear_srgb_to_lab(other.linear.mean(axis=0)), foliage) < 1.0
 
 
 BOX = '[[patch]]\npicture = "p1.png"\nkind = "leaf"\n'

@@ -9,16 +9,16 @@ from scipy.stats import norm
 from pepperscene.colour.comparison import similarity
 from pepperscene.colour.statistics.bootstrap import (
     REPLICATES,
-    Resampled,
+    BootstrapSums,
+    estimate_angles,
+    estimate_values,
     interval,
-    of_angles,
-    of_values,
     weights_of,
 )
 
 
 def resampled_mean(values):
-    sums = Resampled(2)
+    sums = BootstrapSums(2)
     for value in values:
         sums.add([value, 1.0], weights_of(np.float64(value).tobytes()))
     totals = sums.totals()
@@ -67,17 +67,17 @@ def test_an_interval_whose_replicates_all_lie_on_one_side_still_holds_the_measur
 
 def test_angles_have_intervals_through_zero():
     around = 358.0 + np.linspace(-5.0, 5.0, REPLICATES)
-    found = of_angles(np.concatenate([[358.0], around % 360.0]), True, "")
+    found = estimate_angles(np.concatenate([[358.0], around % 360.0]), True, "")
     assert found.value == 358.0
     assert 352.0 < found.low < 354.0
     assert 2.0 < found.high < 4.0
-    assert of_angles(np.full(REPLICATES + 1, np.nan), True, "none").why == "none"
-    assert of_values(around, resampled=False).low is None
+    assert estimate_angles(np.full(REPLICATES + 1, np.nan), True, "none").why == "none"
+    assert estimate_values(around, resampled=False).low is None
 
 
 def test_sums_do_not_depend_on_how_many_are_added_at_once():
     rng = np.random.default_rng(4)
-    sums, expected = Resampled(3), np.zeros((REPLICATES + 1, 3))
+    sums, expected = BootstrapSums(3), np.zeros((REPLICATES + 1, 3))
     for k in range(37):
         vector = rng.integers(0, 100, 3)
         weights = weights_of(bytes([k]))

@@ -16,9 +16,9 @@ from pepperscene.classes import OrganClass
 from pepperscene.cultivar import Cultivar, Distribution, load_cultivar
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 
-KAITE = shelf("plants") / "kaite.toml"
+KAITE = shipped_folder("plants") / "kaite.toml"
 SHIPPED = sorted(file.stem for file in KAITE.parent.glob("*.toml"))
 
 
@@ -40,7 +40,7 @@ def load(table: dict[str, Any], folder: Path, name: str = "plant.toml") -> Culti
 
 def law(cultivar: Cultivar, name: str) -> Distribution:
     kind, key = name.split(".")
-    found = cultivar.stem.diameter if kind == "stem" else cultivar.organs[kind].laws[key]
+    found = cultivar.stem.diameter if kind == "stem" else cultivar.organs[kind].distributions[key]
     assert isinstance(found, Distribution)
     return found
 
@@ -80,7 +80,7 @@ def test_the_garbled_rows_are_kept_as_printed(kaite: Cultivar) -> None:
 def test_shipped_files_load_and_every_law_has_an_origin(name: str) -> None:
     cultivar = load_cultivar(name)
     for organ in cultivar.organs.values():
-        for found in organ.laws.values():
+        for found in organ.distributions.values():
             assert found.source or found.chosen
     assert {"internode", "node", "fruit", "calyx"} <= set(cultivar.grown) <= set(cultivar.kinds)
 
@@ -92,7 +92,7 @@ def test_kinds_have_the_usual_class_and_surface_of_their_form(kaite: Cultivar) -
     assert kaite.kinds["calyx"].form == "calyx"
     assert set(kaite.kinds) - set(kaite.grown) == {"pedicel", "flower"}
     # In the order in which the grammar counts them.
-    assert list(kaite.organs["cut"].laws) == ["diameter", "length", "inclination"]
+    assert list(kaite.organs["cut"].distributions) == ["diameter", "length", "inclination"]
 
 
 def test_pigments_run_from_start_to_end(kaite: Cultivar) -> None:

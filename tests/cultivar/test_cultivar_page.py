@@ -31,7 +31,7 @@ from pepperscene.cultivar import (
     Stem,
     load_cultivar,
 )
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 
 PAGE = (Path(__file__).parents[2] / "docs" / "cultivar.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```toml\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
@@ -70,7 +70,7 @@ def test_every_law_that_is_shown_is_one() -> None:
 
 
 def test_every_shipped_cultivar_is_told() -> None:
-    for file in shelf("plants").glob("*.toml"):
+    for file in shipped_folder("plants").glob("*.toml"):
         assert f"`{file.stem}`" in PAGE
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 import tomli_w
 
-from pepperscene.cultivar import Cultivar, files_of, load_cultivar
+from pepperscene.cultivar import Cultivar, cultivar_files, load_cultivar
 from pepperscene.errors import InputError
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 
 
 def write(folder: Path, name: str = "child.toml", **tables: Any) -> Path:
@@ -35,9 +35,9 @@ def test_a_file_that_says_nothing_more_is_its_parent(kaite: Cultivar, tmp_path: 
 def test_laws_are_replaced_whole_and_tables_merged(kaite: Cultivar, tmp_path: Path) -> None:
     width = {"value_mm": 20, "chosen": "x"}
     child = load_cultivar(write(tmp_path, organs={"node": {"width": width}}, stem={"parts": 7}))
-    changed = child.organs["node"].laws["width"]
+    changed = child.organs["node"].distributions["width"]
     assert (changed.law, changed.mean, changed.source) == ("value", 0.02, "")
-    assert child.organs["node"].laws["length"] == kaite.organs["node"].laws["length"]
+    assert child.organs["node"].distributions["length"] == kaite.organs["node"].distributions["length"]
     assert child.stem == kaite.stem.model_copy(update={"parts": 7})
     assert child.organs["node"].bears == kaite.organs["node"].bears
 
@@ -76,8 +76,11 @@ def test_a_slot_can_be_emptied_though_it_inherits_a_descent(kaite: Cultivar, tmp
 def test_a_kind_that_is_like_another_follows_it_through_files(kaite: Cultivar, tmp_path: Path) -> None:
     fold = {"value_deg": 3, "chosen": "x"}
     child = load_cultivar(write(tmp_path, organs={"lamina": {"fold": fold}}))
-    assert child.organs["shoot_lamina"].laws["fold"] == child.organs["lamina"].laws["fold"]
-    assert child.organs["shoot_lamina"].laws["width"] == kaite.organs["shoot_lamina"].laws["width"]
+    assert child.organs["shoot_lamina"].distributions["fold"] == child.organs["lamina"].distributions["fold"]
+    assert (
+        child.organs["shoot_lamina"].distributions["width"]
+        == kaite.organs["shoot_lamina"].distributions["width"]
+    )
     assert child.organs["shoot_petiole"].bears[0].kinds == ("shoot_lamina",)
 
 
@@ -88,8 +91,8 @@ def test_paths_are_seen_from_the_file_that_says_them(tmp_path: Path) -> None:
     child = write(tmp_path, extends="below/parent.toml")
     scan = load_cultivar(child).kinds["fruit"].scan
     assert scan == (tmp_path / "below" / "fruit.PLY").resolve()
-    assert files_of(child) == (
-        child, tmp_path / "below" / "parent.toml", shelf("plants") / "kaite.toml", scan
+    assert cultivar_files(child) == (
+        child, tmp_path / "below" / "parent.toml", shipped_folder("plants") / "kaite.toml", scan
     )  # fmt: skip
 
 

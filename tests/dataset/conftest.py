@@ -7,10 +7,10 @@ import shutil
 import numpy as np
 import pytest
 
-from pepperscene.dataset import Recipe, Stage, load_recipe, open_dataset
+from pepperscene.dataset import FrameRenderer, Recipe, load_recipe, open_dataset
 from pepperscene.frame import OUTPUTS, Frame, check_outputs
 from pepperscene.geometry import rectangle
-from pepperscene.scene import assemble
+from pepperscene.scene import assemble_scene
 
 SIZE = (6, 8)
 
@@ -75,8 +75,8 @@ def recipe() -> Recipe:
 @pytest.fixture
 def empty_scenes(monkeypatch):
     """Scenes without plants, where only files are examined."""
-    scene = assemble(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
-    monkeypatch.setattr(Stage, "scene", lambda *_args, **_kwargs: scene)
+    scene = assemble_scene(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
+    monkeypatch.setattr(FrameRenderer, "scene", lambda *_args, **_kwargs: scene)
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,7 @@ from set_files import set_without_plants
 
 from pepperscene.frame import OUTPUTS, Frame
 from pepperscene.truth import class_colour, distance_code
-from pepperscene.truth.encodings import run_lengths
+from pepperscene.truth.encodings import encode_rle
 
 SIZE = (180, 240)
 ALL = ("colour", "class", "class_colour", "instance", "distance", "distance_code", "harvest")
@@ -100,7 +100,7 @@ def harvest(rng, told, whole):
         fruit.append({
             "instance": value, "plant": told[value]["plant"], "phytomer": 4, "kind": "fruit", "ripeness": 0.5,
             "length_m": 0.08, "diameter_m": 0.07, "visible_pixels": seen, "amodal_pixels": int(mask.sum()),
-            "visible_fraction": seen / int(mask.sum()), "truncated": False, "amodal": run_lengths(mask),
+            "visible_fraction": seen / int(mask.sum()), "truncated": False, "amodal": encode_rle(mask),
             "peduncle": {"instance": 7, "cut": cut} if place % 3 else None, "pose": np.eye(4).tolist(),
             "occluders": [], "box": None, "amodal_box": [0, 0, 1, 1], "approach": None,
         })  # fmt: skip

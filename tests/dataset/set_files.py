@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from pepperscene.dataset import Stage, build, load_recipe
+from pepperscene.dataset import FrameRenderer, build, load_recipe
 from pepperscene.geometry import rectangle
-from pepperscene.scene import assemble
+from pepperscene.scene import assemble_scene
 
 TABLES = frozenset({"manifest.parquet", "fruit.parquet", "journal.jsonl"})
 
@@ -29,8 +29,8 @@ def set_without_plants(folder, frames, outputs, renderer):
         "plan.sets": 2, "plan.rotations": 3, "plan.frames": 4, "row.plants_front": 1, "row.plants_back": 0,
         "cultivar": "kaite_february",
     }  # fmt: skip
-    scene = assemble(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
+    scene = assemble_scene(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Stage, "scene", lambda *_args, **_kwargs: scene)
+        patch.setattr(FrameRenderer, "scene", lambda *_args, **_kwargs: scene)
         recipe = load_recipe("barth2018", changes)
         return build(recipe, folder, frames=list(frames), outputs=outputs, renderer=renderer).dataset

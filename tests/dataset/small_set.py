@@ -40,7 +40,7 @@ class Harvested(StandIn):
             camera, [name for name in outputs if name != "harvest"], quality, seed, **others
         )
         frame.images["distance"][0, 0] = np.inf
-        return Frame({**frame.images, "harvest": HARVEST}, frame.facts)
+        return Frame({**frame.images, "harvest": HARVEST}, frame.metadata)
 
 
 def make_small_set(folder):

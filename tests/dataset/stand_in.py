@@ -56,7 +56,7 @@ class Threaded(StandIn):
 
     def render(self, camera, outputs=(), quality="standard", seed=0, **others):
         frame = super().render(camera, outputs, quality, seed, **others)
-        return Frame(frame.images, {**frame.facts, "threads": os.environ["PEPPERSCENE_THREADS"]})
+        return Frame(frame.images, {**frame.metadata, "threads": os.environ["PEPPERSCENE_THREADS"]})
 
 
 class Hungry(StandIn):

@@ -39,7 +39,7 @@ def test_layout(make, tmp_path):
 
 def test_frame_json_tells_the_frame(make, recipe, tmp_path):
     make(frames="9:10")
-    facts = open_dataset(tmp_path / "set").facts(9)
+    facts = open_dataset(tmp_path / "set").metadata(9)
     assert (facts["index"], facts["set"], facts["rotation"], facts["step"]) == (9, 0, 2, 1)
     assert facts["recipe_seed"] == recipe.seed
     assert sum(facts["class_pixels"].values()) == 48

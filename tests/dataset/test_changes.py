@@ -7,10 +7,10 @@ import tomli_w
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pepperscene.dataset import load_recipe, read_changes
+from pepperscene.dataset import load_recipe, parse_changes
 from pepperscene.dataset.recipe.load import label
 from pepperscene.errors import InputError
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 
 PRINTABLE = st.characters(exclude_categories=("C", "Z"), include_characters=" ")
 
@@ -28,14 +28,14 @@ PRINTABLE = st.characters(exclude_categories=("C", "Z"), include_characters=" ")
 def test_values_are_read_as_in_a_toml_file(value):
     text = tomli_w.dumps({"value": value}, multiline_strings=False).partition("=")[2]
     # Lists are written over several lines; on the command line there is one.
-    assert read_changes([f"key={' '.join(text.split(chr(10)))}"]) == {"key": value}
+    assert parse_changes([f"key={' '.join(text.split(chr(10)))}"]) == {"key": value}
 
 
 @pytest.mark.parametrize(
     "word", ["none", "nikon_d5100", "mine/sensor.toml", "../x.toml", "2024_camera.toml", ""]
 )
 def test_what_is_no_toml_value_is_text(word):
-    assert read_changes([f"camera.sensor={word}"]) == {"camera.sensor": word}
+    assert parse_changes([f"camera.sensor={word}"]) == {"camera.sensor": word}
 
 
 @given(st.text())
@@ -43,7 +43,7 @@ def test_what_is_no_toml_value_is_text(word):
 @example("{a = 1}\n[row]")
 def test_a_value_says_nothing_but_itself(text):
     try:
-        changes = read_changes([f"path.pitch_deg={text}"])
+        changes = parse_changes([f"path.pitch_deg={text}"])
     except InputError:
         return
     assert list(changes) == ["path.pitch_deg"]
@@ -51,13 +51,13 @@ def test_a_value_says_nothing_but_itself(text):
 
 @given(st.one_of(st.text(PRINTABLE, max_size=20), st.integers(-(10**9), 10**9), st.booleans()))
 def test_a_label_reads_as_the_value(value):
-    assert read_changes([label("key", value).removeprefix("--set ")]) == {"key": value}
+    assert parse_changes([label("key", value).removeprefix("--set ")]) == {"key": value}
 
 
 def test_of_two_values_the_last_one_counts():
-    assert read_changes(["a=1", "b=2", "a = 3"]) == {"b": 2, "a": 3}
+    assert parse_changes(["a=1", "b=2", "a = 3"]) == {"b": 2, "a": 3}
     recipe = load_recipe(
-        "barth2018", read_changes(["daylight={cloud_cover=0.1}", "daylight.cloud_cover=0.2"])
+        "barth2018", parse_changes(["daylight={cloud_cover=0.1}", "daylight.cloud_cover=0.2"])
     )
     assert recipe.daylight.cloud_cover == 0.2
 
@@ -67,13 +67,13 @@ def test_a_change_is_what_a_file_with_it_is(tmp_path):
     file = tmp_path / "mine.toml"
     file.write_text(tomli_w.dumps({"extends": "barth2018", **tables}), encoding="utf-8")
     texts = ["path.pitch_deg=5", "path={azimuth_deg=[0, 10]}", "camera.exposure_us=60.0"]
-    assert load_recipe("barth2018", read_changes(texts)) == load_recipe(file)
-    assert load_recipe("barth2018", read_changes(texts)).sha256() == load_recipe(file).sha256()
+    assert load_recipe("barth2018", parse_changes(texts)) == load_recipe(file)
+    assert load_recipe("barth2018", parse_changes(texts)).sha256() == load_recipe(file).sha256()
 
 
 def test_a_change_does_not_touch_what_it_was_given(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    shutil.copy(shelf("materials") / "lenses" / "lensagon_cmfa0420nd.toml", tmp_path / "mine.toml")
+    shutil.copy(shipped_folder("materials") / "lenses" / "lensagon_cmfa0420nd.toml", tmp_path / "mine.toml")
     mine_table = {"camera": {"lens": "mine.toml"}}
     assert load_recipe("barth2018", mine_table).camera.lens == str(tmp_path / "mine.toml")
     assert mine_table == {"camera": {"lens": "mine.toml"}}
@@ -103,7 +103,7 @@ def test_a_change_does_not_touch_what_it_was_given(tmp_path, monkeypatch):
 )
 def test_faults_name_the_change_and_what_is_allowed(text, told):
     with pytest.raises(InputError, match=told):
-        load_recipe("barth2018", read_changes([text, "path.pitch_deg=3"]))
+        load_recipe("barth2018", parse_changes([text, "path.pitch_deg=3"]))
 
 
 def test_a_table_that_only_a_change_begins_is_the_changes_fault(tmp_path):

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset import build, check, load_recipe, read_image, write_image
+from pepperscene.dataset import build, check_dataset, load_recipe, read_image, write_image
 from pepperscene.dataset.check import run as crew
-from pepperscene.dataset.check.cross_frame import Comparison
+from pepperscene.dataset.check.cross_frame import CrossFrameChecks
 from pepperscene.dataset.check.findings import KINDS, Finding
-from pepperscene.dataset.check.one_frame import Traits
+from pepperscene.dataset.check.one_frame import FrameTraits
 from pepperscene.dataset.recipe.tables import ExpectTable
-from pepperscene.dataset.scenes.frame_renderer import Stage
+from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
 from pepperscene.dataset.store.atomic import digest, write_json
 from pepperscene.dataset.store.dataset import checksum_of, open_dataset
 from pepperscene.dataset.store.manifest import write_manifest
 from pepperscene.errors import InputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, Frame
 from pepperscene.geometry import rectangle
-from pepperscene.scene import assemble
+from pepperscene.scene import assemble_scene
 from pepperscene.truth import class_colour, distance_code
 
 HEIGHT, WIDTH = 150, 200
@@ -113,8 +113,8 @@ def made(folder, outputs):
         update={"plan": plan, "row": row, "camera": camera, "expect": expect, "cultivar": "kaite_february"}
     )
     with pytest.MonkeyPatch.context() as patch:
-        scene = assemble(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
-        patch.setattr(Stage, "scene", lambda *_args, **_kwargs: scene)
+        scene = assemble_scene(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
+        patch.setattr(FrameRenderer, "scene", lambda *_args, **_kwargs: scene)
         build(recipe, folder, outputs=outputs, renderer=Discs)
     return folder
 
@@ -143,7 +143,7 @@ def rich(whole, tmp_path):
 def sign(folder, index, changes=None):
     """Write a frame's JSON so that it holds with its files, as only a fault of the renderer could."""
     data = open_dataset(folder)
-    facts = {**data.facts(index), **(changes or {})}
+    facts = {**data.metadata(index), **(changes or {})}
     for name, entry in facts["outputs"].items():
         path = folder / entry["file"]
         if path.is_file():
@@ -160,7 +160,7 @@ def write_manifest_of(folder):
 
 def change(folder, index, output, to):
     """Another image in place of a frame's, with all that its JSON says of the file."""
-    path = folder / open_dataset(folder).facts(index)["outputs"][output]["file"]
+    path = folder / open_dataset(folder).metadata(index)["outputs"][output]["file"]
     image = read_image(path)
     write_image(path, to(image.copy()) if image.__class__ is np.ndarray else to(image), output)
     sign(folder, index)
@@ -168,7 +168,7 @@ def change(folder, index, output, to):
 
 def found(folder, **arguments):
     """Kind, frame and file of each finding."""
-    return {(one.kind, one.index, one.file) for one in check(folder, workers=1, **arguments).findings}
+    return {(one.kind, one.index, one.file) for one in check_dataset(folder, workers=1, **arguments).findings}
 
 
 def put(value, place=(slice(0, 3), slice(0, 3))):
@@ -184,7 +184,7 @@ def put(value, place=(slice(0, 3), slice(0, 3))):
 
 def test_a_whole_data_set_has_no_fault_and_stays_as_it_is(whole):
     before = {path: path.stat().st_mtime_ns for path in whole.rglob("*")}
-    verdict = check(whole, workers=1)
+    verdict = check_dataset(whole, workers=1)
     assert verdict.findings == ()
     assert (verdict.good, verdict.frames, verdict.counts()) == (True, 6, {})
     assert {path: path.stat().st_mtime_ns for path in whole.rglob("*")} == before
@@ -196,8 +196,8 @@ def test_processes_find_the_same_in_the_same_order(folder, monkeypatch):
     monkeypatch.setattr(crew, "_WORTH", 2)
     monkeypatch.setattr(crew, "_AT_A_TIME", 2)
     told = []
-    many = check(folder, workers=2, on_frame=lambda done, total: told.append((done, total)))
-    assert many == check(folder, workers=1)
+    many = check_dataset(folder, workers=2, on_frame=lambda done, total: told.append((done, total)))
+    assert many == check_dataset(folder, workers=1)
     assert told == [(done, 6) for done in range(1, 7)]
     assert many.counts() == {"checksum": 2}
 
@@ -233,7 +233,7 @@ def test_frames_that_were_asked_for(folder):
     assert found(folder, frames="0:6") == {("incomplete", 5, "frames/000005.json")}
     assert found(folder, frames=[2, 3]) == set()
     with pytest.raises(InputError, match="A:B"):
-        check(folder, frames="7:3")
+        check_dataset(folder, frames="7:3")
 
 
 @pytest.mark.parametrize(
@@ -324,7 +324,7 @@ def test_a_dataset_json_that_is_gone_or_was_edited(folder):
     assert found(folder) == {("damaged", None, "dataset.json")}
     shutil.rmtree(folder / "frames")
     with pytest.raises(InputError, match="no data set"):
-        check(folder)
+        check_dataset(folder)
 
 
 def test_no_frames_are_incomplete(folder):
@@ -343,14 +343,14 @@ def test_a_frame_that_is_not_where_the_plan_has_it(folder, changes):
 
 
 def test_json_that_contradicts_its_images(folder):
-    facts = open_dataset(folder).facts(3)
+    facts = open_dataset(folder).metadata(3)
     facts["class_pixels"]["leaf"] += 1
     first, second, third = list(facts["instances"])[:3]
     facts["instances"][first]["pixels"] += 1
     facts["instances"][second]["box"][0] += 1
     facts["instances"]["999"] = facts["instances"][third]
     sign(folder, 3, facts)
-    told = check(folder, workers=1).findings
+    told = check_dataset(folder, workers=1).findings
     assert {one.kind for one in told} == {"contradiction"}
     texts = " ".join(one.what for one in told)
     assert all(word in texts for word in ("leaf", "box", "lists instance 999", f"have instance {first}"))
@@ -359,7 +359,7 @@ def test_json_that_contradicts_its_images(folder):
 def test_the_manifest(folder):
     path = folder / "manifest.parquet"
     kept = path.read_bytes()
-    sign(folder, 3, {"camera": {**open_dataset(folder).facts(3)["camera"], "exposure_s": 1.0}})
+    sign(folder, 3, {"camera": {**open_dataset(folder).metadata(3)["camera"], "exposure_s": 1.0}})
     path.write_bytes(kept)
     assert found(folder) == {("contradiction", 3, "manifest.parquet")}
     path.write_bytes(kept[:-20])
@@ -471,7 +471,7 @@ def sign_without_tables(folder, index):
     kept = (folder / "fruit.parquet").read_bytes()
     path = folder / f"harvest/{index:06d}.json"
     shown = path.read_bytes()
-    facts = open_dataset(folder).facts(index)
+    facts = open_dataset(folder).metadata(index)
     facts["outputs"]["harvest"] |= {"bytes": len(shown), "sha256": digest(path)}
     facts["checksum"] = checksum_of(facts)
     write_json(folder / f"frames/{index:06d}.json", facts)
@@ -503,7 +503,7 @@ def test_a_picture_that_shows_nothing(folder, kind, picture):
 @pytest.mark.parametrize(("right", "down"), [(2, 0), (0, -2), (-4, 3), (8, 8)])
 def test_labels_that_are_off_are_told_with_their_shift(folder, right, down):
     change(folder, 1, "colour", lambda image: np.roll(image, (-down, -right), (0, 1)))
-    (one,) = check(folder, workers=1).findings
+    (one,) = check_dataset(folder, workers=1).findings
     assert (one.kind, one.file) == ("edges", "instance/000001.png")
     assert f"{right:+d} px to the right" in one.what
     assert f"{down:+d} px below" in one.what
@@ -513,7 +513,7 @@ def test_labels_of_a_mirrored_or_another_picture_fit_nowhere(folder):
     change(folder, 1, "colour", lambda image: image[:, ::-1])
     other = read_image(folder / "colour/000002.png")
     change(folder, 3, "colour", lambda image: other // 2 + 60)
-    verdict = check(folder, workers=1)
+    verdict = check_dataset(folder, workers=1)
     assert [(one.kind, one.index) for one in verdict.findings] == [("edges", 1), ("edges", 3)]
     assert all("no shift" in one.what for one in verdict.findings)
 
@@ -531,7 +531,7 @@ def test_the_same_photograph_twice(folder):
 def test_the_same_ground_truth_twice(folder):
     data = open_dataset(folder)
     for index in data.indices():
-        facts = data.facts(index)
+        facts = data.metadata(index)
         sign(folder, index, {"outputs": {"class": facts["outputs"]["class"]}})
     shutil.rmtree(folder / "colour")
     kinds = found(folder)
@@ -541,7 +541,7 @@ def test_the_same_ground_truth_twice(folder):
 
 
 def test_the_same_pose_and_seed_twice(folder):
-    first = open_dataset(folder).facts(3)
+    first = open_dataset(folder).metadata(3)
     sign(folder, 4, {"camera": first["camera"], "seed": first["seed"]})
     assert found(folder) == {
         ("duplicate", 4, "frames/000004.json"),
@@ -566,7 +566,7 @@ def expecting(folder, **changes):
 )
 def test_statistics_beside_what_is_expected(folder, changes, word, frames):
     expecting(folder, **changes)
-    told = check(folder, workers=1).findings
+    told = check_dataset(folder, workers=1).findings
     assert {one.kind for one in told} == {"drift"}
     assert any(word in one.what for one in told)
     assert len([one for one in told if one.index is not None]) == frames
@@ -579,14 +579,14 @@ def test_an_expectation_that_is_none(folder):
 
 def traits(index, scene, leaf):
     shares = (1 - leaf, leaf, *[0.0] * 6)
-    return Traits(index, scene=scene, shares=shares)
+    return FrameTraits(index, scene=scene, shares=shares)
 
 
 def test_a_part_of_a_plan_drifts_only_beyond_chance():
     expect = ExpectTable(share={"leaf": (0.4, 0.6)})
     rng = np.random.default_rng(4)
     for scenes, middle, drifts in ((3, 0.9, False), (6, 0.65, False), (6, 0.8, True), (400, 0.65, True)):
-        comparison = Comparison(expect)
+        comparison = CrossFrameChecks(expect)
         for index in range(scenes):
             list(comparison.add(traits(index, index, middle + rng.normal(0, 0.07))))
         assert bool(list(comparison.drift(whole=False))) == drifts
@@ -595,7 +595,7 @@ def test_a_part_of_a_plan_drifts_only_beyond_chance():
 
 
 def test_a_scene_that_stands_apart_is_a_note():
-    comparison = Comparison(None)
+    comparison = CrossFrameChecks(None)
     rng = np.random.default_rng(5)
     for index in range(60):
         scene = 1000 * (index // 30) + index % 10
@@ -614,7 +614,7 @@ def test_findings_come_the_most_serious_first(folder):
     (folder / "class/000004.png").unlink()
     (folder / "distance/000002.exr").unlink()
     (folder / "frames/000001.json").write_bytes(b"")
-    verdict = check(folder, workers=1)
+    verdict = check_dataset(folder, workers=1)
     ranks = [list(KINDS).index(one.kind) for one in verdict.findings]
     assert ranks == sorted(ranks)
     assert verdict.as_json()["counts"] == verdict.counts()
@@ -632,4 +632,4 @@ def test_a_kind_that_there_is_not_is_a_fault_of_the_program():
 @pytest.mark.parametrize("workers", [0, -1, 100_000])
 def test_workers_are_a_positive_number(whole, workers):
     with pytest.raises(InputError, match="--workers"):
-        check(whole, workers=workers)
+        check_dataset(whole, workers=workers)

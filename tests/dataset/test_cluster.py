@@ -223,13 +223,13 @@ def test_workers_stop_when_who_asked_is_killed(recipe, cluster, notes, tmp_path,
 
 def test_a_frame_told_twice_counts_once(make, cluster, monkeypatch):
     """As when a worker that was thought to be lost goes on."""
-    heard = shift.Shift._heard
+    heard = shift.DaskDispatcher._heard
 
     def twice(self, event):
         heard(self, event)
         heard(self, event)
 
-    monkeypatch.setattr(shift.Shift, "_heard", twice)
+    monkeypatch.setattr(shift.DaskDispatcher, "_heard", twice)
     told = []
     done = make(scheduler=cluster.scheduler_address, frames="0:6", on_frame=told.append)
     assert [one.index for one in sorted(told, key=lambda one: one.index)] == list(range(6))
@@ -237,7 +237,7 @@ def test_a_frame_told_twice_counts_once(make, cluster, monkeypatch):
 
 
 def test_frames_that_nobody_told_of_are_asked_for_again(make, cluster, monkeypatch):
-    heard, lost = shift.Shift._heard, []
+    heard, lost = shift.DaskDispatcher._heard, []
 
     def deaf(self, event):
         if event[1]["done"] is not None and not lost:
@@ -245,7 +245,7 @@ def test_frames_that_nobody_told_of_are_asked_for_again(make, cluster, monkeypat
             return
         heard(self, event)
 
-    monkeypatch.setattr(shift.Shift, "_heard", deaf)
+    monkeypatch.setattr(shift.DaskDispatcher, "_heard", deaf)
     done = make(scheduler=cluster.scheduler_address, frames="0:6")
     assert len(done.made) == 5
     assert len(done.kept) == 1

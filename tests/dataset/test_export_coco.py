@@ -16,9 +16,9 @@ from painted_set import ALL, FRAMES, WIRE
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import read_image
-from pepperscene.dataset.export import export
+from pepperscene.dataset.export import export_dataset
 from pepperscene.dataset.export.segments import all_run_lengths
-from pepperscene.truth.encodings import mask_of
+from pepperscene.truth.encodings import decode_rle
 
 mask_tools = pytest.importorskip("pycocotools.mask", reason="the extra `export` brings pycocotools")
 
@@ -36,7 +36,9 @@ def made(painted):
 
 @pytest.fixture(scope="module")
 def out(made, tmp_path_factory):
-    return export(made.folder, "coco", tmp_path_factory.mktemp("out") / "out", "train=.6,val=.4").folder
+    return export_dataset(
+        made.folder, "coco", tmp_path_factory.mktemp("out") / "out", "train=.6,val=.4"
+    ).folder
 
 
 def loaded(path):
@@ -172,7 +174,7 @@ def test_fruit_tell_their_whole_masks_and_where_they_are_cut(made, truth):
         for one in found:
             fruit, known = told[one["attributes"]["instance"]], one["attributes"]
             amodal = mask_tools.decode(known["amodal"]["segmentation"]).astype(bool)
-            assert (amodal == mask_of(fruit["amodal"])).all()
+            assert (amodal == decode_rle(fruit["amodal"])).all()
             assert amodal.sum() == known["amodal"]["area"] == fruit["amodal_pixels"]
             # What is seen of a fruit is a part of the whole.
             assert (truth.annToMask(one).astype(bool) <= amodal).all()
@@ -194,7 +196,7 @@ def test_fruit_tell_their_whole_masks_and_where_they_are_cut(made, truth):
 def test_without_harvest_there_are_no_keypoints(made, tmp_path):
     copy = shutil.copytree(made.folder, tmp_path / "set")
     (copy / "harvest" / "000003.json").unlink()
-    export(copy, "coco", tmp_path / "out")
+    export_dataset(copy, "coco", tmp_path / "out")
     truth = loaded(tmp_path / "out" / "annotations" / "instances_train.json")
     assert "keypoints" not in truth.cats[2]
     assert all("keypoints" not in one for one in truth.anns.values())
@@ -202,7 +204,7 @@ def test_without_harvest_there_are_no_keypoints(made, tmp_path):
 
 
 def test_small_organs_join_the_crowd_of_their_class(made, tmp_path):
-    export(made.folder, "coco", tmp_path / "out", smallest_px=100)
+    export_dataset(made.folder, "coco", tmp_path / "out", smallest_px=100)
     truth = loaded(tmp_path / "out" / "annotations" / "instances_train.json")
     for index in truth.imgs:
         wanted, found = organs(made, index), truth.imgToAnns[index]

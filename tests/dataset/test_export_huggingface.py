@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from small_set import FRUIT
 
-from pepperscene.dataset.export import Splits, export
+from pepperscene.dataset.export import Splits, export_dataset
 from pepperscene.dataset.export.columns import CLASS_NAMES, columns
 from pepperscene.dataset.export.huggingface import Card, export_huggingface
 from pepperscene.dataset.store.rows import FRUIT_COLUMNS
@@ -154,6 +154,6 @@ def test_faults_leave_nothing_behind(tmp_path, built):
 
 
 def test_it_is_one_of_the_formats(tmp_path, built):
-    assert export(built.folder, "huggingface", tmp_path / "out").frames == 9
+    assert export_dataset(built.folder, "huggingface", tmp_path / "out").frames == 9
     assert json.loads((tmp_path / "out" / "dataset.json").read_text()) == built.about
     assert os.listdir(tmp_path / "out" / "data") == ["train-00000-of-00001.parquet"]

@@ -10,7 +10,7 @@ from painted_set import WIRE
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset import read_image
-from pepperscene.dataset.export import export
+from pepperscene.dataset.export import export_dataset
 
 mask_tools = pytest.importorskip("pycocotools.mask", reason="the extra `export` brings pycocotools")
 
@@ -29,7 +29,7 @@ def made(painted):
 
 @pytest.fixture(scope="module")
 def out(made, tmp_path_factory):
-    return export(made.folder, "coco", tmp_path_factory.mktemp("out") / "out").folder / "annotations"
+    return export_dataset(made.folder, "coco", tmp_path_factory.mktemp("out") / "out").folder / "annotations"
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from PIL import Image
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import read_image
-from pepperscene.dataset.export import export
+from pepperscene.dataset.export import export_dataset
 from pepperscene.truth import class_from_colour, distance_from_code
 
 
@@ -23,7 +23,9 @@ def made(painted):
 
 @pytest.fixture(scope="module")
 def out(made, tmp_path_factory):
-    return export(made.folder, "published", tmp_path_factory.mktemp("out") / "out", "train=.6,val=.4").folder
+    return export_dataset(
+        made.folder, "published", tmp_path_factory.mktemp("out") / "out", "train=.6,val=.4"
+    ).folder
 
 
 def names(number):
@@ -75,7 +77,7 @@ def test_other_readers_see_grey_values_and_not_a_palette(out):
 
 def test_what_can_be_made_from_other_outputs_is_not_asked_for(tmp_path):
     plain = make_painted_set(tmp_path / "set", ("colour", "class", "distance"), FRAMES[:2])
-    export(plain.folder, "published", tmp_path / "out")
+    export_dataset(plain.folder, "published", tmp_path / "out")
     for number, index in enumerate(FRAMES[:2], start=1):
         name = names(number)
         colours = read_image(tmp_path / "out" / name["class_colour"])

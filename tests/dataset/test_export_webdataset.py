@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from small_set import HARVEST
 
-from pepperscene.dataset.export import FORMATS, Splits, export
+from pepperscene.dataset.export import FORMATS, Splits, export_dataset
 from pepperscene.dataset.export.webdataset import export_webdataset
 from pepperscene.errors import InputError, OutputError
 
@@ -141,5 +141,5 @@ def test_faults_leave_nothing_behind(tmp_path, built):
 
 def test_it_is_one_of_the_formats(tmp_path, built):
     assert "webdataset" in FORMATS
-    made = export(built.folder, "webdataset", tmp_path / "out", "train=.5,val=.5")
+    made = export_dataset(built.folder, "webdataset", tmp_path / "out", "train=.5,val=.5")
     assert made.frames == 9

@@ -11,7 +11,7 @@ import tracemalloc
 import pytest
 from painted_set import FRAMES
 
-from pepperscene.dataset.export import FORMATS, Splits, export, new_folder
+from pepperscene.dataset.export import FORMATS, Splits, export_dataset, new_folder
 from pepperscene.errors import InputError, OutputError, SetupError
 
 OURS = ("published", "coco", "yolo")
@@ -37,14 +37,14 @@ def contents(folder):
 @pytest.mark.parametrize("form", OURS)
 def test_the_same_data_set_gives_the_same_bytes(form, made, tmp_path):
     told = []
-    first = export(
+    first = export_dataset(
         made.folder, form, tmp_path / "a", "train=.6,val=.4", on_frame=lambda *one: told.append(one)
     )
     # Read from elsewhere, and written into a folder that is there.
     moved = shutil.copytree(made.folder, tmp_path / "moved")
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / ".DS_Store").touch()
-    second = export(moved, form, tmp_path / "b", "train=.6,val=.4")
+    second = export_dataset(moved, form, tmp_path / "b", "train=.6,val=.4")
     (tmp_path / "b" / ".DS_Store").unlink()
     assert contents(tmp_path / "a") == contents(tmp_path / "b")
     assert (first.frames, first.files) == (len(FRAMES), len(contents(tmp_path / "a")))
@@ -55,7 +55,7 @@ def test_the_same_data_set_gives_the_same_bytes(form, made, tmp_path):
 
 @pytest.mark.parametrize("form", OURS)
 def test_frames_can_be_chosen(form, made, tmp_path):
-    done = export(made.folder, form, tmp_path / "a", "train=0:10,val=14:15", frames="3:20")
+    done = export_dataset(made.folder, form, tmp_path / "a", "train=0:10,val=14:15", frames="3:20")
     assert done.splits == {"train": 3, "val": 1}
     assert done.frames == 4
 
@@ -70,7 +70,7 @@ def test_memory_does_not_grow_with_frames(form, made, tmp_path):
 
     tracemalloc.start()
     try:
-        export(made.folder, form, tmp_path / "a", on_frame=step)
+        export_dataset(made.folder, form, tmp_path / "a", on_frame=step)
     finally:
         tracemalloc.stop()
     # The pictures' records of COCO are kept, a few hundred bytes each.
@@ -85,7 +85,7 @@ def test_an_export_that_ends_early_leaves_nothing(form, fault, made, tmp_path):
             raise fault
 
     with pytest.raises(fault):
-        export(made.folder, form, tmp_path / "new" / "out", on_frame=stop)
+        export_dataset(made.folder, form, tmp_path / "new" / "out", on_frame=stop)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -103,17 +103,19 @@ def test_a_damaged_file_ends_the_export_with_its_name(form, output, damaged, tmp
     path.write_bytes(content)
     if output in needed[form]:
         with pytest.raises(InputError, match=rf"{output}/000009\.png: is not what the build wrote"):
-            export(damaged.folder, form, tmp_path / "out")
+            export_dataset(damaged.folder, form, tmp_path / "out")
         assert not (tmp_path / "out").exists()
     else:
-        export(damaged.folder, form, tmp_path / "out")
+        export_dataset(damaged.folder, form, tmp_path / "out")
 
 
 @pytest.mark.parametrize("form", OURS)
 def test_a_missing_output_is_told_before_anything_is_written(form, damaged, tmp_path):
     (damaged.folder / "colour" / "000020.png").unlink()
     with pytest.raises(InputError, match=r"frame 000020 has no output 'colour'.*--outputs colour` adds it"):
-        export(damaged.folder, form, tmp_path / "out", on_frame=lambda *_: pytest.fail("a frame was written"))
+        export_dataset(
+            damaged.folder, form, tmp_path / "out", on_frame=lambda *_: pytest.fail("a frame was written")
+        )
 
 
 def test_an_instance_that_nobody_tells_of_is_told(damaged, tmp_path, monkeypatch):
@@ -122,9 +124,9 @@ def test_an_instance_that_nobody_tells_of_is_told(damaged, tmp_path, monkeypatch
     facts = damaged.facts(9)
     value = sorted(facts["instances"])[0]
     del facts["instances"][value]
-    monkeypatch.setattr(source.Source, "facts", facts)
+    monkeypatch.setattr(source.ExportSource, "facts", facts)
     with pytest.raises(InputError, match=f"instance {value} is not in the frame's JSON"):
-        export(damaged.folder, "coco", tmp_path / "out", frames="9:10")
+        export_dataset(damaged.folder, "coco", tmp_path / "out", frames="9:10")
 
 
 def test_the_folder_must_be_new_or_empty_and_outside(made, tmp_path):
@@ -141,7 +143,7 @@ def test_the_folder_must_be_new_or_empty_and_outside(made, tmp_path):
         (tmp_path / "link" / "coco", "inside the data set"),
     ]:
         with pytest.raises(OutputError, match=told):
-            export(made.folder, "yolo", out)
+            export_dataset(made.folder, "yolo", out)
     assert sorted(path.name for path in (tmp_path / "full").iterdir()) == ["mine.txt"]
 
 
@@ -179,7 +181,7 @@ def test_a_folder_that_is_there_is_filled_not_replaced(tmp_path):
 )
 def test_wrong_arguments_are_told(arguments, told, made, tmp_path):
     with pytest.raises(InputError) as fault:
-        export(made.folder, arguments.pop("form", "coco"), tmp_path / "out", **arguments)
+        export_dataset(made.folder, arguments.pop("form", "coco"), tmp_path / "out", **arguments)
     assert told in str(fault.value)
     assert not (tmp_path / "out").exists()
 
@@ -189,7 +191,7 @@ def test_a_library_that_is_missing_is_told(form, module, made, tmp_path, monkeyp
     monkeypatch.setitem(sys.modules, module, None)
     name = module.partition(".")[0]
     with pytest.raises(SetupError, match=rf"needs {name}, .*pip install 'pepperscene\[export\]'"):
-        export(made.folder, form, tmp_path / "out")
+        export_dataset(made.folder, form, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -12,7 +12,7 @@ from painted_set import FRAMES, SIZE
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import read_image
-from pepperscene.dataset.export import export
+from pepperscene.dataset.export import export_dataset
 from pepperscene.dataset.export.yolo import BRIDGED, polygons
 
 cv2 = pytest.importorskip("cv2", reason="the extra `test` brings OpenCV")
@@ -25,7 +25,9 @@ def made(painted):
 
 @pytest.fixture(scope="module")
 def out(made, tmp_path_factory):
-    return export(made.folder, "yolo", tmp_path_factory.mktemp("out") / "out", "train=.6,val=.4").folder
+    return export_dataset(
+        made.folder, "yolo", tmp_path_factory.mktemp("out") / "out", "train=.6,val=.4"
+    ).folder
 
 
 def filled(points, size):
@@ -97,13 +99,13 @@ def test_readers_find_train_and_val_whatever_the_splits_are_called(made, tmp_pat
         (None, "train", "train"), ("a=.5,b=.5", "a", "a"), ("train=.5,validation=.5", "train", "validation"),
         ("val=.5,x=.5", "val", "val"),
     ]):  # fmt: skip
-        export(made.folder, "yolo", tmp_path / str(number), split)
+        export_dataset(made.folder, "yolo", tmp_path / str(number), split)
         told = yaml.safe_load((tmp_path / str(number) / "data.yaml").read_text())
         assert (told["train"], told["val"]) == (f"images/{train}", f"images/{val}")
 
 
 def test_the_smallest_organ_can_be_told(made, tmp_path):
-    export(made.folder, "yolo", tmp_path / "out", frames="3:4", smallest_px=300)
+    export_dataset(made.folder, "yolo", tmp_path / "out", frames="3:4", smallest_px=300)
     told = made.facts(3)["instances"].values()
     wanted = [one for one in told if one["class"] and one["plant"] >= 0 and one["pixels"] >= 300]
     found = objects(tmp_path / "out" / "labels" / "train" / "000003.txt")

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 import tomli_w
 
-from pepperscene.cultivar import interpolated, load_cultivar
-from pepperscene.dataset import Stage, load_recipe, read_changes
-from pepperscene.dataset.recipe.equipment import cultivar_of
+from pepperscene.cultivar import interpolate_cultivars, load_cultivar
+from pepperscene.dataset import FrameRenderer, load_recipe, parse_changes
+from pepperscene.dataset.recipe.equipment import load_recipe_cultivar
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.tables import GreenhouseTable
 from pepperscene.errors import InputError
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 
 
 def with_changes(*texts, recipe="barth2018"):
-    return load_recipe(recipe, read_changes(texts))
+    return load_recipe(recipe, parse_changes(texts))
 
 
 def fault(*texts, recipe="barth2018"):
@@ -88,9 +88,9 @@ def test_the_arc_leans_with_the_row():
     upright = load_recipe("barth2018")
     leaning = with_changes("greenhouse.row_lean_deg=4", "greenhouse.gutter_width_mm=200")
     before, after = (
-        np.array([stage.camera(recipe.plan.shot(step)).pose for step in (0, 100, 249)])
+        np.array([stage.camera(recipe.plan.frame(step)).pose for step in (0, 100, 249)])
         for recipe in (upright, leaning)
-        for stage in [Stage(recipe)]
+        for stage in [FrameRenderer(recipe)]
     )
     height = before[:, 2, 3]
     np.testing.assert_allclose(after[:, :, :3], before[:, :, :3])
@@ -113,9 +113,11 @@ def stem_mean(cultivar):
 def test_a_share_lies_between_the_stages():
     first, last = load_cultivar("kaite"), load_cultivar("kaite_september")
     recipe = with_changes("growth.until=kaite_september", "growth.share=0.25")
-    assert stem_mean(cultivar_of(recipe)) == pytest.approx(stem_mean(interpolated(first, last, 0.25)))
+    assert stem_mean(load_recipe_cultivar(recipe)) == pytest.approx(
+        stem_mean(interpolate_cultivars(first, last, 0.25))
+    )
     ends = [
-        stem_mean(cultivar_of(with_changes("growth.until=kaite_september", f"growth.share={share}")))
+        stem_mean(load_recipe_cultivar(with_changes("growth.until=kaite_september", f"growth.share={share}")))
         for share in ("0.0", "1.0")
     ]
     assert ends == pytest.approx([stem_mean(first), stem_mean(last)])
@@ -127,7 +129,7 @@ def test_a_date_is_a_share():
     days = (day - first.date).days / (last.date - first.date).days
     dated = with_changes("growth.until=kaite_september", f"growth.date={day.isoformat()}")
     shared = with_changes("growth.until=kaite_september", f"growth.share={days!r}")
-    assert cultivar_of(dated) == cultivar_of(shared)
+    assert load_recipe_cultivar(dated) == load_recipe_cultivar(shared)
     assert dated.growth.date == day
     assert dated.identity()["recipe"]["growth"]["date"] == day.isoformat()
     assert dated.sha256() != shared.sha256()
@@ -164,7 +166,7 @@ def test_faults_of_growth(changes, told):
 
 def test_a_stage_without_a_date_has_no_date_between(tmp_path):
     file = tmp_path / "undated.toml"
-    lines = (shelf("plants") / "kaite.toml").read_text(encoding="utf-8").splitlines()
+    lines = (shipped_folder("plants") / "kaite.toml").read_text(encoding="utf-8").splitlines()
     file.write_text("\n".join(line for line in lines if not line.startswith("date")), encoding="utf-8")
     message = fault(f"growth.until={file}", "growth.date=2016-06-01")
     assert "needs a date in the file of Kaite" in message
@@ -172,7 +174,7 @@ def test_a_stage_without_a_date_has_no_date_between(tmp_path):
 
 def test_both_stages_and_their_parents_are_part_of_the_identity(tmp_path):
     for name in ("kaite", "kaite_september"):
-        shutil.copy(shelf("plants") / f"{name}.toml", tmp_path)
+        shutil.copy(shipped_folder("plants") / f"{name}.toml", tmp_path)
     later = tmp_path / "kaite_september.toml"
     tables = {"until": "kaite_september.toml", "share": 0.5}
     path = tmp_path / "mine.toml"
@@ -199,5 +201,5 @@ def test_a_date_in_a_change_is_told_as_a_date():
     from pepperscene.dataset.recipe.load import label
 
     assert label("growth.date", datetime.date(2016, 6, 1)) == "--set growth.date=2016-06-01"
-    assert read_changes(["growth.date=2016-06-01"]) == {"growth.date": datetime.date(2016, 6, 1)}
+    assert parse_changes(["growth.date=2016-06-01"]) == {"growth.date": datetime.date(2016, 6, 1)}
     assert Recipe.model_fields["growth"].default is None

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pepperscene.cultivar import Cultivar, interpolated, load_cultivar
-from pepperscene.dataset import GrownPlant, grown
+from pepperscene.cultivar import Cultivar, interpolate_cultivars, load_cultivar
+from pepperscene.dataset import GrownPlant, grow_plant
 from pepperscene.errors import InputError
 
 
@@ -22,15 +22,15 @@ def same(one: GrownPlant, other: GrownPlant) -> bool:
 
 
 def test_a_name_and_its_cultivar_grow_the_same_plant(february: Cultivar) -> None:
-    by_name = grown("kaite_february", 2, detail=0.05)
-    assert same(by_name, grown(february, 2, detail=0.05))
-    assert same(by_name, grown(february, np.int64(2), detail=0.05))  # type: ignore[arg-type]
+    by_name = grow_plant("kaite_february", 2, detail=0.05)
+    assert same(by_name, grow_plant(february, 2, detail=0.05))
+    assert same(by_name, grow_plant(february, np.int64(2), detail=0.05))  # type: ignore[arg-type]
 
 
 def test_a_stage_left_open_lies_half_way(february: Cultivar) -> None:
-    middle = interpolated(february, load_cultivar("kaite"), 0.5)
-    plant = grown("kaite_february", 2, detail=0.05, until="kaite")
-    assert same(plant, grown(middle, 2, detail=0.05))
+    middle = interpolate_cultivars(february, load_cultivar("kaite"), 0.5)
+    plant = grow_plant("kaite_february", 2, detail=0.05, until="kaite")
+    assert same(plant, grow_plant(middle, 2, detail=0.05))
     assert len(plant.plant.of_form("internode")) == middle.stem.parts
 
 
@@ -50,10 +50,10 @@ def test_a_stage_left_open_lies_half_way(february: Cultivar) -> None:
 )
 def test_wrong_arguments_are_told(february: Cultivar, arguments: dict[str, Any], allowed: str) -> None:
     with pytest.raises(InputError, match=allowed):
-        grown(february, **arguments)
+        grow_plant(february, **arguments)
 
 
 @pytest.mark.parametrize("detail", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_detail_of_nothing_is_an_error(february: Cultivar, detail: float) -> None:
     with pytest.raises(ValueError, match="detail"):
-        grown(february, detail=detail)
+        grow_plant(february, detail=detail)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from pepperscene.dataset.readers.image_set import FIELDS, VOID, ImageSet, Labelled
+from pepperscene.dataset.readers.image_set import FIELDS, VOID, ImageSet, LabelledImage
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -23,7 +23,7 @@ class Counted(ImageSet):
     def read(self, item):
         self.log.append(item)
         grey = np.full((2, 3, 3), item, np.uint8)
-        return Labelled(str(item), grey if "colour" in self.fields else None, None)
+        return LabelledImage(str(item), grey if "colour" in self.fields else None, None)
 
 
 @pytest.fixture
@@ -65,11 +65,11 @@ def test_what_is_not_selected_is_not_read(counted):
 
 def test_images_of_different_sizes_are_no_picture():
     with pytest.raises(ValueError, match="differ in size"):
-        Labelled("one", np.zeros((2, 3, 3), np.uint8), np.zeros((3, 2), np.uint8))
+        LabelledImage("one", np.zeros((2, 3, 3), np.uint8), np.zeros((3, 2), np.uint8))
 
 
 def test_a_picture_knows_its_size_by_any_of_its_images():
-    picture = Labelled("one", None, None, distance_m=np.zeros((4, 5), np.float32))
+    picture = LabelledImage("one", None, None, distance_m=np.zeros((4, 5), np.float32))
     assert picture.size == (4, 5)
     assert pickle.loads(pickle.dumps(picture)).size == (4, 5)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pepperscene.dataset.execution.build import Pace
+from pepperscene.dataset.execution.build import Throughput
 
 
 class Clock:
@@ -21,12 +21,12 @@ def clock():
 
 
 def test_nothing_is_known_before_the_first_frame(clock):
-    pace = Pace(10, clock)
+    pace = Throughput(10, clock)
     assert (pace.frames_per_s, pace.left_s) == (None, None)
 
 
 def test_a_steady_rate(clock):
-    pace = Pace(10, clock)
+    pace = Throughput(10, clock)
     for _ in range(4):
         clock.now += 0.5
         pace.count(True)
@@ -35,7 +35,7 @@ def test_a_steady_rate(clock):
 
 
 def test_frames_that_were_there_do_not_count_for_the_rate(clock):
-    pace = Pace(100, clock)
+    pace = Throughput(100, clock)
     for _ in range(50):
         clock.now += 0.01
         pace.count(False)
@@ -47,7 +47,7 @@ def test_frames_that_were_there_do_not_count_for_the_rate(clock):
 
 
 def test_the_rate_follows_what_happens_lately(clock):
-    pace = Pace(10_000, clock)
+    pace = Throughput(10_000, clock)
     for step in [10.0] * 50 + [0.1] * 3000:
         clock.now += step
         pace.count(True)
@@ -55,7 +55,7 @@ def test_the_rate_follows_what_happens_lately(clock):
 
 
 def test_the_end(clock):
-    pace = Pace(1, clock)
+    pace = Throughput(1, clock)
     clock.now += 1
     pace.count(True)
     assert pace.left_s == 0

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pepperscene.dataset.recipe.plan import Plan, Stream, frame_seed, generator, rotated
+from pepperscene.dataset.recipe.plan import Plan, Stream, frame_seed, random_generator, rotated
 from pepperscene.errors import InputError
 
 PAPER = Plan(sets=6, rotations=7, frames=250)
@@ -15,7 +15,7 @@ small = st.integers(1, 12)
 @given(small, small, small)
 def test_every_frame_of_the_plan_has_exactly_one_index(sets, rotations, frames):
     plan = Plan(sets=sets, rotations=rotations, frames=frames)
-    shots = [plan.shot(index) for index in range(plan.count)]
+    shots = [plan.frame(index) for index in range(plan.count)]
     addresses = [(shot.set, shot.rotation, shot.step) for shot in shots]
     # Ascending indices go through the steps first, then the rotations, then the sets.
     assert addresses == [(s, r, f) for s in range(sets) for r in range(rotations) for f in range(frames)]
@@ -24,7 +24,7 @@ def test_every_frame_of_the_plan_has_exactly_one_index(sets, rotations, frames):
 
 def test_the_papers_plan_has_10500_frames():
     assert PAPER.count == 10_500
-    shot = PAPER.shot(6137)
+    shot = PAPER.frame(6137)
     assert (shot.set * 7 + shot.rotation) * 250 + shot.step == 6137
     assert (shot.set, shot.rotation, shot.step) == (3, 3, 137)
 
@@ -32,7 +32,7 @@ def test_the_papers_plan_has_10500_frames():
 @pytest.mark.parametrize("index", [-1, 10_500])
 def test_an_index_outside_the_plan_is_refused(index):
     with pytest.raises(ValueError, match="outside"):
-        PAPER.shot(index)
+        PAPER.frame(index)
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ def test_an_index_outside_the_plan_is_refused(index):
     [("0:3", (0, 1, 2)), (":2", (0, 1)), ("10498:", (10498, 10499)), ("6137:6138", (6137,))],
 )
 def test_ranges(text, expected):
-    assert PAPER.chosen(text) == expected
+    assert PAPER.select_indices(text) == expected
 
 
 @pytest.mark.parametrize(
@@ -49,19 +49,19 @@ def test_ranges(text, expected):
 )
 def test_wrong_ranges_are_refused(text):
     with pytest.raises(InputError, match="--frames"):
-        PAPER.chosen(text)
+        PAPER.select_indices(text)
 
 
 def test_lists_of_indices_are_sorted_and_checked():
-    assert PAPER.chosen([7, 3, 7]) == (3, 7)
+    assert PAPER.select_indices([7, 3, 7]) == (3, 7)
     for wrong in ([], [10_500], [-1]):
         with pytest.raises(InputError):
-            PAPER.chosen(wrong)
+            PAPER.select_indices(wrong)
 
 
 def test_default_frames_are_the_selected_ones_or_all():
-    assert PAPER.chosen(None) == tuple(range(10_500))
-    assert Plan(sets=1, rotations=1, frames=9, select=(8, 2)).chosen(None) == (2, 8)
+    assert PAPER.select_indices(None) == tuple(range(10_500))
+    assert Plan(sets=1, rotations=1, frames=9, select=(8, 2)).select_indices(None) == (2, 8)
 
 
 @given(st.integers(1, 9), st.integers(0, 20))
@@ -76,13 +76,13 @@ def test_an_empty_row_stays_empty():
 
 
 def test_streams_are_repeatable_and_apart():
-    first = generator(1, Stream.PLANT, 2, 3).random(8)
-    np.testing.assert_array_equal(first, generator(1, Stream.PLANT, 2, 3).random(8))
+    first = random_generator(1, Stream.PLANT, 2, 3).random(8)
+    np.testing.assert_array_equal(first, random_generator(1, Stream.PLANT, 2, 3).random(8))
     others = [
-        generator(2, Stream.PLANT, 2, 3),
-        generator(1, Stream.TWINE, 2, 3),
-        generator(1, Stream.PLANT, 3, 2),
-        generator(1, Stream.SKY, 2),
+        random_generator(2, Stream.PLANT, 2, 3),
+        random_generator(1, Stream.TWINE, 2, 3),
+        random_generator(1, Stream.PLANT, 3, 2),
+        random_generator(1, Stream.SKY, 2),
     ]
     assert all(not np.isclose(first, other.random(8)).any() for other in others)
 

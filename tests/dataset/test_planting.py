@@ -15,9 +15,9 @@ import pepperscene.dataset.scenes.scene_builder
 import pepperscene.geometry
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar import load_cultivar
-from pepperscene.dataset import Stage, grown, load_recipe
-from pepperscene.dataset.recipe.plan import Stream, generator
-from pepperscene.dataset.scenes.scene_builder import Planting
+from pepperscene.dataset import FrameRenderer, grow_plant, load_recipe
+from pepperscene.dataset.recipe.plan import Stream, random_generator
+from pepperscene.dataset.scenes.scene_builder import SceneBuilder
 from pepperscene.grammar import grow
 from pepperscene.scene.far_rows import MODELS
 
@@ -37,7 +37,7 @@ def recipe():
 
 
 def planting_of(recipe):
-    return Planting(recipe, load_cultivar(recipe.cultivar))
+    return SceneBuilder(recipe, load_cultivar(recipe.cultivar))
 
 
 @pytest.fixture(scope="module")
@@ -213,7 +213,7 @@ def test_neither_floor_nor_gutters_nor_wires_run_through_fruit():
     recipe = load_recipe(
         "greenhouse", {"row.plants_front": 2, "row.plants_back": 2, "greenhouse.far_rows": 0}
     )
-    mesh = Planting(recipe, load_cultivar(recipe.cultivar)).scene(0, 0).mesh
+    mesh = SceneBuilder(recipe, load_cultivar(recipe.cultivar)).scene(0, 0).mesh
     fruit = mesh.vertices[np.unique(mesh.faces[mesh.face_class == OrganClass.PEPPER])]
     assert fruit.shape[0] > 0
     for number, one in enumerate(mesh.instances):
@@ -231,38 +231,40 @@ def test_neither_floor_nor_gutters_nor_wires_run_through_fruit():
 
 
 def test_one_plant_is_grown_meshed_and_settled():
-    made = grown("kaite_february", 3, detail=0.5)
+    made = grow_plant("kaite_february", 3, detail=0.5)
     assert [one.kind for one in made.mesh.instances] == [organ.kind for organ in made.plant.organs]
-    assert made.contacts == pepperscene.geometry.contacts(made.mesh)
+    assert made.contacts == pepperscene.geometry.count_contacts(made.mesh)
     # Organs lie in the plant as in the mesh, also those that were moved.
     again = pepperscene.geometry.mesh_plant(made.plant, 0.5)
     np.testing.assert_allclose(again.vertices, made.mesh.vertices, atol=1e-4)
-    np.testing.assert_array_equal(grown("kaite_february", 3, detail=0.5).mesh.vertices, made.mesh.vertices)
-    other = grown("kaite_february", 4, detail=0.5).mesh.vertices
+    np.testing.assert_array_equal(
+        grow_plant("kaite_february", 3, detail=0.5).mesh.vertices, made.mesh.vertices
+    )
+    other = grow_plant("kaite_february", 4, detail=0.5).mesh.vertices
     assert other.shape != made.mesh.vertices.shape or (other != made.mesh.vertices).any()
 
 
 def test_it_is_the_first_plant_of_a_recipe_with_that_seed():
     alone = {"row.plants_front": 1, "row.plants_back": 0, "twine.diameter_mm": 0, "seed": 11}
     recipe = load_recipe("barth2018", {**alone, "cultivar": "kaite_february"})
-    mesh = Stage(recipe, culled=False).scene(recipe.plan.shot(0), traced=False).mesh
-    np.testing.assert_array_equal(mesh.vertices, grown("kaite_february", 11).mesh.vertices)
-    first = grow(load_cultivar("kaite_february"), generator(11, Stream.PLANT, 0, 0))
+    mesh = FrameRenderer(recipe, culled=False).scene(recipe.plan.frame(0), traced=False).mesh
+    np.testing.assert_array_equal(mesh.vertices, grow_plant("kaite_february", 11).mesh.vertices)
+    first = grow(load_cultivar("kaite_february"), random_generator(11, Stream.PLANT, 0, 0))
     assert len(first.organs) == len(mesh.instances)
 
 
 def test_between_two_stages_a_plant_is_neither():
-    first, last = grown("kaite", 5, detail=0.3), grown("kaite_september", 5, detail=0.3)
+    first, last = grow_plant("kaite", 5, detail=0.3), grow_plant("kaite_september", 5, detail=0.3)
     for share, end in ((0.0, first), (1.0, last)):
-        made = grown("kaite", 5, detail=0.3, until="kaite_september", share=share)
+        made = grow_plant("kaite", 5, detail=0.3, until="kaite_september", share=share)
         assert abs(np.ptp(made.mesh.vertices[:, 2]) - np.ptp(end.mesh.vertices[:, 2])) < 0.02
-    between = grown("kaite", 5, detail=0.3, until="kaite_september", share=0.5)
+    between = grow_plant("kaite", 5, detail=0.3, until="kaite_september", share=0.5)
     heights = [np.ptp(made.mesh.vertices[:, 2]) for made in (first, between, last)]
     assert heights == sorted(heights)
 
 
 def test_what_touches_within_plants_counts_too(recipe, planted, monkeypatch):
-    real = pepperscene.dataset.scenes.scene_builder.grown_at
+    real = pepperscene.dataset.scenes.scene_builder.grow_plant_at
 
     def jammed(*args, **kwargs):
         made = real(*args, **kwargs)

@@ -8,9 +8,9 @@ from PIL import Image
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset import build
-from pepperscene.dataset.export import export
+from pepperscene.dataset.export import export_dataset
 from pepperscene.dataset.readers import FolderSet, PublishedSet, RenderedSet, open_images
-from pepperscene.dataset.readers.folder import natural, pairs
+from pepperscene.dataset.readers.folder import natural_sort_key, pairs
 from pepperscene.dataset.readers.image_set import VOID
 from pepperscene.dataset.readers.labels import KNOWN_LABELS, labels_of
 from pepperscene.dataset.store.codecs import png_bytes
@@ -126,7 +126,7 @@ def test_the_published_set_is_read_by_number(tmp_path, ids):
 
 
 def test_an_export_to_the_layout_is_read_as_the_data_set(tmp_path, built):
-    export(built.folder, "published", tmp_path / "out")
+    export_dataset(built.folder, "published", tmp_path / "out")
     there, back = open_images(built.folder), open_images(tmp_path / "out")
     assert back.names() == ("1", "2", "3")
     for ours, theirs in zip(there, back, strict=True):
@@ -193,7 +193,7 @@ def test_a_published_label_may_leave_pixels_out(tmp_path, ids):
 
 def test_names_sort_by_their_numbers():
     names = ["img10", "img9", "img1", "a", "img02", "10", "2"]
-    assert sorted(names, key=natural) == ["2", "10", "a", "img1", "img02", "img9", "img10"]
+    assert sorted(names, key=natural_sort_key) == ["2", "10", "a", "img1", "img02", "img9", "img10"]
 
 
 @pytest.mark.parametrize(
@@ -221,7 +221,7 @@ def test_masks_find_their_images(tmp_path, image, masked):
     for picture, number, organ in zip(images, (1, 2, 10, 33), (1, 2, 4, 6), strict=True):
         assert (picture.colour == number).all()
         assert (picture.classes == organ).all()
-    assert images.names() == tuple(sorted(images.names(), key=natural))
+    assert images.names() == tuple(sorted(images.names(), key=natural_sort_key))
     assert len(set(images.names())) == 4
 
 

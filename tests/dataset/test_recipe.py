@@ -10,14 +10,14 @@ import tomli_w
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pepperscene.dataset import Stage, load_recipe
-from pepperscene.dataset.recipe.load import read_changes
+from pepperscene.dataset import FrameRenderer, load_recipe
+from pepperscene.dataset.recipe.load import parse_changes
 from pepperscene.dataset.recipe.tables import DevelopingTable
-from pepperscene.document import read_toml, validated
+from pepperscene.document import read_toml, validate
 from pepperscene.errors import InputError
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 
-BARTH = shelf("recipes") / "barth2018.toml"
+BARTH = shipped_folder("recipes") / "barth2018.toml"
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def test_the_shipped_plan_is_the_papers():
 
 
 def test_every_number_of_the_shipped_recipes_says_where_it_comes_from():
-    for path in shelf("recipes").glob("*.toml"):
+    for path in shipped_folder("recipes").glob("*.toml"):
         for line in path.read_text(encoding="utf-8").splitlines():
             key, _, rest = line.partition("=")
             if rest and key.strip() not in ("name", "extends"):
@@ -51,7 +51,7 @@ def test_every_number_of_the_shipped_recipes_says_where_it_comes_from():
 def test_the_demo_is_a_part_of_the_papers_plan():
     demo, whole = load_recipe("demo"), load_recipe("barth2018")
     assert len(demo.plan.select) == 6
-    assert len({demo.plan.shot(index).set for index in demo.plan.select}) == 6
+    assert len({demo.plan.frame(index).set for index in demo.plan.select}) == 6
     renamed = demo.model_copy(update={"name": whole.name})
     assert renamed.identity() == whole.identity()
 
@@ -67,7 +67,7 @@ def test_tables_are_merged_and_lists_replaced(write):
 
 
 def test_paths_are_relative_to_the_file_that_says_them(tmp_path, write, monkeypatch):
-    shutil.copy(shelf("plants") / "kaite.toml", tmp_path / "mine_plant.toml")
+    shutil.copy(shipped_folder("plants") / "kaite.toml", tmp_path / "mine_plant.toml")
     recipe = load_recipe(write(extends="barth2018", cultivar="mine_plant.toml"))
     monkeypatch.chdir("/")
     assert recipe.cultivar == str(tmp_path / "mine_plant.toml")
@@ -78,7 +78,7 @@ def test_paths_are_relative_to_the_file_that_says_them(tmp_path, write, monkeypa
 
 def test_identity_follows_values_not_comments(tmp_path, write):
     plant = tmp_path / "plant.toml"
-    text = (shelf("plants") / "kaite.toml").read_text(encoding="utf-8")
+    text = (shipped_folder("plants") / "kaite.toml").read_text(encoding="utf-8")
     plant.write_text(text, encoding="utf-8")
     recipe = load_recipe(write(extends="barth2018", cultivar="plant.toml"))
     before = recipe.sha256()
@@ -102,7 +102,7 @@ DEVICES = {
 def own_devices(tmp_path, write):
     """A recipe with copies of shipped devices in a folder of its own."""
     for _, folder, _, _ in DEVICES.values():
-        shutil.copytree(shelf("materials") / folder, tmp_path / folder)
+        shutil.copytree(shipped_folder("materials") / folder, tmp_path / folder)
     return load_recipe(write(extends="barth2018", **_tables("{folder}/{name}.toml")))
 
 
@@ -278,14 +278,16 @@ def test_without_a_flash_the_white_balance_must_be_another(write):
             write(extends="barth2018", camera={"flash": "none"}, developing={"white_balance": other})
         )
         assert "flash" not in recipe.identity()["files"]
-        assert Stage(recipe).camera(recipe.plan.shot(0)).developing.white_balance == expected
+        assert FrameRenderer(recipe).camera(recipe.plan.frame(0)).developing.white_balance == expected
 
 
 def test_the_developing_table_is_the_cameras(write):
     from pepperscene.camera import Developing
 
     steps = load_recipe(write(extends="barth2018", developing={"tone": "linear", "read_noise": False}))
-    assert Stage(steps).camera(steps.plan.shot(0)).developing == Developing(tone="linear", read_noise=False)
+    assert FrameRenderer(steps).camera(steps.plan.frame(0)).developing == Developing(
+        tone="linear", read_noise=False
+    )
     # A recipe without the table is developed as a camera without a word.
     assert set(DevelopingTable.model_fields) == {field.name for field in dataclasses.fields(Developing)}
     assert Developing(**DevelopingTable().model_dump()) == Developing()
@@ -299,7 +301,7 @@ def test_gains_and_a_matrix_are_the_cameras_and_need_no_flash(write):
     told = {"white_balance": list(GAINS), "colour_matrix": [list(row) for row in MATRIX]}
     base = write("base.toml", extends="barth2018", camera={"flash": "none"}, developing=told)
     recipe = load_recipe(base)
-    steps = Stage(recipe).camera(recipe.plan.shot(0)).developing
+    steps = FrameRenderer(recipe).camera(recipe.plan.frame(0)).developing
     assert (steps.white_balance, steps.colour_matrix) == (GAINS, MATRIX)
 
     # The identity goes through JSON and says them; every entry counts.
@@ -320,7 +322,7 @@ def test_gains_and_a_matrix_are_the_cameras_and_need_no_flash(write):
 
 
 def test_the_command_line_gives_gains_and_a_matrix():
-    changes = read_changes(
+    changes = parse_changes(
         [
             "developing.white_balance=[1.9, 1, 1.5]",
             "developing.colour_matrix=[[1, 0, 0], [0, 1, 0], [0, 0, 1]]",
@@ -344,7 +346,7 @@ def test_a_wrong_balance_or_matrix_is_told_in_one_sentence(write, key, value, al
     with pytest.raises(InputError) as caught:
         load_recipe(path)
     assert (caught.value.key, caught.value.value) == (f"developing.{key}", value)
-    assert allowed in caught.value.allowed
+    assert allowed in caught.value.problem
 
 
 NUMBERS = st.floats() | st.floats(0.01, 100) | st.integers(-2, 200)
@@ -373,7 +375,7 @@ def test_whatever_a_recipe_takes_a_camera_takes(value, key):
 
 def read_or_fault(steps):
     try:
-        return validated(DevelopingTable, steps, "mine.toml")
+        return validate(DevelopingTable, steps, "mine.toml")
     except InputError as fault:
         return fault
 

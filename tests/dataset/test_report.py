@@ -13,9 +13,15 @@ import pytest
 from PIL import Image
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset import build, open_dataset, report
-from pepperscene.dataset.readers.image_set import FIELDS, ImageSet, Labelled
-from pepperscene.dataset.report.data import NUMBERS, distance_range, gathered, records, spread
+from pepperscene.dataset import build, open_dataset, write_report
+from pepperscene.dataset.readers.image_set import FIELDS, ImageSet, LabelledImage
+from pepperscene.dataset.report.data import (
+    NUMBERS,
+    distance_range,
+    evenly_spaced,
+    frame_records,
+    image_statistics,
+)
 from pepperscene.errors import InputError, OutputError
 from pepperscene.frame import DEFAULT_OUTPUTS
 
@@ -59,7 +65,7 @@ class Made(ImageSet):
         colour = rng.integers(0, 256, (30, 40, 3)).astype(np.uint8) if "colour" in self.fields else None
         classes = np.full((30, 40), 255, np.uint8)
         classes[:15] = 2
-        return Labelled(f"made{item}", colour, classes if "classes" in self.fields else None)
+        return LabelledImage(f"made{item}", colour, classes if "classes" in self.fields else None)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +94,7 @@ SHOWN = ("colour", "class", "instance", "distance")
 
 
 def test_the_page_holds_every_picture_and_needs_no_network(make):
-    done = report(make(frames="0:3"))
+    done = write_report(make(frames="0:3"))
     text = done.page.read_text(encoding="utf-8")
     found = Page(text).pictures(*SHOWN)
     assert len(found) == 3 * 4
@@ -104,7 +110,7 @@ def test_the_page_holds_every_picture_and_needs_no_network(make):
 
 
 def test_links_within_the_page_lead_somewhere_and_names_are_unique(make, photographs):
-    tags = Page(report(make(frames="0:3"), beside=photographs).page.read_text(encoding="utf-8")).tags
+    tags = Page(write_report(make(frames="0:3"), beside=photographs).page.read_text(encoding="utf-8")).tags
     names = [attrs["id"] for _, attrs in tags if "id" in attrs]
     assert len(names) == len(set(names))
     targets = [attrs["href"][1:] for _, attrs in tags if attrs.get("href", "").startswith("#")]
@@ -115,7 +121,7 @@ def test_links_within_the_page_lead_somewhere_and_names_are_unique(make, photogr
 
 
 def test_class_shares_add_up(make):
-    text = report(make(frames="0:2")).page.read_text(encoding="utf-8")
+    text = write_report(make(frames="0:2")).page.read_text(encoding="utf-8")
     table = text.partition('class="shares"')[2].partition("</table>")[0]
     shares = [float(found) for found in re.findall(r"<td>([\d.]+)\u00a0%</td>", table)]
     assert len(shares) == len(OrganClass)
@@ -123,7 +129,7 @@ def test_class_shares_add_up(make):
 
 
 def test_a_second_set_stands_beside_the_first_in_every_figure(make, photographs):
-    done = report(make(frames="0:3"), beside=photographs, limit=2)
+    done = write_report(make(frames="0:3"), beside=photographs, limit=2)
     assert (done.shown, done.frames) == (2, 3)
     text = done.page.read_text(encoding="utf-8")
     page = Page(text)
@@ -143,23 +149,23 @@ def test_a_second_set_stands_beside_the_first_in_every_figure(make, photographs)
 
 def test_a_data_set_can_stand_beside_itself_and_is_alike(make):
     folder = make(frames="0:3")
-    text = report(folder, beside=folder).page.read_text(encoding="utf-8")
+    text = write_report(folder, beside=folder).page.read_text(encoding="utf-8")
     correlations = [float(found) for found in re.findall(r"<b>r = ([-\d.]+)</b>", text)]
     assert correlations == [1.0] * len(OrganClass)
 
 
 def test_the_contact_sheet_shows_the_pictures_side_by_side(make):
-    with Image.open(report(make(frames="0:2")).sheet) as sheet:
+    with Image.open(write_report(make(frames="0:2")).sheet) as sheet:
         assert sheet.format == "PNG"
         assert sheet.width > 4 * 400
         two = sheet.height
-    with Image.open(report(make(frames="0:3")).sheet) as sheet:
+    with Image.open(write_report(make(frames="0:3")).sheet) as sheet:
         # One frame more is one row of pictures more.
         assert sheet.height - two > 300
 
 
 def test_frames_beyond_the_limit_are_spread(make):
-    done = report(make(), limit=4, sample=10)
+    done = write_report(make(), limit=4, sample=10)
     assert (done.shown, done.measured, done.frames) == (4, 10, 24)
     text = done.page.read_text(encoding="utf-8")
     assert [int(found) for found in re.findall(r"<h3>Frame (\d+)</h3>", text)] == [0, 8, 15, 23]
@@ -169,7 +175,7 @@ def test_frames_beyond_the_limit_are_spread(make):
 
 
 def test_outputs_that_are_not_there_are_left_out(make):
-    done = report(make(frames="0:1", outputs=("instance", "electrons")))
+    done = write_report(make(frames="0:1", outputs=("instance", "electrons")))
     page = Page(done.page.read_text(encoding="utf-8"))
     assert [attrs["class"] for tag, attrs in page.tags if tag == "img" and "src" in attrs] == ["instance"]
 
@@ -177,7 +183,7 @@ def test_outputs_that_are_not_there_are_left_out(make):
 def test_names_cannot_inject_markup(make, recipe, photographs):
     named = recipe.model_copy(update={"name": '<script>alert("x")</script>'})
     other = Made(name="<b onclick='x'>", items=photographs.items)
-    text = report(make(named, frames="0:1"), beside=other).page.read_text(encoding="utf-8")
+    text = write_report(make(named, frames="0:1"), beside=other).page.read_text(encoding="utf-8")
     assert sum(tag == "script" for tag, _ in Page(text).tags) == 1
     assert "&lt;script&gt;" in text
     assert not [attrs for _, attrs in Page(text).tags if "onclick" in attrs]
@@ -185,32 +191,32 @@ def test_names_cannot_inject_markup(make, recipe, photographs):
 
 def test_the_same_set_gives_the_same_page(make):
     folder = make(frames="0:4")
-    assert report(folder).page.read_bytes() == report(folder).page.read_bytes()
+    assert write_report(folder).page.read_bytes() == write_report(folder).page.read_bytes()
 
 
 def test_a_report_does_not_stop_a_build_from_going_on(make, recipe, fake_renderer):
     folder = make(frames="0:1")
-    report(folder)
+    write_report(folder)
     build(recipe, folder, renderer=fake_renderer, frames="0:2")
-    assert report(folder).frames == 2
+    assert write_report(folder).frames == 2
 
 
 def test_no_data_set_or_no_frames_is_an_input_error(make, tmp_path):
     with pytest.raises(InputError, match="no data set"):
-        report(tmp_path)
+        write_report(tmp_path)
     folder = make(frames="0:1")
     (folder / "frames" / "000000.json").unlink()
     with pytest.raises(InputError, match="no frames"):
-        report(folder)
+        write_report(folder)
     with pytest.raises(InputError, match="nowhere"):
-        report(make(frames="0:1"), beside=tmp_path / "nowhere")
+        write_report(make(frames="0:1"), beside=tmp_path / "nowhere")
 
 
 def test_a_damaged_image_is_an_input_error_and_leaves_no_report(make):
     folder = make(frames="0:1")
     (folder / "colour" / "000000.png").write_bytes(b"nothing")
     with pytest.raises(InputError, match=r"000000\.png"):
-        report(folder)
+        write_report(folder)
     assert not (folder / "index.html").exists()
 
 
@@ -218,7 +224,7 @@ def test_a_report_that_cannot_be_written_is_an_output_error(make):
     folder = make(frames="0:1")
     (folder / "index.html").mkdir()
     with pytest.raises(OutputError, match="cannot be written"):
-        report(folder)
+        write_report(folder)
 
 
 # --- what is gathered ---------------------------------------------------------------------------------------
@@ -226,7 +232,7 @@ def test_a_report_that_cannot_be_written_is_an_output_error(make):
 
 @pytest.mark.parametrize(("count", "most"), [(1, 1), (5, 9), (9, 9), (10_500, 12), (7, 1)])
 def test_places_are_spread_over_the_whole(count, most):
-    places = spread(count, most)
+    places = evenly_spaced(count, most)
     assert len(places) == min(count, most) == len(set(places))
     assert places == sorted(places)
     assert places[0] == 0
@@ -237,7 +243,7 @@ def test_places_are_spread_over_the_whole(count, most):
 
 def test_pictures_are_measured_in_order_and_told(photographs):
     told = []
-    statistics = gathered(photographs, 4, lambda done, of: told.append((done, of)))
+    statistics = image_statistics(photographs, 4, lambda done, of: told.append((done, of)))
     assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
     expected = [np.asarray(Image.fromarray(photographs[k].colour).convert("L")).mean() for k in (0, 1, 3, 4)]
     np.testing.assert_allclose(statistics.intensities, expected)
@@ -254,7 +260,7 @@ def test_few_pictures_are_in_memory_at_a_time():
             most.append(len(alive))
             return picture
 
-    gathered(Watched(name="long", items=tuple(range(300))), 300)
+    image_statistics(Watched(name="long", items=tuple(range(300))), 300)
     assert len(most) == 300
     assert max(most) < 20
 
@@ -263,11 +269,11 @@ def test_a_fault_ends_the_reading(photographs):
     class Broken(Made):
         def read(self, item):
             if item == 3:
-                raise InputError("made3", "", None, "is broken")
+                raise InputError("made3", "is broken")
             return super().read(item)
 
     with pytest.raises(InputError, match="is broken"):
-        gathered(Broken(name="broken", items=tuple(range(50))), 50)
+        image_statistics(Broken(name="broken", items=tuple(range(50))), 50)
 
 
 def test_a_set_without_distances_has_no_range(photographs):
@@ -279,7 +285,7 @@ def test_a_set_without_distances_has_no_range(photographs):
 
 def test_records_are_those_of_the_frames(make):
     dataset = open_dataset(make(frames="0:4"))
-    found = records(dataset)
+    found = frame_records(dataset)
     assert found.indices.tolist() == [0, 1, 2, 3]
     assert set(found.numbers) == set(NUMBERS)
     sizes = [sum(path.stat().st_size for path in dataset.folder.glob(f"*/{k:06d}.*")
@@ -293,10 +299,10 @@ def test_records_are_those_of_the_frames(make):
 
 def test_records_need_no_table_and_know_what_the_frames_tell(make):
     folder = make(frames="0:4")
-    whole = records(open_dataset(folder))
+    whole = frame_records(open_dataset(folder))
     for name in ("manifest.parquet", "journal.jsonl"):
         (folder / name).unlink(missing_ok=True)
-    left = records(open_dataset(folder))
+    left = frame_records(open_dataset(folder))
     np.testing.assert_array_equal(left.pixels, whole.pixels)
     np.testing.assert_array_equal(left.numbers["bytes"], whole.numbers["bytes"])
     # How long a frame took stands nowhere else.
@@ -312,7 +318,7 @@ def test_errors_are_shown(make):
         facts = json.loads(path.read_text())
         facts["sampling"] = {"error_codes": 1.5 + place, "noise_codes": 10.0, "samples_per_pixel": 8.0}
         path.write_text(json.dumps(facts))
-    text = report(folder).page.read_text(encoding="utf-8")
+    text = write_report(folder).page.read_text(encoding="utf-8")
     assert "median <b>2.5</b>" in text
     assert "most 3.5 in frame 000002" in text
     assert "25 % of the sensor" in text

@@ -9,8 +9,8 @@ import pytest
 from chromium import Browser, chromium
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset import report
-from pepperscene.dataset.readers.image_set import FIELDS, ImageSet, Labelled
+from pepperscene.dataset import write_report
+from pepperscene.dataset.readers.image_set import FIELDS, ImageSet, LabelledImage
 from pepperscene.dataset.store.dataset import FORMAT, FRAMES, MARK, file_name, written_image
 from pepperscene.frame import OUTPUTS
 
@@ -33,7 +33,7 @@ class Photographs(ImageSet):
         colour = np.full((90, 120, 3), (40, 120, 60), np.uint8)
         classes = np.full((90, 120), 255, np.uint8)
         classes[20:50, 30:70], colour[20:50, 30:70] = 2, (190, 40 + 50 * item, 20)
-        return Labelled(f"photo {item}", colour, classes)
+        return LabelledImage(f"photo {item}", colour, classes)
 
 
 def frame(index):
@@ -86,7 +86,7 @@ def page(tmp_path_factory):
         }  # fmt: skip
         (folder / FRAMES / f"{index:06d}.json").write_text(json.dumps(facts))
     beside = Photographs(name="photographs", items=(0, 1), fields=FIELDS)
-    return report(folder, SHOWN, beside).page
+    return write_report(folder, SHOWN, beside).page
 
 
 @pytest.fixture(scope="module")

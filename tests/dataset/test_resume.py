@@ -98,7 +98,7 @@ def whole(folder):
         return set()
     dataset = open_dataset(folder)
     for index in dataset.indices():
-        entries = dataset.facts(index)["outputs"]
+        entries = dataset.metadata(index)["outputs"]
         assert set(dataset.intact(index).outputs) == set(entries), f"frame {index} is damaged"
     return set(dataset.indices())
 
@@ -139,7 +139,7 @@ def test_killed_at_random_moments_and_resumed(begin, tmp_path):
     manifest = open_dataset(tmp_path / "set").manifest()
     assert manifest["index"].to_pylist() == list(range(FRAMES))
     plan = Plan(sets=2, rotations=2, frames=15)
-    assert manifest["seed"].to_pylist() == [frame_seed(SEED, plan.shot(i).index) for i in range(FRAMES)]
+    assert manifest["seed"].to_pylist() == [frame_seed(SEED, plan.frame(i).index) for i in range(FRAMES)]
 
 
 @pytest.mark.long

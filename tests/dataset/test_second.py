@@ -12,7 +12,7 @@ import pytest
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
 from pepperscene.dataset.scenes.plant_worker import VARIABLE, processes
-from pepperscene.dataset.scenes.scene_builder import Planting
+from pepperscene.dataset.scenes.scene_builder import SceneBuilder
 from pepperscene.errors import InputError
 
 SMALL = {"cultivar": "kaite_february", "row.plants_front": 6, "row.plants_back": 2}
@@ -30,7 +30,7 @@ def recipe():
 
 @pytest.fixture(scope="module")
 def alone(recipe, cultivar):
-    return Planting(recipe, cultivar, 1).plants(0)
+    return SceneBuilder(recipe, cultivar, 1).plants(0)
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def alike(some, others):
 
 
 def test_two_processes_make_the_same_plants_as_one(recipe, cultivar, alone, started):
-    planting = Planting(recipe, cultivar, 2)
+    planting = SceneBuilder(recipe, cultivar, 2)
     here, real = [], planting.plant
 
     def slowly(which, number):
@@ -85,11 +85,11 @@ def test_without_a_second_process_that_works_all_plants_are_made_here(
     program.write_text("#!/bin/sh\n" + {"exit": "exit 3\n", "chatter": "echo hello\n"}.get(broken, ""))
     program.chmod(0o755)
     monkeypatch.setattr(sys, "executable", broken if "/" in broken else str(program))
-    alike(Planting(recipe, cultivar, 2).plants(0), alone)
+    alike(SceneBuilder(recipe, cultivar, 2).plants(0), alone)
 
 
 def test_a_process_that_was_stopped_leaves_none_behind(recipe, cultivar, started):
-    planting = Planting(recipe, cultivar, 2)
+    planting = SceneBuilder(recipe, cultivar, 2)
 
     def stopped(which, number):
         raise KeyboardInterrupt
@@ -102,7 +102,7 @@ def test_a_process_that_was_stopped_leaves_none_behind(recipe, cultivar, started
 
 def test_few_plants_start_no_process(cultivar, started):
     recipe = load_recipe("barth2018", {**SMALL, "row.plants_front": 1})
-    Planting(recipe, cultivar, 2).plants(0)
+    SceneBuilder(recipe, cultivar, 2).plants(0)
     assert not started
 
 

@@ -42,12 +42,12 @@ def test_a_frame_has_the_bytes_that_a_build_gives_it(take, recipe, fake_renderer
     for name, output in OUTPUTS.items():
         single = (tmp_path / "one" / f"{name}{output.suffix}").read_bytes()
         assert single == (tmp_path / "set" / name / f"000005{output.suffix}").read_bytes(), name
-    told, built = json.loads((tmp_path / "one" / "frame.json").read_text()), data.facts(5)
+    told, built = json.loads((tmp_path / "one" / "frame.json").read_text()), data.metadata(5)
     for name, entry in told.pop("outputs").items():
         assert entry == built["outputs"][name] | {"file": f"{name}{OUTPUTS[name].suffix}"}
     del built["outputs"], built["checksum"]
     # What it shares with its data set stands there in `dataset.json`.
-    assert told == {**data.about, **built, "format": "pepperscene frame 1"}
+    assert told == {**data.info, **built, "format": "pepperscene frame 1"}
 
 
 def test_without_an_index_it_is_the_first_selected_one(take, recipe, tmp_path):

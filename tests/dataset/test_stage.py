@@ -10,8 +10,8 @@ import pytest
 
 from pepperscene.camera import load_filter, load_sensor
 from pepperscene.classes import OrganClass
-from pepperscene.dataset import Stage, load_recipe
-from pepperscene.dataset.recipe.equipment import surface_grid
+from pepperscene.dataset import FrameRenderer, load_recipe
+from pepperscene.dataset.recipe.equipment import surface_wavelengths
 from pepperscene.dataset.recipe.plan import frame_seed
 from pepperscene.dataset.scenes import frame_renderer as stage_module
 from pepperscene.render import QUALITIES
@@ -36,7 +36,7 @@ def footprint(scene, plant):
 
 
 def test_rotation_moves_the_plants_on(three_plants, fake_renderer):
-    stage = Stage(three_plants, fake_renderer, culled=False)
+    stage = FrameRenderer(three_plants, fake_renderer, culled=False)
     plan = three_plants.plan
     before = stage.scene(plan.shot(0), traced=False)
     after = stage.scene(plan.shot(plan.frames), traced=False)
@@ -46,7 +46,7 @@ def test_rotation_moves_the_plants_on(three_plants, fake_renderer):
 
 
 def test_plants_depend_on_set_and_place_but_not_on_how_many_there_are(three_plants, recipe, fake_renderer):
-    many, one = (Stage(plan, fake_renderer, culled=False) for plan in (three_plants, recipe))
+    many, one = (FrameRenderer(plan, fake_renderer, culled=False) for plan in (three_plants, recipe))
     first = footprint(many.scene(three_plants.plan.shot(0), traced=False), 0)
     np.testing.assert_allclose(footprint(one.scene(recipe.plan.shot(0), traced=False), 0), first, atol=1e-5)
     other_set = one.scene(recipe.plan.shot(recipe.plan.count - 1), traced=False)
@@ -54,14 +54,14 @@ def test_plants_depend_on_set_and_place_but_not_on_how_many_there_are(three_plan
 
 
 def test_one_renderer_serves_a_scene(recipe, fake_renderer):
-    stage = Stage(recipe, fake_renderer)
+    stage = FrameRenderer(recipe, fake_renderer)
     for index in range(8):
         stage.render(recipe.plan.shot(index), LABELS)
     assert [len(renderer.views) for renderer in fake_renderer.made] == [4, 4]
 
 
 def test_labels_need_no_surfaces_and_no_sky(recipe, fake_renderer):
-    stage = Stage(recipe, fake_renderer)
+    stage = FrameRenderer(recipe, fake_renderer)
     shot = recipe.plan.shot(0)
     stage.render(shot, LABELS)
     stage.render(shot, ("colour",))
@@ -76,18 +76,18 @@ def test_labels_need_no_surfaces_and_no_sky(recipe, fake_renderer):
 
 def test_without_daylight_there_is_no_sky_and_without_twine_no_wire(recipe, fake_renderer):
     bare = recipe.model_copy(update={"daylight": None, "twine": None})
-    scene = Stage(bare, fake_renderer).scene(bare.plan.shot(0))
+    scene = FrameRenderer(bare, fake_renderer).scene(bare.plan.shot(0))
     assert scene.sky is None
     assert "twine" not in {instance.kind for instance in scene.mesh.instances}
-    with_all = Stage(recipe, fake_renderer).scene(recipe.plan.shot(0))
+    with_all = FrameRenderer(recipe, fake_renderer).scene(recipe.plan.shot(0))
     assert "twine" in {instance.kind for instance in with_all.mesh.instances}
 
 
 def test_every_frame_tells_what_touches(three_plants, fake_renderer):
-    stage = Stage(three_plants, fake_renderer)
+    stage = FrameRenderer(three_plants, fake_renderer)
     plan = three_plants.plan
     frames = [stage.render(plan.shot(index), LABELS) for index in (0, 1, plan.frames)]
-    told = [frame.facts["contacts"] for frame in frames]
+    told = [frame.metadata["contacts"] for frame in frames]
     # All frames of a scene tell the same.
     assert told[0] == told[1]
     for index, found in ((0, told[0]), (plan.frames, told[2])):
@@ -100,7 +100,7 @@ def test_every_frame_tells_what_touches(three_plants, fake_renderer):
 
 
 def test_the_camera_goes_along_the_arc(recipe, fake_renderer):
-    stage = Stage(recipe, fake_renderer)
+    stage = FrameRenderer(recipe, fake_renderer)
     poses = np.array([stage.camera(recipe.plan.shot(step)).pose for step in range(4)])
     places = poses[:, :3, 3]
     np.testing.assert_allclose(np.hypot(places[:, 0], places[:, 1]), 0.4)
@@ -111,7 +111,7 @@ def test_the_camera_goes_along_the_arc(recipe, fake_renderer):
 
 
 def test_every_frame_has_a_seed_of_its_own(recipe, fake_renderer):
-    stage = Stage(recipe, fake_renderer)
+    stage = FrameRenderer(recipe, fake_renderer)
     for index in (2, 3):
         stage.render(recipe.plan.shot(index), LABELS)
     seeds = [view[3] for view in fake_renderer.made[0].views]
@@ -120,11 +120,11 @@ def test_every_frame_has_a_seed_of_its_own(recipe, fake_renderer):
 
 def test_scenes_do_not_depend_on_the_order_of_the_frames(recipe, fake_renderer):
     plan, last = recipe.plan, recipe.plan.count - 1
-    there_and_back = Stage(recipe, fake_renderer)
+    there_and_back = FrameRenderer(recipe, fake_renderer)
     for index in (last, 0):
         there_and_back.render(plan.shot(index), LABELS)
     scene = there_and_back.scene(plan.shot(last))
-    fresh = Stage(recipe, fake_renderer).scene(plan.shot(last))
+    fresh = FrameRenderer(recipe, fake_renderer).scene(plan.shot(last))
     np.testing.assert_array_equal(scene.mesh.vertices, fresh.mesh.vertices)
     np.testing.assert_array_equal(scene.sky.weights, fresh.sky.weights)
 
@@ -133,10 +133,10 @@ def test_scenes_do_not_depend_on_the_order_of_the_frames(recipe, fake_renderer):
 
 
 def test_surfaces_that_were_begun_early_are_those_made_in_time(recipe, fake_renderer):
-    early, shot = Stage(recipe, fake_renderer), recipe.plan.shot(0)
+    early, shot = FrameRenderer(recipe, fake_renderer), recipe.plan.shot(0)
     early.render(shot, ("colour",))
     (begun,) = (made.scene for made in fake_renderer.made)
-    late = Stage(recipe, fake_renderer).scene(shot)
+    late = FrameRenderer(recipe, fake_renderer).scene(shot)
     for one, other in zip(begun.surfaces, late.surfaces, strict=True):
         assert one.name == other.name
         np.testing.assert_array_equal(one.reflectance, other.reflectance)
@@ -148,9 +148,9 @@ def test_labels_alone_begin_nothing(recipe, fake_renderer, monkeypatch):
     def fail(_):
         raise AssertionError("labels need no surfaces")
 
-    monkeypatch.setattr(Stage, "_made_surfaces", fail)
-    monkeypatch.setattr(Stage, "_begin", fail)
-    Stage(recipe, fake_renderer).render(recipe.plan.shot(0), LABELS)
+    monkeypatch.setattr(FrameRenderer, "_made_surfaces", fail)
+    monkeypatch.setattr(FrameRenderer, "_begin", fail)
+    FrameRenderer(recipe, fake_renderer).render(recipe.plan.shot(0), LABELS)
     assert len(fake_renderer.made) == 1
 
 
@@ -158,9 +158,9 @@ def test_what_fails_while_the_row_settles_is_told(recipe, fake_renderer, monkeyp
     def fail(_):
         raise ValueError("no such pigments")
 
-    monkeypatch.setattr(Stage, "_made_surfaces", fail)
+    monkeypatch.setattr(FrameRenderer, "_made_surfaces", fail)
     with pytest.raises(ValueError, match="no such pigments"):
-        Stage(recipe, fake_renderer).render(recipe.plan.shot(0), ("colour",))
+        FrameRenderer(recipe, fake_renderer).render(recipe.plan.shot(0), ("colour",))
     assert not fake_renderer.made
 
 
@@ -169,7 +169,7 @@ def test_the_renderer_begins_early_where_mitsuba_is_to_render(recipe, fake_rende
     room = importlib.import_module("pepperscene.render")
     monkeypatch.setattr(room, "begin", lambda camera, quality: begun.append((camera, quality)))
     monkeypatch.setattr(stage_module, "mitsuba_renderer", fake_renderer)
-    stage = Stage(recipe)
+    stage = FrameRenderer(recipe)
     for index in (0, 1):
         stage.render(recipe.plan.shot(index), LABELS)
     assert not begun
@@ -185,7 +185,7 @@ def test_the_renderer_begins_early_where_mitsuba_is_to_render(recipe, fake_rende
 
 def of(changes, fake_renderer):
     recipe = load_recipe("barth2018", {"row.plants_front": 1, "row.plants_back": 0, **changes})
-    return Stage(recipe, fake_renderer), recipe.plan.shot(0)
+    return FrameRenderer(recipe, fake_renderer), recipe.plan.frame(0)
 
 
 def test_settings_of_the_camera(fake_renderer):
@@ -244,11 +244,13 @@ def test_the_grid_of_the_surfaces_ends_where_the_sensor_does():
         curve = Spectrum(np.array(nm), np.array([efficiency]))
         return replace(load_sensor("onsemi_mt9v024_mono"), quantum_efficiency=curve)
 
-    grid = surface_grid(sensor([300.0, 402.0, 500.0, 993.0, 1100.0], [0.0, 0.0, 0.5, 0.0, 0.0]))
+    grid = surface_wavelengths(sensor([300.0, 402.0, 500.0, 993.0, 1100.0], [0.0, 0.0, 0.5, 0.0, 0.0]))
     np.testing.assert_array_equal(grid, np.arange(400.0, 996.0, 5.0))
     # A curve that ends high is zero beyond.
-    np.testing.assert_array_equal(surface_grid(sensor([400.0, 412.0], [0.5, 0.5])), [400, 405, 410, 415])
+    np.testing.assert_array_equal(
+        surface_wavelengths(sensor([400.0, 412.0], [0.5, 0.5])), [400, 405, 410, 415]
+    )
     with pytest.raises(ValueError, match="sees up to 2600 nm"):
-        surface_grid(sensor([900.0, 2600.0], [0.5, 0.5]))
+        surface_wavelengths(sensor([900.0, 2600.0], [0.5, 0.5]))
     with pytest.raises(ValueError, match="sees no light at all"):
-        surface_grid(sensor([400.0, 700.0], [0.0, 0.0]))
+        surface_wavelengths(sensor([400.0, 700.0], [0.0, 0.0]))

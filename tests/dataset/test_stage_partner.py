@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pepperscene.dataset import Stage, build
+from pepperscene.dataset import FrameRenderer, build
 from pepperscene.errors import InputError
-from pepperscene.scene import sight
+from pepperscene.scene import view_frustums
 
 BASELINE_M = 0.06  # of the recipe
 
@@ -21,7 +21,7 @@ def alone(recipe):
 
 
 def test_a_camera_is_handed_on_where_an_output_needs_it(recipe, fake_renderer, empty_scenes):
-    stage, plan = Stage(recipe, fake_renderer), recipe.plan
+    stage, plan = FrameRenderer(recipe, fake_renderer), recipe.plan
     for outputs in (("class",), ("flow",), ("class", "stereo"), ("colour_stereo",), ("flow", "stereo")):
         stage.render(plan.shot(1), outputs)
     stage.render(plan.shot(plan.frames - 1), ("flow",))
@@ -32,7 +32,7 @@ def test_a_camera_is_handed_on_where_an_output_needs_it(recipe, fake_renderer, e
 
 
 def test_the_partner_stands_beside_and_looks_the_same_way(recipe, fake_renderer):
-    stage, shot = Stage(recipe, fake_renderer), recipe.plan.shot(2)
+    stage, shot = FrameRenderer(recipe, fake_renderer), recipe.plan.shot(2)
     own, partner = stage.camera(shot), stage.views.others(shot.step, ["stereo"])["stereo"]
     np.testing.assert_array_equal(partner.pose[:3, :3], own.pose[:3, :3])
     step = own.pose[:3, :3].T @ (partner.pose[:3, 3] - own.pose[:3, 3])
@@ -46,30 +46,30 @@ def test_the_partner_stands_beside_and_looks_the_same_way(recipe, fake_renderer)
 def test_without_a_flash_there_is_none_beside(recipe, fake_renderer):
     dark = recipe.camera.model_copy(update={"flash": "none"})
     light = recipe.developing.model_copy(update={"white_balance": "daylight"})
-    stage = Stage(recipe.model_copy(update={"camera": dark, "developing": light}), fake_renderer)
+    stage = FrameRenderer(recipe.model_copy(update={"camera": dark, "developing": light}), fake_renderer)
     assert stage.views.others(recipe.plan.shot(0).step, ["colour_stereo"])["stereo"].flash is None
 
 
 @pytest.mark.parametrize("name", ["stereo", "colour_stereo"])
 def test_a_recipe_without_baseline_has_no_partner(alone, fake_renderer, empty_scenes, tmp_path, name):
     with pytest.raises(InputError, match=rf"small: camera\.baseline_mm: must be told .*{name}"):
-        Stage(alone, fake_renderer).render(alone.plan.shot(0), ("class", name))
+        FrameRenderer(alone, fake_renderer).render(alone.plan.shot(0), ("class", name))
     with pytest.raises(InputError, match=r"camera\.baseline_mm"):
         build(alone, tmp_path / "set", [0], ("class", name), renderer=fake_renderer)
     assert not (tmp_path / "set").exists()
 
 
 def test_a_path_without_partner_is_seen_as_before(alone, fake_renderer):
-    stage = Stage(alone, fake_renderer)
+    stage = FrameRenderer(alone, fake_renderer)
     camera = stage.camera(alone.plan.shot(0))
     poses = [stage.camera(alone.plan.shot(step)).pose for step in range(alone.plan.frames)]
-    expected, found = sight(camera, poses), stage.views.sight
+    expected, found = view_frustums(camera, poses), stage.views.sight
     for name in ("normals", "offsets", "places"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
 def test_a_partners_view_is_part_of_what_is_seen(recipe, fake_renderer):
-    stage, plan = Stage(recipe, fake_renderer), recipe.plan
+    stage, plan = FrameRenderer(recipe, fake_renderer), recipe.plan
     half = np.full((1, 3), 1e-3, np.float32)
     for step in range(plan.frames):
         partner = stage.views.others(plan.shot(step).step, ["stereo"])["stereo"]

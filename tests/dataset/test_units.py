@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pepperscene.dataset.execution.executor import Queue, units_of
+from pepperscene.dataset.execution.executor import UnitQueue, work_units
 from pepperscene.dataset.recipe.plan import Plan
 
 PLAN = Plan(sets=3, rotations=2, frames=5)
@@ -13,24 +13,24 @@ PLAN = Plan(sets=3, rotations=2, frames=5)
 
 @given(st.sets(st.integers(0, 29), min_size=1), st.integers(1, 12))
 def test_units_hold_every_frame_once_and_keep_scenes_apart(indices, workers):
-    units = units_of(PLAN, sorted(indices), workers)
+    units = work_units(PLAN, sorted(indices), workers)
     assert [index for unit in units for index in unit.indices] == sorted(indices)
     for unit in units:
-        shots = [PLAN.shot(index) for index in unit.indices]
+        shots = [PLAN.frame(index) for index in unit.indices]
         assert {(shot.set, shot.rotation) for shot in shots} == {(unit.set, unit.rotation)}
     assert len(units) >= min(workers, len(indices))
 
 
 def test_scenes_are_parted_only_where_somebody_would_stand_idle():
-    assert [len(unit.indices) for unit in units_of(PLAN, range(30), 6)] == [5] * 6
-    assert sorted(len(unit.indices) for unit in units_of(PLAN, range(5), 4)) == [1, 1, 1, 2]
-    assert len(units_of(PLAN, range(2), 8)) == 2
+    assert [len(unit.indices) for unit in work_units(PLAN, range(30), 6)] == [5] * 6
+    assert sorted(len(unit.indices) for unit in work_units(PLAN, range(5), 4)) == [1, 1, 1, 2]
+    assert len(work_units(PLAN, range(2), 8)) == 2
 
 
 @given(st.lists(st.integers(0, 2), min_size=1, max_size=60))
 def test_the_queue_hands_out_every_unit_once(turns):
-    units = units_of(PLAN, range(30), 9)
-    waiting, last, given_out = Queue(units), dict.fromkeys(range(3)), []
+    units = work_units(PLAN, range(30), 9)
+    waiting, last, given_out = UnitQueue(units), dict.fromkeys(range(3)), []
     for worker in turns:
         unit = waiting.next(last[worker])
         last[worker] = unit or last[worker]
@@ -40,7 +40,7 @@ def test_the_queue_hands_out_every_unit_once(turns):
 
 
 def test_workers_stay_with_their_set_and_then_help():
-    waiting = Queue(units_of(PLAN, range(30), 2))
+    waiting = UnitQueue(work_units(PLAN, range(30), 2))
     first, second = waiting.next(None), waiting.next(None)
     assert (first.set, second.set) == (0, 1)
     sets = []
@@ -52,7 +52,7 @@ def test_workers_stay_with_their_set_and_then_help():
 
 
 def test_what_is_put_back_comes_again():
-    waiting = Queue(units_of(PLAN, range(5), 1))
+    waiting = UnitQueue(work_units(PLAN, range(5), 1))
     unit = waiting.next(None)
     rest = unit.after({0, 1})
     assert rest.indices == (2, 3, 4)

@@ -121,11 +121,13 @@ def test_a_renderer_that_fails_later_keeps_the_frames_before(recipe, fake_render
     class Failing(fake_renderer):
         def render(self, camera, outputs=(), quality="standard", seed=0):
             if len(self.views) == 2:
-                raise InputError("a", "b", 0, "no more")
+                raise InputError("a", "no more", key="b", value=0)
             return super().render(camera, outputs, quality, seed)
 
     with pytest.raises(InputError):
         build(recipe, tmp_path / "set", frames="0:4", renderer=Failing)
     dataset = open_dataset(tmp_path / "set")
     assert dataset.indices() == (0, 1)
-    assert all(set(dataset.intact(index).outputs) == set(dataset.facts(index)["outputs"]) for index in (0, 1))
+    assert all(
+        set(dataset.intact(index).outputs) == set(dataset.metadata(index)["outputs"]) for index in (0, 1)
+    )

@@ -12,8 +12,8 @@ import trimesh
 
 from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
 from pepperscene.errors import InputError
-from pepperscene.geometry import concatenate, rectangle, sphere
-from pepperscene.geometry.export import FORMATS, check_format, mesh_files, organ_names, write_mesh
+from pepperscene.geometry import concatenate_meshes, rectangle, sphere
+from pepperscene.geometry.export import FORMATS, check_mesh_format, mesh_files, organ_names, write_mesh
 
 LEAF_COLOURS = {"leaf": np.array([[0.2, 0.3, 0.1], [0.02, 0.05, 0.01]])}
 
@@ -24,7 +24,7 @@ def little_plant():
     fruit = sphere((0.02, 0.0, 0.4), 0.04, subdivisions=1)
     other = sphere((-0.1, -0.03, 0.9), 0.03, surface="calyx", subdivisions=0, organ_class=OrganClass.PEDUNCLE)
     band = rectangle((0.0, 0.0, 0.5), (0.01, 0.0, 0.0), (0.0, 0.0, 1.0), "twine", OrganClass.WIRE)
-    mesh = concatenate([blade, fruit, other, band])
+    mesh = concatenate_meshes([blade, fruit, other, band])
     instances = (
         Instance(OrganClass.LEAF, "leaf blade", phytomer=3),
         Instance(OrganClass.PEPPER, "fruit", phytomer=7, parent=0),
@@ -65,7 +65,7 @@ def parsed_obj(text):
 def test_names_are_unique_and_tell_organ_and_node():
     mesh = little_plant()
     assert organ_names(mesh) == NAMES
-    two = concatenate([mesh.of_plant(0), mesh.of_plant(1)])
+    two = concatenate_meshes([mesh.select_plant(0), mesh.select_plant(1)])
     names = organ_names(two)
     assert len(set(names)) == len(names) == 8
     assert names[5] == "plant_1_fruit_0_node_7"
@@ -118,7 +118,7 @@ def test_obj_has_a_group_for_each_organ():
 
 
 def test_materials_of_one_class_stay_apart():
-    mesh = concatenate(
+    mesh = concatenate_meshes(
         [
             sphere((0, 0, 0), 0.1, surface=name, organ_class=OrganClass.PEDUNCLE)
             for name in ("peduncle", "calyx")
@@ -197,4 +197,4 @@ def test_an_unknown_ending_is_refused_in_a_sentence(name):
 
 
 def test_the_ending_may_be_in_capitals():
-    assert check_format("PLANT.GLB") == ".glb"
+    assert check_mesh_format("PLANT.GLB") == ".glb"

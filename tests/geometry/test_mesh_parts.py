@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pepperscene.geometry import concatenate, rectangle, sphere
+from pepperscene.geometry import concatenate_meshes, rectangle, sphere
 
 CARD = rectangle((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), "leaf")
 BALL = sphere((0.0, 0.0, 2.0), 0.5, "fruit", subdivisions=1)
-BOTH = concatenate([CARD, BALL, CARD.moved(np.eye(3), np.array([0.0, 0.0, 5.0]))])
+BOTH = concatenate_meshes([CARD, BALL, CARD.moved(np.eye(3), np.array([0.0, 0.0, 5.0]))])
 
 
 def test_a_part_has_the_triangles_of_its_instances_and_no_others():
-    ball = BOTH.of_instances([1])
+    ball = BOTH.select_instances([1])
     np.testing.assert_array_equal(ball.vertices[ball.faces], BALL.vertices[BALL.faces])
     np.testing.assert_array_equal(ball.state[ball.faces], BALL.state[BALL.faces])
     assert (ball.surfaces, ball.instances) == (BALL.surfaces, BALL.instances)
@@ -23,7 +23,7 @@ def test_a_part_has_the_triangles_of_its_instances_and_no_others():
 
 
 def test_parts_are_numbered_in_the_order_asked_for():
-    part = BOTH.of_instances([2, 1])
+    part = BOTH.select_instances([2, 1])
     assert part.instances == (BOTH.instances[2], BOTH.instances[1])
     first = part.vertices[part.faces[part.face_instance == 0]]
     assert first[..., 2].min() == 5.0
@@ -35,7 +35,7 @@ def test_parts_are_numbered_in_the_order_asked_for():
 @pytest.mark.parametrize("chosen", [[], [3], [-1], [1, 1]])
 def test_parts_that_are_not_there_are_refused(chosen):
     with pytest.raises(ValueError, match="instances"):
-        BOTH.of_instances(chosen)
+        BOTH.select_instances(chosen)
 
 
 def test_every_vertex_knows_its_instance_and_every_instance_its_vertices():
@@ -44,7 +44,7 @@ def test_every_vertex_knows_its_instance_and_every_instance_its_vertices():
     )
     for number, (first, stop) in enumerate(BOTH.instance_vertices):
         assert set(BOTH.faces[BOTH.face_instance == number].ravel()) == set(range(first, stop))
-    swapped = BOTH.of_instances([2, 0, 1])
+    swapped = BOTH.select_instances([2, 0, 1])
     np.testing.assert_array_equal(
         np.diff(swapped.instance_vertices)[:, 0], np.diff(BOTH.instance_vertices)[[2, 0, 1], 0]
     )

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar import load_cultivar
-from pepperscene.cultivar.organs import FORMS, USUAL, Kind
-from pepperscene.geometry import Mesh, concatenate, mesh_plant
+from pepperscene.cultivar.organs import FORMS, USUAL, OrganKind
+from pepperscene.geometry import Mesh, concatenate_meshes, mesh_plant
 from pepperscene.grammar import grow
 from pepperscene.grammar.plant import Organ, Plant
 
 UP = np.array([0.0, 0.0, 1.0])
-KINDS = {**USUAL, "shoot": Kind("stalk", OrganClass.SHOOT, "stem")}
+KINDS = {**USUAL, "shoot": OrganKind("stalk", OrganClass.SHOOT, "stem")}
 
 
 def straight(kind, base=(0.0, 0.0, 0.0), tip=(0.0, 0.1, 0.0), up=(0.0, 0.0, 1.0), parent=-1, **measures):
@@ -183,7 +183,7 @@ def test_wrong_input_is_refused():
 
 def test_concatenation_renumbers_faces_instances_and_surfaces():
     first, second = mesh_of(*ONE_OF_EACH), mesh_of(leaf(), bell())
-    both = concatenate([first, second])
+    both = concatenate_meshes([first, second])
     assert len(both.faces) == len(first.faces) + len(second.faces)
     np.testing.assert_array_equal(both.faces[len(first.faces) :], second.faces + len(first.vertices))
     assert both.instances[len(first.instances)].kind == "blade"
@@ -253,4 +253,4 @@ def test_any_fruit_and_calyx_are_sound_and_closed(
     assert solid.is_winding_consistent
     assert len(np.unique(np.sort(solid.faces, axis=1), axis=0)) == len(solid.faces)
     for number in (0, 1):
-        assert body(mesh.of_instances([number])).volume > 0.0
+        assert body(mesh.select_instances([number])).volume > 0.0

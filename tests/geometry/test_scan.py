@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from pepperscene.classes import OrganClass
-from pepperscene.cultivar.organs import USUAL, Kind
+from pepperscene.cultivar.organs import USUAL, OrganKind
 from pepperscene.errors import InputError
 from pepperscene.geometry import mesh_plant
 from pepperscene.geometry.fruit.scan import MOST_TRIANGLES, load_scan
@@ -31,7 +31,7 @@ def lumpy(subdivisions=4):
 
 def scanned(path, *, calyx=False, **measures):
     """A plant of one fruit that wears the scan."""
-    kinds = {**USUAL, "berry": Kind("fruit", OrganClass.PEPPER, "fruit", path)}
+    kinds = {**USUAL, "berry": OrganKind("fruit", OrganClass.PEPPER, "fruit", path)}
     shape = {"length_m": 0.09, "diameter_m": 0.07, "seed": 0.3} | measures
     organs = [Organ("berry", -1, 4, AXIS, UP, shape)]
     if calyx:

@@ -12,16 +12,16 @@ from pepperscene.classes import Instance, OrganClass
 from pepperscene.cultivar import load_cultivar
 from pepperscene.geometry import (
     Mesh,
-    Settled,
-    concatenate,
-    contacts,
+    ResolvedMesh,
+    concatenate_meshes,
+    count_contacts,
     mesh_plant,
-    moved_plant,
+    move_plant,
     rectangle,
-    settle,
+    resolve_contacts,
     sphere,
 )
-from pepperscene.geometry.contacts.detect import Bodies, counted
+from pepperscene.geometry.contacts.detect import ContactBodies, counted
 from pepperscene.geometry.contacts.fruit import walls
 from pepperscene.geometry.contacts.joints import units_of
 from pepperscene.geometry.contacts.organs import Organs
@@ -40,13 +40,13 @@ def grown(name: str = "kaite", seed: int = 3) -> tuple[Plant, Mesh]:
 
 
 @cache
-def settled(name: str = "kaite", seed: int = 3) -> Settled:
-    return settle(grown(name, seed)[1], np.random.default_rng(seed))
+def settled(name: str = "kaite", seed: int = 3) -> ResolvedMesh:
+    return resolve_contacts(grown(name, seed)[1], np.random.default_rng(seed))
 
 
 def scene(*parts: tuple[Mesh, OrganClass, str, int]) -> Mesh:
     """Bodies as organs: mesh, class, kind and parent of each."""
-    mesh = concatenate([part for part, *_ in parts])
+    mesh = concatenate_meshes([part for part, *_ in parts])
     instances = [Instance(kind, name, plant=0, parent=parent) for _, kind, name, parent in parts]
     return replace(mesh, instances=tuple(instances))
 
@@ -120,20 +120,20 @@ def test_contacts_are_counted_by_class_and_kinship() -> None:
     calyx = sphere([0.0, 0.0, RADIUS], 0.01)
     fruit = sphere([0.0, 0.0, 0.0], RADIUS)
     own = scene((calyx, OrganClass.PEDUNCLE, "calyx", -1), (fruit, OrganClass.PEPPER, "fruit", 0))
-    assert contacts(own).fruit_touching == 0
+    assert count_contacts(own).fruit_touching == 0
     other = scene((calyx, OrganClass.PEDUNCLE, "calyx", -1), (fruit, OrganClass.PEPPER, "fruit", -1))
-    assert contacts(other).fruit_touching == 1
+    assert count_contacts(other).fruit_touching == 1
     both = scene(
         (fruit, OrganClass.PEPPER, "fruit", -1),
         (sphere([1.9 * RADIUS, 0.0, 0.0], RADIUS), OrganClass.PEPPER, "fruit", -1),
         (sphere([9.0 * RADIUS, 0.0, 0.0], RADIUS), OrganClass.PEPPER, "fruit", -1),
     )
-    assert (contacts(both).fruit, contacts(both).fruit_touching) == (3, 2)
+    assert (count_contacts(both).fruit, count_contacts(both).fruit_touching) == (3, 2)
     blade = rectangle([0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0])
     through = scene((blade, OrganClass.LEAF, "lamina", -1), (calyx, OrganClass.STEM, "node", -1))
-    assert contacts(through).blades_touching == 0
+    assert count_contacts(through).blades_touching == 0
     deeper = scene((blade, OrganClass.LEAF, "lamina", -1), (fruit, OrganClass.STEM, "node", -1))
-    assert (contacts(deeper).blades, contacts(deeper).blades_touching) == (1, 1)
+    assert (count_contacts(deeper).blades, count_contacts(deeper).blades_touching) == (1, 1)
 
 
 def test_scenery_is_no_organ() -> None:
@@ -142,13 +142,13 @@ def test_scenery_is_no_organ() -> None:
         rectangle([0.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0]),
     )
     ground = scene((fruit, OrganClass.PEPPER, "fruit", -1), (floor, OrganClass.BACKGROUND, "film", -1))
-    assert contacts(ground).fruit_touching == 0
+    assert count_contacts(ground).fruit_touching == 0
 
 
 def test_a_leaf_slips_off_a_fruit_and_the_fruit_stays() -> None:
     mesh = leafy_node(0.98)
-    assert contacts(mesh).fruit_touching == 1
-    found = settle(mesh, np.random.default_rng(0))
+    assert count_contacts(mesh).fruit_touching == 1
+    found = resolve_contacts(mesh, np.random.default_rng(0))
     assert found.contacts.fruit_touching == 0
     assert {motion.instance for motion in found.motions} <= {3, 4}
     np.testing.assert_array_equal(found.mesh.vertices[rows(mesh, 2)], mesh.vertices[rows(mesh, 2)])
@@ -161,17 +161,17 @@ def test_a_leaf_slips_off_a_fruit_and_the_fruit_stays() -> None:
 
 def test_what_stands_free_stays_as_it_is() -> None:
     mesh = leafy_node(1.3)
-    found = settle(mesh, np.random.default_rng(0))
+    found = resolve_contacts(mesh, np.random.default_rng(0))
     assert found.mesh is mesh
     assert found.motions == ()
-    assert found.contacts == contacts(mesh)
+    assert found.contacts == count_contacts(mesh)
 
 
 def test_no_rounds_move_nothing() -> None:
     mesh = grown()[1]
-    found = settle(mesh, np.random.default_rng(0), rounds=0)
+    found = resolve_contacts(mesh, np.random.default_rng(0), rounds=0)
     assert found.mesh is mesh
-    assert found.contacts == contacts(mesh)
+    assert found.contacts == count_contacts(mesh)
     assert found.contacts.fruit_touching > 3
 
 
@@ -179,10 +179,10 @@ def test_no_rounds_move_nothing() -> None:
 def test_a_plant_is_freed_by_few_motions(name: str) -> None:
     _, mesh = grown(name)
     found = settled(name)
-    assert found.contacts.fruit == contacts(mesh).fruit
-    assert contacts(mesh).fruit_touching > 0.3 * found.contacts.fruit
+    assert found.contacts.fruit == count_contacts(mesh).fruit
+    assert count_contacts(mesh).fruit_touching > 0.3 * found.contacts.fruit
     assert found.contacts.fruit_touching <= 1
-    assert found.contacts == contacts(found.mesh)
+    assert found.contacts == count_contacts(found.mesh)
     assert len({motion.instance for motion in found.motions}) < 0.2 * len(mesh.instances)
 
 
@@ -227,7 +227,7 @@ def test_motions_tell_the_whole_story(name: str) -> None:
 def test_a_moved_plant_has_the_mesh_that_was_settled() -> None:
     plant, _ = grown()
     found = settled()
-    again = mesh_plant(moved_plant(plant, found.motions))
+    again = mesh_plant(move_plant(plant, found.motions))
     apart = np.linalg.norm(again.vertices - found.mesh.vertices, axis=1)
     organs = Organs(again)
     free = organs.of_class(int(OrganClass.LEAF), int(OrganClass.PEPPER))
@@ -241,13 +241,13 @@ def test_motions_of_another_plant_are_refused() -> None:
     plant, _ = grown()
     motion = replace(settled().motions[0], instance=len(plant.organs))
     with pytest.raises(ValueError, match="no organ"):
-        moved_plant(plant, [motion])
+        move_plant(plant, [motion])
 
 
 def test_feet_stay_in_their_joints() -> None:
     """What grows on a node stays as far from its middle, and as high up."""
     plant, _ = grown()
-    moved = moved_plant(plant, settled().motions)
+    moved = move_plant(plant, settled().motions)
     for before, after in zip(plant.organs, moved.organs, strict=True):
         if before.parent < 0:
             continue
@@ -265,7 +265,7 @@ def test_feet_stay_in_their_joints() -> None:
 
 def test_turns_stay_within_their_limits() -> None:
     plant, mesh = grown()
-    moved = moved_plant(plant, settled().motions)
+    moved = move_plant(plant, settled().motions)
     organs = Organs(mesh)
     for index, (before, after) in enumerate(zip(plant.organs, moved.organs, strict=True)):
         roots = units_of(organs, index)
@@ -277,9 +277,9 @@ def test_turns_stay_within_their_limits() -> None:
 
 def test_the_same_seed_gives_the_same_bytes() -> None:
     mesh = grown()[1]
-    again = settle(mesh, np.random.default_rng(3)).mesh
+    again = resolve_contacts(mesh, np.random.default_rng(3)).mesh
     assert again.vertices.tobytes() == settled().mesh.vertices.tobytes()
-    other = settle(mesh, np.random.default_rng(4)).mesh
+    other = resolve_contacts(mesh, np.random.default_rng(4)).mesh
     assert other.vertices.tobytes() != again.vertices.tobytes()
 
 
@@ -295,8 +295,8 @@ def test_the_order_of_vertices_does_not_matter() -> None:
         state=mesh.state[order],
         faces=place[mesh.faces].astype(np.uint32),
     )
-    assert contacts(shuffled) == contacts(mesh)
-    found = settle(shuffled, np.random.default_rng(3))
+    assert count_contacts(shuffled) == count_contacts(mesh)
+    found = resolve_contacts(shuffled, np.random.default_rng(3))
     assert found.contacts.fruit_touching <= 1
     np.testing.assert_allclose(edges(found.mesh), edges(mesh), atol=2e-6)
 
@@ -306,7 +306,7 @@ def test_instances_that_share_vertices_are_refused() -> None:
     faces = mesh.faces.copy()
     faces[0, 0] = faces[-1, 0]
     with pytest.raises(ValueError, match="share vertices"):
-        settle(replace(mesh, faces=faces), np.random.default_rng(0))
+        resolve_contacts(replace(mesh, faces=faces), np.random.default_rng(0))
 
 
 def test_nothing_is_moved_through_the_ground() -> None:
@@ -314,7 +314,7 @@ def test_nothing_is_moved_through_the_ground() -> None:
     mesh = leafy_node(0.98)
     for lift in (0.92, 0.96):
         low = mesh.moved(np.eye(3), np.array([0.0, 0.0, -lift]))
-        found = settle(low, np.random.default_rng(1))
+        found = resolve_contacts(low, np.random.default_rng(1))
         lowest = [found.mesh.vertices[rows(low, i)][:, 2].min() for i in range(5)]
         before = [low.vertices[rows(low, i)][:, 2].min() for i in range(5)]
         for now, then in zip(lowest, before, strict=True):
@@ -325,32 +325,32 @@ def test_plants_without_fruit_or_leaves_are_settled_too() -> None:
     plant, mesh = grown()
     for left_out in (OrganClass.PEPPER, OrganClass.LEAF, OrganClass.STEM):
         kept = [i for i, one in enumerate(mesh.instances) if one.organ_class != left_out]
-        found = settle(mesh.of_instances(kept), np.random.default_rng(0))
+        found = resolve_contacts(mesh.select_instances(kept), np.random.default_rng(0))
         assert np.all(np.isfinite(found.mesh.vertices))
     only = [i for i, one in enumerate(mesh.instances) if one.organ_class == OrganClass.STEM]
-    found = settle(mesh.of_instances(only), np.random.default_rng(0))
+    found = resolve_contacts(mesh.select_instances(only), np.random.default_rng(0))
     assert found.contacts.fruit == found.contacts.blades == 0
     assert found.motions == ()
     assert len(plant.organs) > len(only)
 
 
 def test_between_plants_only_what_stands_between_is_mended() -> None:
-    first = settled("kaite", 3).mesh.of_plant(0)
-    second = settled("kaite", 5).mesh.of_plant(1).moved(np.eye(3), np.array([0.15, 0.0, 0.0]))
-    row = concatenate([first, second])
-    found = settle(row, np.random.default_rng(0), between_plants=True)
-    assert contacts(row).fruit_touching > 2
+    first = settled("kaite", 3).mesh.select_plant(0)
+    second = settled("kaite", 5).mesh.select_plant(1).moved(np.eye(3), np.array([0.15, 0.0, 0.0]))
+    row = concatenate_meshes([first, second])
+    found = resolve_contacts(row, np.random.default_rng(0), between_plants=True)
+    assert count_contacts(row).fruit_touching > 2
     assert found.contacts.fruit_touching <= 1
     # Within each plant nothing got worse.
     for number, alone in enumerate((first, second)):
-        now = found.mesh.of_instances([i for i, one in enumerate(row.instances) if one.plant == number])
-        assert contacts(now).fruit_touching <= contacts(alone).fruit_touching
+        now = found.mesh.select_instances([i for i, one in enumerate(row.instances) if one.plant == number])
+        assert count_contacts(now).fruit_touching <= count_contacts(alone).fruit_touching
 
 
 def test_between_plants_leaves_alone_what_stands_within_one() -> None:
-    mesh = grown()[1].of_plant(0)
-    far = grown("kaite", 5)[1].of_plant(1).moved(np.eye(3), np.array([3.0, 0.0, 0.0]))
-    found = settle(concatenate([mesh, far]), np.random.default_rng(0), between_plants=True)
+    mesh = grown()[1].select_plant(0)
+    far = grown("kaite", 5)[1].select_plant(1).moved(np.eye(3), np.array([3.0, 0.0, 0.0]))
+    found = resolve_contacts(concatenate_meshes([mesh, far]), np.random.default_rng(0), between_plants=True)
     assert found.motions == ()
     assert found.contacts.fruit_touching == 0
 
@@ -385,9 +385,9 @@ def test_patches_hold_the_points_that_they_are_made_of() -> None:
 @pytest.mark.parametrize("between_plants", [False, True])
 def test_depths_are_those_of_every_point(between_plants: bool) -> None:
     """Balls and boxes leave out nothing that reaches in: all points of all organs, one by one, agree."""
-    second = grown("kaite", 5)[1].of_plant(1).moved(np.eye(3), np.array([0.15, 0.0, 0.0]))
-    mesh = concatenate([grown()[1].of_plant(0), second]) if between_plants else grown()[1]
-    bodies = Bodies(mesh, between_plants=between_plants)
+    second = grown("kaite", 5)[1].select_plant(1).moved(np.eye(3), np.array([0.15, 0.0, 0.0]))
+    mesh = concatenate_meshes([grown()[1].select_plant(0), second]) if between_plants else grown()[1]
+    bodies = ContactBodies(mesh, between_plants=between_plants)
     organs, found = bodies.organs, bodies.into_fruit(bodies.fruit.tolist())
     solid = np.flatnonzero(organs.solid)
     laid, patch, place = organs.patches(solid.tolist())
@@ -410,7 +410,7 @@ def test_depths_are_those_of_every_point(between_plants: bool) -> None:
 
 
 def test_blades_in_stems_are_those_of_every_point() -> None:
-    bodies = Bodies(grown()[1])
+    bodies = ContactBodies(grown()[1])
     organs, found = bodies.organs, bodies.into_stems(bodies.blades.tolist())
     for blade in bodies.blades.tolist():
         laid, patch, _ = organs.patches([blade])
@@ -424,13 +424,13 @@ def test_blades_in_stems_are_those_of_every_point() -> None:
 
 def test_what_is_known_after_turns_is_what_is_found_afresh() -> None:
     found = settled()
-    search = Bodies(grown()[1])
+    search = ContactBodies(grown()[1])
     search.into_fruit(search.fruit.tolist())
     search.into_stems(search.blades.tolist())
     for motion in found.motions:
         shift = motion.pivot - motion.rotation @ motion.pivot
         search.organs.turn(search.organs.subtree(motion.instance), motion.rotation, shift)
-    assert counted(search) == contacts(found.mesh) == found.contacts
+    assert counted(search) == count_contacts(found.mesh) == found.contacts
 
 
 # --- many units at once -------------------------------------------------------------------------------------
@@ -438,7 +438,7 @@ def test_what_is_known_after_turns_is_what_is_found_afresh() -> None:
 
 @pytest.mark.parametrize("number", [0, 1])
 def test_units_are_tried_together_as_one_by_one(number: int) -> None:
-    search = Search(Bodies(grown()[1]), np.random.default_rng(0))
+    search = Search(ContactBodies(grown()[1]), np.random.default_rng(0))
     found = search._touching()
     phase = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, len(search.organs))
     units = {unit.root: [unit, place] for place, pair in enumerate(found) for unit in search._sides(*pair)}
@@ -458,7 +458,7 @@ def test_units_are_tried_together_as_one_by_one(number: int) -> None:
 
 def test_how_much_is_worked_out_at_a_time_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pepperscene.geometry.contacts.pairs.ENTRIES", 500)
-    again = settle(grown()[1], np.random.default_rng(3))
+    again = resolve_contacts(grown()[1], np.random.default_rng(3))
     assert again.mesh.vertices.tobytes() == settled().mesh.vertices.tobytes()
 
 
@@ -466,13 +466,13 @@ def test_units_that_are_apart_turn_in_one_go_as_each_would_alone() -> None:
     single = leafy_node(0.98)
     number = len(single.instances)
     parts = [single.moved(np.eye(3), np.array([0.5 * step, 0.0, 0.0])) for step in range(4)]
-    row = concatenate(parts)
+    row = concatenate_meshes(parts)
     phase = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, number)
-    together = Search(Bodies(row), np.random.default_rng(0))
+    together = Search(ContactBodies(row), np.random.default_rng(0))
     found = together._touching()
     assert len(found) == 4
     assert not len(together._part(found, np.tile(phase, 4), 0))
-    alone = Search(Bodies(single), np.random.default_rng(0))
+    alone = Search(ContactBodies(single), np.random.default_rng(0))
     alone._part(alone._touching(), phase, 0)
     assert len(together.motions) == 4 * len(alone.motions) > 0
     for step in range(4):
@@ -482,7 +482,7 @@ def test_units_that_are_apart_turn_in_one_go_as_each_would_alone() -> None:
 
 def test_units_that_would_meet_wait_for_each_other() -> None:
     """In one go much is freed, and what is near to something that was just turned waits."""
-    search = Search(Bodies(grown()[1]), np.random.default_rng(0))
+    search = Search(ContactBodies(grown()[1]), np.random.default_rng(0))
     found = search._touching()
     phase = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, len(search.organs))
     before = counted(search.bodies)

@@ -171,7 +171,7 @@ def test_sections_and_nodes_join_without_a_step():
     stem = [
         i for i, organ in enumerate(plant.organs) if plant.kinds[organ.kind].form in ("internode", "node")
     ]
-    parts = [mesh.of_instances([i]) for i in stem]
+    parts = [mesh.select_instances([i]) for i in stem]
     bodies = [rings(part) for part in parts]
     for below, above in pairwise(bodies):
         np.testing.assert_allclose(below[-1].mean(axis=0), above[0].mean(axis=0), atol=2e-5)
@@ -336,4 +336,4 @@ def test_all_tubes_of_a_plant_are_closed_and_alike_for_alike_seeds():
     np.testing.assert_array_equal(first.vertices, again.vertices)
     chosen = [i for i, o in enumerate(plant.organs) if plant.kinds[o.kind].form in SIZES]
     for index in chosen[:: max(1, len(chosen) // 25)]:
-        assert_sound(first.of_instances([index]))
+        assert_sound(first.select_instances([index]))

@@ -8,7 +8,7 @@ import trimesh
 
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar import load_cultivar
-from pepperscene.geometry import mesh_plant, rectangle, sphere, stem_branches, stem_profile, twine
+from pepperscene.geometry import mesh_plant, rectangle, sphere, stem_branches, stem_profile, twine_mesh
 from pepperscene.grammar import grow
 from pepperscene.grammar.plant import Plant
 
@@ -21,7 +21,7 @@ def closed(mesh):
 
 
 def test_the_cord_touches_the_stem_all_the_way():
-    mesh = twine(STEM, 0.0045, 0.001, turns_per_m=3.0, phase_rad=0.4, above_m=0.0)
+    mesh = twine_mesh(STEM, 0.0045, 0.001, turns_per_m=3.0, phase_rad=0.4, above_m=0.0)
     reach = np.hypot(mesh.vertices[:, 0], mesh.vertices[:, 1])
     inner = (mesh.vertices[:, 2] > 0.01) & (mesh.vertices[:, 2] < 1.99)
     assert reach[inner].min() == pytest.approx(0.0045, abs=2e-4)
@@ -46,7 +46,7 @@ def bodies(plant, *forms):
     """The plant's organs of some forms, each as a closed body."""
     mesh = mesh_plant(plant)
     chosen = [i for i, organ in enumerate(plant.organs) if plant.kinds[organ.kind].form in forms]
-    return [closed(mesh.of_instances([i])) for i in chosen]
+    return [closed(mesh.select_instances([i])) for i in chosen]
 
 
 def rings_of(mesh, sides=6):
@@ -68,7 +68,7 @@ def depth_in(solids, points):
 
 @pytest.mark.parametrize(("radius", "turns"), [(0.001, 3.0), (0.002, 4.0), (0.0005, -2.0)])
 def test_cord_and_stem_touch_on_their_triangles(plant, radius, turns):
-    cord = twine(*stem_profile(plant), radius, turns, 0.8, 0.0, branches=stem_branches(plant), seed=0.3)
+    cord = twine_mesh(*stem_profile(plant), radius, turns, 0.8, 0.0, branches=stem_branches(plant), seed=0.3)
     ring = rings_of(cord)
     depth = depth_in(bodies(plant, "internode", "node"), ring.reshape(-1, 3)).reshape(ring.shape[:2])
     # Each cross-section of the cord comes as near as half a millimetre, and dips in by less.
@@ -83,7 +83,7 @@ def test_a_cord_passes_beside_what_grows_out_of_the_stem(plant):
     for aside in (branches, None):
         count = 0
         for phase in (0.0, 2.0, 4.0):
-            ring = rings_of(twine(*outline, 0.001, 3.0, phase, 0.0, branches=aside, seed=0.6))
+            ring = rings_of(twine_mesh(*outline, 0.001, 3.0, phase, 0.0, branches=aside, seed=0.6))
             count += int((depth_in(others, ring.reshape(-1, 3)) > 1e-4).sum())
         hit.append(count)
     assert hit[0] < 0.03 * hit[1]
@@ -113,7 +113,7 @@ def test_a_plant_without_a_stem_has_no_outline(plant):
 def test_a_seed_makes_the_pitch_uneven():
     angles = []
     for seed in (None, 0.2, 0.2, 0.7):
-        points = rings_of(twine(STEM, 0.0045, 0.0005, 3.0, above_m=0.0, seed=seed)).mean(axis=1)
+        points = rings_of(twine_mesh(STEM, 0.0045, 0.0005, 3.0, above_m=0.0, seed=seed)).mean(axis=1)
         points = points[np.argsort(points[:, 2])]
         turned = np.unwrap(np.arctan2(points[:, 0], -points[:, 1])) - 6.0 * np.pi * points[:, 2]
         angles.append(np.interp(np.linspace(0.02, 1.98, 200), points[:, 2], turned))
@@ -124,7 +124,7 @@ def test_a_seed_makes_the_pitch_uneven():
 
 
 def test_two_plies_turn_about_each_other_once_a_lay():
-    mesh = twine(STEM[:5], 0.0045, 0.001, 0.0, above_m=0.0, lay_m=0.012)
+    mesh = twine_mesh(STEM[:5], 0.0045, 0.001, 0.0, above_m=0.0, lay_m=0.012)
     assert closed(mesh).is_watertight
     ring = mesh.vertices[1:-1].reshape(-1, 9, 3)[1:-1, :-1].astype(float)
     off = ring - ring.mean(axis=1, keepdims=True)
@@ -141,7 +141,7 @@ def test_two_plies_turn_about_each_other_once_a_lay():
 
 @pytest.mark.parametrize("turns", [-2.0, 0.0, 3.5])
 def test_it_winds_as_often_as_told(turns):
-    mesh = twine(STEM, 0.0045, 0.0005, turns, above_m=0.0)
+    mesh = twine_mesh(STEM, 0.0045, 0.0005, turns, above_m=0.0)
     order = np.argsort(mesh.vertices[:, 2])
     height = mesh.vertices[order, 2]
     angle = np.unwrap(np.arctan2(mesh.vertices[order, 1], mesh.vertices[order, 0]))
@@ -150,20 +150,20 @@ def test_it_winds_as_often_as_told(turns):
 
 
 def test_it_starts_where_the_phase_says():
-    first = twine(STEM, 0.0045, 0.0005, 2.0, 0.0, 0.0).vertices[0]
+    first = twine_mesh(STEM, 0.0045, 0.0005, 2.0, 0.0, 0.0).vertices[0]
     assert first[1] == pytest.approx(-0.005, abs=1e-4)
     assert first[0] == pytest.approx(0.0, abs=1e-4)
 
 
 def test_it_goes_on_straight_above_the_stem():
-    mesh = twine(STEM, 0.0045, 0.001, 2.0, above_m=0.8)
+    mesh = twine_mesh(STEM, 0.0045, 0.001, 2.0, above_m=0.8)
     top = mesh.vertices[mesh.vertices[:, 2] > 2.2]
     assert mesh.vertices[:, 2].max() == pytest.approx(2.8, abs=2e-3)
     assert np.hypot(top[:, 0], top[:, 1]).max() < 0.0013
 
 
 def test_it_is_a_closed_wire_of_one_instance():
-    mesh = twine(STEM, np.linspace(0.006, 0.003, 21), 0.001, 3.0)
+    mesh = twine_mesh(STEM, np.linspace(0.006, 0.003, 21), 0.001, 3.0)
     solid = closed(mesh)
     assert solid.is_watertight
     assert solid.volume > 0.0
@@ -174,7 +174,7 @@ def test_it_is_a_closed_wire_of_one_instance():
 
 def test_a_crooked_stem_is_followed():
     wave = STEM + np.stack([0.03 * np.sin(4.0 * STEM[:, 2]), 0.0 * STEM[:, 0], 0.0 * STEM[:, 0]], axis=1)
-    mesh = twine(wave, 0.004, 0.001, 3.0, above_m=0.0)
+    mesh = twine_mesh(wave, 0.004, 0.001, 3.0, above_m=0.0)
     fine = np.stack(
         [np.interp(np.linspace(0, 2, 2001), wave[:, 2], wave[:, axis]) for axis in range(3)], axis=1
     )
@@ -185,18 +185,18 @@ def test_a_crooked_stem_is_followed():
 @pytest.mark.parametrize("radius", [0.0, -0.001, float("nan")])
 def test_a_cord_needs_a_radius(radius):
     with pytest.raises(ValueError, match="radius"):
-        twine(STEM, 0.005, radius, 2.0)
+        twine_mesh(STEM, 0.005, radius, 2.0)
 
 
 def test_plies_need_a_length():
     with pytest.raises(ValueError, match="plies"):
-        twine(STEM, 0.005, 0.001, 2.0, lay_m=0.0)
+        twine_mesh(STEM, 0.005, 0.001, 2.0, lay_m=0.0)
 
 
 @pytest.mark.parametrize("axis", [STEM[:1], STEM[:2] * 0.0])
 def test_an_axis_needs_a_length(axis):
     with pytest.raises(ValueError, match="distinct"):
-        twine(axis, 0.005, 0.001, 2.0)
+        twine_mesh(axis, 0.005, 0.001, 2.0)
 
 
 def test_a_sphere_is_round_and_closed():

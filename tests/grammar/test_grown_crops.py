@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from pepperscene.cultivar import Cultivar, load_cultivar
-from pepperscene.grammar import Organ, Plant, build, draw_parameters, grow
+from pepperscene.grammar import Organ, Plant, build_plant, draw_parameters, grow
 
 SIGNIFICANCE = 1e-3
 
@@ -177,7 +177,7 @@ def test_every_pedicel_bears_a_fruit_on_its_calyx(tomatoes: list[Plant]) -> None
 
 
 def test_fruit_is_smaller_up_the_stem(tomato: Cultivar, tomatoes: list[Plant]) -> None:
-    law = tomato.organs["fruit"].laws["diameter"]
+    law = tomato.organs["fruit"].distributions["diameter"]
     fruit = [o for plant in tomatoes for o in plant.of_kind("fruit")]
     grown = tomato.stem.parts - tomato.stem.young_nodes
     for phytomer in (5, 14, 23):
@@ -240,6 +240,6 @@ def test_a_bare_stem_grows(kaite: Cultivar) -> None:
     stem = kaite.stem.model_copy(update={"parts": 3, "young_nodes": 0})
     bare = kaite.model_copy(update={"stem": stem, "organs": {**kaite.organs, "node": node}})
     parameters = draw_parameters(bare, np.random.default_rng(0))
-    plant = build(parameters)
+    plant = build_plant(parameters)
     assert [organ.kind for organ in plant.organs] == ["internode", "node"] * 3
     assert set(parameters.organs) == set(bare.organs)

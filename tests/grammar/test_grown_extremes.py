@@ -27,7 +27,7 @@ def widened(law: Distribution) -> Distribution:
 
 def edited(model: OrganModel, spread: Spread) -> OrganModel:
     fields = {name: getattr(model, name) for name in type(model).model_fields}
-    laws = {name: spread(law) for name, law in model.laws.items()}
+    laws = {name: spread(law) for name, law in model.distributions.items()}
     slots = []
     for slot in model.bears:
         turned = {
@@ -93,7 +93,7 @@ def test_any_number_of_nodes(name: str, parts: int, young: int) -> None:
     ("kind", "parameter", "value"), [("lamina", "length", 1e-3), ("fruit", "diameter", 0.3)]
 )
 def test_tiny_leaves_and_huge_fruit(kaite: Cultivar, kind: str, parameter: str, value: float) -> None:
-    law = fixed(kaite.organs[kind].laws[parameter]).model_copy(
+    law = fixed(kaite.organs[kind].distributions[parameter]).model_copy(
         update={"mean": value, "low": value, "high": value}
     )
     model = kaite.organs[kind].model_copy(update={parameter: law})

@@ -87,7 +87,7 @@ TABLE_1: dict[str, tuple[str, str, Ruler]] = {
 @pytest.mark.parametrize("name", TABLE_1)
 def test_table_1_comes_back(kaite: Cultivar, plants: list[Plant], name: str) -> None:
     kind, parameter, ruler = TABLE_1[name]
-    law: Distribution = kaite.organs[kind].laws[parameter] if kind else kaite.stem.diameter
+    law: Distribution = kaite.organs[kind].distributions[parameter] if kind else kaite.stem.diameter
     found = np.array(ruler(plants, kaite))
     assert found.size >= len(plants)
     # A node is never thinner than its stem, which lifts the thinnest few: a tenth of a millimetre for I-2.
@@ -108,7 +108,7 @@ CALLED = {"fold": "fold_rad", "curl": "curl_rad", "state": "state_mean"}
 
 @pytest.mark.parametrize(("kind", "parameter"), SHAPES)
 def test_shapes_follow_their_laws(kaite: Cultivar, plants: list[Plant], kind: str, parameter: str) -> None:
-    law = kaite.organs[kind].laws[parameter]
+    law = kaite.organs[kind].distributions[parameter]
     suffix = "_m" if parameter in ("margin_wave", "blister", "vein") else ""
     found = measures(kind, CALLED.get(parameter, parameter + suffix))(plants, kaite)
     # Kolmogorov and Smirnov's test, with the law's own quantiles inverted on a fine grid.
@@ -122,7 +122,7 @@ def test_leaves_are_as_wide_as_they_are_long(kaite: Cultivar, plants: list[Plant
     sizes = np.array([(o.measures["length_m"], o.measures["width_m"]) for o in of(plants, kaite, "lamina")])
     # Both follow the height and, about that, each other: correlations r^2 + (1 - r^2) c, and the
     # estimate's standard error is (1 - correlation^2) / sqrt(n).
-    height = 2.0 * math.sin(math.pi * model.laws["length"].with_height / 6.0)
+    height = 2.0 * math.sin(math.pi * model.distributions["length"].with_height / 6.0)
     wanted = height**2 + (1.0 - height**2) * model.size_correlation
     assert np.corrcoef(sizes.T)[0, 1] == pytest.approx(wanted, abs=4 * (1 - wanted**2) / np.sqrt(len(sizes)))
 
@@ -253,7 +253,7 @@ def test_fruit_ripens_from_the_foot_and_half_of_it_is_ripe(kaite: Cultivar, plan
     fruit = list(of(plants, kaite, "fruit"))
     ripeness = np.array([organ.measures["ripeness"] for organ in fruit])
     height = np.array([organ.phytomer for organ in fruit])
-    laws = kaite.organs["fruit"].laws
+    laws = kaite.organs["fruit"].distributions
     ripe, green = ripeness >= laws["ripe"].low, ripeness <= laws["unripe"].high
     share, breaker = laws["ripe_fraction"].mean, laws["breaker_fraction"].mean
     expected = len(fruit) * np.array([share - breaker / 2, breaker, 1 - share - breaker / 2])
@@ -281,7 +281,7 @@ def test_lobes_are_as_many_as_stated(kaite: Cultivar, plants: list[Plant]) -> No
 
 def test_blades_hang_as_stated(kaite: Cultivar, plants: list[Plant]) -> None:
     # Slope of the midrib's middle segment; sway tilts it out of its plane a little, hence half a degree.
-    law = kaite.organs["lamina"].laws["inclination"]
+    law = kaite.organs["lamina"].distributions["inclination"]
     blades = [(plant.organs[o.parent], o) for plant in plants for o in of([plant], kaite, "lamina")]
     middle = np.array([o.curve[7] - o.curve[6] for _, o in blades])
     outward = np.array([petiole.curve[1] - petiole.curve[0] for petiole, _ in blades])[:, :2]
@@ -297,7 +297,7 @@ def test_blades_hang_as_stated(kaite: Cultivar, plants: list[Plant]) -> None:
 def test_stalks_leave_and_end_at_their_inclination(
     kaite: Cultivar, plants: list[Plant], kind: str, end: int
 ) -> None:
-    law = kaite.organs[kind].laws["end_inclination" if end else "inclination"]
+    law = kaite.organs[kind].distributions["end_inclination" if end else "inclination"]
     organs = list(of(plants, kaite, kind))
     step = np.array([np.diff(o.curve, axis=0)[end] for o in organs])
     found = np.arcsin(step[:, 2] / np.linalg.norm(step, axis=1))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from pepperscene.cultivar import load_cultivar
-from pepperscene.grammar.hashing import descended, drawn_key, mixed, number, several_shares, shares
+from pepperscene.grammar.hashing import descended, drawn_key, number, several_shares, shares, splitmix64
 
 SIGNIFICANCE = 1e-3
 KEY = drawn_key(np.random.default_rng(2))
@@ -40,7 +40,7 @@ def test_the_mixer_is_splitmix64() -> None:
     ]
     golden = 0x9E3779B97F4A7C15
     states = [(1234567 + k * golden) % 2**64 for k in range(1, 6)]
-    assert mixed(np.array(states, dtype=np.uint64)).tolist() == listed
+    assert splitmix64(np.array(states, dtype=np.uint64)).tolist() == listed
 
 
 @pytest.mark.parametrize("name", ["length", "width", "state", "what"])
@@ -82,7 +82,7 @@ def test_addresses_and_shares_stay_apart() -> None:
 
 
 def test_no_two_parameters_share_a_number() -> None:
-    names = {name for model in load_cultivar("kaite").organs.values() for name in model.laws}
+    names = {name for model in load_cultivar("kaite").organs.values() for name in model.distributions}
     names |= {"seed", "what", "count", "azimuth", "spread", "stray", "side", "aside", "phase", "nodes"}
     names |= {"strength", "descent", "ripeness", "lobes", "calyx_seed", "zigzag", "pull", "size"}
     assert len({number(name) for name in names}) == len(names)

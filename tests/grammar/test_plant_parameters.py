@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pepperscene.cultivar import Cultivar
-from pepperscene.grammar import Plant, PlantParameters, build, draw_parameters, grow
+from pepperscene.grammar import Plant, PlantParameters, build_plant, draw_parameters, grow
 
 
 @pytest.fixture
@@ -35,25 +35,28 @@ def changed_organs(before: Plant, after: Plant) -> set[int]:
 
 
 def test_growing_is_drawing_and_building(kaite: Cultivar, parameters: PlantParameters) -> None:
-    assert not changed_organs(build(parameters), grow(kaite, np.random.default_rng(5)))
+    assert not changed_organs(build_plant(parameters), grow(kaite, np.random.default_rng(5)))
 
 
 def test_one_longer_leaf_leaves_all_else_as_it_was(parameters: PlantParameters) -> None:
     laminae = parameters.organs["lamina"]
     row = 10
     longer = parameters.changed("lamina", row, length=2.0 * laminae.values["length"][row])
-    before, after = build(parameters), build(longer)
+    before, after = build_plant(parameters), build_plant(longer)
     number = int(laminae.number[row])
     assert changed_organs(before, after) == {number}
     assert after.organs[number].measures["length_m"] == 2.0 * before.organs[number].measures["length_m"]
     # The first plant's numbers are as they were.
-    assert not changed_organs(before, build(parameters))
+    assert not changed_organs(before, build_plant(parameters))
 
 
 def test_what_grows_on_a_turned_shoot_turns_with_it(parameters: PlantParameters) -> None:
     shoots, turn = parameters.organs["side_shoot"], 0.7
     azimuth = float(shoots.values["azimuth"][3])
-    before, after = build(parameters), build(parameters.changed("side_shoot", 3, azimuth=azimuth + turn))
+    before, after = (
+        build_plant(parameters),
+        build_plant(parameters.changed("side_shoot", 3, azimuth=azimuth + turn)),
+    )
     moved = below(before, int(shoots.number[3]))
     assert changed_organs(before, after) == moved
     # Seen from above, a level rotation of all that hangs on it.
@@ -69,8 +72,8 @@ def test_what_grows_on_a_turned_shoot_turns_with_it(parameters: PlantParameters)
 def test_a_larger_fruit_has_a_larger_calyx(parameters: PlantParameters) -> None:
     fruit = parameters.organs["fruit"]
     number = int(fruit.number[0])
-    before = build(parameters)
-    after = build(parameters.changed("fruit", 0, diameter=0.3))
+    before = build_plant(parameters)
+    after = build_plant(parameters.changed("fruit", 0, diameter=0.3))
     assert changed_organs(before, after) == {number - 1, number}
     assert after.organs[number].measures["diameter_m"] == 0.3
     ratio = before.organs[number - 1].measures["radius_m"] / before.organs[number].measures["diameter_m"]

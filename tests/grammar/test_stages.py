@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pepperscene.cultivar import Cultivar, Distribution, interpolated
+from pepperscene.cultivar import Cultivar, Distribution, interpolate_cultivars
 from pepperscene.grammar import Plant, draw_parameters, grow
 
 
@@ -15,7 +15,9 @@ def scaled(cultivar: Cultivar, factor: float) -> Cultivar:
     for name, model in cultivar.organs.items():
         fields = {n: getattr(model, n) for n in type(model).model_fields}
         larger = {
-            n: _times(law, factor) for n, law in model.laws.items() if n in ("length", "width", "diameter")
+            n: _times(law, factor)
+            for n, law in model.distributions.items()
+            if n in ("length", "width", "diameter")
         }
         organs[name] = type(model).model_construct(**fields | larger)
     stem = cultivar.stem.model_copy(update={"diameter": _times(cultivar.stem.diameter, factor)})
@@ -37,7 +39,7 @@ def topology(plant: Plant) -> list[tuple[str, int, int]]:
 
 def test_stages_between_have_the_same_organs_and_lengths_between(kaite: Cultivar) -> None:
     old = scaled(kaite, 1.6)
-    half = interpolated(kaite, old, 0.5)
+    half = interpolate_cultivars(kaite, old, 0.5)
     first, middle, last = (draw_parameters(c, np.random.default_rng(9)) for c in (kaite, half, old))
     for name in kaite.organs:
         young, mean, grown = (one.organs[name] for one in (first, middle, last))
@@ -58,7 +60,10 @@ def test_stages_between_have_the_same_organs_and_lengths_between(kaite: Cultivar
 def test_a_stage_moves_little_when_its_share_does(kaite: Cultivar) -> None:
     old = scaled(kaite, 1.6)
     curves = [
-        [organ.curve for organ in grow(interpolated(kaite, old, share), np.random.default_rng(4)).organs]
+        [
+            organ.curve
+            for organ in grow(interpolate_cultivars(kaite, old, share), np.random.default_rng(4)).organs
+        ]
         for share in (0.5, 0.501)
     ]
     moved = [np.abs(one - other).max() for one, other in zip(*curves, strict=True)]
@@ -111,6 +116,6 @@ def test_shipped_stages_grow_in_between(kaite: Cultivar, share: float) -> None:
     february = load_cultivar("kaite_february")
     heights = [
         grow(cultivar, np.random.default_rng(1)).of_kind("node")[-1].curve[-1, 2]
-        for cultivar in (february, interpolated(february, kaite, share), kaite)
+        for cultivar in (february, interpolate_cultivars(february, kaite, share), kaite)
     ]
     assert heights == sorted(heights)

@@ -12,7 +12,7 @@ from pepperscene.camera import AngularProfile, Camera, Flash, load_flash, load_l
 from pepperscene.classes import Instance, OrganClass
 from pepperscene.geometry import Mesh
 from pepperscene.materials import Surface
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import Spectrum
 
 RANGE_NM = np.array([300.0, 1100.0])
@@ -102,7 +102,7 @@ def chosen_camera(sensor: str, lamp: Flash | None, *, columns: int, rows: int) -
 
 def columns_of(file: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """(wavelengths, values) of all columns of a CSV file below `materials/`, by name."""
-    with (shelf("materials") / f"{file}.csv").open() as stream:
+    with (shipped_folder("materials") / f"{file}.csv").open() as stream:
         header, *rows = [row for row in csv.reader(stream) if row and not row[0].startswith("#")]
     table = np.array(rows, float)
     return {name: (table[:, 0], table[:, i]) for i, name in enumerate(header) if i}

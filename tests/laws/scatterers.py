@@ -13,7 +13,7 @@ from pepperscene.materials import Surface, greenhouse_surfaces, organ_surfaces
 from pepperscene.materials.gloss import gloss_albedo
 from pepperscene.render.surface.optics import Optics
 from pepperscene.render.surface.tables import LEAST_ALPHA, pack
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 
 GRID_NM = np.arange(380.0, 961.0, 5.0)
 SEEN_NM = (
@@ -126,7 +126,7 @@ class Cases:
 
     def points(self, optics: Optics, case):
         """The optical states at lanes that belong to the cases numbered `case` (a kernel's integer)."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         wi = dr.gather(mi.Vector3f, mi.Float(self.wi.ravel()), case)
         uv = dr.gather(mi.Point2f, mi.Float(self.uv.ravel()), case)
         surface = dr.gather(mi.UInt32, mi.UInt32(self.surface), case)
@@ -136,7 +136,7 @@ class Cases:
     def frames(self, optics: Optics) -> np.ndarray:
         """`(c, 3, 3)`: axes (rows) of the directions that `quadrature` and the lobes use: the relief's, with
         z towards the viewer."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         point = self.points(optics, dr.arange(mi.UInt32, len(self)))
         dr.eval(point.frame, point.flip)
         axes = [np.broadcast_to(np.asarray(axis), (3, len(self))) for axis in _axes(point)]
@@ -144,7 +144,7 @@ class Cases:
 
 
 def _axes(point):
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     one, zero = dr.ones(mi.Float, dr.width(point.flip)), 0.0
     return (
         point.frame.to_world(mi.Vector3f(one, zero, zero)),
@@ -155,7 +155,7 @@ def _axes(point):
 
 def interaction(wi, n: int, uv=(0.5, 0.5)):
     """`n` interactions on the plane z = 0 seen from `wi`."""
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     si = dr.zeros(mi.SurfaceInteraction3f, n)
     si.wi = mi.Vector3f(*wi)
     si.sh_frame = mi.Frame3f(mi.Normal3f(0.0, 0.0, 1.0))
@@ -185,7 +185,7 @@ def _sampled(
     cases: Cases, optics: Optics, chosen: np.ndarray, lattice: np.ndarray, shift: np.ndarray
 ) -> np.ndarray:
     """`(c, repeats, 5)`: means of the weights at four wavelengths, and the share rejected."""
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     count, repeats = lattice.shape[1], shift.shape[1]
     lane = dr.arange(mi.UInt32, len(chosen) * repeats * count)
     block = lane // count
@@ -210,7 +210,7 @@ def integrated(cases: Cases) -> tuple[np.ndarray, np.ndarray]:
     microfacet normals drawn by their area, each with its density in the other (the balance heuristic makes
     one integral of the two).
     """
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     optics = cases.optics()
     frames = cases.frames(optics)
     local, weight = [], []

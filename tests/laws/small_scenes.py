@@ -8,8 +8,8 @@ import numpy as np
 from bodies import bench_camera
 from test_convergence import bench
 
-from pepperscene.camera import Camera, corrected
-from pepperscene.dataset import Recipe, Stage, load_recipe
+from pepperscene.camera import Camera, correct_colours
+from pepperscene.dataset import FrameRenderer, Recipe, load_recipe
 from pepperscene.render import Quality, Renderer
 from pepperscene.scene import Scene
 
@@ -38,8 +38,8 @@ def plants_shot(*, daylight: bool = False) -> tuple[Scene, Camera]:
     changes: dict[str, object] = {"row": recipe.row.model_copy(update={"plants_front": 1, "plants_back": 1})}
     if daylight:
         changes |= bright_day(recipe, 300.0)
-    stage = Stage(recipe.model_copy(update=changes))
-    shot = stage.recipe.plan.shot(125)
+    stage = FrameRenderer(recipe.model_copy(update=changes))
+    shot = stage.recipe.plan.frame(125)
     camera = stage.camera(shot)
     return stage.scene(shot), replace(camera, sensor=replace(camera.sensor, columns=COLUMNS, rows=ROWS))
 
@@ -68,7 +68,7 @@ class Codes:
     def _linear(self, electrons: np.ndarray) -> np.ndarray:
         sensor = self._camera.sensor
         full = sensor.gain_e_per_dn * (sensor.full_scale_dn - sensor.black_level_dn)
-        return corrected((electrons / full).astype(np.float32), self._camera).astype(float)
+        return correct_colours((electrons / full).astype(np.float32), self._camera).astype(float)
 
 
 class Referred:
@@ -92,7 +92,7 @@ class Referred:
     ) -> tuple[np.ndarray, dict[str, float]]:
         """`(h, w, 3)` electrons of a frame, and what it says of its samples."""
         frame = self.renderer.render(self.camera, ["electrons"], quality, seed, target)
-        return frame["electrons"].astype(float), frame.facts["sampling"]
+        return frame["electrons"].astype(float), frame.metadata["sampling"]
 
     def true_square(self, electrons: np.ndarray) -> float:
         """Mean square of the true error, codes."""

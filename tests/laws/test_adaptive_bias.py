@@ -20,9 +20,9 @@ import numpy as np
 import pytest
 from small_scenes import plants_shot
 
-from pepperscene.camera import Camera, camera_rgb, corrected
+from pepperscene.camera import Camera, camera_rgb, correct_colours
 from pepperscene.classes import OrganClass
-from pepperscene.dataset import Stage, load_recipe
+from pepperscene.dataset import FrameRenderer, load_recipe
 from pepperscene.render import Quality, Renderer
 from pepperscene.scene import Scene
 
@@ -47,7 +47,7 @@ class Bias:
 def codes_of(electrons: np.ndarray, camera: Camera) -> np.ndarray:
     """Codes of the picture that are not rounded (IEC 61966-2-1)."""
     smooth = replace(camera, developing=replace(camera.developing, quantise=False))
-    value = np.clip(corrected(camera_rgb(electrons, smooth), smooth).astype(float), 0.0, 1.0)
+    value = np.clip(correct_colours(camera_rgb(electrons, smooth), smooth).astype(float), 0.0, 1.0)
     toe = value <= 0.0031308
     return 255.0 * np.where(toe, 12.92 * value, 1.055 * np.maximum(value, 1e-3) ** (1 / 2.4) - 0.055)
 
@@ -112,8 +112,8 @@ def test_small_frames_have_no_bias_that_shows():
 @pytest.mark.long
 def test_standard_frames_have_no_bias_that_shows():
     # The standard scene, a quarter as wide and high.
-    stage = Stage(load_recipe("barth2018"))
-    shot = stage.recipe.plan.shot(125)
+    stage = FrameRenderer(load_recipe("barth2018"))
+    shot = stage.recipe.plan.frame(125)
     camera = stage.camera(shot)
     sensor = replace(camera.sensor, columns=200, rows=150, binning=4 * camera.sensor.binning)
     scene = stage.scene(shot)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pepperscene.camera import Camera, Developing, develop, load_flash, load_lens, load_sensor
-from pepperscene.camera.colorimetry import daylight
-from pepperscene.shipped import shelf
+from pepperscene.camera.colorimetry import d65_spectrum
+from pepperscene.shipped import shipped_folder
 
 NM = np.arange(380.0, 781.0)
 D65 = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
@@ -40,7 +40,7 @@ def seen_by_the_observer(light):
 PATCH = 16  # pixels; demosaicing mixes the colours of patches at their borders only
 SENSORS = [
     name
-    for name in sorted(path.stem for path in (shelf("materials") / "sensors").glob("*.toml"))
+    for name in sorted(path.stem for path in (shipped_folder("materials") / "sensors").glob("*.toml"))
     if load_sensor(name).channels == 3
 ]
 
@@ -62,7 +62,7 @@ def photographed(sensor, light, flash, white_balance):
 @pytest.mark.parametrize("white_balance", ["flash", "daylight"])
 def test_the_chart_comes_out_in_its_colours(sensor, white_balance):
     flash = load_flash("led_matrix_200klx")
-    light = flash.spectrum if white_balance == "flash" else daylight()
+    light = flash.spectrum if white_balance == "flash" else d65_spectrum()
     found = photographed(load_sensor(sensor), light, flash, white_balance)
     difference = colour.delta_E(seen_by_the_observer(light), found, method="CIE 2000")
     assert difference.mean() < 3.0
@@ -74,7 +74,7 @@ def test_the_chart_comes_out_in_its_colours(sensor, white_balance):
 @pytest.mark.parametrize("white_balance", ["flash", "daylight"])
 def test_a_demosaiced_chart_has_the_colours_of_an_averaged_one(white_balance):
     flash = load_flash("led_matrix_200klx")
-    light = flash.spectrum if white_balance == "flash" else daylight()
+    light = flash.spectrum if white_balance == "flash" else d65_spectrum()
     quads, sites = (
         photographed(load_sensor(name), light, flash, white_balance)
         for name in ("ueye_ui5250re", "ueye_ui5250re_full")

@@ -22,9 +22,9 @@ from pepperscene.camera import (
     raw_frame,
 )
 from pepperscene.camera.readout import shot_noise
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 
-SENSORS = sorted(path.stem for path in (shelf("materials") / "sensors").glob("*.toml"))
+SENSORS = sorted(path.stem for path in (shipped_folder("materials") / "sensors").glob("*.toml"))
 AVERAGED = [n for n in SENSORS if load_sensor(n).channels == 1 or load_sensor(n).binning > 1]
 LENS, FLASH = load_lens("lensagon_cmfa0420nd"), load_flash("led_matrix_200klx")
 SIGMAS = 5.0

@@ -23,7 +23,7 @@ from pepperscene.camera import (
     load_sensor,
     relative_illumination,
 )
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import Spectrum
 
 DISTANCE_M = 0.5
@@ -42,7 +42,10 @@ def one_page_calculation(lux):
     """Photo-electrons in red, green and blue of a photosite on the axis, after 50 us."""
     nm = np.arange(380.0, 781.0, 0.5)
     spd = np.interp(
-        nm, *column(shelf("materials") / "flashes/spectra/lumileds_cool_white.csv", "lumileds_cool_white")
+        nm,
+        *column(
+            shipped_folder("materials") / "flashes/spectra/lumileds_cool_white.csv", "lumileds_cool_white"
+        ),
     )
     v = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
     v = np.interp(nm, v.wavelengths, v.values, left=0, right=0)
@@ -51,7 +54,7 @@ def one_page_calculation(lux):
     radiance = REFLECTANCE * irradiance / math.pi
     on_sensor = radiance * math.pi / (4 * 2.0**2) * 0.9
     photons = on_sensor * nm * 1e-9 / (6.62607015e-34 * 299792458.0) * 4.5e-6**2 * 50e-6
-    srf = shelf("materials") / "sensors/spectra/ev76c570_rgb_qe_MODEL.csv"
+    srf = shipped_folder("materials") / "sensors/spectra/ev76c570_rgb_qe_MODEL.csv"
     return [np.trapezoid(photons * np.interp(nm, *column(srf, channel)), nm) for channel in "rgb"]
 
 

@@ -26,9 +26,9 @@ import pytest
 from bodies import bench_lamp, card, chosen_camera, columns_of, irradiance_by_hand, matt, response_by_hand
 
 from pepperscene.camera import develop, load_flash, reference_correction
-from pepperscene.geometry import concatenate
-from pepperscene.render import render
-from pepperscene.scene import assemble
+from pepperscene.geometry import concatenate_meshes
+from pepperscene.render import render_scene
+from pepperscene.scene import assemble_scene
 
 NM = np.arange(380.0, 781.0)
 SPD = columns_of("flashes/spectra/lumileds_cool_white")["lumileds_cool_white"]
@@ -62,7 +62,7 @@ def studio(sensor):
         for number in range(24)
     ]
     surfaces = {str(number): matt(str(number), NM, values) for number, values in enumerate(chart())}
-    return assemble(concatenate(cards), surfaces), camera
+    return assemble_scene(concatenate_meshes(cards), surfaces), camera
 
 
 def patch_means(picture):
@@ -116,7 +116,7 @@ def difference(one, other):
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_the_photographed_chart_has_its_colours_and_those_predicted(sensor):
     scene, camera = studio(sensor)
-    frame = render(scene, camera, ["electrons", "colour"], "standard", seed=3)
+    frame = render_scene(scene, camera, ["electrons", "colour"], "standard", seed=3)
     aim, predicted = lab_of_observer(), lab_by_hand(sensor, camera)
 
     # Without noise.

@@ -1,8 +1,8 @@
 """No impossible plants: FCL, through trimesh's collision manager, judges what runs into what.
 
-Rationale: `geometry.settle` parts organs with radial tables, points and capsules; FCL (Pan, Chitta & Manocha
-2012, "FCL: a general purpose library for collision and proximity queries") tests triangles against triangles
-and shares nothing with that.
+Rationale: `geometry.resolve_contacts` parts organs with radial tables, points and capsules; FCL (Pan,
+Chitta & Manocha 2012, "FCL: a general purpose library for collision and proximity queries") tests triangles
+against triangles and shares nothing with that.
 
 Set-up: every organ is a bounding-volume tree of its final triangles. A fruit touches where one of its
 triangles meets one of any organ but its own calyx and the stalks that carry it: leaves, petioles, stems,
@@ -26,10 +26,10 @@ from trimesh.collision import CollisionManager
 
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar import Cultivar, load_cultivar
-from pepperscene.geometry import Mesh, concatenate, contacts, mesh_plant, settle
-from pepperscene.geometry.contacts.detect import Bodies
+from pepperscene.geometry import Mesh, concatenate_meshes, count_contacts, mesh_plant, resolve_contacts
+from pepperscene.geometry.contacts.detect import ContactBodies
 from pepperscene.grammar import grow
-from pepperscene.scene import Twine, double_row, with_twine
+from pepperscene.scene import Twine, add_twine, double_row
 
 Pairs = set[tuple[int, int]]
 
@@ -39,7 +39,7 @@ TWINE = Twine(diameter_m=0.003, turns_per_m=4.0)
 def grown(cultivar: Cultivar, seed: int) -> Mesh:
     """A plant with its twine, as it grew."""
     plant = grow(cultivar, np.random.default_rng(seed))
-    return with_twine(plant, mesh_plant(plant), TWINE, np.random.default_rng(seed))
+    return add_twine(plant, mesh_plant(plant), TWINE, np.random.default_rng(seed))
 
 
 def of_class(mesh: Mesh, *classes: OrganClass) -> list[int]:
@@ -139,12 +139,14 @@ def as_grown(kaite: Cultivar) -> list[Mesh]:
 @pytest.fixture(scope="module")
 def row(kaite: Cultivar) -> Mesh:
     """Six settled plants in a double row, 20 cm from plant to plant and from row to row."""
-    plants = [settle(grown(kaite, 100 + seed), np.random.default_rng(seed)).mesh for seed in range(6)]
+    plants = [
+        resolve_contacts(grown(kaite, 100 + seed), np.random.default_rng(seed)).mesh for seed in range(6)
+    ]
     return double_row(plants[:3], plants[3:], spacing_m=0.2, gap_m=0.2, shift_m=0.1)
 
 
 def test_fruit_of_settled_plants_touches_nothing(kaite: Cultivar) -> None:
-    settled = (settle(grown(kaite, seed), np.random.default_rng(seed)) for seed in range(22))
+    settled = (resolve_contacts(grown(kaite, seed), np.random.default_rng(seed)) for seed in range(22))
     hits, total = rate(one.mesh for one in settled)
     assert total >= 300
     assert hits < 0.01 * total
@@ -153,7 +155,7 @@ def test_fruit_of_settled_plants_touches_nothing(kaite: Cultivar) -> None:
 @pytest.mark.parametrize("name", ["orange_pointed", "red_blocky", "tomato"])
 def test_other_cultivars_and_crops_as_well(name: str) -> None:
     cultivar = load_cultivar(name)
-    settled = (settle(grown(cultivar, seed), np.random.default_rng(seed)) for seed in range(2))
+    settled = (resolve_contacts(grown(cultivar, seed), np.random.default_rng(seed)) for seed in range(2))
     hits, total = rate(one.mesh for one in settled)
     assert total >= 25
     assert hits <= 0.01 * total + 1
@@ -173,7 +175,7 @@ def test_the_own_judgement_is_that_of_fcl(as_grown: list[Mesh]) -> None:
     """
     common = disputed = 0
     for mesh in [*as_grown, grown(load_cultivar("tomato"), 0)]:
-        bodies = Bodies(mesh)
+        bodies = ContactBodies(mesh)
         ours: dict[tuple[int, int], float] = {}
         for fruit, close in bodies.into_fruit(bodies.fruit.tolist()).items():
             for other, depth in zip(close.others.tolist(), close.depth.tolist(), strict=True):
@@ -194,7 +196,7 @@ def test_the_own_judgement_is_that_of_fcl(as_grown: list[Mesh]) -> None:
 
 def inside(mesh: Mesh, fruit: int, other: int) -> bool:
     """Whether all of an organ lies inside a fruit, by casting rays."""
-    body, part = (mesh.of_instances([organ]) for organ in (fruit, other))
+    body, part = (mesh.select_instances([organ]) for organ in (fruit, other))
     wall = trimesh.Trimesh(body.vertices.astype(float), body.faces)
     return bool(wall.contains(part.vertices[::5].astype(float)).all())
 
@@ -202,7 +204,7 @@ def inside(mesh: Mesh, fruit: int, other: int) -> bool:
 def test_neighbours_in_a_double_row_are_parted(row: Mesh) -> None:
     assert len(touching(row)) > 0.2 * len(of_class(row, OrganClass.PEPPER))
     assert len(through_stems(row)) > 10
-    settled = settle(row, np.random.default_rng(0), between_plants=True)
+    settled = resolve_contacts(row, np.random.default_rng(0), between_plants=True)
     hits, total = rate([settled.mesh])
     assert total >= 75
     assert hits < 0.01 * total
@@ -211,7 +213,7 @@ def test_neighbours_in_a_double_row_are_parted(row: Mesh) -> None:
 
 
 def test_blades_counted_as_touching_stems_do(row: Mesh) -> None:
-    ours, theirs = contacts(row).blades_touching, len(through_stems(row))
+    ours, theirs = count_contacts(row).blades_touching, len(through_stems(row))
     # Capsules are as thick as the tube's widest ring: they err towards touching.
     assert theirs <= ours <= 1.2 * theirs + 2
 
@@ -222,7 +224,7 @@ def test_rate_of_contacts_is_below_one_percent_with_confidence(name: str) -> Non
     cultivar = load_cultivar(name)
     hits = total = 0
     for seed in range(1000, 1200):
-        one = settle(grown(cultivar, seed), np.random.default_rng(seed)).mesh
+        one = resolve_contacts(grown(cultivar, seed), np.random.default_rng(seed)).mesh
         found, fruit = rate([one])
         hits, total = hits + found, total + fruit
     assert upper_bound(hits, total) < 0.01
@@ -230,7 +232,7 @@ def test_rate_of_contacts_is_below_one_percent_with_confidence(name: str) -> Non
 
 def test_two_plants_in_one_mesh_are_parted_without_telling_plants_apart(kaite: Cultivar) -> None:
     pair = [grown(kaite, seed) for seed in (41, 42)]
-    both = concatenate([pair[0], pair[1].moved(np.eye(3), np.array([0.15, 0.0, 0.0]))])
-    settled = settle(both, np.random.default_rng(3))
+    both = concatenate_meshes([pair[0], pair[1].moved(np.eye(3), np.array([0.15, 0.0, 0.0]))])
+    settled = resolve_contacts(both, np.random.default_rng(3))
     assert len(touching(settled.mesh)) <= 1 < len(touching(both))
     assert settled.contacts.fruit_touching <= 1

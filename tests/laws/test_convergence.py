@@ -13,13 +13,13 @@ import pytest
 from bodies import bench_camera, sheet, sphere
 from scipy import stats
 
-from pepperscene.geometry import concatenate
-from pepperscene.materials import Surface, lambertian
+from pepperscene.geometry import concatenate_meshes
+from pepperscene.materials import Surface, lambertian_surface
 from pepperscene.render.kernel.camera import LensCache, response
 from pepperscene.render.kernel.scene import light_scene, sky_tables
 from pepperscene.render.transport import trace as transport
 from pepperscene.render.transport.trace import Sampling, trace
-from pepperscene.scene import Sky, Sun, assemble
+from pepperscene.scene import Sky, Sun, assemble_scene
 from pepperscene.spectra import Spectrum, sky_spectrum, sun_spectrum, with_illuminance
 
 NM = np.arange(380.0, 781.0, 5.0)
@@ -34,7 +34,7 @@ def glossy_leaf() -> Surface:
 
 def bench():
     """A sphere and a leaf before a card in the sky: edges, half-shadows, light through a leaf."""
-    mesh = concatenate(
+    mesh = concatenate_meshes(
         [
             sphere((0.03, 0.02, 0.45), 0.06, "matt", subdivisions=3),
             sheet(0.15, 0.4, 0.4, "leaf").moved(np.eye(3), np.array([-0.12, 0.0, 0.0])),
@@ -47,7 +47,7 @@ def bench():
     towards = np.array([0.4, -0.5, -1.0]) / np.linalg.norm([0.4, -0.5, -1.0])
     sun = Sun(towards, with_illuminance(sun_spectrum(), 20_000.0), angular_radius=0.05)
     sky = Sky(halves, Spectrum(irradiance.wavelength_nm, irradiance.values[None] / np.pi), sun)
-    return assemble(mesh, {"matt": lambertian("matt", 0.6), "leaf": glossy_leaf()}, sky)
+    return assemble_scene(mesh, {"matt": lambertian_surface("matt", 0.6), "leaf": glossy_leaf()}, sky)
 
 
 class Tracer:

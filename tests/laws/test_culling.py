@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pepperscene.camera import develop
-from pepperscene.dataset import Stage, load_recipe
+from pepperscene.dataset import FrameRenderer, load_recipe
 from pepperscene.render import Renderer
 
 FEW = {"row.plants_front": 2, "row.plants_back": 1, "cultivar": "kaite_february"}
@@ -28,7 +28,7 @@ def compared(recipe, index, binning, quality="reference", seeds=(1, 2)):
     Both are traced with the same random numbers, and what is left of the noise is independent between two
     seeds, so that the mean product of their differences is the square of the true one.
     """
-    stage = Stage(recipe)
+    stage = FrameRenderer(recipe)
     shot = recipe.plan.shot(index)
     camera = few_pixels(stage.camera(shot), binning)
     codes, frames, triangles = [], [], []
@@ -70,12 +70,12 @@ def test_a_culled_scene_looks_the_same(name, changes, index, less):
 
 def test_labels_and_colour_of_a_recipe_share_one_mesh():
     recipe = load_recipe("barth2018", FEW)
-    shot = recipe.plan.shot(3)
-    traced, plain = (Stage(recipe).scene(shot, traced=traced).mesh for traced in (True, False))
+    shot = recipe.plan.frame(3)
+    traced, plain = (FrameRenderer(recipe).scene(shot, traced=traced).mesh for traced in (True, False))
     np.testing.assert_array_equal(traced.vertices, plain.vertices)
     np.testing.assert_array_equal(traced.faces, plain.faces)
     # So do all frames of a scene.
-    other = Stage(recipe).scene(recipe.plan.shot(249), traced=False).mesh
+    other = FrameRenderer(recipe).scene(recipe.plan.frame(249), traced=False).mesh
     np.testing.assert_array_equal(other.vertices, plain.vertices)
 
 

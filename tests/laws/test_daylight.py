@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pepperscene.scene import Cover, load_cover, partly_cloudy
+from pepperscene.scene import Cover, load_cover, partly_cloudy_sky
 from pepperscene.spectra import Spectrum, sky_spectrum, sun_spectrum
 
 PAPER = {
@@ -28,7 +28,7 @@ GREEN = Spectrum(
 
 
 def sky_of(cover=None, seed=0, **changes):
-    return partly_cloudy(np.random.default_rng(seed), **{**PAPER, **changes}, cover=cover)
+    return partly_cloudy_sky(np.random.default_rng(seed), **{**PAPER, **changes}, cover=cover)
 
 
 def hazy(haze, width_deg=15.0, sheet=GREEN):

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from bodies import bench_camera, sheet
 
-from pepperscene.materials import lambertian
+from pepperscene.materials import lambertian_surface
 from pepperscene.render import Renderer
-from pepperscene.scene import assemble, uniform_sky
+from pepperscene.scene import assemble_scene, uniform_sky
 from pepperscene.spectra import Spectrum
 
 GREY = Spectrum(np.array([300.0, 1100.0]), np.ones(2))
@@ -21,7 +21,7 @@ WIDTH = 64
 def knife_edge(z: float):
     """A black half-plane (x > 0) at distance z before an even sky."""
     blade = sheet(2.0, 4.0, z, "black").moved(np.eye(3), np.array([1.0, 0.0, 0.0]))
-    return assemble(blade, {"black": lambertian("black", 0.0)}, uniform_sky(GREY, 5500.0))
+    return assemble_scene(blade, {"black": lambertian_surface("black", 0.0)}, uniform_sky(GREY, 5500.0))
 
 
 def camera_focused_at(focus_m: float | None):

@@ -31,10 +31,10 @@ from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from pepperscene.camera import Distortion, load_lens
 from pepperscene.classes import OrganClass
-from pepperscene.geometry import concatenate
-from pepperscene.materials import lambertian
+from pepperscene.geometry import concatenate_meshes
+from pepperscene.materials import lambertian_surface
 from pepperscene.render import Renderer
-from pepperscene.scene import assemble
+from pepperscene.scene import assemble_scene
 from pepperscene.spectra import led_spectrum
 
 SQUARE, COLUMNS, ROWS, BORDER = 0.045, 14, 10, 0.03  # metres; squares; metres of white around
@@ -71,7 +71,7 @@ def board():
         (right, top, right + BORDER, bottom),
     ]
     white = squares(field[0] + frame, "white", OrganClass.LEAF)
-    return concatenate([white, squares(field[1], "black", OrganClass.STEM)])
+    return concatenate_meshes([white, squares(field[1], "black", OrganClass.STEM)])
 
 
 def lattice(inner=0):
@@ -95,11 +95,11 @@ def photograph(request):
     camera = chosen_camera("ueye_ui5250re", bench_lamp(led_spectrum()), columns=800, rows=600)
     distortion = LENSES[request.param]
     camera = replace(camera, lens=replace(camera.lens, distortion=distortion))
-    mesh, white = board(), lambertian("white", 0.9)
-    frame = Renderer(assemble(mesh, {"white": white, "black": lambertian("black", 0.0)})).render(
-        camera, ["electrons", "class"], "standard", seed=1
-    )
-    blank = assemble(mesh, {"white": white, "black": replace(white, name="black")})
+    mesh, white = board(), lambertian_surface("white", 0.9)
+    frame = Renderer(
+        assemble_scene(mesh, {"white": white, "black": lambertian_surface("black", 0.0)})
+    ).render(camera, ["electrons", "class"], "standard", seed=1)
+    blank = assemble_scene(mesh, {"white": white, "black": replace(white, name="black")})
     even = Renderer(blank).render(camera, ["electrons"], "standard", seed=1)["electrons"].sum(-1)
     share = np.where(even > 0, frame["electrons"].sum(-1) / np.maximum(even, 1e-6), 0.0)
     return distortion, share, frame["class"]

@@ -21,7 +21,7 @@ from small_scenes import Referred, bench_shot, plants_shot
 from pepperscene.errors import InputError
 from pepperscene.render import Quality, Renderer
 from pepperscene.render.quality import LEAST_EXACT, MOST_EXACT
-from pepperscene.scene import assemble
+from pepperscene.scene import assemble_scene
 
 
 @pytest.mark.parametrize("name", ["bench", "plants", "daylight"])
@@ -38,7 +38,7 @@ def flashed() -> Referred:
     """The plants by their flash alone, straight there and back."""
     scene, camera = plants_shot()
     surfaces = {surface.name: surface for surface in scene.surfaces}
-    return Referred(assemble(scene.mesh, surfaces), camera, bounces=0)
+    return Referred(assemble_scene(scene.mesh, surfaces), camera, bounces=0)
 
 
 def test_the_error_of_the_flash_follows_the_target(flashed):

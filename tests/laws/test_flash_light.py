@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from pepperscene.camera import load_flash
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 
-FOLDER = shelf("materials") / "flashes"
+FOLDER = shipped_folder("materials") / "flashes"
 DRAWS = 400_000
 """The LEDs' shares differ by 3 %, so that the mean of so many draws is off by 5e-5 (one deviation)."""
 

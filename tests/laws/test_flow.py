@@ -13,9 +13,9 @@ from test_ground_truth import plants_before_the_camera
 from trimesh.ray.ray_triangle import RayMeshIntersector
 
 from pepperscene.camera import arc_path
-from pepperscene.dataset import Stage, load_recipe
+from pepperscene.dataset import FrameRenderer, load_recipe
 from pepperscene.render import Renderer
-from pepperscene.scene import assemble
+from pepperscene.scene import assemble_scene
 
 BASELINE_M = 0.06
 
@@ -28,7 +28,7 @@ def views():
     first, second = camera.at_pose(poses[7]), camera.at_pose(poses[8])
     beside = poses[7].copy()
     beside[:3, 3] += BASELINE_M * beside[:3, 0]
-    return Renderer(assemble(mesh)), first, second, camera.at_pose(beside)
+    return Renderer(assemble_scene(mesh)), first, second, camera.at_pose(beside)
 
 
 def edges(labels: np.ndarray) -> np.ndarray:
@@ -134,7 +134,7 @@ def test_a_culled_scene_shows_the_partner_all_that_it_sees():
     # A partner so far beside that it sees what no pose of the path does, which goes straight up.
     beside = {"row.plants_front": 5, "row.plants_back": 0, "path.azimuth_deg": [0.0, 0.0]}
     recipe = load_recipe("barth2018", {**beside, "camera.baseline_mm": 500.0, "plan.frames": 3})
-    stage, shot = Stage(recipe), recipe.plan.shot(1)
+    stage, shot = FrameRenderer(recipe), recipe.plan.frame(1)
     partner = few_pixels(stage.views.others(shot.step, ["stereo"])["stereo"], 8)
     frames = []
     for stage.culled in (False, True):
@@ -145,5 +145,5 @@ def test_a_culled_scene_shows_the_partner_all_that_it_sees():
         np.testing.assert_array_equal(whole[name], lean[name])
     assert (whole["instance"] > 0).any()
     # Without a partner some of that is made simple: the test can tell.
-    alone = Stage(load_recipe("barth2018", {**beside, "plan.frames": 3})).scene(shot, traced=False)
+    alone = FrameRenderer(load_recipe("barth2018", {**beside, "plan.frames": 3})).scene(shot, traced=False)
     assert (Renderer(alone).render(partner, ["distance"])["distance"] != whole["distance"]).any()

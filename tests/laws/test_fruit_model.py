@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pepperscene.cultivar import load_cultivar
-from pepperscene.spectra import colour_science, cuticle_gloss, leaf_spectra, over_body, read_spectrum
+from pepperscene.spectra import colour_science, cuticle_gloss, layer_over_body, leaf_spectra, read_spectrum
 
 NM = np.arange(400, 731, 2)
 FRUITS = "fruit/vrhel_fruit_vegetable_reflectance"
@@ -25,7 +25,7 @@ def shipped_fruit(state: float) -> np.ndarray:
     path = load_cultivar("kaite").pigments["fruit"]
     assert path.flesh_reflectance is not None
     skin = leaf_spectra(NM, **path.at(state))
-    return over_body(skin, path.flesh_reflectance).reflectance - cuticle_gloss(path.ior)
+    return layer_over_body(skin, path.flesh_reflectance).reflectance - cuticle_gloss(path.ior)
 
 
 def hue_and_chroma(reflectance: np.ndarray) -> tuple[float, float]:
@@ -46,7 +46,7 @@ def rms(difference: np.ndarray) -> float:
 
 def test_a_fit_of_the_model_matches_the_measured_green_pepper():
     skin = leaf_spectra(NM, structure_n=1, chlorophyll_ug_cm2=15.2, carotenoid_ug_cm2=4.0, brown=0.365)
-    pepper = over_body(skin, 0.596).reflectance - cuticle_gloss(1.45)
+    pepper = layer_over_body(skin, 0.596).reflectance - cuticle_gloss(1.45)
     assert rms(pepper - measured("green_pepper_136")) <= 0.012
 
 

@@ -21,7 +21,7 @@ from scatterers import SEEN_NM, Cases, integrated, lossless, made, plain, sample
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import flesh_reflectance
 from pepperscene.materials.gloss import cone_gloss
-from pepperscene.spectra import leaf_spectra, over_body
+from pepperscene.spectra import layer_over_body, leaf_spectra
 
 COSINES = tuple(side * cosine for side in (1, -1) for cosine in (1.0, 0.8, 0.5, 0.2, 0.1, 0.05, 0.02))
 STATES = (0.0, 0.5, 1.0)
@@ -122,5 +122,5 @@ def test_gloss_and_body_together_give_the_leaf_model_back():
         told = leaf_spectra(SEEN_NM, **path.at(STATES))
         whole = told.reflectance + told.transmittance
         if name != "leaf":
-            whole = over_body(told, flesh_reflectance(path.flesh_reflectance, SEEN_NM)).reflectance
+            whole = layer_over_body(told, flesh_reflectance(path.flesh_reflectance, SEEN_NM)).reflectance
         assert found == pytest.approx(np.maximum(whole, cone_gloss(path.ior, path.roughness[0])), abs=0.0015)

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from pepperscene.materials.gloss import (
     cosine_mean,
+    cuticle_transmittance,
     fresnel,
     gloss_albedo,
-    interpolated,
+    interpolate_table,
     node_cosines,
-    openness,
 )
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 from pepperscene.spectra.plates import cone_transmissivity
 
 COSINES = np.concatenate([[0.0], np.geomspace(1e-6, 1e-2, 60), np.linspace(0.01, 1.0, 100)])
@@ -29,16 +29,16 @@ COSINES = np.concatenate([[0.0], np.geomspace(1e-6, 1e-2, 60), np.linspace(0.01,
 @example(ior=2.5, roughness=0.0)
 def test_tables_interpolate_within_a_thousandth(ior, roughness):
     # Against direct evaluation with twice the steps each way, from exactly grazing to the normal.
-    table, _ = openness(ior, 10.0**roughness)
+    table, _ = cuticle_transmittance(ior, 10.0**roughness)
     direct = 1.0 - gloss_albedo(COSINES, ior, 10.0**roughness, (96, 64))
-    assert interpolated(table, COSINES) == pytest.approx(direct, abs=1e-3)
+    assert interpolate_table(table, COSINES) == pytest.approx(direct, abs=1e-3)
     assert 0.0 <= table.min() <= table.max() <= 1.0
 
 
 @pytest.mark.parametrize("ior", [1.0, 1.1, 1.45, 2.5])
 def test_without_roughness_it_is_fresnel_reflectance(ior):
     assert gloss_albedo(COSINES, ior, 0.0) == pytest.approx(fresnel(COSINES, ior), abs=1e-12)
-    table, mean = openness(ior, 0.0)
+    table, mean = cuticle_transmittance(ior, 0.0)
     if ior == 1.0:
         assert (table == 1.0).all()
         assert mean == pytest.approx(1.0, abs=1e-12)
@@ -48,7 +48,7 @@ def test_without_roughness_it_is_fresnel_reflectance(ior):
 
 
 def test_fresnel_is_mitsubas():
-    mi, _ = kernel()
+    mi, _ = mitsuba_modules()
     for ior in (1.05, 1.45, 2.5):
         theirs = np.asarray(mi.fresnel(mi.Float(COSINES), mi.Float(ior))[0])
         assert fresnel(COSINES, ior) == pytest.approx(theirs, abs=1e-5)
@@ -57,7 +57,7 @@ def test_fresnel_is_mitsubas():
 @pytest.mark.parametrize(("ior", "alpha"), [(1.28, 0.45), (1.45, 0.1), (1.5, 1.0), (2.5, 0.02)])
 def test_albedo_is_what_mitsubas_rough_glass_mirrors(ior, alpha):
     # The mirrored lobe of Mitsuba's roughdielectric, sampled alone: 2^20 samples, standard error below 3e-4.
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     glass = mi.load_dict(
         {"type": "roughdielectric", "distribution": "ggx", "alpha": alpha, "int_ior": ior, "ext_ior": 1.0}
     )
@@ -80,6 +80,6 @@ def test_albedo_is_what_mitsubas_rough_glass_mirrors(ior, alpha):
 def test_the_mean_is_that_of_the_interpolant():
     # By the midpoint rule in the squared cosine, a million steps.
     assert cosine_mean(np.ones(node_cosines().size)) == pytest.approx(1.0, abs=1e-12)
-    table, mean = openness(1.45, 0.1)
+    table, mean = cuticle_transmittance(1.45, 0.1)
     mu = np.sqrt((np.arange(1 << 20) + 0.5) / (1 << 20))
-    assert mean == pytest.approx(interpolated(table, mu).mean(), abs=1e-7)
+    assert mean == pytest.approx(interpolate_table(table, mu).mean(), abs=1e-7)

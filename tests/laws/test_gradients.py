@@ -16,17 +16,17 @@ from bodies import bench_camera, card, sphere
 
 from pepperscene.camera import load_sensor
 from pepperscene.cultivar import Cultivar, load_cultivar
-from pepperscene.geometry import concatenate
-from pepperscene.materials import Surface, lambertian, organ_surfaces
+from pepperscene.geometry import concatenate_meshes
+from pepperscene.materials import Surface, lambertian_surface, organ_surfaces
 from pepperscene.materials.organs import thin_surface
 from pepperscene.render.gradients import detached_sampling as passes
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
-from pepperscene.render.kernel.arrays import region_of
+from pepperscene.render.kernel.arrays import local_coordinates
 from pepperscene.render.kernel.camera import LensCache, response
 from pepperscene.render.kernel.scene import light_scene
 from pepperscene.render.quality import Quality
 from pepperscene.render.transport.trace import Sampling, trace
-from pepperscene.scene import Sun, assemble, uniform_sky
+from pepperscene.scene import Sun, assemble_scene, uniform_sky
 from pepperscene.scene.sky import Sky
 from pepperscene.spectra import Spectrum
 
@@ -55,12 +55,12 @@ def kaite() -> Cultivar:
 
 @pytest.fixture(scope="module")
 def surfaces(kaite) -> dict[str, Surface]:
-    return {**organ_surfaces(kaite, NM), "matt": lambertian("matt", 0.5)}
+    return {**organ_surfaces(kaite, NM), "matt": lambertian_surface("matt", 0.5)}
 
 
 def bench(surfaces, sky=DAY):
     """A fruit, a leaf and a scar before a wall, all within the 12 x 8 mm that the camera sees."""
-    mesh = concatenate(
+    mesh = concatenate_meshes(
         [
             sphere((0.002, 0.0, 0.45), 0.003, "fruit", subdivisions=4),
             card(-0.009, 0.0, 0.015, 0.06, "leaf", z=0.43),
@@ -68,7 +68,7 @@ def bench(surfaces, sky=DAY):
             card(0.0, 0.0, 1.0, 1.0, "matt", z=0.5),
         ]
     )
-    return assemble(mesh, surfaces, sky)
+    return assemble_scene(mesh, surfaces, sky)
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ def test_the_picture_is_the_renderers_own(surfaces, camera, kaite):
     scene = bench(surfaces, sky=None)
     spectral = response(camera, scene)
     built = light_scene(scene, float(spectral.grid_nm[0]), float(spectral.grid_nm[-1]))
-    view = LensCache().view(camera, region_of(scene.mesh))
+    view = LensCache().view(camera, local_coordinates(scene.mesh))
     light = trace(built, view, spectral, camera.flash, None, Sampling(8, 8, 0), seed=5)
     from pepperscene.camera import expected_electrons
 
@@ -324,8 +324,10 @@ def test_descent_finds_a_leafs_chlorophyll(camera, kaite):
     """
     path = kaite.pigments["leaf"]
     leaf = thin_surface("leaf", path, NM)
-    mesh = concatenate([card(0.0, 0.0, 0.06, 0.06, "leaf", z=0.44), card(0.0, 0.0, 1.0, 1.0, "matt", z=0.5)])
-    scene = assemble(mesh, {"leaf": leaf, "matt": lambertian("matt", 0.5)})
+    mesh = concatenate_meshes(
+        [card(0.0, 0.0, 0.06, 0.06, "leaf", z=0.44), card(0.0, 0.0, 1.0, 1.0, "matt", z=0.5)]
+    )
+    scene = assemble_scene(mesh, {"leaf": leaf, "matt": lambertian_surface("matt", 0.5)})
     small = replace(camera, sensor=replace(camera.sensor, columns=8, rows=8))
     target = DifferentiableRenderer(scene, small, kaite, quality(16, 1), seed=1).rgb()
     renderer = DifferentiableRenderer(scene, small, kaite, quality(16, 1), seed=2)

@@ -13,11 +13,11 @@ from trimesh.ray.ray_triangle import RayMeshIntersector
 from pepperscene.camera import Distortion, arc_path, relative_illumination
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar import load_cultivar
-from pepperscene.geometry import concatenate, mesh_plant
+from pepperscene.geometry import concatenate_meshes, mesh_plant
 from pepperscene.grammar import grow
-from pepperscene.materials import lambertian
+from pepperscene.materials import lambertian_surface
 from pepperscene.render import Renderer
-from pepperscene.scene import Twine, assemble, double_row, uniform_sky, with_twine
+from pepperscene.scene import Twine, add_twine, assemble_scene, double_row, uniform_sky
 from pepperscene.spectra import Spectrum
 
 TRUTHS = ("class", "instance", "distance", "depth_z", "normal")
@@ -27,7 +27,9 @@ def test_sphere_stands_where_the_pinhole_formula_puts_it():
     # Set-up: a sphere of 40 mm at (60, -30, 500) mm in camera axes before a far wall.
     centre, radius = np.array([0.06, -0.03, 0.5]), 0.04
     camera = bench_camera(flash=False)
-    scene = assemble(concatenate([sphere(tuple(centre), radius, "ball", 6), sheet(9, 9, 3.0, "wall")]))
+    scene = assemble_scene(
+        concatenate_meshes([sphere(tuple(centre), radius, "ball", 6), sheet(9, 9, 3.0, "wall")])
+    )
     frame = Renderer(scene).render(camera, TRUTHS)
     focal = 4.16e-3 / 9e-6
     mask = frame["class"] == OrganClass.PEPPER
@@ -55,7 +57,7 @@ def test_sphere_stands_where_the_pinhole_formula_puts_it():
 
 
 def test_background_is_infinitely_far_and_nothing():
-    scene = assemble(sphere((0, 0, -1.0), 0.1, "ball", 2))
+    scene = assemble_scene(sphere((0, 0, -1.0), 0.1, "ball", 2))
     frame = Renderer(scene).render(bench_camera(columns=16, rows=12, flash=False), TRUTHS)
     assert np.isinf(frame["distance"]).all()
     assert np.isinf(frame["depth_z"]).all()
@@ -72,7 +74,7 @@ def plants_before_the_camera():
     for number in range(3):
         rng = np.random.default_rng(number)
         plant = grow(short, rng)
-        meshes.append(with_twine(plant, mesh_plant(plant, 0.5), Twine(0.003, 4.0), rng))
+        meshes.append(add_twine(plant, mesh_plant(plant, 0.5), Twine(0.003, 4.0), rng))
     mesh = double_row(meshes[:2], meshes[2:], spacing_m=0.2, gap_m=0.2, shift_m=0.1)
     camera = bench_camera(flash=False)
     lens = replace(camera.lens, distortion=Distortion(k1=-0.1, k2=0.04, p1=1e-3, p2=-1e-3))
@@ -86,7 +88,7 @@ def test_every_label_is_what_an_independent_ray_caster_hits():
 
 
 def assert_labels_are_hit(mesh, camera, pixels, seed):
-    frame = Renderer(assemble(mesh)).render(camera, TRUTHS)
+    frame = Renderer(assemble_scene(mesh)).render(camera, TRUTHS)
     rng = np.random.default_rng(seed)
     row, column = rng.integers(0, 600, pixels), rng.integers(0, 800, pixels)
     directions = camera.pixel_directions()[row, column] @ camera.pose[:3, :3].T
@@ -112,9 +114,9 @@ def test_colour_and_labels_share_one_lens():
     nm = np.arange(380.0, 781.0)
     camera = bench_camera(flash=False)
     camera = replace(camera, lens=replace(camera.lens, distortion=Distortion(k1=-0.1, k2=0.04)))
-    scene = assemble(
+    scene = assemble_scene(
         sphere((0.25, 0.15, 0.5), 0.06, "black", 6),
-        {"black": lambertian("black", 0.0)},
+        {"black": lambertian_surface("black", 0.0)},
         uniform_sky(Spectrum(nm, np.ones(nm.size)), 5500.0),
     )
     frame = Renderer(scene).render(camera, ["electrons", "class"], "standard")
@@ -134,10 +136,10 @@ def test_colour_and_labels_share_one_lens():
 @pytest.mark.parametrize("index", [110, 4940, 9225])
 def test_labels_of_the_paper_plan_are_what_an_independent_ray_caster_hits(index):
     # As above on whole scenes of 13 plants and two million triangles.
-    from pepperscene.dataset import Stage, load_recipe
+    from pepperscene.dataset import FrameRenderer, load_recipe
 
     recipe = load_recipe("barth2018")
-    stage = Stage(recipe)
-    shot = recipe.plan.shot(index)
+    stage = FrameRenderer(recipe)
+    shot = recipe.plan.frame(index)
     mesh, camera = stage.scene(shot, traced=False).mesh, stage.camera(shot)
     assert_labels_are_hit(mesh, camera, pixels=200, seed=index)

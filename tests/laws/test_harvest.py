@@ -24,10 +24,10 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from trimesh.ray.ray_triangle import RayMeshIntersector
 
 from pepperscene.camera import Camera, Distortion
-from pepperscene.dataset import Stage, load_recipe
+from pepperscene.dataset import FrameRenderer, load_recipe
 from pepperscene.geometry import Mesh
 from pepperscene.render import Renderer
-from pepperscene.truth.encodings import mask_of
+from pepperscene.truth.encodings import decode_rle
 
 CROPS = ("kaite", "red_blocky", "tomato", "orange_pointed")
 DISTORTION = Distortion(k1=-0.1, k2=0.04, p1=1e-3, p2=-1e-3)
@@ -50,7 +50,7 @@ class Shot:
 
     def body(self, value):
         """The triangles of one value of the instance image."""
-        part = self.mesh.of_instances([value - 1])
+        part = self.mesh.select_instances([value - 1])
         # Vertices at one place become one, so that a section is a closed ring.
         return trimesh.Trimesh(part.vertices, part.faces, process=True)
 
@@ -69,8 +69,8 @@ class Shot:
 def shot_of(crop, seed, step, front=3, back=2):
     told = {"cultivar": crop, "seed": seed, "row.plants_front": front, "row.plants_back": back}
     recipe = load_recipe("barth2018", told)
-    stage = Stage(recipe)
-    shot = recipe.plan.shot(step)
+    stage = FrameRenderer(recipe)
+    shot = recipe.plan.frame(step)
     scene, camera = stage.scene(shot, traced=False), stage.camera(shot)
     # The paper's field of view in a quarter of its pixels.
     lens = replace(camera.lens, focal_length_m=0.5 * camera.lens.focal_length_m, distortion=DISTORTION)
@@ -103,7 +103,7 @@ def compare(shot, fruit, most=None):
         most: pixels that are looked at by the other caster, at random; None for all.
     """
     value, stalk = fruit["instance"], fruit["peduncle"]
-    mask = mask_of(fruit["amodal"])
+    mask = decode_rle(fruit["amodal"])
     assert mask.sum() == fruit["amodal_pixels"]
     rows, columns = np.nonzero(mask)
     x0, y0, x1, y1 = fruit["amodal_box"]

@@ -11,7 +11,7 @@ from scatterers import GRID_NM, SEEN_NM, Cases, plain
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import organ_surfaces
 from pepperscene.materials.gloss import gloss_albedo
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 from pepperscene.tuning.model.reflectance import gloss_along_normal, read_reflectance
 
 THIN = {"leaf": True, "fruit": False, "stem": False, "peduncle": False}
@@ -27,7 +27,7 @@ def cases(cosine: float) -> Cases:
 
 def scattered(of: Cases, towards: np.ndarray) -> np.ndarray:
     """BRDF times cosine `(cases, directions, 4)` by the renderer's own code, of directions `(n, 3)`."""
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     lane = dr.arange(mi.UInt32, len(of) * len(towards))
     wo = np.tile(towards, (len(of), 1)).astype(np.float32)
     value, _ = of.points(of.optics(), lane // len(towards)).eval_pdf(mi.Vector3f(*wo.T))

@@ -20,9 +20,9 @@ import numpy as np
 import pytest
 from small_scenes import bright_day
 
-from pepperscene.dataset import Stage, load_recipe
+from pepperscene.dataset import FrameRenderer, load_recipe
 from pepperscene.dataset.check.edges import CHANCE, match
-from pepperscene.render import render
+from pepperscene.render import render_scene
 
 COLUMNS, ROWS = 640, 480  # photosites, two by two of which are a pixel
 
@@ -34,16 +34,16 @@ def seen(request):
     changes = {"row": recipe.row.model_copy(update={"plants_front": 2, "plants_back": 1})}
     if request.param == "daylight":
         changes |= bright_day(recipe, 3000.0)
-    stage = Stage(recipe.model_copy(update=changes))
-    shot = stage.recipe.plan.shot(140)
+    stage = FrameRenderer(recipe.model_copy(update=changes))
+    shot = stage.recipe.plan.frame(140)
     whole = stage.camera(shot)
     camera = replace(whole, sensor=replace(whole.sensor, columns=COLUMNS, rows=ROWS))
     scene = stage.scene(shot)
 
     def labels(other):
-        return render(scene, other, outputs=("instance",))["instance"]
+        return render_scene(scene, other, outputs=("instance",))["instance"]
 
-    photograph = render(scene, camera, outputs=("colour",), quality="draft").colour
+    photograph = render_scene(scene, camera, outputs=("colour",), quality="draft").colour
     return camera, photograph, labels
 
 

@@ -27,8 +27,8 @@ from bodies import chosen_camera, columns_of, irradiance_by_hand, matt, response
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import organ_surfaces
-from pepperscene.render import render
-from pepperscene.scene import Sky, Sun, assemble
+from pepperscene.render import render_scene
+from pepperscene.scene import Sky, Sun, assemble_scene
 from pepperscene.spectra import Spectrum
 
 NM = np.arange(380.0, 1000.1, 0.5)  # infrared that a sensor's filter leaks is .3 % of a blue pixel here
@@ -58,8 +58,8 @@ def photographed(surface, direction, sensor, *, turned=False, side=8, mesh=None)
     mesh = sheet(2.0, 2.0, 0.0, surface.name) if mesh is None else mesh
     mesh = mesh.moved(TURNED if turned else np.eye(3), np.array([0.0, 0.0, 0.5]))
     camera = chosen_camera(sensor, None, columns=side, rows=side)
-    scene = assemble(mesh, {surface.name: surface}, only_sun(direction))
-    return render(scene, camera, ["electrons"], "reference", seed=5)["electrons"].astype(float)
+    scene = assemble_scene(mesh, {surface.name: surface}, only_sun(direction))
+    return render_scene(scene, camera, ["electrons"], "reference", seed=5)["electrons"].astype(float)
 
 
 def electrons_by_hand(radiance, sensor):

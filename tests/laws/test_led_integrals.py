@@ -33,10 +33,10 @@ from bodies import (
 )
 
 from pepperscene.errors import SetupError
-from pepperscene.geometry import concatenate
+from pepperscene.geometry import concatenate_meshes
 from pepperscene.render import Renderer, variant_name
 from pepperscene.render.variant import VARIANTS, choose_variant
-from pepperscene.scene import assemble
+from pepperscene.scene import assemble_scene
 from pepperscene.spectra import Spectrum
 from pepperscene.spectra.lights import LED_FILES
 
@@ -77,7 +77,7 @@ def rendered(sensor):
         for place, patch in zip((-1, 0, 1), PATCHES, strict=True)
     ]
     surfaces = {patch.__name__: matt(patch.__name__, SURFACE_NM, patch(SURFACE_NM)) for patch in PATCHES}
-    renderer = Renderer(assemble(concatenate(strips), surfaces))
+    renderer = Renderer(assemble_scene(concatenate_meshes(strips), surfaces))
     found = {}
     for name, spd in leds().items():
         camera = chosen_camera(sensor, bench_lamp(Spectrum(*spd), LUX), columns=24, rows=32)

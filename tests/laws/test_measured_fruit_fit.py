@@ -16,12 +16,12 @@ import pytest
 from pepperscene.colour import MeasuredSpectrum, PatchSet
 from pepperscene.cultivar import Cultivar, PigmentPath, load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import camera_of
+from pepperscene.dataset.recipe.equipment import load_camera
 from pepperscene.spectra import Spectrum, read_spectra, read_spectrum
 from pepperscene.tuning.model.reflectance import CORRELATION_NM, MODEL_ERROR, DirectModel
 from pepperscene.tuning.model.view_model import entries_of
-from pepperscene.tuning.parameters.parameter import parameters_of
-from pepperscene.tuning.parameters.tuned import tuned
+from pepperscene.tuning.parameters.parameter import select_parameters
+from pepperscene.tuning.parameters.tuned import tuned_parts
 
 FRUITS, LEAVES = "fruit/vrhel_fruit_vegetable_reflectance", "leaf/vrhel_leaf_reflectance"
 CONTENTS = ("chlorophyll", "carotenoid", "brown", "structure", "flesh")
@@ -49,9 +49,9 @@ class Fitting:
 
     def __init__(self, spectrum: MeasuredSpectrum, names: tuple[str, ...], plants: Cultivar, **how) -> None:
         recipe = load_recipe("barth2018")
-        camera = camera_of(recipe)
-        self.entries = entries_of(parameters_of(recipe, plants, camera, names))
-        self.model = DirectModel.of([spectrum], plants, partial(tuned, plants, camera), **how)
+        camera = load_camera(recipe)
+        self.entries = entries_of(select_parameters(recipe, plants, camera, names))
+        self.model = DirectModel.of([spectrum], plants, partial(tuned_parts, plants, camera), **how)
         laws = [one.parameter.prior[0] for one in self.entries]
         self.low, self.high = np.array([(law.low, law.high) for law in laws]).T
         self.default = np.array([float(one.parameter.default[0]) for one in self.entries])
@@ -119,8 +119,8 @@ def test_the_fit_finds_the_measured_green_pepper(instrument):
 
 def test_a_tuned_recipe_finds_it_too():
     # The whole machinery of a fit, with spectra alone: nothing is rendered. Its bounds weigh nothing.
-    from pepperscene.tuning.fit.least_squares import fitted
-    from pepperscene.tuning.model.subject import Subject
+    from pepperscene.tuning.fit.least_squares import fit_parameters
+    from pepperscene.tuning.model.subject import TuningTarget
 
     spectrum = green_pepper().model.spectra[0]
     laws = {
@@ -129,9 +129,9 @@ def test_a_tuned_recipe_finds_it_too():
             green_pepper().entries, green_pepper().low, green_pepper().high, strict=True
         )
     }
-    subject = Subject(load_recipe("barth2018"), PatchSet("green pepper", (), (spectrum,)), bounds=laws)
+    subject = TuningTarget(load_recipe("barth2018"), PatchSet("green pepper", (), (spectrum,)), bounds=laws)
     subject.cultivar = uninformed()
-    result = fitted(subject, subject.problem(list(laws)), starts=2)
+    result = fit_parameters(subject, subject.problem(list(laws)), starts=2)
     (one,) = result.spectra.values()
     assert one.rmse_before >= 4 * RMSE
     assert one.rmse_after <= RMSE

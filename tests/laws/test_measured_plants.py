@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from pepperscene.cultivar import Cultivar, Distribution, Slot, load_cultivar
-from pepperscene.geometry import Mesh, mesh_plant, settle
+from pepperscene.geometry import Mesh, mesh_plant, resolve_contacts
 from pepperscene.grammar import Plant, grow
 
 FloatArray = NDArray[np.float64]
@@ -329,7 +329,7 @@ def kaite() -> Cultivar:
 @pytest.mark.parametrize("name", TABLE_1)
 def test_sizes_and_inclinations_come_back(kaite: Cultivar, sample: Sample, name: str) -> None:
     kind, parameter = TABLE_1[name]
-    law = kaite.organs[kind].laws[parameter.removeprefix("pressed ")]
+    law = kaite.organs[kind].distributions[parameter.removeprefix("pressed ")]
     values, owners = sample.of(*(("stem", "length") if name == "I-1" else (kind, parameter)))
     assert len(values) >= sample.plants
     follows(law, values, owners, sample.plants, SLACK.get(name, (0.0, 0.0)), WINDING.get(name, 0.0))
@@ -391,7 +391,7 @@ def settled(kaite: Cultivar) -> tuple[Sample, Sample]:
         plant = grow(kaite, np.random.default_rng(seed))
         mesh, herbarium = mesh_plant(plant), mesh_plant(pressed(plant), 0.3)
         measure(before, mesh, herbarium, kaite)
-        measure(after, settle(mesh, np.random.default_rng(seed)).mesh, herbarium, kaite)
+        measure(after, resolve_contacts(mesh, np.random.default_rng(seed)).mesh, herbarium, kaite)
     return before, after
 
 

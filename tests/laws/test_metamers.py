@@ -34,8 +34,8 @@ from bodies import (
     sheet,
 )
 
-from pepperscene.render import render
-from pepperscene.scene import assemble, uniform_sky
+from pepperscene.render import render_scene
+from pepperscene.scene import assemble_scene, uniform_sky
 from pepperscene.spectra import Spectrum
 
 SENSORS = ("ueye_ui5250re", "onsemi_mt9v024")
@@ -74,8 +74,8 @@ def rendered(reflectance, sensor, spd, by):
         (bench_lamp(light, LUX), None, 8) if by == "flash" else (None, uniform_sky(light, LUX), 48)
     )
     camera = chosen_camera(sensor, lamp, columns=side, rows=side)
-    scene = assemble(sheet(1.0, 1.0, 0.5, "patch"), {"patch": matt("patch", NM, reflectance)}, sky)
-    electrons = render(scene, camera, ["electrons"], "reference", seed=7)["electrons"]
+    scene = assemble_scene(sheet(1.0, 1.0, 0.5, "patch"), {"patch": matt("patch", NM, reflectance)}, sky)
+    electrons = render_scene(scene, camera, ["electrons"], "reference", seed=7)["electrons"]
     if by == "flash":  # whose beam makes up for the lens' fall-off
         return electrons.mean((0, 1), np.float64)
     slope = (np.arange(side) + 0.5 - side / 2) * 2 * PITCH_M[sensor] / 4.16e-3

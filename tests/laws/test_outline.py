@@ -16,11 +16,11 @@ from pepperscene.camera import look_at
 from pepperscene.cultivar.organs import USUAL
 from pepperscene.geometry import mesh_plant
 from pepperscene.grammar import Organ, Plant
-from pepperscene.materials import Surface, lambertian
+from pepperscene.materials import Surface, lambertian_surface
 from pepperscene.render import Renderer
-from pepperscene.render.surface.optics import facing
-from pepperscene.render.variant import kernel
-from pepperscene.scene import assemble, uniform_sky
+from pepperscene.render.surface.optics import shading_normals
+from pepperscene.render.variant import mitsuba_modules
+from pepperscene.scene import assemble_scene, uniform_sky
 from pepperscene.spectra import Spectrum
 
 NM = np.array([300.0, 1100.0])
@@ -31,7 +31,9 @@ def photographed(mesh, surfaces, quality="reference", seed=0, pose=None, side=72
     """`(h, w)` brightness over that of the sky, and each pixel's distance to the outline, 0 outside."""
     camera = bench_camera(columns=side, rows=side, flash=False)
     camera = camera if pose is None else camera.at_pose(pose)
-    frame = Renderer(assemble(mesh, surfaces, SKY)).render(camera, ["electrons", "class"], quality, seed)
+    frame = Renderer(assemble_scene(mesh, surfaces, SKY)).render(
+        camera, ["electrons", "class"], quality, seed
+    )
     seen = frame["class"] > 0
     light = frame["electrons"].astype(float)
     sky = light[distance_transform_edt(~seen) > 3.0].mean(axis=0)
@@ -93,8 +95,8 @@ def test_a_coarse_white_fruit_has_the_outline_of_a_fine_one(ior):
 
 
 def turned(g: np.ndarray, n: np.ndarray, v: np.ndarray):
-    """`(m, 3)` shading normals that `facing` makes of these geometric and shading normals and views."""
-    mi, dr = kernel()
+    """`(m, 3)` normals that `shading_normals` makes of these geometric and shading normals and views."""
+    mi, dr = mitsuba_modules()
 
     def vectors(values):
         return mi.Vector3f(*(mi.Float(column.astype(np.float32)) for column in values.T))
@@ -105,7 +107,7 @@ def turned(g: np.ndarray, n: np.ndarray, v: np.ndarray):
     si.dp_du = vectors(np.roll(g, 1, axis=1) + np.array([0.1, 0.2, 0.3]))
     si.initialize_sh_frame()
     si.wi = si.to_local(vectors(v))
-    found = facing(si)
+    found = shading_normals(si)
     frame = np.array(found.sh_frame.n).T, np.array(found.sh_frame.s).T, np.array(found.sh_frame.t).T
     return *frame, np.array(found.wi).T
 
@@ -159,7 +161,7 @@ def test_views_along_the_triangle_and_normals_against_it_give_numbers():
 
 
 def test_gradients_with_respect_to_normals_are_finite():
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     si = dr.zeros(mi.SurfaceInteraction3f, 3)
     si.n, si.dp_du = mi.Normal3f(0.0, 0.0, 1.0), mi.Vector3f(1.0, 0.0, 0.0)
     tilt = mi.Float(0.0, 0.3, 1.4)
@@ -167,7 +169,7 @@ def test_gradients_with_respect_to_normals_are_finite():
     si.sh_frame.n = mi.Normal3f(dr.sin(tilt), 0.0, dr.cos(tilt))
     si.initialize_sh_frame()
     si.wi = si.to_local(mi.Vector3f(-0.8, 0.0, 0.6))
-    dr.backward(dr.sum(facing(si).wi.z))
+    dr.backward(dr.sum(shading_normals(si).wi.z))
     assert np.isfinite(np.array(dr.grad(tilt))).all()
 
 
@@ -178,7 +180,7 @@ def test_gradients_with_respect_to_normals_are_finite():
 def test_the_filter_leaves_the_outline_as_bright_as_it_was_traced(reflectance):
     # A round matt body before the sky. Filtered together with the empty background, the outermost pixels lose
     # a fifth of the body's light, a tenth of all. Twelve frames of 4 samples: standard error below 1 %.
-    ball, surfaces = sphere((0.0, 0.0, 0.5), 0.03, "grey"), {"grey": lambertian("grey", reflectance)}
+    ball, surfaces = sphere((0.0, 0.0, 0.5), 0.03, "grey"), {"grey": lambertian_surface("grey", reflectance)}
     traced, depth = photographed(ball, surfaces)
     frames = [photographed(ball, surfaces, "standard", seed)[0] for seed in range(12)]
     filtered = np.mean(frames, axis=0)

@@ -63,7 +63,7 @@ def changed(cultivar: Cultivar, to: Changes) -> Cultivar:
 
 
 def _organ(one: OrganModel, to: Changes) -> OrganModel:
-    laws = dict(one.laws)
+    laws = dict(one.distributions)
     if one.form == "blade":
         scale = to.blade_mm / 1e3 / laws["length"].mean
         small = ("length", "width", "margin_wave", "blister", "vein")

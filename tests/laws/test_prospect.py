@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from pepperscene.spectra import (
     absorption_coefficients,
     cuticle_gloss,
+    layer_over_body,
     leaf_spectra,
-    over_body,
     read_spectrum,
 )
 from pepperscene.spectra.plates import cone_transmissivity
@@ -66,7 +66,7 @@ def test_energy(n, chl, car, ant, cap, brown, water, dry, ior, flesh):
     covered = leaf.reflectance >= gloss
     assert (gloss + (1 - gloss) * body_r)[covered] == pytest.approx(leaf.reflectance[covered], abs=rounding)
     assert ((1 - gloss) * body_t)[covered] == pytest.approx(leaf.transmittance[covered], abs=rounding)
-    fruit, nothing = over_body(leaf, flesh).under_cuticle(ior)
+    fruit, nothing = layer_over_body(leaf, flesh).under_cuticle(ior)
     assert fruit.min() >= 0
     assert fruit.max() <= 1
     assert not nothing.any()
@@ -135,8 +135,8 @@ def test_a_body_behind_gives_back_what_a_series_of_bounces_gives():
     for _ in range(200):
         total += light * rho * skin.diffuse_transmittance
         light = light * rho * skin.diffuse_reflectance
-    assert over_body(skin, rho).reflectance == pytest.approx(total, abs=1e-12)
-    assert over_body(skin, 0.0).reflectance == pytest.approx(skin.reflectance, abs=1e-15)
+    assert layer_over_body(skin, rho).reflectance == pytest.approx(total, abs=1e-12)
+    assert layer_over_body(skin, 0.0).reflectance == pytest.approx(skin.reflectance, abs=1e-15)
 
 
 @pytest.mark.parametrize("column", ["silver_maple_leaf_16", "tree_leaf_19", "oak_leaf_29"])

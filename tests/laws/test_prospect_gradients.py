@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from pepperscene.spectra import absorption_coefficients, leaf_spectra, over_body
+from pepperscene.spectra import absorption_coefficients, layer_over_body, leaf_spectra
 from pepperscene.spectra.plates import cone_transmissivity, floats, pile, plate, slab_transmission
 
 torch = pytest.importorskip("torch", reason="gradients need the optional package torch (extra `tuning`)")
@@ -35,7 +35,7 @@ def spectra(parameters):
     """All that a leaf or fruit shows, `(leaves, 7, wavelengths)`, by the parameters' names."""
     contents = {k: v for k, v in parameters.items() if k not in BODY}
     leaf = leaf_spectra(NM, **contents)
-    skin = over_body(leaf, parameters["flesh"][:, None])
+    skin = layer_over_body(leaf, parameters["flesh"][:, None])
     shown = (
         leaf.reflectance, leaf.transmittance, leaf.diffuse_reflectance, leaf.diffuse_transmittance,
         skin.reflectance, *leaf.under_cuticle(parameters["ior"]), skin.under_cuticle(parameters["ior"])[0],
@@ -158,7 +158,7 @@ def test_gradients_at_the_edges_of_the_surface():
     assert gloss.item() == 0.0
     assert torch.autograd.grad(gloss, ior)[0].item() == pytest.approx(0.0, abs=1e-12)
     flesh = torch.tensor([0.0, 0.5, 1.0 - 1e-9], dtype=torch.float64, requires_grad=True)
-    shown = over_body(leaf_spectra(NM, structure_n=1.0), flesh[:, None]).under_cuticle(1.45)[0]
+    shown = layer_over_body(leaf_spectra(NM, structure_n=1.0), flesh[:, None]).under_cuticle(1.45)[0]
     assert torch.isfinite(torch.autograd.grad(shown.sum(), flesh)[0]).all()
 
 

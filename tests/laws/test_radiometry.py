@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from bodies import bench_camera, sheet
 
-from pepperscene.materials import lambertian
+from pepperscene.materials import lambertian_surface
 from pepperscene.render import Renderer
-from pepperscene.scene import assemble, uniform_sky
-from pepperscene.shipped import shelf
+from pepperscene.scene import assemble_scene, uniform_sky
+from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import Spectrum
 
 REFLECTANCE = 0.18
@@ -55,7 +55,9 @@ def grey_under_sky(illuminance_lx: float):
     """The grey patch at 50 cm under a uniform sky of equal energy per nanometre."""
     nm = np.arange(380.0, 781.0)
     sky = uniform_sky(Spectrum(nm, np.ones(nm.size)), illuminance_lx)
-    return assemble(sheet(1.0, 1.0, 0.5, "grey"), {"grey": lambertian("grey", REFLECTANCE)}, sky)
+    return assemble_scene(
+        sheet(1.0, 1.0, 0.5, "grey"), {"grey": lambertian_surface("grey", REFLECTANCE)}, sky
+    )
 
 
 def test_patch_in_the_flash_gives_the_electrons_of_a_one_page_calculation():
@@ -63,9 +65,9 @@ def test_patch_in_the_flash_gives_the_electrons_of_a_one_page_calculation():
     camera = bench_camera(
         columns=8, rows=6, radius_m=0.0, emitters_m=np.zeros((1, 2)), offset_m=(0.0, 0.0, 0.0)
     )
-    scene = assemble(sheet(1.0, 1.0, 0.5, "grey"), {"grey": lambertian("grey", REFLECTANCE)})
+    scene = assemble_scene(sheet(1.0, 1.0, 0.5, "grey"), {"grey": lambertian_surface("grey", REFLECTANCE)})
     # Expected: the SPD scaled so that 683 lm/W x V integrates to 200,000 lx: what falls on the patch.
-    with open(shelf("materials") / "flashes" / "spectra" / "lumileds_cool_white.csv") as file:
+    with open(shipped_folder("materials") / "flashes" / "spectra" / "lumileds_cool_white.csv") as file:
         rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
     spd_nm, spd = np.array(rows[1:], float)[:, :2].T
     v_nm, v = photopic()
@@ -80,7 +82,7 @@ def test_matrix_flash_beside_the_lens_follows_its_integral():
     # quadrature.
     camera = bench_camera(columns=8, rows=6)
     flash = camera.flash
-    scene = assemble(sheet(1.0, 1.0, 0.5, "grey"), {"grey": lambertian("grey", REFLECTANCE)})
+    scene = assemble_scene(sheet(1.0, 1.0, 0.5, "grey"), {"grey": lambertian_surface("grey", REFLECTANCE)})
     radii = flash.radius_m * np.sqrt((np.arange(200) + 0.5) / 200)
     turns = (np.arange(64) + 0.5) / 64 * 2 * np.pi
     spots = np.stack(
@@ -113,13 +115,13 @@ def test_relative_illumination_falls_with_the_fourth_power_of_the_cosine():
     # A uniform sky seen directly has the same radiance everywhere; what remains is the lens.
     camera = bench_camera(flash=False)
     nm = np.arange(380.0, 781.0)
-    far = assemble(
+    far = assemble_scene(
         sheet(0.01, 0.01, -1.0, "grey"),
-        {"grey": lambertian("grey", 0.5)},
+        {"grey": lambertian_surface("grey", 0.5)},
         uniform_sky(Spectrum(nm, np.ones(nm.size)), 5500.0),
     )
     electrons = Renderer(far).render(camera, ["electrons"], "draft")["electrons"]
-    lens = json.loads(json.dumps(camera.facts()))
+    lens = json.loads(json.dumps(camera.metadata()))
     v, u = np.mgrid[0:600, 0:800] + 0.5
     slope2 = ((u - lens["cx"]) / lens["fx"]) ** 2 + ((v - lens["cy"]) / lens["fy"]) ** 2
     expected = (1.0 + slope2) ** -2.0

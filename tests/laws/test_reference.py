@@ -14,14 +14,14 @@ from bodies import bench_camera, sheet, sphere
 
 from pepperscene.camera import AngularProfile, Camera, expected_electrons, load_sensor
 from pepperscene.dataset.recipe.load import load_recipe
-from pepperscene.dataset.scenes.frame_renderer import Stage
-from pepperscene.geometry import concatenate
-from pepperscene.materials import Surface, lambertian
+from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
+from pepperscene.geometry import concatenate_meshes
+from pepperscene.materials import Surface, lambertian_surface
 from pepperscene.render import QUALITIES, Renderer
 from pepperscene.render.reference.emitters import daylight_emitter
 from pepperscene.render.reference.path_tracer import SAMPLERS, path_scene, path_traced, samples_taken
-from pepperscene.render.variant import kernel
-from pepperscene.scene import Scene, Sky, Sun, assemble, uniform_sky
+from pepperscene.render.variant import mitsuba_modules
+from pepperscene.scene import Scene, Sky, Sun, assemble_scene, uniform_sky
 from pepperscene.spectra import Spectrum
 
 NM = np.arange(360.0, 831.0, 5.0)  # wider than the sensor sees
@@ -56,15 +56,15 @@ def glossy_fruit() -> Surface:
 
 def still_life(sky: Sky | None = None, card_m: float = 2.0) -> Scene:
     """A thin leaf that shades a glossy fruit, both before a matt card; the camera looks along +z."""
-    mesh = concatenate(
+    mesh = concatenate_meshes(
         [
             sphere((0.03, 0.02, 0.45), 0.06, "fruit", subdivisions=3),
             sheet(0.15, 0.4, 0.4, "leaf").moved(np.eye(3), np.array([-0.12, 0.0, 0.0])),
             sheet(card_m, card_m, 0.6, "card"),
         ]
     )
-    surfaces = {"card": lambertian("card", 0.6), "leaf": thin_leaf(), "fruit": glossy_fruit()}
-    return assemble(mesh, surfaces, sky)
+    surfaces = {"card": lambertian_surface("card", 0.6), "leaf": thin_leaf(), "fruit": glossy_fruit()}
+    return assemble_scene(mesh, surfaces, sky)
 
 
 def camera(*, flash: bool = True, **flash_changes: object) -> Camera:
@@ -213,8 +213,8 @@ def test_without_light_both_are_black():
 
 def recipe_frame(name: str, index: int, columns: int, **changes: object) -> tuple[Scene, Camera]:
     recipe = load_recipe(name, {key.replace("__", "."): value for key, value in changes.items()})
-    stage = Stage(recipe)
-    shot = recipe.plan.shot(index)
+    stage = FrameRenderer(recipe)
+    shot = recipe.plan.frame(index)
     return stage.scene(shot), few_pixels(stage.camera(shot), columns)
 
 
@@ -288,7 +288,7 @@ def test_samples_are_as_many_as_the_sampler_spreads_evenly():
 @pytest.mark.parametrize(("radius", "share"), [(0.004654, 0.0), (0.2, 0.3), (1.2, 0.5)])
 def test_light_samples_of_the_daylight_follow_their_density(radius, share):
     # Of the density over solid angle, 1 is the integral; of the radiance over it, the irradiance of a sphere.
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     grid = np.arange(400.0, 701.0)
     sky = patchy_sky(sun((0.3, -0.2, 0.8), radius))
     emitter = daylight_emitter().of(sky, grid, 1.0, share, 10.0)

@@ -10,7 +10,7 @@ from scatterers import Cases, interaction, lossless, plain, shipped
 from pepperscene.materials import Surface
 from pepperscene.render.surface.optics import Optics
 from pepperscene.render.surface.tables import pack
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 
 PAIRS = 1 << 16
 
@@ -37,7 +37,7 @@ def test_scattering_is_reciprocal(relief):
     # side, and through sheets whose sides differ.
     # On a relief: for directions that are on the same side of it and of the smooth surface, for beyond those
     # no shading normal is reciprocal (Veach 1997, section 5.3).
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     surfaces = (*(shipped() if relief else map(plain, shipped())), *lossless())
     there, b = pairs_of_directions(surfaces, seed=2)
     back = Cases(there.surfaces, there.surface, there.state, b, there.uv)
@@ -72,7 +72,7 @@ def test_packed_spectra_equal_the_surfaces():
     curve = 0.3 + 0.2 * np.sin(nm / 40.0)
     states = np.linspace(0.5, 1.0, 5)[:, None]
     surface = Surface("s", nm, np.stack([states * curve, states * curve * 0.9], 1), states * curve * 0.5)
-    mi, _ = kernel()
+    mi, _ = mitsuba_modules()
     optics = Optics(pack([surface], 380.0, 780.0))
     si = interaction((0.0, 0.0, 1.0), 1)
     si.wavelengths = mi.Spectrum(412.0, 530.0, 655.0, 700.0)
@@ -103,7 +103,7 @@ def test_patterns_close_on_themselves_around_a_tube():
     pattern = np.tile(0.4 * np.sin(2 * np.pi * (np.arange(16) + 0.5) / 16), (4, 1)).astype(np.float32)
     body = np.stack([states * np.ones(2)] * 2, axis=1)
     surface = Surface("tube", nm, body, np.zeros((33, 2)), pattern=pattern)
-    mi, _ = kernel()
+    mi, _ = mitsuba_modules()
     optics = Optics(pack([surface], 400.0, 700.0))
 
     def state(u: float) -> float:

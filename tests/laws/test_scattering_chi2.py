@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scatterers import Cases, lossless, plain, shipped
 
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 
 SHIPPED_COSINES = (1.0, 0.4, 0.05, -0.7, -0.05)
 MADE_COSINES = (0.9, 0.3, 0.02, -0.02, -0.3)
@@ -51,7 +51,7 @@ class AboutMirror:
     """
 
     def __init__(self, normal: np.ndarray, wi: np.ndarray, alpha: float) -> None:
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         cosine = float(normal @ wi)
         axis = 2.0 * cosine * normal - wi
         axis /= np.linalg.norm(axis)
@@ -64,14 +64,14 @@ class AboutMirror:
         dr.make_opaque(self.frame, self.across, self.width, self.log)
 
     def bounds(self):
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         return mi.ScalarBoundingBox2f([-dr.pi, 0.0], [dr.pi, 1.0])
 
     def aspect(self) -> float:
         return 1.3
 
     def map_forward(self, p):
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         below = dr.minimum(self.width * (dr.exp(p.y * self.log) - 1.0), 2.0)
         sine = dr.safe_sqrt(below * (2.0 - below))
         sin_phi, cos_phi = dr.sincos(p.x)
@@ -79,7 +79,7 @@ class AboutMirror:
         return self.frame.to_world(local)
 
     def map_backward(self, p):
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         local, _ = self._stretched(p)
         return mi.Vector2f(dr.atan2(local.y, local.x), dr.log(1.0 + _below(local) / self.width) / self.log)
 
@@ -89,7 +89,7 @@ class AboutMirror:
         return (_below(local) + self.width) * self.log * length**3 / self.across
 
     def _stretched(self, p):
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         local = self.frame.to_local(p)
         stretched = mi.Vector3f(local.x * self.across, local.y, local.z)
         return dr.normalize(stretched), dr.norm(stretched)
@@ -97,13 +97,13 @@ class AboutMirror:
 
 def _below(local):
     """1 - cosine to the axis, exact near it."""
-    _, dr = kernel()
+    _, dr = mitsuba_modules()
     return 0.5 * (dr.square(local.x) + dr.square(local.y) + dr.square(local.z - 1.0))
 
 
 def chi_squared(cases: Cases, optics, frames: np.ndarray, case: int):
     """Mitsuba's test for one case, not yet run."""
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     from mitsuba.chi2 import ChiSquareTest
 
     domain = AboutMirror(frames[case, 2], cases.wi[case].astype(float), float(cases.alpha()[case]))

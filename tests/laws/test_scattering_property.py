@@ -16,7 +16,7 @@ from scatterers import GRID_NM, interaction, made
 from pepperscene.materials import Surface
 from pepperscene.render.surface.optics import Optics
 from pepperscene.render.surface.tables import pack
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 
 PAIRS = 4096
 HEIGHTS = (1.0, -1.0, 0.0, -0.0, 1e-45, -1e-45, 1e-38, -1e-38, 1e-20, 1e-7, -1e-7, 1e-5, 1.1e-5, -1e-4, 1e-3)
@@ -59,7 +59,7 @@ def directions(rng: np.random.Generator) -> np.ndarray:
     [made("hole", 0.0, 0.0, 1.0, 1.0, (0.0, 1.0)), made("black", 0.0, 0.0, 0.0, 1.0, (0.5, 0.5))], 500.0, 1
 )
 def test_any_surface_scatters_any_light_soundly(made_up, nm, seed):
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     rng = np.random.default_rng(seed)
     wi, other = directions(rng), directions(rng)
     # A third of the pairs is exactly mirrored: the peak of the gloss.

@@ -7,14 +7,14 @@ import pytest
 from bodies import bench_camera, sheet, sphere
 
 from pepperscene.camera import AngularProfile
-from pepperscene.geometry import concatenate
-from pepperscene.materials import Surface, lambertian
+from pepperscene.geometry import concatenate_meshes
+from pepperscene.materials import Surface, lambertian_surface
 from pepperscene.render.kernel.camera import LensCache, response
 from pepperscene.render.kernel.scene import light_scene, sky_tables
 from pepperscene.render.reference.path_tracer import path_scene, path_traced
 from pepperscene.render.transport.trace import Sampling, trace
-from pepperscene.render.variant import kernel
-from pepperscene.scene import Sun, assemble, uniform_sky
+from pepperscene.render.variant import mitsuba_modules
+from pepperscene.scene import Sun, assemble_scene, uniform_sky
 from pepperscene.scene.sky import Sky
 from pepperscene.spectra import Spectrum
 
@@ -28,14 +28,14 @@ def glossy_leaf() -> Surface:
 
 
 def scene_with(sky):
-    mesh = concatenate(
+    mesh = concatenate_meshes(
         [
             sphere((0.03, 0.02, 0.45), 0.06, "matt", subdivisions=3),
             sheet(0.15, 0.4, 0.4, "leaf").moved(np.eye(3), np.array([-0.12, 0.0, 0.0])),
             sheet(2.0, 2.0, 0.6, "matt"),
         ]
     )
-    return assemble(mesh, {"matt": lambertian("matt", 0.6), "leaf": glossy_leaf()}, sky)
+    return assemble_scene(mesh, {"matt": lambertian_surface("matt", 0.6), "leaf": glossy_leaf()}, sky)
 
 
 def theirs_traced(scene, camera, emitters, spp: int, bounces: int) -> np.ndarray:
@@ -102,7 +102,7 @@ def spot_camera():
     pose = np.eye(4)
     pose[2, 3] = -0.6
     camera = camera.at_pose(pose)
-    mi, _ = kernel()
+    mi, _ = mitsuba_modules()
     origin = pose[:3, 3] + np.array(camera.flash.offset_m)
     intensity = camera.flash.radiant_intensity(NM) * camera.flash_duty
     spot = {

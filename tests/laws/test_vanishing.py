@@ -8,7 +8,7 @@ from bodies import bench_camera, sheet, sphere
 
 from pepperscene.materials import Surface
 from pepperscene.render import Renderer
-from pepperscene.scene import assemble, uniform_sky
+from pepperscene.scene import assemble_scene, uniform_sky
 from pepperscene.spectra import Spectrum
 
 NM = np.array([300.0, 1100.0])
@@ -36,7 +36,7 @@ CASES = [(body, 0.0, 1.5) for body in BODIES] + [
 def test_a_lossless_body_vanishes_in_an_even_light(body, transmittance, ior, roughness):
     # 256 samples on each of some 600 pixels: the mean's standard error is below .1 % (weights vary by 1).
     # No body here lights itself, so nothing is lost to the end of paths.
-    scene = assemble(BODIES[body], {"white": lossless(transmittance, ior, roughness)}, SKY)
+    scene = assemble_scene(BODIES[body], {"white": lossless(transmittance, ior, roughness)}, SKY)
     camera = bench_camera(columns=32, rows=32, flash=False)
     image = Renderer(scene).render(camera, ["electrons", "class"], "reference")
     seen = image["class"] > 0

@@ -18,7 +18,7 @@ from pepperscene.geometry import Mesh, mesh_plant
 from pepperscene.grammar import grow
 from pepperscene.materials import organ_surfaces, twine_surface
 from pepperscene.render import Renderer
-from pepperscene.scene import Scene, Twine, assemble, double_row, partly_cloudy, with_twine
+from pepperscene.scene import Scene, Twine, add_twine, assemble_scene, double_row, partly_cloudy_sky
 
 NM = np.arange(360.0, 831.0, 10.0)
 POSES = arc_path(3, 0.4, (-0.4, 0.4), (0.1, 0.4), np.radians(20.0))
@@ -32,13 +32,13 @@ def row_of_plants() -> Mesh:
     for number in range(2):
         plant = grow(short, np.random.default_rng(number))
         cord = Twine(0.003, 4.0)
-        meshes.append(with_twine(plant, mesh_plant(plant, 0.4), cord, np.random.default_rng(number)))
+        meshes.append(add_twine(plant, mesh_plant(plant, 0.4), cord, np.random.default_rng(number)))
     return double_row(meshes[:1], meshes[1:], spacing_m=0.2, gap_m=0.2, shift_m=0.1)
 
 
 def greenhouse() -> Scene:
     """The plants under a partly cloudy sky; the sun stands outside the camera's pictures."""
-    sky = partly_cloudy(
+    sky = partly_cloudy_sky(
         np.random.default_rng(7),
         illuminance_lx=5500.0,
         sun_azimuth_rad=-0.5,
@@ -48,7 +48,7 @@ def greenhouse() -> Scene:
     )
     twine = twine_surface(NM)
     surfaces = {**organ_surfaces(load_cultivar("kaite"), NM), twine.name: twine}
-    return assemble(row_of_plants(), surfaces, sky)
+    return assemble_scene(row_of_plants(), surfaces, sky)
 
 
 def camera(

@@ -12,14 +12,14 @@ from pepperscene.camera import (
     Camera,
     Developing,
     camera_rgb,
-    corrected,
+    correct_colours,
     expected_electrons,
     load_flash,
     load_lens,
     load_sensor,
 )
-from pepperscene.render.transport.accumulate import Gathered
-from pepperscene.render.transport.adaptive import GAIN, SOFT_LEFT, Stop, _least_scale, shown
+from pepperscene.render.transport.accumulate import SampleAccumulator
+from pepperscene.render.transport.adaptive import GAIN, SOFT_LEFT, AdaptiveSampler, _least_scale, shown
 from pepperscene.spectra import Spectrum
 
 HEIGHT, WIDTH = 24, 32
@@ -66,7 +66,7 @@ def light_of(
 def linear_of(signal: np.ndarray, camera: Camera) -> np.ndarray:
     """`(h, w, k)` linear values before the tone curve, without noise and converter steps."""
     smooth = replace(camera, developing=replace(camera.developing, quantise=False))
-    return corrected(camera_rgb(expected_electrons(signal, smooth), smooth), smooth).astype(float)
+    return correct_colours(camera_rgb(expected_electrons(signal, smooth), smooth), smooth).astype(float)
 
 
 def codes_of(linear: np.ndarray, tone: str) -> np.ndarray:
@@ -146,7 +146,7 @@ def spread_of(signal: np.ndarray, camera: Camera, frames: int = 300) -> np.ndarr
     """`(h, w)` deviation of developed pictures, root mean square over colours, before rounding to codes."""
     electrons, squares, sums = expected_electrons(signal, camera), 0.0, 0.0
     for seed in range(frames):
-        linear = corrected(camera_rgb(electrons, camera, np.random.default_rng(seed)), camera)
+        linear = correct_colours(camera_rgb(electrons, camera, np.random.default_rng(seed)), camera)
         codes = codes_of(linear.astype(float), camera.developing.tone)
         squares, sums = squares + np.square(codes), sums + codes
     variance = (squares - np.square(sums) / frames) / (frames - 1)
@@ -233,7 +233,7 @@ def as_many(weights: np.ndarray, total: float, most: int) -> np.ndarray:
 
 def test_samples_are_powers_of_two_about_that_many():
     # They spread best; rounding costs little and the target is met nevertheless, to what rounding leaves.
-    stop, spread = Stop(CAMERAS["flash"], 0.1, 1024, denoised=True), spreads(4)
+    stop, spread = AdaptiveSampler(CAMERAS["flash"], 0.1, 1024, denoised=True), spreads(4)
     for share in (0.3, 0.1, 0.03):
         allowed = share * left(spread, np.ones(spread.size))
         samples, smooth = stop._shared_out(spread, allowed), shared_out(spread, allowed, 1024)
@@ -247,7 +247,7 @@ def test_stripes_are_seen_by_the_sum_over_some_pixels(size):
     # Large pictures are summed up over some pixels; which must not follow the picture's columns.
     spread = np.full(size, 1e-3, np.float32)
     spread[:, ::16] = 1.0
-    stop = Stop(CAMERAS["flash"], 0.1, 1024, denoised=True)
+    stop = AdaptiveSampler(CAMERAS["flash"], 0.1, 1024, denoised=True)
     allowed = 0.05 * left(spread, np.ones(size))
     samples = stop._shared_out(spread.ravel(), allowed)
     assert left(spread.ravel(), samples) == pytest.approx(allowed, rel=0.5)
@@ -255,7 +255,7 @@ def test_stripes_are_seen_by_the_sum_over_some_pixels(size):
 
 @pytest.mark.parametrize(("share", "wanted"), [(2.0, 1), (1e-9, 64)])
 def test_targets_beyond_reach_take_the_least_and_the_most(share, wanted):
-    stop, spread = Stop(CAMERAS["flash"], 0.1, 64, denoised=True), spreads(5)
+    stop, spread = AdaptiveSampler(CAMERAS["flash"], 0.1, 64, denoised=True), spreads(5)
     allowed = share * left(spread, np.ones(spread.size))
     samples = stop._shared_out(spread, allowed)
     assert (samples[spread > 0.0] == wanted).mean() > 0.95
@@ -264,7 +264,7 @@ def test_targets_beyond_reach_take_the_least_and_the_most(share, wanted):
 
 
 def test_nothing_to_share_out():
-    stop = Stop(CAMERAS["flash"], 0.1, 64, denoised=True)
+    stop = AdaptiveSampler(CAMERAS["flash"], 0.1, 64, denoised=True)
     assert (stop._shared_out(np.zeros(100, np.float32), 1.0) == 1).all()
     assert (stop._shared_out(np.zeros(100, np.float32), 0.0) == 1).all()
 
@@ -272,11 +272,13 @@ def test_nothing_to_share_out():
 # --- on sums of samples -------------------------------------------------------------------------------------
 
 
-def gathered(camera: Camera, level: float, sharp: np.ndarray, soft: np.ndarray, n: int = 4) -> Gathered:
+def gathered(
+    camera: Camera, level: float, sharp: np.ndarray, soft: np.ndarray, n: int = 4
+) -> SampleAccumulator:
     """Sums whose means are grey light of a level, and whose variances are given, `(h, w)` each."""
     c = camera.sensor.channels
     signal, white = light_of(camera, level)
-    there = Gathered(HEIGHT, WIDTH, white)
+    there = SampleAccumulator(HEIGHT, WIDTH, white)
     flash = signal.reshape(-1, c).T.astype(float)
     square = np.square(flash / white[:, None]).sum(axis=0)
     zero = np.zeros(HEIGHT * WIDTH)
@@ -300,7 +302,7 @@ def test_the_error_told_is_that_of_the_variances(denoised):
     camera = CAMERAS["flash"]
     sharp, soft = a_spread(camera, 0.1), 0.1 * a_spread(camera, 0.1)
     there = gathered(camera, 0.1, sharp, soft)
-    told = Stop(camera, 0.14, 64, denoised=denoised).achieved(there.light())
+    told = AdaptiveSampler(camera, 0.14, 64, denoised=denoised).achieved(there.light())
     # By hand: Mitchell's law for sharp light, plain Monte Carlo for what is left of soft light.
     shows = shown(there.total(), there.white, camera)
     variance = 0.8 * ndimage.uniform_filter(sharp, 3, mode="nearest") * 4**-1.5
@@ -319,7 +321,7 @@ def test_what_is_asked_for_meets_the_target(target):
     sharp = a_spread(camera, 0.1)
     there = gathered(camera, 0.1, sharp, 1e-6 * sharp)
     wanted = np.full(HEIGHT * WIDTH, 4, np.int32)
-    stop = Stop(camera, target, 1 << 14, denoised=True)
+    stop = AdaptiveSampler(camera, target, 1 << 14, denoised=True)
     for _ in range(8):  # each time at most four times as many
         more = stop.wanted(there)
         assert (more >= there.samples).all()
@@ -345,7 +347,7 @@ def test_soft_light_alone_asks_for_no_end_of_sharp_samples():
     camera = CAMERAS["flash"]
     sharp = a_spread(camera, 0.1)
     there = gathered(camera, 0.1, sharp, 1e3 * sharp)
-    stop = Stop(camera, 0.3, 1 << 14, denoised=True)
+    stop = AdaptiveSampler(camera, 0.3, 1 << 14, denoised=True)
     shows = shown(there.total(), there.white, camera)
     spread = (shows.per_white**2 * ndimage.uniform_filter(sharp, 3, mode="nearest")).ravel()
     allowed = 0.5 * 0.3**2 * float(np.square(shows.noise).mean())
@@ -357,7 +359,7 @@ def test_black_frames_want_no_more():
     camera = CAMERAS["flash"]
     sharp = a_spread(camera, 0.0)
     there = gathered(camera, 0.0, sharp, sharp)
-    stop = Stop(camera, 0.14, 64, denoised=True)
+    stop = AdaptiveSampler(camera, 0.14, 64, denoised=True)
     assert np.array_equal(stop.wanted(there), there.samples)
     told = stop.achieved(there.light())
     assert told["error_codes"] == 0.0
@@ -369,7 +371,7 @@ def test_blown_out_frames_are_asked_for_no_end_of_samples():
     camera = CAMERAS["flash"]
     sharp = a_spread(camera, 50.0)
     there = gathered(camera, 50.0, sharp, sharp)
-    stop = Stop(camera, 0.14, 64, denoised=True)
+    stop = AdaptiveSampler(camera, 0.14, 64, denoised=True)
     assert stop.wanted(there).max() <= 64
     told = stop.achieved(there.light())
     assert all(np.isfinite(value) for value in told.values())
@@ -379,11 +381,11 @@ def test_without_a_target_nothing_is_asked_for():
     camera = CAMERAS["flash"]
     sharp = a_spread(camera, 0.1)
     there = gathered(camera, 0.1, sharp, sharp)
-    assert Stop(camera, None, 64, denoised=True).wanted(there) is there.samples
+    assert AdaptiveSampler(camera, None, 64, denoised=True).wanted(there) is there.samples
 
 
 def test_more_than_the_most_is_kept_where_it_is_there():
     # A least number above the most: no pixel is to lose samples.
     camera = CAMERAS["flash"]
     there = gathered(camera, 0.1, a_spread(camera, 0.1), a_spread(camera, 0.1), n=128)
-    assert np.array_equal(Stop(camera, 0.01, 64, denoised=True).wanted(there), there.samples)
+    assert np.array_equal(AdaptiveSampler(camera, 0.01, 64, denoised=True).wanted(there), there.samples)

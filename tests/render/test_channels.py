@@ -18,7 +18,7 @@ from pepperscene.render.surface.tables import pack
 from pepperscene.render.transport import samples as samples_module
 from pepperscene.render.transport.samples import FrameTables, Samples, SpectralTables, Wavelengths
 from pepperscene.render.transport.trace import _hit, _summed
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 
 NM = np.arange(360.0, 831.0, 5.0)
 GRID = np.arange(380.0, 751.0)
@@ -43,7 +43,7 @@ def weights() -> np.ndarray:
 
 def colours(optics: ChannelOptics, surfaces: int) -> np.ndarray:
     """`(3, surfaces, states, c)`: front, back and through, as the kernel finds them."""
-    mi, _ = kernel()
+    mi, _ = mitsuba_modules()
     surface, state = (part.ravel() for part in np.meshgrid(np.arange(surfaces), STATES, indexing="ij"))
     parts = optics._body(
         None, mi.UInt32(surface.astype(np.uint32)), mi.Float(state.astype(np.float32)), mi.Bool(True)
@@ -114,7 +114,7 @@ def test_the_scale_of_the_weights_does_not_matter(shipped, weights):
 
 def carried(tables: FrameTables, samples: Samples, waves: Wavelengths | None) -> list:
     """Flash and sun at the first hit, and the sky seen: by channel, or at wavelengths."""
-    mi, _ = kernel()
+    mi, _ = mitsuba_modules()
     active, si, hit = _hit(tables.scene, samples.ray, coherent=True)
     towards = samples.ray.d
     if waves is None:

@@ -13,11 +13,11 @@ from test_coverage import FOCAL_PX, bench_camera, solid
 from pepperscene.camera import Camera, Distortion
 from pepperscene.classes import OrganClass
 from pepperscene.frame import OUTPUTS
-from pepperscene.geometry import Mesh, concatenate
+from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.render import Renderer
 from pepperscene.render.aov.flow import CLEARANCE, reached
 from pepperscene.render.kernel.scene import truth_scene
-from pepperscene.scene import assemble
+from pepperscene.scene import assemble_scene
 
 BENT = Distortion(k1=-0.1, k2=0.04, p1=1e-3, p2=-1e-3)
 
@@ -39,7 +39,7 @@ def at(view: Camera, *, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn: fl
 
 
 def flow(mesh: Mesh, view: Camera, other: Camera) -> np.ndarray:
-    found = Renderer(assemble(mesh)).render(view, ["flow"], others={"flow": other})["flow"]
+    found = Renderer(assemble_scene(mesh)).render(view, ["flow"], others={"flow": other})["flow"]
     assert OUTPUTS["flow"].fits(found)
     return found
 
@@ -76,7 +76,7 @@ def test_the_sky_turns_and_does_not_move():
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.02)
     ball.apply_translation([0.0, 0.0, 0.5])
     mesh = solid(ball, OrganClass.PEPPER)
-    made = Renderer(assemble(mesh))
+    made = Renderer(assemble_scene(mesh))
     other = at(view, x=0.02, turn=turn)
     frame = made.render(view, ["class", "flow"], others={"flow": other})
     sky = frame["class"] == 0
@@ -104,7 +104,7 @@ def test_behind_the_other_camera_is_nowhere():
 
 
 def test_at_the_end_of_a_path_nothing_flows():
-    made = Renderer(assemble(sheet((0, 0, 0.4), (1, 0, 0), (0, 1, 0))))
+    made = Renderer(assemble_scene(sheet((0, 0, 0.4), (1, 0, 0), (0, 1, 0))))
     found = made.render(bench_camera(), ["flow"])["flow"]
     assert OUTPUTS["flow"].fits(found)
     assert np.isnan(found[..., :2]).all()
@@ -119,7 +119,7 @@ def test_what_stands_before_a_point_hides_it_beyond_the_clearance(gap, hides):
     walls = [sheet((0, 0, z), (1, 0, 0), (0, 1, 0)) for z in (0.4, before)]
     points = np.column_stack([rng.uniform(-0.3, 0.3, (500, 2)), np.full(500, 0.4)])
     # The wall's triangles are the first two; which of them makes no difference here.
-    scene = truth_scene(assemble(concatenate(walls)))
+    scene = truth_scene(assemble_scene(concatenate_meshes(walls)))
     found = reached(scene, np.zeros(3), points, np.zeros(500, dtype=np.int64))
     assert (found == (not hides)).all()
     # The same points belong to the sheet: nothing stands before it.
@@ -146,7 +146,9 @@ def test_a_surface_does_not_hide_itself_however_flat_it_is_seen(degrees):
     pose[:3, :3] = np.stack([np.cross(down, forward), down, forward], axis=1)
     pose[:3, 3] = eye
     wide = replace(view, sensor=replace(view.sensor, columns=400, rows=400))
-    frame = Renderer(assemble(mesh)).render(view, ["class", "flow"], others={"flow": wide.at_pose(pose)})
+    frame = Renderer(assemble_scene(mesh)).render(
+        view, ["class", "flow"], others={"flow": wide.at_pose(pose)}
+    )
     leaf = frame["class"] == OrganClass.LEAF
     assert leaf.all()
     assert (frame["flow"][..., 2] == 1).all()
@@ -181,7 +183,7 @@ def test_neither_place_nor_size_of_a_scene_matters(plants, shift, scale):
 
 
 def test_bytes_do_not_depend_on_what_was_rendered_before(plants):
-    made = Renderer(assemble(plants))
+    made = Renderer(assemble_scene(plants))
     first = made.render(camera(), ["flow"], others={"flow": camera(2)})["flow"].tobytes()
     made.render(camera(0), ["stereo", "coverage"], others={"stereo": camera(1)})
     both = made.render(camera(), ["class", "flow", "stereo"], others={"flow": camera(2), "stereo": camera(2)})

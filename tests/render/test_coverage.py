@@ -12,13 +12,13 @@ from test_kernel_reuse import compiled
 
 from pepperscene.camera import Camera, load_lens, load_sensor
 from pepperscene.classes import Instance, OrganClass
-from pepperscene.geometry import Mesh, concatenate
+from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.render import Renderer
 from pepperscene.render.aov.coverage import POINTS, Coverage, pixel_points
-from pepperscene.render.kernel.arrays import region_of
+from pepperscene.render.kernel.arrays import local_coordinates
 from pepperscene.render.kernel.camera import LensCache
 from pepperscene.render.kernel.scene import truth_scene
-from pepperscene.scene import assemble
+from pepperscene.scene import assemble_scene
 
 FOCAL_PX = 4.16e-3 / 9e-6  # of the bench camera: the lens' focal length over the pixels' pitch
 
@@ -56,7 +56,7 @@ def bench_camera(columns: int = 64, rows: int = 64) -> Camera:
 
 def both(mesh: Mesh, view: Camera) -> tuple[np.ndarray, np.ndarray]:
     """The coverage image, and that of looking closely at all pixels."""
-    scene, rays = truth_scene(assemble(mesh)), LensCache().view(view, region_of(mesh))
+    scene, rays = truth_scene(assemble_scene(mesh)), LensCache().view(view, local_coordinates(mesh))
     made = Coverage(mesh)
     return made.image(scene, rays).astype(float), made.image(scene, rays, everywhere=True).astype(float)
 
@@ -83,7 +83,7 @@ def test_a_wire_covers_its_width_of_each_row_it_crosses(width, turn):
 
 def test_a_wire_that_the_labels_lose_is_not_lost():
     mesh, view = wire(0.1, 0.3), bench_camera()
-    frame = Renderer(assemble(mesh)).render(view, ["class", "coverage"])
+    frame = Renderer(assemble_scene(mesh)).render(view, ["class", "coverage"])
     assert (frame["class"] == OrganClass.WIRE).any(axis=1).mean() < 0.4
     assert (frame["coverage"][..., OrganClass.WIRE] > 0).any(axis=1).mean() > 0.9
 
@@ -92,7 +92,7 @@ def test_a_wire_is_followed_from_where_it_was_found():
     # So thin that the few rays of most of its pixels miss it; a ball hangs on it.
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.004)
     ball.apply_translation([0, 0, 0.5])
-    mesh = concatenate([wire(0.08, 0.6), solid(ball, OrganClass.PEPPER)])
+    mesh = concatenate_meshes([wire(0.08, 0.6), solid(ball, OrganClass.PEPPER)])
     fast, everywhere = both(mesh, bench_camera())
     found, there = (image[..., OrganClass.WIRE] > 0 for image in (fast, everywhere))
     assert there.sum() > 60
@@ -112,7 +112,7 @@ def plants():
 def test_coverage_is_the_mean_of_labels_of_smaller_pixels(plants, distorted):
     coarse, fine = camera(distorted=distorted), camera(columns=800, rows=600, distorted=distorted)
     fine = replace(fine, sensor=replace(fine.sensor, binning=fine.sensor.binning // 10))
-    made = Renderer(assemble(plants))
+    made = Renderer(assemble_scene(plants))
     coverage = made.render(coarse, ["coverage"])["coverage"].astype(float)
     labels = made.render(fine, ["class"])["class"].reshape(60, 10, 80, 10)
     for one in OrganClass:
@@ -136,7 +136,7 @@ def test_looking_closely_where_classes_meet_is_looking_everywhere(plants):
 
 @pytest.mark.parametrize(("columns", "rows"), [(1, 1), (2, 3), (7, 5), (81, 62)])
 def test_shares_are_whole_and_sum_to_one_whatever_the_size(plants, columns, rows):
-    frame = Renderer(assemble(plants)).render(camera(columns=columns, rows=rows), ["coverage"])
+    frame = Renderer(assemble_scene(plants)).render(camera(columns=columns, rows=rows), ["coverage"])
     shares = frame["coverage"]
     assert shares.dtype == np.float16
     assert shares.shape == (rows, columns, len(OrganClass))
@@ -146,14 +146,14 @@ def test_shares_are_whole_and_sum_to_one_whatever_the_size(plants, columns, rows
 
 
 def test_the_same_bytes_twice_and_from_a_used_renderer(plants):
-    made = Renderer(assemble(plants))
+    made = Renderer(assemble_scene(plants))
     made.render(camera(2), ["coverage"])
-    again = Renderer(assemble(plants)).render(camera(), ["coverage"])
+    again = Renderer(assemble_scene(plants)).render(camera(), ["coverage"])
     assert made.render(camera(), ["coverage"])["coverage"].tobytes() == again["coverage"].tobytes()
 
 
 def test_all_is_sharp_and_an_empty_picture_is_background(plants):
-    made = Renderer(assemble(plants))
+    made = Renderer(assemble_scene(plants))
     sharp, focused = (made.render(replace(camera(), focus_m=m), ["coverage"]) for m in (None, 0.2))
     np.testing.assert_array_equal(sharp["coverage"], focused["coverage"])
     away = POSES[1].copy()
@@ -164,14 +164,14 @@ def test_all_is_sharp_and_an_empty_picture_is_background(plants):
 
 def test_another_scene_picture_or_pose_compiles_nothing(plants):
     asked = ("class", "coverage", "position", "uv", "flow", "stereo")
-    first = Renderer(assemble(plants))
+    first = Renderer(assemble_scene(plants))
     for step in (0, 1):
         first.render(camera(step), asked, others=others(step))
     _, missed = compiled(lambda: first.render(camera(1), asked, others=others(0)))
     assert missed == 0
     _, missed = compiled(lambda: first.render(camera(columns=84, rows=63), asked, others=others()))
     assert missed == 0
-    other = Renderer(assemble(concatenate([plants, wire(3.0, 0.3)])))
+    other = Renderer(assemble_scene(concatenate_meshes([plants, wire(3.0, 0.3)])))
     _, missed = compiled(lambda: other.render(camera(), asked, others=others()))
     assert missed == 0
 

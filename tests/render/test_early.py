@@ -33,19 +33,19 @@ def called(monkeypatch):
 
 
 def test_what_a_picture_needs_is_begun(camera, called):
-    early.begin(camera, QUALITIES["standard"]).join()
+    early.warm_up(camera, QUALITIES["standard"]).join()
     assert called == list(PARTS)
 
 
 def test_nothing_is_begun_that_is_not_needed(camera, called):
-    early.begin(camera, QUALITIES["reference"]).join()
+    early.warm_up(camera, QUALITIES["reference"]).join()
     assert "begin_denoising" not in called
     called.clear()
     grey = Camera(camera.lens, load_sensor("onsemi_mt9v024_mono"), flash=camera.flash)
-    early.begin(grey, QUALITIES["draft"]).join()
+    early.warm_up(grey, QUALITIES["draft"]).join()
     assert "reference_correction" not in called
     told = replace(camera, developing=Developing(colour_matrix=((1, 0, 0), (0, 1, 0), (0, 0, 1))))
-    early.begin(told, QUALITIES["draft"]).join()
+    early.warm_up(told, QUALITIES["draft"]).join()
     assert "reference_correction" not in called
 
 
@@ -55,7 +55,7 @@ def test_what_fails_early_leaves_the_rest_alone(camera, called, monkeypatch):
 
     monkeypatch.setattr(early, "kernel", fail)
     monkeypatch.setattr(early, "begin_denoising", fail)
-    early.begin(camera, QUALITIES["standard"]).join()
+    early.warm_up(camera, QUALITIES["standard"]).join()
     assert called == ["reference_correction"]
 
 

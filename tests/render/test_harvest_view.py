@@ -13,11 +13,11 @@ from test_kernel_reuse import compiled
 from pepperscene.camera import look_at
 from pepperscene.cultivar import load_cultivar
 from pepperscene.errors import InputError
-from pepperscene.geometry import concatenate, mesh_plant, rectangle
+from pepperscene.geometry import concatenate_meshes, mesh_plant, rectangle
 from pepperscene.grammar import grow
 from pepperscene.render import Renderer
-from pepperscene.scene import assemble, skeleton
-from pepperscene.truth.encodings import mask_of
+from pepperscene.scene import assemble_scene, build_skeleton
+from pepperscene.truth.encodings import decode_rle
 
 OUTPUTS = ["instance", "distance", "harvest"]
 
@@ -30,7 +30,9 @@ def plant_of(seed=3):
 
 def scene_of(plant, *others):
     """The plant, and things behind its organs in the list of instances."""
-    return assemble(concatenate([mesh_plant(plant, 0.5), *others]), skeleton=skeleton([plant]))
+    return assemble_scene(
+        concatenate_meshes([mesh_plant(plant, 0.5), *others]), skeleton=build_skeleton([plant])
+    )
 
 
 def middle_of(plant):
@@ -64,9 +66,9 @@ def frame(plant, scene):
 def test_the_whole_mask_is_what_the_fruit_alone_shows(plant, scene, frame):
     assert len(frame["harvest"]["fruit"]) >= 2
     for fruit in frame["harvest"]["fruit"]:
-        alone = assemble(scene.mesh.of_instances([fruit["instance"] - 1]))
+        alone = assemble_scene(scene.mesh.of_instances([fruit["instance"] - 1]))
         mask = Renderer(alone).render(facing(plant), ["instance"])["instance"] > 0
-        np.testing.assert_array_equal(mask_of(fruit["amodal"]), mask)
+        np.testing.assert_array_equal(decode_rle(fruit["amodal"]), mask)
         seen = frame["instance"] == fruit["instance"]
         assert not (seen & ~mask).any()
         assert fruit["visible_pixels"] == seen.sum()
@@ -114,13 +116,13 @@ def test_camera_and_world_tell_the_same_places(plant, frame):
 def test_stalks_are_cut_in_the_furrow_above_their_collar():
     # Of the rings that a stalk's body is made of, the thinnest near its foot lies at the cut.
     plant = plant_of(5)
-    mesh, bones = mesh_plant(plant), skeleton([plant])
-    scene = assemble(mesh, skeleton=bones)
+    mesh, bones = mesh_plant(plant), build_skeleton([plant])
+    scene = assemble_scene(mesh, skeleton=bones)
     renderer, taken = Renderer(scene), facing(plant, 0.6, columns=320, rows=240)
     found = [fruit["peduncle"] for fruit in renderer.render(taken, OUTPUTS)["harvest"]["fruit"]]
     assert len(found) >= 3
     for stalk in found:
-        body = mesh.of_instances([stalk["instance"] - 1]).vertices
+        body = mesh.select_instances([stalk["instance"] - 1]).vertices
         off = (body - stalk["cut"]["world_m"]) @ (taken.pose[:3, :3] @ stalk["cut"]["tangent"])
         # Rings next to it lie half a foot's length farther.
         foot = min(stalk["radius_m"], 0.12 * stalk["length_m"])
@@ -156,7 +158,7 @@ def test_a_fruit_on_no_stalk_has_none(plant, scene):
     for index, organ in enumerate(organs):
         if forms[organ.kind] == "calyx":
             organs[index] = replace(organ, parent=organs[organ.parent].parent)
-    bare = replace(scene, skeleton=skeleton([replace(plant, organs=tuple(organs))]))
+    bare = replace(scene, skeleton=build_skeleton([replace(plant, organs=tuple(organs))]))
     harvest = Renderer(bare).render(facing(plant), OUTPUTS)["harvest"]
     assert harvest["fruit"]
     assert all(fruit["peduncle"] is None for fruit in harvest["fruit"])
@@ -192,7 +194,7 @@ def test_the_same_view_gives_the_same_text(plant, scene, frame):
 
 def test_a_scene_without_its_plants_is_refused(plant):
     with pytest.raises(InputError, match="harvest needs a scene"):
-        Renderer(assemble(mesh_plant(plant, 0.5))).render(facing(plant), ["harvest"])
+        Renderer(assemble_scene(mesh_plant(plant, 0.5))).render(facing(plant), ["harvest"])
 
 
 def test_other_plants_and_other_pictures_compile_nothing(plant, scene, frame):

@@ -12,18 +12,18 @@ from pepperscene.cultivar import load_cultivar
 from pepperscene.frame import DEFAULT_OUTPUTS
 from pepperscene.geometry import mesh_plant
 from pepperscene.grammar import grow
-from pepperscene.materials import lambertian, organ_surfaces, twine_surface
+from pepperscene.materials import lambertian_surface, organ_surfaces, twine_surface
 from pepperscene.render import Renderer
 from pepperscene.render.kernel.arrays import ALIGNMENT, aligned, device_number, device_table
-from pepperscene.render.variant import kernel
-from pepperscene.scene import Sky, Twine, assemble, double_row, partly_cloudy, with_twine
+from pepperscene.render.variant import mitsuba_modules
+from pepperscene.scene import Sky, Twine, add_twine, assemble_scene, double_row, partly_cloudy_sky
 
 QUALITY = "draft"
 
 
 def compiled(render):
     """What a render returns, and how many kernels it had to compile or to load from disk."""
-    _, dr = kernel()
+    _, dr = mitsuba_modules()
     before = dr.flag(dr.JitFlag.KernelHistory)
     dr.set_flag(dr.JitFlag.KernelHistory, True)
     dr.kernel_history_clear()
@@ -52,7 +52,7 @@ def other_scene(number):
     for side in range(2):
         plant = grow(short, np.random.default_rng(10 + 2 * number + side))
         cord = Twine(0.003, 4.0)
-        meshes.append(with_twine(plant, mesh_plant(plant, 0.4), cord, np.random.default_rng(side)))
+        meshes.append(add_twine(plant, mesh_plant(plant, 0.4), cord, np.random.default_rng(side)))
     row = double_row(meshes[:1], meshes[1:], spacing_m=0.25, gap_m=0.2, shift_m=0.1)
     nm = np.arange(370.0 + number, 821.0, 7.0)
     twine = twine_surface(nm)
@@ -60,8 +60,8 @@ def other_scene(number):
     leaf = surfaces["leaf"]
     surfaces["leaf"] = replace(leaf, pattern=leaf.pattern[::2, ::3], relief_mm=leaf.relief_mm[::2, ::3])
     row = replace(row, surfaces=("board", *row.surfaces), face_surface=row.face_surface + 1)
-    surfaces["board"] = lambertian("board", 0.3)
-    sky = partly_cloudy(
+    surfaces["board"] = lambertian_surface("board", 0.3)
+    sky = partly_cloudy_sky(
         np.random.default_rng(number),
         illuminance_lx=4000.0 + number,
         sun_azimuth_rad=-0.2,
@@ -69,7 +69,7 @@ def other_scene(number):
         sun_fraction=0.4,
         cloud_cover=0.3,
     )
-    return assemble(row, surfaces, coarser(sky) if number else sky)
+    return assemble_scene(row, surfaces, coarser(sky) if number else sky)
 
 
 @pytest.fixture(scope="module")
@@ -134,13 +134,13 @@ def test_a_table_takes_slices_and_keeps_its_own_copy():
 
 
 def test_a_single_entry_is_no_constant():
-    _, dr = kernel()
+    _, dr = mitsuba_modules()
     assert dr.width(device_table([3.0])) == 2
     assert dr.gather(type(device_table([3.0])), device_table([3.0]), 1)[0] == 3.0
 
 
 def test_numbers_of_scenes_are_no_constants():
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     fraction, whole = device_number(0.25), device_number(7, whole=True)
     assert (type(fraction), type(whole)) == (mi.Float, mi.UInt32)
     assert (fraction[0], whole[0]) == (0.25, 7)

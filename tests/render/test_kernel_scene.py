@@ -7,7 +7,7 @@ import pytest
 from greenhouse import greenhouse
 
 from pepperscene.render.kernel.scene import kernel_mesh, light_scene, truth_scene
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 
 RAYS = 20_000
 
@@ -25,7 +25,7 @@ def built(scene):
 @pytest.fixture(scope="module")
 def rays(scene):
     """Towards random points of the mesh from all sides; some of them pass by."""
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     rng = np.random.default_rng(3)
     mesh = scene.mesh
     target = mesh.vertices[mesh.faces[rng.integers(0, len(mesh.faces), RAYS)]].mean(axis=1)
@@ -45,7 +45,7 @@ def rows(value):
 
 
 def test_interactions_are_those_of_mitsuba(built, rays):
-    mi, _ = kernel()
+    mi, _ = mitsuba_modules()
     hit = built.scene.ray_intersect_preliminary(rays)
     active = hit.is_valid()
     ours = built.interaction(rays, hit, active)
@@ -65,7 +65,7 @@ def test_interactions_are_those_of_mitsuba(built, rays):
 def test_the_table_of_corners_says_what_attributes_say(scene, built, rays):
     from pepperscene.render.reference.bsdf import surface_bsdf
 
-    mi, _ = kernel()
+    mi, _ = mitsuba_modules()
     shape = kernel_mesh(scene.mesh, surface_bsdf().of(built.optics))
     theirs = mi.load_dict({"type": "scene", "plants": shape})
     hit = theirs.ray_intersect_preliminary(rays)
@@ -91,7 +91,7 @@ def test_the_kernel_sees_the_very_mesh(scene):
 
 
 def test_large_buffers_are_shared_with_the_mesh(scene):
-    mi, _ = kernel()
+    mi, _ = mitsuba_modules()
     if not mi.variant().startswith("llvm"):
         pytest.skip("a GPU has memory of its own")
     shape = kernel_mesh(scene.mesh)

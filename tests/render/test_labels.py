@@ -16,7 +16,7 @@ from pepperscene.render.aov import labels
 from pepperscene.render.aov.labels import Hits
 from pepperscene.render.kernel.camera import LensCache
 from pepperscene.render.kernel.scene import truth_scene
-from pepperscene.scene import assemble
+from pepperscene.scene import assemble_scene
 
 OTHERWISE = ("coverage", "flow", "stereo", "harvest")  # by rays or cameras of their own
 LABELS = tuple(name for name, output in OUTPUTS.items() if not output.traced and name not in OTHERWISE)
@@ -29,7 +29,7 @@ def mesh():
 
 @pytest.fixture(scope="module")
 def kernel_scene(mesh):
-    return truth_scene(assemble(mesh))
+    return truth_scene(assemble_scene(mesh))
 
 
 @pytest.fixture(scope="module")
@@ -73,11 +73,11 @@ def test_classes_and_instances_are_those_of_the_faces(mesh, hits):
 
 def test_all_truths_are_as_the_outputs_tell(mesh, hits):
     instance = labels.instance_ids(mesh, hits)
-    made = labels.truths(mesh, hits, instance, camera(), LABELS)
+    made = labels.label_outputs(mesh, hits, instance, camera(), LABELS)
     assert list(made) == list(LABELS)
     assert all(OUTPUTS[name].fits(image) for name, image in made.items())
     np.testing.assert_array_equal(made["class_colour"], np.array(CLASS_COLOURS, np.uint8)[made["class"]])
-    assert list(labels.truths(mesh, hits, instance, camera(), ["distance", "colour"])) == ["distance"]
+    assert list(labels.label_outputs(mesh, hits, instance, camera(), ["distance", "colour"])) == ["distance"]
 
 
 def test_the_instances_in_view_are_counted(mesh, hits):

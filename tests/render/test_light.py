@@ -11,7 +11,7 @@ from greenhouse import camera, greenhouse
 from pepperscene.render.kernel.camera import LensCache, response
 from pepperscene.render.kernel.scene import light_scene, sky_tables
 from pepperscene.render.transport import trace as transport
-from pepperscene.render.transport.accumulate import Gathered
+from pepperscene.render.transport.accumulate import SampleAccumulator
 from pepperscene.render.transport.trace import Sampling, trace
 
 HEIGHT, WIDTH = 5, 7
@@ -62,7 +62,7 @@ def variance(samples: np.ndarray, white: np.ndarray):
 @pytest.mark.parametrize("channels", [1, 3])
 def test_means_and_variances_are_those_of_the_samples(channels):
     drawn = Drawn(channels, 16, 1)
-    there = Gathered(HEIGHT, WIDTH, drawn.white)
+    there = SampleAccumulator(HEIGHT, WIDTH, drawn.white)
     there.add_both(drawn.both(0, 2), 2)
     there.add_sharp(drawn.sharp(None, 2, 4), 2)
     # Some go on to 8, some of those and others to 16.
@@ -102,7 +102,7 @@ def test_means_and_variances_are_those_of_the_samples(channels):
 @pytest.mark.parametrize("channels", [1, 3])
 def test_shapes_and_types(channels):
     drawn = Drawn(channels, 2, 2)
-    there = Gathered(HEIGHT, WIDTH, drawn.white)
+    there = SampleAccumulator(HEIGHT, WIDTH, drawn.white)
     there.add_both(drawn.both(0, 2), 2)
     light = there.light()
     for name, depth in (("flash", channels), ("sky", channels), ("soft", channels), ("normal", 3)):
@@ -115,7 +115,7 @@ def test_shapes_and_types(channels):
 
 def test_later_sums_do_not_change_a_light_that_was_taken():
     drawn = Drawn(3, 4, 3)
-    there = Gathered(HEIGHT, WIDTH, drawn.white)
+    there = SampleAccumulator(HEIGHT, WIDTH, drawn.white)
     there.add_both(drawn.both(0, 2), 2)
     light = there.light()
     before = light.flash.copy(), light.spread.samples.copy(), light.spread.sharp.copy()
@@ -127,7 +127,7 @@ def test_later_sums_do_not_change_a_light_that_was_taken():
 
 def test_without_soft_samples_there_is_no_soft_light():
     drawn = Drawn(3, 4, 4)
-    there = Gathered(HEIGHT, WIDTH, drawn.white)
+    there = SampleAccumulator(HEIGHT, WIDTH, drawn.white)
     there.add_sharp(drawn.sharp(None, 0, 4), 4)
     light = there.light()
     assert not light.soft.any()
@@ -139,7 +139,7 @@ def test_without_soft_samples_there_is_no_soft_light():
 
 def test_a_single_sample_tells_no_variance():
     drawn = Drawn(3, 1, 5)
-    there = Gathered(HEIGHT, WIDTH, drawn.white)
+    there = SampleAccumulator(HEIGHT, WIDTH, drawn.white)
     there.add_both(drawn.both(0, 1), 1)
     light = there.light()
     # What single precision leaves of a difference between a square and itself.
@@ -150,7 +150,7 @@ def test_a_single_sample_tells_no_variance():
 
 def test_equal_samples_have_no_variance():
     drawn = Drawn(3, 1, 6)
-    there = Gathered(HEIGHT, WIDTH, drawn.white)
+    there = SampleAccumulator(HEIGHT, WIDTH, drawn.white)
     one = drawn.both(0, 1)
     there.add_both([64.0 * part for part in one], 64)
     squares = np.square((drawn.flash + drawn.sky)[:, :, 0] / drawn.white[:, None]).sum(axis=0)
@@ -166,7 +166,7 @@ def test_the_unit_of_light_does_not_matter(scale):
         drawn = Drawn(3, 8, 7)
         for part in ("flash", "sky", "soft", "white"):
             setattr(drawn, part, getattr(drawn, part) * factor)
-        there = Gathered(HEIGHT, WIDTH, drawn.white)
+        there = SampleAccumulator(HEIGHT, WIDTH, drawn.white)
         there.add_both(drawn.both(0, 8), 8)
         found.append(there.light().spread)
     assert np.allclose(found[0].sharp, found[1].sharp, rtol=1e-4)

@@ -16,10 +16,10 @@ from greenhouse import built_from_nothing, camera, digests, greenhouse, others
 from pepperscene.camera import expected_electrons
 from pepperscene.errors import InputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
-from pepperscene.render import QUALITIES, Renderer, quality_named, render, renderer
+from pepperscene.render import QUALITIES, Renderer, find_quality, render_scene, renderer
 from pepperscene.render.aov import labels
 from pepperscene.render.reference.path_tracer import path_traced, samples_taken
-from pepperscene.scene import assemble
+from pepperscene.scene import assemble_scene
 
 ALL = tuple(name for name in OUTPUTS if name != "harvest")  # which needs plants whose organs are known
 LABELS = tuple(name for name in ALL if not OUTPUTS[name].traced)
@@ -97,7 +97,7 @@ def test_a_moved_camera_needs_no_new_renderer(scene, used, step):
     moved = used.render(camera(step), ALL, "draft", 9, others=others(step))
     fresh = Renderer(scene).render(camera(step), ALL, "draft", 9, others=others(step))
     assert digests(moved) == digests(fresh)
-    assert moved.facts == fresh.facts
+    assert moved.facts == fresh.metadata
 
 
 def test_other_lenses_and_sizes_need_no_new_renderer(scene, used):
@@ -140,7 +140,7 @@ def test_a_partners_photograph_has_noise_of_its_own_and_the_same_light(scene, fr
 
 
 def test_the_short_form_gives_the_same_frame(scene, frame):
-    short = render(scene, camera(), DEFAULT_OUTPUTS, "standard", 5, others=others())
+    short = render_scene(scene, camera(), DEFAULT_OUTPUTS, "standard", 5, others=others())
     assert digests(short) == {name: digests(frame)[name] for name in DEFAULT_OUTPUTS}
     assert list(short.images) == list(DEFAULT_OUTPUTS)
 
@@ -175,7 +175,7 @@ def test_all_labels_are_about_the_same_hits(frame, scene):
 def test_facts_are_plain_json_and_complete(frame, scene):
     facts = json.loads(json.dumps(dict(frame.facts), allow_nan=False))
     assert facts == frame.facts
-    assert facts["camera"] == camera().facts()
+    assert facts["camera"] == camera().metadata()
     assert facts["seed"] == 5
     assert facts["variant"].endswith("_ad_spectral")
     assert {"pepperscene", "mitsuba", "numpy", "python"} <= set(facts["versions"])
@@ -213,7 +213,7 @@ def test_a_single_pixel_is_a_picture(used):
 
 
 def test_a_night_without_flash_is_black(scene):
-    dark = Renderer(assemble(scene.mesh, {s.name: s for s in scene.surfaces}))
+    dark = Renderer(assemble_scene(scene.mesh, {s.name: s for s in scene.surfaces}))
     eye = replace(camera(), flash=None, developing=replace(camera().developing, white_balance="daylight"))
     assert not dark.render(eye, ["electrons", "class"], "standard")["electrons"].any()
 
@@ -259,7 +259,7 @@ def test_distance_alone_looks_up_no_class_and_no_normal(scene, calls):
 def test_colour_alone_casts_no_ray_for_labels(scene, calls):
     made = Renderer(scene).render(camera(), ["colour"], "draft")
     assert set(calls) == {"light_scene", "sky_tables", "trace", "denoised", "develop"}
-    assert made.facts["instances"] == {}
+    assert made.metadata["instances"] == {}
 
 
 def test_electrons_alone_are_not_developed(scene, calls):
@@ -270,8 +270,8 @@ def test_electrons_alone_are_not_developed(scene, calls):
 def test_a_partners_photograph_alone_is_one_photograph(scene, calls):
     made = Renderer(scene).render(camera(), ["colour_stereo"], "draft", others=others())
     assert calls == ["light_scene", "sky_tables", "trace", "denoised", "develop"]
-    assert set(made.facts) >= {"sampling_stereo", "stereo_pose"}
-    assert "sampling" not in made.facts
+    assert set(made.metadata) >= {"sampling_stereo", "stereo_pose"}
+    assert "sampling" not in made.metadata
 
 
 def test_the_reference_is_not_denoised(scene, calls):
@@ -293,7 +293,7 @@ def test_the_path_tracer_serves_frames(scene):
         signal = path_traced(scene, small, spp=2, bounces=1, sampler="stratified", seed=number)
         assert (found["electrons"] == expected_electrons(signal, small).astype(np.float32)).all()
         assert found["electrons"].any()
-        assert found.facts["sampling"] == {"samples_per_pixel": float(samples_taken("stratified", 2))}
+        assert found.metadata["sampling"] == {"samples_per_pixel": float(samples_taken("stratified", 2))}
 
 
 def test_a_scene_is_built_once(scene, calls):
@@ -363,7 +363,7 @@ def test_a_partner_that_is_missing_is_the_callers_fault(used, name):
 def test_an_unknown_quality_is_the_callers_fault(used):
     with pytest.raises(InputError, match=r"'best'.*draft, standard, reference"):
         used.render(camera(), ["colour"], "best")
-    assert [quality_named(name) for name in QUALITIES] == list(QUALITIES.values())
+    assert [find_quality(name) for name in QUALITIES] == list(QUALITIES.values())
 
 
 def test_an_unknown_quality_is_refused_whatever_is_asked_for(used):
@@ -372,7 +372,7 @@ def test_an_unknown_quality_is_refused_whatever_is_asked_for(used):
 
 
 def test_colour_needs_surfaces(scene):
-    bare = Renderer(assemble(scene.mesh))
+    bare = Renderer(assemble_scene(scene.mesh))
     with pytest.raises(ValueError, match="surfaces"):
         bare.render(camera(), ["colour"])
     # Labels do not, neither before nor after.
@@ -383,4 +383,4 @@ def test_more_instances_than_the_image_can_tell_apart_are_refused(scene):
     many = replace(scene.mesh, instances=scene.mesh.instances * 600)
     assert len(many.instances) > 65535
     with pytest.raises(ValueError, match="16-bit"):
-        Renderer(assemble(many)).render(camera(), ["instance"])
+        Renderer(assemble_scene(many)).render(camera(), ["instance"])

@@ -12,7 +12,7 @@ from scipy import stats
 
 from pepperscene.render.kernel.arrays import device_number, device_table
 from pepperscene.render.transport.owen_sobol import Sequence
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 
 CHANCE = 1e-3
 
@@ -23,7 +23,7 @@ def numbers(kinds: str, pixels: np.ndarray, indices: np.ndarray, seed: int = 0) 
     sequence = Sequence(
         device_table(pixel, np.uint32), device_table(index, np.uint32), device_number(seed, whole=True)
     )
-    _, dr = kernel()
+    _, dr = mitsuba_modules()
     drawn = [sequence.next_1d() if kind == "1" else sequence.next_2d() for kind in kinds]
     dr.eval(drawn)
     shape = len(pixels), len(indices)

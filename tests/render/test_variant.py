@@ -232,7 +232,7 @@ def test_a_drjit_that_runs_an_older_llvm_is_not_trusted(monkeypatch, tmp_path):
 def not_started(monkeypatch):
     """As in a process that has not asked for the renderer yet."""
     monkeypatch.setattr(variant, "_started", functools.cache(variant._started.__wrapped__))
-    monkeypatch.setattr(variant, "kernel", functools.cache(variant.kernel.__wrapped__))
+    monkeypatch.setattr(variant, "kernel", functools.cache(variant.mitsuba_modules.__wrapped__))
 
 
 def test_a_start_that_failed_elsewhere_fails_again_where_the_renderer_is_needed(monkeypatch, not_started):
@@ -242,7 +242,7 @@ def test_a_start_that_failed_elsewhere_fails_again_where_the_renderer_is_needed(
     monkeypatch.setattr(variant, "choose_variant", refuse)
     for _ in range(2):
         with pytest.raises(SetupError, match="there is none"):
-            variant.kernel()
+            variant.mitsuba_modules()
 
 
 def test_the_renderer_starts_once_however_many_ask(monkeypatch, not_started):
@@ -262,7 +262,7 @@ def test_the_renderer_starts_once_however_many_ask(monkeypatch, not_started):
 
     def ask():
         begun.wait()
-        assert variant.kernel()[0] is mitsuba
+        assert variant.mitsuba_modules()[0] is mitsuba
 
     askers = [threading.Thread(target=ask) for _ in range(4)]
     for thread in askers:

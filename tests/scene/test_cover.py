@@ -7,7 +7,7 @@ import pytest
 
 from pepperscene.errors import InputError
 from pepperscene.scene import Cover, load_cover
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import Spectrum, illuminance, read_provenance, read_spectrum, sky_spectrum
 
 SHIPPED = ("float_glass_4mm", "diffuse_glass_4mm", "polyethylene_film")
@@ -74,7 +74,7 @@ def test_glass_follows_from_its_optical_constants():
 
 
 @pytest.mark.parametrize(
-    "csv", sorted((shelf("materials") / "covers/spectra").glob("*.csv")), ids=lambda p: p.stem
+    "csv", sorted((shipped_folder("materials") / "covers/spectra").glob("*.csv")), ids=lambda p: p.stem
 )
 def test_the_curves_are_told_to_be_models(csv):
     told = read_provenance(csv)

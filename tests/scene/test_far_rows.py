@@ -9,9 +9,9 @@ import pytest
 
 from pepperscene.classes import Instance, OrganClass
 from pepperscene.cultivar import load_cultivar
-from pepperscene.geometry import concatenate, mesh_plant, rectangle, sphere
+from pepperscene.geometry import concatenate_meshes, mesh_plant, rectangle, sphere
 from pepperscene.grammar import grow
-from pepperscene.scene import DoubleRow, Greenhouse, coarse, far_rows
+from pepperscene.scene import DoubleRow, Greenhouse, coarsen_plant, far_rows
 from pepperscene.scene.greenhouse import row_lines
 
 ROW = DoubleRow(front=3, back=2, spacing_m=0.25, gap_m=0.3, shift_m=0.125)
@@ -25,7 +25,7 @@ def plant():
 
 @pytest.fixture(scope="module")
 def model(plant):
-    return coarse(plant)
+    return coarsen_plant(plant)
 
 
 def extent(mesh, number):
@@ -61,7 +61,7 @@ def test_every_organ_keeps_its_extent(plant, model):
 def test_nothing_left_is_refused():
     wire = rectangle((0, 0, 0), (1, 0, 0), (0, 1, 0), "twine", OrganClass.WIRE)
     with pytest.raises(ValueError, match="nothing"):
-        coarse(wire)
+        coarsen_plant(wire)
 
 
 def ball(radius):
@@ -109,7 +109,7 @@ def test_each_row_is_one_instance_of_the_background(model):
 
 def test_rows_lean_to_their_own_aisle():
     # A plant that leans towards -y: a ball at its foot and one a metre up.
-    leaning = concatenate([ball(0.01), ball(0.02).moved(np.eye(3), np.array([0.0, -0.1, 1.0]))])
+    leaning = concatenate_meshes([ball(0.01), ball(0.02).moved(np.eye(3), np.array([0.0, -0.1, 1.0]))])
     for mesh, line in zip(
         far_rows([leaning], ROW, HOUSE, np.random.default_rng(1)), row_lines(ROW, HOUSE), strict=True
     ):
@@ -127,7 +127,7 @@ def test_nothing_stands_where_no_far_rows_are():
 def test_the_same_generator_makes_the_same_rows(model):
     models = [model, ball(0.1)]
     first, again, other = (
-        concatenate(far_rows(models, ROW, HOUSE, np.random.default_rng(seed))) for seed in (3, 3, 4)
+        concatenate_meshes(far_rows(models, ROW, HOUSE, np.random.default_rng(seed))) for seed in (3, 3, 4)
     )
     np.testing.assert_array_equal(first.vertices, again.vertices)
     np.testing.assert_array_equal(first.faces, again.faces)

@@ -10,7 +10,7 @@ import trimesh
 
 from pepperscene.classes import OrganClass
 from pepperscene.materials import greenhouse_surfaces
-from pepperscene.scene import DoubleRow, Greenhouse, furniture, posture, uneven
+from pepperscene.scene import DoubleRow, Greenhouse, draw_posture, greenhouse_mesh, jittered_places
 from pepperscene.scene.greenhouse import row_lines
 
 ROW = DoubleRow(front=7, back=6, spacing_m=0.2, gap_m=0.3, shift_m=0.1)
@@ -30,7 +30,7 @@ FULL = Greenhouse(
 def things(house, row=ROW):
     """Meshes by kind, in the order they are made."""
     found = {}
-    for mesh in furniture(row, house, row.places()):
+    for mesh in greenhouse_mesh(row, house, row.places()):
         assert len(mesh.instances) == 1
         found.setdefault(mesh.instances[0].kind, []).append(mesh)
     return found
@@ -41,7 +41,7 @@ def middle(mesh):
 
 
 def test_without_a_word_there_is_nothing():
-    assert furniture(ROW, Greenhouse(), ROW.places()) == []
+    assert greenhouse_mesh(ROW, Greenhouse(), ROW.places()) == []
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,7 @@ UNEVEN = Greenhouse(
 
 
 def test_postures_spread_as_told():
-    many = [posture(UNEVEN, np.random.default_rng(seed)) for seed in range(3000)]
+    many = [draw_posture(UNEVEN, np.random.default_rng(seed)) for seed in range(3000)]
     columns = np.array([[one.across_m, one.lean_rad, one.turn_rad] for one in many]).T
     means = 0.0, UNEVEN.row_lean_rad, 0.0
     spreads = UNEVEN.across_sd_m, UNEVEN.lean_sd_rad, UNEVEN.turn_sd_rad
@@ -179,7 +179,9 @@ def test_postures_spread_as_told():
 
 
 def test_places_spread_along_the_row_only():
-    offsets = np.stack([uneven(ROW, UNEVEN, np.random.default_rng(n)) - ROW.places() for n in range(300)])
+    offsets = np.stack(
+        [jittered_places(ROW, UNEVEN, np.random.default_rng(n)) - ROW.places() for n in range(300)]
+    )
     assert (offsets[..., 1] == 0).all()
     along = offsets[..., 0]
     assert along.mean() == pytest.approx(0, abs=4 * 0.015 / along.size**0.5)
@@ -187,6 +189,6 @@ def test_places_spread_along_the_row_only():
 
 
 def test_a_regular_greenhouse_leaves_rows_even():
-    np.testing.assert_array_equal(uneven(ROW, Greenhouse(), np.random.default_rng(0)), ROW.places())
-    still = posture(Greenhouse(row_lean_rad=0.05), np.random.default_rng(0))
+    np.testing.assert_array_equal(jittered_places(ROW, Greenhouse(), np.random.default_rng(0)), ROW.places())
+    still = draw_posture(Greenhouse(row_lean_rad=0.05), np.random.default_rng(0))
     assert (still.across_m, still.lean_rad, still.turn_rad) == (0, 0.05, 0)

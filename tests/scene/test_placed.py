@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import pytest
 
-from pepperscene.geometry import concatenate, rectangle
-from pepperscene.materials import lambertian
-from pepperscene.scene import Scene, assemble
+from pepperscene.geometry import concatenate_meshes, rectangle
+from pepperscene.materials import lambertian_surface
+from pepperscene.scene import Scene, assemble_scene
 
-MESH = concatenate(
+MESH = concatenate_meshes(
     [
         rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1), surface="leaf"),
         rectangle((0, 1, 1), (1, 0, 0), (0, 0, 1), surface="fruit"),
         rectangle((0, 2, 1), (1, 0, 0), (0, 0, 1), surface="leaf"),
     ]
 )
-LEAF, FRUIT, STEM = (lambertian(name, 0.5) for name in ("leaf", "fruit", "stem"))
+LEAF, FRUIT, STEM = (lambertian_surface(name, 0.5) for name in ("leaf", "fruit", "stem"))
 
 
 def test_surfaces_stand_in_the_order_that_the_faces_count_in():
-    scene = assemble(MESH, {"stem": STEM, "fruit": FRUIT, "leaf": LEAF})
+    scene = assemble_scene(MESH, {"stem": STEM, "fruit": FRUIT, "leaf": LEAF})
     assert scene.surfaces == (LEAF, FRUIT)
     assert [scene.surfaces[number].name for number in scene.mesh.face_surface[::2]] == [
         "leaf",
@@ -29,14 +29,14 @@ def test_surfaces_stand_in_the_order_that_the_faces_count_in():
 
 
 def test_ground_truth_needs_no_surfaces():
-    scene = assemble(MESH)
+    scene = assemble_scene(MESH)
     assert scene.surfaces == ()
     assert scene.sky is None
 
 
 def test_every_missing_surface_is_named():
     with pytest.raises(ValueError, match=r"leaf.*fruit"):
-        assemble(MESH, {"stem": STEM})
+        assemble_scene(MESH, {"stem": STEM})
 
 
 @pytest.mark.parametrize("surfaces", [(FRUIT, LEAF), (LEAF,), (LEAF, FRUIT, STEM)])

@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 
 from pepperscene.classes import Instance, OrganClass
 from pepperscene.cultivar import load_cultivar
-from pepperscene.geometry import concatenate, mesh_plant, rectangle, stem_profile
+from pepperscene.geometry import concatenate_meshes, mesh_plant, rectangle, stem_profile
 from pepperscene.grammar import grow
-from pepperscene.scene import Twine, double_row, standing, with_twine
+from pepperscene.scene import Twine, add_twine, double_row, place_plants
 
 SPACING, GAP, SHIFT = 0.2, 0.25, 0.1
 CORD = Twine(diameter_m=0.003, turns_per_m=4.0)
@@ -22,7 +22,7 @@ def seedling(number):
     """Two organs, the second one growing out of the first; no two seedlings are of the same size."""
     stem = rectangle((0, 0, 1), (0.01 * (number + 1), 0, 0), (0, 0, 1), surface="stem")
     leaf = rectangle((0, 0, 2), (0.02 * (number + 1), 0, 0), (0, 0.1, 0), surface="leaf")
-    mesh = concatenate([stem, leaf])
+    mesh = concatenate_meshes([stem, leaf])
     instances = (Instance(OrganClass.STEM, "internode"), Instance(OrganClass.LEAF, "lamina", parent=0))
     return replace(mesh, instances=instances)
 
@@ -134,7 +134,7 @@ def stem_of(plant):
 
 
 def test_the_twine_is_one_wire_behind_the_plants_own_organs(plant, leafy):
-    tied = with_twine(plant, leafy, CORD, np.random.default_rng(0))
+    tied = add_twine(plant, leafy, CORD, np.random.default_rng(0))
     assert tied.instances[:-1] == leafy.instances
     assert tied.instances[-1].organ_class == OrganClass.WIRE
     assert tied.instances[-1].kind == "twine"
@@ -147,7 +147,7 @@ def test_the_twine_is_one_wire_behind_the_plants_own_organs(plant, leafy):
 def test_the_twine_keeps_to_the_stem(plant, leafy):
     # The gap between the surfaces of cord and stem, in bands of 5 cm of height, a fifth of a turn. Off the
     # widest of a node's sides, or where the stem bends, it may sink in or stand off by a millimetre.
-    cord = cord_of(with_twine(plant, leafy, CORD, np.random.default_rng(0)))
+    cord = cord_of(add_twine(plant, leafy, CORD, np.random.default_rng(0)))
     axis, radius = stem_profile(plant)
     walked = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(axis, axis=0), axis=1))])
     along = np.linspace(0, walked[-1], 4000)
@@ -167,7 +167,7 @@ def test_the_twine_keeps_to_the_stem(plant, leafy):
 
 
 def test_the_twine_leads_on_straight_up(plant, leafy):
-    cord = cord_of(with_twine(plant, leafy, CORD, np.random.default_rng(0)))
+    cord = cord_of(add_twine(plant, leafy, CORD, np.random.default_rng(0)))
     top = stem_of(plant)[0][-1]
     above = cord[cord[:, 2] > top[2] + 0.1]
     assert cord[:, 2].max() > top[2] + 0.4
@@ -177,7 +177,7 @@ def test_the_twine_leads_on_straight_up(plant, leafy):
 @pytest.mark.parametrize("height", [4.5, 2.0])
 def test_the_twine_is_tied_to_the_wire(plant, leafy, height):
     knot = np.array([0.03, -0.06, height])
-    tied = with_twine(plant, leafy, CORD, np.random.default_rng(0), wire=knot)
+    tied = add_twine(plant, leafy, CORD, np.random.default_rng(0), wire=knot)
     cord = cord_of(tied)
     axis, _ = stem_of(plant)
     end = cord[np.argmax(cord[:, 2])]
@@ -190,20 +190,20 @@ def test_the_twine_is_tied_to_the_wire(plant, leafy, height):
     assert np.linalg.norm(free[:, :2] - straight, axis=1).max() < 1.5 * CORD.diameter_m
     # Lower down it is the twine of a plant without a wire.
     low = last[2] - 0.3
-    loose = cord_of(with_twine(plant, leafy, CORD, np.random.default_rng(0)))
+    loose = cord_of(add_twine(plant, leafy, CORD, np.random.default_rng(0)))
     gaps = cKDTree(loose[loose[:, 2] < low]).query(cord[cord[:, 2] < low - 0.1])[0]
     assert gaps.max() < 0.01
 
 
 def test_a_wire_below_the_foot_is_refused(plant, leafy):
     with pytest.raises(ValueError, match="above the stem's foot"):
-        with_twine(plant, leafy, CORD, np.random.default_rng(0), wire=(0.0, 0.0, 0.0))
+        add_twine(plant, leafy, CORD, np.random.default_rng(0), wire=(0.0, 0.0, 0.0))
 
 
 def test_turned_plants_turn_about_their_own_axes():
     plants = all_of(2, 0)
     feet = np.array([[0.0, 0.0, 0.5], [1.0, 0.2, 0.5]])
-    made = standing(plants, feet, np.array([np.pi, np.pi / 2]))
+    made = place_plants(plants, feet, np.array([np.pi, np.pi / 2]))
     first, second = plants
     np.testing.assert_allclose(made.vertices[:8], first.vertices * [-1, -1, 1] + feet[0], atol=1e-6)
     turned = np.stack([-second.vertices[:, 1], second.vertices[:, 0], second.vertices[:, 2]], axis=1)
@@ -212,7 +212,7 @@ def test_turned_plants_turn_about_their_own_axes():
 
 def test_the_same_generator_winds_the_same_twine_and_another_starts_elsewhere(plant, leafy):
     first, again, other = (
-        cord_of(with_twine(plant, leafy, CORD, np.random.default_rng(seed))) for seed in (1, 1, 2)
+        cord_of(add_twine(plant, leafy, CORD, np.random.default_rng(seed))) for seed in (1, 1, 2)
     )
     np.testing.assert_array_equal(first, again)
     assert np.abs(first[:9] - other[:9]).max() > 1e-3

@@ -11,10 +11,10 @@ import trimesh
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.scenes.scene_builder import Planting
-from pepperscene.geometry import Motion, mesh_plant, moved_plant
+from pepperscene.dataset.scenes.scene_builder import SceneBuilder
+from pepperscene.geometry import Motion, mesh_plant, move_plant
 from pepperscene.grammar import grow
-from pepperscene.scene import Skeleton, skeleton
+from pepperscene.scene import Skeleton, build_skeleton
 
 
 @pytest.fixture(scope="module", params=["barth2018", "greenhouse"])
@@ -25,7 +25,7 @@ def planted(request):
     if request.param == "greenhouse":
         told |= {"cultivar": "tomato", "greenhouse.far_rows": 0}
     recipe = load_recipe(request.param, told)
-    planting = Planting(recipe, load_cultivar(recipe.cultivar), 1)
+    planting = SceneBuilder(recipe, load_cultivar(recipe.cultivar), 1)
     return planting.scene(0, 1)
 
 
@@ -106,7 +106,7 @@ def test_motions_are_those_of_the_plant_by_itself():
     for index in (stalk, fruit, stalk, calyx):
         turn = trimesh.transformations.rotation_matrix(rng.uniform(0.1, 1.0), rng.normal(size=3))[:3, :3]
         motions.append(Motion(index, turn, rng.normal(size=3)))
-    moved = moved_plant(plant, motions)
+    moved = move_plant(plant, motions)
     # The same plant stands second, behind a mesh with a thing more than organs.
     size = len(plant.organs)
     behind = [replace(one, instance=one.instance + size + 1) for one in motions]
@@ -119,7 +119,7 @@ def test_motions_are_those_of_the_plant_by_itself():
 
 def test_a_plant_by_itself_stands_as_its_mesh():
     plant = grow(load_cultivar("kaite_february"), np.random.default_rng(0))
-    bones, mesh = skeleton([plant]), mesh_plant(plant, 0.5)
+    bones, mesh = build_skeleton([plant]), mesh_plant(plant, 0.5)
     fruit = bones.of_form("fruit")
     assert fruit == bones.of_form("fruit", plant=0)
     assert all(mesh.instances[index].kind == bones.organ(index).kind for index in fruit)

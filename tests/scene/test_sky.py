@@ -6,7 +6,7 @@ import colour
 import numpy as np
 import pytest
 
-from pepperscene.scene import partly_cloudy, uniform_sky
+from pepperscene.scene import partly_cloudy_sky, uniform_sky
 from pepperscene.scene.sky import SUN_ANGULAR_RADIUS
 from pepperscene.spectra import Spectrum, sky_spectrum
 
@@ -22,7 +22,7 @@ HAZE = 0.2
 
 
 def sky_of(seed=0, **changes):
-    return partly_cloudy(np.random.default_rng(seed), **{**PAPER, **changes})
+    return partly_cloudy_sky(np.random.default_rng(seed), **{**PAPER, **changes})
 
 
 def lux(wavelength_nm, irradiance):

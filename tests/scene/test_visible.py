@@ -12,13 +12,20 @@ from hypothesis import strategies as st
 from pepperscene.camera import Camera, Distortion, arc_path, load_flash, load_lens, load_sensor
 from pepperscene.classes import Instance, OrganClass
 from pepperscene.cultivar import load_cultivar
-from pepperscene.geometry import Mesh, concatenate, mesh_plant, rectangle, sphere
+from pepperscene.geometry import Mesh, concatenate_meshes, mesh_plant, rectangle, sphere
 from pepperscene.grammar import grow
-from pepperscene.scene import Reach, about_z, culled, reach, sight, standing
+from pepperscene.scene import (
+    LightReach,
+    cull_mesh,
+    light_reach,
+    place_plants,
+    rotation_about_z,
+    view_frustums,
+)
 from pepperscene.scene.culling import LEAST_LIGHT, negligible, pieces
 from pepperscene.scene.lod import pattern, stand_ins
 
-NIGHT = Reach(0.0, 0.0, 0.05, 0.4)
+NIGHT = LightReach(0.0, 0.0, 0.05, 0.4)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +45,7 @@ def row() -> Mesh:
     plants = [mesh_plant(grow(load_cultivar("kaite"), child), 0.5) for child in rng.spawn(3)]
     feet = np.array([[-0.15, 0.0, 0.0], [0.0, 0.1, 0.0], [0.15, 0.0, 0.0]])
     floor = rectangle((0, 0, -0.05), (9, 0, 0), (0, 9, 0))
-    return concatenate([standing(plants, feet, np.array([0.0, 1.0, 2.0])), floor])
+    return concatenate_meshes([place_plants(plants, feet, np.array([0.0, 1.0, 2.0])), floor])
 
 
 def path(count=9, low=0.9, high=1.3, pitch=20.0):
@@ -73,7 +80,7 @@ def test_no_box_with_a_point_in_the_picture_or_in_the_flash_s_way_is_missed(came
     rng = np.random.default_rng(seed)
     few = replace(camera.sensor, columns=80, rows=60, binning=20)
     bent = replace(camera, sensor=few, lens=replace(camera.lens, distortion=Distortion(k1=k1)))
-    turn = about_z(rng.uniform(0, 6))
+    turn = rotation_about_z(rng.uniform(0, 6))
     poses = path(5) @ np.eye(4)
     poses[:, :3] = turn @ poses[:, :3]
     points = rng.uniform((-2, -2, 0), (2, 2, 4), (400, 3))
@@ -87,7 +94,7 @@ def test_no_box_with_a_point_in_the_picture_or_in_the_flash_s_way_is_missed(came
         # A box that holds the point off its middle.
         halves = np.full(shown.shape, half)
         centres = on_the_way + rng.uniform(-half, half, shown.shape) * 0.999
-        seen = sight(bent, poses).meets(centres.astype(np.float32), halves.astype(np.float32))
+        seen = view_frustums(bent, poses).meets(centres.astype(np.float32), halves.astype(np.float32))
         assert seen.all()
 
 
@@ -101,22 +108,22 @@ def test_rays_out_of_focus_stay_inside(camera):
     in_focus = 0.1 * np.column_stack([directions, np.ones(4)])
     ends = rim[:, None] + 40.0 * (in_focus[None] - rim[:, None])
     world = (ends.reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32)
-    assert sight(near, pose).meets(world, np.zeros_like(world)).all()
-    assert not sight(replace(near, focus_m=None), pose).meets(world, np.zeros_like(world)).all()
+    assert view_frustums(near, pose).meets(world, np.zeros_like(world)).all()
+    assert not view_frustums(replace(near, focus_m=None), pose).meets(world, np.zeros_like(world)).all()
 
 
 def test_what_lies_outside_every_view_is_found(camera):
-    view = sight(camera, path(5, 0.9, 0.9, pitch=0.0))
+    view = view_frustums(camera, path(5, 0.9, 0.9, pitch=0.0))
     box = np.full((3, 3), 0.01, np.float32)
     outside = np.array([[0.0, 3.0, 9.0], [0.0, 0.0, 0.2], [0.0, -5.0, 0.9]], np.float32)
     assert not view.meets(outside, box).any()
     assert view.meets(np.array([[0.0, 0.0, 0.9]], np.float32), box[:1]).all()
 
 
-@pytest.mark.parametrize("light", [NIGHT, Reach(0.01, 0.01, 0.05, 0.4), Reach(1.0, 1.0, 0.0, 0.4)])
+@pytest.mark.parametrize("light", [NIGHT, LightReach(0.01, 0.01, 0.05, 0.4), LightReach(1.0, 1.0, 0.0, 0.4)])
 def test_no_triangle_that_a_view_can_show_is_touched(camera, row, light):
     poses = path()
-    made = culled(row, sight(camera, poses), light)
+    made = cull_mesh(row, view_frustums(camera, poses), light)
     shown = in_picture(camera, poses, row.vertices)
     wanted = corners(row)[shown[row.faces].any(axis=1)]
     left = {line.tobytes() for line in corners(made)}
@@ -132,18 +139,18 @@ def test_no_triangle_that_a_view_can_show_is_touched(camera, row, light):
 
 def test_the_same_whichever_way_it_is_asked(camera, row):
     poses = path(40)
-    one, two = (culled(row, sight(camera, order), NIGHT) for order in (poses, poses[::-1]))
+    one, two = (cull_mesh(row, view_frustums(camera, order), NIGHT) for order in (poses, poses[::-1]))
     np.testing.assert_array_equal(corners(one), corners(two))
     # More poses see more.
-    fewer = culled(row, sight(camera, poses[:5]), NIGHT)
+    fewer = cull_mesh(row, view_frustums(camera, poses[:5]), NIGHT)
     assert len(fewer.faces) < len(one.faces)
 
 
 def test_a_view_of_all_and_of_nothing_keep_the_mesh(camera, row):
     ball = sphere((0.0, 0.0, 0.0), 0.1, "leaf", subdivisions=2).moved(np.eye(3), np.array([0.0, 0.0, 1.0]))
-    assert culled(ball, sight(camera, path(3, 0.9, 0.9)), NIGHT) is ball
+    assert cull_mesh(ball, view_frustums(camera, path(3, 0.9, 0.9)), NIGHT) is ball
     away = ball.moved(np.eye(3), np.array([0.0, 0.0, 9.0]))
-    assert culled(away, sight(camera, path(3, 0.9, 0.9)), NIGHT) is away
+    assert cull_mesh(away, view_frustums(camera, path(3, 0.9, 0.9)), NIGHT) is away
 
 
 # --- pieces -------------------------------------------------------------------------------------------------
@@ -151,7 +158,7 @@ def test_a_view_of_all_and_of_nothing_keep_the_mesh(camera, row):
 
 def test_boxes_hold_their_pieces(row):
     long = sphere((0.5, 0.2, 1.0), 0.4, "leaf", subdivisions=5)
-    mesh = concatenate([row, long])
+    mesh = concatenate_meshes([row, long])
     found = pieces(mesh)
     assert found.faces[0] == 0
     assert found.faces[-1] == len(mesh.faces)
@@ -177,9 +184,9 @@ def test_all_that_is_left_out_stays_below_the_bound(camera, seed, daylight, sun)
     near = [sphere(at, 0.05, "leaf", subdivisions=1) for at in seen_at]
     places, sizes = rng.uniform((-9, -9, -40), (9, 9, 0), (40, 3)), rng.uniform(0.001, 0.1, 40)
     far = [sphere(at, size, "leaf", subdivisions=1) for at, size in zip(places, sizes, strict=True)]
-    found = pieces(concatenate([*near, *far]))
-    light = Reach(daylight, sun, 0.05, 0.4, 0.07)
-    view = sight(camera, path(5, 0.9, 1.1))
+    found = pieces(concatenate_meshes([*near, *far]))
+    light = LightReach(daylight, sun, 0.05, 0.4, 0.07)
+    view = view_frustums(camera, path(5, 0.9, 1.1))
     seen = view.meets(found.centres, found.halves)
     out = negligible(found, seen, view, light)
     assert not (out & seen).any()
@@ -199,26 +206,28 @@ def test_far_away_things_go_and_near_ones_stay(camera):
     seen, below, far = (
         sphere(place, 0.05, "leaf", subdivisions=2) for place in ((0, 0, 1.0), (0, 0, 0.3), (0, 0, -60.0))
     )
-    mesh = concatenate([seen, below, far])
-    made = culled(mesh, sight(camera, path(5, 0.9, 0.9)), Reach(0.5, 0.0, 0.05, 0.4))
+    mesh = concatenate_meshes([seen, below, far])
+    made = cull_mesh(mesh, view_frustums(camera, path(5, 0.9, 0.9)), LightReach(0.5, 0.0, 0.05, 0.4))
     assert {*made.face_instance.tolist()} == {0, 1}
     assert len(made.instances) == 3
 
 
 def test_reach_tells_the_shares_of_flash_and_daylight(camera):
     flash = camera.flash
-    bright = reach(camera, flash.at_m, flash.illuminance_lx * camera.flash_duty)
+    bright = light_reach(camera, flash.at_m, flash.illuminance_lx * camera.flash_duty)
     assert bright.sky == pytest.approx(0.5)
     assert bright.sun == 0.0
     assert not bright.simple
     # Beside the picture the beam is weak.
     border = np.arctan(np.abs(camera.ray_slopes()[0, :, 1]).min())
     assert bright.stray == pytest.approx(0.5 * float(flash.profile.at(border)), rel=1e-3)
-    assert reach(camera, 0.4, 0.0).sky == 0.0
-    assert reach(camera, 0.4, 3000.0, 2000.0).sun == pytest.approx(reach(camera, 0.4, 2000.0, 3000.0).sky)
-    assert reach(replace(camera, flash=None), 0.4, 100.0) == Reach(1.0, 1.0, 0.0, 0.4)
+    assert light_reach(camera, 0.4, 0.0).sky == 0.0
+    assert light_reach(camera, 0.4, 3000.0, 2000.0).sun == pytest.approx(
+        light_reach(camera, 0.4, 2000.0, 3000.0).sky
+    )
+    assert light_reach(replace(camera, flash=None), 0.4, 100.0) == LightReach(1.0, 1.0, 0.0, 0.4)
     # Twice as near the flash is four times as bright.
-    one, two = reach(camera, 0.4, 5500.0).sky, reach(camera, 0.2, 5500.0).sky
+    one, two = light_reach(camera, 0.4, 5500.0).sky, light_reach(camera, 0.2, 5500.0).sky
     assert (1 / two - 1) == pytest.approx(4 * (1 / one - 1))
 
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from pepperscene.errors import InputError
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import read_provenance, read_spectra, read_spectrum
 
-EVERY = sorted(shelf("materials").rglob("*.csv"))
+EVERY = sorted(shipped_folder("materials").rglob("*.csv"))
 GROUPS = ("leaf", "fruit", "light", "organ", "chart")
 MATERIALS = [path for path in EVERY if path.parent.name in GROUPS]
 
@@ -20,7 +20,7 @@ def write(folder: Path, text: str) -> Path:
 
 
 def name(path: Path) -> str:
-    return path.relative_to(shelf("materials")).as_posix()
+    return path.relative_to(shipped_folder("materials")).as_posix()
 
 
 @pytest.mark.parametrize("path", EVERY, ids=name)
@@ -40,7 +40,7 @@ def test_measurements_tell_their_instrument_and_licences_get_their_notice(path):
     provenance = read_provenance(path)
     assert provenance.kind != "measured" or provenance.instrument
     # Files under licences that ask for a notice are named in it.
-    notice = (shelf("materials") / "LICENCES.md").read_text(encoding="utf-8")
+    notice = (shipped_folder("materials") / "LICENCES.md").read_text(encoding="utf-8")
     patterns = [re.escape(name).replace(r"\*", ".*") for name in re.findall(r"`([\w/*]+\.csv)`", notice)]
     assert any(re.fullmatch(p, f"{path.parent.name}/{path.name}") for p in patterns)
 

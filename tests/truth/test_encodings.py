@@ -12,7 +12,7 @@ from pepperscene.truth import (
     FARTHEST_CODED_M,
     class_colour,
     class_from_colour,
-    class_pixels,
+    class_pixel_counts,
     distance_code,
     distance_from_code,
 )
@@ -69,11 +69,11 @@ def test_wrong_shapes_and_ids_are_refused():
     with pytest.raises(ValueError, match="ids"):
         class_colour(np.array([8]))
     with pytest.raises(ValueError, match="ids"):
-        class_pixels(np.array([8]))
+        class_pixel_counts(np.array([8]))
 
 
 def test_counts_cover_the_image():
     ids = np.array([[0, 0, 2], [7, 1, 2]])
-    counts = class_pixels(ids)
+    counts = class_pixel_counts(ids)
     assert sum(counts.values()) == ids.size
     assert (counts["background"], counts["pepper"], counts["cut"], counts["stem"]) == (2, 2, 1, 0)

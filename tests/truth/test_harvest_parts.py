@@ -7,8 +7,8 @@ import pytest
 
 from pepperscene.camera import look_at
 from pepperscene.classes import Instance, OrganClass
-from pepperscene.truth.cut_point import approach, fruit_stalk
-from pepperscene.truth.encodings import mask_box, mask_of, run_lengths, touches_border
+from pepperscene.truth.cut_point import fruit_stalk, tool_approach
+from pepperscene.truth.encodings import decode_rle, encode_rle, mask_box, touches_border
 from pepperscene.truth.harvest import organ_graph
 
 # --- masks and boxes ----------------------------------------------------------------------------------------
@@ -27,7 +27,7 @@ def masks():
 @pytest.mark.parametrize("mask", list(masks()))
 def test_run_lengths_are_those_of_the_library_that_owns_the_format(mask):
     coder = pytest.importorskip("pycocotools.mask", reason="pycocotools owns the format")
-    runs = run_lengths(mask)
+    runs = encode_rle(mask)
     assert sum(runs["counts"]) == mask.size
     assert sum(runs["counts"][1::2]) == mask.sum()
     packed = coder.frPyObjects(dict(runs), *mask.shape)
@@ -40,7 +40,7 @@ def test_run_lengths_are_those_of_the_library_that_owns_the_format(mask):
 
 @pytest.mark.parametrize("mask", list(masks()))
 def test_masks_come_back_from_their_runs(mask):
-    np.testing.assert_array_equal(mask_of(run_lengths(mask)), mask)
+    np.testing.assert_array_equal(decode_rle(encode_rle(mask)), mask)
 
 
 @pytest.mark.parametrize("corner", [(0, 0), (3, 5), (2, 0)])
@@ -49,7 +49,7 @@ def test_a_part_of_a_picture_has_the_runs_of_the_whole(corner):
     whole = np.zeros((13, 10), bool)
     x, y = corner
     whole[y : y + 8, x : x + 6] = part
-    assert run_lengths(part, (13, 10), corner) == run_lengths(whole)
+    assert encode_rle(part, (13, 10), corner) == encode_rle(whole)
     assert mask_box(part, corner) == mask_box(whole)
 
 
@@ -57,17 +57,17 @@ def test_full_columns_are_one_run():
     # From the bottom of one column to the top of the next nothing is in between.
     mask = np.zeros((3, 4), bool)
     mask[:, 1:3] = True
-    assert run_lengths(mask)["counts"] == [3, 6, 3]
+    assert encode_rle(mask)["counts"] == [3, 6, 3]
 
 
 def test_runs_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="does not lie"):
-        run_lengths(np.ones((3, 3), bool), (5, 5), (3, 0))
+        encode_rle(np.ones((3, 3), bool), (5, 5), (3, 0))
     with pytest.raises(ValueError, match="does not lie"):
-        run_lengths(np.ones((3, 3), bool), (5, 5), (-1, 0))
+        encode_rle(np.ones((3, 3), bool), (5, 5), (-1, 0))
     for counts in ([3, 4], [-1, 7], []):
         with pytest.raises(ValueError, match="do not fill"):
-            mask_of({"size": [2, 3], "counts": counts})
+            decode_rle({"size": [2, 3], "counts": counts})
 
 
 def test_boxes_are_half_open_and_know_the_border():
@@ -161,7 +161,7 @@ def test_the_azimuth_is_that_of_the_camera_around_the_fruit(azimuth):
     # The fruit hangs in front of the stem as seen from -y. To a camera that stands to the right of that, the
     # tool goes to the right.
     fruit = np.array([0.0, -0.05, 1.0])
-    way = approach(fruit, UPRIGHT)
+    way = tool_approach(fruit, UPRIGHT)
     np.testing.assert_allclose(way.direction, [0.0, 1.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(way.stem, [0.0, 0.0, 1.0], atol=1e-12)
     angle = np.radians(azimuth)
@@ -172,28 +172,28 @@ def test_the_azimuth_is_that_of_the_camera_around_the_fruit(azimuth):
 def test_in_the_camera_a_positive_azimuth_points_to_the_right():
     # Seen from -y with the stem to the right of the fruit.
     fruit = np.array([-0.05, -0.02, 1.0])
-    way, pose = approach(fruit, UPRIGHT), look_at([-0.05, -0.4, 0.9], fruit)
+    way, pose = tool_approach(fruit, UPRIGHT), look_at([-0.05, -0.4, 0.9], fruit)
     assert way.azimuth(pose) > 0.0
     assert (pose[:3, :3].T @ way.direction)[0] > 0.0
 
 
 def test_the_stem_is_taken_at_the_height_of_the_fruit():
     leaning = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 1.0], [0.2, 0.0, 1.0], [0.6, 0.0, 2.0]])
-    way = approach(np.array([0.5, 0.3, 1.5]), leaning)
+    way = tool_approach(np.array([0.5, 0.3, 1.5]), leaning)
     np.testing.assert_allclose(way.stem, [0.4, 0.0, 1.5], atol=1e-12)
     assert way.direction[2] == 0.0
     assert np.linalg.norm(way.direction) == pytest.approx(1.0)
     # Beyond its ends the nearer end serves.
-    np.testing.assert_allclose(approach(np.array([0.5, 0.3, 2.3]), leaning).stem, leaning[-1])
-    np.testing.assert_allclose(approach(np.array([0.5, 0.3, -0.1]), leaning).stem, leaning[0])
+    np.testing.assert_allclose(tool_approach(np.array([0.5, 0.3, 2.3]), leaning).stem, leaning[-1])
+    np.testing.assert_allclose(tool_approach(np.array([0.5, 0.3, -0.1]), leaning).stem, leaning[0])
 
 
 def test_around_the_stem_there_is_no_side():
-    assert approach(np.array([0.0, 5e-4, 1.0]), UPRIGHT) is None
+    assert tool_approach(np.array([0.0, 5e-4, 1.0]), UPRIGHT) is None
 
 
 def test_a_camera_that_looks_up_is_told_by_its_upper_side():
-    way = approach(np.array([0.0, -0.05, 1.0]), UPRIGHT)
+    way = tool_approach(np.array([0.0, -0.05, 1.0]), UPRIGHT)
     pose = look_at([0.0, -0.05, 0.5], [0.0, -0.05, 1.0], up=(0.0, -1.0, 0.0))
     assert np.isfinite(way.azimuth(pose))
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pepperscene.truth import HUE_BINS, centre, hue_bins, hue_counts, mean_hue, spectrum_correlation
+from pepperscene.truth import HUE_BINS, centre_crop, hue_bins, hue_counts, hue_spectrum_correlation, mean_hue
 
 BYTE = st.integers(0, 255)
 
@@ -62,7 +62,7 @@ def test_wrong_shapes_are_refused():
 )
 def test_the_middle_is_the_middle(shape, kept):
     image = np.arange(shape[0] * shape[1]).reshape(shape)
-    middle = centre(image)
+    middle = centre_crop(image)
     assert middle.shape == kept
     rows, columns = np.divmod(middle, shape[1])
     for places, length in ((rows, shape[0]), (columns, shape[1])):
@@ -81,10 +81,10 @@ def test_an_even_spectrum_has_no_mean_hue_and_no_correlation():
     even = np.full(HUE_BINS, 0.5)
     assert np.isnan(mean_hue(even))
     assert np.isnan(mean_hue(np.zeros(HUE_BINS)))
-    assert np.isnan(spectrum_correlation(even, np.arange(HUE_BINS)))
+    assert np.isnan(hue_spectrum_correlation(even, np.arange(HUE_BINS)))
 
 
 def test_correlation_knows_no_scale():
     spectrum = np.random.default_rng(3).random(HUE_BINS)
-    assert spectrum_correlation(spectrum, 3.0 * spectrum + 1.0) == pytest.approx(1.0)
-    assert spectrum_correlation(spectrum, 2.0 - spectrum) == pytest.approx(-1.0)
+    assert hue_spectrum_correlation(spectrum, 3.0 * spectrum + 1.0) == pytest.approx(1.0)
+    assert hue_spectrum_correlation(spectrum, 2.0 - spectrum) == pytest.approx(-1.0)

@@ -6,7 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from pepperscene.truth import HUE_BINS, Statistics, centre_falloff, grey_values, hue_bins, saturated_share
+from pepperscene.truth import (
+    HUE_BINS,
+    ImageStatistics,
+    centre_falloff,
+    grey_values,
+    hue_bins,
+    saturated_share,
+)
 
 
 def picture(rng, shape=(20, 30), top=8):
@@ -18,7 +25,7 @@ def picture(rng, shape=(20, 30), top=8):
 def gathered():
     rng = np.random.default_rng(4)
     pictures = [picture(rng) for _ in range(6)]
-    statistics = Statistics()
+    statistics = ImageStatistics()
     for colour, class_id in pictures:
         statistics.add(colour, class_id)
     return statistics, np.stack([p[0] for p in pictures]), np.stack([p[1] for p in pictures])
@@ -43,7 +50,7 @@ def test_every_picture_counts_the_same_in_a_hue_spectrum():
     red[..., 0], green[..., 1] = 200, 90
     single = np.zeros((10, 10), np.uint8)
     single[5, 5] = 1
-    statistics = Statistics()
+    statistics = ImageStatistics()
     statistics.add(red, single)
     statistics.add(green, np.ones((10, 10), np.uint8))
     spectra = statistics.hue_spectra()
@@ -68,7 +75,7 @@ def test_hues_are_of_the_middle_alone_and_all_else_of_the_whole():
     colour = np.zeros((400, 500, 3), np.uint8)
     colour[..., 2] = 255
     colour[50:350, 100:400] = (0, 128, 0)
-    statistics = Statistics()
+    statistics = ImageStatistics()
     statistics.add(colour, np.full((400, 500), 2, np.uint8))
     assert statistics.hue_spectra()[2, 60] == pytest.approx(100.0)
     assert statistics.saturated == [pytest.approx(1 - 0.09 / 0.2)]
@@ -78,7 +85,7 @@ def test_hues_are_of_the_middle_alone_and_all_else_of_the_whole():
 def test_pictures_of_other_sizes_are_fitted_where_places_are_compared():
     rng = np.random.default_rng(5)
     colour, class_id = picture(rng, (12, 16))
-    alone, both = Statistics(), Statistics()
+    alone, both = ImageStatistics(), ImageStatistics()
     alone.add(colour, class_id)
     both.add(colour, class_id)
     # Twice as large by repeating pixels: nothing but the number of pixels changes.
@@ -91,7 +98,7 @@ def test_pictures_of_other_sizes_are_fitted_where_places_are_compared():
 def test_what_has_no_label_is_counted_apart():
     class_id = np.full((4, 5), 255, np.uint8)
     class_id[0] = 2
-    statistics = Statistics()
+    statistics = ImageStatistics()
     statistics.add(None, class_id)
     assert statistics.unlabelled == 15
     assert statistics.shares().tolist() == [0, 0, 0.25, 0, 0, 0, 0, 0]
@@ -100,7 +107,7 @@ def test_what_has_no_label_is_counted_apart():
 
 
 def test_nothing_gives_no_numbers():
-    statistics = Statistics()
+    statistics = ImageStatistics()
     statistics.add(np.zeros((3, 3, 3), np.uint8), None)
     assert np.isnan(statistics.shares()).all()
     assert np.isnan(statistics.hue_spectra()).all()
@@ -111,7 +118,7 @@ def test_nothing_gives_no_numbers():
 def test_counters_do_not_run_over_and_memory_stays():
     class_id = np.ones((50, 60), np.uint8)
     colour = np.full((50, 60, 3), 255, np.uint8)
-    statistics = Statistics()
+    statistics = ImageStatistics()
     statistics.add(colour, class_id)
     tracemalloc.start()
     for _ in range(599):

@@ -6,12 +6,12 @@ import numpy as np
 
 from pepperscene.colour import Patch, PatchSet
 from pepperscene.colour.patches.patch import MeasuredSpectrum
-from pepperscene.dataset.recipe.equipment import camera_of, cultivar_of
+from pepperscene.dataset.recipe.equipment import load_camera, load_recipe_cultivar
 from pepperscene.spectra import Spectrum
-from pepperscene.tuning.fit.result import Fit, KindFit, SpectrumFit, Start
+from pepperscene.tuning.fit.result import FitResult, KindFit, SpectrumFit, Start
 from pepperscene.tuning.model.observables import lab_of
-from pepperscene.tuning.parameters.parameter import parameters_of
-from pepperscene.tuning.parameters.tuned import tuned
+from pepperscene.tuning.parameters.parameter import select_parameters
+from pepperscene.tuning.parameters.tuned import tuned_parts
 
 VALUES = {
     "leaf.chlorophyll": [48.123456789],
@@ -30,13 +30,13 @@ NODES_NM = np.linspace(391.0, 729.0, 8)
 def a_fit(recipe, values=None, *, pixels=300):
     """What a fit would say that found these values."""
     values = {name: np.array(value) for name, value in (VALUES if values is None else values).items()}
-    cultivar, camera = cultivar_of(recipe), camera_of(recipe)
-    parameters = parameters_of(recipe, cultivar, camera, tuple(values))
+    cultivar, camera = load_recipe_cultivar(recipe), load_camera(recipe)
+    parameters = select_parameters(recipe, cultivar, camera, tuple(values))
     entries = sum(len(one.labels) for one in parameters)
     rng = np.random.default_rng(5)
     correlation = np.eye(entries)
     correlation[0, -1] = correlation[-1, 0] = 0.5 if entries > 1 else 1.0
-    return Fit(
+    return FitResult(
         parameters=parameters,
         values=values,
         sd={name: 0.02 * np.abs(value) + 1e-3 for name, value in values.items()},
@@ -58,8 +58,8 @@ def a_fit(recipe, values=None, *, pixels=300):
         chi_squared=24.0,
         data=18,
         leftover={"camera": 0.4, "light": float("nan")},
-        verdict=("The model meets the patches: what is left is 1.15 times what is expected.",),
-        tuned=tuned(cultivar, camera, values, NODES_NM if camera.flash is not None else ()),
+        diagnostics=("The model meets the patches: what is left is 1.15 times what is expected.",),
+        tuned=tuned_parts(cultivar, camera, values, NODES_NM if camera.flash is not None else ()),
     )
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from fits import a_fit
 
-from pepperscene.camera import decode
-from pepperscene.camera.colorimetry import SRGB_TO_XYZ, lab
+from pepperscene.camera import decode_tone
+from pepperscene.camera.colorimetry import SRGB_TO_XYZ, xyz_to_lab
 from pepperscene.dataset import load_recipe
-from pepperscene.tuning.output.figure import WIDTH, Frames, sheet
+from pepperscene.tuning.output.figure import WIDTH, BeforeAfter, sheet
 
 
 @pytest.fixture(scope="module")
@@ -20,8 +20,8 @@ def fit():
 
 
 def lab_at(picture, x, y):
-    linear = decode(np.asarray(picture)[y, x])
-    return lab(SRGB_TO_XYZ @ linear)
+    linear = decode_tone(np.asarray(picture)[y, x])
+    return xyz_to_lab(SRGB_TO_XYZ @ linear)
 
 
 def rows_of(picture, column):
@@ -47,10 +47,12 @@ def test_fields_have_the_mean_colours_and_the_measured_one_in_their_middle(fit):
 def test_strips_show_the_spread_from_dark_to_bright(fit):
     picture = sheet(fit, "demo")
     (top, *_), kind = rows_of(picture, 225), fit.kinds["leaf"]
-    strip = decode(np.asarray(picture)[top + 118 : top + 162, 222:586])
-    lightness = lab(strip @ SRGB_TO_XYZ.T)[..., 0]
+    strip = decode_tone(np.asarray(picture)[top + 118 : top + 162, 222:586])
+    lightness = xyz_to_lab(strip @ SRGB_TO_XYZ.T)[..., 0]
     assert (np.diff(lightness.mean(axis=0).reshape(-1, 14).mean(axis=1)) > 0).all()
-    assert lightness.mean() == pytest.approx(lab(kind.pixels_target @ SRGB_TO_XYZ.T)[:, 0].mean(), abs=0.5)
+    assert lightness.mean() == pytest.approx(
+        xyz_to_lab(kind.pixels_target @ SRGB_TO_XYZ.T)[:, 0].mean(), abs=0.5
+    )
     assert lightness.std() == pytest.approx(kind.target[1, 0], rel=0.1)
 
 
@@ -59,7 +61,7 @@ def test_frames_are_shown_side_by_side_in_their_proportions(fit):
     one[..., 0] = 255
     other = np.zeros((300, 400, 3), np.uint8)
     other[..., 2] = 255
-    codes = np.asarray(sheet(fit, "demo", Frames(one, other)))
+    codes = np.asarray(sheet(fit, "demo", BeforeAfter(one, other)))
     red, blue = ((codes == colour).all(axis=-1) for colour in ((255, 0, 0), (0, 0, 255)))
     for found in (red, blue):
         rows, columns = np.flatnonzero(found.any(axis=1)), np.flatnonzero(found.any(axis=0))

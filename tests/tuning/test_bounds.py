@@ -11,22 +11,22 @@ import pytest
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import camera_of
+from pepperscene.dataset.recipe.equipment import load_camera
 from pepperscene.errors import InputError
 from pepperscene.render.gradients.pigment_models import RANGES
-from pepperscene.shipped import shelf
-from pepperscene.tuning.parameters.parameter import known_parameters, parameters_of
+from pepperscene.shipped import shipped_folder
+from pepperscene.tuning.parameters.parameter import known_parameters, select_parameters
 from pepperscene.tuning.parameters.surface import NAMES
 
 RECIPE = load_recipe("barth2018")
-CAMERA = camera_of(RECIPE)
+CAMERA = load_camera(RECIPE)
 KAITE = load_cultivar("kaite")
-SHIPPED = tomllib.loads((shelf("materials") / "tuning" / "bounds.toml").read_text(encoding="utf-8"))
+SHIPPED = tomllib.loads((shipped_folder("materials") / "tuning" / "bounds.toml").read_text(encoding="utf-8"))
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "tuning_parameters.md"
 
 
 def prior(name, bounds=None, cultivar=KAITE, entry=0):
-    (one,) = parameters_of(RECIPE, cultivar, CAMERA, [name], bounds)
+    (one,) = select_parameters(RECIPE, cultivar, CAMERA, [name], bounds)
     return one.prior[entry]
 
 
@@ -35,8 +35,8 @@ def everything(cultivar):
     names = known_parameters(cultivar, CAMERA)
     ends = [name for name in names if name.count(".") == 2]
     return [
-        *parameters_of(RECIPE, cultivar, CAMERA, [name for name in names if name not in ends]),
-        *parameters_of(RECIPE, cultivar, CAMERA, ends),
+        *select_parameters(RECIPE, cultivar, CAMERA, [name for name in names if name not in ends]),
+        *select_parameters(RECIPE, cultivar, CAMERA, ends),
     ]
 
 
@@ -173,7 +173,7 @@ def test_even_laws_are_laws():
 def test_bounds_that_are_wrong(bounds, said):
     names = ["leaf.brown", "leaf.chlorophyll", "leaf.structure", "leaf.state", "leaf.roughness"]
     with pytest.raises(InputError) as fault:
-        parameters_of(RECIPE, KAITE, CAMERA, names, bounds)
+        select_parameters(RECIPE, KAITE, CAMERA, names, bounds)
     assert re.search(said, str(fault.value)), fault.value
     assert str(fault.value).startswith("bounds: ")
     assert "\n" not in str(fault.value)

@@ -10,13 +10,13 @@ import pytest
 from pepperscene.colour import MeasuredSpectrum
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import camera_of
+from pepperscene.dataset.recipe.equipment import load_camera
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum, read_spectrum
-from pepperscene.tuning.model.reflectance import MODEL_ERROR, RANGE_NM, DirectModel, Shown, shown
+from pepperscene.tuning.model.reflectance import MODEL_ERROR, RANGE_NM, DirectModel, ShownSurface, shown
 from pepperscene.tuning.model.view_model import Entry, entries_of
-from pepperscene.tuning.parameters.parameter import known_parameters, parameters_of
-from pepperscene.tuning.parameters.tuned import tuned
+from pepperscene.tuning.parameters.parameter import known_parameters, select_parameters
+from pepperscene.tuning.parameters.tuned import tuned_parts
 
 FRUITS, LEAVES = "fruit/vrhel_fruit_vegetable_reflectance", "leaf/vrhel_leaf_reflectance"
 MEASURED = {
@@ -33,18 +33,18 @@ def measured(kind: str) -> MeasuredSpectrum:
 
 @cache
 def camera():
-    return camera_of(load_recipe("barth2018"))
+    return load_camera(load_recipe("barth2018"))
 
 
 def model(*kinds: str, cultivar: str = "red_blocky") -> DirectModel:
     plants = load_cultivar(cultivar)
     spectra = [measured(kind) for kind in kinds]
-    return DirectModel.of(spectra, plants, lambda values: tuned(plants, camera(), values))
+    return DirectModel.of(spectra, plants, lambda values: tuned_parts(plants, camera(), values))
 
 
 def entries(*names: str, cultivar: str = "red_blocky") -> tuple[Entry, ...]:
     recipe, plants = load_recipe("barth2018"), load_cultivar(cultivar)
-    return entries_of(parameters_of(recipe, plants, camera(), names))
+    return entries_of(select_parameters(recipe, plants, camera(), names))
 
 
 # --- what a spectrum shows --------------------------------------------------------------------------------
@@ -52,9 +52,9 @@ def entries(*names: str, cultivar: str = "red_blocky") -> tuple[Entry, ...]:
 
 def test_kinds_are_found_in_the_cultivar():
     plants = load_cultivar("kaite")
-    fruit = plants.organs["fruit"].laws
-    assert shown(plants, "pepper.unripe") == Shown("fruit", fruit["unripe"].mean, thin=False)
-    assert shown(plants, "pepper.ripe") == Shown("fruit", fruit["ripe"].mean, thin=False)
+    fruit = plants.organs["fruit"].distributions
+    assert shown(plants, "pepper.unripe") == ShownSurface("fruit", fruit["unripe"].mean, thin=False)
+    assert shown(plants, "pepper.ripe") == ShownSurface("fruit", fruit["ripe"].mean, thin=False)
     leaf = shown(plants, "leaf")
     assert (leaf.surface, leaf.thin) == ("leaf", True)
     assert shown(plants, "peduncle").surface == "peduncle"
@@ -108,7 +108,7 @@ def test_only_the_range_of_pigments_is_compared():
     nm = np.arange(350.0, 1000.0, 5.0)
     wide = MeasuredSpectrum("wide", "leaf", Spectrum(nm, np.full(nm.size, 0.1), "error"))
     plants = load_cultivar("kaite")
-    found = DirectModel.of([wide], plants, lambda values: tuned(plants, camera(), values))
+    found = DirectModel.of([wide], plants, lambda values: tuned_parts(plants, camera(), values))
     assert found.wavelength_nm[0][[0, -1]].tolist() == list(RANGE_NM)
     beyond = MeasuredSpectrum(
         "infrared", "leaf", Spectrum(nm[nm > 800], np.full(40, 0.4)[: (nm > 800).sum()])
@@ -125,7 +125,7 @@ def test_finer_sampling_adds_no_weight(step_nm):
     for step in (2.0, step_nm):
         nm = np.arange(400.0, 730.0 + step / 2, step)
         one = MeasuredSpectrum("leaf", "leaf", Spectrum(nm, curve.at(nm), "error"))
-        sampled = DirectModel.of([one], plants, lambda values: tuned(plants, camera(), values))
+        sampled = DirectModel.of([one], plants, lambda values: tuned_parts(plants, camera(), values))
         costs.append(np.sum(sampled.residuals({}) ** 2))
         worth.append(sampled.independent)
     assert costs[1] == pytest.approx(costs[0], rel=0.05)

@@ -14,9 +14,9 @@ from pepperscene.camera import (
     Camera,
     Developing,
     camera_rgb,
-    corrected,
-    decode,
-    encode,
+    correct_colours,
+    decode_tone,
+    encode_tone,
     load_lens,
     load_sensor,
 )
@@ -25,7 +25,7 @@ from pepperscene.render.quality import Quality
 from pepperscene.spectra import colour_science
 from pepperscene.tuning.model.observables import (
     NUMBERS,
-    Photograph,
+    PatchObservables,
     hues,
     lab_of,
     lab_slopes,
@@ -33,7 +33,7 @@ from pepperscene.tuning.model.observables import (
     numbers_and_slopes,
     pixel_noise,
 )
-from pepperscene.tuning.model.subject import Subject
+from pepperscene.tuning.model.subject import TuningTarget
 
 SIGNIFICANCE = 1e-4
 """Of each statistical test, all its comparisons together: a right camera fails once in ten thousand."""
@@ -179,13 +179,13 @@ def taken(camera: Camera, electrons, seed: int) -> np.ndarray:
     """`(n, 3)` linear sRGB of a plain field, as the camera makes it."""
     field = np.broadcast_to(np.asarray(electrons, float), (SIDE, SIDE, 3))
     rgb = camera_rgb(field, camera, np.random.default_rng(seed))
-    return np.clip(corrected(rgb, camera), 0.0, 1.0).reshape(-1, 3).astype(float)
+    return np.clip(correct_colours(rgb, camera), 0.0, 1.0).reshape(-1, 3).astype(float)
 
 
 def in_formulas(camera: Camera, electrons, seed: int, **how) -> np.ndarray:
-    """The same by `Photograph`."""
+    """The same by `PatchObservables`."""
     noise = pixel_noise(SIDE**2, 3, np.random.default_rng(seed))
-    photograph = Photograph(camera.sensor, camera.developing.saturation, noise, **how)
+    photograph = PatchObservables(camera.sensor, camera.developing.saturation, noise, **how)
     field = np.broadcast_to(np.asarray(electrons, float), (SIDE**2, 3))
     gains = np.array(camera.developing.white_balance)
     return photograph.linear(field, 1.0, gains, np.array(camera.developing.colour_matrix))
@@ -219,7 +219,7 @@ def test_near_the_limit_means_are_those_of_the_camera_to_a_part_of_the_noise(sha
     camera = replace(bench(), developing=Developing(white_balance=(1, 1, 1), colour_matrix=False))
     electrons = np.full(3, share * camera.sensor.full_well_e)
     noise = pixel_noise(SIDE**2, 3, np.random.default_rng(2))
-    model = Photograph(camera.sensor, True, noise).linear(
+    model = PatchObservables(camera.sensor, True, noise).linear(
         np.broadcast_to(electrons, (SIDE**2, 3)), 1.0, np.ones(3), np.eye(3)
     )
     off = taken(camera, electrons, 1).mean(axis=0) - model.mean(axis=0)
@@ -237,7 +237,7 @@ def test_noise_is_that_of_the_camera(sensor, shot, read):
     electrons = np.array([700.0, 1500.0, 300.0])
     here = taken(camera, electrons, 1)
     noise = pixel_noise(SIDE**2, 3, np.random.default_rng(2))
-    photograph = Photograph(camera.sensor, True, noise, shot, read)
+    photograph = PatchObservables(camera.sensor, True, noise, shot, read)
     there = photograph.linear(np.broadcast_to(electrons, (SIDE**2, 3)), 1.0, np.ones(3), np.eye(3))
     # The formulas' deviates have the variance 1 exactly.
     degrees = SIDE**2 - 1
@@ -249,7 +249,7 @@ def test_noise_is_that_of_the_camera(sensor, shot, read):
 def test_no_noise_and_no_limit_are_told():
     camera = bench(saturation=False)
     bright = np.array([[9000.0, 9000.0, 9000.0]])
-    plain = Photograph(camera.sensor, False, None)
+    plain = PatchObservables(camera.sensor, False, None)
     gains = np.array([1.0, 1.0, 1.0])
     assert plain.linear(bright, 0.5, gains, np.eye(3)) == pytest.approx(0.5 * 9000.0 / 6800.0)
     assert plain.linear(bright, 1.0, gains, np.eye(3)) == pytest.approx(1.0)  # codes end there
@@ -260,7 +260,7 @@ def test_no_noise_and_no_limit_are_told():
 def test_exposure_is_one_of_gain_or_of_time():
     """Twice the gain doubles what a full well reads; in twice the time more wells fill."""
     sensor = load_sensor("ueye_ui5250re")
-    gain, time = (Photograph(sensor, True, None, timed=timed) for timed in (False, True))
+    gain, time = (PatchObservables(sensor, True, None, timed=timed) for timed in (False, True))
     ones, some, much = np.ones(3), np.full((1, 3), 1000.0), np.full((1, 3), 10_000.0)
     for one in (gain, time):
         assert one.linear(some, 2.0, ones, np.eye(3)) == pytest.approx(2000.0 / 6800.0)
@@ -275,7 +275,7 @@ def test_slopes_of_the_photograph_are_its_differences(exposure, timed):
     rng = np.random.default_rng(5)
     sensor = load_sensor("ueye_ui5250re")
     electrons, along = 7000.0 * rng.random((400, 3)), rng.standard_normal((400, 3))
-    photograph = Photograph(sensor, True, pixel_noise(400, 3, rng), timed=timed)
+    photograph = PatchObservables(sensor, True, pixel_noise(400, 3, rng), timed=timed)
     gains, matrix = np.array(GAINS), np.array(MATRIX)
 
     def cut(at):
@@ -301,15 +301,15 @@ def test_slopes_of_the_photograph_are_its_differences(exposure, timed):
 def test_numbers_of_one_picture_vary_as_the_view_says():
     """Pictures of the same light, by the camera's own chain down to 8-bit codes."""
     few = Quality(4, 4, 4, 1, target=None, denoise=False)
-    subject = Subject(load_recipe("barth2018"), no_patches(["leaf"]), organs=1, pixels=24, effort=few)
+    subject = TuningTarget(load_recipe("barth2018"), no_patches(["leaf"]), organs=1, pixels=24, effort=few)
     (eye,) = subject.eyes
     made, camera = subject.tuned({}), eye.view.camera
     electrons = np.zeros((camera.height, camera.width, 3))
     electrons[eye.view.mask] = eye.electrons(made)
     seen = []
     for seed in range(40):
-        linear = corrected(camera_rgb(electrons, camera, np.random.default_rng(seed)), camera)
-        seen.append(numbers(decode(encode(linear)[eye.view.mask])))
+        linear = correct_colours(camera_rgb(electrons, camera, np.random.default_rng(seed)), camera)
+        seen.append(numbers(decode_tone(encode_tone(linear)[eye.view.mask])))
     ratio = np.var(seen, axis=0, ddof=1) / eye.noise(made) ** 2
     # Mean and hue vary together in the eight numbers: each has its share of the significance.
     tail = SIGNIFICANCE / NUMBERS / 2.0

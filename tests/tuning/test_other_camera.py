@@ -22,13 +22,13 @@ from twins import KINDS, drawn_values, no_patches, patch_delta_e
 from pepperscene.camera import Camera, load_sensor, reference_correction
 from pepperscene.colour import PatchSet
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import surface_grid
+from pepperscene.dataset.recipe.equipment import surface_wavelengths
 from pepperscene.materials import organ_surfaces
 from pepperscene.spectra import read_spectrum
 from pepperscene.tuning.fit import least_squares as fit
-from pepperscene.tuning.model.subject import Subject
+from pepperscene.tuning.model.subject import TuningTarget
 from pepperscene.tuning.model.views import with_surfaces
-from pepperscene.tuning.twin import photographed, twin_patches
+from pepperscene.tuning.twin import photographed, simulate_patches
 
 PIGMENTS = ("leaf.chlorophyll", "fruit.chlorophyll", "fruit.carotenoid", "stem.chlorophyll")
 LIGHT_AND_CAMERA = ("flash.colour", "exposure", "white_balance", "colour_matrix")
@@ -43,8 +43,8 @@ class Case:
     kinds: tuple[str, ...]
     organs: int
 
-    def subject(self, recipe, patches=None) -> Subject:
-        return Subject(
+    def subject(self, recipe, patches=None) -> TuningTarget:
+        return TuningTarget(
             recipe, patches or no_patches(self.kinds), registered=True, organs=self.organs, pixels=40
         )
 
@@ -81,13 +81,13 @@ def case(request) -> Case:
 
 
 @pytest.fixture(scope="module")
-def subject(recipe, case) -> Subject:
+def subject(recipe, case) -> TuningTarget:
     """The recipe before patches by the other camera."""
     plain = case.subject(recipe)
     plants = plain.cultivar
     pigments = {**plants.pigments, **plain.tuned(case.hidden(recipe)).pigments}
     plants = plants.model_copy(update={"pigments": pigments})
-    surfaces = organ_surfaces(plants, surface_grid(other(plain.camera).sensor))
+    surfaces = organ_surfaces(plants, surface_wavelengths(other(plain.camera).sensor))
     patches = [
         photographed(with_surfaces(view, surfaces), other(view.camera), (7, place))
         for place, view in enumerate(plain.views)
@@ -100,7 +100,7 @@ def fit_of(subject, names):
     problem = subject.problem(names)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fit, "_EVALUATIONS", EVALUATIONS)
-        return problem, fit.fitted(subject, problem, starts=1)
+        return problem, fit.fit_parameters(subject, problem, starts=1)
 
 
 @pytest.fixture(scope="module")
@@ -174,10 +174,10 @@ def test_the_one_thing_that_is_missed_is_named(recipe, hidden, named):
 
     White balance and the colour of the light are nearly the same thing, and so are its power and the gain.
     """
-    patches = twin_patches(recipe, hidden, WHOLE.kinds, organs=WHOLE.organs, pixels=40, noise=3)
+    patches = simulate_patches(recipe, hidden, WHOLE.kinds, organs=WHOLE.organs, pixels=40, noise=3)
     _, found = fit_of(WHOLE.subject(recipe, patches), ("leaf.chlorophyll", "fruit.chlorophyll"))
-    assert next(iter(found.leftover)) in named, found.verdict
-    (said,) = (one for one in found.verdict if one.startswith("Most likely the fit lacks"))
+    assert next(iter(found.leftover)) in named, found.diagnostics
+    (said,) = (one for one in found.diagnostics if one.startswith("Most likely the fit lacks"))
     causes = said[: said.index("take away")]
     groups = {group for group in found.leftover if f"the {group}" in causes}
     assert groups <= set(named), said

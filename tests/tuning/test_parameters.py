@@ -9,13 +9,13 @@ import pytest
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import camera_of
+from pepperscene.dataset.recipe.equipment import load_camera
 from pepperscene.errors import InputError
-from pepperscene.tuning.parameters.parameter import known_parameters, parameters_of
+from pepperscene.tuning.parameters.parameter import known_parameters, select_parameters
 from pepperscene.tuning.parameters.surface import NAMES, state_law, surfaces_of
 
 RECIPE = load_recipe("barth2018")
-CAMERA = camera_of(RECIPE)
+CAMERA = load_camera(RECIPE)
 KAITE = load_cultivar("kaite")
 DARK = replace(CAMERA, flash=None, developing=replace(CAMERA.developing, white_balance="daylight"))
 
@@ -55,7 +55,7 @@ def berry(tmp_path_factory):
 
 
 def of(names, cultivar=KAITE, camera=CAMERA, bounds=None):
-    return parameters_of(RECIPE, cultivar, camera, names, bounds)
+    return select_parameters(RECIPE, cultivar, camera, names, bounds)
 
 
 # --- names ----------------------------------------------------------------------------------------------

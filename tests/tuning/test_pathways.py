@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import camera_of
+from pepperscene.dataset.recipe.equipment import load_camera
 from pepperscene.materials import leaf_body, rind_reflectance
 from pepperscene.render.gradients.pigment_models import CONTENTS, RANGES, path_values
 from pepperscene.tuning.parameters.camera import OFF_DIAGONAL
-from pepperscene.tuning.parameters.parameter import known_parameters, parameters_of
+from pepperscene.tuning.parameters.parameter import known_parameters, select_parameters
 from pepperscene.tuning.parameters.surface import NAMES, REACH, state_law, surfaces_of
-from pepperscene.tuning.parameters.tuned import dense, dense_path, tuned
+from pepperscene.tuning.parameters.tuned import dense, dense_path, tuned_parts
 
 CULTIVARS = ("kaite", "red_blocky", "orange_pointed", "tomato", "kaite_september", "kaite_february")
 NODES = np.linspace(400.0, 710.0, 8)
@@ -25,14 +25,14 @@ NM = np.arange(400.0, 761.0, 20.0)
 STATES = np.linspace(0.0, 1.0, 41)
 
 RECIPE = load_recipe("barth2018")
-CAMERA = camera_of(RECIPE)
+CAMERA = load_camera(RECIPE)
 
 
 def everything(cultivar):
     names = known_parameters(cultivar, CAMERA)
     ends = [name for name in names if name.count(".") == 2]
-    whole = parameters_of(RECIPE, cultivar, CAMERA, [name for name in names if name not in ends])
-    found = {one.name: one for one in (*whole, *parameters_of(RECIPE, cultivar, CAMERA, ends))}
+    whole = select_parameters(RECIPE, cultivar, CAMERA, [name for name in names if name not in ends])
+    found = {one.name: one for one in (*whole, *select_parameters(RECIPE, cultivar, CAMERA, ends))}
     return {name: found[name] for name in names}
 
 
@@ -43,7 +43,7 @@ OWN = dense(KAITE, KAITE.pigments).pigments
 
 
 def at(values, cultivar=KAITE):
-    return tuned(cultivar, CAMERA, values, NODES)
+    return tuned_parts(cultivar, CAMERA, values, NODES)
 
 
 def path_of(name, value):
@@ -94,7 +94,7 @@ def test_at_its_own_values_a_recipe_is_itself(name):
     ends = {n: p.default for n, p in every.items() if n.rpartition(".")[2] not in NAMES or n not in whole}
     for values in (whole, ends):
         for start in (cultivar, own):
-            made = tuned(start, CAMERA, values, NODES)
+            made = tuned_parts(start, CAMERA, values, NODES)
             assert set(made.pigments) == set(surfaces_of(cultivar))
             for surface, path in made.pigments.items():
                 expected = path_values(surface, own.pigments[surface])
@@ -301,7 +301,7 @@ def test_the_flash_gets_factors():
 def test_factors_must_fit_the_nodes():
     with pytest.raises(ValueError, match="5 factors and the renderer 8 nodes"):
         at({"flash.spectrum": np.ones(5)})
-    assert tuned(KAITE, CAMERA, {"flash.spectrum": np.ones(5)}).flash_spectrum.size == 0
+    assert tuned_parts(KAITE, CAMERA, {"flash.spectrum": np.ones(5)}).flash_spectrum.size == 0
 
 
 def test_gains_and_matrix():
@@ -319,6 +319,6 @@ def test_gains_and_matrix():
 def test_an_explicit_matrix_keeps_its_own_row_sums():
     rows = ((1.5, -0.3, 0.0), (-0.2, 1.4, -0.3), (0.1, -0.5, 1.3))
     steps = replace(CAMERA.developing, white_balance=(2.0, 1.0, 1.5), colour_matrix=rows)
-    made = tuned(KAITE, replace(CAMERA, developing=steps), {"colour_matrix": np.zeros(6)}, NODES)
+    made = tuned_parts(KAITE, replace(CAMERA, developing=steps), {"colour_matrix": np.zeros(6)}, NODES)
     np.testing.assert_allclose(made.matrix, np.diag(np.sum(rows, axis=1)), atol=1e-12)
     np.testing.assert_array_equal(made.gains, [2.0, 1.0, 1.5])

@@ -19,10 +19,10 @@ from pepperscene.dataset import load_recipe
 from pepperscene.render.quality import Quality
 from pepperscene.tuning.model import observables
 from pepperscene.tuning.model import view_model as model
-from pepperscene.tuning.model.observables import NUMBERS, Photograph
-from pepperscene.tuning.model.problem import Problem, Surroundings
-from pepperscene.tuning.model.subject import Subject
-from pepperscene.tuning.model.view_model import Entry, Move
+from pepperscene.tuning.model.observables import NUMBERS, PatchObservables
+from pepperscene.tuning.model.problem import FitProblem, NeighbourEffect
+from pepperscene.tuning.model.subject import TuningTarget
+from pepperscene.tuning.model.view_model import Entry, ParameterStep
 
 NAMES = (
     "leaf.chlorophyll", "leaf.unripe.carotenoid", "leaf.anthocyanin", "leaf.structure", "leaf.state",
@@ -36,19 +36,19 @@ TOLERANCE = 0.01
 STEPS = (0.004, 0.1)
 """Of the bounds' sd. Rounding asks for a large one and limits for a small one, so the nearer one counts."""
 
-AROUND = {"leaf": Surroundings(np.array([0.9, 0.8, 0.7]), np.zeros(NUMBERS))}
+AROUND = {"leaf": NeighbourEffect(np.array([0.9, 0.8, 0.7]), np.zeros(NUMBERS))}
 """Leaves stand in a green shade, which derivatives have to go through as well."""
 
 
 @pytest.fixture(scope="module")
-def subject() -> Subject:
+def subject() -> TuningTarget:
     few = Quality(4, 4, 4, 1, target=None, denoise=False)
     kinds = ["leaf", "pepper.unripe"]
-    return Subject(load_recipe("barth2018"), no_patches(kinds), organs=1, pixels=16, effort=few)
+    return TuningTarget(load_recipe("barth2018"), no_patches(kinds), organs=1, pixels=16, effort=few)
 
 
 @pytest.fixture(scope="module")
-def problem(subject) -> Problem:
+def problem(subject) -> FitProblem:
     return subject.problem(NAMES, AROUND)
 
 
@@ -61,7 +61,7 @@ def place(problem) -> np.ndarray:
     return np.clip(off, problem.low + room, problem.high - room)
 
 
-def slopes_by_differences(problem: Problem, place: np.ndarray, step: float) -> np.ndarray:
+def slopes_by_differences(problem: FitProblem, place: np.ndarray, step: float) -> np.ndarray:
     """`(m, p)` central differences, and for a large step Richardson's from two of them."""
     columns = []
     for entry, sd in enumerate(problem.sd):
@@ -81,7 +81,9 @@ def differences(problem, place) -> list[np.ndarray]:
     return [slopes_by_differences(problem, place, step) for step in STEPS]
 
 
-def disagreement(jacobian: np.ndarray, differences: list[np.ndarray], problem: Problem) -> dict[str, float]:
+def disagreement(
+    jacobian: np.ndarray, differences: list[np.ndarray], problem: FitProblem
+) -> dict[str, float]:
     """By entry, how far its column lies from that by differences, relative to it; without the bounds' rows,
     which would hide it. A wrong column is far from both steps'.
     """
@@ -140,7 +142,7 @@ def test_an_entry_without_room_is_refused(subject):
     (only,) = subject.parameters(["exposure"])
     stuck = replace(only, prior=(only.prior[0].model_copy(update={"low": 1.0, "high": 1.0}),))
     with pytest.raises(ValueError, match="cannot move"):
-        Move.along(Entry(stuck, 0), {}, subject.tuned)
+        ParameterStep.along(Entry(stuck, 0), {}, subject.tuned)
 
 
 # --- mutations --------------------------------------------------------------------------------------------
@@ -178,8 +180,8 @@ def _photograph(change):
     """Other slopes of the photograph, the same picture."""
 
     def mutate(monkeypatch):
-        right = Photograph.linear_and_slope
-        monkeypatch.setattr(Photograph, "linear_and_slope", lambda *given: change(*right(*given)))
+        right = PatchObservables.linear_and_slope
+        monkeypatch.setattr(PatchObservables, "linear_and_slope", lambda *given: change(*right(*given)))
 
     return mutate
 
@@ -202,12 +204,12 @@ def _hues_backwards(monkeypatch):
 
 def _without_shade(monkeypatch):
     """What neighbours let through is left out of the derivatives alone."""
-    right = model.Eye.linear_and_slopes
+    right = model.ViewModel.linear_and_slopes
 
     def wrong(self, made, moves, shade):
         return right(self, made, moves, shade)[0], right(self, made, moves, np.ones(3))[1]
 
-    monkeypatch.setattr(model.Eye, "linear_and_slopes", wrong)
+    monkeypatch.setattr(model.ViewModel, "linear_and_slopes", wrong)
 
 
 MUTATIONS = {
@@ -253,7 +255,7 @@ def test_patches_of_the_model_itself_leave_nothing(subject, problem):
     values = problem.values(problem.default)
     made = problem.tuned(values)
     cells = [replace(cell, target=cell.predicted(made)) for cell in problem.cells]
-    own = Problem(problem.parameters, problem.tuned, cells)
+    own = FitProblem(problem.parameters, problem.tuned, cells)
     assert np.abs(own.data_residuals(values)).max() < 1e-6
     darker = own.data_residuals({**values, "exposure": np.array([0.9])})
     assert np.abs(darker).max() > 0.5
@@ -262,7 +264,7 @@ def test_patches_of_the_model_itself_leave_nothing(subject, problem):
 def test_residuals_are_in_units_of_sigma(problem):
     values = problem.values(problem.default)
     half = [replace(cell, sigma=2.0 * cell.sigma) for cell in problem.cells]
-    wider = Problem(problem.parameters, problem.tuned, half)
+    wider = FitProblem(problem.parameters, problem.tuned, half)
     assert wider.data_residuals(values) == pytest.approx(0.5 * problem.data_residuals(values))
 
 
@@ -273,5 +275,5 @@ def test_offsets_are_added_and_shade_dims(subject, problem):
     assert shaded["leaf"].predicted(made)[0] < bare["leaf"].predicted(made)[0]
     assert shaded["pepper.unripe"].predicted(made) == pytest.approx(bare["pepper.unripe"].predicted(made))
     more = np.arange(NUMBERS, dtype=float)
-    brought = replace(bare["leaf"], around=Surroundings(np.ones(3), more))
+    brought = replace(bare["leaf"], around=NeighbourEffect(np.ones(3), more))
     assert brought.predicted(made) - bare["leaf"].predicted(made) == pytest.approx(more)

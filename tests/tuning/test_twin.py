@@ -29,11 +29,11 @@ from twins import (
 )
 
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import camera_of, cultivar_of
+from pepperscene.dataset.recipe.equipment import load_camera, load_recipe_cultivar
 from pepperscene.tuning.fit.diagnostics import as_expected
-from pepperscene.tuning.model.subject import Subject
-from pepperscene.tuning.parameters.parameter import parameters_of
-from pepperscene.tuning.twin import twin_patches
+from pepperscene.tuning.model.subject import TuningTarget
+from pepperscene.tuning.parameters.parameter import select_parameters
+from pepperscene.tuning.twin import simulate_patches
 
 DRAWS = 20
 SIGNIFICANCE = 1e-4
@@ -48,9 +48,11 @@ def twin(seed: int, kinds, among, **size) -> Recovery:
     """One draw, from end to end; twin and fit share organs, and no random number of light and noise."""
     recipe, rng = load_recipe("barth2018"), np.random.default_rng([2018, seed])
     names = drawn_names(rng, among=among)
-    values = drawn_values(parameters_of(recipe, cultivar_of(recipe), camera_of(recipe), names), rng)
-    patches = twin_patches(recipe, values, kinds, noise=seed + 1, **size)
-    subject = Subject(recipe, patches, registered=True, **size)
+    values = drawn_values(
+        select_parameters(recipe, load_recipe_cultivar(recipe), load_camera(recipe), names), rng
+    )
+    patches = simulate_patches(recipe, values, kinds, noise=seed + 1, **size)
+    subject = TuningTarget(recipe, patches, registered=True, **size)
     return recovered(subject, subject.problem(names), values)
 
 
@@ -70,7 +72,7 @@ def check(found: Recovery) -> None:
     assert np.median(found.relative) < 0.05, told
     assert max(found.delta_e.values()) < 1.0, found.delta_e
     assert max(kind.delta_e_after for kind in found.fit.kinds.values()) < 1.0
-    assert as_expected(found.fit.chi_squared, found.fit.data), found.fit.verdict
+    assert as_expected(found.fit.chi_squared, found.fit.data), found.fit.diagnostics
 
 
 def check_errors(every: list[Recovery]) -> None:

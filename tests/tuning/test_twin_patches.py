@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pepperscene.camera import decode, load_flash
+from pepperscene.camera import decode_tone, load_flash
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import camera_of, cultivar_of
+from pepperscene.dataset.recipe.equipment import load_camera, load_recipe_cultivar
 from pepperscene.errors import InputError
-from pepperscene.tuning import Subject, twin_patches
+from pepperscene.tuning import TuningTarget, simulate_patches
 from pepperscene.tuning.parameters.camera import colour_steps_at
-from pepperscene.tuning.parameters.tuned import tuned
+from pepperscene.tuning.parameters.tuned import tuned_parts
 from pepperscene.tuning.twin import tuned_camera, tuned_light
 
 SMALL = {"organs": 1, "pixels": 16}
@@ -32,7 +32,7 @@ def recipe():
 
 @pytest.fixture(scope="module")
 def plain(recipe):
-    return twin_patches(recipe, {}, KINDS, **SMALL)
+    return simulate_patches(recipe, {}, KINDS, **SMALL)
 
 
 def mean(patches, kind):
@@ -40,19 +40,19 @@ def mean(patches, kind):
 
 
 def test_patches_show_the_views_of_a_subject(recipe, plain):
-    subject = Subject(recipe, plain, registered=True, **SMALL)
+    subject = TuningTarget(recipe, plain, registered=True, **SMALL)
     assert [one.name for one in plain.patches] == [view.name for view in subject.views]
     assert [len(one.codes) for one in plain.patches] == [view.mask.sum() for view in subject.views]
     for one in plain.patches:
         assert one.codes.dtype == np.uint8
-        assert np.array_equal(one.linear, decode(one.codes))
+        assert np.array_equal(one.linear, decode_tone(one.codes))
     # At the recipe's own values the fit's model and the twin differ by noise.
     problem = subject.problem(["exposure"])
     assert np.abs(problem.data_residuals({})).max() < 5.0
 
 
 def test_the_same_seeds_give_the_same_codes_and_others_do_not(recipe, plain):
-    again, other = (twin_patches(recipe, {}, KINDS, **SMALL, noise=noise) for noise in (1, 2))
+    again, other = (simulate_patches(recipe, {}, KINDS, **SMALL, noise=noise) for noise in (1, 2))
     for one, same, not_same in zip(plain.patches, again.patches, other.patches, strict=True):
         assert np.array_equal(one.codes, same.codes)
         assert not np.array_equal(one.codes, not_same.codes)
@@ -60,23 +60,23 @@ def test_the_same_seeds_give_the_same_codes_and_others_do_not(recipe, plain):
 
 def test_exposure_and_power_are_factors_of_light(recipe, plain):
     """Twice the gain is twice the picture, where nothing is cut; without daylight so is twice the flash."""
-    half = twin_patches(recipe, {"exposure": 0.5}, ["leaf"], **SMALL)
+    half = simulate_patches(recipe, {"exposure": 0.5}, ["leaf"], **SMALL)
     assert mean(half, "leaf") == pytest.approx(0.5 * mean(plain, "leaf"), rel=0.02, abs=NOISE)
     dark = load_recipe("barth2018", {"daylight.illuminance_lx": 0.0})
-    one, weak = (twin_patches(dark, {"flash.power": p}, ["leaf"], **SMALL) for p in (1.0, 0.5))
+    one, weak = (simulate_patches(dark, {"flash.power": p}, ["leaf"], **SMALL) for p in (1.0, 0.5))
     assert mean(weak, "leaf") == pytest.approx(0.5 * mean(one, "leaf"), rel=0.02, abs=NOISE)
 
 
 def test_pigments_change_their_own_organs_only(recipe, plain):
-    pale = twin_patches(recipe, {"leaf.chlorophyll": 20.0}, KINDS, **SMALL)
+    pale = simulate_patches(recipe, {"leaf.chlorophyll": 20.0}, KINDS, **SMALL)
     assert (mean(pale, "leaf")[:2] > 1.1 * mean(plain, "leaf")[:2]).all()
     assert mean(pale, "pepper.unripe") == pytest.approx(mean(plain, "pepper.unripe"), rel=0.02, abs=NOISE)
 
 
 def test_the_camera_is_the_tuned_one(recipe):
-    camera = camera_of(recipe)
+    camera = load_camera(recipe)
     values = {"white_balance": np.array([1.2, 0.9]), "exposure": np.array([0.7])}
-    made = tuned(cultivar_of(recipe), camera, values, NODES_NM)
+    made = tuned_parts(load_recipe_cultivar(recipe), camera, values, NODES_NM)
     found = tuned_camera(camera, made)
     gains, matrix = colour_steps_at(camera, values)
     assert found.developing.white_balance == pytest.approx(tuple(gains))
@@ -89,7 +89,7 @@ def test_the_light_is_the_old_one_times_power_and_factors(recipe, name):
     """At every wavelength, whether the flash's strength is told in lux or in watts."""
     flash = load_flash(name)
     values = {"flash.power": np.array([0.7]), "flash.colour": np.array([0.4, -0.2])}
-    made = tuned(cultivar_of(recipe), camera_of(recipe), values, NODES_NM)
+    made = tuned_parts(load_recipe_cultivar(recipe), load_camera(recipe), values, NODES_NM)
     nm = np.arange(400.0, 701.0) if flash.illuminance_lx is not None else np.arange(800.0, 901.0)
     factors = 0.7 * np.interp(nm, NODES_NM, made.flash_spectrum)
     assert tuned_light(flash, made).irradiance().at(nm) == pytest.approx(flash.irradiance().at(nm) * factors)
@@ -97,9 +97,9 @@ def test_the_light_is_the_old_one_times_power_and_factors(recipe, name):
 
 def test_slips_are_told(recipe):
     with pytest.raises(InputError, match="chlorofyll"):
-        twin_patches(recipe, {"leaf.chlorofyll": 40.0}, ["leaf"], **SMALL)
+        simulate_patches(recipe, {"leaf.chlorofyll": 40.0}, ["leaf"], **SMALL)
     with pytest.raises(InputError, match="white_balance"):
-        twin_patches(recipe, {"white_balance": 1.2}, ["leaf"], **SMALL)
+        simulate_patches(recipe, {"white_balance": 1.2}, ["leaf"], **SMALL)
     for kind in ("wire", "branch", "pepper.rotten"):
         with pytest.raises(InputError, match=kind):
-            twin_patches(recipe, {}, [kind], **SMALL)
+            simulate_patches(recipe, {}, [kind], **SMALL)

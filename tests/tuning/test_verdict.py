@@ -24,7 +24,7 @@ from pepperscene.tuning.fit.diagnostics import (
     suspects,
     undetermined,
 )
-from pepperscene.tuning.model.problem import Problem
+from pepperscene.tuning.model.problem import FitProblem
 from pepperscene.tuning.model.view_model import entries_of
 from pepperscene.tuning.parameters.parameter import Parameter
 
@@ -59,9 +59,9 @@ class Linear:
         return np.stack([self.columns[one.parameter.name][:, one.place] for one in entries], axis=1)
 
 
-def fit(parameters, columns, data) -> tuple[Problem, np.ndarray]:
+def fit(parameters, columns, data) -> tuple[FitProblem, np.ndarray]:
     """A linear problem and its minimum."""
-    problem = Problem(parameters, lambda values: None, (), Linear(columns, data))
+    problem = FitProblem(parameters, lambda values: None, (), Linear(columns, data))
     start = np.zeros(len(problem.sd))
     jacobian, residuals = problem.jacobian(start), problem.residuals(start)
     best = -np.linalg.lstsq(jacobian, residuals, rcond=None)[0]

@@ -11,20 +11,20 @@ from twins import KINDS, no_patches
 from pepperscene.camera import Distortion
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import surface_grid
+from pepperscene.dataset.recipe.equipment import surface_wavelengths
 from pepperscene.errors import InputError
 from pepperscene.materials import organ_surfaces
 from pepperscene.render import Renderer
 from pepperscene.render.quality import Quality
-from pepperscene.tuning.model.subject import Subject
+from pepperscene.tuning.model.subject import TuningTarget
 from pepperscene.tuning.model.views import PLACES, organ_views, with_surfaces
 
 PIXELS = 24
 
 
 @pytest.fixture(scope="module")
-def subject() -> Subject:
-    return Subject(load_recipe("barth2018"), no_patches(), registered=True, pixels=PIXELS)
+def subject() -> TuningTarget:
+    return TuningTarget(load_recipe("barth2018"), no_patches(), registered=True, pixels=PIXELS)
 
 
 def views_of(subject, kinds, **how):
@@ -186,7 +186,7 @@ def test_other_surfaces_keep_everything_else(subject):
     path = subject.cultivar.pigments["leaf"]
     pale = path.model_copy(update={"roughness": (0.2, 0.2)})
     plants = subject.cultivar.model_copy(update={"pigments": {**subject.cultivar.pigments, "leaf": pale}})
-    other = with_surfaces(view, organ_surfaces(plants, surface_grid(subject.camera.sensor)))
+    other = with_surfaces(view, organ_surfaces(plants, surface_wavelengths(subject.camera.sensor)))
     assert other.scene.mesh is view.scene.mesh
     assert other.scene.sky is view.scene.sky
     assert other.camera is view.camera

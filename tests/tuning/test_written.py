@@ -12,10 +12,10 @@ import pytest
 from fits import VALUES, a_fit, some_patches
 from PIL import Image
 
-from pepperscene.camera import colour_steps
+from pepperscene.camera import colour_transform
 from pepperscene.cultivar import PigmentPath, Pigments, load_cultivar
-from pepperscene.dataset import Stage, load_recipe
-from pepperscene.dataset.recipe.equipment import camera_of, cultivar_of
+from pepperscene.dataset import FrameRenderer, load_recipe
+from pepperscene.dataset.recipe.equipment import load_camera, load_recipe_cultivar
 from pepperscene.errors import InputError, OutputError
 from pepperscene.tuning.output import write as written
 from pepperscene.tuning.output.cultivar import thinned
@@ -55,7 +55,7 @@ def check_camera(found, before, tuned):
     assert found.exposure_s == pytest.approx(before.exposure_s * in_time, rel=1e-10)
     assert found.sensor.gain == pytest.approx(before.sensor.gain * in_gain, rel=1e-10)
     if before.sensor.channels > 1:
-        gains, matrix = colour_steps(found)
+        gains, matrix = colour_transform(found)
         np.testing.assert_allclose(gains, tuned.gains, rtol=1e-9)
         np.testing.assert_allclose(matrix, tuned.matrix, atol=1e-9)
     if before.flash is not None:
@@ -88,8 +88,8 @@ def fit(demo):
 def test_written_recipe_shows_what_was_fitted(demo, fit, tmp_path):
     files = write(demo, fit, tmp_path / "out", extends="demo")
     recipe = load_recipe(files[0])
-    check_pigments(Stage(recipe).cultivar.pigments, fit.tuned.pigments)
-    check_camera(camera_of(recipe), camera_of(demo), fit.tuned)
+    check_pigments(FrameRenderer(recipe).cultivar.pigments, fit.tuned.pigments)
+    check_camera(load_camera(recipe), load_camera(demo), fit.tuned)
     assert recipe.name == "demo_tuned"
     assert {path.name for path in files} == {path.name for path in (tmp_path / "out").iterdir()}
 
@@ -127,15 +127,15 @@ def test_nothing_fitted_changes_nothing(demo, tmp_path):
 def test_each_parameter_alone_comes_back(demo, name, tmp_path):
     fit = a_fit(demo, {name: VALUES[name]})
     recipe = load_recipe(write(demo, fit, tmp_path / "out", extends="demo")[0])
-    check_pigments(cultivar_of(recipe).pigments, fit.tuned.pigments)
-    check_camera(camera_of(recipe), camera_of(demo), fit.tuned)
+    check_pigments(load_recipe_cultivar(recipe).pigments, fit.tuned.pigments)
+    check_camera(load_camera(recipe), load_camera(demo), fit.tuned)
 
 
 def test_light_keeps_the_balance_that_it_was_fitted_with(demo, tmp_path):
     """The recipe balances to its flash; another flash must not move the balance that the fit had."""
     fit = a_fit(demo, {"flash.colour": [0.4, 0.0]})
-    found = camera_of(load_recipe(write(demo, fit, tmp_path / "out", extends="demo")[0]))
-    np.testing.assert_allclose(colour_steps(found)[0], colour_steps(camera_of(demo))[0], rtol=1e-9)
+    found = load_camera(load_recipe(write(demo, fit, tmp_path / "out", extends="demo")[0]))
+    np.testing.assert_allclose(colour_transform(found)[0], colour_transform(load_camera(demo))[0], rtol=1e-9)
 
 
 def test_infrared_flash_keeps_its_watts(tmp_path):
@@ -148,10 +148,10 @@ def test_infrared_flash_keeps_its_watts(tmp_path):
         },
     )
     fit = a_fit(recipe, {"flash.power": [1.3], "flash.spectrum": np.linspace(0.5, 1.5, 8)})
-    found = camera_of(load_recipe(write(recipe, fit, tmp_path / "out")[0]))
+    found = load_camera(load_recipe(write(recipe, fit, tmp_path / "out")[0]))
     nm = np.arange(780.0, 920.0)
     factors = np.interp(nm, fit.tuned.flash_nodes_nm, fit.tuned.flash_spectrum)
-    wanted = 1.3 * factors * light(camera_of(recipe).flash, nm)
+    wanted = 1.3 * factors * light(load_camera(recipe).flash, nm)
     np.testing.assert_allclose(light(found.flash, nm), wanted, rtol=1e-6)
     assert found.flash.irradiance_W_m2 is not None
 
@@ -162,9 +162,9 @@ def test_growth_stage_is_tuned_at_both_ends(tmp_path):
     fit = a_fit(recipe, {"leaf.chlorophyll": [41.0]})
     files = write(recipe, fit, tmp_path / "out", extends="demo")
     assert {"kaite_february_tuned.toml", "kaite_september_tuned.toml"} <= {path.name for path in files}
-    found = cultivar_of(load_recipe(files[0]))
+    found = load_recipe_cultivar(load_recipe(files[0]))
     check_pigments(found.pigments, fit.tuned.pigments)
-    assert found.date == cultivar_of(recipe).date
+    assert found.date == load_recipe_cultivar(recipe).date
 
 
 def test_no_flash_no_flash_file(tmp_path):
@@ -172,7 +172,7 @@ def test_no_flash_no_flash_file(tmp_path):
     fit = a_fit(recipe, {"exposure": [1.4], "white_balance": [0.9, 1.2]})
     files = write(recipe, fit, tmp_path / "out", extends="greenhouse")
     assert [path.name for path in files] == ["greenhouse_tuned.toml", "before_after.png", "tuning.json"]
-    check_camera(camera_of(load_recipe(files[0])), camera_of(recipe), fit.tuned)
+    check_camera(load_camera(load_recipe(files[0])), load_camera(recipe), fit.tuned)
 
 
 # --- where files lie --------------------------------------------------------------------------------------
@@ -183,8 +183,8 @@ def test_folder_can_be_moved(demo, fit, tmp_path):
     (tmp_path / "far").mkdir()
     shutil.move(tmp_path / "out", tmp_path / "far" / "away")
     recipe = load_recipe(tmp_path / "far" / "away" / "demo_tuned.toml")
-    check_pigments(cultivar_of(recipe).pigments, fit.tuned.pigments)
-    check_camera(camera_of(recipe), camera_of(demo), fit.tuned)
+    check_pigments(load_recipe_cultivar(recipe).pigments, fit.tuned.pigments)
+    check_camera(load_camera(recipe), load_camera(demo), fit.tuned)
 
 
 def test_own_files_are_found_by_the_way_to_them(tmp_path, monkeypatch):
@@ -205,8 +205,11 @@ def test_own_files_are_found_by_the_way_to_them(tmp_path, monkeypatch):
     shutil.copytree(tmp_path, tmp_path.parent / f"{tmp_path.name}_copy")
     shutil.rmtree(tmp_path / "mine")
     moved = load_recipe(tmp_path.parent / f"{tmp_path.name}_copy" / "results" / "first" / "house_tuned.toml")
-    check_pigments(cultivar_of(moved).pigments, fit.tuned.pigments)
-    assert cultivar_of(moved).organs == cultivar_of(load_recipe("demo", {"cultivar": "red_blocky"})).organs
+    check_pigments(load_recipe_cultivar(moved).pigments, fit.tuned.pigments)
+    assert (
+        load_recipe_cultivar(moved).organs
+        == load_recipe_cultivar(load_recipe("demo", {"cultivar": "red_blocky"})).organs
+    )
 
 
 def test_behind_a_link_own_files_are_found(tmp_path):
@@ -216,7 +219,7 @@ def test_behind_a_link_own_files_are_found(tmp_path):
     (tmp_path / "house.toml").write_text('extends = "demo"\ncultivar = "plant.toml"\n')
     recipe = load_recipe(tmp_path / "house.toml")
     files = write(recipe, a_fit(recipe), tmp_path / "link" / "out", extends=tmp_path / "house.toml")
-    assert cultivar_of(load_recipe(files[0])).name == "Mine, tuned"
+    assert load_recipe_cultivar(load_recipe(files[0])).name == "Mine, tuned"
 
 
 def test_recipe_without_a_file_is_written_whole(demo, fit, tmp_path):
@@ -236,7 +239,7 @@ def test_equal_names_do_not_meet(demo, fit, tmp_path):
     recipe = demo.model_copy(update={"name": "kaite"})
     files = write(recipe, fit, tmp_path / "out", extends="demo")
     assert len({path.name.lower() for path in files}) == len(files) == 7
-    assert cultivar_of(load_recipe(files[0])).name == "Kaite, tuned"
+    assert load_recipe_cultivar(load_recipe(files[0])).name == "Kaite, tuned"
 
 
 def test_name_that_is_no_file_name(demo, tmp_path):
@@ -252,9 +255,11 @@ def test_tuned_recipe_can_be_tuned_again(demo, fit, tmp_path):
     recipe = load_recipe(first)
     again = a_fit(recipe, {"leaf.chlorophyll": [30.0], "flash.power": [0.9]})
     found = load_recipe(write(recipe, again, tmp_path / "two", extends=first)[0])
-    check_pigments(cultivar_of(found).pigments, again.tuned.pigments)
-    check_pigments(cultivar_of(found).pigments, {"fruit": cultivar_of(recipe).pigments["fruit"]})
-    check_camera(camera_of(found), camera_of(recipe), again.tuned)
+    check_pigments(load_recipe_cultivar(found).pigments, again.tuned.pigments)
+    check_pigments(
+        load_recipe_cultivar(found).pigments, {"fruit": load_recipe_cultivar(recipe).pigments["fruit"]}
+    )
+    check_camera(load_camera(found), load_camera(recipe), again.tuned)
 
 
 # --- provenance -------------------------------------------------------------------------------------------
@@ -298,11 +303,11 @@ def test_record_is_whole_and_plain_json(demo, fit, tmp_path):
 
 
 def test_digests_tell_patches_apart():
-    occasions = [written.Occasion.of(some_patches(), WHEN) for _ in range(2)]
+    occasions = [written.RunInfo.of(some_patches(), WHEN) for _ in range(2)]
     assert occasions[0] == occasions[1]
     one = some_patches()
     one.patches[0].linear[0, 0] += 1e-3
-    other = written.Occasion.of(one, WHEN)
+    other = written.RunInfo.of(one, WHEN)
     assert other.sha256 != occasions[0].sha256
     assert [n for n, d in other.members.items() if d != occasions[0].members[n]] == ["leaf 1"]
 
@@ -325,7 +330,7 @@ def test_folder_with_something_in_it_is_refused(demo, fit, tmp_path):
 @pytest.mark.parametrize("at", [0, 3, 6])
 def test_failure_leaves_nothing(demo, fit, tmp_path, monkeypatch, at):
     """A disk that is full at any of the files."""
-    real, calls = written.replacing, []
+    real, calls = written.atomic_write, []
 
     def full(path):
         calls.append(path)

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pepperscene.camera import decode
+from pepperscene.camera import decode_tone
 from pepperscene.colour import Patch, PatchSet, delta_e_2000
-from pepperscene.tuning.fit.least_squares import fitted
-from pepperscene.tuning.fit.result import Fit
+from pepperscene.tuning.fit.least_squares import fit_parameters
+from pepperscene.tuning.fit.result import FitResult
 from pepperscene.tuning.model.observables import lab_of
-from pepperscene.tuning.model.problem import Problem
-from pepperscene.tuning.model.subject import Subject
+from pepperscene.tuning.model.problem import FitProblem
+from pepperscene.tuning.model.subject import TuningTarget
 from pepperscene.tuning.parameters.parameter import Parameter
 
 KINDS = ("leaf", "pepper.unripe", "pepper.ripe", "peduncle", "stem", "shoot")
@@ -34,7 +34,7 @@ SAME = (("flash.power", "exposure"),)
 def no_patches(kinds: Sequence[str] = KINDS) -> PatchSet:
     """A grey pixel of each kind: what a subject needs to have views."""
     grey = np.full((1, 3), 188, np.uint8)
-    return PatchSet("none", tuple(Patch(kind, kind, "none", decode(grey), grey) for kind in kinds))
+    return PatchSet("none", tuple(Patch(kind, kind, "none", decode_tone(grey), grey) for kind in kinds))
 
 
 def drawn_names(rng: np.random.Generator, count: int = 5, among: Sequence[str] = HIDDEN) -> tuple[str, ...]:
@@ -77,12 +77,14 @@ class Recovery:
     deviance: float
     open: np.ndarray
     delta_e: dict[str, float]
-    fit: Fit
+    fit: FitResult
 
 
-def recovered(subject: Subject, problem: Problem, values: Mapping[str, np.ndarray], told=None) -> Recovery:
+def recovered(
+    subject: TuningTarget, problem: FitProblem, values: Mapping[str, np.ndarray], told=None
+) -> Recovery:
     """Fit a twin, and hold what was found against what was hidden."""
-    fit = fitted(subject, problem, told=told)
+    fit = fit_parameters(subject, problem, on_progress=told)
     true, found, sd = (
         np.concatenate([what[one.name] for one in fit.parameters]) for what in (values, fit.values, fit.sd)
     )
@@ -104,7 +106,7 @@ def recovered(subject: Subject, problem: Problem, values: Mapping[str, np.ndarra
     )
 
 
-def patch_delta_e(problem: Problem, fit: Fit) -> dict[str, float]:
+def patch_delta_e(problem: FitProblem, fit: FitResult) -> dict[str, float]:
     """CIEDE2000 between the mean colours of each cell's patch and model, at the best values."""
     target = np.array([cell.target[:3] for cell in problem.cells])
     model = np.array([lab_of(cell.linear(fit.tuned).mean(axis=0)) for cell in problem.cells])

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, Distortion, expected_electrons
 from pepperscene.materials import Surface
-from pepperscene.materials.gloss import interpolated, openness
+from pepperscene.materials.gloss import cuticle_transmittance, interpolate_table
 from pepperscene.scene import Scene, Sky
 
 Array = NDArray[np.float64]
@@ -205,7 +205,7 @@ def _alphas(surface: Surface) -> tuple[float, float]:
 
 def _shares_let_out(surface: Surface) -> tuple[float, float]:
     """Which share of the transmitted light the other side's cuticle lets out, from the front and the back."""
-    means = [openness(max(surface.ior, 1.0), alpha)[1] for alpha in _alphas(surface)]
+    means = [cuticle_transmittance(max(surface.ior, 1.0), alpha)[1] for alpha in _alphas(surface)]
     return min(means) / means[0], min(means) / means[1]
 
 
@@ -231,14 +231,14 @@ def _at_state(table: Array, state: Array) -> Array:
 def _cuticle(surface: Surface, shares: tuple[float, float], table: Array) -> dict[str, Any]:
     """All of a surface that is not in its vertices' colours."""
     ior = max(float(surface.ior), 1.0)
-    tables = [openness(ior, alpha)[0] for alpha in _alphas(surface)]
+    tables = [cuticle_transmittance(ior, alpha)[0] for alpha in _alphas(surface)]
     return {
         "ior": ior,
         "alpha": list(_alphas(surface)) if ior > 1.0 else [1.0, 1.0],
         "translucent": bool(table[:, 2].any()),
         "two_sided": bool(np.abs(table[:, 0] - table[:, 1]).max() > 0.0),
         "let_out": list(shares),
-        "openness": interpolated(np.mean(tables, axis=0), _COSINES).tolist() if ior > 1.0 else [],
+        "openness": interpolate_table(np.mean(tables, axis=0), _COSINES).tolist() if ior > 1.0 else [],
     }
 
 

@@ -28,7 +28,7 @@ from pepperscene.bench.cycles_settings import REFERENCE, STANDARD_SETTINGS, Cycl
 from pepperscene.bench.reference import codes, rms
 from pepperscene.bench.scenes import SCENES, resized, scenes_named, size_of
 from pepperscene.camera import Camera
-from pepperscene.errors import InputError, PepperError
+from pepperscene.errors import ArgumentError, PepperError
 
 
 @dataclass(frozen=True)
@@ -118,11 +118,11 @@ def measure(
         InputError: there is no such scene.
         SetupError: there is no bpy, or Blender failed.
     """
-    from pepperscene.dataset import Stage
+    from pepperscene.dataset import FrameRenderer
 
     (chosen,) = scenes_named(scene_name)
     recipe = chosen.load()
-    stage, shot = Stage(recipe), recipe.plan.shot(chosen.index)
+    stage, shot = FrameRenderer(recipe), recipe.plan.frame(chosen.index)
     camera = resized(stage.camera(shot), size)
     runs = render_cycles(stage.scene(shot), camera, settings, folder, seeds, threads=threads)
     reference = runs[-1]
@@ -160,7 +160,7 @@ def chosen_settings(names: str, reference_s: float) -> list[CyclesSetting]:
     unknown = [name for name in wanted if name not in by_name]
     if unknown:
         allowed = f"unknown setting {unknown[0]!r}; allowed are {', '.join(by_name)}"
-        raise InputError("--settings", "", None, allowed)
+        raise ArgumentError("settings", allowed)
     return [
         *(by_name[name] for name in (wanted or by_name)),
         dataclasses.replace(REFERENCE, limit_s=reference_s),

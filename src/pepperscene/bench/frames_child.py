@@ -111,13 +111,13 @@ def clocked(times: Times, what: str, inner: Callable[..., Any]) -> Callable[...,
 
 
 def clock_plants(times: Times) -> None:
-    """Clock what makes a plant wherever it is called from here on; `settle` of single plants alone."""
+    """Clock the functions that make a plant; `resolve_contacts` of single plants alone."""
     from pepperscene import geometry, grammar, scene
 
     grammar.grow = clocked(times, "grow", grammar.grow)
     geometry.mesh_plant = clocked(times, "mesh", geometry.mesh_plant)
-    scene.with_twine = clocked(times, "twine", scene.with_twine)
-    settle = geometry.settle
+    scene.add_twine = clocked(times, "twine", scene.add_twine)
+    settle = geometry.resolve_contacts
 
     def settled(*args: Any, between_plants: bool = False, **kwargs: Any) -> Any:
         if between_plants:
@@ -125,7 +125,7 @@ def clock_plants(times: Times) -> None:
         with timed(times, "settle plants"):
             return settle(*args, **kwargs)
 
-    geometry.settle = settled
+    geometry.resolve_contacts = settled
 
 
 def clock_light(times: Times) -> None:
@@ -146,11 +146,11 @@ def frames(asked: Asked) -> dict[str, Any]:
     plant_times: Times = {}
     with timed(scene_times, "import"):
         import pepperscene as ps
-        from pepperscene.dataset import Stage
+        from pepperscene.dataset import FrameRenderer
         from pepperscene.frame import OUTPUTS, check_outputs
-        from pepperscene.render.variant import kernel, variant_name
+        from pepperscene.render.variant import mitsuba_modules, variant_name
     with timed(scene_times, "start Mitsuba"):
-        kernel()
+        mitsuba_modules()
     # The bench's own are no part of a frame.
     from pepperscene.bench.records import peak_mib
     from pepperscene.bench.scenes import resized
@@ -160,8 +160,8 @@ def frames(asked: Asked) -> dict[str, Any]:
 
     clock_plants(plant_times)
     recipe = ps.load_recipe(asked.recipe, asked.changes)
-    plan, stage = recipe.plan, Stage(recipe)
-    shot = plan.shot(asked.index)
+    plan, stage = recipe.plan, FrameRenderer(recipe)
+    shot = plan.frame(asked.index)
     scene = _scene(stage, shot, traced, asked.divided, scene_times)
 
     steps: Times = {}
@@ -170,7 +170,7 @@ def frames(asked: Asked) -> dict[str, Any]:
     begin, found, peaks = asked.index - shot.step, [], []
     with tempfile.TemporaryDirectory() as folder:
         for number in range(asked.frames + 1):
-            view = plan.shot(begin + (shot.step + number) % plan.frames)
+            view = plan.frame(begin + (shot.step + number) % plan.frames)
             camera = resized(stage.camera(view), asked.size)
             steps.clear()
             with timed(steps, "render"):

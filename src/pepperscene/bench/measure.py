@@ -9,7 +9,7 @@ from time import perf_counter
 from typing import Any, Final
 
 from pepperscene.bench.reference import Converged, Errors, errors
-from pepperscene.bench.scenes import Subject
+from pepperscene.bench.scenes import BenchSubject
 from pepperscene.bench.settings import Setting
 
 Told = Callable[[str], None]
@@ -20,7 +20,7 @@ _WARM_SHARE: Final = 0.5
 
 
 @dataclass(frozen=True)
-class Measured:
+class BenchResult:
     """What a setting took and what came of it.
 
     Attributes:
@@ -59,8 +59,8 @@ class Measured:
         return statistics.median(self.seconds)
 
 
-def measure(
-    subject: Subject,
+def measure_settings(
+    subject: BenchSubject,
     settings: Sequence[Setting],
     reference: Converged,
     runs: int,
@@ -69,7 +69,7 @@ def measure(
     limit_s: float | None = None,
     told: Told = lambda _: None,
     clock: Clock = perf_counter,
-) -> list[Measured]:
+) -> list[BenchResult]:
     """Measure settings on a subject.
 
     Each setting renders the frame whose error is taken, which compiles what it needs and is not timed. Then
@@ -100,7 +100,7 @@ def measure(
         found = found.without(reference.error_codes, reference.relative_mse)
         told(f"{subject.name}: {_name(setting)}: {found.rmse_codes:.2f} codes, first frame {took:.2f} s")
         firsts.append(
-            (setting, took, found, frame.facts.get("sampling", {}), str(frame.facts.get("variant", "")))
+            (setting, took, found, frame.metadata.get("sampling", {}), str(frame.metadata.get("variant", "")))
         )
         # A picture of 4k holds 100 MB.
         del frame
@@ -117,7 +117,7 @@ def measure(
             seconds[number].append(clock() - before)
         told(f"{subject.name}: round {turn + 1} of {runs} done")
     return [
-        Measured(
+        BenchResult(
             subject.name, setting.family, setting.name, setting.effort(), found, tuple(times), took, facts, by
         )
         for (setting, took, found, facts, by), times in zip(firsts, seconds, strict=True)

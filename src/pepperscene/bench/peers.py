@@ -17,9 +17,9 @@ from pepperscene.bench.cycles import CyclesRun, available, bpy_python, render_cy
 from pepperscene.bench.cycles_scene import pinhole
 from pepperscene.bench.cycles_settings import REFERENCE, STANDARD_SETTINGS, CyclesSetting
 from pepperscene.bench.cycles_table import reference_error
-from pepperscene.bench.measure import Measured, Told
+from pepperscene.bench.measure import BenchResult, Told
 from pepperscene.bench.reference import Errors, errors, read_arrays, relative_mse, write_arrays
-from pepperscene.bench.scenes import Subject
+from pepperscene.bench.scenes import BenchSubject
 from pepperscene.errors import SetupError
 
 CYCLES: Final = "Cycles"
@@ -46,8 +46,14 @@ def check_peers() -> None:
 
 
 def measure_cycles(
-    subject: Subject, folder: Path, runs: int, *, quick: bool, flip: bool = True, told: Told = lambda _: None
-) -> tuple[list[Measured], float | None]:
+    subject: BenchSubject,
+    folder: Path,
+    runs: int,
+    *,
+    quick: bool,
+    flip: bool = True,
+    told: Told = lambda _: None,
+) -> tuple[list[BenchResult], float | None]:
     """Cycles' settings on a subject, and the estimated error of its reference in codes (None: not known).
 
     Args:
@@ -85,7 +91,7 @@ def measure_cycles(
         wrong = wrong.without(own, float(kept["relative_mse"]))
         told(f"{subject.name}: Cycles, {run.setting.name}: {wrong.rmse_codes:.2f} codes, {run.seconds:.2f} s")
         found.append(
-            Measured(
+            BenchResult(
                 scene=subject.name,
                 family=family(run.setting),
                 name=run.setting.name,
@@ -125,6 +131,6 @@ def _relative(run: CyclesRun) -> float:
     return relative_mse(run.mean + (halves[0] - halves[1]) / 2, run.mean)
 
 
-def _digest(subject: Subject, setting: CyclesSetting) -> str:
+def _digest(subject: BenchSubject, setting: CyclesSetting) -> str:
     told = json.dumps(dataclasses.asdict(setting), sort_keys=True)
     return hashlib.sha256(f"{subject.digest()}{told}".encode()).hexdigest()[:20]

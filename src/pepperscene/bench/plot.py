@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from pepperscene.bench.measure import Measured
+from pepperscene.bench.measure import BenchResult
 from pepperscene.bench.peers import CYCLES
 from pepperscene.bench.settings import NAMED, OUR_FAMILIES, PATH, PLAIN
 from pepperscene.bench.tables import Point, front
@@ -31,7 +31,7 @@ _DASHES: Final[tuple[Any, ...]] = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)
 
 
 def pareto(
-    measured: Sequence[Measured], title: str, subtitle: str, floor: float | None = None
+    measured: Sequence[BenchResult], title: str, subtitle: str, floor: float | None = None
 ) -> dict[str, bytes]:
     """The plot of one scene as `png` and `svg`.
 
@@ -64,7 +64,7 @@ def pareto(
             pyplot.close(figure)
 
 
-def _draw(axes: Any, measured: Sequence[Measured], floor: float | None) -> None:
+def _draw(axes: Any, measured: Sequence[BenchResult], floor: float | None) -> None:
     from matplotlib.ticker import LogLocator, StrMethodFormatter
 
     axes.set_xscale("log")

@@ -16,11 +16,11 @@ from typing import Any, Final
 
 from pepperscene.bench.frames_child import PLANT_STAGES, Asked
 from pepperscene.bench.measure import Told
-from pepperscene.bench.records import FORMAT, machine, plain, sentence, write_all
-from pepperscene.bench.run import LEAST_RUNS, Bench, check_arguments
+from pepperscene.bench.records import FORMAT, machine_info, plain, sentence, write_all
+from pepperscene.bench.run import LEAST_RUNS, BenchmarkFiles, check_arguments
 from pepperscene.bench.scenes import SCENES, BenchScene
 from pepperscene.bench.tables import time_table
-from pepperscene.dataset.store.atomic import json_bytes
+from pepperscene.dataset.store.atomic import canonical_json
 from pepperscene.errors import SetupError
 
 _CHILD: Final = Path(__file__).with_name("frames_child.py")
@@ -86,7 +86,7 @@ _SCENE: Final = (
 _ONE_PROCESS: Final = {"PEPPERSCENE_PROCESSES": "1"}
 
 
-def profile(
+def profile_frames(
     out: str | Path,
     scenes: Sequence[BenchScene] = tuple(SCENES.values()),
     size: tuple[int, int] | None = None,
@@ -94,14 +94,14 @@ def profile(
     runs: int = LEAST_RUNS,
     quick: bool = False,
     told: Told = lambda _: None,
-) -> Bench:
+) -> BenchmarkFiles:
     """Measure the stages of first and following frames, labels alone, and the start-up; write `profile.*`.
 
     Args, Raises: as `bench`; no extra is needed. `quick` takes drafts.
     """
     folder = Path(out)
     check_arguments(folder, runs)
-    on, quality = machine(), "draft" if quick else "standard"
+    on, quality = machine_info(), "draft" if quick else "standard"
     chapters, found = [sentence(on)], {}
     for scene in scenes:
         asked = Asked(scene.recipe, dict(scene.changes), scene.index, size, runs, quality=quality)
@@ -126,8 +126,8 @@ def profile(
     chapters += ["#### Start-up", time_table(start_up.items())]
     markdown = "\n\n".join(chapters) + "\n"
     record = {"format": FORMAT, "machine": on, "scenes": found, "start_up": start_up}
-    files = {"profile.json": json_bytes(plain(record)), "profile.md": markdown.encode()}
-    return Bench(write_all(folder, files), markdown)
+    files = {"profile.json": canonical_json(plain(record)), "profile.md": markdown.encode()}
+    return BenchmarkFiles(write_all(folder, files), markdown)
 
 
 def _measured(asked: Asked, runs: int, name: str, told: Told) -> dict[str, Any]:

@@ -16,8 +16,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
 
-from pepperscene.bench.measure import Measured
-from pepperscene.dataset.store.atomic import json_bytes, replacing
+from pepperscene.bench.measure import BenchResult
+from pepperscene.dataset.store.atomic import atomic_write, canonical_json
 from pepperscene.errors import OutputError
 
 PACKAGES: Final = (
@@ -25,7 +25,7 @@ PACKAGES: Final = (
 )  # fmt: skip
 
 
-def machine() -> dict[str, Any]:
+def machine_info() -> dict[str, Any]:
     """What figures are taken on, ready for JSON."""
     return {
         "date": datetime.date.today().isoformat(),
@@ -106,7 +106,7 @@ EFFORT: Final = (
 """Of a setting, in the table; all of it is in the JSON."""
 
 
-def row(one: Measured) -> dict[str, Any]:
+def row(one: BenchResult) -> dict[str, Any]:
     """A measurement, ready for JSON; None for what is not known."""
     wrong = one.errors
     return {
@@ -127,7 +127,7 @@ def row(one: Measured) -> dict[str, Any]:
     }
 
 
-def csv_text(measured: Sequence[Measured]) -> str:
+def csv_text(measured: Sequence[BenchResult]) -> str:
     """A line for each setting, its times in the last columns."""
     most = max((len(one.seconds) for one in measured), default=0)
     head = (
@@ -161,7 +161,7 @@ def write_all(folder: Path, files: Mapping[str, bytes]) -> tuple[Path, ...]:
         folder.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
             for name, content in files.items():
-                stack.enter_context(replacing(folder / name)).write_bytes(content)
+                stack.enter_context(atomic_write(folder / name)).write_bytes(content)
     except OSError as fault:
         raise OutputError(f"{fault.filename or folder}: cannot be written ({fault.strerror})") from None
     return tuple(folder / name for name in files)
@@ -169,7 +169,7 @@ def write_all(folder: Path, files: Mapping[str, bytes]) -> tuple[Path, ...]:
 
 def plain(content: Any) -> Any:
     """The content as JSON gives it back: tables, lists, text and finite numbers."""
-    return json.loads(json_bytes(_without_nan(content)))
+    return json.loads(canonical_json(_without_nan(content)))
 
 
 def _without_nan(thing: Any) -> Any:

@@ -14,9 +14,9 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.bench.scenes import Subject
-from pepperscene.camera import Camera, camera_rgb, corrected
-from pepperscene.dataset.store.atomic import replacing
+from pepperscene.bench.scenes import BenchSubject
+from pepperscene.camera import Camera, camera_rgb, correct_colours
+from pepperscene.dataset.store.atomic import atomic_write
 from pepperscene.errors import SetupError
 from pepperscene.render import Quality
 
@@ -37,7 +37,7 @@ def write_arrays(path: Path, **arrays: Any) -> None:
         OSError: it cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as temporary, temporary.open("wb") as file:
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
         np.savez(file, **arrays)
 
 
@@ -99,9 +99,9 @@ def errors(
 def codes(electrons: NDArray[Any], camera: Camera) -> NDArray[np.float64]:
     """`(h, w, c)` the developed picture without noise, in codes of 8 bits, 0 to 255, not rounded."""
     exact = dataclasses.replace(camera, developing=dataclasses.replace(camera.developing, quantise=False))
-    linear = np.clip(np.asarray(corrected(camera_rgb(electrons, exact), exact), float), 0.0, 1.0)
+    linear = np.clip(np.asarray(correct_colours(camera_rgb(electrons, exact), exact), float), 0.0, 1.0)
     if camera.developing.tone == "srgb":
-        # IEC 61966-2-1, as `pepperscene.camera.encode` has it with rounding.
+        # IEC 61966-2-1, as `pepperscene.camera.encode_tone` has it with rounding.
         linear = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     return linear * 255.0
 
@@ -220,7 +220,7 @@ class Halves:
 
 
 def converged(
-    subject: Subject,
+    subject: BenchSubject,
     folder: Path,
     quality: str | Quality = "reference",
     wanted_codes: float = SHARE * SMALLEST_ERROR,

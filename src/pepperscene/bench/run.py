@@ -9,19 +9,19 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
 
-from pepperscene.bench.measure import Measured, Told, measure
+from pepperscene.bench.measure import BenchResult, Told, measure_settings
 from pepperscene.bench.peers import check_peers, measure_cycles
 from pepperscene.bench.plot import pareto
-from pepperscene.bench.records import FORMAT, csv_text, machine, plain, row, sentence, write_all
+from pepperscene.bench.records import FORMAT, csv_text, machine_info, plain, row, sentence, write_all
 from pepperscene.bench.reference import Converged, check_extra, converged
-from pepperscene.bench.scenes import SCENES, BenchScene, RendererFactory, subject
+from pepperscene.bench.scenes import SCENES, BenchScene, RendererFactory, bench_subject
 from pepperscene.bench.settings import settings
 from pepperscene.bench.tables import error_table, ratio_table, ratios
 from pepperscene.bench.variants import measure_variant, other_variants
 from pepperscene.camera import Camera
-from pepperscene.dataset.store.atomic import json_bytes
-from pepperscene.dataset.store.folder import examine_place
-from pepperscene.errors import InputError, OutputError
+from pepperscene.dataset.store.atomic import canonical_json
+from pepperscene.dataset.store.folder import check_can_create
+from pepperscene.errors import ArgumentError, OutputError
 from pepperscene.render import QUALITIES
 
 LEAST_RUNS: Final = 5
@@ -38,7 +38,7 @@ _QUICK: Final = dataclasses.replace(QUALITIES["reference"], samples=64, soft=64,
 
 
 @dataclass(frozen=True)
-class Bench:
+class BenchmarkFiles:
     """What came out.
 
     Attributes:
@@ -57,11 +57,11 @@ class _SceneResult:
     triangles: int
     of_triangles: int
     reference: Converged
-    measured: tuple[Measured, ...]
+    measured: tuple[BenchResult, ...]
     cycles_floor: float | None
 
 
-def bench(
+def run_benchmark(
     out: str | Path,
     scenes: Sequence[BenchScene] = tuple(SCENES.values()),
     size: tuple[int, int] | None = None,
@@ -72,7 +72,7 @@ def bench(
     peers: bool = False,
     factory: RendererFactory | None = None,
     told: Told = lambda _: None,
-) -> Bench:
+) -> BenchmarkFiles:
     """Measure run time against error and write what came of it.
 
     Args:
@@ -96,7 +96,7 @@ def bench(
     check_extra()
     if peers:
         check_peers()
-    on = machine()
+    on = machine_info()
     share = None if budget_s is None else budget_s / len(scenes)
     results = []
     for scene in scenes:
@@ -111,13 +111,13 @@ def bench(
     }
     markdown = "\n\n".join([sentence(on), *(_chapter(one) for one in results)]) + "\n"
     files = {
-        "results.json": json_bytes(plain(found)),
+        "results.json": canonical_json(plain(found)),
         "results.csv": csv_text([one for result in results for one in result.measured]).encode(),
         "results.md": markdown.encode(),
     }
     for one in results:
         files |= _plots(one)
-    return Bench(write_all(folder, files), markdown)
+    return BenchmarkFiles(write_all(folder, files), markdown)
 
 
 def check_arguments(folder: Path, runs: int, budget_s: float | None = None) -> None:
@@ -128,10 +128,10 @@ def check_arguments(folder: Path, runs: int, budget_s: float | None = None) -> N
         OutputError: the folder cannot be written to.
     """
     if runs < 1:
-        raise InputError("--runs", "", None, f"{runs} must be at least 1")
+        raise ArgumentError("runs", f"{runs} must be at least 1")
     if budget_s is not None and not budget_s > 0.0:
-        raise InputError("--budget", "", None, f"{budget_s:g} must be above 0 seconds")
-    examine_place(folder)
+        raise ArgumentError("budget", f"{budget_s:g} must be above 0 seconds")
+    check_can_create(folder)
 
 
 def _measured(
@@ -147,7 +147,7 @@ def _measured(
 ) -> _SceneResult:
     told(f"{scene.name}: {scene.meaning}")
     start = perf_counter()
-    here = subject(scene, size, runs, factory)
+    here = bench_subject(scene, size, runs, factory)
     references = folder / REFERENCES
     limit = 0.0 if quick else None if share is None else _REFERENCE_SHARE * share
     effort = _QUICK if quick else QUALITIES["reference"]
@@ -156,7 +156,7 @@ def _measured(
     if share is not None:
         # What a reference out of the cache leaves is for the measuring.
         limit = max(share - (perf_counter() - start), _REFERENCE_SHARE * share)
-    found = measure(here, settings(quick=quick), reference, runs, limit_s=limit, told=told)
+    found = measure_settings(here, settings(quick=quick), reference, runs, limit_s=limit, told=told)
     if factory is None:
         for variant in other_variants():
             told(f"{scene.name}: {variant}")

@@ -12,11 +12,11 @@ from typing import Any, Final
 from pepperscene.bench.frames_child import Asked
 from pepperscene.bench.measure import Told
 from pepperscene.bench.profile import in_child, in_children
-from pepperscene.bench.records import FORMAT, cores, machine, plain, sentence, write_all
-from pepperscene.bench.run import LEAST_RUNS, Bench, check_arguments
+from pepperscene.bench.records import FORMAT, cores, machine_info, plain, sentence, write_all
+from pepperscene.bench.run import LEAST_RUNS, BenchmarkFiles, check_arguments
 from pepperscene.bench.scenes import SCENES, BenchScene
 from pepperscene.bench.tables import duration
-from pepperscene.dataset.store.atomic import json_bytes
+from pepperscene.dataset.store.atomic import canonical_json
 
 _PLANTS: Final = ((1, 0), (3, 0), (4, 3), (7, 6), (14, 12))
 """Front and back row."""
@@ -31,7 +31,7 @@ _FRAMES: Final = 40
 """Of the run that is watched for growth."""
 
 
-def scaling(
+def measure_scaling(
     out: str | Path,
     scenes: Sequence[BenchScene] = (SCENES["standard"],),
     size: tuple[int, int] | None = None,
@@ -39,14 +39,14 @@ def scaling(
     runs: int = LEAST_RUNS,
     quick: bool = False,
     told: Told = lambda _: None,
-) -> Bench:
+) -> BenchmarkFiles:
     """Measure the cost against plants, triangles, pixels, frames and workers; write `scaling.*`.
 
     Args, Raises: as `bench`; no extra is needed. `quick` takes drafts of fewer and smaller scenes.
     """
     folder = Path(out)
     check_arguments(folder, runs)
-    on, quality = machine(), "draft" if quick else "standard"
+    on, quality = machine_info(), "draft" if quick else "standard"
     chapters, found = [sentence(on)], {}
     for scene in scenes:
         asked = Asked(scene.recipe, dict(scene.changes), scene.index, size, runs, quality=quality)
@@ -63,8 +63,8 @@ def scaling(
         chapters += [f"#### {scene.name.capitalize()}, quality `{quality}`", *map(_table, one.values())]
     markdown = "\n\n".join(chapters) + "\n"
     record = {"format": FORMAT, "machine": on, "scenes": found}
-    files = {"scaling.json": json_bytes(plain(record)), "scaling.md": markdown.encode()}
-    return Bench(write_all(folder, files), markdown)
+    files = {"scaling.json": canonical_json(plain(record)), "scaling.md": markdown.encode()}
+    return BenchmarkFiles(write_all(folder, files), markdown)
 
 
 def _plants(asked: Asked, quick: bool, told: Told) -> list[dict[str, Any]]:

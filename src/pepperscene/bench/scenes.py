@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.dataset import Stage
-from pepperscene.errors import InputError
+from pepperscene.dataset import FrameRenderer
+from pepperscene.errors import ArgumentError
 from pepperscene.frame import Frame
 from pepperscene.render import Quality
 from pepperscene.scene import Scene
@@ -92,7 +92,7 @@ def scenes_named(names: str) -> tuple[BenchScene, ...]:
     unknown = [name for name in wanted if name not in SCENES]
     if unknown or not wanted:
         told = f"unknown scene {unknown[0]!r}" if unknown else "no scene is named"
-        raise InputError("--scene", "", None, f"{told}; allowed are {', '.join(SCENES)}")
+        raise ArgumentError("scene", f"{told}; allowed are {', '.join(SCENES)}")
     return tuple(scene for name, scene in SCENES.items() if name in wanted)
 
 
@@ -105,7 +105,7 @@ def size_of(text: str) -> tuple[int, int]:
     found = _SIZE.fullmatch(text.strip())
     size = (int(found[1]), int(found[2])) if found else (0, 0)
     if not 1 <= min(size) <= max(size) <= _LARGEST:
-        raise InputError("--size", "", None, f"{text!r} must be WIDTHxHEIGHT, each 1 to {_LARGEST} pixels")
+        raise ArgumentError("size", f"{text!r} must be WIDTHxHEIGHT, each 1 to {_LARGEST} pixels")
     return size
 
 
@@ -156,7 +156,7 @@ RendererFactory = Callable[[Scene], BenchRenderer]
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
+class BenchSubject:
     """What is measured.
 
     Attributes:
@@ -196,12 +196,12 @@ class Subject:
         return found.hexdigest()
 
 
-def subject(
+def bench_subject(
     bench_scene: BenchScene,
     size: tuple[int, int] | None,
     frames: int,
     factory: RendererFactory | None = None,
-) -> Subject:
+) -> BenchSubject:
     """A bench scene made ready.
 
     Args:
@@ -214,14 +214,14 @@ def subject(
         SetupError: the machine cannot render.
     """
     recipe = bench_scene.load()
-    stage, plan, make = Stage(recipe), recipe.plan, factory or _renderer
-    shot = plan.shot(bench_scene.index)
-    whole, scene = Stage(recipe, culled=False).scene(shot), stage.scene(shot)
+    stage, plan, make = FrameRenderer(recipe), recipe.plan, factory or _renderer
+    shot = plan.frame(bench_scene.index)
+    whole, scene = FrameRenderer(recipe, culled=False).scene(shot), stage.scene(shot)
     # Neighbours on the path, as a build goes through them; they stay in the same scene.
     first = bench_scene.index - bench_scene.index % plan.frames
     steps = [(shot.step + 1 + number) % plan.frames for number in range(frames)]
-    cameras = [resized(stage.camera(plan.shot(first + step)), size) for step in steps]
-    return Subject(
+    cameras = [resized(stage.camera(plan.frame(first + step)), size) for step in steps]
+    return BenchSubject(
         bench_scene.name,
         whole,
         scene,

@@ -6,7 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any, Final, get_args
 
-from pepperscene.render import QUALITIES, Quality, quality_of
+from pepperscene.render import QUALITIES, Quality, resolve_quality
 from pepperscene.render.quality import Sampler
 
 OURS: Final = "ours, adaptive"
@@ -64,7 +64,7 @@ def _named(names: tuple[str, ...]) -> list[Setting]:
 
 def _adaptive(targets: tuple[float, ...]) -> list[Setting]:
     """The standard quality with other target errors."""
-    return [Setting(OURS, f"target {one:g}", quality_of("standard", one)) for one in targets]
+    return [Setting(OURS, f"target {one:g}", resolve_quality("standard", one)) for one in targets]
 
 
 def _fixed(counts: tuple[int, ...]) -> list[Setting]:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from pepperscene.bench.measure import Measured
+from pepperscene.bench.measure import BenchResult
 from pepperscene.bench.peers import CYCLES
 from pepperscene.bench.settings import NAMED, OUR_FAMILIES, PLAIN
 
@@ -100,7 +100,7 @@ OF_NOTE: tuple[float, ...] = (1.0,)
 """Errors in codes that every scene is compared at, beside those of the named qualities."""
 
 
-def error_table(measured: Sequence[Measured]) -> str:
+def error_table(measured: Sequence[BenchResult]) -> str:
     """Error and time of each setting of one scene."""
     lines = [
         "| way | setting | RMSE, codes | relative MSE | FLIP | median | least | most | runs |",
@@ -117,7 +117,7 @@ def error_table(measured: Sequence[Measured]) -> str:
     return "\n".join(lines)
 
 
-def ratios(measured: Sequence[Measured]) -> list[dict[str, Any]]:
+def ratios(measured: Sequence[BenchResult]) -> list[dict[str, Any]]:
     """How long others take for the errors that ours reaches, on one scene; see `equal_error`."""
     ours = _points(measured, lambda family: family in OUR_FAMILIES)
     named = {one.errors.rmse_codes: one for one in measured if one.family == NAMED}
@@ -168,7 +168,7 @@ def duration(seconds: float) -> str:
     return f"{1e3 * seconds:,.0f} ms" if seconds < 9.9995 else f"{seconds:,.1f} s"
 
 
-def _points(measured: Sequence[Measured], wanted: Any) -> list[tuple[float, float]]:
+def _points(measured: Sequence[BenchResult], wanted: Any) -> list[tuple[float, float]]:
     found = [(one.median_s, one.errors.rmse_codes) for one in measured if wanted(one.family)]
     return front(point for point in found if point[1] > 0.0)
 

@@ -13,9 +13,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pepperscene.bench.measure import Measured, measure
+from pepperscene.bench.measure import BenchResult, measure_settings
 from pepperscene.bench.reference import Errors, converged
-from pepperscene.bench.scenes import SCENES, subject
+from pepperscene.bench.scenes import SCENES, bench_subject
 from pepperscene.bench.settings import NAMED, settings
 from pepperscene.errors import SetupError
 
@@ -35,7 +35,7 @@ def other_variants() -> tuple[str, ...]:
 
 def measure_variant(
     variant: str, scene: str, size: tuple[int, int] | None, runs: int, references: Path, *, quick: bool
-) -> list[Measured]:
+) -> list[BenchResult]:
     """The named qualities of a scene with another variant.
 
     Raises:
@@ -52,18 +52,18 @@ def measure_variant(
         last = (done.stderr.strip().splitlines() or ["no word"])[-1]
         raise SetupError(f"{variant} failed in a process of its own: {last}")
     return [
-        Measured(**{**one, "errors": Errors(**one["errors"]), "seconds": tuple(one["seconds"])})
+        BenchResult(**{**one, "errors": Errors(**one["errors"]), "seconds": tuple(one["seconds"])})
         for one in json.loads(done.stdout.splitlines()[-1])
     ]
 
 
 def _child(asked: dict[str, Any]) -> list[dict[str, Any]]:
     size = tuple(asked["size"]) if asked["size"] else None
-    measured_at = subject(SCENES[asked["scene"]], size, asked["runs"])
+    measured_at = bench_subject(SCENES[asked["scene"]], size, asked["runs"])
     # The parent has rendered the reference; what is there is taken as it is.
     reference = converged(measured_at, Path(asked["references"]), limit_s=0.0)
     chosen = [one for one in settings(quick=asked["quick"]) if one.family == NAMED]
-    found = [asdict(one) for one in measure(measured_at, chosen, reference, asked["runs"])]
+    found = [asdict(one) for one in measure_settings(measured_at, chosen, reference, asked["runs"])]
     return [{**one, "family": f"{NAMED}, {one['variant']}"} for one in found]
 
 

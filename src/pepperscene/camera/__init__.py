@@ -1,14 +1,14 @@
 """The camera room: lens, sensor, flash, poses, and the way from light to a photograph."""
 
 from pepperscene.camera.camera import Camera, expected_electrons, relative_illumination
-from pepperscene.camera.colorimetry import Correction
+from pepperscene.camera.colorimetry import ColourCorrection
 from pepperscene.camera.developing import (
     camera_rgb,
-    colour_steps,
-    corrected,
-    decode,
+    colour_transform,
+    correct_colours,
+    decode_tone,
     develop,
-    encode,
+    encode_tone,
     raw_frame,
     reference_correction,
 )
@@ -21,7 +21,7 @@ from pepperscene.camera.sensor import Filter, Sensor, load_filter, load_sensor
 __all__ = [
     "AngularProfile",
     "Camera",
-    "Correction",
+    "ColourCorrection",
     "Developing",
     "Distortion",
     "Filter",
@@ -30,11 +30,11 @@ __all__ = [
     "Sensor",
     "arc_path",
     "camera_rgb",
-    "colour_steps",
-    "corrected",
-    "decode",
+    "colour_transform",
+    "correct_colours",
+    "decode_tone",
     "develop",
-    "encode",
+    "encode_tone",
     "expected_electrons",
     "load_filter",
     "load_flash",

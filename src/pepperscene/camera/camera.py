@@ -59,7 +59,7 @@ class Camera:
             raise ValueError("the exposure must be positive")
         if self.focus_m is not None and not self.lens.focal_length_m < self.focus_m < math.inf:
             nearest = f"must be finite and beyond the focal length of {self.lens.focal_length_m:g} m"
-            raise InputError(self.lens.name, "focus_m", self.focus_m, nearest)
+            raise InputError(self.lens.name, nearest, key="focus_m", value=self.focus_m)
         pose.setflags(write=False)
         object.__setattr__(self, "pose", pose)
         _check_distortion(self.lens, self.sensor)
@@ -121,7 +121,7 @@ class Camera:
         with np.errstate(over="ignore", invalid="ignore"):  # points that all but touch the camera's own plane
             return self.lens.distortion.distorted(slopes) * matrix[[0, 1], [0, 1]] + matrix[:2, 2]
 
-    def facts(self) -> dict[str, Any]:
+    def metadata(self) -> dict[str, Any]:
         """JSON-ready description."""
         matrix = self.intrinsics
         return {
@@ -172,7 +172,9 @@ def _ideal(lens: Lens, sensor: Sensor, u: ArrayLike, v: ArrayLike) -> NDArray[np
         return lens.distortion.undistorted((pixels - matrix[:2, 2]) / matrix[[0, 1], [0, 1]])
     except ValueError as fault:
         allowed = f"must be invertible over the whole picture of {sensor.name}, but {fault}"
-        raise InputError(lens.name, "distortion", dataclasses.asdict(lens.distortion), allowed) from None
+        raise InputError(
+            lens.name, allowed, key="distortion", value=dataclasses.asdict(lens.distortion)
+        ) from None
 
 
 @lru_cache(maxsize=8)

@@ -40,13 +40,13 @@ _KNEE: Final = (6.0 / 29.0) ** 3  # of CIELAB: below, its cube root becomes a li
 
 
 @lru_cache(maxsize=1)
-def observer() -> Spectrum:
+def cie_1931_observer() -> Spectrum:
     """CIE 1931 colour matching functions, `(3, n)`, 360 to 830 nm."""
     columns = read_spectra(OBSERVER)
     return Spectrum(columns["x"].wavelength_nm, np.stack([columns[name].values for name in "xyz"]))
 
 
-def adaptation(white: ArrayLike) -> Array:
+def bradford_adaptation(white: ArrayLike) -> Array:
     """`(3, 3)` what brings XYZ seen under a light of the given white, `(3,)`, to D65: von Kries' rule in
     Bradford's space.
     """
@@ -54,7 +54,7 @@ def adaptation(white: ArrayLike) -> Array:
     return np.asarray(np.linalg.inv(_BRADFORD) @ (gains[:, None] * _BRADFORD))
 
 
-def lab(xyz: ArrayLike) -> Array:
+def xyz_to_lab(xyz: ArrayLike) -> Array:
     """`(..., 3)` CIELAB of XYZ (white at Y = 1) under D65."""
     share = np.asarray(xyz, float) / D65_WHITE
     line = share / (3.0 * (6.0 / 29.0) ** 2) + 4.0 / 29.0
@@ -70,7 +70,7 @@ _LARGEST_ENTRY = 20.0  # chosen: of a matrix; broad lights need 2, and noise gro
 
 
 @dataclass(frozen=True, eq=False)
-class Correction:
+class ColourCorrection:
     """How camera_rgb under a light becomes linear sRGB: `matrix @ (gains * rgb)`.
 
     Attributes:
@@ -91,7 +91,7 @@ class Correction:
 
 
 @lru_cache(maxsize=32)
-def correction(sensor: Sensor, light: Spectrum) -> Correction:
+def colour_correction(sensor: Sensor, light: Spectrum) -> ColourCorrection:
     """Gains and matrix that render the 24 patches of a ColorChecker under `light` best.
 
     The aim is each patch's colour for the CIE 1931 observer under `light`, adapted to D65 (Bradford). The
@@ -102,23 +102,28 @@ def correction(sensor: Sensor, light: Spectrum) -> Correction:
         InputError: the light does not let this sensor tell colours apart: a colour of the sensor does not see
             it, hardly any of it is visible, or it is so narrow that the matrix would show noise alone.
     """
-    gains = white_gains(sensor, light)
+    gains = white_balance_gains(sensor, light)
     if not _visible_share(light) > _LEAST_VISIBLE:
         raise InputError(
-            sensor.name, "colour_matrix", True, "needs a visible reference light; leave the colour matrix out"
+            sensor.name,
+            "needs a visible reference light; leave the colour matrix out",
+            key="colour_matrix",
+            value=True,
         )
-    chart = chart_reflectances().at(_NM)
+    chart = colour_checker_reflectances().at(_NM)
     rgb = _seen(sensor, light, chart) / _seen(sensor, light, _WHITE)  # balanced, white diffuser at 1
 
     xyz = adapted_xyz(light, chart)
     matrix = _fit(rgb, _linear_start(rgb, xyz @ XYZ_TO_SRGB.T), xyz)
     if np.abs(matrix).max() > _LARGEST_ENTRY:
         allowed = "needs a reference light of more colours; leave the colour matrix out"
-        raise InputError(sensor.name, "colour_matrix", True, allowed)
-    return Correction(gains, matrix, np.stack([lab(xyz), lab(rgb @ matrix.T @ SRGB_TO_XYZ.T)]))
+        raise InputError(sensor.name, allowed, key="colour_matrix", value=True)
+    return ColourCorrection(
+        gains, matrix, np.stack([xyz_to_lab(xyz), xyz_to_lab(rgb @ matrix.T @ SRGB_TO_XYZ.T)])
+    )
 
 
-def white_gains(sensor: Sensor, light: Spectrum) -> Array:
+def white_balance_gains(sensor: Sensor, light: Spectrum) -> Array:
     """`(3,)` gains, the smallest 1, that make a white diffuser under `light` neutral.
 
     Raises:
@@ -127,7 +132,7 @@ def white_gains(sensor: Sensor, light: Spectrum) -> Array:
     (white,) = _seen(sensor, light, _WHITE)
     if not white.min() > 0:
         raise InputError(
-            sensor.name, "quantum_efficiency", None, "all three colours must see the reference light"
+            sensor.name, "all three colours must see the reference light", key="quantum_efficiency"
         )
     return np.asarray(white.max() / white)
 
@@ -140,16 +145,16 @@ def _seen(sensor: Sensor, light: Spectrum, reflectance: Array) -> Array:
 def _visible_share(light: Spectrum) -> float:
     """Of the light's power, weighted by the eye's luminous efficiency, whose peak is 1."""
     power = light.at(_NM)
-    return float(power @ observer().at(_NM)[1] / power.sum())
+    return float(power @ cie_1931_observer().at(_NM)[1] / power.sum())
 
 
 @lru_cache(maxsize=1)
-def daylight() -> Spectrum:
+def d65_spectrum() -> Spectrum:
     """CIE standard illuminant D65, relative; always the same object, so that corrections are kept."""
     return sky_spectrum("d65")
 
 
-def chart_reflectances() -> Spectrum:
+def colour_checker_reflectances() -> Spectrum:
     """`(24, n)` reflectances of the ColorChecker of ISO 17321-1, end values held."""
     patches = list(read_spectra(CHART).values())
     return Spectrum(patches[0].wavelength_nm, np.stack([patch.values for patch in patches]), "hold")
@@ -157,9 +162,9 @@ def chart_reflectances() -> Spectrum:
 
 def adapted_xyz(light: Spectrum, reflectance: Array) -> Array:
     """`(m, 3)` XYZ (white at Y = 1) of reflectances `(m, 801)` under `light`, adapted to D65."""
-    weight = light.at(_NM) * observer().at(_NM)
+    weight = light.at(_NM) * cie_1931_observer().at(_NM)
     white = weight.sum(axis=-1)
-    return np.asarray(reflectance @ weight.T / white[1] @ adaptation(white / white[1]).T)
+    return np.asarray(reflectance @ weight.T / white[1] @ bradford_adaptation(white / white[1]).T)
 
 
 def _matrix(free: Array) -> Array:
@@ -177,6 +182,8 @@ def _linear_start(rgb: Array, aim: Array) -> Array:
 def _fit(rgb: Array, start: Array, xyz: Array) -> Array:
     from scipy.optimize import least_squares
 
-    aim = lab(xyz)
-    found = least_squares(lambda free: (lab(rgb @ _matrix(free).T @ SRGB_TO_XYZ.T) - aim).ravel(), start)
+    aim = xyz_to_lab(xyz)
+    found = least_squares(
+        lambda free: (xyz_to_lab(rgb @ _matrix(free).T @ SRGB_TO_XYZ.T) - aim).ravel(), start
+    )
     return _matrix(found.x)

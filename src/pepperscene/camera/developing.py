@@ -9,8 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.camera import Camera
-from pepperscene.camera.colorimetry import Correction, correction, daylight, white_gains
-from pepperscene.camera.readout import Floats, Tone, demosaiced, gathered, read_out
+from pepperscene.camera.colorimetry import (
+    ColourCorrection,
+    colour_correction,
+    d65_spectrum,
+    white_balance_gains,
+)
+from pepperscene.camera.readout import Floats, Tone, bin_photosites, demosaic_image, read_out
 from pepperscene.spectra import Spectrum
 
 
@@ -32,8 +37,8 @@ def develop(
             flash that is not there.
         InputError: the reference light does not let the sensor tell colours apart.
     """
-    linear = corrected(camera_rgb(electrons, camera, rng), camera)
-    codes = encode(linear, camera.developing.tone)
+    linear = correct_colours(camera_rgb(electrons, camera, rng), camera)
+    codes = encode_tone(linear, camera.developing.tone)
     return np.repeat(codes, 3, axis=-1) if camera.sensor.channels == 1 else codes
 
 
@@ -63,16 +68,16 @@ def camera_rgb(electrons: ArrayLike, camera: Camera, rng: np.random.Generator | 
     sites -= np.float32(sensor.black_level_dn)
     sites /= np.float32(sensor.full_scale_dn - sensor.black_level_dn)
     if sensor.channels == 3 and sensor.binning == 1:
-        return demosaiced(sites, sensor.pattern, choice.demosaic)
-    return gathered(sites, sensor)
+        return demosaic_image(sites, sensor.pattern, choice.demosaic)
+    return bin_photosites(sites, sensor)
 
 
-def corrected(rgb: Floats, camera: Camera) -> Floats:
+def correct_colours(rgb: Floats, camera: Camera) -> Floats:
     """`(h, w, 3)` linear sRGB of camera_rgb, as far as the camera's `developing` asks for; may leave [0, 1].
 
-    The numbers are those of `colour_steps`. All channels clip where the one of the smallest gain does: at the
-    sensor's limit times that gain. So gains of k times the size give a picture k times as bright, clipped
-    light included, and below a smallest gain of 1 blown-out white stays below 1.
+    The numbers are those of `colour_transform`. All channels clip where the one of the smallest gain does:
+    at the sensor's limit times that gain. So gains of k times the size give a picture k times as bright,
+    clipped light included, and below a smallest gain of 1 blown-out white stays below 1.
 
     Monochrome camera_rgb `(h, w, 1)` passes through.
 
@@ -83,7 +88,7 @@ def corrected(rgb: Floats, camera: Camera) -> Floats:
     sensor, choice = camera.sensor, camera.developing
     if sensor.channels == 1:
         return rgb
-    gains, matrix = colour_steps(camera)
+    gains, matrix = colour_transform(camera)
     if choice.white_balance is not None:
         rgb = rgb * gains.astype(np.float32)
         if choice.saturation:
@@ -93,7 +98,7 @@ def corrected(rgb: Floats, camera: Camera) -> Floats:
     return rgb if choice.colour_matrix is False else rgb @ matrix.T.astype(np.float32)
 
 
-def colour_steps(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def colour_transform(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """White balance gains `(3,)` and colour matrix `(3, 3)` in use: linear sRGB is `matrix @ (gains * rgb)`.
 
     Each is the one that the camera's `developing` tells, or that of its reference light (see
@@ -109,7 +114,7 @@ def colour_steps(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float6
         gains = np.ones(3)
     elif isinstance(balance, str):
         # Not out of the whole correction: light without colours can be balanced all the same.
-        gains = white_gains(camera.sensor, _reference_light(camera))
+        gains = white_balance_gains(camera.sensor, _reference_light(camera))
     else:
         gains = np.array(balance)
 
@@ -120,7 +125,7 @@ def colour_steps(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float6
     return gains, matrix.copy()
 
 
-def encode(linear: Floats, tone: Tone = "srgb") -> NDArray[np.uint8]:
+def encode_tone(linear: Floats, tone: Tone = "srgb") -> NDArray[np.uint8]:
     """8-bit codes of linear values, clipped to [0, 1]; the sRGB curve of IEC 61966-2-1, or none."""
     value = np.clip(linear, np.float32(0), np.float32(1))
     if tone == "srgb":
@@ -131,8 +136,8 @@ def encode(linear: Floats, tone: Tone = "srgb") -> NDArray[np.uint8]:
     return np.rint(value * np.float32(255)).astype(np.uint8)
 
 
-def decode(codes: ArrayLike, tone: Tone = "srgb") -> NDArray[np.float64]:
-    """Linear values in [0, 1] of codes 0 to 255, of any shape: what `encode` gives these codes for.
+def decode_tone(codes: ArrayLike, tone: Tone = "srgb") -> NDArray[np.float64]:
+    """Linear values in [0, 1] of codes 0 to 255, of any shape: what `encode_tone` gives these codes for.
 
     Args:
         codes: 8-bit codes, or numbers between them (means of codes); what lies outside is clipped.
@@ -154,11 +159,11 @@ def _decoded(value: NDArray[np.float64], tone: Tone) -> NDArray[np.float64]:
     """Linear values of encoded ones in [0, 1]; the inverse of the curve of IEC 61966-2-1, or none."""
     if tone != "srgb":
         return value
-    # The standard rounds the knee to 0.04045; here it is where the curve of `encode` has it.
+    # The standard rounds the knee to 0.04045; here it is where the curve of `encode_tone` has it.
     return np.where(value <= 12.92 * 0.0031308, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 
 
-def reference_correction(camera: Camera) -> Correction:
+def reference_correction(camera: Camera) -> ColourCorrection:
     """Gains and colour matrix of the camera under its reference light, worked out once per sensor and light.
 
     That is the light of the white balance; where this names none, the flash, or daylight where there is no
@@ -169,7 +174,7 @@ def reference_correction(camera: Camera) -> Correction:
         InputError: the reference light does not let the sensor tell colours apart.
     """
     _check_colours(camera)
-    return correction(camera.sensor, _reference_light(camera))
+    return colour_correction(camera.sensor, _reference_light(camera))
 
 
 def _check_colours(camera: Camera) -> None:
@@ -181,7 +186,7 @@ def _reference_light(camera: Camera) -> Spectrum:
     choice = camera.developing.white_balance
     if choice == "flash" and camera.flash is None:
         raise ValueError('white balance "flash" needs a flash; choose "daylight"')
-    return daylight() if choice == "daylight" or camera.flash is None else camera.flash.spectrum
+    return d65_spectrum() if choice == "daylight" or camera.flash is None else camera.flash.spectrum
 
 
 def _checked(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating]:

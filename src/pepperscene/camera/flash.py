@@ -13,17 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from pepperscene.camera.lens import AngularProfile
-from pepperscene.document import Document, read_toml, validated
+from pepperscene.document import Document, read_toml, validate
 from pepperscene.errors import InputError
-from pepperscene.shipped import is_file, shelf
+from pepperscene.shipped import is_file, shipped_folder
 from pepperscene.spectra import Spectrum, with_illuminance
 from pepperscene.spectra.files import (
     CurveTable,
     Millimetres,
     NotNegative,
     SourcedDocument,
-    curve,
-    locate,
+    find_material,
+    read_curve,
 )
 
 _NODES: Final = 24  # of Gauss' quadrature; chosen: for each smooth piece exact to 1e-9 or better
@@ -221,8 +221,8 @@ def load_flash(wanted: str | Path) -> Flash:
     Raises:
         InputError: the file or its spectrum is missing or wrong; the message names file, key and value.
     """
-    path = locate("flashes", wanted)
-    told = validated(FlashDocument, read_toml(path), path)
+    path = find_material("flashes", wanted)
+    told = validate(FlashDocument, read_toml(path), path)
     spectrum = _spectrum(path, told)
     right, down, forwards = (length * 1e-3 for length in told.offset_mm)
     matrix = told.matrix or MatrixTable(columns=1, rows=1, pitch_mm=1.0)
@@ -241,19 +241,19 @@ def load_flash(wanted: str | Path) -> Flash:
         )
     except ValueError as fault:
         # What remains: a beam so narrow that none of the matrix shines on the point where it was measured.
-        raise InputError(path, "profile", None, f"does not fit the other values: {fault}") from None
+        raise InputError(path, f"does not fit the other values: {fault}", key="profile") from None
 
 
 def _spectrum(path: Path, told: FlashDocument) -> Spectrum:
     """The curve of a CSV file beside this one, or of a shipped one ("light/houser2013_cool_white_led")."""
     file, column = told.spectrum.file, told.spectrum.column
-    shipped = shelf("materials") / f"{file.removesuffix('.csv')}.csv"
+    shipped = shipped_folder("materials") / f"{file.removesuffix('.csv')}.csv"
     if not is_file(path.parent / file) and is_file(shipped):
         file = str(shipped)
-    found = curve(path, "spectrum", file, column)
+    found = read_curve(path, "spectrum", file, column)
     if told.illuminance_lx is not None and not is_visible(found):
         allowed = "must hold light in 400 to 700 nm, or the strength be told as irradiance_W_m2"
-        raise InputError(path, "spectrum.column", column, allowed)
+        raise InputError(path, allowed, key="spectrum.column", value=column)
     if not found.integral() > 0:
-        raise InputError(path, "spectrum.column", column, "must hold some light")
+        raise InputError(path, "must hold some light", key="spectrum.column", value=column)
     return found

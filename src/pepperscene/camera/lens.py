@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from pepperscene.document import Document, read_toml, validated
-from pepperscene.spectra.files import Coefficient, SourcedDocument, locate
+from pepperscene.document import Document, read_toml, validate
+from pepperscene.spectra.files import Coefficient, SourcedDocument, find_material
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,8 +247,8 @@ def load_lens(wanted: str | Path) -> Lens:
     Raises:
         InputError: the file is missing or wrong; the message names file, key and value.
     """
-    path = locate("lenses", wanted)
-    told = validated(LensDocument, read_toml(path), path)
+    path = find_material("lenses", wanted)
+    told = validate(LensDocument, read_toml(path), path)
     right, down = told.principal_offset_mm
     return Lens(
         name=told.name,

@@ -18,7 +18,7 @@ Floats = NDArray[np.float32]
 _MARGIN = 8  # photosites; even, to keep the pattern, and beyond the reach of the widest of the three
 
 
-def demosaiced(sites: Floats, pattern: str, method: Demosaic) -> Floats:
+def demosaic_image(sites: Floats, pattern: str, method: Demosaic) -> Floats:
     """`(h, w, 3)` colours of a mosaic `(h, w)` with even sides, by the library colour-demosaicing.
 
     Methods: "malvar", linear filters that follow the other colours' gradients (Malvar, He and Cutler 2004,
@@ -130,7 +130,7 @@ def _colour_matrix(wanted: object) -> bool | Matrix:
     return red, green, blue
 
 
-def spread(pixels: NDArray[np.floating], sensor: Sensor) -> Floats:
+def spread_to_photosites(pixels: NDArray[np.floating], sensor: Sensor) -> Floats:
     """`(site rows, site columns)`: each photosite takes its pixel's value `(h, w, c)` in its own colour."""
     sites = np.empty(sensor.site_shape, np.float32)
     if sensor.pattern == "mono":
@@ -144,7 +144,7 @@ def spread(pixels: NDArray[np.floating], sensor: Sensor) -> Floats:
     return sites
 
 
-def gathered(sites: Floats, sensor: Sensor) -> Floats:
+def bin_photosites(sites: Floats, sensor: Sensor) -> Floats:
     """`(h, w, c)` means over each pixel's photosites of a colour, where no demosaicing is needed."""
     if sensor.pattern == "mono":
         return _block_means(sites, sensor.binning)[..., None]
@@ -189,7 +189,7 @@ def read_out(
         choice: which of shot noise, saturation, read noise and quantisation take place. The random numbers do
             not depend on saturation and quantisation.
     """
-    sites = spread(np.minimum(expected, _MOST_ELECTRONS), sensor)
+    sites = spread_to_photosites(np.minimum(expected, _MOST_ELECTRONS), sensor)
     height = max(_STRIP // sites.shape[1], 1)
     for top in range(0, len(sites), height):
         strip = sites[top : top + height]

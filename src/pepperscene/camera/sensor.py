@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from pepperscene.document import Document, read_toml, validated
+from pepperscene.document import Document, read_toml, validate
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum, photons_per_joule
 from pepperscene.spectra.files import (
@@ -19,8 +19,8 @@ from pepperscene.spectra.files import (
     NotNegative,
     SourcedDocument,
     Text,
-    curve,
-    locate,
+    find_material,
+    read_curve,
 )
 
 Pattern = Literal["rggb", "bggr", "grbg", "gbrg", "mono"]
@@ -134,7 +134,7 @@ class Sensor:
         gain = self.gain if gain is None else gain
         return dataclasses.replace(self, bits=bits, black_level_dn=black, gain=gain)
 
-    def behind(self, filter: Spectrum) -> Sensor:
+    def with_filter(self, filter: Spectrum) -> Sensor:
         """The sensor behind a filter of this transmittance `(n,)`, at the wavelengths of both curves."""
         own = self.quantum_efficiency.wavelength_nm
         # A filter that ends within the sensor's range ends there, not on the way to the sensor's next knot.
@@ -202,14 +202,16 @@ def load_sensor(wanted: str | Path) -> Sensor:
     Raises:
         InputError: the file or its curves are missing or wrong; the message names file, key and value.
     """
-    path = locate("sensors", wanted)
-    told = validated(SensorDocument, read_toml(path), path)
+    path = find_material("sensors", wanted)
+    told = validate(SensorDocument, read_toml(path), path)
     table = told.quantum_efficiency
-    curves = [curve(path, "quantum_efficiency", table.file, column) for column in table.columns]
+    curves = [read_curve(path, "quantum_efficiency", table.file, column) for column in table.columns]
     efficiency = Spectrum(curves[0].wavelength_nm, np.stack([one.values for one in curves]))
     if efficiency.values.max() > 1:
         highest = float(efficiency.values.max())
-        raise InputError(path, "quantum_efficiency", highest, "must be a share of the photons, at most 1")
+        raise InputError(
+            path, "must be a share of the photons, at most 1", key="quantum_efficiency", value=highest
+        )
     sensor = Sensor(
         name=told.name,
         columns=told.columns,
@@ -223,15 +225,15 @@ def load_sensor(wanted: str | Path) -> Sensor:
         binning=told.binning,
         pattern=told.pattern,
     )
-    return sensor if told.infrared_cut is None else sensor.behind(_cut(path, told.infrared_cut))
+    return sensor if told.infrared_cut is None else sensor.with_filter(_cut(path, told.infrared_cut))
 
 
 def _cut(path: Path, table: CurveTable) -> Spectrum:
     """The transmittance of the filter that belongs to the sensor."""
-    found = curve(path, "infrared_cut", table.file, table.column)
+    found = read_curve(path, "infrared_cut", table.file, table.column)
     if found.values.max() > 1:
         highest = float(found.values.max())
-        raise InputError(path, "infrared_cut", highest, "must be a share of the light, at most 1")
+        raise InputError(path, "must be a share of the light, at most 1", key="infrared_cut", value=highest)
     return found
 
 
@@ -269,12 +271,14 @@ def load_filter(wanted: str | Path) -> Filter:
     Raises:
         InputError: the file or its curve is missing or wrong; the message names file, key and value.
     """
-    path = locate("filters", wanted)
-    told = validated(FilterDocument, read_toml(path), path)
+    path = find_material("filters", wanted)
+    told = validate(FilterDocument, read_toml(path), path)
     file, column = told.transmittance.file, told.transmittance.column
-    found = curve(path, "transmittance", file, column)
+    found = read_curve(path, "transmittance", file, column)
     if found.values.max() > 1:
         row = int(np.argmax(found.values > 1))
         key = f"row {row + 2}, column {column}"  # as a text editor counts: the header is row 1
-        raise InputError(path.parent / file, key, float(found.values[row]), "must be a share, at most 1")
+        raise InputError(
+            path.parent / file, "must be a share, at most 1", key=key, value=float(found.values[row])
+        )
     return Filter(told.name, found)

@@ -11,7 +11,7 @@ from typing import Annotated, Final, ParamSpec, TypeVar
 
 import typer
 
-from pepperscene.errors import EXIT_BAD_INPUT, PepperError
+from pepperscene.errors import EXIT_BAD_INPUT, ArgumentError, PepperError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, check_outputs
 from pepperscene.version import __version__
 
@@ -38,7 +38,11 @@ def main() -> None:
     app()
 
 
-def explained(command: Callable[P, R]) -> Callable[P, R]:
+_OPTIONS: Final = {"form": "format", "names": "fit", "smallest_px": "smallest"}
+"""Options whose name is not that of the argument that they set."""
+
+
+def handle_errors(command: Callable[P, R]) -> Callable[P, R]:
     """The command with every foreseeable error as one line on standard error, without a traceback."""
 
     @functools.wraps(command)
@@ -46,7 +50,10 @@ def explained(command: Callable[P, R]) -> Callable[P, R]:
         try:
             return command(*args, **kwargs)
         except PepperError as fault:
-            typer.echo(f"error: {' '.join(str(fault).split())}", err=True)
+            message = str(fault)
+            if isinstance(fault, ArgumentError):
+                message = f"--{_OPTIONS.get(fault.where, fault.where).replace('_', '-')}: {fault.detail}"
+            typer.echo(f"error: {' '.join(message.split())}", err=True)
             raise typer.Exit(EXIT_BAD_INPUT) from None
         except KeyboardInterrupt:
             typer.echo("interrupted; a build keeps whole frames and goes on with the same command", err=True)

@@ -17,13 +17,13 @@ from pepperscene.cli.application import (
     TargetOption,
     app,
     ended_by_signals,
-    explained,
+    handle_errors,
     names_of,
 )
 
 
 @app.command()
-@explained
+@handle_errors
 def build(
     out: Annotated[Path, typer.Option(help="Folder of the data set; made when missing.")],
     recipe: RecipeArgument = "demo",
@@ -57,12 +57,12 @@ def build(
 ) -> None:
     """Build a data set, or what is missing of it."""
     names = names_of(outputs)
-    from pepperscene.cli.progress import teller
+    from pepperscene.cli.progress import progress_reporter
     from pepperscene.dataset import build as build_dataset
-    from pepperscene.dataset import load_recipe, read_changes
+    from pepperscene.dataset import load_recipe, parse_changes
 
-    told = load_recipe(recipe, read_changes(set or ()))
-    with ended_by_signals(), teller(json) as shown:
+    told = load_recipe(recipe, parse_changes(set or ()))
+    with ended_by_signals(), progress_reporter(json) as shown:
         done = build_dataset(
             told,
             out,
@@ -81,7 +81,7 @@ def build(
 
 
 @app.command()
-@explained
+@handle_errors
 def render(
     out: Annotated[Path, typer.Option(help="Folder of the frame; made when missing.")],
     recipe: RecipeArgument = "demo",
@@ -97,29 +97,29 @@ def render(
 ) -> None:
     """Render one frame of a recipe, to look at it or to try a setting."""
     names = names_of(outputs)
-    from pepperscene.dataset import load_recipe, read_changes, render_frame
+    from pepperscene.dataset import load_recipe, parse_changes, render_frame
 
-    told = load_recipe(recipe, read_changes(set or ()))
+    told = load_recipe(recipe, parse_changes(set or ()))
     for path in render_frame(told, out, frame, names, quality, seed, target_error=target_error):
         typer.echo(path)
 
 
 @app.command()
-@explained
+@handle_errors
 def recipes() -> None:
     """List the shipped recipes."""
     from pepperscene.dataset import load_recipe
-    from pepperscene.shipped import shelf
+    from pepperscene.shipped import shipped_folder
 
-    for path in sorted(shelf("recipes").glob("*.toml")):
+    for path in sorted(shipped_folder("recipes").glob("*.toml")):
         plan = load_recipe(path.stem).plan
-        chosen = len(plan.chosen(None))
+        chosen = len(plan.select_indices(None))
         total = f"{plan.count:,} frames: {plan.sets} sets x {plan.rotations} rotations x {plan.frames} steps"
         typer.echo(f"{path.stem:<12} {total}{f'; builds {chosen} of them' if chosen < plan.count else ''}")
 
 
 @app.command()
-@explained
+@handle_errors
 def plant(
     cultivar: Annotated[
         str, typer.Argument(help="A cultivar file, or the name of a shipped one (see `cultivars`).")
@@ -142,9 +142,9 @@ def plant(
     quality: QualityOption = "standard",
 ) -> None:
     """Grow one plant and write its mesh for other programs, with a picture of it."""
-    from pepperscene.dataset.scenes.plant_export import write_specimen
+    from pepperscene.dataset.scenes.plant_export import export_plant
 
-    done = write_specimen(
+    done = export_plant(
         cultivar, out, seed, detail=detail, until=until, share=share, picture=picture, quality=quality
     )
     typer.echo(
@@ -163,13 +163,13 @@ def plant(
 
 
 @app.command()
-@explained
+@handle_errors
 def cultivars() -> None:
     """List the shipped cultivars."""
     from pepperscene.cultivar import load_cultivar
-    from pepperscene.shipped import shelf
+    from pepperscene.shipped import shipped_folder
 
-    names = [path.stem for path in sorted(shelf("plants").glob("*.toml"))]
+    names = [path.stem for path in sorted(shipped_folder("plants").glob("*.toml"))]
     for name in names:
         one = load_cultivar(name)
         dated = f", {one.date}" if one.date is not None else ""

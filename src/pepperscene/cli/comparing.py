@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pepperscene.cli.application import app, explained, told
+from pepperscene.cli.application import app, handle_errors, told
 from pepperscene.cli.datasets import measuring
 from pepperscene.errors import InputError, OutputError
 
 if TYPE_CHECKING:
-    from pepperscene.colour.comparison.tables import Table
+    from pepperscene.colour.comparison.tables import TextTable
 
 
 _SIDE = "Folder of images, or a file of patches or measured reflectances."
 
 
 @app.command()
-@explained
+@handle_errors
 def compare(
     one: Annotated[str, typer.Argument(metavar="A", help=_SIDE)],
     other: Annotated[str, typer.Argument(metavar="B", help=_SIDE)],
@@ -43,11 +43,11 @@ def compare(
 ) -> None:
     """Tell how alike two sets of images are: hues, CIELAB, class shares, places, light; with intervals."""
     from pepperscene.colour.comparison.compare import compare as compare_sets
-    from pepperscene.colour.comparison.measure import open_sides
+    from pepperscene.colour.comparison.measure import open_comparison_sides
 
     if figure is not None and figure.suffix.lower() != ".svg":
-        raise InputError("--figure", "", None, f"only .svg is written, not {figure.name}")
-    found = compare_sets(*open_sides(one, other, labels, half), limit=limit, told=measuring)
+        raise InputError("--figure", f"only .svg is written, not {figure.name}")
+    found = compare_sets(*open_comparison_sides(one, other, labels, half), limit=limit, on_progress=measuring)
     if json:
         typer.echo(json_text.dumps(found.json(), indent=1, allow_nan=False))
     elif sys.stdout.isatty():
@@ -58,7 +58,7 @@ def compare(
         _write(figure, found.figure())
 
 
-def _show(parts: tuple[Table, ...]) -> None:
+def _show(parts: tuple[TextTable, ...]) -> None:
     """Tables with lines, on a terminal."""
     from rich.console import Console
     from rich.table import Table as Lined
@@ -75,11 +75,11 @@ def _show(parts: tuple[Table, ...]) -> None:
 
 
 def _write(file: Path, text: str) -> None:
-    from pepperscene.dataset.store.atomic import replacing
+    from pepperscene.dataset.store.atomic import atomic_write
 
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(file) as temporary:
+        with atomic_write(file) as temporary:
             temporary.write_text(text, encoding="utf-8")
     except OSError as fault:
         raise OutputError(f"{file}: the figure cannot be written ({fault.strerror or fault})") from None

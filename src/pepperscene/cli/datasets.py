@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from pepperscene.cli.application import app, explained, told
+from pepperscene.cli.application import app, handle_errors, told
 from pepperscene.errors import InputError
 
 if TYPE_CHECKING:
-    from pepperscene.dataset.check import Finding, Verdict
+    from pepperscene.dataset.check import CheckResult, Finding
     from pepperscene.dataset.readers.image_set import ImageSet
 
 
@@ -26,7 +26,7 @@ _HEADINGS: Final = ("kind", "frame", "file", "what is wrong")
 
 
 @app.command()
-@explained
+@handle_errors
 def check(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a data set.")],
     frames: Annotated[
@@ -41,7 +41,7 @@ def check(
     json: Annotated[bool, typer.Option("--json", help="Print the whole verdict as JSON.")] = False,
 ) -> None:
     """Look for faults in a data set; exit code 1 if there are any."""
-    from pepperscene.dataset import check as check_dataset
+    from pepperscene.dataset import check_dataset as check_dataset
 
     with _progress() as on_frame:
         verdict = check_dataset(folder, workers, on_frame, frames)
@@ -53,7 +53,7 @@ def check(
         raise typer.Exit(EXIT_FAULTS)
 
 
-def _tell(verdict: Verdict, folder: Path, most: int) -> None:
+def _tell(verdict: CheckResult, folder: Path, most: int) -> None:
     """One line when all is well, else a table, the most serious faults first."""
     counted = f"{verdict.frames:,} frame{'' if verdict.frames == 1 else 's'}"
     for note in verdict.notes:
@@ -67,7 +67,7 @@ def _tell(verdict: Verdict, folder: Path, most: int) -> None:
     typer.echo(f"{folder}: {counted}, {faults}: {kinds}")
 
 
-def _lines(verdict: Verdict, most: int) -> Iterator[tuple[str, str, str, str]]:
+def _lines(verdict: CheckResult, most: int) -> Iterator[tuple[str, str, str, str]]:
     """Rows of the table; of each kind the first ones, then how many more there are."""
     for kind, found in groupby(verdict.findings, key=lambda one: one.kind):
         told = list(found)
@@ -118,7 +118,7 @@ _EVERY_S: Final = 5.0  # chosen: of more frames, how often a line is told
 
 
 @app.command()
-@explained
+@handle_errors
 def export(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a data set.")],
     form: Annotated[
@@ -149,7 +149,7 @@ def export(
     ] = None,
 ) -> None:
     """Write a data set in the format that training code reads."""
-    from pepperscene.dataset import export as export_dataset
+    from pepperscene.dataset import export_dataset as export_dataset
 
     with _export_progress() as on_frame:
         done = export_dataset(folder, form, out, split, frames, on_frame, smallest)
@@ -193,7 +193,7 @@ _TOLD_EVERY = 200
 
 
 @app.command()
-@explained
+@handle_errors
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a data set.")],
     beside: Annotated[
@@ -212,13 +212,13 @@ def report(
     sample: Annotated[int, typer.Option(min=1, help="Most frames whose images are measured.")] = 1000,
 ) -> None:
     """Write a contact sheet and a web page into a data set's folder, with a second set beside it."""
-    from pepperscene.dataset import report as write_report
+    from pepperscene.dataset import write_report as write_report
 
     other = None if beside is None else _opened(beside, labels, half)
     for name, value in (("labels", labels), ("half", half)):
         if beside is None and value is not None:
-            raise InputError(f"--{name}", "", None, "goes only with --beside")
-    done = write_report(folder, limit, other, sample=sample, told=measuring)
+            raise InputError(f"--{name}", "goes only with --beside")
+    done = write_report(folder, limit, other, sample=sample, on_progress=measuring)
     typer.echo(
         f"{done.shown} of {done.frames} frames shown, {done.measured} measured:\n"
         f"  {done.sheet}\n  {done.page}"

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from pepperscene.cli.application import app, explained, told
+from pepperscene.cli.application import app, handle_errors, told
 from pepperscene.errors import EXIT_BAD_INPUT, InputError
 
 
 @app.command()
-@explained
+@handle_errors
 def bench(
     out: Annotated[Path, typer.Option(help="Folder of tables and plots; made when missing.")],
     scene: Annotated[
@@ -44,19 +44,21 @@ def bench(
     names = ("standard" if scaling else ",".join(room.SCENES)) if scene is None else scene
     asked = room.scenes_named(names), None if size is None else room.size_of(size)
     if profile and scaling:
-        raise InputError("--profile", "", None, "goes without --scaling; one at a time")
+        raise InputError("--profile", "goes without --scaling; one at a time")
     if profile or scaling:
-        measure = room.profile if profile else room.scaling
+        measure = room.profile_frames if profile else room.measure_scaling
         done = measure(out, *asked, runs=runs, quick=quick, told=told)
     else:
-        done = room.bench(out, *asked, runs=runs, budget_s=budget, quick=quick, peers=peers, told=told)
+        done = room.run_benchmark(
+            out, *asked, runs=runs, budget_s=budget, quick=quick, peers=peers, told=told
+        )
     typer.echo(done.markdown)
     for path in done.files:
         typer.echo(path, err=True)
 
 
 @app.command()
-@explained
+@handle_errors
 def doctor() -> None:
     """Find out what this machine has and lacks for rendering."""
     from pepperscene.render.doctor import diagnose

@@ -17,18 +17,18 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
     from rich.progress import TaskID
 
-    from pepperscene.dataset import BuildResult, Progress
+    from pepperscene.dataset import BuildProgress, BuildResult
 
 
 _FEW: Final = 200  # chosen: frames that are told a line each
 _EVERY_S: Final = 5.0  # chosen: of more frames, how often a line is told
 
 
-class Teller(ABC):
+class ProgressReporter(ABC):
     """Tells of a build."""
 
     @abstractmethod
-    def frame(self, told: Progress) -> None:
+    def frame(self, told: BuildProgress) -> None:
         """A frame is whole."""
 
     @abstractmethod
@@ -41,7 +41,7 @@ class Teller(ABC):
 
 
 @contextmanager
-def teller(as_json: bool) -> Iterator[Teller]:
+def progress_reporter(as_json: bool) -> Iterator[ProgressReporter]:
     """Who tells of a build: for a script, for a terminal, or for a log."""
     if as_json:
         yield Scripted()
@@ -53,11 +53,11 @@ def teller(as_json: bool) -> Iterator[Teller]:
 
 
 @final
-class Scripted(Teller):
+class Scripted(ProgressReporter):
     """One JSON object a line on standard output: `frame`, `notice` and `end` by their key `event`."""
 
-    def frame(self, told: Progress) -> None:
-        """See `Teller`."""
+    def frame(self, told: BuildProgress) -> None:
+        """See `ProgressReporter`."""
         self._line(
             event="frame",
             index=told.index,
@@ -70,11 +70,11 @@ class Scripted(Teller):
         )
 
     def notice(self, text: str) -> None:
-        """See `Teller`."""
+        """See `ProgressReporter`."""
         self._line(event="notice", text=text)
 
     def end(self, result: BuildResult, out: Path) -> None:
-        """See `Teller`."""
+        """See `ProgressReporter`."""
         self._line(event="end", made=len(result.made), kept=len(result.kept), folder=str(out))
 
     @staticmethod
@@ -82,11 +82,11 @@ class Scripted(Teller):
         typer.echo(json.dumps(told))
 
 
-class _Worded(Teller):
+class _Worded(ProgressReporter):
     """Words for people."""
 
     def end(self, result: BuildResult, out: Path) -> None:
-        """See `Teller`."""
+        """See `ProgressReporter`."""
         kept = f", {len(result.kept)} were there already" if result.kept else ""
         made = len(result.made)
         typer.echo(f"{made} frame{'' if made == 1 else 's'} built{kept}: {out}")
@@ -99,8 +99,8 @@ class Plain(_Worded):
     def __init__(self) -> None:
         self._last = float("-inf")
 
-    def frame(self, told: Progress) -> None:
-        """See `Teller`."""
+    def frame(self, told: BuildProgress) -> None:
+        """See `ProgressReporter`."""
         now = time.monotonic()
         if told.total > _FEW and told.done < told.total and now - self._last < _EVERY_S:
             return
@@ -111,7 +111,7 @@ class Plain(_Worded):
         typer.echo(f"frame {told.index:06d} {state} ({told.done} of {told.total}{rate}{left})", err=True)
 
     def notice(self, text: str) -> None:
-        """See `Teller`."""
+        """See `ProgressReporter`."""
         typer.echo(f"note: {text}", err=True)
 
 
@@ -127,8 +127,8 @@ class OnTerminal(_Worded):
     def __init__(self, bar: Bar, task: TaskID) -> None:
         self._bar, self._task = bar, task
 
-    def frame(self, told: Progress) -> None:
-        """See `Teller`."""
+    def frame(self, told: BuildProgress) -> None:
+        """See `ProgressReporter`."""
         self._bar.update(
             self._task,
             completed=told.done,
@@ -140,7 +140,7 @@ class OnTerminal(_Worded):
         )
 
     def notice(self, text: str) -> None:
-        """See `Teller`."""
+        """See `ProgressReporter`."""
         self._bar.console.print(f"note: {text}", markup=False, highlight=False)
 
 

@@ -17,7 +17,7 @@ from pepperscene.cli.application import (
     RecipeArgument,
     SetOption,
     app,
-    explained,
+    handle_errors,
     told,
 )
 from pepperscene.errors import InputError
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from pepperscene.colour import PatchSet
     from pepperscene.dataset import Recipe
     from pepperscene.tuning.parameters.parameter import Parameter
-    from pepperscene.tuning.workflow import Tuning
+    from pepperscene.tuning.workflow import TuningResult
 
 
 _HELP: Final = "help"
 
 
 @app.command()
-@explained
+@handle_errors
 def tune(
     recipe: RecipeArgument,
     fit: Annotated[
@@ -80,9 +80,9 @@ def tune(
     json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
 ) -> None:
     """Fit pigments, light and camera of a recipe to measured colour, and write the tuned recipe."""
-    from pepperscene.dataset import load_recipe, read_changes
+    from pepperscene.dataset import load_recipe, parse_changes
 
-    wanted = load_recipe(recipe, read_changes(set or ()))
+    wanted = load_recipe(recipe, parse_changes(set or ()))
     names = _split(fit)
     if names == (_HELP,):
         _list(wanted, json)
@@ -90,9 +90,7 @@ def tune(
     # All that can be wrong comes to light before light is traced.
     _parameters(wanted, names, bounds)
     if not patches:
-        raise InputError(
-            "--patches", "", None, "is needed: a patches file, a folder of images, or a CSV file"
-        )
+        raise InputError("--patches", "is needed: a patches file, a folder of images, or a CSV file")
     folder = out or Path(f"{Path(recipe).stem}_tuned")
     measured, held = _opened(patches, labels, half), _split(hold_out or "")
     _check_held_out(measured, held)
@@ -119,7 +117,7 @@ def tune(
                 quality=quality,
                 options=options,
                 extends=recipe,
-                told=tell,
+                on_progress=tell,
             )
     except KeyboardInterrupt:
         told("interrupted; nothing was written")
@@ -133,13 +131,13 @@ def tune(
 def _opened(patches: Sequence[str], labels: str | None, half: str | None) -> PatchSet:
     """All patches in one set; labels and half go with those that are folders."""
     from pepperscene.colour import open_patches
-    from pepperscene.tuning.workflow import together
+    from pepperscene.tuning.workflow import merge_patches
 
     folders = [Path(one).is_dir() for one in patches]
     for option, value in (("--labels", labels), ("--half", half)):
         if value is not None and not any(folders):
-            raise InputError(option, "", None, "goes only with a folder of images")
-    return together(
+            raise InputError(option, "goes only with a folder of images")
+    return merge_patches(
         [
             open_patches(one, labels=labels, half=half) if folder else open_patches(one)
             for one, folder in zip(patches, folders, strict=True)
@@ -152,28 +150,26 @@ def _check_held_out(measured: PatchSet, held: Sequence[str]) -> None:
     for name in held:
         if name not in pictures:
             there = ", ".join(pictures) or "none"
-            raise InputError(
-                "--hold-out", "", None, f"no patch is of a picture {name!r}; pictures are {there}"
-            )
+            raise InputError("--hold-out", f"no patch is of a picture {name!r}; pictures are {there}")
     if held and len({*held}) == len(pictures) and not measured.spectra:
-        raise InputError("--hold-out", "", None, "leaves nothing to fit to: it names all pictures")
+        raise InputError("--hold-out", "leaves nothing to fit to: it names all pictures")
 
 
 def _parameters(recipe: Recipe, names: Sequence[str], bounds: Path | None = None) -> tuple[Parameter, ...]:
-    from pepperscene.dataset.recipe.equipment import camera_of, cultivar_of
-    from pepperscene.tuning.parameters.parameter import parameters_of
+    from pepperscene.dataset.recipe.equipment import load_camera, load_recipe_cultivar
+    from pepperscene.tuning.parameters.parameter import select_parameters
 
-    return parameters_of(recipe, cultivar_of(recipe), camera_of(recipe), names, bounds)
+    return select_parameters(recipe, load_recipe_cultivar(recipe), load_camera(recipe), names, bounds)
 
 
 def _list(recipe: Recipe, json: bool) -> None:
     """All that can be fitted of a recipe."""
-    from pepperscene.colour.comparison.tables import plain
-    from pepperscene.dataset.recipe.equipment import camera_of, cultivar_of
+    from pepperscene.colour.comparison.tables import format_tables
+    from pepperscene.dataset.recipe.equipment import load_camera, load_recipe_cultivar
     from pepperscene.tuning.output.tables import known_table
     from pepperscene.tuning.parameters.parameter import known_parameters
 
-    names = known_parameters(cultivar_of(recipe), camera_of(recipe))
+    names = known_parameters(load_recipe_cultivar(recipe), load_camera(recipe))
     if json:
         typer.echo(json_text.dumps(list(names)))
         return
@@ -181,10 +177,10 @@ def _list(recipe: Recipe, json: bool) -> None:
     ends = [name for name in names if name.count(".") > 1]
     found = [_parameters(recipe, some) for some in ([n for n in names if n not in ends], ends) if some]
     known = {one.name: one for some in found for one in some}
-    typer.echo(plain([known_table(tuple(known[name] for name in names))]))
+    typer.echo(format_tables([known_table(tuple(known[name] for name in names))]))
 
 
-def _record(done: Tuning) -> dict[str, Any]:
+def _record(done: TuningResult) -> dict[str, Any]:
     """What stands in the record, and which files there are."""
     from pepperscene.tuning.output.write import RECORD
 
@@ -193,13 +189,13 @@ def _record(done: Tuning) -> dict[str, Any]:
     return {**told, "files": [str(path) for path in done.files]}
 
 
-def _tell(done: Tuning) -> None:
-    from pepperscene.colour.comparison.tables import plain
-    from pepperscene.tuning.output.tables import tables
+def _tell(done: TuningResult) -> None:
+    from pepperscene.colour.comparison.tables import format_tables
+    from pepperscene.tuning.output.tables import fit_tables
 
-    typer.echo(plain(tables(done.fit, done.verification)))
+    typer.echo(format_tables(fit_tables(done.fit, done.verification)))
     typer.echo()
-    for line in dict.fromkeys((*done.fit.verdict, *done.fit.undetermined)):
+    for line in dict.fromkeys((*done.fit.diagnostics, *done.fit.undetermined)):
         typer.echo(line)
     typer.echo()
     for path in done.files:

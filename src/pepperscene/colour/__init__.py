@@ -5,7 +5,7 @@ from pepperscene.colour.comparison.result import Comparison, KindComparison
 from pepperscene.colour.patches.chart import Calibration, calibrate
 from pepperscene.colour.patches.open import open_patches
 from pepperscene.colour.patches.patch import MeasuredSpectrum, Patch, PatchSet
-from pepperscene.colour.statistics.bootstrap import Measure
+from pepperscene.colour.statistics.bootstrap import Estimate
 from pepperscene.colour.statistics.circular import (
     circular_emd,
     circular_mean,
@@ -13,14 +13,14 @@ from pepperscene.colour.statistics.circular import (
     circular_sd,
     resultant_length,
 )
-from pepperscene.colour.statistics.colours import ColourStatistics, delta_e_2000, lab
+from pepperscene.colour.statistics.colours import ColourStatistics, delta_e_2000, linear_srgb_to_lab
 
 __all__ = [
     "Calibration",
     "ColourStatistics",
     "Comparison",
+    "Estimate",
     "KindComparison",
-    "Measure",
     "MeasuredSpectrum",
     "Patch",
     "PatchSet",
@@ -31,7 +31,7 @@ __all__ = [
     "circular_sd",
     "compare",
     "delta_e_2000",
-    "lab",
+    "linear_srgb_to_lab",
     "open_patches",
     "resultant_length",
 ]

@@ -4,9 +4,9 @@ Read from TOML. The parameters are those of Barth et al. 2018, Table 1 and Fig. 
 needs to stand, each with its `source`, or `chosen` and why. Lengths are metres and angles radians.
 """
 
-from pepperscene.cultivar.cultivar import Cultivar, interpolated, load_cultivar
+from pepperscene.cultivar.cultivar import Cultivar, interpolate_cultivars, load_cultivar
 from pepperscene.cultivar.distribution import Distribution, Origin, truncated_moments
-from pepperscene.cultivar.inheritance import files_of
+from pepperscene.cultivar.inheritance import cultivar_files
 from pepperscene.cultivar.notation import Angle, Choice, Length, Number, Probability, Ratio
 from pepperscene.cultivar.organs import (
     FORMS,
@@ -14,11 +14,11 @@ from pepperscene.cultivar.organs import (
     Blade,
     Cut,
     Flower,
-    Form,
     Fruit,
     Internode,
-    Kind,
     Node,
+    OrganForm,
+    OrganKind,
     OrganModel,
     Peduncle,
     Stalk,
@@ -39,13 +39,13 @@ __all__ = [
     "Distribution",
     "Flower",
     "Flush",
-    "Form",
     "Fruit",
     "Internode",
-    "Kind",
     "Length",
     "Node",
     "Number",
+    "OrganForm",
+    "OrganKind",
     "OrganModel",
     "Origin",
     "Peduncle",
@@ -56,8 +56,8 @@ __all__ = [
     "Slot",
     "Stalk",
     "Stem",
-    "files_of",
-    "interpolated",
+    "cultivar_files",
+    "interpolate_cultivars",
     "load_cultivar",
     "truncated_moments",
 ]

@@ -13,10 +13,10 @@ from pydantic import model_validator
 from pepperscene.cultivar.distribution import Distribution, Origin
 from pepperscene.cultivar.inheritance import inherited, lineage, stated_in
 from pepperscene.cultivar.notation import Choice
-from pepperscene.cultivar.organs import USUAL, AnyOrgan, Kind
+from pepperscene.cultivar.organs import USUAL, AnyOrgan, OrganKind
 from pepperscene.cultivar.slot import Slot
-from pepperscene.cultivar.structure import CALYX, PigmentPath, Pigments, Stem, check
-from pepperscene.document import Document, dotted, validated
+from pepperscene.cultivar.structure import CALYX, PigmentPath, Pigments, Stem, check_structure
+from pepperscene.document import Document, toml_key, validate
 from pepperscene.errors import InputError
 
 
@@ -43,11 +43,11 @@ class Cultivar(Document):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        check(self.stem, self.organs, self.pigments)
+        check_structure(self.stem, self.organs, self.pigments)
         return self
 
     @property
-    def kinds(self) -> dict[str, Kind]:
+    def kinds(self) -> dict[str, OrganKind]:
         """Every kind of organ that a plant can have, the fruit's calyx included."""
         kinds = {name: organ.kind for name, organ in self.organs.items()}
         if any(getattr(organ, "calyx", False) for organ in self.organs.values()):
@@ -78,10 +78,10 @@ def load_cultivar(name_or_path: str | Path) -> Cultivar:
     files = lineage(name_or_path)
     tables = inherited(files)
     try:
-        return validated(Cultivar, tables, files[0][0])
+        return validate(Cultivar, tables, files[0][0])
     except InputError as fault:
         where = stated_in(files, tables, fault.key)
-        raise InputError(where, fault.key, fault.value, fault.allowed) from None
+        raise InputError(where, fault.problem, key=fault.key, value=fault.value) from None
 
 
 Key = tuple[str | int, ...]
@@ -93,7 +93,7 @@ _SHARES: Final = 4096
 """At the middles of so many equal shares a blend's spread is summed up."""
 
 
-def interpolated(first: Cultivar, last: Cultivar, share: float) -> Cultivar:
+def interpolate_cultivars(first: Cultivar, last: Cultivar, share: float) -> Cultivar:
     """The growth stage that lies a share of the way from one to another.
 
     Quantile functions, probabilities, plain numbers, pigments and dates are mixed linearly, whole numbers
@@ -226,4 +226,4 @@ class _Mix:
 
     def fault(self, key: Key, allowed: str) -> InputError:
         """Something that differs and cannot be mixed."""
-        return InputError(self.where, dotted(key), None, allowed)
+        return InputError(self.where, allowed, key=toml_key(key))

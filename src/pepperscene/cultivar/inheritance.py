@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError
-from pepperscene.shipped import find, is_file
+from pepperscene.shipped import find_file, is_file
 
 Tables = dict[str, Any]
 Lineage = list[tuple[Path, Tables]]
@@ -25,7 +25,7 @@ def lineage(name_or_path: str | Path) -> Lineage:
     Raises:
         InputError: a file or a scan is missing or unreadable, or the files extend each other in a circle.
     """
-    path = find("plants", name_or_path)
+    path = find_file("plants", name_or_path)
     files: Lineage = []
     while True:
         tables = read_toml(path)
@@ -35,15 +35,18 @@ def lineage(name_or_path: str | Path) -> Lineage:
         if parent is None:
             return files
         if not isinstance(parent, str):
-            raise InputError(path, "extends", parent, "must be the name of a cultivar or a path")
+            raise InputError(path, "must be the name of a cultivar or a path", key="extends", value=parent)
         path = _parent(path, parent)
         if path.resolve() in {file.resolve() for file, _ in files}:
             raise InputError(
-                files[-1][0], "extends", parent, "must not lead back to a file that extends this one"
+                files[-1][0],
+                "must not lead back to a file that extends this one",
+                key="extends",
+                value=parent,
             )
 
 
-def files_of(name_or_path: str | Path) -> tuple[Path, ...]:
+def cultivar_files(name_or_path: str | Path) -> tuple[Path, ...]:
     """All files that a cultivar depends on: its own, those that it extends, and the scans of its fruit.
 
     Raises:
@@ -84,11 +87,11 @@ def _parent(path: Path, said: str) -> Path:
     beside = path.parent / said
     if not said.endswith(".toml") and Path(said).parent == Path("."):
         try:
-            return find("plants", said)
+            return find_file("plants", said)
         except InputError as fault:
-            raise InputError(path, "extends", said, fault.allowed) from None
+            raise InputError(path, fault.problem, key="extends", value=said) from None
     if not is_file(beside):
-        raise InputError(path, "extends", said, "is no file as seen from the file that names it")
+        raise InputError(path, "is no file as seen from the file that names it", key="extends", value=said)
     return beside
 
 
@@ -98,10 +101,12 @@ def _find_scans(path: Path, tables: Tables) -> None:
         if not isinstance(scan, str):
             continue
         if not scan.lower().endswith(SCANS):
-            raise InputError(path, f"organs.{name}.scan", scan, f"must be a mesh file: {', '.join(SCANS)}")
+            raise InputError(
+                path, f"must be a mesh file: {', '.join(SCANS)}", key=f"organs.{name}.scan", value=scan
+            )
         if not is_file(path.parent / scan):
             raise InputError(
-                path, f"organs.{name}.scan", scan, "is no file as seen from the file that names it"
+                path, "is no file as seen from the file that names it", key=f"organs.{name}.scan", value=scan
             )
         organ["scan"] = str((path.parent / scan).resolve())
 
@@ -154,7 +159,7 @@ def _alike(name: str, organs: Mapping[str, Any], files: Lineage) -> Any:
             allowed = "must be another of the organs" + (
                 ", and not lead back to this one" if like in chain else ""
             )
-            raise InputError(stated_in(files, {"organs": organs}, key), key, like, allowed)
+            raise InputError(stated_in(files, {"organs": organs}, key), allowed, key=key, value=like)
         chain.append(like)
         rest = {key: value for key, value in table.items() if key != "like"}
         # What the other is like in turn is looked up next; `rest` would hide it.

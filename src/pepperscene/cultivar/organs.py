@@ -20,12 +20,12 @@ from pepperscene.cultivar.notation import Angle, Factor, Lobes, Number, Ratio, S
 from pepperscene.cultivar.slot import Slot
 from pepperscene.document import Document
 
-Form = Literal["internode", "node", "stalk", "blade", "peduncle", "calyx", "fruit", "cut", "flower"]
-FORMS: Final[tuple[Form, ...]] = get_args(Form)
+OrganForm = Literal["internode", "node", "stalk", "blade", "peduncle", "calyx", "fruit", "cut", "flower"]
+FORMS: Final[tuple[OrganForm, ...]] = get_args(OrganForm)
 
 
 @dataclass(frozen=True)
-class Kind:
+class OrganKind:
     """An organ kind: its body, what it is labelled as, and what its surface is.
 
     Attributes:
@@ -35,24 +35,24 @@ class Kind:
         scan: file of a scanned mesh that takes the place of the body, or None.
     """
 
-    form: Form
+    form: OrganForm
     organ_class: OrganClass
     surface: str
     scan: Path | None = None
 
 
-USUAL: Final[Mapping[Form, Kind]] = MappingProxyType(
+USUAL: Final[Mapping[OrganForm, OrganKind]] = MappingProxyType(
     {
-        "internode": Kind("internode", OrganClass.STEM, "stem"),
-        "node": Kind("node", OrganClass.STEM, "stem"),
-        "stalk": Kind("stalk", OrganClass.SHOOT, "petiole"),
-        "blade": Kind("blade", OrganClass.LEAF, "leaf"),
-        "peduncle": Kind("peduncle", OrganClass.PEDUNCLE, "peduncle"),
-        "calyx": Kind("calyx", OrganClass.PEDUNCLE, "calyx"),
-        "fruit": Kind("fruit", OrganClass.PEPPER, "fruit"),
-        "cut": Kind("cut", OrganClass.CUT, "cut"),
+        "internode": OrganKind("internode", OrganClass.STEM, "stem"),
+        "node": OrganKind("node", OrganClass.STEM, "stem"),
+        "stalk": OrganKind("stalk", OrganClass.SHOOT, "petiole"),
+        "blade": OrganKind("blade", OrganClass.LEAF, "leaf"),
+        "peduncle": OrganKind("peduncle", OrganClass.PEDUNCLE, "peduncle"),
+        "calyx": OrganKind("calyx", OrganClass.PEDUNCLE, "calyx"),
+        "fruit": OrganKind("fruit", OrganClass.PEPPER, "fruit"),
+        "cut": OrganKind("cut", OrganClass.CUT, "cut"),
         # The published classes have none for flowers.
-        "flower": Kind("flower", OrganClass.BACKGROUND, "petal"),
+        "flower": OrganKind("flower", OrganClass.BACKGROUND, "petal"),
     }
 )
 """What a kind of each form is where its file does not say otherwise."""
@@ -85,7 +85,7 @@ class OrganModel(Document):
 
     model_config = ConfigDict(populate_by_name=True)
 
-    form: Form
+    form: OrganForm
     organ_class: ClassName | None = Field(default=None, alias="class")
     surface: Annotated[str, Field(min_length=1)] | None = None
     depth: Annotated[int, Field(ge=1, le=8)] | None = None
@@ -94,14 +94,14 @@ class OrganModel(Document):
     chosen: str = ""
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> OrganKind:
         """Form, class and surface, with what the form usually has where the file is silent."""
         usual = USUAL[self.form]
         named = usual.organ_class if self.organ_class is None else OrganClass[self.organ_class.upper()]
-        return Kind(self.form, named, self.surface or usual.surface, self._scan)
+        return OrganKind(self.form, named, self.surface or usual.surface, self._scan)
 
     @property
-    def laws(self) -> dict[str, Distribution]:
+    def distributions(self) -> dict[str, Distribution]:
         """Every random parameter by its name, in the order of the form's list."""
         every = ((name, getattr(self, name)) for name in type(self).model_fields)
         return {name: value for name, value in every if isinstance(value, Distribution)}

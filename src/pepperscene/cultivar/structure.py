@@ -112,7 +112,7 @@ Key = tuple[str | int, ...]
 Fault = tuple[Key, object, str]
 
 
-def check(stem: Stem, organs: Mapping[str, OrganModel], surfaces: Mapping[str, Any]) -> None:
+def check_structure(stem: Stem, organs: Mapping[str, OrganModel], surfaces: Mapping[str, Any]) -> None:
     """Raise the first fault that lies between the tables.
 
     Raises:

@@ -24,7 +24,7 @@ _LAST_WORDS: Final = 4000  # chosen: bytes of what a child wrote on its standard
 _GRACE_S: Final = 5.0  # chosen: a child that is told to end has nothing to finish but system calls
 
 
-class Child:
+class WorkerProcess:
     """The parent's side.
 
     Args:

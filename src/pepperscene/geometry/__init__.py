@@ -1,33 +1,33 @@
 """Organs to triangles: tubes, leaf blades, fruit; a plant as one mesh with class and instance per face."""
 
-from pepperscene.geometry.bodies import one_instance, rectangle, sphere
-from pepperscene.geometry.contacts.detect import Contacts, contacts
-from pepperscene.geometry.contacts.joints import Motion, moved_plant
-from pepperscene.geometry.contacts.resolve import Settled, settle
-from pepperscene.geometry.export import check_format, mesh_files, organ_names, write_mesh
-from pepperscene.geometry.mesh import Mesh, concatenate
+from pepperscene.geometry.bodies import rectangle, single_instance_mesh, sphere
+from pepperscene.geometry.contacts.detect import ContactCounts, count_contacts
+from pepperscene.geometry.contacts.joints import Motion, move_plant
+from pepperscene.geometry.contacts.resolve import ResolvedMesh, resolve_contacts
+from pepperscene.geometry.export import check_mesh_format, mesh_files, organ_names, write_mesh
+from pepperscene.geometry.mesh import Mesh, concatenate_meshes
 from pepperscene.geometry.plant_mesh import mesh_plant
 from pepperscene.geometry.tubes.stem import stem_branches, stem_profile
-from pepperscene.geometry.tubes.twine import twine
+from pepperscene.geometry.tubes.twine import twine_mesh
 
 __all__ = [
-    "Contacts",
+    "ContactCounts",
     "Mesh",
     "Motion",
-    "Settled",
-    "check_format",
-    "concatenate",
-    "contacts",
+    "ResolvedMesh",
+    "check_mesh_format",
+    "concatenate_meshes",
+    "count_contacts",
     "mesh_files",
     "mesh_plant",
-    "moved_plant",
-    "one_instance",
+    "move_plant",
     "organ_names",
     "rectangle",
-    "settle",
+    "resolve_contacts",
+    "single_instance_mesh",
     "sphere",
     "stem_branches",
     "stem_profile",
-    "twine",
+    "twine_mesh",
     "write_mesh",
 ]

@@ -14,7 +14,7 @@ from pepperscene.geometry.spine import Spines
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies:
+class MeshBatch:
     """n organs that share one topology.
 
     Attributes:
@@ -43,7 +43,7 @@ def solids(
     radius: NDArray[np.float64],
     ends: tuple[NDArray[np.float64], NDArray[np.float64]],
     state: NDArray[np.float64],
-) -> Bodies:
+) -> MeshBatch:
     """Closed bodies out of r rings of c points around each centreline, and a point at either end.
 
     Args:
@@ -66,7 +66,7 @@ def solids(
     # Column 0 is repeated at the seam, where u jumps from 1 to 0.
     source, faces, uv = _ring_grid(rings, sides)
     normals = vertex_normals(flat, source[faces])
-    return Bodies(
+    return MeshBatch(
         flat[:, source],
         normals[:, source],
         np.broadcast_to(uv, (n, *uv.shape)),
@@ -133,7 +133,7 @@ def _ring_grid(rings: int, sides: int) -> tuple[NDArray[np.intp], NDArray[np.int
     return source, ring_faces(rings, sides), ring_uv(np.arange(1, rings + 1) / (rings + 1), sides)
 
 
-def single(bodies: Bodies, organ_class: OrganClass, kind: str, surface: str) -> Mesh:
+def single(bodies: MeshBatch, organ_class: OrganClass, kind: str, surface: str) -> Mesh:
     """The first of the bodies as a mesh of its own.
 
     Args:
@@ -142,7 +142,7 @@ def single(bodies: Bodies, organ_class: OrganClass, kind: str, surface: str) -> 
         kind: its instance's kind.
         surface: name of its surface.
     """
-    return one_instance(
+    return single_instance_mesh(
         bodies.vertices[0], bodies.normals[0], bodies.uv[0], bodies.state[0], bodies.faces,
         organ_class, kind, surface,
     )  # fmt: skip
@@ -177,7 +177,9 @@ def sphere(
     uv = np.stack([longitude, np.arccos(np.clip(normals[:, 2], -1.0, 1.0)) / np.pi], axis=1)
     vertices = np.asarray(centre, dtype=float) + radius_m * normals
     state = np.full(len(vertices), 0.5)
-    return one_instance(vertices, normals, uv, state, np.asarray(body.faces), organ_class, "sphere", surface)
+    return single_instance_mesh(
+        vertices, normals, uv, state, np.asarray(body.faces), organ_class, "sphere", surface
+    )
 
 
 def rectangle(
@@ -208,10 +210,10 @@ def rectangle(
     vertices = np.asarray(centre, dtype=float) + (uv - 0.5) @ np.stack([along, rise])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     normals, state = np.tile(normal / area, (4, 1)), np.full(4, 0.5)
-    return one_instance(vertices, normals, uv, state, faces, organ_class, "rectangle", surface)
+    return single_instance_mesh(vertices, normals, uv, state, faces, organ_class, "rectangle", surface)
 
 
-def one_instance(
+def single_instance_mesh(
     vertices: NDArray[np.float64],
     normals: NDArray[np.float64],
     uv: NDArray[np.float64],

@@ -29,7 +29,7 @@ _MATT: Final = 0.7
 _Y_UP: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]])
 
 
-def check_format(path: str | Path) -> str:
+def check_mesh_format(path: str | Path) -> str:
     """The ending of a mesh file's name, in small letters.
 
     Raises:
@@ -37,7 +37,7 @@ def check_format(path: str | Path) -> str:
     """
     suffix = Path(path).suffix.lower()
     if suffix not in FORMATS:
-        raise InputError(path, "", None, f"must end in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}")
+        raise InputError(path, f"must end in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}")
     return suffix
 
 
@@ -82,7 +82,7 @@ def mesh_files(
     Raises:
         InputError: the ending is none of `FORMATS`.
     """
-    suffix = check_format(name)
+    suffix = check_mesh_format(name)
     if suffix == ".glb":
         return {name: _glb(mesh, colours or {})}
     if suffix == ".obj":

@@ -95,7 +95,7 @@ class Mesh:
         vertices = _turned(self.vertices, turn, np.asarray(translation, dtype=float))
         return replace(self, vertices=vertices, normals=_turned(self.normals, turn, np.zeros(3)))
 
-    def of_instances(self, chosen: Sequence[int]) -> Mesh:
+    def select_instances(self, chosen: Sequence[int]) -> Mesh:
         """The part of the mesh that belongs to some instances, numbered anew in the order given.
 
         Args:
@@ -134,7 +134,7 @@ class Mesh:
             ),
         )
 
-    def of_plant(self, plant: int) -> Mesh:
+    def select_plant(self, plant: int) -> Mesh:
         """The same mesh with its instances assigned to plant number `plant` of a scene."""
         return replace(
             self,
@@ -159,7 +159,7 @@ def _turned(
     return found
 
 
-def concatenate(meshes: Sequence[Mesh]) -> Mesh:
+def concatenate_meshes(meshes: Sequence[Mesh]) -> Mesh:
     """One mesh out of several; instances are numbered on, surfaces of equal name become one.
 
     Raises:

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.grammar.hashing import mixed
+from pepperscene.grammar.hashing import splitmix64
 from pepperscene.grammar.plant import Organ
 
 
-def measure(organs: Sequence[Organ], name: str, default: float | None = None) -> NDArray[np.float64]:
+def organ_measure(organs: Sequence[Organ], name: str, default: float | None = None) -> NDArray[np.float64]:
     """`(n,)` one measure of each organ.
 
     Raises:
@@ -34,7 +34,7 @@ def size(organs: Sequence[Organ], name: str) -> NDArray[np.float64]:
     Raises:
         ValueError: an organ lacks it or it is not above zero.
     """
-    values = measure(organs, name)
+    values = organ_measure(organs, name)
     if not np.all(values > 0.0):
         raise ValueError(f"{organs[0].kind}: {name} must be above zero, found {values.min()}")
     return values
@@ -55,7 +55,7 @@ def hashed(seed: NDArray[np.float64], salt: int, count: int) -> NDArray[np.float
     """
     start = np.ldexp(np.mod(seed, 1.0), 53).astype(np.uint64)[:, None]
     step = np.arange(1, count + 1, dtype=np.uint64) + np.uint64(salt) * np.uint64(1 << 20)
-    bits = mixed(start + step * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(11)
+    bits = splitmix64(start + step * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(11)
     return np.ldexp(bits.astype(np.float64), -53)
 
 

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import Instance
-from pepperscene.cultivar.organs import Form
+from pepperscene.cultivar.organs import OrganForm
 from pepperscene.geometry.blade.blades import laminae
-from pepperscene.geometry.bodies import Bodies
+from pepperscene.geometry.bodies import MeshBatch
 from pepperscene.geometry.fruit.calyx import calyces
 from pepperscene.geometry.fruit.crown import crowns, joined, scanned_crowns
-from pepperscene.geometry.fruit.fruits import frames, fruits, scanned_fruits
+from pepperscene.geometry.fruit.fruits import fruit_frames, fruits, scanned_fruits
 from pepperscene.geometry.fruit.pericarp import pericarps
 from pepperscene.geometry.fruit.scan import load_scan
 from pepperscene.geometry.mesh import Mesh
@@ -23,7 +23,7 @@ from pepperscene.geometry.tubes.stalk import cuts, peduncles, stalks
 from pepperscene.geometry.tubes.stem import internodes, nodes
 from pepperscene.grammar.plant import Organ, Plant
 
-_MAKERS: Final[Mapping[Form, Callable[[Sequence[Organ], float], Bodies]]] = {
+_MAKERS: Final[Mapping[OrganForm, Callable[[Sequence[Organ], float], MeshBatch]]] = {
     "internode": internodes,
     "node": nodes,
     "stalk": stalks,
@@ -33,7 +33,7 @@ _MAKERS: Final[Mapping[Form, Callable[[Sequence[Organ], float], Bodies]]] = {
     "flower": flowers,
 }
 
-Part = tuple[NDArray[np.intp], Bodies]
+Part = tuple[NDArray[np.intp], MeshBatch]
 """Which organs of the plant, and their bodies."""
 
 
@@ -132,7 +132,7 @@ def _fruit_parts(plant: Plant, detail: float) -> list[Part]:
                 parts.append((fruit[group], scanned_fruits(organs, scan)))
                 faced.append(scanned_crowns(organs, scan))
         order = np.argsort(np.concatenate(groups))
-        seats = frames([plant.organs[index] for index in fruit]), joined(faced, order)
+        seats = fruit_frames([plant.organs[index] for index in fruit]), joined(faced, order)
     if calyx.size:
         organs = [plant.organs[index] for index in calyx]
         # The fruit grows out of the calyx, or out of the same fruit stalk.
@@ -146,7 +146,7 @@ def _fruit_parts(plant: Plant, detail: float) -> list[Part]:
     return parts
 
 
-def _where(plant: Plant, form: Form) -> NDArray[np.intp]:
+def _where(plant: Plant, form: OrganForm) -> NDArray[np.intp]:
     """Indices of the organs of one form."""
     forms = {name: kind.form for name, kind in plant.kinds.items()}
     return np.array([i for i, organ in enumerate(plant.organs) if forms[organ.kind] == form], dtype=np.intp)

@@ -1,18 +1,18 @@
 """Plants: drawing a cultivar's parameters, and building organs with poses from them; no triangles."""
 
-from pepperscene.cultivar import Form, Kind
-from pepperscene.grammar.build import build, grow
+from pepperscene.cultivar import OrganForm, OrganKind
+from pepperscene.grammar.build import build_plant, grow
 from pepperscene.grammar.draw import draw_parameters
 from pepperscene.grammar.plant import KindParameters, Organ, Plant, PlantParameters
 
 __all__ = [
-    "Form",
-    "Kind",
     "KindParameters",
     "Organ",
+    "OrganForm",
+    "OrganKind",
     "Plant",
     "PlantParameters",
-    "build",
+    "build_plant",
     "draw_parameters",
     "grow",
 ]

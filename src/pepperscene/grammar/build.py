@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.cultivar import CALYX, USUAL, Cultivar, Form, Kind
+from pepperscene.cultivar import CALYX, USUAL, Cultivar, OrganForm, OrganKind
 from pepperscene.grammar.draw import draw_parameters
 from pepperscene.grammar.frames import (
     FloatArray,
@@ -22,7 +22,7 @@ from pepperscene.grammar.frames import (
 from pepperscene.grammar.plant import Indices, KindParameters, Organ, Plant, PlantParameters
 from pepperscene.grammar.shapes import (
     STALK_POINTS,
-    Bodies,
+    OrganBatch,
     blade_hang,
     blades,
     cuts,
@@ -38,7 +38,7 @@ _CLEAR: Final = 0.4  # chosen: share of the shorter section beside it that half 
 
 def stem_bodies(
     names: tuple[str, str], sections: KindParameters, swellings: KindParameters
-) -> tuple[Bodies, Bodies, NodeFrames]:
+) -> tuple[OrganBatch, OrganBatch, NodeFrames]:
     """Internodes, nodes, and where the nodes stand.
 
     Node centres are joined by straight sections; the nodes take the bends.
@@ -60,7 +60,7 @@ def stem_bodies(
     end = centre - half[:, None] * axis
     along = np.linspace(0.0, 1.0, INTERNODE_POINTS)[:, None]
     up = across(np.broadcast_to([0.0, -1.0, 0.0], axis.shape), axis)
-    internodes = Bodies(
+    internodes = OrganBatch(
         kind=names[0],
         number=sections.number,
         parent=sections.parent,
@@ -77,7 +77,7 @@ def stem_bodies(
             "state_spread": one["state_spread"],
         },
     )
-    nodes = Bodies(
+    nodes = OrganBatch(
         kind=names[1],
         number=swellings.number,
         parent=swellings.parent,
@@ -103,7 +103,7 @@ def _shorter(length: FloatArray) -> FloatArray:
     return np.minimum(length, np.append(length[1:], length[-1:]))
 
 
-def build(parameters: PlantParameters) -> Plant:
+def build_plant(parameters: PlantParameters) -> Plant:
     """The plant that the parameters describe; the same parameters give the same arrays, bit for bit.
 
     Raises:
@@ -122,7 +122,7 @@ def build(parameters: PlantParameters) -> Plant:
     return Plant(parameters.cultivar, tuple(organ for organ in organs if organ is not None), kinds)
 
 
-def _only(every: Mapping[str, KindParameters], form: Form) -> str:
+def _only(every: Mapping[str, KindParameters], form: OrganForm) -> str:
     """The kind that the stem has of a form."""
     found = [name for name, one in every.items() if one.kind.form == form and len(one)]
     if len(found) != 1:
@@ -130,7 +130,7 @@ def _only(every: Mapping[str, KindParameters], form: Form) -> str:
     return found[0]
 
 
-def _branches(every: Mapping[str, KindParameters], nodes: NodeFrames, count: int) -> Iterator[Bodies]:
+def _branches(every: Mapping[str, KindParameters], nodes: NodeFrames, count: int) -> Iterator[OrganBatch]:
     """All organs but those of the stem, level by level, since a stalk must stand before what it bears."""
     frames, hang = StalkFrames(count, STALK_POINTS), _hang(every, count)
     levels = _levels(every, count)
@@ -143,7 +143,9 @@ def _branches(every: Mapping[str, KindParameters], nodes: NodeFrames, count: int
                 yield from _shaped(name, one.kind, sites, hang, frames)
 
 
-def _shaped(name: str, kind: Kind, sites: Sites, hang: FloatArray, frames: StalkFrames) -> list[Bodies]:
+def _shaped(
+    name: str, kind: OrganKind, sites: Sites, hang: FloatArray, frames: StalkFrames
+) -> list[OrganBatch]:
     """The organs of one kind and level."""
     match kind.form:
         case "stalk":
@@ -199,4 +201,4 @@ def grow(cultivar: Cultivar, rng: np.random.Generator, lean: float = 0.0) -> Pla
         rng: gives one number, the plant's key.
         lean: radians, added to the drawn lean of the stem; positive towards the aisle (-y).
     """
-    return build(draw_parameters(cultivar, rng, lean))
+    return build_plant(draw_parameters(cultivar, rng, lean))

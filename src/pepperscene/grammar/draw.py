@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from pepperscene.cultivar import Cultivar, Distribution
-from pepperscene.cultivar.organs import Form, Fruit, OrganModel
+from pepperscene.cultivar.organs import Fruit, OrganForm, OrganModel
 from pepperscene.grammar.expand import Items, expanded
 from pepperscene.grammar.growth import Growth, drawn_number, fruit_middle, growth_of, ripeness
 from pepperscene.grammar.hashing import Addresses, FloatArray, drawn_key, several_shares, shares
@@ -25,8 +25,8 @@ Columns = dict[str, FloatArray]
 def stem_columns(cultivar: Cultivar, growth: Growth, lean: float) -> tuple[Columns, Columns]:
     """The numbers of all internodes and of all nodes, by the names of `KindParameters.values`."""
     section, swelling = (
-        cultivar.organs[cultivar.stem.internode].laws,
-        cultivar.organs[cultivar.stem.node].laws,
+        cultivar.organs[cultivar.stem.internode].distributions,
+        cultivar.organs[cultivar.stem.node].distributions,
     )
     sections, nodes, places, sizes = growth.sections, growth.nodes, growth.places, growth.sizes
     length = sizes * section["length"].quantiles(shares(sections, "length"), places)
@@ -106,7 +106,7 @@ def _directions(
 _YOUNG_LIFT: Final = math.radians(60.0)  # young blades are held up; at size 0 by so much
 _YOUNG_PALE: Final = 0.35  # young blades are paler; at size 0 by so much in state
 
-_GROWING: Final[Mapping[Form, tuple[str, ...]]] = {
+_GROWING: Final[Mapping[OrganForm, tuple[str, ...]]] = {
     "stalk": ("length", "diameter"),
     "blade": ("length", "width", "margin_wave", "blister", "vein"),
     "peduncle": ("length", "diameter"),
@@ -116,7 +116,7 @@ _GROWING: Final[Mapping[Form, tuple[str, ...]]] = {
 }
 """What is smaller where the stem is young."""
 
-_PLAIN: Final[Mapping[Form, tuple[str, ...]]] = {"stalk": ("towards", "channel"), "flower": ("petals",)}
+_PLAIN: Final[Mapping[OrganForm, tuple[str, ...]]] = {"stalk": ("towards", "channel"), "flower": ("petals",)}
 """Numbers that all organs of a kind have alike."""
 
 _RIPENING: Final = ("ripe_fraction", "ripe_descent", "breaker_fraction", "unripe", "breaker", "ripe")
@@ -200,7 +200,7 @@ def _organs(
 
 def _drawn(model: OrganModel, address: Addresses, places: FloatArray) -> dict[str, FloatArray]:
     """`(n,)` values of all of a kind's laws."""
-    laws = model.laws
+    laws = model.distributions
     names = tuple(laws)
     share = dict(zip(names, several_shares(address, names), strict=True))
     correlation = getattr(model, "size_correlation", 0.0)

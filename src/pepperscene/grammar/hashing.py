@@ -25,7 +25,7 @@ _GOLDEN: Final = np.uint64(0x9E3779B97F4A7C15)  # SplitMix64's increment: 2^64 b
 _DOWN: Final = np.uint64(0xD1342543DE82EF95)
 
 
-def mixed(values: ArrayLike) -> Addresses:
+def splitmix64(values: ArrayLike) -> Addresses:
     """The finaliser of SplitMix64: every bit of each 64-bit number depends on all of its bits.
 
     Args:
@@ -47,7 +47,7 @@ def drawn_key(rng: np.random.Generator) -> Addresses:
 
 def descended(addresses: Addresses, steps: ArrayLike) -> Addresses:
     """Addresses of what stands below: of child number `steps`, which is broadcast against the addresses."""
-    return mixed(addresses + _times(steps, _DOWN))
+    return splitmix64(addresses + _times(steps, _DOWN))
 
 
 def shares(addresses: Addresses, name: str) -> FloatArray:
@@ -63,7 +63,7 @@ def several_shares(addresses: Addresses, names: tuple[str, ...]) -> FloatArray:
 
 def uniform(addresses: Addresses, numbers: ArrayLike) -> FloatArray:
     """Random number `numbers` of each address: the middles of 2^52 equal parts of (0, 1)."""
-    bits = mixed(addresses + _times(numbers, _GOLDEN)) >> np.uint64(12)
+    bits = splitmix64(addresses + _times(numbers, _GOLDEN)) >> np.uint64(12)
     return np.ldexp(bits.astype(np.float64) + 0.5, -52)
 
 

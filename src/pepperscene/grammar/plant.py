@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.cultivar.organs import Form, Kind
+from pepperscene.cultivar.organs import OrganForm, OrganKind
 from pepperscene.grammar.hashing import FloatArray
 
 
@@ -47,13 +47,13 @@ class Plant:
 
     cultivar: str
     organs: tuple[Organ, ...]
-    kinds: Mapping[str, Kind]
+    kinds: Mapping[str, OrganKind]
 
     def of_kind(self, name: str) -> tuple[Organ, ...]:
         """The organs of one kind, in order."""
         return tuple(organ for organ in self.organs if organ.kind == name)
 
-    def of_form(self, form: Form) -> tuple[Organ, ...]:
+    def of_form(self, form: OrganForm) -> tuple[Organ, ...]:
         """The organs of all kinds of one form, in order."""
         names = {name for name, kind in self.kinds.items() if kind.form == form}
         return tuple(organ for organ in self.organs if organ.kind in names)
@@ -83,7 +83,7 @@ class KindParameters:
             `ripeness` and `calyx_seed`.
     """
 
-    kind: Kind
+    kind: OrganKind
     number: Indices
     parent: Indices
     phytomer: Indices

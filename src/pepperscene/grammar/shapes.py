@@ -17,7 +17,7 @@ from pepperscene.grammar.plant import Indices, Organ
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies:
+class OrganBatch:
     """`n` organs of one kind.
 
     Attributes:
@@ -72,7 +72,7 @@ _MEASURED: Final[Mapping[str, str]] = {
 """Names of parameters where a measure has another; lengths and angles say their unit there."""
 
 
-def stalks(name: str, sites: Sites, hang: FloatArray, frames: StalkFrames) -> list[Bodies]:
+def stalks(name: str, sites: Sites, hang: FloatArray, frames: StalkFrames) -> list[OrganBatch]:
     """Petioles, side shoots, rachises: bent evenly, and towards the blade at their tip, if there is one.
 
     Args:
@@ -89,7 +89,7 @@ def stalks(name: str, sites: Sites, hang: FloatArray, frames: StalkFrames) -> li
     return [_tube(name, sites, slopes, one["bend"], more, one["sway"], frames, ("channel", "state_spread"))]
 
 
-def peduncles(name: str, sites: Sites, frames: StalkFrames) -> list[Bodies]:
+def peduncles(name: str, sites: Sites, frames: StalkFrames) -> list[OrganBatch]:
     """Stalks of fruit: an even bend from what bears them to the calyx."""
     one, s = sites.parts.values, middles(STALK_POINTS)
     bend, none = one["end_inclination"] - one["inclination"], np.zeros(len(sites.parts))
@@ -106,7 +106,7 @@ def _tube(
     sway: FloatArray,
     frames: StalkFrames,
     measured: tuple[str, ...],
-) -> Bodies:
+) -> OrganBatch:
     """Stalks of `(n, k)` slopes, which others can grow on from now on."""
     one = sites.parts.values
     steps = direction(sites.heading[:, None], slopes, sway[:, None] * middles(STALK_POINTS))
@@ -130,7 +130,7 @@ def _tube(
     return _bodies(name, sites, curves, up, measures)
 
 
-def blades(name: str, sites: Sites) -> list[Bodies]:
+def blades(name: str, sites: Sites) -> list[OrganBatch]:
     """Blades; one at the tip of a stalk leaves it without a kink, and soon hangs."""
     one, s = sites.parts.values, middles(BLADE_POINTS)
     hang = blade_hang(one)
@@ -155,7 +155,7 @@ def blade_hang(one: Mapping[str, FloatArray]) -> FloatArray:
     return np.asarray(one["inclination"] + 0.5 * one["droop"])
 
 
-def fruits(name: str, sites: Sites) -> list[Bodies]:
+def fruits(name: str, sites: Sites) -> list[OrganBatch]:
     """Fruit, each below its calyx; one of a kind without calyx hangs from its stalk's end."""
     one = sites.parts.values
     capped = "calyx_radius" in one
@@ -180,7 +180,7 @@ def fruits(name: str, sites: Sites) -> list[Bodies]:
     return [replace(cap, number=calyx), replace(fruit, parent=calyx)]
 
 
-def cuts(name: str, sites: Sites) -> list[Bodies]:
+def cuts(name: str, sites: Sites) -> list[OrganBatch]:
     """Stumps of harvested fruit; each must reach out of what it starts in."""
     one = sites.parts.values
     axis, up = _axes(sites.heading, one["inclination"])
@@ -188,7 +188,7 @@ def cuts(name: str, sites: Sites) -> list[Bodies]:
     return [_bodies(name, sites, curves, up, {"radius_m": 0.5 * one["diameter"], "seed": one["seed"]})]
 
 
-def flowers(name: str, sites: Sites) -> list[Bodies]:
+def flowers(name: str, sites: Sites) -> list[OrganBatch]:
     """Flowers, from the end of their stalk to the plane in which the petals lie when they are flat."""
     one = sites.parts.values
     axis, up = _axes(sites.heading, one["inclination"])
@@ -214,6 +214,6 @@ def _measures(one: Mapping[str, FloatArray], names: tuple[str, ...]) -> dict[str
 
 def _bodies(
     name: str, sites: Sites, curves: FloatArray, up: FloatArray, measures: dict[str, FloatArray]
-) -> Bodies:
+) -> OrganBatch:
     parts = sites.parts
-    return Bodies(name, parts.number, parts.parent, parts.phytomer, curves, up, measures)
+    return OrganBatch(name, parts.number, parts.parent, parts.phytomer, curves, up, measures)

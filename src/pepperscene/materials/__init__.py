@@ -14,7 +14,7 @@ from pepperscene.materials.rind import (
     green_surface,
     rind_reflectance,
 )
-from pepperscene.materials.surface import Surface, lambertian
+from pepperscene.materials.surface import Surface, lambertian_surface
 
 __all__ = [
     "Surface",
@@ -25,7 +25,7 @@ __all__ = [
     "green_surface",
     "greenhouse_surfaces",
     "gutter_surface",
-    "lambertian",
+    "lambertian_surface",
     "leaf_body",
     "leaf_surface",
     "organ_surfaces",

@@ -92,7 +92,7 @@ def node_cosines() -> Array:
     return NODE_SCALE * np.expm1(np.linspace(0.0, 1.0, NODES) * np.log1p(1.0 / NODE_SCALE))
 
 
-def interpolated(table: ArrayLike, cosine: ArrayLike) -> Array:
+def interpolate_table(table: ArrayLike, cosine: ArrayLike) -> Array:
     """A table at any cosine, linear in the nodes' variable: what the kernel does."""
     place = np.log1p(np.asarray(cosine, dtype=float) / NODE_SCALE) / np.log1p(1.0 / NODE_SCALE)
     return np.interp(place * (NODES - 1), np.arange(NODES), np.asarray(table, dtype=float))
@@ -104,7 +104,7 @@ def cosine_mean(table: ArrayLike) -> float:
 
 
 @functools.lru_cache(maxsize=256)
-def openness(ior: float, alpha: float) -> tuple[Array, float]:
+def cuticle_transmittance(ior: float, alpha: float) -> tuple[Array, float]:
     """What a cuticle lets in: 1 - E at the nodes, `(NODES,)` read-only, and the mean of its interpolant.
 
     Args:

@@ -17,7 +17,7 @@ from pepperscene.materials.surface import Surface, enough_states
 from pepperscene.spectra import leaf_spectra
 
 if TYPE_CHECKING:
-    from pepperscene.cultivar import Cultivar, Form, OrganModel, PigmentPath
+    from pepperscene.cultivar import Cultivar, OrganForm, OrganModel, PigmentPath
 
 
 Array = NDArray[np.float64]
@@ -153,7 +153,7 @@ def _surface(cultivar: Cultivar, kind: str, name: str, nm: NDArray[np.float64]) 
     return replace(made, name=name)
 
 
-def _size_mm(cultivar: Cultivar, kind: str, form: Form) -> tuple[float, float]:
+def _size_mm(cultivar: Cultivar, kind: str, form: OrganForm) -> tuple[float, float]:
     """Mean extents of u and v: width and length of a blade, else girth and length."""
     if form == "calyx":
         fruit = next(organ for organ in cultivar.organs.values() if organ.form == "fruit")
@@ -175,4 +175,4 @@ def _size_mm(cultivar: Cultivar, kind: str, form: Form) -> tuple[float, float]:
 
 
 def _mean(organ: OrganModel, law: str) -> float:
-    return organ.laws[law].mean
+    return organ.distributions[law].mean

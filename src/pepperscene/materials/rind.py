@@ -11,7 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.materials.gloss import cone_gloss
 from pepperscene.materials.patterns import noise_mm
 from pepperscene.materials.surface import Surface, enough_states
-from pepperscene.spectra import Spectrum, absorption_coefficients, leaf_spectra, over_body, read_spectrum
+from pepperscene.spectra import (
+    Spectrum,
+    absorption_coefficients,
+    layer_over_body,
+    leaf_spectra,
+    read_spectrum,
+)
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import PigmentPath
@@ -55,7 +61,7 @@ def rind_reflectance(path: PigmentPath, wavelength_nm: Array, states: ArrayLike)
     """
     rind = leaf_spectra(wavelength_nm, **path.at(np.atleast_1d(np.asarray(states, dtype=float))))
     flesh = flesh_reflectance(path.flesh_reflectance or 0.0, wavelength_nm)
-    reflectance, _ = over_body(rind, flesh).under_gloss(cone_gloss(path.ior, path.roughness[0]))
+    reflectance, _ = layer_over_body(rind, flesh).under_gloss(cone_gloss(path.ior, path.roughness[0]))
     return reflectance
 
 

@@ -60,7 +60,7 @@ class Surface:
                 raise ValueError(f"{self.name}: pattern and relief must be finite")
 
 
-def lambertian(name: str, reflectance: float) -> Surface:
+def lambertian_surface(name: str, reflectance: float) -> Surface:
     """An ideal matt, opaque, grey surface; for test patches and reference cards."""
     nm = np.array([300.0, 1100.0])
     return Surface(name, nm, np.full((1, 2, 2), float(reflectance)), np.zeros((1, 2)))

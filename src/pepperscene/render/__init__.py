@@ -3,18 +3,18 @@
 Importing this room does not import Mitsuba yet; the first render does.
 """
 
-from pepperscene.render.quality import QUALITIES, Quality, quality_named, quality_of
-from pepperscene.render.renderer import Renderer, begin, render
+from pepperscene.render.quality import QUALITIES, Quality, find_quality, resolve_quality
+from pepperscene.render.renderer import Renderer, render_scene, warm_up
 from pepperscene.render.variant import variant_name, wanted_threads
 
 __all__ = [
     "QUALITIES",
     "Quality",
     "Renderer",
-    "begin",
-    "quality_named",
-    "quality_of",
-    "render",
+    "find_quality",
+    "render_scene",
+    "resolve_quality",
     "variant_name",
     "wanted_threads",
+    "warm_up",
 ]

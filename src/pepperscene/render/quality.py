@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final, Literal, get_args
 
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError
 
 MOST_EXACT: Final = 0.01
 LEAST_EXACT: Final = 10.0
@@ -61,20 +61,18 @@ QUALITIES: Final[Mapping[str, Quality]] = {
 }
 
 
-def quality_named(name: str) -> Quality:
+def find_quality(name: str) -> Quality:
     """The quality of that name.
 
     Raises:
         InputError: there is none.
     """
     if name not in QUALITIES:
-        raise InputError(
-            "--quality", "", None, f"unknown quality {name!r}; allowed are {', '.join(QUALITIES)}"
-        )
+        raise ArgumentError("quality", f"unknown quality {name!r}; allowed are {', '.join(QUALITIES)}")
     return QUALITIES[name]
 
 
-def quality_of(quality: str | Quality, target_error: float | None = None) -> Quality:
+def resolve_quality(quality: str | Quality, target_error: float | None = None) -> Quality:
     """A quality, or the one of that name, with another target where one is given.
 
     Args:
@@ -85,14 +83,12 @@ def quality_of(quality: str | Quality, target_error: float | None = None) -> Qua
     Raises:
         InputError: there is no such quality, or the target is not above 0 or asks for what takes forever.
     """
-    found = quality_named(quality) if isinstance(quality, str) else quality
+    found = find_quality(quality) if isinstance(quality, str) else quality
     if target_error is None:
         return found
     if not MOST_EXACT <= target_error <= LEAST_EXACT:
-        raise InputError(
-            "--target-error",
-            "",
-            None,
+        raise ArgumentError(
+            "target_error",
             f"must lie in [{MOST_EXACT:g}, {LEAST_EXACT:g}], the light's error over the sensor's noise, "
             f"not {target_error:g}",
         )

@@ -17,16 +17,16 @@ from pepperscene.camera import Camera, develop, expected_electrons, raw_frame, r
 from pepperscene.errors import InputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, PARTNERED, Frame, check_outputs
 from pepperscene.render.aov import labels
-from pepperscene.render.kernel.arrays import Region, region_of
-from pepperscene.render.kernel.camera import LensCache, View, response
+from pepperscene.render.kernel.arrays import LocalCoordinates, local_coordinates
+from pepperscene.render.kernel.camera import CameraRays, LensCache, response
 from pepperscene.render.kernel.scene import LightScene, light_scene, sky_tables, truth_scene
-from pepperscene.render.quality import Quality, quality_of
+from pepperscene.render.quality import Quality, resolve_quality
 from pepperscene.render.reference.path_tracer import PathScene, path_scene, path_traced, samples_taken
-from pepperscene.render.transport.adaptive import Stop
-from pepperscene.render.transport.denoise import begin as begin_denoising
+from pepperscene.render.transport.adaptive import AdaptiveSampler
 from pepperscene.render.transport.denoise import denoised
+from pepperscene.render.transport.denoise import preload_denoiser as begin_denoising
 from pepperscene.render.transport.trace import Sampling, trace
-from pepperscene.render.variant import kernel, variant_name
+from pepperscene.render.variant import mitsuba_modules, variant_name
 from pepperscene.scene import Scene
 from pepperscene.version import __version__
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from pepperscene.render.aov.harvest import Harvest
 
 
-def begin(camera: Camera, quality: Quality) -> threading.Thread:
+def warm_up(camera: Camera, quality: Quality) -> threading.Thread:
     """Mitsuba, the denoiser and the camera's colour matrix begin in a thread of their own, which is returned.
 
     Nothing depends on it but the time: what fails there fails again, and is told, where it is first needed.
@@ -57,7 +57,7 @@ def begin(camera: Camera, quality: Quality) -> threading.Thread:
 
 
 def _steps(camera: Camera, quality: Quality) -> Iterator[Callable[[], Any]]:
-    yield kernel
+    yield mitsuba_modules
     if quality.denoise:
         yield begin_denoising
     if camera.sensor.channels > 1 and camera.developing.colour_matrix is True:
@@ -68,7 +68,7 @@ Traced = tuple[NDArray[np.float32], dict[str, Any]]
 """Light `(h, w, c)` in electrons s-1 m-2 sr-1, and what a frame's facts say of its samples."""
 
 
-def render(
+def render_scene(
     scene: Scene,
     camera: Camera,
     outputs: Iterable[str] = DEFAULT_OUTPUTS,
@@ -122,7 +122,7 @@ class Renderer:
         """One frame; see `render`."""
         wanted = check_outputs(outputs)
         onto = _examined(wanted, others or {})
-        effort = quality_of(quality, target_error)
+        effort = resolve_quality(quality, target_error)
         view = self._lens.view(camera, self._region)
         images: dict[str, Any] = {}
         told: dict[str, Any] = {}
@@ -144,7 +144,7 @@ class Renderer:
         if any(not OUTPUTS[name].traced for name in wanted):
             hits = labels.first_hits(self._truth_scene(), view)
             instance = labels.instance_ids(self.scene.mesh, hits)
-            images |= labels.truths(self.scene.mesh, hits, instance, camera, wanted)
+            images |= labels.label_outputs(self.scene.mesh, hits, instance, camera, wanted)
             seen = labels.instances_in_view(self.scene.mesh, instance)
             if "coverage" in wanted:
                 images["coverage"] = self._covered().image(self._truth_scene(), view)
@@ -158,7 +158,7 @@ class Renderer:
     # --- passes -----------------------------------------------------------------------------------------
 
     def _light_through(
-        self, view: View, camera: Camera, quality: Quality, sampling: np.random.SeedSequence
+        self, view: CameraRays, camera: Camera, quality: Quality, sampling: np.random.SeedSequence
     ) -> Traced:
         """Light by the integrator that the quality asks for."""
         number = int(sampling.generate_state(1)[0])
@@ -167,16 +167,16 @@ class Renderer:
 
     def _motion(self, hits: labels.Hits, camera: Camera, other: Camera | None) -> NDArray[np.float32]:
         """Where what is hit lies for another camera."""
-        from pepperscene.render.aov.flow import motion, nowhere
+        from pepperscene.render.aov.flow import nowhere, optical_flow
 
         if other is None:
             return nowhere(hits)
-        return motion(self._truth_scene(), self._region, hits, camera, other)
+        return optical_flow(self._truth_scene(), self._region, hits, camera, other)
 
-    def _traced(self, view: View, camera: Camera, quality: Quality, seed: int) -> Traced:
+    def _traced(self, view: CameraRays, camera: Camera, quality: Quality, seed: int) -> Traced:
         """Light by our own integrator, and what is to be said of its samples."""
         spectral = response(camera, self.scene)
-        stop = Stop(camera, quality.target, quality.most, denoised=quality.denoise)
+        stop = AdaptiveSampler(camera, quality.target, quality.most, denoised=quality.denoise)
         light = trace(
             self._light_scene(float(spectral.grid_nm[0]), float(spectral.grid_nm[-1])),
             view,
@@ -189,7 +189,7 @@ class Renderer:
         signal = denoised(light) if quality.denoise else light.total()
         return signal, stop.achieved(light)
 
-    def _path_traced(self, view: View, camera: Camera, quality: Quality, seed: int) -> Traced:
+    def _path_traced(self, view: CameraRays, camera: Camera, quality: Quality, seed: int) -> Traced:
         """Light by Mitsuba's own path tracer."""
         grid = response(camera, self.scene).grid_nm
         lit_by = (float(grid[0]), float(grid[-1]), camera.flash is not None)
@@ -209,8 +209,8 @@ class Renderer:
     # --- scenes, made when first needed -----------------------------------------------------------------
 
     @functools.cached_property
-    def _region(self) -> Region:
-        return region_of(self.scene.mesh)
+    def _region(self) -> LocalCoordinates:
+        return local_coordinates(self.scene.mesh)
 
     def _truth_scene(self) -> Any:
         """Any Mitsuba scene will do for hits: the one with materials where it is there already."""
@@ -246,7 +246,7 @@ class Renderer:
 
     def _facts(self, camera: Camera, seed: int) -> dict[str, Any]:
         return {
-            "camera": camera.facts(),
+            "camera": camera.metadata(),
             "seed": seed,
             "variant": variant_name(),
             "versions": {
@@ -261,10 +261,10 @@ def _examined(wanted: tuple[str, ...], others: Mapping[str, Camera]) -> Mapping[
     """The other cameras, unless one that is needed is missing, or is none that is known."""
     for name in others:
         if name not in ("flow", "stereo"):
-            raise InputError("others", name, None, "is no camera that is asked for; allowed are flow, stereo")
+            raise InputError("others", "is no camera that is asked for; allowed are flow, stereo", key=name)
     missing = [name for name in wanted if name in PARTNERED]
     if missing and "stereo" not in others:
-        raise InputError("others", "stereo", None, f"must be a partner's camera for the output {missing[0]}")
+        raise InputError("others", f"must be a partner's camera for the output {missing[0]}", key="stereo")
     return others
 
 
@@ -285,7 +285,7 @@ def _photographs(
 @functools.cache
 def _library_versions() -> dict[str, str]:
     """The versions of all that a frame's numbers pass through."""
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     found = {name: metadata.version(name) for name in ("drjit", "numpy", "pyoidn")}
     if mi.variant().startswith("llvm"):
         found["llvm"] = ".".join(str(part) for part in dr.detail.llvm_version())

@@ -108,7 +108,7 @@ def choose_variant(wanted: str | None = None) -> str:
 
 
 @functools.cache
-def kernel() -> tuple[Any, Any]:
+def mitsuba_modules() -> tuple[Any, Any]:
     """The modules `mitsuba`, with the variant set, and `drjit`.
 
     All of this room imports the two through this function: a bare `import drjit` would load whichever LLVM
@@ -151,7 +151,7 @@ def wanted_threads() -> int | None:
 
 def variant_name() -> str:
     """The variant that renders here, for the facts of a frame."""
-    return str(kernel()[0].variant())
+    return str(mitsuba_modules()[0].variant())
 
 
 def _checked(path: Path) -> Path:

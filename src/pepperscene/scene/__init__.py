@@ -1,41 +1,41 @@
 """Where things stand: plant rows in their greenhouse, sky and roof, as data that any renderer could read."""
 
 from pepperscene.scene.cover import Cover, load_cover
-from pepperscene.scene.culling import Reach, culled, reach
-from pepperscene.scene.far_rows import coarse, far_rows
-from pepperscene.scene.frustum import Sight, sight
-from pepperscene.scene.greenhouse import Greenhouse, Posture, furniture, posture, uneven
-from pepperscene.scene.placement import Scene, Skeleton, assemble, skeleton
-from pepperscene.scene.row import DoubleRow, Twine, about_z, double_row, standing, with_twine
-from pepperscene.scene.sky import Sky, Sun, partly_cloudy, uniform_sky
+from pepperscene.scene.culling import LightReach, cull_mesh, light_reach
+from pepperscene.scene.far_rows import coarsen_plant, far_rows
+from pepperscene.scene.frustum import ViewFrustums, view_frustums
+from pepperscene.scene.greenhouse import Greenhouse, Posture, draw_posture, greenhouse_mesh, jittered_places
+from pepperscene.scene.placement import Scene, Skeleton, assemble_scene, build_skeleton
+from pepperscene.scene.row import DoubleRow, Twine, add_twine, double_row, place_plants, rotation_about_z
+from pepperscene.scene.sky import Sky, Sun, partly_cloudy_sky, uniform_sky
 
 __all__ = [
     "Cover",
     "DoubleRow",
     "Greenhouse",
+    "LightReach",
     "Posture",
-    "Reach",
     "Scene",
-    "Sight",
     "Skeleton",
     "Sky",
     "Sun",
     "Twine",
-    "about_z",
-    "assemble",
-    "coarse",
-    "culled",
+    "ViewFrustums",
+    "add_twine",
+    "assemble_scene",
+    "build_skeleton",
+    "coarsen_plant",
+    "cull_mesh",
     "double_row",
+    "draw_posture",
     "far_rows",
-    "furniture",
+    "greenhouse_mesh",
+    "jittered_places",
+    "light_reach",
     "load_cover",
-    "partly_cloudy",
-    "posture",
-    "reach",
-    "sight",
-    "skeleton",
-    "standing",
-    "uneven",
+    "partly_cloudy_sky",
+    "place_plants",
+    "rotation_about_z",
     "uniform_sky",
-    "with_twine",
+    "view_frustums",
 ]

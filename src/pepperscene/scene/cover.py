@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from pepperscene.document import read_toml, validated
+from pepperscene.document import read_toml, validate
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum, illuminance
-from pepperscene.spectra.files import CurveTable, SourcedDocument, curve, locate
+from pepperscene.spectra.files import CurveTable, SourcedDocument, find_material, read_curve
 
 _BALANCED: Final = 1e-12  # chosen: rounding of doubles, well below that of the float32 sky
 _TURNS: Final = 1000  # chosen: ten times what the narrowest lobe takes
@@ -186,16 +186,16 @@ def load_cover(wanted: str | Path) -> Cover:
     Raises:
         InputError: the file or its curve is missing or wrong; the message names file, key and value.
     """
-    path = locate("covers", wanted)
-    told = validated(CoverDocument, read_toml(path), path)
+    path = find_material("covers", wanted)
+    told = validate(CoverDocument, read_toml(path), path)
     file, column = told.transmittance.file, told.transmittance.column
-    transmittance = replace(curve(path, "transmittance", file, column), outside="hold")
+    transmittance = replace(read_curve(path, "transmittance", file, column), outside="hold")
     above = transmittance.values > 1.0
     if above.any():
         row = int(np.argmax(above))
         key = f"row {row + 2}, column {column}"  # as a text editor counts: the header is row 1
         found = float(transmittance.values[row])
-        raise InputError(path.parent / file, key, found, "must be a share, at most 1")
+        raise InputError(path.parent / file, "must be a share, at most 1", key=key, value=found)
     if illuminance(transmittance) <= 0.0:
-        raise InputError(path, "transmittance.column", column, "must let visible light through")
+        raise InputError(path, "must let visible light through", key="transmittance.column", value=column)
     return Cover(told.name, transmittance, told.haze, float(np.radians(told.haze_width_deg or 0.0)))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.geometry import Mesh
-from pepperscene.scene.frustum import Sight, gaps, lamps
+from pepperscene.scene.frustum import ViewFrustums, gaps, lamps
 from pepperscene.scene.lod import stand_ins
 from pepperscene.scene.sky import SUN_ANGULAR_RADIUS
 
@@ -38,7 +38,7 @@ of a code of 8 bits at middle grey."""
 
 
 @dataclass(frozen=True)
-class Reach:
+class LightReach:
     """How much light what is not seen can give or take, as shares of the light at the path's distance.
 
     Attributes:
@@ -61,7 +61,7 @@ class Reach:
         return self.sky + self.sun <= _MOST_DAYLIGHT
 
 
-def reach(camera: Camera, distance_m: float, sky_lx: float, sun_lx: float = 0.0) -> Reach:
+def light_reach(camera: Camera, distance_m: float, sky_lx: float, sun_lx: float = 0.0) -> LightReach:
     """How much light what is not seen can give or take.
 
     A flash told in W m-2 cannot be compared with lux: daylight then counts in full, as it does without one.
@@ -74,7 +74,7 @@ def reach(camera: Camera, distance_m: float, sky_lx: float, sun_lx: float = 0.0)
     """
     flash, slopes = camera.flash, np.abs(camera.ray_slopes())
     if flash is None:
-        return Reach(1.0, 1.0, 0.0, distance_m)
+        return LightReach(1.0, 1.0, 0.0, distance_m)
     # Beside the picture, and beside what lies in the flash's way to it, lies what is at least as far off the
     # flash's axis as the nearest border.
     borders = (slopes[0, :, 1].min(), slopes[-1, :, 1].min(), slopes[:, 0, 0].min(), slopes[:, -1, 0].min())
@@ -82,11 +82,11 @@ def reach(camera: Camera, distance_m: float, sky_lx: float, sun_lx: float = 0.0)
     stray = float(np.max(flash.profile.at(beyond)))
     lamp = float(np.linalg.norm(lamps(flash), axis=1).max()) + flash.radius_m
     if flash.illuminance_lx is None:
-        return Reach(float(sky_lx > 0.0), float(sun_lx > 0.0), stray, distance_m, lamp)
+        return LightReach(float(sky_lx > 0.0), float(sun_lx > 0.0), stray, distance_m, lamp)
     # The flash shines for a part of the exposure.
     flash_lx = flash.illuminance_lx * (flash.at_m / distance_m) ** 2 * camera.flash_duty
     whole = flash_lx + sky_lx + sun_lx
-    return Reach(sky_lx / whole, sun_lx / whole, stray * flash_lx / whole, distance_m, lamp)
+    return LightReach(sky_lx / whole, sun_lx / whole, stray * flash_lx / whole, distance_m, lamp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,9 @@ def _bounds(
     return least, most
 
 
-def negligible(found: Pieces, seen: NDArray[np.bool_], view: Sight, light: Reach) -> NDArray[np.bool_]:
+def negligible(
+    found: Pieces, seen: NDArray[np.bool_], view: ViewFrustums, light: LightReach
+) -> NDArray[np.bool_]:
     """`(n,)` which pieces can be left out: those that matter least, as many as together stay below
     `LEAST_LIGHT`.
 
@@ -191,7 +193,7 @@ def _cheapest(weights: NDArray[np.float32]) -> NDArray[np.intp]:
     return order[np.cumsum(weights[order], dtype=float) <= LEAST_LIGHT]
 
 
-def culled(mesh: Mesh, view: Sight, light: Reach) -> Mesh:
+def cull_mesh(mesh: Mesh, view: ViewFrustums, light: LightReach) -> Mesh:
     """The mesh with what no view can see made simple, or left out where it does not matter.
 
     Instances stay as they are, so that their numbers do. Triangles that a view can see, or that can stand

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.geometry import Mesh, concatenate
+from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.scene.greenhouse import Greenhouse, RowLine, as_one, row_lines
-from pepperscene.scene.row import DoubleRow, about_z
+from pepperscene.scene.row import DoubleRow, rotation_about_z
 
 MODELS: Final = 6
 """Different plants that far rows are made of: chosen, a row of twenty shows no pattern."""
@@ -32,7 +32,7 @@ _GRID: Final[Mapping[OrganClass, tuple[int, int]]] = MappingProxyType(
 """Steps of u and v that are left of each organ; chosen: 20 mm are ten pixels at 1 m, and out of focus."""
 
 
-def coarse(mesh: Mesh) -> Mesh:
+def coarsen_plant(mesh: Mesh) -> Mesh:
     """A plant with few triangles: of each organ's vertices those nearest to the knots of a coarse grid of uv.
 
     Twine, calyces, scars and flowers are left out. Clustering after Rossignac & Borrel 1993, in the surface's
@@ -132,13 +132,13 @@ def _row(
     """Plants at these places, those of one model placed together."""
     which = rng.integers(len(models), size=x.size)
     facing = 0.0 if line.aisle < 0 else np.pi
-    turns = np.stack([about_z(facing + turn) for turn in rng.uniform(-_TURN, _TURN, x.size)])
+    turns = np.stack([rotation_about_z(facing + turn) for turn in rng.uniform(-_TURN, _TURN, x.size)])
     feet = np.column_stack([x, np.full((x.size, 2), (line.y_m, house.foot_m))])
     parts = [
         _repeated(models[number], turns[which == number], feet[which == number])
         for number in np.unique(which)
     ]
-    return as_one(concatenate(parts), OrganClass.BACKGROUND, "far_row")
+    return as_one(concatenate_meshes(parts), OrganClass.BACKGROUND, "far_row")
 
 
 def _repeated(model: Mesh, turns: NDArray[np.float64], feet: NDArray[np.float64]) -> Mesh:

@@ -18,7 +18,7 @@ _ROWS: Final = 512  # chosen: rows of a table of distances at a time, so that it
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class ViewFrustums:
     """Where the views of a path look: for each pose the half-spaces that hold all it can show.
 
     Attributes:
@@ -58,7 +58,7 @@ class Sight:
         return gaps(centres, self.places) - radii
 
 
-def sight(camera: Camera, poses: ArrayLike) -> Sight:
+def view_frustums(camera: Camera, poses: ArrayLike) -> ViewFrustums:
     """Where a camera looks from some poses.
 
     The lens' distortion may bow the picture's border: the half-spaces go by its widest slopes. A ray starts
@@ -83,7 +83,9 @@ def sight(camera: Camera, poses: ArrayLike) -> Sight:
     offsets = np.einsum("pki,pi->pk", normals, pose[:, :3, 3]) - behind
     # Rounding to single precision is worth a hair's breadth.
     offsets -= 1e-5 * (1.0 + np.abs(pose[:, :3, 3]).max(initial=0.0))
-    return Sight(normals.astype(np.float32), offsets.astype(np.float32), pose[:, :3, 3].astype(np.float32))
+    return ViewFrustums(
+        normals.astype(np.float32), offsets.astype(np.float32), pose[:, :3, 3].astype(np.float32)
+    )
 
 
 def _behind(into: NDArray[np.float64], flash: Flash | None) -> NDArray[np.float64]:

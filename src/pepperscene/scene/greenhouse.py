@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.classes import Instance, OrganClass
-from pepperscene.geometry import Mesh, concatenate, one_instance, rectangle
+from pepperscene.geometry import Mesh, concatenate_meshes, rectangle, single_instance_mesh
 from pepperscene.scene.row import DoubleRow
 
 _SIDES = 12  # chosen: a wire or a pipe is some pixels wide
@@ -61,7 +61,7 @@ def beam(section: ArrayLike, ends: tuple[float, float], surface: str, *, smooth:
     normals = np.concatenate([sides[1].reshape(-1, 3), facing])
     uv = np.concatenate([np.column_stack([u.ravel(), along]), flat, flat])
     state = np.full(len(vertices), 0.5)
-    return one_instance(vertices, normals, uv, state, faces, OrganClass.BACKGROUND, "beam", surface)
+    return single_instance_mesh(vertices, normals, uv, state, faces, OrganClass.BACKGROUND, "beam", surface)
 
 
 def box(y: tuple[float, float], z: tuple[float, float], ends: tuple[float, float], surface: str) -> Mesh:
@@ -174,7 +174,7 @@ def row_lines(row: DoubleRow, house: Greenhouse) -> list[RowLine]:
     return lines
 
 
-def furniture(row: DoubleRow, house: Greenhouse, places: NDArray[np.float64]) -> list[Mesh]:
+def greenhouse_mesh(row: DoubleRow, house: Greenhouse, places: NDArray[np.float64]) -> list[Mesh]:
     """All that is asked for besides plants, one instance for each thing.
 
     Args:
@@ -208,7 +208,7 @@ def _gutter(y: float, house: Greenhouse, reach: tuple[float, float]) -> list[Mes
     wide = min(_SLAB[0], house.gutter_width_m - 4.0 * _SHEET) / 2.0
     slab = box((y - wide, y + wide), (bottom + _SHEET, bottom + _SHEET + _SLAB[1]), reach, "foil")
     return [
-        as_one(concatenate(parts), OrganClass.BACKGROUND, "gutter"),
+        as_one(concatenate_meshes(parts), OrganClass.BACKGROUND, "gutter"),
         as_one(slab, OrganClass.BACKGROUND, "slab"),
     ]
 
@@ -222,7 +222,7 @@ def _blocks(places: NDArray[np.float64], house: Greenhouse, spacing_m: float) ->
         ends, skin = (x - along, x + along), top - _SHEET
         parts.append(box((y - half, y + half), (top - _BLOCK[2], skin), ends, "foil"))
         parts.append(box((y - half, y + half), (skin, top), ends, "rockwool"))
-    return as_one(concatenate(parts), OrganClass.BACKGROUND, "block")
+    return as_one(concatenate_meshes(parts), OrganClass.BACKGROUND, "block")
 
 
 def _wire(line: RowLine, house: Greenhouse, reach: tuple[float, float]) -> Mesh:
@@ -272,7 +272,7 @@ class Posture:
     turn_rad: float = 0.0
 
 
-def posture(house: Greenhouse, rng: np.random.Generator) -> Posture:
+def draw_posture(house: Greenhouse, rng: np.random.Generator) -> Posture:
     """How one plant stands: normal spreads about its row's line, lean and facing."""
     across, lean, turn = _normal(rng, 3)
     return Posture(
@@ -282,7 +282,7 @@ def posture(house: Greenhouse, rng: np.random.Generator) -> Posture:
     )
 
 
-def uneven(row: DoubleRow, house: Greenhouse, rng: np.random.Generator) -> NDArray[np.float64]:
+def jittered_places(row: DoubleRow, house: Greenhouse, rng: np.random.Generator) -> NDArray[np.float64]:
     """`(n, 2)` x and y of the places of a double row: along the row, each lies by chance off its spot."""
     places = row.places()
     places[:, 0] += house.spacing_sd_m * _normal(rng, len(places))

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.geometry import Mesh, Motion
-from pepperscene.grammar import Form, Kind, Organ, Plant
+from pepperscene.grammar import Organ, OrganForm, OrganKind, Plant
 from pepperscene.materials import Surface
-from pepperscene.scene.row import about_z
+from pepperscene.scene.row import rotation_about_z
 from pepperscene.scene.sky import Sky
 
 
@@ -52,7 +52,7 @@ class Skeleton:
         number, index = self._place(instance)
         organ, first = self.plants[number].organs[index], self._firsts[number]
         # The plant in its place.
-        turn = about_z(float(self.turns[number]))
+        turn = rotation_about_z(float(self.turns[number]))
         curve, up = organ.curve @ turn.T + self.feet[number], turn @ organ.up
         # What turned it, or what it grows on, while the row settled; in order.
         line = {instance}
@@ -67,7 +67,7 @@ class Skeleton:
             organ, curve=curve, up=up, parent=first + organ.parent if organ.parent >= 0 else organ.parent
         )
 
-    def kind(self, instance: int) -> Kind | None:
+    def kind(self, instance: int) -> OrganKind | None:
         """What an instance of the scene is; None for one that is no organ of the plants."""
         if not self.holds(instance):
             return None
@@ -79,7 +79,7 @@ class Skeleton:
         number = self._owner(instance)
         return number >= 0 and instance - self._firsts[number] < len(self.plants[number].organs)
 
-    def of_form(self, *forms: Form, plant: int | None = None) -> tuple[int, ...]:
+    def of_form(self, *forms: OrganForm, plant: int | None = None) -> tuple[int, ...]:
         """The instances whose bodies are of these forms, ascending; of one plant alone where it is told."""
         found: list[int] = []
         for number in range(len(self.plants)) if plant is None else (plant,):
@@ -116,7 +116,7 @@ class Skeleton:
         return found
 
 
-def skeleton(plants: Sequence[Plant]) -> Skeleton:
+def build_skeleton(plants: Sequence[Plant]) -> Skeleton:
     """The skeleton of plants whose meshes follow each other as they are, each without anything that holds it.
 
     One plant alone stands at the origin.
@@ -151,7 +151,7 @@ class Scene:
             raise ValueError(f"surfaces {names} do not match the mesh's {self.mesh.surfaces}")
 
 
-def assemble(
+def assemble_scene(
     mesh: Mesh,
     surfaces: Mapping[str, Surface] | None = None,
     sky: Sky | None = None,

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.geometry import Mesh, concatenate, stem_branches, stem_profile, twine
+from pepperscene.geometry import Mesh, concatenate_meshes, stem_branches, stem_profile, twine_mesh
 from pepperscene.grammar import Plant
 
 _STRAIGHT: Final = 0.15  # chosen: metres of cord below the wire that are not wound round the stem
@@ -55,7 +55,7 @@ class DoubleRow:
         return np.stack([x, np.repeat([0.0, self.gap_m], [self.front, self.back])], axis=1)
 
 
-def with_twine(
+def add_twine(
     plant: Plant, mesh: Mesh, cord: Twine, rng: np.random.Generator, wire: ArrayLike | None = None
 ) -> Mesh:
     """The plant's mesh with a twine wound unevenly round its main stem, starting at a random side.
@@ -77,7 +77,7 @@ def with_twine(
     branches = stem_branches(plant)
     phase, seed = float(rng.uniform(0.0, 2.0 * np.pi)), float(rng.uniform())
     wound = partial(
-        twine,
+        twine_mesh,
         twine_radius_m=cord.diameter_m / 2.0,
         turns_per_m=cord.turns_per_m,
         phase_rad=phase,
@@ -85,7 +85,7 @@ def with_twine(
         seed=seed,
     )
     if wire is None:
-        return concatenate([mesh, wound(axis, radius)])
+        return concatenate_meshes([mesh, wound(axis, radius)])
     end = np.asarray(wire, dtype=float)
     axis, radius = _below(axis, radius, float(end[2]) - _STRAIGHT)
     top = axis[-1]
@@ -94,7 +94,7 @@ def with_twine(
     # What goes straight up is leant over to the wire, the more the higher it is.
     share = np.maximum(cord_mesh.vertices[:, 2:] - top[2], 0.0) / rise
     leant = cord_mesh.vertices + share * np.append(end[:2] - top[:2], 0.0)
-    return concatenate([mesh, replace(cord_mesh, vertices=leant.astype(np.float32))])
+    return concatenate_meshes([mesh, replace(cord_mesh, vertices=leant.astype(np.float32))])
 
 
 def _below(
@@ -129,10 +129,10 @@ def double_row(
         One mesh; instances are numbered front to back, left to right, and carry their plant's number.
     """
     places = DoubleRow(len(front), len(back), spacing_m, gap_m, shift_m).places()
-    return standing([*front, *back], np.pad(places, ((0, 0), (0, 1))), np.zeros(len(places)))
+    return place_plants([*front, *back], np.pad(places, ((0, 0), (0, 1))), np.zeros(len(places)))
 
 
-def standing(plants: Sequence[Mesh], feet: NDArray[np.float64], turns: NDArray[np.float64]) -> Mesh:
+def place_plants(plants: Sequence[Mesh], feet: NDArray[np.float64], turns: NDArray[np.float64]) -> Mesh:
     """One mesh of plants, each turned about its own vertical axis and put in its place.
 
     Args:
@@ -143,15 +143,15 @@ def standing(plants: Sequence[Mesh], feet: NDArray[np.float64], turns: NDArray[n
     Returns:
         One mesh; instances are numbered on and carry their plant's number.
     """
-    return concatenate(
+    return concatenate_meshes(
         [
-            plant.of_plant(number).moved(about_z(turn), foot)
+            plant.select_plant(number).moved(rotation_about_z(turn), foot)
             for number, (plant, foot, turn) in enumerate(zip(plants, feet, turns, strict=True))
         ]
     )
 
 
-def about_z(angle: float) -> NDArray[np.float64]:
+def rotation_about_z(angle: float) -> NDArray[np.float64]:
     """`(3, 3)` turn about the vertical axis, counter-clockwise seen from above; exact for half turns."""
     half = float(angle) / np.pi
     if half == round(half):

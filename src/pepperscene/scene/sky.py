@@ -84,7 +84,7 @@ def uniform_sky(spectrum: Spectrum, illuminance_lx: float) -> Sky:
     return Sky(np.ones((1, 2, 4), np.float32), radiance)
 
 
-def partly_cloudy(
+def partly_cloudy_sky(
     rng: np.random.Generator,
     *,
     illuminance_lx: float,

@@ -20,8 +20,8 @@ from pepperscene.spectra.prospect import (
     LeafOptics,
     absorption_coefficients,
     cuticle_gloss,
+    layer_over_body,
     leaf_spectra,
-    over_body,
 )
 from pepperscene.spectra.spectrum import LIGHT_SPEED, PLANCK, Spectrum, colour_science, photons_per_joule
 
@@ -36,9 +36,9 @@ __all__ = [
     "colour_science",
     "cuticle_gloss",
     "illuminance",
+    "layer_over_body",
     "leaf_spectra",
     "led_spectrum",
-    "over_body",
     "photons_per_joule",
     "photopic_efficiency",
     "read_provenance",

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from pepperscene.document import Document, read_toml, validated
+from pepperscene.document import Document, read_toml, validate
 from pepperscene.errors import InputError
-from pepperscene.shipped import is_file, shelf
+from pepperscene.shipped import is_file, shipped_folder
 from pepperscene.spectra.spectrum import Outside, Spectrum
 
 WAVELENGTH_KEY: Final = "wavelength_nm"
@@ -51,12 +51,12 @@ def spectra_file(path: str | Path) -> Path:
         InputError: there is neither; the message lists what is shipped.
     """
     wanted = Path(path) if str(path).endswith(".csv") else Path(f"{path}.csv")
-    for candidate in (wanted, shelf("materials") / wanted):
+    for candidate in (wanted, shipped_folder("materials") / wanted):
         if is_file(candidate):
             return candidate
-    root = shelf("materials")
+    root = shipped_folder("materials")
     names = ", ".join(sorted(p.relative_to(root).with_suffix("").as_posix() for p in root.rglob("*.csv")))
-    raise InputError(str(path), "", None, f"no such file, nor one of the shipped spectra: {names}")
+    raise InputError(str(path), f"no such file, nor one of the shipped spectra: {names}")
 
 
 def read_provenance(path: str | Path) -> Provenance:
@@ -66,7 +66,7 @@ def read_provenance(path: str | Path) -> Provenance:
         InputError: the TOML beside the CSV is missing or wrong.
     """
     beside = spectra_file(path).with_suffix(".toml")
-    return validated(Provenance, read_toml(beside), beside)
+    return validate(Provenance, read_toml(beside), beside)
 
 
 def read_spectra(path: str | Path, *, outside: Outside = "zero") -> dict[str, Spectrum]:
@@ -99,7 +99,9 @@ def read_spectrum(path: str | Path, column: str, *, outside: Outside = "zero") -
     """
     spectra = read_spectra(path, outside=outside)
     if column not in spectra:
-        raise InputError(spectra_file(path), "column", column, f"is not one of {', '.join(spectra)}")
+        raise InputError(
+            spectra_file(path), f"is not one of {', '.join(spectra)}", key="column", value=column
+        )
     return spectra[column]
 
 
@@ -109,18 +111,20 @@ def _table(file: Path) -> tuple[list[str], NDArray[np.float64]]:
         with file.open(encoding="utf-8-sig", newline="") as stream:
             lines = [line for line in csv.reader(stream) if line]
     except OSError as fault:
-        raise InputError(file, "", None, f"cannot be read ({fault.strerror})") from None
+        raise InputError(file, f"cannot be read ({fault.strerror})") from None
     except (UnicodeDecodeError, csv.Error):
-        raise InputError(file, "", None, "must be a comma-separated text file in UTF-8") from None
+        raise InputError(file, "must be a comma-separated text file in UTF-8") from None
 
     header = [name.strip() for name in lines[0]] if lines else []
     if not header or header[0] != WAVELENGTH_KEY:
         found = header[0] if header else None
-        raise InputError(file, "first column", found, f"must be named {WAVELENGTH_KEY}")
+        raise InputError(file, f"must be named {WAVELENGTH_KEY}", key="first column", value=found)
     if len(header) < 2 or len(set(header)) < len(header) or not all(header):
-        raise InputError(file, "header", ",".join(header), "must name at least one spectrum, each once")
+        raise InputError(
+            file, "must name at least one spectrum, each once", key="header", value=",".join(header)
+        )
     if len(lines) < 3:
-        raise InputError(file, "rows", len(lines) - 1, "must be at least two below the header")
+        raise InputError(file, "must be at least two below the header", key="rows", value=len(lines) - 1)
 
     # All at once; where that fails, one by one to say where.
     if all(len(line) == len(header) for line in lines[1:]):
@@ -132,7 +136,7 @@ def _table(file: Path) -> tuple[list[str], NDArray[np.float64]]:
     for row, line in enumerate(lines[1:]):
         if len(line) != len(header):
             raise InputError(
-                file, f"row {row + 2}", len(line), f"must have {len(header)} columns as the header"
+                file, f"must have {len(header)} columns as the header", key=f"row {row + 2}", value=len(line)
             )
         for i, cell in enumerate(line):
             numbers[row, i] = _number(file, row, header[i], cell)
@@ -152,7 +156,7 @@ def _number(file: Path, row: int, column: str, cell: str) -> float:
 def _cell_error(file: Path, row: int, column: str, value: object, allowed: str) -> InputError:
     """An error that names the row as a text editor counts it: the header is row 1."""
     shown = float(value) if isinstance(value, float) else value
-    return InputError(file, f"row {row + 2}, column {column}", shown, allowed)
+    return InputError(file, allowed, key=f"row {row + 2}, column {column}", value=shown)
 
 
 # Bounds beyond what can be built; they keep slips of units and of the pen out.
@@ -186,26 +190,26 @@ class CurveTable(Document):
     column: Text
 
 
-def locate(folder: str, wanted: str | Path) -> Path:
+def find_material(folder: str, wanted: str | Path) -> Path:
     """A path as it is, a bare name in the shipped folder."""
-    path, shipped = Path(wanted), shelf("materials") / folder
+    path, shipped = Path(wanted), shipped_folder("materials") / folder
     if is_file(path):
         return path
     if path.parent == Path(".") and is_file(shipped / f"{path}.toml"):
         return shipped / f"{path}.toml"
     names = ", ".join(sorted(file.stem for file in shipped.glob("*.toml")))
-    raise InputError(str(wanted), "", None, f"no such file, nor one of the shipped {folder}: {names}")
+    raise InputError(str(wanted), f"no such file, nor one of the shipped {folder}: {names}")
 
 
-def curve(path: Path, table: str, file: str, column: str) -> Spectrum:
+def read_curve(path: Path, table: str, file: str, column: str) -> Spectrum:
     """One column of the CSV file beside `path`: a curve that is nowhere negative, 0 beyond its range."""
     beside = path.parent / file
     if not is_file(beside):
-        raise InputError(path, f"{table}.file", file, "is not a file beside this one")
+        raise InputError(path, "is not a file beside this one", key=f"{table}.file", value=file)
     found = read_spectrum(beside, column)
     negative = found.values < 0
     if negative.any():
         row = int(np.argmax(negative))
         key = f"row {row + 2}, column {column}"  # as a text editor counts: the header is row 1
-        raise InputError(beside, key, float(found.values[row]), "must be at least 0")
+        raise InputError(beside, "must be at least 0", key=key, value=float(found.values[row]))
     return found

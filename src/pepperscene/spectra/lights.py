@@ -81,7 +81,7 @@ def sky_spectrum(kind: SkyKind = "d65") -> Spectrum:
         InputError: `kind` is not one of d50, d55, d65, d75.
     """
     if kind not in ("d50", "d55", "d65", "d75"):
-        raise InputError("sky_spectrum", "kind", kind, "must be d50, d55, d65 or d75")
+        raise InputError("sky_spectrum", "must be d50, d55, d65 or d75", key="kind", value=kind)
     return _sky(kind)
 
 
@@ -120,7 +120,7 @@ def led_spectrum(name: str = "lumileds_cool_white") -> Spectrum:
     leds = _leds()
     found = [key for key in leds if key == name] or [key for key in leds if key.endswith(f"_{name}")]
     if len(found) != 1:
-        raise InputError("led_spectrum", "name", name, f"must be one of {', '.join(leds)}")
+        raise InputError("led_spectrum", f"must be one of {', '.join(leds)}", key="name", value=name)
     return leds[found[0]]
 
 

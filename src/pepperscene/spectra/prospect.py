@@ -201,7 +201,7 @@ def _check(plates: Array, amounts: Mapping[str, Array]) -> None:
         raise ValueError("dry matter is either one content or protein and carbon, not both")
 
 
-def over_body(layer: LeafOptics, body_reflectance: Array) -> LeafOptics:
+def layer_over_body(layer: LeafOptics, body_reflectance: Array) -> LeafOptics:
     """A pigmented layer on a diffuse, opaque body: skin on flesh, rind on pith.
 
     Light that comes through the layer goes to and fro between body and layer (a geometric series):

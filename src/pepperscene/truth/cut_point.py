@@ -165,7 +165,7 @@ class Approach:
         return float(-np.arctan2(cross, ahead[:2] @ self.direction[:2]))
 
 
-def approach(centre: FloatArray, stem: FloatArray) -> Approach | None:
+def tool_approach(centre: FloatArray, stem: FloatArray) -> Approach | None:
     """The way to a fruit; None where its centre lies on the stem's axis.
 
     Args:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 
 
-def class_pixels(class_id: NDArray[np.integer[Any]]) -> dict[str, int]:
+def class_pixel_counts(class_id: NDArray[np.integer[Any]]) -> dict[str, int]:
     """Number of pixels of each class by lower-case class name; all eight, their sum is the image's size.
 
     Raises:
@@ -118,7 +118,7 @@ def touches_border(box: Box, shape: tuple[int, ...] | NDArray[Any]) -> bool:
     return bool(x0 <= 0 or y0 <= 0 or x1 >= width or y1 >= height)
 
 
-def run_lengths(
+def encode_rle(
     mask: NDArray[np.bool_], size: tuple[int, int] | None = None, corner: tuple[int, int] = (0, 0)
 ) -> dict[str, list[int]]:
     """`{"size": [h, w], "counts": [...]}` of a mask, which may be a part of a picture.
@@ -146,7 +146,7 @@ def run_lengths(
     return {"size": [height, width], "counts": counts[:-1] if len(counts) > 1 and counts[-1] == 0 else counts}
 
 
-def mask_of(runs: Mapping[str, Sequence[Any]]) -> NDArray[np.bool_]:
+def decode_rle(runs: Mapping[str, Sequence[Any]]) -> NDArray[np.bool_]:
     """`(h, w)` the mask that run lengths tell.
 
     Raises:

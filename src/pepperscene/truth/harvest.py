@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.camera import Camera
 from pepperscene.classes import Instance
 from pepperscene.truth.cut_point import Approach, FruitStalk
-from pepperscene.truth.encodings import mask_box, run_lengths, touches_border
+from pepperscene.truth.encodings import encode_rle, mask_box, touches_border
 
 
 def organ_graph(
@@ -60,7 +60,7 @@ _CORNERS: Final = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) 
 
 
 @dataclass(frozen=True, eq=False)
-class Fruit:
+class FruitTruth:
     """A fruit of a scene, in world metres; the same in all its views.
 
     Attributes:
@@ -86,7 +86,7 @@ class Fruit:
 
 
 @dataclass(frozen=True, eq=False)
-class Amodal:
+class AmodalMask:
     """The pixels that a fruit would have if nothing stood before it.
 
     Attributes:
@@ -104,7 +104,7 @@ class Amodal:
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class LabelView:
     """What is seen.
 
     Attributes:
@@ -132,8 +132,8 @@ class Picture:
         return (world - self.camera.pose[:3, 3]) @ self.camera.pose[:3, :3]
 
 
-def harvest_facts(
-    found: Sequence[tuple[Fruit, Amodal]], picture: Picture, instances: Sequence[Instance]
+def harvest_truth(
+    found: Sequence[tuple[FruitTruth, AmodalMask]], picture: LabelView, instances: Sequence[Instance]
 ) -> dict[str, Any]:
     """The output `harvest` of a picture.
 
@@ -156,14 +156,14 @@ def harvest_facts(
     }
 
 
-def _points(fruit: Fruit) -> FloatArray:
+def _points(fruit: FruitTruth) -> FloatArray:
     """`(n, 3)` world points whose places in the picture are told: corners of the box, attachment and cut."""
     centre = fruit.pose[:3, 3] + fruit.pose[:3, :3] @ (0.5 * (fruit.low + fruit.high))
     corners = centre + (_CORNERS * (fruit.high - fruit.low)) @ fruit.pose[:3, :3].T
     return corners if fruit.stalk is None else np.vstack([corners, fruit.stalk.attachment, fruit.stalk.cut])
 
 
-def _fruit(fruit: Fruit, amodal: Amodal, picture: Picture, places: FloatArray) -> dict[str, Any]:
+def _fruit(fruit: FruitTruth, amodal: AmodalMask, picture: LabelView, places: FloatArray) -> dict[str, Any]:
     """What is told of one fruit, of whose `_points` these are the places in the picture."""
     stalk, approach = fruit.stalk, fruit.approach
     return {
@@ -180,7 +180,7 @@ def _fruit(fruit: Fruit, amodal: Amodal, picture: Picture, places: FloatArray) -
     }
 
 
-def _seen(fruit: Fruit, amodal: Amodal, picture: Picture) -> dict[str, Any]:
+def _seen(fruit: FruitTruth, amodal: AmodalMask, picture: LabelView) -> dict[str, Any]:
     """Masks and boxes: what is seen of it, what would be, and what stands before it."""
     shown = amodal.of(picture.instance)
     visible = shown == fruit.instance + 1
@@ -201,11 +201,11 @@ def _seen(fruit: Fruit, amodal: Amodal, picture: Picture) -> dict[str, Any]:
         "visible_fraction": _rounded(seen / count),
         "truncated": touches_border(whole, picture.instance.shape),
         "occluders": [{"instance": int(one), "pixels": int(before[one])} for one in others if one > 0],
-        "amodal": run_lengths(amodal.mask, picture.instance.shape, amodal.corner),
+        "amodal": encode_rle(amodal.mask, picture.instance.shape, amodal.corner),
     }
 
 
-def _pose(fruit: Fruit, picture: Picture) -> list[list[float]]:
+def _pose(fruit: FruitTruth, picture: LabelView) -> list[list[float]]:
     """`(4, 4)` fruit to camera."""
     pose = np.eye(4)
     pose[:3, :3] = picture.rotation @ fruit.pose[:3, :3]
@@ -213,7 +213,7 @@ def _pose(fruit: Fruit, picture: Picture) -> list[list[float]]:
     return _lists(pose, 9)
 
 
-def _box_3d(fruit: Fruit, picture: Picture, corners: FloatArray) -> dict[str, Any]:
+def _box_3d(fruit: FruitTruth, picture: LabelView, corners: FloatArray) -> dict[str, Any]:
     """The box that holds the fruit, with edges along its own axes."""
     turn, foot = fruit.pose[:3, :3], fruit.pose[:3, 3]
     return {
@@ -225,7 +225,7 @@ def _box_3d(fruit: Fruit, picture: Picture, corners: FloatArray) -> dict[str, An
     }
 
 
-def _stalk(stalk: FruitStalk, picture: Picture, places: FloatArray) -> dict[str, Any]:
+def _stalk(stalk: FruitStalk, picture: LabelView, places: FloatArray) -> dict[str, Any]:
     """The fruit's stalk; its attachment and its cut lie at these places in the picture."""
     # At the joint, the body that bears the stalk shows as well.
     joint, cut = (
@@ -248,7 +248,7 @@ def _stalk(stalk: FruitStalk, picture: Picture, places: FloatArray) -> dict[str,
 
 
 def _point(
-    point: FloatArray, place: FloatArray, own: Sequence[int], radius_m: float, picture: Picture
+    point: FloatArray, place: FloatArray, own: Sequence[int], radius_m: float, picture: LabelView
 ) -> dict[str, Any]:
     """A point of a stalk's centreline; seen where its pixel shows the skin right in front of it."""
     # Comparisons with nan are false.
@@ -262,7 +262,7 @@ def _point(
 
 
 def _shown(
-    point: FloatArray, place: FloatArray, own: Sequence[int], radius_m: float, picture: Picture
+    point: FloatArray, place: FloatArray, own: Sequence[int], radius_m: float, picture: LabelView
 ) -> bool:
     """Whether the first surface behind the pixel that a point falls into is its own, and near it."""
     row, column = int(place[1]), int(place[0])
@@ -270,7 +270,7 @@ def _shown(
     return int(picture.instance[row, column]) - 1 in own and abs(away) <= _NEAR * radius_m
 
 
-def _approach(approach: Approach, picture: Picture) -> dict[str, Any]:
+def _approach(approach: Approach, picture: LabelView) -> dict[str, Any]:
     return {
         "camera": _lists(picture.rotation @ approach.direction, 9),
         "world": _lists(approach.direction, 9),

@@ -70,7 +70,7 @@ def hue_counts(colour: NDArray[np.uint8], class_id: NDArray[np.unsignedinteger[A
     return counts.reshape(-1, width)[: len(OrganClass)]
 
 
-def centre(image: NDArray[Any], size_px: int = CENTRE_PX) -> NDArray[Any]:
+def centre_crop(image: NDArray[Any], size_px: int = CENTRE_PX) -> NDArray[Any]:
     """The middle `size_px` x `size_px` pixels of an image `(h, w, ...)`, fewer if it is smaller; a view."""
     top, left = (max(0, (length - size_px) // 2) for length in image.shape[:2])
     return image[top : top + size_px, left : left + size_px]
@@ -86,7 +86,7 @@ def mean_hue(spectrum: NDArray[np.floating[Any]]) -> float:
     return float(np.degrees(np.angle(total)) % 360.0)
 
 
-def spectrum_correlation(one: NDArray[np.floating[Any]], other: NDArray[np.floating[Any]]) -> float:
+def hue_spectrum_correlation(one: NDArray[np.floating[Any]], other: NDArray[np.floating[Any]]) -> float:
     """Pearson's correlation coefficient of two hue spectra over their bins; nan when one is flat."""
     if np.ptp(one) == 0.0 or np.ptp(other) == 0.0:
         return float("nan")
@@ -120,7 +120,7 @@ def saturated_share(colour: NDArray[np.uint8]) -> float:
     return float(np.count_nonzero(red | green | blue)) / max(1, red.size)
 
 
-class Statistics:
+class ImageStatistics:
     """Sums over pictures, and the measures that they give.
 
     Pictures of another size than the first are brought to its size, by the nearest pixel, where places are
@@ -164,7 +164,7 @@ class Statistics:
             ValueError: a shape or type is another, or the two differ in size.
         """
         if colour is not None and class_id is not None:
-            self._add_hues(hue_counts(centre(colour), centre(class_id)))
+            self._add_hues(hue_counts(centre_crop(colour), centre_crop(class_id)))
         if colour is not None:
             self._add_light(grey_values(colour), saturated_share(colour))
         if class_id is not None:

@@ -1,25 +1,25 @@
 """The tuning room: pigments, light and exposure fitted to measured colour by the renderer's derivatives."""
 
-from pepperscene.tuning.fit.least_squares import fitted
-from pepperscene.tuning.fit.result import Fit, KindFit, SpectrumFit
-from pepperscene.tuning.model.subject import Subject
+from pepperscene.tuning.fit.least_squares import fit_parameters
+from pepperscene.tuning.fit.result import FitResult, KindFit, SpectrumFit
+from pepperscene.tuning.model.subject import TuningTarget
 from pepperscene.tuning.output.write import write_tuned
-from pepperscene.tuning.parameters.parameter import Parameter, known_parameters, parameters_of
-from pepperscene.tuning.twin import twin_patches
-from pepperscene.tuning.workflow import Tuning, Verification, tune
+from pepperscene.tuning.parameters.parameter import Parameter, known_parameters, select_parameters
+from pepperscene.tuning.twin import simulate_patches
+from pepperscene.tuning.workflow import TuningResult, Verification, tune
 
 __all__ = [
-    "Fit",
+    "FitResult",
     "KindFit",
     "Parameter",
     "SpectrumFit",
-    "Subject",
-    "Tuning",
+    "TuningResult",
+    "TuningTarget",
     "Verification",
-    "fitted",
+    "fit_parameters",
     "known_parameters",
-    "parameters_of",
+    "select_parameters",
+    "simulate_patches",
     "tune",
-    "twin_patches",
     "write_tuned",
 ]

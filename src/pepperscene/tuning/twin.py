@@ -14,29 +14,29 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pepperscene.camera import Camera, camera_rgb, corrected, decode, encode
+from pepperscene.camera import Camera, camera_rgb, correct_colours, decode_tone, encode_tone
 from pepperscene.colour import Patch, PatchSet
-from pepperscene.colour.patches.patch import is_kind
-from pepperscene.dataset.recipe.equipment import surface_grid
+from pepperscene.colour.patches.patch import is_organ_kind
+from pepperscene.dataset.recipe.equipment import surface_wavelengths
 from pepperscene.errors import InputError
 from pepperscene.materials import organ_surfaces
 from pepperscene.render.quality import Quality
 from pepperscene.spectra import illuminance
-from pepperscene.tuning.model.subject import Subject
-from pepperscene.tuning.model.views import ORGANS, PIXELS, View, with_surfaces
+from pepperscene.tuning.model.subject import TuningTarget
+from pepperscene.tuning.model.views import ORGANS, PIXELS, OrganView, with_surfaces
 from pepperscene.tuning.output.flash import tuned_spectrum
 
 if TYPE_CHECKING:
     from pepperscene.camera import Flash
     from pepperscene.dataset import Recipe
-    from pepperscene.tuning.parameters.tuned import Tuned
+    from pepperscene.tuning.parameters.tuned import TunedParts
 
 
 LIGHT: Final = Quality(64, 64, 64, 1, target=None, denoise=False)
 """Chosen: the noise of light is then far below that of photons."""
 
 
-def twin_patches(
+def simulate_patches(
     recipe: Recipe,
     values: Mapping[str, ArrayLike],
     kinds: Sequence[str],
@@ -70,11 +70,11 @@ def twin_patches(
     for one in known:
         if own[one.name].shape != one.default.shape:
             entries = one.default.size
-            raise InputError("twin", one.name, values[one.name], f"must be {entries} number(s)")
+            raise InputError("twin", f"must be {entries} number(s)", key=one.name, value=values[one.name])
     made = subject.tuned(own)
     pigments = {**subject.cultivar.pigments, **made.pigments}
     plants = subject.cultivar.model_copy(update={"pigments": pigments})
-    surfaces = organ_surfaces(plants, surface_grid(subject.camera.sensor))
+    surfaces = organ_surfaces(plants, surface_wavelengths(subject.camera.sensor))
     patches = []
     for place, view in enumerate(subject.views):
         camera = tuned_camera(view.camera, made)
@@ -82,7 +82,7 @@ def twin_patches(
     return PatchSet(f"{recipe.name} twin", tuple(patches))
 
 
-def tuned_camera(camera: Camera, made: Tuned) -> Camera:
+def tuned_camera(camera: Camera, made: TunedParts) -> Camera:
     """The camera with flash, exposure, white balance and matrix as they were tuned."""
     red, green, blue = made.gains.tolist()
     of_red, of_green, of_blue = (tuple(row) for row in made.matrix.tolist())
@@ -96,7 +96,7 @@ def tuned_camera(camera: Camera, made: Tuned) -> Camera:
     return replace(developed, flash=tuned_light(camera.flash, made), sensor=sensor)
 
 
-def tuned_light(flash: Flash, made: Tuned) -> Flash:
+def tuned_light(flash: Flash, made: TunedParts) -> Flash:
     """The flash with factors on its spectrum and its power; its lux or watts follow."""
     spectrum = tuned_spectrum(flash.spectrum, made.flash_nodes_nm, made.flash_spectrum)
     if flash.illuminance_lx is not None:
@@ -107,7 +107,7 @@ def tuned_light(flash: Flash, made: Tuned) -> Flash:
     return replace(flash, spectrum=spectrum, irradiance_W_m2=flash.irradiance_W_m2 * share)
 
 
-def photographed(view: View, camera: Camera, seed: tuple[int, int]) -> Patch:
+def photographed(view: OrganView, camera: Camera, seed: tuple[int, int]) -> Patch:
     """The organ's pixels in a picture of a view: light, electrons, noise, digital numbers, codes."""
     from pepperscene.render import Renderer
 
@@ -115,17 +115,21 @@ def photographed(view: View, camera: Camera, seed: tuple[int, int]) -> Patch:
     drawn = int(np.random.default_rng(seed).integers(2**31))
     electrons = Renderer(view.scene).render(camera, ["electrons"], LIGHT, drawn)["electrons"]
     rgb = camera_rgb(electrons, camera, np.random.default_rng((*seed, 1)))
-    codes = encode(corrected(rgb, camera), tone)[view.mask]
-    return Patch(view.name, view.kind, view.name, decode(codes, tone), codes)
+    codes = encode_tone(correct_colours(rgb, camera), tone)[view.mask]
+    return Patch(view.name, view.kind, view.name, decode_tone(codes, tone), codes)
 
 
-def _seen(recipe: Recipe, kinds: Sequence[str], organs: int, pixels: int, seed: int) -> Subject:
+def _seen(recipe: Recipe, kinds: Sequence[str], organs: int, pixels: int, seed: int) -> TuningTarget:
     """A subject with views of these kinds: of each a grey pixel, which nothing is compared with."""
-    organ_kinds = [kind for kind in kinds if is_kind(kind)]
+    organ_kinds = [kind for kind in kinds if is_organ_kind(kind)]
     grey = np.full((1, 3), 188, np.uint8)
-    blank = PatchSet("none", tuple(Patch(kind, kind, "none", decode(grey), grey) for kind in organ_kinds))
-    subject = Subject(recipe, blank, registered=True, organs=organs, pixels=pixels, seed=seed)
+    blank = PatchSet(
+        "none", tuple(Patch(kind, kind, "none", decode_tone(grey), grey) for kind in organ_kinds)
+    )
+    subject = TuningTarget(recipe, blank, registered=True, organs=organs, pixels=pixels, seed=seed)
     for kind in kinds:
         if kind not in subject.kinds:
-            raise InputError("twin", "kind", kind, 'must be an organ\'s, such as "leaf" or "pepper.unripe"')
+            raise InputError(
+                "twin", 'must be an organ\'s, such as "leaf" or "pepper.unripe"', key="kind", value=kind
+            )
     return subject

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.colour import PatchSet, delta_e_2000, lab
-from pepperscene.truth.statistics import spectrum_correlation
+from pepperscene.colour import PatchSet, delta_e_2000, linear_srgb_to_lab
+from pepperscene.truth.statistics import hue_spectrum_correlation
 from pepperscene.tuning.model.observables import numbers
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _PIXELS: Final = 20_000  # of a kind
 
 
 @dataclass(frozen=True, eq=False)
-class Whole:
+class SceneStatistics:
     """Frames of a recipe.
 
     Attributes:
@@ -58,7 +58,7 @@ class Likeness:
     correlation: float | None
 
 
-def rendered(recipe: Recipe, frames: int, quality: str = "draft") -> Whole:
+def rendered(recipe: Recipe, frames: int, quality: str = "draft") -> SceneStatistics:
     """Some frames of a recipe, evenly over its plan.
 
     Args:
@@ -77,19 +77,19 @@ def rendered(recipe: Recipe, frames: int, quality: str = "draft") -> Whole:
     with tempfile.TemporaryDirectory(prefix="pepperscene-") as folder:
         dataset = build(recipe, Path(folder) / "frames", chosen, OUTPUTS, quality).dataset
         picture = dataset.image(chosen[count // 2], "colour")
-        return Whole(open_patches(dataset.folder), _electrons(dataset, chosen), picture)
+        return SceneStatistics(open_patches(dataset.folder), _electrons(dataset, chosen), picture)
 
 
 def _electrons(dataset: Dataset, frames: Sequence[int]) -> dict[str, Array]:
     """Mean electrons `(3,)` of each kind over all its pixels."""
-    from pepperscene.colour.patches.open import regions
+    from pepperscene.colour.patches.open import organ_regions
     from pepperscene.dataset.readers import open_images
 
     images = open_images(dataset.folder)
     sums: dict[str, Array] = {}
     for picture, index in zip(images, frames, strict=True):
         light = dataset.image(index, "electrons")
-        for kind, pixels in regions(images, picture):
+        for kind, pixels in organ_regions(images, picture):
             seen = np.array([*light[pixels].sum(axis=0, dtype=float), pixels.sum()])
             sums[kind] = sums.get(kind, np.zeros(4)) + seen
     return {kind: total[:3] / total[3] for kind, total in sums.items()}
@@ -102,9 +102,9 @@ def likeness(one: PatchSet, other: PatchSet, kinds: Iterable[str]) -> Mapping[st
         if not (one.of_kind(kind) and other.of_kind(kind)):
             found[kind] = Likeness(None, None)
             continue
-        means = [lab(side.pixels(kind).mean(axis=0)) for side in (one, other)]
+        means = [linear_srgb_to_lab(side.pixels(kind).mean(axis=0)) for side in (one, other)]
         spectra = [np.asarray(side.statistics(kind).hue_spectrum) for side in (one, other)]
-        alike = spectrum_correlation(*spectra)
+        alike = hue_spectrum_correlation(*spectra)
         away = float(delta_e_2000(*means))
         found[kind] = Likeness(away, None if np.isnan(alike) else alike)
     return found

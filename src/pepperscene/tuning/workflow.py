@@ -15,21 +15,21 @@ from numpy.typing import NDArray
 
 from pepperscene.colour import MeasuredSpectrum, Patch, PatchSet
 from pepperscene.tuning.fit.diagnostics import SEEN
-from pepperscene.tuning.fit.least_squares import STARTS, fitted
-from pepperscene.tuning.fit.result import Fit
+from pepperscene.tuning.fit.least_squares import STARTS, fit_parameters
+from pepperscene.tuning.fit.result import FitResult
 from pepperscene.tuning.model.observables import numbers
-from pepperscene.tuning.model.problem import Problem, Surroundings
-from pepperscene.tuning.model.subject import Subject
-from pepperscene.tuning.output.figure import Frames
+from pepperscene.tuning.model.problem import FitProblem, NeighbourEffect
+from pepperscene.tuning.model.subject import TuningTarget
+from pepperscene.tuning.output.figure import BeforeAfter
 from pepperscene.tuning.output.write import check_folder, write_tuned
-from pepperscene.tuning.parameters.tuned import Tuned
-from pepperscene.tuning.whole_scene import Likeness, Whole, likeness, rendered
+from pepperscene.tuning.parameters.tuned import TunedParts
+from pepperscene.tuning.whole_scene import Likeness, SceneStatistics, likeness, rendered
 
 if TYPE_CHECKING:
     from pepperscene.dataset import Recipe
 
 
-def together(sets: Sequence[PatchSet]) -> PatchSet:
+def merge_patches(sets: Sequence[PatchSet]) -> PatchSet:
     """All patches and spectra of several sets; names of pictures that two sets share get their set's before.
 
     Raises:
@@ -98,7 +98,7 @@ class Verification:
 
 
 @dataclass(frozen=True, eq=False)
-class Tuning:
+class TuningResult:
     """What `tune` did.
 
     Attributes:
@@ -107,7 +107,7 @@ class Tuning:
         verification: against the whole scene, or None.
     """
 
-    fit: Fit
+    fit: FitResult
     files: tuple[Path, ...]
     verification: Verification | None
 
@@ -127,8 +127,8 @@ def tune(
     when: datetime.date | None = None,
     options: Mapping[str, Any] | None = None,
     extends: str | Path | None = None,
-    told: Callable[[str], None] | None = None,
-) -> Tuning:
+    on_progress: Callable[[str], None] | None = None,
+) -> TuningResult:
     """Fit parameters of a recipe to patches, and write the tuned recipe.
 
     Args:
@@ -147,7 +147,7 @@ def tune(
         options: to write down, ready for JSON.
         extends: file that a `Recipe` was read from, which the written one extends; a name or a path is its
             own.
-        told: is called with a line now and then.
+        on_progress: is called with a line now and then.
 
     Raises:
         InputError: an argument or a file is not valid; nothing is written.
@@ -162,12 +162,15 @@ def tune(
     every = patches if isinstance(patches, PatchSet) else open_patches(patches)
     seen, held = (every.without(hold_out), every.select(hold_out)) if hold_out else (every, None)
     date = when or datetime.date.today()
-    subject = Subject(shown, seen, bounds=bounds, seed=seed)
+    subject = TuningTarget(shown, seen, bounds=bounds, seed=seed)
     subject.parameters(names)
     check_folder(Path(out))
 
     def write(
-        fit: Fit, folder: str | Path, frames: Frames | None, verification: Verification | None = None
+        fit: FitResult,
+        folder: str | Path,
+        frames: BeforeAfter | None,
+        verification: Verification | None = None,
     ) -> tuple[Path, ...]:
         return write_tuned(
             shown,
@@ -182,8 +185,10 @@ def tune(
         )
 
     if not verify:
-        fit = fitted(subject, subject.problem(names), starts=starts, seed=seed, told=told)
-        return Tuning(fit, write(fit, out, None), None)
+        fit = fit_parameters(
+            subject, subject.problem(names), starts=starts, seed=seed, on_progress=on_progress
+        )
+        return TuningResult(fit, write(fit, out, None), None)
 
     # The whole scene tells what neighbours do to an organ's light; with that the fit is made, and again with
     # what the tuned scene tells.
@@ -191,12 +196,16 @@ def tune(
     around = surroundings(subject, subject.tuned({}), before)
     for round_ in range(1, ROUNDS + 1):
         problem = subject.problem(names, around)
-        fit = fitted(subject, problem, starts=starts if round_ == 1 else 1, seed=seed, told=told)
+        fit = fit_parameters(
+            subject, problem, starts=starts if round_ == 1 else 1, seed=seed, on_progress=on_progress
+        )
         with tempfile.TemporaryDirectory(prefix="pepperscene-") as folder:
             after = rendered(load_recipe(write(fit, folder, None)[0]), verify, quality)
         off = farthest(problem, fit.tuned, after)
-        if told is not None:
-            told(f"round {round_}: the whole scene lies {off:.1f} CIELAB units from what the fit took it for")
+        if on_progress is not None:
+            on_progress(
+                f"round {round_}: the whole scene lies {off:.1f} CIELAB units from what the fit took it for"
+            )
         if off < _NEAR:
             break
         around = surroundings(subject, fit.tuned, after)
@@ -210,8 +219,10 @@ def tune(
         verify,
         round_,
     )
-    fit = replace(fit, verdict=(*fit.verdict, *told_of(verification)))
-    return Tuning(fit, write(fit, out, Frames(before.picture, after.picture), verification), verification)
+    fit = replace(fit, diagnostics=(*fit.diagnostics, *told_of(verification)))
+    return TuningResult(
+        fit, write(fit, out, BeforeAfter(before.picture, after.picture), verification), verification
+    )
 
 
 def told_of(verification: Verification) -> tuple[str, ...]:
@@ -232,7 +243,9 @@ def told_of(verification: Verification) -> tuple[str, ...]:
     return tuple(found)
 
 
-def surroundings(subject: Subject, made: Tuned, whole: Whole) -> dict[str, Surroundings]:
+def surroundings(
+    subject: TuningTarget, made: TunedParts, whole: SceneStatistics
+) -> dict[str, NeighbourEffect]:
     """What the whole scene does to single organs of each kind, at a recipe's tuned parts."""
     found = {}
     for kind in subject.kinds:
@@ -244,11 +257,11 @@ def surroundings(subject: Subject, made: Tuned, whole: Whole) -> dict[str, Surro
         time = made.exposure if subject.camera.flash is None else 1.0
         shade = whole.electrons[kind] / np.maximum(time * mean, 1e-9)
         alike = numbers(np.concatenate([eye.linear(made, shade) for eye in eyes]))
-        found[kind] = Surroundings(shade, seen - alike)
+        found[kind] = NeighbourEffect(shade, seen - alike)
     return found
 
 
-def farthest(problem: Problem, made: Tuned, whole: Whole) -> float:
+def farthest(problem: FitProblem, made: TunedParts, whole: SceneStatistics) -> float:
     """By how much the whole scene's mean colours miss those that a fit took them for, CIELAB units."""
     found = [0.0]
     for cell in problem.cells:

@@ -12,9 +12,9 @@ from pepperscene.camera import Camera
 from pepperscene.classes import Instance, OrganClass
 from pepperscene.frame import Frame
 from pepperscene.geometry import Mesh
-from pepperscene.materials import Surface, lambertian
+from pepperscene.materials import Surface, lambertian_surface
 from pepperscene.render import QUALITIES, Quality, Renderer
-from pepperscene.scene import Scene, Sky, assemble, uniform_sky
+from pepperscene.scene import Scene, Sky, assemble_scene, uniform_sky
 from pepperscene.spectra import Spectrum
 
 OUTPUTS = ("electrons", "class", "instance", "distance", "normal")
@@ -60,7 +60,7 @@ def surface(
 
 def grey(mesh: Mesh, reflectance: float = 0.5, sky: Sky | None = None) -> Scene:
     """A mesh with all surfaces matt and of one grey."""
-    return assemble(mesh, {name: lambertian(name, reflectance) for name in mesh.surfaces}, sky)
+    return assemble_scene(mesh, {name: lambertian_surface(name, reflectance) for name in mesh.surfaces}, sky)
 
 
 def point_flash_camera(columns: int = 16, rows: int = 12, **changes: object) -> Camera:

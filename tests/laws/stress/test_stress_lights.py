@@ -15,9 +15,9 @@ from pepperscene.camera import Camera
 from pepperscene.cli import app
 from pepperscene.errors import EXIT_BAD_INPUT
 from pepperscene.render import Renderer
-from pepperscene.scene import Sky, assemble, uniform_sky
+from pepperscene.scene import Sky, assemble_scene, uniform_sky
 from pepperscene.scene.sky import SUN_ANGULAR_RADIUS, Sun
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import Spectrum
 
 NM = np.arange(360.0, 831.0, 0.5)
@@ -55,7 +55,7 @@ def test_the_suns_disc_beside_black_has_its_energy(radius, half_hidden):
     # 1 / (fx fy), is that of a radiance E fx fy in one. 15,000 samples hit the disc. Then a black card hides
     # half of it. Directions err by 1e-7 in single precision, a thousandth of the smallest disc's radius.
     at = 0.5 if half_hidden else -0.5
-    black = assemble(
+    black = assemble_scene(
         card(0.1, 0.0, 0.2, 0.4, "black", at), {"black": surface("black", 0.0)}, sun_alone(AHEAD, radius)
     )
     camera = close_up(radius)
@@ -77,7 +77,9 @@ def test_the_suns_disc_beside_black_has_its_energy(radius, half_hidden):
 @pytest.mark.parametrize("quality", ["draft", "standard"])
 def test_a_sun_of_any_width_lights_a_patch_alike(radius, quality):
     # Facing it, a matt patch has the radiance R E / pi, but for the disc's own cosine: 1 - r^2 / 4.
-    scene = assemble(sheet(0.2, 0.2, 0.5, "grey"), {"grey": surface("grey", 0.5)}, sun_alone(BEHIND, radius))
+    scene = assemble_scene(
+        sheet(0.2, 0.2, 0.5, "grey"), {"grey": surface("grey", 0.5)}, sun_alone(BEHIND, radius)
+    )
     found = picture(scene, bench_camera(columns=4, rows=4, flash=False), quality)["electrons"].mean((0, 1))
     assert found == pytest.approx(
         electrons_by_hand(0.5 * IRRADIANCE / np.pi) * (1 - radius**2 / 4), rel=0.005
@@ -188,7 +190,7 @@ def test_a_spectrum_file_of_no_numbers_is_refused_in_one_sentence(tmp_path, cell
     ):
         there = tmp_path / name
         there.parent.mkdir(exist_ok=True)
-        shutil.copy(shelf("materials") / "flashes" / name, there)
+        shutil.copy(shipped_folder("materials") / "flashes" / name, there)
     table = tmp_path / "spectra" / "lumileds_cool_white.csv"
     lines = table.read_text().splitlines()
     first = next(i for i, line in enumerate(lines) if line.startswith("wavelength_nm"))

@@ -21,10 +21,10 @@ from strain import (
     with_faces,
 )
 
-from pepperscene.geometry import Mesh, concatenate
+from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.render import Renderer
 from pepperscene.render.reference.path_tracer import path_traced
-from pepperscene.scene import assemble
+from pepperscene.scene import assemble_scene
 
 
 def test_triangles_without_area_change_nothing():
@@ -58,7 +58,7 @@ def test_triangles_without_area_change_nothing():
 @pytest.mark.parametrize("times", [2, 5])
 def test_triangles_that_are_there_several_times_count_once(times):
     # Rays are lifted off all of them at once: no light is lost between the copies of a translucent leaf.
-    mesh = concatenate([card(0.01, 0.0, 0.02, 0.2, "front", 0.4), sheet(0.2, 0.2, 0.5, "back")])
+    mesh = concatenate_meshes([card(0.01, 0.0, 0.02, 0.2, "front", 0.4), sheet(0.2, 0.2, 0.5, "back")])
     surfaces = {name: surface(name, 0.4, 0.5, 1.4) for name in mesh.surfaces}
     several = replace(
         mesh,
@@ -68,8 +68,8 @@ def test_triangles_that_are_there_several_times_count_once(times):
         },
     )
     camera = bench_camera(columns=24, rows=18)
-    found = picture(assemble(several, surfaces, DAYLIGHT), camera, "standard")
-    expected = picture(assemble(mesh, surfaces, DAYLIGHT), camera, "standard")
+    found = picture(assemble_scene(several, surfaces, DAYLIGHT), camera, "standard")
+    expected = picture(assemble_scene(mesh, surfaces, DAYLIGHT), camera, "standard")
     for name in ("class", "instance", "distance"):
         assert np.array_equal(found[name], expected[name])
     assert found["electrons"] == pytest.approx(expected["electrons"], rel=1e-3)
@@ -103,7 +103,7 @@ def test_needles_in_a_leaf_are_not_seen(tracer):
     waves = np.sin(np.linspace(0.0, 40.0, 64))[:, None] * np.ones((64, 64))
     leaf = replace(surface("leaf", 0.4, 0.4, 1.4), relief_mm=waves.astype(np.float32))
     camera = bench_camera(columns=16, rows=48)
-    scenes = [assemble(strips(heights), {"leaf": leaf}, DAYLIGHT) for heights in (needles, [])]
+    scenes = [assemble_scene(strips(heights), {"leaf": leaf}, DAYLIGHT) for heights in (needles, [])]
     if tracer == "ours":
         found, expected = (picture(scene, camera, "standard")["electrons"] for scene in scenes)
     else:
@@ -124,10 +124,12 @@ def test_a_heap_of_hairs(tracer):
     beside = np.cross(along, rng.normal(size=(1000, 3)))
     beside *= 1e-6 / np.linalg.norm(beside, axis=1, keepdims=True)
     corners = np.stack([start, start + along, start + along / 2 + beside], axis=1)
-    mesh = concatenate([triangles(corners), sheet(0.4, 0.4, 0.8, "back")])
-    scene = assemble(mesh, {"leaf": surface("leaf", 0.4, 0.4, 1.4), "back": surface("back", 0.5)}, DAYLIGHT)
+    mesh = concatenate_meshes([triangles(corners), sheet(0.4, 0.4, 0.8, "back")])
+    scene = assemble_scene(
+        mesh, {"leaf": surface("leaf", 0.4, 0.4, 1.4), "back": surface("back", 0.5)}, DAYLIGHT
+    )
     camera = bench_camera(columns=40, rows=30)
-    alone = assemble(sheet(0.4, 0.4, 0.8, "back"), {"back": surface("back", 0.5)}, DAYLIGHT)
+    alone = assemble_scene(sheet(0.4, 0.4, 0.8, "back"), {"back": surface("back", 0.5)}, DAYLIGHT)
     if tracer == "ours":
         found, expected = (picture(one, camera, "standard")["electrons"] for one in (scene, alone))
     else:
@@ -151,8 +153,8 @@ def test_leaves_in_one_plane_show_one_or_the_other(tilt):
     )
     surfaces = {"dark": surface("dark", 0.1), "pale": surface("pale", 0.8)}
     camera = point_flash_camera(columns=24, rows=18)
-    both = picture(assemble(concatenate([dark, pale]), surfaces), camera)
-    lower, upper = (picture(assemble(one, surfaces), camera)["electrons"] for one in (dark, pale))
+    both = picture(assemble_scene(concatenate_meshes([dark, pale]), surfaces), camera)
+    lower, upper = (picture(assemble_scene(one, surfaces), camera)["electrons"] for one in (dark, pale))
     assert set(np.unique(both["instance"])) <= {1, 2}
     # Single scattering, so that nothing but the leaf hit decides; samples of a pixel may hit either.
     assert (both["electrons"] >= lower * 0.999).all()
@@ -236,5 +238,5 @@ def test_denormal_vertices_are_zero(small):
     )
     speck = np.array([[[0, 0, 0], [small, 0, 0], [0, small, 0]]])
     picture(grey(triangles(speck), sky=DAYLIGHT), camera, "standard")
-    beside = concatenate([mesh, triangles(speck, name="speck")])
+    beside = concatenate_meshes([mesh, triangles(speck, name="speck")])
     assert_sound(picture(grey(beside, sky=DAYLIGHT), camera, "standard"))

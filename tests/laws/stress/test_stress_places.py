@@ -17,8 +17,8 @@ from strain import DAYLIGHT, OUTPUTS, grey, moved, picture, point_flash_camera, 
 from trimesh.creation import cylinder
 
 from pepperscene.classes import OrganClass
-from pepperscene.render.kernel.arrays import WORLD, region_of
-from pepperscene.scene import assemble
+from pepperscene.render.kernel.arrays import WORLD, local_coordinates
+from pepperscene.scene import assemble_scene
 
 FAR = np.array([10_000.0, -10_000.0, 10_000.0])
 
@@ -53,8 +53,8 @@ def test_ten_kilometres_away_every_bit_is_the_same(plants):
     scene, camera, _ = plants
     there, camera_there = moved(scene, camera, FAR)
     back = replace(there, mesh=there.mesh.moved(np.eye(3), -FAR))
-    assert region_of(back.mesh) == WORLD
-    assert region_of(there.mesh).origin == tuple(FAR)
+    assert local_coordinates(back.mesh) == WORLD
+    assert local_coordinates(there.mesh).origin == tuple(FAR)
     assert same(picture(there, camera_there, "standard"), picture(back, camera, "standard"))
 
 
@@ -115,9 +115,9 @@ def test_a_tiny_scene_far_from_the_origin_keeps_its_light():
 
 def both_cards():
     """A narrow card before a wide one."""
-    from pepperscene.geometry import concatenate
+    from pepperscene.geometry import concatenate_meshes
 
-    return concatenate([card(0.01, 0.0, 0.004, 0.2, "front", 0.4), sheet(0.2, 0.2, 0.5, "back")])
+    return concatenate_meshes([card(0.01, 0.0, 0.004, 0.2, "front", 0.4), sheet(0.2, 0.2, 0.5, "back")])
 
 
 # --- cameras in, on and right before things -------------------------------------------------------------
@@ -134,7 +134,7 @@ def test_a_camera_inside_a_leaf(kind, turn, shift):
     cosine, sine = np.cos(angle), np.sin(angle)
     pose[:3, :3] = [[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]]
     pose[2, 3] = 0.5 + shift
-    scene = assemble(sheet(0.2, 0.2, 0.5, "leaf"), {"leaf": surface("leaf", 0.4, 0.4, 1.4)}, DAYLIGHT)
+    scene = assemble_scene(sheet(0.2, 0.2, 0.5, "leaf"), {"leaf": surface("leaf", 0.4, 0.4, 1.4)}, DAYLIGHT)
     picture(scene, camera.at_pose(pose), "standard")
 
 
@@ -142,7 +142,7 @@ def test_a_camera_inside_a_leaf(kind, turn, shift):
 def test_a_camera_on_a_stem(turn):
     # On the surface of a stem of 5 mm radius, looking away from it, along it, and into it.
     stem = body(cylinder(0.005, 0.4, sections=64), "stem", OrganClass.STEM)
-    scene = assemble(stem, {"stem": surface("stem", 0.4, 0.0, 1.4)}, DAYLIGHT)
+    scene = assemble_scene(stem, {"stem": surface("stem", 0.4, 0.0, 1.4)}, DAYLIGHT)
     for camera in (point_flash_camera(), bench_camera(columns=16, rows=12)):
         pose = camera.pose.copy()
         cosine, sine = np.cos(turn * np.pi), np.sin(turn * np.pi)
@@ -175,7 +175,7 @@ def test_no_light_gets_into_a_fruit(depth):
     # A camera below the skin of a closed, opaque fruit, in the open, without a flash: it sees black. (At a
     # micrometre a ray in a thousand finds a gap between two triangles.)
     ball = sphere((0.0, 0.0, 0.04), 0.04, "fruit", subdivisions=5)
-    scene = assemble(ball, {"fruit": surface("fruit", 0.6, 0.0, 1.4)}, DAYLIGHT)
+    scene = assemble_scene(ball, {"fruit": surface("fruit", 0.6, 0.0, 1.4)}, DAYLIGHT)
     for looking_out in (False, True):
         camera = bench_camera(columns=16, rows=12, flash=False)
         pose = np.diag([1.0, -1.0, -1.0, 1.0]) if looking_out else np.eye(4)
@@ -189,7 +189,7 @@ def test_a_flash_inside_a_fruit():
     # A millimetre inside, with the flash in there or out in the open. Out there a shading normal can see the
     # lamp where the triangle does not: a millionth of the light.
     ball = sphere((0.0, 0.0, 0.04), 0.04, "fruit")
-    scene = assemble(ball, {"fruit": surface("fruit", 0.6, 0.0, 1.4)})
+    scene = assemble_scene(ball, {"fruit": surface("fruit", 0.6, 0.0, 1.4)})
     pose = np.eye(4)
     pose[2, 3] = 1e-3
     inside = picture(scene, point_flash_camera().at_pose(pose), "standard")

@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 from strain import assert_sound, surface, triangles
 
 from pepperscene.camera import Camera
-from pepperscene.geometry import Mesh, concatenate
+from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.render import Renderer, renderer
-from pepperscene.scene import Scene, Sky, assemble
+from pepperscene.scene import Scene, Sky, assemble_scene
 from pepperscene.scene.sky import Sun
 from pepperscene.spectra import Spectrum
 
@@ -59,7 +59,7 @@ def heap(rng: np.random.Generator, name: str) -> Mesh:
 def drawn(rng: np.random.Generator) -> tuple[Scene, Camera]:
     """A scene and a camera; each picture has 6 x 6 pixels."""
     names = ("one", "two")[: int(rng.integers(1, 3))]
-    mesh = concatenate([heap(rng, name) for name in names])
+    mesh = concatenate_meshes([heap(rng, name) for name in names])
     surfaces = {}
     for name in names:
         reflectance = share(rng)
@@ -95,7 +95,7 @@ def drawn(rng: np.random.Generator) -> tuple[Scene, Camera]:
         mesh = mesh.moved(np.eye(3), away)
     flash = [None, CAMERA.flash, POINT][rng.integers(3)]
     camera = replace(CAMERA, pose=pose, flash=flash, focus_m=0.3 if rng.uniform() < 0.2 else None)
-    return assemble(mesh, surfaces, sky), camera
+    return assemble_scene(mesh, surfaces, sky), camera
 
 
 def assert_light_needs_a_hit(light) -> None:

@@ -16,17 +16,17 @@ from strain import DAYLIGHT, assert_sound, picture, surface
 
 from pepperscene.camera import load_sensor
 from pepperscene.frame import OUTPUTS
-from pepperscene.geometry import concatenate
+from pepperscene.geometry import concatenate_meshes
 from pepperscene.render import Quality, Renderer
-from pepperscene.scene import assemble
+from pepperscene.scene import assemble_scene
 
 WIDE = (3840, 2160)
 
 
 def two_cards(sky=DAYLIGHT):
     """A translucent, glossy leaf before a pale wall."""
-    mesh = concatenate([card(0.01, 0.0, 0.02, 0.2, "leaf", 0.4), sheet(0.6, 0.6, 0.45, "wall")])
-    return assemble(mesh, {"leaf": surface("leaf", 0.3, 0.4, 1.4), "wall": surface("wall", 0.6)}, sky)
+    mesh = concatenate_meshes([card(0.01, 0.0, 0.02, 0.2, "leaf", 0.4), sheet(0.6, 0.6, 0.45, "wall")])
+    return assemble_scene(mesh, {"leaf": surface("leaf", 0.3, 0.4, 1.4), "wall": surface("wall", 0.6)}, sky)
 
 
 def with_samples(samples: int) -> Quality:

@@ -9,15 +9,15 @@ import pytest
 from bodies import RANGE_NM, bench_camera, card, response_by_hand, sheet
 from strain import DAYLIGHT, picture, point_flash_camera, surface
 
-from pepperscene.geometry import concatenate
+from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import Surface
-from pepperscene.scene import assemble
+from pepperscene.scene import assemble_scene
 
 
 def two_leaves(kind: Surface, sky=None):
     """Two leaves, so that light goes to and fro between them."""
-    mesh = concatenate([card(-0.02, 0.0, 0.05, 0.2, "leaf", 0.4), sheet(0.3, 0.3, 0.45, "leaf")])
-    return assemble(mesh, {"leaf": replace(kind, name="leaf")}, sky)
+    mesh = concatenate_meshes([card(-0.02, 0.0, 0.05, 0.2, "leaf", 0.4), sheet(0.3, 0.3, 0.45, "leaf")])
+    return assemble_scene(mesh, {"leaf": replace(kind, name="leaf")}, sky)
 
 
 @pytest.mark.parametrize("roughness", [0.0, 1e-9, 0.03, 1.0])
@@ -26,7 +26,7 @@ def two_leaves(kind: Surface, sky=None):
 def test_a_lossless_leaf_of_any_gloss_vanishes_in_an_even_light(roughness, ior, transmittance):
     # 256 samples on some 600 pixels; weights vary by 1, so that the mean's standard error is .2 % at most.
     leaf = surface("leaf", 1.0 - transmittance, transmittance, ior, roughness)
-    scene = assemble(sheet(0.02, 0.02, 0.4, "leaf"), {"leaf": leaf}, DAYLIGHT)
+    scene = assemble_scene(sheet(0.02, 0.02, 0.4, "leaf"), {"leaf": leaf}, DAYLIGHT)
     frame = picture(scene, bench_camera(columns=32, rows=24, flash=False), "reference")
     seen = frame["class"] > 0
     assert 400 < seen.sum() < 700
@@ -70,7 +70,7 @@ def test_a_mirror_shows_the_lamp_at_twice_the_distance(roughness, ior):
     # .001 are taken as that: 1 / (1 + 27^2) of such a lobe lies outside the picture. 100 samples or more hit
     # a pixel in the lobe: 1 %.
     camera = point_flash_camera(columns=48, rows=48)
-    mirror = assemble(sheet(0.2, 0.2, 0.5, "leaf"), {"leaf": surface("leaf", 0.0, 0.0, ior, roughness)})
+    mirror = assemble_scene(sheet(0.2, 0.2, 0.5, "leaf"), {"leaf": surface("leaf", 0.0, 0.0, ior, roughness)})
     found = picture(mirror, camera, "reference")["electrons"].astype(float).sum((0, 1))
     nm = np.arange(360.0, 831.0, 0.5)
     arriving = ((ior - 1.0) / (ior + 1.0)) ** 2 * camera.flash.radiant_intensity(nm) / 1.0**2

@@ -14,10 +14,23 @@ import numpy as np
 
 from pepperscene.classes import OrganClass
 from pepperscene.colour.comparison import similarity
-from pepperscene.colour.comparison.measure import MOST, PIXELS, Measured, Told, measured, open_side
+from pepperscene.colour.comparison.measure import (
+    MOST,
+    PIXELS,
+    SetMeasures,
+    Told,
+    measure_set,
+    open_comparison_side,
+)
 from pepperscene.colour.comparison.result import Comparison, KindComparison, KindSide, LightComparison
 from pepperscene.colour.patches.patch import PatchSet
-from pepperscene.colour.statistics.bootstrap import Floats, Measure, of_angles, of_values, unknown
+from pepperscene.colour.statistics.bootstrap import (
+    Estimate,
+    Floats,
+    estimate_angles,
+    estimate_values,
+    unknown_estimate,
+)
 from pepperscene.colour.statistics.colours import delta_e_2000
 from pepperscene.dataset import ImageSet
 
@@ -29,7 +42,7 @@ def compare(
     other: str | Path | ImageSet | PatchSet,
     *,
     limit: int | None = MOST,
-    told: Told | None = None,
+    on_progress: Told | None = None,
 ) -> Comparison:
     """Compare two sets of images, or a set and patches of measured colour.
 
@@ -42,13 +55,13 @@ def compare(
         one: a set of images or patches, or the path of one (see `open_images` and `open_patches`).
         other: the second set; of patches alone, colours are compared, and nothing else.
         limit: most pictures of each set that are measured, evenly over the set; None measures all.
-        told: called after each picture measured with how many are, out of how many.
+        on_progress: called after each picture measured with how many are, out of how many.
 
     Raises:
         InputError: a path is no set of images or patches, or a file is damaged.
     """
-    sides = [open_side(side) if isinstance(side, str | Path) else side for side in (one, other)]
-    first, second = (measured(side, limit, told) for side in sides)
+    sides = [open_comparison_side(side) if isinstance(side, str | Path) else side for side in (one, other)]
+    first, second = (measure_set(side, limit, on_progress) for side in sides)
     # A set against itself, or two folders of one name, must be told apart.
     names = (first.name, second.name)
     if first.name == second.name:
@@ -60,7 +73,7 @@ def compare(
     )  # fmt: skip
 
 
-def _kinds(one: Measured, other: Measured) -> list[str]:
+def _kinds(one: SetMeasures, other: SetMeasures) -> list[str]:
     """Classes that either side shows, each with its stages if both tell them, in the order of the classes."""
     staged = one.staged() & other.staged()
     seen = one.kinds.keys() | other.kinds.keys()
@@ -74,7 +87,7 @@ def _kinds(one: Measured, other: Measured) -> list[str]:
     )
 
 
-def _kind(kind: str, one: Measured, other: Measured, names: tuple[str, str]) -> KindComparison:
+def _kind(kind: str, one: SetMeasures, other: SetMeasures, names: tuple[str, str]) -> KindComparison:
     """All measures of a kind; those that one side cannot tell say why."""
     rows = (one.totals(kind), other.totals(kind))
     sides = [
@@ -85,33 +98,33 @@ def _kind(kind: str, one: Measured, other: Measured, names: tuple[str, str]) -> 
     missing = [_unseen(kind, side, name) for sums, side, name in zip(rows, (one, other), names, strict=True)
                if sums is None]  # fmt: skip
     if rows[0] is None or rows[1] is None:
-        none = unknown(missing[0])
+        none = unknown_estimate(missing[0])
         return KindComparison(kind, none, none, none, *places, *sides)
     known = min(one.kinds[kind].count, other.kinds[kind].count) > 1
     spectra = [similarity.hue_spectra(sums) for sums in rows if sums is not None]
     labs = [similarity.mean_labs(sums) for sums in rows if sums is not None]
     return KindComparison(
         kind,
-        of_values(
+        estimate_values(
             similarity.paired(similarity.correlation, *spectra, resampled=known),
             known,
             "all its pixels are grey",
         ),
-        of_values(
+        estimate_values(
             similarity.paired(similarity.hue_distance, *spectra, resampled=known),
             known,
             "all its pixels are grey",
         ),
-        of_values(delta_e_2000(*labs), known),
+        estimate_values(delta_e_2000(*labs), known),
         *places,
         *sides,
     )
 
 
-def _kind_side(kind: str, side: Measured, sums: Floats | None, name: str) -> KindSide:
+def _kind_side(kind: str, side: SetMeasures, sums: Floats | None, name: str) -> KindSide:
     share = _class_share(kind, side, name)
     if sums is None:
-        none = unknown(_unseen(kind, side, name))
+        none = unknown_estimate(_unseen(kind, side, name))
         return KindSide(0, 0, none, none, none, (none,) * 3, (none,) * 3, share)
     known = side.kinds[kind].count > 1
     spectra = similarity.hue_spectra(sums)
@@ -119,53 +132,55 @@ def _kind_side(kind: str, side: Measured, sums: Floats | None, name: str) -> Kin
     return KindSide(
         side.kinds[kind].count,
         int(sums[0, PIXELS]),
-        of_angles(similarity.mean_hues(spectra), known, "its hues have no direction"),
-        of_values(similarity.hue_spreads(spectra), known, "its hues have no direction"),
-        of_values(similarity.grey_shares(sums), known),
+        estimate_angles(similarity.mean_hues(spectra), known, "its hues have no direction"),
+        estimate_values(similarity.hue_spreads(spectra), known, "its hues have no direction"),
+        estimate_values(similarity.grey_shares(sums), known),
         _three(labs, known),
         _three(spreads, known),
         share,
     )
 
 
-def _three(rows: Floats, known: bool) -> tuple[Measure, Measure, Measure]:
-    first, second, third = (of_values(row, known) for row in rows)
+def _three(rows: Floats, known: bool) -> tuple[Estimate, Estimate, Estimate]:
+    first, second, third = (estimate_values(row, known) for row in rows)
     return first, second, third
 
 
-def _places(kind: str, one: Measured, other: Measured, names: tuple[str, str]) -> tuple[Measure, Measure]:
+def _places(
+    kind: str, one: SetMeasures, other: SetMeasures, names: tuple[str, str]
+) -> tuple[Estimate, Estimate]:
     """Where a class lies: correlation and structural similarity of its mean masks."""
     maps = []
     for side, name in zip((one, other), names, strict=True):
         if "." in kind:
-            return (unknown("places are told of classes, not of their stages"),) * 2
+            return (unknown_estimate("places are told of classes, not of their stages"),) * 2
         if not side.places.count:
-            return (unknown(_unlabelled(side, name)),) * 2
+            return (unknown_estimate(_unlabelled(side, name)),) * 2
         organ_class = OrganClass[kind.upper()]
         if not side.statistics.pixels[organ_class]:
-            return (unknown(_nowhere(side, name)),) * 2
+            return (unknown_estimate(_nowhere(side, name)),) * 2
         maps.append(similarity.place_maps(side.places.totals(), organ_class))
     known = min(one.places.count, other.places.count) > 1
     return (
-        of_values(
+        estimate_values(
             similarity.paired(similarity.correlation, *maps, resampled=known),
             known,
             "it lies everywhere alike",
         ),
-        of_values(similarity.paired(similarity.structure, *maps, resampled=known), known),
+        estimate_values(similarity.paired(similarity.structure, *maps, resampled=known), known),
     )
 
 
-def _class_share(kind: str, side: Measured, name: str) -> Measure:
+def _class_share(kind: str, side: SetMeasures, name: str) -> Estimate:
     if "." in kind:
-        return unknown("shares are told of classes, not of their stages")
+        return unknown_estimate("shares are told of classes, not of their stages")
     if not side.shares.count:
-        return unknown(_unlabelled(side, name))
+        return unknown_estimate(_unlabelled(side, name))
     shares = similarity.class_shares(side.shares.totals())[:, OrganClass[kind.upper()]]
-    return of_values(shares, side.shares.count > 1, f"not labelled in {name}")
+    return estimate_values(shares, side.shares.count > 1, f"not labelled in {name}")
 
 
-def _mean_hue_correlation(one: Measured, other: Measured) -> Measure:
+def _mean_hue_correlation(one: SetMeasures, other: SetMeasures) -> Estimate:
     """Over the plant parts that both show, so not the background, each replicate over the same parts."""
     parts = [
         kind for kind in _kinds(one, other)
@@ -177,42 +192,44 @@ def _mean_hue_correlation(one: Measured, other: Measured) -> Measure:
         rows.append(similarity.paired(similarity.correlation, *spectra))
     rows = [row for row in rows if np.isfinite(row[0])]
     if not rows:
-        return unknown("there is no plant part whose hues both sets show")
+        return unknown_estimate("there is no plant part whose hues both sets show")
     known = min(side.kinds[kind].count for kind in parts for side in (one, other)) > 1
-    return of_values(np.mean(rows, axis=0), known)
+    return estimate_values(np.mean(rows, axis=0), known)
 
 
-def _shares(one: Measured, other: Measured, names: tuple[str, str]) -> Measure:
+def _shares(one: SetMeasures, other: SetMeasures, names: tuple[str, str]) -> Estimate:
     for side, name in zip((one, other), names, strict=True):
         if not side.shares.count:
-            return unknown(_unlabelled(side, name))
+            return unknown_estimate(_unlabelled(side, name))
     shares = [similarity.class_shares(side.shares.totals()) for side in (one, other)]
     values = np.array([similarity.share_correlation(p, q) for p, q in zip(*shares, strict=True)])
     known = min(one.shares.count, other.shares.count) > 1
-    return of_values(values, known, "fewer than three classes are labelled in both sets")
+    return estimate_values(values, known, "fewer than three classes are labelled in both sets")
 
 
-def _light(one: Measured, other: Measured, names: tuple[str, str]) -> LightComparison:
-    means: list[Measure] = []
+def _light(one: SetMeasures, other: SetMeasures, names: tuple[str, str]) -> LightComparison:
+    means: list[Estimate] = []
     spreads: list[float | None] = []
     reason = ""
     for side, name in zip((one, other), names, strict=True):
         if side.light.count:
-            means.append(of_values(similarity.mean_greys(side.light.totals()), side.light.count > 1))
+            means.append(estimate_values(similarity.mean_greys(side.light.totals()), side.light.count > 1))
             spreads.append(float(np.std(np.sort(side.statistics.intensities))))
         else:
             why = f"no photographs in {name}" if side.pictured else f"{name} has patches, not pictures"
             reason = reason or why
-            means.append(unknown(why))
+            means.append(unknown_estimate(why))
             spreads.append(None)
     if reason:
-        return LightComparison(*(unknown(reason),) * 3, means[0], means[1], spreads[0], spreads[1])
+        return LightComparison(*(unknown_estimate(reason),) * 3, means[0], means[1], spreads[0], spreads[1])
     known = min(one.light.count, other.light.count) > 1
     maps = [similarity.intensity_maps(side.light.totals()) for side in (one, other)]
     rings = [np.array([similarity.falloff(image) for image in some]) for some in maps]
 
-    def alike(measure: Callable[[Floats, Floats], float], some: list[Floats]) -> Measure:
-        return of_values(similarity.paired(measure, *some, resampled=known), known, "a mean picture is flat")
+    def alike(measure: Callable[[Floats, Floats], float], some: list[Floats]) -> Estimate:
+        return estimate_values(
+            similarity.paired(measure, *some, resampled=known), known, "a mean picture is flat"
+        )
 
     return LightComparison(
         alike(similarity.correlation, maps), alike(similarity.structure, maps),
@@ -220,16 +237,16 @@ def _light(one: Measured, other: Measured, names: tuple[str, str]) -> LightCompa
     )  # fmt: skip
 
 
-def _unlabelled(side: Measured, name: str) -> str:
+def _unlabelled(side: SetMeasures, name: str) -> str:
     return f"no labels in {name}" if side.pictured else f"{name} has patches, not pictures"
 
 
-def _nowhere(side: Measured, name: str) -> str:
+def _nowhere(side: SetMeasures, name: str) -> str:
     """Why a class has no pixel: nobody drew it, or it is not there."""
     return f"not labelled in {name}" if side.statistics.unlabelled else f"not seen in {name}"
 
 
-def _unseen(kind: str, side: Measured, name: str) -> str:
+def _unseen(kind: str, side: SetMeasures, name: str) -> str:
     """Why a kind's colours are not known."""
     if not side.pictured:
         return f"no patch of it in {name}"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pepperscene.classes import OrganClass
 from pepperscene.colour.comparison import similarity
 from pepperscene.colour.comparison.tables import cell
-from pepperscene.colour.statistics.bootstrap import Measure
+from pepperscene.colour.statistics.bootstrap import Estimate
 from pepperscene.colour.statistics.circular import bin_angles
 from pepperscene.dataset.report.charts import Axis, Curve, line_chart
 from pepperscene.dataset.report.colours import VIRIDIS, drawing, share_colours
@@ -121,7 +121,7 @@ def _shares(found: Comparison) -> tuple[str, float]:
     return "".join(drawn), height + 16
 
 
-def _bar(key: str, share: Measure, left: float, top: float, scale: float) -> str:
+def _bar(key: str, share: Estimate, left: float, top: float, scale: float) -> str:
     middle = top + _BAR / 2.0
     if share.value is None:
         return f'<text x="{left + 6:g}" y="{middle + 4:g}">{escape(share.why)}</text>'

@@ -1,6 +1,6 @@
 """What is measured of one of two sets: sums over its pictures, or over the pictures that patches are from.
 
-What the paper shows (Figs. 10 to 13) is gathered by `pepperscene.truth.Statistics`; here are the sums that
+What the paper shows (Figs. 10 to 13) is gathered by `truth.ImageStatistics`; here are the sums that
 numbers are made of, plain and resampled. Memory is that of a few pictures, however many are added.
 """
 
@@ -13,23 +13,23 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera import decode
-from pepperscene.camera.colorimetry import XYZ_TO_SRGB, adapted_xyz, daylight
+from pepperscene.camera import decode_tone
+from pepperscene.camera.colorimetry import XYZ_TO_SRGB, adapted_xyz, d65_spectrum
 from pepperscene.classes import OrganClass
 from pepperscene.colour.patches.extraction import reflectance_file
-from pepperscene.colour.patches.open import open_patches, regions
+from pepperscene.colour.patches.open import open_patches, organ_regions
 from pepperscene.colour.patches.patch import MeasuredSpectrum, Patch, PatchSet
-from pepperscene.colour.statistics.bootstrap import Floats, Resampled, weights_of
-from pepperscene.colour.statistics.colours import encoded, hue_counts_of, lab
+from pepperscene.colour.statistics.bootstrap import BootstrapSums, Floats, weights_of
+from pepperscene.colour.statistics.colours import encoded, hue_counts_of, linear_srgb_to_lab
 from pepperscene.dataset import ImageSet
 from pepperscene.dataset.readers import open_images
 from pepperscene.dataset.readers.labels import LABEL_FILE
-from pepperscene.dataset.readers.published import halves_in
-from pepperscene.dataset.report.data import ahead, spread
+from pepperscene.dataset.readers.published import published_halves
+from pepperscene.dataset.report.data import evenly_spaced, read_ahead
 from pepperscene.dataset.store.dataset import MARK
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError, InputError
 from pepperscene.spectra import Spectrum
-from pepperscene.truth import HUE_BINS, Statistics, centre, grey_values
+from pepperscene.truth import HUE_BINS, ImageStatistics, centre_crop, grey_values
 
 CLASSES: Final = len(OrganClass)
 CELLS: Final = (30, 40)
@@ -46,7 +46,7 @@ SQUARES: Final = slice(PIXELS + 7, PIXELS + 10)
 _WIDTH: Final = PIXELS + 10
 
 
-class Measured:
+class SetMeasures:
     """Sums over one set.
 
     Attributes:
@@ -63,11 +63,11 @@ class Measured:
 
     def __init__(self, name: str, of: int, *, pictured: bool) -> None:
         self.name, self.of, self.pictured, self.units = name, of, pictured, 0
-        self.kinds: dict[str, Resampled] = {}
-        self.shares = Resampled(CLASSES + 1)
-        self.places = Resampled(CLASSES * CELLS[0] * CELLS[1])
-        self.light = Resampled(CELLS[0] * CELLS[1] + 2)
-        self.statistics = Statistics()
+        self.kinds: dict[str, BootstrapSums] = {}
+        self.shares = BootstrapSums(CLASSES + 1)
+        self.places = BootstrapSums(CLASSES * CELLS[0] * CELLS[1])
+        self.light = BootstrapSums(CELLS[0] * CELLS[1] + 2)
+        self.statistics = ImageStatistics()
 
     def add_picture(
         self,
@@ -92,13 +92,13 @@ class Measured:
             grey = grey_values(colour)
             self.light.add([*_cell_means(grey), grey.mean(dtype=np.float64), 1.0], weights)
         if colour is not None and classes is not None:
-            middle, ids = centre(colour), centre(classes)
+            middle, ids = centre_crop(colour), centre_crop(classes)
             masks = {one.name.lower(): ids == one for one in OrganClass}
-            masks |= {kind: centre(mask) for kind, mask in (stages or {}).items()}
+            masks |= {kind: centre_crop(mask) for kind, mask in (stages or {}).items()}
             for kind, mask in masks.items():
                 if mask.any():
                     codes = middle[mask]
-                    self._add_kind(kind, hue_counts_of(codes), _light(decode(codes)), weights)
+                    self._add_kind(kind, hue_counts_of(codes), _light(decode_tone(codes)), weights)
 
     def add_patches(self, patches: Iterable[Patch]) -> None:
         """Count in all patches of one picture; a patch with a stage counts for its class as well."""
@@ -133,7 +133,7 @@ class Measured:
         """Hues count the same for each picture, as in the paper; light counts by the pixel."""
         counts = np.asarray(hues, float)
         row = np.concatenate([counts / counts.sum(), [1.0], light])
-        self.kinds.setdefault(kind, Resampled(_WIDTH)).add(row, weights)
+        self.kinds.setdefault(kind, BootstrapSums(_WIDTH)).add(row, weights)
 
     def _add_classes(self, classes: NDArray[np.uint8], weights: Floats) -> None:
         counts = np.bincount(np.minimum(classes, CLASSES).ravel(), minlength=CLASSES + 1)
@@ -147,7 +147,7 @@ class Measured:
 
 def _light(linear: Floats, pixels: int | None = None) -> Floats:
     """Sums of pixels `(n, 3)` from `PIXELS` on; brought to a number of pixels that they stand for."""
-    seen = lab(linear)
+    seen = linear_srgb_to_lab(linear)
     sums = [linear.sum(axis=0), seen.sum(axis=0), (seen**2).sum(axis=0)]
     factor = 1.0 if pixels is None else pixels / len(linear)
     return factor * np.concatenate([[len(linear)], *sums])
@@ -159,7 +159,7 @@ def reflectance_colour(reflectance: Spectrum) -> Floats:
     Beyond the range that was measured its end values hold; the observer sees little there.
     """
     held = Spectrum(reflectance.wavelength_nm, reflectance.values, "hold")
-    (xyz,) = adapted_xyz(daylight(), held.at(np.arange(300.0, 1101.0))[None])
+    (xyz,) = adapted_xyz(d65_spectrum(), held.at(np.arange(300.0, 1101.0))[None])
     return np.asarray(xyz @ XYZ_TO_SRGB.T)
 
 
@@ -188,7 +188,9 @@ MOST: Final = 1000
 """Chosen: a mean over 1,000 pictures is known to 3 % of the spread between them."""
 
 
-def open_side(path: str | Path, *, labels: Any = None, half: str | None = None) -> ImageSet | PatchSet:
+def open_comparison_side(
+    path: str | Path, *, labels: Any = None, half: str | None = None
+) -> ImageSet | PatchSet:
     """A folder as a set of images; a file, or the name of shipped reflectances, as patches.
 
     Raises:
@@ -201,14 +203,14 @@ def open_side(path: str | Path, *, labels: Any = None, half: str | None = None) 
             reflectance_file(path)
         except InputError:
             allowed = "must be a folder of images, or a file of patches or of measured reflectances"
-            raise InputError(path, "", None, allowed) from None
+            raise InputError(path, allowed) from None
     for name, value in (("labels", labels), ("half", half)):
         if value is not None:
-            raise InputError(path, name, None, "goes only with a folder of images")
+            raise InputError(path, "goes only with a folder of images", key=name)
     return open_patches(path)
 
 
-def open_sides(
+def open_comparison_sides(
     one: str | Path, other: str | Path, labels: str | None, half: str | None
 ) -> tuple[ImageSet | PatchSet, ImageSet | PatchSet]:
     """Both sides, with what the command line says of them.
@@ -221,10 +223,10 @@ def open_sides(
         half: of the published data set; one name for every side that is one, or two likewise.
 
     Raises:
-        InputError: see `open_side`; or an option goes with neither side.
+        InputError: see `open_comparison_side`; or an option goes with neither side.
     """
     paths = (Path(one), Path(other))
-    halves = [len(halves_in(path)) if path.is_dir() else 0 for path in paths]
+    halves = [len(published_halves(path)) if path.is_dir() else 0 for path in paths]
     published = [count > 0 for count in halves]
     plain = [
         path.is_dir() and not found and not (path / MARK).exists()
@@ -232,17 +234,17 @@ def open_sides(
     ]
     # A folder that explains its own masks keeps that, as long as the other one needs what is told.
     silent = [found and not (path / LABEL_FILE).exists() for path, found in zip(paths, plain, strict=True)]
-    all_labels = _each("--labels", labels, silent if any(silent) else plain, "a folder of images with masks")
+    all_labels = _each("labels", labels, silent if any(silent) else plain, "a folder of images with masks")
     both = [count > 1 for count in halves]
-    all_halves = _each("--half", half, both if any(both) else published, "the published data set")
+    all_halves = _each("half", half, both if any(both) else published, "the published data set")
     first, second = (
-        open_side(path, labels=labels_told, half=half_told)
+        open_comparison_side(path, labels=labels_told, half=half_told)
         for path, labels_told, half_told in zip(paths, all_labels, all_halves, strict=True)
     )
     return first, second
 
 
-def measured(side: ImageSet | PatchSet, limit: int | None, told: Told | None = None) -> Measured:
+def measure_set(side: ImageSet | PatchSet, limit: int | None, told: Told | None = None) -> SetMeasures:
     """The sums of one side, of at most `limit` of its pictures, evenly over the set.
 
     Raises:
@@ -250,24 +252,26 @@ def measured(side: ImageSet | PatchSet, limit: int | None, told: Told | None = N
     """
     if isinstance(side, PatchSet):
         return _of_patches(side, limit)
-    sums = Measured(side.name, len(side), pictured=True)
-    places = spread(len(side), len(side) if limit is None else limit)
+    sums = SetMeasures(side.name, len(side), pictured=True)
+    places = evenly_spaced(len(side), len(side) if limit is None else limit)
     images = side.select("colour", "classes", "instances", "facts")
-    for picture in ahead(images, places):
-        staged = {} if picture.colour is None else {k: m for k, m in regions(images, picture) if "." in k}
+    for picture in read_ahead(images, places):
+        staged = (
+            {} if picture.colour is None else {k: m for k, m in organ_regions(images, picture) if "." in k}
+        )
         sums.add_picture(picture.colour, picture.classes, staged)
         if told is not None:
             told(sums.units, len(places))
     return sums
 
 
-def _of_patches(patches: PatchSet, limit: int | None) -> Measured:
+def _of_patches(patches: PatchSet, limit: int | None) -> SetMeasures:
     """Patches count by the picture they are from, spectra one by one."""
     if not patches.patches and not patches.spectra:
-        raise InputError(patches.name, "", None, "holds no patches")
+        raise InputError(patches.name, "holds no patches")
     pictures = patches.pictures
-    sums = Measured(patches.name, len(pictures) + len(patches.spectra), pictured=False)
-    for place in spread(len(pictures), len(pictures) if limit is None else limit):
+    sums = SetMeasures(patches.name, len(pictures) + len(patches.spectra), pictured=False)
+    for place in evenly_spaced(len(pictures), len(pictures) if limit is None else limit):
         sums.add_patches(patch for patch in patches.patches if patch.picture == pictures[place])
     for spectrum in patches.spectra:
         sums.add_spectrum(spectrum)
@@ -282,5 +286,5 @@ def _each(option: str, told: str | None, concerned: list[bool], what: str) -> tu
     if comma:
         return first, second
     if not any(concerned):
-        raise InputError(option, "", None, f"goes only with {what}, and neither side is one")
+        raise ArgumentError(option, f"goes only with {what}, and neither side is one")
     return (first if concerned[0] else None), (first if concerned[1] else None)

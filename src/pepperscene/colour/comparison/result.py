@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
-from pepperscene.colour.comparison.measure import Measured
-from pepperscene.colour.statistics.bootstrap import LEVEL, REPLICATES, Measure
+from pepperscene.colour.comparison.measure import SetMeasures
+from pepperscene.colour.statistics.bootstrap import LEVEL, REPLICATES, Estimate
 
 if TYPE_CHECKING:
-    from pepperscene.colour.comparison.tables import Table
+    from pepperscene.colour.comparison.tables import TextTable
 
 
 FORMAT: Final = "pepperscene compare 1"
@@ -33,12 +33,12 @@ class KindSide:
 
     pictures: int
     pixels: int
-    hue_mean_deg: Measure
-    hue_spread_deg: Measure
-    grey_share: Measure
-    lab: tuple[Measure, Measure, Measure]
-    lab_spread: tuple[Measure, Measure, Measure]
-    share: Measure
+    hue_mean_deg: Estimate
+    hue_spread_deg: Estimate
+    grey_share: Estimate
+    lab: tuple[Estimate, Estimate, Estimate]
+    lab_spread: tuple[Estimate, Estimate, Estimate]
+    share: Estimate
 
 
 @dataclass(frozen=True)
@@ -57,11 +57,11 @@ class KindComparison:
     """
 
     kind: str
-    hue_correlation: Measure
-    hue_emd_deg: Measure
-    delta_e_2000: Measure
-    place_correlation: Measure
-    place_ssim: Measure
+    hue_correlation: Estimate
+    hue_emd_deg: Estimate
+    delta_e_2000: Estimate
+    place_correlation: Estimate
+    place_ssim: Estimate
     one: KindSide
     other: KindSide
 
@@ -80,11 +80,11 @@ class LightComparison:
         other_spread: likewise.
     """
 
-    correlation: Measure
-    ssim: Measure
-    falloff_correlation: Measure
-    one: Measure
-    other: Measure
+    correlation: Estimate
+    ssim: Estimate
+    falloff_correlation: Estimate
+    one: Estimate
+    other: Estimate
     one_spread: float | None
     other_spread: float | None
 
@@ -103,17 +103,17 @@ class Comparison:
         light: of the pictures.
     """
 
-    one: Measured = field(repr=False)
-    other: Measured = field(repr=False)
+    one: SetMeasures = field(repr=False)
+    other: SetMeasures = field(repr=False)
     names: tuple[str, str]
     kinds: Mapping[str, KindComparison]
-    hue_correlation: Measure
-    share_correlation: Measure
+    hue_correlation: Estimate
+    share_correlation: Estimate
     light: LightComparison
 
     def json(self) -> dict[str, Any]:
         """Everything as JSON holds it: a number is null where it is not known, and `why` tells the reason."""
-        from pepperscene.colour.comparison.tables import as_json
+        from pepperscene.colour.comparison.tables import to_json
 
         sides = zip(self.names, (self.one, self.other), strict=True)
         first, second = ({"name": name, "measured": side.units, "of": side.of} for name, side in sides)
@@ -122,26 +122,26 @@ class Comparison:
             "one": first,
             "other": second,
             "interval": {"level": LEVEL, "replicates": REPLICATES},
-            "hue_correlation": as_json(self.hue_correlation),
-            "share_correlation": as_json(self.share_correlation),
+            "hue_correlation": to_json(self.hue_correlation),
+            "share_correlation": to_json(self.share_correlation),
             "kinds": {
-                name: {key: value for key, value in as_json(found).items() if key != "kind"}
+                name: {key: value for key, value in to_json(found).items() if key != "kind"}
                 for name, found in self.kinds.items()
             },
-            "light": as_json(self.light),
+            "light": to_json(self.light),
         }
 
-    def tables(self) -> tuple[Table, ...]:
+    def tables(self) -> tuple[TextTable, ...]:
         """Everything as tables for people."""
-        from pepperscene.colour.comparison.tables import tables
+        from pepperscene.colour.comparison.tables import comparison_tables
 
-        return tables(self)
+        return comparison_tables(self)
 
     def table(self) -> str:
         """The tables as lines of text."""
-        from pepperscene.colour.comparison.tables import plain
+        from pepperscene.colour.comparison.tables import format_tables
 
-        return plain(self.tables())
+        return format_tables(self.tables())
 
     def figure(self) -> str:
         """Figs. 10 to 13 of the paper with both sets in one picture, as SVG."""

@@ -1,6 +1,6 @@
 """How alike two sets are, by their sums: each measure of the plain sums first, then of each replicate.
 
-Rows of sums are those of `resampling.Resampled.totals`, columns those of `measuring`.
+Rows of sums are those of `resampling.BootstrapSums.totals`, columns those of `measuring`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 from pepperscene.colour.comparison.measure import CELLS, CLASSES, HUES, LAB, LIGHT, PICTURES, PIXELS, SQUARES
 from pepperscene.colour.statistics.bootstrap import Floats
 from pepperscene.colour.statistics.circular import bin_angles, circular_emd, circular_mean, circular_sd
-from pepperscene.colour.statistics.colours import lab
-from pepperscene.truth import HUE_BINS, centre_falloff, spectrum_correlation
+from pepperscene.colour.statistics.colours import linear_srgb_to_lab
+from pepperscene.truth import HUE_BINS, centre_falloff, hue_spectrum_correlation
 
 _ANGLES: Final = bin_angles(HUE_BINS)
 _RINGS: Final = np.linspace(0.0, 1.0, 13)
@@ -64,7 +64,7 @@ def hue_spreads(spectra: Floats) -> Floats:
 
 def correlation(one: Floats, other: Floats) -> float:
     """Pearson's correlation of two arrays of one shape; nan where one is flat."""
-    return spectrum_correlation(one.ravel(), other.ravel())
+    return hue_spectrum_correlation(one.ravel(), other.ravel())
 
 
 def hue_distance(one: Floats, other: Floats) -> float:
@@ -74,7 +74,7 @@ def hue_distance(one: Floats, other: Floats) -> float:
 
 def mean_labs(sums: Floats) -> Floats:
     """`(n, 3)` CIELAB of the mean linear colour of a kind's pixels."""
-    return lab(sums[:, LIGHT] / sums[:, PIXELS, None])
+    return linear_srgb_to_lab(sums[:, LIGHT] / sums[:, PIXELS, None])
 
 
 def lab_spreads(sums: Floats) -> Floats:

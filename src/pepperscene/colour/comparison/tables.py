@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from pepperscene.colour.statistics.bootstrap import Measure
+from pepperscene.colour.statistics.bootstrap import Estimate
 
 if TYPE_CHECKING:
     from pepperscene.colour.comparison.result import Comparison, KindComparison, KindSide
@@ -16,7 +16,7 @@ UNKNOWN: Final = "-"
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """Rows of cells under headings.
 
     Attributes:
@@ -32,7 +32,7 @@ class Table:
     notes: tuple[str, ...] = ()
 
 
-def tables(found: Comparison) -> tuple[Table, ...]:
+def comparison_tables(found: Comparison) -> tuple[TextTable, ...]:
     """The comparison in four tables: hues, CIELAB, shares and places, light."""
     parts = [_hues(found), _lab(found)]
     if found.one.pictured and found.other.pictured:
@@ -40,7 +40,7 @@ def tables(found: Comparison) -> tuple[Table, ...]:
     return tuple(parts)
 
 
-def plain(parts: Sequence[Table]) -> str:
+def format_tables(parts: Sequence[TextTable]) -> str:
     """Tables as lines of text, columns by spaces."""
     lines: list[str] = []
     for part in parts:
@@ -53,17 +53,17 @@ def plain(parts: Sequence[Table]) -> str:
     return "\n".join(lines)
 
 
-def as_json(value: Any) -> Any:
+def to_json(value: Any) -> Any:
     """Measures and what is made of them as JSON holds it; `why` only where there is no value."""
-    if isinstance(value, Measure):
+    if isinstance(value, Estimate):
         told = {"value": value.value, "low": value.low, "high": value.high}
         return {**told, "why": value.why} if value.value is None else told
     if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: as_json(getattr(value, field.name)) for field in fields(value)}
-    return [as_json(one) for one in value] if isinstance(value, tuple) else value
+        return {field.name: to_json(getattr(value, field.name)) for field in fields(value)}
+    return [to_json(one) for one in value] if isinstance(value, tuple) else value
 
 
-def cell(measure: Measure, digits: int = 2, factor: float = 1.0) -> str:
+def cell(measure: Estimate, digits: int = 2, factor: float = 1.0) -> str:
     """A number with its interval in brackets."""
     if measure.value is None:
         return UNKNOWN
@@ -75,7 +75,7 @@ def cell(measure: Measure, digits: int = 2, factor: float = 1.0) -> str:
     return str(value) if None in ends else f"{value} [{ends[0]}, {ends[1]}]"
 
 
-def _hues(found: Comparison) -> Table:
+def _hues(found: Comparison) -> TextTable:
     rows = [
         (
             kind.kind, cell(kind.hue_correlation), cell(kind.hue_emd_deg, 1),
@@ -86,7 +86,7 @@ def _hues(found: Comparison) -> Table:
     one, other = (f"{name}: {side.units:,} of {side.of:,}" for name, side in
                   zip(found.names, (found.one, found.other), strict=True))  # fmt: skip
     mean = cell(found.hue_correlation)
-    return Table(
+    return TextTable(
         f"A is {one}, B is {other} measured. Hues (Fig. 12)",
         ("kind", "correlation", "EMD, deg", "mean ± sd of A", "mean ± sd of B", "seen in A", "in B"),
         tuple(rows),
@@ -102,13 +102,13 @@ def _hue(side: KindSide) -> str:
     return UNKNOWN if mean is None or spread is None else f"{mean:.0f} ± {spread:.0f}"
 
 
-def _lab(found: Comparison) -> Table:
+def _lab(found: Comparison) -> TextTable:
     rows = [
         (kind.kind, cell(kind.delta_e_2000, 1), *(_colour(side) for side in (kind.one, kind.other)))
         for kind in found.kinds.values()
     ]
     heads = ("kind", "dE2000", "L* a* b* of A", "L* a* b* of B")
-    return Table("CIELAB (D65) of the mean colour ± sd of the pixels", heads, tuple(rows))
+    return TextTable("CIELAB (D65) of the mean colour ± sd of the pixels", heads, tuple(rows))
 
 
 def _colour(side: KindSide) -> str:
@@ -120,7 +120,7 @@ def _colour(side: KindSide) -> str:
     return ", ".join(cells) or UNKNOWN
 
 
-def _places(found: Comparison) -> Table:
+def _places(found: Comparison) -> TextTable:
     rows = [
         (
             kind.kind, *(cell(side.share, 2, 100.0) for side in (kind.one, kind.other)),
@@ -130,7 +130,7 @@ def _places(found: Comparison) -> Table:
     ]  # fmt: skip
     alike = found.share_correlation
     because = f" ({alike.why})" if alike.value is None else ""
-    return Table(
+    return TextTable(
         "Shares of all pixels (Fig. 10) and places (Fig. 11)",
         ("kind", "% of A", "% of B", "correlation of places", "SSIM of places"),
         tuple(rows),
@@ -141,7 +141,7 @@ def _places(found: Comparison) -> Table:
     )
 
 
-def _light(found: Comparison) -> Table:
+def _light(found: Comparison) -> TextTable:
     light = found.light
     rows = [
         ("mean grey value of A", cell(light.one, 1)),
@@ -152,7 +152,7 @@ def _light(found: Comparison) -> Table:
         ("SSIM of mean pictures", cell(light.ssim)),
         ("correlation of the falls from the middle", cell(light.falloff_correlation)),
     ]  # fmt: skip
-    return Table("Light (Fig. 13)", ("measure", "value"), tuple(rows))
+    return TextTable("Light (Fig. 13)", ("measure", "value"), tuple(rows))
 
 
 def _reasons(kinds: Iterable[KindComparison], *names: str) -> list[str]:

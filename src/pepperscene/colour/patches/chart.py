@@ -17,10 +17,16 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera import decode
-from pepperscene.camera.colorimetry import CHART, XYZ_TO_SRGB, adapted_xyz, chart_reflectances, daylight
+from pepperscene.camera import decode_tone
+from pepperscene.camera.colorimetry import (
+    CHART,
+    XYZ_TO_SRGB,
+    adapted_xyz,
+    colour_checker_reflectances,
+    d65_spectrum,
+)
 from pepperscene.colour.patches.chart_detection import COLUMNS, ROWS, field_numbers, orientations
-from pepperscene.colour.statistics.colours import delta_e_2000, lab
+from pepperscene.colour.statistics.colours import delta_e_2000, linear_srgb_to_lab
 from pepperscene.errors import InputError
 from pepperscene.spectra import colour_science, read_spectra
 
@@ -95,14 +101,14 @@ def calibrate(
     if corners is not None and turned.tolist() != told.tolist():
         first, second = (1 + int(np.flatnonzero((told == turned[k]).all(axis=1))[0]) for k in range(2))
         allowed = f"must go from dark skin to bluish green, here from corner {first} to corner {second}"
-        raise InputError(where, "corners", told.tolist(), allowed)
+        raise InputError(where, allowed, key="corners", value=told.tolist())
     return found
 
 
 @lru_cache(maxsize=1)
 def chart_linear() -> Floats:
     """`(24, 3)` linear sRGB of the chart's fields under D65; cyan lies outside of sRGB."""
-    return adapted_xyz(daylight(), chart_reflectances().at(_NM)) @ XYZ_TO_SRGB.T
+    return adapted_xyz(d65_spectrum(), colour_checker_reflectances().at(_NM)) @ XYZ_TO_SRGB.T
 
 
 @lru_cache(maxsize=1)
@@ -114,17 +120,21 @@ def chart_names() -> tuple[str, ...]:
 def _checked(corners: ArrayLike, shape: tuple[int, ...], where: str | Path) -> Floats:
     found = np.asarray(corners, float)
     if found.shape != (4, 2) or not np.isfinite(found).all():
-        raise InputError(where, "corners", found.tolist(), "must be four pairs of pixel coordinates x, y")
+        raise InputError(
+            where, "must be four pairs of pixel coordinates x, y", key="corners", value=found.tolist()
+        )
     height, width = shape[:2]
     if (found < 0).any() or (found > [width, height]).any():
         raise InputError(
-            where, "corners", found.tolist(), f"must lie in the picture, {width}x{height} pixels"
+            where, f"must lie in the picture, {width}x{height} pixels", key="corners", value=found.tolist()
         )
     # A quadrangle whose corners follow each other turns the same way at all of them.
     sides = np.roll(found, -1, axis=0) - found
     turns = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
     if not ((turns > 0).all() or (turns < 0).all()):
-        raise InputError(where, "corners", found.tolist(), "must go around the chart, one after the other")
+        raise InputError(
+            where, "must go around the chart, one after the other", key="corners", value=found.tolist()
+        )
     return found
 
 
@@ -137,7 +147,9 @@ def _best_orientation(
     for turned in orientations(corners):
         means, saturated = _fields(picture, turned, tone, where)
         matrix, *_ = np.linalg.lstsq(means, aim, rcond=None)
-        misfit = float(np.linalg.norm(lab(means @ matrix) - lab(aim), axis=1).mean())
+        misfit = float(
+            np.linalg.norm(linear_srgb_to_lab(means @ matrix) - linear_srgb_to_lab(aim), axis=1).mean()
+        )
         found.append((misfit, turned, means, saturated))
     _, turned, means, saturated = min(found, key=lambda one: one[0])
     return turned, means, saturated
@@ -152,8 +164,8 @@ def _fields(
     counts = np.bincount(inside, minlength=ROWS * COLUMNS)
     if counts.min() < _LEAST_PIXELS:
         found = f"shows fields of {counts.min()} pixels; the middle of each must have {_LEAST_PIXELS}"
-        raise InputError(where, "chart", None, found)
-    linear = decode(codes, tone)
+        raise InputError(where, found, key="chart")
+    linear = decode_tone(codes, tone)
     sums = [np.bincount(inside, linear[:, channel], ROWS * COLUMNS) for channel in range(3)]
     full = np.bincount(inside, (codes == 255).any(axis=1), ROWS * COLUMNS)
     return np.stack(sums, axis=1) / counts[:, None], full / counts
@@ -164,22 +176,25 @@ def _fitted(means: Floats, saturated: Floats, corners: Floats, where: str | Path
     names = np.array(chart_names())
     if (full := saturated > _SATURATED).any():
         found = f"is saturated in the fields {', '.join(names[full])}: expose less, or calibrate another way"
-        raise InputError(where, "chart", None, found)
+        raise InputError(where, found, key="chart")
     white = float(means[list(names).index("white_9_5_05_d")].max())
     if white < _DARKEST_WHITE:
         found = f"is too dark: its white has {white:.3f} of full scale and must have {_DARKEST_WHITE:g}"
-        raise InputError(where, "chart", None, found)
+        raise InputError(where, found, key="chart")
 
     # What is cut off at 0 lies outside of the picture's colours, and tells a wrong ratio.
     cut = (means <= 0.0).any(axis=1)
     if np.count_nonzero(~cut) < _LEAST_FIELDS:
-        raise InputError(where, "chart", None, f"has {np.count_nonzero(cut)} fields with a channel at 0")
+        raise InputError(where, f"has {np.count_nonzero(cut)} fields with a channel at 0", key="chart")
     characterise = colour_science().characterisation.matrix_colour_correction
     matrix = np.asarray(characterise(means[~cut], chart_linear()[~cut], method="Cheung 2004", terms=3))
 
-    aim = lab(chart_linear())
-    before, after = delta_e_2000(lab(means), aim), delta_e_2000(lab(means @ matrix.T), aim)
+    aim = linear_srgb_to_lab(chart_linear())
+    before, after = (
+        delta_e_2000(linear_srgb_to_lab(means), aim),
+        delta_e_2000(linear_srgb_to_lab(means @ matrix.T), aim),
+    )
     if after.mean() > _NO_CHART:
         found = f"shows no ColorChecker there: calibrated, its mean delta E 2000 is {after.mean():.1f}"
-        raise InputError(where, "chart", None, found)
+        raise InputError(where, found, key="chart")
     return Calibration(matrix, corners, before, after, tuple(str(name) for name in names[cut]))

@@ -132,7 +132,7 @@ def find_chart(picture: NDArray[np.uint8], where: str | Path) -> Floats:
     found = [grid for flat in _FLAT for grid in _grids(_fields(small, flat))]
     if not found:
         allowed = "shows no ColorChecker that can be found: give the four corners of its fields"
-        raise InputError(where, "chart", None, allowed)
+        raise InputError(where, allowed, key="chart")
     cells, middles = max(found, key=lambda grid: (len(grid[0]), -_misfit(*grid)))
     return mapped(homography(cells + 0.5, middles), _around(cells)) * scale
 

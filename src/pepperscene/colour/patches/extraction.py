@@ -9,13 +9,13 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera import decode
+from pepperscene.camera import decode_tone
 from pepperscene.colour.patches.chart import Calibration
-from pepperscene.colour.patches.patch import MeasuredSpectrum, Patch, PatchSet, evenly, is_kind
+from pepperscene.colour.patches.patch import MeasuredSpectrum, Patch, PatchSet, evenly, is_organ_kind
 from pepperscene.colour.statistics.colours import encoded, hue_counts_of
-from pepperscene.document import read_toml, validated
+from pepperscene.document import read_toml, validate
 from pepperscene.errors import InputError
-from pepperscene.shipped import is_file, shelf
+from pepperscene.shipped import is_file, shipped_folder
 from pepperscene.spectra import Provenance, read_spectra, spectra_file
 
 _KINDS: Final = "kinds"
@@ -31,7 +31,7 @@ def reflectance_file(wanted: str | Path) -> Path:
     name = Path(wanted)
     stem = name.with_suffix("") if name.suffix == ".csv" else name
     if not is_file(stem.with_name(f"{stem.name}.csv")) and name.parent == Path("."):
-        for found in sorted(shelf("materials").glob(f"*/{stem.name}.csv")):
+        for found in sorted(shipped_folder("materials").glob(f"*/{stem.name}.csv")):
             return found
     return spectra_file(wanted)
 
@@ -63,7 +63,7 @@ def open_reflectances(file: str | Path) -> PatchSet:
     kinds = _kinds(path)
     if not kinds:
         allowed = 'is missing: tell column = "kind" there, or name the columns in a patches file'
-        raise InputError(path.with_suffix(".toml"), f"[{_KINDS}]", None, allowed)
+        raise InputError(path.with_suffix(".toml"), allowed, key=f"[{_KINDS}]")
     spectra = [_spectrum(path, column, kind, None) for column, kind in kinds.items()]
     return PatchSet(path.stem, (), tuple(spectra))
 
@@ -73,13 +73,13 @@ def _kinds(path: Path) -> dict[str, str]:
     beside = path.with_suffix(".toml")
     told = read_toml(beside)
     kinds = told.pop(_KINDS, {})
-    validated(Provenance, told, beside)
+    validate(Provenance, told, beside)
     if not isinstance(kinds, dict):
-        raise InputError(beside, _KINDS, kinds, "must be a table of column = kind")
+        raise InputError(beside, "must be a table of column = kind", key=_KINDS, value=kinds)
     for column, kind in kinds.items():
-        if not isinstance(kind, str) or not is_kind(kind):
+        if not isinstance(kind, str) or not is_organ_kind(kind):
             allowed = 'must be a class in lower case, and maybe a stage ("leaf", "pepper.ripe")'
-            raise InputError(beside, f"{_KINDS}.{column}", kind, allowed)
+            raise InputError(beside, allowed, key=f"{_KINDS}.{column}", value=kind)
     return kinds
 
 
@@ -87,11 +87,11 @@ def _spectrum(path: Path, column: str, kind: str, name: str | None) -> MeasuredS
     # Held beyond its ends, as other reflectances are: nobody measured it there, and nothing sees it much.
     spectra = read_spectra(path, outside="hold")
     if column not in spectra:
-        raise InputError(path, "column", column, f"is not one of {', '.join(spectra)}")
+        raise InputError(path, f"is not one of {', '.join(spectra)}", key="column", value=column)
     values = spectra[column].values
     if values.min() < 0.0 or values.max() > 1.0:
         found = f"{values.min():g} to {values.max():g}"
-        raise InputError(path, f"column {column}", None, f"must be reflectances in [0, 1], not {found}")
+        raise InputError(path, f"must be reflectances in [0, 1], not {found}", key=f"column {column}")
     return MeasuredSpectrum(name or column, kind, spectra[column])
 
 
@@ -166,7 +166,7 @@ class Extraction:
         )
 
     def _linear(self, codes: NDArray[np.uint8], calibration: Calibration | None) -> NDArray[np.float64]:
-        linear = decode(codes, self.tone)
+        linear = decode_tone(codes, self.tone)
         return linear if calibration is None else calibration.apply(linear)
 
     def _codes(self, codes: NDArray[np.uint8], calibration: Calibration | None) -> NDArray[np.uint8]:

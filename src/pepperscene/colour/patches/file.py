@@ -11,12 +11,12 @@ from pydantic import Field, field_validator, model_validator
 
 from pepperscene.colour.patches.chart import Calibration, calibrate
 from pepperscene.colour.patches.extraction import Extraction, measured_spectrum
-from pepperscene.colour.patches.patch import MeasuredSpectrum, Patch, PatchSet, is_kind
-from pepperscene.dataset.readers.folder import natural
+from pepperscene.colour.patches.patch import MeasuredSpectrum, Patch, PatchSet, is_organ_kind
+from pepperscene.dataset.readers.folder import natural_sort_key
 from pepperscene.dataset.readers.pictures import read_mask, read_photo
-from pepperscene.document import Document, read_toml, validated
+from pepperscene.document import Document, read_toml, validate
 from pepperscene.errors import InputError
-from pepperscene.truth.statistics import centre
+from pepperscene.truth.statistics import centre_crop
 
 Text = Annotated[str, Field(min_length=1)]
 Point = tuple[float, float]
@@ -31,7 +31,7 @@ class _OfKind(Document):
     @field_validator("kind")
     @classmethod
     def _is_kind(cls, kind: str) -> str:
-        if not is_kind(kind):
+        if not is_organ_kind(kind):
             raise ValueError('must be a class in lower case, and maybe a stage ("leaf", "pepper.ripe")')
         return kind
 
@@ -144,7 +144,7 @@ def read_patches_file(
     Raises:
         InputError: a key, a picture, a mask, a chart or a spectrum is not what it must be.
     """
-    told = validated(PatchesFile, read_toml(path), path)
+    told = validate(PatchesFile, read_toml(path), path)
     folder = path.parent / told.folder if pictures is None else pictures
     how = Extraction(
         told.tone,
@@ -155,7 +155,7 @@ def read_patches_file(
     # Picture by picture, so that each is read once and none is kept.
     patches: list[Patch] = []
     calibrations = _Calibrations(told, folder)
-    for picture in sorted(dict.fromkeys(one.picture for one in told.patch), key=natural):
+    for picture in sorted(dict.fromkeys(one.picture for one in told.patch), key=natural_sort_key):
         image = read_photo(folder / picture)
         calibration = calibrations.of(picture, image)
         for place, one in enumerate(told.patch):
@@ -202,12 +202,12 @@ def _cut(
     region = _region(one, image.shape[:2], folder, where, key)
     if told.centre_px is not None:
         middle = np.zeros_like(region)
-        centre(middle, told.centre_px)[:] = True
+        centre_crop(middle, told.centre_px)[:] = True
         region &= middle
     name = one.name or f"{_stem(one.picture)} {one.kind} {place}"
     patch = how.patch(image, region, name=name, kind=one.kind, of=_stem(one.picture), calibration=calibration)
     if patch is None:
-        raise InputError(where, key, None, f"leaves no pixel of {one.picture}")
+        raise InputError(where, f"leaves no pixel of {one.picture}", key=key)
     return patch
 
 
@@ -223,7 +223,7 @@ def _region(
         left, top, right, bottom = one.box
         if not (0 <= left < right <= width and 0 <= top < bottom <= height):
             allowed = f"must be x0, y0, x1, y1 with x0 < x1 <= {width} and y0 < y1 <= {height}"
-            raise InputError(where, f"{key}.box", list(one.box), allowed)
+            raise InputError(where, allowed, key=f"{key}.box", value=list(one.box))
         region[top:bottom, left:right] = True
         return region
     from skimage.draw import polygon
@@ -231,7 +231,7 @@ def _region(
     points = np.array(one.polygon)
     if (points < 0).any() or (points > [width, height]).any():
         allowed = f"must lie within the {width}x{height} pixels of {one.picture}"
-        raise InputError(where, f"{key}.polygon", points.tolist(), allowed)
+        raise InputError(where, allowed, key=f"{key}.polygon", value=points.tolist())
     # The centre of the first pixel is at 0.5.
     region[polygon(points[:, 1] - 0.5, points[:, 0] - 0.5, shape)] = True
     return region
@@ -242,14 +242,14 @@ def _masked(wanted: MaskRegion, shape: tuple[int, ...], folder: Path) -> NDArray
     mask = read_mask(file)
     if mask.shape != shape:
         found = "x".join(str(length) for length in mask.shape[::-1])
-        raise InputError(file, "", None, f"is {found} pixels large, but its picture {shape[1]}x{shape[0]}")
+        raise InputError(file, f"is {found} pixels large, but its picture {shape[1]}x{shape[0]}")
     if isinstance(wanted.value, str):
         if mask.rgb is None:
-            raise InputError(file, "", None, "has values, not colours")
+            raise InputError(file, "has values, not colours")
         colour = [int(wanted.value[k : k + 2], 16) for k in (1, 3, 5)]
         return np.asarray((mask.rgb == colour).all(axis=-1))
     if mask.values is None:
-        raise InputError(file, "", None, "has colours, not values")
+        raise InputError(file, "has colours, not values")
     return np.isin(mask.values, wanted.value)
 
 
@@ -267,4 +267,4 @@ def _stem(picture: str) -> str:
 def _distinct(names: list[str], where: Path) -> None:
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise InputError(where, "name", twice, "must be that of one patch or spectrum only")
+        raise InputError(where, "must be that of one patch or spectrum only", key="name", value=twice)

@@ -15,10 +15,10 @@ from pepperscene.colour.patches.chart import Calibration, calibrate
 from pepperscene.colour.patches.extraction import Extraction, open_reflectances
 from pepperscene.colour.patches.file import ChartPlace, read_patches_file
 from pepperscene.colour.patches.patch import Patch, PatchSet, evenly
-from pepperscene.dataset import ImageSet, Labelled, open_images
-from pepperscene.dataset.readers import KNOWN_LABELS, FolderSet, Labels
+from pepperscene.dataset import ImageSet, LabelledImage, open_images
+from pepperscene.dataset.readers import KNOWN_LABELS, FolderSet, LabelMap
 from pepperscene.dataset.readers.pictures import read_mask, read_photo
-from pepperscene.document import validated
+from pepperscene.document import validate
 from pepperscene.errors import InputError
 from pepperscene.truth.statistics import CENTRE_PX
 
@@ -31,7 +31,7 @@ _MONTOYA: Final[Mapping[int, str]] = {1: UNRIPE, 2: RIPE, 4: RIPE}
 """Values of the masks of Montoya Cavero & Escobedo 2021 that tell how ripe a fruit is: green, red, yellow."""
 
 
-def regions(images: ImageSet, picture: Labelled) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+def organ_regions(images: ImageSet, picture: LabelledImage) -> Iterator[tuple[str, NDArray[np.bool_]]]:
     """Kind and pixels `(h, w)` of all that a picture shows, but for the background.
 
     The ripeness of fruit is told by a rendered frame's harvest and instance image, and by the masks of
@@ -54,7 +54,7 @@ def regions(images: ImageSet, picture: Labelled) -> Iterator[tuple[str, NDArray[
             yield organ.name.lower(), mask
 
 
-def _stages(images: ImageSet, picture: Labelled) -> Mapping[str, NDArray[np.bool_]]:
+def _stages(images: ImageSet, picture: LabelledImage) -> Mapping[str, NDArray[np.bool_]]:
     """Pixels of the stages that are told of the fruit."""
     montoya = isinstance(images, FolderSet) and images.labels is KNOWN_LABELS["montoya2021"]
     if montoya and "mask" in picture.facts:
@@ -88,7 +88,7 @@ many is a thousandth of their spread, and a million pictures still leave some of
 def open_patches(
     path: str | Path | ImageSet,
     *,
-    labels: str | Labels | Mapping[Any, Any] | None = None,
+    labels: str | LabelMap | Mapping[Any, Any] | None = None,
     half: str | None = None,
     centre_px: int | None = CENTRE_PX,
     erode_px: int | None = None,
@@ -126,11 +126,11 @@ def open_patches(
     of_sets = {"labels": labels, "half": half, "chart": chart, "limit": limit}
     given = [name for name, value in of_sets.items() if value is not None]
     if not folder and given:
-        raise InputError(str(path), given[0], None, "goes only with a set of pictures")
+        raise InputError(str(path), "goes only with a set of pictures", key=given[0])
     if pictures is not None and (folder or Path(str(path)).suffix != ".toml"):
-        raise InputError(str(path), "pictures", None, "goes only with a patches file")
+        raise InputError(str(path), "goes only with a patches file", key="pictures")
     if (erode_px or 0) < 0 or (centre_px is not None and centre_px < 1) or (limit is not None and limit < 1):
-        raise InputError(str(path), "", None, "erode_px must not be below 0, centre_px and limit not below 1")
+        raise InputError(str(path), "erode_px must not be below 0, centre_px and limit not below 1")
 
     if isinstance(path, ImageSet) or folder:
         images = path if isinstance(path, ImageSet) else open_images(path, half=half, labels=labels)
@@ -164,7 +164,7 @@ def _of_images(
         calibration = _of_picture(chart, picture) if isinstance(chart, ChartPlace) else chart
         height, width = picture.size
         within = slice(*_middle(height, centre_px)), slice(*_middle(width, centre_px))
-        for kind, region in regions(chosen, picture):
+        for kind, region in organ_regions(chosen, picture):
             patch = how.patch(
                 picture.colour,
                 region,
@@ -178,12 +178,12 @@ def _of_images(
                 patches.append(patch)
     if not patches:
         why = "no organ lies in the part that counts" if seen["labelled"] else "no picture is labelled"
-        raise InputError(images.name, "", None, f"gives no patches: {why}")
+        raise InputError(images.name, f"gives no patches: {why}")
     return PatchSet(images.name, tuple(patches))
 
 
 def _middle(length: int, size: int | None) -> tuple[int, int]:
-    """First and last row of the middle, as `pepperscene.truth.statistics.centre` cuts it."""
+    """First and last row of the middle, as `pepperscene.truth.statistics.centre_crop` cuts it."""
     if size is None:
         return 0, length
     first = max(0, (length - size) // 2)
@@ -194,14 +194,14 @@ def _calibration(chart: Mapping[str, Any] | Calibration | None) -> ChartPlace | 
     """What is told of a chart; one that serves all pictures is measured at once."""
     if chart is None or isinstance(chart, Calibration):
         return chart
-    told = validated(ChartPlace, chart, "chart")
+    told = validate(ChartPlace, chart, "chart")
     if told.pictures is not None:
-        raise InputError("chart", "pictures", None, "goes only with a patches file")
+        raise InputError("chart", "goes only with a patches file", key="pictures")
     if told.picture is None:
         return told
     return calibrate(read_photo(Path(told.picture)), told.corners, where=told.picture)
 
 
-def _of_picture(chart: ChartPlace, picture: Labelled) -> Calibration:
+def _of_picture(chart: ChartPlace, picture: LabelledImage) -> Calibration:
     assert picture.colour is not None
     return calibrate(picture.colour, chart.corners, where=picture.name)

@@ -17,7 +17,7 @@ from pepperscene.spectra import Spectrum
 _STAGE: Final = re.compile(r"[a-z][a-z0-9_]*")
 
 
-def is_kind(text: str) -> bool:
+def is_organ_kind(text: str) -> bool:
     """Whether this names a kind: a class in lower case, and maybe a stage after a dot ("pepper.ripe")."""
     organ, dot, stage = text.partition(".")
     return organ in {one.name.lower() for one in OrganClass} and (not dot or bool(_STAGE.fullmatch(stage)))
@@ -64,7 +64,7 @@ class Patch:
     border: int = 0
 
     def __post_init__(self) -> None:
-        if not is_kind(self.kind):
+        if not is_organ_kind(self.kind):
             raise ValueError(f"{self.name}: {self.kind!r} is no kind of organ")
         if self.linear.ndim != 2 or self.linear.shape[1] != 3 or self.codes.shape != self.linear.shape:
             raise ValueError(f"{self.name}: pixels {self.linear.shape}, codes {self.codes.shape}")
@@ -89,7 +89,7 @@ class MeasuredSpectrum:
     spectrum: Spectrum
 
     def __post_init__(self) -> None:
-        if not is_kind(self.kind):
+        if not is_organ_kind(self.kind):
             raise ValueError(f"{self.name}: {self.kind!r} is no kind of organ")
 
 

@@ -35,7 +35,7 @@ def weights_of(content: bytes) -> Floats:
     return np.concatenate([[1.0], drawn])
 
 
-class Resampled:
+class BootstrapSums:
     """Sums of vectors `(width,)`, plain and in all replicates.
 
     Attributes:
@@ -97,7 +97,7 @@ def interval(values: Floats) -> tuple[float, float] | None:
 
 
 @dataclass(frozen=True)
-class Measure:
+class Estimate:
     """A number that was measured.
 
     Attributes:
@@ -113,12 +113,12 @@ class Measure:
     why: str = ""
 
 
-def unknown(why: str) -> Measure:
+def unknown_estimate(why: str) -> Estimate:
     """No number."""
-    return Measure(None, why=why)
+    return Estimate(None, why=why)
 
 
-def of_values(values: Floats, resampled: bool, why: str = "it is not defined") -> Measure:
+def estimate_values(values: Floats, resampled: bool, why: str = "it is not defined") -> Estimate:
     """A measure of its value and its replicates `(1 + n,)`.
 
     Args:
@@ -127,14 +127,14 @@ def of_values(values: Floats, resampled: bool, why: str = "it is not defined") -
         why: the reason, if the value is not finite.
     """
     if not np.isfinite(values[0]):
-        return unknown(why)
+        return unknown_estimate(why)
     ends = interval(values) if resampled else None
-    return Measure(float(values[0]), *(ends or (None, None)))
+    return Estimate(float(values[0]), *(ends or (None, None)))
 
 
-def of_angles(values: Floats, resampled: bool, why: str) -> Measure:
+def estimate_angles(values: Floats, resampled: bool, why: str) -> Estimate:
     """The same of angles in degrees: what counts is how far replicates are turned from the value."""
-    turned = of_values((values - values[0] + 180.0) % 360.0 - 180.0, resampled, why)
+    turned = estimate_values((values - values[0] + 180.0) % 360.0 - 180.0, resampled, why)
     if turned.value is None or turned.low is None or turned.high is None:
-        return turned if turned.value is None else Measure(float(values[0]))
-    return Measure(float(values[0]), (values[0] + turned.low) % 360.0, (values[0] + turned.high) % 360.0)
+        return turned if turned.value is None else Estimate(float(values[0]))
+    return Estimate(float(values[0]), (values[0] + turned.low) % 360.0, (values[0] + turned.high) % 360.0)

@@ -13,9 +13,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera import encode
+from pepperscene.camera import encode_tone
 from pepperscene.camera.colorimetry import SRGB_TO_XYZ
-from pepperscene.camera.colorimetry import lab as lab_of_xyz
+from pepperscene.camera.colorimetry import xyz_to_lab as lab_of_xyz
 from pepperscene.colour.statistics.circular import (
     bin_angles,
     circular_mean,
@@ -92,7 +92,7 @@ class ColourStatistics:
         )
 
 
-def lab(linear: ArrayLike) -> Floats:
+def linear_srgb_to_lab(linear: ArrayLike) -> Floats:
     """`(..., 3)` CIELAB under D65 of linear sRGB `(..., 3)`."""
     return lab_of_xyz(np.asarray(linear, float) @ SRGB_TO_XYZ.T)
 
@@ -104,7 +104,7 @@ def delta_e_2000(one: ArrayLike, other: ArrayLike) -> Floats:
 
 def encoded(linear: ArrayLike) -> NDArray[np.uint8]:
     """8-bit sRGB of linear sRGB, clipped."""
-    return encode(np.asarray(linear, np.float32))
+    return encode_tone(np.asarray(linear, np.float32))
 
 
 def hue_counts_of(codes: NDArray[np.uint8]) -> NDArray[np.int64]:
@@ -130,12 +130,12 @@ def _spread(light: Floats) -> dict[str, Floats]:
     if not len(light):
         none = np.full(3, np.nan)
         return {"mean_lab": none, "lab_of_pixels": none, "sd": none, "covariance": np.full((3, 3), np.nan)}
-    pixels = lab(light)
+    pixels = linear_srgb_to_lab(light)
     mean = pixels.mean(axis=0)
     deviations = pixels - mean
     covariance = deviations.T @ deviations / len(pixels)
     return {
-        "mean_lab": lab(light.mean(axis=0)),
+        "mean_lab": linear_srgb_to_lab(light.mean(axis=0)),
         "lab_of_pixels": mean,
         "sd": np.sqrt(np.diag(covariance)),
         "covariance": covariance,

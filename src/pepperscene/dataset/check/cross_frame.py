@@ -12,7 +12,7 @@ import numpy as np
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.check.findings import Finding
-from pepperscene.dataset.check.one_frame import Traits
+from pepperscene.dataset.check.one_frame import FrameTraits
 from pepperscene.dataset.recipe.tables import ExpectTable
 from pepperscene.dataset.store.dataset import DIGITS, FRAMES, file_name
 
@@ -47,7 +47,7 @@ class Running:
         self.mean += (value - self.mean) / self.count
 
 
-class Comparison:
+class CrossFrameChecks:
     """Takes frames one by one and finds what they are wrong in together.
 
     Args:
@@ -61,7 +61,7 @@ class Comparison:
         self._all: dict[str, Running] = {}
         self._scenes: dict[int, dict[str, Running]] = {}
 
-    def add(self, traits: Traits) -> Iterator[Finding]:
+    def add(self, traits: FrameTraits) -> Iterator[Finding]:
         """Take a frame; tell where it is unlike what is expected of a single one."""
         yield from self._single(traits)
         self._indices.append(traits.index)
@@ -143,7 +143,7 @@ class Comparison:
         """What the manifest must say of each frame, as digests."""
         return dict(zip(self._indices, self._digests["row"], strict=True))
 
-    def _single(self, traits: Traits) -> Iterator[Finding]:
+    def _single(self, traits: FrameTraits) -> Iterator[Finding]:
         """What is expected of every single photograph."""
         if traits.mean is None:
             return

@@ -39,11 +39,11 @@ def opened(folder: Path) -> tuple[Dataset, list[Finding]]:
         InputError: there is nothing of a data set in the folder.
     """
     if not (folder / MARK).exists() and not (folder / FRAMES).is_dir():
-        raise InputError(folder, "", None, f"holds no data set: there is no {MARK} in it")
+        raise InputError(folder, f"holds no data set: there is no {MARK} in it")
     try:
         about = read_json(folder / MARK)
     except InputError as fault:
-        return Dataset(folder, {}), [Finding("damaged", None, MARK, fault.allowed)]
+        return Dataset(folder, {}), [Finding("damaged", None, MARK, fault.problem)]
     return Dataset(folder, about), [Finding("damaged", None, MARK, what) for what in _about_faults(about)]
 
 

@@ -21,7 +21,7 @@ _BURNT: Final = 0.5
 
 
 @dataclass(frozen=True)
-class Tone:
+class ImageTone:
     """How bright a photograph is.
 
     Attributes:
@@ -33,12 +33,12 @@ class Tone:
     saturated: float
 
 
-def tone(picture: NDArray[np.uint8]) -> Tone:
+def tone(picture: NDArray[np.uint8]) -> ImageTone:
     """How bright an `(h, w, 3)` photograph is."""
     full = picture[..., 0] == 255
     for channel in range(1, picture.shape[2]):
         full |= picture[..., channel] == 255
-    return Tone(float(picture.mean()), float(np.count_nonzero(full) / full.size))
+    return ImageTone(float(picture.mean()), float(np.count_nonzero(full) / full.size))
 
 
 def picture_faults(picture: NDArray[np.uint8]) -> Iterator[tuple[str, str]]:

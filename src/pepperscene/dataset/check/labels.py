@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.check.findings import instances as listed
 from pepperscene.dataset.check.findings import table
-from pepperscene.truth import class_colour, class_pixels, distance_code
+from pepperscene.truth import class_colour, class_pixel_counts, distance_code
 
 Fault = tuple[str, str, str]
 """Kind, output and description."""
@@ -43,7 +43,7 @@ def _classes(classes: NDArray[np.uint8], facts: Mapping[str, Any]) -> Iterator[F
         ids = _named(np.unique(classes[wrong]))
         yield "label", "class", f"{_pixels(wrong)} with class {ids}; the last class is {len(OrganClass) - 1}"
         return
-    told, found = table(facts, "class_pixels"), class_pixels(classes)
+    told, found = table(facts, "class_pixels"), class_pixel_counts(classes)
     for name, count in found.items():
         if told.get(name) != count:
             yield "contradiction", "class", f"{count} pixels are {name}, class_pixels says {told.get(name)}"

@@ -19,19 +19,19 @@ from pepperscene.dataset.check.findings import Finding
 from pepperscene.dataset.check.images import flat, picture_faults, tone, value_faults
 from pepperscene.dataset.check.labels import harvest_faults, label_faults
 from pepperscene.dataset.recipe.plan import Plan, frame_seed
-from pepperscene.dataset.store.dataset import CHECKSUM, FRAMES, Dataset, Standing, checksum_of, file_name
+from pepperscene.dataset.store.dataset import CHECKSUM, FRAMES, Dataset, FrameStatus, checksum_of, file_name
 from pepperscene.dataset.store.images import read_image
 from pepperscene.dataset.store.rows import row_of
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
-from pepperscene.truth import class_pixels
+from pepperscene.truth import class_pixel_counts
 
 _JOURNALS: Final = ("render_s", "write_s", "worker")
 """Of the manifest's columns those that do not come out of the frame."""
 
 
 @dataclass(frozen=True)
-class Traits:
+class FrameTraits:
     """What of a frame is compared with other frames, the manifest and the recipe.
 
     Digests are of 64 bits, and 0 where there is nothing to compare: of a million frames, two that differ have
@@ -62,7 +62,7 @@ class Traits:
 
 def traits_of(
     index: int, facts: Mapping[str, Any], digests: Mapping[str, str], images: Mapping[str, Any]
-) -> Traits:
+) -> FrameTraits:
     """What of a frame is compared with others.
 
     Args:
@@ -77,7 +77,7 @@ def traits_of(
     light = tone(images["colour"]) if "colour" in images else None
     pose, seed = told.pose(facts), facts.get("seed")
     outputs = {name: one for name, one in told.table(facts, "outputs").items() if name in OUTPUTS}
-    return Traits(
+    return FrameTraits(
         index,
         scene=_scene(facts.get("set"), facts.get("rotation")),
         picture=_digest(np.ascontiguousarray(images[traced]).data) if traced else 0,
@@ -99,13 +99,13 @@ def _scene(group: Any, rotation: Any) -> int | None:
 def _shares(classes: NDArray[np.uint8] | None) -> tuple[float, ...] | None:
     if classes is None or classes.max() >= len(OrganClass):
         return None
-    return tuple(count / classes.size for count in class_pixels(classes).values())
+    return tuple(count / classes.size for count in class_pixel_counts(classes).values())
 
 
 def _row_digest(facts: Mapping[str, Any], outputs: dict[str, Any]) -> int:
     rest = {key: value for key, value in facts.items() if key not in (CHECKSUM, "outputs")}
     try:
-        return manifest_digest(row_of(Standing(rest, outputs, str(facts.get(CHECKSUM)))))
+        return manifest_digest(row_of(FrameStatus(rest, outputs, str(facts.get(CHECKSUM)))))
     except (AttributeError, IndexError, KeyError, TypeError):
         # Such JSON is damaged, and told so.
         return 0
@@ -125,7 +125,7 @@ PICTURES: Final = ("colour", "colour_stereo")
 
 
 @dataclass(frozen=True)
-class Examined:
+class FrameExamination:
     """A frame, examined by itself.
 
     Attributes:
@@ -135,17 +135,17 @@ class Examined:
     """
 
     findings: tuple[Finding, ...]
-    traits: Traits
+    traits: FrameTraits
     harvested: bool = False
 
 
-def examine(dataset: Dataset, index: int) -> Examined:
+def examine_frame(dataset: Dataset, index: int) -> FrameExamination:
     """Examine one frame of a data set by itself."""
     where = f"{FRAMES}/{dataset.frame_path(index).name}"
     try:
-        facts = dataset.facts(index)
+        facts = dataset.metadata(index)
     except InputError as fault:
-        return Examined((Finding("damaged", index, where, _reason(fault)),), Traits(index))
+        return FrameExamination((Finding("damaged", index, where, _reason(fault)),), FrameTraits(index))
     findings = [Finding(kind, index, where, what) for kind, what in _facts_faults(dataset, facts, index)]
 
     # Files first: what of them is there, and is it what was written?
@@ -163,7 +163,7 @@ def examine(dataset: Dataset, index: int) -> Examined:
     for kind, output, what in _content_faults(images, facts):
         findings.append(Finding(kind, index, file_name(index, output), what))
     harvested = "harvest" in told.table(facts, "outputs")
-    return Examined(tuple(findings), traits_of(index, facts, digests, images), harvested)
+    return FrameExamination(tuple(findings), traits_of(index, facts, digests, images), harvested)
 
 
 def _facts_faults(dataset: Dataset, facts: dict[str, Any], index: int) -> Iterator[tuple[str, str]]:
@@ -174,11 +174,11 @@ def _facts_faults(dataset: Dataset, facts: dict[str, Any], index: int) -> Iterat
         yield "damaged", "is not what was written: its checksum is another"
     if not isinstance(facts.get("outputs"), dict) or not facts["outputs"]:
         yield "damaged", "names no outputs"
-    recipe = told.table(dataset.about, "recipe")
+    recipe = told.table(dataset.info, "recipe")
     expected: dict[str, Any] = {"index": index}
     try:
         plan = Plan.model_validate(recipe["plan"])
-        shot = plan.shot(index)
+        shot = plan.frame(index)
         expected |= {"set": shot.set, "rotation": shot.rotation, "step": shot.step}
         expected |= {"recipe_seed": recipe["seed"], "seed": frame_seed(recipe["seed"], index)}
     except KeyError:
@@ -277,4 +277,4 @@ def _read_digest(path: Path) -> tuple[str, int]:
 
 
 def _reason(fault: InputError) -> str:
-    return fault.allowed
+    return fault.problem

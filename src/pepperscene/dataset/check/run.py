@@ -11,18 +11,18 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
-from pepperscene.dataset.check.cross_frame import Comparison
+from pepperscene.dataset.check.cross_frame import CrossFrameChecks
 from pepperscene.dataset.check.files import frame_indices, manifest_faults, opened, stray_files
-from pepperscene.dataset.check.findings import Finding, Verdict, in_order
-from pepperscene.dataset.check.one_frame import Examined, examine
+from pepperscene.dataset.check.findings import CheckResult, Finding, in_order
+from pepperscene.dataset.check.one_frame import FrameExamination, examine_frame
 from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.dataset.recipe.tables import ExpectTable
-from pepperscene.dataset.scenes.plant_worker import cores
+from pepperscene.dataset.scenes.plant_worker import available_cores
 from pepperscene.dataset.store.dataset import FRAMES, MARK, Dataset
 from pepperscene.dataset.store.journal import Journal
-from pepperscene.dataset.subprocess_rpc import THREADS, Child, listening, say
-from pepperscene.document import validated
-from pepperscene.errors import InputError, WorkerError
+from pepperscene.dataset.subprocess_rpc import THREADS, WorkerProcess, listening, say
+from pepperscene.document import validate
+from pepperscene.errors import ArgumentError, InputError, WorkerError
 
 MOST_WORKERS: Final = 256  # chosen: more would wait for the disk
 _WORTH: Final = 64  # chosen: frames for which it pays to start a process, which takes half a second
@@ -31,7 +31,7 @@ _AHEAD: Final = 2  # chosen: such parts for each process that may wait to be tol
 _ONE_THREAD: Final = dict.fromkeys(THREADS, "1")
 
 
-def examined(dataset: Dataset, indices: Sequence[int], workers: int | None) -> Iterator[Examined]:
+def examined(dataset: Dataset, indices: Sequence[int], workers: int | None) -> Iterator[FrameExamination]:
     """Every frame examined, in the order of the indices.
 
     Args:
@@ -44,23 +44,23 @@ def examined(dataset: Dataset, indices: Sequence[int], workers: int | None) -> I
         WorkerError: a process was lost.
     """
     if workers is not None and not 1 <= workers <= MOST_WORKERS:
-        raise InputError("--workers", "", None, f"{workers} must be 1 to {MOST_WORKERS}")
-    wanted = cores() if workers is None else workers
+        raise ArgumentError("workers", f"{workers} must be 1 to {MOST_WORKERS}")
+    wanted = available_cores() if workers is None else workers
     many = min(wanted, -(-len(indices) // _WORTH))
     if many <= 1:
-        return (examine(dataset, index) for index in indices)
+        return (examine_frame(dataset, index) for index in indices)
     return _by_many(dataset, indices, many)
 
 
-def _by_many(dataset: Dataset, indices: Sequence[int], many: int) -> Iterator[Examined]:
+def _by_many(dataset: Dataset, indices: Sequence[int], many: int) -> Iterator[FrameExamination]:
     parts = [indices[place : place + _AT_A_TIME] for place in range(0, len(indices), _AT_A_TIME)]
-    idle: queue.SimpleQueue[Child] = queue.SimpleQueue()
+    idle: queue.SimpleQueue[WorkerProcess] = queue.SimpleQueue()
     with ExitStack() as stack:
         for _ in range(many):
             idle.put(_started(dataset, stack))
         # A thread for each process waits for what it says; the processes end before the threads.
         pool = stack.enter_context(ThreadPoolExecutor(many))
-        waiting: deque[Future[list[Examined]]] = deque()
+        waiting: deque[Future[list[FrameExamination]]] = deque()
         for part in parts:
             waiting.append(pool.submit(_asked, idle, part))
             if len(waiting) > _AHEAD * many:
@@ -69,9 +69,9 @@ def _by_many(dataset: Dataset, indices: Sequence[int], many: int) -> Iterator[Ex
             yield from waiting.popleft().result()
 
 
-def _started(dataset: Dataset, stack: ExitStack) -> Child:
+def _started(dataset: Dataset, stack: ExitStack) -> WorkerProcess:
     try:
-        child = Child(__name__, _ONE_THREAD)
+        child = WorkerProcess(__name__, _ONE_THREAD)
         stack.callback(_end, child)
         child.hear()
         child.say(dataset)
@@ -80,11 +80,11 @@ def _started(dataset: Dataset, stack: ExitStack) -> Child:
     return child
 
 
-def _asked(idle: queue.SimpleQueue[Child], part: Sequence[int]) -> list[Examined]:
+def _asked(idle: queue.SimpleQueue[WorkerProcess], part: Sequence[int]) -> list[FrameExamination]:
     child = idle.get()
     try:
         child.say(list(part))
-        found: list[Examined] = child.hear()
+        found: list[FrameExamination] = child.hear()
     except (OSError, EOFError):
         words = child.last_words().splitlines()
         raise WorkerError(
@@ -97,7 +97,7 @@ def _asked(idle: queue.SimpleQueue[Child], part: Sequence[int]) -> list[Examined
     return found
 
 
-def _end(child: Child) -> None:
+def _end(child: WorkerProcess) -> None:
     child.dismiss()
     if child.ended() is None:
         child.kill()
@@ -111,15 +111,15 @@ def serve() -> None:
     with told, suppress(EOFError, OSError):
         dataset: Dataset = pickle.load(asked)
         while True:
-            say(told, [examine(dataset, index) for index in pickle.load(asked)])
+            say(told, [examine_frame(dataset, index) for index in pickle.load(asked)])
 
 
-def check(
+def check_dataset(
     folder: str | Path,
     workers: int | None = None,
     on_frame: Callable[[int, int], None] | None = None,
     frames: str | Sequence[int] | None = None,
-) -> Verdict:
+) -> CheckResult:
     """Look for faults in a data set; nothing is written.
 
     Every file is read, decoded and compared with what the frame's JSON says of it; then labels, distances and
@@ -146,7 +146,7 @@ def check(
     findings += faults
 
     # Frame by frame, whatever the number of processes in the same order.
-    comparison, harvested = Comparison(expect), False
+    comparison, harvested = CrossFrameChecks(expect), False
     for done, one in enumerate(examined(dataset, indices, workers), start=1):
         findings += one.findings
         findings += comparison.add(one.traits)
@@ -163,7 +163,7 @@ def check(
         for one in manifest_faults(dataset, comparison.rows(), harvested)
         if one.kind != "incomplete" or one.index not in known
     )
-    return Verdict(in_order(findings), len(indices), tuple(comparison.apart()))
+    return CheckResult(in_order(findings), len(indices), tuple(comparison.apart()))
 
 
 def _wanted(dataset: Dataset, frames: str | Sequence[int] | None) -> Sequence[int]:
@@ -171,15 +171,15 @@ def _wanted(dataset: Dataset, frames: str | Sequence[int] | None) -> Sequence[in
     if frames is None:
         return sorted(Journal(dataset.folder).wanted)
     try:
-        plan = validated(Plan, dataset.about["recipe"]["plan"], dataset.folder / MARK)
+        plan = validate(Plan, dataset.info["recipe"]["plan"], dataset.folder / MARK)
     except (KeyError, TypeError):
-        raise InputError(dataset.folder / MARK, "recipe.plan", None, "is required for --frames") from None
-    return plan.chosen(frames)
+        raise InputError(dataset.folder / MARK, "is required for --frames", key="recipe.plan") from None
+    return plan.select_indices(frames)
 
 
 def _is_whole(dataset: Dataset, indices: Sequence[int]) -> bool:
     try:
-        return len(indices) == Plan.model_validate(dataset.about["recipe"]["plan"]).count
+        return len(indices) == Plan.model_validate(dataset.info["recipe"]["plan"]).count
     except (KeyError, TypeError, ValueError):
         return False
 
@@ -197,10 +197,10 @@ def _incomplete(dataset: Dataset, indices: Sequence[int], wanted: Sequence[int])
 
 def _expected(dataset: Dataset) -> tuple[ExpectTable | None, list[Finding]]:
     """What `dataset.json` says that the recipe expects."""
-    told = dataset.about.get("expect")
+    told = dataset.info.get("expect")
     if told is None:
         return None, []
     try:
-        return validated(ExpectTable, told if isinstance(told, dict) else {"expect": told}, MARK), []
+        return validate(ExpectTable, told if isinstance(told, dict) else {"expect": told}, MARK), []
     except InputError as fault:
-        return None, [Finding("damaged", None, MARK, f"expect: {fault.key} {fault.allowed}")]
+        return None, [Finding("damaged", None, MARK, f"expect: {fault.key} {fault.problem}")]

@@ -11,24 +11,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from pepperscene.dataset.execution.executor import Crew, units_of
-from pepperscene.dataset.execution.job import Done, Job
-from pepperscene.dataset.execution.local import MOST_WORKERS, Here, Pool
+from pepperscene.dataset.execution.executor import Executor, work_units
+from pepperscene.dataset.execution.job import BuildJob, FrameDone
+from pepperscene.dataset.execution.local import MOST_WORKERS, ProcessExecutor, SerialExecutor
 from pepperscene.dataset.recipe.load import load_recipe
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.scenes.frame_renderer import RendererFactory
 from pepperscene.dataset.store.dataset import Dataset
-from pepperscene.dataset.store.folder import OutputFolder, examine
+from pepperscene.dataset.store.folder import OutputFolder, check_output_folder
 from pepperscene.dataset.store.journal import Journal
 from pepperscene.dataset.store.manifest import write_manifest
-from pepperscene.errors import InputError, OutputError
+from pepperscene.errors import ArgumentError, OutputError
 from pepperscene.frame import DEFAULT_OUTPUTS, check_outputs
 
 _WINDOW: Final = 200  # chosen: frames that the rate is taken over, so that it follows changes
 _SPAN_S: Final = 120.0  # chosen: seconds that it is taken over, likewise
 
 
-class Pace:
+class Throughput:
     """Counts frames; those that were there already do not count for the rate.
 
     Args:
@@ -65,32 +65,32 @@ class Pace:
         return None if rate is None else (self._total - self.done) / rate
 
 
-def crew_of(
+def choose_executor(
     workers: int | None = None, scheduler: str | None = None, slurm: str | Path | None = None
-) -> Crew:
+) -> Executor:
     """This process when nothing is said; else the one of the three that is.
 
     Raises:
         InputError: more than one is said, or the number or the file is not valid.
         SetupError: the extra `cluster` is not installed.
     """
-    said = {"--workers": workers, "--scheduler": scheduler, "--slurm": slurm}
+    said = {"workers": workers, "scheduler": scheduler, "slurm": slurm}
     named = [name for name, value in said.items() if value is not None]
     if len(named) > 1:
-        raise InputError(named[1], "", None, f"goes without {named[0]}; one at a time")
+        raise ArgumentError(named[1], f"cannot be combined with {named[0]}")
     if scheduler is not None:
-        from pepperscene.dataset.execution.dask_cluster import Cluster
+        from pepperscene.dataset.execution.dask_cluster import DaskExecutor
 
-        return Cluster(scheduler)
+        return DaskExecutor(scheduler)
     if slurm is not None:
-        from pepperscene.dataset.execution.slurm import Slurm
+        from pepperscene.dataset.execution.slurm import SlurmExecutor
 
-        return Slurm(Path(slurm))
+        return SlurmExecutor(Path(slurm))
     if workers is None:
-        return Here()
+        return SerialExecutor()
     if not 1 <= workers <= MOST_WORKERS:
-        raise InputError("--workers", "", None, f"must be 1 to {MOST_WORKERS}, not {workers}")
-    return Pool(workers)
+        raise ArgumentError("workers", f"must be 1 to {MOST_WORKERS}, not {workers}")
+    return ProcessExecutor(workers)
 
 
 _SHOWN: Final = ("colour", "class_colour", "class", "instance", "distance_code", "raw")
@@ -98,7 +98,7 @@ _SHOWN: Final = ("colour", "class_colour", "class", "instance", "distance_code",
 
 
 @dataclass(frozen=True)
-class Progress:
+class BuildProgress:
     """Told after each frame.
 
     Attributes:
@@ -142,7 +142,7 @@ def build(
     outputs: Sequence[str] = DEFAULT_OUTPUTS,
     quality: str = "standard",
     seed: int | None = None,
-    on_frame: Callable[[Progress], None] | None = None,
+    on_frame: Callable[[BuildProgress], None] | None = None,
     renderer: RendererFactory | None = None,
     target_error: float | None = None,
     workers: int | None = None,
@@ -181,46 +181,46 @@ def build(
         WorkerError: workers were lost again and again, or the cluster cannot be reached.
     """
     # All that can be wrong with the arguments comes to light before the first file is touched.
-    from pepperscene.render import quality_of
+    from pepperscene.render import resolve_quality
 
     wanted = check_outputs(outputs)
-    quality_of(quality, target_error)
-    crew = crew_of(workers, scheduler, slurm)
+    resolve_quality(quality, target_error)
+    crew = choose_executor(workers, scheduler, slurm)
     told = (recipe if isinstance(recipe, Recipe) else load_recipe(recipe)).with_seed(seed)
-    indices = told.plan.chosen(frames)
-    job = Job(told, Path(out).absolute(), wanted, quality, target_error, renderer)
+    indices = told.plan.select_indices(frames)
+    job = BuildJob(told, Path(out).absolute(), wanted, quality, target_error, renderer)
     job.check()
-    examine(Path(out), job.about())
+    check_output_folder(Path(out), job.about())
     return _built(job, Path(out), indices, crew, on_frame or _unheard, on_notice or _unheard)
 
 
 def _built(
-    job: Job,
+    job: BuildJob,
     out: Path,
     indices: Sequence[int],
-    crew: Crew,
-    on_frame: Callable[[Progress], None],
+    crew: Executor,
+    on_frame: Callable[[BuildProgress], None],
     on_notice: Callable[[str], None],
 ) -> BuildResult:
     folder = OutputFolder(out, job.about())
     made: list[int] = []
-    pace = Pace(len(indices))
+    pace = Throughput(len(indices))
     picture = next((name for name in _SHOWN if name in job.outputs), None)
     room = _Room(out, len(indices), on_notice)
 
     with Journal(out) as journal:
 
-        def tell(done: Done) -> None:
+        def tell(done: FrameDone) -> None:
             _noted(journal, done, () if pace.done else indices)
             made.extend([done.index] if done.made else [])
             pace.count(done.made)
             room.look(done, pace.done)
             file = None if picture is None else folder.dataset.path(done.index, picture)
             rate, left = pace.frames_per_s, pace.left_s
-            on_frame(Progress(done.index, pace.done, len(indices), done.made, rate, left, file))
+            on_frame(BuildProgress(done.index, pace.done, len(indices), done.made, rate, left, file))
 
         try:
-            crew.make(job, units_of(job.recipe.plan, indices, crew.size), tell, on_notice)
+            crew.make(job, work_units(job.recipe.plan, indices, crew.size), tell, on_notice)
         except BaseException:
             with suppress(OutputError, OSError):
                 folder.sweep()
@@ -233,7 +233,7 @@ def _built(
     return BuildResult(folder.dataset, tuple(sorted(made)), kept)
 
 
-def _noted(journal: Journal, done: Done, wanted: Sequence[int]) -> None:
+def _noted(journal: Journal, done: FrameDone, wanted: Sequence[int]) -> None:
     """Note a frame, and before the first one, when there is a folder, which are wanted."""
     try:
         journal.want(wanted)
@@ -261,7 +261,7 @@ class _Room:
         self._folder, self._total, self._notice = folder, total, notice
         self._asked = False
 
-    def look(self, done: Done, count: int) -> None:
+    def look(self, done: FrameDone, count: int) -> None:
         """After a frame: what the rest will take, if it is like this one."""
         if self._asked or not done.made:
             return

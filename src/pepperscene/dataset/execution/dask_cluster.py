@@ -9,9 +9,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final, final
 
-from pepperscene.dataset.execution.executor import Crew, Notice, Unit
-from pepperscene.dataset.execution.job import Job, Tell
-from pepperscene.errors import InputError, SetupError, WorkerError
+from pepperscene.dataset.execution.executor import Executor, Notice, WorkUnit
+from pepperscene.dataset.execution.job import BuildJob, Tell
+from pepperscene.errors import ArgumentError, SetupError, WorkerError
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -27,7 +27,7 @@ _CHATTY: Final = frozenset({"distributed", "tornado", "asyncio", "dask_jobqueue"
 
 
 @final
-class Cluster(Crew):
+class DaskExecutor(Executor):
     """A Dask cluster that somebody else has started, and that goes on when the build has ended.
 
     Its workers see the data set's folder under the same path and have the same version of this package.
@@ -51,8 +51,8 @@ class Cluster(Crew):
             if scheme in ("tcp", "tls", "ws", "wss"):
                 parse_host_port(place)
         except (ValueError, TypeError):
-            raise InputError(
-                "--scheduler", "", None, f"must be an address such as tcp://10.0.0.5:8786, not {address!r}"
+            raise ArgumentError(
+                "scheduler", f"must be an address such as tcp://10.0.0.5:8786, not {address!r}"
             ) from None
         self._address = address
 
@@ -66,15 +66,15 @@ class Cluster(Crew):
         with connected(self._address) as client:
             return max(1, len(client.nthreads()))
 
-    def make(self, job: Job, units: Sequence[Unit], tell: Tell, notice: Notice) -> None:
-        """See `Crew.make`; the frames of different workers are told as they come."""
-        from pepperscene.dataset.execution.dask_dispatch import Shift, marker_beside
+    def make(self, job: BuildJob, units: Sequence[WorkUnit], tell: Tell, notice: Notice) -> None:
+        """See `Executor.make`; the frames of different workers are told as they come."""
+        from pepperscene.dataset.execution.dask_dispatch import DaskDispatcher, marker_beside
 
         alone = _Alone(self._address)
         with (
             connected(self._address) as client,
             marker_beside(job.folder) as marker,
-            Shift(client, self._address, job, marker, units, alone.look) as shift,
+            DaskDispatcher(client, self._address, job, marker, units, alone.look) as shift,
         ):
             shift.run(tell, notice)
 

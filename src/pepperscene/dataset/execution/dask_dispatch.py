@@ -14,8 +14,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from pepperscene.dataset.execution.dask_worker import TOPIC, Call, MisfitError, Order
-from pepperscene.dataset.execution.executor import Losses, Notice, Queue, Unit
-from pepperscene.dataset.execution.job import Done, Job, Tell
+from pepperscene.dataset.execution.executor import LostWorkers, Notice, UnitQueue, WorkUnit
+from pepperscene.dataset.execution.job import BuildJob, FrameDone, Tell
 from pepperscene.errors import OutputError, PepperError, WorkerError
 
 if TYPE_CHECKING:
@@ -40,15 +40,15 @@ class _Errand:
     """A unit that a worker is at."""
 
     address: str
-    unit: Unit
+    unit: WorkUnit
     future: Future
 
 
-class Shift:
+class DaskDispatcher:
     """The workers of one build, as far as this process knows, and the units that are left.
 
     Dask would by itself send a lost worker's task to another one, whole; here the rest of a unit is handed
-    out anew, and who goes on with the plants of a set is decided by `Queue`.
+    out anew, and who goes on with the plants of a set is decided by `UnitQueue`.
 
     Args:
         client: of the cluster.
@@ -60,16 +60,22 @@ class Shift:
     """
 
     def __init__(
-        self, client: Client, where: str, job: Job, marker: Path, units: Sequence[Unit], upkeep: Upkeep
+        self,
+        client: Client,
+        where: str,
+        job: BuildJob,
+        marker: Path,
+        units: Sequence[WorkUnit],
+        upkeep: Upkeep,
     ) -> None:
         self._client, self._where, self._upkeep = client, where, upkeep
         self._order = Order.of(uuid.uuid4().hex, marker, job)
-        self._queue, self._losses = Queue(units), Losses()
-        self._events: queue.SimpleQueue[tuple[int, Done | None]] = queue.SimpleQueue()
+        self._queue, self._losses = UnitQueue(units), LostWorkers()
+        self._events: queue.SimpleQueue[tuple[int, FrameDone | None]] = queue.SimpleQueue()
         self._number = 0
         self._busy: dict[int, _Errand] = {}
         self._open: set[int] = set()
-        self._last: dict[str, Unit] = {}
+        self._last: dict[str, WorkUnit] = {}
         self._misfits: dict[str, str] = {}
         self._told: set[int] = set()
 
@@ -91,7 +97,7 @@ class Shift:
             self._client.unsubscribe_topic(TOPIC)
 
     def run(self, tell: Tell, notice: Notice) -> None:
-        """Hand out units until all are done; see `Crew.make`."""
+        """Hand out units until all are done; see `Executor.make`."""
         called = -_ROLL_S
         while self._queue or self._busy:
             if time.monotonic() - called >= _ROLL_S:
@@ -118,7 +124,7 @@ class Shift:
             else:
                 self._events.put((told["number"], done))
 
-    def _tell(self, done: Done, tell: Tell) -> None:
+    def _tell(self, done: FrameDone, tell: Tell) -> None:
         """Tell of a frame, once, even if a worker that was thought to be lost has made it, too."""
         if done.index not in self._told:
             self._told.add(done.index)

@@ -14,7 +14,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from pepperscene.dataset.execution.job import Done, Job, Maker, Tell
+from pepperscene.dataset.execution.job import BuildJob, FrameDone, FrameMaker, Tell
 from pepperscene.dataset.recipe.recipe import digest
 from pepperscene.dataset.scenes.plant_worker import VARIABLE as PROCESSES
 from pepperscene.dataset.subprocess_rpc import THREADS
@@ -58,7 +58,7 @@ class Order:
     about: str
 
     @classmethod
-    def of(cls, build: str, marker: Path, job: Job) -> Order:
+    def of(cls, build: str, marker: Path, job: BuildJob) -> Order:
         """The order for a job, by this process."""
         return cls(build, versions(), marker, pickle.dumps(job, protocol=5), digest(job.about()))
 
@@ -115,7 +115,7 @@ def make_unit(order: Order, number: int, indices: tuple[int, ...]) -> None:
     worker = get_worker()
     key = worker.get_current_task()
 
-    def say(done: Done | None) -> None:
+    def say(done: FrameDone | None) -> None:
         told = None if done is None else pickle.dumps(done, protocol=5)
         worker.log_event(TOPIC, {"build": order.build, "number": number, "done": told})
 
@@ -165,7 +165,7 @@ class _Bench:
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(1, "frames")
-        self._held: tuple[str, Maker] | None = None
+        self._held: tuple[str, FrameMaker] | None = None
         self._turns = 0
 
     def make(self, order: Order, indices: tuple[int, ...], tell: Tell, stop: Callable[[], bool]) -> None:
@@ -185,14 +185,14 @@ class _Bench:
         idle.daemon = True
         idle.start()
 
-    def _maker(self, order: Order) -> Maker:
+    def _maker(self, order: Order) -> FrameMaker:
         if self._held is None or self._held[0] != order.build:
             # The old plants go before new ones come.
             self._drop()
-            job: Job = pickle.loads(order.job)
+            job: BuildJob = pickle.loads(order.job)
             if digest(job.about()) != order.about:
                 raise MisfitError("reads other files by the names in the recipe, and would make other frames")
-            self._held = order.build, Maker(job, f"{platform.node()}-{os.getpid()}", eager=True)
+            self._held = order.build, FrameMaker(job, f"{platform.node()}-{os.getpid()}", eager=True)
         return self._held[1]
 
     def _drop(self) -> None:

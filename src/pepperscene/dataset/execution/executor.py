@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Final
 
-from pepperscene.dataset.execution.job import Job, Tell
+from pepperscene.dataset.execution.job import BuildJob, Tell
 from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.errors import WorkerError
 
 
 @dataclass(frozen=True)
-class Unit:
+class WorkUnit:
     """Frames of one scene.
 
     Attributes:
@@ -27,13 +27,13 @@ class Unit:
     rotation: int
     indices: tuple[int, ...]
 
-    def after(self, told: Iterable[int]) -> Unit:
+    def after(self, told: Iterable[int]) -> WorkUnit:
         """What is left of it once some frames are whole."""
         whole = set(told)
-        return Unit(self.set, self.rotation, tuple(i for i in self.indices if i not in whole))
+        return WorkUnit(self.set, self.rotation, tuple(i for i in self.indices if i not in whole))
 
 
-def units_of(plan: Plan, indices: Sequence[int], workers: int) -> list[Unit]:
+def work_units(plan: Plan, indices: Sequence[int], workers: int) -> list[WorkUnit]:
     """The frames by scenes; where there are fewer scenes than workers, in parts of scenes.
 
     A scene is made ready anew by everybody who has a part of it, which takes as long as tens of frames'
@@ -44,9 +44,9 @@ def units_of(plan: Plan, indices: Sequence[int], workers: int) -> list[Unit]:
         indices: ascending.
         workers: that are to have something to do.
     """
-    shots = [plan.shot(index) for index in indices]
+    shots = [plan.frame(index) for index in indices]
     scenes = [
-        Unit(*key, tuple(shot.index for shot in group))
+        WorkUnit(*key, tuple(shot.index for shot in group))
         for key, group in groupby(shots, lambda shot: (shot.set, shot.rotation))
     ]
     while 0 < len(scenes) < workers:
@@ -56,15 +56,15 @@ def units_of(plan: Plan, indices: Sequence[int], workers: int) -> list[Unit]:
         if half == len(unit.indices):
             break
         parts = (unit.indices[:half], unit.indices[half:])
-        scenes[longest : longest + 1] = [Unit(unit.set, unit.rotation, part) for part in parts]
+        scenes[longest : longest + 1] = [WorkUnit(unit.set, unit.rotation, part) for part in parts]
     return scenes
 
 
-class Queue:
+class UnitQueue:
     """Hands units out so that plants of a set are grown as few times as may be."""
 
-    def __init__(self, units: Iterable[Unit]) -> None:
-        self._left: dict[int, deque[Unit]] = {}
+    def __init__(self, units: Iterable[WorkUnit]) -> None:
+        self._left: dict[int, deque[WorkUnit]] = {}
         for unit in units:
             self._left.setdefault(unit.set, deque()).append(unit)
         self._begun: set[int] = set()
@@ -72,7 +72,7 @@ class Queue:
     def __bool__(self) -> bool:
         return bool(self._left)
 
-    def next(self, last: Unit | None) -> Unit | None:
+    def next(self, last: WorkUnit | None) -> WorkUnit | None:
         """The next unit of somebody whose last one is given; None when none is left."""
         if not self._left:
             return None
@@ -84,12 +84,12 @@ class Queue:
         # Whoever is at the set with the most to do is helped from its end.
         return self._taken(max(self._left, key=lambda which: len(self._left[which])), first=False)
 
-    def put_back(self, unit: Unit) -> None:
+    def put_back(self, unit: WorkUnit) -> None:
         """A unit, or the rest of one, that was not finished."""
         if unit.indices:
             self._left.setdefault(unit.set, deque()).appendleft(unit)
 
-    def _taken(self, which: int, *, first: bool) -> Unit:
+    def _taken(self, which: int, *, first: bool) -> WorkUnit:
         self._begun.add(which)
         units = self._left[which]
         unit = units.popleft() if first else units.pop()
@@ -105,7 +105,7 @@ MOST_LOSSES: Final = 3
 """Chosen: a frame that ends a third worker would end the next one, too."""
 
 
-class Crew(ABC):
+class Executor(ABC):
     """Makes the frames of a job."""
 
     @property
@@ -114,7 +114,7 @@ class Crew(ABC):
         """How many frames are made at a time."""
 
     @abstractmethod
-    def make(self, job: Job, units: Sequence[Unit], tell: Tell, notice: Notice) -> None:
+    def make(self, job: BuildJob, units: Sequence[WorkUnit], tell: Tell, notice: Notice) -> None:
         """Make all that is missing.
 
         Args:
@@ -128,7 +128,7 @@ class Crew(ABC):
         """
 
 
-class Losses:
+class LostWorkers:
     """Counts the workers that were lost over each frame."""
 
     def __init__(self) -> None:

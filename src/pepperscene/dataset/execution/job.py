@@ -14,11 +14,11 @@ from typing import Any, Final, Self
 from numpy.typing import NDArray
 
 from pepperscene.dataset.recipe.recipe import Recipe
-from pepperscene.dataset.scenes.frame_renderer import RendererFactory, Stage
+from pepperscene.dataset.scenes.frame_renderer import FrameRenderer, RendererFactory
 from pepperscene.dataset.scenes.viewpoints import check_partner
-from pepperscene.dataset.store.dataset import FORMAT, Standing
+from pepperscene.dataset.store.dataset import FORMAT, FrameStatus
 from pepperscene.dataset.store.folder import OutputFolder
-from pepperscene.dataset.store.metadata import about, frame_facts
+from pepperscene.dataset.store.metadata import dataset_info, frame_metadata
 from pepperscene.dataset.store.rows import Row, row_of
 from pepperscene.errors import OutputError
 
@@ -53,7 +53,7 @@ class Written:
         seconds: that writing took.
     """
 
-    standing: Standing
+    standing: FrameStatus
     seconds: float
 
 
@@ -134,7 +134,7 @@ class FrameWriter:
 
 
 @dataclass(frozen=True)
-class Job:
+class BuildJob:
     """All that the frames of a build depend on but for their indices; it can be pickled.
 
     Attributes:
@@ -156,15 +156,15 @@ class Job:
     def check(self) -> None:
         """Raise the `InputError` that tells what the recipe lacks, or what of its files is not valid."""
         check_partner(self.recipe, self.outputs)
-        Stage(self.recipe, self.renderer)
+        FrameRenderer(self.recipe, self.renderer)
 
     def about(self) -> dict[str, Any]:
         """What `dataset.json` is to say."""
-        return about(self.recipe, self.quality, FORMAT, self.target_error)
+        return dataset_info(self.recipe, self.quality, FORMAT, self.target_error)
 
 
 @dataclass(frozen=True)
-class Done:
+class FrameDone:
     """What is told of a frame once it is whole.
 
     Attributes:
@@ -178,10 +178,10 @@ class Done:
     row: Row
 
 
-Tell = Callable[[Done], None]
+Tell = Callable[[FrameDone], None]
 
 
-class Maker:
+class FrameMaker:
     """Makes frames of a job in this process, one after the other; each is written while the next is rendered.
 
     Args:
@@ -190,12 +190,12 @@ class Maker:
         eager: tell of a frame as soon as it is whole, in another thread, while the next one is rendered.
     """
 
-    def __init__(self, job: Job, worker: str = "", *, eager: bool = False) -> None:
-        from pepperscene.render import quality_of
+    def __init__(self, job: BuildJob, worker: str = "", *, eager: bool = False) -> None:
+        from pepperscene.render import resolve_quality
 
         self._job, self._worker = job, worker
-        self._effort = quality_of(job.quality, job.target_error)
-        self._stage = Stage(job.recipe, job.renderer)
+        self._effort = resolve_quality(job.quality, job.target_error)
+        self._stage = FrameRenderer(job.recipe, job.renderer)
         self._folder = OutputFolder(job.folder, job.about())
         self._writer = FrameWriter(self._folder, eager=eager)
 
@@ -227,7 +227,7 @@ class Maker:
             missing = tuple(name for name in self._job.outputs if name not in there.outputs)
             if not missing:
                 self._writer.finish()
-                tell(Done(index, False, row_of(there)))
+                tell(FrameDone(index, False, row_of(there)))
                 continue
             addition = self._addition(index, missing, there.facts, there.outputs)
             took = time.perf_counter() - begun
@@ -239,11 +239,11 @@ class Maker:
         self, index: int, missing: tuple[str, ...], before: dict[str, Any], there: dict[str, Any]
     ) -> Addition:
         """What is missing of one frame, rendered."""
-        shot = self._job.recipe.plan.shot(index)
+        shot = self._job.recipe.plan.frame(index)
         frame = self._stage.render(shot, missing, self._effort)
 
         def facts() -> dict[str, Any]:
-            new = frame_facts(frame, shot, self._job.recipe.seed)
+            new = frame_metadata(frame, shot, self._job.recipe.seed)
             if not new.get("instances"):
                 # Without labels the renderer does not know what is in view; an earlier build may.
                 new["instances"] = before.get("instances", {})
@@ -253,4 +253,4 @@ class Maker:
 
     def _told(self, tell: Tell, index: int, render_s: float, written: Written) -> None:
         timed = {"render_s": render_s, "write_s": written.seconds, "worker": self._worker}
-        tell(Done(index, True, {**row_of(written.standing), **timed}))
+        tell(FrameDone(index, True, {**row_of(written.standing), **timed}))

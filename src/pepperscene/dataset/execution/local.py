@@ -15,23 +15,23 @@ from contextlib import suppress
 from itertools import chain
 from typing import IO, Any, Final, final
 
-from pepperscene.dataset.execution.executor import Crew, Losses, Notice, Queue, Unit
-from pepperscene.dataset.execution.job import Done, Job, Maker, Tell
+from pepperscene.dataset.execution.executor import Executor, LostWorkers, Notice, UnitQueue, WorkUnit
+from pepperscene.dataset.execution.job import BuildJob, FrameDone, FrameMaker, Tell
 from pepperscene.dataset.scenes.plant_worker import VARIABLE as PROCESSES
-from pepperscene.dataset.scenes.plant_worker import cores
-from pepperscene.dataset.subprocess_rpc import THREADS, Child, listening, say
+from pepperscene.dataset.scenes.plant_worker import available_cores
+from pepperscene.dataset.subprocess_rpc import THREADS, WorkerProcess, listening, say
 from pepperscene.errors import PepperError, WorkerError
 
 
 @final
-class Here(Crew):
+class SerialExecutor(Executor):
     """This process. It shares frames' work out to all cores, and needs the memory of one."""
 
     size = 1
 
-    def make(self, job: Job, units: Sequence[Unit], tell: Tell, notice: Notice) -> None:
-        """See `Crew.make`; frames are told in ascending order."""
-        with Maker(job, platform.node()) as maker:
+    def make(self, job: BuildJob, units: Sequence[WorkUnit], tell: Tell, notice: Notice) -> None:
+        """See `Executor.make`; frames are told in ascending order."""
+        with FrameMaker(job, platform.node()) as maker:
             maker.make(chain.from_iterable(unit.indices for unit in units), tell)
 
 
@@ -42,7 +42,7 @@ _PATIENCE_S: Final = 60.0
 
 
 @final
-class Pool(Crew):
+class ProcessExecutor(Executor):
     """A number of workers, each a process with its share of the machine's cores, at least one.
 
     A worker that is lost (killed, out of memory) is replaced, and what it had not finished goes on. Workers
@@ -60,12 +60,12 @@ class Pool(Crew):
         """Number of workers."""
         return self._workers
 
-    def make(self, job: Job, units: Sequence[Unit], tell: Tell, notice: Notice) -> None:
-        """See `Crew.make`; the frames of different workers are told as they come."""
+    def make(self, job: BuildJob, units: Sequence[WorkUnit], tell: Tell, notice: Notice) -> None:
+        """See `Executor.make`; the frames of different workers are told as they come."""
         from pepperscene.render import wanted_threads
 
         pickle.dumps(job)  # what cannot be sent is told here
-        threads = wanted_threads() or max(1, cores() // self._workers)
+        threads = wanted_threads() or max(1, available_cores() // self._workers)
         with _Shift(job, units, min(self._workers, len(units)), threads) as shift:
             shift.run(tell, notice)
 
@@ -73,18 +73,18 @@ class Pool(Crew):
 class _Worker:
     """A worker as the pool sees it: its process, the thread that listens to it, and what it is at."""
 
-    def __init__(self, job: Job, threads: int, events: queue.SimpleQueue[tuple[_Worker, Any]]) -> None:
+    def __init__(self, job: BuildJob, threads: int, events: queue.SimpleQueue[tuple[_Worker, Any]]) -> None:
         environment = {**dict.fromkeys(THREADS, str(threads)), PROCESSES: "2" if threads > 1 else "1"}
-        self.unit: Unit | None = None
+        self.unit: WorkUnit | None = None
         self.told: set[int] = set()
         self._events = events
-        self.child = Child(__name__, environment)
+        self.child = WorkerProcess(__name__, environment)
         with suppress(OSError):
             self.child.say(job)
         self._thread = threading.Thread(target=self._listen, name="worker", daemon=True)
         self._thread.start()
 
-    def give(self, unit: Unit) -> None:
+    def give(self, unit: WorkUnit) -> None:
         """The next unit; whether the worker still lives shows in its events."""
         self.unit, self.told = unit, set()
         with suppress(OSError):
@@ -111,9 +111,9 @@ class _Worker:
 class _Shift:
     """The workers of one build, and the units that are left."""
 
-    def __init__(self, job: Job, units: Sequence[Unit], size: int, threads: int) -> None:
+    def __init__(self, job: BuildJob, units: Sequence[WorkUnit], size: int, threads: int) -> None:
         self._job, self._threads = job, threads
-        self._queue, self._losses = Queue(units), Losses()
+        self._queue, self._losses = UnitQueue(units), LostWorkers()
         self._events: queue.SimpleQueue[tuple[_Worker, Any]] = queue.SimpleQueue()
         self._workers: list[_Worker] = []
         self._patience = 0.0
@@ -135,7 +135,7 @@ class _Shift:
                 self._hire(None)
             while any(worker.unit is not None for worker in self._workers):
                 worker, event = self._events.get()
-                if isinstance(event, Done):
+                if isinstance(event, FrameDone):
                     worker.told.add(event.index)
                     tell(event)
                 elif event is None:
@@ -150,7 +150,7 @@ class _Shift:
             raise
         self._patience = _PATIENCE_S
 
-    def _hire(self, last: Unit | None) -> None:
+    def _hire(self, last: WorkUnit | None) -> None:
         unit = self._queue.next(last)
         if unit is None:
             return
@@ -183,7 +183,7 @@ class _Shift:
         self._hire(lost)
 
 
-def _how(child: Child) -> str:
+def _how(child: WorkerProcess) -> str:
     """How a child ended, in words."""
     status = child.ended()
     words = child.last_words().splitlines()
@@ -210,12 +210,12 @@ def serve() -> None:
 def _serve() -> None:
     asked, told = listening()
     with told, suppress(EOFError, BrokenPipeError):
-        job: Job = pickle.load(asked)
+        job: BuildJob = pickle.load(asked)
         wanted: queue.SimpleQueue[tuple[int, ...] | None] = queue.SimpleQueue()
         ended = threading.Event()
         threading.Thread(target=_asked, args=(asked, wanted, ended), daemon=True).start()
         try:
-            with Maker(job, f"{platform.node()}-{os.getpid()}", eager=True) as maker:
+            with FrameMaker(job, f"{platform.node()}-{os.getpid()}", eager=True) as maker:
                 while (indices := wanted.get()) is not None:
                     maker.make(indices, lambda done: say(told, done), ended.is_set)
                     say(told, None)

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Self, final
 from pydantic import AfterValidator, Field, model_validator
 
 from pepperscene.dataset.execution.dask_cluster import connected, missing, quiet
-from pepperscene.dataset.execution.executor import Crew, Notice, Unit
-from pepperscene.dataset.execution.job import Job, Tell
-from pepperscene.document import Document, read_toml, validated
+from pepperscene.dataset.execution.executor import Executor, Notice, WorkUnit
+from pepperscene.dataset.execution.job import BuildJob, Tell
+from pepperscene.document import Document, read_toml, validate
 from pepperscene.errors import InputError, SetupError, WorkerError
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def read_slurm_file(path: Path) -> SlurmJobs:
         value = tables.get(key)
         if isinstance(value, str) and (key != "python" or os.sep in value):
             tables[key] = os.path.normpath(path.absolute().parent / Path(value).expanduser())
-    return validated(SlurmJobs, tables, path)
+    return validate(SlurmJobs, tables, path)
 
 
 _COMMANDS: Final = ("sbatch", "squeue", "scancel")
@@ -150,7 +150,7 @@ _NAME: Final = "pepperscene"
 
 
 @final
-class Slurm(Crew):
+class SlurmExecutor(Executor):
     """Workers in jobs of a Slurm cluster, started from a machine that can submit jobs.
 
     The scheduler runs in this process. The jobs wait in Slurm's queue for as long as it takes; frames are
@@ -180,9 +180,9 @@ class Slurm(Crew):
         """Number of workers that are asked for."""
         return self._jobs.jobs * self._jobs.workers
 
-    def make(self, job: Job, units: Sequence[Unit], tell: Tell, notice: Notice) -> None:
-        """See `Crew.make`; the frames of different workers are told as they come."""
-        from pepperscene.dataset.execution.dask_dispatch import Shift, marker_beside
+    def make(self, job: BuildJob, units: Sequence[WorkUnit], tell: Tell, notice: Notice) -> None:
+        """See `Executor.make`; the frames of different workers are told as they come."""
+        from pepperscene.dataset.execution.dask_dispatch import DaskDispatcher, marker_beside
 
         with _cluster(self._path, self._jobs) as cluster:
             upkeep = _Upkeep(cluster, self._jobs.jobs)
@@ -190,7 +190,7 @@ class Slurm(Crew):
             with (
                 connected(cluster.scheduler_address) as client,
                 marker_beside(job.folder) as marker,
-                Shift(client, "Slurm", job, marker, units, upkeep.look) as shift,
+                DaskDispatcher(client, "Slurm", job, marker, units, upkeep.look) as shift,
             ):
                 shift.run(tell, notice)
 
@@ -227,7 +227,7 @@ def _cluster(path: Path, jobs: SlurmJobs, *, ask: bool = True) -> Iterator[SLURM
                     **jobs.for_dask(), job_name=_NAME, scheduler_options=options, silence_logs=False
                 )
         except (OSError, ValueError, RuntimeError) as fault:
-            raise InputError(path, "", None, f"cannot be done here: {_words(fault)}") from None
+            raise InputError(path, f"cannot be done here: {_words(fault)}") from None
         try:
             if ask:
                 _ask(path, str(cluster.job_script()))
@@ -244,7 +244,7 @@ def _ask(path: Path, job_script: str) -> None:
         answer = _told(["sbatch", "--test-only", file.name])
     if answer is None or answer.returncode:
         words = "no answer" if answer is None else (answer.stderr.strip() or answer.stdout.strip())
-        raise InputError(path, "", None, f"Slurm refuses such a job: {' '.join(words.split())}")
+        raise InputError(path, f"Slurm refuses such a job: {' '.join(words.split())}")
 
 
 def _told(command: list[str]) -> subprocess.CompletedProcess[str] | None:

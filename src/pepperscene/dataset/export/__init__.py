@@ -1,21 +1,21 @@
 """Exports: a data set in the formats that training code reads."""
 
-from pepperscene.dataset.export.run import FORMATS, Exported, Exporter, Format, export
-from pepperscene.dataset.export.source import OnFrame, Source, new_folder, require, sources
+from pepperscene.dataset.export.run import FORMATS, Exporter, ExportFormat, ExportResult, export_dataset
+from pepperscene.dataset.export.source import ExportSource, OnFrame, export_sources, new_folder, require
 from pepperscene.dataset.export.splits import Splits, read_splits, split_by_sets
 
 __all__ = [
     "FORMATS",
-    "Exported",
+    "ExportFormat",
+    "ExportResult",
+    "ExportSource",
     "Exporter",
-    "Format",
     "OnFrame",
-    "Source",
     "Splits",
-    "export",
+    "export_dataset",
+    "export_sources",
     "new_folder",
     "read_splits",
     "require",
-    "sources",
     "split_by_sets",
 ]

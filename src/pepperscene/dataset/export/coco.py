@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
-from pepperscene.dataset.export.run import Exported
+from pepperscene.dataset.export.run import ExportResult
 from pepperscene.dataset.export.segments import REST, Segment, as_text, library, segment_ids, segments
-from pepperscene.dataset.export.source import OnFrame, Source, new_folder, sources, wanted_frames
+from pepperscene.dataset.export.source import ExportSource, OnFrame, export_sources, new_folder, wanted_frames
 from pepperscene.dataset.export.splits import Splits
 from pepperscene.dataset.store.codecs import png_bytes
 from pepperscene.dataset.store.dataset import Dataset, file_name
@@ -30,7 +30,7 @@ _CENTRE: Final = 0.5
 _KNOWN: Final = ("ripeness", "length_m", "diameter_m", "visible_fraction", "truncated")
 
 
-def fruit_of(source: Source) -> dict[int, dict[str, Any]]:
+def fruit_of(source: ExportSource) -> dict[int, dict[str, Any]]:
     """By instance: `attributes` of a fruit, and the harvest truth's `cut` point or None.
 
     The attribute `amodal` holds `segmentation`, `area` and `bbox` of all that the picture would show of the
@@ -85,7 +85,7 @@ def panoptic_record(image: Mapping[str, Any], found: Sequence[Segment]) -> dict[
     return {"image_id": image["id"], "file_name": image["file_name"], "segments_info": segments_info}
 
 
-class Records:
+class CocoWriter:
     """One JSON file with a record a line: `info`, `licenses`, `categories`, `annotations`, `images`.
 
     Args:
@@ -101,7 +101,7 @@ class Records:
         head = {"info": _info(about), "licenses": [], "categories": categories}
         self._file.write(f'{_line(head)[:-1]},"annotations":[')
 
-    def __enter__(self) -> Records:
+    def __enter__(self) -> CocoWriter:
         return self
 
     def __exit__(
@@ -156,7 +156,7 @@ def export_coco(
     indices: Sequence[int] | None = None,
     on_frame: OnFrame | None = None,
     smallest_px: int = 1,
-) -> Exported:
+) -> ExportResult:
     """Write `train/000110.png`, `annotations/instances_train.json` and `panoptic_train.json`, a set a split.
 
     An annotation is one organ of a plant. What else has an organ's class is one annotation of that class with
@@ -182,10 +182,10 @@ def export_coco(
     names = list(splits.members(wanted))
     with new_folder(out, dataset.folder) as folder, ExitStack() as files:
         (folder / ANNOTATIONS).mkdir()
-        parts = {name: files.enter_context(_part(folder, name, dataset.about, harvest)) for name in names}
-        for source in sources(dataset, wanted, on_frame):
+        parts = {name: files.enter_context(_part(folder, name, dataset.info, harvest)) for name in names}
+        for source in export_sources(dataset, wanted, on_frame):
             parts[splits.named(source.index)].add(source, harvest, smallest_px)
-    return Exported(out, len(wanted), 2 * len(wanted) + 2 * len(names))
+    return ExportResult(out, len(wanted), 2 * len(wanted) + 2 * len(names))
 
 
 @dataclass(frozen=True)
@@ -194,10 +194,10 @@ class _Part:
 
     pictures: Path
     panoptics: Path
-    instances: Records
-    panoptic: Records
+    instances: CocoWriter
+    panoptic: CocoWriter
 
-    def add(self, source: Source, harvest: bool, smallest_px: int) -> None:
+    def add(self, source: ExportSource, harvest: bool, smallest_px: int) -> None:
         """Write what belongs to a frame."""
         ids = segment_ids(source, smallest_px)
         found = segments(source, ids)
@@ -223,13 +223,13 @@ def _part(folder: Path, split: str, about: Mapping[str, Any], harvest: bool) -> 
             one |= {"keypoints": [CUT], "skeleton": []}
     segmented = [panoptic_category(one) for one in OrganClass]
     with (
-        Records(folder / ANNOTATIONS / f"instances_{split}.json", about, things) as instances,
-        Records(folder / ANNOTATIONS / f"panoptic_{split}.json", about, segmented) as panoptic,
+        CocoWriter(folder / ANNOTATIONS / f"instances_{split}.json", about, things) as instances,
+        CocoWriter(folder / ANNOTATIONS / f"panoptic_{split}.json", about, segmented) as panoptic,
     ):
         yield _Part(pictures, panoptics, instances, panoptic)
 
 
-def image_record(source: Source, shape: tuple[int, ...]) -> dict[str, Any]:
+def image_record(source: ExportSource, shape: tuple[int, ...]) -> dict[str, Any]:
     """What COCO's files say of a picture; its id is the frame's index."""
     height, width = shape
     place = {key: source.facts[key] for key in ("set", "rotation", "step")}
@@ -247,7 +247,7 @@ def annotation_id(index: int, segment: int) -> int:
     return index * 2 * REST + segment
 
 
-def instance_records(source: Source, found: Sequence[Segment], harvest: bool) -> list[dict[str, Any]]:
+def instance_records(source: ExportSource, found: Sequence[Segment], harvest: bool) -> list[dict[str, Any]]:
     """One annotation for each organ in view, and one for the rest of each class."""
     fruit = fruit_of(source) if harvest else {}
     in_view = {segment.id for segment in found}

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.export.source import Source
+from pepperscene.dataset.export.source import ExportSource
 from pepperscene.dataset.store.rows import FRUIT_COLUMNS, fruit_rows
 
 CLASS_NAMES: Final = tuple(organ.name.lower() for organ in OrganClass)
@@ -58,7 +58,7 @@ class Column:
     name: str
     feature: Any
     meaning: str
-    value: Callable[[Source], Any]
+    value: Callable[[ExportSource], Any]
 
 
 def columns(outputs: Sequence[str], shape: tuple[int, int]) -> tuple[Column, ...]:
@@ -165,20 +165,20 @@ def _nested(stack: NDArray[Any]) -> Any:
     return pa.ListArray.from_arrays(np.arange(0, n * h + 1, h, dtype=np.int32), rows)
 
 
-def _picture(output: str) -> Callable[[Source], Mapping[str, Any]]:
+def _picture(output: str) -> Callable[[ExportSource], Mapping[str, Any]]:
     return lambda source: {"bytes": source.content(output), "path": f"{source.name}_{output}.png"}
 
 
-def _fact(key: str) -> Callable[[Source], Any]:
+def _fact(key: str) -> Callable[[ExportSource], Any]:
     return lambda source: source.facts.get(key)
 
 
-def _pixels(source: Source) -> dict[str, int]:
+def _pixels(source: ExportSource) -> dict[str, int]:
     told = source.facts.get("class_pixels") or {}
     return {name: int(told.get(name, 0)) for name in CLASS_NAMES}
 
 
-def _organs(source: Source) -> list[dict[str, Any]]:
+def _organs(source: ExportSource) -> list[dict[str, Any]]:
     told = source.facts.get("instances") or {}
     return [
         {**{key: organ.get(key) for key in _ORGAN}, "instance": int(number)}
@@ -186,16 +186,16 @@ def _organs(source: Source) -> list[dict[str, Any]]:
     ]
 
 
-def _fruit(source: Source) -> list[dict[str, Any]]:
+def _fruit(source: ExportSource) -> list[dict[str, Any]]:
     rows = fruit_rows(source.index, source.image("harvest"))
     return [{name: row.get(name) for name in _FRUIT} for row in rows]
 
 
-def _pose(source: Source) -> NDArray[np.float64]:
+def _pose(source: ExportSource) -> NDArray[np.float64]:
     return np.asarray(source.facts["camera"]["pose"], np.float64)
 
 
-def _camera(source: Source) -> dict[str, float]:
+def _camera(source: ExportSource) -> dict[str, float]:
     told = source.facts["camera"]
     return {
         **{key: float(told[key]) for key in _CAMERA},

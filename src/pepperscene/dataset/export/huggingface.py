@@ -21,8 +21,15 @@ from pepperscene.dataset.export.columns import (
     columns,
     yaml_feature,
 )
-from pepperscene.dataset.export.run import Exported
-from pepperscene.dataset.export.source import OnFrame, Source, in_all, new_folder, sources, wanted_frames
+from pepperscene.dataset.export.run import ExportResult
+from pepperscene.dataset.export.source import (
+    ExportSource,
+    OnFrame,
+    export_sources,
+    in_all,
+    new_folder,
+    wanted_frames,
+)
 from pepperscene.dataset.export.splits import Splits
 from pepperscene.dataset.store.dataset import MARK, Dataset
 
@@ -32,7 +39,7 @@ _SIZES: Final = (
 _LARGEST: Final = "1M<n<10M"
 
 
-class Counts(Protocol):
+class SplitSize(Protocol):
     """How much a split holds: frames, and bytes in memory and in its files."""
 
     @property
@@ -56,7 +63,7 @@ class Card:
 
     about: Mapping[str, Any]
     columns: Sequence[Column]
-    splits: Mapping[str, Counts]
+    splits: Mapping[str, SplitSize]
     licence: str
 
     def text(self) -> str:
@@ -178,7 +185,7 @@ def export_huggingface(
     on_frame: OnFrame | None = None,
     shard_bytes: int = SHARD_BYTES,
     licence: str = "mit",
-) -> Exported:
+) -> ExportResult:
     """Write `data/train-00000-of-00001.parquet` and so on, `README.md` (the card) and `dataset.json`.
 
     `datasets.load_dataset(folder)` reads it; every column is told on the card.
@@ -210,7 +217,7 @@ def export_huggingface(
     with new_folder(out, dataset.folder) as folder:
         (folder / "data").mkdir()
         # One generator of frames over all splits, so that progress counts through.
-        frames = sources(dataset, every, on_frame)
+        frames = export_sources(dataset, every, on_frame)
         written = {
             name: _write_split(folder / "data", name, islice(frames, len(members)), told, shard_bytes)
             for name, members in wanted.items()
@@ -218,20 +225,18 @@ def export_huggingface(
         # The last frame is told as done when one more is asked for.
         next(frames, None)
         (folder / MARK).write_bytes((dataset.folder / MARK).read_bytes())
-        (folder / "README.md").write_text(
-            Card(dataset.about, told, written, licence).text(), encoding="utf-8"
-        )
-    return Exported(out, len(every), 2 + sum(split.files for split in written.values()))
+        (folder / "README.md").write_text(Card(dataset.info, told, written, licence).text(), encoding="utf-8")
+    return ExportResult(out, len(every), 2 + sum(split.files for split in written.values()))
 
 
 def _shape(dataset: Dataset, indices: Sequence[int]) -> tuple[int, int]:
     """Height and width of the frames, which one recipe gives all of them."""
-    height, width = Source(dataset, indices[0]).image("class").shape if indices else (0, 0)
+    height, width = ExportSource(dataset, indices[0]).image("class").shape if indices else (0, 0)
     return int(height), int(width)
 
 
 def _write_split(
-    folder: Path, name: str, frames: Iterator[Source], told: Sequence[Column], shard_bytes: int
+    folder: Path, name: str, frames: Iterator[ExportSource], told: Sequence[Column], shard_bytes: int
 ) -> Split:
     """All files of a split; how many there are is known when the last one is full."""
     import pyarrow.parquet as pq
@@ -273,7 +278,7 @@ def _schema(features: Mapping[str, Any]) -> Any:
     return pa.schema(fields, metadata={"huggingface": told})
 
 
-def _table(group: Sequence[Source], told: Sequence[Column], schema: Any) -> Any:
+def _table(group: Sequence[ExportSource], told: Sequence[Column], schema: Any) -> Any:
     import pyarrow as pa
 
     arrays = [arrow_array(column.feature, [column.value(source) for source in group]) for column in told]

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.export.run import Exported
-from pepperscene.dataset.export.source import OnFrame, Source, new_folder, sources, wanted_frames
+from pepperscene.dataset.export.run import ExportResult
+from pepperscene.dataset.export.source import ExportSource, OnFrame, export_sources, new_folder, wanted_frames
 from pepperscene.dataset.export.splits import Splits
 from pepperscene.dataset.store.codecs import png_bytes
 from pepperscene.dataset.store.dataset import Dataset
@@ -40,7 +40,7 @@ def export_published(
     *,
     indices: Sequence[int] | None = None,
     on_frame: OnFrame | None = None,
-) -> Exported:
+) -> ExportResult:
     """Write colour, classes (grey, binary and coloured) and 8-bit distance codes under the published names.
 
     Frames are numbered from 1 in the order of their indices; `frames.csv` beside the folders tells which
@@ -66,12 +66,12 @@ def export_published(
         with (folder / MAPPING).open("w", newline="", encoding="utf-8") as mapping:
             rows = csv.DictWriter(mapping, _COLUMNS, extrasaction="ignore", lineterminator="\n")
             rows.writeheader()
-            for number, source in enumerate(sources(dataset, wanted, on_frame), start=1):
+            for number, source in enumerate(export_sources(dataset, wanted, on_frame), start=1):
                 for name, content in _files(source, number).items():
                     (folder / name).write_bytes(content)
                     files += 1
                 rows.writerow({**source.facts, "number": number, "split": splits.named(source.index)})
-    return Exported(out, len(wanted), files)
+    return ExportResult(out, len(wanted), files)
 
 
 def _binary(organ_class: OrganClass) -> Path:
@@ -80,7 +80,7 @@ def _binary(organ_class: OrganClass) -> Path:
     return Path(f"{SET}_label_class_grayscale/{name}_binary/{name}")
 
 
-def _files(source: Source, number: int) -> Mapping[str, bytes]:
+def _files(source: ExportSource, number: int) -> Mapping[str, bytes]:
     """The content of a frame's files by their names."""
     classes = source.image("class")
     # What stands in the data set as it is published is not decoded and coded again.

@@ -13,11 +13,11 @@ from pepperscene.dataset.export.source import OnFrame
 from pepperscene.dataset.export.splits import Splits, read_splits
 from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.dataset.store.dataset import Dataset, open_dataset
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError, InputError
 
 
 @dataclass(frozen=True)
-class Exported:
+class ExportResult:
     """What an export made.
 
     Attributes:
@@ -47,12 +47,12 @@ class Exporter(Protocol):
         *,
         indices: tuple[int, ...] | None = None,
         on_frame: OnFrame | None = None,
-    ) -> Exported:
+    ) -> ExportResult:
         """Raises InputError where an output is missing, OutputError where the folder cannot be written."""
 
 
 @dataclass(frozen=True)
-class Format:
+class ExportFormat:
     """One format, which is called like its exporter.
 
     Attributes:
@@ -66,7 +66,7 @@ class Format:
     meaning: str
     smallest_px: int | None = None
 
-    def __call__(self, *arguments: Any, **options: Any) -> Exported:
+    def __call__(self, *arguments: Any, **options: Any) -> ExportResult:
         """Write a data set; see `Exporter`."""
         module = import_module(f"pepperscene.dataset.export.{self.name}")
         exporter: Exporter = getattr(module, f"export_{self.name}")
@@ -77,18 +77,18 @@ FORMATS: Final = MappingProxyType(
     {
         one.name: one
         for one in (
-            Format("published", "folders, names and codes of the published data set"),
-            Format("coco", "COCO instances and panoptic", smallest_px=1),
-            Format("yolo", "YOLO segmentation: a polygon a line", smallest_px=12),
-            Format("webdataset", "shards of samples, for webdataset"),
-            Format("huggingface", "Parquet with pictures and a card, for Hugging Face's datasets"),
+            ExportFormat("published", "folders, names and codes of the published data set"),
+            ExportFormat("coco", "COCO instances and panoptic", smallest_px=1),
+            ExportFormat("yolo", "YOLO segmentation: a polygon a line", smallest_px=12),
+            ExportFormat("webdataset", "shards of samples, for webdataset"),
+            ExportFormat("huggingface", "Parquet with pictures and a card, for Hugging Face's datasets"),
         )
     }
 )
 """All formats by name."""
 
 
-def export(
+def export_dataset(
     folder: str | Path,
     form: str,
     out: str | Path,
@@ -96,7 +96,7 @@ def export(
     frames: str | None = None,
     on_frame: OnFrame | None = None,
     smallest_px: int | None = None,
-) -> Exported:
+) -> ExportResult:
     """Write a data set in another format.
 
     Args:
@@ -117,21 +117,21 @@ def export(
         SetupError: a library that the format needs is not installed.
     """
     if form not in FORMATS:
-        raise InputError("--format", "", None, f"unknown format {form!r}; allowed are {', '.join(FORMATS)}")
+        raise ArgumentError("format", f"unknown format {form!r}; allowed are {', '.join(FORMATS)}")
     own = FORMATS[form].smallest_px
     if smallest_px is not None and (own is None or smallest_px < 1):
         allowed = "must be at least 1" if own is not None else f"is for objects, which {form} does not tell"
-        raise InputError("--smallest", "", None, f"{smallest_px} {allowed}")
+        raise ArgumentError("smallest", f"{smallest_px} {allowed}")
     dataset = open_dataset(folder)
     there = dataset.indices()
     if not there:
-        raise InputError(folder, "", None, "holds no frames yet; build some first")
-    plan = dataset.about["recipe"]["plan"]
+        raise InputError(folder, "holds no frames yet; build some first")
+    plan = dataset.info["recipe"]["plan"]
     if frames is not None:
-        wanted = set(Plan.model_validate(plan).chosen(frames))
+        wanted = set(Plan.model_validate(plan).select_indices(frames))
         there = tuple(index for index in there if index in wanted)
         if not there:
-            raise InputError("--frames", "", None, f"{frames!r} holds none of the data set's frames")
+            raise ArgumentError("frames", f"{frames!r} holds none of the data set's frames")
     splits = read_splits(split, plan, there)
     indices = tuple(index for index in there if splits.named(index))
     options = {} if own is None else {"smallest_px": smallest_px or own}

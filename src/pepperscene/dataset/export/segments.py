@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.export.source import Source
+from pepperscene.dataset.export.source import ExportSource
 from pepperscene.errors import InputError, SetupError
 
 
@@ -69,7 +69,7 @@ class Segment:
         return self.id < REST
 
 
-def segment_ids(source: Source, smallest_px: int = 1) -> NDArray[np.uint32]:
+def segment_ids(source: ExportSource, smallest_px: int = 1) -> NDArray[np.uint32]:
     """The segment of every pixel of a frame, `(h, w)`; above 0.
 
     Args:
@@ -89,11 +89,13 @@ def segment_ids(source: Source, smallest_px: int = 1) -> NDArray[np.uint32]:
     ids = np.take(table, instance)
     if not ids.all():
         untold = int(instance[ids == 0][0])
-        raise InputError(source.path("instance"), "", untold, f"instance {untold} is not in the frame's JSON")
+        raise InputError(
+            source.path("instance"), f"instance {untold} is not in the frame's JSON", value=untold
+        )
     return ids
 
 
-def segments(source: Source, ids: NDArray[np.uint32]) -> list[Segment]:
+def segments(source: ExportSource, ids: NDArray[np.uint32]) -> list[Segment]:
     """The segments of a picture, by ascending id.
 
     Args:

@@ -17,7 +17,7 @@ import numpy as np
 
 from pepperscene.dataset.export.splits import Splits
 from pepperscene.dataset.store.dataset import Dataset, file_name
-from pepperscene.dataset.store.folder import LITTER, examine_place, make_folder, remove
+from pepperscene.dataset.store.folder import LITTER, check_can_create, make_folder, remove
 from pepperscene.errors import InputError, OutputError
 
 
@@ -33,7 +33,7 @@ OnFrame = Callable[[int, int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class ExportSource:
     """One frame of a data set.
 
     Attributes:
@@ -47,7 +47,7 @@ class Source:
     @cached_property
     def facts(self) -> dict[str, Any]:
         """What its JSON says."""
-        return self.dataset.facts(self.index)
+        return self.dataset.metadata(self.index)
 
     @property
     def name(self) -> str:
@@ -72,9 +72,9 @@ class Source:
         try:
             content = path.read_bytes()
         except OSError as fault:
-            raise InputError(path, "", None, f"cannot be read ({fault.strerror})") from None
+            raise InputError(path, f"cannot be read ({fault.strerror})") from None
         if hashlib.sha256(content).hexdigest() != self.facts["outputs"].get(output, {}).get("sha256"):
-            raise InputError(path, "", None, "is not what the build wrote; the same build command mends it")
+            raise InputError(path, "is not what the build wrote; the same build command mends it")
         return content
 
     def image(self, output: str) -> Any:
@@ -92,13 +92,15 @@ class Source:
             with Image.open(io.BytesIO(content), formats=["PNG"]) as picture:
                 return np.array(picture)
         except (OSError, ValueError, SyntaxError) as fault:
-            raise InputError(self.path(output), "", None, f"cannot be read as an image ({fault})") from None
+            raise InputError(self.path(output), f"cannot be read as an image ({fault})") from None
 
 
-def sources(dataset: Dataset, indices: Sequence[int], on_frame: OnFrame | None = None) -> Iterator[Source]:
+def export_sources(
+    dataset: Dataset, indices: Sequence[int], on_frame: OnFrame | None = None
+) -> Iterator[ExportSource]:
     """The frames one after another; each is told as done when the next is asked for."""
     for done, index in enumerate(indices, start=1):
-        yield Source(dataset, index)
+        yield ExportSource(dataset, index)
         if on_frame is not None:
             on_frame(index, done, len(indices))
 
@@ -147,17 +149,17 @@ def require(
         for index in indices:
             if not any((dataset.folder / file_name(index, name)).is_file() for name in names):
                 recipe = _recipe(dataset)
+                command = f"pepperscene build {recipe} --out {dataset.folder} --outputs {output}"
                 raise InputError(
-                    dataset.folder, "", None,
-                    f"frame {index:06d} has no output {output!r}, which this format needs; "
-                    f"`pepperscene build {recipe} --out {dataset.folder} --outputs {output}` adds it",
-                )  # fmt: skip
+                    dataset.folder,
+                    f"frame {index:06d} has no output {output!r}, which is needed; `{command}` adds it",
+                )
 
 
 def _recipe(dataset: Dataset) -> str:
     name = ""
     with suppress(KeyError, TypeError):
-        name = str(dataset.about["recipe"]["name"])
+        name = str(dataset.info["recipe"]["name"])
     return name or "RECIPE"
 
 
@@ -176,7 +178,7 @@ def new_folder(out: Path, source: Path) -> Iterator[Path]:
         OutputError: `out` holds something, lies inside the data set, or cannot be written to; or there is no
             room left.
     """
-    examine_place(out)
+    check_can_create(out)
     made: list[Path] = []
     try:
         _examine(out, source)

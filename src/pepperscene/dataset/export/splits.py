@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from pepperscene.dataset.recipe.plan import Plan
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError
 
 EVERYTHING: Final = "train"
 """The split that holds all frames when none is asked for."""
@@ -92,72 +92,67 @@ def split_by_sets(
     return Splits(tuple(ranges))
 
 
-def read_splits(
-    text: str | None, plan: Mapping[str, Any], indices: Sequence[int], where: str = "--split"
-) -> Splits:
+def read_splits(text: str | None, plan: Mapping[str, Any], indices: Sequence[int]) -> Splits:
     """Splits as written on the command line; all frames are for training when nothing is.
 
     Args:
         text: shares, "train=.8,val=.1,test=.1", or half-open ranges of indices, "train=0:8750,val=8750:8800".
         plan: as the recipe in `dataset.json` tells.
         indices: the frames that are exported.
-        where: what to call the argument in a message.
 
     Raises:
-        InputError: not of that form, ranges overlap or lie outside the plan, or a split would hold no frame.
+        ArgumentError: not of that form; ranges overlap or lie outside the plan, or a split is empty.
     """
     if text is None:
         return Splits()
-    pairs = [_pair(part, where) for part in text.split(",")]
+    pairs = [_pair(part) for part in text.split(",")]
     ranged = [":" in value for _, value in pairs]
     if any(ranged) and not all(ranged):
-        raise InputError(where, "", None, f"{text!r} must hold either shares or ranges, not both")
-    splits = _by_ranges(pairs, plan, where) if ranged[0] else _by_shares(pairs, plan, indices, where)
+        raise ArgumentError("split", f"{text!r} must hold either shares or ranges, not both")
+    splits = _by_ranges(pairs, plan) if ranged[0] else _by_shares(pairs, plan, indices)
     empty = [name for name, of in splits.members(indices).items() if not of]
     if empty:
-        raise InputError(where, "", None, f"{empty[0]} would hold none of the {len(indices)} frames")
+        raise ArgumentError("split", f"{empty[0]} would hold none of the {len(indices)} frames")
     return splits
 
 
-def _pair(part: str, where: str) -> tuple[str, str]:
+def _pair(part: str) -> tuple[str, str]:
     """Name and value of one split."""
     name, _, value = (piece.strip() for piece in part.partition("="))
     if not _NAME.fullmatch(name) or not value:
         allowed = "must be NAME=SHARE or NAME=A:B, the name in lower-case letters, digits and _"
-        raise InputError(where, "", None, f"{part.strip()!r} {allowed}")
+        raise ArgumentError("split", f"{part.strip()!r} {allowed}")
     return name, value
 
 
-def _by_ranges(pairs: Sequence[tuple[str, str]], plan: Mapping[str, Any], where: str) -> Splits:
+def _by_ranges(pairs: Sequence[tuple[str, str]], plan: Mapping[str, Any]) -> Splits:
     told = _plan(plan)
     ranges = []
     for name, value in pairs:
-        indices = told.chosen(value, where)
+        indices = told.select_indices(value, "split")
         ranges.append((name, range(indices[0], indices[-1] + 1)))
     ordered = sorted(ranges, key=lambda pair: pair[1].start)
     for (first, one), (second, other) in itertools.pairwise(ordered):
         if other.start < one.stop:
-            raise InputError(
-                where, "", None, f"{first} and {second} overlap: frame {other.start} belongs to both"
-            )
+            raise ArgumentError("split", f"{first} and {second} overlap: frame {other.start} belongs to both")
     return Splits(tuple(ranges))
 
 
-def _by_shares(
-    pairs: Sequence[tuple[str, str]], plan: Mapping[str, Any], indices: Sequence[int], where: str
-) -> Splits:
+def _by_shares(pairs: Sequence[tuple[str, str]], plan: Mapping[str, Any], indices: Sequence[int]) -> Splits:
     shares: dict[str, float] = {}
     for name, value in pairs:
         if not _SHARE.fullmatch(value) or value == "." or not 0 < float(value) <= 1:
-            raise InputError(where, name, value, "must be a share above 0 and at most 1, or a range A:B")
+            raise ArgumentError(
+                "split", "must be a share above 0 and at most 1, or a range A:B", key=name, value=value
+            )
         if name in shares:
-            raise InputError(where, "", None, f"{name} has two shares; give it one")
+            raise ArgumentError("split", f"{name} has two shares; give it one")
         shares[name] = float(value)
     total = sum(shares.values())
     if abs(total - 1) > _WHOLE:
-        raise InputError(where, "", None, f"the shares sum to {total:g}; they must sum to 1")
+        raise ArgumentError("split", f"the shares sum to {total:g}; they must sum to 1")
     if len(indices) < len(shares):
-        raise InputError(where, "", None, f"{len(indices)} frames cannot make {len(shares)} splits")
+        raise ArgumentError("split", f"{len(indices)} frames cannot make {len(shares)} splits")
     return split_by_sets(plan, shares, indices)
 
 

@@ -25,10 +25,17 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.export.run import Exported
-from pepperscene.dataset.export.source import OnFrame, Source, in_all, new_folder, sources, wanted_frames
+from pepperscene.dataset.export.run import ExportResult
+from pepperscene.dataset.export.source import (
+    ExportSource,
+    OnFrame,
+    export_sources,
+    in_all,
+    new_folder,
+    wanted_frames,
+)
 from pepperscene.dataset.export.splits import Splits
-from pepperscene.dataset.store.atomic import json_bytes
+from pepperscene.dataset.store.atomic import canonical_json
 from pepperscene.dataset.store.dataset import Dataset
 
 SHARD_BYTES: Final = 1_000_000_000
@@ -55,7 +62,7 @@ def export_webdataset(
     indices: Sequence[int] | None = None,
     on_frame: OnFrame | None = None,
     shard_bytes: int = SHARD_BYTES,
-) -> Exported:
+) -> ExportResult:
     """Write shards of samples, `train-000000.tar` and so on, and `shards.json` with what they hold.
 
     The frames of a split are shuffled once, by the recipe's seed: neighbours on the camera's path look alike,
@@ -80,21 +87,21 @@ def export_webdataset(
     every = wanted_frames(dataset, splits, indices, _REQUIRED)
     wanted = splits.members(every)
     outputs = (*_REQUIRED, *in_all(dataset, every, _OPTIONAL))
-    seed = int(dataset.about["recipe"]["seed"])
+    seed = int(dataset.info["recipe"]["seed"])
 
     told: dict[str, list[dict[str, Any]]] = {}
     with new_folder(out, dataset.folder) as folder:
         # One generator of frames over all splits, so that progress counts through.
         orders = {name: _shuffled(members, seed) for name, members in wanted.items() if members}
-        frames = sources(dataset, [index for order in orders.values() for index in order], on_frame)
+        frames = export_sources(dataset, [index for order in orders.values() for index in order], on_frame)
         for name, order in orders.items():
             samples = (_sample(source, outputs) for source in islice(frames, len(order)))
             told[name] = _write_shards(folder, name, samples, shard_bytes)
         # The last frame is told as done when one more is asked for.
         next(frames, None)
-        (folder / LIST).write_bytes(json_bytes({"splits": told, "dataset": dict(dataset.about)}))
+        (folder / LIST).write_bytes(canonical_json({"splits": told, "dataset": dict(dataset.info)}))
     files = 1 + sum(len(shards) for shards in told.values())
-    return Exported(out, len(every), files)
+    return ExportResult(out, len(every), files)
 
 
 def _shuffled(indices: Sequence[int], seed: int) -> list[int]:
@@ -134,11 +141,11 @@ def _size(sample: Sample) -> int:
     return sum(_BLOCK * (1 + -(-len(content) // _BLOCK)) for _, content in sample)
 
 
-def _sample(source: Source, outputs: Sequence[str]) -> Sample:
+def _sample(source: ExportSource, outputs: Sequence[str]) -> Sample:
     return [(f"{source.name}.{ending}", content) for ending, content in _contents(source, outputs)]
 
 
-def _contents(source: Source, outputs: Sequence[str]) -> Iterator[tuple[str, bytes]]:
+def _contents(source: ExportSource, outputs: Sequence[str]) -> Iterator[tuple[str, bytes]]:
     for output in outputs:
         if output == "colour":
             yield "colour.png", source.content(output)
@@ -146,7 +153,7 @@ def _contents(source: Source, outputs: Sequence[str]) -> Iterator[tuple[str, byt
             yield "harvest.json", source.content(output)
         else:
             yield f"{output}.npy.gz", _packed(source.image(output))
-    yield "json", json_bytes(source.facts)
+    yield "json", canonical_json(source.facts)
 
 
 def _packed(image: NDArray[Any]) -> bytes:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.export.run import Exported
+from pepperscene.dataset.export.run import ExportResult
 from pepperscene.dataset.export.segments import REST, library, segment_ids
-from pepperscene.dataset.export.source import OnFrame, Source, new_folder, sources, wanted_frames
+from pepperscene.dataset.export.source import ExportSource, OnFrame, export_sources, new_folder, wanted_frames
 from pepperscene.dataset.export.splits import EVERYTHING, Splits
 from pepperscene.dataset.store.dataset import Dataset
 
@@ -173,7 +173,7 @@ def export_yolo(
     indices: Sequence[int] | None = None,
     on_frame: OnFrame | None = None,
     smallest_px: int = 12,
-) -> Exported:
+) -> ExportResult:
     """Write `images/train/000110.png`, `labels/train/000110.txt` and `data.yaml`.
 
     A line is an organ of a plant: its class id less 1, as ids start at 0 and the background has none, and
@@ -202,17 +202,17 @@ def export_yolo(
             (folder / "images" / name).mkdir(parents=True)
             (folder / "labels" / name).mkdir(parents=True)
         (folder / "data.yaml").write_text(_description(names), encoding="utf-8")
-        for source in sources(dataset, wanted, on_frame):
+        for source in export_sources(dataset, wanted, on_frame):
             split = splits.named(source.index)
             (folder / "images" / split / f"{source.name}.png").write_bytes(source.content("colour"))
             lines = label_lines(source, smallest_px)
             (folder / "labels" / split / f"{source.name}.txt").write_text(
                 "".join(f"{line}\n" for line in lines), encoding="ascii"
             )
-    return Exported(out, len(wanted), 2 * len(wanted) + 1)
+    return ExportResult(out, len(wanted), 2 * len(wanted) + 1)
 
 
-def label_lines(source: Source, smallest_px: int) -> list[str]:
+def label_lines(source: ExportSource, smallest_px: int) -> list[str]:
     """The lines of a frame's label file, by ascending instance."""
     from scipy import ndimage
 

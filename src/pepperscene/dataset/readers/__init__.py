@@ -1,8 +1,8 @@
 """Readers: rendered and published data sets, and folders of images with masks, as one in-memory type."""
 
 from pepperscene.dataset.readers.folder import FolderSet
-from pepperscene.dataset.readers.labels import KNOWN_LABELS, Labels
+from pepperscene.dataset.readers.labels import KNOWN_LABELS, LabelMap
 from pepperscene.dataset.readers.open import RenderedSet, open_images
 from pepperscene.dataset.readers.published import PublishedSet
 
-__all__ = ["KNOWN_LABELS", "FolderSet", "Labels", "PublishedSet", "RenderedSet", "open_images"]
+__all__ = ["KNOWN_LABELS", "FolderSet", "LabelMap", "PublishedSet", "RenderedSet", "open_images"]

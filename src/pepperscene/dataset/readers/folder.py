@@ -11,12 +11,12 @@ from typing import Any, Final, Self, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.readers.image_set import VOID, ImageSet, Labelled
+from pepperscene.dataset.readers.image_set import VOID, ImageSet, LabelledImage
 from pepperscene.dataset.readers.labels import (
     KNOWN_LABELS,
     LABEL_FILE,
     PALETTE,
-    Labels,
+    LabelMap,
     labels_in,
     labels_of,
 )
@@ -57,7 +57,7 @@ class Pair:
     mask: Path | None
 
 
-def natural(text: str) -> tuple[tuple[int, int, str], ...]:
+def natural_sort_key(text: str) -> tuple[tuple[int, int, str], ...]:
     """A key that sorts "img2" before "img10": numbers by value, all else as text."""
     pieces = re.findall(r"\d+|\D+", text)
     found = ((0, int(piece), piece) if piece.isdecimal() else (1, 0, piece) for piece in pieces)
@@ -76,16 +76,16 @@ def pairs(folder: Path) -> tuple[Pair, ...]:
     """
     images, masks = _sorted_out(folder)
     if not images:
-        raise InputError(folder, "", None, f"holds no images ({', '.join(sorted(SUFFIXES))})")
+        raise InputError(folder, f"holds no images ({', '.join(sorted(SUFFIXES))})")
     found_images, found_masks = _by_key(images), _by_key(masks)
     for key, (_, mask) in found_masks.items():
         if key not in found_images:
-            raise InputError(mask, "", None, f"is a mask without an image of the same name in {folder}")
+            raise InputError(mask, f"is a mask without an image of the same name in {folder}")
     made = [
         Pair(name, image, found_masks[key][1] if key in found_masks else None)
         for key, (name, image) in found_images.items()
     ]
-    return tuple(sorted(made, key=lambda pair: natural(pair.name)))
+    return tuple(sorted(made, key=lambda pair: natural_sort_key(pair.name)))
 
 
 def _sorted_out(folder: Path) -> tuple[list[tuple[Path, Path]], list[tuple[Path, Path]]]:
@@ -95,7 +95,7 @@ def _sorted_out(folder: Path) -> tuple[list[tuple[Path, Path]], list[tuple[Path,
     mask_roots = [path for path in below if path.name.lower() in MASK_WORDS]
     if len(image_roots) > 1 or len(mask_roots) > 1:
         names = ", ".join(path.name for path in (image_roots if len(image_roots) > 1 else mask_roots))
-        raise InputError(folder, "", None, f"has several folders for the same: {names}; keep one of them")
+        raise InputError(folder, f"has several folders for the same: {names}; keep one of them")
     if image_roots:
         images = [(image_roots[0], path) for path in _pictures(image_roots[0].rglob("*"))]
         return images, [(root, path) for root in mask_roots for path in _pictures(root.rglob("*"))]
@@ -125,7 +125,7 @@ def _by_key(files: Iterable[tuple[Path, Path]]) -> dict[tuple[str, ...], tuple[s
         key = _key(name)
         if key in found:
             other = found[key][1].name
-            raise InputError(path, "", None, f"cannot be told from {other} by name: rename one of them")
+            raise InputError(path, f"cannot be told from {other} by name: rename one of them")
         found[key] = (name, path)
     return found
 
@@ -150,10 +150,10 @@ class FolderSet(ImageSet):
 
     folder: Path
     items: tuple[Pair, ...]
-    labels: Labels | None = None
+    labels: LabelMap | None = None
 
     @classmethod
-    def of(cls, folder: Path, labels: str | Labels | Mapping[Any, Any] | None = None) -> Self:
+    def of(cls, folder: Path, labels: str | LabelMap | Mapping[Any, Any] | None = None) -> Self:
         """The images of a folder.
 
         Args:
@@ -172,7 +172,7 @@ class FolderSet(ImageSet):
         """The image files' names below their folder, without suffix."""
         return tuple(pair.name for pair in self.items)
 
-    def read(self, item: Pair) -> Labelled:
+    def read(self, item: Pair) -> LabelledImage:
         """One image; its classes are None when it has no mask.
 
         Raises:
@@ -181,7 +181,7 @@ class FolderSet(ImageSet):
         colour = read_photo(item.image) if "colour" in self.fields else None
         classes = self._classes(item) if "classes" in self.fields else None
         files = {"image": str(item.image), "mask": None if item.mask is None else str(item.mask)}
-        return Labelled(item.name, colour, classes, facts=files if "facts" in self.fields else {})
+        return LabelledImage(item.name, colour, classes, facts=files if "facts" in self.fields else {})
 
     def _classes(self, pair: Pair) -> NDArray[np.uint8] | None:
         if pair.mask is None:
@@ -190,8 +190,6 @@ class FolderSet(ImageSet):
         if mask.shape != (shape := photo_shape(pair.image)):
             raise InputError(
                 pair.mask,
-                "",
-                None,
                 f"is {_size(mask.shape)} pixels large, but its image {pair.image.name} {_size(shape)};"
                 " labels are never resized",
             )
@@ -199,21 +197,19 @@ class FolderSet(ImageSet):
         return ids if mask.seen is None else np.where(mask.seen, ids, np.uint8(VOID))
 
 
-def _told(labels: str | Labels | Mapping[Any, Any] | None, folder: Path) -> Labels | None:
+def _told(labels: str | LabelMap | Mapping[Any, Any] | None, folder: Path) -> LabelMap | None:
     if labels is None:
         return labels_in(folder)
-    if isinstance(labels, Labels):
+    if isinstance(labels, LabelMap):
         return labels
     if isinstance(labels, Mapping):
         return labels_of(labels, "labels")
     if labels not in KNOWN_LABELS:
-        raise InputError(
-            "labels", "", None, f"must be a table or one of {', '.join(KNOWN_LABELS)}, not {labels!r}"
-        )
+        raise InputError("labels", f"must be a table or one of {', '.join(KNOWN_LABELS)}, not {labels!r}")
     return KNOWN_LABELS[labels]
 
 
-def _meant(mask: MaskPicture, labels: Labels | None, where: Path) -> NDArray[np.uint8]:
+def _meant(mask: MaskPicture, labels: LabelMap | None, where: Path) -> NDArray[np.uint8]:
     """Class ids of a mask: by its values where the table knows them all, by its colours otherwise."""
     if labels is None:
         return _by_palette(mask, where)
@@ -224,7 +220,7 @@ def _meant(mask: MaskPicture, labels: Labels | None, where: Path) -> NDArray[np.
     if mask.rgb is not None and labels.colours:
         return labels.of_colours(_shown(mask.rgb, mask, next(iter(labels.colours))), where)
     kind = "colours" if mask.values is None else "values"
-    raise InputError(where, "", None, f"has {kind}, but {labels.where} tells nothing of {kind}")
+    raise InputError(where, f"has {kind}, but {labels.where} tells nothing of {kind}")
 
 
 def _by_palette(mask: MaskPicture, where: Path) -> NDArray[np.uint8]:
@@ -238,8 +234,6 @@ def _by_palette(mask: MaskPicture, where: Path) -> NDArray[np.uint8]:
     found = "" if mask.values is None else ", ".join(str(value) for value in np.unique(mask.values)[:8])
     raise InputError(
         where,
-        "",
-        None,
         f"has values ({found}) whose classes nobody tells: put a {LABEL_FILE} into the folder,"
         f" or pass labels= (a table, or one of {', '.join(KNOWN_LABELS)})",
     )

@@ -21,7 +21,7 @@ FIELDS: Final = ("colour", "classes", "instances", "distance_m", "facts")
 
 
 @dataclass(frozen=True, eq=False)
-class Labelled:
+class LabelledImage:
     """One picture with what is known of it; None stands for what is not known, or was not read.
 
     Attributes:
@@ -62,7 +62,7 @@ class Labelled:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ImageSet(Sequence[Labelled]):
+class ImageSet(Sequence[LabelledImage]):
     """Labelled pictures in the natural order of their names; each is read when it is asked for.
 
     `images[3]` reads a picture, `images[3:9]` is a smaller set of which nothing is read yet.
@@ -82,7 +82,7 @@ class ImageSet(Sequence[Labelled]):
         """The pictures' names, in order; nothing is read."""
 
     @abstractmethod
-    def read(self, item: Any) -> Labelled:
+    def read(self, item: Any) -> LabelledImage:
         """The picture of one of `items`.
 
         Raises:
@@ -108,12 +108,12 @@ class ImageSet(Sequence[Labelled]):
         return len(self.items)
 
     @overload
-    def __getitem__(self, place: int) -> Labelled: ...
+    def __getitem__(self, place: int) -> LabelledImage: ...
 
     @overload
     def __getitem__(self, place: slice) -> Self: ...
 
-    def __getitem__(self, place: int | slice) -> Labelled | Self:
+    def __getitem__(self, place: int | slice) -> LabelledImage | Self:
         if isinstance(place, slice):
             return replace(self, items=self.items[place])
         return self.read(self.items[place])

@@ -33,7 +33,7 @@ _NAMES: Final = {**{organ.name.lower(): int(organ) for organ in OrganClass}, "vo
 
 
 @dataclass(frozen=True)
-class Labels:
+class LabelMap:
     """A table from mask values, or mask colours, to class ids.
 
     Attributes:
@@ -89,14 +89,11 @@ class Labels:
         shown = ", ".join(found[:8]) + (", …" if len(found) > 8 else "")
         plural = "s" if len(found) > 1 else ""
         return InputError(
-            where,
-            "",
-            None,
-            f'has the {kind}{plural} {shown}, of which {self.where} says nothing ("void" leaves out)',
+            where, f'has the {kind}{plural} {shown}, of which {self.where} says nothing ("void" leaves out)'
         )
 
 
-def labels_of(told: Mapping[Any, Any], where: str | Path) -> Labels:
+def labels_of(told: Mapping[Any, Any], where: str | Path) -> LabelMap:
     """A table as a user writes it.
 
     Args:
@@ -121,14 +118,14 @@ def labels_of(told: Mapping[Any, Any], where: str | Path) -> Labels:
             values[value] = organ
         else:
             raise InputError(
-                where, str(key), None, 'must be a mask value, a colour as "#ff0000", or "otherwise"'
+                where, 'must be a mask value, a colour as "#ff0000", or "otherwise"', key=str(key)
             )
     if not values and not colours:
-        raise InputError(where, "", None, "must give a class to at least one mask value or colour")
-    return Labels(str(where), values, colours, otherwise)
+        raise InputError(where, "must give a class to at least one mask value or colour")
+    return LabelMap(str(where), values, colours, otherwise)
 
 
-def labels_in(folder: Path) -> Labels | None:
+def labels_in(folder: Path) -> LabelMap | None:
     """What the `classes.toml` of a folder says; None when there is none.
 
     Raises:
@@ -145,7 +142,7 @@ def _class_id(meant: Any, key: str, where: str | Path) -> int:
         return _NAMES[meant]
     if isinstance(meant, int) and not isinstance(meant, bool) and meant in _NAMES.values():
         return int(meant)
-    raise InputError(where, key, meant, f"must be one of {', '.join(_NAMES)}")
+    raise InputError(where, f"must be one of {', '.join(_NAMES)}", key=key, value=meant)
 
 
 def _colour(key: Any) -> Colour | None:
@@ -164,15 +161,15 @@ def _value(key: Any) -> int | None:
     return int(key) if isinstance(key, int) and not isinstance(key, bool) and key >= 0 else None
 
 
-PALETTE: Final = Labels(
+PALETTE: Final = LabelMap(
     "the published colour scale", colours={colour: organ for organ, colour in enumerate(CLASS_COLOURS)}
 )
 """The published colours; what a mask in colours means when nobody says otherwise."""
 
-KNOWN_LABELS: Final[Mapping[str, Labels]] = MappingProxyType(
+KNOWN_LABELS: Final[Mapping[str, LabelMap]] = MappingProxyType(
     {
         # The ids of the published set, and of this package's class images.
-        "published": Labels(
+        "published": LabelMap(
             "'published'", {**{int(organ): int(organ) for organ in OrganClass}, VOID: VOID}, PALETTE.colours
         ),
         # Montoya Cavero and Escobedo 2021, "Sweet Pepper and Peduncle Segmentation": green fruit, red fruit,

@@ -10,9 +10,9 @@ from typing import Any, Final, Self, final
 from numpy.typing import NDArray
 
 from pepperscene.dataset.readers.folder import FolderSet
-from pepperscene.dataset.readers.image_set import ImageSet, Labelled
-from pepperscene.dataset.readers.labels import Labels
-from pepperscene.dataset.readers.published import PublishedSet, halves_in
+from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
+from pepperscene.dataset.readers.labels import LabelMap
+from pepperscene.dataset.readers.published import PublishedSet, published_halves
 from pepperscene.dataset.store.dataset import DIGITS, MARK, Dataset, open_dataset
 from pepperscene.errors import InputError
 from pepperscene.truth import class_from_colour, distance_from_code
@@ -48,27 +48,27 @@ class RenderedSet(ImageSet):
         """
         items = dataset.indices() if indices is None else tuple(indices)
         if not items:
-            raise InputError(dataset.folder, "", None, "holds no frames")
+            raise InputError(dataset.folder, "holds no frames")
         return cls(name=dataset.folder.resolve().name, dataset=dataset, items=items)
 
     def names(self) -> tuple[str, ...]:
         """The indices with six digits, as the files are called."""
         return tuple(_name(index) for index in self.items)
 
-    def read(self, item: int) -> Labelled:
+    def read(self, item: int) -> LabelledImage:
         """One frame; a field whose output the frame lacks is None.
 
         Raises:
             InputError: there is no such frame, or a file of it is missing or damaged.
         """
-        facts = self.dataset.facts(item)
+        facts = self.dataset.metadata(item)
         there = facts.get("outputs", {})
         images = {name: self._image(item, name, there) for name in _SOURCES}
         if "facts" not in self.fields:
             facts = {}
         elif "harvest" in there:
             facts["harvest"] = self.dataset.image(item, "harvest")
-        return Labelled(_name(item), facts=facts, **images)
+        return LabelledImage(_name(item), facts=facts, **images)
 
     def _image(self, index: int, name: str, there: Mapping[str, Any]) -> NDArray[Any] | None:
         if name not in self.fields:
@@ -85,7 +85,7 @@ def _name(index: int) -> str:
 
 
 def open_images(
-    path: str | Path, *, half: str | None = None, labels: str | Labels | Mapping[Any, Any] | None = None
+    path: str | Path, *, half: str | None = None, labels: str | LabelMap | Mapping[Any, Any] | None = None
 ) -> ImageSet:
     """The pictures of a folder with their labels; nothing is read before a picture is asked for.
 
@@ -101,12 +101,14 @@ def open_images(
     """
     folder = Path(path)
     if not folder.is_dir():
-        raise InputError(folder, "", None, "must be a folder of images")
-    rendered, published = (folder / MARK).exists(), bool(halves_in(folder))
+        raise InputError(folder, "must be a folder of images")
+    rendered, published = (folder / MARK).exists(), bool(published_halves(folder))
     if half is not None and not published:
-        raise InputError(folder, "half", half, "goes only with the layout of the published data set")
+        raise InputError(
+            folder, "goes only with the layout of the published data set", key="half", value=half
+        )
     if labels is not None and (rendered or published):
-        raise InputError(folder, "labels", None, "go only with a folder of images: these classes are known")
+        raise InputError(folder, "go only with a folder of images: these classes are known", key="labels")
     if rendered:
         return RenderedSet.of(open_dataset(folder))
     return PublishedSet.of(folder, half) if published else FolderSet.of(folder, labels)

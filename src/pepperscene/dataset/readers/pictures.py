@@ -58,7 +58,7 @@ def read_photo(path: Path) -> NDArray[np.uint8]:
 
     with _opened(path) as picture:
         if picture.mode.startswith(("I", "F")):
-            raise InputError(path, "", None, "must be a photograph of 8 bits a channel")
+            raise InputError(path, "must be a photograph of 8 bits a channel")
         upright = ImageOps.exif_transpose(picture)
         if "A" in upright.mode or "transparency" in upright.info:
             with_alpha = upright.convert("RGBA")
@@ -86,7 +86,7 @@ def read_mask(path: Path) -> MaskPicture:
     """
     with _opened(path) as picture:
         if picture.format == "JPEG":
-            raise InputError(path, "", None, "is a JPEG, which changes the values of a mask; save it as PNG")
+            raise InputError(path, "is a JPEG, which changes the values of a mask; save it as PNG")
         if picture.mode == "P":
             rgba = np.array(picture.convert("RGBA"))
             return MaskPicture(np.array(picture), rgba[..., :3].copy(), _seen(rgba[..., 3]))
@@ -99,7 +99,7 @@ def read_mask(path: Path) -> MaskPicture:
             rgba = np.array(picture.convert("RGBA"))
             mask = MaskPicture(None, rgba[..., :3].copy(), _seen(rgba[..., 3]))
             return replace(mask, values=rgba[..., 0].copy()) if mask.grey else mask
-        raise InputError(path, "", None, f"must hold whole numbers or RGB colours, not mode {picture.mode}")
+        raise InputError(path, f"must hold whole numbers or RGB colours, not mode {picture.mode}")
 
 
 def _seen(alpha: NDArray[np.uint8]) -> NDArray[np.bool_] | None:
@@ -118,4 +118,4 @@ def _opened(path: Path) -> Iterator[Any]:
     except InputError:
         raise
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as fault:
-        raise InputError(path, "", None, f"cannot be read as an image ({fault})") from None
+        raise InputError(path, f"cannot be read as an image ({fault})") from None

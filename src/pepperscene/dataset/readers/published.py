@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.readers.image_set import VOID, ImageSet, Labelled
+from pepperscene.dataset.readers.image_set import VOID, ImageSet, LabelledImage
 from pepperscene.dataset.readers.pictures import read_mask, read_photo
 from pepperscene.errors import InputError
 from pepperscene.truth import class_from_colour, distance_from_code
@@ -51,12 +51,12 @@ class PublishedSet(ImageSet):
         Raises:
             InputError: there are both and none is told, or the one told is not there.
         """
-        there = halves_in(folder)
+        there = published_halves(folder)
         if half is None and len(there) > 1:
-            raise InputError(folder, "", None, f"holds {' and '.join(there)}: say which, half={there[0]!r}")
+            raise InputError(folder, f"holds {' and '.join(there)}: say which, half={there[0]!r}")
         chosen = there[0] if half is None and there else half
         if chosen not in there:
-            raise InputError(folder, "half", chosen, f"must be one of {', '.join(there) or 'none'}")
+            raise InputError(folder, f"must be one of {', '.join(there) or 'none'}", key="half", value=chosen)
         folders = {
             "colour": f"{chosen}_image_color",
             "grey": f"{chosen}_label_class_grayscale/{chosen}_label_class_all_grayscale",
@@ -65,7 +65,7 @@ class PublishedSet(ImageSet):
         }
         files = {kind: _numbered(folder / name) for kind, name in folders.items() if (folder / name).is_dir()}
         if not files["colour"]:
-            raise InputError(folder / folders["colour"], "", None, "holds no images")
+            raise InputError(folder / folders["colour"], "holds no images")
         items = tuple(sorted(files["colour"]))
         return cls(
             name=f"{folder.resolve().name} {chosen}", folder=folder, half=chosen, items=items, files=files
@@ -75,14 +75,14 @@ class PublishedSet(ImageSet):
         """The numbers, as they stand in the file names."""
         return tuple(str(number) for number in self.items)
 
-    def read(self, item: int) -> Labelled:
+    def read(self, item: int) -> LabelledImage:
         """One picture: classes from the grey labels, or else the nearest colour; distances from their code.
 
         Raises:
             InputError: a file is missing or damaged, or a grey label is no class id.
         """
         wanted = self.fields
-        return Labelled(
+        return LabelledImage(
             str(item),
             read_photo(self._file("colour", item)) if "colour" in wanted else None,
             self._classes(item) if "classes" in wanted else None,
@@ -97,15 +97,13 @@ class PublishedSet(ImageSet):
             known = (ids < len(OrganClass)) | (ids == VOID)
             if not known.all():
                 found = int(ids[~known][0])
-                raise InputError(
-                    path, "", None, f"has the class id {found}; allowed are 0 to {len(OrganClass) - 1}"
-                )
+                raise InputError(path, f"has the class id {found}; allowed are 0 to {len(OrganClass) - 1}")
             return ids
         if "scale" in self.files:
             path = self._file("scale", number)
             rgb = read_mask(path).rgb
             if rgb is None:
-                raise InputError(path, "", None, "must hold the colour of each class")
+                raise InputError(path, "must hold the colour of each class")
             return class_from_colour(rgb)
         return None
 
@@ -116,11 +114,11 @@ class PublishedSet(ImageSet):
         files = self.files[kind]
         if number not in files:
             folder = next(iter(files.values())).parent if files else self.folder
-            raise InputError(folder, "", None, f"has no file of the number {number}, which its image has")
+            raise InputError(folder, f"has no file of the number {number}, which its image has")
         return files[number]
 
 
-def halves_in(folder: Path) -> tuple[str, ...]:
+def published_halves(folder: Path) -> tuple[str, ...]:
     """Which halves of the published data set a folder holds."""
     return tuple(half for half in HALVES if (folder / f"{half}_image_color").is_dir())
 
@@ -137,10 +135,10 @@ def _numbered(folder: Path) -> dict[int, Path]:
             continue
         match = _NUMBER.search(path.stem)
         if match is None:
-            raise InputError(path, "", None, "must end in the number of its picture")
+            raise InputError(path, "must end in the number of its picture")
         number = int(match[1])
         if number in found:
-            raise InputError(path, "", None, f"has the same number as {found[number].name}")
+            raise InputError(path, f"has the same number as {found[number].name}")
         found[number] = path
     return found
 
@@ -149,5 +147,5 @@ def _grey(path: Path) -> NDArray[np.uint8]:
     """8-bit values, however the file holds them."""
     values = read_mask(path).values
     if values is None or values.max(initial=0) > np.iinfo(np.uint8).max:
-        raise InputError(path, "", None, "must hold 8-bit grey values")
+        raise InputError(path, "must hold 8-bit grey values")
     return values.astype(np.uint8)

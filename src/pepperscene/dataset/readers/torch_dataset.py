@@ -47,9 +47,7 @@ class TorchImages(torch.utils.data.Dataset):
         for key in self.keys:
             image = getattr(picture, KEYS[key])
             if image is None:
-                raise InputError(
-                    self.images.name, "", None, f"{picture.name} has no {key}: leave it out of keys"
-                )
+                raise InputError(self.images.name, f"{picture.name} has no {key}: leave it out of keys")
             sample[key] = self._tensor(key, image)
         return sample if self.transform is None else self.transform(sample)
 

@@ -20,7 +20,7 @@ Sample = Mapping[str, Any]
 KEYS: Final[Mapping[str, str]] = {
     "image": "colour", "mask": "classes", "instances": "instances", "distance": "distance_m",
 }  # fmt: skip
-"""What a sample can hold, and the field of `Labelled` that each is made of."""
+"""What a sample can hold, and the field of `LabelledImage` that each is made of."""
 
 
 def torch_images(
@@ -50,11 +50,9 @@ def torch_images(
     """
     unknown = [key for key in keys if key not in KEYS]
     if unknown or not keys:
-        raise InputError(
-            "keys", "", None, f"must be some of {', '.join(KEYS)}, not {', '.join(unknown) or 'none'}"
-        )
+        raise InputError("keys", f"must be some of {', '.join(KEYS)}, not {', '.join(unknown) or 'none'}")
     if dtype not in ("float32", "uint8"):
-        raise InputError("dtype", "", None, f"must be float32 or uint8, not {dtype!r}")
+        raise InputError("dtype", f"must be float32 or uint8, not {dtype!r}")
     try:
         from pepperscene.dataset.readers.torch_dataset import TorchImages
     except ModuleNotFoundError as fault:
@@ -73,10 +71,8 @@ def in_split(images: ImageSet, splits: Splits, split: str) -> RenderedSet:
         InputError: the pictures are no frames of a plan, or none of them belongs to it.
     """
     if not isinstance(images, RenderedSet):
-        raise InputError(
-            "splits", "", None, f"go by frame index, which the pictures of {images.name} have not"
-        )
+        raise InputError("splits", f"go by frame index, which the pictures of {images.name} have not")
     places = [place for place, index in enumerate(images.items) if splits.named(index) == split]
     if not places:
-        raise InputError("split", "", None, f"{split!r} holds no frame of {images.name}")
+        raise InputError("split", f"{split!r} holds no frame of {images.name}")
     return images.take(places)

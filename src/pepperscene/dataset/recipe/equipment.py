@@ -28,7 +28,7 @@ LONGEST_NM: Final = 2500.0
 Thing = TypeVar("Thing")
 
 
-def cultivar_of(recipe: Recipe, where: str | Path = "") -> Cultivar:
+def load_recipe_cultivar(recipe: Recipe, where: str | Path = "") -> Cultivar:
     """The plants' cultivar, at the growth stage that the recipe says.
 
     Args:
@@ -38,7 +38,7 @@ def cultivar_of(recipe: Recipe, where: str | Path = "") -> Cultivar:
     Raises:
         InputError: it is not found or not valid, or nothing lies between it and the later stage.
     """
-    from pepperscene.cultivar import interpolated, load_cultivar
+    from pepperscene.cultivar import interpolate_cultivars, load_cultivar
 
     where, growth = where or recipe.name, recipe.growth
     first = _loaded(load_cultivar, where, "cultivar", recipe.cultivar)
@@ -47,9 +47,9 @@ def cultivar_of(recipe: Recipe, where: str | Path = "") -> Cultivar:
     last = _loaded(load_cultivar, where, "growth.until", growth.until)
     share = growth.share if growth.share is not None else _share(growth, first, last, where)
     try:
-        return interpolated(first, last, share)
+        return interpolate_cultivars(first, last, share)
     except (ValueError, InputError) as fault:
-        raise InputError(where, "growth.until", growth.until, str(fault)) from None
+        raise InputError(where, str(fault), key="growth.until", value=growth.until) from None
 
 
 def _share(growth: GrowthTable, first: Cultivar, last: Cultivar, where: str | Path) -> float:
@@ -58,13 +58,13 @@ def _share(growth: GrowthTable, first: Cultivar, last: Cultivar, where: str | Pa
     for key, one in (("cultivar", first), ("growth.until", last)):
         if one.date is None:
             allowed = f"growth.date needs a date in the file of {one.name} as well"
-            raise InputError(where, key, one.name, allowed)
+            raise InputError(where, allowed, key=key, value=one.name)
     assert first.date is not None
     assert last.date is not None
     days = (last.date - first.date).days
     if days <= 0 or not first.date <= growth.date <= last.date:
         allowed = f"must lie between the dates of the two files, {first.date} and {last.date}"
-        raise InputError(where, "growth.date", growth.date.isoformat(), allowed)
+        raise InputError(where, allowed, key="growth.date", value=growth.date.isoformat())
     return (growth.date - first.date).days / days
 
 
@@ -82,10 +82,10 @@ def check_greenhouse(recipe: Recipe, where: str | Path = "") -> None:
         if house.gutter_width_mm > limit:
             allowed = f"must be at most {key}, {limit:g}, so that no two gutters overlap"
             where = where or recipe.name
-            raise InputError(where, "greenhouse.gutter_width_mm", house.gutter_width_mm, allowed)
+            raise InputError(where, allowed, key="greenhouse.gutter_width_mm", value=house.gutter_width_mm)
 
 
-def cover_of(recipe: Recipe, where: str | Path = "") -> Cover | None:
+def load_recipe_cover(recipe: Recipe, where: str | Path = "") -> Cover | None:
     """What lies between the sky and the crop, or None.
 
     Raises:
@@ -98,7 +98,7 @@ def cover_of(recipe: Recipe, where: str | Path = "") -> Cover | None:
     return _loaded(load_cover, where or recipe.name, "daylight.cover", recipe.daylight.cover)
 
 
-def camera_of(recipe: Recipe, where: str | Path = "") -> Camera:
+def load_camera(recipe: Recipe, where: str | Path = "") -> Camera:
     """The camera, set as the recipe says, not yet at any place of the path.
 
     Raises:
@@ -114,11 +114,11 @@ def camera_of(recipe: Recipe, where: str | Path = "") -> Camera:
     # What only the parts together show.
     if table.focus_mm is not None and table.focus_mm <= 1e3 * lens.focal_length_m:
         allowed = f"must be beyond the focal length of {lens.name}, {1e3 * lens.focal_length_m:g} mm"
-        raise InputError(where, "camera.focus_mm", table.focus_mm, allowed)
+        raise InputError(where, allowed, key="camera.focus_mm", value=table.focus_mm)
     steps = recipe.developing.model_dump()
     if steps["white_balance"] == "flash" and flash is None and sensor.channels > 1:
         allowed = f'needs a developing.white_balance of "daylight", "{NONE}" or three gains, not "flash"'
-        raise InputError(where, "camera.flash", NONE, allowed)
+        raise InputError(where, allowed, key="camera.flash", value=NONE)
     if steps["white_balance"] == NONE:
         steps["white_balance"] = None
     return Camera(
@@ -131,7 +131,7 @@ def camera_of(recipe: Recipe, where: str | Path = "") -> Camera:
     )
 
 
-def surface_grid(sensor: Sensor) -> NDArray[np.float64]:
+def surface_wavelengths(sensor: Sensor) -> NDArray[np.float64]:
     """Wavelengths of the surfaces' spectra, nm: those that the sensor sees and no more.
 
     Raises:
@@ -159,14 +159,14 @@ def _sensor(table: CameraTable, where: str | Path) -> Sensor:
     sensor = sensor.with_settings(bits=table.bits, gain=table.gain)
     key, name = "camera.sensor", table.sensor
     try:
-        surface_grid(sensor)
+        surface_wavelengths(sensor)
         if table.filter != NONE:
             key, name = "camera.filter", table.filter
-            sensor = sensor.behind(_loaded(load_filter, where, key, name).transmittance)
-            surface_grid(sensor)
+            sensor = sensor.with_filter(_loaded(load_filter, where, key, name).transmittance)
+            surface_wavelengths(sensor)
     except ValueError as fault:
         behind = " behind it" if key == "camera.filter" else ""
-        raise InputError(where, key, name, f"{sensor.name}{behind} {fault}") from None
+        raise InputError(where, f"{sensor.name}{behind} {fault}", key=key, value=name) from None
     return sensor
 
 
@@ -177,4 +177,4 @@ def _loaded(load: Callable[[str], Thing], where: str | Path, key: str, name: str
     except InputError as fault:
         if fault.key or fault.where != name:
             raise
-        raise InputError(where, key, name, fault.allowed) from None
+        raise InputError(where, fault.problem, key=key, value=name) from None

@@ -13,17 +13,22 @@ from typing import Any, Final
 
 from pydantic import BaseModel
 
-from pepperscene.dataset.recipe.equipment import camera_of, check_greenhouse, cover_of, cultivar_of
+from pepperscene.dataset.recipe.equipment import (
+    check_greenhouse,
+    load_camera,
+    load_recipe_cover,
+    load_recipe_cultivar,
+)
 from pepperscene.dataset.recipe.recipe import Recipe
-from pepperscene.document import read_toml, validated
+from pepperscene.document import read_toml, validate
 from pepperscene.errors import InputError
-from pepperscene.shipped import find
+from pepperscene.shipped import find_file
 
 OPTION: Final = "--set"
 _LONGEST: Final = 80  # chosen: what a message shows of a change
 
 
-def read_changes(texts: Iterable[str]) -> dict[str, Any]:
+def parse_changes(texts: Iterable[str]) -> dict[str, Any]:
     """Values by dotted key, out of "KEY=VALUE"; of two with the same key the last one counts.
 
     A value is read as in a TOML file; what is none, such as a bare word, is taken as text.
@@ -35,7 +40,7 @@ def read_changes(texts: Iterable[str]) -> dict[str, Any]:
     for text in texts:
         key, equals, value = text.partition("=")
         if not equals:
-            raise InputError(OPTION, "", None, f"{_short(text)!r} must be KEY=VALUE")
+            raise InputError(OPTION, f"{_short(text)!r} must be KEY=VALUE")
         # The last one of a key also comes last.
         changes.pop(key.strip(), None)
         changes[key.strip()] = _value(key.strip(), value.strip())
@@ -56,7 +61,7 @@ def as_tables(key: str, value: Any) -> dict[str, Any]:
             above = ".".join(parts[:depth])
             inside = f"allowed{f' in {above}' if above else ''} are {', '.join(fields)}"
             allowed = f"is not a known key; {inside if fields else f'{above} is no table'}"
-            raise InputError(f"{OPTION} {_short(key)}", "", None, allowed)
+            raise InputError(f"{OPTION} {_short(key)}", allowed)
         model = _table(fields[part].annotation)
     tables: Any = copy.deepcopy(value)
     for part in reversed(parts):
@@ -74,7 +79,7 @@ def _value(key: str, text: str) -> Any:
     if read is not None:
         return read
     if text.startswith(('"', "'", "[", "{")):
-        raise InputError(_short(f"{OPTION} {key}={text}"), "", None, "is not a value as in a TOML file")
+        raise InputError(_short(f"{OPTION} {key}={text}"), "is not a value as in a TOML file")
     return text
 
 
@@ -154,7 +159,7 @@ def load_recipe(name_or_path: str | Path, changes: Mapping[str, Any] | None = No
         InputError: a file is missing or not TOML, files extend each other in a circle, a key is unknown or
             missing, a value is of the wrong type or outside its range; the message names file, key and value.
     """
-    files = _layers(find("recipes", name_or_path))
+    files = _layers(find_file("recipes", name_or_path))
     changed = [(label(key, value), as_tables(key, value)) for key, value in (changes or {}).items()]
     for _, table in changed:
         _resolve_all(table, Path())
@@ -167,9 +172,9 @@ def load_recipe(name_or_path: str | Path, changes: Mapping[str, Any] | None = No
         del merged[_EXPECT]
     where = files[0][0]
     try:
-        recipe = validated(Recipe, merged, where)
+        recipe = validate(Recipe, merged, where)
         # What stands in the files that it names is for their readers; that they are there is for the recipe.
-        for load in (cultivar_of, cover_of, camera_of, check_greenhouse):
+        for load in (load_recipe_cultivar, load_recipe_cover, load_camera, check_greenhouse):
             load(recipe, where)
     except InputError as fault:
         if fault.where != where:
@@ -199,8 +204,8 @@ def _placed(fault: InputError, layers: list[_Layer], default: str) -> InputError
     where = holders[0][0] if holders else default
     if where.startswith(f"{OPTION} {fault.key}="):
         # The label of a change tells key and value already.
-        return InputError(where, "", None, fault.allowed)
-    return InputError(where, fault.key, fault.value, fault.allowed)
+        return InputError(where, fault.problem)
+    return InputError(where, fault.problem, key=fault.key, value=fault.value)
 
 
 def _layers(path: Path) -> list[_Layer]:
@@ -209,7 +214,9 @@ def _layers(path: Path) -> list[_Layer]:
     seen: list[Path] = []
     while True:
         if path.resolve() in seen or len(seen) == _LONGEST_CHAIN:
-            raise InputError(seen[-1], "extends", str(path), "must not lead back to itself, nor on for ever")
+            raise InputError(
+                seen[-1], "must not lead back to itself, nor on for ever", key="extends", value=str(path)
+            )
         seen.append(path.resolve())
         table = read_toml(path)
         base = table.pop("extends", None)
@@ -218,11 +225,11 @@ def _layers(path: Path) -> list[_Layer]:
         if base is None:
             return layers
         if not isinstance(base, str):
-            raise InputError(path, "extends", base, "must be the name or the path of a recipe")
+            raise InputError(path, "must be the name or the path of a recipe", key="extends", value=base)
         try:
-            path = find("recipes", _relative(base, path.parent))
+            path = find_file("recipes", _relative(base, path.parent))
         except InputError as fault:
-            raise InputError(path, "extends", base, fault.allowed) from None
+            raise InputError(path, fault.problem, key="extends", value=base) from None
 
 
 def _resolve_all(table: dict[str, Any], folder: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from pepperscene.document import Document
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError
 
 
 class Stream(IntEnum):
@@ -27,7 +27,7 @@ class Stream(IntEnum):
     FAR = 6
 
 
-def generator(seed: int, stream: Stream, *address: int) -> np.random.Generator:
+def random_generator(seed: int, stream: Stream, *address: int) -> np.random.Generator:
     """The generator of one stream at one address.
 
     Args:
@@ -56,7 +56,7 @@ Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
-class Shot:
+class FrameSpec:
     """One frame of a plan.
 
     Attributes:
@@ -105,7 +105,7 @@ class Plan(Document):
         """Number of frames in the whole data set."""
         return self.sets * self.rotations * self.frames
 
-    def shot(self, index: int) -> Shot:
+    def frame(self, index: int) -> FrameSpec:
         """The frame of an index: index = (set * rotations + rotation) * frames + step.
 
         Raises:
@@ -115,35 +115,35 @@ class Plan(Document):
             raise ValueError(f"frame {index} lies outside 0 to {self.count - 1}")
         scene, step = divmod(index, self.frames)
         row, rotation = divmod(scene, self.rotations)
-        return Shot(index, row, rotation, step)
+        return FrameSpec(index, row, rotation, step)
 
-    def chosen(self, frames: str | Sequence[int] | None, where: str = "--frames") -> tuple[int, ...]:
+    def select_indices(self, frames: str | Sequence[int] | None, argument: str = "frames") -> tuple[int, ...]:
         """The indices to build, ascending and without repeats.
 
         Args:
             frames: "A:B" (half-open, either end may be left out), indices, or None for the plan's own choice.
-            where: what to call the argument in a message.
+            argument: the name to use in error messages.
 
         Raises:
-            InputError: not of that form, empty, or outside the plan.
+            ArgumentError: not of that form, empty, or outside the plan.
         """
         if frames is None:
             return tuple(sorted(set(self.select))) if self.select is not None else tuple(range(self.count))
-        wanted = self._between(frames, where) if isinstance(frames, str) else frames
+        wanted = self._between(frames, argument) if isinstance(frames, str) else frames
         outside = [index for index in wanted if not 0 <= index < self.count]
         if outside or not wanted:
             found = f"frame {outside[0]}" if outside else "no frame"
-            raise InputError(where, "", None, f"{found} asked for; the plan holds 0 to {self.count - 1}")
+            raise ArgumentError(argument, f"{found} asked for; the plan holds 0 to {self.count - 1}")
         return tuple(sorted({int(index) for index in wanted}))
 
-    def _between(self, text: str, where: str) -> range:
+    def _between(self, text: str, argument: str) -> range:
         match = _RANGE.fullmatch(text.strip())
         if match is None:
-            raise InputError(where, "", None, f"{text!r} must be A:B with 0 <= A < B <= {self.count}")
+            raise ArgumentError(argument, f"{text!r} must be A:B with 0 <= A < B <= {self.count}")
         first = int(match[1] or 0)
         beyond = int(match[2] or self.count)
         if not first < beyond <= self.count:
-            raise InputError(where, "", None, f"{text!r} must be A:B with 0 <= A < B <= {self.count}")
+            raise ArgumentError(argument, f"{text!r} must be A:B with 0 <= A < B <= {self.count}")
         return range(first, beyond)
 
 

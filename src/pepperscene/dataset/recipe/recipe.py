@@ -26,9 +26,9 @@ from pepperscene.dataset.recipe.tables import (
 )
 from pepperscene.dataset.store import atomic
 from pepperscene.document import Document, read_toml
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError
 from pepperscene.spectra import read_spectra
-from pepperscene.spectra.files import locate
+from pepperscene.spectra.files import find_material
 
 _REFERENCE = "file"
 """The key whose value is the path of a CSV file of spectra, seen from the file that says it."""
@@ -67,10 +67,10 @@ def cultivar_fingerprints(part: str, wanted: str | Path) -> dict[str, dict[str, 
     Raises:
         InputError: a file is missing or cannot be read.
     """
-    from pepperscene.cultivar import files_of
+    from pepperscene.cultivar import cultivar_files
 
     found: dict[str, dict[str, str]] = {}
-    for number, file in enumerate(files_of(wanted)):
+    for number, file in enumerate(cultivar_files(wanted)):
         key = f"{part}.{number}" if number else part
         if file.suffix == ".toml":
             found[key] = _fingerprint(file, read_toml(file))
@@ -128,7 +128,7 @@ class Recipe(Document):
     greenhouse: GreenhouseTable | None = None
     expect: ExpectTable | None = None
 
-    def with_seed(self, seed: int | None, where: str = "--seed") -> Recipe:
+    def with_seed(self, seed: int | None) -> Recipe:
         """The same recipe with another seed; the same when that is None.
 
         Raises:
@@ -137,7 +137,7 @@ class Recipe(Document):
         if seed is None:
             return self
         if not 0 <= seed < 2**63:
-            raise InputError(where, "", None, f"{seed} must lie in 0 to {2**63 - 1}")
+            raise ArgumentError("seed", f"{seed} must lie in 0 to {2**63 - 1}")
         return self.model_copy(update={"seed": int(seed)})
 
     def identity(self) -> dict[str, Any]:
@@ -170,7 +170,7 @@ class Recipe(Document):
             wanted = (recipe[table] or {}).get(part, NONE)
             if wanted != NONE:
                 recipe[table][part] = Path(wanted).stem
-                files |= fingerprints(part, locate(folder, wanted))
+                files |= fingerprints(part, find_material(folder, wanted))
         return {"recipe": recipe, "files": files}
 
     def sha256(self) -> str:

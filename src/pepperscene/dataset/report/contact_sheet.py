@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
-from pepperscene.dataset.readers.image_set import Labelled
+from pepperscene.dataset.readers.image_set import LabelledImage
 from pepperscene.dataset.report.colours import class_colours, distance_colours, instance_colours
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ TITLES: Final[Mapping[str, str]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class ShownImage:
     """One picture as it is shown.
 
     Attributes:
@@ -70,7 +70,7 @@ class View:
         return None if pose is None else float(pose[2][3])
 
 
-def view(picture: Labelled, near_m: float, far_m: float) -> View:
+def view(picture: LabelledImage, near_m: float, far_m: float) -> ShownImage:
     """A picture's images as colours.
 
     Args:
@@ -91,7 +91,7 @@ def view(picture: Labelled, near_m: float, far_m: float) -> View:
     if picture.distance_m is not None:
         shown["distance"] = distance_colours(picture.distance_m, near_m, far_m)
     height, width = picture.size
-    return View(picture.name, picture.facts, shown, pixels, height * width)
+    return ShownImage(picture.name, picture.facts, shown, pixels, height * width)
 
 
 MOST_ROWS: Final = 24
@@ -110,14 +110,14 @@ _FAINT: Final = (150, 156, 168)
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class SheetRow:
     """One frame's pictures in the size of the sheet, and the line below them."""
 
     pictures: dict[str, Image.Image]
     caption: str
 
 
-def row(view: View) -> Row:
+def row(view: ShownImage) -> SheetRow:
     """A frame's row of the sheet."""
     from PIL import Image
 
@@ -127,10 +127,10 @@ def row(view: View) -> Row:
         way = Image.Resampling.LANCZOS if name == "colour" else Image.Resampling.NEAREST
         height = round(_WIDTH * picture.shape[0] / picture.shape[1])
         small[name] = Image.fromarray(np.ascontiguousarray(picture)).resize((_WIDTH, height), way)
-    return Row(small, " · ".join(part for part in (view.title, view.place) if part))
+    return SheetRow(small, " · ".join(part for part in (view.title, view.place) if part))
 
 
-def contact_sheet(rows: Sequence[Row], near_m: float, far_m: float) -> Image.Image:
+def contact_sheet(rows: Sequence[SheetRow], near_m: float, far_m: float) -> Image.Image:
     """All rows below each other; legends for class and distance at the foot."""
     from PIL import Image, ImageDraw
 

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.readers.image_set import ImageSet, Labelled
+from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.journal import JOURNAL
 from pepperscene.dataset.store.manifest import MANIFEST
 from pepperscene.errors import OutputError
-from pepperscene.truth import Statistics
+from pepperscene.truth import ImageStatistics
 
 _WORKERS: Final = min(4, os.cpu_count() or 1)
 """Chosen: one thread measures, so that more readers than these only wait for it."""
@@ -28,22 +28,22 @@ Told = Callable[[int, int], None]
 """Called with how many pictures are measured, and out of how many."""
 
 
-def spread(count: int, most: int) -> list[int]:
+def evenly_spaced(count: int, most: int) -> list[int]:
     """At most `most` of `count` places, evenly over the whole."""
     if count <= most:
         return list(range(count))
     return [int(place) for place in np.linspace(0, count - 1, max(most, 1)).round()]
 
 
-def gathered(images: ImageSet, sample: int, told: Told | None = None) -> Statistics:
+def image_statistics(images: ImageSet, sample: int, told: Told | None = None) -> ImageStatistics:
     """The measures of a set's photographs and classes, of at most `sample` pictures evenly over the set.
 
     Raises:
         InputError: a file is damaged.
     """
-    places = spread(len(images), sample)
-    statistics = Statistics()
-    for picture in ahead(images.select("colour", "classes"), places):
+    places = evenly_spaced(len(images), sample)
+    statistics = ImageStatistics()
+    for picture in read_ahead(images.select("colour", "classes"), places):
         statistics.add(picture.colour, picture.classes)
         if told is not None:
             told(statistics.pictures, len(places))
@@ -56,7 +56,7 @@ def distance_range(images: ImageSet, places: Sequence[int]) -> tuple[float, floa
     One range for all pictures, so that they can be compared.
     """
     samples = []
-    for picture in ahead(images.select("distance_m"), places):
+    for picture in read_ahead(images.select("distance_m"), places):
         if picture.distance_m is not None:
             distance = picture.distance_m[::8, ::8]
             samples.append(distance[np.isfinite(distance)])
@@ -67,10 +67,10 @@ def distance_range(images: ImageSet, places: Sequence[int]) -> tuple[float, floa
     return float(near), float(max(far, near + 0.01))
 
 
-def ahead(images: ImageSet, places: Sequence[int]) -> Iterator[Labelled]:
+def read_ahead(images: ImageSet, places: Sequence[int]) -> Iterator[LabelledImage]:
     """The pictures at these places, in order; few are in memory at a time."""
     with ThreadPoolExecutor(_WORKERS) as pool:
-        waiting: deque[Future[Labelled]] = deque()
+        waiting: deque[Future[LabelledImage]] = deque()
         try:
             for place in places:
                 waiting.append(pool.submit(images.__getitem__, place))
@@ -91,7 +91,7 @@ _PIXELS: Final = tuple(f"pixels_{one.name.lower()}" for one in OrganClass)
 
 
 @dataclass(frozen=True, eq=False)
-class Records:
+class FrameRecords:
     """Numbers of all frames of a data set.
 
     Attributes:
@@ -116,7 +116,7 @@ class Records:
         return labelled.sum(axis=0) / max(1.0, float(labelled.sum())) if len(labelled) else None
 
 
-def records(dataset: Dataset) -> Records:
+def frame_records(dataset: Dataset) -> FrameRecords:
     """The numbers of all frames: out of the manifest, and of their JSON where it does not know them.
 
     Raises:
@@ -127,13 +127,13 @@ def records(dataset: Dataset) -> Records:
     table = np.full((len(indices), len(NUMBERS) + len(_PIXELS)), np.nan)
     workers = set()
     for place, index in enumerate(indices):
-        row = rows.get(index) or _told(dataset.facts(index))
+        row = rows.get(index) or _told(dataset.metadata(index))
         values = (row.get(name) for name in (*NUMBERS, *_PIXELS))
         table[place] = [np.nan if value is None else value for value in values]
         if row.get("worker"):
             workers.add(str(row["worker"]))
     numbers = {name: table[:, column] for column, name in enumerate(NUMBERS)}
-    return Records(np.array(indices, np.int64), numbers, table[:, len(NUMBERS) :], frozenset(workers))
+    return FrameRecords(np.array(indices, np.int64), numbers, table[:, len(NUMBERS) :], frozenset(workers))
 
 
 def _manifest(dataset: Dataset) -> dict[int, dict[str, Any]]:
@@ -173,8 +173,8 @@ class Side:
     key: str
     name: str
     frames: int
-    statistics: Statistics
-    records: Records | None
+    statistics: ImageStatistics
+    records: FrameRecords | None
     cards: tuple[str, ...]
     lines: tuple[str, ...]
 

@@ -13,7 +13,7 @@ import numpy as np
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.report.charts import value_chart
 from pepperscene.dataset.report.colours import VIRIDIS
-from pepperscene.dataset.report.data import Records, Side
+from pepperscene.dataset.report.data import FrameRecords, Side
 from pepperscene.dataset.report.sections import (
     class_places,
     class_shares,
@@ -42,7 +42,9 @@ def making(sides: Sequence[Side]) -> str:
     return f'{totals}<div class="grid">{"".join(panels)}</div>'
 
 
-def _panel(told: Sequence[tuple[Side, Records]], column: str, title: str, unit: str, scale: float) -> str:
+def _panel(
+    told: Sequence[tuple[Side, FrameRecords]], column: str, title: str, unit: str, scale: float
+) -> str:
     values = [
         (side, records.indices[known], scale * records.numbers[column][known])
         for side, records in told
@@ -64,7 +66,7 @@ def _panel(told: Sequence[tuple[Side, Records]], column: str, title: str, unit: 
     return f'<section class="panel"><h3>{escape(title)}</h3>{chart}<p>{"<br>".join(lines)}</p></section>'
 
 
-def _totals(records: Records) -> str:
+def _totals(records: FrameRecords) -> str:
     size = np.nansum(records.numbers["bytes"])
     parts = [f"{plural(len(records.indices), 'frame')}, {_size(float(size))} of files"]
     if records.known("render_s").any():

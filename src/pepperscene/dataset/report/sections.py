@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset.report.charts import Axis, Curve, line_chart
 from pepperscene.dataset.report.colours import drawing, photograph, share_colours
-from pepperscene.dataset.report.contact_sheet import TITLES, View
+from pepperscene.dataset.report.contact_sheet import TITLES, ShownImage
 from pepperscene.dataset.report.data import Side
-from pepperscene.truth import HUE_BINS, centre_falloff, mean_hue, spectrum_correlation
+from pepperscene.truth import HUE_BINS, centre_falloff, hue_spectrum_correlation, mean_hue
 
 
-def card(view: View, key: str) -> str:
+def card(view: ShownImage, key: str) -> str:
     """A picture's images, the first of them large, its class shares as one bar, and what is told of it.
 
     Args:
@@ -39,12 +39,12 @@ def card(view: View, key: str) -> str:
     )
 
 
-def anchor(view: View, key: str) -> str:
+def anchor(view: ShownImage, key: str) -> str:
     """The card's identity in the page."""
     return f"{key}-" + "".join(letter if letter.isalnum() else "-" for letter in view.name)
 
 
-def line(view: View, key: str) -> str:
+def line(view: ShownImage, key: str) -> str:
     """The same as a row of a table: name, place, height of the camera, error of its light, class shares."""
     facts = view.facts
     height, error = view.height_m, facts.get("sampling", {}).get("error_codes")
@@ -82,7 +82,7 @@ def hexadecimal(organ_class: OrganClass) -> str:
     return "#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[organ_class])
 
 
-def _button(view: View, name: str) -> str:
+def _button(view: ShownImage, name: str) -> str:
     picture = view.pictures[name]
     address = photograph(picture) if name == "colour" else drawing(picture)
     alone = next(iter(view.pictures)) == name and len(view.pictures) != 2
@@ -91,7 +91,7 @@ def _button(view: View, name: str) -> str:
     return picture_button(name, address, alt, (picture.shape[1], picture.shape[0]), label)
 
 
-def _stack(view: View) -> str:
+def _stack(view: ShownImage) -> str:
     """The picture's class shares as one bar."""
     if not view.pixels:
         return ""
@@ -269,7 +269,7 @@ def _hue_numbers(
         )
     head = "".join(f'<th scope="col">{name}</th>' for name in ("", "mean hue", "grey", "pictures"))
     table = f'<table class="small"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
-    if len(spectra) == 2 and np.isfinite(correlation := spectrum_correlation(*spectra)):
+    if len(spectra) == 2 and np.isfinite(correlation := hue_spectrum_correlation(*spectra)):
         table += f"<p>Correlation of the two: <b>r = {correlation:.2f}</b></p>"
     return table
 

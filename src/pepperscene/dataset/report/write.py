@@ -8,11 +8,18 @@ from typing import Final
 
 from pepperscene.dataset.readers import RenderedSet, open_images
 from pepperscene.dataset.readers.image_set import ImageSet
-from pepperscene.dataset.report.contact_sheet import MOST_ROWS, Row, contact_sheet, row, view
-from pepperscene.dataset.report.data import Side, Told, distance_range, gathered, records, spread
+from pepperscene.dataset.report.contact_sheet import MOST_ROWS, SheetRow, contact_sheet, row, view
+from pepperscene.dataset.report.data import (
+    Side,
+    Told,
+    distance_range,
+    evenly_spaced,
+    frame_records,
+    image_statistics,
+)
 from pepperscene.dataset.report.page import page
 from pepperscene.dataset.report.sections import card, line
-from pepperscene.dataset.store.atomic import replacing
+from pepperscene.dataset.store.atomic import atomic_write
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.errors import InputError, OutputError
 
@@ -25,7 +32,7 @@ SAMPLE: Final = 1000
 
 
 @dataclass(frozen=True)
-class Report:
+class ReportFiles:
     """Where a report lies, and of how many frames it shows how many.
 
     Attributes:
@@ -43,14 +50,14 @@ class Report:
     frames: int
 
 
-def report(
+def write_report(
     folder: str | Path,
     limit: int = SHOWN,
     beside: str | Path | ImageSet | None = None,
     *,
     sample: int = SAMPLE,
-    told: Told | None = None,
-) -> Report:
+    on_progress: Told | None = None,
+) -> ReportFiles:
     """Write `contact_sheet.png` and `index.html` into a data set's folder, from the frames that are there.
 
     The page holds its pictures itself: it can be moved, mailed and opened without a network. It shows frames,
@@ -63,7 +70,7 @@ def report(
         beside: the second set: an image set, or the folder of one: another data set, the published one, or
             any folder of images with masks (see `open_images`).
         sample: most frames of each set whose images are measured, spread likewise.
-        told: called after each picture measured with how many are, out of how many.
+        on_progress: called after each picture measured with how many are, out of how many.
 
     Raises:
         InputError: there is no data set, or no frame in it, or a file is damaged.
@@ -71,12 +78,12 @@ def report(
     """
     dataset = open_dataset(folder)
     if not dataset.indices():
-        raise InputError(folder, "", None, "holds no frames yet; build some first")
+        raise InputError(folder, "holds no frames yet; build some first")
     sets: list[ImageSet] = [RenderedSet.of(dataset)]
     if beside is not None:
         sets.append(beside if isinstance(beside, ImageSet) else open_images(beside))
     # One range of distances for all pictures of both sets, so that they can be compared.
-    places = [spread(len(images), limit) for images in sets]
+    places = [evenly_spaced(len(images), limit) for images in sets]
     ranges = [distance_range(images, some) for images, some in zip(sets, places, strict=True)]
     known = [found for found in ranges if found is not None]
     near = min((one[0] for one in known), default=0.0)
@@ -84,21 +91,21 @@ def report(
 
     sides, rows = [], []
     for key, images, some in zip("ab", sets, places, strict=False):
-        side, sheet_rows = _side(key, images, some, sample, near, far, told)
+        side, sheet_rows = _side(key, images, some, sample, near, far, on_progress)
         sides.append(side)
         rows.append(sheet_rows)
-    target = Report(
+    target = ReportFiles(
         dataset.folder / PAGE,
         dataset.folder / SHEET,
         len(sides[0].cards),
         sides[0].statistics.pictures,
         sides[0].frames,
     )
-    text = page(dataset.about, sides, *((near, far) if known else (None, None)))
+    text = page(dataset.info, sides, *((near, far) if known else (None, None)))
     try:
-        with replacing(target.sheet) as temporary:
+        with atomic_write(target.sheet) as temporary:
             contact_sheet(rows[0], near, far).save(temporary, format="PNG")
-        with replacing(target.page) as temporary:
+        with atomic_write(target.page) as temporary:
             temporary.write_text(text, encoding="utf-8")
     except OSError as fault:
         raise OutputError(f"{folder}: the report cannot be written ({fault.strerror or fault})") from None
@@ -107,9 +114,9 @@ def report(
 
 def _side(
     key: str, images: ImageSet, places: list[int], sample: int, near: float, far: float, told: Told | None
-) -> tuple[Side, list[Row]]:
+) -> tuple[Side, list[SheetRow]]:
     """A set's measures and pictures; the pictures go through memory one by one."""
-    on_sheet = {places[place] for place in spread(len(places), MOST_ROWS)}
+    on_sheet = {places[place] for place in evenly_spaced(len(places), MOST_ROWS)}
     cards, lines, rows = [], [], []
     for place in places:
         shown = view(images[place], near, far)
@@ -117,6 +124,6 @@ def _side(
         lines.append(line(shown, key))
         if key == "a" and place in on_sheet:
             rows.append(row(shown))
-    known = records(images.dataset) if isinstance(images, RenderedSet) else None
-    statistics = gathered(images, sample, told)
+    known = frame_records(images.dataset) if isinstance(images, RenderedSet) else None
+    statistics = image_statistics(images, sample, told)
     return Side(key, images.name, len(images), statistics, known, tuple(cards), tuple(lines)), rows

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from pepperscene.dataset.recipe.equipment import cover_of, cultivar_of, surface_grid
-from pepperscene.dataset.recipe.plan import Shot, Stream, frame_seed, generator
+from pepperscene.dataset.recipe.equipment import load_recipe_cover, load_recipe_cultivar, surface_wavelengths
+from pepperscene.dataset.recipe.plan import FrameSpec, Stream, frame_seed, random_generator
 from pepperscene.dataset.recipe.recipe import Recipe
-from pepperscene.dataset.scenes.scene_builder import Planting
+from pepperscene.dataset.scenes.scene_builder import SceneBuilder
 from pepperscene.dataset.scenes.viewpoints import Viewpoints
 from pepperscene.frame import OUTPUTS, Frame
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
     from pepperscene.render import Quality
-    from pepperscene.scene import Reach, Scene, Sky
+    from pepperscene.scene import LightReach, Scene, Sky
 
 
-class RendererLike(Protocol):
+class SceneRenderer(Protocol):
     """What renders the views of one scene."""
 
     def render(
@@ -40,10 +40,10 @@ class RendererLike(Protocol):
         """One view; `others` is there only where an output needs another camera."""
 
 
-RendererFactory = Callable[["Scene"], RendererLike]
+RendererFactory = Callable[["Scene"], SceneRenderer]
 
 
-def mitsuba_renderer(scene: Scene) -> RendererLike:
+def mitsuba_renderer(scene: Scene) -> SceneRenderer:
     """The renderer of the render room, imported when first needed.
 
     Raises:
@@ -54,7 +54,7 @@ def mitsuba_renderer(scene: Scene) -> RendererLike:
     return Renderer(scene)
 
 
-class Stage:
+class FrameRenderer:
     """Renders the shots of a recipe, in any order, and keeps what neighbours share.
 
     The plants of one set and the renderer of one scene are held at a time, so that memory does not grow with
@@ -81,19 +81,19 @@ class Stage:
         self.recipe = recipe
         self.culled = culled
         self._renderer_of = renderer or mitsuba_renderer
-        self.cultivar = cultivar_of(recipe)
-        self._cover = cover_of(recipe)
-        self._planting = Planting(recipe, self.cultivar)
+        self.cultivar = load_recipe_cultivar(recipe)
+        self._cover = load_recipe_cover(recipe)
+        self._planting = SceneBuilder(recipe, self.cultivar)
         self.views = Viewpoints(recipe, self._planting.house)
         self._told: dict[str, Any] = {}
-        self._scene: tuple[tuple[int, int, bool], RendererLike] | None = None
+        self._scene: tuple[tuple[int, int, bool], SceneRenderer] | None = None
         self._begun: Future[dict[str, Surface]] | None = None
 
-    def render(self, shot: Shot, outputs: Sequence[str], quality: str | Quality = "standard") -> Frame:
+    def render(self, shot: FrameSpec, outputs: Sequence[str], quality: str | Quality = "standard") -> Frame:
         """One frame.
 
         Args:
-            shot: which one; `recipe.plan.shot(index)` gives it.
+            shot: which one; `recipe.plan.frame(index)` gives it.
             outputs: names out of `OUTPUTS`.
             quality: "draft", "standard" or "reference", or one of your own.
 
@@ -107,20 +107,20 @@ class Stage:
         # What needs no other camera is asked for without: a renderer need not know of them.
         further = {"others": others} if others else {}
         frame = renderer.render(self.camera(shot), outputs=outputs, quality=quality, seed=seed, **further)
-        return Frame(frame.images, {**frame.facts, **self._told})
+        return Frame(frame.images, {**frame.metadata, **self._told})
 
-    def camera(self, shot: Shot) -> Camera:
+    def camera(self, shot: FrameSpec) -> Camera:
         """The camera of a shot, at its place on the arc path, which leans with the row."""
         return self.views.camera(shot.step)
 
-    def scene(self, shot: Shot, *, traced: bool = True) -> Scene:
+    def scene(self, shot: FrameSpec, *, traced: bool = True) -> Scene:
         """The scene of a shot.
 
         Args:
             shot: its set and rotation count.
             traced: False leaves out surfaces and sky, which labels and distances do not need.
         """
-        from pepperscene.scene import assemble
+        from pepperscene.scene import assemble_scene
 
         planted = self._planting.scene(shot.set, shot.rotation)
         mesh = self._visible(planted.mesh) if self.culled else planted.mesh
@@ -129,8 +129,8 @@ class Stage:
             "geometry": {"triangles": len(mesh.faces), "of": len(planted.mesh.faces)},
         }
         if not traced:
-            return assemble(mesh, skeleton=planted.skeleton)
-        return assemble(mesh, self._surfaces, self.sky(shot.set), planted.skeleton)
+            return assemble_scene(mesh, skeleton=planted.skeleton)
+        return assemble_scene(mesh, self._surfaces, self.sky(shot.set), planted.skeleton)
 
     def _visible(self, mesh: Mesh) -> Mesh:
         """What the frames of a scene can tell of it.
@@ -138,11 +138,11 @@ class Stage:
         All poses and the recipe's light decide, whatever is asked for: a frame's labels fit to its colour,
         and no frame depends on the others.
         """
-        from pepperscene.scene import culled
+        from pepperscene.scene import cull_mesh
 
-        return culled(mesh, self.views.sight, self._reach)
+        return cull_mesh(mesh, self.views.sight, self._reach)
 
-    def _renderer(self, shot: Shot, traced: bool, quality: str | Quality) -> RendererLike:
+    def _renderer(self, shot: FrameSpec, traced: bool, quality: str | Quality) -> SceneRenderer:
         """The renderer of the shot's scene; one that can trace light serves labels as well."""
         if self._scene is not None:
             (held_set, held_rotation, held_traced), renderer = self._scene
@@ -170,19 +170,19 @@ class Stage:
         self._begun = with_surfaces.submit(self._made_surfaces)
         with_surfaces.shutdown(wait=False)
         if self._renderer_of is mitsuba_renderer:
-            from pepperscene.render import begin, quality_of
+            from pepperscene.render import resolve_quality, warm_up
 
-            begin(self.views.equipment, quality_of(quality))
+            warm_up(self.views.equipment, resolve_quality(quality))
 
     def sky(self, which: int) -> Sky | None:
         """The daylight above a set, or None where the recipe has none."""
-        from pepperscene.scene import partly_cloudy
+        from pepperscene.scene import partly_cloudy_sky
 
         light = self.recipe.daylight
         if light is None or light.illuminance_lx == 0:
             return None
-        return partly_cloudy(
-            generator(self.recipe.seed, Stream.SKY, which),
+        return partly_cloudy_sky(
+            random_generator(self.recipe.seed, Stream.SKY, which),
             illuminance_lx=light.illuminance_lx,
             sun_azimuth_rad=float(np.radians(light.sun_azimuth_deg)),
             sun_elevation_rad=float(np.radians(light.sun_elevation_deg)),
@@ -192,16 +192,16 @@ class Stage:
         )
 
     @cached_property
-    def _reach(self) -> Reach:
-        from pepperscene.scene import reach
+    def _reach(self) -> LightReach:
+        from pepperscene.scene import light_reach
 
         light, distance_m = self.recipe.daylight, self.recipe.path.distance_mm / 1e3
         if light is None or light.illuminance_lx == 0:
-            return reach(self.views.equipment, distance_m, 0.0)
+            return light_reach(self.views.equipment, distance_m, 0.0)
         # As from a clear sky: a hazy cover only softens the disc's shadows.
         sun_lx = light.illuminance_lx * light.sun_fraction
         facing_lx = sun_lx / np.sin(np.radians(light.sun_elevation_deg)) if sun_lx > 0 else 0.0
-        return reach(self.views.equipment, distance_m, light.illuminance_lx - sun_lx, float(facing_lx))
+        return light_reach(self.views.equipment, distance_m, light.illuminance_lx - sun_lx, float(facing_lx))
 
     @cached_property
     def _surfaces(self) -> dict[str, Surface]:
@@ -210,5 +210,5 @@ class Stage:
     def _made_surfaces(self) -> dict[str, Surface]:
         from pepperscene.materials import greenhouse_surfaces, organ_surfaces
 
-        nm = surface_grid(self.views.equipment.sensor)
+        nm = surface_wavelengths(self.views.equipment.sensor)
         return {**organ_surfaces(self.cultivar, nm), **greenhouse_surfaces(nm)}

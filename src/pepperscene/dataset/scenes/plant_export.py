@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.store.atomic import replacing
-from pepperscene.dataset.store.folder import examine_place, make_folder, remove
-from pepperscene.errors import InputError, OutputError
+from pepperscene.dataset.store.atomic import atomic_write
+from pepperscene.dataset.store.folder import check_can_create, make_folder, remove
+from pepperscene.errors import ArgumentError, OutputError
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
     from pepperscene.dataset.scenes.frame_renderer import RendererFactory
-    from pepperscene.geometry import Contacts
+    from pepperscene.geometry import ContactCounts
     from pepperscene.materials import Surface
 
 
@@ -30,8 +30,8 @@ _NM: Final = np.arange(380.0, 781.0, 5.0)
 
 
 @dataclass(frozen=True)
-class Specimen:
-    """What `write_specimen` made.
+class PlantExport:
+    """What `export_plant` made.
 
     Attributes:
         files: the mesh's file first, what belongs beside it, and the picture if one was wanted.
@@ -48,11 +48,11 @@ class Specimen:
     organs: Mapping[str, int]
     triangles: int
     height_m: float
-    contacts: Contacts
+    contacts: ContactCounts
     seconds: float
 
 
-def write_specimen(
+def export_plant(
     cultivar: str,
     out: str | Path,
     seed: int = 0,
@@ -63,7 +63,7 @@ def write_specimen(
     picture: bool = True,
     quality: str = "standard",
     renderer: RendererFactory | None = None,
-) -> Specimen:
+) -> PlantExport:
     """Grow one plant and write its mesh, with a picture of the same name that ends in `.png`.
 
     All files are made before the first is written, and each is whole or not there.
@@ -86,21 +86,21 @@ def write_specimen(
         SetupError: the machine cannot render; nothing is written.
     """
     # All that can be wrong with the arguments comes to light before anything grows.
-    from pepperscene.dataset.scenes.plants import grown, stage_of
-    from pepperscene.geometry import check_format, mesh_files
-    from pepperscene.render import quality_named
+    from pepperscene.dataset.scenes.plants import grow_plant, growth_stage
+    from pepperscene.geometry import check_mesh_format, mesh_files
+    from pepperscene.render import find_quality
 
     path = Path(out)
-    check_format(path)
-    quality_named(quality)
+    check_mesh_format(path)
+    find_quality(quality)
     _check(seed, detail, until, share)
     picture_path = path.with_suffix(".png")
     _examine((path, picture_path) if picture else (path,))
 
     # The plant.
     start = time.perf_counter()
-    law = stage_of(cultivar, until, share)
-    plant = grown(law, seed, detail=detail)
+    law = growth_stage(cultivar, until, share)
+    plant = grow_plant(law, seed, detail=detail)
     seconds = time.perf_counter() - start
 
     # Its files, as bytes.
@@ -114,7 +114,7 @@ def write_specimen(
     except OSError as fault:
         where = fault.filename or path
         raise OutputError(f"{where}: cannot be written ({fault.strerror or fault})") from None
-    return Specimen(
+    return PlantExport(
         files=written,
         cultivar=law.name,
         organs=dict(Counter(one.kind for one in plant.mesh.instances)),
@@ -156,21 +156,19 @@ def _surfaces(cultivar: Cultivar) -> Iterable[Surface]:
 def _check(seed: int, detail: float, until: str | None, share: float | None) -> None:
     """Raise the `InputError` that tells which argument is wrong, if one is."""
     if not 0 <= seed < 2**63:
-        raise InputError("--seed", "", None, f"must be at least 0 and below 2^63, not {seed}")
+        raise ArgumentError("seed", f"must be at least 0 and below 2^63, not {seed}")
     if not 0.0 < detail <= _FINEST:
-        raise InputError("--detail", "", None, f"must be above 0 and at most {_FINEST:g}, not {detail:g}")
+        raise ArgumentError("detail", f"must be above 0 and at most {_FINEST:g}, not {detail:g}")
     if share is not None and not 0.0 <= share <= 1.0:
-        raise InputError("--share", "", None, f"must lie in [0, 1], not {share:g}")
+        raise ArgumentError("share", f"must lie in [0, 1], not {share:g}")
     if share is not None and until is None:
-        raise InputError(
-            "--share", "", None, "needs --until, the cultivar that it is the share of the way to"
-        )
+        raise ArgumentError("share", "needs --until, the cultivar that it is the share of the way to")
 
 
 def _examine(paths: Iterable[Path]) -> None:
     """Raise the `OutputError` that tells why files cannot be written there, if there is a reason."""
     for path in paths:
-        examine_place(path.parent)
+        check_can_create(path.parent)
         try:
             standing = path.is_dir()
         except OSError as fault:
@@ -188,7 +186,7 @@ def _write(folder: Path, files: Mapping[str, bytes]) -> tuple[Path, ...]:
         make_folder(folder, made)
         with ExitStack() as stack:
             for name, content in files.items():
-                stack.enter_context(replacing(folder / name)).write_bytes(content)
+                stack.enter_context(atomic_write(folder / name)).write_bytes(content)
     except BaseException:
         remove(made)
         raise

@@ -14,13 +14,13 @@ from contextlib import suppress
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self
 
-from pepperscene.dataset.subprocess_rpc import Child, listening, say
+from pepperscene.dataset.subprocess_rpc import WorkerProcess, listening, say
 from pepperscene.errors import InputError
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
     from pepperscene.dataset.recipe.recipe import Recipe
-    from pepperscene.dataset.scenes.scene_builder import Standing
+    from pepperscene.dataset.scenes.scene_builder import PlacedPlant
 
 
 VARIABLE: Final = "PEPPERSCENE_PROCESSES"
@@ -40,15 +40,15 @@ def processes(wanted: int | None = None) -> int:
     if told in ("1", "2"):
         return int(told)
     if told:
-        raise InputError(VARIABLE, "", None, f"must be 1 or 2, not {told}")
+        raise InputError(VARIABLE, f"must be 1 or 2, not {told}")
     # A worker of somebody's pool has its core, and no more.
     worker = "multiprocessing" in sys.modules and sys.modules["multiprocessing"].parent_process() is not None
-    return 1 if worker or cores() < 2 else 2
+    return 1 if worker or available_cores() < 2 else 2
 
 
-def made_by_two(
-    recipe: Recipe, cultivar: Cultivar, which: int, count: int, make: Callable[[int, int], Standing]
-) -> list[Standing]:
+def make_plants_in_two_processes(
+    recipe: Recipe, cultivar: Cultivar, which: int, count: int, make: Callable[[int, int], PlacedPlant]
+) -> list[PlacedPlant]:
     """The plants of a set, some made here and some in a second process; the same as if all were made here.
 
     Args:
@@ -60,7 +60,7 @@ def made_by_two(
     """
     if count < _LEAST:
         return [make(which, number) for number in range(count)]
-    left, made = deque(range(count)), dict[int, "Standing"]()
+    left, made = deque(range(count)), dict[int, "PlacedPlant"]()
     with _Second(recipe, cultivar, which, left) as second:
         while (number := _next(left.popleft)) is not None:
             made[number] = make(which, number)
@@ -81,13 +81,13 @@ class _Second:
 
     def __init__(self, recipe: Recipe, cultivar: Cultivar, which: int, left: deque[int]) -> None:
         self._asked, self._which, self._left = (recipe, cultivar), which, left
-        self._made: dict[int, Standing] = {}
-        self._child: Child | None = None
+        self._made: dict[int, PlacedPlant] = {}
+        self._child: WorkerProcess | None = None
         self._thread = threading.Thread(target=self._talk, name="second process", daemon=True)
 
     def __enter__(self) -> Self:
         with suppress(OSError):
-            self._child = Child(__name__)
+            self._child = WorkerProcess(__name__)
             self._thread.start()
         return self
 
@@ -103,7 +103,7 @@ class _Second:
         self._thread.join()
         self._child.close()
 
-    def made(self) -> dict[int, Standing]:
+    def made(self) -> dict[int, PlacedPlant]:
         """The plants that it made, by their numbers; waits for the last."""
         if self._child is not None:
             self._thread.join()
@@ -130,7 +130,7 @@ def _next(take: Callable[[], int]) -> int | None:
         return None
 
 
-def cores() -> int:
+def available_cores() -> int:
     """Processor cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
@@ -141,10 +141,10 @@ def serve() -> None:
     """The second process: makes the plants that it is asked for until its input ends."""
     asked, told = listening()
     with told, suppress(EOFError, BrokenPipeError):
-        from pepperscene.dataset.scenes.scene_builder import Planting
+        from pepperscene.dataset.scenes.scene_builder import SceneBuilder
 
         recipe, cultivar = pickle.load(asked)
-        planting = Planting(recipe, cultivar, in_processes=1)
+        planting = SceneBuilder(recipe, cultivar, in_processes=1)
         while True:
             which, number = pickle.load(asked)
             say(told, planting.plant(which, number))

@@ -8,12 +8,12 @@ from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pepperscene.dataset.recipe.plan import Stream, generator
+from pepperscene.dataset.recipe.plan import Stream, random_generator
 from pepperscene.errors import InputError
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
-    from pepperscene.geometry import Contacts, Mesh
+    from pepperscene.geometry import ContactCounts, Mesh
     from pepperscene.grammar import Plant
 
 
@@ -29,10 +29,10 @@ class GrownPlant:
 
     plant: Plant
     mesh: Mesh
-    contacts: Contacts
+    contacts: ContactCounts
 
 
-def grown(
+def grow_plant(
     cultivar: str | Path | Cultivar,
     seed: int = 0,
     *,
@@ -56,28 +56,28 @@ def grown(
             or the share is outside its range.
         ValueError: `detail` is not above zero and finite.
     """
-    return grown_at(stage_of(cultivar, until, share), whole_seed(seed), 0, 0, detail=detail)
+    return grow_plant_at(growth_stage(cultivar, until, share), check_seed(seed), 0, 0, detail=detail)
 
 
-def stage_of(
+def growth_stage(
     cultivar: str | Path | Cultivar, until: str | Path | Cultivar | None = None, share: float | None = None
 ) -> Cultivar:
-    """The growth stage that `grown` grows, of the same arguments and with the same errors."""
-    from pepperscene.cultivar import Cultivar, interpolated, load_cultivar
+    """The growth stage that `grow_plant` grows, of the same arguments and with the same errors."""
+    from pepperscene.cultivar import Cultivar, interpolate_cultivars, load_cultivar
 
     if share is not None and not 0.0 <= share <= 1.0:
-        raise InputError("share", "", None, f"must lie in [0, 1], not {share:g}")
+        raise InputError("share", f"must lie in [0, 1], not {share:g}")
     if share is not None and until is None:
-        raise InputError("share", "", None, "needs until, the cultivar that it is the share of the way to")
+        raise InputError("share", "needs until, the cultivar that it is the share of the way to")
     first, *later = (
         one if isinstance(one, Cultivar) else load_cultivar(one)
         for one in (cultivar, until)
         if one is not None
     )
-    return interpolated(first, later[0], 0.5 if share is None else share) if later else first
+    return interpolate_cultivars(first, later[0], 0.5 if share is None else share) if later else first
 
 
-def whole_seed(seed: int) -> int:
+def check_seed(seed: int) -> int:
     """The seed itself.
 
     Raises:
@@ -85,11 +85,11 @@ def whole_seed(seed: int) -> int:
     """
     whole = isinstance(seed, Integral) and not isinstance(seed, bool)
     if not (whole and 0 <= seed < 2**63):
-        raise InputError("seed", "", None, f"must be a whole number, at least 0 and below 2^63, not {seed}")
+        raise InputError("seed", f"must be a whole number, at least 0 and below 2^63, not {seed}")
     return int(seed)
 
 
-def grown_at(
+def grow_plant_at(
     cultivar: Cultivar,
     seed: int,
     *address: int,
@@ -107,11 +107,11 @@ def grown_at(
         lean_rad: towards its aisle, -y.
         hold: adds what holds the plant, which its organs then keep clear of.
     """
-    from pepperscene.geometry import mesh_plant, moved_plant, settle
+    from pepperscene.geometry import mesh_plant, move_plant, resolve_contacts
     from pepperscene.grammar import grow
 
-    plant = grow(cultivar, generator(seed, Stream.PLANT, *address), lean=lean_rad)
+    plant = grow(cultivar, random_generator(seed, Stream.PLANT, *address), lean=lean_rad)
     mesh = mesh_plant(plant, detail)
     held = mesh if hold is None else hold(plant, mesh)
-    settled = settle(held, generator(seed, Stream.SETTLE, *address))
-    return GrownPlant(moved_plant(plant, settled.motions), settled.mesh, settled.contacts)
+    settled = resolve_contacts(held, random_generator(seed, Stream.SETTLE, *address))
+    return GrownPlant(move_plant(plant, settled.motions), settled.mesh, settled.contacts)

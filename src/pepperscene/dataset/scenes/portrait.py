@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.recipe.equipment import surface_grid
+from pepperscene.dataset.recipe.equipment import surface_wavelengths
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
     from pepperscene.cultivar import Cultivar
-    from pepperscene.dataset.scenes.frame_renderer import RendererFactory, RendererLike
+    from pepperscene.dataset.scenes.frame_renderer import RendererFactory, SceneRenderer
     from pepperscene.geometry import Mesh
     from pepperscene.scene import Sky
 
@@ -64,11 +64,11 @@ def portrait(
     """
     from pepperscene.dataset.scenes.frame_renderer import mitsuba_renderer
     from pepperscene.materials import greenhouse_surfaces, organ_surfaces
-    from pepperscene.scene import assemble
+    from pepperscene.scene import assemble_scene
 
-    nm = surface_grid(_camera(_VIEW, _FOCAL_M).sensor)
+    nm = surface_wavelengths(_camera(_VIEW, _FOCAL_M).sensor)
     surfaces = {**organ_surfaces(cultivar, nm), **greenhouse_surfaces(nm)}
-    stage = (renderer or mitsuba_renderer)(assemble(mesh, surfaces, _light()))
+    stage = (renderer or mitsuba_renderer)(assemble_scene(mesh, surfaces, _light()))
     cameras = (_whole(mesh), _far(mesh, stage), _near(mesh, stage))
     views = [stage.render(one, ["colour"], quality)["colour"] for one in cameras]
     return _sheet(views)
@@ -88,7 +88,7 @@ def _whole(mesh: Mesh) -> Camera:
     return _placed(_camera((columns, rows), focal), middle - np.array([0.0, distance, 0.0]), middle)
 
 
-def _far(mesh: Mesh, stage: RendererLike) -> Camera:
+def _far(mesh: Mesh, stage: SceneRenderer) -> Camera:
     """Level with the stem and 50 cm away, where most of the fruit is seen."""
     top = float(mesh.vertices[:, 2].max())
     stem = mesh.vertices[mesh.faces[mesh.face_class == OrganClass.STEM].ravel()]
@@ -105,7 +105,7 @@ def _far(mesh: Mesh, stage: RendererLike) -> Camera:
     return _placed(_camera(_VIEW, _FOCAL_M), *trials[int(np.argmax(scores))])
 
 
-def _near(mesh: Mesh, stage: RendererLike) -> Camera:
+def _near(mesh: Mesh, stage: SceneRenderer) -> Camera:
     """Close to the fruit that shows most."""
     classes = np.array([one.organ_class for one in mesh.instances])
     wanted = next((one for one in (OrganClass.PEPPER, OrganClass.LEAF) if (classes == one).any()), None)
@@ -126,7 +126,7 @@ def _near(mesh: Mesh, stage: RendererLike) -> Camera:
 
 
 def _trial(
-    stage: RendererLike, place: NDArray[np.float64], target: NDArray[np.float64], output: str
+    stage: SceneRenderer, place: NDArray[np.float64], target: NDArray[np.float64], output: str
 ) -> NDArray[np.integer]:
     """A small label image of a view."""
     focal = _FOCAL_M * _TRIAL[0] / _VIEW[0]

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pepperscene.dataset.recipe.plan import Stream, generator, rotated
+from pepperscene.dataset.recipe.plan import Stream, random_generator, rotated
 from pepperscene.dataset.recipe.recipe import Recipe
-from pepperscene.dataset.scenes.plant_worker import made_by_two, processes
-from pepperscene.dataset.scenes.plants import grown_at
+from pepperscene.dataset.scenes.plant_worker import make_plants_in_two_processes, processes
+from pepperscene.dataset.scenes.plants import grow_plant_at
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
-    from pepperscene.geometry import Contacts, Mesh
+    from pepperscene.geometry import ContactCounts, Mesh
     from pepperscene.grammar import Plant
     from pepperscene.scene import DoubleRow, Greenhouse, Posture, Skeleton
 
@@ -26,7 +26,7 @@ FAR_DETAIL = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Planted:
+class BuiltScene:
     """What stands in a scene.
 
     Attributes:
@@ -37,12 +37,12 @@ class Planted:
     """
 
     mesh: Mesh
-    contacts: Contacts
+    contacts: ContactCounts
     skeleton: Skeleton
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class PlacedPlant:
     """A plant of a set.
 
     Attributes:
@@ -55,10 +55,10 @@ class Standing:
     plant: Plant
     mesh: Mesh
     posture: Posture
-    contacts: Contacts
+    contacts: ContactCounts
 
 
-class Planting:
+class SceneBuilder:
     """Grows the sets of a recipe and plants them, in any order.
 
     The plants of one set are held at a time; its rotations reuse them.
@@ -77,18 +77,18 @@ class Planting:
         self.recipe = recipe
         self.cultivar = cultivar
         self._processes = processes(in_processes)
-        self._set: tuple[int, list[Standing]] | None = None
+        self._set: tuple[int, list[PlacedPlant]] | None = None
 
-    def scene(self, which: int, rotation: int) -> Planted:
+    def scene(self, which: int, rotation: int) -> BuiltScene:
         """What stands in the scene of a set at a rotation."""
-        from pepperscene.geometry import concatenate, settle
-        from pepperscene.scene import Skeleton, far_rows, furniture, standing, uneven
+        from pepperscene.geometry import concatenate_meshes, resolve_contacts
+        from pepperscene.scene import Skeleton, far_rows, greenhouse_mesh, jittered_places, place_plants
 
         plants, row, house = self.plants(which), self.row, self.house
         moved_on = rotated(plants[: row.front], rotation) + rotated(plants[row.front :], rotation)
 
         # Places belong to the greenhouse, postures to the plants that move on.
-        places = uneven(row, house, generator(self.recipe.seed, Stream.PLACE, which, 0))
+        places = jittered_places(row, house, random_generator(self.recipe.seed, Stream.PLACE, which, 0))
         feet = np.column_stack([places, np.full(len(places), house.foot_m)])
         turns = np.array([plant.posture.turn_rad for plant in moved_on])
         across = np.array([plant.posture.across_m for plant in moved_on])
@@ -98,14 +98,14 @@ class Planting:
             across[row.front :] *= -1.0
         feet[:, 1] += across
 
-        together = standing([plant.mesh for plant in moved_on], feet, turns)
-        settling = generator(self.recipe.seed, Stream.SETTLE, which, rotation, 0)
-        settled = settle(together, settling, between_plants=True)
-        around = furniture(row, house, places)
+        together = place_plants([plant.mesh for plant in moved_on], feet, turns)
+        settling = random_generator(self.recipe.seed, Stream.SETTLE, which, rotation, 0)
+        settled = resolve_contacts(together, settling, between_plants=True)
+        around = greenhouse_mesh(row, house, places)
         if house.far_rows > 0:
-            chance = generator(self.recipe.seed, Stream.FAR, 1, which, rotation)
+            chance = random_generator(self.recipe.seed, Stream.FAR, 1, which, rotation)
             around += far_rows(self._models, row, house, chance)
-        mesh = concatenate([settled.mesh, *around]) if around else settled.mesh
+        mesh = concatenate_meshes([settled.mesh, *around]) if around else settled.mesh
         organs = Skeleton(
             tuple(one.plant for one in moved_on),
             tuple(len(one.mesh.instances) for one in moved_on),
@@ -113,41 +113,41 @@ class Planting:
             turns,
             settled.motions,
         )
-        return Planted(mesh, _all_contacts(settled.contacts, plants), organs)
+        return BuiltScene(mesh, _all_contacts(settled.contacts, plants), organs)
 
-    def plants(self, which: int) -> list[Standing]:
+    def plants(self, which: int) -> list[PlacedPlant]:
         """A set's plants, the front row's first."""
         if self._set is None or self._set[0] != which:
             self._set = None
             count = self.row.front + self.row.back
             if self._processes > 1:
-                made = made_by_two(self.recipe, self.cultivar, which, count, self.plant)
+                made = make_plants_in_two_processes(self.recipe, self.cultivar, which, count, self.plant)
             else:
                 made = [self.plant(which, number) for number in range(count)]
             self._set = (which, made)
         return self._set[1]
 
-    def plant(self, which: int, number: int) -> Standing:
+    def plant(self, which: int, number: int) -> PlacedPlant:
         """A plant of a set; it depends on nothing else."""
-        from pepperscene.scene import posture
+        from pepperscene.scene import draw_posture
 
         seed = self.recipe.seed
-        stands = posture(self.house, generator(seed, Stream.PLACE, which, 1, number))
+        stands = draw_posture(self.house, random_generator(seed, Stream.PLACE, which, 1, number))
 
         def hold(plant: Plant, mesh: Mesh) -> Mesh:
-            return self._held(plant, mesh, stands, generator(seed, Stream.TWINE, which, number))
+            return self._held(plant, mesh, stands, random_generator(seed, Stream.TWINE, which, number))
 
-        made = grown_at(self.cultivar, seed, which, number, lean_rad=stands.lean_rad, hold=hold)
-        return Standing(made.plant, made.mesh, stands, made.contacts)
+        made = grow_plant_at(self.cultivar, seed, which, number, lean_rad=stands.lean_rad, hold=hold)
+        return PlacedPlant(made.plant, made.mesh, stands, made.contacts)
 
     def _held(self, plant: Plant, mesh: Mesh, stands: Posture, rng: np.random.Generator) -> Mesh:
         """The plant with its twine, tied to the wire above its row where there is one."""
-        from pepperscene.scene import Twine, with_twine
+        from pepperscene.scene import Twine, add_twine
 
         cord = self.recipe.twine
         if cord is None or cord.diameter_mm == 0:
             return mesh
-        return with_twine(
+        return add_twine(
             plant, mesh, Twine(cord.diameter_mm / 1e3, cord.turns_per_m), rng, self._knot(plant, stands)
         )
 
@@ -155,12 +155,12 @@ class Planting:
         """`(3,)` where the twine is tied in the plant's own coordinates: straight above the stem's top, as
         far as the wire lets it.
         """
-        from pepperscene.scene import about_z
+        from pepperscene.scene import rotation_about_z
 
         wire = self.house.wire_above_foot()
         if wire is None:
             return None
-        turn = about_z(stands.turn_rad)
+        turn = rotation_about_z(stands.turn_rad)
         top = turn @ plant.of_form("internode")[-1].curve[-1]
         return np.array([top[0], wire[0] - stands.across_m, wire[1]]) @ turn
 
@@ -203,18 +203,18 @@ class Planting:
         """The coarse plants that far rows are made of, the same ones in every scene."""
         from pepperscene.geometry import mesh_plant
         from pepperscene.grammar import grow
-        from pepperscene.scene import coarse
+        from pepperscene.scene import coarsen_plant
         from pepperscene.scene.far_rows import MODELS
 
         made = []
         for number in range(MODELS):
-            rng = generator(self.recipe.seed, Stream.FAR, 0, number)
+            rng = random_generator(self.recipe.seed, Stream.FAR, 0, number)
             plant = grow(self.cultivar, rng, lean=self.house.row_lean_rad)
-            made.append(coarse(mesh_plant(plant, FAR_DETAIL)))
+            made.append(coarsen_plant(mesh_plant(plant, FAR_DETAIL)))
         return made
 
 
-def _all_contacts(between: Contacts, plants: Sequence[Standing]) -> Contacts:
+def _all_contacts(between: ContactCounts, plants: Sequence[PlacedPlant]) -> ContactCounts:
     """The contacts between plants, and those that are left within each."""
     return replace(
         between,

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from pepperscene.dataset.recipe.load import load_recipe
 from pepperscene.dataset.recipe.recipe import Recipe
-from pepperscene.dataset.scenes.frame_renderer import RendererFactory, Stage
+from pepperscene.dataset.scenes.frame_renderer import FrameRenderer, RendererFactory
 from pepperscene.dataset.scenes.viewpoints import check_partner
-from pepperscene.dataset.store.atomic import digest, json_bytes, replacing
+from pepperscene.dataset.store.atomic import atomic_write, canonical_json, digest
 from pepperscene.dataset.store.dataset import MARK, read_json, written_image
-from pepperscene.dataset.store.folder import examine_place, make_folder, remove
-from pepperscene.dataset.store.metadata import about, frame_facts
+from pepperscene.dataset.store.folder import check_can_create, make_folder, remove
+from pepperscene.dataset.store.metadata import dataset_info, frame_metadata
 from pepperscene.errors import InputError, OutputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, check_outputs
 
@@ -59,20 +59,20 @@ def render_frame(
         SetupError: the machine cannot render; nothing is written.
     """
     # All that can be wrong with the arguments comes to light before light is traced.
-    from pepperscene.render import quality_of
+    from pepperscene.render import resolve_quality
 
     wanted = check_outputs(outputs)
-    effort = quality if target_error is None else quality_of(quality, target_error)
-    quality_of(effort)
+    effort = quality if target_error is None else resolve_quality(quality, target_error)
+    resolve_quality(effort)
     told = (recipe if isinstance(recipe, Recipe) else load_recipe(recipe)).with_seed(seed)
-    chosen = told.plan.chosen(None if index is None else [index], "--frame")
-    shot = told.plan.shot(chosen[0])
+    chosen = told.plan.select_indices(None if index is None else [index], "frame")
+    shot = told.plan.frame(chosen[0])
     folder = Path(out)
     check_partner(told, wanted)
     _examine(folder, wanted)
 
-    frame = Stage(told, renderer).render(shot, wanted, effort)
-    facts = {**about(told, quality, FORMAT, target_error), **frame_facts(frame, shot, told.seed)}
+    frame = FrameRenderer(told, renderer).render(shot, wanted, effort)
+    facts = {**dataset_info(told, quality, FORMAT, target_error), **frame_metadata(frame, shot, told.seed)}
     try:
         return _write(folder, {name: frame.images[name] for name in wanted}, facts)
     except OSError as fault:
@@ -82,7 +82,7 @@ def render_frame(
 
 def _examine(folder: Path, outputs: Sequence[str]) -> None:
     """Raise the `OutputError` that tells why the folder cannot take these images, if there is a reason."""
-    examine_place(folder)
+    check_can_create(folder)
     for place in (folder, folder.absolute().parent):
         if (place / MARK).exists():
             raise OutputError(
@@ -101,11 +101,11 @@ def _write(folder: Path, images: Mapping[str, NDArray[Any]], facts: Mapping[str,
         before, entries = _earlier(folder), {}
         with ExitStack() as stack:
             # The stack unwinds from its end: `frame.json` comes last, and stands beside whole files only.
-            told = stack.enter_context(replacing(folder / FACTS))
+            told = stack.enter_context(atomic_write(folder / FACTS))
             for output, image in images.items():
-                temporary = stack.enter_context(replacing(folder / _file(output)))
+                temporary = stack.enter_context(atomic_write(folder / _file(output)))
                 entries[output] = written_image(temporary, image, output, _file(output))
-            told.write_bytes(json_bytes({**facts, "outputs": entries}))
+            told.write_bytes(canonical_json({**facts, "outputs": entries}))
             (folder / FACTS).unlink(missing_ok=True)
             for path in before:
                 if path.name not in {_file(output) for output in images}:

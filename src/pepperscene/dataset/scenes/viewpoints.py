@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.recipe.equipment import camera_of
+from pepperscene.dataset.recipe.equipment import load_camera
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.errors import InputError
 from pepperscene.frame import PARTNERED
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
-    from pepperscene.scene import Greenhouse, Sight
+    from pepperscene.scene import Greenhouse, ViewFrustums
 
 
 class Viewpoints:
@@ -33,7 +33,7 @@ class Viewpoints:
 
     def __init__(self, recipe: Recipe, house: Greenhouse) -> None:
         self._recipe, self._house = recipe, house
-        self.equipment = camera_of(recipe)
+        self.equipment = load_camera(recipe)
         """The camera, at no place yet."""
 
     def camera(self, step: int) -> Camera:
@@ -59,15 +59,15 @@ class Viewpoints:
         return found
 
     @cached_property
-    def sight(self) -> Sight:
+    def sight(self) -> ViewFrustums:
         """Where all of them look, partners included."""
-        from pepperscene.scene import Sight, sight
+        from pepperscene.scene import ViewFrustums, view_frustums
 
-        own = sight(self.equipment, self._poses)
+        own = view_frustums(self.equipment, self._poses)
         if self._recipe.camera.baseline_mm is None:
             return own
-        beside = sight(self._partner, self._beside)
-        return Sight(
+        beside = view_frustums(self._partner, self._beside)
+        return ViewFrustums(
             np.concatenate([own.normals, beside.normals]),
             np.concatenate([own.offsets, beside.offsets]),
             np.concatenate([own.places, beside.places]),
@@ -123,4 +123,4 @@ def check_partner(recipe: Recipe, outputs: Iterable[str]) -> None:
     needing = sorted(PARTNERED.intersection(outputs))
     if needing and recipe.camera.baseline_mm is None:
         wanted = f"must be told in millimetres for the output {needing[0]}"
-        raise InputError(recipe.name, "camera.baseline_mm", None, wanted)
+        raise InputError(recipe.name, wanted, key="camera.baseline_mm")

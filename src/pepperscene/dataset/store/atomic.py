@@ -26,7 +26,7 @@ _LEVELS: Final = 2
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """A temporary name in the same folder, which takes the place of `path` when the block ends well.
 
     The content is on the disk before the name is: after a power cut there is the old file or the new one.
@@ -49,11 +49,11 @@ def write_json(path: Path, content: Any) -> None:
         OSError: the file cannot be written.
         ValueError: the content holds a number that JSON does not know (nan, inf).
     """
-    with replacing(path) as temporary:
-        temporary.write_bytes(json_bytes(content))
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(canonical_json(content))
 
 
-def json_bytes(content: Any) -> bytes:
+def canonical_json(content: Any) -> bytes:
     """Canonical JSON text: sorted keys, what lies two levels down on a line of its own.
 
     Raises:
@@ -78,7 +78,7 @@ def digest(path: Path) -> str:
 
 
 def is_temporary(path: Path) -> bool:
-    """Whether a file is one of `replacing`'s, left by a build that was killed or still runs."""
+    """Whether a file is one of `atomic_write`'s, left by a build that was killed or still runs."""
     return path.name.startswith(".") and path.name.endswith(".tmp")
 
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from numpy.typing import NDArray
 
-from pepperscene.dataset.store.atomic import digest, json_bytes, replacing, write_json
+from pepperscene.dataset.store.atomic import atomic_write, canonical_json, digest, write_json
 from pepperscene.dataset.store.images import read_image, write_image
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
@@ -41,7 +41,7 @@ def file_name(index: int, output: str) -> str:
 
 
 @dataclass(frozen=True)
-class Standing:
+class FrameStatus:
     """What is there of a frame.
 
     Attributes:
@@ -65,14 +65,14 @@ class Dataset:
     """
 
     folder: Path
-    about: Mapping[str, Any]
+    info: Mapping[str, Any]
 
     def indices(self) -> tuple[int, ...]:
         """The frames that are there, ascending."""
         names = (path.stem for path in (self.folder / FRAMES).glob("*.json"))
         return tuple(sorted(int(name) for name in names if name.isdecimal()))
 
-    def facts(self, index: int) -> dict[str, Any]:
+    def metadata(self, index: int) -> dict[str, Any]:
         """What a frame's JSON says.
 
         Raises:
@@ -117,21 +117,21 @@ class Dataset:
         """Where a frame's JSON lies."""
         return self.folder / FRAMES / f"{index:0{DIGITS}d}.json"
 
-    def intact(self, index: int) -> Standing:
+    def intact(self, index: int) -> FrameStatus:
         """What is there of a frame, as far as its files are what the build wrote, to the last bit.
 
         Nothing is when there is no such frame, or its JSON is damaged.
         """
         try:
-            facts = self.facts(index)
+            facts = self.metadata(index)
             checksum = str(facts.pop(CHECKSUM))
             if checksum != checksum_of(facts) or facts.get("index") != index:
-                return Standing()
+                return FrameStatus()
             outputs = {str(name): entry for name, entry in facts.pop("outputs").items() if name in OUTPUTS}
         except (InputError, KeyError, AttributeError, TypeError):
-            return Standing()
+            return FrameStatus()
         whole = {name: entry for name, entry in outputs.items() if self.is_whole(index, name, entry)}
-        return Standing(facts, whole, checksum)
+        return FrameStatus(facts, whole, checksum)
 
     def is_whole(self, index: int, output: str, entry: Mapping[str, Any]) -> bool:
         """Whether an image is what its entry in the frame's JSON says."""
@@ -148,7 +148,7 @@ class Dataset:
         facts: Mapping[str, Any],
         kept: Mapping[str, Any],
         pool: Executor,
-    ) -> Standing:
+    ) -> FrameStatus:
         """Add a frame, or outputs to a frame: first the images, then the JSON that makes them count.
 
         When that fails, the images written by this call are removed and what stood before still counts.
@@ -178,7 +178,7 @@ class Dataset:
             outputs = {**kept, **new}
             checksum = checksum_of({**whole, "outputs": outputs})
             write_json(self.frame_path(index), {**whole, "outputs": outputs, CHECKSUM: checksum})
-            return Standing(whole, outputs, checksum)
+            return FrameStatus(whole, outputs, checksum)
         except BaseException:
             for output in images:
                 self.path(index, output).unlink(missing_ok=True)
@@ -187,14 +187,14 @@ class Dataset:
     def _write(self, index: int, output: str, image: NDArray[Any]) -> dict[str, Any]:
         """Put one image in its place, and tell what the frame's JSON says of it."""
         name = file_name(index, output)
-        with replacing(self.folder / name) as temporary:
+        with atomic_write(self.folder / name) as temporary:
             return written_image(temporary, image, output, name)
 
 
 def checksum_of(facts: Mapping[str, Any]) -> str:
     """SHA-256 of a frame's JSON as canonical text, hexadecimal, without its own `checksum`."""
     told = {key: value for key, value in facts.items() if key != CHECKSUM}
-    return hashlib.sha256(json_bytes(told)).hexdigest()
+    return hashlib.sha256(canonical_json(told)).hexdigest()
 
 
 def written_image(path: Path, image: NDArray[Any], output: str, name: str) -> dict[str, Any]:
@@ -221,10 +221,10 @@ def open_dataset(folder: str | Path) -> Dataset:
     """
     path = Path(folder) / MARK
     if not path.is_file():
-        raise InputError(folder, "", None, f"holds no data set: there is no {MARK} in it")
+        raise InputError(folder, f"holds no data set: there is no {MARK} in it")
     about = read_json(path)
     if about.get("format") != FORMAT:
-        raise InputError(path, "format", about.get("format"), f"must be {FORMAT!r}")
+        raise InputError(path, f"must be {FORMAT!r}", key="format", value=about.get("format"))
     return Dataset(Path(folder), about)
 
 
@@ -237,9 +237,9 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_bytes())
     except OSError as fault:
-        raise InputError(path, "", None, f"cannot be read ({fault.strerror})") from None
+        raise InputError(path, f"cannot be read ({fault.strerror})") from None
     except (ValueError, RecursionError):
-        raise InputError(path, "", None, "is not valid JSON") from None
+        raise InputError(path, "is not valid JSON") from None
     if not isinstance(found, dict):
-        raise InputError(path, "", None, "must hold a JSON object")
+        raise InputError(path, "must hold a JSON object")
     return found

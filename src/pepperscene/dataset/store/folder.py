@@ -46,7 +46,7 @@ class OutputFolder:
         self.dataset.folder.mkdir(parents=True, exist_ok=True)
         mark = self.dataset.folder / MARK
         if not mark.is_file():
-            write_json(mark, self.dataset.about)
+            write_json(mark, self.dataset.info)
         for folder in (self.dataset.folder / name for name in (*outputs, FRAMES)):
             folder.mkdir(exist_ok=True)
         self.sweep()
@@ -70,14 +70,14 @@ class OutputFolder:
         return [*reversed(folder.parents), folder, *(folder / name for name in inside)]
 
 
-def examine(folder: Path, about: Mapping[str, Any]) -> None:
+def check_output_folder(folder: Path, about: Mapping[str, Any]) -> None:
     """Raise the `OutputError` that tells why the folder cannot take this data set, if there is a reason.
 
     Args:
         folder: of the data set; it need not be there.
         about: what its `dataset.json` is to say.
     """
-    examine_place(folder)
+    check_can_create(folder)
     try:
         if folder.exists():
             _examine_content(folder, about)
@@ -85,7 +85,7 @@ def examine(folder: Path, about: Mapping[str, Any]) -> None:
         raise OutputError(f"{folder}: cannot be used ({fault.strerror})") from None
 
 
-def examine_place(folder: Path) -> None:
+def check_can_create(folder: Path) -> None:
     """Raise the `OutputError` that tells why there cannot be a folder, or nothing written into it."""
     if "\0" in str(folder):
         raise OutputError(f"{str(folder)!r}: is not a possible name of a folder")

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
-from pepperscene.dataset.store.atomic import json_bytes
+from pepperscene.dataset.store.atomic import canonical_json
 from pepperscene.dataset.store.codecs import exr_bytes, png_bytes
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
@@ -67,7 +67,7 @@ def write_image(path: Path, image: Any, output: str) -> None:
         found = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
         raise ValueError(f"{output} must be {f'{wanted.shape} {wanted.dtype}'.strip()}, not {found}")
     if not wanted.is_image:
-        path.write_bytes(json_bytes(image))
+        path.write_bytes(canonical_json(image))
     elif wanted.suffix == ".exr":
         _write_exr(path, image, output)
     else:
@@ -88,7 +88,7 @@ def read_image(path: str | Path) -> Any:
             return _read_object(path)
         return _read_exr(path) if path.suffix == ".exr" else _read_png(path)
     except (OSError, RuntimeError, ValueError, SyntaxError, MemoryError) as fault:
-        raise InputError(path, "", None, f"cannot be read as an image ({fault})") from None
+        raise InputError(path, f"cannot be read as an image ({fault})") from None
 
 
 def _read_object(path: Path) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from pepperscene.dataset.store.atomic import replacing
+from pepperscene.dataset.store.atomic import atomic_write
 from pepperscene.dataset.store.dataset import Dataset, read_json
 from pepperscene.dataset.store.journal import Journal
 from pepperscene.dataset.store.rows import FRAME_COLUMNS, FRUIT_COLUMNS, Row, fruit_rows, row_of
@@ -84,7 +84,7 @@ def _read(dataset: Dataset, name: str) -> pyarrow.Table:
     except OSError as fault:
         raise OutputError(f"{path}: cannot be written ({fault.strerror or fault})") from None
     if not path.is_file():
-        raise InputError(dataset.folder, "", None, "has no frame with the output harvest; build it first")
+        raise InputError(dataset.folder, "has no frame with the output harvest; build it first")
     return parquet.read_table(path)
 
 
@@ -101,7 +101,7 @@ def _write(path: Path, columns: Mapping[str, str], rows: Iterator[Row]) -> None:
     from pyarrow import parquet
 
     schema = pyarrow.schema([(name, _type(pyarrow, kind)) for name, kind in columns.items()])
-    with replacing(path) as temporary, parquet.ParquetWriter(temporary, schema) as writer:
+    with atomic_write(path) as temporary, parquet.ParquetWriter(temporary, schema) as writer:
         while part := list(islice(rows, _ROWS)):
             told = {name: [row.get(name) for row in part] for name in columns}
             writer.write_table(pyarrow.table(told, schema=schema))

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
-from pepperscene.dataset.recipe.plan import Shot, frame_seed
+from pepperscene.dataset.recipe.plan import FrameSpec, frame_seed
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.frame import Frame
-from pepperscene.truth import class_pixels
+from pepperscene.truth import class_pixel_counts
 from pepperscene.version import __version__
 
 
-def about(recipe: Recipe, quality: str, form: str, target_error: float | None = None) -> dict[str, Any]:
+def dataset_info(
+    recipe: Recipe, quality: str, form: str, target_error: float | None = None
+) -> dict[str, Any]:
     """What frames depend on, but for their index: recipe, files, quality and version.
 
     Args:
@@ -32,9 +34,9 @@ def about(recipe: Recipe, quality: str, form: str, target_error: float | None = 
     return told
 
 
-def frame_facts(frame: Frame, shot: Shot, recipe_seed: int) -> dict[str, Any]:
+def frame_metadata(frame: Frame, shot: FrameSpec, recipe_seed: int) -> dict[str, Any]:
     """A frame's JSON but for its files; nothing in it differs between two runs."""
-    facts: dict[str, Any] = {str(key): value for key, value in frame.facts.items()}
+    facts: dict[str, Any] = {str(key): value for key, value in frame.metadata.items()}
     facts |= {
         "index": shot.index,
         "set": shot.set,
@@ -44,5 +46,5 @@ def frame_facts(frame: Frame, shot: Shot, recipe_seed: int) -> dict[str, Any]:
         "recipe_seed": recipe_seed,
     }
     if "class" in frame.images:
-        facts["class_pixels"] = class_pixels(frame.images["class"])
+        facts["class_pixels"] = class_pixel_counts(frame.images["class"])
     return facts

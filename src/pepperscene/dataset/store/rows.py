@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.store.dataset import Standing
+from pepperscene.dataset.store.dataset import FrameStatus
 from pepperscene.frame import OUTPUTS
 
 Row = dict[str, Any]
@@ -60,7 +60,7 @@ FRUIT_COLUMNS: Final[Mapping[str, str]] = {
 """Columns of `fruit.parquet`: one row for each fruit of each frame; lengths and directions in the camera."""
 
 
-def row_of(standing: Standing) -> Row:
+def row_of(standing: FrameStatus) -> Row:
     """A frame's row, as far as its files tell it."""
     facts, outputs = standing.facts, standing.outputs
     row: Row = {name: facts.get(name) for name in ("index", "set", "rotation", "step", "seed", "recipe_seed")}

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from pepperscene.geometry.blade.grid import Grid, blade_grid
 from pepperscene.geometry.blade.outline import Flat, flat_blades, outlines
 from pepperscene.geometry.blade.relief import bulges, grid_noise, lifted, margin_waves, slack
-from pepperscene.geometry.bodies import Bodies, fineness, vertex_normals
-from pepperscene.geometry.organ_arrays import hashed, measure, signed, size
+from pepperscene.geometry.bodies import MeshBatch, fineness, vertex_normals
+from pepperscene.geometry.organ_arrays import hashed, organ_measure, signed, size
 from pepperscene.geometry.spine import Spines, spines
 from pepperscene.grammar.plant import Organ
 
@@ -26,7 +26,7 @@ def liveliness(organs: Sequence[Organ], width: Array) -> Array:
     What every living leaf has and no measure tells (a hooked tip, a winding midrib, an edge that turns over
     here and there) goes with the waves of its margin. Chosen: half of it at waves of 1 % of the width.
     """
-    wave = np.abs(measure(organs, "margin_wave_m", 0.0))
+    wave = np.abs(organ_measure(organs, "margin_wave_m", 0.0))
     return wave / (wave + 0.01 * width)
 
 
@@ -89,8 +89,8 @@ def slopes(organs: Sequence[Organ], flat: Flat, half_width: Array, seed: Array) 
         half_width: `(n, 2)` metres.
         seed: `(n,)` of the blades.
     """
-    fold = np.clip(measure(organs, "fold_rad", 0.0), -1.4, 1.4)[:, None]
-    curl = np.clip(measure(organs, "curl_rad", 0.0), -2.6, 2.6)[:, None]
+    fold = np.clip(organ_measure(organs, "fold_rad", 0.0), -1.4, 1.4)[:, None]
+    curl = np.clip(organ_measure(organs, "curl_rad", 0.0), -2.6, 2.6)[:, None]
     along, wide = flat.start, flat.edge / half_width[..., None]
     chance, vary = hashed(seed, 271, 4).reshape(-1, 2, 2), signed(seed, 201, 4).reshape(-1, 2, 2)
     # The fold: each half differs by up to a quarter, opens and closes along the blade, flattens outwards.
@@ -108,7 +108,7 @@ def slopes(organs: Sequence[Organ], flat: Flat, half_width: Array, seed: Array) 
     return folded[..., None] * opening + curled[..., None] * (middle**power)[:, None]
 
 
-def laminae(organs: Sequence[Organ], detail: float) -> Bodies:
+def laminae(organs: Sequence[Organ], detail: float) -> MeshBatch:
     """Leaf blades as single sheets; normals leave the upper (adaxial) side.
 
     Measures: length_m (of the midrib) and width_m (of the flat leaf), fold_rad (each half rises by it),
@@ -120,9 +120,9 @@ def laminae(organs: Sequence[Organ], detail: float) -> Bodies:
     would tear a blade are cut: fold at 80 degrees, curl at 150, bulges at a tenth of the width, waves at an
     eighth.
     """
-    width, seed = size(organs, "width_m"), measure(organs, "seed", 0.0)
+    width, seed = size(organs, "width_m"), organ_measure(organs, "seed", 0.0)
     outline = outlines(organs, seed)
-    grid = blade_grid(detail, float(measure(organs, "lobes", 0.0).max()))
+    grid = blade_grid(detail, float(organ_measure(organs, "lobes", 0.0).max()))
     flat = flat_blades(outline, grid)
     lively = liveliness(organs, width)
     right, up = _sections(organs, flat, grid, outline.half_width, lively, seed)
@@ -130,7 +130,7 @@ def laminae(organs: Sequence[Organ], detail: float) -> Bodies:
         [organ.curve for organ in organs],
         [organ.up for organ in organs],
         fineness(32, detail, 12),
-        measure(organs, "twist_rad", 0.0),
+        organ_measure(organs, "twist_rad", 0.0),
     )
     spine = hooked(spine, lively, seed)
     v = grid.joined(flat.along, flat.start, flat.extra_along, (0.0, 1.0))
@@ -140,7 +140,7 @@ def laminae(organs: Sequence[Organ], detail: float) -> Bodies:
     u = 0.5 + 0.5 * out / outline.half_extent[:, None]
     uv = np.clip(np.stack([u, v], axis=-1), 0.0, 1.0)
     normals = vertex_normals(vertices, grid.faces)
-    return Bodies(vertices, normals, uv, _state(organs, flat, grid, seed), grid.faces)
+    return MeshBatch(vertices, normals, uv, _state(organs, flat, grid, seed), grid.faces)
 
 
 _SIDES: Final = np.array([-1.0, 1.0])[:, None, None]  # left and right halves
@@ -179,7 +179,7 @@ def _sections(
 
 def _state(organs: Sequence[Organ], flat: Flat, grid: Grid, seed: Array) -> Array:
     """`(n, v)` pigment states: greener and paler patches, a few over the blade."""
-    mean, spread = measure(organs, "state_mean", 0.7), measure(organs, "state_spread", 0.1)
+    mean, spread = organ_measure(organs, "state_mean", 0.7), organ_measure(organs, "state_spread", 0.1)
     patches = grid_noise(flat, grid, seed, 211, 0.9)
     halves, midrib = grid.halves(patches), patches[..., grid.side]
     ends = midrib[:, 0], midrib[:, -1]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.geometry.blade.grid import FAN_POWER, Grid, vein_rise, vein_start, vein_through
-from pepperscene.geometry.organ_arrays import hashed, measure, size
+from pepperscene.geometry.organ_arrays import hashed, organ_measure, size
 from pepperscene.grammar.plant import Organ
 
 Array = NDArray[np.float64]
@@ -72,14 +72,14 @@ class Outlines:
 def outlines(organs: Sequence[Organ], seed: Array) -> Outlines:
     """The outlines of blades, out of their measures (see `laminae`)."""
     length, width = size(organs, "length_m"), size(organs, "width_m")
-    widest = np.clip(measure(organs, "widest", _WIDEST), 0.2, 0.45)[:, None, None]
+    widest = np.clip(organ_measure(organs, "widest", _WIDEST), 0.2, 0.45)[:, None, None]
     # A tip whose power is beyond that would be a thread.
     finest = _FINEST_TIP * widest / (1.0 - widest)
-    base = np.minimum(np.clip(measure(organs, "base", _BASE), 0.3, 1.1)[:, None, None], finest)
-    uneven = np.clip(measure(organs, "asymmetry", 0.0), -0.5, 0.5)[:, None]
+    base = np.minimum(np.clip(organ_measure(organs, "base", _BASE), 0.3, 1.1)[:, None, None], finest)
+    uneven = np.clip(organ_measure(organs, "asymmetry", 0.0), -0.5, 0.5)[:, None]
     half = 0.5 * width[:, None] * (1.0 + uneven * np.array([-1.0, 1.0]))
-    count = np.clip(measure(organs, "lobes", 0.0), 0.0, _MOST_LOBES)[:, None, None]
-    depth = np.clip(measure(organs, "lobe_depth", 0.0), 0.0, 0.6)[:, None, None]
+    count = np.clip(organ_measure(organs, "lobes", 0.0), 0.0, _MOST_LOBES)[:, None, None]
+    depth = np.clip(organ_measure(organs, "lobe_depth", 0.0), 0.0, 0.6)[:, None, None]
     numbers = 4 + 2 * int(np.ceil(count.max())) + 3
     lobes = hashed(seed, 251, 2 * numbers).reshape(len(organs), 2, numbers)
     # The width is that over the lobes; an entire margin reaches 1 where it is widest.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pepperscene.geometry.blade.grid import Grid, veins_crossed
 from pepperscene.geometry.blade.outline import Flat
-from pepperscene.geometry.organ_arrays import hashed, measure, signed
+from pepperscene.geometry.organ_arrays import hashed, organ_measure, signed
 from pepperscene.grammar.plant import Organ
 from pepperscene.materials.patterns import PAIRS
 
@@ -32,8 +32,8 @@ def margin_waves(
     """
     # Waves higher than an eighth of the width are not those of a blade.
     half = half_width.mean(axis=1)
-    height = np.clip(measure(organs, "margin_wave_m", 0.0), -0.25 * half, 0.25 * half)[:, None, None]
-    count = np.clip(measure(organs, "margin_waves", 0.0), 0.0, 12.0)[:, None, None]
+    height = np.clip(organ_measure(organs, "margin_wave_m", 0.0), -0.25 * half, 0.25 * half)[:, None, None]
+    count = np.clip(organ_measure(organs, "margin_waves", 0.0), 0.0, 12.0)[:, None, None]
     chance = hashed(seed, 231, 16).reshape(-1, 2, 8, 1)
     one, two, three, phase, ripple, much, place, turn = (chance[:, :, k] for k in range(8))
     at, wide = flat.margin, np.minimum(flat.reach / half_width[..., None], 1.0)
@@ -42,7 +42,7 @@ def margin_waves(
     high = 1.0 - (0.25 + 0.5 * much) * (0.5 + 0.5 * np.sin(_TURN * (0.9 * at + three)))
     waves = high * np.sin(_TURN * turns) + 0.1 * np.sin(_TURN * (2.6 * turns + ripple))
     # The stretch turns by up to so many radians at the margin, up or down; chosen.
-    curl = np.minimum(np.abs(measure(organs, "curl_rad", 0.0)), 1.5)
+    curl = np.minimum(np.abs(organ_measure(organs, "curl_rad", 0.0)), 1.5)
     most = (0.5 * lively + 0.4 * curl)[:, None, None]
     bump = np.exp(-(((at - 0.15 - 0.7 * place) / 0.16) ** 2))
     # Both die out towards base and tip, where the blade is narrow.
@@ -73,8 +73,8 @@ def bulges(organs: Sequence[Organ], flat: Flat, grid: Grid, half_width: Array, s
     if np.count_nonzero((number >= 0.0) & (number < 1.0)) < 2:
         return np.zeros(flat.along.shape)
     width = 2.0 * half_width.mean(axis=1)
-    height = np.clip(measure(organs, "blister_m", 0.0), -0.1 * width, 0.1 * width)[:, None, None, None]
-    sunken = np.clip(measure(organs, "vein_m", 0.0), -0.05 * width, 0.05 * width)[:, None, None, None]
+    height = np.clip(organ_measure(organs, "blister_m", 0.0), -0.1 * width, 0.1 * width)[:, None, None, None]
+    sunken = np.clip(organ_measure(organs, "vein_m", 0.0), -0.05 * width, 0.05 * width)[:, None, None, None]
     # Two panels below the first vein, one between each vein and the next.
     panel = np.where(number < 0.0, np.floor(2.0 * number) + 2.0, np.floor(number) + 2.0).astype(np.intp)
     within = np.where(number < 0.0, 2.0 * number, number) % 1.0
@@ -135,7 +135,7 @@ def slack(organs: Sequence[Organ], flat: Flat, half_width: Array) -> Array:
     """
     half = half_width.mean(axis=1)[:, None]
     part = 0.5 * (flat.part + np.concatenate([[0.0], flat.part[:-1]]))
-    height = np.clip(np.abs(measure(organs, "blister_m", 0.0))[:, None] / half, 0.0, 0.2)
+    height = np.clip(np.abs(organ_measure(organs, "blister_m", 0.0))[:, None] / half, 0.0, 0.2)
     outwards = (1.0 - np.exp(-part / _RISE)) * (1.0 - part**3)
     # Mean squares: of a dome's slope from vein to vein, of its height, of the parts by tertiary veins.
     across = 5.3 * 0.6 * (outwards * veins_crossed(part, 0.2)) ** 2

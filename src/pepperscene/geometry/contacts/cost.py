@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.contacts.detect import NEAR, Bodies
-from pepperscene.geometry.contacts.joints import Unit
+from pepperscene.geometry.contacts.detect import NEAR, ContactBodies
+from pepperscene.geometry.contacts.joints import TurningUnit
 from pepperscene.geometry.contacts.organs import FLOWER, FRUIT, LEAF, SHOOT, STALK, Indices, Organs, Vectors
 from pepperscene.geometry.contacts.pairs import FruitPairs, StemPairs, Turns
 from pepperscene.geometry.contacts.samples import counted
@@ -75,7 +75,7 @@ class _Kinds:
         hard: everything stays where it is; else leaves give way to fruit.
     """
 
-    def __init__(self, bodies: Bodies, *, hard: bool) -> None:
+    def __init__(self, bodies: ContactBodies, *, hard: bool) -> None:
         self._bodies, self._organs, self._hard = bodies, bodies.organs, hard
 
     def fruit_moved(self, unit: Indices, fruit: Indices, others: Indices) -> _Pairs:
@@ -128,8 +128,8 @@ class _Kinds:
 
 
 def left_of(
-    bodies: Bodies,
-    units: Sequence[Unit],
+    bodies: ContactBodies,
+    units: Sequence[TurningUnit],
     unit: Indices,
     contacts: Indices,
     turns: Turns,
@@ -170,7 +170,7 @@ def left_of(
     return cost
 
 
-class Surroundings:
+class ContactCosts:
     """All that some units may run into when they turn, each alone.
 
     Args:
@@ -180,7 +180,9 @@ class Surroundings:
         hard: everything stays where it is; else leaves give way to fruit.
     """
 
-    def __init__(self, bodies: Bodies, units: Sequence[Unit], turns: Turns, *, hard: bool) -> None:
+    def __init__(
+        self, bodies: ContactBodies, units: Sequence[TurningUnit], turns: Turns, *, hard: bool
+    ) -> None:
         organs = self._organs = bodies.organs
         self._units = units
         count = [len(one.members) for one in units]

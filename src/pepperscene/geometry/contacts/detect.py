@@ -19,7 +19,7 @@ NEAR: Final = 3e-3
 
 
 @dataclass(frozen=True)
-class Contacts:
+class ContactCounts:
     """How many organs of a mesh run into others.
 
     Attributes:
@@ -57,7 +57,7 @@ class _Pairs:
     depth: NDArray[np.float32]
 
 
-class Bodies:
+class ContactBodies:
     """Organs with what tells whether they touch: the walls of fruit, the capsules of stems.
 
     Args:
@@ -207,16 +207,16 @@ class Bodies:
         return found
 
 
-def contacts(mesh: Mesh) -> Contacts:
+def count_contacts(mesh: Mesh) -> ContactCounts:
     """Count which organs of a mesh run into others.
 
     Raises:
         ValueError: two instances of the mesh share vertices.
     """
-    return counted(Bodies(mesh))
+    return counted(ContactBodies(mesh))
 
 
-def counted(bodies: Bodies) -> Contacts:
+def counted(bodies: ContactBodies) -> ContactCounts:
     """Count which organs run into others, as they stand now."""
     fruit, blades = bodies.fruit.tolist(), bodies.blades.tolist()
     touching: set[int] = set()
@@ -224,4 +224,4 @@ def counted(bodies: Bodies) -> Contacts:
         into = near.others[near.depth > 0.0].tolist()
         touching.update([one, *into] if into else [])
     through = sum(bool(np.any(near.depth > 0.0)) for near in bodies.into_stems(blades).values())
-    return Contacts(len(fruit), len(touching.intersection(fruit)), len(blades), through)
+    return ContactCounts(len(fruit), len(touching.intersection(fruit)), len(blades), through)

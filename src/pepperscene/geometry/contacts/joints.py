@@ -39,7 +39,7 @@ class Motion:
     pivot: NDArray[np.float64]
 
 
-def moved_plant(plant: Plant, motions: Sequence[Motion]) -> Plant:
+def move_plant(plant: Plant, motions: Sequence[Motion]) -> Plant:
     """The plant whose mesh was settled, with its organs' curves and upper sides turned likewise.
 
     Args:
@@ -91,7 +91,7 @@ _WEIGHTS: Final = {
 
 
 @dataclass(frozen=True, eq=False)
-class Unit:
+class TurningUnit:
     """A subtree that turns as one body about where it joins the rest.
 
     Attributes:
@@ -117,7 +117,7 @@ class Unit:
         return _WEIGHTS[self.on_stem, self.bears_fruit]
 
 
-def units_of(organs: Organs, organ: int) -> list[Unit]:
+def units_of(organs: Organs, organ: int) -> list[TurningUnit]:
     """The units that an organ moves with, the smallest first; none for stems, cords and cuts."""
     found = []
     for root, above in pairwise([organ, *organs.ancestors(organ)]):
@@ -128,7 +128,7 @@ def units_of(organs: Organs, organ: int) -> list[Unit]:
         if kind == FRUIT and organs.mesh.instances[above].kind == "calyx":
             continue
         on_stem = bool(organs.organ_class[above] == STEM)
-        found.append(Unit(root, tuple(organs.subtree(root)), on_stem, kind in (FRUIT, STALK)))
+        found.append(TurningUnit(root, tuple(organs.subtree(root)), on_stem, kind in (FRUIT, STALK)))
     return found
 
 
@@ -160,7 +160,7 @@ class Joint:
         return Joint(self.foot[rows], self.across[rows], self.middle[rows], self.axis[rows])
 
 
-def joint(organs: Organs, unit: Unit) -> Joint:
+def joint(organs: Organs, unit: TurningUnit) -> Joint:
     """Where and how a unit turns.
 
     What grows on a stem goes around the vertical through the middle of its node; so it keeps its inclination,
@@ -181,7 +181,7 @@ def joint(organs: Organs, unit: Unit) -> Joint:
     return Joint(foot, across, middle, axis)
 
 
-def joints(organs: Organs, units: Sequence[Unit]) -> Joint:
+def joints(organs: Organs, units: Sequence[TurningUnit]) -> Joint:
     """The joints of some units, `(u, 3)` each."""
     each = [joint(organs, unit) for unit in units]
     return Joint(

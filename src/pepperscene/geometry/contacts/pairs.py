@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.contacts.detect import NEAR, Bodies
+from pepperscene.geometry.contacts.detect import NEAR, ContactBodies
 from pepperscene.geometry.contacts.organs import Indices, Organs, Points, Vectors
 from pepperscene.geometry.contacts.samples import counted
 from pepperscene.geometry.contacts.stems import Capsules, deepest
@@ -49,7 +49,7 @@ class FruitPairs:
         fruit: `(n,)` what each moves towards.
     """
 
-    def __init__(self, bodies: Bodies, movers: Indices, fruit: Indices) -> None:
+    def __init__(self, bodies: ContactBodies, movers: Indices, fruit: Indices) -> None:
         self._bodies, self._movers = bodies, movers
         self._balls = bodies.walls.bodies(fruit)
 
@@ -96,7 +96,9 @@ class StemPairs:
         high: `(n, 3)` metres, the corners of boxes that the blades stay in.
     """
 
-    def __init__(self, bodies: Bodies, blades: Indices, stems: Indices, low: Vectors, high: Vectors) -> None:
+    def __init__(
+        self, bodies: ContactBodies, blades: Indices, stems: Indices, low: Vectors, high: Vectors
+    ) -> None:
         self._bodies, self._blades = bodies, blades
         chain, piece, pair = bodies.chains.pieces(stems)
         met = (chain.low[piece] < high[pair]).all(axis=1) & (chain.high[piece] > low[pair]).all(axis=1)

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.geometry.contacts.cost import Surroundings
+from pepperscene.geometry.contacts.cost import ContactCosts
 from pepperscene.geometry.contacts.joints import Joint
 from pepperscene.geometry.contacts.organs import Indices, Vectors
 from pepperscene.geometry.contacts.pairs import Turns
@@ -58,7 +58,7 @@ class Poses:
             self.way.some(rows),
         )
 
-    def cost(self, around: Surroundings) -> Vectors:
+    def cost(self, around: ContactCosts) -> Vectors:
         """`(u, k)` cost with all that the units run into; infinite where it cannot be the least of a unit."""
         turns, cost = self.turns(self.angles), self.effort + self.left
         # A few at first, as one of these may be free.
@@ -77,7 +77,7 @@ class Poses:
         return np.asarray(cost)
 
     def shortened(
-        self, around: Surroundings, rows: Indices, picked: Indices
+        self, around: ContactCosts, rows: Indices, picked: Indices
     ) -> Iterator[tuple[int, tuple[float, Vectors, bool]]]:
         """Of some units' poses that help the part that does best: gain, angles, and whether it is small and
         free.

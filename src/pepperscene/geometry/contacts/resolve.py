@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.geometry.contacts.cost import CLEAR, Surroundings, boxes, left_of
-from pepperscene.geometry.contacts.detect import NEAR, Bodies, Contacts, counted
-from pepperscene.geometry.contacts.joints import Motion, Unit, joint, joints, rotations, units_of
+from pepperscene.geometry.contacts.cost import CLEAR, ContactCosts, boxes, left_of
+from pepperscene.geometry.contacts.detect import NEAR, ContactBodies, ContactCounts, counted
+from pepperscene.geometry.contacts.joints import Motion, TurningUnit, joint, joints, rotations, units_of
 from pepperscene.geometry.contacts.organs import FRUIT, Indices, Vectors
 from pepperscene.geometry.contacts.pairs import Turns
 from pepperscene.geometry.contacts.poses import Poses, disc, effort
@@ -42,12 +42,12 @@ class _Tried:
 class Search:
     """Organs on their way to poses in which they do not touch."""
 
-    def __init__(self, bodies: Bodies, rng: np.random.Generator) -> None:
+    def __init__(self, bodies: ContactBodies, rng: np.random.Generator) -> None:
         self.bodies, self.organs = bodies, bodies.organs
         self.motions: list[Motion] = []
         self._rng = rng
         self._angles = np.zeros((len(self.organs), 2))
-        self._units: dict[int, list[Unit]] = {}
+        self._units: dict[int, list[TurningUnit]] = {}
 
     def round(self, number: int) -> bool:
         """Try to part everything that touches, once; tells whether anything did."""
@@ -85,7 +85,7 @@ class Search:
             for unit in units:
                 of_root.setdefault(unit.root, []).append(place)
         tried: dict[int, _Tried] = {}
-        best: dict[int, Unit] = {}
+        best: dict[int, TurningUnit] = {}
         left = list(range(len(sides)))
         for turn in range(max(map(len, sides))):
             left = [place for place in left if turn < len(sides[place])]
@@ -105,7 +105,7 @@ class Search:
                         left.remove(place)
         return self._turned(contacts, best, {root: one.angles for root, one in tried.items()})
 
-    def _sides(self, organ: int, other: int) -> list[Unit]:
+    def _sides(self, organ: int, other: int) -> list[TurningUnit]:
         """The units whose turns may end a contact, the other's first."""
         for one in (organ, other):
             if one not in self._units:
@@ -115,7 +115,7 @@ class Search:
 
     def _tried(
         self,
-        units: list[Unit],
+        units: list[TurningUnit],
         places: list[list[int]],
         contacts: Indices,
         phase: Vectors,
@@ -144,7 +144,7 @@ class Search:
         # Of the cheapest ones, all that they run into.
         poses, some_units = poses.cheapest(kept, tries), [units[one] for one in kept.tolist()]
         swept = np.concatenate([poses.angles, 0.5 * (poses.angles + poses.spent)], axis=1)
-        around = Surroundings(self.bodies, some_units, poses.turns(swept), hard=hard)
+        around = ContactCosts(self.bodies, some_units, poses.turns(swept), hard=hard)
         picked = poses.cost(around).argmin(axis=1)
         better = np.flatnonzero(picked)
         if not len(better):
@@ -156,7 +156,7 @@ class Search:
 
     def _posed(
         self,
-        units: list[Unit],
+        units: list[TurningUnit],
         places: list[list[int]],
         contacts: Indices,
         phase: Vectors,
@@ -186,7 +186,7 @@ class Search:
         np.add.at(left, owner, each)
         return Poses(angles, spent, weights, effort(angles, weights), left, way), helps
 
-    def _turned(self, contacts: Indices, best: dict[int, Unit], angles: dict[int, Vectors]) -> Indices:
+    def _turned(self, contacts: Indices, best: dict[int, TurningUnit], angles: dict[int, Vectors]) -> Indices:
         """Turn the best unit for each contact, in order, but not where something was turned just now.
 
         Returns:
@@ -207,7 +207,7 @@ class Search:
                 self._turn(unit, angles[unit.root])
         return contacts[waiting]
 
-    def _meets(self, unit: Unit, angles: Vectors, just: Indices) -> bool:
+    def _meets(self, unit: TurningUnit, angles: Vectors, just: Indices) -> bool:
         """Whether a unit's organs would come near to others; of either one has to be fruit."""
         organs, members = self.organs, np.array(unit.members)
         members, just = members[organs.solid[members]], just[organs.solid[just]]
@@ -219,7 +219,7 @@ class Search:
         fruit = organs.organ_class == FRUIT
         return bool(np.any(near & (fruit[members][:, None] | fruit[just])))
 
-    def _turn(self, unit: Unit, angles: Vectors) -> None:
+    def _turn(self, unit: TurningUnit, angles: Vectors) -> None:
         """Turn a unit to some angles."""
         spent = self._angles[unit.root].copy()
         way = joint(self.organs, unit)
@@ -236,7 +236,7 @@ _ROUNDS: Final = 18  # chosen: hardly anything is mended later
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
+class ResolvedMesh:
     """A mesh whose parts run into each other no longer.
 
     Attributes:
@@ -247,12 +247,12 @@ class Settled:
 
     mesh: Mesh
     motions: tuple[Motion, ...]
-    contacts: Contacts
+    contacts: ContactCounts
 
 
-def settle(
+def resolve_contacts(
     mesh: Mesh, rng: np.random.Generator, *, between_plants: bool = False, rounds: int = _ROUNDS
-) -> Settled:
+) -> ResolvedMesh:
     """Turn parts of plants so that fruit runs into nothing and blades do not run through stems.
 
     Works on classes and parents of the instances alone, so for any crop. Whatever collides is tried in a
@@ -269,8 +269,8 @@ def settle(
     Raises:
         ValueError: two instances of the mesh share vertices.
     """
-    search = Search(Bodies(mesh, between_plants=between_plants), rng)
+    search = Search(ContactBodies(mesh, between_plants=between_plants), rng)
     for number in range(rounds):
         if not search.round(number):
             break
-    return Settled(search.organs.turned_mesh(), tuple(search.motions), counted(search.bodies))
+    return ResolvedMesh(search.organs.turned_mesh(), tuple(search.motions), counted(search.bodies))

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.bodies import Bodies, fineness
+from pepperscene.geometry.bodies import MeshBatch, fineness
 from pepperscene.geometry.fruit.crown import Crowns
-from pepperscene.geometry.fruit.fruits import Frames, axes_about, shells
-from pepperscene.geometry.organ_arrays import hashed, measure, signed, size
+from pepperscene.geometry.fruit.fruits import FruitFrames, axes_about, shells
+from pepperscene.geometry.organ_arrays import hashed, organ_measure, signed, size
 from pepperscene.grammar.plant import Organ
 
 FloatArray = NDArray[np.float64]
@@ -48,9 +48,9 @@ def calyces(
     organs: Sequence[Organ],
     stalks: Sequence[Organ | None],
     under: NDArray[np.intp],
-    seats: tuple[Frames, Crowns] | None,
+    seats: tuple[FruitFrames, Crowns] | None,
     detail: float,
-) -> Bodies:
+) -> MeshBatch:
     """Toothed plates that lie on the fruit's shoulders and close round the end of the fruit stalk.
 
     Measures: radius_m (to the tip of the longest tooth), tooth (depth of the teeth over the radius: small
@@ -64,8 +64,8 @@ def calyces(
         seats: the fruit's frames and crowns, or None when there are none.
         detail: fineness of the mesh, 1 as designed.
     """
-    n, seed = len(organs), measure(organs, "seed", 0.0)
-    tooth = np.clip(measure(organs, "tooth", _TOOTH), 0.02, 0.9)
+    n, seed = len(organs), organ_measure(organs, "seed", 0.0)
+    tooth = np.clip(organ_measure(organs, "tooth", _TOOTH), 0.02, 0.9)
     stalk, stalk_axis = _stalk_ends(organs, stalks)
     radius = np.maximum(size(organs, "radius_m"), 1.5 * stalk)
     thickness, sunk = (np.minimum(part * radius, most) for part, most in (_THICKNESS, _SUNK))
@@ -111,7 +111,7 @@ def calyces(
     colour = np.concatenate([[-0.12, -0.12], _UPPER[:, 2], 0.1 * (lower > 0.5)])
     state = (
         np.pad(np.repeat(colour, angle.shape[1]), 1, mode="edge")
-        + measure(organs, "state_mean", 0.5)[:, None]
+        + organ_measure(organs, "state_mean", 0.5)[:, None]
     )
     v = np.broadcast_to(np.arange(1, len(colour) + 1) / (len(colour) + 1), (n, len(colour)))
     return shells(rings, first, last, v, state)
@@ -119,7 +119,7 @@ def calyces(
 
 def _stalk_ends(organs: Sequence[Organ], stalks: Sequence[Organ | None]) -> tuple[FloatArray, FloatArray]:
     """`(n,)` radius and `(n, 3)` direction of the stalks' ends; without a stalk, as the calyx's own curve."""
-    tooth = np.clip(measure(organs, "tooth", _TOOTH), 0.0, 0.9)
+    tooth = np.clip(organ_measure(organs, "tooth", _TOOTH), 0.0, 0.9)
     radius = _STALK * size(organs, "radius_m") * (1.0 - 0.6 * tooth)
     axis = np.array([organ.curve[-1] - organ.curve[0] for organ in organs], dtype=float)
     for index, stalk in enumerate(stalks):
@@ -129,11 +129,11 @@ def _stalk_ends(organs: Sequence[Organ], stalks: Sequence[Organ | None]) -> tupl
     return radius, axis
 
 
-def _own_frames(organs: Sequence[Organ]) -> Frames:
+def _own_frames(organs: Sequence[Organ]) -> FruitFrames:
     """Frames at the tips of the calyces' curves, for those without fruit."""
     foot = np.array([organ.curve[-1] for organ in organs], dtype=float)
     axis = foot - np.array([organ.curve[0] for organ in organs], dtype=float)
-    return Frames(foot, axes_about(axis, np.array([organ.up for organ in organs], dtype=float)))
+    return FruitFrames(foot, axes_about(axis, np.array([organ.up for organ in organs], dtype=float)))
 
 
 def _columns(seed: FloatArray, tooth: float, detail: float) -> tuple[FloatArray, FloatArray]:
@@ -171,5 +171,5 @@ def _about(
     """`(n, r, c, 3)` points so far from the axes, at these angles from the upper side and so far along."""
     turn = angle[:, None]
     local = np.stack([width * np.cos(turn), width * np.sin(turn), along], axis=-1)
-    placed = Frames(foot, axes).placed(local.reshape(len(foot), -1, 3))
+    placed = FruitFrames(foot, axes).placed(local.reshape(len(foot), -1, 3))
     return placed.reshape(local.shape)

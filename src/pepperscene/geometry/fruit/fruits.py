@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.bodies import Bodies, ring_faces
+from pepperscene.geometry.bodies import MeshBatch, ring_faces
 from pepperscene.geometry.fruit.pericarp import Pericarps
 from pepperscene.geometry.fruit.scan import Scan
-from pepperscene.geometry.organ_arrays import hashed, measure, size, smooth_field
+from pepperscene.geometry.organ_arrays import hashed, organ_measure, size, smooth_field
 from pepperscene.geometry.spine import unit
 from pepperscene.grammar.plant import Organ
 
@@ -22,7 +22,7 @@ def shells(
     last: NDArray[np.float64],
     v: NDArray[np.float64],
     state: NDArray[np.float64],
-) -> Bodies:
+) -> MeshBatch:
     """Closed bodies, each of r > 1 rings of c points between a first and a last point.
 
     Args:
@@ -40,7 +40,7 @@ def shells(
     inner = state[:, 1:-1].reshape(n, r, c)
     uv = np.stack([u[:, 1:-1], v[:, 1:-1]], axis=-1).reshape(n, -1, 2)
     poles = np.broadcast_to(np.array([[0.5, 0.0], [0.5, 1.0]]), (n, 2, 2))
-    return Bodies(
+    return MeshBatch(
         np.concatenate([first[:, None], _seamed(rings), last[:, None]], axis=1),
         np.concatenate([normals[0][:, None], _seamed(normals[1]), normals[2][:, None]], axis=1),
         np.concatenate([poles[:, :1], uv, poles[:, 1:]], axis=1),
@@ -86,7 +86,7 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Frames:
+class FruitFrames:
     """Where n fruit hang.
 
     Attributes:
@@ -102,7 +102,7 @@ class Frames:
         return points @ self.axes + self.foot[:, None]
 
 
-def frames(organs: Sequence[Organ]) -> Frames:
+def fruit_frames(organs: Sequence[Organ]) -> FruitFrames:
     """Frames of fruit whose axes run straight from the first to the last point of their curves.
 
     Raises:
@@ -112,7 +112,7 @@ def frames(organs: Sequence[Organ]) -> Frames:
     axis = np.array([organ.curve[-1] for organ in organs], dtype=float) - foot
     if not np.all(np.linalg.norm(axis, axis=1) > 0.0):
         raise ValueError("a fruit's axis needs two distinct points")
-    return Frames(foot, axes_about(axis, np.array([organ.up for organ in organs], dtype=float)))
+    return FruitFrames(foot, axes_about(axis, np.array([organ.up for organ in organs], dtype=float)))
 
 
 def axes_about(axis: FloatArray, up: FloatArray) -> FloatArray:
@@ -125,7 +125,7 @@ def axes_about(axis: FloatArray, up: FloatArray) -> FloatArray:
     return np.stack([side, np.cross(along, side), along], axis=1)
 
 
-def fruits(organs: Sequence[Organ], walls: Pericarps) -> Bodies:
+def fruits(organs: Sequence[Organ], walls: Pericarps) -> MeshBatch:
     """Closed fruit out of their walls, with the ripeness of each point as its state.
 
     Measures: ripeness (mean, 0 unripe to 1 ripe), ripeness_spread (standard deviation over the fruit), seed.
@@ -136,11 +136,11 @@ def fruits(organs: Sequence[Organ], walls: Pericarps) -> Bodies:
     straight = np.zeros((n, 2 + rings * columns, 3))
     straight[:, 1:-1] = np.stack([up, right, walls.along], axis=-1).reshape(n, -1, 3)
     straight[:, -1, 2] = walls.end
-    state = ripeness(organs, straight / (0.5 * measure(organs, "diameter_m"))[:, None, None])
+    state = ripeness(organs, straight / (0.5 * organ_measure(organs, "diameter_m"))[:, None, None])
     points = straight
     if np.any(walls.bend != 0.0):
         points = walls.bent(straight[..., 2], straight[..., 0], straight[..., 1])
-    points = frames(organs).placed(points)
+    points = fruit_frames(organs).placed(points)
     return shells(points[:, 1:-1].reshape(n, rings, columns, 3), points[:, 0], points[:, -1], walls.v, state)
 
 
@@ -150,8 +150,8 @@ def ripeness(organs: Sequence[Organ], points: FloatArray) -> FloatArray:
     Patches one and a half times wider than tall (chosen), and a trend from shoulder to tip, stronger in some
     fruit than in others.
     """
-    seed, mean = measure(organs, "seed", 0.0), measure(organs, "ripeness", 0.0)
-    spread = measure(organs, "ripeness_spread", 0.0)
+    seed, mean = organ_measure(organs, "seed", 0.0), organ_measure(organs, "ripeness", 0.0)
+    spread = organ_measure(organs, "ripeness_spread", 0.0)
     points = points * [1.0, 1.0, 1.5]
     trend = points[..., 2] - points[..., 2].mean(axis=1, keepdims=True)
     trend /= trend.std(axis=1, keepdims=True)
@@ -161,16 +161,16 @@ def ripeness(organs: Sequence[Organ], points: FloatArray) -> FloatArray:
     return mean[:, None] + spread[:, None] * field
 
 
-def scanned_fruits(organs: Sequence[Organ], scan: Scan) -> Bodies:
+def scanned_fruits(organs: Sequence[Organ], scan: Scan) -> MeshBatch:
     """Fruit that all wear one scan, each stretched to its own length and diameter.
 
     Measures: length_m (along the axis), diameter_m, ripeness, ripeness_spread, seed.
     """
     length, diameter = size(organs, "length_m"), size(organs, "diameter_m")
     stretch = np.stack([diameter, diameter, length], axis=1)[:, None]
-    hung = frames(organs)
+    hung = fruit_frames(organs)
     local = scan.points * stretch
-    return Bodies(
+    return MeshBatch(
         hung.placed(local),
         # Normals go with the inverse of what stretches the points.
         unit(scan.normals / stretch) @ hung.axes,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.geometry.bodies import fineness
-from pepperscene.geometry.organ_arrays import hashed, measure, signed, size, smooth_field
+from pepperscene.geometry.organ_arrays import hashed, organ_measure, signed, size, smooth_field
 from pepperscene.grammar.plant import Organ
 
 FloatArray = NDArray[np.float64]
@@ -88,11 +88,11 @@ def pericarps(organs: Sequence[Organ], detail: float) -> Pericarps:
     cavity, 1 a deep one), taper (diameter near the blossom end over the greatest), point (0 blocky, 1 drawn
     out to a point), bend_rad (of the axis, from stalk to tip), seed.
     """
-    n, seed = len(organs), measure(organs, "seed", 0.0)
+    n, seed = len(organs), organ_measure(organs, "seed", 0.0)
     length, diameter = size(organs, "length_m"), size(organs, "diameter_m")
-    lobes = np.clip(np.round(measure(organs, "lobes", 4.0)), 1, 6)[:, None, None]
-    lobed = np.clip(measure(organs, "lobe_depth", 1.0), 0.0, 2.5)
-    point = np.clip(measure(organs, "point", 0.0), 0.0, 1.0)[:, None, None]
+    lobes = np.clip(np.round(organ_measure(organs, "lobes", 4.0)), 1, 6)[:, None, None]
+    lobed = np.clip(organ_measure(organs, "lobe_depth", 1.0), 0.0, 2.5)
+    point = np.clip(organ_measure(organs, "point", 0.0), 0.0, 1.0)[:, None, None]
     # What lets a fruit look blocky: without furrows it is round and even.
     blocky = (lobed**2 / (lobed**2 + 0.1))[:, None, None]
     profile = _profile(organs, blocky[..., 0], diameter / length, fineness(24, detail, 6))
@@ -142,7 +142,7 @@ def pericarps(organs: Sequence[Organ], detail: float) -> Pericarps:
     start, end = profile.foot, level[:, -1].mean(axis=1) + _SCAR[1] * diameter / length
     low_end, high_end = np.minimum(level.min(axis=(1, 2)), start), np.maximum(level.max(axis=(1, 2)), end)
     stretch = length / (high_end - low_end)
-    bend = measure(organs, "bend_rad", 0.0)
+    bend = organ_measure(organs, "bend_rad", 0.0)
     aside = 2.0 * np.pi * hashed(seed, 306, 1)[:, 0]
     return Pericarps(
         along=(level - start[:, None, None]) * stretch[:, None, None],
@@ -185,9 +185,9 @@ def _profile(organs: Sequence[Organ], blocky: FloatArray, slimness: FloatArray, 
         rings: how many.
     """
     slim = slimness[:, None]
-    point = np.clip(measure(organs, "point", 0.0), 0.0, 1.0)[:, None]
-    taper = 1.0 - np.clip(measure(organs, "taper", 0.85), 0.2, 1.2)[:, None]
-    sink = _CAVITY * np.clip(measure(organs, "shoulder", 0.5), 0.0, 2.0)[:, None]
+    point = np.clip(organ_measure(organs, "point", 0.0), 0.0, 1.0)[:, None]
+    taper = 1.0 - np.clip(organ_measure(organs, "taper", 0.85), 0.2, 1.2)[:, None]
+    sink = _CAVITY * np.clip(organ_measure(organs, "shoulder", 0.5), 0.0, 2.0)[:, None]
     # Two quarters of superellipses that meet at the widest place. The shoulders are about as high as wide,
     # whatever the length; the lower part rounds off over its last radius, or runs to a point.
     high = np.clip((0.85 + 0.1 * (1.0 - blocky) - 0.2 * point) * slim, 0.1, 1.0)

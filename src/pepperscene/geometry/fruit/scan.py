@@ -66,11 +66,11 @@ def load_scan(path: Path) -> Scan:
         InputError: there is no such file, it cannot be read, or what is left is not one closed body.
     """
     if path.suffix.lower() not in FORMATS:
-        raise InputError(path, "", None, _ALLOWED)
+        raise InputError(path, _ALLOWED)
     try:
         told = path.stat()
     except OSError:
-        raise InputError(path, "", None, f"there is no such file; {_ALLOWED}") from None
+        raise InputError(path, f"there is no such file; {_ALLOWED}") from None
     return _scan(path, told.st_mtime_ns, told.st_size)
 
 
@@ -91,11 +91,11 @@ def _triangles(path: Path) -> tuple[FloatArray, NDArray[np.intp]]:
     try:
         read = trimesh.load(path, process=False, skip_materials=True)
     except Exception as fault:  # readers of many formats raise what they like
-        raise InputError(path, "", None, f"cannot be read as a mesh ({fault}); {_ALLOWED}") from fault
+        raise InputError(path, f"cannot be read as a mesh ({fault}); {_ALLOWED}") from fault
     bodies = list(read.geometry.values()) if isinstance(read, trimesh.Scene) else [read]
     bodies = [body for body in bodies if len(getattr(body, "faces", ())) > 0]
     if not bodies:
-        raise InputError(path, "", None, f"has no triangles; {_ALLOWED}")
+        raise InputError(path, f"has no triangles; {_ALLOWED}")
     offsets = np.cumsum([0, *(len(body.vertices) for body in bodies)])
     faces = [
         np.asarray(body.faces, dtype=np.intp) + first for body, first in zip(bodies, offsets, strict=False)
@@ -109,11 +109,11 @@ def _cleaned(path: Path, vertices: FloatArray, faces: NDArray[np.intp]) -> trime
 
     used = vertices[np.unique(faces)]
     if not np.all(np.isfinite(used)):
-        raise InputError(path, "", None, f"has points that are not finite numbers; {_ALLOWED}")
+        raise InputError(path, f"has points that are not finite numbers; {_ALLOWED}")
     low, high = used.min(axis=0), used.max(axis=0)
     extent = high - low
     if not extent.min() > _FLAT * extent.max():
-        raise InputError(path, "", None, f"is flat; {_ALLOWED}")
+        raise InputError(path, f"is flat; {_ALLOWED}")
     mesh = trimesh.Trimesh((vertices - 0.5 * (low + high)) / extent.max(), faces, process=False)
     mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=_FINE)
     # Needles of no area are kept where their three points differ: without them the surface would be open.
@@ -123,11 +123,11 @@ def _cleaned(path: Path, vertices: FloatArray, faces: NDArray[np.intp]) -> trime
     trimesh.repair.fix_winding(mesh)
     mesh = _closed(path, mesh)
     if not (mesh.is_watertight and mesh.is_winding_consistent):
-        raise InputError(path, "", None, f"is not closed, or triangles share an edge by three; {_ALLOWED}")
+        raise InputError(path, f"is not closed, or triangles share an edge by three; {_ALLOWED}")
     if mesh.volume < 0.0:
         mesh.invert()
     if not mesh.volume > _FLAT * float(np.prod(mesh.extents)):
-        raise InputError(path, "", None, f"encloses no volume; {_ALLOWED}")
+        raise InputError(path, f"encloses no volume; {_ALLOWED}")
     return mesh
 
 
@@ -138,10 +138,8 @@ def _keep_largest(path: Path, mesh: trimesh.Trimesh) -> None:
     part = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
     area = np.sort(np.bincount(part, weights=mesh.area_faces))
     if len(area) > 1 and area[-2] > _DEBRIS * area[-1]:
-        raise InputError(
-            path, "", None,
-            f"has several parts, the second {area[-2] / area[-1]:.0%} as large as the first; {_ALLOWED}",
-        )  # fmt: skip
+        size = f"{area[-2] / area[-1]:.0%}"
+        raise InputError(path, f"has several parts, the second {size} as large as the first; {_ALLOWED}")
     mesh.update_faces(part == np.argmax(np.bincount(part, weights=mesh.area_faces)))
     mesh.remove_unreferenced_vertices()
 
@@ -161,10 +159,8 @@ def _closed(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         points = mesh.vertices[rim[:, 0]]
         width = float(np.ptp(points, axis=0).max())
         if width > _HOLE:
-            raise InputError(
-                path, "", None,
-                f"has a hole of {width:.0%} of its size, and holes are closed up to {_HOLE:.0%}; {_ALLOWED}",
-            )  # fmt: skip
+            size = f"{width:.0%} of its size, and holes are closed up to {_HOLE:.0%}"
+            raise InputError(path, f"has a hole of {size}; {_ALLOWED}")
         vertices.append(points.mean(axis=0, keepdims=True))
         # A new triangle runs along the hole's edge the other way than the old one.
         middle = np.full(len(rim), len(mesh.vertices) + number)
@@ -180,11 +176,9 @@ def _small_enough(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     try:
         simple = mesh.simplify_quadric_decimation(face_count=MOST_TRIANGLES)
     except ImportError:
-        raise InputError(
-            path, "", None,
-            f"has {count} triangles, and {MOST_TRIANGLES} are allowed; with the package fast-simplification "
-            f"installed it would be simplified",
-        ) from None  # fmt: skip
+        size = f"{count} triangles, and {MOST_TRIANGLES} are allowed"
+        problem = f"has {size}; with the package fast-simplification installed it would be simplified"
+        raise InputError(path, problem) from None
     return _cleaned(path, np.asarray(simple.vertices, dtype=float), np.asarray(simple.faces, dtype=np.intp))
 
 
@@ -196,7 +190,7 @@ def _unit_sized(path: Path, vertices: FloatArray, faces: NDArray[np.intp], mesh:
     points[:, :2] /= _diameter(points)
     foot = _surface_above(points[faces], np.zeros((1, 2)))[0]
     if not np.isfinite(foot):
-        raise InputError(path, "", None, f"has no surface over its middle; {_ALLOWED}")
+        raise InputError(path, f"has no surface over its middle; {_ALLOWED}")
     points[:, 2] -= foot
     normals = _normals(points, faces)
     points, normals, uv, faces = _with_seam(points, normals, faces)

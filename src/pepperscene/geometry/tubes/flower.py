@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.bodies import Bodies, fineness, vertex_normals
-from pepperscene.geometry.organ_arrays import measure, signed, size
+from pepperscene.geometry.bodies import MeshBatch, fineness, vertex_normals
+from pepperscene.geometry.organ_arrays import organ_measure, signed, size
 from pepperscene.geometry.tubes.tube import centrelines
 from pepperscene.grammar.plant import Organ
 
@@ -23,16 +23,16 @@ _BUD: Final = 1.45  # radians by which petals stand up in a bud
 _CLOSING: Final = 0.7  # radians by which their outer parts lean in over it
 
 
-def flowers(organs: Sequence[Organ], detail: float) -> Bodies:
+def flowers(organs: Sequence[Organ], detail: float) -> MeshBatch:
     """Corollas as single sheets; normals leave the inner side. u is 0 where petals part and .5 along their
     middles, v runs from the stalk to the tips.
 
     Measures: radius_m (when flat), petals (count), open (0 bud, 1 flat), seed, state_mean.
     """
-    radius, opened = size(organs, "radius_m"), np.clip(measure(organs, "open", _OPEN), 0.0, 1.0)
+    radius, opened = size(organs, "radius_m"), np.clip(organ_measure(organs, "open", _OPEN), 0.0, 1.0)
     sides, pieces = fineness(28, detail, 14), fineness(3, detail, 2)
-    angle, aside = _star(np.round(measure(organs, "petals", _PETALS)).clip(3.0, sides // 2), sides)
-    seed = measure(organs, "seed", 0.0)
+    angle, aside = _star(np.round(organ_measure(organs, "petals", _PETALS)).clip(3.0, sides // 2), sides)
+    seed = organ_measure(organs, "seed", 0.0)
     # A petal is longest at its middle; no two flowers are quite alike.
     uneven = 1.0 + 0.06 * np.cos(angle + np.pi * signed(seed, 151, 1)) * signed(seed, 152, 1)
     reach = (_NOTCH + (1.0 - _NOTCH) * (1.0 - aside) ** 0.8) * uneven
@@ -57,10 +57,10 @@ def flowers(organs: Sequence[Organ], detail: float) -> Bodies:
     )
     faces = _faces(len(part), sides)
     # The throat is greenish.
-    state = measure(organs, "state_mean", _STATE)[:, None] - 0.4 * (1.0 - np.repeat(part, sides)) ** 3
+    state = organ_measure(organs, "state_mean", _STATE)[:, None] - 0.4 * (1.0 - np.repeat(part, sides)) ** 3
     u = np.broadcast_to(0.5 - 0.5 * aside[:, None, :], (n, len(part), sides)).reshape(shape)
     uv = np.stack([u, np.broadcast_to(np.repeat(part, sides), u.shape)], axis=-1)
-    return Bodies(vertices, vertex_normals(vertices, faces), uv, np.clip(state, 0.0, 1.0), faces)
+    return MeshBatch(vertices, vertex_normals(vertices, faces), uv, np.clip(state, 0.0, 1.0), faces)
 
 
 def _star(petals: NDArray[np.float64], sides: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.bodies import Bodies, fineness
-from pepperscene.geometry.organ_arrays import hashed, measure, size
+from pepperscene.geometry.bodies import MeshBatch, fineness
+from pepperscene.geometry.organ_arrays import hashed, organ_measure, size
 from pepperscene.geometry.spine import Spines
 from pepperscene.geometry.tubes.tube import (
     Cap,
@@ -34,7 +34,7 @@ _LEAN: Final = 0.9  # chosen: radians; a foot turns no further to go level into 
 _UNDER: Final = 0.3  # chosen: radians by which a foot's ring leans over, to hide its edge below a leaf
 
 
-def stalks(organs: Sequence[Organ], detail: float) -> Bodies:
+def stalks(organs: Sequence[Organ], detail: float) -> MeshBatch:
     """Petioles, side shoots and rachises: a flared foot, a slow taper; petioles have a channel above.
 
     Measures: radius_m (base, above the foot), radius_tip_m, channel (1 a petiole's channel and flat tip, 0
@@ -45,11 +45,11 @@ def stalks(organs: Sequence[Organ], detail: float) -> Bodies:
     foot = np.minimum(_FOOT_M * base, 0.25 * spine.lengths)
     part, along = _rows([0.0, 0.6, 1.6], 0.045, foot, spine, fineness(6, detail, 2))
     place = along / spine.lengths[:, None]
-    wider = np.maximum(measure(organs, "foot", _FOOT), 0.2) - 1.0
+    wider = np.maximum(organ_measure(organs, "foot", _FOOT), 0.2) - 1.0
     flare = wider[:, None] * np.exp(-((along / foot[:, None]) ** 2))
     radius = base[:, None] + (tip - base)[:, None] * place
     # A petiole is a little flat, most of all at its tip, which goes over into the midrib.
-    channel = np.clip(measure(organs, "channel", 0.0), 0.0, 1.0)
+    channel = np.clip(organ_measure(organs, "channel", 0.0), 0.0, 1.0)
     angle = circle(fineness(7, detail, 5))
     beside = (angle + np.pi) % (2.0 * np.pi) - np.pi
     inside = np.sqrt(np.sin(np.pi * np.clip(0.03 + place, 0.0, 1.0)))
@@ -72,7 +72,7 @@ def stalks(organs: Sequence[Organ], detail: float) -> Bodies:
     return closed(spine, Rings(_upright(spine, along, up), right, up, part, state), base_cap, tip_cap)
 
 
-def peduncles(organs: Sequence[Organ], detail: float) -> Bodies:
+def peduncles(organs: Sequence[Organ], detail: float) -> MeshBatch:
     """Fruit stalks: ribbed, with a collar at the foot where they break off, widening towards the calyx.
 
     Measures: radius_m (base, above the collar, over the ribs), radius_tip_m, ribs (count), seed, state_mean.
@@ -90,8 +90,8 @@ def peduncles(organs: Sequence[Organ], detail: float) -> Bodies:
     )
     radius = base[:, None] * (1.0 + collar) + (tip - base)[:, None] * place**3
     # Ribs run along; the grid is turned to them, so that a rib or a furrow is at every point.
-    sides, ribs = fineness(15, detail, 6), np.round(measure(organs, "ribs", _RIBS))
-    draw = hashed(measure(organs, "seed", 0.0), 111, 2)
+    sides, ribs = fineness(15, detail, 6), np.round(organ_measure(organs, "ribs", _RIBS))
+    draw = hashed(organ_measure(organs, "seed", 0.0), 111, 2)
     angle = circle(sides)
     furrow = 0.5 - 0.5 * np.cos(ribs[:, None] * angle)
     uneven = 1.0 + 0.3 * np.cos(angle + 2.0 * np.pi * draw[:, 1:])
@@ -122,12 +122,12 @@ _CUT: Final = np.array(
 )
 
 
-def cuts(organs: Sequence[Organ], detail: float) -> Bodies:
+def cuts(organs: Sequence[Organ], detail: float) -> MeshBatch:
     """Scars where fruit was harvested: a short stub cut at a slant, a raised rim and a sunken, corky middle.
 
     Measures: radius_m (of the rim), seed.
     """
-    radius, seed = size(organs, "radius_m"), measure(organs, "seed", 0.0)
+    radius, seed = size(organs, "radius_m"), organ_measure(organs, "seed", 0.0)
     spine = centrelines(organs, 4)
     height, profile, green, slanted = _CUT.T
     # A low stub has no room for a waist below its rim.

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.bodies import Bodies, fineness
-from pepperscene.geometry.organ_arrays import hashed, measure, size
+from pepperscene.geometry.bodies import MeshBatch, fineness
+from pepperscene.geometry.organ_arrays import hashed, organ_measure, size
 from pepperscene.geometry.spine import Spines, spines
 from pepperscene.geometry.tubes.tube import (
     STATE,
@@ -37,7 +37,7 @@ _NODE_STEPS: Final = 24  # chosen: pieces of a node's bent axis, most of which i
 _CORK: Final = 0.15  # chosen: how much further a node's collar has browned than the rest
 
 
-def internodes(organs: Sequence[Organ], detail: float) -> Bodies:
+def internodes(organs: Sequence[Organ], detail: float) -> MeshBatch:
     """Main stem sections: angular, with four or five uneven ridges that fade into the nodes.
 
     Measures: radius_m (base, over the ridges), radius_tip_m, groove_m (depth between ridges), seed,
@@ -50,20 +50,22 @@ def internodes(organs: Sequence[Organ], detail: float) -> Bodies:
     # Ridges stand full but near the ends, where the section is as round as the node.
     edge = np.clip(np.minimum(part, 1.0 - part) / _FADING, 0.0, 1.0)
     full = edge**2 * (3.0 - 2.0 * edge)
-    groove = _grooves(measure(organs, "seed", 0.0), part, angle)
-    depth = np.clip(measure(organs, "groove_m", 0.0), 0.0, 0.5 * np.minimum(base, tip))
+    groove = _grooves(organ_measure(organs, "seed", 0.0), part, angle)
+    depth = np.clip(organ_measure(organs, "groove_m", 0.0), 0.0, 0.5 * np.minimum(base, tip))
     reach = radius[..., None] - (depth[:, None] * full)[..., None] * groove
     right, up = centred(reach * np.sin(angle), reach * np.cos(angle), radius)
     # Grooves are greener than ridges, and the state runs on from one end to the other.
     along = spine.lengths[:, None] * part
     told = np.array(["state_tip" in organ.measures for organ in organs])
-    rise = np.where(told, measure(organs, "state_tip", 0.0) - measure(organs, "state_mean", STATE), 0.0)
+    rise = np.where(
+        told, organ_measure(organs, "state_tip", 0.0) - organ_measure(organs, "state_mean", STATE), 0.0
+    )
     state = rise[:, None, None] * part[:, None] + _DARK * full[:, None] * (groove - 0.5)
     rings = Rings(along, right, up, part, state + streaked(organs, along, len(angle)))
     return closed(spine, rings, rounded(base, spine.lengths), rounded(tip, spine.lengths))
 
 
-def nodes(organs: Sequence[Organ], detail: float) -> Bodies:
+def nodes(organs: Sequence[Organ], detail: float) -> MeshBatch:
     """Swellings between two stem sections: a shoulder, a corky collar, and a furrow above it.
 
     Measures: radius_m (widest), radius_end_m (upper end), radius_start_m (lower end; else as the upper),
@@ -73,7 +75,7 @@ def nodes(organs: Sequence[Organ], detail: float) -> Bodies:
     angle = circle(fineness(_SIDES, detail, 8))
     spine = _bent(organs)
     # It bulges to some sides, as if for what grows there; its ends are round as the sections' are.
-    phase = 2.0 * np.pi * hashed(measure(organs, "seed", 0.0), 103, 2)
+    phase = 2.0 * np.pi * hashed(organ_measure(organs, "seed", 0.0), 103, 2)
     hollow = 0.5 - 0.3 * np.cos(2.0 * angle + phase[:, :1]) - 0.2 * np.cos(3.0 * angle + phase[:, 1:])
     share = np.sin(np.pi * part)[:, None]
     reach = radius[..., None] * (1.0 - _LUMPS * share * hollow[:, None, :])
@@ -170,7 +172,7 @@ def _swelling(organs: Sequence[Organ], detail: float) -> tuple[NDArray[np.float6
     # The widest ring is as wide as it is told.
     widest, end = size(organs, "radius_m"), size(organs, "radius_end_m")
     told = np.array(["radius_start_m" in organ.measures for organ in organs])
-    start = np.where(told, measure(organs, "radius_start_m", 1.0), end)
+    start = np.where(told, organ_measure(organs, "radius_start_m", 1.0), end)
     straight = start[:, None] + (end - start)[:, None] * part
     return part, straight + (widest[:, None] - straight) * bulge / bulge.max()
 

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.bodies import Bodies, ring_faces, ring_uv
-from pepperscene.geometry.organ_arrays import measure, smooth_field
+from pepperscene.geometry.bodies import MeshBatch, ring_faces, ring_uv
+from pepperscene.geometry.organ_arrays import organ_measure, smooth_field
 from pepperscene.geometry.spine import Spines, spines, unit
 from pepperscene.grammar.plant import Organ
 
@@ -100,7 +100,7 @@ def centred(
     return right * scale[..., None], up * scale[..., None]
 
 
-def closed(spine: Spines, rings: Rings, base: Cap, tip: Cap) -> Bodies:
+def closed(spine: Spines, rings: Rings, base: Cap, tip: Cap) -> MeshBatch:
     """Tubes out of rings, with a cap at either end.
 
     Vertices are the base's point, its cap's ring, the rings, the tip's cap's ring and its point; every ring's
@@ -141,7 +141,7 @@ def skin(
     part: NDArray[np.float64],
     state: NDArray[np.float64],
     within: tuple[bool, bool],
-) -> Bodies:
+) -> MeshBatch:
     """Triangles over the rings of tubes and of their caps.
 
     Args:
@@ -162,7 +162,7 @@ def skin(
     state = np.clip(state, 0.0, 1.0)
     state = np.concatenate([state[:, :1], state, state[:, -1:]], axis=1)
     faces, uv = _topology(tuple(part.tolist()), sides)
-    return Bodies(
+    return MeshBatch(
         _woven(ends, grid),
         _woven(poles, unit(_cross(around, along))),
         np.broadcast_to(uv, (n, *uv.shape)),
@@ -185,11 +185,13 @@ def streaked(organs: Sequence[Organ], rings_along: NDArray[np.float64], sides: i
     points = np.empty((n, count, sides, 3))
     points[..., 0], points[..., 1] = np.cos(angle), np.sin(angle)
     points[..., 2] = rings_along[..., None] / _STREAK_M
-    field = smooth_field(points.reshape(n, -1, 3), measure(organs, "seed", 0.5), 121, 4.0)
+    field = smooth_field(points.reshape(n, -1, 3), organ_measure(organs, "seed", 0.5), 121, 4.0)
     # They fade at both ends, so that no ring shows where organs meet.
     place = rings_along / np.maximum(rings_along[:, -1:], 1e-9)
-    spread = measure(organs, "state_spread", _STATE_SPREAD)[:, None] * np.sqrt(1.0 - (2.0 * place - 1.0) ** 2)
-    mean = measure(organs, "state_mean", STATE)[:, None, None]
+    spread = organ_measure(organs, "state_spread", _STATE_SPREAD)[:, None] * np.sqrt(
+        1.0 - (2.0 * place - 1.0) ** 2
+    )
+    mean = organ_measure(organs, "state_mean", STATE)[:, None, None]
     return np.asarray(mean + spread[..., None] * field.reshape(n, count, sides))
 
 

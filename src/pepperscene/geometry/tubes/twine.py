@@ -29,7 +29,7 @@ _PLY_SIDES: Final = 8
 _WAIST: Final = 0.45  # chosen: square of the thinnest half-width of two plies over the widest
 
 
-def twine(
+def twine_mesh(
     stem_axis: NDArray[np.float64],
     stem_radius_m: ArrayLike,
     twine_radius_m: float,

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import Mesh
 from pepperscene.render.kernel.arrays import device_number, device_table
-from pepperscene.render.kernel.camera import View
-from pepperscene.render.variant import kernel
+from pepperscene.render.kernel.camera import CameraRays
+from pepperscene.render.variant import mitsuba_modules
 
 POINTS: Final = 64
 """Chosen: of a pixel that is looked at closely. The share on one side of a straight edge is then told to
@@ -47,7 +47,7 @@ class Coverage:
         self._classes = device_table(mesh.face_class, np.uint32)
         self._points = device_table(pixel_points())
 
-    def image(self, scene: Any, view: View, *, everywhere: bool = False) -> NDArray[np.float16]:
+    def image(self, scene: Any, view: CameraRays, *, everywhere: bool = False) -> NDArray[np.float16]:
         """`(h, w, 8)` share of each pixel's area that each `OrganClass` covers, multiples of 1/64.
 
         Args:
@@ -72,7 +72,7 @@ class Coverage:
         # Exact: whole numbers up to 64 over a power of two.
         return shares.astype(np.float16) / np.float16(POINTS)
 
-    def _seen(self, scene: Any, view: View) -> NDArray[np.uint8]:
+    def _seen(self, scene: Any, view: CameraRays) -> NDArray[np.uint8]:
         """`(h, w)` the classes that a few rays through each pixel meet, one bit each."""
         # Two by two pixels at a time: sixteen rays that go the same way are handed to Embree together.
         row, column = np.mgrid[: view.height + 1 & ~1, : view.width + 1 & ~1].astype(np.uint32)
@@ -85,7 +85,7 @@ class Coverage:
         seen.ravel()[pixels] = bits[:, 0] | bits[:, 1] | bits[:, 2] | bits[:, 3]
         return seen
 
-    def _counted(self, scene: Any, view: View, pixels: NDArray[np.intp]) -> NDArray[np.uint8]:
+    def _counted(self, scene: Any, view: CameraRays, pixels: NDArray[np.intp]) -> NDArray[np.uint8]:
         """`(n, 8)` how many of all `POINTS` of some pixels meet each class."""
         found = np.empty((len(pixels), len(OrganClass)), np.uint8)
         for start in range(0, len(pixels), _AT_A_TIME):
@@ -96,9 +96,11 @@ class Coverage:
             found[start : start + len(some)] = counts.astype("<u8").view(np.uint8).reshape(-1, 8)
         return found
 
-    def _met(self, scene: Any, view: View, pixels: NDArray[np.uint32], points: int) -> NDArray[np.uint32]:
+    def _met(
+        self, scene: Any, view: CameraRays, pixels: NDArray[np.uint32], points: int
+    ) -> NDArray[np.uint32]:
         """`(n * points,)` the class that each ray meets."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         lane = dr.arange(mi.UInt32, len(pixels) * points)
         pixel = dr.gather(mi.UInt32, device_table(pixels, np.uint32), lane // points)
         row = pixel // device_number(view.width, whole=True)

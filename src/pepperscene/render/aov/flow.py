@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.render.aov.labels import Hits, points, world_rays
-from pepperscene.render.kernel.arrays import Region, device_number, device_table
-from pepperscene.render.variant import kernel
+from pepperscene.render.kernel.arrays import LocalCoordinates, device_number, device_table
+from pepperscene.render.variant import mitsuba_modules
 
 CLEARANCE: Final = 1e-4
 """Chosen, of the distance: what hides a point stands nearer by more than this. At 40 cm it is 0.04 mm, less
@@ -23,7 +23,9 @@ than a leaf is thick. Single precision misplaces hits by a thousandth of that, a
 ray meets a surface at 0.03 degrees."""
 
 
-def motion(scene: Any, region: Region, hits: Hits, camera: Camera, other: Camera) -> NDArray[np.float32]:
+def optical_flow(
+    scene: Any, region: LocalCoordinates, hits: Hits, camera: Camera, other: Camera
+) -> NDArray[np.float32]:
     """`(h, w, 3)` pixels right and down from each pixel's centre to where the same point lies in another
     camera's picture, and 1 where it is visible there, else 0.
 
@@ -58,7 +60,7 @@ def motion(scene: Any, region: Region, hits: Hits, camera: Camera, other: Camera
 
 
 def nowhere(hits: Hits) -> NDArray[np.float32]:
-    """`(h, w, 3)` what `motion` gives where there is no other camera: nan, and not visible."""
+    """`(h, w, 3)` what `optical_flow` gives where there is no other camera: nan, and not visible."""
     found = np.full((*hits.face.shape, 3), np.nan, np.float32)
     found[..., 2] = 0.0
     return found
@@ -75,7 +77,7 @@ def reached(
         towards: in the unit of the scene's region; of the sky only the directions.
         face: `(n,)` that the points lie on, -1 for the sky.
     """
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     origin = mi.Point3f(*(float(x) for x in start))
     dr.make_opaque(origin)
     vector = mi.Vector3f(*(device_table(axis) for axis in towards.T))

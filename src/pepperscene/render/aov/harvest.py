@@ -11,27 +11,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError
 from pepperscene.geometry import Mesh
-from pepperscene.geometry.fruit.fruits import frames
+from pepperscene.geometry.fruit.fruits import fruit_frames
 from pepperscene.geometry.spine import spines
 from pepperscene.grammar import Organ
 from pepperscene.render.aov.labels import Hits
-from pepperscene.render.kernel.arrays import Region, device_number, region_of
-from pepperscene.render.kernel.camera import View
+from pepperscene.render.kernel.arrays import LocalCoordinates, device_number, local_coordinates
+from pepperscene.render.kernel.camera import CameraRays
 from pepperscene.render.kernel.scene import kernel_mesh
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene, Skeleton
-from pepperscene.truth.cut_point import FruitStalk, approach, fruit_stalk
+from pepperscene.truth.cut_point import FruitStalk, fruit_stalk, tool_approach
 from pepperscene.truth.encodings import Box
-from pepperscene.truth.harvest import Amodal, Fruit, Picture, harvest_facts
+from pepperscene.truth.harvest import AmodalMask, FruitTruth, LabelView, harvest_truth
 
 _MARGIN: Final = 2
 """Pixels around the box of an organ's vertices: chosen, a lens bends the lines between these by less."""
 
 
 @dataclass(frozen=True, eq=False)
-class Alone:
+class IsolatedOrgan:
     """One organ of a scene.
 
     Attributes:
@@ -40,13 +40,13 @@ class Alone:
     """
 
     mesh: Mesh
-    region: Region
+    region: LocalCoordinates
 
     @cached_property
     def scene(self) -> Any:
         """Of Mitsuba, with this organ and nothing else; made when it first comes into view."""
         shape = kernel_mesh(self.mesh, region=self.region)
-        return kernel()[0].load_dict({"type": "scene", "organ": shape})
+        return mitsuba_modules()[0].load_dict({"type": "scene", "organ": shape})
 
     def box(self, camera: Camera) -> Box | None:
         """The part of a picture outside of which no ray can hit the organ; None where there is none."""
@@ -64,15 +64,15 @@ class Alone:
         return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
 
 
-def alone(mesh: Mesh, instances: Sequence[int]) -> dict[int, Alone]:
+def isolated_organs(mesh: Mesh, instances: Sequence[int]) -> dict[int, IsolatedOrgan]:
     """Organs of a mesh, each by itself; without those that have no triangles.
 
     Args:
         mesh: of the scene; the vertices of each organ lie together.
         instances: indices of the organs.
     """
-    region = region_of(mesh)
-    return {instance: Alone(part, region) for instance, part in parts(mesh, instances)}
+    region = local_coordinates(mesh)
+    return {instance: IsolatedOrgan(part, region) for instance, part in parts(mesh, instances)}
 
 
 def parts(mesh: Mesh, instances: Sequence[int]) -> Iterable[tuple[int, Mesh]]:
@@ -105,14 +105,14 @@ def parts(mesh: Mesh, instances: Sequence[int]) -> Iterable[tuple[int, Mesh]]:
         )
 
 
-def hit_pixels(organs: Sequence[tuple[Alone, Box]], view: View) -> list[NDArray[np.bool_]]:
+def hit_pixels(organs: Sequence[tuple[IsolatedOrgan, Box]], view: CameraRays) -> list[NDArray[np.bool_]]:
     """`(y1 - y0, x1 - x0)` for each organ and box, which pixels' centres it lies behind.
 
     Args:
         organs: with the parts of the picture to look at.
         view: the camera's rays, in the region of the organs' scene.
     """
-    _, dr = kernel()
+    _, dr = mitsuba_modules()
     # All are begun before the first is waited for.
     begun = [_hits(one, box, view) for one, box in organs]
     dr.eval(begun)
@@ -122,9 +122,9 @@ def hit_pixels(organs: Sequence[tuple[Alone, Box]], view: View) -> list[NDArray[
     ]
 
 
-def _hits(one: Alone, box: Box, view: View) -> Any:
+def _hits(one: IsolatedOrgan, box: Box, view: CameraRays) -> Any:
     """1 for each pixel of a box whose ray hits, row by row."""
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     x0, y0, x1, y1 = box
     # Numbers that the kernel reads, so that no other box, organ or scene compiles anything anew.
     left, top, across = (device_number(n, whole=True) for n in (x0, y0, x1 - x0))
@@ -154,13 +154,15 @@ class Harvest:
 
     def __init__(self, scene: Scene) -> None:
         if scene.skeleton is None:
-            raise InputError(
-                "--outputs", "", None, "harvest needs a scene that was assembled with its plants' skeleton"
+            raise ArgumentError(
+                "outputs", "harvest needs a scene that was assembled with its plants' skeleton"
             )
         self._scene, self._bones = scene, scene.skeleton
-        self._fruit: dict[int, Fruit] = {}
+        self._fruit: dict[int, FruitTruth] = {}
 
-    def truth(self, camera: Camera, view: View, hits: Hits, instance: NDArray[np.uint16]) -> dict[str, Any]:
+    def truth(
+        self, camera: Camera, view: CameraRays, hits: Hits, instance: NDArray[np.uint16]
+    ) -> dict[str, Any]:
         """The output `harvest` of a view.
 
         Args:
@@ -174,20 +176,20 @@ class Harvest:
         masks = hit_pixels([(self._alone[index], box) for index, box in boxes.items()], view)
         found = []
         for (index, (x, y, *_)), mask in zip(boxes.items(), masks, strict=True):
-            amodal = Amodal((x, y), mask)
+            amodal = AmodalMask((x, y), mask)
             # Where rays of equal direction disagree at an outline, what is seen is there.
             mask |= amodal.of(instance) == index + 1
             if mask.any():
                 found.append((self._known(index), amodal))
-        picture = Picture(camera, instance, hits.distance)
-        return harvest_facts(found, picture, self._scene.mesh.instances)
+        picture = LabelView(camera, instance, hits.distance)
+        return harvest_truth(found, picture, self._scene.mesh.instances)
 
     # --- what is in view --------------------------------------------------------------------------------
 
     @cached_property
-    def _alone(self) -> dict[int, Alone]:
+    def _alone(self) -> dict[int, IsolatedOrgan]:
         """The scene's fruit, by index."""
-        return alone(self._scene.mesh, self._bones.of_form("fruit"))
+        return isolated_organs(self._scene.mesh, self._bones.of_form("fruit"))
 
     @cached_property
     def _balls(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -210,21 +212,21 @@ class Harvest:
 
     # --- what is known of a fruit, whatever looks at it ----------------------------------------------------
 
-    def _known(self, index: int) -> Fruit:
+    def _known(self, index: int) -> FruitTruth:
         if index not in self._fruit:
             self._fruit[index] = self._made(index)
         return self._fruit[index]
 
-    def _made(self, index: int) -> Fruit:
+    def _made(self, index: int) -> FruitTruth:
         organ, bones, about = self._bones.organ(index), self._bones, self._scene.mesh.instances[index]
-        hung = frames([organ])
+        hung = fruit_frames([organ])
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = hung.axes[0].T, hung.foot[0]
         local = (self._alone[index].mesh.vertices - hung.foot[0]) @ hung.axes[0].T
         low, high = local.min(axis=0), local.max(axis=0)
         centre = hung.foot[0] + pose[:3, :3] @ (0.5 * (low + high))
         line = _line(bones, index)
-        return Fruit(
+        return FruitTruth(
             index,
             about,
             pose,
@@ -236,7 +238,7 @@ class Harvest:
             },
             line,
             _stalk(bones, line),
-            approach(centre, self._stem(about.plant)),
+            tool_approach(centre, self._stem(about.plant)),
         )
 
     def _stem(self, plant: int) -> NDArray[np.float64]:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from pepperscene.camera import Camera
 from pepperscene.geometry import Mesh
 from pepperscene.render.kernel.arrays import device_number
-from pepperscene.render.kernel.camera import View
-from pepperscene.render.variant import kernel
+from pepperscene.render.kernel.camera import CameraRays
+from pepperscene.render.variant import mitsuba_modules
 from pepperscene.truth import class_colour, distance_code
 
 _TILE: Final = 4
@@ -35,9 +35,9 @@ class Hits:
     distance: NDArray[np.float32]
 
 
-def first_hits(scene: Any, view: View) -> Hits:
+def first_hits(scene: Any, view: CameraRays) -> Hits:
     """One ray per pixel against the scene; no material, light or attribute is touched."""
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     across, down = -(-view.width // _TILE), -(-view.height // _TILE)
     lane = dr.arange(mi.UInt32, across * down * _TILE**2)
     tile, place = lane // _TILE**2, lane % _TILE**2
@@ -61,7 +61,7 @@ def first_hits(scene: Any, view: View) -> Hits:
     return Hits(np.asarray(face).reshape(shape).astype(np.int64), metres)
 
 
-def truths(
+def label_outputs(
     mesh: Mesh, hits: Hits, instance: NDArray[np.uint16], camera: Camera, wanted: Sequence[str]
 ) -> dict[str, NDArray[Any]]:
     """Images by output name: those of `wanted` that need no light.

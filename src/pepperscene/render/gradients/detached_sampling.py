@@ -20,16 +20,16 @@ from numpy.typing import NDArray
 
 from pepperscene.render.kernel.arrays import device_number
 from pepperscene.render.quality import Quality
-from pepperscene.render.surface.optics import Optics, Point
+from pepperscene.render.surface.optics import Optics, SurfacePoint
 from pepperscene.render.transport.samples import FrameTables, Samples, SpectralTables
 from pepperscene.render.transport.trace import all_light
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 
 _LEAST_COSINE = 1e-5  # as of `pepperscene.render.surface.optics`, which lets nothing pass there
 
 
 @dataclass(frozen=True, eq=False)
-class FrozenOptics:
+class DetachedOptics:
     """In the place of `Optics`.
 
     Attributes:
@@ -40,15 +40,15 @@ class FrozenOptics:
     values: Optics
     drawn: Optics | None = None
 
-    def at(self, si: Any, surface: Any, state: Any, active: Any) -> FrozenPoint:
+    def at(self, si: Any, surface: Any, state: Any, active: Any) -> DetachedPoint:
         """The optical state at surface interactions, as of `Optics.at`."""
         point = self.values.at(si, surface, state, active)
         drawn = None if self.drawn is None else self.drawn.at(si, surface, state, active)
-        return FrozenPoint(**vars(point), drawn=drawn, there=active)
+        return DetachedPoint(**vars(point), drawn=drawn, there=active)
 
 
 @dataclass(frozen=True, eq=False)
-class FrozenPoint(Point):
+class DetachedPoint(SurfacePoint):
     """The optical state at a hit.
 
     Attributes:
@@ -56,12 +56,12 @@ class FrozenPoint(Point):
         there: where there is a hit at all.
     """
 
-    drawn: Point | None = None
+    drawn: SurfacePoint | None = None
     there: Any = True
 
     def sample(self, sample1: Any, sample2: Any) -> Any:
         """A direction and its density of the one state, with the weight that it has in the other."""
-        _, dr = kernel()
+        _, dr = mitsuba_modules()
         assert self.drawn is not None
         wo, density, _, lobe = self.drawn.sample(sample1, sample2)
         good = density > 0.0
@@ -73,14 +73,14 @@ class FrozenPoint(Point):
 
         There directions can be anything, and slopes that are not finite stay so even times nothing.
         """
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         good = self.there & active & (self.wi.z > _LEAST_COSINE) & (dr.abs(wo.z) > _LEAST_COSINE)
         upwards = mi.Vector3f(0.0, 0.0, 1.0)
-        safe = Point(**{**_point(self), "wi": dr.select(good, self.wi, upwards)})
+        safe = SurfacePoint(**{**_point(self), "wi": dr.select(good, self.wi, upwards)})
         return safe._eval_pdf(dr.select(good, wo, upwards), good)
 
 
-def _point(point: FrozenPoint) -> dict[str, Any]:
+def _point(point: DetachedPoint) -> dict[str, Any]:
     return {name: value for name, value in vars(point).items() if name not in ("drawn", "there")}
 
 
@@ -117,26 +117,26 @@ class Passes:
 
     def place(self, block: range) -> Any:
         """The pixel of each sample, counted from the block's first."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         return dr.arange(mi.UInt32, len(block) * self.samples) // device_number(self.samples, whole=True)
 
     def lanes(self, leaves: Mapping[str, Any], block: range) -> list[Any]:
         """Light of each sample by channel: what the tables make of it, along paths that they do not turn.
 
         Args:
-            leaves: of `Leaves.tables`, on the device.
+            leaves: of `DiffTables.tables`, on the device.
             block: the pixels, out of `blocks`.
         """
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         frame, spectra = copy.copy(self._frame), copy.copy(self._spectra)
         cuticles = {name: leaves[name] for name in ("sides", "openness")}
         own = frame.scene.optics
         values = _changed(own, spectra=leaves["spectra"], **cuticles)
-        frame.scene = replace(frame.scene, optics=FrozenOptics(values, own))  # type: ignore[arg-type]
+        frame.scene = replace(frame.scene, optics=DetachedOptics(values, own))  # type: ignore[arg-type]
         for name in ("lit", "sunlit"):
             if name in leaves:
                 seen = _changed(getattr(frame, name), spectra=leaves[name], **cuticles)
-                setattr(frame, name, FrozenOptics(seen))
+                setattr(frame, name, DetachedOptics(seen))
         lanes = len(block) * self.samples
         if "colour" in leaves:
             # Fetched lane by lane: a number alone would sum up its derivatives in a kernel of its own.
@@ -154,7 +154,7 @@ class Passes:
 
     def sums(self, lanes: list[Any]) -> NDArray[np.float64]:
         """`(n, k)` sums over the samples of each pixel."""
-        _, dr = kernel()
+        _, dr = mitsuba_modules()
         dr.eval(lanes)
         sums = [dr.block_reduce(dr.ReduceOp.Add, lane, self.samples) for lane in lanes]
         dr.eval(sums)

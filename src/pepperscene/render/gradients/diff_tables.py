@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Tables = dict[str, Array]
 
 
-class Leaves:
+class DiffTables:
     """Where the kernel's derivatives end and NumPy's begin.
 
     Args:

@@ -55,7 +55,7 @@ Model = Callable[["PigmentPath", Array, Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class PigmentModel:
     """What a surface's spectra are made of.
 
     Attributes:
@@ -73,7 +73,7 @@ class Body:
     model: Model
 
 
-def body_of(surface: Surface, cultivar: Cultivar | None) -> Body | None:
+def pigment_model(surface: Surface, cultivar: Cultivar | None) -> PigmentModel | None:
     """How the cultivar's pigments make the surface; None where they do not."""
     if cultivar is None:
         return None
@@ -82,13 +82,13 @@ def body_of(surface: Surface, cultivar: Cultivar | None) -> Body | None:
         # The rim of a scar is half of the stem's darkest rind: both rows follow from state 1.
         stem = cultivar.kinds[cultivar.stem.node].surface
         path, one = cultivar.pigments[stem], np.ones(1)
-        return Body(stem, one, _shares(path, one), np.zeros(len(states), np.intp), _scar)
+        return PigmentModel(stem, one, _shares(path, one), np.zeros(len(states), np.intp), _scar)
     if surface.name not in cultivar.pigments:
         return None
     path = cultivar.pigments[surface.name]
     forms = {kind.form for kind in cultivar.kinds.values() if kind.surface == surface.name}
     model = _leaf if forms & {"blade", "flower"} else _rind
-    return Body(surface.name, states, _shares(path, states), np.arange(len(states)), model)
+    return PigmentModel(surface.name, states, _shares(path, states), np.arange(len(states)), model)
 
 
 def _leaf(path: PigmentPath, nm: Array, states: Array) -> tuple[Array, Array]:
@@ -124,6 +124,6 @@ def _shares(path: PigmentPath, states: Array) -> Array:
     return np.stack([np.interp(states, knots, one) for one in np.eye(len(knots))], axis=1)
 
 
-def contents_of(body: Body, values: Values) -> dict[str, Array]:
+def contents_of(body: PigmentModel, values: Values) -> dict[str, Array]:
     """`(a,)` of each content at the states at which the body's model asks for it."""
     return {what: body.shares @ values[f"{body.path}.{what}"] for what in CONTENTS}

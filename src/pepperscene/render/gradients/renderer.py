@@ -11,15 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera, expected_electrons
 from pepperscene.render.gradients.detached_sampling import Passes
-from pepperscene.render.gradients.diff_tables import Leaves, Tables
+from pepperscene.render.gradients.diff_tables import DiffTables, Tables
 from pepperscene.render.gradients.pigment_models import RANGES, Values
 from pepperscene.render.gradients.tunable import Parameters, Tunable
-from pepperscene.render.kernel.arrays import device_table, region_of
+from pepperscene.render.kernel.arrays import device_table, local_coordinates
 from pepperscene.render.kernel.camera import LensCache, response
 from pepperscene.render.kernel.scene import light_scene, sky_tables
-from pepperscene.render.quality import Quality, quality_named
+from pepperscene.render.quality import Quality, find_quality
 from pepperscene.render.transport.samples import FrameTables
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
 
 if TYPE_CHECKING:
@@ -96,14 +96,14 @@ class DifferentiableRenderer:
     ) -> None:
         if flash_weights < 1:
             raise ValueError(f"at least one weight of the flash's spectrum is needed, not {flash_weights}")
-        effort = quality_named(quality) if isinstance(quality, str) else quality
+        effort = find_quality(quality) if isinstance(quality, str) else quality
         self._camera = camera
 
         # The renderer as it is, with everything that is drawn from it.
         spectral = response(camera, scene)
         grid = spectral.grid_nm
         light = light_scene(scene, float(grid[0]), float(grid[-1]))
-        view, sky = LensCache().view(camera, region_of(scene.mesh)), sky_tables(scene, grid)
+        view, sky = LensCache().view(camera, local_coordinates(scene.mesh)), sky_tables(scene, grid)
         self._frame = FrameTables(light, view, spectral, camera.flash, sky)
         self._frame.roulette = False
         self._passes = Passes(self._frame, camera.width * camera.height, effort, seed)
@@ -121,7 +121,7 @@ class DifferentiableRenderer:
         sun = None
         if sky is not None and self._frame.sunlit is not None:
             sun = np.asarray(sky.sun_irradiance, float)[: grid.size]
-        self._leaves = Leaves(tunable, spectral, self.flash_nodes_nm, sun)
+        self._leaves = DiffTables(tunable, spectral, self.flash_nodes_nm, sun)
         for value in values.values():
             value.setflags(write=False)
         self.parameters: Mapping[str, Array] = MappingProxyType(values)
@@ -152,7 +152,7 @@ class DifferentiableRenderer:
         Raises:
             ValueError: as of `rgb`.
         """
-        _, dr = kernel()
+        _, dr = mitsuba_modules()
         values, along = self._values(parameters), self._shaped(direction)
         leaves = _on_device(self._leaves.tables(values))
         tangents = _on_device(self._leaves.forward(values, along))
@@ -179,7 +179,7 @@ class DifferentiableRenderer:
         Raises:
             ValueError: as of `rgb`, or the gradient does not have the picture's shape.
         """
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         values = self._values(parameters)
         # What comes behind the light scales each pixel, and is its own transpose.
         weights = self._picture([self._flat(loss_gradient)], values).reshape(-1, self._frame.channels)

@@ -22,12 +22,12 @@ from pepperscene.render.gradients.pigment_models import (
     CONTENTS,
     RANGES,
     Array,
-    Body,
     GivenContents,
+    PigmentModel,
     Values,
-    body_of,
     contents_of,
     path_values,
+    pigment_model,
 )
 from pepperscene.render.surface.tables import cuticle_tables, spectra_rows
 
@@ -71,7 +71,7 @@ class Tunable:
     def __init__(self, surfaces: tuple[Surface, ...], cultivar: Cultivar | None, grid_nm: Array) -> None:
         self.surfaces, self.grid_nm = surfaces, grid_nm
         self.defaults: dict[str, Array] = {}
-        self._bodies = [body_of(surface, cultivar) for surface in surfaces]
+        self._bodies = [pigment_model(surface, cultivar) for surface in surfaces]
         self._known: list[dict[tuple[tuple[str, bytes], ...], Part]] = [{} for _ in surfaces]
         for body in self._bodies:
             if body is not None and cultivar is not None:
@@ -158,7 +158,7 @@ class Tunable:
                 entries = [self._entry_slopes(i, values, name, k) for k in range(value.size)]
                 yield i, tuple(np.stack(tables) for tables in zip(*entries, strict=True)), None
 
-    def _content_slopes(self, i: int, body: Body, values: Values, what: str) -> Array:
+    def _content_slopes(self, i: int, body: PigmentModel, values: Values, what: str) -> Array:
         """`(s, n, 4)` of the spectra, each row by the content at the state that it depends on."""
         contents = contents_of(body, values)
         scale = np.maximum(np.abs(contents[what]), _STEPS.get(what, 1.0))

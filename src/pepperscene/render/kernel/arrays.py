@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from pepperscene.geometry import Mesh
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 
 ALIGNMENT: Final = 64
 """Bytes: the widest vector register there is (AVX-512), and a cache line."""
@@ -32,7 +32,7 @@ def device_table(values: ArrayLike, dtype: DTypeLike = np.float32) -> Any:
     Raises:
         ValueError: there are no values, or no such tables.
     """
-    mi, _ = kernel()
+    mi, _ = mitsuba_modules()
     kinds = {"float32": mi.Float, "uint32": mi.UInt32}
     wanted = np.dtype(dtype)
     if wanted.name not in kinds:
@@ -47,7 +47,7 @@ def device_number(value: float, *, whole: bool = False) -> Any:
         value: the number.
         whole: as a `UInt32` instead of a `Float`.
     """
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     number = mi.UInt32(int(value)) if whole else mi.Float(float(value))
     dr.make_opaque(number)
     return number
@@ -84,7 +84,7 @@ _FARTHEST: Final = 1e7
 
 
 @dataclass(frozen=True)
-class Region:
+class LocalCoordinates:
     """The kernel's coordinates: world metres less `origin`, over `unit`.
 
     Attributes:
@@ -107,11 +107,11 @@ class Region:
         return (mesh.vertices - np.array(self.origin, np.float32)) / np.float32(self.unit)
 
 
-WORLD: Final = Region()
+WORLD: Final = LocalCoordinates()
 """World coordinates in metres."""
 
 
-def region_of(mesh: Mesh) -> Region:
+def local_coordinates(mesh: Mesh) -> LocalCoordinates:
     """The region that suits a mesh.
 
     Raises:
@@ -126,4 +126,4 @@ def region_of(mesh: Mesh) -> Region:
     unit = 1.0 if extent >= _TINY else max(2.0 ** np.floor(np.log2(max(extent, _LEAST_UNIT))), _LEAST_UNIT)
     step = _STEP * unit
     x, y, z = (np.rint((low + high) / (2.0 * step)) * step).tolist()
-    return Region((x, y, z), float(unit))
+    return LocalCoordinates((x, y, z), float(unit))

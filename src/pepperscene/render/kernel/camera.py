@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.render.kernel.arrays import WORLD, Region, device_number, device_table
-from pepperscene.render.variant import kernel
+from pepperscene.render.kernel.arrays import WORLD, LocalCoordinates, device_number, device_table
+from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class CameraRays:
     """Rays of a camera. The lens is tabulated once at the pixels' corners; the pose is a kernel input, so
     that a moved camera reuses the compiled kernel.
 
@@ -48,7 +48,7 @@ class View:
         Bilinear between the corners: exact for a pinhole, and off by less than 1e-6 rad for a lens whose
         distortion changes smoothly over a pixel.
         """
-        _, dr = kernel()
+        _, dr = mitsuba_modules()
         return dr.normalize(self.rotation @ self._towards(column, row, dx, dy))
 
     def rays(self, column: Any, row: Any, place: Any, next_2d: Callable[[], Any]) -> tuple[Any, Any]:
@@ -57,7 +57,7 @@ class View:
         With a plane in focus they start anywhere on the entrance pupil and meet in that plane (the thin lens
         of Cook, Porter & Carpenter 1984); `next_2d` is asked only then.
         """
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         towards = self._towards(column, row, place.x, place.y)
         if self.focus is None:
             return self.origin, dr.normalize(self.rotation @ towards)
@@ -70,7 +70,7 @@ class View:
 
     def _towards(self, column: Any, row: Any, dx: Any, dy: Any) -> Any:
         """Camera-axis directions (x/z, y/z, 1), bilinear between the pixels' corners."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         first = row * (self.columns + 1) + column
 
         def corner(offset: Any) -> Any:
@@ -89,9 +89,9 @@ class LensCache:
         self._key: tuple[object, ...] = ()
         self._slopes: Any = None
 
-    def view(self, camera: Camera, region: Region = WORLD) -> View:
+    def view(self, camera: Camera, region: LocalCoordinates = WORLD) -> CameraRays:
         """The camera's rays in a region's coordinates."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         key = (camera.lens, camera.width, camera.height, camera.sensor.name, camera.intrinsics.tobytes())
         if key != self._key:
             self._slopes = device_table(camera.ray_slopes())
@@ -100,7 +100,9 @@ class LensCache:
         origin = mi.Point3f(*(float(x) for x in region.places(camera.pose[:3, 3])))
         dr.make_opaque(rotation, origin)
         columns = device_number(camera.width, whole=True)
-        view = View(camera.width, camera.height, columns, self._slopes, rotation, origin, unit=region.unit)
+        view = CameraRays(
+            camera.width, camera.height, columns, self._slopes, rotation, origin, unit=region.unit
+        )
         if camera.focus_m is None:
             return view
         focus, aperture = (

@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.geometry import Mesh
-from pepperscene.render.kernel.arrays import WORLD, Region, device_table, region_of
+from pepperscene.render.kernel.arrays import WORLD, LocalCoordinates, device_table, local_coordinates
 from pepperscene.render.surface.optics import Optics
 from pepperscene.render.surface.tables import pack
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
 
 _LEAST_CHORD: Final = 1e-4
 """Chosen: of a sun's disc. Single precision tells directions apart to 1e-7, a thousandth of it."""
 
 
-def kernel_mesh(mesh: Mesh, bsdf: Any | None = None, region: Region = WORLD) -> Any:
+def kernel_mesh(mesh: Mesh, bsdf: Any | None = None, region: LocalCoordinates = WORLD) -> Any:
     """The mesh as a Mitsuba shape.
 
     Args:
@@ -39,7 +39,7 @@ def kernel_mesh(mesh: Mesh, bsdf: Any | None = None, region: Region = WORLD) -> 
     for name in ("normals", "uv", "state"):
         if not np.isfinite(getattr(mesh, name)).all():
             raise ValueError(f"the mesh's {name} must be finite numbers")
-    mi, _ = kernel()
+    mi, _ = mitsuba_modules()
     props = mi.Properties()
     if bsdf is not None:
         props["mesh_bsdf"] = bsdf
@@ -68,10 +68,10 @@ def truth_scene(scene: Scene) -> Any:
     """A Mitsuba scene that rays can hit, without materials or lights; in its region's coordinates.
 
     Raises:
-        ValueError: as `region_of`.
+        ValueError: as `local_coordinates`.
     """
-    shape = kernel_mesh(scene.mesh, region=region_of(scene.mesh))
-    return kernel()[0].load_dict({"type": "scene", "plants": shape})
+    shape = kernel_mesh(scene.mesh, region=local_coordinates(scene.mesh))
+    return mitsuba_modules()[0].load_dict({"type": "scene", "plants": shape})
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ class LightScene:
         there is instead of by a call through a pointer: the code is inlined, what nobody reads is left out,
         and it stays the same where another scene is still in memory.
         """
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         si = self.shape.compute_surface_interaction(ray, hit, mi.RayFlags.All, active)
         si.time, si.wavelengths = ray.time, ray.wavelengths
         si.initialize_sh_frame()
@@ -114,7 +114,7 @@ class LightScene:
             active: mask.
             optics: another view of the scene's surfaces, or None for their spectra.
         """
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         corner = dr.gather(mi.Vector4f, self.corners, hit.prim_index, active)
         u, v = hit.prim_uv.x, hit.prim_uv.y
         state = corner.x * (1.0 - u - v) + corner.y * u + corner.z * v
@@ -125,13 +125,13 @@ def light_scene(scene: Scene, first_nm: float, last_nm: float) -> LightScene:
     """The scene with its materials.
 
     Raises:
-        ValueError: the scene was assembled without surfaces; or as `region_of`.
+        ValueError: the scene was assembled without surfaces; or as `local_coordinates`.
     """
     if not scene.surfaces:
         raise ValueError("the scene has no surfaces: assemble it with them to render colour")
-    mi, _ = kernel()
+    mi, _ = mitsuba_modules()
     mesh = scene.mesh
-    region = region_of(mesh)
+    region = local_coordinates(mesh)
     optics = Optics(pack(scene.surfaces, first_nm, last_nm, region.unit))
     shape = kernel_mesh(mesh, region=region)
     built = mi.load_dict({"type": "scene", "plants": shape})
@@ -167,7 +167,7 @@ class SkyTables:
 
 def sky_tables(scene: Scene, grid_nm: np.ndarray) -> SkyTables | None:
     """The scene's sky tabulated on a grid of wavelengths, or None where it has none."""
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     sky = scene.sky
     if sky is None or (sky.sun is None and not sky.weights.any()):
         return None

@@ -8,8 +8,8 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from pepperscene.render.surface.optics import Optics, facing
-from pepperscene.render.variant import kernel
+from pepperscene.render.surface.optics import Optics, shading_normals
+from pepperscene.render.variant import mitsuba_modules
 
 PLUGIN = "pepper_surface"
 
@@ -17,7 +17,7 @@ PLUGIN = "pepper_surface"
 @functools.cache
 def surface_bsdf() -> Any:
     """The BSDF class, registered with Mitsuba as `pepper_surface`; made once the variant is known."""
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
 
     class SurfaceBSDF(mi.BSDF):  # type: ignore[name-defined]
         """Body under cuticle; construct through `of`."""
@@ -47,7 +47,7 @@ def surface_bsdf() -> Any:
             # Mitsuba finds the place in the triangle by normal equations, whose determinant is 0 in single
             # precision where it is thousands of times longer than wide, as wires' are: of one state all over.
             state = dr.select(dr.isfinite(state), state, 0.5)
-            turned = facing(si)
+            turned = shading_normals(si)
             return turned, self.optics.at(turned, surface, state, active)
 
         def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:

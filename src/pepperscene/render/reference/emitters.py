@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Flash
-from pepperscene.render.kernel.camera import View
-from pepperscene.render.variant import kernel
+from pepperscene.render.kernel.camera import CameraRays
+from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Sky
 
 _PROFILE_STEPS: Final = 1800  # chosen: 0.05 degrees, so that profiles told at whole degrees are met exactly
@@ -27,7 +27,7 @@ class SpectralTable:
     """Values on an even grid of wavelengths, linear in between; a kernel input, never compiled in."""
 
     def __init__(self, grid_nm: NDArray[np.float64], values: NDArray[np.float64]) -> None:
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         self.values = mi.Float(np.asarray(values, np.float32))
         self.first = mi.Float(float(grid_nm[0]))
         self.per_step = mi.Float(float((grid_nm.size - 1) / (grid_nm[-1] - grid_nm[0])))
@@ -36,7 +36,7 @@ class SpectralTable:
 
     def at(self, wavelengths: Any, active: Any = True) -> Any:
         """The values at each of a ray's wavelengths."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         found = mi.Spectrum(0.0)
         for k in range(len(wavelengths)):
             place = dr.clip((wavelengths[k] - self.first) * self.per_step, 0.0, self.last)
@@ -50,7 +50,7 @@ class SpectralTable:
 @functools.cache
 def flash_emitter() -> Any:
     """The class of the flash's emitter; made once the variant is known."""
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
 
     class FlashEmitter(mi.Emitter):  # type: ignore[name-defined]
         """Equal discs across the camera's axis; construct through `of`.
@@ -63,13 +63,13 @@ def flash_emitter() -> Any:
             self.m_flags = mi.EmitterFlags.DeltaPosition
 
         @classmethod
-        def of(cls, flash: Flash, view: View, intensity: SpectralTable) -> Any:
+        def of(cls, flash: Flash, view: CameraRays, intensity: SpectralTable) -> Any:
             """The flash of a camera; see `aim`."""
             self = cls(_weighted(1.0))
             self.aim(flash, view, intensity)
             return self
 
-        def aim(self, flash: Flash, view: View, intensity: SpectralTable) -> None:
+        def aim(self, flash: Flash, view: CameraRays, intensity: SpectralTable) -> None:
             """Put the flash where the camera is; `intensity` on its axis, of all discs, W sr-1 nm-1."""
             centres = np.asarray(flash.emitters_m) + np.array(flash.offset_m[:2])
             self.discs = mi.Float((centres / view.unit).astype(np.float32).ravel())
@@ -134,7 +134,7 @@ def daylight_emitter() -> Any:
 
     Sky and sun are one, since a Mitsuba scene has one environment.
     """
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
 
     class DaylightEmitter(mi.Emitter):  # type: ignore[name-defined]
         """Maps of radiance over the whole sphere and the sun's disc; construct through `of`.
@@ -245,6 +245,6 @@ def daylight_emitter() -> Any:
 
 
 def _weighted(weight: float) -> Any:
-    props = kernel()[0].Properties()
+    props = mitsuba_modules()[0].Properties()
     props["sampling_weight"] = weight
     return props

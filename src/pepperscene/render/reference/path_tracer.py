@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.render.kernel.arrays import Region, region_of
-from pepperscene.render.kernel.camera import LensCache, Response, View, response
+from pepperscene.render.kernel.arrays import LocalCoordinates, local_coordinates
+from pepperscene.render.kernel.camera import CameraRays, LensCache, Response, response
 from pepperscene.render.kernel.scene import kernel_mesh
 from pepperscene.render.reference.bsdf import surface_bsdf
 from pepperscene.render.reference.emitters import SpectralTable, daylight_emitter, flash_emitter
 from pepperscene.render.surface.optics import Optics
 from pepperscene.render.surface.tables import pack
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
 
 SAMPLERS: Final = ("independent", "stratified", "multijitter", "orthogonal", "ldsampler")
@@ -46,7 +46,7 @@ class PathScene:
     scene: Any
     flash: Any
     range_nm: tuple[float, float]
-    region: Region
+    region: LocalCoordinates
     lights: Literal["own", "others"] = "own"
 
 
@@ -66,14 +66,14 @@ def path_scene(
         emitters: of Mitsuba by name, in place of the camera's and the scene's lights.
 
     Raises:
-        ValueError: the scene was assembled without surfaces; or as `region_of`.
+        ValueError: the scene was assembled without surfaces; or as `local_coordinates`.
     """
     if not scene.surfaces:
         raise ValueError("the scene has no surfaces: assemble it with them to render colour")
-    mi, _ = kernel()
+    mi, _ = mitsuba_modules()
     spectral = response(camera, scene)
     first, last = float(spectral.grid_nm[0]), float(spectral.grid_nm[-1])
-    region = region_of(scene.mesh)
+    region = local_coordinates(scene.mesh)
     bsdf = surface_bsdf().of(Optics(pack(scene.surfaces, first, last, region.unit)))
     parts: dict[str, Any] = {"type": "scene", "plants": kernel_mesh(scene.mesh, bsdf, region)}
     if emitters is not None:
@@ -102,7 +102,7 @@ def path_traced(
     seed: int = 0,
     kernel_scene: PathScene | None = None,
 ) -> NDArray[np.float32]:
-    """`(h, w, c)` the light that reaches each pixel, in the units of `Light.total()`: electrons s-1 m-2 sr-1.
+    """`(h, w, c)` light that reaches each pixel, in units of `TracedLight.total()`: electrons s-1 m-2 sr-1.
 
     Args:
         scene: what stands where.
@@ -116,7 +116,7 @@ def path_traced(
     Raises:
         ValueError: unknown sampler, no samples, no surfaces, or a kernel scene for another camera.
     """
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     spectral = response(camera, scene)
     built = kernel_scene or path_scene(scene, camera)
     view = LensCache().view(camera, built.region)
@@ -157,15 +157,15 @@ def samples_taken(sampler: str, spp: int) -> int:
         raise ValueError(f"unknown sampler {sampler!r}; allowed are {', '.join(SAMPLERS)}")
     if spp < 1:
         raise ValueError(f"at least one sample per pixel is needed, not {spp}")
-    mi, _ = kernel()
+    mi, _ = mitsuba_modules()
     return int(mi.load_dict({"type": sampler, "sample_count": spp}).sample_count())
 
 
 class _Rays:
     """The camera's rays, each with four wavelengths, and the sensor at their end."""
 
-    def __init__(self, view: View, spectral: Response) -> None:
-        mi, _ = kernel()
+    def __init__(self, view: CameraRays, spectral: Response) -> None:
+        mi, _ = mitsuba_modules()
         self.view = view
         self.distribution = mi.ContinuousDistribution(
             mi.ScalarVector2f(spectral.grid_nm[0], spectral.grid_nm[-1]), spectral.density.astype(np.float32)
@@ -174,7 +174,7 @@ class _Rays:
 
     def sampled(self, sampler: Any, per_pass: int) -> tuple[Any, Any]:
         """Rays pixel by pixel, and the weights of their wavelengths."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         view = self.view
         pixel = dr.arange(mi.UInt32, view.width * view.height * per_pass) // per_pass
         row = pixel // view.width
@@ -189,11 +189,11 @@ class _Rays:
 
     def channels(self, weighted: Any, wavelengths: Any) -> list[Any]:
         """The sensor's sum over wavelengths for each channel, electrons s-1 m-2 sr-1."""
-        _, dr = kernel()
+        _, dr = mitsuba_modules()
         return [dr.sum(weighted * table.at(wavelengths)) for table in self.electrons]
 
 
-def _aim(built: PathScene, camera: Camera, view: View, spectral: Response) -> None:
+def _aim(built: PathScene, camera: Camera, view: CameraRays, spectral: Response) -> None:
     """Put the flash at the camera.
 
     Raises:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from pepperscene.render.kernel.arrays import device_table
 from pepperscene.render.surface.optics import Optics
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 
 
 class ChannelOptics(Optics):
@@ -37,7 +37,7 @@ class ChannelOptics(Optics):
             optics: with spectra over the grid of the weights.
             weights: `(n, c)` response times light on the grid, for c of 1 or 3; any scale.
         """
-        mi, _ = kernel()
+        mi, _ = mitsuba_modules()
         spectra = np.asarray(optics.spectra).reshape(-1, len(weights), 4)
         total = weights.sum(axis=0)
         shares = weights / np.where(total > 0.0, total, 1.0)
@@ -51,7 +51,7 @@ class ChannelOptics(Optics):
 
     def _body(self, wavelengths: Any, surface: Any, state: Any, active: Any) -> Any:
         """Front and back reflectance and transmittance in each channel."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         last_state = dr.gather(mi.Float, self.last_state, surface, active)
         place = state * last_state
         low = dr.floor(place)

@@ -43,13 +43,13 @@ import numpy as np
 from pepperscene.materials.gloss import NODE_SCALE, NODES
 from pepperscene.render.kernel.arrays import device_number, device_table
 from pepperscene.render.surface.tables import STEP_NM, SurfaceTables
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 
 _LEAST_SQUARE: Final = 1e-20
 """Chosen: below the square of any length here that single precision tells from 0."""
 
 
-def facing(si: Any) -> Any:
+def shading_normals(si: Any) -> Any:
     """The interactions with shading normals turned as far as needed, and `wi` in the new frames.
 
     The viewer is then on the same side of the shading normal as of the triangle.
@@ -57,7 +57,7 @@ def facing(si: Any) -> Any:
     Args:
         si: surface interactions; `n` and `sh_frame.n` point out of the same side of the mesh.
     """
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     towards = si.to_world(si.wi)
     # Seen from behind, g and n are both the other way round, which leaves c as it is.
     b = dr.dot(si.n, towards)
@@ -102,7 +102,7 @@ class Optics:
         self.width = device_table(tables.width, np.uint32)
         self.height = device_table(tables.height, np.uint32)
 
-    def at(self, si: Any, surface: Any, state: Any, active: Any) -> Point:
+    def at(self, si: Any, surface: Any, state: Any, active: Any) -> SurfacePoint:
         """The optical state at surface interactions.
 
         Args:
@@ -111,7 +111,7 @@ class Optics:
             state: pigment state in [0, 1], before the pattern.
             active: mask.
         """
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         offset, slope_u, slope_v = self._detail(si.uv, surface, active)
         front, back, through = self._body(si.wavelengths, surface, dr.clip(state + offset, 0.0, 1.0), active)
         frame = _relief_frame(si, slope_u, slope_v)
@@ -129,7 +129,7 @@ class Optics:
         beyond = dr.select(active, (side ^ 1) * NODES, 0)
         openness = _interpolated(self.openness, table, wi.z)
         leaving = through * cuticle.w
-        return Point(
+        return SurfacePoint(
             frame=frame,
             wi=wi,
             flip=dr.select(facing, mi.Float(1.0), mi.Float(-1.0)),
@@ -145,7 +145,7 @@ class Optics:
 
     def _detail(self, uv: Any, surface: Any, active: Any) -> Any:
         """State offset, and the relief's slopes over u and v in metres, bilinear in the texels."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         width = dr.gather(mi.UInt32, self.width, surface, active)
         height = dr.gather(mi.UInt32, self.height, surface, active)
         first = dr.gather(mi.UInt32, self.first_texel, surface, active)
@@ -170,7 +170,7 @@ class Optics:
 
     def _body(self, wavelengths: Any, surface: Any, state: Any, active: Any) -> Any:
         """Front and back reflectance and transmittance at each of the ray's wavelengths."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         last_state = dr.gather(mi.Float, self.last_state, surface, active)
         place = state * last_state
         low = dr.floor(place)
@@ -190,7 +190,7 @@ class Optics:
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class SurfacePoint:
     """The optical state at a hit, seen from the side that the viewer is on.
 
     Attributes:
@@ -220,7 +220,7 @@ class Point:
 
     def eval_pdf(self, wo: Any) -> Any:
         """BSDF times cosine, and sampling density, for a direction in the smooth local frame."""
-        mi, _ = kernel()
+        mi, _ = mitsuba_modules()
         turned = self.frame.to_local(wo)
         local = mi.Vector3f(turned.x, turned.y, turned.z * self.flip)
         return self._eval_pdf(local, wo.z * turned.z > 0.0)
@@ -230,7 +230,7 @@ class Point:
 
         Also returns the number of the lobe: 0 gloss, 1 diffuse reflection, 2 diffuse transmission.
         """
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         gloss, through = self._shares()
         mirror = sample1 < gloss
         rest = (sample1 - gloss) / dr.maximum(1.0 - gloss, 1e-6)
@@ -256,7 +256,7 @@ class Point:
         Lobes are chosen by their albedos, the root mean square over the ray's wavelengths: for lobes that do
         not overlap that makes the variance of the weights, summed over the wavelengths, least.
         """
-        _, dr = kernel()
+        _, dr = mitsuba_modules()
         specular = dr.maximum(1.0 - self.entering, 0.0)
         # `dr.mean` would write the number of rays into the code, which would be compiled for each anew.
         share = 1.0 / len(self.reflectance)
@@ -269,7 +269,7 @@ class Point:
 
     def _eval_pdf(self, wo: Any, active: Any) -> Any:
         """Value times cosine, and density, for `wo` in the relief's frame with the viewer above."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         cos_i, cos_o = self.wi.z, dr.abs(wo.z)
         same = wo.z > 0.0
         lambert = cos_o * dr.inv_pi
@@ -291,7 +291,7 @@ class Point:
 
 def _interpolated(tables: Any, first: Any, cosine: Any) -> Any:
     """The table that begins at entry `first`, at cosines, linear in the nodes' variable."""
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     place = dr.log(dr.fma(cosine, 1.0 / NODE_SCALE, 1.0)) * _NODES_PER_LOG
     # So written, the NaN of a lane that has ended reads entry 0, and not beyond all memory.
     place = dr.select(place > 0.0, dr.minimum(place, NODES - 1.0), 0.0)
@@ -302,7 +302,7 @@ def _interpolated(tables: Any, first: Any, cosine: Any) -> Any:
 
 def _relief_frame(si: Any, slope_u: Any, slope_v: Any) -> Any:
     """The shading frame on the relief, in local coordinates of the smooth one (Blinn 1978)."""
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     along_u = si.to_local(si.dp_du)
     along_v = si.to_local(si.dp_dv)
     # Gradient g of the height in the tangent plane: g . dp_du = slope_u, g . dp_dv = slope_v.

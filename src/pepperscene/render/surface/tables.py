@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.materials import Surface
-from pepperscene.materials.gloss import NODES, openness
+from pepperscene.materials.gloss import NODES, cuticle_transmittance
 
 STEP_NM: Final = 1.0
 """Spacing of the packed spectra. The kernel takes the nearest entry: with wavelengths spread over a pixel's
@@ -97,7 +97,7 @@ def cuticle_tables(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np.fl
     """`(2, 4)` constants of a surface's sides and `(2, NODES, 2)` tables of their openness."""
     ior = max(float(surface.ior), 1.0)
     alphas = [max(float(alpha), LEAST_ALPHA) for alpha in surface.roughness]
-    tables, means = zip(*(openness(ior, alpha) for alpha in alphas), strict=True)
+    tables, means = zip(*(cuticle_transmittance(ior, alpha) for alpha in alphas), strict=True)
     least = min(means)
     sides = np.array([(alpha, ior, mean, least / mean) for alpha, mean in zip(alphas, means, strict=True)])
     relative = np.stack([table / mean for table, mean in zip(tables, means, strict=True)])

@@ -17,7 +17,7 @@ Pictures = Sequence[Images]
 
 
 @dataclass(frozen=True, eq=False)
-class Light:
+class TracedLight:
     """One frame's light, summed over wavelengths by the sensor, per pixel and channel (c, 3 or 1).
 
     Attributes:
@@ -37,7 +37,7 @@ class Light:
     albedo: Images
     normal: Images
     covered: Images
-    spread: Spread
+    spread: SampleVariance
 
     def total(self) -> Images:
         """`(h, w, c)` all light as traced."""
@@ -45,7 +45,7 @@ class Light:
 
 
 @dataclass(frozen=True, eq=False)
-class Spread:
+class SampleVariance:
     """How the samples of each pixel differ, in units of a white body's light under the flash at one metre.
 
     Attributes:
@@ -63,7 +63,7 @@ class Spread:
     white: NDArray[np.float64]
 
 
-class Gathered:
+class SampleAccumulator:
     """Sums over the samples of each pixel.
 
     Args:
@@ -107,27 +107,27 @@ class Gathered:
         return self._image(self._sharp_mean() + self._soft_mean())
 
     def sharp_variance(self) -> Images:
-        """`(h, w)` as `Spread.sharp`."""
+        """`(h, w)` as `SampleVariance.sharp`."""
         return self._image(_variance(self._sharp[-1], self._sharp_mean() * self._per_white, self.samples))
 
     def soft_variance(self) -> Images:
-        """`(h, w)` as `Spread.soft`."""
+        """`(h, w)` as `SampleVariance.soft`."""
         means = self._soft_mean() * self._per_white
         return self._image(_variance(self._soft[self.channels], means, self.soft_samples))
 
-    def light(self) -> Light:
+    def light(self) -> TracedLight:
         """Means and variances."""
         c, share = self.channels, (1.0 / self.samples).astype(np.float32)
         hit = self._sharp[-2] * share
         soft_hit = self._soft[-1] / np.float32(self.soft_samples) if self.soft_samples else hit
-        return Light(
+        return TracedLight(
             flash=self._image(self._sharp[:c] * share),
             sky=self._image(self._sharp[c : 2 * c] * share),
             soft=self._image(self._soft_mean()),
             albedo=self._image(self._sharp[2 * c : 3 * c] * share),
             normal=self._image(self._sharp[3 * c : 3 * c + 3] * share),
             covered=self._image(np.stack([hit, soft_hit])),
-            spread=Spread(
+            spread=SampleVariance(
                 samples=self.samples.reshape(self._shape).copy(),
                 soft_samples=self.soft_samples,
                 sharp=self.sharp_variance(),

@@ -20,8 +20,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera import Camera, corrected, expected_electrons
-from pepperscene.render.transport.accumulate import Gathered, Light
+from pepperscene.camera import Camera, correct_colours, expected_electrons
+from pepperscene.render.transport.accumulate import SampleAccumulator, TracedLight
 
 GAIN: Final = 0.8
 """Of the law above, measured on `barth2018`: .4 for 4, .5 for 8 samples in every pixel, .7 to .9 where
@@ -39,7 +39,7 @@ _WIDEST: Final = 510.0  # chosen: codes by which samples differ that show black 
 Floats = NDArray[np.float32]
 
 
-class Stop:
+class AdaptiveSampler:
     """Decides how many samples each pixel of a frame needs, and tells what came of it.
 
     Args:
@@ -53,7 +53,7 @@ class Stop:
         self.camera, self.target, self.most, self.denoised = camera, target, most, denoised
         self._shown: Shown | None = None
 
-    def wanted(self, there: Gathered) -> NDArray[np.int32]:
+    def wanted(self, there: SampleAccumulator) -> NDArray[np.int32]:
         """`(h w,)` samples that each pixel should have by now."""
         if self.target is None:
             return there.samples
@@ -68,7 +68,7 @@ class Stop:
         most = np.minimum(now * _GROWTH, np.maximum(self.most, now))
         return np.clip(self._shared_out(spread.ravel(), allowed), now, most).astype(np.int32)
 
-    def achieved(self, light: Light) -> dict[str, Any]:
+    def achieved(self, light: TracedLight) -> dict[str, Any]:
         """What a frame's JSON says of its samples and their error."""
         spread, shows = light.spread, self._shows(light.total(), light.spread.white)
         variance = GAIN * _nearby(spread.sharp) * spread.samples.astype(np.float32) ** np.float32(-1.5)
@@ -124,7 +124,7 @@ class Shown:
 
     Attributes:
         noise: `(h, w)` of the sensor, codes.
-        per_white: `(h, w)` codes per unit of `Spread`.
+        per_white: `(h, w)` codes per unit of `SampleVariance`.
     """
 
     noise: Floats
@@ -136,7 +136,7 @@ def shown(signal: Floats, white: NDArray[np.float64], camera: Camera) -> Shown:
 
     Args:
         signal: `(h, w, c)` light, electrons s-1 m-2 sr-1.
-        white: `(c,)` the unit of `Spread`.
+        white: `(c,)` the unit of `SampleVariance`.
         camera: its sensor has the noise, and its developing makes codes of light.
     """
     sensor, c = camera.sensor, camera.sensor.channels
@@ -170,7 +170,7 @@ def _developing(camera: Camera) -> Floats:
     if camera.developing.white_balance == "flash" and camera.flash is None:
         return channels  # such a camera gives electrons and no pictures
     little = np.float32(1e-4)
-    return corrected(channels[None] * little, camera)[0] / little
+    return correct_colours(channels[None] * little, camera)[0] / little
 
 
 def _slope(linear: Floats, tone: str) -> Floats:
@@ -184,7 +184,7 @@ def _slope(linear: Floats, tone: str) -> Floats:
 
 
 def _in_codes(variance: Floats, shows: Shown, most: float) -> Floats:
-    """Squared codes of a variance in the unit of `Spread`, with deviations of `most` codes at most."""
+    """Squared codes of a variance in units of `SampleVariance`; deviations are at most `most` codes."""
     return np.square(np.minimum(shows.per_white * np.sqrt(variance), np.float32(most)))
 
 

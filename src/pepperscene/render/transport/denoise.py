@@ -42,7 +42,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.render.transport.trace import Light
+from pepperscene.render.transport.trace import TracedLight
 
 _TORCH: Final = "torch"
 _FLAG: Final = "TORCH_AVAILABLE"
@@ -88,18 +88,18 @@ _LEAST_GAIN, _MOST_GAIN = 0.5, 2.0
 """Chosen: a neighbourhood that differs more holds a single bright path, or nothing."""
 
 
-def denoised(light: Light) -> Image:
+def denoised(light: TracedLight) -> Image:
     """`(h, w, c)` all light with its stochastic part denoised, electrons s-1 m-2 sr-1."""
     return light.flash + light.sky + _soft(light)
 
 
-def begin() -> None:
+def preload_denoiser() -> None:
     """Load the libraries and the filter's weights; changes nothing but the time of the first picture."""
     grey = np.full((_FRAME, _FRAME, 3), 0.5, np.float32)
     _with_mean_of(grey, _filtered(grey, grey, grey))
 
 
-def _soft(light: Light) -> Image:
+def _soft(light: TracedLight) -> Image:
     """The soft light, guided by albedo and normal."""
     level = float(light.soft.mean(dtype=np.float64))
     if level <= 0.0:

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Flash
 from pepperscene.render.kernel.arrays import device_number, device_table
-from pepperscene.render.kernel.camera import View
-from pepperscene.render.variant import kernel
+from pepperscene.render.kernel.camera import CameraRays
+from pepperscene.render.variant import mitsuba_modules
 
 _LEAST_DISTANCE: Final = 1e-4
 """In the kernel's unit, a metre for all but tiny scenes: chosen, for a lamp is not smaller, and its light
@@ -20,8 +20,8 @@ stays within single precision."""
 class FlashMatrix:
     """The flash as discs across the camera's axis, each point of them with the same angular profile."""
 
-    def __init__(self, flash: Flash, view: View) -> None:
-        mi, dr = kernel()
+    def __init__(self, flash: Flash, view: CameraRays) -> None:
+        mi, dr = mitsuba_modules()
         angles = np.linspace(0.0, np.pi / 2.0, 512)
         # Over squared distance, which the kernel tells in its own unit.
         self.profile = device_table(flash.profile.at(angles) / view.unit**2)
@@ -37,7 +37,7 @@ class FlashMatrix:
 
     def towards(self, p: Any, sample: Any) -> Any:
         """A point of the flash, and its falloff (profile over squared distance, m-2) seen from `p`."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         # One coordinate takes the emitter and, in what is left of it, a place on its disc.
         turn = sample.x * self.count
         chosen = dr.minimum(dr.floor(turn), self.count - 1.0)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 
 _TO_UNIT: Final = 2.0**-24  # of the upper 24 bits, which single precision holds exactly
 _HALVES: Final = ((1, 0xAAAAAAAA), (2, 0xCCCCCCCC), (4, 0xF0F0F0F0), (8, 0xFF00FF00), (16, 0xFFFF0000))
@@ -29,7 +29,7 @@ class Sequence:
     """
 
     def __init__(self, pixel: Any, index: Any, seed: Any) -> None:
-        _, dr = kernel()
+        _, dr = mitsuba_modules()
         self._pixel, self._seed = pixel, seed
         self._reversed = dr.brev(index)
         self._dimension = 0
@@ -41,7 +41,7 @@ class Sequence:
 
     def next_2d(self) -> Any:
         """A point in the unit square for each sample."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         place, first, second = self._next()
         return mi.Point2f(
             _unit(_scrambled(place, first)), _unit(_scrambled(dr.brev(_second(dr.brev(place))), second))
@@ -49,7 +49,7 @@ class Sequence:
 
     def _next(self) -> tuple[Any, Any, Any]:
         """Bit-reversed places in the sequence, in this dimension's order, and two seeds for scrambling."""
-        mi, _ = kernel()
+        mi, _ = mitsuba_modules()
         order, first = mi.sample_tea_32(self._pixel, self._seed + self._dimension * 0x9E3779B9 % 2**32)
         self._dimension += 1
         # A shuffle of the indices by Owen's scrambling keeps every block of 2^m of them together.
@@ -65,7 +65,7 @@ def _second(index: Any) -> Any:
 
 def _scrambled(reversed_bits: Any, seed: Any) -> Any:
     """Owen's scrambling of a number whose first binary place is its highest bit; given and returned so."""
-    _, dr = kernel()
+    _, dr = mitsuba_modules()
     return dr.brev(_mixed(dr.brev(reversed_bits), seed))
 
 
@@ -82,5 +82,5 @@ def _mixed(bits: Any, seed: Any) -> Any:
 
 
 def _unit(bits: Any) -> Any:
-    mi, _ = kernel()
+    mi, _ = mitsuba_modules()
     return mi.Float(bits >> 8) * _TO_UNIT

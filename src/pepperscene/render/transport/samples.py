@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Flash
 from pepperscene.render.kernel.arrays import aligned, device_number, device_table
-from pepperscene.render.kernel.camera import STEP_NM, Response, View
+from pepperscene.render.kernel.camera import STEP_NM, CameraRays, Response
 from pepperscene.render.kernel.scene import LightScene, SkyTables
 from pepperscene.render.surface.channels import ChannelOptics
 from pepperscene.render.transport.flash import FlashMatrix
 from pepperscene.render.transport.owen_sobol import Sequence
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 
 _PLACES: Final = 4  # chosen among 1, 2 and 4: the least error for the same time
 
@@ -52,7 +52,12 @@ class FrameTables:
     roulette = True
 
     def __init__(
-        self, scene: LightScene, view: View, spectral: Response, flash: Flash | None, sky: SkyTables | None
+        self,
+        scene: LightScene,
+        view: CameraRays,
+        spectral: Response,
+        flash: Flash | None,
+        sky: SkyTables | None,
     ) -> None:
         self.scene, self.view, self.sky, self.spectral = scene, view, sky, spectral
         self.channels = spectral.electrons.shape[1]
@@ -88,7 +93,7 @@ class FrameTables:
         return self._weights(spectrum).sum(axis=0)
 
     def _colour(self, spectrum: NDArray[np.floating]) -> Any:
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         colour = (mi.Color3f if self.channels == 3 else mi.Color1f)(
             *(float(x) for x in self._integrals(spectrum))
         )
@@ -108,7 +113,7 @@ class SpectralTables:
     """The camera's and the lights' spectra for light that is carried at single wavelengths."""
 
     def __init__(self, tables: FrameTables) -> None:
-        mi, _ = kernel()
+        mi, _ = mitsuba_modules()
         spectral, sky = tables.spectral, tables.sky
         self.first_nm = device_number(spectral.grid_nm[0])
         self.last_entry = device_number(spectral.grid_nm.size - 1.001)
@@ -125,7 +130,7 @@ class Samples:
     """Camera rays of a wavefront and the light on what they meet."""
 
     def __init__(self, tables: FrameTables, pixel: Any, index: Any, seed: Any) -> None:
-        mi, _ = kernel()
+        mi, _ = mitsuba_modules()
         self.tables = tables
         sequence = Sequence(pixel, index, seed)
         self.next_1d, self.next_2d = sequence.next_1d, sequence.next_2d
@@ -148,7 +153,7 @@ class Samples:
             return self.sun(si, point, active, lamps)
         if not self.tables.roulette:
             return self._flash(si, point, active, lamps) + self.sun(si, point, active, lamps)
-        _, dr = kernel()
+        _, dr = mitsuba_modules()
         flash, target = self._from_emitter(si, point, active, lamps, self.next_2d())
         sun, towards = self._from_sun(si, point, active, lamps)
         both = dr.sum(flash) + dr.sum(sun)
@@ -162,7 +167,7 @@ class Samples:
 
     def _flash(self, si: Any, point: Any, active: Any, lamps: Lamps) -> Any:
         """Radiance towards the viewer from one point of the flash."""
-        _, dr = kernel()
+        _, dr = mitsuba_modules()
         light, target = self._from_emitter(si, point, active, lamps, self.next_2d())
         return light & ~self._between(si, target, active & dr.any(light > 0.0))
 
@@ -174,7 +179,7 @@ class Samples:
         shadow ray to each. Rays from one hit to the same part of the flash are coherent and cheaper than
         those to new hits.
         """
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         if self.tables.flash is None or lamps.flash is None:
             return point.reflectance * 0.0
         place, total = self.next_2d(), 0.0
@@ -187,12 +192,12 @@ class Samples:
 
     def _between(self, si: Any, target: Any, active: Any) -> Any:
         """Whether something stands between a hit and a point."""
-        mi, _ = kernel()
+        mi, _ = mitsuba_modules()
         return self.tables.scene.scene.ray_test(si.spawn_ray_to(target), mi.Bool(True), active)
 
     def _from_emitter(self, si: Any, point: Any, active: Any, lamps: Lamps, place: Any) -> tuple[Any, Any]:
         """Unshadowed light of a point of the flash, and that point."""
-        _, dr = kernel()
+        _, dr = mitsuba_modules()
         assert self.tables.flash is not None
         target, falloff = self.tables.flash.towards(si.p, place)
         value, _ = point.eval_pdf(si.to_local(dr.normalize(target - si.p)))
@@ -207,7 +212,7 @@ class Samples:
 
     def _from_sun(self, si: Any, point: Any, active: Any, lamps: Lamps) -> tuple[Any, Any]:
         """Unshadowed light of a point of the sun's disc, and the direction to it."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         sky = self.tables.sky
         assert sky is not None
         # Squared chords from the disc's centre are even over it, as squared radii are over a flat disc.
@@ -220,7 +225,7 @@ class Samples:
 
     def sky(self, towards: Any, active: Any, lamps: Lamps, *, seen: bool) -> Any:
         """Radiance of the sky from a direction; the sun's disc only where it is seen directly."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         sky = self.tables.sky
         if sky is None:
             return 0.0
@@ -244,7 +249,7 @@ class Wavelengths:
     """
 
     def __init__(self, tables: SpectralTables, place: Any) -> None:
-        mi, _ = kernel()
+        mi, _ = mitsuba_modules()
         self.tables = tables
         self.nm, self.weights = mi.Spectrum(0.0), mi.Spectrum(0.0)
         for k in range(4):
@@ -261,12 +266,12 @@ class Wavelengths:
 
     def channels(self, radiance: Any) -> list[Any]:
         """The sensor's sum over wavelengths for each channel, electrons s-1 m-2 sr-1."""
-        _, dr = kernel()
+        _, dr = mitsuba_modules()
         return [dr.sum(radiance * self.weights * electrons) for electrons in self.electrons]
 
     def _at(self, table: Any) -> Any:
         """A table on the response's grid, linear in between, at the samples' wavelengths."""
-        mi, dr = kernel()
+        mi, dr = mitsuba_modules()
         found = mi.Spectrum(0.0)
         for k in range(4):
             x = dr.clip((self.nm[k] - self.tables.first_nm) / STEP_NM, 0.0, self.tables.last_entry)

@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Flash
 from pepperscene.render.kernel.arrays import device_number, device_table
-from pepperscene.render.kernel.camera import Response, View
+from pepperscene.render.kernel.camera import CameraRays, Response
 from pepperscene.render.kernel.scene import LightScene, SkyTables
-from pepperscene.render.surface.optics import facing
-from pepperscene.render.transport.accumulate import Counts, Gathered, Images, Light
+from pepperscene.render.surface.optics import shading_normals
+from pepperscene.render.transport.accumulate import Counts, Images, SampleAccumulator, TracedLight
 from pepperscene.render.transport.samples import FrameTables, Samples, SpectralTables, Wavelengths
-from pepperscene.render.variant import kernel
+from pepperscene.render.variant import mitsuba_modules
 
 _LANES: Final = 1 << 21  # chosen: wavefront of a pass; 25 results of a sample take 210 MB
 _ROUNDS: Final = 3  # chosen: how often edges are asked whether they need more
@@ -52,18 +52,18 @@ class Sampling:
     samples: int
     soft: int
     bounces: int
-    more: Callable[[Gathered], Counts] | None = None
+    more: Callable[[SampleAccumulator], Counts] | None = None
 
 
 def trace(
     scene: LightScene,
-    view: View,
+    view: CameraRays,
     spectral: Response,
     flash: Flash | None,
     sky: SkyTables | None,
     sampling: Sampling,
     seed: int,
-) -> Light:
+) -> TracedLight:
     """The light that reaches each pixel.
 
     Args:
@@ -76,7 +76,7 @@ def trace(
         seed: of all that is random.
     """
     tables = FrameTables(scene, view, spectral, flash, sky)
-    gathered = Gathered(view.height, view.width, tables.white)
+    gathered = SampleAccumulator(view.height, view.width, tables.white)
     first = 0
     if tables.lights:
         # One traversal for all kinds of light, then the samples that carry none that is soft.
@@ -95,7 +95,9 @@ def trace(
     return gathered.light()
 
 
-def _refine(gathered: Gathered, tables: FrameTables, more: Callable[[Gathered], Counts], seed: int) -> None:
+def _refine(
+    gathered: SampleAccumulator, tables: FrameTables, more: Callable[[SampleAccumulator], Counts], seed: int
+) -> None:
     """Edges and half-shadows go on where the first samples ended, until no pixel wants more."""
     for _ in range(_ROUNDS):
         steps = list(_steps(gathered.samples, more(gathered)))
@@ -132,7 +134,7 @@ def _summed(
         seed: of the frame.
         wavefront: values of samples.
     """
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     total = tables.view.width * tables.view.height if pixels is None else len(pixels)
     block = max(_LANES // count, 1)
     salt, begin, per_pixel = (device_number(n, whole=True) for n in (seed & 0xFFFFFFFF, first, count))
@@ -181,7 +183,7 @@ def _sharp(tables: FrameTables, samples: Samples, active: Any, si: Any, hit: Any
     """Flash at the first hit, sky seen and distinct sun, albedo, normal, hit, and the sum of squares of the
     light: 3 c + 5 values.
     """
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     point = tables.scene.point(si, hit, active, tables.lit)
     flash = samples.whole_flash(si, point, active, tables.lamps)
     direct = point.reflectance * 0.0 + samples.sky(samples.ray.d, ~active, tables.lamps, seen=True)
@@ -203,7 +205,7 @@ def _soft(
     hit: Any,
 ) -> list[Any]:
     """Daylight at the first hit and all light that was scattered before it got there: c + 1 values."""
-    mi, dr = kernel()
+    mi, dr = mitsuba_modules()
     waves = Wavelengths(spectra, samples.next_1d())
     lamps = waves.lamps
     si = mi.SurfaceInteraction3f(si)
@@ -244,7 +246,7 @@ def _soft(
 
 def _square(tables: FrameTables, channels: Any) -> Any:
     """Sum of the squares of the channels, each in units of a white body's light."""
-    _, dr = kernel()
+    _, dr = mitsuba_modules()
     return sum(dr.square(channel * scale) for channel, scale in zip(channels, tables.per_white, strict=True))
 
 
@@ -252,4 +254,4 @@ def _hit(scene: LightScene, ray: Any, active: Any = True, *, coherent: bool = Fa
     """Whether rays hit something, where, and what the tree found there."""
     found = scene.scene.ray_intersect_preliminary(ray, coherent=coherent, active=active)
     hit = found.is_valid()
-    return hit, facing(scene.interaction(ray, found, hit)), found
+    return hit, shading_normals(scene.interaction(ray, found, hit)), found

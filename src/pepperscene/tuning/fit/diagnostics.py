@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.tuning.model.problem import Problem
+from pepperscene.tuning.model.problem import FitProblem
 from pepperscene.tuning.model.view_model import entries_of
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class Certainty:
     correlation: Array
 
 
-def certainty(problem: Problem, vector: Array) -> Certainty:
+def certainty(problem: FitProblem, vector: Array) -> Certainty:
     """Standard deviations and correlations of the entries at a minimum.
 
     Where the data miss the model by more than expected, their errors are taken to be as much larger (the
@@ -66,7 +66,7 @@ def certainty(problem: Problem, vector: Array) -> Certainty:
     return Certainty(sd, 1.0 - (sd / problem.sd) ** 2, covariance / np.outer(sd, sd))
 
 
-def chi_squared(problem: Problem, vector: Array) -> float:
+def chi_squared(problem: FitProblem, vector: Array) -> float:
     """Sum of the data's squared residuals."""
     return float((problem.data_residuals(problem.values(vector)) ** 2).sum())
 
@@ -76,7 +76,7 @@ def as_expected(value: float, data: int) -> bool:
     return value <= data + 3.0 * np.sqrt(2.0 * data)
 
 
-def undetermined(problem: Problem, vector: Array, known: Certainty) -> tuple[str, ...]:
+def undetermined(problem: FitProblem, vector: Array, known: Certainty) -> tuple[str, ...]:
     """A sentence for each entry that the data leave open, and why."""
     found = []
     for i, entry in enumerate(problem.entries):
@@ -93,7 +93,7 @@ def undetermined(problem: Problem, vector: Array, known: Certainty) -> tuple[str
     return tuple(found)
 
 
-def _open(problem: Problem, known: Certainty, i: int) -> str:
+def _open(problem: FitProblem, known: Certainty, i: int) -> str:
     """Why the data do not determine an entry: nothing depends on it, or another does the same."""
     others = np.abs(known.correlation[i]).copy()
     others[i] = 0.0
@@ -124,7 +124,7 @@ class Suspect:
 
 
 def suspects(
-    problem: Problem, vector: Array, others: Mapping[str, Sequence[Parameter]]
+    problem: FitProblem, vector: Array, others: Mapping[str, Sequence[Parameter]]
 ) -> dict[str, Suspect]:
     """Who could have caused what is left, the likeliest first.
 
@@ -224,7 +224,7 @@ def _freedom(slopes: Array) -> float:
     return float(np.linalg.slogdet(np.eye(slopes.shape[1]) + slopes.T @ slopes)[1])
 
 
-def _excess(problem: Problem, vector: Array) -> float:
+def _excess(problem: FitProblem, vector: Array) -> float:
     """By how much the data's squared errors are larger than expected; 1 where they are not."""
     return max(1.0, chi_squared(problem, vector) / max(problem.data - len(vector), 1))
 
@@ -253,7 +253,7 @@ def _causes(left: Mapping[str, Suspect]) -> list[str]:
 
 
 def sentences(
-    problem: Problem,
+    problem: FitProblem,
     value: float,
     open_entries: Sequence[str],
     left: Mapping[str, Suspect],

@@ -23,12 +23,12 @@ from pepperscene.tuning.fit.diagnostics import (
     suspects,
     undetermined,
 )
-from pepperscene.tuning.fit.result import Fit, KindFit, SpectrumFit, Start
+from pepperscene.tuning.fit.result import FitResult, KindFit, SpectrumFit, Start
 from pepperscene.tuning.model.observables import lab_of
-from pepperscene.tuning.model.problem import Problem
+from pepperscene.tuning.model.problem import FitProblem
 
 if TYPE_CHECKING:
-    from pepperscene.tuning.model.subject import Subject
+    from pepperscene.tuning.model.subject import TuningTarget
 
 
 Array = NDArray[np.float64]
@@ -44,17 +44,17 @@ _SHOWN: Final = 4000  # pixels of a kind that are kept to be shown
 @dataclass(frozen=True, eq=False)
 class _Run:
     vector: Array
-    told: Start
+    start: Start
 
 
-def fitted(
-    subject: Subject,
-    problem: Problem,
+def fit_parameters(
+    subject: TuningTarget,
+    problem: FitProblem,
     *,
     starts: int = STARTS,
     seed: int = 0,
-    told: Told | None = None,
-) -> Fit:
+    on_progress: Told | None = None,
+) -> FitResult:
     """The best values of a problem, and what is known of them.
 
     The first start is the recipe itself; further ones are the best of a dozen points drawn from the bounds.
@@ -65,27 +65,27 @@ def fitted(
         problem: what is fitted, to what.
         starts: at most.
         seed: of the drawn points.
-        told: is called with a line after each start.
+        on_progress: is called with a line after each start.
     """
     rng = np.random.default_rng(seed)
     runs: list[_Run] = []
     for number in range(starts):
         start = problem.default if number == 0 else _drawn(problem, rng)
         runs.append(_run(problem, problem.inside(start)))
-        best = min(runs, key=lambda run: run.told.cost)
+        best = min(runs, key=lambda run: run.start.cost)
         chi = chi_squared(problem, best.vector)
-        if told is not None:
-            told(
+        if on_progress is not None:
+            on_progress(
                 f"start {number + 1} of {starts}: misses the patches by "
                 f"{np.sqrt(chi / max(problem.data, 1)):.2f} times what is expected, "
-                f"after {runs[-1].told.evaluations} evaluations"
+                f"after {runs[-1].start.evaluations} evaluations"
             )
         if as_expected(chi, problem.data):
             break
-    return _outcome(subject, problem, best.vector, tuple(run.told for run in runs))
+    return _outcome(subject, problem, best.vector, tuple(run.start for run in runs))
 
 
-def _drawn(problem: Problem, rng: np.random.Generator) -> Array:
+def _drawn(problem: FitProblem, rng: np.random.Generator) -> Array:
     """The best of some points drawn from the bounds."""
     points = [
         np.array([entry.parameter.prior[entry.place].draw(rng) for entry in problem.entries])
@@ -94,7 +94,7 @@ def _drawn(problem: Problem, rng: np.random.Generator) -> Array:
     return min(points, key=lambda point: float((problem.residuals(problem.inside(point)) ** 2).sum()))
 
 
-def _run(problem: Problem, start: Array) -> _Run:
+def _run(problem: FitProblem, start: Array) -> _Run:
     from scipy.optimize import least_squares
 
     done = least_squares(
@@ -111,7 +111,9 @@ def _run(problem: Problem, start: Array) -> _Run:
     return _Run(done.x, Start(begun, float(done.cost), int(done.nfev), str(done.message)))
 
 
-def _outcome(subject: Subject, problem: Problem, vector: Array, starts: tuple[Start, ...]) -> Fit:
+def _outcome(
+    subject: TuningTarget, problem: FitProblem, vector: Array, starts: tuple[Start, ...]
+) -> FitResult:
     """Everything that is known at the best values."""
     known, chi = certainty(problem, vector), chi_squared(problem, vector)
     values, before = problem.values(vector), problem.values(problem.default)
@@ -120,7 +122,7 @@ def _outcome(subject: Subject, problem: Problem, vector: Array, starts: tuple[St
         left = suspects(problem, vector, subject.others([one.name for one in problem.parameters]))
     open_entries = undetermined(problem, vector, known)
     kinds = _kinds(problem, before, values, subject.targets)
-    return Fit(
+    return FitResult(
         parameters=problem.parameters,
         values=values,
         sd=problem.values(known.sd),
@@ -133,13 +135,13 @@ def _outcome(subject: Subject, problem: Problem, vector: Array, starts: tuple[St
         chi_squared=chi,
         data=problem.data,
         leftover={group: one.share for group, one in left.items()},
-        verdict=sentences(problem, chi, open_entries, left, kinds),
+        diagnostics=sentences(problem, chi, open_entries, left, kinds),
         tuned=subject.tuned(values),
     )
 
 
 def _kinds(
-    problem: Problem, before: Mapping[str, Array], after: Mapping[str, Array], targets: Mapping[str, Array]
+    problem: FitProblem, before: Mapping[str, Array], after: Mapping[str, Array], targets: Mapping[str, Array]
 ) -> dict[str, KindFit]:
     """Colours of each kind, all its views together."""
     found = {}
@@ -170,7 +172,7 @@ def _kinds(
 
 
 def _spectra(
-    problem: Problem, before: Mapping[str, Array], after: Mapping[str, Array]
+    problem: FitProblem, before: Mapping[str, Array], after: Mapping[str, Array]
 ) -> dict[str, SpectrumFit]:
     """Reflectances, where there are any."""
     model = problem.spectra

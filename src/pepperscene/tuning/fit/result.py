@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.tuning.parameters.parameter import Parameter
-from pepperscene.tuning.parameters.tuned import Tuned
+from pepperscene.tuning.parameters.tuned import TunedParts
 
 Array = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ class Start:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class FitResult:
     """What a fit found.
 
     Attributes:
@@ -103,5 +103,5 @@ class Fit:
     chi_squared: float
     data: int
     leftover: Mapping[str, float]
-    verdict: tuple[str, ...]
-    tuned: Tuned
+    diagnostics: tuple[str, ...]
+    tuned: TunedParts

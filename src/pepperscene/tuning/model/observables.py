@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera.colorimetry import D65_WHITE, SRGB_TO_XYZ, lab
+from pepperscene.camera.colorimetry import D65_WHITE, SRGB_TO_XYZ, xyz_to_lab
 
 if TYPE_CHECKING:
     from pepperscene.camera import Sensor
@@ -32,7 +32,7 @@ _FROM_LAB: Final = np.array([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.
 
 def lab_of(linear: Array) -> Array:
     """`(..., 3)` CIELAB (D65) of linear sRGB `(..., 3)`, white at 1."""
-    return lab(linear @ SRGB_TO_XYZ.T)
+    return xyz_to_lab(linear @ SRGB_TO_XYZ.T)
 
 
 def lab_slopes(linear: Array) -> Array:
@@ -94,7 +94,7 @@ def pixel_noise(pixels: int, channels: int, rng: np.random.Generator) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Photograph:
+class PatchObservables:
     """From the electrons that pixels expect to their linear sRGB, with the sensor's noise and its limits.
 
     Noise is drawn once and for all, so that a picture stays a smooth function of its light (see

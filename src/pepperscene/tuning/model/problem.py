@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.tuning.model.observables import NUMBERS, numbers, numbers_and_slopes
-from pepperscene.tuning.model.view_model import Entry, Eye, Move, Values, entries_of
+from pepperscene.tuning.model.view_model import Entry, ParameterStep, Values, ViewModel, entries_of
 
 if TYPE_CHECKING:
     from pepperscene.tuning.model.reflectance import DirectModel
     from pepperscene.tuning.parameters.parameter import Parameter
-    from pepperscene.tuning.parameters.tuned import Tuned
+    from pepperscene.tuning.parameters.tuned import TunedParts
 
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ _INSIDE: Final = 1e-6  # of a bound's width: where a start that lies on it begin
 
 
 @dataclass(frozen=True, eq=False)
-class Surroundings:
+class NeighbourEffect:
     """What neighbours do to an organ's light and colours, as the whole scene shows it.
 
     Attributes:
@@ -41,9 +41,9 @@ class Surroundings:
     offset: Array
 
 
-def alone() -> Surroundings:
+def alone() -> NeighbourEffect:
     """Organs without neighbours, or before the scene has been looked at."""
-    return Surroundings(np.ones(3), np.zeros(NUMBERS))
+    return NeighbourEffect(np.ones(3), np.zeros(NUMBERS))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,27 +59,27 @@ class Cell:
     """
 
     label: str
-    eyes: tuple[Eye, ...]
+    eyes: tuple[ViewModel, ...]
     target: Array
     sigma: Array
-    around: Surroundings
+    around: NeighbourEffect
 
-    def linear(self, made: Tuned) -> Array:
+    def linear(self, made: TunedParts) -> Array:
         """`(n, 3)` linear sRGB of all pixels of its views."""
         return np.concatenate([eye.linear(made, self.around.shade) for eye in self.eyes])
 
-    def predicted(self, made: Tuned) -> Array:
+    def predicted(self, made: TunedParts) -> Array:
         """`(8,)` the model's numbers."""
         return numbers(self.linear(made)) + self.around.offset
 
-    def slopes(self, made: Tuned, moves: Sequence[Move]) -> Array:
+    def slopes(self, made: TunedParts, moves: Sequence[ParameterStep]) -> Array:
         """`(8, p)` derivatives of `predicted` along moves."""
         parts = [eye.linear_and_slopes(made, moves, self.around.shade) for eye in self.eyes]
         linear = np.concatenate([linear for linear, _ in parts])
         return numbers_and_slopes(linear, np.concatenate([slope for _, slope in parts], axis=1))[1]
 
 
-class Problem:
+class FitProblem:
     """Residuals of data and bounds, and their derivatives, as functions of one vector.
 
     Args:
@@ -97,7 +97,7 @@ class Problem:
     def __init__(
         self,
         parameters: Sequence[Parameter],
-        tuned: Callable[[Values], Tuned],
+        tuned: Callable[[Values], TunedParts],
         cells: Sequence[Cell],
         spectra: DirectModel | None = None,
     ) -> None:
@@ -148,7 +148,7 @@ class Problem:
     def data_jacobian(self, values: Values, entries: Sequence[Entry]) -> Array:
         """`(m, p)` with respect to any entries."""
         made = self.tuned(values)
-        moves = [Move.along(entry, values, self.tuned) for entry in entries] if self.cells else []
+        moves = [ParameterStep.along(entry, values, self.tuned) for entry in entries] if self.cells else []
         rows = [cell.slopes(made, moves) / cell.sigma[:, None] for cell in self.cells]
         if self.spectra is not None:
             rows.append(self.spectra.jacobian(values, entries))

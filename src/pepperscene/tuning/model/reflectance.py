@@ -31,13 +31,13 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.classes import OrganClass
 from pepperscene.errors import InputError
 from pepperscene.materials import leaf_body, rind_reflectance
-from pepperscene.materials.gloss import fresnel, gloss_albedo, openness
+from pepperscene.materials.gloss import cuticle_transmittance, fresnel, gloss_albedo
 
 if TYPE_CHECKING:
     from pepperscene.colour import MeasuredSpectrum
     from pepperscene.cultivar import Cultivar, PigmentPath
     from pepperscene.tuning.model.view_model import Entry
-    from pepperscene.tuning.parameters.tuned import Tuned
+    from pepperscene.tuning.parameters.tuned import TunedParts
 
 
 Array = NDArray[np.float64]
@@ -64,7 +64,7 @@ def read_reflectance(
         ValueError: a wavelength lies beyond the pigments' coefficients.
     """
     nm, states = np.atleast_1d(np.asarray(wavelength_nm, dtype=float)), np.array([float(state)])
-    mean_open = [openness(path.ior, alpha)[1] for alpha in path.roughness]
+    mean_open = [cuticle_transmittance(path.ior, alpha)[1] for alpha in path.roughness]
     if thin:
         above, _, through = leaf_body(path, nm, states)
         # What the back's cuticle cannot let out of the light that the front let in comes back.
@@ -82,7 +82,7 @@ def _geometry(ior: float, alpha: float, instrument: Instrument) -> tuple[float, 
         return float(1.0 - gloss_albedo(np.cos(SPHERE_RAD), ior, alpha)[0]), 0.0
     incidence = np.cos(BIDIRECTIONAL_RAD)
     entering, leaving = 1.0 - gloss_albedo([incidence, 1.0], ior, alpha)
-    share = entering * leaving / openness(ior, alpha)[1]
+    share = entering * leaving / cuticle_transmittance(ior, alpha)[1]
     return float(share), float(np.pi * gloss_along_normal(incidence, ior, alpha))
 
 
@@ -138,7 +138,7 @@ the order of its fourth power) and what rounding takes are both far below 1e-9 o
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownSurface:
     """What of a plant a measured spectrum shows.
 
     Attributes:
@@ -152,7 +152,7 @@ class Shown:
     thin: bool
 
 
-def shown(cultivar: Cultivar, kind: str) -> Shown:
+def shown(cultivar: Cultivar, kind: str) -> ShownSurface:
     """The surface and the state that a kind of spectrum stands for.
 
     Args:
@@ -168,7 +168,7 @@ def shown(cultivar: Cultivar, kind: str) -> Shown:
     having = {kinds[one].organ_class for one in grown if kinds[one].surface in cultivar.pigments}
     if name not in classes or classes[name] not in having:
         allowed = ", ".join(one.name.lower() for one in sorted(having - {OrganClass.BACKGROUND}))
-        raise InputError(f"cultivar {cultivar.name}", "kind", kind, f"must be one of {allowed}")
+        raise InputError(f"cultivar {cultivar.name}", f"must be one of {allowed}", key="kind", value=kind)
 
     # The usual organ of the class, or the first of those that it has.
     of_class = [one for one in grown if kinds[one].organ_class == classes[name] and one in cultivar.organs]
@@ -176,14 +176,16 @@ def shown(cultivar: Cultivar, kind: str) -> Shown:
     chosen = (usual or of_class)[0]
 
     # Fruit has a law for each of its stages, all else one.
-    laws = cultivar.organs[chosen].laws
+    laws = cultivar.organs[chosen].distributions
     law = stage or "state"
     if law not in laws or law not in (*STAGES, "state"):
         stages = [f"{name}.{one}" for one in STAGES if one in laws] or [name]
-        raise InputError(f"cultivar {cultivar.name}", "kind", kind, f"must be one of {', '.join(stages)}")
+        raise InputError(
+            f"cultivar {cultivar.name}", f"must be one of {', '.join(stages)}", key="kind", value=kind
+        )
     surface = kinds[chosen].surface
     forms = {one.form for one in kinds.values() if one.surface == surface}
-    return Shown(surface, laws[law].mean, bool(forms & set(THIN)))
+    return ShownSurface(surface, laws[law].mean, bool(forms & set(THIN)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,10 +202,10 @@ class DirectModel:
     """
 
     spectra: tuple[MeasuredSpectrum, ...]
-    shown: tuple[Shown, ...]
+    shown: tuple[ShownSurface, ...]
     wavelength_nm: tuple[Array, ...]
     cultivar: Cultivar
-    tuned: Callable[[Values], Tuned]
+    tuned: Callable[[Values], TunedParts]
     instrument: Instrument = "8/d"
 
     @classmethod
@@ -211,7 +213,7 @@ class DirectModel:
         cls,
         spectra: Sequence[MeasuredSpectrum],
         cultivar: Cultivar,
-        tuned: Callable[[Values], Tuned],
+        tuned: Callable[[Values], TunedParts],
         instrument: Instrument = "8/d",
     ) -> Self:
         """The model of these spectra.
@@ -227,7 +229,7 @@ class DirectModel:
             inside = nm[(nm >= low) & (nm <= high)]
             if inside.size < 2:
                 where = f"must have at least two values from {low:g} to {high:g} nm"
-                raise InputError(f"spectrum {one.name}", "wavelength_nm", None, where)
+                raise InputError(f"spectrum {one.name}", where, key="wavelength_nm")
             wavelengths.append(inside)
         seen = tuple(shown(cultivar, one.kind) for one in spectra)
         return cls(tuple(spectra), seen, tuple(wavelengths), cultivar, tuned, instrument)

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset import Stage
+from pepperscene.dataset import FrameRenderer
 from pepperscene.errors import InputError
 from pepperscene.tuning.model.observables import numbers
-from pepperscene.tuning.model.problem import Cell, Problem, Surroundings, alone
+from pepperscene.tuning.model.problem import Cell, FitProblem, NeighbourEffect, alone
 from pepperscene.tuning.model.reflectance import DirectModel
-from pepperscene.tuning.model.view_model import EFFORT, Eye, Values
-from pepperscene.tuning.model.views import ORGANS, PIXELS, View, organ_views
-from pepperscene.tuning.parameters.parameter import Parameter, known_parameters, parameters_of
-from pepperscene.tuning.parameters.tuned import Tuned, dense, tuned
+from pepperscene.tuning.model.view_model import EFFORT, Values, ViewModel
+from pepperscene.tuning.model.views import ORGANS, PIXELS, OrganView, organ_views
+from pepperscene.tuning.parameters.parameter import Parameter, known_parameters, select_parameters
+from pepperscene.tuning.parameters.tuned import TunedParts, dense, tuned_parts
 
 if TYPE_CHECKING:
     from pepperscene.colour import PatchSet
@@ -47,13 +47,13 @@ _PIXELS: Final = 20_000  # of a kind that are compared; more tell nothing new
 NOT_ORGANS: Final = ("background", "wire", "cut")
 
 
-class Subject:
+class TuningTarget:
     """A recipe about to be tuned to patches.
 
     Args:
         recipe: what is tuned.
         patches: what is measured.
-        bounds: of parameters, over the shipped ones: a file or a table (see `parameters_of`).
+        bounds: of parameters, over the shipped ones: a file or a table (see `select_parameters`).
         registered: whether patches are named after views and show the same organs, as of a twin; else
             organs are a sample on either side.
         organs: of each kind that are looked at.
@@ -80,11 +80,11 @@ class Subject:
         self.recipe, self.patches, self.registered = recipe, patches, registered
         self._bounds, self._organs, self._pixels = bounds, organs, pixels
         self._effort, self._seed = effort, seed
-        self.stage = Stage(recipe)
+        self.stage = FrameRenderer(recipe)
         self.camera = self.stage.views.equipment
         if self.camera.sensor.channels != 3:
             raise InputError(
-                recipe.name, "camera.sensor", recipe.camera.sensor, "must see colours to be tuned"
+                recipe.name, "must see colours to be tuned", key="camera.sensor", value=recipe.camera.sensor
             )
         self.cultivar = dense(self.stage.cultivar, self.stage.cultivar.pigments)
 
@@ -94,9 +94,9 @@ class Subject:
         """Those of these names.
 
         Raises:
-            InputError: as of `parameters_of`.
+            InputError: as of `select_parameters`.
         """
-        return parameters_of(self.recipe, self.cultivar, self.camera, names, self._bounds)
+        return select_parameters(self.recipe, self.cultivar, self.camera, names, self._bounds)
 
     def others(self, fitted: Iterable[str]) -> dict[str, tuple[Parameter, ...]]:
         """Parameters that were not fitted and that what is measured could depend on, by group."""
@@ -114,9 +114,9 @@ class Subject:
         groups = dict.fromkeys(one.group for one in wanted)
         return {group: tuple(one for one in wanted if one.group == group) for group in groups}
 
-    def tuned(self, values: Values) -> Tuned:
+    def tuned(self, values: Values) -> TunedParts:
         """The recipe's parts at some values."""
-        return tuned(self.cultivar, self.camera, values, self._nodes_nm)
+        return tuned_parts(self.cultivar, self.camera, values, self._nodes_nm)
 
     @cached_property
     def _nodes_nm(self) -> Array:
@@ -149,7 +149,7 @@ class Subject:
         return found
 
     @cached_property
-    def views(self) -> tuple[View, ...]:
+    def views(self) -> tuple[OrganView, ...]:
         """Of the organs that the patches show."""
         if not self.kinds:
             return ()
@@ -165,10 +165,10 @@ class Subject:
         )
 
     @cached_property
-    def eyes(self) -> tuple[Eye, ...]:
+    def eyes(self) -> tuple[ViewModel, ...]:
         """The views as functions of the recipe's parts."""
         return tuple(
-            Eye(view, self.cultivar, self._seed + place, self._effort)
+            ViewModel(view, self.cultivar, self._seed + place, self._effort)
             for place, view in enumerate(self.views)
         )
 
@@ -181,7 +181,9 @@ class Subject:
 
     # --- the problem ------------------------------------------------------------------------------------
 
-    def problem(self, names: Sequence[str], around: Mapping[str, Surroundings] | None = None) -> Problem:
+    def problem(
+        self, names: Sequence[str], around: Mapping[str, NeighbourEffect] | None = None
+    ) -> FitProblem:
         """The fit of some parameters to all patches.
 
         Args:
@@ -189,7 +191,7 @@ class Subject:
             around: by kind, what the whole scene does to single organs.
         """
         cells = self._by_view() if self.registered else self._by_kind(around or {})
-        return Problem(self.parameters(names), self.tuned, cells, self.direct)
+        return FitProblem(self.parameters(names), self.tuned, cells, self.direct)
 
     def _by_view(self) -> list[Cell]:
         """A cell for each view that a patch is named after."""
@@ -203,7 +205,7 @@ class Subject:
             found.append(Cell(eye.view.name, (eye,), target, sigma, alone()))
         return found
 
-    def _by_kind(self, around: Mapping[str, Surroundings]) -> list[Cell]:
+    def _by_kind(self, around: Mapping[str, NeighbourEffect]) -> list[Cell]:
         """A cell for each kind, all its organs together."""
         found = []
         for kind, pixels in self.targets.items():

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from pepperscene.render.gradients.pigment_models import path_values
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
 from pepperscene.render.quality import Quality
-from pepperscene.tuning.model.observables import NUMBERS, Photograph, numbers, pixel_noise
-from pepperscene.tuning.model.views import View
+from pepperscene.tuning.model.observables import NUMBERS, PatchObservables, numbers, pixel_noise
+from pepperscene.tuning.model.views import OrganView
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
     from pepperscene.tuning.parameters.parameter import Parameter
-    from pepperscene.tuning.parameters.tuned import Tuned
+    from pepperscene.tuning.parameters.tuned import TunedParts
 
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ def entries_of(parameters: Sequence[Parameter]) -> tuple[Entry, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Move:
+class ParameterStep:
     """The recipe's parts a little to either side of some values, along one entry.
 
     Attributes:
@@ -88,13 +88,13 @@ class Move:
         in_the_scene: whether light changes.
     """
 
-    above: Tuned
-    below: Tuned
+    above: TunedParts
+    below: TunedParts
     width: float
     in_the_scene: bool
 
     @classmethod
-    def along(cls, entry: Entry, values: Values, tuned: Callable[[Values], Tuned]) -> Self:
+    def along(cls, entry: Entry, values: Values, tuned: Callable[[Values], TunedParts]) -> Self:
         """The move along an entry; at an end of its bounds, inwards alone: beyond lies what cannot be."""
         law = entry.parameter.prior[entry.place]
         value = float(np.asarray(values.get(entry.parameter.name, entry.parameter.default))[entry.place])
@@ -107,7 +107,7 @@ class Move:
         return cls(above, below, up + down, entry.parameter.group in IN_THE_SCENE)
 
 
-class Eye:
+class ViewModel:
     """One view as a function of the recipe's parts.
 
     Args:
@@ -117,14 +117,14 @@ class Eye:
         effort: of light.
     """
 
-    def __init__(self, view: View, cultivar: Cultivar, seed: int, effort: Quality) -> None:
+    def __init__(self, view: OrganView, cultivar: Cultivar, seed: int, effort: Quality) -> None:
         self.view = view
         self._cultivar, self._seed, self._effort = cultivar, seed, effort
         steps = view.camera.developing
         pixels, channels = int(view.mask.sum()), view.camera.sensor.channels
         noise = pixel_noise(pixels, channels, np.random.default_rng([seed, 1]))
         noisy = steps.shot_noise or steps.read_noise
-        self._photograph = Photograph(
+        self._photograph = PatchObservables(
             view.camera.sensor,
             steps.saturation,
             noise if noisy else None,
@@ -133,11 +133,11 @@ class Eye:
             timed=view.camera.flash is None,
         )
 
-    def electrons(self, made: Tuned) -> Array:
+    def electrons(self, made: TunedParts) -> Array:
         """`(n, c)` that the photosites of the view's pixels expect."""
         return self._renderer.rgb(self._light(made))[self.view.mask]
 
-    def linear(self, made: Tuned, shade: Array) -> Array:
+    def linear(self, made: TunedParts, shade: Array) -> Array:
         """`(n, 3)` linear sRGB of the view's pixels.
 
         Args:
@@ -146,7 +146,9 @@ class Eye:
         """
         return self._developed(shade * self.electrons(made), made)
 
-    def linear_and_slopes(self, made: Tuned, moves: Sequence[Move], shade: Array) -> tuple[Array, Array]:
+    def linear_and_slopes(
+        self, made: TunedParts, moves: Sequence[ParameterStep], shade: Array
+    ) -> tuple[Array, Array]:
         """`linear`, and its derivatives `(p, n, 3)` along moves."""
         electrons = shade * self.electrons(made)
         found, by_electrons, free = self._photograph.linear_and_slope(
@@ -165,7 +167,7 @@ class Eye:
                 slope[:] = (here[0] - here[1]) / move.width
         return found, slopes
 
-    def noise(self, made: Tuned) -> Array:
+    def noise(self, made: TunedParts) -> Array:
         """`(8,)` standard errors of the numbers of one picture, by the noise of its sensor alone."""
         electrons, rng = self.electrons(made), np.random.default_rng([self._seed, 2])
         if self._photograph.noise is None:
@@ -187,7 +189,7 @@ class Eye:
             self.view.scene, self.view.camera, self._cultivar, self._effort, self._seed
         )
 
-    def _light(self, made: Tuned) -> dict[str, Array]:
+    def _light(self, made: TunedParts) -> dict[str, Array]:
         """The renderer's parameters of this view."""
         found: dict[str, Array] = {}
         for surface, path in made.pigments.items():
@@ -197,7 +199,7 @@ class Eye:
         found |= {"flash.power": np.array(made.flash_power)}
         return {name: np.asarray(found[name]) for name in self._renderer.parameters if name in found}
 
-    def _developed(self, electrons: Array, made: Tuned) -> Array:
+    def _developed(self, electrons: Array, made: TunedParts) -> Array:
         return self._photograph.linear(electrons, made.exposure, made.gains, made.matrix)
 
 

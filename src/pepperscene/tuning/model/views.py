@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.recipe.equipment import surface_grid
-from pepperscene.dataset.recipe.plan import Stream, generator
+from pepperscene.dataset.recipe.equipment import surface_wavelengths
+from pepperscene.dataset.recipe.plan import Stream, random_generator
 from pepperscene.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ _RIPE: Final = 0.5  # ripeness that parts unripe from ripe fruit
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class OrganView:
     """A small picture of an organ.
 
     Attributes:
@@ -76,7 +76,7 @@ def organ_views(
     organs: int = ORGANS,
     pixels: int = PIXELS,
     seed: int = 0,
-) -> tuple[View, ...]:
+) -> tuple[OrganView, ...]:
     """Views of a few organs of each kind, of plants that the cultivar grows.
 
     Args:
@@ -95,11 +95,11 @@ def organ_views(
     from pepperscene.geometry import mesh_plant
     from pepperscene.grammar import grow
     from pepperscene.materials import organ_surfaces
-    from pepperscene.scene import assemble
+    from pepperscene.scene import assemble_scene
 
     for kind in kinds:
         _check(kind)
-    surfaces = organ_surfaces(cultivar, surface_grid(camera.sensor))
+    surfaces = organ_surfaces(cultivar, surface_wavelengths(camera.sensor))
     path = recipe.path
     forward = np.array([0.0, np.cos(np.radians(path.pitch_deg)), np.sin(np.radians(path.pitch_deg))])
     found: dict[str, list[Mesh]] = {kind: [] for kind in kinds}
@@ -107,31 +107,34 @@ def organ_views(
         missing = [kind for kind in kinds if len(found[kind]) < organs]
         if not missing:
             break
-        grown = grow(cultivar, generator(recipe.seed, Stream.PLANT, seed, plant))
+        grown = grow(cultivar, random_generator(recipe.seed, Stream.PLANT, seed, plant))
         mesh = mesh_plant(grown)
         for kind in missing:
             found[kind] += _shown(mesh, kind, forward, organs - len(found[kind]))
-    views: list[View] = []
+    views: list[OrganView] = []
     for kind, meshes in found.items():
         if not meshes:
             raise InputError(
-                recipe.name, "cultivar", recipe.cultivar, f"must have organs of the kind {kind!r} to fit them"
+                recipe.name,
+                f"must have organs of the kind {kind!r} to fit them",
+                key="cultivar",
+                value=recipe.cultivar,
             )
         for i, mesh in enumerate(meshes):
             own = {name: surfaces[name] for name in mesh.surfaces}
             right, down, far = PLACES[i % len(PLACES)]
             place = 1e-3 * path.distance_mm * far * np.array([right, down, 1.0])
             placed = _placed(camera, mesh, forward, place, pixels)
-            views.append(_view(f"{kind} {i + 1}", kind, assemble(mesh, own, sky), placed))
+            views.append(_view(f"{kind} {i + 1}", kind, assemble_scene(mesh, own, sky), placed))
     return tuple(view for view in views if view.mask.any())
 
 
-def with_surfaces(view: View, surfaces: dict[str, Surface]) -> View:
+def with_surfaces(view: OrganView, surfaces: dict[str, Surface]) -> OrganView:
     """The same view of an organ of other surfaces."""
-    from pepperscene.scene import assemble
+    from pepperscene.scene import assemble_scene
 
     own = {name: surfaces[name] for name in view.scene.mesh.surfaces}
-    return replace(view, scene=assemble(view.scene.mesh, own, view.scene.sky))
+    return replace(view, scene=assemble_scene(view.scene.mesh, own, view.scene.sky))
 
 
 # --- organs -----------------------------------------------------------------------------------------------
@@ -142,7 +145,7 @@ def _check(kind: str) -> None:
     known = [one.name.lower() for one in OrganClass if one not in (OrganClass.BACKGROUND, OrganClass.WIRE)]
     if name not in known or (stage and (name != "pepper" or stage not in ("unripe", "ripe"))):
         allowed = ", ".join([*known, "pepper.unripe", "pepper.ripe"])
-        raise InputError("patches", "kind", kind, f"must be one of {allowed}")
+        raise InputError("patches", f"must be one of {allowed}", key="kind", value=kind)
 
 
 def _shown(mesh: Mesh, kind: str, forward: Array, most: int) -> list[Mesh]:
@@ -171,7 +174,7 @@ def _shown(mesh: Mesh, kind: str, forward: Array, most: int) -> list[Mesh]:
         by_state = sorted(own[: _CANDIDATES * share], key=lambda i: float(state[i]))
         places = np.round((np.arange(share) + 0.5) / max(share, 1) * len(by_state) - 0.5)
         found += [by_state[place] for place in np.unique(places.astype(int))]
-    return [mesh.of_instances([i]) for i in found]
+    return [mesh.select_instances([i]) for i in found]
 
 
 # --- cameras ----------------------------------------------------------------------------------------------
@@ -205,7 +208,7 @@ def _placed(camera: Camera, mesh: Mesh, forward: Array, place: Array, pixels: in
     return replace(camera, lens=lens, sensor=sensor, pose=pose, focus_m=None)
 
 
-def _view(name: str, kind: str, scene: Scene, camera: Camera) -> View:
+def _view(name: str, kind: str, scene: Scene, camera: Camera) -> OrganView:
     from scipy.ndimage import binary_erosion
 
     from pepperscene.render import Renderer
@@ -214,4 +217,4 @@ def _view(name: str, kind: str, scene: Scene, camera: Camera) -> View:
     seen = Renderer(scene).render(camera, ["class"])["class"] == wanted
     # Beyond the border nothing is known, so what lies there counts as more of the same.
     inside = binary_erosion(seen, np.ones((3, 3), bool), border_value=1)
-    return View(name, kind, scene, camera, inside)
+    return OrganView(name, kind, scene, camera, inside)

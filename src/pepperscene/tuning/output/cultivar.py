@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.cultivar.structure import PigmentPath, Pigments
-from pepperscene.tuning.output.provenance import Occasion, colours_told, values_told
+from pepperscene.tuning.output.provenance import RunInfo, colours_told, values_told
 from pepperscene.tuning.output.toml_text import document, rounded
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
-    from pepperscene.tuning.fit.result import Fit
+    from pepperscene.tuning.fit.result import FitResult
     from pepperscene.tuning.parameters.parameter import Parameter
 
 
@@ -42,7 +42,7 @@ def thinned(path: PigmentPath) -> PigmentPath:
 
 
 def cultivar_text(
-    cultivar: Cultivar, extends: str, pigments: Mapping[str, PigmentPath], fit: Fit, occasion: Occasion
+    cultivar: Cultivar, extends: str, pigments: Mapping[str, PigmentPath], fit: FitResult, occasion: RunInfo
 ) -> str:
     """The TOML of a cultivar with other pigments.
 
@@ -70,13 +70,13 @@ def cultivar_text(
     return document(tables, head=head, deep=2)
 
 
-def parameters_of_surface(fit: Fit, surface: str) -> tuple[Parameter, ...]:
+def parameters_of_surface(fit: FitResult, surface: str) -> tuple[Parameter, ...]:
     """The fitted parameters that a surface's pigments depend on."""
     return tuple(one for one in fit.parameters if one.name.partition(".")[0] == surface)
 
 
 def _path_table(
-    name: str, path: PigmentPath, before: PigmentPath, fit: Fit, occasion: Occasion
+    name: str, path: PigmentPath, before: PigmentPath, fit: FitResult, occasion: RunInfo
 ) -> dict[str, Any]:
     """A path as files write it."""
     values = "; ".join(values_told(fit, one) for one in parameters_of_surface(fit, name))

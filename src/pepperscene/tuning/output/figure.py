@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera import encode
-from pepperscene.camera.colorimetry import D65_WHITE, SRGB_TO_XYZ, XYZ_TO_SRGB, lab
+from pepperscene.camera import encode_tone
+from pepperscene.camera.colorimetry import D65_WHITE, SRGB_TO_XYZ, XYZ_TO_SRGB, xyz_to_lab
 from pepperscene.spectra import colour_science
 from pepperscene.tuning.output.provenance import entries, plain, with_spread
 
 if TYPE_CHECKING:
     from PIL import Image
 
-    from pepperscene.tuning.fit.result import Fit, KindFit, SpectrumFit
+    from pepperscene.tuning.fit.result import FitResult, KindFit, SpectrumFit
 
 
 WIDTH: Final = 1400  # chosen: a page at 120 pixels an inch, as all of the layout below
@@ -36,14 +36,14 @@ _FINE: Final = 3  # chosen: curves are drawn so many times as large, for smooth 
 
 
 @dataclass(frozen=True, eq=False)
-class Frames:
+class BeforeAfter:
     """The same frame of the whole scene twice, `(h, w, 3)` sRGB: before and after tuning."""
 
     before: NDArray[np.uint8]
     after: NDArray[np.uint8]
 
 
-def sheet(fit: Fit, name: str, frames: Frames | None = None) -> Image.Image:
+def sheet(fit: FitResult, name: str, frames: BeforeAfter | None = None) -> Image.Image:
     """The whole sheet, `WIDTH` pixels wide.
 
     Args:
@@ -128,9 +128,9 @@ def _strip(pixels: ArrayLike) -> NDArray[np.uint8]:
     if not len(linear):
         return np.full((_STRIP, _ACROSS, 3), _PAPER, np.uint8)
     # A strip of few pixels shows each of them several times.
-    ascending = linear[np.argsort(lab(linear @ SRGB_TO_XYZ.T)[:, 0], kind="stable")]
+    ascending = linear[np.argsort(xyz_to_lab(linear @ SRGB_TO_XYZ.T)[:, 0], kind="stable")]
     picked = ascending[np.arange(columns * rows) * len(ascending) // (columns * rows)]
-    cells = encode(picked.astype(np.float32)).reshape(columns, rows, 3).transpose(1, 0, 2)
+    cells = encode_tone(picked.astype(np.float32)).reshape(columns, rows, 3).transpose(1, 0, 2)
     return cells.repeat(_CELL, axis=0).repeat(_CELL, axis=1)[:, :_ACROSS]
 
 
@@ -188,7 +188,7 @@ def _curves(one: SpectrumFit, width: int, height: int) -> Image.Image:
     return big.resize((width, height), Image.Resampling.LANCZOS)
 
 
-def _scene(frames: Frames) -> Image.Image:
+def _scene(frames: BeforeAfter) -> Image.Image:
     """The whole scene, before and after side by side."""
     from PIL import Image
 
@@ -206,7 +206,7 @@ def _scene(frames: Frames) -> Image.Image:
     return block
 
 
-def _changes(fit: Fit) -> Image.Image:
+def _changes(fit: FitResult) -> Image.Image:
     """Each number before and after, and how much of it the patches tell."""
     columns, step = (_MARGIN, 480, 680, 960), 30
     rows = [
@@ -240,10 +240,12 @@ def _changes(fit: Fit) -> Image.Image:
     return block
 
 
-def _words(fit: Fit) -> Image.Image:
+def _words(fit: FitResult) -> Image.Image:
     """What was found, in sentences."""
     lines = [
-        line for text in dict.fromkeys((*fit.verdict, *fit.undetermined)) for line in (*_wrapped(text), "")
+        line
+        for text in dict.fromkeys((*fit.diagnostics, *fit.undetermined))
+        for line in (*_wrapped(text), "")
     ]
     block, pen = _blank(26 * len(lines) + 12)
     for i, line in enumerate(lines):
@@ -270,7 +272,7 @@ def _colour(of_lab: ArrayLike) -> tuple[int, int, int]:
     """8-bit sRGB of a colour in CIELAB, the nearest there is."""
     colour = colour_science()
     xyz = colour.Lab_to_XYZ(np.asarray(of_lab, float), colour.XYZ_to_xy(D65_WHITE))
-    red, green, blue = encode((XYZ_TO_SRGB @ xyz).astype(np.float32)).tolist()
+    red, green, blue = encode_tone((XYZ_TO_SRGB @ xyz).astype(np.float32)).tolist()
     return red, green, blue
 
 

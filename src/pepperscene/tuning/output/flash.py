@@ -14,13 +14,13 @@ from pepperscene.camera import Flash, load_flash
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum, read_provenance
-from pepperscene.spectra.files import locate
+from pepperscene.spectra.files import find_material
 from pepperscene.spectra.lights import illuminance
-from pepperscene.tuning.output.provenance import Occasion, values_told
+from pepperscene.tuning.output.provenance import RunInfo, values_told
 from pepperscene.tuning.output.toml_text import document, rounded
 
 if TYPE_CHECKING:
-    from pepperscene.tuning.fit.result import Fit
+    from pepperscene.tuning.fit.result import FitResult
 
 
 COLUMN: Final = "relative_power"
@@ -52,7 +52,7 @@ class FlashFiles:
     texts: dict[str, str]
 
 
-def flash_files(wanted: str, fit: Fit, occasion: Occasion, stem: str) -> FlashFiles:
+def flash_files(wanted: str, fit: FitResult, occasion: RunInfo, stem: str) -> FlashFiles:
     """The flash of a recipe as it was tuned.
 
     Args:
@@ -64,7 +64,7 @@ def flash_files(wanted: str, fit: Fit, occasion: Occasion, stem: str) -> FlashFi
     Raises:
         InputError: the flash cannot be read.
     """
-    path = locate(_FOLDER, wanted)
+    path = find_material(_FOLDER, wanted)
     flash = load_flash(wanted)
     spectrum = tuned_spectrum(flash.spectrum, fit.tuned.flash_nodes_nm, fit.tuned.flash_spectrum)
     how = f"{occasion.told()}: {'; '.join(_values(fit))}"
@@ -96,13 +96,13 @@ def flash_files(wanted: str, fit: Fit, occasion: Occasion, stem: str) -> FlashFi
     return FlashFiles(dataclasses.replace(flash, **changed), texts)
 
 
-def is_tuned(fit: Fit) -> bool:
+def is_tuned(fit: FitResult) -> bool:
     """Whether the flash is another one than before."""
     factors = np.asarray(fit.tuned.flash_spectrum, float)
     return abs(fit.tuned.flash_power - 1.0) > 1e-12 or bool((np.abs(factors - 1.0) > 1e-12).any())
 
 
-def _values(fit: Fit) -> list[str]:
+def _values(fit: FitResult) -> list[str]:
     return [values_told(fit, one) for one in fit.parameters if one.name.startswith("flash.")]
 
 

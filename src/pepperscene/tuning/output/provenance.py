@@ -15,7 +15,7 @@ from pepperscene.version import __version__
 
 if TYPE_CHECKING:
     from pepperscene.colour import PatchSet
-    from pepperscene.tuning.fit.result import Fit
+    from pepperscene.tuning.fit.result import FitResult
     from pepperscene.tuning.parameters.parameter import Parameter
 
 
@@ -23,7 +23,7 @@ FORMAT: Final = "pepperscene tuning 1"
 
 
 @dataclass(frozen=True)
-class Occasion:
+class RunInfo:
     """When something was tuned, to what, and how it was asked for.
 
     Attributes:
@@ -43,7 +43,7 @@ class Occasion:
     version: str = __version__
 
     @classmethod
-    def of(cls, patches: PatchSet, when: datetime.date, options: Mapping[str, Any] | None = None) -> Occasion:
+    def of(cls, patches: PatchSet, when: datetime.date, options: Mapping[str, Any] | None = None) -> RunInfo:
         """The occasion on which something is tuned to these patches."""
         members = dict(_digests(patches))
         joined = "".join(f"{name}\0{digest}\n" for name, digest in sorted(members.items()))
@@ -58,7 +58,7 @@ class Occasion:
         )
 
 
-def entries(fit: Fit, parameter: Parameter) -> Iterator[tuple[str, float, float, float]]:
+def entries(fit: FitResult, parameter: Parameter) -> Iterator[tuple[str, float, float, float]]:
     """Label, value, standard deviation and former value of each entry of a fitted parameter."""
     name = parameter.name
     rows = zip(
@@ -72,7 +72,7 @@ def entries(fit: Fit, parameter: Parameter) -> Iterator[tuple[str, float, float,
         yield f"{name} ({label})" if label else name, float(value), float(sd), float(before)
 
 
-def values_told(fit: Fit, parameter: Parameter) -> str:
+def values_told(fit: FitResult, parameter: Parameter) -> str:
     """Each entry of a parameter with its spread and what it was before."""
     unit = f" {parameter.unit}" if parameter.unit and parameter.unit != "1" else ""
     told = [
@@ -82,7 +82,7 @@ def values_told(fit: Fit, parameter: Parameter) -> str:
     return f"{parameter.name} {', '.join(told)}"
 
 
-def colours_told(fit: Fit) -> str:
+def colours_told(fit: FitResult) -> str:
     """How far the model's mean colours were from the patches', and are now."""
     kinds = [
         f"{name} {kind.delta_e_before:.2f} before, {kind.delta_e_after:.2f} after"
@@ -112,7 +112,9 @@ def plain(value: float, sd: float) -> str:
     return f"{round(value, places):.{max(min(places, 12), 0)}f}"
 
 
-def as_json(fit: Fit, occasion: Occasion, verification: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def as_json(
+    fit: FitResult, occasion: RunInfo, verification: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """Everything that was found, ready for JSON; what is not a finite number becomes null."""
     tuned = fit.tuned
     told = {
@@ -136,7 +138,7 @@ def as_json(fit: Fit, occasion: Occasion, verification: Mapping[str, Any] | None
         "chi_squared": fit.chi_squared,
         "data": fit.data,
         "leftover": dict(fit.leftover),
-        "verdict": list(fit.verdict),
+        "verdict": list(fit.diagnostics),
         "verification": verification,
         "tuned": {
             "pigments": {
@@ -164,7 +166,7 @@ def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _parameter(fit: Fit, parameter: Parameter) -> dict[str, Any]:
+def _parameter(fit: FitResult, parameter: Parameter) -> dict[str, Any]:
     name = parameter.name
     return {
         "name": name,

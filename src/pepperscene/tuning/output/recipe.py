@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from pepperscene.camera import Camera, Flash, colour_steps
+from pepperscene.camera import Camera, Flash, colour_transform
 from pepperscene.dataset import Recipe, load_recipe
-from pepperscene.shipped import shelf
-from pepperscene.tuning.output.provenance import Occasion, colours_told, values_told
+from pepperscene.shipped import shipped_folder
+from pepperscene.tuning.output.provenance import RunInfo, colours_told, values_told
 from pepperscene.tuning.output.toml_text import document, rounded
 
 if TYPE_CHECKING:
-    from pepperscene.tuning.fit.result import Fit
-    from pepperscene.tuning.parameters.tuned import Tuned
+    from pepperscene.tuning.fit.result import FitResult
+    from pepperscene.tuning.parameters.tuned import TunedParts
 
 
 _FILE_KEYS: Final = (
@@ -45,8 +45,8 @@ def recipe_text(
     extends: str | Path | None,
     folder: Path,
     changes: Mapping[str, Any],
-    fit: Fit,
-    occasion: Occasion,
+    fit: FitResult,
+    occasion: RunInfo,
 ) -> str:
     """The TOML of a recipe with some values changed.
 
@@ -83,7 +83,7 @@ def recipe_text(
     return document(told, comments, head)
 
 
-def camera_changes(camera: Camera, flash: Flash | None, tuned: Tuned) -> Changes:
+def camera_changes(camera: Camera, flash: Flash | None, tuned: TunedParts) -> Changes:
     """The recipe's values, by dotted key, that let a camera develop as the tuned one did.
 
     Args:
@@ -101,7 +101,7 @@ def camera_changes(camera: Camera, flash: Flash | None, tuned: Tuned) -> Changes
     if camera.sensor.channels == 1:
         return found
     # What the written recipe would make of its own light, if that is not told otherwise.
-    gains, matrix = colour_steps(dataclasses.replace(camera, flash=flash))
+    gains, matrix = colour_transform(dataclasses.replace(camera, flash=flash))
     same = np.allclose(gains, tuned.gains, rtol=_SAME, atol=_SAME)
     if not (same and np.allclose(matrix, tuned.matrix, rtol=_SAME, atol=_SAME)):
         if camera.developing.white_balance is not None or not np.allclose(tuned.gains, 1.0, rtol=_SAME):
@@ -124,7 +124,7 @@ def reference(wanted: str | Path, which: Any, folder: Path) -> str:
     path = Path(wanted)
     if path.parent == Path(".") and path.suffix != ".toml":
         return str(wanted)
-    if path.resolve().parent == shelf(which).resolve():
+    if path.resolve().parent == shipped_folder(which).resolve():
         return path.stem
     # Recipes take a step upwards out of the path as it is written, cultivars out of the folder on the disk.
     return _way(path.resolve(), folder.resolve()) if which == "plants" else _way(path, folder)

@@ -7,24 +7,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pepperscene.colour.comparison.tables import UNKNOWN, Table
+from pepperscene.colour.comparison.tables import UNKNOWN, TextTable
 from pepperscene.tuning.output.provenance import entries, plain, with_spread
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pepperscene.tuning.fit.result import Fit
+    from pepperscene.tuning.fit.result import FitResult
     from pepperscene.tuning.parameters.parameter import Parameter
     from pepperscene.tuning.whole_scene import Likeness
     from pepperscene.tuning.workflow import Verification
 
 
-def tables(fit: Fit, verification: Verification | None = None) -> tuple[Table, ...]:
+def fit_tables(fit: FitResult, verification: Verification | None = None) -> tuple[TextTable, ...]:
     """Parameters, colours before and after, the whole scene where it was looked at, and what it all means."""
     return tuple(_tables(fit, verification))
 
 
-def known_table(parameters: tuple[Parameter, ...]) -> Table:
+def known_table(parameters: tuple[Parameter, ...]) -> TextTable:
     """What can be fitted of a recipe."""
     rows = [
         (
@@ -41,10 +41,10 @@ def known_table(parameters: tuple[Parameter, ...]) -> Table:
         )
     ]
     heads = ("parameter", "now", "expected", "bounds", "unit", "meaning")
-    return Table("What can be fitted", heads, tuple(rows))
+    return TextTable("What can be fitted", heads, tuple(rows))
 
 
-def _tables(fit: Fit, verification: Verification | None) -> Iterator[Table]:
+def _tables(fit: FitResult, verification: Verification | None) -> Iterator[TextTable]:
     rows = [
         (
             name, plain(before, sd), with_spread(value, sd), f"{law.low:.4g} to {law.high:.4g}", one.unit,
@@ -56,17 +56,21 @@ def _tables(fit: Fit, verification: Verification | None) -> Iterator[Table]:
         )
     ]  # fmt: skip
     heads = ("parameter", "before", "after", "bounds", "unit", "told by the patches")
-    yield Table("What was fitted", heads, tuple(rows))
+    yield TextTable("What was fitted", heads, tuple(rows))
     if fit.kinds:
         rows_of_kinds = tuple(
             (name, f"{one.delta_e_before:.2f}", f"{one.delta_e_after:.2f}") for name, one in fit.kinds.items()
         )
-        yield Table("CIEDE2000 of mean colours, single organs", ("kind", "before", "after"), rows_of_kinds)
+        yield TextTable(
+            "CIEDE2000 of mean colours, single organs", ("kind", "before", "after"), rows_of_kinds
+        )
     if fit.spectra:
         rows_of_spectra = tuple(
             (name, f"{one.rmse_before:.4f}", f"{one.rmse_after:.4f}") for name, one in fit.spectra.items()
         )
-        yield Table("Root mean square error of reflectance", ("spectrum", "before", "after"), rows_of_spectra)
+        yield TextTable(
+            "Root mean square error of reflectance", ("spectrum", "before", "after"), rows_of_spectra
+        )
     if verification is not None:
         frames = f"{verification.frames} frame{'' if verification.frames == 1 else 's'} of the whole scene"
         yield _likenesses(f"{frames} and the patches", verification.before, verification.after)
@@ -75,7 +79,7 @@ def _tables(fit: Fit, verification: Verification | None) -> Iterator[Table]:
             yield _likenesses(title, verification.held_before, verification.held_after)
 
 
-def _likenesses(title: str, before: Mapping[str, Likeness], after: Mapping[str, Likeness]) -> Table:
+def _likenesses(title: str, before: Mapping[str, Likeness], after: Mapping[str, Likeness]) -> TextTable:
     heads = ("kind", "dE2000 before", "after", "hue correlation before", "after")
     rows = [
         (
@@ -85,7 +89,7 @@ def _likenesses(title: str, before: Mapping[str, Likeness], after: Mapping[str, 
         )
         for kind, one in after.items()
     ]  # fmt: skip
-    return Table(title, heads, tuple(rows))
+    return TextTable(title, heads, tuple(rows))
 
 
 def _labels(parameter: Parameter) -> list[str]:

@@ -13,20 +13,20 @@ from typing import TYPE_CHECKING, Any, Final
 from pepperscene.camera import load_flash
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import Recipe, load_recipe
-from pepperscene.dataset.recipe.equipment import camera_of, cultivar_of
+from pepperscene.dataset.recipe.equipment import load_camera, load_recipe_cultivar
 from pepperscene.dataset.recipe.tables import NONE
-from pepperscene.dataset.store.atomic import is_temporary, json_bytes, replacing
-from pepperscene.dataset.store.folder import LITTER, examine_place, make_folder, remove
+from pepperscene.dataset.store.atomic import atomic_write, canonical_json, is_temporary
+from pepperscene.dataset.store.folder import LITTER, check_can_create, make_folder, remove
 from pepperscene.errors import OutputError
 from pepperscene.tuning.output.cultivar import changed, cultivar_text
-from pepperscene.tuning.output.figure import Frames, sheet
+from pepperscene.tuning.output.figure import BeforeAfter, sheet
 from pepperscene.tuning.output.flash import flash_files, is_tuned
-from pepperscene.tuning.output.provenance import Occasion, as_json
+from pepperscene.tuning.output.provenance import RunInfo, as_json
 from pepperscene.tuning.output.recipe import camera_changes, recipe_text, reference
 
 if TYPE_CHECKING:
     from pepperscene.colour import PatchSet
-    from pepperscene.tuning.fit.result import Fit
+    from pepperscene.tuning.fit.result import FitResult
 
 
 RECORD: Final = "tuning.json"
@@ -35,14 +35,14 @@ PICTURE: Final = "before_after.png"
 
 def write_tuned(
     recipe: Recipe,
-    fit: Fit,
+    fit: FitResult,
     out: str | Path,
     *,
     patches: PatchSet,
     when: datetime.date,
     extends: str | Path | None = None,
     options: Mapping[str, Any] | None = None,
-    frames: Frames | None = None,
+    frames: BeforeAfter | None = None,
     verification: Mapping[str, Any] | None = None,
 ) -> tuple[Path, ...]:
     """Write what a fit found into a new or an empty folder; all of it or nothing.
@@ -74,13 +74,13 @@ def write_tuned(
     """
     folder = Path(out)
     check_folder(folder)
-    occasion = Occasion.of(patches, when, options)
+    occasion = RunInfo.of(patches, when, options)
     texts = _texts(recipe, fit, folder, extends, occasion)
     files = {name: text.encode() for name, text in texts.items()}
     picture = BytesIO()
     sheet(fit, recipe.name, frames).save(picture, "PNG")
     files[PICTURE] = picture.getvalue()
-    files[RECORD] = json_bytes(as_json(fit, occasion, verification))
+    files[RECORD] = canonical_json(as_json(fit, occasion, verification))
     try:
         return _write(folder, files)
     except OSError as fault:
@@ -90,10 +90,10 @@ def write_tuned(
 
 def _texts(
     recipe: Recipe,
-    fit: Fit,
+    fit: FitResult,
     folder: Path,
     extends: str | Path | None,
-    occasion: Occasion,
+    occasion: RunInfo,
 ) -> dict[str, str]:
     """The TOML and CSV files by name, the recipe first."""
     names = _Names(f"{recipe.name}_tuned")
@@ -101,7 +101,7 @@ def _texts(
     others: dict[str, str] = {}
 
     # Pigments: where two stages are mixed both get the same path, whose mix is that path.
-    pigments = changed(cultivar_of(recipe), fit.tuned.pigments)
+    pigments = changed(load_recipe_cultivar(recipe), fit.tuned.pigments)
     stages = {"cultivar": recipe.cultivar}
     if recipe.growth is not None:
         stages["growth.until"] = recipe.growth.until
@@ -112,7 +112,7 @@ def _texts(
         changes[key] = f"{stem}.toml"
 
     # Light.
-    camera = camera_of(recipe)
+    camera = load_camera(recipe)
     flash = camera.flash
     if recipe.camera.flash != NONE and is_tuned(fit):
         stem = names.free(f"{Path(recipe.camera.flash).stem}_tuned", "flash")
@@ -149,7 +149,7 @@ class _Names:
 
 def check_folder(folder: Path) -> None:
     """Raise the `OutputError` that tells why nothing can be written there, if there is a reason."""
-    examine_place(folder)
+    check_can_create(folder)
     try:
         held = sorted(path.name for path in folder.iterdir()) if folder.exists() else []
     except OSError as fault:
@@ -168,11 +168,11 @@ def _write(folder: Path, files: Mapping[str, bytes]) -> tuple[Path, ...]:
         with ExitStack() as stack:
             # The stack unwinds from its end: the recipe comes last, and stands beside whole files only.
             for path in paths:
-                stack.enter_context(replacing(path)).write_bytes(files[path.name])
+                stack.enter_context(atomic_write(path)).write_bytes(files[path.name])
             made += paths
         # What cannot be loaded is not left there.
         loaded = load_recipe(paths[0])
-        cultivar_of(loaded)
+        load_recipe_cultivar(loaded)
         if loaded.camera.flash != NONE:
             load_flash(loaded.camera.flash)
     except BaseException:

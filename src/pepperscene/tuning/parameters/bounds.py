@@ -15,9 +15,9 @@ from pydantic import TypeAdapter, ValidationError
 from pepperscene.cultivar import Distribution, Origin, Ratio
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError
-from pepperscene.shipped import shelf
+from pepperscene.shipped import shipped_folder
 from pepperscene.tuning.parameters.surface import NAMES
-from pepperscene.tuning.parameters.tunables import Own
+from pepperscene.tuning.parameters.tunables import Tunables
 
 SHIPPED: Final = "tuning/bounds.toml"
 """In the materials."""
@@ -47,7 +47,9 @@ class Bounds:
 
 
 def priors(
-    wanted: Iterable[Own], every: Iterable[Own], bounds: Mapping[str, Any] | str | Path | None = None
+    wanted: Iterable[Tunables],
+    every: Iterable[Tunables],
+    bounds: Mapping[str, Any] | str | Path | None = None,
 ) -> tuple[tuple[Distribution, ...], ...]:
     """Of every entry of some parameters, its law.
 
@@ -76,11 +78,11 @@ def priors(
 
 @lru_cache(maxsize=1)
 def _shipped() -> Bounds:
-    path = shelf("materials") / SHIPPED
+    path = shipped_folder("materials") / SHIPPED
     return Bounds(path.name, dict(_flat(read_toml(path), path.name)), binding=False)
 
 
-def _users(bounds: Mapping[str, Any] | str | Path, every: Iterable[Own]) -> Bounds:
+def _users(bounds: Mapping[str, Any] | str | Path, every: Iterable[Tunables]) -> Bounds:
     """A user's tables, every one checked, so that no slip of the pen goes unseen."""
     where = "bounds" if isinstance(bounds, Mapping) else str(bounds)
     tables = dict(_flat(bounds if isinstance(bounds, Mapping) else read_toml(Path(bounds)), where))
@@ -90,7 +92,7 @@ def _users(bounds: Mapping[str, Any] | str | Path, every: Iterable[Own]) -> Boun
         if key not in known:
             close = get_close_matches(key, known, n=3, cutoff=0.5)
             closest = f"; closest are {', '.join(close)}" if close else ""
-            raise InputError(where, key, None, f"is not the name of anything that can be fitted{closest}")
+            raise InputError(where, f"is not the name of anything that can be fitted{closest}", key=key)
         _law(table, where, key)
     return Bounds(where, tables, binding=True)
 
@@ -100,7 +102,7 @@ def _flat(tables: Mapping[str, Any], where: str, before: str = "") -> Iterator[t
     for name, table in tables.items():
         key = f"{before}{name}"
         if not isinstance(table, Mapping):
-            raise InputError(where, key, table, _SUCH)
+            raise InputError(where, _SUCH, key=key, value=table)
         if table and all(isinstance(below, Mapping) for below in table.values()):
             yield from _flat(table, where, f"{key}.")
         else:
@@ -111,23 +113,23 @@ def _law(table: Mapping[str, Any], where: str, key: str) -> tuple[Distribution, 
     """The law that a table states, and what its numbers are relative to."""
     for name in table:
         if name not in _KEYS:
-            raise InputError(where, f"{key}.{name}", None, f"is not one of {', '.join(_KEYS)}")
+            raise InputError(where, f"is not one of {', '.join(_KEYS)}", key=f"{key}.{name}")
     relative = table.get("relative", "")
     if relative not in ("", "times", "plus"):
-        raise InputError(where, f"{key}.relative", relative, 'must be "times" or "plus"')
+        raise InputError(where, 'must be "times" or "plus"', key=f"{key}.relative", value=relative)
     if not table:
-        raise InputError(where, key, None, _SUCH)
+        raise InputError(where, _SUCH, key=key)
     try:
         return _RATIO.validate_python({name: table[name] for name in table if name != "relative"}), relative
     except ValidationError as fault:
         said = fault.errors(include_url=False)[0]["msg"].removeprefix("Value error, ")
-        raise InputError(where, key, None, said) from None
+        raise InputError(where, said, key=key) from None
 
 
 # --- one entry ------------------------------------------------------------------------------------------
 
 
-def _keys(own: Own, entry: int) -> list[str]:
+def _keys(own: Tunables, entry: int) -> list[str]:
     """Where an entry's law is looked for, in order."""
     label, what = own.labels[entry], own.name.rpartition(".")[2]
     keys = [f"{own.name}.{label}"] if label else []
@@ -139,7 +141,7 @@ def _keys(own: Own, entry: int) -> list[str]:
     return keys
 
 
-def _prior(own: Own, entry: int, layers: Sequence[Bounds]) -> Distribution:
+def _prior(own: Tunables, entry: int, layers: Sequence[Bounds]) -> Distribution:
     """The law of one entry."""
     for layer in layers:
         for key in _keys(own, entry):
@@ -148,12 +150,12 @@ def _prior(own: Own, entry: int, layers: Sequence[Bounds]) -> Distribution:
     raise ValueError(f"there are no shipped bounds of {own.name}")
 
 
-def _fitted(own: Own, value: float, layer: Bounds, key: str) -> Distribution:
+def _fitted(own: Tunables, value: float, layer: Bounds, key: str) -> Distribution:
     """A layer's law at the recipe's own value, within what is possible."""
     law, relative = _law(layer.tables[key], layer.where, key)
     scale, shift = {"": (1.0, 0.0), "times": (value - own.floor, own.floor), "plus": (1.0, value)}[relative]
     if scale <= 0.0:
-        raise InputError(layer.where, key, None, f"cannot be relative: the recipe has nothing of {own.name}")
+        raise InputError(layer.where, f"cannot be relative: the recipe has nothing of {own.name}", key=key)
     low, mean, high = (shift + scale * number for number in (law.low, law.mean, law.high))
     sd = scale * law.sd
 
@@ -162,10 +164,10 @@ def _fitted(own: Own, value: float, layer: Bounds, key: str) -> Distribution:
         span = f"goes from {low:.4g} to {high:.4g}"
         if not low <= value <= high:
             allowed = f"must hold what the recipe has of {own.name}, {value:.4g}, and {span}"
-            raise InputError(layer.where, key, None, allowed)
+            raise InputError(layer.where, allowed, key=key)
         if not relative and (low < own.low or high > own.high):
             allowed = f"must lie within {own.low:.4g} to {own.high:.4g} and {span}"
-            raise InputError(layer.where, key, None, allowed)
+            raise InputError(layer.where, allowed, key=key)
 
     # Shipped bounds make room for what the recipe has, and relative ones keep to what is possible.
     least, most = max(min(low, value), own.low), min(max(high, value), own.high)

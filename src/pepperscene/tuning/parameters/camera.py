@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.render.gradients.renderer import FLASH_WEIGHTS
-from pepperscene.tuning.parameters.tunables import Own
+from pepperscene.tuning.parameters.tunables import Tunables
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
@@ -29,24 +29,24 @@ _ENTRIES: Final = tuple(f"{_COLOURS[row]}_from_{_COLOURS[column]}" for row, colu
 _FACTORS: Final = (0.01, 100.0)  # chosen: seven stops to either side, as gains of a recipe may reach
 
 
-def camera_side(camera: Camera) -> dict[str, Own]:
+def camera_side(camera: Camera) -> dict[str, Tunables]:
     """What can be fitted of the light and the camera: no flash's without one, no colours of a grey sensor."""
     found = []
     if camera.flash is not None:
         nodes = tuple(str(i + 1) for i in range(FLASH_WEIGHTS))
         found = [
-            Own("flash.power", "", "factor on the flash's light", "light", np.ones(1), *_FACTORS),
-            Own(
+            Tunables("flash.power", "", "factor on the flash's light", "light", np.ones(1), *_FACTORS),
+            Tunables(
                 "flash.colour", "", "exponents of the flash's spectrum", "light", np.zeros(2), -5.0, 5.0,
                 labels=("warmth", "green"),
             ),
-            Own(
+            Tunables(
                 "flash.spectrum", "", "factors on the flash's spectrum at even wavelengths", "light",
                 np.ones(FLASH_WEIGHTS), *_FACTORS, labels=nodes,
             ),
         ]  # fmt: skip
     found.append(
-        Own(
+        Tunables(
             "exposure",
             "",
             "factor on the sensor's gain; without a flash, on the exposure time",
@@ -59,11 +59,11 @@ def camera_side(camera: Camera) -> dict[str, Own]:
         _, matrix = _colour_steps(camera)
         own = np.array([matrix[at] for at in OFF_DIAGONAL])
         found += [
-            Own(
+            Tunables(
                 "white_balance", "", "factors on the gains of red and blue", "camera", np.ones(2), *_FACTORS,
                 labels=("red", "blue"),
             ),
-            Own(
+            Tunables(
                 "colour_matrix", "", "off-diagonal entries; the rows' sums stay", "camera", own, -20.0, 20.0,
                 labels=_ENTRIES,
             ),
@@ -116,7 +116,7 @@ def colour_steps_at(camera: Camera, values: Mapping[str, ArrayLike]) -> tuple[Ar
 
 
 def _colour_steps(camera: Camera) -> tuple[Array, Array]:
-    from pepperscene.camera import colour_steps
+    from pepperscene.camera import colour_transform
 
-    gains, matrix = colour_steps(camera)
+    gains, matrix = colour_transform(camera)
     return np.array(gains, float), np.array(matrix, float)

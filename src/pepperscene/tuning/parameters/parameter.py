@@ -6,26 +6,22 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.cultivar import Distribution
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError
 from pepperscene.tuning.parameters.bounds import priors
 from pepperscene.tuning.parameters.camera import camera_side
 from pepperscene.tuning.parameters.surface import ENDS, NAMES, surface_side
-from pepperscene.tuning.parameters.tunables import Group, Own
+from pepperscene.tuning.parameters.tunables import Group, Tunables
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
     from pepperscene.cultivar import Cultivar
     from pepperscene.dataset import Recipe
-
-
-WHERE: Final = "--fit"
-"""What a message calls the list of names."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +52,7 @@ def known_parameters(cultivar: Cultivar, camera: Camera) -> tuple[str, ...]:
     return tuple(_everything(cultivar, camera))
 
 
-def parameters_of(
+def select_parameters(
     recipe: Recipe,
     cultivar: Cultivar,
     camera: Camera,
@@ -73,18 +69,18 @@ def parameters_of(
         bounds: a bounds file, or its tables, that go before the shipped ones.
 
     Raises:
-        InputError: no name at all, an unknown name or one twice, one that this recipe cannot have, two that
-            move the same thing, or a fault in the bounds.
+        ArgumentError: no name at all, an unknown name or one twice, one that this recipe cannot have, two
+            that move the same thing, or a fault in the bounds.
     """
     every = _everything(cultivar, camera)
     wanted = [_canonical(name.strip(), every) for name in names]
     if not wanted:
-        raise InputError(WHERE, "", None, f"needs at least one of {_listed(every)}")
+        raise ArgumentError("names", f"needs at least one of {_listed(every)}")
     for i, name in enumerate(wanted):
         if name not in every:
-            raise InputError(WHERE, "", None, _unknown(name, every, recipe, cultivar, camera))
+            raise ArgumentError("names", _unknown(name, every, recipe, cultivar, camera))
         if name in wanted[:i]:
-            raise InputError(WHERE, "", None, f"{name} is named twice")
+            raise ArgumentError("names", f"{name} is named twice")
     _check_overlap(wanted)
     laws = priors([every[name] for name in wanted], every.values(), bounds)
     return tuple(
@@ -93,11 +89,11 @@ def parameters_of(
     )
 
 
-def _everything(cultivar: Cultivar, camera: Camera) -> dict[str, Own]:
+def _everything(cultivar: Cultivar, camera: Camera) -> dict[str, Tunables]:
     return surface_side(cultivar) | camera_side(camera)
 
 
-def _canonical(name: str, every: Mapping[str, Own]) -> str:
+def _canonical(name: str, every: Mapping[str, Tunables]) -> str:
     """The name that the parameter is known by: a fruit's state is called its ripeness."""
     surface, _, what = name.rpartition(".")
     return f"{surface}.ripeness" if what == "state" and f"{surface}.ripeness" in every else name
@@ -110,10 +106,12 @@ def _check_overlap(names: Iterable[str]) -> None:
         whole = f"{surface.rpartition('.')[0]}.{what}"
         if what in NAMES and surface.rpartition(".")[2] in ENDS and whole in names:
             allowed = f"{whole} moves the whole path, so it cannot be fitted beside {name}"
-            raise InputError(WHERE, "", None, allowed)
+            raise ArgumentError("names", allowed)
 
 
-def _unknown(name: str, every: Mapping[str, Own], recipe: Recipe, cultivar: Cultivar, camera: Camera) -> str:
+def _unknown(
+    name: str, every: Mapping[str, Tunables], recipe: Recipe, cultivar: Cultivar, camera: Camera
+) -> str:
     """Why there is no such parameter, and what there is, the closest first."""
     surface = name.partition(".")[0]
     if surface == "flash" and camera.flash is None:
@@ -129,7 +127,7 @@ def _unknown(name: str, every: Mapping[str, Own], recipe: Recipe, cultivar: Cult
     return f"{why}; {closest}there are {_listed(every)}"
 
 
-def _listed(every: Mapping[str, Own]) -> str:
+def _listed(every: Mapping[str, Tunables]) -> str:
     """All names in few words: {leaf,stem}.{ior,roughness} are four."""
     surfaces: dict[str, list[str]] = {}
     for own in every.values():

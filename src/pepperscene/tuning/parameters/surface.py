@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.cultivar import CALYX, USUAL, Fruit, PigmentPath, Pigments
 from pepperscene.render.gradients.pigment_models import CONTENTS, RANGES
-from pepperscene.tuning.parameters.tunables import Group, Own
+from pepperscene.tuning.parameters.tunables import Group, Tunables
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar, Distribution
@@ -28,7 +28,7 @@ _PLACES: Final = 64
 
 
 @dataclass(frozen=True)
-class StateLaw:
+class StateDistribution:
     """Where the organs of one surface lie on its path.
 
     Attributes:
@@ -42,7 +42,7 @@ class StateLaw:
     ripe: float | None = None
 
 
-def state_law(cultivar: Cultivar, surface: str) -> StateLaw | None:
+def state_law(cultivar: Cultivar, surface: str) -> StateDistribution | None:
     """The law of one surface's states; None where no kind that grows has it, or none has such a law.
 
     Fruit has its stages instead: unripe, turning and ripe, in the shares that the cultivar states. The
@@ -58,7 +58,7 @@ def state_law(cultivar: Cultivar, surface: str) -> StateLaw | None:
     sd = float(np.sqrt(weights @ (sds**2 + (means - mean) ** 2)))
     fruits = _fruits(cultivar, surface)
     ripe = float(np.mean([organ.ripe.mean for organ in fruits])) if fruits else 0.0
-    return StateLaw(mean, sd, ripe if ripe > 0.0 else None)
+    return StateDistribution(mean, sd, ripe if ripe > 0.0 else None)
 
 
 def surfaces_of(cultivar: Cultivar) -> tuple[str, ...]:
@@ -162,20 +162,20 @@ ENDS: Final = {"unripe": 0, "ripe": -1}
 """The knots at either end of a path. The words are fruit's, and so are those of leaves, pale and dark."""
 
 
-def surface_side(cultivar: Cultivar) -> dict[str, Own]:
+def surface_side(cultivar: Cultivar) -> dict[str, Tunables]:
     """What can be fitted of the surfaces that plants show, in the order of the cultivar's file."""
     found = [one for surface in surfaces_of(cultivar) for one in _of_surface(cultivar, surface)]
     return {one.name: one for one in found}
 
 
-def _of_surface(cultivar: Cultivar, surface: str) -> list[Own]:
+def _of_surface(cultivar: Cultivar, surface: str) -> list[Tunables]:
     path, law, found = cultivar.pigments[surface], state_law(cultivar, surface), []
 
     def add(what: str, meaning: str, value: float, low: float, high: float, floor: float = 0.0) -> None:
         unit = NAMES[what.rpartition(".")[2]][1] if what.rpartition(".")[2] in NAMES else ""
         group: Group = "cuticle" if what in ("ior", "roughness") else "pigments"
         value_of = np.array([value], float)
-        found.append(Own(f"{surface}.{what}", unit, meaning, group, value_of, low, high, floor))
+        found.append(Tunables(f"{surface}.{what}", unit, meaning, group, value_of, low, high, floor))
 
     for name, (field, _) in NAMES.items():
         (low, high), values = RANGES[field], [getattr(pigments, field) for _, pigments in path.knots]
@@ -198,7 +198,7 @@ def _of_surface(cultivar: Cultivar, surface: str) -> list[Own]:
     return found
 
 
-def path_at(surface: str, path: PigmentPath, law: StateLaw | None, values: Values) -> PigmentPath:
+def path_at(surface: str, path: PigmentPath, law: StateDistribution | None, values: Values) -> PigmentPath:
     """The path of a surface at some values, with its own knots.
 
     Contents change first, along the path as it stands, and then organs move along the changed path. Scaling
@@ -257,7 +257,7 @@ def _fading(states: Array, own: Array, at: int) -> Array:
     return line * np.minimum(1.0, own / own[at]) if own[at] > 0.0 else line
 
 
-def _moved(given: Mapping[str, Array], states: Array, law: StateLaw | None) -> Array | None:
+def _moved(given: Mapping[str, Array], states: Array, law: StateDistribution | None) -> Array | None:
     """`(k,)` states whose contents the knots take; None where organs stay where they are."""
     if law is None or not {"state", "ripeness", "spread"} & set(given):
         return None

@@ -12,7 +12,7 @@ Group = Literal["pigments", "cuticle", "light", "exposure", "camera"]
 
 
 @dataclass(frozen=True, eq=False)
-class Own:
+class Tunables:
     """One thing that can be fitted, at the recipe's own value.
 
     Attributes:

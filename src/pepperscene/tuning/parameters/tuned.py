@@ -32,7 +32,7 @@ NEAREST: Final = 0.4 / STEPS
 
 
 @dataclass(frozen=True, eq=False)
-class Tuned:
+class TunedParts:
     """A recipe's parts at some values.
 
     Attributes:
@@ -54,15 +54,15 @@ class Tuned:
     matrix: Array
 
 
-def tuned(
+def tuned_parts(
     cultivar: Cultivar, camera: Camera, values: Mapping[str, ArrayLike], nodes_nm: ArrayLike = ()
-) -> Tuned:
+) -> TunedParts:
     """The parts at these values; what has none among them is the recipe's own.
 
     Args:
         cultivar: the recipe's, with its own knots or dense ones.
         camera: the recipe's.
-        values: of parameters by their names, as `parameters_of` gives them.
+        values: of parameters by their names, as `select_parameters` gives them.
         nodes_nm: `(m,)` where the renderer takes factors of the flash's spectrum.
 
     Raises:
@@ -74,7 +74,7 @@ def tuned(
         if any(name.startswith(f"{surface}.") for name in values)
     }
     gains, matrix = colour_steps_at(camera, values)
-    return Tuned(
+    return TunedParts(
         pigments=pigments,
         flash_power=_single(values, "flash.power"),
         flash_nodes_nm=np.array(nodes_nm, float),
