@@ -1,53 +1,66 @@
-# `make demo` shows what the program does, `make test` guards a change.
-# Nothing is assumed but Python 3.11 or newer with pip, make and git.
+# `make demo` shows what the program does, `make check` and `make test` guard a change.
+# Needs only Python 3.11 or newer with pip, make and git.
 
 PYTHON ?= python3
 OUT ?= out/demo
+# Test processes at a time; each needs about 2 GB of memory.
+JOBS ?= 2
+# The tests that need PyTorch run with a CPU build of it; they are skipped where none can be installed.
+TORCH ?= --index-url https://download.pytorch.org/whl/cpu --retries 0 --timeout 15 torch
 
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
+PYTEST := $(BIN)/python -m pytest --numprocesses=$(JOBS) --dist=worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-long docs clean
+.PHONY: help demo check test test-long docs clean
 
 help:
-	@echo "make demo       build a few frames and a page to look at, in $(OUT)"
-	@echo "make test       run every test that guards a change"
-	@echo "make test-long  run the tests that take many minutes"
+	@echo "make demo       build a few frames and an HTML report in $(OUT)"
+	@echo "make check      lint, types, import layers and unit tests (under two minutes)"
+	@echo "make test       everything that guards a change"
+	@echo "make test-long  tests that take many minutes"
 	@echo "make docs       build the documentation in docs/_build/html"
 	@echo "make clean      remove the virtual environment, caches and build products"
-	@echo "Another interpreter: make demo PYTHON=python3.12"
+	@echo "Use another interpreter: make demo PYTHON=python3.12"
 
 demo: $(VENV)/.installed
 	$(BIN)/pepperscene build demo --out $(OUT)
 	$(BIN)/pepperscene report $(OUT)
 	@echo
-	@echo "Done. Open $(OUT)/index.html in a browser; the frames lie beside it, one folder per output."
+	@echo "Done. Open $(OUT)/index.html in a browser; the images are in $(OUT), one folder per output."
+
+check: $(VENV)/.installed-tests
+	$(PYTEST) -m 'not slow and not long' tests
+	$(PYTEST) tests/project/test_style.py tests/project/test_packages.py
 
 test: $(VENV)/.installed-tests
-	$(BIN)/python -m pytest
+	$(PYTEST)
 
 test-long: $(VENV)/.installed-tests
 	$(BIN)/python -m pytest -m long
 
 docs: $(VENV)/.installed-tests
-	$(BIN)/python -m sphinx --fail-on-warning --keep-going -b html docs docs/_build/html
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going -b html -d docs/_build/doctrees docs docs/_build/html
 
 clean:
 	rm -rf $(VENV) build dist docs/_build .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find src tests notebooks -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# The stamps say which set of packages the environment holds; a change of pyproject.toml renews them.
+# The stamp files record which packages are installed; a change of pyproject.toml renews them.
 $(VENV)/.installed: pyproject.toml | $(BIN)/python
 	$(PIP) install --quiet --editable .
 	@touch $@
 
+# PyTorch comes first: as a dependency of another package pip would install a build with gigabytes of CUDA.
 $(VENV)/.installed-tests: pyproject.toml | $(BIN)/python
+	@$(BIN)/python -c 'import torch' 2>/dev/null || $(PIP) install --quiet $(TORCH) \
+	    || echo "No CPU build of PyTorch can be installed; the tests that need it are skipped."
 	$(PIP) install --quiet --editable '.[test,docs,notebooks]'
 	@touch $(VENV)/.installed $@
 
-# An environment that was made only in part is taken away again, lest the next call trust it.
+# An incomplete environment is removed, so that the next call does not use it.
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else \
 	    "Python 3.11 or newer is needed, this is " + sys.version.split()[0] + "; name another: make demo PYTHON=...")'

@@ -19,12 +19,13 @@ html_title = f"pepperscene {release}"
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
 
-# The pages show what the notebooks print; the tests execute them on their own and build with "off".
+# The pages show the output of the notebooks; the tests execute notebooks separately and build with "off".
 nb_execution_mode = "auto"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 600
+nb_execution_in_temp = True  # notebooks write files, and the working tree is to stay clean
 
-# Docstrings write code between single backticks and list attributes once, in the class.
+# Docstrings mark code by single backticks and list attributes once, in the class.
 default_role = "code"
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False

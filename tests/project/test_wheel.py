@@ -1,4 +1,4 @@
-"""The wheel holds the shipped data, and finds it where it is installed."""
+"""The wheel contains the shipped data and finds it after installation."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-SHELVES = ("plants", "materials", "recipes")
+FOLDERS = ("plants", "materials", "recipes")
 
 
 @pytest.fixture(scope="module")
 def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel's content in a folder."""
+    """Folder with the unpacked wheel."""
     folder = tmp_path_factory.mktemp("wheel")
     command = (
         sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check",
@@ -30,23 +30,23 @@ def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "content"
 
 
-@pytest.mark.parametrize("shelf", SHELVES)
-def test_the_wheel_holds_what_the_checkout_holds(unpacked: Path, shelf: str) -> None:
-    def held(folder: Path) -> dict[str, bytes]:
-        return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_wheel_contains_all_data_files(unpacked: Path, folder: str) -> None:
+    def contents(root: Path) -> dict[str, bytes]:
+        return {str(p.relative_to(root)): p.read_bytes() for p in root.rglob("*") if p.is_file()}
 
-    shipped = held(unpacked / "pepperscene" / "shipped" / shelf)
+    shipped = contents(unpacked / "pepperscene" / "shipped" / folder)
     assert shipped
-    assert shipped == held(ROOT / shelf)
+    assert shipped == contents(ROOT / folder)
 
 
-def test_the_wheel_carries_its_licence_and_finds_its_data(unpacked: Path) -> None:
+def test_wheel_has_a_licence_and_finds_its_data(unpacked: Path) -> None:
     (licence,) = unpacked.glob("pepperscene-*.dist-info/licenses/LICENSE")
     assert licence.read_text(encoding="utf-8").startswith("MIT License")
 
     code = (
         "import json, pepperscene.shipped as s\n"
-        f"print(json.dumps([s.__file__, *(str(s.shelf(name)) for name in {SHELVES!r})]))"
+        f"print(json.dumps([s.__file__, *(str(s.shipped_folder(name)) for name in {FOLDERS!r})]))"
     )
     command = [
         sys.executable,

@@ -1,4 +1,4 @@
-"""Every notebook runs from top to bottom, and is kept without outputs."""
+"""Notebooks run from top to bottom and are stored without outputs."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
-def test_there_are_notebooks() -> None:
+def test_notebooks_exist() -> None:
     assert NOTEBOOKS
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.name)
-def test_a_notebook_is_kept_without_outputs(notebook: Path) -> None:
+def test_notebook_has_no_outputs(notebook: Path) -> None:
     for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
         if cell["cell_type"] == "code":
             assert not cell["outputs"]
@@ -26,18 +26,14 @@ def test_a_notebook_is_kept_without_outputs(notebook: Path) -> None:
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.name)
-def test_a_notebook_runs(notebook: Path, tmp_path: Path) -> None:
-    # A process of its own, because kernels and their sockets are not to warn inside the test run.
+def test_notebook_runs(notebook: Path, tmp_path: Path) -> None:
+    # In a subprocess, because kernels and their sockets emit warnings, which are errors here.
     code = (
         "import sys, nbformat, nbclient\n"
-        "book = nbformat.read(sys.argv[1], as_version=4)\n"
-        "place = {'metadata': {'path': sys.argv[2]}}\n"
-        "nbclient.NotebookClient(book, timeout=600, resources=place).execute()\n"
+        "notebook = nbformat.read(sys.argv[1], as_version=4)\n"
+        "resources = {'metadata': {'path': sys.argv[2]}}\n"
+        "nbclient.NotebookClient(notebook, timeout=600, resources=resources).execute()\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(notebook), str(tmp_path)],
-        capture_output=True,
-        text=True,
-        timeout=900,
-    )
+    command = [sys.executable, "-c", code, str(notebook), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr[-4000:]

@@ -1,0 +1,19 @@
+"""Marks the tests that `make check` leaves out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).parent
+UNIT = {
+    "camera", "colour", "cultivar", "document", "geometry", "grammar", "materials", "scene", "spectra", "truth"
+}  # fmt: skip
+"""Folders whose tests neither render nor start processes."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.path.relative_to(TESTS).parts[0] not in UNIT:
+            item.add_marker("slow")

@@ -1,0 +1,198 @@
+"""README and documentation: every Python block and `pepperscene` command runs, references are complete, Sphinx builds."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, get_args, get_type_hints
+
+import pytest
+from pydantic import BaseModel
+from typer.models import OptionInfo
+
+import pepperscene
+from pepperscene.classes import CLASS_COLOURS, OrganClass
+from pepperscene.cli import app
+from pepperscene.cultivar import Cultivar, Distribution
+from pepperscene.dataset import Recipe
+from pepperscene.frame import OUTPUTS
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+REFERENCE = DOCS / "reference"
+PAGES = [ROOT / "README.md", *sorted(page for page in DOCS.rglob("*.md") if "_build" not in page.parts)]
+NOT_RUN = re.compile(r"<!-- not run: .+ -->")
+"""Marks the next block as an example that is only shown, with the reason (it takes a day, say)."""
+
+RUN_COMMAND = """
+def _run(*words):
+    from pepperscene.cli import app
+    exit_code = app(list(words), standalone_mode=False)
+    assert not exit_code, f"exit code {exit_code}: pepperscene {' '.join(words)}"
+"""
+"""Runs a command in the page's process, which has loaded the libraries and compiled the kernels already."""
+
+
+class Block(NamedTuple):
+    """A fenced block: its language, the number of its first line on the page, and its lines."""
+
+    language: str
+    first_line: int
+    lines: list[str]
+
+
+def _blocks(page: Path) -> list[Block]:
+    """The blocks of a page that are to be run."""
+    blocks, fence, lines, skipped = [], None, [], False
+    for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
+        if fence is not None and line.strip() == fence[0]:
+            if not skipped:
+                blocks.append(Block(fence[1], fence[2], lines))
+            fence, skipped = None, False
+        elif fence is not None:
+            lines.append(line)
+        elif opening := re.fullmatch(r"(`{3,})(.*)", line):
+            fence, lines = (opening[1], opening[2].strip(), number + 1), []
+        elif line.strip():
+            skipped = NOT_RUN.fullmatch(line.strip()) is not None
+    assert fence is None, f"{page.name}: a block is not closed"
+    return blocks
+
+
+def _commands(block: Block) -> list[tuple[int, str]]:
+    """(offset, command) of each shell line of a block; in a console block those after the prompt."""
+    if block.language in ("bash", "sh"):
+        return [(i, line) for i, line in enumerate(block.lines) if line.strip() and not line.startswith("#")]
+    return [(i, line[2:]) for i, line in enumerate(block.lines) if line.startswith("$ ")]
+
+
+def _program(page: Path) -> str:
+    """A page as one Python program, with every line at its line number on the page."""
+    program = [""] * (len(page.read_text(encoding="utf-8").splitlines()) + 1)
+    for block in _blocks(page):
+        start = block.first_line - 1
+        if block.language == "python":
+            program[start : start + len(block.lines)] = block.lines
+        elif block.language in ("bash", "sh", "console"):
+            for offset, command in _commands(block):
+                words = shlex.split(command, comments=True)
+                if words[0] == "pepperscene":
+                    program[start + offset] = f"_run(*{words[1:]!r})"
+    return "\n".join(program)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_examples_run(page: Path, tmp_path: Path) -> None:
+    program = _program(page)
+    if not program.strip():
+        return
+    script = tmp_path / f"{page.stem}_examples.py"
+    script.write_text(program, encoding="utf-8")
+    folder = tmp_path / "work"
+    folder.mkdir()
+    run_page = f"{RUN_COMMAND}\nexec(compile(open({str(script)!r}).read(), {str(script)!r}, 'exec'))"
+    command = [sys.executable, "-c", run_page]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, f"{page.name} (line numbers are the page's)\n{done.stderr[-4000:]}"
+
+
+def test_make_targets_exist() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    for page in (*PAGES, ROOT / "CONTRIBUTING.md"):
+        text = page.read_text(encoding="utf-8")
+        for target in re.findall(r"`make ([a-z-]+)|^\$? ?make ([a-z-]+)", text, re.MULTILINE):
+            assert "".join(target) in targets, f"{page.name}: make {''.join(target)}"
+
+
+def test_links_to_files_exist() -> None:
+    for page in (*PAGES, ROOT / "CONTRIBUTING.md"):
+        for link in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8")):
+            assert link.startswith("http") or (page.parent / link).exists(), f"{page.name}: {link}"
+
+
+def test_every_page_is_in_one_of_four_kinds() -> None:
+    kinds = {page.relative_to(DOCS).parts[0] for page in PAGES[1:] if len(page.relative_to(DOCS).parts) > 1}
+    assert kinds == {"tutorials", "how-to", "reference", "explanation"}
+    assert [page.name for page in PAGES[1:] if page.parent == DOCS] == ["index.md"]
+
+
+def test_sphinx_builds_without_warnings(tmp_path: Path) -> None:
+    command = [
+        sys.executable, "-m", "sphinx", "--fail-on-warning", "--keep-going", "--quiet", "-b", "html",
+        # The notebooks are executed by tests of their own.
+        "-D", "nb_execution_mode=off",
+        "-d", str(tmp_path / "doctrees"), str(DOCS), str(tmp_path / "html"),
+    ]  # fmt: skip
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "html" / "index.html").is_file()
+
+
+def _keys(model: type[BaseModel]) -> Iterator[str]:
+    """All keys that a file of this model can hold, including those of its tables."""
+    for name, field in model.model_fields.items():
+        yield field.alias or name
+        for annotation in (field.annotation, *get_args(field.annotation)):
+            if isinstance(annotation, type) and issubclass(annotation, BaseModel) and annotation is not Distribution:
+                yield from _keys(annotation)
+
+
+def _code(page: Path) -> str:
+    """What a page sets as code: inline code, and the lines of its TOML blocks without comments."""
+    text = page.read_text(encoding="utf-8")
+    blocks = [line.partition("#")[0] for block in _blocks(page) if block.language == "toml" for line in block.lines]
+    return "\n".join([*re.findall(r"`([^`\n]+)`", text), *blocks])
+
+
+@pytest.mark.parametrize(("page", "model"), [("recipe.md", Recipe), ("cultivar.md", Cultivar)])
+def test_every_key_of_a_file_is_documented(page: str, model: type[BaseModel]) -> None:
+    code = _code(REFERENCE / page)
+    keys = sorted(set(_keys(model)))
+    assert keys
+    # A unit may follow a key (`length_mm`), and a key may be part of a table's name.
+    assert [key for key in keys if not re.search(rf"(?<![a-z_]){key}(_[a-z0-9]+)?(?![a-z_])", code)] == []
+
+
+def test_every_output_is_documented() -> None:
+    text = (REFERENCE / "outputs.md").read_text(encoding="utf-8")
+    assert [name for name in OUTPUTS if f"| `{name}` | " not in text] == []
+    for organ_class in OrganClass:
+        red, green, blue = CLASS_COLOURS[organ_class]
+        row = rf"\| {organ_class:d} \| {organ_class.name.lower()} \| .+ \| {red}, {green}, {blue} \|"
+        assert re.search(row, text)
+
+
+def _options(command: Callable[..., Any]) -> list[str]:
+    """Names of a command's options."""
+    hints = get_type_hints(command, include_extras=True)
+    metadata = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
+    return [name for name, values in metadata.items() if any(isinstance(value, OptionInfo) for value in values)]
+
+
+def test_every_command_and_option_is_documented() -> None:
+    text = (REFERENCE / "command_line.md").read_text(encoding="utf-8")
+    for command in app.registered_commands:
+        assert command.callback is not None
+        name = command.name or command.callback.__name__
+        assert f"## `pepperscene {name}" in text
+        section = text.split(f"## `pepperscene {name}")[1].split("\n## ")[0]
+        options = _options(inspect.unwrap(command.callback))
+        assert options or name in ("cultivars", "doctor", "recipes")
+        for option in options:
+            flag = "--" + option.replace("_", "-")
+            assert f"`{flag}" in section, f"{name} {flag}"
+
+
+def test_every_public_name_is_documented_and_every_function_has_an_example() -> None:
+    page = REFERENCE / "api.md"
+    text, examples = page.read_text(encoding="utf-8"), _program(page)
+    for name in pepperscene.__all__:
+        if name != "__version__":
+            assert re.search(rf"^\.\. (auto\w+|data):: {name}$", text, re.MULTILINE), name
+        if inspect.isfunction(getattr(pepperscene, name)):
+            assert f"ps.{name}(" in examples, name

@@ -1,0 +1,132 @@
+"""Structure of the package: public names, imports, sizes of modules."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+import pepperscene
+
+PACKAGE = Path(pepperscene.__file__).parent
+MODULES = {
+    ".".join(("pepperscene", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__"): path
+    for path in sorted(PACKAGE.rglob("*.py"))
+}
+PUBLIC_PACKAGES = [
+    "pepperscene",
+    *sorted(f"pepperscene.{folder.parent.name}" for folder in PACKAGE.glob("*/__init__.py")),
+]
+SUB_PACKAGES = [name for name, path in MODULES.items() if path.name == "__init__.py" and name != "pepperscene"]
+HEAVY = {
+    "mitsuba",
+    "drjit",
+    "colour",
+    "torch",
+    "scipy",
+    "skimage",
+    "trimesh",
+    "pyoidn",
+    "OpenEXR",
+    "matplotlib",
+    "tomlkit",
+}
+MOST_LINES = 400
+
+
+def _sort_key(name: str) -> tuple[int, str]:
+    """Constants, then classes, then functions, each in alphabetical order, as ruff sorts them (RUF022)."""
+    return (0 if name.isupper() else 1 if name[0].isupper() else 2), name
+
+
+def _tree(module: str) -> ast.Module:
+    return ast.parse(MODULES[module].read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("package", PUBLIC_PACKAGES)
+def test_public_names_are_sorted_and_documented(package: str) -> None:
+    module = importlib.import_module(package)
+    assert list(module.__all__) == sorted(set(module.__all__), key=_sort_key)
+    for name in module.__all__:
+        value = getattr(module, name)
+        if inspect.isclass(value) or inspect.isfunction(value):
+            assert inspect.getdoc(value), f"{package}.{name} has no docstring"
+
+
+@pytest.mark.parametrize("package", PUBLIC_PACKAGES)
+def test_no_public_function_has_the_name_of_a_module(package: str) -> None:
+    # Otherwise `package.name` would be the function or the module, depending on what was imported first.
+    module = importlib.import_module(package)
+    modules = {name.rpartition(".")[2] for name in MODULES if name.rpartition(".")[0] == package}
+    assert not modules & {name for name in module.__all__ if not inspect.ismodule(getattr(module, name))}
+
+
+@pytest.mark.parametrize("package", SUB_PACKAGES)
+def test_init_modules_only_re_export(package: str) -> None:
+    docstring, *statements = _tree(package).body
+    assert isinstance(docstring, ast.Expr)
+    assert isinstance(docstring.value, ast.Constant)
+    for statement in statements:
+        is_all = isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "__all__"
+        assert is_all or isinstance(statement, ast.ImportFrom), ast.unparse(statement)
+
+
+def test_public_class_names_are_unique() -> None:
+    names = Counter(
+        node.name
+        for module in MODULES
+        for node in _tree(module).body
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    assert [name for name, count in names.items() if count > 1] == []
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_module_is_short(module: str) -> None:
+    assert len(MODULES[module].read_text(encoding="utf-8").splitlines()) <= MOST_LINES
+
+
+def _imported_modules(module: str, exported: dict[tuple[str, str], tuple[str, str]]) -> Iterator[str]:
+    """Modules that a module imports names from, wherever in the file; re-exported names count as their module's."""
+    for node in ast.walk(_tree(module)):
+        if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith("pepperscene"):
+            continue
+        for alias in node.names:
+            source, name = str(node.module), alias.name
+            while (source, name) in exported:
+                source, name = exported[source, name]
+            target = f"{source}.{name}" if f"{source}.{name}" in MODULES else source
+            if target != module:
+                yield target
+
+
+def test_no_imports_are_circular() -> None:
+    # Imports inside functions and under TYPE_CHECKING count as well.
+    exported = {
+        (package, alias.asname or alias.name): (str(node.module), alias.name)
+        for package in SUB_PACKAGES
+        for node in _tree(package).body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    modules = [name for name in MODULES if name not in SUB_PACKAGES and name != "pepperscene"]
+    graph = {module: set(_imported_modules(module, exported)) for module in modules}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_importing_the_package_loads_no_heavy_library() -> None:
+    code = f"import sys, pepperscene; print(sorted({HEAVY!r} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[]"
