@@ -15,7 +15,7 @@ from pepperscene.camera.sensor import FilterDocument, SensorDocument
 from pepperscene.scene.cover import Cover, CoverDocument, load_cover
 from pepperscene.shipped import shipped_folder
 
-TEXT = (Path(__file__).resolve().parents[2] / "docs" / "devices.md").read_text(encoding="utf-8")
+TEXT = (Path(__file__).resolve().parents[2] / "docs" / "reference" / "devices.md").read_text(encoding="utf-8")
 DEVICES = {
     "Sensor": (load_sensor, Sensor, SensorDocument, "sensors"),
     "Lens": (load_lens, Lens, LensDocument, "lenses"),

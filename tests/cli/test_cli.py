@@ -186,7 +186,9 @@ def test_a_build_with_a_change_is_another_data_set(command, tmp_path):
 
 
 def test_every_command_and_option_is_told():
-    text = (Path(__file__).resolve().parents[2] / "docs" / "command_line.md").read_text(encoding="utf-8")
+    text = (Path(__file__).resolve().parents[2] / "docs" / "reference" / "command_line.md").read_text(
+        encoding="utf-8"
+    )
     for name, command in typer.main.get_command(app).commands.items():
         section = text.partition(f"## `pepperscene {name}")[2].partition("\n## ")[0]
         for parameter in command.params:

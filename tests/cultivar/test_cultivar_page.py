@@ -33,7 +33,7 @@ from pepperscene.cultivar import (
 )
 from pepperscene.shipped import shipped_folder
 
-PAGE = (Path(__file__).parents[2] / "docs" / "cultivar.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "cultivar.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```toml\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 FILES = {name: block for block in BLOCKS for name in re.findall(r"\A# (\w+\.toml)\n", block)}
 MODELS: tuple[type[BaseModel], ...] = (

@@ -181,7 +181,7 @@ def test_times_as_the_manual_has_them(time):
 
 
 def test_every_key_is_told():
-    page = (Path(__file__).parents[2] / "docs" / "cluster.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "cluster.md").read_text(encoding="utf-8")
     rows = "".join(line.split("|")[1] for line in page.splitlines() if line.startswith("| `"))
     assert set(re.findall(r"`(\w+)`", rows)) == set(SlurmJobs.model_fields)
     example = re.search(r"```toml\n(.+?)```", page, re.DOTALL)[1]

@@ -138,14 +138,20 @@ def _keys(model: type[BaseModel]) -> Iterator[str]:
     for name, field in model.model_fields.items():
         yield field.alias or name
         for annotation in (field.annotation, *get_args(field.annotation)):
-            if isinstance(annotation, type) and issubclass(annotation, BaseModel) and annotation is not Distribution:
+            if (
+                isinstance(annotation, type)
+                and issubclass(annotation, BaseModel)
+                and annotation is not Distribution
+            ):
                 yield from _keys(annotation)
 
 
 def _code(page: Path) -> str:
     """What a page sets as code: inline code, and the lines of its TOML blocks without comments."""
     text = page.read_text(encoding="utf-8")
-    blocks = [line.partition("#")[0] for block in _blocks(page) if block.language == "toml" for line in block.lines]
+    blocks = [
+        line.partition("#")[0] for block in _blocks(page) if block.language == "toml" for line in block.lines
+    ]
     return "\n".join([*re.findall(r"`([^`\n]+)`", text), *blocks])
 
 
@@ -171,7 +177,9 @@ def _options(command: Callable[..., Any]) -> list[str]:
     """Names of a command's options."""
     hints = get_type_hints(command, include_extras=True)
     metadata = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
-    return [name for name, values in metadata.items() if any(isinstance(value, OptionInfo) for value in values)]
+    return [
+        name for name, values in metadata.items() if any(isinstance(value, OptionInfo) for value in values)
+    ]
 
 
 def test_every_command_and_option_is_documented() -> None:

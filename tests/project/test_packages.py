@@ -18,14 +18,18 @@ import pepperscene
 
 PACKAGE = Path(pepperscene.__file__).parent
 MODULES = {
-    ".".join(("pepperscene", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__"): path
+    ".".join(("pepperscene", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(
+        ".__init__"
+    ): path
     for path in sorted(PACKAGE.rglob("*.py"))
 }
 PUBLIC_PACKAGES = [
     "pepperscene",
     *sorted(f"pepperscene.{folder.parent.name}" for folder in PACKAGE.glob("*/__init__.py")),
 ]
-SUB_PACKAGES = [name for name, path in MODULES.items() if path.name == "__init__.py" and name != "pepperscene"]
+SUB_PACKAGES = [
+    name for name, path in MODULES.items() if path.name == "__init__.py" and name != "pepperscene"
+]
 HEAVY = {
     "mitsuba",
     "drjit",

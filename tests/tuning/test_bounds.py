@@ -22,7 +22,7 @@ RECIPE = load_recipe("barth2018")
 CAMERA = load_camera(RECIPE)
 KAITE = load_cultivar("kaite")
 SHIPPED = tomllib.loads((shipped_folder("materials") / "tuning" / "bounds.toml").read_text(encoding="utf-8"))
-DOCS = Path(__file__).resolve().parents[2] / "docs" / "tuning_parameters.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "reference" / "tuning_parameters.md"
 
 
 def prior(name, bounds=None, cultivar=KAITE, entry=0):

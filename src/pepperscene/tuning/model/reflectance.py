@@ -1,7 +1,7 @@
 """What an instrument that leaves the mirror-like part out reads of a plant's surface.
 
 Light from the direction i meets a cuticle of openness A(i) = 1 - E(i), whose cosine-weighted mean is a; the
-body below sends back the share R. Towards o the surface has (docs/optics.md, "The cuticle")
+body below sends back the share R. Towards o the surface has (docs/explanation/optics.md, "The cuticle")
 
     f_r = f_g + A(i) A(o) / a  R / pi,        f_g the gloss, of directional albedo E.
 

@@ -1,6 +1,6 @@
 """Renders the pictures of the page on plants into docs/images; run it after a change that they show.
 
-python docs/plant_figures.py [NAME ...]
+python docs/figures/plants.py [NAME ...]
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from figures import GAP, IMAGES, Picture, beside
+from overview import GAP, IMAGES, Picture, beside
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -31,7 +31,7 @@ from pepperscene import (
 from pepperscene.camera import Developing
 from pepperscene.dataset.scenes.portrait import portrait
 
-PHOTOS: Final = Path(__file__).parent / "photos"
+PHOTOS: Final = Path(__file__).parents[1] / "photos"
 SIZE: Final = (613, 346)
 """Of the photographs, pixels."""
 PHONE_DEG: Final = 62.0

@@ -1,6 +1,6 @@
 """Renders the picture of the page on the harvest truth into docs/images; run it after a change that it shows.
 
-python docs/harvest_figure.py
+python docs/figures/harvest.py
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 import numpy as np
-from figures import IMAGES, Picture
+from overview import IMAGES, Picture
 from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw
 from skimage.measure import find_contours

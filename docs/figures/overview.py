@@ -1,6 +1,6 @@
 """Renders the pictures of the README and the pages into docs/images; run it after a change that they show.
 
-python docs/figures.py [NAME ...]
+python docs/figures/overview.py [NAME ...]
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from pepperscene import (
 from pepperscene.camera import Developing
 from pepperscene.dataset.report.colours import distance_colours
 
-IMAGES: Final = Path(__file__).parent / "images"
+IMAGES: Final = Path(__file__).parents[1] / "images"
 NM: Final = np.arange(360.0, 831.0, 5.0)
 GAP: Final = 8
 """White columns between panels, pixels."""

@@ -1,6 +1,6 @@
 """Renders the pictures of the page on colour into docs/images; run it after a change that they show.
 
-python docs/colour_figures.py
+python docs/figures/colour.py
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from figures import GAP, IMAGES, Picture, beside
+from overview import GAP, IMAGES, Picture, beside
 from numpy.typing import ArrayLike
 from PIL import Image
 
