@@ -8,7 +8,8 @@ import pytest
 
 TESTS = Path(__file__).parent
 UNIT = {
-    "camera", "colour", "cultivar", "document", "geometry", "grammar", "materials", "scene", "spectra", "truth"
+    "camera", "colour", "cultivar", "document", "geometry", "grammar", "materials", "scene", "spectra",
+    "truth",
 }  # fmt: skip
 """Folders whose tests neither render nor start processes."""
 

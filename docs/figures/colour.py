@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from overview import GAP, IMAGES, Picture, beside
 from numpy.typing import ArrayLike
+from overview import GAP, IMAGES, Picture, beside
 from PIL import Image
 
 from pepperscene import load_recipe

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 import numpy as np
-from overview import IMAGES, Picture
 from numpy.typing import ArrayLike
+from overview import IMAGES, Picture
 from PIL import Image, ImageDraw
 from skimage.measure import find_contours
 

@@ -1,4 +1,4 @@
-"""README and documentation: every Python block and `pepperscene` command runs, references are complete, Sphinx builds."""
+"""README and documentation: examples run, reference pages are complete, and Sphinx builds."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def test_module_is_short(module: str) -> None:
 
 
 def _imported_modules(module: str, exported: dict[tuple[str, str], tuple[str, str]]) -> Iterator[str]:
-    """Modules that a module imports names from, wherever in the file; re-exported names count as their module's."""
+    """Modules that a module imports from, anywhere in the file; re-exports count as the defining module."""
     for node in ast.walk(_tree(module)):
         if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith("pepperscene"):
             continue
