@@ -82,7 +82,7 @@ def _build_stem(
     end = centre - half[:, None] * axis
     along = np.linspace(0.0, 1.0, INTERNODE_POINTS)[:, None]
     up = orthogonal_units(np.broadcast_to([0.0, -1.0, 0.0], axis.shape), axis)
-    internode_batch = OrganBatch.of(
+    internode_batch = OrganBatch(
         names[0],
         internodes,
         start[:, None] + along * (end - start)[:, None],
@@ -97,7 +97,7 @@ def _build_stem(
             "state_spread": internode["state_spread"],
         },
     )
-    node_batch = OrganBatch.of(
+    node_batch = OrganBatch(
         names[1],
         nodes,
         np.stack((end, centre, centre + half[:, None] * next_axis), axis=1),

@@ -14,7 +14,7 @@ import numpy as np
 from pepperscene.cultivar import CALYX, OrganKind
 from pepperscene.grammar.frames import Sites, StalkFrames, direction, polylines, segment_midpoints, upper_side
 from pepperscene.grammar.hashing import FloatArray
-from pepperscene.grammar.plant import Indices, KindParameters, Organ
+from pepperscene.grammar.plant import KindParameters, Organ
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,42 +23,25 @@ class OrganBatch:
 
     Attributes:
         kind: its name.
-        number: `(n,)` of each in the plant.
-        parent: `(n,)` number of the organ that bears each.
-        phytomer: `(n,)` of each.
+        parts: their parameters.
         curves: `(n, k, 3)` centrelines.
         up: `(n, 3)` upper sides.
         measures: name -> `(n,)`.
     """
 
     kind: str
-    number: Indices
-    parent: Indices
-    phytomer: Indices
+    parts: KindParameters
     curves: FloatArray
     up: FloatArray
     measures: Mapping[str, FloatArray]
 
-    @classmethod
-    def of(
-        cls,
-        name: str,
-        parts: KindParameters,
-        curves: FloatArray,
-        up: FloatArray,
-        measures: Mapping[str, FloatArray],
-    ) -> OrganBatch:
-        """The organs of a kind with these shapes."""
-        return cls(name, parts.number, parts.parent, parts.phytomer, curves, up, measures)
-
     def put_into(self, organs: list[Organ | None]) -> None:
         """Put the organs into the plant's list by their numbers."""
-        names = tuple(self.measures)
-        columns = [column.tolist() for column in self.measures.values()]
-        indices = zip(self.number.tolist(), self.parent.tolist(), self.phytomer.tolist(), strict=True)
-        rows = zip(indices, self.curves, self.up, zip(*columns, strict=True), strict=True)
-        for (number, parent, phytomer), curve, up, row in rows:
-            organs[number] = Organ(self.kind, parent, phytomer, curve, up, dict(zip(names, row, strict=True)))
+        indices = (self.parts.number, self.parts.parent, self.parts.phytomer)
+        columns = [column.tolist() for column in (*indices, *self.measures.values())]
+        for curve, up, number, parent, phytomer, *row in zip(self.curves, self.up, *columns, strict=True):
+            measures = dict(zip(self.measures, row, strict=True))
+            organs[number] = Organ(self.kind, parent, phytomer, curve, up, measures)
 
 
 STALK_POINTS: Final = 10
@@ -98,10 +81,8 @@ def build_kind(
         frames: of the plant's stalks; new ones are added.
     """
     match kind.form:
-        case "stalk":
+        case "stalk" | "peduncle":
             return [_build_stalks(name, sites, hang[sites.parts.number], frames)]
-        case "peduncle":
-            return [_build_peduncles(name, sites, frames)]
         case "blade":
             return [_build_blades(name, sites)]
         case "fruit":
@@ -114,55 +95,29 @@ def build_kind(
 
 
 def _build_stalks(name: str, sites: Sites, hang: FloatArray, frames: StalkFrames) -> OrganBatch:
-    """Petioles, side shoots, rachises: bent evenly, and towards the blade at their tip, if there is one."""
+    """Petioles, side shoots, rachises, peduncles; added to the frames, so that others can grow on them."""
     values, s = sites.parts.values, segment_midpoints(STALK_POINTS)
-    end = values["inclination"] + values["bend"]
-    more = np.where(np.isnan(hang), 0.0, values["towards"] * (hang - end))
+    base = values["inclination"]
+    extra_measures: tuple[str, ...] = ()
+    if sites.parts.kind.form == "peduncle":
+        # An even bend from what bears it to the calyx.
+        bend = values["end_inclination"] - base
+        more = sway = np.zeros(len(sites.parts))
+    else:
+        # Bent evenly, and towards the blade at the tip, if there is one.
+        bend, sway, extra_measures = values["bend"], values["sway"], ("channel", "state_spread")
+        more = np.where(np.isnan(hang), 0.0, values["towards"] * (hang - (base + bend)))
     # A stalk bends more towards its tip, where it is thinner.
-    slopes = values["inclination"][:, None] + values["bend"][:, None] * s + more[:, None] * s**1.5
-    measures = ("channel", "state_spread")
-    return _build_tubes(name, sites, slopes, values["bend"], more, values["sway"], frames, measures)
-
-
-def _build_peduncles(name: str, sites: Sites, frames: StalkFrames) -> OrganBatch:
-    """Stalks of fruit: an even bend from what bears them to the calyx."""
-    values, s = sites.parts.values, segment_midpoints(STALK_POINTS)
-    bend, zeros = values["end_inclination"] - values["inclination"], np.zeros(len(sites.parts))
-    slopes = values["inclination"][:, None] + bend[:, None] * s
-    return _build_tubes(name, sites, slopes, bend, zeros, zeros, frames, ())
-
-
-def _build_tubes(
-    name: str,
-    sites: Sites,
-    slopes: FloatArray,
-    bend: FloatArray,
-    more: FloatArray,
-    sway: FloatArray,
-    frames: StalkFrames,
-    extra_measures: tuple[str, ...],
-) -> OrganBatch:
-    """Stalks of `(n, k)` inclinations; adds them to the frames, so that others can grow on them."""
-    values = sites.parts.values
-    steps = direction(sites.heading[:, None], slopes, sway[:, None] * segment_midpoints(STALK_POINTS))
+    slopes = base[:, None] + bend[:, None] * s + more[:, None] * s**1.5
+    steps = direction(sites.heading[:, None], slopes, sway[:, None] * s)
     curves = polylines(sites.start, steps, values["length"])
-    roll = sites.roll(slopes[:, 0], steps[:, 0])
-    radius = 0.5 * values["diameter"]
-    frames.add(
-        sites.parts.number,
-        azimuth=sites.heading,
-        base=values["inclination"],
-        bend=bend,
-        more=more,
-        sway=sway,
-        roll=roll,
-        radius=radius,
-        line=curves,
-    )
+    roll, radius = sites.roll(slopes[:, 0], steps[:, 0]), 0.5 * values["diameter"]
+    shape = {"azimuth": sites.heading, "base": base, "bend": bend, "more": more, "sway": sway, "roll": roll}
+    frames.add(sites.parts.number, **shape, radius=radius, line=curves)
     measures = {"radius_m": radius, "radius_tip_m": radius * values["tip"]}
     measures |= _select_measures(values, ("seed", "state", *extra_measures))
     up = upper_side(sites.heading, slopes[:, 0], steps[:, 0], roll)
-    return OrganBatch.of(name, sites.parts, curves, up, measures)
+    return OrganBatch(name, sites.parts, curves, up, measures)
 
 
 def _build_blades(name: str, sites: Sites) -> OrganBatch:
@@ -183,7 +138,7 @@ def _build_blades(name: str, sites: Sites) -> OrganBatch:
     outline = ("widest", "base", "lobes", "lobe_depth")
     names = ("length", "width", *shape, *outline, "seed", "state", "state_spread")
     curves = polylines(sites.start, steps, values["length"])
-    return OrganBatch.of(name, sites.parts, curves, up, _select_measures(values, names))
+    return OrganBatch(name, sites.parts, curves, up, _select_measures(values, names))
 
 
 def blade_hang(values: Mapping[str, FloatArray]) -> FloatArray:
@@ -202,19 +157,20 @@ def _build_fruits(name: str, sites: Sites) -> list[OrganBatch]:
     shape = ("diameter", "lobes", "lobe_depth", "shoulder", "taper", "point", "bend")
     names = (*shape, "seed", "ripeness", "ripeness_spread")
     measures = {"length_m": length, **_select_measures(values, names)}
-    fruit = OrganBatch.of(name, sites.parts, _lines(stalk_end, axis, length), up, measures)
+    fruit = OrganBatch(name, sites.parts, _lines(stalk_end, axis, length), up, measures)
     if not has_calyx:
         return [fruit]
     # The calyx is between the stalk and the fruit.
     number = sites.parts.number - 1
+    calyx_parts, fruit_parts = replace(sites.parts, number=number), replace(sites.parts, parent=number)
     measures = {
         "radius_m": values["diameter"] * values["calyx_radius"],
         "tooth": values["calyx_tooth"],
         "seed": values["calyx_seed"],
         "state_mean": values["calyx_state"],
     }
-    calyx = OrganBatch.of(CALYX, sites.parts, _lines(sites.start, axis, height), up, measures)
-    return [replace(calyx, number=number), replace(fruit, parent=number)]
+    calyx = OrganBatch(CALYX, calyx_parts, _lines(sites.start, axis, height), up, measures)
+    return [calyx, replace(fruit, parts=fruit_parts)]
 
 
 def _build_cuts(name: str, sites: Sites) -> OrganBatch:
@@ -223,7 +179,7 @@ def _build_cuts(name: str, sites: Sites) -> OrganBatch:
     axis, up = _axes(sites.heading, values["inclination"])
     curves = _lines(sites.start, axis, sites.inset + values["length"])
     measures = {"radius_m": 0.5 * values["diameter"], "seed": values["seed"]}
-    return OrganBatch.of(name, sites.parts, curves, up, measures)
+    return OrganBatch(name, sites.parts, curves, up, measures)
 
 
 def _build_flowers(name: str, sites: Sites) -> OrganBatch:
@@ -232,7 +188,7 @@ def _build_flowers(name: str, sites: Sites) -> OrganBatch:
     axis, up = _axes(sites.heading, values["inclination"])
     curves = _lines(sites.start, axis, _FLOWER_DEPTH * values["diameter"])
     measures = _select_measures(values, ("petals", "open", "seed", "state"))
-    return OrganBatch.of(name, sites.parts, curves, up, {"radius_m": 0.5 * values["diameter"], **measures})
+    return OrganBatch(name, sites.parts, curves, up, {"radius_m": 0.5 * values["diameter"], **measures})
 
 
 def _axes(azimuth: FloatArray, inclination: FloatArray) -> tuple[FloatArray, FloatArray]:

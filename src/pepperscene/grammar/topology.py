@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,30 +82,19 @@ class Phytomers:
         return float(distribution.quantiles(uniforms(self.key, name))[0])
 
 
-@dataclass(frozen=True, eq=False)
-class SlotItems:
-    """`(m,)` items in one slot of n organs, whatever grows there.
-
-    Attributes:
-        row: which of the organs has it.
-        address: of the item.
-        at: its position along the organ, 0 base to 1 tip.
-        azimuth: relative to the slot's, radians.
-    """
-
-    row: Indices
-    address: Addresses
-    at: FloatArray
-    azimuth: FloatArray
-
-
-def slot_items(slot: Slot, slots: Addresses, positions: FloatArray) -> SlotItems:
+def slot_items(
+    slot: Slot, slots: Addresses, positions: FloatArray
+) -> tuple[Indices, Addresses, FloatArray, FloatArray]:
     """Draw the items in a slot of n organs, organ by organ and from base to tip.
 
     Args:
         slot: the same for all organs.
         slots: `(n,)` addresses of the slots.
         positions: `(n,)` of the organs along the stem.
+
+    Returns:
+        For each of `(m,)` items the index of its organ, its address, its position along the organ (0 base to
+        1 tip), and its azimuth relative to the slot's, radians.
     """
     at = np.array(slot.at)
     groups = child_addresses(slots[:, None], np.arange(at.size)).ravel()
@@ -126,7 +115,7 @@ def slot_items(slot: Slot, slots: Addresses, positions: FloatArray) -> SlotItems
         turn = item if slot.pairs else index
         angle = slot.aside.quantiles(uniforms(address, "aside"), positions[row])
         azimuth += first * np.where(turn % 2 == 0, 1.0, -1.0) * angle
-    return SlotItems(row, address, at[index], azimuth)
+    return row, address, at[index], azimuth
 
 
 def _fan(
@@ -287,31 +276,23 @@ class TopologyBuilder:
 
     def _on(self, parents: OrganGroup, slot: Slot, index: int, azimuth: FloatArray) -> Iterator[OrganGroup]:
         """Organs in slot number `index` of organs of one kind, at `(n,)` azimuths, kind by kind."""
-        slots = child_addresses(parents.address, index)
-        items = slot_items(slot, slots, self.phytomers.positions[parents.phytomer])
-        exhausted = np.zeros((len(slots), len(slot.kinds)), dtype=bool)
+        kinds, slots = slot.kinds, child_addresses(parents.address, index)
+        row, address, at, turn = slot_items(slot, slots, self.phytomers.positions[parents.phytomer])
+        exhausted = np.zeros((len(slots), len(kinds)), dtype=bool)
         for column, (name, depth) in enumerate(self.limits.items()):
-            if name in slot.kinds:
-                exhausted[:, slot.kinds.index(name)] = parents.depths[:, column] >= depth
+            if name in kinds:
+                exhausted[:, kinds.index(name)] = parents.depths[:, column] >= depth
         flush = child_addresses(child_addresses(self.phytomers.key, name_number(parents.kind)), index)
         probabilities = outcome_probabilities(slot, slots, parents.phytomer, exhausted, self.phytomers, flush)
-        outcome = draw_outcomes(probabilities, items.row, uniforms(items.address, "what"))
-        for column, name in enumerate(slot.kinds):
+        outcome = draw_outcomes(probabilities, row, uniforms(address, "what"))
+        for column, name in enumerate(kinds):
             here = np.flatnonzero(outcome == column)
             if here.size:
-                yield self._group(name, parents, slot, azimuth, items, here)
+                place = {"at": at[here], "azimuth": azimuth[row[here]] + turn[here]}
+                yield self._group(name, parents, slot, row[here], address=address[here], **place)
 
-    def _group(
-        self,
-        name: str,
-        parents: OrganGroup,
-        slot: Slot,
-        azimuth: FloatArray,
-        items: SlotItems,
-        here: Indices,
-    ) -> OrganGroup:
-        """Make organs of one kind from some items, with the next free numbers."""
-        row = items.row[here]
+    def _group(self, name: str, parents: OrganGroup, slot: Slot, row: Indices, **columns: Any) -> OrganGroup:
+        """Organs of one kind on the parents of these rows, with the next free numbers."""
         # A fruit's calyx has the number before.
         width = 2 if getattr(self.organs[name], "calyx", False) else 1
         number = self.count + width * np.arange(row.size) + width - 1
@@ -323,13 +304,11 @@ class TopologyBuilder:
             depths[:, list(self.limits).index(name)] += 1
         return OrganGroup(
             kind=name,
-            address=items.address[here],
             number=number,
             parent=parents.number[row],
             phytomer=parents.phytomer[row],
-            at=items.at[here],
             lift=np.full(row.size, slot.lift),
-            azimuth=azimuth[row] + items.azimuth[here],
             sideways=np.full(row.size, float(slot.aside is not None)),
+            **columns,
             depths=depths,
         )

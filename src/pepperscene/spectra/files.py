@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import math
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -126,14 +127,16 @@ def _read_table(file: Path) -> tuple[list[str], FloatArray]:
         if len(line) != len(header):
             allowed = f"must have {len(header)} columns like the header"
             raise InputError(file, allowed, key=f"row {row + 2}", value=len(line))
+    cells = list(itertools.chain.from_iterable(lines[1:]))
     try:
-        numbers = np.array([list(map(float, line)) for line in lines[1:]])
+        numbers = np.fromiter(map(float, cells), float, len(cells))
     except ValueError:
-        numbers = np.array([list(map(_float_or_nan, line)) for line in lines[1:]])
+        numbers = np.array([_float_or_nan(cell) for cell in cells])
     if not np.isfinite(numbers).all():
-        row, i = np.argwhere(~np.isfinite(numbers))[0]
-        raise _cell_error(file, row, header[i], lines[row + 1][i], "must be a finite number")
-    return header, numbers
+        bad = int(np.argmin(np.isfinite(numbers)))
+        row, column = divmod(bad, len(header))
+        raise _cell_error(file, row, header[column], cells[bad], "must be a finite number")
+    return header, numbers.reshape(-1, len(header))
 
 
 def _float_or_nan(cell: str) -> float:
