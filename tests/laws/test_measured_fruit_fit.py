@@ -179,7 +179,7 @@ def ripe(*pigments: str) -> tuple[str, ...]:
 
 
 def test_anthocyanin_fits_a_peach_better_than_capsanthin():
-    # Peaches are red by anthocyanins: added to a yellow fruit, they explain its spectrum better than capsanthin.
+    # Peaches are red by anthocyanins: added to a yellow fruit, they fit better than capsanthin.
     rmse = {}
     for pigment in ("capsanthin", "anthocyanin"):
         spectrum = measured("peach_skin_red_138", "pepper.ripe")
