@@ -24,8 +24,7 @@ class Cultivar(Document):
     """Parameters of a cultivar's plants.
 
     Attributes:
-        name: of the cultivar.
-        species: its botanical name.
+        name, species: common and botanical name.
         source: of the numbers.
         date: of the growth stage.
         stem: the main stem.

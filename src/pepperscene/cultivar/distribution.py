@@ -175,7 +175,8 @@ class Distribution(Origin):
             if position is None:
                 raise ValueError("a curve along the stem needs positions")
             positions, means = np.array(self.along).T
-            deviation = _truncated_normal_quantiles(probability, *_STANDARD_TRUNCATED)
+            standard = _truncated_normal(0.0, 1.0, -DEFAULT_BOUND_SD, DEFAULT_BOUND_SD)
+            deviation = _truncated_normal_quantiles(probability, *standard)
             return np.interp(position, positions, means) + self.sd * deviation
         if self.law == "normal" and self.sd > 0:
             parent = _truncated_normal(self.mean, self.sd, self.low, self.high)
@@ -211,10 +212,6 @@ def _truncated_normal_quantiles(
 
     within = np.clip(cdf_low + probability * (cdf_high - cdf_low), 1e-300, 1.0 - 1e-16)
     return np.asarray(mean + sd * ndtri(within))
-
-
-_STANDARD_TRUNCATED: Final = _truncated_normal(0.0, 1.0, -DEFAULT_BOUND_SD, DEFAULT_BOUND_SD)
-"""The truncated normal distribution of mean 0 and sd 1."""
 
 
 def _correlate_with_height(probability: FloatArray, position: FloatArray, correlation: float) -> FloatArray:

@@ -64,8 +64,7 @@ ClassName = Literal["background", "leaf", "pepper", "peduncle", "stem", "shoot",
 
 
 def _default(value: float) -> Distribution:
-    why = "neutral default"
-    return Distribution(law="value", mean=value, sd=0.0, low=value, high=value, chosen=why)
+    return Distribution(law="value", mean=value, sd=0.0, low=value, high=value, chosen="neutral default")
 
 
 class OrganModel(Document):
@@ -77,8 +76,7 @@ class OrganModel(Document):
         surface: name of the surface; None for the form's default.
         depth: how many organs of this kind can follow one another; None for no limit.
         bears: its slots.
-        source: of the plain numbers.
-        chosen: the reason for the plain numbers.
+        source, chosen: origin of the plain numbers.
     """
 
     model_config = ConfigDict(populate_by_name=True)

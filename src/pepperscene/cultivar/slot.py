@@ -58,10 +58,8 @@ class Slot(Document):
         pairs: one item to each side at each position.
         every: on a node, only at every n-th, counted from `first`.
         first: on a node, the lowest one with this slot; 0 is the node above the first internode.
-        flush: on a node, see `Flush`.
-        descent: on a node, see `Descent`.
-        source: of the plain numbers.
-        chosen: the reason for the plain numbers.
+        flush, descent: on a node, see `Flush` and `Descent`.
+        source, chosen: origin of the plain numbers.
     """
 
     name: Annotated[str, Field(min_length=1)]

@@ -29,10 +29,8 @@ class Stem(Document):
         top_diameter: ratio of the diameter at the top to that at the foot.
         lean: positive towards the aisle.
         zigzag: angle of an internode to the plant's axis.
-        internode: kind of its internodes.
-        node: kind of its nodes.
-        source: of the plain numbers.
-        chosen: the reason for the plain numbers.
+        internode, node: kinds of its internodes and nodes.
+        source, chosen: origin of the plain numbers.
     """
 
     parts: Annotated[int, Field(ge=1, le=200)]
@@ -65,8 +63,7 @@ class PigmentPath(Origin):
     """Pigments of a surface from state 0 to state 1, linear between the knots.
 
     Attributes:
-        start: pigments at state 0.
-        end: pigments at state 1.
+        start, end: pigments at states 0 and 1.
         path: (state, pigments) in between, ascending.
         flesh_reflectance: of a diffuse body below the pigment layer; None for a leaf with air behind it.
         ior: refractive index of the cuticle.

@@ -12,7 +12,7 @@ from pepperscene.grammar.draw import draw_parameters
 from pepperscene.grammar.frames import NodeFrames, StalkFrames, direction, orthogonal_units
 from pepperscene.grammar.hashing import FloatArray
 from pepperscene.grammar.plant import Indices, KindParameters, Organ, Plant, PlantParameters
-from pepperscene.grammar.shapes import STALK_POINTS, OrganBatch, blade_hang, build_kind
+from pepperscene.grammar.shapes import STALK_POINTS, NumberedOrgans, blade_hang, build_kind, make_organs
 
 INTERNODE_POINTS: Final = 3
 _MAX_NODE_FRACTION: Final = 0.4  # chosen: of the shorter adjacent internode that half a node takes at most
@@ -40,15 +40,13 @@ def build_plant(parameters: PlantParameters) -> Plant:
     organs = parameters.organs
     internode, node = _kind_of_form(organs, "internode"), _kind_of_form(organs, "node")
     count = 1 + max(int(parts.number.max()) for parts in organs.values() if len(parts))
-    result: list[Organ | None] = [None] * count
-    internodes, nodes, frames = _build_stem((internode, node), organs[internode], organs[node])
-    for batch in (internodes, nodes, *_build_branches(organs, frames, count)):
-        batch.put_into(result)
+    stem, frames = _build_stem((internode, node), organs[internode], organs[node])
+    built = dict((*stem, *_build_branches(organs, frames, count)))
     kinds = {name: parts.kind for name, parts in organs.items()}
     # Plants whose cultivar has fruit have the kind calyx, even without any fruit.
     if any(kind.form == "fruit" for kind in kinds.values()):
         kinds[CALYX] = USUAL["calyx"]
-    return Plant(parameters.cultivar, tuple(organ for organ in result if organ is not None), kinds)
+    return Plant(parameters.cultivar, tuple(built[number] for number in sorted(built)), kinds)
 
 
 def _kind_of_form(organs: Mapping[str, KindParameters], form: OrganForm) -> str:
@@ -61,8 +59,8 @@ def _kind_of_form(organs: Mapping[str, KindParameters], form: OrganForm) -> str:
 
 def _build_stem(
     names: tuple[str, str], internodes: KindParameters, nodes: KindParameters
-) -> tuple[OrganBatch, OrganBatch, NodeFrames]:
-    """Internodes, nodes, and the frames of the nodes; straight internodes join nodes, which bend.
+) -> tuple[NumberedOrgans, NodeFrames]:
+    """Internodes and nodes, and the frames of the nodes; straight internodes join nodes, which bend.
 
     Args:
         names: of the two kinds.
@@ -82,7 +80,7 @@ def _build_stem(
     end = centre - half[:, None] * axis
     along = np.linspace(0.0, 1.0, INTERNODE_POINTS)[:, None]
     up = orthogonal_units(np.broadcast_to([0.0, -1.0, 0.0], axis.shape), axis)
-    internode_batch = OrganBatch(
+    stem = make_organs(
         names[0],
         internodes,
         start[:, None] + along * (end - start)[:, None],
@@ -97,7 +95,7 @@ def _build_stem(
             "state_spread": internode["state_spread"],
         },
     )
-    node_batch = OrganBatch(
+    stem += make_organs(
         names[1],
         nodes,
         np.stack((end, centre, centre + half[:, None] * next_axis), axis=1),
@@ -113,12 +111,12 @@ def _build_stem(
     )
     node_axis = axis + next_axis
     node_axis /= np.linalg.norm(node_axis, axis=1, keepdims=True)
-    return internode_batch, node_batch, NodeFrames(centre, node_axis, 0.5 * node["width"], half)
+    return stem, NodeFrames(centre, node_axis, 0.5 * node["width"], half)
 
 
 def _build_branches(
     organs: Mapping[str, KindParameters], nodes: NodeFrames, count: int
-) -> Iterator[OrganBatch]:
+) -> Iterator[tuple[int, Organ]]:
     """All organs except the stem's, level by level, since a stalk must be built before what it bears."""
     stalks, hang = StalkFrames(count, STALK_POINTS), _tip_blade_hang(organs, count)
     levels = _branch_levels(organs, count)

@@ -123,14 +123,9 @@ def _draw_diameters(
     cultivar: Cultivar, phytomers: Phytomers, boundaries: FloatArray
 ) -> tuple[float, FloatArray]:
     """The mean, and `(parts + 1,)` below and above each phytomer: tapering, and thinner where young."""
-    stem = cultivar.stem
-    mean, top = (
-        clip_to_limits(limit, np.array([phytomers.draw_once(distribution, name)]))[0]
-        for limit, distribution, name in (
-            ("diameter", stem.diameter, "stem.diameter"),
-            ("tip", stem.top_diameter, "stem.top_diameter"),
-        )
-    )
+    stem, key = cultivar.stem, phytomers.key
+    mean = clip_to_limits("diameter", stem.diameter.quantiles(uniforms(key, "stem.diameter")))[0]
+    top = clip_to_limits("tip", stem.top_diameter.quantiles(uniforms(key, "stem.top_diameter")))[0]
     slope = 2.0 * (1.0 - top) / (1.0 + top)
     size = np.append(phytomers.sizes, phytomers.sizes[-1])
     return float(mean), np.asarray(mean * (1.0 + slope * (0.5 - boundaries)) * np.sqrt(size))
@@ -146,7 +141,7 @@ def _draw_directions(
     zigzag = stem.zigzag.quantiles(uniforms(phytomers.internodes, "zigzag"), phytomers.positions)
     pull = _TWINE_PULL * ndtri(uniforms(phytomers.internodes, "pull"))
     # The axis leans across the row.
-    axis_y = -math.sin(phytomers.draw_once(stem.lean, "stem.lean") + lean)
+    axis_y = -math.sin(stem.lean.quantiles(uniforms(phytomers.key, "stem.lean"))[0] + lean)
     back = 2.0 * math.pi * float(uniforms(phytomers.key, "stem.side")[0])
     x = y = 0.0
     azimuths, inclinations = np.empty(len(phytomers)), np.empty(len(phytomers))

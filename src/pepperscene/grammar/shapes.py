@@ -6,7 +6,7 @@ Angles are in the vertical plane of an organ's azimuth; inclinations are above t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -16,32 +16,31 @@ from pepperscene.grammar.frames import Sites, StalkFrames, direction, polylines,
 from pepperscene.grammar.hashing import FloatArray
 from pepperscene.grammar.plant import KindParameters, Organ
 
+NumberedOrgans = list[tuple[int, Organ]]
 
-@dataclass(frozen=True, eq=False)
-class OrganBatch:
-    """`n` organs of one kind.
 
-    Attributes:
+def make_organs(
+    kind: str,
+    parts: KindParameters,
+    curves: FloatArray,
+    up: FloatArray,
+    measures: Mapping[str, FloatArray],
+) -> NumberedOrgans:
+    """Make `n` organs of one kind, with their numbers in the plant.
+
+    Args:
         kind: its name.
         parts: their parameters.
         curves: `(n, k, 3)` centrelines.
         up: `(n, 3)` upper sides.
         measures: name -> `(n,)`.
     """
-
-    kind: str
-    parts: KindParameters
-    curves: FloatArray
-    up: FloatArray
-    measures: Mapping[str, FloatArray]
-
-    def put_into(self, organs: list[Organ | None]) -> None:
-        """Put the organs into the plant's list by their numbers."""
-        indices = (self.parts.number, self.parts.parent, self.parts.phytomer)
-        columns = [column.tolist() for column in (*indices, *self.measures.values())]
-        for curve, up, number, parent, phytomer, *row in zip(self.curves, self.up, *columns, strict=True):
-            measures = dict(zip(self.measures, row, strict=True))
-            organs[number] = Organ(self.kind, parent, phytomer, curve, up, measures)
+    indices = (parts.number, parts.parent, parts.phytomer)
+    columns = [column.tolist() for column in (*indices, *measures.values())]
+    return [
+        (number, Organ(kind, parent, phytomer, curve, side, dict(zip(measures, row, strict=True))))
+        for curve, side, number, parent, phytomer, *row in zip(curves, up, *columns, strict=True)
+    ]
 
 
 STALK_POINTS: Final = 10
@@ -70,7 +69,7 @@ _MEASURE_NAMES: Final[Mapping[str, str]] = {
 
 def build_kind(
     name: str, kind: OrganKind, sites: Sites, hang: FloatArray, frames: StalkFrames
-) -> list[OrganBatch]:
+) -> NumberedOrgans:
     """Build the organs of one kind and level.
 
     Args:
@@ -82,19 +81,19 @@ def build_kind(
     """
     match kind.form:
         case "stalk" | "peduncle":
-            return [_build_stalks(name, sites, hang[sites.parts.number], frames)]
+            return _build_stalks(name, sites, hang[sites.parts.number], frames)
         case "blade":
-            return [_build_blades(name, sites)]
+            return _build_blades(name, sites)
         case "fruit":
             return _build_fruits(name, sites)
         case "cut":
-            return [_build_cuts(name, sites)]
+            return _build_cuts(name, sites)
         case "flower":
-            return [_build_flowers(name, sites)]
+            return _build_flowers(name, sites)
     raise ValueError(f"{name} is a {kind.form}, which does not branch off")
 
 
-def _build_stalks(name: str, sites: Sites, hang: FloatArray, frames: StalkFrames) -> OrganBatch:
+def _build_stalks(name: str, sites: Sites, hang: FloatArray, frames: StalkFrames) -> NumberedOrgans:
     """Petioles, side shoots, rachises, peduncles; added to the frames, so that others can grow on them."""
     values, s = sites.parts.values, segment_midpoints(STALK_POINTS)
     base = values["inclination"]
@@ -117,10 +116,10 @@ def _build_stalks(name: str, sites: Sites, hang: FloatArray, frames: StalkFrames
     measures = {"radius_m": radius, "radius_tip_m": radius * values["tip"]}
     measures |= _select_measures(values, ("seed", "state", *extra_measures))
     up = upper_side(sites.heading, slopes[:, 0], steps[:, 0], roll)
-    return OrganBatch(name, sites.parts, curves, up, measures)
+    return make_organs(name, sites.parts, curves, up, measures)
 
 
-def _build_blades(name: str, sites: Sites) -> OrganBatch:
+def _build_blades(name: str, sites: Sites) -> NumberedOrgans:
     """Blades; one at the tip of a stalk leaves it without a kink, and soon hangs."""
     values, s = sites.parts.values, segment_midpoints(BLADE_POINTS)
     hang = blade_hang(values)
@@ -138,7 +137,7 @@ def _build_blades(name: str, sites: Sites) -> OrganBatch:
     outline = ("widest", "base", "lobes", "lobe_depth")
     names = ("length", "width", *shape, *outline, "seed", "state", "state_spread")
     curves = polylines(sites.start, steps, values["length"])
-    return OrganBatch(name, sites.parts, curves, up, _select_measures(values, names))
+    return make_organs(name, sites.parts, curves, up, _select_measures(values, names))
 
 
 def blade_hang(values: Mapping[str, FloatArray]) -> FloatArray:
@@ -146,7 +145,7 @@ def blade_hang(values: Mapping[str, FloatArray]) -> FloatArray:
     return np.asarray(values["inclination"] + 0.5 * values["droop"])
 
 
-def _build_fruits(name: str, sites: Sites) -> list[OrganBatch]:
+def _build_fruits(name: str, sites: Sites) -> NumberedOrgans:
     """Fruit, each below its calyx; one of a kind without calyx hangs from its stalk's end."""
     values = sites.parts.values
     has_calyx = "calyx_radius" in values
@@ -157,38 +156,38 @@ def _build_fruits(name: str, sites: Sites) -> list[OrganBatch]:
     shape = ("diameter", "lobes", "lobe_depth", "shoulder", "taper", "point", "bend")
     names = (*shape, "seed", "ripeness", "ripeness_spread")
     measures = {"length_m": length, **_select_measures(values, names)}
-    fruit = OrganBatch(name, sites.parts, _lines(stalk_end, axis, length), up, measures)
+    curves = _lines(stalk_end, axis, length)
     if not has_calyx:
-        return [fruit]
+        return make_organs(name, sites.parts, curves, up, measures)
     # The calyx is between the stalk and the fruit.
     number = sites.parts.number - 1
     calyx_parts, fruit_parts = replace(sites.parts, number=number), replace(sites.parts, parent=number)
-    measures = {
+    calyx_measures = {
         "radius_m": values["diameter"] * values["calyx_radius"],
         "tooth": values["calyx_tooth"],
         "seed": values["calyx_seed"],
         "state_mean": values["calyx_state"],
     }
-    calyx = OrganBatch(CALYX, calyx_parts, _lines(sites.start, axis, height), up, measures)
-    return [calyx, replace(fruit, parts=fruit_parts)]
+    calyx = make_organs(CALYX, calyx_parts, _lines(sites.start, axis, height), up, calyx_measures)
+    return calyx + make_organs(name, fruit_parts, curves, up, measures)
 
 
-def _build_cuts(name: str, sites: Sites) -> OrganBatch:
+def _build_cuts(name: str, sites: Sites) -> NumberedOrgans:
     """Stumps of harvested fruit; the inset is added to their length."""
     values = sites.parts.values
     axis, up = _axes(sites.heading, values["inclination"])
     curves = _lines(sites.start, axis, sites.inset + values["length"])
     measures = {"radius_m": 0.5 * values["diameter"], "seed": values["seed"]}
-    return OrganBatch(name, sites.parts, curves, up, measures)
+    return make_organs(name, sites.parts, curves, up, measures)
 
 
-def _build_flowers(name: str, sites: Sites) -> OrganBatch:
+def _build_flowers(name: str, sites: Sites) -> NumberedOrgans:
     """Flowers, from the end of their stalk to the plane of the petals when they are flat."""
     values = sites.parts.values
     axis, up = _axes(sites.heading, values["inclination"])
     curves = _lines(sites.start, axis, _FLOWER_DEPTH * values["diameter"])
     measures = _select_measures(values, ("petals", "open", "seed", "state"))
-    return OrganBatch(name, sites.parts, curves, up, {"radius_m": 0.5 * values["diameter"], **measures})
+    return make_organs(name, sites.parts, curves, up, {"radius_m": 0.5 * values["diameter"], **measures})
 
 
 def _axes(azimuth: FloatArray, inclination: FloatArray) -> tuple[FloatArray, FloatArray]:

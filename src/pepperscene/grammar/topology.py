@@ -77,10 +77,6 @@ class Phytomers:
         here = self.with_slot(slot)
         return np.where(here, 1.0 - (2.0 * np.cumsum(here) - 1.0) / max(int(here.sum()), 1), 0.0)
 
-    def draw_once(self, distribution: Distribution, name: str) -> float:
-        """Draw a value for the whole plant; the distribution must not need positions."""
-        return float(distribution.quantiles(uniforms(self.key, name))[0])
-
 
 def slot_items(
     slot: Slot, slots: Addresses, positions: FloatArray
