@@ -20,7 +20,6 @@ _DEVIATION: Final = 0.125
 
 _ROUNDING: Final = 1e-9  # a smaller probability of nothing is rounding
 _MAX_ORGANS: Final = 200_000  # chosen: a hundred times those of a sweet pepper of 200 nodes
-_NOTHING: Final = -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,15 +171,11 @@ def outcome_probabilities(
 
 
 def draw_outcomes(probabilities: FloatArray, rows: Indices, uniform: FloatArray) -> Indices:
-    """`(m,)` index of one outcome each, from its row of probabilities; the last one becomes `_NOTHING`.
-
-    The probabilities of a row need not sum to 1; only their proportions count.
-    """
+    """`(m,)` index of one outcome each, from its row of probabilities, which need not sum to 1."""
     cumulative = np.cumsum(probabilities, axis=1)
     total = cumulative[:, -1]
     cumulative /= np.where(total > 0, total, 1.0)[:, None]
-    outcome = (uniform[:, None] >= cumulative[rows]).sum(axis=1)
-    return np.where(outcome < probabilities.shape[1] - 1, outcome, _NOTHING)
+    return np.asarray((uniform[:, None] >= cumulative[rows]).sum(axis=1))
 
 
 def draw_numbers(numbers: dict[int, float], uniform: FloatArray) -> Indices:
