@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from plant_colours import at, lab, lab_hue
 
-from pepperscene.cultivar import load_cultivar
+from pepperscene.cultivar import Cultivar, load_cultivar
 from pepperscene.cultivar.organs import USUAL
 from pepperscene.materials import greenhouse_surfaces, leaf_body, organ_surfaces, organs, rind_reflectance
 
@@ -145,7 +145,7 @@ def test_ribs_run_along_the_organ_and_are_gentle(surfaces, kaite):
         assert np.mean(np.abs(around) < np.tan(np.radians(30))) > 0.98, name
 
 
-def test_is_deterministic_and_independent_of_threads(surfaces, kaite, nm):
+def test_is_deterministic_and_independent_of_threads(surfaces, kaite: Cultivar, nm):
     serial = {}
     for kind in kaite.grown:
         name = kaite.kinds[kind].surface

@@ -73,7 +73,8 @@ def cell_walls(rng: np.random.Generator, points: FloatArray, spacing: float) -> 
 
 PIXELS: Final = 512
 PAIRS: Final = 7
-BASE_COT, TIP_COT = 1.0 / np.tan(np.radians(60.0)), 1.0 / np.tan(np.radians(45.0))
+BASE_COT: Final = 1.0 / np.tan(np.radians(60.0))  # of the angles of secondary veins to the midrib
+TIP_COT: Final = 1.0 / np.tan(np.radians(45.0))
 ASPECT: Final = 112.0 / 135.0
 """Width over length of the blade that the vein layout is defined for; other blades stretch it, as uv is."""
 ARC: Final = 0.7
