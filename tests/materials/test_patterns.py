@@ -58,10 +58,10 @@ def test_secondary_veins_leave_at_45_to_60_degrees_and_bend_to_the_tip(veins):
     """A vein is orthogonal to the gradient of the distance from it."""
     dx, dy = gradient(veins.secondary_mm)
     angle = np.degrees(np.arctan2(np.abs(dy), np.abs(dx)))  # of the vein to the midrib
-    beside = (
+    next_to_vein = (
         (veins.secondary_mm > 0.4) & (veins.secondary_mm < 2.0) & (veins.height > 0.05) & (veins.height < 0.8)
     )
-    near, far = (veins.midrib_mm < 10) & beside, (veins.reach > 0.8) & beside
+    near, far = (veins.midrib_mm < 10) & next_to_vein, (veins.reach > 0.8) & next_to_vein
     assert 45 < np.median(angle[near]) < 60
     assert np.median(angle[far]) < np.median(angle[near]) - 10
 

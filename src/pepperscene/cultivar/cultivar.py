@@ -56,16 +56,16 @@ class Cultivar(Document):
     @property
     def grown(self) -> tuple[str, ...]:
         """Kinds with a probability above 0, in the file's order."""
-        found, queue = set(), [self.stem.internode, self.stem.node]
+        reached, queue = set(), [self.stem.internode, self.stem.node]
         while queue:
             kind = queue.pop()
-            if kind not in found:
-                found.add(kind)
+            if kind not in reached:
+                reached.add(kind)
                 slots = self.organs[kind].bears
                 queue.extend(k for slot in slots for k in slot.kinds if slot.what.probabilities[k] > 0)
-        if any(getattr(self.organs[kind], "calyx", False) for kind in found):
-            found.add(CALYX)
-        return tuple(kind for kind in self.kinds if kind in found)
+        if any(getattr(self.organs[kind], "calyx", False) for kind in reached):
+            reached.add(CALYX)
+        return tuple(kind for kind in self.kinds if kind in reached)
 
 
 def load_cultivar(name_or_path: str | Path) -> Cultivar:

@@ -219,7 +219,7 @@ class Sites:
         if self.stalks is None:
             return np.zeros(len(self.parts))
         at, parent = self.parts.values["at"], self.parts.parent
-        # Organs that leave the side of a stalk, such as leaflets, lie in its plane.
+        # Organs that leave the side of a stalk, such as leaflets, are in its plane.
         up, own = self.stalks.upper_side(parent, at), upper_side(self.azimuth, inclination, tangent)
         in_plane = np.arctan2(dot(up, cross(tangent, own)), dot(up, own))
         sideways = self.parts.values["sideways"] > 0.0
