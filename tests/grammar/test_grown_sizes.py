@@ -229,8 +229,8 @@ def shoot_depth(plant: Plant, index: int) -> int:
 
 
 def test_fruit_comes_in_flushes(kaite: Cultivar, plants: list[Plant]) -> None:
-    # The probability of fruit or cut is a wave of random phase: a wavelength apart nodes are correlated, half a
-    # wavelength apart anticorrelated. Covariance at distance d: p^2 s^2 / 2 cos(2 pi d / period).
+    # The probability of fruit or cut is a wave of random phase: nodes are correlated a wavelength apart, and
+    # anticorrelated half a wavelength apart. Covariance at distance d: p^2 s^2 / 2 cos(2 pi d / period).
     fruiting = np.zeros((len(plants), kaite.stem.parts))
     for row, plant in enumerate(plants):
         fruiting[row, [o.phytomer for o in (*plant.of_kind("peduncle"), *plant.of_kind("cut"))]] = 1.0

@@ -98,8 +98,8 @@ def read_spectrum(path: str | Path, column: str, *, outside: Outside = "zero") -
     """
     spectra = read_spectra(path, outside=outside)
     if column not in spectra:
-        allowed = f"must be one of {', '.join(spectra)}"
-        raise InputError(spectra_file(path), allowed, key="column", value=column)
+        problem = f"is not one of {', '.join(spectra)}"
+        raise InputError(spectra_file(path), problem, key="column", value=column)
     return spectra[column]
 
 
