@@ -26,19 +26,12 @@ FORMS: Final[tuple[OrganForm, ...]] = get_args(OrganForm)
 
 @dataclass(frozen=True)
 class OrganKind:
-    """Shape, label and surface of an organ kind.
+    """Shape, label and surface of an organ kind."""
 
-    Attributes:
-        form: selects the mesh generator.
-        organ_class: label of all its pixels.
-        surface: name of its surface.
-        scan: file of a scanned mesh to use instead of a generated one, or None.
-    """
-
-    form: OrganForm
-    organ_class: OrganClass
-    surface: str
-    scan: Path | None = None
+    form: OrganForm  # selects the mesh generator
+    organ_class: OrganClass  # label of all its pixels
+    surface: str  # name of its surface
+    scan: Path | None = None  # file of a scanned mesh to use instead of a generated one, or None
 
 
 USUAL: Final[Mapping[OrganForm, OrganKind]] = MappingProxyType(
@@ -68,35 +61,26 @@ def _default(value: float) -> Distribution:
 
 
 class OrganModel(Document):
-    """Parameters of all organ kinds.
-
-    Attributes:
-        form: selects the mesh generator.
-        organ_class: `class` in the file; None for the form's default.
-        surface: name of the surface; None for the form's default.
-        depth: how many organs of this kind can follow one another; None for no limit.
-        bears: its slots.
-        source, chosen: origin of the plain numbers.
-    """
+    """Parameters of all organ kinds."""
 
     model_config = ConfigDict(populate_by_name=True)
 
-    form: OrganForm
-    organ_class: ClassName | None = Field(default=None, alias="class")
+    form: OrganForm  # selects the mesh generator
+    organ_class: ClassName | None = Field(default=None, alias="class")  # None for the form's default
+    # Name of the surface; None for the form's default.
     surface: Annotated[str, Field(min_length=1)] | None = None
+    # How many organs of this kind can follow one another; None for no limit.
     depth: Annotated[int, Field(ge=1, le=8)] | None = None
-    bears: tuple[Slot, ...] = ()
-    source: str = ""
+    bears: tuple[Slot, ...] = ()  # its slots
+    source: str = ""  # origin of the plain numbers, as is `chosen`
     chosen: str = ""
 
     @property
     def kind(self) -> OrganKind:
         """Form, class, surface and scan, with the form's defaults."""
         default = USUAL[self.form]
-        organ_class = (
-            default.organ_class if self.organ_class is None else OrganClass[self.organ_class.upper()]
-        )
-        return OrganKind(self.form, organ_class, self.surface or default.surface, getattr(self, "scan", None))
+        label = default.organ_class if self.organ_class is None else OrganClass[self.organ_class.upper()]
+        return OrganKind(self.form, label, self.surface or default.surface, getattr(self, "scan", None))
 
     @property
     def distributions(self) -> dict[str, Distribution]:
@@ -125,29 +109,20 @@ class Node(OrganModel):
 
 
 class Stalk(OrganModel):
-    """Petiole, side shoot, rachis of a leaf, or pedicel.
-
-    Attributes:
-        diameter: at its base.
-        tip: ratio of the diameter at its end to that at its base.
-        inclination: at its base.
-        bend: change of the inclination from base to end; negative is downwards.
-        sway: bend out of its vertical plane, counter-clockwise.
-        towards: fraction of the way to the inclination of the blade at its tip that the stalk itself bends.
-        channel: 1 for a channel along its upper side.
-    """
+    """Petiole, side shoot, rachis of a leaf, or pedicel."""
 
     form: Literal["stalk"]
     length: Size
-    diameter: Size
-    tip: Factor = _default(1.0)
-    inclination: Angle
-    bend: Angle = _default(0.0)
-    sway: Angle = _default(0.0)
+    diameter: Size  # at its base
+    tip: Factor = _default(1.0)  # ratio of the diameter at its end to that at its base
+    inclination: Angle  # at its base
+    bend: Angle = _default(0.0)  # change of the inclination from base to end; negative is downwards
+    sway: Angle = _default(0.0)  # bend out of its vertical plane, counter-clockwise
     state: Fraction = _default(0.6)
     state_spread: Fraction = _default(0.12)
+    # Fraction of the way to the inclination of the blade at its tip that the stalk itself bends.
     towards: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
-    channel: Annotated[int, Field(ge=0, le=1)] = 0
+    channel: Annotated[int, Field(ge=0, le=1)] = 0  # 1 for a channel along its upper side
 
 
 class Peduncle(OrganModel):
@@ -163,106 +138,62 @@ class Peduncle(OrganModel):
 
 
 class Blade(OrganModel):
-    """Blade of a leaf or a leaflet.
-
-    Attributes:
-        length: of the midrib.
-        width: of the flat blade.
-        inclination: of the midrib at its middle.
-        droop: downward bend of the midrib from base to tip.
-        sway: its sideways bend, counter-clockwise.
-        roll: about the midrib.
-        fold: angle by which each half is lifted.
-        curl: cross-curvature of each half, margins up if positive.
-        twist: of the tip relative to the base.
-        margin_wave: amplitude of the waves along a margin.
-        margin_waves: number of waves.
-        blister: height of the bulges between the veins.
-        vein: depth of the sunken secondary veins.
-        asymmetry: excess width of one half over the mean half, relative.
-        widest: position of the greatest width, 0 base to 1 tip.
-        base: exponent of the outline at the base; small is broad.
-        lobes: number of teeth or lobes along each margin; 0 is entire.
-        lobe_depth: their depth, as a fraction of half the width.
-        state: 0 pale to 1 dark green.
-        state_spread: mottling within a blade.
-        size_correlation: of length and width, by a Gaussian copula.
-    """
+    """Blade of a leaf or a leaflet."""
 
     form: Literal["blade"]
-    length: Size
-    width: Size
-    inclination: Angle
-    droop: Angle = _default(0.0)
-    sway: Angle = _default(0.0)
-    roll: Angle = _default(0.0)
-    fold: Angle = _default(0.0)
-    curl: Angle = _default(0.0)
-    twist: Angle = _default(0.0)
-    margin_wave: Width = _default(0.0)
-    margin_waves: Factor = _default(4.0)
-    blister: Width = _default(0.0)
-    vein: Width = _default(0.0)
-    asymmetry: Ratio = _default(0.0)
-    widest: Fraction = _default(0.35)
-    base: Factor = _default(0.8)
-    lobes: Ratio = _default(0.0)
-    lobe_depth: Fraction = _default(0.0)
-    state: Fraction = _default(0.7)
-    state_spread: Fraction = _default(0.1)
-    size_correlation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    length: Size  # of the midrib
+    width: Size  # of the flat blade
+    inclination: Angle  # of the midrib at its middle
+    droop: Angle = _default(0.0)  # downward bend of the midrib from base to tip
+    sway: Angle = _default(0.0)  # its sideways bend, counter-clockwise
+    roll: Angle = _default(0.0)  # about the midrib
+    fold: Angle = _default(0.0)  # angle by which each half is lifted
+    curl: Angle = _default(0.0)  # cross-curvature of each half, margins up if positive
+    twist: Angle = _default(0.0)  # of the tip relative to the base
+    margin_wave: Width = _default(0.0)  # amplitude of the waves along a margin
+    margin_waves: Factor = _default(4.0)  # number of waves
+    blister: Width = _default(0.0)  # height of the bulges between the veins
+    vein: Width = _default(0.0)  # depth of the sunken secondary veins
+    asymmetry: Ratio = _default(0.0)  # excess width of one half over the mean half, relative
+    widest: Fraction = _default(0.35)  # position of the greatest width, 0 base to 1 tip
+    base: Factor = _default(0.8)  # exponent of the outline at the base; small is broad
+    lobes: Ratio = _default(0.0)  # number of teeth or lobes along each margin; 0 is entire
+    lobe_depth: Fraction = _default(0.0)  # their depth, as a fraction of half the width
+    state: Fraction = _default(0.7)  # 0 pale to 1 dark green
+    state_spread: Fraction = _default(0.1)  # mottling within a blade
+    size_correlation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # of length and width (Gaussian copula)
 
 
 class Fruit(OrganModel):
-    """Fruit and the calyx that it hangs from.
-
-    Attributes:
-        diameter: F-2, of a grown fruit.
-        slenderness: length divided by diameter.
-        inclination: of the axis from stalk end to blossom end, about -90 degrees.
-        aside: azimuth of the axis relative to that of its peduncle.
-        lobe_depth: of the furrows; 1 is typical of a blocky pepper.
-        shoulder: height of the shoulders above the stalk end.
-        taper: ratio of the diameter near the blossom end to the greatest.
-        point: 0 blocky to 1 pointed.
-        bend: of the axis.
-        calyx_radius: to the longest teeth, as a ratio to the fruit's diameter.
-        calyx_tooth: depth of the calyx' teeth, as a fraction of its radius.
-        calyx_state: pigment state of the calyx.
-        ripe_fraction: fraction of the grown fruit that is ripe; fruit of a young top is green.
-        ripe_descent: rise of that fraction towards the foot, where fruit is older, and fall towards the top,
-            over half the plant's height.
-        breaker_fraction: fraction of fruit at the breaker stage, taken equally from the ripe and the unripe.
-        unripe, breaker, ripe: ripeness of fruit at that stage, 0 green to 1 ripe.
-        ripeness_spread: variation of ripeness within a fruit.
-        lobes: two to five.
-        scan: a mesh file to use instead of a generated mesh.
-        calyx: whether it has one.
-    """
+    """Fruit and the calyx that it hangs from; two to five lobes."""
 
     form: Literal["fruit"]
-    diameter: Size
-    slenderness: Factor
-    inclination: Angle
-    aside: Angle = _default(0.0)
-    lobe_depth: Ratio = _default(0.0)
-    shoulder: Ratio = _default(0.0)
-    taper: Factor = _default(1.0)
-    point: Fraction = _default(0.0)
-    bend: Angle = _default(0.0)
-    calyx_radius: Factor = _default(0.27)
-    calyx_tooth: Fraction = _default(0.28)
-    calyx_state: Fraction = _default(0.5)
-    ripe_fraction: Fraction = _default(0.0)
+    diameter: Size  # F-2, of a grown fruit
+    slenderness: Factor  # length divided by diameter
+    inclination: Angle  # of the axis from stalk end to blossom end, about -90 degrees
+    aside: Angle = _default(0.0)  # azimuth of the axis relative to that of its peduncle
+    lobe_depth: Ratio = _default(0.0)  # of the furrows; 1 is typical of a blocky pepper
+    shoulder: Ratio = _default(0.0)  # height of the shoulders above the stalk end
+    taper: Factor = _default(1.0)  # ratio of the diameter near the blossom end to the greatest
+    point: Fraction = _default(0.0)  # 0 blocky to 1 pointed
+    bend: Angle = _default(0.0)  # of the axis
+    calyx_radius: Factor = _default(0.27)  # to the longest teeth, as a ratio to the fruit's diameter
+    calyx_tooth: Fraction = _default(0.28)  # depth of the calyx' teeth, as a fraction of its radius
+    calyx_state: Fraction = _default(0.5)  # pigment state of the calyx
+    ripe_fraction: Fraction = _default(0.0)  # of the mature fruit; fruit of a young top is green
+    # Rise of ripe_fraction towards the foot, where fruit is older, and fall towards the top, over half the
+    # plant's height.
     ripe_descent: Fraction = _default(0.0)
+    # Fraction of fruit at the breaker stage, taken equally from the ripe and the unripe.
     breaker_fraction: Fraction = _default(0.0)
+    # Ripeness at each stage, 0 green to 1 ripe.
     unripe: Fraction = _default(0.0)
     breaker: Fraction = _default(0.5)
     ripe: Fraction = _default(1.0)
-    ripeness_spread: Fraction = _default(0.0)
+    ripeness_spread: Fraction = _default(0.0)  # variation of ripeness within a fruit
     lobes: Lobes = Number(probabilities={"four": 1.0}, chosen="the usual number of a blocky pepper")
-    scan: Path | None = None
-    calyx: bool = True
+    scan: Path | None = None  # a mesh file to use instead of a generated mesh
+    calyx: bool = True  # whether it has one
 
     @model_validator(mode="after")
     def _check_limits(self) -> Self:

@@ -40,44 +40,29 @@ class Descent(Document):
 
 
 class Slot(Document):
-    """Table of an organ that says what grows at one of its places, how many, and in which direction.
+    """Table of an organ that says what grows at one of its places, how many, and in which direction."""
 
-    Attributes:
-        name: unique among the slots of its organ.
-        what: kind -> probability; `none` for nothing.
-        count: number of items at each position.
-        at: positions along the organ, 0 base to 1 tip.
-        lift: on a node, in half node lengths above its centre.
-        azimuth: on a node, around the stem, counter-clockwise seen from above, 0 towards the aisle.
-        step: on a node, makes neighbours avoid each other: the quantile level of the azimuth is that of this
-            slot at the node below (or of the slot `after` at the same node) plus this step, modulo 1. All
-            azimuths together still follow their distribution.
-        after: an earlier slot of the list.
-        spread: angle between neighbours if several items share a position; centred on the parent's azimuth.
-        aside: angle to the parent's azimuth, to alternating sides from position to position.
-        pairs: one item to each side at each position.
-        every: on a node, only at every n-th, counted from `first`.
-        first: on a node, the lowest one with this slot; 0 is the node above the first internode.
-        flush, descent: on a node, see `Flush` and `Descent`.
-        source, chosen: origin of the plain numbers.
-    """
-
-    name: Annotated[str, Field(min_length=1)]
-    what: Choice
-    count: Count = Number(probabilities={"one": 1.0}, chosen="the default is one")
-    at: Annotated[tuple[Position, ...], Field(min_length=1)] = (1.0,)
-    lift: Annotated[float, Field(ge=-1.0, le=1.0)] = 0.0
-    azimuth: Angle | None = None
+    name: Annotated[str, Field(min_length=1)]  # unique among the slots of its organ
+    what: Choice  # kind -> probability; `none` for nothing
+    count: Count = Number(probabilities={"one": 1.0}, chosen="the default is one")  # items at each position
+    at: Annotated[tuple[Position, ...], Field(min_length=1)] = (1.0,)  # along the organ, 0 base to 1 tip
+    lift: Annotated[float, Field(ge=-1.0, le=1.0)] = 0.0  # on a node, in half node lengths above its centre
+    azimuth: Angle | None = None  # on a node, counter-clockwise seen from above, 0 towards the aisle
+    # On a node, makes neighbours avoid each other: the quantile level of the azimuth is that of this slot at
+    # the node below (or of the slot `after` at the same node) plus this step, modulo 1. All azimuths together
+    # still follow their distribution.
     step: Ratio | None = None
-    after: str | None = None
+    after: str | None = None  # an earlier slot of the list
+    # Angle between neighbours if several items share a position; centred on the parent's azimuth.
     spread: Angle | None = None
-    aside: Angle | None = None
-    pairs: bool = False
-    every: Annotated[int, Field(ge=1, le=200)] = 1
+    aside: Angle | None = None  # angle to the parent's azimuth, to alternating sides along the organ
+    pairs: bool = False  # one item to each side at each position
+    every: Annotated[int, Field(ge=1, le=200)] = 1  # on a node, only at every n-th, counted from `first`
+    # On a node, the lowest one with this slot; 0 is the node above the first internode.
     first: Annotated[int, Field(ge=0, le=200)] = 0
-    flush: Flush | None = None
-    descent: Descent | None = None
-    source: str = ""
+    flush: Flush | None = None  # on a node
+    descent: Descent | None = None  # on a node
+    source: str = ""  # origin of the plain numbers, as is `chosen`
     chosen: str = ""
 
     @property

@@ -19,30 +19,18 @@ from pepperscene.document import Document
 
 
 class Stem(Document):
-    """Main stem: P-1 (diameter), P-2 (lean across the row), and the kinds that it consists of.
+    """Main stem: P-1 (diameter), P-2 (lean across the row), and the kinds that it consists of."""
 
-    Attributes:
-        parts: number of internodes, each with the node above it.
-        young_nodes: number of parts at the top that are still growing.
-        young_size: relative size of the topmost one.
-        diameter: mean from foot to top.
-        top_diameter: ratio of the diameter at the top to that at the foot.
-        lean: positive towards the aisle.
-        zigzag: angle of an internode to the plant's axis.
-        internode, node: kinds of its internodes and nodes.
-        source, chosen: origin of the plain numbers.
-    """
-
-    parts: Annotated[int, Field(ge=1, le=200)]
-    young_nodes: Annotated[int, Field(ge=0, le=200)] = 0
-    young_size: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
-    diameter: Annotated[Size, OncePerPlant]
-    top_diameter: Annotated[Factor, OncePerPlant]
-    lean: Annotated[Angle, OncePerPlant]
-    zigzag: Angle
-    internode: str
-    node: str
-    source: str = ""
+    parts: Annotated[int, Field(ge=1, le=200)]  # number of internodes, each with the node above it
+    young_nodes: Annotated[int, Field(ge=0, le=200)] = 0  # number of parts at the top that are still growing
+    young_size: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0  # relative size of the topmost one
+    diameter: Annotated[Size, OncePerPlant]  # mean from foot to top
+    top_diameter: Annotated[Factor, OncePerPlant]  # ratio of the diameter at the top to that at the foot
+    lean: Annotated[Angle, OncePerPlant]  # positive towards the aisle
+    zigzag: Angle  # angle of an internode to the plant's axis
+    internode: str  # kind of its internodes
+    node: str  # kind of its nodes
+    source: str = ""  # origin of the plain numbers, as is `chosen`
     chosen: str = ""
 
 

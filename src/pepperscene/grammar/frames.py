@@ -182,27 +182,16 @@ class StalkFrames:
 
 @dataclass(frozen=True, eq=False)
 class Sites:
-    """`(n,)` start points of organs of one kind.
+    """`(n,)` start points of organs of one kind."""
 
-    Attributes:
-        start: `(n, 3)` points.
-        azimuth: of the vertical planes that they grow in.
-        sway: out of those planes, at their start.
-        slope: inclination of the stalk that they continue.
-        continues: whether they continue a stalk from its tip.
-        inset: depth of their start below the surface of what bears them, metres.
-        parts: their parameters.
-        stalks: that bear them, or None on nodes.
-    """
-
-    start: FloatArray
-    azimuth: FloatArray
-    sway: FloatArray
-    slope: FloatArray
-    continues: NDArray[np.bool_]
-    inset: FloatArray
-    parts: KindParameters
-    stalks: StalkFrames | None
+    start: FloatArray  # `(n, 3)` points
+    azimuth: FloatArray  # of the vertical planes that they grow in
+    sway: FloatArray  # out of those planes, at their start
+    slope: FloatArray  # inclination of the stalk that they continue
+    continues: NDArray[np.bool_]  # whether they continue a stalk from its tip
+    inset: FloatArray  # depth of their start below the surface of what bears them, metres
+    parts: KindParameters  # their parameters
+    stalks: StalkFrames | None  # that bear them, or None on nodes
 
     @property
     def heading(self) -> FloatArray:

@@ -24,25 +24,15 @@ _MAX_ORGANS: Final = 200_000  # chosen: a hundred times those of a sweet pepper 
 
 @dataclass(frozen=True, eq=False)
 class Phytomers:
-    """The phytomers of a plant's stem, from the ground up.
+    """The phytomers of a plant's stem, from the ground up."""
 
-    Attributes:
-        key: `(1,)` address from which all others are hashed.
-        internodes: `(parts,)` addresses.
-        nodes: `(parts,)` addresses of the nodes above the internodes.
-        sizes: `(parts,)` relative sizes: 1 except for young ones at the top, which become smaller upwards.
-        positions: `(parts,)` along the mature stem, 0 foot to 1 top; 1 for young ones.
-        heights: `(parts,)` along the complete stem.
-        mature: number of mature phytomers.
-    """
-
-    key: Addresses
-    internodes: Addresses
-    nodes: Addresses
-    sizes: FloatArray
-    positions: FloatArray
-    heights: FloatArray
-    mature: int
+    key: Addresses  # `(1,)` address from which all others are hashed
+    internodes: Addresses  # `(parts,)` addresses
+    nodes: Addresses  # `(parts,)` addresses of the nodes above the internodes
+    sizes: FloatArray  # `(parts,)` relative: 1 except for young ones, which become smaller towards the top
+    positions: FloatArray  # `(parts,)` along the mature stem, 0 foot to 1 top; 1 for young ones
+    heights: FloatArray  # `(parts,)` along the complete stem
+    mature: int  # number of mature phytomers
 
     @classmethod
     def of(cls, cultivar: Cultivar, key: Addresses) -> Phytomers:
@@ -187,11 +177,7 @@ def draw_numbers(numbers: dict[int, float], uniform: FloatArray) -> Indices:
 
 @dataclass(frozen=True, eq=False)
 class OrganGroup:
-    """`(n,)` organs of one kind: their addresses, and where they grow as in `KindParameters`.
-
-    Attributes:
-        depths: `(n, kinds)` number of organs of each depth-limited kind from the stem to here, inclusive.
-    """
+    """`(n,)` organs of one kind: their addresses, and where they grow as in `KindParameters`."""
 
     kind: str
     address: Addresses
@@ -202,14 +188,13 @@ class OrganGroup:
     lift: FloatArray
     azimuth: FloatArray
     sideways: FloatArray
-    depths: Indices
+    depths: (
+        Indices  # `(n, kinds)` number of organs of each depth-limited kind from the stem to here, inclusive
+    )
 
 
 class TopologyBuilder:
-    """Draws all organs of one plant except its stem.
-
-    Internodes and nodes alternate as numbers 0 to 2 parts - 1; parents are numbered before their children.
-    """
+    """Draws all organs of a plant except its stem, which has the first numbers; parents come first."""
 
     def __init__(self, cultivar: Cultivar, phytomers: Phytomers) -> None:
         self.organs, self.phytomers, self.node = cultivar.organs, phytomers, cultivar.stem.node

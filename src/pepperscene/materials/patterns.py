@@ -83,25 +83,15 @@ ARC: Final = 0.7
 
 @dataclass(frozen=True, eq=False)
 class Venation:
-    """Veins of a flat blade, on a grid over uv (row 0 is the base, column 0 the left edge).
+    """Veins of a flat blade, on a grid over uv (row 0 is the base, column 0 the left edge)."""
 
-    Attributes:
-        size_mm: width and length of the blade.
-        midrib_mm: `(h, w)` distance from the midrib.
-        secondary_mm: `(h, w)` distance from the nearest secondary vein.
-        reach: `(h, w)` distance from the midrib as a fraction of half the width, at most 1.
-        height: `(h, w)` from base 0 to tip 1.
-        tertiary_mm: `(h, w)` measure of distance from the network between them, 0 on a vein.
-        veinlet_mm: `(h, w)` likewise for the finest veins.
-    """
-
-    size_mm: tuple[float, float]
-    midrib_mm: FloatArray
-    secondary_mm: FloatArray
-    reach: FloatArray
-    height: FloatArray
-    tertiary_mm: FloatArray
-    veinlet_mm: FloatArray
+    size_mm: tuple[float, float]  # width and length of the blade
+    midrib_mm: FloatArray  # `(h, w)` distance from the midrib
+    secondary_mm: FloatArray  # `(h, w)` distance from the nearest secondary vein
+    reach: FloatArray  # `(h, w)` distance from the midrib as a fraction of half the width, at most 1
+    height: FloatArray  # `(h, w)` from base 0 to tip 1
+    tertiary_mm: FloatArray  # `(h, w)` measure of distance from the network between them, 0 on a vein
+    veinlet_mm: FloatArray  # `(h, w)` likewise for the finest veins
 
 
 def grow_veins(size_mm: tuple[float, float], rng: np.random.Generator, pixels: int = PIXELS) -> Venation:

@@ -118,21 +118,13 @@ def fruit_surface(
 
 @dataclass(frozen=True)
 class RindTexture:
-    """Variation of a rind's state and height over its surface; all chosen by eye from photographs.
+    """Variation of a rind's state and height over its surface; all chosen by eye from photographs."""
 
-    Attributes:
-        streaks: standard deviation of the state in streaks along the organ.
-        mottle: standard deviation of the state in blotches of some millimetres.
-        ribs_mm: standard deviation of the height of ribs along the organ.
-        rib_width: as a fraction of the girth.
-        cork: decrease of the state in corky flecks, a few millimetres long.
-    """
-
-    streaks: float
-    mottle: float
-    ribs_mm: float
-    rib_width: float
-    cork: float = 0.0
+    streaks: float  # standard deviation of the state in streaks along the organ
+    mottle: float  # standard deviation of the state in blotches of some millimetres
+    ribs_mm: float  # standard deviation of the height of ribs along the organ
+    rib_width: float  # as a fraction of the girth
+    cork: float = 0.0  # decrease of the state in corky flecks, a few millimetres long
 
 
 # Lenticels and cork in short fissures; the large ridges are part of the mesh.

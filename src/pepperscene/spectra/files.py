@@ -22,25 +22,16 @@ WAVELENGTH_RANGE_NM: Final = (100.0, 20_000.0)
 
 
 class Provenance(Document):
-    """Origin of a file of spectra.
+    """Origin of a file of spectra."""
 
-    Attributes:
-        title: what the spectra are.
-        source: publication and file that they were taken from.
-        licence: licence and its holder.
-        kind: "measured"; "standard" for agreed or retrieved reference tables; "MODEL" for modelled spectra.
-        unit: of the values; "1" for reflectance and other ratios.
-        instrument: the measuring instrument, if known.
-        note: how the numbers were processed.
-    """
-
-    title: str
-    source: str
-    licence: str
+    title: str  # what the spectra are
+    source: str  # publication and file that they were taken from
+    licence: str  # licence and its holder
+    # "standard" for agreed or retrieved reference tables, "MODEL" for modelled spectra.
     kind: Literal["measured", "standard", "MODEL"]
-    unit: str = "1"
-    instrument: str = ""
-    note: str = ""
+    unit: str = "1"  # of the values; "1" for reflectance and other ratios
+    instrument: str = ""  # the measuring instrument, if known
+    note: str = ""  # how the numbers were processed
 
 
 def spectra_file(path: str | Path) -> Path:
@@ -200,16 +191,10 @@ def find_material(folder: str, wanted: str | Path) -> Path:
 
 
 def read_curve(path: Path, table: str, file: str, column: str) -> Spectrum:
-    """Read one column of a CSV file next to `path`: nowhere negative, and 0 outside its range.
-
-    Args:
-        path: the TOML file that names the CSV file.
-        table: key of the table in it that does, for messages.
-        file: name of the CSV file.
-        column: name of the column.
+    """Read one column of the CSV file that a `table` of the TOML file `path` names; 0 outside its range.
 
     Raises:
-        InputError: the CSV file does not exist or is invalid, or a value is negative.
+        InputError: the CSV file does not exist in the same folder, is invalid, or has a negative value.
     """
     csv_file = path.parent / file
     if not is_file(csv_file):

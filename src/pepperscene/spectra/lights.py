@@ -14,14 +14,10 @@ from pepperscene.errors import InputError
 from pepperscene.spectra.files import read_spectrum
 from pepperscene.spectra.spectrum import FloatArray, Spectrum
 
-LUMINOUS_EFFICACY: Final = 683.002
-"""Maximum luminous efficacy of radiation for photopic vision, lm W-1 (CIE 018:2019)."""
-
+LUMINOUS_EFFICACY: Final = 683.002  # lm W-1, maximum for photopic vision (CIE 018:2019)
 _PLANCK: Final = 6.62607015e-34  # J s, exact in the SI of 2019
 _LIGHT_SPEED: Final = 299_792_458.0  # m s-1 in vacuum, exact
-
-ANCHOR_NM: Final = 560.0
-"""Relative spectra have the value 1 at this wavelength, as in CIE tables."""
+ANCHOR_NM: Final = 560.0  # relative spectra have the value 1 here, as in CIE tables
 
 ASTM_INCIDENCE_COSINE: Final = float(np.cos(np.arccos(1.0 / 1.5) - np.radians(37.0)))
 """ASTM G173-03: at air mass 1.5 the sun is 48.2 degrees from the zenith; the plane is tilted by 37 to it."""

@@ -39,11 +39,8 @@ _COLUMNS: Final = {
 INCIDENCE_CONE_RAD: Final = np.radians(40.0)
 """Half-angle of the cone in which light meets the rough leaf surface (Jacquemoud & Baret 1990)."""
 
-OPAQUE: Final = 1000.0
-"""Absorbance of an opaque plate: exp(-1000) is zero in double precision."""
-
-FAINTEST: Final = 1e-120
-"""Transmittance that counts as none: chosen, so that its inverse square is finite in double precision."""
+OPAQUE: Final = 1000.0  # absorbance of an opaque plate: exp(-1000) is zero in double precision
+FAINTEST: Final = 1e-120  # least transmittance: chosen, so that its inverse square is finite
 
 SERIES_BELOW: Final = 1e-3
 """Argument below which power series replace closed forms that are 0/0 at zero: chosen, so that the truncation
@@ -54,19 +51,12 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 @dataclass(frozen=True, eq=False)
 class LeafOptics:
-    """Optical properties of a leaf.
+    """Optical properties of a leaf, each `(..., n)`."""
 
-    Attributes:
-        reflectance: `(..., n)` directional-hemispherical, including the gloss of the surface: PROSPECT's R.
-        transmittance: `(..., n)` directional-hemispherical: PROSPECT's T, equal from both sides.
-        diffuse_reflectance: `(..., n)` of the same pile of plates under diffuse light.
-        diffuse_transmittance: `(..., n)` likewise.
-    """
-
-    reflectance: FloatArray
-    transmittance: FloatArray
-    diffuse_reflectance: FloatArray
-    diffuse_transmittance: FloatArray
+    reflectance: FloatArray  # directional-hemispherical, including the gloss of the surface: PROSPECT's R
+    transmittance: FloatArray  # directional-hemispherical: PROSPECT's T, equal from both sides
+    diffuse_reflectance: FloatArray  # of the same pile of plates under diffuse light
+    diffuse_transmittance: FloatArray  # likewise
 
     def under_gloss(self, gloss: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Reflectance and transmittance `(..., n)` of the body under a glossy surface.
@@ -149,8 +139,7 @@ def leaf_spectra(
 
 
 def _check_leaf(plates: FloatArray, amounts: Mapping[str, FloatArray]) -> None:
-    """Raise ValueError for impossible contents."""
-    # Comparisons with NaN are false.
+    """Raise ValueError for impossible contents; comparisons with NaN are false."""
     possible = all(((x >= 0.0) & (x < np.inf)).all() for x in amounts.values())
     if not (possible and ((plates >= 1.0) & (plates < np.inf)).all()):
         raise ValueError("a leaf has at least one plate and no negative or infinite contents")
