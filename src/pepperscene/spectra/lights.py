@@ -19,9 +19,6 @@ _PLANCK: Final = 6.62607015e-34  # J s, exact in the SI of 2019
 _LIGHT_SPEED: Final = 299_792_458.0  # m s-1 in vacuum, exact
 ANCHOR_NM: Final = 560.0  # relative spectra have the value 1 here, as in CIE tables
 
-ASTM_INCIDENCE_COSINE: Final = float(np.cos(np.arccos(1.0 / 1.5) - np.radians(37.0)))
-"""ASTM G173-03: at air mass 1.5 the sun is 48.2 degrees from the zenith; the plane is tilted by 37 to it."""
-
 SkyKind = Literal["d50", "d55", "d65", "d75"]
 
 
@@ -107,7 +104,9 @@ def diffuse_spectrum() -> Spectrum:
     times the cosine between the beam and the plane's normal.
     """
     total, direct = _astm_g173("global_tilt_W_m2_nm"), _astm_g173("direct_W_m2_nm")
-    return Spectrum(total.wavelength_nm, total.values - ASTM_INCIDENCE_COSINE * direct.values)
+    # At air mass 1.5 the sun is 48.2 degrees from the zenith; the plane is tilted by 37 degrees towards it.
+    cosine = float(np.cos(np.arccos(1.0 / 1.5) - np.radians(37.0)))
+    return Spectrum(total.wavelength_nm, total.values - cosine * direct.values)
 
 
 @lru_cache(maxsize=2)

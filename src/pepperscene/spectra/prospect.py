@@ -20,10 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.spectra.files import read_spectra, read_spectrum
 from pepperscene.spectra.spectrum import FloatArray, Spectrum
 
-LEAF_FILE: Final = "leaf/prospect_pro_sac_400_2500"
-PEPPER_FILE: Final = "fruit/pepper_pigment_sac_MODEL"
-RED_COLUMN: Final = "capsorubin_MODEL"
-"""Of the two models in that file, the one with its maximum at 482 nm; see `absorption_coefficients`."""
 _COLUMNS: Final = {
     "chlorophyll": "sac_chl",
     "carotenoid": "sac_car",
@@ -203,8 +199,9 @@ def _coefficients_on_grid(wavelength_nm: tuple[float, ...]) -> Mapping[str, Floa
 
 @lru_cache(maxsize=1)
 def _read_coefficients() -> Mapping[str, Spectrum]:
-    leaf = read_spectra(LEAF_FILE, outside="error")
-    capsanthin = read_spectrum(PEPPER_FILE, RED_COLUMN, outside="zero")
+    leaf = read_spectra("leaf/prospect_pro_sac_400_2500", outside="error")
+    # Of the two models in the file, the one with its maximum at 482 nm; see `absorption_coefficients`.
+    capsanthin = read_spectrum("fruit/pepper_pigment_sac_MODEL", "capsorubin_MODEL")
     return {name: leaf[column] for name, column in _COLUMNS.items()} | {"capsanthin": capsanthin}
 
 
