@@ -12,6 +12,7 @@ from typing import Any, Final, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from pepperscene.errors import InputError
+from pepperscene.shipped import ShippedFolder, find_file
 
 _INTEGERS: Final = range(-(2**63), 2**63)
 """TOML 1.0: 64-bit signed integers, and an error for what cannot be kept without loss."""
@@ -140,3 +141,42 @@ def _as_input_error(fault: ValidationError, where: str | Path) -> InputError:
         message = said.sub(meant, message)
     value = first["input"] if not isinstance(first["input"], (dict, BaseModel)) else None
     return InputError(where, message, key=key, value=value)
+
+
+_MOST_FILES: Final = 20  # chosen: more files than a reader can follow
+
+
+def extends_chain(path: Path, folder: ShippedFolder) -> list[tuple[Path, dict[str, Any]]]:
+    """Read a TOML file, the file that its key `extends` names, and so on.
+
+    `extends` is a path relative to the file, or the bare name of a shipped file.
+
+    Args:
+        path: the first file.
+        folder: of the shipped files.
+
+    Returns:
+        Each file with its tables, without `extends`; the first file comes first.
+
+    Raises:
+        InputError: a file cannot be read or found, or `extends` is not text, forms a cycle or is longer than
+            20 files.
+    """
+    files: list[tuple[Path, dict[str, Any]]] = []
+    while True:
+        tables = read_toml(path)
+        name = tables.pop("extends", None)
+        files.append((path, tables))
+        if name is None:
+            return files
+        if not isinstance(name, str):
+            raise InputError(path, "must be a name or a path", key="extends", value=name)
+        is_bare = not name.endswith(".toml") and Path(name).parent == Path(".")
+        try:
+            parent = find_file(folder, name if is_bare else path.parent / name)
+        except InputError as error:
+            raise InputError(path, error.problem, key="extends", value=name) from None
+        if len(files) == _MOST_FILES or parent.resolve() in {file.resolve() for file, _ in files}:
+            problem = f"forms a cycle, or is longer than {_MOST_FILES} files"
+            raise InputError(path, problem, key="extends", value=name)
+        path = parent

@@ -82,7 +82,7 @@ WRONG = [
     (GOOD, None, r"transmittance\.file = 'curve\.csv': is not a file"),
     (GOOD.replace('"measured"', '"guessed"'), None, r"kind = 'guessed'"),
     (GOOD.replace('column = "t"\n', ""), None, r"transmittance\.column: is required"),
-    (GOOD.replace('transmittance = "measured here"\n', ""), None, r"must tell where transmittance comes"),
+    (GOOD.replace('transmittance = "measured here"\n', ""), None, r"must give the source of transmittance"),
     ("width_mm = 3\n" + GOOD, None, r"width_mm: is not a known key"),
 ]
 

@@ -8,8 +8,6 @@ import pytest
 from pepperscene.cultivar import Cultivar, load_cultivar
 from pepperscene.grammar import Plant, grow
 
-PLANTS = 200
-
 
 @pytest.fixture(scope="session")
 def kaite() -> Cultivar:
@@ -23,11 +21,11 @@ def tomato() -> Cultivar:
 
 @pytest.fixture(scope="session")
 def plants(kaite: Cultivar) -> list[Plant]:
-    """Kaite plants of fixed seeds."""
-    return [grow(kaite, np.random.default_rng(seed)) for seed in range(PLANTS)]
+    """Kaite plants with fixed seeds."""
+    return [grow(kaite, np.random.default_rng(seed)) for seed in range(200)]
 
 
 @pytest.fixture(scope="session")
 def tomatoes(tomato: Cultivar) -> list[Plant]:
-    """Tomato plants of fixed seeds."""
+    """Tomato plants with fixed seeds."""
     return [grow(tomato, np.random.default_rng(seed)) for seed in range(60)]

@@ -1,4 +1,4 @@
-"""A plant holds together: what grows where, how parts join, and that the same input gives the same bytes."""
+"""Consistency of a plant: what grows where, how parts join, and that the same input gives the same bytes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def form(plant: Plant, organ: Organ) -> str:
 
 
 @pytest.fixture(scope="module")
-def every(plants: list[Plant], tomatoes: list[Plant]) -> list[Plant]:
+def both_crops(plants: list[Plant], tomatoes: list[Plant]) -> list[Plant]:
     return plants[:20] + tomatoes[:10]
 
 
@@ -49,8 +49,8 @@ def test_every_kind_grows(name: str, plants: list[Plant], tomatoes: list[Plant])
     assert all(plant.kinds == cultivar.kinds for plant in grown)
 
 
-def test_parents_stand_before_their_children_as_the_file_says(
-    kaite: Cultivar, tomato: Cultivar, every: list[Plant]
+def test_parents_are_those_of_the_file_and_come_first(
+    kaite: Cultivar, tomato: Cultivar, both_crops: list[Plant]
 ) -> None:
     bearers = {
         cultivar.name: {
@@ -59,54 +59,49 @@ def test_parents_stand_before_their_children_as_the_file_says(
         }
         for cultivar in (kaite, tomato)
     }
-    for plant in every:
+    for plant in both_crops:
         allowed = bearers[plant.cultivar]
         for index, organ in enumerate(plant.organs):
             assert organ.parent < index
-            parent = plant.organs[organ.parent].kind if index else ""
+            parent = plant.organs[organ.parent]
             match form(plant, organ):
                 case "internode":
-                    assert parent == ("node" if index else "")
+                    assert index == 0 or parent.kind == "node"
                 case "node":
-                    assert parent == "internode"
+                    assert parent.kind == "internode"
                 case "fruit":
-                    assert parent == CALYX
-                    assert plant.organs[plant.organs[organ.parent].parent].kind in allowed[organ.kind]
+                    assert parent.kind == CALYX
+                    assert plant.organs[parent.parent].kind in allowed[organ.kind]
                 case "calyx":
                     assert form(plant, plant.organs[index + 1]) == "fruit"
                 case _:
-                    assert parent in allowed[organ.kind]
+                    assert parent.kind in allowed[organ.kind]
+            if index:
+                assert organ.phytomer == parent.phytomer + (organ.kind == "internode")
 
 
-def test_the_stem_has_its_parts_in_turn(kaite: Cultivar, plants: list[Plant]) -> None:
+def test_internodes_and_nodes_alternate_and_join(kaite: Cultivar, plants: list[Plant]) -> None:
     for plant in plants:
         stem = [organ for organ in plant.organs if organ.kind in ("internode", "node")]
         assert [organ.kind for organ in stem] == ["internode", "node"] * kaite.stem.parts
         assert [organ.phytomer for organ in stem[::2]] == list(range(kaite.stem.parts))
-        for one, other in pairwise(stem):
-            assert plant.organs[other.parent] is one
-            np.testing.assert_allclose(other.curve[0], one.curve[-1], rtol=0, atol=1e-12)
+        for below, above in pairwise(stem):
+            assert plant.organs[above.parent] is below
+            np.testing.assert_allclose(above.curve[0], below.curve[-1], rtol=0, atol=1e-12)
 
 
-def test_organs_belong_to_their_parents_phytomer(every: list[Plant]) -> None:
-    for plant in every:
-        for organ in plant.organs[1:]:
-            above = organ.kind == "internode"
-            assert organ.phytomer == plant.organs[organ.parent].phytomer + above
-
-
-def test_a_curve_starts_where_its_parent_has_it(every: list[Plant]) -> None:
-    for plant in every:
+def test_curves_start_on_their_parents(both_crops: list[Plant]) -> None:
+    for plant in both_crops:
         for organ in plant.organs[1:]:
             parent = plant.organs[organ.parent]
             if parent.kind == "node" and organ.kind != "internode":
-                # Inside the swelling, and well off its axis.
-                off = organ.curve[0] - parent.curve[1]
+                # Inside the swelling, away from its axis.
+                distance = np.linalg.norm(organ.curve[0] - parent.curve[1])
                 radius = parent.measures["radius_m"]
                 half = 0.5 * np.linalg.norm(np.diff(parent.curve, axis=0), axis=1).sum()
-                assert 0.5 * radius < np.linalg.norm(off) < np.hypot(radius, half)
+                assert 0.5 * radius < distance < np.hypot(radius, half)
             else:
-                # On the centreline, and at its tip unless the file says otherwise.
+                # On the centreline, and at its tip unless the file has another position.
                 step = np.diff(parent.curve, axis=0)
                 along = ((organ.curve[0] - parent.curve[:-1]) * step).sum(axis=1) / (step**2).sum(axis=1)
                 nearest = parent.curve[:-1] + np.clip(along, 0.0, 1.0)[:, None] * step
@@ -115,32 +110,28 @@ def test_a_curve_starts_where_its_parent_has_it(every: list[Plant]) -> None:
                     np.testing.assert_allclose(organ.curve[0], parent.curve[-1], rtol=0, atol=1e-12)
 
 
-def test_up_is_a_unit_vector_across_the_curve(every: list[Plant]) -> None:
-    for plant in every:
+def test_up_is_a_unit_vector_across_the_curve(both_crops: list[Plant]) -> None:
+    for plant in both_crops:
         for organ in plant.organs:
             tangent = organ.curve[1] - organ.curve[0]
             assert organ.up @ organ.up == pytest.approx(1.0)
             assert abs(organ.up @ tangent) < 1e-9 * np.linalg.norm(tangent)
 
 
-def test_measures_are_those_that_the_mesh_makers_read(every: list[Plant]) -> None:
-    for plant in every:
+def test_measures_are_those_that_mesh_generators_read(both_crops: list[Plant]) -> None:
+    for plant in both_crops:
         for organ in plant.organs:
             assert set(organ.measures) == MEASURES[form(plant, organ)], organ.kind
             assert np.isfinite(list(organ.measures.values())).all()
             assert all(value > 0 for name, value in organ.measures.items() if name.startswith("radius"))
             for name in ("seed", "state_mean", "state_tip", "ripeness"):
                 assert 0.0 <= organ.measures.get(name, 0.0) <= 1.0
-
-
-def test_every_organ_has_noise_of_its_own(every: list[Plant]) -> None:
-    for plant in every:
         assert len({organ.measures["seed"] for organ in plant.organs}) == len(plant.organs)
 
 
-def test_blades_leave_their_stalks_without_a_kink(every: list[Plant]) -> None:
+def test_blades_leave_their_stalks_without_a_kink(both_crops: list[Plant]) -> None:
     checked = 0
-    for plant in every:
+    for plant in both_crops:
         for blade in plant.of_form("blade"):
             stalk = plant.organs[blade.parent]
             if np.allclose(blade.curve[0], stalk.curve[-1], atol=1e-9):
@@ -152,67 +143,57 @@ def test_blades_leave_their_stalks_without_a_kink(every: list[Plant]) -> None:
     assert checked > 1000
 
 
-def test_the_stem_keeps_to_its_twine(kaite: Cultivar, plants: list[Plant]) -> None:
-    # The twine hangs in the plane across the row; the stem winds about it within a few centimetres.
+def test_the_stem_follows_its_twine(kaite: Cultivar, plants: list[Plant]) -> None:
+    # The twine hangs in the plane across the row; the stem winds around it within a few centimetres.
     lean = max(abs(kaite.stem.lean.low), abs(kaite.stem.lean.high))
     for plant in plants:
         nodes = np.array([node.curve[1] for node in plant.of_kind("node")])
         assert np.all(np.diff(nodes[:, 2]) > 0)
         assert np.abs(nodes[:, 0]).max() < 0.08
         assert np.abs(nodes[:, 1]).max() < 0.08 + np.tan(lean) * nodes[-1, 2]
+    assert np.mean([plant.of_kind("node")[-1].curve[-1, 2] for plant in plants]) == pytest.approx(
+        4.0, abs=0.25
+    )
 
 
-def test_a_given_lean_is_added_towards_the_aisle(kaite: Cultivar) -> None:
+def test_lean_is_added_towards_the_aisle(kaite: Cultivar) -> None:
     for seed in range(5):
-        plain, leant = (grow(kaite, np.random.default_rng(seed), lean) for lean in (0.0, 0.15))
-        top, moved = (plant.of_kind("node")[-1].curve[1] for plant in (plain, leant))
+        upright, leaning = (grow(kaite, np.random.default_rng(seed), lean) for lean in (0.0, 0.15))
+        top, moved = (plant.of_kind("node")[-1].curve[1] for plant in (upright, leaning))
         assert np.arctan2(top[1] - moved[1], moved[2]) == pytest.approx(0.15, abs=0.01)
-        # Nothing else is drawn anew.
-        assert [o.measures for o in plain.organs] == [o.measures for o in leant.organs]
+        # No other draw changes.
+        assert [o.measures for o in upright.organs] == [o.measures for o in leaning.organs]
 
 
-def test_a_plant_is_about_four_metres_tall(plants: list[Plant]) -> None:
-    tops = [plant.of_kind("node")[-1].curve[-1, 2] for plant in plants]
-    assert np.mean(tops) == pytest.approx(4.0, abs=0.25)
-
-
-def test_the_young_top_is_small_pale_and_held_up(kaite: Cultivar, plants: list[Plant]) -> None:
-    young = kaite.stem.parts - 1
-    for name, smaller in (("length_m", True), ("width_m", True), ("state_mean", True), ("blister_m", True)):
-        top, grown = (
-            np.mean([o.measures[name] for p in plants for o in p.of_kind("lamina") if o.phytomer == i])
-            for i in (young, 20)
-        )
-        assert (top < 0.9 * grown) == smaller
+def test_the_young_top_is_small_pale_and_upright(kaite: Cultivar, plants: list[Plant]) -> None:
+    young, mature = (
+        [organ for plant in plants for organ in plant.of_kind("lamina") if organ.phytomer == phytomer]
+        for phytomer in (kaite.stem.parts - 1, 20)
+    )
+    for name in ("length_m", "width_m", "state_mean", "blister_m"):
+        assert np.mean([o.measures[name] for o in young]) < 0.9 * np.mean([o.measures[name] for o in mature])
     rise = [
-        np.mean(
-            [
-                (o.curve[-1] - o.curve[0])[2] / o.measures["length_m"]
-                for p in plants
-                for o in p.of_kind("lamina")
-                if o.phytomer == i
-            ]
-        )
-        for i in (young, 20)
+        np.mean([(o.curve[-1] - o.curve[0])[2] / o.measures["length_m"] for o in organs])
+        for organs in (young, mature)
     ]
     assert rise[0] > rise[1] + 0.3
     stem = np.array([[o.measures["radius_tip_m"] for o in p.of_kind("internode")] for p in plants])
     assert (np.diff(stem, axis=1) < 1e-12).all()
 
 
-def test_states_run_on_along_the_stem(every: list[Plant]) -> None:
-    for plant in every:
-        sections, nodes = plant.of_form("internode"), plant.of_form("node")
-        for below, node, above in zip(sections[:-1], nodes[:-1], sections[1:], strict=True):
+def test_states_and_radii_are_continuous_along_the_stem(both_crops: list[Plant]) -> None:
+    for plant in both_crops:
+        internodes, nodes = plant.of_form("internode"), plant.of_form("node")
+        for below, node, above in zip(internodes[:-1], nodes[:-1], internodes[1:], strict=True):
             assert below.measures["state_tip"] == above.measures["state_mean"]
             assert below.measures["state_tip"] == pytest.approx(node.measures["state_mean"], abs=0.05)
             assert below.measures["radius_tip_m"] == node.measures["radius_start_m"]
             assert node.measures["radius_end_m"] == above.measures["radius_m"]
         # From an old foot to a young top.
-        assert sections[0].measures["state_mean"] < sections[-1].measures["state_tip"] - 0.1
+        assert internodes[0].measures["state_mean"] < internodes[-1].measures["state_tip"] - 0.1
 
 
-def test_side_shoots_end_within_their_depth(kaite: Cultivar, plants: list[Plant]) -> None:
+def test_side_shoots_end_at_their_depth(kaite: Cultivar, plants: list[Plant]) -> None:
     deepest = 0
     for plant in plants:
         depth: dict[int, int] = {}
@@ -224,24 +205,24 @@ def test_side_shoots_end_within_their_depth(kaite: Cultivar, plants: list[Plant]
 
 
 def digest(plant: Plant) -> str:
-    """Of every byte of a plant."""
-    found = hashlib.sha256()
+    """SHA-256 of every byte of a plant."""
+    sha256 = hashlib.sha256()
     for organ in plant.organs:
-        found.update(f"{organ.kind} {organ.parent} {organ.phytomer} {dict(organ.measures)!r}".encode())
-        found.update(organ.curve.tobytes() + organ.up.tobytes())
-    return found.hexdigest()
+        sha256.update(f"{organ.kind} {organ.parent} {organ.phytomer} {dict(organ.measures)!r}".encode())
+        sha256.update(organ.curve.tobytes() + organ.up.tobytes())
+    return sha256.hexdigest()
 
 
 def test_the_same_seed_gives_the_same_bytes_in_another_process(kaite: Cultivar) -> None:
-    mine = [digest(grow(kaite, np.random.default_rng(seed), 0.02)) for seed in (11, 12)]
-    assert mine[0] != mine[1]
+    expected = [digest(grow(kaite, np.random.default_rng(seed), 0.02)) for seed in (11, 12)]
+    assert expected[0] != expected[1]
     code = (
         "import sys; sys.path.insert(0, 'tests/grammar'); import numpy as np\n"
         "from test_growing import digest; from pepperscene.cultivar import load_cultivar\n"
         "from pepperscene.grammar import grow\n"
         "kaite = load_cultivar('kaite')\n"
-        # In another order, with other plants between.
+        # In another order, with another plant in between.
         "print([digest(grow(kaite, np.random.default_rng(s), 0.02)) for s in (12, 5, 11)][::-2])"
     )
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert told.stdout.strip() == repr(mine)
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == repr(expected)

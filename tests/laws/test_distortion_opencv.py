@@ -35,7 +35,7 @@ from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import lambertian_surface
 from pepperscene.render import Renderer
 from pepperscene.scene import assemble_scene
-from pepperscene.spectra import led_spectrum
+from pepperscene.spectra import read_spectrum
 
 SQUARE, COLUMNS, ROWS, BORDER = 0.045, 14, 10, 0.03  # metres; squares; metres of white around
 FOCAL = 4.16e-3 / 9e-6  # pixels: 4.16 mm over two photosites of 4.5 um
@@ -92,7 +92,8 @@ def projected(points, distortion):
 @pytest.fixture(scope="module", params=sorted(LENSES))
 def photograph(request):
     """(distortion, white share of each pixel `(600, 800)`, class of each pixel)."""
-    camera = chosen_camera("ueye_ui5250re", bench_lamp(led_spectrum()), columns=800, rows=600)
+    led = read_spectrum("light/houser2013_cool_white_led", "slide_4_lumileds_cool_white")
+    camera = chosen_camera("ueye_ui5250re", bench_lamp(led), columns=800, rows=600)
     distortion = LENSES[request.param]
     camera = replace(camera, lens=replace(camera.lens, distortion=distortion))
     mesh, white = board(), lambertian_surface("white", 0.9)

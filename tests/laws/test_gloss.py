@@ -1,4 +1,4 @@
-"""The gloss' directional albedo against Fresnel, closed forms, finer quadrature and Mitsuba's surfaces."""
+"""Directional albedo of gloss against Fresnel, closed forms, finer quadrature and Mitsuba's surfaces."""
 
 from __future__ import annotations
 
@@ -8,15 +8,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pepperscene.materials.gloss import (
-    cosine_mean,
     cuticle_transmittance,
     fresnel,
     gloss_albedo,
     interpolate_table,
-    node_cosines,
 )
 from pepperscene.render.variant import mitsuba_modules
-from pepperscene.spectra.plates import cone_transmissivity
+from pepperscene.spectra.prospect import cone_transmissivity
 
 COSINES = np.concatenate([[0.0], np.geomspace(1e-6, 1e-2, 60), np.linspace(0.01, 1.0, 100)])
 
@@ -27,8 +25,8 @@ COSINES = np.concatenate([[0.0], np.geomspace(1e-6, 1e-2, 60), np.linspace(0.01,
 @example(ior=1.001, roughness=-3.0)
 @example(ior=2.5, roughness=-3.0)
 @example(ior=2.5, roughness=0.0)
-def test_tables_interpolate_within_a_thousandth(ior, roughness):
-    # Against direct evaluation with twice the steps each way, from exactly grazing to the normal.
+def test_table_interpolation_error_is_below_a_thousandth(ior, roughness):
+    # Against direct evaluation with twice the steps in both directions, from exactly grazing to the normal.
     table, _ = cuticle_transmittance(ior, 10.0**roughness)
     direct = 1.0 - gloss_albedo(COSINES, ior, 10.0**roughness, (96, 64))
     assert interpolate_table(table, COSINES) == pytest.approx(direct, abs=1e-3)
@@ -36,27 +34,27 @@ def test_tables_interpolate_within_a_thousandth(ior, roughness):
 
 
 @pytest.mark.parametrize("ior", [1.0, 1.1, 1.45, 2.5])
-def test_without_roughness_it_is_fresnel_reflectance(ior):
+def test_smooth_albedo_is_fresnel_reflectance(ior):
     assert gloss_albedo(COSINES, ior, 0.0) == pytest.approx(fresnel(COSINES, ior), abs=1e-12)
     table, mean = cuticle_transmittance(ior, 0.0)
     if ior == 1.0:
         assert (table == 1.0).all()
         assert mean == pytest.approx(1.0, abs=1e-12)
     else:
-        # Stern's closed form for diffuse light; the table's interpolant is a little off.
+        # The mean transmissivity for diffuse light; the table's interpolant has a small error.
         assert mean == pytest.approx(float(cone_transmissivity(np.pi / 2, ior)), abs=2e-4)
 
 
-def test_fresnel_is_mitsubas():
+def test_fresnel_matches_mitsuba():
     mi, _ = mitsuba_modules()
     for ior in (1.05, 1.45, 2.5):
-        theirs = np.asarray(mi.fresnel(mi.Float(COSINES), mi.Float(ior))[0])
-        assert fresnel(COSINES, ior) == pytest.approx(theirs, abs=1e-5)
+        expected = np.asarray(mi.fresnel(mi.Float(COSINES), mi.Float(ior))[0])
+        assert fresnel(COSINES, ior) == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize(("ior", "alpha"), [(1.28, 0.45), (1.45, 0.1), (1.5, 1.0), (2.5, 0.02)])
-def test_albedo_is_what_mitsubas_rough_glass_mirrors(ior, alpha):
-    # The mirrored lobe of Mitsuba's roughdielectric, sampled alone: 2^20 samples, standard error below 3e-4.
+def test_albedo_matches_mitsubas_rough_dielectric(ior, alpha):
+    # Only the reflection lobe of roughdielectric: 2^20 samples, standard error below 3e-4.
     mi, dr = mitsuba_modules()
     glass = mi.load_dict(
         {"type": "roughdielectric", "distribution": "ggx", "alpha": alpha, "int_ior": ior, "ext_ior": 1.0}
@@ -64,22 +62,21 @@ def test_albedo_is_what_mitsubas_rough_glass_mirrors(ior, alpha):
     n = 1 << 20
     rng = np.random.default_rng(5)
     u = rng.random((3, n)).astype(np.float32)
-    mirrored = mi.BSDFContext()
-    mirrored.component = 0
+    context = mi.BSDFContext()
+    context.component = 0
     for cosine in (1.0, 0.5, 0.1, 0.02):
         si = dr.zeros(mi.SurfaceInteraction3f, n)
         si.wi = mi.Vector3f(float(np.sqrt(1.0 - cosine**2)), 0.0, cosine)
-        _, weight = glass.sample(mirrored, si, mi.Float(u[0]), mi.Point2f(u[1], u[2]))
+        _, weight = glass.sample(context, si, mi.Float(u[0]), mi.Point2f(u[1], u[2]))
         weights = np.asarray(weight)[0].astype(float)
         error = weights.std() / np.sqrt(n)
         assert error < 3e-4
-        found = float(gloss_albedo(cosine, ior, alpha)[0])
-        assert found == pytest.approx(weights.mean(), abs=4.5 * error + 1e-4)
+        albedo = float(gloss_albedo(cosine, ior, alpha)[0])
+        assert albedo == pytest.approx(weights.mean(), abs=4.5 * error + 1e-4)
 
 
-def test_the_mean_is_that_of_the_interpolant():
-    # By the midpoint rule in the squared cosine, a million steps.
-    assert cosine_mean(np.ones(node_cosines().size)) == pytest.approx(1.0, abs=1e-12)
+def test_mean_is_that_of_the_interpolant():
+    # Midpoint rule in the squared cosine, a million steps.
     table, mean = cuticle_transmittance(1.45, 0.1)
     mu = np.sqrt((np.arange(1 << 20) + 0.5) / (1 << 20))
     assert mean == pytest.approx(interpolate_table(table, mu).mean(), abs=1e-7)

@@ -38,8 +38,12 @@ from pepperscene.render import Renderer, variant_name
 from pepperscene.render.variant import VARIANTS, choose_variant
 from pepperscene.scene import assemble_scene
 from pepperscene.spectra import Spectrum
-from pepperscene.spectra.lights import LED_FILES
 
+LED_FILES = (
+    "light/houser2013_cool_white_led",
+    "light/nist_phosphor_led_colour_science",
+    "light/cie_illuminants_colour_science",
+)
 LUX = 200_000.0
 SENSORS = ("ueye_ui5250re", "onsemi_mt9v024")
 SURFACE_NM = np.arange(380.0, 781.0)

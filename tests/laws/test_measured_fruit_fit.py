@@ -1,9 +1,9 @@
-"""Fits of the model's pigments to measured reflectances, from starts that know nothing of them.
+"""Fits of the model's pigments to measured reflectances, from independent starts.
 
-The shipped fruit is such a fit to the measured green pepper (Vrhel, Gershon & Iwan 1994), and the shipped
-bounds have their means from it. So the cultivar that these fits start from has another fruit: one with the
-contents of the plant's own leaf, which come from tomato leaves, on a flesh in the middle of what is possible.
-And only the ends of the bounds are kept, which are far apart: values between them count alike.
+The shipped fruit is such a fit to the measured green pepper (Vrhel, Gershon & Iwan 1994), and the means of
+the shipped bounds come from it. So the cultivar that these fits start from has another fruit: with the
+contents of the plant's own leaf, which come from tomato leaves, on a flesh in the middle of the range. Only
+the ends of the bounds are used, which are far apart; the prior between them is uniform.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ RMSE = 0.012
 
 
 @cache
-def uninformed() -> Cultivar:
-    """Kaite with a fruit of which nothing was fitted to any fruit: its leaf's tissue on grey flesh."""
+def unfitted_cultivar() -> Cultivar:
+    """Kaite with a fruit that was not fitted to any measured fruit: its leaf's tissue on grey flesh."""
     kaite = load_cultivar("kaite")
     leaf = kaite.pigments["leaf"]
     fruit = PigmentPath(
@@ -45,32 +45,34 @@ def uninformed() -> Cultivar:
 
 
 class Fitting:
-    """A measured reflectance, and the entries that are fitted to it within the ends of the shipped bounds."""
+    """A measured reflectance, and the parameters fitted to it within the ends of the shipped bounds."""
 
-    def __init__(self, spectrum: MeasuredSpectrum, names: tuple[str, ...], plants: Cultivar, **how) -> None:
+    def __init__(
+        self, spectrum: MeasuredSpectrum, names: tuple[str, ...], plants: Cultivar, **options
+    ) -> None:
         recipe = load_recipe("barth2018")
         camera = load_camera(recipe)
         self.entries = entries_of(select_parameters(recipe, plants, camera, names))
-        self.model = DirectModel.of([spectrum], plants, partial(tuned_parts, plants, camera), **how)
-        laws = [one.parameter.prior[0] for one in self.entries]
-        self.low, self.high = np.array([(law.low, law.high) for law in laws]).T
-        self.default = np.array([float(one.parameter.default[0]) for one in self.entries])
+        self.model = DirectModel.of([spectrum], plants, partial(tuned_parts, plants, camera), **options)
+        priors = [entry.parameter.prior[0] for entry in self.entries]
+        self.low, self.high = np.array([(prior.low, prior.high) for prior in priors]).T
+        self.default = np.array([float(entry.parameter.default[0]) for entry in self.entries])
         self.evaluations = 0
 
     def values(self, vector: np.ndarray) -> dict[str, np.ndarray]:
-        return {one.parameter.name: vector[i : i + 1] for i, one in enumerate(self.entries)}
+        return {entry.parameter.name: vector[i : i + 1] for i, entry in enumerate(self.entries)}
 
     def rmse(self, vector: np.ndarray) -> float:
         return self.model.rmse(self.values(vector))
 
-    def anywhere(self, rng: np.random.Generator) -> np.ndarray:
+    def random_start(self, rng: np.random.Generator) -> np.ndarray:
         return rng.uniform(self.low, self.high)
 
-    def best(self, start: np.ndarray) -> np.ndarray:
+    def fit(self, start: np.ndarray) -> np.ndarray:
         from scipy.optimize import least_squares
 
         margin = 1e-6 * (self.high - self.low)
-        done = least_squares(
+        result = least_squares(
             lambda x: self.model.residuals(self.values(x)),
             np.clip(start, self.low + margin, self.high - margin),
             lambda x: self.model.jacobian(self.values(x), self.entries),
@@ -80,8 +82,8 @@ class Fitting:
             ftol=1e-6,
             max_nfev=100,
         )
-        self.evaluations = int(done.nfev)
-        return np.asarray(done.x)
+        self.evaluations = int(result.nfev)
+        return np.asarray(result.x)
 
 
 def measured(column: str, kind: str, file: str = FRUITS) -> MeasuredSpectrum:
@@ -93,91 +95,95 @@ def fruit(*contents: str) -> tuple[str, ...]:
 
 
 @cache
-def green_pepper(**how) -> Fitting:
-    return Fitting(measured("green_pepper_136", "pepper.unripe"), fruit(*CONTENTS), uninformed(), **how)
+def green_pepper(**options) -> Fitting:
+    return Fitting(
+        measured("green_pepper_136", "pepper.unripe"), fruit(*CONTENTS), unfitted_cultivar(), **options
+    )
 
 
-def test_the_start_does_not_know_the_measurement():
+def test_starts_are_far_from_the_measurement():
     fitting = green_pepper()
     assert fitting.rmse(fitting.default) >= 4 * RMSE
-    # None of the contents that a fit finds is that of the start, nor of the shipped fruit's.
-    assert uninformed().pigments["fruit"].start == load_cultivar("kaite").pigments["leaf"].end
-    starts = [fitting.rmse(fitting.anywhere(np.random.default_rng(seed))) for seed in range(12)]
+    # The start has the contents of the leaf, not of the shipped fruit.
+    assert unfitted_cultivar().pigments["fruit"].start == load_cultivar("kaite").pigments["leaf"].end
+    starts = [fitting.rmse(fitting.random_start(np.random.default_rng(seed))) for seed in range(12)]
     assert np.median(starts) >= 2 * RMSE
 
 
 @pytest.mark.parametrize("instrument", ["8/d", "45/0"])
-def test_the_fit_finds_the_measured_green_pepper(instrument):
+def test_fit_reproduces_the_measured_green_pepper(instrument):
     fitting = green_pepper(instrument=instrument)
-    starts = [fitting.default, *(fitting.anywhere(np.random.default_rng(seed)) for seed in range(7))]
-    found = [fitting.best(start) for start in starts]
-    assert max(map(fitting.rmse, found)) <= RMSE
-    # There is one answer, whatever the start: within a hundredth of the bounds' width.
-    assert np.all(np.ptp(found, axis=0) <= 0.01 * (fitting.high - fitting.low))
+    starts = [fitting.default, *(fitting.random_start(np.random.default_rng(seed)) for seed in range(7))]
+    solutions = [fitting.fit(start) for start in starts]
+    assert max(map(fitting.rmse, solutions)) <= RMSE
+    # The solution does not depend on the start: within a hundredth of the bounds' width.
+    assert np.all(np.ptp(solutions, axis=0) <= 0.01 * (fitting.high - fitting.low))
     assert fitting.evaluations <= 40
 
 
-def test_a_tuned_recipe_finds_it_too():
-    # The whole machinery of a fit, with spectra alone: nothing is rendered. Its bounds weigh nothing.
+def test_tuning_a_recipe_reproduces_it_too():
+    # A complete tuning fit with spectra alone, so nothing is rendered; its priors are uniform.
     from pepperscene.tuning.fit.least_squares import fit_parameters
     from pepperscene.tuning.model.subject import TuningTarget
 
     spectrum = green_pepper().model.spectra[0]
-    laws = {
-        entry.parameter.name: {"uniform": [float(low), float(high)], "chosen": "all alike"}
+    bounds = {
+        entry.parameter.name: {"uniform": [float(low), float(high)], "chosen": "uniform"}
         for entry, low, high in zip(
             green_pepper().entries, green_pepper().low, green_pepper().high, strict=True
         )
     }
-    subject = TuningTarget(load_recipe("barth2018"), PatchSet("green pepper", (), (spectrum,)), bounds=laws)
-    subject.cultivar = uninformed()
-    result = fit_parameters(subject, subject.problem(list(laws)), starts=2)
-    (one,) = result.spectra.values()
-    assert one.rmse_before >= 4 * RMSE
-    assert one.rmse_after <= RMSE
+    subject = TuningTarget(load_recipe("barth2018"), PatchSet("green pepper", (), (spectrum,)), bounds=bounds)
+    subject.cultivar = unfitted_cultivar()
+    result = fit_parameters(subject, subject.problem(list(bounds)), starts=2)
+    (spectrum_fit,) = result.spectra.values()
+    assert spectrum_fit.rmse_before >= 4 * RMSE
+    assert spectrum_fit.rmse_after <= RMSE
     assert result.gained["fruit.flesh"][0] >= 0.5
 
 
-def test_what_was_hidden_is_found():
-    # A twin: the reflectance of known contents is the measurement.
-    known = green_pepper()
-    rng, (nm,) = np.random.default_rng(5), known.model.wavelength_nm
+def test_fit_recovers_known_contents():
+    # A twin experiment: the measurement is the model's reflectance at known contents.
+    pepper = green_pepper()
+    rng, (nm,) = np.random.default_rng(5), pepper.model.wavelength_nm
     for _ in range(3):
-        hidden = known.low + rng.uniform(0.15, 0.85, known.low.size) * (known.high - known.low)
-        seen = Spectrum(nm, known.model.predicted(known.values(hidden)), "error")
-        twin = Fitting(MeasuredSpectrum("twin", "pepper.unripe", seen), fruit(*CONTENTS), uninformed())
-        assert twin.best(twin.default) == pytest.approx(hidden, rel=1e-3, abs=1e-3)
+        contents = pepper.low + rng.uniform(0.15, 0.85, pepper.low.size) * (pepper.high - pepper.low)
+        spectrum = Spectrum(nm, pepper.model.predicted(pepper.values(contents)), "error")
+        twin = Fitting(
+            MeasuredSpectrum("twin", "pepper.unripe", spectrum), fruit(*CONTENTS), unfitted_cultivar()
+        )
+        assert twin.fit(twin.default) == pytest.approx(contents, rel=1e-3, abs=1e-3)
 
 
-def test_the_models_error_is_what_fits_leave_over():
-    # The constants that weigh spectra against pictures, from leaves of twelve plants.
+def test_model_error_constants_match_residuals_of_leaf_fits():
+    # The constants that weight spectra against images, from leaves of twelve plants.
     names = tuple(f"leaf.{name}" for name in CONTENTS[:4])
     columns = [name for name in read_spectra(LEAVES) if "husk" not in name]
-    left, lags = [], []
+    residuals, lags = [], []
     for column in columns:
-        fitting = Fitting(measured(column, "leaf", LEAVES), names, uninformed())
-        best = fitting.best(fitting.default)
-        left.append(fitting.rmse(best))
-        off = fitting.model.predicted(fitting.values(best)) - fitting.model.measured
-        alike = np.correlate(off, off, "full")[off.size - 1 :] / np.sum(off**2)
-        until = int(np.argmax(alike < 0.0)) or off.size
-        lags.append(2.0 * 2.0 * (alike[1:until].sum() + 0.5))  # both ways, in steps of 2 nm
-    assert 0.6 <= np.median(left) / MODEL_ERROR <= 1.6
+        fitting = Fitting(measured(column, "leaf", LEAVES), names, unfitted_cultivar())
+        best = fitting.fit(fitting.default)
+        residuals.append(fitting.rmse(best))
+        error = fitting.model.predicted(fitting.values(best)) - fitting.model.measured
+        correlation = np.correlate(error, error, "full")[error.size - 1 :] / np.sum(error**2)
+        until = int(np.argmax(correlation < 0.0)) or error.size
+        lags.append(2.0 * 2.0 * (correlation[1:until].sum() + 0.5))  # in both directions, in steps of 2 nm
+    assert 0.6 <= np.median(residuals) / MODEL_ERROR <= 1.6
     assert 0.5 <= np.median(lags) / CORRELATION_NM <= 2.0
 
 
 def ripe(*pigments: str) -> tuple[str, ...]:
-    """Contents at the ripe end of the path, and what holds for all of it."""
+    """Parameters at the ripe end of the path, and those of the complete path."""
     ends = ("chlorophyll", "carotenoid", "brown", *pigments)
     return (*fruit(*(f"ripe.{name}" for name in ends)), *fruit("structure", "flesh"))
 
 
-def test_the_red_of_a_peach_is_not_that_of_a_pepper():
-    # Peaches are red by anthocyanins: added to a yellow fruit, these explain its spectrum and capsanthin not.
-    left = {}
+def test_anthocyanin_fits_a_peach_better_than_capsanthin():
+    # Peaches are red by anthocyanins: added to a yellow fruit, they fit better than capsanthin.
+    rmse = {}
     for pigment in ("capsanthin", "anthocyanin"):
         spectrum = measured("peach_skin_red_138", "pepper.ripe")
         fitting = Fitting(spectrum, ripe(pigment), load_cultivar("kaite"))
-        starts = (fitting.default, fitting.anywhere(np.random.default_rng(1)))
-        left[pigment] = min(fitting.rmse(fitting.best(start)) for start in starts)
-    assert left["anthocyanin"] <= 0.5 * left["capsanthin"]
+        starts = (fitting.default, fitting.random_start(np.random.default_rng(1)))
+        rmse[pigment] = min(fitting.rmse(fitting.fit(start)) for start in starts)
+    assert rmse["anthocyanin"] <= 0.5 * rmse["capsanthin"]

@@ -5,17 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pepperscene.spectra import (
-    absorption_coefficients,
-    cuticle_gloss,
-    layer_over_body,
-    leaf_spectra,
-    read_spectrum,
-)
-from pepperscene.spectra.plates import cone_transmissivity
+from pepperscene.spectra import absorption_coefficients, layer_over_body, leaf_spectra, read_spectrum
+from pepperscene.spectra.prospect import INCIDENCE_CONE_RAD, cone_transmissivity
 
 NM = np.arange(400, 801, 5)
 LEAF = {"structure_n": 1.5, "chlorophyll_ug_cm2": 40, "carotenoid_ug_cm2": 8, "water_cm": 0.01}
+
+
+def smooth_gloss(ior):
+    """Reflectance of a smooth cuticle for light in PROSPECT's cone of incidence."""
+    return 1.0 - cone_transmissivity(INCIDENCE_CONE_RAD, ior)
 
 
 def test_reference_leaf():
@@ -25,18 +24,18 @@ def test_reference_leaf():
     assert leaf.transmittance[1] == pytest.approx(0.1503, abs=1e-4)
 
 
-def test_protein_and_carbon_stand_for_dry_matter():
+def test_protein_and_carbon_replace_dry_matter():
     """Their coefficients were calibrated so that LMA = protein + carbon: the near infrared hardly changes."""
     nm = np.arange(750, 2401, 50)
-    whole = leaf_spectra(nm, **LEAF, dry_matter_g_cm2=0.008)
+    total = leaf_spectra(nm, **LEAF, dry_matter_g_cm2=0.008)
     parts = leaf_spectra(nm, **LEAF, protein_g_cm2=0.001, carbon_g_cm2=0.007)
-    assert parts.reflectance == pytest.approx(whole.reflectance, abs=0.02)
+    assert parts.reflectance == pytest.approx(total.reflectance, abs=0.02)
     with pytest.raises(ValueError, match="not both"):
         leaf_spectra(nm, **LEAF, dry_matter_g_cm2=0.008, protein_g_cm2=0.001)
 
 
 def content(usual: float) -> st.SearchStrategy[float]:
-    """A cultivar file asks for no more than a finite content of at least 0: from denormal to enormous."""
+    """Cultivar files allow any finite content of at least 0: from denormal to enormous."""
     return st.one_of(st.just(0.0), st.floats(0.0, usual), st.floats(0.0, 1.7e308), st.floats(0.0, 1e-300))
 
 
@@ -46,8 +45,8 @@ def content(usual: float) -> st.SearchStrategy[float]:
     cap=content(40), brown=content(4), water=content(0.1), dry=content(0.04),
     ior=st.one_of(st.floats(1.0, 2.5), st.floats(1.0, 1.000001)), flesh=st.floats(0.0, 1.0, exclude_max=True),
 )  # fmt: skip
-def test_energy(n, chl, car, ant, cap, brown, water, dry, ior, flesh):
-    """Nothing is negative, no number or more than the light that came, whatever the plants' files hold."""
+def test_conserves_energy(n, chl, car, ant, cap, brown, water, dry, ior, flesh):
+    """Nothing is negative, NaN or more than the incident light, for any contents that files allow."""
     leaf = leaf_spectra(
         NM, structure_n=n, chlorophyll_ug_cm2=chl, carotenoid_ug_cm2=car, anthocyanin_ug_cm2=ant,
         capsanthin_ug_cm2=cap, brown=brown, water_cm=water, dry_matter_g_cm2=dry,
@@ -58,18 +57,18 @@ def test_energy(n, chl, car, ant, cap, brown, water, dry, ior, flesh):
     assert leaf.transmittance.min() >= 0
     assert (leaf.reflectance + leaf.transmittance).max() <= 1 + rounding
     assert (leaf.diffuse_reflectance + leaf.diffuse_transmittance).max() <= 1 + rounding
-    body_r, body_t = leaf.under_cuticle(ior)
+    gloss = smooth_gloss(ior)
+    body_r, body_t = leaf.under_gloss(gloss)
     assert min(body_r.min(), body_t.min()) >= 0
     assert (body_r + body_t).max() <= 1 + rounding
-    # Gloss and body together give the leaf back, wherever the gloss alone is not more than the leaf.
-    gloss = cuticle_gloss(ior)
-    covered = leaf.reflectance >= gloss
-    assert (gloss + (1 - gloss) * body_r)[covered] == pytest.approx(leaf.reflectance[covered], abs=rounding)
-    assert ((1 - gloss) * body_t)[covered] == pytest.approx(leaf.transmittance[covered], abs=rounding)
-    fruit, nothing = layer_over_body(leaf, flesh).under_cuticle(ior)
+    # Gloss and body together give the leaf, wherever the gloss alone is not brighter than the leaf.
+    valid = leaf.reflectance >= gloss
+    assert (gloss + (1 - gloss) * body_r)[valid] == pytest.approx(leaf.reflectance[valid], abs=rounding)
+    assert ((1 - gloss) * body_t)[valid] == pytest.approx(leaf.transmittance[valid], abs=rounding)
+    fruit, transmittance = layer_over_body(leaf, flesh).under_gloss(gloss)
     assert fruit.min() >= 0
     assert fruit.max() <= 1
-    assert not nothing.any()
+    assert not transmittance.any()
 
 
 def test_clear_tissue_absorbs_nothing():
@@ -77,10 +76,10 @@ def test_clear_tissue_absorbs_nothing():
     assert leaf.reflectance + leaf.transmittance == pytest.approx(np.ones(NM.size), abs=1e-12)
 
 
-def test_tissue_full_of_pigment_reflects_from_its_surface_alone():
+def test_opaque_tissue_reflects_from_its_surface_alone():
     leaf = leaf_spectra([450.0], structure_n=1.5, chlorophyll_ug_cm2=2000)
     ior = absorption_coefficients([450.0])["refractive_index"]
-    assert leaf.reflectance == pytest.approx(1 - cone_transmissivity(np.radians(40), ior), abs=1e-6)
+    assert leaf.reflectance == pytest.approx(smooth_gloss(ior), abs=1e-6)
 
 
 def test_more_pigment_is_darker_from_both_sides():
@@ -90,31 +89,32 @@ def test_more_pigment_is_darker_from_both_sides():
     assert np.all(np.diff(leaf.transmittance[:, absorbed], axis=0) <= 0)
 
 
-def test_many_leaves_at_once_are_the_leaves_one_by_one():
+def test_leaves_broadcast():
     chl = np.array([[10.0, 30.0, 50.0], [20.0, 40.0, 60.0]])
     many = leaf_spectra(NM, structure_n=[1.4, 1.5, 1.6], chlorophyll_ug_cm2=chl)
     assert many.reflectance.shape == (2, 3, NM.size)
-    one = leaf_spectra(NM, structure_n=1.6, chlorophyll_ug_cm2=60)
-    assert many.transmittance[1, 2] == pytest.approx(one.transmittance, abs=1e-14)
+    single = leaf_spectra(NM, structure_n=1.6, chlorophyll_ug_cm2=60)
+    assert many.transmittance[1, 2] == pytest.approx(single.transmittance, abs=1e-14)
 
 
-def test_below_400_nm_the_coefficients_of_400_nm_hold():
-    below, at = leaf_spectra([380.0], **LEAF), leaf_spectra([400.0], **LEAF)
-    assert below.reflectance == at.reflectance
-    with pytest.raises(ValueError, match="beyond"):
+def test_below_400_nm_the_coefficients_of_400_nm_apply():
+    below, at_400 = leaf_spectra([380.0], **LEAF), leaf_spectra([400.0], **LEAF)
+    assert below.reflectance == at_400.reflectance
+    with pytest.raises(ValueError, match="greater than"):
         leaf_spectra([2501.0], **LEAF)
 
 
-def test_a_cuticle_of_many_indices_is_the_cuticles_one_by_one():
+def test_gloss_broadcasts_over_leaves():
     leaf = leaf_spectra(NM, **LEAF)
-    many = leaf_spectra(NM, **LEAF | {"brown": [0.0, 0.5]}).under_cuticle(np.array([1.3, 1.0]))
-    assert many[0][0] == pytest.approx(leaf.under_cuticle(1.3)[0], abs=1e-15)
+    gloss = smooth_gloss(np.array([1.3, 1.0]))
+    assert gloss[1] == 0.0
+    many = leaf_spectra(NM, **LEAF | {"brown": [0.0, 0.5]}).under_gloss(gloss)
+    assert many[0][0] == pytest.approx(leaf.under_gloss(gloss[0])[0], abs=1e-15)
     assert many[1][1] == pytest.approx(leaf_spectra(NM, **LEAF, brown=0.5).transmittance, abs=1e-15)
-    assert cuticle_gloss(1.0) == 0.0
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    "contents",
     [
         {"structure_n": 0.9},
         {"structure_n": np.nan},
@@ -124,12 +124,12 @@ def test_a_cuticle_of_many_indices_is_the_cuticles_one_by_one():
         {"water_cm": [0.01, np.nan]},
     ],
 )
-def test_impossible_leaves_are_refused(wrong):
+def test_raises_on_impossible_contents(contents):
     with pytest.raises(ValueError, match="plate"):
-        leaf_spectra(NM, **(LEAF | wrong))
+        leaf_spectra(NM, **(LEAF | contents))
 
 
-def test_a_body_behind_gives_back_what_a_series_of_bounces_gives():
+def test_a_layer_on_a_body_equals_a_series_of_bounces():
     skin = leaf_spectra(NM, structure_n=1.0, chlorophyll_ug_cm2=5)
     rho, light, total = 0.7, skin.transmittance, skin.reflectance.copy()
     for _ in range(200):
@@ -140,11 +140,11 @@ def test_a_body_behind_gives_back_what_a_series_of_bounces_gives():
 
 
 @pytest.mark.parametrize("column", ["silver_maple_leaf_16", "tree_leaf_19", "oak_leaf_29"])
-def test_leaves_of_plausible_contents_come_near_measured_ones(column):
-    """Each measured leaf lies within .03 of one of a coarse grid of green leaves."""
+def test_plausible_contents_reproduce_measured_leaves(column):
+    """Each measured leaf is within .03 of one of a coarse grid of green leaves."""
     measured = read_spectrum("leaf/vrhel_leaf_reflectance", column, outside="error")
     nm = np.arange(420, 731, 5)
     n, chl, car = np.meshgrid([1.0, 1.3, 1.6, 2.0, 2.4], np.arange(10, 81, 5), [4, 8, 12, 16], indexing="ij")
     grid = leaf_spectra(nm, structure_n=n, chlorophyll_ug_cm2=chl, carotenoid_ug_cm2=car, water_cm=0.01,
-                        dry_matter_g_cm2=0.006).reflectance - cuticle_gloss(1.45)  # fmt: skip
+                        dry_matter_g_cm2=0.006).reflectance - smooth_gloss(1.45)  # fmt: skip
     assert np.sqrt(np.mean((grid - measured.at(nm)) ** 2, axis=-1)).min() < 0.03

@@ -9,7 +9,7 @@ NM = np.arange(300.0, 1101.0, 5.0)
 
 @pytest.fixture(scope="session")
 def nm():
-    """The range that near-infrared cameras ask for."""
+    """Wavelengths up to the range of near-infrared cameras."""
     return NM
 
 

@@ -3,12 +3,18 @@
 import numpy as np
 
 from pepperscene.spectra import sky_spectrum
+from pepperscene.spectra.prospect import INCIDENCE_CONE_RAD, cone_transmissivity
+
+
+def smooth_gloss(ior):
+    """Reflectance of a smooth cuticle for light in PROSPECT's cone of incidence."""
+    return 1 - cone_transmissivity(INCIDENCE_CONE_RAD, ior)
 
 
 def at(table, state):
     """Spectrum at a state, linear between the rows of `(s, n)`."""
-    where = np.linspace(0, 1, len(table))
-    return np.array([np.interp(state, where, column) for column in table.T])
+    states = np.linspace(0, 1, len(table))
+    return np.array([np.interp(state, states, column) for column in table.T])
 
 
 def xyz(reflectance, nm):
@@ -23,14 +29,14 @@ def xyz(reflectance, nm):
 
 
 def lab(reflectance, nm):
-    """CIE Lab under D65."""
+    """CIELAB under D65."""
     import colour
 
     return colour.XYZ_to_Lab(*xyz(reflectance, nm))
 
 
 def lab_hue(reflectance, nm):
-    """Hue angle in CIE Lab, degrees: 90 is yellow, 180 green."""
+    """Hue angle in CIELAB, degrees: 90 is yellow, 180 green."""
     _, a, b = lab(reflectance, nm)
     return np.degrees(np.arctan2(b, a)) % 360
 

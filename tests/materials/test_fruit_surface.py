@@ -1,15 +1,15 @@
-"""The fruit: pigments are mixed and then give the spectrum; green, yellow, orange and red are paths."""
+"""The fruit: pigments are mixed before the spectrum is computed; green, yellow, orange and red are paths."""
 
 import numpy as np
 import pytest
-from plant_colours import at, lab, lab_hue, srgb_hue
+from plant_colours import at, lab, lab_hue, smooth_gloss, srgb_hue
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.cultivar.organs import USUAL
 from pepperscene.geometry import mesh_plant
-from pepperscene.grammar.plant import Organ, Plant
+from pepperscene.grammar import Organ, Plant
 from pepperscene.materials import flesh_reflectance, rind_reflectance
-from pepperscene.spectra import absorption_coefficients, cuticle_gloss, read_spectrum
+from pepperscene.spectra import absorption_coefficients, read_spectrum
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +17,7 @@ def ripening(surfaces):
     return surfaces["fruit"].reflectance[:, 0]
 
 
-def test_pigments_are_mixed_and_not_spectra(ripening, kaite, nm):
+def test_mixes_pigments_not_spectra(ripening, kaite, nm):
     path = kaite.pigments["fruit"]
     middle = at(ripening, 0.5)
     assert middle == pytest.approx(rind_reflectance(path, nm, 0.5)[0], abs=0.002)
@@ -25,61 +25,48 @@ def test_pigments_are_mixed_and_not_spectra(ripening, kaite, nm):
     mean = 0.5 * (ripening[0] + ripening[-1])
     red = (nm >= 620) & (nm <= 690)
     assert np.all(mean[red] - middle[red] > 0.05)
-    # The same holds for each stretch of the path, where contents are linear: the spectrum is convex there.
-    for (low, _), (high, _) in zip(path.knots[:-1], path.knots[1:], strict=True):
+    # On each section of the path contents are linear, and the spectrum is convex.
+    for (low, before), (high, after) in zip(path.knots[:-1], path.knots[1:], strict=True):
+        state = 0.5 * (low + high)
+        for name, amount in path.at(state).items():
+            assert amount == pytest.approx(0.5 * (getattr(before, name) + getattr(after, name)))
         ends = rind_reflectance(path, nm, [low, high]).mean(axis=0)
-        half = rind_reflectance(path, nm, 0.5 * (low + high))[0]
-        assert np.all(ends >= half - 1e-12)
+        assert np.all(ends >= rind_reflectance(path, nm, state)[0] - 1e-12)
 
 
-def test_the_contents_at_a_state_are_mixed_linearly(kaite):
-    path = kaite.pigments["fruit"]
-    (low, before), (high, after) = path.knots[1:3]
-    mixed = path.at(0.5 * (low + high))
-    for name, amount in mixed.items():
-        assert amount == pytest.approx(0.5 * (getattr(before, name) + getattr(after, name)))
-
-
-def test_unripe_fruit_comes_near_the_measured_green_pepper(surfaces, ripening, nm):
+def test_unripe_fruit_matches_the_measured_green_pepper(surfaces, ripening, nm):
     measured = read_spectrum("fruit/vrhel_fruit_vegetable_reflectance", "green_pepper_136").at(nm)
     inside = (nm >= 400) & (nm <= 730)
-    # The measurement left the gloss out, but not its shadow on the body.
-    entered = 1 - cuticle_gloss(surfaces["fruit"].ior)
-    error = (entered * ripening[0] - measured)[inside]
+    # The measurement excludes the gloss, but the light on the body has lost it.
+    error = ((1 - smooth_gloss(surfaces["fruit"].ior)) * ripening[0] - measured)[inside]
     assert np.sqrt(np.mean(error**2)) < 0.012
 
 
-def test_it_turns_from_green_to_yellow_without_a_step_back(ripening, nm):
-    hues = [lab_hue(at(ripening, state), nm) for state in np.linspace(0, 1, 9)]
+def test_ripening_is_monotonic_from_green_to_yellow(ripening, nm):
+    spectra = [at(ripening, state) for state in np.linspace(0, 1, 9)]
+    hues = [lab_hue(spectrum, nm) for spectrum in spectra]
     assert 105 < hues[0] < 125
     assert 78 < hues[-1] < 90
     assert np.all(np.diff(hues) < 0)
-    lightness = [lab(at(ripening, state), nm)[0] for state in np.linspace(0, 1, 9)]
-    assert np.all(np.diff(lightness) > 0)
+    assert np.all(np.diff([lab(spectrum, nm)[0] for spectrum in spectra]) > 0)
 
 
-def with_gloss(body):
-    """What a colorimeter sees that takes in all that is reflected: the body, and the gloss above it."""
-    gloss = cuticle_gloss(1.45)
-    return (1 - gloss) * body + gloss
+def test_ripe_fruit_has_measured_hues(nm):
+    """Ripe red and yellow greenhouse peppers: 29.9 and 87.5 degrees in CIELAB, gloss included.
 
-
-def test_ripe_fruit_has_the_hue_of_ripe_fruit(kaite, nm):
-    """Ripe red and yellow greenhouse peppers: 29.9 and 87.5 degrees in CIELAB.
-
-    Molinari et al. 1999, Proc. Fla. State Hort. Soc. 112:143-146. Orange lies half-way, and a tomato between.
+    Molinari et al. 1999, Proc. Fla. State Hort. Soc. 112:143-146. Orange is half-way, and a tomato between.
     """
-    hue = {}
+    hue, gloss = {}, smooth_gloss(1.45)
     for name in ("red_blocky", "tomato", "orange_pointed", "kaite"):
-        path = load_cultivar(name).pigments["fruit"]
-        hue[name] = lab_hue(with_gloss(rind_reflectance(path, nm, 1.0)[0]), nm)
+        body = rind_reflectance(load_cultivar(name).pigments["fruit"], nm, 1.0)[0]
+        hue[name] = lab_hue((1 - gloss) * body + gloss, nm)
     assert hue["red_blocky"] == pytest.approx(29.9, abs=3)
     assert hue["kaite"] == pytest.approx(87.5, abs=7)
     assert hue["orange_pointed"] == pytest.approx(0.5 * (29.9 + 87.5), abs=5)
     assert hue["red_blocky"] + 5 < hue["tomato"] < hue["orange_pointed"] - 5
 
 
-def test_a_red_fruit_turns_through_brown(kaite, nm):
+def test_a_red_fruit_turns_brown_before_it_is_red(kaite, nm):
     red = load_cultivar("red_blocky").pigments["fruit"]
     assert red.start == kaite.pigments["fruit"].start
     # A breaker is darker than both ends, or hardly lighter, and between them in hue.
@@ -89,33 +76,31 @@ def test_a_red_fruit_turns_through_brown(kaite, nm):
     assert 0 <= srgb_hue(end, nm) <= 20
 
 
-def test_flesh_absorbs_as_kubelka_and_munk_say(nm):
+def test_flesh_follows_kubelka_and_munk(nm):
     """(1 - R)^2 / 2 R is that of dry flesh plus 2 mu_a / S, for water by PROSPECT's coefficient."""
     wet = flesh_reflectance(0.66, nm)
-    absorbed = (1 - wet) ** 2 / (2 * wet) - (1 - 0.66) ** 2 / (2 * 0.66)
-    assert absorbed / absorption_coefficients(nm)["water"] == pytest.approx(2 * 0.9 / 7.5, rel=1e-6)
+    added = (1 - wet) ** 2 / (2 * wet) - (1 - 0.66) ** 2 / (2 * 0.66)
+    assert added / absorption_coefficients(nm)["water"] == pytest.approx(2 * 0.9 / 7.5, rel=1e-6)
     assert wet[nm <= 650] == pytest.approx(0.66, abs=2e-3)
     assert 0.45 < wet[nm == 970] < 0.6
     assert flesh_reflectance(0.0, nm).max() == 0
 
 
-def test_a_breaker_colours_unevenly(surfaces, nm):
+def test_a_breaker_colours_unevenly(surfaces, ripening, nm):
     """The mesh's gradient and the surface's noise together spread the hue over a turning fruit."""
-    facts = {
+    measures = {
         "length_m": 0.087, "diameter_m": 0.084, "lobes": 4.0, "lobe_depth": 1.0, "shoulder": 0.5,
         "taper": 0.83, "ripeness": 0.5, "ripeness_spread": 0.08, "seed": 0.3,
     }  # fmt: skip
     curve = np.array([[0, 0, 0], [0, 0, -0.04], [0, 0, -0.087]], dtype=float)
-    fruit = Organ("fruit", -1, 3, curve, np.array([1.0, 0, 0]), facts)
+    fruit = Organ("fruit", -1, 3, curve, np.array([1.0, 0, 0]), measures)
     mesh = mesh_plant(Plant("kaite", (fruit,), USUAL))
     shoulder, blossom_end = mesh.uv[:, 1] < 0.35, mesh.uv[:, 1] > 0.75
     # A gradient from the shoulders to the blossom end.
     assert mesh.state[blossom_end].mean() - mesh.state[shoulder].mean() > 0.05
-    # Patches besides: states differ around one height as well.
+    # Patches: states differ at one height as well.
     assert mesh.state[(mesh.uv[:, 1] > 0.5) & (mesh.uv[:, 1] < 0.6)].std() > 0.01
-    pattern = surfaces["fruit"].pattern
     rows = (mesh.uv[:, 1] * 255).astype(int), (mesh.uv[:, 0] * 255).astype(int)
-    states = np.clip(mesh.state + pattern[rows], 0, 1)
-    table = surfaces["fruit"].reflectance[:, 0]
-    low, high = (lab_hue(at(table, s), nm) for s in np.percentile(states, [5, 95]))
+    states = np.clip(mesh.state + surfaces["fruit"].pattern[rows], 0, 1)
+    low, high = (lab_hue(at(ripening, state), nm) for state in np.percentile(states, [5, 95]))
     assert low - high > 10

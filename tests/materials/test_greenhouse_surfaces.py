@@ -1,25 +1,26 @@
-"""Twine and wire, gutters and what lies in them, floor film, heating pipes."""
+"""Twine and wire, gutters and their contents, floor film, heating pipes."""
 
 import numpy as np
 import pytest
 from plant_colours import lab
+from scipy.integrate import solve_ivp
 
 from pepperscene.materials import greenhouse_surfaces
 from pepperscene.materials.greenhouse import FILM_SCATTERING, GROUND_REFLECTANCE
 from pepperscene.spectra import read_spectrum
 
-WHITES = ("twine", "gutter", "foil", "floor_film", "pipe")
+WHITE = ("twine", "gutter", "foil", "floor_film", "pipe")
 
 
 def test_all_but_wire_and_substrate_are_nearly_white(surfaces, nm):
-    assert set(greenhouse_surfaces(nm)) == {*WHITES, "steel", "rockwool"}
-    for name in WHITES:
+    assert set(greenhouse_surfaces(nm)) == {*WHITE, "steel", "rockwool"}
+    for name in WHITE:
         lightness, a, b = lab(surfaces[name].reflectance[0, 0], nm)
         assert lightness > 85, name
         assert np.hypot(a, b) < 8, name
 
 
-def test_whites_are_dark_in_the_ultraviolet_only(surfaces, nm):
+def test_white_paint_is_dark_in_the_ultraviolet_only(surfaces, nm):
     for name in ("gutter", "foil", "pipe", "floor_film"):
         spectrum = surfaces[name].reflectance[0, 0]
         assert spectrum[nm <= 380].max() < 0.25
@@ -33,28 +34,21 @@ def test_the_floor_reflects_three_quarters_and_less_in_the_infrared(surfaces, nm
     assert np.all(np.diff(floor[nm >= 450]) < 0)
 
 
-def test_the_floor_is_a_layer_on_ground(surfaces, nm):
-    """Kubelka and Munk's two differential equations, stepped through the layer, give the closed form."""
+def test_the_floor_solves_the_equations_of_kubelka_and_munk(surfaces, nm):
+    """The closed form solves dR/dx = S - 2 (K + S) R + S R^2, from the ground up through the layer."""
     paint = read_spectrum("chart/colorchecker_iso17321_1", "white_9_5_05_d", outside="hold").at(nm)
     scattering = FILM_SCATTERING * 550 / nm
     absorption = scattering * (1 - paint) ** 2 / (2 * paint)
-    # dR/dx = S - 2 (K + S) R + S R^2 from the ground up, by the classical Runge-Kutta method.
-    reflectance = np.full(nm.size, GROUND_REFLECTANCE)
 
-    def rate(r):
+    def rate(depth, r):
         return scattering - 2 * (absorption + scattering) * r + scattering * r**2
 
-    step = 1 / 4000
-    for _ in range(4000):
-        k1 = rate(reflectance)
-        k2 = rate(reflectance + 0.5 * step * k1)
-        k3 = rate(reflectance + 0.5 * step * k2)
-        k4 = rate(reflectance + step * k3)
-        reflectance = reflectance + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    ground = np.full(nm.size, GROUND_REFLECTANCE)
+    reflectance = solve_ivp(rate, (0, 1), ground, rtol=1e-9, atol=1e-10).y[:, -1]
     assert surfaces["floor_film"].reflectance[0, 0] == pytest.approx(reflectance, abs=1e-6)
 
 
-def test_zinc_is_a_neutral_grey_and_wet_stone_wool_a_dark_brown(surfaces, nm):
+def test_zinc_is_neutral_grey_and_wet_stone_wool_dark_brown(surfaces, nm):
     lightness, a, b = lab(surfaces["steel"].reflectance[0, 0], nm)
     assert 55 < lightness < 75
     assert np.hypot(a, b) < 1
@@ -65,7 +59,7 @@ def test_zinc_is_a_neutral_grey_and_wet_stone_wool_a_dark_brown(surfaces, nm):
     assert np.hypot(a, b) > 8
 
 
-def test_gloss(surfaces):
+def test_only_coated_surfaces_are_glossy(surfaces):
     assert {surfaces[name].ior for name in ("twine", "steel", "rockwool")} == {1.0}
     assert (surfaces["gutter"].ior, surfaces["gutter"].roughness) == (1.5, (0.3, 0.3))
     assert surfaces["floor_film"].roughness[0] > surfaces["gutter"].roughness[0]

@@ -1,4 +1,4 @@
-"""The leaf's surface against PROSPECT, measured leaves and the figures of the literature."""
+"""The leaf's surface against PROSPECT, measured leaves and values from the literature."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from pepperscene.materials import leaf_body
 from pepperscene.materials.gloss import cone_gloss
 from pepperscene.spectra import leaf_spectra, read_spectra
 
-PALE, DARK = 0.25, 1.0  # of a blade; below is the tissue of veins
+PALE, DARK = 0.25, 1.0  # states of a blade; lower ones are the tissue of veins
 
 
 @pytest.fixture(scope="module")
@@ -17,8 +17,8 @@ def leaf(surfaces):
 
 
 @pytest.fixture(scope="module")
-def whole(surfaces, kaite):
-    """R above, R below and T of the whole leaf, its gloss included, at a state, as a sphere measures them."""
+def total(surfaces, kaite):
+    """R above, R below and T of the leaf at a state, gloss included, as an integrating sphere measures."""
     path, leaf = kaite.pigments["leaf"], surfaces["leaf"]
     gloss = [cone_gloss(path.ior, alpha) for alpha in path.roughness]
 
@@ -29,18 +29,18 @@ def whole(surfaces, kaite):
     return spectra
 
 
-def test_gloss_and_diffuse_part_together_are_prospect(whole, kaite, nm):
+def test_gloss_and_body_sum_to_prospect(total, kaite, nm):
     path = kaite.pigments["leaf"]
     dark = leaf_spectra(nm, **path.at([1.0]))
-    above, _, through = whole(1.0)
-    assert above == pytest.approx(dark.reflectance[0], abs=1e-9)
-    assert through == pytest.approx(dark.transmittance[0], abs=1e-9)
+    upper, _, transmittance = total(1.0)
+    assert upper == pytest.approx(dark.reflectance[0], abs=1e-9)
+    assert transmittance == pytest.approx(dark.transmittance[0], abs=1e-9)
 
 
-# Ranges for green leaves of crops as reviews and handbooks give them (Woolley 1971, Plant Physiol. 47:656;
+# Ranges for green leaves of crops in reviews and handbooks (Woolley 1971, Plant Physiol. 47:656;
 # Walter-Shea & Norman 1991 in Myneni & Ross, Photon-Vegetation Interactions; Jacquemoud & Ustin 2019, Leaf
 # Optical Properties): upper side, lower side, transmittance.
-FIGURES = {
+RANGES = {
     450: ((0.03, 0.08), (0.03, 0.15), (0.0, 0.03)),
     550: ((0.10, 0.20), (0.15, 0.30), (0.08, 0.20)),
     680: ((0.03, 0.07), (0.035, 0.12), (0.0, 0.04)),
@@ -48,18 +48,18 @@ FIGURES = {
 }
 
 
-@pytest.mark.parametrize("wavelength", FIGURES)
+@pytest.mark.parametrize("wavelength", RANGES)
 @pytest.mark.parametrize("state", [PALE, DARK])
-def test_blades_have_the_usual_reflectance_and_transmittance(whole, nm, wavelength, state):
-    for spectrum, (low, high) in zip(whole(state), FIGURES[wavelength], strict=True):
+def test_blades_are_in_the_ranges_of_the_literature(total, nm, wavelength, state):
+    for spectrum, (low, high) in zip(total(state), RANGES[wavelength], strict=True):
         assert low <= spectrum[nm == wavelength] <= high
 
 
-def test_blades_lie_among_measured_leaves(leaf, nm):
-    """Between the least and the most of thirteen measured leaves, whose gloss was left out as well."""
+def test_blades_are_among_measured_leaves(leaf, nm):
+    """Between the minimum and the maximum of thirteen measured leaves, which exclude gloss as well."""
     measured = np.stack([s.at(nm) for s in read_spectra("leaf/vrhel_leaf_reflectance").values()])
     visible = (nm >= 400) & (nm <= 730)
-    # The two waxy, dry ones of them do not matter at the lower end.
+    # The two waxy, dry ones among them do not affect the minimum.
     low, high = measured[:, visible].min(axis=0), measured[:, visible].max(axis=0)
     for state in (PALE, 0.6, 0.8):
         body = at(leaf.reflectance[:, 0], state)[visible]
@@ -67,8 +67,8 @@ def test_blades_lie_among_measured_leaves(leaf, nm):
         assert np.all(body < high + 0.01)
 
 
-def test_the_red_edge_and_the_plateau(leaf, nm):
-    """Reflectance rises steepest between 690 and 730 nm, later in darker leaves, to an even plateau."""
+def test_red_edge_and_infrared_plateau(leaf, nm):
+    """Reflectance is steepest between 690 and 730 nm, later in darker leaves, and then constant."""
     edges = []
     for state in (PALE, 0.6, DARK):
         front = at(leaf.reflectance[:, 0], state)
@@ -80,7 +80,7 @@ def test_the_red_edge_and_the_plateau(leaf, nm):
     assert (leaf.reflectance + leaf.transmittance[:, None])[..., plateau].min() > 0.85
 
 
-def test_a_leaf_is_paler_below_and_as_bright_in_the_infrared(leaf, nm):
+def test_lower_side_is_paler_and_as_bright_in_the_infrared(leaf, nm):
     front, back = leaf.reflectance[:, 0], leaf.reflectance[:, 1]
     assert np.all(back >= front)
     green = np.linspace(0, 1, len(front)) >= PALE
@@ -90,20 +90,19 @@ def test_a_leaf_is_paler_below_and_as_bright_in_the_infrared(leaf, nm):
     assert back[:, infrared] == pytest.approx(front[:, infrared], abs=0.005)
 
 
-def test_a_leaf_against_the_light_is_yellow_green(leaf, nm):
-    through = at(leaf.transmittance, 0.6)
-    assert through[nm == 550] > 5 * through[nm == 670] > through[nm == 450]
-    lightness, a, b = lab(through, nm)
+def test_transmitted_light_is_yellow_green(leaf, nm):
+    transmittance = at(leaf.transmittance, 0.6)
+    assert transmittance[nm == 550] > 5 * transmittance[nm == 670] > transmittance[nm == 450]
+    lightness, a, b = lab(transmittance, nm)
     assert a < -10
     assert b > 25
     assert lightness > 25
 
 
-def test_a_veins_colour_is_a_spectrum_of_the_pigments(leaf, kaite, nm):
+def test_a_vein_has_the_spectrum_of_its_pigments(leaf, kaite, nm):
     """On the midrib the pattern moves the state, and the spectrum there is PROSPECT's at those pigments.
 
-    So it is no tint: the ratio of vein to blade depends on the wavelength, and is 1 in the near infrared
-    but for the vein's thickness.
+    The ratio of vein to blade depends on the wavelength, and is nearly 1 in the near infrared.
     """
     blade = 0.72
     column = leaf.pattern.shape[1] // 2

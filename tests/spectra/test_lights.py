@@ -6,13 +6,9 @@ import pytest
 
 from pepperscene.errors import InputError
 from pepperscene.spectra import (
-    LIGHT_SPEED,
-    LUMINOUS_EFFICACY,
-    PLANCK,
     Spectrum,
     colour_science,
     illuminance,
-    led_spectrum,
     photons_per_joule,
     photopic_efficiency,
     read_spectra,
@@ -21,7 +17,10 @@ from pepperscene.spectra import (
     sun_spectrum,
     with_illuminance,
 )
-from pepperscene.spectra.lights import diffuse_spectrum
+from pepperscene.spectra.lights import LUMINOUS_EFFICACY, diffuse_spectrum
+
+LED = ("light/houser2013_cool_white_led", "slide_4_lumileds_cool_white")
+ILLUMINANTS = "light/cie_illuminants_colour_science"
 
 
 def colour_temperature(spd: Spectrum) -> float:
@@ -47,16 +46,16 @@ def test_v_lambda_is_the_table_of_colour_science():
     assert np.array_equal(v.values, table.values)
 
 
-def test_lux_needs_no_slow_import():
-    ask = (
+def test_illuminance_does_not_import_colour_science():
+    code = (
         "import sys; from pepperscene.spectra import illuminance, sun_spectrum; illuminance(sun_spectrum()); "
         "assert 'colour' not in sys.modules"
     )
-    subprocess.run([sys.executable, "-c", ask], check=True)
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_lux_is_exact_for_linear_pieces():
-    # By Gauss's rule with two points, exact for cubics, in each piece between the nodes of both curves.
+def test_illuminance_is_exact_for_linear_pieces():
+    # Two-point Gauss quadrature, exact for cubics, between the nodes of both curves.
     spd = Spectrum(
         np.array([300.0, 411.3, 480.0, 555.5, 602.7, 1100.0]), np.array([0.0, 2.0, 0.1, 5.0, 0.0, 3.0])
     )
@@ -71,11 +70,11 @@ def test_lux_is_exact_for_linear_pieces():
     assert illuminance(spd) == pytest.approx(LUMINOUS_EFFICACY * (product * half).sum(), rel=1e-12)
 
 
-def test_lux_of_what_barely_reaches_into_the_visible():
+def test_illuminance_at_the_edge_of_the_visible_range():
     v = photopic_efficiency()
-    assert illuminance(Spectrum(np.array([200.0, v.wavelength_nm[0]]), np.ones(2))) == 0
-    # Only the triangle under V's first piece counts, seen in a light that stops inside it.
     first, value = v.wavelength_nm[0], v.values[0]
+    assert illuminance(Spectrum(np.array([200.0, first]), np.ones(2))) == 0
+    # A light that ends inside V's first piece.
     slope = v.values[1] - v.values[0]
     half = Spectrum(np.array([200.0, first + 0.5]), np.ones(2))
     assert illuminance(half) == pytest.approx(LUMINOUS_EFFICACY * (0.5 * value + 0.125 * slope), rel=1e-9)
@@ -87,31 +86,25 @@ def test_equal_energy_integrates_v_lambda():
     assert illuminance(flat) == pytest.approx(LUMINOUS_EFFICACY * 106.857, rel=1e-4)
 
 
-def test_infrared_gives_no_lux_and_cannot_be_scaled():
+def test_infrared_has_no_illuminance_and_cannot_be_scaled():
     infrared = Spectrum(np.array([850.0, 1000.0]), np.array([1.0, 1.0]))
     assert illuminance(infrared) == 0
     with pytest.raises(ValueError, match="cannot scale"):
         with_illuminance(infrared, 100)
 
 
-@pytest.mark.parametrize("spd", [sun_spectrum(), sky_spectrum(), led_spectrum()])
-def test_scaling_to_lux(spd):
+@pytest.mark.parametrize("spd", [sun_spectrum(), sky_spectrum()])
+def test_scales_to_an_illuminance(spd):
     assert illuminance(with_illuminance(spd, 5_500)) == pytest.approx(5_500)
     assert spd.at(560) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
-    ("spd", "kelvin"),
-    [
-        (led_spectrum(), 5763),
-        (led_spectrum("led_b4"), 5106),
-        (led_spectrum("led_b5"), 6591),
-        (sky_spectrum("d50"), 5001),
-        (sky_spectrum("d65"), 6503),
-    ],
+    ("file", "column", "kelvin"),
+    [(*LED, 5763), (ILLUMINANTS, "led_b4", 5106), (ILLUMINANTS, "led_b5", 6591)],
 )
-def test_colour_temperatures(spd, kelvin):
-    assert colour_temperature(spd) == pytest.approx(kelvin, abs=25)
+def test_shipped_leds_have_their_colour_temperature(file, column, kelvin):
+    assert colour_temperature(read_spectrum(file, column)) == pytest.approx(kelvin, abs=25)
 
 
 def test_direct_sun_is_warmer_than_the_sky():
@@ -119,21 +112,21 @@ def test_direct_sun_is_warmer_than_the_sky():
 
 
 @pytest.mark.parametrize(("kind", "kelvin"), [("d50", 5003), ("d55", 5503), ("d65", 6504), ("d75", 7504)])
-def test_daylight_keeps_its_colour_and_its_table(kind, kelvin):
+def test_daylight_matches_cie_table_and_colour_temperature(kind, kelvin):
     # The nominal temperature times 1.4388 / 1.4380 (CIE 015:2018).
     daylight = sky_spectrum(kind)
     assert colour_temperature(daylight) == pytest.approx(kelvin, abs=10)
-    table = read_spectrum("light/cie_illuminants_colour_science", kind)
+    table = read_spectrum(ILLUMINANTS, kind)
     np.testing.assert_allclose(daylight.at(table.wavelength_nm), table.values, rtol=1e-12)
-    # What V(lambda) holds beyond 780 nm and below 380 nm is next to nothing.
+    # V(lambda) is negligible above 780 nm and below 380 nm.
     assert illuminance(daylight) == pytest.approx(illuminance(table), rel=1e-4)
 
 
 @pytest.mark.parametrize("kind", ["d50", "d55", "d65", "d75"])
-def test_daylight_follows_the_cie_from_300_to_830_nm(kind):
+def test_daylight_matches_the_cie_formula_from_300_to_830_nm(kind):
     import colour
 
-    # CIE 015:2018: the daylight components, by colour-science. Ours are kept to five digits.
+    # CIE 015:2018: the daylight components, by colour-science. The shipped values have five digits.
     xy = colour.temperature.CCT_to_xy_CIE_D(float(kind[1:]) * 100 * 1.4388 / 1.4380)
     shape = colour.SpectralShape(300, 830, 5)
     cie = colour.sd_CIE_illuminant_D_series(xy, M1_M2_rounding=True, shape=shape)
@@ -141,15 +134,15 @@ def test_daylight_follows_the_cie_from_300_to_830_nm(kind):
 
 
 @pytest.mark.parametrize("kind", ["d50", "d55", "d65", "d75"])
-def test_daylight_goes_on_in_the_near_infrared(kind):
+def test_daylight_continues_in_the_near_infrared(kind):
     daylight = sky_spectrum(kind)
     assert daylight.wavelength_nm[0] <= 300
     assert daylight.wavelength_nm[-1] >= 1100
     beyond = daylight.wavelength_nm > 830
     assert daylight.values[beyond].min() > 0
-    # Water vapour leaves its band around 940 nm darker than 870 and 1000 nm beside it.
+    # The water vapour band around 940 nm is darker than 870 and 1000 nm.
     assert daylight.at([940])[0] < 0.75 * daylight.at([870, 1000]).min()
-    # The shape is that of ASTM G173, and its level meets the table's over the last 50 nm.
+    # The shape is that of ASTM G173, and its level matches the table's over the last 50 nm.
     column = read_spectrum("light/astm_g173_300_1100", "global_tilt_W_m2_nm")
     shape = diffuse_spectrum() if kind == "d75" else column
     nm = daylight.wavelength_nm[beyond]
@@ -159,31 +152,26 @@ def test_daylight_goes_on_in_the_near_infrared(kind):
     assert np.mean(daylight.at(last)) == pytest.approx(ratio[0] * np.mean(shape.at(last)), rel=2e-3)
 
 
-def test_direct_and_diffuse_make_the_global_light_of_astm_g173():
+def test_direct_and_diffuse_sum_to_the_global_irradiance_of_astm_g173():
     diffuse = diffuse_spectrum()
     columns = read_spectra("light/astm_g173_300_1100")
-    whole, direct = columns["global_tilt_W_m2_nm"], columns["direct_W_m2_nm"]
-    # The sun stands 48.19 degrees from the zenith, the plane is tilted by 37 towards it.
-    sum_of_both = diffuse.values + np.cos(np.radians(48.19 - 37)) * direct.values
-    np.testing.assert_allclose(sum_of_both, whole.values, rtol=1e-4)
+    total, direct = columns["global_tilt_W_m2_nm"], columns["direct_W_m2_nm"]
+    # The sun is 48.19 degrees from the zenith, the plane is tilted by 37 towards it.
+    expected = diffuse.values + np.cos(np.radians(48.19 - 37)) * direct.values
+    np.testing.assert_allclose(expected, total.values, rtol=1e-4)
     assert diffuse.values.min() > 0
-    # Scattered light is bluer: Rayleigh's law, weakened by haze and by light from the ground.
-    share = diffuse.values / whole.values
-    low, high = (np.interp(nm, diffuse.wavelength_nm, share) for nm in (400, 1000))
+    # Scattered light is bluer: Rayleigh scattering, reduced by haze and by light from the ground.
+    fraction = diffuse.values / total.values
+    low, high = (np.interp(nm, diffuse.wavelength_nm, fraction) for nm in (400, 1000))
     assert low > 3 * high
 
 
-def test_leds_stay_dark_beyond_their_tables():
-    assert not led_spectrum().at([300, 370, 790, 850, 1100]).any()
-
-
-def test_unknown_lights():
-    with pytest.raises(InputError, match="must be one of"):
-        led_spectrum("neon")
+def test_raises_on_unknown_sky():
     with pytest.raises(InputError, match="d50, d55, d65 or d75"):
         sky_spectrum("d93")  # type: ignore[arg-type]
 
 
-def test_photons_carry_hc_over_lambda():
-    assert photons_per_joule(1e9 * PLANCK * LIGHT_SPEED) == pytest.approx(1.0)
+def test_photons_have_the_energy_hc_over_lambda():
     assert photons_per_joule([400, 800]) == pytest.approx([2.0138e18, 4.0276e18], rel=1e-3)
+    # 6.62607015e-34 J s and 299792458 m s-1 are exact in the SI.
+    assert photons_per_joule(1e9 * 6.62607015e-34 * 299_792_458) == pytest.approx(1.0)

@@ -1,33 +1,32 @@
-"""All parameters of a cultivar's plants, and reading them from a TOML file."""
+"""All parameters of a cultivar's plants, read from a TOML file or interpolated between two growth stages."""
 
 from __future__ import annotations
 
 import datetime
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Self, TypeVar
+from typing import Any, Final, Self
 
 import numpy as np
 from pydantic import model_validator
 
 from pepperscene.cultivar.distribution import Distribution, Origin
-from pepperscene.cultivar.inheritance import inherited, lineage, stated_in
+from pepperscene.cultivar.inheritance import defining_file, merge_chain, read_chain
 from pepperscene.cultivar.notation import Choice
 from pepperscene.cultivar.organs import USUAL, AnyOrgan, OrganKind
 from pepperscene.cultivar.slot import Slot
-from pepperscene.cultivar.structure import CALYX, PigmentPath, Pigments, Stem, check_structure
+from pepperscene.cultivar.structure import CALYX, Key, PigmentPath, Pigments, Stem, check_structure
 from pepperscene.document import Document, toml_key, validate
 from pepperscene.errors import InputError
 
 
 class Cultivar(Document):
-    """All that is known about a cultivar's plants.
+    """Parameters of a cultivar's plants.
 
     Attributes:
-        name: of the cultivar.
-        species: its botanical name.
-        source: where the numbers come from.
-        date: of the growth stage that they describe.
+        name, species: common and botanical name.
+        source: of the numbers.
+        date: of the growth stage.
         stem: the main stem.
         organs: kind -> its parameters and what grows on it.
         pigments: surface -> its path through pigment space.
@@ -42,13 +41,13 @@ class Cultivar(Document):
     pigments: dict[str, PigmentPath]
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Self:
+    def _check_structure(self) -> Self:
         check_structure(self.stem, self.organs, self.pigments)
         return self
 
     @property
     def kinds(self) -> dict[str, OrganKind]:
-        """Every kind of organ that a plant can have, the fruit's calyx included."""
+        """Every kind of organ that a plant can have, including the fruit's calyx."""
         kinds = {name: organ.kind for name, organ in self.organs.items()}
         if any(getattr(organ, "calyx", False) for organ in self.organs.values()):
             kinds[CALYX] = USUAL["calyx"]
@@ -56,174 +55,157 @@ class Cultivar(Document):
 
     @property
     def grown(self) -> tuple[str, ...]:
-        """The kinds that the plants do have, being of a probability above 0; in the file's order."""
-        found, waiting = set(), [self.stem.internode, self.stem.node]
-        while waiting:
-            kind = waiting.pop()
-            if kind not in found:
-                found.add(kind)
+        """Kinds with a probability above 0, in the file's order."""
+        reached, queue = set(), [self.stem.internode, self.stem.node]
+        while queue:
+            kind = queue.pop()
+            if kind not in reached:
+                reached.add(kind)
                 slots = self.organs[kind].bears
-                waiting.extend(k for slot in slots for k in slot.kinds if slot.what.probabilities[k] > 0)
-        if any(getattr(self.organs[kind], "calyx", False) for kind in found):
-            found.add(CALYX)
-        return tuple(kind for kind in self.kinds if kind in found)
+                queue.extend(k for slot in slots for k in slot.kinds if slot.what.probabilities[k] > 0)
+        if any(getattr(self.organs[kind], "calyx", False) for kind in reached):
+            reached.add(CALYX)
+        return tuple(kind for kind in self.kinds if kind in reached)
 
 
 def load_cultivar(name_or_path: str | Path) -> Cultivar:
-    """A shipped cultivar by its name, or one from a TOML file, with what it inherits from others.
+    """Read a shipped cultivar by its name, or one from a TOML file, with everything that it inherits.
 
     Raises:
         InputError: not found, not TOML, or a parameter is missing, unknown or not allowed.
     """
-    files = lineage(name_or_path)
-    tables = inherited(files)
+    files = read_chain(name_or_path)
+    tables = merge_chain(files)
     try:
         return validate(Cultivar, tables, files[0][0])
-    except InputError as fault:
-        where = stated_in(files, tables, fault.key)
-        raise InputError(where, fault.problem, key=fault.key, value=fault.value) from None
+    except InputError as error:
+        where = defining_file(files, tables, error.key)
+        raise InputError(where, error.problem, key=error.key, value=error.value) from None
 
 
-Key = tuple[str | int, ...]
-Model = TypeVar("Model", bound=Document)
-
-_SAID: Final = (*Origin.model_fields, "name")
-"""Words that may differ between two stages."""
-_SHARES: Final = 4096
-"""At the middles of so many equal shares a blend's spread is summed up."""
+_TEXT_KEYS: Final = (*Origin.model_fields, "name")
+"""Texts that may differ between two stages."""
+_SAMPLES: Final = 4096
+"""Number of quantiles from which a blend's standard deviation is computed."""
 
 
-def interpolate_cultivars(first: Cultivar, last: Cultivar, share: float) -> Cultivar:
-    """The growth stage that lies a share of the way from one to another.
+def interpolate_cultivars(first: Cultivar, last: Cultivar, fraction: float) -> Cultivar:
+    """Interpolate between two growth stages.
 
-    Quantile functions, probabilities, plain numbers, pigments and dates are mixed linearly, whole numbers
-    rounded.
+    Quantile functions, probabilities, plain numbers, pigments and dates are interpolated linearly; integers
+    are rounded.
 
     Args:
-        first: the stage at share 0.
-        last: the stage at share 1; with the same kinds, forms and slots.
-        share: from 0 to 1.
+        first: the stage at fraction 0.
+        last: the stage at fraction 1; with the same kinds, forms and slots.
+        fraction: from 0 to 1.
 
     Raises:
-        InputError: kinds, forms, slots or other words differ.
-        ValueError: `share` lies outside [0, 1], or a chance or a ripeness does not fit together in between.
+        InputError: kinds, forms, slots or other texts differ.
+        ValueError: `fraction` is not in [0, 1], or an interpolated probability or ripeness is not allowed.
     """
-    if not 0.0 <= share <= 1.0:
-        raise ValueError(f"share must lie in [0, 1], not {share}")
-    if share in (0.0, 1.0):
-        return last if share else first
-    mix = _Mix(f"{first.name} and {last.name}", share)
+    if not 0.0 <= fraction <= 1.0:
+        raise ValueError(f"fraction must be between 0 and 1, not {fraction}")
+    if fraction in (0.0, 1.0):
+        return last if fraction else first
+    interpolation = _Interpolation(f"{first.name} and {last.name}", fraction)
     fields = {
-        name: mix.of(getattr(first, name), getattr(last, name), (name,)) for name in Cultivar.model_fields
+        name: interpolation.value(getattr(first, name), getattr(last, name), (name,))
+        for name in Cultivar.model_fields
     }
     if first.name != last.name:
-        fields["name"] = f"{first.name} to {last.name}, {share:.2f}"
+        fields["name"] = f"{first.name} to {last.name}, {fraction:.2f}"
     return Cultivar(**fields)
 
 
 @dataclass(frozen=True)
-class _Mix:
-    """Mixing two values of one kind, whatever they are; a fault names both cultivars and the key."""
+class _Interpolation:
+    """Interpolation between two values of the same type; errors name both cultivars and the key."""
 
     where: str
-    share: float
+    fraction: float
 
-    def of(self, first: Any, last: Any, key: Key) -> Any:
-        """What lies the share of the way from the first to the last."""
+    def value(self, first: Any, last: Any, key: Key) -> Any:
         if key[-1] == "date" and (first is None or last is None):
             return None
-        if key[-1] in _SAID and isinstance(first, str):
-            return first if first == last else "; ".join(said for said in (first, last) if said)
+        if key[-1] in _TEXT_KEYS and isinstance(first, str):
+            return first if first == last else "; ".join(text for text in (first, last) if text)
         if type(first) is not type(last):
-            raise self.fault(key, "must be there in both or in neither")
-        if isinstance(first, Distribution):
-            return first if first == last else self.law(first, last)
-        if isinstance(first, PigmentPath):
-            return self.pigments(first, last, key)
-        if isinstance(first, Choice):
-            return self.choice(first, last)
-        if isinstance(first, Document):
-            return self.model(first, last, key)
-        if isinstance(first, dict):
-            if set(first) != set(last):
-                raise self.fault(
-                    key, f"must name the same in both: {', '.join(sorted(set(first) ^ set(last)))}"
-                )
-            return {name: self.of(value, last[name], (*key, name)) for name, value in first.items()}
-        if isinstance(first, tuple):
-            if len(first) != len(last):
-                raise self.fault(key, "must be as many in both")
-            return tuple(self.of(a, b, (*key, i)) for i, (a, b) in enumerate(zip(first, last, strict=True)))
-        return self.plain(first, last, key)
-
-    def plain(self, first: Any, last: Any, key: Key) -> Any:
-        """A number, a date, or a word that is the same in both."""
-        if isinstance(first, datetime.date):
-            return datetime.date.fromordinal(self.whole(first.toordinal(), last.toordinal()))
-        if isinstance(first, float):
-            return self.number(first, last)
-        if isinstance(first, int) and not isinstance(first, bool):
-            return self.whole(first, last)
+            raise self.error(key, "must be set in both or in neither")
+        match first:
+            case Distribution():
+                return first if first == last else self.distribution(first, last)
+            case PigmentPath():
+                return self.pigments(first, last, key)
+            case Choice():
+                return self.choice(first, last)
+            case Slot() if first.name != last.name:
+                raise self.error((*key, "name"), "must be the same in both")
+            case Document():
+                return type(first)(**self.fields(first, last, key, type(first).model_fields))
+            case dict():
+                if different := sorted(set(first) ^ set(last)):
+                    raise self.error(key, f"must have the same names in both: {', '.join(different)}")
+                return {name: self.value(value, last[name], (*key, name)) for name, value in first.items()}
+            case tuple():
+                if len(first) != len(last):
+                    raise self.error(key, "must have the same length in both")
+                pairs = enumerate(zip(first, last, strict=True))
+                return tuple(self.value(a, b, (*key, i)) for i, (a, b) in pairs)
+            case datetime.date():
+                return datetime.date.fromordinal(round(self.number(first.toordinal(), last.toordinal())))
+            case float():
+                return self.number(first, last)
+            case int() if not isinstance(first, bool):
+                return round(self.number(first, last))
         if first != last:
-            raise self.fault(key, "must be the same in both")
+            raise self.error(key, "must be the same in both")
         return first
 
-    def whole(self, first: int, last: int) -> int:
-        """The whole number next to the mix."""
-        return round(self.number(first, last))
-
     def number(self, first: Any, last: Any) -> Any:
-        """The mix of numbers or of arrays; exactly the number that both have."""
-        return first + self.share * (last - first)
+        """Interpolate numbers or arrays; exact if both are equal."""
+        return first + self.fraction * (last - first)
 
-    def origin(self, first: Origin, last: Origin) -> dict[str, str]:
-        """Where both come from."""
-        return {n: self.of(getattr(first, n), getattr(last, n), (n,)) for n in Origin.model_fields}
+    def fields(self, first: Document, last: Document, key: Key, names: Any) -> dict[str, Any]:
+        return {n: self.value(getattr(first, n), getattr(last, n), (*key, n)) for n in names}
 
-    def model(self, first: Model, last: Model, key: Key) -> Model:
-        """All fields of a table."""
-        if isinstance(first, Slot) and isinstance(last, Slot) and first.name != last.name:
-            raise self.fault((*key, "name"), "must be the same in both")
-        fields = type(first).model_fields
-        return type(first)(**{n: self.of(getattr(first, n), getattr(last, n), (*key, n)) for n in fields})
-
-    def law(self, first: Distribution, last: Distribution) -> Distribution:
-        """The law whose quantiles are the mix of both laws' quantiles."""
+    def distribution(self, first: Distribution, last: Distribution) -> Distribution:
+        """The distribution whose quantiles are interpolated between both distributions' quantiles."""
         mean, sd, low, high = (
             self.number(getattr(first, name), getattr(last, name)) for name in ("mean", "sd", "low", "high")
         )
-        said = self.origin(first, last)
-        fields = {"mean": mean, "low": low, "high": high, **said}
+        origin = self.fields(first, last, (), Origin.model_fields)
         if first.law == last.law == "value":
-            return Distribution.model_validate({"law": "value", "sd": sd, **fields})
-        if not (first.needs_place or last.needs_place):
-            middles = (np.arange(_SHARES) + 0.5) / _SHARES
-            sd = float(self.number(first.quantiles(middles), last.quantiles(middles)).std())
-        between = (self.share, first, last)
-        return Distribution.model_validate({"law": "blend", "sd": sd, "between": between, **fields})
+            return Distribution(law="value", mean=mean, sd=sd, low=low, high=high, **origin)
+        if not (first.needs_position or last.needs_position):
+            midpoints = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+            sd = float(self.number(first.quantiles(midpoints), last.quantiles(midpoints)).std())
+        between = (self.fraction, first, last)
+        return Distribution(law="blend", mean=mean, sd=sd, low=low, high=high, between=between, **origin)
 
     def choice(self, first: Choice, last: Choice) -> Choice:
-        """Every outcome of either, with the mix of its probabilities."""
-        chances = {
+        """Every outcome of either, with interpolated probabilities."""
+        probabilities = {
             name: self.number(first.probabilities.get(name, 0.0), last.probabilities.get(name, 0.0))
             for name in dict.fromkeys((*first.probabilities, *last.probabilities))
         }
-        return type(first)(probabilities=chances, **self.origin(first, last))
+        origin = self.fields(first, last, (), Origin.model_fields)
+        return type(first)(probabilities=probabilities, **origin)
 
     def pigments(self, first: PigmentPath, last: PigmentPath, key: Key) -> PigmentPath:
-        """The mix of the contents at every state at which either path has a knot."""
+        """The interpolated contents at every state at which either path has a knot."""
         states = sorted({state for path in (first, last) for state, _ in path.knots})
         contents = [path.at(states) for path in (first, last)]
-        mixed = {name: self.number(contents[0][name], contents[1][name]) for name in Pigments.model_fields}
-        knots = [Pigments(**{n: float(v[i]) for n, v in mixed.items()}) for i in range(len(states))]
-        rest = set(PigmentPath.model_fields) - {"start", "path", "end"}
+        values = {name: self.number(contents[0][name], contents[1][name]) for name in Pigments.model_fields}
+        knots = [Pigments(**{n: float(v[i]) for n, v in values.items()}) for i in range(len(states))]
+        others = sorted(set(PigmentPath.model_fields) - {"start", "path", "end"})
         return PigmentPath(
             start=knots[0],
             path=tuple(zip(states[1:-1], knots[1:-1], strict=True)),
             end=knots[-1],
-            **{n: self.of(getattr(first, n), getattr(last, n), (*key, n)) for n in sorted(rest)},
+            **self.fields(first, last, key, others),
         )
 
-    def fault(self, key: Key, allowed: str) -> InputError:
-        """Something that differs and cannot be mixed."""
+    def error(self, key: Key, allowed: str) -> InputError:
+        """Error for values that differ and cannot be interpolated."""
         return InputError(self.where, allowed, key=toml_key(key))

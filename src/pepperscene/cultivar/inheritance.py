@@ -1,4 +1,4 @@
-"""A cultivar file with all that it inherits: from other files by `extends`, from other kinds by `like`."""
+"""Inheritance of cultivar files: from other files by `extends`, from other organ kinds by `like`."""
 
 from __future__ import annotations
 
@@ -7,137 +7,102 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from pepperscene.document import read_toml
+from pepperscene.document import extends_chain
 from pepperscene.errors import InputError
 from pepperscene.shipped import find_file, is_file
 
 Tables = dict[str, Any]
-Lineage = list[tuple[Path, Tables]]
+Chain = list[tuple[Path, Tables]]
 
-SCANS: Final = (".obj", ".ply", ".stl")
+SCAN_SUFFIXES: Final = (".obj", ".ply", ".stl")
 
 
-def lineage(name_or_path: str | Path) -> Lineage:
-    """The files that make a cultivar, with their tables: itself, the file that it extends, and so on.
+def read_chain(name_or_path: str | Path) -> Chain:
+    """Read a cultivar file, the file that it extends, and so on, with their tables.
 
-    Scans are paths that can be opened from anywhere.
+    Paths of scans become absolute.
 
     Raises:
-        InputError: a file or a scan is missing or unreadable, or the files extend each other in a circle.
+        InputError: a file or a scan is missing or unreadable, or `extends` forms a cycle or is too long.
     """
-    path = find_file("plants", name_or_path)
-    files: Lineage = []
-    while True:
-        tables = read_toml(path)
-        _find_scans(path, tables)
-        files.append((path, tables))
-        parent = tables.pop("extends", None)
-        if parent is None:
-            return files
-        if not isinstance(parent, str):
-            raise InputError(path, "must be the name of a cultivar or a path", key="extends", value=parent)
-        path = _parent(path, parent)
-        if path.resolve() in {file.resolve() for file, _ in files}:
-            raise InputError(
-                files[-1][0],
-                "must not lead back to a file that extends this one",
-                key="extends",
-                value=parent,
-            )
+    files = extends_chain(find_file("plants", name_or_path), "plants")
+    for path, tables in files:
+        _resolve_scans(path, tables)
+    return files
 
 
 def cultivar_files(name_or_path: str | Path) -> tuple[Path, ...]:
-    """All files that a cultivar depends on: its own, those that it extends, and the scans of its fruit.
+    """Find all files that a cultivar depends on: its own, those that it extends, and scans of its fruit.
 
     Raises:
-        InputError: as `lineage`.
+        InputError: as `read_chain`.
     """
-    files = lineage(name_or_path)
-    organs = inherited(files).get("organs", {})
-    scans = [
-        Path(organ["scan"]) for organ in _tables_of(organs).values() if isinstance(organ.get("scan"), str)
-    ]
+    files = read_chain(name_or_path)
+    organs = _subtables(merge_chain(files).get("organs"))
+    scans = [Path(organ["scan"]) for organ in organs.values() if isinstance(organ.get("scan"), str)]
     return tuple(dict.fromkeys([file for file, _ in files] + scans))
 
 
-def inherited(files: Lineage) -> Tables:
-    """All tables of a lineage in one: what a file says goes before what its parents say.
+def merge_chain(files: Chain) -> Tables:
+    """Merge the tables of all files; each file overrides the file that it extends.
 
     Raises:
         InputError: a kind is `like` one that does not exist, or like itself.
     """
     tables: Tables = {}
     for _, own in reversed(files):
-        tables = _over(tables, own)
+        tables = _merge_tables(tables, own)
     organs = tables.get("organs")
     if isinstance(organs, Mapping):
-        alike = {name: _alike(name, organs, files) for name in organs}
-        tables = tables | {"organs": alike}
+        tables = tables | {"organs": {name: _resolve_like(name, organs, files) for name in organs}}
     return tables
 
 
-def stated_in(files: Lineage, tables: Tables, key: str) -> Path:
-    """The file that says what stands at a dotted key of the inherited tables, or comes nearest to it."""
+def defining_file(files: Chain, tables: Tables, key: str) -> Path:
+    """Find the file that defines a dotted key of the merged tables, or the most of its parts."""
     parts = key.split(".")
-    return max(files, key=lambda file: _reach(file[1], tables, parts))[0]
+    return max(files, key=lambda file: _matching_parts(file[1], tables, parts))[0]
 
 
-def _parent(path: Path, said: str) -> Path:
-    """A path is seen from the file that says it; a bare name is that of a shipped cultivar."""
-    beside = path.parent / said
-    if not said.endswith(".toml") and Path(said).parent == Path("."):
-        try:
-            return find_file("plants", said)
-        except InputError as fault:
-            raise InputError(path, fault.problem, key="extends", value=said) from None
-    if not is_file(beside):
-        raise InputError(path, "is no file as seen from the file that names it", key="extends", value=said)
-    return beside
-
-
-def _find_scans(path: Path, tables: Tables) -> None:
-    for name, organ in _tables_of(tables.get("organs")).items():
+def _resolve_scans(path: Path, tables: Tables) -> None:
+    for name, organ in _subtables(tables.get("organs")).items():
         scan = organ.get("scan")
         if not isinstance(scan, str):
             continue
-        if not scan.lower().endswith(SCANS):
-            raise InputError(
-                path, f"must be a mesh file: {', '.join(SCANS)}", key=f"organs.{name}.scan", value=scan
-            )
-        if not is_file(path.parent / scan):
-            raise InputError(
-                path, "is no file as seen from the file that names it", key=f"organs.{name}.scan", value=scan
-            )
-        organ["scan"] = str((path.parent / scan).resolve())
+        key, file = f"organs.{name}.scan", path.parent / scan
+        if not scan.lower().endswith(SCAN_SUFFIXES):
+            raise InputError(path, f"must be a mesh file: {', '.join(SCAN_SUFFIXES)}", key=key, value=scan)
+        if not is_file(file):
+            raise InputError(path, "is not a file, relative to this one", key=key, value=scan)
+        organ["scan"] = str(file.resolve())
 
 
-def _over(below: Tables, above: Tables) -> Tables:
-    """The tables of a file over those of its parent; laws, choices, pigments and lists are replaced whole."""
-    merged = copy.copy(below)
-    for key, value in above.items():
-        known = below.get(key)
-        if key not in ("stem", "organs", "pigments") or not (
-            isinstance(known, dict) and isinstance(value, dict)
-        ):
+def _merge_tables(base: Tables, override: Tables) -> Tables:
+    """Merge a file's tables into its parent's; distributions, choices, pigments and lists are replaced."""
+    merged = copy.copy(base)
+    for key, value in override.items():
+        known = base.get(key)
+        if not (isinstance(known, dict) and isinstance(value, dict)):
             merged[key] = value
         elif key == "organs":
-            merged[key] = known | {name: _organ_over(known.get(name), organ) for name, organ in value.items()}
+            organs = {name: _merge_organ(known.get(name), organ) for name, organ in value.items()}
+            merged[key] = known | organs
         else:
-            merged[key] = known | value
+            merged[key] = known | value if key in ("stem", "pigments") else value
     return merged
 
 
-def _organ_over(below: Any, above: Any) -> Any:
-    """A kind's table over that of the same kind in the parent; its slots are told by their names.
+def _merge_organ(base: Any, override: Any) -> Any:
+    """Merge a kind's table into that of its parent; slots of the same name are merged.
 
-    An empty list takes all of them away.
+    An empty list removes all slots.
     """
-    if not (isinstance(below, dict) and isinstance(above, dict)):
-        return above
-    merged = below | above
-    if above.get("bears") and _are_slots(below.get("bears")) and _are_slots(above["bears"]):
-        slots = {slot["name"]: slot for slot in below["bears"]}
-        for slot in above["bears"]:
+    if not (isinstance(base, dict) and isinstance(override, dict)):
+        return override
+    merged = base | override
+    if override.get("bears") and _are_slots(base.get("bears")) and _are_slots(override["bears"]):
+        slots = {slot["name"]: slot for slot in base["bears"]}
+        for slot in override["bears"]:
             slots[slot["name"]] = slots.get(slot["name"], {}) | slot
         merged["bears"] = list(slots.values())
     return merged
@@ -149,32 +114,29 @@ def _are_slots(value: Any) -> bool:
     )
 
 
-def _alike(name: str, organs: Mapping[str, Any], files: Lineage) -> Any:
-    """A kind's table with the keys of the kind that it is like, and of the one that that is like."""
+def _resolve_like(name: str, organs: Mapping[str, Any], files: Chain) -> Any:
+    """A kind's table merged into that of the kind that it is like, and so on."""
     chain, table = [name], organs[name]
     while isinstance(table, dict) and "like" in table:
         like = table["like"]
         if not isinstance(like, str) or like not in organs or like in chain:
             key = f"organs.{chain[-1]}.like"
-            allowed = "must be another of the organs" + (
-                ", and not lead back to this one" if like in chain else ""
-            )
-            raise InputError(stated_in(files, {"organs": organs}, key), allowed, key=key, value=like)
+            allowed = "must be another of the organs" + (", and not form a cycle" if like in chain else "")
+            raise InputError(defining_file(files, {"organs": organs}, key), allowed, key=key, value=like)
         chain.append(like)
-        rest = {key: value for key, value in table.items() if key != "like"}
-        # What the other is like in turn is looked up next; `rest` would hide it.
-        table = _organ_over(organs[like], rest)
+        # The merged table has the `like` of the other kind, if any.
+        table = _merge_organ(organs[like], {key: value for key, value in table.items() if key != "like"})
     return table
 
 
-def _reach(own: Any, tables: Any, parts: list[str]) -> int:
-    """How many parts of a key a file's own tables have; slots are told by their names."""
+def _matching_parts(own: Any, tables: Any, parts: list[str]) -> int:
+    """Number of leading parts of a key that a file's own tables have; slots match by name."""
     for depth, part in enumerate(parts):
         if isinstance(tables, list) and part.isdigit() and int(part) < len(tables):
             tables = tables[int(part)]
             name = tables.get("name") if isinstance(tables, dict) else None
-            same = [one for one in own if isinstance(one, dict) and one.get("name") == name]
-            own = same[0] if isinstance(own, list) and same else None
+            slots = own if isinstance(own, list) else []
+            own = next((slot for slot in slots if isinstance(slot, dict) and slot.get("name") == name), None)
         else:
             tables = tables.get(part) if isinstance(tables, dict) else None
             own = own.get(part) if isinstance(own, dict) else None
@@ -183,7 +145,7 @@ def _reach(own: Any, tables: Any, parts: list[str]) -> int:
     return len(parts)
 
 
-def _tables_of(value: Any) -> dict[str, Tables]:
-    """Those entries of a table that are tables themselves."""
+def _subtables(value: Any) -> dict[str, Tables]:
+    """Entries of a table that are tables themselves."""
     entries = value.items() if isinstance(value, Mapping) else ()
     return {name: entry for name, entry in entries if isinstance(entry, dict)}

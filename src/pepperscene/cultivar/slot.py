@@ -1,4 +1,4 @@
-"""A slot: a place on an organ where others grow, what they are, how many, and where they point."""
+"""Slots: the places on an organ where others grow."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from pydantic import Field, model_validator
 from pepperscene.cultivar.notation import NOTHING, Angle, Choice, Count, Number, Ratio
 from pepperscene.document import Document
 
-Place = Annotated[float, Field(ge=0.0, le=1.0)]
+Position = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class Flush(Document):
-    """Growth in waves along the stem: the chance of anything swings with the place, and its mean stays.
+    """Table of a slot that makes growth come in waves along the stem; the mean probability is unchanged.
 
     Attributes:
-        nodes: from one wave's crest to the next, drawn once a plant.
-        strength: 0 for an even chance, 1 for none between the waves.
+        nodes: wavelength in nodes, drawn once per plant.
+        strength: relative amplitude: 0 for a constant probability, 1 for no growth between the waves.
     """
 
     nodes: Ratio
@@ -26,13 +26,12 @@ class Flush(Document):
 
 
 class Descent(Document):
-    """An outcome that is more frequent at the foot of the plant than at its top, while its mean stays.
-
-    Or less frequent, where `by` is negative.
+    """Table of a slot that makes one outcome more frequent low on the plant; its mean is unchanged.
 
     Attributes:
         of: the outcome.
-        by: by how much its share of what grows exceeds the mean at the foot, and falls short at the top.
+        by: excess of its fraction of all that grows over the mean at the foot, and deficit at the top;
+            negative if the outcome is more frequent at the top.
     """
 
     of: str
@@ -41,76 +40,59 @@ class Descent(Document):
 
 
 class Slot(Document):
-    """What can grow at a place of an organ.
+    """Table of an organ that says what grows at one of its places, how many, and in which direction."""
 
-    Attributes:
-        name: unique among the slots of its organ.
-        what: kind -> probability; `none` for nothing.
-        count: how many grow at each place.
-        at: places along the organ, 0 base to 1 tip.
-        lift: on a node, in half node lengths above its centre.
-        azimuth: on a node, around the stem, counter-clockwise seen from above, 0 towards the aisle.
-        step: on a node, by how many turns of the cumulated azimuth law its share moves on: from the same slot
-            at the node below, or from the share of the slot `after` of the same node. So organs avoid one
-            another, and all the same follow the law as a whole.
-        after: a slot that stands before this one in the list.
-        spread: several at one place fan out about their parent's azimuth by this angle from one to the next.
-        aside: they leave their parent's azimuth by this angle, to one side and the other from place to place.
-        pairs: one to either side at each place.
-        every: on a node, only at each so-manieth, counted from `first`.
-        first: on a node, the lowest one (0 is the node above the first internode) that bears anything here.
-        flush: see `Flush`; on a node.
-        descent: see `Descent`; on a node.
-        source: of the plain numbers.
-        chosen: why the plain numbers are what they are.
-    """
-
-    name: Annotated[str, Field(min_length=1)]
-    what: Choice
-    count: Count = Number(probabilities={"one": 1.0}, chosen="one where the file says nothing else")
-    at: Annotated[tuple[Place, ...], Field(min_length=1)] = (1.0,)
-    lift: Annotated[float, Field(ge=-1.0, le=1.0)] = 0.0
-    azimuth: Angle | None = None
+    name: Annotated[str, Field(min_length=1)]  # unique among the slots of its organ
+    what: Choice  # kind -> probability; `none` for nothing
+    count: Count = Number(probabilities={"one": 1.0}, chosen="the default is one")  # items at each position
+    at: Annotated[tuple[Position, ...], Field(min_length=1)] = (1.0,)  # along the organ, 0 base to 1 tip
+    lift: Annotated[float, Field(ge=-1.0, le=1.0)] = 0.0  # on a node, in half node lengths above its centre
+    azimuth: Angle | None = None  # on a node, counter-clockwise seen from above, 0 towards the aisle
+    # On a node, makes neighbours avoid each other: the quantile level of the azimuth is that of this slot at
+    # the node below (or of the slot `after` at the same node) plus this step, modulo 1. All azimuths together
+    # still follow their distribution.
     step: Ratio | None = None
-    after: str | None = None
+    after: str | None = None  # an earlier slot of the list
+    # Angle between neighbours if several items share a position; centred on the parent's azimuth.
     spread: Angle | None = None
-    aside: Angle | None = None
-    pairs: bool = False
-    every: Annotated[int, Field(ge=1, le=200)] = 1
+    aside: Angle | None = None  # angle to the parent's azimuth, to alternating sides along the organ
+    pairs: bool = False  # one item to each side at each position
+    every: Annotated[int, Field(ge=1, le=200)] = 1  # on a node, only at every n-th, counted from `first`
+    # On a node, the lowest one with this slot; 0 is the node above the first internode.
     first: Annotated[int, Field(ge=0, le=200)] = 0
-    flush: Flush | None = None
-    descent: Descent | None = None
-    source: str = ""
+    flush: Flush | None = None  # on a node
+    descent: Descent | None = None  # on a node
+    source: str = ""  # origin of the plain numbers, as is `chosen`
     chosen: str = ""
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """The kinds that can grow here, those of probability 0 included."""
+        """Kinds that can grow here, including those of probability 0."""
         return tuple(kind for kind in self.what.probabilities if kind != NOTHING)
 
     @property
     def filled(self) -> float:
-        """The probability that anything grows here."""
-        return sum(share for kind, share in self.what.probabilities.items() if kind != NOTHING)
+        """Probability that anything grows here."""
+        return sum(chance for kind, chance in self.what.probabilities.items() if kind != NOTHING)
 
     @model_validator(mode="after")
-    def _modulations_fit(self) -> Self:
+    def _check_flush_and_descent(self) -> Self:
         if self.flush is not None:
             strength = self.flush.strength
             if strength.low < 0 or self.filled * (1.0 + strength.high) > 1.0 + 1e-9:
-                raise ValueError("flush.strength must be 0 or more and leave every node's chance at most 1")
+                raise ValueError("flush.strength must be 0 or more and keep every probability at most 1")
             if self.flush.nodes.low <= 0:
                 raise ValueError("flush.nodes must be greater than 0")
-        # Where nothing grows, an inherited descent has nothing to shift.
+        # If nothing grows, an inherited descent has no effect.
         if self.descent is not None and self.filled > 0:
             of, by = self.descent.of, self.descent.by
             if of not in self.kinds:
                 raise ValueError(f"descent.of must be one of what grows here: {', '.join(self.kinds)}")
-            share = self.what.probabilities[of] / self.filled
-            most = min(share, 1.0 - share) + 1e-9
+            fraction = self.what.probabilities[of] / self.filled
+            most = min(fraction, 1.0 - fraction) + 1e-9
             if not -most <= by.low <= by.high <= most:
                 raise ValueError(
-                    f"descent.by must lie between {-most:.3g} and {most:.3g}, "
-                    f"the smaller of {of}'s share and the others'"
+                    f"descent.by must be between {-most:.3g} and {most:.3g}, "
+                    f"the smaller of {of}'s fraction and the others'"
                 )
         return self

@@ -3,10 +3,9 @@
 from pepperscene.cultivar import OrganForm, OrganKind
 from pepperscene.grammar.build import build_plant, grow
 from pepperscene.grammar.draw import draw_parameters
-from pepperscene.grammar.plant import KindParameters, Organ, Plant, PlantParameters
+from pepperscene.grammar.plant import Organ, Plant, PlantParameters
 
 __all__ = [
-    "KindParameters",
     "Organ",
     "OrganForm",
     "OrganKind",

@@ -1,4 +1,4 @@
-"""Drawing the parameters of one plant from a cultivar's laws."""
+"""Draw the parameters of one plant from a cultivar's distributions."""
 
 from __future__ import annotations
 
@@ -8,41 +8,89 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.cultivar import Cultivar, Distribution
-from pepperscene.cultivar.organs import Fruit, OrganForm, OrganModel
-from pepperscene.grammar.expand import Items, expanded
-from pepperscene.grammar.growth import Growth, drawn_number, fruit_middle, growth_of, ripeness
-from pepperscene.grammar.hashing import Addresses, FloatArray, drawn_key, several_shares, shares
-from pepperscene.grammar.plant import KindParameters, PlantParameters, possible
-
-# Chosen, as a habit of growth that photographs show and no table has:
-_TWINE_PULL: Final = 0.7  # sd, rad, of a section's azimuth about the way back to the plant's own line
-_THICKER: Final = 1.1  # a node is never thinner than so many times its stem
+from pepperscene.cultivar import Cultivar, Distribution, Fruit, OrganForm, OrganModel, Slot
+from pepperscene.grammar.hashing import Addresses, FloatArray, draw_key, uniforms
+from pepperscene.grammar.plant import Indices, KindParameters, PlantParameters, clip_to_limits
+from pepperscene.grammar.topology import OrganGroup, Phytomers, TopologyBuilder, draw_numbers
 
 Columns = dict[str, FloatArray]
 
+# Chosen, as growth habits that photographs show and no table has:
+_TWINE_PULL: Final = 0.7  # sd, rad, of an internode's azimuth about the direction back to the plant's axis
+_MIN_NODE_WIDTH: Final = 1.1  # of a node, in stem diameters
+_YOUNG_LIFT: Final = math.radians(60.0)  # rise of a young blade's inclination, at size 0
+_YOUNG_PALE: Final = 0.35  # fall of a young blade's state, at size 0
 
-def stem_columns(cultivar: Cultivar, growth: Growth, lean: float) -> tuple[Columns, Columns]:
-    """The numbers of all internodes and of all nodes, by the names of `KindParameters.values`."""
-    section, swelling = (
-        cultivar.organs[cultivar.stem.internode].distributions,
-        cultivar.organs[cultivar.stem.node].distributions,
-    )
-    sections, nodes, places, sizes = growth.sections, growth.nodes, growth.places, growth.sizes
-    length = sizes * section["length"].quantiles(shares(sections, "length"), places)
-    length = possible("length", length)
-    azimuth, inclination = _directions(cultivar, growth, length, lean)
-    mean, diameters = _diameters(cultivar, growth)
-    # One deviation for the whole stem, so that a section ends as the next begins.
-    joints = np.minimum(np.arange(growth.parts + 1) / max(growth.grown, 1), 1.0)
-    deviation = np.broadcast_to(shares(growth.key, "state"), joints.shape)
-    state = possible("state", section["state"].quantiles(deviation, joints))
-    spread = np.broadcast_to(shares(growth.key, "state_spread"), places.shape)
-    # Grooves are in proportion to the stem.
-    depth = section["groove"].quantiles(np.broadcast_to(shares(growth.key, "groove"), joints.shape), joints)
-    groove = possible("groove", depth * diameters / mean)
-    width = sizes * swelling["width"].quantiles(shares(nodes, "width"), places)
-    return {
+_SIZE_PARAMETERS: Final[Mapping[OrganForm, tuple[str, ...]]] = {
+    "stalk": ("length", "diameter"),
+    "blade": ("length", "width", "margin_wave", "blister", "vein"),
+    "peduncle": ("length", "diameter"),
+    "fruit": ("diameter",),
+    "cut": ("diameter",),
+    "flower": ("diameter",),
+}
+"""Parameters that are smaller where the stem is young."""
+
+_CONSTANTS: Final[Mapping[OrganForm, tuple[str, ...]]] = {
+    "stalk": ("towards", "channel"),
+    "flower": ("petals",),
+}
+"""Parameters that are equal for all organs of a kind."""
+
+_RIPENESS: Final = ("ripe_fraction", "ripe_descent", "breaker_fraction", "unripe", "breaker", "ripe")
+_CALYX: Final = ("calyx_radius", "calyx_tooth", "calyx_state", "calyx_seed")
+_MAX_DEPTH: Final = 8  # chosen: fruit has fewer organs between it and its node
+
+
+def draw_parameters(cultivar: Cultivar, rng: np.random.Generator, lean: float = 0.0) -> PlantParameters:
+    """Draw all numbers of one plant; the same generator state gives the same plant.
+
+    The generator gives one number, the plant's key; all others are hashed from it (see `hashing`), so that
+    the same key and another date of the same cultivar give the same plant, younger or older.
+
+    Args:
+        cultivar: has the distributions.
+        rng: for the key.
+        lean: radians, added to the drawn lean of the stem; positive towards the aisle.
+
+    Raises:
+        ValueError: the cultivar's organs bear one another without end.
+    """
+    phytomers = Phytomers.of(cultivar, draw_key(rng))
+    organs = _draw_stem(cultivar, phytomers, lean)
+    groups = TopologyBuilder(cultivar, phytomers).build()
+    for name, model in cultivar.organs.items():
+        if name not in organs:
+            own = [group for group in groups if group.kind == name]
+            organs[name] = _draw_kind(cultivar, name, model, own, phytomers)
+    return PlantParameters(cultivar.name, organs)
+
+
+def _draw_stem(cultivar: Cultivar, phytomers: Phytomers, lean: float) -> dict[str, KindParameters]:
+    """Internodes and nodes, numbered alternately from the ground."""
+    internode, node = (cultivar.organs[name] for name in (cultivar.stem.internode, cultivar.stem.node))
+    section, swelling = internode.distributions, node.distributions
+    positions, sizes = phytomers.positions, phytomers.sizes
+    length = sizes * section["length"].quantiles(uniforms(phytomers.internodes, "length"), positions)
+    length = clip_to_limits("length", length)
+    azimuth, inclination = _draw_directions(cultivar, phytomers, length, lean)
+
+    # One deviation per plant for all boundaries between phytomers, so that internodes end as the next begin.
+    boundaries = np.minimum(np.arange(len(phytomers) + 1) / max(phytomers.mature, 1), 1.0)
+    mean_diameter, diameters = _draw_diameters(cultivar, phytomers, boundaries)
+
+    def along_stem(distribution: Distribution, name: str, positions: FloatArray) -> FloatArray:
+        uniform = np.broadcast_to(uniforms(phytomers.key, name), positions.shape)
+        return distribution.quantiles(uniform, positions)
+
+    state = clip_to_limits("state", along_stem(section["state"], "state", boundaries))
+    spread = clip_to_limits("state_spread", along_stem(section["state_spread"], "state_spread", positions))
+    # Grooves are proportional to the stem.
+    groove = along_stem(section["groove"], "groove", boundaries) * diameters / mean_diameter
+    groove = clip_to_limits("groove", groove)
+    width = sizes * swelling["width"].quantiles(uniforms(phytomers.nodes, "width"), positions)
+    node_length = sizes * swelling["length"].quantiles(uniforms(phytomers.nodes, "length"), positions)
+    internode_values = {
         "length": length,
         "azimuth": azimuth,
         "inclination": inclination,
@@ -51,176 +99,182 @@ def stem_columns(cultivar: Cultivar, growth: Growth, lean: float) -> tuple[Colum
         "groove": groove[:-1],
         "state": state[:-1],
         "state_tip": state[1:],
-        "state_spread": possible("state_spread", section["state_spread"].quantiles(spread, places)),
-        "seed": shares(sections, "seed"),
-    }, {
-        "width": np.maximum(width, _THICKER * diameters[1:]),
-        "length": possible("length", sizes * swelling["length"].quantiles(shares(nodes, "length"), places)),
+        "state_spread": spread,
+        "seed": uniforms(phytomers.internodes, "seed"),
+    }
+    node_values = {
+        "width": np.maximum(width, _MIN_NODE_WIDTH * diameters[1:]),
+        "length": clip_to_limits("length", node_length),
         "diameter": diameters[1:],
         "groove": groove[1:],
-        "state": possible("state", swelling["state"].quantiles(deviation[1:], joints[1:])),
-        "seed": shares(nodes, "seed"),
+        "state": clip_to_limits("state", along_stem(swelling["state"], "state", boundaries[1:])),
+        "seed": uniforms(phytomers.nodes, "seed"),
+    }
+    order = np.arange(len(phytomers))
+    return {
+        cultivar.stem.internode: KindParameters(
+            internode.kind, 2 * order, 2 * order - 1, order, internode_values
+        ),
+        cultivar.stem.node: KindParameters(node.kind, 2 * order + 1, 2 * order, order, node_values),
     }
 
 
-def _diameters(cultivar: Cultivar, growth: Growth) -> tuple[float, FloatArray]:
-    """The drawn mean, and `(parts + 1,)` below and above each phytomer: tapering, and thinner where young."""
-    stem = cultivar.stem
-    mean = possible("diameter", np.array([growth.once(stem.diameter, "stem.diameter")]))[0]
-    top = possible("tip", np.array([growth.once(stem.top_diameter, "stem.top_diameter")]))[0]
+def _draw_diameters(
+    cultivar: Cultivar, phytomers: Phytomers, boundaries: FloatArray
+) -> tuple[float, FloatArray]:
+    """The mean, and `(parts + 1,)` below and above each phytomer: tapering, and thinner where young."""
+    stem, key = cultivar.stem, phytomers.key
+    mean = clip_to_limits("diameter", stem.diameter.quantiles(uniforms(key, "stem.diameter")))[0]
+    top = clip_to_limits("tip", stem.top_diameter.quantiles(uniforms(key, "stem.top_diameter")))[0]
     slope = 2.0 * (1.0 - top) / (1.0 + top)
-    place = np.minimum(np.arange(growth.parts + 1) / max(growth.grown, 1), 1.0)
-    size = np.append(growth.sizes, growth.sizes[-1])
-    return float(mean), np.asarray(mean * (1.0 + slope * (0.5 - place)) * np.sqrt(size))
+    size = np.append(phytomers.sizes, phytomers.sizes[-1])
+    return float(mean), np.asarray(mean * (1.0 + slope * (0.5 - boundaries)) * np.sqrt(size))
 
 
-def _directions(
-    cultivar: Cultivar, growth: Growth, length: FloatArray, lean: float
+def _draw_directions(
+    cultivar: Cultivar, phytomers: Phytomers, length: FloatArray, lean: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Azimuth and inclination of each section: aslant, and back to the line that the twine holds it to."""
+    """Azimuth and inclination of each internode: oblique, and back to the plant's axis along the twine."""
     from scipy.special import ndtri
 
     stem = cultivar.stem
-    aslant = np.sin(stem.zigzag.quantiles(shares(growth.sections, "zigzag"), growth.places))
-    pull = _TWINE_PULL * ndtri(shares(growth.sections, "pull"))
-    # The plant's own line, from which the stem must not stray: it leans across the row.
-    line = -math.sin(growth.once(stem.lean, "stem.lean") + lean)
-    back = 2.0 * math.pi * float(shares(growth.key, "stem.side")[0])
+    zigzag = stem.zigzag.quantiles(uniforms(phytomers.internodes, "zigzag"), phytomers.positions)
+    pull = _TWINE_PULL * ndtri(uniforms(phytomers.internodes, "pull"))
+    # The axis leans across the row.
+    axis_y = -math.sin(stem.lean.quantiles(uniforms(phytomers.key, "stem.lean"))[0] + lean)
+    back = 2.0 * math.pi * float(uniforms(phytomers.key, "stem.side")[0])
     x = y = 0.0
-    azimuths, inclinations = np.empty(growth.parts), np.empty(growth.parts)
-    for i, (share, turned, step) in enumerate(
-        zip(aslant.tolist(), pull.tolist(), length.tolist(), strict=True)
-    ):
-        azimuth = back + turned
-        level_x, level_y = share * math.sin(azimuth), -share * math.cos(azimuth)
-        x, y = x + step * level_x, y + step * level_y
+    azimuths, inclinations = np.empty(len(phytomers)), np.empty(len(phytomers))
+    steps = zip(np.sin(zigzag).tolist(), pull.tolist(), length.tolist(), strict=True)
+    for i, (horizontal, deviation, step) in enumerate(steps):
+        azimuth = back + deviation
+        direction_x, direction_y = horizontal * math.sin(azimuth), -horizontal * math.cos(azimuth)
+        x, y = x + step * direction_x, y + step * direction_y
         back = math.atan2(-x, y)
-        # A section's share of the way is level, the rest of it upwards.
-        level_y += line
-        azimuths[i] = math.atan2(level_x, -level_y)
-        inclinations[i] = math.acos(min(math.hypot(level_x, level_y), 1.0))
+        direction_y += axis_y
+        azimuths[i] = math.atan2(direction_x, -direction_y)
+        inclinations[i] = math.acos(min(math.hypot(direction_x, direction_y), 1.0))
     return azimuths, inclinations
 
 
-# Chosen, as habits of growth that photographs show and no table has:
-_YOUNG_LIFT: Final = math.radians(60.0)  # young blades are held up; at size 0 by so much
-_YOUNG_PALE: Final = 0.35  # young blades are paler; at size 0 by so much in state
-
-_GROWING: Final[Mapping[OrganForm, tuple[str, ...]]] = {
-    "stalk": ("length", "diameter"),
-    "blade": ("length", "width", "margin_wave", "blister", "vein"),
-    "peduncle": ("length", "diameter"),
-    "fruit": ("diameter",),
-    "cut": ("diameter",),
-    "flower": ("diameter",),
-}
-"""What is smaller where the stem is young."""
-
-_PLAIN: Final[Mapping[OrganForm, tuple[str, ...]]] = {"stalk": ("towards", "channel"), "flower": ("petals",)}
-"""Numbers that all organs of a kind have alike."""
-
-_RIPENING: Final = ("ripe_fraction", "ripe_descent", "breaker_fraction", "unripe", "breaker", "ripe")
-_CALYX: Final = ("calyx_radius", "calyx_tooth", "calyx_state", "calyx_seed")
-_PLACED: Final = ("at", "lift", "azimuth", "sideways")
-
-
-def draw_parameters(cultivar: Cultivar, rng: np.random.Generator, lean: float = 0.0) -> PlantParameters:
-    """All numbers of one plant; the same generator state gives the same plant.
-
-    The generator gives one number, the plant's key; all else is looked up by it (see `hashing`), so that the
-    same key and another date of the same cultivar give the same plant, younger or older.
-
-    Args:
-        cultivar: whose laws they follow.
-        rng: for the key.
-        lean: radians, added to the drawn lean of the stem; positive towards the aisle.
-
-    Raises:
-        ValueError: the cultivar's organs bear one another without end.
-    """
-    growth = growth_of(cultivar, drawn_key(rng))
-    organs = _stem(cultivar, growth, lean)
-    items = expanded(cultivar, growth)
-    for name, model in cultivar.organs.items():
-        mine = [one for one in items if one.kind == name]
-        if name not in organs:
-            organs[name] = _organs(cultivar, name, model, mine, growth)
-    return PlantParameters(cultivar.name, organs)
-
-
-def _stem(cultivar: Cultivar, growth: Growth, lean: float) -> dict[str, KindParameters]:
-    """Internodes and nodes in turn, from the ground."""
-    order = np.arange(growth.parts)
-    sections, nodes = stem_columns(cultivar, growth, lean)
-    names = cultivar.stem.internode, cultivar.stem.node
-    kinds = [cultivar.organs[name].kind for name in names]
-    return {
-        names[0]: KindParameters(kinds[0], 2 * order, 2 * order - 1, order, sections),
-        names[1]: KindParameters(kinds[1], 2 * order + 1, 2 * order, order, nodes),
-    }
-
-
-def _organs(
-    cultivar: Cultivar, name: str, model: OrganModel, items: list[Items], growth: Growth
+def _draw_kind(
+    cultivar: Cultivar, name: str, model: OrganModel, groups: list[OrganGroup], phytomers: Phytomers
 ) -> KindParameters:
     """All organs of one kind, whatever they grow on."""
-    if not items:
-        nothing = np.zeros(0, dtype=np.intp)
-        return KindParameters(model.kind, nothing, nothing, nothing, {})
-    address, phytomer = (
-        np.concatenate([getattr(one, column) for one in items]) for column in ("address", "phytomer")
-    )
-    values = _drawn(model, address, growth.places[phytomer])
-    # Young organs are smaller, and young blades paler and held up.
-    sizes = growth.sizes[phytomer]
-    for column in _GROWING.get(model.form, ()):
+    if not groups:
+        empty = np.zeros(0, dtype=np.intp)
+        return KindParameters(model.kind, empty, empty, empty, {})
+
+    def join(column: str) -> np.ndarray:
+        return np.concatenate([getattr(group, column) for group in groups])
+
+    address, phytomer = join("address"), join("phytomer")
+    values = _draw_values(model, address, phytomers.positions[phytomer])
+    # Young organs are smaller, and young blades paler and more upright.
+    sizes = phytomers.sizes[phytomer]
+    for column in _SIZE_PARAMETERS.get(model.form, ()):
         values[column] = sizes * values[column]
     if model.form == "blade":
         values["inclination"] = values["inclination"] + _YOUNG_LIFT * (1.0 - sizes)
         values["state"] = values["state"] - _YOUNG_PALE * (1.0 - sizes)
     if isinstance(model, Fruit):
-        middle = fruit_middle(cultivar, name, growth)
-        values["ripeness"] = ripeness(values, shares(address, "ripeness"), phytomer, middle, growth)
-        values["lobes"] = drawn_number(model.lobes.numbers, shares(address, "lobes")).astype(float)
-        values["calyx_seed"] = shares(address, "calyx_seed")
-        for column in (*_RIPENING, *(() if model.calyx else _CALYX)):
+        centre = _expected_fruit_height(cultivar, name, phytomers)
+        values["ripeness"] = _ripeness(values, uniforms(address, "ripeness"), phytomer, centre, phytomers)
+        values["lobes"] = draw_numbers(model.lobes.numbers, uniforms(address, "lobes")).astype(float)
+        values["calyx_seed"] = uniforms(address, "calyx_seed")
+        for column in (*_RIPENESS, *(() if model.calyx else _CALYX)):
             del values[column]
-    values = {column: possible(column, value) for column, value in values.items()}
-    for column in _PLAIN.get(model.form, ()):
+    values = {column: clip_to_limits(column, value) for column, value in values.items()}
+    for column in _CONSTANTS.get(model.form, ()):
         values[column] = np.full(address.size, float(getattr(model, column)))
-    placed = {column: np.concatenate([getattr(one, column) for one in items]) for column in _PLACED}
-    return KindParameters(
-        kind=model.kind,
-        number=np.concatenate([one.number for one in items]),
-        parent=np.concatenate([one.parent for one in items]),
-        phytomer=phytomer,
-        values={"seed": shares(address, "seed"), **placed, **values},
-    )
+    placement = {column: join(column) for column in ("at", "lift", "azimuth", "sideways")}
+    values = {"seed": uniforms(address, "seed"), **placement, **values}
+    return KindParameters(model.kind, join("number"), join("parent"), phytomer, values)
 
 
-def _drawn(model: OrganModel, address: Addresses, places: FloatArray) -> dict[str, FloatArray]:
-    """`(n,)` values of all of a kind's laws."""
-    laws = model.distributions
-    names = tuple(laws)
-    share = dict(zip(names, several_shares(address, names), strict=True))
+def _draw_values(model: OrganModel, address: Addresses, positions: FloatArray) -> Columns:
+    """`(n,)` values from each distribution of a kind."""
+    distributions = model.distributions
+    uniform = dict(zip(distributions, uniforms(address, tuple(distributions)), strict=True))
     correlation = getattr(model, "size_correlation", 0.0)
     if correlation > 0.0:
-        _correlate(share, ("length", "width"), correlation, shares(address, "size"))
-    return {name: _values(law, share[name], places) for name, law in laws.items()}
+        # A Gaussian copula: each value still follows its own distribution.
+        from scipy.special import ndtr, ndtri
+
+        common = math.sqrt(correlation) * ndtri(uniforms(address, "size"))
+        for name in ("length", "width"):
+            uniform[name] = ndtr(common + math.sqrt(1.0 - correlation) * ndtri(uniform[name]))
+    # Most parameters are constants: skip the quantile function for speed.
+    return {
+        name: np.full(address.size, distribution.mean)
+        if distribution.law == "value"
+        else distribution.quantiles(uniform[name], positions)
+        for name, distribution in distributions.items()
+    }
 
 
-def _values(law: Distribution, share: FloatArray, places: FloatArray) -> FloatArray:
-    if law.law == "value":
-        return np.full(share.size, law.mean)
-    return law.quantiles(share, places)
+def _ripeness(
+    drawn: Columns, uniform: FloatArray, phytomer: Indices, centre: float, phytomers: Phytomers
+) -> FloatArray:
+    """`(n,)` ripeness, 0 green to 1 ripe.
+
+    Args:
+        drawn: the `(n,)` values of the fruit's distributions.
+        uniform: `(n,)` decides whether each is ripe, at the breaker stage or unripe.
+        phytomer: `(n,)` of the fruit.
+        centre: expected mean height of such fruit, about which ripeness is balanced.
+        phytomers: of the plant.
+    """
+    rise = 2.0 * (centre - phytomers.heights[phytomer])
+    ripe = drawn["ripe_fraction"] + drawn["ripe_descent"] * rise
+    below, above = ripe - 0.5 * drawn["breaker_fraction"], ripe + 0.5 * drawn["breaker_fraction"]
+    unripe_or_breaker = np.where(uniform < above, drawn["breaker"], drawn["unripe"])
+    mature = np.where(uniform < below, drawn["ripe"], unripe_or_breaker)
+    return np.where(phytomers.sizes[phytomer] < 1.0, drawn["unripe"], mature)
 
 
-def _correlate(
-    share: dict[str, FloatArray], names: tuple[str, ...], correlation: float, common: FloatArray
-) -> None:
-    """Tie some shares by a Gaussian copula, so that each value still follows its own law."""
-    from scipy.special import ndtr, ndtri
+def _expected_fruit_height(cultivar: Cultivar, kind: str, phytomers: Phytomers) -> float:
+    """Expected mean height of a kind of fruit on the mature part of the stem."""
+    expected = np.zeros(len(phytomers))
+    fruits = _expected_fruits(cultivar, kind)
+    for slot in cultivar.organs[cultivar.stem.node].bears:
+        items = _mean_items(slot) * phytomers.with_slot(slot)
+        for name in slot.kinds:
+            expected += items * _mean_probability(slot, name, phytomers) * fruits[name]
+    expected[phytomers.sizes < 1.0] = 0.0
+    total = expected.sum()
+    return float(expected @ phytomers.heights / total) if total > 0 else 0.5
 
-    shared, own = math.sqrt(correlation) * ndtri(common), math.sqrt(1.0 - correlation)
-    for name in names:
-        share[name] = ndtr(shared + own * ndtri(share[name]))
+
+def _expected_fruits(cultivar: Cultivar, kind: str) -> dict[str, float]:
+    """Kind -> expected number of fruits of one kind on it, up to `_MAX_DEPTH` organs away."""
+    fruits = {name: float(name == kind) for name in cultivar.organs}
+    for _ in range(_MAX_DEPTH):
+        fruits = {
+            name: float(name == kind)
+            + sum(
+                _mean_items(slot) * slot.what.probabilities[below] * fruits[below]
+                for slot in model.bears
+                for below in slot.kinds
+            )
+            for name, model in cultivar.organs.items()
+        }
+    return fruits
+
+
+def _mean_items(slot: Slot) -> float:
+    """Expected number of items in a slot."""
+    number = sum(count * chance for count, chance in slot.count.numbers.items())
+    return number * len(slot.at) * (2 if slot.pairs else 1)
+
+
+def _mean_probability(slot: Slot, name: str, phytomers: Phytomers) -> FloatArray | float:
+    """Probability of an outcome along the stem; flushes leave it unchanged on average over plants."""
+    stated = slot.what.probabilities[name]
+    if slot.descent is None or slot.filled == 0:
+        return stated
+    fraction = slot.what.probabilities[slot.descent.of] / slot.filled
+    excess = slot.descent.by.mean * phytomers.descent(slot)
+    if name == slot.descent.of:
+        return np.asarray(stated + slot.filled * excess)
+    return np.asarray(stated * (1.0 - excess / (1.0 - fraction))) if fraction < 1.0 else stated

@@ -1,4 +1,4 @@
-"""A grown plant: organs with poses and measures, no triangles."""
+"""A plant: its organs with poses and measures, and the parameters from which they are built."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.cultivar.organs import OrganForm, OrganKind
+from pepperscene.cultivar import OrganForm, OrganKind
 from pepperscene.grammar.hashing import FloatArray
+
+Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,30 +21,30 @@ class Organ:
 
     Attributes:
         kind: its name in the cultivar file, such as "lamina" or "shoot_petiole".
-        parent: index of the organ that it grows out of, in the plant's list; -1 for the first internode.
+        parent: index of the organ that bears it, in the plant's list; -1 for the first internode.
         phytomer: position along the main stem, 0-based from the ground.
         curve: `(k, 3)` centreline from base to tip, metres, k >= 2: a tube's axis, a lamina's midrib, the
-            line from a fruit's stalk end to its blossom end, a node's or a calyx's or a cut's short axis.
+            line from a fruit's stalk end to its blossom end, the short axis of a node, a calyx or a cut.
         up: `(3,)` unit vector across the base of the curve: the upper (adaxial) side of a lamina or petiole.
-        measures: sizes and shape parameters, metres and radians, by the names that its mesh maker reads.
+        measures: sizes and shape parameters, metres and radians, by the names that its mesh generator reads.
     """
 
     kind: str
     parent: int
     phytomer: int
-    curve: NDArray[np.float64]
-    up: NDArray[np.float64]
+    curve: FloatArray
+    up: FloatArray
     measures: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """All organs of one plant; a parent stands before its children.
+    """All organs of one plant; parents come before their children.
 
     Attributes:
         cultivar: its name.
-        organs: as they grow out of one another.
-        kinds: what each organ kind is: its body, label and surface.
+        organs: ordered so that parents come first.
+        kinds: form, label and surface of each organ kind.
     """
 
     cultivar: str
@@ -50,36 +52,32 @@ class Plant:
     kinds: Mapping[str, OrganKind]
 
     def of_kind(self, name: str) -> tuple[Organ, ...]:
-        """The organs of one kind, in order."""
+        """Organs of one kind, in order."""
         return tuple(organ for organ in self.organs if organ.kind == name)
 
     def of_form(self, form: OrganForm) -> tuple[Organ, ...]:
-        """The organs of all kinds of one form, in order."""
-        names = {name for name, kind in self.kinds.items() if kind.form == form}
-        return tuple(organ for organ in self.organs if organ.kind in names)
-
-
-Indices = NDArray[np.intp]
+        """Organs of all kinds of one form, in order."""
+        return tuple(organ for organ in self.organs if self.kinds[organ.kind].form == form)
 
 
 @dataclass(frozen=True, eq=False)
 class KindParameters:
-    """All organs of one kind, a row each; metres, radians and plain numbers.
+    """All organs of one kind, one row each; metres, radians and plain numbers.
 
     Attributes:
-        kind: their body, label and surface.
-        number: `(n,)` of each organ in the plant; a fruit's calyx stands just before it.
-        parent: `(n,)` number of the organ that each grows out of; -1 for the first internode. Of a fruit,
-            what bears its calyx.
+        kind: form, label and surface.
+        number: `(n,)` of each organ in the plant; a fruit's calyx has the number before.
+        parent: `(n,)` number of the organ that bears it; -1 for the first internode. Of a fruit, the organ
+            that bears its calyx.
         phytomer: `(n,)` position along the main stem, 0-based from the ground.
         values: name -> `(n,)`. The names are those of the form's parameters in a cultivar file (`length`,
-            `diameter`, `inclination`), and besides: `seed`, in (0, 1), of the organ's own noise; `azimuth`,
-            around the vertical, counter-clockwise seen from above, from the aisle (-y) for what stands on a
-            node and from its parent's own direction for all others; `at`, its place along the parent, 0 base
-            to 1 tip; `lift` on a node, in half node lengths above its centre; `sideways`, 1 for what leaves
-            its parent's side and lies in its parent's plane, as a leaflet does, otherwise 0.
-            An internode has `azimuth` and `inclination` of its direction, `diameter` and `diameter_tip` of
-            the stem, `state` and `state_tip`; a node the stem's `diameter` and `groove`; a fruit its
+            `diameter`, `inclination`), and in addition: `seed`, in (0, 1), of the organ's own noise;
+            `azimuth`, around the vertical, counter-clockwise seen from above, relative to the aisle (-y) for
+            organs on nodes and to the parent's own direction for all others; `at`, position along the parent,
+            0 base to 1 tip; `lift` on a node, in half node lengths above its centre; `sideways`, 1 for what
+            leaves its parent's side in its parent's plane, as leaflets do, otherwise 0.
+            An internode has the `azimuth` and `inclination` of its direction, `diameter` and `diameter_tip`
+            of the stem, `state` and `state_tip`; a node the stem's `diameter` and `groove`; a fruit its
             `ripeness` and `calyx_seed`.
     """
 
@@ -96,8 +94,8 @@ class KindParameters:
     def __len__(self) -> int:
         return len(self.number)
 
-    def picked(self, rows: Indices) -> KindParameters:
-        """Some of the organs."""
+    def select(self, rows: Indices) -> KindParameters:
+        """The organs of these rows."""
         if len(rows) == len(self):
             return self
         values = {name: column[rows] for name, column in self.values.items()}
@@ -106,76 +104,61 @@ class KindParameters:
 
 @dataclass(frozen=True, eq=False)
 class PlantParameters:
-    """A plant from the ground up.
+    """Parameters of all organs of one plant.
 
     Attributes:
         cultivar: its name.
-        organs: kind's name -> its organs; kinds of which the plant has none are there without rows.
+        organs: name of a kind -> its organs; kinds of which the plant has none have no rows.
     """
 
     cultivar: str
     organs: Mapping[str, KindParameters]
 
-    def changed(self, kind: str, row: int, **values: float) -> PlantParameters:
-        """The same plant, but for some numbers of one organ.
+    def with_values(self, kind: str, row: int, **values: float) -> PlantParameters:
+        """Replace some numbers of one organ.
 
         Args:
             kind: name of its kind.
-            row: which organ of that kind, 0-based from the ground.
+            row: index of the organ among those of that kind, 0-based from the ground.
             values: the new numbers, by the names of `KindParameters.values`.
 
         Raises:
             ValueError: there is no such kind, organ or number, or a new number is not finite.
         """
-        found = self.organs.get(kind)
-        if found is None or row not in range(len(found)):
+        group = self.organs.get(kind)
+        if group is None or row not in range(len(group)):
             raise ValueError(f"the plant has no organ {row} of the kind {kind}")
-        unknown = set(values) - set(found.values)
+        unknown = set(values) - set(group.values)
         if unknown:
-            raise ValueError(f"{kind} has no {sorted(unknown)[0]}; it has {', '.join(found.values)}")
-        columns = {name: column.copy() for name, column in found.values.items()}
+            raise ValueError(f"{kind} has no {sorted(unknown)[0]}; it has {', '.join(group.values)}")
+        columns = {name: column.copy() for name, column in group.values.items()}
         for name, value in values.items():
             if not np.isfinite(value):
                 raise ValueError(f"{name} must be a finite number, not {value}")
             columns[name][row] = value
-        return replace(self, organs={**self.organs, kind: replace(found, values=columns)})
+        return replace(self, organs={**self.organs, kind: replace(group, values=columns)})
 
 
-_LEAST: Final = 1e-4  # m, chosen: smaller than any organ that can be seen
+_SMALLEST: Final = 1e-4  # m, chosen: smaller than any visible organ
 _INF: Final = float("inf")
 
-# Chosen: where a body would vanish or turn inside out. Angles have no limits.
+# Chosen: beyond these a mesh would vanish or turn inside out. Angles have no limits.
 _LIMITS: Final[Mapping[str, tuple[float, float]]] = {
-    "length": (_LEAST, _INF),
-    "width": (_LEAST, _INF),
-    "diameter": (_LEAST, _INF),
-    "groove": (0.0, _INF),
-    "margin_wave": (0.0, _INF),
-    "margin_waves": (0.0, _INF),
-    "blister": (0.0, _INF),
-    "vein": (0.0, _INF),
-    "tip": (0.05, 20.0),
+    **dict.fromkeys(("length", "width", "diameter"), (_SMALLEST, _INF)),
+    **dict.fromkeys(("groove", "margin_wave", "margin_waves", "blister", "vein"), (0.0, _INF)),
+    **dict.fromkeys(("lobes", "lobe_depth", "shoulder"), (0.0, _INF)),
+    **dict.fromkeys(("state", "state_spread", "ripeness", "ripeness_spread"), (0.0, 1.0)),
+    **dict.fromkeys(("point", "calyx_tooth", "calyx_state", "open"), (0.0, 1.0)),
+    **dict.fromkeys(("tip", "base"), (0.05, 20.0)),
     "slenderness": (0.1, 10.0),
-    "base": (0.05, 20.0),
     "widest": (0.05, 0.95),
     "asymmetry": (-0.9, 0.9),
-    "lobes": (0.0, _INF),
-    "lobe_depth": (0.0, _INF),
     "taper": (0.05, 5.0),
-    "shoulder": (0.0, _INF),
-    "point": (0.0, 1.0),
     "calyx_radius": (0.02, 10.0),
-    "calyx_tooth": (0.0, 1.0),
-    "calyx_state": (0.0, 1.0),
-    "open": (0.0, 1.0),
-    "state": (0.0, 1.0),
-    "state_spread": (0.0, 1.0),
-    "ripeness": (0.0, 1.0),
-    "ripeness_spread": (0.0, 1.0),
 }
 
 
-def possible(name: str, values: FloatArray) -> FloatArray:
-    """The values of a parameter, none beyond what an organ can have."""
+def clip_to_limits(name: str, values: FloatArray) -> FloatArray:
+    """Clip the values of a parameter to what an organ can have."""
     low, high = _LIMITS.get(name, (-_INF, _INF))
     return values if low == -_INF else np.minimum(np.maximum(values, low), high)

@@ -1,62 +1,57 @@
-"""Centrelines and measures of what grows on nodes and stalks, all organs of one kind and level at once.
+"""Centrelines and measures of organs on nodes and stalks, all organs of one kind and level at once.
 
-Angles lie in the vertical plane of an organ's azimuth: inclinations are above the horizontal.
+Angles are in the vertical plane of an organ's azimuth; inclinations are above the horizontal.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from pepperscene.cultivar import CALYX
-from pepperscene.grammar.frames import FloatArray, Sites, StalkFrames, chains, direction, middles, upper_side
-from pepperscene.grammar.plant import Indices, Organ
+from pepperscene.cultivar import CALYX, OrganKind
+from pepperscene.grammar.frames import Sites, StalkFrames, direction, polylines, segment_midpoints, upper_side
+from pepperscene.grammar.hashing import FloatArray
+from pepperscene.grammar.plant import KindParameters, Organ
+
+NumberedOrgans = list[tuple[int, Organ]]
 
 
-@dataclass(frozen=True, eq=False)
-class OrganBatch:
-    """`n` organs of one kind.
+def make_organs(
+    kind: str,
+    parts: KindParameters,
+    curves: FloatArray,
+    up: FloatArray,
+    measures: Mapping[str, FloatArray],
+) -> NumberedOrgans:
+    """Make `n` organs of one kind, with their numbers in the plant.
 
-    Attributes:
+    Args:
         kind: its name.
-        number: `(n,)` of each in the plant.
-        parent: `(n,)` number of what each grows out of.
-        phytomer: `(n,)` where they stand.
+        parts: their parameters.
         curves: `(n, k, 3)` centrelines.
         up: `(n, 3)` upper sides.
         measures: name -> `(n,)`.
     """
-
-    kind: str
-    number: Indices
-    parent: Indices
-    phytomer: Indices
-    curves: FloatArray
-    up: FloatArray
-    measures: Mapping[str, FloatArray]
-
-    def enter(self, organs: list[Organ | None]) -> None:
-        """Put the organs at their places in the plant's list."""
-        names = tuple(self.measures)
-        columns = [column.tolist() for column in self.measures.values()]
-        where = zip(self.number.tolist(), self.parent.tolist(), self.phytomer.tolist(), strict=True)
-        rows = zip(where, self.curves, self.up, zip(*columns, strict=True), strict=True)
-        for (number, parent, phytomer), curve, up, row in rows:
-            organs[number] = Organ(self.kind, parent, phytomer, curve, up, dict(zip(names, row, strict=True)))
+    indices = (parts.number, parts.parent, parts.phytomer)
+    columns = [column.tolist() for column in (*indices, *measures.values())]
+    return [
+        (number, Organ(kind, parent, phytomer, curve, side, dict(zip(measures, row, strict=True))))
+        for curve, side, number, parent, phytomer, *row in zip(curves, up, *columns, strict=True)
+    ]
 
 
 STALK_POINTS: Final = 10
 BLADE_POINTS: Final = 14
 
 # Chosen from photographs:
-_JOINT: Final = 0.12  # the bend from a stalk into its blade is taken within about this share of the midrib
+_JOINT: Final = 0.12  # the bend from a stalk into its blade takes about this fraction of the midrib
 _CALYX_HEIGHT: Final = 0.05  # of the fruit's diameter
 _FLOWER_DEPTH: Final = 0.3  # of the flower's diameter
 
-_MEASURED: Final[Mapping[str, str]] = {
+_MEASURE_NAMES: Final[Mapping[str, str]] = {
     "length": "length_m",
     "width": "width_m",
     "diameter": "diameter_m",
@@ -69,151 +64,142 @@ _MEASURED: Final[Mapping[str, str]] = {
     "vein": "vein_m",
     "state": "state_mean",
 }
-"""Names of parameters where a measure has another; lengths and angles say their unit there."""
+"""Parameters whose measure has another name, in which lengths and angles have their unit."""
 
 
-def stalks(name: str, sites: Sites, hang: FloatArray, frames: StalkFrames) -> list[OrganBatch]:
-    """Petioles, side shoots, rachises: bent evenly, and towards the blade at their tip, if there is one.
+def build_kind(
+    name: str, kind: OrganKind, sites: Sites, hang: FloatArray, frames: StalkFrames
+) -> NumberedOrgans:
+    """Build the organs of one kind and level.
 
     Args:
         name: of the kind.
+        kind: its form.
         sites: where they start.
-        hang: `(n,)` inclination to which the blade at their tip hangs at first; not a number without one.
-        frames: of the plant's stalks, to which these are added.
+        hang: inclination of the blade at the tip of each organ of the plant, by number; NaN without one.
+        frames: of the plant's stalks; new ones are added.
     """
-    one, s = sites.parts.values, middles(STALK_POINTS)
-    end = one["inclination"] + one["bend"]
-    more = np.where(np.isnan(hang), 0.0, one["towards"] * (hang - end))
-    # A stalk bends more the farther out, where it is thinner.
-    slopes = one["inclination"][:, None] + one["bend"][:, None] * s + more[:, None] * s**1.5
-    return [_tube(name, sites, slopes, one["bend"], more, one["sway"], frames, ("channel", "state_spread"))]
+    match kind.form:
+        case "stalk" | "peduncle":
+            return _build_stalks(name, sites, hang[sites.parts.number], frames)
+        case "blade":
+            return _build_blades(name, sites)
+        case "fruit":
+            return _build_fruits(name, sites)
+        case "cut":
+            return _build_cuts(name, sites)
+        case "flower":
+            return _build_flowers(name, sites)
+    raise ValueError(f"{name} is a {kind.form}, which does not branch off")
 
 
-def peduncles(name: str, sites: Sites, frames: StalkFrames) -> list[OrganBatch]:
-    """Stalks of fruit: an even bend from what bears them to the calyx."""
-    one, s = sites.parts.values, middles(STALK_POINTS)
-    bend, none = one["end_inclination"] - one["inclination"], np.zeros(len(sites.parts))
-    slopes = one["inclination"][:, None] + bend[:, None] * s
-    return [_tube(name, sites, slopes, bend, none, none, frames, ())]
-
-
-def _tube(
-    name: str,
-    sites: Sites,
-    slopes: FloatArray,
-    bend: FloatArray,
-    more: FloatArray,
-    sway: FloatArray,
-    frames: StalkFrames,
-    measured: tuple[str, ...],
-) -> OrganBatch:
-    """Stalks of `(n, k)` slopes, which others can grow on from now on."""
-    one = sites.parts.values
-    steps = direction(sites.heading[:, None], slopes, sway[:, None] * middles(STALK_POINTS))
-    curves = chains(sites.start, steps, one["length"])
-    roll = sites.roll(slopes[:, 0], steps[:, 0])
-    radius = 0.5 * one["diameter"]
-    frames.add(
-        sites.parts.number,
-        azimuth=sites.heading,
-        base=one["inclination"],
-        bend=bend,
-        more=more,
-        sway=sway,
-        roll=roll,
-        radius=radius,
-        line=curves,
-    )
-    measures = {"radius_m": radius, "radius_tip_m": radius * one["tip"]}
-    measures |= _measures(one, ("seed", "state", *measured))
+def _build_stalks(name: str, sites: Sites, hang: FloatArray, frames: StalkFrames) -> NumberedOrgans:
+    """Petioles, side shoots, rachises, peduncles; added to the frames, so that others can grow on them."""
+    values, s = sites.parts.values, segment_midpoints(STALK_POINTS)
+    base = values["inclination"]
+    extra_measures: tuple[str, ...] = ()
+    if sites.parts.kind.form == "peduncle":
+        # An even bend from what bears it to the calyx.
+        bend = values["end_inclination"] - base
+        more = sway = np.zeros(len(sites.parts))
+    else:
+        # Bent evenly, and towards the blade at the tip, if there is one.
+        bend, sway, extra_measures = values["bend"], values["sway"], ("channel", "state_spread")
+        more = np.where(np.isnan(hang), 0.0, values["towards"] * (hang - (base + bend)))
+    # A stalk bends more towards its tip, where it is thinner.
+    slopes = base[:, None] + bend[:, None] * s + more[:, None] * s**1.5
+    steps = direction(sites.heading[:, None], slopes, sway[:, None] * s)
+    curves = polylines(sites.start, steps, values["length"])
+    roll, radius = sites.roll(slopes[:, 0], steps[:, 0]), 0.5 * values["diameter"]
+    shape = {"azimuth": sites.heading, "base": base, "bend": bend, "more": more, "sway": sway, "roll": roll}
+    frames.add(sites.parts.number, **shape, radius=radius, line=curves)
+    measures = {"radius_m": radius, "radius_tip_m": radius * values["tip"]}
+    measures |= _select_measures(values, ("seed", "state", *extra_measures))
     up = upper_side(sites.heading, slopes[:, 0], steps[:, 0], roll)
-    return _bodies(name, sites, curves, up, measures)
+    return make_organs(name, sites.parts, curves, up, measures)
 
 
-def blades(name: str, sites: Sites) -> list[OrganBatch]:
+def _build_blades(name: str, sites: Sites) -> NumberedOrgans:
     """Blades; one at the tip of a stalk leaves it without a kink, and soon hangs."""
-    one, s = sites.parts.values, middles(BLADE_POINTS)
-    hang = blade_hang(one)
-    slopes = hang[:, None] - one["droop"][:, None] * s
-    # The midrib: from the stalk's end slope into an even droop about its middle.
+    values, s = sites.parts.values, segment_midpoints(BLADE_POINTS)
+    hang = blade_hang(values)
+    slopes = hang[:, None] - values["droop"][:, None] * s
+    # The joint: from the stalk's end slope into the even droop; over at the middle of the midrib, where the
+    # cultivar states the inclination.
     joint = np.where(sites.continues, sites.slope - hang, 0.0)
-    # It is over half-way along, where the law tells the inclination.
-    left = np.exp(-0.5 / _JOINT)
-    slopes += joint[:, None] * (np.exp(-s / _JOINT) - left) / (1.0 - left)
-    swayed = sites.sway[:, None] + one["sway"][:, None] * s
-    steps = direction(sites.azimuth[:, None], slopes, swayed)
-    roll = sites.roll(slopes[:, 0], steps[:, 0]) + one["roll"]
+    middle = np.exp(-0.5 / _JOINT)
+    slopes += joint[:, None] * (np.exp(-s / _JOINT) - middle) / (1.0 - middle)
+    sway = sites.sway[:, None] + values["sway"][:, None] * s
+    steps = direction(sites.azimuth[:, None], slopes, sway)
+    roll = sites.roll(slopes[:, 0], steps[:, 0]) + values["roll"]
     up = upper_side(sites.azimuth, slopes[:, 0], steps[:, 0], roll)
     shape = ("fold", "curl", "twist", "margin_wave", "margin_waves", "blister", "vein", "asymmetry")
     outline = ("widest", "base", "lobes", "lobe_depth")
-    measures = _measures(one, ("length", "width", *shape, *outline, "seed", "state", "state_spread"))
-    return [_bodies(name, sites, chains(sites.start, steps, one["length"]), up, measures)]
+    names = ("length", "width", *shape, *outline, "seed", "state", "state_spread")
+    curves = polylines(sites.start, steps, values["length"])
+    return make_organs(name, sites.parts, curves, up, _select_measures(values, names))
 
 
-def blade_hang(one: Mapping[str, FloatArray]) -> FloatArray:
-    """`(n,)` inclination of blades at their base, but for the joint with a stalk."""
-    return np.asarray(one["inclination"] + 0.5 * one["droop"])
+def blade_hang(values: Mapping[str, FloatArray]) -> FloatArray:
+    """`(n,)` inclination of blades at their base, without the joint to a stalk."""
+    return np.asarray(values["inclination"] + 0.5 * values["droop"])
 
 
-def fruits(name: str, sites: Sites) -> list[OrganBatch]:
+def _build_fruits(name: str, sites: Sites) -> NumberedOrgans:
     """Fruit, each below its calyx; one of a kind without calyx hangs from its stalk's end."""
-    one = sites.parts.values
-    capped = "calyx_radius" in one
-    height = (_CALYX_HEIGHT if capped else 0.0) * one["diameter"]
-    length = one["diameter"] * one["slenderness"]
-    axis, up = _axes(sites.heading + one["aside"], one["inclination"])
-    end = sites.start + height[:, None] * axis
+    values = sites.parts.values
+    has_calyx = "calyx_radius" in values
+    height = (_CALYX_HEIGHT if has_calyx else 0.0) * values["diameter"]
+    length = values["diameter"] * values["slenderness"]
+    axis, up = _axes(sites.heading + values["aside"], values["inclination"])
+    stalk_end = sites.start + height[:, None] * axis
     shape = ("diameter", "lobes", "lobe_depth", "shoulder", "taper", "point", "bend")
-    measures = {"length_m": length, **_measures(one, (*shape, "seed", "ripeness", "ripeness_spread"))}
-    fruit = _bodies(name, sites, _straight(end, axis, length), up, measures)
-    if not capped:
-        return [fruit]
-    # The calyx stands between the stalk and the fruit.
-    calyx = sites.parts.number - 1
-    body = {
-        "radius_m": one["diameter"] * one["calyx_radius"],
-        "tooth": one["calyx_tooth"],
-        "seed": one["calyx_seed"],
-        "state_mean": one["calyx_state"],
+    names = (*shape, "seed", "ripeness", "ripeness_spread")
+    measures = {"length_m": length, **_select_measures(values, names)}
+    curves = _lines(stalk_end, axis, length)
+    if not has_calyx:
+        return make_organs(name, sites.parts, curves, up, measures)
+    # The calyx is between the stalk and the fruit.
+    number = sites.parts.number - 1
+    calyx_parts, fruit_parts = replace(sites.parts, number=number), replace(sites.parts, parent=number)
+    calyx_measures = {
+        "radius_m": values["diameter"] * values["calyx_radius"],
+        "tooth": values["calyx_tooth"],
+        "seed": values["calyx_seed"],
+        "state_mean": values["calyx_state"],
     }
-    cap = _bodies(CALYX, sites, _straight(sites.start, axis, height), up, body)
-    return [replace(cap, number=calyx), replace(fruit, parent=calyx)]
+    calyx = make_organs(CALYX, calyx_parts, _lines(sites.start, axis, height), up, calyx_measures)
+    return calyx + make_organs(name, fruit_parts, curves, up, measures)
 
 
-def cuts(name: str, sites: Sites) -> list[OrganBatch]:
-    """Stumps of harvested fruit; each must reach out of what it starts in."""
-    one = sites.parts.values
-    axis, up = _axes(sites.heading, one["inclination"])
-    curves = _straight(sites.start, axis, sites.inset + one["length"])
-    return [_bodies(name, sites, curves, up, {"radius_m": 0.5 * one["diameter"], "seed": one["seed"]})]
+def _build_cuts(name: str, sites: Sites) -> NumberedOrgans:
+    """Stumps of harvested fruit; the inset is added to their length."""
+    values = sites.parts.values
+    axis, up = _axes(sites.heading, values["inclination"])
+    curves = _lines(sites.start, axis, sites.inset + values["length"])
+    measures = {"radius_m": 0.5 * values["diameter"], "seed": values["seed"]}
+    return make_organs(name, sites.parts, curves, up, measures)
 
 
-def flowers(name: str, sites: Sites) -> list[OrganBatch]:
-    """Flowers, from the end of their stalk to the plane in which the petals lie when they are flat."""
-    one = sites.parts.values
-    axis, up = _axes(sites.heading, one["inclination"])
-    curves = _straight(sites.start, axis, _FLOWER_DEPTH * one["diameter"])
-    measures = {"radius_m": 0.5 * one["diameter"], **_measures(one, ("petals", "open", "seed", "state"))}
-    return [_bodies(name, sites, curves, up, measures)]
+def _build_flowers(name: str, sites: Sites) -> NumberedOrgans:
+    """Flowers, from the end of their stalk to the plane of the petals when they are flat."""
+    values = sites.parts.values
+    axis, up = _axes(sites.heading, values["inclination"])
+    curves = _lines(sites.start, axis, _FLOWER_DEPTH * values["diameter"])
+    measures = _select_measures(values, ("petals", "open", "seed", "state"))
+    return make_organs(name, sites.parts, curves, up, {"radius_m": 0.5 * values["diameter"], **measures})
 
 
 def _axes(azimuth: FloatArray, inclination: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """`(n, 3)` axes and the upper sides across them."""
+    """`(n, 3)` axes and their upper sides."""
     return direction(azimuth, inclination), direction(azimuth, inclination + 0.5 * np.pi)
 
 
-def _straight(start: FloatArray, axis: FloatArray, length: FloatArray) -> FloatArray:
+def _lines(start: FloatArray, axis: FloatArray, length: FloatArray) -> FloatArray:
     """`(n, 2, 3)` lines of two points."""
     return np.stack((start, start + length[:, None] * axis), axis=1)
 
 
-def _measures(one: Mapping[str, FloatArray], names: tuple[str, ...]) -> dict[str, FloatArray]:
-    """Parameters that are measures as they stand."""
-    return {_MEASURED.get(name, name): one[name] for name in names}
-
-
-def _bodies(
-    name: str, sites: Sites, curves: FloatArray, up: FloatArray, measures: dict[str, FloatArray]
-) -> OrganBatch:
-    parts = sites.parts
-    return OrganBatch(name, parts.number, parts.parent, parts.phytomer, curves, up, measures)
+def _select_measures(values: Mapping[str, FloatArray], names: tuple[str, ...]) -> dict[str, FloatArray]:
+    """Parameters that are measures without conversion."""
+    return {_MEASURE_NAMES.get(name, name): values[name] for name in names}

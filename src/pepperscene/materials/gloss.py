@@ -1,13 +1,13 @@
-"""How much light a rough cuticle mirrors: the directional albedo of its gloss, tabulated for the kernel.
+"""Directional albedo of the gloss of a rough cuticle, tabulated for the kernel.
 
 The gloss is the single-scattering lobe of a GGX surface (Walter et al. 2007, EGSR) with separable Smith
-masking G = G1(i) G1(o) and the unpolarised Fresnel reflectance F at the half vector. Mirrored at normals h
-that are drawn as they are visible from i (Heitz 2018, JCGT 7(4)), its albedo is the mean
+masking G = G1(i) G1(o) and the unpolarised Fresnel reflectance F at the half vector. With half vectors h
+sampled from the normals visible from i (Heitz 2018, JCGT 7(4)), its albedo is the mean
 
     E(i) = < F(i . h) G1(o) [o_z > 0] >,        o = 2 (i . h) h - i,
 
-which is below the mean of F: masked light and light sent below the horizon is lost to the lobe. What a
-surface does with the rest, 1 - E, is the body's affair (`pepperscene.render.surface.optics`).
+which is below the mean of F: the lobe loses light that is masked or reflected below the horizon. The rest,
+1 - E, enters the body (`pepperscene.render.surface.optics`).
 """
 
 from __future__ import annotations
@@ -16,26 +16,25 @@ import functools
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pepperscene.spectra.prospect import INCIDENCE_CONE_RAD
-
-Array = NDArray[np.float64]
+from pepperscene.spectra.spectrum import FloatArray
 
 NODES: Final = 96
-"""Entries of a table: interpolation errs by less than 4e-4 for every index in [1, 2.5] and alpha in
+"""Entries of a table: the interpolation error is below 4e-4 for every index in [1, 2.5] and alpha in
 [0.001, 1]."""
 
 NODE_SCALE: Final = 1e-3
-"""Nodes lie evenly in log(1 + cosine / NODE_SCALE): chosen, the least alpha in use, for the albedo falls
-from grazing over cosines of about alpha."""
+"""Nodes are evenly spaced in log(1 + cosine / NODE_SCALE): chosen, the least alpha in use, since near grazing
+the albedo falls over cosines of about alpha."""
 
 _CAP_STEPS: Final = (48, 32)
 """Quadrature over visible normals, polar and azimuth: within 1e-4 of five times as many steps each way."""
 
 
-def fresnel(cosine: ArrayLike, ior: float) -> Array:
-    """Unpolarised reflectance of a smooth interface seen from the thinner side; 0 where `ior` is 1.
+def fresnel(cosine: ArrayLike, ior: float) -> FloatArray:
+    """Unpolarised reflectance of a smooth interface seen from the thinner side; 0 if `ior` is 1.
 
     Args:
         cosine: of the angle of incidence, in [0, 1], any shape.
@@ -45,16 +44,18 @@ def fresnel(cosine: ArrayLike, ior: float) -> Array:
     if ior <= 1.0:
         return np.zeros_like(c)
     t = np.sqrt(ior**2 - 1.0 + c**2)  # ior times the cosine of refraction
-    across = (c - t) / (c + t)
-    along = (ior**2 * c - t) / (ior**2 * c + t)
-    return np.asarray((across**2 + along**2) / 2.0)
+    s_amplitude = (c - t) / (c + t)
+    p_amplitude = (ior**2 * c - t) / (ior**2 * c + t)
+    return np.asarray((s_amplitude**2 + p_amplitude**2) / 2.0)
 
 
-def gloss_albedo(cosine: ArrayLike, ior: float, alpha: float, steps: tuple[int, int] = _CAP_STEPS) -> Array:
-    """Share of the light from one direction that the gloss sends out, `(n,)`.
+def gloss_albedo(
+    cosine: ArrayLike, ior: float, alpha: float, steps: tuple[int, int] = _CAP_STEPS
+) -> FloatArray:
+    """Fraction of the light from one direction that the gloss reflects, `(n,)`.
 
     Args:
-        cosine: `(n,)` of the direction to the normal, in [0, 1].
+        cosine: `(n,)` between the direction and the normal, in [0, 1].
         ior: of the cuticle; at 1 there is no gloss.
         alpha: GGX roughness; at 0 the result is the Fresnel reflectance.
         steps: of the quadrature, polar and azimuth.
@@ -62,50 +63,45 @@ def gloss_albedo(cosine: ArrayLike, ior: float, alpha: float, steps: tuple[int, 
     z = np.atleast_1d(np.asarray(cosine, dtype=float))[:, None, None]
     x = np.sqrt(1.0 - z**2)
 
-    # Seen by a surface stretched to alpha = 1, visible normals are halfway between the view and a direction
-    # spread evenly over the cap z > -view_z of the sphere (Dupuy & Benyoub 2023, CGF 42(8)); half of the cap
-    # will do, the other is its mirror image.
+    # On the surface stretched to alpha = 1, visible normals are halfway between the view and a direction
+    # distributed uniformly over the cap z > -view_z of the sphere (Dupuy & Benyoub 2023, CGF 42(8)). By
+    # symmetry, half of the cap is enough.
     length = np.hypot(alpha * x, z)
     flat = length == 0.0
     view_x = np.where(flat, 1.0, alpha * x) / np.where(flat, 1.0, length)
     view_z = z / np.where(flat, 1.0, length)
-    place, weight = np.polynomial.legendre.leggauss(steps[0])
+    node, weight = np.polynomial.legendre.leggauss(steps[0])
     widest = np.arccos(-view_z)
-    polar = (place + 1.0) / 2.0 * widest
+    polar = (node + 1.0) / 2.0 * widest
     weight = weight / 2.0 * widest * np.sin(polar) / (1.0 + view_z)
     azimuth = (np.arange(steps[1]) + 0.5)[:, None] / steps[1] * np.pi
     h_x = alpha * (np.sin(polar) * np.cos(azimuth) + view_x)
     h_y = alpha * np.sin(polar) * np.sin(azimuth)
     h_z = np.cos(polar) + view_z
 
-    # Mirror the view at them; each carries its Fresnel reflectance and the masking on the way out.
+    # Reflect the view at each normal, weighted by Fresnel reflectance and masking towards the outside.
     norm = np.sqrt(h_x**2 + h_y**2 + h_z**2)
-    towards = np.clip((x * h_x + z * h_z) / norm, 0.0, 1.0)
-    out = np.clip(2.0 * towards * h_z / norm - z, 0.0, 1.0)
-    spread = out + np.sqrt(out**2 + alpha**2 * (1.0 - out**2))
-    unmasked = np.where(spread > 0.0, 2.0 * out / np.where(spread > 0.0, spread, 1.0), 1.0)
-    return np.asarray((fresnel(towards, ior) * unmasked * weight).sum(axis=-1).mean(axis=-1))
+    i_dot_h = np.clip((x * h_x + z * h_z) / norm, 0.0, 1.0)
+    o_z = np.clip(2.0 * i_dot_h * h_z / norm - z, 0.0, 1.0)
+    denominator = o_z + np.sqrt(o_z**2 + alpha**2 * (1.0 - o_z**2))
+    masking = np.where(denominator > 0.0, 2.0 * o_z / np.where(denominator > 0.0, denominator, 1.0), 1.0)
+    return np.asarray((fresnel(i_dot_h, ior) * masking * weight).sum(axis=-1).mean(axis=-1))
 
 
-def node_cosines() -> Array:
+def node_cosines() -> FloatArray:
     """`(NODES,)` cosines of the tables' entries, from grazing to normal."""
     return NODE_SCALE * np.expm1(np.linspace(0.0, 1.0, NODES) * np.log1p(1.0 / NODE_SCALE))
 
 
-def interpolate_table(table: ArrayLike, cosine: ArrayLike) -> Array:
-    """A table at any cosine, linear in the nodes' variable: what the kernel does."""
-    place = np.log1p(np.asarray(cosine, dtype=float) / NODE_SCALE) / np.log1p(1.0 / NODE_SCALE)
-    return np.interp(place * (NODES - 1), np.arange(NODES), np.asarray(table, dtype=float))
-
-
-def cosine_mean(table: ArrayLike) -> float:
-    """Cosine-weighted mean over the hemisphere of a table's interpolant, exact to rounding."""
-    return float(_mean_weights() @ np.asarray(table, dtype=float))
+def interpolate_table(table: ArrayLike, cosine: ArrayLike) -> FloatArray:
+    """Interpolate a table at any cosine, linear in the nodes' variable, as the kernel does."""
+    position = np.log1p(np.asarray(cosine, dtype=float) / NODE_SCALE) / np.log1p(1.0 / NODE_SCALE)
+    return np.interp(position * (NODES - 1), np.arange(NODES), np.asarray(table, dtype=float))
 
 
 @functools.lru_cache(maxsize=256)
-def cuticle_transmittance(ior: float, alpha: float) -> tuple[Array, float]:
-    """What a cuticle lets in: 1 - E at the nodes, `(NODES,)` read-only, and the mean of its interpolant.
+def cuticle_transmittance(ior: float, alpha: float) -> tuple[FloatArray, float]:
+    """Transmittance of a cuticle: 1 - E at the nodes, `(NODES,)` read-only, and its cosine-weighted mean.
 
     Args:
         ior: of the cuticle.
@@ -113,7 +109,7 @@ def cuticle_transmittance(ior: float, alpha: float) -> tuple[Array, float]:
     """
     table = 1.0 - gloss_albedo(node_cosines(), ior, alpha)
     table.setflags(write=False)
-    return table, cosine_mean(table)
+    return table, float(_mean_weights() @ table)
 
 
 @functools.lru_cache(maxsize=256)
@@ -124,20 +120,23 @@ def cone_gloss(ior: float, alpha: float) -> float:
         ior: of the cuticle.
         alpha: its GGX roughness.
     """
-    place, weight = np.polynomial.legendre.leggauss(16)
-    sine_squared = (place + 1.0) / 2.0 * np.sin(INCIDENCE_CONE_RAD) ** 2
+    node, weight = np.polynomial.legendre.leggauss(16)
+    sine_squared = (node + 1.0) / 2.0 * np.sin(INCIDENCE_CONE_RAD) ** 2
     return float(gloss_albedo(np.sqrt(1.0 - sine_squared), ior, alpha) @ weight / 2.0)
 
 
 @functools.cache
-def _mean_weights() -> Array:
-    """`(NODES,)` integrals of 2 mu over the hat function of each node."""
-    place, weight = np.polynomial.legendre.leggauss(8)
-    within = (place + 1.0) / 2.0
+def _mean_weights() -> FloatArray:
+    """`(NODES,)` integrals of 2 mu over the hat function of each node.
+
+    A table times these weights is the cosine-weighted mean of its interpolant, exact to rounding.
+    """
+    node, weight = np.polynomial.legendre.leggauss(8)
+    fraction = (node + 1.0) / 2.0
     rate = np.log1p(1.0 / NODE_SCALE) / (NODES - 1)
-    mu = NODE_SCALE * np.expm1(rate * (np.arange(NODES - 1)[:, None] + within))
+    mu = NODE_SCALE * np.expm1(rate * (np.arange(NODES - 1)[:, None] + fraction))
     density = 2.0 * mu * rate * (mu + NODE_SCALE) * weight / 2.0
     weights = np.zeros(NODES)
-    weights[:-1] += (density * (1.0 - within)).sum(axis=1)
-    weights[1:] += (density * within).sum(axis=1)
+    weights[:-1] += (density * (1.0 - fraction)).sum(axis=1)
+    weights[1:] += (density * fraction).sum(axis=1)
     return weights

@@ -1,4 +1,4 @@
-"""Smooth random fields and cell networks, of which surface patterns are made."""
+"""Patterns of surfaces: smooth random fields, cell networks and the veins of leaves."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-Field = NDArray[np.float64]
+from pepperscene.spectra.spectrum import FloatArray
 
 
-def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma: tuple[float, float]) -> Field:
+def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma: tuple[float, float]) -> FloatArray:
     """White noise under a Gaussian filter, `(h, w)`, mean 0, variance 1, periodic in both directions.
 
     Args:
@@ -33,8 +33,8 @@ def noise_mm(
     shape: tuple[int, int],
     size_mm: tuple[float, float],
     sigma_mm: tuple[float, float],
-) -> Field:
-    """Smooth noise over uv whose grain is told in millimetres.
+) -> FloatArray:
+    """Smooth noise over uv with its grain in millimetres.
 
     Args:
         rng: source of the white noise.
@@ -46,15 +46,15 @@ def noise_mm(
     return smooth_noise(rng, shape, (sigma_mm[1] / size_mm[1] * rows, sigma_mm[0] / size_mm[0] * columns))
 
 
-def cell_walls(rng: np.random.Generator, points: Field, spacing: float) -> Field:
-    """How far points lie from the walls of random cells: 0 on a wall, growing to the inside, `(...)`.
+def cell_walls(rng: np.random.Generator, points: FloatArray, spacing: float) -> FloatArray:
+    """Measure of distance from the walls of random cells: 0 on a wall, increasing inwards, `(...)`.
 
-    The cells are those of Voronoi around a jittered triangular grid; the measure is the difference between
-    the distances to the second nearest and the nearest centre (Worley 1996, SIGGRAPH: F2 - F1).
+    The cells are Voronoi cells of a jittered triangular grid; the measure is the difference between the
+    distances to the second nearest and the nearest centre (Worley 1996, SIGGRAPH: F2 - F1).
 
     Args:
         rng: jitters the centres.
-        points: `(..., 2)` places.
+        points: `(..., 2)` positions.
         spacing: mean distance between centres, in the unit of `points`.
     """
     from scipy.spatial import cKDTree
@@ -65,7 +65,7 @@ def cell_walls(rng: np.random.Generator, points: Field, spacing: float) -> Field
     x, y = np.meshgrid(columns, rows)
     x = x + (np.arange(rows.size) % 2)[:, None] * spacing / 2
     centres = np.stack([x.ravel(), y.ravel()], axis=-1)
-    # A jitter of a quarter of the spacing breaks the grid and leaves no slivers: chosen by eye.
+    # A jitter of a quarter of the spacing hides the grid without making slivers: chosen by eye.
     centres += rng.normal(0.0, 0.25 * spacing, centres.shape)
     distance, _ = cKDTree(centres).query(points, k=2, workers=-1)
     return np.asarray(distance[..., 1] - distance[..., 0])
@@ -73,122 +73,112 @@ def cell_walls(rng: np.random.Generator, points: Field, spacing: float) -> Field
 
 PIXELS: Final = 512
 PAIRS: Final = 7
-BASE_COT, TIP_COT = 1.0 / np.tan(np.radians(60.0)), 1.0 / np.tan(np.radians(45.0))
+BASE_COT: Final = 1.0 / np.tan(np.radians(60.0))  # of the angles of secondary veins to the midrib
+TIP_COT: Final = 1.0 / np.tan(np.radians(45.0))
 ASPECT: Final = 112.0 / 135.0
-"""Width over length of the blade that the layout below is told for; on others it is stretched, as uv is."""
+"""Width over length of the blade that the vein layout is defined for; other blades stretch it, as uv is."""
 ARC: Final = 0.7
-"""How much a secondary vein has bent towards the tip at the margin of the widest part, as a slope."""
+"""Bend of a secondary vein towards the tip, at the margin of the widest part, as a slope."""
 
 
 @dataclass(frozen=True, eq=False)
 class Venation:
-    """Where the veins of a flat blade run, on a grid over uv (row 0 is the base, column 0 the left edge).
+    """Veins of a flat blade, on a grid over uv (row 0 is the base, column 0 the left edge)."""
 
-    Attributes:
-        size_mm: width and length of the blade.
-        midrib_mm: `(h, w)` distance from the midrib.
-        secondary_mm: `(h, w)` distance from the nearest secondary vein.
-        reach: `(h, w)` how far out from the midrib, 0 to 1 at half the width.
-        height: `(h, w)` from base 0 to tip 1.
-        tertiary_mm: `(h, w)` measure of distance from the network between them, 0 on a vein.
-        veinlet_mm: `(h, w)` likewise for the finest veins.
-    """
-
-    size_mm: tuple[float, float]
-    midrib_mm: Field
-    secondary_mm: Field
-    reach: Field
-    height: Field
-    tertiary_mm: Field
-    veinlet_mm: Field
+    size_mm: tuple[float, float]  # width and length of the blade
+    midrib_mm: FloatArray  # `(h, w)` distance from the midrib
+    secondary_mm: FloatArray  # `(h, w)` distance from the nearest secondary vein
+    reach: FloatArray  # `(h, w)` distance from the midrib as a fraction of half the width, at most 1
+    height: FloatArray  # `(h, w)` from base 0 to tip 1
+    tertiary_mm: FloatArray  # `(h, w)` measure of distance from the network between them, 0 on a vein
+    veinlet_mm: FloatArray  # `(h, w)` likewise for the finest veins
 
 
 def grow_veins(size_mm: tuple[float, float], rng: np.random.Generator, pixels: int = PIXELS) -> Venation:
-    """The veins of a blade of this width and length.
+    """Lay out the veins of a blade of this width and length.
 
     A secondary vein that leaves the midrib at y = s L runs along y = s L + c(s) |x| + b(|x|), with the
-    cotangent c of its angle to the midrib linear in s and b growing with the cube of |x|. So every place
-    belongs to one s, in closed form, and lies on a vein where s is one of the veins' own. A blade of another
-    shape wears the same layout, stretched, so that meshes of any blade know from uv where its veins run.
+    cotangent c of its angle to the midrib linear in s and b increasing with the cube of |x|. So every point
+    has one s, in closed form, and is on a vein where s is the origin of one. Blades of other shapes stretch
+    the same layout, so that meshes of any blade can compute from uv where its veins are.
     """
     width, length = size_mm
     middle = (np.arange(pixels) + 0.5) / pixels
     x, y = np.meshgrid((middle - 0.5) * width, middle * length)
 
-    # Veins waver by some tenths of a millimetre over a centimetre.
+    # Displace the veins by some tenths of a millimetre over a centimetre.
     ripple = (10.0 / length * pixels, 10.0 / width * pixels)
     x = x + 0.35 * smooth_noise(rng, x.shape, ripple)
     y = y + 0.6 * smooth_noise(rng, x.shape, ripple)
 
-    # All in shares of the length, on a blade of the layout's own width.
-    out = np.abs(x)
-    reach = 2.0 * out / width
+    # Solve for the origin of the vein through each point, as a fraction of the length of the layout's blade.
+    midrib_mm = np.abs(x)
+    reach = 2.0 * midrib_mm / width
     half, turn = 0.5 * ASPECT * reach, TIP_COT - BASE_COT
     stretch = 1.0 + turn * half
     origin = (y / length - BASE_COT * half - ARC * ASPECT / 6.0 * reach**3) / stretch
     # |grad| of `origin`, times `stretch`, per millimetre of this blade.
     slope = np.hypot(1.0 / length, (BASE_COT + turn * origin + ARC * reach**2) * ASPECT / width)
 
-    # Veins stand opposite only by chance: each side has its own.
-    secondary = np.full(x.shape, np.inf)
+    # Each side has its own veins: they are opposite only by chance.
+    secondary_mm = np.full(x.shape, np.inf)
     for side in (x < 0, x >= 0):
-        starts = _origins(rng)
-        nearest = np.abs(origin[side][:, None] - starts).min(axis=1)
-        secondary[side] = nearest * (stretch / slope)[side]
+        nearest = np.abs(origin[side][:, None] - _draw_origins(rng)).min(axis=1)
+        secondary_mm[side] = nearest * (stretch / slope)[side]
 
-    # Cells of the network stretch across, from one secondary vein to the next.
-    places = np.stack([x, 0.8 * y], axis=-1)
+    # Cells of the network are elongated across, from one secondary vein to the next.
+    points = np.stack([x, 0.8 * y], axis=-1)
     return Venation(
-        size_mm, out, secondary, np.minimum(reach, 1.0), np.clip(y / length, 0.0, 1.0),
-        cell_walls(rng, places, 5.5), cell_walls(rng, places, 2.0),
+        size_mm, midrib_mm, secondary_mm, np.minimum(reach, 1.0), np.clip(y / length, 0.0, 1.0),
+        cell_walls(rng, points, 5.5), cell_walls(rng, points, 2.0),
     )  # fmt: skip
 
 
-def _origins(rng: np.random.Generator) -> Field:
-    """Where the secondary veins of one side leave the midrib, in shares of its length: closer at the base."""
+def _draw_origins(rng: np.random.Generator) -> FloatArray:
+    """Origins of one side's secondary veins, as fractions of the midrib; closer to each other at the base."""
     even = (np.arange(PAIRS) + rng.uniform(-0.12, 0.12, PAIRS) + rng.uniform(0.15, 0.5)) / PAIRS
     return 0.02 + 0.85 * even**1.15
-
-
-def _line(distance: Field, half_width: Field | float) -> Field:
-    """1 on a vein, falling to 1/e at half its width."""
-    return np.exp(-((distance / half_width) ** 2))
 
 
 def vein_pattern(veins: Venation, rng: np.random.Generator) -> NDArray[np.float32]:
     """State offset over uv: veins are paler (down to -0.75, on the midrib), the blade between is mottled.
 
-    An offset to the state moves along the pigments' path, so that a vein's colour is a spectrum of its own.
+    An offset to the state moves along the pigments' path, so a vein's colour has its own spectrum.
     """
-    # Veins thin out towards the margin, and those towards the tip are slighter from their start.
+    # Veins become thinner towards the margin, and those near the tip are thinner from their origin.
     taper = (1.0 - 0.75 * veins.reach) * (1.0 - 0.8 * veins.height**2)
     parts = (
-        0.75 * _line(veins.midrib_mm, 0.4 + 1.0 * (1.0 - veins.height) ** 0.7),
-        0.48 * taper * _line(veins.secondary_mm, 0.25 + 0.4 * taper),
-        # Tissue beside the larger veins is somewhat paler than that further off.
-        0.14 * taper * _line(veins.secondary_mm, 2.2),
-        0.12 * _line(veins.tertiary_mm, 0.5),
-        0.06 * _line(veins.veinlet_mm, 0.35),
+        0.75 * _ridge(veins.midrib_mm, 0.4 + 1.0 * (1.0 - veins.height) ** 0.7),
+        0.48 * taper * _ridge(veins.secondary_mm, 0.25 + 0.4 * taper),
+        # Tissue near the larger veins is somewhat paler than that further away.
+        0.14 * taper * _ridge(veins.secondary_mm, 2.2),
+        0.12 * _ridge(veins.tertiary_mm, 0.5),
+        0.06 * _ridge(veins.veinlet_mm, 0.35),
     )
     paler = np.maximum.reduce(parts)
-    mottle = 0.035 * _noise_mm(veins, rng, 1.2) + 0.035 * _noise_mm(veins, rng, 8.0)
+    mottle = 0.035 * _isotropic_noise(veins, rng, 1.2) + 0.035 * _isotropic_noise(veins, rng, 8.0)
     return (mottle - paler).astype(np.float32)
 
 
 def vein_relief(veins: Venation, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Height in mm over uv: veins lie in furrows above, the blade blisters between them."""
+    """Height in mm over uv: veins are in furrows on the upper side, the blade bulges between them."""
     panels = 0.55 * _dome(veins.secondary_mm, 4.0) * _dome(veins.midrib_mm, 4.0)
     blisters = 0.10 * _dome(veins.tertiary_mm, 1.5)
-    furrow = 0.30 * _line(veins.midrib_mm, 1.6)
-    rough = 0.10 * _noise_mm(veins, rng, 4.0) + 0.008 * _noise_mm(veins, rng, 0.8)
+    furrow = 0.30 * _ridge(veins.midrib_mm, 1.6)
+    rough = 0.10 * _isotropic_noise(veins, rng, 4.0) + 0.008 * _isotropic_noise(veins, rng, 0.8)
     return (panels + blisters - furrow + rough).astype(np.float32)
 
 
-def _dome(distance: Field, scale: float) -> Field:
-    """0 on a vein, rising to 1 over `scale`, rounded at the bottom so that no crease is sharp."""
+def _ridge(distance: FloatArray, half_width: FloatArray | float) -> FloatArray:
+    """1 on a vein, falling to 1/e at half its width."""
+    return np.exp(-((distance / half_width) ** 2))
+
+
+def _dome(distance: FloatArray, scale: float) -> FloatArray:
+    """0 on a vein, rising to 1 over `scale`; rounded at 0, to avoid a sharp crease."""
     bottom = 0.15 * scale
     return 1.0 - np.exp(-(np.hypot(distance, bottom) - bottom) / scale)
 
 
-def _noise_mm(veins: Venation, rng: np.random.Generator, sigma_mm: float) -> Field:
+def _isotropic_noise(veins: Venation, rng: np.random.Generator, sigma_mm: float) -> FloatArray:
     return noise_mm(rng, veins.midrib_mm.shape, veins.size_mm, (sigma_mm, sigma_mm))

@@ -1,16 +1,17 @@
-"""What fruit, stems and stalks have in common: a pigmented rind on a pale, watery body."""
+"""Surfaces of fruit, stems and stalks: a pigmented rind on a pale, watery body."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pepperscene.cultivar import OrganForm, PigmentPath
 from pepperscene.materials.gloss import cone_gloss
 from pepperscene.materials.patterns import noise_mm
-from pepperscene.materials.surface import Surface, enough_states
+from pepperscene.materials.surface import Surface, refine_states
 from pepperscene.spectra import (
     Spectrum,
     absorption_coefficients,
@@ -18,46 +19,52 @@ from pepperscene.spectra import (
     leaf_spectra,
     read_spectrum,
 )
-
-if TYPE_CHECKING:
-    from pepperscene.cultivar import PigmentPath
-
-
-Array = NDArray[np.float64]
+from pepperscene.spectra.spectrum import FloatArray
 
 SCATTERING_PER_CM: Final = 10.0
 """Reduced scattering coefficient of fruit flesh: 9.5 to 12.5 cm-1 between 1000 and 500 nm in pears (Hu, Fu &
-Ying 2017, J. Food Meas. Charact., doi 10.1007/s11694-017-9465-x). Stems are taken to be alike."""
-WATER_SHARE: Final = 0.9
-"""Of the flesh's volume: chosen, sweet pepper is 92 to 94 % water by weight and holds some air."""
+Ying 2017, J. Food Meas. Charact., doi 10.1007/s11694-017-9465-x). Assumed equal for stems."""
+WATER_FRACTION: Final = 0.9
+"""Of the flesh's volume: chosen, sweet pepper is 92 to 94 % water by weight and contains some air."""
+PATTERN_SHAPE: Final = (256, 256)
+DRY_MEASURED: Final = "organ/vrhel_wood_bark_straw_reflectance"
+DRY_INFRARED: Final = "organ/earthlib_wood_bark_reflectance"
 
 
-def flesh_reflectance(dry_reflectance: float, wavelength_nm: ArrayLike) -> Array:
+def flesh_reflectance(dry_reflectance: float, wavelength_nm: ArrayLike) -> FloatArray:
     """Reflectance `(n,)` of a thick, diffuse body of parenchyma under diffuse light, 300 to 1100 nm: a MODEL.
 
-    Kubelka & Munk 1931: K/S = (1 - R)^2 / (2 R). What the body absorbs without water gives
-    `dry_reflectance` at every wavelength; its water adds K = 2 mu_a to that, with S = 3/4 mu_s'
-    (Mudgett & Richards 1971, Appl. Opt. 10:1485). Below 700 nm water takes nothing, at 970 nm its band is
-    seen, as in measured fruit.
+    Kubelka & Munk 1931. Without water the body has `dry_reflectance` at every wavelength; water adds
+    K = 2 mu_a to its absorption, with S = 3/4 mu_s' (Mudgett & Richards 1971, Appl. Opt. 10:1485). Below
+    700 nm water hardly absorbs; at 970 nm its band is visible, as in measured fruit.
 
     Args:
-        dry_reflectance: where water does not absorb, in [0, 1).
+        dry_reflectance: reflectance where water does not absorb, in [0, 1).
         wavelength_nm: `(n,)`.
     """
     nm = np.atleast_1d(np.asarray(wavelength_nm, dtype=float))
     if dry_reflectance == 0.0:
         return np.zeros(nm.size)
     water_per_cm = absorption_coefficients(nm)["water"]
-    dry = (1.0 - dry_reflectance) ** 2 / (2.0 * dry_reflectance)
-    wet = dry + 2.0 * WATER_SHARE * water_per_cm / (0.75 * SCATTERING_PER_CM)
-    return np.asarray(1.0 + wet - np.sqrt(wet**2 + 2.0 * wet))
+    dry = _absorption_per_scattering(dry_reflectance)
+    return _thick_reflectance(dry + 2.0 * WATER_FRACTION * water_per_cm / (0.75 * SCATTERING_PER_CM))
 
 
-def rind_reflectance(path: PigmentPath, wavelength_nm: Array, states: ArrayLike) -> Array:
+def _absorption_per_scattering(reflectance: FloatArray | float) -> FloatArray:
+    """K/S of a thick body of this reflectance R: (1 - R)^2 / (2 R) (Kubelka & Munk 1931)."""
+    return np.asarray((1.0 - reflectance) ** 2 / (2.0 * reflectance))
+
+
+def _thick_reflectance(ratio: FloatArray) -> FloatArray:
+    """Reflectance of a thick body of this K/S; inverse of `_absorption_per_scattering`."""
+    return np.asarray(1.0 + ratio - np.sqrt(ratio**2 + 2.0 * ratio))
+
+
+def rind_reflectance(path: PigmentPath, wavelength_nm: FloatArray, states: ArrayLike) -> FloatArray:
     """Reflectance `(s, n)` under the cuticle of a pigmented rind on its flesh, at states `(s,)`.
 
-    The pigments are mixed at each state and then the spectrum is computed (PROSPECT's layer on a diffuse
-    body): the colour half-way is not the mean of the ends' colours.
+    The pigments are mixed at each state before the spectrum is computed (PROSPECT's layer on a diffuse body):
+    the colour at 0.5 is not the mean of the ends' colours.
     """
     rind = leaf_spectra(wavelength_nm, **path.at(np.atleast_1d(np.asarray(states, dtype=float))))
     flesh = flesh_reflectance(path.flesh_reflectance or 0.0, wavelength_nm)
@@ -65,15 +72,15 @@ def rind_reflectance(path: PigmentPath, wavelength_nm: Array, states: ArrayLike)
     return reflectance
 
 
-def rind_surface(
+def _rind_surface(
     name: str,
     path: PigmentPath,
-    wavelength_nm: Array,
-    pattern: Array,
-    relief_mm: Array | None = None,
+    wavelength_nm: FloatArray,
+    pattern: FloatArray,
+    relief_mm: FloatArray | None = None,
 ) -> Surface:
-    """An opaque surface of rind on flesh, the same from both sides, tabulated finely enough."""
-    states = enough_states(lambda nm, asked: rind_reflectance(path, nm, asked))
+    """Opaque surface of rind on flesh, equal on both sides."""
+    states = refine_states(lambda nm, states: rind_reflectance(path, nm, states))
     rows = rind_reflectance(path, wavelength_nm, states)
     return Surface(
         name,
@@ -87,126 +94,112 @@ def rind_surface(
     )
 
 
-PIXELS: Final = 256
-
-
 def fruit_surface(
+    name: str,
     path: PigmentPath,
-    wavelength_nm: NDArray[np.float64],
+    wavelength_nm: FloatArray,
     size_mm: tuple[float, float],
     rng: np.random.Generator,
 ) -> Surface:
-    """A fruit, ripening in patches on top of the ripeness that the mesh gives to each of its points.
+    """Fruit that ripens in patches, in addition to the ripeness that the mesh gives each of its points.
 
     Args:
+        name: of the surface.
         path: pigments from unripe (state 0) over breaker to ripe (state 1).
         wavelength_nm: `(n,)`.
         size_mm: girth and length.
         rng: draws the patches.
     """
-    # Patches of centimetres turn earlier than others, with a faint speckle on top: amounts chosen by eye.
-    grid = (PIXELS, PIXELS)
-    patches = 0.045 * noise_mm(rng, grid, size_mm, (9.0, 14.0))
-    speckle = 0.012 * noise_mm(rng, grid, size_mm, (0.7, 0.7))
-    return rind_surface("fruit", path, wavelength_nm, patches + speckle)
-
-
-DRY_MEASURED: Final = "organ/vrhel_wood_bark_straw_reflectance"
-DRY_INFRARED: Final = "organ/earthlib_wood_bark_reflectance"
+    # Patches of centimetres turn earlier than others, with a faint speckle on top: amplitudes chosen by eye.
+    patches = 0.045 * noise_mm(rng, PATTERN_SHAPE, size_mm, (9.0, 14.0))
+    speckle = 0.012 * noise_mm(rng, PATTERN_SHAPE, size_mm, (0.7, 0.7))
+    return _rind_surface(name, path, wavelength_nm, patches + speckle)
 
 
 @dataclass(frozen=True)
-class Grain:
-    """How a rind varies in state and in height over its surface; all chosen by eye from photographs.
+class RindTexture:
+    """Variation of a rind's state and height over its surface; all chosen by eye from photographs."""
 
-    Attributes:
-        streaks: standard deviation of the state in streaks that run along the organ.
-        mottle: standard deviation of the state in blotches of some millimetres.
-        cork: by how much the state falls in corky flecks, a few millimetres long.
-        ribs_mm: standard deviation of the height of ribs that run along the organ.
-        rib_share: width of a rib, as a share of the girth.
-    """
-
-    streaks: float
-    mottle: float
-    ribs_mm: float
-    rib_share: float
-    cork: float = 0.0
+    streaks: float  # standard deviation of the state in streaks along the organ
+    mottle: float  # standard deviation of the state in blotches of some millimetres
+    ribs_mm: float  # standard deviation of the height of ribs along the organ
+    rib_width: float  # as a fraction of the girth
+    cork: float = 0.0  # decrease of the state in corky flecks, a few millimetres long
 
 
-GRAINS: Final = {
-    # Lenticels and cork in short fissures; the large ridges are the mesh's.
-    "stem": Grain(streaks=0.06, mottle=0.04, ribs_mm=0.11, rib_share=0.05, cork=0.3),
-    "petiole": Grain(streaks=0.06, mottle=0.04, ribs_mm=0.05, rib_share=0.05),
-    # Slightly ribbed on top of the mesh's five ribs.
-    "peduncle": Grain(streaks=0.07, mottle=0.03, ribs_mm=0.10, rib_share=0.035),
-    # A rib runs out into each tooth of the star.
-    "calyx": Grain(streaks=0.05, mottle=0.06, ribs_mm=0.20, rib_share=0.03),
+# Lenticels and cork in short fissures; the large ridges are part of the mesh.
+STEM_TEXTURE: Final = RindTexture(streaks=0.06, mottle=0.04, ribs_mm=0.11, rib_width=0.05, cork=0.3)
+TEXTURES: Final[dict[OrganForm, RindTexture]] = {
+    "stalk": RindTexture(streaks=0.06, mottle=0.04, ribs_mm=0.05, rib_width=0.05),
+    # Slightly ribbed in addition to the mesh's five ribs.
+    "peduncle": RindTexture(streaks=0.07, mottle=0.03, ribs_mm=0.10, rib_width=0.035),
+    # A rib runs into each tooth of the star.
+    "calyx": RindTexture(streaks=0.05, mottle=0.06, ribs_mm=0.20, rib_width=0.03),
 }
 
 
 def green_surface(
-    name: str, path: PigmentPath, wavelength_nm: Array, size_mm: tuple[float, float], rng: np.random.Generator
+    name: str,
+    form: OrganForm,
+    path: PigmentPath,
+    wavelength_nm: FloatArray,
+    size_mm: tuple[float, float],
+    rng: np.random.Generator,
 ) -> Surface:
-    """A stem, petiole, peduncle or calyx: a green rind on pale parenchyma, streaked and ribbed along.
+    """Stem, petiole, peduncle or calyx: a green rind on pale parenchyma, with streaks and ribs along it.
 
     Args:
-        name: of the surface, one of `GRAINS`.
+        name: of the surface.
+        form: one of `TEXTURES`; all others look like a stem.
         path: pigments from pale or corky (state 0) to dark green (state 1).
         wavelength_nm: `(n,)`.
         size_mm: girth and length.
         rng: draws streaks, flecks and ribs.
     """
-    grain, girth = GRAINS[name], size_mm[0]
+    texture, girth = TEXTURES.get(form, STEM_TEXTURE), size_mm[0]
 
-    def noise(around_mm: float, along_mm: float) -> Array:
-        return noise_mm(rng, (PIXELS, PIXELS), size_mm, (around_mm, along_mm))
+    def noise(around_mm: float, along_mm: float) -> FloatArray:
+        return noise_mm(rng, PATTERN_SHAPE, size_mm, (around_mm, along_mm))
 
     # Streaks are narrow around (u) and long (v); ribs run along the whole organ.
-    pattern = grain.streaks * noise(0.02 * girth, 12.0) + grain.mottle * noise(1.5, 6.0)
-    relief_mm = grain.ribs_mm * noise(grain.rib_share * girth, 60.0)
-    if grain.cork:
-        # Flecks are where a field of short streaks peaks: the upper tenth, with soft borders.
+    pattern = texture.streaks * noise(0.02 * girth, 12.0) + texture.mottle * noise(1.5, 6.0)
+    relief_mm = texture.ribs_mm * noise(texture.rib_width * girth, 60.0)
+    if texture.cork:
+        # Flecks are the peaks of a field of short streaks: the upper tenth, with soft edges.
         fleck = np.clip((noise(0.25, 1.6) - 1.3) / 0.7, 0.0, 1.0)
-        pattern = pattern - grain.cork * fleck
-    return rind_surface(name, path, wavelength_nm, pattern, relief_mm)
+        pattern = pattern - texture.cork * fleck
+    return _rind_surface(name, path, wavelength_nm, pattern, relief_mm)
 
 
-def cut_surface(stem: PigmentPath, wavelength_nm: Array, rng: np.random.Generator) -> Surface:
-    """The scar where a fruit was cut off: pale dry cork in the middle (state 0), a dark green rim (state 1).
+def cut_surface(stem: PigmentPath, wavelength_nm: FloatArray, rng: np.random.Generator) -> Surface:
+    """Scar where a fruit was cut off: pale dry cork in the middle (state 0), a dark green rim (state 1).
 
-    A MODEL: no spectrum of such a scar was found. The middle is measured straw and bark chip in equal parts,
-    the rim measured bark and this cultivar's darkest stem in equal parts (Vrhel et al. 1994; parts chosen).
+    A MODEL: no measured spectrum of such a scar was found. The middle is measured straw and bark chip in
+    equal parts, the rim measured bark and this cultivar's darkest stem in equal parts (Vrhel et al. 1994;
+    parts chosen).
     """
-    straw = _dry("straw_from_broom_154", "woodstrw").at(wavelength_nm)
-    chip = _dry("bark_chip_iii_129", "innrbark").at(wavelength_nm)
-    bark = _dry("bark_37", "deadtwig").at(wavelength_nm)
+    straw = _dry_material("straw_from_broom_154", "woodstrw").at(wavelength_nm)
+    chip = _dry_material("bark_chip_iii_129", "innrbark").at(wavelength_nm)
+    bark = _dry_material("bark_37", "deadtwig").at(wavelength_nm)
     green = rind_reflectance(stem, wavelength_nm, 1.0)[0]
     rows = np.stack([0.5 * (straw + chip), 0.5 * (bark + green)])
-    speckle = 0.12 * noise_mm(rng, (PIXELS, PIXELS), (10.0, 10.0), (0.5, 0.5))
+    speckle = 0.12 * noise_mm(rng, PATTERN_SHAPE, (10.0, 10.0), (0.5, 0.5))
     both = np.repeat(rows[:, None, :], 2, axis=1)
     return Surface("cut", wavelength_nm, both, np.zeros_like(rows), pattern=speckle.astype(np.float32))
 
 
-def _dry(measured: str, alike: str) -> Spectrum:
-    """A dry plant material measured in the visible, continued to 1100 nm like another of its kind: a MODEL.
+def _dry_material(visible_column: str, infrared_column: str) -> Spectrum:
+    """Dry plant material measured in the visible, extrapolated to 1100 nm with a similar one: a MODEL.
 
-    Dry matter goes on brightening in the near infrared, where the visible measurement has ended (730 nm).
-    Beyond, absorption over scattering K/S = (1 - R)^2 / (2 R) (Kubelka & Munk 1931) falls in the same
-    proportion as in the material whose infrared is known. The first value holds below 390 nm.
+    Dry matter becomes brighter in the near infrared, where the visible measurement has ended (730 nm).
+    Beyond, K/S falls in the same proportion as in the material whose infrared is known. The first value is
+    used below 390 nm.
     """
-    known = read_spectrum(DRY_MEASURED, measured, outside="hold")
-    other = read_spectrum(DRY_INFRARED, alike, outside="hold")
-    last_nm = known.wavelength_nm[-1]
-    beyond_nm = other.wavelength_nm[other.wavelength_nm > last_nm]
-    share = _absorbed(other.at(beyond_nm)) / _absorbed(other.at(last_nm))
-    ratio = share * _absorbed(known.values[-1:])
-    beyond = 1.0 + ratio - np.sqrt(ratio**2 + 2.0 * ratio)
-    return Spectrum(
-        np.concatenate([known.wavelength_nm, beyond_nm]), np.concatenate([known.values, beyond]), "hold"
-    )
-
-
-def _absorbed(reflectance: Array) -> Array:
-    """Kubelka and Munk's absorption over scattering of a thick body."""
-    return np.asarray((1.0 - reflectance) ** 2 / (2.0 * reflectance))
+    visible = read_spectrum(DRY_MEASURED, visible_column, outside="hold")
+    infrared = read_spectrum(DRY_INFRARED, infrared_column, outside="hold")
+    last_nm = visible.wavelength_nm[-1]
+    beyond_nm = infrared.wavelength_nm[infrared.wavelength_nm > last_nm]
+    ratio, last_ratio = (_absorption_per_scattering(infrared.at(nm)) for nm in (beyond_nm, last_nm))
+    beyond = _thick_reflectance(ratio / last_ratio * _absorption_per_scattering(visible.values[-1:]))
+    nm = np.concatenate([visible.wavelength_nm, beyond_nm])
+    return Spectrum(nm, np.concatenate([visible.values, beyond]), "hold")

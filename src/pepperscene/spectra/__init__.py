@@ -1,4 +1,4 @@
-"""Spectra: the sampled function, files, lights, and the pigment model of leaves."""
+"""Spectra: sampled functions of wavelength, their files, daylight, and the leaf model PROSPECT."""
 
 from pepperscene.spectra.files import (
     Provenance,
@@ -8,37 +8,25 @@ from pepperscene.spectra.files import (
     spectra_file,
 )
 from pepperscene.spectra.lights import (
-    LUMINOUS_EFFICACY,
+    colour_science,
     illuminance,
-    led_spectrum,
+    photons_per_joule,
     photopic_efficiency,
     sky_spectrum,
     sun_spectrum,
     with_illuminance,
 )
-from pepperscene.spectra.prospect import (
-    LeafOptics,
-    absorption_coefficients,
-    cuticle_gloss,
-    layer_over_body,
-    leaf_spectra,
-)
-from pepperscene.spectra.spectrum import LIGHT_SPEED, PLANCK, Spectrum, colour_science, photons_per_joule
+from pepperscene.spectra.prospect import absorption_coefficients, layer_over_body, leaf_spectra
+from pepperscene.spectra.spectrum import Spectrum
 
 __all__ = [
-    "LIGHT_SPEED",
-    "LUMINOUS_EFFICACY",
-    "PLANCK",
-    "LeafOptics",
     "Provenance",
     "Spectrum",
     "absorption_coefficients",
     "colour_science",
-    "cuticle_gloss",
     "illuminance",
     "layer_over_body",
     "leaf_spectra",
-    "led_spectrum",
     "photons_per_joule",
     "photopic_efficiency",
     "read_provenance",

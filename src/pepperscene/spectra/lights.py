@@ -1,42 +1,54 @@
-"""Spectral power distributions of lights, and how bright they look."""
+"""Spectral power distributions (SPDs) of daylight, illuminance, and photon numbers."""
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Final, Literal
+import warnings
+from functools import cache, lru_cache
+from types import ModuleType
+from typing import Final, Literal, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pepperscene.errors import InputError
-from pepperscene.spectra.files import read_spectra, read_spectrum
-from pepperscene.spectra.spectrum import Spectrum
+from pepperscene.spectra.files import read_spectrum
+from pepperscene.spectra.spectrum import FloatArray, Spectrum
 
-LUMINOUS_EFFICACY: Final = 683.002
-"""Maximum luminous efficacy of radiation for photopic vision, lm W-1 (CIE 018:2019)."""
-
-ANCHOR_NM: Final = 560.0
-"""Relative spectra have the value 1 here, as CIE tables do."""
-
-ASTM_INCIDENCE_COSINE: Final = float(np.cos(np.arccos(1.0 / 1.5) - np.radians(37.0)))
-"""ASTM G173-03: air mass 1.5 puts the sun 48.2 degrees from the zenith, in front of a plane tilted by 37."""
+LUMINOUS_EFFICACY: Final = 683.002  # lm W-1, maximum for photopic vision (CIE 018:2019)
+_PLANCK: Final = 6.62607015e-34  # J s, exact in the SI of 2019
+_LIGHT_SPEED: Final = 299_792_458.0  # m s-1 in vacuum, exact
+ANCHOR_NM: Final = 560.0  # relative spectra have the value 1 here, as in CIE tables
 
 SkyKind = Literal["d50", "d55", "d65", "d75"]
-LED_FILES: Final = (
-    "light/houser2013_cool_white_led",
-    "light/nist_phosphor_led_colour_science",
-    "light/cie_illuminants_colour_science",
-)
+
+
+@cache
+def colour_science() -> ModuleType:
+    """Import and return the package `colour`.
+
+    It warns if matplotlib is missing, which only its plots need. The warning is suppressed, because nothing
+    here plots.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", '"Matplotlib" related API features are not available')
+        import colour
+    return colour
+
+
+def photons_per_joule(wavelength_nm: ArrayLike) -> FloatArray:
+    """Photons per joule of light at each wavelength: lambda / (h c)."""
+    return np.asarray(wavelength_nm, dtype=float) * 1e-9 / (_PLANCK * _LIGHT_SPEED)
 
 
 @lru_cache(maxsize=1)
 def photopic_efficiency() -> Spectrum:
     """CIE 1924 photopic luminous efficiency V(lambda), 360 to 830 nm."""
-    # A copy of the table in colour-science, whose import takes a second of every first frame.
+    # A copy of the table in colour-science: importing colour-science would add a second to every first frame.
     return read_spectrum("light/cie_1924_photopic", "v")
 
 
 def illuminance(irradiance: Spectrum) -> float:
-    """Lux of a spectral irradiance in W m-2 nm-1: 683.002 times its integral against V(lambda).
+    """Illuminance, lux, of a spectral irradiance in W m-2 nm-1: 683.002 times its integral with V(lambda).
 
     The integral is exact for the two piecewise linear functions, over the range of the irradiance.
     """
@@ -44,92 +56,63 @@ def illuminance(irradiance: Spectrum) -> float:
 
 
 def with_illuminance(relative: Spectrum, lux: float) -> Spectrum:
-    """The spectral irradiance, W m-2 nm-1, of this relative SPD that gives `lux`.
+    """Scale a relative SPD to a spectral irradiance, W m-2 nm-1, of the illuminance `lux`.
 
     Raises:
-        ValueError: the spectrum holds no visible light, or `lux` is negative.
+        ValueError: the spectrum has no visible light, or `lux` is negative.
     """
-    seen = illuminance(relative)
-    if not (seen > 0 and lux >= 0):
-        raise ValueError(f"cannot scale a spectrum of {seen:g} lx to {lux:g} lx")
-    return relative.times(lux / seen)
+    current = illuminance(relative)
+    if not (current > 0 and lux >= 0):
+        raise ValueError(f"cannot scale a spectrum of {current:g} lx to {lux:g} lx")
+    return relative.times(lux / current)
 
 
 def sun_spectrum() -> Spectrum:
     """Direct sunlight at the ground, relative: ASTM G173-03 direct normal (air mass 1.5), 300 to 1100 nm."""
-    return _anchored(_astm("direct_W_m2_nm"))
+    return _normalise(_astm_g173("direct_W_m2_nm"))
 
 
-def diffuse_spectrum() -> Spectrum:
-    """What ASTM G173-03's plane receives beside the direct beam, W m-2 nm-1, 300 to 1100 nm.
-
-    A clear sky, with a little light from the ground: the global less the direct irradiance times the cosine
-    between the beam and the plane's normal.
-    """
-    total, direct = _astm("global_tilt_W_m2_nm"), _astm("direct_W_m2_nm")
-    return Spectrum(total.wavelength_nm, total.values - ASTM_INCIDENCE_COSINE * direct.values)
-
-
+@lru_cache(maxsize=4)
 def sky_spectrum(kind: SkyKind = "d65") -> Spectrum:
-    """Daylight of a sky, relative: a CIE D illuminant, 300 to 1100 nm.
+    """Daylight of the sky, relative: a CIE D illuminant, 300 to 1100 nm.
 
-    D55 and D65 suit sunlit and overcast daylight, D75 that of the northern sky (CIE 015:2018). The tables end
-    at 830 nm; what follows is a MODEL for cameras that see the near infrared: the shape of ASTM G173-03, for
-    D75 of its diffuse and for the others of its global light, scaled to the energy of the table's last 50 nm.
+    D55 and D65 represent sunlit and overcast daylight, D75 that of the northern sky (CIE 015:2018). The
+    tables end at 830 nm. The continuation for cameras that are sensitive in the near infrared is a MODEL: the
+    shape of ASTM G173-03 (for D75 of its diffuse, for the others of its global irradiance), scaled to the
+    energy of the table's last 50 nm.
 
     Raises:
         InputError: `kind` is not one of d50, d55, d65, d75.
     """
-    if kind not in ("d50", "d55", "d65", "d75"):
+    if kind not in get_args(SkyKind):
         raise InputError("sky_spectrum", "must be d50, d55, d65 or d75", key="kind", value=kind)
-    return _sky(kind)
-
-
-@lru_cache(maxsize=4)
-def _sky(kind: SkyKind) -> Spectrum:
     table = read_spectrum("light/cie_daylight_300_830", kind)
-    shape = diffuse_spectrum() if kind == "d75" else _astm("global_tilt_W_m2_nm")
+    shape = diffuse_spectrum() if kind == "d75" else _astm_g173("global_tilt_W_m2_nm")
     last = table.wavelength_nm[-1]
-    # Both meet in energy: single wavelengths lie in lines that the table smooths and the shape resolves.
-    shared = np.arange(last - 50.0, last + 0.5)
-    scale = np.trapezoid(table.at(shared), shared) / np.trapezoid(shape.at(shared), shared)
+    # Match energies, not single values: the shape resolves absorption lines that the table smooths.
+    overlap = np.arange(last - 50.0, last + 0.5)
+    scale = np.trapezoid(table.at(overlap), overlap) / np.trapezoid(shape.at(overlap), overlap)
     beyond = shape.wavelength_nm > last
-    return _anchored(
-        Spectrum(
-            np.append(table.wavelength_nm, shape.wavelength_nm[beyond]),
-            np.append(table.values, scale * shape.values[beyond]),
-        )
-    )
+    nm = np.append(table.wavelength_nm, shape.wavelength_nm[beyond])
+    return _normalise(Spectrum(nm, np.append(table.values, scale * shape.values[beyond])))
+
+
+def diffuse_spectrum() -> Spectrum:
+    """Diffuse irradiance of ASTM G173-03's tilted plane, W m-2 nm-1, 300 to 1100 nm.
+
+    A clear sky with some light reflected by the ground: global irradiance minus direct normal irradiance
+    times the cosine between the beam and the plane's normal.
+    """
+    total, direct = _astm_g173("global_tilt_W_m2_nm"), _astm_g173("direct_W_m2_nm")
+    # At air mass 1.5 the sun is 48.2 degrees from the zenith; the plane is tilted by 37 degrees towards it.
+    cosine = float(np.cos(np.arccos(1.0 / 1.5) - np.radians(37.0)))
+    return Spectrum(total.wavelength_nm, total.values - cosine * direct.values)
 
 
 @lru_cache(maxsize=2)
-def _astm(column: str) -> Spectrum:
+def _astm_g173(column: str) -> Spectrum:
     return read_spectrum("light/astm_g173_300_1100", column)
 
 
-def led_spectrum(name: str = "lumileds_cool_white") -> Spectrum:
-    """A white LED, relative, 380 to 780 nm.
-
-    Args:
-        name: a column of one of `LED_FILES`, or its end after an underscore; the default is the cool white
-            Lumileds of 5763 K in Houser et al. 2013 (doi 10.1364/OE.21.010393).
-
-    Raises:
-        InputError: no shipped LED has this name, or more than one; the message lists them.
-    """
-    leds = _leds()
-    found = [key for key in leds if key == name] or [key for key in leds if key.endswith(f"_{name}")]
-    if len(found) != 1:
-        raise InputError("led_spectrum", f"must be one of {', '.join(leds)}", key="name", value=name)
-    return leds[found[0]]
-
-
-@lru_cache(maxsize=1)
-def _leds() -> dict[str, Spectrum]:
-    columns = {name: spd for file in LED_FILES for name, spd in read_spectra(file).items()}
-    illuminants = ("d50", "d55", "d65", "d75", "a", "e")
-    return {name: _anchored(spd) for name, spd in columns.items() if name not in illuminants}
-
-
-def _anchored(spd: Spectrum) -> Spectrum:
+def _normalise(spd: Spectrum) -> Spectrum:
     return spd.times(1.0 / float(spd.at(ANCHOR_NM)[0]))
