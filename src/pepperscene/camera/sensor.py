@@ -282,3 +282,15 @@ def load_filter(wanted: str | Path) -> Filter:
             path.parent / file, "must be a share, at most 1", key=key, value=float(found.values[row])
         )
     return Filter(told.name, found)
+
+
+def read_fraction(path: Path, table: str, curve: CurveTable) -> Spectrum:
+    """Read a curve within [0, 1] from the CSV file beside `path`; it is 0 beyond its range."""
+    spectrum = read_curve(path, table, curve.file, curve.column)
+    above = spectrum.values > 1.0
+    if above.any():
+        row = int(np.argmax(above))
+        key = f"row {row + 2}, column {curve.column}"  # as a text editor counts: the header is row 1
+        value = float(spectrum.values[row])
+        raise InputError(path.parent / curve.file, "must be at most 1", key=key, value=value)
+    return spectrum
