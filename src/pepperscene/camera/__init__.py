@@ -1,4 +1,4 @@
-"""The camera room: lens, sensor, flash, poses, and the way from light to a photograph."""
+"""The camera: lens, sensor, flash and poses, and the conversion of light to images."""
 
 from pepperscene.camera.camera import Camera, expected_electrons, relative_illumination
 from pepperscene.camera.colorimetry import ColourCorrection

@@ -199,10 +199,9 @@ def load_cover(name_or_path: str | Path) -> Cover:
     """
     path = find_material("covers", name_or_path)
     document = validate(CoverDocument, read_toml(path), path)
-    transmittance = replace(read_fraction(path, "transmittance", document.transmittance), outside="hold")
+    table, width_rad = document.transmittance, float(np.radians(document.haze_width_deg or 0.0))
+    transmittance = replace(read_fraction(path, "transmittance", table.file, table.column), outside="hold")
     if illuminance(transmittance) <= 0.0:
-        column = document.transmittance.column
-        raise InputError(path, "must let visible light through", key="transmittance.column", value=column)
-    return Cover(
-        document.name, transmittance, document.haze, float(np.radians(document.haze_width_deg or 0.0))
-    )
+        key = "transmittance.column"
+        raise InputError(path, "must let visible light through", key=key, value=table.column)
+    return Cover(document.name, transmittance, document.haze, width_rad)
