@@ -1,4 +1,4 @@
-"""Ground truth as arrays: the published data set's encodings and their inverses, and measures of a set."""
+"""Ground truth: encodings of labels and their inverses, harvest truth, and statistics of labelled images."""
 
 from pepperscene.truth.encodings import (
     FARTHEST_CODED_M,
@@ -19,7 +19,7 @@ from pepperscene.truth.statistics import (
     hue_counts,
     hue_spectrum_correlation,
     mean_hue,
-    saturated_share,
+    saturated_fraction,
 )
 
 __all__ = [
@@ -39,5 +39,5 @@ __all__ = [
     "hue_counts",
     "hue_spectrum_correlation",
     "mean_hue",
-    "saturated_share",
+    "saturated_fraction",
 ]
