@@ -209,7 +209,7 @@ def demosaic_image(sites: Floats, pattern: str, method: Demosaic) -> Floats:
     colour_science()  # imports the library's dependency without its warnings
     with warnings.catch_warnings():
         # The library imports SciPy's functions from where they are until SciPy 2.
-        warnings.filterwarnings("ignore", "Please import `convolve`", DeprecationWarning)
+        warnings.filterwarnings("ignore", "Please import `convolve", DeprecationWarning)
         import colour_demosaicing
     demosaic = {
         "malvar": colour_demosaicing.demosaicing_CFA_Bayer_Malvar2004,
