@@ -8,15 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
-from pepperscene.truth import (
+from pepperscene.truth.encodings import (
     FARTHEST_CODED_M,
     class_colour,
     class_from_colour,
     class_pixel_counts,
+    decode_rle,
     distance_code,
     distance_from_code,
+    encode_rle,
+    mask_box,
+    touches_border,
 )
-from pepperscene.truth.encodings import decode_rle, encode_rle, mask_box, touches_border
 
 # --- distances ----------------------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pepperscene.truth import (
+from pepperscene.truth.statistics import (
     HUE_BINS,
     ImageStatistics,
     centre_crop,

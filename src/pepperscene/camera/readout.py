@@ -108,12 +108,8 @@ def read_out(
 ) -> Floats:
     """`(site rows, site columns)` digital numbers of the mosaic, black level included.
 
-    Args:
-        expected: `(h, w, c)` mean electrons of a photosite of each colour, at least 0.
-        sensor: mosaic, noise, full well and converter.
-        rng: draws the noise; None leaves it out.
-        developing: which of shot noise, saturation, read noise and quantisation to apply. The random numbers
-            do not depend on saturation and quantisation.
+    `expected`, `(h, w, c)`, are the mean electrons of a photosite of each colour, at least 0. Without a
+    generator there is no noise. The random numbers do not depend on saturation and quantisation.
     """
     sites = spread_to_photosites(np.minimum(expected, _MAX_ELECTRONS), sensor)
     height = max(_STRIP // sites.shape[1], 1)

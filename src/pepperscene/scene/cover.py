@@ -81,11 +81,9 @@ class Haze:
         return below
 
     def lobe(self, towards: NDArray[np.float64], source: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Radiance map of a scattered beam, up to a factor.
+        """Radiance map `(rows, columns)` of a scattered beam from `source` `(3,)`, up to a factor.
 
-        Args:
-            towards: `(rows, columns, 3)` the map's directions.
-            source: `(3,)` unit direction towards the beam's source.
+        `towards`, `(rows, columns, 3)`, are the map's directions.
         """
         out_rows = self.balance.size
         below = np.zeros(towards.shape[:2])
@@ -96,13 +94,10 @@ class Haze:
 
 @lru_cache(maxsize=4)
 def tabulate_haze(width_rad: float, rows: int, columns: int, out_rows: int) -> Haze:
-    """Tabulate the scattering of a lobe.
+    """Tabulate the scattering of a lobe for maps of the whole sphere, with an even number of rows.
 
-    Args:
-        width_rad: standard deviation of the scattered light's direction along each of two axes, where small.
-        rows: rows of the maps of the whole sphere, even.
-        columns: columns of the maps.
-        out_rows: number of rows to compute below the sheet, at least down to the horizon.
+    `width_rad` is the standard deviation of the scattered light's direction along each of two axes, where it
+    is small. Below the sheet, `out_rows` rows are computed, at least down to the horizon.
     """
     in_rows = rows // 2
     cosines, solid_angles = row_geometry(rows, columns)
@@ -123,11 +118,10 @@ def tabulate_haze(width_rad: float, rows: int, columns: int, out_rows: int) -> H
 
 
 def _balance(mean: NDArray[np.float64], projected: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The factors `a` by row, by Sinkhorn's iteration with half steps so that rows and columns share factors.
+    """`(out rows,)` the factors `a`, by Sinkhorn's iteration with half steps for common row and column
+    factors.
 
-    Args:
-        mean: `(out rows, in rows)` the exponential summed over the azimuth.
-        projected: `(in rows,)` projected solid angle of a texel.
+    `mean`, `(out rows, in rows)`, is the exponential summed over the azimuth.
     """
     in_rows = projected.size
     factors = np.ones(in_rows)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pepperscene.camera import Camera
 from pepperscene.geometry import Mesh
 from pepperscene.scene.frustum import ViewFrustums, distances_to_balls, emitter_centres
-from pepperscene.scene.lod import Triangles, simplify_organs
+from pepperscene.scene.lod import Triangles, join_triangles, simplify_organs
 from pepperscene.scene.sky import SUN_ANGULAR_RADIUS
 
 _LONG_INSTANCE: Final = 2500  # chosen: faces of an instance that is split; twine and rows, but no organ
@@ -45,14 +45,14 @@ class LightReach:
         sun: sunlight on a plane that faces the sun.
         stray: flash light just outside the image, at the path's distance.
         distance_m: distance from the path to its subject.
-        lamp_m: distance from the projection centre to the furthest point of the flash.
+        flash_extent_m: distance from the projection centre to the furthest point of the flash.
     """
 
     sky: float
     sun: float
     stray: float
     distance_m: float
-    lamp_m: float = 0.0
+    flash_extent_m: float = 0.0
 
 
 def light_reach(camera: Camera, distance_m: float, sky_lx: float, sun_lx: float = 0.0) -> LightReach:
@@ -73,13 +73,13 @@ def light_reach(camera: Camera, distance_m: float, sky_lx: float, sun_lx: float 
     borders = (slopes[0, :, 1].min(), slopes[-1, :, 1].min(), slopes[:, 0, 0].min(), slopes[:, -1, 0].min())
     outside = np.linspace(np.arctan(min(borders)), np.pi / 2.0, 65)
     stray = float(np.max(flash.profile.at(outside)))
-    lamp = float(np.linalg.norm(emitter_centres(flash), axis=1).max()) + flash.radius_m
+    extent = float(np.linalg.norm(emitter_centres(flash), axis=1).max()) + flash.radius_m
     if flash.illuminance_lx is None:
-        return LightReach(float(sky_lx > 0.0), float(sun_lx > 0.0), stray, distance_m, lamp)
+        return LightReach(float(sky_lx > 0.0), float(sun_lx > 0.0), stray, distance_m, extent)
     # The flash may be shorter than the exposure.
     flash_lx = flash.illuminance_lx * (flash.at_m / distance_m) ** 2 * camera.flash_duty
     total = flash_lx + sky_lx + sun_lx
-    return LightReach(sky_lx / total, sun_lx / total, stray * flash_lx / total, distance_m, lamp)
+    return LightReach(sky_lx / total, sun_lx / total, stray * flash_lx / total, distance_m, extent)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,11 +147,9 @@ def negligible(
     Of the sun's disc, of angular radius s, it can cover (r / d)^2 / s^2.
     """
     removed = np.zeros(len(visible), dtype=bool)
-    if not visible.any() or visible.all():
-        return removed
     hidden, shown = np.flatnonzero(~visible), np.flatnonzero(visible)
     centres, radii = chunks.centres[hidden], chunks.radii[hidden]
-    from_flash = np.maximum(distances_to_balls(centres, frustums.places) - radii - light.lamp_m, 1e-3)
+    from_flash = np.maximum(distances_to_balls(centres, frustums.places) - radii - light.flash_extent_m, 1e-3)
     incident = light.sky + light.sun + light.stray * (light.distance_m / from_flash) ** 2
 
     def change(rows: NDArray[np.intp], others: NDArray[np.intp]) -> NDArray[np.float32]:
@@ -190,7 +188,7 @@ def cull_mesh(mesh: Mesh, frustums: ViewFrustums, light: LightReach) -> Mesh:
     if visible.all() or not visible.any():
         return mesh
     removed = negligible(chunks, visible, frustums, light)
-    simple = None
+    simple: list[Triangles] = []
     if light.sky + light.sun <= _MAX_DAYLIGHT:
         candidates = np.flatnonzero(~visible & ~removed & chunks.whole)
         face_ranges = np.stack([chunks.faces[candidates], chunks.faces[candidates + 1]], axis=1)
@@ -206,4 +204,4 @@ def cull_mesh(mesh: Mesh, frustums: ViewFrustums, light: LightReach) -> Mesh:
     used[faces] = True
     faces = (np.cumsum(used, dtype=np.uint32) - np.uint32(1))[faces]
     rest = Triangles(np.flatnonzero(used), faces, np.flatnonzero(kept))
-    return (rest if simple is None else rest.followed_by(simple)).taken_from(mesh)
+    return join_triangles([rest, *simple]).taken_from(mesh)

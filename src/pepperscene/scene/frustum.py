@@ -36,12 +36,7 @@ class ViewFrustums:
     def intersects(
         self, centres: NDArray[np.float32], half_extents: NDArray[np.float32]
     ) -> NDArray[np.bool_]:
-        """`(n,)` whether an axis-aligned box may reach into any view; never False where it does.
-
-        Args:
-            centres: `(n, 3)` metres.
-            half_extents: `(n, 3)` metres.
-        """
+        """`(n,)` whether axis-aligned boxes, `(n, 3)` and `(n, 3)`, may reach into any view."""
         visible = np.zeros(len(centres), dtype=bool)
         first = np.arange(0, len(self.places), _POSE_STRIDE)
         for poses in (first, np.setdiff1d(np.arange(len(self.places)), first)):

@@ -7,8 +7,9 @@ stays inside the organ's convex hull, and thin organs stay whole.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Final
 
 import numpy as np
@@ -44,14 +45,6 @@ class Triangles:
     faces: NDArray[np.integer]
     source: Index
 
-    def followed_by(self, other: Triangles) -> Triangles:
-        """These triangles and then the others."""
-        return Triangles(
-            np.concatenate([self.vertices, other.vertices]),
-            np.concatenate([self.faces, other.faces + len(self.vertices)]),
-            np.concatenate([self.source, other.source]),
-        )
-
     def taken_from(self, mesh: Mesh) -> Mesh:
         """The mesh of these triangles; instances and surfaces keep their numbers."""
         return replace(
@@ -64,6 +57,16 @@ class Triangles:
             face_instance=mesh.face_instance[self.source],
             face_surface=mesh.face_surface[self.source],
         )
+
+
+def join_triangles(parts: Sequence[Triangles]) -> Triangles:
+    """Several sets of triangles on the same mesh as one."""
+    starts = accumulate((len(part.vertices) for part in parts), initial=0)
+    return Triangles(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)]),
+        np.concatenate([part.source for part in parts]),
+    )
 
 
 def cluster_vertices(
@@ -106,22 +109,16 @@ def cluster_vertices(
 
 def simplify_organs(
     mesh: Mesh, face_ranges: Index, vertex_ranges: Index
-) -> tuple[Triangles, NDArray[np.bool_]]:
-    """Simplify some organs of a mesh.
+) -> tuple[list[Triangles], NDArray[np.bool_]]:
+    """The triangles of simplified organs, and `(n,)` which organs were simplified.
 
-    Args:
-        mesh: with the organs.
-        face_ranges: `(n, 2)` first face of each organ and the one after its last.
-        vertex_ranges: `(n, 2)` first vertex of each organ and the one after its last.
-
-    Returns:
-        The triangles of the simplified organs, and `(n,)` which organs were simplified.
+    `face_ranges` and `vertex_ranges`, `(n, 2)`, are the first face and vertex of each organ and those after
+    its last.
     """
     simplified = np.zeros(len(face_ranges), dtype=bool)
-    count = 0
-    corners, sources, points = [np.empty((0, 3), np.intp)], [np.empty(0, np.intp)], [np.empty(0, np.intp)]
+    parts = []
     for steps, closed, members in _same_size_organs(mesh, face_ranges, vertex_ranges):
-        # Simplify the first organ; it stands for those whose triangulation is the same.
+        # Simplify the first organ; the result holds for all whose triangulation is the same.
         first, start = face_ranges[members, 0], vertex_ranges[members, 0]
         base = mesh.faces[slice(*face_ranges[members[0]])].astype(np.intp) - start[0]
         model = cluster_vertices(mesh.uv[slice(*vertex_ranges[members[0]])], base, steps, closed)
@@ -129,15 +126,16 @@ def simplify_organs(
             continue
         faces = mesh.faces[first[:, None] + model.source].astype(np.intp) - start[:, None, None]
         same = (faces == base[model.source]).all(axis=(1, 2))
-        members, first, start = members[same], first[same], start[same]
-        simplified[members] = True
-        begin = count + len(model.vertices) * np.arange(len(members))
-        corners.append((begin[:, None, None] + model.faces).reshape(-1, 3))
-        sources.append((first[:, None] + model.source).ravel())
-        points.append((start[:, None] + model.vertices).ravel())
-        count += len(points[-1])
-    triangles = Triangles(np.concatenate(points), np.concatenate(corners), np.concatenate(sources))
-    return triangles, simplified
+        simplified[members[same]] = True
+        copies = len(model.vertices) * np.arange(np.count_nonzero(same))
+        parts.append(
+            Triangles(
+                (start[same, None] + model.vertices).ravel(),
+                (copies[:, None, None] + model.faces).reshape(-1, 3),
+                (first[same, None] + model.source).ravel(),
+            )
+        )
+    return parts, simplified
 
 
 def _same_size_organs(
