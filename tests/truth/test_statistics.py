@@ -142,8 +142,11 @@ def random_image(rng, shape=(20, 30)):
     return colour, rng.integers(0, 8, shape).astype(np.uint8)
 
 
+Stack = tuple[ImageStatistics, np.ndarray, np.ndarray]
+
+
 @pytest.fixture(scope="module")
-def stack():
+def stack() -> Stack:
     """Statistics of six images, and their colours and classes in arrays."""
     rng = np.random.default_rng(4)
     images = [random_image(rng) for _ in range(6)]
@@ -153,7 +156,7 @@ def stack():
     return statistics, *(np.stack(arrays) for arrays in zip(*images, strict=True))
 
 
-def test_sums_equal_those_of_the_whole_stack(stack):
+def test_sums_equal_those_of_the_whole_stack(stack: Stack):
     statistics, colour, class_id = stack
     assert (statistics.pictures, statistics.photographs, statistics.labelled) == (6, 6, 6)
     masks = class_id[:, None] == np.arange(8)[:, None, None]
@@ -166,7 +169,7 @@ def test_sums_equal_those_of_the_whole_stack(stack):
     np.testing.assert_allclose(statistics.saturated, (colour == 255).any(-1).mean(axis=(1, 2)))
 
 
-def test_spectra_and_grey_pixels_add_up(stack):
+def test_spectra_and_grey_pixels_add_up(stack: Stack):
     statistics, colour, class_id = stack
     np.testing.assert_allclose(statistics.hue_spectra().sum(axis=1) + 100 * statistics.grey_shares(), 100.0)
     by_image = [(bins[ids == 3] == 40).mean() for bins, ids in zip(hue_bins(colour), class_id, strict=True)]

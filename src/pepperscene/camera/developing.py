@@ -50,8 +50,7 @@ def raw_frame(
     """`(site rows, site columns)` digital numbers of the converter, black level included.
 
     Always quantised and limited to the converter's range, whatever `developing` leaves out for the image.
-
-    Args, Raises: as `develop`.
+    Arguments and errors are those of `develop`.
     """
     developing = dataclasses.replace(camera.developing, quantise=True, saturation=True)
     return read_out(_checked(electrons, camera), camera.sensor, rng, developing).astype(np.uint16)
@@ -82,11 +81,7 @@ def correct_colours(rgb: Floats, camera: Camera) -> Floats:
     the sensor's limit times that gain. So gains k times as large give an image k times as bright, clipped
     light included, and with a smallest gain below 1 overexposed white stays below 1.
 
-    Monochrome camera_rgb `(h, w, 1)` passes through.
-
-    Raises:
-        ValueError: the white balance needs a flash that the camera does not have.
-        InputError: the sensor cannot distinguish colours under the reference light.
+    Monochrome camera_rgb `(h, w, 1)` passes through. Raises as `colour_transform`.
     """
     sensor, developing = camera.sensor, camera.developing
     if sensor.channels == 1:
@@ -159,12 +154,7 @@ def reference_correction(camera: Camera) -> ColourCorrection:
     """Gains and colour matrix of the camera under its reference light, computed once per sensor and light.
 
     The reference light is the light of the white balance; if that names none, the flash, or daylight without
-    a flash. Numbers given in `developing` are ignored.
-
-    Raises:
-        ValueError: the sensor is monochrome, or the white balance needs a flash that the camera does not
-            have.
-        InputError: the sensor cannot distinguish colours under the reference light.
+    a flash. Numbers given in `developing` are ignored. Raises as `colour_transform`.
     """
     _check_has_colours(camera)
     return colour_correction(camera.sensor, _reference_light(camera))

@@ -37,7 +37,6 @@ class Flash:
     faces the flash: in lux, or in W m-2 for a lamp without visible light.
 
     Attributes:
-        name: name in reports.
         spectrum: relative spectral power distribution (SPD), `(n,)`.
         at_m: distance at which the strength is given.
         profile: intensity of an emitter against the angle to the flash's axis.

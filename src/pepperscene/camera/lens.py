@@ -162,7 +162,6 @@ class Lens:
     """A thin lens.
 
     Attributes:
-        name: name in reports.
         focal_length_m: also the distance from the projection centre to the sensor.
         f_number: focal length over the diameter of the entrance pupil.
         transmittance: fraction of the light that the glass transmits, without colour.

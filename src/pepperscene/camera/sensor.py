@@ -37,7 +37,6 @@ class Sensor:
     pixel, and its two other colours are demosaiced. On a monochrome sensor, a pixel is the mean of its block.
 
     Attributes:
-        name: name in reports.
         columns, rows: size of the image.
         pitch_m: pitch of the photosites.
         quantum_efficiency: `(c, n)` photo-electrons per incident photon (the spectral response functions,
@@ -164,7 +163,6 @@ class Filter:
     interference filters, whose edges shift towards the blue for oblique light.
 
     Attributes:
-        name: name in reports.
         transmittance: fraction of the light that passes, `(n,)` within [0, 1]; 0 beyond its range.
     """
 

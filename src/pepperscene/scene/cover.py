@@ -138,7 +138,6 @@ class Cover:
     """A sheet of glass or film between the sky and the crop.
 
     Attributes:
-        name: the name in its file.
         transmittance: fraction of the sky's light that passes, scattered or not, in [0, 1].
         haze: fraction of the transmitted light that is scattered, in [0, 1].
         haze_width_rad: standard deviation of its direction along each of two axes (see `Haze`); unused

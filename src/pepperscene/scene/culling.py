@@ -89,7 +89,6 @@ class Chunks:
     Attributes:
         faces: `(n + 1,)` first face of each chunk, and the end of the last.
         vertices: `(n, 2)` first vertex that a chunk uses and the one after the last.
-        owner: `(n,)` its instance.
         whole: `(n,)` whether it contains all faces of its instance.
         centres, half_extents: `(n, 3)` float32, metres, of its axis-aligned bounding box.
         radii: `(n,)` float32, metres, of the ball around the box.
@@ -97,7 +96,6 @@ class Chunks:
 
     faces: NDArray[np.intp]
     vertices: NDArray[np.intp]
-    owner: NDArray[np.intp]
     whole: NDArray[np.bool_]
     centres: NDArray[np.float32]
     half_extents: NDArray[np.float32]
@@ -113,8 +111,8 @@ def mesh_chunks(mesh: Mesh) -> Chunks:
     # Part k of n begins at face k * size / n of its run.
     number = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
     starts = np.repeat(runs[:-1], parts) + number * np.repeat(size, parts) // np.repeat(parts, parts)
-    owner = mesh.face_instance[starts].astype(np.intp)
-    chunk_count = np.bincount(owner, minlength=len(mesh.instances))
+    owner = mesh.face_instance[starts]
+    is_whole = np.bincount(owner, minlength=len(mesh.instances))[owner] == 1
 
     # The box of all vertices between a chunk's first and last contains the chunk.
     corners = mesh.faces.ravel()
@@ -128,8 +126,7 @@ def mesh_chunks(mesh: Mesh) -> Chunks:
     return Chunks(
         np.append(starts, len(mesh.faces)),
         vertices,
-        owner,
-        chunk_count[owner] == 1,
+        is_whole,
         least + half,
         half,
         np.asarray(np.linalg.norm(half, axis=1)),

@@ -7,7 +7,7 @@ positions are continuous pixel coordinates; both are rounded far below what is v
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
 
@@ -81,16 +81,11 @@ class LabelView:
         camera: the camera.
         instance: `(h, w)` the instance image.
         distance: `(h, w)` metres along the rays through the pixel centres.
-        pixels: number of pixels of each value of the instance image.
     """
 
     camera: Camera
     instance: NDArray[np.uint16]
     distance: NDArray[np.float32]
-    pixels: NDArray[np.intp] = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "pixels", np.bincount(self.instance.ravel()))
 
     @property
     def rotation(self) -> FloatArray:
@@ -117,7 +112,7 @@ def harvest_truth(
     pixels = view.camera.project(np.concatenate([*points, np.empty((0, 3))]))
     parts = np.split(pixels, np.cumsum([len(part) for part in points]))
     entries = [_fruit_entry(one, mask, view, part) for (one, mask), part in zip(fruit, parts, strict=False)]
-    graph = organ_graph((one.lineage for one, _ in fruit), instances, view.pixels)
+    graph = organ_graph((one.lineage for one, _ in fruit), instances, np.bincount(view.instance.ravel()))
     return {"format": FORMAT, "fruit": entries, "graph": graph}
 
 
