@@ -4,7 +4,7 @@ The whole program in one line; every arrow is one function:
 
     Cultivar -> Plant -> Mesh -> Scene -> render() -> Frame -> Dataset
 
-Names are loaded when first used, so that importing the package costs next to nothing.
+Names are loaded on first use, so importing the package takes next to no time.
 """
 
 import lazy_loader

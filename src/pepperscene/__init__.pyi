@@ -1,153 +1,80 @@
-from .camera import (
-    Camera,
-    Developing,
-    arc_path,
-    load_filter,
-    load_flash,
-    load_lens,
-    load_sensor,
-    look_at,
-)
-from .classes import CLASS_COLOURS, Instance, OrganClass
-from .colour import Comparison, PatchSet, compare, open_patches
-from .cultivar import Cultivar, interpolate_cultivars, load_cultivar
-from .dataset import (
-    VOID,
-    CheckResult,
-    Dataset,
-    FrameRenderer,
-    GrownPlant,
-    ImageSet,
-    LabelledImage,
-    Recipe,
-    build,
-    check_dataset,
-    export_dataset,
-    grow_plant,
-    load_recipe,
-    open_dataset,
-    open_images,
-    read_image,
-    render_frame,
-    torch_images,
-    write_image,
-    write_report,
-)
-from .errors import InputError, OutputError, PepperError, SetupError
-from .frame import DEFAULT_OUTPUTS, OUTPUTS, Frame
-from .geometry import (
-    ContactCounts,
-    Mesh,
-    ResolvedMesh,
-    concatenate_meshes,
-    mesh_plant,
-    resolve_contacts,
-    write_mesh,
-)
-from .grammar import Organ, Plant, grow
-from .materials import (
-    Surface,
-    greenhouse_surfaces,
-    lambertian_surface,
-    organ_surfaces,
-    twine_surface,
-)
-from .render import Renderer, render_scene
-from .scene import (
-    Scene,
-    Sky,
-    Twine,
-    add_twine,
-    assemble_scene,
-    double_row,
-    load_cover,
-    partly_cloudy_sky,
-    uniform_sky,
-)
-from .spectra import Spectrum
-from .truth import class_colour, class_from_colour, distance_code, distance_from_code
-from .tuning import TuningResult, simulate_patches, tune
-from .version import __version__
-
-__all__ = [
-    "CLASS_COLOURS",
-    "DEFAULT_OUTPUTS",
-    "OUTPUTS",
-    "VOID",
-    "Camera",
-    "CheckResult",
-    "Comparison",
-    "ContactCounts",
-    "Cultivar",
-    "Dataset",
-    "Developing",
-    "Frame",
-    "FrameRenderer",
-    "GrownPlant",
-    "ImageSet",
-    "InputError",
-    "Instance",
-    "LabelledImage",
-    "Mesh",
-    "Organ",
-    "OrganClass",
-    "OutputError",
-    "PatchSet",
-    "PepperError",
-    "Plant",
-    "Recipe",
-    "Renderer",
-    "ResolvedMesh",
-    "Scene",
-    "SetupError",
-    "Sky",
-    "Spectrum",
-    "Surface",
-    "TuningResult",
-    "Twine",
-    "__version__",
-    "add_twine",
-    "arc_path",
-    "assemble_scene",
-    "build",
-    "check_dataset",
-    "class_colour",
-    "class_from_colour",
-    "compare",
-    "concatenate_meshes",
-    "distance_code",
-    "distance_from_code",
-    "double_row",
-    "export_dataset",
-    "greenhouse_surfaces",
-    "grow",
-    "grow_plant",
-    "interpolate_cultivars",
-    "lambertian_surface",
-    "load_cover",
-    "load_cultivar",
-    "load_filter",
-    "load_flash",
-    "load_lens",
-    "load_recipe",
-    "load_sensor",
-    "look_at",
-    "mesh_plant",
-    "open_dataset",
-    "open_images",
-    "open_patches",
-    "organ_surfaces",
-    "partly_cloudy_sky",
-    "read_image",
-    "render_frame",
-    "render_scene",
-    "resolve_contacts",
-    "simulate_patches",
-    "torch_images",
-    "tune",
-    "twine_surface",
-    "uniform_sky",
-    "write_image",
-    "write_mesh",
-    "write_report",
-]
+from .camera import Camera as Camera
+from .camera import Developing as Developing
+from .camera import arc_path as arc_path
+from .camera import load_filter as load_filter
+from .camera import load_flash as load_flash
+from .camera import load_lens as load_lens
+from .camera import load_sensor as load_sensor
+from .camera import look_at as look_at
+from .classes import CLASS_COLOURS as CLASS_COLOURS
+from .classes import Instance as Instance
+from .classes import OrganClass as OrganClass
+from .colour import Comparison as Comparison
+from .colour import PatchSet as PatchSet
+from .colour import compare as compare
+from .colour import open_patches as open_patches
+from .cultivar import Cultivar as Cultivar
+from .cultivar import interpolate_cultivars as interpolate_cultivars
+from .cultivar import load_cultivar as load_cultivar
+from .dataset import VOID as VOID
+from .dataset import CheckResult as CheckResult
+from .dataset import Dataset as Dataset
+from .dataset import FrameRenderer as FrameRenderer
+from .dataset import GrownPlant as GrownPlant
+from .dataset import ImageSet as ImageSet
+from .dataset import LabelledImage as LabelledImage
+from .dataset import Recipe as Recipe
+from .dataset import build as build
+from .dataset import check_dataset as check_dataset
+from .dataset import export_dataset as export_dataset
+from .dataset import grow_plant as grow_plant
+from .dataset import load_recipe as load_recipe
+from .dataset import open_dataset as open_dataset
+from .dataset import open_images as open_images
+from .dataset import read_image as read_image
+from .dataset import render_frame as render_frame
+from .dataset import torch_images as torch_images
+from .dataset import write_image as write_image
+from .dataset import write_report as write_report
+from .errors import InputError as InputError
+from .errors import OutputError as OutputError
+from .errors import PepperError as PepperError
+from .errors import SetupError as SetupError
+from .frame import DEFAULT_OUTPUTS as DEFAULT_OUTPUTS
+from .frame import OUTPUTS as OUTPUTS
+from .frame import Frame as Frame
+from .geometry import ContactCounts as ContactCounts
+from .geometry import Mesh as Mesh
+from .geometry import ResolvedMesh as ResolvedMesh
+from .geometry import concatenate_meshes as concatenate_meshes
+from .geometry import mesh_plant as mesh_plant
+from .geometry import resolve_contacts as resolve_contacts
+from .geometry import write_mesh as write_mesh
+from .grammar import Organ as Organ
+from .grammar import Plant as Plant
+from .grammar import grow as grow
+from .materials import Surface as Surface
+from .materials import greenhouse_surfaces as greenhouse_surfaces
+from .materials import lambertian_surface as lambertian_surface
+from .materials import organ_surfaces as organ_surfaces
+from .materials import twine_surface as twine_surface
+from .render import Renderer as Renderer
+from .render import render_scene as render_scene
+from .scene import Scene as Scene
+from .scene import Sky as Sky
+from .scene import Twine as Twine
+from .scene import add_twine as add_twine
+from .scene import assemble_scene as assemble_scene
+from .scene import double_row as double_row
+from .scene import load_cover as load_cover
+from .scene import partly_cloudy_sky as partly_cloudy_sky
+from .scene import uniform_sky as uniform_sky
+from .spectra import Spectrum as Spectrum
+from .truth import class_colour as class_colour
+from .truth import class_from_colour as class_from_colour
+from .truth import distance_code as distance_code
+from .truth import distance_from_code as distance_from_code
+from .tuning import TuningResult as TuningResult
+from .tuning import simulate_patches as simulate_patches
+from .tuning import tune as tune
+from .version import __version__ as __version__

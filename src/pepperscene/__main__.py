@@ -1,4 +1,4 @@
-"""`python -m pepperscene` is the command line."""
+"""The command line, as `python -m pepperscene`."""
 
 from __future__ import annotations
 

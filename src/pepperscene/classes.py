@@ -1,7 +1,7 @@
 """The eight classes of the published data set: ids, names and colours.
 
 Source: layout of doi 10.4121/uuid:884958f5-b868-46e1-b3d8-a0b5d91b02c0; the colours are those of a public
-reader of that set.
+reader of that data set.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ CLASS_COLOURS: Final[tuple[tuple[int, int, int], ...]] = (
 
 @dataclass(frozen=True)
 class Instance:
-    """One organ that the instance image can tell from all others.
+    """One organ or object with its own value in the instance image.
 
     Attributes:
         organ_class: the class of all its pixels.
-        kind: the organ kind in the grammar's words ("lamina", "fruit", "twine").
-        plant: which plant of the scene it belongs to, 0-based; -1 for none.
+        kind: the organ kind ("lamina", "fruit") or the kind of object ("twine").
+        plant: number of the plant that it belongs to, 0-based; -1 for none.
         phytomer: position along the main stem, 0-based from the ground; -1 for none.
-        parent: index of the instance that it grows out of, in the same list; -1 for none.
+        parent: index of the instance that it grows on, in the same list; -1 for none.
     """
 
     organ_class: OrganClass

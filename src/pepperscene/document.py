@@ -1,4 +1,4 @@
-"""Reading a TOML file into a validated model; every fault becomes one `InputError`."""
+"""Reading a TOML file into a validated model; every error becomes one `InputError`."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from pepperscene.errors import InputError
 from pepperscene.shipped import ShippedFolder, find_file
 
 _INTEGERS: Final = range(-(2**63), 2**63)
-"""TOML 1.0: 64-bit signed integers, and an error for what cannot be kept without loss."""
+"""TOML 1.0: 64-bit signed integers, and an error for those that would lose digits."""
 
-_BEYOND: Final = f"must be an integer of 64 bits, {_INTEGERS[0]} to {_INTEGERS[-1]}"
-_DEEPEST: Final = 32  # chosen: tables and lists within each other; no model has more than six
+_INTEGER_RANGE: Final = f"must be an integer of 64 bits, {_INTEGERS[0]} to {_INTEGERS[-1]}"
+_MAX_DEPTH: Final = 32  # chosen: levels of nested tables and lists; no model has more than six
 _LONG_NUMBER: Final = re.compile(r"\d[\d_]{999,}")
 _PYTHON_TO_TOML: Final = (
     (re.compile(r"a valid tuple|a valid list"), "a list"),
     (re.compile(r"a valid dictionary( or (instance|object) .*)?"), "a table"),
     (re.compile(r"Input is not a valid path.*"), "must be a path, in quotes"),
 )
-"""What the validator says of Python's types, in the words of those who write files."""
+"""The validator's names of Python types, in terms of TOML."""
 
 
 class Document(BaseModel):
-    """Base of everything that is read from a file: frozen, and an unknown key is an error."""
+    """Base class of all models that are read from files: frozen, and an unknown key is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
 
@@ -38,98 +38,95 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file.
+    """Read the tables of a TOML file.
 
     Raises:
-        InputError: missing, unreadable, not UTF-8, not TOML (with the parser's line and column), nested too
-            deeply, or it holds an integer beyond 64 bits.
+        InputError: the file is missing, unreadable, not UTF-8, not TOML (with the parser's line and column)
+            or nested too deeply, or contains an integer beyond 64 bits.
     """
-    text = _text(path)
+    text = _read_text(path)
     try:
         tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as fault:
-        raise InputError(path, f"is not valid TOML: {fault}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(path, f"is not valid TOML: {error}") from None
     except RecursionError:
         raise InputError(path, "is not valid TOML: nested too deeply") from None
-    except ValueError as fault:
-        # Python refuses to read integers of thousands of digits; what else it refuses is told as it stands.
-        raise _enormous(path, text) or InputError(path, f"is not valid TOML: {fault}") from None
-    return _checked(tables, path)
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as fault:
-        raise InputError(path, f"cannot be read ({fault.strerror})") from None
-    except UnicodeDecodeError:
-        raise InputError(path, "must be a text file in UTF-8") from None
-    except ValueError as fault:
-        # A path that no file system takes.
-        raise InputError(repr(str(path)), f"cannot be read ({fault})") from None
-
-
-def _checked(tables: dict[str, Any], path: Path) -> dict[str, Any]:
-    """The tables, with no integer beyond 64 bits and no deeper than a validator can follow."""
-    for key, value in _places(tables):
-        if len(key) > _DEEPEST:
-            raise InputError(path, f"is nested too deeply: more than {_DEEPEST} levels")
-        if type(value) is int and value not in _INTEGERS:
-            raise InputError(path, _BEYOND, key=toml_key(key), value=value)
+    except ValueError as error:
+        # Python does not parse integers of thousands of digits.
+        raise _long_integer_error(path, text) or InputError(path, f"is not valid TOML: {error}") from None
+    _check_values(tables, path)
     return tables
 
 
-def _places(tables: dict[str, Any]) -> Iterator[tuple[tuple[str | int, ...], Any]]:
-    """Every value with its key, in the order of the file.
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise InputError(path, "must be a text file in UTF-8") from None
+    except ValueError as error:
+        # A path that no file system accepts.
+        raise InputError(repr(str(path)), f"cannot be read ({error})") from None
 
-    Without recursion, as dotted keys can nest deeper than Python calls.
-    """
-    waiting: list[tuple[tuple[str | int, ...], Any]] = [((), tables)]
-    while waiting:
-        key, value = waiting.pop()
+
+def _check_values(tables: dict[str, Any], path: Path) -> None:
+    """Check that no integer is beyond 64 bits and that the nesting is not too deep for a validator."""
+    for key, value in _walk(tables):
+        if len(key) > _MAX_DEPTH:
+            raise InputError(path, f"is nested too deeply: more than {_MAX_DEPTH} levels")
+        if type(value) is int and value not in _INTEGERS:
+            raise InputError(path, _INTEGER_RANGE, key=toml_key(key), value=value)
+
+
+def _walk(tables: dict[str, Any]) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+    """Every value with its key, in the order of the file; iterative, because dotted keys can nest deeply."""
+    stack: list[tuple[tuple[str | int, ...], Any]] = [((), tables)]
+    while stack:
+        key, value = stack.pop()
         yield key, value
         if isinstance(value, dict | list):
             items = value.items() if isinstance(value, dict) else enumerate(value)
-            waiting.extend(((*key, name), below) for name, below in reversed(list(items)))
+            stack.extend(((*key, name), child) for name, child in reversed(list(items)))
 
 
-def _enormous(path: Path, text: str) -> InputError | None:
-    """The fault that names the key of an integer too long for Python, if there is one."""
-    # Any shorter integer beyond 64 bits in its place tells where it stands.
+def _long_integer_error(path: Path, text: str) -> InputError | None:
+    """The error that names the key of an integer too long for Python, if there is one."""
+    # Replace it by a shorter integer beyond 64 bits, whose key can be found.
     short = _LONG_NUMBER.sub(str(2 * _INTEGERS.stop), text)
     try:
-        _checked(tomllib.loads(short), path)
-    except InputError as fault:
-        return InputError(path, fault.problem, key=fault.key)
+        _check_values(tomllib.loads(short), path)
+    except InputError as error:
+        return InputError(path, error.problem, key=error.key)
     except (ValueError, RecursionError):
         pass
     return None
 
 
 def toml_key(key: tuple[str | int, ...]) -> str:
-    """A key as TOML writes it: parts joined by dots, those that would be misread in quotes."""
+    """A key in TOML's notation: parts joined by dots, with quotes where they are needed."""
     parts = (str(part) for part in key)
-    return ".".join(part if _plain(part) else json.dumps(part) for part in parts)
+    return ".".join(part if _is_plain(part) else json.dumps(part) for part in parts)
 
 
-def _plain(part: str) -> bool:
+def _is_plain(part: str) -> bool:
     return bool(part) and part.isprintable() and not set(part) & set(" .\"'")
 
 
 def validate(model: type[Model], data: Mapping[str, Any], where: str | Path) -> Model:
-    """`data` as a `model`.
+    """Validate `data` as a `model`.
 
     Raises:
-        InputError: for the first fault found, with its dotted key and value.
+        InputError: for the first error, with its dotted key and value.
     """
     try:
         return model.model_validate(data)
-    except ValidationError as fault:
-        raise _as_input_error(fault, where) from None
+    except ValidationError as error:
+        raise _as_input_error(error, where) from None
 
 
-def _as_input_error(fault: ValidationError, where: str | Path) -> InputError:
-    first = fault.errors(include_url=False, include_context=True)[0]
+def _as_input_error(error: ValidationError, where: str | Path) -> InputError:
+    first = error.errors(include_url=False, include_context=True)[0]
     key = toml_key(first["loc"])
     if first["type"] == "extra_forbidden":
         return InputError(where, "is not a known key", key=key)
@@ -137,8 +134,8 @@ def _as_input_error(fault: ValidationError, where: str | Path) -> InputError:
         return InputError(where, "is required but missing", key=key)
     message = first["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     message = message.replace("Input should be", "must be").replace("\n", " ")
-    for said, meant in _PYTHON_TO_TOML:
-        message = said.sub(meant, message)
+    for python_type, toml_type in _PYTHON_TO_TOML:
+        message = python_type.sub(toml_type, message)
     value = first["input"] if not isinstance(first["input"], (dict, BaseModel)) else None
     return InputError(where, message, key=key, value=value)
 

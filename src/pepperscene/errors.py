@@ -1,4 +1,4 @@
-"""Every error that a user can meet.
+"""All errors that users can encounter.
 
 Each message is one sentence that names the file or argument, the key, the value and what is allowed. The
 command line prints it without a traceback and exits with code 2.
@@ -13,17 +13,17 @@ EXIT_BAD_INPUT: Final = 2
 
 
 class PepperError(Exception):
-    """Base of all errors that the user can fix; never raised itself."""
+    """Base class of all errors that users can fix; never raised itself."""
 
 
 class InputError(PepperError):
-    """A file holds something that is not allowed.
+    """A file contains something that is not allowed.
 
     Args:
         where: the file.
-        problem: what is wrong, or what is allowed, as the end of a sentence ("must be ...").
-        key: dotted key inside the file ("flash.illuminance_lx"), or "" when the whole file is meant.
-        value: the value found, or None when it is missing or the fault is not a value's.
+        problem: what is wrong or what is allowed, as the end of a sentence ("must be ...").
+        key: dotted key inside the file ("flash.illuminance_lx"), or "" for the whole file.
+        value: the value found, or None if it is missing or not the cause.
     """
 
     def __init__(self, where: str | Path, problem: str, *, key: str = "", value: object = None) -> None:
@@ -33,17 +33,20 @@ class InputError(PepperError):
     @property
     def detail(self) -> str:
         """The message without the name of the file or argument."""
-        subject = f"{self.key} = {_shown(self.value)}" if self.key and self.value is not None else self.key
+        subject = self.key
+        if self.key and self.value is not None:
+            subject = f"{self.key} = {_one_line(self.value)}"
         return ": ".join(part for part in (subject, self.problem) if part)
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Errors are sent between processes, and not every value can be pickled."""
-        value = self.value if isinstance(self.value, str | int | float | bool | None) else _shown(self.value)
+        """Support pickling with any value, because errors are sent between processes."""
+        is_simple = isinstance(self.value, str | int | float | bool | None)
+        value = self.value if is_simple else _one_line(self.value)
         return _restored, (type(self), self.where, self.problem, self.key, value)
 
 
 class ArgumentError(InputError):
-    """An argument of a function has a value that is not allowed.
+    """A function argument has a value that is not allowed.
 
     `where` is the argument's name; the command line prints the option of that name instead.
     """
@@ -62,14 +65,14 @@ class WorkerError(PepperError):
 
 
 class SetupError(PepperError):
-    """The machine lacks something (a JIT variant, an LLVM library); the message says what to install."""
+    """The system lacks something (a JIT variant, an LLVM library); the message says what to install."""
 
 
-def _shown(value: object, limit: int = 80) -> str:
-    """The value as Python writes it, on one line and cut to `limit` characters."""
+def _one_line(value: object, limit: int = 80) -> str:
+    """The value's `repr`, cut to `limit` characters."""
     try:
         text = repr(value)
     except (ValueError, RecursionError):
-        # Python writes neither integers of thousands of digits nor lists nested as deeply.
+        # Integers of thousands of digits and deeply nested lists have no `repr`.
         return f"an integer of {value.bit_length()} bits" if isinstance(value, int) else type(value).__name__
     return text if len(text) <= limit else text[: limit - 1] + "…"

@@ -1,4 +1,4 @@
-"""What a render gives: images by output name, and the facts that belong to them."""
+"""The outputs of a render, and the frame that holds them."""
 
 from __future__ import annotations
 
@@ -16,33 +16,36 @@ from pepperscene.errors import ArgumentError
 
 @dataclass(frozen=True)
 class Output:
-    """One kind of image, or of knowledge about one, that a frame can hold.
+    """One kind of image, or of JSON object, that a frame can hold.
 
     Attributes:
-        name: as on the command line, and the name of its folder in a data set.
+        name: its name, also that of its folder in a data set.
         shape: of the array: h rows and w columns; c channels, 3 of a colour sensor and 1 of a monochrome one;
-            H rows and W columns of photosites. Empty where it is no array.
+            H rows and W columns of photosites. Empty for a JSON object.
         dtype: of the array; "dict" for a JSON object.
-        suffix: of its file in a data set.
-        meaning: one line for help texts.
-        traced: True when it comes out of light transport, False when rays through pixel centres suffice.
+        description: one line for users.
+        traced: whether it needs light transport; otherwise rays through the pixel centres suffice.
     """
 
     name: str
     shape: str
     dtype: str
-    suffix: str
-    meaning: str
+    description: str
     traced: bool = False
 
     @property
     def is_image(self) -> bool:
-        """Whether it is an array; else a JSON object."""
+        """Whether it is an array; otherwise it is a JSON object."""
         return self.dtype != "dict"
 
     @property
+    def suffix(self) -> str:
+        """Suffix of its file in a data set."""
+        return ".json" if not self.is_image else ".exr" if self.dtype.startswith("float") else ".png"
+
+    @property
     def channels(self) -> tuple[int, ...]:
-        """How many values a pixel may have along a third axis; empty where there is no such axis."""
+        """Allowed lengths of the third axis; empty if there is no such axis."""
         third = re.search(r", (\d+|c)\)$", self.shape)
         if third is None:
             return ()
@@ -57,111 +60,57 @@ class Output:
         return image.ndim == 3 and image.shape[2] in self.channels if self.channels else image.ndim == 2
 
 
-OUTPUTS: Final[Mapping[str, Output]] = {
-    output.name: output
-    for output in (
-        Output("colour", "(h, w, 3)", "uint8", ".png", "the developed photograph, sRGB", traced=True),
-        Output(
-            "raw",
-            "(H, W)",
-            "uint16",
-            ".png",
-            "digital numbers of the photosites, as the converter gives them",
-            traced=True,
-        ),
-        Output(
-            "electrons",
-            "(h, w, c)",
-            "float32",
-            ".exr",
-            "expected photo-electrons per photosite of each colour, before noise",
-            traced=True,
-        ),
-        Output("class", "(h, w)", "uint8", ".png", "class ids 0 to 7, with a colour palette"),
-        Output("class_colour", "(h, w, 3)", "uint8", ".png", "class colours of the published data set"),
-        Output("instance", "(h, w)", "uint16", ".png", "organ instance, 0 is background"),
-        Output(
-            "distance",
-            "(h, w)",
-            "float32",
-            ".exr",
-            "metres along the ray from the projection centre, inf in the background",
-        ),
-        Output("distance_code", "(h, w)", "uint8", ".png", "the published data set's 8-bit distance code"),
-        Output(
-            "depth_z", "(h, w)", "float32", ".exr", "metres along the optical axis, inf in the background"
-        ),
-        Output(
-            "normal",
-            "(h, w, 3)",
-            "float32",
-            ".exr",
-            "unit surface normal in world coordinates, 0 in the background",
-        ),
-        Output(
-            "coverage",
-            f"(h, w, {len(OrganClass)})",
-            "float16",
-            ".exr",
-            "share of the pixel's area that each class covers, everything sharp",
-        ),
-        Output(
-            "position",
-            "(h, w, 3)",
-            "float32",
-            ".exr",
-            "world coordinates in metres, inf in the background",
-        ),
-        Output(
-            "uv",
-            "(h, w, 2)",
-            "float32",
-            ".exr",
-            "surface coordinates of the organ in [0, 1], -1 in the background",
-        ),
-        Output(
-            "flow",
-            "(h, w, 3)",
-            "float32",
-            ".exr",
-            "pixels to where it lies in the path's next frame, and whether it is visible there",
-        ),
-        Output(
-            "stereo",
-            "(h, w, 3)",
-            "float32",
-            ".exr",
-            "pixels to where it lies for the camera at the baseline, and whether it is visible there",
-        ),
-        Output(
-            "colour_stereo",
-            "(h, w, 3)",
-            "uint8",
-            ".png",
-            "the developed photograph of the camera at the baseline, sRGB",
-            traced=True,
-        ),
-        Output("harvest", "", "dict", ".json", "what a robot needs to know of each fruit in view"),
-    )
-}
+_COVERAGE_SHAPE: Final = f"(h, w, {len(OrganClass)})"
+_ALL: Final = (
+    Output("colour", "(h, w, 3)", "uint8", "developed photograph, sRGB", traced=True),
+    Output("raw", "(H, W)", "uint16", "digital number of each photosite", traced=True),
+    Output(
+        "electrons",
+        "(h, w, c)",
+        "float32",
+        "expected photo-electrons per photosite of each colour, before noise",
+        traced=True,
+    ),
+    Output("class", "(h, w)", "uint8", "class id, 0 to 7, with a colour palette"),
+    Output("class_colour", "(h, w, 3)", "uint8", "class colour of the published data set"),
+    Output("instance", "(h, w)", "uint16", "organ instance; 0 is the background"),
+    Output(
+        "distance", "(h, w)", "float32", "metres along the ray from the projection centre; background inf"
+    ),
+    Output("distance_code", "(h, w)", "uint8", "8-bit distance code of the published data set"),
+    Output("depth_z", "(h, w)", "float32", "metres along the optical axis; background inf"),
+    Output("normal", "(h, w, 3)", "float32", "unit surface normal in world coordinates; background 0"),
+    Output("coverage", _COVERAGE_SHAPE, "float16", "fraction of the pixel area per class, without defocus"),
+    Output("position", "(h, w, 3)", "float32", "world coordinates in metres; background inf"),
+    Output("uv", "(h, w, 2)", "float32", "surface coordinates of the organ in [0, 1]; background -1"),
+    Output(
+        "flow", "(h, w, 3)", "float32", "pixel displacement to the path's next frame, and visibility in it"
+    ),
+    Output("stereo", "(h, w, 3)", "float32", "pixel displacement to the stereo camera, and visibility in it"),
+    Output("colour_stereo", "(h, w, 3)", "uint8", "developed photograph of the stereo camera", traced=True),
+    Output("harvest", "", "dict", "masks, pose, ripeness, cut point and approach of each fruit in view"),
+)
+OUTPUTS: Final[Mapping[str, Output]] = {output.name: output for output in _ALL}
+"""All outputs by name, in canonical order."""
+
 PARTNERED: Final = frozenset({"stereo", "colour_stereo"})
-"""Outputs that need a second camera beside the first."""
+"""Outputs that need a stereo camera."""
 
 DEFAULT_OUTPUTS: Final = ("colour", "class", "instance", "distance", "distance_code")
 
 
 def check_outputs(names: Iterable[str]) -> tuple[str, ...]:
-    """The output names in canonical order, without repeats.
+    """The output names in canonical order, without duplicates.
 
     Raises:
-        ArgumentError: a name is unknown, or there is none at all.
+        ArgumentError: a name is unknown, or no name is given.
     """
     wanted = list(names)
     for name in wanted:
         if name not in OUTPUTS:
             raise ArgumentError("outputs", f"unknown output {name!r}; allowed are {', '.join(OUTPUTS)}")
     if not wanted:
-        raise ArgumentError("outputs", f"at least one output is needed of {', '.join(OUTPUTS)}")
+        raise ArgumentError("outputs", f"must name at least one output of {', '.join(OUTPUTS)}")
     return tuple(name for name in OUTPUTS if name in wanted)
 
 
@@ -170,8 +119,8 @@ class Frame:
     """One rendered view.
 
     Attributes:
-        images: array by output name, as `OUTPUTS` tells; of "harvest" a JSON-ready object.
-        facts: JSON-ready description: camera pose, intrinsics, distortion, exposure, variant, versions,
+        images: array by output name, as described in `OUTPUTS`; a JSON-ready object for "harvest".
+        metadata: JSON-ready description: camera pose, intrinsics, distortion, exposure, variant, versions,
             and the instances in view.
     """
 

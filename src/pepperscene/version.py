@@ -1,3 +1,3 @@
-"""The version, which every frame records: a frame depends on recipe, version and index alone."""
+"""The package version; every frame records it, because a frame depends on recipe, version and index only."""
 
 __version__ = "0.1.0"

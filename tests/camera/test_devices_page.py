@@ -1,4 +1,4 @@
-"""The page on device files: its examples load, and it tells every key and every shipped device."""
+"""The page on device files: its examples load, and it lists every key and every shipped device."""
 
 from __future__ import annotations
 
@@ -23,51 +23,51 @@ DEVICES = {
     "Filter": (load_filter, Filter, FilterDocument, "filters"),
     "Cover": (load_cover, Cover, CoverDocument, "covers"),
 }
+each_device = pytest.mark.parametrize("title", DEVICES)
 
 
 def section(title: str) -> str:
-    """What stands below a heading."""
     return TEXT.split(f"\n## {title}\n")[1].split("\n## ")[0]
 
 
 def block(text: str, language: str) -> str:
-    (found,) = re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
-    return found
+    (content,) = re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+    return content
 
 
-@pytest.mark.parametrize("title", DEVICES)
-def test_the_example_of_a_device_loads(title, tmp_path):
+@each_device
+def test_example_loads(title, tmp_path):
     load, kind, _, _ = DEVICES[title]
     (tmp_path / "curves.csv").write_text(block(TEXT, "text"), encoding="utf-8")
     (tmp_path / "mine.toml").write_text(block(section(title), "toml"), encoding="utf-8")
-    found = load(tmp_path / "mine.toml")
-    assert isinstance(found, kind)
-    assert found.name.startswith("my ")
+    device = load(tmp_path / "mine.toml")
+    assert isinstance(device, kind)
+    assert device.name.startswith("my ")
 
 
 def keys(model: type[BaseModel]) -> set[str]:
     """Keys of a file of this model, those of its tables included."""
-    found = set(model.model_fields)
+    names = set(model.model_fields)
     for name, field in model.model_fields.items():
         for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
             if isinstance(kind, type) and issubclass(kind, BaseModel):
-                found |= {f"{name}.{key}" for key in keys(kind)}
-    return found
+                names |= {f"{name}.{key}" for key in keys(kind)}
+    return names
 
 
-@pytest.mark.parametrize("title", DEVICES)
-def test_every_key_of_a_device_is_told(title):
-    told = section("What all files share") + section(title)
+@each_device
+def test_page_lists_every_key(title):
+    text = TEXT.split("\n## Sensor\n")[0] + section(title)  # keys of all files, and those of this device
     for key in keys(DEVICES[title][2]):
         table, _, last = key.rpartition(".")
-        rows = [row for row in told.splitlines() if row.startswith("|") and f"`{last}`" in row]
-        rows += [row for row in told.splitlines() if row.startswith(f"| `[{last}]`")]
+        rows = [row for row in text.splitlines() if row.startswith("|") and f"`{last}`" in row]
+        rows += [row for row in text.splitlines() if row.startswith(f"| `[{last}]`")]
         assert [row for row in rows if not table or f"`[{table}]`" in row], key
 
 
-@pytest.mark.parametrize("title", DEVICES)
-def test_every_shipped_device_is_told(title):
+@each_device
+def test_page_lists_every_shipped_device(title):
     folder = DEVICES[title][3]
     (row,) = (row for row in TEXT.splitlines() if re.match(rf"\| .+ \| `{folder}` \|", row))
-    told = set(re.findall(r"`(\w+)`", row.split("|")[3]))
-    assert told == {path.stem for path in (shipped_folder("materials") / folder).glob("*.toml")}
+    listed = set(re.findall(r"`(\w+)`", row.split("|")[3]))
+    assert listed == {path.stem for path in (shipped_folder("materials") / folder).glob("*.toml")}

@@ -76,4 +76,4 @@ def test_a_partners_view_is_part_of_what_is_seen(recipe, fake_renderer):
         wide = replace(partner, focus_m=None)
         for slope in wide.ray_slopes()[[1, 1, -2, -2], [1, -2, 1, -2]]:
             corner = wide.pose[:3, :3] @ [*(0.99 * slope), 1.0] + wide.pose[:3, 3]
-            assert stage.views.sight.meets(corner[None].astype(np.float32), half).all()
+            assert stage.views.sight.intersects(corner[None].astype(np.float32), half).all()

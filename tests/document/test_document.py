@@ -1,8 +1,9 @@
-"""Reading files: whatever is wrong is one sentence with file, key, value and what is allowed."""
+"""Reading files: every error is one sentence with file, key, value and what is allowed."""
 
 from __future__ import annotations
 
 import math
+import pickle
 from contextlib import suppress
 from typing import Annotated, Literal
 
@@ -39,16 +40,16 @@ GOOD = {"name": "c", "flash": {"lux": 5.0}}
 
 @pytest.fixture
 def write(tmp_path):
-    def written(content, name="file.toml"):
+    def write_file(content, name="file.toml"):
         path = tmp_path / name
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
         return path
 
-    return written
+    return write_file
 
 
-def fault_of(path):
-    """The error that reading gives; its message is one line that begins with the file."""
+def error_of(path):
+    """The error of reading a file; its message is one line that begins with the file."""
     with pytest.raises(InputError) as caught:
         read_toml(path)
     assert "\n" not in str(caught.value)
@@ -56,16 +57,16 @@ def fault_of(path):
     return caught.value
 
 
-# Reading.
+# --- reading ------------------------------------------------------------------------------------------------
 
 
-def test_a_good_file_is_read_as_it_stands(write):
+def test_valid_file_is_read_unchanged(write):
     table = GOOD | {"least": -(2**63), "most": 2**63 - 1, "on": True, "deep": {"er": [[1], [{"x": 2}]]}}
     assert read_toml(write(tomli_w.dumps(table))) == table
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         (b"\xff\xfe", "UTF-8"),
         (b"a = ?\nb = 2", "line 1, column 5"),
@@ -78,16 +79,16 @@ def test_a_good_file_is_read_as_it_stands(write):
         (b".".join([b"a"] * 5000) + b" = 1", "nested too deeply"),
     ],
 )
-def test_what_is_not_toml_is_told(write, content, told):
-    assert told in str(fault_of(write(content)))
+def test_raises_on_invalid_toml(write, content, message):
+    assert message in str(error_of(write(content)))
 
 
 @pytest.mark.parametrize("where", ["missing.toml", ".", "x" * 300])
-def test_what_cannot_be_read_is_told(tmp_path, where):
-    assert "cannot be read" in str(fault_of(tmp_path / where))
+def test_raises_on_unreadable_file(tmp_path, where):
+    assert "cannot be read" in str(error_of(tmp_path / where))
 
 
-def test_an_impossible_path_is_told(tmp_path):
+def test_raises_on_invalid_path(tmp_path):
     with pytest.raises(InputError, match="cannot be read") as caught:
         read_toml(tmp_path / "a\0b")
     assert "\0" not in str(caught.value)
@@ -114,32 +115,29 @@ def test_an_impossible_path_is_told(tmp_path):
         ('[[x]]\n["a b".c]\ny = [{{ z = {} }}]\n# 1{zeros}', '"a b".c.y.0.z'),
     ],
 )
-def test_integers_beyond_64_bits_are_told_by_their_key(write, text, key, number):
-    fault = fault_of(write(text.format(number, zeros="0" * 5000)))
-    assert fault.key == key
-    assert f": {key}" in str(fault)
-    assert str(2**63 - 1) in fault.problem
-    assert len(str(fault).removeprefix(fault.where)) < 250
+def test_integers_beyond_64_bits_are_named_by_their_key(write, text, key, number):
+    error = error_of(write(text.format(number, zeros="0" * 5000)))
+    assert error.key == key
+    assert f": {key}" in str(error)
+    assert str(2**63 - 1) in error.problem
+    assert len(str(error).removeprefix(error.where)) < 250
 
 
-def test_long_floats_and_strings_are_no_integers(write):
+def test_long_floats_and_strings_are_accepted(write):
     digits = "1" * 5000
-    assert read_toml(write(f"a = 0.{digits}\nb = '{digits}'\nc = {digits}.0")) == {
-        "a": pytest.approx(1 / 9),
-        "b": digits,
-        "c": math.inf,
-    }
+    tables = read_toml(write(f"a = 0.{digits}\nb = '{digits}'\nc = {digits}.0"))
+    assert tables == {"a": pytest.approx(1 / 9), "b": digits, "c": math.inf}
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=200)
 @given(st.binary(max_size=40) | st.text("[]{}=.,\"'#\n abe019_-+:Tx", max_size=40).map(str.encode))
-def test_any_bytes_are_tables_or_a_sentence(write, content):
+def test_any_bytes_give_tables_or_an_input_error(write, content):
     path = write(content)
     with suppress(InputError):
         assert isinstance(read_toml(path), dict)
 
 
-# Validating.
+# --- validation ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -163,17 +161,17 @@ def test_any_bytes_are_tables_or_a_sentence(write, content):
         ({"a.b\n": 1}, '"a.b\\n"', None, "is not a known key"),
     ],
 )
-def test_a_fault_is_told_with_file_key_value_and_what_is_allowed(change, key, value, allowed):
+def test_error_names_file_key_value_and_what_is_allowed(change, key, value, allowed):
     with pytest.raises(InputError) as caught:
         validate(Camera, GOOD | change, "cam.toml")
-    fault = caught.value
-    assert (fault.where, fault.key) == ("cam.toml", key)
-    assert value is None or fault.value == value
-    assert allowed in fault.problem
-    assert str(fault).startswith("cam.toml: ")
-    assert key in str(fault)
-    assert fault.problem in str(fault)
-    assert "\n" not in str(fault)
+    error = caught.value
+    assert (error.where, error.key) == ("cam.toml", key)
+    assert value is None or error.value == value
+    assert allowed in error.problem
+    assert str(error).startswith("cam.toml: ")
+    assert key in str(error)
+    assert error.problem in str(error)
+    assert "\n" not in str(error)
 
 
 def test_documents_are_frozen():
@@ -183,18 +181,17 @@ def test_documents_are_frozen():
 
 
 @given(st.lists(st.text(max_size=5), min_size=1, max_size=4))
-def test_no_two_keys_are_written_alike(parts):
-    # Read back by the TOML parser: a key of any letters is one of its basic or bare ones.
+def test_only_plain_keys_are_written_without_quotes(parts):
     key = toml_key(tuple(parts))
     assert key.isprintable()
     assert (key == ".".join(parts)) == all(p and p.isprintable() and not set(p) & set(" .\"'") for p in parts)
 
 
-# Errors.
+# --- errors -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("value", "shown"),
+    ("value", "text"),
     [
         (5, "k = 5"),
         ("a\nb", "k = 'a\\nb'"),
@@ -204,42 +201,49 @@ def test_no_two_keys_are_written_alike(parts):
         ("x" * 1000, "…"),
     ],
 )
-def test_a_message_shows_the_value_on_one_short_line(value, shown):
+def test_message_shows_the_value_on_one_short_line(value, text):
     message = str(InputError("f", "must be better", key="k", value=value))
-    assert shown in message
+    assert text in message
     assert message.startswith("f: k")
     assert message.endswith(": must be better")
     assert "\n" not in message
     assert len(message) < 120
 
 
-def test_integers_that_python_does_not_write_are_told_by_their_size():
-    for value in (10**5000, -(10**5000)):
-        assert "k = an integer of 16610 bits" in str(InputError("f", "must be better", key="k", value=value))
-    assert "k = list" in str(InputError("f", "must be better", key="k", value=[10**5000]))
+def test_values_without_repr_are_shown_by_size_or_type():
+    nested = []
+    for _ in range(100_000):
+        nested = [nested]
+    for value, text in (
+        (10**5000, "an integer of 16610 bits"),
+        (-(10**5000), "an integer of 16610 bits"),
+        ([10**5000], "list"),
+        (nested, "list"),
+    ):
+        assert f"k = {text}: " in str(InputError("f", "must be better", key="k", value=value))
     with pytest.raises(InputError, match=r"flash\.lux = an integer of 16610 bits"):
         validate(Camera, GOOD | {"flash": {"lux": 10**5000}}, "cam.toml")
 
 
-def test_a_value_nested_too_deeply_is_named_by_its_type():
-    value = []
-    for _ in range(100_000):
-        value = [value]
-    assert "k = list" in str(InputError("f", "must be better", key="k", value=value))
+def test_argument_error_names_the_argument_and_omits_a_value_without_a_key():
+    assert str(ArgumentError("seed", "must be better", value=5)) == "seed: must be better"
 
 
-def test_a_value_without_a_key_is_left_out():
-    assert str(ArgumentError("seed", "must be better", value=5)) == "--seed: must be better"
+@pytest.mark.parametrize(("value", "pickled"), [(5, 5), (None, None), ([1, 2], "[1, 2]")])
+@pytest.mark.parametrize("kind", [InputError, ArgumentError])
+def test_errors_can_be_pickled_with_any_value(kind, value, pickled):
+    copy = pickle.loads(pickle.dumps(kind("f", "must be better", key="k", value=value)))
+    assert (type(copy), copy.where, copy.problem, copy.key) == (kind, "f", "must be better", "k")
+    assert copy.value == pickled
 
 
-def test_every_error_is_the_callers_to_mend():
+def test_all_errors_share_one_base_and_exit_code_2_means_wrong_usage():
     for kind in (InputError, OutputError, SetupError):
         assert issubclass(kind, PepperError)
-    # The shell's word for wrong usage.
     assert EXIT_BAD_INPUT == 2
 
 
-# Shipped files.
+# --- shipped files ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["plants", "recipes", "materials"])
@@ -249,7 +253,7 @@ def test_shipped_files_are_found_by_name(name):
         assert find_file(name, path.stem, suffix=suffix) == path
 
 
-def test_a_path_wins_and_a_bare_name_is_never_a_file_of_the_working_folder(write, monkeypatch):
+def test_bare_name_is_never_a_file_of_the_working_folder(write, monkeypatch):
     path = write("", "kaite.toml")
     monkeypatch.chdir(path.parent)
     assert find_file("plants", path) == path
@@ -260,20 +264,18 @@ def test_a_path_wins_and_a_bare_name_is_never_a_file_of_the_working_folder(write
 
 
 @pytest.mark.parametrize(
-    "wanted", ["keite", "", ".", "..", "nowhere/kaite.toml", "kaite.csv", "../plants/kaite"]
+    "name", ["keite", "", ".", "..", "nowhere/kaite.toml", "kaite.csv", "../plants/kaite"]
 )
-def test_what_is_not_found_lists_what_is_shipped(wanted):
+def test_missing_file_lists_the_shipped_ones(name):
     with pytest.raises(InputError) as caught:
-        find_file("plants", wanted)
-    assert caught.value.where == wanted
+        find_file("plants", name)
+    assert caught.value.where == name
     assert "no such file" in str(caught.value)
     assert "kaite" in caught.value.problem
 
 
-def test_a_file_with_another_ending_is_not_said_to_be_missing(write, monkeypatch):
-    path = write("", "mine.txt")
-    monkeypatch.chdir(path.parent)
-    with pytest.raises(
-        InputError, match=r"is a file without the ending \.toml, nor one of the shipped plants"
-    ):
+def test_file_with_another_suffix_is_not_reported_as_missing(write, monkeypatch):
+    monkeypatch.chdir(write("", "mine.txt").parent)
+    message = r"is a file without the suffix \.toml, nor one of the shipped plants"
+    with pytest.raises(InputError, match=message):
         find_file("plants", "mine.txt")

@@ -1,4 +1,4 @@
-"""Colours of a chart that the colour matrix was not fitted to, through the whole camera."""
+"""Colours of a chart that the colour matrix was not fitted to, through the complete camera."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def chart():
     return np.stack([np.interp(NM, patch.wavelengths, patch.values) for patch in patches])
 
 
-def seen_by_the_observer(light):
+def observer_lab(light):
     """`(24, 3)` Lab under `light`, adapted to D65 by CIECAT02 (the camera uses Bradford)."""
     observer = (
         colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
@@ -37,7 +37,7 @@ def seen_by_the_observer(light):
     return colour.XYZ_to_Lab(xyz, D65)
 
 
-PATCH = 16  # pixels; demosaicing mixes the colours of patches at their borders only
+PATCH = 16  # pixels; demosaicing mixes colours only at the borders of patches
 SENSORS = [
     name
     for name in sorted(path.stem for path in (shipped_folder("materials") / "sensors").glob("*.toml"))
@@ -45,39 +45,40 @@ SENSORS = [
 ]
 
 
-def photographed(sensor, light, flash, white_balance):
-    """`(24, 3)` Lab of the developed 8-bit picture of the chart, white at a full well."""
+def photographed_lab(sensor, light, flash, white_balance):
+    """`(24, 3)` Lab of the developed 8-bit image of the chart, white at a full well."""
     weight = light.at(NM) * sensor.electrons_per_joule(NM)
     electrons = chart() @ weight.T / weight.sum(axis=1).max() * sensor.full_well_e
     electrons = electrons.reshape(4, 6, 3).repeat(PATCH, axis=0).repeat(PATCH, axis=1)
     small = dataclasses.replace(sensor, columns=6 * PATCH, rows=4 * PATCH)
     developing = Developing(white_balance=white_balance)
     camera = Camera(load_lens("lensagon_cmfa0420nd"), small, flash=flash, developing=developing)
-    picture = develop(electrons, camera)[PATCH // 2 :: PATCH, PATCH // 2 :: PATCH].reshape(24, 3) / 255
-    xyz = colour.RGB_to_XYZ(colour.cctf_decoding(picture, function="sRGB"), "sRGB", apply_cctf_decoding=False)
+    codes = develop(electrons, camera)[PATCH // 2 :: PATCH, PATCH // 2 :: PATCH].reshape(24, 3)
+    rgb = colour.cctf_decoding(codes / 255, function="sRGB")
+    xyz = colour.RGB_to_XYZ(rgb, "sRGB", apply_cctf_decoding=False)
     return colour.XYZ_to_Lab(xyz, D65)
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
 @pytest.mark.parametrize("white_balance", ["flash", "daylight"])
-def test_the_chart_comes_out_in_its_colours(sensor, white_balance):
+def test_chart_colours_are_reproduced(sensor, white_balance):
     flash = load_flash("led_matrix_200klx")
     light = flash.spectrum if white_balance == "flash" else d65_spectrum()
-    found = photographed(load_sensor(sensor), light, flash, white_balance)
-    difference = colour.delta_E(seen_by_the_observer(light), found, method="CIE 2000")
+    found = photographed_lab(load_sensor(sensor), light, flash, white_balance)
+    difference = colour.delta_E(observer_lab(light), found, method="CIE 2000")
     assert difference.mean() < 3.0
     assert difference.max() < 8.0
-    # Greys stay close; worst is the white patch, dark below 420 nm where these sensors still see.
+    # Greys are close; the worst is the white patch, dark below 420 nm where these sensors still see.
     assert difference[18:].max() < 4.0
 
 
 @pytest.mark.parametrize("white_balance", ["flash", "daylight"])
-def test_a_demosaiced_chart_has_the_colours_of_an_averaged_one(white_balance):
+def test_demosaiced_chart_has_the_colours_of_a_binned_one(white_balance):
     flash = load_flash("led_matrix_200klx")
     light = flash.spectrum if white_balance == "flash" else d65_spectrum()
     quads, sites = (
-        photographed(load_sensor(name), light, flash, white_balance)
+        photographed_lab(load_sensor(name), light, flash, white_balance)
         for name in ("ueye_ui5250re", "ueye_ui5250re_full")
     )
-    # Both are flat inside a patch, so that only a rounding of single precision may tip an 8-bit code.
+    # Both are uniform inside a patch, so only rounding to single precision may change an 8-bit code.
     assert colour.delta_E(quads, sites, method="CIE 2000").max() < 0.5

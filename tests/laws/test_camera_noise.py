@@ -1,7 +1,7 @@
-"""Noise, wells and converters against their closed forms, for every shipped sensor.
+"""Noise, full wells and converters against closed forms, for every shipped sensor.
 
-A bound of SIGMAS standard errors fails a right programme once in a million runs; seeds are fixed, so that the
-same run comes out for ever.
+A bound of SIGMAS standard errors fails a correct program once in a million runs; seeds are fixed, so every
+run has the same result.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ LENS, FLASH = load_lens("lensagon_cmfa0420nd"), load_flash("led_matrix_200klx")
 SIGMAS = 5.0
 
 
-def bench(name, sites=400, **settings):
-    """A shipped sensor of `sites` x `sites` photosites or a few less, ready for flat frames."""
+def cropped_sensor(name, sites=400, **settings):
+    """A shipped sensor with `sites` x `sites` photosites or a few less."""
     sensor = load_sensor(name).with_settings(**settings)
     size = sites // sensor.binning // 2 * 2
     return dataclasses.replace(sensor, columns=size, rows=size)
 
 
-def lit(sensor, electrons, seed=None, **choices):
-    """The raw frame of a sensor that expects the same electrons in all photosites, `(site rows, columns)`."""
+def flat_frame(sensor, electrons, seed=None, **choices):
+    """The raw frame `(site rows, columns)` for the same expected electrons in all photosites."""
     camera = Camera(LENS, sensor, flash=FLASH, developing=Developing(**choices))
     flat = np.full((sensor.rows, sensor.columns, sensor.channels), float(electrons))
     return raw_frame(flat, camera, None if seed is None else np.random.default_rng(seed)).astype(float)
 
 
-# Shot noise -------------------------------------------------------------------------------------------------
+# --- shot noise ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("mean", [0.3, 5.0, 31.0, 33.0, 80.0, 1000.0, 6000.0])
@@ -59,77 +59,77 @@ def test_shot_noise_has_the_mean_variance_and_skewness_of_poisson(mean):
         assert abs(stats.skew(counts) - mean**-0.5) < SIGMAS * np.sqrt(6 / n) + 0.02 * mean**-0.5
 
 
-def test_few_electrons_are_counted_one_by_one():
+def test_few_electrons_are_poisson_integers():
     counts = shot_noise(np.full(200_000, 4.0, np.float32), np.random.default_rng(12))
     assert np.all(counts == np.rint(counts))
-    seen = np.bincount(counts.astype(int), minlength=13)
+    histogram = np.bincount(counts.astype(int), minlength=13)
     expected = stats.poisson.pmf(np.arange(12), 4.0) * counts.size
-    found = np.append(seen[:12], seen[12:].sum())
-    assert stats.chisquare(found, np.append(expected, counts.size - expected.sum())).pvalue > 1e-6
+    observed = np.append(histogram[:12], histogram[12:].sum())
+    assert stats.chisquare(observed, np.append(expected, counts.size - expected.sum())).pvalue > 1e-6
 
 
 @pytest.mark.parametrize("mean", [32.5, 100.0, 3000.0])
-def test_many_electrons_follow_the_poisson_law(mean):
-    # With the continuity correction, the largest gap of the distribution functions stays below 2e-3, which is
-    # less than what one step of the converter (2 electrons and more) can tell.
+def test_many_electrons_follow_the_poisson_distribution(mean):
+    # With the continuity correction, the distribution functions differ by less than 2e-3, which is less than
+    # one step of the converter (2 electrons and more) can resolve.
     counts = np.sort(shot_noise(np.full(400_000, mean, np.float32), np.random.default_rng(13)))
     at = np.arange(int(mean - 5 * mean**0.5), int(mean + 5 * mean**0.5))
     empirical = np.searchsorted(counts, at + 0.5) / counts.size
     assert np.abs(empirical - stats.poisson.cdf(at, mean)).max() < 2e-3 + SIGMAS * 0.5 / np.sqrt(counts.size)
 
 
-def test_photosites_do_not_know_of_each_other():
-    # Neighbours, and photosites as far apart as the strips in which the mosaic is worked on.
+def test_noise_of_photosites_is_uncorrelated():
+    # Neighbours, and photosites as far apart as the strips in which the mosaic is processed.
     sensor = dataclasses.replace(load_sensor("ueye_ui5250re_full"), columns=512, rows=1536)
-    noise = lit(sensor, 2000.0, 14)
+    noise = flat_frame(sensor, 2000.0, 14)
     noise -= noise.mean()
     for down, right in ((0, 1), (1, 0), (1, 1), (0, 2), (2, 0), (512, 0), (1024, 0)):
         one, other = noise[down:, right:], noise[: noise.shape[0] - down, : noise.shape[1] - right]
         assert abs((one * other).mean()) / noise.var() < SIGMAS / np.sqrt(one.size)
 
 
-# Photon transfer --------------------------------------------------------------------------------------------
+# --- photon transfer ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("gain", [1.0, 2.0])
 @pytest.mark.parametrize("name", SENSORS)
-def test_photon_transfer_gives_gain_and_read_noise_back(name, gain):
-    # Janesick: the variance rises with the mean by 1/K, and meets zero light at (read noise / K)^2 + 1/12.
+def test_photon_transfer_recovers_gain_and_read_noise(name, gain):
+    # Janesick: the variance increases with the mean by 1/K, and is (read noise / K)^2 + 1/12 at zero light.
     # Power: 8 levels of 10^6 photosites; each variance is known to sqrt(2 / 10^6) = 0.14 %, and levels around
-    # the square of the read noise, where shot and read noise are alike, hold the intercept. The fit's own
-    # standard errors are asserted to be below 0.5 %, a quarter of what is promised.
-    sensor = bench(name, sites=1000, gain=gain)
+    # the square of the read noise, where shot and read noise are equal, determine the intercept. The fit's
+    # own standard errors are asserted to be below 0.5 %, a quarter of the bound.
+    sensor = cropped_sensor(name, sites=1000, gain=gain)
     full = sensor.full_well_e / gain
     levels = [
         *(sensor.read_noise_e**2 * np.array([0.5, 1, 2])),
         *(full * np.array([0.15, 0.3, 0.45, 0.6, 0.75])),
     ]
-    frames = [lit(sensor, level, seed) for seed, level in enumerate(levels, 30)]
+    frames = [flat_frame(sensor, level, seed) for seed, level in enumerate(levels, 30)]
     mean = np.array([frame.mean() - sensor.black_level_dn for frame in frames])
     variance = np.array([frame.var() for frame in frames])
     error = variance * np.sqrt(2 / frames[0].size)
     (slope, intercept), covariance = np.polyfit(mean, variance, 1, w=1 / error, cov="unscaled")
 
-    gain_found, read_found = 1 / slope, np.sqrt(intercept - 1 / 12) / slope
+    gain_fit, read_fit = 1 / slope, np.sqrt(intercept - 1 / 12) / slope
     # Of the read noise: half that of the intercept, and that of the slope, whose errors oppose each other.
     gradient = np.array([-1 / slope, 0.5 / (intercept - 1 / 12)])
     gain_error, read_error = np.sqrt(covariance[0, 0]) / slope, np.sqrt(gradient @ covariance @ gradient)
     assert max(gain_error, read_error) < 0.005
-    gain_told = full / (2**sensor.bits - 1 - sensor.black_level_dn)  # electrons per digital number
-    for found, told, error in (
-        (gain_found, gain_told, gain_error),
-        (read_found, sensor.read_noise_e, read_error),
+    gain_e_per_dn = full / (2**sensor.bits - 1 - sensor.black_level_dn)
+    for fitted, true, error in (
+        (gain_fit, gain_e_per_dn, gain_error),
+        (read_fit, sensor.read_noise_e, read_error),
     ):
-        assert found == pytest.approx(told, rel=0.02)
-        assert found == pytest.approx(told, rel=SIGMAS * error)
+        assert fitted == pytest.approx(true, rel=0.02)
+        assert fitted == pytest.approx(true, rel=SIGMAS * error)
 
 
 @pytest.mark.parametrize("name", AVERAGED)
-@pytest.mark.parametrize("share", [0.0, 0.01, 0.2, 0.7])
-def test_mean_and_variance_of_the_image_pixels(name, share):
+@pytest.mark.parametrize("level", [0.0, 0.01, 0.2, 0.7])
+def test_mean_and_variance_of_binned_pixels(name, level):
     # A pixel is the mean of its photosites of a colour; demosaiced ones are not independent and left out.
-    sensor = bench(name)
-    electrons, gain = share * sensor.full_well_e, sensor.gain_e_per_dn
+    sensor = cropped_sensor(name)
+    electrons, gain = level * sensor.full_well_e, sensor.gain_e_per_dn
     camera = Camera(LENS, sensor, flash=FLASH)
     flat = np.full((sensor.rows, sensor.columns, sensor.channels), electrons)
     rgb = camera_rgb(flat, camera, np.random.default_rng(21)).reshape(-1, sensor.channels).astype(float)
@@ -138,17 +138,17 @@ def test_mean_and_variance_of_the_image_pixels(name, share):
     variance = (electrons + sensor.read_noise_e**2) / gain**2 + 1 / 12
     n = len(numbers)
     for channel, sites in enumerate(sensor.photosites):
-        found = numbers[:, channel]
+        values = numbers[:, channel]
         # Rounding a Gaussian of a deviation above 1 moves its mean by less than 1e-8, and its variance too.
-        assert abs(found.mean() - electrons / gain) < SIGMAS * np.sqrt(variance / sites / n)
-        assert abs(found.var() / (variance / sites) - 1) < SIGMAS * np.sqrt(2 / n)
+        assert abs(values.mean() - electrons / gain) < SIGMAS * np.sqrt(variance / sites / n)
+        assert abs(values.var() / (variance / sites) - 1) < SIGMAS * np.sqrt(2 / n)
 
 
-# Full well --------------------------------------------------------------------------------------------------
+# --- full well ----------------------------------------------------------------------------------------------
 
 
-def mean_of_the_lesser(mean, full):
-    """Of a Poisson count and a full well, by summing the law's tail."""
+def clipped_mean(mean, full):
+    """Mean of a Poisson count clipped at a full well, by summing the distribution's tail."""
     count = np.arange(np.floor(full) + 1)
     return float(
         stats.poisson.sf(count[:-1], mean).sum() + (full - count[-1]) * stats.poisson.sf(count[-1], mean)
@@ -156,27 +156,27 @@ def mean_of_the_lesser(mean, full):
 
 
 @pytest.mark.parametrize("name", SENSORS)
-def test_the_well_is_full_where_it_should(name):
-    # Through the bend, from three deviations below the full well to three above. Power: 160,000 photosites
-    # know the mean to a 400th of the shot noise's deviation; a well 1 % too large or too small lies at least
-    # 0.8 deviations off (6,800 electrons: 68 against 82), hundreds of standard errors.
-    sensor = bench(name, bits=16)
+def test_mean_saturates_at_the_full_well(name):
+    # From three deviations below the full well to three above. Power: 160,000 photosites give the mean to a
+    # 400th of the shot noise's deviation; a well 1 % too large or too small is at least 0.8 deviations off
+    # (6,800 electrons: 68 against 82), hundreds of standard errors.
+    sensor = cropped_sensor(name, bits=16)
     full, deviation = sensor.full_well_e, np.sqrt(sensor.full_well_e)
     for steps in (-3, -1, 0, 1, 3):
-        frame = lit(sensor, full + steps * deviation, 40, read_noise=False)
-        found = (frame.mean() - sensor.black_level_dn) * sensor.gain_e_per_dn
+        frame = flat_frame(sensor, full + steps * deviation, 40, read_noise=False)
+        mean = (frame.mean() - sensor.black_level_dn) * sensor.gain_e_per_dn
         error = deviation / np.sqrt(frame.size) * SIGMAS + 0.5 * sensor.gain_e_per_dn
-        assert found == pytest.approx(mean_of_the_lesser(full + steps * deviation, full), abs=error)
+        assert mean == pytest.approx(clipped_mean(full + steps * deviation, full), abs=error)
 
 
 @pytest.mark.parametrize("name", SENSORS)
-def test_above_the_full_well_there_is_no_shot_noise(name):
-    sensor = bench(name)
+def test_saturated_photosites_have_no_shot_noise(name):
+    sensor = cropped_sensor(name)
     for electrons in (1.5 * sensor.full_well_e, 1e6, 1e30):
-        assert np.all(lit(sensor, electrons, 41, read_noise=False) == sensor.full_scale_dn)
-    # Read noise is left, and cut above: half of it, seen from a full well in the middle of the range.
+        assert np.all(flat_frame(sensor, electrons, 41, read_noise=False) == sensor.full_scale_dn)
+    # Read noise remains; with the full well in the middle of the range it is not clipped.
     low = dataclasses.replace(sensor, gain=0.5)
-    frame = lit(low, 1e6, 42)
+    frame = flat_frame(low, 1e6, 42)
     deviation = np.hypot(low.read_noise_e / low.gain_e_per_dn, np.sqrt(1 / 12))
     middle = low.black_level_dn + (low.full_scale_dn - low.black_level_dn) / 2
     assert abs(frame.mean() - middle) < SIGMAS * deviation / np.sqrt(frame.size)
@@ -184,20 +184,20 @@ def test_above_the_full_well_there_is_no_shot_noise(name):
 
 
 @pytest.mark.parametrize("name", SENSORS)
-def test_a_gain_of_2_saturates_at_half_the_electrons(name):
-    sensor = bench(name, sites=40, gain=2.0)
+def test_gain_of_2_saturates_at_half_the_electrons(name):
+    sensor = cropped_sensor(name, sites=40, gain=2.0)
     half = sensor.full_well_e / 2
-    assert np.all(lit(sensor, half) == sensor.full_scale_dn)
-    assert np.all(lit(sensor, half - 2 * sensor.gain_e_per_dn) == sensor.full_scale_dn - 2)
-    assert np.all(lit(sensor, 10 * half) == sensor.full_scale_dn)
+    assert np.all(flat_frame(sensor, half) == sensor.full_scale_dn)
+    assert np.all(flat_frame(sensor, half - 2 * sensor.gain_e_per_dn) == sensor.full_scale_dn - 2)
+    assert np.all(flat_frame(sensor, 10 * half) == sensor.full_scale_dn)
 
 
-# Converter --------------------------------------------------------------------------------------------------
+# --- converter ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("bits", [1, 2, 8, 10, 12, 14, 16])
 @pytest.mark.parametrize("gain", [0.5, 1.0, 2.0])
-def test_the_converter_rounds_to_its_steps(bits, gain):
+def test_converter_rounds_to_its_steps(bits, gain):
     sensor = load_sensor("onsemi_mt9v024_mono").with_settings(bits=bits, gain=gain)
     sensor = dataclasses.replace(sensor, columns=1000, rows=200)
     electrons = np.linspace(0, 1.1 * sensor.full_well_e, 200_000)
@@ -205,16 +205,16 @@ def test_the_converter_rounds_to_its_steps(bits, gain):
     raw = raw_frame(electrons.reshape(200, 1000, 1), camera).ravel()
     assert raw.dtype == np.uint16
     assert np.all(np.diff(raw.astype(int)) >= 0)
-    # Each number stands for the electrons around it, half a step to both sides (to single precision).
+    # Each number represents the electrons within half a step on both sides (to single precision).
     back = (raw - sensor.black_level_dn) * sensor.gain_e_per_dn
     top = min(sensor.full_well_e, sensor.full_well_e / gain)
     assert np.abs(back - np.minimum(electrons, top)).max() <= sensor.gain_e_per_dn * (
         0.5 + 2.0 ** (bits - 22)
     )
-    # No number of the range is left out: from the black level to where it is full.
+    # Every number of the range occurs: from the black level to saturation.
     highest = round(sensor.black_level_dn + top / sensor.gain_e_per_dn)
     assert set(raw) == set(range(round(sensor.black_level_dn), highest + 1))
-    # Left out, the steps and the upper end are gone.
+    # Steps and upper end can be left out.
     free = dataclasses.replace(camera, developing=Developing(quantise=False, saturation=False))
     rgb = camera_rgb(electrons.reshape(200, 1000, 1), free).ravel()
     np.testing.assert_allclose(rgb, electrons / sensor.full_well_e * gain, atol=2e-6)
@@ -222,10 +222,10 @@ def test_the_converter_rounds_to_its_steps(bits, gain):
 
 @pytest.mark.parametrize("choice", ["shot_noise", "read_noise"])
 def test_each_noise_can_be_left_out(choice):
-    sensor = bench("ueye_ui5250re")
+    sensor = cropped_sensor("ueye_ui5250re")
     alone = {"shot_noise": sensor.read_noise_e**2, "read_noise": 3000.0}[choice]
-    frame = lit(sensor, 3000.0, 50, **{choice: False})
+    frame = flat_frame(sensor, 3000.0, 50, **{choice: False})
     variance = alone / sensor.gain_e_per_dn**2 + 1 / 12
     assert abs(frame.var() / variance - 1) < SIGMAS * np.sqrt(2 / frame.size)
-    still = lit(sensor, 3000.0, 50, shot_noise=False, read_noise=False)
-    np.testing.assert_array_equal(still, lit(sensor, 3000.0))
+    still = flat_frame(sensor, 3000.0, 50, shot_noise=False, read_noise=False)
+    np.testing.assert_array_equal(still, flat_frame(sensor, 3000.0))

@@ -1,4 +1,4 @@
-"""Electrons of a grey patch in the flash, by a calculation that shares no code with the camera."""
+"""Electrons of a grey patch under the flash, by a calculation that shares no code with the camera."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ DISTANCE_M = 0.5
 REFLECTANCE = 0.18
 
 
-def column(path, name):
+def read_column(path, name):
     with path.open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     return np.array([float(row["wavelength_nm"]) for row in rows]), np.array(
@@ -38,90 +38,87 @@ def column(path, name):
     )
 
 
-def one_page_calculation(lux):
-    """Photo-electrons in red, green and blue of a photosite on the axis, after 50 us."""
+def predicted_electrons(lux):
+    """Photo-electrons of a red, a green and a blue photosite on the axis, after 50 us."""
     nm = np.arange(380.0, 781.0, 0.5)
     spd = np.interp(
         nm,
-        *column(
+        *read_column(
             shipped_folder("materials") / "flashes/spectra/lumileds_cool_white.csv", "lumileds_cool_white"
         ),
     )
     v = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
     v = np.interp(nm, v.wavelengths, v.values, left=0, right=0)
-    # Lux to W m-2 nm-1, to the radiance of a matt patch, through f/2 and 0.9 of glass onto the sensor.
+    # Lux to W m-2 nm-1, to the radiance of a Lambertian patch, through f/2 and 0.9 of glass onto the sensor.
     irradiance = spd * lux / (683.002 * np.trapezoid(spd * v, nm))
     radiance = REFLECTANCE * irradiance / math.pi
     on_sensor = radiance * math.pi / (4 * 2.0**2) * 0.9
     photons = on_sensor * nm * 1e-9 / (6.62607015e-34 * 299792458.0) * 4.5e-6**2 * 50e-6
     srf = shipped_folder("materials") / "sensors/spectra/ev76c570_rgb_qe_MODEL.csv"
-    return [np.trapezoid(photons * np.interp(nm, *column(srf, channel)), nm) for channel in "rgb"]
+    return [np.trapezoid(photons * np.interp(nm, *read_column(srf, channel)), nm) for channel in "rgb"]
 
 
-def signal_of_the_patch(camera):
-    """What a renderer hands over: the patch straight ahead of the flash, seen along the optical axis."""
+def patch_signal(camera):
+    """The renderer's signal for the patch straight ahead of the flash, seen along the optical axis."""
     nm = np.arange(380.0, 781.0)
     irradiance = camera.flash.radiant_intensity(nm) / camera.flash.axial_area_m2 * camera.flash_duty
     radiance = REFLECTANCE * irradiance / np.pi
     return np.trapezoid(radiance * camera.sensor.electrons_per_joule(nm), nm, axis=-1)
 
 
-def test_a_grey_patch_at_half_a_metre_in_the_flash():
+def test_grey_patch_at_half_a_metre_from_the_flash():
     camera = Camera(
         load_lens("lensagon_cmfa0420nd"), load_sensor("ueye_ui5250re"), flash=load_flash("led_matrix_200klx")
     )
-    signal = np.broadcast_to(signal_of_the_patch(camera), (600, 800, 3))
+    signal = np.broadcast_to(patch_signal(camera), (600, 800, 3))
     electrons = expected_electrons(signal, camera)[299:301, 399:401].mean(axis=(0, 1))
-    predicted = one_page_calculation(200_000)
-    np.testing.assert_allclose(electrons, predicted, rtol=2e-3)
+    np.testing.assert_allclose(electrons, predicted_electrons(200_000), rtol=2e-3)
     # An independent estimate by hand (f/2, 50 us): 2.6 to 3.5 thousand in green, half of the full well.
     assert 2600 < electrons[1] < 3500
 
 
-def test_daylight_is_faint_beside_the_flash():
-    # The same estimate puts 5,000 lx at about 80 electrons: the flash outshines a greenhouse forty times.
-    assert one_page_calculation(5_000)[1] == pytest.approx(82, rel=0.1)
+def test_daylight_is_weak_compared_with_the_flash():
+    # The same estimate puts 5,000 lx at about 80 electrons: the flash is forty times as bright as a
+    # greenhouse.
+    assert predicted_electrons(5_000)[1] == pytest.approx(82, rel=0.1)
 
 
-# The fall-off towards the corners ---------------------------------------------------------------------------
+# --- fall-off towards the corners ---------------------------------------------------------------------------
 
 LENS, SENSOR = load_lens("lensagon_cmfa0420nd"), load_sensor("ueye_ui5250re")
 COARSE = dataclasses.replace(SENSOR, columns=80, rows=60, pitch_m=10 * SENSOR.pitch_m)
 
 
-def slope2(camera):
-    """`(h, w)` squared slope of pixels in the picture, from the intrinsics that a frame is told with."""
-    facts = camera.facts()
+def squared_slopes(camera):
+    """`(h, w)` squared slopes of the image's pixels, from the intrinsics in a frame's metadata."""
+    data = camera.metadata()
     v, u = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
-    return ((u - facts["cx"]) / facts["fx"]) ** 2 + ((v - facts["cy"]) / facts["fy"]) ** 2
+    return ((u - data["cx"]) / data["fx"]) ** 2 + ((v - data["cy"]) / data["fy"]) ** 2
 
 
 @given(right=st.floats(-1e-3, 1e-3), down=st.floats(-1e-3, 1e-3))
 @settings(max_examples=25, deadline=None)
-def test_light_falls_with_the_fourth_power_of_the_cosine_around_the_optical_axis(right, down):
+def test_light_falls_with_the_fourth_power_of_the_cosine_from_the_optical_axis(right, down):
     camera = Camera(dataclasses.replace(LENS, principal_offset_m=(right, down)), COARSE)
-    np.testing.assert_allclose(relative_illumination(camera), (1 + slope2(camera)) ** -2, rtol=1e-12)
+    np.testing.assert_allclose(relative_illumination(camera), (1 + squared_slopes(camera)) ** -2, rtol=1e-12)
 
 
-def test_mechanical_vignetting_comes_on_top_by_field_angle():
+def test_mechanical_vignetting_multiplies_the_natural_one_by_field_angle():
     table = AngularProfile(np.deg2rad([0, 20, 30]), np.array([1.0, 0.9, 0.5]), "hold")
     camera = Camera(dataclasses.replace(LENS, vignetting=table), COARSE)
-    angle = np.rad2deg(np.arctan(np.sqrt(slope2(camera))))
+    angle = np.rad2deg(np.arctan(np.sqrt(squared_slopes(camera))))
     expected = np.interp(angle, [0, 20, 30], [1.0, 0.9, 0.5]) * np.cos(np.deg2rad(angle)) ** 4
     np.testing.assert_allclose(relative_illumination(camera), expected, rtol=1e-9)
     assert angle.max() > 45  # held beyond the table's end
 
 
-def test_the_fall_off_can_be_left_out():
+def test_falloff_can_be_left_out():
     lens = load_lens("lensagon_cmfa0420nd_typical_distortion")
     camera = Camera(lens, COARSE, developing=Developing(falloff=False))
     np.testing.assert_array_equal(relative_illumination(camera), np.ones((60, 80)))
     electrons = expected_electrons(np.full((60, 80, 3), 1e20), camera)
-    assert (
-        electrons.min()
-        == electrons.max()
-        == pytest.approx(1e20 * math.pi / 16 * 0.9 * (45e-6) ** 2 * 50e-6, rel=1e-12)
-    )
+    expected = 1e20 * math.pi / 16 * 0.9 * (45e-6) ** 2 * 50e-6
+    assert electrons.min() == electrons.max() == pytest.approx(expected, rel=1e-12)
 
 
 @given(
@@ -130,53 +127,52 @@ def test_the_fall_off_can_be_left_out():
     offset=st.tuples(st.floats(-5e-4, 5e-4), st.floats(-5e-4, 5e-4)),
 )  # fmt: skip
 @settings(max_examples=40, deadline=None)
-def test_all_light_of_an_even_field_that_falls_into_the_pupil_arrives(k1, k2, k3, p1, p2, offset):
-    # Under the radiance L the pupil of area A takes in L A times the integral of cos(theta) over the solid
-    # angle that the picture shows. In the plane z = 1 that is the integral of cos^4(theta) dx dy inside the
-    # picture's outline, which is known without the fall-off: the rays through the picture's border.
+def test_all_light_of_a_uniform_field_that_enters_the_pupil_reaches_the_sensor(k1, k2, k3, p1, p2, offset):
+    # Under the radiance L the pupil of area A receives L A times the integral of cos(theta) over the solid
+    # angle that the image shows. In the plane z = 1 that is the integral of cos^4(theta) dx dy inside the
+    # image's outline, which is known without the fall-off: the rays through the image's border.
     lens = dataclasses.replace(LENS, distortion=Distortion(k1, k2, p1, p2, k3), principal_offset_m=offset)
     camera = Camera(lens, COARSE)
     slopes = camera.ray_slopes()
     border = np.concatenate([slopes[0, :-1], slopes[:-1, -1], slopes[-1, :0:-1], slopes[:0:-1, 0]])
-    # With r^2 = x^2 + y^2: the divergence of (x, y) / (2 (1 + r^2)) is (1 + r^2)^-2, so that the flux is a
-    # contour integral (Green), here by Simpson's rule on each edge.
+    # With r^2 = x^2 + y^2: the divergence of (x, y) / (2 (1 + r^2)) is (1 + r^2)^-2, so the flux is a contour
+    # integral (Green), here by Simpson's rule on each edge.
     a, b = border, np.roll(border, -1, axis=0)
     edge = b - a
 
-    def across(p):
+    def flux(p):
         return (p[:, 0] * edge[:, 1] - p[:, 1] * edge[:, 0]) / (2 * (1 + (p**2).sum(axis=-1)))
 
-    into_pupil = (across(a) + 4 * across((a + b) / 2) + across(b)).sum() / 6
+    into_pupil = (flux(a) + 4 * flux((a + b) / 2) + flux(b)).sum() / 6
     pixel = (COARSE.pixel_pitch_m / lens.focal_length_m) ** 2  # L pi / (4 N^2) = L A / f^2
     on_sensor = relative_illumination(camera).sum() * pixel
-    # Pixels are summed at their centres and the border is a polygon: 80 x 60 of them leave 1e-3.
+    # Pixels are summed at their centres and the border is a polygon: with 80 x 60 pixels, the error is 1e-3.
     assert on_sensor == pytest.approx(into_pupil, rel=1e-3)
 
 
 @pytest.mark.parametrize("channels", [1, 3])
-def test_electrons_of_any_number_of_channels(channels):
+def test_electrons_of_one_and_three_channels(channels):
     efficiency = Spectrum(np.array([400.0, 900.0]), np.full((channels, 2), 0.5))
     mono = {"pattern": "mono"} if channels == 1 else {}
     camera = Camera(LENS, dataclasses.replace(COARSE, quantum_efficiency=efficiency, **mono))
     signal = np.random.default_rng(3).uniform(0, 1e20, (60, 80, channels))
     electrons = expected_electrons(signal, camera)
-    expected = signal * (1 + slope2(camera)[..., None]) ** -2 * math.pi / 16 * 0.9 * (45e-6) ** 2 * 50e-6
+    expected = (
+        signal * (1 + squared_slopes(camera)[..., None]) ** -2 * math.pi / 16 * 0.9 * (45e-6) ** 2 * 50e-6
+    )
     np.testing.assert_allclose(electrons, expected, rtol=1e-9)
-    with pytest.raises(ValueError, match="a signal of"):
+    with pytest.raises(ValueError, match="must have the shape"):
         expected_electrons(np.zeros((60, 80, 4 - channels)), camera)
 
 
-def test_the_light_goes_with_the_pupil_s_area_and_the_exposure():
+def test_light_scales_with_pupil_area_and_exposure():
     signal = np.ones((60, 80, 3))
 
-    def middle(**changes):
-        lens = dataclasses.replace(LENS, **{k: v for k, v in changes.items() if k != "exposure_s"})
-        exposure = changes.get("exposure_s", 50e-6)
-        return expected_electrons(signal, Camera(lens, COARSE, exposure_s=exposure))[30, 40, 0]
+    def middle(lens=LENS, **changes):
+        return expected_electrons(signal, Camera(lens, COARSE, **changes))[30, 40, 0]
 
     reference = middle()
-    assert middle(f_number=4.0) == pytest.approx(reference / 4)
+    assert middle(dataclasses.replace(LENS, f_number=4.0)) == pytest.approx(reference / 4)
     assert middle(exposure_s=200e-6) == pytest.approx(4 * reference)
-    # Focusing leaves it alone, and so do sharp lenses.
-    near = Camera(LENS, COARSE, focus_m=0.3)
-    assert expected_electrons(signal, near)[30, 40, 0] == pytest.approx(reference)
+    # Focusing does not change it.
+    assert middle(focus_m=0.3) == pytest.approx(reference)

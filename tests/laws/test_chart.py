@@ -1,21 +1,21 @@
 """A ColorChecker through the whole chain: lamp, kernel, lens, sensor, converter, matrix, tone curve.
 
 Rationale: each step can be right and the chain wrong (a gain applied twice, a matrix transposed, a white
-balance of another light). A chart that is photographed and measured, as with a real camera, finds it.
+balance of another light). Photographing and measuring a chart, as with a real camera, reveals it.
 
 Set-up: the 24 patches (BabelColor's average of 30 charts; the colour matrix was fitted to those of ISO
-17321-1) on a plane at 50 cm, in the light of the shipped flash's spectrum, evenly lit, so bright that a
-perfect diffuser would fill the fullest photosites to 99.5 %.
+17321-1) on a plane at 50 cm, evenly lit with the shipped flash's spectrum, so bright that a perfect diffuser
+would fill the fullest photosites to 99.5 %.
 
 Expected: colour-science and NumPy alone: the integrals of SPD x reflectance x response, scaled to the well;
-gains and matrix of the camera; sRGB coded and decoded. Both are compared with what the CIE 1931 observer sees
-under that light, adapted to D65 by CIECAT02 (the camera's matrix was fitted with Bradford).
+gains and matrix of the camera; sRGB encoded and decoded. Both are compared with the colours for the CIE 1931
+observer under that light, adapted to D65 by CIECAT02 (the camera's matrix was fitted with Bradford).
 
 Power: a patch has 64 pixels. Rendered electrons are within .4 % of the integral; the converter's and the
-picture's steps are 3 % and 4 % of the black patch's light, less of all others, and the 64 pixels of an even
+image's steps are 3 % and 4 % of the black patch's light, less of all others, and the 64 pixels of a uniform
 patch share the rounding: up to 1.8 dE2000 in a dark patch, with no common sign in 24, whose mean differed by
-.11 at most. With noise the black patch's 200 electrons have a deviation of 30, so 4 in the mean of 64, as
-much again: .17.
+.11 at most. With noise, the black patch's 200 electrons have a deviation of 30, so 4 in the mean of 64, which
+contributes as much again: .17.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NM = np.arange(380.0, 781.0)
 SPD = columns_of("flashes/spectra/lumileds_cool_white")["lumileds_cool_white"]
 D65 = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
 FILLED = 0.995
-SIDE, MARGIN = 12, 2  # pixels of a patch, and of its rim that is not measured
+SIDE, MARGIN = 12, 2  # pixels of a patch, and of its margin that is not measured
 SENSORS = ("ueye_ui5250re", "onsemi_mt9v024")
 
 
@@ -45,13 +45,13 @@ def chart():
 
 
 def electrons_by_hand(sensor, reflectance, lux):
-    """`(m, 3)` electrons of matt surfaces `(m, n)` under this illuminance."""
+    """`(m, 3)` electrons of Lambertian surfaces `(m, n)` under this illuminance."""
     radiance = np.asarray(reflectance) / np.pi * irradiance_by_hand(SPD, lux, NM)
     return np.trapezoid(radiance[:, None] * response_by_hand(sensor, NM), NM)
 
 
 def studio(sensor):
-    """The chart's scene and the camera before it."""
+    """The chart's scene and the camera in front of it."""
     camera = chosen_camera(sensor, None, columns=6 * SIDE, rows=4 * SIDE)
     lux = FILLED * camera.sensor.full_well_e / electrons_by_hand(sensor, np.ones((1, NM.size)), 1.0).max()
     lamp = bench_lamp(load_flash("led_matrix_200klx").spectrum, float(lux))
@@ -65,9 +65,9 @@ def studio(sensor):
     return assemble_scene(concatenate_meshes(cards), surfaces), camera
 
 
-def patch_means(picture):
-    """`(24, 3)` means of the patches' middles in a picture `(48, 72, 3)`."""
-    patches = picture.reshape(4, SIDE, 6, SIDE, 3).transpose(0, 2, 1, 3, 4).reshape(24, SIDE, SIDE, 3)
+def patch_means(image):
+    """`(24, 3)` means of the patches' middles in an image `(48, 72, 3)`."""
+    patches = image.reshape(4, SIDE, 6, SIDE, 3).transpose(0, 2, 1, 3, 4).reshape(24, SIDE, SIDE, 3)
     return patches[:, MARGIN:-MARGIN, MARGIN:-MARGIN].mean((1, 2))
 
 
@@ -114,27 +114,27 @@ def difference(one, other):
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_the_photographed_chart_has_its_colours_and_those_predicted(sensor):
+def test_photographed_chart_matches_observer_and_prediction(sensor):
     scene, camera = studio(sensor)
     frame = render_scene(scene, camera, ["electrons", "colour"], "standard", seed=3)
-    aim, predicted = lab_of_observer(), lab_by_hand(sensor, camera)
+    target, predicted = lab_of_observer(), lab_by_hand(sensor, camera)
 
     # Without noise.
     found = lab_of_codes(patch_means(develop(frame["electrons"], camera, None)))
-    assert difference(aim, found).mean() <= 3.0
-    assert difference(aim, found).mean() == pytest.approx(difference(aim, predicted).mean(), abs=0.3)
+    assert difference(target, found).mean() <= 3.0
+    assert difference(target, found).mean() == pytest.approx(difference(target, predicted).mean(), abs=0.3)
     assert difference(predicted, found).mean() < 0.5
     assert difference(predicted, found).max() < 2.5
 
-    # With noise, as a frame comes: light is averaged, not codes.
+    # With noise, as in a frame: average light, not codes.
     linear = colour.cctf_decoding(frame["colour"] / 255.0, function="sRGB")
     noisy = lab_of_linear(patch_means(linear))
-    assert difference(aim, noisy).mean() <= 3.0
-    assert difference(aim, noisy).mean() == pytest.approx(difference(aim, predicted).mean(), abs=0.3)
+    assert difference(target, noisy).mean() <= 3.0
+    assert difference(target, noisy).mean() == pytest.approx(difference(target, predicted).mean(), abs=0.3)
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_a_perfect_diffuser_just_fits_into_the_well(sensor):
+def test_perfect_diffuser_just_fits_into_the_full_well(sensor):
     _, camera = studio(sensor)
     filled = electrons_by_hand(sensor, np.ones((1, NM.size)), camera.flash.illuminance_lx)
     assert filled.max() == pytest.approx(FILLED * camera.sensor.full_well_e)

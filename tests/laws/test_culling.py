@@ -1,4 +1,4 @@
-"""Culling changes no label, and light by less than anyone can see: whole scenes against culled ones."""
+"""Culling changes no label, and light less than is visible: complete scenes against culled ones."""
 
 from __future__ import annotations
 
@@ -15,42 +15,44 @@ FEW = {"row.plants_front": 2, "row.plants_back": 1, "cultivar": "kaite_february"
 LABELS = ("class", "instance", "distance", "normal")
 
 
-def few_pixels(camera, binning):
-    """The same camera with larger pixels."""
+def with_larger_pixels(camera, binning):
     sensor = camera.sensor
     shape = {"columns": sensor.columns // binning, "rows": sensor.rows // binning}
     return replace(camera, sensor=replace(sensor, **shape, binning=sensor.binning * binning))
 
 
-def compared(recipe, index, binning, quality="reference", seeds=(1, 2)):
-    """Renderers' frames of the whole and of the culled scene, and the root mean square of what light changes.
+def compare(recipe, index, binning, quality="reference", seeds=(1, 2)):
+    """Frames and triangle counts of the complete and the culled scene, and how much light differs.
 
-    Both are traced with the same random numbers, and what is left of the noise is independent between two
-    seeds, so that the mean product of their differences is the square of the true one.
+    Both are traced with the same random numbers. The remaining noise is independent between two seeds, so the
+    mean product of their differences is the true mean squared difference.
+
+    Returns:
+        Frames, triangle counts, mean squared and mean difference in codes.
     """
     stage = FrameRenderer(recipe)
-    shot = recipe.plan.shot(index)
-    camera = few_pixels(stage.camera(shot), binning)
+    shot = recipe.plan.frame(index)
+    camera = with_larger_pixels(stage.camera(shot), binning)
     codes, frames, triangles = [], [], []
     for stage.culled in (False, True):
         scene = stage.scene(shot)
         renderer = Renderer(scene)
         triangles.append(len(scene.mesh.faces))
-        made = [renderer.render(camera, ("electrons", *LABELS), quality, seed) for seed in seeds]
-        codes.append([develop(frame["electrons"], camera).astype(float) for frame in made])
-        frames.append(made[0])
+        rendered = [renderer.render(camera, ("electrons", *LABELS), quality, seed) for seed in seeds]
+        codes.append([develop(frame["electrons"], camera).astype(float) for frame in rendered])
+        frames.append(rendered[0])
     one, two = (culled - full for full, culled in zip(*codes, strict=True))
     return frames, triangles, float(np.mean(one * two)), float(np.mean((one + two) / 2.0))
 
 
 def assert_same_labels(frames, most=0.0):
-    whole, lean = frames
+    full, culled = frames
     for name in LABELS:
-        assert np.mean(np.any(np.atleast_3d(whole[name] != lean[name]), axis=-1)) <= most, name
+        assert np.mean(np.any(np.atleast_3d(full[name] != culled[name]), axis=-1)) <= most, name
 
 
 @pytest.mark.parametrize(
-    ("name", "changes", "index", "less"),
+    ("name", "changes", "index", "kept"),
     [
         ("barth2018", {}, 20, 0.75),
         ("barth2018", {"daylight.illuminance_lx": 0}, 70, 0.75),
@@ -58,35 +60,34 @@ def assert_same_labels(frames, most=0.0):
         ("greenhouse", {"greenhouse.far_rows": 1, "greenhouse.far_reach_mm": 1000}, 4, 1.0),
     ],
 )
-def test_a_culled_scene_looks_the_same(name, changes, index, less):
+def test_culled_scene_looks_the_same(name, changes, index, kept):
     recipe = load_recipe(name, {**FEW, **changes})
-    frames, (triangles, left), squared, mean = compared(recipe, index, binning=20)
+    frames, (triangles, left), squared, mean = compare(recipe, index, binning=20)
     assert_same_labels(frames)
     assert frames[0]["instance"].max() > 0
-    assert left <= less * triangles
+    assert left <= kept * triangles
     assert squared < 0.15**2
     assert abs(mean) < 0.1
 
 
-def test_labels_and_colour_of_a_recipe_share_one_mesh():
+def test_all_frames_of_a_scene_share_one_mesh():
     recipe = load_recipe("barth2018", FEW)
     shot = recipe.plan.frame(3)
     traced, plain = (FrameRenderer(recipe).scene(shot, traced=traced).mesh for traced in (True, False))
     np.testing.assert_array_equal(traced.vertices, plain.vertices)
     np.testing.assert_array_equal(traced.faces, plain.faces)
-    # So do all frames of a scene.
     other = FrameRenderer(recipe).scene(recipe.plan.frame(249), traced=False).mesh
     np.testing.assert_array_equal(other.vertices, plain.vertices)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("index", [20, 125, 240])
-def test_the_standard_scene_looks_the_same_when_culled(index):
-    # Labels pixel by pixel at 800x600; light with larger pixels, whose noise is less.
+def test_culled_standard_scene_looks_the_same(index):
+    # Labels pixel by pixel at 800x600; light with larger pixels, which have less noise.
     recipe = load_recipe("barth2018")
-    frames, (triangles, left), _, _ = compared(recipe, index, 1, "draft", (1, 1))
+    frames, (triangles, left), _, _ = compare(recipe, index, 1, "draft", (1, 1))
     assert_same_labels(frames, most=1e-6)
     assert left < 0.6 * triangles
-    _, _, squared, mean = compared(recipe, index, 4)
+    _, _, squared, mean = compare(recipe, index, 4)
     assert squared < 0.1**2
     assert abs(mean) < 0.05

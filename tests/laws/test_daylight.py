@@ -1,6 +1,6 @@
-"""Daylight below a roof: energy in, energy out, and the roof's own spectrum.
+"""Daylight below a cover: energy conservation and the cover's spectrum.
 
-Solid angles here are the tests' own, in closed form for a map's texels; lux are summed on 1 nm against
+Solid angles are computed here in closed form for a map's texels; lux are integrated on 1 nm with
 colour-science's V(lambda).
 """
 
@@ -43,7 +43,7 @@ def lux(spectrum):
 
 
 def level_lux(sky):
-    """Lux that each of the map's spectra brings to a level plane, `(k,)`, and the sun's disc."""
+    """Lux on a level plane from each of the map's spectra, `(k,)`, and from the sun's disc."""
     rows, columns = sky.weights.shape[1:]
     edges = np.sin(np.minimum(np.arange(rows + 1) / rows * np.pi, np.pi / 2)) ** 2
     received = (sky.weights.astype(float).sum(axis=2) * np.diff(edges) * np.pi / columns).sum(axis=1)
@@ -68,7 +68,7 @@ COVERS = st.one_of(
     cloud_cover=st.sampled_from([0.0, 0.0, 0.3, 1.0]),
     illuminance_lx=st.sampled_from([0.0, 1e-3, 5500.0, 120_000.0]),
 )
-def test_below_any_roof_falls_the_light_that_was_asked_for(
+def test_light_below_any_cover_is_the_requested_one(
     cover, elevation, azimuth, sun_fraction, cloud_cover, illuminance_lx
 ):
     sky = sky_of(
@@ -82,51 +82,51 @@ def test_below_any_roof_falls_the_light_that_was_asked_for(
     parts, disc = level_lux(sky)
     assert parts.sum() + disc == pytest.approx(illuminance_lx, rel=1e-3)
     assert sky.horizontal_illuminance() == pytest.approx(illuminance_lx, rel=1e-5)
-    # What the disc loses the lobe around it gains.
+    # The lobe gains what the disc loses.
     lobe = parts[2] if len(parts) == 3 else 0.0
     haze = cover.haze if cover else 0.0
     assert lobe + disc == pytest.approx(sun_fraction * illuminance_lx, rel=1e-3)
     assert lobe == pytest.approx(haze * sun_fraction * illuminance_lx, rel=1e-3)
-    # No direction and no wavelength is worse than dark.
+    # No radiance is negative.
     for values in (sky.weights, sky.radiance.values, sky.sun.irradiance.values if sky.sun else np.zeros(1)):
         assert np.isfinite(values).all()
         assert values.min() >= 0.0
 
 
 @pytest.mark.parametrize("haze", [0.0, 0.6, 1.0])
-def test_the_roof_filters_sky_clouds_and_sun_alike(haze):
-    # One factor for the whole sets the lux; beside it, every light is multiplied by the transmittance.
+def test_cover_filters_sky_clouds_and_sun(haze):
+    # Except for a common factor that sets the lux, every light is multiplied by the transmittance.
     below = sky_of(hazy(haze))
     nm = np.arange(300.0, 1101.0, 5.0)
     lights = [sky_spectrum("d75"), sky_spectrum("d65"), sun_spectrum()]
-    found = list(below.radiance.at(nm)) + ([below.sun.irradiance.at(nm)] if below.sun else [])
+    spectra = list(below.radiance.at(nm)) + ([below.sun.irradiance.at(nm)] if below.sun else [])
     expected = [lights[i].at(nm) * GREEN.at(nm) for i in range(len(below.weights))]
     expected += [lights[2].at(nm) * GREEN.at(nm)] if below.sun else []
-    for one, other in zip(found, expected, strict=True):
+    for one, other in zip(spectra, expected, strict=True):
         np.testing.assert_allclose(one / one.max(), other / other.max(), rtol=1e-9, atol=1e-12)
 
 
-def test_a_coloured_roof_changes_how_blue_and_clouds_compare():
-    # Seen through a red filter the blue sky is darker against the clouds, as any photographer knows.
+def test_coloured_cover_changes_the_ratio_of_blue_sky_and_clouds():
+    # Through a red filter the blue sky is darker against the clouds.
     red = Spectrum(np.array([590.0, 610.0]), np.array([0.0, 0.9]), "hold")
     ratios = []
-    for roof in (None, Cover("red", red)):
-        sky = sky_of(roof, sun_fraction=0.0, cloud_cover=0.5)
+    for cover in (None, Cover("red", red)):
+        sky = sky_of(cover, sun_fraction=0.0, cloud_cover=0.5)
         upper = slice(0, sky.weights.shape[1] // 4)
         sums = sky.weights[:, upper].astype(float).sum(axis=(1, 2))
         ratios.append(sums[0] * lux(sky.radiance)[0] / (sums[1] * lux(sky.radiance)[1]))
-    shares = [
+    blue, white = (
         lux(Spectrum(s.wavelength_nm, s.values * red.at(s.wavelength_nm))) / lux(s)
         for s in (sky_spectrum("d75"), sky_spectrum("d65"))
-    ]
-    assert shares[0] < 0.97 * shares[1]
-    assert ratios[1] / ratios[0] == pytest.approx(shares[0] / shares[1], rel=1e-3)
+    )
+    assert blue < 0.97 * white
+    assert ratios[1] / ratios[0] == pytest.approx(blue / white, rel=1e-3)
 
 
 @pytest.mark.parametrize("azimuth_deg", [90.0, -90.0, 10.0])
 @pytest.mark.parametrize("elevation_deg", [10.0, 40.0])
-def test_the_lobe_lies_around_the_sun(azimuth_deg, elevation_deg):
-    # Seen from the camera, which looks to +y: the sun before it (90 degrees) and behind it (-90 degrees).
+def test_lobe_is_centred_on_the_sun(azimuth_deg, elevation_deg):
+    # For the camera, which looks to +y, the sun is in front at 90 degrees and behind at -90 degrees.
     sky = sky_of(
         hazy(0.6, 10.0), sun_azimuth_rad=np.radians(azimuth_deg), sun_elevation_rad=np.radians(elevation_deg)
     )
@@ -139,49 +139,47 @@ def test_the_lobe_lies_around_the_sun(azimuth_deg, elevation_deg):
     energy = sky.weights[2] * np.sin(polar)
     mean = (towards * energy).sum(axis=(1, 2))
     mean /= np.linalg.norm(mean)
-    # The horizon cuts a low sun's lobe, which lifts its middle, but never turns it.
+    # The horizon cuts a low sun's lobe, which raises its mean direction but keeps its azimuth.
     east, north, _ = sky.sun.direction
-    assert np.degrees(np.arccos(np.clip(mean @ sky.sun.direction, -1, 1))) < (
-        2.0 if elevation_deg == 40 else 8.0
-    )
+    angle = np.degrees(np.arccos(np.clip(mean @ sky.sun.direction, -1, 1)))
+    assert angle < (2.0 if elevation_deg == 40 else 8.0)
     assert np.arctan2(mean[1], mean[0]) == pytest.approx(np.arctan2(north, east), abs=np.radians(0.5))
-    before = energy[:, : columns // 2].sum() / energy.sum()  # azimuths of 0 to 180 degrees: +y
-    assert before == pytest.approx({90.0: 1.0, -90.0: 0.0, 10.0: before}[azimuth_deg], abs=0.01)
+    in_front = energy[:, : columns // 2].sum() / energy.sum()  # azimuths of 0 to 180 degrees: +y
+    assert in_front == pytest.approx({90.0: 1.0, -90.0: 0.0, 10.0: in_front}[azimuth_deg], abs=0.01)
 
 
-def test_direct_light_that_is_left_stays_a_disc():
+def test_unscattered_sunlight_stays_a_disc():
     clear, half, none = sky_of(), sky_of(hazy(0.5)), sky_of(hazy(1.0))
     assert half.sun.angular_radius == clear.sun.angular_radius
     assert lux(half.sun.irradiance) == pytest.approx(0.5 * lux(clear.sun.irradiance), rel=1e-4)
     assert none.sun is None
     assert len(clear.weights) == 2
     assert len(half.weights) == len(none.weights) == 3
-    # Without a sun there is nothing to spread in its spectrum.
+    # Without a sun there is no lobe.
     assert len(sky_of(hazy(0.5), sun_fraction=0.0).weights) == 2
 
 
-def test_a_clear_roof_leaves_every_direction_as_it_was():
+def test_clear_cover_does_not_change_the_distribution_of_radiance():
     grey = Spectrum(np.array([300.0, 1100.0]), np.array([0.5, 0.5]), "hold")
     open_sky = sky_of(cloud_cover=0.5)
-    np.testing.assert_allclose(
-        sky_of(Cover("grey", grey), cloud_cover=0.5).weights, open_sky.weights, rtol=1e-5
-    )
+    below = sky_of(Cover("grey", grey), cloud_cover=0.5)
+    np.testing.assert_allclose(below.weights, open_sky.weights, rtol=1e-5)
 
 
-def test_haze_smooths_the_share_of_clouds_that_it_spreads():
-    # A lobe of 12 degrees leaves nothing of rims a texel (0.7 degrees) wide: what stays sharp came straight.
-    def sharp(haze):
+def test_haze_smooths_the_scattered_fraction_of_clouds():
+    # A lobe of 12 degrees removes edges a texel (0.7 degrees) wide: what stays sharp was not scattered.
+    def sharpness(haze):
         sky = sky_of(hazy(haze, 12.0), sun_fraction=0.0, cloud_cover=0.4)
         rows = sky.weights.shape[1]
         return np.diff(sky.weights[1, rows // 16 : rows // 3].astype(float), n=2, axis=1).std()
 
-    clear = sharp(0.0)
-    assert sharp(0.5) == pytest.approx(0.5 * clear, rel=0.1)
-    assert sharp(1.0) < 0.02 * clear
+    clear = sharpness(0.0)
+    assert sharpness(0.5) == pytest.approx(0.5 * clear, rel=0.1)
+    assert sharpness(1.0) < 0.02 * clear
 
 
-def test_the_floor_is_as_bright_as_in_the_open():
-    # In lux: its radiance is set by the light that falls on it, which is the same by request.
+def test_floor_is_as_bright_as_without_a_cover():
+    # Its luminance follows from the light that it receives, which is the same.
     floors = []
     for sky in (sky_of(), sky_of(hazy(0.6))):
         assert not sky.weights[[0, *range(2, len(sky.weights))], -20:].any()

@@ -15,11 +15,11 @@ from pepperscene.spectra import Spectrum
 
 GREY = Spectrum(np.array([300.0, 1100.0]), np.ones(2))
 WIDTH = 64
-"""Columns of the cut-out; its middle looks along the axis."""
+"""Columns of the cropped image, whose middle is on the axis."""
 
 
 def knife_edge(z: float):
-    """A black half-plane (x > 0) at distance z before an even sky."""
+    """A black half-plane (x > 0) at distance z in front of a uniform sky."""
     blade = sheet(2.0, 4.0, z, "black").moved(np.eye(3), np.array([1.0, 0.0, 0.0]))
     return assemble_scene(blade, {"black": lambertian_surface("black", 0.0)}, uniform_sky(GREY, 5500.0))
 
@@ -30,24 +30,25 @@ def camera_focused_at(focus_m: float | None):
     return dataclasses.replace(camera, lens=lens, focus_m=focus_m)
 
 
-def share_of_a_disc_left_of(x: np.ndarray) -> np.ndarray:
+def disc_fraction_left_of(x: np.ndarray) -> np.ndarray:
     """Area of the unit disc with abscissa below x, over pi: the edge spread function of a round pupil."""
     inside = np.clip(x, -1.0, 1.0)
     return 0.5 + (inside * np.sqrt(1.0 - inside**2) + np.arcsin(inside)) / np.pi
 
 
 @pytest.mark.parametrize(("z", "focus_m"), [(0.1, 0.4), (0.4, 0.1), (0.25, 0.25), (3.0, 0.15)])
-def test_a_knife_edge_is_blurred_by_the_disc_of_confusion(z, focus_m):
-    # A point at z is imaged from across the pupil of radius a onto a disc of radius a |1/z - 1/d| in slopes,
-    # d the distance in focus: f a |1/z - 1/d| on the sensor. The edge's profile is that disc's, integrated.
-    # 8 rows x 256 samples: standard error below .5 / sqrt(2048) = .011 of the sky; stratified, far less.
+def test_knife_edge_is_blurred_by_the_circle_of_confusion(z, focus_m):
+    # Through a pupil of radius a, a point at z is imaged onto a disc of radius a |1/z - 1/d| in slopes, with
+    # d the focal plane's distance: f a |1/z - 1/d| on the sensor. The edge's profile is that disc's,
+    # integrated. 8 rows x 256 samples: standard error below .5 / sqrt(2048) = .011 of the sky; stratified,
+    # far less.
     camera = camera_focused_at(focus_m)
     image = Renderer(knife_edge(z)).render(camera, ["electrons"], "reference")["electrons"][..., 1]
     profile = image.mean(axis=0) / image[:, :1].mean()
     radius_px = camera.intrinsics[0, 0] * camera.aperture_radius_m * abs(1.0 / z - 1.0 / focus_m)
     sub = (np.arange(WIDTH * 64) + 0.5) / 64 - WIDTH / 2
-    # The image of a point to the right of the axis lies right: sky is left of the edge.
-    sky = 1.0 - share_of_a_disc_left_of(sub / max(radius_px, 1e-6))
+    # A point to the right of the axis is imaged to the right: the sky is left of the edge.
+    sky = 1.0 - disc_fraction_left_of(sub / max(radius_px, 1e-6))
     expected = sky.reshape(WIDTH, 64).mean(axis=1)
     assert radius_px < WIDTH / 2
     if z != focus_m:
@@ -55,15 +56,15 @@ def test_a_knife_edge_is_blurred_by_the_disc_of_confusion(z, focus_m):
     assert np.abs(profile - expected).max() < 0.02
 
 
-def test_what_is_in_focus_is_as_sharp_as_through_a_pinhole():
+def test_objects_in_focus_are_as_sharp_as_through_a_pinhole():
     scene = knife_edge(0.4)
     pinhole = Renderer(scene).render(camera_focused_at(None), ["electrons"], "reference")["electrons"]
     focused = Renderer(scene).render(camera_focused_at(0.4), ["electrons"], "reference")["electrons"]
     assert focused == pytest.approx(pinhole, abs=0.03 * float(pinhole.max()))
 
 
-def test_labels_are_those_of_the_pupils_centre():
-    # One class per pixel needs one ray: that through the middle of the pupil, whatever is in focus.
+def test_labels_are_rendered_through_the_pupils_centre():
+    # One class per pixel needs one ray: that through the middle of the pupil, whatever the focus.
     scene = knife_edge(0.1)
     names = ["class", "distance"]
     blurred = Renderer(scene).render(camera_focused_at(0.4), names)

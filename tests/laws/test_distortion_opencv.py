@@ -1,21 +1,21 @@
-"""A checkerboard photographed through distorting lenses lies where OpenCV projects it, in colour and labels.
+"""A checkerboard photographed through distorting lenses is where OpenCV projects it, in colour and labels.
 
-Rationale: distortion applied to the picture afterwards shifts colour against labels and blurs; a sign or a
-half pixel wrong in the model is invisible to the eye and ruins every calibration made with the pictures.
+Rationale: distortion applied to the image afterwards shifts colour against labels and blurs; a wrong sign or
+half a pixel in the model is invisible and ruins every calibration made with the images.
 
 Set-up: 14 x 10 squares of 45 mm, matt black and white, at 48 cm, tilted by 20 and 10 degrees, fill most of
-the picture. The picture is divided by that of a white board of the same shape, so that only black and white
-are left, 1 and 0, and 16 samples a pixel between.
+the image. The image is divided by that of a white board of the same shape, which leaves black and white, 0
+and 1, and 16 samples a pixel between.
 
-Expected: OpenCV finds the corners in the picture to sub-pixels (the saddle point of the light in a window)
-and projects the board's own corners with the same intrinsics; neither shares a line with the renderer.
-OpenCV counts from the first pixel's centre, here that is at (.5, .5).
+Expected: OpenCV finds the corners in the image to sub-pixels (the saddle point of the light in a window) and
+projects the board's corners with the same intrinsics; neither whitenesss code with the renderer. OpenCV
+counts from the first pixel's centre, which is (.5, .5) here.
 
-Bounds: 117 corners; .1 pixels for the worst is asked for. The finder wants soft edges: on an exact picture of
-this board it errs by up to .12 pixels, blurred with 1.5 pixels and in a window of 17 by up to .035 (root mean
-square .018); the renderer's 16 samples a pixel make that .060 (.028). In the mean of all corners this
-averages out, .002 pixels were left; it must stay below .02. Half a pixel or a p1 wrong by .0002 breaks that,
-a k1 wrong by 1 % puts the rim .13 pixels off.
+Bounds: 117 corners; the worst must be below .1 pixels. The finder needs soft edges: on an exact image of this
+board it errs by up to .12 pixels, blurred with 1.5 pixels and in a window of 17 by up to .035 (root mean
+square .018); the renderer's 16 samples a pixel increase that to .060 (.028). In the mean of all corners this
+averages out, .002 pixels were left; it must be below .02. Half a pixel or a p1 wrong by .0002 exceeds that, a
+k1 wrong by 1 % shifts the border by .13 pixels.
 """
 
 from __future__ import annotations
@@ -39,20 +39,21 @@ from pepperscene.spectra import read_spectrum
 
 SQUARE, COLUMNS, ROWS, BORDER = 0.045, 14, 10, 0.03  # metres; squares; metres of white around
 FOCAL = 4.16e-3 / 9e-6  # pixels: 4.16 mm over two photosites of 4.5 um
+LED = read_spectrum("light/houser2013_cool_white_led", "slide_4_lumileds_cool_white")
 TILT = trimesh.transformations.euler_matrix(np.radians(10.0), np.radians(20.0), np.radians(4.0))[:3, :3]
-PLACE = np.array([-0.06, 0.0, 0.48])
+POSITION = np.array([-0.06, 0.0, 0.48])
 LENSES = {
     "typical": load_lens("lensagon_cmfa0420nd_typical_distortion").distortion,
     "strong": Distortion(k1=-0.25, k2=0.08, p1=3e-3, p2=-2e-3, k3=-0.005),
 }
 
 
-def squares(places, surface, organ_class):
+def rectangles(bounds, surface, organ_class):
     """Rectangles `(k, 4)` of x0, y0, x1, y1 in the board's plane as one mesh that faces the camera."""
-    corners = [[[a, b, 0.0], [c, b, 0.0], [c, d, 0.0], [a, d, 0.0]] for a, b, c, d in places]
-    faces = [[4 * k + i for i in three] for k in range(len(places)) for three in ((0, 2, 1), (0, 3, 2))]
+    corners = [[[a, b, 0.0], [c, b, 0.0], [c, d, 0.0], [a, d, 0.0]] for a, b, c, d in bounds]
+    faces = [[4 * k + i for i in three] for k in range(len(bounds)) for three in ((0, 2, 1), (0, 3, 2))]
     flat = trimesh.Trimesh(np.reshape(corners, (-1, 3)), faces, process=False)
-    return body(flat, surface, organ_class).moved(TILT, PLACE)
+    return body(flat, surface, organ_class).moved(TILT, POSITION)
 
 
 def board():
@@ -70,16 +71,16 @@ def board():
         (left - BORDER, top, left, bottom),
         (right, top, right + BORDER, bottom),
     ]
-    white = squares(field[0] + frame, "white", OrganClass.LEAF)
-    return concatenate_meshes([white, squares(field[1], "black", OrganClass.STEM)])
+    white = rectangles(field[0] + frame, "white", OrganClass.LEAF)
+    return concatenate_meshes([white, rectangles(field[1], "black", OrganClass.STEM)])
 
 
-def lattice(inner=0):
-    """`(k, 3)` corners of the squares in the world, row by row, without the `inner` outermost rings."""
-    x = (np.arange(inner, COLUMNS + 1 - inner) - COLUMNS / 2) * SQUARE
-    y = (np.arange(inner, ROWS + 1 - inner) - ROWS / 2) * SQUARE
+def board_corners(margin=0):
+    """`(k, 3)` corners of the squares in the world, row by row, without the `margin` outermost rings."""
+    x = (np.arange(margin, COLUMNS + 1 - margin) - COLUMNS / 2) * SQUARE
+    y = (np.arange(margin, ROWS + 1 - margin) - ROWS / 2) * SQUARE
     flat = np.stack([*np.meshgrid(x, y), np.zeros((y.size, x.size))], -1).reshape(-1, 3)
-    return flat @ TILT.T + PLACE
+    return flat @ TILT.T + POSITION
 
 
 def projected(points, distortion):
@@ -91,9 +92,8 @@ def projected(points, distortion):
 
 @pytest.fixture(scope="module", params=sorted(LENSES))
 def photograph(request):
-    """(distortion, white share of each pixel `(600, 800)`, class of each pixel)."""
-    led = read_spectrum("light/houser2013_cool_white_led", "slide_4_lumileds_cool_white")
-    camera = chosen_camera("ueye_ui5250re", bench_lamp(led), columns=800, rows=600)
+    """(distortion, white fraction of each pixel `(600, 800)`, class of each pixel)."""
+    camera = chosen_camera("ueye_ui5250re", bench_lamp(LED), columns=800, rows=600)
     distortion = LENSES[request.param]
     camera = replace(camera, lens=replace(camera.lens, distortion=distortion))
     mesh, white = board(), lambertian_surface("white", 0.9)
@@ -102,56 +102,56 @@ def photograph(request):
     ).render(camera, ["electrons", "class"], "standard", seed=1)
     blank = assemble_scene(mesh, {"white": white, "black": replace(white, name="black")})
     even = Renderer(blank).render(camera, ["electrons"], "standard", seed=1)["electrons"].sum(-1)
-    share = np.where(even > 0, frame["electrons"].sum(-1) / np.maximum(even, 1e-6), 0.0)
-    return distortion, share, frame["class"]
+    whiteness = np.where(even > 0, frame["electrons"].sum(-1) / np.maximum(even, 1e-6), 0.0)
+    return distortion, whiteness, frame["class"]
 
 
-def found_corners(share):
+def found_corners(whiteness):
     """`(117, 2)` pixel coordinates, row by row from the upper left, pixel centres at +.5."""
-    grey = np.clip(np.rint(gaussian_filter(share, 1.5) * 255.0), 0, 255).astype(np.uint8)
-    seen, corners = cv2.findChessboardCornersSB(
+    grey = np.clip(np.rint(gaussian_filter(whiteness, 1.5) * 255.0), 0, 255).astype(np.uint8)
+    found, corners = cv2.findChessboardCornersSB(
         grey, (COLUMNS - 1, ROWS - 1), flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     )
-    assert seen
+    assert found
     stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
     corners = cv2.cornerSubPix(grey, corners, (8, 8), (-1, -1), stop).reshape(-1, 2)
-    # The finder may begin at any end of the board.
+    # The finder may start at any end of the board.
     corners = corners if corners[0, 1] < corners[-1, 1] else corners[::-1]
     return corners + 0.5
 
 
-def test_corners_lie_where_opencv_projects_them(photograph):
-    distortion, share, _ = photograph
-    corners = lattice(inner=1)
+def test_corners_match_opencv(photograph):
+    distortion, whiteness, _ = photograph
+    corners = board_corners(margin=1)
     expected = projected(corners, distortion)
-    off = found_corners(share) - expected
-    # The lens matters: without it the board's rim would lie many pixels away.
+    error = found_corners(whiteness) - expected
+    # The distortion matters: without it the board's border would be many pixels away.
     pinhole = projected(corners, Distortion())
     assert np.linalg.norm(pinhole - expected, axis=1).max() > 10.0
-    assert np.linalg.norm(off, axis=1).max() < 0.1
-    assert np.abs(off.mean(0)).max() < 0.02
+    assert np.linalg.norm(error, axis=1).max() < 0.1
+    assert np.abs(error.mean(0)).max() < 0.02
 
 
-def test_edges_of_colour_are_edges_of_labels(photograph):
-    distortion, share, classes = photograph
+def test_edges_of_colour_match_edges_of_labels(photograph):
+    distortion, whiteness, classes = photograph
     on_board = minimum_filter(classes > 0, 5)
     white = classes == OrganClass.LEAF
-    # Away from edges, light and label say the same.
+    # Away from edges, light and label agree.
     even = on_board & (maximum_filter(white, 3) == minimum_filter(white, 3))
-    assert np.abs(share - white)[even].max() < 0.01
-    # On an edge the label is that of the pixel's centre, which has more than half of the light but for the
+    assert np.abs(whiteness - white)[even].max() < 0.01
+    # On an edge the label is that of the pixel's centre, which has more than half of the light except for the
     # samples' error (.033 measured). Pixels in which four squares meet are left out.
     edge = on_board & ~even
     u, v = np.meshgrid(np.arange(800) + 0.5, np.arange(600) + 0.5)
-    for x, y in projected(lattice(), distortion):
+    for x, y in projected(board_corners(), distortion):
         edge &= np.hypot(u - x, v - y) > 1.5
     assert edge.sum() > 5000
-    off = np.abs(share - white)[edge]
-    assert off.max() < 0.5 + 6 * 0.033
-    assert (off > 0.5 + 2 * 0.033).mean() < 0.002
-    # The edges' mean place in each quarter: what light has over label is the step times the shift. A label's
-    # edge is known to a pixel, and neighbours on a straight edge agree, so .05 pixels are what can be told.
+    error = np.abs(whiteness - white)[edge]
+    assert error.max() < 0.5 + 6 * 0.033
+    assert (error > 0.5 + 2 * 0.033).mean() < 0.002
+    # The edges' mean shift in each quarter: light minus label is the step times the shift. A label's edge is
+    # known to a pixel, and neighbours on a straight edge agree, so .05 pixels can be resolved.
     for quarter in (np.s_[:300, :400], np.s_[:300, 400:], np.s_[300:, :400], np.s_[300:, 400:]):
         slopes = np.stack([slope[quarter][edge[quarter]] for slope in np.gradient(white * 1.0)], -1)
-        shift, *_ = np.linalg.lstsq(slopes, (white - share)[quarter][edge[quarter]], rcond=None)
+        shift, *_ = np.linalg.lstsq(slopes, (white - whiteness)[quarter][edge[quarter]], rcond=None)
         assert np.abs(shift).max() < 0.05

@@ -1,4 +1,4 @@
-"""The flash's light straight ahead, summed over random points of its LEDs from the file's own numbers."""
+"""The flash's light straight ahead, integrated over random points of its LEDs from its file's numbers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pepperscene.shipped import shipped_folder
 
 FOLDER = shipped_folder("materials") / "flashes"
 DRAWS = 400_000
-"""The LEDs' shares differ by 3 %, so that the mean of so many draws is off by 5e-5 (one deviation)."""
+"""The LEDs' contributions differ by 3 %, so the mean of this many draws is off by 5e-5 (one deviation)."""
 
 
 def spectrum_of(table):
@@ -28,7 +28,7 @@ def spectrum_of(table):
 
 
 def random_points(table, rng):
-    """`(DRAWS, 2)` points of the LEDs from the matrix' centre, evenly over their areas, metres."""
+    """`(DRAWS, 2)` points of the LEDs from the matrix' centre, uniform over their areas, metres."""
     matrix, radius = table["matrix"], table["radius_mm"]
     middle = (np.array([matrix["columns"], matrix["rows"]]) - 1) / 2
     led = (rng.integers(0, [matrix["columns"], matrix["rows"]], (DRAWS, 2)) - middle) * matrix["pitch_mm"]
@@ -38,11 +38,11 @@ def random_points(table, rng):
     return (led + within) * 1e-3
 
 
-def falloff(points, place, table):
-    """`(n,)` p(theta) cos / r^2 of points of the flash at a place `(3,)` on a plane that faces it."""
-    away = place - np.column_stack([points, np.zeros(len(points))])
-    distance = np.linalg.norm(away, axis=-1)
-    cosine = away[:, 2] / distance
+def falloff(points, target, table):
+    """`(n,)` p(theta) cos / r^2 of points of the flash at a target `(3,)` on a plane that faces it."""
+    ray = target - np.column_stack([points, np.zeros(len(points))])
+    distance = np.linalg.norm(ray, axis=-1)
+    cosine = ray[:, 2] / distance
     profile = table["profile"]
     relative = np.interp(
         np.degrees(np.arccos(cosine)), profile["angle_deg"], profile["relative_intensity"], right=0
@@ -51,7 +51,7 @@ def falloff(points, place, table):
 
 
 def strength(nm, spectral, table):
-    """What the file's own unit makes of a spectral irradiance: lux or W m-2."""
+    """A spectral irradiance in the file's unit: lux or W m-2."""
     if "irradiance_W_m2" in table:
         return np.trapezoid(spectral, nm)
     v = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
@@ -59,28 +59,29 @@ def strength(nm, spectral, table):
 
 
 @pytest.mark.parametrize("name", ["led_matrix_200klx", "led_nir_850nm"])
-def test_the_leds_together_give_the_stated_strength_at_the_stated_distance(name):
+def test_leds_give_the_stated_strength_at_the_stated_distance(name):
     table = tomllib.loads((FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
     flash = load_flash(name)
     nm = np.arange(*spectrum_of(table)[0][[0, -1]], 0.1)
     points = random_points(table, np.random.default_rng(20180))
-    share = falloff(points, np.array([0, 0, table["at_mm"] * 1e-3]), table)
-    assert share.std() / share.mean() / math.sqrt(DRAWS) < 1e-4
-    measured = strength(nm, flash.radiant_intensity(nm) * share.mean(), table)
+    factor = falloff(points, np.array([0, 0, table["at_mm"] * 1e-3]), table)
+    assert factor.std() / factor.mean() / math.sqrt(DRAWS) < 1e-4
+    measured = strength(nm, flash.radiant_intensity(nm) * factor.mean(), table)
     stated = table.get("irradiance_W_m2", table.get("illuminance_lx"))
     # Five deviations of the draws, and as much for the quadrature over wavelength.
     assert measured == pytest.approx(stated, rel=5e-4)
 
 
 @pytest.mark.parametrize("at_m", [0.05, 0.2, 2.0])
-def test_the_same_matrix_at_another_distance(at_m):
-    # The stated strength told elsewhere: near by, LEDs far from the axis hardly shine straight ahead.
+def test_strength_given_at_another_distance(at_m):
+    # At a short distance, LEDs far from the axis contribute little straight ahead.
     table = tomllib.loads((FOLDER / "led_matrix_200klx.toml").read_text(encoding="utf-8"))
     flash = dataclasses.replace(load_flash("led_matrix_200klx"), at_m=at_m)
-    share = falloff(random_points(table, np.random.default_rng(7)), np.array([0, 0, at_m]), table)
-    five_deviations = 5 * share.std() / share.mean() / math.sqrt(DRAWS)
-    assert share.mean() * flash.axial_area_m2 == pytest.approx(1.0, abs=five_deviations)
-    # Far away it is a point, but for the profile's slope: the LEDs lie 0.7 degrees aside, at 1.5 % each.
+    factor = falloff(random_points(table, np.random.default_rng(7)), np.array([0, 0, at_m]), table)
+    five_deviations = 5 * factor.std() / factor.mean() / math.sqrt(DRAWS)
+    assert factor.mean() * flash.axial_area_m2 == pytest.approx(1.0, abs=five_deviations)
+    # Far away it is a point, except for the profile's slope: the LEDs are 0.7 degrees off the axis, at 1.5 %
+    # each.
     over_a_point = flash.axial_area_m2 / at_m**2
     if at_m == 2.0:
         assert over_a_point == pytest.approx(1.01, abs=2e-3)
@@ -88,15 +89,15 @@ def test_the_same_matrix_at_another_distance(at_m):
         assert over_a_point > 2
 
 
-def test_all_light_of_the_beam_by_hand():
-    """Luminous flux: 50,000 cd on the axis (nearly) times the solid angle of the profile, 0.42 sr."""
+def test_luminous_flux_and_luminance_are_realistic():
+    # Luminous flux: 50,000 cd on the axis (nearly) times the solid angle of the profile, 0.42 sr.
     flash = load_flash("led_matrix_200klx")
     angle = np.linspace(0, math.pi / 2, 20_001)
     solid_angle = 2 * math.pi * np.trapezoid(flash.profile.at(angle) * np.sin(angle), angle)
     assert solid_angle == pytest.approx(0.42, abs=0.005)
     lumens = 200_000 * flash.axial_area_m2 * solid_angle
     per_led = lumens / len(flash.emitters_m)
-    assert 300 < per_led < 360  # what the file's reasons say
-    # Luminance of an LED's lens: within what power LEDs reach in pulses.
+    assert 300 < per_led < 360  # as stated in the file
+    # Luminance of an LED's lens: within the range of power LEDs in pulses.
     luminance = 200_000 * flash.axial_area_m2 / len(flash.emitters_m) / (math.pi * flash.radius_m**2)
     assert 5e7 < luminance < 2e8

@@ -1,4 +1,4 @@
-"""What the direct model takes a spectrophotometer to read is what the renderer's surfaces would show it."""
+"""The direct model of a spectrophotometer agrees with the renderer's surfaces."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scatterers import GRID_NM, SEEN_NM, Cases, plain
+from scipy.special import roots_legendre
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import organ_surfaces
@@ -20,13 +21,13 @@ STATES = (0.0, 0.5, 1.0)  # rows of every surface's table
 
 @cache
 def cases(cosine: float) -> Cases:
-    """These surfaces of the shipped cultivar without patterns, in these states, lit at this cosine."""
+    """Surfaces of the shipped cultivar without patterns, in three states, lit at a cosine."""
     organs = organ_surfaces(load_cultivar("kaite"), GRID_NM)
     return Cases.over([plain(organs[name]) for name in THIN], STATES, [cosine], seed=1)
 
 
 def scattered(of: Cases, towards: np.ndarray) -> np.ndarray:
-    """BRDF times cosine `(cases, directions, 4)` by the renderer's own code, of directions `(n, 3)`."""
+    """BRDF times cosine `(cases, directions, 4)` by the renderer's code, for directions `(n, 3)`."""
     mi, dr = mitsuba_modules()
     lane = dr.arange(mi.UInt32, len(of) * len(towards))
     wo = np.tile(towards, (len(of), 1)).astype(np.float32)
@@ -34,26 +35,26 @@ def scattered(of: Cases, towards: np.ndarray) -> np.ndarray:
     return np.asarray(value).reshape(4, len(of), len(towards)).transpose(1, 2, 0)
 
 
-def read(of: Cases, instrument: str) -> np.ndarray:
-    """`(cases, 4)` by the direct model."""
+def modelled(of: Cases, instrument: str) -> np.ndarray:
+    """`(cases, 4)` reflectance by the direct model."""
     pigments = load_cultivar("kaite").pigments
     names = [of.surfaces[k].name for k in of.surface]
-    found = [
+    values = [
         read_reflectance(pigments[name], SEEN_NM, state, thin=THIN[name], instrument=instrument)
         for name, state in zip(names, of.state, strict=True)
     ]
-    return np.array(found)
+    return np.array(values)
 
 
-def test_at_45_0_it_reads_pi_times_the_renderers_brdf():
-    # The kernel takes the nearest nanometre and single precision, and interpolates the gloss' albedo.
+def test_45_0_geometry_measures_pi_times_the_brdf():
+    # The kernel uses the nearest nanometre and single precision, and interpolates the gloss' albedo.
     of = cases(float(np.cos(np.radians(45.0))))
-    wanted = np.pi * scattered(of, np.array([[0.0, 0.0, 1.0]]))[:, 0]
-    assert read(of, "45/0") == pytest.approx(wanted, rel=2e-3, abs=2e-4)
+    expected = np.pi * scattered(of, np.array([[0.0, 0.0, 1.0]]))[:, 0]
+    assert modelled(of, "45/0") == pytest.approx(expected, rel=2e-3, abs=2e-4)
 
 
-def test_a_sphere_gathers_what_the_renderers_surface_sends_out_less_its_gloss():
-    # All that is reflected from 8 degrees, by quadrature over the hemisphere, less the gloss' own albedo.
+def test_integrating_sphere_measures_the_reflected_light_without_gloss():
+    # Light reflected from 8 degrees, by quadrature over the hemisphere, less the gloss' albedo.
     of = cases(float(np.cos(np.radians(8.0))))
     place, weight = np.polynomial.legendre.leggauss(200)
     polar, azimuth = (place + 1.0) * np.pi / 4.0, (np.arange(400) + 0.5) / 400 * 2.0 * np.pi
@@ -61,17 +62,18 @@ def test_a_sphere_gathers_what_the_renderers_surface_sends_out_less_its_gloss():
     towards = np.stack(
         [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=1
     )
-    share = np.repeat(weight * np.pi / 4.0, 400) * np.sin(polar) * 2.0 * np.pi / 400
-    sent = np.einsum("cnk,n->ck", scattered(of, towards), share)
+    solid_angle = np.repeat(weight * np.pi / 4.0, 400) * np.sin(polar) * 2.0 * np.pi / 400
+    reflected = np.einsum("cnk,n->ck", scattered(of, towards), solid_angle)
     gloss = [gloss_albedo(np.cos(np.radians(8.0)), of.surfaces[k].ior, a)[0] for k, a in
              zip(of.surface, of.alpha(), strict=True)]  # fmt: skip
-    assert read(of, "8/d") == pytest.approx(sent - np.array(gloss)[:, None], abs=1e-3)
+    assert modelled(of, "8/d") == pytest.approx(reflected - np.array(gloss)[:, None], abs=1e-3)
 
 
 @pytest.mark.parametrize(("ior", "alpha"), [(1.25, 0.5), (1.45, 0.1), (1.45, 0.02), (2.0, 1.0)])
-def test_the_gloss_along_the_normal_adds_up_to_its_albedo(ior, alpha):
-    # By reciprocity: light from all sides seen along the normal is light from there sent to all sides.
-    place, weight = np.polynomial.legendre.leggauss(4000)
+def test_gloss_along_the_normal_integrates_to_its_albedo(ior, alpha):
+    # By reciprocity: light from all directions seen along the normal equals light from there to all
+    # directions.
+    place, weight = roots_legendre(4000)
     cosine = (place + 1.0) / 2.0
     total = np.pi * np.sum(weight * cosine * gloss_along_normal(cosine, ior, alpha))
     assert total == pytest.approx(gloss_albedo(1.0, ior, alpha)[0], abs=1e-4)

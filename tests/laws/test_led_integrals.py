@@ -1,15 +1,15 @@
-"""Matt patches under every shipped LED, in every variant that runs: rendered electrons against quadrature.
+"""Lambertian patches under every shipped LED, in every available variant: electrons against quadrature.
 
-Rationale: a renderer that is spectral in name only (three numbers carried along, a spectrum averaged before
-it is multiplied) passes with a grey patch under one light. It does not with colours under lights of other
-shapes: the sensor's sum over light x reflectance x response is no product of sums.
+Rationale: a renderer that is not spectral throughout (three numbers per ray, or a spectrum averaged before it
+is multiplied) passes with a grey patch under one light. It fails with colours under lights of other shapes:
+the sensor's integral of light x reflectance x response is not a product of integrals.
 
 Set-up: a white, a strongly coloured and a narrow-band patch side by side, facing camera and lamp at 50 cm.
 
-Expected: the integral written out in NumPy, on half nanometres, from the numbers in the data files.
+Expected: the integral in NumPy, on half nanometres, from the numbers in the data files.
 
-Power: a patch has 256 pixels, each with wavelengths of its own; the standard error of their mean is taken
-from their spread and must stay below .15 %, so that the .5 % asked for lie more than three of them away.
+Power: a patch has 256 pixels, each with different wavelengths; the standard error of their mean is estimated
+from their deviation and must be below .15 %, less than a third of the bound of .5 %.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def leds():
 
 def rendered(sensor):
     """`{led: (3 patches, 256 pixels, 3 channels)}` electrons."""
-    # Strips of 8 columns and 32 rows, each wider than its pixels where it has no neighbour.
+    # Strips of 8 columns and 32 rows, wider than the image at the outer sides.
     pixel = 0.5 * chosen_camera(sensor, None, columns=24, rows=32).sensor.pixel_pitch_m / 4.16e-3
     strips = [
         card(8 * pixel * place, 0.0, 8 * pixel, 0.1, patch.__name__)
@@ -82,12 +82,12 @@ def rendered(sensor):
     ]
     surfaces = {patch.__name__: matt(patch.__name__, SURFACE_NM, patch(SURFACE_NM)) for patch in PATCHES}
     renderer = Renderer(assemble_scene(concatenate_meshes(strips), surfaces))
-    found = {}
+    electrons_by_led = {}
     for name, spd in leds().items():
         camera = chosen_camera(sensor, bench_lamp(Spectrum(*spd), LUX), columns=24, rows=32)
         electrons = renderer.render(camera, ["electrons"], "standard")["electrons"]
-        found[name] = electrons.reshape(32, 3, 8, 3).swapaxes(0, 1).reshape(3, 256, 3)
-    return found
+        electrons_by_led[name] = electrons.reshape(32, 3, 8, 3).swapaxes(0, 1).reshape(3, 256, 3)
+    return electrons_by_led
 
 
 def expected(sensor, spd):
@@ -99,14 +99,14 @@ def expected(sensor, spd):
 
 @pytest.fixture(scope="module", params=VARIANTS)
 def electrons(request):
-    """`{sensor: {led: electrons}}` of one variant: the default one here, others in a process of their own."""
+    """`{sensor: {led: electrons}}` of one variant: the default one here, others in a subprocess."""
     if request.param == variant_name():
         return {sensor: rendered(sensor) for sensor in SENSORS}
     try:
         choose_variant(request.param)
-    except SetupError as reason:
-        pytest.skip(str(reason))
-    told = subprocess.run(
+    except SetupError as error:
+        pytest.skip(str(error))
+    done = subprocess.run(
         [sys.executable, __file__],
         env=os.environ | {"PEPPERSCENE_VARIANT": request.param},
         cwd=Path(__file__).parent,
@@ -115,23 +115,23 @@ def electrons(request):
         check=True,
         timeout=600,
     )
-    answer = json.loads(told.stdout.splitlines()[-1])
+    answer = json.loads(done.stdout.splitlines()[-1])
     assert answer["variant"] == request.param
     return {sensor: {led: np.array(pixels) for led, pixels in answer[sensor].items()} for sensor in SENSORS}
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_each_led_gives_the_electrons_of_its_integral(electrons, sensor):
+def test_electrons_of_each_led_match_the_integral(electrons, sensor):
     assert len(electrons[sensor]) >= 20
     for name, spd in leds().items():
         pixels = electrons[sensor][name]
-        found, wanted = pixels.mean(1), expected(sensor, spd)
-        seen = wanted > 0.01 * wanted.max()
-        error = pixels.std(1) / np.sqrt(pixels.shape[1]) / found
-        assert error[seen].max() < 0.0015, name
-        assert found[seen] == pytest.approx(wanted[seen], rel=0.005), name
+        mean, integral = pixels.mean(1), expected(sensor, spd)
+        lit = integral > 0.01 * integral.max()
+        error = pixels.std(1) / np.sqrt(pixels.shape[1]) / mean
+        assert error[lit].max() < 0.0015, name
+        assert mean[lit] == pytest.approx(integral[lit], rel=0.005), name
 
 
 if __name__ == "__main__":
-    told = {sensor: {led: x.tolist() for led, x in rendered(sensor).items()} for sensor in SENSORS}
-    print(json.dumps({"variant": variant_name(), **told}))  # noqa: T201
+    results = {sensor: {led: x.tolist() for led, x in rendered(sensor).items()} for sensor in SENSORS}
+    print(json.dumps({"variant": variant_name(), **results}))  # noqa: T201

@@ -1,4 +1,4 @@
-"""White furnace of the whole renderer: what loses nothing cannot be seen in an even light."""
+"""White furnace test of the renderer: lossless bodies are invisible in uniform light."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ BODIES = {
 
 
 def lossless(transmittance: float, ior: float, roughness: tuple[float, float]) -> Surface:
-    both = np.full((1, 2, 2), 1.0 - transmittance)
-    return Surface("white", NM, both, np.full((1, 2), transmittance), ior, roughness)
+    reflectance = np.full((1, 2, 2), 1.0 - transmittance)
+    return Surface("white", NM, reflectance, np.full((1, 2), transmittance), ior, roughness)
 
 
-# Light inside a translucent ball would bounce on and on: a ball is opaque, a sheet lets light through too.
+# Light inside a translucent ball would be reflected endlessly: the ball is opaque, sheets also transmit
+# light.
 CASES = [(body, 0.0, 1.5) for body in BODIES] + [
     (body, *kind) for body in BODIES if body != "ball" for kind in ((0.6, 1.3), (0.5, 1.0))
 ]
@@ -33,14 +34,14 @@ CASES = [(body, 0.0, 1.5) for body in BODIES] + [
 
 @pytest.mark.parametrize("roughness", [(0.05, 0.05), (0.3, 0.3), (0.45, 0.9)])
 @pytest.mark.parametrize(("body", "transmittance", "ior"), CASES)
-def test_a_lossless_body_vanishes_in_an_even_light(body, transmittance, ior, roughness):
+def test_lossless_body_vanishes_in_uniform_light(body, transmittance, ior, roughness):
     # 256 samples on each of some 600 pixels: the mean's standard error is below .1 % (weights vary by 1).
-    # No body here lights itself, so nothing is lost to the end of paths.
+    # No body lights itself, so no light is lost where paths end.
     scene = assemble_scene(BODIES[body], {"white": lossless(transmittance, ior, roughness)}, SKY)
     camera = bench_camera(columns=32, rows=32, flash=False)
     image = Renderer(scene).render(camera, ["electrons", "class"], "reference")
-    seen = image["class"] > 0
-    assert 200 < seen.sum() < 800
-    light = image["electrons"] / image["electrons"][~seen].mean(axis=0)
-    assert light[seen].mean(axis=0) == pytest.approx(np.ones(3), abs=0.005)
+    on_body = image["class"] > 0
+    assert 200 < on_body.sum() < 800
+    light = image["electrons"] / image["electrons"][~on_body].mean(axis=0)
+    assert light[on_body].mean(axis=0) == pytest.approx(np.ones(3), abs=0.005)
     assert np.abs(light - 1.0).max() < 0.25

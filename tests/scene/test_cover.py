@@ -1,4 +1,4 @@
-"""Covers: the shipped ones against what is told of such sheets, and files that are wrong."""
+"""Covers: the shipped ones against published data, invalid files, and the physics of haze."""
 
 from __future__ import annotations
 
@@ -7,48 +7,42 @@ import pytest
 
 from pepperscene.errors import InputError
 from pepperscene.scene import Cover, load_cover
+from pepperscene.scene.cover import directions, tabulate_haze
 from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import Spectrum, illuminance, read_provenance, read_spectrum, sky_spectrum
 
 SHIPPED = ("float_glass_4mm", "diffuse_glass_4mm", "polyethylene_film")
 
 
-def visible(cover):
-    """Share of D65's light, by its lux."""
-    return illuminance(cover.through(sky_spectrum("d65"))) / illuminance(sky_spectrum("d65"))
+# --- shipped covers -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("name", "light", "haze"),
     [
-        # About 90 % is told for 4 mm of float glass.
+        # 4 mm of float glass are specified with about 90 %.
         ("float_glass_4mm", (0.88, 0.91), (0.0, 0.0)),
-        # Glass low in iron: 91 to 92 % across the sheet; haze from 10 to 75 % is sold.
+        # Low-iron glass: 91 to 92 % across the sheet; haze from 10 to 75 % is sold.
         ("diffuse_glass_4mm", (0.905, 0.92), (0.1, 0.75)),
         # New film in one layer: 85 to 91 %.
         ("polyethylene_film", (0.85, 0.91), (0.15, 0.6)),
     ],
 )
-def test_shipped_covers_are_what_is_sold(name, light, haze):
-    cover = load_cover(name)
-    assert light[0] < visible(cover) < light[1]
+def test_shipped_covers_match_product_specifications(name, light, haze):
+    cover, daylight = load_cover(name), sky_spectrum("d65")
+    transmitted = illuminance(daylight.times(cover.transmittance)) / illuminance(daylight)
+    assert light[0] < transmitted < light[1]
     assert haze[0] <= cover.haze <= haze[1]
 
 
-def test_no_cover_is_clearer_than_its_two_faces():
+def test_no_cover_exceeds_the_transmittance_of_its_two_faces():
     # Fresnel, with all reflections between the faces: 2 n / (n^2 + 1).
-    for name, index in (
-        ("float_glass_4mm", 1.505),
-        ("diffuse_glass_4mm", 1.505),
-        ("polyethylene_film", 1.51),
-    ):
+    for name, index in zip(SHIPPED, (1.505, 1.505, 1.51), strict=True):
         assert load_cover(name).transmittance.values.max() < 2 * index / (index**2 + 1)
 
 
-@pytest.mark.parametrize(
-    ("name", "half_nm"), [("float_glass_4mm", 335), ("diffuse_glass_4mm", 320), ("polyethylene_film", 375)]
-)
-def test_covers_keep_ultraviolet_out(name, half_nm):
+@pytest.mark.parametrize(("name", "half_nm"), [*zip(SHIPPED, (335, 320, 375), strict=True)])
+def test_covers_block_ultraviolet(name, half_nm):
     sheet = load_cover(name).transmittance
     assert sheet.at([300])[0] < 0.01
     assert sheet.at([half_nm - 15])[0] < 0.5 * sheet.at([420])[0] < sheet.at([half_nm + 15])[0]
@@ -76,24 +70,15 @@ def test_glass_follows_from_its_optical_constants():
 @pytest.mark.parametrize(
     "csv", sorted((shipped_folder("materials") / "covers/spectra").glob("*.csv")), ids=lambda p: p.stem
 )
-def test_the_curves_are_told_to_be_models(csv):
-    told = read_provenance(csv)
-    assert told.kind == "MODEL"
+def test_curves_are_declared_as_models(csv):
+    assert read_provenance(csv).kind == "MODEL"
     assert csv.stem.endswith("_MODEL")
     assert read_spectrum(csv, "transmittance").wavelength_nm[[0, -1]].tolist() == [300, 1100]
 
 
-def test_through_multiplies_and_holds_beyond_the_file():
-    sheet = Spectrum(np.array([500.0, 533.3, 600.0]), np.array([0.2, 0.9, 0.6]), "hold")
-    light = Spectrum(np.array([400.0, 700.0]), np.array([1.0, 4.0]))
-    below = Cover("test", sheet).through(light)
-    nm = np.array([400.0, 500.0, 533.3, 600.0, 700.0])
-    np.testing.assert_allclose(below.wavelength_nm, nm)
-    np.testing.assert_allclose(below.values, (1 + (nm - 400) / 100) * [0.2, 0.2, 0.9, 0.6, 0.6])
-    assert below.outside == light.outside
+# --- files --------------------------------------------------------------------------------------------------
 
-
-GOOD = """
+VALID = """
 name = "test"
 kind = "MODEL"
 licence = "MIT"
@@ -110,26 +95,24 @@ transmittance = "chosen"
 CSV = "wavelength_nm,transmittance\n400,0.8\n700,0.9\n"
 
 
-def written(tmp_path, text=GOOD, csv=CSV):
+def write_cover(tmp_path, text=VALID, csv=CSV):
     (tmp_path / "sheet.csv").write_text(csv)
     (tmp_path / "cover.toml").write_text(text)
     return tmp_path / "cover.toml"
 
 
-def test_a_cover_file_of_ones_own(tmp_path):
-    cover = load_cover(written(tmp_path))
+def test_loads_a_user_file_and_holds_its_end_values(tmp_path):
+    cover = load_cover(write_cover(tmp_path))
     assert (cover.name, cover.haze) == ("test", 0.4)
     assert cover.haze_width_rad == pytest.approx(np.radians(15))
     np.testing.assert_allclose(cover.transmittance.at([300, 400, 550, 700, 1000]), [0.8, 0.8, 0.85, 0.9, 0.9])
     # Without haze no width is needed.
-    clear = GOOD.replace("haze = 0.4\nhaze_width_deg = 15", "haze = 0").replace(
-        'haze_width_deg = "chosen"\n', ""
-    )
-    assert load_cover(written(tmp_path, clear)).haze == 0
+    clear = VALID.replace("haze = 0.4\nhaze_width_deg = 15", "haze = 0")
+    assert load_cover(write_cover(tmp_path, clear.replace('haze_width_deg = "chosen"\n', ""))).haze == 0
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ("haze = 0.4", "haze = 1.2", "haze = 1.2"),
         ("haze = 0.4", "haze = -0.1", "haze = -0.1"),
@@ -145,35 +128,35 @@ def test_a_cover_file_of_ones_own(tmp_path):
         ('column = "transmittance"', 'column = "tau"', "tau.*is not one of transmittance"),
     ],
 )
-def test_wrong_cover_files_are_refused(tmp_path, old, new, told):
-    assert old in GOOD
-    # The last place: keys of tables come after those of the top.
-    head, tail = GOOD.rsplit(old, 1) if "chosen" in old else GOOD.split(old, 1)
-    with pytest.raises(InputError, match=told):
-        load_cover(written(tmp_path, head + new + tail))
+def test_raises_on_invalid_file(tmp_path, old, new, message):
+    assert old in VALID
+    # Keys of [sources] come after those of the top.
+    head, tail = VALID.rsplit(old, 1) if "chosen" in old else VALID.split(old, 1)
+    with pytest.raises(InputError, match=message):
+        load_cover(write_cover(tmp_path, head + new + tail))
 
 
 @pytest.mark.parametrize(
-    ("rows", "told"),
+    ("rows", "message"),
     [
-        ("400,0.8\n700,1.1\n", "row 3, column transmittance = 1.1: must be a share, at most 1"),
+        ("400,0.8\n700,1.1\n", "row 3, column transmittance = 1.1: must be at most 1"),
         ("400,-0.1\n700,0.9\n", "row 2, column transmittance = -0.1"),
         ("400,0\n700,0\n", "must let visible light through"),
         ("400,0.5\n700,nan\n", "must be a finite number"),
     ],
 )
-def test_wrong_curves_are_refused(tmp_path, rows, told):
-    with pytest.raises(InputError, match=told):
-        load_cover(written(tmp_path, csv="wavelength_nm,transmittance\n" + rows))
+def test_raises_on_invalid_curve(tmp_path, rows, message):
+    with pytest.raises(InputError, match=message):
+        load_cover(write_cover(tmp_path, csv="wavelength_nm,transmittance\n" + rows))
 
 
-def test_a_missing_cover_lists_the_shipped_ones():
+def test_unknown_name_lists_shipped_covers():
     with pytest.raises(InputError, match="diffuse_glass_4mm, float_glass_4mm, polyethylene_film"):
         load_cover("thatch")
 
 
 @pytest.mark.parametrize(
-    ("values", "haze", "width", "told"),
+    ("values", "haze", "width", "message"),
     [
         ([0.5, 1.5], 0.0, 0.0, "transmittance"),
         ([-0.5, 0.5], 0.0, 0.0, "transmittance"),
@@ -185,6 +168,81 @@ def test_a_missing_cover_lists_the_shipped_ones():
         ([0.5, 0.5], 0.5, float("nan"), "haze_width_rad"),
     ],
 )
-def test_impossible_covers_are_refused(values, haze, width, told):
-    with pytest.raises(ValueError, match=told):
+def test_cover_raises_on_values_out_of_range(values, haze, width, message):
+    with pytest.raises(ValueError, match=message):
         Cover("test", Spectrum(np.array([400.0, 700.0]), np.array(values)), haze, width)
+
+
+# --- haze ---------------------------------------------------------------------------------------------------
+
+ROWS, COLUMNS, OUT_ROWS = 64, 128, 40
+WIDTHS = np.radians([4.0, 12.0, 30.0, 90.0])
+
+
+def projected(rows=ROWS, columns=COLUMNS):
+    """`(rows, 1)` integral of the cosine to the zenith over a texel above the horizon, in closed form."""
+    edges = np.sin(np.minimum(np.arange(rows + 1) / rows * np.pi, np.pi / 2)) ** 2
+    return (np.diff(edges) * np.pi / columns)[:, None]
+
+
+def texel(row, column):
+    """A map that is dark except for one texel."""
+    radiance = np.zeros((1, ROWS, COLUMNS))
+    radiance[0, row, column] = 1.0
+    return radiance
+
+
+def haze_of(width):
+    return tabulate_haze(width, ROWS, COLUMNS, OUT_ROWS)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("row", [0, 7, 20, 31])
+def test_scattering_conserves_energy(width, row):
+    radiance = texel(row, 17)
+    scattered = haze_of(width).scatter(radiance)
+    assert (scattered * projected()).sum() == pytest.approx((radiance * projected()).sum(), rel=1e-9)
+    assert scattered.min() >= 0.0
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_uniform_sky_stays_uniform(width):
+    # Otherwise a passive sheet could make light brighter, against the second law of thermodynamics.
+    scattered = haze_of(width).scatter(np.full((2, ROWS, COLUMNS), 3.0))
+    np.testing.assert_allclose(scattered[:, :OUT_ROWS], 3.0, rtol=1e-8)
+    assert not scattered[:, OUT_ROWS:].any()
+
+
+@pytest.mark.parametrize("width", WIDTHS[1:])
+@pytest.mark.parametrize(("one", "other"), [((3, 5), (25, 20)), ((30, 100), (31, 3)), ((0, 0), (16, 64))])
+def test_scattering_is_reciprocal(width, one, other):
+    forward = haze_of(width).scatter(texel(*one))[0][other] / projected()[one[0], 0]
+    backward = haze_of(width).scatter(texel(*other))[0][one] / projected()[other[0], 0]
+    assert forward == pytest.approx(backward, rel=1e-6, abs=1e-12)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("row", [1, 12, 31])
+def test_lobe_of_a_beam_equals_scattering_of_a_texel(width, row):
+    towards = directions(ROWS, COLUMNS)
+    lobe = haze_of(width).lobe(towards, towards[row, 40])
+    scattered = haze_of(width).scatter(texel(row, 40))[0]
+    np.testing.assert_allclose(lobe / lobe.max(), scattered / scattered.max(), atol=1e-9)
+
+
+@pytest.mark.parametrize("width_deg", [3.0, 6.0, 10.0])
+def test_lobe_has_the_given_width(width_deg):
+    # From the zenith, on a fine map: for small angles, the mean squared angle is twice the squared width.
+    rows, columns = 512, 8
+    towards = directions(rows, columns)
+    haze = tabulate_haze(np.radians(width_deg), rows, columns, rows // 2)
+    energy = haze.lobe(towards, np.array([0.0, 0.0, 1.0])) * projected(rows, columns)
+    mean_square = (energy * np.arccos(towards[..., 2]) ** 2).sum() / energy.sum()
+    assert np.degrees(np.sqrt(mean_square / 2.0)) == pytest.approx(width_deg, rel=0.03)
+
+
+def test_scattering_is_independent_of_azimuth():
+    haze = haze_of(WIDTHS[1])
+    radiance = np.random.default_rng(0).random((1, ROWS, COLUMNS))
+    rolled = np.roll(haze.scatter(radiance), 31, axis=2)
+    np.testing.assert_allclose(haze.scatter(np.roll(radiance, 31, axis=2)), rolled, rtol=1e-9, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Far rows are cheap, are background alone, and stand where rows stand."""
+"""Far rows: few triangles, background only, and plants at regular free positions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,17 @@ from pepperscene.scene import DoubleRow, Greenhouse, coarsen_plant, far_rows
 from pepperscene.scene.greenhouse import row_lines
 
 ROW = DoubleRow(front=3, back=2, spacing_m=0.25, gap_m=0.3, shift_m=0.125)
-HOUSE = Greenhouse(row_lean_rad=np.radians(5.0), far_rows=1, far_reach_m=2.0, aisle_m=1.2)
+GREENHOUSE = Greenhouse(row_lean_rad=np.radians(5.0), far_rows=1, far_reach_m=2.0, aisle_m=1.2)
+
+
+def rows(models, seed=1, greenhouse=GREENHOUSE):
+    return far_rows(models, ROW, greenhouse, np.random.default_rng(seed))
+
+
+def ball(radius):
+    """A plant whose position is easy to measure: a ball around its stem base."""
+    body = sphere((0, 0, 0), radius, subdivisions=1)
+    return replace(body, instances=(Instance(OrganClass.PEPPER, "fruit"),))
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +34,7 @@ def plant():
 
 
 @pytest.fixture(scope="module")
-def model(plant):
+def coarse(plant):
     return coarsen_plant(plant)
 
 
@@ -33,102 +43,82 @@ def extent(mesh, number):
     return points.min(axis=0), points.max(axis=0)
 
 
-def test_a_coarse_plant_has_few_triangles(plant, model):
-    assert len(model.faces) < 0.5 * len(plant.faces)
-    assert len(model.faces) < 60 * len({*model.face_instance})
-    # All vertices are the plant's own, and none is left over.
+def test_coarse_plant_has_few_valid_triangles_of_its_own_vertices(plant, coarse):
+    assert len(coarse.faces) < 0.5 * len(plant.faces)
+    assert len(coarse.faces) < 60 * len({*coarse.face_instance})
     own = {tuple(row) for row in np.column_stack([plant.vertices, plant.normals]).round(7)}
-    assert {tuple(row) for row in np.column_stack([model.vertices, model.normals]).round(7)} <= own
-    np.testing.assert_array_equal(np.unique(model.faces), np.arange(len(model.vertices)))
-    corners = model.faces
-    assert ((corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])).all()
-    assert (corners[:, 2] != corners[:, 0]).all()
-    assert len(np.unique(np.sort(corners, axis=1), axis=0)) == len(corners)
+    assert {tuple(row) for row in np.column_stack([coarse.vertices, coarse.normals]).round(7)} <= own
+    a, b, c = coarse.faces.T
+    np.testing.assert_array_equal(np.unique(coarse.faces), np.arange(len(coarse.vertices)))
+    assert ((a != b) & (b != c) & (c != a)).all()
+    assert len(np.unique(np.sort(coarse.faces, axis=1), axis=0)) == len(coarse.faces)
 
 
-def test_every_organ_keeps_its_extent(plant, model):
-    left = {*model.face_instance.tolist()}
-    for number, one in enumerate(plant.instances):
-        if one.kind == "calyx" or one.organ_class in (OrganClass.CUT, OrganClass.WIRE):
-            assert number not in left
+def test_each_organ_keeps_its_extent(plant, coarse):
+    kept = {*coarse.face_instance.tolist()}
+    for number, instance in enumerate(plant.instances):
+        if instance.kind == "calyx" or instance.organ_class in (OrganClass.CUT, OrganClass.WIRE):
+            assert number not in kept
             continue
-        assert number in left, one
+        assert number in kept, instance
         size = np.linalg.norm(np.subtract(*extent(plant, number)[::-1]))
-        for found, true in zip(extent(model, number), extent(plant, number), strict=True):
-            assert np.abs(found - true).max() < 0.3 * size, one
+        for found, true in zip(extent(coarse, number), extent(plant, number), strict=True):
+            assert np.abs(found - true).max() < 0.3 * size, instance
 
 
-def test_nothing_left_is_refused():
+def test_coarsening_raises_if_no_organ_is_left():
     wire = rectangle((0, 0, 0), (1, 0, 0), (0, 1, 0), "twine", OrganClass.WIRE)
-    with pytest.raises(ValueError, match="nothing"):
+    with pytest.raises(ValueError, match="no organ"):
         coarsen_plant(wire)
 
 
-def ball(radius):
-    """A plant whose places can be read off: a ball about its foot."""
-    body = sphere((0, 0, 0), radius, subdivisions=1)
-    return replace(body, instances=(Instance(OrganClass.PEPPER, "fruit"),))
-
-
-def stands(mesh, count):
-    """`(n, 3)` middles of the balls of a row."""
-    return mesh.vertices.reshape(-1, count, 3).mean(axis=1)
-
-
-def test_rows_stand_in_their_lines_and_leave_the_plants_places_free():
-    balls = [ball(0.01)]
-    made = far_rows(balls, ROW, HOUSE, np.random.default_rng(1))
-    lines = row_lines(ROW, HOUSE)
-    assert len(made) == len(lines)
-    for mesh, line in zip(made, lines, strict=True):
-        feet = stands(mesh, len(balls[0].vertices))
-        np.testing.assert_allclose(feet[:, 1], line.y_m, atol=1e-6)
-        np.testing.assert_allclose(feet[:, 2], HOUSE.foot_m, atol=1e-6)
-        x = np.sort(feet[:, 0])
-        assert np.abs(x).max() <= HOUSE.far_reach_m
-        # As far as the row reaches, there is a plant at every place.
+def test_rows_are_regular_and_leave_labelled_positions_free():
+    lines, meshes = row_lines(ROW, GREENHOUSE), rows([ball(0.01)])
+    assert len(meshes) == len(lines)
+    for mesh, line in zip(meshes, lines, strict=True):
+        centres = mesh.vertices.reshape(-1, len(ball(0.01).vertices), 3).mean(axis=1)
+        np.testing.assert_allclose(centres[:, 1], line.y_m, atol=1e-6)
+        np.testing.assert_allclose(centres[:, 2], GREENHOUSE.foot_m, atol=1e-6)
+        x = np.sort(centres[:, 0])
+        assert np.abs(x).max() <= GREENHOUSE.far_reach_m
+        # There is a plant at every position as far as the row extends.
         steps = np.diff(x) / ROW.spacing_m
         np.testing.assert_allclose(steps, np.rint(steps), atol=1e-4)
-        assert HOUSE.far_reach_m - np.abs([x[0], x[-1]]).min() < 2 * ROW.spacing_m
-        if line.own:
-            taken = [place[0] for place in ROW.places() if place[1] == line.y_m]
+        assert GREENHOUSE.far_reach_m - np.abs([x[0], x[-1]]).min() < 2 * ROW.spacing_m
+        if line.labelled:
+            taken = [x for x, y in ROW.places() if y == line.y_m]
             assert np.abs(x[:, None] - taken).min() > 0.99 * ROW.spacing_m
             assert sorted(np.rint(steps))[-1] == len(taken) + 1
         else:
             np.testing.assert_allclose(steps, 1, atol=1e-4)
 
 
-def test_each_row_is_one_instance_of_the_background(model):
-    for mesh in far_rows([model, model], ROW, HOUSE, np.random.default_rng(1)):
-        (one,) = mesh.instances
-        assert (one.organ_class, one.kind, one.plant) == (OrganClass.BACKGROUND, "far_row", -1)
+def test_each_row_is_one_background_instance(coarse):
+    for mesh in rows([coarse, coarse]):
+        (instance,) = mesh.instances
+        assert (instance.organ_class, instance.kind, instance.plant) == (OrganClass.BACKGROUND, "far_row", -1)
         assert set(mesh.face_class) == {OrganClass.BACKGROUND}
         assert mesh.faces.max() == len(mesh.vertices) - 1
         np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-4)
 
 
 def test_rows_lean_to_their_own_aisle():
-    # A plant that leans towards -y: a ball at its foot and one a metre up.
+    # A plant that leans towards -y: a ball at its base and one a metre up.
     leaning = concatenate_meshes([ball(0.01), ball(0.02).moved(np.eye(3), np.array([0.0, -0.1, 1.0]))])
-    for mesh, line in zip(
-        far_rows([leaning], ROW, HOUSE, np.random.default_rng(1)), row_lines(ROW, HOUSE), strict=True
-    ):
+    for mesh, line in zip(rows([leaning]), row_lines(ROW, GREENHOUSE), strict=True):
         high = mesh.vertices[mesh.vertices[:, 2] > 0.5]
-        away = line.aisle * (high[:, 1] - line.y_m)
-        # Most are turned by less than 30 degrees either way.
-        assert away.min() > 0.1 * np.cos(np.radians(30)) - 0.021
-        assert away.max() <= 0.1 + 0.021
+        offset = line.aisle * (high[:, 1] - line.y_m)
+        # Plants are rotated by less than 30 degrees either way.
+        assert offset.min() > 0.1 * np.cos(np.radians(30)) - 0.021
+        assert offset.max() <= 0.1 + 0.021
 
 
-def test_nothing_stands_where_no_far_rows_are():
-    assert far_rows([ball(0.01)], ROW, replace(HOUSE, far_rows=0), np.random.default_rng(0)) == []
+def test_no_meshes_without_far_rows():
+    assert rows([ball(0.01)], 0, replace(GREENHOUSE, far_rows=0)) == []
 
 
-def test_the_same_generator_makes_the_same_rows(model):
-    models = [model, ball(0.1)]
-    first, again, other = (
-        concatenate_meshes(far_rows(models, ROW, HOUSE, np.random.default_rng(seed))) for seed in (3, 3, 4)
-    )
+def test_rows_depend_on_the_seed_only(coarse):
+    first, again, other = (concatenate_meshes(rows([coarse, ball(0.1)], seed)) for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.vertices, again.vertices)
     np.testing.assert_array_equal(first.faces, again.faces)
     assert first.vertices.shape != other.vertices.shape or (first.vertices != other.vertices).any()

@@ -1,38 +1,163 @@
+"""Image statistics against OpenCV, the standard library, and sums over whole stacks."""
+
 from __future__ import annotations
 
+import colorsys
 import tracemalloc
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from pepperscene.truth import (
+from pepperscene.truth.statistics import (
     HUE_BINS,
     ImageStatistics,
+    centre_crop,
     centre_falloff,
     grey_values,
     hue_bins,
-    saturated_share,
+    hue_counts,
+    hue_spectrum_correlation,
+    mean_hue,
+    saturated_fraction,
 )
 
+BYTE = st.integers(0, 255)
 
-def picture(rng, shape=(20, 30), top=8):
+
+# --- hues ---------------------------------------------------------------------------------------------------
+
+
+@given(BYTE, BYTE, BYTE)
+def test_hue_bin_contains_the_hue_of_colorsys(red, green, blue):
+    number = int(hue_bins(np.array([red, green, blue], np.uint8)))
+    hue, saturation, _ = colorsys.rgb_to_hsv(red / 255, green / 255, blue / 255)
+    if saturation == 0:
+        assert number == -1
+    else:
+        difference = abs(360.0 * hue - 2.0 * number) % 360.0
+        assert min(difference, 360.0 - difference) <= 1.0 + 1e-9
+
+
+def test_hue_bins_match_opencv():
+    colour = np.random.default_rng(1).integers(0, 256, (400, 500, 3)).astype(np.uint8)
+    expected = cv2.cvtColor(colour, cv2.COLOR_RGB2HSV)[..., 0].astype(int)
+    bins = hue_bins(colour).astype(int)
+    difference = np.abs(bins - expected)[bins >= 0] % HUE_BINS
+    # OpenCV divides by a table of 12 bits: a hue on a border may fall on the other side.
+    assert np.minimum(difference, HUE_BINS - difference).max() <= 1
+    assert (difference > 0).mean() < 0.03
+
+
+def test_each_pixel_is_counted_once_for_its_class():
+    rng = np.random.default_rng(2)
+    colour = rng.integers(0, 4, (40, 30, 3)).astype(np.uint8)
+    class_id = rng.choice(np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 255], np.uint8), (40, 30))
+    counts = hue_counts(colour, class_id)
+    assert counts.shape == (8, HUE_BINS + 1)
+    bins = hue_bins(colour)
+    for organ_class in range(8):
+        of_class = bins[class_id == organ_class]
+        assert counts[organ_class].sum() == of_class.size
+        assert counts[organ_class, HUE_BINS] == (of_class == -1).sum()
+        assert all(counts[organ_class, k] == (of_class == k).sum() for k in range(HUE_BINS))
+
+
+def test_raises_on_wrong_shapes_and_types():
+    with pytest.raises(ValueError, match="three channels"):
+        hue_bins(np.zeros((2, 2, 4), np.uint8))
+    with pytest.raises(ValueError, match="uint8"):
+        hue_bins(np.zeros((2, 2, 3)))
+    with pytest.raises(ValueError, match="one size"):
+        hue_counts(np.zeros((2, 2, 3), np.uint8), np.zeros((2, 3), np.uint8))
+    with pytest.raises(ValueError, match="uint8"):
+        grey_values(np.zeros((2, 2)))
+
+
+@given(st.floats(0.0, 359.0), st.floats(5.0, 40.0))
+def test_mean_hue_of_a_bell_is_its_middle(middle, width):
+    distance = (2.0 * np.arange(HUE_BINS) - middle + 180.0) % 360.0 - 180.0
+    mean = mean_hue(np.exp(-0.5 * (distance / width) ** 2))
+    assert abs((mean - middle + 180.0) % 360.0 - 180.0) < 0.01
+
+
+def test_uniform_spectrum_has_no_mean_hue_and_no_correlation():
+    uniform = np.full(HUE_BINS, 0.5)
+    assert np.isnan(mean_hue(uniform))
+    assert np.isnan(mean_hue(np.zeros(HUE_BINS)))
+    assert np.isnan(hue_spectrum_correlation(uniform, np.arange(HUE_BINS)))
+
+
+def test_correlation_is_independent_of_scale_and_offset():
+    spectrum = np.random.default_rng(3).random(HUE_BINS)
+    assert hue_spectrum_correlation(spectrum, 3.0 * spectrum + 1.0) == pytest.approx(1.0)
+    assert hue_spectrum_correlation(spectrum, 2.0 - spectrum) == pytest.approx(-1.0)
+
+
+# --- single images ------------------------------------------------------------------------------------------
+
+
+def test_grey_values_and_saturated_fraction():
+    colour = np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255]]], np.uint8)
+    assert grey_values(colour).tolist() == [[76, 150, 29]]
+    assert saturated_fraction(np.array([[[255, 0, 0], [254, 254, 254]]], np.uint8)) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("shape", "cropped"), [((600, 800), (300, 300)), ((346, 613), (300, 300)), ((200, 900), (200, 300))]
+)
+def test_crop_is_central(shape, cropped):
+    centre = centre_crop(np.arange(shape[0] * shape[1]).reshape(shape))
+    assert centre.shape == cropped
+    for positions, length in zip(np.divmod(centre, shape[1]), shape, strict=True):
+        # The same margin on both sides, to a pixel.
+        assert abs(positions.min() - (length - 1 - positions.max())) <= 1
+
+
+@pytest.mark.parametrize("shape", [(60, 80), (61, 81), (90, 90)])
+def test_falloff_of_a_radial_image(shape):
+    rows, columns = (np.arange(length) - (length - 1) / 2 for length in shape)
+    distance = np.hypot(rows[:, None], columns[None]) / np.hypot(shape[0] / 2, shape[1] / 2)
+    assert distance.max() < 1.0
+    radii = np.linspace(0.0, 1.0, 11)
+    # In a linear falloff, the mean of each ring is between the values at its borders.
+    falloff = centre_falloff(200.0 * (1.0 - distance), radii)
+    assert (falloff[1:-1] < 200.0 * (1.0 - radii[1:-2])).all()
+    assert (falloff[1:-1] > 200.0 * (1.0 - radii[2:-1])).all()
+    np.testing.assert_allclose(centre_falloff(np.full(shape, 7.0), radii), 7.0)
+
+
+def test_falloff_is_nan_in_rings_without_pixels():
+    falloff = centre_falloff(np.ones((2, 2)), np.array([0.0, 0.25, 0.75, 1.0]))
+    np.testing.assert_array_equal(falloff, [np.nan, 1.0, np.nan])
+
+
+# --- sets of images -----------------------------------------------------------------------------------------
+
+
+def random_image(rng, shape=(20, 30)):
     colour = rng.integers(0, 256, (*shape, 3)).astype(np.uint8)
-    return colour, rng.integers(0, top, shape).astype(np.uint8)
+    return colour, rng.integers(0, 8, shape).astype(np.uint8)
 
 
-@pytest.fixture
-def gathered():
+Stack = tuple[ImageStatistics, np.ndarray, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def stack() -> Stack:
+    """Statistics of six images, and their colours and classes in arrays."""
     rng = np.random.default_rng(4)
-    pictures = [picture(rng) for _ in range(6)]
+    images = [random_image(rng) for _ in range(6)]
     statistics = ImageStatistics()
-    for colour, class_id in pictures:
+    for colour, class_id in images:
         statistics.add(colour, class_id)
-    return statistics, np.stack([p[0] for p in pictures]), np.stack([p[1] for p in pictures])
+    return statistics, *(np.stack(arrays) for arrays in zip(*images, strict=True))
 
 
-def test_sums_are_those_of_the_whole_stack(gathered):
-    statistics, colour, class_id = gathered
+def test_sums_equal_those_of_the_whole_stack(stack: Stack):
+    statistics, colour, class_id = stack
     assert (statistics.pictures, statistics.photographs, statistics.labelled) == (6, 6, 6)
     masks = class_id[:, None] == np.arange(8)[:, None, None]
     np.testing.assert_allclose(statistics.shares(), masks.mean(axis=(0, 2, 3)))
@@ -44,8 +169,15 @@ def test_sums_are_those_of_the_whole_stack(gathered):
     np.testing.assert_allclose(statistics.saturated, (colour == 255).any(-1).mean(axis=(1, 2)))
 
 
-def test_every_picture_counts_the_same_in_a_hue_spectrum():
-    # One picture with a single red leaf pixel, one full of green leaf: half and half, as averaged.
+def test_spectra_and_grey_pixels_add_up(stack: Stack):
+    statistics, colour, class_id = stack
+    np.testing.assert_allclose(statistics.hue_spectra().sum(axis=1) + 100 * statistics.grey_shares(), 100.0)
+    by_image = [(bins[ids == 3] == 40).mean() for bins, ids in zip(hue_bins(colour), class_id, strict=True)]
+    assert statistics.hue_spectra()[3, 40] == pytest.approx(100 * np.mean(by_image))
+
+
+def test_each_image_has_the_same_weight_in_a_hue_spectrum():
+    # One image with a single red leaf pixel, one full of green leaf: half and half in the mean.
     red, green = np.zeros((2, 10, 10, 3), np.uint8)
     red[..., 0], green[..., 1] = 200, 90
     single = np.zeros((10, 10), np.uint8)
@@ -57,21 +189,13 @@ def test_every_picture_counts_the_same_in_a_hue_spectrum():
     assert spectra.shape == (8, HUE_BINS)
     assert spectra[1, 0] == pytest.approx(50.0)
     assert spectra[1, 60] == pytest.approx(50.0)
-    # The background is in one of the two, and a class that nobody has seen has no spectrum.
+    # The background is in one of the two; a class that is in none has no spectrum.
     assert spectra[0, 0] == pytest.approx(100.0)
     assert np.isnan(spectra[2]).all()
     assert statistics.hue_pictures.tolist() == [1, 2, 0, 0, 0, 0, 0, 0]
 
 
-def test_spectra_and_grey_pixels_add_up(gathered):
-    statistics, colour, class_id = gathered
-    np.testing.assert_allclose(statistics.hue_spectra().sum(axis=1) + 100 * statistics.grey_shares(), 100.0)
-    bins = hue_bins(colour)
-    by_picture = [[(b[c == 3] == 40).mean() for b, c in zip(bins, class_id, strict=True)]]
-    assert statistics.hue_spectra()[3, 40] == pytest.approx(100 * np.mean(by_picture))
-
-
-def test_hues_are_of_the_middle_alone_and_all_else_of_the_whole():
+def test_only_hues_are_restricted_to_the_centre():
     colour = np.zeros((400, 500, 3), np.uint8)
     colour[..., 2] = 255
     colour[50:350, 100:400] = (0, 128, 0)
@@ -82,20 +206,19 @@ def test_hues_are_of_the_middle_alone_and_all_else_of_the_whole():
     assert statistics.mean_intensity().shape == (400, 500)
 
 
-def test_pictures_of_other_sizes_are_fitted_where_places_are_compared():
-    rng = np.random.default_rng(5)
-    colour, class_id = picture(rng, (12, 16))
+def test_images_of_other_sizes_are_resized_where_positions_are_compared():
+    colour, class_id = random_image(np.random.default_rng(5), (12, 16))
     alone, both = ImageStatistics(), ImageStatistics()
     alone.add(colour, class_id)
     both.add(colour, class_id)
-    # Twice as large by repeating pixels: nothing but the number of pixels changes.
+    # An image enlarged by repeating pixels only changes the number of pixels.
     both.add(*(image.repeat(2, axis=0).repeat(2, axis=1) for image in (colour, class_id)))
     np.testing.assert_array_equal(both.mean_masks(), alone.mean_masks())
     np.testing.assert_array_equal(both.mean_intensity(), alone.mean_intensity())
     assert both.pixels.sum() == 5 * alone.pixels.sum()
 
 
-def test_what_has_no_label_is_counted_apart():
+def test_unlabelled_pixels_are_counted_separately():
     class_id = np.full((4, 5), 255, np.uint8)
     class_id[0] = 2
     statistics = ImageStatistics()
@@ -106,7 +229,7 @@ def test_what_has_no_label_is_counted_apart():
     assert statistics.mean_intensity() is None
 
 
-def test_nothing_gives_no_numbers():
+def test_measures_without_labels_are_nan_or_none():
     statistics = ImageStatistics()
     statistics.add(np.zeros((3, 3, 3), np.uint8), None)
     assert np.isnan(statistics.shares()).all()
@@ -115,9 +238,8 @@ def test_nothing_gives_no_numbers():
     assert statistics.mean_intensity().max() == 0
 
 
-def test_counters_do_not_run_over_and_memory_stays():
-    class_id = np.ones((50, 60), np.uint8)
-    colour = np.full((50, 60, 3), 255, np.uint8)
+def test_many_images_neither_overflow_counters_nor_grow_memory():
+    colour, class_id = np.full((50, 60, 3), 255, np.uint8), np.ones((50, 60), np.uint8)
     statistics = ImageStatistics()
     statistics.add(colour, class_id)
     tracemalloc.start()
@@ -125,34 +247,7 @@ def test_counters_do_not_run_over_and_memory_stays():
         statistics.add(colour, class_id)
     grown, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    # Two numbers a picture are kept.
+    # Two numbers per image are kept.
     assert grown < 200_000
     np.testing.assert_array_equal(statistics.mean_masks()[1], 1.0)
     np.testing.assert_array_equal(statistics.mean_intensity(), 255.0)
-
-
-def test_single_measures():
-    assert grey_values(np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255]]], np.uint8)).tolist() == [
-        [76, 150, 29]
-    ]
-    assert saturated_share(np.array([[[255, 0, 0], [254, 254, 254]]], np.uint8)) == 0.5
-    with pytest.raises(ValueError, match="uint8"):
-        grey_values(np.zeros((2, 2)))
-
-
-@pytest.mark.parametrize("shape", [(60, 80), (61, 81), (90, 90)])
-def test_the_fall_towards_the_corners_is_that_of_a_picture_made_of_rings(shape):
-    rows, columns = (np.arange(length) - (length - 1) / 2 for length in shape)
-    away = np.hypot(rows[:, None], columns[None]) / np.hypot(shape[0] / 2, shape[1] / 2)
-    assert away.max() < 1.0
-    radii = np.linspace(0.0, 1.0, 11)
-    # What falls evenly has in each ring a mean between the values at its borders.
-    found = centre_falloff(200.0 * (1.0 - away), radii)
-    assert (found[1:-1] < 200.0 * (1.0 - radii[1:-2])).all()
-    assert (found[1:-1] > 200.0 * (1.0 - radii[2:-1])).all()
-    np.testing.assert_allclose(centre_falloff(np.full(shape, 7.0), radii), 7.0)
-
-
-def test_rings_without_a_pixel_have_no_mean():
-    found = centre_falloff(np.ones((2, 2)), np.array([0.0, 0.25, 0.75, 1.0]))
-    np.testing.assert_array_equal(found, [np.nan, 1.0, np.nan])

@@ -1,7 +1,6 @@
-"""The camera room: lens, sensor, flash, poses, and the way from light to a photograph."""
+"""The camera: lens, sensor, flash and poses, and the conversion of light to images."""
 
 from pepperscene.camera.camera import Camera, expected_electrons, relative_illumination
-from pepperscene.camera.colorimetry import ColourCorrection
 from pepperscene.camera.developing import (
     camera_rgb,
     colour_transform,
@@ -21,7 +20,6 @@ from pepperscene.camera.sensor import Filter, Sensor, load_filter, load_sensor
 __all__ = [
     "AngularProfile",
     "Camera",
-    "ColourCorrection",
     "Developing",
     "Distortion",
     "Filter",

@@ -1,4 +1,4 @@
-"""The camera: a lens before a sensor, at a pose, with or without a flash."""
+"""The camera: a lens in front of a sensor at a pose, with or without a flash; its rays, and its exposure."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from pepperscene.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A camera that is ready to take a photograph.
+    """A camera that is ready to take an image.
 
-    Pixel coordinates (u, v) are continuous: the picture spans [0, width] x [0, height], and the centre of the
+    Pixel coordinates (u, v) are continuous: the image spans [0, width] x [0, height], and the centre of the
     pixel in row 0 and column 0 is (0.5, 0.5). Camera axes: x right, y down, z forward.
 
     Attributes:
-        lens, sensor: what the image falls through and onto.
+        lens, sensor: optics and photosites.
         pose: `(4, 4)` camera to world, metres.
-        exposure_s: how long the shutter is open (global shutter).
+        exposure_s: exposure time (global shutter).
         flash: the flash, or None; its pulse starts with the exposure.
-        developing: how electrons become a picture.
-        focus_m: distance of the plane in focus, along the optical axis from the projection centre; None
-            makes everything sharp: a pinhole with the lens' light.
+        developing: the steps from electrons to the image.
+        focus_m: distance of the focal plane along the optical axis from the projection centre; None makes
+            everything sharp: a pinhole with the lens' light.
 
-    Focusing changes neither the field of view nor the light. A thin lens focused at d stands (1 + m) f before
-    the sensor with m = f / (d - f), and its working f-number is N (1 + m). At 4 mm and 40 cm, m is 1 %: the
-    field of view narrows by 1 %, which a calibrated focal length holds already, and the light falls by 2 %,
+    Focusing changes neither the field of view nor the light. A thin lens focused at d is (1 + m) f from the
+    sensor with m = f / (d - f), and its working f-number is N (1 + m). At 4 mm and 40 cm, m is 1 %: the field
+    of view narrows by 1 %, which a calibrated focal length already includes, and the light decreases by 2 %,
     less than f-numbers are rounded to.
     """
 
@@ -52,26 +52,26 @@ class Camera:
         pose = np.array(self.pose, dtype=float)
         if pose.shape != (4, 4) or not np.isfinite(pose).all():
             raise ValueError("a pose must be a finite (4, 4) matrix")
-        turn = pose[:3, :3]
-        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
-            raise ValueError("a pose must be a rotation and a translation, without scale or mirror")
+        rotation = pose[:3, :3]
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
+            raise ValueError("a pose must be a rotation and a translation, without scale or reflection")
         if not self.exposure_s > 0:
             raise ValueError("the exposure must be positive")
         if self.focus_m is not None and not self.lens.focal_length_m < self.focus_m < math.inf:
-            nearest = f"must be finite and beyond the focal length of {self.lens.focal_length_m:g} m"
-            raise InputError(self.lens.name, nearest, key="focus_m", value=self.focus_m)
+            allowed = f"must be finite and beyond the focal length of {self.lens.focal_length_m:g} m"
+            raise InputError(self.lens.name, allowed, key="focus_m", value=self.focus_m)
         pose.setflags(write=False)
         object.__setattr__(self, "pose", pose)
         _check_distortion(self.lens, self.sensor)
 
     @property
     def width(self) -> int:
-        """Columns of the picture."""
+        """Columns of the image."""
         return self.sensor.columns
 
     @property
     def height(self) -> int:
-        """Rows of the picture."""
+        """Rows of the image."""
         return self.sensor.rows
 
     @property
@@ -86,17 +86,17 @@ class Camera:
 
     @property
     def flash_duty(self) -> float:
-        """Share of the exposure during which the flash shines."""
+        """Fraction of the exposure during which the flash is on."""
         return 0.0 if self.flash is None else min(self.flash.pulse_s, self.exposure_s) / self.exposure_s
 
     def at_pose(self, pose: ArrayLike) -> Camera:
-        """The same camera elsewhere."""
+        """The same camera at another pose."""
         return dataclasses.replace(self, pose=np.asarray(pose, dtype=float))
 
     def ray_slopes(self) -> NDArray[np.float64]:
-        """`(h + 1, w + 1, 2)` slopes (x/z, y/z) of the rays through the pixel corners, distortion undone.
+        """`(h + 1, w + 1, 2)` undistorted slopes (x/z, y/z) of the rays through the pixel corners.
 
-        Read-only and shared by all cameras of this lens and sensor.
+        Read-only and shared by all cameras with this lens and sensor.
         """
         return _slopes(self.lens, self.sensor, 0.0)
 
@@ -105,21 +105,21 @@ class Camera:
         return _directions(self.lens, self.sensor)
 
     def project(self, points_world: ArrayLike) -> NDArray[np.float64]:
-        """Pixel coordinates (u, v), `(n, 2)`, of world points `(n, 3)`, inside the picture or not.
+        """Pixel coordinates (u, v), `(n, 2)`, of world points `(n, 3)`, inside the image or not.
 
         nan for points behind the camera, and for those so far off the axis that the distortion would fold
-        them back into the picture.
+        them back into the image.
         """
         points = np.asarray(points_world, dtype=float).reshape(-1, 3)
         x, y, z = self.pose[:3, :3].T @ (points - self.pose[:3, 3]).T
-        ahead = z > 0
-        depth = np.where(ahead, z, 1.0)
-        slopes = np.stack([x / depth, y / depth], axis=-1)
-        seen = ahead & (np.hypot(slopes[:, 0], slopes[:, 1]) < self.lens.distortion.limit)
-        slopes[~seen] = np.nan
+        in_front = z > 0
+        depth_z = np.where(in_front, z, 1.0)
+        slopes = np.stack([x / depth_z, y / depth_z], axis=-1)
+        valid = in_front & (np.hypot(slopes[:, 0], slopes[:, 1]) < self.lens.distortion.fold_radius)
+        slopes[~valid] = np.nan
         matrix = self.intrinsics
-        with np.errstate(over="ignore", invalid="ignore"):  # points that all but touch the camera's own plane
-            return self.lens.distortion.distorted(slopes) * matrix[[0, 1], [0, 1]] + matrix[:2, 2]
+        with np.errstate(over="ignore", invalid="ignore"):  # points very close to the camera's plane
+            return self.lens.distortion.distort(slopes) * matrix[[0, 1], [0, 1]] + matrix[:2, 2]
 
     def metadata(self) -> dict[str, Any]:
         """JSON-ready description."""
@@ -160,37 +160,34 @@ def _intrinsics(lens: Lens, sensor: Sensor) -> NDArray[np.float64]:
     )
 
 
-def _ideal(lens: Lens, sensor: Sensor, u: ArrayLike, v: ArrayLike) -> NDArray[np.float64]:
-    """Undistorted slopes `(..., 2)` of pixel coordinates that broadcast against each other.
+def _undistorted_slopes(lens: Lens, sensor: Sensor, u: ArrayLike, v: ArrayLike) -> NDArray[np.float64]:
+    """Undistorted slopes `(rows, columns, 2)` on a grid of pixel coordinates.
 
     Raises:
-        InputError: the lens and the sensor do not go together.
+        InputError: the lens and the sensor do not fit together.
     """
     matrix = _intrinsics(lens, sensor)
-    pixels = np.stack(np.broadcast_arrays(u, v), axis=-1)
+    pixels = np.stack(np.meshgrid(u, v), axis=-1)
     try:
-        return lens.distortion.undistorted((pixels - matrix[:2, 2]) / matrix[[0, 1], [0, 1]])
-    except ValueError as fault:
-        allowed = f"must be invertible over the whole picture of {sensor.name}, but {fault}"
-        raise InputError(
-            lens.name, allowed, key="distortion", value=dataclasses.asdict(lens.distortion)
-        ) from None
+        return lens.distortion.undistort((pixels - matrix[:2, 2]) / matrix[[0, 1], [0, 1]])
+    except ValueError as error:
+        allowed = f"must be invertible over the whole image of {sensor.name}, but {error}"
+        value = dataclasses.asdict(lens.distortion)
+        raise InputError(lens.name, allowed, key="distortion", value=value) from None
 
 
 @lru_cache(maxsize=8)
 def _check_distortion(lens: Lens, sensor: Sensor) -> None:
-    """Refuse early, on a coarse grid up to the border, a lens whose distortion cannot be undone."""
-    u, v = np.linspace(0, sensor.columns, 33), np.linspace(0, sensor.rows, 33)
-    _ideal(lens, sensor, u[None, :], v[:, None])
+    """Check early, on a coarse grid up to the border, that the distortion can be inverted."""
+    _undistorted_slopes(lens, sensor, np.linspace(0, sensor.columns, 33), np.linspace(0, sensor.rows, 33))
 
 
 @lru_cache(maxsize=8)
 def _slopes(lens: Lens, sensor: Sensor, shift: float) -> NDArray[np.float64]:
     """Undistorted slopes on the grid of pixel corners (shift 0) or pixel centres (shift 0.5)."""
     extra = 1 if shift == 0 else 0
-    u = np.arange(sensor.columns + extra) + shift
-    v = np.arange(sensor.rows + extra) + shift
-    slopes = _ideal(lens, sensor, u[None, :], v[:, None])
+    u, v = np.arange(sensor.columns + extra) + shift, np.arange(sensor.rows + extra) + shift
+    slopes = _undistorted_slopes(lens, sensor, u, v)
     slopes.setflags(write=False)
     return slopes
 
@@ -205,13 +202,13 @@ def _directions(lens: Lens, sensor: Sensor) -> NDArray[np.float64]:
 
 
 def relative_illumination(camera: Camera) -> NDArray[np.float64]:
-    """`(h, w)` fall-off of the image towards the corners, 1 on the axis; 1 everywhere if it is switched off.
+    """`(h, w)` fall-off towards the image corners, 1 on the axis; 1 everywhere if it is switched off.
 
     Natural times mechanical vignetting. Seen at the field angle theta, the pupil is smaller by cos(theta),
-    and a pixel takes in a solid angle that is smaller by cos^3(theta), but larger where the distortion draws
-    the picture together: cos^4(theta) over the distortion's scale of areas, so that all light that falls
-    into the pupil arrives on the sensor (M. Reiss, "The cos^4 law of illumination", J. Opt. Soc. Am. 35
-    (1945) 283). The lens' own table comes on top.
+    and a pixel receives light from a solid angle that is smaller by cos^3(theta), but larger where the
+    distortion contracts the image: cos^4(theta) over the distortion's scale of areas, so that all light that
+    enters the pupil reaches the sensor (M. Reiss, "The cos^4 law of illumination", J. Opt. Soc. Am. 35 (1945)
+    283). The lens' own table is multiplied with it.
     """
     directions = camera.pixel_directions()
     if not camera.developing.falloff:
@@ -229,24 +226,24 @@ def relative_illumination(camera: Camera) -> NDArray[np.float64]:
 def expected_electrons(signal: ArrayLike, camera: Camera) -> NDArray[np.float64]:
     """`(h, w, c)` mean photo-electrons of a photosite of each colour, before noise and saturation.
 
-    The camera equation: a lens of f-number N under the radiance L puts E = L pi / (4 N^2) T on the middle of
-    the sensor (far from its focal length), and less towards the corners; a photosite gathers it over its area
-    and the exposure.
+    The camera equation: under the radiance L, a lens of f-number N gives the irradiance E = L pi / (4 N^2) T
+    in the middle of the sensor (far from its focal length), and less towards the corners; a photosite
+    integrates it over its area and the exposure.
 
     Args:
         signal: `(h, w, c)` integral of L(lambda) QE_c(lambda) lambda / (h c) over wavelength: photo-electrons
-            per second, square metre and steradian; averaged over the exposure. As many channels as the
-            sensor has.
-        camera: gives aperture, transmittance, exposure, pitch and fall-off.
+            per second, square metre and steradian, averaged over the exposure; one channel for each of the
+            sensor's.
+        camera: aperture, transmittance, exposure, pitch and fall-off.
 
     Raises:
-        ValueError: the signal does not have the picture's shape.
+        ValueError: the signal does not have the image's shape.
     """
     light = np.asarray(signal, dtype=float)
     lens, sensor = camera.lens, camera.sensor
-    shape = (camera.height, camera.width, len(sensor.quantum_efficiency.values))
+    shape = (camera.height, camera.width, sensor.channels)
     if light.shape != shape:
-        raise ValueError(f"a signal of {shape} is needed, not {light.shape}")
+        raise ValueError(f"a signal must have the shape {shape}, not {light.shape}")
     solid_angle = math.pi / (4 * lens.f_number**2)
     on_axis = sensor.pitch_m**2 * camera.exposure_s * solid_angle * lens.transmittance
     return light * (on_axis * relative_illumination(camera))[..., None]

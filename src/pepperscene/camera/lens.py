@@ -1,11 +1,11 @@
-"""A share against the angle to an axis: a lamp's beam, a lens' vignetting."""
+"""The lens: focal length, aperture, transmittance, distortion and vignetting, and its file."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,15 +14,19 @@ from pydantic import Field, model_validator
 from pepperscene.document import Document, read_toml, validate
 from pepperscene.spectra.files import Coefficient, SourcedDocument, find_material
 
+_NEWTON_STEPS: Final = 30  # chosen: quadratic convergence needs about 6; the rest is for strong distortion
+_TOLERANCE: Final = 1e-12  # chosen: of slopes, 1e-9 of a pixel and far above rounding
+
 
 @dataclass(frozen=True, eq=False)
 class AngularProfile:
-    """Relative intensity against the angle to the axis; linear in between.
+    """Relative intensity against the angle to an axis (a flash's beam, a lens' vignetting), linear in
+    between.
 
     Attributes:
         angle_rad: `(n,)` increasing from 0, at most pi/2; read-only.
         relative_intensity: `(n,)` at least 0, and 1 on the axis; read-only.
-        beyond: the last angle: nothing (a lamp's beam ends), or what the last angle has (a lens' table).
+        beyond: value after the last angle: zero (a beam ends), or held (a vignetting table).
     """
 
     angle_rad: NDArray[np.float64]
@@ -33,9 +37,9 @@ class AngularProfile:
         angle = np.array(self.angle_rad, dtype=float)
         relative = np.array(self.relative_intensity, dtype=float)
         if angle.ndim != 1 or angle.size < 2 or angle[0] != 0 or not np.all(np.diff(angle) > 0):
-            raise ValueError("angles must be one increasing list of at least two from 0")
+            raise ValueError("angles must be one increasing list of at least two numbers from 0")
         if angle[-1] > math.pi / 2 + 1e-12:
-            raise ValueError("angles must not pass a right angle")
+            raise ValueError("angles must not exceed a right angle")
         if relative.shape != angle.shape:
             raise ValueError("angles and relative intensities must be equally long")
         if relative[0] != 1 or not np.all((relative >= 0) & np.isfinite(relative)):
@@ -51,13 +55,9 @@ class AngularProfile:
         return np.asarray(np.interp(angle, self.angle_rad, self.relative_intensity, right=end))
 
 
-_NEWTON_STEPS = 30  # chosen: quadratic convergence needs about 6; the rest is for strong distortion
-_TOLERANCE = 1e-12  # chosen: of the normalised image coordinate, 1e-9 of a pixel and far above rounding
-
-
 @dataclass(frozen=True)
 class Distortion:
-    """Brown-Conrady distortion, the "plumb bob" of OpenCV and ROS, on slopes (x/z, y/z).
+    """Brown-Conrady distortion, the "plumb bob" model of OpenCV and ROS, on slopes (x/z, y/z).
 
     With r^2 = x^2 + y^2 and R = 1 + k1 r^2 + k2 r^4 + k3 r^6:
     x' = x R + 2 p1 x y + p2 (r^2 + 2 x^2),  y' = y R + p1 (r^2 + 2 y^2) + 2 p2 x y.
@@ -81,80 +81,71 @@ class Distortion:
         return not any(astuple(self))
 
     @property
-    def limit(self) -> float:
-        """The radius (a slope) at which the radial part turns back; inf when it never does.
+    def fold_radius(self) -> float:
+        """The radius (a slope) at which the radial part starts to decrease; inf if it never does.
 
-        Beyond it a ray would fold back into the picture, so no ray from there is drawn.
+        Rays from beyond would fold back into the image; none are traced there.
         """
         # d(r R)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 with s = r^2 vanishes first at the largest
         # t = 1/s > 0 of t^3 + 3 k1 t^2 + 5 k2 t + 7 k3 = 0, which is well posed for coefficients of zero too.
         roots = np.polynomial.Polynomial([7 * self.k3, 5 * self.k2, 3 * self.k1, 1.0]).roots()
         real = np.real(roots[np.abs(np.imag(roots)) <= 1e-9 * np.abs(roots)])
-        turning = real[real > 1e-12]  # a turn beyond a slope of a million is none
+        turning = real[real > 1e-12]  # ignore turning points beyond a slope of a million
         return float(1 / np.sqrt(turning.max())) if turning.size else math.inf
 
-    def distorted(self, slopes: ArrayLike) -> NDArray[np.float64]:
-        """Where ideal slopes `(..., 2)` appear, `(..., 2)`."""
+    def distort(self, slopes: ArrayLike) -> NDArray[np.float64]:
+        """Distorted slopes `(..., 2)` of ideal ones `(..., 2)`."""
         ideal = np.asarray(slopes, dtype=float)
         if self.is_none:
             return ideal.copy()
         x, y = np.moveaxis(ideal, -1, 0)
         r2 = x * x + y * y
         radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        return np.stack(
-            [
-                x * radial + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x * x),
-                y * radial + self.p1 * (r2 + 2 * y * y) + 2 * self.p2 * x * y,
-            ],
-            axis=-1,
-        )
+        distorted_x = x * radial + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x * x)
+        distorted_y = y * radial + self.p1 * (r2 + 2 * y * y) + 2 * self.p2 * x * y
+        return np.stack([distorted_x, distorted_y], axis=-1)
 
-    def undistorted(self, slopes: ArrayLike) -> NDArray[np.float64]:
-        """Ideal slopes `(..., 2)` of those seen in the picture, `(..., 2)`; inverse of `distorted`.
+    def undistort(self, slopes: ArrayLike) -> NDArray[np.float64]:
+        """Ideal slopes `(..., 2)` of distorted ones `(..., 2)`; the inverse of `distort`.
 
         Newton's iteration with the exact Jacobian, on all points at once.
 
         Raises:
-            ValueError: some point has no ideal slope, or lies where the distortion folds.
+            ValueError: a point has no ideal slope, or is where the distortion folds.
         """
-        seen = np.asarray(slopes, dtype=float)
+        target = np.asarray(slopes, dtype=float)
+        ideal = target.copy()
         if self.is_none:
-            return seen.copy()
-        found = seen.copy()
+            return ideal
         with np.errstate(all="ignore"):  # a diverging point becomes nan or inf and is reported below
             for _ in range(_NEWTON_STEPS):
-                fault = self.distorted(found) - seen
-                xx, xy, yy = self._jacobian(found)
+                dx, dy = np.moveaxis(self.distort(ideal) - target, -1, 0)
+                xx, xy, yy = self._jacobian(ideal)
                 det = xx * yy - xy * xy
-                step = np.stack(
-                    [
-                        (yy * fault[..., 0] - xy * fault[..., 1]) / det,
-                        (xx * fault[..., 1] - xy * fault[..., 0]) / det,
-                    ],
-                    axis=-1,
-                )
-                found -= step
+                step = np.stack([(yy * dx - xy * dy) / det, (xx * dy - xy * dx) / det], axis=-1)
+                ideal -= step
                 if not np.abs(step).max(initial=0.0) > _TOLERANCE * 1e-2:
                     break
-            residual = np.abs(self.distorted(found) - seen).max(axis=-1)
-            xx, xy, yy = self._jacobian(found)
-            unfolded = (xx * yy - xy * xy > 0) & (np.hypot(found[..., 0], found[..., 1]) < self.limit)
-            good = (residual < _TOLERANCE) & unfolded
-        if not np.all(good):
-            x, y = seen[~good][0]
+            error = np.abs(self.distort(ideal) - target).max(axis=-1)
+            unfolded = (self.area_scale(ideal) > 0) & (
+                np.hypot(ideal[..., 0], ideal[..., 1]) < self.fold_radius
+            )
+            valid = (error < _TOLERANCE) & unfolded
+        if not np.all(valid):
+            x, y = target[~valid][0]
             raise ValueError(f"the distortion cannot be inverted at the image slope ({x:.3f}, {y:.3f})")
-        return found
+        return ideal
 
     def area_scale(self, slopes: ArrayLike) -> NDArray[np.float64]:
-        """How much larger a small patch at these ideal slopes `(..., 2)` appears in the picture, `(...)`.
+        """Factor `(...)` by which a small area at ideal slopes `(..., 2)` is magnified in the image.
 
-        The determinant of the Jacobian of `distorted`: below 1 where barrel distortion draws things together.
+        The determinant of the Jacobian of `distort`: below 1 where barrel distortion contracts the image.
         """
         xx, xy, yy = self._jacobian(np.asarray(slopes, dtype=float))
         return np.asarray(xx * yy - xy * xy)
 
     def _jacobian(self, slopes: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-        """The symmetric Jacobian of `distorted`: dx'/dx, dx'/dy = dy'/dx, dy'/dy, each `(...)`."""
+        """The symmetric Jacobian of `distort`: dx'/dx, dx'/dy = dy'/dx, dy'/dy, each `(...)`."""
         x, y = slopes[..., 0], slopes[..., 1]
         r2 = x * x + y * y
         radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
@@ -168,17 +159,16 @@ class Distortion:
 
 @dataclass(frozen=True)
 class Lens:
-    """A thin lens: geometry, and how much light reaches which part of the picture.
+    """A thin lens.
 
     Attributes:
-        name: for reports.
         focal_length_m: also the distance from the projection centre to the sensor.
-        f_number: focal length over diameter of the entrance pupil.
-        transmittance: share of the light that the glass lets through, without colour.
+        f_number: focal length over the diameter of the entrance pupil.
+        transmittance: fraction of the light that the glass transmits, without colour.
         distortion: geometric distortion, around the optical axis.
         principal_offset_m: where the optical axis meets the sensor, right and down of its centre.
-        vignetting: what the lens' rims leave of oblique light, by field angle, on top of the natural fall-off
-            of `exposure.relative_illumination`; None where they take nothing.
+        vignetting: mechanical vignetting by field angle, on top of the natural fall-off of
+            `camera.relative_illumination`; None for none.
     """
 
     name: str
@@ -191,40 +181,48 @@ class Lens:
 
     def __post_init__(self) -> None:
         if not (self.focal_length_m > 0 and self.f_number >= 0.5 and 0 < self.transmittance <= 1):
-            raise ValueError(
-                f"{self.name}: focal length > 0, f-number >= 0.5 and 0 < transmittance <= 1 needed"
-            )
+            allowed = "focal length must be > 0, f-number >= 0.5 and transmittance in (0, 1]"
+            raise ValueError(f"{self.name}: {allowed}")
         right, down = (float(length) for length in self.principal_offset_m)
         if not (math.isfinite(right) and math.isfinite(down)):
             raise ValueError(f"{self.name}: the principal point's offset must be finite")
         object.__setattr__(self, "principal_offset_m", (right, down))
 
 
+class ProfileTable(Document):
+    """Relative values against the angle to an axis."""
+
+    angle_deg: Annotated[tuple[Annotated[float, Field(ge=0, le=90)], ...], Field(min_length=2)]
+
+    @model_validator(mode="after")
+    def _is_a_profile(self) -> ProfileTable:
+        self.profile()
+        return self
+
+    def profile(self) -> AngularProfile:
+        """The table as a curve."""
+        raise NotImplementedError
+
+
+class VignettingTable(ProfileTable):
+    """Relative illumination that mechanical vignetting leaves, against the field angle."""
+
+    # Above 1 for lenses whose pupil grows with the angle; twice is beyond what is built.
+    relative: tuple[Annotated[float, Field(ge=0, le=2)], ...]
+
+    def profile(self) -> AngularProfile:
+        """The table as a curve, held beyond its last angle."""
+        return AngularProfile(np.deg2rad(self.angle_deg), np.array(self.relative), beyond="hold")
+
+
 class DistortionTable(Document):
-    """The plumb bob's coefficients, on slopes."""
+    """The coefficients of `Distortion`."""
 
     k1: Coefficient = 0.0
     k2: Coefficient = 0.0
     p1: Coefficient = 0.0
     p2: Coefficient = 0.0
     k3: Coefficient = 0.0
-
-
-class VignettingTable(Document):
-    """What the rims leave of oblique light, against the field angle."""
-
-    angle_deg: Annotated[tuple[Annotated[float, Field(ge=0, le=90)], ...], Field(min_length=2)]
-    # Above 1 for lenses whose pupil grows with the angle; twice is beyond what is built.
-    relative: tuple[Annotated[float, Field(ge=0, le=2)], ...]
-
-    @model_validator(mode="after")
-    def _is_a_profile(self) -> VignettingTable:
-        self.profile()
-        return self
-
-    def profile(self) -> AngularProfile:
-        """The table as a curve, held beyond its last angle."""
-        return AngularProfile(np.deg2rad(self.angle_deg), np.array(self.relative), beyond="hold")
 
 
 SensorMillimetres = Annotated[float, Field(ge=-100, le=100)]
@@ -241,21 +239,21 @@ class LensDocument(SourcedDocument):
     vignetting: VignettingTable | None = None
 
 
-def load_lens(wanted: str | Path) -> Lens:
-    """The lens of a file, or of a shipped one by its bare name.
+def load_lens(name_or_path: str | Path) -> Lens:
+    """Load a lens from its file, or a shipped one by its name.
 
     Raises:
-        InputError: the file is missing or wrong; the message names file, key and value.
+        InputError: the file is missing or invalid; the message names file, key and value.
     """
-    path = find_material("lenses", wanted)
-    told = validate(LensDocument, read_toml(path), path)
-    right, down = told.principal_offset_mm
+    path = find_material("lenses", name_or_path)
+    document = validate(LensDocument, read_toml(path), path)
+    right, down = document.principal_offset_mm
     return Lens(
-        name=told.name,
-        focal_length_m=told.focal_length_mm * 1e-3,
-        f_number=told.f_number,
-        transmittance=told.transmittance,
-        distortion=Distortion(**told.distortion.model_dump()),
+        name=document.name,
+        focal_length_m=document.focal_length_mm * 1e-3,
+        f_number=document.f_number,
+        transmittance=document.transmittance,
+        distortion=Distortion(**document.distortion.model_dump()),
         principal_offset_m=(right * 1e-3, down * 1e-3),
-        vignetting=told.vignetting.profile() if told.vignetting else None,
+        vignetting=document.vignetting.profile() if document.vignetting else None,
     )

@@ -1,4 +1,4 @@
-"""Where things stand: plant rows in their greenhouse, sky and roof, as data that any renderer could read."""
+"""Scenes as plain data: plant rows, greenhouse, sky and cover, and the culling of what no view can show."""
 
 from pepperscene.scene.cover import Cover, load_cover
 from pepperscene.scene.culling import LightReach, cull_mesh, light_reach

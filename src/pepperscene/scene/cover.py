@@ -1,4 +1,4 @@
-"""The greenhouse's roof: what it lets through, and how much of that it spreads."""
+"""The greenhouse's cover: how much light it transmits, and how its haze scatters that light."""
 
 from __future__ import annotations
 
@@ -11,22 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from pepperscene.camera.sensor import read_fraction
 from pepperscene.document import read_toml, validate
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum, illuminance
-from pepperscene.spectra.files import CurveTable, SourcedDocument, find_material, read_curve
+from pepperscene.spectra.files import CurveTable, SourcedDocument, find_material
 
-_BALANCED: Final = 1e-12  # chosen: rounding of doubles, well below that of the float32 sky
-_TURNS: Final = 1000  # chosen: ten times what the narrowest lobe takes
+_CONVERGED: Final = 1e-12  # chosen: rounding of doubles, well below that of the float32 sky
+_MAX_ITERATIONS: Final = 1000  # chosen: ten times what the narrowest lobe takes
+
+NARROWEST_HAZE_DEG: Final = 2.0
+"""ASTM D1003 counts light scattered by more than 2.5 degrees as haze; a narrower lobe is not haze."""
+
+WIDEST_HAZE_DEG: Final = 90.0
 
 
 def directions(rows: int, columns: int) -> NDArray[np.float64]:
-    """`(rows, columns, 3)` unit directions through the centres of a map of the whole sphere."""
+    """`(rows, columns, 3)` unit directions through the texel centres of a map of the whole sphere."""
     polar = (np.arange(rows) + 0.5) / rows * np.pi
     azimuth = (np.arange(columns) + 0.5) / columns * 2.0 * np.pi
-    flat = np.sin(polar)[:, None]
-    up = np.broadcast_to(np.cos(polar)[:, None], (rows, columns))
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), up], axis=-1)
+    horizontal = np.sin(polar)[:, None]
+    vertical = np.broadcast_to(np.cos(polar)[:, None], (rows, columns))
+    return np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), vertical], axis=-1)
 
 
 def row_geometry(rows: int, columns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -38,90 +44,93 @@ def row_geometry(rows: int, columns: int) -> tuple[NDArray[np.float64], NDArray[
 
 @dataclass(frozen=True, eq=False)
 class Haze:
-    """The scattering tabulated for maps of `rows` by `columns`.
+    """Scattering by a level, hazy sheet, tabulated for maps of the sphere.
+
+    Light from one direction of the upper hemisphere leaves as radiance over the whole hemisphere,
+
+        f(out, in) = a(out) a(in) exp((cos angle(out, in) - 1) / width^2)
+
+    per unit of irradiance on the sheet. The exponential is the normal distribution on a sphere (von Mises and
+    Fisher). The factors `a` depend on elevation only; with them the integral of f(out, in) cos(out) over the
+    upper hemisphere is 1 for every `in`. So no light is lost, and because f is symmetric (Helmholtz
+    reciprocity), a uniform sky stays uniform.
 
     Attributes:
-        width_rad: of the lobe.
-        columns: of the maps.
-        waves: `(out rows, in rows, m)` real, the exponential as a Fourier series in the azimuth between.
+        width_rad: width of the lobe.
+        columns: columns of the maps.
+        series: `(out rows, in rows, m)` real, the exponential as a Fourier series in the azimuth difference.
         balance: `(out rows,)` the factors `a`; rows below the horizon continue them and receive no light.
-        level: `(in rows,)` projected solid angle of a texel.
+        projected: `(in rows,)` projected solid angle of a texel.
     """
 
     width_rad: float
     columns: int
-    waves: NDArray[np.float64]
+    series: NDArray[np.float64]
     balance: NDArray[np.float64]
-    level: NDArray[np.float64]
+    projected: NDArray[np.float64]
 
-    def spread(self, radiance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Maps `(k, rows, columns)` of radiance below the sheet for those above it; 0 beyond `out rows`."""
-        lowest, upper = self.waves.shape[:2]
-        entering = radiance[:, :upper] * (self.balance[:upper] * self.level)[:, None]
-        series = np.fft.rfft(entering, axis=-1)[..., : self.waves.shape[-1]]
-        leaving = np.einsum("ijm,kjm->kim", self.waves, series) * self.balance[:, None]
+    def scatter(self, radiance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Radiance below the sheet for radiance above it, maps `(k, rows, columns)`; 0 beyond `out rows`."""
+        out_rows, in_rows = self.series.shape[:2]
+        entering = radiance[:, :in_rows] * (self.balance[:in_rows] * self.projected)[:, None]
+        entering_series = np.fft.rfft(entering, axis=-1)[..., : self.series.shape[-1]]
+        leaving = np.einsum("ijm,kjm->kim", self.series, entering_series) * self.balance[:, None]
         below = np.zeros_like(radiance)
-        # What rounding leaves where all is dark must not be negative.
-        below[:, :lowest] = np.maximum(np.fft.irfft(leaving, self.columns, axis=-1), 0.0)
+        # Rounding must not make dark texels negative.
+        below[:, :out_rows] = np.maximum(np.fft.irfft(leaving, self.columns, axis=-1), 0.0)
         return below
 
     def lobe(self, towards: NDArray[np.float64], source: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Such a map of a beam from `source` `(3,)`, up to a factor; `towards` are the map's directions."""
-        lowest = self.balance.size
+        """Radiance map `(rows, columns)` of a scattered beam from `source` `(3,)`, up to a factor.
+
+        `towards`, `(rows, columns, 3)`, are the map's directions.
+        """
+        out_rows = self.balance.size
         below = np.zeros(towards.shape[:2])
-        facing = towards[:lowest] @ source
-        below[:lowest] = self.balance[:, None] * np.exp((facing - 1.0) / self.width_rad**2)
+        cosine = towards[:out_rows] @ source
+        below[:out_rows] = self.balance[:, None] * np.exp((cosine - 1.0) / self.width_rad**2)
         return below
 
 
 @lru_cache(maxsize=4)
-def haze(width_rad: float, rows: int, columns: int, lowest: int) -> Haze:
-    """The scattering of a lobe of this width.
+def tabulate_haze(width_rad: float, rows: int, columns: int, out_rows: int) -> Haze:
+    """Tabulate the scattering of a lobe for maps of the whole sphere, with an even number of rows.
 
-    Args:
-        width_rad: standard deviation of the scattered light's direction along each of two axes, where small.
-        rows: of the maps of the whole sphere, even.
-        columns: of the maps.
-        lowest: the last row that is wanted below the sheet, at least the horizon's.
+    `width_rad` is the standard deviation of the scattered light's direction along each of two axes, where it
+    is small. Below the sheet, `out_rows` rows are computed, at least down to the horizon.
     """
-    upper = rows // 2
+    in_rows = rows // 2
     cosines, solid_angles = row_geometry(rows, columns)
-    level = (cosines * solid_angles)[:upper]
-    polar = (np.arange(lowest) + 0.5) / rows * np.pi
-    turn = np.arange(columns) / columns * 2.0 * np.pi
-    waves = np.empty((lowest, upper, columns // 2 + 1))
+    projected = (cosines * solid_angles)[:in_rows]
+    polar = (np.arange(out_rows) + 0.5) / rows * np.pi
+    azimuth = np.arange(columns) / columns * 2.0 * np.pi
+    series = np.empty((out_rows, in_rows, columns // 2 + 1))
     for row, angle in enumerate(polar):
-        across = np.sin(angle) * np.sin(polar[:upper, None]) * np.cos(turn)
-        facing = across + np.cos(angle) * np.cos(polar[:upper, None])
-        # Even in the azimuth, so that its series is real.
-        waves[row] = np.fft.rfft(np.exp((facing - 1.0) / width_rad**2)).real
-    # A smooth lobe needs few waves; what is left out is below rounding.
-    strongest = np.abs(waves).max(axis=(0, 1))
-    waves = np.ascontiguousarray(waves[..., : int(np.flatnonzero(strongest > 1e-13 * strongest[0])[-1]) + 1])
-    return Haze(width_rad, columns, waves, _balance(waves[..., 0], level), level)
+        horizontal = np.sin(angle) * np.sin(polar[:in_rows, None]) * np.cos(azimuth)
+        cosine = horizontal + np.cos(angle) * np.cos(polar[:in_rows, None])
+        # An even function of the azimuth has a real series.
+        series[row] = np.fft.rfft(np.exp((cosine - 1.0) / width_rad**2)).real
+    # A smooth lobe needs few terms; those left out are below rounding.
+    strongest = np.abs(series).max(axis=(0, 1))
+    terms = int(np.flatnonzero(strongest > 1e-13 * strongest[0])[-1]) + 1
+    series = np.ascontiguousarray(series[..., :terms])
+    return Haze(width_rad, columns, series, _balance(series[..., 0], projected), projected)
 
 
-def _balance(mean: NDArray[np.float64], level: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The factors `a` by row: Sinkhorn's iteration, its steps halved so that rows and columns share factors.
+def _balance(mean: NDArray[np.float64], projected: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`(out rows,)` the factors `a`, by Sinkhorn's iteration with half steps for common row and column
+    factors.
 
-    Args:
-        mean: `(out rows, in rows)` the exponential summed over the azimuth.
-        level: `(in rows,)` projected solid angle of a texel.
+    `mean`, `(out rows, in rows)`, is the exponential summed over the azimuth.
     """
-    upper = level.size
-    factors = np.ones(upper)
-    for _ in range(_TURNS):
-        wanted = 1.0 / (mean[:upper] @ (factors * level))
-        if np.abs(wanted / factors - 1.0).max() < _BALANCED:
+    in_rows = projected.size
+    factors = np.ones(in_rows)
+    for _ in range(_MAX_ITERATIONS):
+        target = 1.0 / (mean[:in_rows] @ (factors * projected))
+        if np.abs(target / factors - 1.0).max() < _CONVERGED:
             break
-        factors = np.sqrt(factors * wanted)
-    return np.asarray(1.0 / (mean @ (factors * level)))
-
-
-NARROWEST_HAZE_DEG: Final = 2.0
-"""ASTM D1003 counts as haze what leaves its way by more than 2.5 degrees; a narrower lobe is no haze."""
-
-WIDEST_HAZE_DEG: Final = 90.0
+        factors = np.sqrt(factors * target)
+    return np.asarray(1.0 / (mean @ (factors * projected)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,14 +138,13 @@ class Cover:
     """A sheet of glass or film between the sky and the crop.
 
     Attributes:
-        name: as its file tells it.
-        transmittance: share of the light from the sky that comes through, spread or not, in [0, 1].
-        haze: share of that light that is spread, in [0, 1].
-        haze_width_rad: standard deviation of its direction along each of two axes (`scene.haze`); not used
+        transmittance: fraction of the sky's light that passes, scattered or not, in [0, 1].
+        haze: fraction of the transmitted light that is scattered, in [0, 1].
+        haze_width_rad: standard deviation of its direction along each of two axes (see `Haze`); unused
             without haze.
 
     Raises:
-        ValueError: a number lies outside its range, or no visible light comes through.
+        ValueError: a number is out of range, or no visible light passes.
     """
 
     name: str
@@ -151,16 +159,12 @@ class Cover:
         if illuminance(self.transmittance) <= 0.0:
             raise ValueError("transmittance must let visible light through")
         if not 0.0 <= self.haze <= 1.0:
-            raise ValueError(f"haze must lie in [0, 1], not {self.haze}")
+            raise ValueError(f"haze must be in [0, 1], not {self.haze}")
         narrowest, widest = np.radians([NARROWEST_HAZE_DEG, WIDEST_HAZE_DEG])
         if self.haze > 0.0 and not narrowest <= self.haze_width_rad <= widest:
             raise ValueError(
-                f"haze_width_rad must lie in [{narrowest:.4f}, {widest:.4f}], not {self.haze_width_rad}"
+                f"haze_width_rad must be in [{narrowest:.4f}, {widest:.4f}], not {self.haze_width_rad}"
             )
-
-    def through(self, light: Spectrum) -> Spectrum:
-        """The spectrum of this light below the cover, on the nodes of both."""
-        return light.times(self.transmittance)
 
 
 class CoverDocument(SourcedDocument):
@@ -174,28 +178,23 @@ class CoverDocument(SourcedDocument):
     @model_validator(mode="after")
     def _haze_has_a_width(self) -> CoverDocument:
         if self.haze > 0.0 and self.haze_width_deg is None:
-            raise ValueError("haze_width_deg must be given where haze is more than 0")
+            raise ValueError("haze_width_deg is required when haze is more than 0")
         return self
 
 
-def load_cover(wanted: str | Path) -> Cover:
-    """The cover of a file, or of a shipped one by its bare name.
+def load_cover(name_or_path: str | Path) -> Cover:
+    """Load a cover from its file, or a shipped one by its name.
 
-    Beyond the wavelengths of its file the transmittance is held.
+    The transmittance at the ends of the file's wavelength range also applies beyond it.
 
     Raises:
-        InputError: the file or its curve is missing or wrong; the message names file, key and value.
+        InputError: the file or its curve is missing or invalid; the message names file, key and value.
     """
-    path = find_material("covers", wanted)
-    told = validate(CoverDocument, read_toml(path), path)
-    file, column = told.transmittance.file, told.transmittance.column
-    transmittance = replace(read_curve(path, "transmittance", file, column), outside="hold")
-    above = transmittance.values > 1.0
-    if above.any():
-        row = int(np.argmax(above))
-        key = f"row {row + 2}, column {column}"  # as a text editor counts: the header is row 1
-        found = float(transmittance.values[row])
-        raise InputError(path.parent / file, "must be a share, at most 1", key=key, value=found)
+    path = find_material("covers", name_or_path)
+    document = validate(CoverDocument, read_toml(path), path)
+    table, width_rad = document.transmittance, float(np.radians(document.haze_width_deg or 0.0))
+    transmittance = replace(read_fraction(path, "transmittance", table.file, table.column), outside="hold")
     if illuminance(transmittance) <= 0.0:
-        raise InputError(path, "must let visible light through", key="transmittance.column", value=column)
-    return Cover(told.name, transmittance, told.haze, float(np.radians(told.haze_width_deg or 0.0)))
+        key = "transmittance.column"
+        raise InputError(path, "must let visible light through", key=key, value=table.column)
+    return Cover(document.name, transmittance, document.haze, width_rad)

@@ -1,4 +1,4 @@
-"""Long straight bodies along x with one convex cross-section: what a greenhouse is built of."""
+"""The greenhouse around a double row: gutters, slabs, wires, pipes, floor, and irregular plant positions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,17 @@ from pepperscene.classes import Instance, OrganClass
 from pepperscene.geometry import Mesh, concatenate_meshes, rectangle, single_instance_mesh
 from pepperscene.scene.row import DoubleRow
 
-_SIDES = 12  # chosen: a wire or a pipe is some pixels wide
+_ROD_SIDES: Final = 12  # chosen: a wire or a pipe is a few pixels wide
+_SHEET: Final = 0.004  # chosen: folded steel is thinner, but its rims are rolled
+_RIM: Final = 0.05  # chosen: the slab rises above the gutter, so that it can be replaced
+_SLAB: Final = (0.15, 0.075)  # chosen: width and height, a common size of rockwool slabs
+_BLOCK: Final = (0.10, 0.10, 0.065)  # chosen: along, across, height, a common size of propagation blocks
+_WIRE_RADIUS: Final = 0.002  # chosen: crop wires are 3 to 5 mm thick
+_PIPE_RADIUS: Final = 0.0255  # the pipe rail that carries harvest trolleys is made of 51 mm pipe
+_GAUGE: Final = 0.55  # chosen: a common distance of the two pipes' axes
+_PIPE_HEIGHT: Final = 0.1  # chosen: of the axes, on low supports
+_FLOOR_SIZE: Final = 60.0  # chosen: seen from 1.5 m above its centre, it ends 3 degrees below the horizon
+_MAX_DEVIATIONS: Final = 3.0  # standard deviations; the 0.3 % of draws beyond are clipped to it
 
 
 def beam(section: ArrayLike, ends: tuple[float, float], surface: str, *, smooth: bool = False) -> Mesh:
@@ -21,47 +31,54 @@ def beam(section: ArrayLike, ends: tuple[float, float], surface: str, *, smooth:
 
     Args:
         section: `(k, 2)` y and z of its convex cross-section in metres, counter-clockwise seen from +x.
-        ends: x of its two ends in metres, the first one less.
+        ends: x of its two ends in metres, ascending.
         surface: name of its surface.
-        smooth: whether its sides look round.
+        smooth: whether its sides are shaded as round.
 
     Returns:
-        u runs around, v along; state is 0.5; one instance "beam" of the background.
+        A single instance "beam" of the background; u runs around, v along, and the state is 0.5.
 
     Raises:
-        ValueError: the section is not convex and counter-clockwise, or the ends are not in order.
+        ValueError: the section is not convex and counter-clockwise, or the ends are not ascending.
     """
     corners = np.asarray(section, dtype=float)
     k = len(corners)
     edge = np.roll(corners, -1, axis=0) - corners
-    turning = edge[:, 0] * np.roll(edge, -1, axis=0)[:, 1] - edge[:, 1] * np.roll(edge, -1, axis=0)[:, 0]
-    if k < 3 or not np.all(turning > 0.0) or not ends[0] < ends[1]:
-        raise ValueError("a beam needs a convex section, counter-clockwise, and two ends in order")
-    out = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
-    out /= np.linalg.norm(out, axis=1, keepdims=True)
-    # Four corners to a side: both ends of its first edge, then of its second.
+    turn = edge[:, 0] * np.roll(edge, -1, axis=0)[:, 1] - edge[:, 1] * np.roll(edge, -1, axis=0)[:, 0]
+    if k < 3 or not np.all(turn > 0.0) or not ends[0] < ends[1]:
+        raise ValueError("a beam needs a convex, counter-clockwise section and ascending ends")
+    outward = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+
+    # Sides: four corners each, both ends of the first edge, then of the second.
     side = np.stack([np.arange(k), (np.arange(k) + 1) % k] * 2, axis=1)
-    at = np.repeat(ends, 2)[None, :].repeat(k, axis=0)
-    normals = np.repeat(out[:, None], 4, axis=1)
+    x = np.repeat(ends, 2)[None, :].repeat(k, axis=0)
+    normals = np.repeat(outward[:, None], 4, axis=1)
     if smooth:
-        mean = out + np.roll(out, 1, axis=0)
+        mean = outward + np.roll(outward, 1, axis=0)
         normals = (mean / np.linalg.norm(mean, axis=1, keepdims=True))[side]
-    u = np.stack([np.arange(k), np.arange(k) + 1] * 2, axis=1) / k
-    sides = np.dstack([at, corners[side]]), np.pad(normals, ((0, 0), (0, 0), (1, 0)))
+    side_u = np.stack([np.arange(k), np.arange(k) + 1] * 2, axis=1) / k
     quads = 4 * np.arange(k)[:, None, None] + np.array([[0, 1, 3], [0, 3, 2]])
-    # Lids are fans about their first corner.
-    span = np.ptp(corners, axis=0)
-    flat = (corners - corners.min(axis=0)) / span
-    lids = [np.column_stack([np.full(k, x), corners]) for x in ends]
-    facing = np.repeat([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], k, axis=0)
+
+    # Lids: fans around the first corner.
+    lid_uv = (corners - corners.min(axis=0)) / np.ptp(corners, axis=0)
     fan = np.stack([np.zeros(k - 2, int), np.arange(1, k - 1), np.arange(2, k)], axis=1)
-    faces = np.concatenate([quads.reshape(-1, 3), 4 * k + fan[:, ::-1], 5 * k + fan])
-    along = np.tile([0.0, 0.0, 1.0, 1.0], k)
-    vertices = np.concatenate([sides[0].reshape(-1, 3), *lids])
-    normals = np.concatenate([sides[1].reshape(-1, 3), facing])
-    uv = np.concatenate([np.column_stack([u.ravel(), along]), flat, flat])
-    state = np.full(len(vertices), 0.5)
-    return single_instance_mesh(vertices, normals, uv, state, faces, OrganClass.BACKGROUND, "beam", surface)
+
+    vertices = [np.dstack([x, corners[side]]).reshape(-1, 3)]
+    vertices += [np.column_stack([np.full(k, end), corners]) for end in ends]
+    side_normals = np.pad(normals, ((0, 0), (0, 0), (1, 0))).reshape(-1, 3)
+    lid_normals = np.repeat([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], k, axis=0)
+    side_uv = np.column_stack([side_u.ravel(), np.tile([0.0, 0.0, 1.0, 1.0], k)])
+    return single_instance_mesh(
+        np.concatenate(vertices),
+        np.concatenate([side_normals, lid_normals]),
+        np.concatenate([side_uv, lid_uv, lid_uv]),
+        np.full(6 * k, 0.5),
+        np.concatenate([quads.reshape(-1, 3), 4 * k + fan[:, ::-1], 5 * k + fan]),
+        OrganClass.BACKGROUND,
+        "beam",
+        surface,
+    )
 
 
 def box(y: tuple[float, float], z: tuple[float, float], ends: tuple[float, float], surface: str) -> Mesh:
@@ -70,47 +87,36 @@ def box(y: tuple[float, float], z: tuple[float, float], ends: tuple[float, float
 
 
 def rod(y: float, z: float, radius_m: float, ends: tuple[float, float], surface: str) -> Mesh:
-    """A closed round rod about the line at this y and z, in metres."""
-    angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
+    """A closed round rod along x with its axis at this y and z, in metres."""
+    angle = 2.0 * np.pi * np.arange(_ROD_SIDES) / _ROD_SIDES
     section = np.column_stack([y + radius_m * np.cos(angle), z + radius_m * np.sin(angle)])
     return beam(section, ends, surface, smooth=True)
 
 
-def as_one(mesh: Mesh, organ_class: OrganClass, kind: str) -> Mesh:
-    """The mesh as a single instance."""
-    whole = np.zeros(len(mesh.faces), dtype=np.uint32)
-    return replace(mesh, face_instance=whole, instances=(Instance(organ_class, kind),))
-
-
-_SHEET: Final = 0.004  # chosen: folded steel is thinner, but its rims are rolled
-_RIM: Final = 0.05  # chosen: the slab stands out of the gutter, so that it can be changed
-_SLAB: Final = (0.15, 0.075)  # chosen: width and height, a common size of rockwool slabs
-_BLOCK: Final = (0.10, 0.10, 0.065)  # chosen: along, across, height, a common size of propagation blocks
-_WIRE_RADIUS: Final = 0.002  # chosen: crop wires are 3 to 5 mm thick
-_PIPE_RADIUS: Final = 0.0255  # the pipe-rail that carries harvest trolleys is made of 51 mm pipe
-_GAUGE: Final = 0.55  # chosen: a common distance of the two pipes' axes
-_PIPE_HEIGHT: Final = 0.1  # chosen: of the axes, on low supports
-_FLOOR_REACH: Final = 30.0  # chosen: for an eye at 1.5 m it ends 3 degrees below the horizon
+def as_single_instance(mesh: Mesh, kind: str, organ_class: OrganClass = OrganClass.BACKGROUND) -> Mesh:
+    """The mesh with all its faces in one instance."""
+    face_instance = np.zeros(len(mesh.faces), dtype=np.uint32)
+    return replace(mesh, face_instance=face_instance, instances=(Instance(organ_class, kind),))
 
 
 @dataclass(frozen=True)
 class Greenhouse:
-    """The greenhouse around a double row; what is 0 or False is not there.
+    """Dimensions of a greenhouse around a double row; parts that are 0 or False are left out.
 
     Attributes:
-        row_lean_rad: of each row towards its own aisle, away from the other row (V-trellis).
-        lean_sd_rad: spread of the plants' lean about that of the row.
-        turn_sd_rad: spread of the plants' turn about their own vertical axes.
-        spacing_sd_m: spread of the places along the row about even spacing.
-        across_sd_m: spread of the plants' feet across the row.
-        gutter_width_m: of the gutter under each row.
-        gutter_height_m: of its underside above the floor; 0 lies on it.
-        floor: whether film lies on the floor.
+        row_lean_rad: lean of each row towards its own aisle, away from the other row (V-trellis).
+        lean_sd_rad: standard deviation of the plants' lean about that of the row.
+        turn_sd_rad: standard deviation of the plants' rotation about their vertical axes.
+        spacing_sd_m: standard deviation of the positions along the row about even spacing.
+        across_sd_m: standard deviation of the stem bases across the row.
+        gutter_width_m: width of the gutter under each row.
+        gutter_height_m: height of the gutter's underside above the floor.
+        floor: whether film covers the floor.
         crop_wire_m: height above the floor of the wire that the twine of a row is tied to.
-        far_rows: further double rows on either side.
-        far_reach_m: how far all rows reach to either side of the middle plant.
-        aisle_m: between double rows.
-        pipes: whether two heating pipes lie in every aisle.
+        far_rows: number of further double rows on either side.
+        far_reach_m: half length of all rows, from the middle plant.
+        aisle_m: distance between double rows.
+        pipes: whether each aisle has two heating pipes.
     """
 
     row_lean_rad: float = 0.0
@@ -129,17 +135,17 @@ class Greenhouse:
 
     @property
     def foot_m(self) -> float:
-        """Height of the stems' feet above the floor: the upper side of the blocks that they root in."""
+        """Height of the stem bases above the floor: the upper side of the blocks that the plants root in."""
         if self.gutter_width_m == 0.0:
             return 0.0
         return self.gutter_height_m + _SHEET + _SLAB[1] + _BLOCK[2]
 
     def away(self, height_m: float) -> float:
-        """By how much a row's middle has moved towards its aisle at a height above the floor, metres."""
+        """Distance that a row's middle is shifted towards its aisle at a height above the floor."""
         return float(np.tan(self.row_lean_rad)) * max(0.0, height_m - self.foot_m)
 
     def wire_above_foot(self) -> tuple[float, float] | None:
-        """Where the row's wire runs, as the y and z of a plant with its aisle at -y; None without a wire."""
+        """Position of the row's wire: y and z from the stem base of a plant with its aisle at -y, or None."""
         if self.crop_wire_m == 0.0:
             return None
         return -self.away(self.crop_wire_m), self.crop_wire_m - self.foot_m
@@ -147,124 +153,108 @@ class Greenhouse:
 
 @dataclass(frozen=True)
 class RowLine:
-    """One row of the greenhouse.
+    """The line of one plant row.
 
     Attributes:
-        y_m: where it stands.
-        aisle: -1 where its own aisle lies at -y, 1 where it lies at +y.
-        own: whether it belongs to the double row in front of the camera.
-        shift_m: of its places along x.
+        y_m: its position across the rows.
+        aisle: -1 if its own aisle is at -y, 1 if it is at +y.
+        labelled: whether it belongs to the double row in front of the camera.
+        shift_m: shift of its plants along x.
     """
 
     y_m: float
     aisle: int
-    own: bool
+    labelled: bool
     shift_m: float
 
 
-def row_lines(row: DoubleRow, house: Greenhouse) -> list[RowLine]:
-    """The double row's own rows, front first, then those of its neighbours, nearest first."""
+def row_lines(row: DoubleRow, greenhouse: Greenhouse) -> list[RowLine]:
+    """The labelled rows, front row first, then those of the neighbouring double rows, nearest first."""
     single = row.back == 0
-    pitch = house.aisle_m + (0.0 if single else row.gap_m)
+    pitch = greenhouse.aisle_m + (0.0 if single else row.gap_m)
     lines = []
-    for number in sorted(range(-house.far_rows, house.far_rows + 1), key=lambda n: (abs(n), n)):
+    for number in sorted(range(-greenhouse.far_rows, greenhouse.far_rows + 1), key=lambda n: (abs(n), n)):
         lines.append(RowLine(number * pitch, -1, number == 0, 0.0))
         if not single:
             lines.append(RowLine(number * pitch + row.gap_m, 1, number == 0, row.shift_m))
     return lines
 
 
-def greenhouse_mesh(row: DoubleRow, house: Greenhouse, places: NDArray[np.float64]) -> list[Mesh]:
-    """All that is asked for besides plants, one instance for each thing.
+def greenhouse_mesh(row: DoubleRow, greenhouse: Greenhouse, positions: NDArray[np.float64]) -> list[Mesh]:
+    """The greenhouse's parts except for plants, one instance each.
 
     Args:
-        row: in front of the camera.
-        house: what there is.
-        places: `(n, 2)` x and y of the double row's plants, where blocks stand in the gutters.
+        row: the double row in front of the camera.
+        greenhouse: its dimensions.
+        positions: `(n, 2)` x and y of the double row's plants, where blocks are placed in the gutters.
 
     Returns:
-        Meshes of the class background, but for the crop wires of the double row, which are of the class wire.
+        Meshes of the background class; only the crop wires of the double row are of the wire class.
     """
-    lines, reach = row_lines(row, house), (-house.far_reach_m, house.far_reach_m)
-    things: list[Mesh] = []
-    if house.gutter_width_m > 0.0:
-        things += [part for line in lines for part in _gutter(line.y_m, house, reach)]
-        things.append(_blocks(places, house, row.spacing_m))
-    if house.crop_wire_m > 0.0:
-        things += [_wire(line, house, reach) for line in lines]
-    if house.pipes:
-        things += [_pipe(y, reach) for y in _pipe_lines(row, house)]
-    if house.floor:
-        things.append(_floor())
-    return things
+    lines, ends = row_lines(row, greenhouse), (-greenhouse.far_reach_m, greenhouse.far_reach_m)
+    meshes: list[Mesh] = []
+    if greenhouse.gutter_width_m > 0.0:
+        meshes += [part for line in lines for part in _gutter_and_slab(line.y_m, greenhouse, ends)]
+        meshes.append(_blocks(positions, greenhouse, row.spacing_m))
+    if greenhouse.crop_wire_m > 0.0:
+        meshes += [_crop_wire(line, greenhouse, ends) for line in lines]
+    if greenhouse.pipes:
+        pipes = [rod(y, _PIPE_HEIGHT, _PIPE_RADIUS, ends, "pipe") for y in _pipe_axes(row, greenhouse)]
+        meshes += [as_single_instance(pipe, "heating_pipe") for pipe in pipes]
+    if greenhouse.floor:
+        film = rectangle((0.0, 0.0, 0.0), (_FLOOR_SIZE, 0.0, 0.0), (0.0, _FLOOR_SIZE, 0.0), "floor_film")
+        meshes.append(as_single_instance(film, "floor_film"))
+    return meshes
 
 
-def _gutter(y: float, house: Greenhouse, reach: tuple[float, float]) -> list[Mesh]:
-    """A gutter out of a bottom and two sides, and the slab in it, wrapped in white foil."""
-    bottom, half = house.gutter_height_m, house.gutter_width_m / 2.0
-    parts = [box((y - half, y + half), (bottom, bottom + _SHEET), reach, "gutter")]
+def _gutter_and_slab(y: float, greenhouse: Greenhouse, ends: tuple[float, float]) -> list[Mesh]:
+    """A gutter made of a bottom and two sides, and the slab in it, wrapped in white foil."""
+    bottom, half = greenhouse.gutter_height_m, greenhouse.gutter_width_m / 2.0
+    parts = [box((y - half, y + half), (bottom, bottom + _SHEET), ends, "gutter")]
     for side in (y - half, y + half - _SHEET):
-        parts.append(box((side, side + _SHEET), (bottom + _SHEET, bottom + _RIM), reach, "gutter"))
-    wide = min(_SLAB[0], house.gutter_width_m - 4.0 * _SHEET) / 2.0
-    slab = box((y - wide, y + wide), (bottom + _SHEET, bottom + _SHEET + _SLAB[1]), reach, "foil")
-    return [
-        as_one(concatenate_meshes(parts), OrganClass.BACKGROUND, "gutter"),
-        as_one(slab, OrganClass.BACKGROUND, "slab"),
-    ]
+        parts.append(box((side, side + _SHEET), (bottom + _SHEET, bottom + _RIM), ends, "gutter"))
+    half = min(_SLAB[0], greenhouse.gutter_width_m - 4.0 * _SHEET) / 2.0
+    slab = box((y - half, y + half), (bottom + _SHEET, bottom + _SHEET + _SLAB[1]), ends, "foil")
+    return [as_single_instance(concatenate_meshes(parts), "gutter"), as_single_instance(slab, "slab")]
 
 
-def _blocks(places: NDArray[np.float64], house: Greenhouse, spacing_m: float) -> Mesh:
-    """The blocks that the plants root in: foil around rockwool whose top is open."""
-    top, half = house.foot_m, _BLOCK[1] / 2.0
-    along = min(_BLOCK[0], 0.9 * spacing_m) / 2.0
+def _blocks(positions: NDArray[np.float64], greenhouse: Greenhouse, spacing_m: float) -> Mesh:
+    """The blocks that the plants root in: rockwool, open at the top and wrapped in foil."""
+    top, half = greenhouse.foot_m, _BLOCK[1] / 2.0
+    half_length = min(_BLOCK[0], 0.9 * spacing_m) / 2.0
     parts: list[Mesh] = []
-    for x, y in places:
-        ends, skin = (x - along, x + along), top - _SHEET
-        parts.append(box((y - half, y + half), (top - _BLOCK[2], skin), ends, "foil"))
-        parts.append(box((y - half, y + half), (skin, top), ends, "rockwool"))
-    return as_one(concatenate_meshes(parts), OrganClass.BACKGROUND, "block")
+    for x, y in positions:
+        ends, foil_end = (x - half_length, x + half_length), top - _SHEET
+        parts.append(box((y - half, y + half), (top - _BLOCK[2], foil_end), ends, "foil"))
+        parts.append(box((y - half, y + half), (foil_end, top), ends, "rockwool"))
+    return as_single_instance(concatenate_meshes(parts), "block")
 
 
-def _wire(line: RowLine, house: Greenhouse, reach: tuple[float, float]) -> Mesh:
-    """The wire above a row, which has moved towards the row's aisle as far as the row leans."""
-    y = line.y_m + line.aisle * house.away(house.crop_wire_m)
-    wire = rod(y, house.crop_wire_m, _WIRE_RADIUS, reach, "steel")
-    return as_one(wire, OrganClass.WIRE if line.own else OrganClass.BACKGROUND, "crop_wire")
+def _crop_wire(line: RowLine, greenhouse: Greenhouse, ends: tuple[float, float]) -> Mesh:
+    """The wire above a row, shifted towards the row's aisle as far as the row leans."""
+    height = greenhouse.crop_wire_m
+    y = line.y_m + line.aisle * greenhouse.away(height)
+    wire = rod(y, height, _WIRE_RADIUS, ends, "steel")
+    return as_single_instance(wire, "crop_wire", OrganClass.WIRE if line.labelled else OrganClass.BACKGROUND)
 
 
-def _pipe_lines(row: DoubleRow, house: Greenhouse) -> Sequence[float]:
-    """The y of the two pipes in each aisle, those of the camera's own aisle first."""
+def _pipe_axes(row: DoubleRow, greenhouse: Greenhouse) -> Sequence[float]:
+    """Positions in y of the two pipes in each aisle, those of the camera's aisle first."""
     gap = 0.0 if row.back == 0 else row.gap_m
-    gauge = min(_GAUGE, 0.5 * house.aisle_m)  # a narrow aisle has a narrower pair
-    aisles = range(-house.far_rows, house.far_rows + 2)
-    middles = [n * (house.aisle_m + gap) - house.aisle_m / 2.0 for n in sorted(aisles, key=abs)]
+    gauge = min(_GAUGE, 0.5 * greenhouse.aisle_m)  # a narrow aisle has a narrower pair
+    aisles = sorted(range(-greenhouse.far_rows, greenhouse.far_rows + 2), key=abs)
+    middles = [n * (greenhouse.aisle_m + gap) - greenhouse.aisle_m / 2.0 for n in aisles]
     return [middle + side * gauge / 2.0 for middle in middles for side in (-1.0, 1.0)]
-
-
-def _pipe(y: float, reach: tuple[float, float]) -> Mesh:
-    pipe = rod(y, _PIPE_HEIGHT, _PIPE_RADIUS, reach, "pipe")
-    return as_one(pipe, OrganClass.BACKGROUND, "heating_pipe")
-
-
-def _floor() -> Mesh:
-    """The film on the floor, level, far beyond the rows."""
-    film = rectangle(
-        (0.0, 0.0, 0.0), (2.0 * _FLOOR_REACH, 0.0, 0.0), (0.0, 2.0 * _FLOOR_REACH, 0.0), "floor_film"
-    )
-    return as_one(film, OrganClass.BACKGROUND, "floor_film")
-
-
-_MOST: Final = 3.0  # standard deviations; what lies beyond is laid there, 0.3 % of all
 
 
 @dataclass(frozen=True)
 class Posture:
-    """What a plant keeps wherever it stands.
+    """How a plant deviates from its regular position; it keeps this wherever it is placed.
 
     Attributes:
-        across_m: of its foot, away from its aisle.
-        lean_rad: towards its aisle.
-        turn_rad: about its own vertical axis, counter-clockwise seen from above.
+        across_m: offset of its stem base, away from its aisle.
+        lean_rad: lean towards its aisle.
+        turn_rad: rotation about its vertical axis, counter-clockwise seen from above.
     """
 
     across_m: float = 0.0
@@ -272,23 +262,23 @@ class Posture:
     turn_rad: float = 0.0
 
 
-def draw_posture(house: Greenhouse, rng: np.random.Generator) -> Posture:
-    """How one plant stands: normal spreads about its row's line, lean and facing."""
-    across, lean, turn = _normal(rng, 3)
+def draw_posture(greenhouse: Greenhouse, rng: np.random.Generator) -> Posture:
+    """Draw a plant's offset across the row, lean and rotation from normal distributions."""
+    across, lean, turn = _clipped_normal(rng, 3)
     return Posture(
-        across_m=float(house.across_sd_m * across),
-        lean_rad=float(house.row_lean_rad + house.lean_sd_rad * lean),
-        turn_rad=float(house.turn_sd_rad * turn),
+        across_m=float(greenhouse.across_sd_m * across),
+        lean_rad=float(greenhouse.row_lean_rad + greenhouse.lean_sd_rad * lean),
+        turn_rad=float(greenhouse.turn_sd_rad * turn),
     )
 
 
-def jittered_places(row: DoubleRow, house: Greenhouse, rng: np.random.Generator) -> NDArray[np.float64]:
-    """`(n, 2)` x and y of the places of a double row: along the row, each lies by chance off its spot."""
-    places = row.places()
-    places[:, 0] += house.spacing_sd_m * _normal(rng, len(places))
-    return places
+def jittered_places(row: DoubleRow, greenhouse: Greenhouse, rng: np.random.Generator) -> NDArray[np.float64]:
+    """`(n, 2)` x and y of the plants of a double row, each shifted randomly along the row."""
+    positions = row.places()
+    positions[:, 0] += greenhouse.spacing_sd_m * _clipped_normal(rng, len(positions))
+    return positions
 
 
-def _normal(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
-    """Standard normal numbers, none further out than `_MOST`."""
-    return np.clip(rng.standard_normal(count), -_MOST, _MOST)
+def _clipped_normal(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+    """Standard normal numbers, clipped at `_MAX_DEVIATIONS`."""
+    return np.clip(rng.standard_normal(count), -_MAX_DEVIATIONS, _MAX_DEVIATIONS)

@@ -1,7 +1,8 @@
-"""The plants of a scene as organs in world coordinates: where each centreline has come to lie."""
+"""The scene: everything that is placed for a render, and the plants' organs in world coordinates."""
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,108 +20,89 @@ from pepperscene.scene.sky import Sky
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Plants that stand in a scene; an organ is placed when it is asked for.
+    """The plants of a scene and their placement, which gives every organ in world coordinates.
 
     Attributes:
-        plants: in their own coordinates, as their meshes were before they were put in their places.
-        sizes: instances of each plant's mesh: its organs in their order, then what holds it.
-        feet: `(n, 3)` metres, where the stems begin.
+        plants: in their own coordinates, as their meshes were before they were placed.
+        sizes: number of instances in each plant's mesh: its organs in order, then what supports it.
+        bases: `(n, 3)` positions of the stem bases, metres.
         turns: `(n,)` radians about the vertical, counter-clockwise seen from above.
-        motions: of the row that they settled in, told in its instance numbers.
+        motions: rotations that resolved the row's contacts, by instance numbers of the scene.
     """
 
     plants: tuple[Plant, ...]
     sizes: tuple[int, ...]
-    feet: NDArray[np.float64]
+    bases: NDArray[np.float64]
     turns: NDArray[np.float64]
     motions: tuple[Motion, ...] = ()
 
     def __post_init__(self) -> None:
-        counts = {len(self.plants), len(self.sizes), len(self.feet), len(self.turns)}
+        counts = {len(self.plants), len(self.sizes), len(self.bases), len(self.turns)}
         if len(counts) > 1:
-            raise ValueError(f"as many plants, sizes, feet and turns are needed, not {sorted(counts)}")
+            raise ValueError(f"plants, sizes, bases and turns must be equally many, not {sorted(counts)}")
         for plant, size in zip(self.plants, self.sizes, strict=True):
             if size < len(plant.organs):
                 raise ValueError(f"a mesh of {size} instances does not hold a plant of {len(plant.organs)}")
 
     def organ(self, instance: int) -> Organ:
-        """An organ of the scene in world metres; its parent is told as an instance of the scene too.
+        """The organ of an instance of the scene, in world metres; its parent is an instance of the scene too.
 
         Raises:
-            ValueError: the instance is no organ of the plants.
+            ValueError: the instance is not an organ of the plants.
         """
-        number, index = self._place(instance)
-        organ, first = self.plants[number].organs[index], self._firsts[number]
-        # The plant in its place.
-        turn = rotation_about_z(float(self.turns[number]))
-        curve, up = organ.curve @ turn.T + self.feet[number], turn @ organ.up
-        # What turned it, or what it grows on, while the row settled; in order.
-        line = {instance}
-        while (parent := self.plants[number].organs[index].parent) >= 0:
-            index = parent
-            line.add(first + index)
-        moved = sorted(step for one in line for step in self._steps.get(one, ()))
-        for motion in (self.motions[step] for step in moved):
-            curve = (curve - motion.pivot) @ motion.rotation.T + motion.pivot
-            up = motion.rotation @ up
-        return replace(
-            organ, curve=curve, up=up, parent=first + organ.parent if organ.parent >= 0 else organ.parent
-        )
+        location = self._locate(instance)
+        if location is None:
+            raise ValueError(f"instance {instance} is not an organ of a plant")
+        number, index = location
+        organs, first = self.plants[number].organs, self._first_instances[number]
+        organ = organs[index]
+        # Place the plant.
+        rotation = rotation_about_z(float(self.turns[number]))
+        curve, up = organ.curve @ rotation.T + self.bases[number], rotation @ organ.up
+        # Apply the motions of the organ and of all organs that it grows on, in their order.
+        lineage = {instance}
+        while (index := organs[index].parent) >= 0:
+            lineage.add(first + index)
+        for motion in self.motions:
+            if motion.instance in lineage:
+                curve = (curve - motion.pivot) @ motion.rotation.T + motion.pivot
+                up = motion.rotation @ up
+        parent = first + organ.parent if organ.parent >= 0 else organ.parent
+        return replace(organ, curve=curve, up=up, parent=parent)
 
     def kind(self, instance: int) -> OrganKind | None:
-        """What an instance of the scene is; None for one that is no organ of the plants."""
-        if not self.holds(instance):
+        """The organ kind of an instance of the scene; None if it is not an organ of the plants."""
+        location = self._locate(instance)
+        if location is None:
             return None
-        number, index = self._place(instance)
+        number, index = location
         return self.plants[number].kinds[self.plants[number].organs[index].kind]
 
-    def holds(self, instance: int) -> bool:
-        """Whether an instance of the scene is an organ of the plants."""
-        number = self._owner(instance)
-        return number >= 0 and instance - self._firsts[number] < len(self.plants[number].organs)
-
     def of_form(self, *forms: OrganForm, plant: int | None = None) -> tuple[int, ...]:
-        """The instances whose bodies are of these forms, ascending; of one plant alone where it is told."""
-        found: list[int] = []
+        """The instances of organs of these forms, ascending; with `plant`, those of one plant only."""
+        instances: list[int] = []
         for number in range(len(self.plants)) if plant is None else (plant,):
-            one = self.plants[number]
-            names = {name for name, kind in one.kinds.items() if kind.form in forms}
-            first = self._firsts[number]
-            found += [first + index for index, organ in enumerate(one.organs) if organ.kind in names]
-        return tuple(found)
+            kinds, first = self.plants[number].kinds, self._first_instances[number]
+            names = {name for name, kind in kinds.items() if kind.form in forms}
+            organs = enumerate(self.plants[number].organs, first)
+            instances += [instance for instance, organ in organs if organ.kind in names]
+        return tuple(instances)
 
-    def _place(self, instance: int) -> tuple[int, int]:
-        """Number of the plant and of its organ."""
-        if not self.holds(instance):
-            raise ValueError(f"instance {instance} is no organ of a plant")
-        number = self._owner(instance)
-        return number, instance - self._firsts[number]
-
-    def _owner(self, instance: int) -> int:
-        """Number of the plant that an instance belongs to; -1 for none."""
-        if not 0 <= instance < sum(self.sizes):
-            return -1
-        return int(np.searchsorted(self._firsts, instance, side="right")) - 1
+    def _locate(self, instance: int) -> tuple[int, int] | None:
+        """Plant number and organ index of an instance; None if it is not an organ of the plants."""
+        number = bisect_right(self._first_instances, instance) - 1
+        if number < 0:
+            return None
+        index = instance - self._first_instances[number]
+        return (number, index) if index < len(self.plants[number].organs) else None
 
     @cached_property
-    def _firsts(self) -> tuple[int, ...]:
-        """The instance that each plant begins with."""
+    def _first_instances(self) -> tuple[int, ...]:
         return tuple(accumulate(self.sizes, initial=0))[:-1]
-
-    @cached_property
-    def _steps(self) -> dict[int, list[int]]:
-        """Numbers of the motions by the instance that they turn."""
-        found: dict[int, list[int]] = {}
-        for step, motion in enumerate(self.motions):
-            found.setdefault(motion.instance, []).append(step)
-        return found
 
 
 def build_skeleton(plants: Sequence[Plant]) -> Skeleton:
-    """The skeleton of plants whose meshes follow each other as they are, each without anything that holds it.
-
-    One plant alone stands at the origin.
-    """
+    """The skeleton of unsupported plants at the origin, whose meshes are concatenated in this order."""
     count = len(plants)
     sizes = tuple(len(plant.organs) for plant in plants)
     return Skeleton(tuple(plants), sizes, np.zeros((count, 3)), np.zeros(count))
@@ -128,16 +110,16 @@ def build_skeleton(plants: Sequence[Plant]) -> Skeleton:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What the renderer is given.
+    """The renderer's input.
 
     World axes: z up, +x along the plant row to the right as seen from the aisle, +y into the crop; metres.
 
     Attributes:
         mesh: all triangles.
-        surfaces: one for each of `mesh.surfaces`, in that order; empty when only ground truth is wanted.
+        surfaces: one for each of `mesh.surfaces`, in that order; empty if only labels are rendered.
         sky: daylight, or None for a night scene.
-        skeleton: the plants whose organs are the first of the mesh's instances; None where nobody can tell
-            where a fruit is to be cut.
+        skeleton: the plants whose organs are the first instances of the mesh; None if the output "harvest" is
+            not needed.
     """
 
     mesh: Mesh
@@ -157,20 +139,20 @@ def assemble_scene(
     sky: Sky | None = None,
     skeleton: Skeleton | None = None,
 ) -> Scene:
-    """A scene out of a mesh and the surfaces by name; those that the mesh lacks are left out.
+    """Assemble a scene from a mesh and surfaces by name; surfaces that the mesh does not use are left out.
 
     Args:
-        mesh: everything placed.
-        surfaces: by surface name; None when only ground truth will be asked for.
+        mesh: all triangles.
+        surfaces: by surface name; None if only labels are rendered.
         sky: daylight, or None.
-        skeleton: of the plants in it, which the output "harvest" needs.
+        skeleton: of the plants in the mesh; the output "harvest" needs it.
 
     Raises:
-        ValueError: the mesh names a surface that is not given.
+        ValueError: a surface of the mesh is missing.
     """
     if surfaces is None:
         return Scene(mesh, (), sky, skeleton)
     missing = [name for name in mesh.surfaces if name not in surfaces]
     if missing:
-        raise ValueError(f"no surface is given for {', '.join(missing)}")
+        raise ValueError(f"missing surfaces: {', '.join(missing)}")
     return Scene(mesh, tuple(surfaces[name] for name in mesh.surfaces), sky, skeleton)

@@ -1,7 +1,6 @@
-"""Ground truth as arrays: the published data set's encodings and their inverses, and measures of a set."""
+"""Ground truth: encodings of labels and their inverses, harvest truth, and statistics of labelled images."""
 
 from pepperscene.truth.encodings import (
-    FARTHEST_CODED_M,
     class_colour,
     class_from_colour,
     class_pixel_counts,
@@ -9,22 +8,16 @@ from pepperscene.truth.encodings import (
     distance_from_code,
 )
 from pepperscene.truth.statistics import (
-    CENTRE_PX,
     HUE_BINS,
     ImageStatistics,
     centre_crop,
     centre_falloff,
     grey_values,
-    hue_bins,
-    hue_counts,
     hue_spectrum_correlation,
     mean_hue,
-    saturated_share,
 )
 
 __all__ = [
-    "CENTRE_PX",
-    "FARTHEST_CODED_M",
     "HUE_BINS",
     "ImageStatistics",
     "centre_crop",
@@ -35,9 +28,6 @@ __all__ = [
     "distance_code",
     "distance_from_code",
     "grey_values",
-    "hue_bins",
-    "hue_counts",
     "hue_spectrum_correlation",
     "mean_hue",
-    "saturated_share",
 ]

@@ -1,13 +1,13 @@
-"""What a harvest robot would want to know of every fruit in a picture, as JSON tells it.
+"""The harvest truth of an image: what a harvest robot needs to know of each fruit, as a JSON-ready object.
 
-Instances are told as the values of the instance image: the index of the organ plus 1. Lengths are metres,
-places in the picture continuous pixel coordinates; both are rounded far below what can be seen of them.
+Instances are given as values of the instance image: the index of the organ plus 1. Lengths are metres, image
+positions are continuous pixel coordinates; both are rounded far below what is visible.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
 
@@ -19,20 +19,116 @@ from pepperscene.classes import Instance
 from pepperscene.truth.cut_point import Approach, FruitStalk
 from pepperscene.truth.encodings import encode_rle, mask_box, touches_border
 
+FORMAT: Final = "pepperscene harvest 1"
 
-def organ_graph(
-    lines: Iterable[Sequence[int]], instances: Sequence[Instance], pixels: NDArray[np.integer[Any]]
-) -> dict[str, list[Any]]:
-    """Nodes and edges as JSON tells them; an edge goes from what grows to what it grows on.
+FloatArray = NDArray[np.float64]
+
+_VISIBLE_DEPTH: Final = 3.0
+"""Largest distance, in radii of the stalk, between its centreline and the surface in front of it at which a
+point counts as visible. Chosen: a tube seen at 20 degrees to its axis has its surface that far in front."""
+_CORNERS: Final = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
+
+
+@dataclass(frozen=True, eq=False)
+class FruitTruth:
+    """A fruit of a scene in world metres, the same in all views.
+
+    Attributes:
+        index: index of its instance.
+        instance: its entry in the scene's instances.
+        pose: `(4, 4)` fruit to world: from its stalk end, x to its upper side, y right, z along its axis.
+        low, high: `(3,)` its bounding box, in those axes.
+        measures: `ripeness`, `ripeness_spread`, `length_m`, `diameter_m`.
+        lineage: indices of the organs from itself down to the main stem.
+        stalk: the stalk that it is harvested with, or None.
+        approach: the tool's approach to it, or None.
+    """
+
+    index: int
+    instance: Instance
+    pose: FloatArray
+    low: FloatArray
+    high: FloatArray
+    measures: dict[str, float]
+    lineage: tuple[int, ...]
+    stalk: FruitStalk | None
+    approach: Approach | None
+
+
+@dataclass(frozen=True, eq=False)
+class AmodalMask:
+    """The pixels that a fruit would have if nothing occluded it.
+
+    Attributes:
+        corner: column and row of the first pixel of `mask` in the image.
+        mask: `(h, w)`, for the part of the image that contains the fruit.
+    """
+
+    corner: tuple[int, int]
+    mask: NDArray[np.bool_]
+
+    def of(self, image: NDArray[Any]) -> NDArray[Any]:
+        """The part of an image that the mask covers; a view."""
+        (x, y), (height, width) = self.corner, self.mask.shape
+        return image[y : y + height, x : x + width]
+
+
+@dataclass(frozen=True, eq=False)
+class LabelView:
+    """The labels of an image.
+
+    Attributes:
+        camera: the camera.
+        instance: `(h, w)` the instance image.
+        distance: `(h, w)` metres along the rays through the pixel centres.
+    """
+
+    camera: Camera
+    instance: NDArray[np.uint16]
+    distance: NDArray[np.float32]
+
+    @property
+    def rotation(self) -> FloatArray:
+        """`(3, 3)` world to camera."""
+        return self.camera.pose[:3, :3].T
+
+    def points(self, world: FloatArray) -> FloatArray:
+        """`(n, 3)` world points in camera metres."""
+        return (world - self.camera.pose[:3, 3]) @ self.camera.pose[:3, :3]
+
+
+def harvest_truth(
+    fruit: Sequence[tuple[FruitTruth, AmodalMask]], view: LabelView, instances: Sequence[Instance]
+) -> dict[str, Any]:
+    """The output `harvest` of an image.
 
     Args:
-        lines: for each fruit its index, that of what it grows on, and so on down to the main stem's organ.
+        fruit: the fruit in view, and the pixels that each would have if nothing occluded it.
+        view: the labels of the image.
         instances: of the scene.
-        pixels: how many each value of the instance image has.
     """
-    told = list(lines)
-    nodes = sorted({index for line in told for index in line})
-    edges = sorted({(child, parent) for line in told for child, parent in pairwise(line)})
+    # Project the points of all fruit in one call, which takes the time of one point.
+    points = [_projected_points(one) for one, _ in fruit]
+    pixels = view.camera.project(np.concatenate([*points, np.empty((0, 3))]))
+    parts = np.split(pixels, np.cumsum([len(part) for part in points]))
+    entries = [_fruit_entry(one, mask, view, part) for (one, mask), part in zip(fruit, parts, strict=False)]
+    graph = organ_graph((one.lineage for one, _ in fruit), instances, np.bincount(view.instance.ravel()))
+    return {"format": FORMAT, "fruit": entries, "graph": graph}
+
+
+def organ_graph(
+    lineages: Iterable[Sequence[int]], instances: Sequence[Instance], pixels: NDArray[np.integer[Any]]
+) -> dict[str, list[Any]]:
+    """The organs from each fruit down to the main stem, in view or not; edges go from child to parent.
+
+    Args:
+        lineages: for each fruit its index, that of its parent, and so on down to the main stem.
+        instances: of the scene.
+        pixels: number of pixels of each value of the instance image.
+    """
+    lineages = list(lineages)
+    nodes = sorted({index for lineage in lineages for index in lineage})
+    edges = sorted({(child, parent) for lineage in lineages for child, parent in pairwise(lineage)})
     return {
         "nodes": [
             {
@@ -49,239 +145,125 @@ def organ_graph(
     }
 
 
-FORMAT: Final = "pepperscene harvest 1"
-
-FloatArray = NDArray[np.float64]
-
-_NEAR: Final = 3.0
-"""Chosen: radii of the stalk that a surface lies before its centreline at most, where that counts as seen. A
-tube seen at 20 degrees to its axis shows its skin so far in front."""
-_CORNERS: Final = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
-
-
-@dataclass(frozen=True, eq=False)
-class FruitTruth:
-    """A fruit of a scene, in world metres; the same in all its views.
-
-    Attributes:
-        instance: its index.
-        about: the organ, as the scene's instances tell it.
-        pose: `(4, 4)` fruit to world: from where it hangs, x to its upper side, y right, z along its axis.
-        low, high: `(3,)` the box that holds it, in those axes.
-        measures: `ripeness`, `ripeness_spread`, `length_m`, `diameter_m`.
-        line: indices of the organs from it down to the main stem, itself first.
-        stalk: that it is harvested with, or None.
-        approach: to it, or None.
-    """
-
-    instance: int
-    about: Instance
-    pose: FloatArray
-    low: FloatArray
-    high: FloatArray
-    measures: dict[str, float]
-    line: tuple[int, ...]
-    stalk: FruitStalk | None
-    approach: Approach | None
-
-
-@dataclass(frozen=True, eq=False)
-class AmodalMask:
-    """The pixels that a fruit would have if nothing stood before it.
-
-    Attributes:
-        corner: column and row of the first pixel of `mask` in the picture.
-        mask: `(h, w)` of a part of the picture that holds them all.
-    """
-
-    corner: tuple[int, int]
-    mask: NDArray[np.bool_]
-
-    def of(self, image: NDArray[Any]) -> NDArray[Any]:
-        """The part of a picture that the mask tells of."""
-        (x, y), (height, width) = self.corner, self.mask.shape
-        return image[y : y + height, x : x + width]
-
-
-@dataclass(frozen=True, eq=False)
-class LabelView:
-    """What is seen.
-
-    Attributes:
-        camera: that looks.
-        instance: `(h, w)` the instance image.
-        distance: `(h, w)` metres along the rays through the pixels' centres.
-        pixels: how many each value of the instance image has.
-    """
-
-    camera: Camera
-    instance: NDArray[np.uint16]
-    distance: NDArray[np.float32]
-    pixels: NDArray[np.intp] = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "pixels", np.bincount(self.instance.ravel()))
-
-    @property
-    def rotation(self) -> FloatArray:
-        """`(3, 3)` world to camera."""
-        return self.camera.pose[:3, :3].T
-
-    def points(self, world: FloatArray) -> FloatArray:
-        """`(n, 3)` world points in camera metres."""
-        return (world - self.camera.pose[:3, 3]) @ self.camera.pose[:3, :3]
-
-
-def harvest_truth(
-    found: Sequence[tuple[FruitTruth, AmodalMask]], picture: LabelView, instances: Sequence[Instance]
-) -> dict[str, Any]:
-    """The output `harvest` of a picture.
-
-    Args:
-        found: its fruit, and the pixels that each would have.
-        picture: what is seen.
-        instances: of the scene.
-    """
-    # All places at once: a camera projects many points in the time of one.
-    points = [_points(fruit) for fruit, _ in found]
-    places = picture.camera.project(np.concatenate([*points, np.empty((0, 3))]))
-    ends = np.cumsum([len(one) for one in points])
-    return {
-        "format": FORMAT,
-        "fruit": [
-            _fruit(fruit, amodal, picture, places[end - len(one) : end])
-            for (fruit, amodal), one, end in zip(found, points, ends, strict=True)
-        ],
-        "graph": organ_graph((fruit.line for fruit, _ in found), instances, picture.pixels),
-    }
-
-
-def _points(fruit: FruitTruth) -> FloatArray:
-    """`(n, 3)` world points whose places in the picture are told: corners of the box, attachment and cut."""
+def _projected_points(fruit: FruitTruth) -> FloatArray:
+    """`(n, 3)` world points whose pixel coordinates are given: corners of the box, attachment and cut."""
     centre = fruit.pose[:3, 3] + fruit.pose[:3, :3] @ (0.5 * (fruit.low + fruit.high))
     corners = centre + (_CORNERS * (fruit.high - fruit.low)) @ fruit.pose[:3, :3].T
     return corners if fruit.stalk is None else np.vstack([corners, fruit.stalk.attachment, fruit.stalk.cut])
 
 
-def _fruit(fruit: FruitTruth, amodal: AmodalMask, picture: LabelView, places: FloatArray) -> dict[str, Any]:
-    """What is told of one fruit, of whose `_points` these are the places in the picture."""
+def _fruit_entry(fruit: FruitTruth, amodal: AmodalMask, view: LabelView, px: FloatArray) -> dict[str, Any]:
+    """The entry of one fruit, with the pixel coordinates of its `_projected_points`."""
     stalk, approach = fruit.stalk, fruit.approach
     return {
-        "instance": fruit.instance + 1,
-        "plant": fruit.about.plant,
-        "phytomer": fruit.about.phytomer,
-        "kind": fruit.about.kind,
+        "instance": fruit.index + 1,
+        "plant": fruit.instance.plant,
+        "phytomer": fruit.instance.phytomer,
+        "kind": fruit.instance.kind,
         **{name: _rounded(value) for name, value in fruit.measures.items()},
-        "pose": _pose(fruit, picture),
-        **_seen(fruit, amodal, picture),
-        "box_3d": _box_3d(fruit, picture, places[: len(_CORNERS)]),
-        "peduncle": None if stalk is None else _stalk(stalk, picture, places[len(_CORNERS) :]),
-        "approach": None if approach is None else _approach(approach, picture),
+        "pose": _camera_pose(fruit, view),
+        **_visibility(fruit, amodal, view),
+        "box_3d": _box_3d(fruit, view, px[: len(_CORNERS)]),
+        "peduncle": None if stalk is None else _stalk_entry(stalk, view, *px[len(_CORNERS) :]),
+        "approach": None if approach is None else _approach_entry(approach, view),
     }
 
 
-def _seen(fruit: FruitTruth, amodal: AmodalMask, picture: LabelView) -> dict[str, Any]:
-    """Masks and boxes: what is seen of it, what would be, and what stands before it."""
-    shown = amodal.of(picture.instance)
-    visible = shown == fruit.instance + 1
-    whole = mask_box(amodal.mask, amodal.corner)
-    if whole is None:
-        raise ValueError("a fruit without any pixel is not in the picture")
-    count, seen = int(amodal.mask.sum()), int(visible.sum())
+def _visibility(fruit: FruitTruth, amodal: AmodalMask, view: LabelView) -> dict[str, Any]:
+    """Visible and amodal boxes and pixels, and the occluders."""
+    labels = amodal.of(view.instance)
+    visible = labels == fruit.index + 1
+    amodal_box = mask_box(amodal.mask, amodal.corner)
+    if amodal_box is None:
+        raise ValueError("a fruit without any pixel is not in the image")
+    count, visible_count = int(amodal.mask.sum()), int(visible.sum())
     box = mask_box(visible, amodal.corner)
-    before = np.bincount(shown[amodal.mask & ~visible])
-    others = np.flatnonzero(before)
-    # Most pixels first; the lower number where two have as many.
-    others = others[np.argsort(-before[others], kind="stable")]
+    occluded = np.bincount(labels[amodal.mask & ~visible])
+    occluders = np.flatnonzero(occluded)
+    # Most pixels first; for equal numbers, the lower instance first.
+    occluders = occluders[np.argsort(-occluded[occluders], kind="stable")]
     return {
         "box": None if box is None else list(box),
-        "amodal_box": list(whole),
-        "visible_pixels": seen,
+        "amodal_box": list(amodal_box),
+        "visible_pixels": visible_count,
         "amodal_pixels": count,
-        "visible_fraction": _rounded(seen / count),
-        "truncated": touches_border(whole, picture.instance.shape),
-        "occluders": [{"instance": int(one), "pixels": int(before[one])} for one in others if one > 0],
-        "amodal": encode_rle(amodal.mask, picture.instance.shape, amodal.corner),
+        "visible_fraction": _rounded(visible_count / count),
+        "truncated": touches_border(amodal_box, view.instance.shape),
+        "occluders": [{"instance": int(one), "pixels": int(occluded[one])} for one in occluders if one > 0],
+        "amodal": encode_rle(amodal.mask, view.instance.shape, amodal.corner),
     }
 
 
-def _pose(fruit: FruitTruth, picture: LabelView) -> list[list[float]]:
+def _camera_pose(fruit: FruitTruth, view: LabelView) -> list[list[float]]:
     """`(4, 4)` fruit to camera."""
     pose = np.eye(4)
-    pose[:3, :3] = picture.rotation @ fruit.pose[:3, :3]
-    pose[:3, 3] = picture.points(fruit.pose[:3, 3])
+    pose[:3, :3] = view.rotation @ fruit.pose[:3, :3]
+    pose[:3, 3] = view.points(fruit.pose[:3, 3])
     return _lists(pose, 9)
 
 
-def _box_3d(fruit: FruitTruth, picture: LabelView, corners: FloatArray) -> dict[str, Any]:
-    """The box that holds the fruit, with edges along its own axes."""
-    turn, foot = fruit.pose[:3, :3], fruit.pose[:3, 3]
+def _box_3d(fruit: FruitTruth, view: LabelView, corners: FloatArray) -> dict[str, Any]:
+    """The fruit's bounding box along its own axes."""
+    rotation, origin = fruit.pose[:3, :3], fruit.pose[:3, 3]
     return {
-        "centre": _lists(picture.points(foot + turn @ (0.5 * (fruit.low + fruit.high)))),
+        "centre": _lists(view.points(origin + rotation @ (0.5 * (fruit.low + fruit.high)))),
         "size": _lists(fruit.high - fruit.low),
-        "rotation": _lists(picture.rotation @ turn, 9),
-        # A corner behind the camera is nowhere in the picture.
+        "rotation": _lists(view.rotation @ rotation, 9),
+        # Corners behind the camera have no pixel coordinates.
         "corners_px": [_lists(corner, 3) if np.isfinite(corner).all() else None for corner in corners],
     }
 
 
-def _stalk(stalk: FruitStalk, picture: LabelView, places: FloatArray) -> dict[str, Any]:
-    """The fruit's stalk; its attachment and its cut lie at these places in the picture."""
-    # At the joint, the body that bears the stalk shows as well.
-    joint, cut = (
-        _point(point, place, own, stalk.radius_m, picture)
-        for point, place, own in zip(
-            (stalk.attachment, stalk.cut),
-            places,
-            ((stalk.instance, stalk.bearer), (stalk.instance,)),
-            strict=True,
-        )
-    )
+def _stalk_entry(
+    stalk: FruitStalk, view: LabelView, attachment: FloatArray, cut: FloatArray
+) -> dict[str, Any]:
+    """The fruit's stalk, with the pixel coordinates of its attachment and its cut."""
+    # At the attachment, the stalk's parent may be in front of the centreline too.
+    both = (stalk.instance, stalk.parent)
     return {
         "instance": stalk.instance + 1,
         "length_m": _rounded(stalk.length_m),
         "radius_m": _rounded(stalk.radius_m),
-        "curve_m": _lists(picture.points(stalk.curve)),
-        "attachment": joint,
-        "cut": {**cut, "tangent": _lists(picture.rotation @ stalk.tangent, 9)},
+        "curve_m": _lists(view.points(stalk.curve)),
+        "attachment": _point_entry(stalk.attachment, attachment, both, stalk.radius_m, view),
+        "cut": {
+            **_point_entry(stalk.cut, cut, both[:1], stalk.radius_m, view),
+            "tangent": _lists(view.rotation @ stalk.tangent, 9),
+        },
     }
 
 
-def _point(
-    point: FloatArray, place: FloatArray, own: Sequence[int], radius_m: float, picture: LabelView
+def _point_entry(
+    point: FloatArray, px: FloatArray, organs: Sequence[int], radius_m: float, view: LabelView
 ) -> dict[str, Any]:
-    """A point of a stalk's centreline; seen where its pixel shows the skin right in front of it."""
+    """A point of a stalk's centreline; visible if its pixel shows one of the organs right in front of it."""
     # Comparisons with nan are false.
-    inside = bool((place >= 0.0).all() and (place < [picture.camera.width, picture.camera.height]).all())
+    inside = bool((px >= 0.0).all() and (px < [view.camera.width, view.camera.height]).all())
+    visible = False
+    if inside:
+        row, column = int(px[1]), int(px[0])
+        depth = float(view.distance[row, column]) - float(np.linalg.norm(view.points(point)))
+        visible = int(view.instance[row, column]) - 1 in organs and abs(depth) <= _VISIBLE_DEPTH * radius_m
     return {
-        "camera_m": _lists(picture.points(point)),
+        "camera_m": _lists(view.points(point)),
         "world_m": _lists(point),
-        "px": _lists(place, 3) if inside else None,
-        "visible": inside and _shown(point, place, own, radius_m, picture),
+        "px": _lists(px, 3) if inside else None,
+        "visible": visible,
     }
 
 
-def _shown(
-    point: FloatArray, place: FloatArray, own: Sequence[int], radius_m: float, picture: LabelView
-) -> bool:
-    """Whether the first surface behind the pixel that a point falls into is its own, and near it."""
-    row, column = int(place[1]), int(place[0])
-    away = float(picture.distance[row, column]) - float(np.linalg.norm(picture.points(point)))
-    return int(picture.instance[row, column]) - 1 in own and abs(away) <= _NEAR * radius_m
-
-
-def _approach(approach: Approach, picture: LabelView) -> dict[str, Any]:
+def _approach_entry(approach: Approach, view: LabelView) -> dict[str, Any]:
     return {
-        "camera": _lists(picture.rotation @ approach.direction, 9),
+        "camera": _lists(view.rotation @ approach.direction, 9),
         "world": _lists(approach.direction, 9),
-        "azimuth_rad": _rounded(approach.azimuth(picture.camera.pose)),
-        "stem_camera_m": _lists(picture.points(approach.stem)),
+        "azimuth_rad": _rounded(approach.azimuth(view.camera.pose)),
+        "stem_camera_m": _lists(view.points(approach.stem)),
         "stem_world_m": _lists(approach.stem),
     }
 
 
 def _rounded(value: float, digits: int = 6) -> float:
-    """To a micrometre, as a rule; no negative zero."""
+    """Rounded to a micrometre by default, without negative zero."""
     return round(float(value), digits) + 0.0
 
 

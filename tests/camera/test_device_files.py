@@ -1,0 +1,349 @@
+"""Files of sensors, lenses, flashes and filters: the shipped ones, and errors in user files."""
+
+from __future__ import annotations
+
+import tomllib
+
+import numpy as np
+import pytest
+import tomli_w
+
+from pepperscene.camera import Filter, load_filter, load_flash, load_lens, load_sensor
+from pepperscene.errors import InputError
+from pepperscene.shipped import shipped_folder
+from pepperscene.spectra import Spectrum, read_provenance, read_spectra, read_spectrum, sky_spectrum
+
+FOLDER = shipped_folder("materials")
+LOADERS = {"sensors": load_sensor, "lenses": load_lens, "flashes": load_flash, "filters": load_filter}
+SHIPPED = [(kind, path.stem) for kind in LOADERS for path in sorted((FOLDER / kind).glob("*.toml"))]
+FILTERS = [name for kind, name in SHIPPED if kind == "filters"]
+NM = np.arange(300.0, 1201.0)
+
+# --- shipped files ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("kind", "name"), SHIPPED)
+def test_shipped_device_loads_by_name_and_by_path(kind, name):
+    load = LOADERS[kind]
+    assert load(name).name == load(FOLDER / kind / f"{name}.toml").name
+
+
+@pytest.mark.parametrize(
+    "path", [p for kind in LOADERS for p in (FOLDER / kind).rglob("*.csv")], ids=lambda p: p.stem
+)
+def test_shipped_curve_has_source_and_licence(path):
+    provenance = read_provenance(path)
+    assert provenance.source
+    assert provenance.licence
+    assert ("MODEL" in path.stem) == (provenance.kind == "MODEL")
+
+
+def test_camera_of_the_paper():
+    sensor, lens = load_sensor("ueye_ui5250re"), load_lens("lensagon_cmfa0420nd")
+    flash = load_flash("led_matrix_200klx")
+    assert (sensor.columns, sensor.rows, sensor.binning, sensor.photosites) == (800, 600, 2, (1, 2, 1))
+    assert sensor.columns * sensor.pixel_pitch_m == pytest.approx(7.2e-3)
+    assert lens.focal_length_m == pytest.approx(4.16e-3)
+    assert lens.distortion.is_none
+    assert (flash.illuminance_lx, flash.at_m, flash.pulse_s) == pytest.approx((2e5, 0.5, 50e-6))
+    # No red, green or blue photosite counts infrared light: the filter is included.
+    assert sensor.quantum_efficiency.at([700.0, 800.0]).max() < 1e-3
+
+
+def test_other_shipped_sensors():
+    assert load_sensor("ueye_ui5250re_full").site_shape == load_sensor("ueye_ui5250re").site_shape
+    assert load_sensor("onsemi_mt9v024_full").site_shape == load_sensor("onsemi_mt9v024").site_shape
+    nikon, mono = load_sensor("nikon_d5100"), load_sensor("onsemi_mt9v024_mono")
+    assert (nikon.columns, nikon.rows, nikon.site_shape) == (1232, 816, (3264, 4928))
+    # Green sees most photons around 530 nm, and no colour sees infrared.
+    assert nikon.quantum_efficiency.at([520, 530, 540])[1].max() == pytest.approx(0.465, abs=1e-5)
+    assert nikon.quantum_efficiency.at([750, 850]).max() < 1e-4
+    # Without dyes nothing is lost: at least as good as the best colour of the same die, and equal in the
+    # infrared.
+    assert (mono.channels, mono.site_shape) == (1, (480, 752))
+    colours = read_spectra(FOLDER / "sensors" / "spectra" / "onsemi_mt9v024_rgb_qe.csv").values()
+    nm = np.arange(380.0, 1081.0, 10)
+    best = np.max([colour.at(nm) for colour in colours], axis=0)
+    assert np.all(mono.quantum_efficiency.at(nm)[0] >= best - 1e-5)
+    np.testing.assert_allclose(mono.quantum_efficiency.at(nm[nm > 850])[0], best[nm > 850], atol=1e-5)
+
+
+def test_infrared_cut_multiplies_the_efficiency():
+    efficiency = load_sensor("onsemi_mt9v024").quantum_efficiency
+    # The tables at 540 nm: the filter's 0.93055 times the green photosite's 0.61696 or less.
+    assert 0.5 < efficiency.at(540.0)[1, 0] < 0.93055 * 0.61696 + 1e-9
+    assert efficiency.at([850.0]).max() < 1e-3
+
+
+def test_electrons_per_joule_of_a_known_wavelength():
+    # At 500 nm a photon has h c / lambda = 3.9729e-19 J.
+    sensor = load_sensor("ueye_ui5250re")
+    expected = sensor.quantum_efficiency.at(500.0) / 3.972892e-19
+    np.testing.assert_allclose(sensor.electrons_per_joule(500.0), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_shipped_filter_is_clear_somewhere_and_multiplies_a_sensor(name):
+    sensor, transmittance = load_sensor("onsemi_mt9v024"), load_filter(name).transmittance
+    assert transmittance.at(NM).min() >= 0
+    assert 0.85 < transmittance.at(NM).max() <= 1
+    behind = sensor.with_filter(transmittance)
+    # At the nodes of both curves; in between a product of lines is not a line.
+    nm = np.union1d(sensor.quantum_efficiency.wavelength_nm, transmittance.wavelength_nm)
+    expected = sensor.quantum_efficiency.at(nm) * transmittance.at(nm)
+    np.testing.assert_allclose(behind.quantum_efficiency.at(nm), expected, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["schott_22022010", "largan_k098_bir690uv"])
+def test_infrared_cuts_pass_the_visible_and_stop_the_infrared(name):
+    transmittance = load_filter(name).transmittance
+    assert transmittance.at([450.0, 500, 550]).min() > 0.75
+    assert transmittance.at(np.arange(760.0, 1000.0)).max() < 0.02
+
+
+def test_band_pass_follows_its_formula_and_matches_the_infrared_flash():
+    transmittance = load_filter("bandpass_850nm").transmittance.at(NM)
+    expected = 0.9 / ((1 + np.exp((820 - NM) / 3)) * (1 + np.exp((NM - 880) / 3)))
+    np.testing.assert_allclose(transmittance, expected, rtol=0, atol=1e-5)
+    # Nine tenths of the LED pass the band, and no daylight below 740 nm.
+    led = load_flash("led_nir_850nm").spectrum
+    passed = np.trapezoid(led.at(NM) * transmittance, NM) / led.integral()
+    assert passed == pytest.approx(0.9 * 0.92, abs=0.02)
+    assert np.max((sky_spectrum("d65").at(NM) * transmittance)[NM < 740]) == 0
+
+
+@pytest.mark.parametrize("values", [[0.1, 1.1], [-0.1, 0.5], [[0.1, 0.2], [0.3, 0.4]]])
+def test_filter_raises_on_invalid_transmittance(values):
+    with pytest.raises(ValueError, match="transmittance must be one curve"):
+        Filter("invalid", Spectrum(np.array([400.0, 700.0]), np.array(values)))
+
+
+@pytest.mark.parametrize("kind", LOADERS)
+def test_unknown_name_lists_shipped_devices(kind):
+    with pytest.raises(InputError, match=f"nor one of the shipped {kind}") as caught:
+        LOADERS[kind]("nikon")
+    assert all(name in str(caught.value) for shipped_kind, name in SHIPPED if shipped_kind == kind)
+
+
+# --- errors -------------------------------------------------------------------------------------------------
+
+
+def copy_of(tmp_path, kind, name, change):
+    """A shipped file copied, its table changed by `change(table)`."""
+    table = tomllib.loads((FOLDER / kind / f"{name}.toml").read_text(encoding="utf-8"))
+    (tmp_path / "spectra").mkdir()
+    for path in (FOLDER / kind / "spectra").glob("*.csv"):
+        (tmp_path / "spectra" / path.name).write_bytes(path.read_bytes())
+    change(table)
+    copy = tmp_path / "mine.toml"
+    copy.write_text(tomli_w.dumps(table), encoding="utf-8")
+    return copy
+
+
+def put(*keys_and_value):
+    *keys, last, value = keys_and_value
+
+    def change(table):
+        for key in keys:
+            table = table[key]
+        table[last] = value
+
+    return change
+
+
+def drop(*keys):
+    def change(table):
+        for key in keys[:-1]:
+            table = table[key]
+        del table[keys[-1]]
+
+    return change
+
+
+NAMES = {
+    "sensors": "ueye_ui5250re",
+    "lenses": "lensagon_cmfa0420nd_typical_distortion",
+    "flashes": "led_matrix_200klx",
+    "filters": "schott_22022010",
+}
+NARROW = {"angle_deg": [0, 0.1], "relative_intensity": [1, 0]}
+INVALID = [
+    ("sensors", put("pitch_um", -4.5), r"mine\.toml: pitch_um = -4\.5"),
+    ("sensors", put("binning", 3), r"binning must be 1 or even"),
+    ("sensors", put("binning", 0), r"binning = 0"),
+    ("sensors", lambda t: t.update(binning=1, columns=1601), r"1601 x 600 photosites hold no whole Bayer"),
+    ("sensors", put("pattern", "rgb"), r"pattern = 'rgb'"),
+    ("sensors", put("pattern", "mono"), r"columns must name 1 for the pattern mono"),
+    ("sensors", put("bits", 17), r"bits = 17"),
+    ("sensors", put("bits", "ten"), r"bits = 'ten'"),
+    ("sensors", put("black_level_dn", 1023), r"black_level_dn must be below"),
+    ("sensors", put("colour", "blue"), r"colour: is not a known key"),
+    ("sensors", drop("full_well_e"), r"full_well_e: is required"),
+    ("sensors", drop("sources", "bits"), r"\[sources\].*\bbits\b"),
+    ("sensors", put("sources", "weight", "scales"), r"\[sources\].*\bweight\b"),
+    ("sensors", put("quantum_efficiency", "file", "no.csv"), r"quantum_efficiency\.file = 'no\.csv'"),
+    ("sensors", put("quantum_efficiency", "columns", ["r", "g", "x"]), r"MODEL\.csv.*'x'"),
+    ("sensors", put("quantum_efficiency", "columns", ["r", "g"]), r"columns must name 3 for the pattern"),
+    ("lenses", put("f_number", 0), r"f_number = 0"),
+    ("lenses", put("transmittance", 90), r"transmittance = 90"),
+    ("lenses", put("distortion", "k1", float("nan")), r"distortion\.k1 = nan"),
+    ("lenses", put("distortion", "k7", 0.1), r"distortion\.k7: is not a known key"),
+    ("lenses", put("principal_offset_mm", [0.1]), r"principal_offset_mm"),
+    ("lenses", put("principal_offset_mm", [0.1, -0.2]), r"\[sources\].*principal_offset_mm"),
+    ("lenses", put("vignetting", "relative", [1, 1, 1, 1, 1, 2.5]), r"vignetting\.relative\.5 = 2\.5"),
+    ("lenses", put("vignetting", "relative", [1, 1, 1, 1, 1, -0.5]), r"vignetting\.relative\.5 = -0"),
+    ("lenses", put("vignetting", "relative", [1, 1]), r"vignetting: .*equally long"),
+    ("lenses", put("vignetting", "relative", [0.9, 0.9, 0.9, 0.8, 0.8, 0.7]), r"1 at angle 0"),
+    ("lenses", put("vignetting", "angle_deg", [0, 15, 25, 20, 42, 50]), r"increasing list"),
+    ("lenses", put("vignetting", "angle_deg", [0, 15, 25, 35, 42, 95]), r"angle_deg\.5 = 95"),
+    ("flashes", put("profile", "angle_deg", [0, 20, 10, 26, 35, 45, 65]), r"profile: angles must be one"),
+    ("flashes", put("profile", "angle_deg", [0, 20]), r"equally long"),
+    ("flashes", put("profile", "relative_intensity", [2.0] * 7), r"1 at angle 0"),
+    ("flashes", put("illuminance_lx", 0), r"illuminance_lx = 0"),
+    ("flashes", put("irradiance_W_m2", 600.0), r"\[sources\].*irradiance_W_m2"),
+    ("flashes", put("offset_mm", [0, 1]), r"offset_mm"),
+    ("flashes", put("matrix", "columns", 0), r"matrix\.columns = 0"),
+    ("flashes", put("matrix", "pitch_mm", -8), r"matrix\.pitch_mm = -8"),
+    ("flashes", put("matrix", "pitch_mm", 2.9), r"at most half of matrix\.pitch_mm"),
+    ("flashes", drop("sources", "matrix"), r"\[sources\].*\bmatrix\b"),
+    ("flashes", put("profile", NARROW), r"profile: does not fit the other values: .*no light of the profile"),
+    ("flashes", put("spectrum", "file", "light/no_such"), r"spectrum\.file = 'light/no"),
+    ("flashes", put("spectrum", "file", "light/astm_g173_300_1100"), r"'lumileds_cool_white': is not one of"),
+    ("filters", put("transmittance", "file", "no.csv"), r"transmittance\.file = 'no\.csv': is not a file"),
+    ("filters", put("transmittance", "column", "x"), r"'x': is not one of"),
+    ("filters", put("kind", "guessed"), r"kind = 'guessed'"),
+    ("filters", drop("transmittance", "column"), r"transmittance\.column: is required"),
+    ("filters", drop("sources", "transmittance"), r"\[sources\].*\btransmittance\b"),
+    ("filters", put("width_mm", 3), r"width_mm: is not a known key"),
+]
+
+
+@pytest.mark.parametrize(("kind", "change", "message"), INVALID)
+def test_raises_on_invalid_table(tmp_path, kind, change, message):
+    with pytest.raises(InputError, match=message):
+        LOADERS[kind](copy_of(tmp_path, kind, NAMES[kind], change))
+
+
+RGB, CURVE = "wavelength_nm,r,g,b\n400,.1,.2,.3", "wavelength_nm,t\n400,.5"
+TABLES = {
+    "rgb": ("sensors", "onsemi_mt9v024", "quantum_efficiency"),
+    "cut": ("sensors", "onsemi_mt9v024", "infrared_cut"),
+    "filter": ("filters", "schott_22022010", "transmittance"),
+}
+
+
+@pytest.mark.parametrize(
+    ("table", "text", "message"),
+    [
+        ("rgb", f"{RGB}\n500,.1,nan,.3", r"row 3, column g = 'nan'"),
+        ("rgb", f"{RGB}\n500,.1,-.2,.3", r"row 3, column g = -0\.2: must be at least 0"),
+        ("rgb", f"{RGB}\n300,.1,.2,.3", r"row 3, column wavelength_nm = 300"),
+        ("rgb", f"{RGB}\n500,.1,1.2,.3", r"row 3, column g = 1\.2: must be at most 1"),
+        ("rgb", f"{RGB}\n500,.1,.3", r"row 3"),
+        ("rgb", "nm,r,g,b\n400,.1,.2,.3\n700,.1,.2,.3", r"wavelength_nm"),
+        ("rgb", "", r"wavelength_nm"),
+        ("cut", f"{CURVE}\n700,1.5", r"row 3, column t = 1\.5: must be at most 1"),
+        ("filter", f"{CURVE}\n700,1.2", r"row 3, column t = 1\.2: must be at most 1"),
+        ("filter", f"{CURVE}\n700,-.2", r"row 3, column t = -0\.2: must be at least 0"),
+    ],
+)
+def test_raises_on_invalid_curve_with_row_and_column(tmp_path, table, text, message):
+    kind, name, key = TABLES[table]
+    columns = {} if table == "rgb" else {"column": "t"}
+    path = copy_of(tmp_path, kind, name, lambda document: document[key].update(file="curve.csv", **columns))
+    (tmp_path / "curve.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        LOADERS[kind](path)
+
+
+# --- values in files ----------------------------------------------------------------------------------------
+
+
+def infrared(tmp_path, *changes):
+    """The shipped flash's file with an infrared spectrum."""
+
+    def change(table):
+        table["spectrum"] = {"file": "ir.csv", "column": "ir"}
+        for one in changes:
+            one(table)
+
+    path = copy_of(tmp_path, "flashes", NAMES["flashes"], change)
+    (tmp_path / "ir.csv").write_text("wavelength_nm,ir,none\n800,0,0\n850,1,0\n900,0,0", encoding="utf-8")
+    return path
+
+
+def without_lux(table):
+    del table["illuminance_lx"], table["sources"]["illuminance_lx"]
+
+
+def with_watts(table):
+    table["irradiance_W_m2"] = 40
+    table["sources"]["irradiance_W_m2"] = "chosen"
+
+
+@pytest.mark.parametrize("change", [with_watts, without_lux], ids=["both", "none"])
+def test_flash_needs_exactly_one_strength(tmp_path, change):
+    with pytest.raises(InputError, match=r"exactly one of illuminance_lx and irradiance_W_m2 must be given"):
+        load_flash(copy_of(tmp_path, "flashes", NAMES["flashes"], change))
+
+
+def test_only_a_flash_in_lux_needs_visible_light(tmp_path):
+    with pytest.raises(InputError, match=r"spectrum\.column = 'ir': must contain light in 400 to 700 nm, or"):
+        load_flash(infrared(tmp_path))
+    (tmp_path / "watts").mkdir()
+    flash = load_flash(infrared(tmp_path / "watts", without_lux, with_watts))
+    assert (flash.illuminance_lx, flash.irradiance_W_m2) == (None, 40)
+    # A triangle of 100 nm: its peak is 40 W/m2 over 50 nm.
+    assert flash.irradiance().at(850.0)[0] == pytest.approx(0.8)
+
+
+def test_flash_needs_some_light(tmp_path):
+    path = infrared(tmp_path, without_lux, with_watts, put("spectrum", "column", "none"))
+    with pytest.raises(InputError, match=r"spectrum\.column = 'none': must contain some light"):
+        load_flash(path)
+
+
+@pytest.mark.parametrize(
+    ("file", "column"),
+    [
+        ("light/houser2013_cool_white_led", "slide_4_lumileds_cool_white"),
+        ("light/nist_phosphor_led_colour_science.csv", "phos_1"),
+        ("light/cie_illuminants_colour_science", "led_b3"),
+    ],
+)
+def test_flash_can_use_a_shipped_led(tmp_path, file, column):
+    change = put("spectrum", {"file": file, "column": column})
+    path = copy_of(tmp_path, "flashes", NAMES["flashes"], change)
+    np.testing.assert_array_equal(load_flash(path).spectrum.values, read_spectrum(file, column).values)
+    # A file beside the flash's takes precedence.
+    beside = tmp_path / f"{file.removesuffix('.csv')}.csv"
+    beside.parent.mkdir()
+    beside.write_text(f"wavelength_nm,{column}\n500,1\n600,1", encoding="utf-8")
+    if file.endswith(".csv"):
+        np.testing.assert_array_equal(load_flash(path).spectrum.values, [1, 1])
+
+
+def test_flash_without_a_matrix_is_one_emitter(tmp_path):
+    def change(table):
+        del table["matrix"], table["sources"]["matrix"]
+        table["radius_mm"] = 30
+
+    flash = load_flash(copy_of(tmp_path, "flashes", NAMES["flashes"], change))
+    np.testing.assert_array_equal(flash.emitters_m, [[0, 0]])
+    assert flash.radius_m == pytest.approx(0.03)
+
+
+def test_matrix_is_centred(tmp_path):
+    matrix = put("matrix", {"columns": 3, "rows": 2, "pitch_mm": 10.0})
+    flash = load_flash(copy_of(tmp_path, "flashes", NAMES["flashes"], matrix))
+    expected = [[x, y] for y in (-0.005, 0.005) for x in (-0.01, 0.0, 0.01)]
+    np.testing.assert_allclose(flash.emitters_m, expected, atol=1e-15)
+
+
+def test_principal_point_is_in_millimetres(tmp_path):
+    def change(table):
+        table["principal_offset_mm"] = [0.12, -0.05]
+        table["sources"]["principal_offset_mm"] = "calibrated"
+
+    lens = load_lens(copy_of(tmp_path, "lenses", "lensagon_cmfa0420nd", change))
+    assert lens.principal_offset_m == pytest.approx((1.2e-4, -5e-5))
