@@ -316,7 +316,7 @@ def test_nobody_answers(make, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("address", ["", "somewhere", "tcp://host", "tcp://host:x"])
 def test_an_address_has_a_host_and_a_port(make, address):
-    with pytest.raises(InputError, match="--scheduler: must be an address"):
+    with pytest.raises(InputError, match="scheduler: must be an address"):
         make(scheduler=address)
 
 

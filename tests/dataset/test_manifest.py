@@ -39,7 +39,7 @@ def test_a_row_for_each_frame_tells_what_its_files_tell(folder, recipe):
     assert list(told[0]) == list(FRAME_COLUMNS)
     assert [row["index"] for row in told] == list(range(2, 9))
     for row in told:
-        facts, shot = dataset.metadata(row["index"]), recipe.plan.shot(row["index"])
+        facts, shot = dataset.metadata(row["index"]), recipe.plan.frame(row["index"])
         assert (row["set"], row["rotation"], row["step"]) == (shot.set, shot.rotation, shot.step)
         assert [row["x_m"], row["y_m"], row["z_m"]] == [line[3] for line in facts["camera"]["pose"][:3]]
         assert np.reshape(row["pose"], (4, 4)).tolist() == facts["camera"]["pose"]

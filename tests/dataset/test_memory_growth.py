@@ -21,10 +21,10 @@ BUILD = """
     import trimesh
 
     from pepperscene.classes import Instance, OrganClass
-    from pepperscene.dataset import Stage, build, load_recipe
+    from pepperscene.dataset import FrameRenderer, build, load_recipe
     from pepperscene.geometry import Mesh
-    from pepperscene.materials import lambertian
-    from pepperscene.scene import assemble
+    from pepperscene.materials import lambertian_surface
+    from pepperscene.scene import assemble_scene
 
     SCENES, FRAMES = 10, 30
 
@@ -44,7 +44,7 @@ BUILD = """
             surfaces=("matt",),
             instances=(Instance(OrganClass.PEPPER, "ball"),),
         )
-        return assemble(mesh, {"matt": lambertian("matt", 0.5)})
+        return assemble_scene(mesh, {"matt": lambertian_surface("matt", 0.5)})
 
     def held():
         gc.collect()
@@ -53,14 +53,14 @@ BUILD = """
     recipe = load_recipe("barth2018")
     plan = recipe.plan.model_copy(update={"sets": 2, "rotations": SCENES // 2, "frames": FRAMES})
     recipe = recipe.model_copy(update={"name": "small", "cultivar": "kaite_february", "plan": plan})
-    camera_of = Stage.camera
+    camera_of = FrameRenderer.camera
 
     def small(stage, shot):
         camera = camera_of(stage, shot)
         sensor = camera.sensor
         return replace(camera, sensor=replace(sensor, columns=80, rows=60, binning=10 * sensor.binning))
 
-    Stage.scene, Stage.camera = scene_of, small
+    FrameRenderer.scene, FrameRenderer.camera = scene_of, small
     sizes = []
     with tempfile.TemporaryDirectory() as folder:
         build(

@@ -160,13 +160,13 @@ def test_a_worker_killed_from_outside(make, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("number", [0, -1, 2000])
 def test_a_number_of_workers_is_between_one_and_many(make, tmp_path, number):
-    with pytest.raises(InputError, match="--workers"):
+    with pytest.raises(InputError, match="workers"):
         make(workers=number)
     assert not (tmp_path / "set").exists()
 
 
 def test_one_way_at_a_time(make):
-    with pytest.raises(InputError, match="--scheduler: goes without --workers"):
+    with pytest.raises(InputError, match="scheduler: cannot be combined with workers"):
         make(workers=2, scheduler="tcp://127.0.0.1:1")
 
 
@@ -179,16 +179,16 @@ def _children():
             words = (status.parent / "cmdline").read_bytes()
         except OSError:
             continue
-        if int(fields[1]) == os.getpid() and fields[0] != "Z" and b"work.pool" in words:
+        if int(fields[1]) == os.getpid() and fields[0] != "Z" and b"execution.local" in words:
             found.append(int(status.parent.name))
     return found
 
 
 @pytest.mark.parametrize(("said", "threads"), [(None, "1"), ("3", "3")])
 def test_a_worker_keeps_to_its_cores(make, tmp_path, monkeypatch, said, threads):
-    monkeypatch.setattr(sys.modules["pepperscene.dataset.execution.local"], "cores", lambda: 2)
+    monkeypatch.setattr(sys.modules["pepperscene.dataset.execution.local"], "available_cores", lambda: 2)
     monkeypatch.delenv("PEPPERSCENE_THREADS", raising=False)
     if said is not None:
         monkeypatch.setenv("PEPPERSCENE_THREADS", said)
     done = make(renderer=Threaded, frames="0:1", workers=2)
-    assert done.dataset.facts(0)["threads"] == threads
+    assert done.dataset.metadata(0)["threads"] == threads
