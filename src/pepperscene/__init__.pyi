@@ -13,6 +13,7 @@ from .colour import Comparison, PatchSet, compare, open_patches
 from .cultivar import Cultivar, interpolate_cultivars, load_cultivar
 from .dataset import (
     VOID,
+    BuildOptions,
     CheckResult,
     Dataset,
     FrameRenderer,
@@ -74,6 +75,7 @@ __all__ = [
     "DEFAULT_OUTPUTS",
     "OUTPUTS",
     "VOID",
+    "BuildOptions",
     "Camera",
     "CheckResult",
     "Comparison",

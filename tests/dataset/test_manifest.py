@@ -11,8 +11,7 @@ import pytest
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import build, open_dataset
 from pepperscene.dataset.store.journal import JOURNAL, Journal
-from pepperscene.dataset.store.manifest import MANIFEST
-from pepperscene.dataset.store.rows import FRAME_COLUMNS
+from pepperscene.dataset.store.manifest import FRAME_COLUMNS, MANIFEST
 from pepperscene.errors import InputError, OutputError
 
 pytestmark = pytest.mark.usefixtures("empty_scenes")

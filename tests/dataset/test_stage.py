@@ -11,8 +11,8 @@ import pytest
 from pepperscene.camera import load_filter, load_sensor
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import FrameRenderer, load_recipe
-from pepperscene.dataset.recipe.equipment import surface_wavelengths
 from pepperscene.dataset.recipe.plan import frame_seed
+from pepperscene.dataset.recipe.resolved import surface_wavelengths
 from pepperscene.dataset.scenes import frame_renderer as stage_module
 from pepperscene.render import QUALITIES
 from pepperscene.spectra import Spectrum
