@@ -1,15 +1,12 @@
 """Python subprocesses that serve requests of this process, as pickles through pipes.
 
-They are not forked, because the renderer may have started threads, and they are not started by
-`multiprocessing`, which would run the user's script again. A worker ends when its input ends, even if its
-parent was killed, and does not receive Ctrl-C.
+They are not forked, because the renderer may have started threads, and not started by `multiprocessing`,
+which would run the user's script again. A worker ends when its input ends, even if its parent was killed, and
+does not receive Ctrl-C. All that it needs is a module with a function `serve(connection)`:
 
-A module whose function `serve(connection)` answers requests is all that a worker needs:
-
-    worker = WorkerProcess("package.module")        def serve(connection):
-    worker.send(state)                                  for request in connection:
-    reply = worker.call(request)                            connection.send(answer(connection.state, request))
-    worker.close()
+    worker = WorkerProcess("package.module")    def serve(connection):
+    worker.send(state)                              for request in connection:
+    reply = worker.call(request)                        connection.send(answer(connection.state, request))
 """
 
 from __future__ import annotations
@@ -31,14 +28,14 @@ from typing import IO, Any, Final
 THREADS: Final = ("PEPPERSCENE_THREADS", "OIDN_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 """Environment variables that limit the threads of a process: of Mitsuba, the denoiser, the matrix library."""
 
-GRACE_S: Final = 5.0
-"""Chosen: how long a worker that has nothing to finish may take to end."""
-
+GRACE_S: Final = 5.0  # chosen: how long a worker that has nothing to finish may take to end
 _STDERR_KEPT: Final = 4000  # chosen: bytes at the end of a worker's standard error
 
 
 class WorkerProcess:
-    """A worker process, seen from its parent; it imports from where its parent does.
+    """A worker process, seen from its parent; it imports from the same folders.
+
+    Iterating over it yields replies until it ends.
 
     Args:
         module: name of the module whose function `serve` the worker runs.
@@ -53,15 +50,13 @@ class WorkerProcess:
         self, module: str, threads: int | None = None, environment: Mapping[str, str] | None = None
     ) -> None:
         limits = {} if threads is None else dict.fromkeys(THREADS, str(threads))
-        code = (
-            f"import sys; sys.path[:] = {sys.path!r}; "
-            f"from {__name__} import run_worker; run_worker({module!r})"
-        )
+        paths = f"import sys; sys.path[:] = {sys.path!r}"
+        run = f"from {__name__} import run_worker; run_worker({module!r})"
         self._ending = ""
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - closed by `close`
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", code],
+                [sys.executable, "-P", "-c", f"{paths}; {run}"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._stderr,
@@ -73,22 +68,14 @@ class WorkerProcess:
             raise
 
     def send(self, message: Any) -> None:
-        """Send the worker's state, which comes first, or a request.
-
-        Raises:
-            OSError: the worker has ended.
-        """
+        """Send the worker's state, which comes first, or a request; raises `OSError` if it has ended."""
         stdin = self._process.stdin
         if stdin is None or stdin.closed:
             raise BrokenPipeError
         _send(stdin, message)
 
     def receive(self) -> Any:
-        """Wait for the next reply.
-
-        Raises:
-            EOFError: the worker has ended.
-        """
+        """Wait for the next reply; raises `EOFError` if the worker has ended."""
         assert self._process.stdout is not None
         try:
             return pickle.load(self._process.stdout)
@@ -97,41 +84,31 @@ class WorkerProcess:
             raise EOFError(str(error)) from None
 
     def call(self, request: Any) -> Any:
-        """Send a request and wait for its reply.
-
-        Raises:
-            OSError, EOFError: the worker has ended.
-        """
+        """Send a request and wait for its reply; raises `OSError` or `EOFError` if the worker has ended."""
         self.send(request)
         return self.receive()
 
     def __iter__(self) -> Iterator[Any]:
-        """Yield replies until the worker ends."""
         with suppress(EOFError):
             while True:
                 yield self.receive()
 
     def finish(self) -> None:
-        """Close the worker's input: it ends after what it is doing."""
+        """Close the worker's input: it ends after its current request."""
         if self._process.stdin is not None:
             with suppress(OSError):
                 self._process.stdin.close()
 
     def close(self, patience_s: float = GRACE_S) -> str:
-        """End the worker, by force when patience is over, and free its resources.
-
-        Returns:
-            How it ended, in words.
-        """
+        """End the worker, by force after some seconds, and return how it ended, in words."""
         if self._ending:
             return self._ending
         self.finish()
+        status = None
         try:
-            status: int | None = self._process.wait(patience_s)
+            status = self._process.wait(patience_s)
         except subprocess.TimeoutExpired:
-            status = None
             self._process.kill()
-            self._process.wait()
         with suppress(OSError):
             self._process.__exit__(None, None, None)
         size = self._stderr.seek(0, os.SEEK_END)
@@ -170,11 +147,7 @@ class Connection:
             yield request[0]
 
     def send(self, reply: Any) -> None:
-        """Send a reply.
-
-        Raises:
-            BrokenPipeError: the parent has ended.
-        """
+        """Send a reply; raises `BrokenPipeError` if the parent has ended."""
         _send(self._replies, reply)
 
     def _read(self) -> None:
@@ -200,7 +173,7 @@ def run_worker(module: str) -> None:
     except Exception:
         traceback.print_exc()
     finally:
-        # The thread that reads requests holds the input, and Python would wait for that thread.
+        # Python would wait for the thread that reads requests, and that thread for the input.
         sys.stderr.flush()
         os._exit(status)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from pepperscene.dataset.execution.executor import Executor, work_units
+from pepperscene.dataset.execution.executor import Dispatcher, Executor, work_units
 from pepperscene.dataset.execution.job import BuildJob, BuildOptions, FrameDone
 from pepperscene.dataset.execution.local import MAX_WORKERS, ProcessExecutor, SerialExecutor
 from pepperscene.dataset.recipe.recipe import Recipe
@@ -30,12 +30,7 @@ _PREVIEWS: Final = ("colour", "class_colour", "class", "instance", "distance_cod
 
 
 class Throughput:
-    """Rate and remaining time of a build; existing frames do not count for the rate.
-
-    Args:
-        total: number of frames requested.
-        clock: seconds, steadily increasing.
-    """
+    """Rate and remaining time of a build of `total` frames; existing frames do not count for the rate."""
 
     def __init__(self, total: int, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._total = clock, total
@@ -76,7 +71,7 @@ class BuildProgress:
         total: number of frames requested.
         made: False if the frame existed already.
         frames_per_s: recent rate; None before the first frame that is made.
-        left_s: estimated seconds for the remaining frames; None before the first frame that is made.
+        left_s: estimated seconds for the remaining frames, likewise.
         picture: a file of the frame that any viewer shows, or None.
     """
 
@@ -145,7 +140,7 @@ def build(
         reporter = _Reporter(job, folder.dataset, journal, indices, on_frame or _ignore, on_notice)
         try:
             units = work_units(job.recipe.recipe.plan, indices, executor.size)
-            executor.make(job, units, reporter.report, on_notice)
+            executor.make(job, Dispatcher(units, reporter.report, on_notice))
         except BaseException:
             with suppress(OutputError, OSError):
                 folder.remove_temporary_files()
@@ -159,12 +154,7 @@ def build(
 
 
 def choose_executor(options: BuildOptions) -> Executor:
-    """The executor of the one option that names one; this process by default.
-
-    Raises:
-        InputError: more than one is named, or the number, the address or the file is not valid.
-        SetupError: the extra `cluster` is not installed, or this machine cannot submit jobs.
-    """
+    """The executor of the one option that names one; this process by default. Errors as of `build`."""
     names = [name for name in ("workers", "scheduler", "slurm") if getattr(options, name) is not None]
     if len(names) > 1:
         raise ArgumentError(names[1], f"cannot be combined with {names[0]}")
@@ -184,11 +174,7 @@ def choose_executor(options: BuildOptions) -> Executor:
 
 
 class _Reporter:
-    """Notes each complete frame in the journal, and reports progress.
-
-    Attributes:
-        made: indices of the frames that this build made.
-    """
+    """Notes each complete frame in the journal, reports progress, and lists the frames that were made."""
 
     def __init__(
         self,
@@ -206,11 +192,7 @@ class _Reporter:
         self.made: list[int] = []
 
     def report(self, done: FrameDone) -> None:
-        """Note and report one frame.
-
-        Raises:
-            OutputError: the journal cannot be written.
-        """
+        """Note and report one frame; raises `OutputError` if the journal cannot be written."""
         throughput, total = self._throughput, len(self._indices)
         try:
             # The folder exists from the first frame on.

@@ -5,19 +5,20 @@ from __future__ import annotations
 import logging
 import pickle
 import queue
+import tempfile
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self, final
 
 from pepperscene.dataset.execution.dask_worker import TOPIC, BuildRequest, FrameTask, UnfitWorkerError
-from pepperscene.dataset.execution.executor import Dispatcher, Executor, OnNotice, WorkUnit
-from pepperscene.dataset.execution.job import BuildJob, FrameDone, OnFrame
-from pepperscene.errors import ArgumentError, OutputError, PepperError, SetupError, WorkerError
+from pepperscene.dataset.execution.executor import Dispatcher, Executor
+from pepperscene.dataset.execution.job import BuildJob, FrameDone
+from pepperscene.dataset.store.atomic import write_error
+from pepperscene.errors import ArgumentError, PepperError, SetupError, WorkerError
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -31,23 +32,14 @@ _INTERRUPT_PATIENCE_S: Final = 5.0  # chosen: the same after Ctrl-C
 
 _LIBRARIES: Final = frozenset({"distributed", "tornado", "asyncio", "dask_jobqueue"})
 
-Upkeep = Callable[[bool], None]
-"""Called about once a second with whether there is a worker; raises `WorkerError` if none will come."""
-
 
 @final
 class DaskExecutor(Executor):
     """A running Dask cluster, which goes on when the build has ended.
 
     Its workers have this version of the package and see the output folder under the same path. Each makes one
-    unit at a time, with as many cores as it has threads.
-
-    Args:
-        address: of the scheduler ("tcp://10.0.0.5:8786").
-
-    Raises:
-        ArgumentError: this is not an address.
-        SetupError: the extra `cluster` is not installed.
+    unit at a time, with as many cores as it has threads. Raises `ArgumentError` if this is not an address,
+    and `SetupError` if the extra `cluster` is not installed.
     """
 
     def __init__(self, address: str) -> None:
@@ -66,15 +58,11 @@ class DaskExecutor(Executor):
 
     @property
     def size(self) -> int:
-        """Present number of workers, at least one.
-
-        Raises:
-            WorkerError: no scheduler answers.
-        """
+        """Present number of workers, at least one; raises `WorkerError` if no scheduler answers."""
         with connect(self._address) as client:
             return max(1, len(client.nthreads()))
 
-    def make(self, job: BuildJob, units: Sequence[WorkUnit], on_frame: OnFrame, on_notice: OnNotice) -> None:
+    def make(self, job: BuildJob, dispatcher: Dispatcher) -> None:
         """See `Executor.make`; frames are reported as they become complete."""
         last_present = time.monotonic()
 
@@ -86,41 +74,25 @@ class DaskExecutor(Executor):
                 raise WorkerError(f"{self._address}: has had no worker for {_NO_WORKER_S:.0f} s")
 
         with connect(self._address) as client:
-            run_on_dask(client, self._address, job, units, on_frame, on_notice, check_present)
+            run_on_dask(client, self._address, job, dispatcher, check_present)
 
 
 def run_on_dask(
-    client: Client,
-    where: str,
-    job: BuildJob,
-    units: Sequence[WorkUnit],
-    on_frame: OnFrame,
-    on_notice: OnNotice,
-    upkeep: Upkeep,
+    client: Client, where: str, job: BuildJob, dispatcher: Dispatcher, upkeep: Callable[[bool], None]
 ) -> None:
-    """Make frames on a Dask cluster.
+    """Make the frames of a dispatcher on a Dask cluster, as `Executor.make` does.
 
-    Args:
-        client: of the cluster.
-        where: the cluster's name in messages.
-        job: as for `Executor.make`, like the next three.
-        units: the frames.
-        on_frame: called for each frame.
-        on_notice: called for the user.
-        upkeep: called about once a second; see `Upkeep`.
-
-    Raises:
-        PepperError: as for `Executor.make`.
+    `where` names the cluster in messages. `upkeep` is called about once a second with whether there is a
+    worker, and raises `WorkerError` if none will come.
     """
-    dispatcher = Dispatcher(units, on_frame, on_notice)
     with _marker(job.folder) as marker, _DaskBuild(client, where, job, marker, dispatcher) as build:
-        build.run(on_notice, upkeep)
+        build.run(upkeep)
 
 
 class _DaskBuild:
     """The workers of one build, by address, and their tasks.
 
-    Dask itself would send all of a lost worker's task to another one; here `Dispatcher` requeues only the
+    Dask itself would send all of a lost worker's task to another one; here the dispatcher requeues only the
     rest, and decides which worker goes on with the plants of a set.
     """
 
@@ -139,21 +111,18 @@ class _DaskBuild:
         self._client.subscribe_topic(TOPIC, self._receive)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         for number in list(self._tasks):
             self._recall(number)
         # Let workers finish their frames.
-        patience_s = _PATIENCE_S if isinstance(error, PepperError) else _INTERRUPT_PATIENCE_S
-        end = time.monotonic() + patience_s
+        end = time.monotonic() + (_PATIENCE_S if isinstance(error, PepperError) else _INTERRUPT_PATIENCE_S)
         while error is not None and self._unfinished and time.monotonic() < end:
             time.sleep(0.05)
         with suppress(Exception):
             # Fails if the scheduler is lost.
             self._client.unsubscribe_topic(TOPIC)
 
-    def run(self, on_notice: OnNotice, upkeep: Upkeep) -> None:
+    def run(self, upkeep: Callable[[bool], None]) -> None:
         """Make all frames."""
         checked = -_CHECK_S
         while self._dispatcher:
@@ -167,7 +136,7 @@ class _DaskBuild:
             if done is not None:
                 self._dispatcher.report(done)
             elif number in self._tasks:
-                self._end(number, on_notice)
+                self._end(number)
 
     def _receive(self, event: tuple[float, dict[str, Any]]) -> None:
         """Receive a worker's message, in the client's thread."""
@@ -178,24 +147,23 @@ class _DaskBuild:
             else:
                 self._messages.put((message["number"], pickle.loads(message["done"])))
 
-    def _end(self, number: int, on_notice: OnNotice) -> None:
+    def _end(self, number: int) -> None:
         """React to the end of a task, and assign the next unit to its worker."""
         from distributed import KilledWorker
 
         address, future = self._tasks[number]
         error = future.exception() if future.status == "error" else None
-        if future.status in ("finished", "error"):
-            # A task that could not even be read sends no message.
-            self._unfinished.discard(number)
+        # A task that could not even be read sends no message of its end.
+        self._unfinished.discard(number)
         if error is None and self._dispatcher.is_complete(address):
             self._dispatcher.release(self._recall(number))
             self._assign(address)
         elif error is None or isinstance(error, KilledWorker):
-            self._lose(number)
+            self._dispatcher.lose(self._recall(number), f"at {address}")
         elif (reason := _unfit_reason(error)) is not None:
             self._dispatcher.release(self._recall(number))
             self._unfit[address] = reason
-            on_notice(f"the worker at {address} {reason}; it is not used")
+            self._dispatcher.on_notice(f"the worker at {address} {reason}; it is not used")
         else:
             self._recall(number)
             raise error
@@ -205,7 +173,8 @@ class _DaskBuild:
         present = self._present()
         for number, (address, _) in list(self._tasks.items()):
             if address not in present:
-                self._lose(number)
+                self._unfinished.discard(number)
+                self._dispatcher.lose(self._recall(number), f"at {address}")
         for address in sorted(present - self._dispatcher.running.keys() - self._unfit.keys()):
             self._assign(address)
         if not self._tasks and present and present <= self._unfit.keys():
@@ -245,11 +214,6 @@ class _DaskBuild:
         self._unfinished.add(number)
         future.add_done_callback(lambda _: self._messages.put((number, None)))
 
-    def _lose(self, number: int) -> None:
-        self._unfinished.discard(number)
-        address = self._recall(number)
-        self._dispatcher.lose(address, f"at {address}")
-
     def _recall(self, number: int) -> str:
         """Cancel a task; a worker that is at it ends after its frame. Returns the worker's address."""
         address, future = self._tasks.pop(number)
@@ -269,30 +233,21 @@ def _unfit_reason(error: BaseException) -> str | None:
 
 @contextmanager
 def _marker(folder: Path) -> Iterator[Path]:
-    """A file in a folder, or in the first of its parents that exists, which shows workers the file system.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """A file in a folder, or in the first parent that exists, by which workers recognise the file system."""
     existing = next(path for path in (folder, *folder.parents) if path.is_dir())
-    marker = existing / f".pepperscene.{uuid.uuid4().hex}.tmp"
     try:
-        marker.touch()
+        file = tempfile.NamedTemporaryFile(  # noqa: SIM115 - entered below
+            prefix=".pepperscene.", suffix=".tmp", dir=existing
+        )
     except OSError as error:
-        raise OutputError(f"{existing}: cannot be written to ({error.strerror or error})") from None
-    try:
-        yield marker
-    finally:
-        marker.unlink(missing_ok=True)
+        raise write_error(error, existing) from None
+    with file:
+        yield Path(file.name)
 
 
 @contextmanager
 def connect(address: str) -> Iterator[Client]:
-    """A client of a scheduler, without messages on the terminal.
-
-    Raises:
-        WorkerError: no Dask scheduler answers.
-    """
+    """A client of a scheduler, silent on the terminal; raises `WorkerError` if no scheduler answers."""
     from distributed import Client
     from distributed.versions import VersionMismatchWarning
 

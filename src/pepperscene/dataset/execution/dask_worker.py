@@ -40,14 +40,10 @@ class UnfitWorkerError(WorkerError):
 
 @dataclass(frozen=True)
 class BuildRequest:
-    """What a worker receives of a build.
+    """What a worker receives of a build with this unique name.
 
-    Attributes:
-        build: unique name.
-        versions: of the build's process, from `versions`.
-        identity: of the recipe and its files.
-        marker: a file that workers see if the file system is shared.
-        job: pickled, so that it is read only where the versions are right.
+    Workers compare versions and identity with their own, and see the marker file if the file system is
+    shared. The job is pickled, so that it is read only where the versions are right.
     """
 
     build: str
@@ -67,11 +63,8 @@ class FrameTask:
     """A task, as bytes that run it when they are read.
 
     A worker that cannot read a message ends, and a scheduler that cannot read a task refuses it. So the task
-    is `pickle.loads`, which is known everywhere, and it reads these bytes: where this package is missing or
-    has another version the task fails, and the worker goes on with tasks of others.
-
-    Attributes:
-        request, number, indices: as for `make_unit`.
+    is    `pickle.loads`, which is known everywhere, and it reads these bytes: where this package is missing
+    or has another version the task fails, and the worker goes on with tasks of others.
     """
 
     request: BuildRequest
@@ -94,18 +87,10 @@ def versions() -> dict[str, str]:
 
 
 def make_unit(request: BuildRequest, number: int, indices: tuple[int, ...]) -> None:
-    """Make frames, in a Dask worker.
+    """Make the frames of a task, in a Dask worker.
 
     Each frame is reported by an event, and so is the end, as there is no other message of a cancelled task.
-
-    Args:
-        request: of the build.
-        number: of the task in the build.
-        indices: of the frames.
-
-    Raises:
-        UnfitWorkerError: this worker would make other frames, or would write them elsewhere.
-        PepperError: a frame cannot be made.
+    Raises `UnfitWorkerError` if this worker would make other frames, or would write them elsewhere.
     """
     from distributed import get_worker
 

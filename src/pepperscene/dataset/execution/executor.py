@@ -16,56 +16,20 @@ from pepperscene.errors import WorkerError
 MAX_LOSSES: Final = 3
 """Chosen: a frame that ends a third worker would end the next one, too."""
 
-OnNotice = Callable[[str], None]
-"""Called with a sentence for the user, such as that a worker was lost."""
-
 
 @dataclass(frozen=True)
 class WorkUnit:
-    """Frames of one scene.
-
-    Attributes:
-        set: number of the set of plants.
-        indices: of the frames, ascending.
-    """
+    """Frames of one scene, ascending, and the number of its set of plants."""
 
     set: int
     indices: tuple[int, ...]
 
 
-class Executor(ABC):
-    """Makes the frames of a job."""
-
-    @property
-    @abstractmethod
-    def size(self) -> int:
-        """Number of frames that are made at a time."""
-
-    @abstractmethod
-    def make(self, job: BuildJob, units: Sequence[WorkUnit], on_frame: OnFrame, on_notice: OnNotice) -> None:
-        """Make everything that is missing.
-
-        Args:
-            job: of the build.
-            units: the frames.
-            on_frame: called in this thread for each frame, once it is complete.
-            on_notice: called for what the user should know.
-
-        Raises:
-            PepperError: frames cannot be made; those that were reported are complete.
-        """
-
-
 def work_units(plan: Plan, indices: Sequence[int], workers: int) -> list[WorkUnit]:
-    """Group frames by scene; if there are fewer scenes than workers, scenes are divided.
+    """Group ascending indices by scene; with fewer scenes than workers, scenes are divided.
 
     Every worker that makes a part of a scene has to set it up, which takes as long as the labels of tens of
     frames. So scenes are divided only where workers would be idle.
-
-    Args:
-        plan: of the data set.
-        indices: ascending.
-        workers: number of workers.
     """
     specs = [plan.frame(index) for index in indices]
     units = [
@@ -84,22 +48,20 @@ def work_units(plan: Plan, indices: Sequence[int], workers: int) -> list[WorkUni
 
 
 class Dispatcher:
-    """Assigns units to workers and requeues those of lost workers.
+    """Assigns units to workers, requeues those of lost workers, and reports every frame once.
 
     Plants of a set are grown as few times as possible: a worker stays with its set, then takes one that
     nobody has started, then helps with the set that has most units left.
 
     Attributes:
         running: the unit of each worker that has one.
-
-    Args:
-        units: the frames.
-        on_frame: called once for each frame.
-        on_notice: called for what the user should know.
+        on_notice: called with a sentence for the user, such as that a worker was lost.
     """
 
-    def __init__(self, units: Iterable[WorkUnit], on_frame: OnFrame, on_notice: OnNotice) -> None:
-        self._on_frame, self._on_notice = on_frame, on_notice
+    def __init__(
+        self, units: Iterable[WorkUnit], on_frame: OnFrame, on_notice: Callable[[str], None]
+    ) -> None:
+        self._on_frame, self.on_notice = on_frame, on_notice
         self._pending: dict[int, deque[WorkUnit]] = {}
         for unit in units:
             self._pending.setdefault(unit.set, deque()).append(unit)
@@ -112,6 +74,11 @@ class Dispatcher:
         """Whether a unit is pending or running."""
         return bool(self._pending or self.running)
 
+    @property
+    def pending(self) -> int:
+        """Number of pending units."""
+        return sum(map(len, self._pending.values()))
+
     def assign(self, worker: Hashable) -> tuple[int, ...]:
         """Assign the next unit to a worker that has none; returns its frames, none if no unit is pending."""
         while self._pending:
@@ -123,7 +90,7 @@ class Dispatcher:
         return ()
 
     def report(self, done: FrameDone) -> None:
-        """Report a complete frame, unless it was reported: a worker that was taken for lost may go on."""
+        """Report a complete frame, unless it was: a worker that was taken for lost may go on."""
         if done.index not in self._reported:
             self._reported.add(done.index)
             self._on_frame(done)
@@ -140,14 +107,8 @@ class Dispatcher:
         return unit.indices
 
     def lose(self, worker: Hashable, how: str) -> None:
-        """Requeue what a lost worker has not finished.
-
-        Args:
-            worker: that has a unit.
-            how: it was lost.
-
-        Raises:
-            WorkerError: it is the third worker lost over its first unfinished frame.
+        """Requeue what a worker has not finished that was lost, or raise `WorkerError` if it is the third one
+        over its first unfinished frame; `how` completes the message.
         """
         frames = self.release(worker)
         if not frames:
@@ -158,7 +119,7 @@ class Dispatcher:
                 f"frame {frames[0]:06d} ended {MAX_LOSSES} workers, the last one {how}; complete frames are "
                 "kept, and the same command resumes the build: use fewer workers if memory ran out"
             )
-        self._on_notice(f"a worker was lost over frame {frames[0]:06d} ({how}); another one makes its frames")
+        self.on_notice(f"a worker was lost over frame {frames[0]:06d} ({how}); another one makes its frames")
 
     def _take(self, worker: Hashable) -> WorkUnit:
         last, started = self._last_set.get(worker), {*self._last_set.values()}
@@ -177,3 +138,20 @@ class Dispatcher:
 
     def _remaining(self, unit: WorkUnit) -> WorkUnit:
         return replace(unit, indices=tuple(index for index in unit.indices if index not in self._reported))
+
+
+class Executor(ABC):
+    """Makes the frames of a job."""
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Number of frames that are made at a time."""
+
+    @abstractmethod
+    def make(self, job: BuildJob, dispatcher: Dispatcher) -> None:
+        """Make what is missing of all frames of a dispatcher, and report them to it, in this thread.
+
+        Raises:
+            PepperError: frames cannot be made; those that were reported are complete.
+        """

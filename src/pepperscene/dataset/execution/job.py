@@ -8,7 +8,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 
 from pepperscene.dataset.recipe.load import resolve_recipe
@@ -59,14 +58,7 @@ class BuildOptions:
 
 @dataclass(frozen=True, eq=False)
 class BuildJob:
-    """Everything that the frames of a build depend on except their indices; it can be pickled.
-
-    Attributes:
-        recipe: what is shown.
-        folder: of the data set.
-        outputs: names from `OUTPUTS`.
-        quality, target_error, renderer: as of `BuildOptions`.
-    """
+    """Everything that the frames of a build depend on except their indices; it can be pickled."""
 
     recipe: ResolvedRecipe
     folder: Path
@@ -83,11 +75,7 @@ class BuildJob:
         outputs: Sequence[str],
         options: BuildOptions,
     ) -> BuildJob:
-        """Check the arguments of a build and load its recipe.
-
-        Raises:
-            InputError: an argument, the recipe or a file that it names is not valid.
-        """
+        """Check the arguments of a build and load its recipe; raises `InputError` if one is not valid."""
         from pepperscene.render import resolve_quality
 
         names = check_outputs(outputs)
@@ -101,18 +89,13 @@ class BuildJob:
     def info(self) -> dict[str, Any]:
         """Content of `dataset.json`: everything that frames depend on except their index."""
         quality, identity, expect = self.quality, self.recipe.identity, self.recipe.recipe.expect
-        info = {
-            "format": FORMAT,
-            "version": __version__,
-            "quality": quality
-            if self.target_error is None
-            else f"{quality}, target error {self.target_error:g}",
-            "recipe_sha256": digest(identity),
-            **identity,
-        }
-        return (
-            info if expect is None else {**info, "expect": expect.model_dump(mode="json", exclude_none=True)}
-        )
+        if self.target_error is not None:
+            quality += f", target error {self.target_error:g}"
+        info: dict[str, Any] = {"format": FORMAT, "version": __version__, "quality": quality}
+        info |= {"recipe_sha256": digest(identity), **identity}
+        if expect is not None:
+            info["expect"] = expect.model_dump(mode="json", exclude_none=True)
+        return info
 
     def frame_metadata(self, frame: Frame, spec: FrameSpec) -> dict[str, Any]:
         """A frame's JSON without `outputs`; it is the same in every run."""
@@ -127,13 +110,7 @@ class BuildJob:
 
 @dataclass(frozen=True)
 class FrameDone:
-    """Report of a complete frame.
-
-    Attributes:
-        index: of the frame.
-        made: False if it existed already.
-        row: of the manifest.
-    """
+    """Report of a complete frame, with its row of the manifest; `made` is False if it existed already."""
 
     index: int
     made: bool
@@ -153,8 +130,8 @@ class FrameMaker:
     Args:
         job: of the build.
         worker: name of this process, for the manifest.
-        eager: report a frame in the writing thread, as soon as it is complete; by default it is reported in
-            the calling thread, once the next one is rendered.
+        eager: report a frame in the writing thread, at once; by default in the calling thread, once the next
+            one is rendered.
     """
 
     def __init__(self, job: BuildJob, worker: str = "", *, eager: bool = False) -> None:
@@ -171,9 +148,7 @@ class FrameMaker:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._threads.shutdown()
 
     def make(
@@ -185,9 +160,6 @@ class FrameMaker:
             indices: of the frames.
             on_frame: called for each frame in order, once it is complete.
             stop: called before each frame; True ends the work, after the frames that were started.
-
-        Raises:
-            PepperError: a frame cannot be rendered or written; those before it are complete.
         """
         for index in indices:
             if stop():
@@ -210,11 +182,7 @@ class FrameMaker:
         self._finish(on_frame)
 
     def _finish(self, on_frame: OnFrame) -> None:
-        """Wait until the frame that is being written is complete, if there is one.
-
-        Raises:
-            OutputError: it could not be written; nothing of it is left.
-        """
+        """Wait until the frame that is being written is complete, or raise why it could not be written."""
         writing, self._writing = self._writing, None
         if writing is not None:
             done = writing.result()

@@ -12,14 +12,12 @@ import os
 import platform
 import queue
 import threading
-from collections.abc import Sequence
 from contextlib import suppress
 from itertools import chain
-from types import TracebackType
 from typing import Any, Final, Self, final
 
-from pepperscene.dataset.execution.executor import Dispatcher, Executor, OnNotice, WorkUnit
-from pepperscene.dataset.execution.job import BuildJob, FrameDone, FrameMaker, OnFrame
+from pepperscene.dataset.execution.executor import Dispatcher, Executor
+from pepperscene.dataset.execution.job import BuildJob, FrameDone, FrameMaker
 from pepperscene.dataset.scenes.plants import PROCESSES
 from pepperscene.dataset.subprocess_rpc import Connection, WorkerProcess, available_cores
 from pepperscene.errors import PepperError, WorkerError
@@ -36,10 +34,11 @@ class SerialExecutor(Executor):
 
     size = 1
 
-    def make(self, job: BuildJob, units: Sequence[WorkUnit], on_frame: OnFrame, on_notice: OnNotice) -> None:
+    def make(self, job: BuildJob, dispatcher: Dispatcher) -> None:
         """See `Executor.make`; frames are reported in ascending order."""
+        units = iter(lambda: dispatcher.assign(0), ())
         with FrameMaker(job, platform.node()) as maker:
-            maker.make(chain.from_iterable(unit.indices for unit in units), on_frame)
+            maker.make(chain.from_iterable(units), dispatcher.report)
 
 
 @final
@@ -61,13 +60,13 @@ class ProcessExecutor(Executor):
         """Number of workers."""
         return self._workers
 
-    def make(self, job: BuildJob, units: Sequence[WorkUnit], on_frame: OnFrame, on_notice: OnNotice) -> None:
+    def make(self, job: BuildJob, dispatcher: Dispatcher) -> None:
         """See `Executor.make`; frames are reported as they become complete."""
         from pepperscene.render import wanted_threads
 
         threads = wanted_threads() or max(1, available_cores() // self._workers)
-        with _Pool(job, threads, Dispatcher(units, on_frame, on_notice)) as pool:
-            pool.run(min(self._workers, len(units)))
+        with _Pool(job, threads, dispatcher) as pool:
+            pool.run(min(self._workers, dispatcher.pending))
 
 
 class _Pool:
@@ -85,14 +84,11 @@ class _Pool:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        patience_s = _PATIENCE_S if error is None or isinstance(error, PepperError) else 0.0
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         for worker in self._workers.values():
             worker.finish()
         for worker in self._workers.values():
-            worker.close(patience_s)
+            worker.close(_PATIENCE_S if error is None or isinstance(error, PepperError) else 0.0)
 
     def run(self, size: int) -> None:
         """Make all frames with this number of workers."""
@@ -118,11 +114,11 @@ class _Pool:
                 self._assign(slot)
 
     def _start(self, slot: int) -> None:
+        processes = {PROCESSES: "2" if self._threads > 1 else "1"}
         try:
-            worker = WorkerProcess(__name__, self._threads, {PROCESSES: "2" if self._threads > 1 else "1"})
+            worker = self._workers[slot] = WorkerProcess(__name__, self._threads, processes)
         except OSError as error:
             raise WorkerError(f"no worker can be started ({error.strerror or error})") from None
-        self._workers[slot] = worker
 
         def receive() -> None:
             for message in worker:
@@ -137,7 +133,7 @@ class _Pool:
             self._send(slot, indices)
 
     def _send(self, slot: int, message: Any) -> None:
-        # A worker that has ended is noticed by the thread that receives its messages.
+        # The thread that receives messages notices that a worker has ended.
         with suppress(OSError):
             self._workers[slot].send(message)
 

@@ -9,7 +9,7 @@ import subprocess
 import tempfile
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Self, final
@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Self, final
 from pydantic import AfterValidator, Field, model_validator
 
 from pepperscene.dataset.execution.dask_executor import connect, missing_extra, quiet_libraries, run_on_dask
-from pepperscene.dataset.execution.executor import Executor, OnNotice, WorkUnit
-from pepperscene.dataset.execution.job import BuildJob, OnFrame
+from pepperscene.dataset.execution.executor import Dispatcher, Executor
+from pepperscene.dataset.execution.job import BuildJob
 from pepperscene.document import Document, read_toml, validate
 from pepperscene.errors import InputError, SetupError, WorkerError
 
@@ -30,6 +30,14 @@ _MEMORY: Final = re.compile(r"\d+(\.\d+)? ?[MGT](i?B)?")
 _WALLTIME: Final = re.compile(r"\d+(:\d\d){0,2}|\d+-\d\d?(:\d\d){0,2}")
 """Minutes, minutes:seconds, hours:minutes:seconds, days-hours and so on, as in the manual of `sbatch`."""
 
+_DASK_NAMES: Final = {
+    "workers": "processes",
+    "partition": "queue",
+    "directives": "job_extra_directives",
+    "prologue": "job_script_prologue",
+}
+"""Arguments of `SLURMCluster` whose name is not the file's key."""
+
 _COMMANDS: Final = ("sbatch", "squeue", "scancel")
 _JOB_NAME: Final = "pepperscene"
 _RENEW_S: Final = 60.0  # chosen: how often jobs whose time is over are submitted again
@@ -40,32 +48,23 @@ _QUEUE_CHECKS: Final = (
 _ANSWER_S: Final = 60.0  # chosen: how long Slurm may take to answer
 
 
-def _check_line(text: str) -> str:
-    if not text or not text.isprintable():
-        raise ValueError("must be a line of text")
-    return text
+def _must_be(description: str, test: Callable[[str], object]) -> AfterValidator:
+    def check(text: str) -> str:
+        if not test(text):
+            raise ValueError(f"must be {description}")
+        return text
+
+    return AfterValidator(check)
 
 
-def _check_word(text: str) -> str:
-    if not text.isprintable() or text.split() != [text]:
-        raise ValueError("must be a word without blanks")
-    return text
-
-
-def _check_memory(text: str) -> str:
-    if not _MEMORY.fullmatch(text):
-        raise ValueError('must be a number with a unit, such as "16 GB"')
-    return text
-
-
-def _check_walltime(text: str) -> str:
-    if not _WALLTIME.fullmatch(text):
-        raise ValueError('must be a time in Slurm\'s format, such as "12:00:00" or "2-00:00:00"')
-    return text
-
-
-_Line = Annotated[str, AfterValidator(_check_line)]
-_Word = Annotated[str, AfterValidator(_check_word)]
+_Line = Annotated[str, _must_be("a line of text", lambda text: text and text.isprintable())]
+_Word = Annotated[
+    str, _must_be("a word without blanks", lambda text: text.isprintable() and text.split() == [text])
+]
+_Memory = Annotated[str, _must_be('a number with a unit, such as "16 GB"', _MEMORY.fullmatch)]
+_Walltime = Annotated[
+    str, _must_be('a time in Slurm\'s format, such as "12:00:00" or "2-00:00:00"', _WALLTIME.fullmatch)
+]
 _Count = Annotated[int, Field(strict=True, ge=1, le=100_000)]
 
 
@@ -89,8 +88,8 @@ class SlurmJobs(Document):
 
     jobs: _Count
     cores: _Count
-    memory: Annotated[str, AfterValidator(_check_memory)]
-    walltime: Annotated[str, AfterValidator(_check_walltime)]
+    memory: _Memory
+    walltime: _Walltime
     workers: _Count = 1
     partition: _Word | None = None
     account: _Word | None = None
@@ -109,22 +108,10 @@ class SlurmJobs(Document):
 
     def cluster_arguments(self) -> dict[str, Any]:
         """The arguments of `dask_jobqueue.SLURMCluster`."""
-        arguments = {
-            "cores": self.cores,
-            "processes": self.workers,
-            "memory": self.memory,
-            "walltime": self.walltime,
-            "queue": self.partition,
-            "account": self.account,
-            "job_extra_directives": list(self.directives) or None,
-            "job_script_prologue": list(self.prologue) or None,
-            "python": self.python,
-            "interface": self.interface,
-            "local_directory": self.local_directory,
-            "log_directory": self.log_directory,
-        }
-        # Everything else comes from Dask's own configuration, which a site may have adapted.
-        return {name: value for name, value in arguments.items() if value is not None}
+        # What is not given comes from Dask's own configuration, which a site may have adapted.
+        given = self.model_dump(exclude={"jobs"}, exclude_none=True)
+        arguments = {_DASK_NAMES.get(key, key): value for key, value in given.items() if value != ()}
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in arguments.items()}
 
 
 def read_slurm_file(path: Path) -> SlurmJobs:
@@ -143,17 +130,11 @@ def read_slurm_file(path: Path) -> SlurmJobs:
 
 @final
 class SlurmExecutor(Executor):
-    """Workers in jobs of a Slurm cluster, started from a machine that can submit jobs.
+    """Workers in jobs of a Slurm cluster, described by a file (see `SlurmJobs`).
 
     The scheduler runs in this process. Jobs may wait in Slurm's queue; frames are made as soon as the first
-    one runs. A job whose time is over is submitted again.
-
-    Args:
-        path: of the file that describes the jobs; see `SlurmJobs`.
-
-    Raises:
-        InputError: the file is not valid.
-        SetupError: this machine cannot submit jobs, or the extra `cluster` is not installed.
+    one runs. A job whose time is over is submitted again. Raises `InputError` if the file is not valid, and
+    `SetupError` if this machine cannot submit jobs, or the extra `cluster` is not installed.
     """
 
     def __init__(self, path: Path) -> None:
@@ -172,23 +153,22 @@ class SlurmExecutor(Executor):
         """Number of workers in all jobs."""
         return self._jobs.jobs * self._jobs.workers
 
-    def make(self, job: BuildJob, units: Sequence[WorkUnit], on_frame: OnFrame, on_notice: OnNotice) -> None:
+    def make(self, job: BuildJob, dispatcher: Dispatcher) -> None:
         """See `Executor.make`; frames are reported as they become complete."""
         with _cluster(self._path, self._jobs) as cluster:
             upkeep = _Upkeep(cluster, self._jobs.jobs)
-            on_notice(
+            dispatcher.on_notice(
                 f"{self._jobs.jobs} jobs were submitted to Slurm; frames are made once one of them runs"
             )
             with connect(cluster.scheduler_address) as client:
-                run_on_dask(client, "Slurm", job, units, on_frame, on_notice, upkeep.check)
+                run_on_dask(client, "Slurm", job, dispatcher, upkeep.check)
 
 
 @contextmanager
 def _cluster(path: Path, jobs: SlurmJobs) -> Iterator[SLURMCluster]:
     """A scheduler in this process, without workers; leaving the block ends its jobs.
 
-    Raises:
-        InputError: Slurm or this machine cannot run such jobs.
+    Raises `InputError` if Slurm or this machine cannot run such jobs.
     """
     import dask
     from dask_jobqueue import SLURMCluster

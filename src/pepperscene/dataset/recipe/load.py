@@ -58,15 +58,12 @@ def resolve_recipe(
     changes: Mapping[str, Any] | None = None,
     seed: int | None = None,
 ) -> ResolvedRecipe:
-    """Load a recipe together with the files that it names, once.
+    """Load a recipe and the files that it names, with errors as of `load_recipe`.
 
     Args:
         recipe: name of a shipped one, path, or a recipe. A resolved one is not loaded again.
         changes: as for `load_recipe`; only with a name or a path.
         seed: replaces the recipe's seed, unless None.
-
-    Raises:
-        InputError: as for `load_recipe`.
     """
     if isinstance(recipe, Recipe):
         return load_files(recipe.with_seed(seed))
@@ -133,11 +130,7 @@ def _parse_value(key: str, text: str) -> Any:
 
 
 def _change_tables(key: str, value: Any) -> dict[str, Any]:
-    """The tables of a recipe file that holds a single value.
-
-    Raises:
-        ArgumentError: recipes have no such key; the message lists the allowed ones.
-    """
+    """The tables of a recipe file that holds a single value; an unknown key is an error."""
     model: type[BaseModel] | None = Recipe
     parts = key.split(".")
     for depth, part in enumerate(parts):

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from numbers import Integral
 from typing import Annotated, Final, TypeVar
 
 import numpy as np
@@ -14,9 +15,7 @@ from pydantic import Field, model_validator
 from pepperscene.document import Document
 from pepperscene.errors import ArgumentError
 
-MAX_FRAMES: Final = 1_000_000
-"""File names have six digits."""
-
+MAX_FRAMES: Final = 1_000_000  # file names have six digits
 _RANGE: Final = re.compile(r"(\d{0,9}):(\d{0,9})", re.ASCII)
 
 Item = TypeVar("Item")
@@ -40,10 +39,9 @@ def random_generator(seed: int, stream: Stream, *address: int) -> np.random.Gene
     Args:
         seed: of the recipe.
         stream: purpose of the numbers.
-        address: (set, plant) for a plant, its twine and the contacts of its organs; (set,) for the sky; (set,
-            rotation, 0) for the contacts of a row; (set, 0) for the places in a row; (set, 1, plant) for the
-            posture of a plant; (0, model) for a plant of the far rows, and (1, set, rotation) for the places
-            of those.
+        address: (set, plant) for a plant, its twine and its contacts; (set, 1, plant) for its posture; (set,)
+            for the sky; (set, 0) for the places in a row, and (set, rotation, 0) for its contacts; (0, model)
+            for a plant of the far rows, and (1, set, rotation) for their places.
     """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(stream), *address)))
 
@@ -52,6 +50,14 @@ def frame_seed(seed: int, index: int) -> int:
     """The 32-bit seed of a frame's sampler and sensor noise."""
     sequence = np.random.SeedSequence(seed, spawn_key=(int(Stream.FRAME), index))
     return int(sequence.generate_state(1)[0])
+
+
+def check_seed(seed: int) -> int:
+    """Return a recipe's seed as an int; raises `ArgumentError` unless it is whole, from 0 and below 2^63."""
+    is_whole = isinstance(seed, Integral) and not isinstance(seed, bool)
+    if not (is_whole and 0 <= seed < 2**63):
+        raise ArgumentError("seed", f"must be a whole number, at least 0 and below 2^63, not {seed}")
+    return int(seed)
 
 
 @dataclass(frozen=True)

@@ -10,23 +10,10 @@ from typing import Annotated, Any, Final
 
 from pydantic import Field
 
-from pepperscene.dataset.recipe.plan import Plan
-from pepperscene.dataset.recipe.tables import (
-    NONE,
-    CameraTable,
-    DaylightTable,
-    DevelopingTable,
-    ExpectTable,
-    GreenhouseTable,
-    GrowthTable,
-    Name,
-    PathTable,
-    RowTable,
-    TwineTable,
-)
+from pepperscene.dataset.recipe import tables
+from pepperscene.dataset.recipe.plan import Plan, check_seed
 from pepperscene.dataset.store import atomic
 from pepperscene.document import Document, read_toml
-from pepperscene.errors import ArgumentError
 from pepperscene.spectra import read_spectra
 from pepperscene.spectra.files import find_material
 
@@ -59,42 +46,34 @@ class Recipe(Document):
         expect: expected statistics of the finished data set, or None; see `pepperscene check`.
     """
 
-    name: Name
+    name: tables.Name
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)]
-    cultivar: Name
+    cultivar: tables.Name
     plan: Plan
-    row: RowTable
-    path: PathTable
-    camera: CameraTable
-    developing: DevelopingTable = DevelopingTable()
-    daylight: DaylightTable | None = None
-    twine: TwineTable | None = None
-    growth: GrowthTable | None = None
-    greenhouse: GreenhouseTable | None = None
-    expect: ExpectTable | None = None
+    row: tables.RowTable
+    path: tables.PathTable
+    camera: tables.CameraTable
+    developing: tables.DevelopingTable = tables.DevelopingTable()
+    daylight: tables.DaylightTable | None = None
+    twine: tables.TwineTable | None = None
+    growth: tables.GrowthTable | None = None
+    greenhouse: tables.GreenhouseTable | None = None
+    expect: tables.ExpectTable | None = None
 
     def with_seed(self, seed: int | None) -> Recipe:
-        """The recipe with another seed, or itself if that is None.
-
-        Raises:
-            ArgumentError: the seed is negative or has more than 63 bits.
-        """
-        if seed is None:
-            return self
-        if not 0 <= seed < 2**63:
-            raise ArgumentError("seed", f"must be between 0 and {2**63 - 1}, not {seed}")
-        return self.model_copy(update={"seed": int(seed)})
+        """The recipe with another seed, or itself if that is None; errors as of `check_seed`."""
+        return self if seed is None else self.model_copy(update={"seed": check_seed(seed)})
 
     def identity(self) -> dict[str, Any]:
         """All values that frames depend on, from the recipe and the files that it names.
 
-        Paths are reduced to names, so that the identity is the same on every machine. The plan's `select` is
-        left out, because it chooses frames but does not change them, and so is `expect`.
+        Paths are reduced to names, so that the identity is the same on every machine. `plan.select` and
+        `expect` are left out, because they change no frame.
 
         Returns:
-            Ready for JSON: the recipe's values under `recipe`, and under `files` a `name` and a `sha256` for
-            the cultivar with the files that it extends and its scans, each device, the cover, and each
-            spectrum that one of these files refers to.
+            Ready for JSON: the recipe's values under `recipe`, and under `files` a `name` and a `sha256` of
+                each
+            file: the cultivar, those that it extends, its scans, devices, the cover, and their spectra.
 
         Raises:
             InputError: one of these files is missing or cannot be read.
@@ -112,8 +91,8 @@ class Recipe(Document):
         if self.camera.baseline_mm is None:
             del recipe["camera"]["baseline_mm"]
         for table, part, folder in _MATERIALS:
-            name = (recipe[table] or {}).get(part, NONE)
-            if name != NONE:
+            name = (recipe[table] or {}).get(part, tables.NONE)
+            if name != tables.NONE:
                 recipe[table][part] = Path(name).stem
                 files |= _material_fingerprints(part, find_material(folder, name))
         return {"recipe": recipe, "files": files}
@@ -124,38 +103,23 @@ class Recipe(Document):
 
 
 def _material_fingerprints(part: str, file: Path) -> dict[str, dict[str, str]]:
-    """Name and digest of a TOML file, and of every spectra file that it refers to.
+    """Name and digest of a material file, under `part`, and of the spectra files that it refers to.
 
-    Only values count: comments, layout and folders do not.
-
-    Args:
-        part: what the file describes ("sensor"), the key of its fingerprint. A spectrum's key is followed by
-            those of the tables that name it ("sensor.quantum_efficiency").
-        file: the TOML file.
-
-    Raises:
-        InputError: a file is missing or cannot be read.
+    Only values count: comments, layout and folders do not. A spectrum's key ends with those of the tables
+    that name it ("sensor.quantum_efficiency").
     """
-    tables = read_toml(file)
-    fingerprints = {part: _fingerprint(file, tables)}
-    for table, reference in _references(tables):
+    content = read_toml(file)
+    fingerprints = {part: _fingerprint(file, content)}
+    for table, reference in _references(content):
         path = file.parent / reference
         curves = read_spectra(path)
-        content = {name: [c.wavelength_nm.tolist(), c.values.tolist()] for name, c in curves.items()}
-        fingerprints[".".join((part, *table))] = _fingerprint(path, content)
+        values = {name: [c.wavelength_nm.tolist(), c.values.tolist()] for name, c in curves.items()}
+        fingerprints[".".join((part, *table))] = _fingerprint(path, values)
     return fingerprints
 
 
 def _cultivar_fingerprints(part: str, cultivar: str) -> dict[str, dict[str, str]]:
-    """Name and digest of a cultivar's file, of those that it extends, and of the scans of its fruit.
-
-    Args:
-        part: the key of the cultivar's own file ("cultivar"); a number follows in the keys of the others.
-        cultivar: shipped name or path.
-
-    Raises:
-        InputError: a file is missing or cannot be read.
-    """
+    """Name and digest of a cultivar's file, under `part`, and of those it extends and its scans, numbered."""
     from pepperscene.cultivar import cultivar_files
 
     fingerprints: dict[str, dict[str, str]] = {}

@@ -21,11 +21,10 @@ if TYPE_CHECKING:
     from pepperscene.scene import Cover
 
 
+# Of the surfaces' spectra. The step is chosen: it resolves the red edge and the pigments' bands, 20 nm wide
+# and more. The pigments' absorption coefficients end at 2500 nm.
 GRID_STEP_NM: Final = 5.0
-"""Step of the surfaces' spectra. Chosen: it resolves the red edge and pigments' bands, 20 nm wide or more."""
-
 MAX_WAVELENGTH_NM: Final = 2500.0
-"""End of the pigments' absorption coefficients."""
 
 Content = TypeVar("Content")
 
@@ -36,7 +35,7 @@ class ResolvedRecipe:
 
     Attributes:
         recipe: the validated recipe.
-        cultivar: of the plants, at the recipe's growth stage.
+        cultivar: at the recipe's growth stage.
         camera: with the recipe's settings, without a pose.
         cover: between the sky and the crop, or None.
     """
@@ -48,11 +47,7 @@ class ResolvedRecipe:
 
     @cached_property
     def identity(self) -> Mapping[str, Any]:
-        """`Recipe.identity` of the recipe, computed once.
-
-        Raises:
-            InputError: a file is missing or cannot be read.
-        """
+        """`Recipe.identity` of the recipe, computed once."""
         return self.recipe.identity()
 
     def with_seed(self, seed: int | None) -> ResolvedRecipe:
@@ -71,22 +66,18 @@ def load_files(recipe: Recipe, where: str | Path = "") -> ResolvedRecipe:
         InputError: a file is missing or not valid, or the parts do not fit together.
     """
     where = where or recipe.name
-    cultivar, cover = load_recipe_cultivar(recipe, where), load_recipe_cover(recipe, where)
+    cultivar, cover, daylight = load_recipe_cultivar(recipe, where), None, recipe.daylight
+    if daylight is not None and daylight.cover != NONE:
+        from pepperscene.scene import load_cover
+
+        cover = _load(load_cover, where, "daylight.cover", daylight.cover)
     camera = load_camera(recipe, where)
     _check_gutters(recipe, where)
     return ResolvedRecipe(recipe, cultivar, camera, cover)
 
 
 def load_recipe_cultivar(recipe: Recipe, where: str | Path = "") -> Cultivar:
-    """Load a recipe's cultivar at its growth stage.
-
-    Args:
-        recipe: the validated recipe.
-        where: name of the recipe in error messages; by default its own.
-
-    Raises:
-        InputError: a cultivar is missing or not valid, or the two cannot be interpolated.
-    """
+    """Load a recipe's cultivar at its growth stage; arguments and errors as of `load_files`."""
     from pepperscene.cultivar import interpolate_cultivars, load_cultivar
 
     where, growth = where or recipe.name, recipe.growth
@@ -131,25 +122,8 @@ def _check_gutters(recipe: Recipe, where: str | Path) -> None:
             )
 
 
-def load_recipe_cover(recipe: Recipe, where: str | Path = "") -> Cover | None:
-    """Load the cover between the sky and the crop; None if there is none.
-
-    Raises:
-        InputError: it is missing or not valid.
-    """
-    if recipe.daylight is None or recipe.daylight.cover == NONE:
-        return None
-    from pepperscene.scene import load_cover
-
-    return _load(load_cover, where or recipe.name, "daylight.cover", recipe.daylight.cover)
-
-
 def load_camera(recipe: Recipe, where: str | Path = "") -> Camera:
-    """Load the camera with the recipe's settings, without a pose.
-
-    Raises:
-        InputError: a part is missing or not valid, or the parts do not fit together.
-    """
+    """Load the camera with the recipe's settings, without a pose; arguments and errors as of `load_files`."""
     from pepperscene.camera import Camera, Developing, load_flash, load_lens
 
     where, table = where or recipe.name, recipe.camera

@@ -45,11 +45,7 @@ RendererFactory = Callable[["Scene"], SceneRenderer]
 
 
 def mitsuba_renderer(scene: Scene) -> SceneRenderer:
-    """The Mitsuba renderer of a scene, imported when first needed.
-
-    Raises:
-        SetupError: no JIT variant works on this machine.
-    """
+    """The Mitsuba renderer of a scene, imported when first needed."""
     from pepperscene.render import Renderer
 
     return Renderer(scene)
@@ -57,24 +53,9 @@ def mitsuba_renderer(scene: Scene) -> SceneRenderer:
 
 @dataclass(frozen=True, eq=False)
 class AssembledScene:
-    """A scene ready to render, with its statistics.
-
-    Attributes:
-        scene: what is rendered.
-        statistics: JSON-ready: `contacts` that are left, and `geometry`, the triangles kept and their total.
-    """
+    """A scene, and its JSON-ready statistics: `contacts` that are left, and triangles in `geometry`."""
 
     scene: Scene
-    statistics: Mapping[str, Any]
-
-
-@dataclass(frozen=True, eq=False)
-class _HeldScene:
-    """The renderer of the scene of a set and a rotation; it can trace light if `traced` is true."""
-
-    address: tuple[int, int]
-    traced: bool
-    renderer: SceneRenderer
     statistics: Mapping[str, Any]
 
 
@@ -85,16 +66,14 @@ class FrameRenderer:
     number of frames; in ascending order of the indices each is made once.
 
     Attributes:
-        recipe: of the data set.
-        resolved: the recipe with the files that it names.
-        cultivar: of the plants.
+        resolved: the recipe with the files that it names; also as `recipe` and `cultivar`.
         views: the cameras along its path.
-        culled: whether triangles that affect no frame are left out of scenes.
+        culled: whether triangles that affect no frame are left out of scenes; False is for comparison.
 
     Args:
         recipe: a recipe, its resolved form, a shipped name or a path.
         renderer: makes the renderer of a scene; None for Mitsuba.
-        culled: False keeps triangles that affect no frame, for comparison.
+        culled: see there.
 
     Raises:
         InputError: the recipe or a file that it names is missing or not valid.
@@ -113,7 +92,8 @@ class FrameRenderer:
         self._renderer_factory = renderer or mitsuba_renderer
         self._scene_builder = SceneBuilder(self.recipe, self.cultivar)
         self.views = Viewpoints(self.recipe, self.resolved.camera, self._scene_builder.greenhouse)
-        self._held: _HeldScene | None = None
+        # Set, rotation and whether light can be traced; the scene's renderer and its statistics.
+        self._held: tuple[tuple[int, int, bool], SceneRenderer, Mapping[str, Any]] | None = None
 
     def render(self, spec: FrameSpec, outputs: Sequence[str], quality: str | Quality = "standard") -> Frame:
         """Render one frame.
@@ -127,30 +107,23 @@ class FrameRenderer:
             InputError: an output needs a stereo partner, and the recipe has none.
         """
         others = self.views.others(spec.step, outputs)
-        held = self._hold(spec, traced=any(OUTPUTS[name].traced for name in outputs))
+        renderer, statistics = self._renderer(spec, any(OUTPUTS[name].traced for name in outputs))
         seed = frame_seed(self.recipe.seed, spec.index)
         # A renderer need not know about other cameras unless an output needs them.
         further = {"others": others} if others else {}
-        frame = held.renderer.render(
-            self.camera(spec), outputs=outputs, quality=quality, seed=seed, **further
-        )
-        return Frame(frame.images, {**frame.metadata, **held.statistics})
+        frame = renderer.render(self.camera(spec), outputs=outputs, quality=quality, seed=seed, **further)
+        return Frame(frame.images, {**frame.metadata, **statistics})
 
     def camera(self, spec: FrameSpec) -> Camera:
         """The camera of a frame, at its place on the path."""
         return self.views.camera(spec.step)
 
     def scene(self, spec: FrameSpec, *, traced: bool = True) -> Scene:
-        """The scene of a frame.
-
-        Args:
-            spec: the frame; its set and rotation count.
-            traced: False leaves out surfaces and sky, which labels and distances do not need.
-        """
+        """The scene of a frame; without `traced` it has no surfaces and no sky, which labels do not need."""
         return self.assemble(spec, traced=traced).scene
 
     def assemble(self, spec: FrameSpec, *, traced: bool = True) -> AssembledScene:
-        """The scene of a frame with its statistics; arguments as for `scene`."""
+        """The scene of a frame, as `scene`, with its statistics."""
         from pepperscene.scene import assemble_scene
 
         built = self._scene_builder.scene(spec.set, spec.rotation)
@@ -165,10 +138,9 @@ class FrameRenderer:
         return AssembledScene(scene, statistics)
 
     def _cull(self, mesh: Mesh) -> Mesh:
-        """Leave out what affects no frame of a scene.
+        """Leave out what affects no frame of a scene, by all poses and the recipe's light.
 
-        All poses and the recipe's light decide, whatever the outputs are: a frame's labels fit its colour,
-        and no frame depends on the others.
+        Outputs do not matter, so a frame's labels fit its colour, and no frame depends on others.
         """
         from pepperscene.scene import cull_mesh
 
@@ -191,16 +163,16 @@ class FrameRenderer:
             cover=self.resolved.cover,
         )
 
-    def _hold(self, spec: FrameSpec, *, traced: bool) -> _HeldScene:
-        """The renderer of the frame's scene; one that can trace light also renders labels."""
-        held, address = self._held, (spec.set, spec.rotation)
-        if held is None or held.address != address or held.traced < traced:
+    def _renderer(self, spec: FrameSpec, traced: bool) -> tuple[SceneRenderer, Mapping[str, Any]]:
+        """The renderer of the frame's scene, and the scene's statistics."""
+        wanted = {(spec.set, spec.rotation, True), (spec.set, spec.rotation, traced)}
+        if self._held is None or self._held[0] not in wanted:
             # Release the old scene before making the new one.
-            held = self._held = None
+            self._held = None
             assembled = self.assemble(spec, traced=traced)
             renderer = self._renderer_factory(assembled.scene)
-            held = self._held = _HeldScene(address, traced, renderer, assembled.statistics)
-        return held
+            self._held = (spec.set, spec.rotation, traced), renderer, assembled.statistics
+        return self._held[1:]
 
     @cached_property
     def _light_reach(self) -> LightReach:

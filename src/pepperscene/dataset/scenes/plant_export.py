@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.dataset.recipe.plan import check_seed
 from pepperscene.dataset.store.atomic import check_can_write, write_files
 from pepperscene.errors import ArgumentError
 
@@ -82,7 +83,7 @@ def export_plant(
         OutputError: a file cannot be written.
         SetupError: the machine cannot render; nothing is written.
     """
-    from pepperscene.dataset.scenes.plants import check_seed, grow_plant, growth_stage
+    from pepperscene.dataset.scenes.plants import grow_plant, growth_stage
     from pepperscene.geometry import check_mesh_format, mesh_files
     from pepperscene.materials import organ_surfaces
     from pepperscene.render import find_quality

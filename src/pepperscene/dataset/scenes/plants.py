@@ -12,13 +12,12 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pepperscene.dataset.recipe.plan import Stream, random_generator
+from pepperscene.dataset.recipe.plan import Stream, check_seed, random_generator
 from pepperscene.dataset.recipe.tables import TwineTable
 from pepperscene.dataset.subprocess_rpc import GRACE_S, Connection, WorkerProcess, available_cores
 from pepperscene.errors import ArgumentError, InputError
@@ -31,8 +30,7 @@ if TYPE_CHECKING:
 
 
 PROCESSES: Final = "PEPPERSCENE_PROCESSES"
-"""Environment variable: number of processes that make the plants of a set, 1 or 2. Choose 1 if several builds
-share a machine."""
+"""Environment variable: processes that make the plants of a set, 1 or 2."""
 
 _MIN_SHARED_PLANTS: Final = 6  # chosen: a process takes as long to start as three plants take to make
 
@@ -54,11 +52,7 @@ class GrownPlant:
 
 @dataclass(frozen=True, eq=False)
 class PlacedPlant(GrownPlant):
-    """A plant of a set, with its twine, in its own coordinates.
-
-    Attributes:
-        posture: how the plant stands in its row.
-    """
+    """A plant of a set, with its twine, in its own coordinates, and its posture in the row."""
 
     posture: Posture
 
@@ -108,18 +102,6 @@ def growth_stage(
     return interpolate_cultivars(first, last, 0.5 if share is None else share)
 
 
-def check_seed(seed: int) -> int:
-    """Return the seed as an int.
-
-    Raises:
-        ArgumentError: it is not a whole number from 0 and below 2^63, the range of recipes.
-    """
-    is_whole = isinstance(seed, Integral) and not isinstance(seed, bool)
-    if not (is_whole and 0 <= seed < 2**63):
-        raise ArgumentError("seed", f"must be a whole number, at least 0 and below 2^63, not {seed}")
-    return int(seed)
-
-
 def grow_plant_at(
     cultivar: Cultivar,
     seed: int,
@@ -150,14 +132,7 @@ def grow_plant_at(
 
 @dataclass(frozen=True, eq=False)
 class PlantFactory:
-    """Makes the plants of a recipe's sets.
-
-    Attributes:
-        cultivar: of the plants.
-        seed: of the recipe.
-        greenhouse: whose rows they stand in.
-        twine: that holds them, or None.
-    """
+    """Makes the plants of a recipe's sets; each depends on nothing else."""
 
     cultivar: Cultivar
     seed: int
@@ -165,7 +140,7 @@ class PlantFactory:
     twine: TwineTable | None
 
     def plant(self, which: int, number: int) -> PlacedPlant:
-        """Make one plant of a set; it depends on nothing else."""
+        """Make one plant of a set."""
         from pepperscene.scene import draw_posture
 
         posture = draw_posture(self.greenhouse, random_generator(self.seed, Stream.PLACE, which, 1, number))
@@ -188,9 +163,7 @@ class PlantFactory:
         return add_twine(plant, mesh, twine, rng, self._knot(plant, posture))
 
     def _knot(self, plant: Plant, posture: Posture) -> np.ndarray | None:
-        """`(3,)` point on the wire where the twine is tied, straight above the stem's tip, in the plant's
-        coordinates; None if there is no wire.
-        """
+        """`(3,)` point on the wire, if there is one, above the stem's tip, in the plant's coordinates."""
         from pepperscene.scene import rotation_about_z
 
         wire = self.greenhouse.wire_above_foot()
@@ -202,11 +175,7 @@ class PlantFactory:
 
 
 def plant_processes(processes: int | None = None) -> int:
-    """Number of processes for the plants of a set: the argument, `PROCESSES`, or 2 where there are two cores.
-
-    Raises:
-        InputError: the number is neither 1 nor 2.
-    """
+    """Processes for the plants of a set: the argument, `PROCESSES`, or 2 where there are two cores."""
     text = str(processes) if processes is not None else os.environ.get(PROCESSES, "").strip()
     if text in ("1", "2"):
         return int(text)

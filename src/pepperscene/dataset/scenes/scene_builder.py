@@ -48,9 +48,6 @@ class SceneBuilder:
         recipe: of the data set.
         cultivar: of the plants.
         processes: 1 or 2 that make the plants of a set, with the same result; None for `plant_processes()`.
-
-    Raises:
-        InputError: another number of processes.
     """
 
     def __init__(self, recipe: Recipe, cultivar: Cultivar, processes: int | None = None) -> None:

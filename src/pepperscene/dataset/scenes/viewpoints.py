@@ -41,9 +41,7 @@ class Viewpoints:
 
         "flow" is the camera of the next step, missing at the end of the path; "stereo" is the partner, which
         looks in the same direction from one baseline further right, at the same time and by the same flash.
-
-        Raises:
-            InputError: an output needs a stereo partner, and the recipe has none.
+        Raises `InputError` if the recipe has no partner that an output needs.
         """
         names = set(outputs)
         check_partner(self._recipe, names)
@@ -105,11 +103,7 @@ class Viewpoints:
 
 
 def check_partner(recipe: Recipe, outputs: Iterable[str]) -> None:
-    """Check that a recipe has the stereo partner that outputs need.
-
-    Raises:
-        InputError: it has none.
-    """
+    """Raise `InputError` if a recipe has no stereo partner, and outputs need it."""
     partnered = sorted(PARTNERED.intersection(outputs))
     if partnered and recipe.camera.baseline_mm is None:
         problem = f"is required for the output {partnered[0]}"

@@ -41,24 +41,20 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write one file atomically.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Write one file atomically."""
     with atomic_write(path) as temporary:
         temporary.write_bytes(content)
 
 
 def write_files(folder: Path, files: Mapping[str, bytes], obsolete: Iterable[Path] = ()) -> tuple[Path, ...]:
-    """Write several files into a folder: all of them or none.
+    """Write several files into a folder, which is made if missing: all or none.
 
     All files are complete and flushed under temporary names before the first one is renamed. Renames follow
-    the order of `files`, so the last file only ever appears beside complete ones. On failure everything that
-    this call made is removed, folders included.
+    the order of `files`, so the last file only ever appears beside complete ones. If a file cannot be
+    written, everything that this call made is removed, folders included.
 
     Args:
-        folder: made with its parents where missing.
+        folder: of the files.
         files: content by file name.
         obsolete: files to remove between the last write and the first rename.
 
@@ -96,11 +92,7 @@ def write_error(error: OSError, path: Path) -> OutputError:
 
 
 def make_folder(folder: Path, made: list[Path]) -> None:
-    """Make a folder and its missing parents, and append those that were made to `made`.
-
-    Raises:
-        OSError: a folder cannot be made.
-    """
+    """Make a folder and its missing parents, and append those that were made to `made`."""
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     for path in reversed(missing):
         path.mkdir(exist_ok=True)
@@ -146,20 +138,14 @@ def check_can_write(folder: Path, names: Iterable[str]) -> None:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write canonical JSON atomically.
-
-    Raises:
-        OSError: the file cannot be written.
-        ValueError: the content holds a number that JSON cannot represent (nan, inf).
-    """
+    """Write canonical JSON atomically."""
     write_file(path, canonical_json(content))
 
 
 def canonical_json(content: Any) -> bytes:
     """JSON text that is the same for the same content: sorted keys, one line per entry on the top two levels.
 
-    Raises:
-        ValueError: the content holds a number that JSON cannot represent (nan, inf).
+    Raises `ValueError` if the content holds a number that JSON cannot represent (nan, inf).
     """
     return (_json_lines(content, _LINE_LEVELS) + "\n").encode()
 

@@ -24,16 +24,7 @@ from numpy.typing import NDArray
 from pepperscene.dataset.store.atomic import canonical_json, digest, write_error, write_file, write_json
 from pepperscene.dataset.store.images import encode_image, read_image
 from pepperscene.dataset.store.journal import Journal
-from pepperscene.dataset.store.manifest import (
-    FRAME_COLUMNS,
-    FRUIT,
-    FRUIT_COLUMNS,
-    MANIFEST,
-    Row,
-    frame_row,
-    fruit_rows,
-    write_table,
-)
+from pepperscene.dataset.store.manifest import FRUIT, MANIFEST, Row, frame_row, fruit_rows, write_table
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
 
@@ -55,13 +46,7 @@ def file_name(index: int, output: str) -> str:
 
 @dataclass(frozen=True)
 class FrameStatus:
-    """What exists of a frame.
-
-    Attributes:
-        metadata: its JSON without `outputs` and `checksum`; empty if there is no frame.
-        outputs: entries of the intact images, by output name.
-        checksum: of its JSON.
-    """
+    """What exists of a frame: its JSON without `outputs` and `checksum`, intact images, and its checksum."""
 
     metadata: dict[str, Any] = field(default_factory=dict)
     outputs: dict[str, Any] = field(default_factory=dict)
@@ -74,12 +59,7 @@ class FrameStatus:
 
 @dataclass(frozen=True)
 class Dataset:
-    """A data set in a folder.
-
-    Attributes:
-        folder: of the data set.
-        info: the content of `dataset.json`.
-    """
+    """A data set in a folder; `info` is the content of its `dataset.json`."""
 
     folder: Path
     info: Mapping[str, Any]
@@ -90,19 +70,11 @@ class Dataset:
         return tuple(sorted(int(name) for name in names if name.isdecimal()))
 
     def metadata(self, index: int) -> dict[str, Any]:
-        """The content of a frame's JSON.
-
-        Raises:
-            InputError: there is no such frame, or its file is damaged.
-        """
+        """The content of a frame's JSON; raises `InputError` if it is missing or damaged."""
         return read_json(self.frame_path(index))
 
     def image(self, index: int, output: str) -> Any:
-        """One output of a frame, as `Frame` holds it: an array, or the object of a JSON file.
-
-        Raises:
-            InputError: the frame has no such output.
-        """
+        """One output of a frame, as `Frame` holds it; raises `InputError` if the frame does not have it."""
         return read_image(self.path(index, output))
 
     def path(self, index: int, output: str) -> Path:
@@ -113,51 +85,34 @@ class Dataset:
         """Path of a frame's JSON."""
         return self.folder / FRAMES / f"{index:0{DIGITS}d}.json"
 
-    # --- tables ---------------------------------------------------------------------------------------------
-
     def manifest(self) -> pyarrow.Table:
-        """The table of all frames, ascending: place in the plan, checksums, timings, errors, pixels per
-        class.
+        """The table of all frames, ascending; its columns are `manifest.FRAME_COLUMNS`.
 
-        It is written again if it is lost or lists other frames. Its columns are `manifest.FRAME_COLUMNS`.
-
-        Raises:
-            OutputError: the table is lost, and the folder cannot be written to.
+        It is written again if it is lost or lists other frames; raises `OutputError` if that fails.
         """
         return self._read_table(MANIFEST)
 
     def fruit(self) -> pyarrow.Table:
-        """The table of all fruit in all frames that have the output `harvest`.
+        """The table of all fruit in all frames; its columns are `manifest.FRUIT_COLUMNS`.
 
-        Its columns are `manifest.FRUIT_COLUMNS`.
-
-        Raises:
-            InputError: no frame has that output.
-            OutputError: the table is lost, and the folder cannot be written to.
+        Raises `InputError` if no frame has the output `harvest`.
         """
         return self._read_table(FRUIT)
 
     def write_tables(self, journal: Journal | None = None) -> None:
         """Write `manifest.parquet`, and `fruit.parquet` if frames have the output `harvest`.
 
-        Rows come from the journal, or else from the frame's own files.
-
-        Args:
-            journal: of this data set, if it is open already.
-
-        Raises:
-            OutputError: a table cannot be written.
+        Rows come from the journal (None opens it), or else from the frame's own files. Raises `OutputError`
+        if a table cannot be written.
         """
         indices = self.indices()
         rows = (journal or Journal(self.folder)).rows(indices)
         frames = (self.intact(index).row() if row is None else row for index, row in rows)
         try:
-            write_table(
-                self.folder / MANIFEST, FRAME_COLUMNS, (row for row in frames if row.get("index") is not None)
-            )
+            write_table(self.folder, MANIFEST, (row for row in frames if row.get("index") is not None))
             harvested = [index for index in indices if self.path(index, "harvest").is_file()]
             if harvested:
-                write_table(self.folder / FRUIT, FRUIT_COLUMNS, self._fruit_rows(harvested))
+                write_table(self.folder, FRUIT, self._fruit_rows(harvested))
         except OSError as error:
             raise write_error(error, self.folder / MANIFEST) from None
 
@@ -180,13 +135,8 @@ class Dataset:
             with suppress(InputError):
                 yield from fruit_rows(index, read_json(self.path(index, "harvest")))
 
-    # --- frames ---------------------------------------------------------------------------------------------
-
     def intact(self, index: int) -> FrameStatus:
-        """Verify a frame: what of it is exactly what the build wrote, by checksum.
-
-        The status is empty if there is no such frame, or its JSON is damaged.
-        """
+        """The files of a frame that are exactly what the build wrote; none if its JSON is damaged."""
         try:
             metadata = self.metadata(index)
             checksum = str(metadata.pop(CHECKSUM))
@@ -212,29 +162,21 @@ class Dataset:
     ) -> FrameStatus:
         """Add a frame, or outputs to a frame: first the images, then the JSON that makes them count.
 
-        On failure the images written by this call are removed, and what existed before still counts.
+        If that raises, the images of this call are removed, and what existed before still counts.
 
         Args:
             index: of the frame.
             images: arrays by output name.
             metadata: the whole JSON without its `outputs`.
             kept: entries of the existing outputs.
-            pool: writes several images at a time; compressing, hashing and waiting for the disk release
-                Python's lock.
-
-        Returns:
-            What exists now.
-
-        Raises:
-            OSError: a file cannot be written.
+            pool: writes several images at a time; encoding and waiting for the disk release Python's lock.
         """
         metadata = {str(key): value for key, value in metadata.items() if key not in (CHECKSUM, "outputs")}
         try:
+            names = {output: file_name(index, output) for output in images}
             entries = {
-                output: pool.submit(
-                    written_image, self.path(index, output), image, output, file_name(index, output)
-                )
-                for output, image in images.items()
+                output: pool.submit(written_image, self.folder / name, images[output], output, name)
+                for output, name in names.items()
             }
             # Wait for all before the first error is raised, so that no image is written after the removal.
             wait(entries.values())
@@ -263,17 +205,7 @@ def checksum_of(metadata: Mapping[str, Any]) -> str:
 
 
 def written_image(path: Path, image: Any, output: str, name: str) -> dict[str, Any]:
-    """Write an image atomically, and return its entry in the frame's JSON.
-
-    Args:
-        path: of the file.
-        image: of the shape and dtype of its output.
-        output: name of the output.
-        name: of the file in the entry.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Write an image of an output atomically; returns its entry, under this name, in the frame's JSON."""
     content = encode_image(image, output)
     write_file(path, content)
     return file_entry(name, content)
@@ -285,11 +217,7 @@ def file_entry(name: str, content: bytes) -> dict[str, Any]:
 
 
 def open_dataset(folder: str | Path) -> Dataset:
-    """Open the data set in a folder.
-
-    Raises:
-        InputError: there is none.
-    """
+    """Open the data set in a folder; raises `InputError` if there is none."""
     path = Path(folder) / MARK
     if not path.is_file():
         raise InputError(folder, f"holds no data set: there is no {MARK} in it")
@@ -300,11 +228,7 @@ def open_dataset(folder: str | Path) -> Dataset:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read the object in a JSON file.
-
-    Raises:
-        InputError: the file is missing or holds something else.
-    """
+    """Read the object in a JSON file; raises `InputError` if it is missing or holds something else."""
     try:
         content = json.loads(path.read_bytes())
     except OSError as error:

@@ -47,11 +47,7 @@ class OutputFolder:
         self._missing = [path for path in paths if not path.exists()]
 
     def prepare(self, outputs: tuple[str, ...]) -> None:
-        """Make missing folders and `dataset.json`; other processes may do so at the same time.
-
-        Raises:
-            OSError: something cannot be made.
-        """
+        """Make missing folders and `dataset.json`; other processes may do so at the same time."""
         self.dataset.folder.mkdir(parents=True, exist_ok=True)
         mark = self.dataset.folder / MARK
         if not mark.is_file():
@@ -73,12 +69,7 @@ class OutputFolder:
 
 
 def check_output_folder(folder: Path, info: Mapping[str, Any]) -> None:
-    """Raise `OutputError` if a folder cannot take a data set.
-
-    Args:
-        folder: of the data set; it may be missing.
-        info: content of its `dataset.json`.
-    """
+    """Raise `OutputError` if a folder, which may be missing, cannot take the data set of a `dataset.json`."""
     check_can_create(folder)
     try:
         if folder.exists():

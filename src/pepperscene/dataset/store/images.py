@@ -70,7 +70,6 @@ def write_image(path: Path, image: Any, output: str) -> None:
 
     Raises:
         ValueError: the image does not fit the output, or holds a value that JSON cannot represent.
-        OSError: the file cannot be written.
     """
     path.write_bytes(encode_image(image, output))
 
@@ -89,10 +88,7 @@ def encode_image(image: Any, output: str) -> bytes:
 
 
 def read_image(path: str | Path) -> Any:
-    """Read a file that `write_image` wrote.
-
-    Returns:
-        The image as `Frame` holds it (class ids of a palette PNG), or the object in a JSON file.
+    """Read a file that `write_image` wrote, as `Frame` holds it (class ids of a palette PNG).
 
     Raises:
         InputError: the file is missing or not such an image.

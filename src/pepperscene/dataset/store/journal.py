@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Final, Self
 
 from pepperscene.dataset.store.manifest import Row
@@ -42,9 +41,7 @@ class Journal:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._file is not None:
             self._file.close()
 
@@ -54,11 +51,7 @@ class Journal:
         return frozenset(self._wanted)
 
     def want(self, indices: Iterable[int]) -> None:
-        """Note the frames that a build requests, unless all of them are noted already.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
+        """Note the frames that a build requests, unless all of them are noted already."""
         requested = sorted(indices)
         if not self._wanted.issuperset(requested):
             self._write({"wanted": _ranges(requested)})
@@ -68,11 +61,7 @@ class Journal:
         return self._frames.get(index, (0, ""))[1]
 
     def add(self, row: Row) -> None:
-        """Add a frame's row, unless the journal holds this frame with this checksum already.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
+        """Add a frame's row, unless the journal holds this frame with this checksum already."""
         if self.checksum(row["index"]) != row["checksum"]:
             self._write(row)
 

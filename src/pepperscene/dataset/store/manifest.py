@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
@@ -67,13 +67,7 @@ FRUIT_COLUMNS: Final[Mapping[str, str]] = {
 
 
 def frame_row(metadata: Mapping[str, Any], outputs: Mapping[str, Any], checksum: str) -> Row:
-    """The row of a frame, as far as its own files provide it.
-
-    Args:
-        metadata: the frame's JSON without `outputs` and `checksum`.
-        outputs: entries of the frame's images, by output name.
-        checksum: of the frame's JSON.
-    """
+    """The row of a frame, without timings: from its JSON, the entries of its images and its checksum."""
     columns = ("index", "set", "rotation", "step", "seed", "recipe_seed")
     row: Row = {name: metadata.get(name) for name in columns}
     pose = metadata.get("camera", {}).get("pose")
@@ -90,12 +84,7 @@ def frame_row(metadata: Mapping[str, Any], outputs: Mapping[str, Any], checksum:
 
 
 def fruit_rows(index: int, harvest: Mapping[str, Any]) -> Iterator[Row]:
-    """Yield a row for each fruit of a frame.
-
-    Args:
-        index: of the frame.
-        harvest: the frame's output of that name.
-    """
+    """Yield a row for each fruit in the output `harvest` of a frame."""
     for fruit in harvest["fruit"]:
         pose, peduncle = fruit["pose"], fruit["peduncle"]
         row: Row = {name: fruit[name] for name in FRUIT_COLUMNS if name in fruit and name != "peduncle"}
@@ -117,25 +106,15 @@ def _xyz(name: str, values: Any) -> Row:
     return {} if values is None else {name.format(axis): values[line] for line, axis in enumerate("xyz")}
 
 
-def write_table(path: Path, columns: Mapping[str, str], rows: Iterator[Row]) -> None:
-    """Write a Parquet file, some thousand rows at a time.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+def write_table(folder: Path, name: str, rows: Iterator[Row]) -> None:
+    """Write `MANIFEST` or `FRUIT`, some thousand rows at a time."""
     import pyarrow
     from pyarrow import parquet
 
-    types: Mapping[str, Callable[[], Any]] = {
-        "int64": pyarrow.int64,
-        "int32": pyarrow.int32,
-        "double": pyarrow.float64,
-        "doubles": lambda: pyarrow.list_(pyarrow.float64()),
-        "string": pyarrow.string,
-        "bool": pyarrow.bool_,
-    }
-    schema = pyarrow.schema([(name, types[kind]()) for name, kind in columns.items()])
-    with atomic_write(path) as temporary, parquet.ParquetWriter(temporary, schema) as writer:
+    columns, doubles = FRAME_COLUMNS if name == MANIFEST else FRUIT_COLUMNS, pyarrow.list_(pyarrow.float64())
+    types = [doubles if kind == "doubles" else pyarrow.type_for_alias(kind) for kind in columns.values()]
+    schema = pyarrow.schema(zip(columns, types, strict=True))
+    with atomic_write(folder / name) as temporary, parquet.ParquetWriter(temporary, schema) as writer:
         while part := list(islice(rows, _ROWS_HELD)):
-            values = {name: [row.get(name) for row in part] for name in columns}
+            values = {column: [row.get(column) for row in part] for column in columns}
             writer.write_table(pyarrow.table(values, schema=schema))
