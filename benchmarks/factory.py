@@ -29,7 +29,7 @@ def rate(recipe: ps.Recipe, frames: Sequence[int], workers: int | None) -> float
     """Frames in a second of a whole build of labels, the start of workers and the manifest included."""
     with tempfile.TemporaryDirectory() as folder:
         begun = time.perf_counter()
-        ps.build(recipe, Path(folder) / "set", frames, TRUTH, workers=workers)
+        ps.build(recipe, Path(folder) / "set", frames, TRUTH, ps.BuildOptions(workers=workers))
         return len(frames) / (time.perf_counter() - begun)
 
 

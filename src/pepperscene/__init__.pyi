@@ -17,6 +17,7 @@ from .cultivar import Cultivar as Cultivar
 from .cultivar import interpolate_cultivars as interpolate_cultivars
 from .cultivar import load_cultivar as load_cultivar
 from .dataset import VOID as VOID
+from .dataset import BuildOptions as BuildOptions
 from .dataset import CheckResult as CheckResult
 from .dataset import Dataset as Dataset
 from .dataset import FrameRenderer as FrameRenderer

@@ -20,12 +20,12 @@ BUILD = (
 @pytest.fixture
 def folder(command, tmp_path, monkeypatch):
     """Three frames whose class image shows nothing; a stand-in renders them."""
-    from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
+    from pepperscene.dataset.scenes.frame_renderer import AssembledScene, FrameRenderer
     from pepperscene.geometry import rectangle
     from pepperscene.scene import assemble_scene
 
     scene = assemble_scene(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
-    monkeypatch.setattr(FrameRenderer, "scene", lambda *_args, **_kwargs: scene)
+    monkeypatch.setattr(FrameRenderer, "assemble", lambda *_args, **_kwargs: AssembledScene(scene, {}))
     done = command(
         *BUILD, "--outputs", "class,instance", "--set", "cultivar=kaite_february", "--out", tmp_path / "set"
     )
@@ -34,10 +34,9 @@ def folder(command, tmp_path, monkeypatch):
     for path in sorted((tmp_path / "set" / "frames").glob("*.json")):
         shrunk(path)
     from pepperscene.dataset.store.dataset import open_dataset
-    from pepperscene.dataset.store.manifest import write_manifest
 
     (tmp_path / "set" / "journal.jsonl").unlink(missing_ok=True)
-    write_manifest(open_dataset(tmp_path / "set"))
+    open_dataset(tmp_path / "set").write_tables()
     return tmp_path / "set"
 
 

@@ -10,7 +10,7 @@ import tomllib
 import pytest
 
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import load_recipe_cultivar
+from pepperscene.dataset.recipe.resolved import load_recipe_cultivar
 from pepperscene.errors import EXIT_BAD_INPUT
 from pepperscene.shipped import shipped_folder
 

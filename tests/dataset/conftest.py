@@ -1,4 +1,4 @@
-"""A small recipe, and a renderer that needs no Mitsuba but obeys the same contract."""
+"""A small recipe, and a renderer that needs no Mitsuba but has the same interface."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import shutil
 import numpy as np
 import pytest
 
-from pepperscene.dataset import FrameRenderer, Recipe, load_recipe, open_dataset
+from pepperscene.dataset import BuildOptions, FrameRenderer, Recipe, build, load_recipe, open_dataset
+from pepperscene.dataset.scenes.frame_renderer import AssembledScene
 from pepperscene.frame import OUTPUTS, Frame, check_outputs
 from pepperscene.geometry import rectangle
 from pepperscene.scene import assemble_scene
@@ -16,29 +17,29 @@ SIZE = (6, 8)
 
 
 class FakeRenderer:
-    """Noise that depends on the view, the seed and the scene alone, like a real frame."""
+    """Noise that depends on the view and the seed alone, like a real frame."""
 
-    made: list = []  # noqa: RUF012 - the fixture empties it
+    created: list = []  # noqa: RUF012 - the fixture empties it
 
     def __init__(self, scene):
         self.scene = scene
         self.views, self.others = [], []
-        FakeRenderer.made.append(self)
+        FakeRenderer.created.append(self)
 
     def render(self, camera, outputs=(), quality="standard", seed=0, others=None):
         names = check_outputs(outputs)
         self.views.append((camera, names, quality, seed))
         self.others.append(others)
         images = {name: self._image(name, camera, seed) for name in names}
-        seen = {"1": {"class": 1, "kind": "lamina", "plant": 0, "phytomer": 3, "parent": 0}}
+        instances = {"1": {"class": 1, "kind": "lamina", "plant": 0, "phytomer": 3, "parent": 0}}
         labelled = any(not OUTPUTS[name].traced for name in names)
-        facts = {
-            "camera": camera.facts(),
+        metadata = {
+            "camera": camera.metadata(),
             "variant": "fake",
             "versions": {"fake": "1"},
-            "instances": seen if labelled else {},
+            "instances": instances if labelled else {},
         }
-        return Frame(images, facts)
+        return Frame(images, metadata)
 
     def _image(self, name, camera, seed):
         place = int(abs(camera.pose[0, 3]) * 1e9)
@@ -51,13 +52,13 @@ class FakeRenderer:
             if name in ("distance", "depth_z"):
                 values[0, 0] = np.inf
             return values
-        top = {"class": 8, "instance": 65536, "raw": 4096}.get(name, 256)
-        return rng.integers(0, top, shape).astype(OUTPUTS[name].dtype)
+        end = {"class": 8, "instance": 65536, "raw": 4096}.get(name, 256)
+        return rng.integers(0, end, shape).astype(OUTPUTS[name].dtype)
 
 
 @pytest.fixture
 def fake_renderer():
-    FakeRenderer.made.clear()
+    FakeRenderer.created.clear()
     return FakeRenderer
 
 
@@ -73,15 +74,25 @@ def recipe() -> Recipe:
 
 
 @pytest.fixture
+def build_small(recipe, tmp_path):
+    """Builds the small recipe into a folder; further keywords are build options."""
+
+    def run(out="set", frames=None, outputs=("class", "distance"), on_frame=None, recipe=recipe, **options):
+        return build(recipe, tmp_path / out, frames, outputs, BuildOptions(**options), on_frame)
+
+    return run
+
+
+@pytest.fixture
 def empty_scenes(monkeypatch):
     """Scenes without plants, where only files are examined."""
     scene = assemble_scene(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
-    monkeypatch.setattr(FrameRenderer, "scene", lambda *_args, **_kwargs: scene)
+    monkeypatch.setattr(FrameRenderer, "assemble", lambda *_args, **_kwargs: AssembledScene(scene, {}))
 
 
 @pytest.fixture(scope="session")
 def small(tmp_path_factory):
-    """Nine tiny frames with all that exports carry; to be read, not changed."""
+    """Nine tiny frames with everything that exports contain; to be read, not changed."""
     from small_set import make_small_set
 
     return make_small_set(tmp_path_factory.mktemp("small") / "set")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pepperscene.dataset import FrameRenderer, build, load_recipe
+from pepperscene.dataset import BuildOptions, FrameRenderer, build, load_recipe
+from pepperscene.dataset.scenes.frame_renderer import AssembledScene
 from pepperscene.geometry import rectangle
 from pepperscene.scene import assemble_scene
 
@@ -31,6 +32,6 @@ def set_without_plants(folder, frames, outputs, renderer):
     }  # fmt: skip
     scene = assemble_scene(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(FrameRenderer, "scene", lambda *_args, **_kwargs: scene)
+        patch.setattr(FrameRenderer, "assemble", lambda *_args, **_kwargs: AssembledScene(scene, {}))
         recipe = load_recipe("barth2018", changes)
-        return build(recipe, folder, frames=list(frames), outputs=outputs, renderer=renderer).dataset
+        return build(recipe, folder, list(frames), outputs, BuildOptions(renderer=renderer)).dataset

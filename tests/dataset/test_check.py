@@ -10,16 +10,15 @@ import numpy as np
 import pytest
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset import build, check_dataset, load_recipe, read_image, write_image
+from pepperscene.dataset import BuildOptions, build, check_dataset, load_recipe, read_image, write_image
 from pepperscene.dataset.check import run as crew
 from pepperscene.dataset.check.cross_frame import CrossFrameChecks
 from pepperscene.dataset.check.findings import KINDS, Finding
 from pepperscene.dataset.check.one_frame import FrameTraits
 from pepperscene.dataset.recipe.tables import ExpectTable
-from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
+from pepperscene.dataset.scenes.frame_renderer import AssembledScene, FrameRenderer
 from pepperscene.dataset.store.atomic import digest, write_json
 from pepperscene.dataset.store.dataset import checksum_of, open_dataset
-from pepperscene.dataset.store.manifest import write_manifest
 from pepperscene.errors import InputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, Frame
 from pepperscene.geometry import rectangle
@@ -114,8 +113,8 @@ def made(folder, outputs):
     )
     with pytest.MonkeyPatch.context() as patch:
         scene = assemble_scene(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
-        patch.setattr(FrameRenderer, "scene", lambda *_args, **_kwargs: scene)
-        build(recipe, folder, outputs=outputs, renderer=Discs)
+        patch.setattr(FrameRenderer, "assemble", lambda *_args, **_kwargs: AssembledScene(scene, {}))
+        build(recipe, folder, outputs=outputs, options=BuildOptions(renderer=Discs))
     return folder
 
 
@@ -155,7 +154,7 @@ def sign(folder, index, changes=None):
 
 def write_manifest_of(folder):
     (folder / "journal.jsonl").unlink(missing_ok=True)
-    write_manifest(open_dataset(folder))
+    open_dataset(folder).write_tables()
 
 
 def change(folder, index, output, to):

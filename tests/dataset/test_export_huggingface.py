@@ -13,7 +13,7 @@ from small_set import FRUIT
 from pepperscene.dataset.export import Splits, export_dataset
 from pepperscene.dataset.export.columns import CLASS_NAMES, columns
 from pepperscene.dataset.export.huggingface import Card, export_huggingface
-from pepperscene.dataset.store.rows import FRUIT_COLUMNS
+from pepperscene.dataset.store.manifest import FRUIT_COLUMNS
 from pepperscene.errors import InputError
 
 SPLITS = Splits((("train", range(5)), ("test", range(6, 8))))

@@ -8,7 +8,6 @@ import OpenEXR
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from pepperscene.dataset.store.codecs import exr_bytes
 
 

@@ -11,8 +11,8 @@ import tomli_w
 
 from pepperscene.cultivar import interpolate_cultivars, load_cultivar
 from pepperscene.dataset import FrameRenderer, load_recipe, parse_changes
-from pepperscene.dataset.recipe.equipment import load_recipe_cultivar
 from pepperscene.dataset.recipe.recipe import Recipe
+from pepperscene.dataset.recipe.resolved import load_recipe_cultivar
 from pepperscene.dataset.recipe.tables import GreenhouseTable
 from pepperscene.errors import InputError
 from pepperscene.shipped import shipped_folder

@@ -102,9 +102,9 @@ SCRIPT = f"""
 import hashlib
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.scenes.scene_builder import Planting
+from pepperscene.dataset.scenes.scene_builder import SceneBuilder
 recipe = load_recipe("greenhouse", {SMALL!r})
-mesh = Planting(recipe, load_cultivar(recipe.cultivar)).scene(0, 0).mesh
+mesh = SceneBuilder(recipe, load_cultivar(recipe.cultivar)).scene(0, 0).mesh
 arrays = (mesh.vertices, mesh.normals, mesh.uv, mesh.state, mesh.faces, mesh.face_instance)
 print(hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest())
 """
@@ -270,7 +270,7 @@ def test_what_touches_within_plants_counts_too(recipe, planted, monkeypatch):
         made = real(*args, **kwargs)
         return replace(made, contacts=replace(made.contacts, fruit_touching=1, blades_touching=2))
 
-    monkeypatch.setattr(pepperscene.dataset.scenes.scene_builder, "grown_at", jammed)
+    monkeypatch.setattr(pepperscene.dataset.scenes.scene_builder, "grow_plant_at", jammed)
     told = planting_of(recipe).scene(0, 0).contacts
     assert planted.contacts.fruit_touching == 0
     assert told.fruit_touching == 3

@@ -12,9 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from PIL import Image
-
 from pepperscene.dataset.store.codecs import png_bytes
+from PIL import Image
 
 
 def sides(*tail):

@@ -7,13 +7,13 @@ import pytest
 from PIL import Image
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
-from pepperscene.dataset import build
+from pepperscene.dataset import BuildOptions, build
 from pepperscene.dataset.export import export_dataset
 from pepperscene.dataset.readers import FolderSet, PublishedSet, RenderedSet, open_images
 from pepperscene.dataset.readers.folder import natural_sort_key, pairs
 from pepperscene.dataset.readers.image_set import VOID
 from pepperscene.dataset.readers.labels import KNOWN_LABELS, labels_of
-from pepperscene.dataset.store.codecs import png_bytes
+from pepperscene.dataset.store.images import png_bytes
 from pepperscene.errors import InputError
 from pepperscene.truth import class_colour, distance_code, distance_from_code
 
@@ -48,7 +48,7 @@ def mask(folder, name, value=1, size=SIZE):
 @pytest.fixture
 def built(tmp_path, recipe, fake_renderer, empty_scenes):
     outputs = ("colour", "class", "instance", "distance")
-    return build(recipe, tmp_path / "set", frames=[0, 3, 9], outputs=outputs, renderer=fake_renderer).dataset
+    return build(recipe, tmp_path / "set", [0, 3, 9], outputs, BuildOptions(renderer=fake_renderer)).dataset
 
 
 def test_a_data_set_of_ours_is_read_as_it_is(built):
@@ -69,7 +69,7 @@ def test_a_data_set_of_ours_is_read_as_it_is(built):
 
 def test_fields_are_read_from_what_there_is(tmp_path, recipe, fake_renderer, empty_scenes):
     outputs = ("class_colour", "distance_code")
-    made = build(recipe, tmp_path / "set", frames=[0], outputs=outputs, renderer=fake_renderer).dataset
+    made = build(recipe, tmp_path / "set", [0], outputs, BuildOptions(renderer=fake_renderer)).dataset
     picture = open_images(made.folder)[0]
     code = made.image(0, "distance_code")
     np.testing.assert_array_equal(picture.distance_m, distance_from_code(code))

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset import build, open_dataset, write_report
+from pepperscene.dataset import BuildOptions, build, open_dataset, write_report
 from pepperscene.dataset.readers.image_set import FIELDS, ImageSet, LabelledImage
 from pepperscene.dataset.report.data import (
     NUMBERS,
@@ -79,7 +79,7 @@ def make(recipe, fake_renderer, shelf, tmp_path):
     def run(recipe=recipe, frames="0:24", outputs=DEFAULT_OUTPUTS):
         kept = shelf / f"{'-'.join(outputs)} {frames} {recipe.sha256()}".replace(":", "-")
         if not kept.exists():
-            build(recipe, kept, renderer=fake_renderer, frames=frames, outputs=outputs)
+            build(recipe, kept, frames, outputs, BuildOptions(renderer=fake_renderer))
         return shutil.copytree(kept, tmp_path / "set", dirs_exist_ok=True)
 
     return run
@@ -197,7 +197,7 @@ def test_the_same_set_gives_the_same_page(make):
 def test_a_report_does_not_stop_a_build_from_going_on(make, recipe, fake_renderer):
     folder = make(frames="0:1")
     write_report(folder)
-    build(recipe, folder, renderer=fake_renderer, frames="0:2")
+    build(recipe, folder, "0:2", options=BuildOptions(renderer=fake_renderer))
     assert write_report(folder).frames == 2
 
 

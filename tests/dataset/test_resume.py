@@ -1,4 +1,4 @@
-"""A build that is killed at any moment goes on with the same command, and ends as if nothing had been."""
+"""A build killed at any moment is resumed by the same command, and ends as if it had never been killed."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from set_files import contents
+from stand_in import PYTHONPATH, rendered
 
 from pepperscene.dataset import open_dataset
 from pepperscene.dataset.recipe.plan import Plan, frame_seed
@@ -24,11 +25,11 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="ch
 _SCRIPT = """
 import sys
 from stand_in import {renderer} as Renderer
-from pepperscene.dataset import build, load_recipe
+from pepperscene.dataset import BuildOptions, build, load_recipe
 recipe = load_recipe("barth2018", {{"cultivar": "kaite_february", "plan.sets": 2, "plan.rotations": 2,
     "plan.frames": 15, "row.plants_front": {front}, "row.plants_back": {back}}})
-workers = int(sys.argv[2]) or None
-build(recipe, sys.argv[1], outputs={outputs}, quality="draft", workers=workers, renderer=Renderer)
+options = BuildOptions("draft", workers=int(sys.argv[2]) or None, renderer=Renderer)
+build(recipe, sys.argv[1], None, {outputs}, options)
 """
 STAND_IN = _SCRIPT.format(renderer="StandIn", front=1, back=0, outputs=("class", "distance", "colour"))
 REAL = _SCRIPT.format(
@@ -40,10 +41,15 @@ REAL = _SCRIPT.format(
 
 
 @pytest.fixture
-def begin(tmp_path, monkeypatch):
-    """Starts a build of 60 frames in a process of its own."""
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
-    monkeypatch.setenv("STAND_IN_LOG", str(tmp_path / "rendered"))
+def log(tmp_path):
+    return tmp_path / "log"
+
+
+@pytest.fixture
+def begin(tmp_path, monkeypatch, log):
+    """Starts a build of 60 frames in another process."""
+    monkeypatch.setenv("PYTHONPATH", PYTHONPATH)
+    monkeypatch.setenv("STAND_IN_LOG", str(log))
     monkeypatch.setenv("STAND_IN_S", "0.02")
 
     def start(out, workers=0, script=STAND_IN):
@@ -64,10 +70,10 @@ def family(process):
             parents[int(status.parent.name)] = int(status.read_text().rpartition(")")[2].split()[1])
         except OSError:
             continue
-    found = {process}
-    while more := {child for child, parent in parents.items() if parent in found} - found:
-        found |= more
-    return found
+    members = {process}
+    while more := {child for child, parent in parents.items() if parent in members} - members:
+        members |= more
+    return members
 
 
 def kill(process, everybody):
@@ -80,19 +86,19 @@ def kill(process, everybody):
             continue
     process.communicate()
     deadline = time.monotonic() + 60
-    while any(_lives(member) for member in members) and time.monotonic() < deadline:
+    while any(is_alive(member) for member in members) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert not any(_lives(member) for member in members), "workers outlive their build"
+    assert not any(is_alive(member) for member in members), "workers outlive their build"
 
 
-def _lives(process):
+def is_alive(process):
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
 
 
-def whole(folder):
+def complete_frames(folder):
     """Frames that count, each verified to the last bit; none is damaged."""
     if not (folder / "dataset.json").is_file():
         return set()
@@ -103,13 +109,12 @@ def whole(folder):
     return set(dataset.indices())
 
 
-def interrupted(begin, tmp_path, rng, kills, script, longest_s, log):
-    """A build that is killed at random moments until the last one may finish; how often it was."""
+def interrupted_build(begin, folder, rng, kills, script, longest_s, log):
+    """A build that is killed at random moments until the last one may finish; returns how often it was."""
     times = 0
     while True:
-        before = whole(tmp_path / "set")
-        rendered = len(log.read_text().splitlines()) if log.exists() else 0
-        process = begin("set", workers=int(rng.integers(0, 3)), script=script)
+        before, started = complete_frames(folder), len(rendered(log))
+        process = begin(folder.name, workers=int(rng.integers(0, 3)), script=script)
         if times == kills:
             assert process.communicate()[1] == b""
             assert process.returncode == 0
@@ -122,18 +127,16 @@ def interrupted(begin, tmp_path, rng, kills, script, longest_s, log):
             else:
                 process.communicate()
         seeds = {frame_seed(SEED, index) for index in before}
-        again = [int(line) for line in log.read_text().splitlines()[rendered:]] if log.exists() else []
-        assert not seeds & set(again), "a frame was rendered that was whole already"
+        again = {seed for _, seed in rendered(log)[started:]}
+        assert not seeds & again, "a complete frame was rendered again"
         if process.returncode == 0:
             return times
 
 
-def test_killed_at_random_moments_and_resumed(begin, tmp_path):
-    rng = np.random.default_rng(6)
+def test_killed_at_random_moments_and_resumed(begin, tmp_path, log):
     assert begin("whole").communicate()[1] == b""
-    log = tmp_path / "rendered"
     log.unlink()
-    times = interrupted(begin, tmp_path, rng, 6, STAND_IN, 4.0, log)
+    times = interrupted_build(begin, tmp_path / "set", np.random.default_rng(6), 6, STAND_IN, 4.0, log)
     assert times > 1
     assert contents(tmp_path / "set") == contents(tmp_path / "whole")
     manifest = open_dataset(tmp_path / "set").manifest()
@@ -143,15 +146,14 @@ def test_killed_at_random_moments_and_resumed(begin, tmp_path):
 
 
 @pytest.mark.long
-def test_thirty_kills_of_real_builds(begin, tmp_path):
+def test_thirty_kills_of_real_builds(begin, tmp_path, log):
     """Sixty frames in colour with all labels, killed at thirty random moments of several builds."""
     rng = np.random.default_rng(30)
-    process = begin("whole", script=REAL)
-    assert process.communicate()[1] == b""
-    truth, kills, log = contents(tmp_path / "whole"), 0, tmp_path / "rendered"
-    assert len(truth) == 1 + FRAMES * 7
+    assert begin("whole", script=REAL).communicate()[1] == b""
+    expected, kills = contents(tmp_path / "whole"), 0
+    assert len(expected) == 1 + FRAMES * 7
     while kills < 30:
-        kills += interrupted(begin, tmp_path, rng, 30 - kills, REAL, 30.0, log)
-        assert contents(tmp_path / "set") == truth
+        kills += interrupted_build(begin, tmp_path / "set", rng, 30 - kills, REAL, 30.0, log)
+        assert contents(tmp_path / "set") == expected
         for path in sorted((tmp_path / "set").rglob("*"), reverse=True):
             path.rmdir() if path.is_dir() else path.unlink()

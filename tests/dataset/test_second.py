@@ -8,10 +8,10 @@ import threading
 
 import numpy as np
 import pytest
+from pepperscene.dataset.scenes.plant_worker import VARIABLE, processes
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.scenes.plant_worker import VARIABLE, processes
 from pepperscene.dataset.scenes.scene_builder import SceneBuilder
 from pepperscene.errors import InputError
 

@@ -1,4 +1,4 @@
-"""Slurm: what its file may say, what is asked for, and a build by a Slurm that is three small scripts."""
+"""Slurm: the file of jobs, the submitted script, and a build by a Slurm that consists of three scripts."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from stand_in import StandIn
+from set_files import contents
+from stand_in import PYTHONPATH, StandIn, wait_for
 
-from pepperscene.dataset import build
 from pepperscene.dataset.execution import slurm
 from pepperscene.dataset.execution.slurm import SlurmJobs, read_slurm_file
 from pepperscene.errors import InputError, SetupError, WorkerError
@@ -21,15 +21,13 @@ from pepperscene.errors import InputError, SetupError, WorkerError
 dask = pytest.importorskip("dask", reason="needs the extra `cluster`")
 pytest.importorskip("dask_jobqueue", reason="needs the extra `cluster`")
 
-OUTPUTS = ("class", "distance")
-HERE = str(Path(__file__).parent)
-WHOLE = """
+ALL_KEYS = """
 jobs = 2
 cores = 4
 memory = "6 GB"
 walltime = "12:00:00"
 workers = 2
-partition = "regular"
+partition = "closed"
 account = "peppers"
 directives = ["--qos=long", "--exclude=node7"]
 prologue = ["module load python", "export PEPPERSCENE_VARIANT=llvm_ad_spectral"]
@@ -38,7 +36,7 @@ interface = "lo"
 local_directory = "scratch"
 log_directory = "logs"
 """
-LEAST = """
+REQUIRED_KEYS = """
 jobs = 2
 cores = 1
 memory = "1 GB"
@@ -50,6 +48,7 @@ local_directory = "scratch"
 SBATCH = """#!/bin/sh
 # Like Slurm's: --test-only judges a script; otherwise the job starts at once, in a session of its own.
 if [ "$1" = --test-only ]; then
+    cp "$2" "$FAKE_SLURM/tested.sh"
     if grep -q 'SBATCH -p closed' "$2"; then
         echo 'sbatch: error: invalid partition specified: closed' >&2
         exit 1
@@ -92,25 +91,40 @@ def commands(tmp_path, monkeypatch):
         (programs / name).chmod(0o755)
     monkeypatch.setenv("PATH", f"{programs}:{os.environ['PATH']}")
     monkeypatch.setenv("FAKE_SLURM", str(jobs))
-    monkeypatch.setenv("PYTHONPATH", HERE)
+    monkeypatch.setenv("PYTHONPATH", PYTHONPATH)
     return jobs
 
 
 @pytest.fixture
-def written(tmp_path):
-    def write(text):
+def write(tmp_path):
+    def written(text):
         path = tmp_path / "jobs.toml"
         path.write_text(text)
         return path
 
-    return write
+    return written
 
 
-def test_the_script_holds_what_was_asked_for(written, tmp_path):
-    script = slurm.script(written(WHOLE))
+@pytest.fixture
+def make(build_small):
+    def run(slurm=None, out="set", **arguments):
+        return build_small(out, renderer=StandIn, slurm=slurm, **arguments)
+
+    return run
+
+
+def submitted_script(make, commands, path):
+    """The script that is shown to Slurm, which refuses it."""
+    with pytest.raises(InputError, match=r"Slurm refuses such a job: .*closed"):
+        make(path)
+    return (commands / "tested.sh").read_text()
+
+
+def test_the_script_holds_all_settings(make, commands, write, tmp_path):
+    script = submitted_script(make, commands, write(ALL_KEYS))
     for option in (
         "-J pepperscene",
-        "-p regular",
+        "-p closed",
         "-A peppers",
         "-n 1",
         "--cpus-per-task=4",
@@ -126,18 +140,18 @@ def test_the_script_holds_what_was_asked_for(written, tmp_path):
     assert lines.index("module load python") < lines.index("export PEPPERSCENE_VARIANT=llvm_ad_spectral")
     assert lines.index("export PEPPERSCENE_VARIANT=llvm_ad_spectral") < lines.index(command)
     assert command.startswith("/opt/python/bin/python -m distributed.cli.dask_worker tcp://127.0.0.1:")
-    assert "--nworkers 2 --nanny" in command
-    assert "--nthreads 2" in command
-    assert "--interface lo" in command
+    for argument in ("--nworkers 2 --nanny", "--nthreads 2", "--interface lo"):
+        assert argument in command
     assert f"--local-directory {tmp_path}/scratch" in command
     # Each of the two workers has half of the memory.
     limit = re.search(r"--memory-limit ([\d.]+)GiB", command)
     assert float(limit[1]) == pytest.approx(3e9 / 2**30, abs=0.01)
+    assert not (tmp_path / "set").exists()
+    assert [path.name for path in commands.iterdir()] == ["tested.sh"]
 
 
-def test_what_is_not_said_is_left_to_the_site(written):
-    script = slurm.script(written(LEAST))
-    assert "#SBATCH -p" not in script
+def test_defaults_are_left_to_the_site(make, commands, write):
+    script = submitted_script(make, commands, write(REQUIRED_KEYS + 'partition = "closed"\n'))
     assert "#SBATCH -A" not in script
     assert "#SBATCH -o" not in script
     assert script.splitlines()[-1].startswith(f"{sys.executable} -m distributed")
@@ -145,42 +159,36 @@ def test_what_is_not_said_is_left_to_the_site(written):
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         ("nodes = 3", "nodes: is not a known key"),
         ("jobs = 0", "jobs = 0: must be greater than or equal to 1"),
         ("jobs = 2.5", "jobs = 2.5: must be a valid integer"),
         ('memory = "much"', "memory = 'much': must be a number with a unit, such as \"16 GB\""),
         ("memory = 16", "memory = 16: must be a valid string"),
-        ('walltime = "noon"', "walltime = 'noon': must be a time as Slurm writes it"),
+        ('walltime = "noon"', "walltime = 'noon': must be a time in Slurm's format"),
         ('partition = "two words"', "partition = 'two words': must be a word without blanks"),
         ('prologue = ["a\\nb"]', "prologue.0 = 'a\\nb': must be a line of text"),
         ("workers = 5", "workers = 5 must not be more than cores = 1"),
+        *((f"-{key}", f"{key}: is required but missing") for key in ("jobs", "cores", "memory", "walltime")),
     ],
 )
-def test_a_wrong_file_is_told(written, change, words):
-    key = change.split(" ")[0]
-    text = "".join(line + "\n" for line in LEAST.splitlines() if not line.startswith(f"{key} "))
-    path = written(text + change + "\n")
-    with pytest.raises(InputError) as fault:
+def test_errors_of_the_file(write, change, message):
+    key = change.removeprefix("-").split(" ")[0]
+    lines = [line for line in REQUIRED_KEYS.splitlines() if not line.startswith(f"{key} ")]
+    path = write("\n".join([*lines, *([] if change.startswith("-") else [change])]))
+    with pytest.raises(InputError) as caught:
         read_slurm_file(path)
-    assert str(fault.value).startswith(f"{path}: ")
-    assert words in str(fault.value)
-
-
-@pytest.mark.parametrize("key", ["jobs", "cores", "memory", "walltime"])
-def test_what_must_be_said(written, key):
-    text = "".join(line + "\n" for line in LEAST.splitlines() if not line.startswith(key))
-    with pytest.raises(InputError, match=f"{key}: is required but missing"):
-        read_slurm_file(written(text))
+    assert str(caught.value).startswith(f"{path}: ")
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize("time", ["90", "90:00", "1:30:00", "2-0", "2-12:30", "7-00:00:00"])
-def test_times_as_the_manual_has_them(time):
+def test_accepts_the_time_formats_of_the_manual(time):
     assert SlurmJobs(jobs=1, cores=1, memory="2G", walltime=time).walltime == time
 
 
-def test_every_key_is_told():
+def test_every_key_is_documented():
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "cluster.md").read_text(encoding="utf-8")
     rows = "".join(line.split("|")[1] for line in page.splitlines() if line.startswith("| `"))
     assert set(re.findall(r"`(\w+)`", rows)) == set(SlurmJobs.model_fields)
@@ -188,57 +196,36 @@ def test_every_key_is_told():
     assert SlurmJobs.model_validate(tomllib.loads(example)).workers == 32
 
 
-def test_a_machine_without_slurm(recipe, written, tmp_path, monkeypatch):
+def test_a_machine_without_slurm(make, write, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(SetupError, match="cannot submit jobs to Slurm: it has no command sbatch"):
-        build(recipe, tmp_path / "set", slurm=written(LEAST))
+        make(write(REQUIRED_KEYS))
     assert not (tmp_path / "set").exists()
 
 
-def test_an_interface_that_this_machine_lacks(recipe, commands, written, tmp_path):
-    path = written(LEAST.replace('"lo"', '"ib77"'))
-    with pytest.raises(InputError, match=r"jobs\.toml: cannot be done here: .*ib77"):
-        build(recipe, tmp_path / "set", slurm=path, renderer=StandIn, outputs=OUTPUTS)
+def test_an_interface_that_this_machine_lacks(make, commands, write, tmp_path):
+    path = write(REQUIRED_KEYS.replace('"lo"', '"ib77"'))
+    with pytest.raises(InputError, match=r"jobs\.toml: cannot be used on this machine: .*ib77"):
+        make(path)
     assert not (tmp_path / "set").exists()
 
 
-def test_slurm_says_no(recipe, commands, written, tmp_path):
-    path = written(LEAST + 'partition = "closed"\n')
-    with pytest.raises(InputError, match=r"Slurm refuses such a job: .*invalid partition specified: closed"):
-        build(recipe, tmp_path / "set", slurm=path, renderer=StandIn, outputs=OUTPUTS)
-    assert not (tmp_path / "set").exists()
-    assert not list(commands.iterdir())
-
-
-def test_a_build_by_jobs(recipe, commands, written, tmp_path, monkeypatch):
+def test_jobs_make_the_same_files(make, commands, write, tmp_path, monkeypatch):
     notices = []
     monkeypatch.setenv("STAND_IN_S", "0.1")
-    shared = build(
-        recipe,
-        tmp_path / "shared",
-        slurm=written(LEAST),
-        renderer=StandIn,
-        outputs=OUTPUTS,
-        on_notice=notices.append,
-    )
-    alone = build(recipe, tmp_path / "alone", renderer=StandIn, outputs=OUTPUTS)
+    shared = make(write(REQUIRED_KEYS), "shared", on_notice=notices.append)
+    alone = make(None, "alone")
     assert shared.made == alone.made == tuple(range(24))
-    assert notices == ["Slurm is asked for 2 jobs; frames are made once one of them runs"]
-    for index in alone.dataset.indices():
-        there, wanted = shared.dataset.intact(index), alone.dataset.intact(index)
-        assert there.checksum == wanted.checksum
-        for name in OUTPUTS:
-            assert (
-                shared.dataset.path(index, name).read_bytes() == alone.dataset.path(index, name).read_bytes()
-            )
-    # Both jobs ran here, and both are gone with the build.
-    jobs = sorted(path.name for path in commands.iterdir())
+    assert notices == ["2 jobs were submitted to Slurm; frames are made once one of them runs"]
+    assert contents(tmp_path / "shared") == contents(tmp_path / "alone")
+    # Both jobs ran here, and both have ended with the build.
+    jobs = sorted(path.name for path in commands.iterdir() if path.is_dir())
     assert jobs == ["1", "2"]
     assert all((commands / job / "cancelled").exists() for job in jobs)
-    assert not any(_lives(int((commands / job / "session").read_text())) for job in jobs)
+    wait_for(lambda: not any(is_alive(int((commands / job / "session").read_text())) for job in jobs))
 
 
-def test_a_job_whose_time_is_over_is_asked_for_again(recipe, commands, written, tmp_path, monkeypatch):
+def test_a_job_whose_time_is_over_is_submitted_again(make, commands, write, monkeypatch):
     monkeypatch.setattr(slurm, "_RENEW_S", 1.0)
     monkeypatch.setenv("STAND_IN_S", "0.1")
     notices = []
@@ -247,34 +234,26 @@ def test_a_job_whose_time_is_over_is_asked_for_again(recipe, commands, written, 
         if progress.done == 2:
             os.killpg(int((commands / "1" / "session").read_text()), signal.SIGKILL)
 
-    path = written(LEAST.replace("jobs = 2", "jobs = 1"))
+    path = write(REQUIRED_KEYS.replace("jobs = 2", "jobs = 1"))
     with dask.config.set({"distributed.deploy.lost-worker-timeout": "1s"}):
-        done = build(
-            recipe,
-            tmp_path / "set",
-            slurm=path,
-            renderer=StandIn,
-            outputs=OUTPUTS,
-            on_frame=end,
-            on_notice=notices.append,
-        )
-    assert sorted((*done.made, *done.kept)) == list(range(24))
-    assert sorted(path.name for path in commands.iterdir()) == ["1", "2"]
+        result = make(path, on_frame=end, on_notice=notices.append)
+    assert sorted((*result.made, *result.kept)) == list(range(24))
+    assert sorted(path.name for path in commands.iterdir() if path.is_dir()) == ["1", "2"]
     assert len(notices) == 2
     assert "a worker was lost over frame 0000" in notices[1]
 
 
-def test_jobs_that_end_before_a_worker_begins(recipe, commands, written, tmp_path, monkeypatch):
-    monkeypatch.setattr(slurm, "_LOOK_S", 0.1)
-    monkeypatch.setattr(slurm, "_LOOKS", 2)
-    path = written(LEAST + 'prologue = ["exit 1"]\n')
+def test_jobs_that_end_before_a_worker_starts(make, commands, write, tmp_path, monkeypatch):
+    monkeypatch.setattr(slurm, "_QUEUE_CHECK_S", 0.1)
+    monkeypatch.setattr(slurm, "_QUEUE_CHECKS", 2)
+    path = write(REQUIRED_KEYS + 'prologue = ["exit 1"]\n')
     with pytest.raises(WorkerError, match="Slurm has none of the jobs any more"):
-        build(recipe, tmp_path / "set", slurm=path, renderer=StandIn, outputs=OUTPUTS)
+        make(path)
     assert not (tmp_path / "set").exists()
 
 
-def _lives(session):
-    """Whether a process of a session is there that has not ended."""
+def is_alive(session):
+    """Whether a session has a process that has not ended."""
     for status in Path("/proc").glob("[0-9]*/stat"):
         try:
             fields = status.read_text().rpartition(")")[2].split()

@@ -11,8 +11,8 @@ import pytest
 from pepperscene.camera import load_filter, load_sensor
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import FrameRenderer, load_recipe
-from pepperscene.dataset.recipe.equipment import surface_wavelengths
 from pepperscene.dataset.recipe.plan import frame_seed
+from pepperscene.dataset.recipe.resolved import surface_wavelengths
 from pepperscene.dataset.scenes import frame_renderer as stage_module
 from pepperscene.render import QUALITIES
 from pepperscene.spectra import Spectrum
@@ -38,8 +38,8 @@ def footprint(scene, plant):
 def test_rotation_moves_the_plants_on(three_plants, fake_renderer):
     stage = FrameRenderer(three_plants, fake_renderer, culled=False)
     plan = three_plants.plan
-    before = stage.scene(plan.shot(0), traced=False)
-    after = stage.scene(plan.shot(plan.frames), traced=False)
+    before = stage.scene(plan.frame(0), traced=False)
+    after = stage.scene(plan.frame(plan.frames), traced=False)
     np.testing.assert_allclose(footprint(after, 1), footprint(before, 0), atol=1e-5)
     np.testing.assert_allclose(footprint(after, 0), footprint(before, 1), atol=1e-5)
     np.testing.assert_allclose(footprint(after, 2), footprint(before, 2), atol=1e-5)
@@ -47,22 +47,22 @@ def test_rotation_moves_the_plants_on(three_plants, fake_renderer):
 
 def test_plants_depend_on_set_and_place_but_not_on_how_many_there_are(three_plants, recipe, fake_renderer):
     many, one = (FrameRenderer(plan, fake_renderer, culled=False) for plan in (three_plants, recipe))
-    first = footprint(many.scene(three_plants.plan.shot(0), traced=False), 0)
-    np.testing.assert_allclose(footprint(one.scene(recipe.plan.shot(0), traced=False), 0), first, atol=1e-5)
-    other_set = one.scene(recipe.plan.shot(recipe.plan.count - 1), traced=False)
+    first = footprint(many.scene(three_plants.plan.frame(0), traced=False), 0)
+    np.testing.assert_allclose(footprint(one.scene(recipe.plan.frame(0), traced=False), 0), first, atol=1e-5)
+    other_set = one.scene(recipe.plan.frame(recipe.plan.count - 1), traced=False)
     assert footprint(other_set, 0).shape != first.shape or not np.allclose(footprint(other_set, 0), first)
 
 
 def test_one_renderer_serves_a_scene(recipe, fake_renderer):
     stage = FrameRenderer(recipe, fake_renderer)
     for index in range(8):
-        stage.render(recipe.plan.shot(index), LABELS)
+        stage.render(recipe.plan.frame(index), LABELS)
     assert [len(renderer.views) for renderer in fake_renderer.made] == [4, 4]
 
 
 def test_labels_need_no_surfaces_and_no_sky(recipe, fake_renderer):
     stage = FrameRenderer(recipe, fake_renderer)
-    shot = recipe.plan.shot(0)
+    shot = recipe.plan.frame(0)
     stage.render(shot, LABELS)
     stage.render(shot, ("colour",))
     stage.render(shot, LABELS)
@@ -76,22 +76,22 @@ def test_labels_need_no_surfaces_and_no_sky(recipe, fake_renderer):
 
 def test_without_daylight_there_is_no_sky_and_without_twine_no_wire(recipe, fake_renderer):
     bare = recipe.model_copy(update={"daylight": None, "twine": None})
-    scene = FrameRenderer(bare, fake_renderer).scene(bare.plan.shot(0))
+    scene = FrameRenderer(bare, fake_renderer).scene(bare.plan.frame(0))
     assert scene.sky is None
     assert "twine" not in {instance.kind for instance in scene.mesh.instances}
-    with_all = FrameRenderer(recipe, fake_renderer).scene(recipe.plan.shot(0))
+    with_all = FrameRenderer(recipe, fake_renderer).scene(recipe.plan.frame(0))
     assert "twine" in {instance.kind for instance in with_all.mesh.instances}
 
 
 def test_every_frame_tells_what_touches(three_plants, fake_renderer):
     stage = FrameRenderer(three_plants, fake_renderer)
     plan = three_plants.plan
-    frames = [stage.render(plan.shot(index), LABELS) for index in (0, 1, plan.frames)]
+    frames = [stage.render(plan.frame(index), LABELS) for index in (0, 1, plan.frames)]
     told = [frame.metadata["contacts"] for frame in frames]
     # All frames of a scene tell the same.
     assert told[0] == told[1]
     for index, found in ((0, told[0]), (plan.frames, told[2])):
-        mesh = stage.scene(plan.shot(index), traced=False).mesh
+        mesh = stage.scene(plan.frame(index), traced=False).mesh
         kinds = [one.organ_class for one in mesh.instances]
         assert found["fruit"] == kinds.count(OrganClass.PEPPER)
         assert found["blades"] == kinds.count(OrganClass.LEAF)
@@ -101,7 +101,7 @@ def test_every_frame_tells_what_touches(three_plants, fake_renderer):
 
 def test_the_camera_goes_along_the_arc(recipe, fake_renderer):
     stage = FrameRenderer(recipe, fake_renderer)
-    poses = np.array([stage.camera(recipe.plan.shot(step)).pose for step in range(4)])
+    poses = np.array([stage.camera(recipe.plan.frame(step)).pose for step in range(4)])
     places = poses[:, :3, 3]
     np.testing.assert_allclose(np.hypot(places[:, 0], places[:, 1]), 0.4)
     np.testing.assert_allclose(places[:, 2], np.linspace(0.9, 2.1, 4))
@@ -113,7 +113,7 @@ def test_the_camera_goes_along_the_arc(recipe, fake_renderer):
 def test_every_frame_has_a_seed_of_its_own(recipe, fake_renderer):
     stage = FrameRenderer(recipe, fake_renderer)
     for index in (2, 3):
-        stage.render(recipe.plan.shot(index), LABELS)
+        stage.render(recipe.plan.frame(index), LABELS)
     seeds = [view[3] for view in fake_renderer.made[0].views]
     assert seeds == [frame_seed(recipe.seed, 2), frame_seed(recipe.seed, 3)]
 
@@ -122,9 +122,9 @@ def test_scenes_do_not_depend_on_the_order_of_the_frames(recipe, fake_renderer):
     plan, last = recipe.plan, recipe.plan.count - 1
     there_and_back = FrameRenderer(recipe, fake_renderer)
     for index in (last, 0):
-        there_and_back.render(plan.shot(index), LABELS)
-    scene = there_and_back.scene(plan.shot(last))
-    fresh = FrameRenderer(recipe, fake_renderer).scene(plan.shot(last))
+        there_and_back.render(plan.frame(index), LABELS)
+    scene = there_and_back.scene(plan.frame(last))
+    fresh = FrameRenderer(recipe, fake_renderer).scene(plan.frame(last))
     np.testing.assert_array_equal(scene.mesh.vertices, fresh.mesh.vertices)
     np.testing.assert_array_equal(scene.sky.weights, fresh.sky.weights)
 
@@ -133,7 +133,7 @@ def test_scenes_do_not_depend_on_the_order_of_the_frames(recipe, fake_renderer):
 
 
 def test_surfaces_that_were_begun_early_are_those_made_in_time(recipe, fake_renderer):
-    early, shot = FrameRenderer(recipe, fake_renderer), recipe.plan.shot(0)
+    early, shot = FrameRenderer(recipe, fake_renderer), recipe.plan.frame(0)
     early.render(shot, ("colour",))
     (begun,) = (made.scene for made in fake_renderer.made)
     late = FrameRenderer(recipe, fake_renderer).scene(shot)
@@ -150,7 +150,7 @@ def test_labels_alone_begin_nothing(recipe, fake_renderer, monkeypatch):
 
     monkeypatch.setattr(FrameRenderer, "_made_surfaces", fail)
     monkeypatch.setattr(FrameRenderer, "_begin", fail)
-    FrameRenderer(recipe, fake_renderer).render(recipe.plan.shot(0), LABELS)
+    FrameRenderer(recipe, fake_renderer).render(recipe.plan.frame(0), LABELS)
     assert len(fake_renderer.made) == 1
 
 
@@ -160,23 +160,23 @@ def test_what_fails_while_the_row_settles_is_told(recipe, fake_renderer, monkeyp
 
     monkeypatch.setattr(FrameRenderer, "_made_surfaces", fail)
     with pytest.raises(ValueError, match="no such pigments"):
-        FrameRenderer(recipe, fake_renderer).render(recipe.plan.shot(0), ("colour",))
+        FrameRenderer(recipe, fake_renderer).render(recipe.plan.frame(0), ("colour",))
     assert not fake_renderer.made
 
 
 def test_the_renderer_begins_early_where_mitsuba_is_to_render(recipe, fake_renderer, monkeypatch):
     begun = []
     room = importlib.import_module("pepperscene.render")
-    monkeypatch.setattr(room, "begin", lambda camera, quality: begun.append((camera, quality)))
+    monkeypatch.setattr(room, "warm_up", lambda camera, quality: begun.append((camera, quality)))
     monkeypatch.setattr(stage_module, "mitsuba_renderer", fake_renderer)
     stage = FrameRenderer(recipe)
     for index in (0, 1):
-        stage.render(recipe.plan.shot(index), LABELS)
+        stage.render(recipe.plan.frame(index), LABELS)
     assert not begun
     for index in (0, 1, 2):
-        stage.render(recipe.plan.shot(index), ("colour", "class"), "draft")
+        stage.render(recipe.plan.frame(index), ("colour", "class"), "draft")
     ((camera, quality),) = begun
-    assert camera.sensor is stage.camera(recipe.plan.shot(0)).sensor
+    assert camera.sensor is stage.camera(recipe.plan.frame(0)).sensor
     assert quality == QUALITIES["draft"]
 
 

@@ -16,7 +16,7 @@ import pytest
 from pepperscene.colour import MeasuredSpectrum, PatchSet
 from pepperscene.cultivar import Cultivar, PigmentPath, load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import load_camera
+from pepperscene.dataset.recipe.resolved import load_camera
 from pepperscene.spectra import Spectrum, read_spectra, read_spectrum
 from pepperscene.tuning.model.reflectance import CORRELATION_NM, MODEL_ERROR, DirectModel
 from pepperscene.tuning.model.view_model import entries_of

@@ -6,7 +6,7 @@ import numpy as np
 
 from pepperscene.colour import Patch, PatchSet
 from pepperscene.colour.patches.patch import MeasuredSpectrum
-from pepperscene.dataset.recipe.equipment import load_camera, load_recipe_cultivar
+from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
 from pepperscene.spectra import Spectrum
 from pepperscene.tuning.fit.result import FitResult, KindFit, SpectrumFit, Start
 from pepperscene.tuning.model.observables import lab_of

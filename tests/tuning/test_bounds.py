@@ -11,7 +11,7 @@ import pytest
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import load_camera
+from pepperscene.dataset.recipe.resolved import load_camera
 from pepperscene.errors import InputError
 from pepperscene.render.gradients.pigment_models import RANGES
 from pepperscene.shipped import shipped_folder

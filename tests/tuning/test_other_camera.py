@@ -22,7 +22,7 @@ from twins import KINDS, drawn_values, no_patches, patch_delta_e
 from pepperscene.camera import Camera, load_sensor, reference_correction
 from pepperscene.colour import PatchSet
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import surface_wavelengths
+from pepperscene.dataset.recipe.resolved import surface_wavelengths
 from pepperscene.materials import organ_surfaces
 from pepperscene.spectra import read_spectrum
 from pepperscene.tuning.fit import least_squares as fit

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import load_camera
+from pepperscene.dataset.recipe.resolved import load_camera
 from pepperscene.materials import leaf_body, rind_reflectance
 from pepperscene.render.gradients.pigment_models import CONTENTS, RANGES, path_values
 from pepperscene.tuning.parameters.camera import OFF_DIAGONAL

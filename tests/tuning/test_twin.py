@@ -29,7 +29,7 @@ from twins import (
 )
 
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import load_camera, load_recipe_cultivar
+from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
 from pepperscene.tuning.fit.diagnostics import as_expected
 from pepperscene.tuning.model.subject import TuningTarget
 from pepperscene.tuning.parameters.parameter import select_parameters

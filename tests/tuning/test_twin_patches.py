@@ -11,7 +11,7 @@ import pytest
 
 from pepperscene.camera import decode_tone, load_flash
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import load_camera, load_recipe_cultivar
+from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
 from pepperscene.errors import InputError
 from pepperscene.tuning import TuningTarget, simulate_patches
 from pepperscene.tuning.parameters.camera import colour_steps_at

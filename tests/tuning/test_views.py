@@ -11,7 +11,7 @@ from twins import KINDS, no_patches
 from pepperscene.camera import Distortion
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.equipment import surface_wavelengths
+from pepperscene.dataset.recipe.resolved import surface_wavelengths
 from pepperscene.errors import InputError
 from pepperscene.materials import organ_surfaces
 from pepperscene.render import Renderer

@@ -15,7 +15,7 @@ from PIL import Image
 from pepperscene.camera import colour_transform
 from pepperscene.cultivar import PigmentPath, Pigments, load_cultivar
 from pepperscene.dataset import FrameRenderer, load_recipe
-from pepperscene.dataset.recipe.equipment import load_camera, load_recipe_cultivar
+from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
 from pepperscene.errors import InputError, OutputError
 from pepperscene.tuning.output import write as written
 from pepperscene.tuning.output.cultivar import thinned

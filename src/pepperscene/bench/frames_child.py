@@ -203,10 +203,10 @@ def _scene(stage: Any, shot: Any, traced: bool, divided: int, times: Times) -> A
     """The scene; making plants, placing them and leaving out what is not seen are told apart."""
     from dataclasses import replace
 
-    planting = stage._planting
+    planting = stage._scene_builder
     planting.plants = clocked(times, "plants", planting.plants)
     planting.scene = clocked(times, "place and settle row", planting.scene)
-    stage._visible = clocked(times, "leave out what is not seen", stage._visible)
+    stage._cull = clocked(times, "leave out what is not seen", stage._cull)
     with timed(times, "surfaces and sky"):
         scene = stage.scene(shot, traced=traced)
     times["surfaces and sky"] -= times["place and settle row"] + times["leave out what is not seen"]

@@ -38,7 +38,7 @@ def main() -> None:
     app()
 
 
-_OPTIONS: Final = {"form": "format", "names": "fit", "smallest_px": "smallest"}
+_OPTIONS: Final = {"changes": "set", "form": "format", "names": "fit", "smallest_px": "smallest"}
 """Options whose name is not that of the argument that they set."""
 
 

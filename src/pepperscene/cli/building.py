@@ -58,25 +58,21 @@ def build(
     """Build a data set, or what is missing of it."""
     names = names_of(outputs)
     from pepperscene.cli.progress import progress_reporter
+    from pepperscene.dataset import BuildOptions, parse_changes, resolve_recipe
     from pepperscene.dataset import build as build_dataset
-    from pepperscene.dataset import load_recipe, parse_changes
 
-    told = load_recipe(recipe, parse_changes(set or ()))
+    resolved = resolve_recipe(recipe, parse_changes(set or ()))
     with ended_by_signals(), progress_reporter(json) as shown:
-        done = build_dataset(
-            told,
-            out,
-            frames,
-            names,
-            quality,
-            seed,
-            on_frame=shown.frame,
+        options = BuildOptions(
+            quality=quality,
             target_error=target_error,
+            seed=seed,
             workers=workers,
             scheduler=scheduler,
             slurm=slurm,
             on_notice=shown.notice,
         )
+        done = build_dataset(resolved, out, frames, names, options, on_frame=shown.frame)
     shown.end(done, out)
 
 
@@ -97,10 +93,11 @@ def render(
 ) -> None:
     """Render one frame of a recipe, to look at it or to try a setting."""
     names = names_of(outputs)
-    from pepperscene.dataset import load_recipe, parse_changes, render_frame
+    from pepperscene.dataset import BuildOptions, parse_changes, render_frame, resolve_recipe
 
-    told = load_recipe(recipe, parse_changes(set or ()))
-    for path in render_frame(told, out, frame, names, quality, seed, target_error=target_error):
+    resolved = resolve_recipe(recipe, parse_changes(set or ()))
+    options = BuildOptions(quality=quality, target_error=target_error, seed=seed)
+    for path in render_frame(resolved, out, frame, names, options):
         typer.echo(path)
 
 

@@ -156,7 +156,7 @@ def _check_held_out(measured: PatchSet, held: Sequence[str]) -> None:
 
 
 def _parameters(recipe: Recipe, names: Sequence[str], bounds: Path | None = None) -> tuple[Parameter, ...]:
-    from pepperscene.dataset.recipe.equipment import load_camera, load_recipe_cultivar
+    from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
     from pepperscene.tuning.parameters.parameter import select_parameters
 
     return select_parameters(recipe, load_recipe_cultivar(recipe), load_camera(recipe), names, bounds)
@@ -165,7 +165,7 @@ def _parameters(recipe: Recipe, names: Sequence[str], bounds: Path | None = None
 def _list(recipe: Recipe, json: bool) -> None:
     """All that can be fitted of a recipe."""
     from pepperscene.colour.comparison.tables import format_tables
-    from pepperscene.dataset.recipe.equipment import load_camera, load_recipe_cultivar
+    from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
     from pepperscene.tuning.output.tables import known_table
     from pepperscene.tuning.parameters.parameter import known_parameters
 

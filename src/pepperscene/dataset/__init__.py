@@ -1,24 +1,27 @@
-"""Data sets: a recipe says what is wanted, a plan numbers frames, a build makes them, a report shows them."""
+"""Data sets: a recipe defines one, a plan numbers its frames, a build makes them, a report shows them."""
 
 from pepperscene.dataset.check import CheckResult, Finding, check_dataset
 from pepperscene.dataset.execution.build import BuildProgress, BuildResult, build
+from pepperscene.dataset.execution.job import BuildOptions
+from pepperscene.dataset.execution.single_frame import render_frame
 from pepperscene.dataset.export import FORMATS, ExportResult, Splits, export_dataset
 from pepperscene.dataset.readers import open_images
 from pepperscene.dataset.readers.image_set import VOID, ImageSet, LabelledImage
 from pepperscene.dataset.readers.torch_images import torch_images
-from pepperscene.dataset.recipe.load import load_recipe, parse_changes
+from pepperscene.dataset.recipe.load import load_recipe, parse_changes, resolve_recipe
 from pepperscene.dataset.recipe.plan import FrameSpec, Plan
 from pepperscene.dataset.recipe.recipe import Recipe
+from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.report import ReportFiles, write_report
 from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
 from pepperscene.dataset.scenes.plants import GrownPlant, grow_plant
-from pepperscene.dataset.scenes.single_frame import render_frame
 from pepperscene.dataset.store.dataset import Dataset, open_dataset
 from pepperscene.dataset.store.images import read_image, write_image
 
 __all__ = [
     "FORMATS",
     "VOID",
+    "BuildOptions",
     "BuildProgress",
     "BuildResult",
     "CheckResult",
@@ -33,6 +36,7 @@ __all__ = [
     "Plan",
     "Recipe",
     "ReportFiles",
+    "ResolvedRecipe",
     "Splits",
     "build",
     "check_dataset",
@@ -44,6 +48,7 @@ __all__ = [
     "parse_changes",
     "read_image",
     "render_frame",
+    "resolve_recipe",
     "torch_images",
     "write_image",
     "write_report",

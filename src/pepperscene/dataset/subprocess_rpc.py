@@ -1,139 +1,190 @@
-"""A Python of its own that does work for this one.
+"""Python subprocesses that serve requests of this process, as pickles through pipes.
 
-Not a fork, as the kernel may have started its threads; and none of the `multiprocessing` module, which would
-run the user's script again. The two talk through the child's standard input and output, in pickles. A child
-ends with its input, whatever becomes of its parent, and is not told of Ctrl-C.
+They are not forked, because the renderer may have started threads, and not started by `multiprocessing`,
+which would run the user's script again. A worker ends when its input ends, even if its parent was killed, and
+does not receive Ctrl-C. All that it needs is a module with a function `serve(connection)`:
+
+    worker = WorkerProcess("package.module")    def serve(connection):
+    worker.send(state)                              for request in connection:
+    reply = worker.call(request)                        connection.send(answer(connection.state, request))
 """
 
 from __future__ import annotations
 
+import importlib
 import os
 import pickle
+import queue
+import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+import threading
+import traceback
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from pathlib import Path
 from typing import IO, Any, Final
 
 THREADS: Final = ("PEPPERSCENE_THREADS", "OIDN_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-"""Environment variables that keep a process to its cores: for Mitsuba, the denoiser, the matrix library."""
+"""Environment variables that limit the threads of a process: of Mitsuba, the denoiser, the matrix library."""
 
-_LAST_WORDS: Final = 4000  # chosen: bytes of what a child wrote on its standard error
-_GRACE_S: Final = 5.0  # chosen: a child that is told to end has nothing to finish but system calls
+GRACE_S: Final = 5.0  # chosen: how long a worker that has nothing to finish may take to end
+_STDERR_KEPT: Final = 4000  # chosen: bytes at the end of a worker's standard error
 
 
 class WorkerProcess:
-    """The parent's side.
+    """A worker process, seen from its parent; it imports from the same folders.
+
+    Iterating over it yields replies until it ends.
 
     Args:
-        module: whose function `serve` the child runs, between `listening` and its end.
-        environment: variables that the child has besides those of this process.
+        module: name of the module whose function `serve` the worker runs.
+        threads: limit of the numeric libraries' threads, or None.
+        environment: further environment variables.
 
     Raises:
-        OSError: the machine starts no further process.
+        OSError: the system cannot start another process.
     """
 
-    def __init__(self, module: str, environment: Mapping[str, str] | None = None) -> None:
-        self._words = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the child
+    def __init__(
+        self, module: str, threads: int | None = None, environment: Mapping[str, str] | None = None
+    ) -> None:
+        limits = {} if threads is None else dict.fromkeys(THREADS, str(threads))
+        paths = f"import sys; sys.path[:] = {sys.path!r}"
+        run = f"from {__name__} import run_worker; run_worker({module!r})"
+        self._ending = ""
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - closed by `close`
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", f"from {module} import serve; serve()"],
+                [sys.executable, "-P", "-c", f"{paths}; {run}"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=self._words,
-                env={**os.environ, **(environment or {})},
+                stderr=self._stderr,
+                env={**os.environ, **limits, **(environment or {})},
                 start_new_session=True,
             )
         except BaseException:
-            self._words.close()
+            self._stderr.close()
             raise
 
-    @property
-    def number(self) -> int:
-        """The process number that the system gave it."""
-        return self._process.pid
+    def send(self, message: Any) -> None:
+        """Send the worker's state, which comes first, or a request; raises `OSError` if it has ended."""
+        stdin = self._process.stdin
+        if stdin is None or stdin.closed:
+            raise BrokenPipeError
+        _send(stdin, message)
 
-    def same(self) -> bool:
-        """Whether it is the same Python and package as this one; the first thing that it is asked.
-
-        Another version of this package would make other frames.
-
-        Raises:
-            EOFError: the child has ended.
-        """
-        return bool(self.hear() == identity())
-
-    def say(self, thing: Any) -> None:
-        """Send something.
-
-        Raises:
-            OSError: the child has ended.
-        """
-        if self._process.stdin is not None:
-            say(self._process.stdin, thing)
-
-    def hear(self) -> Any:
-        """The next thing that the child says; waits for it.
-
-        Raises:
-            EOFError: the child has ended.
-        """
-        if self._process.stdout is None:
-            raise EOFError
+    def receive(self) -> Any:
+        """Wait for the next reply; raises `EOFError` if the worker has ended."""
+        assert self._process.stdout is not None
         try:
             return pickle.load(self._process.stdout)
-        except (OSError, pickle.UnpicklingError) as fault:
-            # What a killed child had begun to say.
-            raise EOFError(str(fault)) from None
+        except (OSError, ValueError, pickle.UnpicklingError) as error:
+            # A worker that is killed may leave an incomplete reply.
+            raise EOFError(str(error)) from None
 
-    def dismiss(self) -> None:
-        """Tell the child that nothing more will come; it ends after what it is at."""
+    def call(self, request: Any) -> Any:
+        """Send a request and wait for its reply; raises `OSError` or `EOFError` if the worker has ended."""
+        self.send(request)
+        return self.receive()
+
+    def __iter__(self) -> Iterator[Any]:
+        with suppress(EOFError):
+            while True:
+                yield self.receive()
+
+    def finish(self) -> None:
+        """Close the worker's input: it ends after its current request."""
         if self._process.stdin is not None:
             with suppress(OSError):
                 self._process.stdin.close()
 
-    def ended(self, patience_s: float = _GRACE_S) -> int | None:
-        """Its exit status, a negative signal's number where one ended it; None when it still runs."""
-        with suppress(subprocess.TimeoutExpired):
-            return self._process.wait(patience_s)
-        return None
-
-    def last_words(self) -> str:
-        """The end of what it wrote on its standard error."""
-        size = self._words.seek(0, os.SEEK_END)
-        self._words.seek(max(0, size - _LAST_WORDS))
-        return self._words.read().decode(errors="replace").strip()
-
-    def kill(self) -> None:
-        """End it at once."""
-        self._process.kill()
-
-    def close(self) -> None:
-        """Give back what the child took, once it has ended."""
+    def close(self, patience_s: float = GRACE_S) -> str:
+        """End the worker, by force after some seconds, and return how it ended, in words."""
+        if self._ending:
+            return self._ending
+        self.finish()
+        status = None
+        try:
+            status = self._process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
         with suppress(OSError):
             self._process.__exit__(None, None, None)
-        self._words.close()
+        size = self._stderr.seek(0, os.SEEK_END)
+        self._stderr.seek(max(0, size - _STDERR_KEPT))
+        lines = self._stderr.read().decode(errors="replace").strip().splitlines()
+        self._stderr.close()
+        if status is None:
+            self._ending = "it did not respond"
+        elif status < 0:
+            name = signal.Signals(-status).name if -status in set(signal.Signals) else f"signal {-status}"
+            self._ending = f"killed by {name}" + (", as when memory runs out" if status == -9 else "")
+        else:
+            self._ending = f"exit code {status}" + (f": {lines[-1]}" if lines else "")
+        return self._ending
 
 
-def listening() -> tuple[IO[bytes], IO[bytes]]:
-    """The child's side: what it is asked through and what it tells through, its identity being told already.
+class Connection:
+    """A worker's connection with its parent; iterating over it yields the requests until the input ends.
 
-    Whatever prints from now on goes to the standard error, where it cannot get between what is told.
+    Requests are read in a thread, so that the end of the input is noticed while a request is served.
+
+    Attributes:
+        state: the first message.
+        closed: set when the input has ended.
     """
-    asked, told = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+
+    def __init__(self, requests: IO[bytes], replies: IO[bytes]) -> None:
+        self._requests, self._replies = requests, replies
+        self._queue: queue.SimpleQueue[tuple[Any, ...]] = queue.SimpleQueue()
+        self.closed = threading.Event()
+        self.state = pickle.load(requests)
+        threading.Thread(target=self._read, name="requests", daemon=True).start()
+
+    def __iter__(self) -> Iterator[Any]:
+        while request := self._queue.get():
+            yield request[0]
+
+    def send(self, reply: Any) -> None:
+        """Send a reply; raises `BrokenPipeError` if the parent has ended."""
+        _send(self._replies, reply)
+
+    def _read(self) -> None:
+        try:
+            with suppress(EOFError, OSError, pickle.UnpicklingError):
+                while True:
+                    self._queue.put((pickle.load(self._requests),))
+        finally:
+            self.closed.set()
+            self._queue.put(())
+
+
+def run_worker(module: str) -> None:
+    """Run a worker: its process starts here."""
+    replies = os.fdopen(os.dup(1), "wb")
+    # Whatever is printed goes to the standard error, not between the replies.
     os.dup2(2, 1)
-    say(told, identity())
-    return asked, told
+    status = 1
+    try:
+        with suppress(EOFError, BrokenPipeError):
+            importlib.import_module(module).serve(Connection(sys.stdin.buffer, replies))
+        status = 0
+    except Exception:
+        traceback.print_exc()
+    finally:
+        # Python would wait for the thread that reads requests, and that thread for the input.
+        sys.stderr.flush()
+        os._exit(status)
 
 
-def say(pipe: IO[bytes], thing: Any) -> None:
-    """Send something through a pipe."""
-    pickle.dump(thing, pipe, protocol=5)
+def available_cores() -> int:
+    """Processor cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _send(pipe: IO[bytes], message: Any) -> None:
+    pickle.dump(message, pipe, protocol=5)
     pipe.flush()
-
-
-def identity() -> tuple[str, str]:
-    """Which Python and which package this is."""
-    return sys.version, str(Path(__file__).resolve())

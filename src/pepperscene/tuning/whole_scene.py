@@ -67,7 +67,7 @@ def rendered(recipe: Recipe, frames: int, quality: str = "draft") -> SceneStatis
         quality: of `QUALITIES`.
     """
     from pepperscene.colour import open_patches
-    from pepperscene.dataset import build
+    from pepperscene.dataset import BuildOptions, build
 
     plan = recipe.plan
     total = plan.sets * plan.rotations * plan.frames
@@ -75,7 +75,8 @@ def rendered(recipe: Recipe, frames: int, quality: str = "draft") -> SceneStatis
     # The middles of even pieces of the plan.
     chosen = [(2 * k + 1) * total // (2 * count) for k in range(count)]
     with tempfile.TemporaryDirectory(prefix="pepperscene-") as folder:
-        dataset = build(recipe, Path(folder) / "frames", chosen, OUTPUTS, quality).dataset
+        options = BuildOptions(quality)
+        dataset = build(recipe, Path(folder) / "frames", chosen, OUTPUTS, options).dataset
         picture = dataset.image(chosen[count // 2], "colour")
         return SceneStatistics(open_patches(dataset.folder), _electrons(dataset, chosen), picture)
 

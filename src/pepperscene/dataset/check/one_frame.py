@@ -19,9 +19,9 @@ from pepperscene.dataset.check.findings import Finding
 from pepperscene.dataset.check.images import flat, picture_faults, tone, value_faults
 from pepperscene.dataset.check.labels import harvest_faults, label_faults
 from pepperscene.dataset.recipe.plan import Plan, frame_seed
-from pepperscene.dataset.store.dataset import CHECKSUM, FRAMES, Dataset, FrameStatus, checksum_of, file_name
+from pepperscene.dataset.store.dataset import CHECKSUM, FRAMES, Dataset, checksum_of, file_name
 from pepperscene.dataset.store.images import read_image
-from pepperscene.dataset.store.rows import row_of
+from pepperscene.dataset.store.manifest import frame_row
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
 from pepperscene.truth import class_pixel_counts
@@ -105,7 +105,7 @@ def _shares(classes: NDArray[np.uint8] | None) -> tuple[float, ...] | None:
 def _row_digest(facts: Mapping[str, Any], outputs: dict[str, Any]) -> int:
     rest = {key: value for key, value in facts.items() if key not in (CHECKSUM, "outputs")}
     try:
-        return manifest_digest(row_of(FrameStatus(rest, outputs, str(facts.get(CHECKSUM)))))
+        return manifest_digest(frame_row(rest, outputs, str(facts.get(CHECKSUM))))
     except (AttributeError, IndexError, KeyError, TypeError):
         # Such JSON is damaged, and told so.
         return 0

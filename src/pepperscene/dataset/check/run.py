@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import pickle
 import queue
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
@@ -17,10 +16,9 @@ from pepperscene.dataset.check.findings import CheckResult, Finding, in_order
 from pepperscene.dataset.check.one_frame import FrameExamination, examine_frame
 from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.dataset.recipe.tables import ExpectTable
-from pepperscene.dataset.scenes.plant_worker import available_cores
 from pepperscene.dataset.store.dataset import FRAMES, MARK, Dataset
 from pepperscene.dataset.store.journal import Journal
-from pepperscene.dataset.subprocess_rpc import THREADS, WorkerProcess, listening, say
+from pepperscene.dataset.subprocess_rpc import Connection, WorkerProcess, available_cores
 from pepperscene.document import validate
 from pepperscene.errors import ArgumentError, InputError, WorkerError
 
@@ -28,7 +26,6 @@ MOST_WORKERS: Final = 256  # chosen: more would wait for the disk
 _WORTH: Final = 64  # chosen: frames for which it pays to start a process, which takes half a second
 _AT_A_TIME: Final = 16  # chosen: frames that a process is asked for
 _AHEAD: Final = 2  # chosen: such parts for each process that may wait to be told, so that memory stays flat
-_ONE_THREAD: Final = dict.fromkeys(THREADS, "1")
 
 
 def examined(dataset: Dataset, indices: Sequence[int], workers: int | None) -> Iterator[FrameExamination]:
@@ -71,11 +68,10 @@ def _by_many(dataset: Dataset, indices: Sequence[int], many: int) -> Iterator[Fr
 
 def _started(dataset: Dataset, stack: ExitStack) -> WorkerProcess:
     try:
-        child = WorkerProcess(__name__, _ONE_THREAD)
-        stack.callback(_end, child)
-        child.hear()
-        child.say(dataset)
-    except (OSError, EOFError) as fault:
+        child = WorkerProcess(__name__, threads=1)
+        stack.callback(child.close)
+        child.send(dataset)
+    except OSError as fault:
         raise WorkerError(f"no process can be started ({fault}); try --workers 1") from None
     return child
 
@@ -83,13 +79,11 @@ def _started(dataset: Dataset, stack: ExitStack) -> WorkerProcess:
 def _asked(idle: queue.SimpleQueue[WorkerProcess], part: Sequence[int]) -> list[FrameExamination]:
     child = idle.get()
     try:
-        child.say(list(part))
-        found: list[FrameExamination] = child.hear()
+        found: list[FrameExamination] = child.call(list(part))
     except (OSError, EOFError):
-        words = child.last_words().splitlines()
         raise WorkerError(
-            f"a process that examined frames {part[0]} to {part[-1]} was lost"
-            f"{f' ({words[-1]})' if words else ', as happens without memory'}; try fewer --workers"
+            f"a process that examined frames {part[0]} to {part[-1]} was lost ({child.close()}); "
+            "try fewer workers"
         ) from None
     finally:
         # The others find out for themselves that it is lost.
@@ -97,21 +91,11 @@ def _asked(idle: queue.SimpleQueue[WorkerProcess], part: Sequence[int]) -> list[
     return found
 
 
-def _end(child: WorkerProcess) -> None:
-    child.dismiss()
-    if child.ended() is None:
-        child.kill()
-        child.ended()
-    child.close()
-
-
-def serve() -> None:
-    """The other side: examines what it is asked for until its input ends."""
-    asked, told = listening()
-    with told, suppress(EOFError, OSError):
-        dataset: Dataset = pickle.load(asked)
-        while True:
-            say(told, [examine_frame(dataset, index) for index in pickle.load(asked)])
+def serve(connection: Connection) -> None:
+    """Examine the requested frames, in a worker process."""
+    dataset: Dataset = connection.state
+    for indices in connection:
+        connection.send([examine_frame(dataset, index) for index in indices])
 
 
 def check_dataset(

@@ -1,1 +1,1 @@
-"""Building a data set: executors for this machine, Dask and Slurm."""
+"""Building data sets and single frames: in this process, in worker processes, by Dask and by Slurm."""

@@ -1,4 +1,4 @@
-"""Building a data set: the frames that are missing, each whole or not at all."""
+"""Building a data set: missing frames are made, each completely or not at all."""
 
 from __future__ import annotations
 
@@ -11,104 +11,68 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from pepperscene.dataset.execution.executor import Executor, work_units
-from pepperscene.dataset.execution.job import BuildJob, FrameDone
-from pepperscene.dataset.execution.local import MOST_WORKERS, ProcessExecutor, SerialExecutor
-from pepperscene.dataset.recipe.load import load_recipe
+from pepperscene.dataset.execution.executor import Dispatcher, Executor, work_units
+from pepperscene.dataset.execution.job import BuildJob, BuildOptions, FrameDone
+from pepperscene.dataset.execution.local import MAX_WORKERS, ProcessExecutor, SerialExecutor
 from pepperscene.dataset.recipe.recipe import Recipe
-from pepperscene.dataset.scenes.frame_renderer import RendererFactory
+from pepperscene.dataset.recipe.resolved import ResolvedRecipe
+from pepperscene.dataset.store.atomic import write_error
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.folder import OutputFolder, check_output_folder
 from pepperscene.dataset.store.journal import Journal
-from pepperscene.dataset.store.manifest import write_manifest
 from pepperscene.errors import ArgumentError, OutputError
-from pepperscene.frame import DEFAULT_OUTPUTS, check_outputs
+from pepperscene.frame import DEFAULT_OUTPUTS
 
-_WINDOW: Final = 200  # chosen: frames that the rate is taken over, so that it follows changes
-_SPAN_S: Final = 120.0  # chosen: seconds that it is taken over, likewise
+_RATE_FRAMES: Final = 200  # chosen: frames that the rate is averaged over, so that it follows changes
+_RATE_S: Final = 120.0  # chosen: seconds that it is averaged over, likewise
+_PREVIEWS: Final = ("colour", "class_colour", "class", "instance", "distance_code", "raw")
+"""Outputs that any viewer shows, the best first."""
 
 
 class Throughput:
-    """Counts frames; those that were there already do not count for the rate.
-
-    Args:
-        total: frames that are wanted.
-        clock: seconds, steadily increasing.
-    """
+    """Rate and remaining time of a build of `total` frames; existing frames do not count for the rate."""
 
     def __init__(self, total: int, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._total = clock, total
         self.done = 0
-        self._made = deque([clock()], maxlen=_WINDOW)
+        self._times = deque([clock()], maxlen=_RATE_FRAMES)
 
     def count(self, made: bool) -> None:
-        """One more frame is there."""
+        """Count one more complete frame."""
         self.done += 1
         if made:
-            self._made.append(self._clock())
-            while len(self._made) > 2 and self._made[-1] - self._made[0] > _SPAN_S:
-                self._made.popleft()
-        elif len(self._made) == 1:
-            # Looking at what is there takes time that no frame was made in.
-            self._made[0] = self._clock()
+            self._times.append(self._clock())
+            while len(self._times) > 2 and self._times[-1] - self._times[0] > _RATE_S:
+                self._times.popleft()
+        elif len(self._times) == 1:
+            # The time spent on verifying existing frames does not count.
+            self._times[0] = self._clock()
 
     @property
     def frames_per_s(self) -> float | None:
-        """Frames made in a second, lately; None before the first."""
-        took = self._made[-1] - self._made[0]
-        return (len(self._made) - 1) / took if took > 0 else None
+        """Recent rate; None before the first frame."""
+        duration = self._times[-1] - self._times[0]
+        return (len(self._times) - 1) / duration if duration > 0 else None
 
     @property
     def left_s(self) -> float | None:
-        """Seconds for the rest at this rate, were none of it there; None before the first frame."""
+        """Seconds for the remaining frames at this rate, if none exists; None before the first frame."""
         rate = self.frames_per_s
         return None if rate is None else (self._total - self.done) / rate
 
 
-def choose_executor(
-    workers: int | None = None, scheduler: str | None = None, slurm: str | Path | None = None
-) -> Executor:
-    """This process when nothing is said; else the one of the three that is.
-
-    Raises:
-        InputError: more than one is said, or the number or the file is not valid.
-        SetupError: the extra `cluster` is not installed.
-    """
-    said = {"workers": workers, "scheduler": scheduler, "slurm": slurm}
-    named = [name for name, value in said.items() if value is not None]
-    if len(named) > 1:
-        raise ArgumentError(named[1], f"cannot be combined with {named[0]}")
-    if scheduler is not None:
-        from pepperscene.dataset.execution.dask_cluster import DaskExecutor
-
-        return DaskExecutor(scheduler)
-    if slurm is not None:
-        from pepperscene.dataset.execution.slurm import SlurmExecutor
-
-        return SlurmExecutor(Path(slurm))
-    if workers is None:
-        return SerialExecutor()
-    if not 1 <= workers <= MOST_WORKERS:
-        raise ArgumentError("workers", f"must be 1 to {MOST_WORKERS}, not {workers}")
-    return ProcessExecutor(workers)
-
-
-_SHOWN: Final = ("colour", "class_colour", "class", "instance", "distance_code", "raw")
-"""Outputs that any viewer shows, the best first."""
-
-
 @dataclass(frozen=True)
 class BuildProgress:
-    """Told after each frame.
+    """Progress after each frame.
 
     Attributes:
         index: of the frame.
-        done: frames so far, this one included.
-        total: frames wanted.
-        made: False when it was there already.
-        frames_per_s: that are made, lately; None before the first.
-        left_s: seconds that are left at this rate; None before the first.
-        picture: the frame's file that a viewer can show, or None.
+        done: number of frames so far, including this one.
+        total: number of frames requested.
+        made: False if the frame existed already.
+        frames_per_s: recent rate; None before the first frame that is made.
+        left_s: estimated seconds for the remaining frames, likewise.
+        picture: a file of the frame that any viewer shows, or None.
     """
 
     index: int
@@ -122,12 +86,12 @@ class BuildProgress:
 
 @dataclass(frozen=True)
 class BuildResult:
-    """What a build did.
+    """Result of a build.
 
     Attributes:
         dataset: the data set in its folder.
-        made: indices of the frames that were rendered, or given further outputs.
-        kept: indices of those that were there already.
+        made: indices of the frames that were rendered, or got further outputs.
+        kept: indices of the frames that existed already.
     """
 
     dataset: Dataset
@@ -136,143 +100,130 @@ class BuildResult:
 
 
 def build(
-    recipe: Recipe | str | Path,
+    recipe: Recipe | ResolvedRecipe | str | Path,
     out: str | Path,
     frames: str | Sequence[int] | None = None,
     outputs: Sequence[str] = DEFAULT_OUTPUTS,
-    quality: str = "standard",
-    seed: int | None = None,
+    options: BuildOptions = BuildOptions(),  # noqa: B008 - frozen
     on_frame: Callable[[BuildProgress], None] | None = None,
-    renderer: RendererFactory | None = None,
-    target_error: float | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    slurm: str | Path | None = None,
-    on_notice: Callable[[str], None] | None = None,
 ) -> BuildResult:
     """Render the frames of a recipe into a folder.
 
-    Frames and outputs that are there already are kept, if their checksums are right, so that a build can be
-    interrupted, continued and widened. A frame's bytes depend on the recipe, the version and its index alone.
+    Existing frames and outputs are kept if their checksums are right, so a build can be interrupted, resumed
+    and extended. A frame's bytes depend on the recipe, the version, the quality and its index alone.
 
     Args:
-        recipe: or the name of a shipped one, or a path.
-        out: folder of the data set; made when missing.
-        frames: indices, or "A:B" (0-based, half-open); None for those that the recipe selects.
-        outputs: names out of `OUTPUTS`.
-        quality: "draft", "standard" or "reference".
-        seed: instead of the recipe's.
-        on_frame: called in this thread after every frame, once it is whole; by then the next one may be
+        recipe: a recipe, the name of a shipped one, or a path.
+        out: folder of the data set; made if missing.
+        frames: indices, or "A:B" (0-based, half-open); None for the recipe's selection.
+        outputs: names from `OUTPUTS`.
+        options: quality, seed, workers and so on.
+        on_frame: called in this thread after every frame, once it is complete; by then the next one may be
             rendered. In the order of the indices, unless several workers make frames.
-        renderer: makes the renderer of a scene; None for Mitsuba. Workers need one that can be pickled.
-        target_error: of the traced light over the sensor's noise, at which sampling stops, instead of the
-            quality's own; see `pepperscene.render.render`.
-        workers: processes on this machine, each with its share of the cores, one scene each; None makes all
-            frames in this process, with all cores.
-        scheduler: address of a running Dask scheduler, whose workers see `out` under the same path; needs the
-            extra `cluster`.
-        slurm: TOML file that tells what jobs to ask Slurm for; needs the extra `cluster`.
-        on_notice: called with a sentence for the user, such as that a worker was lost.
 
     Raises:
         InputError: an argument, the recipe or a file that it names is not valid; nothing is written.
         OutputError: the folder holds something else than this data set, or cannot be written to.
         SetupError: the machine cannot render, or an extra is missing; nothing is written.
-        WorkerError: workers were lost again and again, or the cluster cannot be reached.
+        WorkerError: workers were lost repeatedly, or the cluster cannot be reached.
     """
-    # All that can be wrong with the arguments comes to light before the first file is touched.
-    from pepperscene.render import resolve_quality
+    # Check all arguments before the first file is touched.
+    executor = choose_executor(options)
+    job = BuildJob.create(recipe, out, outputs, options)
+    indices = job.recipe.recipe.plan.select_indices(frames)
+    check_output_folder(Path(out), job.info)
 
-    wanted = check_outputs(outputs)
-    resolve_quality(quality, target_error)
-    crew = choose_executor(workers, scheduler, slurm)
-    told = (recipe if isinstance(recipe, Recipe) else load_recipe(recipe)).with_seed(seed)
-    indices = told.plan.select_indices(frames)
-    job = BuildJob(told, Path(out).absolute(), wanted, quality, target_error, renderer)
-    job.check()
-    check_output_folder(Path(out), job.about())
-    return _built(job, Path(out), indices, crew, on_frame or _unheard, on_notice or _unheard)
-
-
-def _built(
-    job: BuildJob,
-    out: Path,
-    indices: Sequence[int],
-    crew: Executor,
-    on_frame: Callable[[BuildProgress], None],
-    on_notice: Callable[[str], None],
-) -> BuildResult:
-    folder = OutputFolder(out, job.about())
-    made: list[int] = []
-    pace = Throughput(len(indices))
-    picture = next((name for name in _SHOWN if name in job.outputs), None)
-    room = _Room(out, len(indices), on_notice)
-
-    with Journal(out) as journal:
-
-        def tell(done: FrameDone) -> None:
-            _noted(journal, done, () if pace.done else indices)
-            made.extend([done.index] if done.made else [])
-            pace.count(done.made)
-            room.look(done, pace.done)
-            file = None if picture is None else folder.dataset.path(done.index, picture)
-            rate, left = pace.frames_per_s, pace.left_s
-            on_frame(BuildProgress(done.index, pace.done, len(indices), done.made, rate, left, file))
-
+    # Make the frames. The tables are also written when a build is interrupted.
+    on_notice = options.on_notice or _ignore
+    folder = OutputFolder(Path(out), job.info)
+    with Journal(Path(out)) as journal:
+        reporter = _Reporter(job, folder.dataset, journal, indices, on_frame or _ignore, on_notice)
         try:
-            crew.make(job, work_units(job.recipe.plan, indices, crew.size), tell, on_notice)
+            units = work_units(job.recipe.recipe.plan, indices, executor.size)
+            executor.make(job, Dispatcher(units, reporter.report, on_notice))
         except BaseException:
             with suppress(OutputError, OSError):
-                folder.sweep()
+                folder.remove_temporary_files()
                 folder.undo()
-                _tabulate(folder.dataset, journal)
+                _write_tables(folder.dataset, journal)
             raise
-        _tabulate(folder.dataset, journal)
-    folder.sweep()
-    kept = tuple(sorted(set(indices).difference(made)))
-    return BuildResult(folder.dataset, tuple(sorted(made)), kept)
+        _write_tables(folder.dataset, journal)
+    folder.remove_temporary_files()
+    kept = set(indices).difference(reporter.made)
+    return BuildResult(folder.dataset, tuple(sorted(reporter.made)), tuple(sorted(kept)))
 
 
-def _noted(journal: Journal, done: FrameDone, wanted: Sequence[int]) -> None:
-    """Note a frame, and before the first one, when there is a folder, which are wanted."""
-    try:
-        journal.want(wanted)
-        journal.add(done.row)
-    except OSError as fault:
-        raise OutputError(f"the journal cannot be written ({fault.strerror or fault})") from None
+def choose_executor(options: BuildOptions) -> Executor:
+    """The executor of the one option that names one; this process by default. Errors as of `build`."""
+    names = [name for name in ("workers", "scheduler", "slurm") if getattr(options, name) is not None]
+    if len(names) > 1:
+        raise ArgumentError(names[1], f"cannot be combined with {names[0]}")
+    if options.scheduler is not None:
+        from pepperscene.dataset.execution.dask_executor import DaskExecutor
+
+        return DaskExecutor(options.scheduler)
+    if options.slurm is not None:
+        from pepperscene.dataset.execution.slurm import SlurmExecutor
+
+        return SlurmExecutor(Path(options.slurm))
+    if options.workers is None:
+        return SerialExecutor()
+    if not 1 <= options.workers <= MAX_WORKERS:
+        raise ArgumentError("workers", f"must be between 1 and {MAX_WORKERS}, not {options.workers}")
+    return ProcessExecutor(options.workers)
 
 
-def _tabulate(dataset: Dataset, journal: Journal) -> None:
-    """Write the tables, also of a build that was ended early."""
-    if not dataset.indices():
-        return
-    try:
-        write_manifest(dataset, journal)
-    except OSError as fault:
-        raise OutputError(
-            f"{dataset.folder}: the manifest cannot be written ({fault.strerror or fault}), the frames stay"
-        ) from None
+class _Reporter:
+    """Notes each complete frame in the journal, reports progress, and lists the frames that were made."""
 
+    def __init__(
+        self,
+        job: BuildJob,
+        dataset: Dataset,
+        journal: Journal,
+        indices: Sequence[int],
+        on_frame: Callable[[BuildProgress], None],
+        on_notice: Callable[[str], None],
+    ) -> None:
+        self._dataset, self._journal, self._indices = dataset, journal, indices
+        self._on_frame, self._on_notice = on_frame, on_notice
+        self._throughput = Throughput(len(indices))
+        self._preview = next((name for name in _PREVIEWS if name in job.outputs), None)
+        self.made: list[int] = []
 
-class _Room:
-    """Looks ahead, once, whether the disk has room for all frames."""
+    def report(self, done: FrameDone) -> None:
+        """Note and report one frame; raises `OutputError` if the journal cannot be written."""
+        throughput, total = self._throughput, len(self._indices)
+        try:
+            # The folder exists from the first frame on.
+            if not throughput.done:
+                self._journal.want(self._indices)
+            self._journal.add(done.row)
+        except OSError as error:
+            raise write_error(error, self._dataset.folder) from None
+        throughput.count(done.made)
+        if done.made:
+            self.made.append(done.index)
+            if len(self.made) == 1:
+                self._check_disk((total - throughput.done) * int(done.row["bytes"]))
+        picture = None if self._preview is None else self._dataset.path(done.index, self._preview)
+        rate, left_s = throughput.frames_per_s, throughput.left_s
+        self._on_frame(BuildProgress(done.index, throughput.done, total, done.made, rate, left_s, picture))
 
-    def __init__(self, folder: Path, total: int, notice: Callable[[str], None]) -> None:
-        self._folder, self._total, self._notice = folder, total, notice
-        self._asked = False
-
-    def look(self, done: FrameDone, count: int) -> None:
-        """After a frame: what the rest will take, if it is like this one."""
-        if self._asked or not done.made:
-            return
-        self._asked = True
-        needed = (self._total - count) * int(done.row["bytes"])
-        free = shutil.disk_usage(self._folder).free
+    def _check_disk(self, needed: int) -> None:
+        """Notify if the disk has no room for the remaining frames, if they are like the first one."""
+        free = shutil.disk_usage(self._dataset.folder).free
         if needed > free:
-            self._notice(
-                f"{self._folder}: the rest needs {needed / 1e9:.1f} GB, but {free / 1e9:.1f} GB are free"
+            self._on_notice(
+                f"{self._dataset.folder}: the remaining frames need {needed / 1e9:.1f} GB, "
+                f"but only {free / 1e9:.1f} GB are free"
             )
 
 
-def _unheard(_: object) -> None:
-    """Nobody listens."""
+def _write_tables(dataset: Dataset, journal: Journal) -> None:
+    if dataset.indices():
+        dataset.write_tables(journal)
+
+
+def _ignore(_: object) -> None:
+    """Callback of a caller that wants none."""

@@ -1,108 +1,143 @@
-"""Which frames are made together: a scene's, because they share what is costly."""
+"""The interface of executors, the units of work, and their dispatch to workers."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Final
 
-from pepperscene.dataset.execution.job import BuildJob, Tell
+from pepperscene.dataset.execution.job import BuildJob, FrameDone, OnFrame
 from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.errors import WorkerError
+
+MAX_LOSSES: Final = 3
+"""Chosen: a frame that ends a third worker would end the next one, too."""
 
 
 @dataclass(frozen=True)
 class WorkUnit:
-    """Frames of one scene.
-
-    Attributes:
-        set, rotation: the scene.
-        indices: of the frames, ascending.
-    """
+    """Frames of one scene, ascending, and the number of its set of plants."""
 
     set: int
-    rotation: int
     indices: tuple[int, ...]
-
-    def after(self, told: Iterable[int]) -> WorkUnit:
-        """What is left of it once some frames are whole."""
-        whole = set(told)
-        return WorkUnit(self.set, self.rotation, tuple(i for i in self.indices if i not in whole))
 
 
 def work_units(plan: Plan, indices: Sequence[int], workers: int) -> list[WorkUnit]:
-    """The frames by scenes; where there are fewer scenes than workers, in parts of scenes.
+    """Group ascending indices by scene; with fewer scenes than workers, scenes are divided.
 
-    A scene is made ready anew by everybody who has a part of it, which takes as long as tens of frames'
-    labels; so scenes are parted only where somebody would stand idle.
-
-    Args:
-        plan: of the data set.
-        indices: ascending.
-        workers: that are to have something to do.
+    Every worker that makes a part of a scene has to set it up, which takes as long as the labels of tens of
+    frames. So scenes are divided only where workers would be idle.
     """
-    shots = [plan.frame(index) for index in indices]
-    scenes = [
-        WorkUnit(*key, tuple(shot.index for shot in group))
-        for key, group in groupby(shots, lambda shot: (shot.set, shot.rotation))
+    specs = [plan.frame(index) for index in indices]
+    units = [
+        WorkUnit(which, tuple(spec.index for spec in group))
+        for (which, _), group in groupby(specs, lambda spec: (spec.set, spec.rotation))
     ]
-    while 0 < len(scenes) < workers:
-        longest = max(range(len(scenes)), key=lambda place: len(scenes[place].indices))
-        unit = scenes[longest]
+    while 0 < len(units) < workers:
+        longest = max(range(len(units)), key=lambda place: len(units[place].indices))
+        unit = units[longest]
         half = -(-len(unit.indices) // 2)
         if half == len(unit.indices):
             break
         parts = (unit.indices[:half], unit.indices[half:])
-        scenes[longest : longest + 1] = [WorkUnit(unit.set, unit.rotation, part) for part in parts]
-    return scenes
+        units[longest : longest + 1] = [WorkUnit(unit.set, part) for part in parts]
+    return units
 
 
-class UnitQueue:
-    """Hands units out so that plants of a set are grown as few times as may be."""
+class Dispatcher:
+    """Assigns units to workers, requeues those of lost workers, and reports every frame once.
 
-    def __init__(self, units: Iterable[WorkUnit]) -> None:
-        self._left: dict[int, deque[WorkUnit]] = {}
+    Plants of a set are grown as few times as possible: a worker stays with its set, then takes one that
+    nobody has started, then helps with the set that has most units left.
+
+    Attributes:
+        running: the unit of each worker that has one.
+        on_notice: called with a sentence for the user, such as that a worker was lost.
+    """
+
+    def __init__(
+        self, units: Iterable[WorkUnit], on_frame: OnFrame, on_notice: Callable[[str], None]
+    ) -> None:
+        self._on_frame, self.on_notice = on_frame, on_notice
+        self._pending: dict[int, deque[WorkUnit]] = {}
         for unit in units:
-            self._left.setdefault(unit.set, deque()).append(unit)
-        self._begun: set[int] = set()
+            self._pending.setdefault(unit.set, deque()).append(unit)
+        self.running: dict[Hashable, WorkUnit] = {}
+        self._last_set: dict[Hashable, int] = {}
+        self._reported: set[int] = set()
+        self._losses: Counter[int] = Counter()
 
     def __bool__(self) -> bool:
-        return bool(self._left)
+        """Whether a unit is pending or running."""
+        return bool(self._pending or self.running)
 
-    def next(self, last: WorkUnit | None) -> WorkUnit | None:
-        """The next unit of somebody whose last one is given; None when none is left."""
-        if not self._left:
-            return None
-        if last is not None and last.set in self._left:
-            return self._taken(last.set, first=True)
-        untouched = [which for which in self._left if which not in self._begun]
-        if untouched:
-            return self._taken(untouched[0], first=True)
-        # Whoever is at the set with the most to do is helped from its end.
-        return self._taken(max(self._left, key=lambda which: len(self._left[which])), first=False)
+    @property
+    def pending(self) -> int:
+        """Number of pending units."""
+        return sum(map(len, self._pending.values()))
 
-    def put_back(self, unit: WorkUnit) -> None:
-        """A unit, or the rest of one, that was not finished."""
+    def assign(self, worker: Hashable) -> tuple[int, ...]:
+        """Assign the next unit to a worker that has none; returns its frames, none if no unit is pending."""
+        while self._pending:
+            unit = self._remaining(self._take(worker))
+            if unit.indices:
+                self.running[worker] = unit
+                self._last_set[worker] = unit.set
+                return unit.indices
+        return ()
+
+    def report(self, done: FrameDone) -> None:
+        """Report a complete frame, unless it was: a worker that was taken for lost may go on."""
+        if done.index not in self._reported:
+            self._reported.add(done.index)
+            self._on_frame(done)
+
+    def is_complete(self, worker: Hashable) -> bool:
+        """Whether all frames of a worker's unit were reported."""
+        return not self._remaining(self.running[worker]).indices
+
+    def release(self, worker: Hashable) -> tuple[int, ...]:
+        """End a worker's unit; returns the frames that were not reported, which are pending again."""
+        unit = self._remaining(self.running.pop(worker))
         if unit.indices:
-            self._left.setdefault(unit.set, deque()).appendleft(unit)
+            self._pending.setdefault(unit.set, deque()).appendleft(unit)
+        return unit.indices
 
-    def _taken(self, which: int, *, first: bool) -> WorkUnit:
-        self._begun.add(which)
-        units = self._left[which]
-        unit = units.popleft() if first else units.pop()
-        if not units:
-            del self._left[which]
+    def lose(self, worker: Hashable, how: str) -> None:
+        """Requeue what a worker has not finished that was lost, or raise `WorkerError` if it is the third one
+        over its first unfinished frame; `how` completes the message.
+        """
+        frames = self.release(worker)
+        if not frames:
+            return
+        self._losses[frames[0]] += 1
+        if self._losses[frames[0]] >= MAX_LOSSES:
+            raise WorkerError(
+                f"frame {frames[0]:06d} ended {MAX_LOSSES} workers, the last one {how}; complete frames are "
+                "kept, and the same command resumes the build: use fewer workers if memory ran out"
+            )
+        self.on_notice(f"a worker was lost over frame {frames[0]:06d} ({how}); another one makes its frames")
+
+    def _take(self, worker: Hashable) -> WorkUnit:
+        last, started = self._last_set.get(worker), {*self._last_set.values()}
+        untouched = [which for which in self._pending if which not in started]
+        if last is not None and last in self._pending:
+            which, unit = last, self._pending[last].popleft()
+        elif untouched:
+            which, unit = untouched[0], self._pending[untouched[0]].popleft()
+        else:
+            # From the end: the workers that are at this set get there last.
+            which = max(self._pending, key=lambda which: len(self._pending[which]))
+            unit = self._pending[which].pop()
+        if not self._pending[which]:
+            del self._pending[which]
         return unit
 
-
-Notice = Callable[[str], None]
-"""Called with a sentence for the user, such as that a worker was lost."""
-
-MOST_LOSSES: Final = 3
-"""Chosen: a frame that ends a third worker would end the next one, too."""
+    def _remaining(self, unit: WorkUnit) -> WorkUnit:
+        return replace(unit, indices=tuple(index for index in unit.indices if index not in self._reported))
 
 
 class Executor(ABC):
@@ -111,43 +146,12 @@ class Executor(ABC):
     @property
     @abstractmethod
     def size(self) -> int:
-        """How many frames are made at a time."""
+        """Number of frames that are made at a time."""
 
     @abstractmethod
-    def make(self, job: BuildJob, units: Sequence[WorkUnit], tell: Tell, notice: Notice) -> None:
-        """Make all that is missing.
-
-        Args:
-            job: what is asked for.
-            units: the frames.
-            tell: called in this thread for each frame, once it is whole.
-            notice: called for what the user should know.
+    def make(self, job: BuildJob, dispatcher: Dispatcher) -> None:
+        """Make what is missing of all frames of a dispatcher, and report them to it, in this thread.
 
         Raises:
-            PepperError: frames cannot be made; those that were told are whole.
+            PepperError: frames cannot be made; those that were reported are complete.
         """
-
-
-class LostWorkers:
-    """Counts the workers that were lost over each frame."""
-
-    def __init__(self) -> None:
-        self._over: Counter[int] = Counter()
-
-    def note(self, index: int, how: str) -> str:
-        """The sentence that tells of a lost worker.
-
-        Args:
-            index: the first frame that the worker had not told of.
-            how: it ended.
-
-        Raises:
-            WorkerError: it is the third over this frame.
-        """
-        self._over[index] += 1
-        if self._over[index] >= MOST_LOSSES:
-            raise WorkerError(
-                f"frame {index:06d} ended {MOST_LOSSES} workers, the last one {how}; the frames that are "
-                "whole are kept, and the same command goes on: with fewer workers if memory ran out"
-            )
-        return f"a worker was lost over frame {index:06d} ({how}); its frames go to another one"

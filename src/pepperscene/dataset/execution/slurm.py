@@ -1,4 +1,4 @@
-"""Frames made by jobs of a Slurm cluster, which are asked for when a build begins and end with it."""
+"""The executor that submits jobs to a Slurm cluster when a build starts, and ends them with it."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import subprocess
 import tempfile
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Self, final
 
 from pydantic import AfterValidator, Field, model_validator
 
-from pepperscene.dataset.execution.dask_cluster import connected, missing, quiet
-from pepperscene.dataset.execution.executor import Executor, Notice, WorkUnit
-from pepperscene.dataset.execution.job import BuildJob, Tell
+from pepperscene.dataset.execution.dask_executor import connect, missing_extra, quiet_libraries, run_on_dask
+from pepperscene.dataset.execution.executor import Dispatcher, Executor
+from pepperscene.dataset.execution.job import BuildJob
 from pepperscene.document import Document, read_toml, validate
 from pepperscene.errors import InputError, SetupError, WorkerError
 
@@ -28,60 +28,68 @@ if TYPE_CHECKING:
 
 _MEMORY: Final = re.compile(r"\d+(\.\d+)? ?[MGT](i?B)?")
 _WALLTIME: Final = re.compile(r"\d+(:\d\d){0,2}|\d+-\d\d?(:\d\d){0,2}")
-"""Minutes, minutes:seconds, hours:minutes:seconds, days-hours and so on, as the manual of `sbatch` has it."""
+"""Minutes, minutes:seconds, hours:minutes:seconds, days-hours and so on, as in the manual of `sbatch`."""
+
+_DASK_NAMES: Final = {
+    "workers": "processes",
+    "partition": "queue",
+    "directives": "job_extra_directives",
+    "prologue": "job_script_prologue",
+}
+"""Arguments of `SLURMCluster` whose name is not the file's key."""
+
+_COMMANDS: Final = ("sbatch", "squeue", "scancel")
+_JOB_NAME: Final = "pepperscene"
+_RENEW_S: Final = 60.0  # chosen: how often jobs whose time is over are submitted again
+_QUEUE_CHECK_S: Final = 10.0  # chosen: how often the queue is checked while there is no worker
+_QUEUE_CHECKS: Final = (
+    6  # chosen: checks in a row without a job; Slurm's controller is at times too busy to answer
+)
+_ANSWER_S: Final = 60.0  # chosen: how long Slurm may take to answer
 
 
-def _line(text: str) -> str:
-    if not text or not text.isprintable():
-        raise ValueError("must be a line of text")
-    return text
+def _must_be(description: str, test: Callable[[str], object]) -> AfterValidator:
+    def check(text: str) -> str:
+        if not test(text):
+            raise ValueError(f"must be {description}")
+        return text
+
+    return AfterValidator(check)
 
 
-def _word(text: str) -> str:
-    if not text.isprintable() or text.split() != [text]:
-        raise ValueError("must be a word without blanks")
-    return text
-
-
-def _memory(text: str) -> str:
-    if not _MEMORY.fullmatch(text):
-        raise ValueError('must be a number with a unit, such as "16 GB"')
-    return text
-
-
-def _walltime(text: str) -> str:
-    if not _WALLTIME.fullmatch(text):
-        raise ValueError('must be a time as Slurm writes it, such as "12:00:00" or "2-00:00:00"')
-    return text
-
-
-_Line = Annotated[str, AfterValidator(_line)]
-_Word = Annotated[str, AfterValidator(_word)]
+_Line = Annotated[str, _must_be("a line of text", lambda text: text and text.isprintable())]
+_Word = Annotated[
+    str, _must_be("a word without blanks", lambda text: text.isprintable() and text.split() == [text])
+]
+_Memory = Annotated[str, _must_be('a number with a unit, such as "16 GB"', _MEMORY.fullmatch)]
+_Walltime = Annotated[
+    str, _must_be('a time in Slurm\'s format, such as "12:00:00" or "2-00:00:00"', _WALLTIME.fullmatch)
+]
 _Count = Annotated[int, Field(strict=True, ge=1, le=100_000)]
 
 
 class SlurmJobs(Document):
-    """Jobs as a user asks for them.
+    """A description of Slurm jobs.
 
     Attributes:
-        jobs: how many.
-        cores: of each.
-        memory: of each ("16 GB").
-        walltime: of each, as Slurm writes it ("12:00:00", "2-00:00:00").
-        workers: processes of each job; they share its cores and its memory evenly.
-        partition, account: as of `sbatch`, or None for the cluster's own.
+        jobs: number of jobs.
+        cores: of each job.
+        memory: of each job ("16 GB").
+        walltime: of each job, in Slurm's format ("12:00:00", "2-00:00:00").
+        workers: processes of each job, which share its cores and its memory evenly.
+        partition, account: as of `sbatch`, or None for the cluster's default.
         directives: further options of `sbatch` ("--qos=long").
-        prologue: lines of the job's script before the worker begins ("module load python").
-        python: that runs the workers; None for the one that runs this.
+        prologue: lines of the job's script before the worker starts ("module load python").
+        python: that runs the workers; None for the one of this process.
         interface: of the network that the nodes and this machine share ("ib0"); None for the first one.
-        local_directory: for what Dask keeps on a node's disk, or None for where it finds room.
-        log_directory: of the jobs' output; None leaves it to Slurm.
+        local_directory: on a node's disk, for Dask's files; None for Dask's default.
+        log_directory: of the jobs' output; None for Slurm's default.
     """
 
     jobs: _Count
     cores: _Count
-    memory: Annotated[str, AfterValidator(_memory)]
-    walltime: Annotated[str, AfterValidator(_walltime)]
+    memory: _Memory
+    walltime: _Walltime
     workers: _Count = 1
     partition: _Word | None = None
     account: _Word | None = None
@@ -98,28 +106,16 @@ class SlurmJobs(Document):
             raise ValueError(f"workers = {self.workers} must not be more than cores = {self.cores}")
         return self
 
-    def for_dask(self) -> dict[str, Any]:
+    def cluster_arguments(self) -> dict[str, Any]:
         """The arguments of `dask_jobqueue.SLURMCluster`."""
-        told = {
-            "cores": self.cores,
-            "processes": self.workers,
-            "memory": self.memory,
-            "walltime": self.walltime,
-            "queue": self.partition,
-            "account": self.account,
-            "job_extra_directives": list(self.directives) or None,
-            "job_script_prologue": list(self.prologue) or None,
-            "python": self.python,
-            "interface": self.interface,
-            "local_directory": self.local_directory,
-            "log_directory": self.log_directory,
-        }
-        # What is not said is left to Dask's own configuration, in which a site tells what is right there.
-        return {name: value for name, value in told.items() if value is not None}
+        # What is not given comes from Dask's own configuration, which a site may have adapted.
+        given = self.model_dump(exclude={"jobs"}, exclude_none=True)
+        arguments = {_DASK_NAMES.get(key, key): value for key, value in given.items() if value != ()}
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in arguments.items()}
 
 
 def read_slurm_file(path: Path) -> SlurmJobs:
-    """The jobs that a file asks for; its folders are seen from where it lies.
+    """Read a description of jobs; its paths are relative to the file's folder.
 
     Raises:
         InputError: the file is missing or not TOML, a key is unknown or missing, or a value is not valid.
@@ -132,36 +128,13 @@ def read_slurm_file(path: Path) -> SlurmJobs:
     return validate(SlurmJobs, tables, path)
 
 
-_COMMANDS: Final = ("sbatch", "squeue", "scancel")
-
-_RENEW_S: Final = 60.0
-"""Chosen: how often jobs that have ended, because their time was over, are asked for again."""
-
-_LOOK_S: Final = 10.0
-"""Chosen: how often the queue is looked at while there is no worker."""
-
-_LOOKS: Final = 6
-"""Chosen: how often in a row no job may be found; Slurm's controller is at times too busy to answer."""
-
-_ANSWER_S: Final = 60.0
-"""Chosen: how long Slurm may take to answer."""
-
-_NAME: Final = "pepperscene"
-
-
 @final
 class SlurmExecutor(Executor):
-    """Workers in jobs of a Slurm cluster, started from a machine that can submit jobs.
+    """Workers in jobs of a Slurm cluster, described by a file (see `SlurmJobs`).
 
-    The scheduler runs in this process. The jobs wait in Slurm's queue for as long as it takes; frames are
-    made as soon as the first one runs. A job whose time is over is asked for again.
-
-    Args:
-        path: of the file that tells what to ask for; see `SlurmJobs`.
-
-    Raises:
-        InputError: the file is not valid.
-        SetupError: this machine cannot submit jobs, or the extra `cluster` is not installed.
+    The scheduler runs in this process. Jobs may wait in Slurm's queue; frames are made as soon as the first
+    one runs. A job whose time is over is submitted again. Raises `InputError` if the file is not valid, and
+    `SetupError` if this machine cannot submit jobs, or the extra `cluster` is not installed.
     """
 
     def __init__(self, path: Path) -> None:
@@ -170,84 +143,72 @@ class SlurmExecutor(Executor):
         try:
             import dask_jobqueue  # noqa: F401
         except ImportError:
-            raise missing() from None
-        lacking = next((name for name in _COMMANDS if shutil.which(name) is None), None)
-        if lacking is not None:
-            raise SetupError(f"this machine cannot submit jobs to Slurm: it has no command {lacking}")
+            raise missing_extra() from None
+        missing = next((name for name in _COMMANDS if shutil.which(name) is None), None)
+        if missing is not None:
+            raise SetupError(f"this machine cannot submit jobs to Slurm: it has no command {missing}")
 
     @property
     def size(self) -> int:
-        """Number of workers that are asked for."""
+        """Number of workers in all jobs."""
         return self._jobs.jobs * self._jobs.workers
 
-    def make(self, job: BuildJob, units: Sequence[WorkUnit], tell: Tell, notice: Notice) -> None:
-        """See `Executor.make`; the frames of different workers are told as they come."""
-        from pepperscene.dataset.execution.dask_dispatch import DaskDispatcher, marker_beside
-
+    def make(self, job: BuildJob, dispatcher: Dispatcher) -> None:
+        """See `Executor.make`; frames are reported as they become complete."""
         with _cluster(self._path, self._jobs) as cluster:
             upkeep = _Upkeep(cluster, self._jobs.jobs)
-            notice(f"Slurm is asked for {self._jobs.jobs} jobs; frames are made once one of them runs")
-            with (
-                connected(cluster.scheduler_address) as client,
-                marker_beside(job.folder) as marker,
-                DaskDispatcher(client, "Slurm", job, marker, units, upkeep.look) as shift,
-            ):
-                shift.run(tell, notice)
-
-
-def script(path: Path) -> str:
-    """The script of a job that a file asks for.
-
-    Raises:
-        InputError: the file is not valid.
-    """
-    with _cluster(path, read_slurm_file(path), ask=False) as cluster:
-        return str(cluster.job_script())
+            dispatcher.on_notice(
+                f"{self._jobs.jobs} jobs were submitted to Slurm; frames are made once one of them runs"
+            )
+            with connect(cluster.scheduler_address) as client:
+                run_on_dask(client, "Slurm", job, dispatcher, upkeep.check)
 
 
 @contextmanager
-def _cluster(path: Path, jobs: SlurmJobs, *, ask: bool = True) -> Iterator[SLURMCluster]:
-    """A scheduler in this process, without workers; leaving the block ends the jobs that it has.
+def _cluster(path: Path, jobs: SlurmJobs) -> Iterator[SLURMCluster]:
+    """A scheduler in this process, without workers; leaving the block ends its jobs.
 
-    Raises:
-        InputError: Slurm or this machine cannot do what the file asks for.
+    Raises `InputError` if Slurm or this machine cannot run such jobs.
     """
     import dask
     from dask_jobqueue import SLURMCluster
 
-    # A page that shows what a scheduler is at needs a port that others may have.
+    # No dashboard: its port may be in use.
     site = dask.config.get("jobqueue.slurm.scheduler-options", None) or {}
     options = {"dashboard": False, "dashboard_address": ":0", **site}
-    with quiet():
+    with quiet_libraries():
         try:
             with warnings.catch_warnings():
-                # Without a network it is guessed by which address this machine can be reached.
+                # Without a network, Dask guesses this machine's address, with a warning.
                 warnings.simplefilter("ignore")
                 cluster = SLURMCluster(
-                    **jobs.for_dask(), job_name=_NAME, scheduler_options=options, silence_logs=False
+                    **jobs.cluster_arguments(),
+                    job_name=_JOB_NAME,
+                    scheduler_options=options,
+                    silence_logs=False,
                 )
-        except (OSError, ValueError, RuntimeError) as fault:
-            raise InputError(path, f"cannot be done here: {_words(fault)}") from None
+        except (OSError, ValueError, RuntimeError) as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(path, f"cannot be used on this machine: {reason}") from None
         try:
-            if ask:
-                _ask(path, str(cluster.job_script()))
+            _check_accepted(path, str(cluster.job_script()))
             yield cluster
         finally:
             cluster.close(timeout=_ANSWER_S)
 
 
-def _ask(path: Path, job_script: str) -> None:
-    """Raise the `InputError` that tells why Slurm would not take a job, if there is a reason."""
+def _check_accepted(path: Path, job_script: str) -> None:
+    """Raise `InputError` if Slurm would not accept a job."""
     with tempfile.NamedTemporaryFile("w", suffix=".sh") as file:
         file.write(job_script)
         file.flush()
-        answer = _told(["sbatch", "--test-only", file.name])
+        answer = _run(["sbatch", "--test-only", file.name])
     if answer is None or answer.returncode:
-        words = "no answer" if answer is None else (answer.stderr.strip() or answer.stdout.strip())
-        raise InputError(path, f"Slurm refuses such a job: {' '.join(words.split())}")
+        reason = "no answer" if answer is None else (answer.stderr.strip() or answer.stdout.strip())
+        raise InputError(path, f"Slurm refuses such a job: {' '.join(reason.split())}")
 
 
-def _told(command: list[str]) -> subprocess.CompletedProcess[str] | None:
+def _run(command: list[str]) -> subprocess.CompletedProcess[str] | None:
     try:
         return subprocess.run(command, capture_output=True, text=True, timeout=_ANSWER_S)
     except (OSError, subprocess.TimeoutExpired):
@@ -255,40 +216,36 @@ def _told(command: list[str]) -> subprocess.CompletedProcess[str] | None:
 
 
 class _Upkeep:
-    """Asks for jobs, again for those that have ended, and notices when there are none any more."""
+    """Submits jobs, again where they have ended, and notices when there are none any more."""
 
     def __init__(self, cluster: SLURMCluster, jobs: int) -> None:
         self._cluster, self._jobs = cluster, jobs
-        self._asked = self._looked = time.monotonic()
-        self._in_vain = 0
+        self._submitted = self._checked = time.monotonic()
+        self._checks_without_job = 0
         cluster.scale(jobs=jobs)
 
-    def look(self, present: bool) -> None:
-        """Once in a while; raises `WorkerError` when no job waits or runs and there is no worker."""
+    def check(self, present: bool) -> None:
+        """Called once a second; raises `WorkerError` if there is no worker and no job waits or runs."""
         now = time.monotonic()
-        if now - self._asked > _RENEW_S:
-            self._asked = now
+        if now - self._submitted > _RENEW_S:
+            self._submitted = now
             self._cluster.scale(jobs=self._jobs)
         if present:
-            self._in_vain = 0
-        elif now - self._looked > _LOOK_S:
-            self._looked = now
-            self._in_vain = 0 if self._queued() else self._in_vain + 1
-        if self._in_vain >= _LOOKS:
+            self._checks_without_job = 0
+        elif now - self._checked > _QUEUE_CHECK_S:
+            self._checked = now
+            self._checks_without_job = 0 if self._has_job() else self._checks_without_job + 1
+        if self._checks_without_job >= _QUEUE_CHECKS:
             raise WorkerError(
-                "Slurm has none of the jobs any more, and no worker has begun; their output tells why "
-                "(log_directory says where it lies), and the frames that are whole are kept"
+                "Slurm has none of the jobs any more, and no worker has started; their output tells why "
+                "(see log_directory), and complete frames are kept"
             )
 
-    def _queued(self) -> bool:
+    def _has_job(self) -> bool:
         """Whether a job of this build waits or runs."""
         workers: dict[Any, Any] = dict(self._cluster.workers)
         numbers = [str(worker.job_id) for worker in workers.values() if worker.job_id is not None]
         if not numbers:
             return False
-        answer = _told(["squeue", "--noheader", "--format=%i", f"--jobs={','.join(numbers)}"])
+        answer = _run(["squeue", "--noheader", "--format=%i", f"--jobs={','.join(numbers)}"])
         return answer is not None and bool(answer.stdout.strip())
-
-
-def _words(fault: Exception) -> str:
-    return " ".join(str(fault).split()) or type(fault).__name__

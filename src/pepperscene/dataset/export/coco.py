@@ -21,8 +21,8 @@ from pepperscene.dataset.export.run import ExportResult
 from pepperscene.dataset.export.segments import REST, Segment, as_text, library, segment_ids, segments
 from pepperscene.dataset.export.source import ExportSource, OnFrame, export_sources, new_folder, wanted_frames
 from pepperscene.dataset.export.splits import Splits
-from pepperscene.dataset.store.codecs import png_bytes
 from pepperscene.dataset.store.dataset import Dataset, file_name
+from pepperscene.dataset.store.images import png_bytes
 
 _CENTRE: Final = 0.5
 """Here the first pixel's centre is at .5, in COCO's keypoints at 0."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.export.source import ExportSource
-from pepperscene.dataset.store.rows import FRUIT_COLUMNS, fruit_rows
+from pepperscene.dataset.store.manifest import FRUIT_COLUMNS, fruit_rows
 
 CLASS_NAMES: Final = tuple(organ.name.lower() for organ in OrganClass)
 

@@ -16,8 +16,8 @@ from pepperscene.classes import OrganClass
 from pepperscene.dataset.export.run import ExportResult
 from pepperscene.dataset.export.source import ExportSource, OnFrame, export_sources, new_folder, wanted_frames
 from pepperscene.dataset.export.splits import Splits
-from pepperscene.dataset.store.codecs import png_bytes
 from pepperscene.dataset.store.dataset import Dataset
+from pepperscene.dataset.store.images import png_bytes
 from pepperscene.truth import class_colour, distance_code
 
 SET: Final = "synthetic"

@@ -1,1 +1,1 @@
-"""Recipes: the tables of the file, loading, the plan of frames, and the files that a recipe names."""
+"""Recipes: their tables, loading, the plan of frames, and the files that a recipe names."""

@@ -1,10 +1,8 @@
-"""Single values laid over a recipe, as `--set KEY=VALUE` gives them."""
+"""Reading recipes: files that extend each other, changes of single values, and files that a recipe names."""
 
 from __future__ import annotations
 
 import copy
-import datetime
-import json
 import os
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,181 +11,153 @@ from typing import Any, Final
 
 from pydantic import BaseModel
 
-from pepperscene.dataset.recipe.equipment import (
-    check_greenhouse,
-    load_camera,
-    load_recipe_cover,
-    load_recipe_cultivar,
-)
 from pepperscene.dataset.recipe.recipe import Recipe
+from pepperscene.dataset.recipe.resolved import ResolvedRecipe, load_files
 from pepperscene.document import read_toml, validate
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError, InputError
 from pepperscene.shipped import find_file
 
-OPTION: Final = "--set"
-_LONGEST: Final = 80  # chosen: what a message shows of a change
-
-
-def parse_changes(texts: Iterable[str]) -> dict[str, Any]:
-    """Values by dotted key, out of "KEY=VALUE"; of two with the same key the last one counts.
-
-    A value is read as in a TOML file; what is none, such as a bare word, is taken as text.
-
-    Raises:
-        InputError: not of that form, or a value that opens a quote or a bracket and does not close it.
-    """
-    changes: dict[str, Any] = {}
-    for text in texts:
-        key, equals, value = text.partition("=")
-        if not equals:
-            raise InputError(OPTION, f"{_short(text)!r} must be KEY=VALUE")
-        # The last one of a key also comes last.
-        changes.pop(key.strip(), None)
-        changes[key.strip()] = _value(key.strip(), value.strip())
-    return changes
-
-
-def as_tables(key: str, value: Any) -> dict[str, Any]:
-    """A change as the tables of a recipe file that says it alone.
-
-    Raises:
-        InputError: a recipe has no such key; the message lists those that there are.
-    """
-    model: type[BaseModel] | None = Recipe
-    parts = key.split(".")
-    for depth, part in enumerate(parts):
-        fields = {} if model is None else model.model_fields
-        if part not in fields:
-            above = ".".join(parts[:depth])
-            inside = f"allowed{f' in {above}' if above else ''} are {', '.join(fields)}"
-            allowed = f"is not a known key; {inside if fields else f'{above} is no table'}"
-            raise InputError(f"{OPTION} {_short(key)}", allowed)
-        model = _table(fields[part].annotation)
-    tables: Any = copy.deepcopy(value)
-    for part in reversed(parts):
-        tables = {part: tables}
-    return dict(tables)
-
-
-def label(key: str, value: Any) -> str:
-    """A change as it is given on the command line, for messages."""
-    return _short(f"{OPTION} {key}={_written(value)}")
-
-
-def _value(key: str, text: str) -> Any:
-    read = _read(text)
-    if read is not None:
-        return read
-    if text.startswith(('"', "'", "[", "{")):
-        raise InputError(_short(f"{OPTION} {key}={text}"), "is not a value as in a TOML file")
-    return text
-
-
-def _read(text: str) -> Any:
-    """What a text says as a value of a TOML file, or None."""
-    try:
-        read = tomllib.loads(f"value = {text}")
-    except (ValueError, RecursionError):
-        return None
-    # Further lines could say more than a value.
-    return read["value"] if set(read) == {"value"} else None
-
-
-def _table(annotation: Any) -> type[BaseModel] | None:
-    """The table that a field holds, also where it may be missing; None for single values."""
-    for kind in (annotation, *getattr(annotation, "__args__", ())):
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
-            return kind
-    return None
-
-
-def _written(value: Any) -> str:
-    """A value as `_value` reads it."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    try:
-        if isinstance(value, datetime.date):
-            return value.isoformat()
-        if isinstance(value, str):
-            return value if _bare(value) else json.dumps(value, ensure_ascii=False)
-        if isinstance(value, Mapping):
-            return "{" + ", ".join(f"{key} = {_written(item)}" for key, item in value.items()) + "}"
-        return repr(value)
-    except (ValueError, RecursionError):
-        # Python writes no integers of thousands of digits.
-        return "…"
-
-
-def _bare(text: str) -> bool:
-    """Whether a text is read as itself without quotes."""
-    try:
-        return bool(_value("", text.strip()) == text)
-    except InputError:
-        return False
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
-
-
-_LONGEST_CHAIN: Final = 16  # chosen: nobody reads a recipe through more files than this
+_MAX_CHAIN: Final = 16  # chosen: more files are hard to follow
 _FILE_KEYS: Final = (
     ("cultivar",), ("camera", "sensor"), ("camera", "lens"), ("camera", "flash"), ("camera", "filter"),
     ("daylight", "cover"), ("growth", "until"),
 )  # fmt: skip
-"""Keys whose value may be a path, relative to the recipe file that says it."""
+"""Keys whose value may be a path, relative to the recipe file that holds it."""
 
 _EXPECT: Final = "expect"
 _SAME_FRAMES: Final = {"name", "seed", "plan"}
-"""Tables and keys that change which frames there are, but not what they are like."""
+"""Tables and keys that change which frames there are, but not the kind of frame."""
 
-_Layer = tuple[str, dict[str, Any]]
+_CHANGES: Final = "changes"  # argument of `load_recipe`
+
+_Layer = tuple[str | None, dict[str, Any]]
+"""A file's name, or None for the changes, and its table."""
 
 
 def load_recipe(name_or_path: str | Path, changes: Mapping[str, Any] | None = None) -> Recipe:
     """Read a recipe by the name of a shipped one or by path.
 
     A recipe with `extends = "other"` starts from that recipe, a shipped one or a path relative to its own
-    file, and replaces single values: tables are merged key by key, lists are replaced whole. What it expects
-    goes on for other names, seeds and plans alone: what was measured tells nothing of other views or light.
+    file, and replaces single values: tables are merged key by key, lists are replaced as a whole. `expect` is
+    inherited only if nothing but name, seed and plan changes, because it describes frames of one kind.
 
     Args:
         name_or_path: of the recipe.
         changes: values to replace, by dotted key ("camera.sensor"); paths are relative to the current folder.
 
     Raises:
-        InputError: a file is missing or not TOML, files extend each other in a circle, a key is unknown or
+        InputError: a file is missing or not TOML, files extend each other in a cycle, a key is unknown or
             missing, a value is of the wrong type or outside its range; the message names file, key and value.
+        ArgumentError: the same for a key of `changes`.
     """
-    files = _layers(find_file("recipes", name_or_path))
-    changed = [(label(key, value), as_tables(key, value)) for key, value in (changes or {}).items()]
-    for _, table in changed:
-        _resolve_all(table, Path())
-    layers = [*reversed(changed), *files]
+    return resolve_recipe(name_or_path, changes).recipe
+
+
+def resolve_recipe(
+    recipe: Recipe | ResolvedRecipe | str | Path,
+    changes: Mapping[str, Any] | None = None,
+    seed: int | None = None,
+) -> ResolvedRecipe:
+    """Load a recipe and the files that it names, with errors as of `load_recipe`.
+
+    Args:
+        recipe: name of a shipped one, path, or a recipe. A resolved one is not loaded again.
+        changes: as for `load_recipe`; only with a name or a path.
+        seed: replaces the recipe's seed, unless None.
+    """
+    if isinstance(recipe, Recipe):
+        return load_files(recipe.with_seed(seed))
+    if not isinstance(recipe, ResolvedRecipe):
+        recipe = _read(recipe, changes or {})
+    return recipe.with_seed(seed)
+
+
+def _read(name_or_path: str | Path, changes: Mapping[str, Any]) -> ResolvedRecipe:
+    # The layers from the highest priority to the lowest.
+    path = find_file("recipes", name_or_path)
+    where, files = str(path), _layers(path)
+    changed: dict[str, Any] = {}
+    for key, value in changes.items():
+        changed = _merge(changed, _change_tables(key, value))
+    _resolve_paths(changed, Path())
+    layers = [(None, changed), *files] if changed else files
+
+    # One table of all layers.
     merged: dict[str, Any] = {}
     for _, table in reversed(layers):
         merged = _merge(merged, table)
-
-    if _outgrown(list(changes or ()), files):
+    if _expect_is_outdated(list(changes), files):
         del merged[_EXPECT]
-    where = files[0][0]
     try:
-        recipe = validate(Recipe, merged, where)
-        # What stands in the files that it names is for their readers; that they are there is for the recipe.
-        for load in (load_recipe_cultivar, load_recipe_cover, load_camera, check_greenhouse):
-            load(recipe, where)
-    except InputError as fault:
-        if fault.where != where:
+        return load_files(validate(Recipe, merged, where), where)
+    except InputError as error:
+        # Errors inside other files name those.
+        if error.where != where:
             raise
-        raise _placed(fault, layers, OPTION if changed else where) from None
-    return recipe
+        raise _with_origin(error, layers) from None
 
 
-def _outgrown(changed: Sequence[str], files: Sequence[_Layer]) -> bool:
-    """Whether what is expected of the frames was said of others: by a file whose views, plants or light
-    another file or a change has replaced since.
+def parse_changes(texts: Iterable[str]) -> dict[str, Any]:
+    """Read "KEY=VALUE" texts into values by dotted key; the last value of a key counts.
+
+    A value is read as in a TOML file; anything that is not valid there, such as a bare word, is text.
+
+    Raises:
+        ArgumentError: a text has another form, or a value opens a quote or a bracket and does not close it.
     """
-    above = {key.partition(".")[0] for key in changed}
+    changes: dict[str, Any] = {}
+    for text in texts:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not equals:
+            raise ArgumentError(_CHANGES, f"{text!r} must be KEY=VALUE")
+        # A repeated key moves to the end.
+        changes.pop(key, None)
+        changes[key] = _parse_value(key, value)
+    return changes
+
+
+def _parse_value(key: str, text: str) -> Any:
+    try:
+        tables = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        tables = {}
+    # Further lines could hold more than a value.
+    if set(tables) == {"value"}:
+        return tables["value"]
+    if text.startswith(('"', "'", "[", "{")):
+        raise ArgumentError(_CHANGES, "is not a valid TOML value", key=key, value=text)
+    return text
+
+
+def _change_tables(key: str, value: Any) -> dict[str, Any]:
+    """The tables of a recipe file that holds a single value; an unknown key is an error."""
+    model: type[BaseModel] | None = Recipe
+    parts = key.split(".")
+    for depth, part in enumerate(parts):
+        fields = {} if model is None else model.model_fields
+        if part not in fields:
+            above = ".".join(parts[:depth])
+            allowed = f"allowed{f' in {above}' if above else ''} are {', '.join(fields)}"
+            problem = f"is not a known key; {allowed if fields else f'{above} is not a table'}"
+            raise ArgumentError(_CHANGES, problem, key=key)
+        model = _table_model(fields[part].annotation)
+    tables: Any = copy.deepcopy(value)
+    for part in reversed(parts):
+        tables = {part: tables}
+    return dict(tables)
+
+
+def _table_model(annotation: Any) -> type[BaseModel] | None:
+    """The model of a field that holds a table, optional or not; None for single values."""
+    for kind in (annotation, *getattr(annotation, "__args__", ())):
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            return kind
+    return None
+
+
+def _expect_is_outdated(changed_keys: Sequence[str], files: Sequence[_Layer]) -> bool:
+    """Whether `expect` comes from a file whose views, plants or light another layer has replaced since."""
+    above = {key.partition(".")[0] for key in changed_keys}
     for _, table in files:
         if _EXPECT in above:
             return False
@@ -197,77 +167,68 @@ def _outgrown(changed: Sequence[str], files: Sequence[_Layer]) -> bool:
     return False
 
 
-def _placed(fault: InputError, layers: list[_Layer], default: str) -> InputError:
-    """The fault with the file or the change that says it, or at least holds the table where it is."""
-    above = fault.key.rpartition(".")[0]
-    holders = [one for key in (fault.key, above) if key for one in layers if _holds(one[1], key)]
-    where = holders[0][0] if holders else default
-    if where.startswith(f"{OPTION} {fault.key}="):
-        # The label of a change tells key and value already.
-        return InputError(where, fault.problem)
-    return InputError(where, fault.problem, key=fault.key, value=fault.value)
+def _with_origin(error: InputError, layers: list[_Layer]) -> InputError:
+    """The error with the name of the layer that holds its key, or at least the table above the key."""
+    above = error.key.rpartition(".")[0]
+    holders = [layer for key in (error.key, above) if key for layer in layers if _holds(layer[1], key)]
+    where = (holders or layers)[0][0]
+    if where is None:
+        return ArgumentError(_CHANGES, error.problem, key=error.key, value=error.value)
+    return InputError(where, error.problem, key=error.key, value=error.value)
 
 
 def _layers(path: Path) -> list[_Layer]:
-    """The recipe's own table, then that of the one it extends, and so on."""
+    """The tables of a recipe file and of those that it extends, in that order."""
     layers: list[_Layer] = []
     seen: list[Path] = []
     while True:
-        if path.resolve() in seen or len(seen) == _LONGEST_CHAIN:
-            raise InputError(
-                seen[-1], "must not lead back to itself, nor on for ever", key="extends", value=str(path)
-            )
+        if path.resolve() in seen or len(seen) == _MAX_CHAIN:
+            problem = f"`extends` forms a cycle, or is longer than {_MAX_CHAIN} files"
+            raise InputError(seen[-1], problem, key="extends", value=str(path))
         seen.append(path.resolve())
         table = read_toml(path)
         base = table.pop("extends", None)
-        _resolve_all(table, path.parent)
+        _resolve_paths(table, path.parent)
         layers.append((str(path), table))
         if base is None:
             return layers
         if not isinstance(base, str):
             raise InputError(path, "must be the name or the path of a recipe", key="extends", value=base)
         try:
-            path = find_file("recipes", _relative(base, path.parent))
-        except InputError as fault:
-            raise InputError(path, fault.problem, key="extends", value=base) from None
+            path = find_file("recipes", _absolute(base, path.parent))
+        except InputError as error:
+            raise InputError(path, error.problem, key="extends", value=base) from None
 
 
-def _resolve_all(table: dict[str, Any], folder: Path) -> None:
-    for keys in _FILE_KEYS:
-        _resolve(table, keys, folder)
+def _resolve_paths(table: dict[str, Any], folder: Path) -> None:
+    """Make the paths in a recipe's table absolute; values of a wrong type are left to validation."""
+    for *outer, last in _FILE_KEYS:
+        inner: Any = table
+        for key in outer:
+            inner = inner.get(key) if isinstance(inner, dict) else None
+        if isinstance(inner, dict) and isinstance(inner.get(last), str):
+            inner[last] = _absolute(inner[last], folder)
 
 
-def _resolve(table: dict[str, Any], keys: tuple[str, ...], folder: Path) -> None:
-    """Make the path under a dotted key absolute, where there is one; anything else is left to validation."""
-    for key in keys[:-1]:
-        inner = table.get(key)
-        if not isinstance(inner, dict):
-            return
-        table = inner
-    value = table.get(keys[-1])
-    if isinstance(value, str):
-        table[keys[-1]] = _relative(value, folder)
-
-
-def _relative(wanted: str, folder: Path) -> str:
-    """A path as seen from a folder; a bare name stays what it is."""
-    if not wanted.endswith(".toml") and Path(wanted).parent == Path("."):
-        return wanted
-    return os.path.normpath(folder.absolute() / wanted)
+def _absolute(name_or_path: str, folder: Path) -> str:
+    """A path relative to a folder as an absolute one; a bare name stays as it is."""
+    if not name_or_path.endswith(".toml") and Path(name_or_path).parent == Path("."):
+        return name_or_path
+    return os.path.normpath(folder.absolute() / name_or_path)
 
 
 def _merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """`over` laid over `base`: tables key by key, all else replaced."""
+    """Replace the values of `base` by those of `over`: tables key by key, everything else as a whole."""
     merged = dict(base)
     for key, value in over.items():
         below = merged.get(key)
-        both = isinstance(value, dict) and isinstance(below, dict)
-        merged[key] = _merge(below, value) if both and isinstance(below, dict) else value
+        tables = isinstance(value, dict) and isinstance(below, dict)
+        merged[key] = _merge(below, value) if tables and isinstance(below, dict) else value
     return merged
 
 
 def _holds(table: Any, dotted: str) -> bool:
-    """Whether a table says something under a dotted key; an index into a list counts as the list."""
+    """Whether a table holds a dotted key; an index into a list counts as the list."""
     for key in dotted.split("."):
         if isinstance(table, list):
             return True

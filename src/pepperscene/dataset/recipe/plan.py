@@ -1,4 +1,4 @@
-"""The plan of a data set: every frame has an index, and the index alone tells what it shows."""
+"""The plan of a data set: every frame has an index, and the index alone determines what the frame shows."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from numbers import Integral
 from typing import Annotated, Final, TypeVar
 
 import numpy as np
@@ -14,9 +15,14 @@ from pydantic import Field, model_validator
 from pepperscene.document import Document
 from pepperscene.errors import ArgumentError
 
+MAX_FRAMES: Final = 1_000_000  # file names have six digits
+_RANGE: Final = re.compile(r"(\d{0,9}):(\d{0,9})", re.ASCII)
+
+Item = TypeVar("Item")
+
 
 class Stream(IntEnum):
-    """What random numbers are drawn for; every frame depends on these values, so never renumber them."""
+    """Purpose of random numbers. Every frame depends on these values: never renumber them."""
 
     PLANT = 0
     SKY = 1
@@ -28,15 +34,14 @@ class Stream(IntEnum):
 
 
 def random_generator(seed: int, stream: Stream, *address: int) -> np.random.Generator:
-    """The generator of one stream at one address.
+    """The random generator of one stream at one address.
 
     Args:
         seed: of the recipe.
-        stream: what the numbers are for.
-        address: which one of its kind: (set, plant) for a plant, its twine and how its organs settle, (set,)
-            for the sky, (set, rotation, 0) for how a row settles, (set, 0) for the row's places, (set, 1,
-            plant) for how a plant stands in its own, (0, model) for a plant of the far rows and (1, set,
-            rotation) for where they stand.
+        stream: purpose of the numbers.
+        address: (set, plant) for a plant, its twine and its contacts; (set, 1, plant) for its posture; (set,)
+            for the sky; (set, 0) for the places in a row, and (set, rotation, 0) for its contacts; (0, model)
+            for a plant of the far rows, and (1, set, rotation) for their places.
     """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(stream), *address)))
 
@@ -47,12 +52,12 @@ def frame_seed(seed: int, index: int) -> int:
     return int(sequence.generate_state(1)[0])
 
 
-MOST_FRAMES: Final = 1_000_000
-"""File names carry six digits."""
-
-_RANGE: Final = re.compile(r"(\d{0,9}):(\d{0,9})", re.ASCII)
-
-Item = TypeVar("Item")
+def check_seed(seed: int) -> int:
+    """Return a recipe's seed as an int; raises `ArgumentError` unless it is whole, from 0 and below 2^63."""
+    is_whole = isinstance(seed, Integral) and not isinstance(seed, bool)
+    if not (is_whole and 0 <= seed < 2**63):
+        raise ArgumentError("seed", f"must be a whole number, at least 0 and below 2^63, not {seed}")
+    return int(seed)
 
 
 @dataclass(frozen=True)
@@ -60,9 +65,9 @@ class FrameSpec:
     """One frame of a plan.
 
     Attributes:
-        index: number of the frame in the whole data set, 0-based.
-        set: which set of plants is grown.
-        rotation: by how many places the plants of the row have moved on.
+        index: of the frame in the whole data set, 0-based.
+        set: number of the set of plants.
+        rotation: number of places by which the plants of the row have moved on.
         step: position along the camera's path.
     """
 
@@ -73,11 +78,11 @@ class FrameSpec:
 
 
 class Plan(Document):
-    """How many frames there are, and which of them are built when none are asked for.
+    """The number of frames, and which of them are built by default.
 
     Attributes:
         sets: of plants, each grown anew.
-        rotations: of the row, each a scene of its own.
+        rotations: of the row, each a scene.
         frames: along the camera's path in every scene.
         select: indices that a build makes by default; None for all.
     """
@@ -93,11 +98,11 @@ class Plan(Document):
     ) = None
 
     @model_validator(mode="after")
-    def _consistent(self) -> Plan:
-        if self.count > MOST_FRAMES:
-            raise ValueError(f"sets x rotations x frames = {self.count} must be at most {MOST_FRAMES}")
+    def _check(self) -> Plan:
+        if self.count > MAX_FRAMES:
+            raise ValueError(f"sets x rotations x frames = {self.count} must be at most {MAX_FRAMES}")
         if self.select is not None and max(self.select) >= self.count:
-            raise ValueError(f"select holds {max(self.select)}, but the indices end at {self.count - 1}")
+            raise ValueError(f"select holds {max(self.select)}, but the last index is {self.count - 1}")
         return self
 
     @property
@@ -112,41 +117,37 @@ class Plan(Document):
             ValueError: there is no such frame.
         """
         if not 0 <= index < self.count:
-            raise ValueError(f"frame {index} lies outside 0 to {self.count - 1}")
+            raise ValueError(f"frame {index} must be between 0 and {self.count - 1}")
         scene, step = divmod(index, self.frames)
-        row, rotation = divmod(scene, self.rotations)
-        return FrameSpec(index, row, rotation, step)
+        return FrameSpec(index, *divmod(scene, self.rotations), step)
 
     def select_indices(self, frames: str | Sequence[int] | None, argument: str = "frames") -> tuple[int, ...]:
         """The indices to build, ascending and without repeats.
 
         Args:
-            frames: "A:B" (half-open, either end may be left out), indices, or None for the plan's own choice.
+            frames: "A:B" (half-open, both ends optional), indices, or None for the plan's own selection.
             argument: the name to use in error messages.
 
         Raises:
-            ArgumentError: not of that form, empty, or outside the plan.
+            ArgumentError: `frames` is malformed, empty, or outside the plan.
         """
         if frames is None:
             return tuple(sorted(set(self.select))) if self.select is not None else tuple(range(self.count))
-        wanted = self._between(frames, argument) if isinstance(frames, str) else frames
-        outside = [index for index in wanted if not 0 <= index < self.count]
-        if outside or not wanted:
-            found = f"frame {outside[0]}" if outside else "no frame"
-            raise ArgumentError(argument, f"{found} asked for; the plan holds 0 to {self.count - 1}")
-        return tuple(sorted({int(index) for index in wanted}))
+        indices = self._parse_range(frames, argument) if isinstance(frames, str) else frames
+        outside = [index for index in indices if not 0 <= index < self.count]
+        if outside or not indices:
+            problem = f"frame {outside[0]} does not exist" if outside else "must name at least one frame"
+            raise ArgumentError(argument, f"{problem}; the plan has frames 0 to {self.count - 1}")
+        return tuple(sorted({int(index) for index in indices}))
 
-    def _between(self, text: str, argument: str) -> range:
+    def _parse_range(self, text: str, argument: str) -> range:
         match = _RANGE.fullmatch(text.strip())
-        if match is None:
+        first, end = (int(match[1] or 0), int(match[2] or self.count)) if match is not None else (0, 0)
+        if not first < end <= self.count:
             raise ArgumentError(argument, f"{text!r} must be A:B with 0 <= A < B <= {self.count}")
-        first = int(match[1] or 0)
-        beyond = int(match[2] or self.count)
-        if not first < beyond <= self.count:
-            raise ArgumentError(argument, f"{text!r} must be A:B with 0 <= A < B <= {self.count}")
-        return range(first, beyond)
+        return range(first, end)
 
 
-def rotated(row: Sequence[Item], rotation: int) -> list[Item]:
-    """The row moved on: position p holds item (p - rotation) mod n."""
-    return [row[(position - rotation) % len(row)] for position in range(len(row))]
+def rotate_row(row: Sequence[Item], rotation: int) -> list[Item]:
+    """Move a row on: place p holds item (p - rotation) mod n."""
+    return [row[(place - rotation) % len(row)] for place in range(len(row))]

@@ -1,4 +1,4 @@
-"""The tables of a recipe file, one model each."""
+"""The tables of a recipe file, one model for each."""
 
 from __future__ import annotations
 
@@ -14,21 +14,26 @@ Name = Annotated[str, Field(strict=True, min_length=1, max_length=400, pattern=r
 """A shipped name or a path."""
 
 NONE: Final = "none"
-"""Instead of a name: no flash, no filter, no cover, no white balance."""
+"""In place of a name: no flash, no filter, no cover, no white balance."""
 
 Angle = Annotated[float, Field(strict=True, ge=-180, le=180)]
 Height = Annotated[float, Field(strict=True, ge=0, le=10_000)]
+Switch = Annotated[bool, Field(strict=True)]
+Gain = Annotated[float, Field(strict=True, ge=0.01, le=100)]
+Entry = Annotated[float, Field(strict=True, ge=-100, le=100)]
+MatrixRow = tuple[Entry, Entry, Entry]
+Fraction = Annotated[float, Field(strict=True, ge=0, le=1)]
+Grey = Annotated[float, Field(strict=True, ge=0, le=255)]
 
-
-NARROWEST_GUTTER_MM: Final = 110
+MIN_GUTTER_WIDTH_MM: Final = 110
 """The block that a plant roots in is 100 mm wide."""
 
-LOWEST_WIRE_MM: Final = 500
-"""Chosen: below, there is hardly a stem to hold."""
+MIN_WIRE_HEIGHT_MM: Final = 500
+"""Above the gutter. Chosen: lower down there is hardly a stem to hold."""
 
 
 class RowTable(Document):
-    """The double row of plants: the front row at the aisle and the row behind it."""
+    """The double row of plants: a front row at the aisle and a row behind it."""
 
     plants_front: Annotated[int, Field(strict=True, ge=1, le=50)]
     plants_back: Annotated[int, Field(strict=True, ge=0, le=50)]
@@ -38,7 +43,7 @@ class RowTable(Document):
 
 
 class PathTable(Document):
-    """The camera's arc around the middle plant; azimuth and height go from the first to the second value."""
+    """The camera's arc around the middle plant; azimuth and height run from the first to the second value."""
 
     distance_mm: Annotated[float, Field(strict=True, ge=50, le=10_000)]
     azimuth_deg: tuple[Angle, Angle]
@@ -47,10 +52,10 @@ class PathTable(Document):
 
 
 class CameraTable(Document):
-    """The camera's parts by shipped name or path, and how they are set; flash and filter may be "none".
+    """The camera's parts by shipped name or path, and their settings; flash and filter may be "none".
 
-    Where `focus_mm` is missing everything is sharp; where `bits` is missing it is the sensor file's. A second
-    camera of the same make stands `baseline_mm` to the right; without it there is no stereo partner.
+    Without `focus_mm` everything is sharp; without `bits` the sensor file decides. `baseline_mm` is the
+    distance to a second camera of the same kind on the right; without it there is no stereo partner.
     """
 
     sensor: Name
@@ -64,11 +69,8 @@ class CameraTable(Document):
     baseline_mm: Annotated[float, Field(strict=True, gt=0, le=10_000)] | None = None
 
 
-Switch = Annotated[bool, Field(strict=True)]
-
-
-def _told(allowed: str) -> WrapValidator:
-    """One sentence for a value of several forms, instead of a fault for each form."""
+def _single_message(allowed: str) -> WrapValidator:
+    """One sentence for a value of several forms, instead of an error for each form."""
 
     def check(value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
         try:
@@ -79,21 +81,20 @@ def _told(allowed: str) -> WrapValidator:
     return WrapValidator(check)
 
 
-Gain = Annotated[float, Field(strict=True, ge=0.01, le=100)]
-Entry = Annotated[float, Field(strict=True, ge=-100, le=100)]
-Row = tuple[Entry, Entry, Entry]
 Balance = Annotated[
     Literal["flash", "daylight", "none"] | tuple[Gain, Gain, Gain],
-    _told('must be "flash", "daylight", "none", or the gains of red, green and blue, each 0.01 to 100'),
+    _single_message(
+        'must be "flash", "daylight", "none", or the gains of red, green and blue, each 0.01 to 100'
+    ),
 ]
 ColourMatrix = Annotated[
-    Switch | tuple[Row, Row, Row],
-    _told("must be true, false, or three rows of three numbers, each -100 to 100"),
+    Switch | tuple[MatrixRow, MatrixRow, MatrixRow],
+    _single_message("must be true, false, or three rows of three numbers, each -100 to 100"),
 ]
 
 
 class DevelopingTable(Document):
-    """The steps from light to picture, as `pepperscene.camera.Developing`; "none" leaves a balance out."""
+    """The steps from light to image, as in `pepperscene.camera.Developing`; "none": no white balance."""
 
     falloff: Switch = True
     shot_noise: Switch = True
@@ -107,7 +108,7 @@ class DevelopingTable(Document):
 
 
 class DaylightTable(Document):
-    """The partly cloudy sky above the greenhouse's cover; none where `illuminance_lx` is 0."""
+    """The partly cloudy sky above the greenhouse's cover; no sky if `illuminance_lx` is 0."""
 
     illuminance_lx: Annotated[float, Field(strict=True, ge=0, le=200_000)]
     sun_azimuth_deg: Annotated[float, Field(strict=True, ge=-360, le=360)] = 90.0
@@ -118,14 +119,14 @@ class DaylightTable(Document):
 
 
 class TwineTable(Document):
-    """The twine that is wound round every stem; none where `diameter_mm` is 0."""
+    """The twine that is wound around every stem; no twine if `diameter_mm` is 0."""
 
     diameter_mm: Annotated[float, Field(strict=True, ge=0, le=20)]
     turns_per_m: Annotated[float, Field(strict=True, ge=0, le=50)]
 
 
 class GreenhouseTable(Document):
-    """What surrounds the double row, and how unevenly its plants stand; what is 0 or false is not there."""
+    """What surrounds the double row, and how irregular its plants are; 0 or false leaves a part out."""
 
     row_lean_deg: Annotated[float, Field(strict=True, ge=0, le=20)] = 0.0
     lean_sd_deg: Annotated[float, Field(strict=True, ge=0, le=10)] = 0.0
@@ -142,64 +143,60 @@ class GreenhouseTable(Document):
     pipes: Switch = False
 
     @model_validator(mode="after")
-    def _consistent(self) -> GreenhouseTable:
+    def _check(self) -> GreenhouseTable:
         if self.gutter_width_mm == 0 and self.gutter_height_mm > 0:
             raise ValueError("gutter_height_mm needs a gutter_width_mm above 0")
-        if 0 < self.gutter_width_mm < NARROWEST_GUTTER_MM:
+        if 0 < self.gutter_width_mm < MIN_GUTTER_WIDTH_MM:
             raise ValueError(
                 f"gutter_width_mm = {self.gutter_width_mm:g} must be 0 for none, or at least "
-                f"{NARROWEST_GUTTER_MM}, so that a plant's block stands in it"
+                f"{MIN_GUTTER_WIDTH_MM}, so that a plant's block fits in"
             )
-        if 0 < self.crop_wire_mm < self.gutter_height_mm + LOWEST_WIRE_MM:
+        if 0 < self.crop_wire_mm < self.gutter_height_mm + MIN_WIRE_HEIGHT_MM:
             raise ValueError(
-                f"crop_wire_mm = {self.crop_wire_mm:g} must be 0 for none, or hang at least "
-                f"{LOWEST_WIRE_MM} above the gutter"
+                f"crop_wire_mm = {self.crop_wire_mm:g} must be 0 for none, or at least "
+                f"{MIN_WIRE_HEIGHT_MM} above the gutter"
             )
         return self
 
 
 class GrowthTable(Document):
-    """A growth stage between the cultivar's and that of another file, by share of the way or by date."""
+    """A growth stage between those of two cultivar files, by date or by the fraction of the way, `share`."""
 
     until: Name
-    share: Annotated[float, Field(strict=True, ge=0, le=1)] | None = None
+    share: Fraction | None = None
     date: Annotated[datetime.date, Field(strict=True)] | None = None
 
     @model_validator(mode="after")
-    def _one_of_two(self) -> GrowthTable:
+    def _check(self) -> GrowthTable:
         if (self.share is None) == (self.date is None):
-            raise ValueError("must say either share or date, one of the two")
+            raise ValueError("must hold either share or date, and not both")
         return self
 
 
-Share = Annotated[float, Field(strict=True, ge=0, le=1)]
-Grey = Annotated[float, Field(strict=True, ge=0, le=255)]
-
-
 class ExpectTable(Document):
-    """What a finished data set is to look like, for `pepperscene check`; frames do not depend on it.
+    """Expected statistics of a finished data set, for `pepperscene check`; frames do not depend on them.
 
     Attributes:
-        intensity: least and greatest mean of the photographs' grey values over the whole set, 0 to 255.
-        frame_intensity: the same of every single frame.
-        saturated: greatest share of pixels of a frame with a channel at 255.
-        share: least and greatest share of all pixels of the set, by lower-case class name.
+        intensity: minimum and maximum of the photographs' mean grey value over the whole set, 0 to 255.
+        frame_intensity: the same for every single frame.
+        saturated: maximum fraction of a frame's pixels with a channel at 255.
+        share: minimum and maximum fraction of all pixels of the set, by lower-case class name.
     """
 
     intensity: tuple[Grey, Grey] | None = None
     frame_intensity: tuple[Grey, Grey] | None = None
-    saturated: Share | None = None
-    share: dict[str, tuple[Share, Share]] = Field(default_factory=dict)
+    saturated: Fraction | None = None
+    share: dict[str, tuple[Fraction, Fraction]] = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _consistent(self) -> ExpectTable:
-        names = [one.name.lower() for one in OrganClass]
+    def _check(self) -> ExpectTable:
+        names = [organ_class.name.lower() for organ_class in OrganClass]
         for name in self.share:
             if name not in names:
                 raise ValueError(f"share.{name} is not a class; allowed are {', '.join(names)}")
         ranges = {"intensity": self.intensity, "frame_intensity": self.frame_intensity}
-        ranges |= {f"share.{name}": pair for name, pair in self.share.items()}
-        for name, pair in ranges.items():
-            if pair is not None and not pair[0] <= pair[1]:
-                raise ValueError(f"{name} = {list(pair)} must be [least, greatest]")
+        ranges |= {f"share.{name}": limits for name, limits in self.share.items()}
+        for name, limits in ranges.items():
+            if limits is not None and not limits[0] <= limits[1]:
+                raise ValueError(f"{name} = {list(limits)} must be [minimum, maximum]")
         return self

@@ -1,39 +1,37 @@
-"""From a recipe to what stands in a scene: the plants of a set, the greenhouse, the rows beyond."""
+"""The objects of a scene, from a recipe: the plants of a set, the greenhouse, the rows beyond."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pepperscene.dataset.recipe.plan import Stream, random_generator, rotated
+from pepperscene.dataset.recipe.plan import Stream, random_generator, rotate_row
 from pepperscene.dataset.recipe.recipe import Recipe
-from pepperscene.dataset.scenes.plant_worker import make_plants_in_two_processes, processes
-from pepperscene.dataset.scenes.plants import grow_plant_at
+from pepperscene.dataset.scenes.plants import PlacedPlant, PlantFactory, make_plants, plant_processes
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
     from pepperscene.geometry import ContactCounts, Mesh
-    from pepperscene.grammar import Plant
-    from pepperscene.scene import DoubleRow, Greenhouse, Posture, Skeleton
+    from pepperscene.scene import DoubleRow, Greenhouse, Skeleton
 
 
-FAR_DETAIL = 0.3
-"""Fineness of the plants that far rows are made coarse from: chosen, their leaves still hang and fold."""
+FAR_DETAIL: Final = 0.3
+"""Fineness of the plants that far rows are coarsened from. Chosen: their leaves still hang and fold."""
 
 
 @dataclass(frozen=True, eq=False)
 class BuiltScene:
-    """What stands in a scene.
+    """The objects of a scene.
 
     Attributes:
         mesh: plants first, then greenhouse and far rows.
-        contacts: what of the plants' fruit and blades still touches, within plants and between them; what
-            does both counts twice.
-        skeleton: the plants' organs as they lie in the mesh.
+        contacts: fruit and blades of the plants that still touch, within plants and between them; what does
+            both counts twice.
+        skeleton: the plants' organs, with poses as in the mesh.
     """
 
     mesh: Mesh
@@ -41,128 +39,71 @@ class BuiltScene:
     skeleton: Skeleton
 
 
-@dataclass(frozen=True, eq=False)
-class PlacedPlant:
-    """A plant of a set.
-
-    Attributes:
-        plant: its organs as they lie in the mesh.
-        mesh: with its twine, in the plant's own coordinates.
-        posture: how it stands.
-        contacts: what of its fruit and blades still touches within it.
-    """
-
-    plant: Plant
-    mesh: Mesh
-    posture: Posture
-    contacts: ContactCounts
-
-
 class SceneBuilder:
-    """Grows the sets of a recipe and plants them, in any order.
+    """Grows the sets of a recipe and places them in rows, in any order.
 
-    The plants of one set are held at a time; its rotations reuse them.
+    The plants of one set are held at a time, and reused by its rotations.
 
     Args:
-        recipe: what to show.
+        recipe: of the data set.
         cultivar: of the plants.
-        in_processes: 1 or 2, in which the plants of a set are made, which changes nothing but the time; None
-            leaves it to the environment (see `second.processes`).
-
-    Raises:
-        InputError: another number of processes is asked for.
+        processes: 1 or 2 that make the plants of a set, with the same result; None for `plant_processes()`.
     """
 
-    def __init__(self, recipe: Recipe, cultivar: Cultivar, in_processes: int | None = None) -> None:
+    def __init__(self, recipe: Recipe, cultivar: Cultivar, processes: int | None = None) -> None:
         self.recipe = recipe
         self.cultivar = cultivar
-        self._processes = processes(in_processes)
+        self._processes = plant_processes(processes)
+        self._factory = PlantFactory(cultivar, recipe.seed, self.greenhouse, recipe.twine)
         self._set: tuple[int, list[PlacedPlant]] | None = None
 
     def scene(self, which: int, rotation: int) -> BuiltScene:
-        """What stands in the scene of a set at a rotation."""
+        """Build the scene of a set at a rotation."""
         from pepperscene.geometry import concatenate_meshes, resolve_contacts
         from pepperscene.scene import Skeleton, far_rows, greenhouse_mesh, jittered_places, place_plants
 
-        plants, row, house = self.plants(which), self.row, self.house
-        moved_on = rotated(plants[: row.front], rotation) + rotated(plants[row.front :], rotation)
+        plants, row, greenhouse, seed = self.plants(which), self.row, self.greenhouse, self.recipe.seed
+        ordered = rotate_row(plants[: row.front], rotation) + rotate_row(plants[row.front :], rotation)
 
         # Places belong to the greenhouse, postures to the plants that move on.
-        places = jittered_places(row, house, random_generator(self.recipe.seed, Stream.PLACE, which, 0))
-        feet = np.column_stack([places, np.full(len(places), house.foot_m)])
-        turns = np.array([plant.posture.turn_rad for plant in moved_on])
-        across = np.array([plant.posture.across_m for plant in moved_on])
+        places = jittered_places(row, greenhouse, random_generator(seed, Stream.PLACE, which, 0))
+        feet = np.column_stack([places, np.full(len(places), greenhouse.foot_m)])
+        turns = np.array([plant.posture.turn_rad for plant in ordered])
+        across = np.array([plant.posture.across_m for plant in ordered])
         if self.recipe.greenhouse is not None:
-            # The back row faces its own aisle, behind it.
+            # The back row faces the aisle behind it.
             turns[row.front :] += np.pi
             across[row.front :] *= -1.0
         feet[:, 1] += across
 
-        together = place_plants([plant.mesh for plant in moved_on], feet, turns)
-        settling = random_generator(self.recipe.seed, Stream.SETTLE, which, rotation, 0)
-        settled = resolve_contacts(together, settling, between_plants=True)
-        around = greenhouse_mesh(row, house, places)
-        if house.far_rows > 0:
-            chance = random_generator(self.recipe.seed, Stream.FAR, 1, which, rotation)
-            around += far_rows(self._models, row, house, chance)
-        mesh = concatenate_meshes([settled.mesh, *around]) if around else settled.mesh
-        organs = Skeleton(
-            tuple(one.plant for one in moved_on),
-            tuple(len(one.mesh.instances) for one in moved_on),
+        # The row, without contacts between its plants.
+        together = place_plants([plant.mesh for plant in ordered], feet, turns)
+        rng = random_generator(seed, Stream.SETTLE, which, rotation, 0)
+        resolved = resolve_contacts(together, rng, between_plants=True)
+        skeleton = Skeleton(
+            tuple(plant.plant for plant in ordered),
+            tuple(len(plant.mesh.instances) for plant in ordered),
             feet,
             turns,
-            settled.motions,
+            resolved.motions,
         )
-        return BuiltScene(mesh, _all_contacts(settled.contacts, plants), organs)
+
+        # What surrounds it.
+        surroundings = greenhouse_mesh(row, greenhouse, places)
+        if greenhouse.far_rows > 0:
+            rng = random_generator(seed, Stream.FAR, 1, which, rotation)
+            surroundings += far_rows(self._far_models, row, greenhouse, rng)
+        mesh = concatenate_meshes([resolved.mesh, *surroundings]) if surroundings else resolved.mesh
+        return BuiltScene(mesh, _total_contacts(resolved.contacts, plants), skeleton)
 
     def plants(self, which: int) -> list[PlacedPlant]:
-        """A set's plants, the front row's first."""
+        """The plants of a set, those of the front row first."""
         if self._set is None or self._set[0] != which:
+            # Release the old plants before making new ones.
             self._set = None
             count = self.row.front + self.row.back
-            if self._processes > 1:
-                made = make_plants_in_two_processes(self.recipe, self.cultivar, which, count, self.plant)
-            else:
-                made = [self.plant(which, number) for number in range(count)]
-            self._set = (which, made)
+            self._set = which, make_plants(self._factory, which, count, self._processes)
         return self._set[1]
-
-    def plant(self, which: int, number: int) -> PlacedPlant:
-        """A plant of a set; it depends on nothing else."""
-        from pepperscene.scene import draw_posture
-
-        seed = self.recipe.seed
-        stands = draw_posture(self.house, random_generator(seed, Stream.PLACE, which, 1, number))
-
-        def hold(plant: Plant, mesh: Mesh) -> Mesh:
-            return self._held(plant, mesh, stands, random_generator(seed, Stream.TWINE, which, number))
-
-        made = grow_plant_at(self.cultivar, seed, which, number, lean_rad=stands.lean_rad, hold=hold)
-        return PlacedPlant(made.plant, made.mesh, stands, made.contacts)
-
-    def _held(self, plant: Plant, mesh: Mesh, stands: Posture, rng: np.random.Generator) -> Mesh:
-        """The plant with its twine, tied to the wire above its row where there is one."""
-        from pepperscene.scene import Twine, add_twine
-
-        cord = self.recipe.twine
-        if cord is None or cord.diameter_mm == 0:
-            return mesh
-        return add_twine(
-            plant, mesh, Twine(cord.diameter_mm / 1e3, cord.turns_per_m), rng, self._knot(plant, stands)
-        )
-
-    def _knot(self, plant: Plant, stands: Posture) -> np.ndarray | None:
-        """`(3,)` where the twine is tied in the plant's own coordinates: straight above the stem's top, as
-        far as the wire lets it.
-        """
-        from pepperscene.scene import rotation_about_z
-
-        wire = self.house.wire_above_foot()
-        if wire is None:
-            return None
-        turn = rotation_about_z(stands.turn_rad)
-        top = turn @ plant.of_form("internode")[-1].curve[-1]
-        return np.array([top[0], wire[0] - stands.across_m, wire[1]]) @ turn
 
     @cached_property
     def row(self) -> DoubleRow:
@@ -175,7 +116,7 @@ class SceneBuilder:
         )
 
     @cached_property
-    def house(self) -> Greenhouse:
+    def greenhouse(self) -> Greenhouse:
         """The greenhouse in metres and radians; without the table, upright plants in even rows alone."""
         from pepperscene.scene import Greenhouse
 
@@ -199,25 +140,25 @@ class SceneBuilder:
         )
 
     @cached_property
-    def _models(self) -> list[Mesh]:
-        """The coarse plants that far rows are made of, the same ones in every scene."""
+    def _far_models(self) -> list[Mesh]:
+        """The coarse plants that far rows consist of, the same in every scene."""
         from pepperscene.geometry import mesh_plant
         from pepperscene.grammar import grow
         from pepperscene.scene import coarsen_plant
         from pepperscene.scene.far_rows import MODELS
 
-        made = []
+        models = []
         for number in range(MODELS):
             rng = random_generator(self.recipe.seed, Stream.FAR, 0, number)
-            plant = grow(self.cultivar, rng, lean=self.house.row_lean_rad)
-            made.append(coarsen_plant(mesh_plant(plant, FAR_DETAIL)))
-        return made
+            plant = grow(self.cultivar, rng, lean=self.greenhouse.row_lean_rad)
+            models.append(coarsen_plant(mesh_plant(plant, FAR_DETAIL)))
+        return models
 
 
-def _all_contacts(between: ContactCounts, plants: Sequence[PlacedPlant]) -> ContactCounts:
+def _total_contacts(between: ContactCounts, plants: Sequence[PlacedPlant]) -> ContactCounts:
     """The contacts between plants, and those that are left within each."""
     return replace(
         between,
-        fruit_touching=between.fruit_touching + sum(one.contacts.fruit_touching for one in plants),
-        blades_touching=between.blades_touching + sum(one.contacts.blades_touching for one in plants),
+        fruit_touching=between.fruit_touching + sum(plant.contacts.fruit_touching for plant in plants),
+        blades_touching=between.blades_touching + sum(plant.contacts.blades_touching for plant in plants),
     )

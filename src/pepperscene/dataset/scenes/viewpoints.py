@@ -1,4 +1,4 @@
-"""Where a recipe's pictures are taken from: the camera's path past the row, and the partner beside it."""
+"""The cameras of a recipe: along the path past the row, and the stereo partner."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.recipe.equipment import load_camera
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.errors import InputError
 from pepperscene.frame import PARTNERED
@@ -21,83 +20,72 @@ if TYPE_CHECKING:
 
 
 class Viewpoints:
-    """The cameras of all steps along a recipe's path.
+    """The cameras at all steps of a recipe's path.
 
     Args:
-        recipe: with path and camera.
-        house: the greenhouse, whose row the path leans with.
-
-    Raises:
-        InputError: a part of the camera is not found or not valid.
+        recipe: with path and baseline.
+        camera: the recipe's camera, without a pose.
+        greenhouse: the path leans with its row.
     """
 
-    def __init__(self, recipe: Recipe, house: Greenhouse) -> None:
-        self._recipe, self._house = recipe, house
-        self.equipment = load_camera(recipe)
-        """The camera, at no place yet."""
+    def __init__(self, recipe: Recipe, camera: Camera, greenhouse: Greenhouse) -> None:
+        self._recipe, self._camera, self._greenhouse = recipe, camera, greenhouse
+        self._baseline_m = (recipe.camera.baseline_mm or 0.0) / 1e3
 
     def camera(self, step: int) -> Camera:
-        """The camera at its place on the path."""
-        return self.equipment.at_pose(self._poses[step])
+        """The camera at a step of the path."""
+        return self._camera.at_pose(self._poses[step])
 
     def others(self, step: int, outputs: Iterable[str]) -> dict[str, Camera]:
-        """The cameras that outputs of a step need besides its own, by what for.
+        """The further cameras that outputs of a step need, by purpose.
 
-        "flow" is the camera of the next step, not there at the path's end; "stereo" the partner, which looks
-        the same way from the baseline's length to the right, at the same time and so by the same flash.
-
-        Raises:
-            InputError: an output needs a stereo partner, and the recipe has none.
+        "flow" is the camera of the next step, missing at the end of the path; "stereo" is the partner, which
+        looks in the same direction from one baseline further right, at the same time and by the same flash.
+        Raises `InputError` if the recipe has no partner that an output needs.
         """
-        wanted = set(outputs)
-        check_partner(self._recipe, wanted)
-        found = {}
-        if "flow" in wanted and step + 1 < len(self._poses):
-            found["flow"] = self.camera(step + 1)
-        if wanted & PARTNERED:
-            found["stereo"] = self._partner.at_pose(self._beside[step])
-        return found
+        names = set(outputs)
+        check_partner(self._recipe, names)
+        cameras = {}
+        if "flow" in names and step + 1 < len(self._poses):
+            cameras["flow"] = self.camera(step + 1)
+        if names & PARTNERED:
+            cameras["stereo"] = self._partner.at_pose(self._partner_poses[step])
+        return cameras
 
     @cached_property
-    def sight(self) -> ViewFrustums:
-        """Where all of them look, partners included."""
+    def frustums(self) -> ViewFrustums:
+        """The view frustums of all cameras, partners included."""
         from pepperscene.scene import ViewFrustums, view_frustums
 
-        own = view_frustums(self.equipment, self._poses)
+        path = view_frustums(self._camera, self._poses)
         if self._recipe.camera.baseline_mm is None:
-            return own
-        beside = view_frustums(self._partner, self._beside)
+            return path
+        partners = view_frustums(self._partner, self._partner_poses)
         return ViewFrustums(
-            np.concatenate([own.normals, beside.normals]),
-            np.concatenate([own.offsets, beside.offsets]),
-            np.concatenate([own.places, beside.places]),
+            np.concatenate([path.normals, partners.normals]),
+            np.concatenate([path.offsets, partners.offsets]),
+            np.concatenate([path.places, partners.places]),
         )
 
     @cached_property
     def _partner(self) -> Camera:
-        """The camera that stands beside; the one flash of the two stays where it is."""
-        flash = self.equipment.flash
+        """The second camera; the flash, of which there is one for both, stays at the first."""
+        flash = self._camera.flash
         if flash is None:
-            return self.equipment
+            return self._camera
         right, down, forward = flash.offset_m
-        return replace(
-            self.equipment, flash=replace(flash, offset_m=(right - self._baseline_m, down, forward))
-        )
+        return replace(self._camera, flash=replace(flash, offset_m=(right - self._baseline_m, down, forward)))
 
     @cached_property
-    def _beside(self) -> NDArray[np.float64]:
-        """`(p, 4, 4)` the partner's poses."""
+    def _partner_poses(self) -> NDArray[np.float64]:
+        """`(p, 4, 4)` poses of the partner."""
         poses = self._poses.copy()
         poses[:, :3, 3] += self._baseline_m * poses[:, :3, 0]
         return poses
 
-    @property
-    def _baseline_m(self) -> float:
-        return (self._recipe.camera.baseline_mm or 0.0) / 1e3
-
     @cached_property
     def _poses(self) -> NDArray[np.float64]:
-        """`(p, 4, 4)` the path, which leans with the row."""
+        """`(p, 4, 4)` poses along the path, which leans with the row."""
         from pepperscene.camera import arc_path
 
         path = self._recipe.path
@@ -109,18 +97,14 @@ class Viewpoints:
             (path.height_mm[0] / 1e3, path.height_mm[1] / 1e3),
             float(np.radians(path.pitch_deg)),
         )
-        # The arc keeps its distance from the row, wherever the row has leant to at that height.
-        poses[:, 1, 3] -= [self._house.away(float(height)) for height in poses[:, 2, 3]]
+        # Keep the distance from the row, wherever the row leans at the camera's height.
+        poses[:, 1, 3] -= [self._greenhouse.away(float(height)) for height in poses[:, 2, 3]]
         return poses
 
 
 def check_partner(recipe: Recipe, outputs: Iterable[str]) -> None:
-    """Whether a recipe has the stereo partner that outputs need.
-
-    Raises:
-        InputError: it has none.
-    """
-    needing = sorted(PARTNERED.intersection(outputs))
-    if needing and recipe.camera.baseline_mm is None:
-        wanted = f"must be told in millimetres for the output {needing[0]}"
-        raise InputError(recipe.name, wanted, key="camera.baseline_mm")
+    """Raise `InputError` if a recipe has no stereo partner, and outputs need it."""
+    partnered = sorted(PARTNERED.intersection(outputs))
+    if partnered and recipe.camera.baseline_mm is None:
+        problem = f"is required for the output {partnered[0]}"
+        raise InputError(recipe.name, problem, key="camera.baseline_mm")

@@ -1,1 +1,1 @@
-"""A data set on disk: images, metadata, journal and tables."""
+"""A data set on disk: image files, metadata, journal and tables."""

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there."""
+"""Files that are either complete or absent, checks of output paths, and canonical JSON."""
 
 from __future__ import annotations
 
@@ -9,30 +9,28 @@ import os
 import platform
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-_STALE_S: Final = 3600.0
-"""Chosen: no write takes an hour, so that an older temporary file is a killed build's."""
+from pepperscene.errors import OutputError
 
-_MADE_BY: Final = re.compile(r"\.(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.\d+\.tmp$")
+_STALE_S: Final = 3600.0  # chosen: no write takes an hour, so an older temporary file is a killed build's
+_TEMPORARY_NAME: Final = re.compile(r"\.(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.\d+\.tmp$")
+_LINE_LEVELS: Final = 2  # chosen: JSON levels with one entry per line, so that a diff shows which one changed
 _number: Final = itertools.count()
-
-_LEVELS: Final = 2
-"""Chosen: of a JSON file in lines, so that a difference shows which organ or image it is about."""
 
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """A temporary name in the same folder, which takes the place of `path` when the block ends well.
+    """Yield a temporary path in the same folder, and rename it to `path` when the block succeeds.
 
-    The content is on the disk before the name is: after a power cut there is the old file or the new one.
-    When the block raises, the temporary file is removed and `path` stays as it was.
+    The content is flushed to the disk before the rename: after a power cut there is the old file or the new
+    one. If the block raises, the temporary file is removed and `path` stays unchanged.
     """
-    temporary = path.with_name(f".{path.name}.{_host()}.{os.getpid()}.{next(_number)}.tmp")
+    temporary = _temporary_path(path)
     try:
         yield temporary
         with temporary.open("rb+") as file:
@@ -42,33 +40,123 @@ def atomic_write(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def write_json(path: Path, content: Any) -> None:
-    """Write JSON with sorted keys, the same bytes for the same content.
+def write_file(path: Path, content: bytes) -> None:
+    """Write one file atomically."""
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def write_files(folder: Path, files: Mapping[str, bytes], obsolete: Iterable[Path] = ()) -> tuple[Path, ...]:
+    """Write several files into a folder, which is made if missing: all or none.
+
+    All files are complete and flushed under temporary names before the first one is renamed. Renames follow
+    the order of `files`, so the last file only ever appears beside complete ones. If a file cannot be
+    written, everything that this call made is removed, folders included.
+
+    Args:
+        folder: of the files.
+        files: content by file name.
+        obsolete: files to remove between the last write and the first rename.
+
+    Returns:
+        The paths, in the order of `files`.
 
     Raises:
-        OSError: the file cannot be written.
-        ValueError: the content holds a number that JSON does not know (nan, inf).
+        OutputError: a file cannot be written.
     """
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(canonical_json(content))
+    temporary = {folder / name: _temporary_path(folder / name) for name in files}
+    made: list[Path] = []
+    try:
+        make_folder(folder, made)
+        for path, content in zip(temporary.values(), files.values(), strict=True):
+            with path.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+        for path in obsolete:
+            path.unlink(missing_ok=True)
+        for path in temporary:
+            os.replace(temporary[path], path)
+            made.append(path)
+    except BaseException as error:
+        remove([*made, *temporary.values()])
+        if isinstance(error, OSError):
+            raise write_error(error, folder) from None
+        raise
+    return tuple(temporary)
+
+
+def write_error(error: OSError, path: Path) -> OutputError:
+    """The error to raise when the system refuses to write; `path` is named where the system names none."""
+    return OutputError(f"{error.filename or path}: cannot be written ({error.strerror or error})")
+
+
+def make_folder(folder: Path, made: list[Path]) -> None:
+    """Make a folder and its missing parents, and append those that were made to `made`."""
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    for path in reversed(missing):
+        path.mkdir(exist_ok=True)
+        made.append(path)
+
+
+def remove(made: Iterable[Path]) -> None:
+    """Remove files and empty folders in the reverse of the given order, as far as they exist."""
+    for path in reversed(list(made)):
+        # A folder may have been filled by another process meanwhile.
+        with suppress(OSError):
+            path.rmdir() if path.is_dir() else path.unlink()
+
+
+def check_can_create(folder: Path) -> None:
+    """Raise `OutputError` if a folder cannot be made, or nothing can be written into it."""
+    if "\0" in str(folder):
+        raise OutputError(f"{str(folder)!r}: is not a valid folder name")
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise OutputError(f"{folder}: is not a folder")
+        existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        if not existing.is_dir():
+            raise OutputError(f"{folder}: cannot be made, because {existing} is not a folder")
+        if not os.access(existing, os.W_OK | os.X_OK):
+            raise OutputError(f"{folder}: is not writable")
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be used ({error.strerror})") from None
+
+
+def check_can_write(folder: Path, names: Iterable[str]) -> None:
+    """Raise `OutputError` if files of these names cannot be written into a folder, which may be missing."""
+    check_can_create(folder)
+    for path in (folder / name for name in names):
+        try:
+            is_folder = path.is_dir()
+        except OSError as error:
+            raise write_error(error, path) from None
+        if "\0" in path.name:
+            raise OutputError(f"{str(path)!r}: is not a valid file name")
+        if is_folder:
+            raise OutputError(f"{path}: is a folder, but a file is to be written there")
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write canonical JSON atomically."""
+    write_file(path, canonical_json(content))
 
 
 def canonical_json(content: Any) -> bytes:
-    """Canonical JSON text: sorted keys, what lies two levels down on a line of its own.
+    """JSON text that is the same for the same content: sorted keys, one line per entry on the top two levels.
 
-    Raises:
-        ValueError: the content holds a number that JSON does not know (nan, inf).
+    Raises `ValueError` if the content holds a number that JSON cannot represent (nan, inf).
     """
-    return (_lines(content, _LEVELS) + "\n").encode()
+    return (_json_lines(content, _LINE_LEVELS) + "\n").encode()
 
 
-def _lines(value: Any, levels: int) -> str:
-    """Some levels in lines, the rest by Python's encoder, which is fast only without line breaks."""
+def _json_lines(value: Any, levels: int) -> str:
+    """Format some levels in lines, the rest by Python's encoder, which is fast without line breaks."""
     if levels and isinstance(value, dict) and value:
-        told = [f"{_dumps(str(key))}: {_lines(value[key], levels - 1)}" for key in sorted(value)]
-        return "{\n" + ",\n".join(told) + "\n}"
+        entries = [f"{_dumps(str(key))}: {_json_lines(value[key], levels - 1)}" for key in sorted(value)]
+        return "{\n" + ",\n".join(entries) + "\n}"
     if levels and isinstance(value, list) and value and isinstance(value[0], dict):
-        return "[\n" + ",\n".join(_lines(one, 0) for one in value) + "\n]"
+        return "[\n" + ",\n".join(_dumps(entry) for entry in value) + "\n]"
     return _dumps(value)
 
 
@@ -78,26 +166,26 @@ def digest(path: Path) -> str:
 
 
 def is_temporary(path: Path) -> bool:
-    """Whether a file is one of `atomic_write`'s, left by a build that was killed or still runs."""
+    """Whether a file is one of `atomic_write`'s, of a running build or left by a killed one."""
     return path.name.startswith(".") and path.name.endswith(".tmp")
 
 
-def sweep(folder: Path) -> None:
+def remove_temporary_files(folder: Path) -> None:
     """Remove the temporary files that killed builds left in a folder."""
     for path in folder.iterdir():
         with suppress(FileNotFoundError):
-            if is_temporary(path) and (_orphaned(path) or time.time() - path.stat().st_mtime > _STALE_S):
+            if is_temporary(path) and (_is_orphan(path) or time.time() - path.stat().st_mtime > _STALE_S):
                 path.unlink(missing_ok=True)
 
 
-def _orphaned(path: Path) -> bool:
-    """Whether a temporary file's process ran on this machine, and does no more."""
-    found = _MADE_BY.search(path.name)
-    # Elsewhere, asking after a process would end it.
-    if os.name != "posix" or found is None or found["host"] != _host():
+def _is_orphan(path: Path) -> bool:
+    """Whether a temporary file was made by a process of this machine that has ended."""
+    match = _TEMPORARY_NAME.search(path.name)
+    # On other systems signal 0 would end the process.
+    if os.name != "posix" or match is None or match["host"] != _host():
         return False
     try:
-        os.kill(int(found["process"]), 0)
+        os.kill(int(match["process"]), 0)
     except ProcessLookupError:
         return True
     except OSError:
@@ -105,17 +193,21 @@ def _orphaned(path: Path) -> bool:
     return False
 
 
+def _temporary_path(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{_host()}.{os.getpid()}.{next(_number)}.tmp")
+
+
 @cache
 def _host() -> str:
-    """This machine's name, without what has no place in a file's."""
+    """This machine's name, reduced to characters that file names may have."""
     return re.sub(r"[^A-Za-z0-9-]", "-", platform.node()) or "unnamed"
 
 
-def _plain(value: Any) -> Any:
-    """NumPy's scalars and arrays as Python's."""
+def _as_python(value: Any) -> Any:
+    """NumPy scalars and arrays as Python values."""
     if hasattr(value, "tolist"):
         return value.tolist()
-    raise TypeError(f"{type(value).__name__} has no place in JSON")
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
 
 
-_dumps: Final = json.JSONEncoder(sort_keys=True, allow_nan=False, default=_plain).encode
+_dumps: Final = json.JSONEncoder(sort_keys=True, allow_nan=False, default=_as_python).encode

@@ -1,26 +1,30 @@
-"""A data set on disk: where its files lie, what of it is there, and how frames are added.
+"""A data set on disk: the layout of its folder, what of it exists, and how frames are added.
 
 - `dataset.json`: what the data set is: recipe, its digest, version, quality.
 - `colour/006137.png` and so on: one folder for each output.
-- `frames/006137.json`: one frame's facts; written last, so that a frame counts once this file is there. Its
-  `checksum` is the SHA-256 of the rest, that of each image stands under `outputs`.
-- `manifest.parquet`, `fruit.parquet`: a row for each frame, or each fruit in it; see `manifest`.
+- `frames/006137.json`: metadata of one frame; written last, so that a frame counts once this file exists. Its
+  `checksum` is the SHA-256 of the rest; `outputs` holds that of each image.
+- `manifest.parquet`, `fruit.parquet`: one row per frame, or per fruit in each frame; see `manifest`.
+- `journal.jsonl`: timings, and the frames that were requested; see `journal`.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor, wait
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from numpy.typing import NDArray
 
-from pepperscene.dataset.store.atomic import atomic_write, canonical_json, digest, write_json
-from pepperscene.dataset.store.images import read_image, write_image
+from pepperscene.dataset.store.atomic import canonical_json, digest, write_error, write_file, write_json
+from pepperscene.dataset.store.images import encode_image, read_image
+from pepperscene.dataset.store.journal import Journal
+from pepperscene.dataset.store.manifest import FRUIT, MANIFEST, Row, frame_row, fruit_rows, write_table
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
 
@@ -42,204 +46,195 @@ def file_name(index: int, output: str) -> str:
 
 @dataclass(frozen=True)
 class FrameStatus:
-    """What is there of a frame.
+    """What exists of a frame: its JSON without `outputs` and `checksum`, intact images, and its checksum."""
 
-    Attributes:
-        facts: its JSON but for `outputs` and `checksum`; empty when there is no frame.
-        outputs: the entries of those images that are whole, by output name.
-        checksum: of its JSON.
-    """
-
-    facts: dict[str, Any] = field(default_factory=dict)
+    metadata: dict[str, Any] = field(default_factory=dict)
     outputs: dict[str, Any] = field(default_factory=dict)
     checksum: str = ""
+
+    def row(self) -> Row:
+        """The frame's row in the manifest, without timings."""
+        return frame_row(self.metadata, self.outputs, self.checksum)
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """A data set in a folder.
-
-    Attributes:
-        folder: where it lies.
-        about: what `dataset.json` says.
-    """
+    """A data set in a folder; `info` is the content of its `dataset.json`."""
 
     folder: Path
     info: Mapping[str, Any]
 
     def indices(self) -> tuple[int, ...]:
-        """The frames that are there, ascending."""
+        """The existing frames, ascending."""
         names = (path.stem for path in (self.folder / FRAMES).glob("*.json"))
         return tuple(sorted(int(name) for name in names if name.isdecimal()))
 
     def metadata(self, index: int) -> dict[str, Any]:
-        """What a frame's JSON says.
-
-        Raises:
-            InputError: there is no such frame, or its file is damaged.
-        """
+        """The content of a frame's JSON; raises `InputError` if it is missing or damaged."""
         return read_json(self.frame_path(index))
 
     def image(self, index: int, output: str) -> Any:
-        """One output of a frame, as `Frame` holds it: an array, or the object of a JSON file.
-
-        Raises:
-            InputError: the frame has no such output.
-        """
+        """One output of a frame, as `Frame` holds it; raises `InputError` if the frame does not have it."""
         return read_image(self.path(index, output))
 
-    def manifest(self) -> pyarrow.Table:
-        """A row for each frame, ascending: place in the plan, checksums, timings, errors, pixels of classes.
-
-        Raises:
-            OutputError: the table is lost, and the folder cannot be written to.
-        """
-        from pepperscene.dataset.store.manifest import read_manifest
-
-        return read_manifest(self)
-
-    def fruit(self) -> pyarrow.Table:
-        """A row for each fruit of each frame that has the output `harvest`.
-
-        Raises:
-            InputError: no frame has it.
-            OutputError: the table is lost, and the folder cannot be written to.
-        """
-        from pepperscene.dataset.store.manifest import read_fruit
-
-        return read_fruit(self)
-
     def path(self, index: int, output: str) -> Path:
-        """Where an output of a frame lies."""
+        """Path of an output of a frame."""
         return self.folder / file_name(index, output)
 
     def frame_path(self, index: int) -> Path:
-        """Where a frame's JSON lies."""
+        """Path of a frame's JSON."""
         return self.folder / FRAMES / f"{index:0{DIGITS}d}.json"
 
-    def intact(self, index: int) -> FrameStatus:
-        """What is there of a frame, as far as its files are what the build wrote, to the last bit.
+    def manifest(self) -> pyarrow.Table:
+        """The table of all frames, ascending; its columns are `manifest.FRAME_COLUMNS`.
 
-        Nothing is when there is no such frame, or its JSON is damaged.
+        It is written again if it is lost or lists other frames; raises `OutputError` if that fails.
         """
+        return self._read_table(MANIFEST)
+
+    def fruit(self) -> pyarrow.Table:
+        """The table of all fruit in all frames; its columns are `manifest.FRUIT_COLUMNS`.
+
+        Raises `InputError` if no frame has the output `harvest`.
+        """
+        return self._read_table(FRUIT)
+
+    def write_tables(self, journal: Journal | None = None) -> None:
+        """Write `manifest.parquet`, and `fruit.parquet` if frames have the output `harvest`.
+
+        Rows come from the journal (None opens it), or else from the frame's own files. Raises `OutputError`
+        if a table cannot be written.
+        """
+        indices = self.indices()
+        rows = (journal or Journal(self.folder)).rows(indices)
+        frames = (self.intact(index).row() if row is None else row for index, row in rows)
         try:
-            facts = self.metadata(index)
-            checksum = str(facts.pop(CHECKSUM))
-            if checksum != checksum_of(facts) or facts.get("index") != index:
+            write_table(self.folder, MANIFEST, (row for row in frames if row.get("index") is not None))
+            harvested = [index for index in indices if self.path(index, "harvest").is_file()]
+            if harvested:
+                write_table(self.folder, FRUIT, self._fruit_rows(harvested))
+        except OSError as error:
+            raise write_error(error, self.folder / MANIFEST) from None
+
+    def _read_table(self, name: str) -> pyarrow.Table:
+        from pyarrow import ArrowInvalid, parquet
+
+        path = self.folder / name
+        with suppress(OSError, ArrowInvalid):
+            listed = parquet.read_table(self.folder / MANIFEST, columns=["index"])["index"].to_pylist()
+            if tuple(listed) == self.indices():
+                return parquet.read_table(path)
+        self.write_tables()
+        if not path.is_file():
+            raise InputError(self.folder, "has no frame with the output harvest; build it first")
+        return parquet.read_table(path)
+
+    def _fruit_rows(self, indices: list[int]) -> Iterator[Row]:
+        for index in indices:
+            # The next build repairs a damaged file.
+            with suppress(InputError):
+                yield from fruit_rows(index, read_json(self.path(index, "harvest")))
+
+    def intact(self, index: int) -> FrameStatus:
+        """The files of a frame that are exactly what the build wrote; none if its JSON is damaged."""
+        try:
+            metadata = self.metadata(index)
+            checksum = str(metadata.pop(CHECKSUM))
+            if checksum != checksum_of(metadata) or metadata.get("index") != index:
                 return FrameStatus()
-            outputs = {str(name): entry for name, entry in facts.pop("outputs").items() if name in OUTPUTS}
+            entries = metadata.pop("outputs").items()
+            outputs = {
+                str(name): entry
+                for name, entry in entries
+                if name in OUTPUTS and _matches(self.path(index, name), entry)
+            }
         except (InputError, KeyError, AttributeError, TypeError):
             return FrameStatus()
-        whole = {name: entry for name, entry in outputs.items() if self.is_whole(index, name, entry)}
-        return FrameStatus(facts, whole, checksum)
-
-    def is_whole(self, index: int, output: str, entry: Mapping[str, Any]) -> bool:
-        """Whether an image is what its entry in the frame's JSON says."""
-        path = self.path(index, output)
-        try:
-            return bool(path.stat().st_size == entry["bytes"] and digest(path) == entry["sha256"])
-        except (OSError, KeyError, TypeError):
-            return False
+        return FrameStatus(metadata, outputs, checksum)
 
     def commit(
         self,
         index: int,
         images: Mapping[str, NDArray[Any]],
-        facts: Mapping[str, Any],
+        metadata: Mapping[str, Any],
         kept: Mapping[str, Any],
         pool: Executor,
     ) -> FrameStatus:
         """Add a frame, or outputs to a frame: first the images, then the JSON that makes them count.
 
-        When that fails, the images written by this call are removed and what stood before still counts.
+        If that raises, the images of this call are removed, and what existed before still counts.
 
         Args:
             index: of the frame.
             images: arrays by output name.
-            facts: the whole JSON but for its `outputs`.
-            kept: entries of the outputs that are there already.
-            pool: writes the images, several at a time: what takes long (compressing, hashing, waiting for the
-                disk) is done without Python's lock.
-
-        Returns:
-            What is there now.
-
-        Raises:
-            OSError: a file cannot be written.
+            metadata: the whole JSON without its `outputs`.
+            kept: entries of the existing outputs.
+            pool: writes several images at a time; encoding and waiting for the disk release Python's lock.
         """
-        whole = {str(key): value for key, value in facts.items() if key not in (CHECKSUM, "outputs")}
+        metadata = {str(key): value for key, value in metadata.items() if key not in (CHECKSUM, "outputs")}
         try:
-            written = {
-                output: pool.submit(self._write, index, output, image) for output, image in images.items()
+            names = {output: file_name(index, output) for output in images}
+            entries = {
+                output: pool.submit(written_image, self.folder / name, images[output], output, name)
+                for output, name in names.items()
             }
-            # All must have come to an end before a fault of one is told: nobody writes behind our back.
-            wait(written.values())
-            new = {output: entry.result() for output, entry in written.items()}
-            outputs = {**kept, **new}
-            checksum = checksum_of({**whole, "outputs": outputs})
-            write_json(self.frame_path(index), {**whole, "outputs": outputs, CHECKSUM: checksum})
-            return FrameStatus(whole, outputs, checksum)
+            # Wait for all before the first error is raised, so that no image is written after the removal.
+            wait(entries.values())
+            outputs = {**kept, **{output: entry.result() for output, entry in entries.items()}}
+            checksum = checksum_of({**metadata, "outputs": outputs})
+            write_json(self.frame_path(index), {**metadata, "outputs": outputs, CHECKSUM: checksum})
         except BaseException:
             for output in images:
                 self.path(index, output).unlink(missing_ok=True)
             raise
-
-    def _write(self, index: int, output: str, image: NDArray[Any]) -> dict[str, Any]:
-        """Put one image in its place, and tell what the frame's JSON says of it."""
-        name = file_name(index, output)
-        with atomic_write(self.folder / name) as temporary:
-            return written_image(temporary, image, output, name)
+        return FrameStatus(metadata, outputs, checksum)
 
 
-def checksum_of(facts: Mapping[str, Any]) -> str:
+def _matches(path: Path, entry: Mapping[str, Any]) -> bool:
+    """Whether a file has the size and the checksum of its entry in the frame's JSON."""
+    try:
+        return bool(path.stat().st_size == entry["bytes"] and digest(path) == entry["sha256"])
+    except (OSError, KeyError, TypeError):
+        return False
+
+
+def checksum_of(metadata: Mapping[str, Any]) -> str:
     """SHA-256 of a frame's JSON as canonical text, hexadecimal, without its own `checksum`."""
-    told = {key: value for key, value in facts.items() if key != CHECKSUM}
-    return hashlib.sha256(canonical_json(told)).hexdigest()
+    rest = {key: value for key, value in metadata.items() if key != CHECKSUM}
+    return hashlib.sha256(canonical_json(rest)).hexdigest()
 
 
-def written_image(path: Path, image: NDArray[Any], output: str, name: str) -> dict[str, Any]:
-    """Write an image and tell of it what a frame's JSON says under `outputs`.
+def written_image(path: Path, image: Any, output: str, name: str) -> dict[str, Any]:
+    """Write an image of an output atomically; returns its entry, under this name, in the frame's JSON."""
+    content = encode_image(image, output)
+    write_file(path, content)
+    return file_entry(name, content)
 
-    Args:
-        path: where it is written.
-        image: of the shape and dtype of its output.
-        output: name of the output.
-        name: that the file will have.
 
-    Raises:
-        OSError: the file cannot be written.
-    """
-    write_image(path, image, output)
-    return {"file": name, "bytes": path.stat().st_size, "sha256": digest(path)}
+def file_entry(name: str, content: bytes) -> dict[str, Any]:
+    """What a frame's JSON holds of a file."""
+    return {"file": name, "bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
 
 
 def open_dataset(folder: str | Path) -> Dataset:
-    """The data set in a folder.
-
-    Raises:
-        InputError: there is none.
-    """
+    """Open the data set in a folder; raises `InputError` if there is none."""
     path = Path(folder) / MARK
     if not path.is_file():
         raise InputError(folder, f"holds no data set: there is no {MARK} in it")
-    about = read_json(path)
-    if about.get("format") != FORMAT:
-        raise InputError(path, f"must be {FORMAT!r}", key="format", value=about.get("format"))
-    return Dataset(Path(folder), about)
+    info = read_json(path)
+    if info.get("format") != FORMAT:
+        raise InputError(path, f"must be {FORMAT!r}", key="format", value=info.get("format"))
+    return Dataset(Path(folder), info)
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """The object in a JSON file.
-
-    Raises:
-        InputError: the file is missing or holds something else.
-    """
+    """Read the object in a JSON file; raises `InputError` if it is missing or holds something else."""
     try:
-        found = json.loads(path.read_bytes())
-    except OSError as fault:
-        raise InputError(path, f"cannot be read ({fault.strerror})") from None
+        content = json.loads(path.read_bytes())
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError):
         raise InputError(path, "is not valid JSON") from None
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise InputError(path, "must hold a JSON object")
-    return found
+    return content

@@ -1,119 +1,120 @@
-"""The tables of a data set: a row for each frame, and a row for each fruit of each frame."""
+"""The tables of a data set, `manifest.parquet` and `fruit.parquet`: columns, rows, and writing."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.atomic import atomic_write
-from pepperscene.dataset.store.dataset import Dataset, read_json
-from pepperscene.dataset.store.journal import Journal
-from pepperscene.dataset.store.rows import FRAME_COLUMNS, FRUIT_COLUMNS, Row, fruit_rows, row_of
-from pepperscene.errors import InputError, OutputError
-
-if TYPE_CHECKING:
-    import pyarrow
-
+from pepperscene.frame import OUTPUTS
 
 MANIFEST: Final = "manifest.parquet"
 FRUIT: Final = "fruit.parquet"
-_ROWS: Final = 4096  # chosen: rows that are held at a time, some megabytes
+
+Row = dict[str, Any]
+"""Values by column; a missing value is unknown."""
+
+_ROWS_HELD: Final = 4096  # chosen: rows that are held in memory at a time, some megabytes
+_BOX: Final = ("x0", "y0", "x1", "y1")
+
+FRAME_COLUMNS: Final[Mapping[str, str]] = {
+    "index": "int64",
+    "set": "int32",
+    "rotation": "int32",
+    "step": "int32",
+    "seed": "int64",
+    "recipe_seed": "int64",
+    **dict.fromkeys(("x_m", "y_m", "z_m"), "double"),
+    "pose": "doubles",
+    **{f"pixels_{organ_class.name.lower()}": "int64" for organ_class in OrganClass},
+    "samples_per_pixel": "double",
+    "error_codes": "double",
+    "noise_codes": "double",
+    "bytes": "int64",
+    "render_s": "double",
+    "write_s": "double",
+    "worker": "string",
+    "checksum": "string",
+    **{f"{name}_sha256": "string" for name in OUTPUTS},
+}
+"""Columns of the manifest and their types, in Parquet's terms. Timings and the worker come from the journal
+and are unknown where it is lost; all other values can be read from the frames again."""
+
+FRUIT_COLUMNS: Final[Mapping[str, str]] = {
+    "index": "int64",
+    "instance": "int32",
+    "plant": "int32",
+    "phytomer": "int32",
+    "kind": "string",
+    **dict.fromkeys(("ripeness", "length_m", "diameter_m", "visible_fraction"), "double"),
+    "visible_pixels": "int64",
+    "amodal_pixels": "int64",
+    "truncated": "bool",
+    "occluders": "int32",
+    **dict.fromkeys((f"foot_{axis}_m" for axis in "xyz"), "double"),
+    **dict.fromkeys((f"along_{axis}" for axis in "xyz"), "double"),
+    **dict.fromkeys((f"{kind}_{edge}" for kind in ("box", "amodal") for edge in _BOX), "int32"),
+    "peduncle": "int32",
+    **dict.fromkeys((f"cut_{axis}_m" for axis in "xyz"), "double"),
+    **dict.fromkeys(("cut_u", "cut_v"), "double"),
+    "cut_visible": "bool",
+    **dict.fromkeys((f"approach_{axis}" for axis in "xyz"), "double"),
+}  # fmt: skip
+"""Columns of `fruit.parquet`: one row per fruit and frame; positions and directions in camera coordinates."""
 
 
-def write_manifest(dataset: Dataset, journal: Journal | None = None) -> None:
-    """Write `manifest.parquet`, and `fruit.parquet` where frames have the output `harvest`.
-
-    A frame's row comes out of the journal, or else out of the frame's own files.
-
-    Args:
-        dataset: whose frames are told.
-        journal: its journal, where it is open already.
-
-    Raises:
-        OSError: a table cannot be written.
-    """
-    known = Journal(dataset.folder) if journal is None else journal
-    indices = dataset.indices()
-
-    def frames() -> Iterator[Row]:
-        for index, row in known.rows(iter(indices)):
-            told = row if row is not None else row_of(dataset.intact(index))
-            if told.get("index") is not None:
-                yield told
-
-    _write(dataset.folder / MANIFEST, FRAME_COLUMNS, frames())
-    harvested = [index for index in indices if (dataset.path(index, "harvest")).is_file()]
-    if harvested:
-        _write(dataset.folder / FRUIT, FRUIT_COLUMNS, _fruit(dataset, harvested))
+def frame_row(metadata: Mapping[str, Any], outputs: Mapping[str, Any], checksum: str) -> Row:
+    """The row of a frame, without timings: from its JSON, the entries of its images and its checksum."""
+    columns = ("index", "set", "rotation", "step", "seed", "recipe_seed")
+    row: Row = {name: metadata.get(name) for name in columns}
+    pose = metadata.get("camera", {}).get("pose")
+    if pose is not None:
+        row |= {name: pose[axis][3] for axis, name in enumerate(("x_m", "y_m", "z_m"))}
+        row["pose"] = [number for line in pose for number in line]
+    row |= {f"pixels_{name}": count for name, count in metadata.get("class_pixels", {}).items()}
+    sampling = metadata.get("sampling", {})
+    row |= {name: sampling.get(name) for name in ("samples_per_pixel", "error_codes", "noise_codes")}
+    row |= {f"{name}_sha256": entry["sha256"] for name, entry in outputs.items()}
+    row["bytes"] = sum(entry["bytes"] for entry in outputs.values())
+    row["checksum"] = checksum
+    return row
 
 
-def read_manifest(dataset: Dataset) -> pyarrow.Table:
-    """The table of all frames, ascending; written anew where it is lost or tells of other frames.
-
-    Columns are those of `rows.FRAME_COLUMNS`.
-
-    Raises:
-        OutputError: it is lost and cannot be written anew.
-    """
-    return _read(dataset, MANIFEST)
-
-
-def read_fruit(dataset: Dataset) -> pyarrow.Table:
-    """The table of all fruit in all frames; columns are those of `rows.FRUIT_COLUMNS`.
-
-    Raises:
-        InputError: no frame has the output `harvest`.
-        OutputError: the table is lost and cannot be written anew.
-    """
-    return _read(dataset, FRUIT)
+def fruit_rows(index: int, harvest: Mapping[str, Any]) -> Iterator[Row]:
+    """Yield a row for each fruit in the output `harvest` of a frame."""
+    for fruit in harvest["fruit"]:
+        pose, peduncle = fruit["pose"], fruit["peduncle"]
+        row: Row = {name: fruit[name] for name in FRUIT_COLUMNS if name in fruit and name != "peduncle"}
+        row |= {"index": index, "occluders": len(fruit["occluders"])}
+        row |= {f"foot_{axis}_m": pose[line][3] for line, axis in enumerate("xyz")}
+        row |= {f"along_{axis}": pose[line][2] for line, axis in enumerate("xyz")}
+        for kind, key in (("box", "box"), ("amodal", "amodal_box")):
+            row |= {f"{kind}_{edge}": value for edge, value in zip(_BOX, fruit[key] or (), strict=False)}
+        row |= _xyz("approach_{}", (fruit["approach"] or {}).get("camera"))
+        if peduncle is not None:
+            cut = peduncle["cut"]
+            row |= {"peduncle": peduncle["instance"], "cut_visible": cut["visible"]}
+            row |= _xyz("cut_{}_m", cut["camera_m"])
+            row |= zip(("cut_u", "cut_v"), cut["px"] or (), strict=False)
+        yield row
 
 
-def _read(dataset: Dataset, name: str) -> pyarrow.Table:
-    from pyarrow import ArrowInvalid, parquet
-
-    path = dataset.folder / name
-    with suppress(OSError, ArrowInvalid):
-        found = parquet.read_table(dataset.folder / MANIFEST, columns=["index"])
-        if tuple(found["index"].to_pylist()) == dataset.indices():
-            return parquet.read_table(path)
-    try:
-        write_manifest(dataset)
-    except OSError as fault:
-        raise OutputError(f"{path}: cannot be written ({fault.strerror or fault})") from None
-    if not path.is_file():
-        raise InputError(dataset.folder, "has no frame with the output harvest; build it first")
-    return parquet.read_table(path)
+def _xyz(name: str, values: Any) -> Row:
+    return {} if values is None else {name.format(axis): values[line] for line, axis in enumerate("xyz")}
 
 
-def _fruit(dataset: Dataset, indices: Iterable[int]) -> Iterator[Row]:
-    for index in indices:
-        # A damaged file is the next build's to mend.
-        with suppress(InputError):
-            yield from fruit_rows(index, read_json(dataset.path(index, "harvest")))
-
-
-def _write(path: Path, columns: Mapping[str, str], rows: Iterator[Row]) -> None:
-    """Write a table, some thousands of rows at a time."""
+def write_table(folder: Path, name: str, rows: Iterator[Row]) -> None:
+    """Write `MANIFEST` or `FRUIT`, some thousand rows at a time."""
     import pyarrow
     from pyarrow import parquet
 
-    schema = pyarrow.schema([(name, _type(pyarrow, kind)) for name, kind in columns.items()])
-    with atomic_write(path) as temporary, parquet.ParquetWriter(temporary, schema) as writer:
-        while part := list(islice(rows, _ROWS)):
-            told = {name: [row.get(name) for row in part] for name in columns}
-            writer.write_table(pyarrow.table(told, schema=schema))
-
-
-def _type(pyarrow: Any, kind: str) -> Any:
-    named: Mapping[str, Callable[[], Any]] = {
-        "int64": pyarrow.int64,
-        "int32": pyarrow.int32,
-        "double": pyarrow.float64,
-        "doubles": lambda: pyarrow.list_(pyarrow.float64()),
-        "string": pyarrow.string,
-        "bool": pyarrow.bool_,
-    }
-    return named[kind]()
+    columns, doubles = FRAME_COLUMNS if name == MANIFEST else FRUIT_COLUMNS, pyarrow.list_(pyarrow.float64())
+    types = [doubles if kind == "doubles" else pyarrow.type_for_alias(kind) for kind in columns.values()]
+    schema = pyarrow.schema(zip(columns, types, strict=True))
+    with atomic_write(folder / name) as temporary, parquet.ParquetWriter(temporary, schema) as writer:
+        while part := list(islice(rows, _ROWS_HELD)):
+            values = {column: [row.get(column) for row in part] for column in columns}
+            writer.write_table(pyarrow.table(values, schema=schema))

@@ -81,7 +81,7 @@ class TuningTarget:
         self._bounds, self._organs, self._pixels = bounds, organs, pixels
         self._effort, self._seed = effort, seed
         self.stage = FrameRenderer(recipe)
-        self.camera = self.stage.views.equipment
+        self.camera = self.stage.resolved.camera
         if self.camera.sensor.channels != 3:
             raise InputError(
                 recipe.name, "must see colours to be tuned", key="camera.sensor", value=recipe.camera.sensor

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.recipe.equipment import surface_wavelengths
 from pepperscene.dataset.recipe.plan import Stream, random_generator
+from pepperscene.dataset.recipe.resolved import surface_wavelengths
 from pepperscene.errors import InputError
 
 if TYPE_CHECKING:

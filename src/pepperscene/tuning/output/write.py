@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pepperscene.camera import load_flash
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import Recipe, load_recipe
-from pepperscene.dataset.recipe.equipment import load_camera, load_recipe_cultivar
+from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
 from pepperscene.dataset.recipe.tables import NONE
 from pepperscene.dataset.store.atomic import atomic_write, canonical_json, is_temporary
 from pepperscene.dataset.store.folder import LITTER, check_can_create, make_folder, remove
