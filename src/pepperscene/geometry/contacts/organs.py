@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
 from pepperscene.geometry.contacts.samples import Patches, counted, filling, patched
-from pepperscene.geometry.mesh import Mesh, face_runs, vertex_runs
+from pepperscene.geometry.mesh import Mesh
 
 Vectors = NDArray[np.float64]
 Points = NDArray[np.float32]
@@ -59,10 +59,10 @@ class Organs:
         self.parent = np.array([item.parent for item in mesh.instances], dtype=np.intp)
         self.organ_class = np.array([int(item.organ_class) for item in mesh.instances], dtype=np.intp)
         self.plant = np.array([item.plant for item in mesh.instances], dtype=np.intp)
-        self._faces, self._face_first, self._face_stop = face_runs(mesh)
-        self._order, self._first, self._stop = vertex_runs(
-            mesh, self._faces, self._face_first, self._face_stop
-        )
+        runs = mesh.face_runs
+        self._faces = mesh.faces if runs.order is None else mesh.faces[runs.order]
+        self._face_first, self._face_stop = runs.first, runs.stop
+        self._order, self._first, self._stop = mesh.vertex_runs.order, mesh.vertex_runs.first, mesh.vertex_runs.stop
         scenery = (self.organ_class == FLOWER) & (self.parent < 0)
         self.solid = (self._stop > self._first) & ~scenery
         self.low, self.high = self._boxes()
