@@ -20,7 +20,7 @@ from pepperscene.geometry.fruit.fruits import (
 )
 from pepperscene.geometry.fruit.pericarp import build_pericarps
 from pepperscene.geometry.fruit.scan import load_scan, mesh_scanned_fruits, scan_shoulders
-from pepperscene.geometry.mesh import IndexArray, Mesh
+from pepperscene.geometry.mesh import FloatArray, IndexArray, Mesh, SingleArray
 from pepperscene.geometry.tubes.flower import mesh_flowers
 from pepperscene.geometry.tubes.stalk import mesh_cuts, mesh_peduncles, mesh_stalks
 from pepperscene.geometry.tubes.stem import mesh_internodes, mesh_nodes
@@ -75,36 +75,21 @@ def _assemble(plant: Plant, parts: Sequence[Part]) -> Mesh:
     kinds = [plant.kinds[organ.kind] for organ in plant.organs]
     surfaces = tuple(dict.fromkeys(kind.surface for kind in kinds))
     surface = np.array([surfaces.index(kind.surface) for kind in kinds], dtype=np.uint8)
-    vertex_count = sum(batch.state.size for _, batch in parts)
-    face_count = sum(len(indices) * len(batch.faces) for indices, batch in parts)
-    vertices, normals = np.empty((2, vertex_count, 3), dtype=np.float32)
-    uv, state = np.empty((vertex_count, 2), dtype=np.float32), np.empty(vertex_count, dtype=np.float32)
-    faces = np.empty((face_count, 3), dtype=np.uint32)
-    face_instance = np.empty(face_count, dtype=np.uint32)
-    vertex, face = 0, 0
+    faces, owners, vertex = [], [], 0
     for indices, batch in parts:
-        count, each = batch.state.shape[1], len(batch.faces)
-        rows = slice(vertex, vertex + batch.state.size)
-        for target, values in (
-            (vertices, batch.vertices), (normals, batch.normals), (uv, batch.uv), (state, batch.state)
-        ):  # fmt: skip
-            target[rows].reshape(values.shape)[...] = values
         # The faces of each organ count from its first vertex.
-        first = (vertex + count * np.arange(len(indices))).astype(np.uint32)
-        face_rows = slice(face, face + each * len(indices))
-        np.add(
-            batch.faces.astype(np.uint32),
-            first[:, None, None],
-            out=faces[face_rows].reshape(len(indices), each, 3),
-        )
-        face_instance[face_rows].reshape(len(indices), each)[...] = indices[:, None]
-        vertex, face = rows.stop, face_rows.stop
+        n, count = batch.state.shape
+        first = (vertex + count * np.arange(n)).astype(np.uint32)
+        faces.append((batch.faces.astype(np.uint32) + first[:, None, None]).reshape(-1, 3))
+        owners.append(np.repeat(indices, len(batch.faces)).astype(np.uint32))
+        vertex += n * count
+    face_instance = np.concatenate(owners)
     return Mesh(
-        vertices=vertices,
-        normals=normals,
-        uv=uv,
-        state=state,
-        faces=faces,
+        vertices=_join([batch.vertices.reshape(-1, 3) for _, batch in parts]),
+        normals=_join([batch.normals.reshape(-1, 3) for _, batch in parts]),
+        uv=_join([batch.uv.reshape(-1, 2) for _, batch in parts]),
+        state=_join([batch.state.ravel() for _, batch in parts]),
+        faces=np.concatenate(faces),
         face_instance=face_instance,
         face_surface=surface[face_instance],
         surfaces=surfaces,
@@ -113,6 +98,11 @@ def _assemble(plant: Plant, parts: Sequence[Part]) -> Mesh:
             for organ, kind in zip(plant.organs, kinds, strict=True)
         ),
     )
+
+
+def _join(values: Sequence[FloatArray]) -> SingleArray:
+    """Values of all parts in single precision."""
+    return np.concatenate(values, dtype=np.float32, casting="same_kind")
 
 
 def _fruit_parts(plant: Plant, detail: float) -> list[Part]:

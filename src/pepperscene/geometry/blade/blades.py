@@ -17,7 +17,7 @@ from pepperscene.geometry.batch import (
     subdivisions,
     vertex_normals,
 )
-from pepperscene.geometry.blade.grid import Grid, blade_grid
+from pepperscene.geometry.blade.grid import blade_grid
 from pepperscene.geometry.blade.outline import FlatBlades, build_outlines, flat_blades
 from pepperscene.geometry.blade.relief import (
     bulge_shrinkage,
@@ -50,9 +50,9 @@ def mesh_blades(organs: Sequence[Organ], detail: float) -> MeshBatch:
     width, seed = positive_measure(organs, "width_m"), organ_measure(organs, "seed", 0.0)
     outline = build_outlines(organs, seed)
     grid = blade_grid(detail, float(organ_measure(organs, "lobes", 0.0).max()))
-    flat = flat_blades(outline, grid)
+    flat = flat_blades(outline, grid, seed)
     waviness = _waviness(organs, width)
-    right, up = _cross_sections(organs, flat, grid, outline.half_width, waviness, seed)
+    right, up = _cross_sections(organs, flat, waviness)
     spine = spines(
         [organ.curve for organ in organs],
         [organ.up for organ in organs],
@@ -67,7 +67,7 @@ def mesh_blades(organs: Sequence[Organ], detail: float) -> MeshBatch:
     u = 0.5 + 0.5 * out / outline.half_extent[:, None]
     uv = np.clip(np.stack([u, v], axis=-1), 0.0, 1.0)
     normals = vertex_normals(vertices, grid.faces)
-    return MeshBatch(vertices, normals, uv, _state(organs, flat, grid, seed), grid.faces)
+    return MeshBatch(vertices, normals, uv, _state(organs, flat), grid.faces)
 
 
 def _waviness(organs: Sequence[Organ], width: FloatArray) -> FloatArray:
@@ -129,14 +129,13 @@ def _scaled_frame(along: FloatArray, up: FloatArray) -> tuple[FloatArray, FloatA
     return cross(right, along) / length, right
 
 
-def _section_slopes(
-    organs: Sequence[Organ], flat: FlatBlades, half_width: FloatArray, seed: FloatArray
-) -> FloatArray:
+def _section_slopes(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
     """`(n, 2, r, s)` radians by which a half rises from each column to the next, from fold and curl."""
     fold = np.clip(organ_measure(organs, "fold_rad", 0.0), -1.4, 1.4)[:, None]
     curl = np.clip(organ_measure(organs, "curl_rad", 0.0), -2.6, 2.6)[:, None]
-    along, wide = flat.origin, flat.edge / half_width[..., None]
-    draws, vary = hash_uniform(seed, 271, 4).reshape(-1, 2, 2), hash_signed(seed, 201, 4).reshape(-1, 2, 2)
+    along, wide = flat.origin, flat.edge / flat.half_width[..., None]
+    draws = hash_uniform(flat.seed, 271, 4).reshape(-1, 2, 2)
+    vary = hash_signed(flat.seed, 201, 4).reshape(-1, 2, 2)
     # Fold: it varies by up to a quarter between halves, and along the blade; it flattens outwards.
     folded = (fold * (1.0 + 0.25 * vary[:, 0]))[..., None] * (
         1.0 + 0.25 * np.sin(2.0 * np.pi * (0.6 * along + draws[..., 0, None]))
@@ -151,27 +150,22 @@ def _section_slopes(
 
 
 def _cross_sections(
-    organs: Sequence[Organ],
-    flat: FlatBlades,
-    grid: Grid,
-    half_width: FloatArray,
-    waviness: FloatArray,
-    seed: FloatArray,
+    organs: Sequence[Organ], flat: FlatBlades, waviness: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """`(n, v)` metres of the vertices to the right of the midrib and above it, in its frame.
 
     Each row is a polyline from the midrib outwards that keeps its length; the relief is added to it.
     """
-    slope = _section_slopes(organs, flat, half_width, seed)
-    step = np.diff(flat.out, prepend=0.0, axis=3) * bulge_shrinkage(organs, flat, half_width)
+    grid, slope = flat.grid, _section_slopes(organs, flat)
+    step = np.diff(flat.out, prepend=0.0, axis=3) * bulge_shrinkage(organs, flat)
     level, rise = np.cos(slope), np.sin(slope)
     out, up = np.cumsum(step * level, axis=3), np.cumsum(step * rise, axis=3)
     # The slope at a column is the mean of those on either side.
     for values in (level, rise):
         values[..., :-1] = 0.5 * (values[..., :-1] + values[..., 1:])
-    margin = np.stack([*margin_waves(organs, flat, half_width, waviness, seed), flat.reach])
+    margin = np.stack([*margin_waves(organs, flat, waviness), flat.reach])
     height, width = margin_relief(margin[..., grid.row_in_margin, None], flat.column)
-    height += vein_bulges(organs, flat, grid, half_width, seed)
+    height += vein_bulges(organs, flat)
     halves = out - height * rise - width * level, up + height * level - width * rise
     # The extra points of a margin are on sections between those of the rows.
     scaled = out[..., -1] / flat.edge, up[..., -1] / flat.edge, rise[..., -1], level[..., -1]
@@ -183,10 +177,11 @@ def _cross_sections(
     return right, grid.pack(halves[1], 0.0, extra_up)
 
 
-def _state(organs: Sequence[Organ], flat: FlatBlades, grid: Grid, seed: FloatArray) -> FloatArray:
+def _state(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
     """`(n, v)` pigment states: a few greener and paler patches over the blade."""
     mean, spread = organ_measure(organs, "state_mean", 0.7), organ_measure(organs, "state_spread", 0.1)
-    patches = grid_noise(flat, grid, seed, 211, 0.9)
+    patches = grid_noise(flat, 211, 0.9)
+    grid = flat.grid
     halves, midrib = grid.split_halves(patches), patches[..., grid.side]
     extra, ends = grid.interpolate_extra(halves[..., -1]), (midrib[:, 0], midrib[:, -1])
     return np.clip(mean[:, None] + spread[:, None] * grid.pack(halves, midrib, extra, ends), 0, 1)

@@ -137,6 +137,9 @@ class FlatBlades:
         along: `(n, 2, r, s)`.
         extra_edge: `(n, 2, e)` metres from the midrib to the extra points of the margins.
         extra_along: `(n, 2, e)` along.
+        half_width: `(n, 2)` metres, as in `Outlines`.
+        seed: `(n,)` of the blades.
+        grid: of the blades.
     """
 
     margin: FloatArray
@@ -149,9 +152,12 @@ class FlatBlades:
     along: FloatArray
     extra_edge: FloatArray
     extra_along: FloatArray
+    half_width: FloatArray
+    seed: FloatArray
+    grid: Grid
 
 
-def flat_blades(outline: Outlines, grid: Grid) -> FlatBlades:
+def flat_blades(outline: Outlines, grid: Grid, seed: FloatArray) -> FlatBlades:
     """Lay out rows along the veins, from the midrib to the margin."""
     n, number = len(outline.half_extent), grid.margin
     low = number < 0.0
@@ -196,6 +202,9 @@ def flat_blades(outline: Outlines, grid: Grid) -> FlatBlades:
         along=row_along(rows, out),
         extra_edge=edge[..., extra],
         extra_along=row_along(extra, edge[..., extra, None])[..., 0],
+        half_width=outline.half_width,
+        seed=seed,
+        grid=grid,
     )
 
 
@@ -206,7 +215,9 @@ def _row_ends(outline: Outlines, number: FloatArray) -> FloatArray:
     # Under a broad base the margin crosses the same veins on the way down and up: the upper crossing counts.
     origins = np.minimum.accumulate(origins[..., ::-1], axis=2)[..., ::-1] + 1e-9 * _MARGIN_SAMPLES
     wanted = vein_origin(number)
-    ends = [np.interp(wanted, margin, _MARGIN_SAMPLES) for margin in origins.reshape(-1, len(_MARGIN_SAMPLES))]
+    ends = [
+        np.interp(wanted, margin, _MARGIN_SAMPLES) for margin in origins.reshape(-1, len(_MARGIN_SAMPLES))
+    ]
     return np.array(ends).reshape(*origins.shape[:2], len(number))
 
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from pepperscene.geometry.batch import hash_signed, hash_uniform, organ_measure
-from pepperscene.geometry.blade.grid import Grid, vein_density
+from pepperscene.geometry.blade.grid import vein_density
 from pepperscene.geometry.blade.outline import FlatBlades
 from pepperscene.geometry.mesh import FloatArray
 from pepperscene.grammar.plant import Organ
@@ -23,19 +23,19 @@ _NOISE_WAVES: Final = 8
 
 
 def margin_waves(
-    organs: Sequence[Organ], flat: FlatBlades, half_width: FloatArray, waviness: FloatArray, seed: FloatArray
+    organs: Sequence[Organ], flat: FlatBlades, waviness: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Compute two heights `(n, 2, m)` of the margins' points, metres: waves, and a stretch that turns over.
 
     Lengths and heights of the waves vary along a margin and have ripples; each margin is different.
     """
     # Waves are limited to an eighth of the width.
-    half = half_width.mean(axis=1)
+    half = flat.half_width.mean(axis=1)
     height = np.clip(organ_measure(organs, "margin_wave_m", 0.0), -0.25 * half, 0.25 * half)[:, None, None]
     count = np.clip(organ_measure(organs, "margin_waves", 0.0), 0.0, 12.0)[:, None, None]
-    draws = hash_uniform(seed, 231, 16).reshape(-1, 2, 8, 1)
+    draws = hash_uniform(flat.seed, 231, 16).reshape(-1, 2, 8, 1)
     phase_1, phase_2, phase_3, phase, ripple, much, place, turn = (draws[:, :, k] for k in range(8))
-    at, wide = flat.margin, np.minimum(flat.reach / half_width[..., None], 1.0)
+    at, wide = flat.margin, np.minimum(flat.reach / flat.half_width[..., None], 1.0)
     warp = 0.07 * np.sin(_TURN * (1.2 * at + phase_1)) + 0.04 * np.sin(_TURN * (2.7 * at + phase_2))
     turns = count * (at + warp) + phase
     amplitude = 1.0 - (0.25 + 0.5 * much) * (0.5 + 0.5 * np.sin(_TURN * (0.9 * at + phase_3)))
@@ -65,15 +65,14 @@ def margin_relief(margin: FloatArray, x: FloatArray | float) -> tuple[FloatArray
     return x * (wave + turn), width
 
 
-def vein_bulges(
-    organs: Sequence[Organ], flat: FlatBlades, grid: Grid, half_width: FloatArray, seed: FloatArray
-) -> FloatArray:
+def vein_bulges(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
     """Compute `(n, 2, r, s)` metres by which the blade bulges between its veins; 0 on the margin."""
-    number, column = grid.number, flat.column
+    grid, column = flat.grid, flat.column
+    number = grid.number
     # Rows that miss the veins and the tops between them cannot show bulges.
     if np.count_nonzero((number >= 0.0) & (number < 1.0)) < 2:
         return np.zeros(flat.along.shape)
-    width = 2.0 * half_width.mean(axis=1)
+    width = 2.0 * flat.half_width.mean(axis=1)
     height = np.clip(organ_measure(organs, "blister_m", 0.0), -0.1 * width, 0.1 * width)[:, None, None, None]
     sunken = np.clip(organ_measure(organs, "vein_m", 0.0), -0.05 * width, 0.05 * width)[:, None, None, None]
     # Two panels below the first vein, one between each vein and the next.
@@ -82,17 +81,17 @@ def vein_bulges(
     dome = np.sin(np.pi * within) ** _DOME
     # Panels differ in height and in the places where tertiary veins divide them.
     panels = PAIRS + 3
-    draws = hash_uniform(seed, 241, 4 * panels).reshape(-1, 2, panels, 2)[:, :, panel]
+    draws = hash_uniform(flat.seed, 241, 4 * panels).reshape(-1, 2, panels, 2)[:, :, panel]
     scale = 0.7 + 0.6 * draws[..., 0]
-    cells = _tertiary_cells(flat, half_width, draws[..., 1]) if grid.side >= 6 else 0.75
+    cells = _tertiary_cells(flat, draws[..., 1]) if grid.side >= 6 else 0.75
     panelled = (scale * dome)[..., None] * _dome_across(column) * cells
     # Furrows run along the veins, shallower towards the margin.
     away = np.minimum(number % 1.0, -number % 1.0)
     furrow = np.where(number > -0.5, np.exp(-((away / _FURROW) ** 2)), 0.0)[:, None]
     taper = np.minimum(column / _RISE, 1.0) * (1.0 - 0.75 * column) * (1.0 - column**8)
-    uneven = 0.3 * grid.split_halves(grid_noise(flat, grid, seed, 245, 0.5)) * _dome_across(column)
+    uneven = 0.3 * grid.split_halves(grid_noise(flat, 245, 0.5)) * _dome_across(column)
     # Narrow panels bulge less.
-    wide = np.minimum(flat.edge / half_width[..., None], 1.0)[..., None]
+    wide = np.minimum(flat.edge / flat.half_width[..., None], 1.0)[..., None]
     return wide**0.7 * (height * (panelled + uneven) - sunken * (furrow * taper))
 
 
@@ -101,13 +100,13 @@ def _dome_across(column: FloatArray) -> FloatArray:
     return (1.0 - np.exp(-column / _RISE)) * (1.0 - column**3)
 
 
-def _tertiary_cells(flat: FlatBlades, half_width: FloatArray, shift: FloatArray) -> FloatArray:
+def _tertiary_cells(flat: FlatBlades, shift: FloatArray) -> FloatArray:
     """`(n, 2, r, s)` factor by which tertiary veins divide the bulges: 1 between them, less on them."""
-    out = flat.edge[..., None] * flat.column / half_width[..., None, None]
+    out = flat.edge[..., None] * flat.column / flat.half_width[..., None, None]
     return 0.75 - 0.25 * np.cos(2.0 * np.pi * (_CELLS * out + shift[..., None]))
 
 
-def grid_noise(flat: FlatBlades, grid: Grid, seed: FloatArray, salt: int, size: float) -> FloatArray:
+def grid_noise(flat: FlatBlades, salt: int, size: float) -> FloatArray:
     """Compute `(n, r, c)` smooth noise of mean 0 and variance 1 over the grid, like `smooth_field`.
 
     Places are in half-widths across and, along the midrib, at the origin of the row's vein. There each wave
@@ -115,29 +114,27 @@ def grid_noise(flat: FlatBlades, grid: Grid, seed: FloatArray, salt: int, size: 
 
     Args:
         flat: vertices of the blades.
-        grid: of the blades.
-        seed: `(n,)` of the blades.
         salt: separates one field of a blade from another.
         size: mean wavelength, in half-widths.
     """
-    angle = 2.0 * np.pi * hash_uniform(seed, salt, _NOISE_WAVES)
-    wavenumber = 2.0 * np.pi / size * (1.0 + 0.4 * hash_signed(seed, salt + 1, _NOISE_WAVES))
-    phase = 2.0 * np.pi * hash_uniform(seed, salt + 2, _NOISE_WAVES)
+    angle = 2.0 * np.pi * hash_uniform(flat.seed, salt, _NOISE_WAVES)
+    wavenumber = 2.0 * np.pi / size * (1.0 + 0.4 * hash_signed(flat.seed, salt + 1, _NOISE_WAVES))
+    phase = 2.0 * np.pi * hash_uniform(flat.seed, salt + 2, _NOISE_WAVES)
     # cos(a + b) = cos a cos b - sin a sin b, a from rows and b from columns.
     rows = 2.0 * flat.origin[:, None] * (wavenumber * np.sin(angle))[:, None] + phase[:, None]
-    columns = grid.across[:, None] * (wavenumber * np.cos(angle))[:, None]
+    columns = flat.grid.across[:, None] * (wavenumber * np.cos(angle))[:, None]
     rows = np.concatenate([np.cos(rows), -np.sin(rows)], axis=2)
     columns = np.concatenate([np.cos(columns), np.sin(columns)], axis=2)
     return np.sqrt(2.0 / _NOISE_WAVES) * np.matmul(rows, columns.swapaxes(1, 2))
 
 
-def bulge_shrinkage(organs: Sequence[Organ], flat: FlatBlades, half_width: FloatArray) -> FloatArray:
+def bulge_shrinkage(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
     """Compute `(n, 1, 1, s)` factors by which a half shrinks across to keep its width over all bulges.
 
     The arc over a surface of slope h' is longer by sqrt(1 + h'^2); bulges are formed from a blade of the
     stated width, not added to it. Slopes are those of the mean bulge at the widest place.
     """
-    half = half_width.mean(axis=1)[:, None]
+    half = flat.half_width.mean(axis=1)[:, None]
     middle = 0.5 * (flat.column + np.concatenate([[0.0], flat.column[:-1]]))
     height = np.clip(np.abs(organ_measure(organs, "blister_m", 0.0))[:, None] / half, 0.0, 0.2)
     dome = _dome_across(middle)

@@ -24,7 +24,9 @@ from pepperscene.grammar.plant import Organ
 SHOULDER_STEPS: Final = 14  # chosen: heights are right to a few tenths of a millimetre between them
 SHOULDER_COLUMNS: Final = 36  # chosen: as many as a fruit has columns
 SHOULDER_EXTENT: Final = 0.92  # chosen: of the outline; beyond it the wall turns down too steeply
-_STEEPEST: Final = 1.2  # chosen: slope at which a sepal that is longer than its fruit is wide continues downwards
+_STEEPEST: Final = (
+    1.2  # chosen: slope at which a sepal that is longer than its fruit is wide continues downwards
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -218,15 +218,13 @@ def _mean_profile(organs: Sequence[Organ], blocky: FloatArray, slimness: FloatAr
     weight = distance / distance.sum(axis=1, keepdims=True)
     weight = weight + 0.6 * bending / bending.sum(axis=1, keepdims=True)
     weight *= np.where((wall[:, 1:] < 0.22) & (top[:, 1:] > 0.0), 0.4, 1.0)
-    weight, distance = (
-        np.pad(np.cumsum(values, axis=1), ((0, 0), (1, 0))) for values in (weight, distance)
-    )
+    weight, distance = (np.pad(np.cumsum(values, axis=1), ((0, 0), (1, 0))) for values in (weight, distance))
     # The last ring is the rim of the scar.
     outside_scar = wall + (top > 0.0) >= _SCAR[0]
     last = np.max(np.where(outside_scar, weight, 0.0), axis=1, keepdims=True)
     at = last * (np.arange(1, rings + 1) / rings)
     curves = wall, level, top, low, distance / distance[:, -1:]
-    return _Profile(*_interpolate(at, weight, curves), foot=level[:, 0])
+    return _Profile(*_interpolate(at, weight, curves), level[:, 0])
 
 
 def _interpolate(at: FloatArray, knots: FloatArray, curves: Sequence[FloatArray]) -> list[FloatArray]:

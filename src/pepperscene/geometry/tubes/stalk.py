@@ -95,9 +95,7 @@ def mesh_peduncles(organs: Sequence[Organ], detail: float) -> MeshBatch:
     above_collar = np.clip((high - 0.5) / 2.0, 0.0, 1.0)
     reach = 1.0 - _RIB_DEPTH * above_collar[..., None] * (furrow * uneven)[:, None, :]
     rotated = angle + 2.0 * np.pi * draw[:, :1]
-    right, up = centre_rings(
-        reach * np.sin(rotated)[:, None, :], reach * np.cos(rotated)[:, None, :], radius
-    )
+    right, up = centre_rings(reach * np.sin(rotated)[:, None, :], reach * np.cos(rotated)[:, None, :], radius)
     # The furrow above the collar is corky; ribs are paler than the furrows between them.
     state = 0.15 * (furrow - 0.5)[:, None, :] * above_collar[..., None]
     state = state - 0.2 * np.exp(-(((high - 1.8) / 0.4) ** 2))[..., None]
