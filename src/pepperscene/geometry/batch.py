@@ -23,9 +23,7 @@ def form_indices(plant: Plant, form: OrganForm) -> IndexArray:
     return np.array([i for i, organ in enumerate(plant.organs) if organ.kind in kinds], dtype=np.intp)
 
 
-def organ_measure(
-    organs: Sequence[Organ], name: str, default: float | FloatArray | None = None
-) -> FloatArray:
+def read_measure(organs: Sequence[Organ], name: str, default: float | FloatArray | None = None) -> FloatArray:
     """Read `(n,)` values of one measure; `default` is one number or `(n,)`.
 
     Raises:
@@ -36,22 +34,20 @@ def organ_measure(
     values = np.array(
         [organ.measures.get(name, other) for organ, other in zip(organs, defaults, strict=True)], np.float64
     )
-    if not np.isfinite(values).all():
-        organ = organs[int(np.argmin(np.isfinite(values)))]
-        raise ValueError(
-            f"{organ.kind} of phytomer {organ.phytomer}: measure {name} must be a finite number, "
-            f"not {organ.measures.get(name)}"
-        )
+    for organ, finite in zip(organs, np.isfinite(values), strict=True):
+        if not finite:
+            where, value = f"{organ.kind} of phytomer {organ.phytomer}", organ.measures.get(name)
+            raise ValueError(f"{where}: measure {name} must be a finite number, not {value}")
     return values
 
 
-def positive_measure(organs: Sequence[Organ], name: str) -> FloatArray:
+def read_positive(organs: Sequence[Organ], name: str) -> FloatArray:
     """Read `(n,)` values of one measure that must be above zero.
 
     Raises:
         ValueError: an organ lacks it, or it is not above zero.
     """
-    values = organ_measure(organs, name)
+    values = read_measure(organs, name)
     if not np.all(values > 0.0):
         raise ValueError(f"{organs[0].kind}: {name} must be above zero, not {values.min()}")
     return values
@@ -61,14 +57,10 @@ _WAVES: Final = 8  # chosen: enough plane waves that no single one shows as a st
 
 
 def hash_uniform(seed: FloatArray, salt: int, count: int) -> FloatArray:
-    """Compute `(n, count)` numbers uniform in [0, 1), equal for equal seeds and salts on every machine.
+    """Compute `(n, count)` numbers uniform in [0, 1) from `(n,)` seeds in [0, 1), equal on every machine.
 
-    The mixer is SplitMix64 (Steele, Lea & Flood 2014, "Fast splittable pseudorandom number generators").
-
-    Args:
-        seed: `(n,)` in [0, 1), one per organ.
-        salt: separates one use of a seed from another.
-        count: numbers per organ.
+    `salt` separates one use of a seed from another. The mixer is SplitMix64 (Steele, Lea & Flood 2014, "Fast
+    splittable pseudorandom number generators").
     """
     start = np.ldexp(np.mod(seed, 1.0), 53).astype(np.uint64)[:, None]
     step = np.arange(1, count + 1, dtype=np.uint64) + np.uint64(salt) * np.uint64(1 << 20)
@@ -85,13 +77,8 @@ def smooth_field(points: FloatArray, seed: FloatArray, salt: int, size: float) -
     """Compute `(n, m)` smooth noise of mean 0 and variance 1 at `(n, m, d)` points, d = 2 or 3.
 
     A sum of plane waves of random direction and phase, which tends to a Gaussian random field (the spectral
-    method of Shinozuka & Deodatis 1991). Equal points get equal values, so seams do not show.
-
-    Args:
-        points: in any unit.
-        seed: `(n,)` in [0, 1).
-        salt: separates one field of an organ from another.
-        size: mean wavelength, in the unit of the points.
+    method of Shinozuka & Deodatis 1991). Equal points get equal values, so seams do not show. `size` is the
+    mean wavelength, in the unit of the points; `seed` and `salt` as in `hash_uniform`.
     """
     dimensions = points.shape[-1]
     # Directions are uniform on the circle or the sphere; wavenumbers vary by up to 40 % either way.
@@ -107,21 +94,13 @@ def smooth_field(points: FloatArray, seed: FloatArray, salt: int, size: float) -
 
 @dataclass(frozen=True, eq=False)
 class MeshBatch:
-    """Meshes of n organs that share one topology.
+    """Meshes of n organs that share one topology."""
 
-    Attributes:
-        vertices: `(n, v, 3)` metres.
-        normals: `(n, v, 3)` unit.
-        uv: `(n, v, 2)`.
-        state: `(n, v)`.
-        faces: `(f, 3)` of each organ.
-    """
-
-    vertices: FloatArray
-    normals: FloatArray
-    uv: FloatArray
-    state: FloatArray
-    faces: IndexArray
+    vertices: FloatArray  # `(n, v, 3)` metres
+    normals: FloatArray  # `(n, v, 3)` unit
+    uv: FloatArray  # `(n, v, 2)`
+    state: FloatArray  # `(n, v)`
+    faces: IndexArray  # `(f, 3)` of each organ
 
 
 def subdivisions(count: int, detail: float, minimum: int) -> int:
@@ -186,8 +165,7 @@ def pack_rings(ends: FloatArray, rings: FloatArray) -> FloatArray:
 
 
 def ring_uv(v: FloatArray, sides: int) -> FloatArray:
-    """`(..., vertices, 2)` uv in the order of `ring_faces`: u around, v `(..., r)` of each ring, 0 and 1 at the
-    ends."""
+    """`(..., vertices, 2)` uv in the order of `ring_faces`; `v` is that of the rings, `(..., r)`."""
     grid = np.stack(np.broadcast_arrays(np.arange(sides + 1) / sides, v[..., None]), axis=-1)
     uv = np.empty((*v.shape[:-1], 2 + grid.shape[-3] * (sides + 1), 2))
     uv[..., 0, :], uv[..., -1, :] = (0.5, 0.0), (0.5, 1.0)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
 from pepperscene.errors import InputError
-from pepperscene.geometry.mesh import FloatArray, Mesh
+from pepperscene.geometry.mesh import FloatArray, Mesh, SingleArray
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -21,8 +21,8 @@ FORMATS: Final = (".glb", ".obj", ".ply", ".stl")
 STATE_STEPS: Final = 20
 """Steps of pigment state for which a GLB has separate materials: chosen, each too small to be seen."""
 
-_ROUGHNESS: Final[Mapping[str, float]] = {"fruit": 0.3, "peduncle": 0.45}  # chosen by eye; others:
-_MATT: Final = 0.7
+_ROUGHNESS: Final[Mapping[str, float]] = {"fruit": 0.3, "peduncle": 0.45}  # chosen by eye
+_OTHER_ROUGHNESS: Final = 0.7
 # glTF has y up and its viewer on +z: the plant's aisle side (-y) faces the viewer.
 _Y_UP: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]])
 
@@ -105,19 +105,8 @@ def write_mesh(
     return tuple(files)
 
 
-class _Part(NamedTuple):
-    """The triangles of one instance."""
-
-    index: int
-    item: Instance
-    surface: str
-    state: float
-    uv: NDArray[np.float32]
-    body: Trimesh
-
-
-def _parts(mesh: Mesh) -> Iterator[_Part]:
-    """The instances that have triangles, in order."""
+def _parts(mesh: Mesh) -> Iterator[tuple[int, Instance, str, float, SingleArray, Trimesh]]:
+    """Index, instance, surface, mean state, uv and body of the instances that have triangles, in order."""
     import trimesh
 
     for index, item in enumerate(mesh.instances):
@@ -129,7 +118,7 @@ def _parts(mesh: Mesh) -> Iterator[_Part]:
             body = trimesh.Trimesh(
                 mesh.vertices[used], faces.reshape(-1, 3), vertex_normals=mesh.normals[used], process=False
             )
-            yield _Part(index, item, surface, state, mesh.uv[used], body)
+            yield index, item, surface, state, mesh.uv[used], body
 
 
 def _glb(mesh: Mesh, colours: Mapping[str, NDArray[np.floating[Any]]]) -> bytes:
@@ -141,36 +130,35 @@ def _glb(mesh: Mesh, colours: Mapping[str, NDArray[np.floating[Any]]]) -> bytes:
     scene.graph.update(frame_from="world", frame_to="plant", matrix=_Y_UP)
     materials: dict[str, Any] = {}
     factors: dict[str, list[float]] = {}
-    for part in _parts(mesh):
-        item, name = part.item, names[part.index]
+    for index, item, surface, state, uv, body in _parts(mesh):
         # Organs that look the same share a material.
-        step = round(STATE_STEPS * part.state)
-        material = f"{_word(part.surface)}_{step}"
+        step = round(STATE_STEPS * state)
+        material = f"{_word(surface)}_{step}"
         if material not in materials:
-            factors[material] = _base_colour(item.organ_class, step, colours.get(part.surface))
+            factors[material] = _base_colour(item.organ_class, step, colours.get(surface))
             materials[material] = PBRMaterial(
                 name=material,
                 baseColorFactor=factors[material],
                 metallicFactor=0.0,
-                roughnessFactor=_ROUGHNESS.get(part.surface, _MATT),
+                roughnessFactor=_ROUGHNESS.get(surface, _OTHER_ROUGHNESS),
                 doubleSided=True,
             )
-        part.body.visual = trimesh.visual.TextureVisuals(uv=part.uv, material=materials[material])
+        body.visual = trimesh.visual.TextureVisuals(uv=uv, material=materials[material])
         scene.add_geometry(
-            part.body,
-            node_name=name,
-            geom_name=name,
+            body,
+            node_name=names[index],
+            geom_name=names[index],
             parent_node_name=names[item.parent] if item.parent >= 0 else "plant",
             metadata={
                 "class": item.organ_class.name.lower(),
                 "class_id": int(item.organ_class),
                 "kind": item.kind,
-                "surface": part.surface,
+                "surface": surface,
                 "plant": item.plant,
                 "phytomer": item.phytomer,
-                "instance": part.index,
+                "instance": index,
                 "parent": item.parent,
-                "state": round(part.state, 4),
+                "state": round(state, 4),
             },
         )
 
@@ -202,17 +190,17 @@ def _obj(mesh: Mesh, name: str) -> dict[str, bytes]:
 
     names, scene = organ_names(mesh), trimesh.Scene()
     materials: dict[str, Any] = {}
-    for part in _parts(mesh):
-        organ_class = part.item.organ_class
-        material = f"{organ_class.name.lower()}_{_word(part.surface)}"
+    for index, item, surface, _, uv, body in _parts(mesh):
+        organ_class = item.organ_class
+        material = f"{organ_class.name.lower()}_{_word(surface)}"
         if material not in materials:
             colour, black = [*CLASS_COLOURS[organ_class], 255], [0, 0, 0, 255]
             # trimesh merges materials of equal content: a glossiness without effect makes them differ.
             materials[material] = SimpleMaterial(
                 diffuse=colour, ambient=colour, specular=black, glossiness=1.0 + len(materials), name=material
             )
-        part.body.visual = trimesh.visual.TextureVisuals(uv=part.uv, material=materials[material])
-        scene.add_geometry(part.body, node_name=names[part.index], geom_name=names[part.index])
+        body.visual = trimesh.visual.TextureVisuals(uv=uv, material=materials[material])
+        scene.add_geometry(body, node_name=names[index], geom_name=names[index])
     library = Path(name).with_suffix(".mtl").name
     text, others = trimesh.exchange.obj.export_obj(
         scene, include_normals=True, return_texture=True, write_texture=False, mtl_name=library,

@@ -18,16 +18,11 @@ IndexArray = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class InstanceRuns:
-    """The faces or the vertices of a mesh, grouped by instance.
+    """The faces or the vertices of a mesh, grouped by instance."""
 
-    Attributes:
-        order: `(n,)` indices, those of one instance together; None if the mesh itself has such an order.
-        first, stop: `(i,)` where the run of each instance starts and ends in that order; equal if it is empty.
-    """
-
-    order: IndexArray | None
-    first: IndexArray
-    stop: IndexArray
+    order: IndexArray | None  # `(n,)` indices, those of one instance together; None: as in the mesh
+    first: IndexArray  # `(i,)` where the run of each instance starts in that order
+    stop: IndexArray  # `(i,)` where it stops; equal to `first` if it is empty
 
     def rows(self, instance: int) -> slice | IndexArray:
         """Indices of the faces or vertices of one instance."""
@@ -83,10 +78,9 @@ class Mesh:
         Raises:
             ValueError: instances share a vertex, or a vertex belongs to none.
         """
-        owner = self._vertex_owners()
-        if np.any(owner == len(self.instances)):
+        if np.any(self._vertex_owners == len(self.instances)):
             raise ValueError("every vertex must belong to a face")
-        return owner
+        return self._vertex_owners
 
     @cached_property
     def face_runs(self) -> InstanceRuns:
@@ -123,11 +117,11 @@ class Mesh:
         if np.all(stop[along][:-1] <= first[along][1:]):
             return InstanceRuns(None, first, stop)
         # The vertices of several instances are mixed.
-        owner = self._vertex_owners()
-        order = np.argsort(owner, kind="stable")
-        edges = np.searchsorted(owner[order], np.arange(count + 1))
+        order = np.argsort(self._vertex_owners, kind="stable")
+        edges = np.searchsorted(self._vertex_owners[order], np.arange(count + 1))
         return InstanceRuns(order, edges[:-1], edges[1:])
 
+    @cached_property
     def _vertex_owners(self) -> NDArray[np.uint32]:
         """`(v,)` instance of each vertex; the number of instances for a vertex without faces."""
         owner = np.full(len(self.vertices), len(self.instances), dtype=np.uint32)
@@ -157,8 +151,7 @@ class Mesh:
         Raises:
             ValueError: `chosen` is empty, has duplicates, or has an index out of range.
         """
-        wanted = [int(index) for index in chosen]
-        count = len(self.instances)
+        wanted, count = [int(index) for index in chosen], len(self.instances)
         if not wanted or len(set(wanted)) < len(wanted) or not 0 <= min(wanted) <= max(wanted) < count:
             raise ValueError(f"chosen must be different indices of {count} instances, not {wanted}")
         new_index = np.full(count, -1)
@@ -322,13 +315,13 @@ def rectangle(
     Raises:
         ValueError: the edges are parallel or one has no length.
     """
-    across, rise = np.asarray(right, dtype=float), np.asarray(up, dtype=float)
-    normal = np.cross(across, rise)
+    edges = np.stack([np.asarray(right, dtype=float), np.asarray(up, dtype=float)])
+    normal = np.cross(*edges)
     area = float(np.linalg.norm(normal))
     if not area > 0.0:
         raise ValueError("right and up must span a rectangle")
     uv = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    vertices = np.asarray(centre, dtype=float) + (uv - 0.5) @ np.stack([across, rise])
+    vertices = np.asarray(centre, dtype=float) + (uv - 0.5) @ edges
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     normals, state = np.tile(normal / area, (4, 1)), np.full(4, 0.5)
     return single_instance_mesh(vertices, normals, uv, state, faces, organ_class, "rectangle", surface)

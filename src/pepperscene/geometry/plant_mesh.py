@@ -47,7 +47,7 @@ def mesh_plant(plant: Plant, detail: float = 1.0) -> Mesh:
 
     Args:
         plant: organs with poses and measures, and the kinds that they refer to.
-        detail: fineness of the mesh; grid lines scale with it, triangles with its square. Shapes stay the same.
+        detail: fineness of the mesh; grid lines scale with it, triangles with its square, shapes do not.
 
     Raises:
         ValueError: detail is not above zero, the plant is empty, an organ lacks a measure, or its kind is

@@ -17,27 +17,17 @@ _CHORDS: Final = 8  # chosen: straight chords per cubic piece while its length i
 
 @dataclass(frozen=True, eq=False)
 class Spines:
-    """Smooth curves of n organs at m equal steps, with a right-handed frame at every step.
+    """Smooth curves of n organs at m equal steps, with a right-handed frame at every step."""
 
-    Attributes:
-        points: `(n, m, 3)` metres.
-        normals: `(n, m, 3)` unit vectors to the organ's upper side.
-        binormals: `(n, m, 3)` tangent x normal: to the right when looking along the curve, upper side up.
-        lengths: `(n,)` metres.
-    """
-
-    points: FloatArray
-    normals: FloatArray
-    binormals: FloatArray
-    lengths: FloatArray
+    points: FloatArray  # `(n, m, 3)` metres
+    normals: FloatArray  # `(n, m, 3)` unit vectors to the organ's upper side
+    binormals: FloatArray  # `(n, m, 3)` tangent x normal: right when looking along the curve, upper side up
+    lengths: FloatArray  # `(n,)` metres
 
     def place(self, along: FloatArray, right: FloatArray, up: FloatArray) -> FloatArray:
-        """Convert `(n, q)` curve coordinates to `(n, q, 3)` points, all in metres.
+        """Convert `(n, q)` curve coordinates along, binormal and normal to `(n, q, 3)` points, in metres.
 
-        Args:
-            along: distance from the base; beyond either end the curve continues straight.
-            right: along the binormal.
-            up: along the normal.
+        Beyond either end the curve continues straight.
         """
         point, normal, binormal = self.frames(along)
         return point + right[..., None] * binormal + up[..., None] * normal
@@ -83,8 +73,8 @@ def spines(
 ) -> Spines:
     """Smooth centrelines and carry a frame along each.
 
-    The curve through the points is a cubic Hermite spline with chord-length knots; the frame follows by double
-    reflection (Wang, Juettler, Zheng & Liu 2008, "Computation of rotation minimizing frames").
+    The curve through the points is a cubic Hermite spline with chord-length knots; the frame follows by
+    double reflection (Wang, Juettler, Zheng & Liu 2008, "Computation of rotation minimizing frames").
 
     Args:
         curves: n centrelines `(k, 3)` in metres, k >= 2; k may differ between them.
@@ -173,7 +163,7 @@ def _transport_normals(points: FloatArray, tangents: FloatArray, up: FloatArray)
     normal = perpendicular(tangents[:, 0], up)
     normals = np.empty_like(points)
     normals[:, 0] = normal
-    # Reflect in the bisector plane of neighbouring points, then in that of the reflected and the next tangent.
+    # Reflect in the bisector plane of neighbouring points, then in that of reflected and next tangents.
     chords = _mirrors(np.diff(points, axis=1))
     bisectors = _mirrors(tangents[:, 1:] - _reflect(tangents[:, :-1], chords))
     for step in range(points.shape[1] - 1):

@@ -12,8 +12,8 @@ from pepperscene.geometry.batch import (
     MeshBatch,
     hash_signed,
     hash_uniform,
-    organ_measure,
-    positive_measure,
+    read_measure,
+    read_positive,
     subdivisions,
     vertex_normals,
 )
@@ -42,14 +42,14 @@ def mesh_blades(organs: Sequence[Organ], detail: float) -> MeshBatch:
     margin_waves (count along a margin), blister_m (bulge between veins), vein_m (depth of the sunken veins),
     asymmetry (fraction by which the right half is wider than the mean half, and the left narrower), widest
     (fraction of the length), base (power of the outline there), lobes (along each margin), lobe_depth
-    (fraction of the half-width), state_mean, state_spread, seed. All but the sizes are optional. Measures that
-    would tear a blade are limited: fold to 80 degrees, curl to 150, bulges to a tenth of the width, waves to
-    an eighth.
+    (fraction of the half-width), state_mean, state_spread, seed. All but the sizes are optional. Measures
+    that would tear a blade are limited: fold to 80 degrees, curl to 150, bulges to a tenth of the width, waves
+    to an eighth.
     """
-    positive_measure(organs, "length_m")  # the curve has this length; here it is only checked
-    width, seed = positive_measure(organs, "width_m"), organ_measure(organs, "seed", 0.0)
+    read_positive(organs, "length_m")  # the curve has this length; here it is only checked
+    width, seed = read_positive(organs, "width_m"), read_measure(organs, "seed", 0.0)
     outline = build_outlines(organs, seed)
-    grid = blade_grid(detail, float(organ_measure(organs, "lobes", 0.0).max()))
+    grid = blade_grid(detail, float(read_measure(organs, "lobes", 0.0).max()))
     flat = flat_blades(outline, grid, seed)
     waviness = _waviness(organs, width)
     right, up = _cross_sections(organs, flat, waviness)
@@ -57,7 +57,7 @@ def mesh_blades(organs: Sequence[Organ], detail: float) -> MeshBatch:
         [organ.curve for organ in organs],
         [organ.up for organ in organs],
         subdivisions(32, detail, 12),
-        organ_measure(organs, "twist_rad", 0.0),
+        read_measure(organs, "twist_rad", 0.0),
     )
     spine = _bend_tips(spine, waviness, seed)
     v = grid.pack(flat.along, flat.origin, flat.extra_along, (0.0, 1.0))
@@ -76,18 +76,12 @@ def _waviness(organs: Sequence[Organ], width: FloatArray) -> FloatArray:
     Features of living leaves without a measure (a bent tip, a winding midrib, a margin that turns over here
     and there) grow with the waves of the margin. Chosen: half of them at waves of 1 % of the width.
     """
-    wave = np.abs(organ_measure(organs, "margin_wave_m", 0.0))
+    wave = np.abs(read_measure(organs, "margin_wave_m", 0.0))
     return wave / (wave + 0.01 * width)
 
 
 def _bend_tips(spine: Spines, waviness: FloatArray, seed: FloatArray) -> Spines:
-    """Midribs that wind a little, with the tip bent down and to one side; they keep their lengths.
-
-    Args:
-        spine: midribs with the blade's upper side as normals.
-        waviness: `(n,)` strength, see `_waviness`.
-        seed: `(n,)` of the blades.
-    """
+    """Midribs that wind a little, with the tip bent down and to one side; they keep their lengths."""
     steps = spine.points.shape[1] - 1
     at = np.linspace(0.0, 1.0, steps + 1)
     draws, sign = hash_uniform(seed, 261, 4)[..., None], hash_signed(seed, 262, 2)[..., None]
@@ -100,7 +94,10 @@ def _bend_tips(spine: Spines, waviness: FloatArray, seed: FloatArray) -> Spines:
     _, normals, binormals = _pitch_and_yaw(tangents, spine.normals, spine.binormals, down, aside)
     # Each piece of the midrib turns by the mean of the angles at its ends.
     pieces = np.diff(spine.points, axis=1)
-    up, right = _scaled_frame(pieces, spine.normals[:, 1:] + spine.normals[:, :-1])
+    length = np.sqrt(np.sum(pieces * pieces, axis=-1, keepdims=True))
+    right = cross(pieces, spine.normals[:, 1:] + spine.normals[:, :-1])
+    right *= length / np.sqrt(np.sum(right * right, axis=-1, keepdims=True))
+    up = cross(right, pieces) / length
     bent, _, _ = _pitch_and_yaw(pieces, up, right, _neighbour_means(down), _neighbour_means(aside))
     points = np.concatenate([spine.points[:, :1], spine.points[:, :1] + np.cumsum(bent, axis=1)], axis=1)
     return replace(spine, points=points, normals=normals, binormals=binormals)
@@ -114,25 +111,17 @@ def _neighbour_means(values: FloatArray) -> FloatArray:
 def _pitch_and_yaw(
     along: FloatArray, up: FloatArray, right: FloatArray, down: FloatArray, aside: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A frame pitched down about `right`, then yawed to the right about `up`; the vectors have equal lengths."""
+    """A frame of vectors of equal lengths, pitched down about `right`, then yawed to the right about `up`."""
     c, s = np.cos(down)[..., None], np.sin(down)[..., None]
     along, up = c * along - s * up, c * up + s * along
     c, s = np.cos(aside)[..., None], np.sin(aside)[..., None]
     return c * along + s * right, up, c * right - s * along
 
 
-def _scaled_frame(along: FloatArray, up: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """`up` made perpendicular to `along`, and the vector to the right of both; all as long as `along`."""
-    length = np.sqrt(np.sum(along * along, axis=-1, keepdims=True))
-    right = cross(along, up)
-    right *= length / np.sqrt(np.sum(right * right, axis=-1, keepdims=True))
-    return cross(right, along) / length, right
-
-
 def _section_slopes(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
     """`(n, 2, r, s)` radians by which a half rises from each column to the next, from fold and curl."""
-    fold = np.clip(organ_measure(organs, "fold_rad", 0.0), -1.4, 1.4)[:, None]
-    curl = np.clip(organ_measure(organs, "curl_rad", 0.0), -2.6, 2.6)[:, None]
+    fold = np.clip(read_measure(organs, "fold_rad", 0.0), -1.4, 1.4)[:, None]
+    curl = np.clip(read_measure(organs, "curl_rad", 0.0), -2.6, 2.6)[:, None]
     along, wide = flat.origin, flat.edge / flat.half_width[..., None]
     draws = hash_uniform(flat.seed, 271, 4).reshape(-1, 2, 2)
     vary = hash_signed(flat.seed, 201, 4).reshape(-1, 2, 2)
@@ -179,7 +168,7 @@ def _cross_sections(
 
 def _state(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
     """`(n, v)` pigment states: a few greener and paler patches over the blade."""
-    mean, spread = organ_measure(organs, "state_mean", 0.7), organ_measure(organs, "state_spread", 0.1)
+    mean, spread = read_measure(organs, "state_mean", 0.7), read_measure(organs, "state_spread", 0.1)
     patches = grid_noise(flat, 211, 0.9)
     grid = flat.grid
     halves, midrib = grid.split_halves(patches), patches[..., grid.side]

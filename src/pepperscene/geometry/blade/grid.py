@@ -1,8 +1,8 @@
 """The triangle grid of a blade, whose rows follow the secondary veins that the material draws.
 
-Lengths are fractions of the flat blade, like its uv: `out` is 0 at the midrib and 1 at half the width, `along`
-is 0 at the base and 1 at the tip. The formula of the veins is that of `materials.patterns`, which draws one
-pattern for all blades of a cultivar, stretched to each: on narrow blades veins are steeper.
+Lengths are fractions of the flat blade, like its uv: `out` is 0 at the midrib and 1 at half the width,
+`along` is 0 at the base and 1 at the tip. The formula of the veins is that of `materials.patterns`, which draws
+one pattern for all blades of a cultivar, stretched to each: on narrow blades veins are steeper.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _MEAN_OFFSET: Final = 0.325  # of the numbers that the material adds to a vein's
 
 
 def vein_origin(number: FloatArray) -> FloatArray:
-    """Where secondary vein `number` (0 the lowest; fractions allowed) leaves the midrib: closer at the base."""
+    """Place where secondary vein `number` (0 the lowest, or a fraction) leaves the midrib."""
     return 0.02 + 0.85 * (np.maximum(number + _MEAN_OFFSET, 0.0) / PAIRS) ** 1.15
 
 
@@ -71,26 +71,17 @@ _BELOW: Final = 0.45  # approximate fraction of a margin's length below the end 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Topology of a blade: the base, r rows of c columns, e extra points of the margins, and the tip.
+    """Topology of a blade: the base, r rows of c columns, e extra points of the margins, and the tip."""
 
-    Attributes:
-        number: `(r,)` the secondary vein that a row follows, 0 the lowest, with fractions between veins;
-            below the first vein from -1 at the base to 0, above the last to `TIP_NUMBER` at the tip.
-        across: `(c,)` -1 left margin, 0 midrib, 1 right margin.
-        side: columns in each half.
-        margin: `(m,)` numbers, like those of the rows, of all points of a margin without base and tip.
-        row_in_margin: `(r,)` indices into `margin` of the ends of the rows.
-        extra_in_margin: `(e / 2,)` indices into `margin` of the extra points.
-        faces: `(f, 3)`.
-    """
-
+    # `(r,)` the secondary vein that a row follows, 0 the lowest, with fractions between veins; below the first
+    # vein from -1 at the base to 0, above the last to `TIP_NUMBER` at the tip
     number: FloatArray
-    across: FloatArray
-    side: int
-    margin: FloatArray
-    row_in_margin: IndexArray
-    extra_in_margin: IndexArray
-    faces: IndexArray
+    across: FloatArray  # `(c,)` -1 left margin, 0 midrib, 1 right margin
+    side: int  # columns in each half
+    margin: FloatArray  # `(m,)` like `number`, of all points of a margin without base and tip
+    row_in_margin: IndexArray  # `(r,)` indices into `margin` of the ends of the rows
+    extra_in_margin: IndexArray  # `(e / 2,)` indices into `margin` of the extra points
+    faces: IndexArray  # `(f, 3)`
 
     def split_halves(self, rows: FloatArray) -> FloatArray:
         """`(n, 2, r, s)` left and right half, from the midrib outwards, of values `(n, r, c)`."""
@@ -117,7 +108,7 @@ class Grid:
         """`(n, v)` values in the order of the vertices.
 
         Args:
-            halves: `(n, 2, r, s)` of the columns of either half, from the midrib outwards.
+            halves: `(n, 2, r, s)` as from `split_halves`.
             midrib: `(n, r)`, `(r,)` or one for all.
             extra: `(n, 2, e / 2)` of the extra points of the margins.
             ends: `(n,)` or one for all, of base and tip.
@@ -149,7 +140,7 @@ def blade_grid(detail: float, lobes: float) -> Grid:
 
 @lru_cache(maxsize=16)
 def _grid(fan: int, per_vein: int, side: int, pieces: int) -> Grid:
-    """A grid with rows of `2 * side + 1` columns; margins have about `pieces` pieces, at least one per row."""
+    """A grid of `2 * side + 1` columns; margins have about `pieces` pieces, at least one per row."""
     # Rows are closer together near the veins, where the blade is creased.
     even = np.arange(per_vein * PAIRS + 1) / per_vein
     veined = even - 0.3 / (2.0 * np.pi) * np.sin(2.0 * np.pi * even)
@@ -165,8 +156,8 @@ def _grid(fan: int, per_vein: int, side: int, pieces: int) -> Grid:
     margin = np.concatenate([*at, [TIP_NUMBER]])
     rows_at = np.cumsum(cuts)[:-1]
     extra = np.setdiff1d(np.arange(1, len(margin) - 1), rows_at)
-    # The base and the tip belong to neither margin.
     faces = _faces(len(number), half, cuts, extra)
+    # The base and the tip belong to neither margin.
     return Grid(number, across, side, margin[1:-1], rows_at - 1, extra - 1, faces)
 
 
@@ -180,11 +171,8 @@ def _margin_length(number: FloatArray) -> FloatArray:
 def _faces(rows: int, half: FloatArray, cuts: IndexArray, extra: IndexArray) -> IndexArray:
     """Triangles, counter-clockwise from above with the base below and the tip above.
 
-    Args:
-        rows: how many.
-        half: `(s,)` places of the columns of a half between the midrib and the margin.
-        cuts: pieces of the margin from base to row, from row to row, and from row to tip.
-        extra: indices along the margin, counted from the base, of points that belong to no row.
+    `cuts` are the pieces of the margin from base to row, from row to row, and from row to tip; `extra` the
+    indices along the margin, counted from the base, of points that belong to no row.
     """
     side = len(half)
     columns = 2 * side + 1

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.geometry.batch import hash_uniform, organ_measure, positive_measure
+from pepperscene.geometry.batch import hash_uniform, read_measure, read_positive
 from pepperscene.geometry.blade.grid import FAN_POWER, Grid, origin_of_vein_at, vein_origin, vein_rise
 from pepperscene.geometry.mesh import FloatArray, IndexArray
 from pepperscene.grammar.plant import Organ
@@ -26,27 +26,16 @@ _MOST_LOBES: Final = 24  # along a margin; finer teeth need more triangles than 
 
 @dataclass(frozen=True, eq=False)
 class Outlines:
-    """The outlines of n blades, a left and a right margin each.
+    """The outlines of n blades, a left and a right margin each."""
 
-    Attributes:
-        half_width: `(n, 2)` metres, of the left and the right half where it is widest.
-        half_extent: `(n,)` metres, the larger of the two; the extent of the material's veins.
-        base: `(n, 1, 1)` power of the outline at the base.
-        widest: `(n, 1, 1)` place where it is widest.
-        scale: `(n, 2, 1)` factor that makes the greatest reach 1.
-        lobes: `(n, 2, 4 + k)` hashed numbers for the place and depth of each lobe.
-        count: `(n, 1, 1)` lobes along a margin.
-        depth: `(n, 1, 1)` of the lobes, as a fraction of the half-width.
-    """
-
-    half_width: FloatArray
-    half_extent: FloatArray
-    base: FloatArray
-    widest: FloatArray
-    scale: FloatArray
-    lobes: FloatArray
-    count: FloatArray
-    depth: FloatArray
+    half_width: FloatArray  # `(n, 2)` metres, of the left and the right half where it is widest
+    half_extent: FloatArray  # `(n,)` metres, the larger of the two; the extent of the material's veins
+    base: FloatArray  # `(n, 1, 1)` power of the outline at the base
+    widest: FloatArray  # `(n, 1, 1)` place where it is widest
+    scale: FloatArray  # `(n, 2, 1)` factor that makes the greatest reach 1
+    lobes: FloatArray  # `(n, 2, 4 + k)` hashed numbers for the place and depth of each lobe
+    count: FloatArray  # `(n, 1, 1)` lobes along a margin
+    depth: FloatArray  # `(n, 1, 1)` of the lobes, as a fraction of the half-width
 
     def reach(self, along: FloatArray) -> FloatArray:
         """`(n, 2, m)` metres from the midrib to the margin without lobes, at `(n, 2, m)` or `(m,)` places."""
@@ -61,15 +50,15 @@ class Outlines:
 
 def build_outlines(organs: Sequence[Organ], seed: FloatArray) -> Outlines:
     """Build the outlines of blades from their measures (see `mesh_blades`)."""
-    width = positive_measure(organs, "width_m")
-    widest = np.clip(organ_measure(organs, "widest", _WIDEST), 0.2, 0.45)[:, None, None]
+    width = read_positive(organs, "width_m")
+    widest = np.clip(read_measure(organs, "widest", _WIDEST), 0.2, 0.45)[:, None, None]
     # A greater power would make the tip a thread.
     finest = _FINEST_TIP * widest / (1.0 - widest)
-    base = np.minimum(np.clip(organ_measure(organs, "base", _BASE), 0.3, 1.1)[:, None, None], finest)
-    uneven = np.clip(organ_measure(organs, "asymmetry", 0.0), -0.5, 0.5)[:, None]
+    base = np.minimum(np.clip(read_measure(organs, "base", _BASE), 0.3, 1.1)[:, None, None], finest)
+    uneven = np.clip(read_measure(organs, "asymmetry", 0.0), -0.5, 0.5)[:, None]
     half = 0.5 * width[:, None] * (1.0 + uneven * np.array([-1.0, 1.0]))
-    count = np.clip(organ_measure(organs, "lobes", 0.0), 0.0, _MOST_LOBES)[:, None, None]
-    depth = np.clip(organ_measure(organs, "lobe_depth", 0.0), 0.0, 0.6)[:, None, None]
+    count = np.clip(read_measure(organs, "lobes", 0.0), 0.0, _MOST_LOBES)[:, None, None]
+    depth = np.clip(read_measure(organs, "lobe_depth", 0.0), 0.0, 0.6)[:, None, None]
     numbers = 4 + 2 * int(np.ceil(count.max())) + 3
     lobes = hash_uniform(seed, 251, 2 * numbers).reshape(len(organs), 2, numbers)
     # The stated width is that over the lobes; an entire margin reaches 1 where it is widest.
@@ -81,7 +70,7 @@ def build_outlines(organs: Sequence[Organ], seed: FloatArray) -> Outlines:
 
 
 def _entire_outline(along: FloatArray, base: FloatArray, widest: FloatArray) -> FloatArray:
-    """Half-width over the greatest, 0 at both ends, 1 at `widest`: a beta curve, narrowed at its very foot."""
+    """Half-width over the greatest, 0 at both ends, 1 at `widest`: a beta curve, narrow at its foot."""
     tip = base * (1.0 - widest) / widest
     body = (along / widest) ** base * ((1.0 - along) / (1.0 - widest)) ** tip
     return body * -np.expm1(-along / _FOOT)
@@ -97,19 +86,14 @@ def _lobe_factor(along: FloatArray, lobes: FloatArray, count: FloatArray, depth:
     position = count * (at + warp) + shift
     index = np.floor(position).astype(np.intp)
     # From one notch to the next: a long side towards the base, a round top, a short side towards the tip.
-    below, above, top = (_lookup(lobes, index + k) for k in (0, 1, 2))
+    table = lobes[..., 4:]
+    below, above, top = (np.take_along_axis(table, (index + k) % table.shape[2], 2) for k in (0, 1, 2))
     part = position - index
     notch = (0.4 + 0.6 * below) * np.maximum(1.0 - part / 0.7, 0.0) ** 1.8
     notch += (0.4 + 0.6 * above) * np.maximum(1.0 - (1.0 - part) / 0.5, 0.0) ** 1.5
     notch += 0.25 * top * np.sin(np.pi * part) ** 2
     inside = _smooth_step((at - 0.05 - 0.08 * end) / 0.25) * _smooth_step((1.0 - at) / 0.35)
     return 1.0 - depth * inside * np.minimum(notch, 1.0)
-
-
-def _lookup(lobes: FloatArray, index: IndexArray) -> FloatArray:
-    """The hashed number of each lobe or notch, `(n, 2, m)`."""
-    table = lobes[..., 4:]
-    return np.take_along_axis(table, index % table.shape[2], axis=2)
 
 
 def _smooth_step(x: FloatArray) -> FloatArray:
@@ -124,37 +108,23 @@ _MARGIN_SAMPLES: Final = np.linspace(0.0, 1.0, 161)
 
 @dataclass(frozen=True, eq=False)
 class FlatBlades:
-    """Vertices of n flat blades, a left and a right half each; `along` values are fractions of the length.
+    """Vertices of n flat blades, a left and a right half each; `along` values are fractions of the length."""
 
-    Attributes:
-        margin: `(n, 2, m)` along, of the margin's points as if there were no lobes.
-        reach: `(n, 2, m)` metres from the midrib to the margin's points.
-        rim: `(n, 2, r)` the values of `margin` at the ends of the rows.
-        origin: `(r,)` along, where rows leave the midrib.
-        edge: `(n, 2, r)` metres from the midrib to the ends of the rows.
-        column: `(s,)` places of the columns of a half, from 0 at the midrib to 1 at the end of the row.
-        out: `(n, 2, r, s)` metres from the midrib.
-        along: `(n, 2, r, s)`.
-        extra_edge: `(n, 2, e)` metres from the midrib to the extra points of the margins.
-        extra_along: `(n, 2, e)` along.
-        half_width: `(n, 2)` metres, as in `Outlines`.
-        seed: `(n,)` of the blades.
-        grid: of the blades.
-    """
-
-    margin: FloatArray
-    reach: FloatArray
-    rim: FloatArray
-    origin: FloatArray
-    edge: FloatArray
-    column: FloatArray
-    out: FloatArray
-    along: FloatArray
-    extra_edge: FloatArray
-    extra_along: FloatArray
-    half_width: FloatArray
-    seed: FloatArray
-    grid: Grid
+    margin: FloatArray  # `(n, 2, m)` along, of the margin's points as if there were no lobes
+    reach: FloatArray  # `(n, 2, m)` metres from the midrib to the margin's points
+    rim: FloatArray  # `(n, 2, r)` the values of `margin` at the ends of the rows
+    origin: FloatArray  # `(r,)` along, where rows leave the midrib
+    edge: FloatArray  # `(n, 2, r)` metres from the midrib to the ends of the rows
+    column: (
+        FloatArray  # `(s,)` places of the columns of a half, from 0 at the midrib to 1 at the end of the row
+    )
+    out: FloatArray  # `(n, 2, r, s)` metres from the midrib
+    along: FloatArray  # `(n, 2, r, s)`
+    extra_edge: FloatArray  # `(n, 2, e)` metres from the midrib to the extra points of the margins
+    extra_along: FloatArray  # `(n, 2, e)` along
+    half_width: FloatArray  # `(n, 2)` metres, as in `Outlines`
+    seed: FloatArray  # `(n,)` of the blades
+    grid: Grid  # of the blades
 
 
 def flat_blades(outline: Outlines, grid: Grid, seed: FloatArray) -> FlatBlades:
@@ -179,7 +149,7 @@ def flat_blades(outline: Outlines, grid: Grid, seed: FloatArray) -> FlatBlades:
     weight, power = _row_shapes(outline, along, origin, spread)
 
     def row_along(row: IndexArray, out: FloatArray) -> FloatArray:
-        """Along at `(n, 2, o, s)` metres `out` from the midrib, on rows to the margin's points `row` `(o,)`."""
+        """Along at `(n, 2, o, s)` metres from the midrib, on rows to `(o,)` points of the margin."""
         start, end = origin[row, None], entire[:, :, row, None]
         extent = outline.half_extent[:, None, None, None]
         climb = vein_rise(start, out / extent) / vein_rise(start, end / extent)
@@ -215,10 +185,8 @@ def _row_ends(outline: Outlines, number: FloatArray) -> FloatArray:
     # Under a broad base the margin crosses the same veins on the way down and up: the upper crossing counts.
     origins = np.minimum.accumulate(origins[..., ::-1], axis=2)[..., ::-1] + 1e-9 * _MARGIN_SAMPLES
     wanted = vein_origin(number)
-    ends = [
-        np.interp(wanted, margin, _MARGIN_SAMPLES) for margin in origins.reshape(-1, len(_MARGIN_SAMPLES))
-    ]
-    return np.array(ends).reshape(*origins.shape[:2], len(number))
+    rows = origins.reshape(-1, len(_MARGIN_SAMPLES))
+    return np.array([np.interp(wanted, row, _MARGIN_SAMPLES) for row in rows]).reshape(*origins.shape[:2], -1)
 
 
 def _row_shapes(
@@ -228,13 +196,8 @@ def _row_shapes(
 
     A row must reach the margin from within. Where the margin grows as a power p of the length (p > 1 on a
     wedge-shaped base), the climb of a row above its origin may grow at most as `out` to the power
-    along / (along - origin) / p; a vein's course grows as the power `steep`.
-
-    Args:
-        outline: of the blades.
-        along: `(n, 2, m)` where rows end.
-        origin: `(m,)` where they leave the midrib.
-        spread: `(m,)` the weight of the vein's course where the margin allows it.
+    along / (along - origin) / p; a vein's course grows as the power `steep`. `spread` is the weight of the
+    vein's course where the margin allows it.
     """
     step = 1.0 + 1e-4
     reach = outline.reach(along)

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.geometry.batch import hash_signed, hash_uniform, organ_measure
+from pepperscene.geometry.batch import hash_signed, hash_uniform, read_measure
 from pepperscene.geometry.blade.grid import vein_density
 from pepperscene.geometry.blade.outline import FlatBlades
 from pepperscene.geometry.mesh import FloatArray
@@ -31,8 +31,8 @@ def margin_waves(
     """
     # Waves are limited to an eighth of the width.
     half = flat.half_width.mean(axis=1)
-    height = np.clip(organ_measure(organs, "margin_wave_m", 0.0), -0.25 * half, 0.25 * half)[:, None, None]
-    count = np.clip(organ_measure(organs, "margin_waves", 0.0), 0.0, 12.0)[:, None, None]
+    height = np.clip(read_measure(organs, "margin_wave_m", 0.0), -0.25 * half, 0.25 * half)[:, None, None]
+    count = np.clip(read_measure(organs, "margin_waves", 0.0), 0.0, 12.0)[:, None, None]
     draws = hash_uniform(flat.seed, 231, 16).reshape(-1, 2, 8, 1)
     phase_1, phase_2, phase_3, phase, ripple, much, place, turn = (draws[:, :, k] for k in range(8))
     at, wide = flat.margin, np.minimum(flat.reach / flat.half_width[..., None], 1.0)
@@ -41,7 +41,7 @@ def margin_waves(
     amplitude = 1.0 - (0.25 + 0.5 * much) * (0.5 + 0.5 * np.sin(_TURN * (0.9 * at + phase_3)))
     waves = amplitude * np.sin(_TURN * turns) + 0.1 * np.sin(_TURN * (2.6 * turns + ripple))
     # Chosen: maximum angle at the margin of the stretch that turns over, radians up or down.
-    curl = np.minimum(np.abs(organ_measure(organs, "curl_rad", 0.0)), 1.5)
+    curl = np.minimum(np.abs(read_measure(organs, "curl_rad", 0.0)), 1.5)
     most = (0.5 * waviness + 0.4 * curl)[:, None, None]
     bump = np.exp(-(((at - 0.15 - 0.7 * place) / 0.16) ** 2))
     # Both vanish towards base and tip, where the blade is narrow.
@@ -73,8 +73,8 @@ def vein_bulges(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
     if np.count_nonzero((number >= 0.0) & (number < 1.0)) < 2:
         return np.zeros(flat.along.shape)
     width = 2.0 * flat.half_width.mean(axis=1)
-    height = np.clip(organ_measure(organs, "blister_m", 0.0), -0.1 * width, 0.1 * width)[:, None, None, None]
-    sunken = np.clip(organ_measure(organs, "vein_m", 0.0), -0.05 * width, 0.05 * width)[:, None, None, None]
+    height = np.clip(read_measure(organs, "blister_m", 0.0), -0.1 * width, 0.1 * width)[:, None, None, None]
+    sunken = np.clip(read_measure(organs, "vein_m", 0.0), -0.05 * width, 0.05 * width)[:, None, None, None]
     # Two panels below the first vein, one between each vein and the next.
     panel = np.where(number < 0.0, np.floor(2.0 * number) + 2.0, np.floor(number) + 2.0).astype(np.intp)
     within = np.where(number < 0.0, 2.0 * number, number) % 1.0
@@ -83,7 +83,10 @@ def vein_bulges(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
     panels = PAIRS + 3
     draws = hash_uniform(flat.seed, 241, 4 * panels).reshape(-1, 2, panels, 2)[:, :, panel]
     scale = 0.7 + 0.6 * draws[..., 0]
-    cells = _tertiary_cells(flat, draws[..., 1]) if grid.side >= 6 else 0.75
+    cells: FloatArray | float = 0.75  # factor of the bulges: 1 between tertiary veins, less on them
+    if grid.side >= 6:
+        out = flat.edge[..., None] * column / flat.half_width[..., None, None]
+        cells = 0.75 - 0.25 * np.cos(2.0 * np.pi * (_CELLS * out + draws[..., 1, None]))
     panelled = (scale * dome)[..., None] * _dome_across(column) * cells
     # Furrows run along the veins, shallower towards the margin.
     away = np.minimum(number % 1.0, -number % 1.0)
@@ -100,22 +103,11 @@ def _dome_across(column: FloatArray) -> FloatArray:
     return (1.0 - np.exp(-column / _RISE)) * (1.0 - column**3)
 
 
-def _tertiary_cells(flat: FlatBlades, shift: FloatArray) -> FloatArray:
-    """`(n, 2, r, s)` factor by which tertiary veins divide the bulges: 1 between them, less on them."""
-    out = flat.edge[..., None] * flat.column / flat.half_width[..., None, None]
-    return 0.75 - 0.25 * np.cos(2.0 * np.pi * (_CELLS * out + shift[..., None]))
-
-
 def grid_noise(flat: FlatBlades, salt: int, size: float) -> FloatArray:
     """Compute `(n, r, c)` smooth noise of mean 0 and variance 1 over the grid, like `smooth_field`.
 
     Places are in half-widths across and, along the midrib, at the origin of the row's vein. There each wave
     is a product of a factor for rows and one for columns, which saves most of the cosines.
-
-    Args:
-        flat: vertices of the blades.
-        salt: separates one field of a blade from another.
-        size: mean wavelength, in half-widths.
     """
     angle = 2.0 * np.pi * hash_uniform(flat.seed, salt, _NOISE_WAVES)
     wavenumber = 2.0 * np.pi / size * (1.0 + 0.4 * hash_signed(flat.seed, salt + 1, _NOISE_WAVES))
@@ -136,7 +128,7 @@ def bulge_shrinkage(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
     """
     half = flat.half_width.mean(axis=1)[:, None]
     middle = 0.5 * (flat.column + np.concatenate([[0.0], flat.column[:-1]]))
-    height = np.clip(np.abs(organ_measure(organs, "blister_m", 0.0))[:, None] / half, 0.0, 0.2)
+    height = np.clip(np.abs(read_measure(organs, "blister_m", 0.0))[:, None] / half, 0.0, 0.2)
     dome = _dome_across(middle)
     # Mean squares: of a dome's slope from vein to vein, of its rise at the midrib, of the cells.
     along = 5.3 * 0.6 * (dome * vein_density(middle, 0.2)) ** 2

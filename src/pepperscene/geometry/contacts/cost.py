@@ -39,7 +39,7 @@ def remaining_cost(
         unit: `(c,)` index of the unit that moves in each contact.
         contacts: `(c, 2)` a fruit and any other organ, or a blade and a stem; one of them is of the unit.
         transforms: `(u, k)` of the units, the first of each the identity.
-        stride: use every `stride`-th point.
+        stride: use every `stride`-th sample point.
     """
     organs, others = contacts.T
     bodies, both = rules.detector.organs, transforms.with_inverses()
@@ -51,8 +51,8 @@ def remaining_cost(
     moving, resting, stems = (np.flatnonzero(x) for x in (is_fruit & moves, is_fruit & ~moves, ~is_fruit))
     low, high = swept_boxes(bodies, organs[stems], unit[stems], transforms)
     for rows, pairs in (
-        (moving, rules.moving_fruit(unit[moving], organs[moving], others[moving])),
-        (resting, rules.resting_fruit(unit[resting], others[resting], organs[resting])),
+        (moving, rules.fruit(unit[moving], organs[moving], others[moving], moves=True)),
+        (resting, rules.fruit(unit[resting], organs[resting], others[resting], moves=False)),
         (stems, rules.stems(unit[stems], organs[stems], others[stems], low - NEAR, high + NEAR)),
     ):
         if not len(rows):
@@ -64,13 +64,7 @@ def remaining_cost(
 
 
 class ContactCosts:
-    """All contacts that some units may have, each moved alone.
-
-    Args:
-        rules: costs of contacts between the current organs.
-        units: that move.
-        transforms: `(u, k)`, the range of their motions.
-    """
+    """All contacts that some units may have, each moved alone within the range of its transforms `(u, k)`."""
 
     def __init__(self, rules: PairRules, units: Sequence[MovableUnit], transforms: RigidTransforms) -> None:
         detector, organs = rules.detector, rules.detector.organs
@@ -107,10 +101,10 @@ class ContactCosts:
         # Fruit of the units against everything, their leaves and stalks against fruit, their blades against
         # stems and twine.
         row, organ, other = overlapping(is_fruit, np.ones(len(near), dtype=bool))
-        moving_fruit = rules.moving_fruit(unit[row], organ, other)
+        moving_fruit = rules.fruit(unit[row], organ, other, moves=True)
         row, organ, other = overlapping(~is_fruit, organs.organ_class[near] == FRUIT)
         apart = ~detector.are_joined(other, organ)
-        resting_fruit = rules.resting_fruit(unit[row[apart]], organ[apart], other[apart])
+        resting_fruit = rules.fruit(unit[row[apart]], other[apart], organ[apart], moves=False)
         row, organ, other = overlapping(organs.organ_class[members] == LEAF, detector.is_stem[near])
         apart = ~detector.are_joined(organ, other)
         row, organ, other = row[apart], organ[apart], other[apart]
@@ -176,23 +170,14 @@ def _pairs_within_groups(
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Candidate poses of some units, each moved alone; the first of each is the current one.
+    """Candidate poses of some units, each moved alone; the first of each is the current one."""
 
-    Attributes:
-        angles: `(u, k, 2)` radians.
-        current: `(u, 1, 2)` radians, the current angles.
-        weights: `(u, 1, 2)` weight of a degree of either rotation.
-        effort: `(u, k)` in weighted degrees.
-        remaining: `(u, k)` cost of what remains of the contacts to resolve.
-        joints: of the units.
-    """
-
-    angles: FloatArray
-    current: FloatArray
-    weights: FloatArray
-    effort: FloatArray
-    remaining: FloatArray
-    joints: Joints
+    angles: FloatArray  # `(u, k, 2)` radians
+    current: FloatArray  # `(u, 1, 2)` radians, the current angles
+    weights: FloatArray  # `(u, 1, 2)` weight of a degree of either rotation
+    effort: FloatArray  # `(u, k)` in weighted degrees
+    remaining: FloatArray  # `(u, k)` cost of what remains of the contacts to resolve
+    joints: Joints  # of the units
 
     def transforms(self, angles: FloatArray) -> RigidTransforms:
         """The transforms that lead to angles `(u, k, 2)`."""
@@ -213,7 +198,7 @@ class Poses:
         )
 
     def cost(self, costs: ContactCosts) -> FloatArray:
-        """Compute `(u, k)` costs with all contacts; infinite for poses that cannot be the cheapest of a unit."""
+        """Compute `(u, k)` costs with all contacts; infinite for poses that cannot be the cheapest."""
         transforms, cost = self.transforms(self.angles), self.effort + self.remaining
         # Examine a few first, as one of these may be free.
         first = np.arange(min(1 + _FIRST, cost.shape[1]))

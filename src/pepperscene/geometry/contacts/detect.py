@@ -35,17 +35,11 @@ class ContactCounts:
 
 @dataclass(frozen=True, eq=False)
 class ContactPairs:
-    """Pairs of organs whose boxes are close, ascending.
+    """Pairs of organs whose boxes are close, ascending."""
 
-    Attributes:
-        organ: `(n,)` fruit or blades.
-        other: `(n,)` any organ for a fruit, stems and twine for a blade.
-        depth: `(n,)` metres of penetration; negative if they are apart, minus infinity if far apart.
-    """
-
-    organ: IndexArray
-    other: IndexArray
-    depth: SingleArray
+    organ: IndexArray  # `(n,)` fruit or blades
+    other: IndexArray  # `(n,)` any organ for a fruit, stems and twine for a blade
+    depth: SingleArray  # `(n,)` metres of penetration; negative if apart, minus infinity if far apart
 
     def deeper_than(self, depth: float) -> IndexArray:
         """`(m, 2)` pairs deeper than some metres."""

@@ -64,48 +64,27 @@ def move_plant(plant: Plant, motions: Sequence[Motion]) -> Plant:
     )
 
 
-# Maximum rotations, radians, chosen so that parts still grow naturally: around the stem or else sideways, and up
-# or down. By (grows on a stem, bears fruit).
-_LIMITS: Final = {
-    (True, True): np.radians([60.0, 30.0]),
-    (True, False): np.radians([60.0, 25.0]),
-    (False, True): np.radians([35.0, 35.0]),
-    (False, False): np.radians([35.0, 25.0]),
-}
-# Weight of a degree of either rotation. Fruit hangs: tilting it weighs more than moving it around the stem.
-_WEIGHTS: Final = {
-    (True, True): np.array([1.0, 1.5]),
-    (True, False): np.array([0.8, 1.0]),
-    (False, True): np.array([1.6, 1.6]),
-    (False, False): np.array([0.8, 0.8]),
+# Maximum rotations around the stem (or else sideways) and up or down, radians, chosen so that parts still grow
+# naturally; and weight of a degree of either: fruit hangs, so tilting it weighs more than moving it around the
+# stem. By (grows on a stem, bears fruit).
+_LIMITS_AND_WEIGHTS: Final = {
+    (True, True): (np.radians([60.0, 30.0]), np.array([1.0, 1.5])),
+    (True, False): (np.radians([60.0, 25.0]), np.array([0.8, 1.0])),
+    (False, True): (np.radians([35.0, 35.0]), np.array([1.6, 1.6])),
+    (False, False): (np.radians([35.0, 25.0]), np.array([0.8, 0.8])),
 }
 
 
 @dataclass(frozen=True, eq=False)
 class MovableUnit:
-    """A subtree that rotates as one body about its joint.
+    """A subtree that rotates as one body about its joint."""
 
-    Attributes:
-        root: first organ of the subtree.
-        members: all its organs.
-        on_stem: it grows on a stem, around which it can move.
-        bears_fruit: its root carries fruit rather than leaves.
-    """
-
-    root: int
-    members: tuple[int, ...]
-    on_stem: bool
-    bears_fruit: bool
-
-    @property
-    def limits(self) -> FloatArray:
-        """`(2,)` radians, the maximum rotations."""
-        return _LIMITS[self.on_stem, self.bears_fruit]
-
-    @property
-    def weights(self) -> FloatArray:
-        """`(2,)` weight of a degree of either rotation."""
-        return _WEIGHTS[self.on_stem, self.bears_fruit]
+    root: int  # first organ of the subtree
+    members: tuple[int, ...]  # all its organs
+    on_stem: bool  # it grows on a stem, around which it can move
+    bears_fruit: bool  # its root carries fruit rather than leaves
+    limits: FloatArray  # `(2,)` radians, maximum rotations: around, up or down
+    weights: FloatArray  # `(2,)` of a degree of either rotation
 
 
 def units_of(organs: Organs, organ: int) -> list[MovableUnit]:
@@ -118,22 +97,17 @@ def units_of(organs: Organs, organ: int) -> list[MovableUnit]:
         # A fruit does not rotate within its calyx.
         if kind == FRUIT and organs.mesh.instances[above].kind == "calyx":
             continue
-        on_stem = bool(organs.organ_class[above] == STEM)
-        units.append(MovableUnit(root, tuple(organs.subtree(root)), on_stem, kind in (FRUIT, STALK)))
+        key = bool(organs.organ_class[above] == STEM), kind in (FRUIT, STALK)
+        units.append(MovableUnit(root, tuple(organs.subtree(root)), *key, *_LIMITS_AND_WEIGHTS[key]))
     return units
 
 
 @dataclass(frozen=True, eq=False)
 class RigidTransforms:
-    """Rigid transforms of some units: every point p moves to rotation @ p + shift.
+    """Rigid transforms of some units: every point p moves to rotation @ p + shift."""
 
-    Attributes:
-        rotation: `(u, k, 3, 3)` k transforms of each unit.
-        shift: `(u, k, 3)` metres.
-    """
-
-    rotation: FloatArray
-    shift: FloatArray
+    rotation: FloatArray  # `(u, k, 3, 3)` k transforms of each unit
+    shift: FloatArray  # `(u, k, 3)` metres
 
     def with_inverses(self) -> RigidTransforms:
         """`(2 u, k)` transforms: these, then their inverses; to move a fruit is to move all else back."""
@@ -148,19 +122,12 @@ class RigidTransforms:
 
 @dataclass(frozen=True, eq=False)
 class Joints:
-    """Current axes of units: each rotates up or down about its foot, then around the stem or sideways.
+    """Current axes of units: each rotates up or down about its foot, then around the stem or sideways."""
 
-    Attributes:
-        foot: `(u, 3)` metres, where the unit starts.
-        across: `(u, 3)` horizontal axis through the foot; right-handed rotations raise the unit.
-        pivot: `(u, 3)` metres, on the axis of the second rotation.
-        axis: `(u, 3)` that axis.
-    """
-
-    foot: FloatArray
-    across: FloatArray
-    pivot: FloatArray
-    axis: FloatArray
+    foot: FloatArray  # `(u, 3)` metres, where the unit starts
+    across: FloatArray  # `(u, 3)` horizontal axis through the foot; right-handed rotations raise the unit
+    pivot: FloatArray  # `(u, 3)` metres, on the axis of the second rotation
+    axis: FloatArray  # `(u, 3)` that axis
 
     def transforms(self, angles: FloatArray) -> RigidTransforms:
         """The transforms for `(u, k, 2)` radians: around, up."""
@@ -177,28 +144,21 @@ class Joints:
 def find_joints(organs: Organs, units: Sequence[MovableUnit]) -> Joints:
     """Find the joints of some units at the current poses.
 
-    A unit on a stem moves around the vertical through the centre of its node; so it keeps its inclination, and
-    its foot stays in the node. Other units rotate about their foot, across their own direction.
+    A unit on a stem moves around the vertical through the centre of its node; so it keeps its inclination,
+    and its foot stays in the node. Other units rotate about their foot, across their own direction.
     """
-    joints = [_joint(organs, unit) for unit in units]
-    return Joints(*(np.array(column) for column in zip(*joints, strict=True)))
-
-
-def _joint(organs: Organs, unit: MovableUnit) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Foot, horizontal axis, pivot and second axis of a unit."""
-    foot, axis = organs.foot(unit.root), np.array([0.0, 0.0, 1.0])
-    if unit.on_stem:
-        pivot = organs.box_centre(int(organs.parent[unit.root]))
-        out = foot - pivot
-    else:
-        pivot = foot
-        out = organs.box_centre(unit.root) - foot
-    level = np.hypot(out[0], out[1])
-    across = np.array([out[1], -out[0], 0.0]) / level if level > 1e-9 else np.array([1.0, 0.0, 0.0])
-    if not unit.on_stem and np.any(out):
-        axis = cross(across, out)
-        axis /= np.sqrt(axis @ axis)
-    return foot, across, pivot, axis
+    joints = np.empty((4, len(units), 3))
+    for row, unit in enumerate(units):
+        foot, axis = organs.foot(unit.root), np.array([0.0, 0.0, 1.0])
+        pivot = organs.box_centre(int(organs.parent[unit.root])) if unit.on_stem else foot
+        out = foot - pivot if unit.on_stem else organs.box_centre(unit.root) - foot
+        level = np.hypot(out[0], out[1])
+        across = np.array([out[1], -out[0], 0.0]) / level if level > 1e-9 else np.array([1.0, 0.0, 0.0])
+        if not unit.on_stem and np.any(out):
+            axis = cross(across, out)
+            axis /= np.sqrt(axis @ axis)
+        joints[:, row] = foot, across, pivot, axis
+    return Joints(*joints)
 
 
 def rotations(axis: FloatArray, angles: FloatArray) -> FloatArray:

@@ -36,14 +36,13 @@ class Organs:
         parent: `(n,)` index of the parent, -1 for none.
         organ_class: `(n,)`.
         plant: `(n,)`.
-        solid: `(n,)` whether it can touch others: it has triangles and is not scenery, which has no class and
-            no parent.
+        solid: `(n,)` whether it can touch others: it has triangles, and a class or a parent, unlike scenery.
         low, high: `(n, 3)` metres, corners of the current bounding box of each organ.
         moves: number of moves so far.
         moved_at: `(n,)` value of `moves` after the last move of each organ, 0 if it never moved.
         rotation, shift: `(n, 3, 3)` and `(n, 3)` pose: the current point is rotation @ original point + shift.
         all_patches: the patches of all organs sampled so far, at their current poses.
-        patch_first, patch_count: `(n,)` first patch of each organ and their number; -1 if not sampled yet.
+        patch_first, patch_count: `(n,)` first patch of each organ and their number, -1 if not sampled.
 
     Raises:
         ValueError: two instances share vertices, so that one cannot move without the other.
@@ -116,7 +115,7 @@ class Organs:
         return self.mesh.uv[self._vertices.rows(organ), 1]
 
     def original_triangles(self, organs: Sequence[int]) -> tuple[SingleArray, IndexArray]:
-        """`(f, 3, 3)` triangles of some organs before all moves, and `(f,)` the position of each one's organ."""
+        """`(f, 3, 3)` triangles of some organs before all moves, and `(f,)` position of their organ."""
         faces = [self.mesh.faces[self._face_runs.rows(organ)] for organ in organs]
         owner = np.repeat(np.arange(len(faces)), [len(some) for some in faces])
         return self.mesh.vertices[np.concatenate(faces)], owner
@@ -134,7 +133,7 @@ class Organs:
         return np.asarray(0.5 * (self.low[organ] + self.high[organ]))
 
     def sample(self, organs: IndexArray) -> None:
-        """Place sample points on those organs that have none; many at once are faster than one after another."""
+        """Place sample points on those organs that have none; a single call for many is faster."""
         missing = np.unique(organs[self.patch_count[organs] < 0])
         if not len(missing):
             return

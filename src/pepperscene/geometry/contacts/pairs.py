@@ -1,6 +1,6 @@
 """Pairs of organs that may touch when one of them moves: depth and cost for many pairs and motions at once.
 
-Bounding boxes are compared first, then bounding spheres of patches, then points: each leaves little for the next.
+Bounding boxes are compared first, then bounding spheres of patches, then points: each leaves few for the next.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pepperscene.geometry.contacts.detect import NEAR, ContactDetector
 from pepperscene.geometry.contacts.joints import RigidTransforms
@@ -75,14 +74,7 @@ class FruitPairs:
 
 
 class StemPairs:
-    """Blades that move towards stems and twine: `(n,)` blades, and the stem of each.
-
-    Args:
-        detector: current organs.
-        blades: `(n,)`.
-        stems: `(n,)`.
-        low, high: `(n, 3)` metres, corners of boxes that the blades stay in.
-    """
+    """Blades that move within boxes towards stems and twine: `(n,)` blades, and the stem and box of each."""
 
     def __init__(
         self,
@@ -137,8 +129,8 @@ def _near_patches(
     """Patches of moving organs that overlap spheres, one sphere for each mover.
 
     Yields:
-        `(h,)` indices of movers and `(h,)` of the transforms with which they meet their spheres; `(m,)` index of
-        each patch's pair among these, and `(m,)` the patches.
+        `(h,)` indices of movers and `(h,)` of the transforms with which they meet their spheres; `(m,)` index
+        of each patch's pair among these, and `(m,)` the patches.
     """
     if not len(movers):
         return
@@ -198,21 +190,13 @@ def _blocks(sizes: IndexArray) -> Iterator[slice]:
 
 @dataclass(frozen=True, eq=False)
 class PairCosts:
-    """Organs of units, what each may touch, and the cost of touching it.
+    """Organs of units, the organ that each may touch, and the cost of that."""
 
-    Attributes:
-        table: of `n` pairs.
-        unit: `(n,)` index of the unit of each.
-        inverse: move all else back instead of the unit.
-        weight: `(n,)` cost of a contact.
-        slack: `(n,)` additional depth in metres that is free; NaN where the clearance must be kept.
-    """
-
-    table: FruitPairs | StemPairs
-    unit: IndexArray
-    inverse: bool
-    weight: FloatArray
-    slack: FloatArray
+    table: FruitPairs | StemPairs  # of `n` pairs
+    unit: IndexArray  # `(n,)` index of the unit of each
+    inverse: bool  # move all else back instead of the unit
+    weight: FloatArray  # `(n,)` cost of a contact
+    slack: FloatArray  # `(n,)` additional depth in metres that is free; NaN where the clearance must be kept
 
     def cost(
         self, rows: IndexArray, unit: IndexArray, transforms: RigidTransforms, stride: int
@@ -223,7 +207,7 @@ class PairCosts:
             rows: `(r,)` ascending.
             unit: `(r,)` row of `transforms` for each.
             transforms: `(2 u, k)` with their inverses, the first of each the identity.
-            stride: use every `stride`-th point: the cost is at most that with all points.
+            stride: use every `stride`-th sample point: the cost is at most that with all points.
         """
         which = unit + len(transforms.shift) // 2 if self.inverse else unit
         depth = self.table.depths(rows, which, transforms, stride)
@@ -235,58 +219,44 @@ class PairCosts:
 
 
 class PairRules:
-    """Costs of contacts by the classes of the two organs.
+    """Costs of contacts between current organs, by their classes.
 
-    Between plants, a unit may come as near to organs of its own plant as it is.
-
-    Args:
-        detector: current organs.
-        hard: nothing gives way; otherwise leaves give way to fruit.
+    With `hard` nothing gives way; otherwise leaves give way to fruit. Between plants, a unit may come as near
+    to organs of its own plant as it is.
     """
 
     def __init__(self, detector: ContactDetector, *, hard: bool) -> None:
         self.detector, self._organ_class, self._hard = detector, detector.organs.organ_class, hard
 
-    def moving_fruit(self, unit: IndexArray, fruit: IndexArray, others: IndexArray) -> PairCosts:
-        """Fruit of units against other organs; its own stalk may penetrate a little deeper."""
-        joined = self.detector.are_joined(fruit, others)
+    def fruit(self, unit: IndexArray, fruit: IndexArray, others: IndexArray, *, moves: bool) -> PairCosts:
+        """Fruit and other organs, of which the units move the fruit or else the other.
+
+        The stalk of a fruit that moves may penetrate it a little deeper.
+        """
+        joined = self.detector.are_joined(fruit, others) & moves
         weight = np.full(len(unit), _HARD)
-        if not self._hard:
+        if moves and not self._hard:
             weight[np.isin(self._organ_class[others], [FRUIT, STALK]) & ~joined] = _FRUIT
             weight[np.isin(self._organ_class[others], [FLOWER, LEAF, SHOOT]) & ~joined] = _SOFT
-        costs = self._pairs(
-            FruitPairs(self.detector, others, fruit), unit, weight, fruit, others, inverse=True
-        )
-        costs.slack[joined] = _OWN_STALK
-        return costs
-
-    def resting_fruit(self, unit: IndexArray, movers: IndexArray, fruit: IndexArray) -> PairCosts:
-        """Leaves and stalks of units against fruit."""
-        table = FruitPairs(self.detector, movers, fruit)
-        return self._pairs(table, unit, np.full(len(unit), _HARD), movers, fruit)
+        weight, slack = self._within_plants(weight, fruit, others)
+        slack[joined] = _OWN_STALK
+        return PairCosts(FruitPairs(self.detector, others, fruit), unit, moves, weight, slack)
 
     def stems(
         self, unit: IndexArray, blades: IndexArray, stems: IndexArray, low: FloatArray, high: FloatArray
     ) -> PairCosts:
-        """Blades of units, which stay in boxes, against stems and twine."""
-        table = StemPairs(self.detector, blades, stems, low, high)
-        return self._pairs(table, unit, np.full(len(unit), _HARD), blades, stems)
+        """Blades that the units move within boxes, and stems and twine."""
+        weight, slack = self._within_plants(np.full(len(unit), _HARD), blades, stems)
+        return PairCosts(StemPairs(self.detector, blades, stems, low, high), unit, False, weight, slack)
 
-    def _pairs(
-        self,
-        table: FruitPairs | StemPairs,
-        unit: IndexArray,
-        weight: FloatArray,
-        organs: IndexArray,
-        others: IndexArray,
-        *,
-        inverse: bool = False,
-    ) -> PairCosts:
-        """Pairs with such weights; between plants, contacts within a plant must not get deeper."""
-        slack = np.full(len(unit), np.nan)
+    def _within_plants(
+        self, weight: FloatArray, organs: IndexArray, others: IndexArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Weight and slack: between plants, contacts within a plant must not get deeper."""
+        slack = np.full(len(weight), np.nan)
         if self.detector.between_plants:
-            plant: IndexArray = self.detector.organs.plant
+            plant = self.detector.organs.plant
             same = plant[organs] == plant[others]
             slack[same] = 1e-6
             weight = np.where(same, _SAME_PLANT, weight)
-        return PairCosts(table, unit, inverse, weight, slack)
+        return weight, slack

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
 
 SPACING: Final = 4.5e-3
 """Maximum distance in metres of neighbouring points along an edge of two triangles, chosen.
 
-A straight line between two points at distance s that dips into a sphere of radius R is missed down to a depth of
+A straight line between points at distance s that dips into a sphere of radius R is missed down to a depth of
 s^2 / 8R: 0.6 mm for the tip of a pointed fruit or of a lobe, R = 4 mm, nothing for the flank of a fruit.
 """
 
@@ -44,7 +43,7 @@ def fill_triangles(corners: SingleArray) -> tuple[SingleArray, IndexArray]:
     length = np.sqrt(longest[large])
     foot = np.einsum("fi,fi->f", base, side) / length
     height = np.sqrt(np.maximum(squared_lengths(side) - foot * foot, 0.0))
-    # A slender triangle needs points along its longest edge only, and its neighbour there places half of them.
+    # A slender triangle needs points along its longest edge only, half of them on its neighbour there.
     part = np.where(height > 2.0 * SPACING, 1.0, 0.5)
     # Rows of points parallel to the base, shorter towards the opposite corner.
     rows = np.ceil(part * height / SPACING).astype(np.intp)
@@ -72,17 +71,11 @@ def expand_counts(counts: IndexArray) -> tuple[IndexArray, IndexArray]:
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """Groups of neighbouring points.
+    """Groups of neighbouring points."""
 
-    Attributes:
-        points: `(n, PATCH_SIZE, 3)` metres.
-        centre: `(n, 3)` metres, of the bounding spheres.
-        radius: `(n,)` metres, of the bounding spheres.
-    """
-
-    points: SingleArray
-    centre: SingleArray
-    radius: SingleArray
+    points: SingleArray  # `(n, PATCH_SIZE, 3)` metres
+    centre: SingleArray  # `(n, 3)` metres, of the bounding spheres
+    radius: SingleArray  # `(n,)` metres, of the bounding spheres
 
     def __len__(self) -> int:
         return len(self.radius)
@@ -157,11 +150,8 @@ def build_patches(
     return Patches(grouped, centre, radius + np.float32(1e-6)), count
 
 
-def _interleave() -> NDArray[np.uint16]:
-    """Numbers of `_BITS` bits with two zero bits between neighbouring bits."""
-    value = np.arange(2**_BITS, dtype=np.uint16)
-    return np.bitwise_or.reduce([(value >> bit & 1) << 3 * bit for bit in range(_BITS)]).astype(np.uint16)
-
-
-_INTERLEAVED: Final = _interleave()
+# Numbers of `_BITS` bits, with two zero bits between neighbouring bits.
+_INTERLEAVED: Final = np.bitwise_or.reduce(
+    [(np.arange(2**_BITS) >> bit & 1) << 3 * bit for bit in range(_BITS)]
+).astype(np.uint16)
 _MEAN: Final = np.full((1, PATCH_SIZE), 1.0 / PATCH_SIZE, dtype=np.float32)

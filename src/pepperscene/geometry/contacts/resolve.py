@@ -1,4 +1,4 @@
-"""Resolution of contacts: candidate poses are tried for all that touches, and the smallest rotation is made."""
+"""Resolution of contacts: candidate poses of all organs that touch, and the smallest rotation that helps."""
 
 from __future__ import annotations
 
@@ -30,15 +30,10 @@ _ROUNDS: Final = 18  # chosen: later rounds hardly resolve anything
 
 @dataclass(frozen=True, eq=False)
 class _Round:
-    """One attempt to resolve all contacts.
+    """One attempt to resolve all contacts."""
 
-    Attributes:
-        number: from 0.
-        phase: `(n,)` radians by which the pattern of candidate poses of each organ's unit is rotated.
-    """
-
-    number: int
-    phase: FloatArray
+    number: int  # from 0
+    phase: FloatArray  # `(n,)` radians, rotation of the pattern of candidate poses for each organ's unit
 
     @property
     def hard(self) -> bool:
@@ -53,28 +48,16 @@ class _Round:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """The best rotation of a unit.
+    """The best rotation of a unit."""
 
-    Attributes:
-        gain: how much less it costs than the current pose.
-        angles: `(2,)` radians of the unit after it.
-        small: the unit then has no contacts and has rotated little.
-        resolves: indices of the contacts that some rotation of the unit resolves.
-    """
-
-    gain: float
-    angles: FloatArray
-    small: bool
-    resolves: frozenset[int]
+    gain: float  # how much less it costs than the current pose
+    angles: FloatArray  # `(2,)` radians of the unit after it
+    small: bool  # the unit then has no contacts and has rotated little
+    resolves: frozenset[int]  # indices of the contacts that some rotation of the unit resolves
 
 
 class ContactSolver:
-    """Moves organs to poses without contacts.
-
-    Args:
-        detector: current organs, which it moves.
-        rng: for the candidate poses.
-    """
+    """Moves the organs of a detector to poses without contacts; `rng` decides the candidate poses."""
 
     def __init__(self, detector: ContactDetector, rng: np.random.Generator) -> None:
         self.detector, self.organs = detector, detector.organs
@@ -147,13 +130,9 @@ class ContactSolver:
         contacts: IndexArray,
         current_round: _Round,
     ) -> dict[int, _Trial]:
-        """Find the best rotation of each unit from the current poses, by root.
+        """Find the best rotation of each unit alone from the current poses, by root.
 
-        Args:
-            units: to try, each alone.
-            places: indices of the contacts that each is to resolve.
-            contacts: `(c, 2)`.
-            current_round: of attempts.
+        `places` are the indices of the contacts that each unit is to resolve.
         """
         rules = PairRules(self.detector, hard=current_round.hard)
         poses, resolves = self._candidate_poses(units, places, contacts, current_round, rules)
@@ -258,8 +237,7 @@ class ContactSolver:
 
 
 def _disc_points(count: int, phase: FloatArray) -> FloatArray:
-    """`(u, count, 2)` evenly distributed points of unit discs, from the centre outwards, rotated by `(u,)`
-    radians."""
+    """`(u, count, 2)` points evenly over unit discs, from the centre outwards, rotated by `(u,)` radians."""
     step = np.arange(count) + 0.5
     angle = phase[:, None] + np.pi * (3.0 - np.sqrt(5.0)) * step
     return np.asarray((step / count)[:, None] ** 0.7 * np.stack([np.cos(angle), np.sin(angle)], axis=2))
@@ -285,9 +263,9 @@ def resolve_contacts(
 ) -> ResolvedMesh:
     """Rotate parts of plants so that fruit touches nothing and blades do not run through stems.
 
-    It only uses the classes and parents of the instances, so it works for any crop. Units on either side of a
-    contact are tried in a number of poses, and the smallest rotation that resolves it is made; leaves give way
-    before fruit does. The same mesh and state of the generator give the same mesh, bit for bit.
+    Only the classes and parents of the instances are used, so any crop will do. Units on either side of a
+    contact are tried in a number of poses, and the smallest rotation that resolves it is made; leaves give
+    way before fruit does. The same mesh and state of the generator give the same mesh, bit for bit.
 
     Args:
         mesh: one or more plants, z up, with the ground at z = 0.

@@ -23,19 +23,12 @@ _PIECE: Final = 0.01  # m, chosen: stems bend so little that straight pieces of 
 
 @dataclass(frozen=True, eq=False)
 class BoundingSpheres:
-    """Bounding spheres of some fruit at their current poses.
+    """Bounding spheres of some fruit at their current poses."""
 
-    Attributes:
-        row: `(n,)` row of each fruit in the table of surfaces.
-        rotation: `(n, 3, 3)` of the fruit.
-        centre: `(n, 3)` metres.
-        radius: `(n,)` metres.
-    """
-
-    row: IndexArray
-    rotation: FloatArray
-    centre: FloatArray
-    radius: FloatArray
+    row: IndexArray  # `(n,)` row of each fruit in the table of surfaces
+    rotation: FloatArray  # `(n, 3, 3)` of the fruit
+    centre: FloatArray  # `(n, 3)` metres
+    radius: FloatArray  # `(n,)` metres
 
 
 class FruitSurfaces:
@@ -187,17 +180,11 @@ def _barycentric_grid(pieces: int) -> SingleArray:
 
 @dataclass(frozen=True, eq=False)
 class Capsules:
-    """Cylinders with hemispherical ends.
+    """Cylinders with hemispherical ends."""
 
-    Attributes:
-        start: `(c, 3)` metres.
-        span: `(c, 3)` metres, from start to end.
-        radius: `(c,)` metres.
-    """
-
-    start: FloatArray
-    span: FloatArray
-    radius: FloatArray
+    start: FloatArray  # `(c, 3)` metres
+    span: FloatArray  # `(c, 3)` metres, from start to end
+    radius: FloatArray  # `(c,)` metres
 
     @cached_property
     def low(self) -> FloatArray:
@@ -237,7 +224,7 @@ class StemCapsules:
         self._capsules = Capsules(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
 
     def of_tubes(self, tubes: IndexArray) -> tuple[Capsules, IndexArray, IndexArray]:
-        """All capsules so far, `(m,)` indices of those of some tubes, and `(m,)` the position of their tube."""
+        """All capsules so far, `(m,)` indices of those of some tubes, and `(m,)` positions of their tube."""
         missing = np.unique(tubes[self._count[tubes] < 0])
         if len(missing):
             old = self._capsules

@@ -11,8 +11,8 @@ from pepperscene.geometry.batch import (
     MeshBatch,
     hash_signed,
     hash_uniform,
-    organ_measure,
-    positive_measure,
+    read_measure,
+    read_positive,
     ring_shells,
     subdivisions,
 )
@@ -65,10 +65,10 @@ def mesh_calyces(
         fruit: frames and shoulders of the fruit, or None if there are none.
         detail: fineness of the mesh, 1 as designed.
     """
-    n, seed = len(organs), organ_measure(organs, "seed", 0.0)
-    tooth = np.clip(organ_measure(organs, "tooth", _TOOTH), 0.02, 0.9)
+    n, seed = len(organs), read_measure(organs, "seed", 0.0)
+    tooth = np.clip(read_measure(organs, "tooth", _TOOTH), 0.02, 0.9)
     stalk, stalk_axis = _stalk_ends(organs, stalks)
-    radius = np.maximum(positive_measure(organs, "radius_m"), 1.5 * stalk)
+    radius = np.maximum(read_positive(organs, "radius_m"), 1.5 * stalk)
     thickness, sunk = (np.minimum(part * radius, most) for part, most in (_THICKNESS, _SUNK))
     # The rim, and for each column the fraction of the way to the tip of its tooth.
     angle, phase = _columns(seed, float(tooth.max()), detail)
@@ -113,15 +113,15 @@ def mesh_calyces(
     # Teeth are greener than the swollen ring around the stalk.
     colour = np.concatenate([[-0.12, -0.12], _UPPER[:, 2], 0.1 * (lower > 0.5)])
     state = np.pad(np.repeat(colour, angle.shape[1]), 1, mode="edge")
-    state = state + organ_measure(organs, "state_mean", 0.5)[:, None]
+    state = state + read_measure(organs, "state_mean", 0.5)[:, None]
     v = np.broadcast_to(np.arange(1, len(colour) + 1) / (len(colour) + 1), (n, len(colour)))
     return ring_shells(np.concatenate([collar, plate], axis=1), np.stack([first, last], axis=1), v, state)
 
 
 def _stalk_ends(organs: Sequence[Organ], stalks: Sequence[Organ | None]) -> tuple[FloatArray, FloatArray]:
     """`(n,)` radius and `(n, 3)` direction of the stalks' ends; without a stalk, along the calyx's curve."""
-    tooth = np.clip(organ_measure(organs, "tooth", _TOOTH), 0.0, 0.9)
-    radius = _STALK * positive_measure(organs, "radius_m") * (1.0 - 0.6 * tooth)
+    tooth = np.clip(read_measure(organs, "tooth", _TOOTH), 0.0, 0.9)
+    radius = _STALK * read_positive(organs, "radius_m") * (1.0 - 0.6 * tooth)
     axis = np.array([organ.curve[-1] - organ.curve[0] for organ in organs], dtype=float)
     for index, stalk in enumerate(stalks):
         if stalk is not None and stalk.measures.get("radius_tip_m", 0.0) > 0.0:
@@ -131,7 +131,7 @@ def _stalk_ends(organs: Sequence[Organ], stalks: Sequence[Organ | None]) -> tupl
 
 
 def _columns(seed: FloatArray, tooth: float, detail: float) -> tuple[FloatArray, FloatArray]:
-    """Angles `(n, c)` of the columns, and their phase: whole numbers at the tips of teeth, halves in the gaps.
+    """Angles `(n, c)` of the columns, and their phase: whole at the tips of teeth, half-way in the gaps.
 
     Every tip and every gap has a column, so that points stay sharp; long sepals get more columns.
     """

@@ -11,7 +11,7 @@ import numpy as np
 from pepperscene.geometry.batch import (
     MeshBatch,
     hash_uniform,
-    organ_measure,
+    read_measure,
     ring_shells,
     smooth_field,
 )
@@ -31,15 +31,10 @@ _STEEPEST: Final = (
 
 @dataclass(frozen=True, eq=False)
 class FruitFrames:
-    """Coordinate systems of n fruit.
+    """Coordinate systems of n fruit."""
 
-    Attributes:
-        foot: `(n, 3)` metres, where the stalk meets the fruit.
-        axes: `(n, 3, 3)` unit rows: to the fruit's upper side, to its right, along its axis; right-handed.
-    """
-
-    foot: FloatArray
-    axes: FloatArray
+    foot: FloatArray  # `(n, 3)` metres, where the stalk meets the fruit
+    axes: FloatArray  # `(n, 3, 3)` unit rows, right-handed: to the upper side, to the right, along the axis
 
     def to_plant(self, points: FloatArray) -> FloatArray:
         """Convert `(n, q, 3)` points from metres up, right and along to plant coordinates."""
@@ -60,7 +55,7 @@ def fruit_frames(organs: Sequence[Organ]) -> FruitFrames:
 
 
 def axis_frames(axis: FloatArray, up: FloatArray) -> FloatArray:
-    """`(n, 3, 3)` unit rows across, to the right of and along each axis, the first as near `up` as possible."""
+    """`(n, 3, 3)` unit rows across (as near `up` as possible), to the right of and along each axis."""
     along = normalize(axis)
     side = perpendicular(along, up)
     return np.stack([side, cross(along, side), along], axis=1)
@@ -77,7 +72,7 @@ def mesh_fruits(organs: Sequence[Organ], pericarps: Pericarps) -> MeshBatch:
     points = np.zeros((n, 2 + rings * columns, 3))
     points[:, 1:-1] = np.stack([up, right, pericarps.along], axis=-1).reshape(n, -1, 3)
     points[:, -1, 2] = pericarps.end
-    state = ripeness(organs, points / (0.5 * organ_measure(organs, "diameter_m"))[:, None, None])
+    state = ripeness(organs, points / (0.5 * read_measure(organs, "diameter_m"))[:, None, None])
     if np.any(pericarps.bend != 0.0):
         points = pericarps.bend_points(points[..., 2], points[..., 0], points[..., 1])
     points = fruit_frames(organs).to_plant(points)
@@ -85,13 +80,13 @@ def mesh_fruits(organs: Sequence[Organ], pericarps: Pericarps) -> MeshBatch:
 
 
 def ripeness(organs: Sequence[Organ], points: FloatArray) -> FloatArray:
-    """Compute `(n, q)` ripeness at `(n, q, 3)` points, in units of the fruit's radius; the last axis is its own.
+    """Compute `(n, q)` ripeness at `(n, q, 3)` points up, right and along, in units of the fruit's radius.
 
     Patches are one and a half times wider than tall (chosen), and there is a trend from shoulder to tip,
     stronger in some fruit than in others.
     """
-    seed, mean = organ_measure(organs, "seed", 0.0), organ_measure(organs, "ripeness", 0.0)
-    spread = organ_measure(organs, "ripeness_spread", 0.0)
+    seed, mean = read_measure(organs, "seed", 0.0), read_measure(organs, "ripeness", 0.0)
+    spread = read_measure(organs, "ripeness_spread", 0.0)
     points = points * [1.0, 1.0, 1.5]
     trend = points[..., 2] - points[..., 2].mean(axis=1, keepdims=True)
     trend /= trend.std(axis=1, keepdims=True)
@@ -103,15 +98,10 @@ def ripeness(organs: Sequence[Organ], points: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Shoulders:
-    """The stalk sides of n fruit, as depths below the plane through the stalk's foot and across the axis.
+    """The stalk sides of n fruit, as depths below the plane through the stalk's foot and across the axis."""
 
-    Attributes:
-        extent: `(n, c)` metres from the axis that the depths cover, at c equal angles from the upper side.
-        along: `(n, q, c)` metres towards the blossom end, at q equal steps of the radius from 0 to the extent.
-    """
-
-    extent: FloatArray
-    along: FloatArray
+    extent: FloatArray  # `(n, c)` metres from the axis, at c equal angles from the upper side
+    along: FloatArray  # `(n, q, c)` metres towards the blossom end, at q equal radii from 0 to the extent
 
     def surface(self, fruit: IndexArray, radius: FloatArray, angle: FloatArray) -> FloatArray:
         """Interpolate `(m, q, c)` metres along the axis to the surface; beyond the extent it is straight.

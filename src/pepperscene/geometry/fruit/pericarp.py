@@ -10,8 +10,8 @@ import numpy as np
 from pepperscene.geometry.batch import (
     hash_signed,
     hash_uniform,
-    organ_measure,
-    positive_measure,
+    read_measure,
+    read_positive,
     smooth_field,
     subdivisions,
 )
@@ -32,23 +32,14 @@ _BENT_FROM = 0.3  # fraction of the axis after which it bends
 
 @dataclass(frozen=True, eq=False)
 class Pericarps:
-    """Walls of n fruit as rings about straight axes that start where the stalk meets the fruit.
+    """Walls of n fruit as rings about straight axes that start where the stalk meets the fruit."""
 
-    Attributes:
-        along: `(n, r, c)` metres along the axis, from the stalk's foot; shoulders are below zero.
-        radius: `(n, r, c)` metres from the axis, at c equal angles from the fruit's upper side.
-        end: `(n,)` metres along, where the axis meets the blossom end.
-        v: `(n, r)` fraction of the wall's length, 0 at the stalk's foot, 1 at the blossom end.
-        widest: `(n,)` index of the ring that reaches farthest.
-        bend: `(n, 2)` radians by which the blossom end is bent: to the upper side, to the right.
-    """
-
-    along: FloatArray
-    radius: FloatArray
-    end: FloatArray
-    v: FloatArray
-    widest: IndexArray
-    bend: FloatArray
+    along: FloatArray  # `(n, r, c)` metres along the axis, from the stalk's foot; shoulders are below zero
+    radius: FloatArray  # `(n, r, c)` metres from the axis, at c equal angles from the fruit's upper side
+    end: FloatArray  # `(n,)` metres along, where the axis meets the blossom end
+    v: FloatArray  # `(n, r)` fraction of the wall's length, 0 at the stalk's foot, 1 at the blossom end
+    widest: IndexArray  # `(n,)` index of the ring that reaches farthest
+    bend: FloatArray  # `(n, 2)` radians by which the blossom end is bent: to the upper side, to the right
 
     def bend_points(self, along: FloatArray, up: FloatArray, right: FloatArray) -> FloatArray:
         """Move points about the straight axes with the axes as these bend.
@@ -87,17 +78,15 @@ def build_pericarps(organs: Sequence[Organ], detail: float) -> Pericarps:
     cavity, 1 a deep one), taper (diameter near the blossom end over the greatest), point (0 blocky, 1 drawn
     out to a point), bend_rad (of the axis, from stalk to tip), seed.
     """
-    n, seed = len(organs), organ_measure(organs, "seed", 0.0)
-    length, diameter = positive_measure(organs, "length_m"), positive_measure(organs, "diameter_m")
-    lobes = np.clip(np.round(organ_measure(organs, "lobes", 4.0)), 1, 6)[:, None, None]
-    lobe_depth = np.clip(organ_measure(organs, "lobe_depth", 1.0), 0.0, 2.5)
-    point = np.clip(organ_measure(organs, "point", 0.0), 0.0, 1.0)[:, None, None]
+    n, seed = len(organs), read_measure(organs, "seed", 0.0)
+    length, diameter = read_positive(organs, "length_m"), read_positive(organs, "diameter_m")
+    lobes = np.clip(np.round(read_measure(organs, "lobes", 4.0)), 1, 6)[:, None, None]
+    lobe_depth = np.clip(read_measure(organs, "lobe_depth", 1.0), 0.0, 2.5)
+    point = np.clip(read_measure(organs, "point", 0.0), 0.0, 1.0)[:, None, None]
     # Without furrows a fruit is round and even, with them blocky.
     blocky = (lobe_depth**2 / (lobe_depth**2 + 0.1))[:, None, None]
-    profile = _mean_profile(organs, blocky[..., 0], diameter / length, subdivisions(24, detail, 6))
-    width, level, top, low = (
-        values[..., None] for values in (profile.width, profile.level, profile.top, profile.low)
-    )
+    *profile, v, start = _mean_profile(organs, blocky[..., 0], diameter / length, subdivisions(24, detail, 6))
+    width, level, top, low = (values[..., None] for values in profile)
     # Lobes of unequal width.
     columns = 4 * subdivisions(9, detail, 3)
     draw = hash_signed(seed, 301, 8)[:, :, None, None]
@@ -121,8 +110,7 @@ def build_pericarps(organs: Sequence[Organ], detail: float) -> Pericarps:
     oval = 0.03 * np.cos(turned + np.pi * draw[:, 3]) + 0.025 * np.cos(2.0 * turned + np.pi * draw[:, 4])
     bulge = 0.035 * _blend_lobes(lobe, lobes, hash_signed(seed, 303, 6))
     radius = width * (1.0 + even * (oval + bulge)) * (1.0 - np.clip(depth, 0.0, 0.5) * furrow * strength)
-    # Furrows cut into shoulders and blossom end, so that each lobe has a shoulder and a foot, some higher than
-    # others.
+    # Furrows cut into shoulders and blossom end, so that each lobe has a shoulder and a foot of uneven height.
     shoulder, foot = _ring(width, 0.7, 0.62) * top**3, _ring(width, 0.58, 0.58) * low**2 * (1.0 - point)
     level = level + (diameter / length)[:, None, None] * (
         shoulder * (1.4 * depth * furrow + even * 0.05 * _blend_lobes(lobe, lobes, hash_signed(seed, 304, 6)))
@@ -136,59 +124,44 @@ def build_pericarps(organs: Sequence[Organ], detail: float) -> Pericarps:
     points[..., 2] = slimness * level
     dents = smooth_field(points.reshape(n, -1, 3), seed, 311, 1.6).reshape(radius.shape)
     radius = radius * (1.0 + 0.012 * even * dents)
-    # Scale to the stated size, as callipers measure it: across the outline seen along the axis, and from top to
-    # bottom.
+    # Scale to the stated size, as callipers measure it across the outline and from top to bottom.
     radius = radius * (diameter / _greatest_width(np.max(radius, axis=1)))[:, None, None]
     # The stalk's foot is at zero; a button closes the blossom end.
-    start, end = profile.foot, level[:, -1].mean(axis=1) + _SCAR[1] * diameter / length
+    end = level[:, -1].mean(axis=1) + _SCAR[1] * diameter / length
     low_end, high_end = np.minimum(level.min(axis=(1, 2)), start), np.maximum(level.max(axis=(1, 2)), end)
     stretch = length / (high_end - low_end)
-    bend = organ_measure(organs, "bend_rad", 0.0)
+    bend = read_measure(organs, "bend_rad", 0.0)
     aside = 2.0 * np.pi * hash_uniform(seed, 306, 1)[:, 0]
     return Pericarps(
         along=(level - start[:, None, None]) * stretch[:, None, None],
         radius=radius,
         end=(end - start) * stretch,
-        v=profile.v,
-        widest=np.argmax(profile.width, axis=1),
+        v=v,
+        widest=np.argmax(profile[0], axis=1),
         bend=np.clip(bend, -2.0, 2.0)[:, None] * np.stack([np.cos(aside), np.sin(aside)], axis=1),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Profile:
-    """Mean walls of n fruit, `(n, r)` each, in units of the radius across and of half the length along.
-
-    Attributes:
-        width: distance from the axis.
-        level: height, down the fruit.
-        top: 1 at the stalk end, 0 from the widest place on.
-        low: 1 at the blossom end, 0 up to the widest place.
-        v: fraction of the wall's length.
-        foot: `(n,)` height on the axis at the stalk end.
-    """
-
-    width: FloatArray
-    level: FloatArray
-    top: FloatArray
-    low: FloatArray
-    v: FloatArray
-    foot: FloatArray
-
-
-def _mean_profile(organs: Sequence[Organ], blocky: FloatArray, slimness: FloatArray, rings: int) -> _Profile:
-    """Profiles of fruit, with rings closer together where the wall bends.
+def _mean_profile(
+    organs: Sequence[Organ], blocky: FloatArray, slimness: FloatArray, rings: int
+) -> list[FloatArray]:
+    """Mean walls of n fruit, with rings closer together where the wall bends.
 
     Args:
         organs: n fruit.
         blocky: `(n, 1)` 0 is round, 1 has corners.
         slimness: `(n,)` diameter over length.
         rings: how many.
+
+    Returns:
+        `(n, r)` each: distance from the axis, in radii; height, down the fruit, in half lengths; 1 at the stalk
+        end to 0 from the widest place on; 1 at the blossom end to 0 up to the widest place; fraction of the
+        wall's length. And `(n,)` the height on the axis at the stalk end.
     """
     slim = slimness[:, None]
-    point = np.clip(organ_measure(organs, "point", 0.0), 0.0, 1.0)[:, None]
-    taper = 1.0 - np.clip(organ_measure(organs, "taper", 0.85), 0.2, 1.2)[:, None]
-    sink = _CAVITY * np.clip(organ_measure(organs, "shoulder", 0.5), 0.0, 2.0)[:, None]
+    point = np.clip(read_measure(organs, "point", 0.0), 0.0, 1.0)[:, None]
+    taper = 1.0 - np.clip(read_measure(organs, "taper", 0.85), 0.2, 1.2)[:, None]
+    sink = _CAVITY * np.clip(read_measure(organs, "shoulder", 0.5), 0.0, 2.0)[:, None]
     # Two quarters of superellipses that meet at the widest place. The shoulders are about as high as wide,
     # whatever the length; the lower part rounds off over its last radius, or runs to a point.
     high = np.clip((0.85 + 0.1 * (1.0 - blocky) - 0.2 * point) * slim, 0.1, 1.0)
@@ -223,17 +196,13 @@ def _mean_profile(organs: Sequence[Organ], blocky: FloatArray, slimness: FloatAr
     outside_scar = wall + (top > 0.0) >= _SCAR[0]
     last = np.max(np.where(outside_scar, weight, 0.0), axis=1, keepdims=True)
     at = last * (np.arange(1, rings + 1) / rings)
-    curves = wall, level, top, low, distance / distance[:, -1:]
-    return _Profile(*_interpolate(at, weight, curves), level[:, 0])
-
-
-def _interpolate(at: FloatArray, knots: FloatArray, curves: Sequence[FloatArray]) -> list[FloatArray]:
-    """Values at `(n, r)` places of piecewise linear curves `(n, k)` over increasing knots `(n, k)`."""
-    index = np.clip((knots[:, :, None] <= at[:, None]).sum(axis=1) - 1, 0, knots.shape[1] - 2)
+    # Linear interpolation between the samples of each profile.
+    index = np.clip((weight[:, :, None] <= at[:, None]).sum(axis=1) - 1, 0, weight.shape[1] - 2)
     row = np.arange(len(at))[:, None]
-    size = knots[row, index + 1] - knots[row, index]
-    fraction = (at - knots[row, index]) / np.where(size > 0.0, size, 1.0)
-    return [y[row, index] + fraction * (y[row, index + 1] - y[row, index]) for y in curves]
+    size = weight[row, index + 1] - weight[row, index]
+    part = (at - weight[row, index]) / np.where(size > 0.0, size, 1.0)
+    curves = wall, level, top, low, distance / distance[:, -1:]
+    return [*(y[row, index] + part * (y[row, index + 1] - y[row, index]) for y in curves), level[:, 0]]
 
 
 def _bowl(width: FloatArray, rim: float) -> FloatArray:
@@ -247,12 +216,9 @@ def _ring(width: FloatArray, middle: float, half: float) -> FloatArray:
 
 
 def _blend_lobes(lobe: FloatArray, lobes: FloatArray, values: FloatArray) -> FloatArray:
-    """One value per lobe, blended smoothly from each crest to the next.
+    """One of `(n, 6)` values per lobe, blended smoothly from each crest to the next.
 
-    Args:
-        lobe: `(n, 1, c)` place around the fruit; the crests are the whole numbers.
-        lobes: `(n, 1, 1)` number of lobes.
-        values: `(n, 6)` one per lobe.
+    `lobe` is the place around the fruit, with the crests at whole numbers; `lobes` their number.
     """
     before = np.floor(lobe)
     fraction = np.sin(0.5 * np.pi * (lobe - before)) ** 2

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pepperscene.errors import InputError
-from pepperscene.geometry.batch import MeshBatch, positive_measure
+from pepperscene.geometry.batch import MeshBatch, read_positive
 from pepperscene.geometry.fruit.fruits import (
     SHOULDER_COLUMNS,
     SHOULDER_EXTENT,
@@ -40,21 +40,13 @@ _ALLOWED: Final = "a scanned fruit must be an OBJ, PLY or STL file with one clos
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """A closed fruit of length 1 and greatest diameter 1, the stalk's foot at the origin.
+    """A closed fruit of length 1 and greatest diameter 1, the stalk's foot at the origin."""
 
-    Attributes:
-        points: `(v, 3)` up, right and along, as in `FruitFrames`; the shoulders are below zero.
-        normals: `(v, 3)` unit, outwards.
-        uv: `(v, 2)` u around from the upper side, v the angle at the middle from the stalk, over pi.
-        faces: `(f, 3)` counter-clockwise seen from outside.
-        shoulders: of this one fruit.
-    """
-
-    points: FloatArray
-    normals: FloatArray
-    uv: FloatArray
-    faces: IndexArray
-    shoulders: Shoulders
+    points: FloatArray  # `(v, 3)` up, right and along, as in `FruitFrames`; the shoulders are below zero
+    normals: FloatArray  # `(v, 3)` unit, outwards
+    uv: FloatArray  # `(v, 2)` u around from the upper side, v the angle at the middle from the stalk, over pi
+    faces: IndexArray  # `(f, 3)` counter-clockwise seen from outside
+    shoulders: Shoulders  # of this one fruit
 
 
 def mesh_scanned_fruits(organs: Sequence[Organ], scan: Scan) -> MeshBatch:
@@ -62,7 +54,7 @@ def mesh_scanned_fruits(organs: Sequence[Organ], scan: Scan) -> MeshBatch:
 
     Measures: length_m (along the axis), diameter_m, ripeness, ripeness_spread, seed.
     """
-    length, diameter = positive_measure(organs, "length_m"), positive_measure(organs, "diameter_m")
+    length, diameter = read_positive(organs, "length_m"), read_positive(organs, "diameter_m")
     stretch = np.stack([diameter, diameter, length], axis=1)[:, None]
     frames = fruit_frames(organs)
     local = scan.points * stretch
@@ -78,7 +70,7 @@ def mesh_scanned_fruits(organs: Sequence[Organ], scan: Scan) -> MeshBatch:
 
 def scan_shoulders(organs: Sequence[Organ], scan: Scan) -> Shoulders:
     """Scale the shoulders of a scan to the fruit that use it."""
-    length, diameter = positive_measure(organs, "length_m"), positive_measure(organs, "diameter_m")
+    length, diameter = read_positive(organs, "length_m"), read_positive(organs, "diameter_m")
     return Shoulders(diameter[:, None] * scan.shoulders.extent, length[:, None, None] * scan.shoulders.along)
 
 
@@ -171,7 +163,7 @@ def _keep_largest(path: Path, mesh: trimesh.Trimesh) -> None:
 
 
 def _close_holes(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh with a fan of triangles around the centre of each small hole; fans of trimesh have no centre."""
+    """The mesh with a fan of triangles around the centre of each small hole; trimesh's have no centre."""
     import trimesh
 
     single = trimesh.grouping.group_rows(mesh.edges_sorted, require_count=1)
@@ -272,7 +264,7 @@ def _shoulders(triangles: FloatArray) -> Shoulders:
 
 
 def _first_hits(triangles: FloatArray, places: FloatArray) -> FloatArray:
-    """`(m,)` least `along` where lines parallel to the axis at `(m, 2)` places meet triangles, or infinity."""
+    """`(m,)` least `along` where lines parallel to the axis at `(m, 2)` meet triangles, or infinity."""
     # Only triangles that face the stalk can be met first.
     a, b, c = (triangles[:, corner] for corner in range(3))
     doubled = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])

@@ -10,8 +10,8 @@ import numpy as np
 from pepperscene.geometry.batch import (
     MeshBatch,
     hash_signed,
-    organ_measure,
-    positive_measure,
+    read_measure,
+    read_positive,
     subdivisions,
     vertex_normals,
 )
@@ -35,12 +35,12 @@ def mesh_flowers(organs: Sequence[Organ], detail: float) -> MeshBatch:
     u is 0 where petals separate and 0.5 along their middles, v runs from the stalk to the tips. Measures:
     radius_m (when flat), petals (count), open (0 bud, 1 flat), seed, state_mean.
     """
-    radius = positive_measure(organs, "radius_m")
-    opened = np.clip(organ_measure(organs, "open", _OPEN), 0.0, 1.0)
+    radius = read_positive(organs, "radius_m")
+    opened = np.clip(read_measure(organs, "open", _OPEN), 0.0, 1.0)
     sides, pieces = subdivisions(28, detail, 14), subdivisions(3, detail, 2)
-    petals = np.round(organ_measure(organs, "petals", _PETALS)).clip(3.0, sides // 2)
+    petals = np.round(read_measure(organs, "petals", _PETALS)).clip(3.0, sides // 2)
     angle, aside = _star(petals, sides)
-    seed = organ_measure(organs, "seed", 0.0)
+    seed = read_measure(organs, "seed", 0.0)
     # A petal is longest at its middle; each flower is slightly uneven.
     uneven = 1.0 + 0.06 * np.cos(angle + np.pi * hash_signed(seed, 151, 1)) * hash_signed(seed, 152, 1)
     reach = (_NOTCH + (1.0 - _NOTCH) * (1.0 - aside) ** 0.8) * uneven
@@ -65,7 +65,7 @@ def mesh_flowers(organs: Sequence[Organ], detail: float) -> MeshBatch:
     )
     faces = _faces(len(v), sides)
     # The throat is greenish.
-    state = organ_measure(organs, "state_mean", _STATE)[:, None] - 0.4 * (1.0 - np.repeat(v, sides)) ** 3
+    state = read_measure(organs, "state_mean", _STATE)[:, None] - 0.4 * (1.0 - np.repeat(v, sides)) ** 3
     u = np.broadcast_to(0.5 - 0.5 * aside[:, None, :], (n, len(v), sides)).reshape(shape)
     uv = np.stack([u, np.broadcast_to(np.repeat(v, sides), u.shape)], axis=-1)
     return MeshBatch(vertices, vertex_normals(vertices, faces), uv, np.clip(state, 0.0, 1.0), faces)

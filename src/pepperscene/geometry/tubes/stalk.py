@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.geometry.batch import MeshBatch, hash_uniform, organ_measure, positive_measure, subdivisions
+from pepperscene.geometry.batch import MeshBatch, hash_uniform, read_measure, read_positive, subdivisions
 from pepperscene.geometry.mesh import FloatArray
 from pepperscene.geometry.spine import Spines, organ_spines
 from pepperscene.geometry.tubes.tube import (
@@ -37,16 +37,16 @@ def mesh_stalks(organs: Sequence[Organ], detail: float) -> MeshBatch:
     Measures: radius_m (base, above the foot), radius_tip_m, channel (1 a petiole's channel and flat tip, 0
     round), foot (width of the foot over the stalk's), seed, state_mean, state_spread.
     """
-    base, tip = positive_measure(organs, "radius_m"), positive_measure(organs, "radius_tip_m")
+    base, tip = read_positive(organs, "radius_m"), read_positive(organs, "radius_tip_m")
     spine = organ_spines(organs, subdivisions(16, detail, 10))
     foot = np.minimum(_FOOT_M * base, 0.25 * spine.lengths)
     v, along = _rows([0.0, 0.6, 1.6], 0.045, foot, spine, subdivisions(6, detail, 2))
     fraction = along / spine.lengths[:, None]
-    wider = np.maximum(organ_measure(organs, "foot", _FOOT), 0.2) - 1.0
+    wider = np.maximum(read_measure(organs, "foot", _FOOT), 0.2) - 1.0
     flare = wider[:, None] * np.exp(-((along / foot[:, None]) ** 2))
     radius = base[:, None] + (tip - base)[:, None] * fraction
     # A petiole is a little flat, most of all at its tip, which continues as the midrib.
-    channel = np.clip(organ_measure(organs, "channel", 0.0), 0.0, 1.0)
+    channel = np.clip(read_measure(organs, "channel", 0.0), 0.0, 1.0)
     angle = ring_angles(subdivisions(7, detail, 5))
     off_top = (angle + np.pi) % (2.0 * np.pi) - np.pi
     inside = np.sqrt(np.sin(np.pi * np.clip(0.03 + fraction, 0.0, 1.0)))
@@ -74,7 +74,7 @@ def mesh_peduncles(organs: Sequence[Organ], detail: float) -> MeshBatch:
 
     Measures: radius_m (base, above the collar, over the ribs), radius_tip_m, ribs (count), seed, state_mean.
     """
-    base, tip = positive_measure(organs, "radius_m"), positive_measure(organs, "radius_tip_m")
+    base, tip = read_positive(organs, "radius_m"), read_positive(organs, "radius_tip_m")
     spine = organ_spines(organs, subdivisions(16, detail, 10))
     # Rings at the foot, the collar and the furrow above it; then at even distances.
     foot = np.minimum(base, 0.12 * spine.lengths)
@@ -87,8 +87,8 @@ def mesh_peduncles(organs: Sequence[Organ], detail: float) -> MeshBatch:
     )
     radius = base[:, None] * (1.0 + collar) + (tip - base)[:, None] * fraction**3
     # The grid is rotated with the ribs, so that every point is on a rib or in a furrow.
-    sides, ribs = subdivisions(15, detail, 6), np.round(organ_measure(organs, "ribs", _RIBS))
-    draw = hash_uniform(organ_measure(organs, "seed", 0.0), 111, 2)
+    sides, ribs = subdivisions(15, detail, 6), np.round(read_measure(organs, "ribs", _RIBS))
+    draw = hash_uniform(read_measure(organs, "seed", 0.0), 111, 2)
     angle = ring_angles(sides)
     furrow = 0.5 - 0.5 * np.cos(ribs[:, None] * angle)
     uneven = 1.0 + 0.3 * np.cos(angle + 2.0 * np.pi * draw[:, 1:])
@@ -124,7 +124,7 @@ def mesh_cuts(organs: Sequence[Organ], detail: float) -> MeshBatch:
 
     Measures: radius_m (of the rim), seed.
     """
-    radius, seed = positive_measure(organs, "radius_m"), organ_measure(organs, "seed", 0.0)
+    radius, seed = read_positive(organs, "radius_m"), read_measure(organs, "seed", 0.0)
     spine = organ_spines(organs, 4)
     height, profile, green, slanted = _CUT.T
     # A low stub has no waist below its rim.
@@ -153,14 +153,10 @@ def mesh_cuts(organs: Sequence[Organ], detail: float) -> MeshBatch:
 def _rows(
     knots: Sequence[float], fraction: float, foot: FloatArray, spine: Spines, pieces: int
 ) -> tuple[FloatArray, FloatArray]:
-    """`(r,)` v and `(n, r)` metres along of the rings: at the knots of the foot, then at even distances.
+    """`(r,)` v and `(n, r)` metres along of the rings: at the knots of the foot, then in equal pieces.
 
-    Args:
-        knots: over the length of the foot, the first 0.
-        fraction: of the whole length that a foot usually takes, for v, which is the same for all stalks.
-        foot: `(n,)` metres.
-        spine: of the stalks.
-        pieces: between the last knot and the tip.
+    `knots` are over the length of the foot, the first 0; `fraction` is that of the whole length that a foot
+    usually takes, for v, which is the same for all stalks.
     """
     rest = np.arange(1, pieces + 1) / pieces
     near = foot[:, None] * np.array(knots)

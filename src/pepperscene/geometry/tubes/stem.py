@@ -11,8 +11,8 @@ from pepperscene.geometry.batch import (
     MeshBatch,
     form_indices,
     hash_uniform,
-    organ_measure,
-    positive_measure,
+    read_measure,
+    read_positive,
     subdivisions,
 )
 from pepperscene.geometry.mesh import FloatArray
@@ -48,21 +48,21 @@ def mesh_internodes(organs: Sequence[Organ], detail: float) -> MeshBatch:
     Measures: radius_m (base, over the ridges), radius_tip_m, groove_m (depth between ridges), seed,
     state_mean (at the base), state_tip, state_spread.
     """
-    base, tip = positive_measure(organs, "radius_m"), positive_measure(organs, "radius_tip_m")
+    base, tip = read_positive(organs, "radius_m"), read_positive(organs, "radius_tip_m")
     v, angle = _internode_rows(detail), ring_angles(subdivisions(_SIDES, detail, 8))
     spine = organ_spines(organs, max(8, 2 * len(v)))
     radius = base[:, None] + (tip - base)[:, None] * v
     # Ridges have their full height except near the ends, where the section is as round as the node.
     edge = np.clip(np.minimum(v, 1.0 - v) / _FADING, 0.0, 1.0)
     full = edge**2 * (3.0 - 2.0 * edge)
-    groove = _grooves(organ_measure(organs, "seed", 0.0), v, angle)
-    depth = np.clip(organ_measure(organs, "groove_m", 0.0), 0.0, 0.5 * np.minimum(base, tip))
+    groove = _grooves(read_measure(organs, "seed", 0.0), v, angle)
+    depth = np.clip(read_measure(organs, "groove_m", 0.0), 0.0, 0.5 * np.minimum(base, tip))
     reach = radius[..., None] - (depth[:, None] * full)[..., None] * groove
     right, up = centre_rings(reach * np.sin(angle), reach * np.cos(angle), radius)
     # The state changes linearly from base to tip; grooves are greener than ridges.
     along = spine.lengths[:, None] * v
-    mean = organ_measure(organs, "state_mean", DEFAULT_STATE)
-    rise = organ_measure(organs, "state_tip", mean) - mean
+    mean = read_measure(organs, "state_mean", DEFAULT_STATE)
+    rise = read_measure(organs, "state_tip", mean) - mean
     state = rise[:, None, None] * v[:, None] + _GROOVE_STATE * full[:, None] * (groove - 0.5)
     rings = Rings(along, right, up, v, state + state_with_streaks(organs, along, len(angle)))
     return sweep_rings(spine, rings, round_cap(base, spine.lengths), round_cap(tip, spine.lengths))
@@ -78,7 +78,7 @@ def mesh_nodes(organs: Sequence[Organ], detail: float) -> MeshBatch:
     angle = ring_angles(subdivisions(_SIDES, detail, 8))
     spine = _node_spines(organs)
     # It bulges to some sides, as if for what grows there; its ends are as round as those of the internodes.
-    phase = 2.0 * np.pi * hash_uniform(organ_measure(organs, "seed", 0.0), 103, 2)
+    phase = 2.0 * np.pi * hash_uniform(read_measure(organs, "seed", 0.0), 103, 2)
     hollow = 0.5 - 0.3 * np.cos(2.0 * angle + phase[:, :1]) - 0.2 * np.cos(3.0 * angle + phase[:, 1:])
     reach = radius[..., None] * (1.0 - _LUMPS * np.sin(np.pi * v)[:, None] * hollow[:, None, :])
     right, up = centre_rings(reach * np.sin(angle), reach * np.cos(angle), radius)
@@ -107,7 +107,7 @@ def stem_profile(plant: Plant) -> tuple[FloatArray, FloatArray]:
             if not organs:
                 raise ValueError("a plant without internodes has no stem outline")
             v = _internode_rows(1.0)
-            ends = np.stack([positive_measure(organs, f"radius{end}_m") for end in ("", "_tip")], axis=1)
+            ends = np.stack([read_positive(organs, f"radius{end}_m") for end in ("", "_tip")], axis=1)
             spine, radius = organ_spines(organs, max(8, 2 * len(v))), ends[:, :1] + np.diff(ends) * v
         elif organs:
             spine, (v, radius) = _node_spines(organs), _node_profile(organs, 1.0)
@@ -169,8 +169,8 @@ def _node_profile(organs: Sequence[Organ], detail: float) -> tuple[FloatArray, F
     row = np.linspace(0.0, pieces, subdivisions(pieces, detail, 3) + 1)
     v, bulge = (np.interp(row, np.arange(pieces + 1), column) for column in _OUTLINE.T)
     # The widest ring has the stated radius.
-    widest, end = positive_measure(organs, "radius_m"), positive_measure(organs, "radius_end_m")
-    start = organ_measure(organs, "radius_start_m", end)
+    widest, end = read_positive(organs, "radius_m"), read_positive(organs, "radius_end_m")
+    start = read_measure(organs, "radius_start_m", end)
     straight = start[:, None] + (end - start)[:, None] * v
     return v, straight + (widest[:, None] - straight) * bulge / bulge.max()
 

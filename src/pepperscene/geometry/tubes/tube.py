@@ -11,8 +11,8 @@ import numpy as np
 
 from pepperscene.geometry.batch import (
     MeshBatch,
-    organ_measure,
     pack_rings,
+    read_measure,
     ring_faces,
     ring_uv,
     smooth_field,
@@ -31,47 +31,27 @@ _CAP_V: Final = 0.01  # part of v that either cap takes
 
 @dataclass(frozen=True, eq=False)
 class Rings:
-    """Cross-sections of n tubes: r rings of c points, right-handed about the spine.
+    """Cross-sections of n tubes: r rings of c points, right-handed about the spine."""
 
-    Attributes:
-        along: `(n, r)` or `(n, r, c)` metres from the base.
-        right: `(n, r, c)` metres along the spine's binormal.
-        up: `(n, r, c)` metres along the spine's normal, to the upper side.
-        v: `(r,)` surface coordinate of each ring, 0 at the base and 1 at the tip, the same for all tubes.
-        state: `(n, r, c)` pigment state; it is clipped to [0, 1].
-    """
-
-    along: FloatArray
-    right: FloatArray
-    up: FloatArray
-    v: FloatArray
-    state: FloatArray
+    along: FloatArray  # `(n, r)` or `(n, r, c)` metres from the base
+    right: FloatArray  # `(n, r, c)` metres along the spine's binormal
+    up: FloatArray  # `(n, r, c)` metres along the spine's normal, to the upper side
+    v: FloatArray  # `(r,)` surface coordinate of each ring, 0 at the base and 1 at the tip, of all tubes
+    state: FloatArray  # `(n, r, c)` pigment state; it is clipped to [0, 1]
 
 
 @dataclass(frozen=True, eq=False)
 class Cap:
-    """The ends of n tubes: a smaller ring and a point, each displaced from the centre of the last ring.
+    """The ends of n tubes: a smaller ring and a point, each displaced from the centre of the last ring."""
 
-    Attributes:
-        ring: `(n, 2)` metres further along the curve and to its upper side.
-        point: `(n, 2)` likewise.
-        width: size of the cap's ring over that of the tube's last ring.
-        embedded: the cap lies inside another organ that the tube joins, so shading must not show the bend.
-    """
-
-    ring: FloatArray
-    point: FloatArray
-    width: float = 0.75
-    embedded: bool = True
+    ring: FloatArray  # `(n, 2)` metres further along the curve and to its upper side
+    point: FloatArray  # `(n, 2)` likewise
+    width: float = 0.75  # size of the cap's ring over that of the tube's last ring
+    embedded: bool = True  # it is inside another organ that the tube joins: shading must not show the bend
 
 
 def round_cap(radius: FloatArray, length: FloatArray) -> Cap:
-    """Build a cap that reaches into the parent and closes the joint, never higher than the tube is long.
-
-    Args:
-        radius: `(n,)` metres.
-        length: `(n,)` metres, of the tube.
-    """
+    """Build caps that reach into the parents and close the joints, never higher than the tubes are long."""
     height = _CAP_HEIGHT * np.minimum(radius, length)
     zero = np.zeros_like(height)
     return Cap(np.stack([0.65 * height, zero], axis=1), np.stack([height, zero], axis=1))
@@ -101,14 +81,9 @@ def centre_rings(right: FloatArray, up: FloatArray, radius: FloatArray) -> tuple
 def sweep_rings(spine: Spines, rings: Rings, base: Cap, tip: Cap) -> MeshBatch:
     """Build tubes from rings along spines, with a cap at either end.
 
-    The vertices are the base's point, its cap's ring, the rings, the tip's cap's ring and its point; the first
-    vertex of every ring is repeated at the seam, where u jumps from 1 to 0.
-
-    Args:
-        spine: of n tubes.
-        rings: their cross-sections.
-        base: before the first ring; its displacement along the curve counts backwards.
-        tip: after the last ring.
+    The vertices are the base's point, its cap's ring, the rings, the tip's cap's ring and its point; the
+    first vertex of every ring is repeated at the seam, where u jumps from 1 to 0. Displacements of the base's
+    cap along the curve count backwards.
     """
     # Mean position of each ring; slanted rings have one per point.
     centre = rings.along if rings.along.ndim == 2 else rings.along.mean(axis=2)
@@ -151,18 +126,21 @@ def skin_rings(
         embedded: of the base's and the tip's cap, as in `Cap`.
     """
     n, _, sides, _ = grid.shape
-    around, along = _surface_tangents(grid, ends)
+    # Surface tangents around and along the tubes, by central differences.
+    around = np.roll(grid, -1, axis=2) - np.roll(grid, 1, axis=2)
+    poles = np.repeat(ends[:, :, None], sides, axis=2)
+    rows = np.concatenate([poles[:, :1], grid, poles[:, 1:]], axis=1)
+    along = rows[:, 2:] - rows[:, :-2]
     # Where a tube joins another organ, it is shaded as if it continued.
     for joined, ring in zip(embedded, (1, -2), strict=True):
         if joined:
             along[:, ring] = tangent[:, ring, None]
-    poles = tangent[:, [0, -1]] * np.array([-1.0, 1.0])[:, None]
     state = np.clip(state, 0.0, 1.0)
     state = np.concatenate([state[:, :1], state, state[:, -1:]], axis=1)
     faces, uv = _topology(tuple(v.tolist()), sides)
     return MeshBatch(
         pack_rings(ends, grid),
-        pack_rings(poles, normalize(cross(around, along))),
+        pack_rings(tangent[:, [0, -1]] * np.array([-1.0, 1.0])[:, None], normalize(cross(around, along))),
         np.broadcast_to(uv, (n, *uv.shape)),
         pack_rings(state[:, [0, -1]].mean(axis=2, keepdims=True), state[..., None])[..., 0],
         faces,
@@ -183,25 +161,13 @@ def state_with_streaks(organs: Sequence[Organ], along: FloatArray, sides: int) -
     points = np.empty((n, count, sides, 3))
     points[..., 0], points[..., 1] = np.cos(angle), np.sin(angle)
     points[..., 2] = along[..., None] / _STREAK_M
-    field = smooth_field(points.reshape(n, -1, 3), organ_measure(organs, "seed", 0.5), 121, 4.0)
+    field = smooth_field(points.reshape(n, -1, 3), read_measure(organs, "seed", 0.5), 121, 4.0)
     # Streaks fade at both ends, so that no edge shows where organs meet.
     fraction = along / np.maximum(along[:, -1:], 1e-9)
     fade = np.sqrt(1.0 - (2.0 * fraction - 1.0) ** 2)
-    spread = organ_measure(organs, "state_spread", _STATE_SPREAD)[:, None] * fade
-    mean = organ_measure(organs, "state_mean", DEFAULT_STATE)[:, None, None]
+    spread = read_measure(organs, "state_spread", _STATE_SPREAD)[:, None] * fade
+    mean = read_measure(organs, "state_mean", DEFAULT_STATE)[:, None, None]
     return np.asarray(mean + spread[..., None] * field.reshape(n, count, sides))
-
-
-def _surface_tangents(grid: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Directions around and along the tubes at the points of all rings."""
-    around = np.empty_like(grid)
-    around[:, :, 1:-1] = grid[:, :, 2:] - grid[:, :, :-2]
-    around[:, :, 0], around[:, :, -1] = grid[:, :, 1] - grid[:, :, -1], grid[:, :, 0] - grid[:, :, -2]
-    along = np.empty_like(grid)
-    along[:, 1:-1] = grid[:, 2:] - grid[:, :-2]
-    along[:, 0] = grid[:, 1] - ends[:, 0, None]
-    along[:, -1] = ends[:, 1, None] - grid[:, -2]
-    return around, along
 
 
 @lru_cache(maxsize=64)
