@@ -1,8 +1,8 @@
 """The triangle grid of a blade, whose rows follow the secondary veins that the material draws.
 
 Lengths are fractions of the flat blade, like its uv: `out` is 0 at the midrib and 1 at half the width,
-`along` is 0 at the base and 1 at the tip. The formula of the veins is that of `materials.patterns`, which draws
-one pattern for all blades of a cultivar, stretched to each: on narrow blades veins are steeper.
+`along` is 0 at the base and 1 at the tip. The formula of the veins is that of `materials.patterns`, which
+draws one pattern for all blades of a cultivar, stretched to each: on narrow blades veins are steeper.
 """
 
 from __future__ import annotations
@@ -73,8 +73,8 @@ _BELOW: Final = 0.45  # approximate fraction of a margin's length below the end 
 class Grid:
     """Topology of a blade: the base, r rows of c columns, e extra points of the margins, and the tip."""
 
-    # `(r,)` the secondary vein that a row follows, 0 the lowest, with fractions between veins; below the first
-    # vein from -1 at the base to 0, above the last to `TIP_NUMBER` at the tip
+    # `(r,)` the secondary vein that a row follows, 0 the lowest, with fractions between veins; below the
+    # first vein from -1 at the base to 0, above the last to `TIP_NUMBER` at the tip
     number: FloatArray
     across: FloatArray  # `(c,)` -1 left margin, 0 midrib, 1 right margin
     side: int  # columns in each half

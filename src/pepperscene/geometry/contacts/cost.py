@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pepperscene.geometry.contacts.detect import NEAR
 from pepperscene.geometry.contacts.joints import Joints, MovableUnit, RigidTransforms
-from pepperscene.geometry.contacts.organs import FRUIT, LEAF, Organs
+from pepperscene.geometry.contacts.organs import FRUIT, LEAF, Organs, boxes_overlap
 from pepperscene.geometry.contacts.pairs import PER_MM, PairRules
 from pepperscene.geometry.contacts.patches import expand_counts
 from pepperscene.geometry.mesh import FloatArray, IndexArray
@@ -83,7 +83,8 @@ class ContactCosts:
         lowest, highest = np.full((len(units), 3), np.inf), np.full((len(units), 3), -np.inf)
         np.minimum.at(lowest, unit, low)
         np.maximum.at(highest, unit, high)
-        near_unit, near = np.nonzero(organs.in_boxes(lowest, highest) & ~inside)
+        close = boxes_overlap(organs.low, organs.high, lowest[:, None], highest[:, None])
+        near_unit, near = np.nonzero(close & organs.solid & ~inside)
 
         def overlapping(
             rows: NDArray[np.bool_], columns: NDArray[np.bool_]
@@ -91,10 +92,7 @@ class ContactCosts:
             """Pairs of a chosen member and a chosen organ near its unit: row, member, other organ."""
             row, column = _pairs_within_groups(unit, rows, near_unit, columns, len(units))
             other = near[column]
-            overlap = np.ones(len(row), dtype=bool)
-            for axis in range(3):
-                overlap &= organs.low[other, axis] < high[row, axis]
-                overlap &= organs.high[other, axis] > low[row, axis]
+            overlap = boxes_overlap(organs.low[other], organs.high[other], low[row], high[row])
             return row[overlap], members[row[overlap]], other[overlap]
 
         is_fruit = organs.organ_class[members] == FRUIT

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.contacts.organs import FRUIT, LEAF, STALK, STEM, WIRE, Organs
+from pepperscene.geometry.contacts.organs import FRUIT, LEAF, STALK, STEM, WIRE, Organs, boxes_overlap
 from pepperscene.geometry.contacts.shapes import FruitSurfaces, StemCapsules
 from pepperscene.geometry.mesh import IndexArray, Mesh, SingleArray
 
@@ -165,9 +165,8 @@ class ContactDetector:
             return result
         capsules, which, pair = self.capsules.of_tubes(stems)
         low, high = self.organs.low[blades] - NEAR, self.organs.high[blades] + NEAR
-        kept = np.flatnonzero(
-            np.all((capsules.low[which] < high[pair]) & (capsules.high[which] > low[pair]), axis=1)
-        )
+        overlap = boxes_overlap(capsules.low[which], capsules.high[which], low[pair], high[pair])
+        kept = np.flatnonzero(overlap)
         which, pair = which[kept], pair[kept]
         patches, patch, entry = self.organs.patches(blades[pair])
         which, pair = which[entry], pair[entry]

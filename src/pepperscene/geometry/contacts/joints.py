@@ -64,9 +64,9 @@ def move_plant(plant: Plant, motions: Sequence[Motion]) -> Plant:
     )
 
 
-# Maximum rotations around the stem (or else sideways) and up or down, radians, chosen so that parts still grow
-# naturally; and weight of a degree of either: fruit hangs, so tilting it weighs more than moving it around the
-# stem. By (grows on a stem, bears fruit).
+# Maximum rotations around the stem (or else sideways) and up or down, radians, chosen so that parts still
+# grow naturally; and the weight of a degree of either: fruit hangs, so tilting it weighs more than moving it
+# around the stem. By (grows on a stem, bears fruit).
 _LIMITS_AND_WEIGHTS: Final = {
     (True, True): (np.radians([60.0, 30.0]), np.array([1.0, 1.5])),
     (True, False): (np.radians([60.0, 25.0]), np.array([0.8, 1.0])),

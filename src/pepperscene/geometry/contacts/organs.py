@@ -26,6 +26,17 @@ FLOWER, LEAF, FRUIT, STALK, STEM, SHOOT, WIRE = (
 _BLOCK: Final = 128  # boxes compared at a time, chosen
 
 
+def boxes_overlap(
+    low: FloatArray, high: FloatArray, other_low: FloatArray, other_high: FloatArray
+) -> NDArray[np.bool_]:
+    """Whether boxes with corners `(..., 3)` overlap; comparing axis by axis is faster than `np.all`."""
+    result = np.ones(np.broadcast_shapes(low.shape, other_low.shape)[:-1], dtype=bool)
+    for axis in range(3):
+        result &= low[..., axis] < other_high[..., axis]
+        result &= high[..., axis] > other_low[..., axis]
+    return result
+
+
 class Organs:
     """The instances of a mesh, each a rigid body with a current pose.
 
@@ -40,7 +51,7 @@ class Organs:
         low, high: `(n, 3)` metres, corners of the current bounding box of each organ.
         moves: number of moves so far.
         moved_at: `(n,)` value of `moves` after the last move of each organ, 0 if it never moved.
-        rotation, shift: `(n, 3, 3)` and `(n, 3)` pose: the current point is rotation @ original point + shift.
+        rotation, shift: `(n, 3, 3)` and `(n, 3)` pose: current point = rotation @ original point + shift.
         all_patches: the patches of all organs sampled so far, at their current poses.
         patch_first, patch_count: `(n,)` first patch of each organ and their number, -1 if not sampled.
 
@@ -75,14 +86,6 @@ class Organs:
         """Indices of the solid organs of some classes."""
         return np.flatnonzero(np.isin(self.organ_class, classes) & self.solid)
 
-    def in_boxes(self, low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
-        """`(u, n)` which solid organs' boxes overlap boxes with corners `(u, 3)`."""
-        result = np.tile(self.solid, (len(low), 1))
-        for axis in range(3):
-            result &= self.low[:, axis] < high[:, axis, None]
-            result &= self.high[:, axis] > low[:, axis, None]
-        return result
-
     def close_pairs(
         self, organs: IndexArray, others: IndexArray, margin: float
     ) -> tuple[IndexArray, IndexArray]:
@@ -96,11 +99,9 @@ class Organs:
             near = np.flatnonzero(
                 (low[:, 0] < self.high[block, 0].max()) & (high[:, 0] > self.low[block, 0].min())
             )
-            overlap = np.ones((len(block), len(near)), dtype=bool)
-            for axis in range(3):
-                overlap &= self.low[block, axis, None] < high[near, axis]
-                overlap &= self.high[block, axis, None] > low[near, axis]
-            row, column = np.nonzero(overlap)
+            row, column = np.nonzero(
+                boxes_overlap(self.low[block, None], self.high[block, None], low[near], high[near])
+            )
             rows.append(place[start + row])
             columns.append(near[column])
         empty = np.empty(0, dtype=np.intp)

@@ -1,6 +1,6 @@
 """Pairs of organs that may touch when one of them moves: depth and cost for many pairs and motions at once.
 
-Bounding boxes are compared first, then bounding spheres of patches, then points: each leaves few for the next.
+First bounding boxes are compared, then bounding spheres of patches, then points.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from pepperscene.geometry.contacts.detect import NEAR, ContactDetector
 from pepperscene.geometry.contacts.joints import RigidTransforms
-from pepperscene.geometry.contacts.organs import FLOWER, FRUIT, LEAF, SHOOT, STALK, Organs
+from pepperscene.geometry.contacts.organs import FLOWER, FRUIT, LEAF, SHOOT, STALK, Organs, boxes_overlap
 from pepperscene.geometry.contacts.patches import expand_counts
 from pepperscene.geometry.contacts.shapes import Capsules
 from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
@@ -86,9 +86,7 @@ class StemPairs:
     ) -> None:
         self._organs, self._blades = detector.organs, blades
         capsules, which, pair = detector.capsules.of_tubes(stems)
-        overlap = (capsules.low[which] < high[pair]).all(axis=1) & (capsules.high[which] > low[pair]).all(
-            axis=1
-        )
+        overlap = boxes_overlap(capsules.low[which], capsules.high[which], low[pair], high[pair])
         kept = np.flatnonzero(overlap)
         self._capsules, self._pair = capsules.select(which[kept]), pair[kept]
 

@@ -16,7 +16,7 @@ from pepperscene.geometry.contacts.cost import (
 )
 from pepperscene.geometry.contacts.detect import NEAR, ContactCounts, ContactDetector, current_counts
 from pepperscene.geometry.contacts.joints import Motion, MovableUnit, find_joints, rotations, units_of
-from pepperscene.geometry.contacts.organs import FRUIT
+from pepperscene.geometry.contacts.organs import FRUIT, boxes_overlap
 from pepperscene.geometry.contacts.pairs import CLEARANCE, PairRules
 from pepperscene.geometry.mesh import FloatArray, IndexArray, Mesh
 
@@ -218,8 +218,8 @@ class ContactSolver:
         members, others = members[organs.solid[members]], others[organs.solid[others]]
         transforms = find_joints(organs, [unit]).transforms((angles - self._angles[unit.root])[None, None])
         low, high = swept_boxes(organs, members, np.zeros(len(members), dtype=np.intp), transforms)
-        near = np.all(organs.low[others] < high[:, None] + NEAR, axis=2)
-        near &= np.all(organs.high[others] > low[:, None] - NEAR, axis=2)
+        low, high = low[:, None] - NEAR, high[:, None] + NEAR
+        near = boxes_overlap(organs.low[others], organs.high[others], low, high)
         fruit = organs.organ_class == FRUIT
         return bool(np.any(near & (fruit[members][:, None] | fruit[others])))
 

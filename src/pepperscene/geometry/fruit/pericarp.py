@@ -110,7 +110,7 @@ def build_pericarps(organs: Sequence[Organ], detail: float) -> Pericarps:
     oval = 0.03 * np.cos(turned + np.pi * draw[:, 3]) + 0.025 * np.cos(2.0 * turned + np.pi * draw[:, 4])
     bulge = 0.035 * _blend_lobes(lobe, lobes, hash_signed(seed, 303, 6))
     radius = width * (1.0 + even * (oval + bulge)) * (1.0 - np.clip(depth, 0.0, 0.5) * furrow * strength)
-    # Furrows cut into shoulders and blossom end, so that each lobe has a shoulder and a foot of uneven height.
+    # Furrows cut into both ends, so that each lobe has a shoulder and a foot of uneven height.
     shoulder, foot = _ring(width, 0.7, 0.62) * top**3, _ring(width, 0.58, 0.58) * low**2 * (1.0 - point)
     level = level + (diameter / length)[:, None, None] * (
         shoulder * (1.4 * depth * furrow + even * 0.05 * _blend_lobes(lobe, lobes, hash_signed(seed, 304, 6)))
@@ -154,9 +154,9 @@ def _mean_profile(
         rings: how many.
 
     Returns:
-        `(n, r)` each: distance from the axis, in radii; height, down the fruit, in half lengths; 1 at the stalk
-        end to 0 from the widest place on; 1 at the blossom end to 0 up to the widest place; fraction of the
-        wall's length. And `(n,)` the height on the axis at the stalk end.
+        `(n, r)` each: distance from the axis, in radii; height, down the fruit, in half lengths; 1 at the
+        stalk end to 0 from the widest place on; 1 at the blossom end to 0 up to the widest place; fraction of
+        the wall's length. And `(n,)` the height on the axis at the stalk end.
     """
     slim = slimness[:, None]
     point = np.clip(read_measure(organs, "point", 0.0), 0.0, 1.0)[:, None]
