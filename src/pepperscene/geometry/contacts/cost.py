@@ -68,8 +68,7 @@ class ContactCosts:
 
     def __init__(self, rules: PairRules, units: Sequence[MovableUnit], transforms: RigidTransforms) -> None:
         detector, organs = rules.detector, rules.detector.organs
-        self._organs = organs
-        self._units = units
+        self._organs, self._units = organs, units
         count = [len(unit.members) for unit in units]
         members = np.fromiter((member for unit in units for member in unit.members), np.intp, sum(count))
         unit = np.repeat(np.arange(len(units)), count)
@@ -90,8 +89,11 @@ class ContactCosts:
             rows: NDArray[np.bool_], columns: NDArray[np.bool_]
         ) -> tuple[IndexArray, IndexArray, IndexArray]:
             """Pairs of a chosen member and a chosen organ near its unit: row, member, other organ."""
-            row, column = _pairs_within_groups(unit, rows, near_unit, columns, len(units))
-            other = near[column]
+            row, column = np.flatnonzero(rows), np.flatnonzero(columns)
+            # Both are in order of units: every row meets the run of columns of its unit.
+            first, stop = (np.searchsorted(near_unit[column], unit[row], side) for side in ("left", "right"))
+            place, step = expand_counts(stop - first)
+            row, other = row[place], near[column[first[place] + step]]
             overlap = boxes_overlap(organs.low[other], organs.high[other], low[row], high[row])
             return row[overlap], members[row[overlap]], other[overlap]
 
@@ -149,21 +151,6 @@ def swept_boxes(
     centre = np.matmul(matrix[unit], middle).reshape(-1, steps, 3) + transforms.shift[unit]
     extent = np.matmul(np.abs(matrix)[unit], half).reshape(-1, steps, 3)
     return (centre - extent).min(axis=1), (centre + extent).max(axis=1)
-
-
-def _pairs_within_groups(
-    row_group: IndexArray,
-    rows: NDArray[np.bool_],
-    column_group: IndexArray,
-    columns: NDArray[np.bool_],
-    groups: int,
-) -> tuple[IndexArray, IndexArray]:
-    """Pair every chosen row with every chosen column of its group; both are in order of groups."""
-    row, column = np.flatnonzero(rows), np.flatnonzero(columns)
-    number = np.bincount(column_group[column], minlength=groups)
-    first = np.cumsum(number) - number
-    place, step = expand_counts(number[row_group[row]])
-    return row[place], column[first[row_group[row]][place] + step]
 
 
 @dataclass(frozen=True, eq=False)

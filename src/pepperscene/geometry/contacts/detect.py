@@ -165,8 +165,7 @@ class ContactDetector:
             return result
         capsules, which, pair = self.capsules.of_tubes(stems)
         low, high = self.organs.low[blades] - NEAR, self.organs.high[blades] + NEAR
-        overlap = boxes_overlap(capsules.low[which], capsules.high[which], low[pair], high[pair])
-        kept = np.flatnonzero(overlap)
+        kept = boxes_overlap(capsules.low[which], capsules.high[which], low[pair], high[pair])
         which, pair = which[kept], pair[kept]
         patches, patch, entry = self.organs.patches(blades[pair])
         which, pair = which[entry], pair[entry]

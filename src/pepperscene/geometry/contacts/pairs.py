@@ -55,8 +55,7 @@ class FruitPairs:
         result = np.full((len(rows), transforms.shift.shape[1]), -np.inf, dtype=np.float32)
         spheres, organs = self._spheres, self._detector.organs
         centre, limit = spheres.centre[rows], spheres.radius[rows] + NEAR
-        inverse = spheres.rotation.transpose(0, 2, 1)[rows]
-        movers = self._movers[rows]
+        inverse, movers = spheres.rotation.transpose(0, 2, 1)[rows], self._movers[rows]
         for pair, step, hit, patch in _near_patches(organs, movers, centre, limit, which, transforms):
             # Relative to the fruit's centre numbers are small, as single precision requires.
             to_fruit, row = inverse[pair], which[pair]
@@ -86,8 +85,7 @@ class StemPairs:
     ) -> None:
         self._organs, self._blades = detector.organs, blades
         capsules, which, pair = detector.capsules.of_tubes(stems)
-        overlap = boxes_overlap(capsules.low[which], capsules.high[which], low[pair], high[pair])
-        kept = np.flatnonzero(overlap)
+        kept = boxes_overlap(capsules.low[which], capsules.high[which], low[pair], high[pair])
         self._capsules, self._pair = capsules.select(which[kept]), pair[kept]
 
     def depths(
@@ -130,13 +128,10 @@ def _near_patches(
         `(h,)` indices of movers and `(h,)` of the transforms with which they meet their spheres; `(m,)` index
         of each patch's pair among these, and `(m,)` the patches.
     """
-    if not len(movers):
-        return
     steps = transforms.shift.shape[1]
     low, high = organs.low[movers].astype(np.float32), organs.high[movers].astype(np.float32)
     rotation, shift = transforms.rotation.astype(np.float32), transforms.shift.astype(np.float32)
     centres, radii = centre.astype(np.float32), radius.astype(np.float32)
-    pairs, spheres, at = [], [], []
     block_size = max(ENTRIES // (4 * steps), 1)
     for start in range(0, len(movers), block_size):
         block = slice(start, start + block_size)
@@ -147,24 +142,21 @@ def _near_patches(
             offset = target[axis] - np.clip(target[axis], low[block, axis, None], high[block, axis, None])
             square += offset * offset
         pair, step = np.nonzero(square < np.square(radii[block])[:, None])
-        spheres.append(target[:, pair, step])
-        pairs.append(pair + start)
-        at.append(step)
-    pair, step, sphere = np.concatenate(pairs), np.concatenate(at), np.concatenate(spheres, axis=1)
-    # Sample only organs that come near to something.
-    organs.sample(movers[np.unique(pair)])
-    count = organs.patch_count[movers[pair]]
-    for part in _blocks(count):
-        hit, number = expand_counts(count[part])
-        patch = organs.patch_first[movers[pair[part]]][hit] + number
-        limit = radii.take(pair[part]).take(hit) + organs.all_patches.radius.take(patch)
-        distance = np.zeros(len(patch), dtype=np.float32)
-        for axis in range(3):
-            offset = organs.all_patches.centre[:, axis].take(patch) - sphere[axis, part].take(hit)
-            distance += offset * offset
-        kept = np.flatnonzero(distance < limit * limit)
-        if len(kept):
-            yield pair[part], step[part], hit[kept], patch[kept]
+        sphere, pair = target[:, pair, step], pair + start
+        # Sample only organs that come near to something.
+        organs.sample(movers[np.unique(pair)])
+        count = organs.patch_count[movers[pair]]
+        for part in _blocks(count):
+            hit, number = expand_counts(count[part])
+            patch = organs.patch_first[movers[pair[part]]][hit] + number
+            limit = radii.take(pair[part]).take(hit) + organs.all_patches.radius.take(patch)
+            distance = np.zeros(len(patch), dtype=np.float32)
+            for axis in range(3):
+                offset = organs.all_patches.centre[:, axis].take(patch) - sphere[axis, part].take(hit)
+                distance += offset * offset
+            kept = np.flatnonzero(distance < limit * limit)
+            if len(kept):
+                yield pair[part], step[part], hit[kept], patch[kept]
 
 
 def _move_back(

@@ -124,11 +124,7 @@ class ContactSolver:
         return [unit for unit in both if not (organ in unit.members and other in unit.members)]
 
     def _try_units(
-        self,
-        units: list[MovableUnit],
-        places: list[list[int]],
-        contacts: IndexArray,
-        current_round: _Round,
+        self, units: list[MovableUnit], places: list[list[int]], contacts: IndexArray, current_round: _Round
     ) -> dict[int, _Trial]:
         """Find the best rotation of each unit alone from the current poses, by root.
 
@@ -144,10 +140,8 @@ class ContactSolver:
         if not len(useful):
             return trials
         # Of the cheapest poses, all contacts.
-        poses, useful_units = (
-            poses.cheapest(useful, current_round.counts()[1]),
-            [units[row] for row in useful.tolist()],
-        )
+        poses = poses.cheapest(useful, current_round.counts()[1])
+        useful_units = [units[row] for row in useful.tolist()]
         swept = np.concatenate([poses.angles, 0.5 * (poses.angles + poses.current)], axis=1)
         costs = ContactCosts(rules, useful_units, poses.transforms(swept))
         picked = poses.cost(costs).argmin(axis=1)

@@ -38,11 +38,7 @@ class FruitSurfaces:
     inside if it is below the plane of its direction, which also gives the depth. So depths are exact except
     for directions within a cell of a triangle's edge; where a fruit is not star-shaped, its outermost surface
     counts. Cells are those of an octahedron (Cigolle et al. 2014, "A survey of efficient representations for
-    independent unit vectors").
-
-    Args:
-        organs: of a mesh.
-        fruit: `(f,)` indices of the fruit, ascending.
+    independent unit vectors"). Indices of the fruit must be ascending.
     """
 
     def __init__(self, organs: Organs, fruit: IndexArray) -> None:
@@ -59,10 +55,8 @@ class FruitSurfaces:
         for missing in np.unique(row[~self._has_sphere[row]]).tolist():
             points = self._organs.original_vertices(int(self._fruit[missing]))
             centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
-            self._centre[missing], self._radius[missing] = (
-                centre,
-                np.sqrt(squared_lengths(points - centre).max()),
-            )
+            self._centre[missing] = centre
+            self._radius[missing] = np.sqrt(squared_lengths(points - centre).max())
             self._has_sphere[missing] = True
         organ = self._fruit[row]
         rotation, shift = self._organs.rotation[organ], self._organs.shift[organ]
