@@ -106,7 +106,7 @@ class ContactDetector:
         # Moved rows with all columns, other rows with moved columns.
         pairs = [self._close_pairs(rows[moved[rows]], columns)]
         pairs.append(self._close_pairs(rows[~moved[rows]], columns[moved[columns]]))
-        organ, other = (np.concatenate(some) for some in zip(*pairs, strict=True))
+        organ, other = (np.concatenate(column) for column in zip(*pairs, strict=True))
         known = self._known[kind]
         kept = ~moved[known.organ] & ~moved[known.other]
         depth = np.concatenate([known.depth[kept], self.depths(organ, other)])

@@ -162,7 +162,10 @@ def find_joints(organs: Organs, units: Sequence[MovableUnit]) -> Joints:
 
 
 def rotations(axis: FloatArray, angles: FloatArray) -> FloatArray:
-    """`(u, k, 3, 3)` rotations by `(u, k)` radians about unit axes `(u, 3)` (Rodrigues)."""
+    """`(u, k, 3, 3)` rotations by `(u, k)` radians about unit axes `(u, 3)` (Rodrigues).
+
+    `scipy.spatial.transform.Rotation` is as fast, but differs in the last bits of 57 % of the entries.
+    """
     skew = np.zeros((len(axis), 1, 3, 3))
     for row, column, other in ((2, 1, 0), (0, 2, 1), (1, 0, 2)):
         skew[:, 0, row, column], skew[:, 0, column, row] = axis[:, other], -axis[:, other]

@@ -118,7 +118,7 @@ class Organs:
     def original_triangles(self, organs: Sequence[int]) -> tuple[SingleArray, IndexArray]:
         """`(f, 3, 3)` triangles of some organs before all moves, and `(f,)` position of their organ."""
         faces = [self.mesh.faces[self._face_runs.rows(organ)] for organ in organs]
-        owner = np.repeat(np.arange(len(faces)), [len(some) for some in faces])
+        owner = np.repeat(np.arange(len(faces)), [len(group) for group in faces])
         return self.mesh.vertices[np.concatenate(faces)], owner
 
     def foot(self, organ: int) -> FloatArray:
@@ -143,7 +143,7 @@ class Organs:
         points, triangle = fill_triangles(corners)
         vertices = [self.original_vertices(organ) for organ in numbers]
         owner = np.concatenate(
-            [np.repeat(np.arange(len(missing)), [len(some) for some in vertices]), owner[triangle]]
+            [np.repeat(np.arange(len(missing)), [len(group) for group in vertices]), owner[triangle]]
         )
         patches, count = build_patches(
             np.concatenate([*vertices, points]),

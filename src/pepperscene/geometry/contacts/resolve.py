@@ -80,7 +80,7 @@ class ContactSolver:
     def _find_contacts(self) -> IndexArray:
         """`(c, 2)` fruit and the organs that touch them, blades and the stems that they run through."""
         pairs = self.detector.fruit_pairs(), self.detector.blade_pairs()
-        return np.concatenate([some.deeper_than(_TOUCHING) for some in pairs])
+        return np.concatenate([group.deeper_than(_TOUCHING) for group in pairs])
 
     def _resolve_some(self, contacts: IndexArray, current_round: _Round) -> IndexArray:
         """Move a unit on either side of each contact: the first for which a small rotation is enough, or the
@@ -133,10 +133,10 @@ class ContactSolver:
         rules = PairRules(self.detector, hard=current_round.hard)
         poses, resolves = self._candidate_poses(units, places, contacts, current_round, rules)
         trials = {
-            unit.root: _Trial(0.0, self._angles[unit.root], False, some)
-            for unit, some in zip(units, resolves, strict=True)
+            unit.root: _Trial(0.0, self._angles[unit.root], False, contacts_resolved)
+            for unit, contacts_resolved in zip(units, resolves, strict=True)
         }
-        useful = np.flatnonzero([len(some) > 0 for some in resolves])
+        useful = np.flatnonzero([len(group) > 0 for group in resolves])
         if not len(useful):
             return trials
         # Of the cheapest poses, all contacts.
@@ -173,7 +173,10 @@ class ContactSolver:
         upwards = np.array([unit.on_stem and unit.bears_fruit for unit in units])
         angles[upwards, 1:, 1] = np.abs(angles[upwards, 1:, 1])
         joints = find_joints(self.organs, units)
-        owner, rows = np.repeat(np.arange(len(units)), [len(some) for some in places]), np.concatenate(places)
+        owner, rows = (
+            np.repeat(np.arange(len(units)), [len(group) for group in places]),
+            np.concatenate(places),
+        )
         transforms = joints.transforms(angles - current)
         each = remaining_cost(rules, units, owner, contacts[rows], transforms, _COARSE_STRIDE)
         ends = np.any(each <= 0.0, axis=1) | (current_round.number > 0)

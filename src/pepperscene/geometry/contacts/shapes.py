@@ -239,7 +239,7 @@ def _tube_capsules(organs: Organs, tubes: Sequence[int]) -> tuple[Capsules, Inde
     vertices = [
         organs.original_vertices(tube) @ organs.rotation[tube].T + organs.shift[tube] for tube in tubes
     ]
-    owner = np.repeat(np.arange(len(tubes)), [len(some) for some in vertices])
+    owner = np.repeat(np.arange(len(tubes)), [len(group) for group in vertices])
     points = np.concatenate(vertices)
     # The vertices of a ring have the same v.
     v = np.round(np.concatenate([organs.vertex_v(tube) for tube in tubes]).astype(np.float64) * 1e5)
