@@ -7,19 +7,20 @@ import os
 import numpy as np
 import pytest
 import trimesh
+from organ_meshes import KINDS, check_mesh, merged, mesh_organs, shading_agreement
 
 from pepperscene.classes import OrganClass
-from pepperscene.cultivar.organs import USUAL, OrganKind
+from pepperscene.cultivar.organs import OrganKind
 from pepperscene.errors import InputError
-from pepperscene.geometry import mesh_plant
-from pepperscene.geometry.fruit.scan import MOST_TRIANGLES, load_scan
-from pepperscene.grammar.plant import Organ, Plant
+from pepperscene.geometry.fruit.scan import MAX_TRIANGLES, load_scan
+from pepperscene.grammar.plant import Organ
 
-AXIS = np.array([[0.1, 0.2, 1.0], [0.11, 0.18, 0.92]])
+CURVE = np.array([[0.1, 0.2, 1.0], [0.11, 0.18, 0.92]])
+AXIS = (CURVE[1] - CURVE[0]) / np.linalg.norm(CURVE[1] - CURVE[0])
 UP = np.array([1.0, 0.0, 0.0])
 
 
-def lumpy(subdivisions=4):
+def apple(subdivisions=4):
     """A body like an apple, in millimetres and off the origin: lobes, a hollow on top."""
     ball = trimesh.creation.icosphere(subdivisions=subdivisions)
     x, y, z = np.asarray(ball.vertices).T
@@ -29,156 +30,131 @@ def lumpy(subdivisions=4):
     return trimesh.Trimesh(40.0 * points + [300.0, -70.0, 12.0], ball.faces, process=False)
 
 
-def scanned(path, *, calyx=False, **measures):
-    """A plant of one fruit that wears the scan."""
-    kinds = {**USUAL, "berry": OrganKind("fruit", OrganClass.PEPPER, "fruit", path)}
+def save(body, path):
+    path.parent.mkdir(exist_ok=True)
+    body.export(path)
+    return path
+
+
+def scanned_fruit(path, *, calyx=False, **measures):
+    """The mesh of a fruit that uses the scan, after a calyx if there is one."""
+    kinds = {**KINDS, "berry": OrganKind("fruit", OrganClass.PEPPER, "fruit", path)}
     shape = {"length_m": 0.09, "diameter_m": 0.07, "seed": 0.3} | measures
-    organs = [Organ("berry", -1, 4, AXIS, UP, shape)]
+    organs = [Organ("berry", 0 if calyx else -1, 4, CURVE, UP, shape)]
     if calyx:
-        stub = np.array([AXIS[0] - 0.05 * (AXIS[1] - AXIS[0]), AXIS[0]])
-        plate = Organ("calyx", -1, 4, stub, UP, {"radius_m": 0.018, "seed": 0.4})
-        organs = [plate, Organ("berry", 0, 4, AXIS, UP, shape)]
-    return mesh_plant(Plant("scanned", tuple(organs), kinds))
-
-
-def solid(mesh, instance=0):
-    points, number = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    faces = number.ravel()[mesh.faces[mesh.face_instance == instance]]
-    return trimesh.Trimesh(points.astype(float), faces, process=False)
+        stub = np.array([CURVE[0] - 0.05 * (CURVE[1] - CURVE[0]), CURVE[0]])
+        organs.insert(0, Organ("calyx", -1, 4, stub, UP, {"radius_m": 0.018, "seed": 0.4}))
+    return mesh_organs(*organs, kinds=kinds)
 
 
 @pytest.mark.parametrize("suffix", ["obj", "ply", "stl"])
-def test_a_scan_gets_the_size_and_place_of_its_fruit(tmp_path, suffix):
-    path = tmp_path / f"fruit.{suffix}"
-    lumpy().export(path)
-    mesh = scanned(path, ripeness=0.6, ripeness_spread=0.1)
-    body = solid(mesh)
+def test_scan_gets_the_size_and_pose_of_its_fruit(tmp_path, suffix):
+    mesh = scanned_fruit(save(apple(), tmp_path / f"fruit.{suffix}"), ripeness=0.6, ripeness_spread=0.1)
+    body = merged(mesh)
     assert body.is_watertight
     assert body.is_winding_consistent
     assert body.volume > 0.0
-    axis = (AXIS[1] - AXIS[0]) / np.linalg.norm(AXIS[1] - AXIS[0])
-    along = (mesh.vertices - AXIS[0]) @ axis
+    along = (mesh.vertices - CURVE[0]) @ AXIS
     assert np.ptp(along) == pytest.approx(0.09, rel=1e-4)
-    across = np.linalg.svd(axis[None])[2][1:]
+    across = np.linalg.svd(AXIS[None])[2][1:]
     angle = np.linspace(0.0, np.pi, 360)
-    shadow = (mesh.vertices @ across.T) @ np.stack([np.cos(angle), np.sin(angle)])
-    assert np.ptp(shadow, axis=0).max() == pytest.approx(0.07, rel=1e-3)
-    # The stalk's foot lies on the surface, in the hollow between the shoulders: that end is the file's top.
-    distance = trimesh.proximity.closest_point(body, AXIS[:1])[1][0]
-    assert distance < 1e-4
+    projection = (mesh.vertices @ across.T) @ np.stack([np.cos(angle), np.sin(angle)])
+    assert np.ptp(projection, axis=0).max() == pytest.approx(0.07, rel=1e-3)
+    # The stalk's foot is on the surface, in the hollow between the shoulders: that end is the file's top.
+    assert trimesh.proximity.closest_point(body, CURVE[:1])[1][0] < 1e-4
     assert along.min() < -0.004
     assert mesh.state.mean() == pytest.approx(0.6, abs=0.01)
     assert mesh.state.std() == pytest.approx(0.1, abs=0.01)
 
 
-def test_a_scan_has_sound_normals_and_surface_coordinates(tmp_path):
-    path = tmp_path / "fruit.ply"
-    lumpy().export(path)
-    mesh = scanned(path)
-    np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0, atol=1e-5)
-    corners = mesh.vertices[mesh.faces].astype(float)
-    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    flat /= np.linalg.norm(flat, axis=1, keepdims=True)
-    assert np.sum(flat * mesh.normals[mesh.faces].mean(axis=1), axis=1).min() > 0.9
-    assert mesh.uv.min() >= 0.0
-    assert mesh.uv.max() <= 1.0
-    # No triangle spans the fruit's surface coordinates where the seam runs, but at the two ends.
+def test_scan_has_sound_normals_and_surface_coordinates(tmp_path):
+    mesh = scanned_fruit(save(apple(), tmp_path / "fruit.ply"))
+    check_mesh(mesh)
+    assert shading_agreement(mesh) > 0.9
+    # No triangle spans the fruit's surface coordinates at the seam, except near the two ends.
     middle = np.abs(mesh.uv[mesh.faces][..., 1] - 0.5).max(axis=1) < 0.4
     assert np.ptp(mesh.uv[mesh.faces][..., 0], axis=1)[middle].max() < 0.25
     # v runs from stalk to blossom end.
-    along = (mesh.vertices - AXIS[0]) @ (AXIS[1] - AXIS[0])
-    assert np.corrcoef(along, mesh.uv[:, 1])[0, 1] > 0.95
+    assert np.corrcoef((mesh.vertices - CURVE[0]) @ AXIS, mesh.uv[:, 1])[0, 1] > 0.95
 
 
-def test_a_calyx_hugs_a_scan(tmp_path):
-    path = tmp_path / "fruit.obj"
-    lumpy().export(path)
-    mesh = scanned(path, calyx=True)
-    body = solid(mesh, 1)
-    plate = mesh.vertices[np.unique(mesh.faces[mesh.face_instance == 0])].astype(float)
-    inside = trimesh.proximity.signed_distance(body, plate)
-    axis = (AXIS[1] - AXIS[0]) / np.linalg.norm(AXIS[1] - AXIS[0])
-    out = np.linalg.norm(plate - AXIS[0] - ((plate - AXIS[0]) @ axis)[:, None] * axis, axis=1)
+def test_calyx_follows_the_surface_of_a_scan(tmp_path):
+    mesh = scanned_fruit(save(apple(), tmp_path / "fruit.obj"), calyx=True)
+    plate = mesh.vertices[mesh.vertex_runs.rows(0)].astype(float)
+    inside = trimesh.proximity.signed_distance(merged(mesh, 1), plate)
+    out = np.linalg.norm(plate - CURVE[0] - ((plate - CURVE[0]) @ AXIS)[:, None] * AXIS, axis=1)
     assert np.abs(inside[out > 0.008]).max() < 0.002
     assert 0.0 < inside.max() < 0.001
 
 
-def test_dirt_is_cleaned_away(tmp_path):
-    path = tmp_path / "fruit.stl"
-    clean = lumpy(3)
-    # A crumb beside it, a small hole, faces inside out, double and degenerate triangles; STL merges nothing.
-    crumb = trimesh.creation.icosphere(subdivisions=1, radius=2.0).apply_translation([380.0, -70.0, 12.0])
+def test_dirty_meshes_are_cleaned(tmp_path):
+    clean = apple(3)
+    # Debris, a small hole, faces inside out, duplicate and degenerate triangles; STL merges no vertices.
+    debris = trimesh.creation.icosphere(subdivisions=1, radius=2.0).apply_translation([380.0, -70.0, 12.0])
     faces = np.array(clean.faces)[:-4][:, ::-1]
     faces = np.concatenate([faces, faces[:5], np.repeat(faces[:3, :1], 3, axis=1)])
     dirty = trimesh.Trimesh(clean.vertices, faces, process=False)
-    trimesh.util.concatenate([dirty, crumb]).export(path)
-    body = solid(scanned(path))
+    path = save(trimesh.util.concatenate([dirty, debris]), tmp_path / "fruit.stl")
+    body = merged(scanned_fruit(path))
     assert body.is_watertight
     assert body.body_count == 1
-    (tmp_path / "clean").mkdir()
-    whole = tmp_path / "clean" / "fruit.stl"
-    clean.export(whole)
-    assert body.volume == pytest.approx(solid(scanned(whole)).volume, rel=0.01)
+    expected = merged(scanned_fruit(save(clean, tmp_path / "clean" / "fruit.stl"))).volume
+    assert body.volume == pytest.approx(expected, rel=0.01)
 
 
 def open_on_one_side():
-    ball = lumpy(3)
-    keep = ball.triangles_center[:, 0] < 320.0
-    return trimesh.Trimesh(ball.vertices, ball.faces[keep], process=False)
+    ball = apple(3)
+    return trimesh.Trimesh(ball.vertices, ball.faces[ball.triangles_center[:, 0] < 320.0], process=False)
 
 
 def two_fruit():
-    other = lumpy(3)
-    other.apply_translation([150.0, 0.0, 0.0])
-    return trimesh.util.concatenate([lumpy(3), other])
+    return trimesh.util.concatenate([apple(3), apple(3).apply_translation([150.0, 0.0, 0.0])])
 
 
-def with_a_hole_in_space():
-    ball = lumpy(2)
+def with_a_vertex_of_nan():
+    ball = apple(2)
     points = np.array(ball.vertices)
     points[7] = np.nan
     return trimesh.Trimesh(points, ball.faces, process=False)
 
 
-def a_sheet():
-    grid = trimesh.creation.box(extents=[1.0, 1.0, 0.001])
-    return trimesh.Trimesh(grid.vertices, grid.faces, process=False)
+def flat_sheet():
+    return trimesh.creation.box(extents=[1.0, 1.0, 0.001])
 
 
-def a_ring():
+def ring():
     return trimesh.creation.torus(major_radius=2.0, minor_radius=0.8)
 
 
 @pytest.mark.parametrize(
-    ("make", "word"),
+    ("make", "problem"),
     [
         (open_on_one_side, "hole"),
         (two_fruit, "several parts"),
-        (with_a_hole_in_space, "finite"),
-        (a_sheet, "flat"),
-        (a_ring, "over its middle"),
+        (with_a_vertex_of_nan, "finite"),
+        (flat_sheet, "flat"),
+        (ring, "over its middle"),
     ],
 )
 @pytest.mark.parametrize("suffix", ["ply", "obj"])
-def test_what_is_not_one_closed_body_is_refused(tmp_path, make, word, suffix):
-    path = tmp_path / f"fruit.{suffix}"
-    make().export(path)
-    with pytest.raises(InputError, match=word) as told:
+def test_raises_on_meshes_that_are_not_one_closed_body(tmp_path, make, problem, suffix):
+    path = save(make(), tmp_path / f"fruit.{suffix}")
+    with pytest.raises(InputError, match=problem) as error:
         load_scan(path)
-    assert str(path) in str(told.value)
-    assert "closed surface" in str(told.value)
+    assert str(path) in str(error.value)
+    assert "closed surface" in str(error.value)
 
 
 @pytest.mark.parametrize("content", [b"", b"these are words\n", b"ply\nformat ascii 1.0\nelement vertex 1\n"])
 @pytest.mark.parametrize("suffix", ["obj", "ply", "stl"])
-def test_files_that_are_no_meshes_are_refused(tmp_path, content, suffix):
+def test_raises_on_files_without_a_mesh(tmp_path, content, suffix):
     path = tmp_path / f"fruit.{suffix}"
     path.write_bytes(content)
     with pytest.raises(InputError, match="OBJ, PLY or STL"):
         load_scan(path)
 
 
-def test_other_formats_and_missing_files_are_refused(tmp_path):
+def test_raises_on_other_formats_and_missing_files(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         load_scan(tmp_path / "nowhere.ply")
     with pytest.raises(InputError, match="OBJ, PLY or STL"):
@@ -189,23 +165,21 @@ def test_other_formats_and_missing_files_are_refused(tmp_path):
         load_scan(folder)
 
 
-def test_a_scan_too_fine_is_simplified_or_refused(tmp_path):
-    path = tmp_path / "fruit.ply"
-    lumpy(6).export(path)
+def test_scan_with_too_many_triangles_is_simplified_or_refused(tmp_path):
+    path = save(apple(6), tmp_path / "fruit.ply")
     try:
         import fast_simplification  # noqa: F401
     except ImportError:
         with pytest.raises(InputError, match="fast-simplification"):
             load_scan(path)
     else:
-        assert len(load_scan(path).faces) <= MOST_TRIANGLES
+        assert len(load_scan(path).faces) <= MAX_TRIANGLES
 
 
-def test_a_scan_is_read_again_when_its_file_changes(tmp_path):
-    path = tmp_path / "fruit.ply"
-    lumpy(3).export(path)
+def test_scan_is_loaded_again_after_its_file_changes(tmp_path):
+    path = save(apple(3), tmp_path / "fruit.ply")
     first = load_scan(path)
     assert load_scan(path) is first
-    lumpy(2).export(path)
+    save(apple(2), path)
     os.utime(path, ns=(1, 1))
     assert len(load_scan(path).faces) < len(first.faces)

@@ -1,4 +1,4 @@
-"""Triangles with what the renderer and the ground truth need to know of each."""
+"""Triangle meshes whose faces know their organ and surface, and simple ones: spheres and rectangles."""
 
 from __future__ import annotations
 
@@ -7,9 +7,27 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.classes import Instance
+from pepperscene.classes import Instance, OrganClass
+
+FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
+IndexArray = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class InstanceRuns:
+    """The faces or the vertices of a mesh, grouped by instance."""
+
+    order: IndexArray | None  # `(n,)` indices, those of one instance together; None: as in the mesh
+    first: IndexArray  # `(i,)` where the run of each instance starts in that order
+    stop: IndexArray  # `(i,)` where it stops; equal to `first` if it is empty
+
+    def rows(self, instance: int) -> slice | IndexArray:
+        """Indices of the faces or vertices of one instance."""
+        run = slice(int(self.first[instance]), int(self.stop[instance]))
+        return run if self.order is None else self.order[run]
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,20 +36,20 @@ class Mesh:
 
     Attributes:
         vertices: `(v, 3)` float32, metres.
-        normals: `(v, 3)` float32, unit shading normals, out of solids and out of a leaf's upper side.
+        normals: `(v, 3)` float32, unit shading normals: out of solids, out of the upper side of a leaf.
         uv: `(v, 2)` float32, surface coordinates in [0, 1].
         state: `(v,)` float32, the pigment state in [0, 1] (see `materials.Surface`).
         faces: `(f, 3)` uint32, counter-clockwise seen from the side that the normals point to.
-        face_instance: `(f,)` uint32, index into `instances`; the class of a face is its instance's.
+        face_instance: `(f,)` uint32, index into `instances`, which also give the class of a face.
         face_surface: `(f,)` uint8, index into `surfaces`.
         surfaces: names of the surfaces used.
-        instances: the organs that the mesh is made of.
+        instances: the organs that the mesh consists of.
     """
 
-    vertices: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    uv: NDArray[np.float32]
-    state: NDArray[np.float32]
+    vertices: SingleArray
+    normals: SingleArray
+    uv: SingleArray
+    state: SingleArray
     faces: NDArray[np.uint32]
     face_instance: NDArray[np.uint32]
     face_surface: NDArray[np.uint8]
@@ -44,13 +62,13 @@ class Mesh:
         return np.array([item.organ_class for item in self.instances], dtype=np.uint8)[self.face_instance]
 
     @cached_property
-    def bounds(self) -> NDArray[np.float32]:
-        """`(2, 3)` least and greatest coordinates of all vertices, metres; NaN where a vertex is.
+    def bounds(self) -> SingleArray:
+        """`(2, 3)` minimum and maximum coordinates of all vertices, metres; NaN where a vertex has NaN.
 
         Raises:
             ValueError: there are no vertices.
         """
-        # Axis by axis: along the longer one NumPy is 25 times as fast.
+        # One axis at a time: NumPy reduces along the long axis 25 times as fast.
         return np.array([[axis.min() for axis in self.vertices.T], [axis.max() for axis in self.vertices.T]])
 
     @cached_property
@@ -60,107 +78,129 @@ class Mesh:
         Raises:
             ValueError: instances share a vertex, or a vertex belongs to none.
         """
-        owner = np.full(len(self.vertices), len(self.instances), dtype=np.uint32)
-        owner[self.faces] = self.face_instance[:, None]
-        shared = any(np.any(owner[self.faces[:, corner]] != self.face_instance) for corner in range(3))
-        if shared or np.any(owner == len(self.instances)):
-            raise ValueError("each vertex must belong to one instance")
-        return owner
+        if np.any(self._vertex_owners == len(self.instances)):
+            raise ValueError("every vertex must belong to a face")
+        return self._vertex_owners
 
     @cached_property
-    def instance_vertices(self) -> NDArray[np.intp]:
-        """`(i, 2)` first vertex of each instance and the one after its last; both 0 where it has none.
+    def face_runs(self) -> InstanceRuns:
+        """Faces by instance."""
+        count, instance = len(self.instances), self.face_instance
+        first, stop = np.zeros((2, count), dtype=np.intp)
+        order = None
+        start = np.flatnonzero(np.append(True, instance[1:] != instance[:-1])) if len(instance) else first[:0]
+        if len(np.unique(instance[start])) < len(start):
+            # NumPy sorts two-byte integers by radix, which is much faster.
+            order = np.argsort(instance.astype(np.uint16) if count < 2**16 else instance, kind="stable")
+            instance = instance[order]
+            start = np.flatnonzero(np.append(True, instance[1:] != instance[:-1]))
+        first[instance[start]], stop[instance[start]] = start, np.append(start[1:], len(instance))
+        return InstanceRuns(order, first, stop)
+
+    @cached_property
+    def vertex_runs(self) -> InstanceRuns:
+        """Vertices by instance.
 
         Raises:
-            ValueError: the vertices of an instance do not lie together.
+            ValueError: instances share a vertex.
         """
-        owner = self.vertex_instance
-        starts = np.concatenate([[0], 1 + np.flatnonzero(owner[1:] != owner[:-1])])
-        runs = owner[starts]
-        if len(np.unique(runs)) < len(runs):
-            raise ValueError("the vertices of each instance must lie together")
-        found = np.zeros((len(self.instances), 2), dtype=np.intp)
-        found[runs, 0], found[runs, 1] = starts, np.append(starts[1:], len(owner))
-        return found
+        count, runs = len(self.instances), self.face_runs
+        corners = (self.faces if runs.order is None else self.faces[runs.order]).ravel()
+        first, stop = np.zeros((2, count), dtype=np.intp)
+        used = np.flatnonzero(runs.stop > runs.first)
+        if not len(used):
+            return InstanceRuns(None, first, stop)
+        used = used[np.argsort(runs.first[used])]
+        first[used] = np.minimum.reduceat(corners, 3 * runs.first[used])
+        stop[used] = np.maximum.reduceat(corners, 3 * runs.first[used]).astype(np.intp) + 1
+        along = used[np.argsort(first[used])]
+        if np.all(stop[along][:-1] <= first[along][1:]):
+            return InstanceRuns(None, first, stop)
+        # The vertices of several instances are mixed.
+        order = np.argsort(self._vertex_owners, kind="stable")
+        edges = np.searchsorted(self._vertex_owners[order], np.arange(count + 1))
+        return InstanceRuns(order, edges[:-1], edges[1:])
 
-    def moved(self, rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> Mesh:
-        """The mesh rotated by a `(3, 3)` matrix, then translated by `(3,)` metres.
+    @cached_property
+    def _vertex_owners(self) -> NDArray[np.uint32]:
+        """`(v,)` instance of each vertex; the number of instances for a vertex without faces."""
+        owner = np.full(len(self.vertices), len(self.instances), dtype=np.uint32)
+        owner[self.faces] = self.face_instance[:, None]
+        if any(np.any(owner[self.faces[:, corner]] != self.face_instance) for corner in range(3)):
+            raise ValueError("instances must not share vertices")
+        return owner
+
+    def moved(self, rotation: FloatArray, translation: FloatArray) -> Mesh:
+        """Return the mesh rotated by a `(3, 3)` matrix, then translated by `(3,)` metres.
 
         Raises:
-            ValueError: the matrix mirrors or stretches, so that faces would show their backs or normals tilt.
+            ValueError: the matrix is not a rotation; mirroring or scaling would spoil windings and normals.
         """
-        turn = np.asarray(rotation, dtype=float)
-        if not (np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) and np.linalg.det(turn) > 0.0):
-            raise ValueError("rotation must be a rotation: orthogonal, with a determinant of 1")
-        vertices = _turned(self.vertices, turn, np.asarray(translation, dtype=float))
-        return replace(self, vertices=vertices, normals=_turned(self.normals, turn, np.zeros(3)))
+        matrix = np.asarray(rotation, dtype=float)
+        if not (np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-6) and np.linalg.det(matrix) > 0.0):
+            raise ValueError("rotation must be orthogonal, with determinant 1")
+        vertices = _transform(self.vertices, matrix, np.asarray(translation, dtype=float))
+        return replace(self, vertices=vertices, normals=_transform(self.normals, matrix, np.zeros(3)))
 
     def select_instances(self, chosen: Sequence[int]) -> Mesh:
-        """The part of the mesh that belongs to some instances, numbered anew in the order given.
+        """Return the part of the mesh that belongs to some instances, renumbered in the given order.
 
         Args:
-            chosen: indices into `instances`; a parent that is not among them is forgotten.
+            chosen: indices into `instances`; a parent that is not among them becomes -1.
 
         Raises:
-            ValueError: none is chosen, one twice, or one that is not there.
+            ValueError: `chosen` is empty, has duplicates, or has an index out of range.
         """
-        wanted = [int(index) for index in chosen]
-        if (
-            not wanted
-            or len(set(wanted)) < len(wanted)
-            or not 0 <= min(wanted) <= max(wanted) < len(self.instances)
-        ):
-            raise ValueError(f"{wanted} are not instances among {len(self.instances)}, each once")
-        place = np.full(len(self.instances), -1)
-        place[wanted] = np.arange(len(wanted))
-        kept = place[self.face_instance] >= 0
+        wanted, count = [int(index) for index in chosen], len(self.instances)
+        if not wanted or len(set(wanted)) < len(wanted) or not 0 <= min(wanted) <= max(wanted) < count:
+            raise ValueError(f"chosen must be different indices of {count} instances, not {wanted}")
+        new_index = np.full(count, -1)
+        new_index[wanted] = np.arange(len(wanted))
+        kept = new_index[self.face_instance] >= 0
         old_faces = self.faces[kept]
         used = np.zeros(len(self.vertices), dtype=bool)
         used[old_faces] = True
-        faces = (np.cumsum(used) - 1)[old_faces]
         surfaces, face_surface = np.unique(self.face_surface[kept], return_inverse=True)
-        instances = [self.instances[index] for index in wanted]
         return Mesh(
             vertices=self.vertices[used],
             normals=self.normals[used],
             uv=self.uv[used],
             state=self.state[used],
-            faces=faces.astype(np.uint32),
-            face_instance=place[self.face_instance[kept]].astype(np.uint32),
+            faces=(np.cumsum(used) - 1)[old_faces].astype(np.uint32),
+            face_instance=new_index[self.face_instance[kept]].astype(np.uint32),
             face_surface=face_surface.astype(np.uint8),
             surfaces=tuple(self.surfaces[index] for index in surfaces),
             instances=tuple(
-                replace(one, parent=int(place[one.parent]) if one.parent >= 0 else -1) for one in instances
+                replace(item, parent=int(new_index[item.parent]) if item.parent >= 0 else -1)
+                for item in (self.instances[index] for index in wanted)
             ),
         )
 
     def select_plant(self, plant: int) -> Mesh:
-        """The same mesh with its instances assigned to plant number `plant` of a scene."""
-        return replace(
-            self,
-            instances=tuple(
-                Instance(one.organ_class, one.kind, plant, one.phytomer, one.parent) for one in self.instances
-            ),
-        )
+        """Return the mesh with its instances assigned to plant number `plant` of a scene."""
+        return replace(self, instances=tuple(_renumber(item, plant, item.parent) for item in self.instances))
 
 
-def _turned(
-    points: NDArray[np.float32], turn: NDArray[np.float64], shift: NDArray[np.float64]
-) -> NDArray[np.float32]:
-    """`(n, 3)` points after a turn and a shift.
+def _transform(points: SingleArray, rotation: FloatArray, translation: FloatArray) -> SingleArray:
+    """`(n, 3)` points rotated and translated.
 
-    Coordinate by coordinate: the matrix library shares such tall products out to threads, which wait for each
-    other far longer than they compute where the cores have other work, and its last bits depend on them.
+    Written out per coordinate: BLAS splits such tall products over threads, which wait for each other far
+    longer than they compute on busy cores, and the last bits of the result depend on their number.
     """
     x, y, z = np.ascontiguousarray(points.T).astype(np.float64)
-    found = np.empty((len(points), 3), dtype=np.float32)
-    for axis, (one, other, third) in enumerate(turn):
-        found[:, axis] = one * x + other * y + third * z + shift[axis]
-    return found
+    result = np.empty((len(points), 3), dtype=np.float32)
+    for axis, (a, b, c) in enumerate(rotation):
+        result[:, axis] = a * x + b * y + c * z + translation[axis]
+    return result
+
+
+def _renumber(item: Instance, plant: int, parent: int) -> Instance:
+    """The instance with another plant and parent; `dataclasses.replace` takes twice as long."""
+    return Instance(item.organ_class, item.kind, plant, item.phytomer, parent)
 
 
 def concatenate_meshes(meshes: Sequence[Mesh]) -> Mesh:
-    """One mesh out of several; instances are numbered on, surfaces of equal name become one.
+    """Join meshes; instances are renumbered in order, surfaces of equal name become one.
 
     Raises:
         ValueError: no meshes are given.
@@ -172,16 +212,14 @@ def concatenate_meshes(meshes: Sequence[Mesh]) -> Mesh:
     instances: list[Instance] = []
     vertex_offset = 0
     for mesh in meshes:
-        renumber = np.array([names.index(name) for name in mesh.surfaces], dtype=np.uint8)
-        first = len(instances)
+        surface_index = np.array([names.index(name) for name in mesh.surfaces], dtype=np.uint8)
+        offset = len(instances)
         faces.append(mesh.faces + np.uint32(vertex_offset))
-        face_instances.append(mesh.face_instance + np.uint32(first))
-        face_surfaces.append(renumber[mesh.face_surface])
+        face_instances.append(mesh.face_instance + np.uint32(offset))
+        face_surfaces.append(surface_index[mesh.face_surface])
         instances += [
-            Instance(one.organ_class, one.kind, one.plant, one.phytomer, one.parent + first)
-            if first and one.parent >= 0
-            else one
-            for one in mesh.instances
+            _renumber(item, item.plant, item.parent + offset) if offset and item.parent >= 0 else item
+            for item in mesh.instances
         ]
         vertex_offset += len(mesh.vertices)
     return Mesh(
@@ -197,45 +235,93 @@ def concatenate_meshes(meshes: Sequence[Mesh]) -> Mesh:
     )
 
 
-Indices = NDArray[np.intp]
+def single_instance_mesh(
+    vertices: FloatArray,
+    normals: FloatArray,
+    uv: FloatArray,
+    state: FloatArray,
+    faces: NDArray[np.integer],
+    organ_class: OrganClass,
+    kind: str,
+    surface: str,
+) -> Mesh:
+    """Build a mesh of one instance and one surface; shapes and units as in `Mesh`."""
+    return Mesh(
+        vertices=vertices.astype(np.float32),
+        normals=normals.astype(np.float32),
+        uv=uv.astype(np.float32),
+        state=state.astype(np.float32),
+        faces=faces.astype(np.uint32),
+        face_instance=np.zeros(len(faces), dtype=np.uint32),
+        face_surface=np.zeros(len(faces), dtype=np.uint8),
+        surfaces=(surface,),
+        instances=(Instance(organ_class, kind),),
+    )
 
 
-def face_runs(mesh: Mesh) -> tuple[NDArray[np.uint32], Indices, Indices]:
-    """The faces with those of one instance together, and `(n,)` where each instance's start and stop."""
-    count, instance, faces = len(mesh.instances), mesh.face_instance, mesh.faces
-    first, stop = np.zeros(count, dtype=np.intp), np.zeros(count, dtype=np.intp)
-    start = np.flatnonzero(np.append(True, instance[1:] != instance[:-1])) if len(instance) else first[:0]
-    if len(np.unique(instance[start])) < len(start):
-        # Whole numbers of two bytes are sorted by their digits, much faster.
-        small = instance.astype(np.uint16) if count < 2**16 else instance
-        order = np.argsort(small, kind="stable")
-        faces, instance = faces[order], instance[order]
-        start = np.flatnonzero(np.append(True, instance[1:] != instance[:-1]))
-    first[instance[start]], stop[instance[start]] = start, np.append(start[1:], len(instance))
-    return faces, first, stop
+def sphere(
+    centre: ArrayLike,
+    radius_m: float,
+    surface: str = "fruit",
+    organ_class: OrganClass = OrganClass.PEPPER,
+    subdivisions: int = 3,
+) -> Mesh:
+    """Build a closed sphere from a subdivided icosahedron.
+
+    Args:
+        centre: `(3,)` metres.
+        radius_m: distance of the vertices from the centre, metres.
+        surface: name of its surface.
+        organ_class: class of all its faces.
+        subdivisions: each splits a triangle into four; 0 is the icosahedron.
+
+    Returns:
+        One instance "sphere"; u is the longitude, v runs from the top (0) to the bottom (1), state is 0.5.
+
+    Raises:
+        ValueError: the radius is not above zero.
+    """
+    import trimesh
+
+    if not radius_m > 0.0:
+        raise ValueError(f"radius_m must be above zero, not {radius_m}")
+    unit_sphere = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
+    normals, faces = np.asarray(unit_sphere.vertices, dtype=float), np.asarray(unit_sphere.faces)
+    longitude = np.arctan2(normals[:, 1], normals[:, 0]) / (2.0 * np.pi) % 1.0
+    uv = np.stack([longitude, np.arccos(np.clip(normals[:, 2], -1.0, 1.0)) / np.pi], axis=1)
+    vertices, state = np.asarray(centre, dtype=float) + radius_m * normals, np.full(len(normals), 0.5)
+    return single_instance_mesh(vertices, normals, uv, state, faces, organ_class, "sphere", surface)
 
 
-def vertex_runs(
-    mesh: Mesh, faces: NDArray[np.uint32], face_first: Indices, face_stop: Indices
-) -> tuple[Indices | None, Indices, Indices]:
-    """Where the vertices of each instance start and stop, in the mesh's order or else in the one returned."""
-    count = len(mesh.instances)
-    first, stop = np.zeros(count, dtype=np.intp), np.zeros(count, dtype=np.intp)
-    used = np.flatnonzero(face_stop > face_first)
-    if not len(used):
-        return None, first, stop
-    # As they lie one after the other, each run ends where the next starts.
-    used = used[np.argsort(face_first[used])]
-    first[used] = np.minimum.reduceat(faces.ravel(), 3 * face_first[used])
-    stop[used] = np.maximum.reduceat(faces.ravel(), 3 * face_first[used]).astype(np.intp) + 1
-    along = used[np.argsort(first[used])]
-    if np.all(stop[along][:-1] <= first[along][1:]):
-        return None, first, stop
-    # Organs whose vertices are mixed are sorted out.
-    owner = np.full(len(mesh.vertices), count, dtype=np.intp)
-    owner[mesh.faces] = mesh.face_instance[:, None]
-    if not np.array_equal(owner[mesh.faces], np.repeat(mesh.face_instance, 3).reshape(-1, 3)):
-        raise ValueError("instances that share vertices cannot be moved one by one")
-    order = np.argsort(owner, kind="stable")
-    runs = np.searchsorted(owner[order], np.arange(count + 1))
-    return order, runs[:-1], runs[1:]
+def rectangle(
+    centre: ArrayLike,
+    right: ArrayLike,
+    up: ArrayLike,
+    surface: str = "leaf",
+    organ_class: OrganClass = OrganClass.LEAF,
+) -> Mesh:
+    """Build a flat rectangle or parallelogram with the normal right x up.
+
+    Args:
+        centre: `(3,)` metres.
+        right: `(3,)` metres, the lower edge from left to right.
+        up: `(3,)` metres, the left edge from bottom to top.
+        surface: name of its surface.
+        organ_class: class of both faces.
+
+    Returns:
+        One instance "rectangle"; u runs along `right`, v along `up`, state is 0.5.
+
+    Raises:
+        ValueError: the edges are parallel or one has no length.
+    """
+    edges = np.stack([np.asarray(right, dtype=float), np.asarray(up, dtype=float)])
+    normal = np.cross(*edges)
+    area = float(np.linalg.norm(normal))
+    if not area > 0.0:
+        raise ValueError("right and up must span a rectangle")
+    uv = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    vertices = np.asarray(centre, dtype=float) + (uv - 0.5) @ edges
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    normals, state = np.tile(normal / area, (4, 1)), np.full(4, 0.5)
+    return single_instance_mesh(vertices, normals, uv, state, faces, organ_class, "rectangle", surface)

@@ -1,4 +1,4 @@
-"""A plant's organs as one mesh."""
+"""The mesh of a plant, built from its organs."""
 
 from __future__ import annotations
 
@@ -6,50 +6,53 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pepperscene.classes import Instance
 from pepperscene.cultivar.organs import OrganForm
-from pepperscene.geometry.blade.blades import laminae
-from pepperscene.geometry.bodies import MeshBatch
-from pepperscene.geometry.fruit.calyx import calyces
-from pepperscene.geometry.fruit.crown import crowns, joined, scanned_crowns
-from pepperscene.geometry.fruit.fruits import fruit_frames, fruits, scanned_fruits
-from pepperscene.geometry.fruit.pericarp import pericarps
-from pepperscene.geometry.fruit.scan import load_scan
-from pepperscene.geometry.mesh import Mesh
-from pepperscene.geometry.tubes.flower import flowers
-from pepperscene.geometry.tubes.stalk import cuts, peduncles, stalks
-from pepperscene.geometry.tubes.stem import internodes, nodes
+from pepperscene.geometry.batch import MeshBatch, form_indices
+from pepperscene.geometry.blade.blades import mesh_blades
+from pepperscene.geometry.fruit.calyx import mesh_calyces
+from pepperscene.geometry.fruit.fruits import (
+    concatenate_shoulders,
+    fruit_frames,
+    mesh_fruits,
+    pericarp_shoulders,
+)
+from pepperscene.geometry.fruit.pericarp import build_pericarps
+from pepperscene.geometry.fruit.scan import load_scan, mesh_scanned_fruits, scan_shoulders
+from pepperscene.geometry.mesh import FloatArray, IndexArray, Mesh, SingleArray
+from pepperscene.geometry.tubes.flower import mesh_flowers
+from pepperscene.geometry.tubes.stalk import mesh_cuts, mesh_peduncles, mesh_stalks
+from pepperscene.geometry.tubes.stem import mesh_internodes, mesh_nodes
 from pepperscene.grammar.plant import Organ, Plant
 
-_MAKERS: Final[Mapping[OrganForm, Callable[[Sequence[Organ], float], MeshBatch]]] = {
-    "internode": internodes,
-    "node": nodes,
-    "stalk": stalks,
-    "blade": laminae,
-    "peduncle": peduncles,
-    "cut": cuts,
-    "flower": flowers,
+_MESHERS: Final[Mapping[OrganForm, Callable[[Sequence[Organ], float], MeshBatch]]] = {
+    "internode": mesh_internodes,
+    "node": mesh_nodes,
+    "stalk": mesh_stalks,
+    "blade": mesh_blades,
+    "peduncle": mesh_peduncles,
+    "cut": mesh_cuts,
+    "flower": mesh_flowers,
 }
 
-Part = tuple[NDArray[np.intp], MeshBatch]
-"""Which organs of the plant, and their bodies."""
+Part = tuple[IndexArray, MeshBatch]
+"""Indices of organs of a plant, and their meshes."""
 
 
 def mesh_plant(plant: Plant, detail: float = 1.0) -> Mesh:
-    """Triangles of a plant, with one instance for each organ in the plant's order.
+    """Build the triangles of a plant, with one instance for each organ, in the plant's order.
 
-    The vertices of each organ lie together, and so do its faces.
+    The vertices of each organ are contiguous, and so are its faces.
 
     Args:
-        plant: organs with poses and measures, and what each of their kinds is.
-        detail: fineness; lines of a grid scale with it, so triangles with its square. The shapes stay.
+        plant: organs with poses and measures, and the kinds that they refer to.
+        detail: fineness of the mesh; grid lines scale with it, triangles with its square, shapes do not.
 
     Raises:
-        ValueError: detail is not above zero, the plant is empty, an organ lacks a measure or its kind is
+        ValueError: detail is not above zero, the plant is empty, an organ lacks a measure, or its kind is
             not among the plant's.
-        InputError: a scanned fruit's file is missing or not one closed body.
+        InputError: the file of a scanned fruit is missing or not one closed body.
     """
     if not detail > 0.0 or not np.isfinite(detail):
         raise ValueError(f"detail must be above zero, not {detail}")
@@ -57,50 +60,36 @@ def mesh_plant(plant: Plant, detail: float = 1.0) -> Mesh:
         raise ValueError("a plant without organs has no mesh")
     unknown = {organ.kind for organ in plant.organs} - set(plant.kinds)
     if unknown:
-        raise ValueError(f"the plant does not say what {sorted(unknown)} are")
-    # All organs of one form share a grid and are shaped together.
+        raise ValueError(f"the plant has organs of unknown kinds: {', '.join(sorted(unknown))}")
+    # All organs of one form share a grid and are built together.
     parts: list[Part] = []
-    for form, maker in _MAKERS.items():
-        where = _where(plant, form)
-        if where.size:
-            parts.append((where, maker([plant.organs[index] for index in where], detail)))
-    return _assembled(plant, parts + _fruit_parts(plant, detail))
+    for form, build in _MESHERS.items():
+        indices = form_indices(plant, form)
+        if indices.size:
+            parts.append((indices, build([plant.organs[index] for index in indices], detail)))
+    return _assemble(plant, parts + _fruit_parts(plant, detail))
 
 
-def _assembled(plant: Plant, parts: Sequence[Part]) -> Mesh:
-    """The bodies of all organs in one mesh."""
+def _assemble(plant: Plant, parts: Sequence[Part]) -> Mesh:
+    """Join the meshes of all organs."""
     kinds = [plant.kinds[organ.kind] for organ in plant.organs]
     surfaces = tuple(dict.fromkeys(kind.surface for kind in kinds))
     surface = np.array([surfaces.index(kind.surface) for kind in kinds], dtype=np.uint8)
-    vertex_count = sum(bodies.state.size for _, bodies in parts)
-    face_count = sum(len(where) * len(bodies.faces) for where, bodies in parts)
-    vertices, normals = np.empty((2, vertex_count, 3), dtype=np.float32)
-    uv, state = np.empty((vertex_count, 2), dtype=np.float32), np.empty(vertex_count, dtype=np.float32)
-    faces = np.empty((face_count, 3), dtype=np.uint32)
-    face_instance = np.empty(face_count, dtype=np.uint32)
-    vertex, face = 0, 0
-    for where, bodies in parts:
-        count, each = bodies.state.shape[1], len(bodies.faces)
-        mine = slice(vertex, vertex + bodies.state.size)
-        for whole, part in ((vertices, bodies.vertices), (normals, bodies.normals), (uv, bodies.uv)):
-            whole[mine].reshape(part.shape)[...] = part
-        state[mine].reshape(bodies.state.shape)[...] = bodies.state
-        # Each organ's faces count on from its first vertex.
-        first = (vertex + count * np.arange(len(where))).astype(np.uint32)
-        those = slice(face, face + each * len(where))
-        np.add(
-            bodies.faces.astype(np.uint32),
-            first[:, None, None],
-            out=faces[those].reshape(len(where), each, 3),
-        )
-        face_instance[those].reshape(len(where), each)[...] = where[:, None]
-        vertex, face = mine.stop, those.stop
+    faces, owners, vertex = [], [], 0
+    for indices, batch in parts:
+        # The faces of each organ count from its first vertex.
+        n, count = batch.state.shape
+        first = (vertex + count * np.arange(n)).astype(np.uint32)
+        faces.append((batch.faces.astype(np.uint32) + first[:, None, None]).reshape(-1, 3))
+        owners.append(np.repeat(indices, len(batch.faces)).astype(np.uint32))
+        vertex += n * count
+    face_instance = np.concatenate(owners)
     return Mesh(
-        vertices=vertices,
-        normals=normals,
-        uv=uv,
-        state=state,
-        faces=faces,
+        vertices=_join([batch.vertices.reshape(-1, 3) for _, batch in parts]),
+        normals=_join([batch.normals.reshape(-1, 3) for _, batch in parts]),
+        uv=_join([batch.uv.reshape(-1, 2) for _, batch in parts]),
+        state=_join([batch.state.ravel() for _, batch in parts]),
+        faces=np.concatenate(faces),
         face_instance=face_instance,
         face_surface=surface[face_instance],
         surfaces=surfaces,
@@ -111,28 +100,33 @@ def _assembled(plant: Plant, parts: Sequence[Part]) -> Mesh:
     )
 
 
+def _join(values: Sequence[FloatArray]) -> SingleArray:
+    """Values of all parts in single precision."""
+    return np.concatenate(values, dtype=np.float32, casting="same_kind")
+
+
 def _fruit_parts(plant: Plant, detail: float) -> list[Part]:
-    """Fruit and calyces; a calyx takes the shape of the fruit that it sits on."""
-    fruit, calyx = _where(plant, "fruit"), _where(plant, "calyx")
+    """Fruit and calyces; a calyx follows the shape of the fruit below it."""
+    fruit, calyx = form_indices(plant, "fruit"), form_indices(plant, "calyx")
     parts: list[Part] = []
-    seats = None
+    placed = None
     if fruit.size:
-        # The modelled ones share a grid, and so do those that wear the same scan.
-        worn = [plant.kinds[plant.organs[index].kind].scan for index in fruit]
-        groups = [np.array([n for n, path in enumerate(worn) if path == one]) for one in dict.fromkeys(worn)]
-        faced = []
+        # The modelled fruit share a grid, and so do those that use the same scan.
+        scans = [plant.kinds[plant.organs[index].kind].scan for index in fruit]
+        groups = [np.flatnonzero([scan == path for scan in scans]) for path in dict.fromkeys(scans)]
+        shoulders = []
         for group in groups:
-            organs, path = [plant.organs[index] for index in fruit[group]], worn[group[0]]
+            organs, path = [plant.organs[index] for index in fruit[group]], scans[group[0]]
             if path is None:
-                walls = pericarps(organs, detail)
-                parts.append((fruit[group], fruits(organs, walls)))
-                faced.append(crowns(walls))
+                pericarps = build_pericarps(organs, detail)
+                parts.append((fruit[group], mesh_fruits(organs, pericarps)))
+                shoulders.append(pericarp_shoulders(pericarps))
             else:
                 scan = load_scan(path)
-                parts.append((fruit[group], scanned_fruits(organs, scan)))
-                faced.append(scanned_crowns(organs, scan))
-        order = np.argsort(np.concatenate(groups))
-        seats = fruit_frames([plant.organs[index] for index in fruit]), joined(faced, order)
+                parts.append((fruit[group], mesh_scanned_fruits(organs, scan)))
+                shoulders.append(scan_shoulders(organs, scan))
+        frames = fruit_frames([plant.organs[index] for index in fruit])
+        placed = frames, concatenate_shoulders(shoulders, np.argsort(np.concatenate(groups)))
     if calyx.size:
         organs = [plant.organs[index] for index in calyx]
         # The fruit grows out of the calyx, or out of the same fruit stalk.
@@ -142,11 +136,5 @@ def _fruit_parts(plant: Plant, detail: float) -> list[Part]:
             for index, organ in zip(calyx, organs, strict=True)
         ]
         stalks = [plant.organs[organ.parent] if organ.parent >= 0 else None for organ in organs]
-        parts.append((calyx, calyces(organs, stalks, np.array(under), seats, detail)))
+        parts.append((calyx, mesh_calyces(organs, stalks, np.array(under), placed, detail)))
     return parts
-
-
-def _where(plant: Plant, form: OrganForm) -> NDArray[np.intp]:
-    """Indices of the organs of one form."""
-    forms = {name: kind.form for name, kind in plant.kinds.items()}
-    return np.array([i for i, organ in enumerate(plant.organs) if forms[organ.kind] == form], dtype=np.intp)

@@ -1,1 +1,1 @@
-"""Leaf blades: outline, triangle grid, relief and bending."""
+"""Leaf blades: outline, grid of triangles, relief and bending."""

@@ -1,4 +1,4 @@
-"""How a blade is bent: the midrib's tip, the fold along it, and margins that turn up or down."""
+"""Leaf blades in space: fold, curl and relief across, the bent midrib along."""
 
 from __future__ import annotations
 
@@ -7,184 +7,170 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pepperscene.geometry.blade.grid import Grid, blade_grid
-from pepperscene.geometry.blade.outline import Flat, flat_blades, outlines
-from pepperscene.geometry.blade.relief import bulges, grid_noise, lifted, margin_waves, slack
-from pepperscene.geometry.bodies import MeshBatch, fineness, vertex_normals
-from pepperscene.geometry.organ_arrays import hashed, organ_measure, signed, size
+from pepperscene.geometry.batch import (
+    MeshBatch,
+    hash_signed,
+    hash_uniform,
+    read_measure,
+    read_positive,
+    subdivisions,
+    vertex_normals,
+)
+from pepperscene.geometry.blade.grid import blade_grid
+from pepperscene.geometry.blade.outline import FlatBlades, build_outlines, flat_blades
+from pepperscene.geometry.blade.relief import (
+    bulge_shrinkage,
+    grid_noise,
+    margin_relief,
+    margin_waves,
+    vein_bulges,
+)
+from pepperscene.geometry.mesh import FloatArray
 from pepperscene.geometry.spine import Spines, spines
+from pepperscene.grammar.frames import cross
 from pepperscene.grammar.plant import Organ
 
-Array = NDArray[np.float64]
+_SIDES: Final = np.array([-1.0, 1.0])[:, None, None]  # left and right halves
 
 
-def liveliness(organs: Sequence[Organ], width: Array) -> Array:
+def mesh_blades(organs: Sequence[Organ], detail: float) -> MeshBatch:
+    """Build leaf blades as single sheets with normals out of the upper (adaxial) side.
+
+    Measures: length_m (of the midrib) and width_m (of the flat leaf), fold_rad (inclination of each half),
+    curl_rad (additional inclination at the margin, negative is down), twist_rad, margin_wave_m (amplitude),
+    margin_waves (count along a margin), blister_m (bulge between veins), vein_m (depth of the sunken veins),
+    asymmetry (fraction by which the right half is wider than the mean half, and the left narrower), widest
+    (fraction of the length), base (power of the outline there), lobes (along each margin), lobe_depth
+    (fraction of the half-width), state_mean, state_spread, seed. All but the sizes are optional. Measures
+    that would tear a blade are limited: fold to 80 degrees, curl to 150, bulges to a tenth of the width and
+    waves to an eighth.
+    """
+    read_positive(organs, "length_m")  # the curve has this length; here it is only checked
+    width, seed = read_positive(organs, "width_m"), read_measure(organs, "seed", 0.0)
+    outline = build_outlines(organs, seed)
+    grid = blade_grid(detail, float(read_measure(organs, "lobes", 0.0).max()))
+    flat = flat_blades(outline, grid, seed)
+    waviness = _waviness(organs, width)
+    right, up = _cross_sections(organs, flat, waviness)
+    spine = spines(
+        [organ.curve for organ in organs],
+        [organ.up for organ in organs],
+        subdivisions(32, detail, 12),
+        read_measure(organs, "twist_rad", 0.0),
+    )
+    spine = _bend_tips(spine, waviness, seed)
+    v = grid.pack(flat.along, flat.origin, flat.extra_along, (0.0, 1.0))
+    vertices = spine.place(v * spine.lengths[:, None], right, up)
+    # The vein pattern of the material is as wide as the wider half, on either side.
+    out = grid.pack(_SIDES * flat.out, 0.0, _SIDES[..., 0] * flat.extra_edge)
+    u = 0.5 + 0.5 * out / outline.half_extent[:, None]
+    uv = np.clip(np.stack([u, v], axis=-1), 0.0, 1.0)
+    normals = vertex_normals(vertices, grid.faces)
+    return MeshBatch(vertices, normals, uv, _state(organs, flat), grid.faces)
+
+
+def _waviness(organs: Sequence[Organ], width: FloatArray) -> FloatArray:
     """`(n,)` 0 for a blade as flat as in a herbarium, towards 1 for one with wavy margins.
 
-    What every living leaf has and no measure tells (a hooked tip, a winding midrib, an edge that turns over
-    here and there) goes with the waves of its margin. Chosen: half of it at waves of 1 % of the width.
+    Features of living leaves without a measure (a bent tip, a winding midrib, a margin that turns over here
+    and there) grow with the waves of the margin. Chosen: half of them at waves of 1 % of the width.
     """
-    wave = np.abs(organ_measure(organs, "margin_wave_m", 0.0))
+    wave = np.abs(read_measure(organs, "margin_wave_m", 0.0))
     return wave / (wave + 0.01 * width)
 
 
-def hooked(spine: Spines, lively: Array, seed: Array) -> Spines:
-    """Midribs that wind a little and whose tip is bent down and to one side; their lengths stay.
-
-    Args:
-        spine: midribs with the blade's upper side as normals.
-        lively: `(n,)` how much of it, see `liveliness`.
-        seed: `(n,)` of the blades.
-    """
+def _bend_tips(spine: Spines, waviness: FloatArray, seed: FloatArray) -> Spines:
+    """Midribs that wind a little, with the tip bent down and to one side; they keep their lengths."""
     steps = spine.points.shape[1] - 1
     at = np.linspace(0.0, 1.0, steps + 1)
-    chance, turn = hashed(seed, 261, 4)[..., None], signed(seed, 262, 2)[..., None]
+    draws, sign = hash_uniform(seed, 261, 4)[..., None], hash_signed(seed, 262, 2)[..., None]
     # Chosen: the last quarter bends down by 9 to 31 degrees and aside by up to 20; the rest winds by 4.
     tip = np.clip((at - 0.72) / 0.28, 0.0, None) ** 1.5
-    winding = np.sin(2.0 * np.pi * (1.1 * at + chance[:, 2])) - np.sin(2.0 * np.pi * chance[:, 2])
-    down = lively[:, None] * ((0.15 + 0.4 * chance[:, 0]) * tip + 0.07 * winding * turn[:, 1])
-    aside = lively[:, None] * turn[:, 0] * (0.35 * tip + 0.12 * at**2)
-    tangents = np.cross(spine.normals, spine.across)
-    tangents, normals, across = _turned(tangents, spine.normals, spine.across, down, aside)
-    # Each piece of the midrib turns with the mean of its ends.
+    winding = np.sin(2.0 * np.pi * (1.1 * at + draws[:, 2])) - np.sin(2.0 * np.pi * draws[:, 2])
+    down = waviness[:, None] * ((0.15 + 0.4 * draws[:, 0]) * tip + 0.07 * winding * sign[:, 1])
+    aside = waviness[:, None] * sign[:, 0] * (0.35 * tip + 0.12 * at**2)
+    tangents = cross(spine.normals, spine.binormals)
+    _, normals, binormals = _pitch_and_yaw(tangents, spine.normals, spine.binormals, down, aside)
+    # Each piece of the midrib turns by the mean of the angles at its ends.
     pieces = np.diff(spine.points, axis=1)
-    up, right = _square(pieces, spine.normals[:, 1:] + spine.normals[:, :-1])
-    bent, _, _ = _turned(pieces, up, right, _between(down), _between(aside))
+    length = np.sqrt(np.sum(pieces * pieces, axis=-1, keepdims=True))
+    right = cross(pieces, spine.normals[:, 1:] + spine.normals[:, :-1])
+    right *= length / np.sqrt(np.sum(right * right, axis=-1, keepdims=True))
+    up = cross(right, pieces) / length
+    bent, _, _ = _pitch_and_yaw(pieces, up, right, _neighbour_means(down), _neighbour_means(aside))
     points = np.concatenate([spine.points[:, :1], spine.points[:, :1] + np.cumsum(bent, axis=1)], axis=1)
-    return replace(spine, points=points, normals=normals, across=across)
+    return replace(spine, points=points, normals=normals, binormals=binormals)
 
 
-def _between(values: Array) -> Array:
+def _neighbour_means(values: FloatArray) -> FloatArray:
     """Means of neighbours along the last axis."""
     return 0.5 * (values[..., 1:] + values[..., :-1])
 
 
-def _turned(along: Array, up: Array, right: Array, down: Array, aside: Array) -> tuple[Array, Array, Array]:
-    """A frame pitched down about its right hand, then turned to the right about its own upper side.
-
-    `up` and `right` may have any equal length, which `along` takes on as it is; only angles change.
-    """
+def _pitch_and_yaw(
+    along: FloatArray, up: FloatArray, right: FloatArray, down: FloatArray, aside: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A frame of vectors of equal lengths, pitched down about `right`, then yawed to the right about `up`."""
     c, s = np.cos(down)[..., None], np.sin(down)[..., None]
     along, up = c * along - s * up, c * up + s * along
     c, s = np.cos(aside)[..., None], np.sin(aside)[..., None]
     return c * along + s * right, up, c * right - s * along
 
 
-def _square(along: Array, up: Array) -> tuple[Array, Array]:
-    """`up` made perpendicular to `along`, and what is to the right of both; all as long as `along`."""
-    length = np.sqrt(np.sum(along * along, axis=-1, keepdims=True))
-    right = np.cross(along, up)
-    right *= length / np.sqrt(np.sum(right * right, axis=-1, keepdims=True))
-    return np.cross(right, along) / length, right
-
-
-def slopes(organs: Sequence[Organ], flat: Flat, half_width: Array, seed: Array) -> Array:
-    """`(n, 2, r, s)` radians by which a half rises against the blade's plane, from each column to the next.
-
-    Args:
-        organs: n blades with fold_rad and curl_rad.
-        flat: their vertices.
-        half_width: `(n, 2)` metres.
-        seed: `(n,)` of the blades.
-    """
-    fold = np.clip(organ_measure(organs, "fold_rad", 0.0), -1.4, 1.4)[:, None]
-    curl = np.clip(organ_measure(organs, "curl_rad", 0.0), -2.6, 2.6)[:, None]
-    along, wide = flat.start, flat.edge / half_width[..., None]
-    chance, vary = hashed(seed, 271, 4).reshape(-1, 2, 2), signed(seed, 201, 4).reshape(-1, 2, 2)
-    # The fold: each half differs by up to a quarter, opens and closes along the blade, flattens outwards.
+def _section_slopes(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
+    """`(n, 2, r, s)` radians by which a half rises from each column to the next, from fold and curl."""
+    fold = np.clip(read_measure(organs, "fold_rad", 0.0), -1.4, 1.4)[:, None]
+    curl = np.clip(read_measure(organs, "curl_rad", 0.0), -2.6, 2.6)[:, None]
+    along, wide = flat.origin, flat.edge / flat.half_width[..., None]
+    draws = hash_uniform(flat.seed, 271, 4).reshape(-1, 2, 2)
+    vary = hash_signed(flat.seed, 201, 4).reshape(-1, 2, 2)
+    # Fold: it varies by up to a quarter between halves, and along the blade; it flattens outwards.
     folded = (fold * (1.0 + 0.25 * vary[:, 0]))[..., None] * (
-        1.0 + 0.25 * np.sin(2.0 * np.pi * (0.6 * along + chance[..., 0, None]))
+        1.0 + 0.25 * np.sin(2.0 * np.pi * (0.6 * along + draws[..., 0, None]))
     )
-    middle = _between(np.concatenate([[0.0], flat.part]))
+    middle = _neighbour_means(np.concatenate([[0.0], flat.column]))
     opening = (0.7 + 0.6 * np.exp(-middle / 0.3)) / (0.7 + 0.18 * (1.0 - np.exp(-1.0 / 0.3)))
-    # The curl: margins that turn far do it near the rim; some stretches do more of it than others.
+    # Curl: strong curl is concentrated near the margin; it varies along the margin.
     power = 1.0 + np.minimum(np.abs(curl), 2.0)
-    rim = flat.rim
-    stretches = 1.0 + 0.5 * np.sin(2.0 * np.pi * (1.2 * rim + chance[..., 1, None]))
+    stretches = 1.0 + 0.5 * np.sin(2.0 * np.pi * (1.2 * flat.rim + draws[..., 1, None]))
     curled = (curl * (1.0 + 0.3 * vary[:, 1]))[..., None] * stretches * wide
-    power = power[..., None]
-    return folded[..., None] * opening + curled[..., None] * (middle**power)[:, None]
+    return folded[..., None] * opening + curled[..., None] * (middle ** power[..., None])[:, None]
 
 
-def laminae(organs: Sequence[Organ], detail: float) -> MeshBatch:
-    """Leaf blades as single sheets; normals leave the upper (adaxial) side.
+def _cross_sections(
+    organs: Sequence[Organ], flat: FlatBlades, waviness: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """`(n, v)` metres of the vertices to the right of the midrib and above it, in its frame.
 
-    Measures: length_m (of the midrib) and width_m (of the flat leaf), fold_rad (each half rises by it),
-    curl_rad (how much further a half has turned up at the margin, negative is down), twist_rad, margin_wave_m
-    (amplitude), margin_waves (count along a margin), blister_m (bulge between veins), vein_m (depth of the
-    sunken veins), asymmetry (by this part the right half is wider than the mean half, and the left narrower),
-    widest (share of the length), base (power of the outline there), lobes (along each margin), lobe_depth
-    (share of the half-width), state_mean, state_spread, seed. All but the sizes may be missing. Measures that
-    would tear a blade are cut: fold at 80 degrees, curl at 150, bulges at a tenth of the width, waves at an
-    eighth.
+    Each row is a polyline from the midrib outwards that keeps its length; the relief is added to it.
     """
-    width, seed = size(organs, "width_m"), organ_measure(organs, "seed", 0.0)
-    outline = outlines(organs, seed)
-    grid = blade_grid(detail, float(organ_measure(organs, "lobes", 0.0).max()))
-    flat = flat_blades(outline, grid)
-    lively = liveliness(organs, width)
-    right, up = _sections(organs, flat, grid, outline.half_width, lively, seed)
-    spine = spines(
-        [organ.curve for organ in organs],
-        [organ.up for organ in organs],
-        fineness(32, detail, 12),
-        organ_measure(organs, "twist_rad", 0.0),
-    )
-    spine = hooked(spine, lively, seed)
-    v = grid.joined(flat.along, flat.start, flat.extra_along, (0.0, 1.0))
-    vertices = spine.place(v * spine.lengths[:, None], right, up)
-    # The pattern of the veins is as wide as the wider half, on either side.
-    out = grid.joined(_SIDES * flat.out, 0.0, _SIDES[..., 0] * flat.extra_edge)
-    u = 0.5 + 0.5 * out / outline.half_extent[:, None]
-    uv = np.clip(np.stack([u, v], axis=-1), 0.0, 1.0)
-    normals = vertex_normals(vertices, grid.faces)
-    return MeshBatch(vertices, normals, uv, _state(organs, flat, grid, seed), grid.faces)
-
-
-_SIDES: Final = np.array([-1.0, 1.0])[:, None, None]  # left and right halves
-
-
-def _sections(
-    organs: Sequence[Organ], flat: Flat, grid: Grid, half_width: Array, lively: Array, seed: Array
-) -> tuple[Array, Array]:
-    """`(n, v)` metres by which vertices lie to the right of the midrib and above it, in its frame.
-
-    Each row is a polyline from the midrib outwards that keeps its length; relief stands on it.
-    """
-    slope = slopes(organs, flat, half_width, seed)
-    step = np.diff(flat.out, prepend=0.0, axis=3) * slack(organs, flat, half_width)
+    grid, slope = flat.grid, _section_slopes(organs, flat)
+    step = np.diff(flat.out, prepend=0.0, axis=3) * bulge_shrinkage(organs, flat)
     level, rise = np.cos(slope), np.sin(slope)
     out, up = np.cumsum(step * level, axis=3), np.cumsum(step * rise, axis=3)
-    # The slope at a column is the mean of those beside it.
-    for one in (level, rise):
-        one[..., :-1] = 0.5 * (one[..., :-1] + one[..., 1:])
-    margin = np.stack([*margin_waves(organs, flat, half_width, lively, seed), flat.reach])
-    lift, short = lifted(margin[..., grid.row_in_margin, None], flat.part)
-    lift += bulges(organs, flat, grid, half_width, seed)
-    halves = out - lift * rise - short * level, up + lift * level - short * rise
-    # The further points of a margin lie on sections between those of the rows.
+    # The slope at a column is the mean of those on either side.
+    for values in (level, rise):
+        values[..., :-1] = 0.5 * (values[..., :-1] + values[..., 1:])
+    margin = np.stack([*margin_waves(organs, flat, waviness), flat.reach])
+    height, width = margin_relief(margin[..., grid.row_in_margin, None], flat.column)
+    height += vein_bulges(organs, flat)
+    halves = out - height * rise - width * level, up + height * level - width * rise
+    # The extra points of a margin are on sections between those of the rows.
     scaled = out[..., -1] / flat.edge, up[..., -1] / flat.edge, rise[..., -1], level[..., -1]
-    out, up, rise, level = (grid.between(one) for one in scaled)
-    lift, short = lifted(margin[..., grid.extra_in_margin], 1.0)
-    extra = (
-        flat.extra_edge * out - lift * rise - short * level,
-        flat.extra_edge * up + lift * level - short * rise,
-    )
-    return grid.joined(_SIDES * halves[0], 0.0, _SIDES[..., 0] * extra[0]), grid.joined(
-        halves[1], 0.0, extra[1]
-    )
+    out, up, rise, level = (grid.interpolate_extra(values) for values in scaled)
+    height, width = margin_relief(margin[..., grid.extra_in_margin], 1.0)
+    extra_out = flat.extra_edge * out - height * rise - width * level
+    extra_up = flat.extra_edge * up + height * level - width * rise
+    right = grid.pack(_SIDES * halves[0], 0.0, _SIDES[..., 0] * extra_out)
+    return right, grid.pack(halves[1], 0.0, extra_up)
 
 
-def _state(organs: Sequence[Organ], flat: Flat, grid: Grid, seed: Array) -> Array:
-    """`(n, v)` pigment states: greener and paler patches, a few over the blade."""
-    mean, spread = organ_measure(organs, "state_mean", 0.7), organ_measure(organs, "state_spread", 0.1)
-    patches = grid_noise(flat, grid, seed, 211, 0.9)
-    halves, midrib = grid.halves(patches), patches[..., grid.side]
-    ends = midrib[:, 0], midrib[:, -1]
-    return np.clip(
-        mean[:, None] + spread[:, None] * grid.joined(halves, midrib, grid.between(halves[..., -1]), ends),
-        0,
-        1,
-    )
+def _state(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
+    """`(n, v)` pigment states: a few greener and paler patches over the blade."""
+    mean, spread = read_measure(organs, "state_mean", 0.7), read_measure(organs, "state_spread", 0.1)
+    patches = grid_noise(flat, 211, 0.9)
+    grid = flat.grid
+    halves, midrib = grid.split_halves(patches), patches[..., grid.side]
+    extra, ends = grid.interpolate_extra(halves[..., -1]), (midrib[:, 0], midrib[:, -1])
+    return np.clip(mean[:, None] + spread[:, None] * grid.pack(halves, midrib, extra, ends), 0, 1)

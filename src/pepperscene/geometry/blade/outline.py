@@ -1,6 +1,6 @@
-"""The outline of a flat blade: ovate, drawn out to a tip, rounded or wedge-shaped at its base, lobed or not.
+"""The outline of a flat blade: ovate, with a drawn-out tip, a rounded or wedge-shaped base, lobed or not.
 
-Places along a margin are told by `along`, the share of the length that the outline without lobes has there.
+Places on a margin are given as `along`, the fraction of the length that the outline without lobes has there.
 """
 
 from __future__ import annotations
@@ -10,159 +10,126 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pepperscene.geometry.blade.grid import FAN_POWER, Grid, vein_rise, vein_start, vein_through
-from pepperscene.geometry.organ_arrays import hashed, organ_measure, size
+from pepperscene.geometry.batch import hash_uniform, read_measure, read_positive
+from pepperscene.geometry.blade.grid import FAN_POWER, Grid, origin_of_vein_at, vein_origin, vein_rise
+from pepperscene.geometry.mesh import FloatArray, IndexArray
 from pepperscene.grammar.plant import Organ
-
-Array = NDArray[np.float64]
 
 _WIDEST: Final = 0.35  # chosen with _BASE by eye from photographs: rounded-cuneate base, drawn-out tip
 _BASE: Final = 0.8
 _FINEST_TIP: Final = 2.2  # power of the outline at the tip, chosen
-_RUNNING_DOWN: Final = 0.012  # chosen: below it, as a share of the length, the blade runs down the stalk
-_TABLE: Final = 0.5 - 0.5 * np.cos(
-    np.pi * np.arange(193) / 192
-)  # where outlines are searched for their widest
+_FOOT: Final = 0.012  # chosen: fraction of the length below which the blade narrows down to the petiole
+_SAMPLES: Final = 0.5 - 0.5 * np.cos(np.pi * np.arange(193) / 192)  # places searched for the widest one
 _MOST_LOBES: Final = 24  # along a margin; finer teeth need more triangles than a blade should have
 
 
 @dataclass(frozen=True, eq=False)
 class Outlines:
-    """The outlines of n blades, a left and a right margin each.
+    """The outlines of n blades, a left and a right margin each."""
 
-    Attributes:
-        length: `(n,)` metres.
-        half_width: `(n, 2)` metres, of the left and the right half where it is widest.
-        half_extent: `(n,)` metres, the larger of the two; the material's veins reach so far.
-        base: `(n, 1, 1)` power of the outline at the base.
-        widest: `(n, 1, 1)` where it is widest.
-        scale: `(n, 2, 1)` makes the greatest reach 1.
-        lobes: `(n, 2, 4 + k)` hashed numbers that place the lobes and tell how deep each is.
-        count: `(n, 1, 1)` lobes along a margin.
-        depth: `(n, 1, 1)` of the lobes, as a share of the half-width.
-    """
+    half_width: FloatArray  # `(n, 2)` metres, of the left and the right half where it is widest
+    half_extent: FloatArray  # `(n,)` metres, the larger of the two; the extent of the material's veins
+    base: FloatArray  # `(n, 1, 1)` power of the outline at the base
+    widest: FloatArray  # `(n, 1, 1)` place where it is widest
+    scale: FloatArray  # `(n, 2, 1)` factor that makes the greatest reach 1
+    lobes: FloatArray  # `(n, 2, 4 + k)` hashed numbers for the place and depth of each lobe
+    count: FloatArray  # `(n, 1, 1)` lobes along a margin
+    depth: FloatArray  # `(n, 1, 1)` of the lobes, as a fraction of the half-width
 
-    length: Array
-    half_width: Array
-    half_extent: Array
-    base: Array
-    widest: Array
-    scale: Array
-    lobes: Array
-    count: Array
-    depth: Array
+    def reach(self, along: FloatArray) -> FloatArray:
+        """`(n, 2, m)` metres from the midrib to the margin without lobes, at `(n, 2, m)` or `(m,)` places."""
+        return self.half_width[..., None] * self.scale * _entire_outline(along, self.base, self.widest)
 
-    def reach(self, along: Array) -> Array:
-        """`(n, 2, m)` metres from the midrib to the margin without lobes.
-
-        Args:
-            along: `(n, 2, m)` shares of the length, or `(m,)` for all margins.
-        """
-        return self.half_width[..., None] * self.scale * _beta(along, self.base, self.widest)
-
-    def lobed(self, along: Array) -> Array:
-        """`(n, 2, m)` the part of the reach that the margin has with its lobes; 1 for an entire margin."""
+    def lobe_factor(self, along: FloatArray) -> FloatArray:
+        """`(n, 2, m)` reach of the margin with lobes over that without; 1 for an entire margin."""
         if not np.any(self.depth * self.count > 0.0):
             return np.ones(np.broadcast_shapes(along.shape, self.scale.shape))
-        return _lobed(along, self.lobes, self.count, self.depth)
+        return _lobe_factor(along, self.lobes, self.count, self.depth)
 
 
-def outlines(organs: Sequence[Organ], seed: Array) -> Outlines:
-    """The outlines of blades, out of their measures (see `laminae`)."""
-    length, width = size(organs, "length_m"), size(organs, "width_m")
-    widest = np.clip(organ_measure(organs, "widest", _WIDEST), 0.2, 0.45)[:, None, None]
-    # A tip whose power is beyond that would be a thread.
+def build_outlines(organs: Sequence[Organ], seed: FloatArray) -> Outlines:
+    """Build the outlines of blades from their measures (see `mesh_blades`)."""
+    width = read_positive(organs, "width_m")
+    widest = np.clip(read_measure(organs, "widest", _WIDEST), 0.2, 0.45)[:, None, None]
+    # A greater power would make the tip a thread.
     finest = _FINEST_TIP * widest / (1.0 - widest)
-    base = np.minimum(np.clip(organ_measure(organs, "base", _BASE), 0.3, 1.1)[:, None, None], finest)
-    uneven = np.clip(organ_measure(organs, "asymmetry", 0.0), -0.5, 0.5)[:, None]
+    base = np.minimum(np.clip(read_measure(organs, "base", _BASE), 0.3, 1.1)[:, None, None], finest)
+    uneven = np.clip(read_measure(organs, "asymmetry", 0.0), -0.5, 0.5)[:, None]
     half = 0.5 * width[:, None] * (1.0 + uneven * np.array([-1.0, 1.0]))
-    count = np.clip(organ_measure(organs, "lobes", 0.0), 0.0, _MOST_LOBES)[:, None, None]
-    depth = np.clip(organ_measure(organs, "lobe_depth", 0.0), 0.0, 0.6)[:, None, None]
+    count = np.clip(read_measure(organs, "lobes", 0.0), 0.0, _MOST_LOBES)[:, None, None]
+    depth = np.clip(read_measure(organs, "lobe_depth", 0.0), 0.0, 0.6)[:, None, None]
     numbers = 4 + 2 * int(np.ceil(count.max())) + 3
-    lobes = hashed(seed, 251, 2 * numbers).reshape(len(organs), 2, numbers)
-    # The width is that over the lobes; an entire margin reaches 1 where it is widest.
+    lobes = hash_uniform(seed, 251, 2 * numbers).reshape(len(organs), 2, numbers)
+    # The stated width is that over the lobes; an entire margin reaches 1 where it is widest.
     scale = np.ones((len(organs), 2, 1))
     if np.any(depth * count > 0.0):
-        profile = _beta(_TABLE, base, widest) * _lobed(_TABLE, lobes, count, depth)
+        profile = _entire_outline(_SAMPLES, base, widest) * _lobe_factor(_SAMPLES, lobes, count, depth)
         scale = np.where(depth * count > 0.0, 1.0 / profile.max(axis=2, keepdims=True), scale)
-    return Outlines(length, half, half.max(axis=1), base, widest, scale, lobes, count, depth)
+    return Outlines(half, half.max(axis=1), base, widest, scale, lobes, count, depth)
 
 
-def _beta(along: Array, base: Array, widest: Array) -> Array:
-    """Half-width over the greatest, 0 at both ends, 1 at `widest`: a beta curve, hollow at its very foot."""
-    other = base * (1.0 - widest) / widest
-    body = (along / widest) ** base * ((1.0 - along) / (1.0 - widest)) ** other
-    return body * -np.expm1(-along / _RUNNING_DOWN)
+def _entire_outline(along: FloatArray, base: FloatArray, widest: FloatArray) -> FloatArray:
+    """Half-width over the greatest, 0 at both ends, 1 at `widest`: a beta curve, narrow at its foot."""
+    tip = base * (1.0 - widest) / widest
+    body = (along / widest) ** base * ((1.0 - along) / (1.0 - widest)) ** tip
+    return body * -np.expm1(-along / _FOOT)
 
 
-def _lobed(along: Array, lobes: Array, count: Array, depth: Array) -> Array:
-    """What lobes of uneven width and depth leave of the reach; foot and tip of a margin are entire."""
-    one, two, ends, shift = (lobes[..., None, k] for k in range(4))
-    # The share of the margin's length; the count runs unevenly along it, but never backwards.
-    at = np.broadcast_to(along, np.broadcast_shapes(along.shape, one.shape)) ** 0.8
-    warp = 0.03 * np.sin(2.0 * np.pi * (1.3 * at + one)) + 0.015 * np.sin(2.0 * np.pi * (2.6 * at + two))
-    running = count * (at + warp) + shift
-    index = np.floor(running).astype(np.intp)
-    # Between a notch and the next: a long side towards the base, a round top, a short side towards the tip.
-    below, above, top = (_looked_up(lobes, index + k) for k in (0, 1, 2))
-    part = running - index
+def _lobe_factor(along: FloatArray, lobes: FloatArray, count: FloatArray, depth: FloatArray) -> FloatArray:
+    """Fraction of the reach left by lobes of uneven width and depth; foot and tip of a margin are entire."""
+    phase_1, phase_2, end, shift = (lobes[..., None, k] for k in range(4))
+    # Fraction of the margin's length; lobes are unevenly spaced along it, but always in order.
+    at = np.broadcast_to(along, np.broadcast_shapes(along.shape, phase_1.shape)) ** 0.8
+    warp = 0.03 * np.sin(2.0 * np.pi * (1.3 * at + phase_1))
+    warp = warp + 0.015 * np.sin(2.0 * np.pi * (2.6 * at + phase_2))
+    position = count * (at + warp) + shift
+    index = np.floor(position).astype(np.intp)
+    # From one notch to the next: a long side towards the base, a round top, a short side towards the tip.
+    table = lobes[..., 4:]
+    below, above, top = (np.take_along_axis(table, (index + k) % table.shape[2], 2) for k in (0, 1, 2))
+    part = position - index
     notch = (0.4 + 0.6 * below) * np.maximum(1.0 - part / 0.7, 0.0) ** 1.8
     notch += (0.4 + 0.6 * above) * np.maximum(1.0 - (1.0 - part) / 0.5, 0.0) ** 1.5
     notch += 0.25 * top * np.sin(np.pi * part) ** 2
-    free = _step((at - 0.05 - 0.08 * ends) / 0.25) * _step((1.0 - at) / 0.35)
-    return 1.0 - depth * free * np.minimum(notch, 1.0)
+    inside = _smooth_step((at - 0.05 - 0.08 * end) / 0.25) * _smooth_step((1.0 - at) / 0.35)
+    return 1.0 - depth * inside * np.minimum(notch, 1.0)
 
 
-def _looked_up(lobes: Array, index: NDArray[np.intp]) -> Array:
-    """The hashed number of each lobe or notch, `(n, 2, m)`."""
-    table = lobes[..., 4:]
-    return np.take_along_axis(table, index % table.shape[2], axis=2)
-
-
-def _step(part: Array) -> Array:
+def _smooth_step(x: FloatArray) -> FloatArray:
     """0 below 0, 1 above 1, smooth between."""
-    part = np.clip(part, 0.0, 1.0)
-    return part * part * (3.0 - 2.0 * part)
+    x = np.clip(x, 0.0, 1.0)
+    return x * x * (3.0 - 2.0 * x)
 
 
-_COURSE_STEPS = np.linspace(0.0, 1.0, 161)
+_MARGIN_SAMPLES: Final = np.linspace(0.0, 1.0, 161)
 """Chosen: places along a margin between which the ends of rows are interpolated."""
 
 
 @dataclass(frozen=True, eq=False)
-class Flat:
-    """Vertices of n flat blades, a left and a right half each.
+class FlatBlades:
+    """Vertices of n flat blades, a left and a right half each; `along` values are fractions of the length."""
 
-    Attributes:
-        margin: `(n, 2, m)` share of the length at which the margin's points would lie without lobes.
-        reach: `(n, 2, m)` metres from the midrib to the margin's points.
-        rim: `(n, 2, r)` what `margin` is for the rows' ends.
-        start: `(r,)` share of the length at which rows leave the midrib.
-        edge: `(n, 2, r)` metres from the midrib to the rows' ends.
-        part: `(s,)` of the way from the midrib to the row's end, for the s columns of a half.
-        out: `(n, 2, r, s)` metres from the midrib.
-        along: `(n, 2, r, s)` share of the length.
-        extra_edge: `(n, 2, e)` metres from the midrib to the further points of the margins.
-        extra_along: `(n, 2, e)` share of the length.
-    """
-
-    margin: Array
-    reach: Array
-    rim: Array
-    start: Array
-    edge: Array
-    part: Array
-    out: Array
-    along: Array
-    extra_edge: Array
-    extra_along: Array
+    margin: FloatArray  # `(n, 2, m)` along, of the margin's points as if there were no lobes
+    reach: FloatArray  # `(n, 2, m)` metres from the midrib to the margin's points
+    rim: FloatArray  # `(n, 2, r)` the values of `margin` at the ends of the rows
+    origin: FloatArray  # `(r,)` along, where rows leave the midrib
+    edge: FloatArray  # `(n, 2, r)` metres from the midrib to the ends of the rows
+    column: (
+        FloatArray  # `(s,)` places of the columns of a half, from 0 at the midrib to 1 at the end of the row
+    )
+    out: FloatArray  # `(n, 2, r, s)` metres from the midrib
+    along: FloatArray  # `(n, 2, r, s)`
+    extra_edge: FloatArray  # `(n, 2, e)` metres from the midrib to the extra points of the margins
+    extra_along: FloatArray  # `(n, 2, e)` along
+    half_width: FloatArray  # `(n, 2)` metres, as in `Outlines`
+    seed: FloatArray  # `(n,)` of the blades
+    grid: Grid  # of the blades
 
 
-def flat_blades(outline: Outlines, grid: Grid) -> Flat:
-    """Rows along the veins, from the midrib to wherever the outline has its margin."""
-    n, number = len(outline.length), grid.margin
+def flat_blades(outline: Outlines, grid: Grid, seed: FloatArray) -> FlatBlades:
+    """Lay out rows along the veins, from the midrib to the margin."""
+    n, number = len(outline.half_extent), grid.margin
     low = number < 0.0
     ends = _row_ends(outline, np.concatenate([[0.0], number[~low]]))
     # Below the first vein rows spread evenly from the foot of the blade to the margin.
@@ -170,67 +137,74 @@ def flat_blades(outline: Outlines, grid: Grid) -> Flat:
     along = np.empty((n, 2, len(number)))
     along[..., ~low] = ends[..., 1:]
     along[..., low] = ends[..., :1] * spread[low] ** FAN_POWER
-    start = vein_start(np.maximum(number, 0.0)) * np.minimum(spread**0.8, 5.0 * spread**FAN_POWER)
-    start[~low] = vein_start(number[~low])
+    origin = vein_origin(np.maximum(number, 0.0)) * np.minimum(spread**0.8, 5.0 * spread**FAN_POWER)
+    origin[~low] = vein_origin(number[~low])
     # Lobes are cut along the rows, so that they point where the veins do, and less deep where rows graze the
     # margin.
-    whole = outline.reach(along)
-    lobed = 1.0 - (1.0 - outline.lobed(along)) * (0.3 + 0.7 * spread)
-    edge = whole * lobed
-    part = grid.across[-grid.side :]
+    entire = outline.reach(along)
+    lobed = 1.0 - (1.0 - outline.lobe_factor(along)) * (0.3 + 0.7 * spread)
+    edge = entire * lobed
+    column = grid.across[-grid.side :]
     rows, extra = grid.row_in_margin, grid.extra_in_margin
+    weight, power = _row_shapes(outline, along, origin, spread)
 
-    share, bow = _courses(outline, along, start, spread)
-
-    def climbed(of: NDArray[np.intp], out: Array) -> Array:
-        """Share of the length at `out` metres from the midrib, both `(n, 2, o, s)`, on rows to `of`."""
-        begin, full = start[of, None], whole[:, :, of, None]
+    def row_along(row: IndexArray, out: FloatArray) -> FloatArray:
+        """Along at `(n, 2, o, s)` metres from the midrib, on rows to `(o,)` points of the margin."""
+        start, end = origin[row, None], entire[:, :, row, None]
         extent = outline.half_extent[:, None, None, None]
-        climb = vein_rise(begin, out / extent) / vein_rise(begin, full / extent)
-        if np.any(share[:, :, of] < 1.0):
-            straight = (out / full) ** bow[:, :, of, None]
-            climb = straight + share[:, :, of, None] * (climb - straight)
-        return begin + (along[:, :, of, None] - begin) * climb
+        climb = vein_rise(start, out / extent) / vein_rise(start, end / extent)
+        if np.any(weight[:, :, row] < 1.0):
+            straight = (out / end) ** power[:, :, row, None]
+            climb = straight + weight[:, :, row, None] * (climb - straight)
+        return start + (along[:, :, row, None] - start) * climb
 
-    # The inside follows the lobes, the less the closer to the midrib.
-    deep = 1.0 - lobed[..., rows, None]
-    out = whole[..., rows, None] * (part * (1.0 - deep * np.sqrt(part)))
-    return Flat(
-        along, edge, along[..., rows], start[rows], edge[..., rows], part, out, climbed(rows, out),
-        edge[..., extra], climbed(extra, edge[..., extra, None])[..., 0],
-    )  # fmt: skip
+    # The inside follows the lobes, less so towards the midrib.
+    depth = 1.0 - lobed[..., rows, None]
+    out = entire[..., rows, None] * (column * (1.0 - depth * np.sqrt(column)))
+    return FlatBlades(
+        margin=along,
+        reach=edge,
+        rim=along[..., rows],
+        origin=origin[rows],
+        edge=edge[..., rows],
+        column=column,
+        out=out,
+        along=row_along(rows, out),
+        extra_edge=edge[..., extra],
+        extra_along=row_along(extra, edge[..., extra, None])[..., 0],
+        half_width=outline.half_width,
+        seed=seed,
+        grid=grid,
+    )
 
 
-def _row_ends(outline: Outlines, number: Array) -> Array:
-    """`(n, 2, k)` where the veins `(k,)` meet the margin, as a share of the length."""
-    out = outline.reach(_COURSE_STEPS) / outline.half_extent[:, None, None]
-    starts = vein_through(_COURSE_STEPS, out)
-    # Under a broad base the margin runs down and up again through the same veins: the upper crossing counts.
-    starts = np.minimum.accumulate(starts[..., ::-1], axis=2)[..., ::-1] + 1e-9 * _COURSE_STEPS
-    wanted = vein_start(number)
-    ends = [np.interp(wanted, one, _COURSE_STEPS) for one in starts.reshape(-1, len(_COURSE_STEPS))]
-    return np.array(ends).reshape(*starts.shape[:2], len(number))
+def _row_ends(outline: Outlines, number: FloatArray) -> FloatArray:
+    """`(n, 2, k)` along, where the veins `(k,)` meet the margin."""
+    out = outline.reach(_MARGIN_SAMPLES) / outline.half_extent[:, None, None]
+    origins = origin_of_vein_at(_MARGIN_SAMPLES, out)
+    # Under a broad base the margin crosses the same veins on the way down and up: the upper crossing counts.
+    origins = np.minimum.accumulate(origins[..., ::-1], axis=2)[..., ::-1] + 1e-9 * _MARGIN_SAMPLES
+    wanted = vein_origin(number)
+    rows = origins.reshape(-1, len(_MARGIN_SAMPLES))
+    return np.array([np.interp(wanted, row, _MARGIN_SAMPLES) for row in rows]).reshape(*origins.shape[:2], -1)
 
 
-def _courses(outline: Outlines, along: Array, start: Array, spread: Array) -> tuple[Array, Array]:
-    """How rows run, `(n, 2, m)` each: the share of the vein's course, and the power of the rest.
+def _row_shapes(
+    outline: Outlines, along: FloatArray, origin: FloatArray, spread: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Course of the rows, `(n, 2, m)` each: the weight of the vein's course, and the power of the rest.
 
     A row must reach the margin from within. Where the margin grows as a power p of the length (p > 1 on a
-    wedge-shaped base), what a row climbs above its start may grow at most as the way out to the power
-    along / (along - start) / p; a vein's course grows as the power `steep`.
-
-    Args:
-        outline: of the blades.
-        along: `(n, 2, m)` where rows end.
-        start: `(m,)` where they leave the midrib.
-        spread: `(m,)` the share of the vein's course where the margin does not forbid it.
+    wedge-shaped base), the climb of a row above its origin may grow at most as `out` to the power
+    along / (along - origin) / p; a vein's course grows as the power `steep`. `spread` is the weight of the
+    vein's course where the margin allows it.
     """
     step = 1.0 + 1e-4
     reach = outline.reach(along)
-    power = np.log(outline.reach(np.minimum(along * step, 1.0 - 1e-12)) / reach) / np.log(step)
-    most = 0.65 * along / (np.maximum(along - start, 1e-9) * np.maximum(power, 1e-3))
+    growth = np.log(outline.reach(np.minimum(along * step, 1.0 - 1e-12)) / reach) / np.log(step)
+    most = 0.65 * along / (np.maximum(along - origin, 1e-9) * np.maximum(growth, 1e-3))
     out = reach / outline.half_extent[:, None, None]
-    rise = vein_rise(start, out)
-    steep = (vein_rise(start, out * step) / rise - 1.0) / (step - 1.0)
-    bow = np.minimum(most, 1.0)
-    return np.clip((most - bow) / np.maximum(steep - bow, 1e-9), 0.0, spread), bow
+    rise = vein_rise(origin, out)
+    steep = (vein_rise(origin, out * step) / rise - 1.0) / (step - 1.0)
+    power = np.minimum(most, 1.0)
+    return np.clip((most - power) / np.maximum(steep - power, 1e-9), 0.0, spread), power

@@ -1,4 +1,4 @@
-"""What a blade's surface has above its smooth form: waves of the margin, bulges between sunken veins."""
+"""The relief of a blade above its smooth form: waves of the margin, bulges between sunken veins."""
 
 from __future__ import annotations
 
@@ -6,140 +6,133 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pepperscene.geometry.blade.grid import Grid, veins_crossed
-from pepperscene.geometry.blade.outline import Flat
-from pepperscene.geometry.organ_arrays import hashed, organ_measure, signed
+from pepperscene.geometry.batch import hash_signed, hash_uniform, read_measure
+from pepperscene.geometry.blade.grid import vein_density
+from pepperscene.geometry.blade.outline import FlatBlades
+from pepperscene.geometry.mesh import FloatArray
 from pepperscene.grammar.plant import Organ
 from pepperscene.materials.patterns import PAIRS
 
-Array = NDArray[np.float64]
-
 _DOME: Final = 0.8  # chosen: power of a half sine from vein to vein; bulges are round, creases narrow
-_RISE: Final = 0.1  # of the half-width: how soon bulges rise beside the midrib
-_CELLS: Final = 3.5  # tertiary veins part a bulge into so many at the widest place
+_RISE: Final = 0.1  # of the half-width: distance from the midrib within which bulges rise
+_CELLS: Final = 3.5  # parts of a bulge between tertiary veins at the widest place
 _TURN: Final = 2.0 * np.pi
-_FURROW: Final = 0.15  # half-width of a sunken vein, as a share of the way to the next
+_FURROW: Final = 0.15  # half-width of a sunken vein, as a fraction of the distance to the next
+_NOISE_WAVES: Final = 8
 
 
 def margin_waves(
-    organs: Sequence[Organ], flat: Flat, half_width: Array, lively: Array, seed: Array
-) -> tuple[Array, Array]:
-    """`(n, 2, m)` metres, twice: how high waves lift points of the margins, and a stretch that turns over.
+    organs: Sequence[Organ], flat: FlatBlades, waviness: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Compute two heights `(n, 2, m)` of the margins' points, metres: waves, and a stretch that turns over.
 
-    Lengths and heights of the waves vary along a margin, and ripples ride on them; each margin has its own.
+    Lengths and heights of the waves vary along a margin and have ripples; each margin is different.
     """
-    # Waves higher than an eighth of the width are not those of a blade.
-    half = half_width.mean(axis=1)
-    height = np.clip(organ_measure(organs, "margin_wave_m", 0.0), -0.25 * half, 0.25 * half)[:, None, None]
-    count = np.clip(organ_measure(organs, "margin_waves", 0.0), 0.0, 12.0)[:, None, None]
-    chance = hashed(seed, 231, 16).reshape(-1, 2, 8, 1)
-    one, two, three, phase, ripple, much, place, turn = (chance[:, :, k] for k in range(8))
-    at, wide = flat.margin, np.minimum(flat.reach / half_width[..., None], 1.0)
-    warp = 0.07 * np.sin(_TURN * (1.2 * at + one)) + 0.04 * np.sin(_TURN * (2.7 * at + two))
+    # Waves are limited to an eighth of the width.
+    half = flat.half_width.mean(axis=1)
+    height = np.clip(read_measure(organs, "margin_wave_m", 0.0), -0.25 * half, 0.25 * half)[:, None, None]
+    count = np.clip(read_measure(organs, "margin_waves", 0.0), 0.0, 12.0)[:, None, None]
+    draws = hash_uniform(flat.seed, 231, 16).reshape(-1, 2, 8, 1)
+    phase_1, phase_2, phase_3, phase, ripple, much, place, turn = (draws[:, :, k] for k in range(8))
+    at, wide = flat.margin, np.minimum(flat.reach / flat.half_width[..., None], 1.0)
+    warp = 0.07 * np.sin(_TURN * (1.2 * at + phase_1)) + 0.04 * np.sin(_TURN * (2.7 * at + phase_2))
     turns = count * (at + warp) + phase
-    high = 1.0 - (0.25 + 0.5 * much) * (0.5 + 0.5 * np.sin(_TURN * (0.9 * at + three)))
-    waves = high * np.sin(_TURN * turns) + 0.1 * np.sin(_TURN * (2.6 * turns + ripple))
-    # The stretch turns by up to so many radians at the margin, up or down; chosen.
-    curl = np.minimum(np.abs(organ_measure(organs, "curl_rad", 0.0)), 1.5)
-    most = (0.5 * lively + 0.4 * curl)[:, None, None]
+    amplitude = 1.0 - (0.25 + 0.5 * much) * (0.5 + 0.5 * np.sin(_TURN * (0.9 * at + phase_3)))
+    waves = amplitude * np.sin(_TURN * turns) + 0.1 * np.sin(_TURN * (2.6 * turns + ripple))
+    # Chosen: maximum angle at the margin of the stretch that turns over, radians up or down.
+    curl = np.minimum(np.abs(read_measure(organs, "curl_rad", 0.0)), 1.5)
+    most = (0.5 * waviness + 0.4 * curl)[:, None, None]
     bump = np.exp(-(((at - 0.15 - 0.7 * place) / 0.16) ** 2))
-    # Both die out towards base and tip, where the blade is narrow.
+    # Both vanish towards base and tip, where the blade is narrow.
     return height * np.sqrt(wide) * waves, 0.2 * flat.reach * most * (2.0 * turn - 1.0) * bump
 
 
-def lifted(ends: Array, x: Array | float) -> tuple[Array, Array]:
-    """Metres by which a blade rises, and by which it falls short across, at a share x of the way to margins.
+def margin_relief(margin: FloatArray, x: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+    """Compute the height of the margin's relief, and the width that it takes up, metres, inside the blade.
 
-    Waves rise by w x^2 and the stretch by t x^5. Crests so run along the veins; what the blade climbs it
-    lacks across: half the integral of the squared slope (2 w x + 5 t x^4) / reach.
+    Waves rise as w x^2 and the stretch that turns over as t x^5, so crests run along the veins. The width is
+    half the integral of the squared slope (2 w x + 5 t x^4) / reach.
 
     Args:
-        ends: `(3, ...)` w, t and the reach of the margin, metres.
-        x: that goes with `(...)`.
+        margin: `(3, ...)` w, t and the reach of the margin, metres.
+        x: fraction of the way from the midrib to the margin, broadcast against `(...)`.
     """
-    waves, turned, reach = ends
+    waves, turned, reach = margin
     cube = x * x * x
     wave, turn = waves * x, turned * (cube * x)
-    short = (2 / 3 * wave**2 + 5 / 3 * wave * turn + 25 / 18 * turn**2) * (x / reach)
-    return x * (wave + turn), short
+    width = (2 / 3 * wave**2 + 5 / 3 * wave * turn + 25 / 18 * turn**2) * (x / reach)
+    return x * (wave + turn), width
 
 
-def bulges(organs: Sequence[Organ], flat: Flat, grid: Grid, half_width: Array, seed: Array) -> Array:
-    """`(n, 2, r, s)` metres by which the blade bulges between its veins; 0 on the margin."""
-    number, part = grid.number, flat.part
+def vein_bulges(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
+    """Compute `(n, 2, r, s)` metres by which the blade bulges between its veins; 0 on the margin."""
+    grid, column = flat.grid, flat.column
+    number = grid.number
     # Rows that miss the veins and the tops between them cannot show bulges.
     if np.count_nonzero((number >= 0.0) & (number < 1.0)) < 2:
         return np.zeros(flat.along.shape)
-    width = 2.0 * half_width.mean(axis=1)
-    height = np.clip(organ_measure(organs, "blister_m", 0.0), -0.1 * width, 0.1 * width)[:, None, None, None]
-    sunken = np.clip(organ_measure(organs, "vein_m", 0.0), -0.05 * width, 0.05 * width)[:, None, None, None]
+    width = 2.0 * flat.half_width.mean(axis=1)
+    height = np.clip(read_measure(organs, "blister_m", 0.0), -0.1 * width, 0.1 * width)[:, None, None, None]
+    sunken = np.clip(read_measure(organs, "vein_m", 0.0), -0.05 * width, 0.05 * width)[:, None, None, None]
     # Two panels below the first vein, one between each vein and the next.
     panel = np.where(number < 0.0, np.floor(2.0 * number) + 2.0, np.floor(number) + 2.0).astype(np.intp)
     within = np.where(number < 0.0, 2.0 * number, number) % 1.0
     dome = np.sin(np.pi * within) ** _DOME
-    outwards = (1.0 - np.exp(-part / _RISE)) * (1.0 - part**3)
-    # Every panel bulges by its own measure, and is parted at its own places.
+    # Panels differ in height and in the places where tertiary veins divide them.
     panels = PAIRS + 3
-    chance = hashed(seed, 241, 4 * panels).reshape(-1, 2, panels, 2)[:, :, panel]
-    own = 0.7 + 0.6 * chance[..., 0]
-    cells = _parted(flat, half_width, chance[..., 1]) if grid.side >= 6 else 0.75
-    panelled = (own * dome)[..., None] * outwards * cells
+    draws = hash_uniform(flat.seed, 241, 4 * panels).reshape(-1, 2, panels, 2)[:, :, panel]
+    scale = 0.7 + 0.6 * draws[..., 0]
+    cells: FloatArray | float = 0.75  # factor of the bulges: 1 between tertiary veins, less on them
+    if grid.side >= 6:
+        out = flat.edge[..., None] * column / flat.half_width[..., None, None]
+        cells = 0.75 - 0.25 * np.cos(2.0 * np.pi * (_CELLS * out + draws[..., 1, None]))
+    panelled = (scale * dome)[..., None] * _dome_across(column) * cells
     # Furrows run along the veins, shallower towards the margin.
     away = np.minimum(number % 1.0, -number % 1.0)
     furrow = np.where(number > -0.5, np.exp(-((away / _FURROW) ** 2)), 0.0)[:, None]
-    taper = np.minimum(part / _RISE, 1.0) * (1.0 - 0.75 * part) * (1.0 - part**8)
-    uneven = 0.3 * grid.halves(grid_noise(flat, grid, seed, 245, 0.5)) * outwards
+    taper = np.minimum(column / _RISE, 1.0) * (1.0 - 0.75 * column) * (1.0 - column**8)
+    uneven = 0.3 * grid.split_halves(grid_noise(flat, 245, 0.5)) * _dome_across(column)
     # Narrow panels bulge less.
-    wide = np.minimum(flat.edge / half_width[..., None], 1.0)[..., None]
+    wide = np.minimum(flat.edge / flat.half_width[..., None], 1.0)[..., None]
     return wide**0.7 * (height * (panelled + uneven) - sunken * (furrow * taper))
 
 
-def _parted(flat: Flat, half_width: Array, shift: Array) -> Array:
-    """`(n, 2, r, s)` how tertiary veins, across the panels, part the bulges: 1 between them, less on them."""
-    out = flat.edge[..., None] * flat.part / half_width[..., None, None]
-    return 0.75 - 0.25 * np.cos(2.0 * np.pi * (_CELLS * out + shift[..., None]))
+def _dome_across(column: FloatArray) -> FloatArray:
+    """`(s,)` height of a bulge across a half: 0 at the midrib and at the margin."""
+    return (1.0 - np.exp(-column / _RISE)) * (1.0 - column**3)
 
 
-def grid_noise(flat: Flat, grid: Grid, seed: Array, salt: int, size: float, waves: int = 8) -> Array:
-    """`(n, r, c)` smooth noise of mean 0 and variance 1 over the grid, as `noise.smooth_field` makes it.
+def grid_noise(flat: FlatBlades, salt: int, size: float) -> FloatArray:
+    """Compute `(n, r, c)` smooth noise of mean 0 and variance 1 over the grid, like `smooth_field`.
 
-    Places are told in half-widths across and, along the midrib, by where a vein starts. There the waves are
-    products of one factor for rows and one for columns, which saves most of the cosines.
-
-    Args:
-        flat: vertices of the blades.
-        grid: of the blades.
-        seed: `(n,)` of the blades.
-        salt: tells one field of a blade from another.
-        size: mean wavelength, in half-widths.
-        waves: how many.
+    Places are in half-widths across and, along the midrib, at the origin of the row's vein. There each wave
+    is a product of a factor for rows and one for columns, which saves most of the cosines.
     """
-    angle = 2.0 * np.pi * hashed(seed, salt, waves)
-    number = 2.0 * np.pi / size * (1.0 + 0.4 * signed(seed, salt + 1, waves))
-    phase = 2.0 * np.pi * hashed(seed, salt + 2, waves)
+    angle = 2.0 * np.pi * hash_uniform(flat.seed, salt, _NOISE_WAVES)
+    wavenumber = 2.0 * np.pi / size * (1.0 + 0.4 * hash_signed(flat.seed, salt + 1, _NOISE_WAVES))
+    phase = 2.0 * np.pi * hash_uniform(flat.seed, salt + 2, _NOISE_WAVES)
     # cos(a + b) = cos a cos b - sin a sin b, a from rows and b from columns.
-    rows = 2.0 * flat.start[:, None] * (number * np.sin(angle))[:, None] + phase[:, None]
-    columns = grid.across[:, None] * (number * np.cos(angle))[:, None]
+    rows = 2.0 * flat.origin[:, None] * (wavenumber * np.sin(angle))[:, None] + phase[:, None]
+    columns = flat.grid.across[:, None] * (wavenumber * np.cos(angle))[:, None]
     rows = np.concatenate([np.cos(rows), -np.sin(rows)], axis=2)
     columns = np.concatenate([np.cos(columns), np.sin(columns)], axis=2)
-    return np.sqrt(2.0 / waves) * np.matmul(rows, columns.swapaxes(1, 2))
+    return np.sqrt(2.0 / _NOISE_WAVES) * np.matmul(rows, columns.swapaxes(1, 2))
 
 
-def slack(organs: Sequence[Organ], flat: Flat, half_width: Array) -> Array:
-    """`(n, 1, 1, s)` by which a half shrinks across, column by column, to keep its width over all bulges.
+def bulge_shrinkage(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
+    """Compute `(n, 1, 1, s)` factors by which a half shrinks across to keep its width over all bulges.
 
-    The arc over a surface of slope h' is longer by sqrt(1 + h'^2); bulges are quilted out of a blade of the
-    stated width, not put on top of it. Slopes are those of the mean bulge at the widest place.
+    The arc over a surface of slope h' is longer by sqrt(1 + h'^2); bulges are formed from a blade of the
+    stated width, not added to it. Slopes are those of the mean bulge at the widest place.
     """
-    half = half_width.mean(axis=1)[:, None]
-    part = 0.5 * (flat.part + np.concatenate([[0.0], flat.part[:-1]]))
-    height = np.clip(np.abs(organ_measure(organs, "blister_m", 0.0))[:, None] / half, 0.0, 0.2)
-    outwards = (1.0 - np.exp(-part / _RISE)) * (1.0 - part**3)
-    # Mean squares: of a dome's slope from vein to vein, of its height, of the parts by tertiary veins.
-    across = 5.3 * 0.6 * (outwards * veins_crossed(part, 0.2)) ** 2
-    beside = 0.5 * 0.6 * (np.exp(-part / _RISE) / _RISE) ** 2
-    parts = 0.5 * 0.5 * (outwards * 0.25 * 2.0 * np.pi * _CELLS) ** 2
-    square = height**2 * (across + beside + parts)
+    half = flat.half_width.mean(axis=1)[:, None]
+    middle = 0.5 * (flat.column + np.concatenate([[0.0], flat.column[:-1]]))
+    height = np.clip(np.abs(read_measure(organs, "blister_m", 0.0))[:, None] / half, 0.0, 0.2)
+    dome = _dome_across(middle)
+    # Mean squares: of a dome's slope from vein to vein, of its rise at the midrib, of the cells.
+    along = 5.3 * 0.6 * (dome * vein_density(middle, 0.2)) ** 2
+    rise = 0.5 * 0.6 * (np.exp(-middle / _RISE) / _RISE) ** 2
+    cells = 0.5 * 0.5 * (dome * 0.25 * 2.0 * np.pi * _CELLS) ** 2
+    square = height**2 * (along + rise + cells)
     return (1.0 / np.sqrt(1.0 + square))[:, None, None]

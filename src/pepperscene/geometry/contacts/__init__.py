@@ -1,1 +1,1 @@
-"""Contacts between organs: finding them, and turning organs until they are free of each other."""
+"""Contacts between organs: detection, and rotations of organs that resolve them."""

@@ -1,281 +1,223 @@
-"""What turns of units cost in what their organs then run into, for many units in one go."""
+"""The cost of poses of units: the effort to get there, and the contacts that their organs then have."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.contacts.detect import NEAR, ContactBodies
-from pepperscene.geometry.contacts.joints import TurningUnit
-from pepperscene.geometry.contacts.organs import FLOWER, FRUIT, LEAF, SHOOT, STALK, Indices, Organs, Vectors
-from pepperscene.geometry.contacts.pairs import FruitPairs, StemPairs, Turns
-from pepperscene.geometry.contacts.samples import counted
+from pepperscene.geometry.contacts.detect import NEAR
+from pepperscene.geometry.contacts.joints import Joints, MovableUnit, RigidTransforms
+from pepperscene.geometry.contacts.organs import FRUIT, LEAF, Organs, boxes_overlap
+from pepperscene.geometry.contacts.pairs import PER_MM, PairRules
+from pepperscene.geometry.contacts.patches import expand_counts
+from pepperscene.geometry.mesh import FloatArray, IndexArray
 
-CLEAR: Final = 0.8e-3
-"""Metres that what was moved keeps off, chosen: more than is missed between points, and not seen."""
-
-# Chosen: running into something costs as much as turns that no unit can make, so that nothing stays in what
-# it can leave; running into what can give way costs a fair turn, and each millimetre a little more.
-_HARD: Final = 200.0
-_SOFT: Final = 30.0
-_FRUIT: Final = 90.0  # what can give way as well, but less readily
-_PER_MM: Final = 0.1
-_WITHIN: Final = 1e4  # what is settled within a plant stays so
-_STALK: Final = 1e-3  # m, chosen: so much deeper may a stalk reach into the fruit that swings on it
 _UNDERGROUND: Final = 1e5
+_STRIDE: Final = 4  # chosen: with all contacts, poses are compared by every 4th point only
+_FIRST: Final = 4  # chosen: number of the cheapest poses that are examined first
+_SMALL: Final = 20.0  # weighted degrees, chosen: a rotation that is accepted without trying other units
+_FRACTIONS: Final = np.array([0.0, 0.2, 0.4, 0.55, 0.7, 0.8, 0.9, 1.0])  # chosen: of a rotation
 
 
-@dataclass(frozen=True, eq=False)
-class _Pairs:
-    """Organs of units and what they may run into.
-
-    Attributes:
-        table: of `n` pairs.
-        unit: `(n,)` the place of each one's unit.
-        undone: whether all else is turned back rather than the units turned.
-        weight: `(n,)` cost of running into each.
-        slack: `(n,)` metres that it may reach in deeper than it does; not a number where it must keep off.
-    """
-
-    table: FruitPairs | StemPairs
-    unit: Indices
-    undone: bool
-    weight: NDArray[np.float64]
-    slack: NDArray[np.float64]
-
-    def cost(self, rows: Indices, unit: Indices, turns: Turns, every: int) -> Vectors:
-        """`(r, k)` cost of some pairs.
-
-        Args:
-            rows: `(r,)` ascending.
-            unit: `(r,)` by which turns each moves.
-            turns: `(2 u, k)`, of which the first is none, with their inverses.
-            every: judge by every so-manieth point: at most what it is by all.
-        """
-        turn = unit + len(turns.shift) // 2 if self.undone else unit
-        depth = self.table.depths(rows, turn, turns, every)
-        slack = self.slack[rows]
-        now = np.maximum(depth[:, 0], -CLEAR)
-        over = depth - np.where(np.isnan(slack), -CLEAR, now + slack)[:, None]
-        graded = self.weight[rows, None] * (1.0 + 1e3 * _PER_MM * np.maximum(over, 0.0))
-        return np.asarray(np.where(over > 0.0, graded, 0.0))
-
-
-class _Kinds:
-    """How organs of units may meet others.
-
-    Where bodies are looked at between plants, a unit may come as near to organs of its own plant as it is.
+def remaining_cost(
+    rules: PairRules,
+    units: Sequence[MovableUnit],
+    unit: IndexArray,
+    contacts: IndexArray,
+    transforms: RigidTransforms,
+    stride: int,
+) -> FloatArray:
+    """Compute `(c, k)` costs of what remains of some contacts when one side moves.
 
     Args:
-        bodies: the organs as they stand.
-        hard: everything stays where it is; else leaves give way to fruit.
-    """
-
-    def __init__(self, bodies: ContactBodies, *, hard: bool) -> None:
-        self._bodies, self._organs, self._hard = bodies, bodies.organs, hard
-
-    def fruit_moved(self, unit: Indices, fruit: Indices, others: Indices) -> _Pairs:
-        """Fruit of units runs into others; its own stalk may reach a little deeper, and no more."""
-        own = self._bodies.are_own(fruit, others)
-        soft = np.isin(self._organs.organ_class[others], [FLOWER, LEAF, SHOOT]) & ~own & (not self._hard)
-        weight = np.full(len(unit), _HARD)
-        if not self._hard:
-            weight[np.isin(self._organs.organ_class[others], [FRUIT, STALK]) & ~own] = _FRUIT
-        weight[soft] = _SOFT
-        table = FruitPairs(self._bodies, others, fruit)
-        return self._pairs(table, unit, True, weight, fruit, others, own)
-
-    def fruit_met(self, unit: Indices, movers: Indices, fruit: Indices) -> _Pairs:
-        """Leaves and stalks of units run into fruit."""
-        table = FruitPairs(self._bodies, movers, fruit)
-        return self._pairs(table, unit, False, np.full(len(unit), _HARD), movers, fruit)
-
-    def stems_met(
-        self,
-        unit: Indices,
-        blades: Indices,
-        stems: Indices,
-        low: Vectors,
-        high: Vectors,
-    ) -> _Pairs:
-        """Blades of units, which stay in boxes, run through stems and cords."""
-        table = StemPairs(self._bodies, blades, stems, low, high)
-        return self._pairs(table, unit, False, np.full(len(unit), _HARD), blades, stems)
-
-    def _pairs(
-        self,
-        table: FruitPairs | StemPairs,
-        unit: Indices,
-        undone: bool,
-        weight: Vectors,
-        organs: Indices,
-        others: Indices,
-        own: NDArray[np.bool_] | None = None,
-    ) -> _Pairs:
-        """Pairs of such weight; what is the unit's own may reach in a little, its own plant no deeper."""
-        slack = np.full(len(unit), np.nan)
-        if self._bodies.between_plants:
-            within = self._organs.plant[organs] == self._organs.plant[others]
-            slack[within] = 1e-6
-            weight = np.where(within, _WITHIN, weight)
-        if own is not None:
-            slack[own] = _STALK
-        return _Pairs(table, unit, undone, weight, slack)
-
-
-def left_of(
-    bodies: ContactBodies,
-    units: Sequence[TurningUnit],
-    unit: Indices,
-    contacts: Indices,
-    turns: Turns,
-    every: int,
-    *,
-    hard: bool,
-) -> Vectors:
-    """`(c, k)` cost of what is left of some contacts after turns of one side; there is one before.
-
-    Args:
-        bodies: the organs as they stand.
-        units: what turns.
-        unit: `(c,)` which of these for each contact.
-        contacts: `(c, 2)` fruit or blade, and what touches it: any organ, or a stem. One is of the unit.
-        turns: `(u, k)` of the units, the first of each none.
-        every: judge by every so-manieth point.
-        hard: everything stays where it is; else leaves give way to fruit.
+        rules: costs of contacts between the current organs.
+        units: that move.
+        unit: `(c,)` index of the unit that moves in each contact.
+        contacts: `(c, 2)` a fruit and any other organ, or a blade and a stem; one of them is of the unit.
+        transforms: `(u, k)` of the units, the first of each the identity.
+        stride: use every `stride`-th sample point.
     """
     organs, others = contacts.T
-    kinds, both = _Kinds(bodies, hard=hard), turns.with_their_inverses()
-    cost = np.zeros((len(unit), turns.shift.shape[1]))
-    is_fruit = bodies.organs.organ_class[organs] == FRUIT
-    inside = np.array(
-        [one in units[row].members for row, one in zip(unit.tolist(), organs.tolist(), strict=True)]
+    bodies, both = rules.detector.organs, transforms.with_inverses()
+    cost = np.zeros((len(unit), transforms.shift.shape[1]))
+    is_fruit = bodies.organ_class[organs] == FRUIT
+    moves = np.array(
+        [organ in units[row].members for row, organ in zip(unit.tolist(), organs.tolist(), strict=True)]
     )
-    moved, met, stems = (np.flatnonzero(some) for some in (is_fruit & inside, is_fruit & ~inside, ~is_fruit))
-    low, high = boxes(bodies.organs, organs[stems], unit[stems], turns)
+    moving, resting, stems = (np.flatnonzero(x) for x in (is_fruit & moves, is_fruit & ~moves, ~is_fruit))
+    low, high = swept_boxes(bodies, organs[stems], unit[stems], transforms)
     for rows, pairs in (
-        (moved, kinds.fruit_moved(unit[moved], organs[moved], others[moved])),
-        (met, kinds.fruit_met(unit[met], others[met], organs[met])),
-        (stems, kinds.stems_met(unit[stems], organs[stems], others[stems], low - NEAR, high + NEAR)),
+        (moving, rules.fruit(unit[moving], organs[moving], others[moving], moves=True)),
+        (resting, rules.fruit(unit[resting], organs[resting], others[resting], moves=False)),
+        (stems, rules.stems(unit[stems], organs[stems], others[stems], low - NEAR, high + NEAR)),
     ):
         if not len(rows):
             continue
-        cost[rows] = pairs.cost(np.arange(len(rows)), pairs.unit, both, every)
-        # Too shallow a contact for so few points is one nevertheless.
+        cost[rows] = pairs.cost(np.arange(len(rows)), pairs.unit, both, stride)
+        # A contact counts even if it is too shallow for so few points.
         cost[rows, 0] = np.maximum(cost[rows, 0], pairs.weight)
     return cost
 
 
 class ContactCosts:
-    """All that some units may run into when they turn, each alone.
+    """All contacts that some units may have, each moved alone within the range of its transforms `(u, k)`."""
 
-    Args:
-        bodies: the organs as they stand.
-        units: what turns.
-        turns: `(u, k)`, the ways on which they may run into something.
-        hard: everything stays where it is; else leaves give way to fruit.
-    """
-
-    def __init__(
-        self, bodies: ContactBodies, units: Sequence[TurningUnit], turns: Turns, *, hard: bool
-    ) -> None:
-        organs = self._organs = bodies.organs
-        self._units = units
-        count = [len(one.members) for one in units]
-        members = np.fromiter((member for one in units for member in one.members), np.intp, sum(count))
+    def __init__(self, rules: PairRules, units: Sequence[MovableUnit], transforms: RigidTransforms) -> None:
+        detector, organs = rules.detector, rules.detector.organs
+        self._organs, self._units = organs, units
+        count = [len(unit.members) for unit in units]
+        members = np.fromiter((member for unit in units for member in unit.members), np.intp, sum(count))
         unit = np.repeat(np.arange(len(units)), count)
         inside = np.zeros((len(units), len(organs)), dtype=bool)
         inside[unit, members] = True
-        kept = organs.solid[members]
-        members, unit = members[kept], unit[kept]
-        low, high = boxes(organs, members, unit, turns)
+        solid = organs.solid[members]
+        members, unit = members[solid], unit[solid]
+        low, high = swept_boxes(organs, members, unit, transforms)
         low, high = low - NEAR, high + NEAR
-        # What comes near to any of a unit's organs.
+        # Other organs close to any organ of a unit.
         lowest, highest = np.full((len(units), 3), np.inf), np.full((len(units), 3), -np.inf)
         np.minimum.at(lowest, unit, low)
         np.maximum.at(highest, unit, high)
-        met, near = np.nonzero(organs.in_box(lowest, highest) & ~inside)
-        is_fruit, organ_class = organs.organ_class[members] == FRUIT, organs.organ_class
-        kinds, self._pairs = _Kinds(bodies, hard=hard), []
-        for rows, columns, kind in (
-            # Their own fruit may run into everything,
-            (is_fruit, np.ones(len(near), dtype=bool), "fruit moved"),
-            # their leaves and stalks into fruit,
-            (~is_fruit, organ_class[near] == FRUIT, "fruit met"),
-            # their blades into stems and cords.
-            (organ_class[members] == LEAF, bodies.is_stem[near], "stems met"),
-        ):
-            row, column = _crossed(unit, rows, met, columns, len(units))
-            other = near[column]
-            meet = np.ones(len(row), dtype=bool)
-            for axis in range(3):
-                meet &= organs.low[other, axis] < high[row, axis]
-                meet &= organs.high[other, axis] > low[row, axis]
-            row, other = row[meet], other[meet]
-            one = members[row]
-            if kind == "fruit moved":
-                self._pairs.append(kinds.fruit_moved(unit[row], one, other))
-                continue
-            free = ~(bodies.are_own(other, one) if kind == "fruit met" else bodies.are_own(one, other))
-            row, one, other = row[free], one[free], other[free]
-            if kind == "fruit met":
-                self._pairs.append(kinds.fruit_met(unit[row], one, other))
-            else:
-                self._pairs.append(kinds.stems_met(unit[row], one, other, low[row], high[row]))
-        # Nothing goes under the ground, or lower than it is if it is there already.
+        close = boxes_overlap(organs.low, organs.high, lowest[:, None], highest[:, None])
+        near_unit, near = np.nonzero(close & organs.solid & ~inside)
+
+        def overlapping(
+            rows: NDArray[np.bool_], columns: NDArray[np.bool_]
+        ) -> tuple[IndexArray, IndexArray, IndexArray]:
+            """Pairs of a chosen member and a chosen organ near its unit: row, member, other organ."""
+            row, column = np.flatnonzero(rows), np.flatnonzero(columns)
+            # Both are in order of units: every row meets the run of columns of its unit.
+            first, stop = (np.searchsorted(near_unit[column], unit[row], side) for side in ("left", "right"))
+            place, step = expand_counts(stop - first)
+            row, other = row[place], near[column[first[place] + step]]
+            overlap = boxes_overlap(organs.low[other], organs.high[other], low[row], high[row])
+            return row[overlap], members[row[overlap]], other[overlap]
+
+        is_fruit = organs.organ_class[members] == FRUIT
+        # Fruit of the units against everything, their leaves and stalks against fruit, their blades against
+        # stems and twine.
+        row, organ, other = overlapping(is_fruit, np.ones(len(near), dtype=bool))
+        moving_fruit = rules.fruit(unit[row], organ, other, moves=True)
+        row, organ, other = overlapping(~is_fruit, organs.organ_class[near] == FRUIT)
+        apart = ~detector.are_joined(other, organ)
+        resting_fruit = rules.fruit(unit[row[apart]], other[apart], organ[apart], moves=False)
+        row, organ, other = overlapping(organs.organ_class[members] == LEAF, detector.is_stem[near])
+        apart = ~detector.are_joined(organ, other)
+        row, organ, other = row[apart], organ[apart], other[apart]
+        self._pairs = [moving_fruit, resting_fruit, rules.stems(unit[row], organ, other, low[row], high[row])]
+        # Nothing may go below the ground, or lower than it is if it is below already.
         floor = np.zeros(len(units))
         np.minimum.at(floor, unit, organs.low[members, 2])
         self._floor = floor
-        self._over_ground = lowest[:, 2] < floor
+        self._reaches_floor = lowest[:, 2] < floor
 
-    def cost(self, some: Indices, turns: Turns, every: int) -> Vectors:
-        """`(u, k)` cost of turns of some units, the first of each none, judged by every so-manieth point."""
-        total, both = np.zeros(turns.shift.shape[:2]), turns.with_their_inverses()
+    def cost(self, rows: IndexArray, transforms: RigidTransforms, stride: int) -> FloatArray:
+        """Compute `(r, k)` costs of some units, with every `stride`-th point; the first is the identity."""
+        total, both = np.zeros(transforms.shift.shape[:2]), transforms.with_inverses()
         place = np.full(len(self._units), -1)
-        place[some] = np.arange(len(some))
+        place[rows] = np.arange(len(rows))
         for pairs in self._pairs:
-            rows = np.flatnonzero(place[pairs.unit] >= 0)
-            if not len(rows):
+            chosen = np.flatnonzero(place[pairs.unit] >= 0)
+            if not len(chosen):
                 continue
-            unit = place[pairs.unit[rows]]
-            np.add.at(total, unit, pairs.cost(rows, unit, both, every))
-        for row in np.flatnonzero(self._over_ground[some]).tolist():
-            total[row] += self._underground(int(some[row]), turns.rotation[row], turns.shift[row])
+            unit = place[pairs.unit[chosen]]
+            np.add.at(total, unit, pairs.cost(chosen, unit, both, stride))
+        for row in np.flatnonzero(self._reaches_floor[rows]).tolist():
+            total[row] += self._underground(int(rows[row]), transforms.rotation[row], transforms.shift[row])
         return total
 
-    def _underground(self, unit: int, rotation: Vectors, shift: Vectors) -> Vectors:
-        """`(k,)` cost of what goes too low."""
-        members = [one for one in self._units[unit].members if self._organs.solid[one]]
-        laid, patch, _ = self._organs.patches(members)
-        points = laid.points[patch].reshape(-1, 3)
-        over = self._floor[unit] - ((points @ rotation[:, 2].T).min(axis=0) + shift[:, 2]) - 1e-6
-        return np.asarray(np.where(over > 0.0, _UNDERGROUND * (1.0 + 1e3 * _PER_MM * over), 0.0))
+    def _underground(self, unit: int, rotation: FloatArray, shift: FloatArray) -> FloatArray:
+        """`(k,)` cost of organs below the floor."""
+        members = np.array([one for one in self._units[unit].members if self._organs.solid[one]])
+        patches, patch, _ = self._organs.patches(members)
+        points = patches.points[patch].reshape(-1, 3)
+        excess = self._floor[unit] - ((points @ rotation[:, 2].T).min(axis=0) + shift[:, 2]) - 1e-6
+        return np.asarray(np.where(excess > 0.0, _UNDERGROUND * (1.0 + 1e3 * PER_MM * excess), 0.0))
 
 
-def boxes(
-    organs: Organs, members: Indices, unit: Indices, turns: Turns
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """`(m, 3)` the corners of the boxes around all that organs of units sweep on some turns `(u, k)`."""
+def swept_boxes(
+    organs: Organs, members: IndexArray, unit: IndexArray, transforms: RigidTransforms
+) -> tuple[FloatArray, FloatArray]:
+    """Compute `(m, 3)` corners of the boxes around all that organs of units sweep in transforms `(u, k)`."""
     low, high = organs.low[members], organs.high[members]
     middle, half = 0.5 * (low + high)[:, :, None], 0.5 * (high - low)[:, :, None]
-    # All ways of a unit below each other, so that an organ's box is turned by one product.
-    ways = turns.shift.shape[1]
-    matrix = turns.rotation.reshape(-1, 3 * ways, 3)
-    gone = np.matmul(matrix[unit], middle).reshape(-1, ways, 3) + turns.shift[unit]
-    reach = np.matmul(np.abs(matrix)[unit], half).reshape(-1, ways, 3)
-    return (gone - reach).min(axis=1), (gone + reach).max(axis=1)
+    # All rotations of a unit stacked, so that an organ's box is rotated by one product.
+    steps = transforms.shift.shape[1]
+    matrix = transforms.rotation.reshape(-1, 3 * steps, 3)
+    centre = np.matmul(matrix[unit], middle).reshape(-1, steps, 3) + transforms.shift[unit]
+    extent = np.matmul(np.abs(matrix)[unit], half).reshape(-1, steps, 3)
+    return (centre - extent).min(axis=1), (centre + extent).max(axis=1)
 
 
-def _crossed(
-    unit: Indices, rows: NDArray[np.bool_], met: Indices, columns: NDArray[np.bool_], units: int
-) -> tuple[Indices, Indices]:
-    """Every one of some rows of a unit with every one of some columns of it; both are in order of units."""
-    one, other = np.flatnonzero(rows), np.flatnonzero(columns)
-    number = np.bincount(met[other], minlength=units)
-    first = np.cumsum(number) - number
-    place, step = counted(number[unit[one]])
-    return one[place], other[first[unit[one]][place] + step]
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Candidate poses of some units, each moved alone; the first of each is the current one."""
+
+    angles: FloatArray  # `(u, k, 2)` radians
+    current: FloatArray  # `(u, 1, 2)` radians, the current angles
+    weights: FloatArray  # `(u, 1, 2)` weight of a degree of either rotation
+    effort: FloatArray  # `(u, k)` in weighted degrees
+    remaining: FloatArray  # `(u, k)` cost of what remains of the contacts to resolve
+    joints: Joints  # of the units
+
+    def transforms(self, angles: FloatArray) -> RigidTransforms:
+        """The transforms that lead to angles `(u, k, 2)`."""
+        return self.joints.transforms(angles - self.current)
+
+    def cheapest(self, rows: IndexArray, count: int) -> Poses:
+        """Of some units the current pose and `count` others with the lowest lower bound, cheapest first."""
+        bound = (self.effort + self.remaining)[rows]
+        order = 1 + np.argsort(bound[:, 1:], axis=1, kind="stable")[:, :count]
+        order = np.concatenate([np.zeros((len(rows), 1), dtype=np.intp), order], axis=1)
+        return Poses(
+            np.take_along_axis(self.angles[rows], order[:, :, None], axis=1),
+            self.current[rows],
+            self.weights[rows],
+            np.take_along_axis(self.effort[rows], order, axis=1),
+            np.take_along_axis(self.remaining[rows], order, axis=1),
+            self.joints.select(rows),
+        )
+
+    def cost(self, costs: ContactCosts) -> FloatArray:
+        """Compute `(u, k)` costs with all contacts; infinite for poses that cannot be the cheapest."""
+        transforms, cost = self.transforms(self.angles), self.effort + self.remaining
+        # Examine a few first, as one of these may be free.
+        first = np.arange(min(1 + _FIRST, cost.shape[1]))
+        rest = np.append(0, np.arange(len(first), cost.shape[1]))
+        open_units = np.arange(len(cost))
+        for columns in (first, rest):
+            chosen = np.ix_(open_units, columns)
+            contact = costs.cost(open_units, transforms.select(chosen), _STRIDE)
+            cost[chosen] = self.effort[chosen] + np.maximum(self.remaining[chosen], contact)
+            if columns is first and len(rest) > 1:
+                # Poses with a lower bound above the best cost so far need no examination.
+                decided = cost[:, first].min(axis=1) <= cost[:, len(first)]
+                cost[np.ix_(decided, rest[1:])] = np.inf
+                open_units = np.flatnonzero(~decided)
+        return np.asarray(cost)
+
+    def shorten(
+        self, costs: ContactCosts, rows: IndexArray, picked: IndexArray
+    ) -> Iterator[tuple[int, float, FloatArray, bool]]:
+        """Choose the best fraction of the way to the picked pose of each of some units, with all points.
+
+        Yields:
+            The unit's row, its gain, its angles, and whether it is small and free of contacts.
+        """
+        current, weights = self.current[rows], self.weights[rows]
+        angles = current + _FRACTIONS[:, None] * (self.angles[rows, picked][:, None] - current)
+        effort = weighted_effort(angles, weights)
+        transforms = self.joints.select(rows).transforms(angles - current)
+        cost = effort + costs.cost(rows, transforms, 1)
+        for row, (unit, best) in enumerate(zip(rows.tolist(), cost.argmin(axis=1).tolist(), strict=True)):
+            small = cost[row, best] == effort[row, best] < _SMALL
+            yield unit, float(cost[row, 0] - cost[row, best]), angles[row, best], bool(small)
+
+
+def weighted_effort(angles: FloatArray, weights: FloatArray) -> FloatArray:
+    """`(u, k)` weighted degrees of angles `(u, k, 2)` radians."""
+    return np.asarray(np.sqrt(np.square(np.degrees(angles) * weights).sum(axis=-1)))

@@ -1,6 +1,6 @@
-"""How deep organs that turn reach into fruit and stems, for many organs and turns in one go.
+"""Pairs of organs that may touch when one of them moves: depth and cost for many pairs and motions at once.
 
-Boxes around organs first, then balls around patches, then points: each leaves little for the next.
+First bounding boxes are compared, then bounding spheres of patches, then points.
 """
 
 from __future__ import annotations
@@ -10,193 +10,243 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pepperscene.geometry.contacts.detect import NEAR, ContactBodies
-from pepperscene.geometry.contacts.organs import Indices, Organs, Points, Vectors
-from pepperscene.geometry.contacts.samples import counted
-from pepperscene.geometry.contacts.stems import Capsules, deepest
+from pepperscene.geometry.contacts.detect import NEAR, ContactDetector
+from pepperscene.geometry.contacts.joints import RigidTransforms
+from pepperscene.geometry.contacts.organs import FLOWER, FRUIT, LEAF, SHOOT, STALK, Organs, boxes_overlap
+from pepperscene.geometry.contacts.patches import expand_counts
+from pepperscene.geometry.contacts.shapes import Capsules
+from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
 
 ENTRIES: Final = 1 << 16
-"""So many distances are worked out at a time, chosen: what fits into a cache."""
+"""Distances computed at a time, chosen: they fit into a cache."""
 
+CLEARANCE: Final = 0.8e-3
+"""Metres between a moved organ and others, chosen: more than is missed between points, and invisible."""
 
-@dataclass(frozen=True, eq=False)
-class Turns:
-    """Turns of some units: every point p goes to rotation @ p + shift.
-
-    Attributes:
-        rotation: `(u, k, 3, 3)` of each unit.
-        shift: `(u, k, 3)` metres.
-    """
-
-    rotation: Vectors
-    shift: Vectors
-
-    def with_their_inverses(self) -> Turns:
-        """`(2 u, k)` turns, and after them what undoes them: to turn a fruit is to turn all else back."""
-        back = self.rotation.swapaxes(2, 3)
-        undone = -np.einsum("ukij,ukj->uki", back, self.shift)
-        return Turns(np.concatenate([self.rotation, back]), np.concatenate([self.shift, undone]))
+# Chosen: a contact costs as much as a rotation that no unit can make, so that no avoidable contact remains;
+# contact with what can give way costs a moderate rotation, and each millimetre of depth a little more.
+_HARD: Final = 200.0
+_SOFT: Final = 30.0
+_FRUIT: Final = 90.0  # fruit and stalks give way as well, but less readily
+PER_MM: Final = 0.1
+_SAME_PLANT: Final = 1e4  # between plants: contacts that are resolved within a plant stay resolved
+_OWN_STALK: Final = 1e-3  # m, chosen: additional depth allowed to a stalk in the fruit that swings on it
 
 
 class FruitPairs:
-    """Organs that move towards fruit.
+    """Organs that move towards fruit: `(n,)` movers and the fruit of each."""
 
-    Args:
-        bodies: the organs as they stand.
-        movers: `(n,)` organs that turn.
-        fruit: `(n,)` what each moves towards.
-    """
+    def __init__(self, detector: ContactDetector, movers: IndexArray, fruit: IndexArray) -> None:
+        self._detector, self._movers = detector, movers
+        self._spheres = detector.surfaces.spheres(fruit)
 
-    def __init__(self, bodies: ContactBodies, movers: Indices, fruit: Indices) -> None:
-        self._bodies, self._movers = bodies, movers
-        self._balls = bodies.walls.bodies(fruit)
-
-    def __len__(self) -> int:
-        return len(self._movers)
-
-    def depths(self, rows: Indices, turn: Indices, turns: Turns, every: int) -> NDArray[np.float32]:
-        """`(r, k)` metres that some organs reach into their fruit; minus infinity where far apart.
+    def depths(
+        self, rows: IndexArray, which: IndexArray, transforms: RigidTransforms, stride: int
+    ) -> SingleArray:
+        """Compute `(r, k)` metres by which some movers penetrate their fruit; minus infinity if far apart.
 
         Args:
-            rows: `(r,)` which pairs.
-            turn: `(r,)` by which turns each organ moves.
-            turns: `(t, k)`.
-            every: look at every so-manieth point.
+            rows: `(r,)` indices of pairs, ascending.
+            which: `(r,)` row of `transforms` for each mover.
+            transforms: `(t, k)`.
+            stride: use every `stride`-th point.
         """
-        found = np.full((len(rows), turns.shift.shape[1]), -np.inf, dtype=np.float32)
-        balls, movers = self._balls, self._movers[rows]
-        centre, reach = balls.centre[rows], balls.reach[rows] + NEAR
-        turned = balls.turned.transpose(0, 2, 1)[rows]
-        for pair, way, hit, patch in _near(self._bodies.organs, movers, centre, reach, turn, turns):
-            # Told from the fruit's centre numbers are small, as single ones must be.
-            own, by = turned[pair], turn[pair]
-            matrix = np.matmul(own, turns.rotation[by, way])
-            offset = np.matmul(own, (turns.shift[by, way] - centre[pair])[:, :, None])[:, :, 0]
-            depth = self._bodies.walls.depth(
-                balls.row[rows[pair]][hit],
-                self._bodies.organs.laid.coordinates(patch, every),
+        result = np.full((len(rows), transforms.shift.shape[1]), -np.inf, dtype=np.float32)
+        spheres, organs = self._spheres, self._detector.organs
+        centre, limit = spheres.centre[rows], spheres.radius[rows] + NEAR
+        inverse, movers = spheres.rotation.transpose(0, 2, 1)[rows], self._movers[rows]
+        for pair, step, hit, patch in _near_patches(organs, movers, centre, limit, which, transforms):
+            # Relative to the fruit's centre numbers are small, as single precision requires.
+            to_fruit, row = inverse[pair], which[pair]
+            matrix = np.matmul(to_fruit, transforms.rotation[row, step])
+            offset = np.matmul(to_fruit, (transforms.shift[row, step] - centre[pair])[:, :, None])[:, :, 0]
+            depth = self._detector.surfaces.depth(
+                spheres.row[rows[pair]][hit],
+                organs.all_patches.coordinates(patch, stride),
                 matrix.transpose(1, 2, 0).astype(np.float32, order="C").take(hit, axis=2),
                 offset.T.astype(np.float32, order="C").take(hit, axis=1),
-                reach.astype(np.float32)[pair][hit],
+                limit.astype(np.float32)[pair][hit],
             )
-            np.maximum.at(found, (pair[hit], way[hit]), depth)
-        return found
+            np.maximum.at(result, (pair[hit], step[hit]), depth)
+        return result
 
 
 class StemPairs:
-    """Blades that move towards stems and cords.
-
-    Args:
-        bodies: the organs as they stand.
-        blades: `(n,)` that turn.
-        stems: `(n,)` what each moves towards.
-        low: `(n, 3)` and
-        high: `(n, 3)` metres, the corners of boxes that the blades stay in.
-    """
+    """Blades that move within boxes towards stems and twine: `(n,)` blades, and the stem and box of each."""
 
     def __init__(
-        self, bodies: ContactBodies, blades: Indices, stems: Indices, low: Vectors, high: Vectors
+        self,
+        detector: ContactDetector,
+        blades: IndexArray,
+        stems: IndexArray,
+        low: FloatArray,
+        high: FloatArray,
     ) -> None:
-        self._bodies, self._blades = bodies, blades
-        chain, piece, pair = bodies.chains.pieces(stems)
-        met = (chain.low[piece] < high[pair]).all(axis=1) & (chain.high[piece] > low[pair]).all(axis=1)
-        kept = np.flatnonzero(met)
-        self._chain, self._pair = chain.some(piece[kept]), pair[kept]
+        self._organs, self._blades = detector.organs, blades
+        capsules, which, pair = detector.capsules.of_tubes(stems)
+        kept = boxes_overlap(capsules.low[which], capsules.high[which], low[pair], high[pair])
+        self._capsules, self._pair = capsules.select(which[kept]), pair[kept]
 
-    def __len__(self) -> int:
-        return len(self._blades)
-
-    def depths(self, rows: Indices, turn: Indices, turns: Turns, every: int) -> NDArray[np.float32]:
-        """`(r, k)` metres that some blades reach into their stems; minus infinity where far apart.
-
-        Args:
-            rows: `(r,)` which pairs, ascending.
-            turn: `(r,)` by which turns each blade moves.
-            turns: `(t, k)`.
-            every: look at every so-manieth point.
-        """
-        found = np.full((len(rows), turns.shift.shape[1]), -np.inf, dtype=np.float32)
-        place = np.full(len(self), -1)
+    def depths(
+        self, rows: IndexArray, which: IndexArray, transforms: RigidTransforms, stride: int
+    ) -> SingleArray:
+        """Compute `(r, k)` metres by which some blades penetrate their stems; as `FruitPairs.depths`."""
+        result = np.full((len(rows), transforms.shift.shape[1]), -np.inf, dtype=np.float32)
+        place = np.full(len(self._blades), -1)
         place[rows] = np.arange(len(rows))
         kept = np.flatnonzero(place[self._pair] >= 0)
-        entry, chain = place[self._pair[kept]], self._chain.some(kept)
-        middle = chain.start + 0.5 * chain.span
-        reach = chain.radius + 0.5 * np.sqrt(np.einsum("ci,ci->c", chain.span, chain.span)) + NEAR
-        blades, turn = self._blades[rows][entry], turn[entry]
-        for piece, way, hit, patch in _near(self._bodies.organs, blades, middle, reach, turn, turns):
-            # To move blades towards stems is to move stems back towards blades.
-            back = turns.rotation[turn[piece], way]
-            start = chain.start[piece] - turns.shift[turn[piece], way]
+        entry, capsules = place[self._pair[kept]], self._capsules.select(kept)
+        middle = capsules.start + 0.5 * capsules.span
+        limit = capsules.radius + 0.5 * np.sqrt(np.einsum("ci,ci->c", capsules.span, capsules.span)) + NEAR
+        blades, which = self._blades[rows][entry], which[entry]
+        for pair, step, hit, patch in _near_patches(self._organs, blades, middle, limit, which, transforms):
+            # Instead of moving blades to stems, move stems back to the blades.
+            inverse = transforms.rotation[which[pair], step]
+            start = capsules.start[pair] - transforms.shift[which[pair], step]
             moved = Capsules(
-                np.matmul(start[:, None], back)[:, 0],
-                np.matmul(chain.span[piece][:, None], back)[:, 0],
-                chain.radius[piece],
+                np.matmul(start[:, None], inverse)[:, 0],
+                np.matmul(capsules.span[pair][:, None], inverse)[:, 0],
+                capsules.radius[pair],
             )
-            depth = deepest(self._bodies.organs.laid.coordinates(patch, every), moved, hit)
-            np.maximum.at(found, (entry[piece[hit]], way[hit]), depth)
-        return found
+            depth = moved.depth(self._organs.all_patches.coordinates(patch, stride), hit)
+            np.maximum.at(result, (entry[pair[hit]], step[hit]), depth)
+        return result
 
 
-def _near(
-    organs: Organs, movers: Indices, centre: Vectors, reach: Vectors, turn: Indices, turns: Turns
-) -> Iterator[tuple[Indices, Indices, Indices, Indices]]:
-    """Patches of organs that come near to balls.
+def _near_patches(
+    organs: Organs,
+    movers: IndexArray,
+    centre: FloatArray,
+    radius: FloatArray,
+    which: IndexArray,
+    transforms: RigidTransforms,
+) -> Iterator[tuple[IndexArray, IndexArray, IndexArray, IndexArray]]:
+    """Patches of moving organs that overlap spheres, one sphere for each mover.
 
     Yields:
-        `(h,)` pairs of organ and ball and `(h,)` the way on which they meet; `(m,)` the place of each patch's
-        pair among these, and `(m,)` the patches.
+        `(h,)` indices of movers and `(h,)` of the transforms with which they meet their spheres; `(m,)` index
+        of each patch's pair among these, and `(m,)` the patches.
     """
-    if not len(movers):
-        return
-    ways = turns.shift.shape[1]
+    steps = transforms.shift.shape[1]
     low, high = organs.low[movers].astype(np.float32), organs.high[movers].astype(np.float32)
-    rotation, shift = turns.rotation.astype(np.float32), turns.shift.astype(np.float32)
-    single, far = centre.astype(np.float32), reach.astype(np.float32)
-    pairs, balls, on = [], [], []
-    for start in range(0, len(movers), max(ENTRIES // (4 * ways), 1)):
-        block = slice(start, start + max(ENTRIES // (4 * ways), 1))
-        # To move organs towards balls is to move balls back to the organs.
-        target = _back(single[block], turn[block], rotation, shift)
-        off = np.zeros(target.shape[1:], dtype=np.float32)
+    rotation, shift = transforms.rotation.astype(np.float32), transforms.shift.astype(np.float32)
+    centres, radii = centre.astype(np.float32), radius.astype(np.float32)
+    block_size = max(ENTRIES // (4 * steps), 1)
+    for start in range(0, len(movers), block_size):
+        block = slice(start, start + block_size)
+        # Instead of moving organs to spheres, move spheres back to the organs.
+        target = _move_back(centres[block], which[block], rotation, shift)
+        square = np.zeros(target.shape[1:], dtype=np.float32)
         for axis in range(3):
-            least, most = low[block, axis, None], high[block, axis, None]
-            beside = target[axis] - np.clip(target[axis], least, most)
-            off += beside * beside
-        pair, way = np.nonzero(off < np.square(far[block])[:, None])
-        balls.append(target[:, pair, way])
-        pairs.append(pair + start)
-        on.append(way)
-    pair, way, ball = np.concatenate(pairs), np.concatenate(on), np.concatenate(balls, axis=1)
-    # Only now, so that none is laid on what comes near to nothing.
-    organs.sample(movers[np.unique(pair)])
-    count = organs.patch_count[movers[pair]]
-    for part in _runs(count):
-        hit, number = counted(count[part])
-        patch = organs.patch_first[movers[pair[part]]][hit] + number
-        apart = far.take(pair[part]).take(hit) + organs.laid.radius.take(patch)
-        square = np.zeros(len(patch), dtype=np.float32)
-        for axis in range(3):
-            beside = organs.laid.centre[:, axis].take(patch) - ball[axis, part].take(hit)
-            square += beside * beside
-        kept = np.flatnonzero(square < apart * apart)
-        if len(kept):
-            yield pair[part], way[part], hit[kept], patch[kept]
+            offset = target[axis] - np.clip(target[axis], low[block, axis, None], high[block, axis, None])
+            square += offset * offset
+        pair, step = np.nonzero(square < np.square(radii[block])[:, None])
+        sphere, pair = target[:, pair, step], pair + start
+        # Sample only organs that come near to something.
+        organs.sample(movers[np.unique(pair)])
+        count = organs.patch_count[movers[pair]]
+        for part in _blocks(count):
+            hit, number = expand_counts(count[part])
+            patch = organs.patch_first[movers[pair[part]]][hit] + number
+            limit = radii.take(pair[part]).take(hit) + organs.all_patches.radius.take(patch)
+            distance = np.zeros(len(patch), dtype=np.float32)
+            for axis in range(3):
+                offset = organs.all_patches.centre[:, axis].take(patch) - sphere[axis, part].take(hit)
+                distance += offset * offset
+            kept = np.flatnonzero(distance < limit * limit)
+            if len(kept):
+                yield pair[part], step[part], hit[kept], patch[kept]
 
 
-def _back(centre: Points, turn: Indices, rotation: Points, shift: Points) -> Points:
-    """`(3, n, k)` where turns bring centres `(n, 3)` from."""
-    x, y, z = (centre[:, axis, None] - shift[turn, :, axis] for axis in range(3))
+def _move_back(
+    centre: SingleArray, which: IndexArray, rotation: SingleArray, shift: SingleArray
+) -> SingleArray:
+    """`(3, n, k)` points that transforms move to centres `(n, 3)`."""
+    x, y, z = (centre[:, axis, None] - shift[which, :, axis] for axis in range(3))
     r = rotation.transpose(2, 3, 0, 1)
-    return np.stack([x * r[0, i][turn] + y * r[1, i][turn] + z * r[2, i][turn] for i in range(3)])
+    return np.stack([x * r[0, i][which] + y * r[1, i][which] + z * r[2, i][which] for i in range(3)])
 
 
-def _runs(sizes: Indices) -> Iterator[slice]:
-    """Runs of things whose sizes add up to what is worked out at a time."""
+def _blocks(sizes: IndexArray) -> Iterator[slice]:
+    """Blocks of items whose sizes add up to at most `ENTRIES`, if more than one."""
     total, start = np.cumsum(sizes), 0
     while start < len(sizes):
         done = total[start - 1] if start else 0
         stop = max(int(np.searchsorted(total, done + ENTRIES, side="right")), start + 1)
         yield slice(start, stop)
         start = stop
+
+
+@dataclass(frozen=True, eq=False)
+class PairCosts:
+    """Organs of units, the organ that each may touch, and the cost of that."""
+
+    table: FruitPairs | StemPairs  # of `n` pairs
+    unit: IndexArray  # `(n,)` index of the unit of each
+    inverse: bool  # move all else back instead of the unit
+    weight: FloatArray  # `(n,)` cost of a contact
+    slack: FloatArray  # `(n,)` additional depth in metres that is free; NaN where the clearance must be kept
+
+    def cost(
+        self, rows: IndexArray, unit: IndexArray, transforms: RigidTransforms, stride: int
+    ) -> FloatArray:
+        """Compute `(r, k)` costs of some pairs.
+
+        Args:
+            rows: `(r,)` ascending.
+            unit: `(r,)` row of `transforms` for each.
+            transforms: `(2 u, k)` with their inverses, the first of each the identity.
+            stride: use every `stride`-th sample point: the cost is at most that with all points.
+        """
+        which = unit + len(transforms.shift) // 2 if self.inverse else unit
+        depth = self.table.depths(rows, which, transforms, stride)
+        slack = self.slack[rows]
+        now = np.maximum(depth[:, 0], -CLEARANCE)
+        excess = depth - np.where(np.isnan(slack), -CLEARANCE, now + slack)[:, None]
+        graded = self.weight[rows, None] * (1.0 + 1e3 * PER_MM * np.maximum(excess, 0.0))
+        return np.asarray(np.where(excess > 0.0, graded, 0.0))
+
+
+class PairRules:
+    """Costs of contacts between current organs, by their classes.
+
+    With `hard` nothing gives way; otherwise leaves give way to fruit. Between plants, a unit may come as near
+    to organs of its own plant as it is.
+    """
+
+    def __init__(self, detector: ContactDetector, *, hard: bool) -> None:
+        self.detector, self._organ_class, self._hard = detector, detector.organs.organ_class, hard
+
+    def fruit(self, unit: IndexArray, fruit: IndexArray, others: IndexArray, *, moves: bool) -> PairCosts:
+        """Fruit and other organs, of which the units move the fruit or else the other.
+
+        The stalk of a fruit that moves may penetrate it a little deeper.
+        """
+        joined = self.detector.are_joined(fruit, others) & moves
+        weight = np.full(len(unit), _HARD)
+        if moves and not self._hard:
+            weight[np.isin(self._organ_class[others], [FRUIT, STALK]) & ~joined] = _FRUIT
+            weight[np.isin(self._organ_class[others], [FLOWER, LEAF, SHOOT]) & ~joined] = _SOFT
+        weight, slack = self._within_plants(weight, fruit, others)
+        slack[joined] = _OWN_STALK
+        return PairCosts(FruitPairs(self.detector, others, fruit), unit, moves, weight, slack)
+
+    def stems(
+        self, unit: IndexArray, blades: IndexArray, stems: IndexArray, low: FloatArray, high: FloatArray
+    ) -> PairCosts:
+        """Blades that the units move within boxes, and stems and twine."""
+        weight, slack = self._within_plants(np.full(len(unit), _HARD), blades, stems)
+        return PairCosts(StemPairs(self.detector, blades, stems, low, high), unit, False, weight, slack)
+
+    def _within_plants(
+        self, weight: FloatArray, organs: IndexArray, others: IndexArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Weight and slack: between plants, contacts within a plant must not get deeper."""
+        slack = np.full(len(weight), np.nan)
+        if self.detector.between_plants:
+            plant = self.detector.organs.plant
+            same = plant[organs] == plant[others]
+            slack[same] = 1e-6
+            weight = np.where(same, _SAME_PLANT, weight)
+        return weight, slack

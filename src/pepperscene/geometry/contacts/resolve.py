@@ -1,4 +1,4 @@
-"""Which part to turn, and how far: all that touches is tried in many poses, and the least turn is taken."""
+"""Resolution of contacts: candidate poses of all organs that touch, and the smallest rotation that helps."""
 
 from __future__ import annotations
 
@@ -7,242 +7,247 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.geometry.contacts.cost import CLEAR, ContactCosts, boxes, left_of
-from pepperscene.geometry.contacts.detect import NEAR, ContactBodies, ContactCounts, counted
-from pepperscene.geometry.contacts.joints import Motion, TurningUnit, joint, joints, rotations, units_of
-from pepperscene.geometry.contacts.organs import FRUIT, Indices, Vectors
-from pepperscene.geometry.contacts.pairs import Turns
-from pepperscene.geometry.contacts.poses import Poses, disc, effort
-from pepperscene.geometry.mesh import Mesh
+from pepperscene.geometry.contacts.cost import (
+    ContactCosts,
+    Poses,
+    remaining_cost,
+    swept_boxes,
+    weighted_effort,
+)
+from pepperscene.geometry.contacts.detect import NEAR, ContactCounts, ContactDetector, current_counts
+from pepperscene.geometry.contacts.joints import Motion, MovableUnit, find_joints, rotations, units_of
+from pepperscene.geometry.contacts.organs import FRUIT, boxes_overlap
+from pepperscene.geometry.contacts.pairs import CLEARANCE, PairRules
+from pepperscene.geometry.mesh import FloatArray, IndexArray, Mesh
 
-_CLOSE: Final = -0.75 * CLEAR  # m, chosen; what comes nearer may touch between the points that are looked at
-_POSES: Final = (30, 60, 60, 120)  # chosen: poses that a unit might take in each round, then as in the last
-_TRIES: Final = (10, 20, 20, 120)  # chosen: the cheapest of these, which are looked at all around
-_ROUGHLY: Final = 16  # chosen: of so many points one is looked at while poses are compared by the contact
-_FEW: Final = 8  # contacts, chosen: what is tried does not depend on it, only when
+_TOUCHING: Final = -0.75 * CLEARANCE  # m, chosen: organs closer than this may touch between the sample points
+_POSES: Final = (30, 60, 60, 120)  # chosen: candidate poses of a unit in each round, then as in the last
+_EXAMINED: Final = (10, 20, 20, 120)  # chosen: the cheapest of these, examined with all contacts
+_COARSE_STRIDE: Final = 16  # chosen: poses are compared by what remains of a contact with every 16th point
+_FEW: Final = 8  # contacts, chosen: decides when units are tried, not which
+_ROUNDS: Final = 18  # chosen: later rounds hardly resolve anything
 
 
 @dataclass(frozen=True, eq=False)
-class _Tried:
-    """What the best turn of a unit brings.
+class _Round:
+    """One attempt to resolve all contacts."""
 
-    Attributes:
-        gain: how much less it costs than no turn.
-        angles: `(2,)` radians at which the unit stands then.
-        small: it runs into nothing then and has turned little.
-        helps: the contacts, by their places, that some turn of it ends.
-    """
+    number: int  # from 0
+    phase: FloatArray  # `(n,)` radians, rotation of the pattern of candidate poses for each organ's unit
 
-    gain: float
-    angles: Vectors
-    small: bool
-    helps: frozenset[int]
+    @property
+    def hard(self) -> bool:
+        """Whether nothing gives way; in two of three rounds leaves give way."""
+        return self.number % 3 == 2
+
+    def counts(self) -> tuple[int, int]:
+        """Numbers of candidate poses and of those examined."""
+        row = min(self.number, len(_POSES) - 1)
+        return _POSES[row], _EXAMINED[row]
 
 
-class Search:
-    """Organs on their way to poses in which they do not touch."""
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """The best rotation of a unit."""
 
-    def __init__(self, bodies: ContactBodies, rng: np.random.Generator) -> None:
-        self.bodies, self.organs = bodies, bodies.organs
+    gain: float  # how much less it costs than the current pose
+    angles: FloatArray  # `(2,)` radians of the unit after it
+    small: bool  # the unit then has no contacts and has rotated little
+    resolves: frozenset[int]  # indices of the contacts that some rotation of the unit resolves
+
+
+class ContactSolver:
+    """Moves the organs of a detector to poses without contacts; `rng` decides the candidate poses."""
+
+    def __init__(self, detector: ContactDetector, rng: np.random.Generator) -> None:
+        self.detector, self.organs = detector, detector.organs
         self.motions: list[Motion] = []
         self._rng = rng
         self._angles = np.zeros((len(self.organs), 2))
-        self._units: dict[int, list[TurningUnit]] = {}
+        self._units: dict[int, list[MovableUnit]] = {}
 
-    def round(self, number: int) -> bool:
-        """Try to part everything that touches, once; tells whether anything did."""
-        found = self._touching()
-        # How the poses of each unit lie in this round.
-        phase = self._rng.uniform(0.0, 2.0 * np.pi, len(self.organs)) if len(found) else np.empty(0)
-        left = found
-        while len(left):
-            left = self._part(left, phase, number)
-            # An earlier turn may have parted them.
-            left = left[self.bodies.depths(*left.T) > _CLOSE]
-        return bool(len(found))
+    def run_round(self, number: int) -> bool:
+        """Try to resolve every contact once; return whether there was any."""
+        contacts = self._find_contacts()
+        found = len(contacts) > 0
+        phase = self._rng.uniform(0.0, 2.0 * np.pi, len(self.organs)) if found else np.empty(0)
+        while len(contacts):
+            contacts = self._resolve_some(contacts, _Round(number, phase))
+            # A motion may have resolved others, too.
+            contacts = contacts[self.detector.depths(*contacts.T) > _TOUCHING]
+        return found
 
-    def _touching(self) -> Indices:
-        """`(c, 2)` fruit and what runs into it, blades and the stems that they run through."""
-        bodies = self.bodies
-        near = bodies.into_fruit(bodies.fruit.tolist()) | bodies.into_stems(bodies.blades.tolist())
-        pairs = [
-            (organ, other)
-            for organ, some in near.items()
-            for other in some.others[some.depth > _CLOSE].tolist()
-        ]
-        return np.array(pairs, dtype=np.intp).reshape(-1, 2)
+    def _find_contacts(self) -> IndexArray:
+        """`(c, 2)` fruit and the organs that touch them, blades and the stems that they run through."""
+        pairs = self.detector.fruit_pairs(), self.detector.blade_pairs()
+        return np.concatenate([group.deeper_than(_TOUCHING) for group in pairs])
 
-    def _part(self, contacts: Indices, phase: Vectors, number: int) -> Indices:
-        """Turn a unit of either side of each contact: the first that a small turn frees, else the one that
-        gains most. All units are tried as all stands before any is turned.
+    def _resolve_some(self, contacts: IndexArray, current_round: _Round) -> IndexArray:
+        """Move a unit on either side of each contact: the first for which a small rotation is enough, or the
+        one that gains most. All units are tried from the current poses before any is moved.
 
         Returns:
-            The contacts that wait because something near them was turned first.
+            The contacts that must wait because something near them has moved.
         """
-        sides = [self._sides(organ, other) for organ, other in contacts.tolist()]
-        of_root: dict[int, list[int]] = {}
-        for place, units in enumerate(sides):
+        candidates = [self._candidate_units(organ, other) for organ, other in contacts.tolist()]
+        contacts_of: dict[int, list[int]] = {}
+        for place, units in enumerate(candidates):
             for unit in units:
-                of_root.setdefault(unit.root, []).append(place)
-        tried: dict[int, _Tried] = {}
-        best: dict[int, TurningUnit] = {}
-        left = list(range(len(sides)))
-        for turn in range(max(map(len, sides))):
-            left = [place for place in left if turn < len(sides[place])]
-            # To try a few more than are needed costs less than to try them one after the other.
-            ahead = turn + 1 if len(left) > _FEW else None
-            wanted = {unit.root: unit for place in left for unit in sides[place][turn:ahead]}
-            units = [unit for root, unit in wanted.items() if root not in tried]
+                contacts_of.setdefault(unit.root, []).append(place)
+        trials: dict[int, _Trial] = {}
+        best: dict[int, MovableUnit] = {}
+        unresolved = list(range(len(candidates)))
+        for turn in range(max(map(len, candidates))):
+            unresolved = [place for place in unresolved if turn < len(candidates[place])]
+            # Trying a few units too many costs less than trying them one after another.
+            stop = turn + 1 if len(unresolved) > _FEW else None
+            wanted = {unit.root: unit for place in unresolved for unit in candidates[place][turn:stop]}
+            units = [unit for root, unit in wanted.items() if root not in trials]
             if units:
-                places = [of_root[unit.root] for unit in units]
-                tried |= self._tried(units, places, contacts, phase, number)
-            for place in left.copy():
-                unit = sides[place][turn]
-                new, old = tried[unit.root], best.get(place)
-                if place in new.helps and new.gain > (tried[old.root].gain if old else 0.0):
+                places = [contacts_of[unit.root] for unit in units]
+                trials |= self._try_units(units, places, contacts, current_round)
+            for place in unresolved.copy():
+                unit = candidates[place][turn]
+                new, old = trials[unit.root], best.get(place)
+                if place in new.resolves and new.gain > (trials[old.root].gain if old else 0.0):
                     best[place] = unit
                     if new.small:
-                        left.remove(place)
-        return self._turned(contacts, best, {root: one.angles for root, one in tried.items()})
+                        unresolved.remove(place)
+        return self._move_best(contacts, best, {root: trial.angles for root, trial in trials.items()})
 
-    def _sides(self, organ: int, other: int) -> list[TurningUnit]:
-        """The units whose turns may end a contact, the other's first."""
+    def _candidate_units(self, organ: int, other: int) -> list[MovableUnit]:
+        """The units whose motion may resolve a contact, those of the other organ first."""
         for one in (organ, other):
             if one not in self._units:
                 self._units[one] = units_of(self.organs, one)
         both = (*self._units[other], *self._units[organ])
         return [unit for unit in both if not (organ in unit.members and other in unit.members)]
 
-    def _tried(
-        self,
-        units: list[TurningUnit],
-        places: list[list[int]],
-        contacts: Indices,
-        phase: Vectors,
-        number: int,
-    ) -> dict[int, _Tried]:
-        """What the best turn of each unit brings, as all stands.
+    def _try_units(
+        self, units: list[MovableUnit], places: list[list[int]], contacts: IndexArray, current_round: _Round
+    ) -> dict[int, _Trial]:
+        """Find the best rotation of each unit alone from the current poses, by root.
 
-        Args:
-            units: what to try, each alone.
-            places: of the contacts that each is to end.
-            contacts: `(c, 2)`.
-            phase: `(n,)` radians, by which the poses of each organ's unit are turned.
-            number: of the round.
+        `places` are the indices of the contacts that each unit is to resolve.
         """
-        # Leaves give way twice, then all is taken as it stands for once.
-        hard = number % 3 == 2
-        count, tries = (some[min(number, len(some) - 1)] for some in (_POSES, _TRIES))
-        poses, helps = self._posed(units, places, contacts, phase, count, hard=hard, first=number == 0)
-        found = {
-            unit.root: _Tried(0.0, self._angles[unit.root], False, some)
-            for unit, some in zip(units, helps, strict=True)
+        rules = PairRules(self.detector, hard=current_round.hard)
+        poses, resolves = self._candidate_poses(units, places, contacts, current_round, rules)
+        trials = {
+            unit.root: _Trial(0.0, self._angles[unit.root], False, contacts_resolved)
+            for unit, contacts_resolved in zip(units, resolves, strict=True)
         }
-        kept = np.flatnonzero([len(some) > 0 for some in helps])
-        if not len(kept):
-            return found
-        # Of the cheapest ones, all that they run into.
-        poses, some_units = poses.cheapest(kept, tries), [units[one] for one in kept.tolist()]
-        swept = np.concatenate([poses.angles, 0.5 * (poses.angles + poses.spent)], axis=1)
-        around = ContactCosts(self.bodies, some_units, poses.turns(swept), hard=hard)
-        picked = poses.cost(around).argmin(axis=1)
+        useful = np.flatnonzero([len(group) > 0 for group in resolves])
+        if not len(useful):
+            return trials
+        # Of the cheapest poses, all contacts.
+        poses = poses.cheapest(useful, current_round.counts()[1])
+        useful_units = [units[row] for row in useful.tolist()]
+        swept = np.concatenate([poses.angles, 0.5 * (poses.angles + poses.current)], axis=1)
+        costs = ContactCosts(rules, useful_units, poses.transforms(swept))
+        picked = poses.cost(costs).argmin(axis=1)
         better = np.flatnonzero(picked)
-        if not len(better):
-            return found
-        for row, (gain, stands, small) in poses.shortened(around, better, picked[better]):
-            root = some_units[row].root
-            found[root] = _Tried(gain, stands, small, found[root].helps)
-        return found
+        if len(better):
+            for row, gain, angles, small in poses.shorten(costs, better, picked[better]):
+                root = useful_units[row].root
+                trials[root] = _Trial(gain, angles, small, trials[root].resolves)
+        return trials
 
-    def _posed(
+    def _candidate_poses(
         self,
-        units: list[TurningUnit],
+        units: list[MovableUnit],
         places: list[list[int]],
-        contacts: Indices,
-        phase: Vectors,
-        count: int,
-        *,
-        hard: bool,
-        first: bool,
+        contacts: IndexArray,
+        current_round: _Round,
+        rules: PairRules,
     ) -> tuple[Poses, list[frozenset[int]]]:
-        """So many poses of each unit, and the contacts that some of its poses end, or may end.
+        """Poses of each unit, and the contacts that some of its poses resolve, or may resolve.
 
-        What a pose costs at least is its effort, and what is left of the contacts at hand.
+        Effort and what remains of the contacts are a lower bound of the cost of a pose.
         """
         roots = np.array([unit.root for unit in units])
-        spent, weights = self._angles[roots][:, None], np.array([unit.weights for unit in units])[:, None]
+        current, weights = self._angles[roots][:, None], np.array([unit.weights for unit in units])[:, None]
         limits = np.array([unit.limits for unit in units])[:, None]
-        angles = np.concatenate([spent, limits * disc(count, phase[roots])], axis=1)
-        # Fruit on a stem is lifted only: hanging lower would break the stalk.
-        lifted = np.array([unit.on_stem and unit.bears_fruit for unit in units])
-        angles[lifted, 1:, 1] = np.abs(angles[lifted, 1:, 1])
-        way = joints(self.organs, units)
-        owner, rows = np.repeat(np.arange(len(units)), [len(one) for one in places]), np.concatenate(places)
-        turns = Turns(*way.turns(angles - spent))
-        each = left_of(self.bodies, units, owner, contacts[rows], turns, _ROUGHLY, hard=hard)
-        ends = np.any(each <= 0.0, axis=1) | (not first)
-        helps = [frozenset(rows[(owner == one) & ends].tolist()) for one in range(len(units))]
-        left = np.zeros(angles.shape[:2])
-        np.add.at(left, owner, each)
-        return Poses(angles, spent, weights, effort(angles, weights), left, way), helps
+        pattern = _disc_points(current_round.counts()[0], current_round.phase[roots])
+        angles = np.concatenate([current, limits * pattern], axis=1)
+        # Fruit on a stem only moves up: bending down would break the stalk.
+        upwards = np.array([unit.on_stem and unit.bears_fruit for unit in units])
+        angles[upwards, 1:, 1] = np.abs(angles[upwards, 1:, 1])
+        joints = find_joints(self.organs, units)
+        owner, rows = (
+            np.repeat(np.arange(len(units)), [len(group) for group in places]),
+            np.concatenate(places),
+        )
+        transforms = joints.transforms(angles - current)
+        each = remaining_cost(rules, units, owner, contacts[rows], transforms, _COARSE_STRIDE)
+        ends = np.any(each <= 0.0, axis=1) | (current_round.number > 0)
+        resolves = [frozenset(rows[(owner == unit) & ends].tolist()) for unit in range(len(units))]
+        remaining = np.zeros(angles.shape[:2])
+        np.add.at(remaining, owner, each)
+        effort = weighted_effort(angles, weights)
+        return Poses(angles, current, weights, effort, remaining, joints), resolves
 
-    def _turned(self, contacts: Indices, best: dict[int, TurningUnit], angles: dict[int, Vectors]) -> Indices:
-        """Turn the best unit for each contact, in order, but not where something was turned just now.
+    def _move_best(
+        self, contacts: IndexArray, best: dict[int, MovableUnit], angles: dict[int, FloatArray]
+    ) -> IndexArray:
+        """Move the best unit of each contact, in order, unless something near it has just moved.
 
         Returns:
-            The contacts that wait.
+            The contacts that must wait.
         """
-        organs, before = self.organs, self.organs.turns
+        organs, before = self.organs, self.organs.moves
         waiting = []
         for place, unit in best.items():
             members = np.array(unit.members)
-            just = np.flatnonzero(organs.stamp > before)
-            if len(just) and (
-                np.any(organs.stamp[contacts[place]] > before)
-                or np.any(organs.stamp[members] > before)
-                or self._meets(unit, angles[unit.root], just)
+            moved = np.flatnonzero(organs.moved_at > before)
+            if len(moved) and (
+                np.any(organs.moved_at[contacts[place]] > before)
+                or np.any(organs.moved_at[members] > before)
+                or self._comes_near(unit, angles[unit.root], moved)
             ):
                 waiting.append(place)
             else:
-                self._turn(unit, angles[unit.root])
+                self._move(unit, angles[unit.root])
         return contacts[waiting]
 
-    def _meets(self, unit: TurningUnit, angles: Vectors, just: Indices) -> bool:
-        """Whether a unit's organs would come near to others; of either one has to be fruit."""
+    def _comes_near(self, unit: MovableUnit, angles: FloatArray, others: IndexArray) -> bool:
+        """Whether the boxes of a unit's organs would come near to others, one of the two being fruit."""
         organs, members = self.organs, np.array(unit.members)
-        members, just = members[organs.solid[members]], just[organs.solid[just]]
-        way = joint(organs, unit).turns((angles - self._angles[unit.root])[None])
-        turns = Turns(*(part[None] for part in way))
-        low, high = boxes(organs, members, np.zeros(len(members), dtype=np.intp), turns)
-        near = np.all(organs.low[just] < high[:, None] + NEAR, axis=2)
-        near &= np.all(organs.high[just] > low[:, None] - NEAR, axis=2)
+        members, others = members[organs.solid[members]], others[organs.solid[others]]
+        transforms = find_joints(organs, [unit]).transforms((angles - self._angles[unit.root])[None, None])
+        low, high = swept_boxes(organs, members, np.zeros(len(members), dtype=np.intp), transforms)
+        low, high = low[:, None] - NEAR, high[:, None] + NEAR
+        near = boxes_overlap(organs.low[others], organs.high[others], low, high)
         fruit = organs.organ_class == FRUIT
-        return bool(np.any(near & (fruit[members][:, None] | fruit[just])))
+        return bool(np.any(near & (fruit[members][:, None] | fruit[others])))
 
-    def _turn(self, unit: TurningUnit, angles: Vectors) -> None:
-        """Turn a unit to some angles."""
-        spent = self._angles[unit.root].copy()
-        way = joint(self.organs, unit)
-        around, up = angles - spent
-        for axis, angle, pivot in ((way.across, up, way.foot), (way.axis, around, way.middle)):
+    def _move(self, unit: MovableUnit, angles: FloatArray) -> None:
+        """Move a unit to some angles."""
+        change = angles - self._angles[unit.root]
+        joints = find_joints(self.organs, [unit])
+        around, up = change
+        for axis, angle, pivot in ((joints.across, up, joints.foot), (joints.axis, around, joints.pivot)):
             if angle != 0.0:
-                self.motions.append(Motion(unit.root, rotations(axis, np.array([angle]))[0], pivot))
-        rotation, shift = (part[0] for part in way.turns(angles[None] - spent))
-        self.organs.turn(unit.members, rotation, shift)
+                self.motions.append(Motion(unit.root, rotations(axis, np.array([[angle]]))[0, 0], pivot[0]))
+        transforms = joints.transforms(change[None, None])
+        self.organs.move(unit.members, transforms.rotation[0, 0], transforms.shift[0, 0])
         self._angles[unit.root] = angles
 
 
-_ROUNDS: Final = 18  # chosen: hardly anything is mended later
+def _disc_points(count: int, phase: FloatArray) -> FloatArray:
+    """`(u, count, 2)` points evenly over unit discs, from the centre outwards, rotated by `(u,)` radians."""
+    step = np.arange(count) + 0.5
+    angle = phase[:, None] + np.pi * (3.0 - np.sqrt(5.0)) * step
+    return np.asarray((step / count)[:, None] ** 0.7 * np.stack([np.cos(angle), np.sin(angle)], axis=2))
 
 
 @dataclass(frozen=True, eq=False)
 class ResolvedMesh:
-    """A mesh whose parts run into each other no longer.
+    """A mesh after its contacts have been resolved.
 
     Attributes:
         mesh: the same triangles, some of them moved.
-        motions: what was turned, in order; each pivot is told in the mesh as it stood before that turn.
-        contacts: what still touches.
+        motions: the rotations made, in order; each pivot refers to the mesh before that rotation.
+        contacts: those that remain.
     """
 
     mesh: Mesh
@@ -253,24 +258,25 @@ class ResolvedMesh:
 def resolve_contacts(
     mesh: Mesh, rng: np.random.Generator, *, between_plants: bool = False, rounds: int = _ROUNDS
 ) -> ResolvedMesh:
-    """Turn parts of plants so that fruit runs into nothing and blades do not run through stems.
+    """Rotate parts of plants so that fruit touches nothing and blades do not run through stems.
 
-    Works on classes and parents of the instances alone, so for any crop. Whatever collides is tried in a
-    number of poses, and the least turn of either side that frees both is taken; leaves give way before fruit
-    does. The same mesh and state of the generator give the same mesh, bit for bit.
+    Only the classes and parents of the instances are used, so any crop will do. Units on either side of a
+    contact are tried in a number of poses, and the smallest rotation that resolves it is made; leaves give
+    way before fruit does. The same mesh and state of the generator give the same mesh, bit for bit.
 
     Args:
-        mesh: one plant or several, z up, with the ground at z = 0.
-        rng: for the poses that are tried.
-        between_plants: mend only what stands between different plants (`Instance.plant`), taking each plant
-            as settled in itself; nothing within a plant gets worse.
-        rounds: how often all that still touches is tried again, at most.
+        mesh: one or more plants, z up, with the ground at z = 0.
+        rng: for the candidate poses.
+        between_plants: resolve only contacts between different plants (`Instance.plant`), taking those within
+            each plant as resolved; none of those gets worse.
+        rounds: maximum number of attempts to resolve all that still touches.
 
     Raises:
         ValueError: two instances of the mesh share vertices.
     """
-    search = Search(ContactBodies(mesh, between_plants=between_plants), rng)
+    solver = ContactSolver(ContactDetector(mesh, between_plants=between_plants), rng)
     for number in range(rounds):
-        if not search.round(number):
+        if not solver.run_round(number):
             break
-    return ResolvedMesh(search.organs.turned_mesh(), tuple(search.motions), counted(search.bodies))
+    counts = current_counts(solver.detector)
+    return ResolvedMesh(solver.organs.current_mesh(), tuple(solver.motions), counts)

@@ -1,1 +1,1 @@
-"""Fruit: the wall, the crown that the calyx lies on, the calyx, and scanned meshes."""
+"""Fruit: the pericarp, the shoulders that the calyx rests on, the calyx, and scanned meshes."""

@@ -1,98 +1,115 @@
-"""Scanned fruit: a mesh out of a file, cleaned and brought to unit size, so that any fruit can wear it."""
+"""Scanned fruit: a mesh from a file, cleaned and scaled to unit size, which any fruit can use."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pepperscene.errors import InputError
-from pepperscene.geometry.fruit.crown import CROWN, CROWN_COLUMNS, CROWN_STEPS
+from pepperscene.geometry.batch import MeshBatch, read_positive
+from pepperscene.geometry.fruit.fruits import (
+    SHOULDER_COLUMNS,
+    SHOULDER_EXTENT,
+    SHOULDER_STEPS,
+    Shoulders,
+    fruit_frames,
+    ripeness,
+)
+from pepperscene.geometry.mesh import FloatArray, IndexArray
+from pepperscene.geometry.spine import normalize
+from pepperscene.grammar.plant import Organ
 
 if TYPE_CHECKING:
     import trimesh
 
-
-FloatArray = NDArray[np.float64]
-
 FORMATS: Final = (".obj", ".ply", ".stl")
-MOST_TRIANGLES: Final = 25_000
-"""Of one scanned fruit; chosen: twelve times a modelled one; points lie 1.4 mm apart on a fruit of 80 mm."""
+MAX_TRIANGLES: Final = 25_000
+"""Of one scanned fruit; chosen: twelve times a modelled one; points are 1.4 mm apart on a fruit of 80 mm."""
 
-_FINE: Final = (
-    6  # decimals of the greatest extent by which points are the same; chosen: a tenth of a micrometre
-)
-_DEBRIS: Final = 0.1  # chosen: loose parts below this share of the largest one's area are dropped
-_HOLE: Final = 0.15  # chosen: holes up to this share of the greatest extent are closed
+_DECIMALS: Final = 6  # of the greatest extent, to which points are equal; chosen: a tenth of a micrometre
+_DEBRIS: Final = 0.1  # chosen: loose parts below this fraction of the largest one's area are dropped
+_HOLE: Final = 0.15  # chosen: holes up to this fraction of the greatest extent are closed
 _FLAT: Final = 0.02  # chosen: least extent over the greatest; the slimmest peppers have a tenth
 _ALLOWED: Final = "a scanned fruit must be an OBJ, PLY or STL file with one closed surface, z up at its stalk"
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """A closed fruit of length 1 and greatest diameter 1, the stalk's foot at the origin.
+    """A closed fruit of length 1 and greatest diameter 1, the stalk's foot at the origin."""
 
-    Attributes:
-        points: `(v, 3)` up, to the right and along, as `fruit.Frames` has them; the shoulders lie below zero.
-        normals: `(v, 3)` unit, outwards.
-        uv: `(v, 2)` u around from the upper side, v the angle at the middle from the stalk, over pi.
-        faces: `(f, 3)` counter-clockwise seen from outside.
-        reach: `(c,)` how far from the axis the crown goes at c equal angles.
-        crown: `(q, c)` along, at q equal steps of the radius from 0 to the reach.
+    points: FloatArray  # `(v, 3)` up, right and along, as in `FruitFrames`; the shoulders are below zero
+    normals: FloatArray  # `(v, 3)` unit, outwards
+    uv: FloatArray  # `(v, 2)` u around from the upper side, v the angle at the middle from the stalk, over pi
+    faces: IndexArray  # `(f, 3)` counter-clockwise seen from outside
+    shoulders: Shoulders  # of this one fruit
+
+
+def mesh_scanned_fruits(organs: Sequence[Organ], scan: Scan) -> MeshBatch:
+    """Build fruit that all use one scan, each stretched to its own length and diameter.
+
+    Measures: length_m (along the axis), diameter_m, ripeness, ripeness_spread, seed.
     """
+    length, diameter = read_positive(organs, "length_m"), read_positive(organs, "diameter_m")
+    stretch = np.stack([diameter, diameter, length], axis=1)[:, None]
+    frames = fruit_frames(organs)
+    local = scan.points * stretch
+    return MeshBatch(
+        frames.to_plant(local),
+        # Normals transform with the inverse of the stretch.
+        normalize(scan.normals / stretch) @ frames.axes,
+        np.broadcast_to(scan.uv, (len(organs), *scan.uv.shape)),
+        np.clip(ripeness(organs, local / (0.5 * diameter)[:, None, None]), 0.0, 1.0),
+        scan.faces,
+    )
 
-    points: FloatArray
-    normals: FloatArray
-    uv: FloatArray
-    faces: NDArray[np.intp]
-    reach: FloatArray
-    crown: FloatArray
+
+def scan_shoulders(organs: Sequence[Organ], scan: Scan) -> Shoulders:
+    """Scale the shoulders of a scan to the fruit that use it."""
+    length, diameter = read_positive(organs, "length_m"), read_positive(organs, "diameter_m")
+    return Shoulders(diameter[:, None] * scan.shoulders.extent, length[:, None, None] * scan.shoulders.along)
 
 
 def load_scan(path: Path) -> Scan:
-    """A scanned fruit, read once for as long as its file stays the same.
+    """Load a scanned fruit; it is cached until its file changes.
 
-    The file's z axis is the fruit's, its stalk end on top and the stalk itself cut off; units and place do
-    not matter. Equal points are merged, degenerate and double triangles and loose crumbs dropped, small
+    The file's z axis is the fruit's, its stalk end on top and the stalk itself cut off; units and position do
+    not matter. Equal points are merged, degenerate and duplicate triangles and loose debris dropped, small
     holes closed, faces turned outwards. Above 25,000 triangles it is simplified if the package
-    fast-simplification is there (Garland & Heckbert 1997, "Surface simplification using quadric error
+    fast-simplification is installed (Garland & Heckbert 1997, "Surface simplification using quadric error
     metrics").
 
     Raises:
-        InputError: there is no such file, it cannot be read, or what is left is not one closed body.
+        InputError: the file does not exist, cannot be read, or is not one closed body after cleaning.
     """
     if path.suffix.lower() not in FORMATS:
         raise InputError(path, _ALLOWED)
     try:
-        told = path.stat()
+        status = path.stat()
     except OSError:
         raise InputError(path, f"there is no such file; {_ALLOWED}") from None
-    return _scan(path, told.st_mtime_ns, told.st_size)
+    return _load(path, status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=16)
-def _scan(path: Path, _changed_ns: int, _size: int) -> Scan:
-    """The scan in a file of that age and size."""
-    vertices, faces = _triangles(path)
-    mesh = _small_enough(path, _cleaned(path, vertices, faces))
-    return _unit_sized(
-        path, np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.intp), mesh
-    )
+def _load(path: Path, _changed_ns: int, _size: int) -> Scan:
+    """The scan in a file of that modification time and size."""
+    return _unit_size(path, _simplify(path, _clean(path, *_read_triangles(path))))
 
 
-def _triangles(path: Path) -> tuple[FloatArray, NDArray[np.intp]]:
-    """All triangles of the file, whatever its groups and materials."""
+def _read_triangles(path: Path) -> tuple[FloatArray, IndexArray]:
+    """Vertices and faces of the file, of all its groups and materials."""
     import trimesh
 
     try:
-        read = trimesh.load(path, process=False, skip_materials=True)
-    except Exception as fault:  # readers of many formats raise what they like
-        raise InputError(path, f"cannot be read as a mesh ({fault}); {_ALLOWED}") from fault
-    bodies = list(read.geometry.values()) if isinstance(read, trimesh.Scene) else [read]
+        content = trimesh.load(path, process=False, skip_materials=True)
+    except Exception as error:  # readers of many formats raise many kinds
+        raise InputError(path, f"cannot be read as a mesh ({error}); {_ALLOWED}") from error
+    bodies = list(content.geometry.values()) if isinstance(content, trimesh.Scene) else [content]
     bodies = [body for body in bodies if len(getattr(body, "faces", ())) > 0]
     if not bodies:
         raise InputError(path, f"has no triangles; {_ALLOWED}")
@@ -103,7 +120,7 @@ def _triangles(path: Path) -> tuple[FloatArray, NDArray[np.intp]]:
     return np.concatenate([np.asarray(body.vertices, dtype=float) for body in bodies]), np.concatenate(faces)
 
 
-def _cleaned(path: Path, vertices: FloatArray, faces: NDArray[np.intp]) -> trimesh.Trimesh:
+def _clean(path: Path, vertices: FloatArray, faces: IndexArray) -> trimesh.Trimesh:
     """One closed body with its faces outwards, its middle at the origin and its greatest extent 1."""
     import trimesh
 
@@ -115,15 +132,15 @@ def _cleaned(path: Path, vertices: FloatArray, faces: NDArray[np.intp]) -> trime
     if not extent.min() > _FLAT * extent.max():
         raise InputError(path, f"is flat; {_ALLOWED}")
     mesh = trimesh.Trimesh((vertices - 0.5 * (low + high)) / extent.max(), faces, process=False)
-    mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=_FINE)
-    # Needles of no area are kept where their three points differ: without them the surface would be open.
-    three = np.array([len(set(face)) == 3 for face in mesh.faces.tolist()], dtype=bool)
-    mesh.update_faces(three & mesh.unique_faces())
+    mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=_DECIMALS)
+    # Needles without area stay if their three points differ: without them the surface would be open.
+    distinct = np.array([len(set(face)) == 3 for face in mesh.faces.tolist()], dtype=bool)
+    mesh.update_faces(distinct & mesh.unique_faces())
     _keep_largest(path, mesh)
     trimesh.repair.fix_winding(mesh)
-    mesh = _closed(path, mesh)
+    mesh = _close_holes(path, mesh)
     if not (mesh.is_watertight and mesh.is_winding_consistent):
-        raise InputError(path, f"is not closed, or triangles share an edge by three; {_ALLOWED}")
+        raise InputError(path, f"is not closed, or three triangles share an edge; {_ALLOWED}")
     if mesh.volume < 0.0:
         mesh.invert()
     if not mesh.volume > _FLAT * float(np.prod(mesh.extents)):
@@ -132,20 +149,21 @@ def _cleaned(path: Path, vertices: FloatArray, faces: NDArray[np.intp]) -> trime
 
 
 def _keep_largest(path: Path, mesh: trimesh.Trimesh) -> None:
-    """Drop loose crumbs; a second part of some size is not a crumb."""
+    """Drop loose debris; refuse a second part that is too large for debris."""
     import trimesh
 
     part = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
-    area = np.sort(np.bincount(part, weights=mesh.area_faces))
-    if len(area) > 1 and area[-2] > _DEBRIS * area[-1]:
-        size = f"{area[-2] / area[-1]:.0%}"
+    area = np.bincount(part, weights=mesh.area_faces)
+    ascending = np.sort(area)
+    if len(area) > 1 and ascending[-2] > _DEBRIS * ascending[-1]:
+        size = f"{ascending[-2] / ascending[-1]:.0%}"
         raise InputError(path, f"has several parts, the second {size} as large as the first; {_ALLOWED}")
-    mesh.update_faces(part == np.argmax(np.bincount(part, weights=mesh.area_faces)))
+    mesh.update_faces(part == np.argmax(area))
     mesh.remove_unreferenced_vertices()
 
 
-def _closed(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh with a fan of triangles over each small hole."""
+def _close_holes(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh with a fan of triangles around the centre of each small hole; trimesh's have no centre."""
     import trimesh
 
     single = trimesh.grouping.group_rows(mesh.edges_sorted, require_count=1)
@@ -162,107 +180,97 @@ def _closed(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
             size = f"{width:.0%} of its size, and holes are closed up to {_HOLE:.0%}"
             raise InputError(path, f"has a hole of {size}; {_ALLOWED}")
         vertices.append(points.mean(axis=0, keepdims=True))
-        # A new triangle runs along the hole's edge the other way than the old one.
+        # A new triangle runs along the edge of the hole the other way than the old one.
         middle = np.full(len(rim), len(mesh.vertices) + number)
         faces.append(np.stack([rim[:, 1], rim[:, 0], middle], axis=1))
     return trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
 
 
-def _small_enough(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh itself, or a simpler one where it is too fine."""
+def _simplify(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh itself, or a simplified one if it has too many triangles."""
     count = len(mesh.faces)
-    if count <= MOST_TRIANGLES:
+    if count <= MAX_TRIANGLES:
         return mesh
     try:
-        simple = mesh.simplify_quadric_decimation(face_count=MOST_TRIANGLES)
+        simple = mesh.simplify_quadric_decimation(face_count=MAX_TRIANGLES)
     except ImportError:
-        size = f"{count} triangles, and {MOST_TRIANGLES} are allowed"
-        problem = f"has {size}; with the package fast-simplification installed it would be simplified"
+        problem = (
+            f"has {count} triangles, and {MAX_TRIANGLES} are allowed; "
+            "install the package fast-simplification to have it simplified"
+        )
         raise InputError(path, problem) from None
-    return _cleaned(path, np.asarray(simple.vertices, dtype=float), np.asarray(simple.faces, dtype=np.intp))
+    return _clean(path, np.asarray(simple.vertices, dtype=float), np.asarray(simple.faces, dtype=np.intp))
 
 
-def _unit_sized(path: Path, vertices: FloatArray, faces: NDArray[np.intp], mesh: trimesh.Trimesh) -> Scan:
+def _unit_size(path: Path, mesh: trimesh.Trimesh) -> Scan:
     """The scan about its axis, which runs down through the body's centre of mass."""
-    # Up, to the right and along: x, -y and -z of the file.
+    import trimesh
+    from scipy.spatial import ConvexHull
+
+    vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.intp)
+    # Up, right and along are x, -y and -z of the file.
     points = (vertices - mesh.center_mass) * [1.0, -1.0, -1.0]
     points[:, 2] /= np.ptp(points[:, 2])
-    points[:, :2] /= _diameter(points)
-    foot = _surface_above(points[faces], np.zeros((1, 2)))[0]
+    hull = points[ConvexHull(points[:, :2]).vertices, :2]
+    points[:, :2] /= float(np.linalg.norm(hull[:, None] - hull, axis=2).max())
+    foot = _first_hits(points[faces], np.zeros((1, 2)))[0]
     if not np.isfinite(foot):
         raise InputError(path, f"has no surface over its middle; {_ALLOWED}")
     points[:, 2] -= foot
-    normals = _normals(points, faces)
-    points, normals, uv, faces = _with_seam(points, normals, faces)
-    reach, crown = _crown(points, faces)
-    return Scan(points, normals, uv, faces, reach, crown)
+    normals = np.array(trimesh.Trimesh(points, faces, process=False).vertex_normals, dtype=float)
+    points, normals, uv, faces = _add_seam(points, normals, faces)
+    return Scan(points, normals, uv, faces, _shoulders(points[faces]))
 
 
-def _diameter(points: FloatArray) -> float:
-    """Greatest width of a body seen along its axis."""
-    from scipy.spatial import ConvexHull
+def _add_seam(
+    points: FloatArray, normals: FloatArray, faces: IndexArray
+) -> tuple[FloatArray, FloatArray, FloatArray, IndexArray]:
+    """The mesh with surface coordinates; points beyond the seam are duplicated and get u = 1.
 
-    hull = points[ConvexHull(points[:, :2]).vertices, :2]
-    return float(np.linalg.norm(hull[:, None] - hull, axis=2).max())
-
-
-def _normals(points: FloatArray, faces: NDArray[np.intp]) -> FloatArray:
-    """`(v, 3)` means of the normals of the faces around each point, weighted by their angles there."""
-    import trimesh
-
-    return np.array(trimesh.Trimesh(points, faces, process=False).vertex_normals, dtype=float)
-
-
-def _with_seam(
-    points: FloatArray, normals: FloatArray, faces: NDArray[np.intp]
-) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.intp]]:
-    """The mesh with surface coordinates; points beyond the seam are doubled and get u = 1.
-
-    The triangles that the seam runs through are not cut: on them u is off by up to their own width.
+    Triangles across the seam are not cut: on them u is off by up to their own width.
     """
     u = np.mod(np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi), 1.0)
     middle = 0.5 * (points[:, 2].min() + points[:, 2].max())
     v = np.arctan2(np.hypot(points[:, 0], points[:, 1]), middle - points[:, 2]) / np.pi
-    around = u[faces]
-    crossing = np.ptp(around, axis=1) > 0.5
-    beyond = crossing[:, None] & (around < 0.5)
-    doubled, place = np.unique(faces[beyond], return_inverse=True)
-    seamed = faces.copy()
-    seamed[beyond] = len(points) + place
-    # A point that only faces beyond the seam use is not left behind.
-    kept, seamed = np.unique(seamed, return_inverse=True)
-    uv = np.stack([np.append(u, np.ones(len(doubled))), np.append(v, v[doubled])], axis=1)
-    both = np.append(np.arange(len(points)), doubled)[kept]
-    return points[both], normals[both], uv[kept], seamed.reshape(-1, 3)
+    face_u = u[faces]
+    crossing = np.ptp(face_u, axis=1) > 0.5
+    beyond = crossing[:, None] & (face_u < 0.5)
+    duplicated, place = np.unique(faces[beyond], return_inverse=True)
+    new_faces = faces.copy()
+    new_faces[beyond] = len(points) + place
+    # Drop points that only faces beyond the seam used.
+    kept, new_faces = np.unique(new_faces, return_inverse=True)
+    uv = np.stack([np.append(u, np.ones(len(duplicated))), np.append(v, v[duplicated])], axis=1)
+    source = np.append(np.arange(len(points)), duplicated)[kept]
+    return points[source], normals[source], uv[kept], new_faces.reshape(-1, 3)
 
 
-def _crown(points: FloatArray, faces: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-    """How far the side that faces the stalk goes at each angle, and its heights."""
-    angle = 2.0 * np.pi * np.arange(CROWN_COLUMNS) / CROWN_COLUMNS
+def _shoulders(triangles: FloatArray) -> Shoulders:
+    """The shoulders of the unit fruit."""
+    angle = 2.0 * np.pi * np.arange(SHOULDER_COLUMNS) / SHOULDER_COLUMNS
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    triangles = points[faces]
-    # The outline by steps of a hundredth of the diameter, then the heights within it.
-    tried = np.arange(1, 100) / 100.0
-    hit = np.isfinite(_surface_above(triangles, (tried[:, None, None] * direction).reshape(-1, 2)))
-    inside = np.logical_and.accumulate(hit.reshape(len(tried), -1), axis=0)
-    reach = CROWN * np.maximum(inside.sum(axis=0), 1) / 100.0
-    steps = np.arange(CROWN_STEPS + 1) / CROWN_STEPS
-    grid = (steps[:, None] * reach)[..., None] * direction
-    found = _surface_above(triangles, grid.reshape(-1, 2)).reshape(len(steps), -1)
-    # A grid point that falls between two triangles takes its neighbour's height.
-    for row in range(1, len(found)):
-        found[row] = np.where(np.isfinite(found[row]), found[row], found[row - 1])
-    return reach, found
+    # The outline in steps of a hundredth of the diameter, then the surface within it.
+    radii = np.arange(1, 100) / 100.0
+    hit = np.isfinite(_first_hits(triangles, (radii[:, None, None] * direction).reshape(-1, 2)))
+    inside = np.logical_and.accumulate(hit.reshape(len(radii), -1), axis=0)
+    extent = SHOULDER_EXTENT * np.maximum(inside.sum(axis=0), 1) / 100.0
+    steps = np.arange(SHOULDER_STEPS + 1) / SHOULDER_STEPS
+    grid = (steps[:, None] * extent)[..., None] * direction
+    along = _first_hits(triangles, grid.reshape(-1, 2)).reshape(len(steps), -1)
+    # A grid point that falls between two triangles gets the depth of its inner neighbour.
+    for row in range(1, len(along)):
+        along[row] = np.where(np.isfinite(along[row]), along[row], along[row - 1])
+    return Shoulders(extent[None], along[None])
 
 
-def _surface_above(triangles: FloatArray, places: FloatArray) -> FloatArray:
-    """`(m,)` least `along` where lines through `(m, 2)` places meet triangles; infinity where none do."""
-    # Only what faces the stalk can be met first.
+def _first_hits(triangles: FloatArray, places: FloatArray) -> FloatArray:
+    """`(m,)` least `along` where lines parallel to the axis at `(m, 2)` meet triangles, or infinity."""
+    # Only triangles that face the stalk can be met first.
     a, b, c = (triangles[:, corner] for corner in range(3))
     doubled = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     facing = doubled < 0.0
     a, b, c, doubled = a[facing], b[facing], c[facing], doubled[facing]
-    found = np.full(len(places), np.inf)
+    result = np.full(len(places), np.inf)
     for start in range(0, len(places), 64):
         p = places[start : start + 64, None]
         weight_b = (p[..., 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (p[..., 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
@@ -270,5 +278,5 @@ def _surface_above(triangles: FloatArray, places: FloatArray) -> FloatArray:
         weight_b, weight_c = weight_b / doubled, weight_c / doubled
         inside = (weight_b >= -1e-9) & (weight_c >= -1e-9) & (weight_b + weight_c <= 1.0 + 1e-9)
         along = a[:, 2] + weight_b * (b[:, 2] - a[:, 2]) + weight_c * (c[:, 2] - a[:, 2])
-        found[start : start + 64] = np.where(inside, along, np.inf).min(axis=1, initial=np.inf)
-    return found
+        result[start : start + 64] = np.where(inside, along, np.inf).min(axis=1, initial=np.inf)
+    return result

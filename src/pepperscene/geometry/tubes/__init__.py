@@ -1,1 +1,1 @@
-"""Round organs along a centreline: stems, stalks, flowers and twine."""
+"""Tubes along a spine: stems, stalks and twine; and flowers."""

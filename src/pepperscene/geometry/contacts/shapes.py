@@ -1,0 +1,267 @@
+"""Penetration depth of points in fruit, as star-shaped surfaces, and in stems, as chains of capsules."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Final
+
+import numpy as np
+
+from pepperscene.geometry.contacts.organs import Organs
+from pepperscene.geometry.contacts.patches import expand_counts, squared_lengths
+from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
+
+_CELLS: Final = 64  # along either side of the map of directions: cells of 3 degrees, 2 mm on a fruit
+_STEP: Final = 0.06  # rad, maximum distance of the points at which a triangle is entered into the map
+_PRODUCTS: Final = 1 << 17
+"""Chosen: size of a matrix product. OpenBLAS splits larger ones, from 2^18 on, over threads, which costs more
+than it gains on busy cores."""
+_PIECE: Final = 0.01  # m, chosen: stems bend so little that straight pieces of about this length are close
+
+
+@dataclass(frozen=True, eq=False)
+class BoundingSpheres:
+    """Bounding spheres of some fruit at their current poses."""
+
+    row: IndexArray  # `(n,)` row of each fruit in the table of surfaces
+    rotation: FloatArray  # `(n, 3, 3)` of the fruit
+    centre: FloatArray  # `(n, 3)` metres
+    radius: FloatArray  # `(n,)` metres
+
+
+class FruitSurfaces:
+    """The surfaces of fruit, computed on first use.
+
+    A surface is a map from directions, seen from the centre, to the plane of the triangle there. A point is
+    inside if it is below the plane of its direction, which also gives the depth. So depths are exact except
+    for directions within a cell of a triangle's edge; where a fruit is not star-shaped, its outermost surface
+    counts. Cells are those of an octahedron (Cigolle et al. 2014, "A survey of efficient representations for
+    independent unit vectors"). Indices of the fruit must be ascending.
+    """
+
+    def __init__(self, organs: Organs, fruit: IndexArray) -> None:
+        self._organs, self._fruit = organs, fruit
+        self._has_sphere, self._has_planes = np.zeros((2, len(fruit)), dtype=bool)
+        # Normal and distance from the centre of the plane in each cell.
+        self._planes = np.empty((len(fruit), _CELLS * _CELLS, 4), dtype=np.float32)
+        self._centre = np.empty((len(fruit), 3), dtype=np.float32)  # at the original pose
+        self._radius = np.empty(len(fruit))
+
+    def spheres(self, fruit: IndexArray) -> BoundingSpheres:
+        """Bounding spheres of some fruit."""
+        row = np.searchsorted(self._fruit, fruit)
+        for missing in np.unique(row[~self._has_sphere[row]]).tolist():
+            points = self._organs.original_vertices(int(self._fruit[missing]))
+            centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+            self._centre[missing] = centre
+            self._radius[missing] = np.sqrt(squared_lengths(points - centre).max())
+            self._has_sphere[missing] = True
+        organ = self._fruit[row]
+        rotation, shift = self._organs.rotation[organ], self._organs.shift[organ]
+        centre = np.einsum("fij,fj->fi", rotation, self._centre[row].astype(np.float64)) + shift
+        return BoundingSpheres(row, rotation, centre, self._radius[row])
+
+    def depth(
+        self,
+        row: IndexArray,
+        points: SingleArray,
+        matrix: SingleArray,
+        offset: SingleArray,
+        limit: SingleArray,
+    ) -> SingleArray:
+        """Compute the depth of the deepest point of each patch in a fruit.
+
+        Args:
+            row: `(h,)` of the fruit in the table, from `spheres`.
+            points: `(3, s, h)` metres.
+            matrix: `(3, 3, h)` and
+            offset: `(3, h)` metres: matrix @ point + offset is relative to the fruit's centre.
+            limit: `(h,)` metres from that centre; points farther away are ignored.
+
+        Returns:
+            `(h,)` metres, negative outside; minus infinity where all points are ignored.
+        """
+        missing = np.unique(row[~self._has_planes[row]])
+        if len(missing):
+            centre = self._centre[missing]
+            self._planes[missing] = _plane_maps(self._organs, self._fruit[missing].tolist(), centre)
+            self._has_planes[missing] = True
+        x, y, z = points
+        local = np.empty_like(points)
+        square = np.zeros_like(x)
+        for axis, (a, b, c) in enumerate(matrix):
+            local[axis] = a * x + b * y + c * z + offset[axis]
+            square += local[axis] * local[axis]
+        number, patch = np.nonzero(square < limit * limit)
+        depth = np.full(x.shape, -np.inf, dtype=np.float32)
+        x, y, z = local[:, number, patch]
+        plane = self._planes.reshape(-1, 4)[_cell(x, y, z) + row[patch] * _CELLS**2]
+        depth[number, patch] = plane[:, 3] - plane[:, 0] * x - plane[:, 1] * y - plane[:, 2] * z
+        return np.asarray(depth.max(axis=0))
+
+
+def _plane_maps(organs: Organs, fruit: Sequence[int], centre: SingleArray) -> SingleArray:
+    """`(f, cells, 4)` planes of some fruit around their centres `(f, 3)`, at the original pose."""
+    corners, number = organs.original_triangles(fruit)
+    corners -= centre[number][:, None]
+    a, b, c = (np.ascontiguousarray(corners[:, corner]) for corner in range(3))
+    planes = _triangle_planes(a, b, c)
+    # Subdivide each triangle so finely that it is entered into all cells that it covers.
+    width = np.maximum(np.maximum(squared_lengths(b - a), squared_lengths(c - b)), squared_lengths(a - c))
+    distance = np.minimum(np.minimum(squared_lengths(a), squared_lengths(b)), squared_lengths(c))
+    pieces = np.clip(np.ceil(np.sqrt(width / distance) / _STEP), 1, _CELLS).astype(np.intp)
+    # The outermost of the triangles in a cell counts: keys are distances, then indices.
+    key = (planes[:, 3] * 1e6).astype(np.int64) << 32 | np.arange(len(planes))
+    maps = np.full(len(fruit) * _CELLS * _CELLS, -1)
+    for count in np.unique(pieces):
+        group, weights = np.flatnonzero(pieces == count), _barycentric_grid(int(count))
+        block = max(_PRODUCTS // weights.size, 1)
+        for start in range(0, len(group), block):
+            rows = group[start : start + block]
+            points = weights @ corners[rows].transpose(2, 1, 0)
+            cell = _cell(*points.reshape(3, -1)).reshape(-1, len(rows)) + _CELLS * _CELLS * number[rows]
+            np.maximum.at(maps, cell.ravel(), np.broadcast_to(key[rows], cell.shape).ravel())
+    triangle = np.where(maps >= 0, maps & (2**32 - 1), -1).reshape(len(fruit), _CELLS, _CELLS)
+    # Empty cells get the triangle of a neighbour.
+    while np.any(triangle < 0):
+        padded = np.pad(triangle, ((0, 0), (1, 1), (1, 1)), constant_values=-1)
+        around = [padded[:, 1:-1, :-2], padded[:, 1:-1, 2:], padded[:, :-2, 1:-1], padded[:, 2:, 1:-1]]
+        triangle = np.where(triangle < 0, np.maximum.reduce(around), triangle)
+    return planes[triangle].reshape(len(fruit), -1, 4)
+
+
+def _triangle_planes(a: SingleArray, b: SingleArray, c: SingleArray) -> SingleArray:
+    """`(f, 4)` outward normals and distances from the origin of the planes through corners `(f, 3)`."""
+    ab, ac = (b - a).T, (c - a).T
+    middle = (a + b + c) / 3.0
+    normal = np.empty_like(a)  # single precision, which `cross` does not keep
+    for axis in range(3):
+        y, z = axis - 2, axis - 1
+        normal[:, axis] = ab[y] * ac[z] - ab[z] * ac[y]
+    length, distance = np.sqrt(squared_lengths(normal)), np.sqrt(squared_lengths(middle))
+    height = np.einsum("fi,fi->f", normal, middle)
+    # A triangle seen edge-on or from behind counts as one across the line of sight.
+    steep = np.flatnonzero(height <= 0.05 * length * distance)
+    normal[steep], height[steep], length[steep] = middle[steep], distance[steep] ** 2, distance[steep]
+    planes = np.concatenate([normal, height[:, None]], axis=1) / np.maximum(length, 1e-12)[:, None]
+    return planes.astype(np.float32)
+
+
+def _cell(x: SingleArray, y: SingleArray, z: SingleArray) -> IndexArray:
+    """`(p,)` cell of the direction of each point."""
+    scale = 1.0 / (np.abs(x) + np.abs(y) + np.abs(z) + np.float32(1e-12))
+    u, v = x * scale, y * scale
+    # The lower half of the octahedron is folded out over the corners of the square.
+    below = np.flatnonzero(z < 0.0)
+    x, y = u[below], v[below]
+    u[below], v[below] = np.copysign(1.0 - np.abs(y), x), np.copysign(1.0 - np.abs(x), y)
+    half, last = np.float32(0.5 * _CELLS), _CELLS - 1
+    column = np.minimum((u * half + half).astype(np.int32), last)
+    row = np.minimum((v * half + half).astype(np.int32), last)
+    return np.asarray(row * _CELLS + column)
+
+
+@cache
+def _barycentric_grid(pieces: int) -> SingleArray:
+    """`(w, 3)` barycentric coordinates of the points that divide a triangle's edges into so many pieces."""
+    i, j = np.mgrid[0 : pieces + 1, 0 : pieces + 1]
+    kept = i + j <= pieces
+    i, j = i[kept], j[kept]
+    return (np.stack([i, j, pieces - i - j], axis=1) / pieces).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Capsules:
+    """Cylinders with hemispherical ends."""
+
+    start: FloatArray  # `(c, 3)` metres
+    span: FloatArray  # `(c, 3)` metres, from start to end
+    radius: FloatArray  # `(c,)` metres
+
+    @cached_property
+    def low(self) -> FloatArray:
+        """`(c, 3)` metres, lower corners of the bounding boxes."""
+        return np.asarray(np.minimum(self.start, self.start + self.span) - self.radius[:, None])
+
+    @cached_property
+    def high(self) -> FloatArray:
+        """`(c, 3)` metres, upper corners of the bounding boxes."""
+        return np.asarray(np.maximum(self.start, self.start + self.span) + self.radius[:, None])
+
+    def select(self, which: IndexArray) -> Capsules:
+        """Some of the capsules."""
+        return Capsules(self.start[which], self.span[which], self.radius[which])
+
+    def depth(self, points: SingleArray, which: IndexArray) -> SingleArray:
+        """`(h,)` metres: depth of the deepest point of each patch `(3, s, h)` in capsule `which` `(h,)`."""
+        start, span = self.start.T.astype(np.float32)[:, which], self.span.T.astype(np.float32)[:, which]
+        square = np.maximum(np.einsum("ih,ih->h", span, span), np.float32(1e-12))
+        offset = points - start[:, None]
+        along = offset[0] * span[0] + offset[1] * span[1] + offset[2] * span[2]
+        along = np.clip(along / square, 0.0, 1.0)
+        nearest = np.zeros_like(along)
+        for axis in range(3):
+            across = offset[axis] - along * span[axis]
+            nearest += across * across
+        return np.asarray(self.radius.astype(np.float32)[which] - np.sqrt(nearest.min(axis=0)))
+
+
+class StemCapsules:
+    """The capsules of stems and twine, which never move, computed on first use."""
+
+    def __init__(self, organs: Organs) -> None:
+        self._organs = organs
+        self._first = np.zeros(len(organs), dtype=np.intp)
+        self._count = np.full(len(organs), -1)
+        self._capsules = Capsules(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+
+    def of_tubes(self, tubes: IndexArray) -> tuple[Capsules, IndexArray, IndexArray]:
+        """All capsules so far, `(m,)` indices of those of some tubes, and `(m,)` positions of their tube."""
+        missing = np.unique(tubes[self._count[tubes] < 0])
+        if len(missing):
+            old = self._capsules
+            new, count = _tube_capsules(self._organs, missing.tolist())
+            self._first[missing] = len(old.radius) + np.cumsum(count) - count
+            self._count[missing] = count
+            self._capsules = Capsules(
+                np.concatenate([old.start, new.start]),
+                np.concatenate([old.span, new.span]),
+                np.concatenate([old.radius, new.radius]),
+            )
+        place, number = expand_counts(self._count[tubes])
+        return self._capsules, self._first[tubes][place] + number, place
+
+
+def _tube_capsules(organs: Organs, tubes: Sequence[int]) -> tuple[Capsules, IndexArray]:
+    """Capsules of tubes, each as thick as the wider of the rings at its ends, and `(t,)` their numbers."""
+    vertices = [
+        organs.original_vertices(tube) @ organs.rotation[tube].T + organs.shift[tube] for tube in tubes
+    ]
+    owner = np.repeat(np.arange(len(tubes)), [len(group) for group in vertices])
+    points = np.concatenate(vertices)
+    # The vertices of a ring have the same v.
+    v = np.round(np.concatenate([organs.vertex_v(tube) for tube in tubes]).astype(np.float64) * 1e5)
+    key, ring = np.unique(owner * 2**20 + v.astype(np.int64), return_inverse=True)
+    tube_of = key >> 20
+    number = np.bincount(ring)
+    centre = np.stack([np.bincount(ring, column) for column in points.T], axis=1) / number[:, None]
+    radius = np.zeros(len(key))
+    np.maximum.at(radius, ring, np.sqrt(np.square(points - centre[ring]).sum(axis=1)))
+    # A piece starts at the first ring of each centimetre, and ends where the next starts or at the last ring.
+    first = np.searchsorted(tube_of, np.arange(len(tubes)))
+    last = np.append(first[1:], len(key)) - 1
+    steps = np.sqrt(np.square(np.diff(centre, axis=0, prepend=centre[:1])).sum(axis=1))
+    steps[first] = 0.0
+    along = np.cumsum(steps)
+    along -= along[first][tube_of]
+    starts = np.diff(np.floor(along / _PIECE), prepend=-1.0) > 0.0
+    starts[first] = True
+    starts[last] = False
+    starts[first[first == last]] = True
+    start = np.flatnonzero(starts)
+    end = np.minimum(np.append(start[1:], len(key)), last[tube_of[start]])
+    widest = np.maximum(np.maximum.reduceat(radius, start), radius[end])
+    capsules = Capsules(centre[start], centre[end] - centre[start], widest)
+    return capsules, np.bincount(tube_of[start], minlength=len(tubes))
