@@ -169,10 +169,6 @@ class FrameRenderer:
         with_surfaces = ThreadPoolExecutor(1, "surfaces")
         self._begun = with_surfaces.submit(self._made_surfaces)
         with_surfaces.shutdown(wait=False)
-        if self._renderer_of is mitsuba_renderer:
-            from pepperscene.render import resolve_quality, warm_up
-
-            warm_up(self.views.equipment, resolve_quality(quality))
 
     def sky(self, which: int) -> Sky | None:
         """The daylight above a set, or None where the recipe has none."""
