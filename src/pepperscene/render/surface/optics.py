@@ -125,8 +125,7 @@ class Optics:
         """
         mi, dr = mitsuba_modules()
         offset, slope_u, slope_v = self._texture(si.uv, surface, active)
-        body = self._spectra if self.channels is None else self._colours
-        front, back, through = body(si.wavelengths, surface, dr.clip(state + offset, 0.0, 1.0), active)
+        front, back, through = self._body(si.wavelengths, surface, dr.clip(state + offset, 0.0, 1.0), active)
         frame = _relief_frame(si, slope_u, slope_v)
         wi = frame.to_local(si.wi)
         # The relief must not turn the visible side of the sheet away from the viewer.
@@ -181,44 +180,30 @@ class Optics:
         slope_v = dr.lerp(c.y - a.y, d.y - b.y, fx) * mi.Float(height)
         return offset, slope_u, slope_v
 
-    def _spectra(self, wavelengths: Any, surface: Any, state: Any, active: Any) -> Any:
-        """Front and back reflectance and transmittance at each of a ray's wavelengths."""
+    def _body(self, wavelengths: Any, surface: Any, state: Any, active: Any) -> Any:
+        """Front and back reflectance and transmittance, at each wavelength or in each channel."""
         mi, dr = mitsuba_modules()
         last_state = dr.gather(mi.Float, self.last_state, surface, active)
         position = state * last_state
         low = dr.floor(position)
         row = dr.gather(mi.UInt32, self.first_row, surface, active) + mi.UInt32(low)
-        next_row = mi.UInt32(dr.minimum(low + 1.0, last_state) - low) * self.columns
-        front, back, through = mi.Spectrum(0.0), mi.Spectrum(0.0), mi.Spectrum(0.0)
-        last_column = mi.Float(self.columns) - 1.0
-        for k in range(len(wavelengths)):
-            column = mi.UInt32(dr.clip((wavelengths[k] - self.first_nm) / STEP_NM + 0.5, 0.0, last_column))
-            entry = row * self.columns + column
+        next_row = mi.UInt32(dr.minimum(low + 1.0, last_state) - low)
+        columns: Any = range(self.channels or 0)
+        spectrum, row_length = (mi.Color3f if self.channels == 3 else mi.Color1f), self.channels
+        if self.channels is None:
+            spectrum, row_length = mi.Spectrum, self.columns
+            last = mi.Float(self.columns) - 1.0
+            columns = [
+                mi.UInt32(dr.clip((nm - self.first_nm) / STEP_NM + 0.5, 0.0, last)) for nm in wavelengths
+            ]
+        front, back, through = spectrum(0.0), spectrum(0.0), spectrum(0.0)
+        for k, column in enumerate(columns):
+            entry = row * row_length + column
             a = dr.gather(mi.Vector4f, self.spectra, entry, active)
-            b = dr.gather(mi.Vector4f, self.spectra, entry + next_row, active)
+            b = dr.gather(mi.Vector4f, self.spectra, entry + next_row * row_length, active)
             front[k] = dr.lerp(a.x, b.x, position - low)
             back[k] = dr.lerp(a.y, b.y, position - low)
             through[k] = dr.lerp(a.z, b.z, position - low)
-        return front, back, through
-
-    def _colours(self, _wavelengths: Any, surface: Any, state: Any, active: Any) -> Any:
-        """Front and back reflectance and transmittance in each channel."""
-        mi, dr = mitsuba_modules()
-        last_state = dr.gather(mi.Float, self.last_state, surface, active)
-        position = state * last_state
-        low = dr.floor(position)
-        channels = self.channels
-        assert channels is not None
-        entry = (dr.gather(mi.UInt32, self.first_row, surface, active) + mi.UInt32(low)) * channels
-        next_entry = entry + mi.UInt32(dr.minimum(low + 1.0, last_state) - low) * channels
-        colour = mi.Color3f if channels == 3 else mi.Color1f
-        front, back, through = colour(0.0), colour(0.0), colour(0.0)
-        for c in range(channels):
-            a = dr.gather(mi.Vector4f, self.spectra, entry + c, active)
-            b = dr.gather(mi.Vector4f, self.spectra, next_entry + c, active)
-            front[c] = dr.lerp(a.x, b.x, position - low)
-            back[c] = dr.lerp(a.y, b.y, position - low)
-            through[c] = dr.lerp(a.z, b.z, position - low)
         return front, back, through
 
 

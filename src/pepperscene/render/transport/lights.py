@@ -1,4 +1,4 @@
-"""The lights inside the kernel: points on the flash, and what all lights send out by channel and wavelength."""
+"""The lights inside the kernel: points on the flash, and what all lights send out."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _z_order(positions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class LightSpectra:
-    """What the lights send out, by sensor channel or at a sample's wavelengths.
+    """What the lights send out: by sensor channel, at the wavelengths of samples, or as tables.
 
     Attributes:
         flash: radiant intensity on the axis; None without a flash.
@@ -99,17 +99,21 @@ class FrameTables:
     """Kernel data shared by all samples of a frame; `frame_tables` makes it.
 
     Light that meets one surface only is carried by channel: its integrals over wavelength are taken in
-    advance, by the trapezoidal rule that light carried at wavelengths follows as well.
+    advance, by the trapezoidal rule, which light carried at wavelengths follows as well.
 
     Attributes:
         scene: geometry and spectra of the surfaces.
         rays: of the camera.
-        response: of the camera.
         flash: None without a flash.
         sky: None without a sky.
         flash_optics: the surfaces' channel colours under the flash.
         sun_optics: the same under the sun; None unless its light at first hits is direct light.
         colours: the lights by channel.
+        first_nm: first wavelength of the spectral tables, whose entries are `STEP_NM` apart.
+        last_entry: a little less than the index of their last entry.
+        wavelengths: distribution that wavelengths are sampled from.
+        electrons_per_joule: spectral table of each channel.
+        spectra: spectral tables of the lights.
         white: `(c,)` see `SampleVariance`.
         per_white: its inverse, one opaque number for each channel.
         roulette: whether paths may end, and shadow rays choose one of two lights, with a probability that
@@ -119,12 +123,16 @@ class FrameTables:
 
     scene: LightScene
     rays: CameraRays
-    response: SpectralResponse
     flash: FlashSampler | None
     sky: SkyTables | None
     flash_optics: Optics
     sun_optics: Optics | None
     colours: LightSpectra
+    first_nm: Any
+    last_entry: Any
+    wavelengths: Any
+    electrons_per_joule: Sequence[Any]
+    spectra: LightSpectra
     white: NDArray[np.float64]
     per_white: Sequence[Any]
     roulette: bool = True
@@ -151,17 +159,15 @@ def frame_tables(
 ) -> FrameTables:
     """Upload what all samples of a frame share; see `FrameTables`."""
     mi, dr = mitsuba_modules()
-    grid_size = response.grid_nm.size
-    flash_sampler = FlashSampler(flash, rays) if flash is not None and response.flash.any() else None
-    sky_radiance = [] if sky is None else [np.asarray(table)[:grid_size] for table in sky.radiance]
+    grid, electrons = response.grid_nm, response.electrons_per_joule
+    has_flash = flash is not None and response.flash.any()
     sun = None if sky is None or sky.sun_frame is None else np.asarray(sky.sun_irradiance)
 
     def weights(spectrum: NDArray[np.floating]) -> NDArray[np.float64]:
         """`(n, c)` contribution of each wavelength of a light to each channel."""
-        return np.asarray(response.electrons_per_joule * (response.trapezoid_nm * spectrum)[:, None])
+        return np.asarray(electrons * (response.trapezoid_nm * spectrum)[:, None])
 
     def integral(spectrum: NDArray[np.floating]) -> NDArray[np.float64]:
-        """`(c,)` a light's integral over wavelength in each channel."""
         return weights(spectrum).sum(axis=0)
 
     def colour(spectrum: NDArray[np.floating]) -> Any:
@@ -170,65 +176,36 @@ def frame_tables(
         dr.make_opaque(result)
         return result
 
-    reference = response.flash if response.flash.any() else np.ones(grid_size)
+    reference = response.flash if response.flash.any() else np.ones(grid.size)
     white = integral(reference)
     # A flash of intensity I lights what is half a metre away with I / .25 m2.
     sun_is_direct = sun is not None and (
-        flash_sampler is None or integral(sun).sum() > _VISIBLE_SUN * (integral(response.flash).sum() / 0.25)
+        not has_flash or integral(sun).sum() > _VISIBLE_SUN * (integral(response.flash).sum() / 0.25)
     )
     return FrameTables(
         scene=scene,
         rays=rays,
-        response=response,
-        flash=flash_sampler,
+        flash=FlashSampler(flash, rays) if flash is not None and has_flash else None,
         sky=sky,
         flash_optics=scene.optics.by_channel(weights(reference)),
         sun_optics=scene.optics.by_channel(weights(sun)) if sun is not None and sun_is_direct else None,
         colours=LightSpectra(
-            flash=None if flash_sampler is None else colour(response.flash),
+            flash=colour(response.flash) if has_flash else None,
             sun=None if sun is None else colour(sun),
-            sky=[colour(table) for table in sky_radiance],
+            sky=[] if sky is None else [colour(np.asarray(table)[: grid.size]) for table in sky.radiance],
+        ),
+        first_nm=device_float(grid[0]),
+        last_entry=device_float(grid.size - 1.001),
+        wavelengths=mi.ContinuousDistribution(
+            mi.ScalarVector2f(grid[0], grid[-1]), aligned_copy(response.density)
+        ),
+        electrons_per_joule=[device_array(column) for column in electrons.T],
+        spectra=LightSpectra(
+            flash=device_array(response.flash) if has_flash else None,
+            sun=None if sky is None else sky.sun_irradiance,
+            sky=() if sky is None else sky.radiance,
         ),
         white=white,
         per_white=[device_float(1.0 / value) for value in white],
         roulette=roulette,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class SpectralTables:
-    """Spectra of the camera and the lights, for light that is carried at single wavelengths.
-
-    Attributes:
-        first_nm: first wavelength of all tables, `STEP_NM` apart.
-        last_entry: index of the last entry, a little less.
-        distribution: of the sampled wavelengths.
-        electrons_per_joule: of each channel.
-        flash, sun, sky: as in `LightSpectra`.
-    """
-
-    first_nm: Any
-    last_entry: Any
-    distribution: Any
-    electrons_per_joule: Sequence[Any]
-    flash: Any | None
-    sun: Any | None
-    sky: Sequence[Any]
-
-
-def spectral_tables(tables: FrameTables) -> SpectralTables:
-    """Upload the spectra of a frame's camera and lights."""
-    mi, _ = mitsuba_modules()
-    response, sky = tables.response, tables.sky
-    grid = response.grid_nm
-    return SpectralTables(
-        first_nm=device_float(grid[0]),
-        last_entry=device_float(grid.size - 1.001),
-        distribution=mi.ContinuousDistribution(
-            mi.ScalarVector2f(grid[0], grid[-1]), aligned_copy(response.density)
-        ),
-        electrons_per_joule=[device_array(column) for column in response.electrons_per_joule.T],
-        flash=device_array(response.flash) if tables.flash is not None else None,
-        sun=None if sky is None else sky.sun_irradiance,
-        sky=() if sky is None else sky.radiance,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from pepperscene.render.surface.optics import STEP_NM
-from pepperscene.render.transport.lights import FrameTables, LightSpectra, SpectralTables
+from pepperscene.render.transport.lights import FrameTables, LightSpectra
 from pepperscene.render.transport.owen_sobol import OwenSobol
 from pepperscene.render.variant import mitsuba_modules
 
@@ -140,24 +140,24 @@ class SampleWavelengths:
     """Four wavelengths for each sample, and the lights and the sensor at these.
 
     Args:
-        tables: spectra.
+        tables: of the frame.
         position: in [0, 1), well spread over a pixel's samples, which then cover the spectrum evenly.
     """
 
-    def __init__(self, tables: SpectralTables, position: Any) -> None:
+    def __init__(self, tables: FrameTables, position: Any) -> None:
         mi, _ = mitsuba_modules()
         self.tables = tables
         self.nm, self.weights = mi.Spectrum(0.0), mi.Spectrum(0.0)
         for k in range(4):
-            nm, density = tables.distribution.sample_pdf((position + k) / 4.0)
+            nm, density = tables.wavelengths.sample_pdf((position + k) / 4.0)
             self.nm[k] = nm
             self.weights[k] = 0.25 / density
         # Spectra are looked up once: under the mask of each hit they would be gathered again and again.
         self.electrons_per_joule = [self._lookup(table) for table in tables.electrons_per_joule]
         self.spectra = LightSpectra(
-            flash=None if tables.flash is None else self._lookup(tables.flash),
-            sun=None if tables.sun is None else self._lookup(tables.sun),
-            sky=[self._lookup(table) for table in tables.sky],
+            flash=None if tables.spectra.flash is None else self._lookup(tables.spectra.flash),
+            sun=None if tables.spectra.sun is None else self._lookup(tables.spectra.sun),
+            sky=[self._lookup(table) for table in tables.spectra.sky],
         )
 
     def channels(self, radiance: Any) -> list[Any]:

@@ -13,6 +13,7 @@ atomics, and the same bits in each run, however the wavefront is split.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final
@@ -26,7 +27,7 @@ from pepperscene.render.kernel.camera import CameraRays, SpectralResponse
 from pepperscene.render.kernel.scene import LightScene, SkyTables
 from pepperscene.render.surface.scattering import shading_normals
 from pepperscene.render.transport.accumulate import Counts, Images, SampleAccumulator, TracedLight
-from pepperscene.render.transport.lights import FrameTables, SpectralTables, frame_tables, spectral_tables
+from pepperscene.render.transport.lights import FrameTables, frame_tables
 from pepperscene.render.transport.samples import Samples, SampleWavelengths
 from pepperscene.render.variant import mitsuba_modules
 
@@ -81,11 +82,8 @@ def trace(
     first = 0
     if tables.has_lights:
         # One traversal for all light, then the samples without indirect light.
-        spectra, first = spectral_tables(tables), min(sampling.indirect, sampling.samples)
-
-        def all_light(tables: FrameTables, samples: Samples) -> list[Any]:
-            return _all_light(tables, spectra, samples, sampling.bounces)
-
+        first = min(sampling.indirect, sampling.samples)
+        all_light = functools.partial(_all_light, bounces=sampling.bounces)
         accumulator.add_all(_sum_samples(tables, None, 0, first, seed, all_light), first)
     if sampling.samples > first:
         rest = sampling.samples - first
@@ -168,18 +166,18 @@ def _direct_light(tables: FrameTables, samples: Samples) -> list[Any]:
     return _direct(tables, samples, *_intersect(tables.scene, samples.ray, coherent=True))
 
 
-def _all_light(tables: FrameTables, spectra: SpectralTables, samples: Samples, bounces: int) -> list[Any]:
+def _all_light(tables: FrameTables, samples: Samples, bounces: int) -> list[Any]:
     """Direct and indirect light along the same camera rays: 4 c + 6 values."""
     first_hit = _intersect(tables.scene, samples.ray, coherent=True)
     direct = _direct(tables, samples, *first_hit)
-    return direct + _indirect(tables, spectra, samples, bounces, *first_hit)
+    return direct + _indirect(tables, samples, bounces, *first_hit)
 
 
-def total_light(tables: FrameTables, spectra: SpectralTables, samples: Samples, bounces: int) -> list[Any]:
+def total_light(tables: FrameTables, samples: Samples, bounces: int) -> list[Any]:
     """The sum of all light: c values, and nothing that their derivatives do not need."""
     first_hit, c = _intersect(tables.scene, samples.ray, coherent=True), tables.channels
     direct = _direct(tables, samples, *first_hit)[: 2 * c]
-    indirect = _indirect(tables, spectra, samples, bounces, *first_hit)
+    indirect = _indirect(tables, samples, bounces, *first_hit)
     return [direct[k] + direct[c + k] + indirect[k] for k in range(c)]
 
 
@@ -201,17 +199,11 @@ def _direct(tables: FrameTables, samples: Samples, active: Any, si: Any, hit: An
 
 
 def _indirect(
-    tables: FrameTables,
-    spectra: SpectralTables,
-    samples: Samples,
-    bounces: int,
-    active: Any,
-    si: Any,
-    hit: Any,
+    tables: FrameTables, samples: Samples, bounces: int, active: Any, si: Any, hit: Any
 ) -> list[Any]:
     """Daylight at the first hit and all light scattered more than once: c + 1 values."""
     mi, dr = mitsuba_modules()
-    wavelengths = SampleWavelengths(spectra, samples.next_1d())
+    wavelengths = SampleWavelengths(tables, samples.next_1d())
     lights = wavelengths.spectra
     si = mi.SurfaceInteraction3f(si)
     si.wavelengths = wavelengths.nm
