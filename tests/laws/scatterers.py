@@ -12,7 +12,7 @@ from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import Surface, greenhouse_surfaces, organ_surfaces
 from pepperscene.materials.gloss import gloss_albedo
 from pepperscene.render.surface.optics import Optics
-from pepperscene.render.surface.tables import LEAST_ALPHA, pack
+from pepperscene.render.surface.optics import MIN_ALPHA, Optics
 from pepperscene.render.variant import mitsuba_modules
 
 GRID_NM = np.arange(380.0, 961.0, 5.0)
@@ -103,7 +103,7 @@ class Cases:
         """`(c,)` of the cuticle on the viewer's side, as packed."""
         return np.array(
             [
-                max(self.surfaces[k].roughness[s], LEAST_ALPHA)
+                max(self.surfaces[k].roughness[s], MIN_ALPHA)
                 for k, s in zip(self.surface, self.side, strict=True)
             ]
         )
@@ -122,7 +122,7 @@ class Cases:
         return found
 
     def optics(self) -> Optics:
-        return Optics(pack(self.surfaces, float(GRID_NM[0]), float(GRID_NM[-1])))
+        return Optics.pack(self.surfaces, float(GRID_NM[0]), float(GRID_NM[-1]))
 
     def points(self, optics: Optics, case):
         """The optical states at lanes that belong to the cases numbered `case` (a kernel's integer)."""

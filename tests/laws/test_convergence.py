@@ -15,7 +15,7 @@ from scipy import stats
 
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import Surface, lambertian_surface
-from pepperscene.render.kernel.camera import LensCache, response
+from pepperscene.render.kernel.camera import camera_rays, spectral_response
 from pepperscene.render.kernel.scene import light_scene, sky_tables
 from pepperscene.render.transport import trace as transport
 from pepperscene.render.transport.trace import Sampling, trace
@@ -57,11 +57,11 @@ class Tracer:
         scene, camera = bench(), bench_camera(columns=32, rows=24)
         # Large pixels, so that few of them see all of it.
         self.camera = replace(camera, sensor=replace(camera.sensor, binning=20))
-        self.spectral = response(self.camera, scene)
+        self.spectral = spectral_response(self.camera, scene)
         first, last = float(self.spectral.grid_nm[0]), float(self.spectral.grid_nm[-1])
         self.scene = light_scene(scene, first, last)
         self.sky = sky_tables(scene, self.spectral.grid_nm)
-        self.view = LensCache().view(self.camera)
+        self.view = camera_rays(self.camera)
 
     def light(self, count: int, seed: int):
         sampling = Sampling(count, count, 2)

@@ -20,7 +20,7 @@ from small_scenes import Referred, bench_shot, plants_shot
 
 from pepperscene.errors import InputError
 from pepperscene.render import Quality, Renderer
-from pepperscene.render.quality import LEAST_EXACT, MOST_EXACT
+from pepperscene.render.quality import MAX_TARGET, MIN_TARGET
 from pepperscene.scene import assemble_scene
 
 
@@ -56,7 +56,7 @@ def test_the_error_of_the_flash_follows_the_target(flashed):
     assert true[1] / true[2] > 1.6
 
 
-@pytest.mark.parametrize("target", [0.0, -1.0, MOST_EXACT / 2, LEAST_EXACT * 2, float("nan"), float("inf")])
+@pytest.mark.parametrize("target", [0.0, -1.0, MIN_TARGET / 2, MAX_TARGET * 2, float("nan"), float("inf")])
 def test_targets_out_of_range_are_refused_with_a_sentence(target):
     scene, camera = bench_shot()
     with pytest.raises(InputError, match=r"must lie in \[0\.01, 10\]") as refused:

@@ -18,7 +18,7 @@ from pepperscene.geometry import mesh_plant
 from pepperscene.grammar import Organ, Plant
 from pepperscene.materials import Surface, lambertian_surface
 from pepperscene.render import Renderer
-from pepperscene.render.surface.optics import shading_normals
+from pepperscene.render.surface.scattering import shading_normals
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import assemble_scene, uniform_sky
 from pepperscene.spectra import Spectrum

@@ -9,7 +9,6 @@ from scatterers import Cases, interaction, lossless, plain, shipped
 
 from pepperscene.materials import Surface
 from pepperscene.render.surface.optics import Optics
-from pepperscene.render.surface.tables import pack
 from pepperscene.render.variant import mitsuba_modules
 
 PAIRS = 1 << 16
@@ -73,7 +72,7 @@ def test_packed_spectra_equal_the_surfaces():
     states = np.linspace(0.5, 1.0, 5)[:, None]
     surface = Surface("s", nm, np.stack([states * curve, states * curve * 0.9], 1), states * curve * 0.5)
     mi, _ = mitsuba_modules()
-    optics = Optics(pack([surface], 380.0, 780.0))
+    optics = Optics.pack([surface], 380.0, 780.0)
     si = interaction((0.0, 0.0, 1.0), 1)
     si.wavelengths = mi.Spectrum(412.0, 530.0, 655.0, 700.0)
     point = optics.at(si, mi.UInt32(0), mi.Float(0.3), mi.Bool(True))
@@ -104,7 +103,7 @@ def test_patterns_close_on_themselves_around_a_tube():
     body = np.stack([states * np.ones(2)] * 2, axis=1)
     surface = Surface("tube", nm, body, np.zeros((33, 2)), pattern=pattern)
     mi, _ = mitsuba_modules()
-    optics = Optics(pack([surface], 400.0, 700.0))
+    optics = Optics.pack([surface], 400.0, 700.0)
 
     def state(u: float) -> float:
         point = optics.at(

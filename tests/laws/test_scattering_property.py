@@ -15,7 +15,6 @@ from scatterers import GRID_NM, interaction, made
 
 from pepperscene.materials import Surface
 from pepperscene.render.surface.optics import Optics
-from pepperscene.render.surface.tables import pack
 from pepperscene.render.variant import mitsuba_modules
 
 PAIRS = 4096
@@ -68,7 +67,7 @@ def test_any_surface_scatters_any_light_soundly(made_up, nm, seed):
     u = rng.random((3, PAIRS)).astype(np.float32)
     u[:, :8] = np.array([0.0, 1.0 - 2.0**-24] * 4)
 
-    optics = Optics(pack(made_up, float(GRID_NM[0]), float(GRID_NM[-1])))
+    optics = Optics.pack(made_up, float(GRID_NM[0]), float(GRID_NM[-1]))
     si = interaction(mi.Vector3f(*wi.T), PAIRS, mi.Point2f(*rng.random((2, PAIRS)).astype(np.float32)))
     si.wavelengths = mi.Spectrum(*(mi.Float(nm) + mi.Float(30.0 * k) for k in range(4)))
     surface = mi.UInt32(rng.integers(0, len(made_up), PAIRS))

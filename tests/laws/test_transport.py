@@ -9,7 +9,7 @@ from bodies import bench_camera, sheet, sphere
 from pepperscene.camera import AngularProfile
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import Surface, lambertian_surface
-from pepperscene.render.kernel.camera import LensCache, response
+from pepperscene.render.kernel.camera import camera_rays, spectral_response
 from pepperscene.render.kernel.scene import light_scene, sky_tables
 from pepperscene.render.reference.path_tracer import path_scene, path_traced
 from pepperscene.render.transport.trace import Sampling, trace
@@ -50,10 +50,10 @@ def theirs_traced(scene, camera, emitters, spp: int, bounces: int) -> np.ndarray
 
 
 def ours_traced(scene, camera, spp: int, bounces: int) -> np.ndarray:
-    spectral = response(camera, scene)
+    spectral = spectral_response(camera, scene)
     built = light_scene(scene, float(spectral.grid_nm[0]), float(spectral.grid_nm[-1]))
     sky = sky_tables(scene, spectral.grid_nm)
-    view = LensCache().view(camera)
+    view = camera_rays(camera)
     batches = []
     for batch in range(8):
         light = trace(built, view, spectral, camera.flash, sky, Sampling(spp, spp, bounces), seed=batch)

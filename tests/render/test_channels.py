@@ -10,11 +10,10 @@ from scipy import stats
 from pepperscene.camera import Camera
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import Surface, greenhouse_surfaces, organ_surfaces
-from pepperscene.render.kernel.camera import LensCache, response
+from pepperscene.render.kernel.camera import camera_rays, spectral_response
 from pepperscene.render.kernel.scene import light_scene, sky_tables
 from pepperscene.render.surface.channels import ChannelOptics
 from pepperscene.render.surface.optics import Optics
-from pepperscene.render.surface.tables import pack
 from pepperscene.render.transport import samples as samples_module
 from pepperscene.render.transport.samples import FrameTables, Samples, SpectralTables, Wavelengths
 from pepperscene.render.transport.trace import _hit, _summed
@@ -54,7 +53,7 @@ def colours(optics: ChannelOptics, surfaces: int) -> np.ndarray:
 @pytest.mark.parametrize("channels", [1, 3])
 def test_colours_are_integrals_over_wavelength(shipped, weights, channels):
     weights = weights[:, 1 : 1 + channels] if channels == 1 else weights
-    optics = ChannelOptics.of(Optics(pack(shipped, GRID[0], GRID[-1])), weights)
+    optics = by_channel(Optics.pack(shipped, GRID[0], GRID[-1]), weights)
     found = colours(optics, len(shipped))
     for k, surface in enumerate(shipped):
         rows = len(surface.reflectance)
@@ -77,7 +76,7 @@ def test_the_grid_is_fine_enough(shipped, weights):
     # Against a quadrature in steps of a tenth of a nanometre.
     lens, fine = camera(), np.arange(GRID[0], GRID[-1] + 0.05, 0.1)
     light = lens.flash.spectrum.at(fine) * lens.sensor.electrons_per_joule(fine)
-    found = colours(ChannelOptics.of(Optics(pack(shipped, GRID[0], GRID[-1])), weights), len(shipped))
+    found = colours(by_channel(Optics.pack(shipped, GRID[0], GRID[-1]), weights), len(shipped))
     for k, surface in enumerate(shipped):
         spectrum = np.interp(fine, surface.wavelength_nm, surface.reflectance[-1, 0])
         wanted = np.trapezoid(light * spectrum, fine) / np.trapezoid(light, fine)
@@ -87,7 +86,7 @@ def test_the_grid_is_fine_enough(shipped, weights):
 def test_white_is_white_and_nothing_is_gained(shipped, weights):
     white = Surface("white", NM, np.ones((2, 2, NM.size)), np.zeros((2, NM.size)))
     surfaces = [*shipped, white]
-    found = colours(ChannelOptics.of(Optics(pack(surfaces, GRID[0], GRID[-1])), weights), len(surfaces))
+    found = colours(by_channel(Optics.pack(surfaces, GRID[0], GRID[-1]), weights), len(surfaces))
     assert found[:2, -1] == pytest.approx(1.0, rel=1e-6)
     assert found.min() >= 0.0
     assert (found[:2] + found[2]).max() <= 1.0 + 1e-5
@@ -96,14 +95,14 @@ def test_white_is_white_and_nothing_is_gained(shipped, weights):
 def test_a_channel_without_light_has_no_colour(shipped, weights):
     dark = weights.copy()
     dark[:, 2] = 0.0
-    found = colours(ChannelOptics.of(Optics(pack(shipped, GRID[0], GRID[-1])), dark), len(shipped))
+    found = colours(by_channel(Optics.pack(shipped, GRID[0], GRID[-1]), dark), len(shipped))
     assert not found[..., 2].any()
     assert found[..., :2].any()
 
 
 def test_the_scale_of_the_weights_does_not_matter(shipped, weights):
-    optics = Optics(pack(shipped, GRID[0], GRID[-1]))
-    one, many = (ChannelOptics.of(optics, weights * scale) for scale in (1.0, 1e17))
+    optics = Optics.pack(shipped, GRID[0], GRID[-1])
+    one, many = (by_channel(optics, weights * scale) for scale in (1.0, 1e17))
     assert colours(one, len(shipped)) == pytest.approx(colours(many, len(shipped)), rel=1e-6)
     # Neither are the surfaces themselves touched.
     assert optics.columns.numpy()[0] == GRID.size
@@ -135,10 +134,10 @@ def carried(tables: FrameTables, samples: Samples, waves: Wavelengths | None) ->
 def small(lens: Camera):
     """Tables of the greenhouse scene whose sun counts as distinct, and their spectra."""
     scene = greenhouse()
-    spectral = response(lens, scene)
+    spectral = spectral_response(lens, scene)
     grid = spectral.grid_nm
     built = light_scene(scene, float(grid[0]), float(grid[-1]))
-    tables = FrameTables(built, LensCache().view(lens), spectral, lens.flash, sky_tables(scene, grid))
+    tables = FrameTables(built, camera_rays(lens), spectral, lens.flash, sky_tables(scene, grid))
     return tables, SpectralTables(tables)
 
 

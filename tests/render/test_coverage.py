@@ -16,7 +16,7 @@ from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.render import Renderer
 from pepperscene.render.aov.coverage import POINTS, Coverage, pixel_points
 from pepperscene.render.kernel.arrays import local_coordinates
-from pepperscene.render.kernel.camera import LensCache
+from pepperscene.render.kernel.camera import camera_rays
 from pepperscene.render.kernel.scene import truth_scene
 from pepperscene.scene import assemble_scene
 
@@ -56,7 +56,7 @@ def bench_camera(columns: int = 64, rows: int = 64) -> Camera:
 
 def both(mesh: Mesh, view: Camera) -> tuple[np.ndarray, np.ndarray]:
     """The coverage image, and that of looking closely at all pixels."""
-    scene, rays = truth_scene(assemble_scene(mesh)), LensCache().view(view, local_coordinates(mesh))
+    scene, rays = truth_scene(assemble_scene(mesh)), camera_rays(view, local_coordinates(mesh))
     made = Coverage(mesh)
     return made.image(scene, rays).astype(float), made.image(scene, rays, everywhere=True).astype(float)
 

@@ -14,7 +14,7 @@ from pepperscene.geometry import mesh_plant
 from pepperscene.grammar import grow
 from pepperscene.materials import lambertian_surface, organ_surfaces, twine_surface
 from pepperscene.render import Renderer
-from pepperscene.render.kernel.arrays import ALIGNMENT, aligned, device_number, device_table
+from pepperscene.render.kernel.arrays import ALIGNMENT, aligned, device_number, device_array
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Sky, Twine, add_twine, assemble_scene, double_row, partly_cloudy_sky
 
@@ -117,17 +117,17 @@ def test_tables_are_aligned_copies(shape, dtype):
     given = np.arange(np.prod(shape)).reshape(shape)
     kept = []  # or all would lie at the same place
     for _ in range(8):
-        found = aligned(given, dtype)
+        found = aligned_copy(given, dtype)
         kept.append(found)
         assert (found.dtype, found.ndim, found.ctypes.data % ALIGNMENT) == (dtype, 1, 0)
         assert np.array_equal(found[: given.size], given.ravel())
-        table = device_table(given, dtype)
+        table = device_array(given, dtype)
         assert np.array_equal(np.asarray(table)[: given.size], given.ravel())
 
 
 def test_a_table_takes_slices_and_keeps_its_own_copy():
     given = np.arange(60.0).reshape(6, 10)[::2, 1::3]
-    table = device_table(given)
+    table = device_array(given)
     expected = given.ravel().copy()
     given[...] = -1.0
     assert np.array_equal(np.asarray(table), expected)
@@ -135,13 +135,13 @@ def test_a_table_takes_slices_and_keeps_its_own_copy():
 
 def test_a_single_entry_is_no_constant():
     _, dr = mitsuba_modules()
-    assert dr.width(device_table([3.0])) == 2
-    assert dr.gather(type(device_table([3.0])), device_table([3.0]), 1)[0] == 3.0
+    assert dr.width(device_array([3.0])) == 2
+    assert dr.gather(type(device_array([3.0])), device_array([3.0]), 1)[0] == 3.0
 
 
 def test_numbers_of_scenes_are_no_constants():
     mi, dr = mitsuba_modules()
-    fraction, whole = device_number(0.25), device_number(7, whole=True)
+    fraction, whole = device_float(0.25), device_uint(7)
     assert (type(fraction), type(whole)) == (mi.Float, mi.UInt32)
     assert (fraction[0], whole[0]) == (0.25, 7)
     assert fraction.state == whole.state == dr.VarState.Evaluated
@@ -149,6 +149,6 @@ def test_numbers_of_scenes_are_no_constants():
 
 def test_empty_tables_and_other_kinds_are_refused():
     with pytest.raises(ValueError, match="at least one value"):
-        device_table([])
+        device_array([])
     with pytest.raises(ValueError, match="not of int64"):
-        device_table([1], np.int64)
+        device_array([1], np.int64)

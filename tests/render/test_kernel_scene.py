@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from greenhouse import greenhouse
 
-from pepperscene.render.kernel.scene import kernel_mesh, light_scene, truth_scene
+from pepperscene.render.kernel.scene import mitsuba_mesh, light_scene, truth_scene
 from pepperscene.render.variant import mitsuba_modules
 
 RAYS = 20_000
@@ -63,10 +63,10 @@ def test_interactions_are_those_of_mitsuba(built, rays):
 
 
 def test_the_table_of_corners_says_what_attributes_say(scene, built, rays):
-    from pepperscene.render.reference.bsdf import surface_bsdf
+    from pepperscene.render.reference.path_tracer import surface_bsdf
 
     mi, _ = mitsuba_modules()
-    shape = kernel_mesh(scene.mesh, surface_bsdf().of(built.optics))
+    shape = mitsuba_mesh(scene.mesh, surface_bsdf().of(built.optics))
     theirs = mi.load_dict({"type": "scene", "plants": shape})
     hit = theirs.ray_intersect_preliminary(rays)
     active = hit.is_valid()
@@ -82,7 +82,7 @@ def test_the_table_of_corners_says_what_attributes_say(scene, built, rays):
 
 
 def test_the_kernel_sees_the_very_mesh(scene):
-    shape = kernel_mesh(scene.mesh)
+    shape = mitsuba_mesh(scene.mesh)
     mesh = scene.mesh
     assert np.array_equal(np.asarray(shape.vertex_positions_buffer()), mesh.vertices.ravel())
     assert np.array_equal(np.asarray(shape.vertex_normals_buffer()), mesh.normals.ravel())
@@ -94,7 +94,7 @@ def test_large_buffers_are_shared_with_the_mesh(scene):
     mi, _ = mitsuba_modules()
     if not mi.variant().startswith("llvm"):
         pytest.skip("a GPU has memory of its own")
-    shape = kernel_mesh(scene.mesh)
+    shape = mitsuba_mesh(scene.mesh)
     for buffer, held in (
         (shape.vertex_positions_buffer(), scene.mesh.vertices),
         (shape.vertex_normals_buffer(), scene.mesh.normals),
@@ -104,10 +104,10 @@ def test_large_buffers_are_shared_with_the_mesh(scene):
 
 
 def test_attributes_only_where_a_bsdf_reads_them(scene, built):
-    from pepperscene.render.reference.bsdf import surface_bsdf
+    from pepperscene.render.reference.path_tracer import surface_bsdf
 
     names = ("vertex_state", "face_surface")
-    plain, with_bsdf = kernel_mesh(scene.mesh), kernel_mesh(scene.mesh, surface_bsdf().of(built.optics))
+    plain, with_bsdf = mitsuba_mesh(scene.mesh), mitsuba_mesh(scene.mesh, surface_bsdf().of(built.optics))
     assert not any(plain.has_attribute(name) for name in names)
     assert all(with_bsdf.has_attribute(name) for name in names)
     assert not truth_scene(scene).shapes()[0].has_attribute("vertex_state")

@@ -14,7 +14,7 @@ from pepperscene.frame import OUTPUTS
 from pepperscene.geometry import Mesh
 from pepperscene.render.aov import labels
 from pepperscene.render.aov.labels import Hits
-from pepperscene.render.kernel.camera import LensCache
+from pepperscene.render.kernel.camera import camera_rays
 from pepperscene.render.kernel.scene import truth_scene
 from pepperscene.scene import assemble_scene
 
@@ -34,7 +34,7 @@ def kernel_scene(mesh):
 
 @pytest.fixture(scope="module")
 def hits(kernel_scene):
-    return labels.first_hits(kernel_scene, LensCache().view(camera()))
+    return labels.first_hits(kernel_scene, camera_rays(camera()))
 
 
 def plain_normals(mesh, hits, view):
@@ -127,7 +127,7 @@ def test_positions_lie_at_their_distance_on_the_pixels_ray(hits):
 @pytest.mark.parametrize("distorted", [False, True])
 def test_surface_coordinates_are_those_that_trimesh_finds(mesh, kernel_scene, distorted):
     view = camera(distorted=distorted)
-    hits = labels.first_hits(kernel_scene, LensCache().view(view))
+    hits = labels.first_hits(kernel_scene, camera_rays(view))
     uv = labels.surface_coordinates(mesh, hits, view)
     assert OUTPUTS["uv"].fits(uv)
     assert (uv[hits.face < 0] == -1).all()
@@ -180,7 +180,7 @@ def test_the_last_face_is_not_taken_for_the_background():
 def test_every_pixel_has_its_own_ray_whatever_the_size(kernel_scene, mesh, columns, rows):
     # The pinhole camera's ray from pixel to hit: the hit lies on the plane of the face that is told.
     view = camera(columns=columns, rows=rows)
-    hits = labels.first_hits(kernel_scene, LensCache().view(view))
+    hits = labels.first_hits(kernel_scene, camera_rays(view))
     assert hits.face.shape == hits.distance.shape == (rows, columns)
     np.testing.assert_array_equal(hits.face < 0, np.isinf(hits.distance))
     seen = hits.face >= 0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from greenhouse import camera, greenhouse
 
-from pepperscene.render.kernel.camera import LensCache, response
+from pepperscene.render.kernel.camera import camera_rays, spectral_response
 from pepperscene.render.kernel.scene import light_scene, sky_tables
 from pepperscene.render.transport import trace as transport
 from pepperscene.render.transport.accumulate import SampleAccumulator
@@ -182,11 +182,11 @@ class Traced:
     def __init__(self) -> None:
         scene, lens = greenhouse(), camera(columns=24, rows=16)
         self.camera = replace(lens, sensor=replace(lens.sensor, binning=60))
-        self.spectral = response(self.camera, scene)
+        self.spectral = spectral_response(self.camera, scene)
         grid = self.spectral.grid_nm
         self.scene = light_scene(scene, float(grid[0]), float(grid[-1]))
         self.sky = sky_tables(scene, grid)
-        self.view = LensCache().view(self.camera)
+        self.view = camera_rays(self.camera)
 
     def light(self, samples: int, soft: int, more=None, seed: int = 3):
         plan = Sampling(samples, soft, 2, more)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pepperscene.render.kernel.arrays import device_number, device_table
-from pepperscene.render.transport.owen_sobol import Sequence
+from pepperscene.render.kernel.arrays import device_number, device_array
+from pepperscene.render.transport.owen_sobol import OwenSobol
 from pepperscene.render.variant import mitsuba_modules
 
 CHANCE = 1e-3
@@ -20,8 +20,8 @@ CHANCE = 1e-3
 def numbers(kinds: str, pixels: np.ndarray, indices: np.ndarray, seed: int = 0) -> list[np.ndarray]:
     """`(pixels, indices)` for each "1" of `kinds`, `(pixels, indices, 2)` for each "2"."""
     pixel, index = (grid.ravel() for grid in np.meshgrid(pixels, indices, indexing="ij"))
-    sequence = Sequence(
-        device_table(pixel, np.uint32), device_table(index, np.uint32), device_number(seed, whole=True)
+    sequence = OwenSobol(
+        device_array(pixel, np.uint32), device_array(index, np.uint32), device_uint(seed)
     )
     _, dr = mitsuba_modules()
     drawn = [sequence.next_1d() if kind == "1" else sequence.next_2d() for kind in kinds]

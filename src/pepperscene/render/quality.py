@@ -23,8 +23,8 @@ class Quality:
 
     Attributes:
         samples: per pixel, everywhere; the minimum if sampling is adaptive.
-        soft: how many of them trace indirect light as well: daylight on surfaces, and light that was scattered
-            more than once.
+        soft: how many of them trace indirect light as well: daylight on surfaces, and light that was
+            scattered more than once.
         most: largest number per pixel, for adaptive sampling of edges.
         bounces: scattering events after the first hit. Of the light of `barth2018` two bounces lose 0.15 %,
             one loses 1 %.
@@ -76,12 +76,11 @@ def find_quality(name: str) -> Quality:
 
 
 def resolve_quality(quality: str | Quality, target_error: float | None = None) -> Quality:
-    """Return a quality by name or as it is, optionally with another target.
+    """Return a quality by name or as it is, with another target and enough samples for it if one is given.
 
     Args:
         quality: a `Quality`, or a name out of `QUALITIES`.
-        target_error: standard error over the sensor noise at which sampling stops. Limits on the number of
-            samples are raised accordingly.
+        target_error: standard error over the sensor noise at which sampling stops.
 
     Raises:
         InputError: unknown quality, or target out of range.

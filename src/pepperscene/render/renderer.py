@@ -73,10 +73,9 @@ class Renderer:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self._truth: Any = None
-        self._light: LightScene | None = None
-        self._light_range: tuple[float, float] | None = None
-        self._path: tuple[tuple[float, float, bool], PathScene] | None = None
+        # The last kernel scene of each kind, by what it was made for.
+        self._light: dict[tuple[float, float], LightScene] = {}
+        self._path: dict[tuple[float, float, bool], PathScene] = {}
 
     def render(
         self,
@@ -118,14 +117,16 @@ class Renderer:
             instances = labels.visible_instances(self.scene.mesh, instance)
             if "coverage" in requested:
                 images["coverage"] = self._coverage.image(self._truth_scene(), rays)
-            for name in [name for name in requested if name in ("flow", "stereo")]:
-                images[name] = self._flow(hits, camera, others.get(name))
+            for name in [name for name in ("flow", "stereo") if name in requested]:
+                from pepperscene.render.aov.flow import optical_flow
+
+                mitsuba_scene = self._truth_scene(), self._coordinates
+                images[name] = optical_flow(*mitsuba_scene, hits, camera, others.get(name))
             if "harvest" in requested:
                 images["harvest"] = self._harvest.truth(camera, rays, hits, instance)
-        facts = {**_frame_metadata(camera, seed), **described, "instances": instances}
+        facts = {"camera": camera.metadata(), "seed": seed, "variant": variant_name()}
+        facts |= {"versions": _library_versions(), **described, "instances": instances}
         return Frame({name: images[name] for name in requested}, facts)
-
-    # --- passes -----------------------------------------------------------------------------------------
 
     def _trace(self, camera: Camera, quality: Quality, sampling: np.random.SeedSequence) -> TracedSignal:
         """Trace light with the integrator of the quality."""
@@ -153,8 +154,8 @@ class Renderer:
         """Trace light with Mitsuba's path tracer."""
         grid = spectral_response(camera, self.scene).grid_nm
         key = (float(grid[0]), float(grid[-1]), camera.flash is not None)
-        if self._path is None or self._path[0] != key:
-            self._path = (key, path_scene(self.scene, camera))
+        if key not in self._path:
+            self._path = {key: path_scene(self.scene, camera)}
         signal = path_traced(
             self.scene,
             camera,
@@ -162,36 +163,29 @@ class Renderer:
             bounces=quality.bounces,
             sampler=quality.sampler,
             seed=seed,
-            kernel_scene=self._path[1],
+            kernel_scene=self._path[key],
         )
         return signal, {"samples_per_pixel": float(samples_taken(quality.sampler, quality.samples))}
-
-    def _flow(self, hits: labels.Hits, camera: Camera, other: Camera | None) -> NDArray[np.float32]:
-        from pepperscene.render.aov.flow import no_flow, optical_flow
-
-        if other is None:
-            return no_flow(hits)
-        return optical_flow(self._truth_scene(), self._coordinates, hits, camera, other)
-
-    # --- kernel scenes, made when first needed ----------------------------------------------------------
 
     @functools.cached_property
     def _coordinates(self) -> LocalCoordinates:
         return local_coordinates(self.scene.mesh)
 
+    @functools.cached_property
+    def _geometry(self) -> Any:
+        return truth_scene(self.scene)
+
     def _truth_scene(self) -> Any:
         """A Mitsuba scene to intersect: the one with materials if it exists."""
-        if self._light is not None:
-            return self._light.scene
-        if self._truth is None:
-            self._truth = truth_scene(self.scene)
-        return self._truth
+        for light in self._light.values():
+            return light.scene
+        return self._geometry
 
     def _light_scene(self, first_nm: float, last_nm: float) -> LightScene:
-        if self._light is None or self._light_range != (first_nm, last_nm):
-            self._light = light_scene(self.scene, first_nm, last_nm)
-            self._light_range = (first_nm, last_nm)
-        return self._light
+        key = (first_nm, last_nm)
+        if key not in self._light:
+            self._light = {key: light_scene(self.scene, *key)}
+        return self._light[key]
 
     @functools.cached_property
     def _coverage(self) -> SceneCoverage:
@@ -231,24 +225,12 @@ def _photographs(
     return images
 
 
-def _frame_metadata(camera: Camera, seed: int) -> dict[str, Any]:
-    return {
-        "camera": camera.metadata(),
-        "seed": seed,
-        "variant": variant_name(),
-        "versions": {
-            "pepperscene": __version__,
-            "python": platform.python_version(),
-            **_library_versions(),
-        },
-    }
-
-
 @functools.cache
 def _library_versions() -> dict[str, str]:
     """Versions of all libraries that the numbers of a frame depend on."""
     mi, dr = mitsuba_modules()
-    versions = {name: metadata.version(name) for name in ("drjit", "numpy", "pyoidn")}
+    versions = {"pepperscene": __version__, "python": platform.python_version(), "mitsuba": mi.__version__}
+    versions |= {name: metadata.version(name) for name in ("drjit", "numpy", "pyoidn")}
     if mi.variant().startswith("llvm"):
         versions["llvm"] = ".".join(str(part) for part in dr.detail.llvm_version())
-    return {"mitsuba": mi.__version__, **versions}
+    return versions

@@ -49,8 +49,7 @@ def find_llvm() -> Path | None:
     Raises:
         SetupError: `DRJIT_LIBLLVM_PATH` names a missing library, or one that is known to abort.
     """
-    named = os.environ.get(LLVM_VARIABLE)
-    if named:
+    if named := os.environ.get(LLVM_VARIABLE):
         return _check_named_library(Path(named))
     for path in (*_packaged_libraries(), *_system_libraries()):
         version = llvm_version(path)
@@ -95,14 +94,11 @@ def choose_variant(wanted: str | None = None) -> str:
     for variant in (wanted,) if wanted else VARIANTS:
         if _can_run(variant, library):
             return variant
+    if wanted == "cuda_ad_spectral":
+        raise SetupError("no usable renderer: cuda_ad_spectral needs a CUDA GPU with its driver")
     raise SetupError(
-        f"no usable renderer: {wanted or 'llvm_ad_spectral'} needs "
-        + (
-            "a CUDA GPU with its driver"
-            if wanted == "cuda_ad_spectral"
-            else f"LLVM {OLDEST_LLVM} or newer; on Linux x86-64 run `pip install {_LLVM_PACKAGE}`, "
-            f"elsewhere install LLVM and set {LLVM_VARIABLE} to its shared library"
-        )
+        f"no usable renderer: llvm_ad_spectral needs LLVM {OLDEST_LLVM} or newer; on Linux x86-64 run "
+        f"`pip install {_LLVM_PACKAGE}`, elsewhere install LLVM and set {LLVM_VARIABLE} to its shared library"
     )
 
 
@@ -135,11 +131,9 @@ def wanted_threads() -> int | None:
         SetupError: the variable is not a number of threads.
     """
     value = os.environ.get(THREADS_VARIABLE, "").strip()
-    if not value:
-        return None
-    if not (value.isascii() and value.isdigit() and 0 < int(value) <= _MAX_THREADS):
+    if value and not (value.isascii() and value.isdigit() and 0 < int(value) <= _MAX_THREADS):
         raise SetupError(f"{THREADS_VARIABLE} = {value!r}: must be a number of threads, 1 to {_MAX_THREADS}")
-    return int(value)
+    return int(value) if value else None
 
 
 def variant_name() -> str:

@@ -2,9 +2,8 @@
 
 Coverage is the fraction of rays through evenly spread points of a pixel that hit a class: a box filter over
 the pixel, with everything in focus, in the lens geometry of the labels. Most pixels show a single class. So a
-few rays go through every pixel first, and many only where these, or those of a neighbour, differ. Pixels that
-get many rays can reveal further classes, so the test is repeated: a thin structure is followed from wherever
-it was found.
+few rays go through every pixel first, and many only where these, or those of a neighbour, differ. Many rays
+can reveal further classes, so the test is repeated: a thin structure is followed from wherever it was found.
 """
 
 from __future__ import annotations
@@ -21,20 +20,14 @@ from pepperscene.render.kernel.camera import CameraRays
 from pepperscene.render.variant import mitsuba_modules
 
 POINTS: Final = 64
-"""Chosen: of a mixed pixel. The error of the area on one side of a straight edge is then 0.012 (root mean
-square)."""
-
+"""Chosen: of a mixed pixel; the area beside a straight edge has an error of 0.012 (root mean square)."""
 _COARSE_POINTS: Final = 4
-"""Chosen: of every pixel. Neighbours have different ones, so that sixteen pixels have all `POINTS` between
-them."""
-
+"""Chosen: of every pixel. Neighbours have different ones, all `POINTS` among sixteen pixels."""
 _LATTICE_STEP: Final = 37
 """Of a dozen odd numbers the one with the smallest errors (root mean square) over half-planes (0.012), and
 over strips of 0.1 and 0.3 pixels (0.016, 0.017), at random angles, that is also good along the pixel's sides:
 0.007 to 0.011, where the errors of the square grid are 0.030 to 0.047."""
-
-_BATCH: Final = 1 << 15
-"""Chosen: mixed pixels traced at once, 2 million rays: their memory stays below 40 MB."""
+_BATCH: Final = 1 << 15  # chosen: mixed pixels traced at once, 2 million rays, below 40 MB
 
 
 class SceneCoverage:
@@ -109,9 +102,8 @@ class SceneCoverage:
 def pixel_points() -> NDArray[np.float32]:
     """`(64, 2)` points of a pixel, in sixteen groups of four.
 
-    A lattice, whose points differ in both coordinates: along the pixel's sides edges are resolved to 1/64,
-    where a square grid of as many points has only eight steps. The four points of a group are in the four
-    quarters of the pixel.
+    A lattice, whose points differ in both coordinates: edges along the pixel's sides are resolved to 1/64,
+    where a square grid has only eight steps. The points of a group are in the four quarters of the pixel.
 
     Method: N. M. Korobov, "The approximate computation of multiple integrals", Doklady Akademii Nauk SSSR 124
     (1959) 1207.

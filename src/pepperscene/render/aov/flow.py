@@ -1,4 +1,4 @@
-"""Optical flow: image displacement of the surface behind each pixel in another camera, and its visibility.
+"""Optical flow: displacement and visibility, in another camera, of the surface behind each pixel.
 
 Both cameras see one scene in which nothing moves: the next frame of a path, or a stereo partner. The position
 of a point in the other image follows from the lens formula in double precision; whether it is hidden there,
@@ -24,23 +24,20 @@ much as that where a ray meets a surface at 0.03 degrees."""
 
 
 def optical_flow(
-    scene: Any, coordinates: LocalCoordinates, hits: Hits, camera: Camera, other: Camera
+    scene: Any, coordinates: LocalCoordinates, hits: Hits, camera: Camera, other: Camera | None
 ) -> NDArray[np.float32]:
-    """Compute the flow between two cameras.
-
-    Args:
-        scene: Mitsuba's.
-        coordinates: of that scene.
-        hits: behind the pixels of `camera`.
-        camera: first camera.
-        other: second camera, which sees the same scene.
+    """Compute the flow from a camera, with the hits behind its pixels, to another camera of the same scene.
 
     Returns:
-        `(h, w, 3)` displacement from each pixel's centre to the position of the same point in the other image,
-        pixels right and down, and its visibility there: 1 if it is inside the image and not hidden, else 0.
-        The sky is infinitely far away. A point behind the other camera has no position: nan.
+        `(h, w, 3)` displacement from each pixel's centre to the same point in the other image, pixels right
+        and down, and its visibility there: 1 if it is inside the image and not hidden, else 0. The sky is
+        infinitely far away. Behind the other camera, or without one, a point has no position: nan.
     """
     shape = hits.face.shape
+    flow = np.full((*shape, 3), np.nan, np.float32)
+    flow[..., 2] = 0.0
+    if other is None:
+        return flow
     centre = other.pose[:3, 3]
     sky = hits.face < 0
     # Vectors from the other camera to the points; for the sky only the direction matters.
@@ -49,21 +46,12 @@ def optical_flow(
     pixels = other.project(centre + vectors.reshape(-1, 3)).reshape(*shape, 2)
     inside = (pixels >= 0.0).all(axis=-1) & (pixels < [other.width, other.height]).all(axis=-1)
 
-    flow = np.empty((*shape, 3), np.float32)
     row, column = np.mgrid[: shape[0], : shape[1]] + 0.5
     flow[..., 0] = pixels[..., 0] - column
     flow[..., 1] = pixels[..., 1] - row
-    flow[..., 2] = 0.0
     if inside.any():
         start = coordinates.from_world(centre)
         flow[inside, 2] = is_unoccluded(scene, start, vectors[inside] / coordinates.unit_m, hits.face[inside])
-    return flow
-
-
-def no_flow(hits: Hits) -> NDArray[np.float32]:
-    """`(h, w, 3)` the flow without another camera: nan, and not visible."""
-    flow = np.full((*hits.face.shape, 3), np.nan, np.float32)
-    flow[..., 2] = 0.0
     return flow
 
 

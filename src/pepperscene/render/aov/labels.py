@@ -50,13 +50,12 @@ def first_hits(scene: Any, rays: CameraRays) -> Hits:
     direction = rays.directions(column, row, mi.Float(0.5), mi.Float(0.5))
     hit = scene.ray_intersect_preliminary(mi.Ray3f(rays.origin, direction), coherent=True)
     is_hit = hit.is_valid()
-    pixels = rays.width * rays.height
-    distance, face = dr.empty(mi.Float, pixels), dr.empty(mi.Int32, pixels)
+    shape = (rays.height, rays.width)
+    distance, face = (dr.empty(kind, shape[0] * shape[1]) for kind in (mi.Float, mi.Int32))
     dr.scatter(distance, dr.select(is_hit, hit.t, dr.inf), row * columns + column)
     dr.scatter(face, dr.select(is_hit, mi.Int32(hit.prim_index), -1), row * columns + column)
     dr.eval(distance, face)
     # Copies: frames can outlive the kernel's memory, or be read by another thread.
-    shape = (rays.height, rays.width)
     metres = np.array(distance).reshape(shape) * np.float32(rays.unit_m)
     return Hits(np.asarray(face).reshape(shape).astype(np.int64), metres)
 
@@ -64,14 +63,9 @@ def first_hits(scene: Any, rays: CameraRays) -> Hits:
 def label_outputs(
     mesh: Mesh, hits: Hits, instance: NDArray[np.uint16], camera: Camera, outputs: Sequence[str]
 ) -> dict[str, NDArray[Any]]:
-    """Compute the requested outputs that follow from the hits alone.
+    """Compute the requested outputs that follow from the hits behind a camera's pixels and `instance_ids`.
 
-    Args:
-        mesh: that was hit.
-        hits: behind the camera's pixels.
-        instance: `(h, w)` from `instance_ids`.
-        camera: that the hits are seen from.
-        outputs: requested names; others are ignored.
+    Names of other outputs are ignored.
     """
     classes = functools.cache(lambda: class_ids(mesh, instance))
     makers: dict[str, Callable[[], NDArray[Any]]] = {
@@ -91,8 +85,7 @@ def label_outputs(
 def visible_instances(mesh: Mesh, instance: NDArray[np.uint16]) -> dict[str, dict[str, Any]]:
     """Describe each instance that has a pixel, by its value in the instance image.
 
-    The description has class, kind, plant, phytomer and parent, the number of pixels, and the `box`
-    [x0, y0, x1, y1] that contains them: columns x0 to x1 - 1, rows y0 to y1 - 1.
+    The `box` [x0, y0, x1, y1] contains all its pixels: columns x0 to x1 - 1, rows y0 to y1 - 1.
     """
     from scipy.ndimage import find_objects
 
@@ -138,8 +131,8 @@ def instance_ids(mesh: Mesh, hits: Hits) -> NDArray[np.uint16]:
 def normals(mesh: Mesh, hits: Hits, camera: Camera) -> NDArray[np.float32]:
     """`(h, w, 3)` unit geometric normals in world axes, on the side that the camera sees; 0 without a hit.
 
-    In double precision, because differences of products of needle-like edges lose digits; and once per
-    visible triangle, which takes 6 ms instead of 40 ms per pixel. Each axis is contiguous in memory.
+    In double precision, because differences of products of needle-like edges lose digits; and once for each
+    visible triangle, which takes 6 ms instead of 40. Each axis is contiguous in memory.
     """
     faces, index = _visible_faces(hits.face, len(mesh.faces))
     first, second, third = (

@@ -1,11 +1,10 @@
-"""Surfaces whose directions are sampled from one state of them while another state is evaluated.
+"""Detached sampling: directions are sampled from one state of the surfaces while another is evaluated.
 
 A direction that is sampled from the tuned surfaces moves with them, over edges and behind occluders, and the
 picture is not continuous. So directions and their densities are those of the original surfaces, fixed, and
-only the values of the BSDF follow the parameters. Value (at the parameters) over density stays unbiased and is
-as smooth as the BSDF itself, so its derivative is exact without any treatment of visibility ("detached
-sampling", Zeltner et al. 2021, ACM TOG 40(4)). The noise grows with the difference between the two states; if
-they are equal, it is the renderer's own.
+only the values of the BSDF follow the parameters. Value over density stays unbiased and is as smooth as the
+BSDF itself, so its derivative is exact without any treatment of visibility (Zeltner et al. 2021, ACM TOG
+40(4)). The noise grows with the difference between the two states; if they are equal, it is the renderer's.
 """
 
 from __future__ import annotations
@@ -103,9 +102,6 @@ class SamplePasses:
         pixels: of the picture.
         quality: its samples in every pixel, and its bounces.
         seed: of all random numbers.
-
-    Attributes:
-        samples: in every pixel.
     """
 
     def __init__(self, frame: FrameTables, pixels: int, quality: Quality, seed: int) -> None:
@@ -127,10 +123,10 @@ class SamplePasses:
         return dr.arange(mi.UInt32, len(block) * self.samples) // device_uint(self.samples)
 
     def lanes(self, tables: Mapping[str, Any], block: range) -> list[Any]:
-        """Light of each sample by channel, as a function of the tables, along paths that do not depend on them.
+        """Light of each sample by channel, along paths that do not depend on the tables.
 
         Args:
-            tables: of `DiffTables.tables`, on the device.
+            tables: from `DiffTables.tables`, on the device.
             block: out of `blocks`.
         """
         mi, dr = mitsuba_modules()

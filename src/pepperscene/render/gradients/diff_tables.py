@@ -54,8 +54,7 @@ class DiffTables:
             result["sun_optics"] = _colours(result["spectra"], self._sun)
         if self._hats is None:
             return result
-        power, curve = values["flash.power"], self._flash * (self._hats @ values["flash.spectrum"])
-        weights = self._electrons * curve[:, None]
+        power, curve, weights = self._flash_weights(values, self._hats)
         return result | {
             "flash_optics": _colours(result["spectra"], _fractions(weights)),
             "flash_colour": power * weights.sum(axis=0),
@@ -70,19 +69,14 @@ class DiffTables:
         if self._hats is None:
             return result
         spectra = _join(self._tunable.tables(values))["spectra"]
-        power, curve = values["flash.power"], self._flash * (self._hats @ values["flash.spectrum"])
+        power, curve, weights = self._flash_weights(values, self._hats)
         no_change = np.zeros(self._hats.shape[1])
         power_change = direction.get("flash.power", np.zeros(()))
         curve_change = self._flash * (self._hats @ direction.get("flash.spectrum", no_change))
-        weights, weight_changes = self._electrons * curve[:, None], self._electrons * curve_change[:, None]
-        total = weights.sum(axis=0)
-        fractions = _fractions(weights)
-        fraction_changes = np.divide(
-            weight_changes - fractions * weight_changes.sum(axis=0),
-            total,
-            out=np.zeros_like(fractions),
-            where=total > 0.0,
-        )
+        weight_changes = self._electrons * curve_change[:, None]
+        total, fractions = weights.sum(axis=0), _fractions(weights)
+        relative = weight_changes - fractions * weight_changes.sum(axis=0)
+        fraction_changes = np.divide(relative, total, out=np.zeros_like(relative), where=total > 0.0)
         return result | {
             "flash_optics": _colours(result["spectra"], fractions) + _colours(spectra, fraction_changes),
             "flash_colour": power_change * total + power * weight_changes.sum(axis=0),
@@ -99,8 +93,7 @@ class DiffTables:
         if self._sun is not None:
             by_spectra += np.einsum("rcs,lc->rls", cotangents["sun_optics"], self._sun)
         if self._hats is not None:
-            power, curve = values["flash.power"], self._flash * (self._hats @ values["flash.spectrum"])
-            weights = self._electrons * curve[:, None]
+            power, curve, weights = self._flash_weights(values, self._hats)
             total, fractions = weights.sum(axis=0), _fractions(weights)
             by_colours, by_colour, by_flash = (
                 cotangents[name] for name in ("flash_optics", "flash_colour", "flash")
@@ -115,12 +108,18 @@ class DiffTables:
             result["flash.power"] = np.asarray(by_colour @ total + by_flash @ curve)
             result["flash.spectrum"] = self._hats.T @ (self._flash * by_curve)
         of_surfaces = tuple(name for name in names if name in self._tunable.defaults)
-        split = _split({**cotangents, "spectra": by_spectra}, tables)
-        return {**result, **self._tunable.backward(values, split, of_surfaces)}
+        ends = np.cumsum([len(rows) for rows, _, _ in tables])[:-1]
+        split = zip(np.split(by_spectra, ends), cotangents["sides"], cotangents["openness"], strict=True)
+        return {**result, **self._tunable.backward(values, list(split), of_surfaces)}
+
+    def _flash_weights(self, values: Values, hats: Array) -> tuple[Array, Array, Array]:
+        """Power and `(n,)` spectrum of the flash, and `(n, c)` its contributions to the channels."""
+        curve = self._flash * (hats @ values["flash.spectrum"])
+        return values["flash.power"], curve, self._electrons * curve[:, None]
 
 
 def _fractions(weights: Array) -> Array:
-    """`(n, c)` of each wavelength in a channel's sum; 0 where a channel detects nothing."""
+    """`(n, c)` of each wavelength in a channel's sum; 0 if the channel detects nothing."""
     total = weights.sum(axis=0)
     return np.divide(weights, total, out=np.zeros_like(weights), where=total > 0.0)
 
@@ -134,10 +133,3 @@ def _join(tables: list[SurfaceTables]) -> Tables:
     """The tables of all surfaces, one after the other."""
     spectra, sides, openness = zip(*tables, strict=True)
     return {"spectra": np.concatenate(spectra), "sides": np.stack(sides), "openness": np.stack(openness)}
-
-
-def _split(joined: Mapping[str, Array], tables: list[SurfaceTables]) -> list[SurfaceTables]:
-    """Joined tables by surface."""
-    ends = np.cumsum([len(spectra) for spectra, _, _ in tables])[:-1]
-    spectra = np.split(joined["spectra"], ends)
-    return list(zip(spectra, joined["sides"], joined["openness"], strict=True))

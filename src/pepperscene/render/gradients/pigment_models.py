@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pepperscene.materials import Surface, cut_surface, leaf_body, rind_reflectance
 from pepperscene.render.surface.optics import MIN_ALPHA
@@ -34,20 +34,6 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
 }
 """Smallest and largest value of a surface's parameters, as a cultivar file allows them."""
 CONTENTS: Final = tuple(RANGES)[:8]
-
-
-@dataclass(frozen=True)
-class FixedContents:
-    """Replaces a pigment path where the contents at the model's states are given."""
-
-    contents: Mapping[str, Array]
-    flesh_reflectance: float | None
-    ior: float
-    roughness: tuple[float, float]
-
-    def at(self, states: ArrayLike) -> dict[str, Array]:
-        """The given contents; `states` is ignored."""
-        return dict(self.contents)
 
 
 SpectralModel = Callable[["PigmentPath", Array, Array], tuple[Array, Array]]
@@ -83,7 +69,7 @@ def pigment_model(surface: Surface, cultivar: Cultivar | None) -> PigmentModel |
         return None
     states = np.linspace(0.0, 1.0, len(surface.reflectance))
     if surface.name == "cut":
-        # The rim of a scar has half of the stem's darkest rind: both rows follow from state 1.
+        # Half of a scar's rim is the stem's darkest rind: both rows depend on state 1.
         stem = cultivar.kinds[cultivar.stem.node].surface
         path, last = cultivar.pigments[stem], np.ones(1)
         return PigmentModel(stem, last, _knot_weights(path, last), np.zeros(len(states), np.intp), _scar)

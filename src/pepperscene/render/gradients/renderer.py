@@ -43,14 +43,13 @@ class DifferentiableRenderer:
     `flash.spectrum`, `(m,)` factors at `flash_nodes_nm`, linear in between; for the exposure `exposure.time`
     and `exposure.gain`, factors of the whole picture, and `exposure.f_number`.
 
-    `exposure.time` assumes that the flash shines through the whole exposure, and a change of the f-number does
-    not change the depth of field.
+    `exposure.time` assumes that the flash shines through the whole exposure, and `exposure.f_number` does not
+    change the depth of field.
 
     Directions and wavelengths are sampled for the original surfaces and lights of the scene (see
-    `gradients.detached_sampling`) and no path ends by Russian roulette: equal parameters give equal pictures,
-    and different ones pictures with the same random numbers. Far from the original surfaces noise grows, and
-    no direction is sampled through one that transmits nothing: build a new renderer from a scene of the new
-    surfaces there.
+    `gradients.detached_sampling`) and no path ends by Russian roulette: all pictures have the same random
+    numbers. Far from the original surfaces noise grows, and no direction is sampled through one that
+    transmits nothing: build a new renderer from a scene of the new surfaces there.
 
     Args:
         scene: with surfaces.
@@ -108,8 +107,6 @@ class DifferentiableRenderer:
         for value in values.values():
             value.setflags(write=False)
         self.parameters: Mapping[str, Array] = MappingProxyType(values)
-
-    # --- the picture and its derivatives ----------------------------------------------------------------
 
     def rgb(self, parameters: Parameters | None = None) -> Array:
         """`(h, w, c)` expected electrons of each photosite, before noise and saturation.
@@ -207,8 +204,6 @@ class DifferentiableRenderer:
         stops = self.parameters["exposure.f_number"] / values["exposure.f_number"]
         exposure = float(values["exposure.time"] * values["exposure.gain"] * stops**2)
         return expected_electrons(signal, self._camera) * exposure
-
-    # --- arguments --------------------------------------------------------------------------------------
 
     def _flatten(self, loss_gradient: ArrayLike) -> Array:
         gradient = np.asarray(loss_gradient, dtype=float)

@@ -1,17 +1,18 @@
 """Surface tables as functions of the tunable parameters, with their derivatives.
 
-Between the parameters that a user tunes and the numbers that the kernel reads are PROSPECT, the openness of
-the cuticles, and integrals over wavelength of light that meets one surface. All of that is smooth NumPy code
-in double precision on few numbers, so its derivatives are taken by finite differences, with errors far below
-single precision, and the kernel's own derivatives (`gradients.renderer`) are chained to them. Rows of spectra
-depend on the pigments at their own state alone, so two more spectra of each row give the derivatives by all
-knots of a pigment at once; the flash and the channel integrals are bilinear.
+Between the parameters and the numbers that the kernel reads are PROSPECT, the openness of the cuticles, and
+integrals over wavelength of light that meets one surface. All of that is smooth NumPy code in double
+precision on few numbers, so its derivatives are taken by finite differences, with errors far below single
+precision, and the kernel's own derivatives (`gradients.renderer`) are chained to them. Rows of spectra depend
+on the pigments at their own state alone, so two more spectra of each row give the derivatives by all knots of
+a pigment at once; the flash and the channel integrals are bilinear.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Final, cast
 
 import numpy as np
@@ -22,7 +23,6 @@ from pepperscene.render.gradients.pigment_models import (
     CONTENTS,
     RANGES,
     Array,
-    FixedContents,
     PigmentModel,
     Values,
     path_values,
@@ -44,8 +44,8 @@ _SCALES: Final[Mapping[str, float]] = {
     "brown": 1e-1,
     "flesh_reflectance": 1e-1,
 }
-"""Amounts at which a content has an effect, 1 for others: difference steps are 1e-5 of that, or of the content
-where it is larger. Truncation and rounding errors are then both near 1e-10 of a spectrum."""
+"""Amounts at which a content has an effect, 1 for others: difference steps are 1e-5 of that, or of a larger
+content. Truncation and rounding errors are then both near 1e-10 of a spectrum."""
 _STEP, _ROUGHNESS_STEP = 1e-5, 1e-3
 """Relative difference steps. The openness of a cuticle is a quadrature with kinks where the mirror direction
 of a node reaches the horizon: over a thousandth of the roughness they average out."""
@@ -135,23 +135,22 @@ class Tunable:
         contents = model.contents(values) if contents is None else contents
         front, back = np.asarray(values[f"{model.path}.roughness"]).tolist()
         flesh = values.get(f"{model.path}.flesh_reflectance")
-        path = FixedContents(
-            contents,
-            None if flesh is None else float(flesh),
-            float(values[f"{model.path}.ior"]),
-            (front, back),
+        # Stands in for a pigment path with these contents at the model's states.
+        path = SimpleNamespace(
+            at=lambda states: dict(contents),
+            flesh_reflectance=None if flesh is None else float(flesh),
+            ior=float(values[f"{model.path}.ior"]),
+            roughness=(front, back),
         )
-        reflectance, transmittance = model.model(
-            cast("PigmentPath", path), surface.wavelength_nm, model.states
-        )
+        model_path = cast("PigmentPath", path)
+        reflectance, transmittance = model.model(model_path, surface.wavelength_nm, model.states)
         return replace(surface, reflectance=reflectance, transmittance=transmittance)
 
     def _slopes(self, values: Values, name: str) -> Iterator[tuple[int, tuple[Array, ...], Array | None]]:
         """Surfaces that a parameter changes, the slopes of their tables, and the weights of its entries.
 
-        A pigment's entries are knots: they change the spectra alone, each row with weights `(s, k)`. Other
-        parameters are a number or the roughness of both sides: each entry has slopes of all tables, on a
-        leading axis, and the weights are None.
+        A pigment's entries are knots: they change the spectra alone, each row with weights `(s, k)`. Entries
+        of other parameters have slopes of all tables, on a leading axis, and the weights are None.
         """
         owner, _, quantity = name.rpartition(".")
         for i, (surface, model) in enumerate(zip(self.surfaces, self._models, strict=True)):
@@ -190,9 +189,6 @@ class Tunable:
 
         at_steps = zip(tables(0.0), tables(float(first[0])), tables(float(second[0])), strict=True)
         return tuple(_parabola_slope(*three, first, second) for three in at_steps)
-
-
-# --- finite differences ---------------------------------------------------------------------------------
 
 
 def _steps(value: Array, step: Array, low: float, high: float) -> tuple[Array, Array]:

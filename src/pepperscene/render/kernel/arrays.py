@@ -1,10 +1,10 @@
-"""Numbers on their way to the device: arrays, scalars and the coordinates that a scene is stored in.
+"""Device arrays and numbers, and the coordinates that a scene is stored in.
 
-Dr.Jit adopts NumPy memory without a copy, and compiles different code for an array that does not start at a
-vector register boundary: gathers of neighbouring entries are split up, which is slower, and because NumPy
-arrays start anywhere, the same scene could be compiled again each time it is built. An array with one entry
-becomes a constant of the code. Therefore every array that a kernel reads goes through `device_array`, and
-every number that differs between scenes or frames through `device_float` or `device_uint`.
+Dr.Jit adopts NumPy memory without a copy, and compiles other, slower code for an array that does not start at
+a vector register boundary. NumPy arrays start anywhere, so a scene could be compiled again each time it is
+built. An array with one entry becomes a constant of the code. Therefore every array that a kernel reads goes
+through `device_array`, and every number that differs between scenes or frames through `device_float` or
+`device_uint`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ ALIGNMENT: Final = 64
 
 
 def device_array(values: ArrayLike, dtype: DTypeLike = np.float32) -> Any:
-    """Copy values to a flat, aligned device array of at least two entries.
+    """Copy values to a flat device array, aligned to `ALIGNMENT`; a single entry is repeated.
 
     Args:
         values: any shape, flattened in C order.
@@ -33,11 +33,17 @@ def device_array(values: ArrayLike, dtype: DTypeLike = np.float32) -> Any:
         ValueError: `values` is empty, or `dtype` is another type.
     """
     mi, _ = mitsuba_modules()
-    array_types = {"float32": mi.Float, "uint32": mi.UInt32}
-    kind = np.dtype(dtype)
-    if kind.name not in array_types:
-        raise ValueError(f"device arrays are float32 or uint32, not {kind}")
-    return array_types[kind.name](aligned_copy(values, kind))
+    source, kind = np.asarray(values), np.dtype(dtype)
+    if source.size == 0 or kind.name not in ("float32", "uint32"):
+        raise ValueError(f"a device array has at least one float32 or uint32, not {source.size} {kind}")
+    # NumPy aligns memory to one entry at least, so this many spare entries cover any offset.
+    size = max(source.size, 2)
+    buffer = np.empty(size + ALIGNMENT // kind.itemsize, kind)
+    start = (-buffer.ctypes.data % ALIGNMENT) // kind.itemsize
+    aligned = buffer[start : start + size]
+    aligned[: source.size].reshape(source.shape)[...] = source
+    aligned[source.size :] = aligned[0]
+    return (mi.Float if kind.name == "float32" else mi.UInt32)(aligned)
 
 
 def device_float(value: float) -> Any:
@@ -56,28 +62,9 @@ def device_uint(value: float) -> Any:
     return number
 
 
-def aligned_copy(values: ArrayLike, dtype: DTypeLike = np.float32) -> NDArray[Any]:
-    """Copy values to a flat array that starts at a multiple of `ALIGNMENT` bytes; repeat a single entry.
-
-    Raises:
-        ValueError: `values` is empty.
-    """
-    source = np.asarray(values)
-    if source.size == 0:
-        raise ValueError("a device array needs at least one value")
-    kind = np.dtype(dtype)
-    # NumPy aligns memory to one entry at least, so this many spare entries cover any offset.
-    buffer = np.empty(max(source.size, 2) + ALIGNMENT // kind.itemsize, kind)
-    start = (-buffer.ctypes.data % ALIGNMENT) // kind.itemsize
-    result = buffer[start : start + max(source.size, 2)]
-    result[: source.size].reshape(source.shape)[...] = source
-    result[source.size :] = result[0]
-    return result
-
-
 _GRID_STEP: Final = 8.0
-"""Units between possible origins. Chosen so that plants in a laboratory and rows in a greenhouse keep the
-origin 0: Mitsuba offsets spawned rays by up to 0.9 mm in the middle of the scene, as it does 4 m along a row."""
+"""Units between possible origins. Chosen so that plants near the origin and rows keep the origin 0: spawned
+rays are offset by up to 0.9 mm in the middle of a scene, as they are 4 m along a row."""
 _SMALL_EXTENT_M: Final = 1.0 / 16.0
 """Chosen: smaller scenes get a unit below one metre. At this extent the ray offset is 0.3 %."""
 _SMALLEST_UNIT_M: Final = 2.0**-30

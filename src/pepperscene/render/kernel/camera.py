@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -18,9 +18,7 @@ from pepperscene.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class CameraRays:
-    """Rays of a camera.
-
-    The lens is tabulated at the pixel corners; the pose is kernel data, so a moved camera reuses the code.
+    """Rays of a camera; the pose is kernel data, so a moved camera reuses the compiled code.
 
     Attributes:
         width, height: of the image, pixels.
@@ -28,9 +26,9 @@ class CameraRays:
         slopes: `((h + 1) * (w + 1) * 2,)` undistorted (x/z, y/z) at the pixel corners.
         rotation: camera to world.
         origin: projection centre in local coordinates.
-        focus_distance: to the plane in focus along the optical axis, local units; None: everything is sharp.
+        unit_m: of the local coordinates.
+        focus_distance: to the plane in focus along the optical axis, local units; None: all is in focus.
         aperture_radius: of the entrance pupil, local units.
-        unit_m: of the local coordinates, metres.
     """
 
     width: int
@@ -39,15 +37,14 @@ class CameraRays:
     slopes: Any
     rotation: Any
     origin: Any
+    unit_m: float = 1.0
     focus_distance: Any = None
     aperture_radius: Any = None
-    unit_m: float = 1.0
 
     def directions(self, column: Any, row: Any, dx: Any, dy: Any) -> Any:
         """Unit world directions through points (dx, dy) in [0, 1]^2 of pixels.
 
-        Bilinear between the corners: exact for a pinhole, and off by less than 1e-6 rad for a lens whose
-        distortion changes smoothly over a pixel.
+        Exact for a pinhole, and off by less than 1e-6 rad if the distortion is smooth over a pixel.
         """
         _, dr = mitsuba_modules()
         return dr.normalize(self.rotation @ self._camera_directions(column, row, dx, dy))
@@ -64,22 +61,17 @@ class CameraRays:
             return self.origin, dr.normalize(self.rotation @ direction)
         pupil = self.aperture_radius * mi.warp.square_to_uniform_disk_concentric(next_2d())
         start = mi.Vector3f(pupil.x, pupil.y, 0.0)
-        return (
-            self.origin + self.rotation @ start,
-            dr.normalize(self.rotation @ (self.focus_distance * direction - start)),
-        )
+        direction = dr.normalize(self.rotation @ (self.focus_distance * direction - start))
+        return self.origin + self.rotation @ start, direction
 
     def _camera_directions(self, column: Any, row: Any, dx: Any, dy: Any) -> Any:
         """Directions (x/z, y/z, 1) in camera axes, bilinear between the pixel corners."""
         mi, dr = mitsuba_modules()
-        first = row * (self.device_width + 1) + column
-
-        def corner(offset: Any) -> Any:
-            return dr.gather(mi.Point2f, self.slopes, first + offset)
-
-        upper = dr.lerp(corner(0), corner(1), dx)
-        lower = dr.lerp(corner(self.device_width + 1), corner(self.device_width + 2), dx)
-        slope = dr.lerp(upper, lower, dy)
+        first, width = row * (self.device_width + 1) + column, self.device_width
+        a, b, c, d = (
+            dr.gather(mi.Point2f, self.slopes, first + offset) for offset in (0, 1, width + 1, width + 2)
+        )
+        slope = dr.lerp(dr.lerp(a, b, dx), dr.lerp(c, d, dx), dy)
         return mi.Vector3f(slope.x, slope.y, 1.0)
 
 
@@ -90,32 +82,22 @@ def camera_rays(camera: Camera, coordinates: LocalCoordinates = WORLD) -> Camera
     rotation = mi.Matrix3f(np.asarray(camera.pose[:3, :3], np.float32))
     origin = mi.Point3f(*(float(x) for x in coordinates.from_world(camera.pose[:3, 3])))
     dr.make_opaque(rotation, origin)
-    focus_distance = aperture_radius = None
-    if camera.focus_m is not None:
-        focus_distance, aperture_radius = (
-            mi.Float(float(length / coordinates.unit_m))
-            for length in (camera.focus_m, camera.aperture_radius_m)
-        )
-        dr.make_opaque(focus_distance, aperture_radius)
-    return CameraRays(
-        camera.width,
-        camera.height,
-        device_uint(camera.width),
-        slopes,
-        rotation,
-        origin,
-        focus_distance,
-        aperture_radius,
-        coordinates.unit_m,
+    width = device_uint(camera.width)
+    rays = CameraRays(camera.width, camera.height, width, slopes, rotation, origin, coordinates.unit_m)
+    if camera.focus_m is None:
+        return rays
+    focus_distance, aperture_radius = (
+        mi.Float(float(length / rays.unit_m)) for length in (camera.focus_m, camera.aperture_radius_m)
     )
+    dr.make_opaque(focus_distance, aperture_radius)
+    return replace(rays, focus_distance=focus_distance, aperture_radius=aperture_radius)
 
 
 _NEGLIGIBLE_RESPONSE: Final = 1e-5
 """Chosen: a response below this fraction of its peak is left out; the error is below 1e-5."""
 _STRONGEST_LIGHT: Final = 1e26
-"""Electrons s-1 m-2 (sr-1) of the strongest light allowed: chosen, a million times a flash of 200 klx at
-50 cm. Single precision ends at 3e38; next to a flash light is 1e8 times stronger, and mirrors concentrate that
-another 1e4 times."""
+"""Electrons s-1 m-2 (sr-1): chosen, a million times a flash of 200 klx at 50 cm. Single precision ends at
+3e38; next to a flash light is 1e8 times stronger, and mirrors concentrate that another 1e4 times."""
 _FAINTEST_FLASH: Final = 1e-10
 """Chosen: a flash below this fraction of the daylight is ignored. Even at a centimetre it adds one part in a
 million."""
@@ -178,12 +160,9 @@ def spectral_response(camera: Camera, scene: Scene) -> SpectralResponse:
         flash = np.zeros(grid.size)
 
     # Half of the density follows the lights, all equally, and half the response: no light is left out.
-    lights = [light for light in (flash, *daylight) if light.any()]
-    light = (
-        np.mean([spectrum / spectrum.mean() for spectrum in lights], axis=0) if lights else np.ones(grid.size)
-    )
+    lights = [light / light.mean() for light in (flash, *daylight) if light.any()]
     response = (electrons / electrons.max(axis=0)).sum(axis=1)
-    density = response * light
+    density = response * (np.mean(lights, axis=0) if lights else np.ones(grid.size))
     density = density / density.sum() + response / response.sum() + 1e-3 / grid.size
     return SpectralResponse(grid, electrons, flash, density)
 

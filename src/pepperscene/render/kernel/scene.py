@@ -28,9 +28,9 @@ def mitsuba_mesh(mesh: Mesh, bsdf: Any | None = None, coordinates: LocalCoordina
 
     Args:
         mesh: world coordinates, metres.
-        bsdf: plugin for Mitsuba's own integrators; it reads state and surface from mesh attributes. None for
-            our integrator, which reads both from a table, and for rays that need geometry alone.
-        coordinates: local coordinates of the shape.
+        bsdf: for Mitsuba's own integrators; it reads state and surface from mesh attributes. None for our
+            integrator, which reads both from a table, and for geometry alone.
+        coordinates: of the shape.
 
     Raises:
         ValueError: normals, surface coordinates or states are not finite.
@@ -42,14 +42,8 @@ def mitsuba_mesh(mesh: Mesh, bsdf: Any | None = None, coordinates: LocalCoordina
     props = mi.Properties()
     if bsdf is not None:
         props["mesh_bsdf"] = bsdf
-    shape = mi.Mesh(
-        "plants",
-        len(mesh.vertices),
-        len(mesh.faces),
-        props=props,
-        has_vertex_normals=True,
-        has_vertex_texcoords=True,
-    )
+    sizes = len(mesh.vertices), len(mesh.faces)
+    shape = mi.Mesh("plants", *sizes, props=props, has_vertex_normals=True, has_vertex_texcoords=True)
     params = mi.traverse(shape)
     params["vertex_positions"] = np.ascontiguousarray(coordinates.vertices(mesh), np.float32).ravel()
     params["vertex_normals"] = np.ascontiguousarray(mesh.normals, np.float32).ravel()
@@ -91,11 +85,10 @@ class LightScene:
     face_states: Any
 
     def interaction(self, ray: Any, hit: Any, active: Any) -> Any:
-        """Compute the surface interactions of preliminary hits.
+        """Compute what `hit.compute_surface_interaction(ray, RayFlags.All, active)` does.
 
-        Gives what `hit.compute_surface_interaction(ray, RayFlags.All, active)` gives, but calls the only shape
-        directly instead of through a pointer: the code is inlined, unused results are left out, and it does
-        not change while another scene is in memory.
+        The only shape is called directly, not through a pointer: the code is inlined, unused results are left
+        out, and it does not change while another scene is in memory.
         """
         mi, dr = mitsuba_modules()
         si = self.shape.compute_surface_interaction(ray, hit, mi.RayFlags.All, active)
@@ -105,13 +98,9 @@ class LightScene:
         return si
 
     def surface_point(self, si: Any, hit: Any, active: Any, optics: Optics | None = None) -> Any:
-        """Look up the optical state at surface interactions.
+        """Look up the optical state at surface interactions of preliminary hits.
 
-        Args:
-            si: interactions.
-            hit: the preliminary hits that they belong to.
-            active: mask.
-            optics: surfaces as seen by a sensor's channels; None for their spectra.
+        With `optics`, the surfaces are as seen by a sensor's channels, else with their spectra.
         """
         mi, dr = mitsuba_modules()
         corners = dr.gather(mi.Vector4f, self.face_states, hit.prim_index, active)
@@ -124,10 +113,8 @@ def light_scene(scene: Scene, first_nm: float, last_nm: float) -> LightScene:
     """Build the geometry with its surface optics over [first_nm, last_nm].
 
     Raises:
-        ValueError: the scene was assembled without surfaces; see also `local_coordinates`.
+        ValueError: see `Optics.pack` and `local_coordinates`.
     """
-    if not scene.surfaces:
-        raise ValueError("the scene has no surfaces: assemble it with them to render colour")
     mi, _ = mitsuba_modules()
     mesh = scene.mesh
     coordinates = local_coordinates(mesh)
@@ -148,9 +135,8 @@ class SkyTables:
         weights: texture with one channel per spectrum.
         radiance: one `Float` table per spectrum on the response's wavelength grid.
         sun_frame: coordinate frame whose normal points to the sun; None without a sun.
-        sun_chord: from the centre of the disc to its rim on the unit sphere. Single precision cannot
-            distinguish the cosine of so small a radius from 1; a cap of chord s has the solid angle pi s^2
-            (Archimedes).
+        sun_chord: from the centre of the disc to its rim on the unit sphere. Single precision cannot separate
+            the cosine of so small a radius from 1; a cap of chord s has the solid angle pi s^2 (Archimedes).
         sun_irradiance: W m-2 nm-1 on the response's wavelength grid.
     """
 

@@ -65,7 +65,7 @@ def flash_emitter() -> Any:
         @classmethod
         def of(cls, flash: Flash, rays: CameraRays, intensity: SpectralTable) -> Any:
             """Make the flash of a camera; see `move_to`."""
-            self = cls(_sampling_weight(1.0))
+            self = cls(mi.Properties())
             self.move_to(flash, rays, intensity)
             return self
 
@@ -134,8 +134,8 @@ def daylight_emitter() -> Any:
         """Maps of radiance over the whole sphere and the sun's disc; construct with `of`.
 
         A light sample is a direction in the disc, or any direction if there is no sun. Light samples towards
-        the maps are inefficient: half of them miss, and a scattered ray finds the sky anyway. Leaving them out
-        cuts the error sixfold at equal time.
+        the maps are inefficient: half of them miss, and a scattered ray finds the sky anyway. Leaving them
+        out cuts the error sixfold at equal time.
         """
 
         sun: SpectralTable | None
@@ -146,15 +146,14 @@ def daylight_emitter() -> Any:
 
         @classmethod
         def of(cls, sky: Sky, grid_nm: NDArray[np.float64], weight: float, reach: float) -> Any:
-            """Make the daylight of a scene.
+            """Make the daylight of a scene, with spectra on a regular grid.
 
-            Args:
-                sky: maps and sun.
-                grid_nm: regular, for the spectra.
-                weight: of this emitter among those that light samples choose from.
-                reach: distance in local units that leaves the scene from anywhere in it.
+            `weight` is relative to other emitters' for light samples; `reach` is a distance in local units
+            that leaves the scene from anywhere in it.
             """
-            self = cls(_sampling_weight(weight))
+            props = mi.Properties()
+            props["sampling_weight"] = weight
+            self = cls(props)
             maps = np.ascontiguousarray(np.moveaxis(sky.weights, 0, -1))
             self.maps = mi.Texture2f(mi.TensorXf(maps), wrap_mode=dr.WrapMode.Repeat)
             self.spectra = [SpectralTable(grid_nm, row) for row in sky.radiance.at(grid_nm)]
@@ -221,9 +220,3 @@ def daylight_emitter() -> Any:
             return self._radiance(-si.wi, si.wavelengths, active)
 
     return DaylightEmitter
-
-
-def _sampling_weight(weight: float) -> Any:
-    props = mitsuba_modules()[0].Properties()
-    props["sampling_weight"] = weight
-    return props

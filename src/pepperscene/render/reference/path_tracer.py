@@ -1,7 +1,7 @@
 """The reference for our integrator: Mitsuba's `path` with our materials, camera rays and lights.
 
-It shares with our integrator the geometry, materials, rays and the sensor's response, but not how light is
-found: emitters as Mitsuba plugins, one light sample and one scattered ray at each hit with multiple importance
+It shares geometry, materials, rays and the sensor's response with our integrator, but not how light is found:
+emitters as Mitsuba plugins, one light sample and one scattered ray at each hit with multiple importance
 sampling (Veach 1997), and Mitsuba's own Russian roulette.
 """
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.render.kernel.arrays import LocalCoordinates, local_coordinates
-from pepperscene.render.kernel.camera import CameraRays, SpectralResponse, camera_rays, spectral_response
+from pepperscene.render.kernel.camera import CameraRays, camera_rays, spectral_response
 from pepperscene.render.kernel.scene import mitsuba_mesh
 from pepperscene.render.reference.emitters import SpectralTable, daylight_emitter, flash_emitter
 from pepperscene.render.surface.optics import Optics
@@ -37,18 +37,16 @@ def surface_bsdf() -> Any:
     The number of the surface is a face attribute, its pigment state a vertex attribute.
     """
     mi, dr = mitsuba_modules()
+    flags = mi.BSDFFlags
+    lobes = flags.GlossyReflection, flags.DiffuseReflection, flags.DiffuseTransmission
 
     class SurfaceBSDF(mi.BSDF):  # type: ignore[name-defined]
         """A body under a cuticle; construct with `of`."""
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            both = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide | mi.BSDFFlags.SpatiallyVarying
-            self.m_components = [
-                mi.BSDFFlags.GlossyReflection | both,
-                mi.BSDFFlags.DiffuseReflection | both,
-                mi.BSDFFlags.DiffuseTransmission | both,
-            ]
+            both = flags.FrontSide | flags.BackSide | flags.SpatiallyVarying
+            self.m_components = [lobe | both for lobe in lobes]
             self.m_flags = self.m_components[0] | self.m_components[1] | self.m_components[2]
             self.optics: Optics
 
@@ -63,9 +61,8 @@ def surface_bsdf() -> Any:
             """Interactions with normals turned towards the viewer, and the optical state there."""
             surface = mi.UInt32(si.shape.eval_attribute_1("face_surface", si, active) + 0.5)
             state = si.shape.eval_attribute_1("vertex_state", si, active)
-            # Mitsuba solves for the position in the triangle by normal equations. In single precision their
-            # determinant is 0 for triangles thousands of times longer than wide, which only wires have; these
-            # have the same state everywhere.
+            # Mitsuba finds the position in the triangle by normal equations, whose determinant is 0 in single
+            # precision for the needle-like triangles of wires; these have one state everywhere.
             state = dr.select(dr.isfinite(state), state, 0.5)
             turned = shading_normals(si)
             return turned, self.optics.point(turned, surface, state, active)
@@ -78,15 +75,8 @@ def surface_bsdf() -> Any:
             bs.wo = si.to_local(turned.to_world(wo))
             bs.pdf, bs.eta = dr.select(active, density, 0.0), 1.0
             bs.sampled_component = lobe
-            bs.sampled_type = dr.select(
-                lobe == 0,
-                mi.UInt32(int(mi.BSDFFlags.GlossyReflection)),
-                dr.select(
-                    lobe == 1,
-                    mi.UInt32(int(mi.BSDFFlags.DiffuseReflection)),
-                    mi.UInt32(int(mi.BSDFFlags.DiffuseTransmission)),
-                ),
-            )
+            gloss, reflection, transmission = (mi.UInt32(int(flag)) for flag in lobes)
+            bs.sampled_type = dr.select(lobe == 0, gloss, dr.select(lobe == 1, reflection, transmission))
             return bs, weight & active
 
         def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
@@ -105,18 +95,16 @@ def surface_bsdf() -> Any:
 
 @dataclass(frozen=True, eq=False)
 class PathScene:
-    """A scene with emitters inside Mitsuba, for all poses of a camera.
+    """A Mitsuba scene with emitters, for all poses of a camera.
 
     Attributes:
         scene: Mitsuba's.
         flash: the camera's emitter, or None.
-        range_nm: first and last wavelength of the materials and the daylight.
         coordinates: of the scene.
     """
 
     scene: Any
     flash: Any
-    range_nm: tuple[float, float]
     coordinates: LocalCoordinates
 
 
@@ -124,16 +112,13 @@ def path_scene(scene: Scene, camera: Camera) -> PathScene:
     """Build a scene with its emitters; the camera's sensor and flash set the range of wavelengths.
 
     Raises:
-        ValueError: the scene was assembled without surfaces; see also `local_coordinates`.
+        ValueError: see `Optics.pack` and `local_coordinates`.
     """
-    if not scene.surfaces:
-        raise ValueError("the scene has no surfaces: assemble it with them to render colour")
     mi, _ = mitsuba_modules()
     response = spectral_response(camera, scene)
-    grid = response.grid_nm
-    range_nm = float(grid[0]), float(grid[-1])
-    coordinates = local_coordinates(scene.mesh)
-    bsdf = surface_bsdf().of(Optics.pack(scene.surfaces, *range_nm, coordinates.unit_m))
+    grid, coordinates = response.grid_nm, local_coordinates(scene.mesh)
+    optics = Optics.pack(scene.surfaces, float(grid[0]), float(grid[-1]), coordinates.unit_m)
+    bsdf = surface_bsdf().of(optics)
     parts: dict[str, Any] = {"type": "scene", "plants": mitsuba_mesh(scene.mesh, bsdf, coordinates)}
     if camera.flash is not None:
         intensity = SpectralTable(grid, response.flash)
@@ -144,7 +129,7 @@ def path_scene(scene: Scene, camera: Camera) -> PathScene:
         diagonal = float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0)))
         reach = 2.0 * diagonal / coordinates.unit_m + 1.0
         parts["daylight"] = daylight_emitter().of(scene.sky, grid, weight, reach)
-    return PathScene(mi.load_dict(parts), parts.get("flash"), range_nm, coordinates)
+    return PathScene(mi.load_dict(parts), parts.get("flash"), coordinates)
 
 
 def path_traced(
@@ -165,20 +150,21 @@ def path_traced(
         spp: samples per pixel; see `samples_taken`.
         bounces: scattering events after the first hit.
         sampler: one of `SAMPLERS`.
-        seed: of the sampler; the same seed gives the same bits.
-        kernel_scene: from `path_scene`, to be reused for further frames; None builds one.
+        seed: of the sampler.
+        kernel_scene: from `path_scene`, to reuse for other poses of the same camera; None builds one.
 
     Returns:
         `(h, w, c)` electrons s-1 m-2 sr-1, as `TracedLight.total()`.
 
     Raises:
-        ValueError: unknown sampler, no samples, no surfaces, or a kernel scene of another camera.
+        ValueError: unknown sampler, no samples, or no surfaces.
     """
     mi, dr = mitsuba_modules()
     response = spectral_response(camera, scene)
     kernel_scene = kernel_scene or path_scene(scene, camera)
     rays = camera_rays(camera, kernel_scene.coordinates)
-    _move_flash(kernel_scene, camera, rays, response)
+    if camera.flash is not None:
+        kernel_scene.flash.move_to(camera.flash, rays, SpectralTable(response.grid_nm, response.flash))
 
     integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2})
     count = samples_taken(sampler, spp)
@@ -236,19 +222,3 @@ def _sample_rays(rays: CameraRays, distribution: Any, sampler: Any, per_pass: in
         wavelengths[k], density = distribution.sample_pdf((shift + k) / 4.0)
         weights[k] = 0.25 / density
     return mi.RayDifferential3f(start, direction, 0.0, wavelengths), weights
-
-
-def _move_flash(scene: PathScene, camera: Camera, rays: CameraRays, response: SpectralResponse) -> None:
-    """Move the flash to the camera.
-
-    Raises:
-        ValueError: the scene was made for another range of wavelengths, or with or without a flash.
-    """
-    if scene.range_nm != (float(response.grid_nm[0]), float(response.grid_nm[-1])):
-        raise ValueError("kernel_scene was made for a camera with another range of wavelengths")
-    if (scene.flash is None) != (camera.flash is None):
-        raise ValueError(
-            "kernel_scene was made for a camera with a flash, or this one has one and it had none"
-        )
-    if camera.flash is not None:
-        scene.flash.move_to(camera.flash, rays, SpectralTable(response.grid_nm, response.flash))

@@ -27,9 +27,8 @@ from pepperscene.render.surface.scattering import SurfacePoint, interpolate_open
 from pepperscene.render.variant import mitsuba_modules
 
 STEP_NM: Final = 1.0
-"""Spacing of all wavelength grids of the kernel. For surfaces it takes the nearest entry: with wavelengths
-spread over a pixel's samples that is the midpoint rule, whose error at this step is below 2e-4 for all shipped
-surfaces."""
+"""Spacing of all wavelength grids. The kernel takes a surface's nearest entry: with wavelengths spread over a
+pixel's samples that is the midpoint rule, whose error is below 2e-4 for all shipped surfaces."""
 
 MIN_ALPHA: Final = 1e-3
 """Smoother cuticles are packed with this roughness: a mirror for every lens here, and safe in single
@@ -49,8 +48,8 @@ class Optics:
         sides: `(k * 2 * 4,)` for front and back: the cuticle's GGX alpha, its index of refraction, the
             cosine-weighted mean of its openness, and the fraction of the body's transmittance that leaves on
             the other side (the rest is sent back).
-        openness: `(k * 2 * NODES * 2,)` for front and back: the cuticle's openness 1 - E at the nodes over its
-            mean, and the difference to the next node.
+        openness: `(k * 2 * NODES * 2,)` for front and back: the cuticle's openness 1 - E at the nodes,
+            relative to its mean, and the difference to the next node.
         details: `(texels * 2,)` offset of the state, and relief in local units.
         first_texel, width, height: `(k,)` the part of `details` that belongs to a surface.
         channels: number of sensor channels that `spectra` holds colours for; None if it holds spectra.
@@ -73,14 +72,15 @@ class Optics:
     def pack(
         cls, surfaces: Sequence[Surface], first_nm: float, last_nm: float, unit_m: float = 1.0
     ) -> Optics:
-        """Pack surfaces on a wavelength grid over [first_nm, last_nm]; spectra are constant beyond their ends.
+        """Pack surfaces on a wavelength grid over [first_nm, last_nm], and reliefs in local units.
 
-        Args:
-            surfaces: in the order of the mesh's.
-            first_nm: first wavelength of the grid.
-            last_nm: end of the grid.
-            unit_m: of the kernel's coordinates, metres; reliefs are converted to it.
+        Spectra are constant beyond their ends.
+
+        Raises:
+            ValueError: there are no surfaces, or a pattern and a relief differ in size.
         """
+        if not surfaces:
+            raise ValueError("the scene has no surfaces: assemble it with them to render colour")
         grid = np.arange(first_nm, last_nm + STEP_NM, STEP_NM)
         blocks = [spectra_rows(surface, grid) for surface in surfaces]
         details = [_details(surface, unit_m) for surface in surfaces]
@@ -88,7 +88,6 @@ class Optics:
         texels = np.array([detail.shape[0] * detail.shape[1] for detail in details])
         sides, openness = zip(*(cuticle_tables(surface) for surface in surfaces), strict=True)
         return cls(
-            # As literals these would be compiled into the kernel, and every new scene would be compiled.
             first_nm=device_float(first_nm),
             columns=device_uint(grid.size),
             spectra=device_array(np.concatenate(blocks)),
@@ -103,10 +102,10 @@ class Optics:
         )
 
     def by_channel(self, weights: NDArray[np.float64]) -> Optics:
-        """Integrate the spectra to the colours that the channels of a sensor see under one light.
+        """Integrate the spectra to the colours that c sensor channels, 1 or 3, see under one light.
 
         Args:
-            weights: `(n, c)` response times light on the grid of the spectra, for c of 1 or 3; any scale.
+            weights: `(n, c)` response times light on the grid of the spectra; any scale.
         """
         spectra = np.asarray(self.spectra).reshape(-1, len(weights), 4)
         total = weights.sum(axis=0)
@@ -118,7 +117,7 @@ class Optics:
         """Look up the optical state at surface interactions.
 
         Args:
-            si: interactions, with shading frame, uv and its partial derivatives.
+            si: with shading frame, uv and its partial derivatives.
             surface: number of the surface.
             state: pigment state in [0, 1], before the pattern.
             active: mask.

@@ -26,8 +26,8 @@ class TracedLight:
         flash: `(h, w, c)` direct light of the flash, electrons s-1 m-2 sr-1.
         sky_and_sun: `(h, w, c)` direct light of the sky and the sun.
         indirect: `(h, w, c)` indirect light.
-        albedo: `(h, w, c)` of the first hit, weighted by the response to the flash, 0 without a hit. This and
-            the attributes below guide the denoiser.
+        albedo: `(h, w, c)` of the first hit, weighted by the response to the flash, 0 without a hit; for the
+            denoiser, as are normal and coverage.
         normal: `(h, w, 3)` of the first hit, towards the camera, 0 without a hit.
         coverage: `(h, w, 2)` fraction of the samples that hit a surface: of all, and of the indirect ones.
         variance: between the samples.
@@ -69,8 +69,7 @@ class SampleAccumulator:
     """Sums over the samples of each pixel.
 
     Args:
-        height: of the image, pixels.
-        width: of the image, pixels.
+        height, width: of the image, pixels.
         white: `(c,)` see `SampleVariance`.
 
     Attributes:
@@ -81,19 +80,19 @@ class SampleAccumulator:
     def __init__(self, height: int, width: int, white: NDArray[np.float64]) -> None:
         self._shape, self.white = (height, width), white
         c = self.channels = len(white)
-        # One row per quantity: whole images are added fastest.
+        # One row per quantity: adding whole images is fastest.
         self._direct = np.zeros((3 * c + 5, height * width), np.float32)
         self._indirect = np.zeros((c + 2, height * width), np.float32)
         self.samples = np.zeros(height * width, np.int32)
         self.indirect_samples = 0
 
     def add_direct(self, sums: SampleSums, count: int, pixels: NDArray[np.int64] | None = None) -> None:
-        """Add samples of direct light.
+        """Add samples of direct light in some pixels, given as row-major indices, or in all.
 
         Args:
             sums: over `count` samples: flash, sky and sun, albedo, normal, hits, squares; 3 c + 5 arrays.
             count: number of samples.
-            pixels: row-major indices; None for all.
+            pixels: None for all.
         """
         where = slice(None) if pixels is None else pixels
         for total, part in zip(self._direct, sums, strict=True):
@@ -101,12 +100,7 @@ class SampleAccumulator:
         self.samples[where] += count
 
     def add_all(self, sums: SampleSums, count: int) -> None:
-        """Add samples of direct and indirect light in every pixel.
-
-        Args:
-            sums: as for `add_direct`, then indirect light and its squares; 4 c + 6 arrays.
-            count: number of samples.
-        """
+        """Add samples of all light in every pixel; sums of indirect light and its squares come last."""
         direct = len(self._direct)
         self.add_direct(sums[:direct], count)
         for total, part in zip(self._indirect, [*sums[direct:], sums[direct - 2]], strict=True):

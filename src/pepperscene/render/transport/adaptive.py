@@ -8,8 +8,8 @@ pixel cuts about sqrt(n) of n cells, so the variance of the mean is
 
 with the variance s^2 of one sample (Mitchell 1996, "Consequences of stratified sampling in graphics"). For a
 given number of samples, the sum of V over all pixels is smallest where n^(5/2) is proportional to s^2; the
-target sets the factor. s^2 is averaged over the pixel and its neighbours, because four samples may all miss an
-edge that the next pixel shows.
+target sets the factor. s^2 is averaged over the pixel and its neighbours: four samples may all miss an edge
+that the next pixel shows.
 """
 
 from __future__ import annotations
@@ -27,14 +27,11 @@ VARIANCE_GAIN: Final = 0.8
 """Of the equation above, measured on `barth2018`: .4 for 4, .5 for 8 samples in every pixel, .7 to .9 where
 samples are distributed by need."""
 DENOISED_ERROR: Final = 0.15
-"""Fraction of the standard error of indirect light that remains after denoising: .14 to .17 for 2 and 4
-samples."""
+"""Fraction of the standard error of indirect light after denoising: .14 to .17 for 2 and 4 samples."""
 _GROWTH: Final = 4  # chosen: largest factor by which the samples of a pixel grow in one round
 _SUBSET: Final = 1 << 14  # chosen: pixels that the scale is computed from
-
 _MAX_ERROR: Final = 127.5
-"""Codes: the error of a pixel whose value may be anything. Near the sun the slope of the tone curve would give
-thousands."""
+"""Codes: of a pixel whose value may be anything. Near the sun the tone curve's slope would give thousands."""
 _MAX_DIFFERENCE: Final = 510.0  # chosen: codes between samples, from black to overexposed
 
 Floats = NDArray[np.float32]
@@ -74,8 +71,8 @@ class AdaptiveSampler:
     def metadata(self, light: TracedLight) -> dict[str, Any]:
         """Describe the samples of a finished frame and their error, for its JSON file."""
         variance, codes = light.variance, self._code_response(light.total(), light.variance.white)
-        of_mean = VARIANCE_GAIN * _local_mean(variance.direct)
-        of_mean = of_mean * variance.samples.astype(np.float32) ** np.float32(-1.5)
+        per_sample = variance.samples.astype(np.float32) ** np.float32(-1.5)
+        of_mean = VARIANCE_GAIN * _local_mean(variance.direct) * per_sample
         of_mean += variance.indirect * np.float32(self._indirect_factor / max(variance.indirect_samples, 1))
         error, noise = codes.squared(of_mean, _MAX_ERROR), np.square(codes.noise)
         rms_error, rms_noise = (float(np.sqrt(part.mean())) for part in (error, noise))
@@ -120,10 +117,10 @@ def _variance_scale(variance: Floats, allowed: float, max_samples: int) -> float
 
 @dataclass(frozen=True, eq=False)
 class CodeResponse:
-    """How noise and light appear in each pixel of a picture, root mean square over its colours.
+    """How sensor noise and light appear in each pixel of a picture, root mean square over its colours.
 
     Attributes:
-        noise: `(h, w)` standard deviation of the sensor noise, codes.
+        noise: `(h, w)` standard deviation, codes.
         per_white: `(h, w)` codes per unit of `SampleVariance.white`.
     """
 

@@ -10,18 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Flash
-from pepperscene.render.kernel.arrays import aligned_copy, device_array, device_float
+from pepperscene.render.kernel.arrays import device_array, device_float
 from pepperscene.render.kernel.camera import CameraRays, SpectralResponse
 from pepperscene.render.kernel.scene import LightScene, SkyTables
 from pepperscene.render.surface.optics import Optics
 from pepperscene.render.variant import mitsuba_modules
 
 _MIN_DISTANCE: Final = 1e-4
-"""In local units, a metre for all but tiny scenes: chosen, no emitter is smaller, and its light stays within
-single precision."""
+"""Local units: chosen, no emitter is smaller, and its light stays within single precision."""
 _VISIBLE_SUN: Final = 0.02
-"""Chosen: if a white body half a metre from the flash receives more than this fraction of its light from the
-sun, the sun's shadows are visible and it counts as direct light. Below, it is indirect light."""
+"""Chosen: sunlight over flash light on a white body half a metre from the flash. Above, the sun's shadows are
+visible and it counts as direct light, below as indirect light."""
 
 
 class FlashSampler:
@@ -102,12 +101,10 @@ class FrameTables:
     advance, by the trapezoidal rule, which light carried at wavelengths follows as well.
 
     Attributes:
-        scene: geometry and spectra of the surfaces.
-        rays: of the camera.
-        flash: None without a flash.
-        sky: None without a sky.
-        flash_optics: the surfaces' channel colours under the flash.
-        sun_optics: the same under the sun; None unless its light at first hits is direct light.
+        scene, rays: geometry and spectra of the surfaces, and the camera's rays.
+        flash, sky: None without a flash or sky.
+        flash_optics, sun_optics: the surfaces' channel colours under the flash and the sun; None for the sun
+            unless its light at first hits is direct light.
         colours: the lights by channel.
         first_nm: first wavelength of the spectral tables, whose entries are `STEP_NM` apart.
         last_entry: a little less than the index of their last entry.
@@ -117,8 +114,7 @@ class FrameTables:
         white: `(c,)` see `SampleVariance`.
         per_white: its inverse, one opaque number for each channel.
         roulette: whether paths may end, and shadow rays choose one of two lights, with a probability that
-            depends on the light. Such decisions are discontinuous in the surfaces' parameters, so pictures
-            that are differentiated do without them.
+            depends on the light. Such decisions are discontinuous in the surfaces' parameters.
     """
 
     scene: LightScene
@@ -197,7 +193,7 @@ def frame_tables(
         first_nm=device_float(grid[0]),
         last_entry=device_float(grid.size - 1.001),
         wavelengths=mi.ContinuousDistribution(
-            mi.ScalarVector2f(grid[0], grid[-1]), aligned_copy(response.density)
+            mi.ScalarVector2f(grid[0], grid[-1]), device_array(response.density)
         ),
         electrons_per_joule=[device_array(column) for column in electrons.T],
         spectra=LightSpectra(

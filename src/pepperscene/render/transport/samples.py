@@ -32,11 +32,10 @@ class Samples:
         self.ray = mi.Ray3f(start, direction)
 
     def flash_light(self, si: Any, point: Any, active: Any, spectra: LightSpectra) -> Any:
-        """Light of the flash at first hits, as the mean over several points of it.
+        """Light of the flash at first hits, as the mean over evenly spread points with a shadow ray to each.
 
-        Close to the camera, what the emitters send to a point differs much, and most of the picture is in
-        their penumbras. So the points are spread evenly over the flash, with a shadow ray to each. Rays from
-        one hit to the same part of the flash are coherent, and cheaper than rays to new hits.
+        Close to the camera, the emitters light a point very differently, and most of the picture is in their
+        penumbras. Shadow rays from one hit are coherent, and cheaper than rays to new hits.
         """
         mi, dr = mitsuba_modules()
         if self.tables.flash is None or spectra.flash is None:
@@ -61,20 +60,17 @@ class Samples:
         Shadow rays from later hits are incoherent and expensive, so one serves both: it goes to either, with
         a probability in proportion to the unshadowed light, and the light is divided by that probability.
         """
-        flash_shines = self.tables.flash is not None and spectra.flash is not None
-        if self.tables.sky is None or spectra.sun is None:
-            if flash_shines:
-                return self._one_point_flash_light(si, point, active, spectra)
-            return point.reflectance * 0.0
-        if not flash_shines:
-            return self.sun_light(si, point, active, spectra)
+        at_hit = si, point, active, spectra
+        has_sun = self.tables.sky is not None and spectra.sun is not None
+        if self.tables.flash is None or spectra.flash is None:
+            return self.sun_light(*at_hit)
+        if not has_sun:
+            return self._one_point_flash_light(*at_hit)
         if not self.tables.roulette:
-            return self._one_point_flash_light(si, point, active, spectra) + self.sun_light(
-                si, point, active, spectra
-            )
+            return self._one_point_flash_light(*at_hit) + self.sun_light(*at_hit)
         _, dr = mitsuba_modules()
-        flash, target = self._unshadowed_flash(si, point, active, spectra, self.next_2d())
-        sun, direction = self._unshadowed_sun(si, point, active, spectra)
+        flash, target = self._unshadowed_flash(*at_hit, self.next_2d())
+        sun, direction = self._unshadowed_sun(*at_hit)
         both = dr.sum(flash) + dr.sum(sun)
         flash_fraction = dr.select(both > 0.0, dr.sum(flash) / dr.maximum(both, _TINY), 0.0)
         to_flash = self.next_1d() < flash_fraction

@@ -1,11 +1,11 @@
 """Light transport for a flash at the camera: one traversal for all light, then more samples of its edges.
 
 The flash is nearly deterministic; all other light is small and smooth (a tenth of the signal in `barth2018`).
-So at the first hit the flash and the sun get shadow rays of their own, towards points of their discs, at later
-hits one for both, and the sky is found by BSDF sampling alone. Light that meets one surface only is carried by
-sensor channel, with its integrals over wavelength taken in advance; light that meets more is carried at four
-wavelengths per sample. The first samples of a pixel trace both; where they show edges, more samples follow
-that stop at the first hit.
+So at the first hit the flash and the sun get shadow rays of their own, towards points of their discs, at
+later hits one for both, and the sky is found by BSDF sampling alone. Light that meets one surface only is
+carried by sensor channel, with its integrals over wavelength taken in advance; light that meets more is
+carried at four wavelengths per sample. The first samples of a pixel trace both; where they show edges, more
+samples follow that stop at the first hit.
 
 The samples of a pixel are adjacent in the wavefront, so that the sum over a pixel is a block reduction: no
 atomics, and the same bits in each run, however the wavefront is split.
@@ -47,8 +47,8 @@ class Sampling:
         samples: per pixel, everywhere.
         indirect: how many of these trace indirect light as well.
         bounces: scattering events after the first hit.
-        required: returns from the samples so far how many each pixel should have, `(h * w,)`, no more than
-            there are when these are enough; None to take `samples` everywhere.
+        required: from the samples so far to the number that each pixel should have, `(h * w,)`; None to take
+            `samples` everywhere.
     """
 
     samples: int
@@ -66,22 +66,12 @@ def trace(
     sampling: Sampling,
     seed: int,
 ) -> TracedLight:
-    """Trace the light that reaches each pixel.
-
-    Args:
-        scene: with materials over the response's range.
-        rays: of the camera.
-        response: of the camera.
-        flash: or None.
-        sky: or None.
-        sampling: numbers of samples.
-        seed: of all random numbers.
-    """
+    """Trace the light that reaches each pixel of a camera in a scene with materials over its response."""
     tables = frame_tables(scene, rays, response, flash, sky)
     accumulator = SampleAccumulator(rays.height, rays.width, tables.white)
     first = 0
+    # One traversal for all light, then the samples without indirect light.
     if tables.has_lights:
-        # One traversal for all light, then the samples without indirect light.
         first = min(sampling.indirect, sampling.samples)
         all_light = functools.partial(_all_light, bounces=sampling.bounces)
         accumulator.add_all(_sum_samples(tables, None, 0, first, seed, all_light), first)
@@ -89,29 +79,22 @@ def trace(
         rest = sampling.samples - first
         accumulator.add_direct(_sum_samples(tables, None, first, rest, seed, _direct_light), rest)
 
-    if tables.has_lights and sampling.required is not None:
-        _refine(accumulator, tables, sampling.required, seed)
+    if not tables.has_lights or sampling.required is None:
+        return accumulator.light()
+
+    # Continue the sample sequences of pixels that need more.
+    for _ in range(_REFINEMENT_ROUNDS):
+        refinements = list(_refinements(accumulator.samples, sampling.required(accumulator)))
+        for begin, end, pixels in refinements:
+            sums = _sum_samples(tables, pixels, begin, end - begin, seed, _direct_light)
+            accumulator.add_direct(sums, end - begin, pixels)
+        if not refinements:
+            break
     return accumulator.light()
 
 
-def _refine(
-    accumulator: SampleAccumulator,
-    tables: FrameTables,
-    required: Callable[[SampleAccumulator], Counts],
-    seed: int,
-) -> None:
-    """Add direct samples, continuing each pixel's sequence, until no pixel needs more."""
-    for _ in range(_REFINEMENT_ROUNDS):
-        steps = list(_refinement_steps(accumulator.samples, required(accumulator)))
-        for begin, end, pixels in steps:
-            sums = _sum_samples(tables, pixels, begin, end - begin, seed, _direct_light)
-            accumulator.add_direct(sums, end - begin, pixels)
-        if not steps:
-            return
-
-
-def _refinement_steps(taken: Counts, required: Counts) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
-    """First and end sample of each refinement step, and its pixels."""
+def _refinements(taken: Counts, required: Counts) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
+    """First sample, end sample and pixels of each refinement."""
     for begin in np.flatnonzero(np.bincount(taken)).tolist():
         pixels = np.flatnonzero((taken == begin) & (required > begin))
         for end in np.flatnonzero(np.bincount(required[pixels])).tolist():
@@ -126,15 +109,9 @@ def _sum_samples(
     seed: int,
     integrand: Callable[[FrameTables, Samples], list[Any]],
 ) -> list[Images]:
-    """Sum an integrand's k values over samples `first` to `first + count - 1` of each pixel: k times `(n,)`.
+    """Sum an integrand's k values over samples `first` to `first + count - 1` of n pixels: k times `(n,)`.
 
-    Args:
-        tables: of the frame.
-        pixels: row-major indices, or None for all.
-        first: sample of each pixel.
-        count: number of samples.
-        seed: of the frame.
-        integrand: computes the values of a wavefront.
+    `pixels` are row-major indices, or None for all; `integrand` computes the values of a wavefront.
     """
     mi, dr = mitsuba_modules()
     total = tables.rays.width * tables.rays.height if pixels is None else len(pixels)
