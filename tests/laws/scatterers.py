@@ -1,4 +1,4 @@
-"""Many surfaces, states and directions of view in one kernel call, for the laws of scattering."""
+"""Many surfaces, states and view directions in one kernel call, for the tests of scattering."""
 
 from __future__ import annotations
 
@@ -11,21 +11,20 @@ import numpy as np
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import Surface, greenhouse_surfaces, organ_surfaces
 from pepperscene.materials.gloss import gloss_albedo
-from pepperscene.render.surface.optics import Optics
-from pepperscene.render.surface.tables import LEAST_ALPHA, pack
+from pepperscene.render.surface.optics import MIN_ALPHA, Optics
 from pepperscene.render.variant import mitsuba_modules
 
 GRID_NM = np.arange(380.0, 961.0, 5.0)
-SEEN_NM = (
+TEST_NM = (
     450.0,
     550.0,
     680.0,
     850.0,
-)  # a leaf's two absorption bands, its green, its bright infrared
-EXTENT_M = 0.03  # of a unit of uv: makes the shipped reliefs some three times as steep as on the plant
-MADE_IORS = (1.0, 1.05, 1.28, 1.5, 2.5)
-MADE_ROUGHNESS = ((1e-3, 1e-3), (1e-3, 1.0), (0.1, 0.45), (0.7, 0.02))
-MADE_TRANSMITTANCES = (0.0, 0.4, 1.0)
+)  # a leaf's two absorption bands, green and bright infrared
+EXTENT_M = 0.03  # of a unit of uv: makes shipped reliefs about three times as steep as on the plant
+IORS = (1.0, 1.05, 1.28, 1.5, 2.5)
+ROUGHNESSES = ((1e-3, 1e-3), (1e-3, 1.0), (0.1, 0.45), (0.7, 0.02))
+TRANSMITTANCES = (0.0, 0.4, 1.0)
 
 
 @cache
@@ -36,29 +35,29 @@ def shipped() -> tuple[Surface, ...]:
 
 
 def plain(surface: Surface) -> Surface:
-    """The same without pattern and relief."""
+    """A surface without its pattern and relief."""
     return replace(surface, pattern=None, relief_mm=None)
 
 
-def made(name: str, front: float, back: float, through: float, ior: float, roughness) -> Surface:
+def grey_surface(name: str, front: float, back: float, through: float, ior: float, roughness) -> Surface:
     """A grey surface."""
     body = np.repeat(np.array([front, back])[None, :, None], 2, axis=2)
     return Surface(name, GRID_NM[[0, -1]], body, np.full((1, 2), through), ior, roughness)
 
 
 def lossless() -> tuple[Surface, ...]:
-    """Bodies that absorb nothing, under cuticles of all kinds, the sides alike and unlike."""
+    """Bodies that absorb nothing, under cuticles of all kinds, with equal and different sides."""
     return tuple(
-        made(f"T {t:g}, ior {ior:g}, alpha {roughness}", 1.0 - t, 1.0 - t, t, ior, roughness)
-        for ior in MADE_IORS
-        for roughness in MADE_ROUGHNESS
-        for t in MADE_TRANSMITTANCES
+        grey_surface(f"T {t:g}, ior {ior:g}, alpha {roughness}", 1.0 - t, 1.0 - t, t, ior, roughness)
+        for ior in IORS
+        for roughness in ROUGHNESSES
+        for t in TRANSMITTANCES
     )
 
 
 @dataclass(frozen=True, eq=False)
 class Cases:
-    """Surfaces seen in some state from some direction.
+    """Surfaces in a state, seen from a direction.
 
     Attributes:
         surfaces: of all cases.
@@ -78,7 +77,7 @@ class Cases:
     def over(
         cls, surfaces: Sequence[Surface], states: Iterable[float], cosines: Iterable[float], seed: int
     ) -> Cases:
-        """Every surface in every state at every cosine of view, at random azimuths and places."""
+        """Every surface in every state at every cosine of view, at random azimuths and uv."""
         rng = np.random.default_rng(seed)
         grid = np.meshgrid(np.arange(len(surfaces)), list(states), list(cosines), indexing="ij")
         surface, state, cosine = (axis.ravel() for axis in grid)
@@ -96,46 +95,45 @@ class Cases:
 
     @property
     def side(self) -> np.ndarray:
-        """`(c,)`: 0 seen from the front, 1 from the back."""
+        """`(c,)`: 0 if seen from the front, 1 from the back."""
         return np.where(self.wi[:, 2] > 0.0, 0, 1)
 
     def alpha(self) -> np.ndarray:
-        """`(c,)` of the cuticle on the viewer's side, as packed."""
+        """`(c,)` roughness of the cuticle on the viewer's side, as packed."""
         return np.array(
             [
-                max(self.surfaces[k].roughness[s], LEAST_ALPHA)
+                max(self.surfaces[k].roughness[s], MIN_ALPHA)
                 for k, s in zip(self.surface, self.side, strict=True)
             ]
         )
 
     def expected(self) -> np.ndarray:
         """`(c, 4)`: E + (1 - E) (R + T) by NumPy, of plain surfaces."""
-        found = np.empty((len(self), len(SEEN_NM)))
+        albedo = np.empty((len(self), len(TEST_NM)))
         for case, (number, side, state) in enumerate(zip(self.surface, self.side, self.state, strict=True)):
             surface = self.surfaces[number]
             rows = surface.reflectance[:, side] + surface.transmittance
-            at_nm = np.stack([np.interp(SEEN_NM, surface.wavelength_nm, row) for row in rows])
-            place = np.linspace(0.0, 1.0, len(rows))
-            body = np.array([np.interp(state, place, column) for column in at_nm.T])
-            mirrored = gloss_albedo(abs(float(self.wi[case, 2])), surface.ior, surface.roughness[side])[0]
-            found[case] = mirrored + (1.0 - mirrored) * body
-        return found
+            at_nm = np.stack([np.interp(TEST_NM, surface.wavelength_nm, row) for row in rows])
+            states = np.linspace(0.0, 1.0, len(rows))
+            body = np.array([np.interp(state, states, column) for column in at_nm.T])
+            gloss = gloss_albedo(abs(float(self.wi[case, 2])), surface.ior, surface.roughness[side])[0]
+            albedo[case] = gloss + (1.0 - gloss) * body
+        return albedo
 
     def optics(self) -> Optics:
-        return Optics(pack(self.surfaces, float(GRID_NM[0]), float(GRID_NM[-1])))
+        return Optics.pack(self.surfaces, float(GRID_NM[0]), float(GRID_NM[-1]))
 
     def points(self, optics: Optics, case):
-        """The optical states at lanes that belong to the cases numbered `case` (a kernel's integer)."""
+        """The optical states of lanes; `case` is a `UInt32` of case numbers."""
         mi, dr = mitsuba_modules()
         wi = dr.gather(mi.Vector3f, mi.Float(self.wi.ravel()), case)
         uv = dr.gather(mi.Point2f, mi.Float(self.uv.ravel()), case)
         surface = dr.gather(mi.UInt32, mi.UInt32(self.surface), case)
         state = dr.gather(mi.Float, mi.Float(self.state), case)
-        return optics.at(interaction(wi, dr.width(case), uv), surface, state, mi.Bool(True))
+        return optics.point(interaction(wi, dr.width(case), uv), surface, state, mi.Bool(True))
 
     def frames(self, optics: Optics) -> np.ndarray:
-        """`(c, 3, 3)`: axes (rows) of the directions that `quadrature` and the lobes use: the relief's, with
-        z towards the viewer."""
+        """`(c, 3, 3)`: axes (rows) of the relief's frame with z towards the viewer, as the lobes use it."""
         mi, dr = mitsuba_modules()
         point = self.points(optics, dr.arange(mi.UInt32, len(self)))
         dr.eval(point.frame, point.flip)
@@ -161,15 +159,15 @@ def interaction(wi, n: int, uv=(0.5, 0.5)):
     si.sh_frame = mi.Frame3f(mi.Normal3f(0.0, 0.0, 1.0))
     si.dp_du, si.dp_dv = mi.Vector3f(EXTENT_M, 0.0, 0.0), mi.Vector3f(0.0, EXTENT_M, 0.0)
     si.uv = mi.Point2f(*uv)
-    si.wavelengths = mi.Spectrum(*SEEN_NM)
+    si.wavelengths = mi.Spectrum(*TEST_NM)
     return si
 
 
-def sampled(cases: Cases, repeats: int, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Directional albedos `(c, repeats, 4)` and shares of samples rejected `(c, repeats)` by sampling.
+def sample_cases(cases: Cases, repeats: int, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Directional albedos `(c, repeats, 4)` and rejected fractions `(c, repeats)` by sampling.
 
-    Each repeat takes `count` points of a lattice (powers of the root of x^4 = x + 1, Roberts 2018), shifted
-    by random numbers of its own: the repeats are independent and without bias (Cranley & Patterson 1976).
+    Each repeat takes `count` points of a lattice (powers of the root of x^4 = x + 1, Roberts 2018) with its
+    own random shift: the repeats are independent and unbiased (Cranley & Patterson 1976).
     """
     rng = np.random.default_rng(seed)
     root = 1.2207440846057596
@@ -177,14 +175,14 @@ def sampled(cases: Cases, repeats: int, count: int, seed: int) -> tuple[np.ndarr
     shift = rng.random((len(cases), repeats, 3))
     optics = cases.optics()
     chunks = [np.arange(first, min(first + 100, len(cases))) for first in range(0, len(cases), 100)]
-    found = np.concatenate([_sampled(cases, optics, chunk, lattice, shift[chunk]) for chunk in chunks])
-    return found[..., :4], found[..., 4]
+    means = np.concatenate([_sample_chunk(cases, optics, chunk, lattice, shift[chunk]) for chunk in chunks])
+    return means[..., :4], means[..., 4]
 
 
-def _sampled(
+def _sample_chunk(
     cases: Cases, optics: Optics, chosen: np.ndarray, lattice: np.ndarray, shift: np.ndarray
 ) -> np.ndarray:
-    """`(c, repeats, 5)`: means of the weights at four wavelengths, and the share rejected."""
+    """`(c, repeats, 5)`: means of the weights at four wavelengths, and the rejected fraction."""
     mi, dr = mitsuba_modules()
     count, repeats = lattice.shape[1], shift.shape[1]
     lane = dr.arange(mi.UInt32, len(chosen) * repeats * count)
@@ -203,21 +201,20 @@ def _sampled(
     return np.stack(sums, axis=-1).reshape(len(chosen), repeats, 5) / count
 
 
-def integrated(cases: Cases) -> tuple[np.ndarray, np.ndarray]:
+def integrate_cases(cases: Cases) -> tuple[np.ndarray, np.ndarray]:
     """Directional albedos `(c, 4)` and integrals of the density `(c,)` by quadrature of `eval_pdf`.
 
-    Nothing of the BSDF's own sampling is used: a grid of diffuse directions on both sides, and one of
-    microfacet normals drawn by their area, each with its density in the other (the balance heuristic makes
-    one integral of the two).
+    Independent of the BSDF's own sampling: a grid of diffuse directions on both sides, and one of microfacet
+    normals weighted by their area, combined by the balance heuristic.
     """
     mi, dr = mitsuba_modules()
     optics = cases.optics()
     frames = cases.frames(optics)
     local, weight = [], []
     for case, alpha in enumerate(cases.alpha()):
-        directions, share = _directions(frames[case] @ cases.wi[case].astype(float), alpha)
+        directions, weights = _directions(frames[case] @ cases.wi[case].astype(float), alpha)
         local.append(directions @ frames[case])
-        weight.append(share)
+        weight.append(weights)
     count = weight[0].size
     wo = np.concatenate(local).astype(np.float32)
     lane = dr.arange(mi.UInt32, len(wo))
@@ -228,15 +225,15 @@ def integrated(cases: Cases) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _directions(wi: np.ndarray, alpha: float) -> tuple[np.ndarray, np.ndarray]:
-    """`(n, 3)` directions in the view's frame and `(n,)` their weights in an integral over the sphere."""
+    """`(n, 3)` directions in the viewer's frame and `(n,)` their weights in an integral over the sphere."""
 
     def mirror_density(wo: np.ndarray) -> np.ndarray:
         half = wi + wo
         half /= np.linalg.norm(half, axis=1, keepdims=True)
-        spread = (half[:, 0] ** 2 + half[:, 1] ** 2) / alpha**2 + half[:, 2] ** 2
-        return half[:, 2] / (np.pi * alpha**2 * spread**2) / (4.0 * np.maximum(half @ wi, 1e-9))
+        stretched = (half[:, 0] ** 2 + half[:, 1] ** 2) / alpha**2 + half[:, 2] ** 2
+        return half[:, 2] / (np.pi * alpha**2 * stretched**2) / (4.0 * np.maximum(half @ wi, 1e-9))
 
-    # Diffuse directions: above with the mirror's density beside their own, below alone.
+    # Diffuse directions: above the surface combined with the mirror's density, below it alone.
     node, weight = np.polynomial.legendre.leggauss(40)
     theta, phi = np.meshgrid(
         (node + 1.0) * np.pi / 4.0, (np.arange(48) + 0.5) / 48 * 2 * np.pi, indexing="ij"
@@ -247,17 +244,17 @@ def _directions(wi: np.ndarray, alpha: float) -> tuple[np.ndarray, np.ndarray]:
     lambert = above[:, 2] / np.pi
     by_area = solid_angle * lambert / (lambert + mirror_density(above))
 
-    # Mirrored directions; those beyond the horizon count for nothing.
-    rest, psi = np.meshgrid((np.arange(80) + 0.5) / 80, (np.arange(64) + 0.5) / 64 * 2 * np.pi, indexing="ij")
-    rest, psi = rest.ravel(), psi.ravel()
-    share = 3.0 * rest**2 / rest.size  # finer towards the far tail, where the mirror meets the body
-    slope = alpha * np.sqrt(1.0 / rest**3 - 1.0)
-    half = np.stack([slope * np.cos(psi), slope * np.sin(psi), np.ones_like(rest)], axis=1)
+    # Mirrored directions; those below the horizon have no weight.
+    area, psi = np.meshgrid((np.arange(80) + 0.5) / 80, (np.arange(64) + 0.5) / 64 * 2 * np.pi, indexing="ij")
+    area, psi = area.ravel(), psi.ravel()
+    weight_of_normal = 3.0 * area**2 / area.size  # finer in the tail, where gloss and body are similar
+    slope = alpha * np.sqrt(1.0 / area**3 - 1.0)
+    half = np.stack([slope * np.cos(psi), slope * np.sin(psi), np.ones_like(area)], axis=1)
     half /= np.linalg.norm(half, axis=1, keepdims=True)
-    towards = half @ wi
-    mirrored = 2.0 * towards[:, None] * half - wi
-    usable = (towards > 1e-6) & (mirrored[:, 2] > 1e-6)
+    cosine = half @ wi
+    mirrored = 2.0 * cosine[:, None] * half - wi
+    usable = (cosine > 1e-6) & (mirrored[:, 2] > 1e-6)
     mirrored[~usable] = (0.0, 0.0, 1.0)
-    by_mirror = usable * share / (mirrored[:, 2] / np.pi + mirror_density(mirrored))
+    by_mirror = usable * weight_of_normal / (mirrored[:, 2] / np.pi + mirror_density(mirrored))
     directions = np.concatenate([above, above * (1.0, 1.0, -1.0), mirrored])
     return directions, np.concatenate([by_area, solid_angle, by_mirror])

@@ -1,4 +1,4 @@
-"""Small pictures whose light has a reference, shared by the laws about its error."""
+"""Small pictures with a reference, shared by the tests of the light's error."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ COLUMNS, ROWS = 112, 84
 
 
 def bench_shot() -> tuple[Scene, Camera]:
-    """The bench of the law of convergence, which its flash and its sun do not blow out."""
-    whole = bench_camera(columns=COLUMNS, rows=ROWS)
-    return bench(), replace(whole, sensor=replace(whole.sensor, binning=8), exposure_s=15e-6)
+    """The scene of `test_convergence`, not overexposed."""
+    camera = bench_camera(columns=COLUMNS, rows=ROWS)
+    return bench(), replace(camera, sensor=replace(camera.sensor, binning=8), exposure_s=15e-6)
 
 
 def bright_day(recipe: Recipe, exposure_us: float) -> dict[str, object]:
-    """Changes of a recipe to one that a bright day lights alone."""
+    """Changes of a recipe to bright daylight without a flash."""
     sun = {"illuminance_lx": 30e3, "sun_azimuth_deg": -60.0, "sun_elevation_deg": 50.0}
     return {
         "daylight": recipe.daylight.model_copy(update=sun),
@@ -33,36 +33,36 @@ def bright_day(recipe: Recipe, exposure_us: float) -> dict[str, object]:
 
 
 def plants_shot(*, daylight: bool = False) -> tuple[Scene, Camera]:
-    """Two plants of the demo: the middle of a picture by flash, or by a bright day alone."""
+    """Two plants of the demo: the middle of a picture, by flash or by bright daylight alone."""
     recipe = load_recipe("demo")
     changes: dict[str, object] = {"row": recipe.row.model_copy(update={"plants_front": 1, "plants_back": 1})}
     if daylight:
         changes |= bright_day(recipe, 300.0)
-    stage = FrameRenderer(recipe.model_copy(update=changes))
-    shot = stage.recipe.plan.frame(125)
-    camera = stage.camera(shot)
-    return stage.scene(shot), replace(camera, sensor=replace(camera.sensor, columns=COLUMNS, rows=ROWS))
+    frames = FrameRenderer(recipe.model_copy(update=changes))
+    spec = frames.recipe.plan.frame(125)
+    camera = frames.camera(spec)
+    return frames.scene(spec), replace(camera, sensor=replace(camera.sensor, columns=COLUMNS, rows=ROWS))
 
 
 class Codes:
-    """Errors of a camera's light in the codes of its picture, linear in the light.
+    """Errors of a camera's light in codes of its picture, linear in the light.
 
     Args:
-        camera: whose pictures.
-        electrons: `(h, w, c)` nearly without noise; the tone curve's slope is taken there.
+        camera: that takes the pictures.
+        electrons: `(h, w, c)` nearly without noise, for the slope of the tone curve.
     """
 
     def __init__(self, camera: Camera, electrons: np.ndarray) -> None:
-        # White balance and matrix alone: clipped channels have no slope anyway.
+        # White balance and matrix alone; clipped channels have no slope.
         self._camera = replace(camera, developing=replace(camera.developing, saturation=False))
         linear = self._linear(electrons)
-        # IEC 61966-2-1; beyond black and white nothing shows.
+        # IEC 61966-2-1; 0 beyond black and white.
         value = np.clip(linear, 0.0031308, 1.0)
         slope = np.where(linear <= 0.0031308, 12.92, 1.055 / 2.4 * value ** (1 / 2.4 - 1.0))
         self._slope = np.where((linear <= 0.0) | (linear >= 1.0), 0.0, 255.0 * slope)
 
     def of(self, electrons: np.ndarray) -> np.ndarray:
-        """`(h, w, 3)` of a difference in electrons."""
+        """`(h, w, 3)` codes of a difference in electrons."""
         return self._slope * self._linear(electrons)
 
     def _linear(self, electrons: np.ndarray) -> np.ndarray:
@@ -71,10 +71,10 @@ class Codes:
         return correct_colours((electrons / full).astype(np.float32), self._camera).astype(float)
 
 
-class Referred:
-    """A shot with a reference in two independent halves.
+class WithReference:
+    """A scene and camera with a reference in two independent halves.
 
-    Differences to either half, multiplied, give the square of an error without the reference's own noise.
+    The product of the differences to both is the square of an error without the reference's own noise.
     """
 
     def __init__(self, scene: Scene, camera: Camera, *, bounces: int = 2, frames: int = 1) -> None:
@@ -90,7 +90,7 @@ class Referred:
     def electrons(
         self, quality: str | Quality, seed: int, target: float | None = None
     ) -> tuple[np.ndarray, dict[str, float]]:
-        """`(h, w, 3)` electrons of a frame, and what it says of its samples."""
+        """`(h, w, 3)` electrons of a frame, and its metadata about samples."""
         frame = self.renderer.render(self.camera, ["electrons"], quality, seed, target)
         return frame["electrons"].astype(float), frame.metadata["sampling"]
 
@@ -102,8 +102,8 @@ class Referred:
     def errors(
         self, quality: str | Quality, target: float | None = None, frames: int = 6
     ) -> tuple[float, float, list[dict[str, float]]]:
-        """The true error and the one told, root mean square over frames, codes; and what they say."""
-        found = [self.electrons(quality, seed, target) for seed in range(frames)]
-        true = np.sqrt(np.mean([self.true_square(electrons) for electrons, _ in found]))
-        told = np.sqrt(np.mean([facts["error_codes"] ** 2 for _, facts in found]))
-        return float(true), float(told), [facts for _, facts in found]
+        """True and reported error, root mean square over frames in codes, and the frames' metadata."""
+        pairs = [self.electrons(quality, seed, target) for seed in range(frames)]
+        true = np.sqrt(np.mean([self.true_square(electrons) for electrons, _ in pairs]))
+        reported = np.sqrt(np.mean([metadata["error_codes"] ** 2 for _, metadata in pairs]))
+        return float(true), float(reported), [metadata for _, metadata in pairs]

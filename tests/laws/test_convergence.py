@@ -1,7 +1,7 @@
-"""Light transport converges as Monte Carlo must, and its mean does not depend on the number of samples.
+"""Light transport converges like Monte Carlo integration, to a mean that does not depend on the samples.
 
-Rationale: a sampler whose numbers are correlated, a weight that does not belong to its density or a pass that
-repeats another all leave pictures that look right. They show in the rate and in the mean.
+Rationale: correlated random numbers, a weight that does not match its density, or a pass that repeats another
+leave pictures that look right. They are visible in the rate of convergence and in the mean.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from scipy import stats
 
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import Surface, lambertian_surface
-from pepperscene.render.kernel.camera import LensCache, response
+from pepperscene.render.kernel.camera import camera_rays, spectral_response
 from pepperscene.render.kernel.scene import light_scene, sky_tables
-from pepperscene.render.transport import trace as transport
+from pepperscene.render.transport import trace as trace_module
 from pepperscene.render.transport.trace import Sampling, trace
 from pepperscene.scene import Sky, Sun, assemble_scene
 from pepperscene.spectra import Spectrum, sky_spectrum, sun_spectrum, with_illuminance
 
 NM = np.arange(380.0, 781.0, 5.0)
-PARTS = ("flash", "sky", "soft")
+PARTS = ("flash", "sky_and_sun", "indirect")
 
 
 def glossy_leaf() -> Surface:
@@ -33,7 +33,7 @@ def glossy_leaf() -> Surface:
 
 
 def bench():
-    """A sphere and a leaf before a card in the sky: edges, half-shadows, light through a leaf."""
+    """A sphere and a leaf in front of a card under the sky: edges, penumbras, light through a leaf."""
     mesh = concatenate_meshes(
         [
             sphere((0.03, 0.02, 0.45), 0.06, "matt", subdivisions=3),
@@ -41,34 +41,33 @@ def bench():
             sheet(0.3, 0.2, 0.6, "matt"),
         ]
     )
-    # A sky of two halves and a sun as wide as a hand, behind the camera, so that its half-shadows are seen.
+    # A sky of two halves, and a wide sun behind the camera, whose penumbras are visible.
     irradiance = with_illuminance(sky_spectrum("d65"), 20_000.0)
     halves = np.array([[[1.0, 1.0, 3.0, 3.0]] * 2], np.float32)
-    towards = np.array([0.4, -0.5, -1.0]) / np.linalg.norm([0.4, -0.5, -1.0])
-    sun = Sun(towards, with_illuminance(sun_spectrum(), 20_000.0), angular_radius=0.05)
+    direction = np.array([0.4, -0.5, -1.0]) / np.linalg.norm([0.4, -0.5, -1.0])
+    sun = Sun(direction, with_illuminance(sun_spectrum(), 20_000.0), angular_radius=0.05)
     sky = Sky(halves, Spectrum(irradiance.wavelength_nm, irradiance.values[None] / np.pi), sun)
     return assemble_scene(mesh, {"matt": lambertian_surface("matt", 0.6), "leaf": glossy_leaf()}, sky)
 
 
 class Tracer:
-    """Traces the bench with any number of samples."""
+    """Traces the scene with any number of samples."""
 
     def __init__(self) -> None:
         scene, camera = bench(), bench_camera(columns=32, rows=24)
-        # Large pixels, so that few of them see all of it.
+        # Large pixels: few of them show the whole scene.
         self.camera = replace(camera, sensor=replace(camera.sensor, binning=20))
-        self.spectral = response(self.camera, scene)
-        first, last = float(self.spectral.grid_nm[0]), float(self.spectral.grid_nm[-1])
-        self.scene = light_scene(scene, first, last)
-        self.sky = sky_tables(scene, self.spectral.grid_nm)
-        self.view = LensCache().view(self.camera)
+        self.response = spectral_response(self.camera, scene)
+        grid = self.response.grid_nm
+        self.scene = light_scene(scene, float(grid[0]), float(grid[-1]))
+        self.sky, self.rays = sky_tables(scene, grid), camera_rays(self.camera)
 
     def light(self, count: int, seed: int):
         sampling = Sampling(count, count, 2)
-        return trace(self.scene, self.view, self.spectral, self.camera.flash, self.sky, sampling, seed)
+        return trace(self.scene, self.rays, self.response, self.camera.flash, self.sky, sampling, seed)
 
     def parts(self, count: int, stream: int, runs: int) -> dict[str, np.ndarray]:
-        """`(runs, h, w, 3)` of each part, with seeds drawn as a renderer draws them from its own seed."""
+        """`(runs, h, w, 3)` of each part, with seeds drawn as a renderer draws them."""
         seeds = np.random.SeedSequence(stream).generate_state(runs)
         lights = [self.light(count, int(seed)) for seed in seeds]
         return {part: np.array([getattr(light, part) for light in lights], float) for part in PARTS}
@@ -80,58 +79,55 @@ def tracer():
 
 
 @pytest.fixture(scope="module")
-def truth(tracer):
+def converged(tracer):
     """Each part over 40 seeds of 256 samples."""
     return tracer.parts(256, 1, 40)
 
 
-def test_error_falls_at_least_as_fast_as_monte_carlo(tracer, truth):
+def test_error_falls_at_least_as_fast_as_that_of_independent_samples(tracer, converged):
     counts = np.array([4, 16, 64])
     errors = {part: [] for part in (*PARTS, "total")}
     for count in counts:
-        found = tracer.parts(int(count), 2, 8)
-        difference = {part: found[part] - truth[part].mean(0) for part in PARTS}
+        light = tracer.parts(int(count), 2, 8)
+        difference = {part: light[part] - converged[part].mean(0) for part in PARTS}
         difference["total"] = sum(difference.values())
         for part, values in difference.items():
             errors[part].append(np.sqrt((values**2).mean()))
     for part, values in errors.items():
-        # Independent samples give -1/2, stratified ones more. The tolerance covers what 8 seeds leave open.
+        # Independent samples give -1/2, stratified ones less. The tolerance covers the noise of 8 seeds.
         slope = np.polyfit(np.log(counts), np.log(values), 1)[0]
         assert slope < -0.5 + 0.05, (part, slope, values)
-        # Neither may it be better than the reference itself is: that would be the same numbers again.
+        # A much steeper slope would mean that the converged light has the same random numbers.
         assert slope > -1.6, (part, slope, values)
 
 
 @pytest.fixture(scope="module")
 def four(tracer):
-    """Four samples, as the soft light of standard frames gets, over 400 seeds."""
+    """Four samples over 400 seeds."""
     return tracer.parts(4, 3, 400)
 
 
 @pytest.mark.parametrize(("count", "runs"), [(1, 400), (16, 100)])
-def test_the_mean_does_not_depend_on_the_samples(tracer, truth, count, runs):
-    # A single sample has nothing to be correlated with: it must agree with many, as must what lies between.
-    assert_same_mean(tracer.parts(count, 3, runs), truth)
+def test_mean_does_not_depend_on_the_number_of_samples(tracer, converged, count, runs):
+    # A single sample cannot be correlated with others: it must agree with many.
+    assert_same_mean(tracer.parts(count, 3, runs), converged)
 
 
-def test_the_mean_of_four_samples_is_that_of_many(four, truth):
-    assert_same_mean(four, truth)
-
-
-def test_soft_light_of_four_samples_is_right_to_three_per_cent_in_each_block(four, truth):
-    found, wanted = (blocks(part["soft"]).mean(axis=0) for part in (four, truth))
-    lit = wanted > 1e-3 * wanted.mean()
+def test_mean_of_four_samples_equals_that_of_many(four, converged):
+    assert_same_mean(four, converged)
+    # In each block, indirect light is right to 3 % (chosen: invisible); 400 seeds leave 0.3 % of noise.
+    mean, expected = (blocks(light["indirect"]).mean(axis=0) for light in (four, converged))
+    lit = expected > 1e-3 * expected.mean()
     assert lit.sum() > 20
-    # 400 seeds leave 0.3 % of noise; three are chosen, less than an eye can tell.
-    assert found[lit] == pytest.approx(wanted[lit], rel=0.03)
+    assert mean[lit] == pytest.approx(expected[lit], rel=0.03)
 
 
-def test_the_mean_does_not_depend_on_the_passes(tracer, truth, monkeypatch):
+def test_mean_does_not_depend_on_the_passes(tracer, converged, monkeypatch):
     # 64 samples in 16 passes of four.
-    monkeypatch.setattr(transport, "_LANES", 4 * 32 * 24)
+    monkeypatch.setattr(trace_module, "_LANES", 4 * 32 * 24)
     many, few = tracer.parts(64, 4, 24), tracer.parts(4, 4, 24)
-    assert_same_mean(many, truth)
-    # Passes that repeated the first one would be as noisy as four samples are.
+    assert_same_mean(many, converged)
+    # Passes that repeat the first one would have the noise of four samples.
     for part in PARTS:
         noise = many[part].std(axis=0, ddof=1).mean() / few[part].std(axis=0, ddof=1).mean()
         assert noise < 0.35, (part, noise)
@@ -143,13 +139,10 @@ def blocks(values: np.ndarray) -> np.ndarray:
     return values.reshape(runs, rows // 8, 8, columns // 8, 8, channels).mean((2, 4)).reshape(runs, -1)
 
 
-def assert_same_mean(found: dict[str, np.ndarray], truth: dict[str, np.ndarray]) -> None:
-    """Welch's test between seeds on blocks of 8x8 pixels.
-
-    The smallest p-value, Bonferroni-corrected, must exceed 0.001.
-    """
+def assert_same_mean(light: dict[str, np.ndarray], converged: dict[str, np.ndarray]) -> None:
+    """Welch's test between seeds on blocks of 8x8 pixels, Bonferroni-corrected, at 0.001."""
     for part in PARTS:
-        a, b = blocks(found[part]), blocks(truth[part])
+        a, b = blocks(light[part]), blocks(converged[part])
         assert np.isfinite(a).all()
         noisy = (a.std(axis=0) > 0) & (b.std(axis=0) > 0)
         p = stats.ttest_ind(a[:, noisy], b[:, noisy], equal_var=False).pvalue

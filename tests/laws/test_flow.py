@@ -1,4 +1,4 @@
-"""Flow and stereo on plants: they lead to the same organ, and hide what an independent ray caster hides."""
+"""Flow and stereo on plants lead to the same organs, with the visibility of an independent ray caster."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ def views():
     mesh, camera = plants_before_the_camera()
     poses = arc_path(16, 0.4, (-0.3, 0.3), (0.2, 0.5), np.radians(20.0))
     first, second = camera.at_pose(poses[7]), camera.at_pose(poses[8])
-    beside = poses[7].copy()
-    beside[:3, 3] += BASELINE_M * beside[:3, 0]
-    return Renderer(assemble_scene(mesh)), first, second, camera.at_pose(beside)
+    pose = poses[7].copy()
+    pose[:3, 3] += BASELINE_M * pose[:3, 0]
+    return Renderer(assemble_scene(mesh)), first, second, camera.at_pose(pose)
 
 
 def edges(labels: np.ndarray) -> np.ndarray:
     return maximum_filter(labels, 3) != minimum_filter(labels, 3)
 
 
-def led_to(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of the pixels that a flow leads to; any for what is nowhere."""
+def target_pixels(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the pixels that a flow leads to; arbitrary where there is no flow."""
     v, u = np.mgrid[: flow.shape[0], : flow.shape[1]] + 0.5
     where = np.nan_to_num(np.stack([v + flow[..., 1], u + flow[..., 0]]))
     row, column = (np.clip(np.floor(x), 0, n - 1).astype(int) for x, n in zip(where, u.shape, strict=True))
@@ -44,26 +44,26 @@ def led_to(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", ["class", "instance"])
-def test_flow_brings_the_next_labels_onto_these(views, name):
-    made, first, second, _ = views
-    frame = made.render(first, [name, "flow"], others={"flow": second})
-    following = made.render(second, [name])[name]
-    at = led_to(frame["flow"])
+def test_flow_leads_to_the_same_labels_in_the_next_frame(views, name):
+    renderer, first, second, _ = views
+    frame = renderer.render(first, [name, "flow"], others={"flow": second})
+    following = renderer.render(second, [name])[name]
+    at = target_pixels(frame["flow"])
     visible = frame["flow"][..., 2] == 1
     assert 0.5 < visible.mean() < 0.99
     same = following[at] == frame[name]
     assert same[visible].mean() > 0.97
-    away = visible & ~edges(frame[name]) & ~edges(following)[at]
-    assert away.mean() > 0.5
-    assert same[away].mean() >= 0.995
+    inner = visible & ~edges(frame[name]) & ~edges(following)[at]
+    assert inner.mean() > 0.5
+    assert same[inner].mean() >= 0.995
 
 
-def test_there_and_back_again(views):
-    # What is visible from both leads back to the pixel that it came from, to what a pixel spans.
-    made, first, second, _ = views
-    there = made.render(first, ["flow", "instance"], others={"flow": second})
-    back = made.render(second, ["flow", "instance"], others={"flow": first})
-    at = led_to(there["flow"])
+def test_flow_there_and_back_returns_to_the_pixel(views):
+    # For points visible from both cameras, to the extent of a pixel.
+    renderer, first, second, _ = views
+    there = renderer.render(first, ["flow", "instance"], others={"flow": second})
+    back = renderer.render(second, ["flow", "instance"], others={"flow": first})
+    at = target_pixels(there["flow"])
     both = (there["flow"][..., 2] == 1) & (back["flow"][..., 2][at] == 1)
     flat = both & ~edges(there["instance"]) & ~edges(back["instance"])[at]
     error = np.abs(there["flow"][..., :2] + back["flow"][at][..., :2]).max(axis=-1)
@@ -72,18 +72,18 @@ def test_there_and_back_again(views):
 
 
 def test_disparity_is_focal_length_times_baseline_over_depth(views):
-    made, first, _, partner = views
+    renderer, first, _, partner = views
     first, partner = (
-        replace(one, lens=replace(one.lens, distortion=type(one.lens.distortion)()))
-        for one in (first, partner)
+        replace(view, lens=replace(view.lens, distortion=type(view.lens.distortion)()))
+        for view in (first, partner)
     )
-    frame = made.render(first, ["stereo", "depth_z"], others={"stereo": partner})
+    frame = renderer.render(first, ["stereo", "depth_z"], others={"stereo": partner})
     near = np.isfinite(frame["depth_z"])
     visible = frame["stereo"][..., 2] == 1
     disparity = first.intrinsics[0, 0] * BASELINE_M / frame["depth_z"][near].astype(float)
     np.testing.assert_allclose(-frame["stereo"][..., 0][near], disparity, rtol=1e-5, atol=1e-4)
     assert np.abs(frame["stereo"][..., 1]).max() < 1e-4
-    # The sky is where it was; beyond the left border nothing is visible.
+    # The sky does not move; beyond the left border nothing is visible.
     assert np.abs(frame["stereo"][..., 0][~near]).max() < 1e-4
     u = np.arange(800) + 0.5
     outside = u + frame["stereo"][..., 0] < 0
@@ -93,57 +93,54 @@ def test_disparity_is_focal_length_times_baseline_over_depth(views):
 
 
 @pytest.mark.parametrize("which", ["flow", "stereo"])
-def test_an_independent_ray_caster_hides_what_is_hidden(views, which):
-    # 300 random pixels whose point lies in the other picture: cast with trimesh from the other camera.
-    made, first, second, partner = views
+def test_visibility_equals_that_of_an_independent_ray_caster(views, which):
+    # 300 random pixels whose point is inside the other picture: cast with trimesh from the other camera.
+    renderer, first, second, partner = views
     other = second if which == "flow" else partner
-    frame = made.render(first, [which, "position", "distance"], others={which: other})
-    found = frame[which]
+    frame = renderer.render(first, [which, "position", "distance"], others={which: other})
+    flow = frame[which]
     v, u = np.mgrid[:600, :800] + 0.5
     inside = (
-        (u + found[..., 0] > 0)
-        & (u + found[..., 0] < 800)
-        & (v + found[..., 1] > 0)
-        & (v + found[..., 1] < 600)
+        (u + flow[..., 0] > 0) & (u + flow[..., 0] < 800) & (v + flow[..., 1] > 0) & (v + flow[..., 1] < 600)
     )
     candidates = inside & np.isfinite(frame["distance"])
-    assert not found[..., 2][~inside].any()
+    assert not flow[..., 2][~inside].any()
     rng = np.random.default_rng(4)
-    # Half of them hidden, of which there are fewer.
+    # Half of them hidden, which fewer are.
     chosen = np.concatenate(
         [
-            rng.choice(np.flatnonzero(candidates & (found[..., 2] == flag)), 150, replace=False)
+            rng.choice(np.flatnonzero(candidates & (flow[..., 2] == flag)), 150, replace=False)
             for flag in (0, 1)
         ]
     )
     target = frame["position"].reshape(-1, 3)[chosen].astype(float)
     start = other.pose[:3, 3]
-    away = np.linalg.norm(target - start, axis=1)
-    mesh = made.scene.mesh
+    distance = np.linalg.norm(target - start, axis=1)
+    mesh = renderer.scene.mesh
     caster = RayMeshIntersector(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False))
     nearest = np.full(len(chosen), np.inf)
-    for begin in range(0, len(chosen), 10):  # a few at a time: each ray has many candidates
-        rays = (target - start)[begin : begin + 10] / away[begin : begin + 10, None]
+    for begin in range(0, len(chosen), 10):  # in small batches, as each ray has many candidate triangles
+        rays = (target - start)[begin : begin + 10] / distance[begin : begin + 10, None]
         points, ray, _ = caster.intersects_location(np.tile(start, (len(rays), 1)), rays)
         np.minimum.at(nearest, begin + ray, np.linalg.norm(points - start, axis=1))
-    hidden = nearest < away * (1.0 - 1e-4)
-    np.testing.assert_array_equal(hidden, found[..., 2].ravel()[chosen] == 0)
+    hidden = nearest < distance * (1.0 - 1e-4)
+    np.testing.assert_array_equal(hidden, flow[..., 2].ravel()[chosen] == 0)
 
 
-def test_a_culled_scene_shows_the_partner_all_that_it_sees():
-    # A partner so far beside that it sees what no pose of the path does, which goes straight up.
-    beside = {"row.plants_front": 5, "row.plants_back": 0, "path.azimuth_deg": [0.0, 0.0]}
-    recipe = load_recipe("barth2018", {**beside, "camera.baseline_mm": 500.0, "plan.frames": 3})
-    stage, shot = FrameRenderer(recipe), recipe.plan.frame(1)
-    partner = few_pixels(stage.views.others(shot.step, ["stereo"])["stereo"], 8)
+def test_culled_scene_contains_all_that_the_partner_sees():
+    # The partner is so far to the side that it sees what no pose of the path sees, which goes straight up.
+    changes = {"row.plants_front": 5, "row.plants_back": 0, "path.azimuth_deg": [0.0, 0.0]}
+    recipe = load_recipe("barth2018", {**changes, "camera.baseline_mm": 500.0, "plan.frames": 3})
+    stage, spec = FrameRenderer(recipe), recipe.plan.frame(1)
+    partner = few_pixels(stage.views.others(spec.step, ["stereo"])["stereo"], 8)
     frames = []
     for stage.culled in (False, True):
-        scene = stage.scene(shot, traced=False)
+        scene = stage.scene(spec, traced=False)
         frames.append(Renderer(scene).render(partner, ["class", "instance", "distance"]))
-    whole, lean = frames
+    complete, culled = frames
     for name in ("class", "instance", "distance"):
-        np.testing.assert_array_equal(whole[name], lean[name])
-    assert (whole["instance"] > 0).any()
-    # Without a partner some of that is made simple: the test can tell.
-    alone = FrameRenderer(load_recipe("barth2018", {**beside, "plan.frames": 3})).scene(shot, traced=False)
-    assert (Renderer(alone).render(partner, ["distance"])["distance"] != whole["distance"]).any()
+        np.testing.assert_array_equal(complete[name], culled[name])
+    assert (complete["instance"] > 0).any()
+    # Culled for a camera without a partner, some of that is simplified: the test has power.
+    alone = FrameRenderer(load_recipe("barth2018", {**changes, "plan.frames": 3})).scene(spec, traced=False)
+    assert (Renderer(alone).render(partner, ["distance"])["distance"] != complete["distance"]).any()

@@ -22,7 +22,7 @@ from pepperscene.materials.organs import thin_surface
 from pepperscene.render.gradients import detached_sampling as passes
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
 from pepperscene.render.kernel.arrays import local_coordinates
-from pepperscene.render.kernel.camera import LensCache, response
+from pepperscene.render.kernel.camera import camera_rays, spectral_response
 from pepperscene.render.kernel.scene import light_scene
 from pepperscene.render.quality import Quality
 from pepperscene.render.transport.trace import Sampling, trace
@@ -105,9 +105,9 @@ def slope_by_differences(renderer, name, direction, step):
 def test_the_picture_is_the_renderers_own(surfaces, camera, kaite):
     """Where all light meets one surface, to rounding: no path is long enough to end by chance."""
     scene = bench(surfaces, sky=None)
-    spectral = response(camera, scene)
+    spectral = spectral_response(camera, scene)
     built = light_scene(scene, float(spectral.grid_nm[0]), float(spectral.grid_nm[-1]))
-    view = LensCache().view(camera, local_coordinates(scene.mesh))
+    view = camera_rays(camera, local_coordinates(scene.mesh))
     light = trace(built, view, spectral, camera.flash, None, Sampling(8, 8, 0), seed=5)
     from pepperscene.camera import expected_electrons
 

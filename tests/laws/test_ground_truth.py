@@ -1,4 +1,4 @@
-"""Ground truth where the pinhole formula and an independent ray caster put it."""
+"""Ground truth agrees with the pinhole formula and with an independent ray caster."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ from pepperscene.render import Renderer
 from pepperscene.scene import Twine, add_twine, assemble_scene, double_row, uniform_sky
 from pepperscene.spectra import Spectrum
 
-TRUTHS = ("class", "instance", "distance", "depth_z", "normal")
+LABELS = ("class", "instance", "distance", "depth_z", "normal")
 
 
-def test_sphere_stands_where_the_pinhole_formula_puts_it():
-    # Set-up: a sphere of 40 mm at (60, -30, 500) mm in camera axes before a far wall.
+def test_sphere_is_where_the_pinhole_formula_puts_it():
+    # Set-up: a sphere of 40 mm at (60, -30, 500) mm in camera axes in front of a far wall.
     centre, radius = np.array([0.06, -0.03, 0.5]), 0.04
     camera = bench_camera(flash=False)
     scene = assemble_scene(
         concatenate_meshes([sphere(tuple(centre), radius, "ball", 6), sheet(9, 9, 3.0, "wall")])
     )
-    frame = Renderer(scene).render(camera, TRUTHS)
+    frame = Renderer(scene).render(camera, LABELS)
     focal = 4.16e-3 / 9e-6
     mask = frame["class"] == OrganClass.PEPPER
-    # The outline is the cone of half angle asin(r / d) cut by the image plane: the pixels whose ray x fulfils
+    # The sphere covers pixels in the cone of half angle asin(r / d), whose ray x has
     # (x . c)^2 > (d^2 - r^2) |x|^2.
     v, u = np.mgrid[0:600, 0:800] + 0.5
     rays = np.stack([(u - 400) / focal, (v - 300) / focal, np.ones_like(u)], -1)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     along = rays @ centre
     discriminant = along**2 - (centre @ centre - radius**2)
-    assert (mask != (discriminant > 0)).mean() < 2e-5  # the tessellated ball is a hair smaller
-    # Small-angle check by hand: f r / z pixels around f x / z, f y / z.
+    assert (mask != (discriminant > 0)).mean() < 2e-5  # the tessellated ball is slightly smaller
+    # Small-angle approximation: a radius of f r / z pixels around f x / z, f y / z.
     assert u[mask].mean() == pytest.approx(400 + focal * 0.06 / 0.5, abs=0.6)
     assert v[mask].mean() == pytest.approx(300 - focal * 0.03 / 0.5, abs=0.6)
     assert np.sqrt(mask.sum() / np.pi) == pytest.approx(focal * 0.04 / 0.5, rel=0.015)
-    # Distance along the ray from the quadratic, to a tenth of a millimetre; z along the axis; the normal.
+    # Distance along the ray from the quadratic equation, to 0.2 mm; z along the axis; the normal.
     inside = mask & (discriminant > 1e-4)
     distance = along - np.sqrt(np.maximum(discriminant, 0.0))
     assert np.abs(frame["distance"] - distance)[inside].max() < 2e-4
@@ -56,9 +56,9 @@ def test_sphere_stands_where_the_pinhole_formula_puts_it():
     assert np.unique(frame["instance"][mask]).tolist() == [1]
 
 
-def test_background_is_infinitely_far_and_nothing():
+def test_background_is_infinitely_far_and_has_no_labels():
     scene = assemble_scene(sphere((0, 0, -1.0), 0.1, "ball", 2))
-    frame = Renderer(scene).render(bench_camera(columns=16, rows=12, flash=False), TRUTHS)
+    frame = Renderer(scene).render(bench_camera(columns=16, rows=12, flash=False), LABELS)
     assert np.isinf(frame["distance"]).all()
     assert np.isinf(frame["depth_z"]).all()
     assert not frame["class"].any()
@@ -82,35 +82,35 @@ def plants_before_the_camera():
     return mesh, replace(camera, lens=lens, pose=pose)
 
 
-def test_every_label_is_what_an_independent_ray_caster_hits():
+def test_labels_equal_the_hits_of_an_independent_ray_caster():
     # 2,000 random pixels, cast with trimesh (R-tree and triangle tests, no Embree) through the lens formula.
-    assert_labels_are_hit(*plants_before_the_camera(), pixels=2000, seed=5)
+    assert_labels_equal_hits(*plants_before_the_camera(), pixels=2000, seed=5)
 
 
-def assert_labels_are_hit(mesh, camera, pixels, seed):
-    frame = Renderer(assemble_scene(mesh)).render(camera, TRUTHS)
+def assert_labels_equal_hits(mesh, camera, pixels, seed):
+    frame = Renderer(assemble_scene(mesh)).render(camera, LABELS)
     rng = np.random.default_rng(seed)
     row, column = rng.integers(0, 600, pixels), rng.integers(0, 800, pixels)
     directions = camera.pixel_directions()[row, column] @ camera.pose[:3, :3].T
     caster = RayMeshIntersector(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False))
     face, nearest = np.full(pixels, -1), np.full(pixels, np.inf)
-    for first in range(0, pixels, 10):  # a few at a time: each ray has many candidates
-        some = directions[first : first + 10]
-        points, ray, hit = caster.intersects_location(np.tile(camera.pose[:3, 3], (len(some), 1)), some)
+    for first in range(0, pixels, 10):  # in small batches, as each ray has many candidate triangles
+        batch = directions[first : first + 10]
+        points, ray, hit = caster.intersects_location(np.tile(camera.pose[:3, 3], (len(batch), 1)), batch)
         distance = np.linalg.norm(points - camera.pose[:3, 3], axis=1)
-        for one in np.argsort(-distance, kind="stable"):
-            nearest[first + ray[one]], face[first + ray[one]] = distance[one], hit[one]
-    found = face >= 0
-    assert found.mean() > 0.3
-    np.testing.assert_array_equal(frame["class"][row, column], np.where(found, mesh.face_class[face], 0))
+        for k in np.argsort(-distance, kind="stable"):
+            nearest[first + ray[k]], face[first + ray[k]] = distance[k], hit[k]
+    is_hit = face >= 0
+    assert is_hit.mean() > 0.3
+    np.testing.assert_array_equal(frame["class"][row, column], np.where(is_hit, mesh.face_class[face], 0))
     np.testing.assert_array_equal(
-        frame["instance"][row, column], np.where(found, mesh.face_instance[face] + 1, 0)
+        frame["instance"][row, column], np.where(is_hit, mesh.face_instance[face] + 1, 0)
     )
     np.testing.assert_allclose(frame["distance"][row, column], nearest, rtol=1e-5)
 
 
-def test_colour_and_labels_share_one_lens():
-    # A black ball before a uniform sky, in a distorting lens: its outline is its label to .2 pixels.
+def test_colour_and_labels_have_the_same_lens_geometry():
+    # A black ball in front of a uniform sky, in a distorting lens: its outline equals its label to .2 pixels.
     nm = np.arange(380.0, 781.0)
     camera = bench_camera(flash=False)
     camera = replace(camera, lens=replace(camera.lens, distortion=Distortion(k1=-0.1, k2=0.04)))
@@ -120,7 +120,7 @@ def test_colour_and_labels_share_one_lens():
         uniform_sky(Spectrum(nm, np.ones(nm.size)), 5500.0),
     )
     frame = Renderer(scene).render(camera, ["electrons", "class"], "standard")
-    # The lens' own falloff taken out, the sky is 1 and the ball 0: coverage in light against that in labels.
+    # Without the lens's falloff, the sky is 1 and the ball 0: coverage in light against that in labels.
     sky = frame["electrons"][..., 1] / relative_illumination(camera)
     dark = 1.0 - sky / np.median(sky[frame["class"] == 0])
     ball = frame["class"] == OrganClass.PEPPER
@@ -134,12 +134,11 @@ def test_colour_and_labels_share_one_lens():
 
 @pytest.mark.long
 @pytest.mark.parametrize("index", [110, 4940, 9225])
-def test_labels_of_the_paper_plan_are_what_an_independent_ray_caster_hits(index):
+def test_labels_of_the_paper_plan_equal_the_hits_of_an_independent_ray_caster(index):
     # As above on whole scenes of 13 plants and two million triangles.
     from pepperscene.dataset import FrameRenderer, load_recipe
 
     recipe = load_recipe("barth2018")
-    stage = FrameRenderer(recipe)
-    shot = recipe.plan.frame(index)
-    mesh, camera = stage.scene(shot, traced=False).mesh, stage.camera(shot)
-    assert_labels_are_hit(mesh, camera, pixels=200, seed=index)
+    frames, spec = FrameRenderer(recipe), recipe.plan.frame(index)
+    mesh, camera = frames.scene(spec, traced=False).mesh, frames.camera(spec)
+    assert_labels_equal_hits(mesh, camera, pixels=200, seed=index)

@@ -1,15 +1,14 @@
-"""Label edges lie on the edges of the photograph, and labels that are off are found out.
+"""Label edges coincide with the edges of the photograph, and misaligned labels are detected.
 
 Rationale: class and instance come from one ray through each pixel's centre, the photograph from light through
-a lens of finite aperture, a mosaic and its interpolation. A half pixel between the two conventions, or a
-distortion that only one of them knows, would spoil every label and show in no single value.
+a lens of finite aperture, a mosaic and its interpolation. Half a pixel between the two conventions, or a
+distortion applied to only one of them, would spoil every label and be visible in no single value.
 
-Set-up: three plants by flash and by daylight, 320x240 pixels out of the middle of the picture, with all the
-camera's noise. The statistic is that of `pepperscene check`, the correlation of both kinds of edges for all
-shifts.
+Set-up: three plants by flash and by daylight, 320x240 pixels of the middle of the picture, with all noise of
+the camera. The statistic is that of `pepperscene check`, the correlation of both kinds of edges over shifts.
 
-Expected: true labels have their peak at no shift and far above chance; labels seen through a lens that
-shifts, stretches or mirrors the picture do not.
+Expected: the peak of true labels is at no shift and far above chance; that of labels through a lens that
+shifts, stretches or mirrors the picture is not.
 """
 
 from __future__ import annotations
@@ -24,21 +23,21 @@ from pepperscene.dataset import FrameRenderer, load_recipe
 from pepperscene.dataset.check.edges import CHANCE, match
 from pepperscene.render import render_scene
 
-COLUMNS, ROWS = 640, 480  # photosites, two by two of which are a pixel
+COLUMNS, ROWS = 640, 480  # photosites, 2x2 to a pixel
 
 
 @pytest.fixture(scope="module", params=["flash", "daylight"])
-def seen(request):
-    """The camera, its photograph and a function that labels what another camera sees."""
+def view(request):
+    """The camera, its photograph and a function that renders the labels of another camera."""
     recipe = load_recipe("demo")
     changes = {"row": recipe.row.model_copy(update={"plants_front": 2, "plants_back": 1})}
     if request.param == "daylight":
         changes |= bright_day(recipe, 3000.0)
-    stage = FrameRenderer(recipe.model_copy(update=changes))
-    shot = stage.recipe.plan.frame(140)
-    whole = stage.camera(shot)
-    camera = replace(whole, sensor=replace(whole.sensor, columns=COLUMNS, rows=ROWS))
-    scene = stage.scene(shot)
+    frames = FrameRenderer(recipe.model_copy(update=changes))
+    spec = frames.recipe.plan.frame(140)
+    camera = frames.camera(spec)
+    camera = replace(camera, sensor=replace(camera.sensor, columns=COLUMNS, rows=ROWS))
+    scene = frames.scene(spec)
 
     def labels(other):
         return render_scene(scene, other, outputs=("instance",))["instance"]
@@ -47,26 +46,26 @@ def seen(request):
     return camera, photograph, labels
 
 
-def test_true_labels_lie_on_the_photograph(seen):
-    camera, photograph, labels = seen
-    found = match(photograph, labels(camera))
-    assert found.fits
-    assert (found.right_px, found.down_px) == (0, 0)
-    assert found.height > 3 * CHANCE
+def test_true_labels_match_the_photograph(view):
+    camera, photograph, labels = view
+    peak = match(photograph, labels(camera))
+    assert peak.fits
+    assert (peak.right_px, peak.down_px) == (0, 0)
+    assert peak.height > 3 * CHANCE
 
 
-def test_labels_that_are_off_are_told_with_their_shift(seen):
-    camera, photograph, labels = seen
+def test_shift_of_misaligned_labels_is_measured(view):
+    camera, photograph, labels = view
     true = labels(camera)
     inner = np.s_[10:-10, 10:-10]
     for right, down in ((2, 0), (0, 2), (-4, 4), (8, -8)):
-        found = match(photograph[inner], np.roll(true, (down, right), (0, 1))[inner])
-        assert not found.fits
-        assert (found.right_px, found.down_px) == (right, down)
+        peak = match(photograph[inner], np.roll(true, (down, right), (0, 1))[inner])
+        assert not peak.fits
+        assert (peak.right_px, peak.down_px) == (right, down)
     assert not match(photograph, true[:, ::-1]).fits
 
 
-def test_labels_through_another_lens_are_found_out(seen):
-    camera, photograph, labels = seen
+def test_labels_through_another_lens_are_detected(view):
+    camera, photograph, labels = view
     longer = replace(camera, lens=replace(camera.lens, focal_length_m=1.03 * camera.lens.focal_length_m))
     assert not match(photograph, labels(longer)).fits

@@ -1,19 +1,19 @@
-"""A leaf with the sun behind it glows in the colour of its transmittance.
+"""A backlit leaf has the colour of its transmittance.
 
-Rationale: a leaf that lets through a tinted share of what it reflects looks right from the front and is grey
-or dark against the light. Light through a leaf has passed all its pigments: no blue, little red, green.
+Rationale: a leaf that transmits a tinted fraction of what it reflects looks right from the front and is grey
+or dark against the light. Transmitted light has passed all pigments: no blue, little red, green.
 
 Set-up: a flat blade of the shipped cultivar across the optical axis at 50 cm, the sun's disc (ASTM G173,
-50,000 lx) straight behind it, all else dark. Then the same with the sun over the photographer's shoulder.
+50,000 lx) directly behind it, everything else dark. Then the same with the sun behind the camera.
 
-Expected, by hand: the blade's radiance E A_s A_o T min(a_s, a_o) / (a_s a_o pi), where A is what the rough
-cuticle of a side lets in straight on and a its cosine-weighted mean. Both are integrals over the gloss lobe
-(GGX, Smith, Fresnel) and have no colour, so that the channels stand in the ratio of the integrals of
-T x sun x response, whatever the cuticle does.
+Expected, by hand: the blade's radiance E A_s A_o T min(a_s, a_o) / (a_s a_o pi), where A is the fraction of
+light along the normal that enters a side's rough cuticle and a its cosine-weighted mean. Both are integrals
+over the gloss lobe (GGX, Smith, Fresnel) without colour, so that the channels have the ratio of the integrals
+of T x sun x response, whatever the cuticle does.
 
 Bounds: 256 samples in each of 64 pixels, with light from a single direction and no second scattering: only
-the choice of wavelengths is random, and a pixel's spread (asserted below 2 %) leaves .25 % in the mean. The
-colour is asked for within 1 %, the level within 2 %; both were met within .2 %.
+the choice of wavelengths is random, and a pixel's deviation (asserted below 2 %) leaves .25 % in the mean.
+The colour must be within 1 %, the level within 2 %; both were met within .2 %.
 """
 
 from __future__ import annotations
@@ -31,34 +31,34 @@ from pepperscene.render import render_scene
 from pepperscene.scene import Sky, Sun, assemble_scene
 from pepperscene.spectra import Spectrum
 
-NM = np.arange(380.0, 1000.1, 0.5)  # infrared that a sensor's filter leaks is .3 % of a blue pixel here
+NM = np.arange(380.0, 1000.1, 0.5)  # infrared that the sensor's filter leaks is .3 % of a blue pixel here
 LUX = 50_000.0
 SUN = columns_of("light/astm_g173_300_1100")["direct_W_m2_nm"]
 SENSORS = ("ueye_ui5250re", "onsemi_mt9v024")
 BEHIND, OVER_SHOULDER = (0.0, 0.0, 1.0), (0.0, np.sqrt(0.5), -np.sqrt(0.5))
-TURNED = np.diag([-1.0, 1.0, -1.0])  # half a turn about the upright
+HALF_TURN = np.diag([-1.0, 1.0, -1.0])  # about the vertical
 
 
 @pytest.fixture(scope="module")
 def blade():
-    """The leaf's surface without pattern and relief, and its pattern."""
+    """The leaf surface without pattern and relief, and its pattern."""
     leaf = organ_surfaces(load_cultivar("kaite"), NM)["leaf"]
     return replace(leaf, pattern=None, relief_mm=None), leaf.pattern
 
 
-def only_sun(direction):
+def sun_alone(direction):
     """A black sky with the sun's disc."""
     nm, values = SUN
     disc = Sun(np.array(direction), Spectrum(nm, irradiance_by_hand(SUN, LUX, nm)))
     return Sky(np.zeros((1, 2, 4), np.float32), Spectrum(nm, values[None] / values.mean()), disc)
 
 
-def photographed(surface, direction, sensor, *, turned=False, side=8, mesh=None):
+def photograph(surface, direction, sensor, *, turned=False, side=8, mesh=None):
     """`(side, side, 3)` electrons of a sheet of this surface; `turned` shows the camera its back."""
     mesh = sheet(2.0, 2.0, 0.0, surface.name) if mesh is None else mesh
-    mesh = mesh.moved(TURNED if turned else np.eye(3), np.array([0.0, 0.0, 0.5]))
+    mesh = mesh.moved(HALF_TURN if turned else np.eye(3), np.array([0.0, 0.0, 0.5]))
     camera = chosen_camera(sensor, None, columns=side, rows=side)
-    scene = assemble_scene(mesh, {surface.name: surface}, only_sun(direction))
+    scene = assemble_scene(mesh, {surface.name: surface}, sun_alone(direction))
     return render_scene(scene, camera, ["electrons"], "reference", seed=5)["electrons"].astype(float)
 
 
@@ -70,7 +70,7 @@ def electrons_by_hand(radiance, sensor):
 
 
 def gloss_albedo(cosine, ior, alpha, steps=200):
-    """Share of light from a direction that a rough dielectric mirrors: Walter et al. 2007, by midpoints."""
+    """Fraction of light that a rough dielectric reflects: Walter et al. 2007, by the midpoint rule."""
     z, turn = np.meshgrid((np.arange(steps) + 0.5) / steps, (np.arange(steps) + 0.5) / steps * 2 * np.pi)
     o = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])
     i = np.array([np.sqrt(1 - cosine**2), 0.0, cosine])
@@ -89,7 +89,7 @@ def gloss_albedo(cosine, ior, alpha, steps=200):
 
 @cache
 def openness(ior, alpha):
-    """What reaches the body straight on, and its cosine-weighted mean over the hemisphere."""
+    """Fraction of light along the normal that reaches the body, and its cosine-weighted mean."""
     node, weight = np.polynomial.legendre.leggauss(12)
     cosine = (node + 1) / 2
     albedo = np.array([gloss_albedo(x, ior, alpha) for x in cosine])
@@ -97,66 +97,63 @@ def openness(ior, alpha):
 
 
 def glow_by_hand(blade, transmittance):
-    """`(n,)` radiance of the blade against the sun, seen straight on."""
+    """`(n,)` radiance of the backlit blade along its normal."""
     (a, mean_a), (b, mean_b) = (openness(blade.ior, alpha) for alpha in blade.roughness)
     through = transmittance * a * b * min(mean_a, mean_b) / (mean_a * mean_b)
     return irradiance_by_hand(SUN, LUX, NM) * through / np.pi
 
 
-# --- the laws ---------------------------------------------------------------------------------------------
+# --- tests --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("turned", [False, True], ids=["front", "back"])
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_the_glow_has_the_colour_and_level_of_the_transmittance(blade, sensor, turned):
+def test_backlit_leaf_has_the_colour_and_level_of_its_transmittance(blade, sensor, turned):
     surface, _ = blade
-    pixels = photographed(surface, BEHIND, sensor, turned=turned).reshape(-1, 3)
+    pixels = photograph(surface, BEHIND, sensor, turned=turned).reshape(-1, 3)
     assert (pixels.std(0) / pixels.mean(0)).max() < 0.02
-    found = pixels.mean(0)
+    mean = pixels.mean(0)
     middle = surface.transmittance[surface.transmittance.shape[0] // 2]  # the sheet's state is .5
     sunlight = irradiance_by_hand(SUN, LUX, NM)
-    assert found / found[1] == pytest.approx(
-        electrons_by_hand(middle * sunlight, sensor) / electrons_by_hand(middle * sunlight, sensor)[1],
-        rel=0.01,
-    )
-    assert found == pytest.approx(electrons_by_hand(glow_by_hand(surface, middle), sensor), rel=0.02)
+    colour = electrons_by_hand(middle * sunlight, sensor)
+    assert mean / mean[1] == pytest.approx(colour / colour[1], rel=0.01)
+    assert mean == pytest.approx(electrons_by_hand(glow_by_hand(surface, middle), sensor), rel=0.02)
 
 
-def test_veins_glow_in_the_mean_of_their_transmittances(blade):
-    # The whole blade in the picture, its pattern of pigments kept: light adds up, not pigments.
+def test_patterned_leaf_transmits_the_mean_of_its_transmittances(blade):
+    # The whole blade in the picture with its pattern of pigments: light is averaged, not pigments.
     surface, pattern = blade
     side = 48
     width = side * 9e-6 / 4.16e-3 * 0.5
     mesh = sheet(width, width, 0.0, surface.name)
     mesh = replace(mesh, uv=(mesh.vertices[:, :2] / width + 0.5).astype(np.float32))
-    found = photographed(replace(surface, pattern=pattern), BEHIND, "ueye_ui5250re", side=side, mesh=mesh)
+    image = photograph(replace(surface, pattern=pattern), BEHIND, "ueye_ui5250re", side=side, mesh=mesh)
     state = np.clip(0.5 + pattern.astype(float), 0.0, 1.0) * (surface.transmittance.shape[0] - 1)
-    share = np.bincount(
+    fraction = np.bincount(
         np.floor(state).astype(int).ravel(), (1 - state % 1).ravel(), surface.transmittance.shape[0]
     )
-    above = np.bincount(np.floor(state).astype(int).ravel() + 1, (state % 1).ravel(), share.size + 1)[:-1]
-    mean = (share + above) / state.size @ surface.transmittance
+    above = np.bincount(np.floor(state).astype(int).ravel() + 1, (state % 1).ravel(), fraction.size + 1)[:-1]
+    mean = (fraction + above) / state.size @ surface.transmittance
     expected = electrons_by_hand(glow_by_hand(surface, mean), "ueye_ui5250re")
-    mean_found = found.mean((0, 1))
-    assert mean_found / mean_found[1] == pytest.approx(expected / expected[1], rel=0.01)
-    assert mean_found == pytest.approx(expected, rel=0.02)
-    # The veins are there to be seen.
-    assert found[..., 1].std() > 0.05 * mean_found[1]
+    level = image.mean((0, 1))
+    assert level / level[1] == pytest.approx(expected / expected[1], rel=0.01)
+    assert level == pytest.approx(expected, rel=0.02)
+    # The veins are visible.
+    assert image[..., 1].std() > 0.05 * level[1]
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_against_the_light_a_leaf_is_greener_and_yellower_than_in_it(blade, sensor):
+def test_backlit_leaf_is_greener_and_yellower_than_a_front_lit_one(blade, sensor):
     surface, _ = blade
     white = electrons_by_hand(irradiance_by_hand(SUN, LUX, NM) / np.pi, sensor)
-    against = photographed(surface, BEHIND, sensor).mean((0, 1)) / white
-    lit = photographed(surface, OVER_SHOULDER, sensor).mean((0, 1)) / (white * np.sqrt(0.5))
-    # Red, green and blue as shares of a white diffuser's: blue is lost on the way through, and of what is
-    # left green has more.
-    assert against[1] / against[2] > 2.0 * lit[1] / lit[2]
-    assert against[0] / against[2] > 1.5 * lit[0] / lit[2]
-    assert against[1] > against[0] > against[2]
+    backlit = photograph(surface, BEHIND, sensor).mean((0, 1)) / white
+    lit = photograph(surface, OVER_SHOULDER, sensor).mean((0, 1)) / (white * np.sqrt(0.5))
+    # Channels relative to a white diffuser: transmission removes blue, and leaves more green than red.
+    assert backlit[1] / backlit[2] > 2.0 * lit[1] / lit[2]
+    assert backlit[0] / backlit[2] > 1.5 * lit[0] / lit[2]
+    assert backlit[1] > backlit[0] > backlit[2]
 
 
-def test_an_opaque_sheet_does_not_glow():
-    found = photographed(matt("card", NM, np.full(NM.size, 0.9)), BEHIND, "ueye_ui5250re")
-    assert found.max() < 1e-3
+def test_opaque_sheet_transmits_nothing():
+    image = photograph(matt("card", NM, np.full(NM.size, 0.9)), BEHIND, "ueye_ui5250re")
+    assert image.max() < 1e-3

@@ -1,8 +1,8 @@
-"""The outline of a body of few triangles is as bright as that of the smooth body that it stands for.
+"""The outline of a coarse mesh is as bright as that of the smooth body.
 
-Rationale: where normals are interpolated over flat triangles, the last triangles before an outline are seen
-while their normals look away. Taken as they are, they are black: a drawn line around every fruit and calyx.
-A filter that takes the empty background for a part of the picture draws a second one.
+Rationale: with normals interpolated over flat triangles, the last triangles before an outline are visible
+while their normals face away. Without correction they are black: a dark line around every fruit and calyx. A
+filter that includes the empty background draws a second one.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pepperscene.geometry import mesh_plant
 from pepperscene.grammar import Organ, Plant
 from pepperscene.materials import Surface, lambertian_surface
 from pepperscene.render import Renderer
-from pepperscene.render.surface.optics import shading_normals
+from pepperscene.render.surface.scattering import shading_normals
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import assemble_scene, uniform_sky
 from pepperscene.spectra import Spectrum
@@ -27,33 +27,33 @@ NM = np.array([300.0, 1100.0])
 SKY = uniform_sky(Spectrum(NM, np.ones(2)), 5500.0)
 
 
-def photographed(mesh, surfaces, quality="reference", seed=0, pose=None, side=72):
-    """`(h, w)` brightness over that of the sky, and each pixel's distance to the outline, 0 outside."""
+def photograph(mesh, surfaces, quality="reference", seed=0, pose=None, side=72):
+    """`(h, w)` brightness relative to the sky, and each pixel's distance to the outline, 0 outside."""
     camera = bench_camera(columns=side, rows=side, flash=False)
     camera = camera if pose is None else camera.at_pose(pose)
     frame = Renderer(assemble_scene(mesh, surfaces, SKY)).render(
         camera, ["electrons", "class"], quality, seed
     )
-    seen = frame["class"] > 0
+    covered = frame["class"] > 0
     light = frame["electrons"].astype(float)
-    sky = light[distance_transform_edt(~seen) > 3.0].mean(axis=0)
-    return (light / sky).mean(axis=-1), distance_transform_edt(seen)
+    sky = light[distance_transform_edt(~covered) > 3.0].mean(axis=0)
+    return (light / sky).mean(axis=-1), distance_transform_edt(covered)
 
 
-# --- bodies of few triangles --------------------------------------------------------------------------------
+# --- coarse meshes ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("ior", "roughness", "least", "rim"),
     [(1.0, 0.3, 0.92, 0.99), (1.3, 0.2, 0.90, 0.98), (1.5, 0.05, 0.75, 0.94)],
 )
-def test_a_coarse_lossless_ball_has_no_dark_rim_in_an_even_sky(ior, roughness, least, rim):
-    # 80 triangles, whose normals are up to 20 degrees off: left as they are, the darkest pixels fall to .65
-    # and the outermost to .90 to .95. What is still lost is what leaves on the wrong side of a triangle:
-    # (1 - cos t) / 2 of a matt body, and of a mirror's image at the very rim up to a half.
+def test_coarse_lossless_ball_has_no_dark_rim_in_a_uniform_sky(ior, roughness, least, rim):
+    # 80 triangles, whose normals are up to 20 degrees off: without correction, the darkest pixels fall to .65
+    # and the outermost to .90 to .95. Light is still lost on the wrong side of a triangle: (1 - cos t) / 2 of
+    # a matt body, and up to half of a mirror image at the rim.
     both = np.ones((1, 2, 2))
     white = Surface("white", NM, both, np.zeros((1, 2)), ior, (roughness, roughness))
-    light, depth = photographed(sphere((0.0, 0.0, 0.5), 0.03, "white", subdivisions=1), {"white": white})
+    light, depth = photograph(sphere((0.0, 0.0, 0.5), 0.03, "white", subdivisions=1), {"white": white})
     assert light[depth > 0].min() > least
     assert light[(depth > 0) & (depth < 1.5)].mean() > rim
     assert light[depth > 0].mean() == pytest.approx(1.0, abs=0.01)
@@ -75,27 +75,27 @@ def fruit(detail: float):
 
 
 @pytest.mark.parametrize("ior", [1.0, 1.3])
-def test_a_coarse_white_fruit_has_the_outline_of_a_fine_one(ior):
-    # From 15 cm, in an even sky, everything as white as can be so that what is lost shows. With normals as
-    # they are, the outermost pixels of the coarse fruit are 2 % darker than the fine one's, their darkest
-    # fortieth 7 to 8 %; turned, both agree within 1 %.
+def test_coarse_white_fruit_has_the_outline_of_a_fine_one(ior):
+    # From 15 cm, in a uniform sky, everything white so that lost light is visible. Without correction, the
+    # outermost pixels of the coarse fruit are 2 % darker than the fine one's, their darkest fortieth 7 to 8
+    # %; with it both agree within 1 %.
     both = np.ones((1, 2, 2))
     organs = ("fruit", "calyx", "peduncle")
     surfaces = {name: Surface(name, NM, both, np.zeros((1, 2)), ior, (0.25, 0.25)) for name in organs}
     pose = look_at((0.0, -0.15, 0.03), (0.03, 0.0, 0.0))
-    found = []
+    rims = []
     for detail in (1.0, 4.0):
-        light, depth = photographed(fruit(detail), surfaces, pose=pose, side=96)
+        light, depth = photograph(fruit(detail), surfaces, pose=pose, side=96)
         rim = (depth > 0) & (depth < 1.2)
-        found.append((light[rim].mean(), np.quantile(light[rim], 0.025)))
-    assert found[0] == pytest.approx(found[1], rel=0.015)
+        rims.append((light[rim].mean(), np.quantile(light[rim], 0.025)))
+    assert rims[0] == pytest.approx(rims[1], rel=0.015)
 
 
-# --- the normals themselves ---------------------------------------------------------------------------------
+# --- normals ------------------------------------------------------------------------------------------------
 
 
-def turned(g: np.ndarray, n: np.ndarray, v: np.ndarray):
-    """`(m, 3)` normals that `shading_normals` makes of these geometric and shading normals and views."""
+def turn_normals(g: np.ndarray, n: np.ndarray, v: np.ndarray):
+    """`(m, 3)` results of `shading_normals` for geometric and shading normals and views."""
     mi, dr = mitsuba_modules()
 
     def vectors(values):
@@ -107,56 +107,62 @@ def turned(g: np.ndarray, n: np.ndarray, v: np.ndarray):
     si.dp_du = vectors(np.roll(g, 1, axis=1) + np.array([0.1, 0.2, 0.3]))
     si.initialize_sh_frame()
     si.wi = si.to_local(vectors(v))
-    found = shading_normals(si)
-    frame = np.array(found.sh_frame.n).T, np.array(found.sh_frame.s).T, np.array(found.sh_frame.t).T
-    return *frame, np.array(found.wi).T
+    si = shading_normals(si)
+    return tuple(np.array(axis).T for axis in (si.sh_frame.n, si.sh_frame.s, si.sh_frame.t, si.wi))
 
 
-def units(rng, count):
-    found = rng.normal(size=(count, 3))
-    return found / np.linalg.norm(found, axis=1, keepdims=True)
+def random_units(rng, count):
+    vectors = rng.normal(size=(count, 3))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def dot(a, b):
     return np.sum(a * b, axis=-1)
 
 
-def test_normals_are_turned_as_far_as_needed_and_no_farther():
+def test_normals_are_turned_only_as_far_as_needed():
     rng = np.random.default_rng(7)
-    g, v = units(rng, 20_000), units(rng, 20_000)
-    n = g + 1.2 * rng.uniform(0.0, 1.0, (20_000, 1)) * units(rng, 20_000)
+    g, v = random_units(rng, 20_000), random_units(rng, 20_000)
+    n = g + 1.2 * rng.uniform(0.0, 1.0, (20_000, 1)) * random_units(rng, 20_000)
     n /= np.linalg.norm(n, axis=1, keepdims=True)
-    found, s, t, wi = turned(g, n, v)
+    turned, s, t, wi = turn_normals(g, n, v)
     side = np.sign(dot(g, v))
-    faces = side * dot(n, v)
-    leaves = side * (2.0 * dot(n, v) * dot(n, g) - dot(g, v))
-    fit, needed = (faces > 1e-5) & (leaves > 1e-5), (faces < -1e-5) | (leaves < -1e-5)
-    assert fit.sum() > 2000 < needed.sum()
-    # Nothing moves that need not; the rest mirrors along the triangle.
-    assert found[fit] == pytest.approx(n[fit], abs=1e-6)
-    mirrored = 2.0 * dot(found, v) * dot(found, g) - dot(g, v)
+    front = side * dot(n, v)
+    mirror = side * (2.0 * dot(n, v) * dot(n, g) - dot(g, v))
+    valid, needed = (front > 1e-5) & (mirror > 1e-5), (front < -1e-5) | (mirror < -1e-5)
+    assert valid.sum() > 2000 < needed.sum()
+    # Valid normals do not change; the others mirror the view along the triangle.
+    assert turned[valid] == pytest.approx(n[valid], abs=1e-6)
+    mirrored = 2.0 * dot(turned, v) * dot(turned, g) - dot(g, v)
     assert mirrored[needed] == pytest.approx(0.0, abs=2e-5)
-    # The viewer is on the side of the triangle; the normal is between the two that there were.
-    assert (dot(found, v) * dot(g, v) > 0.0).all()
-    assert (dot(found, g) >= dot(n, g) - 1e-5).all()
-    assert dot(found, np.cross(n, g)) == pytest.approx(0.0, abs=1e-5)
-    # A frame is a frame, and the view is told in it.
-    for a, b, expected in ((found, found, 1), (s, s, 1), (t, t, 1), (found, s, 0), (found, t, 0), (s, t, 0)):
+    # The viewer is on the triangle's side; the normal is between the two original ones.
+    assert (dot(turned, v) * dot(g, v) > 0.0).all()
+    assert (dot(turned, g) >= dot(n, g) - 1e-5).all()
+    assert dot(turned, np.cross(n, g)) == pytest.approx(0.0, abs=1e-5)
+    # The frame is orthonormal, and contains the view.
+    for a, b, expected in (
+        (turned, turned, 1),
+        (s, s, 1),
+        (t, t, 1),
+        (turned, s, 0),
+        (turned, t, 0),
+        (s, t, 0),
+    ):
         assert dot(a, b) == pytest.approx(expected, abs=1e-5)
-    assert wi == pytest.approx(np.stack([dot(s, v), dot(t, v), dot(found, v)], axis=1), abs=1e-5)
+    assert wi == pytest.approx(np.stack([dot(s, v), dot(t, v), dot(turned, v)], axis=1), abs=1e-5)
 
 
-def test_flat_triangles_keep_their_normals_to_the_last_bit():
+def test_normals_of_flat_triangles_keep_their_bits():
     rng = np.random.default_rng(8)
-    g, v = units(rng, 1000), units(rng, 1000)
-    assert np.array_equal(turned(g, g, v)[0], g.astype(np.float32))
+    g, v = random_units(rng, 1000), random_units(rng, 1000)
+    assert np.array_equal(turn_normals(g, g, v)[0], g.astype(np.float32))
 
 
-def test_views_along_the_triangle_and_normals_against_it_give_numbers():
+def test_grazing_views_and_opposite_normals_give_finite_frames():
     z, x = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
     cases = [(z, -z, z), (z, -z, x), (z, z, x), (z, x, x), (z, x, -x), (z, x, z), (z, -z, -z), (z, x, -z)]
     g, n, v = (np.array(part) for part in zip(*cases, strict=True))
-    for part in turned(g, n, v):
+    for part in turn_normals(g, n, v):
         assert np.isfinite(part).all()
 
 
@@ -173,16 +179,16 @@ def test_gradients_with_respect_to_normals_are_finite():
     assert np.isfinite(np.array(dr.grad(tilt))).all()
 
 
-# --- the filter ---------------------------------------------------------------------------------------------
+# --- denoising ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("reflectance", [0.25, 0.5])
-def test_the_filter_leaves_the_outline_as_bright_as_it_was_traced(reflectance):
-    # A round matt body before the sky. Filtered together with the empty background, the outermost pixels lose
-    # a fifth of the body's light, a tenth of all. Twelve frames of 4 samples: standard error below 1 %.
+def test_denoiser_keeps_the_brightness_of_the_outline(reflectance):
+    # A matt ball in front of the sky. Filtered together with the empty background, the outermost pixels lose
+    # a fifth of the body's light, a tenth of all light. Twelve frames of 4 samples: standard error below 1 %.
     ball, surfaces = sphere((0.0, 0.0, 0.5), 0.03, "grey"), {"grey": lambertian_surface("grey", reflectance)}
-    traced, depth = photographed(ball, surfaces)
-    frames = [photographed(ball, surfaces, "standard", seed)[0] for seed in range(12)]
+    traced, depth = photograph(ball, surfaces)
+    frames = [photograph(ball, surfaces, "standard", seed)[0] for seed in range(12)]
     filtered = np.mean(frames, axis=0)
     for inner, outer in ((0.0, 1.2), (1.2, 2.3), (2.3, 5.0)):
         ring = (depth > inner) & (depth <= outer)

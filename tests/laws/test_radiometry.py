@@ -1,8 +1,7 @@
-"""The chain from lux to electrons, closed by hand.
+"""The chain from lux to electrons, against a calculation by hand.
 
-Rationale: a camera can read 2x too high for years when tests look at shapes only. Here every factor of
-the chain is written out once more, with its unit, from the data files' numbers; nothing of the renderer is
-reused.
+Rationale: a factor of 2 stays undetected if tests check shapes only. Here every factor of the chain is
+computed again, with its unit, from the numbers of the data files; nothing of the renderer is reused.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ def photopic() -> tuple[np.ndarray, np.ndarray]:
 
 
 def electrons_by_hand(irradiance_nm: np.ndarray, irradiance: np.ndarray, camera) -> np.ndarray:
-    """Electrons of a photosite that looks straight at a Lambertian patch under an irradiance W m-2 nm-1."""
+    """Electrons of a photosite on the axis for a Lambertian patch under an irradiance W m-2 nm-1."""
     nm = np.arange(380.0, 701.0, 0.5)
     radiance = REFLECTANCE / np.pi * np.interp(nm, irradiance_nm, irradiance)  # W m-2 sr-1 nm-1
     qe = camera.sensor.quantum_efficiency
@@ -60,13 +59,13 @@ def grey_under_sky(illuminance_lx: float):
     )
 
 
-def test_patch_in_the_flash_gives_the_electrons_of_a_one_page_calculation():
-    # Set-up: an 18 % matt patch 50 cm in front of the camera, the flash a point in the lens' place.
+def test_flash_on_a_patch_gives_the_calculated_electrons():
+    # Set-up: an 18 % matt patch 50 cm in front of the camera, a point flash at the lens.
     camera = bench_camera(
         columns=8, rows=6, radius_m=0.0, emitters_m=np.zeros((1, 2)), offset_m=(0.0, 0.0, 0.0)
     )
     scene = assemble_scene(sheet(1.0, 1.0, 0.5, "grey"), {"grey": lambertian_surface("grey", REFLECTANCE)})
-    # Expected: the SPD scaled so that 683 lm/W x V integrates to 200,000 lx: what falls on the patch.
+    # Expected: on the patch, the SPD times 683 lm/W x V integrates to 200,000 lx.
     with open(shipped_folder("materials") / "flashes" / "spectra" / "lumileds_cool_white.csv") as file:
         rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
     spd_nm, spd = np.array(rows[1:], float)[:, :2].T
@@ -77,9 +76,8 @@ def test_patch_in_the_flash_gives_the_electrons_of_a_one_page_calculation():
     assert centre(scene, camera) == pytest.approx(expected, rel=0.01)
 
 
-def test_matrix_flash_beside_the_lens_follows_its_integral():
-    # The shipped flash is a matrix of discs beside the lens: sum its points' cosine, profile and distance by
-    # quadrature.
+def test_matrix_flash_equals_its_integral():
+    # The shipped flash is a matrix of discs beside the lens: integrate cosine, profile and distance.
     camera = bench_camera(columns=8, rows=6)
     flash = camera.flash
     scene = assemble_scene(sheet(1.0, 1.0, 0.5, "grey"), {"grey": lambertian_surface("grey", REFLECTANCE)})
@@ -99,20 +97,20 @@ def test_matrix_flash_beside_the_lens_follows_its_integral():
     assert centre(scene, camera) == pytest.approx(expected, rel=0.01)
 
 
-def test_uniform_sky_on_a_matt_patch_reads_its_lux():
-    # A patch that sees the whole of a uniform sky gets the stated illuminance on its face.
+def test_uniform_sky_on_a_patch_gives_its_illuminance():
+    # A patch that faces a whole uniform sky receives its illuminance.
     camera = bench_camera(columns=8, rows=6, flash=False)
     scene = grey_under_sky(5500.0)
     nm = np.arange(380.0, 781.0)
     v_nm, v = photopic()
-    seen = (v_nm >= 380) & (v_nm <= 780)
-    irradiance = np.full(nm.size, 5500.0 / (683.002 * np.trapezoid(v[seen], v_nm[seen])))
+    visible = (v_nm >= 380) & (v_nm <= 780)
+    irradiance = np.full(nm.size, 5500.0 / (683.002 * np.trapezoid(v[visible], v_nm[visible])))
     expected = electrons_by_hand(nm, irradiance, camera)
     assert centre(scene, camera, "reference") == pytest.approx(expected, rel=0.01)
 
 
 def test_relative_illumination_falls_with_the_fourth_power_of_the_cosine():
-    # A uniform sky seen directly has the same radiance everywhere; what remains is the lens.
+    # A uniform sky seen directly has the same radiance everywhere; only the lens makes a difference.
     camera = bench_camera(flash=False)
     nm = np.arange(380.0, 781.0)
     far = assemble_scene(
@@ -133,8 +131,8 @@ def test_relative_illumination_falls_with_the_fourth_power_of_the_cosine():
     assert measured / measured.max() == pytest.approx(blocks(expected) / blocks(expected).max(), rel=5e-3)
 
 
-def test_daylight_at_the_paper_level_leaves_about_eighty_electrons():
-    # The reference shelf's estimate: 5 klx on an 18 % grey in 50 us at f/2 gives about 80 electrons in green.
+def test_daylight_at_the_paper_level_gives_about_eighty_electrons():
+    # By estimate, 5 klx on an 18 % grey in 50 us at f/2 give about 80 electrons in green.
     camera = bench_camera(columns=8, rows=6, flash=False)
     scene = grey_under_sky(5000.0)
     assert 50.0 < centre(scene, camera)[1] < 110.0

@@ -1,6 +1,8 @@
-"""Reciprocity of the organs' BSDF, and the tables that it reads."""
+"""Reciprocity of the BSDF, and the packed tables of the surfaces."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,15 +11,14 @@ from scatterers import Cases, interaction, lossless, plain, shipped
 
 from pepperscene.materials import Surface
 from pepperscene.render.surface.optics import Optics
-from pepperscene.render.surface.tables import pack
 from pepperscene.render.variant import mitsuba_modules
 
 PAIRS = 1 << 16
 
 
 def pairs_of_directions(surfaces: tuple[Surface, ...], seed: int) -> tuple[Cases, np.ndarray]:
-    """Surfaces seen from random directions, and `(n, 3)` others: half of them random, half near the mirrored
-    direction, where the gloss is."""
+    """Surfaces seen from random directions, and `(n, 3)` second directions: half of them random, half near the
+    mirrored direction, in the gloss."""
     rng = np.random.default_rng(seed)
     surface = rng.integers(0, len(surfaces), PAIRS)
     a, b = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, PAIRS, 3)))
@@ -33,15 +34,15 @@ def pairs_of_directions(surfaces: tuple[Surface, ...], seed: int) -> tuple[Cases
 
 @pytest.mark.parametrize("relief", [False, True])
 def test_scattering_is_reciprocal(relief):
-    # f(i, o) = f(o, i) for 65,536 pairs over all shipped surfaces, in all states, and all made ones: on one
-    # side, and through sheets whose sides differ.
-    # On a relief: for directions that are on the same side of it and of the smooth surface, for beyond those
-    # no shading normal is reciprocal (Veach 1997, section 5.3).
+    # f(i, o) = f(o, i) for 65,536 pairs over all shipped surfaces, in all states, and all synthetic ones: on
+    # one side, and through sheets with different sides. On a relief: for directions on the same side of it
+    # and of the smooth surface, because shading normals are not reciprocal for others (Veach 1997, section
+    # 5.3).
     mi, dr = mitsuba_modules()
     surfaces = (*(shipped() if relief else map(plain, shipped())), *lossless())
-    there, b = pairs_of_directions(surfaces, seed=2)
-    back = Cases(there.surfaces, there.surface, there.state, b, there.uv)
-    optics = there.optics()
+    cases, b = pairs_of_directions(surfaces, seed=2)
+    reversed_cases = replace(cases, wi=b)
+    optics = cases.optics()
 
     def scattered(cases: Cases, wo: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         point = cases.points(optics, dr.arange(mi.UInt32, PAIRS))
@@ -51,39 +52,39 @@ def test_scattering_is_reciprocal(relief):
         tilt = np.broadcast_to(np.asarray(point.frame.n.z), (PAIRS,))
         return f, cosine * wo[:, 2] > 0.01 * np.abs(wo[:, 2]), tilt
 
-    forward, b_agrees, tilt = scattered(there, b)
-    backward, a_agrees, _ = scattered(back, there.wi)
-    fair = a_agrees & b_agrees & (np.minimum(np.abs(there.wi[:, 2]), np.abs(b[:, 2])) > 0.01)
+    forward, b_agrees, tilt = scattered(cases, b)
+    backward, a_agrees, _ = scattered(reversed_cases, cases.wi)
+    valid = a_agrees & b_agrees & (np.minimum(np.abs(cases.wi[:, 2]), np.abs(b[:, 2])) > 0.01)
     assert (tilt.min() < 0.9) == relief
-    same = there.wi[:, 2] * b[:, 2] > 0
-    for chosen in (fair & same, fair & ~same):
+    same = cases.wi[:, 2] * b[:, 2] > 0
+    for chosen in (valid & same, valid & ~same):
         assert chosen.sum() > 10_000
         assert np.count_nonzero(forward[:, chosen] > 0) > 10_000
-        # Single precision: the half vector of a mirror of alpha .001 is known to a part in a thousand or so.
+        # In single precision the half vector of a mirror of alpha .001 has a relative error of about 1e-3.
         assert forward[:, chosen] == pytest.approx(backward[:, chosen], rel=5e-3, abs=1e-6)
     # Nearly all agree far better.
-    difference = np.abs(forward - backward)[:, fair]
-    assert np.quantile(difference / np.maximum(forward[:, fair], 1e-3), 0.99) < 2e-4
+    difference = np.abs(forward - backward)[:, valid]
+    assert np.quantile(difference / np.maximum(forward[:, valid], 1e-3), 0.99) < 2e-4
 
 
 def test_packed_spectra_equal_the_surfaces():
-    # The kernel's nearest 1 nm entry against the surface's own linear interpolation.
+    # The kernel's nearest 1 nm entry against linear interpolation of the surface.
     nm = np.arange(380.0, 781.0, 5.0)
     curve = 0.3 + 0.2 * np.sin(nm / 40.0)
     states = np.linspace(0.5, 1.0, 5)[:, None]
     surface = Surface("s", nm, np.stack([states * curve, states * curve * 0.9], 1), states * curve * 0.5)
     mi, _ = mitsuba_modules()
-    optics = Optics(pack([surface], 380.0, 780.0))
+    optics = Optics.pack([surface], 380.0, 780.0)
     si = interaction((0.0, 0.0, 1.0), 1)
     si.wavelengths = mi.Spectrum(412.0, 530.0, 655.0, 700.0)
-    point = optics.at(si, mi.UInt32(0), mi.Float(0.3), mi.Bool(True))
+    point = optics.point(si, mi.UInt32(0), mi.Float(0.3), mi.Bool(True))
     wanted = np.interp([412, 530, 655, 700], nm, curve) * (0.5 + 0.3 * 0.5)
     assert np.asarray(point.reflectance).ravel() == pytest.approx(wanted, rel=1e-5)
     assert np.asarray(point.transmittance).ravel() == pytest.approx(wanted * 0.5, rel=1e-5)
 
 
-def test_nearest_wavelengths_stand_for_the_shipped_surfaces():
-    # What the packing promises: taking the nearest 1 nm changes no channel of any surface by more than 2e-4.
+def test_nearest_wavelengths_are_accurate_for_shipped_surfaces():
+    # Taking the nearest 1 nm entry changes no channel of any surface by more than 2e-4.
     camera = bench_camera()
     fine = np.arange(380.0, 690.0, 0.02)
     weight = camera.sensor.electrons_per_joule(fine) * camera.flash.radiant_intensity(fine)
@@ -96,22 +97,22 @@ def test_nearest_wavelengths_stand_for_the_shipped_surfaces():
             assert nearest == pytest.approx(exact, rel=2e-4)
 
 
-def test_patterns_close_on_themselves_around_a_tube():
-    # A pattern that is periodic in u has no seam: the state at u = 0 is that at u = 1, midway between texels.
+def test_patterns_are_periodic_around_a_tube():
+    # A pattern that is periodic in u has no seam: u = 0 and u = 1 have the same state, midway between texels.
     nm = np.array([400.0, 700.0])
     states = np.linspace(0.0, 1.0, 33)[:, None]
     pattern = np.tile(0.4 * np.sin(2 * np.pi * (np.arange(16) + 0.5) / 16), (4, 1)).astype(np.float32)
     body = np.stack([states * np.ones(2)] * 2, axis=1)
     surface = Surface("tube", nm, body, np.zeros((33, 2)), pattern=pattern)
     mi, _ = mitsuba_modules()
-    optics = Optics(pack([surface], 400.0, 700.0))
+    optics = Optics.pack([surface], 400.0, 700.0)
 
     def state(u: float) -> float:
-        point = optics.at(
+        point = optics.point(
             interaction((0.0, 0.0, 1.0), 1, (u, 0.5)), mi.UInt32(0), mi.Float(0.5), mi.Bool(True)
         )
         return float(np.asarray(point.reflectance).ravel()[0])
 
     assert state(0.0) == pytest.approx(state(1.0), abs=1e-5)
-    assert state(0.0) == pytest.approx(0.5, abs=1e-3)  # halfway between the texels at -half and +half
+    assert state(0.0) == pytest.approx(0.5, abs=1e-3)  # midway between the last and the first texel
     assert state(0.25) == pytest.approx(0.9, abs=0.02)

@@ -1,9 +1,9 @@
-"""Chi-squared tests of the samples against their density, over all surfaces, by Mitsuba's own test.
+"""Chi-squared tests of samples against their density, over all surfaces, by Mitsuba's own test.
 
-Each case draws 2^19 directions into some 1,300 cells. The significance, 0.01 over all cases together, is
-corrected by Sidak; without mistakes the p-values are spread evenly. Power, measured by making the mistakes
-on purpose: it fails if samples choose the gloss .01 too often or transmission 2 % too often, or if they are
-drawn for an alpha 3 % too wide.
+Each case draws 2^19 directions into about 1,300 cells. The significance, 0.01 over all cases together, is
+corrected by Sidak; without errors the p-values are uniform. Power, measured with deliberate errors: it fails
+if samples choose the gloss .01 too often or transmission 2 % too often, or if they are drawn for an alpha 3 %
+too large.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from scatterers import Cases, lossless, plain, shipped
 from pepperscene.render.variant import mitsuba_modules
 
 SHIPPED_COSINES = (1.0, 0.4, 0.05, -0.7, -0.05)
-MADE_COSINES = (0.9, 0.3, 0.02, -0.02, -0.3)
-MADE = (
+SYNTHETIC_COSINES = (0.9, 0.3, 0.02, -0.02, -0.3)
+SYNTHETIC = (
     "T 0.4, ior 1.5, alpha (0.001, 1.0)",
     "T 1, ior 1.28, alpha (0.7, 0.02)",
     "T 0.4, ior 2.5, alpha (0.1, 0.45)",
 )
 RINGS = 41
-GROUPS = ("shipped", "relief", "made")
+GROUPS = ("shipped", "relief", "synthetic")
 
 
 @cache
 def cases_of(group: str) -> Cases:
-    """Every surface at all cosines, the shipped ones in their extreme states by turns."""
-    if group == "made":
-        return Cases.over([s for s in lossless() if s.name in MADE], (0.0,), MADE_COSINES, seed=7)
+    """Every surface at all cosines, the shipped ones in alternating extreme states."""
+    if group == "synthetic":
+        return Cases.over([s for s in lossless() if s.name in SYNTHETIC], (0.0,), SYNTHETIC_COSINES, seed=7)
     if group == "relief":
         surfaces = [s for s in shipped() if s.relief_mm is not None]
     else:
@@ -44,10 +44,10 @@ def cases_of(group: str) -> Cases:
 class AboutMirror:
     """The sphere in polar coordinates about the mirrored direction, stretched to the shape of the gloss.
 
-    In equal areas a glossy lobe would fill a single cell. At a cosine of z to the surface it is about alpha
-    wide along the plane of incidence, and alpha z across. So directions are first stretched across (a linear
-    map, back onto the sphere), and then x is the azimuth and y in [0, 1] a logarithmic radius, with
-    1 - cosine = width ((1 + 2 / width)^y - 1) and width = alpha^2: about half of the rings lie in the lobe.
+    With cells of equal area a glossy lobe would fill a single one. At a cosine z to the surface it is about
+    alpha wide along the plane of incidence, and alpha z across. So directions are first stretched across (a
+    linear map, back onto the sphere); then x is the azimuth and y in [0, 1] a logarithmic radius, with
+    1 - cosine = width ((1 + 2 / width)^y - 1) and width = alpha^2: about half of the rings are in the lobe.
     """
 
     def __init__(self, normal: np.ndarray, wi: np.ndarray, alpha: float) -> None:
@@ -96,13 +96,13 @@ class AboutMirror:
 
 
 def _below(local):
-    """1 - cosine to the axis, exact near it."""
+    """1 - cosine to the axis, accurate near it."""
     _, dr = mitsuba_modules()
     return 0.5 * (dr.square(local.x) + dr.square(local.y) + dr.square(local.z - 1.0))
 
 
 def chi_squared(cases: Cases, optics, frames: np.ndarray, case: int):
-    """Mitsuba's test for one case, not yet run."""
+    """Mitsuba's test of one case, not yet run."""
     mi, dr = mitsuba_modules()
     from mitsuba.chi2 import ChiSquareTest
 

@@ -1,7 +1,7 @@
-"""Whatever the surface and the directions: no NaN, no infinity, nothing negative, no sample on a wrong side.
+"""For any surface and directions, values are finite and not negative, and samples on the right side.
 
-An example is a handful of surfaces; each is met by 4,096 pairs of directions at once, half of them drawn from
-the extremes: exactly normal, exactly grazing, and heights of a denormal above or below the surface.
+An example has three surfaces and 4,096 pairs of directions, half of them extreme: exactly normal, exactly
+grazing, and denormal heights above or below the surface.
 """
 
 from __future__ import annotations
@@ -11,11 +11,10 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from scatterers import GRID_NM, interaction, made
+from scatterers import GRID_NM, grey_surface, interaction
 
 from pepperscene.materials import Surface
 from pepperscene.render.surface.optics import Optics
-from pepperscene.render.surface.tables import pack
 from pepperscene.render.variant import mitsuba_modules
 
 PAIRS = 4096
@@ -31,7 +30,7 @@ def surfaces(draw) -> Surface:
     through = draw(unit)
     front, back = (draw(unit) * (1.0 - through) for _ in range(2))
     relief = draw(st.sampled_from([None, 0.01, 3.0]))
-    surface = made("any", front, back, through, draw(iors), (draw(alphas), draw(alphas)))
+    surface = grey_surface("any", front, back, through, draw(iors), (draw(alphas), draw(alphas)))
     if relief is None:
         return surface
     y, x = np.mgrid[0:16, 0:16] / 16.0 * 2.0 * np.pi
@@ -52,27 +51,32 @@ def directions(rng: np.random.Generator) -> np.ndarray:
 
 @settings(deadline=None, max_examples=40, derandomize=True)
 @given(
-    made_up=st.lists(surfaces(), min_size=3, max_size=3), nm=st.floats(200.0, 2600.0), seed=st.integers(0, 99)
+    mixture=st.lists(surfaces(), min_size=3, max_size=3), nm=st.floats(200.0, 2600.0), seed=st.integers(0, 99)
 )
-@example([made("mirror", 0.0, 0.0, 0.0, 2.5, (0.0, 1e-3))] * 3, 500.0, 0)
+@example([grey_surface("mirror", 0.0, 0.0, 0.0, 2.5, (0.0, 1e-3))] * 3, 500.0, 0)
 @example(
-    [made("hole", 0.0, 0.0, 1.0, 1.0, (0.0, 1.0)), made("black", 0.0, 0.0, 0.0, 1.0, (0.5, 0.5))], 500.0, 1
+    [
+        grey_surface("hole", 0.0, 0.0, 1.0, 1.0, (0.0, 1.0)),
+        grey_surface("black", 0.0, 0.0, 0.0, 1.0, (0.5, 0.5)),
+    ],
+    500.0,
+    1,
 )
-def test_any_surface_scatters_any_light_soundly(made_up, nm, seed):
+def test_scattering_is_finite_positive_and_on_the_right_side(mixture, nm, seed):
     mi, dr = mitsuba_modules()
     rng = np.random.default_rng(seed)
     wi, other = directions(rng), directions(rng)
-    # A third of the pairs is exactly mirrored: the peak of the gloss.
+    # A third of the pairs are exactly mirrored: the peak of the gloss.
     mirrored = rng.random(PAIRS) < 0.33
     wo = np.where(mirrored[:, None], wi * np.array([-1, -1, 1], np.float32), other)
     u = rng.random((3, PAIRS)).astype(np.float32)
     u[:, :8] = np.array([0.0, 1.0 - 2.0**-24] * 4)
 
-    optics = Optics(pack(made_up, float(GRID_NM[0]), float(GRID_NM[-1])))
+    optics = Optics.pack(mixture, float(GRID_NM[0]), float(GRID_NM[-1]))
     si = interaction(mi.Vector3f(*wi.T), PAIRS, mi.Point2f(*rng.random((2, PAIRS)).astype(np.float32)))
     si.wavelengths = mi.Spectrum(*(mi.Float(nm) + mi.Float(30.0 * k) for k in range(4)))
-    surface = mi.UInt32(rng.integers(0, len(made_up), PAIRS))
-    point = optics.at(si, surface, mi.Float(rng.random(PAIRS)), mi.Bool(True))
+    surface = mi.UInt32(rng.integers(0, len(mixture), PAIRS))
+    point = optics.point(si, surface, mi.Float(rng.random(PAIRS)), mi.Bool(True))
     value, density = point.eval_pdf(mi.Vector3f(*wo.T))
     out, sample_density, weight, lobe = point.sample(mi.Float(u[0]), mi.Point2f(u[1], u[2]))
     dr.eval(value, density, out, sample_density, weight, lobe)
@@ -80,18 +84,18 @@ def test_any_surface_scatters_any_light_soundly(made_up, nm, seed):
     for array in map(np.asarray, (value, density, sample_density, weight)):
         assert np.isfinite(array).all()
         assert array.min() >= 0.0
-    # Samples that count are unit vectors on their lobe's side, and eval_pdf knows them.
-    counts = np.asarray(sample_density) > 0.0
+    # Valid samples are unit vectors on their lobe's side.
+    valid = np.asarray(sample_density) > 0.0
     out, lobe = np.asarray(out), np.asarray(lobe)
-    assert np.abs(np.linalg.norm(out[:, counts], axis=0) - 1.0).max(initial=0.0) < 1e-5
+    assert np.abs(np.linalg.norm(out[:, valid], axis=0) - 1.0).max(initial=0.0) < 1e-5
     side = np.sign(out[2]) * np.sign(wi[:, 2])
-    assert (side[counts & (lobe < 2)] > 0).all()
-    assert (side[counts & (lobe == 2)] < 0).all()
+    assert (side[valid & (lobe < 2)] > 0).all()
+    assert (side[valid & (lobe == 2)] < 0).all()
     assert set(lobe) <= {0, 1, 2}
-    # Weights are bounded: no lobe is drawn much more rarely than it shines.
-    assert np.asarray(weight)[:, counts].max(initial=0.0) < 30.0
-    # Nothing is chosen that is not there.
-    gloss = np.array([s.ior > 1.0 for s in made_up])[np.asarray(surface)]
-    through = np.array([s.transmittance.max() > 0.0 for s in made_up])[np.asarray(surface)]
-    assert gloss[counts & (lobe == 0)].all()
-    assert through[counts & (lobe == 2)].all()
+    # Weights are bounded: no lobe is sampled much more rarely than it is bright.
+    assert np.asarray(weight)[:, valid].max(initial=0.0) < 30.0
+    # No lobe is sampled that the surface does not have.
+    gloss = np.array([s.ior > 1.0 for s in mixture])[np.asarray(surface)]
+    through = np.array([s.transmittance.max() > 0.0 for s in mixture])[np.asarray(surface)]
+    assert gloss[valid & (lobe == 0)].all()
+    assert through[valid & (lobe == 2)].all()

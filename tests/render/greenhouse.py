@@ -1,6 +1,6 @@
-"""A small greenhouse scene, built from nothing but numbers, and the fingerprint of its frames.
+"""A small greenhouse scene made of numbers alone, and the fingerprint of its frames.
 
-Also run by the tests in processes of their own.
+Tests also run it in processes of their own.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ NM = np.arange(360.0, 831.0, 10.0)
 POSES = arc_path(3, 0.4, (-0.4, 0.4), (0.1, 0.4), np.radians(20.0))
 
 
-def row_of_plants() -> Mesh:
-    """Two plants of six stem parts with twine."""
+def row_of_plants(parts: int = 6, first_seed: int = 0) -> Mesh:
+    """Two plants of few stem parts with twine."""
     cultivar = load_cultivar("kaite")
-    short = cultivar.model_copy(update={"stem": cultivar.stem.model_copy(update={"parts": 6})})
+    short = cultivar.model_copy(update={"stem": cultivar.stem.model_copy(update={"parts": parts})})
     meshes = []
-    for number in range(2):
+    for number in range(first_seed, first_seed + 2):
         plant = grow(short, np.random.default_rng(number))
-        cord = Twine(0.003, 4.0)
-        meshes.append(add_twine(plant, mesh_plant(plant, 0.4), cord, np.random.default_rng(number)))
+        twine = Twine(0.003, 4.0)
+        meshes.append(add_twine(plant, mesh_plant(plant, 0.4), twine, np.random.default_rng(number)))
     return double_row(meshes[:1], meshes[1:], spacing_m=0.2, gap_m=0.2, shift_m=0.1)
 
 
 def greenhouse() -> Scene:
-    """The plants under a partly cloudy sky; the sun stands outside the camera's pictures."""
+    """The plants under a partly cloudy sky; the sun is outside the camera's pictures."""
     sky = partly_cloudy_sky(
         np.random.default_rng(7),
         illuminance_lx=5500.0,
@@ -54,24 +54,24 @@ def greenhouse() -> Scene:
 def camera(
     step: int = 1, *, columns: int = 80, rows: int = 60, distorted: bool = False, flash: bool = True
 ) -> Camera:
-    """The recipe's camera with its flash; binned to few but large pixels, so that the field of view stays."""
-    whole = load_sensor("ueye_ui5250re")
+    """The recipe's camera with its flash; binned to few large pixels, with the same field of view."""
+    sensor = load_sensor("ueye_ui5250re")
     lens = load_lens("lensagon_cmfa0420nd")
     if distorted:
         lens = replace(lens, distortion=Distortion(k1=-0.1, k2=0.04, p1=1e-3, p2=-1e-3))
-    sensor = replace(whole, columns=columns, rows=rows, binning=whole.binning * 10)
+    sensor = replace(sensor, columns=columns, rows=rows, binning=sensor.binning * 10)
     return Camera(lens, sensor, POSES[step], 50e-6, load_flash("led_matrix_200klx") if flash else None)
 
 
 def others(step: int = 1) -> dict[str, Camera]:
-    """The cameras that the outputs of a step's frame lead to: the last pose, and a partner 60 mm beside."""
+    """The other cameras of a step's frame: at the last pose, and a stereo partner 60 mm to the right."""
     pose = POSES[step].copy()
     pose[:3, 3] += 0.06 * pose[:3, 0]
     return {"flow": camera(2), "stereo": camera(step).at_pose(pose)}
 
 
 def digests(frame: Frame) -> dict[str, str]:
-    """SHA-256 of the bytes of each image, or of the text of what is none."""
+    """SHA-256 of the bytes of each image, or of the JSON text of other outputs."""
     return {
         name: hashlib.sha256(
             np.ascontiguousarray(image).tobytes()
@@ -82,6 +82,6 @@ def digests(frame: Frame) -> dict[str, str]:
     }
 
 
-def built_from_nothing() -> dict[str, str]:
-    """Fingerprints of the default outputs of one frame, with scene and renderer made for it."""
+def fresh_digests() -> dict[str, str]:
+    """Fingerprints of the default outputs of one frame, with a new scene and renderer."""
     return digests(Renderer(greenhouse()).render(camera(), DEFAULT_OUTPUTS, "standard", 5))

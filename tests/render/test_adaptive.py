@@ -1,4 +1,4 @@
-"""How light and noise show in a picture, against the pictures themselves, and where samples go."""
+"""Light and noise in codes against developed pictures, and the distribution of samples over pixels."""
 
 from __future__ import annotations
 
@@ -19,135 +19,141 @@ from pepperscene.camera import (
     load_sensor,
 )
 from pepperscene.render.transport.accumulate import SampleAccumulator
-from pepperscene.render.transport.adaptive import GAIN, SOFT_LEFT, AdaptiveSampler, _least_scale, shown
+from pepperscene.render.transport.adaptive import (
+    DENOISED_ERROR,
+    VARIANCE_GAIN,
+    AdaptiveSampler,
+    _variance_scale,
+    code_response,
+)
 from pepperscene.spectra import Spectrum
 
 HEIGHT, WIDTH = 24, 32
 
 
-def a_camera(*, flash: bool = True, mono: bool = False, **steps) -> Camera:
-    """The recipe's camera, small; or one that sees no colours."""
+def small_camera(*, flash: bool = True, mono: bool = False, **developing) -> Camera:
+    """The recipe's camera with few pixels, or a monochrome one."""
     sensor = replace(load_sensor("ueye_ui5250re"), columns=WIDTH, rows=HEIGHT)
     if mono:
         curve = sensor.quantum_efficiency
         grey = Spectrum(curve.wavelength_nm, curve.values[1:2])
         sensor = replace(sensor, quantum_efficiency=grey, pattern="mono", binning=2)
-    lamp = load_flash("led_matrix_200klx") if flash else None
+    led = load_flash("led_matrix_200klx") if flash else None
     if not flash:
-        steps.setdefault("white_balance", "daylight")
+        developing.setdefault("white_balance", "daylight")
     return Camera(
-        load_lens("lensagon_cmfa0420nd"), sensor, np.eye(4), 50e-6, lamp, developing=Developing(**steps)
+        load_lens("lensagon_cmfa0420nd"), sensor, np.eye(4), 50e-6, led, developing=Developing(**developing)
     )
 
 
 CAMERAS = {
-    "flash": a_camera(),
-    "daylight": a_camera(flash=False),
-    "linear": a_camera(tone="linear"),
-    "no matrix": a_camera(colour_matrix=False),
-    "no balance": a_camera(white_balance=None, colour_matrix=False),
-    "no fall-off": a_camera(falloff=False),
-    "mono": a_camera(mono=True),
-    "mono, linear": a_camera(mono=True, flash=False, tone="linear"),
+    "flash": small_camera(),
+    "daylight": small_camera(flash=False),
+    "linear": small_camera(tone="linear"),
+    "no matrix": small_camera(colour_matrix=False),
+    "no balance": small_camera(white_balance=None, colour_matrix=False),
+    "no fall-off": small_camera(falloff=False),
+    "mono": small_camera(mono=True),
+    "mono, linear": small_camera(mono=True, flash=False, tone="linear"),
 }
 
 
-def light_of(
-    camera: Camera, level: float, seed: int = 1, colourful: float = 0.3
+def random_light(
+    camera: Camera, level: float, seed: int = 1, saturation: float = 0.3
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`(h, w, c)` light about a level of the full well, of colours near grey, and a unit `(c,)` of white."""
+    """`(h, w, c)` nearly grey light, about a fraction of the full well, and a unit `(c,)` of white."""
     rng, c = np.random.default_rng(seed), camera.sensor.channels
     full = camera.sensor.full_well_e / expected_electrons(np.ones((HEIGHT, WIDTH, c)), camera).max()
-    colours = 1.0 + colourful * rng.uniform(-1.0, 1.0, (HEIGHT, WIDTH, c))
+    colours = 1.0 + saturation * rng.uniform(-1.0, 1.0, (HEIGHT, WIDTH, c))
     signal = level * full * colours * rng.uniform(0.5, 1.5, (HEIGHT, WIDTH, 1))
     return signal.astype(np.float32), full * np.array([0.7, 1.0, 0.5])[:c]
 
 
-def linear_of(signal: np.ndarray, camera: Camera) -> np.ndarray:
-    """`(h, w, k)` linear values before the tone curve, without noise and converter steps."""
+def linear_values(signal: np.ndarray, camera: Camera) -> np.ndarray:
+    """`(h, w, k)` linear values before the tone curve, without noise and quantisation."""
     smooth = replace(camera, developing=replace(camera.developing, quantise=False))
     return correct_colours(camera_rgb(expected_electrons(signal, smooth), smooth), smooth).astype(float)
 
 
-def codes_of(linear: np.ndarray, tone: str) -> np.ndarray:
-    """Codes that are not rounded (IEC 61966-2-1)."""
+def unrounded_codes(linear: np.ndarray, tone: str) -> np.ndarray:
+    """Codes without rounding (IEC 61966-2-1)."""
     value = np.clip(linear, 0.0, 1.0)
     if tone == "srgb":
         value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return 255.0 * value
 
 
-# --- how light shows ----------------------------------------------------------------------------------------
+# --- light in codes -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
 @pytest.mark.parametrize("level", [1e-3, 0.02, 0.3])
-def test_codes_per_light_are_the_slope_of_developing(camera, level):
-    signal, white = light_of(camera, level)
-    found = shown(signal, white, camera)
-    # The pixel's own light is made a little brighter and a little darker.
+def test_codes_per_light_equal_the_slope_of_developing(camera, level):
+    signal, white = random_light(camera, level)
+    codes = code_response(signal, white, camera)
+    # The pixel's light is made slightly brighter and darker.
     step = 1e-2
-    ends = [linear_of(signal * np.float32(1.0 + side * step), camera) for side in (-1, 1)]
-    change = codes_of(ends[1], camera.developing.tone) - codes_of(ends[0], camera.developing.tone)
+    ends = [linear_values(signal * np.float32(1.0 + side * step), camera) for side in (-1, 1)]
+    below, above = (unrounded_codes(end, camera.developing.tone) for end in ends)
     length = np.sqrt(np.square(signal / white).sum(axis=-1))
-    slope = np.sqrt(np.square(change).mean(axis=-1)) / (2.0 * step * length)
+    slope = np.sqrt(np.square(above - below).mean(axis=-1)) / (2.0 * step * length)
     inside = ((ends[0] > 0.0) & (ends[1] < 1.0)).all(axis=-1)
     assert inside.mean() > 0.6
-    # Where the curve's straight part ends its slope has a step of 2 %.
-    assert found.per_white[inside] == pytest.approx(slope[inside], rel=0.01)
+    # At the end of its linear part the slope of the tone curve has a step of 2 %.
+    assert codes.per_white[inside] == pytest.approx(slope[inside], rel=0.01)
 
 
 @pytest.mark.parametrize("name", ["flash", "linear", "mono"])
-def test_above_white_the_curve_goes_on(name):
-    # Electrons are an output as well, and the picture's clipping is not theirs.
+def test_tone_curve_is_extended_above_white(name):
+    # Electrons are an output as well, and they are not clipped like the picture.
     camera = CAMERAS[name]
-    signal, white = light_of(camera, 5.0)
-    endless = replace(camera, developing=replace(camera.developing, saturation=False))
-    ends = [linear_of(signal * np.float32(1.0 + side * 1e-2), endless) for side in (-1, 1)]
+    signal, white = random_light(camera, 5.0)
+    unsaturated = replace(camera, developing=replace(camera.developing, saturation=False))
+    ends = [linear_values(signal * np.float32(1.0 + side * 1e-2), unsaturated) for side in (-1, 1)]
     assert min(np.median(end) for end in ends) > 1.0
-    codes = [255.0 * (end if name == "linear" else 1.055 * end ** (1 / 2.4) - 0.055) for end in ends]
+    below, above = (255.0 * (end if name == "linear" else 1.055 * end ** (1 / 2.4) - 0.055) for end in ends)
     length = np.sqrt(np.square(signal / white).sum(axis=-1))
-    slope = np.sqrt(np.square(codes[1] - codes[0]).mean(axis=-1)) / (2e-2 * length)
-    found = shown(signal, white, camera)
-    assert found.per_white == pytest.approx(slope, rel=5e-3)
-    assert (found.noise > 0.0).all()
+    slope = np.sqrt(np.square(above - below).mean(axis=-1)) / (2e-2 * length)
+    codes = code_response(signal, white, camera)
+    assert codes.per_white == pytest.approx(slope, rel=5e-3)
+    assert (codes.noise > 0.0).all()
 
 
-def test_the_unit_of_white_drops_out():
+def test_codes_do_not_depend_on_the_unit_of_white():
     camera = CAMERAS["flash"]
-    signal, white = light_of(camera, 0.1)
-    one, ten = shown(signal, white, camera), shown(signal, 10.0 * white, camera)
-    assert ten.per_white == pytest.approx(10.0 * one.per_white, rel=1e-4)
-    assert np.array_equal(one.noise, ten.noise)
+    signal, white = random_light(camera, 0.1)
+    codes, scaled = (code_response(signal, factor * white, camera) for factor in (1.0, 10.0))
+    assert scaled.per_white == pytest.approx(10.0 * codes.per_white, rel=1e-4)
+    assert np.array_equal(codes.noise, scaled.noise)
 
 
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
-def test_no_light_gives_numbers(camera):
+def test_no_light_gives_finite_codes(camera):
     signal = np.zeros((HEIGHT, WIDTH, camera.sensor.channels), np.float32)
-    found = shown(signal, light_of(camera, 1.0)[1], camera)
-    assert np.isfinite(found.per_white).all()
-    assert np.isfinite(found.noise).all()
-    assert (found.noise > 0.0).all()  # the read noise is there in the dark
+    codes = code_response(signal, random_light(camera, 1.0)[1], camera)
+    assert np.isfinite(codes.per_white).all()
+    assert np.isfinite(codes.noise).all()
+    assert (codes.noise > 0.0).all()  # read noise
 
 
-def test_a_camera_without_a_white_balance_gives_numbers():
-    # It can give electrons, and no picture that its light could be weighed in.
-    camera = a_camera(flash=False, white_balance="flash")
-    signal, white = light_of(camera, 0.1)
-    found = shown(signal, white, camera)
-    assert np.isfinite(found.per_white).all()
-    assert (found.noise > 0.0).all()
+def test_missing_flash_for_the_white_balance_gives_finite_codes():
+    # Such a camera gives electrons, but no picture to measure its light in.
+    camera = small_camera(flash=False, white_balance="flash")
+    signal, white = random_light(camera, 0.1)
+    codes = code_response(signal, white, camera)
+    assert np.isfinite(codes.per_white).all()
+    assert (codes.noise > 0.0).all()
 
 
-# --- how noise shows ----------------------------------------------------------------------------------------
+# --- noise in codes -----------------------------------------------------------------------------------------
 
 
-def spread_of(signal: np.ndarray, camera: Camera, frames: int = 300) -> np.ndarray:
-    """`(h, w)` deviation of developed pictures, root mean square over colours, before rounding to codes."""
+def picture_deviation(signal: np.ndarray, camera: Camera, frames: int = 300) -> np.ndarray:
+    """`(h, w)` standard deviation of developed pictures, root mean square over colours, without rounding."""
     electrons, squares, sums = expected_electrons(signal, camera), 0.0, 0.0
     for seed in range(frames):
         linear = correct_colours(camera_rgb(electrons, camera, np.random.default_rng(seed)), camera)
-        codes = codes_of(linear.astype(float), camera.developing.tone)
+        codes = unrounded_codes(linear.astype(float), camera.developing.tone)
         squares, sums = squares + np.square(codes), sums + codes
     variance = (squares - np.square(sums) / frames) / (frames - 1)
     return np.sqrt(variance.mean(axis=-1))
@@ -155,237 +161,246 @@ def spread_of(signal: np.ndarray, camera: Camera, frames: int = 300) -> np.ndarr
 
 @pytest.mark.parametrize("name", ["flash", "daylight", "linear", "no matrix", "mono", "mono, linear"])
 @pytest.mark.parametrize("level", [0.05, 0.3])
-def test_noise_is_the_spread_of_developed_pictures(name, level):
+def test_noise_equals_the_deviation_of_developed_pictures(name, level):
     camera = CAMERAS[name]
-    signal, white = light_of(camera, level, colourful=0.1)
-    found = shown(signal, white, camera).noise
-    spread = spread_of(signal, camera)
-    # Well below white; what is brighter is cut off in the picture.
-    linear = linear_of(signal, camera)
-    clear = (linear.max(axis=-1) < 0.9) & (linear.min(axis=-1) > 0.0)
-    assert clear.mean() > 0.6
-    # 300 frames tell a deviation to 4 %, and their mean over the pixels far better; the rest is curvature.
-    assert found[clear].mean() == pytest.approx(spread[clear].mean(), rel=0.03)
-    assert found[clear] == pytest.approx(spread[clear], rel=0.25)
+    signal, white = random_light(camera, level, saturation=0.1)
+    noise = code_response(signal, white, camera).noise
+    deviation = picture_deviation(signal, camera)
+    # Brighter pixels are clipped in the picture.
+    linear = linear_values(signal, camera)
+    unclipped = (linear.max(axis=-1) < 0.9) & (linear.min(axis=-1) > 0.0)
+    assert unclipped.mean() > 0.6
+    # 300 frames give a deviation to 4 %, and its mean over the pixels far better; the rest is curvature.
+    assert noise[unclipped].mean() == pytest.approx(deviation[unclipped].mean(), rel=0.03)
+    assert noise[unclipped] == pytest.approx(deviation[unclipped], rel=0.25)
 
 
-def test_noise_in_the_dark_is_of_the_right_size():
-    # Cut off at black it is no Gaussian any more: within a factor of two.
+def test_noise_in_the_dark_has_the_right_magnitude():
+    # Clipped at black it is not Gaussian: within a factor of two.
     camera = CAMERAS["flash"]
-    signal, white = light_of(camera, 1e-4)
-    ratio = shown(signal, white, camera).noise.mean() / spread_of(signal, camera).mean()
+    signal, white = random_light(camera, 1e-4)
+    ratio = code_response(signal, white, camera).noise.mean() / picture_deviation(signal, camera).mean()
     assert 0.5 < ratio < 2.0
 
 
-# --- where samples go ---------------------------------------------------------------------------------------
+# --- distribution of samples --------------------------------------------------------------------------------
 
 
-def spreads(seed: int, n: int = 8192) -> np.ndarray:
-    """Variances of one sample as pictures have them: most hardly any, some a million times more."""
+def random_variances(seed: int, n: int = 8192) -> np.ndarray:
+    """Variances of one sample like those of pictures: most are small, some a million times larger."""
     rng = np.random.default_rng(seed)
     return np.exp(rng.normal(-3.0, 3.0, n)).astype(np.float32) * (rng.random(n) < 0.7)
 
 
-def left(spread: np.ndarray, samples: np.ndarray) -> float:
-    """Mean variance by Mitchell's law."""
-    return float(np.mean(GAIN * spread.astype(float) * samples**-1.5))
+def mean_variance(variance: np.ndarray, samples: np.ndarray) -> float:
+    """Of the pixels' means, after Mitchell."""
+    return float(np.mean(VARIANCE_GAIN * variance.astype(float) * samples**-1.5))
 
 
-def shared_out(spread: np.ndarray, allowed: float, most: int) -> np.ndarray:
-    """Samples, not yet rounded."""
-    scale = _least_scale(spread, allowed, most)
-    return np.clip(np.power(scale * spread.astype(float), 0.4), 1.0, most)
+def distribute(variance: np.ndarray, allowed: float, most: int) -> np.ndarray:
+    """Samples without rounding."""
+    scale = _variance_scale(variance, allowed, most)
+    return np.clip(np.power(scale * variance.astype(float), 0.4), 1.0, most)
 
 
-@pytest.mark.parametrize("share", [0.5, 0.05, 0.005])
-def test_the_mean_variance_is_as_allowed(share):
-    spread = spreads(1)
-    allowed = share * left(spread, np.ones(spread.size))
-    assert left(spread, shared_out(spread, allowed, 1 << 20)) == pytest.approx(allowed, rel=1e-4)
+@pytest.mark.parametrize("fraction", [0.5, 0.05, 0.005])
+def test_mean_variance_equals_the_allowed_one(fraction):
+    variance = random_variances(1)
+    allowed = fraction * mean_variance(variance, np.ones(variance.size))
+    assert mean_variance(variance, distribute(variance, allowed, 1 << 20)) == pytest.approx(allowed, rel=1e-4)
 
 
-@pytest.mark.parametrize("share", [0.3, 0.03])
+@pytest.mark.parametrize("fraction", [0.3, 0.03])
 @pytest.mark.parametrize("most", [64, 1 << 20])
-def test_no_other_sharing_out_of_as_many_samples_does_better(share, most):
-    spread, rng = spreads(2), np.random.default_rng(3)
-    allowed = max(share * left(spread, np.ones(spread.size)), 1.2 * left(spread, np.full(spread.size, most)))
-    best = shared_out(spread, allowed, most)
-    least = left(spread, best)
-    # Even, by the deviation, by the variance, and at random about the best; all cut and scaled to as many.
-    others = [np.ones(spread.size), spread**0.5, spread, spread**0.25, spread**0.3]
+def test_no_other_distribution_of_as_many_samples_is_better(fraction, most):
+    variance, rng = random_variances(2), np.random.default_rng(3)
+    allowed = max(
+        fraction * mean_variance(variance, np.ones(variance.size)),
+        1.2 * mean_variance(variance, np.full(variance.size, most)),
+    )
+    best = distribute(variance, allowed, most)
+    least = mean_variance(variance, best)
+    # Uniform, by deviation, by variance, and random ones near the best; all clipped and scaled to as many.
+    others = [np.ones(variance.size), variance**0.5, variance, variance**0.25, variance**0.3]
     others += [
         best * np.exp(size * rng.normal(size=best.size)) for size in (0.01, 0.1, 0.5) for _ in range(5)
     ]
     for other in others:
-        assert left(spread, as_many(other.astype(float), best.sum(), most)) > least * (1.0 - 1e-9)
+        assert mean_variance(variance, scale_to_total(other.astype(float), best.sum(), most)) > least * (
+            1.0 - 1e-9
+        )
 
 
-def as_many(weights: np.ndarray, total: float, most: int) -> np.ndarray:
-    """Samples that go with weights, in [1, most], `total` in all."""
+def scale_to_total(weights: np.ndarray, total: float, most: int) -> np.ndarray:
+    """Samples in proportion to weights, in [1, most], `total` together."""
     low, high = -200.0, 200.0
     for _ in range(200):
         middle = 0.5 * (low + high)
-        found = np.clip(weights * 2.0**middle, 1.0, most)
-        low, high = (middle, high) if found.sum() < total else (low, middle)
-    assert found.sum() == pytest.approx(total, rel=1e-6)
-    return found
+        samples = np.clip(weights * 2.0**middle, 1.0, most)
+        low, high = (middle, high) if samples.sum() < total else (low, middle)
+    assert samples.sum() == pytest.approx(total, rel=1e-6)
+    return samples
 
 
-def test_samples_are_powers_of_two_about_that_many():
-    # They spread best; rounding costs little and the target is met nevertheless, to what rounding leaves.
-    stop, spread = AdaptiveSampler(CAMERAS["flash"], 0.1, 1024, denoised=True), spreads(4)
-    for share in (0.3, 0.1, 0.03):
-        allowed = share * left(spread, np.ones(spread.size))
-        samples, smooth = stop._shared_out(spread, allowed), shared_out(spread, allowed, 1024)
+def test_samples_are_powers_of_two_that_meet_the_target():
+    # Powers of two variance best; rounding to them costs little.
+    sampler, variance = AdaptiveSampler(CAMERAS["flash"], 0.1, 1024, denoised=True), random_variances(4)
+    for fraction in (0.3, 0.1, 0.03):
+        allowed = fraction * mean_variance(variance, np.ones(variance.size))
+        samples, smooth = sampler._distribute(variance, allowed), distribute(variance, allowed, 1024)
         assert np.array_equal(np.exp2(np.rint(np.log2(samples))), samples)
-        assert left(spread, samples) == pytest.approx(allowed, rel=0.15)
+        assert mean_variance(variance, samples) == pytest.approx(allowed, rel=0.15)
         assert samples.sum() == pytest.approx(smooth.sum(), rel=0.1)
 
 
 @pytest.mark.parametrize("size", [(512, 512), (1024, 1280), (600, 800), (480, 640)])
-def test_stripes_are_seen_by_the_sum_over_some_pixels(size):
-    # Large pictures are summed up over some pixels; which must not follow the picture's columns.
-    spread = np.full(size, 1e-3, np.float32)
-    spread[:, ::16] = 1.0
-    stop = AdaptiveSampler(CAMERAS["flash"], 0.1, 1024, denoised=True)
-    allowed = 0.05 * left(spread, np.ones(size))
-    samples = stop._shared_out(spread.ravel(), allowed)
-    assert left(spread.ravel(), samples) == pytest.approx(allowed, rel=0.5)
+def test_subset_of_pixels_does_not_follow_the_columns(size):
+    # For large pictures the scale is computed from a subset of pixels, which must not miss stripes.
+    variance = np.full(size, 1e-3, np.float32)
+    variance[:, ::16] = 1.0
+    sampler = AdaptiveSampler(CAMERAS["flash"], 0.1, 1024, denoised=True)
+    allowed = 0.05 * mean_variance(variance, np.ones(size))
+    samples = sampler._distribute(variance.ravel(), allowed)
+    assert mean_variance(variance.ravel(), samples) == pytest.approx(allowed, rel=0.5)
 
 
-@pytest.mark.parametrize(("share", "wanted"), [(2.0, 1), (1e-9, 64)])
-def test_targets_beyond_reach_take_the_least_and_the_most(share, wanted):
-    stop, spread = AdaptiveSampler(CAMERAS["flash"], 0.1, 64, denoised=True), spreads(5)
-    allowed = share * left(spread, np.ones(spread.size))
-    samples = stop._shared_out(spread, allowed)
-    assert (samples[spread > 0.0] == wanted).mean() > 0.95
+@pytest.mark.parametrize(("fraction", "expected"), [(2.0, 1), (1e-9, 64)])
+def test_unreachable_targets_give_the_minimum_and_the_maximum(fraction, expected):
+    sampler, variance = AdaptiveSampler(CAMERAS["flash"], 0.1, 64, denoised=True), random_variances(5)
+    allowed = fraction * mean_variance(variance, np.ones(variance.size))
+    samples = sampler._distribute(variance, allowed)
+    assert (samples[variance > 0.0] == expected).mean() > 0.95
     assert samples.min() >= 1
     assert samples.max() <= 64
 
 
-def test_nothing_to_share_out():
-    stop = AdaptiveSampler(CAMERAS["flash"], 0.1, 64, denoised=True)
-    assert (stop._shared_out(np.zeros(100, np.float32), 1.0) == 1).all()
-    assert (stop._shared_out(np.zeros(100, np.float32), 0.0) == 1).all()
+def test_no_variance_needs_one_sample():
+    sampler = AdaptiveSampler(CAMERAS["flash"], 0.1, 64, denoised=True)
+    for allowed in (1.0, 0.0):
+        assert (sampler._distribute(np.zeros(100, np.float32), allowed) == 1).all()
 
 
-# --- on sums of samples -------------------------------------------------------------------------------------
+# --- from accumulated samples -------------------------------------------------------------------------------
 
 
-def gathered(
-    camera: Camera, level: float, sharp: np.ndarray, soft: np.ndarray, n: int = 4
+def accumulated(
+    camera: Camera, level: float, direct: np.ndarray, indirect: np.ndarray, n: int = 4
 ) -> SampleAccumulator:
-    """Sums whose means are grey light of a level, and whose variances are given, `(h, w)` each."""
+    """Sums with the means of grey light of a level and the given variances, `(h, w)` each."""
     c = camera.sensor.channels
-    signal, white = light_of(camera, level)
-    there = SampleAccumulator(HEIGHT, WIDTH, white)
+    signal, white = random_light(camera, level)
+    accumulator = SampleAccumulator(HEIGHT, WIDTH, white)
     flash = signal.reshape(-1, c).T.astype(float)
     square = np.square(flash / white[:, None]).sum(axis=0)
     zero = np.zeros(HEIGHT * WIDTH)
-    # Half of the light is soft.
-    squares = [0.25 * square + (n - 1) / n * part.ravel() for part in (sharp, soft)]
+    # Half of the light is indirect.
+    squares = [0.25 * square + (n - 1) / n * part.ravel() for part in (direct, indirect)]
     sums = [*(0.5 * flash), *[zero] * (2 * c + 4), squares[0], *(0.5 * flash), squares[1]]
-    there.add_both([(n * one).astype(np.float32) for one in sums], n)
-    return there
+    accumulator.add_all([(n * part).astype(np.float32) for part in sums], n)
+    return accumulator
 
 
-def a_spread(camera: Camera, level: float) -> np.ndarray:
-    """`(h, w)` variances of sharp light: an edge across the picture and hardly any beside it."""
-    signal, white = light_of(camera, level)
+def edge_variance(camera: Camera, level: float) -> np.ndarray:
+    """`(h, w)` variances of direct light: large at an edge across the picture, small elsewhere."""
+    signal, white = random_light(camera, level)
     square = np.square(signal / white).sum(axis=-1)
     edge = np.abs(np.arange(WIDTH) - WIDTH / 2) < 2.0
     return square * np.where(edge, 0.3, 1e-4)[None]
 
 
 @pytest.mark.parametrize("denoised", [True, False])
-def test_the_error_told_is_that_of_the_variances(denoised):
+def test_reported_error_follows_from_the_variances(denoised):
     camera = CAMERAS["flash"]
-    sharp, soft = a_spread(camera, 0.1), 0.1 * a_spread(camera, 0.1)
-    there = gathered(camera, 0.1, sharp, soft)
-    told = AdaptiveSampler(camera, 0.14, 64, denoised=denoised).achieved(there.light())
-    # By hand: Mitchell's law for sharp light, plain Monte Carlo for what is left of soft light.
-    shows = shown(there.total(), there.white, camera)
-    variance = 0.8 * ndimage.uniform_filter(sharp, 3, mode="nearest") * 4**-1.5
-    variance += soft / 4 * (SOFT_LEFT**2 if denoised else 1.0)
-    error, noise = shows.per_white**2 * variance, shows.noise**2
-    assert told["error_codes"] == pytest.approx(np.sqrt(error.mean()), rel=5e-3)
-    assert told["noise_codes"] == pytest.approx(np.sqrt(noise.mean()), rel=1e-4)
-    assert told["error_to_noise"] == pytest.approx(np.sqrt(error.mean() / noise.mean()), rel=5e-3)
-    assert told["below_half_of_noise"] == pytest.approx((error <= 0.25 * noise).mean(), abs=0.01)
-    assert (told["target"], told["samples_per_pixel"], told["soft_samples_per_pixel"]) == (0.14, 4.0, 4)
+    direct, indirect = edge_variance(camera, 0.1), 0.1 * edge_variance(camera, 0.1)
+    accumulator = accumulated(camera, 0.1, direct, indirect)
+    reported = AdaptiveSampler(camera, 0.14, 64, denoised=denoised).metadata(accumulator.light())
+    # By hand: Mitchell's equation for direct light, plain Monte Carlo for the rest of the indirect light.
+    codes = code_response(accumulator.total(), accumulator.white, camera)
+    variance = 0.8 * ndimage.uniform_filter(direct, 3, mode="nearest") * 4**-1.5
+    variance += indirect / 4 * (DENOISED_ERROR**2 if denoised else 1.0)
+    error, noise = codes.per_white**2 * variance, codes.noise**2
+    assert reported["error_codes"] == pytest.approx(np.sqrt(error.mean()), rel=5e-3)
+    assert reported["noise_codes"] == pytest.approx(np.sqrt(noise.mean()), rel=1e-4)
+    assert reported["error_to_noise"] == pytest.approx(np.sqrt(error.mean() / noise.mean()), rel=5e-3)
+    assert reported["below_half_of_noise"] == pytest.approx((error <= 0.25 * noise).mean(), abs=0.01)
+    samples = reported["samples_per_pixel"], reported["soft_samples_per_pixel"]
+    assert (reported["target"], *samples) == (0.14, 4.0, 4)
 
 
 @pytest.mark.parametrize("target", [0.1, 0.2, 0.4])
-def test_what_is_asked_for_meets_the_target(target):
+def test_required_samples_meet_the_target(target):
     camera = CAMERAS["flash"]
-    sharp = a_spread(camera, 0.1)
-    there = gathered(camera, 0.1, sharp, 1e-6 * sharp)
-    wanted = np.full(HEIGHT * WIDTH, 4, np.int32)
-    stop = AdaptiveSampler(camera, target, 1 << 14, denoised=True)
-    for _ in range(8):  # each time at most four times as many
-        more = stop.wanted(there)
-        assert (more >= there.samples).all()
-        assert (more <= 4 * there.samples).all()
-        if (more == wanted).all():
+    direct = edge_variance(camera, 0.1)
+    accumulator = accumulated(camera, 0.1, direct, 1e-6 * direct)
+    samples = np.full(HEIGHT * WIDTH, 4, np.int32)
+    sampler = AdaptiveSampler(camera, target, 1 << 14, denoised=True)
+    for _ in range(8):  # at most four times as many each time
+        required = sampler.required(accumulator)
+        assert (required >= accumulator.samples).all()
+        assert (required <= 4 * accumulator.samples).all()
+        if (required == samples).all():
             break
-        wanted = more
-        # As if the samples had come, all with the same mean and variance.
-        there = gathered(camera, 0.1, sharp, 1e-6 * sharp)
-        there._sharp *= (wanted / 4).astype(np.float32)
-        there.samples[:] = wanted
-        there._sharp[-1] += (sharp.ravel() * (0.75 * wanted - (wanted - 1)) * -1.0).astype(np.float32)
-    told = stop.achieved(there.light())
-    # Four samples everywhere are more than flat parts need, and powers of two are coarse.
-    assert 0.7 * target < told["error_to_noise"] < 1.15 * target
-    assert (
-        wanted.reshape(HEIGHT, WIDTH)[:, WIDTH // 2].mean() > 3 * wanted.reshape(HEIGHT, WIDTH)[:, 2].mean()
+        samples = required
+        # As if the samples had been taken, all with the same mean and variance.
+        accumulator = accumulated(camera, 0.1, direct, 1e-6 * direct)
+        accumulator._direct *= (samples / 4).astype(np.float32)
+        accumulator.samples[:] = samples
+        accumulator._direct[-1] += (direct.ravel() * (0.75 * samples - (samples - 1)) * -1.0).astype(
+            np.float32
+        )
+    reported = sampler.metadata(accumulator.light())
+    # Uniform parts need fewer than four samples, and powers of two are coarse.
+    assert 0.7 * target < reported["error_to_noise"] < 1.15 * target
+    columns = samples.reshape(HEIGHT, WIDTH).mean(axis=0)
+    assert columns[WIDTH // 2] > 3 * columns[2]
+
+
+def test_error_of_indirect_light_above_the_target_does_not_multiply_direct_samples():
+    # Direct light may then still have half of the error.
+    camera = CAMERAS["flash"]
+    direct = edge_variance(camera, 0.1)
+    accumulator = accumulated(camera, 0.1, direct, 1e3 * direct)
+    sampler = AdaptiveSampler(camera, 0.3, 1 << 14, denoised=True)
+    codes = code_response(accumulator.total(), accumulator.white, camera)
+    variance = (codes.per_white**2 * ndimage.uniform_filter(direct, 3, mode="nearest")).ravel()
+    allowed = 0.5 * 0.3**2 * float(np.square(codes.noise).mean())
+    expected = np.clip(sampler._distribute(variance.astype(np.float32), allowed), 4, 16)
+    assert (sampler.required(accumulator) == expected).mean() > 0.99
+
+
+def test_black_frames_need_no_more_samples():
+    camera = CAMERAS["flash"]
+    direct = edge_variance(camera, 0.0)
+    accumulator = accumulated(camera, 0.0, direct, direct)
+    sampler = AdaptiveSampler(camera, 0.14, 64, denoised=True)
+    assert np.array_equal(sampler.required(accumulator), accumulator.samples)
+    reported = sampler.metadata(accumulator.light())
+    assert reported["error_codes"] == 0.0
+    assert reported["error_to_noise"] == 0.0
+    assert reported["below_half_of_noise"] == 1.0
+
+
+def test_overexposed_frames_stay_within_the_maximum():
+    camera = CAMERAS["flash"]
+    direct = edge_variance(camera, 50.0)
+    accumulator = accumulated(camera, 50.0, direct, direct)
+    sampler = AdaptiveSampler(camera, 0.14, 64, denoised=True)
+    assert sampler.required(accumulator).max() <= 64
+    reported = sampler.metadata(accumulator.light())
+    assert all(np.isfinite(value) for value in reported.values())
+
+
+def test_no_target_requires_no_more_samples():
+    camera = CAMERAS["flash"]
+    direct = edge_variance(camera, 0.1)
+    accumulator = accumulated(camera, 0.1, direct, direct)
+    assert AdaptiveSampler(camera, None, 64, denoised=True).required(accumulator) is accumulator.samples
+
+
+def test_pixels_above_the_maximum_keep_their_samples():
+    # With a minimum above the maximum, no pixel may lose samples.
+    camera = CAMERAS["flash"]
+    accumulator = accumulated(camera, 0.1, edge_variance(camera, 0.1), edge_variance(camera, 0.1), n=128)
+    assert np.array_equal(
+        AdaptiveSampler(camera, 0.01, 64, denoised=True).required(accumulator), accumulator.samples
     )
-
-
-def test_soft_light_alone_asks_for_no_end_of_sharp_samples():
-    # Where soft light is above the target by itself, half of the error is left to sharp light.
-    camera = CAMERAS["flash"]
-    sharp = a_spread(camera, 0.1)
-    there = gathered(camera, 0.1, sharp, 1e3 * sharp)
-    stop = AdaptiveSampler(camera, 0.3, 1 << 14, denoised=True)
-    shows = shown(there.total(), there.white, camera)
-    spread = (shows.per_white**2 * ndimage.uniform_filter(sharp, 3, mode="nearest")).ravel()
-    allowed = 0.5 * 0.3**2 * float(np.square(shows.noise).mean())
-    expected = np.clip(stop._shared_out(spread.astype(np.float32), allowed), 4, 16)
-    assert (stop.wanted(there) == expected).mean() > 0.99
-
-
-def test_black_frames_want_no_more():
-    camera = CAMERAS["flash"]
-    sharp = a_spread(camera, 0.0)
-    there = gathered(camera, 0.0, sharp, sharp)
-    stop = AdaptiveSampler(camera, 0.14, 64, denoised=True)
-    assert np.array_equal(stop.wanted(there), there.samples)
-    told = stop.achieved(there.light())
-    assert told["error_codes"] == 0.0
-    assert told["error_to_noise"] == 0.0
-    assert told["below_half_of_noise"] == 1.0
-
-
-def test_blown_out_frames_are_asked_for_no_end_of_samples():
-    camera = CAMERAS["flash"]
-    sharp = a_spread(camera, 50.0)
-    there = gathered(camera, 50.0, sharp, sharp)
-    stop = AdaptiveSampler(camera, 0.14, 64, denoised=True)
-    assert stop.wanted(there).max() <= 64
-    told = stop.achieved(there.light())
-    assert all(np.isfinite(value) for value in told.values())
-
-
-def test_without_a_target_nothing_is_asked_for():
-    camera = CAMERAS["flash"]
-    sharp = a_spread(camera, 0.1)
-    there = gathered(camera, 0.1, sharp, sharp)
-    assert AdaptiveSampler(camera, None, 64, denoised=True).wanted(there) is there.samples
-
-
-def test_more_than_the_most_is_kept_where_it_is_there():
-    # A least number above the most: no pixel is to lose samples.
-    camera = CAMERAS["flash"]
-    there = gathered(camera, 0.1, a_spread(camera, 0.1), a_spread(camera, 0.1), n=128)
-    assert np.array_equal(AdaptiveSampler(camera, 0.01, 64, denoised=True).wanted(there), there.samples)

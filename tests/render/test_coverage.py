@@ -1,4 +1,4 @@
-"""Coverage against closed forms, against labels of many small pixels, and against looking everywhere."""
+"""Coverage against closed forms, labels of many small pixels, and all rays in every pixel."""
 
 from __future__ import annotations
 
@@ -8,19 +8,20 @@ import numpy as np
 import pytest
 import trimesh
 from greenhouse import POSES, camera, others, row_of_plants
-from test_kernel_reuse import compiled
+from test_kernel_reuse import count_compiled
 
 from pepperscene.camera import Camera, load_lens, load_sensor
 from pepperscene.classes import Instance, OrganClass
 from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.render import Renderer
-from pepperscene.render.aov.coverage import POINTS, Coverage, pixel_points
+from pepperscene.render.aov import coverage
+from pepperscene.render.aov.coverage import POINTS, SceneCoverage, pixel_points
 from pepperscene.render.kernel.arrays import local_coordinates
-from pepperscene.render.kernel.camera import LensCache
+from pepperscene.render.kernel.camera import camera_rays
 from pepperscene.render.kernel.scene import truth_scene
 from pepperscene.scene import assemble_scene
 
-FOCAL_PX = 4.16e-3 / 9e-6  # of the bench camera: the lens' focal length over the pixels' pitch
+FOCAL_PX = 4.16e-3 / 9e-6  # of `axis_camera`: focal length over pixel pitch
 
 
 def solid(body: trimesh.Trimesh, organ_class: OrganClass) -> Mesh:
@@ -38,69 +39,71 @@ def solid(body: trimesh.Trimesh, organ_class: OrganClass) -> Mesh:
     )
 
 
-def wire(width_px: float, turn: float, aside_px: float = 0.0) -> Mesh:
-    """A straight wire across the optical axis at 50 cm, turned from upright, of so many pixels' width."""
+def wire(width_px: float, turn: float, offset_px: float = 0.0) -> Mesh:
+    """A straight wire across the optical axis at 50 cm, turned from vertical, with a width in pixels."""
     rod = trimesh.creation.cylinder(radius=0.5 * width_px * 0.5 / FOCAL_PX, height=2.0, sections=64)
     rod.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
-    rod.apply_translation([aside_px * 0.5 / FOCAL_PX, 0, 0])
+    rod.apply_translation([offset_px * 0.5 / FOCAL_PX, 0, 0])
     rod.apply_transform(trimesh.transformations.rotation_matrix(turn, [0, 0, 1]))
     rod.apply_translation([0, 0, 0.5])
     return solid(rod, OrganClass.WIRE)
 
 
-def bench_camera(columns: int = 64, rows: int = 64) -> Camera:
-    """At the origin, looking along +z."""
+def axis_camera(columns: int = 64, rows: int = 64) -> Camera:
+    """A camera at the origin, looking along +z."""
     sensor = replace(load_sensor("ueye_ui5250re"), columns=columns, rows=rows)
     return Camera(load_lens("lensagon_cmfa0420nd"), sensor, np.eye(4), 50e-6)
 
 
-def both(mesh: Mesh, view: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """The coverage image, and that of looking closely at all pixels."""
-    scene, rays = truth_scene(assemble_scene(mesh)), LensCache().view(view, local_coordinates(mesh))
-    made = Coverage(mesh)
-    return made.image(scene, rays).astype(float), made.image(scene, rays, everywhere=True).astype(float)
+def fast_and_exhaustive(mesh: Mesh, view: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """The coverage image, and the one with all rays in every pixel."""
+    scene, rays = truth_scene(assemble_scene(mesh)), camera_rays(view, local_coordinates(mesh))
+    fast = SceneCoverage(mesh).image(scene, rays).astype(float)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(coverage, "_is_mixed", lambda classes: np.ones(classes.shape, bool))
+        return fast, SceneCoverage(mesh).image(scene, rays).astype(float)
 
 
-# --- a wire ----------------------------------------------------------------------------------------------
+# --- a wire -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.05, 0.4, 0.7, 1.2, np.pi / 2])
 @pytest.mark.parametrize("width", [0.06, 0.2, 0.7, 3.0])
-def test_a_wire_covers_its_width_of_each_row_it_crosses(width, turn):
-    # Rows are crossed at an angle: width / cos of each row, or of each column where it lies flatter.
-    fast, everywhere = both(wire(width, turn, aside_px=0.3), bench_camera())
-    np.testing.assert_array_equal(fast, everywhere)
+def test_wire_covers_its_width_of_each_row_it_crosses(width, turn):
+    # It crosses rows at an angle: width / cos of each row, or of each column if it is closer to horizontal.
+    fast, exhaustive = fast_and_exhaustive(wire(width, turn, offset_px=0.3), axis_camera())
+    np.testing.assert_array_equal(fast, exhaustive)
     along = 1 if turn < np.pi / 4 else 0
     covered = fast[..., OrganClass.WIRE].sum(axis=along)
     expected = width / max(np.cos(turn), np.sin(turn))
-    # Along a pixel's sides every row finds the same of 64 columns, and the mean is no better than one.
+    # Along a pixel's sides every row hits the same of 64 columns, and the mean is no better than one row.
     tolerance = 1 / POINTS if turn in (0.0, np.pi / 2) else 0.01 * width + 0.003
     assert covered.mean() == pytest.approx(expected, abs=tolerance)
-    # All of what is crossed, though no ray through a centre may meet it.
+    # Every crossed row is covered, even if no ray through a centre hits the wire.
     assert (covered > 0).mean() > (0.95 if width > 0.1 else 0.9)
     assert (covered < expected + 0.06).all()
 
 
-def test_a_wire_that_the_labels_lose_is_not_lost():
-    mesh, view = wire(0.1, 0.3), bench_camera()
+def test_coverage_keeps_a_wire_that_labels_miss():
+    mesh, view = wire(0.1, 0.3), axis_camera()
     frame = Renderer(assemble_scene(mesh)).render(view, ["class", "coverage"])
     assert (frame["class"] == OrganClass.WIRE).any(axis=1).mean() < 0.4
     assert (frame["coverage"][..., OrganClass.WIRE] > 0).any(axis=1).mean() > 0.9
 
 
-def test_a_wire_is_followed_from_where_it_was_found():
-    # So thin that the few rays of most of its pixels miss it; a ball hangs on it.
+def test_thin_wire_is_followed_from_where_it_is_hit():
+    # The few rays of most of its pixels miss it; a ball is attached to it.
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.004)
     ball.apply_translation([0, 0, 0.5])
     mesh = concatenate_meshes([wire(0.08, 0.6), solid(ball, OrganClass.PEPPER)])
-    fast, everywhere = both(mesh, bench_camera())
-    found, there = (image[..., OrganClass.WIRE] > 0 for image in (fast, everywhere))
+    fast, exhaustive = fast_and_exhaustive(mesh, axis_camera())
+    hit, there = (image[..., OrganClass.WIRE] > 0 for image in (fast, exhaustive))
     assert there.sum() > 60
-    assert (there & ~found).sum() <= 1  # where it leaves the picture through a corner of a pixel
-    np.testing.assert_array_equal(fast[found], everywhere[found])
+    assert (there & ~hit).sum() <= 1  # where it leaves the picture through the corner of a pixel
+    np.testing.assert_array_equal(fast[hit], exhaustive[hit])
 
 
-# --- plants ----------------------------------------------------------------------------------------------
+# --- plants -------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -109,77 +112,75 @@ def plants():
 
 
 @pytest.mark.parametrize("distorted", [False, True])
-def test_coverage_is_the_mean_of_labels_of_smaller_pixels(plants, distorted):
+def test_coverage_equals_the_mean_of_labels_of_smaller_pixels(plants, distorted):
     coarse, fine = camera(distorted=distorted), camera(columns=800, rows=600, distorted=distorted)
     fine = replace(fine, sensor=replace(fine.sensor, binning=fine.sensor.binning // 10))
-    made = Renderer(assemble_scene(plants))
-    coverage = made.render(coarse, ["coverage"])["coverage"].astype(float)
-    labels = made.render(fine, ["class"])["class"].reshape(60, 10, 80, 10)
-    for one in OrganClass:
-        expected = (labels == one).mean(axis=(1, 3))
-        error = coverage[..., one] - expected
+    renderer = Renderer(assemble_scene(plants))
+    image = renderer.render(coarse, ["coverage"])["coverage"].astype(float)
+    labels = renderer.render(fine, ["class"])["class"].reshape(60, 10, 80, 10)
+    for organ_class in OrganClass:
+        expected = (labels == organ_class).mean(axis=(1, 3))
+        error = image[..., organ_class] - expected
         mixed = (expected > 0) & (expected < 1)
-        # Both are counts of a hundred or 64 points.
-        assert np.abs(error).max() < 0.2, one.name
+        # They count a hundred and 64 points.
+        assert np.abs(error).max() < 0.2, organ_class.name
         if mixed.any():
-            assert np.sqrt(np.mean(error[mixed] ** 2)) < 0.04, one.name
-            assert abs(error.mean()) < 1e-3, one.name
+            assert np.sqrt(np.mean(error[mixed] ** 2)) < 0.04, organ_class.name
+            assert abs(error.mean()) < 1e-3, organ_class.name
 
 
-def test_looking_closely_where_classes_meet_is_looking_everywhere(plants):
-    fast, everywhere = both(plants, camera(columns=160, rows=120))
-    differ = (fast != everywhere).any(axis=-1)
+def test_coverage_equals_the_exhaustive_one(plants):
+    fast, exhaustive = fast_and_exhaustive(plants, camera(columns=160, rows=120))
+    differ = (fast != exhaustive).any(axis=-1)
     assert differ.mean() < 3e-4
-    assert np.abs(fast - everywhere).max() < 0.15
-    assert 0.03 < (everywhere.max(axis=-1) < 1).mean() < 0.5
+    assert np.abs(fast - exhaustive).max() < 0.15
+    assert 0.03 < (exhaustive.max(axis=-1) < 1).mean() < 0.5
 
 
 @pytest.mark.parametrize(("columns", "rows"), [(1, 1), (2, 3), (7, 5), (81, 62)])
-def test_shares_are_whole_and_sum_to_one_whatever_the_size(plants, columns, rows):
+def test_fractions_sum_to_one_at_any_image_size(plants, columns, rows):
     frame = Renderer(assemble_scene(plants)).render(camera(columns=columns, rows=rows), ["coverage"])
-    shares = frame["coverage"]
-    assert shares.dtype == np.float16
-    assert shares.shape == (rows, columns, len(OrganClass))
-    assert (shares.astype(float).sum(axis=-1) == 1.0).all()
-    assert (shares * POINTS == np.rint(shares * POINTS)).all()
-    assert shares.min() >= 0
+    fractions = frame["coverage"]
+    assert fractions.dtype == np.float16
+    assert fractions.shape == (rows, columns, len(OrganClass))
+    assert (fractions.astype(float).sum(axis=-1) == 1.0).all()
+    assert (fractions * POINTS == np.rint(fractions * POINTS)).all()
+    assert fractions.min() >= 0
 
 
-def test_the_same_bytes_twice_and_from_a_used_renderer(plants):
-    made = Renderer(assemble_scene(plants))
-    made.render(camera(2), ["coverage"])
+def test_bytes_do_not_depend_on_earlier_frames(plants):
+    used = Renderer(assemble_scene(plants))
+    used.render(camera(2), ["coverage"])
     again = Renderer(assemble_scene(plants)).render(camera(), ["coverage"])
-    assert made.render(camera(), ["coverage"])["coverage"].tobytes() == again["coverage"].tobytes()
+    assert used.render(camera(), ["coverage"])["coverage"].tobytes() == again["coverage"].tobytes()
 
 
-def test_all_is_sharp_and_an_empty_picture_is_background(plants):
-    made = Renderer(assemble_scene(plants))
-    sharp, focused = (made.render(replace(camera(), focus_m=m), ["coverage"]) for m in (None, 0.2))
+def test_everything_is_in_focus_and_an_empty_view_is_background(plants):
+    renderer = Renderer(assemble_scene(plants))
+    sharp, focused = (renderer.render(replace(camera(), focus_m=m), ["coverage"]) for m in (None, 0.2))
     np.testing.assert_array_equal(sharp["coverage"], focused["coverage"])
     away = POSES[1].copy()
     away[:3, :3] = away[:3, :3] @ np.diag([-1.0, 1.0, -1.0])
-    nothing = made.render(replace(camera(), pose=away), ["coverage"])["coverage"]
-    assert (nothing[..., OrganClass.BACKGROUND] == 1).all()
+    empty = renderer.render(replace(camera(), pose=away), ["coverage"])["coverage"]
+    assert (empty[..., OrganClass.BACKGROUND] == 1).all()
 
 
-def test_another_scene_picture_or_pose_compiles_nothing(plants):
-    asked = ("class", "coverage", "position", "uv", "flow", "stereo")
+def test_another_scene_image_size_or_pose_compiles_nothing(plants):
+    outputs = ("class", "coverage", "position", "uv", "flow", "stereo")
     first = Renderer(assemble_scene(plants))
     for step in (0, 1):
-        first.render(camera(step), asked, others=others(step))
-    _, missed = compiled(lambda: first.render(camera(1), asked, others=others(0)))
-    assert missed == 0
-    _, missed = compiled(lambda: first.render(camera(columns=84, rows=63), asked, others=others()))
-    assert missed == 0
+        first.render(camera(step), outputs, others=others(step))
+    assert count_compiled(lambda: first.render(camera(1), outputs, others=others(0))) == 0
+    small = camera(columns=84, rows=63)
+    assert count_compiled(lambda: first.render(small, outputs, others=others())) == 0
     other = Renderer(assemble_scene(concatenate_meshes([plants, wire(3.0, 0.3)])))
-    _, missed = compiled(lambda: other.render(camera(), asked, others=others()))
-    assert missed == 0
+    assert count_compiled(lambda: other.render(camera(), outputs, others=others())) == 0
 
 
-# --- points of a pixel ------------------------------------------------------------------------------------
+# --- points of a pixel --------------------------------------------------------------------------------------
 
 
-def test_points_are_spread_evenly_and_so_are_their_groups():
+def test_points_and_their_groups_are_evenly_spread():
     points = pixel_points()
     cell = np.floor(points * POINTS).astype(int)
     for axis in range(2):
@@ -188,14 +189,14 @@ def test_points_are_spread_evenly_and_so_are_their_groups():
         assert sorted(map(tuple, group)) == [(0, 0), (0, 1), (1, 0), (1, 1)]
 
 
-def test_points_tell_the_share_beside_an_edge():
+def test_points_estimate_the_area_beside_an_edge():
     rng = np.random.default_rng(1)
     exact = (np.stack(np.mgrid[:500, :500], -1).reshape(-1, 2) + 0.5) / 500 - 0.5
     errors = []
     for _ in range(300):
         turn, offset = rng.uniform(0, 2 * np.pi), rng.uniform(-0.5, 0.5)
         normal = np.array([np.cos(turn), np.sin(turn)])
-        share, found = ((p @ normal < offset).mean() for p in (exact, pixel_points() - 0.5))
-        errors.append(found - share)
+        area, estimate = ((p @ normal < offset).mean() for p in (exact, pixel_points() - 0.5))
+        errors.append(estimate - area)
     assert np.std(errors) < 0.014
     assert abs(np.mean(errors)) < 0.003

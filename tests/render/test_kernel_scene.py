@@ -1,4 +1,4 @@
-"""The scene inside the kernel: the shortcuts find what the long way finds."""
+"""The scene inside Mitsuba: shortcuts give what Mitsuba's own calls give."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from greenhouse import greenhouse
 
-from pepperscene.render.kernel.scene import kernel_mesh, light_scene, truth_scene
+from pepperscene.render.kernel.scene import light_scene, mitsuba_mesh, truth_scene
+from pepperscene.render.reference.path_tracer import surface_bsdf
 from pepperscene.render.variant import mitsuba_modules
 
 RAYS = 20_000
@@ -18,21 +19,21 @@ def scene():
 
 
 @pytest.fixture(scope="module")
-def built(scene):
+def kernel_scene(scene):
     return light_scene(scene, 400.0, 800.0)
 
 
 @pytest.fixture(scope="module")
 def rays(scene):
-    """Towards random points of the mesh from all sides; some of them pass by."""
+    """Towards random points of the mesh from all sides; some miss it."""
     mi, dr = mitsuba_modules()
     rng = np.random.default_rng(3)
     mesh = scene.mesh
     target = mesh.vertices[mesh.faces[rng.integers(0, len(mesh.faces), RAYS)]].mean(axis=1)
-    towards = rng.standard_normal((RAYS, 3))
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    start = target - 0.3 * towards + 0.002 * rng.standard_normal((RAYS, 3))
-    ray = mi.Ray3f(mi.Point3f(start.T.astype(np.float32)), mi.Vector3f(towards.T.astype(np.float32)))
+    direction = rng.standard_normal((RAYS, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    start = target - 0.3 * direction + 0.002 * rng.standard_normal((RAYS, 3))
+    ray = mi.Ray3f(mi.Point3f(start.T.astype(np.float32)), mi.Vector3f(direction.T.astype(np.float32)))
     ray.time, ray.wavelengths = mi.Float(0.25), mi.Spectrum(450.0, 500.0, 600.0, 700.0)
     dr.eval(ray)
     return ray
@@ -40,74 +41,64 @@ def rays(scene):
 
 def rows(value):
     """`(components, RAYS)`."""
-    found = np.atleast_2d(np.asarray(value))
-    return np.broadcast_to(found, (len(found), RAYS))
+    array = np.atleast_2d(np.asarray(value))
+    return np.broadcast_to(array, (len(array), RAYS))
 
 
-def test_interactions_are_those_of_mitsuba(built, rays):
+def test_interactions_equal_mitsubas(kernel_scene, rays):
     mi, _ = mitsuba_modules()
-    hit = built.scene.ray_intersect_preliminary(rays)
+    hit = kernel_scene.scene.ray_intersect_preliminary(rays)
     active = hit.is_valid()
-    ours = built.interaction(rays, hit, active)
+    ours = kernel_scene.interaction(rays, hit, active)
     theirs = hit.compute_surface_interaction(rays, mi.RayFlags.All, active)
-    met = np.asarray(active)
-    assert 0.5 < met.mean() < 1.0
+    mask = np.asarray(active)
+    assert 0.5 < mask.mean() < 1.0
     for name in ("t", "time", "wavelengths", "p", "n", "uv", "dp_du", "dp_dv", "wi", "prim_index"):
-        assert np.array_equal(rows(getattr(ours, name))[:, met], rows(getattr(theirs, name))[:, met]), name
+        assert np.array_equal(rows(getattr(ours, name))[:, mask], rows(getattr(theirs, name))[:, mask]), name
     for axis in "stn":
         a, b = (rows(getattr(si.sh_frame, axis)) for si in (ours, theirs))
-        assert np.array_equal(a[:, met], b[:, met]), axis
-    # Rays that leave the shape are the same to the last bit as well.
+        assert np.array_equal(a[:, mask], b[:, mask]), axis
+    # Spawned rays have the same bits as well.
     a, b = (si.spawn_ray(si.sh_frame.n) for si in (ours, theirs))
-    assert np.array_equal(np.asarray(a.o)[:, met], np.asarray(b.o)[:, met])
+    assert np.array_equal(np.asarray(a.o)[:, mask], np.asarray(b.o)[:, mask])
 
 
-def test_the_table_of_corners_says_what_attributes_say(scene, built, rays):
-    from pepperscene.render.reference.bsdf import surface_bsdf
-
+def test_face_states_equal_mesh_attributes(scene, kernel_scene, rays):
     mi, _ = mitsuba_modules()
-    shape = kernel_mesh(scene.mesh, surface_bsdf().of(built.optics))
-    theirs = mi.load_dict({"type": "scene", "plants": shape})
-    hit = theirs.ray_intersect_preliminary(rays)
+    shape = mitsuba_mesh(scene.mesh, surface_bsdf().of(kernel_scene.optics))
+    with_attributes = mi.load_dict({"type": "scene", "plants": shape})
+    hit = with_attributes.ray_intersect_preliminary(rays)
     active = hit.is_valid()
     si = hit.compute_surface_interaction(rays, mi.RayFlags.All, active)
     surface = mi.UInt32(shape.eval_attribute_1("face_surface", si, active) + 0.5)
     state = shape.eval_attribute_1("vertex_state", si, active)
-    expected = built.optics.at(si, surface, state, active)
-    found = built.point(si, hit, active)
-    met = np.asarray(active)
+    expected = kernel_scene.optics.point(si, surface, state, active)
+    point = kernel_scene.surface_point(si, hit, active)
+    mask = np.asarray(active)
     for name in ("reflectance", "transmittance", "entering", "ior"):
-        a, b = (np.asarray(getattr(point, name))[..., met] for point in (found, expected))
+        a, b = (np.asarray(getattr(p, name))[..., mask] for p in (point, expected))
         np.testing.assert_allclose(a, b, atol=2e-5)
 
 
-def test_the_kernel_sees_the_very_mesh(scene):
-    shape = kernel_mesh(scene.mesh)
-    mesh = scene.mesh
-    assert np.array_equal(np.asarray(shape.vertex_positions_buffer()), mesh.vertices.ravel())
-    assert np.array_equal(np.asarray(shape.vertex_normals_buffer()), mesh.normals.ravel())
-    assert np.array_equal(np.asarray(shape.vertex_texcoords_buffer()), mesh.uv.ravel())
-    assert np.array_equal(np.asarray(shape.faces_buffer()), mesh.faces.ravel())
+def test_mitsuba_mesh_holds_the_mesh_and_shares_its_large_buffers(scene):
+    mesh, shape = scene.mesh, mitsuba_mesh(scene.mesh)
+    buffers = {
+        "vertices": shape.vertex_positions_buffer(),
+        "normals": shape.vertex_normals_buffer(),
+        "uv": shape.vertex_texcoords_buffer(),
+        "faces": shape.faces_buffer(),
+    }
+    for name, buffer in buffers.items():
+        assert np.array_equal(np.asarray(buffer), getattr(mesh, name).ravel()), name
+        # A GPU has its own memory; the texture coordinates are aligned, and so copied.
+        if mitsuba_modules()[0].variant().startswith("llvm") and name != "uv":
+            assert np.shares_memory(np.asarray(buffer), getattr(mesh, name)), name
 
 
-def test_large_buffers_are_shared_with_the_mesh(scene):
-    mi, _ = mitsuba_modules()
-    if not mi.variant().startswith("llvm"):
-        pytest.skip("a GPU has memory of its own")
-    shape = kernel_mesh(scene.mesh)
-    for buffer, held in (
-        (shape.vertex_positions_buffer(), scene.mesh.vertices),
-        (shape.vertex_normals_buffer(), scene.mesh.normals),
-        (shape.faces_buffer(), scene.mesh.faces),
-    ):
-        assert np.shares_memory(np.asarray(buffer), held)
-
-
-def test_attributes_only_where_a_bsdf_reads_them(scene, built):
-    from pepperscene.render.reference.bsdf import surface_bsdf
-
+def test_mesh_attributes_exist_only_for_a_bsdf(scene, kernel_scene):
     names = ("vertex_state", "face_surface")
-    plain, with_bsdf = kernel_mesh(scene.mesh), kernel_mesh(scene.mesh, surface_bsdf().of(built.optics))
+    plain = mitsuba_mesh(scene.mesh)
+    with_bsdf = mitsuba_mesh(scene.mesh, surface_bsdf().of(kernel_scene.optics))
     assert not any(plain.has_attribute(name) for name in names)
     assert all(with_bsdf.has_attribute(name) for name in names)
     assert not truth_scene(scene).shapes()[0].has_attribute("vertex_state")

@@ -1,4 +1,4 @@
-"""Labels by the short ways of `labels`, against the same told plainly."""
+"""Labels against straightforward versions of the same computation, and against trimesh."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from pepperscene.frame import OUTPUTS
 from pepperscene.geometry import Mesh
 from pepperscene.render.aov import labels
 from pepperscene.render.aov.labels import Hits
-from pepperscene.render.kernel.camera import LensCache
+from pepperscene.render.kernel.camera import camera_rays
 from pepperscene.render.kernel.scene import truth_scene
 from pepperscene.scene import assemble_scene
 
-OTHERWISE = ("coverage", "flow", "stereo", "harvest")  # by rays or cameras of their own
-LABELS = tuple(name for name, output in OUTPUTS.items() if not output.traced and name not in OTHERWISE)
+ELSEWHERE = ("coverage", "flow", "stereo", "harvest")  # need more rays, or other cameras
+LABELS = tuple(name for name, output in OUTPUTS.items() if not output.traced and name not in ELSEWHERE)
 
 
 @pytest.fixture(scope="module")
@@ -34,10 +34,10 @@ def kernel_scene(mesh):
 
 @pytest.fixture(scope="module")
 def hits(kernel_scene):
-    return labels.first_hits(kernel_scene, LensCache().view(camera()))
+    return labels.first_hits(kernel_scene, camera_rays(camera()))
 
 
-def plain_normals(mesh, hits, view):
+def normals_per_pixel(mesh, hits, view):
     """One cross product per pixel, turned against the pixel's own ray."""
     corner = mesh.vertices[mesh.faces[np.maximum(hits.face, 0)]].astype(np.float64)
     normal = np.cross(corner[..., 1, :] - corner[..., 0, :], corner[..., 2, :] - corner[..., 0, :])
@@ -47,87 +47,75 @@ def plain_normals(mesh, hits, view):
     return np.where(hits.face[..., None] >= 0, normal, 0.0)
 
 
-def test_normals_are_the_cross_products_of_each_pixels_triangle(mesh, hits):
+def test_normals_equal_cross_products_per_pixel(mesh, hits):
     normal = labels.normals(mesh, hits, camera())
     assert OUTPUTS["normal"].fits(normal)
-    np.testing.assert_allclose(normal, plain_normals(mesh, hits, camera()), atol=1e-7)
-    # Every triangle in view and the background are among them.
+    np.testing.assert_allclose(normal, normals_per_pixel(mesh, hits, camera()), atol=1e-7)
+    # Many triangles and the background are in view.
     assert len(np.unique(hits.face)) > 100
     assert hits.face.min() == -1
-
-
-def test_each_axis_of_the_normals_lies_in_one_piece(mesh, hits):
-    # So that it goes to its file as it is.
-    normal = labels.normals(mesh, hits, camera())
+    # Each axis is contiguous, so that it can be written to a file as it is.
     assert all(normal[..., axis].flags.c_contiguous for axis in range(3))
 
 
-def test_classes_and_instances_are_those_of_the_faces(mesh, hits):
-    seen = hits.face >= 0
+def test_classes_and_instances_equal_those_of_the_faces(mesh, hits):
+    is_hit = hits.face >= 0
     instance = labels.instance_ids(mesh, hits)
-    np.testing.assert_array_equal(instance, np.where(seen, mesh.face_instance[hits.face] + 1, 0))
-    expected = np.where(seen, mesh.face_class[hits.face], 0)
-    np.testing.assert_array_equal(labels.class_ids(mesh, hits), expected)
-    np.testing.assert_array_equal(labels.class_ids(mesh, hits, instance), expected)
+    np.testing.assert_array_equal(instance, np.where(is_hit, mesh.face_instance[hits.face] + 1, 0))
+    expected = np.where(is_hit, mesh.face_class[hits.face], 0)
+    np.testing.assert_array_equal(labels.class_ids(mesh, instance), expected)
 
 
-def test_all_truths_are_as_the_outputs_tell(mesh, hits):
+def test_label_outputs_match_their_specification(mesh, hits):
     instance = labels.instance_ids(mesh, hits)
-    made = labels.label_outputs(mesh, hits, instance, camera(), LABELS)
-    assert list(made) == list(LABELS)
-    assert all(OUTPUTS[name].fits(image) for name, image in made.items())
-    np.testing.assert_array_equal(made["class_colour"], np.array(CLASS_COLOURS, np.uint8)[made["class"]])
+    images = labels.label_outputs(mesh, hits, instance, camera(), LABELS)
+    assert list(images) == list(LABELS)
+    assert all(OUTPUTS[name].fits(image) for name, image in images.items())
+    np.testing.assert_array_equal(images["class_colour"], np.array(CLASS_COLOURS, np.uint8)[images["class"]])
     assert list(labels.label_outputs(mesh, hits, instance, camera(), ["distance", "colour"])) == ["distance"]
 
 
-def test_the_instances_in_view_are_counted(mesh, hits):
-    instance = labels.instance_ids(mesh, hits)
-    told = labels.instances_in_view(mesh, instance)
-    values, pixels = np.unique(instance[instance > 0], return_counts=True)
-    assert {int(value): one["pixels"] for value, one in told.items()} == dict(
-        zip(values.tolist(), pixels.tolist(), strict=True)
-    )
-    assert labels.instances_in_view(mesh, np.zeros((2, 2), np.uint16)) == {}
-
-
-def assert_boxes_are_those_of(told, instance):
+def assert_boxes_and_pixels(described, instance):
     for value in range(1, instance.max() + 1):
         rows, columns = np.nonzero(instance == value)
         if not rows.size:
-            assert str(value) not in told
+            assert str(value) not in described
             continue
-        box = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
-        assert told[str(value)]["box"] == box
-        assert told[str(value)]["pixels"] == rows.size
-        assert all(isinstance(number, int) for number in told[str(value)]["box"])
+        item = described[str(value)]
+        assert item["box"] == [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+        assert item["pixels"] == rows.size
+        assert all(isinstance(number, int) for number in (*item["box"], item["pixels"]))
 
 
-def test_boxes_hold_their_instances_pixels(mesh, hits):
+def test_visible_instances_have_their_boxes_and_pixel_counts(mesh, hits):
     instance = labels.instance_ids(mesh, hits)
-    assert_boxes_are_those_of(labels.instances_in_view(mesh, instance), instance)
-    # Where each pixel may be of any instance: runs that end and begin at every border.
+    described = labels.visible_instances(mesh, instance)
+    assert set(described) == {str(value) for value in np.unique(instance[instance > 0])}
+    assert_boxes_and_pixels(described, instance)
+    # Random instances per pixel: they touch every border.
     rng = np.random.default_rng(3)
     for shape in ((1, 1), (1, 40), (40, 1), (17, 23)):
         random = rng.integers(0, 6, shape).astype(np.uint16)
-        assert_boxes_are_those_of(labels.instances_in_view(mesh, random), random)
+        assert_boxes_and_pixels(labels.visible_instances(mesh, random), random)
+    assert labels.visible_instances(mesh, np.zeros((2, 2), np.uint16)) == {}
 
 
-# --- points and surface coordinates ------------------------------------------------------------------------
+# --- positions and surface coordinates ----------------------------------------------------------------------
 
 
-def test_positions_lie_at_their_distance_on_the_pixels_ray(hits):
+def test_positions_are_at_their_distance_along_the_pixels_ray(hits):
     view = camera(distorted=True)
-    position = labels.points(hits, view)
-    seen = hits.face >= 0
-    np.testing.assert_array_equal(np.isinf(position).all(axis=-1), ~seen)
+    position = labels.positions(hits, view)
+    is_hit = hits.face >= 0
+    np.testing.assert_array_equal(np.isinf(position).all(axis=-1), ~is_hit)
     expected = view.pose[:3, 3] + hits.distance[..., None] * (view.pixel_directions() @ view.pose[:3, :3].T)
-    np.testing.assert_allclose(position[seen], expected[seen], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(position[is_hit], expected[is_hit], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("distorted", [False, True])
-def test_surface_coordinates_are_those_that_trimesh_finds(mesh, kernel_scene, distorted):
+def test_surface_coordinates_equal_trimeshs(mesh, kernel_scene, distorted):
     view = camera(distorted=distorted)
-    hits = labels.first_hits(kernel_scene, LensCache().view(view))
+    hits = labels.first_hits(kernel_scene, camera_rays(view))
     uv = labels.surface_coordinates(mesh, hits, view)
     assert OUTPUTS["uv"].fits(uv)
     assert (uv[hits.face < 0] == -1).all()
@@ -135,28 +123,29 @@ def test_surface_coordinates_are_those_that_trimesh_finds(mesh, kernel_scene, di
     row, column = np.nonzero(hits.face >= 0)
     chosen = np.random.default_rng(5).choice(len(row), 200, replace=False)
     row, column = row[chosen], column[chosen]
-    # Where the lens formula's ray meets the triangle's plane, and the corners' weights there.
+    # The intersection of the lens formula's ray with the triangle's plane, and the corners' weights there.
     triangle = mesh.faces[hits.face[row, column]]
     corners = mesh.vertices[triangle].astype(float)
     ray = view.pixel_directions()[row, column] @ view.pose[:3, :3].T
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    depth = ((corners[:, 0] - view.pose[:3, 3]) * normal).sum(1) / (ray * normal).sum(1)
-    weights = trimesh.triangles.points_to_barycentric(corners, view.pose[:3, 3] + depth[:, None] * ray)
+    distance = ((corners[:, 0] - view.pose[:3, 3]) * normal).sum(1) / (ray * normal).sum(1)
+    points = view.pose[:3, 3] + distance[:, None] * ray
+    weights = trimesh.triangles.points_to_barycentric(corners, points)
     expected = (weights[..., None] * mesh.uv[triangle]).sum(axis=1)
     np.testing.assert_allclose(uv[row, column], expected, atol=1e-4)
     assert np.median(np.abs(uv[row, column] - expected)) < 1e-6
 
 
-def test_nothing_in_view_is_no_face_and_no_normal(mesh):
+def test_empty_view_has_no_labels(mesh):
     empty = Hits(np.full((4, 5), -1), np.full((4, 5), np.inf, np.float32))
+    small = camera(columns=5, rows=4)
     assert not labels.normals(mesh, empty, camera()).any()
-    assert not labels.class_ids(mesh, empty).any()
     assert not labels.instance_ids(mesh, empty).any()
-    assert np.isinf(labels.points(empty, camera(columns=5, rows=4))).all()
-    assert (labels.surface_coordinates(mesh, empty, camera(columns=5, rows=4)) == -1).all()
+    assert np.isinf(labels.positions(empty, small)).all()
+    assert (labels.surface_coordinates(mesh, empty, small) == -1).all()
 
 
-def test_the_last_face_is_not_taken_for_the_background():
+def test_last_face_is_not_mistaken_for_the_background():
     mesh = Mesh(
         vertices=np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32),
         normals=np.tile(np.float32([0, 0, 1]), (3, 1)),
@@ -170,23 +159,24 @@ def test_the_last_face_is_not_taken_for_the_background():
     )
     view = replace(camera(), pose=np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -1], [0, 0, 0, 1.0]]))
     hits = Hits(np.array([[0, -1]]), np.array([[1.0, np.inf]], np.float32))
-    assert labels.class_ids(mesh, hits).tolist() == [[OrganClass.STEM, 0]]
-    assert labels.instance_ids(mesh, hits).tolist() == [[1, 0]]
+    instance = labels.instance_ids(mesh, hits)
+    assert instance.tolist() == [[1, 0]]
+    assert labels.class_ids(mesh, instance).tolist() == [[OrganClass.STEM, 0]]
     # The camera looks along +z, from below: it sees the side that faces -z.
     np.testing.assert_array_equal(labels.normals(mesh, hits, view), [[[0, 0, -1], [0, 0, 0]]])
 
 
 @pytest.mark.parametrize(("columns", "rows"), [(1, 1), (3, 2), (4, 4), (5, 9), (81, 62)])
-def test_every_pixel_has_its_own_ray_whatever_the_size(kernel_scene, mesh, columns, rows):
-    # The pinhole camera's ray from pixel to hit: the hit lies on the plane of the face that is told.
+def test_every_pixel_has_its_own_ray_at_any_image_size(kernel_scene, mesh, columns, rows):
+    # The pinhole camera's ray from pixel to hit: the hit is in the plane of the face.
     view = camera(columns=columns, rows=rows)
-    hits = labels.first_hits(kernel_scene, LensCache().view(view))
+    hits = labels.first_hits(kernel_scene, camera_rays(view))
     assert hits.face.shape == hits.distance.shape == (rows, columns)
     np.testing.assert_array_equal(hits.face < 0, np.isinf(hits.distance))
-    seen = hits.face >= 0
-    direction = (view.pixel_directions() @ view.pose[:3, :3].T)[seen]
-    point = view.pose[:3, 3] + hits.distance[seen][:, None] * direction
-    corner = mesh.vertices[mesh.faces[hits.face[seen]]].astype(float)
+    is_hit = hits.face >= 0
+    direction = (view.pixel_directions() @ view.pose[:3, :3].T)[is_hit]
+    point = view.pose[:3, 3] + hits.distance[is_hit][:, None] * direction
+    corner = mesh.vertices[mesh.faces[hits.face[is_hit]]].astype(float)
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     assert np.abs(((point - corner[:, 0]) * normal).sum(1)).max(initial=0.0) < 1e-5

@@ -1,4 +1,4 @@
-"""Scenes come and go, and so does their memory."""
+"""Memory does not grow with the number of scenes and frames."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 SCENES, FRAMES = 10, 30
-GROWTH_MIB = 12.0
-"""Chosen: would be passed by a leak of 0.06 MiB a frame, or of 2 MiB, half of such a scene, a scene."""
+MAX_GROWTH_MIB = 12.0
+"""Chosen: exceeded by a leak of 0.06 MiB per frame, or of 2 MiB per scene, half the size of one."""
 
 RUN = f"""
 import gc, json
@@ -20,40 +20,40 @@ import numpy as np
 from greenhouse import camera, greenhouse
 from pepperscene.frame import DEFAULT_OUTPUTS
 from pepperscene.render import Renderer
-from pepperscene.scene import assemble, partly_cloudy
+from pepperscene.scene import assemble_scene, partly_cloudy_sky
 
 def resident():
     gc.collect()
     return int(open("/proc/self/statm").read().split()[1]) * 4096 / 2**20
 
 first = greenhouse()
-told = []
+sizes = []
 for number in range({SCENES}):
-    sky = partly_cloudy(
+    sky = partly_cloudy_sky(
         np.random.default_rng(number), illuminance_lx=5500.0, sun_azimuth_rad=-0.5, sun_elevation_rad=0.7,
         sun_fraction=0.3, cloud_cover=0.5,
     )
     mesh = first.mesh.moved(np.eye(3), np.array([0.001 * number, 0.0, 0.0]))
-    renderer = Renderer(assemble(mesh, dict(zip(mesh.surfaces, first.surfaces)), sky))
+    renderer = Renderer(assemble_scene(mesh, dict(zip(mesh.surfaces, first.surfaces)), sky))
     for frame in range({FRAMES}):
         renderer.render(camera(frame % 3, columns=32, rows=24), DEFAULT_OUTPUTS, "draft", frame)
     del renderer
-    told.append(resident())
-print(json.dumps(told))
+    sizes.append(resident())
+print(json.dumps(sizes))
 """
 
 
-@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the system does not tell")
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the system does not report memory sizes")
 def test_memory_does_not_grow_with_frames_and_scenes():
     path = os.pathsep.join([str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])])
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", RUN],
         env={**os.environ, "PYTHONPATH": path},
         capture_output=True,
         text=True,
         timeout=300,
     )
-    assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout.splitlines()[-1])
-    # The first scenes fill the caches of allocators; from the third on nothing may be added.
-    assert max(told[3:]) - told[2] < GROWTH_MIB, told
+    assert process.returncode == 0, process.stderr
+    sizes = json.loads(process.stdout.splitlines()[-1])
+    # The first scenes fill the allocators' caches; from the third on nothing may be added.
+    assert max(sizes[3:]) - sizes[2] < MAX_GROWTH_MIB, sizes

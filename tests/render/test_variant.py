@@ -1,13 +1,10 @@
-"""Which LLVM is taken, and what is said where none will do; fakes stand for other machines."""
+"""Choice of LLVM and of the variant, and the errors if there is none; empty files stand for libraries."""
 
 from __future__ import annotations
 
 import functools
 import os
 import sys
-import threading
-import time
-import types
 from pathlib import Path
 
 import pytest
@@ -16,13 +13,13 @@ from pepperscene.errors import SetupError
 from pepperscene.render import variant
 from pepperscene.render.variant import LLVM_VARIABLE, OLDEST_LLVM, choose_variant, find_llvm, llvm_version
 
-WANTED = "PEPPERSCENE_VARIANT"
+VARIANT_VARIABLE = "PEPPERSCENE_VARIANT"
 
 
 @pytest.fixture(autouse=True)
 def bare_machine(monkeypatch, tmp_path):
-    """A machine whose only library folder is `tmp_path`; what the choice sets is taken back afterwards."""
-    for name in (LLVM_VARIABLE, WANTED):
+    """A machine whose only library folder is `tmp_path`; environment changes are undone afterwards."""
+    for name in (LLVM_VARIABLE, VARIANT_VARIABLE):
         monkeypatch.setenv(name, "")
     monkeypatch.setattr(variant, "_LLVM_PACKAGE", "no-such-package")
     monkeypatch.setattr(variant, "_SYSTEM_FOLDERS", (str(tmp_path),))
@@ -36,17 +33,17 @@ def library(folder: Path, name: str) -> Path:
 
 @pytest.fixture
 def backends(monkeypatch):
-    """The backends that the machine seems to have; a set to change."""
+    """The machine's backends; a set that tests change."""
     present = {"llvm"}
 
-    def runs(name, found):
-        return name.split("_")[0] in present and (found is not None or name.startswith("cuda"))
+    def can_run(name, library):
+        return name.split("_")[0] in present and (library is not None or name.startswith("cuda"))
 
-    monkeypatch.setattr(variant, "_runs", runs)
+    monkeypatch.setattr(variant, "_can_run", can_run)
     return present
 
 
-# --- versions ---------------------------------------------------------------------------------------------
+# --- versions -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -62,34 +59,34 @@ def backends(monkeypatch):
         ("libLLVM-14.0.6.so", 14),
     ],
 )
-def test_the_name_tells_the_version(tmp_path, name, version):
+def test_version_from_the_file_name(tmp_path, name, version):
     assert llvm_version(library(tmp_path, name)) == version
 
 
-def test_a_link_is_as_old_as_what_it_leads_to(tmp_path):
+def test_version_of_a_link_is_that_of_its_target(tmp_path):
     (tmp_path / "libLLVM.so").symlink_to(library(tmp_path, "libLLVM.so.23.1"))
     (tmp_path / "libLLVM-99.so").symlink_to(library(tmp_path, "libLLVM-15.so.1"))
     assert llvm_version(tmp_path / "libLLVM.so") == 23
     assert llvm_version(tmp_path / "libLLVM-99.so") == 15
 
 
-def test_what_is_no_library_has_no_version(tmp_path):
+def test_version_is_none_if_the_file_is_no_library(tmp_path):
     assert llvm_version(library(tmp_path, "libLLVM.so")) is None
     assert llvm_version(tmp_path / "missing.so") is None
 
 
 @pytest.mark.parametrize(
-    ("answer", "version"), [("print(21)", 21), ("print('?')", None), ("raise OSError", None)]
+    ("code", "version"), [("print(21)", 21), ("print('?')", None), ("raise OSError", None)]
 )
-def test_a_library_without_a_telling_name_is_asked_in_a_child(monkeypatch, tmp_path, answer, version):
-    monkeypatch.setattr(variant, "_ASK_VERSION", answer)
+def test_version_from_a_child_process_if_the_name_has_none(monkeypatch, tmp_path, code, version):
+    monkeypatch.setattr(variant, "_PRINT_LLVM_VERSION", code)
     assert llvm_version(library(tmp_path, "compiler.so")) == version
 
 
-# --- which library ----------------------------------------------------------------------------------------
+# --- the library --------------------------------------------------------------------------------------------
 
 
-def test_the_newest_of_the_system_is_taken(tmp_path):
+def test_finds_the_newest_library_of_the_system(tmp_path):
     for name in ("libLLVM-14.so.1", "libLLVM-9.so", "libLLVM.so.18.1", "libLLVM.so.20.1", "libLLVM-15.so.1"):
         library(tmp_path, name)
     assert find_llvm() == tmp_path / "libLLVM.so.20.1"
@@ -98,69 +95,60 @@ def test_the_newest_of_the_system_is_taken(tmp_path):
 @pytest.mark.parametrize(
     "names", [[], ["libLLVM-14.so.1", "libLLVM-15.so.1", "libLLVM-16.so"], ["libLLVM-21.a"]]
 )
-def test_no_library_rather_than_one_that_aborts(tmp_path, names):
+def test_finds_nothing_rather_than_a_library_that_aborts(tmp_path, names):
     for name in names:
         library(tmp_path, name)
     assert find_llvm() is None
 
 
-def test_the_installed_package_goes_before_the_system(monkeypatch, tmp_path):
+def test_environment_precedes_the_package_which_precedes_the_system(monkeypatch, tmp_path):
     library(tmp_path, "libLLVM.so.30.1")
     packaged = library(tmp_path, "libLLVM.so.23.1")
-    monkeypatch.setattr(variant, "_packaged", lambda: [packaged])
+    monkeypatch.setattr(variant, "_packaged_libraries", lambda: [packaged])
     assert find_llvm() == packaged
-
-
-def test_the_environment_goes_before_all(monkeypatch, tmp_path):
-    library(tmp_path, "libLLVM.so.30.1")
     named = library(tmp_path, "libLLVM.so.17.1")
     monkeypatch.setenv(LLVM_VARIABLE, str(named))
     assert find_llvm() == named
 
 
-def test_a_named_library_that_is_missing_is_not_replaced_by_another(monkeypatch, tmp_path):
+@pytest.mark.parametrize("is_folder", [False, True])
+def test_raises_on_a_missing_library_in_the_environment(monkeypatch, tmp_path, is_folder):
     library(tmp_path, "libLLVM.so.23.1")
-    missing = tmp_path / "libLLVM.so.22"
+    missing = tmp_path if is_folder else tmp_path / "libLLVM.so.22"
     monkeypatch.setenv(LLVM_VARIABLE, str(missing))
-    with pytest.raises(SetupError, match="no such file") as told:
+    with pytest.raises(SetupError, match="no such file") as error:
         find_llvm()
-    assert LLVM_VARIABLE in str(told.value)
-    assert str(missing) in str(told.value)
+    assert LLVM_VARIABLE in str(error.value)
+    assert str(missing) in str(error.value)
     with pytest.raises(SetupError, match="no such file"):
         choose_variant()
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "version"),
     [("libLLVM-14.so.1", "version 14"), ("libLLVM-15.so.1", "version 15"), ("x.so", "unknown version")],
 )
-def test_a_named_library_that_would_abort_is_refused(monkeypatch, tmp_path, name, told):
+def test_raises_on_an_unsuitable_library_in_the_environment(monkeypatch, tmp_path, name, version):
     monkeypatch.setenv(LLVM_VARIABLE, str(library(tmp_path, name)))
-    with pytest.raises(SetupError, match=told):
+    with pytest.raises(SetupError, match=version):
         find_llvm()
 
 
-def test_a_folder_is_no_library(monkeypatch, tmp_path):
-    monkeypatch.setenv(LLVM_VARIABLE, str(tmp_path))
-    with pytest.raises(SetupError, match="no such file"):
-        find_llvm()
-
-
-# --- which variant ----------------------------------------------------------------------------------------
+# --- the variant --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("wanted", ["scalar_rgb", "llvm_ad_rgb", "cuda_ad_spectral ", "LLVM_AD_SPECTRAL"])
-def test_an_unsupported_variant_is_refused_by_name(monkeypatch, backends, wanted):
+def test_raises_on_an_unsupported_variant(monkeypatch, backends, wanted):
     allowed = "cuda_ad_spectral, llvm_ad_spectral"
-    with pytest.raises(SetupError, match=allowed) as told:
+    with pytest.raises(SetupError, match=allowed) as error:
         choose_variant(wanted)
-    assert repr(wanted) in str(told.value)
-    monkeypatch.setenv(WANTED, wanted)
+    assert repr(wanted) in str(error.value)
+    monkeypatch.setenv(VARIANT_VARIABLE, wanted)
     with pytest.raises(SetupError, match=allowed):
         choose_variant()
 
 
-def test_the_gpu_is_best_and_the_processor_next(backends, tmp_path):
+def test_gpu_precedes_cpu(backends, tmp_path):
     library(tmp_path, "libLLVM.so.23.1")
     assert choose_variant() == "llvm_ad_spectral"
     backends.add("cuda")
@@ -168,38 +156,37 @@ def test_the_gpu_is_best_and_the_processor_next(backends, tmp_path):
     assert choose_variant("llvm_ad_spectral") == "llvm_ad_spectral"
 
 
-def test_the_environment_can_ask_for_the_processor(monkeypatch, backends, tmp_path):
+def test_argument_precedes_environment(monkeypatch, backends, tmp_path):
     library(tmp_path, "libLLVM.so.23.1")
     backends.add("cuda")
-    monkeypatch.setenv(WANTED, "llvm_ad_spectral")
+    monkeypatch.setenv(VARIANT_VARIABLE, "llvm_ad_spectral")
     assert choose_variant() == "llvm_ad_spectral"
-    # What the caller says goes before the environment.
     assert choose_variant("cuda_ad_spectral") == "cuda_ad_spectral"
 
 
-def test_the_chosen_library_is_handed_to_drjit(backends, tmp_path):
+def test_chosen_library_is_passed_to_drjit(backends, tmp_path):
     chosen = library(tmp_path, "libLLVM.so.23.1")
     choose_variant()
     assert os.environ[LLVM_VARIABLE] == str(chosen)
 
 
-def test_without_any_the_message_says_what_to_install(monkeypatch, backends):
+def test_error_without_a_library_says_what_to_install(monkeypatch, backends):
     monkeypatch.setattr(variant, "_LLVM_PACKAGE", "karellen-llvm-core")
-    monkeypatch.setattr(variant, "_packaged", list)
-    with pytest.raises(SetupError, match=r"pip install karellen-llvm-core") as told:
+    monkeypatch.setattr(variant, "_packaged_libraries", list)
+    with pytest.raises(SetupError, match=r"pip install karellen-llvm-core") as error:
         choose_variant()
-    assert f"LLVM {OLDEST_LLVM} or newer" in str(told.value)
-    assert LLVM_VARIABLE in str(told.value)
+    assert f"LLVM {OLDEST_LLVM} or newer" in str(error.value)
+    assert LLVM_VARIABLE in str(error.value)
 
 
-def test_a_gpu_that_is_not_there_is_not_replaced(backends, tmp_path):
+def test_raises_on_a_missing_gpu_instead_of_using_the_cpu(backends, tmp_path):
     library(tmp_path, "libLLVM.so.23.1")
     with pytest.raises(SetupError, match="CUDA GPU"):
         choose_variant("cuda_ad_spectral")
 
 
-def test_a_drjit_that_runs_an_older_llvm_is_not_trusted(monkeypatch, tmp_path):
-    # As when a caller imported Dr.Jit first, and it took the system's library.
+def test_raises_if_drjit_already_loaded_an_older_llvm(monkeypatch, tmp_path):
+    # As when a caller imported Dr.Jit first, which loaded the system's library.
     class Detail:
         @staticmethod
         def llvm_version():
@@ -225,48 +212,12 @@ def test_a_drjit_that_runs_an_older_llvm_is_not_trusted(monkeypatch, tmp_path):
         choose_variant()
 
 
-# --- a start in another thread ------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def not_started(monkeypatch):
-    """As in a process that has not asked for the renderer yet."""
-    monkeypatch.setattr(variant, "_started", functools.cache(variant._started.__wrapped__))
-    monkeypatch.setattr(variant, "kernel", functools.cache(variant.mitsuba_modules.__wrapped__))
-
-
-def test_a_start_that_failed_elsewhere_fails_again_where_the_renderer_is_needed(monkeypatch, not_started):
-    def refuse(wanted=None):
+def test_failed_start_raises_again_on_the_next_call(monkeypatch):
+    def fail(wanted=None):
         raise SetupError("there is none")
 
-    monkeypatch.setattr(variant, "choose_variant", refuse)
+    monkeypatch.setattr(variant, "choose_variant", fail)
+    start = functools.cache(variant.mitsuba_modules.__wrapped__)
     for _ in range(2):
         with pytest.raises(SetupError, match="there is none"):
-            variant.mitsuba_modules()
-
-
-def test_the_renderer_starts_once_however_many_ask(monkeypatch, not_started):
-    asked, begun = [], threading.Barrier(4)
-
-    def slowly(wanted=None):
-        asked.append(threading.get_ident())
-        time.sleep(0.05)
-        return "llvm_ad_spectral"
-
-    monkeypatch.setattr(variant, "choose_variant", slowly)
-    monkeypatch.setitem(sys.modules, "drjit", types.ModuleType("drjit"))
-    mitsuba = types.ModuleType("mitsuba")
-    mitsuba.set_variant = mitsuba.set_log_level = lambda _: None
-    mitsuba.LogLevel = types.SimpleNamespace(Error=0)
-    monkeypatch.setitem(sys.modules, "mitsuba", mitsuba)
-
-    def ask():
-        begun.wait()
-        assert variant.mitsuba_modules()[0] is mitsuba
-
-    askers = [threading.Thread(target=ask) for _ in range(4)]
-    for thread in askers:
-        thread.start()
-    for thread in askers:
-        thread.join()
-    assert len(asked) == 1
+            start()

@@ -1,10 +1,10 @@
-"""The only room that knows Mitsuba: kernel scenes, plugins, light transport, ground truth and the denoiser.
+"""Rendering with Mitsuba: kernel scenes, light transport, ground truth, derivatives and denoising.
 
-Importing this room does not import Mitsuba yet; the first render does.
+No other package imports Mitsuba or Dr.Jit. Importing this one does not import them yet; the first frame does.
 """
 
 from pepperscene.render.quality import QUALITIES, Quality, find_quality, resolve_quality
-from pepperscene.render.renderer import Renderer, render_scene, warm_up
+from pepperscene.render.renderer import Renderer, render_scene
 from pepperscene.render.variant import variant_name, wanted_threads
 
 __all__ = [
@@ -16,5 +16,4 @@ __all__ = [
     "resolve_quality",
     "variant_name",
     "wanted_threads",
-    "warm_up",
 ]

@@ -1,8 +1,8 @@
-"""What this machine has and lacks for rendering, found out without risk to the calling process.
+"""Checks of the installation, without risk to the calling process.
 
-Whatever loads native code (Dr.Jit, LLVM, Mitsuba, the denoiser) runs in a child process, because an
-unsuitable library does not raise, it aborts. What the child said before its end, and how it ended, become one
-clear line.
+Everything that loads native code (Dr.Jit, LLVM, Mitsuba, the denoiser) runs in a child process, because an
+unsuitable library does not raise an error but aborts the process. The output of the child and the way it
+ended become one line of the report.
 """
 
 from __future__ import annotations
@@ -13,43 +13,42 @@ import platform
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import metadata
 from typing import Final
 
 from pepperscene.errors import SetupError
-from pepperscene.render.variant import LLVM_VARIABLE, OLDEST_LLVM, find_llvm, llvm_version
+from pepperscene.render.variant import LLVM_VARIABLE, OLDEST_LLVM, choose_variant, find_llvm, llvm_version
 from pepperscene.version import __version__
 
-OLDEST_PYTHON: Final = (3, 11)
-SMOKE_LIMIT_S: Final = 120.0
-"""Chosen: a first render with kernel compilation takes seconds; two minutes forgive a loaded machine."""
+TIME_LIMIT_S: Final = 120.0
+"""Chosen: a first render with kernel compilation takes seconds; two minutes allow for a busy machine."""
 
-_GREY: Final = 0.5
-"""Reflectance of the sphere in the smoke render; chosen."""
-
-_SMOKE: Final = (sys.executable, "-c", "from pepperscene.render.doctor import smoke_render; smoke_render()")
-_DENOISER: Final = (
-    sys.executable,
-    "-c",
+_REFLECTANCE: Final = 0.5  # of the sphere in the test render; chosen
+_TEST_RENDER: Final = "from pepperscene.render.doctor import render_test_scene; render_test_scene()"
+_TEST_DENOISER: Final = (
     "import pyoidn\n"
     "with pyoidn.Device() as device:\n"
     "    device.commit()\n"
-    "    assert device.get_error() is None, device.get_error()\n",
+    "    assert device.get_error() is None, device.get_error()\n"
 )
-_REINSTALL: Final = "install pepperscene again with all it depends on: `pip install .` in the checkout"
+_REINSTALL: Final = "reinstall pepperscene with its dependencies: `pip install .` in the checkout"
+_INSTALL_LLVM: Final = (
+    f"install LLVM {OLDEST_LLVM} or newer (`pip install karellen-llvm-core` on Linux x86-64), "
+    f"or set {LLVM_VARIABLE} to another library"
+)
 
 
 @dataclass(frozen=True)
 class Check:
-    """One finding.
+    """The result of one check.
 
     Attributes:
-        what: the thing looked at ("LLVM", "smoke render").
-        found: what there is, in a few words.
-        good: False when rendering cannot work, or not as documented.
-        advice: what to do about it; "" when all is well.
+        what: the subject ("LLVM", "test render").
+        found: the result in a few words.
+        good: False if rendering is impossible, or gives wrong results.
+        advice: how to fix it; "" if nothing is wrong.
     """
 
     what: str
@@ -60,65 +59,63 @@ class Check:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All findings, from the interpreter up to a rendered picture."""
+    """The results of all checks, from the interpreter to a rendered picture."""
 
     lines: tuple[Check, ...]
 
     @property
     def healthy(self) -> bool:
-        """Whether nothing is amiss."""
+        """Whether all checks passed."""
         return all(line.good for line in self.lines)
 
 
-def diagnose(*, smoke_command: Sequence[str] = _SMOKE, limit_s: float = SMOKE_LIMIT_S) -> Diagnosis:
-    """Examine the machine; takes some seconds, most of them for the smoke render.
+def diagnose(*, test_code: str = _TEST_RENDER, time_limit_s: float = TIME_LIMIT_S) -> Diagnosis:
+    """Check the installation; takes some seconds, most of them for the test render.
 
     Args:
-        smoke_command: the child process to run as smoke render; it reports like `smoke_render` does.
-        limit_s: seconds after which that child is given up.
+        test_code: Python code of the test render's process; it prints what `render_test_scene` prints.
+        time_limit_s: after which that process is killed.
     """
-    # What stands in files and in the operating system's tables needs no child.
-    lines = [_python(), Check("pepperscene", __version__), _package("mitsuba"), _package("drjit")]
-    llvm = _llvm()
-    lines += [llvm, _cores()]
-
-    # A library that is known to abort is never loaded, not even by the child.
+    lines = [Check("Python", platform.python_version()), Check("pepperscene", __version__)]
+    lines += [_check_package("mitsuba"), _check_package("drjit")]
+    llvm = _check_llvm()
+    # The cores that this process may use, which can be fewer than the machine has.
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    lines += [llvm, Check("cores", str(cores))]
     if llvm.good:
-        lines += _rendering(_run(smoke_command, limit_s))
+        lines += _check_rendering(_run(test_code, time_limit_s))
     else:
-        lines.append(Check("smoke render", "not tried", good=False, advice="mend LLVM first, see above"))
-    lines.append(_denoiser())
+        lines.append(Check("test render", "skipped", good=False, advice="fix LLVM first, see above"))
+    lines.append(_check_denoiser())
     return Diagnosis(tuple(lines))
 
 
-def smoke_render() -> None:
-    """Render a matt grey sphere in a uniform sky at 32x32 and print what was found, one JSON object a line.
+def render_test_scene() -> None:
+    """Render a matt grey sphere in a uniform sky at 32x32, and print results as one JSON object per line.
 
-    In a uniform sky of radiance L a convex Lambertian body of reflectance r has the radiance r L everywhere
-    (the light that it sends out never meets it again), so that the centre of the picture must be r times its
-    corners. Meant to be run in a process of its own; a native library that aborts ends that process.
+    In a uniform sky of radiance L, a convex Lambertian body of reflectance r has the radiance r L everywhere
+    (the light that it sends out never meets it again), so the centre of the picture must be r times its
+    corners. Run it in its own process, which ends if a native library aborts.
     """
-    from pepperscene.render.variant import choose_variant
-
     try:
         variant = choose_variant()
-    except SetupError as fault:
-        _report(setup=str(fault))
+    except SetupError as error:
+        _print_result(setup=str(error))
         sys.exit(1)
-    _report(variant=variant)
+    _print_result(variant=variant)
     import drjit
 
-    _report(cuda=bool(drjit.has_backend(drjit.JitBackend.CUDA)))
-    _report(furnace=_furnace_ratio(variant))
+    _print_result(cuda=bool(drjit.has_backend(drjit.JitBackend.CUDA)))
+    _print_result(furnace=_furnace_ratio(variant))
 
 
-def _report(**found: object) -> None:
-    """Tell the parent process, before the next step, which may be the last."""
-    print(json.dumps(found), flush=True)  # noqa: T201
+def _print_result(**result: object) -> None:
+    """Send a result to the parent process, before the next step, which may be the last."""
+    print(json.dumps(result), flush=True)  # noqa: T201
 
 
 def _furnace_ratio(variant: str) -> float:
-    """Radiance of a sphere of reflectance `_GREY` over that of the uniform sky around it."""
+    """Radiance of a sphere of `_REFLECTANCE` over that of the uniform sky around it."""
     import mitsuba as mi
     import numpy as np
 
@@ -130,7 +127,7 @@ def _furnace_ratio(variant: str) -> float:
             "sky": {"type": "constant"},
             "ball": {
                 "type": "sphere",
-                "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": _GREY}},
+                "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": _REFLECTANCE}},
             },
             "sensor": {
                 "type": "perspective",
@@ -141,141 +138,109 @@ def _furnace_ratio(variant: str) -> float:
             },
         }
     )
-    # The sphere spans 23 of the 40 degrees: the middle 8x8 pixels see it, the corners do not.
+    # The sphere spans 23 of the 40 degrees: the middle 8x8 pixels show it, the corners do not.
     picture = np.asarray(mi.render(scene, seed=0))
     edge = np.r_[0:4, -4:0]
-    corners = picture[np.ix_(edge, edge)]
-    return float(picture[12:20, 12:20].mean() / corners.mean())
+    return float(picture[12:20, 12:20].mean() / picture[np.ix_(edge, edge)].mean())
 
 
 @dataclass(frozen=True)
-class _Ending:
-    """How a child process ended, and what it said.
+class _ChildResult:
+    """How a child process ended, and what it printed.
 
     Attributes:
-        code: exit status, negative for a signal; None when it was given up or could not start.
-        found: the JSON objects on its standard output, merged.
-        complaint: the last line of its standard error.
+        code: exit status, negative for a signal; None if it was killed at the time limit.
+        printed: the JSON objects on its standard output, merged.
+        error: the last line of its standard error.
     """
 
     code: int | None
-    found: Mapping[str, object]
-    complaint: str
+    printed: Mapping[str, object]
+    error: str
+
+    def __str__(self) -> str:
+        """The end of the process in words."""
+        if self.code is None:
+            return self.error
+        words = f"failed with exit code {self.code}"
+        if self.code < 0:
+            names = {number.value: number.name for number in signal.Signals}
+            words = f"crashed ({names.get(-self.code, f'signal {-self.code}')})"
+        return f"{words}: {self.error}" if self.error else words
 
 
-def _run(command: Sequence[str], limit_s: float) -> _Ending:
-    """Run a child to its end or to the time limit."""
+def _run(code: str, time_limit_s: float = TIME_LIMIT_S) -> _ChildResult:
+    """Run Python code in a child process to its end or to the time limit."""
     try:
-        done = subprocess.run(
-            list(command), capture_output=True, text=True, errors="replace", timeout=limit_s
-        )
-    except subprocess.TimeoutExpired as late:
-        said = late.stdout or b""
-        return _Ending(None, _reported(said if isinstance(said, str) else said.decode(errors="replace")), "")
-    except OSError as fault:
-        return _Ending(None, {}, str(fault))
-    complaint = done.stderr.strip().splitlines()
-    return _Ending(done.returncode, _reported(done.stdout), complaint[-1][:300] if complaint else "")
+        child = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=time_limit_s)
+    except subprocess.TimeoutExpired as error:
+        return _ChildResult(None, _parse_json_lines(error.stdout or b""), "no answer within the time limit")
+    errors = child.stderr.decode(errors="replace").strip().splitlines()
+    return _ChildResult(child.returncode, _parse_json_lines(child.stdout), errors[-1][:300] if errors else "")
 
 
-def _reported(text: str) -> dict[str, object]:
-    """The JSON objects among the lines of a child's output, merged; other lines are passed over."""
-    found: dict[str, object] = {}
-    for line in text.splitlines():
+def _parse_json_lines(output: bytes) -> dict[str, object]:
+    """The JSON objects among the lines of a child's output, merged; other lines are ignored."""
+    merged: dict[str, object] = {}
+    for line in output.decode(errors="replace").splitlines():
         try:
             item = json.loads(line)
         except ValueError:
             continue
         if isinstance(item, dict):
-            found |= item
-    return found
+            merged |= item
+    return merged
 
 
-def _how(ending: _Ending) -> str:
-    """A child's end in words."""
-    if ending.code is None:
-        return ending.complaint or "no answer within the time limit"
-    if ending.code < 0:
-        try:
-            name = signal.Signals(-ending.code).name
-        except ValueError:
-            name = f"signal {-ending.code}"
-        words = f"crashed ({name})"
-    else:
-        words = f"failed with exit code {ending.code}"
-    return f"{words}: {ending.complaint}" if ending.complaint else words
-
-
-def _rendering(ending: _Ending) -> list[Check]:
-    """Variant, GPU and picture, as far as the smoke child came."""
-    found = ending.found
+def _check_rendering(child: _ChildResult) -> list[Check]:
+    """Variant, GPU and picture, as far as the test render got."""
+    printed = child.printed
     lines = []
-    if "variant" in found:
-        lines.append(Check("variant", str(found["variant"])))
-    if "cuda" in found:
-        lines.append(Check("GPU", "CUDA, usable" if found["cuda"] else "no usable CUDA GPU; the CPU renders"))
+    if "variant" in printed:
+        lines.append(Check("variant", str(printed["variant"])))
+    if "cuda" in printed:
+        lines.append(Check("GPU", "CUDA, usable" if printed["cuda"] else "no usable CUDA GPU; using the CPU"))
 
-    ratio = found.get("furnace")
-    if ending.code == 0 and isinstance(ratio, float):
-        # 64 samples on 64 pixels leave well below 1 % of noise; 3 % tells a wrong picture from a right one.
-        right = abs(ratio / _GREY - 1) < 0.03
-        told = f"32x32, furnace ratio {ratio:.3f} (expected {_GREY})"
-        advice = "" if right else f"the renderer computes wrongly here; {_llvm_advice()}"
-        lines.append(Check("smoke render", told, right, advice))
-    elif "setup" in found:
-        lines.append(Check("variant", "none", good=False, advice=str(found["setup"])))
-    elif "variant" not in found:
-        lines.append(Check("variant", f"none: {_how(ending)}", good=False, advice=_llvm_advice()))
+    ratio = printed.get("furnace")
+    if child.code == 0 and isinstance(ratio, float):
+        # 64 samples on 64 pixels leave well below 1 % of noise; 3 % separates wrong pictures from right ones.
+        right = abs(ratio / _REFLECTANCE - 1) < 0.03
+        result = f"32x32, furnace ratio {ratio:.3f} (expected {_REFLECTANCE})"
+        advice = "" if right else f"the renderer gives wrong results on this machine; {_INSTALL_LLVM}"
+        lines.append(Check("test render", result, right, advice))
+    elif "setup" in printed:
+        lines.append(Check("variant", "none", good=False, advice=str(printed["setup"])))
+    elif "variant" not in printed:
+        lines.append(Check("variant", f"none: {child}", good=False, advice=_INSTALL_LLVM))
     else:
-        lines.append(Check("smoke render", _how(ending), good=False, advice=_llvm_advice()))
+        lines.append(Check("test render", str(child), good=False, advice=_INSTALL_LLVM))
     return lines
 
 
-def _python() -> Check:
-    good = sys.version_info >= OLDEST_PYTHON
-    wanted = ".".join(map(str, OLDEST_PYTHON))
-    return Check(
-        "Python", platform.python_version(), good, "" if good else f"install Python {wanted} or newer"
-    )
-
-
-def _package(name: str) -> Check:
+def _check_package(name: str) -> Check:
     try:
         return Check(name, metadata.version(name))
     except metadata.PackageNotFoundError:
         return Check(name, "not installed", good=False, advice=_REINSTALL)
 
 
-def _llvm() -> Check:
-    """The library that would be used; found by name, or asked in a child process, never loaded here."""
+def _check_llvm() -> Check:
+    """The library that would be used; one that is known to abort is never loaded, not even by a child."""
     try:
         library = find_llvm()
-    except SetupError as fault:
-        return Check("LLVM", str(fault), good=False, advice=f"unset {LLVM_VARIABLE}, or {_llvm_advice()}")
+    except SetupError as error:
+        return Check("LLVM", str(error), good=False, advice=f"unset {LLVM_VARIABLE}, or {_INSTALL_LLVM}")
     if library is None:
-        # With a CUDA GPU this is no fault; the smoke child decides.
+        # With a CUDA GPU this is no error; the test render decides.
         return Check("LLVM", f"no library of version {OLDEST_LLVM} or newer")
     return Check("LLVM", f"{llvm_version(library)} ({library})")
 
 
-def _llvm_advice() -> str:
-    return (
-        f"install LLVM {OLDEST_LLVM} or newer (`pip install karellen-llvm-core` on Linux x86-64), "
-        f"or name another library in {LLVM_VARIABLE}"
-    )
-
-
-def _cores() -> Check:
-    """The cores that this process may use, which can be fewer than the machine has."""
-    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return Check("cores", str(count))
-
-
-def _denoiser() -> Check:
-    version = _package("pyoidn")
-    if not version.good:
+def _check_denoiser() -> Check:
+    package = _check_package("pyoidn")
+    if not package.good:
         return Check("denoiser", "pyoidn is not installed", good=False, advice=_REINSTALL)
-    ending = _run(_DENOISER, SMOKE_LIMIT_S)
-    if ending.code != 0:
-        return Check("denoiser", f"pyoidn {version.found} {_how(ending)}", good=False, advice=_REINSTALL)
-    return Check("denoiser", f"Open Image Denoise, pyoidn {version.found}")
+    child = _run(_TEST_DENOISER)
+    if child.code != 0:
+        return Check("denoiser", f"pyoidn {package.found} {child}", good=False, advice=_REINSTALL)
+    return Check("denoiser", f"Open Image Denoise, pyoidn {package.found}")

@@ -1,4 +1,4 @@
-"""How much light is traced for a frame."""
+"""Qualities: how many samples are traced for a frame, and how."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Final, Literal, get_args
 
 from pepperscene.errors import ArgumentError
 
-MOST_EXACT: Final = 0.01
-LEAST_EXACT: Final = 10.0
-"""Chosen: targets beyond take a day a frame, or no more samples than a draft."""
+MIN_TARGET: Final = 0.01
+MAX_TARGET: Final = 10.0
+"""Chosen: smaller targets take a day per frame, larger ones need no more samples than a draft."""
 
 Integrator = Literal["flash", "path"]
 Sampler = Literal["independent", "stratified", "multijitter", "orthogonal", "ldsampler"]
@@ -19,21 +19,24 @@ Sampler = Literal["independent", "stratified", "multijitter", "orthogonal", "lds
 
 @dataclass(frozen=True)
 class Quality:
-    """How much light is traced.
+    """Numbers of samples, and the methods of a frame.
 
     Attributes:
-        samples: per pixel, everywhere; with an adaptive stop the least.
-        soft: how many of them carry soft light as well: daylight on surfaces, and light scattered more than
-            once.
-        most: per pixel where edges ask for more.
+        samples: per pixel, everywhere; the minimum if sampling is adaptive.
+        soft: how many of them trace indirect light as well: daylight on surfaces, and light that was
+            scattered more than once.
+        most: largest number per pixel, for adaptive sampling of edges.
         bounces: scattering events after the first hit. Of the light of `barth2018` two bounces lose 0.15 %,
             one loses 1 %.
-        target: standard error of a pixel's mean over the sensor's noise at that signal, at which sampling
+        target: standard error of a pixel's mean over the sensor noise at that signal, at which sampling
             stops; None for `samples` in every pixel.
-        denoise: whether soft light goes through the denoiser.
-        integrator: "flash" for the one of `pepperscene.render.transport.trace`, "path" for Mitsuba's own path
-            tracer with `samples` in every pixel, the reference to compare with.
-        sampler: that "path" draws from; "flash" has its own.
+        denoise: whether indirect light is denoised.
+        integrator: "flash" for `pepperscene.render.transport.trace`, "path" for Mitsuba's own path tracer
+            with `samples` in every pixel, the reference to compare with.
+        sampler: for "path"; "flash" has its own.
+
+    Raises:
+        ValueError: a value is out of range or unknown.
     """
 
     samples: int
@@ -47,11 +50,11 @@ class Quality:
 
     def __post_init__(self) -> None:
         if not 1 <= self.soft <= self.samples <= self.most:
-            raise ValueError(f"1 <= soft <= samples <= most is needed, not {self}")
+            raise ValueError(f"quality: 1 <= soft <= samples <= most must hold, not {self}")
         if self.bounces < 0 or (self.target is not None and not self.target > 0.0):
-            raise ValueError(f"bounces of at least 0 and a target above 0 are needed, not {self}")
+            raise ValueError(f"quality: bounces must be at least 0 and the target above 0, not {self}")
         if self.integrator not in get_args(Integrator) or self.sampler not in get_args(Sampler):
-            raise ValueError(f"unknown integrator or sampler: {self}")
+            raise ValueError(f"quality: unknown integrator or sampler in {self}")
 
 
 QUALITIES: Final[Mapping[str, Quality]] = {
@@ -62,7 +65,7 @@ QUALITIES: Final[Mapping[str, Quality]] = {
 
 
 def find_quality(name: str) -> Quality:
-    """The quality of that name.
+    """Return the quality of a name.
 
     Raises:
         InputError: there is none.
@@ -73,28 +76,27 @@ def find_quality(name: str) -> Quality:
 
 
 def resolve_quality(quality: str | Quality, target_error: float | None = None) -> Quality:
-    """A quality, or the one of that name, with another target where one is given.
+    """Return a quality by name or as it is, with another target and enough samples for it if one is given.
 
     Args:
-        quality: itself or its name.
-        target_error: standard error over the sensor's noise at which sampling stops. A quality that has none
-            gets it with as many samples at most as are worth it.
+        quality: a `Quality`, or a name out of `QUALITIES`.
+        target_error: standard error over the sensor noise at which sampling stops.
 
     Raises:
-        InputError: there is no such quality, or the target is not above 0 or asks for what takes forever.
+        InputError: unknown quality, or target out of range.
     """
-    found = find_quality(quality) if isinstance(quality, str) else quality
+    chosen = find_quality(quality) if isinstance(quality, str) else quality
     if target_error is None:
-        return found
-    if not MOST_EXACT <= target_error <= LEAST_EXACT:
+        return chosen
+    if not MIN_TARGET <= target_error <= MAX_TARGET:
         raise ArgumentError(
             "target_error",
-            f"must lie in [{MOST_EXACT:g}, {LEAST_EXACT:g}], the light's error over the sensor's noise, "
+            f"must be between {MIN_TARGET:g} and {MAX_TARGET:g} (error of the light over the sensor noise), "
             f"not {target_error:g}",
         )
-    # Errors of the sharp light fall with samples^(-3/4): the most goes with that; soft light with the ratio.
-    finer = max((found.target or QUALITIES["standard"].target or 1.0) / target_error, 1.0)
-    most = 2 ** math.ceil(math.log2(max(found.most, 64) * finer ** (4 / 3)))
-    soft = math.ceil(found.soft * finer)
-    samples = max(found.samples, 2 ** math.ceil(math.log2(soft)))
-    return replace(found, target=float(target_error), most=max(most, samples), soft=soft, samples=samples)
+    # Errors of direct light fall with samples^(-3/4), which sets `most`; `soft` grows with the ratio.
+    finer = max((chosen.target or QUALITIES["standard"].target or 1.0) / target_error, 1.0)
+    most = 2 ** math.ceil(math.log2(max(chosen.most, 64) * finer ** (4 / 3)))
+    soft = math.ceil(chosen.soft * finer)
+    samples = max(chosen.samples, 2 ** math.ceil(math.log2(soft)))
+    return replace(chosen, target=float(target_error), most=max(most, samples), soft=soft, samples=samples)

@@ -1,8 +1,8 @@
 """Choice of the Mitsuba variant and of the LLVM library that it compiles with.
 
-The library is never left to chance: LLVM 14 is refused by Dr.Jit, and LLVM 15 aborts the whole process at the
-first kernel ("Cannot select: fmaximum"; x86 gained that instruction's selection in LLVM 17). Dr.Jit reads
-`DRJIT_LIBLLVM_PATH` while it is imported, so the choice comes before.
+The library is never left to chance: Dr.Jit rejects LLVM 14, and LLVM 15 aborts the whole process at the first
+kernel ("Cannot select: fmaximum"; x86 got that instruction selection in LLVM 17). Dr.Jit reads
+`DRJIT_LIBLLVM_PATH` during its import, so the choice comes before.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import os
 import re
 import subprocess
 import sys
-import threading
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
@@ -20,12 +19,12 @@ from typing import Any, Final
 from pepperscene.errors import SetupError
 
 VARIANTS: Final = ("cuda_ad_spectral", "llvm_ad_spectral")
-"""Usable variants, best first. Scalar variants would call the Python plugins ray by ray."""
+"""Usable variants, best first. Scalar variants would call the Python plugins once per ray."""
 
 OLDEST_LLVM: Final = 17
 LLVM_VARIABLE: Final = "DRJIT_LIBLLVM_PATH"
 THREADS_VARIABLE: Final = "PEPPERSCENE_THREADS"
-_MOST_THREADS: Final = 4096  # chosen: more than any machine's
+_MAX_THREADS: Final = 4096  # chosen: more than any machine has
 _LLVM_PACKAGE: Final = "karellen-llvm-core"
 _SYSTEM_FOLDERS: Final = (
     "/usr/lib/x86_64-linux-gnu",
@@ -36,8 +35,7 @@ _SYSTEM_FOLDERS: Final = (
     "/opt/homebrew/opt/llvm/lib",
     "/usr/local/opt/llvm/lib",
 )
-_one_at_a_time = threading.RLock()
-_ASK_VERSION: Final = (
+_PRINT_LLVM_VERSION: Final = (
     "import ctypes, sys\n"
     "numbers = [ctypes.c_uint() for _ in range(3)]\n"
     "ctypes.CDLL(sys.argv[1]).LLVMGetVersion(*map(ctypes.byref, numbers))\n"
@@ -46,15 +44,14 @@ _ASK_VERSION: Final = (
 
 
 def find_llvm() -> Path | None:
-    """The LLVM library to use: the one named by the environment, the installed package's, or the system's.
+    """Find the LLVM library to use: from the environment, the installed package, or the system's folders.
 
     Raises:
-        SetupError: `DRJIT_LIBLLVM_PATH` names a library that is missing, or is known to abort.
+        SetupError: `DRJIT_LIBLLVM_PATH` names a missing library, or one that is known to abort.
     """
-    named = os.environ.get(LLVM_VARIABLE)
-    if named:
-        return _checked(Path(named))
-    for path in (*_packaged(), *_installed()):
+    if named := os.environ.get(LLVM_VARIABLE):
+        return _check_named_library(Path(named))
+    for path in (*_packaged_libraries(), *_system_libraries()):
         version = llvm_version(path)
         if version is not None and version >= OLDEST_LLVM:
             return path
@@ -62,30 +59,31 @@ def find_llvm() -> Path | None:
 
 
 def llvm_version(path: Path) -> int | None:
-    """The major version of an LLVM library by its file's name, else by asking it in a child process.
+    """Major version of an LLVM library, from its file name or else from the library, in a child process.
 
-    None where there is no telling: no library, or one so old that it cannot be asked.
+    None if it cannot be determined: the file is no library, or a very old one.
     """
-    found = re.search(r"libLLVM(?:-|\.so\.|\.)(\d+)", path.resolve().name)
-    if found:
-        return int(found.group(1))
+    match = re.search(r"libLLVM(?:-|\.so\.|\.)(\d+)", path.resolve().name)
+    if match:
+        return int(match.group(1))
     try:
-        answer = subprocess.run(
-            [sys.executable, "-c", _ASK_VERSION, str(path)], capture_output=True, text=True, timeout=60
+        process = subprocess.run(
+            [sys.executable, "-c", _PRINT_LLVM_VERSION, str(path)], capture_output=True, text=True, timeout=60
         )
     except (OSError, subprocess.TimeoutExpired):
         return None
-    return int(answer.stdout) if answer.returncode == 0 and answer.stdout.strip().isdigit() else None
+    printed = process.stdout.strip()
+    return int(printed) if process.returncode == 0 and printed.isdigit() else None
 
 
 def choose_variant(wanted: str | None = None) -> str:
-    """The best variant that runs here, after pointing Dr.Jit at a usable LLVM.
+    """Choose the best variant that runs on this machine, and set the LLVM library that Dr.Jit will load.
 
     Args:
-        wanted: take this one of `VARIANTS` or fail; default `PEPPERSCENE_VARIANT` from the environment.
+        wanted: this one of `VARIANTS` and no other; default `PEPPERSCENE_VARIANT` from the environment.
 
     Raises:
-        SetupError: no variant of `VARIANTS` runs; the message says what to install.
+        SetupError: no variant runs; the message says what to install.
     """
     wanted = wanted or os.environ.get("PEPPERSCENE_VARIANT") or None
     if wanted is not None and wanted not in VARIANTS:
@@ -94,35 +92,26 @@ def choose_variant(wanted: str | None = None) -> str:
     if library is not None:
         os.environ[LLVM_VARIABLE] = str(library)
     for variant in (wanted,) if wanted else VARIANTS:
-        if _runs(variant, library):
+        if _can_run(variant, library):
             return variant
+    if wanted == "cuda_ad_spectral":
+        raise SetupError("no usable renderer: cuda_ad_spectral needs a CUDA GPU with its driver")
     raise SetupError(
-        f"no usable renderer: {wanted or 'llvm_ad_spectral'} needs "
-        + (
-            "a CUDA GPU with its driver"
-            if wanted == "cuda_ad_spectral"
-            else f"LLVM {OLDEST_LLVM} or newer; `pip install {_LLVM_PACKAGE}` brings one on Linux x86-64, "
-            f"elsewhere install LLVM and set {LLVM_VARIABLE} to its shared library"
-        )
+        f"no usable renderer: llvm_ad_spectral needs LLVM {OLDEST_LLVM} or newer; on Linux x86-64 run "
+        f"`pip install {_LLVM_PACKAGE}`, elsewhere install LLVM and set {LLVM_VARIABLE} to its shared library"
     )
 
 
 @functools.cache
 def mitsuba_modules() -> tuple[Any, Any]:
-    """The modules `mitsuba`, with the variant set, and `drjit`.
+    """Return the modules `mitsuba`, with the variant set, and `drjit`.
 
-    All of this room imports the two through this function: a bare `import drjit` would load whichever LLVM
-    the system names first.
+    All code of this package imports them through this function: a plain `import drjit` would load any LLVM
+    that the system names first.
 
     Raises:
-        SetupError: no JIT variant runs here.
+        SetupError: no JIT variant runs on this machine.
     """
-    with _one_at_a_time:
-        return _started()
-
-
-@functools.cache
-def _started() -> tuple[Any, Any]:
     variant = choose_variant()
     import drjit
     import mitsuba
@@ -136,61 +125,59 @@ def _started() -> tuple[Any, Any]:
 
 
 def wanted_threads() -> int | None:
-    """How many threads Mitsuba is to work with, as the environment says; None for one on each core.
+    """Number of Mitsuba's threads from the environment; None for one on each core.
 
     Raises:
-        SetupError: the environment says no number above 0.
+        SetupError: the variable is not a number of threads.
     """
-    told = os.environ.get(THREADS_VARIABLE, "").strip()
-    if not told:
-        return None
-    if not (told.isascii() and told.isdigit() and 0 < int(told) <= _MOST_THREADS):
-        raise SetupError(f"{THREADS_VARIABLE} = {told!r}: must be a number of threads, 1 to {_MOST_THREADS}")
-    return int(told)
+    value = os.environ.get(THREADS_VARIABLE, "").strip()
+    if value and not (value.isascii() and value.isdigit() and 0 < int(value) <= _MAX_THREADS):
+        raise SetupError(f"{THREADS_VARIABLE} = {value!r}: must be a number of threads, 1 to {_MAX_THREADS}")
+    return int(value) if value else None
 
 
 def variant_name() -> str:
-    """The variant that renders here, for the facts of a frame."""
+    """The variant in use, for the metadata of a frame."""
     return str(mitsuba_modules()[0].variant())
 
 
-def _checked(path: Path) -> Path:
-    """The library named by the environment, unless it is missing or would abort the process."""
+def _check_named_library(path: Path) -> Path:
+    """Reject a library from the environment that is missing or would abort the process."""
     if not path.is_file():
         raise SetupError(f"{LLVM_VARIABLE} = {str(path)!r}: there is no such file")
     version = llvm_version(path)
     if version is None or version < OLDEST_LLVM:
-        told = "an unknown version" if version is None else f"version {version}"
+        which = "an unknown version" if version is None else f"version {version}"
         raise SetupError(
-            f"{LLVM_VARIABLE} = {str(path)!r}: is {told} of LLVM, which can abort the process; "
+            f"{LLVM_VARIABLE} = {str(path)!r}: is {which} of LLVM, which can abort the process; "
             f"version {OLDEST_LLVM} or newer is needed (`pip install {_LLVM_PACKAGE}`)"
         )
     return path
 
 
-def _packaged() -> list[Path]:
-    """The library inside the installed LLVM package, the fully versioned file first."""
+def _packaged_libraries() -> list[Path]:
+    """Libraries inside the installed LLVM package, the one with the full version in its name first."""
     try:
         files = metadata.files(_LLVM_PACKAGE) or []
     except metadata.PackageNotFoundError:
         return []
-    found = {Path(str(file.locate())).resolve() for file in files if file.name.startswith("libLLVM.so")}
-    return sorted((path for path in found if path.is_file()), key=lambda path: -len(path.name))
+    paths = {Path(str(file.locate())).resolve() for file in files if file.name.startswith("libLLVM.so")}
+    return sorted((path for path in paths if path.is_file()), key=lambda path: -len(path.name))
 
 
-def _installed() -> list[Path]:
+def _system_libraries() -> list[Path]:
     """LLVM libraries in the system's folders, newest first."""
-    found = [
+    paths = [
         path
         for folder in _SYSTEM_FOLDERS
         for path in Path(folder).glob("libLLVM*")
         if path.suffix != ".a" and path.is_file()
     ]
-    return sorted(found, key=lambda path: (-(llvm_version(path) or 0), str(path)))
+    return sorted(paths, key=lambda path: (-(llvm_version(path) or 0), str(path)))
 
 
-def _runs(variant: str, library: Path | None) -> bool:
-    """Whether Dr.Jit can start the variant's backend; LLVM only with a library of our choice."""
+def _can_run(variant: str, library: Path | None) -> bool:
+    """Whether Dr.Jit can start the variant's backend; LLVM only with a library that we chose."""
     if variant.startswith("llvm") and library is None:
         return False
     import drjit
@@ -200,8 +187,7 @@ def _runs(variant: str, library: Path | None) -> bool:
     loaded = drjit.detail.llvm_version() if drjit.has_backend(drjit.JitBackend.LLVM) else None
     if loaded is not None and loaded[0] < OLDEST_LLVM:
         raise SetupError(
-            f"Dr.Jit was imported before pepperscene and runs with LLVM {loaded[0]}, which can "
-            f"abort the process; import pepperscene.render first, or set {LLVM_VARIABLE} = {library} "
-            f"before Python starts"
+            f"Dr.Jit was imported before pepperscene and uses LLVM {loaded[0]}, which can abort the process; "
+            f"import pepperscene.render first, or set {LLVM_VARIABLE} = {library} before Python starts"
         )
     return loaded is not None

@@ -1,8 +1,8 @@
-"""Where the surface behind each pixel lies for another camera, and whether it is visible there.
+"""Optical flow: displacement and visibility, in another camera, of the surface behind each pixel.
 
-Both views are of one scene, in which nothing moves: the next frame of a path, or a stereo partner. Where a
-point appears follows from the lens formula in double precision; whether something hides it there, from one
-ray per pixel out of the other projection centre.
+Both cameras see one scene in which nothing moves: the next frame of a path, or a stereo partner. The position
+of a point in the other image follows from the lens formula in double precision; whether it is hidden there,
+from one ray per pixel out of the other projection centre.
 """
 
 from __future__ import annotations
@@ -13,80 +13,69 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.render.aov.labels import Hits, points, world_rays
-from pepperscene.render.kernel.arrays import LocalCoordinates, device_number, device_table
+from pepperscene.render.aov.labels import Hits, positions, world_directions
+from pepperscene.render.kernel.arrays import LocalCoordinates, device_array, device_float
 from pepperscene.render.variant import mitsuba_modules
 
 CLEARANCE: Final = 1e-4
-"""Chosen, of the distance: what hides a point stands nearer by more than this. At 40 cm it is 0.04 mm, less
-than a leaf is thick. Single precision misplaces hits by a thousandth of that, and by as much as that where a
-ray meets a surface at 0.03 degrees."""
+"""Chosen, relative to the distance: an occluder is closer than the point by more than this. At 40 cm it is
+0.04 mm, less than the thickness of a leaf. Single precision misplaces hits by a thousandth of that, and by as
+much as that where a ray meets a surface at 0.03 degrees."""
 
 
 def optical_flow(
-    scene: Any, region: LocalCoordinates, hits: Hits, camera: Camera, other: Camera
+    scene: Any, coordinates: LocalCoordinates, hits: Hits, camera: Camera, other: Camera | None
 ) -> NDArray[np.float32]:
-    """`(h, w, 3)` pixels right and down from each pixel's centre to where the same point lies in another
-    camera's picture, and 1 where it is visible there, else 0.
+    """Compute the flow from a camera, with the hits behind its pixels, to another camera of the same scene.
 
-    Visible is what lies inside the picture and not behind something else. The sky is infinitely far away. A
-    point behind the other camera lies nowhere: nan.
-
-    Args:
-        scene: the kernel's.
-        region: whose coordinates it has.
-        hits: behind the camera's pixels.
-        camera: that looks.
-        other: camera that looks at the same scene.
+    Returns:
+        `(h, w, 3)` displacement from each pixel's centre to the same point in the other image, pixels right
+        and down, and its visibility there: 1 if it is inside the image and not hidden, else 0. The sky is
+        infinitely far away. Behind the other camera, or without one, a point has no position: nan.
     """
     shape = hits.face.shape
-    place = other.pose[:3, 3]
+    flow = np.full((*shape, 3), np.nan, np.float32)
+    flow[..., 2] = 0.0
+    if other is None:
+        return flow
+    centre = other.pose[:3, 3]
     sky = hits.face < 0
-    # Towards the points as seen from the other camera; of the sky only the direction counts.
-    towards = points(hits, camera) - place
-    towards[sky] = world_rays(camera)[sky]
-    where = other.project(place + towards.reshape(-1, 3)).reshape(*shape, 2)
-    inside = (where >= 0.0).all(axis=-1) & (where < [other.width, other.height]).all(axis=-1)
+    # Vectors from the other camera to the points; for the sky only the direction matters.
+    vectors = positions(hits, camera) - centre
+    vectors[sky] = world_directions(camera)[sky]
+    pixels = other.project(centre + vectors.reshape(-1, 3)).reshape(*shape, 2)
+    inside = (pixels >= 0.0).all(axis=-1) & (pixels < [other.width, other.height]).all(axis=-1)
 
-    found = np.empty((*shape, 3), np.float32)
     row, column = np.mgrid[: shape[0], : shape[1]] + 0.5
-    found[..., 0] = where[..., 0] - column
-    found[..., 1] = where[..., 1] - row
-    found[..., 2] = 0.0
+    flow[..., 0] = pixels[..., 0] - column
+    flow[..., 1] = pixels[..., 1] - row
     if inside.any():
-        start = region.places(place)
-        found[inside, 2] = reached(scene, start, towards[inside] / region.unit, hits.face[inside])
-    return found
+        start = coordinates.from_world(centre)
+        flow[inside, 2] = is_unoccluded(scene, start, vectors[inside] / coordinates.unit_m, hits.face[inside])
+    return flow
 
 
-def nowhere(hits: Hits) -> NDArray[np.float32]:
-    """`(h, w, 3)` what `optical_flow` gives where there is no other camera: nan, and not visible."""
-    found = np.full((*hits.face.shape, 3), np.nan, np.float32)
-    found[..., 2] = 0.0
-    return found
-
-
-def reached(
-    scene: Any, start: NDArray[np.float64], towards: NDArray[np.float64], face: NDArray[np.int64]
+def is_unoccluded(
+    scene: Any, start: NDArray[np.float64], vectors: NDArray[np.float64], face: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """`(n,)` whether nothing stands between a place and what lies at vectors `(n, 3)` from it.
+    """`(n,)` whether nothing is between a start point and the points at `vectors` from it.
 
     Args:
-        scene: the kernel's.
-        start: the place.
-        towards: in the unit of the scene's region; of the sky only the directions.
-        face: `(n,)` that the points lie on, -1 for the sky.
+        scene: Mitsuba's.
+        start: `(3,)` in local coordinates.
+        vectors: `(n, 3)` in local units; for the sky only the directions matter.
+        face: `(n,)` triangle of each point, -1 for the sky.
     """
     mi, dr = mitsuba_modules()
     origin = mi.Point3f(*(float(x) for x in start))
     dr.make_opaque(origin)
-    vector = mi.Vector3f(*(device_table(axis) for axis in towards.T))
-    # As whole numbers without a sign: the sky's is one that no face has.
-    own = device_table(face.astype(np.uint32), np.uint32)
+    vector = mi.Vector3f(*(device_array(axis) for axis in vectors.T))
+    # As unsigned integers: the sky's number belongs to no face.
+    own_face = device_array(face.astype(np.uint32), np.uint32)
     distance = dr.norm(vector)
     hit = scene.ray_intersect_preliminary(mi.Ray3f(origin, vector / distance), coherent=True)
-    sky = own == 0xFFFFFFFF
-    nearer = hit.t < distance * device_number(1.0 - CLEARANCE)
-    # A point never hides itself, however flat the ray falls on its triangle.
-    hidden = hit.is_valid() & (sky | (nearer & (hit.prim_index != own)))
+    sky = own_face == 0xFFFFFFFF
+    closer = hit.t < distance * device_float(1.0 - CLEARANCE)
+    # A point is never hidden by its own triangle, however grazing the ray.
+    hidden = hit.is_valid() & (sky | (closer & (hit.prim_index != own_face)))
     return ~np.array(hidden)[: len(face)]

@@ -1,17 +1,18 @@
-"""What can be tuned in a picture, and the kernel's tables as functions of it, with their derivatives.
+"""Surface tables as functions of the tunable parameters, with their derivatives.
 
-Between the parameters that a person tunes and the numbers that the kernel reads lie PROSPECT, the cuticles'
-openness, and the integrals over wavelength of light that meets one surface. All of that is smooth NumPy in
-double precision over few numbers, so its derivatives are taken by differences there, far below single
-precision, and the kernel's own derivatives (`gradients.renderer`) are chained to them: rows of
-spectra depend on the pigments at their own state alone, which two more spectra of each row tell for all knots
-of a pigment at once, and the flash and the channels' integrals are bilinear.
+Between the parameters and the numbers that the kernel reads are PROSPECT, the openness of the cuticles, and
+integrals over wavelength of light that meets one surface. All of that is smooth NumPy code in double
+precision on few numbers, so its derivatives are taken by finite differences, with errors far below single
+precision, and the kernel's own derivatives (`gradients.renderer`) are chained to them. Rows of spectra depend
+on the pigments at their own state alone, so two more spectra of each row give the derivatives by all knots of
+a pigment at once; the flash and the channel integrals are bilinear.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Final, cast
 
 import numpy as np
@@ -22,35 +23,33 @@ from pepperscene.render.gradients.pigment_models import (
     CONTENTS,
     RANGES,
     Array,
-    GivenContents,
     PigmentModel,
     Values,
-    contents_of,
     path_values,
     pigment_model,
 )
-from pepperscene.render.surface.tables import cuticle_tables, spectra_rows
+from pepperscene.render.surface.optics import cuticle_tables, spectra_rows
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar, PigmentPath
 
 
 Parameters = Mapping[str, ArrayLike]
-Part = tuple[Array, Array, Array]
+SurfaceTables = tuple[Array, Array, Array]
 """Of one surface: `(s, n, 4)` rows of spectra, `(2, 4)` sides and `(2, NODES, 2)` openness."""
 
-_STEPS: Final[Mapping[str, float]] = {
+_SCALES: Final[Mapping[str, float]] = {
     "water_cm": 1e-2,
     "dry_matter_g_cm2": 1e-2,
     "brown": 1e-1,
     "flesh_reflectance": 1e-1,
 }
-"""Amounts at which a content begins to count, 1 for others: differences step by 1e-5 of that, or of the
-content where it is larger. Truncation and rounding are then both near 1e-10 of a spectrum."""
+"""Amounts at which a content has an effect, 1 for others: difference steps are 1e-5 of that, or of a larger
+content. Truncation and rounding errors are then both near 1e-10 of a spectrum."""
 _STEP, _ROUGHNESS_STEP = 1e-5, 1e-3
-"""Shares of a value by which differences step. The openness of a cuticle is a quadrature with kinks where a
-node's mirror direction sets at the horizon: over a thousandth of the roughness they level out."""
-_AGREEMENT: Final = 1e-6  # largest difference to the scene's spectra; both come out of the same functions
+"""Relative difference steps. The openness of a cuticle is a quadrature with kinks where the mirror direction
+of a node reaches the horizon: over a thousandth of the roughness they average out."""
+_TOLERANCE: Final = 1e-6  # largest difference to the scene's spectra; both come from the same functions
 
 
 class Tunable:
@@ -65,154 +64,156 @@ class Tunable:
         defaults: every parameter at the value that the surfaces have.
 
     Raises:
-        ValueError: a surface of that name is not what the cultivar's pigments make.
+        ValueError: a surface differs from what the cultivar's pigments make.
     """
 
     def __init__(self, surfaces: tuple[Surface, ...], cultivar: Cultivar | None, grid_nm: Array) -> None:
         self.surfaces, self.grid_nm = surfaces, grid_nm
         self.defaults: dict[str, Array] = {}
-        self._bodies = [pigment_model(surface, cultivar) for surface in surfaces]
-        self._known: list[dict[tuple[tuple[str, bytes], ...], Part]] = [{} for _ in surfaces]
-        for body in self._bodies:
-            if body is not None and cultivar is not None:
-                self.defaults |= path_values(body.path, cultivar.pigments[body.path])
-        for surface, body in zip(surfaces, self._bodies, strict=True):
-            if surface.ior > 1.0 and (body is None or body.path != surface.name):
+        self._models = [pigment_model(surface, cultivar) for surface in surfaces]
+        self._cache: list[dict[tuple[tuple[str, bytes], ...], SurfaceTables]] = [{} for _ in surfaces]
+        for model in self._models:
+            if model is not None and cultivar is not None:
+                self.defaults |= path_values(model.path, cultivar.pigments[model.path])
+        for surface, model in zip(surfaces, self._models, strict=True):
+            if surface.ior > 1.0 and (model is None or model.path != surface.name):
                 self.defaults[f"{surface.name}.ior"] = np.array(float(surface.ior))
                 self.defaults[f"{surface.name}.roughness"] = np.array(surface.roughness, float)
         for i, surface in enumerate(surfaces):
-            made = self._surface(i, self.defaults)
+            modelled = self._surface(i, self.defaults)
             if max(
-                np.abs(made.reflectance - surface.reflectance).max(),
-                np.abs(made.transmittance - surface.transmittance).max(),
-            ) > _AGREEMENT or (made.ior, made.roughness) != (surface.ior, surface.roughness):
+                np.abs(modelled.reflectance - surface.reflectance).max(),
+                np.abs(modelled.transmittance - surface.transmittance).max(),
+            ) > _TOLERANCE or (modelled.ior, modelled.roughness) != (surface.ior, surface.roughness):
                 raise ValueError(f"the surface {surface.name} is not what this cultivar's pigments make")
 
-    def parts(self, values: Values) -> list[Part]:
+    def tables(self, values: Values) -> list[SurfaceTables]:
         """The tables of all surfaces in double precision."""
-        return [self._part(i, values) for i in range(len(self.surfaces))]
+        return [self._surface_tables(i, values) for i in range(len(self.surfaces))]
 
-    def forward(self, values: Values, direction: Values) -> list[Part]:
-        """How the tables change along a direction of the parameters."""
-        found = [tuple(np.zeros_like(table) for table in part) for part in self.parts(values)]
+    def forward(self, values: Values, direction: Values) -> list[SurfaceTables]:
+        """Derivatives of the tables along a direction of the parameters."""
+        result = [tuple(np.zeros_like(table) for table in tables) for tables in self.tables(values)]
         for name, along in direction.items():
-            for i, slopes, shares in self._slopes(values, name):
-                for table, slope in zip(found[i], slopes, strict=False):
-                    table += _weighted(slope, shares, along)
-        return cast("list[Part]", found)
+            for i, slopes, weights in self._slopes(values, name):
+                for table, slope in zip(result[i], slopes, strict=False):
+                    table += _apply_slope(slope, weights, along)
+        return cast("list[SurfaceTables]", result)
 
-    def backward(self, values: Values, cotangents: list[Part], names: tuple[str, ...]) -> dict[str, Array]:
+    def backward(
+        self, values: Values, cotangents: list[SurfaceTables], names: tuple[str, ...]
+    ) -> dict[str, Array]:
         """Derivatives of a number with respect to parameters, from those with respect to the tables."""
-        found = {name: np.zeros_like(values[name]) for name in names}
+        result = {name: np.zeros_like(values[name]) for name in names}
         for name in names:
-            for i, slopes, shares in self._slopes(values, name):
+            for i, slopes, weights in self._slopes(values, name):
                 for cotangent, slope in zip(cotangents[i], slopes, strict=False):
-                    found[name] += _gathered(slope, shares, cotangent).reshape(found[name].shape)
-        return found
+                    result[name] += _apply_transpose(slope, weights, cotangent).reshape(result[name].shape)
+        return result
 
     # --- one surface ------------------------------------------------------------------------------------
 
-    def _part(self, i: int, values: Values) -> Part:
-        """The tables of surface `i`, kept until its own parameters change."""
-        body, name = self._bodies[i], self.surfaces[i].name
-        own = (name, body.path) if body is not None else (name,)
-        key = tuple((n, values[n].tobytes()) for n in self.defaults if n.rpartition(".")[0] in own)
-        if key not in self._known[i]:
+    def _surface_tables(self, i: int, values: Values) -> SurfaceTables:
+        """The tables of surface `i`, cached until its own parameters change."""
+        model, name = self._models[i], self.surfaces[i].name
+        prefixes = (name, model.path) if model is not None else (name,)
+        key = tuple((n, values[n].tobytes()) for n in self.defaults if n.rpartition(".")[0] in prefixes)
+        if key not in self._cache[i]:
             surface = self._surface(i, values)
-            self._known[i] = {key: (spectra_rows(surface, self.grid_nm), *cuticle_tables(surface))}
-        return self._known[i][key]
+            self._cache[i] = {key: (spectra_rows(surface, self.grid_nm), *cuticle_tables(surface))}
+        return self._cache[i][key]
 
     def _surface(self, i: int, values: Values, contents: Mapping[str, Array] | None = None) -> Surface:
-        """Surface `i` at these parameters, with other contents at the model's states if they are given."""
-        surface, body = self.surfaces[i], self._bodies[i]
+        """Surface `i` at parameter values, or with other contents at the model's states."""
+        surface, model = self.surfaces[i], self._models[i]
         if f"{surface.name}.ior" in values:
             front, back = np.asarray(values[f"{surface.name}.roughness"]).tolist()
             ior = float(values[f"{surface.name}.ior"])
             surface = replace(surface, ior=ior, roughness=(front, back))
-        if body is None:
+        if model is None:
             return surface
-        given = contents_of(body, values) if contents is None else contents
-        front, back = np.asarray(values[f"{body.path}.roughness"]).tolist()
-        flesh = values.get(f"{body.path}.flesh_reflectance")
-        path = GivenContents(
-            given, None if flesh is None else float(flesh), float(values[f"{body.path}.ior"]), (front, back)
+        contents = model.contents(values) if contents is None else contents
+        front, back = np.asarray(values[f"{model.path}.roughness"]).tolist()
+        flesh = values.get(f"{model.path}.flesh_reflectance")
+        # Stands in for a pigment path with these contents at the model's states.
+        path = SimpleNamespace(
+            at=lambda states: dict(contents),
+            flesh_reflectance=None if flesh is None else float(flesh),
+            ior=float(values[f"{model.path}.ior"]),
+            roughness=(front, back),
         )
-        reflectance, transmittance = body.model(cast("PigmentPath", path), surface.wavelength_nm, body.states)
+        model_path = cast("PigmentPath", path)
+        reflectance, transmittance = model.model(model_path, surface.wavelength_nm, model.states)
         return replace(surface, reflectance=reflectance, transmittance=transmittance)
 
     def _slopes(self, values: Values, name: str) -> Iterator[tuple[int, tuple[Array, ...], Array | None]]:
-        """Surfaces that a parameter changes, their tables' slopes, and the shares of its entries in each row.
+        """Surfaces that a parameter changes, the slopes of their tables, and the weights of its entries.
 
-        The parameter's entries are a pigment's knots, with shares `(s, k)` of them in each row of spectra,
-        the only table to have slopes; or the two sides' roughness or a single number, each with slopes of its
-        own on a leading axis, and no shares.
+        A pigment's entries are knots: they change the spectra alone, each row with weights `(s, k)`. Entries
+        of other parameters have slopes of all tables, on a leading axis, and the weights are None.
         """
-        whose, _, what = name.rpartition(".")
-        for i, (surface, body) in enumerate(zip(self.surfaces, self._bodies, strict=True)):
-            made_of = body is not None and body.path == whose
-            if what in CONTENTS and made_of:
-                assert body is not None
-                yield i, (self._content_slopes(i, body, values, what),), body.shares[body.rows]
-            elif what not in CONTENTS and (made_of or surface.name == whose):
-                value = values[name]
-                entries = [self._entry_slopes(i, values, name, k) for k in range(value.size)]
+        owner, _, quantity = name.rpartition(".")
+        for i, (surface, model) in enumerate(zip(self.surfaces, self._models, strict=True)):
+            is_modelled = model is not None and model.path == owner
+            if quantity in CONTENTS and is_modelled:
+                assert model is not None
+                yield i, (self._content_slopes(i, model, values, quantity),), model.knot_weights[model.rows]
+            elif quantity not in CONTENTS and (is_modelled or surface.name == owner):
+                entries = [self._entry_slopes(i, values, name, k) for k in range(values[name].size)]
                 yield i, tuple(np.stack(tables) for tables in zip(*entries, strict=True)), None
 
-    def _content_slopes(self, i: int, body: PigmentModel, values: Values, what: str) -> Array:
-        """`(s, n, 4)` of the spectra, each row by the content at the state that it depends on."""
-        contents = contents_of(body, values)
-        scale = np.maximum(np.abs(contents[what]), _STEPS.get(what, 1.0))
-        first, second = _moves(contents[what], _STEP * scale, *RANGES[what])
+    def _content_slopes(self, i: int, model: PigmentModel, values: Values, content: str) -> Array:
+        """`(s, n, 4)` derivatives of the spectra, each row by the content at the state it depends on."""
+        contents = model.contents(values)
+        scale = np.maximum(np.abs(contents[content]), _SCALES.get(content, 1.0))
+        first, second = _steps(contents[content], _STEP * scale, *RANGES[content])
 
-        def rows(move: Array | float) -> Array:
-            moved = {**contents, what: contents[what] + move}
-            return spectra_rows(self._surface(i, values, moved), self.grid_nm)
+        def rows(step: Array | float) -> Array:
+            changed = {**contents, content: contents[content] + step}
+            return spectra_rows(self._surface(i, values, changed), self.grid_nm)
 
-        return _slope(rows(0.0), rows(first), rows(second), first[body.rows], second[body.rows])
+        return _parabola_slope(rows(0.0), rows(first), rows(second), first[model.rows], second[model.rows])
 
     def _entry_slopes(self, i: int, values: Values, name: str, entry: int) -> tuple[Array, ...]:
-        """Of all three tables by one number of a parameter."""
-        what, value = name.rpartition(".")[2], float(values[name].flat[entry])
-        scale = max(value, _STEPS.get(what, 1.0))
-        step = _ROUGHNESS_STEP * value if what == "roughness" else _STEP * scale
-        first, second = _moves(np.array([value]), np.array([step]), *RANGES[what])
+        """Derivatives of all three tables by one entry of a parameter."""
+        quantity, value = name.rpartition(".")[2], float(values[name].flat[entry])
+        scale = max(value, _SCALES.get(quantity, 1.0))
+        step = _ROUGHNESS_STEP * value if quantity == "roughness" else _STEP * scale
+        first, second = _steps(np.array([value]), np.array([step]), *RANGES[quantity])
 
-        def at(move: float) -> Part:
-            moved = values[name].copy()
-            moved.flat[entry] += move
-            surface = self._surface(i, {**values, name: moved})
+        def tables(step: float) -> SurfaceTables:
+            changed = values[name].copy()
+            changed.flat[entry] += step
+            surface = self._surface(i, {**values, name: changed})
             return spectra_rows(surface, self.grid_nm), *cuticle_tables(surface)
 
-        tables = zip(at(0.0), at(float(first[0])), at(float(second[0])), strict=True)
-        return tuple(_slope(*three, first, second) for three in tables)
+        at_steps = zip(tables(0.0), tables(float(first[0])), tables(float(second[0])), strict=True)
+        return tuple(_parabola_slope(*three, first, second) for three in at_steps)
 
 
-# --- differences ----------------------------------------------------------------------------------------
-
-
-def _moves(value: Array, step: Array, low: float, high: float) -> tuple[Array, Array]:
-    """Two moves from each value: one step up and one down, or two to the side where there is room."""
+def _steps(value: Array, step: Array, low: float, high: float) -> tuple[Array, Array]:
+    """Two difference steps from each value: one up and one down, or two to the side that is in range."""
     first = np.where(value + step > high, -step, step)
     second = np.where(value - step < low, 2.0 * step, np.where(value + step > high, -2.0 * step, -step))
     return first, second
 
 
-def _slope(here: Array, there: Array, beyond: Array, first: Array, second: Array) -> Array:
-    """The slope at `here` of the parabola through values at no move, at the first and at the second."""
-    shape = (-1,) + (1,) * (here.ndim - 1)
+def _parabola_slope(at_0: Array, at_first: Array, at_second: Array, first: Array, second: Array) -> Array:
+    """The slope at step 0 of the parabola through the values at steps 0, `first` and `second`."""
+    shape = (-1,) + (1,) * (at_0.ndim - 1)
     a, b = first.reshape(shape), second.reshape(shape)
-    return np.asarray((there - here) * b / (a * (b - a)) - (beyond - here) * a / (b * (b - a)))
+    return np.asarray((at_first - at_0) * b / (a * (b - a)) - (at_second - at_0) * a / (b * (b - a)))
 
 
-def _weighted(slope: Array, shares: Array | None, along: Array) -> Array:
-    """A table's change along a direction: by rows where there are shares of knots, else by entries."""
-    if shares is None:
+def _apply_slope(slope: Array, weights: Array | None, along: Array) -> Array:
+    """A table's change along a direction: by rows with weights of knots, else by entries."""
+    if weights is None:
         return np.tensordot(along.ravel(), slope, axes=1)
-    return slope * (shares @ along)[:, None, None]
+    return slope * (weights @ along)[:, None, None]
 
 
-def _gathered(slope: Array, shares: Array | None, cotangent: Array) -> Array:
-    """The transpose of `_weighted`."""
-    if shares is None:
+def _apply_transpose(slope: Array, weights: Array | None, cotangent: Array) -> Array:
+    """The transpose of `_apply_slope`."""
+    if weights is None:
         return np.tensordot(slope, cotangent, axes=cotangent.ndim)
-    return np.asarray(np.einsum("sni,sni->s", slope, cotangent) @ shares)
+    return np.asarray(np.einsum("sni,sni->s", slope, cotangent) @ weights)

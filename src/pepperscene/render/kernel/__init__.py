@@ -1,1 +1,1 @@
-"""The scene on the device: mesh, camera rays, spectral response, arrays."""
+"""Mesh, camera, spectral response and arrays on the device."""

@@ -1,10 +1,10 @@
-"""Tables from NumPy for the kernel, laid out so that new contents never mean new machine code.
+"""Device arrays and numbers, and the coordinates that a scene is stored in.
 
-Dr.Jit adopts memory of NumPy as it is, and writes other code for an array that does not begin at a whole
-vector register: fetches of several neighbouring entries are then split up (slower), and since the arrays of
-NumPy begin anywhere, the same scene can compile anew each time it is built. An array of a single entry is a
-constant to it. So every table that a kernel reads goes through `device_table`, and every number that differs
-from scene to scene through `device_number`.
+Dr.Jit adopts NumPy memory without a copy, and compiles other, slower code for an array that does not start at
+a vector register boundary. NumPy arrays start anywhere, so a scene could be compiled again each time it is
+built. An array with one entry becomes a constant of the code. Therefore every array that a kernel reads goes
+through `device_array`, and every number that differs between scenes or frames through `device_float` or
+`device_uint`.
 """
 
 from __future__ import annotations
@@ -19,92 +19,82 @@ from pepperscene.geometry import Mesh
 from pepperscene.render.variant import mitsuba_modules
 
 ALIGNMENT: Final = 64
-"""Bytes: the widest vector register there is (AVX-512), and a cache line."""
+"""Bytes: the widest vector register (AVX-512), and a cache line."""
 
 
-def device_table(values: ArrayLike, dtype: DTypeLike = np.float32) -> Any:
-    """A flat table on the device, aligned, of at least two entries.
+def device_array(values: ArrayLike, dtype: DTypeLike = np.float32) -> Any:
+    """Copy values to a flat device array, aligned to `ALIGNMENT`; a single entry is repeated.
 
     Args:
-        values: of any shape, taken row by row.
+        values: any shape, flattened in C order.
         dtype: `float32` gives a `Float`, `uint32` a `UInt32`.
 
     Raises:
-        ValueError: there are no values, or no such tables.
+        ValueError: `values` is empty, or `dtype` is another type.
     """
     mi, _ = mitsuba_modules()
-    kinds = {"float32": mi.Float, "uint32": mi.UInt32}
-    wanted = np.dtype(dtype)
-    if wanted.name not in kinds:
-        raise ValueError(f"there are tables of float32 and of uint32, not of {wanted}")
-    return kinds[wanted.name](aligned(values, wanted))
+    source, kind = np.asarray(values), np.dtype(dtype)
+    if source.size == 0 or kind.name not in ("float32", "uint32"):
+        raise ValueError(f"a device array has at least one float32 or uint32, not {source.size} {kind}")
+    # NumPy aligns memory to one entry at least, so this many spare entries cover any offset.
+    size = max(source.size, 2)
+    buffer = np.empty(size + ALIGNMENT // kind.itemsize, kind)
+    start = (-buffer.ctypes.data % ALIGNMENT) // kind.itemsize
+    aligned = buffer[start : start + size]
+    aligned[: source.size].reshape(source.shape)[...] = source
+    aligned[source.size :] = aligned[0]
+    return (mi.Float if kind.name == "float32" else mi.UInt32)(aligned)
 
 
-def device_number(value: float, *, whole: bool = False) -> Any:
-    """A number that changes from scene to scene or from frame to frame: no constant of the kernel.
-
-    Args:
-        value: the number.
-        whole: as a `UInt32` instead of a `Float`.
-    """
+def device_float(value: float) -> Any:
+    """A `Float` that the kernel reads as data: another value does not recompile it."""
     mi, dr = mitsuba_modules()
-    number = mi.UInt32(int(value)) if whole else mi.Float(float(value))
+    number = mi.Float(float(value))
     dr.make_opaque(number)
     return number
 
 
-def aligned(values: ArrayLike, dtype: DTypeLike = np.float32) -> NDArray[Any]:
-    """A flat copy that begins at a multiple of `ALIGNMENT` bytes; a single entry is there twice.
-
-    Raises:
-        ValueError: there are no values.
-    """
-    given = np.asarray(values)
-    if given.size == 0:
-        raise ValueError("a table needs at least one value")
-    kind = np.dtype(dtype)
-    # As many entries more as the start can be off by; NumPy's own memory is aligned to one entry at least.
-    room = np.empty(max(given.size, 2) + ALIGNMENT // kind.itemsize, kind)
-    start = (-room.ctypes.data % ALIGNMENT) // kind.itemsize
-    found = room[start : start + max(given.size, 2)]
-    found[: given.size].reshape(given.shape)[...] = given
-    found[given.size :] = found[0]
-    return found
+def device_uint(value: float) -> Any:
+    """A `UInt32` that the kernel reads as data: another value does not recompile it."""
+    mi, dr = mitsuba_modules()
+    number = mi.UInt32(int(value))
+    dr.make_opaque(number)
+    return number
 
 
-_STEP: Final = 8.0
-"""Units between grid points: chosen, so that plants on a bench and rows in a house keep the origin 0. Rays in
-the scene's middle are lifted by up to 0.9 mm, as they are 4 m along a row."""
-_TINY: Final = 1.0 / 16.0
-"""Metres: chosen, the largest extent below which the unit is not a metre. At it the lift is 0.3 %."""
-_LEAST_UNIT: Final = 2.0**-30
-"""Metres: chosen, a nanometre; waves are longer than what would be told apart by less."""
-_FARTHEST: Final = 1e7
-"""Metres: chosen, beyond it single precision rounds a mesh's own vertices to whole metres."""
+_GRID_STEP: Final = 8.0
+"""Units between possible origins. Chosen so that plants near the origin and rows keep the origin 0: spawned
+rays are offset by up to 0.9 mm in the middle of a scene, as they are 4 m along a row."""
+_SMALL_EXTENT_M: Final = 1.0 / 16.0
+"""Chosen: smaller scenes get a unit below one metre. At this extent the ray offset is 0.3 %."""
+_SMALLEST_UNIT_M: Final = 2.0**-30
+"""Chosen: a nanometre; light waves are longer than what a smaller unit would resolve."""
+_FARTHEST_M: Final = 1e7
+"""Chosen: beyond it single precision rounds the vertices of the mesh itself to whole metres."""
 
 
 @dataclass(frozen=True)
 class LocalCoordinates:
-    """The kernel's coordinates: world metres less `origin`, over `unit`.
+    """Coordinates that the kernel computes in: (world metres - `origin`) / `unit_m`.
 
     Attributes:
         origin: metres.
-        unit: metres, a power of two.
+        unit_m: a power of two.
     """
 
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    unit: float = 1.0
+    unit_m: float = 1.0
 
-    def places(self, points: ArrayLike) -> NDArray[np.float64]:
-        """World points `(..., 3)`, metres, in the kernel's coordinates."""
-        return np.asarray((np.asarray(points, float) - self.origin) / self.unit)
+    def from_world(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Transform world points `(..., 3)`, metres, to local coordinates."""
+        return np.asarray((np.asarray(points, float) - self.origin) / self.unit_m)
 
     def vertices(self, mesh: Mesh) -> NDArray[np.float32]:
-        """`(v, 3)` a mesh's vertices in the kernel's coordinates; the mesh's own where they are those."""
+        """`(v, 3)` vertices of a mesh in local coordinates; no copy if these are world coordinates."""
         if self == WORLD:
             return mesh.vertices
-        # Exact in single precision: the origin is a multiple of what neighbouring vertices differ by.
-        return (mesh.vertices - np.array(self.origin, np.float32)) / np.float32(self.unit)
+        # Exact in single precision: the origin is a multiple of the spacing of neighbouring vertices.
+        return (mesh.vertices - np.array(self.origin, np.float32)) / np.float32(self.unit_m)
 
 
 WORLD: Final = LocalCoordinates()
@@ -112,18 +102,20 @@ WORLD: Final = LocalCoordinates()
 
 
 def local_coordinates(mesh: Mesh) -> LocalCoordinates:
-    """The region that suits a mesh.
+    """Choose local coordinates whose single-precision error is small over a mesh.
 
     Raises:
-        ValueError: the mesh has no triangles, or vertices that are no finite numbers or lie too far away.
+        ValueError: the mesh has no triangles, or vertices that are not finite or too far from the origin.
     """
     if not len(mesh.faces) or not len(mesh.vertices):
         raise ValueError("the mesh has no triangles: there is nothing to render")
     low, high = mesh.bounds.astype(float)
-    if not max(-low.min(), high.max()) <= _FARTHEST:
-        raise ValueError(f"the mesh's vertices must be numbers within {_FARTHEST:g} m of the origin")
+    if not max(-low.min(), high.max()) <= _FARTHEST_M:
+        raise ValueError(f"the mesh's vertices must be finite and within {_FARTHEST_M:g} m of the origin")
     extent = float((high - low).max())
-    unit = 1.0 if extent >= _TINY else max(2.0 ** np.floor(np.log2(max(extent, _LEAST_UNIT))), _LEAST_UNIT)
-    step = _STEP * unit
+    unit = 1.0
+    if extent < _SMALL_EXTENT_M:
+        unit = max(2.0 ** np.floor(np.log2(max(extent, _SMALLEST_UNIT_M))), _SMALLEST_UNIT_M)
+    step = _GRID_STEP * unit
     x, y, z = (np.rint((low + high) / (2.0 * step)) * step).tolist()
     return LocalCoordinates((x, y, z), float(unit))

@@ -1,1 +1,1 @@
-"""Mitsuba's own path tracer over the same scene, to compare with."""
+"""Mitsuba's own path tracer on the same scene, as a reference."""

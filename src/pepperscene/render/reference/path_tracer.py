@@ -1,95 +1,135 @@
-"""The plain way, beside our own integrator: Mitsuba's `path` over our materials, camera rays and lights.
+"""The reference for our integrator: Mitsuba's `path` with our materials, camera rays and lights.
 
-It shares with our integrator what is seen (mesh, materials, rays, the sensor's response) and nothing of how
-light is found: emitters of Mitsuba's kind, one light sample and one scattered ray at each hit with multiple
-importance sampling (Veach 1997), and Mitsuba's own Russian roulette.
+It shares geometry, materials, rays and the sensor's response with our integrator, but not how light is found:
+emitters as Mitsuba plugins, one light sample and one scattered ray at each hit with multiple importance
+sampling (Veach 1997), and Mitsuba's own Russian roulette.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.render.kernel.arrays import LocalCoordinates, local_coordinates
-from pepperscene.render.kernel.camera import CameraRays, LensCache, Response, response
-from pepperscene.render.kernel.scene import kernel_mesh
-from pepperscene.render.reference.bsdf import surface_bsdf
+from pepperscene.render.kernel.camera import CameraRays, camera_rays, spectral_response
+from pepperscene.render.kernel.scene import mitsuba_mesh
 from pepperscene.render.reference.emitters import SpectralTable, daylight_emitter, flash_emitter
 from pepperscene.render.surface.optics import Optics
-from pepperscene.render.surface.tables import pack
+from pepperscene.render.surface.scattering import shading_normals
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
 
 SAMPLERS: Final = ("independent", "stratified", "multijitter", "orthogonal", "ldsampler")
-"""Of Mitsuba's; all but the first round the number of samples up to one that they can spread evenly."""
+"""Mitsuba's samplers; all but the first round the number of samples up to one that they can spread evenly."""
 
-_LANES: Final = 1 << 21  # chosen: wavefront of a pass; bounds the memory, and fills two cores many times
+_LANES: Final = 1 << 21  # chosen: wavefront of a pass; bounds the memory, and keeps all cores busy
+
+
+@functools.cache
+def surface_bsdf() -> Any:
+    """Define `Optics` as a Mitsuba BSDF class, once the variant is set.
+
+    The number of the surface is a face attribute, its pigment state a vertex attribute.
+    """
+    mi, dr = mitsuba_modules()
+    flags = mi.BSDFFlags
+    lobes = flags.GlossyReflection, flags.DiffuseReflection, flags.DiffuseTransmission
+
+    class SurfaceBSDF(mi.BSDF):  # type: ignore[name-defined]
+        """A body under a cuticle; construct with `of`."""
+
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            both = flags.FrontSide | flags.BackSide | flags.SpatiallyVarying
+            self.m_components = [lobe | both for lobe in lobes]
+            self.m_flags = self.m_components[0] | self.m_components[1] | self.m_components[2]
+            self.optics: Optics
+
+        @classmethod
+        def of(cls, optics: Optics) -> Any:
+            """Make the BSDF of a scene's surfaces."""
+            self = cls(mi.Properties())
+            self.optics = optics
+            return self
+
+        def _point(self, si: Any, active: Any) -> Any:
+            """Interactions with normals turned towards the viewer, and the optical state there."""
+            surface = mi.UInt32(si.shape.eval_attribute_1("face_surface", si, active) + 0.5)
+            state = si.shape.eval_attribute_1("vertex_state", si, active)
+            # Mitsuba finds the position in the triangle by normal equations, whose determinant is 0 in single
+            # precision for the needle-like triangles of wires; these have one state everywhere.
+            state = dr.select(dr.isfinite(state), state, 0.5)
+            turned = shading_normals(si)
+            return turned, self.optics.point(turned, surface, state, active)
+
+        def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+            turned, point = self._point(si, active)
+            wo, density, weight, lobe = point.sample(sample1, sample2)
+            bs = dr.zeros(mi.BSDFSample3f)
+            # The caller's directions are in the frame that it passed.
+            bs.wo = si.to_local(turned.to_world(wo))
+            bs.pdf, bs.eta = dr.select(active, density, 0.0), 1.0
+            bs.sampled_component = lobe
+            gloss, reflection, transmission = (mi.UInt32(int(flag)) for flag in lobes)
+            bs.sampled_type = dr.select(lobe == 0, gloss, dr.select(lobe == 1, reflection, transmission))
+            return bs, weight & active
+
+        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            return self.eval_pdf(ctx, si, wo, active)[0]
+
+        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            return self.eval_pdf(ctx, si, wo, active)[1]
+
+        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            turned, point = self._point(si, active)
+            value, density = point.eval_pdf(turned.to_local(si.to_world(wo)))
+            return value & active, dr.select(active, density, 0.0)
+
+    return SurfaceBSDF
 
 
 @dataclass(frozen=True, eq=False)
 class PathScene:
-    """A scene with emitters inside Mitsuba, for all poses of a camera.
+    """A Mitsuba scene with emitters, for all poses of a camera.
 
     Attributes:
-        scene: of Mitsuba.
-        flash: the emitter that goes with the camera, or None.
-        range_nm: first and last wavelength of the materials and the daylight.
-        region: whose coordinates it is told in.
-        lights: whose they are: the camera's and the scene's, or others that stay where they are.
+        scene: Mitsuba's.
+        flash: the camera's emitter, or None.
+        coordinates: of the scene.
     """
 
     scene: Any
     flash: Any
-    range_nm: tuple[float, float]
-    region: LocalCoordinates
-    lights: Literal["own", "others"] = "own"
+    coordinates: LocalCoordinates
 
 
-def path_scene(
-    scene: Scene, camera: Camera, *, sky_weight: float = 0.0, emitters: Mapping[str, Any] | None = None
-) -> PathScene:
-    """The scene with its emitters.
-
-    Light samples go to the flash and to the sun, evenly. Those to the sky are dear: half of them would miss
-    what a scattered ray finds anyway, and left out they cut the error sixfold at equal time.
-
-    Args:
-        scene: what stands where.
-        camera: its sensor and flash set the range of wavelengths.
-        sky_weight: chance of a light sample to look for the sky, against 1 for the flash and 1 for the sun;
-            1 where there is neither.
-        emitters: of Mitsuba by name, in place of the camera's and the scene's lights.
+def path_scene(scene: Scene, camera: Camera) -> PathScene:
+    """Build a scene with its emitters; the camera's sensor and flash set the range of wavelengths.
 
     Raises:
-        ValueError: the scene was assembled without surfaces; or as `local_coordinates`.
+        ValueError: see `Optics.pack` and `local_coordinates`.
     """
-    if not scene.surfaces:
-        raise ValueError("the scene has no surfaces: assemble it with them to render colour")
     mi, _ = mitsuba_modules()
-    spectral = response(camera, scene)
-    first, last = float(spectral.grid_nm[0]), float(spectral.grid_nm[-1])
-    region = local_coordinates(scene.mesh)
-    bsdf = surface_bsdf().of(Optics(pack(scene.surfaces, first, last, region.unit)))
-    parts: dict[str, Any] = {"type": "scene", "plants": kernel_mesh(scene.mesh, bsdf, region)}
-    if emitters is not None:
-        return PathScene(mi.load_dict({**parts, **emitters}), None, (first, last), region, "others")
+    response = spectral_response(camera, scene)
+    grid, coordinates = response.grid_nm, local_coordinates(scene.mesh)
+    optics = Optics.pack(scene.surfaces, float(grid[0]), float(grid[-1]), coordinates.unit_m)
+    bsdf = surface_bsdf().of(optics)
+    parts: dict[str, Any] = {"type": "scene", "plants": mitsuba_mesh(scene.mesh, bsdf, coordinates)}
     if camera.flash is not None:
-        intensity = SpectralTable(spectral.grid_nm, spectral.flash)
-        parts["flash"] = flash_emitter().of(camera.flash, LensCache().view(camera, region), intensity)
+        intensity = SpectralTable(grid, response.flash)
+        parts["flash"] = flash_emitter().of(camera.flash, camera_rays(camera, coordinates), intensity)
     if scene.sky is not None:
-        sun = 1.0 if scene.sky.sun is not None else 0.0
-        if not sun and camera.flash is None:
-            sky_weight = 1.0
-        weight = sun + sky_weight
-        share = sky_weight / weight if sun else 1.0
-        reach = 2.0 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0))) / region.unit + 1.0
-        parts["daylight"] = daylight_emitter().of(scene.sky, spectral.grid_nm, weight, share, reach)
-    return PathScene(mi.load_dict(parts), parts.get("flash"), (first, last), region)
+        # Beside a flash, a sky without a sun gets no light samples; scattered rays find it.
+        weight = 1.0 if scene.sky.sun is not None or camera.flash is None else 0.0
+        diagonal = float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0)))
+        reach = 2.0 * diagonal / coordinates.unit_m + 1.0
+        parts["daylight"] = daylight_emitter().of(scene.sky, grid, weight, reach)
+    return PathScene(mi.load_dict(parts), parts.get("flash"), coordinates)
 
 
 def path_traced(
@@ -102,53 +142,61 @@ def path_traced(
     seed: int = 0,
     kernel_scene: PathScene | None = None,
 ) -> NDArray[np.float32]:
-    """`(h, w, c)` light that reaches each pixel, in units of `TracedLight.total()`: electrons s-1 m-2 sr-1.
+    """Trace the light that reaches each pixel with Mitsuba's path tracer.
 
     Args:
-        scene: what stands where.
+        scene: everything that can be seen.
         camera: lens, sensor, flash and pose.
         spp: samples per pixel; see `samples_taken`.
         bounces: scattering events after the first hit.
         sampler: one of `SAMPLERS`.
-        seed: of the sampler; the same seed gives the same bits.
-        kernel_scene: of `path_scene`, to be kept from frame to frame; None builds one.
+        seed: of the sampler.
+        kernel_scene: from `path_scene`, to reuse for other poses of the same camera; None builds one.
+
+    Returns:
+        `(h, w, c)` electrons s-1 m-2 sr-1, as `TracedLight.total()`.
 
     Raises:
-        ValueError: unknown sampler, no samples, no surfaces, or a kernel scene for another camera.
+        ValueError: unknown sampler, no samples, or no surfaces.
     """
     mi, dr = mitsuba_modules()
-    spectral = response(camera, scene)
-    built = kernel_scene or path_scene(scene, camera)
-    view = LensCache().view(camera, built.region)
-    _aim(built, camera, view, spectral)
+    response = spectral_response(camera, scene)
+    kernel_scene = kernel_scene or path_scene(scene, camera)
+    rays = camera_rays(camera, kernel_scene.coordinates)
+    if camera.flash is not None:
+        kernel_scene.flash.move_to(camera.flash, rays, SpectralTable(response.grid_nm, response.flash))
 
     integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2})
     count = samples_taken(sampler, spp)
-    pixels = view.width * view.height
+    pixels = rays.width * rays.height
     # The largest divisor of the count whose wavefront fits.
     per_pass = max((n for n in range(1, count + 1) if count % n == 0 and n * pixels <= _LANES), default=1)
     source = mi.load_dict({"type": sampler, "sample_count": count})
     source.set_samples_per_wavefront(per_pass)
     source.seed(seed & 0xFFFFFFFF, pixels * per_pass)
-    rays = _Rays(view, spectral)
-    total = np.zeros((pixels, spectral.electrons.shape[1]))
+    distribution = mi.ContinuousDistribution(
+        mi.ScalarVector2f(response.grid_nm[0], response.grid_nm[-1]), response.density.astype(np.float32)
+    )
+    electrons = [SpectralTable(response.grid_nm, column) for column in response.electrons_per_joule.T]
+    total = np.zeros((pixels, len(electrons)))
     for number in range(count // per_pass):
         if number:
             source.advance()
-        # The samples of a pixel lie side by side: sums without atomics, the same bits each time.
-        ray, weights = rays.sampled(source, per_pass)
-        radiance, _, _ = integrator.sample(built.scene, source, ray)
-        channels = rays.channels(radiance * weights, ray.wavelengths)
+        # The samples of a pixel are adjacent: sums without atomics, the same bits each time.
+        ray, weights = _sample_rays(rays, distribution, source, per_pass)
+        radiance, _, _ = integrator.sample(kernel_scene.scene, source, ray)
+        weighted = radiance * weights
+        channels = [dr.sum(weighted * table.at(ray.wavelengths)) for table in electrons]
         source.schedule_state()
         dr.eval(channels)
         sums = [dr.block_reduce(dr.ReduceOp.Add, channel, per_pass) for channel in channels]
         dr.eval(sums)
-        total += np.stack([np.asarray(part) for part in sums], axis=-1)
-    return (total / count).reshape(view.height, view.width, -1).astype(np.float32)
+        total += np.stack([np.asarray(channel_sums) for channel_sums in sums], axis=-1)
+    return (total / count).reshape(rays.height, rays.width, -1).astype(np.float32)
 
 
 def samples_taken(sampler: str, spp: int) -> int:
-    """How many samples per pixel that sampler takes when asked for `spp`: at least as many.
+    """Number of samples per pixel that a sampler takes when asked for `spp`: at least as many.
 
     Raises:
         ValueError: unknown sampler, or no samples.
@@ -161,49 +209,16 @@ def samples_taken(sampler: str, spp: int) -> int:
     return int(mi.load_dict({"type": sampler, "sample_count": spp}).sample_count())
 
 
-class _Rays:
-    """The camera's rays, each with four wavelengths, and the sensor at their end."""
-
-    def __init__(self, view: CameraRays, spectral: Response) -> None:
-        mi, _ = mitsuba_modules()
-        self.view = view
-        self.distribution = mi.ContinuousDistribution(
-            mi.ScalarVector2f(spectral.grid_nm[0], spectral.grid_nm[-1]), spectral.density.astype(np.float32)
-        )
-        self.electrons = [SpectralTable(spectral.grid_nm, column) for column in spectral.electrons.T]
-
-    def sampled(self, sampler: Any, per_pass: int) -> tuple[Any, Any]:
-        """Rays pixel by pixel, and the weights of their wavelengths."""
-        mi, dr = mitsuba_modules()
-        view = self.view
-        pixel = dr.arange(mi.UInt32, view.width * view.height * per_pass) // per_pass
-        row = pixel // view.width
-        start, towards = view.rays(pixel - row * view.width, row, sampler.next_2d(), sampler.next_2d)
-        wavelengths, weights = mi.Spectrum(0.0), mi.Spectrum(0.0)
-        shift = sampler.next_1d()
-        # One wavelength in each quarter of the density.
-        for k in range(4):
-            wavelengths[k], density = self.distribution.sample_pdf((shift + k) / 4.0)
-            weights[k] = 0.25 / density
-        return mi.RayDifferential3f(start, towards, 0.0, wavelengths), weights
-
-    def channels(self, weighted: Any, wavelengths: Any) -> list[Any]:
-        """The sensor's sum over wavelengths for each channel, electrons s-1 m-2 sr-1."""
-        _, dr = mitsuba_modules()
-        return [dr.sum(weighted * table.at(wavelengths)) for table in self.electrons]
-
-
-def _aim(built: PathScene, camera: Camera, view: CameraRays, spectral: Response) -> None:
-    """Put the flash at the camera.
-
-    Raises:
-        ValueError: the kernel scene was made for another range of wavelengths, or with or without a flash.
-    """
-    if built.range_nm != (float(spectral.grid_nm[0]), float(spectral.grid_nm[-1])):
-        raise ValueError("the kernel scene was made for a camera that sees another range of wavelengths")
-    if built.lights == "others":
-        return
-    if (built.flash is None) != (camera.flash is None):
-        raise ValueError("the kernel scene was made for a camera that has a flash where this has none")
-    if camera.flash is not None:
-        built.flash.aim(camera.flash, view, SpectralTable(spectral.grid_nm, spectral.flash))
+def _sample_rays(rays: CameraRays, distribution: Any, sampler: Any, per_pass: int) -> tuple[Any, Any]:
+    """Rays of all pixels, each with four wavelengths, and the weights of these."""
+    mi, dr = mitsuba_modules()
+    pixel = dr.arange(mi.UInt32, rays.width * rays.height * per_pass) // per_pass
+    row = pixel // rays.width
+    start, direction = rays.sample_rays(pixel - row * rays.width, row, sampler.next_2d(), sampler.next_2d)
+    wavelengths, weights = mi.Spectrum(0.0), mi.Spectrum(0.0)
+    shift = sampler.next_1d()
+    # One wavelength in each quarter of the density.
+    for k in range(4):
+        wavelengths[k], density = distribution.sample_pdf((shift + k) / 4.0)
+        weights[k] = 0.25 / density
+    return mi.RayDifferential3f(start, direction, 0.0, wavelengths), weights

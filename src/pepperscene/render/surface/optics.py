@@ -1,150 +1,161 @@
-"""How all plant organs scatter light: a diffuse, possibly translucent body under a rough dielectric cuticle.
+"""The surfaces of a scene in a few flat device arrays, so that one BSDF without branches serves them all.
 
-A side s of a sheet mirrors by a single-scattering GGX lobe with separable Smith masking (Walter et al. 2007)
+Light that meets one surface on its way from a light to the camera is an integral over wavelength of the
+light's spectrum, the sensor's response and the surface's spectrum. Only the last differs between hits, the
+body's part of it is linear between the surface's states, and the cuticle reflects all wavelengths equally. So
+the integrals are taken once for each row of spectra, before any ray is traced, and the first hit needs no
+wavelengths and has none of their noise:
 
-    f_g(i, o) = D(h) F(i . h) G1(i) G1(o) / (4 cos_i cos_o),          E_s(i) its directional albedo,
+    R_c = sum_l R(l) S_c(l) L(l) / sum_l S_c(l) L(l)
 
-and whatever that lobe does not send out (refracted, masked, or sent below the horizon) reaches the body. With
-the openness A_s = 1 - E_s, its cosine-weighted mean a_s = <A_s>, and the body's reflectances R_s and
-transmittance T (shares of the light that reaches it),
-
-    f_r(i, o) = f_g(i, o) + A_s(i) A_s(o) / a_s    R'_s / pi,       R'_s = R_s + T - T'_s
-    f_t(i, o) =             A_s(i) A_o(o) / a_o    T'_s / pi,       T'_s = T min(a_s, a_o) / a_s
-
-where the index o of A_o and a_o is the other side. That is the coupling of Kelemen & Szirmay-Kalos 2001
-(after Ashikhmin & Shirley 2000), carried through a sheet. Why it is right:
-
-- Reciprocity: f_r is symmetric as written; f_t = A_s(i) A_o(o) T min(a_s, a_o) / (pi a_s a_o) is the same
-  from either side.
-- Energy: the cosine-weighted means of A_s / a_s and A_o / a_o are 1, so the body sends out
-  A_s(i) (R'_s + T'_s). What the less open side cannot let out of the light that came in through the more
-  open one is thrown back there, and R'_s + T'_s = R_s + T on both. So side s sends out
-  E_s(i) + A_s(i) (R_s + T): never more than 1, and 1 if and only if R_s + T = 1.
-
-E_s is tabulated per surface and side (`pepperscene.materials.gloss`) and a_s is the mean of the very
-interpolant, so that the body's part is exact; the gloss' part errs by the interpolation, below 4e-4.
-
-A relief turns the shading frame only (Blinn 1978). Directions that are on different sides of it and of the
-smooth surface are lost: for a matt body on a slope of angle t a share (1 - cos t) / 2, which on the plant is
-0.2 % for leaves, 0.1 % for stems and petioles, and 1.3 % for the calyx. It is left at that: such light meets
-the surface again, which absorbs most of it in the visible, and to mirror all of it back would be as wrong.
-
-All surfaces of a scene share these tables and this code, so that the kernel needs no indirect calls.
+on the same grid that scattered light is traced on. A white body has R_c = 1 in every channel.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pepperscene.materials.gloss import NODE_SCALE, NODES
-from pepperscene.render.kernel.arrays import device_number, device_table
-from pepperscene.render.surface.tables import STEP_NM, SurfaceTables
+from pepperscene.materials import Surface
+from pepperscene.materials.gloss import NODES, cuticle_transmittance
+from pepperscene.render.kernel.arrays import device_array, device_float, device_uint
+from pepperscene.render.surface.scattering import SurfacePoint, interpolate_openness
 from pepperscene.render.variant import mitsuba_modules
 
-_LEAST_SQUARE: Final = 1e-20
-"""Chosen: below the square of any length here that single precision tells from 0."""
+STEP_NM: Final = 1.0
+"""Spacing of all wavelength grids. The kernel takes a surface's nearest entry: with wavelengths spread over a
+pixel's samples that is the midpoint rule, whose error is below 2e-4 for all shipped surfaces."""
+
+MIN_ALPHA: Final = 1e-3
+"""Smoother cuticles are packed with this roughness: a mirror for every lens here, and safe in single
+precision."""
 
 
-def shading_normals(si: Any) -> Any:
-    """The interactions with shading normals turned as far as needed, and `wi` in the new frames.
-
-    The viewer is then on the same side of the shading normal as of the triangle.
-
-    Args:
-        si: surface interactions; `n` and `sh_frame.n` point out of the same side of the mesh.
-    """
-    mi, dr = mitsuba_modules()
-    towards = si.to_world(si.wi)
-    # Seen from behind, g and n are both the other way round, which leaves c as it is.
-    b = dr.dot(si.n, towards)
-    a = dr.mulsign(dr.dot(si.sh_frame.n, towards), b)
-    b = dr.abs(b)
-    c = dr.dot(si.sh_frame.n, si.n)
-    length = dr.sqrt(dr.maximum(a * a + b * b - 2.0 * a * b * c, _LEAST_SQUARE))
-    turned = b * si.sh_frame.n + (length - a) * si.n
-    # A normal right against its triangle's leaves nothing in between.
-    square = dr.squared_norm(turned)
-    some = square > _LEAST_SQUARE
-    turned = dr.select(some, turned * dr.rsqrt(dr.select(some, square, 1.0)), si.n)
-
-    # Where nothing needs turning the frame stays as it is, to the last bit.
-    needed = (a <= 0.0) | (2.0 * a * c < b)
-    found = mi.SurfaceInteraction3f(si)
-    found.sh_frame = dr.select(needed, mi.Frame3f(mi.Normal3f(turned)), si.sh_frame)
-    found.wi = dr.select(needed, found.to_local(towards), si.wi)
-    return found
-
-
-_NODES_PER_LOG: Final = (NODES - 1) / math.log1p(1.0 / NODE_SCALE)
-_LEAST_COSINE: Final = 1e-5
-"""Nothing is scattered to or from beyond: chosen, for single precision has no angles left there, and only
-1e-10 of a diffuse lobe lies there."""
-
-
+@dataclass(frozen=True, eq=False)
 class Optics:
-    """The surface tables of a scene on the device."""
+    """All surfaces of a scene, in the order of the mesh's `surfaces`.
 
-    def __init__(self, tables: SurfaceTables) -> None:
-        # Literals would be compiled into the kernel, and every new scene would compile anew.
-        self.first_nm = device_number(tables.first_nm)
-        self.columns = device_number(tables.columns, whole=True)
-        self.spectra = device_table(tables.spectra)
-        self.first_row = device_table(tables.first_row, np.uint32)
-        self.last_state = device_table(tables.last_state)
-        self.sides = device_table(tables.sides)
-        self.openness = device_table(tables.openness)
-        self.details = device_table(tables.details)
-        self.first_texel = device_table(tables.first_texel, np.uint32)
-        self.width = device_table(tables.width, np.uint32)
-        self.height = device_table(tables.height, np.uint32)
+    Attributes:
+        first_nm: wavelength of the first column of `spectra`.
+        columns: wavelengths per row, `STEP_NM` apart.
+        spectra: `(rows * columns * 4,)` reflectance of front and back, transmittance, 0.
+        first_row: `(k,)` row of a surface's first state.
+        last_state: `(k,)` number of its states minus 1.
+        sides: `(k * 2 * 4,)` for front and back: the cuticle's GGX alpha, its index of refraction, the
+            cosine-weighted mean of its openness, and the fraction of the body's transmittance that leaves on
+            the other side (the rest is sent back).
+        openness: `(k * 2 * NODES * 2,)` for front and back: the cuticle's openness 1 - E at the nodes,
+            relative to its mean, and the difference to the next node.
+        details: `(texels * 2,)` offset of the state, and relief in local units.
+        first_texel, width, height: `(k,)` the part of `details` that belongs to a surface.
+        channels: number of sensor channels that `spectra` holds colours for; None if it holds spectra.
+    """
 
-    def at(self, si: Any, surface: Any, state: Any, active: Any) -> SurfacePoint:
-        """The optical state at surface interactions.
+    first_nm: Any
+    columns: Any
+    spectra: Any
+    first_row: Any
+    last_state: Any
+    sides: Any
+    openness: Any
+    details: Any
+    first_texel: Any
+    width: Any
+    height: Any
+    channels: int | None = None
+
+    @classmethod
+    def pack(
+        cls, surfaces: Sequence[Surface], first_nm: float, last_nm: float, unit_m: float = 1.0
+    ) -> Optics:
+        """Pack surfaces on a wavelength grid over [first_nm, last_nm], and reliefs in local units.
+
+        Spectra are constant beyond their ends.
+
+        Raises:
+            ValueError: there are no surfaces, or a pattern and a relief differ in size.
+        """
+        if not surfaces:
+            raise ValueError("the scene has no surfaces: assemble it with them to render colour")
+        grid = np.arange(first_nm, last_nm + STEP_NM, STEP_NM)
+        blocks = [spectra_rows(surface, grid) for surface in surfaces]
+        details = [_details(surface, unit_m) for surface in surfaces]
+        states = np.array([len(block) for block in blocks])
+        texels = np.array([detail.shape[0] * detail.shape[1] for detail in details])
+        sides, openness = zip(*(cuticle_tables(surface) for surface in surfaces), strict=True)
+        return cls(
+            first_nm=device_float(first_nm),
+            columns=device_uint(grid.size),
+            spectra=device_array(np.concatenate(blocks)),
+            first_row=device_array(_starts(states), np.uint32),
+            last_state=device_array(states - 1),
+            sides=device_array(np.stack(sides)),
+            openness=device_array(np.stack(openness)),
+            details=device_array(np.concatenate([detail.ravel() for detail in details])),
+            first_texel=device_array(_starts(texels), np.uint32),
+            width=device_array([detail.shape[1] for detail in details], np.uint32),
+            height=device_array([detail.shape[0] for detail in details], np.uint32),
+        )
+
+    def by_channel(self, weights: NDArray[np.float64]) -> Optics:
+        """Integrate the spectra to the colours that c sensor channels, 1 or 3, see under one light.
 
         Args:
-            si: interactions, with shading frame, uv and its partials.
+            weights: `(n, c)` response times light on the grid of the spectra; any scale.
+        """
+        spectra = np.asarray(self.spectra).reshape(-1, len(weights), 4)
+        total = weights.sum(axis=0)
+        fractions = weights / np.where(total > 0.0, total, 1.0)
+        colours = np.einsum("rls,lc->rcs", spectra.astype(np.float64), fractions)
+        return replace(self, spectra=device_array(colours), channels=weights.shape[1])
+
+    def point(self, si: Any, surface: Any, state: Any, active: Any) -> SurfacePoint:
+        """Look up the optical state at surface interactions.
+
+        Args:
+            si: with shading frame, uv and its partial derivatives.
             surface: number of the surface.
             state: pigment state in [0, 1], before the pattern.
             active: mask.
         """
         mi, dr = mitsuba_modules()
-        offset, slope_u, slope_v = self._detail(si.uv, surface, active)
+        offset, slope_u, slope_v = self._texture(si.uv, surface, active)
         front, back, through = self._body(si.wavelengths, surface, dr.clip(state + offset, 0.0, 1.0), active)
         frame = _relief_frame(si, slope_u, slope_v)
         wi = frame.to_local(si.wi)
-        # The relief may not turn a side of the sheet away from a viewer who sees it.
+        # The relief must not turn the visible side of the sheet away from the viewer.
         keep = wi.z * si.wi.z > 0.0
         frame = dr.select(keep, frame, mi.Frame3f(mi.Normal3f(0.0, 0.0, 1.0)))
         wi = dr.select(keep, wi, si.wi)
-        facing = wi.z > 0.0
+        in_front = wi.z > 0.0
         wi.z = dr.abs(wi.z)
-        # The cuticle on the viewer's side, and where the tables of both sides begin.
-        side = surface * 2 + dr.select(facing, mi.UInt32(0), mi.UInt32(1))
+        # The cuticle on the viewer's side, and the start of both sides' tables.
+        side = surface * 2 + dr.select(in_front, mi.UInt32(0), mi.UInt32(1))
         cuticle = dr.gather(mi.Vector4f, self.sides, side, active)
-        table = dr.select(active, side * NODES, 0)
-        beyond = dr.select(active, (side ^ 1) * NODES, 0)
-        openness = _interpolated(self.openness, table, wi.z)
+        near_table = dr.select(active, side * NODES, 0)
+        far_table = dr.select(active, (side ^ 1) * NODES, 0)
+        openness = interpolate_openness(self.openness, near_table, wi.z)
         leaving = through * cuticle.w
         return SurfacePoint(
             frame=frame,
             wi=wi,
-            flip=dr.select(facing, mi.Float(1.0), mi.Float(-1.0)),
-            reflectance=dr.select(facing, front, back) + (through - leaving),
+            flip=dr.select(in_front, mi.Float(1.0), mi.Float(-1.0)),
+            reflectance=dr.select(in_front, front, back) + (through - leaving),
             transmittance=leaving,
             ior=cuticle.y,
             gloss=mi.MicrofacetDistribution(mi.MicrofacetType.GGX, cuticle.x, True),
             entering=openness * cuticle.z,
-            tables=self.openness,
-            table=table,
-            beyond=beyond,
+            openness=self.openness,
+            near_table=near_table,
+            far_table=far_table,
         )
 
-    def _detail(self, uv: Any, surface: Any, active: Any) -> Any:
-        """State offset, and the relief's slopes over u and v in metres, bilinear in the texels."""
+    def _texture(self, uv: Any, surface: Any, active: Any) -> Any:
+        """State offset, and slopes of the relief along u and v in local units, bilinear in the texels."""
         mi, dr = mitsuba_modules()
         width = dr.gather(mi.UInt32, self.width, surface, active)
         height = dr.gather(mi.UInt32, self.height, surface, active)
@@ -155,10 +166,10 @@ class Optics:
         fx, fy = x - left, y - top
 
         def texel(dx: int, dy: int) -> Any:
-            # Tubes and fruit close on themselves in u; on a leaf that concerns half a texel at the margin.
-            place = left + dx
-            place = dr.select(place < 0.0, place + mi.Float(width), place)
-            column = mi.UInt32(dr.select(place < mi.Float(width), place, place - mi.Float(width)))
+            # Tubes and fruit are periodic in u; on a leaf this affects half a texel at the margin.
+            wrapped = left + dx
+            wrapped = dr.select(wrapped < 0.0, wrapped + mi.Float(width), wrapped)
+            column = mi.UInt32(dr.select(wrapped < mi.Float(width), wrapped, wrapped - mi.Float(width)))
             row = mi.UInt32(dr.clip(top + dy, 0.0, mi.Float(height) - 1.0))
             return dr.gather(mi.Point2f, self.details, first + row * width + column, active)
 
@@ -169,135 +180,30 @@ class Optics:
         return offset, slope_u, slope_v
 
     def _body(self, wavelengths: Any, surface: Any, state: Any, active: Any) -> Any:
-        """Front and back reflectance and transmittance at each of the ray's wavelengths."""
+        """Front and back reflectance and transmittance, at each wavelength or in each channel."""
         mi, dr = mitsuba_modules()
         last_state = dr.gather(mi.Float, self.last_state, surface, active)
-        place = state * last_state
-        low = dr.floor(place)
+        position = state * last_state
+        low = dr.floor(position)
         row = dr.gather(mi.UInt32, self.first_row, surface, active) + mi.UInt32(low)
-        next_row = mi.UInt32(dr.minimum(low + 1.0, last_state) - low) * self.columns
-        front, back, through = mi.Spectrum(0.0), mi.Spectrum(0.0), mi.Spectrum(0.0)
-        last_column = mi.Float(self.columns) - 1.0
-        for k in range(len(wavelengths)):
-            column = mi.UInt32(dr.clip((wavelengths[k] - self.first_nm) / STEP_NM + 0.5, 0.0, last_column))
-            here = row * self.columns + column
-            a = dr.gather(mi.Vector4f, self.spectra, here, active)
-            b = dr.gather(mi.Vector4f, self.spectra, here + next_row, active)
-            front[k] = dr.lerp(a.x, b.x, place - low)
-            back[k] = dr.lerp(a.y, b.y, place - low)
-            through[k] = dr.lerp(a.z, b.z, place - low)
+        next_row = mi.UInt32(dr.minimum(low + 1.0, last_state) - low)
+        columns: Any = range(self.channels or 0)
+        spectrum, row_length = (mi.Color3f if self.channels == 3 else mi.Color1f), self.channels
+        if self.channels is None:
+            spectrum, row_length = mi.Spectrum, self.columns
+            last = mi.Float(self.columns) - 1.0
+            columns = [
+                mi.UInt32(dr.clip((nm - self.first_nm) / STEP_NM + 0.5, 0.0, last)) for nm in wavelengths
+            ]
+        front, back, through = spectrum(0.0), spectrum(0.0), spectrum(0.0)
+        for k, column in enumerate(columns):
+            entry = row * row_length + column
+            a = dr.gather(mi.Vector4f, self.spectra, entry, active)
+            b = dr.gather(mi.Vector4f, self.spectra, entry + next_row * row_length, active)
+            front[k] = dr.lerp(a.x, b.x, position - low)
+            back[k] = dr.lerp(a.y, b.y, position - low)
+            through[k] = dr.lerp(a.z, b.z, position - low)
         return front, back, through
-
-
-@dataclass(frozen=True, eq=False)
-class SurfacePoint:
-    """The optical state at a hit, seen from the side that the viewer is on.
-
-    Attributes:
-        frame: the relief's shading frame within the smooth one.
-        wi: direction to the viewer in the relief's frame, above it.
-        flip: -1 where the viewer is on the back side.
-        reflectance, transmittance: what the body sends out on the viewer's side and on the other (R' and T'),
-            by wavelength.
-        ior: of the cuticle on the viewer's side.
-        gloss: its GGX distribution.
-        entering: 1 - E, the share of light along `wi` that reaches the body.
-        tables: openness of all cuticles over its mean.
-        table, beyond: where those of the viewer's side and of the other begin.
-    """
-
-    frame: Any
-    wi: Any
-    flip: Any
-    reflectance: Any
-    transmittance: Any
-    ior: Any
-    gloss: Any
-    entering: Any
-    tables: Any
-    table: Any
-    beyond: Any
-
-    def eval_pdf(self, wo: Any) -> Any:
-        """BSDF times cosine, and sampling density, for a direction in the smooth local frame."""
-        mi, _ = mitsuba_modules()
-        turned = self.frame.to_local(wo)
-        local = mi.Vector3f(turned.x, turned.y, turned.z * self.flip)
-        return self._eval_pdf(local, wo.z * turned.z > 0.0)
-
-    def sample(self, sample1: Any, sample2: Any) -> Any:
-        """A direction in the smooth local frame, its density and its weight (value over density).
-
-        Also returns the number of the lobe: 0 gloss, 1 diffuse reflection, 2 diffuse transmission.
-        """
-        mi, dr = mitsuba_modules()
-        gloss, through = self._shares()
-        mirror = sample1 < gloss
-        rest = (sample1 - gloss) / dr.maximum(1.0 - gloss, 1e-6)
-        normal, _ = self.gloss.sample(self.wi, sample2)
-        mirrored = 2.0 * dr.dot(self.wi, normal) * mi.Vector3f(normal) - self.wi
-        scattered = mi.warp.square_to_cosine_hemisphere(sample2)
-        scattered.z = dr.select(rest < through, -scattered.z, scattered.z)
-        local = dr.select(mirror, mirrored, scattered)
-        wo = self.frame.to_world(mi.Vector3f(local.x, local.y, local.z * self.flip))
-        # A mirrored direction can end up below; a relief's can end up on the smooth surface's other side.
-        good = (~mirror | (local.z > 0.0)) & (wo.z * local.z * self.flip > 0.0)
-        value, density = self._eval_pdf(local, good)
-        lobe = dr.select(mirror, mi.UInt32(0), dr.select(rest < through, mi.UInt32(2), mi.UInt32(1)))
-        return wo, density, value / dr.maximum(density, 1e-20), lobe
-
-    def albedo(self) -> Any:
-        """Body reflectance and transmittance together."""
-        return self.reflectance + self.transmittance
-
-    def _shares(self) -> Any:
-        """Probabilities of the gloss and, of what remains, of diffuse transmission.
-
-        Lobes are chosen by their albedos, the root mean square over the ray's wavelengths: for lobes that do
-        not overlap that makes the variance of the weights, summed over the wavelengths, least.
-        """
-        _, dr = mitsuba_modules()
-        specular = dr.maximum(1.0 - self.entering, 0.0)
-        # `dr.mean` would write the number of rays into the code, which would be compiled for each anew.
-        share = 1.0 / len(self.reflectance)
-        reflected = dr.sqrt(dr.sum(dr.square(self.reflectance)) * share)
-        transmitted = dr.sqrt(dr.sum(dr.square(self.transmittance)) * share)
-        body = self.entering * (reflected + transmitted)
-        gloss = dr.select(specular > 0.0, specular / (specular + body), 0.0)
-        through = dr.select(transmitted > 0.0, transmitted / (reflected + transmitted), 0.0)
-        return gloss, through
-
-    def _eval_pdf(self, wo: Any, active: Any) -> Any:
-        """Value times cosine, and density, for `wo` in the relief's frame with the viewer above."""
-        mi, dr = mitsuba_modules()
-        cos_i, cos_o = self.wi.z, dr.abs(wo.z)
-        same = wo.z > 0.0
-        lambert = cos_o * dr.inv_pi
-        leaving = _interpolated(self.tables, dr.select(same, self.table, self.beyond), cos_o)
-        diffuse = self.entering * leaving * lambert
-        # Gloss: density of the mirrored visible normals; their share of the light is F(i . h) G1(o).
-        half = dr.normalize(self.wi + wo)
-        visible = self.gloss.eval(half) * self.gloss.smith_g1(self.wi, half) / (4.0 * cos_i)
-        fresnel = mi.fresnel(dr.maximum(dr.dot(self.wi, half), 0.0), self.ior)[0]
-        mirror = visible * fresnel * self.gloss.smith_g1(wo, half)
-        value = dr.select(same, diffuse * self.reflectance + mirror, diffuse * self.transmittance)
-
-        gloss, through = self._shares()
-        lambert *= 1.0 - gloss
-        density = dr.select(same, lambert * (1.0 - through) + gloss * visible, lambert * through)
-        usable = active & (cos_i > _LEAST_COSINE) & (cos_o > _LEAST_COSINE)
-        return value & usable, dr.select(usable, density, 0.0)
-
-
-def _interpolated(tables: Any, first: Any, cosine: Any) -> Any:
-    """The table that begins at entry `first`, at cosines, linear in the nodes' variable."""
-    mi, dr = mitsuba_modules()
-    place = dr.log(dr.fma(cosine, 1.0 / NODE_SCALE, 1.0)) * _NODES_PER_LOG
-    # So written, the NaN of a lane that has ended reads entry 0, and not beyond all memory.
-    place = dr.select(place > 0.0, dr.minimum(place, NODES - 1.0), 0.0)
-    node = dr.floor(place)
-    entry = dr.gather(mi.Point2f, tables, first + mi.UInt32(node))
-    return dr.fma(entry.y, place - node, entry.x)
 
 
 def _relief_frame(si: Any, slope_u: Any, slope_v: Any) -> Any:
@@ -314,3 +220,46 @@ def _relief_frame(si: Any, slope_u: Any, slope_v: Any) -> Any:
     # Chosen: no relief steeper than 45 degrees.
     limit = dr.minimum(1.0, dr.rsqrt(dr.maximum(gx * gx + gy * gy, 1e-12)))
     return mi.Frame3f(dr.normalize(mi.Normal3f(-gx * limit, -gy * limit, 1.0)))
+
+
+def spectra_rows(surface: Surface, grid_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`(s, n, 4)` spectra of a surface by state: front and back reflectance, transmittance, 0."""
+
+    def resample(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.stack([np.interp(grid_nm, surface.wavelength_nm, row) for row in rows])
+
+    front, back = resample(surface.reflectance[:, 0]), resample(surface.reflectance[:, 1])
+    through = resample(surface.transmittance)
+    return np.stack([front, back, through, np.zeros_like(front)], axis=-1)
+
+
+def cuticle_tables(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`(2, 4)` constants of a surface's two sides and `(2, NODES, 2)` tables of their openness."""
+    ior = max(float(surface.ior), 1.0)
+    alphas = [max(float(alpha), MIN_ALPHA) for alpha in surface.roughness]
+    tables, means = zip(*(cuticle_transmittance(ior, alpha) for alpha in alphas), strict=True)
+    least = min(means)
+    sides = np.array([(alpha, ior, mean, least / mean) for alpha, mean in zip(alphas, means, strict=True)])
+    relative = np.stack([table / mean for table, mean in zip(tables, means, strict=True)])
+    steps = np.diff(relative, axis=1, append=relative[:, -1:])
+    packed = np.stack([relative, steps], axis=-1)
+    assert packed.shape == (2, NODES, 2)
+    return sides, packed
+
+
+def _details(surface: Surface, unit_m: float) -> NDArray[np.float32]:
+    """`(h, w, 2)` pattern and relief of a surface; one zero texel if it has neither."""
+    sizes = [image.shape for image in (surface.pattern, surface.relief_mm) if image is not None]
+    if len(set(sizes)) > 1:
+        raise ValueError(f"{surface.name}: pattern and relief differ in size: {sizes}")
+    packed = np.zeros((*(sizes[0] if sizes else (1, 1)), 2), np.float32)
+    if surface.pattern is not None:
+        packed[..., 0] = surface.pattern
+    if surface.relief_mm is not None:
+        packed[..., 1] = surface.relief_mm * (1e-3 / unit_m)
+    return packed
+
+
+def _starts(counts: NDArray[np.int_]) -> NDArray[np.uint32]:
+    """Start of each block when blocks of these lengths follow one another."""
+    return (np.cumsum(counts) - counts).astype(np.uint32)

@@ -1,4 +1,4 @@
-"""What tracing gives: means and variances over the samples of each pixel, gathered as they come in."""
+"""Means and variances of traced light, accumulated over the samples of each pixel."""
 
 from __future__ import annotations
 
@@ -12,54 +12,56 @@ from numpy.typing import NDArray
 
 Images = NDArray[np.float32]
 Counts = NDArray[np.int32]
-Pictures = Sequence[Images]
-"""One after the other, each of all pixels asked for."""
+SampleSums = Sequence[Images]
+"""Sums over samples, one `(n,)` array for each quantity."""
 
 
 @dataclass(frozen=True, eq=False)
 class TracedLight:
-    """One frame's light, summed over wavelengths by the sensor, per pixel and channel (c, 3 or 1).
+    """The light of one frame, integrated over wavelength by the sensor, per pixel and channel (c, 3 or 1).
+
+    `pepperscene.render.transport` defines direct and indirect light.
 
     Attributes:
-        flash: `(h, w, c)` straight from the flash to the first hit and back; electrons s-1 m-2 sr-1.
-        sky: `(h, w, c)` seen directly, and the sun at the first hit where it is as distinct as the flash.
-        soft: `(h, w, c)` all the rest: daylight on surfaces and light that was scattered more than once.
-        albedo: `(h, w, c)` of the first hit, weighted by the response to the flash, 0 where there is none;
-            for the denoiser, as is what follows.
-        normal: `(h, w, 3)` of the first hit, towards the camera, 0 where there is none.
-        covered: `(h, w, 2)` share of the samples that hit something, among all and among the soft ones.
-        spread: how the samples differ.
+        flash: `(h, w, c)` direct light of the flash, electrons s-1 m-2 sr-1.
+        sky_and_sun: `(h, w, c)` direct light of the sky and the sun.
+        indirect: `(h, w, c)` indirect light.
+        albedo: `(h, w, c)` of the first hit, weighted by the response to the flash, 0 without a hit; for the
+            denoiser, as are normal and coverage.
+        normal: `(h, w, 3)` of the first hit, towards the camera, 0 without a hit.
+        coverage: `(h, w, 2)` fraction of the samples that hit a surface: of all, and of the indirect ones.
+        variance: between the samples.
     """
 
     flash: Images
-    sky: Images
-    soft: Images
+    sky_and_sun: Images
+    indirect: Images
     albedo: Images
     normal: Images
-    covered: Images
-    spread: SampleVariance
+    coverage: Images
+    variance: SampleVariance
 
     def total(self) -> Images:
         """`(h, w, c)` all light as traced."""
-        return self.flash + self.sky + self.soft
+        return self.flash + self.sky_and_sun + self.indirect
 
 
 @dataclass(frozen=True, eq=False)
 class SampleVariance:
-    """How the samples of each pixel differ, in units of a white body's light under the flash at one metre.
+    """Variance between the samples of each pixel, in units of `white`, summed over the channels.
 
     Attributes:
-        samples: `(h, w)` how many of flash and sky there are.
-        soft_samples: how many of soft light, in every pixel.
-        sharp: `(h, w)` variance of one sample of flash and sky, summed over the channels.
-        soft: `(h, w)` the same of soft light.
-        white: `(c,)` the unit, electrons s-1 m-2 sr-1.
+        samples: `(h, w)` number of direct samples.
+        indirect_samples: number of indirect samples, in every pixel.
+        direct: `(h, w)` variance of one sample of direct light.
+        indirect: `(h, w)` the same of indirect light.
+        white: `(c,)` the light of a white body under the flash at one metre, electrons s-1 m-2 sr-1.
     """
 
     samples: NDArray[np.int32]
-    soft_samples: int
-    sharp: Images
-    soft: Images
+    indirect_samples: int
+    direct: Images
+    indirect: Images
     white: NDArray[np.float64]
 
 
@@ -67,91 +69,96 @@ class SampleAccumulator:
     """Sums over the samples of each pixel.
 
     Args:
-        height: of the image, pixels.
-        width: of the image, pixels.
-        white: `(c,)` a white body's light under the flash at one metre.
+        height, width: of the image, pixels.
+        white: `(c,)` see `SampleVariance`.
+
+    Attributes:
+        samples: `(h * w,)` number of direct samples.
+        indirect_samples: number of indirect samples, in every pixel.
     """
 
     def __init__(self, height: int, width: int, white: NDArray[np.float64]) -> None:
         self._shape, self.white = (height, width), white
         c = self.channels = len(white)
-        # Kind by kind, each a whole picture: sums of pictures are the quickest there are.
-        self._sharp = np.zeros((3 * c + 5, height * width), np.float32)
-        self._soft = np.zeros((c + 2, height * width), np.float32)
+        # One row per quantity: adding whole images is fastest.
+        self._direct = np.zeros((3 * c + 5, height * width), np.float32)
+        self._indirect = np.zeros((c + 2, height * width), np.float32)
         self.samples = np.zeros(height * width, np.int32)
-        self.soft_samples = 0
+        self.indirect_samples = 0
 
-    def add_sharp(self, found: Pictures, count: int, pixels: NDArray[np.int64] | None = None) -> None:
-        """Sums of `count` samples each: flash, sky, albedo, normal, hit, squares, 3 c + 5 times `(n,)`.
+    def add_direct(self, sums: SampleSums, count: int, pixels: NDArray[np.int64] | None = None) -> None:
+        """Add samples of direct light in some pixels, given as row-major indices, or in all.
 
         Args:
-            found: the sums.
-            count: of samples.
-            pixels: row-major indices, or None for all.
+            sums: over `count` samples: flash, sky and sun, albedo, normal, hits, squares; 3 c + 5 arrays.
+            count: number of samples.
+            pixels: None for all.
         """
         where = slice(None) if pixels is None else pixels
-        for total, part in zip(self._sharp, found, strict=True):
+        for total, part in zip(self._direct, sums, strict=True):
             total[where] += part
         self.samples[where] += count
 
-    def add_both(self, found: Pictures, count: int) -> None:
-        """The same of samples that carry soft light as well: that light and its squares behind the others."""
-        sharp = len(self._sharp)
-        self.add_sharp(found[:sharp], count)
-        for total, part in zip(self._soft, [*found[sharp:], found[sharp - 2]], strict=True):
+    def add_all(self, sums: SampleSums, count: int) -> None:
+        """Add samples of all light in every pixel; sums of indirect light and its squares come last."""
+        direct = len(self._direct)
+        self.add_direct(sums[:direct], count)
+        for total, part in zip(self._indirect, [*sums[direct:], sums[direct - 2]], strict=True):
             total += part
-        self.soft_samples += count
+        self.indirect_samples += count
 
     def total(self) -> Images:
         """`(h, w, c)` mean of all light."""
-        return self._image(self._sharp_mean() + self._soft_mean())
+        return self._image(self._direct_mean() + self._indirect_mean())
 
-    def sharp_variance(self) -> Images:
-        """`(h, w)` as `SampleVariance.sharp`."""
-        return self._image(_variance(self._sharp[-1], self._sharp_mean() * self._per_white, self.samples))
+    def direct_variance(self) -> Images:
+        """`(h, w)` see `SampleVariance.direct`."""
+        return self._image(_variance(self._direct[-1], self._direct_mean() * self._per_white, self.samples))
 
-    def soft_variance(self) -> Images:
-        """`(h, w)` as `SampleVariance.soft`."""
-        means = self._soft_mean() * self._per_white
-        return self._image(_variance(self._soft[self.channels], means, self.soft_samples))
+    def indirect_variance(self) -> Images:
+        """`(h, w)` see `SampleVariance.indirect`."""
+        means = self._indirect_mean() * self._per_white
+        return self._image(_variance(self._indirect[self.channels], means, self.indirect_samples))
 
     def light(self) -> TracedLight:
-        """Means and variances."""
-        c, share = self.channels, (1.0 / self.samples).astype(np.float32)
-        hit = self._sharp[-2] * share
-        soft_hit = self._soft[-1] / np.float32(self.soft_samples) if self.soft_samples else hit
+        """Compute means and variances; later samples do not change them."""
+        c, per_sample = self.channels, (1.0 / self.samples).astype(np.float32)
+        hit = self._direct[-2] * per_sample
+        indirect_hit = (
+            self._indirect[-1] / np.float32(self.indirect_samples) if self.indirect_samples else hit
+        )
         return TracedLight(
-            flash=self._image(self._sharp[:c] * share),
-            sky=self._image(self._sharp[c : 2 * c] * share),
-            soft=self._image(self._soft_mean()),
-            albedo=self._image(self._sharp[2 * c : 3 * c] * share),
-            normal=self._image(self._sharp[3 * c : 3 * c + 3] * share),
-            covered=self._image(np.stack([hit, soft_hit])),
-            spread=SampleVariance(
+            flash=self._image(self._direct[:c] * per_sample),
+            sky_and_sun=self._image(self._direct[c : 2 * c] * per_sample),
+            indirect=self._image(self._indirect_mean()),
+            albedo=self._image(self._direct[2 * c : 3 * c] * per_sample),
+            normal=self._image(self._direct[3 * c : 3 * c + 3] * per_sample),
+            coverage=self._image(np.stack([hit, indirect_hit])),
+            variance=SampleVariance(
                 samples=self.samples.reshape(self._shape).copy(),
-                soft_samples=self.soft_samples,
-                sharp=self.sharp_variance(),
-                soft=self.soft_variance(),
+                indirect_samples=self.indirect_samples,
+                direct=self.direct_variance(),
+                indirect=self.indirect_variance(),
                 white=self.white,
             ),
         )
 
-    def _sharp_mean(self) -> Images:
-        """`(c, h w)` of flash and sky."""
+    def _direct_mean(self) -> Images:
+        """`(c, h * w)`."""
         c = self.channels
-        both = self._sharp[:c] + self._sharp[c : 2 * c]
-        return np.divide(both, self.samples, dtype=np.float32)
+        light = self._direct[:c] + self._direct[c : 2 * c]
+        return np.divide(light, self.samples, dtype=np.float32)
 
-    def _soft_mean(self) -> Images:
-        """`(c, h w)` of soft light."""
-        return self._soft[: self.channels] / np.float32(max(self.soft_samples, 1))
+    def _indirect_mean(self) -> Images:
+        """`(c, h * w)`."""
+        return self._indirect[: self.channels] / np.float32(max(self.indirect_samples, 1))
 
     @cached_property
     def _per_white(self) -> Images:
         return (1.0 / self.white).astype(np.float32)[:, None]
 
     def _image(self, values: Any) -> Images:
-        """`(h, w)` or `(h, w, k)` of `(h w,)` or `(k, h w)`."""
+        """Reshape `(h * w,)` or `(k, h * w)` to `(h, w)` or `(h, w, k)`."""
         image = values.reshape(*values.shape[:-1], *self._shape)
         return np.ascontiguousarray(image if image.ndim == 2 else np.moveaxis(image, 0, -1), np.float32)
 
@@ -159,5 +166,5 @@ class SampleAccumulator:
 def _variance(squares: Images, means: Images, count: Any) -> Images:
     """Variance of one sample, summed over channels, from the sum of squares and the means `(c, n)`."""
     number = np.maximum(np.asarray(count, np.float32), np.float32(1.0))
-    spread = np.maximum(squares / number - np.square(means).sum(axis=0), np.float32(0.0))
-    return np.asarray(spread * (number / np.maximum(number - np.float32(1.0), np.float32(1.0))), np.float32)
+    biased = np.maximum(squares / number - np.square(means).sum(axis=0), np.float32(0.0))
+    return np.asarray(biased * (number / np.maximum(number - np.float32(1.0), np.float32(1.0))), np.float32)

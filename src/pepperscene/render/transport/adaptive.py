@@ -1,15 +1,15 @@
-"""Where to stop: as soon as the light's own error hides behind the sensor's noise in the picture.
+"""Adaptive sampling: stop where the error of the light is hidden by the sensor noise in the picture.
 
-Errors and noise are weighed as they show: in 8-bit codes of the developed picture, root mean square over the
-picture. Well-spread samples of edges and half-shadows do better than independent ones: an edge through a
-pixel cuts some sqrt(n) of n cells, which makes the variance of the mean
+Error and noise are compared as they are visible: in 8-bit codes of the developed picture, root mean square
+over the picture. Stratified samples of edges and penumbras do better than independent ones: an edge through a
+pixel cuts about sqrt(n) of n cells, so the variance of the mean is
 
-    V(n) = GAIN s^2 n^(-3/2)
+    V(n) = VARIANCE_GAIN s^2 n^(-3/2)
 
-with the variance s^2 of a single sample (Mitchell 1996, "Consequences of stratified sampling in graphics").
-The sum of V over all pixels is least, for a given number of samples, where n^(5/2) goes with s^2; that number
-is what the target asks for. s^2 is taken from the pixel's samples and its neighbours', as four samples may
-all miss an edge that the next pixel shows.
+with the variance s^2 of one sample (Mitchell 1996, "Consequences of stratified sampling in graphics"). For a
+given number of samples, the sum of V over all pixels is smallest where n^(5/2) is proportional to s^2; the
+target sets the factor. s^2 is averaged over the pixel and its neighbours: four samples may all miss an edge
+that the next pixel shows.
 """
 
 from __future__ import annotations
@@ -23,174 +23,170 @@ from numpy.typing import NDArray
 from pepperscene.camera import Camera, correct_colours, expected_electrons
 from pepperscene.render.transport.accumulate import SampleAccumulator, TracedLight
 
-GAIN: Final = 0.8
-"""Of the law above, measured on `barth2018`: .4 for 4, .5 for 8 samples in every pixel, .7 to .9 where
-samples go to where they are needed."""
-SOFT_LEFT: Final = 0.15
-"""Share of the soft light's standard error that the denoiser leaves: .14 to .17 for 2 and 4 samples."""
-_GROWTH: Final = 4  # chosen: of a pixel's samples from one look at it to the next
-_ASKED: Final = 1 << 14  # chosen: pixels that the sum is worked out for
-
-_WORST: Final = 127.5
-"""Codes: the error of a pixel that may be anything. Beside the sun the slope of the tone curve would tell of
-thousands."""
-_WIDEST: Final = 510.0  # chosen: codes by which samples differ that show black and what is blown out
+VARIANCE_GAIN: Final = 0.8
+"""Of the equation above, measured on `barth2018`: .4 for 4, .5 for 8 samples in every pixel, .7 to .9 where
+samples are distributed by need."""
+DENOISED_ERROR: Final = 0.15
+"""Fraction of the standard error of indirect light after denoising: .14 to .17 for 2 and 4 samples."""
+_GROWTH: Final = 4  # chosen: largest factor by which the samples of a pixel grow in one round
+_SUBSET: Final = 1 << 14  # chosen: pixels that the scale is computed from
+_MAX_ERROR: Final = 127.5
+"""Codes: of a pixel whose value may be anything. Near the sun the tone curve's slope would give thousands."""
+_MAX_DIFFERENCE: Final = 510.0  # chosen: codes between samples, from black to overexposed
 
 Floats = NDArray[np.float32]
 
 
 class AdaptiveSampler:
-    """Decides how many samples each pixel of a frame needs, and tells what came of it.
+    """Decides how many samples each pixel of a frame needs, and estimates the error that remains.
 
     Args:
-        camera: whose picture it is.
-        target: error over noise, root mean square in codes; None where nothing is to be decided.
-        most: samples a pixel.
-        denoised: whether soft light will be filtered.
+        camera: that takes the picture.
+        target: error over noise, root mean square in codes; None for a fixed number of samples.
+        max_samples: per pixel.
+        denoised: whether indirect light will be denoised.
     """
 
-    def __init__(self, camera: Camera, target: float | None, most: int, *, denoised: bool) -> None:
-        self.camera, self.target, self.most, self.denoised = camera, target, most, denoised
-        self._shown: Shown | None = None
+    def __init__(self, camera: Camera, target: float | None, max_samples: int, *, denoised: bool) -> None:
+        self.camera, self.target, self.max_samples = camera, target, max_samples
+        self._indirect_factor = DENOISED_ERROR**2 if denoised else 1.0
+        self._codes: CodeResponse | None = None
 
-    def wanted(self, there: SampleAccumulator) -> NDArray[np.int32]:
-        """`(h w,)` samples that each pixel should have by now."""
+    def required(self, accumulator: SampleAccumulator) -> NDArray[np.int32]:
+        """`(h * w,)` number of samples that each pixel should have by now."""
         if self.target is None:
-            return there.samples
-        # How light shows in the picture is clear enough from the first look.
-        shows = self._shows(there.total(), there.white)
-        spread = _in_codes(_nearby(there.sharp_variance()), shows, _WIDEST)
-        soft = float(np.mean(_in_codes(there.soft_variance(), shows, _WIDEST))) * self._left
-        # What soft light leaves of the error is the sharp light's; half of it, where soft light takes more.
-        allowed = self.target**2 * float(np.mean(np.square(shows.noise)))
-        allowed = max(allowed - soft / there.soft_samples, 0.5 * allowed)
-        now = there.samples
-        most = np.minimum(now * _GROWTH, np.maximum(self.most, now))
-        return np.clip(self._shared_out(spread.ravel(), allowed), now, most).astype(np.int32)
+            return accumulator.samples
+        # The first samples are enough to tell how light appears in the picture.
+        codes = self._code_response(accumulator.total(), accumulator.white)
+        direct = codes.squared(_local_mean(accumulator.direct_variance()), _MAX_DIFFERENCE)
+        indirect = codes.squared(accumulator.indirect_variance(), _MAX_DIFFERENCE)
+        # Direct light may have the error that indirect light leaves of the target, at least half of it.
+        remaining = float(np.mean(indirect)) * self._indirect_factor
+        allowed = self.target**2 * float(np.mean(np.square(codes.noise)))
+        allowed = max(allowed - remaining / accumulator.indirect_samples, 0.5 * allowed)
+        taken = accumulator.samples
+        most = np.minimum(taken * _GROWTH, np.maximum(self.max_samples, taken))
+        return np.clip(self._distribute(direct.ravel(), allowed), taken, most).astype(np.int32)
 
-    def achieved(self, light: TracedLight) -> dict[str, Any]:
-        """What a frame's JSON says of its samples and their error."""
-        spread, shows = light.spread, self._shows(light.total(), light.spread.white)
-        variance = GAIN * _nearby(spread.sharp) * spread.samples.astype(np.float32) ** np.float32(-1.5)
-        variance += spread.soft * np.float32(self._left / max(spread.soft_samples, 1))
-        error, noise = _in_codes(variance, shows, _WORST), np.square(shows.noise)
+    def metadata(self, light: TracedLight) -> dict[str, Any]:
+        """Describe the samples of a finished frame and their error, for its JSON file."""
+        variance, codes = light.variance, self._code_response(light.total(), light.variance.white)
+        per_sample = variance.samples.astype(np.float32) ** np.float32(-1.5)
+        of_mean = VARIANCE_GAIN * _local_mean(variance.direct) * per_sample
+        of_mean += variance.indirect * np.float32(self._indirect_factor / max(variance.indirect_samples, 1))
+        error, noise = codes.squared(of_mean, _MAX_ERROR), np.square(codes.noise)
         rms_error, rms_noise = (float(np.sqrt(part.mean())) for part in (error, noise))
         return {
             "target": self.target,
-            "samples_per_pixel": float(spread.samples.mean()),
-            "soft_samples_per_pixel": spread.soft_samples,
+            "samples_per_pixel": float(variance.samples.mean()),
+            "soft_samples_per_pixel": variance.indirect_samples,
             "error_codes": rms_error,
             "noise_codes": rms_noise,
-            # Where all is blown out neither shows.
+            # Both are 0 in an overexposed picture.
             "error_to_noise": rms_error / rms_noise if rms_noise > 0.0 else 0.0,
             "below_half_of_noise": float((error <= 0.25 * noise).mean()),
         }
 
-    @property
-    def _left(self) -> float:
-        return SOFT_LEFT**2 if self.denoised else 1.0
+    def _code_response(self, signal: Floats, white: NDArray[np.float64]) -> CodeResponse:
+        if self._codes is None:
+            self._codes = code_response(signal, white, self.camera)
+        return self._codes
 
-    def _shows(self, signal: Floats, white: NDArray[np.float64]) -> Shown:
-        if self._shown is None:
-            self._shown = shown(signal, white, self.camera)
-        return self._shown
-
-    def _shared_out(self, spread: Floats, allowed: float) -> NDArray[np.float32]:
-        """Powers of two whose mean variance is as allowed, for the least samples."""
+    def _distribute(self, variance: Floats, allowed: float) -> NDArray[np.float32]:
+        """Powers of two whose mean variance is the allowed one, with the fewest samples."""
         # An odd step does not follow the columns of a picture, whose widths are even.
-        some = spread[:: spread.size // _ASKED | 1]
-        scale = _least_scale(some, allowed, self.most)
-        need = np.power(np.maximum(scale * spread, 1e-9), 0.4)
-        return np.exp2(np.rint(np.log2(np.clip(need, 1.0, self.most))))
+        subset = variance[:: variance.size // _SUBSET | 1]
+        scale = _variance_scale(subset, allowed, self.max_samples)
+        samples = np.power(np.maximum(scale * variance, 1e-9), 0.4)
+        return np.exp2(np.rint(np.log2(np.clip(samples, 1.0, self.max_samples))))
 
 
-def _least_scale(spread: Floats, allowed: float, most: int) -> float:
-    """The factor of the variances that samples go with, by bisection of its logarithm."""
-    if not spread.any():
+def _variance_scale(variance: Floats, allowed: float, max_samples: int) -> float:
+    """The factor between variances and samples^(5/2), by bisection of its logarithm."""
+    if not variance.any():
         return 0.0
-    # With one sample a pixel it is low enough, with the most in the pixel of the least spread high enough.
+    # The lower end gives one sample per pixel, the upper end the most even in the pixel of least variance.
     low, high = -80.0, 80.0
     for _ in range(40):
         middle = 0.5 * (low + high)
-        samples = np.clip(np.power(np.exp2(middle) * spread.astype(np.float64), 0.4), 1.0, most)
-        enough = np.mean(GAIN * spread * samples**-1.5) <= allowed
+        samples = np.clip(np.power(np.exp2(middle) * variance.astype(np.float64), 0.4), 1.0, max_samples)
+        enough = np.mean(VARIANCE_GAIN * variance * samples**-1.5) <= allowed
         low, high = (low, middle) if enough else (middle, high)
     return float(np.exp2(high))
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
-    """How noise and light show in each pixel of a picture, root mean square over its colours.
+class CodeResponse:
+    """How sensor noise and light appear in each pixel of a picture, root mean square over its colours.
 
     Attributes:
-        noise: `(h, w)` of the sensor, codes.
-        per_white: `(h, w)` codes per unit of `SampleVariance`.
+        noise: `(h, w)` standard deviation, codes.
+        per_white: `(h, w)` codes per unit of `SampleVariance.white`.
     """
 
     noise: Floats
     per_white: Floats
 
+    def squared(self, variance: Floats, limit: float) -> Floats:
+        """A variance of `SampleVariance` in squared codes; deviations are limited to `limit` codes."""
+        return np.square(np.minimum(self.per_white * np.sqrt(variance), np.float32(limit)))
 
-def shown(signal: Floats, white: NDArray[np.float64], camera: Camera) -> Shown:
-    """How noise and light show in a camera's picture.
+
+def code_response(signal: Floats, white: NDArray[np.float64], camera: Camera) -> CodeResponse:
+    """Compute how noise and light appear in a camera's picture.
 
     Args:
         signal: `(h, w, c)` light, electrons s-1 m-2 sr-1.
-        white: `(c,)` the unit of `SampleVariance`.
-        camera: its sensor has the noise, and its developing makes codes of light.
+        white: `(c,)` see `SampleVariance`.
+        camera: with the sensor's noise and the developing from light to codes.
     """
     sensor, c = camera.sensor, camera.sensor.channels
     per_light = expected_electrons(np.ones((camera.height, camera.width, 1)).repeat(c, -1), camera)
     electrons = per_light.astype(np.float32)
     full_scale = np.float32(1.0 / (sensor.gain_e_per_dn * (sensor.full_scale_dn - sensor.black_level_dn)))
-    matrix = _developing(camera)
+    matrix = _colour_matrix(camera)
 
     charge = np.maximum(signal * electrons, np.float32(0.0))
     linear = (charge * full_scale) @ matrix
-    slope = _slope(linear, camera.developing.tone)
-    steps = sensor.gain_e_per_dn**2 / 12.0 if camera.developing.quantise else 0.0
-    variance = (charge + np.float32(sensor.read_noise_e**2 + steps)) * (
+    slope = _tone_slope(linear, camera.developing.tone)
+    quantisation = sensor.gain_e_per_dn**2 / 12.0 if camera.developing.quantise else 0.0
+    variance = (charge + np.float32(sensor.read_noise_e**2 + quantisation)) * (
         full_scale**2 / np.array(sensor.photosites, np.float32)
     )
-    # Noise above the signal itself is cut off at black, where the tone curve would be steepest.
+    # Noise above the signal itself is clipped at black, where the tone curve would be steepest.
     deviation = np.sqrt(variance @ np.square(matrix))
-    noise = deviation * _slope(np.maximum(linear, deviation), camera.developing.tone)
+    noise = deviation * _tone_slope(np.maximum(linear, deviation), camera.developing.tone)
     noise = np.sqrt(np.mean(np.square(noise), axis=-1))
-    # An error in the colour of the pixel itself, in units of white summed over the channels in squares.
+    # The error has the pixel's own colour, normalised in units of white.
     unit = white.astype(np.float32)
     colour = np.maximum(signal / unit, np.float32(0.0)) + np.float32(1e-12)
     colour /= np.sqrt(np.sum(np.square(colour), axis=-1, keepdims=True))
-    in_codes = slope * ((colour * unit * electrons * full_scale) @ matrix)
-    return Shown(noise, np.sqrt(np.mean(np.square(in_codes), axis=-1)))
+    codes = slope * ((colour * unit * electrons * full_scale) @ matrix)
+    return CodeResponse(noise, np.sqrt(np.mean(np.square(codes), axis=-1)))
 
 
-def _developing(camera: Camera) -> Floats:
-    """`(c, k)` what developing makes of each channel, as far as it is linear: far below saturation."""
+def _colour_matrix(camera: Camera) -> Floats:
+    """`(c, k)` linear part of developing: what it makes of each channel far below saturation."""
     channels = np.eye(camera.sensor.channels, dtype=np.float32)
     if camera.developing.white_balance == "flash" and camera.flash is None:
         return channels  # such a camera gives electrons and no pictures
-    little = np.float32(1e-4)
-    return correct_colours(channels[None] * little, camera)[0] / little
+    level = np.float32(1e-4)
+    return correct_colours(channels[None] * level, camera)[0] / level
 
 
-def _slope(linear: Floats, tone: str) -> Floats:
-    """Codes per linear value. Above white the curve is thought to go on: electrons are an output as well."""
+def _tone_slope(linear: Floats, tone: str) -> Floats:
+    """Codes per linear value. The curve is extended above white, because electrons are an output as well."""
     if tone != "srgb":
         return np.full(linear.shape, np.float32(255.0))
     value = np.maximum(linear, np.float32(0.0031308))
-    power = np.float32(255.0 * 1.055 / 2.4) * value ** np.float32(1.0 / 2.4 - 1.0)
-    power[linear <= 0.0031308] = 255.0 * 12.92
-    return power
+    slope = np.float32(255.0 * 1.055 / 2.4) * value ** np.float32(1.0 / 2.4 - 1.0)
+    slope[linear <= 0.0031308] = 255.0 * 12.92
+    return slope
 
 
-def _in_codes(variance: Floats, shows: Shown, most: float) -> Floats:
-    """Squared codes of a variance in units of `SampleVariance`; deviations are at most `most` codes."""
-    return np.square(np.minimum(shows.per_white * np.sqrt(variance), np.float32(most)))
-
-
-def _nearby(spread: Floats) -> Floats:
+def _local_mean(variance: Floats) -> Floats:
     """Means over squares of 3x3 pixels."""
     from scipy.ndimage import uniform_filter
 
-    # Beside a glint, running sums leave a little less than nothing.
-    return np.asarray(np.maximum(uniform_filter(spread, 3, mode="nearest"), 0.0), np.float32)
+    # Next to a highlight, running sums can fall slightly below 0.
+    return np.asarray(np.maximum(uniform_filter(variance, 3, mode="nearest"), 0.0), np.float32)

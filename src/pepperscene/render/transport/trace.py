@@ -1,18 +1,19 @@
-"""Light transport for a flash at the camera: one traversal for all of it, then more of what has edges.
+"""Light transport for a flash at the camera: one traversal for all light, then more samples of its edges.
 
-The flash is nearly deterministic, all else is small and smooth (a tenth of the signal in `barth2018`). So at
-the first hit flash and sun are evaluated with shadow rays of their own, towards points of their discs, at
-later hits with one for both, and the sky is found by BSDF sampling alone. Light that meets one surface only
-is carried by sensor channel, with its integrals over wavelength taken beforehand; light that meets more is
-carried at four wavelengths a sample. The first samples of a pixel trace both; where they show edges, more
-follow that stop at the first hit.
+The flash is nearly deterministic; all other light is small and smooth (a tenth of the signal in `barth2018`).
+So at the first hit the flash and the sun get shadow rays of their own, towards points of their discs, at
+later hits one for both, and the sky is found by BSDF sampling alone. Light that meets one surface only is
+carried by sensor channel, with its integrals over wavelength taken in advance; light that meets more is
+carried at four wavelengths per sample. The first samples of a pixel trace both; where they show edges, more
+samples follow that stop at the first hit.
 
-Samples lie pixel by pixel in the wavefront, so that the sum over a pixel is a block reduction: no atomics,
-the same bits in each run, however the wavefront is cut.
+The samples of a pixel are adjacent in the wavefront, so that the sum over a pixel is a block reduction: no
+atomics, and the same bits in each run, however the wavefront is split.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final
@@ -21,199 +22,172 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Flash
-from pepperscene.render.kernel.arrays import device_number, device_table
-from pepperscene.render.kernel.camera import CameraRays, Response
+from pepperscene.render.kernel.arrays import device_array, device_uint
+from pepperscene.render.kernel.camera import CameraRays, SpectralResponse
 from pepperscene.render.kernel.scene import LightScene, SkyTables
-from pepperscene.render.surface.optics import shading_normals
+from pepperscene.render.surface.scattering import shading_normals
 from pepperscene.render.transport.accumulate import Counts, Images, SampleAccumulator, TracedLight
-from pepperscene.render.transport.samples import FrameTables, Samples, SpectralTables, Wavelengths
+from pepperscene.render.transport.lights import FrameTables, frame_tables
+from pepperscene.render.transport.samples import Samples, SampleWavelengths
 from pepperscene.render.variant import mitsuba_modules
 
-_LANES: Final = 1 << 21  # chosen: wavefront of a pass; 25 results of a sample take 210 MB
-_ROUNDS: Final = 3  # chosen: how often edges are asked whether they need more
-_SURVIVAL, _LEAST_SURVIVAL = 2.0, 0.25
-"""Chosen: a path lives on with twice the share of light that it still carries, so that pale surfaces end
-none, and at least with this chance, which bounds the weight of a survivor. With half of the former there is a
-quarter less time and a fifth more noise: the same worth."""
+_LANES: Final = 1 << 21  # chosen: wavefront of a pass; 25 results per sample take 210 MB
+_REFINEMENT_ROUNDS: Final = 3  # chosen
+_SURVIVAL, _MIN_SURVIVAL = 2.0, 0.25
+"""Chosen: a path survives with twice the fraction of light that it still carries, so that pale surfaces end
+no path, and at least with this probability, which bounds the weight of a survivor. Half of the former takes a
+quarter less time and has a fifth more noise: no gain."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sampling:
-    """How many samples go where; powers of two spread best.
+    """Numbers of samples; powers of two spread best.
 
     Attributes:
         samples: per pixel, everywhere.
-        soft: of these, how many carry soft light.
+        indirect: how many of these trace indirect light as well.
         bounces: scattering events after the first hit.
-        more: asked, from what there is, how many samples each pixel should have, `(h w,)`, until it wants no
-            more than there are; None where `samples` are enough.
+        required: from the samples so far to the number that each pixel should have, `(h * w,)`; None to take
+            `samples` everywhere.
     """
 
     samples: int
-    soft: int
+    indirect: int
     bounces: int
-    more: Callable[[SampleAccumulator], Counts] | None = None
+    required: Callable[[SampleAccumulator], Counts] | None = None
 
 
 def trace(
     scene: LightScene,
-    view: CameraRays,
-    spectral: Response,
+    rays: CameraRays,
+    response: SpectralResponse,
     flash: Flash | None,
     sky: SkyTables | None,
     sampling: Sampling,
     seed: int,
 ) -> TracedLight:
-    """The light that reaches each pixel.
-
-    Args:
-        scene: with materials over the response's range.
-        view: the camera's rays.
-        spectral: the camera's response.
-        flash: or None.
-        sky: or None.
-        sampling: how many samples go where.
-        seed: of all that is random.
-    """
-    tables = FrameTables(scene, view, spectral, flash, sky)
-    gathered = SampleAccumulator(view.height, view.width, tables.white)
+    """Trace the light that reaches each pixel of a camera in a scene with materials over its response."""
+    tables = frame_tables(scene, rays, response, flash, sky)
+    accumulator = SampleAccumulator(rays.height, rays.width, tables.white)
     first = 0
-    if tables.lights:
-        # One traversal for all kinds of light, then the samples that carry none that is soft.
-        spectra, first = SpectralTables(tables), min(sampling.soft, sampling.samples)
-
-        def both(tables: FrameTables, samples: Samples) -> list[Any]:
-            return _both(tables, spectra, samples, sampling.bounces)
-
-        gathered.add_both(_summed(tables, None, 0, first, seed, both), first)
+    # One traversal for all light, then the samples without indirect light.
+    if tables.has_lights:
+        first = min(sampling.indirect, sampling.samples)
+        all_light = functools.partial(_all_light, bounces=sampling.bounces)
+        accumulator.add_all(_sum_samples(tables, None, 0, first, seed, all_light), first)
     if sampling.samples > first:
         rest = sampling.samples - first
-        gathered.add_sharp(_summed(tables, None, first, rest, seed, _sharp_alone), rest)
+        accumulator.add_direct(_sum_samples(tables, None, first, rest, seed, _direct_light), rest)
 
-    if tables.lights and sampling.more is not None:
-        _refine(gathered, tables, sampling.more, seed)
-    return gathered.light()
+    if not tables.has_lights or sampling.required is None:
+        return accumulator.light()
 
-
-def _refine(
-    gathered: SampleAccumulator, tables: FrameTables, more: Callable[[SampleAccumulator], Counts], seed: int
-) -> None:
-    """Edges and half-shadows go on where the first samples ended, until no pixel wants more."""
-    for _ in range(_ROUNDS):
-        steps = list(_steps(gathered.samples, more(gathered)))
-        for begin, end, pixels in steps:
-            sums = _summed(tables, pixels, begin, end - begin, seed, _sharp_alone)
-            gathered.add_sharp(sums, end - begin, pixels)
-        if not steps:
-            return
+    # Continue the sample sequences of pixels that need more.
+    for _ in range(_REFINEMENT_ROUNDS):
+        refinements = list(_refinements(accumulator.samples, sampling.required(accumulator)))
+        for begin, end, pixels in refinements:
+            sums = _sum_samples(tables, pixels, begin, end - begin, seed, _direct_light)
+            accumulator.add_direct(sums, end - begin, pixels)
+        if not refinements:
+            break
+    return accumulator.light()
 
 
-def _steps(there: Counts, wanted: Counts) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
-    """Samples from, to, and the pixels that go that way, wherever more are wanted."""
-    for begin in np.flatnonzero(np.bincount(there)).tolist():
-        pixels = np.flatnonzero((there == begin) & (wanted > begin))
-        for end in np.flatnonzero(np.bincount(wanted[pixels])).tolist():
-            yield begin, end, pixels[wanted[pixels] == end]
+def _refinements(taken: Counts, required: Counts) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
+    """First sample, end sample and pixels of each refinement."""
+    for begin in np.flatnonzero(np.bincount(taken)).tolist():
+        pixels = np.flatnonzero((taken == begin) & (required > begin))
+        for end in np.flatnonzero(np.bincount(required[pixels])).tolist():
+            yield begin, end, pixels[required[pixels] == end]
 
 
-def _summed(
+def _sum_samples(
     tables: FrameTables,
     pixels: NDArray[np.int64] | None,
     first: int,
     count: int,
     seed: int,
-    wavefront: Callable[[FrameTables, Samples], list[Any]],
+    integrand: Callable[[FrameTables, Samples], list[Any]],
 ) -> list[Images]:
-    """Sums, k times `(n,)`, over samples `first` to `first + count - 1` of what a wavefront gives.
+    """Sum an integrand's k values over samples `first` to `first + count - 1` of n pixels: k times `(n,)`.
 
-    Args:
-        tables: of the frame.
-        pixels: row-major indices, or None for all.
-        first: sample of each pixel.
-        count: of samples.
-        seed: of the frame.
-        wavefront: values of samples.
+    `pixels` are row-major indices, or None for all; `integrand` computes the values of a wavefront.
     """
     mi, dr = mitsuba_modules()
-    total = tables.view.width * tables.view.height if pixels is None else len(pixels)
+    total = tables.rays.width * tables.rays.height if pixels is None else len(pixels)
     block = max(_LANES // count, 1)
-    salt, begin, per_pixel = (device_number(n, whole=True) for n in (seed & 0xFFFFFFFF, first, count))
-    found: list[list[Images]] = []
+    salt, begin, per_pixel = (device_uint(n) for n in (seed & 0xFFFFFFFF, first, count))
+    passes: list[list[Images]] = []
     for start in range(0, total, block):
-        here = min(block, total - start)
-        lane = dr.arange(mi.UInt32, here * count)
-        place = lane // per_pixel
-        index = begin + lane - place * per_pixel
+        pixels_in_pass = min(block, total - start)
+        lane = dr.arange(mi.UInt32, pixels_in_pass * count)
+        number = lane // per_pixel
+        index = begin + lane - number * per_pixel
         if pixels is None:
-            pixel = place + device_number(start, whole=True)
+            pixel = number + device_uint(start)
         else:
-            pixel = dr.gather(mi.UInt32, device_table(pixels[start : start + here], np.uint32), place)
-        values = wavefront(tables, Samples(tables, pixel, index, salt))
-        # All results in one kernel: reduced one by one, the kernel would run once for each.
+            pixel = dr.gather(
+                mi.UInt32, device_array(pixels[start : start + pixels_in_pass], np.uint32), number
+            )
+        values = integrand(tables, Samples(tables, pixel, index, salt))
+        # Evaluate all results in one kernel: reduced separately, each would run the kernel again.
         dr.eval(values)
         sums = [dr.block_reduce(dr.ReduceOp.Add, value, count) for value in values]
         dr.eval(sums)
-        found.append([np.asarray(one) for one in sums])
-    return found[0] if len(found) == 1 else [np.concatenate(parts) for parts in zip(*found, strict=True)]
+        passes.append([np.asarray(values_sum) for values_sum in sums])
+    return passes[0] if len(passes) == 1 else [np.concatenate(parts) for parts in zip(*passes, strict=True)]
 
 
-def _sharp_alone(tables: FrameTables, samples: Samples) -> list[Any]:
-    """Light that meets one surface: 3 c + 5 values."""
-    return _sharp(tables, samples, *_hit(tables.scene, samples.ray, coherent=True))
+def _direct_light(tables: FrameTables, samples: Samples) -> list[Any]:
+    """Direct light: 3 c + 5 values."""
+    return _direct(tables, samples, *_intersect(tables.scene, samples.ray, coherent=True))
 
 
-def _both(tables: FrameTables, spectra: SpectralTables, samples: Samples, bounces: int) -> list[Any]:
-    """Light that meets one surface and light that meets more, along the same camera rays: 4 c + 6
-    values.
-    """
-    found = _hit(tables.scene, samples.ray, coherent=True)
-    sharp = _sharp(tables, samples, *found)
-    return sharp + _soft(tables, spectra, samples, bounces, *found)
+def _all_light(tables: FrameTables, samples: Samples, bounces: int) -> list[Any]:
+    """Direct and indirect light along the same camera rays: 4 c + 6 values."""
+    first_hit = _intersect(tables.scene, samples.ray, coherent=True)
+    direct = _direct(tables, samples, *first_hit)
+    return direct + _indirect(tables, samples, bounces, *first_hit)
 
 
-def all_light(tables: FrameTables, spectra: SpectralTables, samples: Samples, bounces: int) -> list[Any]:
-    """Light of all kinds together: c values, and nothing that is not needed to differentiate them."""
-    found, c = _hit(tables.scene, samples.ray, coherent=True), tables.channels
-    flash_and_direct = _sharp(tables, samples, *found)[: 2 * c]
-    soft = _soft(tables, spectra, samples, bounces, *found)
-    return [flash_and_direct[k] + flash_and_direct[c + k] + soft[k] for k in range(c)]
+def total_light(tables: FrameTables, samples: Samples, bounces: int) -> list[Any]:
+    """The sum of all light: c values, and nothing that their derivatives do not need."""
+    first_hit, c = _intersect(tables.scene, samples.ray, coherent=True), tables.channels
+    direct = _direct(tables, samples, *first_hit)[: 2 * c]
+    indirect = _indirect(tables, samples, bounces, *first_hit)
+    return [direct[k] + direct[c + k] + indirect[k] for k in range(c)]
 
 
-def _sharp(tables: FrameTables, samples: Samples, active: Any, si: Any, hit: Any) -> list[Any]:
-    """Flash at the first hit, sky seen and distinct sun, albedo, normal, hit, and the sum of squares of the
-    light: 3 c + 5 values.
-    """
+def _direct(tables: FrameTables, samples: Samples, active: Any, si: Any, hit: Any) -> list[Any]:
+    """Flash, sky and sun, albedo, normal, hit, and the sum of squares of the light: 3 c + 5 values."""
     mi, dr = mitsuba_modules()
-    point = tables.scene.point(si, hit, active, tables.lit)
-    flash = samples.whole_flash(si, point, active, tables.lamps)
-    direct = point.reflectance * 0.0 + samples.sky(samples.ray.d, ~active, tables.lamps, seen=True)
-    if tables.sunlit is not None:
-        direct += samples.sun(si, tables.scene.point(si, hit, active, tables.sunlit), active, tables.lamps)
+    point = tables.scene.surface_point(si, hit, active, tables.flash_optics)
+    flash = samples.flash_light(si, point, active, tables.colours)
+    sky_and_sun = point.reflectance * 0.0 + samples.sky_radiance(
+        samples.ray.d, ~active, tables.colours, with_sun=True
+    )
+    if tables.sun_optics is not None:
+        sunlit_point = tables.scene.surface_point(si, hit, active, tables.sun_optics)
+        sky_and_sun += samples.sun_light(si, sunlit_point, active, tables.colours)
     albedo = dr.select(active, point.albedo(), 0.0)
     normal = dr.select(active, dr.select(si.wi.z > 0, si.sh_frame.n, -si.sh_frame.n), 0.0)
-    values = [*flash, *direct, *albedo, normal.x, normal.y, normal.z]
-    return [*values, dr.select(active, mi.Float(1.0), 0.0), _square(tables, flash + direct)]
+    values = [*flash, *sky_and_sun, *albedo, normal.x, normal.y, normal.z]
+    return [*values, dr.select(active, mi.Float(1.0), 0.0), _sum_of_squares(tables, flash + sky_and_sun)]
 
 
-def _soft(
-    tables: FrameTables,
-    spectra: SpectralTables,
-    samples: Samples,
-    bounces: int,
-    active: Any,
-    si: Any,
-    hit: Any,
+def _indirect(
+    tables: FrameTables, samples: Samples, bounces: int, active: Any, si: Any, hit: Any
 ) -> list[Any]:
-    """Daylight at the first hit and all light that was scattered before it got there: c + 1 values."""
+    """Daylight at the first hit and all light scattered more than once: c + 1 values."""
     mi, dr = mitsuba_modules()
-    waves = Wavelengths(spectra, samples.next_1d())
-    lamps = waves.lamps
+    wavelengths = SampleWavelengths(tables, samples.next_1d())
+    lights = wavelengths.spectra
     si = mi.SurfaceInteraction3f(si)
-    si.wavelengths = waves.nm
-    point = tables.scene.point(si, hit, active)
+    si.wavelengths = wavelengths.nm
+    point = tables.scene.surface_point(si, hit, active)
     light = mi.Spectrum(0.0)
-    if tables.sunlit is None:
-        light += samples.sun(si, point, active, lamps)
+    if tables.sun_optics is None:
+        light += samples.sun_light(si, point, active, lights)
     throughput = mi.Spectrum(1.0)
     for bounce in range(bounces + 1):
         last = bounce == bounces
@@ -221,37 +195,37 @@ def _soft(
             break
         wo, density, weight, _ = point.sample(samples.next_1d(), samples.next_2d())
         throughput *= weight
-        # Russian roulette: leaves absorb most of the light, and rays for the rest are dear.
+        # Russian roulette: leaves absorb most of the light, and rays for the rest are expensive.
         survival = mi.Float(1.0)
         if tables.roulette:
-            survival = dr.clip(_SURVIVAL * dr.max(throughput), _LEAST_SURVIVAL, 1.0)
+            survival = dr.clip(_SURVIVAL * dr.max(throughput), _MIN_SURVIVAL, 1.0)
         active &= (density > 0.0) & (samples.next_1d() < survival) & dr.any(throughput > 0.0)
-        # Ended paths hold what their lane last saw, which can be NaN, and NaN times no light is NaN.
+        # Inactive lanes keep old values, which can be NaN, and 0 times NaN is NaN.
         throughput = dr.select(active, throughput / survival, 0.0)
         ray = si.spawn_ray(si.to_world(wo))
         if last:
-            # The last hit's scattered ray only looks for the sky.
-            seen = active & ~tables.scene.scene.ray_test(ray, active)
-            light += throughput * samples.sky(ray.d, seen, lamps, seen=False)
+            # The last scattered ray only tests whether it reaches the sky.
+            escaped = active & ~tables.scene.scene.ray_test(ray, active)
+            light += throughput * samples.sky_radiance(ray.d, escaped, lights, with_sun=False)
             break
-        ray.wavelengths = waves.nm
-        met, si, hit = _hit(tables.scene, ray, active)
-        point = tables.scene.point(si, hit, active & met)
-        light += throughput * samples.sky(ray.d, active & ~met, lamps, seen=False)
-        active &= met
-        light += throughput * samples.flash_and_sun(si, point, active, lamps)
-    channels = waves.channels(light)
-    return [*channels, _square(tables, channels)]
+        ray.wavelengths = wavelengths.nm
+        is_hit, si, hit = _intersect(tables.scene, ray, active)
+        point = tables.scene.surface_point(si, hit, active & is_hit)
+        light += throughput * samples.sky_radiance(ray.d, active & ~is_hit, lights, with_sun=False)
+        active &= is_hit
+        light += throughput * samples.flash_and_sun_light(si, point, active, lights)
+    channels = wavelengths.channels(light)
+    return [*channels, _sum_of_squares(tables, channels)]
 
 
-def _square(tables: FrameTables, channels: Any) -> Any:
-    """Sum of the squares of the channels, each in units of a white body's light."""
+def _sum_of_squares(tables: FrameTables, channels: Any) -> Any:
+    """Sum of the squares of the channels, in units of the light of a white body."""
     _, dr = mitsuba_modules()
     return sum(dr.square(channel * scale) for channel, scale in zip(channels, tables.per_white, strict=True))
 
 
-def _hit(scene: LightScene, ray: Any, active: Any = True, *, coherent: bool = False) -> Any:
-    """Whether rays hit something, where, and what the tree found there."""
-    found = scene.scene.ray_intersect_preliminary(ray, coherent=coherent, active=active)
-    hit = found.is_valid()
-    return hit, shading_normals(scene.interaction(ray, found, hit)), found
+def _intersect(scene: LightScene, ray: Any, active: Any = True, *, coherent: bool = False) -> Any:
+    """Whether rays hit a surface, their surface interactions, and the preliminary hits."""
+    hit = scene.scene.ray_intersect_preliminary(ray, coherent=coherent, active=active)
+    is_hit = hit.is_valid()
+    return is_hit, shading_normals(scene.interaction(ray, hit, is_hit)), hit

@@ -1,4 +1,4 @@
-"""The harvest truth of a plant by itself: hidden, alone, cut off, from within, from behind."""
+"""The output `harvest` of one plant: hidden fruit, isolated fruit, cameras inside and facing away."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from greenhouse import camera
-from test_kernel_reuse import compiled
+from test_kernel_reuse import count_compiled
 
 from pepperscene.camera import look_at
 from pepperscene.cultivar import load_cultivar
@@ -29,23 +29,23 @@ def plant_of(seed=3):
 
 
 def scene_of(plant, *others):
-    """The plant, and things behind its organs in the list of instances."""
+    """The plant, and other meshes after its organs in the list of instances."""
     return assemble_scene(
         concatenate_meshes([mesh_plant(plant, 0.5), *others]), skeleton=build_skeleton([plant])
     )
 
 
-def middle_of(plant):
-    """The centre of the largest of its fruit."""
+def largest_fruit_centre(plant):
+    """The centre of the largest fruit."""
     fruit = max(plant.of_form("fruit"), key=lambda organ: organ.measures["diameter_m"])
     return fruit.curve.mean(axis=0)
 
 
-def facing(plant, distance_m=0.45, columns=160, rows=120):
-    """A camera level with a fruit, in the aisle."""
-    target, taken = middle_of(plant), camera(columns=columns, rows=rows)
-    sensor = replace(taken.sensor, binning=4)
-    return replace(taken, sensor=sensor, pose=look_at(target - [0.0, distance_m, 0.0], target))
+def aisle_camera(plant, distance_m=0.45, columns=160, rows=120):
+    """A camera in the aisle, level with the largest fruit."""
+    target, view = largest_fruit_centre(plant), camera(columns=columns, rows=rows)
+    sensor = replace(view.sensor, binning=4)
+    return replace(view, sensor=sensor, pose=look_at(target - [0.0, distance_m, 0.0], target))
 
 
 @pytest.fixture(scope="module")
@@ -60,48 +60,48 @@ def scene(plant):
 
 @pytest.fixture(scope="module")
 def frame(plant, scene):
-    return Renderer(scene).render(facing(plant), OUTPUTS)
+    return Renderer(scene).render(aisle_camera(plant), OUTPUTS)
 
 
-def test_the_whole_mask_is_what_the_fruit_alone_shows(plant, scene, frame):
+def test_amodal_mask_is_that_of_the_isolated_fruit(plant, scene, frame):
     assert len(frame["harvest"]["fruit"]) >= 2
     for fruit in frame["harvest"]["fruit"]:
-        alone = assemble_scene(scene.mesh.of_instances([fruit["instance"] - 1]))
-        mask = Renderer(alone).render(facing(plant), ["instance"])["instance"] > 0
+        alone = assemble_scene(scene.mesh.select_instances([fruit["instance"] - 1]))
+        mask = Renderer(alone).render(aisle_camera(plant), ["instance"])["instance"] > 0
         np.testing.assert_array_equal(decode_rle(fruit["amodal"]), mask)
         seen = frame["instance"] == fruit["instance"]
         assert not (seen & ~mask).any()
         assert fruit["visible_pixels"] == seen.sum()
-        hidden = sum(one["pixels"] for one in fruit["occluders"])
+        hidden = sum(item["pixels"] for item in fruit["occluders"])
         assert hidden == mask.sum() - seen.sum()
 
 
-def test_behind_a_board_all_is_hidden_and_still_told(plant, frame):
-    taken = facing(plant)
-    centre = taken.pose[:3, 3] + 0.1 * taken.pose[:3, 2]
-    board = rectangle(centre, taken.pose[:3, 0], -taken.pose[:3, 1])
+def test_fruit_hidden_by_a_board_keep_their_truth(plant, frame):
+    view = aisle_camera(plant)
+    centre = view.pose[:3, 3] + 0.1 * view.pose[:3, 2]
+    board = rectangle(centre, view.pose[:3, 0], -view.pose[:3, 1])
     scene = scene_of(plant, board)
-    hidden = Renderer(scene).render(taken, OUTPUTS)["harvest"]
+    hidden = Renderer(scene).render(view, OUTPUTS)["harvest"]
     number = len(scene.mesh.instances)
-    assert [one["instance"] for one in hidden["fruit"]] == [
-        one["instance"] for one in frame["harvest"]["fruit"]
+    assert [item["instance"] for item in hidden["fruit"]] == [
+        item["instance"] for item in frame["harvest"]["fruit"]
     ]
-    for fruit, open_one in zip(hidden["fruit"], frame["harvest"]["fruit"], strict=True):
+    for fruit, visible in zip(hidden["fruit"], frame["harvest"]["fruit"], strict=True):
         for key in ("amodal", "amodal_box", "pose", "box_3d", "approach", "truncated"):
-            assert fruit[key] == open_one[key]
+            assert fruit[key] == visible[key]
         assert (fruit["box"], fruit["visible_pixels"], fruit["visible_fraction"]) == (None, 0, 0.0)
         assert fruit["occluders"] == [{"instance": number, "pixels": fruit["amodal_pixels"]}]
         assert not fruit["peduncle"]["cut"]["visible"]
-        assert fruit["peduncle"]["cut"]["world_m"] == open_one["peduncle"]["cut"]["world_m"]
+        assert fruit["peduncle"]["cut"]["world_m"] == visible["peduncle"]["cut"]["world_m"]
     assert all(node["pixels"] == 0 for node in hidden["graph"]["nodes"])
 
 
-def test_camera_and_world_tell_the_same_places(plant, frame):
-    taken = facing(plant)
+def test_camera_and_world_coordinates_agree(plant, frame):
+    view = aisle_camera(plant)
     for fruit in frame["harvest"]["fruit"]:
         stalk = fruit["peduncle"]
         for point in (stalk["attachment"], stalk["cut"]):
-            world = taken.pose @ [*point["camera_m"], 1.0]
+            world = view.pose @ [*point["camera_m"], 1.0]
             np.testing.assert_allclose(world[:3], point["world_m"], atol=2e-6)
         np.testing.assert_allclose(stalk["curve_m"][0], stalk["attachment"]["camera_m"], atol=1e-6)
         pieces = np.linalg.norm(np.diff(stalk["curve_m"], axis=0), axis=1)
@@ -110,31 +110,31 @@ def test_camera_and_world_tell_the_same_places(plant, frame):
         foot = np.array(fruit["pose"])[:3, 3]
         assert np.linalg.norm(stalk["curve_m"][-1] - foot) < 0.08 * fruit["diameter_m"] + 1e-4
         way = fruit["approach"]
-        np.testing.assert_allclose(taken.pose[:3, :3] @ way["camera"], way["world"], atol=1e-8)
+        np.testing.assert_allclose(view.pose[:3, :3] @ way["camera"], way["world"], atol=1e-8)
 
 
 def test_stalks_are_cut_in_the_furrow_above_their_collar():
-    # Of the rings that a stalk's body is made of, the thinnest near its foot lies at the cut.
+    # The thinnest ring of vertices near the foot of a stalk is at the cut.
     plant = plant_of(5)
-    mesh, bones = mesh_plant(plant), build_skeleton([plant])
-    scene = assemble_scene(mesh, skeleton=bones)
-    renderer, taken = Renderer(scene), facing(plant, 0.6, columns=320, rows=240)
-    found = [fruit["peduncle"] for fruit in renderer.render(taken, OUTPUTS)["harvest"]["fruit"]]
-    assert len(found) >= 3
-    for stalk in found:
-        body = mesh.select_instances([stalk["instance"] - 1]).vertices
-        off = (body - stalk["cut"]["world_m"]) @ (taken.pose[:3, :3] @ stalk["cut"]["tangent"])
-        # Rings next to it lie half a foot's length farther.
+    mesh = mesh_plant(plant)
+    renderer = Renderer(assemble_scene(mesh, skeleton=build_skeleton([plant])))
+    view = aisle_camera(plant, 0.6, columns=320, rows=240)
+    stalks = [fruit["peduncle"] for fruit in renderer.render(view, OUTPUTS)["harvest"]["fruit"]]
+    assert len(stalks) >= 3
+    for stalk in stalks:
+        vertices = mesh.select_instances([stalk["instance"] - 1]).vertices
+        along = (vertices - stalk["cut"]["world_m"]) @ (view.pose[:3, :3] @ stalk["cut"]["tangent"])
+        # The next rings are half a foot's length away.
         foot = min(stalk["radius_m"], 0.12 * stalk["length_m"])
         radii = []
-        for place in (-0.5 * foot, 0.0, 0.6 * foot):
-            ring = body[np.abs(off - place) < 0.2 * foot]
+        for position in (-0.5 * foot, 0.0, 0.6 * foot):
+            ring = vertices[np.abs(along - position) < 0.2 * foot]
             assert len(ring) >= 6
             radii.append(np.linalg.norm(ring - ring.mean(axis=0), axis=1).max())
         assert radii[1] < min(radii[0], radii[2])
 
 
-def test_the_graph_leads_from_each_fruit_to_the_stem(plant, scene, frame):
+def test_graph_leads_from_each_fruit_to_the_stem(plant, scene, frame):
     harvest = frame["harvest"]
     parent = dict(harvest["graph"]["edges"])
     assert len(parent) == len(harvest["graph"]["edges"])
@@ -146,63 +146,62 @@ def test_the_graph_leads_from_each_fruit_to_the_stem(plant, scene, frame):
         kinds = [nodes[value]["kind"] for value in line]
         assert kinds == ["fruit", "calyx", "peduncle", "node"]
         assert line[2] == fruit["peduncle"]["instance"]
-        assert all(scene.mesh.instances[one - 1].parent + 1 == two for one, two in parent.items())
+        assert all(scene.mesh.instances[value - 1].parent + 1 == above for value, above in parent.items())
     for value, node in nodes.items():
         assert node["pixels"] == (frame["instance"] == value).sum()
         assert node["class"] == scene.mesh.instances[value - 1].organ_class
 
 
-def test_a_fruit_on_no_stalk_has_none(plant, scene):
-    # The calyx grows out of the node itself.
+def test_fruit_without_a_stalk_has_no_peduncle(plant, scene):
+    # The calyx grows directly on the node.
     organs, forms = list(plant.organs), {name: kind.form for name, kind in plant.kinds.items()}
     for index, organ in enumerate(organs):
         if forms[organ.kind] == "calyx":
             organs[index] = replace(organ, parent=organs[organ.parent].parent)
     bare = replace(scene, skeleton=build_skeleton([replace(plant, organs=tuple(organs))]))
-    harvest = Renderer(bare).render(facing(plant), OUTPUTS)["harvest"]
+    harvest = Renderer(bare).render(aisle_camera(plant), OUTPUTS)["harvest"]
     assert harvest["fruit"]
     assert all(fruit["peduncle"] is None for fruit in harvest["fruit"])
 
 
-def test_from_within_a_fruit_there_is_nothing_else(plant, scene):
-    target = middle_of(plant)
-    taken = camera().at_pose(look_at(target, target + np.array([0.0, 1.0, 0.0])))
-    frame = Renderer(scene).render(taken, OUTPUTS)
+def test_camera_inside_a_fruit_sees_only_that_fruit(plant, scene):
+    target = largest_fruit_centre(plant)
+    view = camera().at_pose(look_at(target, target + np.array([0.0, 1.0, 0.0])))
+    frame = Renderer(scene).render(view, OUTPUTS)
     seen = np.bincount(frame["instance"].ravel()).argmax()
-    fruit = next(one for one in frame["harvest"]["fruit"] if one["instance"] == seen)
-    assert fruit["amodal_pixels"] == taken.width * taken.height
-    # The plant has not settled: something reaches into the fruit.
+    fruit = next(item for item in frame["harvest"]["fruit"] if item["instance"] == seen)
+    assert fruit["amodal_pixels"] == view.width * view.height
+    # Contacts are not resolved: something reaches into the fruit.
     assert fruit["visible_fraction"] > 0.9
     assert fruit["truncated"]
-    assert fruit["amodal"]["counts"] == [0, taken.width * taken.height]
+    assert fruit["amodal"]["counts"] == [0, view.width * view.height]
     # Some corners of its box are behind the camera.
     assert None in fruit["box_3d"]["corners_px"]
     json.dumps(frame["harvest"], allow_nan=False)
 
 
-def test_who_looks_away_is_told_of_nothing(plant, scene):
-    target = middle_of(plant)
+def test_camera_facing_away_sees_no_fruit(plant, scene):
+    target = largest_fruit_centre(plant)
     away = camera().at_pose(look_at(target - [0.0, 0.5, 0.0], target - [0.0, 2.0, 0.0]))
     harvest = Renderer(scene).render(away, ["harvest"])["harvest"]
     assert (harvest["fruit"], harvest["graph"]) == ([], {"nodes": [], "edges": []})
 
 
-def test_the_same_view_gives_the_same_text(plant, scene, frame):
-    again = Renderer(scene).render(facing(plant), ["harvest"])["harvest"]
+def test_same_view_gives_the_same_json(plant, scene, frame):
+    again = Renderer(scene).render(aisle_camera(plant), ["harvest"])["harvest"]
     assert json.dumps(again, allow_nan=False) == json.dumps(frame["harvest"], allow_nan=False)
 
 
-def test_a_scene_without_its_plants_is_refused(plant):
+def test_raises_on_a_scene_without_skeleton(plant):
     with pytest.raises(InputError, match="harvest needs a scene"):
-        Renderer(assemble_scene(mesh_plant(plant, 0.5))).render(facing(plant), ["harvest"])
+        Renderer(assemble_scene(mesh_plant(plant, 0.5))).render(aisle_camera(plant), ["harvest"])
 
 
-def test_other_plants_and_other_pictures_compile_nothing(plant, scene, frame):
+def test_other_plants_and_image_sizes_compile_nothing(plant, scene, frame):
     other = plant_of(8)
-    for made, taken in (
-        (scene_of(other), facing(other, columns=84, rows=63)),
-        (scene, facing(plant, 0.3, columns=120, rows=90)),
+    for another, view in (
+        (scene_of(other), aisle_camera(other, columns=84, rows=63)),
+        (scene, aisle_camera(plant, 0.3, columns=120, rows=90)),
     ):
-        renderer = Renderer(made)
-        _, missed = compiled(lambda r=renderer, c=taken: r.render(c, OUTPUTS))
-        assert missed == 0
+        renderer = Renderer(another)
+        assert count_compiled(lambda r=renderer, v=view: r.render(v, OUTPUTS)) == 0

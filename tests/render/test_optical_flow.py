@@ -1,4 +1,4 @@
-"""Where points lie for another camera, in scenes whose answer can be told by hand."""
+"""Optical flow in scenes where it is known by hand."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import trimesh
 from greenhouse import POSES, camera, row_of_plants
-from test_coverage import FOCAL_PX, bench_camera, solid
+from test_coverage import FOCAL_PX, axis_camera, solid
 
 from pepperscene.camera import Camera, Distortion
 from pepperscene.classes import OrganClass
 from pepperscene.frame import OUTPUTS
 from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.render import Renderer
-from pepperscene.render.aov.flow import CLEARANCE, reached
+from pepperscene.render.aov.flow import CLEARANCE, is_unoccluded
 from pepperscene.render.kernel.scene import truth_scene
 from pepperscene.scene import assemble_scene
 
@@ -23,14 +23,14 @@ BENT = Distortion(k1=-0.1, k2=0.04, p1=1e-3, p2=-1e-3)
 
 
 def sheet(centre, across, down, organ_class: OrganClass = OrganClass.LEAF) -> Mesh:
-    """A parallelogram around a point, from its half axes."""
+    """A parallelogram with a centre and half axes."""
     centre, across, down = (np.array(v, float) for v in (centre, across, down))
     corners = [centre + a * across + b * down for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     return solid(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False), organ_class)
 
 
-def at(view: Camera, *, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn: float = 0.0) -> Camera:
-    """The camera moved in its own axes, and turned to the right."""
+def move(view: Camera, *, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn: float = 0.0) -> Camera:
+    """A camera moved along its own axes, and turned to the right."""
     pose = view.pose.copy()
     pose[:3, 3] += pose[:3, :3] @ [x, y, z]
     cos, sin = np.cos(turn), np.sin(turn)
@@ -39,9 +39,9 @@ def at(view: Camera, *, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn: fl
 
 
 def flow(mesh: Mesh, view: Camera, other: Camera) -> np.ndarray:
-    found = Renderer(assemble_scene(mesh)).render(view, ["flow"], others={"flow": other})["flow"]
-    assert OUTPUTS["flow"].fits(found)
-    return found
+    image = Renderer(assemble_scene(mesh)).render(view, ["flow"], others={"flow": other})["flow"]
+    assert OUTPUTS["flow"].fits(image)
+    return image
 
 
 @pytest.fixture(scope="module")
@@ -50,85 +50,85 @@ def plants():
 
 
 @pytest.mark.parametrize("distorted", [False, True])
-def test_the_same_camera_sees_everything_where_it_was(plants, distorted):
+def test_same_camera_has_no_flow(plants, distorted):
     view = camera(columns=160, rows=120, distorted=distorted)
-    found = flow(plants, view, view)
-    assert (found[..., 2] == 1).all()
-    assert np.abs(found[..., :2]).max() < 1e-6
+    image = flow(plants, view, view)
+    assert (image[..., 2] == 1).all()
+    assert np.abs(image[..., :2]).max() < 1e-6
 
 
-def test_a_wall_moves_by_the_pinhole_formula():
-    # 40 cm before the camera, which moves 12 mm to the right, 5 mm down and 80 mm ahead.
-    view = bench_camera()
-    found = flow(sheet((0, 0, 0.4), (1, 0, 0), (0, 1, 0)), view, at(view, x=0.012, y=0.005, z=0.08))
+def test_flow_of_a_wall_follows_the_pinhole_formula():
+    # It is 40 cm from the camera, which moves 12 mm to the right, 5 mm down and 80 mm forward.
+    view = axis_camera()
+    image = flow(sheet((0, 0, 0.4), (1, 0, 0), (0, 1, 0)), view, move(view, x=0.012, y=0.005, z=0.08))
     v, u = np.mgrid[:64, :64] + 0.5 - 32
     x, y = u * 0.4 / FOCAL_PX, v * 0.4 / FOCAL_PX
     expected = np.stack([(x - 0.012) / 0.32 * FOCAL_PX - u, (y - 0.005) / 0.32 * FOCAL_PX - v], axis=-1)
-    np.testing.assert_allclose(found[..., :2], expected, atol=1e-4)
+    np.testing.assert_allclose(image[..., :2], expected, atol=1e-4)
     inside = (np.abs(expected + np.stack([u, v], -1)) < 32).all(axis=-1)
-    np.testing.assert_array_equal(found[..., 2] == 1, inside)
+    np.testing.assert_array_equal(image[..., 2] == 1, inside)
     assert 0.5 < inside.mean() < 0.7
 
 
-def test_the_sky_turns_and_does_not_move():
-    # A small ball before the sky; the camera moves and turns 3 degrees to the left.
-    view, turn = bench_camera(), np.radians(-3.0)
+def test_flow_of_the_sky_follows_the_rotation_alone():
+    # A small ball in front of the sky; the camera moves and turns 3 degrees to the left.
+    view, turn = axis_camera(), np.radians(-3.0)
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.02)
     ball.apply_translation([0.0, 0.0, 0.5])
     mesh = solid(ball, OrganClass.PEPPER)
-    made = Renderer(assemble_scene(mesh))
-    other = at(view, x=0.02, turn=turn)
-    frame = made.render(view, ["class", "flow"], others={"flow": other})
+    renderer = Renderer(assemble_scene(mesh))
+    other = move(view, x=0.02, turn=turn)
+    frame = renderer.render(view, ["class", "flow"], others={"flow": other})
     sky = frame["class"] == 0
     v, u = np.mgrid[:64, :64] + 0.5
     ray = np.stack([u - 32, v - 32, np.full_like(u, FOCAL_PX)], -1)
     turned = ray @ other.pose[:3, :3]
     expected = turned[..., :2] / turned[..., 2:] * FOCAL_PX + 32
     np.testing.assert_allclose((frame["flow"][..., :2] + np.stack([u, v], -1))[sky], expected[sky], atol=1e-3)
-    # Where the ball stands in the other picture no sky is seen.
-    there = made.render(other, ["class"])["class"]
+    # The ball hides the sky in the other picture.
+    there = renderer.render(other, ["class"])["class"]
     inside = sky & (expected > 0).all(-1) & (expected < 64).all(-1)
     column, row = np.floor(np.where(inside[..., None], expected, 0)).astype(int).transpose(2, 0, 1)
-    behind = inside & (there[row, column] > 0)
-    assert behind.sum() > 300
-    assert (frame["flow"][..., 2] == 1)[behind].mean() < 0.1
-    assert (frame["flow"][..., 2] == 1)[inside & ~behind].mean() > 0.98
+    hidden = inside & (there[row, column] > 0)
+    assert hidden.sum() > 300
+    assert (frame["flow"][..., 2] == 1)[hidden].mean() < 0.1
+    assert (frame["flow"][..., 2] == 1)[inside & ~hidden].mean() > 0.98
     assert not frame["flow"][..., 2][~inside & sky].any()
 
 
-def test_behind_the_other_camera_is_nowhere():
-    view = bench_camera()
-    found = flow(sheet((0, 0, 0.4), (1, 0, 0), (0, 1, 0)), view, at(view, z=1.0))
-    assert np.isnan(found[..., :2]).all()
-    assert not found[..., 2].any()
+def test_points_behind_the_other_camera_have_no_flow():
+    view = axis_camera()
+    image = flow(sheet((0, 0, 0.4), (1, 0, 0), (0, 1, 0)), view, move(view, z=1.0))
+    assert np.isnan(image[..., :2]).all()
+    assert not image[..., 2].any()
 
 
-def test_at_the_end_of_a_path_nothing_flows():
-    made = Renderer(assemble_scene(sheet((0, 0, 0.4), (1, 0, 0), (0, 1, 0))))
-    found = made.render(bench_camera(), ["flow"])["flow"]
-    assert OUTPUTS["flow"].fits(found)
-    assert np.isnan(found[..., :2]).all()
-    assert not found[..., 2].any()
+def test_without_another_camera_there_is_no_flow():
+    renderer = Renderer(assemble_scene(sheet((0, 0, 0.4), (1, 0, 0), (0, 1, 0))))
+    image = renderer.render(axis_camera(), ["flow"])["flow"]
+    assert OUTPUTS["flow"].fits(image)
+    assert np.isnan(image[..., :2]).all()
+    assert not image[..., 2].any()
 
 
 @pytest.mark.parametrize(("gap", "hides"), [(100.0, True), (2.0, True), (1.1, True), (0.9, False)])
-def test_what_stands_before_a_point_hides_it_beyond_the_clearance(gap, hides):
-    # Points of a wall at 40 cm, and a sheet before it as far as so many clearances.
+def test_occluders_hide_points_beyond_the_clearance(gap, hides):
+    # Points of a wall at 40 cm, and a sheet in front of it at a multiple of the clearance.
     rng = np.random.default_rng(2)
-    before = 0.4 * (1.0 - gap * CLEARANCE)
-    walls = [sheet((0, 0, z), (1, 0, 0), (0, 1, 0)) for z in (0.4, before)]
+    closer = 0.4 * (1.0 - gap * CLEARANCE)
+    walls = [sheet((0, 0, z), (1, 0, 0), (0, 1, 0)) for z in (0.4, closer)]
     points = np.column_stack([rng.uniform(-0.3, 0.3, (500, 2)), np.full(500, 0.4)])
-    # The wall's triangles are the first two; which of them makes no difference here.
+    # The wall's triangles are the first two; either will do.
     scene = truth_scene(assemble_scene(concatenate_meshes(walls)))
-    found = reached(scene, np.zeros(3), points, np.zeros(500, dtype=np.int64))
-    assert (found == (not hides)).all()
-    # The same points belong to the sheet: nothing stands before it.
-    assert reached(scene, np.zeros(3), points * before / 0.4, np.full(500, 2)).all()
+    image = is_unoccluded(scene, np.zeros(3), points, np.zeros(500, dtype=np.int64))
+    assert (image == (not hides)).all()
+    # Nothing is in front of the sheet.
+    assert is_unoccluded(scene, np.zeros(3), points * closer / 0.4, np.full(500, 2)).all()
 
 
 @pytest.mark.parametrize("degrees", [90.0, 5.0, 0.5, 0.1])
-def test_a_surface_does_not_hide_itself_however_flat_it_is_seen(degrees):
-    # A flat sheet of many triangles, seen from in front, and by a camera that looks along it.
+def test_surface_does_not_hide_itself_at_grazing_angles(degrees):
+    # A flat sheet of many triangles, seen from the front, and by a camera that looks along it.
     angle = np.radians(degrees)
     grid = np.linspace(-0.05, 0.05, 41)
     x, y = np.meshgrid(grid, grid)
@@ -137,14 +137,14 @@ def test_a_surface_does_not_hide_itself_however_flat_it_is_seen(degrees):
     upper, lower = (np.stack([first, first + one, first + two], 1) for one, two in ((1, 42), (42, 41)))
     faces = np.concatenate([upper, lower])
     mesh = solid(trimesh.Trimesh(points, faces, process=False), OrganClass.LEAF)
-    view = bench_camera()
-    # From the side, at the angle above the sheet, looking at its middle.
-    eye = np.array([0, 0, 0.4]) + 0.4 * np.array([np.cos(angle), 0, -np.sin(angle)])
-    forward = (np.array([0, 0, 0.4]) - eye) / 0.4
+    view = axis_camera()
+    # From the side, at the angle above the sheet, looking at its centre.
+    centre = np.array([0, 0, 0.4]) + 0.4 * np.array([np.cos(angle), 0, -np.sin(angle)])
+    forward = (np.array([0, 0, 0.4]) - centre) / 0.4
     down = np.array([0.0, 1.0, 0.0])
     pose = np.eye(4)
     pose[:3, :3] = np.stack([np.cross(down, forward), down, forward], axis=1)
-    pose[:3, 3] = eye
+    pose[:3, 3] = centre
     wide = replace(view, sensor=replace(view.sensor, columns=400, rows=400))
     frame = Renderer(assemble_scene(mesh)).render(
         view, ["class", "flow"], others={"flow": wide.at_pose(pose)}
@@ -154,9 +154,9 @@ def test_a_surface_does_not_hide_itself_however_flat_it_is_seen(degrees):
     assert (frame["flow"][..., 2] == 1).all()
 
 
-def test_the_back_of_a_solid_is_hidden_and_that_of_a_sheet_is_not():
-    view = bench_camera()
-    behind = at(view, z=0.8, turn=np.pi)
+def test_back_of_a_solid_is_hidden_and_that_of_a_sheet_is_not():
+    view = axis_camera()
+    behind = move(view, z=0.8, turn=np.pi)
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.05)
     ball.apply_translation([0, 0, 0.4])
     assert not flow(solid(ball, OrganClass.PEPPER), view, behind)[16:48, 16:48, 2].any()
@@ -164,27 +164,29 @@ def test_the_back_of_a_solid_is_hidden_and_that_of_a_sheet_is_not():
 
 
 @pytest.mark.parametrize(("shift", "scale"), [((1e4, -2e4, 50.0), 1.0), ((0, 0, 0), 1e-3)])
-def test_neither_place_nor_size_of_a_scene_matters(plants, shift, scale):
-    # 20 km away, and a thousand times smaller: the kernel's coordinates are its region's.
+def test_flow_does_not_depend_on_position_or_size_of_the_scene(plants, shift, scale):
+    # 20 km away, and a thousand times smaller: the kernel uses local coordinates.
     view = replace(camera(columns=40, rows=30), lens=replace(camera().lens, distortion=BENT), flash=None)
 
-    def moved(one: Camera) -> Camera:
-        pose = one.pose.copy()
+    def moved(original: Camera) -> Camera:
+        pose = original.pose.copy()
         pose[:3, 3] = scale * pose[:3, 3] + shift
-        return one.at_pose(pose)
+        return original.at_pose(pose)
 
     there = replace(plants, vertices=(scale * plants.vertices.astype(float) + shift).astype(np.float32))
     other = view.at_pose(POSES[2])
     here, away = flow(plants, view, other), flow(there, moved(view), moved(other))
     same = np.isclose(here, away, atol=0.05, equal_nan=True).all(axis=-1)
-    # Far away, vertices are rounded to a millimetre.
+    # Far from the origin, vertices are rounded to a millimetre.
     assert same.mean() > (0.97 if scale != 1.0 else 0.5)
     assert np.mean(here[..., 2] == away[..., 2]) > 0.95
 
 
-def test_bytes_do_not_depend_on_what_was_rendered_before(plants):
-    made = Renderer(assemble_scene(plants))
-    first = made.render(camera(), ["flow"], others={"flow": camera(2)})["flow"].tobytes()
-    made.render(camera(0), ["stereo", "coverage"], others={"stereo": camera(1)})
-    both = made.render(camera(), ["class", "flow", "stereo"], others={"flow": camera(2), "stereo": camera(2)})
+def test_bytes_do_not_depend_on_earlier_frames(plants):
+    renderer = Renderer(assemble_scene(plants))
+    first = renderer.render(camera(), ["flow"], others={"flow": camera(2)})["flow"].tobytes()
+    renderer.render(camera(0), ["stereo", "coverage"], others={"stereo": camera(1)})
+    both = renderer.render(
+        camera(), ["class", "flow", "stereo"], others={"flow": camera(2), "stereo": camera(2)}
+    )
     assert both["flow"].tobytes() == both["stereo"].tobytes() == first
