@@ -33,7 +33,7 @@ class FakeRenderer:
         seen = {"1": {"class": 1, "kind": "lamina", "plant": 0, "phytomer": 3, "parent": 0}}
         labelled = any(not OUTPUTS[name].traced for name in names)
         facts = {
-            "camera": camera.facts(),
+            "camera": camera.metadata(),
             "variant": "fake",
             "versions": {"fake": "1"},
             "instances": seen if labelled else {},

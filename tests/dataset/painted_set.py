@@ -43,7 +43,7 @@ class Painter:
             "harvest": harvest(rng, told, whole),
         }
         assert set(images) <= set(OUTPUTS)
-        facts = {"camera": camera.facts(), "instances": {str(value): one for value, one in told.items()}}
+        facts = {"camera": camera.metadata(), "instances": {str(value): one for value, one in told.items()}}
         return Frame({name: images[name] for name in outputs}, facts)
 
 

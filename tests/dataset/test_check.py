@@ -78,7 +78,7 @@ class Discs:
             "harvest": {"format": "pepperscene harvest 1", "fruit": [], "graph": {"nodes": [], "edges": []}},
         }  # fmt: skip
         facts = {
-            "camera": {**camera.facts(), "width": WIDTH, "height": HEIGHT, "binning": 2, "bits": 10},
+            "camera": {**camera.metadata(), "width": WIDTH, "height": HEIGHT, "binning": 2, "bits": 10},
             "instances": listed(instance, classes),
         }
         return Frame({name: images[name] for name in outputs}, facts)
@@ -631,5 +631,5 @@ def test_a_kind_that_there_is_not_is_a_fault_of_the_program():
 
 @pytest.mark.parametrize("workers", [0, -1, 100_000])
 def test_workers_are_a_positive_number(whole, workers):
-    with pytest.raises(InputError, match="--workers"):
+    with pytest.raises(InputError, match="workers"):
         check_dataset(whole, workers=workers)

@@ -53,7 +53,7 @@ def truth(out):
 
 def organs(made, index):
     """What the frame's JSON tells of the organs of plants, by instance."""
-    told = made.facts(index)["instances"].items()
+    told = made.metadata(index)["instances"].items()
     return {int(value): one for value, one in told if one["class"] and one["plant"] >= 0}
 
 
@@ -218,7 +218,7 @@ def test_small_organs_join_the_crowd_of_their_class(made, tmp_path):
 
 def test_files_tell_whence_they_come(made, out):
     content = json.loads((out / "annotations" / "instances_train.json").read_text())
-    assert content["info"]["recipe_sha256"] == made.about["recipe_sha256"]
+    assert content["info"]["recipe_sha256"] == made.info["recipe_sha256"]
     assert [one["set"] for one in content["images"]] == [0] * 4
 
 

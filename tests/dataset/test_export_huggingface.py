@@ -72,7 +72,7 @@ def test_pictures_come_as_pictures(hub, tmp_path, built):
 def test_facts_are_columns(hub, tmp_path, built):
     export_huggingface(built, tmp_path / "out", SPLITS)
     rows = load(hub, tmp_path / "out", tmp_path / "cache")["train"]
-    row, facts = rows[3], built.facts(3)
+    row, facts = rows[3], built.metadata(3)
     assert row["pixels"] == facts["class_pixels"]
     assert (row["set"], row["rotation"], row["step"]) == (facts["set"], facts["rotation"], facts["step"])
     assert row["pose"] == facts["camera"]["pose"]
@@ -118,7 +118,7 @@ def test_the_card_is_what_the_library_understands(hub, tmp_path, built):
     assert [split["num_examples"] for split in told["dataset_info"]["splits"]] == [5, 2]
     files = (tmp_path / "out" / "data").iterdir()
     assert told["dataset_info"]["download_size"] == sum(path.stat().st_size for path in files)
-    for said in (built.about["recipe_sha256"], built.about["version"], built.about["quality"], "5 images"):
+    for said in (built.info["recipe_sha256"], built.info["version"], built.info["quality"], "5 images"):
         assert said in card.text
 
 
@@ -130,7 +130,7 @@ def test_sizes_have_the_names_of_the_hub(built, frames, size):
         held = packed = 0
 
     Split.frames = frames
-    card = Card(built.about, columns(("colour", "class"), (6, 8)), {"train": Split()}, "mit")
+    card = Card(built.info, columns(("colour", "class"), (6, 8)), {"train": Split()}, "mit")
     assert card.front()["size_categories"] == [size]
     assert card.front()["task_categories"] == ["image-segmentation"]
 
@@ -155,5 +155,5 @@ def test_faults_leave_nothing_behind(tmp_path, built):
 
 def test_it_is_one_of_the_formats(tmp_path, built):
     assert export_dataset(built.folder, "huggingface", tmp_path / "out").frames == 9
-    assert json.loads((tmp_path / "out" / "dataset.json").read_text()) == built.about
+    assert json.loads((tmp_path / "out" / "dataset.json").read_text()) == built.info
     assert os.listdir(tmp_path / "out" / "data") == ["train-00000-of-00001.parquet"]

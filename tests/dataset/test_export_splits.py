@@ -102,7 +102,7 @@ def test_all_is_for_training_when_nothing_is_said():
     ],
 )
 def test_what_makes_no_splits_is_told(text, told):
-    with pytest.raises(InputError, match="--split") as fault:
+    with pytest.raises(InputError, match="split") as fault:
         read_splits(text, PLAN, range(20))
     assert told in str(fault.value)
 

@@ -64,7 +64,7 @@ def test_webdataset_reads_every_sample_whole(tmp_path, built, how):
             assert array.dtype == wanted.dtype
             np.testing.assert_array_equal(array, wanted)
         assert sample["json"]["index"] == index
-        assert sample["json"]["camera"] == built.facts(index)["camera"]
+        assert sample["json"]["camera"] == built.metadata(index)["camera"]
         assert sample["harvest.json"] == HARVEST
 
 
@@ -95,7 +95,7 @@ def test_splits_have_shards_of_their_own(tmp_path, built):
     assert sorted(read((tmp_path / "out").glob("val-*"))) == ["000007", "000008"]
     listed = json.loads((tmp_path / "out" / "shards.json").read_text())
     assert listed["splits"]["val"] == [{"file": "val-000000.tar", "samples": 2}]
-    assert listed["dataset"]["recipe_sha256"] == built.about["recipe_sha256"]
+    assert listed["dataset"]["recipe_sha256"] == built.info["recipe_sha256"]
     assert [done for _, done, _ in told] == list(range(1, 9))
     assert {total for _, _, total in told} == {8}
 

@@ -121,7 +121,7 @@ def test_a_missing_output_is_told_before_anything_is_written(form, damaged, tmp_
 def test_an_instance_that_nobody_tells_of_is_told(damaged, tmp_path, monkeypatch):
     from pepperscene.dataset.export import source
 
-    facts = damaged.facts(9)
+    facts = damaged.metadata(9)
     value = sorted(facts["instances"])[0]
     del facts["instances"][value]
     monkeypatch.setattr(source.ExportSource, "facts", facts)

@@ -63,7 +63,7 @@ def test_every_organ_is_found_again(made, out):
         for index in indices:
             picture = read_image(out / "images" / split / f"{index:06d}.png")
             assert (picture == made.image(index, "colour")).all()
-            instance, told = made.image(index, "instance"), made.facts(index)["instances"]
+            instance, told = made.image(index, "instance"), made.metadata(index)["instances"]
             masks = {}
             for kind, mask in objects(out / "labels" / split / f"{index:06d}.txt"):
                 value = int(np.bincount(instance[mask], minlength=1).argmax())
@@ -106,7 +106,7 @@ def test_readers_find_train_and_val_whatever_the_splits_are_called(made, tmp_pat
 
 def test_the_smallest_organ_can_be_told(made, tmp_path):
     export_dataset(made.folder, "yolo", tmp_path / "out", frames="3:4", smallest_px=300)
-    told = made.facts(3)["instances"].values()
+    told = made.metadata(3)["instances"].values()
     wanted = [one for one in told if one["class"] and one["plant"] >= 0 and one["pixels"] >= 300]
     found = objects(tmp_path / "out" / "labels" / "train" / "000003.txt")
     assert 0 < len(found) <= len(wanted)
