@@ -3,8 +3,8 @@
 The photograph has an edge where one organ ends and another begins. Differences between its neighbouring
 pixels, relative to those of their surroundings, are correlated with the borders between labels, to the right
 and downwards, for every shift at once by Fourier transform (W. K. Pratt 1974, Correlation techniques of image
-registration, IEEE Trans. Aerosp. Electron. Syst. AES-10, 353-358). Correct labels give one sharp peak at shift
-0. Shifted labels give it elsewhere; mirrored labels, or those of another frame, give none, and the highest of
+registration, IEEE Trans. Aerosp. Electron. Syst. AES-10, 353-358). Correct labels give one sharp peak at no
+shift. Shifted labels give it elsewhere; mirrored labels, or those of another frame, give none, and the highest of
 many chance values can be anywhere.
 
 Measured on 36 photographs of 800x600 (by flash, out of focus, by daylight, of two qualities) with organs: the

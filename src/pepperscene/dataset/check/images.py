@@ -3,42 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.dataset.check.findings import camera_integer, camera_pose
+from pepperscene.truth import saturated_share
 
 _BLACK: Final = 2
 """Chosen: highest grey value of a black photograph, below the noise of any sensor."""
 _DARK: Final = 25
-"""Highest 99th percentile of the grey values of a dark photograph. With the lens cap on, the paper's camera has
-21; a hundredth of the paper's light gives 22 to 25, a thirtieth 29 to 45."""
+"""Highest 99th percentile of the grey values of a dark photograph. The paper's camera has 21 with its lens cap
+on, 22 to 25 by a hundredth of the paper's light, 29 to 45 by a thirtieth."""
 _SATURATED: Final = 0.5
 """Chosen: fraction of saturated pixels; the recipe can expect less."""
-
-
-@dataclass(frozen=True)
-class ImageTone:
-    """Brightness of a photograph.
-
-    Attributes:
-        mean: of all grey values, 0 to 255.
-        saturated: fraction of pixels with a channel at 255.
-    """
-
-    mean: float
-    saturated: float
-
-
-def image_tone(photo: NDArray[np.uint8]) -> ImageTone:
-    """Brightness of an `(h, w, 3)` photograph."""
-    saturated = photo[..., 0] == 255
-    for channel in range(1, photo.shape[2]):
-        saturated |= photo[..., channel] == 255
-    return ImageTone(float(photo.mean()), float(np.count_nonzero(saturated) / saturated.size))
 
 
 def check_photo(photo: NDArray[np.uint8]) -> Iterator[tuple[str, str]]:
@@ -51,7 +30,7 @@ def check_photo(photo: NDArray[np.uint8]) -> Iterator[tuple[str, str]]:
         yield "constant", f"every grey value is {values[0]}"
     elif (percentile := int(np.searchsorted(counts.cumsum(), 0.99 * photo.size))) <= _DARK:
         yield "dark", f"99 % of its grey values are at most {percentile} of 255"
-    elif (fraction := image_tone(photo).saturated) > _SATURATED:
+    elif (fraction := saturated_share(photo)) > _SATURATED:
         yield "saturated", f"{fraction:.0%} of its pixels have a channel at 255"
 
 
@@ -74,9 +53,7 @@ _COVERAGE_TOLERANCE: Final = 8 * 2.0**-11
 def check_values(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     """Yield kind, output and description of the problems of a frame's measured images.
 
-    Args:
-        images: of the frame by output name, of the right type, all of one size.
-        metadata: the frame's JSON.
+    The images, by output name, have the right type and all one size; the metadata are the frame's JSON.
     """
     sky = _sky_mask(images)
     for output, rule in _RULES.items():

@@ -23,9 +23,7 @@ _HARVEST_FORMAT: Final = "pepperscene harvest 1"
 def check_labels(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[Problem]:
     """Yield the problems of a frame's classes and instances.
 
-    Args:
-        images: of the frame by output name, of the right type, all of one size.
-        metadata: the frame's JSON.
+    The images, by output name, have the right type and all one size; the metadata are the frame's JSON.
     """
     classes, instances = images.get("class"), images.get("instance")
     if classes is not None:
@@ -138,11 +136,7 @@ def _check_derived(images: Mapping[str, Any]) -> Iterator[Problem]:
 
 
 def check_harvest(images: Mapping[str, Any]) -> Iterator[Problem]:
-    """Yield the problems of a frame's harvest truth.
-
-    Args:
-        images: of the frame by output name.
-    """
+    """Yield the problems of a frame's harvest truth."""
     harvest, instances = images.get("harvest"), images.get("instance")
     if harvest is None:
         return

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.check.edges import CHANCE, Match, match
 from pepperscene.dataset.check.findings import Finding, camera_integer, camera_pose, json_object
-from pepperscene.dataset.check.images import check_photo, check_values, image_tone, is_constant
+from pepperscene.dataset.check.images import check_photo, check_values, is_constant
 from pepperscene.dataset.check.labels import check_harvest, check_labels
 from pepperscene.dataset.recipe.plan import Plan, frame_seed
 from pepperscene.dataset.store.dataset import CHECKSUM, FRAMES, Dataset, FrameStatus, checksum_of, file_name
@@ -23,7 +23,7 @@ from pepperscene.dataset.store.images import read_image
 from pepperscene.dataset.store.rows import row_of
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
-from pepperscene.truth import class_pixel_counts
+from pepperscene.truth import class_pixel_counts, saturated_share
 
 _JOURNAL_COLUMNS: Final = ("render_s", "write_s", "worker")
 """Columns of the manifest that are not known from the frame."""
@@ -37,43 +37,26 @@ class FrameTraits:
 
     Digests have 64 bits, and are 0 if there is nothing to compare: in a million frames, two different ones
     have the same digest with a probability of 3e-8.
-
-    Attributes:
-        index: of the frame.
-        scene: its set and rotation as one number, or None if they are unknown.
-        picture: digest of its first traced image that is not constant.
-        content: digest of all its files, unless all images are constant.
-        view: digest of pose and seed.
-        row: digest of its row in the manifest.
-        fractions: of the pixels for each of the eight classes, or None without a class image.
-        mean: grey value of the photograph, or None without one.
-        saturated: fraction of the photograph's pixels with a channel at 255.
     """
 
     index: int
-    scene: int | None = None
-    picture: int = 0
-    content: int = 0
-    view: int = 0
-    row: int = 0
-    fractions: tuple[float, ...] | None = None
-    mean: float | None = None
-    saturated: float = 0.0
+    scene: int | None = None  # set and rotation as one number
+    picture: int = 0  # digest of its first traced image that is not constant
+    content: int = 0  # digest of all its files, unless all images are constant
+    view: int = 0  # digest of pose and seed
+    row: int = 0  # digest of its row in the manifest
+    fractions: tuple[float, ...] | None = None  # of the pixels for each class
+    mean: float | None = None  # grey value of the photograph
+    saturated: float = 0.0  # fraction of the photograph's pixels with a channel at 255
 
 
 @dataclass(frozen=True)
 class FrameExamination:
-    """Result of the checks of one frame.
-
-    Attributes:
-        findings: its problems.
-        traits: what is compared with other frames.
-        has_harvest: whether its JSON names the output harvest.
-    """
+    """Result of the checks of one frame."""
 
     findings: tuple[Finding, ...]
     traits: FrameTraits
-    has_harvest: bool = False
+    has_harvest: bool = False  # whether its JSON names the output harvest
 
 
 def examine_frame(dataset: Dataset, index: int) -> FrameExamination:
@@ -119,7 +102,7 @@ def _traits(
     # Frames of constant images (all sky, no light) may be equal.
     varied = [name for name, image in images.items() if OUTPUTS[name].is_image and not is_constant(image)]
     traced = next((name for name in varied if OUTPUTS[name].traced), None)
-    tone = image_tone(images["colour"]) if "colour" in images else None
+    photo = images.get("colour")
     pose, seed = camera_pose(metadata), metadata.get("seed")
     return FrameTraits(
         index,
@@ -129,8 +112,8 @@ def _traits(
         view=0 if pose is None or seed is None else _digest(json.dumps([pose.tolist(), seed]).encode()),
         row=_row_digest(metadata),
         fractions=_class_fractions(images.get("class")),
-        mean=tone.mean if tone else None,
-        saturated=tone.saturated if tone else 0.0,
+        mean=None if photo is None else float(photo.mean()),
+        saturated=0.0 if photo is None else saturated_share(photo),
     )
 
 

@@ -11,6 +11,7 @@ from statistics import median, stdev
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.check.findings import Finding
@@ -158,17 +159,8 @@ _CLASS_NAMES: Final = tuple(organ.name.lower() for organ in OrganClass)
 _INTENSITY: Final = "intensity"
 
 
-class RunningMean:
-    """Mean of numbers that are added one at a time."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.mean = 0.0
-
-    def add(self, value: float) -> None:
-        """Add a number."""
-        self.count += 1
-        self.mean += (value - self.mean) / self.count
+Sums = dict[str, NDArray[np.float64]]
+"""Sum and number of the values of each statistic."""
 
 
 class CrossFrameChecks:
@@ -182,8 +174,8 @@ class CrossFrameChecks:
         self._expect = expect or ExpectTable()
         self._indices = array("q")
         self._digests = {trait: array("Q") for trait in (*_DUPLICATES, "row")}
-        self._means: dict[str, RunningMean] = {}
-        self._scene_means: dict[int, dict[str, RunningMean]] = {}
+        self._sums: Sums = {}
+        self._scene_sums: dict[int, Sums] = {}
 
     def add(self, traits: FrameTraits) -> Iterator[Finding]:
         """Add a frame, and yield where it violates the expectations of a single frame."""
@@ -195,10 +187,10 @@ class CrossFrameChecks:
         values = {} if fractions is None else dict(zip(_CLASS_NAMES, fractions, strict=True))
         if traits.mean is not None:
             values[_INTENSITY] = traits.mean
-        scene = self._scene_means.setdefault(-1 if traits.scene is None else traits.scene, {})
+        scene = self._scene_sums.setdefault(-1 if traits.scene is None else traits.scene, {})
         for name, value in values.items():
-            for means in (self._means, scene):
-                means.setdefault(name, RunningMean()).add(value)
+            for sums in (self._sums, scene):
+                sums[name] = sums.get(name, 0.0) + np.array([value, 1.0])
 
     def drift(self, whole: bool) -> Iterator[Finding]:
         """Yield means of the set that are outside the expected ranges.
@@ -210,22 +202,21 @@ class CrossFrameChecks:
         if self._expect.intensity is not None:
             ranges[_INTENSITY] = self._expect.intensity
         for name, (low, high) in ranges.items():
-            if name not in self._means:
+            if name not in self._sums:
                 continue
-            mean, count = self._means[name].mean, self._means[name].count
+            total, count = self._sums[name]
+            mean = total / count
             tolerance = 0.0 if whole else _STANDARD_ERRORS * self._standard_error(name)
             if not low - tolerance <= mean <= high + tolerance:
-                values = f"{mean:.4g} over {count} frames, expected {low:g} to {high:g}"
+                values = f"{mean:.4g} over {count:.0f} frames, expected {low:g} to {high:g}"
                 yield Finding("drift", None, "", f"the {_statistic(name)} is {values}")
 
     def outlier_scenes(self) -> Iterator[str]:
         """Yield scenes whose means differ strongly from those of the others."""
-        if len(self._scene_means) < _MIN_SCENES_FOR_OUTLIERS:
+        if len(self._scene_sums) < _MIN_SCENES_FOR_OUTLIERS:
             return
-        for name in self._means:
-            means = {
-                scene: values[name].mean for scene, values in self._scene_means.items() if name in values
-            }
+        for name in self._sums:
+            means = self._scene_means(name)
             centre = median(means.values())
             deviation = _MAD_TO_SD * median(abs(mean - centre) for mean in means.values())
             for scene, mean in means.items():
@@ -236,9 +227,13 @@ class CrossFrameChecks:
                         f"median of all scenes {centre:.4g}"
                     )
 
+    def _scene_means(self, name: str) -> dict[int, float]:
+        known = {scene: sums[name] for scene, sums in self._scene_sums.items() if name in sums}
+        return {scene: float(total / count) for scene, (total, count) in known.items()}
+
     def _standard_error(self, name: str) -> float:
         """Of the mean, from scene to scene: the frames of a scene show the same plants."""
-        means = [values[name].mean for values in self._scene_means.values() if name in values]
+        means = list(self._scene_means(name).values())
         return stdev(means) / math.sqrt(len(means)) if len(means) >= _MIN_SCENES else math.inf
 
     def duplicates(self) -> Iterator[Finding]:

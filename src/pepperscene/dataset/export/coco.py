@@ -46,23 +46,14 @@ def write_coco(job: ExportJob, folder: Path) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """The pixels of one organ, or of the rest of a class.
+    """The pixels of one organ, or of the rest of a class."""
 
-    Attributes:
-        id: above 0, unique in its image.
-        organ_class: of all its pixels.
-        entry: of the instance in the frame's JSON; empty for the rest of a class.
-        mask: `size` (rows, columns) and `counts`, the run lengths as text.
-        area: number of pixels.
-        box: left, top, width and height of their bounds, pixels.
-    """
-
-    id: int
+    id: int  # above 0, unique in its image
     organ_class: OrganClass
-    entry: Mapping[str, Any]
-    mask: dict[str, Any]
+    entry: Mapping[str, Any]  # of the instance in the frame's JSON; empty for the rest of a class
+    mask: dict[str, Any]  # `size` (rows, columns) and `counts`, the run lengths as text
     area: int
-    box: tuple[int, int, int, int]
+    box: tuple[int, int, int, int]  # left, top, width, height
 
     @property
     def is_organ(self) -> bool:
@@ -76,12 +67,7 @@ class Segment:
 
 
 def find_segments(frame: ExportFrame, ids: NDArray[np.uint32]) -> list[Segment]:
-    """The segments of a frame, by ascending id.
-
-    Args:
-        frame: to export.
-        ids: `(h, w)`, its `segment_ids`.
-    """
+    """The segments of a frame with its `segment_ids` `(h, w)`, by ascending id."""
     coder = import_library("pycocotools.mask")
     height, width = ids.shape
     lengths = segment_run_lengths(ids)

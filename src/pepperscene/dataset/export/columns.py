@@ -47,28 +47,16 @@ _FRUIT: Final = {
 
 @dataclass(frozen=True)
 class Column:
-    """One column.
-
-    Attributes:
-        name: of the column.
-        feature: its type, as Hugging Face writes it in JSON.
-        meaning: one line for the card.
-        value: its content for a frame.
-    """
+    """One column of the Parquet files."""
 
     name: str
-    feature: Any
-    meaning: str
-    value: Callable[[ExportFrame], Any]
+    feature: Any  # its type, as Hugging Face writes it in JSON
+    meaning: str  # one line for the card
+    value: Callable[[ExportFrame], Any]  # its content for a frame
 
 
 def frame_columns(outputs: Sequence[str], shape: tuple[int, int]) -> tuple[Column, ...]:
-    """The columns of frames with these outputs.
-
-    Args:
-        outputs: that all frames have; colour and class are among them.
-        shape: height and width of the frames.
-    """
+    """The columns of frames of a shape (h, w) that all have some outputs, at least colour and class."""
     distances = {"shape": list(shape), "dtype": "float32", "_type": "Array2D"}
     camera = dict.fromkeys((*_CAMERA_KEYS, *_DISTORTION_KEYS), _FLOAT)
     optional = {

@@ -34,8 +34,8 @@ _ROWS: Final = 16
 
 _SIZE_CATEGORIES: Final = (
     (1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"),
+    (10_000_000, "1M<n<10M"),
 )  # fmt: skip
-_LARGEST_CATEGORY: Final = "1M<n<10M"
 
 _LICENCE: Final = "mit"
 """Of this package, in Hugging Face's list; users who publish their images replace it."""
@@ -43,17 +43,11 @@ _LICENCE: Final = "mit"
 
 @dataclass(frozen=True)
 class SplitSize:
-    """Size of a split.
-
-    Attributes:
-        frames: number of rows.
-        memory_bytes: of the columns in memory.
-        file_bytes: of the Parquet files.
-    """
+    """Size of a split."""
 
     frames: int
-    memory_bytes: int = 0
-    file_bytes: int = 0
+    memory_bytes: int = 0  # of the columns in memory
+    file_bytes: int = 0  # of the Parquet files
 
 
 def write_huggingface(job: ExportJob, folder: Path) -> None:
@@ -143,9 +137,7 @@ def card_front_matter(
             *(["object-detection"] if "instances" in names else []),
         ],
         "tags": ["agriculture", "capsicum-annuum", "greenhouse", "sweet-pepper", "synthetic"],
-        "size_categories": [
-            next((name for limit, name in _SIZE_CATEGORIES if frames < limit), _LARGEST_CATEGORY)
-        ],
+        "size_categories": [next(name for limit, name in _SIZE_CATEGORIES if frames < limit)],
         "dataset_info": {
             "features": [{"name": column.name, **yaml_feature(column.feature)} for column in columns],
             "splits": [

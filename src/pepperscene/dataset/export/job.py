@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.store.dataset import Dataset, file_name
+from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.errors import InputError, SetupError
 
 OnFrame = Callable[[int, int, int], None]
@@ -27,12 +25,7 @@ REST: Final = 1 << 16
 
 @dataclass(frozen=True, eq=False)
 class ExportFrame:
-    """One frame of a data set.
-
-    Attributes:
-        dataset: that holds it.
-        index: of the frame.
-    """
+    """One frame of a data set."""
 
     dataset: Dataset
     index: int
@@ -47,21 +40,13 @@ class ExportFrame:
         """Name of its files without suffix."""
         return self.dataset.frame_path(self.index).stem
 
-    def has(self, output: str) -> bool:
-        """Whether the frame has an output."""
-        return output in self.metadata.get("outputs", {})
-
-    def path(self, output: str) -> Path:
-        """The file of an output."""
-        return self.dataset.folder / file_name(self.index, output)
-
     def content(self, output: str) -> bytes:
         """The bytes of an output's file, checked against its checksum.
 
         Raises:
             InputError: the file is missing or damaged.
         """
-        path = self.path(output)
+        path = self.dataset.path(self.index, output)
         try:
             content = path.read_bytes()
         except OSError as error:
@@ -77,27 +62,16 @@ class ExportFrame:
         Raises:
             InputError: the file is missing or damaged.
         """
-        content = self.content(output)
-        if self.path(output).suffix != ".png":
-            return self.dataset.image(self.index, output)
-        from PIL import Image
-
-        try:
-            with Image.open(io.BytesIO(content), formats=["PNG"]) as image:
-                return np.array(image)
-        except (OSError, ValueError, SyntaxError) as error:
-            raise InputError(self.path(output), f"cannot be read as an image ({error})") from None
+        self.content(output)
+        return self.dataset.image(self.index, output)
 
     def segment_ids(self, smallest_px: int) -> NDArray[np.uint32]:
         """Segment of every pixel, `(h, w)`, above 0.
 
         An organ of a plant, of any class but the background, is a segment of its own, whose id is its value
         in the instance image. The rest of each class is the segment `REST` + class: the background, what has
-        an organ's class but belongs to no plant (a wire of the whole row), and organs with too few visible
-        pixels.
-
-        Args:
-            smallest_px: visible pixels below which an organ belongs to the rest of its class.
+        an organ's class but belongs to no plant (a wire of the whole row), and organs with fewer than
+        `smallest_px` visible pixels.
 
         Raises:
             InputError: the instance image is damaged or holds a value that is not in the frame's JSON.
@@ -114,24 +88,17 @@ class ExportFrame:
         if not ids.all():
             unknown = int(instance[ids == 0][0])
             problem = f"instance {unknown} is not in the frame's JSON"
-            raise InputError(self.path("instance"), problem, value=unknown)
+            raise InputError(self.dataset.path(self.index, "instance"), problem, value=unknown)
         return ids
 
 
 @dataclass(frozen=True, eq=False)
 class ExportJob:
-    """Input of an export.
-
-    Attributes:
-        dataset: to export.
-        splits: frames of each split, in ascending order; no split is empty.
-        smallest_px: visible pixels below which an organ is not an object of its own.
-        on_frame: called after every frame, or None.
-    """
+    """Input of an export."""
 
     dataset: Dataset
-    splits: Mapping[str, tuple[int, ...]]
-    smallest_px: int = 1
+    splits: Mapping[str, tuple[int, ...]]  # ascending indices of each; none is empty
+    smallest_px: int = 1  # visible pixels below which an organ is not an object of its own
     on_frame: OnFrame | None = None
 
     @cached_property

@@ -55,12 +55,12 @@ def _binary_name(organ_class: OrganClass) -> str:
 
 def _images(frame: ExportFrame) -> Mapping[str, bytes]:
     """PNG files of a frame by name without the number; files of the data set are copied where they fit."""
-    classes = frame.image("class")
-    if frame.has("class_colour"):
+    classes, outputs = frame.image("class"), frame.metadata["outputs"]
+    if "class_colour" in outputs:
         coloured = frame.content("class_colour")
     else:
         coloured = png_bytes(class_colour(classes))
-    if frame.has("distance_code"):
+    if "distance_code" in outputs:
         coded = frame.content("distance_code")
     else:
         coded = png_bytes(distance_code(frame.image("distance")))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 from pepperscene.dataset.export.job import ExportJob, OnFrame, import_library
 from pepperscene.dataset.export.splits import read_splits
@@ -39,58 +39,21 @@ class ExportResult:
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """One format, written by the function `write_NAME` of the module NAME.
+    """One format, written by the function `write_NAME` of the module NAME."""
 
-    Attributes:
-        name: as on the command line.
-        meaning: one line for help texts.
-        required: outputs that all frames must have; of alternatives in a tuple, one is enough.
-        library: module that the extra `export` installs, or "".
-        smallest_px: default number of visible pixels below which an organ is not an object of its own; None
-            for formats without objects.
-    """
+    required: tuple[tuple[str, ...], ...]  # outputs of all frames; of alternatives in a tuple, one is enough
+    library: str = ""  # module that the extra `export` installs
+    smallest_px: int | None = None  # default of `export_dataset`; None for formats without objects
 
-    name: str
-    meaning: str
-    required: tuple[tuple[str, ...], ...]
-    library: str = ""
-    smallest_px: int | None = None
-
-    def write(self, job: ExportJob, folder: Path) -> None:
-        """Write the frames of a job into an empty folder.
-
-        Raises:
-            InputError: a file of the data set is damaged.
-            OSError: a file cannot be written.
-        """
-        module = import_module(f"pepperscene.dataset.export.{self.name}")
-        getattr(module, f"write_{self.name}")(job, folder)
-
-
-_COLOUR_CLASS: Final = (("colour",), ("class",))
-_COLOUR_INSTANCE: Final = (("colour",), ("instance",))
 
 FORMATS: Final = MappingProxyType(
     {
-        item.name: item
-        for item in (
-            ExportFormat(
-                "published",
-                "folders, names and codes of the published data set",
-                (*_COLOUR_CLASS, ("distance_code", "distance")),
-            ),
-            ExportFormat(
-                "coco", "COCO instances and panoptic", _COLOUR_INSTANCE, "pycocotools.mask", smallest_px=1
-            ),
-            # Chosen: 12 pixels are less than one pixel of a network's masks, a quarter as wide as its input.
-            ExportFormat(
-                "yolo", "YOLO segmentation: one polygon per line", _COLOUR_INSTANCE, "cv2", smallest_px=12
-            ),
-            ExportFormat("webdataset", "shards of samples for webdataset", _COLOUR_CLASS),
-            ExportFormat(
-                "huggingface", "Parquet with images and a card, for Hugging Face's datasets", _COLOUR_CLASS
-            ),
-        )
+        "published": ExportFormat((("colour",), ("class",), ("distance_code", "distance"))),
+        "coco": ExportFormat((("colour",), ("instance",)), "pycocotools.mask", smallest_px=1),
+        # Chosen: 12 pixels are less than one pixel of a network's masks, a quarter as wide as its input.
+        "yolo": ExportFormat((("colour",), ("instance",)), "cv2", smallest_px=12),
+        "webdataset": ExportFormat((("colour",), ("class",))),
+        "huggingface": ExportFormat((("colour",), ("class",))),
     }
 )
 """All formats by name."""
@@ -138,8 +101,9 @@ def export_dataset(
     if export_format.library:
         import_library(export_format.library)
     _check_outputs(dataset, list(job.split_of), export_format.required)
+    module = import_module(f"pepperscene.dataset.export.{format_name}")
     with new_folder(Path(out), dataset.folder) as temporary:
-        export_format.write(job, temporary)
+        getattr(module, f"write_{format_name}")(job, temporary)
         files = sum(path.is_file() for path in temporary.rglob("*"))
     counts = {name: len(members) for name, members in job.splits.items()}
     return ExportResult(Path(out), len(job.split_of), files, counts)
@@ -164,15 +128,10 @@ def _check_outputs(dataset: Dataset, indices: Sequence[int], required: tuple[tup
         for index in indices:
             if not any(dataset.path(index, output).is_file() for output in alternatives):
                 output = alternatives[0]
-                command = f"build {_recipe_name(dataset.info)} --out {dataset.folder} --outputs {output}"
+                recipe = dataset.info["recipe"].get("name") or "RECIPE"
+                command = f"build {recipe} --out {dataset.folder} --outputs {output}"
                 problem = f"frame {index:06d} has no output {output!r}, which the format needs"
                 raise InputError(dataset.folder, f"{problem}; `pepperscene {command}` adds it")
-
-
-def _recipe_name(info: Mapping[str, Any]) -> str:
-    recipe = info.get("recipe")
-    name = recipe.get("name") if isinstance(recipe, dict) else None
-    return str(name or "RECIPE")
 
 
 @contextmanager
@@ -182,12 +141,8 @@ def new_folder(out: Path, source: Path) -> Iterator[Path]:
     It is next to `out`. If `out` exists already (and is empty), it is inside, and its content moves up: a
     mounted folder can be filled but not replaced. All content is on the disk before the folder has its name.
 
-    Args:
-        out: a new folder, or an empty one.
-        source: folder of the data set, which must not contain `out`.
-
     Raises:
-        OutputError: `out` is not empty, is inside the data set, or cannot be written to, or the disk is full.
+        OutputError: `out` is not empty, is inside the data set `source`, or cannot be written to.
     """
     check_can_create(out)
     made: list[Path] = []

@@ -92,16 +92,11 @@ def _pixel_centres(count: int) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class Ring:
-    """A closed line through pixels, with further rings attached by bridges.
-
-    Attributes:
-        points: in order; the last is joined to the first.
-        pixels: number of enclosed pixels, including the line.
-        attached: by index of a point, rings and the index of their point at the other end of the bridge.
-    """
+    """A closed line through pixels, with further rings attached by bridges."""
 
     points: Points
-    pixels: int
+    pixels: int  # enclosed by the line, and those of the line
+    # By index of a point, rings and the index of their point at the other end of the bridge.
     attached: dict[int, list[tuple[Ring, int]]] = field(default_factory=dict)
 
     def attach(self, ring: Ring, point: int, other_point: int) -> None:
@@ -128,11 +123,8 @@ def mask_polygons(mask: NDArray[np.bool_], smallest_px: int) -> list[Points]:
     """Polygons of a mask, the one of the largest piece first.
 
     Points are pixels of the mask. Filled by the even-odd rule including their sides, as OpenCV's `fillPoly`
-    does, they give the mask again except for `TOLERANCE_PX` and `MAX_BRIDGE_FRACTION`.
-
-    Args:
-        mask: `(h, w)`.
-        smallest_px: polygons of fewer pixels are left out.
+    does, they give the mask again except for `TOLERANCE_PX` and `MAX_BRIDGE_FRACTION`. Polygons of fewer than
+    `smallest_px` pixels are left out.
     """
     polygons = []
     pieces = sorted(_find_pieces(mask), key=lambda piece: -piece.pixels)

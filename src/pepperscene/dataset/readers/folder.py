@@ -44,15 +44,9 @@ _NUMBER_OR_WORD: Final = re.compile(r"\d+|[^\W\d_]+")
 
 @dataclass(frozen=True)
 class ImagePair:
-    """An image and its mask.
+    """Files of an image and its mask."""
 
-    Attributes:
-        name: path of the image below its folder, without suffix.
-        image: its file.
-        mask: file of its mask, or None.
-    """
-
-    name: str
+    name: str  # path of the image below its folder, without suffix
     image: Path
     mask: Path | None
 

@@ -24,16 +24,12 @@ _COLOUR_MODES: Final = frozenset({"RGB", "RGBA"})
 class MaskImage:
     """Content of a mask file.
 
-    Attributes:
-        values: `(h, w)` integers, or None if the file has only colours.
-        rgb: `(h, w, 3)` uint8, or None if the file has only values; palette images have both, and so have
-            colour images whose colours are all grey.
-        opaque: `(h, w)` bool, False where the file is fully transparent; None if it has no transparency.
+    Palette images have both values and colours, and so have colour images whose colours are all grey.
     """
 
-    values: NDArray[np.integer[Any]] | None
-    rgb: NDArray[np.uint8] | None
-    opaque: NDArray[np.bool_] | None
+    values: NDArray[np.integer[Any]] | None  # (h, w)
+    rgb: NDArray[np.uint8] | None  # (h, w, 3)
+    opaque: NDArray[np.bool_] | None  # (h, w), False where fully transparent; None without transparency
 
     @property
     def is_grey(self) -> bool:

@@ -14,13 +14,13 @@ from pepperscene.errors import InputError
 
 @final
 class TorchImages(torch.utils.data.Dataset):
-    """A map-style data set, which the workers of a `DataLoader` read in parallel.
+    """A map-style data set, which the workers of a `DataLoader` read in parallel; see `torch_images`.
 
     Args:
         images: the images, of which only the needed fields are read.
         fields: field of `LabelledImage` by key of a sample.
         transform: of a sample, or None.
-        dtype: of the image, "float32" or "uint8".
+        dtype: of the image.
     """
 
     def __init__(

@@ -25,9 +25,10 @@ _COLOURS: Final = {"a": "#a0000a", "b": "#a0000b", "faint": "#a0000c", "line": "
 """Colours for matplotlib by the name of the CSS variable that replaces them in the SVG."""
 
 _STYLE: Final = {
-    **dict.fromkeys(("axes.edgecolor", "text.color", "xtick.color", "ytick.color"), _COLOURS["faint"]),
-    **dict.fromkeys(("axes.spines.left", "axes.spines.right", "axes.spines.top"), False),
+    **dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "text.color"), _COLOURS["faint"]),
+    **dict.fromkeys(("xtick.color", "ytick.color"), _COLOURS["faint"]),
     **dict.fromkeys(("xtick.major.size", "ytick.major.size"), 0.0),
+    **dict.fromkeys(("axes.spines.left", "axes.spines.right", "axes.spines.top"), False),
     "axes.axisbelow": True,
     "font.size": 12.0,
     "grid.color": _COLOURS["line"],
@@ -38,19 +39,12 @@ _STYLE: Final = {
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One line of a chart.
+    """One line of a chart."""
 
-    Attributes:
-        key: "a" or "b", which selects its colour.
-        name: for the description of the chart.
-        x: `(n,)`, ascending.
-        y: `(n,)`, at least 0.
-    """
-
-    key: str
-    name: str
-    x: NDArray[np.floating]
-    y: NDArray[np.floating]
+    key: str  # "a" or "b", which selects the colour
+    name: str  # for the description of the chart
+    x: NDArray[np.floating]  # (n,), ascending
+    y: NDArray[np.floating]  # (n,), at least 0
 
 
 def line_chart(
@@ -62,12 +56,12 @@ def line_chart(
     y_label: str,
     hue_strip: bool = False,
 ) -> str:
-    """Draw lines from zero upwards over a common axis.
+    """Draw lines from zero upwards over a common axis; the first one is filled.
 
     Args:
         chart_id: unique in the page.
         title: for screen readers.
-        curves: at least one; the first is drawn filled.
+        curves: at least one.
         x_label: of the horizontal axis.
         x_ticks: of the horizontal axis, which ends at the first and the last of them.
         y_label: of the vertical axis.
@@ -82,9 +76,9 @@ def line_chart(
         _set_ticks(axes, "y", _round_ticks(0.0, max(float(curve.y[at]) for curve, at in peaks) or 1.0))
         axes.grid(axis="y")
         axes.figure.text(0, 1 - 12 / _LINE_CHART[0], y_label)
-        filled = curves[0]
-        outline = np.pad(filled.x, 1, mode="edge"), np.pad(filled.y, 1)
-        axes.fill(*outline, color=_COLOURS[filled.key], alpha=0.16, linewidth=0)
+        first = curves[0]
+        outline = np.pad(first.x, 1, mode="edge"), np.pad(first.y, 1)
+        axes.fill(*outline, color=_COLOURS[first.key], alpha=0.16, linewidth=0)
         for curve in curves:
             dashes = (0, (2.8, 1.7)) if curve.key == "b" else "solid"
             axes.plot(curve.x, curve.y, color=_COLOURS[curve.key], linestyle=dashes, linewidth=1.8)
@@ -149,7 +143,7 @@ def _draw_svg(
         bounds = np.array([_LEFT, _BOTTOM, _RIGHT - _LEFT, height - top - _BOTTOM])
         axes = figure.add_axes(tuple(bounds / [_WIDTH, height, _WIDTH, height]))
         _set_ticks(axes, "x", x_ticks)
-        figure.text((_LEFT + _RIGHT) / 2 / _WIDTH, 14 / height, x_label, horizontalalignment="center")
+        axes.set_xlabel(x_label)
         draw(axes)
         metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
         figure.savefig(buffer, format="svg", transparent=True, metadata=metadata)
@@ -190,8 +184,7 @@ def _add_hue_strip(axes: Any) -> None:
     """Draw the hues below the horizontal axis, and move its labels down."""
     from matplotlib.colors import hsv_to_rgb
 
-    rgb = hsv_to_rgb([[(hue, 0.92, 0.925) for hue in np.linspace(0.0, 1.0, 73)]])
     strip = axes.inset_axes((0.0, -8 / 124, 1.0, 5 / 124))
-    strip.imshow(rgb, aspect="auto", interpolation="none")
+    strip.imshow(hsv_to_rgb([[(hue, 0.92, 0.925) for hue in np.linspace(0.0, 1.0, 73)]]), aspect="auto")
     strip.set_axis_off()
     axes.tick_params(axis="x", pad=13)

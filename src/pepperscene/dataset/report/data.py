@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
-from pepperscene.dataset.store.dataset import Dataset
+from pepperscene.dataset.store.dataset import Dataset, FrameStatus
 from pepperscene.dataset.store.journal import JOURNAL
 from pepperscene.dataset.store.manifest import MANIFEST
+from pepperscene.dataset.store.rows import row_of
 from pepperscene.errors import OutputError
 from pepperscene.truth import ImageStatistics
 
@@ -88,19 +89,12 @@ _PIXELS: Final = tuple(f"pixels_{organ.name.lower()}" for organ in OrganClass)
 
 @dataclass(frozen=True, eq=False)
 class FrameRecords:
-    """Numbers of all frames of a data set.
+    """Numbers of all n frames of a data set."""
 
-    Attributes:
-        indices: `(n,)`, ascending.
-        numbers: `(n,)` for each of `NUMBERS`; nan where a number is unknown.
-        pixels: `(n, 8)`, labelled pixels of each class; nan for frames without labels.
-        workers: that rendered the frames, as far as they are known.
-    """
-
-    indices: NDArray[np.int64]
-    numbers: Mapping[str, NDArray[np.float64]]
-    pixels: NDArray[np.float64]
-    workers: frozenset[str]
+    indices: NDArray[np.int64]  # (n,), ascending
+    numbers: Mapping[str, NDArray[np.float64]]  # (n,) for each of `NUMBERS`; nan if unknown
+    pixels: NDArray[np.float64]  # (n, 8), of each class; nan for frames without labels
+    workers: frozenset[str]  # that rendered the frames, as far as they are known
 
     def known(self, name: str) -> NDArray[np.bool_]:
         """`(n,)`, where a number is known."""
@@ -122,7 +116,9 @@ def frame_records(dataset: Dataset) -> FrameRecords:
     table = np.full((len(indices), len(NUMBERS) + len(_PIXELS)), np.nan)
     workers = set()
     for position, index in enumerate(indices):
-        row = rows.get(index) or _row_from_metadata(dataset.metadata(index))
+        if (row := rows.get(index)) is None:
+            metadata = dataset.metadata(index)
+            row = row_of(FrameStatus(metadata, metadata.get("outputs", {})))
         values = (row.get(name) for name in (*NUMBERS, *_PIXELS))
         table[position] = [np.nan if value is None else value for value in values]
         if row.get("worker"):
@@ -142,37 +138,17 @@ def _manifest_rows(dataset: Dataset) -> dict[int, dict[str, Any]]:
     return {}
 
 
-def _row_from_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
-    """The same numbers from a frame's JSON, which has no timings."""
-    counts = metadata.get("class_pixels", {})
-    row: dict[str, Any] = {f"pixels_{name}": count for name, count in counts.items()}
-    sampling = metadata.get("sampling", {})
-    row |= {name: sampling.get(name) for name in ("error_codes", "noise_codes", "samples_per_pixel")}
-    row["bytes"] = sum(entry.get("bytes", 0) for entry in metadata.get("outputs", {}).values())
-    return row
-
-
 @dataclass(frozen=True, eq=False)
 class SetSummary:
-    """One of the sets that a page shows.
+    """One of the sets that a page shows."""
 
-    Attributes:
-        key: "a" for the data set, "b" for the second set; selects its colour.
-        name: of the set.
-        frames: number of its images.
-        statistics: of its measured images.
-        records: of all its frames; None if it is not a data set of this package.
-        cards: its displayed images as HTML.
-        table_rows: the same images as rows of an HTML table.
-    """
-
-    key: str
+    key: str  # "a" for the data set, "b" for the second set; selects its colour
     name: str
     frames: int
-    statistics: ImageStatistics
-    records: FrameRecords | None
-    cards: tuple[str, ...]
-    table_rows: tuple[str, ...]
+    statistics: ImageStatistics  # of its measured images
+    records: FrameRecords | None  # of all frames; None if it is not a data set of this package
+    cards: tuple[str, ...]  # its displayed images as HTML
+    table_rows: tuple[str, ...]  # the same images as rows of an HTML table
 
     def class_fractions(self) -> tuple[NDArray[np.float64], int]:
         """Pixel fraction of each class `(8,)`, and the number of images that they are from.

@@ -37,21 +37,13 @@ _LABELS: Final = {"colour": "Colour", "class": "Class", "instance": "Instance", 
 
 @dataclass(frozen=True, eq=False)
 class ImageView:
-    """One image as a report shows it.
-
-    Attributes:
-        name: of the image in its set; of a frame its index with six digits.
-        metadata: of the image; that of a frame is its JSON.
-        panels: `(h, w, 3)` uint8 by the keys of `TITLES`, in their order.
-        class_pixels: number of pixels of each class by its id; empty without labels.
-        area: number of all pixels, labelled or not.
-    """
+    """One image as a report shows it."""
 
     name: str
     metadata: Mapping[str, Any]
-    panels: Mapping[str, NDArray[np.uint8]]
-    class_pixels: Mapping[int, int]
-    area: int
+    panels: Mapping[str, NDArray[np.uint8]]  # (h, w, 3) by the keys of `TITLES`, in their order
+    class_pixels: Mapping[OrganClass, int]  # empty without labels
+    area: int  # number of all pixels, labelled or not
 
     @property
     def is_frame(self) -> bool:
@@ -80,21 +72,15 @@ class ImageView:
 
 
 def image_view(image: LabelledImage, near_m: float, far_m: float) -> ImageView:
-    """The view of an image, with a panel for each field that it has.
-
-    Args:
-        image: to show.
-        near_m: distance of the brightest colour.
-        far_m: distance of the darkest colour.
-    """
+    """The view of an image; `near_m` and `far_m` are the distances of the brightest and darkest colour."""
     panels: dict[str, NDArray[np.uint8]] = {}
-    class_pixels: dict[int, int] = {}
+    class_pixels: dict[OrganClass, int] = {}
     if image.colour is not None:
         panels["colour"] = image.colour
     if image.classes is not None:
         panels["class"] = class_colours(image.classes)
         counts = np.bincount(image.classes.ravel(), minlength=len(OrganClass))
-        class_pixels = {int(organ): int(counts[organ]) for organ in OrganClass}
+        class_pixels = {organ: int(counts[organ]) for organ in OrganClass}
     if image.instances is not None:
         panels["instance"] = instance_colours(image.instances)
     if image.distance_m is not None:
@@ -104,12 +90,7 @@ def image_view(image: LabelledImage, near_m: float, far_m: float) -> ImageView:
 
 
 def card_html(view: ImageView, set_key: str) -> str:
-    """A card with the panels of an image, its class fractions as one bar, and a description.
-
-    Args:
-        view: of the image.
-        set_key: "a" or "b".
-    """
+    """A card with the panels of an image, its class fractions as one bar, and a description."""
     buttons = [_panel_button(view, key) for key in view.panels]
     # Two panels have the same size; of more, the first is large and the others are small below it.
     images = "".join(buttons)
@@ -144,10 +125,10 @@ def image_button(kind: str, uri: str, alt: str, size: tuple[int, int], label: st
 
     Args:
         kind: of image; the arrow keys up and down go to the next one of the same kind.
-        uri: data URI of the image.
-        alt: description of the image.
+        uri: of the image.
+        alt: its description.
         size: width and height in pixels.
-        label: below the image, or "".
+        label: text below the image.
     """
     below = f"<span>{escape(label)}</span>" if label else ""
     return (
@@ -176,11 +157,11 @@ def _panel_button(view: ImageView, key: str) -> str:
 
 def _class_bar(view: ImageView) -> str:
     """The fractions of the classes as one bar."""
+    percentages = {organ: 100 * count / view.area for organ, count in view.class_pixels.items() if count}
     parts = "".join(
-        f'<b style="width:{100 * count / view.area:.3f}%;background:{class_colour_code(OrganClass(class_id))}"'
-        f' title="{OrganClass(class_id).name.lower()} {100 * count / view.area:.1f} %"></b>'
-        for class_id, count in view.class_pixels.items()
-        if count
+        f'<b style="width:{percentage:.3f}%;background:{class_colour_code(organ)}"'
+        f' title="{organ.name.lower()} {percentage:.1f} %"></b>'
+        for organ, percentage in percentages.items()
     )
     return f'<div class="stack">{parts}</div>' if view.class_pixels else ""
 

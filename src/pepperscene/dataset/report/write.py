@@ -50,7 +50,7 @@ PAGE, SHEET = "index.html", "contact_sheet.png"
 DEFAULT_LIMIT: Final = 12
 """Chosen: three or four rows of cards on a wide screen."""
 DEFAULT_SAMPLE: Final = 1000
-"""Chosen: the standard error of a mean over 1,000 frames is 3 % of their deviation; takes 15 s of CPU time."""
+"""Chosen: the standard error of a mean over 1,000 frames is 3 % of their deviation; 15 s of CPU time."""
 
 
 @dataclass(frozen=True)
