@@ -42,7 +42,7 @@ def ticks_of(root, anchor):
 def test_curves_match_the_ticks(top):
     x = np.arange(0.0, 360.0, 2.0)
     y = top * np.exp(-(((x - 90.0) / 30.0) ** 2))
-    root = parse(line_chart("one", "Hues", [Curve("a", "first", x, y)], "hue", TICKS, "%", hue_strip=True))
+    root = parse(line_chart("one", "Hues", [Curve("a", "first", x, y)], ("hue", TICKS), "%", hue_strip=True))
     ((style, points),) = curves_of(root)
     assert "stroke: var(--a)" in style
     x_positions, degrees = ticks_of(root, "middle")
@@ -60,7 +60,7 @@ def test_curves_match_the_ticks(top):
 def test_second_curve_and_description_for_screen_readers():
     x = np.array([0.0, 180.0, 360.0])
     curves = [Curve("a", "ours & <others>", x, np.array([0.0, 2.0, 1.0])), Curve("b", "theirs", x, x / 360)]
-    text = line_chart("two", "Hues of leaf", curves, "hue", TICKS, "%")
+    text = line_chart("two", "Hues of leaf", curves, ("hue", TICKS), "%")
     root = parse(text)
     first, second = (style for style, _ in curves_of(root))
     assert "dasharray" not in first
@@ -78,7 +78,7 @@ def test_second_curve_and_description_for_screen_readers():
 
 def test_flat_curve_can_be_drawn():
     curve = Curve("a", "zeros", np.array([0.0, 1.0]), np.zeros(2))
-    ((_, points),) = curves_of(parse(line_chart("flat", "Zeros", [curve], "x", (0, 1), "%")))
+    ((_, points),) = curves_of(parse(line_chart("flat", "Zeros", [curve], ("x", (0, 1)), "%")))
     np.testing.assert_allclose(points[:, 1], 150)
 
 

@@ -2,9 +2,9 @@
 
 The photograph has an edge where one organ ends and another begins. Differences between its neighbouring
 pixels, relative to those of their surroundings, are correlated with the borders between labels, to the right
-and downwards, for every shift at once by Fourier transform (W. K. Pratt 1974, Correlation techniques of image
+and downwards, for all shifts at once by Fourier transform (W. K. Pratt 1974, Correlation techniques of image
 registration, IEEE Trans. Aerosp. Electron. Syst. AES-10, 353-358). Correct labels give one sharp peak at no
-shift. Shifted labels give it elsewhere; mirrored labels, or those of another frame, give none, and the highest of
+shift. Shifted labels give it elsewhere; mirrored labels, or those of another frame, give none: the highest of
 many chance values can be anywhere.
 
 Measured on 36 photographs of 800x600 (by flash, out of focus, by daylight, of two qualities) with organs: the
@@ -43,19 +43,12 @@ QUARTERS: Final = ("upper left", "upper right", "lower left", "lower right")
 
 @dataclass(frozen=True)
 class Match:
-    """Best alignment of label borders with colour edges.
+    """Best alignment of label borders with colour edges."""
 
-    Attributes:
-        right_px: shift of the labels to the right of the colour edges.
-        down_px: shift of the labels below the colour edges.
-        height: of the correlation's peak, in standard deviations of all other shifts.
-        quarter: of the image for which this holds, in `QUARTERS`; "" for the whole image.
-    """
-
-    right_px: int
-    down_px: int
-    height: float
-    quarter: str = ""
+    right_px: int  # shift of the labels to the right of the colour edges
+    down_px: int  # and below them
+    height: float  # of the correlation's peak, in standard deviations of all other shifts
+    quarter: str = ""  # of the image, in `QUARTERS`; "" for the whole image
 
     @property
     def fits(self) -> bool:

@@ -137,9 +137,9 @@ def _check_derived(images: Mapping[str, Any]) -> Iterator[Problem]:
 
 def check_harvest(images: Mapping[str, Any]) -> Iterator[Problem]:
     """Yield the problems of a frame's harvest truth."""
-    harvest, instances = images.get("harvest"), images.get("instance")
-    if harvest is None:
+    if "harvest" not in images:
         return
+    harvest, instances = images["harvest"], images.get("instance")
     if harvest.get("format") != _HARVEST_FORMAT or not isinstance(harvest.get("fruit"), list):
         yield "damaged", "harvest", f"must have the format {_HARVEST_FORMAT!r}"
         return

@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.check.edges import CHANCE, Match, match
 from pepperscene.dataset.check.findings import Finding, camera_integer, camera_pose, json_object
-from pepperscene.dataset.check.images import check_photo, check_values, is_constant
+from pepperscene.dataset.check.images import check_photo, check_values
 from pepperscene.dataset.check.labels import check_harvest, check_labels
 from pepperscene.dataset.recipe.plan import Plan, frame_seed
 from pepperscene.dataset.store.dataset import CHECKSUM, FRAMES, Dataset, FrameStatus, checksum_of, file_name
@@ -100,13 +99,18 @@ def _traits(
     index: int, metadata: Mapping[str, Any], digests: Mapping[str, str], images: Mapping[str, Any]
 ) -> FrameTraits:
     # Frames of constant images (all sky, no light) may be equal.
-    varied = [name for name, image in images.items() if OUTPUTS[name].is_image and not is_constant(image)]
+    arrays = {name: image for name, image in images.items() if OUTPUTS[name].is_image}
+    varied = [name for name, array in arrays.items() if not (array == array.flat[0]).all()]
     traced = next((name for name in varied if OUTPUTS[name].traced), None)
     photo = images.get("colour")
     pose, seed = camera_pose(metadata), metadata.get("seed")
+    set_index, rotation, scene = metadata.get("set"), metadata.get("rotation"), None
+    if isinstance(set_index, int) and isinstance(rotation, int):
+        # The recipe allows at most 1000 rotations.
+        scene = set_index * 1000 + rotation
     return FrameTraits(
         index,
-        scene=_scene(metadata.get("set"), metadata.get("rotation")),
+        scene=scene,
         picture=_digest(np.ascontiguousarray(images[traced]).data) if traced else 0,
         content=_digest(json.dumps(digests, sort_keys=True).encode()) if varied else 0,
         view=0 if pose is None or seed is None else _digest(json.dumps([pose.tolist(), seed]).encode()),
@@ -115,12 +119,6 @@ def _traits(
         mean=None if photo is None else float(photo.mean()),
         saturated=0.0 if photo is None else saturated_share(photo),
     )
-
-
-def _scene(set_index: Any, rotation: Any) -> int | None:
-    known = isinstance(set_index, int) and isinstance(rotation, int)
-    # The recipe allows at most 1000 rotations.
-    return set_index * 1000 + rotation if known else None
 
 
 def _class_fractions(classes: NDArray[np.uint8] | None) -> tuple[float, ...] | None:
@@ -176,7 +174,8 @@ def _read_file(
         return
     path = dataset.folder / file_name(index, output)
     try:
-        digests[output], size = _hash_file(path)
+        with path.open("rb") as file:
+            digests[output], size = hashlib.file_digest(file, "sha256").hexdigest(), file.tell()
     except FileNotFoundError:
         yield "missing", "does not exist"
         return
@@ -197,12 +196,6 @@ def _read_file(
         images[output] = read_image(path)
     except InputError as error:
         yield "unreadable", error.problem
-
-
-def _hash_file(path: Path) -> tuple[str, int]:
-    """SHA-256 and size of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest(), file.tell()
 
 
 def _wrong_shapes(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> list[tuple[str, str]]:

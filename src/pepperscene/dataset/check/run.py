@@ -39,22 +39,13 @@ _ONE_THREAD: Final = dict.fromkeys(THREADS, "1")
 def examine_frames(
     dataset: Dataset, indices: Sequence[int], workers: int | None
 ) -> Iterator[FrameExamination]:
-    """Examine frames, in the order of the indices.
-
-    Args:
-        dataset: that holds the frames.
-        indices: of the frames.
-        workers: maximum number of processes; None for one per core. Few frames are examined in this process.
-
-    Raises:
-        ArgumentError: `workers` is not in 1 to 256.
-        WorkerError: a process was lost.
-    """
+    """Examine frames in the order of the indices, with up to `workers` processes, by default one per core."""
     if workers is not None and not 1 <= workers <= MAX_WORKERS:
         raise ArgumentError("workers", f"{workers} must be 1 to {MAX_WORKERS}")
     limit = available_cores() if workers is None else workers
     count = min(limit, -(-len(indices) // _FRAMES_PER_WORKER))
     if count <= 1:
+        # Too few frames for another process.
         return (examine_frame(dataset, index) for index in indices)
     return _examine_in_workers(dataset, indices, count)
 
@@ -83,7 +74,7 @@ def _start_worker(dataset: Dataset, stack: ExitStack) -> WorkerProcess:
         worker.hear()
         worker.say(dataset)
     except (OSError, EOFError) as error:
-        raise WorkerError(f"no process can be started ({error}); try --workers 1") from None
+        raise WorkerError(f"no process can be started ({error}); try workers=1") from None
     return worker
 
 
@@ -96,7 +87,7 @@ def _request(idle: queue.SimpleQueue[WorkerProcess], chunk: Sequence[int]) -> li
         lines = worker.last_words().splitlines()
         raise WorkerError(
             f"a process that examined frames {chunk[0]} to {chunk[-1]} was lost"
-            f"{f' ({lines[-1]})' if lines else ', probably for lack of memory'}; try fewer --workers"
+            f"{f' ({lines[-1]})' if lines else ', probably for lack of memory'}; try fewer workers"
         ) from None
     finally:
         # Even a lost process goes back, so that other threads fail instead of waiting.
@@ -147,7 +138,14 @@ def check_dataset(
     dataset, findings = open_leniently(Path(folder))
     indices = frame_indices(dataset)
     findings += stray_files(dataset, indices)
-    findings += _missing_frames(dataset, indices, _required_frames(dataset, frames))
+    plan = _read_plan(dataset)
+    if frames is None:
+        required: Sequence[int] = sorted(Journal(dataset.folder).wanted)
+    elif plan is None:
+        raise InputError(dataset.folder / MARK, "must be valid to select frames", key="recipe.plan")
+    else:
+        required = plan.select_indices(frames)
+    findings += _missing_frames(dataset, indices, required)
     expect, problems = _read_expectations(dataset)
     findings += problems
 
@@ -162,7 +160,7 @@ def check_dataset(
 
     # All frames together.
     findings += comparison.duplicates()
-    findings += comparison.drift(whole=_is_whole(dataset, indices))
+    findings += comparison.drift(whole=plan is not None and len(indices) == plan.count)
     incomplete = {finding.index for finding in findings if finding.kind == "incomplete"}
     findings += (
         finding
@@ -172,22 +170,11 @@ def check_dataset(
     return CheckResult(sort_findings(findings), len(indices), tuple(comparison.outlier_scenes()))
 
 
-def _required_frames(dataset: Dataset, frames: str | Sequence[int] | None) -> Sequence[int]:
-    if frames is None:
-        return sorted(Journal(dataset.folder).wanted)
+def _read_plan(dataset: Dataset) -> Plan | None:
     try:
-        plan = validate(Plan, dataset.info["recipe"]["plan"], dataset.folder / MARK)
-    except (KeyError, TypeError):
-        problem = "is required to select frames"
-        raise InputError(dataset.folder / MARK, problem, key="recipe.plan") from None
-    return plan.select_indices(frames)
-
-
-def _is_whole(dataset: Dataset, indices: Sequence[int]) -> bool:
-    try:
-        return len(indices) == Plan.model_validate(dataset.info["recipe"]["plan"]).count
+        return Plan.model_validate(dataset.info["recipe"]["plan"])
     except (KeyError, TypeError, ValueError):
-        return False
+        return None
 
 
 def _missing_frames(dataset: Dataset, indices: Sequence[int], required: Sequence[int]) -> list[Finding]:

@@ -7,7 +7,6 @@ import os
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from statistics import median, stdev
 from typing import Any, Final
 
 import numpy as np
@@ -41,27 +40,20 @@ def _frame_index(name: str, suffix: str) -> int | None:
 
 
 def open_leniently(folder: Path) -> tuple[Dataset, list[Finding]]:
-    """The data set in a folder, as far as its `dataset.json` can be read, and the problems of that file.
-
-    Raises:
-        InputError: the folder holds no data set.
-    """
+    """The data set in a folder, as far as its `dataset.json` can be read, and the problem of that file."""
     if not (folder / MARK).exists() and not (folder / FRAMES).is_dir():
         raise InputError(folder, f"holds no data set: there is no {MARK} in it")
+    info: dict[str, Any] = {}
+    problem = ""
     try:
         info = read_json(folder / MARK)
+        if info.get("format") != FORMAT:
+            problem = f"has format = {info.get('format')!r}, must be {FORMAT!r}"
+        elif info.get("recipe_sha256") != digest({name: info.get(name) for name in ("recipe", "files")}):
+            problem = "is not what was written: the recipe's checksum differs"
     except InputError as error:
-        return Dataset(folder, {}), [Finding("damaged", None, MARK, error.problem)]
-    problem = _info_problem(info)
-    return Dataset(folder, info), [] if problem is None else [Finding("damaged", None, MARK, problem)]
-
-
-def _info_problem(info: Mapping[str, Any]) -> str | None:
-    if info.get("format") != FORMAT:
-        return f"has format = {info.get('format')!r}, must be {FORMAT!r}"
-    if info.get("recipe_sha256") != digest({name: info.get(name) for name in ("recipe", "files")}):
-        return "is not what was written: the recipe's checksum differs"
-    return None
+        problem = error.problem
+    return Dataset(folder, info), [Finding("damaged", None, MARK, problem)] if problem else []
 
 
 def stray_files(dataset: Dataset, indices: Sequence[int]) -> Iterator[Finding]:
@@ -71,33 +63,27 @@ def stray_files(dataset: Dataset, indices: Sequence[int]) -> Iterator[Finding]:
         if entry.name in LITTER:
             continue
         if entry.name not in OWN:
-            yield Finding("extra", None, _printable(entry.name), _stray_problem(entry))
+            yield _stray_file(entry)
         elif entry.name == FRAMES or entry.name in OUTPUTS:
-            if entry.is_dir():
-                suffix = ".json" if entry.name == FRAMES else OUTPUTS[entry.name].suffix
-                yield from _stray_files_in(entry, suffix, known)
-            else:
+            if not entry.is_dir():
                 yield Finding("extra", None, entry.name, "is a file, but must be a folder")
+                continue
+            suffix = ".json" if entry.name == FRAMES else OUTPUTS[entry.name].suffix
+            for file in os.scandir(entry):
+                index = _frame_index(file.name, suffix)
+                if file.name not in LITTER and index not in known:
+                    yield _stray_file(file, f"{entry.name}/", index)
 
 
-def _stray_files_in(folder: os.DirEntry[str], suffix: str, known: set[int]) -> Iterator[Finding]:
-    for entry in os.scandir(folder):
-        index = _frame_index(entry.name, suffix)
-        if entry.name in LITTER or index in known:
-            continue
-        problem = _stray_problem(entry) if index is None else "belongs to no frame: its JSON does not exist"
-        yield Finding("extra", index, f"{folder.name}/{_printable(entry.name)}", problem)
-
-
-def _printable(name: str) -> str:
-    """A file name, in which file systems allow bytes that are not text."""
-    return name.encode(errors="backslashreplace").decode()
-
-
-def _stray_problem(entry: os.DirEntry[str]) -> str:
+def _stray_file(entry: os.DirEntry[str], folder: str = "", index: int | None = None) -> Finding:
+    problem = "does not belong to a data set"
     if is_temporary(Path(entry.path)):
-        return "is a temporary file of a build that was killed or still runs"
-    return "does not belong to a data set"
+        problem = "is a temporary file of a build that was killed or still runs"
+    elif index is not None:
+        problem = "belongs to no frame: its JSON does not exist"
+    # File systems allow names that are not text.
+    name = entry.name.encode(errors="backslashreplace").decode()
+    return Finding("extra", index, folder + name, problem)
 
 
 _BATCH_ROWS: Final = 4096  # chosen: rows in memory at a time
@@ -116,9 +102,13 @@ def check_tables(dataset: Dataset, row_digests: Mapping[int, int], harvest: bool
     expected = dict(row_digests)
     try:
         with parquet.ParquetFile(dataset.folder / MANIFEST) as file:
-            for batch in file.iter_batches(_BATCH_ROWS):
-                for row in batch.to_pylist():
-                    yield from _check_row(row, expected)
+            for row in (row for batch in file.iter_batches(_BATCH_ROWS) for row in batch.to_pylist()):
+                index = int(row["index"])
+                if index not in expected:
+                    problem = "has a row for this frame, whose JSON does not exist"
+                    yield Finding("incomplete", index, MANIFEST, problem)
+                elif expected.pop(index) != manifest_digest(row):
+                    yield Finding("contradiction", index, MANIFEST, "disagrees with the JSON of this frame")
     except FileNotFoundError:
         yield Finding("missing", None, MANIFEST, "does not exist; the same build command writes it again")
         return
@@ -129,15 +119,6 @@ def check_tables(dataset: Dataset, row_digests: Mapping[int, int], harvest: bool
         yield Finding("contradiction", index, MANIFEST, "has no row for this frame")
     if harvest and not (dataset.folder / FRUIT).is_file():
         yield Finding("missing", None, FRUIT, "does not exist, although frames have the output harvest")
-
-
-def _check_row(row: Mapping[str, object], expected: dict[int, int]) -> Iterator[Finding]:
-    """Compare a row with the frame's digest, which is removed from `expected`."""
-    index = int(str(row["index"]))
-    if index not in expected:
-        yield Finding("incomplete", index, MANIFEST, "has a row for this frame, whose JSON does not exist")
-    elif expected.pop(index) != manifest_digest(row):
-        yield Finding("contradiction", index, MANIFEST, "disagrees with the JSON of this frame")
 
 
 _STANDARD_ERRORS: Final = 3.0
@@ -155,12 +136,8 @@ _DUPLICATES: Final = {
 }
 """Traits in which two frames must differ; a frame is reported for the first of them only."""
 
-_CLASS_NAMES: Final = tuple(organ.name.lower() for organ in OrganClass)
-_INTENSITY: Final = "intensity"
-
-
-Sums = dict[str, NDArray[np.float64]]
-"""Sum and number of the values of each statistic."""
+_STATISTICS: Final = (*(organ.name.lower() for organ in OrganClass), "intensity")
+"""The pixel fraction of each class, and the mean grey value of the photograph."""
 
 
 class CrossFrameChecks:
@@ -173,24 +150,19 @@ class CrossFrameChecks:
     def __init__(self, expect: ExpectTable | None) -> None:
         self._expect = expect or ExpectTable()
         self._indices = array("q")
+        self._scenes = array("q")
+        self._values = array("d")  # of `_STATISTICS` for every frame, nan if unknown
         self._digests = {trait: array("Q") for trait in (*_DUPLICATES, "row")}
-        self._sums: Sums = {}
-        self._scene_sums: dict[int, Sums] = {}
 
     def add(self, traits: FrameTraits) -> Iterator[Finding]:
         """Add a frame, and yield where it violates the expectations of a single frame."""
         yield from self._check_photo(traits)
         self._indices.append(traits.index)
+        self._scenes.append(-1 if traits.scene is None else traits.scene)
+        self._values.extend(traits.fractions or [math.nan] * len(OrganClass))
+        self._values.append(math.nan if traits.mean is None else traits.mean)
         for trait, digests in self._digests.items():
             digests.append(getattr(traits, trait))
-        fractions = traits.fractions
-        values = {} if fractions is None else dict(zip(_CLASS_NAMES, fractions, strict=True))
-        if traits.mean is not None:
-            values[_INTENSITY] = traits.mean
-        scene = self._scene_sums.setdefault(-1 if traits.scene is None else traits.scene, {})
-        for name, value in values.items():
-            for sums in (self._sums, scene):
-                sums[name] = sums.get(name, 0.0) + np.array([value, 1.0])
 
     def drift(self, whole: bool) -> Iterator[Finding]:
         """Yield means of the set that are outside the expected ranges.
@@ -200,41 +172,43 @@ class CrossFrameChecks:
         """
         ranges = dict(self._expect.share)
         if self._expect.intensity is not None:
-            ranges[_INTENSITY] = self._expect.intensity
+            ranges["intensity"] = self._expect.intensity
         for name, (low, high) in ranges.items():
-            if name not in self._sums:
+            values, _, scene_means = self._known(name)
+            if len(values) == 0:
                 continue
-            total, count = self._sums[name]
-            mean = total / count
-            tolerance = 0.0 if whole else _STANDARD_ERRORS * self._standard_error(name)
+            mean, tolerance = values.mean(), 0.0
+            if not whole:
+                # The standard error from scene to scene: the frames of a scene show the same plants.
+                few = len(scene_means) < _MIN_SCENES
+                error = math.inf if few else scene_means.std(ddof=1) / math.sqrt(len(scene_means))
+                tolerance = _STANDARD_ERRORS * error
             if not low - tolerance <= mean <= high + tolerance:
-                values = f"{mean:.4g} over {count:.0f} frames, expected {low:g} to {high:g}"
-                yield Finding("drift", None, "", f"the {_statistic(name)} is {values}")
+                text = f"{mean:.4g} over {len(values)} frames, expected {low:g} to {high:g}"
+                yield Finding("drift", None, "", f"the {_describe(name)} is {text}")
 
     def outlier_scenes(self) -> Iterator[str]:
         """Yield scenes whose means differ strongly from those of the others."""
-        if len(self._scene_sums) < _MIN_SCENES_FOR_OUTLIERS:
-            return
-        for name in self._sums:
-            means = self._scene_means(name)
-            centre = median(means.values())
-            deviation = _MAD_TO_SD * median(abs(mean - centre) for mean in means.values())
-            for scene, mean in means.items():
-                if deviation > 0 and abs(mean - centre) > _OUTLIER_DEVIATIONS * deviation:
-                    set_index, rotation = divmod(scene, 1000)
-                    yield (
-                        f"set {set_index}, rotation {rotation} is an outlier: {_statistic(name)} {mean:.4g}, "
-                        f"median of all scenes {centre:.4g}"
-                    )
+        for name in _STATISTICS:
+            _, scenes, means = self._known(name)
+            if len(scenes) < _MIN_SCENES_FOR_OUTLIERS:
+                continue
+            centre = np.median(means)
+            distances = np.abs(means - centre)
+            limit = _OUTLIER_DEVIATIONS * _MAD_TO_SD * np.median(distances)
+            for scene, mean in zip(scenes[distances > limit], means[distances > limit], strict=True):
+                set_index, rotation = divmod(int(scene), 1000)
+                text = f"{_describe(name)} {mean:.4g}, median of all scenes {centre:.4g}"
+                if limit > 0:
+                    yield f"set {set_index}, rotation {rotation} is an outlier: {text}"
 
-    def _scene_means(self, name: str) -> dict[int, float]:
-        known = {scene: sums[name] for scene, sums in self._scene_sums.items() if name in sums}
-        return {scene: float(total / count) for scene, (total, count) in known.items()}
-
-    def _standard_error(self, name: str) -> float:
-        """Of the mean, from scene to scene: the frames of a scene show the same plants."""
-        means = list(self._scene_means(name).values())
-        return stdev(means) / math.sqrt(len(means)) if len(means) >= _MIN_SCENES else math.inf
+    def _known(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+        """The known values of a statistic, and scenes with their mean."""
+        table = np.array(self._values).reshape(-1, len(_STATISTICS))
+        values = table[:, _STATISTICS.index(name)]
+        known = np.isfinite(values)
+        scenes, inverse = np.unique(np.array(self._scenes)[known], return_inverse=True)
+        return values[known], scenes, np.bincount(inverse, values[known]) / np.bincount(inverse)
 
     def duplicates(self) -> Iterator[Finding]:
         """Yield frames that repeat an earlier one, each once."""
@@ -276,5 +250,5 @@ class CrossFrameChecks:
             yield Finding("drift", traits.index, file, problem)
 
 
-def _statistic(name: str) -> str:
-    return "mean grey value" if name == _INTENSITY else f"pixel fraction of {name}"
+def _describe(statistic: str) -> str:
+    return "mean grey value" if statistic == "intensity" else f"pixel fraction of {statistic}"

@@ -3,11 +3,4 @@
 from pepperscene.dataset.export.run import FORMATS, ExportResult, export_dataset
 from pepperscene.dataset.export.splits import Splits, read_splits, split_by_sets
 
-__all__ = [
-    "FORMATS",
-    "ExportResult",
-    "Splits",
-    "export_dataset",
-    "read_splits",
-    "split_by_sets",
-]
+__all__ = ["FORMATS", "ExportResult", "Splits", "export_dataset", "read_splits", "split_by_sets"]

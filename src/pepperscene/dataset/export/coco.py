@@ -6,8 +6,8 @@ Format: https://cocodataset.org/#format-data, and pycocotools, which reads it.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final
@@ -32,16 +32,36 @@ def write_coco(job: ExportJob, folder: Path) -> None:
     annotation with `iscrowd` 1, which evaluation ignores. Category ids are class ids. If all frames have the
     output harvest, fruit get amodal masks and cut points.
     """
+    annotations = folder / "annotations"
+    annotations.mkdir()
+    things = [_category(organ) for organ in OrganClass if organ != OrganClass.BACKGROUND]
     # COCO declares keypoints per category, so either all frames have them or none.
     harvest = bool(job.common_outputs(["harvest"]))
-    (folder / "annotations").mkdir()
-    with ExitStack() as stack:
-        writers = {
-            split: stack.enter_context(_open_split(folder, split, job.dataset.info, harvest))
-            for split in job.splits
-        }
-        for frame in job.frames():
-            writers[job.split_of[frame.index]].add(frame, harvest, job.smallest_px)
+    if harvest:
+        things[OrganClass.PEPPER - 1] |= {"keypoints": ["cut"], "skeleton": []}
+    segmented = [
+        {**_category(organ), "isthing": int(organ > 0), "color": list(CLASS_COLOURS[organ])}
+        for organ in OrganClass
+    ]
+    for split, frames in job.frames_by_split():
+        images, panoptic_images = folder / split, annotations / f"panoptic_{split}"
+        images.mkdir()
+        panoptic_images.mkdir()
+        with (
+            _open_json(annotations / f"instances_{split}.json", job.dataset.info, things) as instances,
+            _open_json(annotations / f"panoptic_{split}.json", job.dataset.info, segmented) as panoptic,
+        ):
+            for frame in frames:
+                ids = frame.segment_ids(job.smallest_px)
+                segments = find_segments(frame, ids)
+                image = _image_record(frame, ids.shape)
+                (images / image["file_name"]).write_bytes(frame.content("colour"))
+                # The three low bytes of each id are the channels of the panoptic image.
+                channels = ids.astype("<u4", copy=False).view(np.uint8).reshape(*ids.shape, 4)[..., :3]
+                content = png_bytes(np.ascontiguousarray(channels))
+                (panoptic_images / image["file_name"]).write_bytes(content)
+                instances.add(image, _instance_records(frame, segments, harvest))
+                panoptic.add(image, [_panoptic_record(image, segments)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +76,9 @@ class Segment:
     box: tuple[int, int, int, int]  # left, top, width, height
 
     @property
-    def is_organ(self) -> bool:
-        """Whether it is one organ of a plant."""
-        return self.id < REST
-
-    @property
     def is_crowd(self) -> bool:
         """Whether it is the rest of an organ's class."""
-        return not self.is_organ and self.organ_class != OrganClass.BACKGROUND
+        return not self.entry and self.organ_class != OrganClass.BACKGROUND
 
 
 def find_segments(frame: ExportFrame, ids: NDArray[np.uint32]) -> list[Segment]:
@@ -116,91 +131,37 @@ def _json_mask(mask: Mapping[str, Any]) -> dict[str, Any]:
     return {"size": [int(side) for side in mask["size"]], "counts": mask["counts"].decode("ascii")}
 
 
-class _CocoFile:
-    """One JSON file, one record per line: `info`, `licenses`, `categories`, `annotations`, `images`.
+class _JsonFile:
+    """Writer of images and annotations; image records, a few hundred bytes each, stay in memory."""
 
-    Image records, of a few hundred bytes each, stay in memory until the end of the file.
-    """
+    def __init__(self, file: IO[str]) -> None:
+        self.file, self.images, self.separator = file, list[str](), "\n"
 
-    def __init__(
-        self, file: IO[str], info: Mapping[str, Any], categories: Sequence[Mapping[str, Any]]
-    ) -> None:
-        self._file, self._images, self._separator = file, list[str](), "\n"
-        head = {"info": _info(info), "licenses": [], "categories": categories}
+    def add(self, image: Mapping[str, Any], annotations: Iterable[Mapping[str, Any]]) -> None:
+        self.images.append(_json_line(image))
+        for annotation in annotations:
+            self.file.write(self.separator + _json_line(annotation))
+            self.separator = ",\n"
+
+
+@contextmanager
+def _open_json(
+    path: Path, info: Mapping[str, Any], categories: Sequence[Mapping[str, Any]]
+) -> Iterator[_JsonFile]:
+    """A JSON file with one record per line: `info`, `licenses`, `categories`, `annotations`, `images`."""
+    # Without a date, so that the same frames give the same bytes.
+    source = {key: info[key] for key in ("quality", "recipe_sha256", "version") if key in info}
+    description = f"pepperscene data set {info['recipe'].get('name', '')}".rstrip()
+    head = {"info": {"description": description, **source}, "licenses": [], "categories": categories}
+    with path.open("w", encoding="utf-8") as file:
         file.write(f'{_json_line(head)[:-1]},"annotations":[')
-
-    def add_image(self, record: Mapping[str, Any]) -> None:
-        self._images.append(_json_line(record))
-
-    def add_annotation(self, record: Mapping[str, Any]) -> None:
-        self._file.write(self._separator + _json_line(record))
-        self._separator = ",\n"
-
-    def finish(self) -> None:
-        self._file.write('\n],"images":[\n' + ",\n".join(self._images) + "\n]}\n")
-
-
-def _info(info: Mapping[str, Any]) -> dict[str, Any]:
-    """Source of the data set, without a date, so that the same frames give the same bytes."""
-    name = info["recipe"].get("name", "")
-    known = {key: info[key] for key in ("quality", "recipe_sha256", "version") if key in info}
-    return {"description": f"pepperscene data set {name}".rstrip(), **known}
+        writer = _JsonFile(file)
+        yield writer
+        file.write('\n],"images":[\n' + ",\n".join(writer.images) + "\n]}\n")
 
 
 def _json_line(record: Mapping[str, Any]) -> str:
     return json.dumps(record, separators=(",", ":"), allow_nan=False)
-
-
-@dataclass(frozen=True)
-class _SplitWriter:
-    """Folders and files of one split."""
-
-    images: Path
-    panoptic_images: Path
-    instances: _CocoFile
-    panoptic: _CocoFile
-
-    def add(self, frame: ExportFrame, harvest: bool, smallest_px: int) -> None:
-        ids = frame.segment_ids(smallest_px)
-        segments = find_segments(frame, ids)
-        image = _image_record(frame, ids.shape)
-        (self.images / image["file_name"]).write_bytes(frame.content("colour"))
-        # The three low bytes of each id are the channels of the panoptic image.
-        channels = ids.astype("<u4", copy=False).view(np.uint8).reshape(*ids.shape, 4)[..., :3]
-        (self.panoptic_images / image["file_name"]).write_bytes(png_bytes(np.ascontiguousarray(channels)))
-        self.instances.add_image(image)
-        for record in _instance_records(frame, segments, harvest):
-            self.instances.add_annotation(record)
-        self.panoptic.add_image(image)
-        self.panoptic.add_annotation(_panoptic_record(image, segments))
-
-
-@contextmanager
-def _open_split(folder: Path, split: str, info: Mapping[str, Any], harvest: bool) -> Iterator[_SplitWriter]:
-    """Make the folders of a split and open its files."""
-    annotations = folder / "annotations"
-    images, panoptic_images = folder / split, annotations / f"panoptic_{split}"
-    images.mkdir()
-    panoptic_images.mkdir()
-    things = [_category(organ) for organ in OrganClass if organ != OrganClass.BACKGROUND]
-    if harvest:
-        things[OrganClass.PEPPER - 1] |= {"keypoints": ["cut"], "skeleton": []}
-    segmented = [
-        {
-            **_category(organ),
-            "isthing": int(organ != OrganClass.BACKGROUND),
-            "color": list(CLASS_COLOURS[organ]),
-        }
-        for organ in OrganClass
-    ]
-    with (
-        (annotations / f"instances_{split}.json").open("w", encoding="utf-8") as instances,
-        (annotations / f"panoptic_{split}.json").open("w", encoding="utf-8") as panoptic,
-    ):
-        files = _CocoFile(instances, info, things), _CocoFile(panoptic, info, segmented)
-        yield _SplitWriter(images, panoptic_images, *files)
-        for file in files:
-            file.finish()
 
 
 def _category(organ_class: OrganClass) -> dict[str, Any]:
@@ -242,27 +203,18 @@ def _instance_records(frame: ExportFrame, segments: Sequence[Segment], harvest: 
             "bbox": segment.box,
             "segmentation": segment.mask,
         }
-        if segment.is_organ:
-            record["attributes"] = _attributes(frame.index, segment, visible)
+        if entry := segment.entry:
+            # The parent is the annotation of the organ that this one grows out of.
+            parent = _annotation_id(frame.index, entry["parent"]) if entry["parent"] in visible else None
+            attributes = {key: entry[key] for key in ("kind", "plant", "phytomer")}
+            record["attributes"] = {**attributes, "instance": segment.id, "parent": parent}
         if harvest and segment.organ_class == OrganClass.PEPPER:
-            entry = fruit.get(segment.id)
-            record |= _keypoint(((entry or {}).get("peduncle") or {}).get("cut"))
-            if entry is not None:
-                record["attributes"] |= _fruit_attributes(entry)
+            known = fruit.get(segment.id, {})
+            record |= _keypoint((known.get("peduncle") or {}).get("cut"))
+            if known:
+                record["attributes"] |= _fruit_attributes(known)
         records.append(record)
     return records
-
-
-def _attributes(index: int, segment: Segment, visible: set[int]) -> dict[str, Any]:
-    """Attributes of an organ; `parent` is the annotation of the organ that it grows out of."""
-    entry = segment.entry
-    return {
-        "kind": entry["kind"],
-        "plant": entry["plant"],
-        "phytomer": entry["phytomer"],
-        "instance": segment.id,
-        "parent": _annotation_id(index, entry["parent"]) if entry["parent"] in visible else None,
-    }
 
 
 def _fruit_attributes(fruit: Mapping[str, Any]) -> dict[str, Any]:

@@ -81,10 +81,7 @@ def frame_columns(outputs: Sequence[str], shape: tuple[int, int]) -> tuple[Colum
         Column("step", _INT, "along the camera's path", _metadata_of("step")),
         Column("pose", _POSE, "camera to world, metres; x right, y down, z forward", _pose),
         Column(
-            "camera",
-            camera,
-            "focal lengths and principal point in pixels, Brown-Conrady distortion",
-            _camera,
+            "camera", camera, "focal lengths and principal point in pixels, Brown-Conrady distortion", _camera
         ),
     )
 

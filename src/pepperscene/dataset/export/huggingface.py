@@ -57,18 +57,13 @@ def write_huggingface(job: ExportJob, folder: Path) -> None:
     have them.
     """
     outputs = (*_REQUIRED, *job.common_outputs(_OPTIONAL))
-    order = [index for members in job.splits.values() for index in members]
-    height, width = ExportFrame(job.dataset, order[0]).image("class").shape
+    height, width = ExportFrame(job.dataset, min(job.split_of)).image("class").shape
     columns = frame_columns(outputs, (height, width))
     (folder / "data").mkdir()
-    # One generator of frames for all splits, so that progress covers all of them.
-    frames = job.frames(order)
     sizes = {
-        split: _write_split(folder / "data", split, islice(frames, len(members)), columns)
-        for split, members in job.splits.items()
+        split: _write_split(folder / "data", split, frames, columns)
+        for split, frames in job.frames_by_split()
     }
-    # A frame is reported as done when the next one is requested.
-    next(frames, None)
     (folder / MARK).write_bytes((job.dataset.folder / MARK).read_bytes())
     (folder / "README.md").write_text(_card(job.dataset.info, columns, sizes), encoding="utf-8")
 

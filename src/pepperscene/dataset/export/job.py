@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
+from itertools import islice
 from typing import Any, Final
 
 import numpy as np
@@ -41,11 +42,7 @@ class ExportFrame:
         return self.dataset.frame_path(self.index).stem
 
     def content(self, output: str) -> bytes:
-        """The bytes of an output's file, checked against its checksum.
-
-        Raises:
-            InputError: the file is missing or damaged.
-        """
+        """The bytes of an output's file, checked against its checksum."""
         path = self.dataset.path(self.index, output)
         try:
             content = path.read_bytes()
@@ -57,11 +54,7 @@ class ExportFrame:
         return content
 
     def image(self, output: str) -> Any:
-        """An output as `Frame` holds it.
-
-        Raises:
-            InputError: the file is missing or damaged.
-        """
+        """An output as `Frame` holds it, checked against its checksum."""
         self.content(output)
         return self.dataset.image(self.index, output)
 
@@ -72,9 +65,6 @@ class ExportFrame:
         in the instance image. The rest of each class is the segment `REST` + class: the background, what has
         an organ's class but belongs to no plant (a wire of the whole row), and organs with fewer than
         `smallest_px` visible pixels.
-
-        Raises:
-            InputError: the instance image is damaged or holds a value that is not in the frame's JSON.
         """
         instance = self.image("instance")
         table = np.zeros(REST, dtype=np.uint32)
@@ -115,6 +105,17 @@ class ExportJob:
             if self.on_frame is not None:
                 self.on_frame(index, done, len(order))
 
+    def frames_by_split(
+        self, order: Callable[[Sequence[int]], Sequence[int]] = tuple
+    ) -> Iterator[tuple[str, Iterator[ExportFrame]]]:
+        """The splits and their frames, in the given order; progress covers all of them."""
+        orders = {split: order(indices) for split, indices in self.splits.items()}
+        frames = self.frames([index for indices in orders.values() for index in indices])
+        for split, indices in orders.items():
+            yield split, islice(frames, len(indices))
+        # Report the last frame as done.
+        next(frames, None)
+
     def common_outputs(self, outputs: Sequence[str]) -> tuple[str, ...]:
         """Those of some outputs that all frames have."""
         return tuple(
@@ -125,11 +126,7 @@ class ExportJob:
 
 
 def import_library(module: str) -> Any:
-    """Import a module of a library that the extra `export` installs.
-
-    Raises:
-        SetupError: it is not installed.
-    """
+    """Import a module of a library that the extra `export` installs."""
     try:
         return import_module(module)
     except ImportError:

@@ -140,14 +140,10 @@ def new_folder(out: Path, source: Path) -> Iterator[Path]:
 
     It is next to `out`. If `out` exists already (and is empty), it is inside, and its content moves up: a
     mounted folder can be filled but not replaced. All content is on the disk before the folder has its name.
-
-    Raises:
-        OutputError: `out` is not empty, is inside the data set `source`, or cannot be written to.
     """
-    check_can_create(out)
     made: list[Path] = []
     try:
-        _check_empty(out, source)
+        _check_out(out, source)
         name = f".{out.resolve().name}.{os.getpid()}.tmp"
         temporary = out / name if out.is_dir() else out.absolute().with_name(name)
         try:
@@ -158,7 +154,12 @@ def new_folder(out: Path, source: Path) -> Iterator[Path]:
             if hasattr(os, "sync"):
                 # One call for all files: one for each of 100,000 takes minutes.
                 os.sync()
-            _rename(temporary, out)
+            if out.is_dir():
+                for path in sorted(temporary.iterdir()):
+                    os.rename(path, out / path.name)
+                temporary.rmdir()
+            else:
+                os.rename(temporary, out)
         except BaseException:
             shutil.rmtree(temporary, ignore_errors=True)
             remove(made)
@@ -167,18 +168,10 @@ def new_folder(out: Path, source: Path) -> Iterator[Path]:
         raise OutputError(f"{out}: cannot be written ({error.strerror or error})") from None
 
 
-def _check_empty(out: Path, source: Path) -> None:
+def _check_out(out: Path, source: Path) -> None:
+    check_can_create(out)
     if out.resolve().is_relative_to(source.resolve()):
         raise OutputError(f"{out}: is inside the data set {source}; choose another folder")
     content = sorted(path.name for path in out.iterdir() if path.name not in LITTER) if out.is_dir() else []
     if content:
         raise OutputError(f"{out}: holds {content[0]!r}; choose an empty or a new folder")
-
-
-def _rename(temporary: Path, out: Path) -> None:
-    if not out.is_dir():
-        os.rename(temporary, out)
-        return
-    for path in sorted(temporary.iterdir()):
-        os.rename(path, out / path.name)
-    temporary.rmdir()

@@ -18,7 +18,6 @@ import gzip
 import io
 import tarfile
 from collections.abc import Iterator, Sequence
-from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -52,28 +51,21 @@ def write_webdataset(job: ExportJob, folder: Path) -> None:
     """
     outputs = (*_REQUIRED, *job.common_outputs(_OPTIONAL))
     seed = int(job.dataset.info["recipe"]["seed"])
-    orders = {
-        split: np.random.default_rng(seed).permutation(np.asarray(indices)).tolist()
-        for split, indices in job.splits.items()
+
+    def shuffle(indices: Sequence[int]) -> list[int]:
+        order: list[int] = np.random.default_rng(seed).permutation(np.asarray(indices)).tolist()
+        return order
+
+    shards = {
+        split: _write_shards(folder, split, (_sample(frame, outputs) for frame in frames))
+        for split, frames in job.frames_by_split(shuffle)
     }
-    # One generator of frames for all splits, so that progress covers all of them.
-    frames = job.frames([index for order in orders.values() for index in order])
-    shards = {}
-    for split, order in orders.items():
-        samples = (_sample(frame, outputs) for frame in islice(frames, len(order)))
-        shards[split] = _write_shards(folder, split, samples)
-    # A frame is reported as done when the next one is requested.
-    next(frames, None)
     content = canonical_json({"splits": shards, "dataset": dict(job.dataset.info)})
     (folder / "shards.json").write_bytes(content)
 
 
 def _write_shards(folder: Path, split: str, samples: Iterator[Sample]) -> list[dict[str, Any]]:
-    """Write the shards of a split, each up to `SHARD_BYTES` but with at least one sample.
-
-    Returns:
-        File name and number of samples of each.
-    """
+    """Write shards of up to `SHARD_BYTES`, or one sample; return the file name and samples of each."""
     shards: list[dict[str, Any]] = []
     sample = next(samples, None)
     while sample is not None:
@@ -81,19 +73,15 @@ def _write_shards(folder: Path, split: str, samples: Iterator[Sample]) -> list[d
         count = size = 0
         with tarfile.open(folder / name, "w", format=tarfile.USTAR_FORMAT) as tar:
             while sample is not None and (count == 0 or size + _tar_size(sample) <= SHARD_BYTES):
-                _add_sample(tar, sample)
+                for member_name, content in sample:
+                    # Without times and owners, so that the bytes are reproducible.
+                    member = tarfile.TarInfo(member_name)
+                    member.size, member.mode = len(content), _FILE_MODE
+                    tar.addfile(member, io.BytesIO(content))
                 count, size = count + 1, size + _tar_size(sample)
                 sample = next(samples, None)
         shards.append({"file": name, "samples": count})
     return shards
-
-
-def _add_sample(tar: tarfile.TarFile, sample: Sample) -> None:
-    """Add the members of a sample without times and owners, so that the bytes are reproducible."""
-    for name, content in sample:
-        member = tarfile.TarInfo(name)
-        member.size, member.mode = len(content), _FILE_MODE
-        tar.addfile(member, io.BytesIO(content))
 
 
 def _tar_size(sample: Sample) -> int:

@@ -41,15 +41,15 @@ def write_yolo(job: ExportJob, folder: Path) -> None:
     the pixel centres of its polygon over the width and height of the image. What belongs to no plant, organs
     below `smallest_px` and pieces below it are left out, as the format has no crowd.
     """
-    for split in job.splits:
-        (folder / "images" / split).mkdir(parents=True)
-        (folder / "labels" / split).mkdir(parents=True)
     (folder / "data.yaml").write_text(_description(list(job.splits)), encoding="utf-8")
-    for frame in job.frames():
-        split = job.split_of[frame.index]
-        (folder / "images" / split / f"{frame.name}.png").write_bytes(frame.content("colour"))
-        lines = "".join(f"{line}\n" for line in _label_lines(frame, job.smallest_px))
-        (folder / "labels" / split / f"{frame.name}.txt").write_text(lines, encoding="ascii")
+    for split, frames in job.frames_by_split():
+        images, labels = folder / "images" / split, folder / "labels" / split
+        images.mkdir(parents=True)
+        labels.mkdir(parents=True)
+        for frame in frames:
+            (images / f"{frame.name}.png").write_bytes(frame.content("colour"))
+            lines = "".join(f"{line}\n" for line in _label_lines(frame, job.smallest_px))
+            (labels / f"{frame.name}.txt").write_text(lines, encoding="ascii")
 
 
 def _description(splits: Sequence[str]) -> str:

@@ -63,9 +63,6 @@ def pair_images(folder: Path) -> tuple[ImagePair, ...]:
     Images and masks are either in two folders (`images/` and `masks/`), where the paths below them match, or
     in one, where the names match once words such as "img" and "mask" are removed. Numbers match by value:
     `img001` and `mask1` are a pair.
-
-    Raises:
-        InputError: there is no image, two file names are ambiguous, or a mask has no image.
     """
     images, masks = _find_files(folder)
     if not images:
@@ -133,43 +130,33 @@ def _pairing_key(name: str) -> tuple[str, ...]:
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FolderSet(ImageSet):
-    """Images of a folder, some or all of them with masks.
-
-    Attributes:
-        folder: that holds the images.
-        items: images and masks, paired by name.
-        labels: meaning of the masks; None to accept only the published colours.
-    """
+    """Images of a folder, some or all of them with masks."""
 
     folder: Path
     items: tuple[ImagePair, ...]
-    labels: LabelMap | None = None
+    labels: LabelMap | None = None  # meaning of the masks; None to accept only the published colours
 
     @classmethod
     def from_folder(cls, folder: Path, labels: str | LabelMap | Mapping[Any, Any] | None = None) -> Self:
-        """The images of a folder.
-
-        Args:
-            folder: holds images and masks, together or in folders such as `images` and `masks`.
-            labels: meaning of the masks: a name in `KNOWN_LABELS`, or a table for `parse_labels`; None reads
-                the folder's `classes.toml`.
-
-        Raises:
-            InputError: there are no images, they cannot be paired with the masks, or the table is not valid.
-        """
+        """The images of a folder; `labels` as in `open_images`."""
+        if labels is None:
+            labels = read_labels(folder)
+        elif isinstance(labels, Mapping):
+            labels = parse_labels(labels, "labels")
+        elif isinstance(labels, str):
+            if labels not in KNOWN_LABELS:
+                known = ", ".join(KNOWN_LABELS)
+                raise ArgumentError("labels", f"must be a table or one of {known}, not {labels!r}")
+            labels = KNOWN_LABELS[labels]
         items = pair_images(folder)
-        return cls(name=folder.resolve().name, folder=folder, items=items, labels=_labels(labels, folder))
+        return cls(name=folder.resolve().name, folder=folder, items=items, labels=labels)
 
     def names(self) -> tuple[str, ...]:
         """Paths of the images below their folder, without suffix."""
         return tuple(pair.name for pair in self.items)
 
     def read(self, item: ImagePair) -> LabelledImage:
-        """Read one image; its classes are None if it has no mask.
-
-        Raises:
-            InputError: a file is damaged, the mask has another size, or a value of it has no class.
-        """
+        """Read one image; its classes are None if it has no mask."""
         colour = read_photo(item.image) if "colour" in self.fields else None
         classes = self._classes(item) if "classes" in self.fields else None
         files = {"image": str(item.image), "mask": None if item.mask is None else str(item.mask)}
@@ -180,25 +167,10 @@ class FolderSet(ImageSet):
             return None
         mask = read_mask(pair.mask)
         if mask.shape != (shape := photo_shape(pair.image)):
-            raise InputError(
-                pair.mask,
-                f"has {_size(mask.shape)} pixels, but its image {pair.image.name} has {_size(shape)};"
-                " masks are never resized",
-            )
+            sizes = f"has {_size(mask.shape)} pixels, but its image {pair.image.name} has {_size(shape)}"
+            raise InputError(pair.mask, f"{sizes}; masks are never resized")
         ids = _class_ids(mask, self.labels, pair.mask)
         return ids if mask.opaque is None else np.where(mask.opaque, ids, np.uint8(VOID))
-
-
-def _labels(labels: str | LabelMap | Mapping[Any, Any] | None, folder: Path) -> LabelMap | None:
-    if labels is None:
-        return read_labels(folder)
-    if isinstance(labels, LabelMap):
-        return labels
-    if isinstance(labels, Mapping):
-        return parse_labels(labels, "labels")
-    if labels not in KNOWN_LABELS:
-        raise ArgumentError("labels", f"must be a table or one of {', '.join(KNOWN_LABELS)}, not {labels!r}")
-    return KNOWN_LABELS[labels]
 
 
 def _class_ids(mask: MaskImage, labels: LabelMap | None, file: Path) -> NDArray[np.uint8]:

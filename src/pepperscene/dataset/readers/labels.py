@@ -19,9 +19,6 @@ from pepperscene.errors import InputError
 
 Colour = tuple[int, int, int]
 
-OTHERWISE: Final = "otherwise"
-"""Key for all values that no other key names."""
-
 LABEL_FILE: Final = "classes.toml"
 
 _MAX_DISTANCE: Final = 32.0
@@ -34,26 +31,15 @@ _CLASS_IDS: Final = {**{organ.name.lower(): int(organ) for organ in OrganClass},
 
 @dataclass(frozen=True)
 class LabelMap:
-    """A table from mask values, or mask colours, to class ids.
+    """A table from mask values, or mask colours, to class ids."""
 
-    Attributes:
-        source: file or argument that defines it, for messages.
-        values: class id by mask value.
-        colours: class id by 8-bit RGB; the nearest colour counts.
-        otherwise: class id of all else; None if all else is an error.
-    """
-
-    source: str
+    source: str  # file or argument that defines it, for messages
     values: Mapping[int, int] = field(default_factory=dict)
-    colours: Mapping[Colour, int] = field(default_factory=dict)
-    otherwise: int | None = None
+    colours: Mapping[Colour, int] = field(default_factory=dict)  # by 8-bit RGB; the nearest colour counts
+    otherwise: int | None = None  # class id of all else; None if all else is an error
 
     def map_values(self, values: NDArray[np.integer[Any]], file: str | Path) -> NDArray[np.uint8]:
-        """Class ids of mask values, of any shape; `file` is for messages.
-
-        Raises:
-            InputError: a value has no class.
-        """
+        """Class ids of mask values, of any shape; `file` is for messages."""
         distinct, inverse = np.unique(values, return_inverse=True)
         ids = [self.values.get(int(value), self.otherwise) for value in distinct]
         undefined = [str(value) for value, known in zip(distinct, ids, strict=True) if known is None]
@@ -62,11 +48,7 @@ class LabelMap:
         return np.array(ids, np.uint8)[inverse].reshape(values.shape)
 
     def map_colours(self, rgb: NDArray[np.uint8], file: str | Path) -> NDArray[np.uint8]:
-        """Class ids `(...)` of mask colours `(..., 3)`, by the nearest colour; `file` is for messages.
-
-        Raises:
-            InputError: a colour is near to none of the table.
-        """
+        """Class ids `(...)` of mask colours `(..., 3)`, by the nearest colour; `file` is for messages."""
         packed = rgb.astype(np.uint32) @ np.array([65536, 256, 1], np.uint32)
         codes, inverse = np.unique(packed, return_inverse=True)
         distinct = np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=-1).astype(float)
@@ -108,7 +90,7 @@ def parse_labels(table: Mapping[Any, Any], source: str | Path) -> LabelMap:
     otherwise: int | None = None
     for key, organ_class in table.items():
         class_id = _parse_class(organ_class, str(key), source)
-        if key == OTHERWISE:
+        if key == "otherwise":
             otherwise = class_id
         elif (colour := _parse_colour(key)) is not None:
             colours[colour] = class_id
@@ -123,11 +105,7 @@ def parse_labels(table: Mapping[Any, Any], source: str | Path) -> LabelMap:
 
 
 def read_labels(folder: Path) -> LabelMap | None:
-    """Read the `classes.toml` of a folder; None if there is none.
-
-    Raises:
-        InputError: the file is not valid.
-    """
+    """Read the `classes.toml` of a folder; None if there is none."""
     path = folder / LABEL_FILE
     return parse_labels(read_toml(path), path) if path.exists() else None
 

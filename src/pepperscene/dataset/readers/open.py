@@ -29,23 +29,14 @@ _SOURCES: Final[Mapping[str, tuple[tuple[str, Any], ...]]] = {
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RenderedSet(ImageSet):
-    """Frames of a data set, with the frame's JSON as metadata and its harvest under the key `harvest`.
-
-    Attributes:
-        dataset: the data set.
-        items: indices of the frames.
-    """
+    """Frames of a data set, with the frame's JSON as metadata and its harvest under the key `harvest`."""
 
     dataset: Dataset
-    items: tuple[int, ...]
+    items: tuple[int, ...]  # indices of the frames
 
     @classmethod
     def from_dataset(cls, dataset: Dataset) -> Self:
-        """All frames of a data set.
-
-        Raises:
-            InputError: there is none.
-        """
+        """All frames of a data set."""
         items = dataset.indices()
         if not items:
             raise InputError(dataset.folder, "holds no frames")
@@ -56,11 +47,7 @@ class RenderedSet(ImageSet):
         return tuple(_name(index) for index in self.items)
 
     def read(self, item: int) -> LabelledImage:
-        """Read one frame; a field is None if the frame lacks its outputs.
-
-        Raises:
-            InputError: there is no such frame, or one of its files is missing or damaged.
-        """
+        """Read one frame; a field is None if the frame lacks its outputs."""
         metadata = self.dataset.metadata(item)
         outputs = metadata.get("outputs", {})
         arrays = {field: self._array(item, field, outputs) for field in _SOURCES}

@@ -63,11 +63,7 @@ def read_photo(path: Path) -> NDArray[np.uint8]:
 
 
 def photo_shape(path: Path) -> tuple[int, int]:
-    """Height and width of a photograph as `read_photo` returns it, from the file header alone.
-
-    Raises:
-        InputError: the file is missing or not an image.
-    """
+    """Height and width of a photograph as `read_photo` returns it, from the file header alone."""
     with _open_image(path) as image:
         width, height = image.size
         # Orientations 5 to 8 swap rows and columns.

@@ -31,32 +31,16 @@ _FOLDERS: Final = {
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PublishedSet(ImageSet):
-    """One half of the published data set, or of an export in its layout.
+    """One half of the published data set, or of an export in its layout."""
 
-    Attributes:
-        folder: that holds `synthetic_image_color` etc.
-        half: "synthetic" or "empirical".
-        items: numbers in the file names, ascending; the first is 1.
-        files: file of every number, by kind of image ("colour", "grey", "scale", "depth"); without the kinds
-            whose folder is missing.
-    """
-
-    folder: Path
-    half: str
-    items: tuple[int, ...]
-    files: Mapping[str, Mapping[int, Path]]
+    folder: Path  # that holds `synthetic_image_color` etc.
+    half: str  # "synthetic" or "empirical"
+    items: tuple[int, ...]  # numbers in the file names, ascending; the first is 1
+    files: Mapping[str, Mapping[int, Path]]  # by kind in `_FOLDERS` and number, if the kind's folder exists
 
     @classmethod
     def from_folder(cls, folder: Path, half: str | None = None) -> Self:
-        """One half of the data set in a folder.
-
-        Args:
-            folder: that holds `synthetic_image_color` etc.
-            half: "synthetic" or "empirical"; None if the folder holds only one of them.
-
-        Raises:
-            InputError: `half` is missing although the folder holds both, or the folder does not hold it.
-        """
+        """One half of the data set in a folder; `half` is optional if the folder holds only one."""
         halves = published_halves(folder)
         if half is None and len(halves) > 1:
             raise InputError(folder, f"holds {' and '.join(halves)}; choose one, e.g. half={halves[0]!r}")
@@ -77,18 +61,16 @@ class PublishedSet(ImageSet):
         return tuple(str(number) for number in self.items)
 
     def read(self, item: int) -> LabelledImage:
-        """Read one image: classes from grey labels, or else the nearest colour; distances from their code.
-
-        Raises:
-            InputError: a file is missing or damaged, or a grey label is not a class id.
-        """
-        fields = self.fields
+        """Read one image: classes from grey labels, or else the nearest colour; distances from their code."""
+        distance_m = None
+        if "distance_m" in self.fields and "depth" in self.files:
+            distance_m = distance_from_code(_read_grey(self._file("depth", item)))
         return LabelledImage(
             str(item),
-            read_photo(self._file("colour", item)) if "colour" in fields else None,
-            self._classes(item) if "classes" in fields else None,
-            distance_m=self._distance(item) if "distance_m" in fields and "depth" in self.files else None,
-            facts={"half": self.half, "number": item} if "facts" in fields else {},
+            read_photo(self._file("colour", item)) if "colour" in self.fields else None,
+            self._classes(item) if "classes" in self.fields else None,
+            distance_m=distance_m,
+            facts={"half": self.half, "number": item} if "facts" in self.fields else {},
         )
 
     def _classes(self, number: int) -> NDArray[np.uint8] | None:
@@ -108,9 +90,6 @@ class PublishedSet(ImageSet):
             return class_from_colour(rgb)
         return None
 
-    def _distance(self, number: int) -> NDArray[np.float32]:
-        return distance_from_code(_read_grey(self._file("depth", number)))
-
     def _file(self, kind: str, number: int) -> Path:
         files = self.files[kind]
         if number not in files:
@@ -125,11 +104,7 @@ def published_halves(folder: Path) -> tuple[str, ...]:
 
 
 def _numbered_files(folder: Path) -> dict[int, Path]:
-    """The PNG files of a folder by the number at the end of their names.
-
-    Raises:
-        InputError: a name has no number, or two have the same.
-    """
+    """The PNG files of a folder by the number at the end of their names."""
     files: dict[int, Path] = {}
     for path in sorted(folder.glob("*.png")):
         if path.name.startswith("."):

@@ -14,19 +14,12 @@ from pepperscene.errors import InputError
 
 @final
 class TorchImages(torch.utils.data.Dataset):
-    """A map-style data set, which the workers of a `DataLoader` read in parallel; see `torch_images`.
-
-    Args:
-        images: the images, of which only the needed fields are read.
-        fields: field of `LabelledImage` by key of a sample.
-        transform: of a sample, or None.
-        dtype: of the image.
-    """
+    """A map-style data set, which the workers of a `DataLoader` read in parallel; see `torch_images`."""
 
     def __init__(
         self,
         images: ImageSet,
-        fields: Mapping[str, str],
+        fields: Mapping[str, str],  # of `LabelledImage` by key of a sample
         transform: Callable[[Mapping[str, Any]], Mapping[str, Any]] | None,
         dtype: str,
     ) -> None:
@@ -36,11 +29,7 @@ class TorchImages(torch.utils.data.Dataset):
         return len(self.images)
 
     def __getitem__(self, position: int) -> Mapping[str, Any]:
-        """A sample: tensors by key, and the image's `name`.
-
-        Raises:
-            InputError: the image lacks the field of a key, or a file is damaged.
-        """
+        """A sample: tensors by key, and the image's `name`."""
         image = self.images[int(position)]
         sample: dict[str, Any] = {"name": image.name}
         for key, field in self.fields.items():

@@ -37,6 +37,10 @@ _STYLE: Final = {
 }
 
 
+Axis = tuple[str, Sequence[float]]
+"""Label and ticks; the axis ends at the first and the last tick."""
+
+
 @dataclass(frozen=True, eq=False)
 class Curve:
     """One line of a chart."""
@@ -51,8 +55,7 @@ def line_chart(
     chart_id: str,
     title: str,
     curves: Sequence[Curve],
-    x_label: str,
-    x_ticks: Sequence[float],
+    x_axis: Axis,
     y_label: str,
     hue_strip: bool = False,
 ) -> str:
@@ -62,14 +65,13 @@ def line_chart(
         chart_id: unique in the page.
         title: for screen readers.
         curves: at least one.
-        x_label: of the horizontal axis.
-        x_ticks: of the horizontal axis, which ends at the first and the last of them.
+        x_axis: horizontal axis.
         y_label: of the vertical axis.
         hue_strip: whether to draw the hues below an axis in degrees.
     """
     peaks = [(curve, int(np.argmax(curve.y))) for curve in curves]
     description = "; ".join(
-        f"{curve.name}: maximum {curve.y[at]:.3g} at {curve.x[at]:.3g} ({x_label})" for curve, at in peaks
+        f"{curve.name}: maximum {curve.y[at]:.3g} at {curve.x[at]:.3g} ({x_axis[0]})" for curve, at in peaks
     )
 
     def draw(axes: Any) -> None:
@@ -85,7 +87,7 @@ def line_chart(
         if hue_strip:
             _add_hue_strip(axes)
 
-    return _draw_svg(chart_id, title, description, _LINE_CHART, x_label, x_ticks, draw)
+    return _draw_svg(chart_id, title, description, _LINE_CHART, x_axis, draw)
 
 
 def value_chart(
@@ -93,11 +95,7 @@ def value_chart(
 ) -> str:
     """Draw the distribution of values: a histogram, or a dot for each value if there are few.
 
-    Args:
-        chart_id: unique in the page.
-        title: for screen readers.
-        values: key, name and `(n,)` values of each set.
-        unit: of the values.
+    The values are given as key, name and `(n,)` values of each set.
     """
     together = np.concatenate([numbers for _, _, numbers in values])
     ticks = _round_ticks(*_padded_range(float(together.min()), float(together.max())))
@@ -107,7 +105,7 @@ def value_chart(
         for key, name, numbers in values:
             percentages = 100.0 * np.histogram(numbers, edges)[0] / len(numbers)
             curves.append(Curve(key, name, np.repeat(edges, 2), np.pad(np.repeat(percentages, 2), 1)))
-        return line_chart(chart_id, title, curves, unit, ticks, "% of frames")
+        return line_chart(chart_id, title, curves, (unit, ticks), "% of frames")
     description = "; ".join(
         f"{name}: {len(numbers)} values, median {np.median(numbers):.3g}" for _, name, numbers in values
     )
@@ -119,7 +117,7 @@ def value_chart(
             style = {"color": _COLOURS[key], "alpha": 0.65, "markersize": 10, "markeredgewidth": 0}
             axes.plot(np.sort(numbers), y, "o", clip_on=False, **style)
 
-    return _draw_svg(chart_id, title, description, _DOT_CHART, unit, ticks, draw)
+    return _draw_svg(chart_id, title, description, _DOT_CHART, (unit, ticks), draw)
 
 
 def _draw_svg(
@@ -127,8 +125,7 @@ def _draw_svg(
     title: str,
     description: str,
     layout: tuple[int, int],
-    x_label: str,
-    x_ticks: Sequence[float],
+    x_axis: Axis,
     draw: Callable[[Any], None],
 ) -> str:
     """An SVG element of axes whose content is drawn by `draw`."""
@@ -142,8 +139,8 @@ def _draw_svg(
         figure = Figure(figsize=(_WIDTH / 72, height / 72))
         bounds = np.array([_LEFT, _BOTTOM, _RIGHT - _LEFT, height - top - _BOTTOM])
         axes = figure.add_axes(tuple(bounds / [_WIDTH, height, _WIDTH, height]))
-        _set_ticks(axes, "x", x_ticks)
-        axes.set_xlabel(x_label)
+        axes.set_xlabel(x_axis[0])
+        _set_ticks(axes, "x", x_axis[1])
         draw(axes)
         metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
         figure.savefig(buffer, format="svg", transparent=True, metadata=metadata)

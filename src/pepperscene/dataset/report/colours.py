@@ -24,15 +24,10 @@ _STEPS_BETWEEN: Final = 30
 """Chosen: colours from one of viridis' steps to the next. With the background they are 242, which fit into a
 palette of 256; an image with a palette is a third as large."""
 
-
-def _viridis_table() -> NDArray[np.uint8]:
-    steps = np.array([[int(code[k : k + 2], 16) for k in (1, 3, 5)] for code in VIRIDIS], dtype=float)
-    positions = np.arange((len(VIRIDIS) - 1) * _STEPS_BETWEEN + 1) / _STEPS_BETWEEN
-    channels = [np.interp(positions, np.arange(len(VIRIDIS)), steps[:, channel]) for channel in range(3)]
-    return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
-
-
-_VIRIDIS_TABLE: Final = _viridis_table()
+_STEPS: Final = np.array([[int(code[k : k + 2], 16) for k in (1, 3, 5)] for code in VIRIDIS])
+_POSITIONS: Final = np.arange((len(VIRIDIS) - 1) * _STEPS_BETWEEN + 1) / _STEPS_BETWEEN
+_CHANNELS: Final = [np.interp(_POSITIONS, range(len(VIRIDIS)), channel) for channel in _STEPS.T]
+_VIRIDIS_TABLE: Final = np.stack(_CHANNELS, axis=-1).round().astype(np.uint8)
 
 
 def share_colours(share: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:

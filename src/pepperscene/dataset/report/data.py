@@ -37,11 +37,7 @@ def evenly_spaced(count: int, limit: int) -> list[int]:
 
 
 def image_statistics(images: ImageSet, sample: int, on_progress: OnProgress | None = None) -> ImageStatistics:
-    """Statistics of photographs and classes, of at most `sample` evenly spaced images of a set.
-
-    Raises:
-        InputError: a file is damaged.
-    """
+    """Statistics of photographs and classes, of at most `sample` evenly spaced images of a set."""
     positions = evenly_spaced(len(images), sample)
     statistics = ImageStatistics()
     for image in read_ahead(images.select("colour", "classes"), positions):
@@ -106,11 +102,7 @@ class FrameRecords:
 
 
 def frame_records(dataset: Dataset) -> FrameRecords:
-    """The numbers of all frames, from the manifest, or from a frame's JSON if the manifest lacks the frame.
-
-    Raises:
-        InputError: a frame's JSON is damaged.
-    """
+    """The numbers of all frames, from the manifest, or from the frame's JSON if the manifest lacks it."""
     indices = dataset.indices()
     rows = _manifest_rows(dataset)
     table = np.full((len(indices), len(NUMBERS) + len(_PIXELS)), np.nan)
@@ -148,7 +140,7 @@ class SetSummary:
     statistics: ImageStatistics  # of its measured images
     records: FrameRecords | None  # of all frames; None if it is not a data set of this package
     cards: tuple[str, ...]  # its displayed images as HTML
-    table_rows: tuple[str, ...]  # the same images as rows of an HTML table
+    table_rows: tuple[tuple[str, list[str]], ...]  # head and cells for each of these images
 
     def class_fractions(self) -> tuple[NDArray[np.float64], int]:
         """Pixel fraction of each class `(8,)`, and the number of images that they are from.

@@ -32,6 +32,11 @@ TITLES: Final[Mapping[str, str]] = {
 }
 """Titles of the panels, in the order of display."""
 
+TABLE_COLUMNS: Final = (
+    *("", "set", "rotation", "step", "height, m", "error, codes"),
+    *(f"{organ.name.lower()}, %" for organ in OrganClass),
+)
+
 _LABELS: Final = {"colour": "Colour", "class": "Class", "instance": "Instance", "distance": "Distance"}
 
 
@@ -105,8 +110,8 @@ def card_html(view: ImageView, set_key: str) -> str:
     )
 
 
-def table_row_html(view: ImageView, set_key: str) -> str:
-    """A table row: name, place in the plan, height of the camera, error of its light, class percentages."""
+def table_row(view: ImageView, set_key: str) -> tuple[str, list[str]]:
+    """Head and cells of a table row: place in the plan, camera height, error of the light, percentages."""
     metadata = view.metadata
     height, error = view.camera_height_m, metadata.get("sampling", {}).get("error_codes")
     cells = [
@@ -115,9 +120,8 @@ def table_row_html(view: ImageView, set_key: str) -> str:
         "" if error is None else f"{error:.2f}",
         *(f"{100 * count / view.area:.2f}" for count in view.class_pixels.values()),
     ]
-    cells += [""] * (5 + len(OrganClass) - len(cells))
-    link = f'<a href="#{_card_id(view, set_key)}">{escape(view.name)}</a>'
-    return f'<tr><th scope="row">{link}</th>{"".join(f"<td>{cell}</td>" for cell in cells)}</tr>'
+    cells += [""] * (len(TABLE_COLUMNS) - 1 - len(cells))
+    return f'<a href="#{_card_id(view, set_key)}">{escape(view.name)}</a>', cells
 
 
 def image_button(kind: str, uri: str, alt: str, size: tuple[int, int], label: str = "") -> str:
@@ -235,32 +239,28 @@ def contact_sheet(rows: Sequence[SheetRow], near_m: float, far_m: float) -> Imag
             sheet.paste(panel, (lefts[key], top))
         draw.text((_MARGIN, top + row_height + 6), row.caption, fill=_FAINT, font=_font(15))
         top += row_height + _CAPTION_HEIGHT
-    if "class" in columns:
-        _draw_class_legend(draw, height - _FOOTER_HEIGHT + 14)
-    if "distance" in columns:
-        _draw_distance_legend(sheet, draw, height - _FOOTER_HEIGHT + 14, near_m, far_m)
+    _draw_legends(sheet, draw, columns, near_m, far_m)
     return sheet
 
 
-def _draw_class_legend(draw: ImageDraw.ImageDraw, top: int) -> None:
-    left = float(_MARGIN)
-    for organ_class, colour in zip(OrganClass, CLASS_COLOURS, strict=True):
-        draw.rounded_rectangle((left, top + 4, left + 18, top + 22), 4, fill=colour, outline=_FAINT)
-        name = organ_class.name.lower()
-        draw.text((left + 25, top + 2), name, fill=_INK, font=_font(16))
-        left += 25 + draw.textlength(name, font=_font(16)) + 22
-
-
-def _draw_distance_legend(
-    sheet: Image.Image, draw: ImageDraw.ImageDraw, top: int, near_m: float, far_m: float
+def _draw_legends(
+    sheet: Image.Image, draw: ImageDraw.ImageDraw, columns: Sequence[str], near_m: float, far_m: float
 ) -> None:
     from PIL import Image
 
-    ramp = np.linspace(near_m, far_m, 200)[None].repeat(18, axis=0)
-    left = sheet.width - _MARGIN - 200 - 60
-    sheet.paste(Image.fromarray(distance_colours(ramp, near_m, far_m)), (left, top + 4))
-    draw.text((left - 8, top + 2), f"{near_m:.2f} m", fill=_INK, font=_font(16), anchor="ra")
-    draw.text((left + 208, top + 2), f"{far_m:.2f} m", fill=_INK, font=_font(16))
+    top, left, font = sheet.height - _FOOTER_HEIGHT + 14, float(_MARGIN), _font(16)
+    if "class" in columns:
+        for organ_class, colour in zip(OrganClass, CLASS_COLOURS, strict=True):
+            draw.rounded_rectangle((left, top + 4, left + 18, top + 22), 4, fill=colour, outline=_FAINT)
+            name = organ_class.name.lower()
+            draw.text((left + 25, top + 2), name, fill=_INK, font=font)
+            left += 25 + draw.textlength(name, font=font) + 22
+    if "distance" in columns:
+        ramp = np.linspace(near_m, far_m, 200)[None].repeat(18, axis=0)
+        right = sheet.width - _MARGIN - 200 - 60
+        sheet.paste(Image.fromarray(distance_colours(ramp, near_m, far_m)), (right, top + 4))
+        draw.text((right - 8, top + 2), f"{near_m:.2f} m", fill=_INK, font=font, anchor="ra")
+        draw.text((right + 208, top + 2), f"{far_m:.2f} m", fill=_INK, font=font)
 
 
 def _font(size: int) -> Any:

@@ -17,8 +17,8 @@ from pepperscene.dataset.report.image_view import class_colour_code, image_butto
 from pepperscene.truth import HUE_BINS, centre_falloff, hue_spectrum_correlation, mean_hue
 
 _HUES: Final = np.arange(HUE_BINS) * (360.0 / HUE_BINS)
-_HUE_TICKS: Final = (0, 60, 120, 180, 240, 300, 360)
-_FALLOFF_TICKS: Final = (0, 0.25, 0.5, 0.75, 1)
+_HUE_AXIS: Final = ("hue, degrees", (0, 60, 120, 180, 240, 300, 360))
+_FALLOFF_AXIS: Final = ("from the centre (0) to the corners (1)", (0, 0.25, 0.5, 0.75, 1))
 _RINGS: Final = 40  # chosen: each 12 pixels wide in an image of 800 x 600
 _MAP_PX: Final = 400  # chosen: twice the displayed width of a map
 
@@ -71,10 +71,7 @@ def class_maps_html(sets: Sequence[SetSummary]) -> str:
     masks = {item.key: item.statistics.mean_masks() for item in sets}
     panels = []
     for organ in OrganClass:
-        maps = []
-        for item in sets:
-            mask = masks[item.key]
-            maps.append(_class_map(item, organ, None if mask is None else mask[organ]))
+        maps = [_class_map(item, organ, masks[item.key]) for item in sets]
         panels.append(_class_panel(organ, f'<div class="pair">{"".join(maps)}</div>'))
     return f'<div class="grid{" wide" if len(sets) > 1 else ""}">{"".join(panels)}</div>'
 
@@ -88,15 +85,8 @@ def hue_spectra_html(sets: Sequence[SetSummary]) -> str:
         if not known:
             continue
         curves = [Curve(item.key, item.name, _HUES, spectra[item.key][organ]) for item in known]
-        chart = line_chart(
-            f"hue{organ:d}",
-            f"Hues of the class {organ.name.lower()}",
-            curves,
-            "hue, degrees",
-            _HUE_TICKS,
-            "% of its pixels",
-            hue_strip=True,
-        )
+        title = f"Hues of the class {organ.name.lower()}"
+        chart = line_chart(f"hue{organ:d}", title, curves, _HUE_AXIS, "% of its pixels", hue_strip=True)
         panels.append(_class_panel(organ, chart + _hue_table(known, [curve.y for curve in curves], organ)))
     return f'<div class="grid">{"".join(panels)}</div>' if panels else "<p>No photograph has labels yet.</p>"
 
@@ -110,14 +100,9 @@ def intensity_html(sets: Sequence[SetSummary]) -> str:
     factor = 255.0 / max(1.0, max(float(np.percentile(mean, 99.5)) for _, mean in known))
     factor = max(1.0, np.floor(10.0 * factor) / 10.0)
     images = "".join(_mean_image(item, mean, factor) for item, mean in known)
-    chart = line_chart(
-        "falloff",
-        "Mean intensity by distance from the centre",
-        [_falloff(item, mean) for item, mean in known],
-        "from the centre (0) to the corners (1)",
-        _FALLOFF_TICKS,
-        "grey value",
-    )
+    curves = [_falloff(item, mean) for item, mean in known]
+    title = "Mean intensity by distance from the centre"
+    chart = line_chart("falloff", title, curves, _FALLOFF_AXIS, "grey value")
     return (
         f'<div class="grid">{images}{_panel("Falloff to the corners", chart)}</div>'
         '<div class="scroll" tabindex="0" role="region" aria-label="Intensities">'
@@ -163,7 +148,7 @@ def _cells(values: Iterable[str]) -> str:
     return "".join(f"<td>{value}</td>" for value in values)
 
 
-def _table(css_class: str, heads: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]]) -> str:
+def html_table(css_class: str, heads: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]]) -> str:
     """A table from its column heads, and the head and the cells of each row."""
     head = "".join(f'<th scope="col">{name}</th>' for name in heads)
     body = "".join(f'<tr><th scope="row">{name}</th>{_cells(cells)}</tr>' for name, cells in rows)
@@ -189,11 +174,11 @@ def _bars(fractions: Sequence[tuple[str, float]], scale: float) -> str:
     return f'<svg class="length" height="{9 * len(fractions)}" aria-hidden="true">{bars}</svg>'
 
 
-def _class_map(item: SetSummary, organ_class: OrganClass, mask: NDArray[np.float64] | None) -> str:
-    maximum = 0.0 if mask is None else float(mask.max())
-    if mask is None or maximum == 0.0:
+def _class_map(item: SetSummary, organ_class: OrganClass, masks: NDArray[np.float64] | None) -> str:
+    if masks is None or not masks[organ_class].any():
         return f'<div class="absent"><p>{set_label(item)}<br>has no such label</p></div>'
-    picture = share_colours(mask / maximum)
+    maximum = float(masks[organ_class].max())
+    picture = share_colours(masks[organ_class] / maximum)
     alt = f"Locations of {organ_class.name.lower()} in {item.name}"
     button = image_button("map", drawing(picture, _MAP_PX), alt, (picture.shape[1], picture.shape[0]))
     return f"<div>{button}<p>{set_label(item)} up to {_percent(maximum, 0)}</p></div>"
@@ -203,15 +188,11 @@ def _hue_table(
     sets: Sequence[SetSummary], spectra: Sequence[NDArray[np.floating]], organ_class: OrganClass
 ) -> str:
     rows = []
-    for item, spectrum in zip(sets, spectra, strict=True):
-        hue = mean_hue(spectrum)
-        cells = (
-            "–" if np.isnan(hue) else f"{hue:.0f}°",
-            _percent(item.statistics.grey_shares()[organ_class], 1),
-            f"{item.statistics.hue_pictures[organ_class]:,}",
-        )
-        rows.append((set_label(item), cells))
-    table = _table("small", ("", "mean hue", "grey", "images"), rows)
+    for item, hue in zip(sets, map(mean_hue, spectra), strict=True):
+        grey = _percent(item.statistics.grey_shares()[organ_class], 1)
+        images = f"{item.statistics.hue_pictures[organ_class]:,}"
+        rows.append((set_label(item), ["–" if np.isnan(hue) else f"{hue:.0f}°", grey, images]))
+    table = html_table("small", ("", "mean hue", "grey", "images"), rows)
     if len(spectra) == 2 and np.isfinite(correlation := hue_spectrum_correlation(*spectra)):
         table += f"<p>Correlation of the two: <b>r = {correlation:.2f}</b></p>"
     return table
@@ -246,7 +227,7 @@ def _intensity_table(sets: Sequence[SetSummary]) -> str:
         saturated = _percent(float(np.mean(item.statistics.saturated)))
         cells = [f"{values.size:,}", *(f"{value:.1f}" for value in statistics), saturated]
         rows.append((set_label(item), cells))
-    return _table("intensities", heads, rows)
+    return html_table("intensities", heads, rows)
 
 
 def _build_panel(
@@ -287,10 +268,8 @@ def _totals(records: FrameRecords) -> str:
 
 
 def _size(count: float) -> str:
-    for unit, size in (("GB", 1e9), ("MB", 1e6)):
-        if count >= size:
-            return f"{count / size:.3g} {unit}"
-    return f"{count / 1e3:.3g} kB"
+    unit, size = next((pair for pair in (("GB", 1e9), ("MB", 1e6)) if count >= pair[1]), ("kB", 1e3))
+    return f"{count / size:.3g} {unit}"
 
 
 def _duration(seconds: float) -> str:

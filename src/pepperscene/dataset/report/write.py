@@ -13,6 +13,7 @@ from typing import Any, Final
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers import RenderedSet, open_images
 from pepperscene.dataset.readers.image_set import ImageSet
+from pepperscene.dataset.report import sections
 from pepperscene.dataset.report.colours import VIRIDIS
 from pepperscene.dataset.report.data import (
     OnProgress,
@@ -24,22 +25,13 @@ from pepperscene.dataset.report.data import (
 )
 from pepperscene.dataset.report.image_view import (
     MAX_ROWS,
+    TABLE_COLUMNS,
     SheetRow,
     card_html,
     contact_sheet,
     image_view,
     sheet_row,
-    table_row_html,
-)
-from pepperscene.dataset.report.sections import (
-    build_html,
-    class_fractions_html,
-    class_maps_html,
-    hue_spectra_html,
-    intensity_html,
-    plural,
-    set_label,
-    swatch,
+    table_row,
 )
 from pepperscene.dataset.store.atomic import atomic_write
 from pepperscene.dataset.store.dataset import open_dataset
@@ -117,23 +109,17 @@ def write_report(
         summary, rows = _summarize(key, images, shown, sample, (near, far), on_progress)
         sets.append(summary)
         sheet_rows.append(rows)
-    first = sets[0]
-    result = ReportFiles(
-        dataset.folder / PAGE,
-        dataset.folder / SHEET,
-        len(first.cards),
-        first.statistics.pictures,
-        first.frames,
-    )
-    page = _page(dataset.info, sets, (near, far) if known else None)
+    text = _page(dataset.info, sets, (near, far) if known else None)
+    page, sheet = dataset.folder / PAGE, dataset.folder / SHEET
     try:
-        with atomic_write(result.sheet) as temporary:
+        with atomic_write(sheet) as temporary:
             contact_sheet(sheet_rows[0], near, far).save(temporary, format="PNG")
-        with atomic_write(result.page) as temporary:
-            temporary.write_text(page, encoding="utf-8")
+        with atomic_write(page) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{folder}: the report cannot be written ({error.strerror or error})") from None
-    return result
+    first = sets[0]
+    return ReportFiles(page, sheet, len(first.cards), first.statistics.pictures, first.frames)
 
 
 def _summarize(
@@ -150,7 +136,7 @@ def _summarize(
     for position in positions:
         view = image_view(images[position], *distances_m)
         cards.append(card_html(view, key))
-        table_rows.append(table_row_html(view, key))
+        table_rows.append(table_row(view, key))
         if key == "a" and position in sheet_positions:
             sheet_rows.append(sheet_row(view))
     records = frame_records(images.dataset) if isinstance(images, RenderedSet) else None
@@ -163,7 +149,18 @@ def _page(
     info: Mapping[str, Any], sets: Sequence[SetSummary], distances_m: tuple[float, float] | None
 ) -> str:
     """The page as HTML; `distances_m` are those of the brightest and the darkest colour."""
-    recipe = info["recipe"]
+    recipe, plan = info["recipe"], info["recipe"]["plan"]
+    total = plan["sets"] * plan["rotations"] * plan["frames"]
+    summary = [f"{sets[0].frames:,} of {total:,} planned frames exist."]
+    summary += [
+        f"Compared with {sections.set_label(item)}, {sections.plural(item.frames, 'image')}."
+        for item in sets[1:]
+    ]
+    measured = []
+    for item in sets:
+        count = item.statistics.pictures
+        number = f"all {count:,}" if count == item.frames else f"{count:,} evenly spaced of {item.frames:,}"
+        measured.append(f"{number} images of {sections.set_label(item)}")
     ramp = ""
     if distances_m is not None:
         near, far = (f"<span>{distance:.2f} m</span>" for distance in distances_m)
@@ -173,29 +170,24 @@ def _page(
         script=_resource("page.js"),
         name=escape(str(recipe["name"])),
         cultivar=escape(str(recipe["cultivar"])),
-        summary=_summary(recipe, sets),
+        summary=" ".join(summary),
         facts=_facts(info),
-        classes=" ".join(f"<span>{swatch(organ)}{organ.name.lower()}</span>" for organ in OrganClass),
+        classes=" ".join(
+            f"<span>{sections.swatch(organ)}{organ.name.lower()}</span>" for organ in OrganClass
+        ),
         distances=ramp,
         frames="".join(_frames_html(item, single=len(sets) == 1) for item in sets),
-        fractions=class_fractions_html(sets),
-        measured=_measured(sets),
-        maps=class_maps_html(sets),
-        hues=hue_spectra_html(sets),
-        intensity=intensity_html(sets),
-        build=build_html(sets),
+        fractions=sections.class_fractions_html(sets),
+        measured=f"Measured in {' and '.join(measured)}.",
+        maps=sections.class_maps_html(sets),
+        hues=sections.hue_spectra_html(sets),
+        intensity=sections.intensity_html(sets),
+        build=sections.build_html(sets),
     )
 
 
 def _resource(name: str) -> str:
     return resources.files("pepperscene.dataset.report").joinpath(name).read_text(encoding="utf-8")
-
-
-def _summary(recipe: Mapping[str, Any], sets: Sequence[SetSummary]) -> str:
-    total = recipe["plan"]["sets"] * recipe["plan"]["rotations"] * recipe["plan"]["frames"]
-    sentences = [f"{sets[0].frames:,} of {total:,} planned frames exist."]
-    sentences += [f"Compared with {set_label(item)}, {plural(item.frames, 'image')}." for item in sets[1:]]
-    return " ".join(sentences)
 
 
 def _facts(info: Mapping[str, Any]) -> str:
@@ -217,23 +209,10 @@ def _facts(info: Mapping[str, Any]) -> str:
 def _frames_html(item: SetSummary, single: bool) -> str:
     """The displayed images of a set as cards, and as a table."""
     shown = f"{len(item.cards):,} of {item.frames:,}" if len(item.cards) < item.frames else f"{item.frames:,}"
-    title, suffix = ("", "") if single else (f"<h3>{set_label(item)}</h3>", f": {escape(item.name)}")
-    columns = ["", "set", "rotation", "step", "height, m", "error, codes"]
-    columns += [f"{organ.name.lower()}, %" for organ in OrganClass]
-    heads = "".join(f'<th scope="col">{name}</th>' for name in columns)
+    title, suffix = ("", "") if single else (f"<h3>{sections.set_label(item)}</h3>", f": {escape(item.name)}")
     return (
         f'{title}<p>{shown} shown.</p><div class="cards">{"".join(item.cards)}</div>'
         f"<details><summary>As a table{suffix}</summary>"
         f'<div class="scroll" tabindex="0" role="region" aria-label="Images of {escape(item.name)}">'
-        f"<table><thead><tr>{heads}</tr></thead><tbody>{''.join(item.table_rows)}</tbody></table></div></details>"
+        f"{sections.html_table('frames', TABLE_COLUMNS, item.table_rows)}</div></details>"
     )
-
-
-def _measured(sets: Sequence[SetSummary]) -> str:
-    """The numbers of measured images, in a sentence."""
-    parts = []
-    for item in sets:
-        count, total = item.statistics.pictures, item.frames
-        number = f"all {total:,}" if count == total else f"{count:,} evenly spaced of {total:,}"
-        parts.append(f"{number} images of {set_label(item)}")
-    return f"Measured in {' and '.join(parts)}."
