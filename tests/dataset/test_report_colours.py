@@ -78,7 +78,7 @@ def test_drawings_are_lossless_and_have_a_palette_if_possible():
 
 def test_large_images_shrink_without_new_label_colours():
     classes = class_colours(np.random.default_rng(7).integers(0, 8, (90, 200)).astype(np.uint8))
-    _, decoded = decode(drawing(classes, longest_px=100))
+    _, decoded = decode(drawing(classes, max_size_px=100))
     assert decoded.shape == (45, 100, 3)
     np.testing.assert_array_equal(decoded, classes[::2, ::2])
     _, decoded = decode(jpeg_data_uri(np.zeros((40, 4000, 3), np.uint8)))

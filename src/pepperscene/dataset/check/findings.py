@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -86,7 +86,10 @@ class CheckResult:
             "good": self.good,
             "frames": self.frames,
             "counts": self.counts(),
-            "findings": [asdict(finding) for finding in self.findings],
+            "findings": [
+                {"kind": item.kind, "index": item.index, "file": item.file, "what": item.what}
+                for item in self.findings
+            ],
             "notes": list(self.notes),
         }
 

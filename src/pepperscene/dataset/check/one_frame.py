@@ -40,7 +40,7 @@ class FrameTraits:
 
     index: int
     scene: int | None = None  # set and rotation as one number
-    picture: int = 0  # digest of its first traced image that is not constant
+    photo: int = 0  # digest of its first traced image that is not constant
     content: int = 0  # digest of all its files, unless all images are constant
     view: int = 0  # digest of pose and seed
     row: int = 0  # digest of its row in the manifest
@@ -111,7 +111,7 @@ def _traits(
     return FrameTraits(
         index,
         scene=scene,
-        picture=_digest(np.ascontiguousarray(images[traced]).data) if traced else 0,
+        photo=_digest(np.ascontiguousarray(images[traced]).data) if traced else 0,
         content=_digest(json.dumps(digests, sort_keys=True).encode()) if varied else 0,
         view=0 if pose is None or seed is None else _digest(json.dumps([pose.tolist(), seed]).encode()),
         row=_row_digest(metadata),

@@ -130,7 +130,7 @@ _MAD_TO_SD: Final = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
 _DUPLICATES: Final = {
-    "picture": "has the same photograph as frame {}",
+    "photo": "has the same photograph as frame {}",
     "content": "has the same images as frame {}",
     "view": "has the pose and seed of frame {}",
 }

@@ -61,8 +61,8 @@ class ExportFrame:
     def segment_ids(self, smallest_px: int) -> NDArray[np.uint32]:
         """Segment of every pixel, `(h, w)`, above 0.
 
-        An organ of a plant, of any class but the background, is a segment of its own, whose id is its value
-        in the instance image. The rest of each class is the segment `REST` + class: the background, what has
+        An organ of a plant, of any class but the background, is one segment, whose id is its value in
+        the instance image. The rest of each class is the segment `REST` + class: the background, what has
         an organ's class but belongs to no plant (a wire of the whole row), and organs with fewer than
         `smallest_px` visible pixels.
         """
@@ -88,7 +88,7 @@ class ExportJob:
 
     dataset: Dataset
     splits: Mapping[str, tuple[int, ...]]  # ascending indices of each; none is empty
-    smallest_px: int = 1  # visible pixels below which an organ is not an object of its own
+    smallest_px: int = 1  # visible pixels below which an organ is not a separate object
     on_frame: OnFrame | None = None
 
     @cached_property

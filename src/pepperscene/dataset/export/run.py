@@ -1,4 +1,4 @@
-"""Export of a data set to one of the formats, each of which is a module of its own."""
+"""Export of a data set to one of the formats, each in a separate module."""
 
 from __future__ import annotations
 
@@ -78,8 +78,7 @@ def export_dataset(
             frames as "train". With fractions, no plant is in two splits if the number of sets allows.
         frames: "A:B", indices A to B - 1; None for all existing frames.
         on_frame: called after every frame with its index, the number of frames done, and that of all.
-        smallest_px: visible pixels below which an organ is not an object of its own; None for the format's
-            default.
+        smallest_px: visible pixels below which an organ is not a separate object; None for the default.
 
     Raises:
         InputError: there is no data set or no frame, an argument is not valid, an output is missing, or a

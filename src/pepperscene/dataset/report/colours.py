@@ -30,10 +30,10 @@ _CHANNELS: Final = [np.interp(_POSITIONS, range(len(VIRIDIS)), channel) for chan
 _VIRIDIS_TABLE: Final = np.stack(_CHANNELS, axis=-1).round().astype(np.uint8)
 
 
-def share_colours(share: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+def share_colours(fraction: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
     """Values in [0, 1] `(h, w)` as viridis' colours `(h, w, 3)`, from dark violet to yellow."""
-    place = np.rint(np.clip(share, 0.0, 1.0) * (len(_VIRIDIS_TABLE) - 1)).astype(np.intp)
-    return np.take(_VIRIDIS_TABLE, place, axis=0)
+    position = np.rint(np.clip(fraction, 0.0, 1.0) * (len(_VIRIDIS_TABLE) - 1)).astype(np.intp)
+    return np.take(_VIRIDIS_TABLE, position, axis=0)
 
 
 def distance_colours(distance_m: NDArray[np.floating[Any]], near_m: float, far_m: float) -> NDArray[np.uint8]:
@@ -74,11 +74,11 @@ _MAX_SIZE_PX: Final = 1600
 _JPEG_QUALITY: Final = 90  # chosen: keeps the sensor's noise visible
 
 
-def jpeg_data_uri(picture: NDArray[np.uint8]) -> str:
+def jpeg_data_uri(rgb: NDArray[np.uint8]) -> str:
     """A photograph `(h, w, 3)` uint8 as the data URI of a JPEG."""
     from PIL import Image
 
-    image = Image.fromarray(np.ascontiguousarray(picture))
+    image = Image.fromarray(np.ascontiguousarray(rgb))
     if max(image.size) > _MAX_SIZE_PX:
         image.thumbnail((_MAX_SIZE_PX, _MAX_SIZE_PX), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()
@@ -86,20 +86,20 @@ def jpeg_data_uri(picture: NDArray[np.uint8]) -> str:
     return _data_uri("jpeg", buffer.getvalue())
 
 
-def drawing(picture: NDArray[np.uint8], longest_px: int = _MAX_SIZE_PX) -> str:
+def drawing(rgb: NDArray[np.uint8], max_size_px: int = _MAX_SIZE_PX) -> str:
     """Labels or a map in colours `(h, w, 3)` uint8 as the data URI of a PNG with the same colours."""
     from PIL import Image
 
     # Colours of labels must not be blended: a mixture would be another class.
-    stride = -(-max(picture.shape[:2]) // longest_px)
-    picture = np.ascontiguousarray(picture[::stride, ::stride])
-    codes = (picture.astype(np.uint32) << np.array([16, 8, 0], np.uint32)).sum(axis=-1, dtype=np.uint32)
+    stride = -(-max(rgb.shape[:2]) // max_size_px)
+    rgb = np.ascontiguousarray(rgb[::stride, ::stride])
+    codes = (rgb.astype(np.uint32) << np.array([16, 8, 0], np.uint32)).sum(axis=-1, dtype=np.uint32)
     distinct, inverse = np.unique(codes, return_inverse=True)
     if len(distinct) <= 256:
         image = Image.fromarray(inverse.reshape(codes.shape).astype(np.uint8), mode="P")
         image.putpalette(b"".join(int(code).to_bytes(3, "big") for code in distinct))
     else:
-        image = Image.fromarray(picture)
+        image = Image.fromarray(rgb)
     buffer = io.BytesIO()
     image.save(buffer, format="PNG")
     return _data_uri("png", buffer.getvalue())
