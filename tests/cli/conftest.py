@@ -23,7 +23,7 @@ class NoLight:
             for name, output in OUTPUTS.items()
             if name in outputs
         }
-        return Frame(images, {"camera": camera.facts(), "instances": {}})
+        return Frame(images, {"camera": camera.metadata(), "instances": {}})
 
 
 @pytest.fixture(scope="session")

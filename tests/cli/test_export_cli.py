@@ -51,7 +51,7 @@ def test_options_reach_the_export(folder, command, tmp_path):
     ("change", "told"),
     [
         ({"--format": "coc"}, "--format: unknown format 'coc'; allowed are published, coco, yolo"),
-        ({"--split": "train=.5"}, "--split: the shares sum to 0.5; they must sum to 1"),
+        ({"--split": "train=.5"}, "--split: the fractions sum to 0.5; they must be positive and sum to 1"),
         ({"--split": "a=0:10,b=9:6140"}, "--split: a and b overlap: frame 9 belongs to both"),
         ({"--frames": "0:5"}, "--frames: '0:5' holds none of the data set's frames"),
         ({"--smallest": "0"}, "--smallest: 0 must be at least 1"),
@@ -73,7 +73,7 @@ def test_folders_that_will_not_do_are_told_in_a_sentence(folder, command, tmp_pa
     for source, out, told in [
         (tmp_path, tmp_path / "out", "holds no data set"),
         (folder, tmp_path / "full", "holds 'mine'; choose an empty or a new folder"),
-        (folder, folder / "coco", "lies inside the data set"),
+        (folder, folder / "coco", "is inside the data set"),
     ]:
         done = command("export", source, "--format", "coco", "--out", out)
         assert done.exit_code == 2

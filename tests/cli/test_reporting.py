@@ -43,7 +43,7 @@ def test_a_folder_of_photographs_stands_beside(command, built, photographs):
     done = command("report", built, "--beside", photographs, "--labels", "montoya2021")
     assert done.exit_code == 0, done.stderr
     text = (built / "index.html").read_text(encoding="utf-8")
-    assert re.search(rf"{photographs.name}</span>, 2 pictures", text)
+    assert re.search(rf"{photographs.name}</span>, 2 images", text)
     # A quarter of them is labelled, as peduncle.
     assert "25.00\u00a0%" in text
 

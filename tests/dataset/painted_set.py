@@ -1,4 +1,4 @@
-"""A data set whose pictures are painted: organs in pieces and with holes, things that belong to no plant."""
+"""A data set of painted images: organs in pieces and with holes, and instances that belong to no plant."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from set_files import set_without_plants
 
-from pepperscene.frame import OUTPUTS, Frame
+from pepperscene.frame import Frame
 from pepperscene.truth import class_colour, distance_code
 from pepperscene.truth.encodings import encode_rle
 
@@ -26,83 +26,89 @@ class Painter:
 
     def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
         rng = np.random.default_rng(seed)
-        instance, told, whole = paint(rng)
+        instance, entries, fruit_masks = paint(rng)
         pixels = np.bincount(instance.ravel(), minlength=65536)
-        told = {value: {**one, "pixels": int(pixels[value])} for value, one in told.items() if pixels[value]}
-        classes = np.zeros(65536, np.uint8)
-        classes[list(told)] = [one["class"] for one in told.values()]
+        visible = {
+            value: {**entry, "pixels": int(pixels[value])}
+            for value, entry in entries.items()
+            if pixels[value]
+        }
+        class_of = np.zeros(65536, np.uint8)
+        class_of[list(visible)] = [entry["class"] for entry in visible.values()]
         distance = rng.uniform(0.2, 1.5, SIZE).astype(np.float32)
         distance[instance == 0] = np.inf
         images = {
             "colour": rng.integers(0, 256, (*SIZE, 3)).astype(np.uint8),
-            "class": classes[instance],
-            "class_colour": class_colour(classes[instance]),
+            "class": class_of[instance],
+            "class_colour": class_colour(class_of[instance]),
             "instance": instance,
             "distance": distance,
             "distance_code": distance_code(distance),
-            "harvest": harvest(rng, told, whole),
+            "harvest": harvest(rng, visible, fruit_masks),
         }
-        assert set(images) <= set(OUTPUTS)
-        facts = {"camera": camera.metadata(), "instances": {str(value): one for value, one in told.items()}}
-        return Frame({name: images[name] for name in outputs}, facts)
+        instances = {str(value): entry for value, entry in visible.items()}
+        metadata = {"camera": camera.metadata(), "instances": instances}
+        return Frame({name: images[name] for name in outputs}, metadata)
 
 
 def paint(rng):
-    """An instance image, what is told of each, and the whole masks of fruit, hidden pixels included."""
+    """An instance image, the entry of each instance, and the masks of fruit with their hidden pixels."""
     instance = np.zeros(SIZE, np.uint16)
     instance[-20:] = FLOOR
-    told = {
+    entries = {
         FLOOR: {"class": 0, "kind": "floor_film", "plant": -1, "phytomer": -1, "parent": 0},
         WIRE: {"class": 6, "kind": "crop_wire", "plant": -1, "phytomer": -1, "parent": 0},
     }
     values = rng.choice(np.arange(1, WIRE), 340, replace=False)
-    whole = {}
+    fruit_masks = {}
 
     def add(value, mask, organ_class, parent=0):
         instance[mask] = value
-        kind, plant = KINDS[organ_class], int(value) % 3
-        told[int(value)] = {
-            "class": organ_class, "kind": kind, "plant": plant, "phytomer": int(rng.integers(20)),
-            "parent": int(parent),
+        entries[int(value)] = {
+            "class": organ_class, "kind": KINDS[organ_class], "plant": int(value) % 3,
+            "phytomer": int(rng.integers(20)), "parent": int(parent),
         }  # fmt: skip
         if organ_class == 2:
-            whole[int(value)] = mask
+            fruit_masks[int(value)] = mask
 
     # More organs than a byte can count, of a few pixels each.
     for k, value in enumerate(values[40:]):
+        mask = np.zeros(SIZE, bool)
         row, column = 2 + 3 * (k // 75), 3 + 3 * (k % 75)
-        add(value, _boxed(row, row + 2, column, column + 1 + k % 2), 5)
+        mask[row : row + 2, column : column + 1 + k % 2] = True
+        add(value, mask, 5)
     for k, value in enumerate(values[:30]):
         centre = (int(rng.integers(0, SIZE[1])), int(rng.integers(30, SIZE[0])))
         axes = (int(rng.integers(12, 30)), int(rng.integers(8, 24)))
-        mask = _drawn(cv2.ellipse, centre, axes, float(rng.uniform(0, 180)), 0, 360, 1, -1)
+        mask = _draw(cv2.ellipse, centre, axes, float(rng.uniform(0, 180)), 0, 360, 1, -1)
         if k % 3 == 0:
-            mask &= ~_drawn(cv2.circle, centre, 4, 1, -1)
+            mask &= ~_draw(cv2.circle, centre, 4, 1, -1)
         add(value, mask, 1 + k % 3, parent=values[(k + 1) % 30])
-    # Thin things in front cut what lies behind into pieces.
+    # Thin organs in front divide those behind them into pieces.
     for k, value in enumerate(values[30:40]):
         column = int(rng.integers(0, SIZE[1]))
-        mask = _drawn(cv2.line, (column, 0), (SIZE[1] - column, SIZE[0]), 1, 2 + k % 3)
+        mask = _draw(cv2.line, (column, 0), (SIZE[1] - column, SIZE[0]), 1, 2 + k % 3)
         add(value, mask, 4 + k % 4)
-    instance[_drawn(cv2.line, (0, 25), (SIZE[1], 40), 1, 3)] = WIRE
-    return instance, told, whole
+    instance[_draw(cv2.line, (0, 25), (SIZE[1], 40), 1, 3)] = WIRE
+    return instance, entries, fruit_masks
 
 
-def harvest(rng, told, whole):
-    """All fruit in view, as the output `harvest` tells them; each third without a stalk."""
+def harvest(rng, visible, fruit_masks):
+    """The output `harvest` of all visible fruit, every third one without a peduncle."""
     fruit = []
-    for place, (value, mask) in enumerate(sorted(whole.items())):
-        if value not in told:
+    for k, (value, mask) in enumerate(sorted(fruit_masks.items())):
+        if value not in visible:
             continue
-        seen = told[value]["pixels"]
-        px = rng.uniform(0, 180, 2).tolist() if place % 2 else None
-        cut = {"camera_m": [0.0, 0.0, 0.4], "px": px, "visible": place % 4 == 1}
+        entry = visible[value]
+        px = rng.uniform(0, 180, 2).tolist() if k % 2 else None
+        cut = {"camera_m": [0.0, 0.0, 0.4], "px": px, "visible": k % 4 == 1}
         fruit.append({
-            "instance": value, "plant": told[value]["plant"], "phytomer": 4, "kind": "fruit", "ripeness": 0.5,
-            "length_m": 0.08, "diameter_m": 0.07, "visible_pixels": seen, "amodal_pixels": int(mask.sum()),
-            "visible_fraction": seen / int(mask.sum()), "truncated": False, "amodal": encode_rle(mask),
-            "peduncle": {"instance": 7, "cut": cut} if place % 3 else None, "pose": np.eye(4).tolist(),
-            "occluders": [], "box": None, "amodal_box": [0, 0, 1, 1], "approach": None,
+            "instance": value, "plant": entry["plant"], "phytomer": 4, "kind": "fruit", "ripeness": 0.5,
+            "length_m": 0.08, "diameter_m": 0.07, "visible_pixels": entry["pixels"],
+            "amodal_pixels": int(mask.sum()), "visible_fraction": entry["pixels"] / int(mask.sum()),
+            "truncated": False, "amodal": encode_rle(mask), "pose": np.eye(4).tolist(), "occluders": [],
+            "peduncle": {"instance": 7, "cut": cut} if k % 3 else None,
+            "box": None, "amodal_box": [0, 0, 1, 1], "approach": None,
         })  # fmt: skip
     return {"format": "pepperscene harvest 1", "fruit": fruit, "graph": {"nodes": [], "edges": []}}
 
@@ -112,13 +118,7 @@ def make_painted_set(folder, outputs=ALL, frames=FRAMES):
     return set_without_plants(folder, frames, outputs, Painter)
 
 
-def _drawn(how, *arguments):
+def _draw(function, *arguments):
     canvas = np.zeros(SIZE, np.uint8)
-    how(canvas, *arguments)
+    function(canvas, *arguments)
     return canvas > 0
-
-
-def _boxed(top, bottom, left, right):
-    mask = np.zeros(SIZE, bool)
-    mask[top:bottom, left:right] = True
-    return mask

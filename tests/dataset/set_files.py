@@ -1,4 +1,4 @@
-"""Data sets as files: one without plants, made in no time, and what two builds of one must have in common."""
+"""Data sets without plants, which build fast, and the files that two builds of one data set must share."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ TABLES = frozenset({"manifest.parquet", "fruit.parquet", "journal.jsonl"})
 
 
 def contents(folder):
-    """Bytes of every file below a folder by relative path, but for the tables, which hold timings.
+    """Bytes of every file below a folder by relative path, except the tables, which hold timings.
 
-    What a lost process left half-written counts, too.
+    Unfinished files of a lost process are included.
     """
     return {
         str(path.relative_to(folder)): path.read_bytes()
@@ -24,11 +24,11 @@ def contents(folder):
     }
 
 
-def set_without_plants(folder, frames, outputs, renderer):
-    """Frames out of two sets, three rotations and four steps of a scene that holds one card."""
+def set_without_plants(folder, frames, outputs, renderer, changes=None):
+    """Frames of two sets, three rotations and four steps of a scene that holds one rectangle."""
     changes = {
         "plan.sets": 2, "plan.rotations": 3, "plan.frames": 4, "row.plants_front": 1, "row.plants_back": 0,
-        "cultivar": "kaite_february",
+        "cultivar": "kaite_february", **(changes or {}),
     }  # fmt: skip
     scene = assemble_scene(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
     with pytest.MonkeyPatch.context() as patch:

@@ -1,4 +1,4 @@
-"""A data set of a few tiny frames with all that exports carry, made once and copied for each test."""
+"""A data set of a few tiny frames with all outputs that exports use."""
 
 from __future__ import annotations
 
@@ -22,27 +22,21 @@ FRUIT = {
     "approach": {"camera": [0.0, 0.0, 1.0], "world": [0.0, 1.0, 0.0]},
 }  # fmt: skip
 HIDDEN = {
-    **FRUIT,
-    "instance": 500,
-    "box": None,
-    "visible_pixels": 0,
-    "visible_fraction": 0.0,
-    "peduncle": None,
-}
+    **FRUIT, "instance": 500, "box": None, "visible_pixels": 0, "visible_fraction": 0.0, "peduncle": None,
+}  # fmt: skip
 HARVEST = {"format": "pepperscene harvest 1", "fruit": [FRUIT, HIDDEN], "graph": {"nodes": [], "edges": []}}
 
 
-class Harvested(StandIn):
-    """Every frame has the same two fruit, and a corner of sky."""
+class HarvestRenderer(StandIn):
+    """Renders the same two fruit, and a corner of sky, in every frame."""
 
     def render(self, camera, outputs=(), quality="standard", seed=0, **others):
-        frame = super().render(
-            camera, [name for name in outputs if name != "harvest"], quality, seed, **others
-        )
+        images = [name for name in outputs if name != "harvest"]
+        frame = super().render(camera, images, quality, seed, **others)
         frame.images["distance"][0, 0] = np.inf
         return Frame({**frame.images, "harvest": HARVEST}, frame.metadata)
 
 
 def make_small_set(folder):
     """Nine frames of three scenes."""
-    return set_without_plants(folder, range(FRAMES), OUTPUTS, Harvested)
+    return set_without_plants(folder, range(FRAMES), OUTPUTS, HarvestRenderer)

@@ -1,4 +1,4 @@
-"""The shift at which labels fit a photograph best, for pictures whose shift is known."""
+"""The shift at which labels fit a photograph best, for images whose shift is known."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from skimage import transform
 from pepperscene.dataset.check.edges import CHANCE, QUARTERS, match
 
 
-def pictures(height, width, seed=0, discs=140):
-    """Discs before each other in colours of their own, and their numbers."""
+def draw_discs(height, width, seed=0, discs=140):
+    """Discs in front of each other, each in its own colour, and their numbers."""
     rng = np.random.default_rng(seed)
     rows, columns = np.mgrid[:height, :width]
     labels = np.zeros((height, width), np.uint16)
@@ -24,33 +24,33 @@ def pictures(height, width, seed=0, discs=140):
     return colour, labels
 
 
-def developed(colour, seed=1, noise=6.0):
+def develop(colour, seed=1, noise=6.0):
     values = colour + np.random.default_rng(seed).normal(0, noise, colour.shape)
     return np.clip(values, 0, 255).astype(np.uint8)
 
 
-COLOUR, LABELS = pictures(240, 320)
+COLOUR, LABELS = draw_discs(240, 320)
 
 
-def test_true_labels_fit():
-    found = match(developed(COLOUR), LABELS)
-    assert found.fits
-    assert (found.right_px, found.down_px, found.quarter) == (0, 0, "")
+def test_correct_labels_fit():
+    result = match(develop(COLOUR), LABELS)
+    assert result.fits
+    assert (result.right_px, result.down_px, result.quarter) == (0, 0, "")
 
 
 @pytest.mark.parametrize(("right", "down"), [(1, 0), (0, -2), (2, 0), (-3, 5), (17, -11), (-40, 30)])
-def test_a_shift_is_found(right, down):
-    # Out of a larger picture, so that nothing comes in again on the other side.
-    colour, labels = pictures(340, 420, seed=2, discs=260)
+def test_finds_shift(right, down):
+    # Part of a larger image, so that nothing wraps around.
+    colour, labels = draw_discs(340, 420, seed=2, discs=260)
     inner = np.s_[50:290, 50:370]
     moved = np.roll(labels, (down, right), (0, 1))[inner]
-    found = match(developed(colour)[inner], moved)
-    assert (found.right_px, found.down_px) == (right, down)
-    assert found.fits == (max(abs(right), abs(down)) < 2)
+    result = match(develop(colour)[inner], moved)
+    assert (result.right_px, result.down_px) == (right, down)
+    assert result.fits == (max(abs(right), abs(down)) < 2)
 
 
 @pytest.mark.parametrize(
-    "changed",
+    "change",
     [
         lambda colour: colour * 0.2,
         lambda colour: 255 - colour,
@@ -59,55 +59,59 @@ def test_a_shift_is_found(right, down):
         lambda colour: np.where(colour > 120, 255, colour),
         lambda colour: colour.mean(-1, keepdims=True).repeat(3, -1),
     ],
-    ids=["dim", "negative", "vignetted", "out of focus", "burnt out", "grey"],
+    ids=["dim", "negative", "vignetted", "out of focus", "overexposed", "grey"],
 )
-def test_light_and_focus_do_not_move_edges(changed):
-    assert match(developed(changed(COLOUR)), LABELS).fits
+def test_light_and_focus_do_not_matter(change):
+    assert match(develop(change(COLOUR)), LABELS).fits
 
 
-@pytest.mark.parametrize("turned", [np.s_[:, ::-1], np.s_[::-1], np.s_[::-1, ::-1]])
-def test_mirrored_labels_fit_nowhere(turned):
-    found = match(developed(COLOUR), LABELS[turned])
-    assert not found.fits
-    assert found.height < CHANCE
+@pytest.mark.parametrize("mirror", [np.s_[:, ::-1], np.s_[::-1], np.s_[::-1, ::-1]])
+def test_mirrored_labels_fit_at_no_shift(mirror):
+    result = match(develop(COLOUR), LABELS[mirror])
+    assert not result.fits
+    assert result.height < CHANCE
 
 
-def test_chance_stays_below_what_counts():
-    photographs = [developed(pictures(240, 320, seed)[0]) for seed in range(5, 11)]
+def test_chance_is_below_the_threshold():
+    photographs = [develop(draw_discs(240, 320, seed)[0]) for seed in range(5, 11)]
     heights = [match(photograph, LABELS).height for photograph in photographs]
-    heights += [match(developed(COLOUR * 0 + 90, seed), LABELS).height for seed in range(4)]
+    heights += [match(develop(COLOUR * 0 + 90, seed), LABELS).height for seed in range(4)]
     assert max(heights) < CHANCE
 
 
-@pytest.mark.parametrize("change", ["larger", "smaller", "turned"])
-def test_another_scale_or_angle_shows_in_a_quarter(change):
-    colour, labels = pictures(600, 800, seed=3, discs=900)
-    middle, factor = np.array([400.0, 300.0]), {"larger": 1.012, "smaller": 0.988, "turned": 1.0}[change]
-    angle = np.radians(1.0 if change == "turned" else 0.0)
-    whole = transform.SimilarityTransform(scale=factor, rotation=angle)
-    moved = transform.SimilarityTransform(translation=-middle) + whole
-    moved = (moved + transform.SimilarityTransform(translation=middle)).inverse
-    other = transform.warp(labels, moved, order=0, preserve_range=True).astype(np.uint16)
-    assert match(developed(colour), labels).fits
-    found = match(developed(colour), other)
-    assert not found.fits
-    assert found.quarter in QUARTERS
+@pytest.fixture(scope="module")
+def large():
+    colour, labels = draw_discs(600, 800, seed=3, discs=900)
+    return develop(colour), labels
+
+
+@pytest.mark.parametrize(("scale", "degrees"), [(1.012, 0), (0.988, 0), (1, 1)])
+def test_another_scale_or_angle_is_found_in_a_quarter(large, scale, degrees):
+    photograph, labels = large
+    centre = transform.SimilarityTransform(translation=(400.0, 300.0))
+    change = transform.SimilarityTransform(scale=scale, rotation=np.radians(degrees))
+    inverse = (transform.SimilarityTransform(translation=(-400.0, -300.0)) + change + centre).inverse
+    changed = transform.warp(labels, inverse, order=0, preserve_range=True).astype(np.uint16)
+    assert match(photograph, labels).fits
+    result = match(photograph, changed)
+    assert not result.fits
+    assert result.quarter in QUARTERS
 
 
 @pytest.mark.parametrize("size", [(151, 203), (97, 241), (1, 1), (1, 400), (600, 2)])
-def test_any_size_will_do(size):
-    colour, labels = pictures(*size)
-    found = match(developed(colour), labels)
-    assert found is None or found.fits
+def test_accepts_any_size(size):
+    colour, labels = draw_discs(*size)
+    result = match(develop(colour), labels)
+    assert result is None or result.fits
 
 
-def test_without_borders_nothing_is_said():
+def test_few_borders_are_not_judged():
     few = np.zeros((240, 320), np.uint16)
     few[50:100, 60:110] = 3
-    assert match(developed(COLOUR), few) is None
-    assert match(developed(COLOUR), np.zeros_like(few)) is None
+    assert match(develop(COLOUR), few) is None
+    assert match(develop(COLOUR), np.zeros_like(few)) is None
 
 
-def test_pictures_of_two_sizes_do_not_belong_together():
-    with pytest.raises(ValueError, match="belong together"):
-        match(developed(COLOUR), LABELS[1:])
+def test_rejects_labels_of_another_size():
+    with pytest.raises(ValueError, match="must have the same size"):
+        match(develop(COLOUR), LABELS[1:])

@@ -1,4 +1,4 @@
-"""COCO: pycocotools loads it, finds the masks again, and evaluates a perfect prediction to AP 1."""
+"""COCO: pycocotools loads instances and panoptic segments, decodes their masks, and evaluates them to 1."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from painted_set import ALL, FRAMES, WIRE
+from painted_set import FRAMES, WIRE
 
-from pepperscene.classes import OrganClass
+from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset import read_image
 from pepperscene.dataset.export import export_dataset
-from pepperscene.dataset.export.segments import all_run_lengths
+from pepperscene.dataset.export.coco import segment_run_lengths
 from pepperscene.truth.encodings import decode_rle
 
-mask_tools = pytest.importorskip("pycocotools.mask", reason="the extra `export` brings pycocotools")
+mask_tools = pytest.importorskip("pycocotools.mask", reason="the extra `export` installs pycocotools")
 
 # pycocotools 2.0.11 decodes masks in a way that NumPy 2 tolerates for now.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
@@ -28,101 +28,101 @@ pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:Depreca
 from pycocotools.coco import COCO  # noqa: E402
 from pycocotools.cocoeval import COCOeval  # noqa: E402
 
-
-@pytest.fixture(scope="module")
-def made(painted):
-    return painted
+REST = 65536
 
 
 @pytest.fixture(scope="module")
-def out(made, tmp_path_factory):
-    return export_dataset(
-        made.folder, "coco", tmp_path_factory.mktemp("out") / "out", "train=.6,val=.4"
-    ).folder
+def out(painted, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("out") / "out"
+    return export_dataset(painted.folder, "coco", folder, "train=.6,val=.4").folder
 
 
-def loaded(path):
+def load(path):
     with contextlib.redirect_stdout(io.StringIO()):
         return COCO(path)
 
 
 @pytest.fixture(scope="module")
 def truth(out):
-    return loaded(out / "annotations" / "instances_train.json")
+    return load(out / "annotations" / "instances_train.json")
 
 
-def organs(made, index):
-    """What the frame's JSON tells of the organs of plants, by instance."""
-    told = made.facts(index)["instances"].items()
-    return {int(value): one for value, one in told if one["class"] and one["plant"] >= 0}
+def organ_entries(dataset, index):
+    """Entries of the organs of plants in the frame's JSON, by instance."""
+    entries = dataset.metadata(index)["instances"].items()
+    return {int(value): entry for value, entry in entries if entry["class"] and entry["plant"] >= 0}
 
 
-def test_pycocotools_finds_every_organ_again(made, out, truth):
+def bounds(mask):
+    rows, columns = np.nonzero(mask)
+    return [columns.min(), rows.min(), np.ptp(columns) + 1, np.ptp(rows) + 1]
+
+
+# --- instances ----------------------------------------------------------------------------------------------
+
+
+def test_every_organ_has_its_mask_and_attributes(painted, out, truth):
     assert sorted(truth.imgs) == list(FRAMES[:4])
-    assert {one["id"]: one["name"] for one in truth.cats.values()} == {
-        int(one): one.name.lower() for one in OrganClass if one
+    assert {category["id"]: category["name"] for category in truth.cats.values()} == {
+        int(organ): organ.name.lower() for organ in OrganClass if organ
     }
-    for index, image in truth.imgs.items():
-        picture = read_image(out / "train" / image["file_name"])
-        assert (picture == made.image(index, "colour")).all()
-        assert (image["height"], image["width"]) == picture.shape[:2]
-        instance, wanted = made.image(index, "instance"), organs(made, index)
-        # More than a byte counts, which pycocotools 2.0 trips over under NumPy 2.
-        assert len(wanted) > 255
-        found = truth.imgToAnns[index]
-        things = [one for one in found if not one["iscrowd"]]
-        assert sorted(one["attributes"]["instance"] for one in things) == sorted(wanted)
-        for one in things:
-            told = wanted[one["attributes"]["instance"]]
-            mask = truth.annToMask(one).astype(bool)
-            assert (mask == (instance == one["attributes"]["instance"])).all()
-            assert one["category_id"] == told["class"]
-            assert {key: one["attributes"][key] for key in ("kind", "plant", "phytomer")} == {
-                key: told[key] for key in ("kind", "plant", "phytomer")
-            }
-            assert one["area"] == mask.sum() == mask_tools.area(one["segmentation"])
-            rows, columns = np.nonzero(mask)
-            size = [np.ptp(columns) + 1, np.ptp(rows) + 1]
-            assert one["bbox"] == [columns.min(), rows.min(), *size]
+    for index, record in truth.imgs.items():
+        colour = read_image(out / "train" / record["file_name"])
+        assert (colour == painted.image(index, "colour")).all()
+        assert (record["height"], record["width"]) == colour.shape[:2]
+        instance, entries = painted.image(index, "instance"), organ_entries(painted, index)
+        # More than fit into a byte, where pycocotools 2.0 fails under NumPy 2.
+        assert len(entries) > 255
+        things = [annotation for annotation in truth.imgToAnns[index] if not annotation["iscrowd"]]
+        assert sorted(thing["attributes"]["instance"] for thing in things) == sorted(entries)
+        for thing in things:
+            attributes = thing["attributes"]
+            entry = entries[attributes["instance"]]
+            mask = truth.annToMask(thing).astype(bool)
+            assert (mask == (instance == attributes["instance"])).all()
+            assert thing["category_id"] == entry["class"]
+            assert all(attributes[key] == entry[key] for key in ("kind", "plant", "phytomer"))
+            assert thing["area"] == mask.sum() == mask_tools.area(thing["segmentation"])
+            assert thing["bbox"] == bounds(mask)
 
 
-def test_a_parent_is_the_annotation_of_what_bears_the_organ(made, truth):
+def test_parent_is_the_annotation_of_the_parent_organ(painted, truth):
     parents = 0
-    for one in truth.anns.values():
-        if one["iscrowd"]:
+    for annotation in truth.anns.values():
+        if annotation["iscrowd"]:
             continue
-        wanted = organs(made, one["image_id"])
-        parent = wanted[one["attributes"]["instance"]]["parent"]
-        if parent in wanted:
-            above = truth.anns[one["attributes"]["parent"]]
-            assert above["image_id"] == one["image_id"]
-            assert above["attributes"]["instance"] == parent
+        entries = organ_entries(painted, annotation["image_id"])
+        parent = entries[annotation["attributes"]["instance"]]["parent"]
+        if parent in entries:
+            parent_annotation = truth.anns[annotation["attributes"]["parent"]]
+            assert parent_annotation["image_id"] == annotation["image_id"]
+            assert parent_annotation["attributes"]["instance"] == parent
             parents += 1
         else:
-            assert one["attributes"]["parent"] is None
+            assert annotation["attributes"]["parent"] is None
     assert parents > 20
 
 
-def test_what_belongs_to_no_plant_is_a_crowd_or_background(made, truth):
+def test_instances_of_no_plant_are_a_crowd(painted, truth):
     for index in truth.imgs:
-        crowds = [one for one in truth.imgToAnns[index] if one["iscrowd"]]
-        assert [one["category_id"] for one in crowds] == [int(OrganClass.WIRE)]
-        assert (truth.annToMask(crowds[0]).astype(bool) == (made.image(index, "instance") == WIRE)).all()
+        crowds = [annotation for annotation in truth.imgToAnns[index] if annotation["iscrowd"]]
+        assert [crowd["category_id"] for crowd in crowds] == [int(OrganClass.WIRE)]
+        assert (truth.annToMask(crowds[0]).astype(bool) == (painted.image(index, "instance") == WIRE)).all()
 
 
-def test_ids_are_unique_over_all_splits_and_above_0(out):
-    both = [loaded(out / "annotations" / f"instances_{name}.json") for name in ("train", "val")]
-    ids = [one["id"] for part in both for one in part.dataset["annotations"]]
+def test_annotation_ids_are_unique_in_all_splits_and_positive(out):
+    parts = [load(out / "annotations" / f"instances_{name}.json") for name in ("train", "val")]
+    ids = [annotation["id"] for part in parts for annotation in part.dataset["annotations"]]
     assert len(set(ids)) == len(ids)
     assert min(ids) > 0
-    assert {tuple(sorted(part.imgs)) for part in both} == {FRAMES[:4], FRAMES[4:]}
+    assert {tuple(sorted(part.imgs)) for part in parts} == {FRAMES[:4], FRAMES[4:]}
 
 
-def average_precision(truth, found, kind):
-    """Mean over classes, overlaps from .5 to .95 and recalls, and the least of them."""
+def average_precision(truth, predictions, kind):
+    """Precisions of all classes, overlaps from .5 to .95, and recalls."""
     with contextlib.redirect_stdout(io.StringIO()):
-        evaluation = COCOeval(truth, truth.loadRes(found), kind)
-        # Pictures hold more than the usual 100 organs of a class.
+        evaluation = COCOeval(truth, truth.loadRes(predictions), kind)
+        # Images contain more than the default limit of 100 organs of a class.
         evaluation.params.maxDets = [1, 100, 1000]
         evaluation.params.areaRng, evaluation.params.areaRngLbl = [[0, 1e10]], ["all"]
         evaluation.evaluate()
@@ -131,103 +131,210 @@ def average_precision(truth, found, kind):
     return precision[precision > -1]
 
 
-def perfect(truth):
-    kept = ("image_id", "category_id", "segmentation", "bbox")
-    return [
-        {**{key: one[key] for key in kept}, "score": 0.9} for one in truth.anns.values() if not one["iscrowd"]
-    ]
+def predictions_of(truth, crowd):
+    keys = ("image_id", "category_id", "segmentation", "bbox")
+    annotations = [annotation for annotation in truth.anns.values() if annotation["iscrowd"] == crowd]
+    return [{**{key: annotation[key] for key in keys}, "score": 0.9} for annotation in annotations]
 
 
 @pytest.mark.parametrize("kind", ["segm", "bbox"])
-def test_a_perfect_prediction_has_an_average_precision_of_1(truth, kind):
-    # A precision is a / (a + 2e-16): 1 to the last bit or the one before.
-    assert average_precision(truth, perfect(truth), kind) == pytest.approx(1, abs=1e-15)
+def test_average_precision_of_perfect_and_damaged_predictions(truth, kind):
+    predictions = predictions_of(truth, crowd=False)
+    # A precision is a / (a + 2e-16): 1, or the number before it.
+    assert average_precision(truth, predictions, kind) == pytest.approx(1, abs=1e-15)
+    assert average_precision(truth, predictions[::2], kind).mean() < 0.8
+    for prediction in predictions:
+        mask = np.roll(mask_tools.decode(prediction["segmentation"]), 3, axis=1)
+        prediction["segmentation"] = mask_tools.encode(np.asfortranarray(mask))
+        prediction["bbox"] = [prediction["bbox"][0] + 3, *prediction["bbox"][1:]]
+    assert average_precision(truth, predictions, kind).mean() < 0.8
 
 
-@pytest.mark.parametrize("kind", ["segm", "bbox"])
-def test_a_damaged_prediction_has_less(truth, kind):
-    found = perfect(truth)
-    assert average_precision(truth, found[::2], kind).mean() < 0.8
-    for one in found:
-        mask = np.roll(mask_tools.decode(one["segmentation"]), 3, axis=1)
-        one["segmentation"] = mask_tools.encode(np.asfortranarray(mask))
-        one["bbox"] = [one["bbox"][0] + 3, *one["bbox"][1:]]
-    assert average_precision(truth, found, kind).mean() < 0.8
+def test_predictions_of_the_crowd_are_ignored(truth):
+    predictions = predictions_of(truth, crowd=False) + predictions_of(truth, crowd=True)
+    assert average_precision(truth, predictions, "segm") == pytest.approx(1, abs=1e-15)
 
 
-def test_who_finds_the_crowd_is_not_blamed(truth):
-    crowd = [one for one in truth.anns.values() if one["iscrowd"]]
-    extra = [
-        {key: one[key] for key in ("image_id", "category_id", "segmentation", "bbox")} | {"score": 0.99}
-        for one in crowd
-    ]
-    assert average_precision(truth, perfect(truth) + extra, "segm") == pytest.approx(1, abs=1e-15)
-
-
-def test_fruit_tell_their_whole_masks_and_where_they_are_cut(made, truth):
+def test_fruit_have_amodal_masks_and_cut_points(painted, truth):
     assert truth.cats[int(OrganClass.PEPPER)]["keypoints"] == ["cut"]
-    seen = {0: 0, 1: 0, 2: 0}
+    flags = {0: 0, 1: 0, 2: 0}
     for index in truth.imgs:
-        told = {fruit["instance"]: fruit for fruit in made.image(index, "harvest")["fruit"]}
-        found = [one for one in truth.imgToAnns[index] if one["category_id"] == OrganClass.PEPPER]
-        assert sorted(one["attributes"]["instance"] for one in found) == sorted(told)
-        for one in found:
-            fruit, known = told[one["attributes"]["instance"]], one["attributes"]
-            amodal = mask_tools.decode(known["amodal"]["segmentation"]).astype(bool)
-            assert (amodal == decode_rle(fruit["amodal"])).all()
-            assert amodal.sum() == known["amodal"]["area"] == fruit["amodal_pixels"]
-            # What is seen of a fruit is a part of the whole.
-            assert (truth.annToMask(one).astype(bool) <= amodal).all()
-            assert one["area"] / known["amodal"]["area"] == pytest.approx(known["visible_fraction"])
-            x, y, flag = one["keypoints"]
-            assert one["num_keypoints"] == int(flag > 0)
-            seen[flag] += 1
-            cut = (fruit["peduncle"] or {}).get("cut")
+        fruit = {entry["instance"]: entry for entry in painted.image(index, "harvest")["fruit"]}
+        annotations = [one for one in truth.imgToAnns[index] if one["category_id"] == OrganClass.PEPPER]
+        assert sorted(annotation["attributes"]["instance"] for annotation in annotations) == sorted(fruit)
+        for annotation in annotations:
+            attributes = annotation["attributes"]
+            entry = fruit[attributes["instance"]]
+            amodal = mask_tools.decode(attributes["amodal"]["segmentation"]).astype(bool)
+            assert (amodal == decode_rle(entry["amodal"])).all()
+            assert amodal.sum() == attributes["amodal"]["area"] == entry["amodal_pixels"]
+            assert (truth.annToMask(annotation).astype(bool) <= amodal).all()
+            fraction = annotation["area"] / attributes["amodal"]["area"]
+            assert fraction == pytest.approx(attributes["visible_fraction"])
+            x, y, flag = annotation["keypoints"]
+            assert annotation["num_keypoints"] == int(flag > 0)
+            flags[flag] += 1
+            cut = (entry["peduncle"] or {}).get("cut")
             if flag:
                 assert [x + 0.5, y + 0.5] == pytest.approx(cut["px"], abs=0.006)
                 assert (flag == 2) == cut["visible"]
             else:
                 assert [x, y] == [0, 0]
                 assert cut is None or cut["px"] is None
-    assert all(seen.values())
+    assert all(flags.values())
     assert all("keypoints" not in one for one in truth.anns.values() if one["category_id"] != 2)
 
 
-def test_without_harvest_there_are_no_keypoints(made, tmp_path):
-    copy = shutil.copytree(made.folder, tmp_path / "set")
+def test_without_harvest_there_are_no_keypoints(painted, tmp_path):
+    copy = shutil.copytree(painted.folder, tmp_path / "set")
     (copy / "harvest" / "000003.json").unlink()
     export_dataset(copy, "coco", tmp_path / "out")
-    truth = loaded(tmp_path / "out" / "annotations" / "instances_train.json")
+    truth = load(tmp_path / "out" / "annotations" / "instances_train.json")
     assert "keypoints" not in truth.cats[2]
-    assert all("keypoints" not in one for one in truth.anns.values())
-    assert "harvest" in ALL
+    assert all("keypoints" not in annotation for annotation in truth.anns.values())
 
 
-def test_small_organs_join_the_crowd_of_their_class(made, tmp_path):
-    export_dataset(made.folder, "coco", tmp_path / "out", smallest_px=100)
-    truth = loaded(tmp_path / "out" / "annotations" / "instances_train.json")
+def test_small_organs_join_the_crowd_of_their_class(painted, tmp_path):
+    export_dataset(painted.folder, "coco", tmp_path / "out", smallest_px=100)
+    truth = load(tmp_path / "out" / "annotations" / "instances_train.json")
     for index in truth.imgs:
-        wanted, found = organs(made, index), truth.imgToAnns[index]
-        large = sorted(value for value, one in wanted.items() if one["pixels"] >= 100)
-        assert sorted(one["attributes"]["instance"] for one in found if not one["iscrowd"]) == large
-        # Nothing is lost: what has an organ's class is in one annotation.
-        assert sum(one["area"] for one in found) == np.count_nonzero(made.image(index, "class"))
-        covered = sum(truth.annToMask(one).astype(int) for one in found)
-        assert (covered == (made.image(index, "class") > 0)).all()
+        entries, annotations = organ_entries(painted, index), truth.imgToAnns[index]
+        large = sorted(value for value, entry in entries.items() if entry["pixels"] >= 100)
+        things = [annotation for annotation in annotations if not annotation["iscrowd"]]
+        assert sorted(thing["attributes"]["instance"] for thing in things) == large
+        # Every pixel of an organ's class is in one annotation.
+        covered = sum(truth.annToMask(annotation).astype(int) for annotation in annotations)
+        assert (covered == (painted.image(index, "class") > 0)).all()
 
 
-def test_files_tell_whence_they_come(made, out):
+def test_files_name_their_data_set(painted, out):
     content = json.loads((out / "annotations" / "instances_train.json").read_text())
-    assert content["info"]["recipe_sha256"] == made.about["recipe_sha256"]
-    assert [one["set"] for one in content["images"]] == [0] * 4
+    assert content["info"]["recipe_sha256"] == painted.info["recipe_sha256"]
+    assert [image["set"] for image in content["images"]] == [0] * 4
 
 
 @settings(deadline=None)
 @given(hnp.arrays(np.uint32, st.tuples(st.integers(1, 9), st.integers(1, 9)), elements=st.integers(1, 5)))
 def test_run_lengths_are_those_of_pycocotools(ids):
-    counts = all_run_lengths(ids)
-    assert list(counts) == sorted(set(ids.ravel().tolist()))
-    for value, runs in counts.items():
-        height, width = ids.shape
-        mine = mask_tools.frPyObjects({"size": [height, width], "counts": runs}, height, width)
-        assert mine["counts"] == mask_tools.encode(np.asfortranarray(ids == value, dtype=np.uint8))["counts"]
+    lengths = segment_run_lengths(ids)
+    assert list(lengths) == sorted(set(ids.ravel().tolist()))
+    for value, runs in lengths.items():
+        mask = mask_tools.frPyObjects({"size": list(ids.shape), "counts": runs}, *ids.shape)
+        assert mask["counts"] == mask_tools.encode(np.asfortranarray(ids == value, dtype=np.uint8))["counts"]
+
+
+# --- panoptic -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def panoptic(out):
+    return json.loads((out / "annotations" / "panoptic_train.json").read_text())
+
+
+def decode_ids(out, annotation):
+    """Segment ids of an image, as the format defines them."""
+    path = out / "annotations" / "panoptic_train" / annotation["file_name"]
+    red, green, blue = np.moveaxis(read_image(path).astype(int), 2, 0)
+    return red + 256 * green + 65536 * blue
+
+
+def panoptic_quality(truth, truth_info, predicted, predicted_info, categories):
+    """Panoptic quality of each category (Kirillov et al. 2019): overlaps of matches over the mean number."""
+    category_of = [
+        {info["id"]: info["category_id"] for info in infos} for infos in (truth_info, predicted_info)
+    ]
+    crowd = {info["id"] for info in truth_info if info["iscrowd"]}
+    areas = [dict(zip(*np.unique(ids, return_counts=True), strict=True)) for ids in (truth, predicted)]
+    pairs, counts = np.unique(np.stack([truth.ravel(), predicted.ravel()]), axis=1, return_counts=True)
+    matched, overlaps = set(), {category: [] for category in categories}
+    ignored = {}
+    for (a, b), count in zip(pairs.T.tolist(), counts.tolist(), strict=True):
+        if a in crowd:
+            ignored[b] = ignored.get(b, 0) + count
+            continue
+        overlap = count / (areas[0][a] + areas[1][b] - count)
+        if overlap > 0.5 and category_of[0][a] == category_of[1].get(b):
+            overlaps[category_of[0][a]].append(overlap)
+            matched |= {("truth", a), ("predicted", b)}
+    scores = {}
+    for category in categories:
+        missed = sum(
+            c == category and i not in crowd and ("truth", i) not in matched
+            for i, c in category_of[0].items()
+        )
+        wrong = sum(
+            c == category and ("predicted", i) not in matched and ignored.get(i, 0) <= 0.5 * areas[1][i]
+            for i, c in category_of[1].items()
+        )
+        if overlaps[category] or missed or wrong:
+            number = len(overlaps[category]) + 0.5 * (missed + wrong)
+            scores[category] = sum(overlaps[category]) / number
+    return scores
+
+
+def test_every_pixel_belongs_to_a_described_segment(painted, out, panoptic):
+    categories = {category["id"]: category for category in panoptic["categories"]}
+    assert {id_: category["isthing"] for id_, category in categories.items()} == {
+        int(organ): int(organ > 0) for organ in OrganClass
+    }
+    colours = [tuple(category["color"]) for category in panoptic["categories"]]
+    assert colours == list(CLASS_COLOURS)
+    for annotation in panoptic["annotations"]:
+        ids, infos = decode_ids(out, annotation), annotation["segments_info"]
+        index = annotation["image_id"]
+        values, counts = np.unique(ids, return_counts=True)
+        assert {info["id"]: info["area"] for info in infos} == dict(zip(values, counts, strict=True))
+        # 0 means unlabelled in this format.
+        assert values[0] > 0
+        category_of = {info["id"]: info["category_id"] for info in infos}
+        assert (np.vectorize(category_of.get)(ids) == painted.image(index, "class")).all()
+        instance = painted.image(index, "instance")
+        for info in infos:
+            assert info["bbox"] == bounds(ids == info["id"])
+            if info["id"] < REST:
+                assert not info["iscrowd"]
+                assert ((ids == info["id"]) == (instance == info["id"])).all()
+        rest = {info["id"]: info["iscrowd"] for info in infos if info["id"] >= REST}
+        assert rest == {REST: 0, REST + OrganClass.WIRE: 1}
+        assert ((ids == REST + OrganClass.WIRE) == (instance == WIRE)).all()
+
+
+def test_panoptic_quality_of_perfect_and_damaged_predictions(out, panoptic):
+    categories = [category["id"] for category in panoptic["categories"]]
+    for annotation in panoptic["annotations"]:
+        ids, infos = decode_ids(out, annotation), annotation["segments_info"]
+        assert set(panoptic_quality(ids, infos, ids, infos, categories).values()) == {1.0}
+        moved = np.roll(ids, 1, axis=0)
+        assert max(panoptic_quality(ids, infos, moved, infos, categories).values()) < 1
+    half = [info for info in infos if not info["iscrowd"]][::2]
+    kept = {info["id"] for info in half} | {info["id"] for info in infos if info["iscrowd"]}
+    predicted = np.where(np.isin(ids, list(kept)), ids, 0)
+    scores = panoptic_quality(ids, infos, predicted, half, categories)
+    assert np.mean(list(scores.values())) < 0.9
+
+
+def test_panoptic_segments_are_the_instances(out, panoptic):
+    """Convert segments to annotations, as COCO's converter from panoptic to detection does."""
+    instances = load(out / "annotations" / "instances_train.json")
+    segments = COCO()
+    records = []
+    for annotation in panoptic["annotations"]:
+        ids = decode_ids(out, annotation)
+        for info in annotation["segments_info"]:
+            if info["category_id"] == OrganClass.BACKGROUND:
+                continue
+            mask = mask_tools.encode(np.asfortranarray(ids == info["id"], dtype=np.uint8))
+            image = {"image_id": annotation["image_id"], "segmentation": mask}
+            records.append({**info, "id": len(records) + 1, **image})
+            assert mask_tools.area(mask) == info["area"]
+            assert mask_tools.toBbox(mask).tolist() == info["bbox"]
+    segments.dataset = {**panoptic, "annotations": records}
+    with contextlib.redirect_stdout(io.StringIO()):
+        segments.createIndex()
+
+    def properties(part, index):
+        keys = ("category_id", "iscrowd", "area", "bbox")
+        return sorted([annotation[key] for key in keys] for annotation in part.imgToAnns[index])
+
+    for index in instances.imgs:
+        assert properties(instances, index) == properties(segments, index)

@@ -1,84 +1,70 @@
-"""Hugging Face's layout, read back by its library `datasets` without a network."""
+"""Hugging Face's layout, read by its library `datasets` without a network."""
 
 from __future__ import annotations
 
 import json
-import os
-import sys
 
 import numpy as np
 import pytest
 from small_set import FRUIT
 
-from pepperscene.dataset.export import Splits, export_dataset
-from pepperscene.dataset.export.columns import CLASS_NAMES, columns
-from pepperscene.dataset.export.huggingface import Card, export_huggingface
+from pepperscene.dataset.export import export_dataset
+from pepperscene.dataset.export.columns import CLASS_NAMES, frame_columns
+from pepperscene.dataset.export.huggingface import SplitSize, card_front_matter
 from pepperscene.dataset.store.manifest import FRUIT_COLUMNS
-from pepperscene.errors import InputError
 
-SPLITS = Splits((("train", range(5)), ("test", range(6, 8))))
+MODULE = "pepperscene.dataset.export.huggingface"
+SPLITS = "train=0:5,test=6:8"
 
 
 @pytest.fixture(scope="session")
 def hub(tmp_path_factory):
-    """The library, kept from the network and from the user's cache."""
+    """The library, without network and without the user's cache."""
     with pytest.MonkeyPatch.context() as patch:
         for name in ("HF_HUB_OFFLINE", "HF_DATASETS_OFFLINE", "HF_HUB_DISABLE_TELEMETRY"):
             patch.setenv(name, "1")
         patch.setenv("HF_HOME", str(tmp_path_factory.mktemp("hub")))
-        yield pytest.importorskip("datasets", reason="the extra `test` brings datasets")
+        yield pytest.importorskip("datasets", reason="the extra `test` installs datasets")
 
 
 @pytest.fixture(scope="module")
-def made(small):
-    return small
+def out(small, tmp_path_factory):
+    return export_dataset(small.folder, "huggingface", tmp_path_factory.mktemp("hf") / "out", SPLITS).folder
 
 
-@pytest.fixture
-def built(made, copied):
-    """A copy, to be damaged at will."""
-    return copied(made)
+@pytest.fixture(scope="module")
+def splits(hub, out, tmp_path_factory):
+    return hub.load_dataset(str(out), cache_dir=str(tmp_path_factory.mktemp("cache")))
 
 
-def load(hub, folder, cache):
-    return hub.load_dataset(str(folder), cache_dir=str(cache))
-
-
-def test_datasets_reads_every_pixel(hub, tmp_path, built):
-    made = export_huggingface(built, tmp_path / "out", SPLITS)
-    found = load(hub, tmp_path / "out", tmp_path / "cache")
-    assert {name: len(rows) for name, rows in found.items()} == {"train": 5, "test": 2}
-    assert (made.frames, made.files) == (7, 4)
-    for rows, indices in ((found["train"], range(5)), (found["test"], range(6, 8))):
-        for row, index in zip(rows.with_format("numpy"), indices, strict=True):
+def test_datasets_reads_every_pixel(splits, small):
+    assert {name: len(rows) for name, rows in splits.items()} == {"train": 5, "test": 2}
+    for name, indices in (("train", range(5)), ("test", range(6, 8))):
+        for row, index in zip(splits[name].with_format("numpy"), indices, strict=True):
             assert row["index"] == index
             for column, output in (("image", "colour"), ("mask", "class"), ("instances", "instance")):
-                wanted = built.image(index, output)
-                np.testing.assert_array_equal(row[column], wanted)
-                assert row[column].dtype == wanted.dtype
-            np.testing.assert_array_equal(row["distance"], built.image(index, "distance"))
+                expected = small.image(index, output)
+                np.testing.assert_array_equal(row[column], expected)
+                assert row[column].dtype == expected.dtype
+            np.testing.assert_array_equal(row["distance"], small.image(index, "distance"))
 
 
-def test_pictures_come_as_pictures(hub, tmp_path, built):
+def test_images_are_decoded_by_default(splits, small):
     from PIL import Image
 
-    export_huggingface(built, tmp_path / "out", SPLITS)
-    row = load(hub, tmp_path / "out", tmp_path / "cache")["train"][1]
-    for column in ("image", "mask", "instances"):
-        assert isinstance(row[column], Image.Image)
-    np.testing.assert_array_equal(np.asarray(row["mask"]), built.image(1, "class"))
+    row = splits["train"][1]
+    assert all(isinstance(row[column], Image.Image) for column in ("image", "mask", "instances"))
+    np.testing.assert_array_equal(np.asarray(row["mask"]), small.image(1, "class"))
 
 
-def test_facts_are_columns(hub, tmp_path, built):
-    export_huggingface(built, tmp_path / "out", SPLITS)
-    rows = load(hub, tmp_path / "out", tmp_path / "cache")["train"]
-    row, facts = rows[3], built.facts(3)
-    assert row["pixels"] == facts["class_pixels"]
-    assert (row["set"], row["rotation"], row["step"]) == (facts["set"], facts["rotation"], facts["step"])
-    assert row["pose"] == facts["camera"]["pose"]
-    assert row["camera"]["fx"] == facts["camera"]["fx"]
+def test_metadata_are_columns(splits, small):
+    row, metadata = splits["train"][3], small.metadata(3)
+    assert row["pixels"] == metadata["class_pixels"]
+    assert all(row[key] == metadata[key] for key in ("set", "rotation", "step"))
+    assert row["pose"] == metadata["camera"]["pose"]
+    assert row["camera"]["fx"] == metadata["camera"]["fx"]
     assert [(organ["instance"], organ["kind"]) for organ in row["organs"]] == [
-        (int(number), told["kind"]) for number, told in facts["instances"].items()
+        (int(number), entry["kind"]) for number, entry in metadata["instances"].items()
     ]
     first, second = row["fruit"]
     assert set(first) == set(FRUIT_COLUMNS) - {"index"}
@@ -90,70 +76,56 @@ def test_facts_are_columns(hub, tmp_path, built):
     assert second["visible_fraction"] == 0.0
 
 
-def test_large_splits_lie_in_several_files(hub, tmp_path, built, monkeypatch):
-    monkeypatch.setattr(sys.modules[export_huggingface.__module__], "_ROWS", 2)
-    made = export_huggingface(built, tmp_path / "out", SPLITS, shard_bytes=1)
-    names = sorted(path.name for path in (tmp_path / "out" / "data").iterdir())
-    assert names == [
+def test_large_splits_are_several_files(hub, tmp_path, small, monkeypatch):
+    monkeypatch.setattr(f"{MODULE}._ROWS", 2)
+    monkeypatch.setattr(f"{MODULE}.SHARD_BYTES", 1)
+    result = export_dataset(small.folder, "huggingface", tmp_path / "out", SPLITS)
+    assert sorted(path.name for path in (tmp_path / "out" / "data").iterdir()) == [
         "test-00000-of-00001.parquet",
         *(f"train-{number:05d}-of-00003.parquet" for number in range(3)),
     ]
-    assert made.files == 6
-    assert load(hub, tmp_path / "out", tmp_path / "cache")["train"]["index"][:] == list(range(5))
+    assert (result.frames, result.files) == (7, 6)
+    rows = hub.load_dataset(str(tmp_path / "out"), cache_dir=str(tmp_path / "cache"))["train"]
+    assert rows["index"][:] == list(range(5))
 
 
-def test_the_card_is_what_the_library_understands(hub, tmp_path, built):
+def test_card_describes_the_files(hub, splits, out, small):
     from huggingface_hub import DatasetCard
 
-    export_huggingface(built, tmp_path / "out", SPLITS, licence="cc-by-4.0")
-    card = DatasetCard.load(tmp_path / "out" / "README.md")
-    told = card.data.to_dict()
-    assert told["license"] == "cc-by-4.0"
-    assert told["size_categories"] == ["n<1K"]
-    assert told["task_categories"] == ["image-segmentation", "depth-estimation", "object-detection"]
-    # The features of the card are those of the files.
-    listed = hub.Features._from_yaml_list(told["dataset_info"]["features"])
-    assert listed == load(hub, tmp_path / "out", tmp_path / "cache")["train"].features
-    assert listed["organs"].feature["class"].names == list(CLASS_NAMES)
-    assert [split["num_examples"] for split in told["dataset_info"]["splits"]] == [5, 2]
-    files = (tmp_path / "out" / "data").iterdir()
-    assert told["dataset_info"]["download_size"] == sum(path.stat().st_size for path in files)
-    for said in (built.about["recipe_sha256"], built.about["version"], built.about["quality"], "5 images"):
-        assert said in card.text
+    card = DatasetCard.load(out / "README.md")
+    front = card.data.to_dict()
+    assert front["license"] == "mit"
+    assert front["size_categories"] == ["n<1K"]
+    assert front["task_categories"] == ["image-segmentation", "depth-estimation", "object-detection"]
+    features = hub.Features._from_yaml_list(front["dataset_info"]["features"])
+    assert features == splits["train"].features
+    assert features["organs"].feature["class"].names == list(CLASS_NAMES)
+    assert [split["num_examples"] for split in front["dataset_info"]["splits"]] == [5, 2]
+    sizes = [path.stat().st_size for path in (out / "data").iterdir()]
+    assert front["dataset_info"]["download_size"] == sum(sizes)
+    info = small.info
+    assert all(text in card.text for text in (info["recipe_sha256"], info["version"], info["quality"]))
+    assert "5 images" in card.text
+    assert json.loads((out / "dataset.json").read_text()) == info
 
 
 @pytest.mark.parametrize(
     ("frames", "size"), [(999, "n<1K"), (1000, "1K<n<10K"), (10500, "10K<n<100K"), (10**6, "1M<n<10M")]
 )
-def test_sizes_have_the_names_of_the_hub(built, frames, size):
-    class Split:
-        held = packed = 0
-
-    Split.frames = frames
-    card = Card(built.about, columns(("colour", "class"), (6, 8)), {"train": Split()}, "mit")
-    assert card.front()["size_categories"] == [size]
-    assert card.front()["task_categories"] == ["image-segmentation"]
+def test_sizes_have_the_names_of_the_hub(frames, size):
+    columns = frame_columns(("colour", "class"), (6, 8))
+    front = card_front_matter("title", columns, {"train": SplitSize(frames)})
+    assert front["size_categories"] == [size]
+    assert front["task_categories"] == ["image-segmentation"]
 
 
-def test_what_not_every_frame_has_is_no_column(hub, tmp_path, built):
-    (built.folder / "distance" / "000003.exr").unlink()
-    (built.folder / "harvest" / "000001.json").unlink()
-    export_huggingface(built, tmp_path / "out", SPLITS)
-    names = load(hub, tmp_path / "out", tmp_path / "cache")["train"].column_names
+def test_outputs_that_a_frame_lacks_are_not_columns(tmp_path, copied, small):
+    from pyarrow import parquet
+
+    folder = copied(small).folder
+    (folder / "distance" / "000003.exr").unlink()
+    (folder / "harvest" / "000001.json").unlink()
+    export_dataset(folder, "huggingface", tmp_path / "out")
+    names = parquet.read_schema(tmp_path / "out" / "data" / "train-00000-of-00001.parquet").names
     assert "instances" in names
     assert not {"distance", "fruit"} & set(names)
-
-
-def test_faults_leave_nothing_behind(tmp_path, built):
-    (built.folder / "colour" / "000004.png").write_bytes(b"broken")
-    with pytest.raises(InputError, match=r"colour/000004.png"):
-        export_huggingface(built, tmp_path / "out", SPLITS)
-    assert [path.name for path in tmp_path.iterdir()] == ["set"]
-    with pytest.raises(ValueError, match="shard_bytes must be positive"):
-        export_huggingface(built, tmp_path / "out", SPLITS, shard_bytes=0)
-
-
-def test_it_is_one_of_the_formats(tmp_path, built):
-    assert export_dataset(built.folder, "huggingface", tmp_path / "out").frames == 9
-    assert json.loads((tmp_path / "out" / "dataset.json").read_text()) == built.about
-    assert os.listdir(tmp_path / "out" / "data") == ["train-00000-of-00001.parquet"]

@@ -1,4 +1,4 @@
-"""Splits: every frame in one place, no plant in two where that can be."""
+"""Splits: every frame in one of them, and no plant in two if possible."""
 
 from __future__ import annotations
 
@@ -14,85 +14,83 @@ NAMES = ("train", "val", "test", "spare")
 
 
 @st.composite
-def asked(draw):
-    """A plan, the frames of it that are there, and shares."""
+def split_cases(draw):
+    """A plan, its existing frames, and fractions."""
     plan = {key: draw(st.integers(1, 7)) for key in PLAN}
     count = plan["sets"] * plan["rotations"] * plan["frames"]
-    there = sorted(draw(st.sets(st.integers(0, count - 1), min_size=1, max_size=60)))
-    weights = draw(st.lists(st.integers(1, 20), min_size=1, max_size=min(4, len(there))))
-    return plan, there, {name: one / sum(weights) for name, one in zip(NAMES, weights, strict=False)}
+    existing = sorted(draw(st.sets(st.integers(0, count - 1), min_size=1, max_size=60)))
+    weights = draw(st.lists(st.integers(1, 20), min_size=1, max_size=min(4, len(existing))))
+    return plan, existing, {name: weight / sum(weights) for name, weight in zip(NAMES, weights, strict=False)}
 
 
-@given(asked())
+@given(split_cases())
 def test_every_frame_has_one_split_and_plants_stay_together(case):
-    plan, there, shares = case
-    splits = split_by_sets(plan, shares, there)
-    members = splits.members(there)
-    assert list(members) == list(shares)
-    assert sorted(index for of in members.values() for index in of) == there
+    plan, existing, fractions = case
+    splits = split_by_sets(plan, fractions, existing)
+    members = splits.members(existing)
+    assert list(members) == list(fractions)
+    assert sorted(index for indices in members.values() for index in indices) == existing
     assert all(members.values())
 
-    a_scene, a_set = plan["frames"], plan["frames"] * plan["rotations"]
-    for size in (a_set, a_scene, 1):
-        if len({index // size for index in there}) < len(shares):
-            continue
-        homes = {}
-        for index in there:
-            homes.setdefault(index // size, set()).add(splits.named(index))
-        assert all(len(home) == 1 for home in homes.values())
-        # A border lies as near to its share as whole units allow, unless a split would be left empty.
-        most = max(sum(index // size == unit for index in there) for unit in homes)
-        total = wanted = 0.0
-        if len(homes) > 10 * len(shares):
-            for name, share in shares.items():
-                total, wanted = total + len(members[name]), wanted + share * len(there)
-                slack = len(shares) * most
-                assert abs(total - wanted) <= slack
-        break
+    # The largest units of which every split can get one are not divided.
+    sizes = (plan["frames"] * plan["rotations"], plan["frames"], 1)
+    size = next(size for size in sizes if len({index // size for index in existing}) >= len(fractions))
+    splits_of = {}
+    for index in existing:
+        splits_of.setdefault(index // size, set()).add(splits.split_of(index))
+    assert all(len(names) == 1 for names in splits_of.values())
+    # Borders are as near to their fraction as whole units allow, unless a split would be empty.
+    if len(splits_of) > 10 * len(fractions):
+        largest = max(sum(index // size == unit for index in existing) for unit in splits_of)
+        total = expected = 0.0
+        for name, fraction in fractions.items():
+            total, expected = total + len(members[name]), expected + fraction * len(existing)
+            assert abs(total - expected) <= len(fractions) * largest
 
 
-def test_whole_sets_go_to_one_split_though_shares_suffer():
-    splits = split_by_sets(PLAN, {"train": 0.8, "val": 0.1, "test": 0.1})
-    sizes = {name: len(of) for name, of in splits.members(range(10_500)).items()}
+def test_whole_sets_go_to_one_split_although_fractions_differ():
+    fractions = {"train": 0.8, "val": 0.1, "test": 0.1}
+    splits = split_by_sets(PLAN, fractions)
+    sizes = {name: len(indices) for name, indices in splits.members(range(10_500)).items()}
     assert sizes == {"train": 4 * 1750, "val": 1750, "test": 1750}
-    many = split_by_sets({"sets": 40, "rotations": 5, "frames": 50}, {"train": 0.8, "val": 0.1, "test": 0.1})
-    sizes = {name: len(of) for name, of in many.members(range(10_000)).items()}
+    many = split_by_sets({"sets": 40, "rotations": 5, "frames": 50}, fractions)
+    sizes = {name: len(indices) for name, indices in many.members(range(10_000)).items()}
     assert sizes == {"train": 8000, "val": 1000, "test": 1000}
 
 
-def test_a_single_scene_is_cut_into_runs_of_the_path():
+def test_single_scene_is_split_into_ranges_of_the_path():
     splits = split_by_sets({"sets": 1, "rotations": 1, "frames": 100}, {"train": 0.75, "val": 0.25})
     assert splits.ranges == (("train", range(75)), ("val", range(75, 100)))
 
 
-def test_ranges_are_half_open_and_leave_the_rest_out():
-    text = " train = :100, val=100:150, train=200:"
-    splits = read_splits(text, PLAN, range(10_500))
-    assert splits.names == ("train", "val")
-    named = [splits.named(index) for index in (0, 99, 100, 149, 150, 199, 200, 10_499)]
-    assert named == ["train", "train", "val", "val", "", "", "train", "train"]
-    assert len(splits.members(range(10_500))["train"]) == 100 + 10_300
+def test_ranges_are_half_open_and_omit_the_rest():
+    splits = read_splits(" train = :100, val=100:150, train=200:", PLAN, range(10_500))
+    names = [splits.split_of(index) for index in (0, 99, 100, 149, 150, 199, 200, 10_499)]
+    assert names == ["train", "train", "val", "val", "", "", "train", "train"]
+    members = splits.members(range(10_500))
+    assert list(members) == ["train", "val"]
+    assert len(members["train"]) == 100 + 10_300
 
 
-def test_all_is_for_training_when_nothing_is_said():
+def test_default_split_is_train():
     assert read_splits(None, PLAN, (3,)) == Splits()
-    assert Splits().named(999_999) == "train"
+    assert Splits().split_of(999_999) == "train"
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
-        ("", "must be NAME=SHARE or NAME=A:B"),
-        ("train", "must be NAME=SHARE or NAME=A:B"),
+        ("", "must be NAME=FRACTION or NAME=A:B"),
+        ("train", "must be NAME=FRACTION or NAME=A:B"),
         ("Train=1", "lower-case"),
         ("../x=1", "lower-case"),
         ("train=.8,val=.1", "sum to 0.9"),
-        ("train=.5,train=.5", "two shares"),
+        ("train=.5,train=.5", "two fractions"),
         ("train=0,val=1", "above 0"),
         ("train=.,val=1", "above 0"),
         ("train=nan", "above 0"),
         ("train=1e9", "above 0"),
-        ("train=.5,val=0:5", "either shares or ranges"),
+        ("train=.5,val=0:5", "either fractions or ranges"),
         ("train=0:10,val=9:20", "train and val overlap: frame 9"),
         ("val=5:6,train=0:10", "train and val overlap: frame 5"),
         ("train=5:5", "0 <= A < B <= 10500"),
@@ -101,13 +99,13 @@ def test_all_is_for_training_when_nothing_is_said():
         ("train=0:5,val=9000:9001", "val would hold none of the 20 frames"),
     ],
 )
-def test_what_makes_no_splits_is_told(text, told):
-    with pytest.raises(InputError, match="--split") as fault:
+def test_rejects_invalid_text(text, message):
+    with pytest.raises(InputError, match="split") as error:
         read_splits(text, PLAN, range(20))
-    assert told in str(fault.value)
+    assert message in str(error.value)
 
 
-def test_more_splits_than_frames_are_told():
+def test_rejects_more_splits_than_frames():
     with pytest.raises(InputError, match="2 frames cannot make 3 splits"):
         read_splits("train=.8,val=.1,test=.1", PLAN, (4, 9))
     with pytest.raises(ValueError, match="cannot make"):

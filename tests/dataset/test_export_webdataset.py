@@ -1,9 +1,8 @@
-"""Shards of samples, read back by webdataset."""
+"""Shards of samples, read by webdataset."""
 
 from __future__ import annotations
 
 import gc
-import hashlib
 import json
 import tarfile
 
@@ -11,135 +10,91 @@ import numpy as np
 import pytest
 from small_set import HARVEST
 
-from pepperscene.dataset.export import FORMATS, Splits, export_dataset
-from pepperscene.dataset.export.webdataset import export_webdataset
-from pepperscene.errors import InputError, OutputError
+from pepperscene.dataset.export import export_dataset
 
-webdataset = pytest.importorskip("webdataset", reason="the extra `export` brings webdataset")
+webdataset = pytest.importorskip("webdataset", reason="the extra `export` installs webdataset")
 
-# webdataset leaves the shards that it has read to the garbage collector to close.
+# webdataset leaves it to the garbage collector to close the shards that it has read.
 pytestmark = [
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
 
-ARRAYS = ("class", "instance", "distance")
-
 
 @pytest.fixture(scope="module")
-def made(small):
-    return small
+def out(small, tmp_path_factory):
+    return export_dataset(small.folder, "webdataset", tmp_path_factory.mktemp("shards") / "out").folder
 
 
-@pytest.fixture
-def built(made, copied):
-    """A copy, to be damaged at will."""
-    return copied(made)
-
-
-def read(shards, how="rgb8"):
-    """The samples by their key, as a user of webdataset gets them."""
+def read(shards, decoder="rgb8"):
+    """The samples by key, as a user of webdataset gets them."""
     urls = [str(path) for path in sorted(shards)]
-    samples = webdataset.WebDataset(urls, shardshuffle=False, empty_check=False).decode(how)
-    found = {sample["__key__"]: sample for sample in samples}
+    samples = webdataset.WebDataset(urls, shardshuffle=False, empty_check=False).decode(decoder)
+    by_key = {sample["__key__"]: sample for sample in samples}
     del samples
     gc.collect()
-    return found
+    return by_key
 
 
-@pytest.mark.parametrize("how", ["rgb8", "rgb", "pil"])
-def test_webdataset_reads_every_sample_whole(tmp_path, built, how):
-    export_webdataset(built, tmp_path / "out", Splits())
-    found = read((tmp_path / "out").glob("train-*.tar"), how)
-    assert sorted(found) == [f"{index:06d}" for index in built.indices()]
-    for index in built.indices():
-        sample = found[f"{index:06d}"]
+@pytest.mark.parametrize("decoder", ["rgb8", "rgb", "pil"])
+def test_webdataset_reads_every_sample(out, small, decoder):
+    samples = read(out.glob("train-*.tar"), decoder)
+    assert sorted(samples) == [f"{index:06d}" for index in small.indices()]
+    for index in small.indices():
+        sample = samples[f"{index:06d}"]
         colour = np.asarray(sample["colour.png"])
-        if how == "rgb":
+        if decoder == "rgb":
             colour = np.rint(255 * colour).astype(np.uint8)
-        np.testing.assert_array_equal(colour, built.image(index, "colour"))
-        # Labels come out the same, however pictures are decoded.
-        for output in ARRAYS:
-            array, wanted = sample[f"{output}.npy.gz"], built.image(index, output)
-            assert array.dtype == wanted.dtype
-            np.testing.assert_array_equal(array, wanted)
+        np.testing.assert_array_equal(colour, small.image(index, "colour"))
+        # Labels do not depend on the decoder of images.
+        for output in ("class", "instance", "distance"):
+            array, expected = sample[f"{output}.npy.gz"], small.image(index, output)
+            assert array.dtype == expected.dtype
+            np.testing.assert_array_equal(array, expected)
         assert sample["json"]["index"] == index
-        assert sample["json"]["camera"] == built.facts(index)["camera"]
+        assert sample["json"]["camera"] == small.metadata(index)["camera"]
         assert sample["harvest.json"] == HARVEST
 
 
-def test_shards_keep_to_their_size_and_samples_stay_together(tmp_path, built):
-    whole = export_webdataset(built, tmp_path / "whole", Splits())
-    (single,) = (tmp_path / "whole").glob("*.tar")
-    sample = single.stat().st_size // 9
-    made = export_webdataset(built, tmp_path / "out", Splits(), shard_bytes=2 * sample + 2048)
+def test_shards_have_limited_size_and_whole_samples(tmp_path, out, small, monkeypatch):
+    (single,) = out.glob("*.tar")
+    limit = 2 * single.stat().st_size // 9 + 2048
+    monkeypatch.setattr("pepperscene.dataset.export.webdataset.SHARD_BYTES", limit)
+    result = export_dataset(small.folder, "webdataset", tmp_path / "out")
     shards = sorted((tmp_path / "out").glob("*.tar"))
     assert [path.name for path in shards] == [f"train-{number:06d}.tar" for number in range(len(shards))]
     assert len(shards) >= 4
-    # The last blocks of a tar file, which fill it up to 10,240 bytes, are not counted.
-    assert all(path.stat().st_size <= 2 * sample + 2048 + 10240 for path in shards)
+    # The padding of a tar file to 10,240 bytes does not count.
+    assert all(path.stat().st_size <= limit + 10240 for path in shards)
     for path in shards:
         with tarfile.open(path) as tar:
             keys = [name.partition(".")[0] for name in tar.getnames()]
         assert all(keys.count(key) == 6 for key in keys)
     assert read(shards).keys() == read([single]).keys()
-    assert (made.frames, made.files) == (9, len(shards) + 1)
-    assert (whole.frames, whole.files) == (9, 2)
+    assert (result.frames, result.files) == (9, len(shards) + 1)
 
 
-def test_splits_have_shards_of_their_own(tmp_path, built):
-    splits = Splits((("train", range(6)), ("val", range(7, 9))))
-    told = []
-    export_webdataset(built, tmp_path / "out", splits, on_frame=lambda *step: told.append(step))
+def test_every_split_has_its_shards(tmp_path, small):
+    export_dataset(small.folder, "webdataset", tmp_path / "out", "train=0:6,val=7:9")
     assert sorted(read((tmp_path / "out").glob("train-*"))) == [f"{index:06d}" for index in range(6)]
     assert sorted(read((tmp_path / "out").glob("val-*"))) == ["000007", "000008"]
-    listed = json.loads((tmp_path / "out" / "shards.json").read_text())
-    assert listed["splits"]["val"] == [{"file": "val-000000.tar", "samples": 2}]
-    assert listed["dataset"]["recipe_sha256"] == built.about["recipe_sha256"]
-    assert [done for _, done, _ in told] == list(range(1, 9))
-    assert {total for _, _, total in told} == {8}
+    content = json.loads((tmp_path / "out" / "shards.json").read_text())
+    assert content["splits"]["val"] == [{"file": "val-000000.tar", "samples": 2}]
+    assert content["dataset"]["recipe_sha256"] == small.info["recipe_sha256"]
 
 
-def test_the_same_data_set_gives_the_same_bytes(tmp_path, built):
-    digests = []
-    for name in ("one", "two"):
-        export_webdataset(built, tmp_path / name, Splits())
-        files = sorted((tmp_path / name).iterdir())
-        digests.append([hashlib.sha256(path.read_bytes()).hexdigest() for path in files])
-    assert digests[0] == digests[1]
-    with tarfile.open(next((tmp_path / "one").glob("*.tar"))) as tar:
+def test_members_have_no_times_or_owners(out):
+    with tarfile.open(next(out.glob("*.tar"))) as tar:
         assert {(member.mtime, member.uid, member.uname) for member in tar} == {(0, 0, "")}
 
 
-def test_neighbours_on_the_path_are_not_neighbours_in_a_shard(tmp_path, built):
-    export_webdataset(built, tmp_path / "out", Splits())
-    order = list(read((tmp_path / "out").glob("*.tar")))
+def test_frames_are_shuffled(out):
+    order = list(read(out.glob("*.tar")))
     assert order != sorted(order)
 
 
-def test_what_not_every_frame_has_is_left_out(tmp_path, built):
-    (built.folder / "harvest" / "000003.json").unlink()
-    export_webdataset(built, tmp_path / "out", Splits())
+def test_outputs_that_a_frame_lacks_are_left_out(tmp_path, copied, small):
+    folder = copied(small).folder
+    (folder / "harvest" / "000003.json").unlink()
+    export_dataset(folder, "webdataset", tmp_path / "out")
     assert "harvest.json" not in read((tmp_path / "out").glob("*.tar"))["000000"]
-
-
-def test_faults_leave_nothing_behind(tmp_path, built):
-    (built.folder / "class" / "000004.png").write_bytes(b"broken")
-    with pytest.raises(InputError, match=r"class/000004.png"):
-        export_webdataset(built, tmp_path / "out", Splits())
-    assert [path.name for path in tmp_path.iterdir()] == ["set"]
-    (built.folder / "class" / "000004.png").unlink()
-    with pytest.raises(InputError, match=r"frame 000004 has no output 'class'"):
-        export_webdataset(built, tmp_path / "out", Splits())
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "mine.txt").write_text("do not touch")
-    with pytest.raises(OutputError, match=r"holds 'mine\.txt'"):
-        export_webdataset(built, tmp_path / "full", Splits(), indices=(0, 1))
-    with pytest.raises(ValueError, match="shard_bytes must be positive"):
-        export_webdataset(built, tmp_path / "out", Splits(), shard_bytes=0)
-
-
-def test_it_is_one_of_the_formats(tmp_path, built):
-    assert "webdataset" in FORMATS
-    made = export_dataset(built.folder, "webdataset", tmp_path / "out", "train=.5,val=.5")
-    assert made.frames == 9

@@ -1,3 +1,5 @@
+"""Charts as SVG: their curves, dots and ticks."""
+
 from __future__ import annotations
 
 import re
@@ -6,83 +8,107 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from pepperscene.dataset.report.charts import Axis, Curve, line_chart, value_chart
+from pepperscene.dataset.report.charts import Curve, line_chart, value_chart
 
-AXIS = Axis("hue, degrees", 0.0, 360.0, (0, 120, 240, 360))
-
-
-def drawn(text):
-    """The drawing as elements; it must be well formed."""
-    return ElementTree.fromstring(text)
+TICKS = (0, 120, 240, 360)
+XLINK = "{http://www.w3.org/1999/xlink}href"
 
 
-def points(element):
-    return np.array([[float(v) for v in pair.split(",")] for pair in element.get("points").split()])
+def parse(text):
+    """The chart as elements, which must be well formed."""
+    assert "nan" not in text
+    return ElementTree.fromstring(
+        text.replace("<svg ", '<svg xmlns:xlink="http://www.w3.org/1999/xlink" ', 1)
+    )
 
 
-def scale(root, edge):
-    """Places of the marks of an axis, and what they say."""
-    texts = [t for t in root.iter("text") if t.get("class") == edge and re.fullmatch(r"[-\d.e]+", t.text)]
-    return np.array([float(t.get("x" if edge == "mid" else "y")) for t in texts]), [
-        float(t.text) for t in texts
+def curves_of(root):
+    """Style and points of each curve."""
+    paths = [path for path in root.iter("path") if "stroke-width: 1.8" in (path.get("style") or "")]
+    return [
+        (path.get("style"), np.array(re.findall(r"[ML] (\S+) (\S+)", path.get("d")), float)) for path in paths
     ]
 
 
+def ticks_of(root, anchor):
+    """Positions and values of the ticks of the horizontal ("middle") or vertical ("end") axis."""
+    texts = [text for text in root.iter("text") if f"text-anchor: {anchor}" in text.get("style")]
+    ticks = [text for text in texts if re.fullmatch(r"[-\d.e+]+", text.text)]
+    positions = [float(text.get("x" if anchor == "middle" else "y")) for text in ticks]
+    return np.array(positions), [float(text.text) for text in ticks]
+
+
 @pytest.mark.parametrize("top", [0.003, 1.0, 7.3, 4200.0])
-def test_curves_lie_where_the_marks_of_the_axes_say(top):
+def test_curves_match_the_ticks(top):
     x = np.arange(0.0, 360.0, 2.0)
     y = top * np.exp(-(((x - 90.0) / 30.0) ** 2))
-    root = drawn(line_chart("one", "Hues", [Curve("a", "first", x, y)], AXIS, "%", hues=True))
-    found = points(next(root.iter("polyline")))
-    across, degrees = scale(root, "mid")
-    up, values = scale(root, "end")
-    np.testing.assert_allclose(np.interp(found[:, 0], across, degrees), x, atol=0.2)
-    # The marks of the vertical axis stand a little below their lines.
-    np.testing.assert_allclose(np.interp(found[:, 1] + 4, up[::-1], values[::-1]), y, atol=0.01 * top)
+    root = parse(line_chart("one", "Hues", [Curve("a", "first", x, y)], ("hue", TICKS), "%", hue_strip=True))
+    ((style, points),) = curves_of(root)
+    assert "stroke: var(--a)" in style
+    x_positions, degrees = ticks_of(root, "middle")
+    y_positions, values = ticks_of(root, "end")
+    # Labels are a little below their grid lines; matplotlib omits points on nearly straight lines.
+    drawn_x = np.interp(points[:, 0], x_positions, degrees)
+    drawn_y = np.interp(points[:, 1] + y_positions[0] - 150, y_positions[::-1], values[::-1])
+    assert (drawn_x[0], drawn_x[-1]) == pytest.approx((x[0], x[-1]), abs=0.2)
+    np.testing.assert_allclose(np.interp(x, drawn_x, drawn_y), y, atol=0.01 * top)
     assert 3 <= len(values) <= 7
     assert values[-1] >= top
+    assert len(list(root.iter("image"))) == 1
 
 
-def test_a_second_curve_and_words_for_those_who_cannot_see():
+def test_second_curve_and_description_for_screen_readers():
     x = np.array([0.0, 180.0, 360.0])
     curves = [Curve("a", "ours & <others>", x, np.array([0.0, 2.0, 1.0])), Curve("b", "theirs", x, x / 360)]
-    root = drawn(line_chart("two", "Hues of leaf", curves, AXIS, "%"))
-    assert [line.get("class") for line in root.iter("polyline")] == ["a", "b"]
+    text = line_chart("two", "Hues of leaf", curves, ("hue", TICKS), "%")
+    root = parse(text)
+    first, second = (style for style, _ in curves_of(root))
+    assert "dasharray" not in first
+    assert "stroke: var(--b)" in second
+    assert "dasharray" in second
     assert root.get("role") == "img"
-    identities = {element.get("id"): element for element in root.iter() if element.get("id")}
-    assert set(root.get("aria-labelledby").split()) == set(identities)
-    assert identities["two-t"].text == "Hues of leaf"
-    assert "ours & <others>: greatest 2 at 180" in identities["two-d"].text
+    elements = {element.get("id"): element for element in root.iter() if element.get("id")}
+    assert set(root.get("aria-labelledby").split()) <= set(elements)
+    assert elements["two-t"].text == "Hues of leaf"
+    assert "ours & <others>: maximum 2 at 180" in elements["two-d"].text
+    # All colours are those of the page, and its styles are not changed.
+    assert not re.search(r"#[0-9a-f]{6}[;\"]", text)
+    assert "<style" not in text
 
 
-def test_flat_curves_and_empty_charts_can_be_drawn():
-    drawn(line_chart("none", "Nothing", [], AXIS, "%"))
-    drawn(line_chart("flat", "Zeros", [Curve("a", "zeros", np.array([0.0, 1.0]), np.zeros(2))], AXIS, "%"))
+def test_flat_curve_can_be_drawn():
+    curve = Curve("a", "zeros", np.array([0.0, 1.0]), np.zeros(2))
+    ((_, points),) = curves_of(parse(line_chart("flat", "Zeros", [curve], ("x", (0, 1)), "%")))
+    np.testing.assert_allclose(points[:, 1], 150)
 
 
-def test_few_values_are_drawn_one_by_one():
+def test_few_values_are_dots():
     values = np.array([1.61, 1.65, 1.7])
-    root = drawn(value_chart("few", "Errors", [("a", "ours", values), ("b", "theirs", values[:1])], "codes"))
-    dots = [(dot.get("class"), float(dot.get("cx"))) for dot in root.iter("circle")]
-    across, marks = scale(root, "mid")
-    np.testing.assert_allclose(
-        [np.interp(x, across, marks) for key, x in dots if key == "a"], values, atol=1e-3
-    )
-    assert sum(key == "b" for key, _ in dots) == 1
+    root = parse(value_chart("few", "Errors", [("a", "ours", values), ("b", "theirs", values[:1])], "codes"))
+    dots = {key: [dot for dot in root.iter("use") if f"var(--{key})" in dot.get("style")] for key in "ab"}
+    positions, ticks = ticks_of(root, "middle")
+    x = [float(dot.get("x")) for dot in dots["a"]]
+    np.testing.assert_allclose(np.interp(x, positions, ticks), values, atol=1e-3)
+    assert len(dots["b"]) == 1
+    assert dots["b"][0].get("y") != dots["a"][0].get("y")
 
 
-def test_many_values_are_drawn_as_shares_that_add_up():
+def test_many_values_are_percentages_that_sum_to_100():
     values = np.random.default_rng(8).normal(10.0, 1.0, 500)
-    root = drawn(value_chart("many", "Times", [("a", "ours", values)], "s"))
-    found = points(next(root.iter("polyline")))
-    up, marks = scale(root, "end")
-    shares = np.interp(found[1:-1:2, 1] + 4, up[::-1], marks[::-1])
-    assert shares.sum() == pytest.approx(100.0, abs=1.0)
+    root = parse(value_chart("many", "Times", [("a", "ours", values)], "s"))
+    ((_, points),) = curves_of(root)
+    y_positions, ticks = ticks_of(root, "end")
+    heights = np.interp(points[:, 1] + y_positions[0] - 150, y_positions[::-1], ticks[::-1])
+    # Every bin is a horizontal line between its edges.
+    bins = (points[1:, 1] == points[:-1, 1]) & (points[1:, 0] > points[:-1, 0])
+    widths = np.diff(points[:, 0])[bins]
+    assert (heights[1:][bins] * widths).sum() / widths.min() == pytest.approx(100.0, abs=1.0)
 
 
 @pytest.mark.parametrize("value", [0.0, 3.0, -2.0, 1e9])
-def test_values_that_are_all_the_same_can_be_drawn(value):
-    for count in (1, 100):
-        root = drawn(value_chart("same", "Same", [("a", "ours", np.full(count, value))], "s"))
-        places = [float(place) for text in root.iter("text") for place in (text.get("x"),)]
-        assert np.isfinite(places).all()
+@pytest.mark.parametrize("count", [1, 100])
+def test_equal_values_can_be_drawn(value, count):
+    root = parse(value_chart("same", "Same", [("a", "ours", np.full(count, value))], "s"))
+    positions, ticks = ticks_of(root, "middle")
+    assert np.isfinite(positions).all()
+    assert ticks[0] < ticks[-1]

@@ -1,4 +1,4 @@
-"""The gate of a data set: what is damaged, missing, impossible or unlike what the recipe expects of it."""
+"""Checks of a data set for damaged, missing and impossible content, and for statistics out of range."""
 
 from pepperscene.dataset.check.findings import KINDS, CheckResult, Finding
 from pepperscene.dataset.check.run import check_dataset

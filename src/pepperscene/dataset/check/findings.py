@@ -1,4 +1,4 @@
-"""What a frame's JSON tells, as far as it can be read: a damaged one must not stop the check."""
+"""Findings of a check, and safe access to the JSON of frames, which may be damaged."""
 
 from __future__ import annotations
 
@@ -10,68 +10,40 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-
-def table(facts: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """The object of a name, empty where there is none."""
-    found = facts.get(name)
-    return found if isinstance(found, dict) else {}
-
-
-def instances(facts: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
-    """The entries of the instances by their number."""
-    entries = table(facts, "instances").items()
-    return {int(name): entry for name, entry in entries if name.isdecimal() and isinstance(entry, dict)}
-
-
-def pose(facts: Mapping[str, Any]) -> NDArray[np.float64] | None:
-    """`(4, 4)`, camera to world."""
-    try:
-        found = np.asarray(table(facts, "camera").get("pose"), dtype=float)
-    except (TypeError, ValueError):
-        return None
-    return found if found.shape == (4, 4) and np.isfinite(found).all() else None
-
-
-def number(facts: Mapping[str, Any], name: str, default: int = 0) -> int:
-    """A whole number of the camera."""
-    found = table(facts, "camera").get(name)
-    return found if isinstance(found, int) else default
-
-
 KINDS: Final[Mapping[str, str]] = {
     "damaged": "a JSON file cannot be read, or is not what was written",
-    "missing": "a file that a frame's JSON names is not there",
-    "incomplete": "a frame that must be there is not",
-    "unreadable": "an image cannot be decoded, though it is what was written",
+    "missing": "a file that a frame's JSON names does not exist",
+    "incomplete": "a required frame does not exist",
+    "unreadable": "an image cannot be decoded, although its bytes are those that were written",
     "checksum": "a file has other bytes than the frame's JSON says",
     "shape": "an image has another size or type than its output",
-    "contradiction": "JSON says otherwise than the images, the recipe's plan or the manifest",
+    "contradiction": "JSON disagrees with the images, the recipe's plan or the manifest",
     "label": "a class id outside 0 to 7",
-    "instance": "an instance that the frame's JSON does not know, or of another class than its pixels",
-    "unlabelled": "something is hit but has no instance, or an instance but no distance",
-    "edges": "label edges lie off the colour edges",
-    "encoding": "a derived image does not belong to the image that it is made of",
-    "value": "a measured value that cannot be: nan, infinite, negative, of the wrong length",
-    "black": "a picture without light",
-    "dark": "a picture with hardly any light",
-    "saturated": "a picture that is burnt out",
-    "constant": "a picture of one value",
-    "duplicate": "two frames that are the same",
-    "drift": "the set, or a frame, lies outside what the recipe expects",
-    "extra": "a file that does not belong there",
+    "instance": "an instance that is not in the frame's JSON, or of another class than its pixels",
+    "unlabelled": "a pixel with a distance but no instance, or with an instance but no distance",
+    "edges": "label edges are not on the colour edges",
+    "encoding": "a derived image does not match the image that it is derived from",
+    "value": "an impossible measured value: nan, infinite, negative, of the wrong length",
+    "black": "a photograph without light",
+    "dark": "a photograph with hardly any light",
+    "saturated": "an overexposed photograph",
+    "constant": "a photograph of one value",
+    "duplicate": "two identical frames",
+    "drift": "statistics of the set, or of a frame, are outside the ranges that the recipe expects",
+    "extra": "a file that does not belong to the data set",
 }
-"""All kinds of fault, the most serious first."""
+"""All kinds of findings, the most serious first."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One fault of a data set.
+    """One problem of a data set.
 
     Attributes:
-        kind: out of `KINDS`.
-        index: of the frame, or None when it is not a single frame's.
-        file: inside the data set, with forward slashes; "" for the set as a whole.
-        what: is wrong, in one sentence.
+        kind: in `KINDS`.
+        index: of the frame, or None if it does not concern a single frame.
+        file: inside the data set, with forward slashes; "" for the data set as a whole.
+        what: description of the problem, one sentence.
     """
 
     kind: str
@@ -81,17 +53,17 @@ class Finding:
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            raise ValueError(f"{self.kind!r} is no kind of finding")
+            raise ValueError(f"{self.kind!r} is not a kind of finding")
 
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What a check found.
+    """Result of a check.
 
     Attributes:
-        findings: the faults, the most serious kind first and then by frame; empty when all is well.
-        frames: how many were examined.
-        notes: what is odd but no fault.
+        findings: the problems, the most serious kind first and then by frame.
+        frames: number of checked frames.
+        notes: unusual but valid values.
     """
 
     findings: tuple[Finding, ...]
@@ -100,31 +72,60 @@ class CheckResult:
 
     @property
     def good(self) -> bool:
-        """Whether there is no fault."""
+        """Whether there are no findings."""
         return not self.findings
 
     def counts(self) -> dict[str, int]:
-        """Number of findings of each kind that was found, the most serious first."""
-        found = Counter(finding.kind for finding in self.findings)
-        return {kind: found[kind] for kind in KINDS if found[kind]}
+        """Number of findings of each kind that occurs, the most serious first."""
+        counter = Counter(finding.kind for finding in self.findings)
+        return {kind: counter[kind] for kind in KINDS if counter[kind]}
 
     def as_json(self) -> dict[str, Any]:
-        """The same, ready for JSON."""
+        """The result as an object for JSON."""
         return {
             "good": self.good,
             "frames": self.frames,
             "counts": self.counts(),
             "findings": [
-                {"kind": one.kind, "index": one.index, "file": one.file, "what": one.what}
-                for one in self.findings
+                {"kind": item.kind, "index": item.index, "file": item.file, "what": item.what}
+                for item in self.findings
             ],
             "notes": list(self.notes),
         }
 
 
-def in_order(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+def sort_findings(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Findings by kind, the most serious first, then by frame and file."""
-    rank = {kind: place for place, kind in enumerate(KINDS)}
-    return tuple(
-        sorted(findings, key=lambda one: (rank[one.kind], -1 if one.index is None else one.index, one.file))
-    )
+    rank = {kind: number for number, kind in enumerate(KINDS)}
+
+    def key(finding: Finding) -> tuple[int, int, str]:
+        return rank[finding.kind], -1 if finding.index is None else finding.index, finding.file
+
+    return tuple(sorted(findings, key=key))
+
+
+def json_object(metadata: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """The object of a key, empty if there is none."""
+    value = metadata.get(key)
+    return value if isinstance(value, dict) else {}
+
+
+def instance_entries(metadata: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
+    """The entries of the instances by their number."""
+    entries = json_object(metadata, "instances").items()
+    return {int(key): entry for key, entry in entries if key.isdecimal() and isinstance(entry, dict)}
+
+
+def camera_pose(metadata: Mapping[str, Any]) -> NDArray[np.float64] | None:
+    """`(4, 4)`, camera to world; None if there is no valid one."""
+    try:
+        pose = np.asarray(json_object(metadata, "camera").get("pose"), dtype=float)
+    except (TypeError, ValueError):
+        return None
+    return pose if pose.shape == (4, 4) and np.isfinite(pose).all() else None
+
+
+def camera_integer(metadata: Mapping[str, Any], key: str, default: int = 0) -> int:
+    """An integer of the camera."""
+    value = json_object(metadata, "camera").get(key)
+    return value if isinstance(value, int) else default

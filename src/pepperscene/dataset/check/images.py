@@ -1,195 +1,147 @@
-"""Photographs that cannot be right: black, hardly lit, burnt out, of one value."""
+"""Checks of photographs (black, dark, overexposed, constant) and of measured values."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.check import findings as told
+from pepperscene.dataset.check.findings import camera_integer, camera_pose
+from pepperscene.truth import saturated_fraction
 
 _BLACK: Final = 2
-"""Chosen: no grey value of a picture is above this, which no noise of a sensor leaves."""
+"""Chosen: highest grey value of a black photograph, below the noise of any sensor."""
 _DARK: Final = 25
-"""Grey value that 99 of 100 values of a picture reach at most. Of the paper's camera with the lens cap on it
-is 21; a hundredth of the paper's light makes 22 to 25, a thirtieth 29 to 45."""
-_BURNT: Final = 0.5
-"""Chosen: more than half of a picture is burnt out; where the recipe expects less, that counts."""
+"""Highest 99th percentile of the grey values of a dark photograph. It is 21 for the paper's camera with the
+lens cap on, 22 to 25 for a hundredth of the paper's light, 29 to 45 for a thirtieth."""
+_SATURATED: Final = 0.5
+"""Chosen: fraction of saturated pixels; the recipe can expect less."""
+
+_LENGTH_TOLERANCE: Final = 1e-3
+"""Chosen: of a unit vector; float32 leaves 1e-6."""
+_TOLERANCE: Final = 1e-4
+"""Chosen: of positions, in metres and as a fraction of the distance; float32 leaves 1e-6."""
+_COVERAGE_TOLERANCE: Final = 8 * 2.0**-11
+"""Of the sum of eight fractions in 16-bit floats, each rounded to half of 2^-10."""
 
 
-@dataclass(frozen=True)
-class ImageTone:
-    """How bright a photograph is.
+def check_photo(photo: NDArray[np.uint8]) -> Iterator[tuple[str, str]]:
+    """Yield kind and description of the problem of an `(h, w, 3)` photograph, at most one."""
+    counts = np.bincount(photo.ravel(), minlength=256)
+    values = np.flatnonzero(counts)
+    if values[-1] <= _BLACK:
+        yield "black", f"no grey value is above {values[-1]}"
+    elif len(values) == 1:
+        yield "constant", f"every grey value is {values[0]}"
+    elif (percentile := int(np.searchsorted(counts.cumsum(), 0.99 * photo.size))) <= _DARK:
+        yield "dark", f"99 % of its grey values are at most {percentile} of 255"
+    elif (fraction := saturated_fraction(photo)) > _SATURATED:
+        yield "saturated", f"{fraction:.0%} of its pixels have a channel at 255"
 
-    Attributes:
-        mean: of all its grey values, 0 to 255.
-        saturated: share of pixels with a channel at 255.
+
+Problem = tuple[str, str, NDArray[np.bool_]]
+"""Output, description, and the pixels that it concerns."""
+
+
+def check_values(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Yield kind, output and description of the problems of a frame's measured images.
+
+    The images, by output name, have the right type and all one size; the metadata are the frame's JSON.
     """
-
-    mean: float
-    saturated: float
-
-
-def tone(picture: NDArray[np.uint8]) -> ImageTone:
-    """How bright an `(h, w, 3)` photograph is."""
-    full = picture[..., 0] == 255
-    for channel in range(1, picture.shape[2]):
-        full |= picture[..., channel] == 255
-    return ImageTone(float(picture.mean()), float(np.count_nonzero(full) / full.size))
-
-
-def picture_faults(picture: NDArray[np.uint8]) -> Iterator[tuple[str, str]]:
-    """Kind and description of what is wrong with an `(h, w, 3)` photograph; at most one fault."""
-    values = np.bincount(picture.ravel(), minlength=256)
-    there = np.flatnonzero(values)
-    if there[-1] <= _BLACK:
-        yield "black", f"no grey value is above {there[-1]}"
-    elif len(there) == 1:
-        yield "constant", f"every grey value is {there[0]}"
-    elif (usual := int(np.searchsorted(values.cumsum(), 0.99 * picture.size))) <= _DARK:
-        yield "dark", f"99 % of its grey values are at most {usual} of 255"
-    elif (share := tone(picture).saturated) > _BURNT:
-        yield "saturated", f"{share:.0%} of its pixels have a channel at 255"
+    # Where no surface is hit, by the distance or else the instances.
+    sky = images["instance"] == 0 if "instance" in images else None
+    if "distance" in images:
+        sky = np.isinf(images["distance"])
+    # Comparisons with nan are False, as required here, and need no warning.
+    with np.errstate(invalid="ignore", over="ignore"):
+        for check in (_check_distances, _check_surfaces, _check_light, _check_flow):
+            for output, problem, pixels in check(images, sky, metadata):
+                if pixels.any():
+                    yield "value", output, f"{np.count_nonzero(pixels)} pixels {problem}"
 
 
-def flat(image: Any) -> bool:
-    """Whether an image has one value only."""
-    return isinstance(image, np.ndarray) and bool((image == image.flat[0]).all())
+def _check_distances(images: Mapping[str, Any], sky: Any, metadata: Mapping[str, Any]) -> Iterator[Problem]:
+    distance, depth, position = (images.get(name) for name in ("distance", "depth_z", "position"))
+    if distance is not None:
+        yield "distance", "are not a number", np.isnan(distance)
+        yield "distance", "have a distance of 0 or below", distance <= 0
+        if "instance" not in images and np.isfinite(distance).all():
+            yield "distance", "have all the same distance", np.full(distance.shape, np.ptp(distance) == 0)
+    if depth is not None:
+        yield "depth_z", "are not a number", np.isnan(depth)
+        yield "depth_z", "have a depth of 0 or below", depth <= 0
+        if sky is not None:
+            yield (
+                "depth_z",
+                "have a depth where no surface is hit, or none where one is",
+                np.isinf(depth) != sky,
+            )
+        if distance is not None:
+            # The optical axis is the shortest way to a plane across it.
+            yield "depth_z", "have a depth beyond their distance", depth > distance * (1 + _TOLERANCE)
+    if position is not None:
+        yield "position", "are not a number", np.isnan(position).any(-1)
+        if sky is not None:
+            wrong = sky == np.isfinite(position).all(-1)
+            yield "position", "have a position where no surface is hit, or none where one is", wrong
+        if distance is not None and (pose := camera_pose(metadata)) is not None:
+            difference = np.abs(np.sqrt(np.square(position - pose[:3, 3]).sum(-1)) - distance)
+            wrong = difference > _TOLERANCE * (1 + distance)
+            yield "position", "have a position at another distance from the camera", wrong
 
 
-Problem = tuple[str, NDArray[np.bool_]]
-"""What is wrong, and with which pixels."""
+def _check_surfaces(images: Mapping[str, Any], sky: Any, metadata: Mapping[str, Any]) -> Iterator[Problem]:
+    if "normal" in images:
+        length = np.sqrt(np.einsum("...k,...k", images["normal"], images["normal"]))
+        valid = np.abs(length - 1) <= _LENGTH_TOLERANCE
+        if sky is None:
+            yield "normal", "have a normal whose length is neither 1 nor 0", ~(valid | (length == 0))
+        else:
+            yield "normal", "have a normal whose length is not 1", ~valid & ~sky
+            yield "normal", "have a normal where no surface is hit", sky & ~(length == 0)
+    if "uv" in images:
+        uv = images["uv"]
+        valid = ((uv >= -_TOLERANCE) & (uv <= 1 + _TOLERANCE)).all(-1)
+        background = (uv == -1).all(-1)
+        if sky is None:
+            yield "uv", "have surface coordinates outside 0 to 1", ~(valid | background)
+        else:
+            yield "uv", "have surface coordinates outside 0 to 1", ~valid & ~sky
+            yield "uv", "have surface coordinates where no surface is hit", ~background & sky
+    if "coverage" in images:
+        fractions = images["coverage"].astype(np.float32)
+        valid = ((fractions >= 0) & (fractions <= 1)).all(-1)
+        yield "coverage", "have a class fraction outside 0 to 1", ~valid
+        wrong = np.abs(fractions.sum(-1) - 1) > _COVERAGE_TOLERANCE
+        yield "coverage", "have class fractions whose sum is not 1", wrong
 
-_UNIT: Final = 1e-3
-"""Chosen: how far a direction's length may be from 1; float32 leaves 1e-6."""
-_NEAR: Final = 1e-4
-"""Chosen: metres, and share of the distance, that a position may be off; float32 leaves 1e-6."""
-_SHARES: Final = 8 * 2.0**-11
-"""The sum of eight shares in 16-bit floats, each rounded to half of 2^-10."""
+
+def _check_light(images: Mapping[str, Any], sky: Any, metadata: Mapping[str, Any]) -> Iterator[Problem]:
+    if "electrons" in images:
+        electrons = images["electrons"]
+        yield "electrons", "have electrons that are not finite", ~np.isfinite(electrons).all(-1)
+        yield "electrons", "have fewer than 0 electrons", (electrons < 0).any(-1)
+        yield "electrons", "have no light at all", np.full(electrons.shape[:2], not electrons.any())
+    if "raw" in images:
+        raw, bits = images["raw"], camera_integer(metadata, "bits")
+        if 0 < bits < 16:
+            yield "raw", f"have a digital number above {bits} bits", raw >= 2**bits
+        constant = np.full(raw.shape, raw.max() == raw.min())
+        yield "raw", f"all have the digital number {raw.flat[0]}", constant
 
 
-def value_faults(images: Mapping[str, Any], facts: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Kind, output and description of what is wrong with a frame's measured images.
-
-    Args:
-        images: the frame's, by output name, those that are there; of the right type, all of one size.
-        facts: the frame's JSON.
-    """
-    nothing = _nothing(images)
-    for output, rule in _RULES.items():
+def _check_flow(images: Mapping[str, Any], sky: Any, metadata: Mapping[str, Any]) -> Iterator[Problem]:
+    """Pixels that are visible in the other image must be inside it."""
+    for output in ("flow", "stereo"):
         if output in images:
-            # Comparisons with nan are False, as they should be, and need no warning.
-            with np.errstate(invalid="ignore", over="ignore"):
-                for what, wrong in rule(images[output], nothing, images, facts):
-                    if wrong.any():
-                        yield "value", output, f"{np.count_nonzero(wrong)} pixels {what}"
-
-
-def _nothing(images: Mapping[str, Any]) -> NDArray[np.bool_] | None:
-    """Where nothing is hit, after the distance or else the instances; None where neither tells."""
-    if "distance" in images:
-        return np.isinf(images["distance"])
-    return images["instance"] == 0 if "instance" in images else None
-
-
-def _distance(distance: Any, nothing: Any, images: Mapping[str, Any], facts: Any) -> Iterator[Problem]:
-    yield "are not a number", np.isnan(distance)
-    yield "have a distance of 0 or below", distance <= 0
-    if "instance" not in images and np.isfinite(distance).all():
-        yield "have all the same distance", np.broadcast_to(np.ptp(distance) == 0, distance.shape)
-
-
-def _depth(depth: Any, nothing: Any, images: Mapping[str, Any], facts: Any) -> Iterator[Problem]:
-    yield "are not a number", np.isnan(depth)
-    yield "have a depth of 0 or below", depth <= 0
-    if nothing is not None:
-        yield "have a depth where nothing is hit, or none where something is", np.isinf(depth) != nothing
-    if "distance" in images:
-        # The optical axis is the shortest way to a plane across it.
-        yield "have a depth beyond their distance", depth > images["distance"] * (1 + _NEAR)
-
-
-def _normal(normal: Any, nothing: Any, images: Any, facts: Any) -> Iterator[Problem]:
-    length = np.sqrt(np.einsum("...k,...k", normal, normal))
-    unit = np.abs(length - 1) <= _UNIT
-    if nothing is None:
-        yield "have a normal whose length is neither 1 nor 0", ~(unit | (length == 0))
-    else:
-        yield "have a normal whose length is not 1", ~unit & ~nothing
-        yield "have a normal where nothing is hit", nothing & ~(length == 0)
-
-
-def _electrons(electrons: Any, nothing: Any, images: Any, facts: Any) -> Iterator[Problem]:
-    yield "have electrons that are not finite", ~np.isfinite(electrons).all(-1)
-    yield "have fewer than 0 electrons", (electrons < 0).any(-1)
-    if not electrons.any():
-        yield "have no light at all", np.ones(electrons.shape[:2], bool)
-
-
-def _raw(raw: Any, nothing: Any, images: Any, facts: Mapping[str, Any]) -> Iterator[Problem]:
-    bits = told.number(facts, "bits")
-    if 0 < bits < 16:
-        yield f"have a number beyond {bits} bits", raw >= 2**bits
-    if raw.max() == raw.min():
-        yield f"all have the number {raw.flat[0]}", np.ones(raw.shape, bool)
-
-
-def _coverage(coverage: Any, nothing: Any, images: Any, facts: Any) -> Iterator[Problem]:
-    shares = coverage.astype(np.float32)
-    yield "have a share outside 0 to 1", ~((shares >= 0) & (shares <= 1)).all(-1)
-    yield "have shares whose sum is not 1", np.abs(shares.sum(-1) - 1) > _SHARES
-
-
-def _position(
-    position: Any, nothing: Any, images: Mapping[str, Any], facts: Mapping[str, Any]
-) -> Iterator[Problem]:
-    yield "are not a number", np.isnan(position).any(-1)
-    if nothing is not None:
-        away = ~np.isfinite(position).all(-1)
-        yield "have a position where nothing is hit, or none where something is", away != nothing
-    pose = told.pose(facts)
-    if "distance" in images and pose is not None:
-        distance = images["distance"]
-        reach = np.sqrt(np.square(position - pose[:3, 3]).sum(-1))
-        yield (
-            "have a position at another distance from the camera",
-            np.abs(reach - distance) > _NEAR * (1 + distance),
-        )
-
-
-def _uv(uv: Any, nothing: Any, images: Any, facts: Any) -> Iterator[Problem]:
-    inside = ((uv >= -_NEAR) & (uv <= 1 + _NEAR)).all(-1)
-    none = (uv == -1).all(-1)
-    if nothing is None:
-        yield "have surface coordinates outside 0 to 1", ~(inside | none)
-    else:
-        yield "have surface coordinates outside 0 to 1", ~inside & ~nothing
-        yield "have surface coordinates where nothing is hit", ~none & nothing
-
-
-def _shift(shift: Any, nothing: Any, images: Any, facts: Any) -> Iterator[Problem]:
-    """Flow and stereo: what is visible elsewhere lies inside the picture there."""
-    visible = shift[..., 2] == 1
-    yield "are neither visible nor hidden", ~visible & ~(shift[..., 2] == 0)
-    height, width = shift.shape[:2]
-    across = np.arange(width) + 0.5 + shift[..., 0]
-    down = np.arange(height)[:, None] + 0.5 + shift[..., 1]
-    inside = (across >= -_NEAR) & (across <= width + _NEAR) & (down >= -_NEAR) & (down <= height + _NEAR)
-    yield "are said to be visible outside the picture", visible & ~inside
-
-
-_RULES: Final[Mapping[str, Callable[..., Iterator[Problem]]]] = {
-    "distance": _distance,
-    "depth_z": _depth,
-    "normal": _normal,
-    "electrons": _electrons,
-    "raw": _raw,
-    "coverage": _coverage,
-    "position": _position,
-    "uv": _uv,
-    "flow": _shift,
-    "stereo": _shift,
-}
+            flow = images[output]
+            visible = flow[..., 2] == 1
+            yield output, "are neither visible nor hidden", ~visible & ~(flow[..., 2] == 0)
+            height, width = visible.shape
+            x = np.arange(width) + 0.5 + flow[..., 0]
+            y = np.arange(height)[:, None] + 0.5 + flow[..., 1]
+            inside = (x >= -_TOLERANCE) & (x <= width + _TOLERANCE)
+            inside &= (y >= -_TOLERANCE) & (y <= height + _TOLERANCE)
+            yield output, "are marked as visible outside the image", visible & ~inside

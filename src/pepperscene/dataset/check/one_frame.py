@@ -1,4 +1,4 @@
-"""Everything that a single frame can be wrong in, each of its files read once."""
+"""Checks of a single frame; each of its files is read once."""
 
 from __future__ import annotations
 
@@ -6,275 +6,239 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.check import findings as told
 from pepperscene.dataset.check.edges import CHANCE, Match, match
-from pepperscene.dataset.check.findings import Finding
-from pepperscene.dataset.check.images import flat, picture_faults, tone, value_faults
-from pepperscene.dataset.check.labels import harvest_faults, label_faults
+from pepperscene.dataset.check.findings import Finding, camera_integer, camera_pose, json_object
+from pepperscene.dataset.check.images import check_photo, check_values
+from pepperscene.dataset.check.labels import check_harvest, check_labels
 from pepperscene.dataset.recipe.plan import Plan, frame_seed
 from pepperscene.dataset.store.dataset import CHECKSUM, FRAMES, Dataset, checksum_of, file_name
 from pepperscene.dataset.store.images import read_image
 from pepperscene.dataset.store.manifest import frame_row
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
-from pepperscene.truth import class_pixel_counts
+from pepperscene.truth import class_pixel_counts, saturated_fraction
 
-_JOURNALS: Final = ("render_s", "write_s", "worker")
-"""Of the manifest's columns those that do not come out of the frame."""
+_JOURNAL_COLUMNS: Final = ("render_s", "write_s", "worker")
+"""Columns of the manifest that are not known from the frame."""
+
+_PHOTOS: Final = ("colour", "colour_stereo")
 
 
 @dataclass(frozen=True)
 class FrameTraits:
-    """What of a frame is compared with other frames, the manifest and the recipe.
+    """What is compared with other frames, the manifest and the recipe.
 
-    Digests are of 64 bits, and 0 where there is nothing to compare: of a million frames, two that differ have
-    the same one with a probability of 3e-8.
-
-    Attributes:
-        index: of the frame.
-        scene: its set and rotation as one number, or None where the JSON does not say.
-        picture: digest of its first traced image that is not flat.
-        content: digest of all its files, unless all images are flat.
-        view: digest of pose and seed.
-        row: digest of what the manifest must say of it.
-        shares: of the eight classes, or None without a class image.
-        mean: grey value of the photograph, or None without one.
-        saturated: share of its pixels.
+    Digests have 64 bits, and are 0 if there is nothing to compare: in a million frames, two different ones
+    have the same digest with a probability of 3e-8.
     """
 
     index: int
-    scene: int | None = None
-    picture: int = 0
-    content: int = 0
-    view: int = 0
-    row: int = 0
-    shares: tuple[float, ...] | None = None
-    mean: float | None = None
-    saturated: float = 0.0
+    scene: int | None = None  # set and rotation as one number
+    photo: int = 0  # digest of its first traced image that is not constant
+    content: int = 0  # digest of all its files, unless all images are constant
+    view: int = 0  # digest of pose and seed
+    row: int = 0  # digest of its row in the manifest
+    fractions: tuple[float, ...] | None = None  # of the pixels for each class
+    mean: float | None = None  # grey value of the photograph
+    saturated: float = 0.0  # fraction of the photograph's pixels with a channel at 255
 
 
-def traits_of(
-    index: int, facts: Mapping[str, Any], digests: Mapping[str, str], images: Mapping[str, Any]
+@dataclass(frozen=True)
+class FrameExamination:
+    """Result of the checks of one frame."""
+
+    findings: tuple[Finding, ...]
+    traits: FrameTraits
+    has_harvest: bool = False  # whether its JSON names the output harvest
+
+
+def examine_frame(dataset: Dataset, index: int) -> FrameExamination:
+    """Check one frame of a data set by itself."""
+    json_file = f"{FRAMES}/{dataset.frame_path(index).name}"
+    try:
+        metadata = dataset.metadata(index)
+    except InputError as error:
+        finding = Finding("damaged", index, json_file, error.problem)
+        return FrameExamination((finding,), FrameTraits(index))
+    findings = [
+        Finding(kind, index, json_file, problem)
+        for kind, problem in _check_metadata(dataset, metadata, index)
+    ]
+
+    # Files: do they exist, and are they what was written?
+    digests: dict[str, str] = {}
+    images: dict[str, Any] = {}
+    for output, entry in json_object(metadata, "outputs").items():
+        file = file_name(index, output) if output in OUTPUTS else json_file
+        for kind, problem in _read_file(dataset, index, output, entry, digests, images):
+            findings.append(Finding(kind, index, file, problem))
+    for output, problem in _wrong_shapes(images, metadata):
+        findings.append(Finding("shape", index, file_name(index, output), problem))
+        del images[output]
+
+    # Content of all images that could be read.
+    for kind, output, problem in _check_content(images, metadata):
+        findings.append(Finding(kind, index, file_name(index, output), problem))
+    has_harvest = "harvest" in json_object(metadata, "outputs")
+    return FrameExamination(tuple(findings), _traits(index, metadata, digests, images), has_harvest)
+
+
+def manifest_digest(row: Mapping[str, Any]) -> int:
+    """Digest of a row of the manifest, without the columns that only the journal knows."""
+    known = {name: value for name, value in row.items() if value is not None and name not in _JOURNAL_COLUMNS}
+    return _digest(json.dumps(known, sort_keys=True, default=str).encode())
+
+
+def _traits(
+    index: int, metadata: Mapping[str, Any], digests: Mapping[str, str], images: Mapping[str, Any]
 ) -> FrameTraits:
-    """What of a frame is compared with others.
-
-    Args:
-        index: of the frame.
-        facts: its JSON.
-        digests: SHA-256 of its files by output name.
-        images: by output name, those that could be read.
-    """
-    # A frame of flat images (all sky, no light) may look like another one.
-    varied = [name for name, image in images.items() if OUTPUTS[name].is_image and not flat(image)]
+    # Frames of constant images (all sky, no light) may be equal.
+    arrays = {name: image for name, image in images.items() if OUTPUTS[name].is_image}
+    varied = [name for name, array in arrays.items() if not (array == array.flat[0]).all()]
     traced = next((name for name in varied if OUTPUTS[name].traced), None)
-    light = tone(images["colour"]) if "colour" in images else None
-    pose, seed = told.pose(facts), facts.get("seed")
-    outputs = {name: one for name, one in told.table(facts, "outputs").items() if name in OUTPUTS}
+    photo = images.get("colour")
+    pose, seed = camera_pose(metadata), metadata.get("seed")
+    set_index, rotation, scene = metadata.get("set"), metadata.get("rotation"), None
+    if isinstance(set_index, int) and isinstance(rotation, int):
+        # The recipe allows at most 1000 rotations.
+        scene = set_index * 1000 + rotation
     return FrameTraits(
         index,
-        scene=_scene(facts.get("set"), facts.get("rotation")),
-        picture=_digest(np.ascontiguousarray(images[traced]).data) if traced else 0,
+        scene=scene,
+        photo=_digest(np.ascontiguousarray(images[traced]).data) if traced else 0,
         content=_digest(json.dumps(digests, sort_keys=True).encode()) if varied else 0,
         view=0 if pose is None or seed is None else _digest(json.dumps([pose.tolist(), seed]).encode()),
-        row=_row_digest(facts, outputs),
-        shares=_shares(images.get("class")),
-        mean=light.mean if light else None,
-        saturated=light.saturated if light else 0.0,
+        row=_row_digest(metadata),
+        fractions=_class_fractions(images.get("class")),
+        mean=None if photo is None else float(photo.mean()),
+        saturated=0.0 if photo is None else saturated_fraction(photo),
     )
 
 
-def _scene(group: Any, rotation: Any) -> int | None:
-    known = isinstance(group, int) and isinstance(rotation, int)
-    # The recipe allows at most 1000 rotations.
-    return group * 1000 + rotation if known else None
-
-
-def _shares(classes: NDArray[np.uint8] | None) -> tuple[float, ...] | None:
+def _class_fractions(classes: NDArray[np.uint8] | None) -> tuple[float, ...] | None:
     if classes is None or classes.max() >= len(OrganClass):
         return None
     return tuple(count / classes.size for count in class_pixel_counts(classes).values())
 
 
-def _row_digest(facts: Mapping[str, Any], outputs: dict[str, Any]) -> int:
-    rest = {key: value for key, value in facts.items() if key not in (CHECKSUM, "outputs")}
+def _row_digest(metadata: Mapping[str, Any]) -> int:
+    outputs = {name: entry for name, entry in json_object(metadata, "outputs").items() if name in OUTPUTS}
+    rest = {key: value for key, value in metadata.items() if key not in (CHECKSUM, "outputs")}
     try:
-        return manifest_digest(frame_row(rest, outputs, str(facts.get(CHECKSUM))))
+        return manifest_digest(frame_row(rest, outputs, str(metadata.get(CHECKSUM))))
     except (AttributeError, IndexError, KeyError, TypeError):
-        # Such JSON is damaged, and told so.
+        # Damaged JSON, which is a finding already.
         return 0
-
-
-def manifest_digest(row: Mapping[str, Any]) -> int:
-    """Digest of what a row of the manifest says of a frame, without what only the journal knows."""
-    known = {name: value for name, value in row.items() if value is not None and name not in _JOURNALS}
-    return _digest(json.dumps(known, sort_keys=True, default=str).encode())
 
 
 def _digest(content: bytes | memoryview) -> int:
     return int.from_bytes(hashlib.blake2b(content, digest_size=8).digest())
 
 
-PICTURES: Final = ("colour", "colour_stereo")
-
-
-@dataclass(frozen=True)
-class FrameExamination:
-    """A frame, examined by itself.
-
-    Attributes:
-        findings: its faults.
-        traits: what is compared with others.
-        harvested: whether its JSON names the output harvest.
-    """
-
-    findings: tuple[Finding, ...]
-    traits: FrameTraits
-    harvested: bool = False
-
-
-def examine_frame(dataset: Dataset, index: int) -> FrameExamination:
-    """Examine one frame of a data set by itself."""
-    where = f"{FRAMES}/{dataset.frame_path(index).name}"
-    try:
-        facts = dataset.metadata(index)
-    except InputError as fault:
-        return FrameExamination((Finding("damaged", index, where, _reason(fault)),), FrameTraits(index))
-    findings = [Finding(kind, index, where, what) for kind, what in _facts_faults(dataset, facts, index)]
-
-    # Files first: what of them is there, and is it what was written?
-    digests: dict[str, str] = {}
-    images: dict[str, Any] = {}
-    for output, entry in told.table(facts, "outputs").items():
-        name = file_name(index, output) if output in OUTPUTS else where
-        for kind, what in _file_faults(dataset, index, output, entry, digests, images):
-            findings.append(Finding(kind, index, name, what))
-    for output, what in _misshapen(images, facts):
-        findings.append(Finding("shape", index, file_name(index, output), what))
-        del images[output]
-
-    # Then what they show, as far as it can be read.
-    for kind, output, what in _content_faults(images, facts):
-        findings.append(Finding(kind, index, file_name(index, output), what))
-    harvested = "harvest" in told.table(facts, "outputs")
-    return FrameExamination(tuple(findings), traits_of(index, facts, digests, images), harvested)
-
-
-def _facts_faults(dataset: Dataset, facts: dict[str, Any], index: int) -> Iterator[tuple[str, str]]:
-    """Kind and description of what is wrong with a frame's JSON in itself."""
-    if CHECKSUM not in facts:
+def _check_metadata(dataset: Dataset, metadata: dict[str, Any], index: int) -> Iterator[tuple[str, str]]:
+    """Yield kind and description of the problems of a frame's JSON by itself."""
+    if CHECKSUM not in metadata:
         yield "damaged", "has no checksum"
-    elif facts[CHECKSUM] != checksum_of(facts):
-        yield "damaged", "is not what was written: its checksum is another"
-    if not isinstance(facts.get("outputs"), dict) or not facts["outputs"]:
+    elif metadata[CHECKSUM] != checksum_of(metadata):
+        yield "damaged", "is not what was written: its checksum differs"
+    if not isinstance(metadata.get("outputs"), dict) or not metadata["outputs"]:
         yield "damaged", "names no outputs"
-    recipe = told.table(dataset.info, "recipe")
+    recipe = json_object(dataset.info, "recipe")
     expected: dict[str, Any] = {"index": index}
     try:
-        plan = Plan.model_validate(recipe["plan"])
-        shot = plan.frame(index)
-        expected |= {"set": shot.set, "rotation": shot.rotation, "step": shot.step}
+        spec = Plan.model_validate(recipe["plan"]).frame(index)
+        expected |= {"set": spec.set, "rotation": spec.rotation, "step": spec.step}
         expected |= {"recipe_seed": recipe["seed"], "seed": frame_seed(recipe["seed"], index)}
     except KeyError:
-        # A damaged dataset.json is told once, not with every frame.
+        # A damaged dataset.json is one finding, not one for every frame.
         pass
     except (ValueError, TypeError):
-        yield "contradiction", "lies outside the plan of dataset.json"
+        yield "contradiction", "is outside the plan of dataset.json"
     for key, value in expected.items():
-        if facts.get(key) != value:
-            yield "contradiction", f"says {key} = {facts.get(key)!r}, by its place in the plan it is {value}"
+        if metadata.get(key) != value:
+            yield "contradiction", f"has {key} = {metadata.get(key)!r}; by the plan it must be {value}"
 
 
-def _file_faults(
+def _read_file(
     dataset: Dataset, index: int, output: str, entry: Any, digests: dict[str, str], images: dict[str, Any]
 ) -> Iterator[tuple[str, str]]:
-    """Read one file into `digests` and `images`, and tell what is wrong with it."""
+    """Read one file into `digests` and `images`, and yield kind and description of its problems."""
     if output not in OUTPUTS:
-        yield "contradiction", f"names the output {output!r}, which there is not"
+        yield "contradiction", f"names the unknown output {output!r}"
         return
     path = dataset.folder / file_name(index, output)
     try:
-        digests[output], size = _read_digest(path)
+        with path.open("rb") as file:
+            digests[output], size = hashlib.file_digest(file, "sha256").hexdigest(), file.tell()
     except FileNotFoundError:
-        yield "missing", "is not there"
+        yield "missing", "does not exist"
         return
-    except OSError as fault:
-        yield "unreadable", f"cannot be read ({fault.strerror})"
+    except OSError as error:
+        yield "unreadable", f"cannot be read ({error.strerror})"
         return
-    said = entry if isinstance(entry, dict) else {}
-    if said.get("file") != file_name(index, output):
-        yield "contradiction", f"is called {said.get('file')!r} in the frame's JSON"
-    if said.get("bytes") != size:
-        yield "checksum", f"has {size} bytes, the frame's JSON says {said.get('bytes')}"
+    expected = entry if isinstance(entry, dict) else {}
+    if expected.get("file") != file_name(index, output):
+        yield "contradiction", f"is named {expected.get('file')!r} in the frame's JSON"
+    if expected.get("bytes") != size:
+        yield "checksum", f"has {size} bytes, the frame's JSON says {expected.get('bytes')}"
         return
-    if said.get("sha256") != digests[output]:
-        yield "checksum", "has other content than was written: its checksum is another"
+    if expected.get("sha256") != digests[output]:
+        yield "checksum", "is not what was written: its checksum differs"
         return
-    # What a damaged file shows says nothing of what was rendered.
+    # Only now: the content of a damaged file says nothing about the rendered image.
     try:
         images[output] = read_image(path)
-    except InputError as fault:
-        yield "unreadable", _reason(fault)
+    except InputError as error:
+        yield "unreadable", error.problem
 
 
-def _misshapen(images: Mapping[str, Any], facts: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _wrong_shapes(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Output and description of images of the wrong type, or of another size than the camera's."""
-    size = told.number(facts, "height"), told.number(facts, "width")
-    found = []
+    height, width = camera_integer(metadata, "height"), camera_integer(metadata, "width")
+    problems = []
     for output, image in images.items():
-        wanted = OUTPUTS[output]
-        if not wanted.fits(image):
-            is_array = hasattr(image, "dtype")
-            what = f"{image.shape} {image.dtype}" if is_array else type(image).__name__
-            found.append((output, f"is {what}, not {wanted.shape} {wanted.dtype}"))
-        elif wanted.is_image:
-            each = told.number(facts, "binning", 1) if output == "raw" else 1
-            if image.shape[:2] != (size[0] * each, size[1] * each):
-                held = f"{image.shape[1]}x{image.shape[0]}"
-                found.append((output, f"has {held} pixels, the camera {size[1] * each}x{size[0] * each}"))
-    return found
+        expected = OUTPUTS[output]
+        if not expected.fits(image):
+            actual = f"{image.shape} {image.dtype}" if hasattr(image, "dtype") else type(image).__name__
+            problems.append((output, f"is {actual}, must be {expected.shape} {expected.dtype}"))
+        elif expected.is_image:
+            scale = camera_integer(metadata, "binning", 1) if output == "raw" else 1
+            if image.shape[:2] != (height * scale, width * scale):
+                size = f"{image.shape[1]}x{image.shape[0]}"
+                problem = f"has {size} pixels, the camera has {width * scale}x{height * scale}"
+                problems.append((output, problem))
+    return problems
 
 
-def _content_faults(images: Mapping[str, Any], facts: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Kind, output and description of what is wrong with what images show."""
-    good = "colour" in images
-    for output in PICTURES:
+def _check_content(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Yield kind, output and description of the problems of all images."""
+    has_edges = "colour" in images
+    for output in _PHOTOS:
         if output in images:
-            for kind, what in picture_faults(images[output]):
-                good = good and output != "colour"
-                yield kind, output, what
-    yield from label_faults(images, facts)
-    yield from value_faults(images, facts)
-    yield from harvest_faults(images, facts)
+            for kind, problem in check_photo(images[output]):
+                has_edges = has_edges and output != "colour"
+                yield kind, output, problem
+    yield from check_labels(images, metadata)
+    yield from check_values(images, metadata)
+    yield from check_harvest(images)
     labels = next((name for name in ("instance", "class") if name in images), None)
-    # A picture that shows nothing has been told as such.
-    if good and labels is not None:
-        found = match(images["colour"], images[labels])
-        if found is not None and not found.fits:
-            yield "edges", labels, _misfit(found)
+    if has_edges and labels is not None:
+        result = match(images["colour"], images[labels])
+        if result is not None and not result.fits:
+            yield "edges", labels, _describe_shift(result)
 
 
-def _misfit(found: Match) -> str:
-    if found.height < CHANCE:
-        return "fits the photograph at no shift: mirrored, or another frame's"
-    where = f"its {found.quarter} quarter lies" if found.quarter else "lies"
+def _describe_shift(result: Match) -> str:
+    if result.height < CHANCE:
+        return "fits the photograph at no shift: mirrored, or of another frame"
+    where = f"in its {result.quarter} quarter is" if result.quarter else "is"
     return (
-        f"{where} {found.right_px:+d} px to the right of and {found.down_px:+d} px below "
-        f"the photograph's edges ({found.height:.0f} standard deviations above other shifts)"
+        f"{where} {result.right_px:+d} px to the right of and {result.down_px:+d} px below "
+        f"the photograph's edges ({result.height:.0f} standard deviations above other shifts)"
     )
-
-
-def _read_digest(path: Path) -> tuple[str, int]:
-    with path.open("rb") as file:
-        found = hashlib.file_digest(file, "sha256")
-        return found.hexdigest(), file.tell()
-
-
-def _reason(fault: InputError) -> str:
-    return fault.problem

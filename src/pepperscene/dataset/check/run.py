@@ -1,4 +1,4 @@
-"""Frames examined one by one, here or by several processes, and told in their order."""
+"""Check of a whole data set, with frames examined in this process or by workers, in the same order."""
 
 from __future__ import annotations
 
@@ -10,10 +10,15 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
-from pepperscene.dataset.check.cross_frame import CrossFrameChecks
-from pepperscene.dataset.check.files import frame_indices, manifest_faults, opened, stray_files
-from pepperscene.dataset.check.findings import CheckResult, Finding, in_order
+from pepperscene.dataset.check.findings import CheckResult, Finding, sort_findings
 from pepperscene.dataset.check.one_frame import FrameExamination, examine_frame
+from pepperscene.dataset.check.whole_set import (
+    CrossFrameChecks,
+    check_tables,
+    frame_indices,
+    open_leniently,
+    stray_files,
+)
 from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.dataset.recipe.tables import ExpectTable
 from pepperscene.dataset.store.dataset import FRAMES, MARK, Dataset
@@ -22,73 +27,66 @@ from pepperscene.dataset.subprocess_rpc import Connection, WorkerProcess, availa
 from pepperscene.document import validate
 from pepperscene.errors import ArgumentError, InputError, WorkerError
 
-MOST_WORKERS: Final = 256  # chosen: more would wait for the disk
-_WORTH: Final = 64  # chosen: frames for which it pays to start a process, which takes half a second
-_AT_A_TIME: Final = 16  # chosen: frames that a process is asked for
-_AHEAD: Final = 2  # chosen: such parts for each process that may wait to be told, so that memory stays flat
+MAX_WORKERS: Final = 256  # chosen: more would wait for the disk
+_FRAMES_PER_WORKER: Final = 64  # chosen: worth starting a process, which takes half a second
+_CHUNK: Final = 16  # chosen: frames per request to a process
+_CHUNKS_AHEAD: Final = 2  # chosen: per process, finished but not yet yielded, to bound the memory
 
 
-def examined(dataset: Dataset, indices: Sequence[int], workers: int | None) -> Iterator[FrameExamination]:
-    """Every frame examined, in the order of the indices.
-
-    Args:
-        dataset: whose frames are examined.
-        indices: of the frames.
-        workers: processes; None for one for each core, and none beside this one for a few frames.
-
-    Raises:
-        InputError: workers are not 1 to 256.
-        WorkerError: a process was lost.
-    """
-    if workers is not None and not 1 <= workers <= MOST_WORKERS:
-        raise ArgumentError("workers", f"{workers} must be 1 to {MOST_WORKERS}")
-    wanted = available_cores() if workers is None else workers
-    many = min(wanted, -(-len(indices) // _WORTH))
-    if many <= 1:
+def examine_frames(
+    dataset: Dataset, indices: Sequence[int], workers: int | None
+) -> Iterator[FrameExamination]:
+    """Examine frames in the order of the indices, with up to `workers` processes, by default one per core."""
+    if workers is not None and not 1 <= workers <= MAX_WORKERS:
+        raise ArgumentError("workers", f"{workers} must be 1 to {MAX_WORKERS}")
+    limit = available_cores() if workers is None else workers
+    count = min(limit, -(-len(indices) // _FRAMES_PER_WORKER))
+    if count <= 1:
+        # Too few frames for another process.
         return (examine_frame(dataset, index) for index in indices)
-    return _by_many(dataset, indices, many)
+    return _examine_in_workers(dataset, indices, count)
 
 
-def _by_many(dataset: Dataset, indices: Sequence[int], many: int) -> Iterator[FrameExamination]:
-    parts = [indices[place : place + _AT_A_TIME] for place in range(0, len(indices), _AT_A_TIME)]
+def _examine_in_workers(dataset: Dataset, indices: Sequence[int], count: int) -> Iterator[FrameExamination]:
+    chunks = [indices[start : start + _CHUNK] for start in range(0, len(indices), _CHUNK)]
     idle: queue.SimpleQueue[WorkerProcess] = queue.SimpleQueue()
     with ExitStack() as stack:
-        for _ in range(many):
-            idle.put(_started(dataset, stack))
-        # A thread for each process waits for what it says; the processes end before the threads.
-        pool = stack.enter_context(ThreadPoolExecutor(many))
-        waiting: deque[Future[list[FrameExamination]]] = deque()
-        for part in parts:
-            waiting.append(pool.submit(_asked, idle, part))
-            if len(waiting) > _AHEAD * many:
-                yield from waiting.popleft().result()
-        while waiting:
-            yield from waiting.popleft().result()
+        for _ in range(count):
+            idle.put(_start_worker(dataset, stack))
+        # One thread per process waits for its answers; the processes end before the threads.
+        pool = stack.enter_context(ThreadPoolExecutor(count))
+        pending: deque[Future[list[FrameExamination]]] = deque()
+        for chunk in chunks:
+            pending.append(pool.submit(_request, idle, chunk))
+            if len(pending) > _CHUNKS_AHEAD * count:
+                yield from pending.popleft().result()
+        while pending:
+            yield from pending.popleft().result()
 
 
-def _started(dataset: Dataset, stack: ExitStack) -> WorkerProcess:
+def _start_worker(dataset: Dataset, stack: ExitStack) -> WorkerProcess:
     try:
-        child = WorkerProcess(__name__, threads=1)
-        stack.callback(child.close)
-        child.send(dataset)
-    except OSError as fault:
-        raise WorkerError(f"no process can be started ({fault}); try --workers 1") from None
-    return child
+        worker = WorkerProcess(__name__, threads=1)
+        stack.callback(worker.close)
+        worker.send(dataset)
+    except OSError as error:
+        raise WorkerError(f"no process can be started ({error}); try workers=1") from None
+    return worker
 
 
-def _asked(idle: queue.SimpleQueue[WorkerProcess], part: Sequence[int]) -> list[FrameExamination]:
-    child = idle.get()
+def _request(idle: queue.SimpleQueue[WorkerProcess], chunk: Sequence[int]) -> list[FrameExamination]:
+    worker = idle.get()
     try:
-        found: list[FrameExamination] = child.call(list(part))
+        examinations: list[FrameExamination] = worker.call(list(chunk))
     except (OSError, EOFError):
         raise WorkerError(
-            f"a process that examined frames {part[0]} to {part[-1]} was lost ({child.close()}); "
+            f"a process that examined frames {chunk[0]} to {chunk[-1]} was lost ({worker.close()}); "
             "try fewer workers"
         ) from None
     finally:
-        # The others find out for themselves that it is lost.
-        idle.put(child)
-    return found
+        # Even a lost process goes back, so that other threads fail instead of waiting.
+        idle.put(worker)
+    return examinations
 
 
 def serve(connection: Connection) -> None:
@@ -104,87 +102,82 @@ def check_dataset(
     on_frame: Callable[[int, int], None] | None = None,
     frames: str | Sequence[int] | None = None,
 ) -> CheckResult:
-    """Look for faults in a data set; nothing is written.
+    """Check a data set; nothing is written.
 
-    Every file is read, decoded and compared with what the frame's JSON says of it; then labels, distances and
-    pictures are examined, and all frames compared with each other, with the manifest and with what the recipe
-    expects. `KINDS` lists what can be found.
+    Every file is read, decoded and compared with the frame's JSON. Then labels, measured values and
+    photographs are checked, and all frames are compared with each other, with the manifest and with the
+    expectations of the recipe. `KINDS` lists the kinds of findings.
 
     Args:
         folder: of the data set.
-        workers: processes that read frames; None for one for each core.
-        on_frame: called after every frame with the number of frames so far and of all.
-        frames: that must be there, "A:B" (0-based, half-open) or indices; None for those that builds were
-            asked for, as the journal knows them, and those that the manifest names.
+        workers: processes that read frames; None for one per core.
+        on_frame: called after every frame with the number of frames done and the number of all.
+        frames: that must exist, "A:B" (0-based, half-open) or indices; None for those that builds were asked
+            for, which the journal lists, and those in the manifest.
 
     Raises:
         InputError: the folder holds no data set, or an argument is not valid.
         WorkerError: a process was lost.
     """
-    dataset, findings = opened(Path(folder))
+    dataset, findings = open_leniently(Path(folder))
     indices = frame_indices(dataset)
     findings += stray_files(dataset, indices)
-    wanted = _wanted(dataset, frames)
-    findings += _incomplete(dataset, indices, wanted)
-    expect, faults = _expected(dataset)
-    findings += faults
+    plan = _read_plan(dataset)
+    if frames is None:
+        required: Sequence[int] = sorted(Journal(dataset.folder).wanted)
+    elif plan is None:
+        raise InputError(dataset.folder / MARK, "must be valid to select frames", key="recipe.plan")
+    else:
+        required = plan.select_indices(frames)
+    findings += _missing_frames(dataset, indices, required)
+    expect, problems = _read_expectations(dataset)
+    findings += problems
 
-    # Frame by frame, whatever the number of processes in the same order.
-    comparison, harvested = CrossFrameChecks(expect), False
-    for done, one in enumerate(examined(dataset, indices, workers), start=1):
-        findings += one.findings
-        findings += comparison.add(one.traits)
-        harvested = harvested or one.harvested
+    # Each frame by itself, in the same order for any number of workers.
+    comparison, has_harvest = CrossFrameChecks(expect), False
+    for done, examination in enumerate(examine_frames(dataset, indices, workers), start=1):
+        findings += examination.findings
+        findings += comparison.add(examination.traits)
+        has_harvest = has_harvest or examination.has_harvest
         if on_frame is not None:
             on_frame(done, len(indices))
 
-    # Then all together.
+    # All frames together.
     findings += comparison.duplicates()
-    findings += comparison.drift(whole=_is_whole(dataset, indices))
-    known = {finding.index for finding in findings if finding.kind == "incomplete"}
+    findings += comparison.drift(whole=plan is not None and len(indices) == plan.count)
+    incomplete = {finding.index for finding in findings if finding.kind == "incomplete"}
     findings += (
-        one
-        for one in manifest_faults(dataset, comparison.rows(), harvested)
-        if one.kind != "incomplete" or one.index not in known
+        finding
+        for finding in check_tables(dataset, comparison.row_digests(), has_harvest)
+        if finding.kind != "incomplete" or finding.index not in incomplete
     )
-    return CheckResult(in_order(findings), len(indices), tuple(comparison.apart()))
+    return CheckResult(sort_findings(findings), len(indices), tuple(comparison.outlier_scenes()))
 
 
-def _wanted(dataset: Dataset, frames: str | Sequence[int] | None) -> Sequence[int]:
-    """The frames that must be there for what the user says, or for what builds were asked for."""
-    if frames is None:
-        return sorted(Journal(dataset.folder).wanted)
+def _read_plan(dataset: Dataset) -> Plan | None:
     try:
-        plan = validate(Plan, dataset.info["recipe"]["plan"], dataset.folder / MARK)
-    except (KeyError, TypeError):
-        raise InputError(dataset.folder / MARK, "is required for --frames", key="recipe.plan") from None
-    return plan.select_indices(frames)
-
-
-def _is_whole(dataset: Dataset, indices: Sequence[int]) -> bool:
-    try:
-        return len(indices) == Plan.model_validate(dataset.info["recipe"]["plan"]).count
+        return Plan.model_validate(dataset.info["recipe"]["plan"])
     except (KeyError, TypeError, ValueError):
-        return False
+        return None
 
 
-def _incomplete(dataset: Dataset, indices: Sequence[int], wanted: Sequence[int]) -> list[Finding]:
+def _missing_frames(dataset: Dataset, indices: Sequence[int], required: Sequence[int]) -> list[Finding]:
     if not indices:
         return [Finding("incomplete", None, "", "there are no frames")]
-    there = set(indices)
+    existing = set(indices)
     return [
-        Finding("incomplete", index, f"{FRAMES}/{dataset.frame_path(index).name}", "is not there")
-        for index in wanted
-        if index not in there
+        Finding("incomplete", index, f"{FRAMES}/{dataset.frame_path(index).name}", "does not exist")
+        for index in required
+        if index not in existing
     ]
 
 
-def _expected(dataset: Dataset) -> tuple[ExpectTable | None, list[Finding]]:
-    """What `dataset.json` says that the recipe expects."""
-    told = dataset.info.get("expect")
-    if told is None:
+def _read_expectations(dataset: Dataset) -> tuple[ExpectTable | None, list[Finding]]:
+    """The recipe's expectations in `dataset.json`."""
+    expect = dataset.info.get("expect")
+    if expect is None:
         return None, []
     try:
-        return validate(ExpectTable, told if isinstance(told, dict) else {"expect": told}, MARK), []
-    except InputError as fault:
-        return None, [Finding("damaged", None, MARK, f"expect: {fault.key} {fault.problem}")]
+        return validate(ExpectTable, expect if isinstance(expect, dict) else {"expect": expect}, MARK), []
+    except InputError as error:
+        return None, [Finding("damaged", None, MARK, f"expect: {error.key} {error.problem}")]

@@ -6,99 +6,69 @@ Source: doi 10.4121/uuid:884958f5-b868-46e1-b3d8-a0b5d91b02c0, as public code re
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.export.run import ExportResult
-from pepperscene.dataset.export.source import ExportSource, OnFrame, export_sources, new_folder, wanted_frames
-from pepperscene.dataset.export.splits import Splits
-from pepperscene.dataset.store.dataset import Dataset
+from pepperscene.dataset.export.job import ExportFrame, ExportJob
 from pepperscene.dataset.store.images import png_bytes
 from pepperscene.truth import class_colour, distance_code
 
-SET: Final = "synthetic"
-MAPPING: Final = "frames.csv"
 _COLUMNS: Final = ("number", "index", "set", "rotation", "step", "split")
 
-_ORGANS: Final = [one for one in OrganClass if one != OrganClass.BACKGROUND]
+_ORGANS: Final = [organ for organ in OrganClass if organ != OrganClass.BACKGROUND]
 
-_COLOUR: Final = f"{SET}_image_color/{SET}_image_color"
-_GREY: Final = f"{SET}_label_class_grayscale/{SET}_label_class_all_grayscale/{SET}_label_class_all_grayscale"
-_COLOURED: Final = f"{SET}_label_class_colorscale/{SET}_label_class_colorscale"
-_DISTANCE: Final = f"{SET}_label_depth_grayscale/{SET}_label_depth_grayscale"
-"""The names of the published files in this folder are not known; these follow the others."""
+# Folder and file name of each kind of image, without the number.
+_COLOUR: Final = "synthetic_image_color/synthetic_image_color"
+_CLASS_FOLDER: Final = "synthetic_label_class_grayscale"
+_CLASS: Final = f"{_CLASS_FOLDER}/synthetic_label_class_all_grayscale/synthetic_label_class_all_grayscale"
+_CLASS_COLOUR: Final = "synthetic_label_class_colorscale/synthetic_label_class_colorscale"
+_DISTANCE_CODE: Final = "synthetic_label_depth_grayscale/synthetic_label_depth_grayscale"
+"""The published names of the files in this folder are not known; these follow the others."""
 
 
-def export_published(
-    dataset: Dataset,
-    out: Path,
-    splits: Splits,
-    *,
-    indices: Sequence[int] | None = None,
-    on_frame: OnFrame | None = None,
-) -> ExportResult:
+def write_published(job: ExportJob, folder: Path) -> None:
     """Write colour, classes (grey, binary and coloured) and 8-bit distance codes under the published names.
 
-    Frames are numbered from 1 in the order of their indices; `frames.csv` beside the folders tells which
-    index, set, rotation, step and split each number has. The layout itself knows no splits.
-
-    Args:
-        dataset: with the outputs colour, class, and distance_code or distance.
-        out: a new or an empty folder.
-        splits: frames in none are left out.
-        indices: of the frames wanted; None for all.
-        on_frame: called after every frame.
-
-    Raises:
-        InputError: an output is missing, or a file is damaged.
-        OutputError: the folder holds something, or cannot be written to.
+    Frames are numbered from 1 in the order of their indices; `frames.csv` lists the index, set, rotation,
+    step and split of each number. The layout has no splits.
     """
-    needed, instead = ("colour", "class", "distance_code"), {"distance_code": "distance"}
-    wanted = wanted_frames(dataset, splits, indices, needed, instead)
-    files = 1
-    with new_folder(out, dataset.folder) as folder:
-        for path in (*map(Path, (_COLOUR, _GREY, _COLOURED, _DISTANCE)), *map(_binary, _ORGANS)):
-            (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        with (folder / MAPPING).open("w", newline="", encoding="utf-8") as mapping:
-            rows = csv.DictWriter(mapping, _COLUMNS, extrasaction="ignore", lineterminator="\n")
-            rows.writeheader()
-            for number, source in enumerate(export_sources(dataset, wanted, on_frame), start=1):
-                for name, content in _files(source, number).items():
-                    (folder / name).write_bytes(content)
-                    files += 1
-                rows.writerow({**source.facts, "number": number, "split": splits.named(source.index)})
-    return ExportResult(out, len(wanted), files)
+    names = (_COLOUR, _CLASS, _CLASS_COLOUR, _DISTANCE_CODE, *map(_binary_name, _ORGANS))
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    with (folder / "frames.csv").open("w", newline="", encoding="utf-8") as file:
+        rows = csv.DictWriter(file, _COLUMNS, extrasaction="ignore", lineterminator="\n")
+        rows.writeheader()
+        for number, frame in enumerate(job.frames(), start=1):
+            for name, content in _images(frame).items():
+                (folder / f"{name}_{number}.png").write_bytes(content)
+            rows.writerow({**frame.metadata, "number": number, "split": job.split_of[frame.index]})
 
 
-def _binary(organ_class: OrganClass) -> Path:
-    """Folder and name, without the number, of the mask of a class."""
-    name = f"{SET}_label_class_{organ_class:d}_grayscale"
-    return Path(f"{SET}_label_class_grayscale/{name}_binary/{name}")
+def _binary_name(organ_class: OrganClass) -> str:
+    name = f"synthetic_label_class_{organ_class:d}_grayscale"
+    return f"{_CLASS_FOLDER}/{name}_binary/{name}"
 
 
-def _files(source: ExportSource, number: int) -> Mapping[str, bytes]:
-    """The content of a frame's files by their names."""
-    classes = source.image("class")
-    # What stands in the data set as it is published is not decoded and coded again.
-    coloured = (
-        source.content("class_colour") if source.has("class_colour") else png_bytes(class_colour(classes))
-    )
-    coded = (
-        source.content("distance_code")
-        if source.has("distance_code")
-        else png_bytes(distance_code(source.image("distance")))
-    )
-    named = {
-        _COLOUR: source.content("colour"),
-        _GREY: png_bytes(classes),
-        _COLOURED: coloured,
-        _DISTANCE: coded,
+def _images(frame: ExportFrame) -> Mapping[str, bytes]:
+    """PNG files of a frame by name without the number; files of the data set are copied where they fit."""
+    classes, outputs = frame.image("class"), frame.metadata["outputs"]
+    if "class_colour" in outputs:
+        coloured = frame.content("class_colour")
+    else:
+        coloured = png_bytes(class_colour(classes))
+    if "distance_code" in outputs:
+        coded = frame.content("distance_code")
+    else:
+        coded = png_bytes(distance_code(frame.image("distance")))
+    return {
+        _COLOUR: frame.content("colour"),
+        _CLASS: png_bytes(classes),
+        _CLASS_COLOUR: coloured,
+        _DISTANCE_CODE: coded,
+        # 0 and 1 as published, not 0 and 255.
+        **{_binary_name(organ): png_bytes((classes == organ).astype(np.uint8)) for organ in _ORGANS},
     }
-    for organ_class in _ORGANS:
-        # 0 and 1, as published: not 255.
-        named[_binary(organ_class).as_posix()] = png_bytes((classes == organ_class).astype(np.uint8))
-    return {f"{name}_{number}.png": content for name, content in named.items()}

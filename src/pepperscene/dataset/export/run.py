@@ -1,88 +1,59 @@
-"""The formats that a data set can be exported to; each one's module is imported when it is chosen."""
+"""Export of a data set to one of the formats, each in a separate module."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+import os
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Protocol
+from typing import Final
 
-from pepperscene.dataset.export.source import OnFrame
-from pepperscene.dataset.export.splits import Splits, read_splits
+from pepperscene.dataset.export.job import ExportJob, OnFrame, import_library
+from pepperscene.dataset.export.splits import read_splits
 from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.dataset.store.dataset import Dataset, open_dataset
-from pepperscene.errors import ArgumentError, InputError
+from pepperscene.dataset.store.folder import LITTER, check_can_create, make_folder, remove
+from pepperscene.errors import ArgumentError, InputError, OutputError
 
 
 @dataclass(frozen=True)
 class ExportResult:
-    """What an export made.
+    """Result of an export.
 
     Attributes:
-        folder: that was filled.
-        frames: how many frames are in it.
-        files: how many files are.
-        splits: how many frames each split has, where `export` tells.
+        folder: of the export.
+        frames: number of frames in it.
+        files: number of files in it.
+        splits: number of frames of each split.
     """
 
     folder: Path
     frames: int
     files: int
-    splits: Mapping[str, int] = field(default_factory=dict)
-
-
-class Exporter(Protocol):
-    """Writes the frames that have a split into a new folder.
-
-    Only frames that have a split are written, of `indices` where they are given.
-    """
-
-    def __call__(
-        self,
-        dataset: Dataset,
-        out: Path,
-        splits: Splits,
-        *,
-        indices: tuple[int, ...] | None = None,
-        on_frame: OnFrame | None = None,
-    ) -> ExportResult:
-        """Raises InputError where an output is missing, OutputError where the folder cannot be written."""
+    splits: Mapping[str, int]
 
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """One format, which is called like its exporter.
+    """One format, written by the function `write_NAME` of the module NAME."""
 
-    Attributes:
-        name: as on the command line; its module has that name and its exporter that name after `export_`.
-        meaning: one line for help texts.
-        smallest_px: fewest visible pixels of an organ that is an object of its own, unless another number is
-            asked for; None for formats that know no objects.
-    """
-
-    name: str
-    meaning: str
-    smallest_px: int | None = None
-
-    def __call__(self, *arguments: Any, **options: Any) -> ExportResult:
-        """Write a data set; see `Exporter`."""
-        module = import_module(f"pepperscene.dataset.export.{self.name}")
-        exporter: Exporter = getattr(module, f"export_{self.name}")
-        return exporter(*arguments, **options)
+    required: tuple[tuple[str, ...], ...]  # outputs of all frames; of alternatives in a tuple, one is enough
+    library: str = ""  # module that the extra `export` installs
+    smallest_px: int | None = None  # default of `export_dataset`; None for formats without objects
 
 
 FORMATS: Final = MappingProxyType(
     {
-        one.name: one
-        for one in (
-            ExportFormat("published", "folders, names and codes of the published data set"),
-            ExportFormat("coco", "COCO instances and panoptic", smallest_px=1),
-            ExportFormat("yolo", "YOLO segmentation: a polygon a line", smallest_px=12),
-            ExportFormat("webdataset", "shards of samples, for webdataset"),
-            ExportFormat("huggingface", "Parquet with pictures and a card, for Hugging Face's datasets"),
-        )
+        "published": ExportFormat((("colour",), ("class",), ("distance_code", "distance"))),
+        "coco": ExportFormat((("colour",), ("instance",)), "pycocotools.mask", smallest_px=1),
+        # Chosen: 12 pixels are less than one pixel of a network's masks, a quarter as wide as its input.
+        "yolo": ExportFormat((("colour",), ("instance",)), "cv2", smallest_px=12),
+        "webdataset": ExportFormat((("colour",), ("class",))),
+        "huggingface": ExportFormat((("colour",), ("class",))),
     }
 )
 """All formats by name."""
@@ -90,7 +61,7 @@ FORMATS: Final = MappingProxyType(
 
 def export_dataset(
     folder: str | Path,
-    form: str,
+    format_name: str,
     out: str | Path,
     split: str | None = None,
     frames: str | None = None,
@@ -101,39 +72,105 @@ def export_dataset(
 
     Args:
         folder: of the data set.
-        form: a name out of `FORMATS`.
+        format_name: a name in `FORMATS`.
         out: a new or an empty folder.
-        split: shares, "train=.8,val=.1,test=.1", or ranges, "train=0:8750,val=8750:8800"; None for all frames
-            as "train". Shares keep the plants of a set together, as far as the number of sets allows.
-        frames: "A:B", indices A to B - 1; None for all that are there.
-        on_frame: called after every frame with its index, how many are done, and how many there are.
-        smallest_px: organs of which fewer pixels are seen are no objects of their own; None for the format's
-            own number.
+        split: fractions, "train=.8,val=.1,test=.1", or ranges, "train=0:8750,val=8750:8800"; None for all
+            frames as "train". With fractions, no plant is in two splits if the number of sets allows.
+        frames: "A:B", indices A to B - 1; None for all existing frames.
+        on_frame: called after every frame with its index, the number of frames done, and that of all.
+        smallest_px: visible pixels below which an organ is not a separate object; None for the default.
 
     Raises:
-        InputError: there is no data set or no frame in it, an argument is wrong, an output is missing, or a
+        InputError: there is no data set or no frame, an argument is not valid, an output is missing, or a
             file is damaged.
-        OutputError: the folder holds something, or cannot be written to.
+        OutputError: the folder is not empty or cannot be written to.
         SetupError: a library that the format needs is not installed.
     """
-    if form not in FORMATS:
-        raise ArgumentError("format", f"unknown format {form!r}; allowed are {', '.join(FORMATS)}")
-    own = FORMATS[form].smallest_px
-    if smallest_px is not None and (own is None or smallest_px < 1):
-        allowed = "must be at least 1" if own is not None else f"is for objects, which {form} does not tell"
-        raise ArgumentError("smallest", f"{smallest_px} {allowed}")
+    if format_name not in FORMATS:
+        raise ArgumentError("format", f"unknown format {format_name!r}; allowed are {', '.join(FORMATS)}")
+    export_format = FORMATS[format_name]
+    default_px = export_format.smallest_px
+    if smallest_px is not None and (default_px is None or smallest_px < 1):
+        problem = "must be at least 1" if default_px else f"does not apply: {format_name} has no objects"
+        raise ArgumentError("smallest", f"{smallest_px} {problem}")
     dataset = open_dataset(folder)
-    there = dataset.indices()
-    if not there:
-        raise InputError(folder, "holds no frames yet; build some first")
-    plan = dataset.info["recipe"]["plan"]
-    if frames is not None:
-        wanted = set(Plan.model_validate(plan).select_indices(frames))
-        there = tuple(index for index in there if index in wanted)
-        if not there:
-            raise ArgumentError("frames", f"{frames!r} holds none of the data set's frames")
-    splits = read_splits(split, plan, there)
-    indices = tuple(index for index in there if splits.named(index))
-    options = {} if own is None else {"smallest_px": smallest_px or own}
-    done = FORMATS[form](dataset, Path(out), splits, indices=indices, on_frame=on_frame, **options)
-    return replace(done, splits={name: len(of) for name, of in splits.members(indices).items()})
+    indices = _select_frames(dataset, frames)
+    members = read_splits(split, dataset.info["recipe"]["plan"], indices).members(indices)
+    job = ExportJob(dataset, members, smallest_px or default_px or 1, on_frame)
+    if export_format.library:
+        import_library(export_format.library)
+    _check_outputs(dataset, list(job.split_of), export_format.required)
+    module = import_module(f"pepperscene.dataset.export.{format_name}")
+    with new_folder(Path(out), dataset.folder) as temporary:
+        getattr(module, f"write_{format_name}")(job, temporary)
+        files = sum(path.is_file() for path in temporary.rglob("*"))
+    counts = {name: len(members) for name, members in job.splits.items()}
+    return ExportResult(Path(out), len(job.split_of), files, counts)
+
+
+def _select_frames(dataset: Dataset, frames: str | None) -> tuple[int, ...]:
+    existing = dataset.indices()
+    if not existing:
+        raise InputError(dataset.folder, "holds no frames yet; build some first")
+    if frames is None:
+        return existing
+    wanted = set(Plan.model_validate(dataset.info["recipe"]["plan"]).select_indices(frames))
+    selected = tuple(index for index in existing if index in wanted)
+    if not selected:
+        raise ArgumentError("frames", f"{frames!r} holds none of the data set's frames")
+    return selected
+
+
+def _check_outputs(dataset: Dataset, indices: Sequence[int], required: tuple[tuple[str, ...], ...]) -> None:
+    """Raise `InputError` if a frame lacks a required output, with the command that adds it."""
+    for alternatives in required:
+        for index in indices:
+            if not any(dataset.path(index, output).is_file() for output in alternatives):
+                output = alternatives[0]
+                recipe = dataset.info["recipe"].get("name") or "RECIPE"
+                command = f"build {recipe} --out {dataset.folder} --outputs {output}"
+                problem = f"frame {index:06d} has no output {output!r}, which the format needs"
+                raise InputError(dataset.folder, f"{problem}; `pepperscene {command}` adds it")
+
+
+@contextmanager
+def new_folder(out: Path, source: Path) -> Iterator[Path]:
+    """A temporary folder that becomes `out` if the block succeeds, and is removed if it fails.
+
+    It is next to `out`. If `out` exists already (and is empty), it is inside, and its content moves up: a
+    mounted folder can be filled but not replaced. All content is on the disk before the folder has its name.
+    """
+    made: list[Path] = []
+    try:
+        _check_out(out, source)
+        name = f".{out.resolve().name}.{os.getpid()}.tmp"
+        temporary = out / name if out.is_dir() else out.absolute().with_name(name)
+        try:
+            make_folder(temporary.parent, made)
+            shutil.rmtree(temporary, ignore_errors=True)
+            temporary.mkdir()
+            yield temporary
+            if hasattr(os, "sync"):
+                # One call for all files: one for each of 100,000 takes minutes.
+                os.sync()
+            if out.is_dir():
+                for path in sorted(temporary.iterdir()):
+                    os.rename(path, out / path.name)
+                temporary.rmdir()
+            else:
+                os.rename(temporary, out)
+        except BaseException:
+            shutil.rmtree(temporary, ignore_errors=True)
+            remove(made)
+            raise
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be written ({error.strerror or error})") from None
+
+
+def _check_out(out: Path, source: Path) -> None:
+    check_can_create(out)
+    if out.resolve().is_relative_to(source.resolve()):
+        raise OutputError(f"{out}: is inside the data set {source}; choose another folder")
+    content = sorted(path.name for path in out.iterdir() if path.name not in LITTER) if out.is_dir() else []
+    if content:
+        raise OutputError(f"{out}: holds {content[0]!r}; choose an empty or a new folder")

@@ -1,4 +1,4 @@
-"""YOLO segmentation, as Ultralytics reads it: a text file for each picture, a polygon a line.
+"""YOLO segmentation as Ultralytics reads it: a text file for each image, one polygon per line.
 
 Format: https://docs.ultralytics.com/datasets/segment/.
 """
@@ -14,243 +14,188 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.export.run import ExportResult
-from pepperscene.dataset.export.segments import REST, library, segment_ids
-from pepperscene.dataset.export.source import ExportSource, OnFrame, export_sources, new_folder, wanted_frames
-from pepperscene.dataset.export.splits import EVERYTHING, Splits
-from pepperscene.dataset.store.dataset import Dataset
+from pepperscene.dataset.export.job import REST, ExportFrame, ExportJob, import_library
+from pepperscene.dataset.export.splits import DEFAULT_SPLIT
 
 Points = NDArray[np.int32]
 """`(n, 2)` column and row of pixels."""
 
 TOLERANCE_PX: Final = 0.35
-"""Chosen: how far a side may pass by the pixels that it stands for; fillers paint the same with a fifth fewer
+"""Chosen: distance between a simplified side and its pixels; filled polygons are the same with a fifth fewer
 points."""
 
-BRIDGED: Final = 0.04
-"""Chosen: most pixels of bridges over those of the pieces joined, where each could stand by itself."""
+MAX_BRIDGE_FRACTION: Final = 0.04
+"""Chosen: bridge pixels over those of the joined pieces, if each piece is large enough by itself."""
 
-WORTH: Final = 1.0
-"""Chosen: most pixels of a bridge over those of the piece that it leads to."""
+MAX_BRIDGE_RATIO: Final = 1.0
+"""Chosen: pixels of a bridge over those of the piece that it leads to."""
 
-
-@dataclass(frozen=True, eq=False)
-class Ring:
-    """A closed line through pixels, and those that hang on it by bridges.
-
-    Attributes:
-        points: in order; the last is joined to the first.
-        pixels: how many it encloses, itself included.
-        hung: by index of a point, rings and the index of the point of theirs that the bridge leads to.
-    """
-
-    points: Points
-    pixels: int
-    hung: dict[int, list[tuple[Ring, int]]] = field(default_factory=dict)
-
-    def walk(self, start: int = 0) -> list[list[int]]:
-        """The points in order from one of them, with those that hang on the ring, and back over each bridge.
-
-        The walk ends one point before it would be closed.
-        """
-        points: list[list[int]] = self.points.tolist()
-        if not self.hung:
-            return points[start:] + points[:start]
-        found = []
-        for place in (*range(start, len(points)), *range(start)):
-            found.append(points[place])
-            for ring, there in self.hung.get(place, ()):
-                found += [*ring.walk(there), ring.points[there].tolist(), points[place]]
-        return found
-
-    def hang(self, ring: Ring, here: int, there: int) -> None:
-        """Join a ring by a bridge between two points."""
-        self.hung.setdefault(here, []).append((ring, there))
+_VALIDATION_NAMES: Final = ("val", "valid", "validation", "dev")
+_DECIMALS: Final = 6  # 1/200 of a pixel in images 5,000 pixels wide
 
 
-def polygons(mask: NDArray[np.bool_], smallest_px: int) -> list[Points]:
-    """The polygons of a mask, the greatest piece's first.
-
-    Points are pixels of the mask, seen at their centres. Filled by the even-odd rule with the sides painted,
-    as OpenCV's `fillPoly` does, they give the mask again but for `TOLERANCE_PX` and `BRIDGED`.
-
-    Args:
-        mask: `(h, w)`.
-        smallest_px: polygons of fewer pixels are left out.
-
-    Raises:
-        SetupError: OpenCV is not installed.
-    """
-    found = []
-    waiting = sorted(_pieces(mask), key=lambda piece: -piece.pixels)
-    while waiting:
-        whole, pixels, waiting = _joined(waiting, smallest_px)
-        if pixels >= smallest_px:
-            found.append(np.array(whole.walk(), dtype=np.int32).reshape(-1, 2))
-    return found
-
-
-def _pieces(mask: NDArray[np.bool_]) -> list[Ring]:
-    """The connected pieces of a mask, with their holes."""
-    cv2 = library("cv2")
-    outlines, tree = cv2.findContours(mask.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
-    if len(outlines) == 1:
-        return [Ring(_simple(outlines[0]), int(np.count_nonzero(mask)))]
-    rings = []
-    for outline, (_next, _previous, _child, parent) in zip(
-        outlines, tree[0] if outlines else (), strict=True
-    ):
-        # The pixels on and within a line through pixels, by Pick's theorem; a hole's line is not its own.
-        steps = _steps(outline[:, 0])
-        pixels = round(cv2.contourArea(outline) + (1 if parent < 0 else -1) * steps / 2) + 1
-        rings.append(Ring(_simple(outline), pixels))
-    pieces = []
-    for place, ring in enumerate(rings):
-        holes = [rings[other] for other in range(len(rings)) if tree[0][other][3] == place]
-        if tree[0][place][3] >= 0:
-            continue
-        for hole in holes:
-            _, here, there = _nearest(ring.points, hole.points)
-            ring.hang(hole, here, there)
-        pieces.append(Ring(ring.points, ring.pixels - sum(hole.pixels for hole in holes), ring.hung))
-    return pieces
-
-
-def _joined(pieces: list[Ring], smallest_px: int) -> tuple[Ring, int, list[Ring]]:
-    """The first piece with those that are worth a bridge, nearest first; their pixels; the other pieces."""
-    root, *others = pieces
-    pixels, painted = root.pixels, 0.0
-    # The shortest bridge from what is joined to each of the others: length, points, from which ring.
-    best = [(*_nearest(root.points, other.points), root) for other in others]
-
-    def fits(place: int) -> bool:
-        cost, gain = max(best[place][0] - 1, 0.0), others[place].pixels
-        cheap = painted + cost <= BRIDGED * (pixels + gain)
-        return cost <= WORTH * gain and (cheap or gain < smallest_px)
-
-    while fitting := [place for place in range(len(others)) if fits(place)]:
-        place = min(fitting, key=lambda one: best[one][0])
-        (length, here, there, ring), piece = best.pop(place), others.pop(place)
-        ring.hang(piece, here, there)
-        pixels, painted = pixels + piece.pixels, painted + max(length - 1, 0.0)
-        for k, other in enumerate(others):
-            new = _nearest(piece.points, other.points)
-            if new[0] < best[k][0]:
-                best[k] = (*new, piece)
-    return root, pixels, others
-
-
-def _nearest(these: Points, those: Points) -> tuple[float, int, int]:
-    """How many pixels a line between the nearest points steps over, and their indices."""
-    steps = np.maximum(
-        np.abs(these[:, None, 0] - those[None, :, 0]), np.abs(these[:, None, 1] - those[None, :, 1])
-    )
-    here, there = divmod(int(steps.argmin()), len(those))
-    return float(steps[here, there]), here, there
-
-
-def _steps(points: Points) -> int:
-    """How many pixels a closed line steps over; its sides run straight or diagonally."""
-    steps = np.abs(np.diff(points, axis=0, append=points[:1]))
-    return int(np.maximum(steps[:, 0], steps[:, 1]).sum())
-
-
-def _simple(outline: Points) -> Points:
-    """The outline that OpenCV gives, with fewer points."""
-    points: Points = library("cv2").approxPolyDP(outline, TOLERANCE_PX, True)[:, 0]
-    return points
-
-
-_VALIDATION: Final = ("val", "valid", "validation", "dev")
-_DECIMALS: Final = 6  # a two-hundredth of a pixel in pictures of 5,000
-
-
-def export_yolo(
-    dataset: Dataset,
-    out: Path,
-    splits: Splits,
-    *,
-    indices: Sequence[int] | None = None,
-    on_frame: OnFrame | None = None,
-    smallest_px: int = 12,
-) -> ExportResult:
+def write_yolo(job: ExportJob, folder: Path) -> None:
     """Write `images/train/000110.png`, `labels/train/000110.txt` and `data.yaml`.
 
-    A line is an organ of a plant: its class id less 1, as ids start at 0 and the background has none, and
-    its polygon over the width and height of the picture, through the centres of pixels. What belongs to no
-    plant is left out, for the format knows no crowd.
-
-    Args:
-        dataset: with the outputs colour and instance.
-        out: a new or an empty folder.
-        splits: frames in none are left out.
-        indices: of the frames wanted; None for all.
-        on_frame: called after every frame.
-        smallest_px: organs of which fewer pixels are seen are left out, and pieces of fewer. Chosen: three by
-            four pixels, less than one pixel of a network's masks, a quarter as wide as its input.
-
-    Raises:
-        InputError: an output is missing, or a file is damaged.
-        OutputError: the folder holds something, or cannot be written to.
-        SetupError: OpenCV is not installed.
+    A line is an organ of a plant: its class id minus 1, as ids start at 0 and the background has none, and
+    the pixel centres of its polygon over the width and height of the image. What belongs to no plant, organs
+    below `smallest_px` and pieces below it are left out, as the format has no crowd.
     """
-    library("cv2")
-    wanted = wanted_frames(dataset, splits, indices, ("colour", "instance"))
-    names = list(splits.members(wanted))
-    with new_folder(out, dataset.folder) as folder:
-        for name in names:
-            (folder / "images" / name).mkdir(parents=True)
-            (folder / "labels" / name).mkdir(parents=True)
-        (folder / "data.yaml").write_text(_description(names), encoding="utf-8")
-        for source in export_sources(dataset, wanted, on_frame):
-            split = splits.named(source.index)
-            (folder / "images" / split / f"{source.name}.png").write_bytes(source.content("colour"))
-            lines = label_lines(source, smallest_px)
-            (folder / "labels" / split / f"{source.name}.txt").write_text(
-                "".join(f"{line}\n" for line in lines), encoding="ascii"
-            )
-    return ExportResult(out, len(wanted), 2 * len(wanted) + 1)
+    (folder / "data.yaml").write_text(_description(list(job.splits)), encoding="utf-8")
+    for split, frames in job.frames_by_split():
+        images, labels = folder / "images" / split, folder / "labels" / split
+        images.mkdir(parents=True)
+        labels.mkdir(parents=True)
+        for frame in frames:
+            (images / f"{frame.name}.png").write_bytes(frame.content("colour"))
+            lines = "".join(f"{line}\n" for line in _label_lines(frame, job.smallest_px))
+            (labels / f"{frame.name}.txt").write_text(lines, encoding="ascii")
 
 
-def label_lines(source: ExportSource, smallest_px: int) -> list[str]:
+def _description(splits: Sequence[str]) -> str:
+    """`data.yaml`, with paths relative to its folder; readers require both `train` and `val`."""
+    folders = {split: f"images/{split}" for split in splits}
+    validation = next((name for name in _VALIDATION_NAMES if name in splits), splits[0])
+    for name, substitute in ((DEFAULT_SPLIT, splits[0]), ("val", validation)):
+        folders.setdefault(name, f"images/{substitute}  # there is no split of this name")
+    classes = [
+        f"  {organ - 1}: {organ.name.lower()}" for organ in OrganClass if organ != OrganClass.BACKGROUND
+    ]
+    return "\n".join([*(f"{name}: {path}" for name, path in folders.items()), "names:", *classes]) + "\n"
+
+
+def _label_lines(frame: ExportFrame, smallest_px: int) -> list[str]:
     """The lines of a frame's label file, by ascending instance."""
     from scipy import ndimage
 
-    ids = segment_ids(source, smallest_px)
+    ids = frame.segment_ids(smallest_px)
     height, width = ids.shape
-    across, down = _centres(width), _centres(height)
-    known = source.facts["instances"]
+    xs, ys = _pixel_centres(width), _pixel_centres(height)
     lines = []
     for value, window in enumerate(ndimage.find_objects(ids.astype("int32"), max_label=REST - 1), start=1):
         if window is None:
             continue
         rows, columns = window
-        for polygon in polygons(ids[window] == value, smallest_px):
-            xy = " ".join(
-                f"{across[columns.start + x]} {down[rows.start + y]}" for x, y in _three(polygon).tolist()
-            )
-            lines.append(f"{known[str(value)]['class'] - 1} {xy}")
+        class_id = frame.metadata["instances"][str(value)]["class"] - 1
+        for polygon in mask_polygons(ids[window] == value, smallest_px):
+            # At least three points: readers take two for a box.
+            points = polygon if len(polygon) > 2 else polygon[[0, 0, -1]]
+            xy = " ".join(f"{xs[columns.start + x]} {ys[rows.start + y]}" for x, y in points.tolist())
+            lines.append(f"{class_id} {xy}")
     return lines
 
 
-def _three(polygon: Points) -> Points:
-    """At least three points: readers take two for a box."""
-    return polygon if len(polygon) > 2 else polygon[[0, 0, -1]]
+def _pixel_centres(count: int) -> list[str]:
+    """Relative positions in [0, 1] of the pixel centres of a row or column, as text."""
+    return [f"{(position + 0.5) / count:.{_DECIMALS}f}" for position in range(count)]
 
 
-def _centres(count: int) -> list[str]:
-    """Where the centres of a row of pixels lie in [0, 1]."""
-    return [f"{(place + 0.5) / count:.{_DECIMALS}f}" for place in range(count)]
+@dataclass(frozen=True, eq=False)
+class Ring:
+    """A closed line through pixels, with further rings attached by bridges."""
+
+    points: Points
+    pixels: int  # enclosed by the line, and those of the line
+    # By index of a point, rings and the index of their point at the other end of the bridge.
+    attached: dict[int, list[tuple[Ring, int]]] = field(default_factory=dict)
+
+    def attach(self, ring: Ring, point: int, other_point: int) -> None:
+        """Join a ring by a bridge between two points."""
+        self.attached.setdefault(point, []).append((ring, other_point))
+
+    def outline(self, start: int = 0) -> list[list[int]]:
+        """Points from one of them around the ring, over each bridge, around its ring, and back.
+
+        The outline is closed by a line to its first point.
+        """
+        points: list[list[int]] = self.points.tolist()
+        if not self.attached:
+            return points[start:] + points[:start]
+        outline = []
+        for index in (*range(start, len(points)), *range(start)):
+            outline.append(points[index])
+            for ring, other in self.attached.get(index, ()):
+                outline += [*ring.outline(other), ring.points[other].tolist(), points[index]]
+        return outline
 
 
-def _description(names: Sequence[str]) -> str:
-    """`data.yaml`; paths are seen from its own folder. Readers want both `train` and `val`."""
-    lines = [f"{name}: images/{name}" for name in names]
-    if EVERYTHING not in names:
-        lines.append(f"train: images/{names[0]}  # there is no split of this name")
-    if "val" not in names:
-        other = next((name for name in _VALIDATION if name in names), names[0])
-        lines.append(f"val: images/{other}  # there is no split of this name")
-    lines.append("names:")
-    lines += [f"  {one - 1}: {one.name.lower()}" for one in OrganClass if one != OrganClass.BACKGROUND]
-    return "\n".join(lines) + "\n"
+def mask_polygons(mask: NDArray[np.bool_], smallest_px: int) -> list[Points]:
+    """Polygons of a mask, the one of the largest piece first.
+
+    Points are pixels of the mask. Filled by the even-odd rule including their sides, as OpenCV's `fillPoly`
+    does, they give the mask again except for `TOLERANCE_PX` and `MAX_BRIDGE_FRACTION`. Polygons of fewer than
+    `smallest_px` pixels are left out.
+    """
+    polygons = []
+    pieces = sorted(_find_pieces(mask), key=lambda piece: -piece.pixels)
+    while pieces:
+        ring, pixels, pieces = _join_pieces(pieces, smallest_px)
+        if pixels >= smallest_px:
+            polygons.append(np.array(ring.outline(), dtype=np.int32).reshape(-1, 2))
+    return polygons
+
+
+def _find_pieces(mask: NDArray[np.bool_]) -> list[Ring]:
+    """The connected pieces of a mask, with their holes attached."""
+    cv2 = import_library("cv2")
+    contours, hierarchy = cv2.findContours(mask.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    if len(contours) == 1:
+        return [Ring(_simplify(contours[0]), int(np.count_nonzero(mask)))]
+    rings, parents = [], [entry[3] for entry in hierarchy[0]] if contours else []
+    for contour, parent in zip(contours, parents, strict=True):
+        # The pixels on and within a line through pixels, by Pick's theorem; the line of a hole is outside it.
+        length = _perimeter(contour[:, 0])
+        pixels = round(cv2.contourArea(contour) + (1 if parent < 0 else -1) * length / 2) + 1
+        rings.append(Ring(_simplify(contour), pixels))
+    pieces = []
+    for index, ring in enumerate(rings):
+        if parents[index] >= 0:
+            continue
+        holes = [hole for hole, parent in zip(rings, parents, strict=True) if parent == index]
+        for hole in holes:
+            _, point, hole_point = _nearest_points(ring.points, hole.points)
+            ring.attach(hole, point, hole_point)
+        pieces.append(Ring(ring.points, ring.pixels - sum(hole.pixels for hole in holes), ring.attached))
+    return pieces
+
+
+def _join_pieces(pieces: list[Ring], smallest_px: int) -> tuple[Ring, int, list[Ring]]:
+    """The first piece with those worth a bridge attached, nearest first; its pixels; the other pieces."""
+    root, *others = pieces
+    pixels, bridge_pixels = root.pixels, 0.0
+    # The shortest bridge from what is joined to each of the others: length, both points, ring it starts from.
+    bridges = [(*_nearest_points(root.points, other.points), root) for other in others]
+
+    def is_worth(index: int) -> bool:
+        cost, gain = max(bridges[index][0] - 1, 0.0), others[index].pixels
+        is_cheap = bridge_pixels + cost <= MAX_BRIDGE_FRACTION * (pixels + gain)
+        return cost <= MAX_BRIDGE_RATIO * gain and (is_cheap or gain < smallest_px)
+
+    while candidates := [index for index in range(len(others)) if is_worth(index)]:
+        nearest = min(candidates, key=lambda index: bridges[index][0])
+        (length, point, other_point, ring), piece = bridges.pop(nearest), others.pop(nearest)
+        ring.attach(piece, point, other_point)
+        pixels, bridge_pixels = pixels + piece.pixels, bridge_pixels + max(length - 1, 0.0)
+        for index, other in enumerate(others):
+            bridge = _nearest_points(piece.points, other.points)
+            if bridge[0] < bridges[index][0]:
+                bridges[index] = (*bridge, piece)
+    return root, pixels, others
+
+
+def _nearest_points(a: Points, b: Points) -> tuple[float, int, int]:
+    """Number of pixels from the nearest point of one ring to that of another, and indices of both points."""
+    steps = np.maximum(np.abs(a[:, None, 0] - b[None, :, 0]), np.abs(a[:, None, 1] - b[None, :, 1]))
+    index_a, index_b = divmod(int(steps.argmin()), len(b))
+    return float(steps[index_a, index_b]), index_a, index_b
+
+
+def _perimeter(points: Points) -> int:
+    """Number of pixels of a closed line whose sides are straight or diagonal."""
+    steps = np.abs(np.diff(points, axis=0, append=points[:1]))
+    return int(np.maximum(steps[:, 0], steps[:, 1]).sum())
+
+
+def _simplify(contour: Points) -> Points:
+    points: Points = import_library("cv2").approxPolyDP(contour, TOLERANCE_PX, True)[:, 0]
+    return points

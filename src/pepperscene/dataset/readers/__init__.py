@@ -1,4 +1,4 @@
-"""Readers: rendered and published data sets, and folders of images with masks, as one in-memory type."""
+"""Readers of rendered and published data sets and of folders of images with masks, as one type."""
 
 from pepperscene.dataset.readers.folder import FolderSet
 from pepperscene.dataset.readers.labels import KNOWN_LABELS, LabelMap

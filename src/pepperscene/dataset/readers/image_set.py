@@ -1,4 +1,4 @@
-"""Pictures with their labels in memory, wherever they come from: rendered, published, a folder of masks."""
+"""Labelled images in memory, whether rendered, published or from a folder of images with masks."""
 
 from __future__ import annotations
 
@@ -11,26 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 VOID: Final = 255
-"""Class id of a pixel of which nobody says what it shows: neither background nor anything else.
-
-The value that Cityscapes and PASCAL VOC write for it; losses and measures leave it out (`ignore_index=255`).
-"""
+"""Class id of unlabelled pixels, as in Cityscapes and PASCAL VOC; losses and metrics ignore it
+(`ignore_index=255`). It is not the background."""
 
 FIELDS: Final = ("colour", "classes", "instances", "distance_m", "facts")
-"""What a reader can be told to read, or to leave on the disk."""
+"""Fields of `LabelledImage` that a reader reads or skips."""
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledImage:
-    """One picture with what is known of it; None stands for what is not known, or was not read.
+    """One image with its labels; a field is None if it is not known or was not read.
 
     Attributes:
-        name: unique within its set; names sort naturally.
+        name: unique within its set.
         colour: `(h, w, 3)` uint8, sRGB.
         classes: `(h, w)` uint8, ids of `OrganClass`, or `VOID`.
         instances: `(h, w)` uint16, 0 where there is none.
         distance_m: `(h, w)` float32, metres along the ray from the projection centre, inf for none.
-        facts: whatever else its set tells: the JSON of a rendered frame, the files of a found one.
+        facts: further metadata: the JSON of a rendered frame, the files of an image in a folder.
     """
 
     name: str
@@ -41,36 +39,36 @@ class LabelledImage:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        sizes = {image.shape[:2] for image in self._images() if image is not None}
+        sizes = self._sizes()
         if len(sizes) > 1:
             raise ValueError(f"{self.name}: its images differ in size, {sorted(sizes)}")
 
-    def _images(self) -> tuple[NDArray[Any] | None, ...]:
-        return self.colour, self.classes, self.instances, self.distance_m
+    def _sizes(self) -> set[tuple[int, int]]:
+        arrays = (self.colour, self.classes, self.instances, self.distance_m)
+        return {(array.shape[0], array.shape[1]) for array in arrays if array is not None}
 
     @property
     def size(self) -> tuple[int, int]:
         """Height and width in pixels.
 
         Raises:
-            ValueError: no image was read.
+            ValueError: no array was read.
         """
-        for image in self._images():
-            if image is not None:
-                return int(image.shape[0]), int(image.shape[1])
+        for size in self._sizes():
+            return size
         raise ValueError(f"{self.name} holds no image")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ImageSet(Sequence[LabelledImage]):
-    """Labelled pictures in the natural order of their names; each is read when it is asked for.
+    """Labelled images in natural order of their names, read on access.
 
-    `images[3]` reads a picture, `images[3:9]` is a smaller set of which nothing is read yet.
+    `images[3]` reads an image; `images[3:9]` is a smaller set, of which nothing is read yet.
 
     Attributes:
-        name: of the set, for people.
-        items: what each picture is read from, in order.
-        fields: what is read of it, out of `FIELDS`; the rest stays None.
+        name: of the set, for display.
+        items: what each image is read from, in order.
+        fields: the fields of `FIELDS` that are read; the others stay None.
     """
 
     name: str
@@ -79,41 +77,41 @@ class ImageSet(Sequence[LabelledImage]):
 
     @abstractmethod
     def names(self) -> tuple[str, ...]:
-        """The pictures' names, in order; nothing is read."""
+        """Names of the images, in order; nothing is read."""
 
     @abstractmethod
     def read(self, item: Any) -> LabelledImage:
-        """The picture of one of `items`.
+        """Read the image of one of `items`.
 
         Raises:
-            InputError: a file is missing, damaged, or does not fit to its picture.
+            InputError: a file is missing, damaged, or does not match its image.
         """
 
     def select(self, *fields: str) -> Self:
-        """The same pictures, of which only these fields are read.
+        """The same images, of which only these fields are read.
 
         Raises:
-            ValueError: a name is none of `FIELDS`.
+            ValueError: a name is not in `FIELDS`.
         """
         unknown = sorted(set(fields) - set(FIELDS))
         if unknown:
             raise ValueError(f"unknown fields {', '.join(unknown)}; allowed are {', '.join(FIELDS)}")
         return replace(self, fields=tuple(name for name in FIELDS if name in fields))
 
-    def take(self, places: Sequence[int]) -> Self:
-        """The pictures at these places, in this order."""
-        return replace(self, items=tuple(self.items[place] for place in places))
+    def take(self, positions: Sequence[int]) -> Self:
+        """The images at these positions, in this order."""
+        return replace(self, items=tuple(self.items[position] for position in positions))
 
     def __len__(self) -> int:
         return len(self.items)
 
     @overload
-    def __getitem__(self, place: int) -> LabelledImage: ...
+    def __getitem__(self, position: int) -> LabelledImage: ...
 
     @overload
-    def __getitem__(self, place: slice) -> Self: ...
+    def __getitem__(self, position: slice) -> Self: ...
 
-    def __getitem__(self, place: int | slice) -> LabelledImage | Self:
-        if isinstance(place, slice):
-            return replace(self, items=self.items[place])
-        return self.read(self.items[place])
+    def __getitem__(self, position: int | slice) -> LabelledImage | Self:
+        if isinstance(position, slice):
+            return replace(self, items=self.items[position])
+        return self.read(self.items[position])

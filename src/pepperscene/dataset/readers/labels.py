@@ -1,4 +1,4 @@
-"""What the values or colours of a foreign mask mean, as classes of this package."""
+"""Tables from the values or colours of masks to the classes of this package."""
 
 from __future__ import annotations
 
@@ -19,88 +19,68 @@ from pepperscene.errors import InputError
 
 Colour = tuple[int, int, int]
 
-OTHERWISE: Final = "otherwise"
-"""The key that stands for all values that no other key names."""
-
 LABEL_FILE: Final = "classes.toml"
 
-_NEAR: Final = 32.0
-"""Distance in 8-bit RGB within which a colour counts as one of the told ones. Chosen: above the few grey
-values by which readers of the published set differ, below half the least distance between its colours."""
+_MAX_DISTANCE: Final = 32.0
+"""In 8-bit RGB, at which a colour still matches one of the table. Chosen: above the few grey values by which
+readers of the published set differ, below half the smallest distance between its colours."""
 
-_COLOUR: Final = re.compile(r"#([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})")
-_NAMES: Final = {**{organ.name.lower(): int(organ) for organ in OrganClass}, "void": VOID}
+_HEX_COLOUR: Final = re.compile(r"#([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})")
+_CLASS_IDS: Final = {**{organ.name.lower(): int(organ) for organ in OrganClass}, "void": VOID}
 
 
 @dataclass(frozen=True)
 class LabelMap:
-    """A table from mask values, or mask colours, to class ids.
+    """A table from mask values, or mask colours, to class ids."""
 
-    Attributes:
-        where: what says so, for messages.
-        values: class id by mask value.
-        colours: class id by 8-bit RGB; the nearest colour counts.
-        otherwise: class id of all else; None when all else is a fault.
-    """
-
-    where: str
+    source: str  # file or argument that defines it, for messages
     values: Mapping[int, int] = field(default_factory=dict)
-    colours: Mapping[Colour, int] = field(default_factory=dict)
-    otherwise: int | None = None
+    colours: Mapping[Colour, int] = field(default_factory=dict)  # by 8-bit RGB; the nearest colour counts
+    otherwise: int | None = None  # class id of all else; None if all else is an error
 
-    def of_values(self, values: NDArray[np.integer[Any]], where: Path) -> NDArray[np.uint8]:
-        """Class ids of mask values, of any shape.
+    def map_values(self, values: NDArray[np.integer[Any]], file: str | Path) -> NDArray[np.uint8]:
+        """Class ids of mask values, of any shape; `file` is for messages."""
+        distinct, inverse = np.unique(values, return_inverse=True)
+        ids = [self.values.get(int(value), self.otherwise) for value in distinct]
+        undefined = [str(value) for value, known in zip(distinct, ids, strict=True) if known is None]
+        if undefined:
+            raise self._undefined_error(file, "value", undefined)
+        return np.array(ids, np.uint8)[inverse].reshape(values.shape)
 
-        Raises:
-            InputError: a value has no meaning.
-        """
-        found, place = np.unique(values, return_inverse=True)
-        ids = [self.values.get(int(value), self.otherwise) for value in found]
-        missing = [str(value) for value, known in zip(found, ids, strict=True) if known is None]
-        if missing:
-            raise self._without_meaning(where, "value", missing)
-        return np.array(ids, np.uint8)[place].reshape(values.shape)
-
-    def of_colours(self, rgb: NDArray[np.uint8], where: Path) -> NDArray[np.uint8]:
-        """Class ids `(...)` of mask colours `(..., 3)`, by the nearest colour that is near enough.
-
-        Raises:
-            InputError: a colour is near to none.
-        """
+    def map_colours(self, rgb: NDArray[np.uint8], file: str | Path) -> NDArray[np.uint8]:
+        """Class ids `(...)` of mask colours `(..., 3)`, by the nearest colour; `file` is for messages."""
         packed = rgb.astype(np.uint32) @ np.array([65536, 256, 1], np.uint32)
-        codes, place = np.unique(packed, return_inverse=True)
-        found = np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=-1).astype(float)
+        codes, inverse = np.unique(packed, return_inverse=True)
+        distinct = np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=-1).astype(float)
         known = np.array(list(self.colours), float).reshape(-1, 3)
-        far = np.linalg.norm(found[:, None] - known, axis=-1)
-        near = far.min(axis=1, initial=np.inf) <= _NEAR
+        distances = np.linalg.norm(distinct[:, None] - known, axis=-1)
+        near = distances.min(axis=1, initial=np.inf) <= _MAX_DISTANCE
         if self.otherwise is None and not near.all():
-            raise self._without_meaning(where, "colour", [f"#{code:06x}" for code in codes[~near]])
+            raise self._undefined_error(file, "colour", [f"#{code:06x}" for code in codes[~near]])
         ids = np.full(len(codes), VOID if self.otherwise is None else self.otherwise, np.uint8)
-        ids[near] = np.array(list(self.colours.values()), np.uint8)[far[near].argmin(axis=1)]
-        return ids[place].reshape(packed.shape)
+        ids[near] = np.array(list(self.colours.values()), np.uint8)[distances[near].argmin(axis=1)]
+        return ids[inverse].reshape(packed.shape)
 
-    def knows(self, values: NDArray[np.integer[Any]]) -> bool:
-        """Whether every one of these mask values has a meaning."""
+    def covers(self, values: NDArray[np.integer[Any]]) -> bool:
+        """Whether every one of these mask values has a class."""
         if self.otherwise is not None and self.values:
             return True
         return set(np.unique(values).tolist()) <= set(self.values)
 
-    def _without_meaning(self, where: Path, kind: str, found: list[str]) -> InputError:
-        shown = ", ".join(found[:8]) + (", …" if len(found) > 8 else "")
-        plural = "s" if len(found) > 1 else ""
-        return InputError(
-            where, f'has the {kind}{plural} {shown}, of which {self.where} says nothing ("void" leaves out)'
-        )
+    def _undefined_error(self, file: str | Path, kind: str, undefined: list[str]) -> InputError:
+        examples = ", ".join(undefined[:8]) + (", …" if len(undefined) > 8 else "")
+        plural = "s" if len(undefined) > 1 else ""
+        problem = f"has the {kind}{plural} {examples}, for which {self.source} defines no class"
+        return InputError(file, f'{problem} (use "void" to ignore pixels)')
 
 
-def labels_of(told: Mapping[Any, Any], where: str | Path) -> LabelMap:
-    """A table as a user writes it.
+def parse_labels(table: Mapping[Any, Any], source: str | Path) -> LabelMap:
+    """Parse a table as a user writes it.
 
     Args:
-        told: keys are mask values (5 or "5"), mask colours ((255, 0, 0) or "#ff0000") or "otherwise"; values
-            are classes: an `OrganClass`, its name in lower case, or "void" (or None) for pixels of which
-            nobody says anything.
-        where: the file or argument that says so.
+        table: keys are mask values (5 or "5"), mask colours ((255, 0, 0) or "#ff0000") or "otherwise"; values
+            are classes: an `OrganClass`, its name in lower case, or "void" (or None) for unlabelled pixels.
+        source: file or argument that holds the table.
 
     Raises:
         InputError: a key or a value is something else, or there are none.
@@ -108,54 +88,50 @@ def labels_of(told: Mapping[Any, Any], where: str | Path) -> LabelMap:
     values: dict[int, int] = {}
     colours: dict[Colour, int] = {}
     otherwise: int | None = None
-    for key, meant in told.items():
-        organ = _class_id(meant, str(key), where)
-        if key == OTHERWISE:
-            otherwise = organ
-        elif (colour := _colour(key)) is not None:
-            colours[colour] = organ
-        elif (value := _value(key)) is not None:
-            values[value] = organ
+    for key, organ_class in table.items():
+        class_id = _parse_class(organ_class, str(key), source)
+        if key == "otherwise":
+            otherwise = class_id
+        elif (colour := _parse_colour(key)) is not None:
+            colours[colour] = class_id
+        elif (value := _parse_value(key)) is not None:
+            values[value] = class_id
         else:
-            raise InputError(
-                where, 'must be a mask value, a colour as "#ff0000", or "otherwise"', key=str(key)
-            )
+            allowed = 'must be a mask value, a colour as "#ff0000", or "otherwise"'
+            raise InputError(source, allowed, key=str(key))
     if not values and not colours:
-        raise InputError(where, "must give a class to at least one mask value or colour")
-    return LabelMap(str(where), values, colours, otherwise)
+        raise InputError(source, "must give a class to at least one mask value or colour")
+    return LabelMap(str(source), values, colours, otherwise)
 
 
-def labels_in(folder: Path) -> LabelMap | None:
-    """What the `classes.toml` of a folder says; None when there is none.
-
-    Raises:
-        InputError: the file is damaged.
-    """
+def read_labels(folder: Path) -> LabelMap | None:
+    """Read the `classes.toml` of a folder; None if there is none."""
     path = folder / LABEL_FILE
-    return labels_of(read_toml(path), path) if path.exists() else None
+    return parse_labels(read_toml(path), path) if path.exists() else None
 
 
-def _class_id(meant: Any, key: str, where: str | Path) -> int:
-    if meant is None:
+def _parse_class(organ_class: Any, key: str, source: str | Path) -> int:
+    if organ_class is None:
         return VOID
-    if isinstance(meant, str) and meant in _NAMES:
-        return _NAMES[meant]
-    if isinstance(meant, int) and not isinstance(meant, bool) and meant in _NAMES.values():
-        return int(meant)
-    raise InputError(where, f"must be one of {', '.join(_NAMES)}", key=key, value=meant)
+    if isinstance(organ_class, str) and organ_class in _CLASS_IDS:
+        return _CLASS_IDS[organ_class]
+    is_integer = isinstance(organ_class, int) and not isinstance(organ_class, bool)
+    if is_integer and organ_class in _CLASS_IDS.values():
+        return int(organ_class)
+    raise InputError(source, f"must be one of {', '.join(_CLASS_IDS)}", key=key, value=organ_class)
 
 
-def _colour(key: Any) -> Colour | None:
-    """A colour told as three numbers or as #rrggbb."""
+def _parse_colour(key: Any) -> Colour | None:
+    """A colour written as three numbers or as #rrggbb."""
     if isinstance(key, str):
-        match = _COLOUR.fullmatch(key)
+        match = _HEX_COLOUR.fullmatch(key)
         return None if match is None else (int(match[1], 16), int(match[2], 16), int(match[3], 16))
     if isinstance(key, tuple) and len(key) == 3 and all(isinstance(k, int) and 0 <= k <= 255 for k in key):
         return key
     return None
 
 
-def _value(key: Any) -> int | None:
+def _parse_value(key: Any) -> int | None:
     if isinstance(key, str) and key.isascii() and key.isdecimal():
         return int(key)
     return int(key) if isinstance(key, int) and not isinstance(key, bool) and key >= 0 else None
@@ -164,7 +140,7 @@ def _value(key: Any) -> int | None:
 PALETTE: Final = LabelMap(
     "the published colour scale", colours={colour: organ for organ, colour in enumerate(CLASS_COLOURS)}
 )
-"""The published colours; what a mask in colours means when nobody says otherwise."""
+"""The published colours, which colour masks mean unless a table says otherwise."""
 
 KNOWN_LABELS: Final[Mapping[str, LabelMap]] = MappingProxyType(
     {
@@ -173,12 +149,12 @@ KNOWN_LABELS: Final[Mapping[str, LabelMap]] = MappingProxyType(
             "'published'", {**{int(organ): int(organ) for organ in OrganClass}, VOID: VOID}, PALETTE.colours
         ),
         # Montoya Cavero and Escobedo 2021, "Sweet Pepper and Peduncle Segmentation": green fruit, red fruit,
-        # green peduncle, yellow fruit, red peduncle; all else is one background, leaves and stems as well, so
-        # that nothing is known of it.
-        "montoya2021": labels_of(
+        # green peduncle, yellow fruit, red peduncle; all else, leaves and stems included, is one background,
+        # which is therefore void.
+        "montoya2021": parse_labels(
             {0: "void", 1: "pepper", 2: "pepper", 3: "peduncle", 4: "pepper", 5: "peduncle", 255: "void"},
             "'montoya2021'",
         ),
     }
 )
-"""Meanings of masks that are known by name."""
+"""Label tables that are known by name."""

@@ -1,8 +1,8 @@
-"""Reading a data set of this package."""
+"""Opening images of any layout; reading a data set of this package."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self, final
@@ -29,52 +29,39 @@ _SOURCES: Final[Mapping[str, tuple[tuple[str, Any], ...]]] = {
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RenderedSet(ImageSet):
-    """The frames of a data set; their JSON are the facts, with the harvest under the key `harvest`.
-
-    Attributes:
-        dataset: the data set.
-        items: indices of the frames.
-    """
+    """Frames of a data set, with the frame's JSON as metadata and its harvest under the key `harvest`."""
 
     dataset: Dataset
-    items: tuple[int, ...]
+    items: tuple[int, ...]  # indices of the frames
 
     @classmethod
-    def of(cls, dataset: Dataset, indices: Iterable[int] | None = None) -> Self:
-        """The frames of a data set that are there, or some of them.
-
-        Raises:
-            InputError: there is none.
-        """
-        items = dataset.indices() if indices is None else tuple(indices)
+    def from_dataset(cls, dataset: Dataset) -> Self:
+        """All frames of a data set."""
+        items = dataset.indices()
         if not items:
             raise InputError(dataset.folder, "holds no frames")
         return cls(name=dataset.folder.resolve().name, dataset=dataset, items=items)
 
     def names(self) -> tuple[str, ...]:
-        """The indices with six digits, as the files are called."""
+        """The indices with six digits, as in the file names."""
         return tuple(_name(index) for index in self.items)
 
     def read(self, item: int) -> LabelledImage:
-        """One frame; a field whose output the frame lacks is None.
-
-        Raises:
-            InputError: there is no such frame, or a file of it is missing or damaged.
-        """
-        facts = self.dataset.metadata(item)
-        there = facts.get("outputs", {})
-        images = {name: self._image(item, name, there) for name in _SOURCES}
+        """Read one frame; a field is None if the frame lacks its outputs."""
+        metadata = self.dataset.metadata(item)
+        outputs = metadata.get("outputs", {})
+        arrays = {field: self._array(item, field, outputs) for field in _SOURCES}
         if "facts" not in self.fields:
-            facts = {}
-        elif "harvest" in there:
-            facts["harvest"] = self.dataset.image(item, "harvest")
-        return LabelledImage(_name(item), facts=facts, **images)
+            metadata = {}
+        elif "harvest" in outputs:
+            metadata["harvest"] = self.dataset.image(item, "harvest")
+        return LabelledImage(_name(item), facts=metadata, **arrays)
 
-    def _image(self, index: int, name: str, there: Mapping[str, Any]) -> NDArray[Any] | None:
-        if name not in self.fields:
+    def _array(self, index: int, field: str, outputs: Mapping[str, Any]) -> NDArray[Any] | None:
+        if field not in self.fields:
             return None
-        for output, decode in _SOURCES[name]:
-            if output in there:
+        for output, decode in _SOURCES[field]:
+            if output in outputs:
                 image = self.dataset.image(index, output)
                 return image if decode is None else decode(image)
         return None
@@ -87,28 +74,29 @@ def _name(index: int) -> str:
 def open_images(
     path: str | Path, *, half: str | None = None, labels: str | LabelMap | Mapping[Any, Any] | None = None
 ) -> ImageSet:
-    """The pictures of a folder with their labels; nothing is read before a picture is asked for.
+    """Open the labelled images of a folder; each is read on access.
 
     Args:
-        path: a data set of this package, the published data set or an export to its layout, or any folder of
+        path: a data set of this package, the published data set or an export in its layout, or any folder of
             images with masks.
-        half: "synthetic" or "empirical" of the published data set, where both are there.
-        labels: what the masks of a folder mean: a name ("published", "montoya2021"), or a table from mask
-            values or colours to classes; None reads the folder's `classes.toml`. See `labels_of`.
+        half: "synthetic" or "empirical", if the published data set holds both.
+        labels: meaning of the masks of a folder: a name ("published", "montoya2021"), or a table from mask
+            values or colours to classes (see `parse_labels`); None reads the folder's `classes.toml`.
 
     Raises:
-        InputError: the folder is missing, holds no images, or an argument does not go with its layout.
+        InputError: the folder is missing, holds no images, or an argument does not apply to its layout.
     """
     folder = Path(path)
     if not folder.is_dir():
         raise InputError(folder, "must be a folder of images")
     rendered, published = (folder / MARK).exists(), bool(published_halves(folder))
     if half is not None and not published:
-        raise InputError(
-            folder, "goes only with the layout of the published data set", key="half", value=half
-        )
+        raise InputError(folder, "applies only to the published data set", key="half", value=half)
     if labels is not None and (rendered or published):
-        raise InputError(folder, "go only with a folder of images: these classes are known", key="labels")
+        problem = "apply only to a folder of images with masks; the classes of this layout are known"
+        raise InputError(folder, problem, key="labels")
     if rendered:
-        return RenderedSet.of(open_dataset(folder))
-    return PublishedSet.of(folder, half) if published else FolderSet.of(folder, labels)
+        return RenderedSet.from_dataset(open_dataset(folder))
+    if published:
+        return PublishedSet.from_folder(folder, half)
+    return FolderSet.from_folder(folder, labels)

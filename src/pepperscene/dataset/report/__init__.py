@@ -1,4 +1,4 @@
-"""The report: a contact sheet and one web page that shows a data set, and a second one beside it."""
+"""Report of a data set: a web page and a contact sheet, optionally compared with a second set."""
 
 from pepperscene.dataset.report.write import ReportFiles, write_report
 

@@ -1,188 +1,187 @@
-"""Charts as SVG inside the page: no library, no network, and colours that follow the page's light or dark."""
+"""Charts by matplotlib as SVG elements, in CSS variables as colours, so that they follow the page's theme."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import io
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
-from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-# Layout in the drawing's own units; chosen so that a chart that is as narrow as a telephone has about one
-# pixel a unit, and its text is as large as the page's small print.
-_WIDTH: Final = 300
-_HEIGHT: Final = 196
-_LEFT: Final = 38
-_RIGHT: Final = 284
-_TOP: Final = 26
-_FLOOR: Final = 150
-_DOTS: Final = 104
-"""Where drawings begin that have no vertical axis."""
-_STRIP: Final = 5
+# Layout in units of the SVG. Chosen: on a phone, a unit is about a pixel.
+_WIDTH, _LEFT, _RIGHT, _BOTTOM = 300, 38, 284, 46
+_LINE_CHART: Final = (196, 26)  # height and upper margin
+_DOT_CHART: Final = (92, 0)
+
 _BINS: Final = 24
 _FEW: Final = 40
-"""Chosen: of fewer values than this every single one is drawn, a histogram of them would be mostly gaps."""
+"""Chosen: fewer values than this are drawn as dots, since most bins of a histogram would be empty."""
+
+_COLOURS: Final = {"a": "#a0000a", "b": "#a0000b", "faint": "#a0000c", "line": "#a0000d"}
+"""Colours for matplotlib by the name of the CSS variable that replaces them in the SVG."""
+
+_STYLE: Final = {
+    **dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "text.color"), _COLOURS["faint"]),
+    **dict.fromkeys(("xtick.color", "ytick.color"), _COLOURS["faint"]),
+    **dict.fromkeys(("xtick.major.size", "ytick.major.size"), 0.0),
+    **dict.fromkeys(("axes.spines.left", "axes.spines.right", "axes.spines.top"), False),
+    "axes.axisbelow": True,
+    "font.size": 12.0,
+    "grid.color": _COLOURS["line"],
+    "svg.fonttype": "none",
+    "xtick.major.pad": 6.0,
+}
+
+
+Axis = tuple[str, Sequence[float]]
+"""Label and ticks; the axis ends at the first and the last tick."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One line of a chart.
+    """One line of a chart."""
 
-    Attributes:
-        key: "a" or "b", which tells its colour.
-        name: what it is called.
-        x: `(n,)`, ascending.
-        y: `(n,)`, at least 0.
-    """
-
-    key: str
-    name: str
-    x: NDArray[np.floating]
-    y: NDArray[np.floating]
-
-
-@dataclass(frozen=True)
-class Axis:
-    """What an axis is called, from where to where it goes, and where it is marked."""
-
-    title: str
-    least: float
-    greatest: float
-    marks: Sequence[float]
-
-    def share(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Places of values along the axis in [0, 1]."""
-        return (np.asarray(values) - self.least) / (self.greatest - self.least)
+    key: str  # "a" or "b", which selects the colour
+    name: str  # for the description of the chart
+    x: NDArray[np.floating]  # (n,), ascending
+    y: NDArray[np.floating]  # (n,), at least 0
 
 
 def line_chart(
-    identity: str, title: str, curves: Sequence[Curve], across: Axis, up: str, hues: bool = False
+    chart_id: str,
+    title: str,
+    curves: Sequence[Curve],
+    x_axis: Axis,
+    y_label: str,
+    hue_strip: bool = False,
 ) -> str:
-    """Lines over a common axis, from zero upwards.
+    """Draw lines from zero upwards over a common axis; the first one is filled.
 
     Args:
-        identity: of the drawing, unique in the page.
-        title: what is shown, for those who cannot see it.
-        curves: the first is drawn filled.
-        across: the horizontal axis.
-        up: what the vertical axis tells.
-        hues: whether a strip of the hues lies below, for an axis in degrees.
+        chart_id: unique in the page.
+        title: for screen readers.
+        curves: at least one.
+        x_axis: horizontal axis.
+        y_label: of the vertical axis.
+        hue_strip: whether to draw the hues below an axis in degrees.
     """
-    top = max((float(curve.y.max()) for curve in curves), default=0.0) or 1.0
-    upright = _marked(up, 0.0, top)
-    drawn = []
-    for curve in curves:
-        x, y = _across(across.share(curve.x)), _upwards(upright.share(curve.y))
-        points = " ".join(f"{px:.1f},{py:.1f}" for px, py in zip(x, y, strict=True))
-        if curve is curves[0]:
-            drawn.append(
-                f'<polygon class="{curve.key}" points="{x[0]:.1f},{_FLOOR} {points} {x[-1]:.1f},{_FLOOR}"/>'
-            )
-        drawn.append(f'<polyline class="{curve.key}" points="{points}"/>')
-    told = "; ".join(_peak(curve, across) for curve in curves)
-    return _drawing(identity, title, told, across, upright, "".join(drawn), hues)
+    peaks = [(curve, int(np.argmax(curve.y))) for curve in curves]
+    description = "; ".join(
+        f"{curve.name}: maximum {curve.y[at]:.3g} at {curve.x[at]:.3g} ({x_axis[0]})" for curve, at in peaks
+    )
+
+    def draw(axes: Any) -> None:
+        _set_ticks(axes, "y", _round_ticks(0.0, max(float(curve.y[at]) for curve, at in peaks) or 1.0))
+        axes.grid(axis="y")
+        axes.figure.text(0, 1 - 12 / _LINE_CHART[0], y_label)
+        first = curves[0]
+        outline = np.pad(first.x, 1, mode="edge"), np.pad(first.y, 1)
+        axes.fill(*outline, color=_COLOURS[first.key], alpha=0.16, linewidth=0)
+        for curve in curves:
+            dashes = (0, (2.8, 1.7)) if curve.key == "b" else "solid"
+            axes.plot(curve.x, curve.y, color=_COLOURS[curve.key], linestyle=dashes, linewidth=1.8)
+        if hue_strip:
+            _add_hue_strip(axes)
+
+    return _draw_svg(chart_id, title, description, _LINE_CHART, x_axis, draw)
 
 
 def value_chart(
-    identity: str, title: str, values: Sequence[tuple[str, str, NDArray[np.floating]]], unit: str
+    chart_id: str, title: str, values: Sequence[tuple[str, str, NDArray[np.floating]]], unit: str
 ) -> str:
-    """How values are distributed: a histogram, or the values one by one where they are few.
+    """Draw the distribution of values: a histogram, or a dot for each value if there are few.
 
-    Args:
-        identity: of the drawing, unique in the page.
-        title: what is shown.
-        values: key, name and `(n,)` values of each set.
-        unit: of the values.
+    The values are given as key, name and `(n,)` values of each set.
     """
-    every = np.concatenate([some for _, _, some in values])
-    across = _marked(unit, *_room(float(every.min()), float(every.max())))
-    if len(every) < _FEW:
-        return _single_values(identity, title, values, across)
-    edges = np.linspace(across.least, across.greatest, _BINS + 1)
-    curves = []
-    for key, name, some in values:
-        share = 100.0 * np.histogram(some, edges)[0] / len(some)
-        curves.append(
-            Curve(key, name, np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(share, 2), [0.0]]))
-        )
-    return line_chart(identity, title, curves, across, "% of frames")
-
-
-def _single_values(
-    identity: str, title: str, values: Sequence[tuple[str, str, NDArray[np.floating]]], across: Axis
-) -> str:
-    dots = []
-    for row, (key, _, some) in enumerate(values):
-        height = _FLOOR - 12 - 20 * row
-        x = _across(across.share(np.sort(some)))
-        dots += [f'<circle class="{key}" cx="{place:.1f}" cy="{height}" r="5"/>' for place in x]
-    told = "; ".join(f"{name}: {len(some)} values, median {np.median(some):.3g}" for _, name, some in values)
-    return _drawing(identity, title, told, across, None, "".join(dots), hues=False)
-
-
-def _drawing(
-    identity: str, title: str, told: str, across: Axis, upright: Axis | None, content: str, hues: bool
-) -> str:
-    above = _DOTS if upright is None else 0
-    parts = [
-        f'<svg class="chart" viewBox="0 {above} {_WIDTH} {_HEIGHT - above}" role="img" '
-        f'aria-labelledby="{identity}-t {identity}-d">'
-        f'<title id="{identity}-t">{escape(title)}</title><desc id="{identity}-d">{escape(told)}</desc>'
-    ]
-    if upright is not None:
-        parts.append(f'<text x="0" y="{_TOP - 14}">{escape(upright.title)}</text>')
-        for mark, y in zip(upright.marks, _upwards(upright.share(np.array(upright.marks))), strict=True):
-            parts.append(f'<line class="grid" x1="{_LEFT}" x2="{_RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>')
-            parts.append(f'<text class="end" x="{_LEFT - 5}" y="{y + 4:.1f}">{mark:g}</text>')
-    parts.append(f'{content}<line class="floor" x1="{_LEFT}" x2="{_RIGHT}" y1="{_FLOOR}" y2="{_FLOOR}"/>')
-    if hues:
-        parts.append(_hue_strip(across))
-    low = _FLOOR + (_STRIP + 4 if hues else 0)
-    for mark, x in zip(across.marks, _across(across.share(np.array(across.marks))), strict=True):
-        parts.append(f'<text class="mid" x="{x:.1f}" y="{low + 15}">{mark:g}</text>')
-    parts.append(
-        f'<text class="mid" x="{(_LEFT + _RIGHT) / 2:g}" y="{low + 32}">{escape(across.title)}</text>'
-    )
-    return "".join([*parts, "</svg>"])
-
-
-def _hue_strip(across: Axis) -> str:
-    """Full colours along an axis of hues, in steps of ten degrees."""
-    edges = _across(across.share(np.arange(0.0, 361.0, 10.0)))
-    return "".join(
-        f'<rect x="{left:.2f}" y="{_FLOOR + 3}" width="{right - left + 0.3:.2f}" height="{_STRIP}" '
-        f'fill="hsl({10 * step + 5} 85% 50%)"/>'
-        for step, (left, right) in enumerate(pairwise(edges))
+    together = np.concatenate([numbers for _, _, numbers in values])
+    ticks = _round_ticks(*_padded_range(float(together.min()), float(together.max())))
+    if len(together) >= _FEW:
+        edges = np.linspace(ticks[0], ticks[-1], _BINS + 1)
+        curves = []
+        for key, name, numbers in values:
+            percentages = 100.0 * np.histogram(numbers, edges)[0] / len(numbers)
+            curves.append(Curve(key, name, np.repeat(edges, 2), np.pad(np.repeat(percentages, 2), 1)))
+        return line_chart(chart_id, title, curves, (unit, ticks), "% of frames")
+    description = "; ".join(
+        f"{name}: {len(numbers)} values, median {np.median(numbers):.3g}" for _, name, numbers in values
     )
 
+    def draw(axes: Any) -> None:
+        axes.set(yticks=[], ylim=(0, _DOT_CHART[0] - _BOTTOM))
+        for row, (key, _, numbers) in enumerate(values):
+            y = np.full(len(numbers), 12 + 20 * row)
+            style = {"color": _COLOURS[key], "alpha": 0.65, "markersize": 10, "markeredgewidth": 0}
+            axes.plot(np.sort(numbers), y, "o", clip_on=False, **style)
 
-def _peak(curve: Curve, across: Axis) -> str:
-    place = int(np.argmax(curve.y))
-    return f"{curve.name}: greatest {curve.y[place]:.3g} at {curve.x[place]:.3g} ({across.title})"
-
-
-def _marked(title: str, least: float, greatest: float) -> Axis:
-    """An axis with three to six marks at round numbers, so long that the greatest value fits."""
-    rough = (greatest - least) / 4.0
-    decade = 10.0 ** np.floor(np.log10(rough))
-    step = float(decade * next(factor for factor in (1.0, 2.0, 2.5, 5.0, 10.0) if factor * decade >= rough))
-    first, last = np.floor(least / step), np.ceil(greatest / step)
-    marks = [round(float(number * step), 12) for number in np.arange(first, last + 0.5)]
-    return Axis(title, marks[0], marks[-1], marks)
+    return _draw_svg(chart_id, title, description, _DOT_CHART, (unit, ticks), draw)
 
 
-def _room(least: float, greatest: float) -> tuple[float, float]:
-    """A range that is not empty."""
-    away = max(0.02 * (greatest - least), 1e-3 * abs(greatest), 1e-6)
-    return (least - away if least < 0 else max(0.0, least - away)), greatest + away
+def _draw_svg(
+    chart_id: str,
+    title: str,
+    description: str,
+    layout: tuple[int, int],
+    x_axis: Axis,
+    draw: Callable[[Any], None],
+) -> str:
+    """An SVG element of axes whose content is drawn by `draw`."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    height, top = layout
+    buffer = io.StringIO()
+    # The salt makes ids the same in every run, and different in every chart.
+    with rc_context({**_STYLE, "svg.hashsalt": chart_id}):
+        figure = Figure(figsize=(_WIDTH / 72, height / 72))
+        bounds = np.array([_LEFT, _BOTTOM, _RIGHT - _LEFT, height - top - _BOTTOM])
+        axes = figure.add_axes(tuple(bounds / [_WIDTH, height, _WIDTH, height]))
+        axes.set_xlabel(x_axis[0])
+        _set_ticks(axes, "x", x_axis[1])
+        draw(axes)
+        metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+        figure.savefig(buffer, format="svg", transparent=True, metadata=metadata)
+    content = buffer.getvalue().partition("<svg")[2].partition(">")[2]
+    # Its style sheet would apply to the whole page, and names of groups are the same in every chart.
+    content = re.sub(r"<style.*?</style>|<!--.*?-->", "", content, flags=re.DOTALL)
+    content = re.sub(r' id="(?![mp][0-9a-f]{10}")[^"]*"', "", content)
+    content = re.sub(r"font-size: [^;]*; font-family: [^;\"]*;? ?", "", content)
+    for name, colour in _COLOURS.items():
+        content = content.replace(colour, f"var(--{name})")
+    return (
+        f'<svg class="chart" viewBox="0 0 {_WIDTH} {height}" role="img" '
+        f'aria-labelledby="{chart_id}-t {chart_id}-d"><title id="{chart_id}-t">{escape(title)}</title>'
+        f'<desc id="{chart_id}-d">{escape(description)}</desc>{" ".join(content.split())}'
+    )
 
 
-def _across(share: NDArray[np.floating]) -> NDArray[np.floating]:
-    return _LEFT + share * (_RIGHT - _LEFT)
+def _set_ticks(axes: Any, axis: str, ticks: Sequence[float]) -> None:
+    """Set the ticks of the axis "x" or "y", and its limits to the first and the last."""
+    labels = [f"{round(float(tick), 12):g}" for tick in ticks]
+    axes.set(**{f"{axis}ticks": ticks, f"{axis}ticklabels": labels, f"{axis}lim": (ticks[0], ticks[-1])})
 
 
-def _upwards(share: NDArray[np.floating]) -> NDArray[np.floating]:
-    return _FLOOR - share * (_FLOOR - _TOP)
+def _round_ticks(low: float, high: float) -> list[float]:
+    """Three to six round numbers, the first at most `low` and the last at least `high`."""
+    from matplotlib.ticker import MaxNLocator
+
+    return [float(tick) for tick in MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)]
+
+
+def _padded_range(low: float, high: float) -> tuple[float, float]:
+    """A range that is not empty, and not below zero unless the values are."""
+    margin = max(0.02 * (high - low), 1e-3 * abs(high), 1e-6)
+    return (low - margin if low < 0 else max(0.0, low - margin)), high + margin
+
+
+def _add_hue_strip(axes: Any) -> None:
+    """Draw the hues below the horizontal axis, and move its labels down."""
+    from matplotlib.colors import hsv_to_rgb
+
+    strip = axes.inset_axes((0.0, -8 / 124, 1.0, 5 / 124))
+    strip.imshow(hsv_to_rgb([[(hue, 0.92, 0.925) for hue in np.linspace(0.0, 1.0, 73)]]), aspect="auto")
+    strip.set_axis_off()
+    axes.tick_params(axis="x", pad=13)

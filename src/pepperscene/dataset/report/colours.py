@@ -1,4 +1,4 @@
-"""Labels and distances as colours that a person can read; for looking at, never for measuring."""
+"""Labels and distances in colours for display, and images as data URIs."""
 
 from __future__ import annotations
 
@@ -17,98 +17,93 @@ VIRIDIS: Final = (
 )  # fmt: skip
 """Nine even steps of viridis (S. van der Walt and N. Smith 2015, CC0), as R's viridisLite prints them."""
 
-_NOTHING: Final = (13, 15, 20)  # chosen: nearly black, apart from viridis' dark violet
-_VOID: Final = (120, 120, 120)  # chosen: a grey that no class has
-_GOLDEN: Final = 0.6180339887498949
+_BACKGROUND: Final = (13, 15, 20)  # chosen: nearly black, distinct from viridis' dark violet
+_UNKNOWN_CLASS: Final = (120, 120, 120)  # chosen: a grey that no class has
+_GOLDEN_RATIO: Final = 0.6180339887498949
 _STEPS_BETWEEN: Final = 30
-"""Chosen: colours from one of viridis' steps to the next. With the colour for nothing they are 242, which a
-palette of 256 holds, and a picture with a palette takes a third of the room."""
+"""Chosen: colours from one of viridis' steps to the next. With the background they are 242, which fit into a
+palette of 256; an image with a palette is a third as large."""
+
+_STEPS: Final = np.array([[int(code[k : k + 2], 16) for k in (1, 3, 5)] for code in VIRIDIS])
+_POSITIONS: Final = np.arange((len(VIRIDIS) - 1) * _STEPS_BETWEEN + 1) / _STEPS_BETWEEN
+_CHANNELS: Final = [np.interp(_POSITIONS, range(len(VIRIDIS)), channel) for channel in _STEPS.T]
+_VIRIDIS_TABLE: Final = np.stack(_CHANNELS, axis=-1).round().astype(np.uint8)
 
 
-def _ramp() -> NDArray[np.uint8]:
-    steps = np.array([[int(code[k : k + 2], 16) for k in (1, 3, 5)] for code in VIRIDIS], dtype=float)
-    places = np.arange((len(VIRIDIS) - 1) * _STEPS_BETWEEN + 1) / _STEPS_BETWEEN
-    channels = [np.interp(places, np.arange(len(VIRIDIS)), steps[:, channel]) for channel in range(3)]
-    return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
-
-
-_RAMP: Final = _ramp()
-
-
-def share_colours(share: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+def share_colours(fraction: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
     """Values in [0, 1] `(h, w)` as viridis' colours `(h, w, 3)`, from dark violet to yellow."""
-    place = np.rint(np.clip(share, 0.0, 1.0) * (len(_RAMP) - 1)).astype(np.intp)
-    return np.take(_RAMP, place, axis=0)
+    position = np.rint(np.clip(fraction, 0.0, 1.0) * (len(_VIRIDIS_TABLE) - 1)).astype(np.intp)
+    return np.take(_VIRIDIS_TABLE, position, axis=0)
 
 
 def distance_colours(distance_m: NDArray[np.floating[Any]], near_m: float, far_m: float) -> NDArray[np.uint8]:
-    """Distances `(h, w)` as colours `(h, w, 3)`: near is yellow, far dark violet, nothing almost black."""
-    found = np.isfinite(distance_m)
-    depth = np.where(found, distance_m, far_m)
-    rgb = share_colours((far_m - depth) / max(far_m - near_m, 1e-9))
-    rgb[~found] = _NOTHING
+    """Distances `(h, w)` as colours `(h, w, 3)`: near is yellow, far dark violet, background nearly black."""
+    finite = np.isfinite(distance_m)
+    distance = np.where(finite, distance_m, far_m)
+    rgb = share_colours((far_m - distance) / max(far_m - near_m, 1e-9))
+    rgb[~finite] = _BACKGROUND
     return rgb
 
 
 def class_colours(class_id: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Class ids `(h, w)` as the published colours `(h, w, 3)`; grey where the id is no class's."""
-    palette = np.full((256, 3), _VOID, np.uint8)
+    """Class ids `(h, w)` as the published colours `(h, w, 3)`; grey for other ids."""
+    palette = np.full((256, 3), _UNKNOWN_CLASS, np.uint8)
     palette[: len(CLASS_COLOURS)] = CLASS_COLOURS
     return np.take(palette, class_id, axis=0)
 
 
 def instance_colours(instance: NDArray[np.integer[Any]]) -> NDArray[np.uint8]:
-    """Instance numbers `(h, w)` as colours `(h, w, 3)`: neighbouring numbers get hues far apart."""
-    numbers, place = np.unique(instance, return_inverse=True)
-    palette = np.array([_hue(int(number)) for number in numbers], dtype=np.uint8)
-    return palette[place.reshape(instance.shape)]
+    """Instances `(h, w)` as colours `(h, w, 3)`; neighbouring numbers have very different hues."""
+    numbers, inverse = np.unique(instance, return_inverse=True)
+    palette = np.array([_instance_colour(int(number)) for number in numbers], dtype=np.uint8)
+    return palette[inverse.reshape(instance.shape)]
 
 
-def _hue(number: int) -> tuple[int, int, int]:
-    """Hues by the golden ratio, never close to the last few; two lightnesses and two saturations."""
+def _instance_colour(number: int) -> tuple[int, int, int]:
+    """A hue by the golden ratio, never near the last few; two values and two saturations."""
     if number == 0:
-        return _NOTHING
+        return _BACKGROUND
     value = 1.0 if number % 2 else 0.78
     saturation = 0.62 if number // 2 % 2 else 0.85
-    red, green, blue = colorsys.hsv_to_rgb(number * _GOLDEN % 1.0, saturation, value)
+    red, green, blue = colorsys.hsv_to_rgb(number * _GOLDEN_RATIO % 1.0, saturation, value)
     return round(255 * red), round(255 * green), round(255 * blue)
 
 
-_LONGEST_PX: Final = 1600
-"""Chosen: no screen shows more of a picture than this; a frame of 4k would take 15 MB."""
-_JPEG_QUALITY: Final = 90  # chosen: the sensor's noise stays to be seen
+_MAX_SIZE_PX: Final = 1600
+"""Chosen: no screen shows more of an image; a 4k frame would take 15 MB."""
+_JPEG_QUALITY: Final = 90  # chosen: keeps the sensor's noise visible
 
 
-def photograph(picture: NDArray[np.uint8]) -> str:
-    """A photograph `(h, w, 3)` uint8 as the address of a JPEG."""
+def jpeg_data_uri(rgb: NDArray[np.uint8]) -> str:
+    """A photograph `(h, w, 3)` uint8 as the data URI of a JPEG."""
     from PIL import Image
 
-    image = Image.fromarray(np.ascontiguousarray(picture))
-    if max(image.size) > _LONGEST_PX:
-        image.thumbnail((_LONGEST_PX, _LONGEST_PX), Image.Resampling.LANCZOS)
+    image = Image.fromarray(np.ascontiguousarray(rgb))
+    if max(image.size) > _MAX_SIZE_PX:
+        image.thumbnail((_MAX_SIZE_PX, _MAX_SIZE_PX), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()
     image.save(buffer, format="JPEG", quality=_JPEG_QUALITY, optimize=True)
-    return _address("jpeg", buffer.getvalue())
+    return _data_uri("jpeg", buffer.getvalue())
 
 
-def drawing(picture: NDArray[np.uint8], longest_px: int = _LONGEST_PX) -> str:
-    """Labels or a map as colours `(h, w, 3)` uint8, as the address of a PNG that holds just these colours."""
+def drawing(rgb: NDArray[np.uint8], max_size_px: int = _MAX_SIZE_PX) -> str:
+    """Labels or a map in colours `(h, w, 3)` uint8 as the data URI of a PNG with the same colours."""
     from PIL import Image
 
     # Colours of labels must not be blended: a mixture would be another class.
-    stride = -(-max(picture.shape[:2]) // longest_px)
-    picture = np.ascontiguousarray(picture[::stride, ::stride])
-    codes = (picture.astype(np.uint32) << np.array([16, 8, 0], np.uint32)).sum(axis=-1, dtype=np.uint32)
-    found, place = np.unique(codes, return_inverse=True)
-    if len(found) <= 256:
-        image = Image.fromarray(place.reshape(codes.shape).astype(np.uint8), mode="P")
-        image.putpalette(b"".join(int(code).to_bytes(3, "big") for code in found))
+    stride = -(-max(rgb.shape[:2]) // max_size_px)
+    rgb = np.ascontiguousarray(rgb[::stride, ::stride])
+    codes = (rgb.astype(np.uint32) << np.array([16, 8, 0], np.uint32)).sum(axis=-1, dtype=np.uint32)
+    distinct, inverse = np.unique(codes, return_inverse=True)
+    if len(distinct) <= 256:
+        image = Image.fromarray(inverse.reshape(codes.shape).astype(np.uint8), mode="P")
+        image.putpalette(b"".join(int(code).to_bytes(3, "big") for code in distinct))
     else:
-        image = Image.fromarray(picture)
+        image = Image.fromarray(rgb)
     buffer = io.BytesIO()
     image.save(buffer, format="PNG")
-    return _address("png", buffer.getvalue())
+    return _data_uri("png", buffer.getvalue())
 
 
-def _address(kind: str, content: bytes) -> str:
+def _data_uri(kind: str, content: bytes) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"

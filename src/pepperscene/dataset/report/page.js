@@ -1,38 +1,36 @@
 "use strict";
-const large = document.getElementById("large");
-const shown = large.querySelector("img"), caption = large.querySelector("p");
-const pictures = [...document.querySelectorAll(".picture img")];
-let at = 0;
+const dialog = document.getElementById("large");
+const large = dialog.querySelector("img"), caption = dialog.querySelector("p");
+const images = [...document.querySelectorAll(".picture img")];
+let current = 0;
 
-function show(place) {
-  at = (place + pictures.length) % pictures.length;
-  const picture = pictures[at];
-  shown.src = picture.src;
-  shown.alt = picture.alt;
-  shown.className = picture.className;
-  caption.textContent = picture.alt;
-  if (!large.open) large.showModal();
+function show(index) {
+  current = (index + images.length) % images.length;
+  const { src, alt, className } = images[current];
+  Object.assign(large, { src, alt, className });
+  caption.textContent = alt;
+  if (!dialog.open) dialog.showModal();
 }
 
-// The next picture of the same kind: of the frame before or after.
-function alike(step) {
-  for (let place = at + step; pictures[place]; place += step)
-    if (pictures[place].dataset.kind === pictures[at].dataset.kind) return place;
-  return at;
+// Index of the next image of the same kind: that of another frame.
+function sameKind(step) {
+  for (let index = current + step; images[index]; index += step)
+    if (images[index].dataset.kind === images[current].dataset.kind) return index;
+  return current;
 }
 
-const moves = {
-  ArrowRight: () => at + 1, ArrowLeft: () => at - 1, ArrowDown: () => alike(1), ArrowUp: () => alike(-1),
-  Home: () => 0, End: () => pictures.length - 1,
+const keys = {
+  ArrowRight: () => current + 1, ArrowLeft: () => current - 1,
+  ArrowDown: () => sameKind(1), ArrowUp: () => sameKind(-1), Home: () => 0, End: () => images.length - 1,
 };
-pictures.forEach((picture, place) => picture.parentElement.addEventListener("click", () => show(place)));
-large.querySelector(".before").addEventListener("click", () => show(at - 1));
-large.querySelector(".after").addEventListener("click", () => show(at + 1));
-large.addEventListener("click", event => { if (!event.target.matches(".before, .after")) large.close(); });
-large.addEventListener("keydown", event => {
-  if (moves[event.key]) { event.preventDefault(); show(moves[event.key]()); }
+images.forEach((image, index) => image.parentElement.addEventListener("click", () => show(index)));
+dialog.querySelector(".before").addEventListener("click", () => show(current - 1));
+dialog.querySelector(".after").addEventListener("click", () => show(current + 1));
+dialog.addEventListener("click", event => { if (!event.target.matches(".before, .after")) dialog.close(); });
+dialog.addEventListener("keydown", event => {
+  if (keys[event.key]) { event.preventDefault(); show(keys[event.key]()); }
 });
-// Where one has gone to in the large view is where one goes on in the page.
-large.addEventListener("close", () => pictures[at].parentElement.focus());
+// On closing, the focus moves to the last image shown.
+dialog.addEventListener("close", () => images[current].parentElement.focus());
 document.getElementById("bright").addEventListener("change", event =>
   document.body.classList.toggle("bright", event.target.checked));

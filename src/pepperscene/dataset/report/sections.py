@@ -1,319 +1,278 @@
-"""The page's figures: class shares, where classes lie, their hues, the light; Figs. 10 to 13 of the paper."""
+"""Sections of the page: Figs. 10 to 13 of Barth et al. 2018, and the distributions of a build's numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import CLASS_COLOURS, OrganClass
-from pepperscene.dataset.report.charts import Axis, Curve, line_chart
-from pepperscene.dataset.report.colours import drawing, photograph, share_colours
-from pepperscene.dataset.report.contact_sheet import TITLES, ShownImage
-from pepperscene.dataset.report.data import Side
+from pepperscene.classes import OrganClass
+from pepperscene.dataset.report.charts import Curve, line_chart, value_chart
+from pepperscene.dataset.report.colours import drawing, share_colours
+from pepperscene.dataset.report.data import FrameRecords, SetSummary
+from pepperscene.dataset.report.image_view import class_colour_code, image_button
 from pepperscene.truth import HUE_BINS, centre_falloff, hue_spectrum_correlation, mean_hue
 
-
-def card(view: ShownImage, key: str) -> str:
-    """A picture's images, the first of them large, its class shares as one bar, and what is told of it.
-
-    Args:
-        view: the picture.
-        key: of its set, "a" or "b".
-    """
-    buttons = [_button(view, name) for name in view.pictures]
-    # Two pictures stand side by side; of more the first is large and the others small below it.
-    images = "".join(buttons)
-    if len(buttons) > 2:
-        images = f'{buttons[0]}<div class="thumbs">{"".join(buttons[1:])}</div>'
-    elif len(buttons) == 2:
-        images = f'<div class="thumbs">{images}</div>'
-    place = f"<p>{escape(view.place)}</p>" if view.place else ""
-    told = _told(view.facts)
-    return (
-        f'<article class="card" id="{anchor(view, key)}">{images}{_stack(view)}'
-        f"<h3>{escape(view.title)}</h3>{place}{f'<p>{escape(told)}</p>' if told else ''}</article>"
-    )
-
-
-def anchor(view: ShownImage, key: str) -> str:
-    """The card's identity in the page."""
-    return f"{key}-" + "".join(letter if letter.isalnum() else "-" for letter in view.name)
-
-
-def line(view: ShownImage, key: str) -> str:
-    """The same as a row of a table: name, place, height of the camera, error of its light, class shares."""
-    facts = view.facts
-    height, error = view.height_m, facts.get("sampling", {}).get("error_codes")
-    cells = [
-        *(str(facts.get(name, "")) for name in ("set", "rotation", "step")),
-        "" if height is None else f"{height:.2f}",
-        "" if error is None else f"{error:.2f}",
-        *(f"{100 * count / view.area:.2f}" for count in view.pixels.values()),
-    ]
-    cells += [""] * (5 + len(OrganClass) - len(cells))
-    first = f'<th scope="row"><a href="#{anchor(view, key)}">{escape(view.name)}</a></th>'
-    return f"<tr>{first}{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
-
-
-def picture_button(name: str, address: str, alt: str, size: tuple[int, int], label: str = "") -> str:
-    """A picture that opens large when it is clicked.
-
-    Args:
-        name: of the kind of picture; those of the same kind are walked through with the arrows up and down.
-        address: of the embedded picture.
-        alt: what it shows, in words.
-        size: width and height in pixels.
-        label: below the picture, or "".
-    """
-    below = f"<span>{escape(label)}</span>" if label else ""
-    return (
-        f'<button type="button" class="picture" aria-label="{escape(alt)}: open large">'
-        f'<img src="{address}" class="{name}" data-kind="{name}" alt="{escape(alt)}" '
-        f'width="{size[0]}" height="{size[1]}">{below}</button>'
-    )
-
-
-def hexadecimal(organ_class: OrganClass) -> str:
-    """The published colour of a class, as CSS writes it."""
-    return "#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[organ_class])
-
-
-def _button(view: ShownImage, name: str) -> str:
-    picture = view.pictures[name]
-    address = photograph(picture) if name == "colour" else drawing(picture)
-    alone = next(iter(view.pictures)) == name and len(view.pictures) != 2
-    label = "" if alone else TITLES[name].split(" ")[-1 if name == "instance" else 0].capitalize()
-    alt = f"{TITLES[name]} of {'frame ' if view.rendered else ''}{view.name}"
-    return picture_button(name, address, alt, (picture.shape[1], picture.shape[0]), label)
-
-
-def _stack(view: ShownImage) -> str:
-    """The picture's class shares as one bar."""
-    if not view.pixels:
-        return ""
-    parts = "".join(
-        f'<b style="width:{100 * view.pixels[one] / view.area:.3f}%;background:{hexadecimal(one)}"'
-        f' title="{one.name.lower()} {100 * view.pixels[one] / view.area:.1f} %"></b>'
-        for one in OrganClass
-        if view.pixels[one]
-    )
-    return f'<div class="stack">{parts}</div>'
-
-
-def _told(facts: Mapping[str, Any]) -> str:
-    """What is in view, in a sentence; empty where the set tells nothing of it."""
-    parts = []
-    instances = facts.get("instances") or {}
-    if instances:
-        # Greenhouse and far rows belong to no plant.
-        classes = [item["class"] for item in instances.values() if item["plant"] >= 0]
-        fruit, leaves = classes.count(OrganClass.PEPPER), classes.count(OrganClass.LEAF)
-        parts.append(f"{len(classes)} organs in view: {leaves} leaves, {fruit} fruit")
-    contacts = facts.get("contacts")
-    if contacts and (touching := contacts["fruit_touching"] + contacts["blades_touching"]):
-        parts.append(f"{touching} of the scene's fruit and leaves touch what they should not")
-    return ". ".join(parts) + "." if parts else ""
-
-
 _HUES: Final = np.arange(HUE_BINS) * (360.0 / HUE_BINS)
-_HUE_AXIS: Final = Axis("hue, degrees", 0.0, 360.0, (0, 60, 120, 180, 240, 300, 360))
-_FALLOFF_AXIS: Final = Axis("from the middle (0) to the corners (1)", 0.0, 1.0, (0, 0.25, 0.5, 0.75, 1))
-_RINGS: Final = 40  # chosen: each 12 pixels wide in a picture of 800 x 600
-_MAP_PX: Final = 400  # chosen: twice as wide as a map is shown
+_HUE_AXIS: Final = ("hue, degrees", (0, 60, 120, 180, 240, 300, 360))
+_FALLOFF_AXIS: Final = ("from the centre (0) to the corners (1)", (0, 0.25, 0.5, 0.75, 1))
+_RINGS: Final = 40  # chosen: each 12 pixels wide in an image of 800 x 600
+_MAP_PX: Final = 400  # chosen: twice the displayed width of a map
+
+_BUILD_CHARTS: Final = (
+    ("render_s", "Render time of a frame", "seconds", 1.0),
+    ("write_s", "Write time of a frame", "seconds", 1.0),
+    ("error_codes", "Estimated error of the traced light", "8-bit codes, root mean square", 1.0),
+    ("samples_per_pixel", "Samples per pixel", "mean over the frame", 1.0),
+    ("bytes", "File size of a frame", "MB", 1e-6),
+)
+"""Column of the manifest, title, unit, and factor to that unit."""
 
 
-def class_shares(sides: Sequence[Side]) -> str:
-    """Share of each class in all pixels, as a table with a bar for each set (Fig. 10)."""
-    shares = {side.key: side.shares() for side in sides}
-    known = [share for share in shares.values() if np.isfinite(share).all()]
+def class_fractions_html(sets: Sequence[SetSummary]) -> str:
+    """Fraction of each class in all pixels, as a table with a bar for each set (Fig. 10)."""
+    fractions = {item.key: item.class_fractions() for item in sets}
+    known = [values for values, _ in fractions.values() if np.isfinite(values).all()]
     if not known:
         return "<p>No frame has class labels yet.</p>"
-    widest = max(float(share.max()) for share in known)
-    heads = "".join(f'<th scope="col">{name_of(side)}</th>' for side in sides)
-    rows = "".join(
-        f'<tr><th scope="row">{swatch(one)}{one.name.lower()}<small>{one:d}</small></th>'
-        + "".join(f"<td>{_percent(_labelled_share(side, one))}</td>" for side in sides)
-        + f'<td class="bars">{_bars([(side.key, shares[side.key][one]) for side in sides], widest)}</td></tr>'
-        for one in OrganClass
-    )
-    counted = " and ".join(f"{plural(side.counted(), 'picture')} of {escape(side.name)}" for side in sides)
-    return (
-        f'<table class="shares" style="--sets: {len(sides)}"><thead>'
-        f'<tr><th scope="col">Class</th>{heads}<th class="bars"></th></tr></thead>'
-        f"<tbody>{rows}{_unlabelled(sides)}</tbody></table><p>Share of all pixels, in {counted}.</p>"
-    )
-
-
-def class_places(sides: Sequence[Side]) -> str:
-    """Where in the picture each class lies: the mean of its masks over its greatest value (Fig. 11)."""
-    masks = {side.key: side.statistics.mean_masks() for side in sides}
-    panels = []
-    for one in OrganClass:
-        maps = []
-        for side in sides:
-            mask = masks[side.key]
-            maps.append(_place_map(side, one, None if mask is None else mask[one]))
-        panels.append(f"<section class=\"panel\"><h3>{swatch(one)}{one.name.lower()}</h3>"
-                      f'<div class="pair">{"".join(maps)}</div></section>')  # fmt: skip
-    return f'<div class="grid{" wide" if len(sides) > 1 else ""}">{"".join(panels)}</div>'
-
-
-def hue_spectra(sides: Sequence[Side]) -> str:
-    """Which hues the pixels of each class have, in the middle of the pictures (Fig. 12)."""
-    spectra = {side.key: side.statistics.hue_spectra() for side in sides}
-    panels = []
-    for one in OrganClass:
-        seen = [side for side in sides if np.isfinite(spectra[side.key][one]).all()]
-        if not seen:
-            continue
-        curves = [Curve(side.key, side.name, _HUES, spectra[side.key][one]) for side in seen]
-        title = f"Hues of the class {one.name.lower()}"
-        chart = line_chart(f"hue{one:d}", title, curves, _HUE_AXIS, "% of its pixels", hues=True)
-        panels.append(
-            f'<section class="panel"><h3>{swatch(one)}{one.name.lower()}</h3>{chart}'
-            f"{_hue_numbers(seen, [spectra[side.key][one] for side in seen], one)}</section>"
+    scale = max(float(values.max()) for values in known)
+    heads = "".join(f'<th scope="col">{set_label(item)}</th>' for item in sets)
+    rows = []
+    for organ in OrganClass:
+        values = {item.key: float(fractions[item.key][0][organ]) for item in sets}
+        # Zero is unknown if the set has unlabelled pixels.
+        shown = [
+            float("nan") if values[item.key] == 0.0 and item.statistics.unlabelled else values[item.key]
+            for item in sets
+        ]
+        rows.append(
+            f'<tr><th scope="row">{swatch(organ)}{organ.name.lower()}<small>{organ:d}</small></th>'
+            f"{_cells(_percent(value) for value in shown)}"
+            f'<td class="bars">{_bars(list(values.items()), scale)}</td></tr>'
         )
+    if any(item.statistics.unlabelled for item in sets):
+        cells = _cells(_percent(item.unlabelled_fraction()) for item in sets)
+        rows.append(f'<tr><th scope="row">no label</th>{cells}<td class="bars"></td></tr>')
+    counts = " and ".join(
+        f"{plural(fractions[item.key][1], 'image')} of {escape(item.name)}" for item in sets
+    )
+    return (
+        f'<table class="fractions" style="--sets: {len(sets)}"><thead>'
+        f'<tr><th scope="col">Class</th>{heads}<th class="bars"></th></tr></thead>'
+        f"<tbody>{''.join(rows)}</tbody></table><p>Fraction of all pixels, in {counts}.</p>"
+    )
+
+
+def class_maps_html(sets: Sequence[SetSummary]) -> str:
+    """Mean mask of each class, relative to its maximum (Fig. 11)."""
+    masks = {item.key: item.statistics.mean_masks() for item in sets}
+    panels = []
+    for organ in OrganClass:
+        maps = [_class_map(item, organ, masks[item.key]) for item in sets]
+        panels.append(_class_panel(organ, f'<div class="pair">{"".join(maps)}</div>'))
+    return f'<div class="grid{" wide" if len(sets) > 1 else ""}">{"".join(panels)}</div>'
+
+
+def hue_spectra_html(sets: Sequence[SetSummary]) -> str:
+    """Distribution of the hues of each class's pixels, in the centre of the images (Fig. 12)."""
+    spectra = {item.key: item.statistics.hue_spectra() for item in sets}
+    panels = []
+    for organ in OrganClass:
+        known = [item for item in sets if np.isfinite(spectra[item.key][organ]).all()]
+        if not known:
+            continue
+        curves = [Curve(item.key, item.name, _HUES, spectra[item.key][organ]) for item in known]
+        title = f"Hues of the class {organ.name.lower()}"
+        chart = line_chart(f"hue{organ:d}", title, curves, _HUE_AXIS, "% of its pixels", hue_strip=True)
+        panels.append(_class_panel(organ, chart + _hue_table(known, [curve.y for curve in curves], organ)))
     return f'<div class="grid">{"".join(panels)}</div>' if panels else "<p>No photograph has labels yet.</p>"
 
 
-def light(sides: Sequence[Side]) -> str:
-    """The mean intensity image of each set, its fall towards the corners, intensities (Fig. 13)."""
-    lit = [(side, mean) for side in sides if (mean := side.statistics.mean_intensity()) is not None]
-    if not lit:
+def intensity_html(sets: Sequence[SetSummary]) -> str:
+    """Mean intensity image of each set, its falloff to the corners, and a table (Fig. 13)."""
+    known = [(item, mean) for item in sets if (mean := item.statistics.mean_intensity()) is not None]
+    if not known:
         return "<p>There are no photographs yet.</p>"
-    # All are brightened alike, as far as none is cut off: what differs is what one sees.
-    factor = 255.0 / max(1.0, max(float(np.percentile(mean, 99.5)) for _, mean in lit))
+    # One factor for all images, so that they can be compared, and without clipping.
+    factor = 255.0 / max(1.0, max(float(np.percentile(mean, 99.5)) for _, mean in known))
     factor = max(1.0, np.floor(10.0 * factor) / 10.0)
-    images = "".join(_intensity(side, mean, factor) for side, mean in lit)
-    curves = [_falloff(side, mean) for side, mean in lit]
-    chart = line_chart(
-        "falloff", "Mean intensity by distance from the middle", curves, _FALLOFF_AXIS, "grey value"
-    )
+    images = "".join(_mean_image(item, mean, factor) for item, mean in known)
+    curves = [_falloff(item, mean) for item, mean in known]
+    title = "Mean intensity by distance from the centre"
+    chart = line_chart("falloff", title, curves, _FALLOFF_AXIS, "grey value")
     return (
-        f'<div class="grid">{images}'
-        f'<section class="panel"><h3>Fall towards the corners</h3>{chart}</section></div>'
+        f'<div class="grid">{images}{_panel("Falloff to the corners", chart)}</div>'
         '<div class="scroll" tabindex="0" role="region" aria-label="Intensities">'
-        f"{_intensity_table(sides)}</div>"
+        f"{_intensity_table([item for item, _ in known])}</div>"
     )
+
+
+def build_html(sets: Sequence[SetSummary]) -> str:
+    """Distributions of timings, errors and sizes of all frames."""
+    known = [(item, item.records) for item in sets if item.records is not None]
+    panels = [panel for chart in _BUILD_CHARTS if (panel := _build_panel(known, *chart))]
+    totals = "".join(f'<p class="note">{set_label(item)} {_totals(records)}</p>' for item, records in known)
+    return f'{totals}<div class="grid">{"".join(panels)}</div>'
 
 
 def swatch(organ_class: OrganClass) -> str:
     """A patch of a class's colour."""
     return (
         '<svg class="swatch" viewBox="0 0 10 10" aria-hidden="true">'
-        f'<rect width="10" height="10" rx="2" fill="{hexadecimal(organ_class)}"/></svg>'
+        f'<rect width="10" height="10" rx="2" fill="{class_colour_code(organ_class)}"/></svg>'
     )
 
 
-def name_of(side: Side) -> str:
-    """A set's name in its colour."""
-    return f'<span class="key {side.key}">{escape(side.name)}</span>'
+def set_label(item: SetSummary) -> str:
+    """The name of a set with its colour."""
+    return f'<span class="key {item.key}">{escape(item.name)}</span>'
 
 
 def plural(count: int, noun: str) -> str:
-    """A number of things."""
+    """A count with its noun."""
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
-def _labelled_share(side: Side, organ_class: OrganClass) -> float:
-    """A class's share; not known where pixels have no label and none that has is the class's."""
-    share = float(side.shares()[organ_class])
-    return float("nan") if share == 0.0 and side.statistics.unlabelled else share
+def _panel(title: str, content: str) -> str:
+    return f'<section class="panel"><h3>{title}</h3>{content}</section>'
 
 
-def _bars(shares: Sequence[tuple[str, float]], widest: float) -> str:
-    """Bars below each other; their lengths stand as numbers beside them."""
+def _class_panel(organ_class: OrganClass, content: str) -> str:
+    return _panel(swatch(organ_class) + organ_class.name.lower(), content)
+
+
+def _cells(values: Iterable[str]) -> str:
+    return "".join(f"<td>{value}</td>" for value in values)
+
+
+def html_table(css_class: str, heads: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]]) -> str:
+    """A table from its column heads, and the head and the cells of each row."""
+    head = "".join(f'<th scope="col">{name}</th>' for name in heads)
+    body = "".join(f'<tr><th scope="row">{name}</th>{_cells(cells)}</tr>' for name, cells in rows)
+    return f'<table class="{css_class}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+
+
+def _percent(fraction: float, digits: int = 2) -> str:
+    """A fraction as a percentage; a dash if it is unknown."""
+    if not np.isfinite(fraction):
+        return "–"
+    least = 10.0**-digits
+    is_small = 0 < 100 * fraction < least / 2
+    return f"< {least:g}\u00a0%" if is_small else f"{100 * fraction:.{digits}f}\u00a0%"
+
+
+def _bars(fractions: Sequence[tuple[str, float]], scale: float) -> str:
+    """A bar for the fraction of each set."""
     bars = "".join(
-        f'<rect class="{key}" y="{9 * row}" height="7" rx="1.5" width="{100 * share / widest:.2f}%"/>'
-        for row, (key, share) in enumerate(shares)
-        if share > 0
+        f'<rect class="{key}" y="{9 * row}" height="7" rx="1.5" width="{100 * fraction / scale:.2f}%"/>'
+        for row, (key, fraction) in enumerate(fractions)
+        if fraction > 0
     )
-    return f'<svg class="length" height="{9 * len(shares)}" aria-hidden="true">{bars}</svg>'
+    return f'<svg class="length" height="{9 * len(fractions)}" aria-hidden="true">{bars}</svg>'
 
 
-def _unlabelled(sides: Sequence[Side]) -> str:
-    """A row for pixels without any label, where a set has such."""
-    if not any(side.statistics.unlabelled for side in sides):
-        return ""
-    cells = "".join(f"<td>{_percent(side.unlabelled())}</td>" for side in sides)
-    return f'<tr><th scope="row">no label</th>{cells}<td class="bars"></td></tr>'
+def _class_map(item: SetSummary, organ_class: OrganClass, masks: NDArray[np.float64] | None) -> str:
+    if masks is None or not masks[organ_class].any():
+        return f'<div class="absent"><p>{set_label(item)}<br>has no such label</p></div>'
+    maximum = float(masks[organ_class].max())
+    picture = share_colours(masks[organ_class] / maximum)
+    alt = f"Locations of {organ_class.name.lower()} in {item.name}"
+    button = image_button("map", drawing(picture, _MAP_PX), alt, (picture.shape[1], picture.shape[0]))
+    return f"<div>{button}<p>{set_label(item)} up to {_percent(maximum, 0)}</p></div>"
 
 
-def _place_map(side: Side, organ_class: OrganClass, mask: NDArray[np.float64] | None) -> str:
-    greatest = 0.0 if mask is None else float(mask.max())
-    if mask is None or greatest == 0.0:
-        return f'<div class="absent"><p>{name_of(side)}<br>has no such label</p></div>'
-    picture = share_colours(mask / greatest)
-    alt = f"Where {organ_class.name.lower()} lies in {side.name}"
-    button = picture_button("map", drawing(picture, _MAP_PX), alt, (picture.shape[1], picture.shape[0]))
-    return f"<div>{button}<p>{name_of(side)} up to {_percent(greatest, 0)}</p></div>"
-
-
-def _hue_numbers(
-    sides: Sequence[Side], spectra: Sequence[NDArray[np.float64]], organ_class: OrganClass
+def _hue_table(
+    sets: Sequence[SetSummary], spectra: Sequence[NDArray[np.floating]], organ_class: OrganClass
 ) -> str:
     rows = []
-    for side, spectrum in zip(sides, spectra, strict=True):
-        hue = mean_hue(spectrum)
-        cells = (
-            "–" if np.isnan(hue) else f"{hue:.0f}°",
-            _percent(side.statistics.grey_shares()[organ_class], 1),
-            f"{side.statistics.hue_pictures[organ_class]:,}",
-        )
-        rows.append(
-            f'<tr><th scope="row">{name_of(side)}</th>{"".join(f"<td>{cell}</td>" for cell in cells)}</tr>'
-        )
-    head = "".join(f'<th scope="col">{name}</th>' for name in ("", "mean hue", "grey", "pictures"))
-    table = f'<table class="small"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
+    for item, hue in zip(sets, map(mean_hue, spectra), strict=True):
+        grey = _percent(item.statistics.grey_shares()[organ_class], 1)
+        images = f"{item.statistics.hue_pictures[organ_class]:,}"
+        rows.append((set_label(item), ["–" if np.isnan(hue) else f"{hue:.0f}°", grey, images]))
+    table = html_table("small", ("", "mean hue", "grey", "images"), rows)
     if len(spectra) == 2 and np.isfinite(correlation := hue_spectrum_correlation(*spectra)):
         table += f"<p>Correlation of the two: <b>r = {correlation:.2f}</b></p>"
     return table
 
 
-def _intensity(side: Side, mean: NDArray[np.float64], factor: float) -> str:
+def _mean_image(item: SetSummary, mean: NDArray[np.float64], factor: float) -> str:
     grey = np.rint(np.minimum(factor * mean, 255.0)).astype(np.uint8)
-    picture = np.repeat(grey[..., None], 3, axis=-1)
-    alt = f"Mean intensity of {side.name}"
-    button = picture_button("mean", drawing(picture), alt, (grey.shape[1], grey.shape[0]))
-    bright = f", shown {factor:g} times as bright" if factor > 1.0 else ""
-    return (
-        f'<section class="panel"><h3>{name_of(side)}</h3>{button}'
-        f"<p>Mean of {plural(side.statistics.photographs, 'photograph')}: "
-        f"<b>{float(np.mean(side.statistics.intensities)):.1f}</b> of 255{bright}.</p></section>"
+    uri = drawing(np.repeat(grey[..., None], 3, axis=-1))
+    button = image_button("mean", uri, f"Mean intensity of {item.name}", (grey.shape[1], grey.shape[0]))
+    brightness = f", shown {factor:g} times as bright" if factor > 1.0 else ""
+    text = (
+        f"Mean of {plural(item.statistics.photographs, 'photograph')}: "
+        f"<b>{float(np.mean(item.statistics.intensities)):.1f}</b> of 255{brightness}."
     )
+    return _panel(set_label(item), f"{button}<p>{text}</p>")
 
 
-def _falloff(side: Side, mean: NDArray[np.float64]) -> Curve:
-    """Mean intensity in rings around the middle, where the picture has pixels in them."""
+def _falloff(item: SetSummary, mean: NDArray[np.float64]) -> Curve:
+    """Mean intensity of rings around the centre, as far as they contain pixels."""
     radii = np.linspace(0.0, 1.0, _RINGS + 1)
     rings = centre_falloff(mean, radii)
-    held = np.isfinite(rings)
-    return Curve(side.key, side.name, ((radii[1:] + radii[:-1]) / 2.0)[held], rings[held])
+    known = np.isfinite(rings)
+    return Curve(item.key, item.name, ((radii[1:] + radii[:-1]) / 2.0)[known], rings[known])
 
 
-def _intensity_table(sides: Sequence[Side]) -> str:
-    heads = ("Photographs", "Mean", "Deviation between them", "Darkest", "Brightest", "Saturated pixels")
+def _intensity_table(sets: Sequence[SetSummary]) -> str:
+    heads = ("Set", "Photographs", "Mean", "Standard deviation", "Darkest", "Brightest", "Saturated pixels")
     rows = []
-    for side in sides:
-        values = np.array(side.statistics.intensities)
-        if values.size:
-            cells = [plural(values.size, "photograph").split(" ")[0], *(
-                f"{value:.1f}" for value in (values.mean(), values.std(), values.min(), values.max())
-            ), _percent(float(np.mean(side.statistics.saturated)))]  # fmt: skip
-            rows.append(
-                f'<tr><th scope="row">{name_of(side)}</th>{"".join(f"<td>{c}</td>" for c in cells)}</tr>'
-            )
-    head = "".join(f'<th scope="col">{name}</th>' for name in ("Set", *heads))
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    for item in sets:
+        values = np.array(item.statistics.intensities)
+        statistics = (values.mean(), values.std(), values.min(), values.max())
+        saturated = _percent(float(np.mean(item.statistics.saturated)))
+        cells = [f"{values.size:,}", *(f"{value:.1f}" for value in statistics), saturated]
+        rows.append((set_label(item), cells))
+    return html_table("intensities", heads, rows)
 
 
-def _percent(share: float, digits: int = 2) -> str:
-    """A share as a percentage; a dash where it is not known."""
-    if not np.isfinite(share):
-        return "–"
-    least = 10.0**-digits
-    return f"< {least:g}\u00a0%" if 0 < 100 * share < least / 2 else f"{100 * share:.{digits}f}\u00a0%"
+def _build_panel(
+    sets: Sequence[tuple[SetSummary, FrameRecords]], column: str, title: str, unit: str, factor: float
+) -> str:
+    values = [
+        (item, records.indices[known], factor * records.numbers[column][known])
+        for item, records in sets
+        if (known := records.known(column)).any()
+    ]
+    if not values:
+        return ""
+    chart = value_chart(
+        f"build-{column}", title, [(item.key, item.name, numbers) for item, _, numbers in values], unit
+    )
+    lines = []
+    for item, indices, numbers in values:
+        low, middle, high = np.percentile(numbers, (5, 50, 95))
+        highest = int(np.argmax(numbers))
+        lines.append(
+            f"{set_label(item)} median <b>{middle:.3g}</b>, 90 % from {low:.3g} to {high:.3g}, "
+            f"maximum {numbers[highest]:.3g} in frame {indices[highest]:06d}"
+        )
+    return _panel(escape(title), f"{chart}<p>{'<br>'.join(lines)}</p>")
+
+
+def _totals(records: FrameRecords) -> str:
+    size = float(np.nansum(records.numbers["bytes"]))
+    parts = [f"{plural(len(records.indices), 'frame')}, {_size(size)} of files"]
+    if records.known("render_s").any():
+        seconds = float(np.nansum(records.numbers["render_s"]))
+        by = f" by {plural(len(records.workers), 'worker')}" if records.workers else ""
+        parts.append(f"{_duration(seconds)} of rendering{by}")
+    if records.known("error_codes").any() and records.known("noise_codes").any():
+        ratio = np.nanmedian(records.numbers["error_codes"] / records.numbers["noise_codes"])
+        parts.append(f"the light's error is {100 * ratio:.0f} % of the sensor's noise (median)")
+    return "; ".join(parts) + "."
+
+
+def _size(count: float) -> str:
+    unit, size = next((pair for pair in (("GB", 1e9), ("MB", 1e6)) if count >= pair[1]), ("kB", 1e3))
+    return f"{count / size:.3g} {unit}"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.3g} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

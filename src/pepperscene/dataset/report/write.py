@@ -1,46 +1,60 @@
-"""A data set to look at: a contact sheet and a web page that needs no network."""
+"""Writing the report: one HTML file that contains its style, script and images, and a contact sheet."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
+from importlib import resources
 from pathlib import Path
-from typing import Final
+from string import Template
+from typing import Any, Final
 
+from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers import RenderedSet, open_images
 from pepperscene.dataset.readers.image_set import ImageSet
-from pepperscene.dataset.report.contact_sheet import MOST_ROWS, SheetRow, contact_sheet, row, view
+from pepperscene.dataset.report import sections
+from pepperscene.dataset.report.colours import VIRIDIS
 from pepperscene.dataset.report.data import (
-    Side,
-    Told,
+    OnProgress,
+    SetSummary,
     distance_range,
     evenly_spaced,
     frame_records,
     image_statistics,
 )
-from pepperscene.dataset.report.page import page
-from pepperscene.dataset.report.sections import card, line
+from pepperscene.dataset.report.image_view import (
+    MAX_ROWS,
+    TABLE_COLUMNS,
+    SheetRow,
+    card_html,
+    contact_sheet,
+    image_view,
+    sheet_row,
+    table_row,
+)
 from pepperscene.dataset.store.atomic import atomic_write
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.errors import InputError, OutputError
 
 PAGE, SHEET = "index.html", "contact_sheet.png"
 
-SHOWN: Final = 12
+DEFAULT_LIMIT: Final = 12
 """Chosen: three or four rows of cards on a wide screen."""
-SAMPLE: Final = 1000
-"""Chosen: a mean over 1,000 frames is known to 3 % of the spread between them; 15 s of processor time."""
+DEFAULT_SAMPLE: Final = 1000
+"""Chosen: the standard error of a mean over 1,000 frames is 3 % of their deviation; 15 s of CPU time."""
 
 
 @dataclass(frozen=True)
 class ReportFiles:
-    """Where a report lies, and of how many frames it shows how many.
+    """Files of a report, and numbers of frames.
 
     Attributes:
         page: the web page.
         sheet: the contact sheet.
-        shown: frames of which there are pictures in the page.
+        shown: frames that the page shows.
         measured: frames whose images were measured.
-        frames: frames of the data set.
+        frames: of the data set.
     """
 
     page: Path
@@ -52,78 +66,153 @@ class ReportFiles:
 
 def write_report(
     folder: str | Path,
-    limit: int = SHOWN,
+    limit: int = DEFAULT_LIMIT,
     beside: str | Path | ImageSet | None = None,
     *,
-    sample: int = SAMPLE,
-    on_progress: Told | None = None,
+    sample: int = DEFAULT_SAMPLE,
+    on_progress: OnProgress | None = None,
 ) -> ReportFiles:
-    """Write `contact_sheet.png` and `index.html` into a data set's folder, from the frames that are there.
+    """Write `contact_sheet.png` and `index.html` into a data set's folder, from the frames that exist.
 
-    The page holds its pictures itself: it can be moved, mailed and opened without a network. It shows frames,
-    and the measures by which Barth et al. 2018 compare image sets (Figs. 10 to 13), of the data set and of a
+    The page contains its images: it can be moved, mailed and opened without a network. It shows frames, and
+    the statistics by which Barth et al. 2018 compare image sets (Figs. 10 to 13), of the data set and of a
     second one.
 
     Args:
         folder: of the data set.
-        limit: most frames shown of each set; they are spread over those that are there.
-        beside: the second set: an image set, or the folder of one: another data set, the published one, or
-            any folder of images with masks (see `open_images`).
-        sample: most frames of each set whose images are measured, spread likewise.
-        on_progress: called after each picture measured with how many are, out of how many.
+        limit: maximum number of frames shown of each set, evenly spaced.
+        beside: a second set to compare with: an image set, or the folder of one: another data set, the
+            published one, or any folder of images with masks (see `open_images`).
+        sample: maximum number of frames measured of each set, evenly spaced.
+        on_progress: called after each measured image with their number and that of all images to measure.
 
     Raises:
-        InputError: there is no data set, or no frame in it, or a file is damaged.
+        InputError: there is no data set, it holds no frames, or a file is damaged.
         OutputError: the files cannot be written.
     """
     dataset = open_dataset(folder)
     if not dataset.indices():
         raise InputError(folder, "holds no frames yet; build some first")
-    sets: list[ImageSet] = [RenderedSet.of(dataset)]
+    image_sets: list[ImageSet] = [RenderedSet.from_dataset(dataset)]
     if beside is not None:
-        sets.append(beside if isinstance(beside, ImageSet) else open_images(beside))
-    # One range of distances for all pictures of both sets, so that they can be compared.
-    places = [evenly_spaced(len(images), limit) for images in sets]
-    ranges = [distance_range(images, some) for images, some in zip(sets, places, strict=True)]
-    known = [found for found in ranges if found is not None]
-    near = min((one[0] for one in known), default=0.0)
-    far = max((one[1] for one in known), default=1.0)
+        image_sets.append(beside if isinstance(beside, ImageSet) else open_images(beside))
 
-    sides, rows = [], []
-    for key, images, some in zip("ab", sets, places, strict=False):
-        side, sheet_rows = _side(key, images, some, sample, near, far, on_progress)
-        sides.append(side)
-        rows.append(sheet_rows)
-    target = ReportFiles(
-        dataset.folder / PAGE,
-        dataset.folder / SHEET,
-        len(sides[0].cards),
-        sides[0].statistics.pictures,
-        sides[0].frames,
-    )
-    text = page(dataset.info, sides, *((near, far) if known else (None, None)))
+    # One range of distances for all images, so that their colours can be compared.
+    positions = [evenly_spaced(len(images), limit) for images in image_sets]
+    ranges = [distance_range(*pair) for pair in zip(image_sets, positions, strict=True)]
+    known = [pair for pair in ranges if pair is not None]
+    near = min((pair[0] for pair in known), default=0.0)
+    far = max((pair[1] for pair in known), default=1.0)
+
+    sets, sheet_rows = [], []
+    for key, images, shown in zip("ab", image_sets, positions, strict=False):
+        summary, rows = _summarize(key, images, shown, sample, (near, far), on_progress)
+        sets.append(summary)
+        sheet_rows.append(rows)
+    text = _page(dataset.info, sets, (near, far) if known else None)
+    page, sheet = dataset.folder / PAGE, dataset.folder / SHEET
     try:
-        with atomic_write(target.sheet) as temporary:
-            contact_sheet(rows[0], near, far).save(temporary, format="PNG")
-        with atomic_write(target.page) as temporary:
+        with atomic_write(sheet) as temporary:
+            contact_sheet(sheet_rows[0], near, far).save(temporary, format="PNG")
+        with atomic_write(page) as temporary:
             temporary.write_text(text, encoding="utf-8")
-    except OSError as fault:
-        raise OutputError(f"{folder}: the report cannot be written ({fault.strerror or fault})") from None
-    return target
+    except OSError as error:
+        raise OutputError(f"{folder}: the report cannot be written ({error.strerror or error})") from None
+    first = sets[0]
+    return ReportFiles(page, sheet, len(first.cards), first.statistics.pictures, first.frames)
 
 
-def _side(
-    key: str, images: ImageSet, places: list[int], sample: int, near: float, far: float, told: Told | None
-) -> tuple[Side, list[SheetRow]]:
-    """A set's measures and pictures; the pictures go through memory one by one."""
-    on_sheet = {places[place] for place in evenly_spaced(len(places), MOST_ROWS)}
-    cards, lines, rows = [], [], []
-    for place in places:
-        shown = view(images[place], near, far)
-        cards.append(card(shown, key))
-        lines.append(line(shown, key))
-        if key == "a" and place in on_sheet:
-            rows.append(row(shown))
-    known = frame_records(images.dataset) if isinstance(images, RenderedSet) else None
-    statistics = image_statistics(images, sample, told)
-    return Side(key, images.name, len(images), statistics, known, tuple(cards), tuple(lines)), rows
+def _summarize(
+    key: str,
+    images: ImageSet,
+    positions: list[int],
+    sample: int,
+    distances_m: tuple[float, float],
+    on_progress: OnProgress | None,
+) -> tuple[SetSummary, list[SheetRow]]:
+    """Summary of a set, and rows of the contact sheet; one image is in memory at a time."""
+    sheet_positions = {positions[number] for number in evenly_spaced(len(positions), MAX_ROWS)}
+    cards, table_rows, sheet_rows = [], [], []
+    for position in positions:
+        view = image_view(images[position], *distances_m)
+        cards.append(card_html(view, key))
+        table_rows.append(table_row(view, key))
+        if key == "a" and position in sheet_positions:
+            sheet_rows.append(sheet_row(view))
+    records = frame_records(images.dataset) if isinstance(images, RenderedSet) else None
+    statistics = image_statistics(images, sample, on_progress)
+    summary = SetSummary(key, images.name, len(images), statistics, records, tuple(cards), tuple(table_rows))
+    return summary, sheet_rows
+
+
+def _page(
+    info: Mapping[str, Any], sets: Sequence[SetSummary], distances_m: tuple[float, float] | None
+) -> str:
+    """The page as HTML; `distances_m` are those of the brightest and the darkest colour."""
+    recipe, plan = info["recipe"], info["recipe"]["plan"]
+    total = plan["sets"] * plan["rotations"] * plan["frames"]
+    summary = [f"{sets[0].frames:,} of {total:,} planned frames exist."]
+    summary += [
+        f"Compared with {sections.set_label(item)}, {sections.plural(item.frames, 'image')}."
+        for item in sets[1:]
+    ]
+    measured = []
+    for item in sets:
+        count = item.statistics.pictures
+        number = f"all {count:,}" if count == item.frames else f"{count:,} evenly spaced of {item.frames:,}"
+        measured.append(f"{number} images of {sections.set_label(item)}")
+    ramp = ""
+    if distances_m is not None:
+        near, far = (f"<span>{distance:.2f} m</span>" for distance in distances_m)
+        ramp = f'<p class="ramp">{near}<i class="back"></i>{far}</p>'
+    return Template(_resource("page.html")).substitute(
+        style=Template(_resource("page.css")).substitute(ramp=", ".join(VIRIDIS)),
+        script=_resource("page.js"),
+        name=escape(str(recipe["name"])),
+        cultivar=escape(str(recipe["cultivar"])),
+        summary=" ".join(summary),
+        facts=_facts(info),
+        classes=" ".join(
+            f"<span>{sections.swatch(organ)}{organ.name.lower()}</span>" for organ in OrganClass
+        ),
+        distances=ramp,
+        frames="".join(_frames_html(item, single=len(sets) == 1) for item in sets),
+        fractions=sections.class_fractions_html(sets),
+        measured=f"Measured in {' and '.join(measured)}.",
+        maps=sections.class_maps_html(sets),
+        hues=sections.hue_spectra_html(sets),
+        intensity=sections.intensity_html(sets),
+        build=sections.build_html(sets),
+    )
+
+
+def _resource(name: str) -> str:
+    return resources.files("pepperscene.dataset.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def _facts(info: Mapping[str, Any]) -> str:
+    recipe = info["recipe"]
+    daylight = recipe["daylight"] or {"illuminance_lx": 0}
+    items = {
+        "Quality": info["quality"],
+        "Seed": recipe["seed"],
+        "Plan": "{sets} sets × {rotations} rotations × {frames} steps".format(**recipe["plan"]),
+        "Rows": "{plants_front} + {plants_back} plants, {spacing_mm:g} mm apart".format(**recipe["row"]),
+        "Exposure": f"{recipe['camera']['exposure_us']:g} µs",
+        "Daylight": f"{daylight['illuminance_lx']:,.0f} lx",
+        "Version": info["version"],
+        "Recipe SHA-256": info["recipe_sha256"][:12] + "…",
+    }
+    return "".join(f"<div><dt>{key}</dt><dd>{escape(str(value))}</dd></div>" for key, value in items.items())
+
+
+def _frames_html(item: SetSummary, single: bool) -> str:
+    """The displayed images of a set as cards, and as a table."""
+    shown = f"{len(item.cards):,} of {item.frames:,}" if len(item.cards) < item.frames else f"{item.frames:,}"
+    title, suffix = ("", "") if single else (f"<h3>{sections.set_label(item)}</h3>", f": {escape(item.name)}")
+    return (
+        f'{title}<p>{shown} shown.</p><div class="cards">{"".join(item.cards)}</div>'
+        f"<details><summary>As a table{suffix}</summary>"
+        f'<div class="scroll" tabindex="0" role="region" aria-label="Images of {escape(item.name)}">'
+        f"{sections.html_table('frames', TABLE_COLUMNS, item.table_rows)}</div></details>"
+    )

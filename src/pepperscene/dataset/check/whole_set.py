@@ -1,0 +1,254 @@
+"""Checks of a data set as a whole: its files and tables, duplicate frames, and statistics out of range."""
+
+from __future__ import annotations
+
+import math
+import os
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.classes import OrganClass
+from pepperscene.dataset.check.findings import Finding
+from pepperscene.dataset.check.one_frame import FrameTraits, manifest_digest
+from pepperscene.dataset.recipe.recipe import digest
+from pepperscene.dataset.recipe.tables import ExpectTable
+from pepperscene.dataset.store.atomic import is_temporary
+from pepperscene.dataset.store.dataset import DIGITS, FORMAT, FRAMES, MARK, Dataset, file_name, read_json
+from pepperscene.dataset.store.folder import LITTER, OWN
+from pepperscene.dataset.store.manifest import FRUIT, MANIFEST
+from pepperscene.errors import InputError
+from pepperscene.frame import OUTPUTS
+
+
+def frame_indices(dataset: Dataset) -> tuple[int, ...]:
+    """Indices of the frames whose JSON exists, ascending; a build's file names have six digits."""
+    folder = dataset.folder / FRAMES
+    names = (entry.name for entry in os.scandir(folder)) if folder.is_dir() else ()
+    return tuple(sorted(index for name in names if (index := _frame_index(name, ".json")) is not None))
+
+
+def _frame_index(name: str, suffix: str) -> int | None:
+    """Index of the frame of a file, None if it is not a frame's."""
+    stem = name.removesuffix(suffix)
+    is_frame = name.endswith(suffix) and len(stem) == DIGITS and stem.isascii() and stem.isdecimal()
+    return int(stem) if is_frame else None
+
+
+def open_leniently(folder: Path) -> tuple[Dataset, list[Finding]]:
+    """The data set in a folder, as far as its `dataset.json` can be read, and the problem of that file."""
+    if not (folder / MARK).exists() and not (folder / FRAMES).is_dir():
+        raise InputError(folder, f"holds no data set: there is no {MARK} in it")
+    info: dict[str, Any] = {}
+    problem = ""
+    try:
+        info = read_json(folder / MARK)
+        if info.get("format") != FORMAT:
+            problem = f"has format = {info.get('format')!r}, must be {FORMAT!r}"
+        elif info.get("recipe_sha256") != digest({name: info.get(name) for name in ("recipe", "files")}):
+            problem = "is not what was written: the recipe's checksum differs"
+    except InputError as error:
+        problem = error.problem
+    return Dataset(folder, info), [Finding("damaged", None, MARK, problem)] if problem else []
+
+
+def stray_files(dataset: Dataset, indices: Sequence[int]) -> Iterator[Finding]:
+    """Yield files that belong to no frame: those of other programs, and those left by a killed build."""
+    known = set(indices)
+    for entry in sorted(os.scandir(dataset.folder), key=lambda entry: entry.name):
+        if entry.name in LITTER:
+            continue
+        if entry.name not in OWN:
+            yield _stray_file(entry)
+        elif entry.name == FRAMES or entry.name in OUTPUTS:
+            if not entry.is_dir():
+                yield Finding("extra", None, entry.name, "is a file, but must be a folder")
+                continue
+            suffix = ".json" if entry.name == FRAMES else OUTPUTS[entry.name].suffix
+            for file in os.scandir(entry):
+                index = _frame_index(file.name, suffix)
+                if file.name not in LITTER and index not in known:
+                    yield _stray_file(file, f"{entry.name}/", index)
+
+
+def _stray_file(entry: os.DirEntry[str], folder: str = "", index: int | None = None) -> Finding:
+    problem = "does not belong to a data set"
+    if is_temporary(Path(entry.path)):
+        problem = "is a temporary file of a build that was killed or still runs"
+    elif index is not None:
+        problem = "belongs to no frame: its JSON does not exist"
+    # File systems allow names that are not text.
+    name = entry.name.encode(errors="backslashreplace").decode()
+    return Finding("extra", index, folder + name, problem)
+
+
+_BATCH_ROWS: Final = 4096  # chosen: rows in memory at a time
+
+
+def check_tables(dataset: Dataset, row_digests: Mapping[int, int], harvest: bool) -> Iterator[Finding]:
+    """Yield the problems of the tables of a data set.
+
+    Args:
+        dataset: that the tables belong to.
+        row_digests: digest of the expected row of the manifest for each frame.
+        harvest: whether there must be a table of fruit.
+    """
+    from pyarrow import ArrowException, parquet
+
+    expected = dict(row_digests)
+    try:
+        with parquet.ParquetFile(dataset.folder / MANIFEST) as file:
+            for row in (row for batch in file.iter_batches(_BATCH_ROWS) for row in batch.to_pylist()):
+                index = int(row["index"])
+                if index not in expected:
+                    problem = "has a row for this frame, whose JSON does not exist"
+                    yield Finding("incomplete", index, MANIFEST, problem)
+                elif expected.pop(index) != manifest_digest(row):
+                    yield Finding("contradiction", index, MANIFEST, "disagrees with the JSON of this frame")
+    except FileNotFoundError:
+        yield Finding("missing", None, MANIFEST, "does not exist; the same build command writes it again")
+        return
+    except (OSError, ArrowException, KeyError, ValueError) as error:
+        yield Finding("damaged", None, MANIFEST, f"cannot be read ({' '.join(str(error).split())[:80]})")
+        return
+    for index in sorted(expected):
+        yield Finding("contradiction", index, MANIFEST, "has no row for this frame")
+    if harvest and not (dataset.folder / FRUIT).is_file():
+        yield Finding("missing", None, FRUIT, "does not exist, although frames have the output harvest")
+
+
+_STANDARD_ERRORS: Final = 3.0
+"""Chosen: by which the mean of a part of a plan must leave the range of the whole."""
+_MIN_SCENES: Final = 4  # chosen: with fewer, a part of a plan is not judged
+_MIN_SCENES_FOR_OUTLIERS: Final = 8  # chosen: with fewer, no scene is an outlier
+_OUTLIER_DEVIATIONS: Final = 6.0  # chosen: robust; of 42 scenes with nine numbers each, none by chance
+_MAD_TO_SD: Final = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+_DUPLICATES: Final = {
+    "photo": "has the same photograph as frame {}",
+    "content": "has the same images as frame {}",
+    "view": "has the pose and seed of frame {}",
+}
+"""Traits in which two frames must differ; a frame is reported for the first of them only."""
+
+_STATISTICS: Final = (*(organ.name.lower() for organ in OrganClass), "intensity")
+"""The pixel fraction of each class, and the mean grey value of the photograph."""
+
+
+class CrossFrameChecks:
+    """Accumulates the traits of frames, and finds duplicates and statistics out of range.
+
+    Args:
+        expect: expectations of the recipe, or None.
+    """
+
+    def __init__(self, expect: ExpectTable | None) -> None:
+        self._expect = expect or ExpectTable()
+        self._indices = array("q")
+        self._scenes = array("q")
+        self._values = array("d")  # of `_STATISTICS` for every frame, nan if unknown
+        self._digests = {trait: array("Q") for trait in (*_DUPLICATES, "row")}
+
+    def add(self, traits: FrameTraits) -> Iterator[Finding]:
+        """Add a frame, and yield where it violates the expectations of a single frame."""
+        yield from self._check_photo(traits)
+        self._indices.append(traits.index)
+        self._scenes.append(-1 if traits.scene is None else traits.scene)
+        self._values.extend(traits.fractions or [math.nan] * len(OrganClass))
+        self._values.append(math.nan if traits.mean is None else traits.mean)
+        for trait, digests in self._digests.items():
+            digests.append(getattr(traits, trait))
+
+    def drift(self, whole: bool) -> Iterator[Finding]:
+        """Yield means of the set that are outside the expected ranges.
+
+        Args:
+            whole: whether all frames of the plan exist; for a part of it, chance is allowed for.
+        """
+        ranges = dict(self._expect.share)
+        if self._expect.intensity is not None:
+            ranges["intensity"] = self._expect.intensity
+        for name, (low, high) in ranges.items():
+            values, _, scene_means = self._known(name)
+            if len(values) == 0:
+                continue
+            mean, tolerance = values.mean(), 0.0
+            if not whole:
+                # The standard error from scene to scene: the frames of a scene show the same plants.
+                few = len(scene_means) < _MIN_SCENES
+                error = math.inf if few else scene_means.std(ddof=1) / math.sqrt(len(scene_means))
+                tolerance = _STANDARD_ERRORS * error
+            if not low - tolerance <= mean <= high + tolerance:
+                text = f"{mean:.4g} over {len(values)} frames, expected {low:g} to {high:g}"
+                yield Finding("drift", None, "", f"the {_describe(name)} is {text}")
+
+    def outlier_scenes(self) -> Iterator[str]:
+        """Yield scenes whose means differ strongly from those of the others."""
+        for name in _STATISTICS:
+            _, scenes, means = self._known(name)
+            if len(scenes) < _MIN_SCENES_FOR_OUTLIERS:
+                continue
+            centre = np.median(means)
+            distances = np.abs(means - centre)
+            limit = _OUTLIER_DEVIATIONS * _MAD_TO_SD * np.median(distances)
+            for scene, mean in zip(scenes[distances > limit], means[distances > limit], strict=True):
+                set_index, rotation = divmod(int(scene), 1000)
+                text = f"{_describe(name)} {mean:.4g}, median of all scenes {centre:.4g}"
+                if limit > 0:
+                    yield f"set {set_index}, rotation {rotation} is an outlier: {text}"
+
+    def _known(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+        """The known values of a statistic, and scenes with their mean."""
+        table = np.array(self._values).reshape(-1, len(_STATISTICS))
+        values = table[:, _STATISTICS.index(name)]
+        known = np.isfinite(values)
+        scenes, inverse = np.unique(np.array(self._scenes)[known], return_inverse=True)
+        return values[known], scenes, np.bincount(inverse, values[known]) / np.bincount(inverse)
+
+    def duplicates(self) -> Iterator[Finding]:
+        """Yield frames that repeat an earlier one, each once."""
+        indices, reported = np.array(self._indices), set[int]()
+        for trait, problem in _DUPLICATES.items():
+            digests = np.array(self._digests[trait])
+            # Equal digests are adjacent, in the order of the frames.
+            order = np.lexsort((indices, digests))
+            digests, ordered = digests[order], indices[order]
+            first = 0
+            repeated = np.flatnonzero((digests[1:] == digests[:-1]) & (digests[1:] != 0)) + 1
+            for position in repeated.tolist():
+                if digests[position] != digests[first]:
+                    first = position - 1
+                index = int(ordered[position])
+                if index not in reported:
+                    reported.add(index)
+                    file = f"{FRAMES}/{index:0{DIGITS}d}.json"
+                    yield Finding("duplicate", index, file, problem.format(ordered[first]))
+
+    def row_digests(self) -> dict[int, int]:
+        """Digest of the expected row of the manifest for each frame."""
+        return dict(zip(self._indices, self._digests["row"], strict=True))
+
+    def _check_photo(self, traits: FrameTraits) -> Iterator[Finding]:
+        if traits.mean is None:
+            return
+        file = file_name(traits.index, "colour")
+        if self._expect.frame_intensity is not None:
+            low, high = self._expect.frame_intensity
+            if not low <= traits.mean <= high:
+                problem = f"has the mean grey value {traits.mean:.4g}, expected {low:g} to {high:g}"
+                yield Finding("drift", traits.index, file, problem)
+        limit = self._expect.saturated
+        if limit is not None and traits.saturated > limit:
+            problem = (
+                f"{traits.saturated:.1%} of its pixels have a channel at 255, expected at most {limit:.1%}"
+            )
+            yield Finding("drift", traits.index, file, problem)
+
+
+def _describe(statistic: str) -> str:
+    return "mean grey value" if statistic == "intensity" else f"pixel fraction of {statistic}"

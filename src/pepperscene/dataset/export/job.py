@@ -1,0 +1,135 @@
+"""The frames of an export and what is read of them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
+from itertools import islice
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.classes import OrganClass
+from pepperscene.dataset.store.dataset import Dataset
+from pepperscene.errors import InputError, SetupError
+
+OnFrame = Callable[[int, int, int], None]
+"""Called after every frame with its index, the number of frames done, and the number of all."""
+
+REST: Final = 1 << 16
+"""Segment id of the rest of class 0; instances are 16-bit numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExportFrame:
+    """One frame of a data set."""
+
+    dataset: Dataset
+    index: int
+
+    @cached_property
+    def metadata(self) -> dict[str, Any]:
+        """The content of its JSON."""
+        return self.dataset.metadata(self.index)
+
+    @property
+    def name(self) -> str:
+        """Name of its files without suffix."""
+        return self.dataset.frame_path(self.index).stem
+
+    def content(self, output: str) -> bytes:
+        """The bytes of an output's file, checked against its checksum."""
+        path = self.dataset.path(self.index, output)
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise InputError(path, f"cannot be read ({error.strerror})") from None
+        if hashlib.sha256(content).hexdigest() != self.metadata["outputs"].get(output, {}).get("sha256"):
+            problem = "is not what the build wrote; run the same build command again to repair it"
+            raise InputError(path, problem)
+        return content
+
+    def image(self, output: str) -> Any:
+        """An output as `Frame` holds it, checked against its checksum."""
+        self.content(output)
+        return self.dataset.image(self.index, output)
+
+    def segment_ids(self, smallest_px: int) -> NDArray[np.uint32]:
+        """Segment of every pixel, `(h, w)`, above 0.
+
+        An organ of a plant, of any class but the background, is one segment, whose id is its value in
+        the instance image. The rest of each class is the segment `REST` + class: the background, what has
+        an organ's class but belongs to no plant (a wire of the whole row), and organs with fewer than
+        `smallest_px` visible pixels.
+        """
+        instance = self.image("instance")
+        table = np.zeros(REST, dtype=np.uint32)
+        table[0] = REST
+        for value, entry in self.metadata["instances"].items():
+            organ_class = entry["class"]
+            is_organ = organ_class != OrganClass.BACKGROUND and entry["plant"] >= 0
+            keep = is_organ and entry["pixels"] >= smallest_px
+            table[int(value)] = int(value) if keep else REST + organ_class
+        ids = np.take(table, instance)
+        if not ids.all():
+            unknown = int(instance[ids == 0][0])
+            problem = f"instance {unknown} is not in the frame's JSON"
+            raise InputError(self.dataset.path(self.index, "instance"), problem, value=unknown)
+        return ids
+
+
+@dataclass(frozen=True, eq=False)
+class ExportJob:
+    """Input of an export."""
+
+    dataset: Dataset
+    splits: Mapping[str, tuple[int, ...]]  # ascending indices of each; none is empty
+    smallest_px: int = 1  # visible pixels below which an organ is not a separate object
+    on_frame: OnFrame | None = None
+
+    @cached_property
+    def split_of(self) -> dict[int, str]:
+        """The split of each frame, by ascending index."""
+        pairs = [(index, name) for name, members in self.splits.items() for index in members]
+        return dict(sorted(pairs))
+
+    def frames(self, indices: Sequence[int] | None = None) -> Iterator[ExportFrame]:
+        """The frames in order of their indices, or of `indices`; each is done when the next is requested."""
+        order = list(self.split_of) if indices is None else indices
+        for done, index in enumerate(order, start=1):
+            yield ExportFrame(self.dataset, index)
+            if self.on_frame is not None:
+                self.on_frame(index, done, len(order))
+
+    def frames_by_split(
+        self, order: Callable[[Sequence[int]], Sequence[int]] = tuple
+    ) -> Iterator[tuple[str, Iterator[ExportFrame]]]:
+        """The splits and their frames, in the given order; progress covers all of them."""
+        orders = {split: order(indices) for split, indices in self.splits.items()}
+        frames = self.frames([index for indices in orders.values() for index in indices])
+        for split, indices in orders.items():
+            yield split, islice(frames, len(indices))
+        # Report the last frame as done.
+        next(frames, None)
+
+    def common_outputs(self, outputs: Sequence[str]) -> tuple[str, ...]:
+        """Those of some outputs that all frames have."""
+        return tuple(
+            output
+            for output in outputs
+            if all(self.dataset.path(index, output).is_file() for index in self.split_of)
+        )
+
+
+def import_library(module: str) -> Any:
+    """Import a module of a library that the extra `export` installs."""
+    try:
+        return import_module(module)
+    except ImportError:
+        name = module.partition(".")[0]
+        problem = f"this format needs {name}, which is not installed"
+        raise SetupError(f"{problem}; install it with `pip install 'pepperscene[export]'`") from None

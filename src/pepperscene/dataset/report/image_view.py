@@ -1,0 +1,270 @@
+"""One image in a report: its panels in colours, its HTML card, and its row in the contact sheet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.classes import CLASS_COLOURS, OrganClass
+from pepperscene.dataset.readers.image_set import LabelledImage
+from pepperscene.dataset.report.colours import (
+    class_colours,
+    distance_colours,
+    drawing,
+    instance_colours,
+    jpeg_data_uri,
+)
+
+if TYPE_CHECKING:
+    from PIL import Image, ImageDraw
+
+
+TITLES: Final[Mapping[str, str]] = {
+    "colour": "Colour",
+    "class": "Class",
+    "instance": "Organ instance",
+    "distance": "Distance along the ray",
+}
+"""Titles of the panels, in the order of display."""
+
+TABLE_COLUMNS: Final = (
+    *("", "set", "rotation", "step", "height, m", "error, codes"),
+    *(f"{organ.name.lower()}, %" for organ in OrganClass),
+)
+
+_LABELS: Final = {"colour": "Colour", "class": "Class", "instance": "Instance", "distance": "Distance"}
+
+
+@dataclass(frozen=True, eq=False)
+class ImageView:
+    """One image as a report shows it."""
+
+    name: str
+    metadata: Mapping[str, Any]
+    panels: Mapping[str, NDArray[np.uint8]]  # (h, w, 3) by the keys of `TITLES`, in their order
+    class_pixels: Mapping[OrganClass, int]  # empty without labels
+    area: int  # number of all pixels, labelled or not
+
+    @property
+    def is_frame(self) -> bool:
+        """Whether it is a frame of a data set of this package."""
+        return "step" in self.metadata
+
+    @property
+    def title(self) -> str:
+        """Title of the card."""
+        return f"Frame {self.name}" if self.is_frame else self.name
+
+    @property
+    def location(self) -> str:
+        """Place in the plan and height of the camera, one line; empty if it is not a frame."""
+        if not self.is_frame:
+            return ""
+        location = "set {set} · rotation {rotation} · step {step}".format(**self.metadata)
+        height = self.camera_height_m
+        return location if height is None else f"{location} · camera at {height:.2f} m"
+
+    @property
+    def camera_height_m(self) -> float | None:
+        """Height of the camera above the ground, metres."""
+        pose = self.metadata.get("camera", {}).get("pose")
+        return None if pose is None else float(pose[2][3])
+
+
+def image_view(image: LabelledImage, near_m: float, far_m: float) -> ImageView:
+    """The view of an image; `near_m` and `far_m` are the distances of the brightest and darkest colour."""
+    panels: dict[str, NDArray[np.uint8]] = {}
+    class_pixels: dict[OrganClass, int] = {}
+    if image.colour is not None:
+        panels["colour"] = image.colour
+    if image.classes is not None:
+        panels["class"] = class_colours(image.classes)
+        counts = np.bincount(image.classes.ravel(), minlength=len(OrganClass))
+        class_pixels = {organ: int(counts[organ]) for organ in OrganClass}
+    if image.instances is not None:
+        panels["instance"] = instance_colours(image.instances)
+    if image.distance_m is not None:
+        panels["distance"] = distance_colours(image.distance_m, near_m, far_m)
+    height, width = image.size
+    return ImageView(image.name, image.facts, panels, class_pixels, height * width)
+
+
+def card_html(view: ImageView, set_key: str) -> str:
+    """A card with the panels of an image, its class fractions as one bar, and a description."""
+    buttons = [_panel_button(view, key) for key in view.panels]
+    # Two panels have the same size; of more, the first is large and the others are small below it.
+    images = "".join(buttons)
+    if len(buttons) > 2:
+        images = f'{buttons[0]}<div class="thumbs">{"".join(buttons[1:])}</div>'
+    elif len(buttons) == 2:
+        images = f'<div class="thumbs">{images}</div>'
+    lines = "".join(f"<p>{escape(line)}</p>" for line in (view.location, _description(view)) if line)
+    return (
+        f'<article class="card" id="{_card_id(view, set_key)}">{images}{_class_bar(view)}'
+        f"<h3>{escape(view.title)}</h3>{lines}</article>"
+    )
+
+
+def table_row(view: ImageView, set_key: str) -> tuple[str, list[str]]:
+    """Head and cells of a table row: place in the plan, camera height, error of the light, percentages."""
+    metadata = view.metadata
+    height, error = view.camera_height_m, metadata.get("sampling", {}).get("error_codes")
+    cells = [
+        *(str(metadata.get(key, "")) for key in ("set", "rotation", "step")),
+        "" if height is None else f"{height:.2f}",
+        "" if error is None else f"{error:.2f}",
+        *(f"{100 * count / view.area:.2f}" for count in view.class_pixels.values()),
+    ]
+    cells += [""] * (len(TABLE_COLUMNS) - 1 - len(cells))
+    return f'<a href="#{_card_id(view, set_key)}">{escape(view.name)}</a>', cells
+
+
+def image_button(kind: str, uri: str, alt: str, size: tuple[int, int], label: str = "") -> str:
+    """An image that opens large on click.
+
+    Args:
+        kind: of image; the arrow keys up and down go to the next one of the same kind.
+        uri: of the image.
+        alt: its description.
+        size: width and height in pixels.
+        label: text below the image.
+    """
+    below = f"<span>{escape(label)}</span>" if label else ""
+    return (
+        f'<button type="button" class="picture" aria-label="{escape(alt)}: open large">'
+        f'<img src="{uri}" class="{kind}" data-kind="{kind}" alt="{escape(alt)}" '
+        f'width="{size[0]}" height="{size[1]}">{below}</button>'
+    )
+
+
+def class_colour_code(organ_class: OrganClass) -> str:
+    """The published colour of a class in CSS."""
+    return "#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[organ_class])
+
+
+def _card_id(view: ImageView, set_key: str) -> str:
+    return f"{set_key}-" + "".join(letter if letter.isalnum() else "-" for letter in view.name)
+
+
+def _panel_button(view: ImageView, key: str) -> str:
+    panel = view.panels[key]
+    uri = jpeg_data_uri(panel) if key == "colour" else drawing(panel)
+    is_large = next(iter(view.panels)) == key and len(view.panels) != 2
+    alt = f"{TITLES[key]} of {'frame ' if view.is_frame else ''}{view.name}"
+    return image_button(key, uri, alt, (panel.shape[1], panel.shape[0]), "" if is_large else _LABELS[key])
+
+
+def _class_bar(view: ImageView) -> str:
+    """The fractions of the classes as one bar."""
+    percentages = {organ: 100 * count / view.area for organ, count in view.class_pixels.items() if count}
+    parts = "".join(
+        f'<b style="width:{percentage:.3f}%;background:{class_colour_code(organ)}"'
+        f' title="{organ.name.lower()} {percentage:.1f} %"></b>'
+        for organ, percentage in percentages.items()
+    )
+    return f'<div class="stack">{parts}</div>' if view.class_pixels else ""
+
+
+def _description(view: ImageView) -> str:
+    """Numbers of visible organs and of contacts; empty if they are unknown."""
+    sentences = []
+    if instances := view.metadata.get("instances"):
+        # The greenhouse and the far rows belong to no plant.
+        classes = [entry["class"] for entry in instances.values() if entry["plant"] >= 0]
+        fruit, leaves = classes.count(OrganClass.PEPPER), classes.count(OrganClass.LEAF)
+        sentences.append(f"{len(classes)} visible organs: {leaves} leaves, {fruit} fruit.")
+    contacts = view.metadata.get("contacts")
+    if contacts and (touching := contacts["fruit_touching"] + contacts["blades_touching"]):
+        sentences.append(f"{touching} fruit and leaves of the scene touch other organs.")
+    return " ".join(sentences)
+
+
+MAX_ROWS: Final = 24
+"""Chosen: image viewers do not open much taller sheets."""
+
+# Layout of the contact sheet in pixels; chosen so that four panels fill a wide screen.
+_PANEL_WIDTH: Final = 440
+_GAP: Final = 10
+_MARGIN: Final = 28
+_CAPTION_HEIGHT: Final = 34
+_HEADER_HEIGHT: Final = 44
+_FOOTER_HEIGHT: Final = 70
+_PAPER: Final = (22, 24, 29)
+_INK: Final = (236, 238, 242)
+_FAINT: Final = (150, 156, 168)
+
+
+@dataclass(frozen=True, eq=False)
+class SheetRow:
+    """Panels of an image in the size of the contact sheet, and the caption below them."""
+
+    panels: dict[str, Image.Image]
+    caption: str
+
+
+def sheet_row(view: ImageView) -> SheetRow:
+    """The row of an image in the contact sheet."""
+    from PIL import Image
+
+    panels = {}
+    for key, panel in view.panels.items():
+        # Labels must not be blended: a mixed colour would be another class.
+        resampling = Image.Resampling.LANCZOS if key == "colour" else Image.Resampling.NEAREST
+        size = (_PANEL_WIDTH, round(_PANEL_WIDTH * panel.shape[0] / panel.shape[1]))
+        panels[key] = Image.fromarray(np.ascontiguousarray(panel)).resize(size, resampling)
+    return SheetRow(panels, " · ".join(part for part in (view.title, view.location) if part))
+
+
+def contact_sheet(rows: Sequence[SheetRow], near_m: float, far_m: float) -> Image.Image:
+    """All rows below each other, with legends for class and distance in the footer."""
+    from PIL import Image, ImageDraw
+
+    columns = [key for key in TITLES if any(key in row.panels for row in rows)]
+    heights = [max((panel.height for panel in row.panels.values()), default=0) for row in rows]
+    width = 2 * _MARGIN + max(2, len(columns)) * (_PANEL_WIDTH + _GAP) - _GAP
+    height = _HEADER_HEIGHT + sum(heights) + len(rows) * _CAPTION_HEIGHT + _FOOTER_HEIGHT
+    sheet = Image.new("RGB", (width, height), _PAPER)
+    draw = ImageDraw.Draw(sheet)
+    lefts = {key: _MARGIN + number * (_PANEL_WIDTH + _GAP) for number, key in enumerate(columns)}
+    for key, left in lefts.items():
+        draw.text((left, _HEADER_HEIGHT - 30), TITLES[key], fill=_INK, font=_font(19))
+    top = _HEADER_HEIGHT
+    for row, row_height in zip(rows, heights, strict=True):
+        for key, panel in row.panels.items():
+            sheet.paste(panel, (lefts[key], top))
+        draw.text((_MARGIN, top + row_height + 6), row.caption, fill=_FAINT, font=_font(15))
+        top += row_height + _CAPTION_HEIGHT
+    _draw_legends(sheet, draw, columns, near_m, far_m)
+    return sheet
+
+
+def _draw_legends(
+    sheet: Image.Image, draw: ImageDraw.ImageDraw, columns: Sequence[str], near_m: float, far_m: float
+) -> None:
+    from PIL import Image
+
+    top, left, font = sheet.height - _FOOTER_HEIGHT + 14, float(_MARGIN), _font(16)
+    if "class" in columns:
+        for organ_class, colour in zip(OrganClass, CLASS_COLOURS, strict=True):
+            draw.rounded_rectangle((left, top + 4, left + 18, top + 22), 4, fill=colour, outline=_FAINT)
+            name = organ_class.name.lower()
+            draw.text((left + 25, top + 2), name, fill=_INK, font=font)
+            left += 25 + draw.textlength(name, font=font) + 22
+    if "distance" in columns:
+        ramp = np.linspace(near_m, far_m, 200)[None].repeat(18, axis=0)
+        right = sheet.width - _MARGIN - 200 - 60
+        sheet.paste(Image.fromarray(distance_colours(ramp, near_m, far_m)), (right, top + 4))
+        draw.text((right - 8, top + 2), f"{near_m:.2f} m", fill=_INK, font=font, anchor="ra")
+        draw.text((right + 208, top + 2), f"{far_m:.2f} m", fill=_INK, font=font)
+
+
+def _font(size: int) -> Any:
+    """Pillow's default font, so that the sheet is the same on every machine."""
+    from PIL import ImageFont
+
+    return ImageFont.load_default(size)
