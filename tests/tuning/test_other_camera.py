@@ -1,6 +1,6 @@
 """Patches by a camera and a lamp that are not the recipe's: what a fit of pigments cannot mend, and what can.
 
-Rationale: pigments that are made to explain another camera are wrong. A fit has to show that they do not
+Rationale: pigments that are parts to explain another camera are wrong. A fit has to show that they do not
 explain it, and to say what is missed.
 
 Set-up: the organs of a recipe with hidden pigments, by the light of an LED of another make (CIE illuminant
@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from twins import KINDS, drawn_values, no_patches, patch_delta_e
+from simulated_fits import KINDS, drawn_values, no_patches, patch_delta_e
 
 from pepperscene.camera import Camera, load_sensor, reference_correction
 from pepperscene.colour import PatchSet
@@ -26,9 +26,9 @@ from pepperscene.dataset.recipe.equipment import surface_wavelengths
 from pepperscene.materials import organ_surfaces
 from pepperscene.spectra import read_spectrum
 from pepperscene.tuning.fit import least_squares as fit
-from pepperscene.tuning.model.subject import TuningTarget
+from pepperscene.tuning.model.target import TuningTarget
 from pepperscene.tuning.model.views import with_surfaces
-from pepperscene.tuning.twin import photographed, simulate_patches
+from pepperscene.tuning.simulated import photograph, simulate_patches
 
 PIGMENTS = ("leaf.chlorophyll", "fruit.chlorophyll", "fruit.carotenoid", "stem.chlorophyll")
 LIGHT_AND_CAMERA = ("flash.colour", "exposure", "white_balance", "colour_matrix")
@@ -89,7 +89,7 @@ def subject(recipe, case) -> TuningTarget:
     plants = plants.model_copy(update={"pigments": pigments})
     surfaces = organ_surfaces(plants, surface_wavelengths(other(plain.camera).sensor))
     patches = [
-        photographed(with_surfaces(view, surfaces), other(view.camera), (7, place))
+        photograph(with_surfaces(view, surfaces), other(view.camera), (7, place))
         for place, view in enumerate(plain.views)
     ]
     return case.subject(recipe, PatchSet("another camera", tuple(patches)))
@@ -117,25 +117,25 @@ def test_pigments_alone_leave_much(by_pigments):
     problem, found = by_pigments
     assert found.chi_squared > 100.0 * found.data
     assert max(patch_delta_e(problem, found).values()) > 2.0
-    assert found.verdict[0].startswith("The model misses the patches by ")
-    assert any(one.startswith("Mean colours still lie off: ") for one in found.verdict)
+    assert found.diagnostics[0].startswith("The model misses the patches by ")
+    assert any(one.startswith("Mean colours still lie off: ") for one in found.diagnostics)
 
 
 def test_light_or_camera_is_what_is_said_to_be_missed(by_pigments, case):
     """Before further pigments, though dozens of those could take away as much."""
     _, found = by_pigments
-    first, second, third, *_ = found.leftover
+    first, second, third, *_ = found.omitted
     assert {first, second} == {"light", "camera"}
-    assert min(found.leftover[first], found.leftover[second]) > 0.5
+    assert min(found.omitted[first], found.omitted[second]) > 0.5
     assert third == "pigments"
-    assert found.leftover["pigments"] > 0.5
-    (said,) = (one for one in found.verdict if one.startswith("Most likely the fit lacks"))
+    assert found.omitted["pigments"] > 0.5
+    (said,) = (one for one in found.diagnostics if one.startswith("Most likely the fit lacks"))
     assert said.index("the camera") < said.index("take away")
     assert said.index("the light") < said.index("take away")
     # With organs enough to tell, it is not pigments.
     if case is WHOLE:
         assert "pigments" not in said
-        assert any(one.startswith("Far less likely") and "the pigments" in one for one in found.verdict)
+        assert any(one.startswith("Far less likely") and "the pigments" in one for one in found.diagnostics)
 
 
 def test_light_and_camera_take_away_what_is_seen(by_everything, by_pigments):
@@ -145,7 +145,7 @@ def test_light_and_camera_take_away_what_is_seen(by_everything, by_pigments):
     assert max(told.values()) < 1.0, told
     assert max(kind.delta_e_after for kind in found.kinds.values()) < 1.0
     assert found.chi_squared < 0.02 * by_pigments[1].chi_squared
-    assert not any(one.startswith("Mean colours still lie off") for one in found.verdict)
+    assert not any(one.startswith("Mean colours still lie off") for one in found.diagnostics)
 
 
 def test_pigments_are_nearer_to_the_truth_then(recipe, case, by_pigments, by_everything):
@@ -176,8 +176,8 @@ def test_the_one_thing_that_is_missed_is_named(recipe, hidden, named):
     """
     patches = simulate_patches(recipe, hidden, WHOLE.kinds, organs=WHOLE.organs, pixels=40, noise=3)
     _, found = fit_of(WHOLE.subject(recipe, patches), ("leaf.chlorophyll", "fruit.chlorophyll"))
-    assert next(iter(found.leftover)) in named, found.diagnostics
+    assert next(iter(found.omitted)) in named, found.diagnostics
     (said,) = (one for one in found.diagnostics if one.startswith("Most likely the fit lacks"))
     causes = said[: said.index("take away")]
-    groups = {group for group in found.leftover if f"the {group}" in causes}
+    groups = {group for group in found.omitted if f"the {group}" in causes}
     assert groups <= set(named), said

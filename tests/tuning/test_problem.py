@@ -13,18 +13,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from twins import no_patches
+from simulated_fits import no_patches
 
 from pepperscene.dataset import load_recipe
 from pepperscene.render.quality import Quality
 from pepperscene.tuning.model import observables
 from pepperscene.tuning.model import view_model as model
-from pepperscene.tuning.model.observables import NUMBERS, PatchObservables
+from pepperscene.tuning.model.observables import OBSERVABLE_COUNT, SensorModel
 from pepperscene.tuning.model.problem import FitProblem, NeighbourEffect
-from pepperscene.tuning.model.subject import TuningTarget
+from pepperscene.tuning.model.target import TuningTarget
 from pepperscene.tuning.model.view_model import Entry, ParameterStep
 
-NAMES = (
+CONTENT_FIELDS = (
     "leaf.chlorophyll", "leaf.unripe.carotenoid", "leaf.anthocyanin", "leaf.structure", "leaf.state",
     "leaf.roughness", "leaf.ior", "fruit.unripe.brown", "fruit.ripeness", "fruit.spread", "fruit.flesh",
     "flash.power", "flash.colour", "flash.spectrum", "exposure", "white_balance", "colour_matrix",
@@ -36,7 +36,7 @@ TOLERANCE = 0.01
 STEPS = (0.004, 0.1)
 """Of the bounds' sd. Rounding asks for a large one and limits for a small one, so the nearer one counts."""
 
-AROUND = {"leaf": NeighbourEffect(np.array([0.9, 0.8, 0.7]), np.zeros(NUMBERS))}
+AROUND = {"leaf": NeighbourEffect(np.array([0.9, 0.8, 0.7]), np.zeros(OBSERVABLE_COUNT))}
 """Leaves stand in a green shade, which derivatives have to go through as well."""
 
 
@@ -44,12 +44,12 @@ AROUND = {"leaf": NeighbourEffect(np.array([0.9, 0.8, 0.7]), np.zeros(NUMBERS))}
 def subject() -> TuningTarget:
     few = Quality(4, 4, 4, 1, target=None, denoise=False)
     kinds = ["leaf", "pepper.unripe"]
-    return TuningTarget(load_recipe("barth2018"), no_patches(kinds), organs=1, pixels=16, effort=few)
+    return TuningTarget(load_recipe("barth2018"), no_patches(kinds), organs=1, pixels=16, quality=few)
 
 
 @pytest.fixture(scope="module")
 def problem(subject) -> FitProblem:
-    return subject.problem(NAMES, AROUND)
+    return subject.problem(CONTENT_FIELDS, AROUND)
 
 
 @pytest.fixture(scope="module")
@@ -108,12 +108,12 @@ def test_derivatives_are_those_of_the_residuals(problem, place, differences):
 
 def test_limits_of_the_sensor_and_of_colour_are_among_what_is_tested(problem, place):
     """Some pixels are cut, and some are not."""
-    made, cuts = problem.tuned(problem.values(place)), []
-    for cell in problem.cells:
-        (eye,) = cell.eyes
+    parts, cuts = problem.tuned(problem.values(place)), []
+    for cell in problem.observations:
+        (eye,) = cell.view_models
         photograph = eye._photograph
-        electrons = cell.around.shade * eye.electrons(made)
-        _, slope, free = photograph.linear_and_slope(electrons, made.exposure, made.gains, made.matrix)
+        electrons = cell.neighbours.shade * eye.electrons(parts)
+        _, slope, free = photograph.linear_and_slopes(electrons, parts.exposure, parts.gains, parts.matrix)
         cuts.append([np.mean(slope == 0.0), np.mean(free == 0.0)])
     assert 0.0 < np.max(cuts, axis=0)[0] < 0.5
     assert 0.0 < np.max(cuts, axis=0)[1] < 0.5
@@ -167,7 +167,7 @@ def test_one_column_of_a_wrong_scale_is_noticed(problem, place, differences):
 
 def _dropped(group):
     """Derivatives of a group that acts behind the light are looked for in the light, and not found."""
-    return lambda monkeypatch: monkeypatch.setattr(model, "IN_THE_SCENE", (*model.IN_THE_SCENE, group))
+    return lambda monkeypatch: monkeypatch.setattr(model, "LIGHT_GROUPS", (*model.LIGHT_GROUPS, group))
 
 
 def _turned_round(monkeypatch):
@@ -180,16 +180,16 @@ def _photograph(change):
     """Other slopes of the photograph, the same picture."""
 
     def mutate(monkeypatch):
-        right = PatchObservables.linear_and_slope
-        monkeypatch.setattr(PatchObservables, "linear_and_slope", lambda *given: change(*right(*given)))
+        right = SensorModel.linear_and_slopes
+        monkeypatch.setattr(SensorModel, "linear_and_slopes", lambda *given: change(*right(*given)))
 
     return mutate
 
 
 def _transposed(monkeypatch):
     """CIELAB by colours, rows for columns."""
-    right = observables.lab_slopes
-    monkeypatch.setattr(observables, "lab_slopes", lambda linear: np.swapaxes(right(linear), -1, -2))
+    right = observables.lab_derivatives
+    monkeypatch.setattr(observables, "lab_derivatives", lambda linear: np.swapaxes(right(linear), -1, -2))
 
 
 def _hues_backwards(monkeypatch):
@@ -206,8 +206,8 @@ def _without_shade(monkeypatch):
     """What neighbours let through is left out of the derivatives alone."""
     right = model.ViewModel.linear_and_slopes
 
-    def wrong(self, made, moves, shade):
-        return right(self, made, moves, shade)[0], right(self, made, moves, np.ones(3))[1]
+    def wrong(self, parts, moves, shade):
+        return right(self, parts, moves, shade)[0], right(self, parts, moves, np.ones(3))[1]
 
     monkeypatch.setattr(model.ViewModel, "linear_and_slopes", wrong)
 
@@ -238,7 +238,7 @@ def test_mutations_are_noticed(problem, place, differences, monkeypatch, mutatio
 
 def test_a_vector_is_the_values_in_order(problem):
     values = problem.values(problem.default)
-    assert tuple(values) == NAMES
+    assert tuple(values) == CONTENT_FIELDS
     assert np.concatenate(list(values.values())) == pytest.approx(problem.default)
     assert [one.label for one in problem.entries][11:13] == ["flash.power", "flash.colour (warmth)"]
 
@@ -251,10 +251,10 @@ def test_what_lies_on_an_end_is_moved_off_it(problem):
 
 
 def test_patches_of_the_model_itself_leave_nothing(subject, problem):
-    """At the values that made them, and only there."""
+    """At the values that parts them, and only there."""
     values = problem.values(problem.default)
-    made = problem.tuned(values)
-    cells = [replace(cell, target=cell.predicted(made)) for cell in problem.cells]
+    parts = problem.tuned(values)
+    cells = [replace(cell, target=cell.predicted(parts)) for cell in problem.observations]
     own = FitProblem(problem.parameters, problem.tuned, cells)
     assert np.abs(own.data_residuals(values)).max() < 1e-6
     darker = own.data_residuals({**values, "exposure": np.array([0.9])})
@@ -263,17 +263,17 @@ def test_patches_of_the_model_itself_leave_nothing(subject, problem):
 
 def test_residuals_are_in_units_of_sigma(problem):
     values = problem.values(problem.default)
-    half = [replace(cell, sigma=2.0 * cell.sigma) for cell in problem.cells]
+    half = [replace(cell, sigma=2.0 * cell.sigma) for cell in problem.observations]
     wider = FitProblem(problem.parameters, problem.tuned, half)
     assert wider.data_residuals(values) == pytest.approx(0.5 * problem.data_residuals(values))
 
 
 def test_offsets_are_added_and_shade_dims(subject, problem):
-    made = subject.tuned({})
-    bare = {cell.label: cell for cell in subject.problem(["exposure"]).cells}
-    shaded = {cell.label: cell for cell in problem.cells}
-    assert shaded["leaf"].predicted(made)[0] < bare["leaf"].predicted(made)[0]
-    assert shaded["pepper.unripe"].predicted(made) == pytest.approx(bare["pepper.unripe"].predicted(made))
-    more = np.arange(NUMBERS, dtype=float)
-    brought = replace(bare["leaf"], around=NeighbourEffect(np.ones(3), more))
-    assert brought.predicted(made) - bare["leaf"].predicted(made) == pytest.approx(more)
+    parts = subject.tuned({})
+    bare = {cell.label: cell for cell in subject.problem(["exposure"]).observations}
+    shaded = {cell.label: cell for cell in problem.observations}
+    assert shaded["leaf"].predicted(parts)[0] < bare["leaf"].predicted(parts)[0]
+    assert shaded["pepper.unripe"].predicted(parts) == pytest.approx(bare["pepper.unripe"].predicted(parts))
+    more = np.arange(OBSERVABLE_COUNT, dtype=float)
+    brought = replace(bare["leaf"], neighbours=NeighbourEffect(np.ones(3), more))
+    assert brought.predicted(parts) - bare["leaf"].predicted(parts) == pytest.approx(more)

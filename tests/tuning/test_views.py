@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from twins import KINDS, no_patches
+from simulated_fits import KINDS, no_patches
 
 from pepperscene.camera import Distortion
 from pepperscene.classes import OrganClass
@@ -16,8 +16,8 @@ from pepperscene.errors import InputError
 from pepperscene.materials import organ_surfaces
 from pepperscene.render import Renderer
 from pepperscene.render.quality import Quality
-from pepperscene.tuning.model.subject import TuningTarget
-from pepperscene.tuning.model.views import PLACES, organ_views, with_surfaces
+from pepperscene.tuning.model.target import TuningTarget
+from pepperscene.tuning.model.views import POSITIONS, organ_views, with_surfaces
 
 PIXELS = 24
 
@@ -28,7 +28,7 @@ def subject() -> TuningTarget:
 
 
 def views_of(subject, kinds, **how):
-    how = {"organs": 1, "pixels": PIXELS, "sky": subject.stage.sky(0), **how}
+    how = {"organs": 1, "pixels": PIXELS, "sky": subject.frame_renderer.sky(0), **how}
     return organ_views(subject.recipe, subject.cultivar, subject.camera, kinds, **how)
 
 
@@ -126,7 +126,7 @@ def test_masks_hold_the_organ_alone(subject):
 def test_organs_stand_where_places_say(subject):
     """At these slopes off the axis, and so far away: the middle of the view shows a point of the organ."""
     for view in subject.views:
-        right, down, far = PLACES[int(view.name.split()[-1]) - 1]
+        right, down, far = POSITIONS[int(view.name.split()[-1]) - 1]
         wanted = 1e-3 * subject.recipe.path.distance_mm * far * np.array([right, down, 1.0])
         inverse = np.linalg.inv(view.camera.pose)
         points = view.scene.mesh.vertices.astype(float) @ inverse[:3, :3].T + inverse[:3, 3]

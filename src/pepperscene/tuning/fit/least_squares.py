@@ -238,7 +238,7 @@ def _compare_kinds(
 ) -> dict[str, KindFit]:
     """Colours of each kind, pooled over its views."""
     kinds = {}
-    both = [problem.tuned(values) for values in (before, after)] if targets else []
+    both = [problem.tuned_parts(values) for values in (before, after)] if targets else []
     for kind, target in targets.items():
         of_kind = [one for one in problem.observations if any(m.view.kind == kind for m in one.view_models)]
         if not of_kind:
@@ -270,7 +270,7 @@ def _compare_spectra(
     problem: FitProblem, before: Mapping[str, Array], after: Mapping[str, Array]
 ) -> dict[str, SpectrumFit]:
     """Reflectances by name; empty if none were measured."""
-    model = problem.spectra
+    model = problem.direct_model
     if model is None:
         return {}
     measured, *predicted = model.measured, model.predicted(before), model.predicted(after)

@@ -88,9 +88,9 @@ class FitProblem:
 
     Args:
         parameters: The parameters to fit.
-        tuned: Returns the recipe's parts at values.
+        tuned_parts: Returns the recipe's parts at values.
         observations: Observables of patches in images.
-        spectra: Measured reflectances, or None.
+        direct_model: Model of measured reflectances, or None.
 
     Attributes:
         entries: Entries of the vector.
@@ -101,12 +101,12 @@ class FitProblem:
     def __init__(
         self,
         parameters: Sequence[Parameter],
-        tuned: Callable[[Values], TunedParts],
+        tuned_parts: Callable[[Values], TunedParts],
         observations: Sequence[Observation],
-        spectra: DirectModel | None = None,
+        direct_model: DirectModel | None = None,
     ) -> None:
         self.parameters, self.observations = tuple(parameters), tuple(observations)
-        self.tuned, self.spectra = tuned, spectra
+        self.tuned_parts, self.direct_model = tuned_parts, direct_model
         self.entries = entries_of(parameters)
         priors = [one.prior for one in self.entries]
         self.low = np.array([prior.low for prior in priors])
@@ -114,7 +114,7 @@ class FitProblem:
         self.mean = np.array([prior.mean for prior in priors])
         self.sd = np.array([prior.sd for prior in priors])
         # Residuals at neighbouring wavelengths are correlated: a spectrum has fewer data than residuals.
-        independent = 0 if spectra is None else round(spectra.independent)
+        independent = 0 if direct_model is None else round(direct_model.independent)
         self.data_count = OBSERVABLE_COUNT * len(self.observations) + independent
 
     @property
@@ -143,18 +143,18 @@ class FitProblem:
 
     def data_residuals(self, values: Values) -> Array:
         """`(m,)` residuals of the observations, then of the spectra."""
-        parts = self.tuned(values)
+        parts = self.tuned_parts(values)
         rows = [(one.predicted(parts) - one.target) / one.sigma for one in self.observations]
-        if self.spectra is not None:
-            rows.append(self.spectra.residuals(values))
+        if self.direct_model is not None:
+            rows.append(self.direct_model.residuals(values))
         return np.concatenate(rows) if rows else np.zeros(0)
 
     def data_jacobian(self, values: Values, entries: Sequence[Entry]) -> Array:
         """`(m, p)` derivatives of `data_residuals` with respect to any entries."""
-        parts, steps = self.tuned(values), []
+        parts, steps = self.tuned_parts(values), []
         if self.observations:
-            steps = [ParameterStep.along(entry, values, self.tuned) for entry in entries]
+            steps = [ParameterStep.along(entry, values, self.tuned_parts) for entry in entries]
         rows = [one.derivatives(parts, steps) / one.sigma[:, None] for one in self.observations]
-        if self.spectra is not None:
-            rows.append(self.spectra.jacobian(values, entries))
+        if self.direct_model is not None:
+            rows.append(self.direct_model.jacobian(values, entries))
         return np.concatenate(rows) if rows else np.zeros((0, len(entries)))

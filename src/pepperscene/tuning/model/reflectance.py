@@ -158,18 +158,18 @@ class DirectModel:
         surfaces: Surface of each spectrum.
         wavelength_nm: `(n,)` of each spectrum, those within `RANGE_NM`.
         cultivar: Gives the paths of surfaces that the fit does not change.
-        tuned: Returns the recipe's parts at values; only the pigment paths are used.
+        tuned_parts: Returns the recipe's parts at values; only the pigment paths are used.
     """
 
     spectra: tuple[MeasuredSpectrum, ...]
     surfaces: tuple[MeasuredSurface, ...]
     wavelength_nm: tuple[Array, ...]
     cultivar: Cultivar
-    tuned: Callable[[Values], TunedParts]
+    tuned_parts: Callable[[Values], TunedParts]
 
     @classmethod
     def of(
-        cls, spectra: Sequence[MeasuredSpectrum], cultivar: Cultivar, tuned: Callable[[Values], TunedParts]
+        cls, spectra: Sequence[MeasuredSpectrum], cultivar: Cultivar, tuned_parts: Callable[[Values], TunedParts]
     ) -> Self:
         """Return the model of some spectra.
 
@@ -187,7 +187,7 @@ class DirectModel:
                 raise InputError(f"spectrum {one.name}", problem, key="wavelength_nm")
             wavelengths.append(inside)
         surfaces = tuple(surface_of_kind(cultivar, one.kind) for one in spectra)
-        return cls(tuple(spectra), surfaces, tuple(wavelengths), cultivar, tuned)
+        return cls(tuple(spectra), surfaces, tuple(wavelengths), cultivar, tuned_parts)
 
     @property
     def measured(self) -> Array:
@@ -222,7 +222,7 @@ class DirectModel:
 
     def predicted(self, values: Values) -> Array:
         """`(m,)` reflectances that the instrument would read at these values."""
-        paths = self.tuned(values).pigments
+        paths = self.tuned_parts(values).pigments
         spectra = [np.empty(0)]
         for one, nm in zip(self.surfaces, self.wavelength_nm, strict=True):
             path = paths.get(one.surface, self.cultivar.pigments[one.surface])

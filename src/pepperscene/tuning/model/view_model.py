@@ -102,7 +102,7 @@ class ParameterStep:
     changes_light: bool
 
     @classmethod
-    def along(cls, entry: Entry, values: Values, tuned: Callable[[Values], TunedParts]) -> Self:
+    def along(cls, entry: Entry, values: Values, tuned_parts: Callable[[Values], TunedParts]) -> Self:
         """Return a central step along an entry; at a bound a one-sided one that stays within the bounds."""
         prior, value = entry.prior, entry.value(values)
         step = _STEP * float(prior.sd)
@@ -110,7 +110,7 @@ class ParameterStep:
         if up <= 0.0 and down <= 0.0:
             raise ValueError(f"{entry.label} cannot change: its bounds are {prior.low:g} to {prior.high:g}")
         up, down = max(up, 0.0), max(down, 0.0)
-        above, below = tuned(entry.with_step(values, up)), tuned(entry.with_step(values, -down))
+        above, below = tuned_parts(entry.with_step(values, up)), tuned_parts(entry.with_step(values, -down))
         return cls(above, below, up + down, entry.parameter.group in LIGHT_GROUPS)
 
 

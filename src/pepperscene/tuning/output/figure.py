@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -103,7 +103,8 @@ def _draw_title(part: SubFigure, name: str, kinds: bool) -> None:
     part.text(_LEFT, 0.75, textwrap.shorten(f"{name}: before and after tuning", 90), size=15, va="top")
     if kinds:
         explanation = (
-            "Mean colours, with the measured one in the middle; below them pixels from dark to bright."
+            "Mean colours, with the measured one in the middle; below them pixels from dark to bright. "
+            "Hues: measured dashed, before orange, after green."
         )
         part.text(_LEFT, 0.2, explanation, color="0.4", va="top")
 
@@ -115,21 +116,25 @@ def _draw_kind(part: SubFigure, kind: str, colours: KindFit) -> None:
     axes = part.subplots(1, 4, gridspec_kw={"width_ratios": (1, 1, 1, 0.9)})
     part.subplots_adjust(left=0.1, right=_RIGHT, bottom=0.24, top=0.84, wspace=0.08)
     columns = (
-        ("measured", colours.target, colours.pixels_target, None),
-        ("model before", colours.before, colours.pixels_before, colours.delta_e_before),
-        ("model after", colours.after, colours.pixels_after, colours.delta_e_after),
+        ("measured", _MEASURED, colours.target, colours.pixels_target, None),
+        ("before", _BEFORE, colours.before, colours.pixels_before, colours.delta_e_before),
+        ("after", _AFTER, colours.after, colours.pixels_after, colours.delta_e_after),
     )
-    for axis, (title, (mean, sd), pixels, delta_e) in zip(axes[:3], columns, strict=True):
+    for axis, (title, colour, (mean, sd), pixels, delta_e) in zip(axes, columns, strict=False):
         axis.imshow(_swatch(mean, colours.target[0], pixels), interpolation="nearest", aspect="auto")
+        hues, style = ColourStatistics.of(pixels).hue_spectrum, "--" if delta_e is None else "-"
+        axes[3].plot(np.arange(-60, 300, 2), np.roll(hues, 30), color=colour, lw=1.0, ls=style)
         if delta_e is not None:
             words = next(text for limit, text in _VISIBILITY if delta_e <= limit or limit == np.inf)
             title = f"{title}: dE2000 {delta_e:.1f}, {words}"
-        axis.set_title(title)
+        axis.set_title(title, color=colour)
         lab = "  ".join(f"{label}* {value:.0f}" for label, value in zip("Lab", mean, strict=True))
         axis.set_xlabel(f"{lab}   sd {' / '.join(f'{one:.0f}' for one in sd)}", loc="left", color="0.4")
         axis.set(xticks=[], yticks=[])
         axis.spines[:].set_visible(False)
-    _draw_hues(axes[3], colours)
+    # Reds are on both sides of 0 degrees.
+    axes[3].set(xlim=(-60, 180), ylim=(0, None), xticks=range(-60, 181, 60), yticks=[])
+    axes[3].set_title("% of pixels by hue, degrees")
 
 
 def _swatch(mean: ArrayLike, measured: ArrayLike, pixels: ArrayLike) -> NDArray[np.uint8]:
@@ -153,26 +158,14 @@ def _srgb(lab: ArrayLike) -> NDArray[np.uint8]:
     return encode_tone((XYZ_TO_SRGB @ xyz).astype(np.float32))
 
 
-def _draw_hues(axis: Any, colours: KindFit) -> None:
-    """Percentage of the pixels at each hue; reds are on both sides of 0."""
-    sides = {_MEASURED: colours.pixels_target, _BEFORE: colours.pixels_before, _AFTER: colours.pixels_after}
-    for colour, pixels in sides.items():
-        spectrum = np.roll(ColourStatistics.of(pixels).hue_spectrum, 30)
-        axis.plot(
-            np.arange(-60, 300, 2), spectrum, color=colour, lw=1.0, ls="--" if colour == _MEASURED else "-"
-        )
-    axis.set(xlim=(-60, 180), ylim=(0, None), xticks=range(-60, 181, 60), yticks=[])
-    axis.set_title("% of pixels by hue, degrees")
-
-
 def _draw_spectra(part: SubFigure, spectra: Sequence[tuple[str, SpectrumFit]]) -> None:
     """Measured reflectances and those of the model."""
     axes = part.subplots(1, 2)
     part.subplots_adjust(left=0.06, right=_RIGHT, bottom=0.17, top=0.88, wspace=0.12)
     for axis, (name, one) in zip(axes, spectra, strict=False):
-        axis.plot(one.wavelength_nm, one.target, color=_MEASURED, label="measured")
         axis.plot(one.wavelength_nm, one.before, color=_BEFORE, label=f"before, RMSE {one.rmse_before:.4f}")
         axis.plot(one.wavelength_nm, one.after, color=_AFTER, label=f"after, RMSE {one.rmse_after:.4f}")
+        axis.plot(one.wavelength_nm, one.target, color=_MEASURED, ls="--", label="measured")
         axis.set(xlim=(one.wavelength_nm[0], one.wavelength_nm[-1]), ylim=(0, None), xlabel="wavelength, nm")
         axis.set_title(f"Reflectance: {textwrap.shorten(name, 70)}")
         axis.legend(loc="upper left")

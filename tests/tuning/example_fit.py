@@ -8,8 +8,8 @@ from pepperscene.colour import Patch, PatchSet
 from pepperscene.colour.patches.patch import MeasuredSpectrum
 from pepperscene.dataset.recipe.equipment import load_camera, load_recipe_cultivar
 from pepperscene.spectra import Spectrum
-from pepperscene.tuning.fit.result import FitResult, KindFit, SpectrumFit, Start
-from pepperscene.tuning.model.observables import lab_of
+from pepperscene.tuning.fit.least_squares import FitResult, KindFit, SpectrumFit, Start
+from pepperscene.colour import linear_srgb_to_lab
 from pepperscene.tuning.parameters.parameter import select_parameters
 from pepperscene.tuning.parameters.tuned import tuned_parts
 
@@ -40,7 +40,7 @@ def a_fit(recipe, values=None, *, pixels=300):
         parameters=parameters,
         values=values,
         sd={name: 0.02 * np.abs(value) + 1e-3 for name, value in values.items()},
-        gained={name: np.linspace(0.3, 0.99, value.size) for name, value in values.items()},
+        variance_reduction={name: np.linspace(0.3, 0.99, value.size) for name, value in values.items()},
         correlation=correlation,
         undetermined=(
             "leaf.roughness cannot be determined: it is known to ± 0.1, the bounds alone say ± 0.1",
@@ -56,10 +56,10 @@ def a_fit(recipe, values=None, *, pixels=300):
         spectra={"green pepper": _spectrum()},
         starts=(Start({"leaf.chlorophyll": (62.0,)}, 812.5, 11, "ftol"), Start({}, float("inf"), 30, "most")),
         chi_squared=24.0,
-        data=18,
-        leftover={"camera": 0.4, "light": float("nan")},
+        data_count=18,
+        omitted={"camera": 0.4, "light": float("nan")},
         diagnostics=("The model meets the patches: what is left is 1.15 times what is expected.",),
-        tuned=tuned_parts(cultivar, camera, values, NODES_NM if camera.flash is not None else ()),
+        tuned_parts=tuned_parts(cultivar, camera, values, NODES_NM if camera.flash is not None else ()),
     )
 
 
@@ -80,7 +80,9 @@ def some_patches():
 
 def _kind(rng, pixels, *colours):
     clouds = [np.clip(np.array(c) * rng.lognormal(0.0, 0.35, (pixels, 1)), 0.0, 1.0) for c in colours]
-    target, before, after = (np.stack([lab_of(c.mean(axis=0)), lab_of(c).std(axis=0)]) for c in clouds)
+    target, before, after = (
+        np.stack([linear_srgb_to_lab(c.mean(axis=0)), linear_srgb_to_lab(c).std(axis=0)]) for c in clouds
+    )
     return KindFit(target, before, after, 9.3, 0.6, *clouds)
 
 

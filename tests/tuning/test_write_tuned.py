@@ -9,7 +9,7 @@ import tomllib
 
 import numpy as np
 import pytest
-from fits import VALUES, a_fit, some_patches
+from example_fit import VALUES, a_fit, some_patches
 from PIL import Image
 
 from pepperscene.camera import colour_transform
@@ -18,8 +18,8 @@ from pepperscene.dataset import FrameRenderer, load_recipe
 from pepperscene.dataset.recipe.equipment import load_camera, load_recipe_cultivar
 from pepperscene.errors import InputError, OutputError
 from pepperscene.tuning.output import write as written
-from pepperscene.tuning.output.cultivar import thinned
-from pepperscene.tuning.output.provenance import plain, with_spread
+from pepperscene.tuning.output.cultivar import simplify_path
+from pepperscene.tuning.output.provenance import plain, format_with_sd
 from pepperscene.tuning.output.toml_text import document, inline
 from pepperscene.tuning.output.write import write_tuned
 
@@ -368,15 +368,15 @@ def path_of(states, chlorophyll):
     ]
     between = tuple(zip(states[1:-1], contents[1:-1], strict=True))
     return PigmentPath(
-        source="made", start=contents[0], end=contents[-1], path=between, ior=1.3, roughness=(0.3, 0.4)
+        source="parts", start=contents[0], end=contents[-1], path=between, ior=1.3, roughness=(0.3, 0.4)
     )
 
 
 def test_knots_on_a_line_go_and_corners_stay():
     states = [float(s) for s in np.linspace(0.0, 1.0, 21)]
-    thin = thinned(path_of(states, np.interp(states, [0, 0.25, 0.6, 1], [5, 40, 41, 3])))
+    thin = simplify_path(path_of(states, np.interp(states, [0, 0.25, 0.6, 1], [5, 40, 41, 3])))
     assert [state for state, _ in thin.path] == pytest.approx([0.25, 0.6])
-    assert not thinned(path_of(states, np.full(21, 7.0))).path
+    assert not simplify_path(path_of(states, np.full(21, 7.0))).path
 
 
 def test_thinned_path_is_as_close_as_promised():
@@ -385,10 +385,10 @@ def test_thinned_path_is_as_close_as_promised():
     rough = path_of(states, np.maximum(90.0 + np.cumsum(rng.normal(0.0, 2.0, 24)), 0.0))
     smooth = path_of(states, 10.0 + 1e-7 * rng.random(24) + 20.0 * np.array(states))
     for path in (rough, smooth):
-        here, there = (p.at(STATES)["chlorophyll_ug_cm2"] for p in (path, thinned(path)))
+        here, there = (p.at(STATES)["chlorophyll_ug_cm2"] for p in (path, simplify_path(path)))
         assert np.abs(here - there).max() <= 1.001e-6 * np.ptp(here)
-    assert len(thinned(rough).path) == 22
-    assert not thinned(smooth).path
+    assert len(simplify_path(rough).path) == 22
+    assert not simplify_path(smooth).path
 
 
 def test_text_reads_back():
@@ -409,8 +409,8 @@ def test_text_reads_back():
 
 
 def test_numbers_are_told_to_what_is_known_of_them():
-    assert with_spread(48.1234, 0.957) == "48.12 ± 0.96"
-    assert with_spread(1234.5, 120.0) == "1230 ± 120"
-    assert with_spread(0.0, 0.004) == "0.0000 ± 0.0040"
+    assert format_with_sd(48.1234, 0.957) == "48.12 ± 0.96"
+    assert format_with_sd(1234.5, 120.0) == "1230 ± 120"
+    assert format_with_sd(0.0, 0.004) == "0.0000 ± 0.0040"
     assert plain(3.14159, 0.0) == "3.142"
     assert plain(3.14159, float("inf")) == "3.142"

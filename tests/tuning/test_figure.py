@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fits import a_fit
+from example_fit import a_fit
 
 from pepperscene.camera import decode_tone
 from pepperscene.camera.colorimetry import SRGB_TO_XYZ, xyz_to_lab
@@ -71,7 +71,7 @@ def test_frames_are_shown_side_by_side_in_their_proportions(fit):
 
 def test_whatever_is_missing_leaves_its_place_out(fit):
     whole = sheet(fit, "demo").height
-    bare = replace(fit, kinds={}, spectra={}, verdict=(), undetermined=())
+    bare = replace(fit, kinds={}, spectra={}, diagnostics=(), undetermined=())
     assert sheet(bare, "demo").height < whole
     kind = next(iter(fit.kinds.values()))
     empty = replace(kind, pixels_target=np.zeros((0, 3)), pixels_before=np.zeros((1, 3)))
@@ -81,10 +81,10 @@ def test_whatever_is_missing_leaves_its_place_out(fit):
 def test_odd_words_are_drawn(fit):
     """Names are a user's, and Pillow's own font knows few letters."""
     names = {"перец": next(iter(fit.spectra.values()))}
-    told = replace(fit, spectra=names, gained={n: np.full(v.size, np.nan) for n, v in fit.gained.items()})
+    told = replace(fit, spectra=names, gained={n: np.full(v.size, np.nan) for n, v in fit.variance_reduction.items()})
     assert sheet(told, "名前 " + "long " * 60).width == WIDTH
 
 
 def test_words_are_not_said_twice(fit):
-    twice = replace(fit, verdict=(*fit.verdict, *fit.undetermined))
+    twice = replace(fit, diagnostics=(*fit.diagnostics, *fit.undetermined))
     assert sheet(twice, "demo").height == sheet(fit, "demo").height

@@ -13,15 +13,15 @@ from scipy.stats import kstest
 
 from pepperscene.cultivar import Distribution
 from pepperscene.tuning.fit.diagnostics import (
-    ALIKE,
-    LEAST_GAIN,
-    TIED,
-    Suspect,
-    as_expected,
-    certainty,
+    STRONG_EVIDENCE,
+    MIN_VARIANCE_REDUCTION,
+    HIGH_CORRELATION,
+    OmittedGroup,
+    is_consistent,
+    uncertainty,
     chi_squared,
-    sentences,
-    suspects,
+    describe_fit,
+    omitted_groups,
     undetermined,
 )
 from pepperscene.tuning.model.problem import FitProblem
@@ -56,7 +56,7 @@ class Linear:
         return found
 
     def jacobian(self, values, entries):
-        return np.stack([self.columns[one.parameter.name][:, one.place] for one in entries], axis=1)
+        return np.stack([self.columns[one.parameter.name][:, one.index] for one in entries], axis=1)
 
 
 def fit(parameters, columns, data) -> tuple[FitProblem, np.ndarray]:
@@ -80,9 +80,9 @@ def test_certainty_is_the_closed_form():
     for length in (0.1, 1.0, 30.0):
         column = COLUMNS[:, :1] / np.linalg.norm(COLUMNS[:, 0]) * length
         problem, best = fit([parameter("leaf.a")], {"leaf.a": column}, np.zeros(60))
-        known = certainty(problem, best)
+        known = uncertainty(problem, best)
         assert known.sd[0] == pytest.approx(1.0 / np.hypot(1.0, length))
-        assert known.gained[0] == pytest.approx(length**2 / (1.0 + length**2))
+        assert known.variance_reduction[0] == pytest.approx(length**2 / (1.0 + length**2))
         assert known.correlation == pytest.approx(np.eye(1))
 
 
@@ -97,7 +97,7 @@ def test_errors_are_as_large_as_certainty_says():
         data = sum(columns[name] @ truth[i : i + 1] for i, name in enumerate(names))
         problem, best = fit(parameters, columns, data + rng.standard_normal(60))
         # The law that is tested is the one without the Birge ratio, which draws of noise move about 1.
-        known = certainty(problem, best)
+        known = uncertainty(problem, best)
         excess = max(1.0, chi_squared(problem, best) / (problem.data - 3))
         covariance = known.correlation * np.outer(known.sd, known.sd)
         off.append(np.linalg.solve(np.linalg.cholesky(covariance), best - truth) * np.sqrt(excess))
@@ -110,30 +110,30 @@ def test_errors_grow_with_what_the_model_misses():
     column = {"leaf.a": COLUMNS[:, :1]}
     wide = [parameter("leaf.a", sd=1e6, low=-1e9, high=1e9)]
     one, ten = (fit(wide, column, size * noise) for size in (2.0, 20.0))
-    assert certainty(*ten).sd[0] == pytest.approx(10.0 * certainty(*one).sd[0], rel=1e-6)
+    assert uncertainty(*ten).sd[0] == pytest.approx(10.0 * uncertainty(*one).sd[0], rel=1e-6)
     # Less than expected makes nothing surer than the errors allow.
     tenth, none = fit(wide, column, 0.1 * noise), fit(wide, column, 0.0 * noise)
-    assert certainty(*tenth).sd[0] == pytest.approx(certainty(*none).sd[0])
+    assert uncertainty(*tenth).sd[0] == pytest.approx(uncertainty(*none).sd[0])
 
 
 def test_what_is_expected():
-    assert as_expected(100.0, 100)
-    assert as_expected(100.0 + 3.0 * np.sqrt(200.0), 100)
-    assert not as_expected(100.0 + 3.1 * np.sqrt(200.0), 100)
-    assert as_expected(0.0, 0)
+    assert is_consistent(100.0, 100)
+    assert is_consistent(100.0 + 3.0 * np.sqrt(200.0), 100)
+    assert not is_consistent(100.0 + 3.1 * np.sqrt(200.0), 100)
+    assert is_consistent(0.0, 0)
 
 
 def test_nothing_is_said_of_what_is_known():
     problem, best = fit([parameter("leaf.a")], {"leaf.a": COLUMNS[:, :1]}, 0.5 * COLUMNS[:, 0])
     assert best[0] == pytest.approx(0.5, abs=0.05)
-    assert undetermined(problem, best, certainty(problem, best)) == ()
+    assert undetermined_entries(problem, best, uncertainty(problem, best)) == ()
 
 
 def test_what_nothing_depends_on_is_open():
     problem, best = fit([parameter("leaf.a", sd=0.3)], {"leaf.a": np.zeros((60, 1))}, np.zeros(60))
-    known = certainty(problem, best)
-    (said,) = undetermined(problem, best, known)
-    assert known.gained[0] == 0.0 < LEAST_GAIN
+    known = uncertainty(problem, best)
+    (said,) = undetermined_entries(problem, best, known)
+    assert known.variance_reduction[0] == 0.0 < MIN_VARIANCE_REDUCTION
     assert said == "leaf.a cannot be determined: it is known to ± 0.3, the bounds alone say ± 0.3"
 
 
@@ -141,9 +141,9 @@ def test_two_that_do_the_same_are_known_together_only():
     """As twice the light and twice the gain: their sum is known, their difference is not."""
     columns = dict.fromkeys(("flash.power", "exposure"), COLUMNS[:, :1])
     problem, best = fit([parameter("flash.power"), parameter("exposure")], columns, COLUMNS[:, 0])
-    known = certainty(problem, best)
-    assert known.correlation[0, 1] < -TIED
-    said = undetermined(problem, best, known)
+    known = uncertainty(problem, best)
+    assert known.correlation[0, 1] < -HIGH_CORRELATION
+    said = undetermined_entries(problem, best, known)
     assert len(said) == 2
     assert "only a combination with exposure is known (correlation -0.9" in said[0]
     assert "only a combination with flash.power is known (correlation -0.9" in said[1]
@@ -155,7 +155,7 @@ def test_an_entry_at_an_end_is_told():
     columns = {"leaf.a": np.hstack([COLUMNS[:, :1], COLUMNS[:, 1:2]])}
     narrow = [parameter("leaf.a", entries=2, high=1.0)]
     problem, best = fit(narrow, columns, 5.0 * COLUMNS[:, 0])
-    (said,) = undetermined(problem, best, certainty(problem, best))
+    (said,) = undetermined_entries(problem, best, uncertainty(problem, best))
     assert said.startswith("leaf.a (n0) lies at an end of its bounds, 1:")
 
 
@@ -172,7 +172,7 @@ OTHERS = {
 }
 
 
-def blamed(data, *, own=None) -> dict[str, Suspect]:
+def blamed(data, *, own=None) -> dict[str, OmittedGroup]:
     """Who is suspected where one other parameter was fitted."""
     columns = {
         "stem.a": np.random.default_rng(9).standard_normal((60, 1)) if own is None else own,
@@ -181,7 +181,7 @@ def blamed(data, *, own=None) -> dict[str, Suspect]:
         "exposure": COLUMNS[:, 2:],
     }
     problem, best = fit([parameter("stem.a")], columns, data)
-    return suspects(problem, best, OTHERS)
+    return omitted_groups(problem, best, OTHERS)
 
 
 @pytest.mark.parametrize(
@@ -200,14 +200,14 @@ def test_the_group_that_is_missed_comes_first(group, missed):
     evidence = [one.evidence for one in found.values()]
     assert evidence == sorted(evidence, reverse=True)
     assert found[group].share > 0.75
-    assert evidence[0] - evidence[1] > ALIKE
+    assert evidence[0] - evidence[1] > STRONG_EVIDENCE
     assert evidence[0] > 0.0
 
 
 def test_many_parameters_take_away_much_and_are_blamed_for_little():
     found = blamed(3.0 * COLUMNS[:, 0] + np.random.default_rng(4).standard_normal(60))
     assert found["pigments"].share > 0.25
-    assert found["pigments"].evidence < found["light"].evidence - ALIKE
+    assert found["pigments"].evidence < found["light"].evidence - STRONG_EVIDENCE
 
 
 def test_one_among_many_is_named():
@@ -217,10 +217,10 @@ def test_one_among_many_is_named():
     columns |= {"stem.a": np.zeros((60, 1)), "flash.colour": COLUMNS[:, :2]}
     data = 2.0 * CHANCE[:, 17] + np.random.default_rng(4).standard_normal(60)
     problem, best = fit([parameter("stem.a")], columns, data)
-    found = suspects(problem, best, {"light": OTHERS["light"], "pigments": each})
+    found = omitted_groups(problem, best, {"light": OTHERS["light"], "pigments": each})
     assert next(iter(found)) == "pigments"
     assert found["pigments"].alone == "leaf.p17"
-    assert found["pigments"].evidence > ALIKE
+    assert found["pigments"].evidence > STRONG_EVIDENCE
     (told, *_) = said(3600.0, found, leaf=4.0)[1:]
     assert told.startswith("Most likely the fit lacks the pigments (leaf.p17), which could take away ")
 
@@ -229,7 +229,7 @@ def test_noise_alone_speaks_for_no_one():
     """Three times what is expected, and at random: each group explains less than its number promises."""
     for seed in range(5):
         noise = 3.0 * np.random.default_rng(100 + seed).standard_normal(60)
-        assert max(one.evidence for one in blamed(noise).values()) < ALIKE
+        assert max(one.evidence for one in blamed(noise).values()) < STRONG_EVIDENCE
 
 
 def test_groups_stay_within_their_bounds():
@@ -238,8 +238,8 @@ def test_groups_stay_within_their_bounds():
     data = 8.0 * COLUMNS[:, 0]
     columns = {"stem.a": np.zeros((60, 1)), "flash.colour": COLUMNS[:, :2]}
     problem, best = fit([parameter("stem.a")], columns, data)
-    free = suspects(problem, best, {"light": OTHERS["light"]})["light"]
-    held = suspects(problem, best, tight)["light"]
+    free = omitted_groups(problem, best, {"light": OTHERS["light"]})["light"]
+    held = omitted_groups(problem, best, tight)["light"]
     assert free.share > 0.95
     assert held.share == pytest.approx(1.0 - (1.0 - 0.1 / 8.0) ** 2, rel=0.2)
     assert held.evidence < free.evidence
@@ -251,7 +251,7 @@ def test_on_an_end_of_the_bounds_there_is_a_way_in():
     columns = {"stem.a": np.zeros((60, 1)), "leaf.capsanthin": COLUMNS[:, :1]}
     for sign, much in ((1.0, True), (-1.0, False)):
         problem, best = fit([parameter("stem.a")], columns, sign * 5.0 * COLUMNS[:, 0])
-        found = suspects(problem, best, {"pigments": nothing})["pigments"]
+        found = omitted_groups(problem, best, {"pigments": nothing})["pigments"]
         assert (found.share > 0.8) == much
 
 
@@ -261,14 +261,14 @@ def test_what_fitted_parameters_do_too_is_not_counted_twice():
     wide = [parameter("stem.a", sd=100.0, low=-1e4, high=1e4)]
     columns = {"stem.a": COLUMNS[:, 2:], "exposure": COLUMNS[:, 2:]}
     problem, best = fit(wide, columns, data)
-    assert suspects(problem, best, {"exposure": OTHERS["exposure"]})["exposure"].share < 0.01
+    assert omitted_groups(problem, best, {"exposure": OTHERS["exposure"]})["exposure"].share < 0.01
 
 
 def test_nothing_left_and_no_one_left():
     problem, best = fit([parameter("stem.a")], {"stem.a": np.zeros((60, 1))}, np.zeros(60))
-    assert suspects(problem, best, OTHERS) == {}
+    assert omitted_groups(problem, best, OTHERS) == {}
     problem, best = fit([parameter("stem.a")], {"stem.a": np.zeros((60, 1))}, COLUMNS[:, 0])
-    assert suspects(problem, best, {"light": ()}) == {}
+    assert omitted_groups(problem, best, {"light": ()}) == {}
 
 
 def test_entries_are_those_of_the_parameters():
@@ -276,13 +276,13 @@ def test_entries_are_those_of_the_parameters():
     assert labels == ["flash.colour (n0)", "flash.colour (n1)"]
 
 
-# --- in sentences -----------------------------------------------------------------------------------------
+# --- in describe_fit -----------------------------------------------------------------------------------------
 
 
 def said(value, left=None, open_entries=(), **off) -> tuple[str, ...]:
     """Of a problem of 100 data."""
     kinds = {kind: SimpleNamespace(delta_e_after=delta) for kind, delta in off.items()}
-    return sentences(SimpleNamespace(data=100), value, open_entries, left or {}, kinds)
+    return describe_fit(SimpleNamespace(data=100), value, open_entries, left or {}, kinds)
 
 
 def test_a_fit_that_meets_its_patches():
@@ -292,7 +292,7 @@ def test_a_fit_that_meets_its_patches():
 
 
 def test_one_likely_cause():
-    left = {"light": Suspect(0.91, 80.0), "pigments": Suspect(0.76, 20.0), "cuticle": Suspect(0.4, -3.0)}
+    left = {"light": OmittedGroup(0.91, 80.0), "pigments": OmittedGroup(0.76, 20.0), "cuticle": OmittedGroup(0.4, -3.0)}
     told = said(3600.0, left, leaf=4.0)
     assert told[0] == "The model misses the patches by 6.0 times what is expected."
     assert told[1] == ("Most likely the fit lacks the light, which could take away 91 % of what is left.")
@@ -302,7 +302,7 @@ def test_one_likely_cause():
 
 
 def test_two_causes_that_cannot_be_told_apart():
-    left = {"camera": Suspect(0.92, 104.0, "white_balance"), "light": Suspect(0.9, 101.0)}
+    left = {"camera": OmittedGroup(0.92, 104.0, "white_balance"), "light": OmittedGroup(0.9, 101.0)}
     assert said(3600.0, left, leaf=4.0)[1] == (
         "Most likely the fit lacks the camera (white_balance) or the light, which could take away 92 % or "
         "90 % of what is left."
@@ -310,13 +310,13 @@ def test_two_causes_that_cannot_be_told_apart():
 
 
 def test_no_likely_cause():
-    for left in ({"light": Suspect(0.1, 30.0)}, {"pigments": Suspect(0.8, -2.0)}):
+    for left in ({"light": OmittedGroup(0.1, 30.0)}, {"pigments": OmittedGroup(0.8, -2.0)}):
         told = said(3600.0, left, leaf=4.0)
         assert told[1].startswith("No parameter that was left out takes away a quarter of it")
 
 
 def test_what_is_missed_and_not_seen():
-    told = said(3600.0, {"light": Suspect(0.91, 80.0)}, leaf=0.2, stem=0.4)
+    told = said(3600.0, {"light": OmittedGroup(0.91, 80.0)}, leaf=0.2, stem=0.4)
     assert "No mean colour lies further off than dE2000 0.4, which is not seen." in told
     assert not any("not seen" in one for one in said(3600.0, leaf=0.2, stem=1.4))
     assert not any("not seen" in one for one in said(3600.0))  # of reflectances alone there are no colours
