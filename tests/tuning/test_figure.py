@@ -1,90 +1,111 @@
-"""The sheet shows the colours that it tells, and copes with whatever a fit has or lacks."""
+"""The figure of a fit shows its colours, for any combination of what a fit has."""
 
 from __future__ import annotations
 
+import colorsys
 from dataclasses import replace
+from io import BytesIO
 
 import numpy as np
 import pytest
-from example_fit import a_fit
+from example_fit import example_fit
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from PIL import Image
 
-from pepperscene.camera import decode_tone
-from pepperscene.camera.colorimetry import SRGB_TO_XYZ, xyz_to_lab
+from pepperscene.camera import decode_tone, encode_tone
+from pepperscene.colour import linear_srgb_to_lab
 from pepperscene.dataset import load_recipe
-from pepperscene.tuning.output.figure import WIDTH, BeforeAfter, sheet
+from pepperscene.tuning.output.figure import BeforeAfter, before_after_figure, before_after_png
 
 
 @pytest.fixture(scope="module")
 def fit():
-    return a_fit(load_recipe("demo"), {"leaf.chlorophyll": [48.0], "flash.colour": [0.2, 0.1]}, pixels=3000)
+    values = {"leaf.chlorophyll": [48.0], "flash.colour": [0.2, 0.1]}
+    return example_fit(load_recipe("demo"), values, pixels=3000)
 
 
-def lab_at(picture, x, y):
-    linear = decode_tone(np.asarray(picture)[y, x])
-    return xyz_to_lab(SRGB_TO_XYZ @ linear)
+@pytest.fixture(scope="module")
+def drawn(fit):
+    """The figure and its `(h, w, 3)` pixels."""
+    figure = before_after_figure(fit, "demo")
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return figure, np.asarray(canvas.buffer_rgba())[..., :3]
 
 
-def rows_of(picture, column):
-    """First row of each field, where a column of the sheet leaves the paper's colour."""
-    codes = np.asarray(picture).astype(int)[:, column]
-    off = np.abs(codes - codes[0]).max(axis=1) > 12
-    starts = np.flatnonzero(off & ~np.roll(off, 1))
-    return [start for start in starts if off[start : start + 150].all()]
+def rows_of_kinds(figure):
+    """The axes of each kind: measured, before, after, hues."""
+    axes = [axis for part in figure.subfigs for axis in part.axes]
+    return [axes[i : i + 4] for i, axis in enumerate(axes) if axis.get_title() == "measured"]
 
 
-def test_fields_have_the_mean_colours_and_the_measured_one_in_their_middle(fit):
-    picture = sheet(fit, "demo")
-    assert picture.width == WIDTH
-    tops = rows_of(picture, 225)
-    assert len(tops) == len(fit.kinds)
-    for top, kind in zip(tops, fit.kinds.values(), strict=True):
-        for left, moments in ((220, kind.target), (604, kind.before), (988, kind.after)):
-            # Half a code of 255 is at most a CIELAB unit, in dark colours.
-            assert np.abs(lab_at(picture, left + 10, top + 8) - moments[0]).max() < 1.0
-            assert np.abs(lab_at(picture, left + 183, top + 58) - kind.target[0]).max() < 1.0
+def lab_of_image(drawn, axis):
+    """`(h, w, 3)` CIELAB of the pixels of an axes, from top to bottom."""
+    figure, pixels = drawn
+    box = axis.get_window_extent()
+    height = pixels.shape[0]
+    rows = slice(round(height - box.y1) + 2, round(height - box.y0) - 2)
+    return linear_srgb_to_lab(decode_tone(pixels[rows, round(box.x0) + 2 : round(box.x1) - 2]))
 
 
-def test_strips_show_the_spread_from_dark_to_bright(fit):
-    picture = sheet(fit, "demo")
-    (top, *_), kind = rows_of(picture, 225), fit.kinds["leaf"]
-    strip = decode_tone(np.asarray(picture)[top + 118 : top + 162, 222:586])
-    lightness = xyz_to_lab(strip @ SRGB_TO_XYZ.T)[..., 0]
-    assert (np.diff(lightness.mean(axis=0).reshape(-1, 14).mean(axis=1)) > 0).all()
-    assert lightness.mean() == pytest.approx(
-        xyz_to_lab(kind.pixels_target @ SRGB_TO_XYZ.T)[:, 0].mean(), abs=0.5
-    )
-    assert lightness.std() == pytest.approx(kind.target[1, 0], rel=0.1)
+def test_swatches_have_mean_colours_and_the_measured_one_in_the_middle(fit, drawn):
+    rows = rows_of_kinds(drawn[0])
+    assert len(rows) == len(fit.kinds)
+    for axes, kind in zip(rows, fit.kinds.values(), strict=True):
+        for axis, moments in zip(axes, (kind.target, kind.before, kind.after), strict=False):
+            lab = lab_of_image(drawn, axis)
+            height, width, _ = lab.shape
+            # Half a code of 255 is at most a CIELAB unit in dark colours.
+            assert np.abs(lab[height // 20, width // 20] - moments[0]).max() < 1.0
+            assert np.abs(lab[round(0.35 * height), width // 2] - kind.target[0]).max() < 1.0
 
 
-def test_frames_are_shown_side_by_side_in_their_proportions(fit):
-    one = np.zeros((300, 400, 3), np.uint8)
-    one[..., 0] = 255
-    other = np.zeros((300, 400, 3), np.uint8)
-    other[..., 2] = 255
-    codes = np.asarray(sheet(fit, "demo", BeforeAfter(one, other)))
-    red, blue = ((codes == colour).all(axis=-1) for colour in ((255, 0, 0), (0, 0, 255)))
-    for found in (red, blue):
-        rows, columns = np.flatnonzero(found.any(axis=1)), np.flatnonzero(found.any(axis=0))
+def test_strips_show_the_pixels_from_dark_to_bright(fit, drawn):
+    for axes, kind in zip(rows_of_kinds(drawn[0]), fit.kinds.values(), strict=True):
+        lab = lab_of_image(drawn, axes[0])
+        lightness = lab[round(0.75 * len(lab)) :, ..., 0]
+        assert (np.diff([part.mean() for part in np.array_split(lightness, 24, axis=1)]) > 0).all()
+        assert lightness.mean() == pytest.approx(linear_srgb_to_lab(kind.pixels_target)[:, 0].mean(), abs=0.5)
+        assert lightness.std() == pytest.approx(kind.target[1, 0], rel=0.1)
+
+
+def test_hue_spectra_are_those_of_the_pixels(fit, drawn):
+    for axes, kind in zip(rows_of_kinds(drawn[0]), fit.kinds.values(), strict=True):
+        sides = (kind.pixels_target, kind.pixels_before, kind.pixels_after)
+        for line, pixels in zip(axes[3].lines, sides, strict=True):
+            # The pixels of a side differ in brightness, hardly in hue.
+            hue = 360.0 * colorsys.rgb_to_hsv(*encode_tone(np.median(pixels, axis=0).astype(np.float32)))[0]
+            assert line.get_xdata()[np.argmax(line.get_ydata())] == pytest.approx(hue, abs=3.0)
+            assert line.get_ydata().sum() == pytest.approx(100.0, abs=1.0)
+
+
+def test_frames_are_side_by_side_in_their_proportions(fit):
+    red, blue = np.zeros((2, 300, 400, 3), np.uint8)
+    red[..., 0] = blue[..., 2] = 255
+    image = np.asarray(Image.open(BytesIO(before_after_png(fit, "demo", BeforeAfter(red, blue)))))[..., :3]
+    masks = [(image == colour).all(axis=-1) for colour in ((255, 0, 0), (0, 0, 255))]
+    for mask in masks:
+        rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
         assert len(columns) / len(rows) == pytest.approx(4 / 3, rel=0.01)
-    assert np.flatnonzero(red.any(axis=0)).max() < np.flatnonzero(blue.any(axis=0)).min()
+    assert np.flatnonzero(masks[0].any(axis=0)).max() < np.flatnonzero(masks[1].any(axis=0)).min()
 
 
-def test_whatever_is_missing_leaves_its_place_out(fit):
-    whole = sheet(fit, "demo").height
+def test_missing_parts_take_no_space(fit, drawn):
+    height = drawn[0].get_figheight()
     bare = replace(fit, kinds={}, spectra={}, diagnostics=(), undetermined=())
-    assert sheet(bare, "demo").height < whole
-    kind = next(iter(fit.kinds.values()))
-    empty = replace(kind, pixels_target=np.zeros((0, 3)), pixels_before=np.zeros((1, 3)))
-    assert sheet(replace(fit, kinds={"leaf": empty}), "demo").width == WIDTH
+    assert before_after_figure(bare, "demo").get_figheight() < height - 3.0
+    kind = replace(next(iter(fit.kinds.values())), pixels_before=np.zeros((1, 3)))
+    assert before_after_figure(replace(fit, kinds={"leaf": kind}), "demo").get_figheight() < height
 
 
-def test_odd_words_are_drawn(fit):
-    """Names are a user's, and Pillow's own font knows few letters."""
-    names = {"перец": next(iter(fit.spectra.values()))}
-    told = replace(fit, spectra=names, gained={n: np.full(v.size, np.nan) for n, v in fit.variance_reduction.items()})
-    assert sheet(told, "名前 " + "long " * 60).width == WIDTH
+def test_any_name_and_number_can_be_drawn(fit):
+    """Without warnings about missing letters; text is not mathematics."""
+    spectra = {"перец $x$": next(iter(fit.spectra.values()))}
+    undefined = {name: np.full(value.size, np.nan) for name, value in fit.variance_reduction.items()}
+    odd = replace(fit, spectra=spectra, variance_reduction=undefined)
+    assert before_after_png(odd, "名前 $\\frac{" + "long " * 60).startswith(b"\x89PNG")
 
 
-def test_words_are_not_said_twice(fit):
-    twice = replace(fit, diagnostics=(*fit.diagnostics, *fit.undetermined))
-    assert sheet(twice, "demo").height == sheet(fit, "demo").height
+def test_sentences_are_not_repeated(fit, drawn):
+    repeated = replace(fit, diagnostics=(*fit.diagnostics, *fit.undetermined))
+    assert before_after_figure(repeated, "demo").get_figheight() == drawn[0].get_figheight()

@@ -138,9 +138,7 @@ def test_error_on_an_unknown_name_lists_all_names():
 
 def test_flash_cannot_be_fitted_without_one():
     assert not any(name.startswith("flash") for name in known_parameters(KAITE, NO_FLASH))
-    with pytest.raises(
-        ArgumentError, match=r"flash\.power cannot be fitted, because barth2018 has no flash"
-    ):
+    with pytest.raises(ArgumentError, match=r"flash\.power cannot be fitted, because barth2018 has no flash"):
         select(["flash.power"], camera=NO_FLASH)
 
 

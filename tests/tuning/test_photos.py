@@ -35,9 +35,7 @@ PARAMETERS = (
 
 pytestmark = [
     pytest.mark.long,
-    pytest.mark.skipif(
-        not PHOTOS.is_dir(), reason="PEPPERSCENE_PHOTOS is not the folder of the photographs"
-    ),
+    pytest.mark.skipif(not PHOTOS.is_dir(), reason="PEPPERSCENE_PHOTOS is not the folder of the photographs"),
 ]
 
 

@@ -169,7 +169,10 @@ class DirectModel:
 
     @classmethod
     def of(
-        cls, spectra: Sequence[MeasuredSpectrum], cultivar: Cultivar, tuned_parts: Callable[[Values], TunedParts]
+        cls,
+        spectra: Sequence[MeasuredSpectrum],
+        cultivar: Cultivar,
+        tuned_parts: Callable[[Values], TunedParts],
     ) -> Self:
         """Return the model of some spectra.
 

@@ -56,8 +56,10 @@ class BeforeAfter:
 
 def before_after_png(fit: FitResult, name: str, frames: BeforeAfter | None = None) -> bytes:
     """Return the figure as PNG; the same fit gives the same bytes. Arguments as in `before_after_figure`."""
+    import matplotlib.style
+
     buffer = BytesIO()
-    with warnings.catch_warnings():
+    with matplotlib.style.context(["default", _STYLE]), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing", category=UserWarning)
         before_after_figure(fit, name, frames).savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
@@ -71,7 +73,6 @@ def before_after_figure(fit: FitResult, name: str, frames: BeforeAfter | None = 
         name: Name of the recipe.
         frames: Frames of the whole scene, or None.
     """
-    import matplotlib.style
     from matplotlib.figure import Figure
 
     spectra = list(fit.spectra.items())
@@ -91,11 +92,10 @@ def before_after_figure(fit: FitResult, name: str, frames: BeforeAfter | None = 
     rows += [(0.3 + 0.19 * len(lines), partial(_draw_text, text="\n".join(lines)))]
 
     heights = [height for height, _ in rows]
-    with matplotlib.style.context(["default", _STYLE]):
-        figure = Figure(figsize=(WIDTH_IN, sum(heights)), dpi=DPI)
-        parts = figure.subfigures(len(rows), 1, squeeze=False, height_ratios=heights, hspace=0.0)
-        for (_, draw), part in zip(rows, parts[:, 0], strict=True):
-            draw(part)
+    figure = Figure(figsize=(WIDTH_IN, sum(heights)), dpi=DPI)
+    parts = figure.subfigures(len(rows), 1, squeeze=False, height_ratios=heights, hspace=0.0)
+    for (_, draw), part in zip(rows, parts[:, 0], strict=True):
+        draw(part)
     return figure
 
 
