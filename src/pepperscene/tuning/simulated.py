@@ -27,7 +27,6 @@ from pepperscene.tuning.parameters.tuned import tuned_camera
 if TYPE_CHECKING:
     from pepperscene.dataset import Recipe
 
-
 QUALITY: Final = Quality(64, 64, 64, 1, target=None, denoise=False)
 """Chosen: the noise of the light simulation is then far below that of photons."""
 

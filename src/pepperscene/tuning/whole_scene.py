@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from pepperscene.tuning.model.target import TuningTarget
     from pepperscene.tuning.parameters.tuned import TunedParts
 
-
 Array = NDArray[np.float64]
 
 OUTPUTS: Final = ("colour", "class", "instance", "harvest", "electrons")

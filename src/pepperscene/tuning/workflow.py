@@ -7,10 +7,11 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from pepperscene.colour import PatchSet
+from pepperscene.colour import MeasuredSpectrum, Patch, PatchSet, open_patches
 from pepperscene.tuning.fit.diagnostics import VISIBLE_DELTA_E
 from pepperscene.tuning.fit.least_squares import STARTS, FitResult, fit_parameters
 from pepperscene.tuning.model.target import TuningTarget
@@ -26,7 +27,6 @@ from pepperscene.tuning.whole_scene import (
 
 if TYPE_CHECKING:
     from pepperscene.dataset import Recipe
-
 
 MAX_ROUNDS: Final = 3
 VERIFY_FRAMES: Final = 4
@@ -85,22 +85,19 @@ def merge_patches(sets: Sequence[PatchSet]) -> PatchSet:
     members = Counter(patch.name for one in sets for patch in one.patches)
     members.update(spectrum.name for one in sets for spectrum in one.spectra)
 
-    def unique(name: str, of: str, counts: Counter[str]) -> str:
-        return f"{of}: {name}" if counts[name] > 1 else name
+    def unique(set_name: str, name: str, counts: Counter[str]) -> str:
+        return f"{set_name}: {name}" if counts[name] > 1 else name
 
-    return PatchSet(
-        " and ".join(set_names),
-        tuple(
-            replace(patch, name=unique(patch.name, of, members), picture=unique(patch.picture, of, pictures))
-            for one, of in zip(sets, set_names, strict=True)
-            for patch in one.patches
-        ),
-        tuple(
-            replace(spectrum, name=unique(spectrum.name, of, members))
-            for one, of in zip(sets, set_names, strict=True)
-            for spectrum in one.spectra
-        ),
-    )
+    patches: list[Patch] = []
+    spectra: list[MeasuredSpectrum] = []
+    for one, set_name in zip(sets, set_names, strict=True):
+        for patch in one.patches:
+            name = unique(set_name, patch.name, members)
+            picture = unique(set_name, patch.picture, pictures)
+            patches.append(replace(patch, name=name, picture=picture))
+        for spectrum in one.spectra:
+            spectra.append(replace(spectrum, name=unique(set_name, spectrum.name, members)))
+    return PatchSet(" and ".join(set_names), tuple(patches), tuple(spectra))
 
 
 def tune(
@@ -145,38 +142,20 @@ def tune(
         OutputError: The folder is not empty, or cannot be written to.
         SetupError: The machine cannot render; nothing is written.
     """
-    from pepperscene.colour import open_patches
     from pepperscene.dataset import Recipe, load_recipe
 
     source = extends if isinstance(recipe, Recipe) else recipe
     loaded = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
     measured = patches if isinstance(patches, PatchSet) else open_patches(patches)
     used, held = (measured.without(hold_out), measured.select(hold_out)) if hold_out else (measured, None)
-    date = when or datetime.date.today()
     target = TuningTarget(loaded, used, bounds=bounds, seed=seed)
     target.parameters(names)
     check_folder(Path(out))
-
-    def write(
-        fit: FitResult,
-        folder: str | Path,
-        frames: BeforeAfter | None = None,
-        verification: Verification | None = None,
-    ) -> tuple[Path, ...]:
-        return write_tuned(
-            loaded,
-            fit,
-            folder,
-            patches=used,
-            when=date,
-            extends=source,
-            options=options,
-            frames=frames,
-            verification=None if verification is None else asdict(verification),
-        )
-
+    date = when or datetime.date.today()
+    write = partial(write_tuned, loaded, patches=used, when=date, extends=source, options=options)
+    fit_to = partial(fit_parameters, target, seed=seed, on_progress=on_progress)
     if not verify:
-        fit = fit_parameters(target, target.problem(names), starts=starts, seed=seed, on_progress=on_progress)
+        fit = fit_to(target.problem(names), starts=starts)
         return TuningResult(fit, write(fit, out), None)
 
     # Measure the effect of neighbours in the whole scene, fit with it, and repeat with the tuned scene.
@@ -184,9 +163,7 @@ def tune(
     neighbours = neighbour_effects(target, target.tuned_parts({}), before)
     for round_ in range(1, MAX_ROUNDS + 1):
         problem = target.problem(names, neighbours)
-        fit = fit_parameters(
-            target, problem, starts=starts if round_ == 1 else 1, seed=seed, on_progress=on_progress
-        )
+        fit = fit_to(problem, starts=starts if round_ == 1 else 1)
         with tempfile.TemporaryDirectory(prefix="pepperscene-") as folder:
             after = render_statistics(load_recipe(write(fit, folder)[0]), verify, quality)
         difference = largest_difference(problem, fit.tuned_parts, after)
@@ -211,7 +188,8 @@ def tune(
     )
     fit = replace(fit, diagnostics=(*fit.diagnostics, *describe_verification(verification)))
     frames = BeforeAfter(before.picture, after.picture)
-    return TuningResult(fit, write(fit, out, frames, verification), verification)
+    files = write(fit, out, frames=frames, verification=asdict(verification))
+    return TuningResult(fit, files, verification)
 
 
 def describe_verification(verification: Verification) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Uncertainty of a fit's parameters, and parameter groups that could explain its residuals."""
+"""Uncertainty of a fit's parameters, and groups of omitted parameters that could explain its residuals."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from pepperscene.tuning.model.view_model import entries_of
 if TYPE_CHECKING:
     from pepperscene.tuning.parameters.parameter import Parameter
 
-
 Array = NDArray[np.float64]
 
 MIN_VARIANCE_REDUCTION: Final = 0.75
@@ -31,12 +30,8 @@ INVISIBLE_DELTA_E: Final = 1.0
 """CIEDE2000 below which two colours look the same."""
 VISIBLE_DELTA_E: Final = 3.0
 """Chosen: CIEDE2000 above which a difference is visible at a glance."""
-
 _AT_BOUND: Final = 1e-3  # fraction of the width of the bounds
 _MIN_SPACE: Final = 1e-9  # in prior standard deviations
-
-
-# --- uncertainty --------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,18 +88,14 @@ def undetermined_entries(problem: FitProblem, vector: Array, posterior: Uncertai
                 "outside of the bounds, or another parameter is missing from the fit"
             )
         elif posterior.variance_reduction[i] < MIN_VARIANCE_REDUCTION:
-            sentence = (
-                f"{entry.label} cannot be determined: its posterior sd is {posterior.sd[i]:.3g}, its prior sd "
-                f"{problem.sd[i]:.3g}"
-            )
+            sds = f"its posterior sd is {posterior.sd[i]:.3g}, its prior sd {problem.sd[i]:.3g}"
+            sentence = f"{entry.label} cannot be determined: {sds}"
             others = np.abs(posterior.correlation[i]).copy()
             others[i] = 0.0
             partner = int(np.argmax(others))
             if others[partner] >= HIGH_CORRELATION:
-                sentence += (
-                    f"; only a combination with {problem.entries[partner].label} is known "
-                    f"(correlation {posterior.correlation[i, partner]:+.2f})"
-                )
+                label, correlation = problem.entries[partner].label, posterior.correlation[i, partner]
+                sentence += f"; only a combination with {label} is known (correlation {correlation:+.2f})"
             sentences.append(sentence)
     return tuple(sentences)
 
@@ -138,11 +129,6 @@ def omitted_groups(
     probability of the step and for everything else that the group could have explained (MacKay 1992, Neural
     Comput. 4:415). The errors of the data are those of `uncertainty`. The cause is either a whole group or one
     of its parameters; all parameters of a group are equally likely beforehand.
-
-    Args:
-        problem: The fitted problem.
-        vector: Its minimum.
-        unfitted: Further parameters, at the recipe's values, by group.
     """
     values = problem.values(vector)
     residuals = problem.data_residuals(values)
@@ -158,15 +144,15 @@ def omitted_groups(
         entries = entries_of(parameters)
         if not entries:
             continue
-        priors = [entry.prior for entry in entries]
-        scales = np.array([float(prior.sd) for prior in priors])
-        start = np.array([entry.value({}) for entry in entries])
+        scales, lows, highs, start = np.array(
+            [(one.prior.sd, one.prior.low, one.prior.high, one.value({})) for one in entries]
+        ).T
         model = _LinearModel(
             np.hstack([fitted_slopes, problem.data_jacobian(values, entries) * scales]),
             residuals,
             np.concatenate([deviation, np.zeros(len(entries))]),
-            np.concatenate([low, (np.array([prior.low for prior in priors]) - start) / scales]),
-            np.concatenate([high, (np.array([prior.high for prior in priors]) - start) / scales]),
+            np.concatenate([low, (lows - start) / scales]),
+            np.concatenate([high, (highs - start) / scales]),
         )
         names = [entry.parameter.name for entry in entries]
         groups[group] = model.omitted_group(len(vector), names, error_scale)
@@ -191,12 +177,9 @@ class _LinearModel:
     high: Array
 
     def omitted_group(self, fitted: int, names: Sequence[str], error_scale: float) -> OmittedGroup:
-        """What the entries after the `fitted` ones explain.
+        """What the entries after the `fitted` ones, of parameters `names`, explain.
 
-        Args:
-            fitted: Number of fitted entries.
-            names: Parameter of each further entry.
-            error_scale: Factor on the errors of the data.
+        `error_scale` is a factor on the errors of the data.
         """
         every, own = np.arange(len(self.deviation)), np.arange(fitted)
         explained = 1.0 - self._costs(every, 1.0)[0] / float(self.residuals @ self.residuals)
@@ -241,25 +224,16 @@ def describe_fit(
     omitted: Mapping[str, OmittedGroup],
     delta_e: Mapping[str, float],
 ) -> tuple[str, ...]:
-    """Describe a fit in sentences.
-
-    Args:
-        problem: The fitted problem.
-        chi2: Sum of the squared residuals of the data.
-        undetermined: Sentences on undetermined entries.
-        omitted: Possible causes of the residuals, the likeliest first.
-        delta_e: CIEDE2000 of the mean colours after the fit, by kind.
-    """
+    """Describe a fit in sentences; `delta_e` is CIEDE2000 of the mean colours after the fit, by kind."""
     ratio, consistent = np.sqrt(chi2 / max(problem.data_count, 1)), is_consistent(chi2, problem.data_count)
     if consistent:
         sentences = [f"The model fits the patches: RMS residuals are {ratio:.2f} times the expected size."]
     else:
-        sentences = [
-            f"The model does not fit the patches: RMS residuals are {ratio:.1f} times the expected size.",
-            *_describe_causes(omitted),
-        ]
-        largest = max(delta_e.values(), default=np.inf)
-        if largest < INVISIBLE_DELTA_E:
+        conclusion = (
+            f"The model does not fit the patches: RMS residuals are {ratio:.1f} times the expected size."
+        )
+        sentences = [conclusion, *_describe_causes(omitted)]
+        if (largest := max(delta_e.values(), default=np.inf)) < INVISIBLE_DELTA_E:
             sentences.append(
                 f"No mean colour differs by more than dE2000 {largest:.1f}, which is not visible."
             )
@@ -274,26 +248,22 @@ def describe_fit(
 def _describe_causes(omitted: Mapping[str, OmittedGroup]) -> list[str]:
     if not omitted:
         return []
-    named = [group for group, one in omitted.items() if one.explained >= MIN_EXPLAINED and one.evidence > 0.0]
-    if not named:
-        return [
-            "No omitted parameter could explain a quarter of the residuals: check the patches, their labels "
-            "and their light."
-        ]
-    percent = {group: f"{100 * omitted[group].explained:.0f} %" for group in named}
-    likely = [
-        group for group in named if omitted[named[0]].evidence - omitted[group].evidence < STRONG_EVIDENCE
-    ]
-    causes = [
-        f"{group}" + f" ({omitted[group].parameter})" * bool(omitted[group].parameter) for group in likely
-    ]
+    causes = {
+        group: one for group, one in omitted.items() if one.explained >= MIN_EXPLAINED and one.evidence > 0.0
+    }
+    if not causes:
+        reason = "No omitted parameter could explain a quarter of the residuals"
+        return [f"{reason}: check the patches, their labels and their light."]
+    percent = {group: f"{100 * one.explained:.0f} %" for group, one in causes.items()}
+    best = next(iter(causes.values())).evidence
+    likely = {group: one for group, one in causes.items() if best - one.evidence < STRONG_EVIDENCE}
+    names = [f"{group} ({one.parameter})" if one.parameter else group for group, one in likely.items()]
     sentences = [
-        f"The unexplained residuals point to {' or '.join(causes)}, which could explain "
+        f"The unexplained residuals point to {' or '.join(names)}, which could explain "
         f"{' or '.join(percent[group] for group in likely)} of chi-squared."
     ]
-    unlikely = [f"{group} ({percent[group]})" for group in named if group not in likely]
-    if unlikely:
-        sentences.append(
-            f"Other groups could explain part of it, but are much less likely: {', '.join(unlikely)}."
-        )
+    others = [f"{group} ({percent[group]})" for group in causes if group not in likely]
+    if others:
+        listed = ", ".join(others)
+        sentences.append(f"Other groups could explain part of it, but are much less likely: {listed}.")
     return sentences

@@ -1,9 +1,8 @@
 """Bounded least-squares fit with the renderer's derivatives, from several starts, and its result.
 
-The optimiser is a trust-region Gauss-Newton method with bounds (Branch, Coleman & Li 1999, SIAM J. Sci. Comput.
-21:1, as implemented in SciPy). A derivative with respect to one number costs about one image of a small view,
-and ten steps are enough; optimisers that use only the gradient of the cost need hundreds
-(benchmarks/tuning.py).
+The optimiser is a trust-region Gauss-Newton method with bounds (Branch, Coleman & Li 1999, SIAM J. Sci.
+Comput. 21:1, as in SciPy). A derivative with respect to one number costs about one image of a small view, and
+ten steps are enough; optimisers that use only the gradient of the cost need hundreds (benchmarks/tuning.py).
 """
 
 from __future__ import annotations
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     from pepperscene.tuning.parameters.parameter import Parameter
     from pepperscene.tuning.parameters.tuned import TunedParts
 
-
 Array = NDArray[np.float64]
 
 STARTS: Final = 4
@@ -40,9 +38,6 @@ _CANDIDATES: Final = 12  # chosen: random points that are evaluated for each fur
 _EVALUATIONS: Final = 30  # chosen: maximum of a start; ten are usual
 _TOLERANCE: Final = 1e-5  # chosen: relative change of the cost at which a start ends
 _PLOTTED: Final = 4000  # pixels of a kind that are kept for the figure
-
-
-# --- result -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,9 +133,6 @@ class FitResult:
     tuned_parts: TunedParts
 
 
-# --- fit ----------------------------------------------------------------------------------------------------
-
-
 def fit_parameters(
     target: TuningTarget,
     problem: FitProblem,
@@ -151,8 +143,8 @@ def fit_parameters(
 ) -> FitResult:
     """Find the best values of a problem, and their uncertainty.
 
-    The first start is the recipe itself; each further one is the best of a dozen points drawn from the priors.
-    No further start is run once the residuals are consistent with the errors of the data.
+    The first start is the recipe itself; further ones are each the best of a dozen points drawn from the
+    priors. They end once the residuals are consistent with the errors of the data.
 
     Args:
         target: Recipe and patches.
@@ -169,11 +161,9 @@ def fit_parameters(
         best, _ = min(runs, key=lambda run: run[1].cost)
         chi2 = chi_squared(problem, best)
         if on_progress is not None:
-            on_progress(
-                f"start {number + 1} of {starts}: RMS residuals are "
-                f"{np.sqrt(chi2 / max(problem.data_count, 1)):.2f} times the expected size after "
-                f"{runs[-1][1].evaluations} evaluations"
-            )
+            ratio, count = np.sqrt(chi2 / max(problem.data_count, 1)), runs[-1][1].evaluations
+            residuals = f"RMS residuals are {ratio:.2f} times the expected size after {count} evaluations"
+            on_progress(f"start {number + 1} of {starts}: {residuals}")
         if is_consistent(chi2, problem.data_count):
             break
     return _summarise(target, problem, best, tuple(start for _, start in runs))
@@ -188,16 +178,9 @@ def _random_start(problem: FitProblem, rng: np.random.Generator) -> Array:
 def _optimise(problem: FitProblem, vector: Array) -> tuple[Array, Start]:
     from scipy.optimize import least_squares
 
-    done = least_squares(
-        problem.residuals,
-        vector,
-        problem.jacobian,
-        bounds=(problem.low, problem.high),
-        x_scale=problem.sd,
-        ftol=_TOLERANCE,
-        xtol=_TOLERANCE,
-        max_nfev=_EVALUATIONS,
-    )
+    options = {"ftol": _TOLERANCE, "xtol": _TOLERANCE, "max_nfev": _EVALUATIONS, "x_scale": problem.sd}
+    bounds = (problem.low, problem.high)
+    done = least_squares(problem.residuals, vector, problem.jacobian, bounds=bounds, **options)
     values = {name: tuple(value.tolist()) for name, value in problem.values(vector).items()}
     return done.x, Start(values, float(done.cost), int(done.nfev), str(done.message))
 
@@ -243,27 +226,19 @@ def _compare_kinds(
         of_kind = [one for one in problem.observations if any(m.view.kind == kind for m in one.view_models)]
         if not of_kind:
             continue
-        pixels = [target, *(np.concatenate([one.linear(parts) for one in of_kind]) for parts in both)]
-        moments = [
-            np.stack([linear_srgb_to_lab(one.mean(axis=0)), linear_srgb_to_lab(one).std(axis=0)])
-            for one in pixels
-        ]
-        # Colours of the views among their neighbours.
+        # The colours of the views are those among their neighbours.
         offset = np.mean([one.neighbours.offset for one in of_kind], axis=0)[:6].reshape(2, 3)
-        moments[1:] = [one + offset for one in moments[1:]]
-        delta_e = [float(delta_e_2000(one[0], moments[0][0])) for one in moments[1:]]
-        sampled = [one[:: max(1, -(-len(one) // _PLOTTED))] for one in pixels]
-        kinds[kind] = KindFit(
-            target=moments[0],
-            before=moments[1],
-            after=moments[2],
-            delta_e_before=delta_e[0],
-            delta_e_after=delta_e[1],
-            pixels_target=sampled[0],
-            pixels_before=sampled[1],
-            pixels_after=sampled[2],
-        )
+        pixels = [np.concatenate([one.linear(parts) for one in of_kind]) for parts in both]
+        moments = [_moments(target), *(_moments(one) + offset for one in pixels)]
+        delta_e = [float(delta_e_2000(one[0], moments[0][0])) for one in moments]
+        sampled = [one[:: max(1, -(-len(one) // _PLOTTED))] for one in (target, *pixels)]
+        kinds[kind] = KindFit(moments[0], moments[1], moments[2], delta_e[1], delta_e[2], *sampled)
     return kinds
+
+
+def _moments(pixels: Array) -> Array:
+    """`(2, 3)` CIELAB of the mean colour, and sd of the pixels' L*, a*, b*."""
+    return np.stack([linear_srgb_to_lab(pixels.mean(axis=0)), linear_srgb_to_lab(pixels).std(axis=0)])
 
 
 def _compare_spectra(

@@ -14,7 +14,6 @@ from pepperscene.colour import linear_srgb_to_lab
 if TYPE_CHECKING:
     from pepperscene.camera import Sensor
 
-
 Array = NDArray[np.float64]
 
 OBSERVABLE_COUNT: Final = 8

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from pepperscene.tuning.parameters.parameter import Parameter
     from pepperscene.tuning.parameters.tuned import TunedParts
 
-
 Array = NDArray[np.float64]
 
 _MARGIN: Final = 1e-6  # fraction of a bound's width by which starts are moved off the bounds

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from pepperscene.tuning.model.view_model import Entry
     from pepperscene.tuning.parameters.tuned import TunedParts
 
-
 Array = NDArray[np.float64]
 Values = Mapping[str, Array]
 

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from pepperscene.dataset import Recipe
     from pepperscene.render import Quality
 
-
 Array = NDArray[np.float64]
 
 LAB_ERROR: Final = 0.5

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from pepperscene.tuning.parameters.parameter import Parameter
     from pepperscene.tuning.parameters.tuned import TunedParts
 
-
 Array = NDArray[np.float64]
 Values = Mapping[str, Array]
 

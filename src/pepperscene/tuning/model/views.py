@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from pepperscene.materials import Surface
     from pepperscene.scene import Scene, Sky
 
-
 Array = NDArray[np.float64]
 
 ORGANS: Final = 3

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from pepperscene.tuning.fit.least_squares import FitResult
     from pepperscene.tuning.parameters.parameter import Parameter
 
-
 _WIDTH: Final = 116  # chosen: of comment lines
 
 

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from pepperscene.tuning.fit.least_squares import FitResult
     from pepperscene.tuning.parameters.tuned import TunedParts
 
-
 _FILE_KEYS: Final = (
     "cultivar", "camera.sensor", "camera.lens", "camera.flash", "camera.filter", "daylight.cover",
     "growth.until",

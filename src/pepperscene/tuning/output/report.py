@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from pepperscene.tuning.whole_scene import Agreement
     from pepperscene.tuning.workflow import Verification
 
-
 FORMAT: Final = "pepperscene tuning 1"
 
 

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from pepperscene.colour import PatchSet
     from pepperscene.tuning.fit.least_squares import FitResult
 
-
 RECORD: Final = "tuning.json"
 PICTURE: Final = "before_after.png"
 

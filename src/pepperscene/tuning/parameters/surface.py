@@ -16,7 +16,6 @@ from pepperscene.render.gradients.pigment_models import CONTENTS, RANGES
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar, Distribution
 
-
 Array = NDArray[np.float64]
 Component = tuple[float, float, float]
 """Weight, mean and standard deviation of one component of a mixture."""

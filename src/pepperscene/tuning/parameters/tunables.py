@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from pepperscene.camera import Camera
     from pepperscene.cultivar import Cultivar, Distribution
 
-
 Group = Literal["pigments", "cuticle", "light", "exposure", "camera"]
 
 _COLOURS: Final = ("red", "green", "blue")

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from pepperscene.camera import Camera, Flash
     from pepperscene.cultivar import Cultivar
 
-
 Array = NDArray[np.float64]
 
 STEPS: Final = 20
