@@ -29,6 +29,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from pepperscene.tuning.model.subject import TuningTarget
+from pepperscene.tuning.twin import simulate_patches
 
 from pepperscene.bench.records import machine_info, sentence
 from pepperscene.colour import PatchSet, delta_e_2000
@@ -36,9 +38,7 @@ from pepperscene.dataset import load_recipe
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
 from pepperscene.tuning.model.observables import hues, lab_of, lab_slopes, numbers
 from pepperscene.tuning.model.problem import Cell, FitProblem
-from pepperscene.tuning.model.subject import TuningTarget
 from pepperscene.tuning.model.view_model import EFFORT, ParameterStep, ViewModel
-from pepperscene.tuning.twin import simulate_patches
 
 if TYPE_CHECKING:
     from pepperscene.tuning.parameters.tuned import TunedParts

@@ -289,8 +289,8 @@ def test_describes_one_likely_cause():
 def test_describes_two_causes_of_similar_evidence():
     causes = {"camera": OmittedGroup(0.92, 104.0, "white_balance"), "light": OmittedGroup(0.9, 101.0)}
     assert describe(3600.0, causes, leaf=4.0)[1] == (
-        "The unexplained residuals point to camera (white_balance) or light, which could explain 92 % or 90 % "
-        "of chi-squared."
+        "The unexplained residuals point to camera (white_balance) or light, which could explain "
+        "92 % or 90 % of chi-squared."
     )
 
 

@@ -41,7 +41,7 @@ def rows_of_kinds(figure):
 
 def lab_of_image(drawn, axis):
     """`(h, w, 3)` CIELAB of the pixels of an axes, from top to bottom."""
-    figure, pixels = drawn
+    _, pixels = drawn
     box = axis.get_window_extent()
     height = pixels.shape[0]
     rows = slice(round(height - box.y1) + 2, round(height - box.y0) - 2)

@@ -4,11 +4,11 @@ Rationale: pigments that are fitted to explain another camera are wrong. A fit h
 explain it, and to name what is missing.
 
 Set-up: the organs of a recipe with hidden pigments, in the light of another LED (CIE illuminant LED-B3, a
-phosphor-converted LED of 5763 K) and with the responses of another sensor (a Nikon D5100). Gains and matrix are
-that camera's for the recipe's light, as if nobody had noticed the other lamp.
+phosphor-converted LED of 5763 K) and with the responses of another sensor (a Nikon D5100). Gains and matrix
+are that camera's for the recipe's light, as if the other lamp had not been noticed.
 
-Expected: with pigments alone, residuals are large, some colours differ visibly, and light and camera are named
-before other pigments. With light, exposure, white balance and colour matrix, no colour differs visibly.
+Expected: with pigments alone, residuals are large, some colours differ visibly, and light and camera are
+named before other pigments. With light, exposure, white balance and colour matrix, no colour differs visibly.
 """
 
 from __future__ import annotations

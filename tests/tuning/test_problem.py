@@ -1,9 +1,9 @@
 """Residuals of a fit and their derivatives.
 
-The derivatives pass through the whole fit: from a parameter through the path to pigments at its knots, through
-light to electrons, noise and saturation to linear sRGB, and to mean, spread and hue. They are compared with
-central differences of the residuals, with other steps and the same random numbers, so that the residuals are
-smooth. The comparison has to detect wrong derivatives: mutations, each of which makes it fail.
+The derivatives pass through the whole fit: from a parameter through the path to pigments at its knots,
+through light to electrons, noise and saturation to linear sRGB, and to mean, spread and hue. They are compared
+with central differences of the residuals, with other steps and the same random numbers, so that the residuals
+are smooth. The comparison has to detect wrong derivatives: mutations, each of which makes it fail.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def test_priors_are_rows_of_the_problem(problem, jacobian):
 
 
 def test_derivative_at_a_bound_is_one_sided(target):
-    """No leaf has less than no anthocyanin: beyond the bound values are clipped, which would halve the slope."""
+    """No leaf has less than no anthocyanin: clipping beyond the bound would halve the slope."""
     problem = target.problem(["leaf.anthocyanin"])
     assert problem.default[0] == problem.low[0] == 0.0
     step = 0.05 * problem.sd

@@ -1,4 +1,4 @@
-"""Simulated patches are like those of a camera: named after views, noisy, in codes, and as their values say."""
+"""Simulated patches are like those of a camera: noisy, in codes, and changed by parameter values."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_codes_depend_on_the_noise_seed_only(recipe, default):
 
 
 def test_exposure_and_power_are_factors_of_light(recipe, default):
-    """Half the gain gives half the image where nothing is clipped; without daylight so does half the flash."""
+    """Half the gain gives half the light if nothing is clipped; without daylight so does half the flash."""
     half = simulate_patches(recipe, {"exposure": 0.5}, ["leaf"], **SMALL)
     assert mean(half, "leaf") == pytest.approx(0.5 * mean(default, "leaf"), rel=0.02, abs=NOISE)
     dark = load_recipe("barth2018", {"daylight.illuminance_lx": 0.0})

@@ -44,8 +44,8 @@ def simulate_patches(
     """Render patches of single organs at given values of a recipe's parameters.
 
     They are named after the views that `TuningTarget` has of the same recipe, kinds, `organs`, `pixels` and
-    `seed`. With `registered=True` it compares each patch with the very organ that it shows. With another seed,
-    and without `registered`, they are a sample of other organs, like photographs.
+    `seed`. With `registered=True` it compares each patch with the very organ that it shows. With another
+    seed, and without `registered`, they are a sample of other organs, like photographs.
 
     Args:
         recipe: Plants, light and camera.
@@ -91,12 +91,11 @@ def photograph(view: OrganView, camera: Camera, seed: tuple[int, int]) -> Patch:
 
 def _target(recipe: Recipe, kinds: Sequence[str], organs: int, pixels: int, seed: int) -> TuningTarget:
     """A target with views of these kinds; its patches are grey pixels that nothing is compared with."""
-    organ_kinds = [kind for kind in kinds if is_organ_kind(kind)]
     grey = np.full((1, 3), 188, np.uint8)
-    blank = PatchSet(
-        "none", tuple(Patch(kind, kind, "none", decode_tone(grey), grey) for kind in organ_kinds)
-    )
-    target = TuningTarget(recipe, blank, registered=True, organs=organs, pixels=pixels, seed=seed)
+    linear = decode_tone(grey)
+    blank = tuple(Patch(kind, kind, "none", linear, grey) for kind in kinds if is_organ_kind(kind))
+    patches = PatchSet("none", blank)
+    target = TuningTarget(recipe, patches, registered=True, organs=organs, pixels=pixels, seed=seed)
     for kind in kinds:
         if kind not in target.kinds:
             raise ArgumentError("kinds", f'{kind!r} is not a kind of organ such as "leaf" or "pepper.unripe"')

@@ -29,17 +29,11 @@ _PIXELS: Final = 20_000  # of a kind
 
 @dataclass(frozen=True, eq=False)
 class SceneStatistics:
-    """Statistics of some frames of a recipe.
+    """Statistics of some frames of a recipe."""
 
-    Attributes:
-        patches: Patches of the organs in the frames.
-        electrons: `(3,)` mean expected electrons, by kind.
-        picture: `(h, w, 3)` uint8 colour image of the middle frame.
-    """
-
-    patches: PatchSet
-    electrons: Mapping[str, Array]
-    picture: NDArray[np.uint8]
+    patches: PatchSet  # patches of the organs in the frames
+    electrons: Mapping[str, Array]  # (3,) mean expected electrons, by kind
+    picture: NDArray[np.uint8]  # (h, w, 3) uint8 colour image of the middle frame
 
     def observables(self, kind: str) -> Array | None:
         """`(8,)` observables of a kind's pixels; None if no frame shows it."""
@@ -49,25 +43,14 @@ class SceneStatistics:
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of rendered frames and measured patches of a kind; None if one of them has none.
+    """Agreement of rendered frames and measured patches of a kind; None if one of them has none."""
 
-    Attributes:
-        delta_e: CIEDE2000 of mean colours.
-        correlation: Correlation of hue spectra (Barth et al. 2018, section 3.1.1).
-    """
-
-    delta_e: float | None
-    correlation: float | None
+    delta_e: float | None  # CIEDE2000 of mean colours
+    correlation: float | None  # correlation of hue spectra (Barth et al. 2018, section 3.1.1)
 
 
 def render_statistics(recipe: Recipe, frames: int, quality: str = "draft") -> SceneStatistics:
-    """Render frames that are evenly distributed over the plan of a recipe.
-
-    Args:
-        recipe: The recipe.
-        frames: Number of frames.
-        quality: One of `QUALITIES`.
-    """
+    """Render a number of frames that are evenly distributed over the plan of a recipe."""
     from pepperscene.colour import open_patches
     from pepperscene.dataset import build
 

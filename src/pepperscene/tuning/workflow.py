@@ -29,10 +29,8 @@ if TYPE_CHECKING:
     from pepperscene.dataset import Recipe
 
 MAX_ROUNDS: Final = 3
-VERIFY_FRAMES: Final = 4
-"""Chosen: frames of the whole scene; enough organs, in half a minute each time."""
-_CONVERGED: Final = 1.0
-"""Chosen: CIELAB units between the whole scene and the model of a fit: a difference that is just visible."""
+VERIFY_FRAMES: Final = 4  # chosen: enough organs, in half a minute each time
+_CONVERGED: Final = 1.0  # chosen: CIELAB units between scene and model; a difference that is just visible
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +68,7 @@ class TuningResult:
 
 
 def merge_patches(sets: Sequence[PatchSet]) -> PatchSet:
-    """Return all patches and spectra of several sets; repeated names are prefixed with the name of their set.
-
-    Raises:
-        ValueError: There is no set.
-    """
+    """Return all patches and spectra of several sets, with the name of the set before repeated names."""
     if not sets:
         raise ValueError("at least one set of patches is needed")
     if len(sets) == 1:

@@ -17,36 +17,25 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-MIN_VARIANCE_REDUCTION: Final = 0.75
-"""Chosen: below this, half of the prior sd or more remains, and the data do not determine a parameter."""
-HIGH_CORRELATION: Final = 0.95
-"""Chosen: correlation above which two entries are reported as known in combination only."""
-MIN_EXPLAINED: Final = 0.25
-"""Chosen: fraction of chi-squared from which a group of parameters is reported as a cause."""
+MIN_VARIANCE_REDUCTION: Final = 0.75  # chosen: below, half of the prior sd or more remains
+HIGH_CORRELATION: Final = 0.95  # chosen: above, two entries are reported as known in combination only
+MIN_EXPLAINED: Final = 0.25  # chosen: fraction of chi-squared from which a group is reported as a cause
 STRONG_EVIDENCE: Final = 10.0
 """Difference in twice the log evidence from which one group is far likelier than another: 150 to 1, "very
 strong" evidence in Kass & Raftery 1995 (J. Am. Stat. Assoc. 90:773)."""
-INVISIBLE_DELTA_E: Final = 1.0
-"""CIEDE2000 below which two colours look the same."""
-VISIBLE_DELTA_E: Final = 3.0
-"""Chosen: CIEDE2000 above which a difference is visible at a glance."""
+INVISIBLE_DELTA_E: Final = 1.0  # CIEDE2000 below which two colours look the same
+VISIBLE_DELTA_E: Final = 3.0  # chosen: CIEDE2000 above which a difference is visible at a glance
 _AT_BOUND: Final = 1e-3  # fraction of the width of the bounds
 _MIN_SPACE: Final = 1e-9  # in prior standard deviations
 
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Posterior uncertainty of the entries in the Laplace approximation.
+    """Posterior uncertainty of the entries in the Laplace approximation."""
 
-    Attributes:
-        sd: `(p,)` posterior standard deviations.
-        variance_reduction: `(p,)` 1 - posterior variance / prior variance: 0 if the data add nothing.
-        correlation: `(p, p)` posterior correlations.
-    """
-
-    sd: Array
-    variance_reduction: Array
-    correlation: Array
+    sd: Array  # (p,) posterior standard deviations
+    variance_reduction: Array  # (p,) 1 - posterior variance / prior variance: 0 if the data add nothing
+    correlation: Array  # (p, p) posterior correlations
 
 
 def uncertainty(problem: FitProblem, vector: Array) -> Uncertainty:
@@ -105,17 +94,11 @@ def undetermined_entries(problem: FitProblem, vector: Array, posterior: Uncertai
 
 @dataclass(frozen=True)
 class OmittedGroup:
-    """A group of parameters that was not fitted, as a possible cause of the residuals.
+    """A group of parameters that was not fitted, as a possible cause of the residuals."""
 
-    Attributes:
-        explained: Fraction of chi-squared that it could remove within its bounds.
-        evidence: Twice the logarithm of the factor by which it makes the data more likely (Bayes factor).
-        parameter: The single parameter that explains the data better than the whole group; or "".
-    """
-
-    explained: float
-    evidence: float
-    parameter: str = ""
+    explained: float  # fraction of chi-squared that it could remove within its bounds
+    evidence: float  # twice the logarithm of its Bayes factor
+    parameter: str = ""  # the one that explains the data better than the whole group; or ""
 
 
 def omitted_groups(
@@ -127,8 +110,8 @@ def omitted_groups(
     together, within their bounds (the score test; Rao 1948, Proc. Camb. Phil. Soc. 44:50). Dozens of pigments
     can explain almost anything, so the groups are ranked by evidence, which also accounts for the prior
     probability of the step and for everything else that the group could have explained (MacKay 1992, Neural
-    Comput. 4:415). The errors of the data are those of `uncertainty`. The cause is either a whole group or one
-    of its parameters; all parameters of a group are equally likely beforehand.
+    Comput. 4:415). Errors of the data are as in `uncertainty`. The cause is a whole group or one of its
+    parameters, each of which is equally likely beforehand.
     """
     values = problem.values(vector)
     residuals = problem.data_residuals(values)
@@ -161,33 +144,26 @@ def omitted_groups(
 
 @dataclass(frozen=True, eq=False)
 class _LinearModel:
-    """Linear model of fitted and further entries, in units of their prior sd.
+    """Linear model of fitted and further entries, in units of their prior sd."""
 
-    Attributes:
-        slopes: `(m, p)` derivatives of the residuals.
-        residuals: `(m,)` residuals of the data.
-        deviation: `(p,)` distance of the entries from their prior means.
-        low, high: `(p,)` limits of a step.
-    """
-
-    slopes: Array
-    residuals: Array
-    deviation: Array
-    low: Array
-    high: Array
+    slopes: Array  # (m, p) derivatives of the residuals
+    residuals: Array  # (m,) residuals of the data
+    deviation: Array  # (p,) distance of the entries from their prior means
+    low: Array  # (p,) limits of a step
+    high: Array  # (p,) limits of a step
 
     def omitted_group(self, fitted: int, names: Sequence[str], error_scale: float) -> OmittedGroup:
         """What the entries after the `fitted` ones, of parameters `names`, explain.
 
         `error_scale` is a factor on the errors of the data.
         """
-        every, own = np.arange(len(self.deviation)), np.arange(fitted)
-        explained = 1.0 - self._costs(every, 1.0)[0] / float(self.residuals @ self.residuals)
+        all_entries, fitted_entries = np.arange(len(self.deviation)), np.arange(fitted)
+        explained = 1.0 - self._costs(all_entries, 1.0)[0] / float(self.residuals @ self.residuals)
         # With larger errors, the fitted entries alone would move towards their prior means as well.
-        before = self._deviance(own, error_scale)
-        evidence = {"": before - self._deviance(every, error_scale)}
+        before = self._deviance(fitted_entries, error_scale)
+        evidence = {"": before - self._deviance(all_entries, error_scale)}
         for name in dict.fromkeys(names):
-            chosen = np.concatenate([own, fitted + np.flatnonzero([one == name for one in names])])
+            chosen = np.concatenate([fitted_entries, fitted + np.flatnonzero([one == name for one in names])])
             gain = before - self._deviance(chosen, error_scale)
             evidence[name] = gain - 2.0 * np.log(len(set(names)))
         best = max(evidence, key=lambda name: evidence[name])

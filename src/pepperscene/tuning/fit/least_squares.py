@@ -80,19 +80,12 @@ class SpectrumFit:
 
 @dataclass(frozen=True)
 class Start:
-    """One run of the optimiser.
+    """One run of the optimiser."""
 
-    Attributes:
-        values: Start values by parameter.
-        cost: Half the sum of squared residuals at the end, including those of the priors.
-        evaluations: Number of evaluations of the model.
-        message: Why the optimiser stopped.
-    """
-
-    values: Mapping[str, tuple[float, ...]]
-    cost: float
-    evaluations: int
-    message: str
+    values: Mapping[str, tuple[float, ...]]  # start values by parameter
+    cost: float  # half the sum of squared residuals at the end, including those of the priors
+    evaluations: int  # of the model
+    message: str  # why the optimiser stopped
 
 
 @dataclass(frozen=True, eq=False)

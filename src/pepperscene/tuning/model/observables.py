@@ -93,20 +93,14 @@ def standardised_noise(pixels: int, channels: int, rng: np.random.Generator) -> 
 class SensorModel:
     """Expected electrons to linear sRGB, with the sensor's noise and limits, as differentiable formulas.
 
-    The noise is fixed, so that an image is a smooth function of its light (see `standardised_noise`).
-
-    Attributes:
-        sensor: The sensor.
-        saturation: Whether light beyond full scale is clipped.
-        noise: `(n, c)` standard normal deviates of the pixels, or None for no noise.
-        shot_noise, read_noise: Which kinds of noise there are.
-        scales_time: Whether exposure is a factor on the exposure time, and so on electrons, rather than on
-            the gain. The light of a flash does not depend on the exposure time.
+    The noise is fixed, so that an image is a smooth function of its light (see `standardised_noise`). With
+    `scales_time`, exposure is a factor on the exposure time, and so on electrons, rather than on the gain;
+    the light of a flash does not depend on the exposure time.
     """
 
     sensor: Sensor
-    saturation: bool
-    noise: Array | None
+    saturation: bool  # whether light beyond full scale is clipped
+    noise: Array | None  # (n, c) standard normal deviates of the pixels, or None
     shot_noise: bool = True
     read_noise: bool = True
     scales_time: bool = False
@@ -118,7 +112,7 @@ class SensorModel:
     def linear_and_slopes(
         self, electrons: Array, exposure: float, gains: Array, matrix: Array
     ) -> tuple[Array, Array, Array]:
-        """Pixels in linear sRGB, and what their derivatives consist of.
+        """Pixels in linear sRGB, and the factors of their derivatives.
 
         A change of electrons changes the pixels by `unclipped * ((slope * change) @ matrix.T)`.
 
@@ -129,8 +123,7 @@ class SensorModel:
             matrix: `(3, 3)` colour matrix.
 
         Returns:
-            Pixels `(n, 3)`; the slope `(n, c)` of balanced colour with respect to electrons; and `(n, 3)` 1
-            where the result is not clipped, else 0.
+            Pixels `(n, 3)`; slope `(n, c)`; unclipped `(n, 3)`, 1 where the result is not clipped, else 0.
         """
         time, gain = (exposure, 1.0) if self.scales_time else (1.0, exposure)
         counted, slope = self._counted(time * electrons)

@@ -14,11 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.tuning.model.observables import (
-    OBSERVABLE_COUNT,
-    observables,
-    observables_and_derivatives,
-)
+from pepperscene.tuning.model.observables import OBSERVABLE_COUNT, observables, observables_and_derivatives
 from pepperscene.tuning.model.view_model import Entry, ParameterStep, Values, ViewModel, entries_of
 
 if TYPE_CHECKING:
@@ -33,15 +29,10 @@ _MARGIN: Final = 1e-6  # fraction of a bound's width by which starts are moved o
 
 @dataclass(frozen=True, eq=False)
 class NeighbourEffect:
-    """Effect of neighbouring organs on an organ's light and colour, measured in the whole scene.
+    """Effect of neighbouring organs on an organ's light and colour, measured in the whole scene."""
 
-    Attributes:
-        shade: `(c,)` electrons of the kind's pixels in the scene relative to those in the views.
-        offset: `(8,)` what then remains to be added to the observables of the views.
-    """
-
-    shade: Array
-    offset: Array
+    shade: Array  # (c,) electrons of the kind's pixels in the scene relative to those in the views
+    offset: Array  # (8,) what then remains to be added to the observables of the views
 
 
 NO_NEIGHBOURS: Final = NeighbourEffect(np.ones(3), np.zeros(OBSERVABLE_COUNT))
@@ -49,20 +40,12 @@ NO_NEIGHBOURS: Final = NeighbourEffect(np.ones(3), np.zeros(OBSERVABLE_COUNT))
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Observables of a group of patches, and the views that they are compared with.
+    """Observables of a group of patches, and the views that they are compared with."""
 
-    Attributes:
-        label: The kind of organ, or the name of a single view.
-        view_models: The views.
-        target: `(8,)` observables of the patches.
-        sigma: `(8,)` standard deviations of the difference between model and patches.
-        neighbours: Effect of neighbours on the views.
-    """
-
-    label: str
+    label: str  # the kind of organ, or the name of a single view
     view_models: tuple[ViewModel, ...]
-    target: Array
-    sigma: Array
+    target: Array  # (8,) observables of the patches
+    sigma: Array  # (8,) standard deviations of the difference between model and patches
     neighbours: NeighbourEffect
 
     def linear(self, parts: TunedParts) -> Array:

@@ -30,26 +30,22 @@ from pepperscene.materials.gloss import cuticle_transmittance, gloss_albedo
 if TYPE_CHECKING:
     from pepperscene.colour import MeasuredSpectrum
     from pepperscene.cultivar import Cultivar, PigmentPath
-    from pepperscene.tuning.model.view_model import Entry
+    from pepperscene.tuning.model.view_model import Entry, Values
     from pepperscene.tuning.parameters.tuned import TunedParts
 
 Array = NDArray[np.float64]
-Values = Mapping[str, Array]
 
-SPHERE_RAD: Final = np.radians(8.0)
-"""Angle of incidence in an integrating sphere (CIE 15, ISO 7724)."""
+SPHERE_RAD: Final = np.radians(8.0)  # angle of incidence in an integrating sphere (CIE 15, ISO 7724)
 RANGE_NM: Final = (400.0, 730.0)
-"""Wavelengths that are compared. The absorption of PROSPECT's pigments is known from 400 nm on. Beyond 730 nm,
-where the shipped measurements of fruit end too, pigments no longer absorb; water and dry matter, which do, are
-not fitted."""
+"""Wavelengths that are compared. PROSPECT's pigments are known from 400 nm on. Beyond 730 nm, where the
+shipped measurements of fruit end too, only water and dry matter absorb, which are not fitted."""
 MODEL_ERROR: Final = 0.01
 """Standard deviation of the model's own error at one wavelength, in reflectance: 0.010 is the RMSE of a layer
 on flesh that was fitted to the measured green pepper, 0.011 the median of PROSPECT's fits to twelve shipped
 leaves (Vrhel et al. 1994). The noise of an instrument is small compared with it."""
 CORRELATION_NM: Final = 30.0
-"""Distance at which the model's errors are independent: the integral of the autocorrelation of the residuals of
-those fits, up to its first zero, has a median of 28 nm. Finer sampling of a spectrum adds no information."""
-
+"""Distance at which the model's errors are independent: the integral of the autocorrelation of the residuals
+of those fits, up to its first zero, has a median of 28 nm. Finer sampling adds no information."""
 FORMS: Final[Mapping[OrganClass, str]] = {
     OrganClass.LEAF: "blade",
     OrganClass.PEPPER: "fruit",
@@ -61,9 +57,7 @@ FORMS: Final[Mapping[OrganClass, str]] = {
 and not a node. For plants without that form, the first kind of the class."""
 STAGES: Final = ("unripe", "breaker", "ripe")
 """Stages of fruit; also the names of the distributions of their states. Other organs have one, `state`."""
-THIN: Final = ("blade", "flower")
-"""Forms that transmit light; all others are a rind on flesh."""
-
+THIN: Final = ("blade", "flower")  # forms that transmit light; all others are a rind on flesh
 STEP: Final = 2e-3
 """Finite-difference step in prior standard deviations. Chosen, so that truncation (of the order of its fourth
 power) and rounding are both far below 1e-9 of the slope."""
@@ -74,12 +68,9 @@ def instrument_reflectance(path: PigmentPath, wavelength_nm: ArrayLike, state: f
 
     Args:
         path: Pigments, flesh and cuticle of the surface.
-        wavelength_nm: `(n,)`, 400 to 1100 nm.
+        wavelength_nm: `(n,)`, 400 to 1100 nm; others raise a ValueError.
         state: State along the path, in [0, 1].
         thin: Whether it is a blade or petal with nothing behind it (PROSPECT's leaf), else a rind on flesh.
-
-    Raises:
-        ValueError: A wavelength is outside of the range of the pigments' coefficients.
     """
     nm, states = np.atleast_1d(np.asarray(wavelength_nm, dtype=float)), np.array([float(state)])
     mean_open = [cuticle_transmittance(path.ior, alpha)[1] for alpha in path.roughness]
@@ -100,25 +91,15 @@ def _sphere_transmittance(ior: float, alpha: float) -> float:
 
 @dataclass(frozen=True)
 class MeasuredSurface:
-    """The surface of a plant that a measured spectrum belongs to.
+    """The surface of a plant that a measured spectrum belongs to."""
 
-    Attributes:
-        surface: Name of the surface.
-        state: State along its path: the mean of the distribution of the organ's states.
-        thin: Whether it is a blade or petal, seen from above with nothing behind it.
-    """
-
-    surface: str
-    state: float
-    thin: bool
+    surface: str  # name of the surface
+    state: float  # state along its path: the mean of the distribution of the organ's states
+    thin: bool  # whether it is a blade or petal, seen from above with nothing behind it
 
 
 def surface_of_kind(cultivar: Cultivar, kind: str) -> MeasuredSurface:
-    """Return the surface and state of a cultivar that spectra of a kind are compared with.
-
-    Args:
-        cultivar: The cultivar.
-        kind: A class in lower case ("leaf", "stem"), for fruit with its stage ("pepper.unripe").
+    """Return the surface of a cultivar that a kind of spectra belongs to ("leaf", "pepper.unripe").
 
     Raises:
         InputError: The plants have no such organ, or the organ has no such stage.
@@ -150,21 +131,13 @@ def surface_of_kind(cultivar: Cultivar, kind: str) -> MeasuredSurface:
 
 @dataclass(frozen=True, eq=False)
 class DirectModel:
-    """Measured spectra, and their prediction from pigments at a fit's values.
-
-    Attributes:
-        spectra: Measured reflectances.
-        surfaces: Surface of each spectrum.
-        wavelength_nm: `(n,)` of each spectrum, those within `RANGE_NM`.
-        cultivar: Gives the paths of surfaces that the fit does not change.
-        tuned_parts: Returns the recipe's parts at values; only the pigment paths are used.
-    """
+    """Measured spectra, and their prediction from pigments at a fit's values."""
 
     spectra: tuple[MeasuredSpectrum, ...]
-    surfaces: tuple[MeasuredSurface, ...]
-    wavelength_nm: tuple[Array, ...]
-    cultivar: Cultivar
-    tuned_parts: Callable[[Values], TunedParts]
+    surfaces: tuple[MeasuredSurface, ...]  # of each spectrum
+    wavelength_nm: tuple[Array, ...]  # (n,) of each spectrum, within `RANGE_NM`
+    cultivar: Cultivar  # has the paths of surfaces that the fit does not change
+    tuned_parts: Callable[[Values], TunedParts]  # the recipe's parts at values; its pigment paths are used
 
     @classmethod
     def of(

@@ -28,19 +28,15 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 LAB_ERROR: Final = 0.5
-"""Chosen: CIELAB units by which mean and spread of a colour may always differ: half of a visible difference."""
-REGISTERED_LAB_ERROR: Final = 0.06
-"""The same where patches show the very organs of the views, in addition to the sensor's noise: few samples of
-light, 8 bits, and a camera in formulas. Chosen: twice the 0.03 that simulated patches show, because the error
-is partly systematic and shifts several observables together."""
 HUE_ERROR: Final = 0.05
-"""Chosen: radians by which mean hue vectors may always differ: three degrees, more than half a bin of hue
-spectra."""
+"""Chosen: CIELAB units by which mean and spread of a colour may always differ (half of a visible difference),
+and radians by which mean hue vectors may (three degrees, more than half a bin of hue spectra)."""
+REGISTERED_LAB_ERROR: Final = 0.06
 REGISTERED_HUE_ERROR: Final = 0.0025
-"""Chosen: the same where patches show the very organs of the views; simulated patches show 0.001."""
-RELATIVE_SPREAD_ERROR: Final = 0.2
-"""Chosen: relative difference of the spread of other organs; a few organs do not determine it better."""
-
+"""The same for patches of the very organs of the views, in addition to the sensor's noise: few samples of
+light, 8 bits, and a camera in formulas. Chosen: twice what simulated patches show (0.03 and 0.001), because
+the errors are partly systematic and shift several observables together."""
+RELATIVE_SPREAD_ERROR: Final = 0.2  # chosen: between organs; a few do not determine their spread better
 _DEFAULT_HUE_SD: Final = 0.1  # radians; chosen: differences between organs if there is only one
 _REGISTERED_ERRORS: Final = np.array([REGISTERED_LAB_ERROR] * 6 + [REGISTERED_HUE_ERROR] * 2)
 _PIXELS: Final = 20_000  # of a kind that are compared; more add no information
@@ -87,19 +83,12 @@ class TuningTarget:
         self.frame_renderer = FrameRenderer(recipe)
         self.camera = self.frame_renderer.views.equipment
         if self.camera.sensor.channels != 3:
-            raise InputError(
-                recipe.name, "must be a colour sensor", key="camera.sensor", value=recipe.camera.sensor
-            )
+            problem, sensor = "must be a colour sensor", recipe.camera.sensor
+            raise InputError(recipe.name, problem, key="camera.sensor", value=sensor)
         self.cultivar = densify_cultivar(self.frame_renderer.cultivar)
 
-    # --- parameters -----------------------------------------------------------------------------------------
-
     def parameters(self, names: Sequence[str]) -> tuple[Parameter, ...]:
-        """Return the parameters of these names.
-
-        Raises:
-            InputError: As for `select_parameters`.
-        """
+        """Return the parameters of these names; errors as for `select_parameters`."""
         return select_parameters(self.recipe, self.cultivar, self.camera, names, self._bounds)
 
     def unfitted_parameters(self, fitted: Iterable[str]) -> dict[str, tuple[Parameter, ...]]:
@@ -127,8 +116,6 @@ class TuningTarget:
         """Wavelengths of the renderer's factors on the flash spectrum."""
         return self.view_models[0].nodes_nm if self.view_models else np.zeros(0)
 
-    # --- patches and views ----------------------------------------------------------------------------------
-
     @cached_property
     def kinds(self) -> tuple[str, ...]:
         """Kinds of organs of the patches from images."""
@@ -137,11 +124,7 @@ class TuningTarget:
 
     @cached_property
     def targets(self) -> Mapping[str, Array]:
-        """`(n, 3)` linear sRGB of the patches, by kind.
-
-        Every image has equal weight, as in hue spectra. Registered patches are pooled pixel by pixel, like
-        the views.
-        """
+        """`(n, 3)` linear sRGB of the patches by kind; equal weights of images unless registered."""
         if self.registered:
             return {kind: self.patches.pixels(kind) for kind in self.kinds}
         targets = {}
@@ -158,16 +141,9 @@ class TuningTarget:
         """Views of the kinds of organs that the patches show."""
         if not self.kinds:
             return ()
-        return organ_views(
-            self.recipe,
-            self.cultivar,
-            self.camera,
-            self.kinds,
-            sky=self.frame_renderer.sky(0),
-            organs=self._organs,
-            pixels=self._pixels,
-            seed=self._seed,
-        )
+        size = {"organs": self._organs, "pixels": self._pixels, "seed": self._seed}
+        sky = self.frame_renderer.sky(0)
+        return organ_views(self.recipe, self.cultivar, self.camera, self.kinds, sky=sky, **size)
 
     @cached_property
     def view_models(self) -> tuple[ViewModel, ...]:
@@ -182,17 +158,10 @@ class TuningTarget:
         spectra = self.patches.spectra
         return DirectModel.of(spectra, self.cultivar, self.tuned_parts) if spectra else None
 
-    # --- least-squares problem ------------------------------------------------------------------------------
-
     def problem(
         self, names: Sequence[str], neighbours: Mapping[str, NeighbourEffect] | None = None
     ) -> FitProblem:
-        """Return the fit of some parameters to all patches.
-
-        Args:
-            names: Names of the parameters.
-            neighbours: Effect of neighbouring organs, by kind.
-        """
+        """Return the fit of these parameters to all patches, with effects of neighbouring organs by kind."""
         observations = self._by_view() if self.registered else self._by_kind(neighbours or {})
         return FitProblem(self.parameters(names), self.tuned_parts, observations, self.direct_model)
 
@@ -227,12 +196,7 @@ class TuningTarget:
 
 
 def _sigma(samples: Sequence[Sequence[Array]], target: Array) -> Array:
-    """`(8,)` standard deviations of the difference between observables of samples of organs.
-
-    Args:
-        samples: Pixels `(n, 3)` of each organ of each sample.
-        target: Observables of the patches.
-    """
+    """`(8,)` standard deviations of the difference between samples of organs; pixels of each organ given."""
     between = np.zeros(5)
     if len(samples[0]) == 1:
         # Differences between organs are unknown for a single one; assume those within the organ.

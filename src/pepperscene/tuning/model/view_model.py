@@ -1,8 +1,8 @@
 """Views of organs as functions of the parameters, with derivatives.
 
 Light is computed by the differentiable renderer, in every wavelength; the camera is a few formulas. The
-derivatives of parameters that change light are Dr.Jit's, in forward mode. Those of exposure, white balance and
-colour matrix, which act on the counted electrons, are finite differences of the formulas.
+derivatives of parameters that change light are Dr.Jit's, in forward mode. Those of exposure, white balance
+and colour matrix, which act on the counted electrons, are finite differences of the formulas.
 """
 
 from __future__ import annotations
@@ -37,9 +37,7 @@ Values = Mapping[str, Array]
 VIEW_QUALITY: Final = Quality(16, 16, 16, 1, target=None, denoise=False)
 """Chosen: the noise of a view's mean is then a thousandth of it; a single organ hardly lights itself."""
 
-LIGHT_GROUPS: Final = ("pigments", "cuticle", "light")
-"""Groups of parameters that change light; the others change what the camera makes of it."""
-
+LIGHT_GROUPS: Final = ("pigments", "cuticle", "light")  # the others change what the camera makes of it
 _STEP: Final = 1e-4
 """Finite-difference step, in prior standard deviations, from a parameter to the renderer's tables. These
 functions are smooth and in double precision, so that the error is about 1e-8 of the slope."""
@@ -49,12 +47,7 @@ _NOISE_IMAGES: Final = 24  # chosen: a standard error is then known to a seventh
 
 @dataclass(frozen=True)
 class Entry:
-    """One scalar of a fit.
-
-    Attributes:
-        parameter: Parameter that it belongs to.
-        index: Its index among the parameter's entries.
-    """
+    """One scalar of a fit: the entry of a parameter with this index."""
 
     parameter: Parameter
     index: int
@@ -87,18 +80,12 @@ def entries_of(parameters: Sequence[Parameter]) -> tuple[Entry, ...]:
 
 @dataclass(frozen=True, eq=False)
 class ParameterStep:
-    """The recipe's parts at two values of one entry, for a finite difference.
+    """The recipe's parts at two values of one entry, for a finite difference."""
 
-    Attributes:
-        above, below: Parts at the larger and at the smaller value.
-        width: Difference of the values.
-        changes_light: Whether the light changes, or only what the camera makes of it.
-    """
-
-    above: TunedParts
-    below: TunedParts
-    width: float
-    changes_light: bool
+    above: TunedParts  # parts at the larger and at the smaller value
+    below: TunedParts  # parts at the larger and at the smaller value
+    width: float  # difference of the values
+    changes_light: bool  # whether the light changes, or only what the camera makes of it
 
     @classmethod
     def along(cls, entry: Entry, values: Values, tuned_parts: Callable[[Values], TunedParts]) -> Self:
@@ -117,8 +104,8 @@ class ViewModel:
     """One view as a function of the recipe's parts.
 
     Args:
-        view: The view.
-        cultivar: Cultivar whose pigments made the view's surfaces.
+        view: The view, of surfaces that the cultivar's pigments make.
+        cultivar: The cultivar.
         seed: Seed of light and noise.
         quality: Samples of light.
     """
@@ -144,12 +131,7 @@ class ViewModel:
         return self._renderer.rgb(self._light(parts))[self.view.mask]
 
     def linear(self, parts: TunedParts, shade: Array) -> Array:
-        """`(n, 3)` linear sRGB of the view's pixels.
-
-        Args:
-            parts: The recipe's parts.
-            shade: `(c,)` fraction of the light that neighbours let through, by channel.
-        """
+        """`(n, 3)` linear sRGB of the view's pixels; neighbours let the fraction `shade` `(c,)` through."""
         return self._developed(shade * self.electrons(parts), parts)
 
     def linear_and_derivatives(

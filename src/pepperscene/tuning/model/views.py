@@ -30,15 +30,14 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-ORGANS: Final = 3
-"""Organs of each kind. Chosen: a dark, a medium and a pale one."""
+ORGANS: Final = 3  # of each kind; chosen: a dark, a medium and a pale one
 PIXELS: Final = 48
-"""Width and height of a view. Chosen: the mean over its pixels is then good to a hundredth of their spread."""
+"""Width and height of a view. Chosen: the mean of its pixels is then known to a hundredth of their spread."""
 
 POSITIONS: Final = ((0.12, 0.0, 1.0), (-0.11, 0.19, 1.2), (-0.15, -0.26, 1.4))
 """Positions of the organs, used cyclically: slopes to the right and down off the optical axis, and distance
-relative to the path's. Chosen: radii that divide the central 300 x 300 pixels of the paper's camera, in which
-hues are counted, into thirds; and distances behind the nearest organs as of leaves and fruit of one plant."""
+relative to the path's. Chosen: radii that divide the central 300 x 300 pixels of the paper's camera, where
+hues are counted, into thirds; and distances behind the nearest organs as of leaves and fruit of a plant."""
 
 _PLANTS: Final = 6  # chosen: maximum number of plants to grow until there are enough organs of every kind
 _CANDIDATES: Final = 3  # times the organs wanted: the most visible ones, among which states are chosen
@@ -48,21 +47,13 @@ _RIPE: Final = 0.5  # ripeness that separates unripe from ripe fruit
 
 @dataclass(frozen=True, eq=False)
 class OrganView:
-    """A small image of one organ.
+    """A small image of one organ."""
 
-    Attributes:
-        name: Unique among the views of a fit.
-        kind: Kind of the organ as for patches: "leaf", "pepper.unripe".
-        scene: The organ alone, with the surfaces that it shows.
-        camera: The camera.
-        mask: `(h, w)` pixels that show nothing but the organ.
-    """
-
-    name: str
-    kind: str
-    scene: Scene
-    camera: Camera
-    mask: NDArray[np.bool_]
+    name: str  # unique among the views of a fit
+    kind: str  # kind of the organ as for patches: "leaf", "pepper.unripe"
+    scene: Scene  # the organ alone, with the surfaces that it shows
+    camera: Camera  # the camera
+    mask: NDArray[np.bool_]  # (h, w) pixels that show nothing but the organ
 
 
 def organ_views(
@@ -76,17 +67,10 @@ def organ_views(
     pixels: int = PIXELS,
     seed: int = 0,
 ) -> tuple[OrganView, ...]:
-    """Return views of a few organs of each kind, from plants of the cultivar.
+    """Return views of at most `organs` organs of each kind, from plants of the cultivar.
 
-    Args:
-        recipe: Gives the camera path and the seed of the plants.
-        cultivar: Cultivar to grow; its pigments make the surfaces.
-        camera: Camera of the recipe, without a pose.
-        kinds: Class names in lower case, peppers also as "pepper.unripe" and "pepper.ripe".
-        sky: Daylight of the recipe, or None.
-        organs: Maximum number of organs of each kind.
-        pixels: Width and height of a view.
-        seed: Seed of the plants, in addition to the recipe's.
+    Kinds are class names in lower case, peppers also "pepper.unripe" and "pepper.ripe". Recipe, camera and
+    sky give the camera path and the light; the seed of the plants is added to the recipe's.
 
     Raises:
         InputError: A kind is not that of an organ, or the plants have no such organ.
@@ -135,9 +119,6 @@ def with_surfaces(view: OrganView, surfaces: dict[str, Surface]) -> OrganView:
     return replace(view, scene=assemble_scene(view.scene.mesh, shown, view.scene.sky))
 
 
-# --- organs -------------------------------------------------------------------------------------------------
-
-
 def _check_kind(kind: str) -> None:
     name, _, stage = kind.partition(".")
     known = [one.name.lower() for one in OrganClass if one not in (OrganClass.BACKGROUND, OrganClass.WIRE)]
@@ -171,9 +152,6 @@ def _select_organs(mesh: Mesh, kind: str, forward: Array, count: int) -> list[Me
         positions = np.round((np.arange(quota) + 0.5) / max(quota, 1) * len(by_state) - 0.5)
         selected += [by_state[position] for position in np.unique(positions.astype(int))]
     return [mesh.select_instances([i]) for i in selected]
-
-
-# --- cameras ------------------------------------------------------------------------------------------------
 
 
 def _close_up_camera(camera: Camera, mesh: Mesh, forward: Array, position: Array, pixels: int) -> Camera:

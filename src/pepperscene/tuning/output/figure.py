@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from pepperscene.tuning.fit.least_squares import FitResult, KindFit, SpectrumFit
 
-
 WIDTH_IN: Final = 11.5  # chosen, as all of the layout below: 1380 pixels
 DPI: Final = 120
 _LEFT, _RIGHT = 0.03, 0.97  # fractions of the width
@@ -42,8 +41,7 @@ _VISIBILITY: Final = (
 _SWATCH: Final = (18, 72)  # rows and columns of a mean colour
 _STRIP_ROWS: Final = 8  # of pixels below it
 
-Row = tuple[float, Callable[["SubFigure"], None]]
-"""Height in inches and function that draws one row of the figure."""
+Row = tuple[float, Callable[["SubFigure"], None]]  # height in inches, and function that draws it
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +53,7 @@ class BeforeAfter:
 
 
 def before_after_png(fit: FitResult, name: str, frames: BeforeAfter | None = None) -> bytes:
-    """Return the figure as PNG; the same fit gives the same bytes. Arguments as in `before_after_figure`."""
+    """Return the figure as PNG; the same fit gives the same bytes."""
     import matplotlib.style
 
     buffer = BytesIO()
@@ -66,21 +64,12 @@ def before_after_png(fit: FitResult, name: str, frames: BeforeAfter | None = Non
 
 
 def before_after_figure(fit: FitResult, name: str, frames: BeforeAfter | None = None) -> Figure:
-    """Draw the figure.
-
-    Args:
-        fit: The fit.
-        name: Name of the recipe.
-        frames: Frames of the whole scene, or None.
-    """
+    """Draw the fit of the recipe of this name, with frames of the whole scene or without."""
     from matplotlib.figure import Figure
 
     spectra = list(fit.spectra.items())
-    lines = [
-        line
-        for sentence in dict.fromkeys((*fit.diagnostics, *fit.undetermined))
-        for line in textwrap.wrap(sentence, 150)
-    ]
+    sentences = dict.fromkeys((*fit.diagnostics, *fit.undetermined))
+    lines = [line for sentence in sentences for line in textwrap.wrap(sentence, 150)]
     rows: list[Row] = [(0.7, partial(_draw_title, name=name, kinds=bool(fit.kinds)))]
     rows += [(1.75, partial(_draw_kind, kind=kind, colours=one)) for kind, one in fit.kinds.items()]
     rows += [(2.4, partial(_draw_spectra, spectra=spectra[i : i + 2])) for i in range(0, len(spectra), 2)]
@@ -88,8 +77,8 @@ def before_after_figure(fit: FitResult, name: str, frames: BeforeAfter | None = 
         height, width, _ = frames.before.shape
         rows.append((0.4 + 0.47 * WIDTH_IN * height / width, partial(_draw_frames, frames=frames)))
     entries = sum(len(one.labels) for one in fit.parameters)
-    rows += [(0.5 + 0.22 * entries, partial(_draw_values, fit=fit))]
-    rows += [(0.3 + 0.19 * len(lines), partial(_draw_text, text="\n".join(lines)))]
+    rows.append((0.5 + 0.22 * entries, partial(_draw_values, fit=fit)))
+    rows.append((0.3 + 0.19 * len(lines), partial(_draw_text, text="\n".join(lines))))
 
     heights = [height for height, _ in rows]
     figure = Figure(figsize=(WIDTH_IN, sum(heights)), dpi=DPI)
@@ -186,21 +175,22 @@ def _draw_frames(part: SubFigure, frames: BeforeAfter) -> None:
 def _draw_values(part: SubFigure, fit: FitResult) -> None:
     """Table of the fitted values, with a bar for the reduction of the prior variance by the data."""
     axis = part.add_axes((_LEFT, 0.02, _RIGHT - _LEFT, 0.96))
-    columns, full = (0.0, 0.42, 0.54, 0.74), 0.2
-    heads = ("fitted parameter", "before", "after", "reduction of the prior variance")
-    table: list[tuple[float, tuple[str, ...]]] = [(1.0, heads)]
+    columns, full, row = (0.0, 0.42, 0.54, 0.74, 0.95), 0.2, 0
+
+    def write(*texts: str, weight: str = "normal") -> None:
+        for x, text in zip(columns, texts, strict=False):
+            axis.text(x, row, text, va="center", weight=weight)
+
+    write("fitted parameter", "before", "after", "reduction of the prior variance", weight="bold")
     for one in fit.parameters:
         unit = f", {one.unit}" if one.unit and one.unit != "1" else ""
         reductions = np.nan_to_num(np.atleast_1d(fit.variance_reduction[one.name])).clip(0.0, 1.0)
         for (label, value, sd, before), reduction in zip(fitted_entries(fit, one), reductions, strict=True):
-            values = (f"{label}{unit}", format_value(before, sd), format_with_sd(value, sd))
-            axis.barh(-len(table), [full, full * reduction], 0.55, columns[3], color=["0.88", _AFTER])
-            axis.text(columns[3] + full + 0.01, -len(table), f"{100 * reduction:.0f} %", va="center")
-            table.append((-len(table), values))
-    for y, texts in [(0.0, heads), *table[1:]]:
-        for x, text in zip(columns, texts, strict=False):
-            axis.text(x, y, text, va="center", weight="bold" if texts is heads else "normal")
-    axis.set(xlim=(0.0, 1.0), ylim=(0.4 - len(table), 1.0))
+            row -= 1
+            numbers = format_value(before, sd), format_with_sd(value, sd)
+            write(f"{label}{unit}", *numbers, "", f"{100 * reduction:.0f} %")
+            axis.barh(row, [full, full * reduction], 0.55, columns[3], color=["0.88", _AFTER])
+    axis.set(xlim=(0.0, 1.0), ylim=(row - 0.6, 1.0))
     axis.set_axis_off()
 
 

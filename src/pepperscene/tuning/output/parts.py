@@ -28,9 +28,6 @@ _SAME: Final = 1e-9  # relative difference below which a path has not changed
 _COLUMN: Final = "relative_power"
 
 
-# --- cultivar -----------------------------------------------------------------------------------------------
-
-
 def changed_paths(cultivar: Cultivar, pigments: Mapping[str, PigmentPath]) -> dict[str, PigmentPath]:
     """Paths that differ from the cultivar's, by surface, in the cultivar's order."""
     return {
@@ -43,15 +40,7 @@ def changed_paths(cultivar: Cultivar, pigments: Mapping[str, PigmentPath]) -> di
 def cultivar_text(
     cultivar: Cultivar, extends: str, pigments: Mapping[str, PigmentPath], fit: FitResult, run: RunInfo
 ) -> str:
-    """Return the TOML of a cultivar with other pigments.
-
-    Args:
-        cultivar: The cultivar that was tuned.
-        extends: Reference of the new file to the cultivar's file.
-        pigments: Paths that changed, by surface.
-        fit: The fit.
-        run: When and to what it was tuned.
-    """
+    """Return the TOML of a cultivar with changed pigment paths, which extends the cultivar's file."""
     surfaces = " and ".join(pigments)
     tables = {
         "extends": extends,
@@ -99,18 +88,13 @@ def _contents(pigments: Pigments) -> dict[str, float]:
 
 
 def _same_path(one: PigmentPath, other: PigmentPath) -> bool:
-    """Whether two paths agree at every state, with their flesh and cuticles."""
+    """Whether two paths have the same contents at every state, flesh and cuticle."""
     states = sorted({state for path in (one, other) for state, _ in path.knots})
     a, b = (np.array(list(path.at(states).values())) for path in (one, other))
     if not np.allclose(a, b, rtol=_SAME, atol=_SAME * max(float(np.abs(a).max()), 1e-300) * 1e-3):
         return False
-    flesh = (one.flesh_reflectance, other.flesh_reflectance)
-    if flesh[0] is None or flesh[1] is None:
-        same_flesh = flesh[0] is flesh[1]
-    else:
-        same_flesh = abs(flesh[0] - flesh[1]) <= _SAME
-    cuticles = [one.ior, *one.roughness], [other.ior, *other.roughness]
-    return same_flesh and bool(np.allclose(*cuticles, rtol=_SAME, atol=0.0))
+    a, b = (np.array([p.flesh_reflectance or 0.0, p.ior, *p.roughness]) for p in (one, other))
+    return np.allclose(a, b, rtol=_SAME, atol=0.0)
 
 
 def simplify_path(path: PigmentPath) -> PigmentPath:
@@ -148,21 +132,8 @@ def _fewest_knots(
     return kept[::-1]
 
 
-# --- flash --------------------------------------------------------------------------------------------------
-
-
 def flash_files(name: str, fit: FitResult, run: RunInfo, stem: str) -> tuple[Flash, dict[str, str]]:
-    """Return the tuned flash, and the texts of its files by name: flash, spectrum, provenance.
-
-    Args:
-        name: Shipped name or path of the flash that was tuned.
-        fit: The fit.
-        run: When and to what it was tuned.
-        stem: Name of the flash's file without its ending.
-
-    Raises:
-        InputError: The flash cannot be read.
-    """
+    """Return the tuned flash, and the texts of its files by name: flash (`stem`), spectrum, provenance."""
     path = find_material("flashes", name)
     original = load_flash(name)
     flash = tuned_flash(original, fit.tuned_parts)
@@ -214,6 +185,6 @@ def _spectrum_provenance(flash: Path, licence: str, tuned: str) -> dict[str, Any
         "unit": unit,
         "source": f"{tuned}.{source}",
         "licence": licence,
-        "note": f"The spectrum {original['file']}, column {original['column']}, times factors that are linear "
-        "between nodes over the range of the sensor",
+        "note": f"The spectrum {original['file']}, column {original['column']}, times factors, "
+        "linear between nodes, over the range of the sensor",
     }

@@ -26,27 +26,15 @@ if TYPE_CHECKING:
 _WIDTH: Final = 116  # chosen: of comment lines
 
 
-# --- run ----------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class RunInfo:
-    """When a recipe was tuned, to which patches, and with which options.
-
-    Attributes:
-        when: Date.
-        patches: Name of the set of patches.
-        sha256: Digest of all its pixels and spectra.
-        members: Digest of each patch and spectrum, by name.
-        options: Options such as seed and starts, serialisable as JSON.
-        version: Version of this package.
-    """
+    """When a recipe was tuned, to which patches, and with which options."""
 
     when: datetime.date
-    patches: str
-    sha256: str
-    members: Mapping[str, str]
-    options: Mapping[str, Any] = field(default_factory=dict)
+    patches: str  # name of the set
+    sha256: str  # of all its pixels and spectra
+    members: Mapping[str, str]  # digest of each patch and spectrum, by name
+    options: Mapping[str, Any] = field(default_factory=dict)  # such as seed and starts, for JSON
     version: str = __version__
 
     @classmethod
@@ -79,9 +67,6 @@ def _sha256(*arrays: Any) -> str:
     for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
-
-
-# --- values in words ----------------------------------------------------------------------------------------
 
 
 def fitted_entries(fit: FitResult, parameter: Parameter) -> Iterator[tuple[str, float, float, float]]:
@@ -133,20 +118,16 @@ def format_value(value: float, sd: float) -> str:
     return f"{round(value, places):.{max(min(places, 12), 0)}f}"
 
 
-# --- TOML ---------------------------------------------------------------------------------------------------
-
-
 def toml_text(
     tables: Mapping[str, Any], head: str = "", comments: Mapping[str, str] | None = None, depth: int = 1
 ) -> str:
     """Return a TOML file with a comment at the top and comments after values.
 
     Args:
-        tables: Content. Tables are written after other keys, `depth` levels of them with headings, deeper ones
-            inline; numbers with 12 significant digits.
+        tables: Content; numbers are written with 12 significant digits.
         head: Paragraphs of the comment at the top.
         comments: Comment after a value, by dotted key.
-        depth: Levels of tables with headings.
+        depth: Levels of tables with headings, which come after other keys; deeper ones are inline.
     """
     document = tomlkit.document()
     for paragraph in head.splitlines():

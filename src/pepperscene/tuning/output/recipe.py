@@ -46,15 +46,9 @@ def recipe_text(
     fit: FitResult,
     run: RunInfo,
 ) -> str:
-    """Return the TOML of a recipe with changed values.
+    """Return the TOML of a recipe with changed values by dotted key.
 
-    Args:
-        recipe: The recipe that was tuned, including the user's own changes.
-        extends: Name or path of its file; None writes all values.
-        folder: Folder of the new file.
-        changes: Tuned values by dotted key; files by their names in `folder`.
-        fit: The fit.
-        run: When and to what it was tuned.
+    It extends the file of the recipe, or has all values if `extends` is None; `folder` is its folder.
     """
     content = _recipe_content(recipe, folder)
     content["name"] = f"{recipe.name}_tuned"
@@ -81,13 +75,7 @@ def recipe_text(
 
 
 def camera_changes(camera: Camera, flash: Flash | None, tuned: TunedParts) -> Changes:
-    """Return the recipe values, by dotted key, with which a camera develops like the tuned one.
-
-    Args:
-        camera: Camera of the original recipe.
-        flash: Flash of the written recipe.
-        tuned: The tuned parts.
-    """
+    """Return the recipe values, by dotted key, with which a camera with a new flash is like the tuned one."""
     changes: Changes = {}
     if abs(tuned.exposure - 1.0) > 1e-12:
         # The light of a flash does not depend on the exposure time, so the gain is changed instead.
@@ -109,21 +97,15 @@ def camera_changes(camera: Camera, flash: Flash | None, tuned: TunedParts) -> Ch
     return changes
 
 
-def reference(name: str | Path, shelf: Any, folder: Path) -> str:
-    """Return how a file in `folder` refers to another: shipped ones by name, a user's by relative path.
-
-    Args:
-        name: Shipped name, or path relative to the current folder.
-        shelf: Folder of the shipped files: "plants" or "recipes".
-        folder: Folder of the file that refers to it.
-    """
+def reference(name: str | Path, kind: Any, folder: Path) -> str:
+    """Return how a file in `folder` refers to another: shipped ones by name, a user's by relative path."""
     path = Path(name)
     if path.parent == Path(".") and path.suffix != ".toml":
         return str(name)
-    if path.resolve().parent == shipped_folder(shelf).resolve():
+    if path.resolve().parent == shipped_folder(kind).resolve():
         return path.stem
     # Recipes resolve ".." in the path as written, cultivars in the folder on the disk.
-    if shelf == "plants":
+    if kind == "plants":
         return _relative_path(path.resolve(), folder.resolve())
     return _relative_path(path, folder)
 

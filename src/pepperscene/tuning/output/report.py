@@ -19,9 +19,7 @@ if TYPE_CHECKING:
     from pepperscene.tuning.workflow import Verification
 
 FORMAT: Final = "pepperscene tuning 1"
-
-
-# --- tables -------------------------------------------------------------------------------------------------
+_BOUNDS: Final = {"mean", "sd", "low", "high", "source", "chosen"}
 
 
 def known_table(parameters: Sequence[Parameter]) -> TextTable:
@@ -58,18 +56,15 @@ def fit_tables(fit: FitResult, verification: Verification | None = None) -> tupl
     ]  # fmt: skip
     heads = ("parameter", "before", "after", "bounds", "unit", "variance reduction")
     tables = [TextTable("Fitted parameters", heads, tuple(rows))]
-    if fit.kinds:
-        delta_e = [
-            (name, f"{one.delta_e_before:.2f}", f"{one.delta_e_after:.2f}") for name, one in fit.kinds.items()
-        ]
-        title = "CIEDE2000 of mean colours, single organs"
-        tables.append(TextTable(title, ("kind", "before", "after"), tuple(delta_e)))
-    if fit.spectra:
-        rmse = [
-            (name, f"{one.rmse_before:.4f}", f"{one.rmse_after:.4f}") for name, one in fit.spectra.items()
-        ]
-        title = "Root mean square error of reflectance"
-        tables.append(TextTable(title, ("spectrum", "before", "after"), tuple(rmse)))
+    delta_e = {name: (one.delta_e_before, one.delta_e_after) for name, one in fit.kinds.items()}
+    rmse = {name: (one.rmse_before, one.rmse_after) for name, one in fit.spectra.items()}
+    for title, head, digits, pairs in (
+        ("CIEDE2000 of mean colours, single organs", "kind", 2, delta_e),
+        ("Root mean square error of reflectance", "spectrum", 4, rmse),
+    ):
+        if pairs:
+            cells = tuple((name, *(f"{one:.{digits}f}" for one in pair)) for name, pair in pairs.items())
+            tables.append(TextTable(title, (head, "before", "after"), cells))
     if verification is not None:
         frames = f"{verification.frames} frame{'' if verification.frames == 1 else 's'} of the whole scene"
         sides = [("the patches", verification.before, verification.after)]
@@ -102,11 +97,8 @@ def _percent(value: float) -> str:
     return UNKNOWN if not np.isfinite(value) else f"{100 * np.clip(value, 0.0, 1.0):.0f} %"
 
 
-# --- record -------------------------------------------------------------------------------------------------
-
-
 def fit_record(fit: FitResult, run: RunInfo, verification: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Everything that was found, serialisable as JSON; numbers that are not finite become null."""
+    """The whole result, serialisable as JSON; numbers that are not finite become null."""
     parts = fit.tuned_parts
     record = {
         "format": FORMAT,
@@ -150,10 +142,7 @@ def _parameter_record(fit: FitResult, parameter: Parameter) -> dict[str, Any]:
         "value": fit.values[name],
         "sd": fit.sd[name],
         "gained": fit.variance_reduction[name],
-        "bounds": [
-            prior.model_dump(include={"mean", "sd", "low", "high", "source", "chosen"})
-            for prior in parameter.prior
-        ],
+        "bounds": [prior.model_dump(include=_BOUNDS) for prior in parameter.prior],
     }
 
 

@@ -45,14 +45,10 @@ def write_tuned(
 ) -> tuple[Path, ...]:
     """Write the files of a fit into a new or an empty folder: all of them, or none.
 
-    - `<recipe>_tuned.toml` extends the recipe.
-    - `<cultivar>_tuned.toml`, if pigments changed; two, if the recipe mixes two growth stages.
-    - `<flash>_tuned.toml` with its spectrum, if the flash changed.
-    - `tuning.json` records the whole result.
-    - `before_after.png` shows it.
-
-    Files in the folder refer to each other by name, so the folder can be moved. They refer to a user's other
-    files by their paths relative to the folder.
+    `<recipe>_tuned.toml` extends the recipe. `<cultivar>_tuned.toml` is written if pigments changed (two, if
+    the recipe mixes two growth stages), `<flash>_tuned.toml` with its spectrum if the flash changed.
+    `tuning.json` records the result, and `before_after.png` shows it. Files in the folder refer to each other
+    by name, so the folder can be moved; they refer to a user's other files by relative paths.
 
     Args:
         recipe: The recipe that was tuned.
@@ -88,11 +84,7 @@ def write_tuned(
 
 
 def check_folder(folder: Path) -> None:
-    """Check that a folder is new or empty and can be written to.
-
-    Raises:
-        OutputError: It is not, or cannot.
-    """
+    """Raise an OutputError if a folder is not empty, or cannot be written to."""
     check_can_create(folder)
     try:
         names = sorted(path.name for path in folder.iterdir()) if folder.exists() else []

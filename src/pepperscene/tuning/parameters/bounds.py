@@ -19,27 +19,21 @@ from pepperscene.shipped import shipped_folder
 from pepperscene.tuning.parameters.surface import CONTENT_FIELDS
 from pepperscene.tuning.parameters.tunables import Parameter
 
-SHIPPED: Final = "tuning/bounds.toml"
-"""The shipped bounds file, relative to the materials folder."""
-
+SHIPPED: Final = "tuning/bounds.toml"  # in the materials folder
 _RATIO: Final[TypeAdapter[Distribution]] = TypeAdapter(Ratio)
 _KEYS: Final = ("mean", "sd", "low", "high", "uniform", "relative", *Origin.model_fields)
 _EXPECTED: Final = "must be a table such as { mean = 50, sd = 10, low = 20, high = 80, source = … }"
 _MIN_MARGIN: Final = 0.1
 _MAX_SD: Final = 0.5
-"""For bounds that had to be clipped: the mean keeps a tenth of their width from either end, and the sd is at
+"""For bounds that had to be clipped: the mean keeps a tenth of the width from either end, and the sd is at
 most half of the mean's distance to the nearer end, which a truncated normal distribution can have. Chosen."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Tables of one bounds file.
+    """Tables of one bounds file `where`, by key.
 
-    Attributes:
-        where: Name of the file, for messages.
-        tables: Key -> table of a distribution.
-        strict: Whether values out of the bounds are errors, as for a user's file. Shipped bounds are widened
-            or clipped instead.
+    If `strict`, as for a user's file, values out of the bounds are errors; shipped bounds are adapted.
     """
 
     where: str
@@ -59,22 +53,14 @@ def prior_distributions(
     surface (`*.ripe.chlorophyll`, then `*.chlorophyll`). If the recipe has none of a content,
     `*.added.chlorophyll` comes before the names for any surface.
 
-    Args:
-        selected: Parameters at the recipe's values.
-        available: Everything that the recipe has.
-        bounds: A user's bounds file, or its tables.
-
     Raises:
-        InputError: The file cannot be read; or a table is not a valid distribution, has an unknown name,
-            excludes the recipe's value, or allows impossible values.
+        InputError: The user's file cannot be read; or one of its tables is not a valid distribution, has an
+            unknown name, excludes the recipe's value, or allows impossible values.
     """
     layers = [_shipped_bounds()]
     if bounds is not None:
         layers.insert(0, _user_bounds(bounds, available))
     return tuple(tuple(_prior(one, i, layers) for i in range(one.default.size)) for one in selected)
-
-
-# --- tables -------------------------------------------------------------------------------------------------
 
 
 @lru_cache(maxsize=1)
@@ -129,9 +115,6 @@ def _parse(table: Mapping[str, Any], where: str, key: str) -> tuple[Distribution
         raise InputError(where, problem, key=key) from None
 
 
-# --- one entry ----------------------------------------------------------------------------------------------
-
-
 def _keys(parameter: Parameter, entry: int) -> list[str]:
     """Keys of an entry's distribution, in order of precedence."""
     label, content = parameter.labels[entry], parameter.name.rpartition(".")[2]
@@ -153,7 +136,7 @@ def _prior(parameter: Parameter, entry: int, layers: Sequence[Bounds]) -> Distri
 
 
 def _within_limits(parameter: Parameter, value: float, layer: Bounds, key: str) -> Distribution:
-    """Distribution at the recipe's value; for shipped bounds, adapted to the value and to what is possible."""
+    """Distribution at the recipe's value; for shipped bounds, adapted to it and to what is possible."""
     prior, relative = _parse(layer.tables[key], layer.where, key)
     transforms = {"": (1.0, 0.0), "times": (value - parameter.floor, parameter.floor), "plus": (1.0, value)}
     scale, shift = transforms[relative]

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar, Distribution
 
 Array = NDArray[np.float64]
-Component = tuple[float, float, float]
-"""Weight, mean and standard deviation of one component of a mixture."""
+Component = tuple[float, float, float]  # weight, mean and standard deviation in a mixture
 
 CONTENT_FIELDS: Final[Mapping[str, tuple[str, str]]] = {
     "chlorophyll": ("chlorophyll_ug_cm2", "µg/cm²"),
@@ -31,34 +30,22 @@ CONTENT_FIELDS: Final[Mapping[str, tuple[str, str]]] = {
 """Parameter name of each content -> its field of `Pigments` and its unit."""
 
 PATH_ENDS: Final = {"unripe": 0, "ripe": -1}
-"""Index of the knot at either end of a path. Named after fruit; of a leaf, the palest and the darkest tissue."""
+"""Index of the knot at either end of a path; for a leaf, its palest and its darkest tissue."""
 
 SMOOTHING_RADIUS: Final = 0.04
 """Half-width of the moving average of a path, in state. Chosen: less than organs of one kind differ by (about
 0.1), so that no colour of the path is lost, and far more than any finite-difference step."""
 
-_QUANTILES: Final = 256
-_STEM_POSITIONS: Final = 64
-"""Midpoints at which a distribution that depends on the position along the stem is sampled."""
-
-
-# --- distribution of states ---------------------------------------------------------------------------------
+_QUANTILES, _STEM_POSITIONS = 256, 64  # samples of a distribution that varies along the stem
 
 
 @dataclass(frozen=True)
 class StateDistribution:
-    """Distribution of the states of all organs that share a surface.
-
-    Attributes:
-        mean: Mean state. All kinds of organs that plants grow have equal weight, whatever their number.
-        sd: Standard deviation of the states.
-        mean_ripeness: Mean ripeness of ripe fruit, with equal weights of the kinds; None if no fruit has this
-            surface or none ripens.
-    """
+    """Distribution of the states of organs that share a surface; each kind that grows has equal weight."""
 
     mean: float
     sd: float
-    mean_ripeness: float | None = None
+    mean_ripeness: float | None = None  # of ripe fruit; None if no fruit has the surface or none ripens
 
 
 def state_distribution(cultivar: Cultivar, surface: str) -> StateDistribution | None:
@@ -119,17 +106,13 @@ def _sd_along_stem(state: Distribution) -> float:
     return float(state.quantiles(quantiles[:, None], positions).std())
 
 
-# --- paths at tuned values ----------------------------------------------------------------------------------
-
-
 def tuned_path(
     surface: str, path: PigmentPath, states: StateDistribution | None, values: Mapping[str, ArrayLike]
 ) -> PigmentPath:
     """Return the path of a surface at parameter values, on the same knots.
 
-    Contents change first, along the given path; then organs move along the changed path. Scaling and moving
-    commute. For `unripe` and `ripe` the order makes the value that of the path's own end, and keeps all
-    contents at 0 or above.
+    Contents change first, then organs move along the changed path. Scaling and moving commute; for `unripe`
+    and `ripe` the order makes the value that of the path's own end, and keeps all contents at 0 or above.
     """
     given = {
         name.removeprefix(f"{surface}."): np.asarray(value, dtype=float).ravel()
@@ -164,10 +147,10 @@ def _tuned_content(
     """`(k,)` one content at the knots."""
     original = content - floor
     if name in given:
-        largest, most = float(given[name][0]) - floor, float(original.max())
+        largest, maximum = float(given[name][0]) - floor, float(original.max())
         # A content that the path lacks is added evenly; the red of fruit in proportion to ripeness.
-        if most > 0.0:
-            profile = original / most
+        if maximum > 0.0:
+            profile = original / maximum
         else:
             profile = knots if ripens and name == "capsanthin" else np.ones_like(original)
         return floor + np.maximum(largest * profile, 0.0)
@@ -214,15 +197,11 @@ def _tuned_cuticle(given: Mapping[str, Array], path: PigmentPath) -> dict[str, A
     return fields
 
 
-# --- smoothing ----------------------------------------------------------------------------------------------
-
-
 def contents_at_moved_states(knots: Array, contents: Array, moved: Array) -> Array:
     """Contents of a path at moved states.
 
-    They are taken from the moving average of the path, and are therefore continuously differentiable. The
-    difference to the path itself fades out with the distance moved, so that the result is exact at
-    `moved == knots`. It is nowhere below 0.
+    They are those of the moving average of the path, and so continuously differentiable. The difference to
+    the path itself fades in towards `moved == knots`, where the result is exact. It is nowhere below 0.
 
     Args:
         knots: `(k,)` states from 0 to 1.

@@ -22,10 +22,13 @@ if TYPE_CHECKING:
     from pepperscene.camera import Camera
     from pepperscene.cultivar import Cultivar, Distribution
 
+Array = NDArray[np.float64]
+Limits = tuple[float, float]
 Group = Literal["pigments", "cuticle", "light", "exposure", "camera"]
 
 _COLOURS: Final = ("red", "green", "blue")
 _MATRIX_LABELS: Final = tuple(f"{_COLOURS[row]}_from_{_COLOURS[column]}" for row, column in OFF_DIAGONAL)
+_GAINS: Final = ("red", "blue")
 _FACTORS: Final = (0.01, 100.0)  # chosen: nearly seven stops to either side
 
 
@@ -49,7 +52,7 @@ class Parameter:
     unit: str
     meaning: str
     group: Group
-    default: NDArray[np.float64]
+    default: Array
     low: float = 0.0
     high: float = np.inf
     floor: float = 0.0
@@ -102,33 +105,25 @@ def _surface_parameters(cultivar: Cultivar, surface: str) -> list[Parameter]:
 
 def _camera_parameters(camera: Camera) -> list[Parameter]:
     """Light and camera; without a flash none of the flash, for a monochrome sensor none of colour."""
-    parameters = []
+    parameters: list[Parameter] = []
+
+    def add(
+        name: str, meaning: str, group: Group, values: Array, limits: Limits, labels: tuple[str, ...] = ("",)
+    ) -> None:
+        parameters.append(Parameter(name, "", meaning, group, values, *limits, labels=labels))
+
     if camera.flash is not None:
-        nodes = tuple(str(i + 1) for i in range(FLASH_WEIGHTS))
-        parameters = [
-            Parameter("flash.power", "", "factor on the power of the flash", "light", np.ones(1), *_FACTORS),
-            Parameter(
-                "flash.colour", "", "exponents of the flash spectrum", "light", np.zeros(2), -5.0, 5.0,
-                labels=("warmth", "green"),
-            ),
-            Parameter(
-                "flash.spectrum", "", "factors on the flash spectrum at evenly spaced wavelengths", "light",
-                np.ones(FLASH_WEIGHTS), *_FACTORS, labels=nodes,
-            ),
-        ]  # fmt: skip
+        nodes, colour = tuple(str(i + 1) for i in range(FLASH_WEIGHTS)), ("warmth", "green")
+        meaning = "factors on the flash spectrum at evenly spaced wavelengths"
+        add("flash.power", "factor on the power of the flash", "light", np.ones(1), _FACTORS)
+        add("flash.colour", "exponents of the flash spectrum", "light", np.zeros(2), (-5.0, 5.0), colour)
+        add("flash.spectrum", meaning, "light", np.ones(FLASH_WEIGHTS), _FACTORS, nodes)
     meaning = "factor on the sensor gain; without a flash, on the exposure time"
-    parameters.append(Parameter("exposure", "", meaning, "exposure", np.ones(1), *_FACTORS))
+    add("exposure", meaning, "exposure", np.ones(1), _FACTORS)
     if camera.sensor.channels > 1:
         _, matrix = colour_steps(camera)
         entries = np.array([matrix[at] for at in OFF_DIAGONAL])
-        parameters += [
-            Parameter(
-                "white_balance", "", "factors on the gains of red and blue", "camera", np.ones(2), *_FACTORS,
-                labels=("red", "blue"),
-            ),
-            Parameter(
-                "colour_matrix", "", "off-diagonal entries; row sums are kept", "camera", entries, -20.0, 20.0,
-                labels=_MATRIX_LABELS,
-            ),
-        ]  # fmt: skip
+        meaning = "off-diagonal entries; row sums are kept"
+        add("white_balance", "factors on the gains of red and blue", "camera", np.ones(2), _FACTORS, _GAINS)
+        add("colour_matrix", meaning, "camera", entries, (-20.0, 20.0), _MATRIX_LABELS)
     return parameters

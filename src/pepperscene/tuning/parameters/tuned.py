@@ -25,13 +25,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 STEPS: Final = 20
-"""Even intervals between knots. Chosen: a twentieth of the path is half of what organs of a kind differ by."""
-_MIN_KNOT_DISTANCE: Final = 0.4 / STEPS
-"""No knot is added closer to one of the path's own; it would gain nothing."""
+"""Even intervals between knots. Chosen: organs of a kind differ by twice as much, a tenth of the path."""
+_MIN_KNOT_DISTANCE: Final = 0.4 / STEPS  # from the path's own knots; a closer one would gain nothing
 
-MIDDLE_NM: Final = 550.0
-WARMTH_NM: Final = 150.0
-GREEN_NM: Final = 50.0
+MIDDLE_NM, WARMTH_NM, GREEN_NM = 550.0, 150.0, 50.0
 """Chosen: a warmth of 1 multiplies 700 nm by e and divides 400 nm by e, relative to the middle; between black
 bodies of 6500 K and 3000 K is a warmth of 1.4. The green is about as wide as a camera's green channel."""
 
@@ -47,23 +44,16 @@ last one does not depend on rounding in sums."""
 class TunedParts:
     """Parts of a recipe at parameter values.
 
-    Attributes:
-        pigments: Paths of the surfaces that have parameters among the values, on dense knots.
-        flash_power: Factor on the power of the flash.
-        flash_nodes_nm: `(m,)` wavelengths of `flash_factors`.
-        flash_factors: `(m,)` factors on the flash spectrum, linear in between.
-        exposure: Factor on the sensor gain; without a flash, on the exposure time.
-        gains: `(3,)` white balance in use.
-        matrix: `(3, 3)` colour matrix in use, applied after the gains.
+    Exposure is a factor on the sensor gain; without a flash, on the exposure time.
     """
 
-    pigments: Mapping[str, PigmentPath]
-    flash_power: float
-    flash_nodes_nm: Array
-    flash_factors: Array
+    pigments: Mapping[str, PigmentPath]  # of surfaces with parameters among the values, on dense knots
+    flash_power: float  # factor on the power of the flash
+    flash_nodes_nm: Array  # (m,)
+    flash_factors: Array  # (m,) factors on the flash spectrum at the nodes, linear in between
     exposure: float
-    gains: Array
-    matrix: Array
+    gains: Array  # (3,) white balance in use
+    matrix: Array  # (3, 3) colour matrix in use, applied after the gains
 
 
 def tuned_parts(
@@ -74,11 +64,8 @@ def tuned_parts(
     Args:
         cultivar: Cultivar of the recipe, with its own knots or dense ones.
         camera: Camera of the recipe.
-        values: Parameter values by the names of `select_parameters`.
+        values: Parameter values by name; wrong shapes raise a ValueError.
         nodes_nm: `(m,)` wavelengths of the renderer's factors on the flash spectrum.
-
-    Raises:
-        ValueError: A value has the wrong shape or is outside of the valid range.
     """
     pigments = {
         surface: tuned_path(surface, densify_path(path), state_distribution(cultivar, surface), values)
@@ -103,9 +90,6 @@ def _scalar(values: Mapping[str, ArrayLike], name: str) -> float:
     return float(value)
 
 
-# --- dense pigment paths ------------------------------------------------------------------------------------
-
-
 def densify_cultivar(cultivar: Cultivar) -> Cultivar:
     """The same cultivar with more knots on its pigment paths; contents are unchanged everywhere."""
     paths = {name: densify_path(path) for name, path in cultivar.pigments.items()}
@@ -127,16 +111,11 @@ def densify_path(path: PigmentPath) -> PigmentPath:
     return path.model_copy(update={"path": between})
 
 
-# --- flash --------------------------------------------------------------------------------------------------
-
-
 def flash_factors(values: Mapping[str, ArrayLike], nodes_nm: ArrayLike) -> Array:
     """`(m,)` factors on the flash spectrum at the nodes: `flash.spectrum` times those of `flash.colour`.
 
-    Empty if there are no nodes (no view is rendered, as in fits to reflectance spectra).
-
-    Raises:
-        ValueError: `flash.spectrum` has another number of factors than there are nodes.
+    Without nodes (fits to reflectance spectra render no view) it is empty. Another number of factors than
+    nodes raises a ValueError.
     """
     nm = np.asarray(nodes_nm, dtype=float)
     factors = np.ones(nm.size)
@@ -177,9 +156,6 @@ def tuned_flash(flash: Flash, parts: TunedParts) -> Flash:
     assert flash.irradiance_W_m2 is not None  # exactly one is given
     factor = parts.flash_power * float(spectrum.integral()) / float(flash.spectrum.integral())
     return replace(flash, spectrum=spectrum, irradiance_W_m2=flash.irradiance_W_m2 * factor)
-
-
-# --- camera -------------------------------------------------------------------------------------------------
 
 
 def colour_steps(camera: Camera, values: Mapping[str, ArrayLike] | None = None) -> tuple[Array, Array]:
