@@ -213,7 +213,7 @@ def test_names_one_parameter_of_many():
     assert next(iter(groups)) == "pigments"
     assert groups["pigments"].parameter == "leaf.p17"
     assert groups["pigments"].evidence > STRONG_EVIDENCE
-    assert "point to pigments (leaf.p17), which could explain " in describe(3600.0, groups, leaf=4.0)[1]
+    assert "point to pigments, especially leaf.p17 (could explain " in describe(3600.0, groups, leaf=4.0)[1]
 
 
 def test_noise_is_no_evidence():
@@ -280,7 +280,7 @@ def test_describes_one_likely_cause():
     }
     assert describe(3600.0, causes, leaf=4.0) == (
         "The model does not fit the patches: RMS residuals are 6.0 times the expected size.",
-        "The unexplained residuals point to light, which could explain 91 % of chi-squared.",
+        "The unexplained residuals point to light (could explain 91 % of chi-squared).",
         "Other groups could explain part of it, but are much less likely: pigments (76 %).",
         "Mean colours still differ visibly: leaf (dE2000 4.0).",
     )
@@ -289,8 +289,8 @@ def test_describes_one_likely_cause():
 def test_describes_two_causes_of_similar_evidence():
     causes = {"camera": OmittedGroup(0.92, 104.0, "white_balance"), "light": OmittedGroup(0.9, 101.0)}
     assert describe(3600.0, causes, leaf=4.0)[1] == (
-        "The unexplained residuals point to camera (white_balance) or light, which could explain "
-        "92 % or 90 % of chi-squared."
+        "The unexplained residuals point to camera, especially white_balance (could explain 92 % of "
+        "chi-squared), or light (90 %)."
     )
 
 

@@ -1,9 +1,9 @@
 """Residuals of a fit and their derivatives.
 
 The derivatives pass through the whole fit: from a parameter through the path to pigments at its knots,
-through light to electrons, noise and saturation to linear sRGB, and to mean, spread and hue. They are compared
-with central differences of the residuals, with other steps and the same random numbers, so that the residuals
-are smooth. The comparison has to detect wrong derivatives: mutations, each of which makes it fail.
+through light to electrons, noise and saturation to linear sRGB, and to mean, spread and hue. They are
+compared with central differences of the residuals, with other steps and the same random numbers, so that
+the residuals are smooth. The comparison has to detect mutations, each of which makes it fail.
 """
 
 from __future__ import annotations

@@ -231,13 +231,14 @@ def _describe_causes(omitted: Mapping[str, OmittedGroup]) -> list[str]:
         reason = "No omitted parameter could explain a quarter of the residuals"
         return [f"{reason}: check the patches, their labels and their light."]
     percent = {group: f"{100 * one.explained:.0f} %" for group, one in causes.items()}
-    best = next(iter(causes.values())).evidence
-    likely = {group: one for group, one in causes.items() if best - one.evidence < STRONG_EVIDENCE}
-    names = [f"{group} ({one.parameter})" if one.parameter else group for group, one in likely.items()]
-    sentences = [
-        f"The unexplained residuals point to {' or '.join(names)}, which could explain "
-        f"{' or '.join(percent[group] for group in likely)} of chi-squared."
-    ]
+    best, *_ = causes.values()
+    likely = [group for group in causes if best.evidence - causes[group].evidence < STRONG_EVIDENCE]
+    parts = []
+    for group in likely:
+        single = f", especially {causes[group].parameter}" if causes[group].parameter else ""
+        fraction = percent[group] if parts else f"could explain {percent[group]} of chi-squared"
+        parts.append(f"{group}{single} ({fraction})")
+    sentences = [f"The unexplained residuals point to {', or '.join(parts)}."]
     others = [f"{group} ({percent[group]})" for group in causes if group not in likely]
     if others:
         listed = ", ".join(others)
