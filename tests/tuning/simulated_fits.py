@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pepperscene.camera import decode_tone
+from pepperscene.camera import Camera, decode_tone
 from pepperscene.colour import Patch, PatchSet, delta_e_2000, linear_srgb_to_lab
+from pepperscene.cultivar import Cultivar
+from pepperscene.dataset import Recipe
 from pepperscene.render.quality import Quality
 from pepperscene.tuning.fit.least_squares import FitResult, fit_parameters
 from pepperscene.tuning.model.problem import FitProblem
 from pepperscene.tuning.model.target import TuningTarget
-from pepperscene.tuning.parameters.parameter import Parameter
+from pepperscene.tuning.parameters.parameter import Parameter, known_parameters, select_parameters
 
 KINDS = ("leaf", "pepper.unripe", "pepper.ripe", "peduncle", "stem", "shoot")
 """Kinds that together show every surface but the calyx."""
@@ -36,6 +38,15 @@ def no_patches(kinds: Sequence[str] = KINDS) -> PatchSet:
     """A grey pixel of each kind, so that a target has views."""
     grey = np.full((1, 3), 188, np.uint8)
     return PatchSet("none", tuple(Patch(kind, kind, "none", decode_tone(grey), grey) for kind in kinds))
+
+
+def all_parameters(recipe: Recipe, cultivar: Cultivar, camera: Camera) -> dict[str, Parameter]:
+    """All parameters by name; those of path ends cannot be selected together with those of the whole path."""
+    names = known_parameters(cultivar, camera)
+    ends = [name for name in names if name.count(".") == 2]
+    others = select_parameters(recipe, cultivar, camera, [name for name in names if name not in ends])
+    parameters = {one.name: one for one in (*others, *select_parameters(recipe, cultivar, camera, ends))}
+    return {name: parameters[name] for name in names}
 
 
 def draw_names(rng: np.random.Generator, count: int = 5, among: Sequence[str] = HIDDEN) -> tuple[str, ...]:

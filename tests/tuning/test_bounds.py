@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from simulated_fits import all_parameters
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
@@ -30,16 +31,6 @@ def prior_of(name, bounds=None, cultivar=KAITE, entry=0):
     return parameter.prior[entry]
 
 
-def all_parameters(cultivar):
-    """All parameters; those of path ends cannot be selected together with those of the whole path."""
-    names = known_parameters(cultivar, CAMERA)
-    ends = [name for name in names if name.count(".") == 2]
-    return [
-        *select_parameters(RECIPE, cultivar, CAMERA, [name for name in names if name not in ends]),
-        *select_parameters(RECIPE, cultivar, CAMERA, ends),
-    ]
-
-
 def table(mean, sd, low, high, **more):
     return {"mean": mean, "sd": sd, "low": low, "high": high, "chosen": "for a test", **more}
 
@@ -51,7 +42,7 @@ def table(mean, sd, low, high, **more):
     "name", ["kaite", "red_blocky", "orange_pointed", "tomato", "kaite_september", "kaite_february"]
 )
 def test_shipped_bounds_include_the_values_of_cultivars(name):
-    for parameter in all_parameters(load_cultivar(name)):
+    for parameter in all_parameters(RECIPE, load_cultivar(name), CAMERA).values():
         assert len(parameter.prior) == len(parameter.default) == len(parameter.labels)
         field = CONTENT_FIELDS.get(parameter.name.rpartition(".")[2], ("",))[0]
         low, high = RANGES.get(field, (-np.inf, np.inf))
@@ -65,7 +56,9 @@ def test_shipped_bounds_include_the_values_of_cultivars(name):
 
 
 def test_shipped_distributions_have_the_stated_moments():
-    for prior in (prior for parameter in all_parameters(KAITE) for prior in parameter.prior):
+    for prior in (
+        prior for parameter in all_parameters(RECIPE, KAITE, CAMERA).values() for prior in parameter.prior
+    ):
         values = prior.quantiles((np.arange(2000) + 0.5) / 2000)
         assert values.mean() == pytest.approx(prior.mean, abs=0.01 * prior.sd + 1e-9)
         assert values.std() == pytest.approx(prior.sd, rel=0.01)

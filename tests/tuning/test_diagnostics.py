@@ -67,9 +67,6 @@ COLUMNS = np.random.default_rng(11).standard_normal((60, 3))
 NOISE = np.random.default_rng(4).standard_normal(60)
 
 
-# --- uncertainty --------------------------------------------------------------------------------------------
-
-
 def test_uncertainty_has_the_closed_form():
     """For one column of length l, the sd is 1 / l from the data alone and 1 from the prior."""
     for length in (0.1, 1.0, 30.0):
@@ -150,8 +147,6 @@ def test_reports_an_entry_at_a_bound():
     (sentence,) = undetermined_entries(problem, best, uncertainty(problem, best))
     assert sentence.startswith("leaf.a (n0) is at a limit of its bounds, 1:")
 
-
-# --- omitted parameters -------------------------------------------------------------------------------------
 
 MANY = 40
 MANY_COLUMNS = np.random.default_rng(7).standard_normal((60, MANY))
@@ -254,9 +249,6 @@ def test_effect_of_fitted_parameters_is_not_counted_twice():
 def test_no_causes_without_residuals_or_parameters():
     assert omitted(np.zeros(60)) == {}
     assert omitted(COLUMNS[:, 0], {"light": ()}) == {}
-
-
-# --- sentences ----------------------------------------------------------------------------------------------
 
 
 def describe(chi2, causes=None, undetermined=(), **delta_e) -> tuple[str, ...]:

@@ -57,9 +57,6 @@ def encode(linear: np.ndarray) -> np.ndarray:
     return np.asarray(colour_science().cctf_encoding(linear, function="sRGB"))
 
 
-# --- CIELAB and hue -----------------------------------------------------------------------------------------
-
-
 def test_lab_agrees_with_colour_science():
     colour = colour_science()
     expected = colour.XYZ_to_Lab(colour.sRGB_to_XYZ(encode(COLOURS)))
@@ -101,9 +98,6 @@ def test_derivatives_of_hue_match_finite_differences():
     assert hue_vectors(inside)[1] == pytest.approx(expected, rel=1e-4, abs=1e-3)
 
 
-# --- observables --------------------------------------------------------------------------------------------
-
-
 def test_observables_are_mean_spread_and_hue():
     pixels = COLOURS[:50]
     values = observables(pixels)
@@ -140,8 +134,6 @@ def test_standardised_noise_has_mean_0_and_sd_1():
     assert noise.std(axis=0) == pytest.approx(np.ones(3))
     assert np.array_equal(noise, standardised_noise(500, 3, np.random.default_rng(1)))
 
-
-# --- sensor model -------------------------------------------------------------------------------------------
 
 SIDE = 120
 GAINS, MATRIX = (1.9, 1.0, 1.4), ((1.6, -0.5, -0.1), (-0.25, 1.4, -0.15), (0.1, -0.6, 1.5))
@@ -272,9 +264,6 @@ def test_slopes_of_the_sensor_model_match_finite_differences(exposure, scales_ti
     assert derivative[same] == pytest.approx(expected[same], rel=1e-5, abs=1e-9)
     assert 0.05 < saturated[0].mean() < 0.95
     assert 0.05 < here[2].mean() < 0.95
-
-
-# --- noise of a view ----------------------------------------------------------------------------------------
 
 
 def test_standard_errors_of_a_view_are_those_of_camera_images():

@@ -50,9 +50,6 @@ def select(names, cultivar=KAITE, camera=CAMERA):
     return select_parameters(RECIPE, cultivar, camera, names)
 
 
-# --- names --------------------------------------------------------------------------------------------------
-
-
 def test_every_visible_surface_has_every_content():
     known = known_parameters(KAITE, CAMERA)
     assert len(set(known)) == len(known)
@@ -149,9 +146,6 @@ def test_colours_cannot_be_fitted_for_a_monochrome_sensor():
     assert known_parameters(KAITE, mono)[-1] == "exposure"
     with pytest.raises(ArgumentError, match="white_balance cannot be fitted"):
         select(["white_balance"], camera=mono)
-
-
-# --- distributions of states --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["kaite", "tomato", "kaite_september"])

@@ -56,9 +56,6 @@ def entries(*names: str) -> tuple[Entry, ...]:
     return entries_of(select_parameters(recipe, plants, camera(), names))
 
 
-# --- surface of a spectrum ----------------------------------------------------------------------------------
-
-
 def test_finds_the_surface_of_a_kind():
     plants = load_cultivar("kaite")
     fruit = plants.organs["fruit"].distributions
@@ -86,9 +83,6 @@ def test_raises_on_kinds_that_plants_do_not_have(kind):
         surface_of_kind(load_cultivar("kaite"), kind)
     if kind.startswith("pepper"):
         assert "pepper.unripe, pepper.breaker, pepper.ripe" in str(error.value)
-
-
-# --- residuals ----------------------------------------------------------------------------------------------
 
 
 def test_default_values_predict_the_cultivar():
@@ -133,9 +127,6 @@ def test_finer_sampling_adds_no_weight(step_nm):
     assert independent[1] == pytest.approx(independent[0], rel=0.05)
     # The expected cost is the number of independent data.
     assert np.sum((MODEL_ERROR / sampled.sd) ** 2) == pytest.approx(sampled.independent)
-
-
-# --- derivatives --------------------------------------------------------------------------------------------
 
 
 def disagreement(jacobian: np.ndarray, of: DirectModel, values: dict, columns: tuple[Entry, ...]) -> float:

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from simulated_fits import all_parameters
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
 from pepperscene.dataset.recipe.equipment import load_camera
 from pepperscene.materials import leaf_body, rind_reflectance
 from pepperscene.render.gradients.pigment_models import CONTENTS, RANGES, path_values
-from pepperscene.tuning.parameters.parameter import known_parameters, select_parameters
 from pepperscene.tuning.parameters.surface import (
     CONTENT_FIELDS,
     SMOOTHING_RADIUS,
@@ -30,18 +30,8 @@ STATES = np.linspace(0.0, 1.0, 41)
 
 RECIPE = load_recipe("barth2018")
 CAMERA = load_camera(RECIPE)
-
-
-def all_parameters(cultivar):
-    names = known_parameters(cultivar, CAMERA)
-    ends = [name for name in names if name.count(".") == 2]
-    others = select_parameters(RECIPE, cultivar, CAMERA, [name for name in names if name not in ends])
-    parameters = {one.name: one for one in (*others, *select_parameters(RECIPE, cultivar, CAMERA, ends))}
-    return {name: parameters[name] for name in names}
-
-
 KAITE = load_cultivar("kaite")
-PARAMETERS = all_parameters(KAITE)
+PARAMETERS = all_parameters(RECIPE, KAITE, CAMERA)
 OF_SURFACES = [name for name, one in PARAMETERS.items() if one.group in ("pigments", "cuticle")]
 DENSE = densify_cultivar(KAITE).pigments
 
@@ -71,9 +61,6 @@ def numbers_of(parts):
     return {name: np.asarray(value) for name, value in numbers.items()}
 
 
-# --- at the recipe's values ---------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", CULTIVARS)
 def test_dense_paths_have_the_same_contents(name):
     for path in load_cultivar(name).pigments.values():
@@ -91,7 +78,7 @@ def test_dense_paths_have_the_same_contents(name):
 def test_default_values_change_nothing(name):
     cultivar = load_cultivar(name)
     dense = densify_cultivar(cultivar)
-    parameters = all_parameters(cultivar)
+    parameters = all_parameters(RECIPE, cultivar, CAMERA)
     # Everything that can be combined, from the cultivar as it is and from the dense one.
     paths = {n: p.default for n, p in parameters.items() if not {"unripe", "ripe"} & set(n.split("."))}
     ends = {
@@ -117,9 +104,6 @@ def test_no_values_change_nothing():
     assert not parts.pigments
     assert parts.flash_power == parts.exposure == 1.0
     np.testing.assert_array_equal(parts.flash_factors, 1.0)
-
-
-# --- single parameters --------------------------------------------------------------------------------------
 
 
 def changed_value(name):
@@ -192,9 +176,6 @@ def test_both_ends_can_be_empty_and_no_content_is_negative(content):
         assert contents.min() >= floor
 
 
-# --- moved states -------------------------------------------------------------------------------------------
-
-
 def smoothing_error(path, field):
     """Largest difference between a path and its moving average: at its sharpest kink."""
     knots = np.array([state for state, _ in path.knots])
@@ -258,9 +239,6 @@ def test_values_within_bounds_give_valid_contents(seed):
             assert ((numbers >= low) & (numbers <= high)).all(), name
 
 
-# --- smoothness ---------------------------------------------------------------------------------------------
-
-
 def one_sided_slopes(name, entry, value, step):
     """Difference quotients of all numbers to either side."""
     vectors = []
@@ -292,9 +270,6 @@ def test_parts_have_no_kinks(name, position):
             above, below = one_sided_slopes(name, entry, value, step)
             gaps.append(np.abs(above - below).max() / np.abs(above).max())
         assert gaps[1] <= max(0.2 * gaps[0], 1e-6), gaps
-
-
-# --- light and camera ---------------------------------------------------------------------------------------
 
 
 def test_flash_factors_are_spectrum_times_colour():

@@ -47,9 +47,6 @@ def same_view(one, other) -> bool:
     )
 
 
-# --- organs -------------------------------------------------------------------------------------------------
-
-
 def test_every_kind_has_organs_of_its_class(target):
     names = [view.name for view in target.views]
     assert len(set(names)) == len(names)
@@ -115,9 +112,6 @@ def test_raises_on_a_kind_that_no_plant_has(target):
     unripe = target.cultivar.model_copy(update={"organs": organs})
     with pytest.raises(InputError, match=r"must have organs of the kind 'pepper\.ripe'"):
         organ_views(target.recipe, unripe, target.camera, ["pepper.ripe"], organs=1, pixels=PIXELS)
-
-
-# --- images -------------------------------------------------------------------------------------------------
 
 
 def test_masked_pixels_and_their_neighbours_show_the_organ(target):

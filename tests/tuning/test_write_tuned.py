@@ -84,9 +84,6 @@ def fit(demo):
     return example_fit(demo)
 
 
-# --- fitted values ------------------------------------------------------------------------------------------
-
-
 def test_written_recipe_has_the_fitted_values(demo, fit, tmp_path):
     files = write(demo, fit, tmp_path / "out", extends="demo")
     recipe = load_recipe(files[0])
@@ -166,9 +163,6 @@ def test_recipe_without_a_flash_has_no_flash_file(tmp_path):
     check_recipe(files[0], recipe, fit)
 
 
-# --- references between files -------------------------------------------------------------------------------
-
-
 def test_folder_can_be_moved(demo, fit, tmp_path):
     write(demo, fit, tmp_path / "out", extends="demo")
     (tmp_path / "far").mkdir()
@@ -243,9 +237,6 @@ def test_tuned_recipe_can_be_tuned_again(demo, fit, tmp_path):
     check_pigments(load_recipe_cultivar(load_recipe(second)).pigments, {"fruit": fruit})
 
 
-# --- provenance ---------------------------------------------------------------------------------------------
-
-
 def test_every_file_states_its_provenance(demo, fit, tmp_path):
     files = write(demo, fit, tmp_path / "out", extends="demo")
     record = json.loads((tmp_path / "out" / "tuning.json").read_text())
@@ -301,9 +292,6 @@ def test_same_fit_gives_the_same_bytes(demo, fit, tmp_path, monkeypatch):
     assert all(a.read_bytes() == b.read_bytes() for a, b in pairs)
 
 
-# --- all or nothing -----------------------------------------------------------------------------------------
-
-
 def test_raises_on_a_folder_that_is_not_empty(demo, fit, tmp_path):
     (tmp_path / "mine.txt").write_text("keep")
     with pytest.raises(OutputError, match=r"mine\.txt"):
@@ -333,9 +321,6 @@ def test_invalid_values_leave_no_files(demo, tmp_path):
     with pytest.raises(InputError, match=r"camera\.gain"):
         write(loud, fit, tmp_path / "out")
     assert not list(tmp_path.iterdir())
-
-
-# --- knots and text -----------------------------------------------------------------------------------------
 
 
 def path_of(states, chlorophyll):

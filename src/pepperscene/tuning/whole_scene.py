@@ -89,10 +89,8 @@ def colour_agreement(rendered: PatchSet, measured: PatchSet, kinds: Iterable[str
             continue
         means = [linear_srgb_to_lab(side.pixels(kind).mean(axis=0)) for side in (rendered, measured)]
         spectra = [np.asarray(side.statistics(kind).hue_spectrum) for side in (rendered, measured)]
-        correlation = hue_spectrum_correlation(*spectra)
-        agreement[kind] = Agreement(
-            float(delta_e_2000(*means)), None if np.isnan(correlation) else correlation
-        )
+        hues = hue_spectrum_correlation(*spectra)
+        agreement[kind] = Agreement(float(delta_e_2000(*means)), None if np.isnan(hues) else hues)
     return agreement
 
 

@@ -162,10 +162,7 @@ def tune(
             after = render_statistics(load_recipe(write(fit, folder)[0]), verify, quality)
         difference = largest_difference(problem, fit.tuned_parts, after)
         if on_progress is not None:
-            on_progress(
-                f"round {round_}: mean colours in the whole scene differ from the model of the fit by up to "
-                f"{difference:.1f} CIELAB units"
-            )
+            on_progress(f"round {round_}: whole scene and fit differ by up to {difference:.1f} CIELAB units")
         if difference < _CONVERGED:
             break
         neighbours = neighbour_effects(target, fit.tuned_parts, after)

@@ -233,7 +233,7 @@ def _describe_causes(omitted: Mapping[str, OmittedGroup]) -> list[str]:
     percent = {group: f"{100 * one.explained:.0f} %" for group, one in causes.items()}
     best, *_ = causes.values()
     likely = [group for group in causes if best.evidence - causes[group].evidence < STRONG_EVIDENCE]
-    parts = []
+    parts: list[str] = []
     for group in likely:
         single = f", especially {causes[group].parameter}" if causes[group].parameter else ""
         fraction = percent[group] if parts else f"could explain {percent[group]} of chi-squared"
