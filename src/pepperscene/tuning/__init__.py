@@ -5,7 +5,8 @@ from pepperscene.tuning.model.target import TuningTarget
 from pepperscene.tuning.output.write import write_tuned
 from pepperscene.tuning.parameters.parameter import Parameter, known_parameters, select_parameters
 from pepperscene.tuning.simulated import simulate_patches
-from pepperscene.tuning.workflow import TuningResult, Verification, tune
+from pepperscene.tuning.whole_scene import Verification
+from pepperscene.tuning.workflow import TuningResult, tune
 
 __all__ = [
     "FitResult",

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pepperscene.colour import PatchSet, delta_e_2000, linear_srgb_to_lab
 from pepperscene.truth.statistics import hue_spectrum_correlation
+from pepperscene.tuning.fit.diagnostics import VISIBLE_DELTA_E
 from pepperscene.tuning.model.observables import observables
 from pepperscene.tuning.model.problem import FitProblem, NeighbourEffect
 
@@ -47,6 +48,25 @@ class Agreement:
 
     delta_e: float | None  # CIEDE2000 of mean colours
     correlation: float | None  # correlation of hue spectra (Barth et al. 2018, section 3.1.1)
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """Agreement of the whole scene with the patches, by kind.
+
+    Attributes:
+        before, after: With the patches of the fit, at the recipe's values and at the tuned ones.
+        held_before, held_after: With the held-out patches.
+        frames: Number of frames that were rendered for each.
+        rounds: Number of fits; the later ones include the effect of neighbours on single organs.
+    """
+
+    before: Mapping[str, Agreement]
+    after: Mapping[str, Agreement]
+    held_before: Mapping[str, Agreement]
+    held_after: Mapping[str, Agreement]
+    frames: int
+    rounds: int
 
 
 def render_statistics(recipe: Recipe, frames: int, quality: str = "draft") -> SceneStatistics:
@@ -92,6 +112,24 @@ def colour_agreement(rendered: PatchSet, measured: PatchSet, kinds: Iterable[str
         hues = hue_spectrum_correlation(*spectra)
         agreement[kind] = Agreement(float(delta_e_2000(*means)), None if np.isnan(hues) else hues)
     return agreement
+
+
+def describe_verification(verification: Verification) -> tuple[str, ...]:
+    """Sentences on kinds whose mean colour in the whole scene did not improve, or still differs visibly."""
+    sets = {"the patches": (verification.before, verification.after)}
+    sets["the held-out patches"] = (verification.held_before, verification.held_after)
+    sentences = []
+    for name, (before, after) in sets.items():
+        for kind, one in after.items():
+            previous = before[kind].delta_e
+            if one.delta_e is None or previous is None or one.delta_e <= VISIBLE_DELTA_E:
+                continue
+            how = "is no closer to" if one.delta_e >= previous else "still differs from"
+            sentences.append(
+                f"In the whole scene the mean colour of {kind} {how} {name}: dE2000 {previous:.1f} before, "
+                f"{one.delta_e:.1f} after."
+            )
+    return tuple(sentences)
 
 
 def neighbour_effects(

@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pepperscene.colour import MeasuredSpectrum, Patch, PatchSet, open_patches
-from pepperscene.tuning.fit.diagnostics import VISIBLE_DELTA_E
 from pepperscene.tuning.fit.least_squares import STARTS, FitResult, fit_parameters
 from pepperscene.tuning.model.target import TuningTarget
 from pepperscene.tuning.output.figure import BeforeAfter
 from pepperscene.tuning.output.write import check_folder, write_tuned
 from pepperscene.tuning.whole_scene import (
-    Agreement,
+    Verification,
     colour_agreement,
+    describe_verification,
     largest_difference,
     neighbour_effects,
     render_statistics,
@@ -31,25 +31,6 @@ if TYPE_CHECKING:
 MAX_ROUNDS: Final = 3
 VERIFY_FRAMES: Final = 4  # chosen: enough organs, in half a minute each time
 _CONVERGED: Final = 1.0  # chosen: CIELAB units between scene and model; a difference that is just visible
-
-
-@dataclass(frozen=True, eq=False)
-class Verification:
-    """Agreement of the whole scene with the patches, by kind.
-
-    Attributes:
-        before, after: With the patches of the fit, at the recipe's values and at the tuned ones.
-        held_before, held_after: With the held-out patches.
-        frames: Number of frames that were rendered for each.
-        rounds: Number of fits; the later ones include the effect of neighbours on single organs.
-    """
-
-    before: Mapping[str, Agreement]
-    after: Mapping[str, Agreement]
-    held_before: Mapping[str, Agreement]
-    held_after: Mapping[str, Agreement]
-    frames: int
-    rounds: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,21 +162,3 @@ def tune(
     frames = BeforeAfter(before.picture, after.picture)
     files = write(fit, out, frames=frames, verification=asdict(verification))
     return TuningResult(fit, files, verification)
-
-
-def describe_verification(verification: Verification) -> tuple[str, ...]:
-    """Sentences on kinds whose mean colour in the whole scene did not improve, or still differs visibly."""
-    sets = {"the patches": (verification.before, verification.after)}
-    sets["the held-out patches"] = (verification.held_before, verification.held_after)
-    sentences = []
-    for name, (before, after) in sets.items():
-        for kind, one in after.items():
-            previous = before[kind].delta_e
-            if one.delta_e is None or previous is None or one.delta_e <= VISIBLE_DELTA_E:
-                continue
-            how = "is no closer to" if one.delta_e >= previous else "still differs from"
-            sentences.append(
-                f"In the whole scene the mean colour of {kind} {how} {name}: dE2000 {previous:.1f} before, "
-                f"{one.delta_e:.1f} after."
-            )
-    return tuple(sentences)

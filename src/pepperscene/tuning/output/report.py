@@ -15,8 +15,7 @@ from pepperscene.tuning.output.provenance import RunInfo, fitted_entries, format
 if TYPE_CHECKING:
     from pepperscene.tuning.fit.least_squares import FitResult, KindFit
     from pepperscene.tuning.parameters.parameter import Parameter
-    from pepperscene.tuning.whole_scene import Agreement
-    from pepperscene.tuning.workflow import Verification
+    from pepperscene.tuning.whole_scene import Agreement, Verification
 
 FORMAT: Final = "pepperscene tuning 1"
 _BOUNDS: Final = {"mean", "sd", "low", "high", "source", "chosen"}
