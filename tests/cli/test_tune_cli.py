@@ -61,14 +61,14 @@ def test_a_fit_is_told_and_written(done):
     found, folder = done
     assert [line[:12] for line in found.stderr.splitlines()] == ["start 1 of 1"]
     lines = found.stdout.splitlines()
-    assert lines[0] == "What was fitted"
+    assert lines[0] == "Fitted parameters"
     name, before, *_ = lines[2].split()
     assert name == "fruit.unripe.chlorophyll"
     # Told to as many digits as its error leaves sense in.
     assert float(before) == pytest.approx(7.85, abs=0.06)
     before, after = (float(cell) for cell in lines[lines.index("") + 3].split()[1:])
     assert after < 0.02 < before
-    assert any(line.startswith("The model m") for line in lines)
+    assert any(line.startswith("The model ") for line in lines)
     assert lines[-4:] == [
         str(folder / "out" / name)
         for name in ("demo_tuned.toml", "paler_tuned.toml", "before_after.png", "tuning.json")
@@ -162,7 +162,7 @@ def test_interrupted_nothing_is_written(command, green, tmp_path, monkeypatch):
     def interrupted(*_args, **_more):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(importlib.import_module("pepperscene.tuning.workflow"), "fitted", interrupted)
+    monkeypatch.setattr(importlib.import_module("pepperscene.tuning.workflow"), "fit_parameters", interrupted)
     found = command("tune", "demo", "--patches", green, *FIT, "--out", tmp_path / "out")
     assert found.exit_code == 130
     assert found.stderr == "interrupted; nothing was written\n"

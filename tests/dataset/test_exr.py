@@ -8,6 +8,7 @@ import OpenEXR
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from pepperscene.dataset.store.images import exr_bytes
 
 

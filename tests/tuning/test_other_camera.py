@@ -1,23 +1,24 @@
-"""Patches by a camera and a lamp that are not the recipe's: what a fit of pigments cannot mend, and what can.
+"""Patches by another camera and lamp than the recipe's: what a fit of pigments cannot explain, and what can.
 
-Rationale: pigments that are made to explain another camera are wrong. A fit has to show that they do not
-explain it, and to say what is missed.
+Rationale: pigments that are fitted to explain another camera are wrong. A fit has to show that they do not
+explain it, and to name what is missing.
 
-Set-up: the organs of a recipe with hidden pigments, by the light of an LED of another make (CIE illuminant
-LED-B3 for a phosphor-converted LED of 5763 K) and with the responses of another sensor (a Nikon D5100). Gains
-and matrix are that camera's own for the recipe's light, as if nobody had noticed the lamp.
+Set-up: the organs of a recipe with hidden pigments, in the light of another LED (CIE illuminant LED-B3, a
+phosphor-converted LED of 5763 K) and with the responses of another sensor (a Nikon D5100). Gains and matrix
+are that camera's for the recipe's light, as if the other lamp had not been noticed.
 
-Expected: with pigments alone, much is left, some colours are visibly off, and light and camera are named
-before other pigments. With light, exposure, white balance and colour matrix, no colour is visibly off.
+Expected: with pigments alone, residuals are large, some colours differ visibly, and light and camera are
+named before other pigments. With light, exposure, white balance and colour matrix, no colour differs visibly.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from twins import KINDS, drawn_values, no_patches, patch_delta_e
+from simulated_fits import KINDS, draw_values, no_patches, patch_delta_e
 
 from pepperscene.camera import Camera, load_sensor, reference_correction
 from pepperscene.colour import PatchSet
@@ -25,48 +26,50 @@ from pepperscene.dataset import load_recipe
 from pepperscene.dataset.recipe.resolved import surface_wavelengths
 from pepperscene.materials import organ_surfaces
 from pepperscene.spectra import read_spectrum
-from pepperscene.tuning.fit import least_squares as fit
-from pepperscene.tuning.model.subject import TuningTarget
+from pepperscene.tuning.fit import least_squares
+from pepperscene.tuning.model.target import TuningTarget
 from pepperscene.tuning.model.views import with_surfaces
-from pepperscene.tuning.twin import photographed, simulate_patches
+from pepperscene.tuning.simulated import photograph, simulate_patches
 
 PIGMENTS = ("leaf.chlorophyll", "fruit.chlorophyll", "fruit.carotenoid", "stem.chlorophyll")
 LIGHT_AND_CAMERA = ("flash.colour", "exposure", "white_balance", "colour_matrix")
 EVALUATIONS = 7
-"""Of each fit here: colours are met by then, the rest is polish."""
+"""Of each fit: colours are matched by then."""
+CAUSES = "The unexplained residuals point to "
 
 
 @dataclass(frozen=True)
 class Case:
-    """How much is looked at."""
+    """Kinds of organs, and how many of each."""
 
     kinds: tuple[str, ...]
     organs: int
 
-    def subject(self, recipe, patches=None) -> TuningTarget:
+    def target(self, recipe, patches=None) -> TuningTarget:
         return TuningTarget(
             recipe, patches or no_patches(self.kinds), registered=True, organs=self.organs, pixels=40
         )
 
     def hidden(self, recipe) -> dict[str, np.ndarray]:
-        return drawn_values(self.subject(recipe).parameters(PIGMENTS), np.random.default_rng(5))
+        return draw_values(self.target(recipe).parameters(PIGMENTS), np.random.default_rng(5))
 
 
 SMALL = Case(("leaf", "pepper.unripe", "pepper.ripe", "stem"), 1)
-WHOLE = Case(KINDS, 2)
+LARGE = Case(KINDS, 2)
 
 
-def other(camera: Camera) -> Camera:
-    """Its own lens and place, before another sensor and beside another lamp."""
+def other_camera(camera: Camera) -> Camera:
+    """The same lens and pose with another sensor and another lamp."""
     response = load_sensor("nikon_d5100").quantum_efficiency
     sensor = replace(camera.sensor, name="another sensor", quantum_efficiency=response)
-    known = reference_correction(replace(camera, sensor=sensor))
+    correction = reference_correction(replace(camera, sensor=sensor))
     lamp = read_spectrum("light/cie_illuminants_colour_science", "led_b3")
+    gains = tuple(correction.gains)
     return replace(
         camera,
         sensor=sensor,
         flash=replace(camera.flash, spectrum=lamp),
-        developing=replace(camera.developing, white_balance=tuple(known.gains), colour_matrix=known.matrix),
+        developing=replace(camera.developing, white_balance=gains, colour_matrix=correction.matrix),
     )
 
 
@@ -75,91 +78,90 @@ def recipe():
     return load_recipe("barth2018")
 
 
-@pytest.fixture(scope="module", params=[SMALL, pytest.param(WHOLE, marks=pytest.mark.long)])
+@pytest.fixture(scope="module", params=[SMALL, pytest.param(LARGE, marks=pytest.mark.long)])
 def case(request) -> Case:
     return request.param
 
 
 @pytest.fixture(scope="module")
-def subject(recipe, case) -> TuningTarget:
-    """The recipe before patches by the other camera."""
-    plain = case.subject(recipe)
-    plants = plain.cultivar
-    pigments = {**plants.pigments, **plain.tuned(case.hidden(recipe)).pigments}
-    plants = plants.model_copy(update={"pigments": pigments})
-    surfaces = organ_surfaces(plants, surface_wavelengths(other(plain.camera).sensor))
+def target(recipe, case) -> TuningTarget:
+    """The recipe and patches by the other camera."""
+    plain = case.target(recipe)
+    pigments = {**plain.cultivar.pigments, **plain.tuned_parts(case.hidden(recipe)).pigments}
+    plants = plain.cultivar.model_copy(update={"pigments": pigments})
+    surfaces = organ_surfaces(plants, surface_wavelengths(other_camera(plain.camera).sensor))
     patches = [
-        photographed(with_surfaces(view, surfaces), other(view.camera), (7, place))
-        for place, view in enumerate(plain.views)
+        photograph(with_surfaces(view, surfaces), other_camera(view.camera), (7, i))
+        for i, view in enumerate(plain.views)
     ]
-    return case.subject(recipe, PatchSet("another camera", tuple(patches)))
+    return case.target(recipe, PatchSet("another camera", tuple(patches)))
 
 
-def fit_of(subject, names):
-    """A problem and its fit, after a few evaluations."""
-    problem = subject.problem(names)
+def fit_of(target, names):
+    """A problem and its fit after a few evaluations."""
+    problem = target.problem(names)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fit, "_EVALUATIONS", EVALUATIONS)
-        return problem, fit.fit_parameters(subject, problem, starts=1)
+        patch.setattr(least_squares, "_EVALUATIONS", EVALUATIONS)
+        return problem, least_squares.fit_parameters(target, problem, starts=1)
 
 
 @pytest.fixture(scope="module")
-def by_pigments(subject):
-    return fit_of(subject, PIGMENTS)
+def by_pigments(target):
+    return fit_of(target, PIGMENTS)
 
 
 @pytest.fixture(scope="module")
-def by_everything(subject):
-    return fit_of(subject, (*PIGMENTS, *LIGHT_AND_CAMERA))
+def by_everything(target):
+    return fit_of(target, (*PIGMENTS, *LIGHT_AND_CAMERA))
 
 
-def test_pigments_alone_leave_much(by_pigments):
-    problem, found = by_pigments
-    assert found.chi_squared > 100.0 * found.data
-    assert max(patch_delta_e(problem, found).values()) > 2.0
-    assert found.verdict[0].startswith("The model misses the patches by ")
-    assert any(one.startswith("Mean colours still lie off: ") for one in found.verdict)
+def test_pigments_alone_do_not_explain_the_patches(by_pigments):
+    problem, fit = by_pigments
+    assert fit.chi_squared > 100.0 * fit.data_count
+    assert max(patch_delta_e(problem, fit).values()) > 2.0
+    assert fit.diagnostics[0].startswith("The model does not fit the patches: ")
+    assert any(one.startswith("Mean colours still differ visibly: ") for one in fit.diagnostics)
 
 
-def test_light_or_camera_is_what_is_said_to_be_missed(by_pigments, case):
-    """Before further pigments, though dozens of those could take away as much."""
-    _, found = by_pigments
-    first, second, third, *_ = found.leftover
+def test_light_and_camera_are_named_as_causes(by_pigments, case):
+    """Before other pigments, although dozens of those could explain as much."""
+    _, fit = by_pigments
+    first, second, third, *_ = fit.omitted
     assert {first, second} == {"light", "camera"}
-    assert min(found.leftover[first], found.leftover[second]) > 0.5
+    assert min(fit.omitted[first], fit.omitted[second]) > 0.5
     assert third == "pigments"
-    assert found.leftover["pigments"] > 0.5
-    (said,) = (one for one in found.verdict if one.startswith("Most likely the fit lacks"))
-    assert said.index("the camera") < said.index("take away")
-    assert said.index("the light") < said.index("take away")
-    # With organs enough to tell, it is not pigments.
-    if case is WHOLE:
-        assert "pigments" not in said
-        assert any(one.startswith("Far less likely") and "the pigments" in one for one in found.verdict)
+    assert fit.omitted["pigments"] > 0.5
+    (sentence,) = (one for one in fit.diagnostics if one.startswith(CAUSES))
+    assert "camera" in sentence
+    assert "light" in sentence
+    # With enough organs, pigments are excluded.
+    if case is LARGE:
+        assert "pigments" not in sentence
+        assert any(one.startswith("Other groups") and "pigments" in one for one in fit.diagnostics)
 
 
-def test_light_and_camera_take_away_what_is_seen(by_everything, by_pigments):
-    """All colours are met to less than can be seen; what narrow lines do to spectra is more than noise."""
-    problem, found = by_everything
-    told = patch_delta_e(problem, found)
-    assert max(told.values()) < 1.0, told
-    assert max(kind.delta_e_after for kind in found.kinds.values()) < 1.0
-    assert found.chi_squared < 0.02 * by_pigments[1].chi_squared
-    assert not any(one.startswith("Mean colours still lie off") for one in found.verdict)
+def test_light_and_camera_explain_what_is_visible(by_everything, by_pigments):
+    """All colours agree; the narrow lines of the lamp leave more than noise in the pixels."""
+    problem, fit = by_everything
+    delta_e = patch_delta_e(problem, fit)
+    assert max(delta_e.values()) < 1.0, delta_e
+    assert max(kind.delta_e_after for kind in fit.kinds.values()) < 1.0
+    assert fit.chi_squared < 0.02 * by_pigments[1].chi_squared
+    assert not any(one.startswith("Mean colours still differ visibly") for one in fit.diagnostics)
 
 
-def test_pigments_are_nearer_to_the_truth_then(recipe, case, by_pigments, by_everything):
+def test_pigments_are_closer_to_the_truth_with_light_and_camera(recipe, case, by_pigments, by_everything):
     hidden = case.hidden(recipe)
-    off = [
-        np.sqrt(np.mean([(found.values[name][0] / hidden[name][0] - 1.0) ** 2 for name in PIGMENTS]))
-        for _, found in (by_pigments, by_everything)
+    errors = [
+        np.sqrt(np.mean([(fit.values[name][0] / hidden[name][0] - 1.0) ** 2 for name in PIGMENTS]))
+        for _, fit in (by_pigments, by_everything)
     ]
-    assert off[1] < 0.5 * off[0], off
+    assert errors[1] < 0.5 * errors[0], errors
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("hidden", "named"),
+    ("hidden", "groups"),
     [
         ({"flash.colour": [-0.4, 0.05]}, ("light", "camera")),
         ({"white_balance": [1.2, 0.9]}, ("light", "camera")),
@@ -169,15 +171,14 @@ def test_pigments_are_nearer_to_the_truth_then(recipe, case, by_pigments, by_eve
         ({"fruit.ior": [1.52], "leaf.roughness": [0.3]}, ("cuticle",)),
     ],
 )
-def test_the_one_thing_that_is_missed_is_named(recipe, hidden, named):
-    """By the recipe's own camera, with one thing hidden that is not fitted.
+def test_names_the_one_group_that_is_missing(recipe, hidden, groups):
+    """With the recipe's camera, and one hidden group that is not fitted.
 
-    White balance and the colour of the light are nearly the same thing, and so are its power and the gain.
+    White balance and the colour of the light are nearly equivalent, and so are its power and the gain.
     """
-    patches = simulate_patches(recipe, hidden, WHOLE.kinds, organs=WHOLE.organs, pixels=40, noise=3)
-    _, found = fit_of(WHOLE.subject(recipe, patches), ("leaf.chlorophyll", "fruit.chlorophyll"))
-    assert next(iter(found.leftover)) in named, found.diagnostics
-    (said,) = (one for one in found.diagnostics if one.startswith("Most likely the fit lacks"))
-    causes = said[: said.index("take away")]
-    groups = {group for group in found.leftover if f"the {group}" in causes}
-    assert groups <= set(named), said
+    patches = simulate_patches(recipe, hidden, LARGE.kinds, organs=LARGE.organs, pixels=40, noise=3)
+    _, fit = fit_of(LARGE.target(recipe, patches), ("leaf.chlorophyll", "fruit.chlorophyll"))
+    assert next(iter(fit.omitted)) in groups, fit.diagnostics
+    (sentence,) = (one for one in fit.diagnostics if one.startswith(CAUSES))
+    causes = sentence.removeprefix(CAUSES).split(", or ")
+    assert {re.split(r"[ ,]", cause)[0] for cause in causes} <= set(groups), sentence

@@ -1,10 +1,9 @@
 """Residuals of a fit and their derivatives.
 
-The derivatives go through all of a fit: from a parameter through the path to pigments at its knots, through
-light to electrons, noise and saturation to linear sRGB, and on to mean, spread and hue. They are held against
-central differences of the residuals themselves, with steps of their own and the same random numbers, so that
-the residuals are smooth. The same comparison has to notice when a derivative is wrong: what follows it are
-mutations, each of which makes it fail.
+The derivatives pass through the whole fit: from a parameter through the path to pigments at its knots,
+through light to electrons, noise and saturation to linear sRGB, and to mean, spread and hue. They are
+compared with central differences of the residuals, with other steps and the same random numbers, so that
+the residuals are smooth. The comparison has to detect mutations, each of which makes it fail.
 """
 
 from __future__ import annotations
@@ -13,63 +12,68 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from twins import no_patches
+from simulated_fits import FEW_SAMPLES, no_patches
 
 from pepperscene.dataset import load_recipe
-from pepperscene.render.quality import Quality
-from pepperscene.tuning.model import observables
-from pepperscene.tuning.model import view_model as model
-from pepperscene.tuning.model.observables import NUMBERS, PatchObservables
+from pepperscene.tuning.model import observables, view_model
+from pepperscene.tuning.model.observables import OBSERVABLE_COUNT, SensorModel
 from pepperscene.tuning.model.problem import FitProblem, NeighbourEffect
-from pepperscene.tuning.model.subject import TuningTarget
-from pepperscene.tuning.model.view_model import Entry, ParameterStep
+from pepperscene.tuning.model.target import TuningTarget
+from pepperscene.tuning.model.view_model import Entry, ParameterStep, ViewModel
 
 NAMES = (
     "leaf.chlorophyll", "leaf.unripe.carotenoid", "leaf.anthocyanin", "leaf.structure", "leaf.state",
     "leaf.roughness", "leaf.ior", "fruit.unripe.brown", "fruit.ripeness", "fruit.spread", "fruit.flesh",
     "flash.power", "flash.colour", "flash.spectrum", "exposure", "white_balance", "colour_matrix",
 )  # fmt: skip
-"""Of every kind of parameter one."""
+"""One of every kind of parameter."""
 
 TOLERANCE = 0.01
-"""Relative, of a column: differences in single precision, and pixels that a step brings across a limit."""
+"""Relative, of a column: differences in single precision, and pixels that become clipped within a step."""
 STEPS = (0.004, 0.1)
-"""Of the bounds' sd. Rounding asks for a large one and limits for a small one, so the nearer one counts."""
+"""In prior sd. Rounding requires a large step and clipping a small one, so the better one counts."""
 
-AROUND = {"leaf": NeighbourEffect(np.array([0.9, 0.8, 0.7]), np.zeros(NUMBERS))}
-"""Leaves stand in a green shade, which derivatives have to go through as well."""
+NEIGHBOURS = {"leaf": NeighbourEffect(np.array([0.9, 0.8, 0.7]), np.zeros(OBSERVABLE_COUNT))}
+"""Leaves are in green shade, which the derivatives have to include."""
 
 
 @pytest.fixture(scope="module")
-def subject() -> TuningTarget:
-    few = Quality(4, 4, 4, 1, target=None, denoise=False)
+def target() -> TuningTarget:
     kinds = ["leaf", "pepper.unripe"]
-    return TuningTarget(load_recipe("barth2018"), no_patches(kinds), organs=1, pixels=16, effort=few)
+    return TuningTarget(load_recipe("barth2018"), no_patches(kinds), organs=1, pixels=16, quality=FEW_SAMPLES)
 
 
 @pytest.fixture(scope="module")
-def problem(subject) -> FitProblem:
-    return subject.problem(NAMES, AROUND)
+def problem(target) -> FitProblem:
+    return target.problem(NAMES, NEIGHBOURS)
 
 
 @pytest.fixture(scope="module")
-def place(problem) -> np.ndarray:
-    """Not the recipe's own values, and so far from the ends of the bounds that steps stay within."""
+def vector(problem) -> np.ndarray:
+    """Differs from the recipe's values, and is so far from the bounds that steps stay within."""
     rng = np.random.default_rng(4)
-    off = problem.default + 0.1 * problem.sd * rng.standard_normal(problem.sd.size)
-    room = 0.2 * problem.sd
-    return np.clip(off, problem.low + room, problem.high - room)
+    changed = problem.default + 0.1 * problem.sd * rng.standard_normal(problem.sd.size)
+    margin = 0.2 * problem.sd
+    return np.clip(changed, problem.low + margin, problem.high - margin)
 
 
-def slopes_by_differences(problem: FitProblem, place: np.ndarray, step: float) -> np.ndarray:
-    """`(m, p)` central differences, and for a large step Richardson's from two of them."""
+@pytest.fixture(scope="module")
+def jacobian(problem, vector) -> np.ndarray:
+    return problem.jacobian(vector)
+
+
+def central_differences(problem: FitProblem, vector: np.ndarray, step: float) -> np.ndarray:
+    """`(m, p)` central differences; for a large step Richardson's extrapolation of two of them."""
     columns = []
     for entry, sd in enumerate(problem.sd):
-        along = np.zeros(place.size)
-        along[entry] = sd
+        direction = np.zeros(vector.size)
+        direction[entry] = sd
 
-        def slope(h, along=along, sd=sd):
-            above, below = problem.residuals(place + h * along), problem.residuals(place - h * along)
+        def slope(h, direction=direction, sd=sd):
+            above, below = (
+                problem.residuals(vector + h * direction),
+                problem.residuals(vector - h * direction),
+            )
             return (above - below) / (2.0 * h * sd)
 
         columns.append((4.0 * slope(step / 2.0) - slope(step)) / 3.0 if step > 0.01 else slope(step))
@@ -77,203 +81,183 @@ def slopes_by_differences(problem: FitProblem, place: np.ndarray, step: float) -
 
 
 @pytest.fixture(scope="module")
-def differences(problem, place) -> list[np.ndarray]:
-    return [slopes_by_differences(problem, place, step) for step in STEPS]
+def differences(problem, vector) -> list[np.ndarray]:
+    return [central_differences(problem, vector, step) for step in STEPS]
 
 
 def disagreement(
     jacobian: np.ndarray, differences: list[np.ndarray], problem: FitProblem
 ) -> dict[str, float]:
-    """By entry, how far its column lies from that by differences, relative to it; without the bounds' rows,
-    which would hide it. A wrong column is far from both steps'.
+    """Relative difference of each entry's column from the better of its finite differences.
+
+    Without the rows of the priors, which would hide it. A wrong column is far from both.
     """
-    found = []
-    for by_differences in differences:
-        off, size = (jacobian - by_differences)[: problem.data], by_differences[: problem.data]
-        found.append(np.linalg.norm(off, axis=0) / np.linalg.norm(size, axis=0))
-    return dict(zip([one.label for one in problem.entries], np.min(found, axis=0), strict=True))
+    errors = []
+    for expected in differences:
+        error = (jacobian - expected)[: problem.data_count]
+        errors.append(np.linalg.norm(error, axis=0) / np.linalg.norm(expected[: problem.data_count], axis=0))
+    return dict(zip([one.label for one in problem.entries], np.min(errors, axis=0), strict=True))
 
 
 def worst(jacobian, differences, problem) -> float:
     return max(disagreement(jacobian, differences, problem).values())
 
 
-# --- derivatives ------------------------------------------------------------------------------------------
+# --- derivatives --------------------------------------------------------------------------------------------
 
 
-def test_derivatives_are_those_of_the_residuals(problem, place, differences):
-    told = disagreement(problem.jacobian(place), differences, problem)
-    assert max(told.values()) < TOLERANCE, told
+def test_derivatives_match_finite_differences(problem, jacobian, differences):
+    errors = disagreement(jacobian, differences, problem)
+    assert max(errors.values()) < TOLERANCE, errors
 
 
-def test_limits_of_the_sensor_and_of_colour_are_among_what_is_tested(problem, place):
-    """Some pixels are cut, and some are not."""
-    made, cuts = problem.tuned(problem.values(place)), []
-    for cell in problem.cells:
-        (eye,) = cell.eyes
-        photograph = eye._photograph
-        electrons = cell.around.shade * eye.electrons(made)
-        _, slope, free = photograph.linear_and_slope(electrons, made.exposure, made.gains, made.matrix)
-        cuts.append([np.mean(slope == 0.0), np.mean(free == 0.0)])
-    assert 0.0 < np.max(cuts, axis=0)[0] < 0.5
-    assert 0.0 < np.max(cuts, axis=0)[1] < 0.5
+def test_some_pixels_are_saturated_or_clipped(problem, vector):
+    """The limits of the sensor and of colours are among what is compared."""
+    parts, fractions = problem.tuned_parts(problem.values(vector)), []
+    for observation in problem.observations:
+        (model,) = observation.view_models
+        electrons = observation.neighbours.shade * model.electrons(parts)
+        _, slope, unclipped = model._sensor.linear_and_slopes(
+            electrons, parts.exposure, parts.gains, parts.matrix
+        )
+        fractions.append([np.mean(slope == 0.0), np.mean(unclipped == 0.0)])
+    saturated, clipped = np.max(fractions, axis=0)
+    assert 0.0 < saturated < 0.5
+    assert 0.0 < clipped < 0.5
 
 
-def test_the_bounds_are_rows_of_their_own(problem, place):
-    rows = problem.jacobian(place)[problem.data :]
-    assert rows == pytest.approx(np.diag(1.0 / problem.sd))
-    assert problem.residuals(problem.mean)[problem.data :] == pytest.approx(0.0)
-    assert problem.residuals(problem.mean + problem.sd)[problem.data :] == pytest.approx(1.0)
+def test_priors_are_rows_of_the_problem(problem, jacobian):
+    assert jacobian[problem.data_count :] == pytest.approx(np.diag(1.0 / problem.sd))
+    assert problem.residuals(problem.mean)[problem.data_count :] == pytest.approx(0.0)
+    assert problem.residuals(problem.mean + problem.sd)[problem.data_count :] == pytest.approx(1.0)
 
 
-def test_at_an_end_of_the_bounds_a_derivative_is_taken_inwards(subject):
-    """No leaf has less than no anthocyanin: what lies beyond is cut, and would halve the slope."""
-    problem = subject.problem(["leaf.anthocyanin"])
+def test_derivative_at_a_bound_is_one_sided(target):
+    """No leaf has less than no anthocyanin: clipping beyond the bound would halve the slope."""
+    problem = target.problem(["leaf.anthocyanin"])
     assert problem.default[0] == problem.low[0] == 0.0
     step = 0.05 * problem.sd
-    here, once, twice = (problem.residuals(k * step)[: problem.data] for k in range(3))
+    here, once, twice = (problem.residuals(k * step)[: problem.data_count] for k in range(3))
     slope = (4.0 * once - 3.0 * here - twice) / (2.0 * step)
     for start in (problem.default, problem.inside(problem.default)):
-        found = problem.jacobian(start)[: problem.data, 0]
-        assert np.linalg.norm(found - slope) < 0.02 * np.linalg.norm(slope)
+        column = problem.jacobian(start)[: problem.data_count, 0]
+        assert np.linalg.norm(column - slope) < 0.02 * np.linalg.norm(slope)
 
 
-def test_an_entry_without_room_is_refused(subject):
-    (only,) = subject.parameters(["exposure"])
-    stuck = replace(only, prior=(only.prior[0].model_copy(update={"low": 1.0, "high": 1.0}),))
-    with pytest.raises(ValueError, match="cannot move"):
-        ParameterStep.along(Entry(stuck, 0), {}, subject.tuned)
+def test_raises_on_an_entry_that_cannot_change(target):
+    (exposure,) = target.parameters(["exposure"])
+    fixed = replace(exposure, prior=(exposure.prior[0].model_copy(update={"low": 1.0, "high": 1.0}),))
+    with pytest.raises(ValueError, match="cannot change"):
+        ParameterStep.along(Entry(fixed, 0), {}, target.tuned_parts)
 
 
-# --- mutations --------------------------------------------------------------------------------------------
+# --- mutations ----------------------------------------------------------------------------------------------
 
 
-def test_one_column_with_a_wrong_sign_is_noticed(problem, place, differences):
-    right = problem.jacobian(place)
-    for entry in range(len(problem.entries)):
-        wrong = right.copy()
-        wrong[:, entry] *= -1.0
-        assert worst(wrong, differences, problem) > 1.0, problem.entries[entry].label
+@pytest.mark.parametrize(("factor", "least"), [(-1.0, 1.0), (1.1, 5.0 * TOLERANCE), (0.9, 5.0 * TOLERANCE)])
+def test_detects_a_column_of_wrong_sign_or_scale(problem, jacobian, differences, factor, least):
+    for i, entry in enumerate(problem.entries):
+        wrong = jacobian.copy()
+        wrong[:, i] *= factor
+        assert worst(wrong, differences, problem) > least, entry.label
 
 
-def test_one_column_of_a_wrong_scale_is_noticed(problem, place, differences):
-    right = problem.jacobian(place)
-    for entry in range(len(problem.entries)):
-        for factor in (1.1, 0.9):
-            wrong = right.copy()
-            wrong[:, entry] *= factor
-            assert worst(wrong, differences, problem) > 5.0 * TOLERANCE, problem.entries[entry].label
+def replace_attribute(owner, name, wrap):
+    """A mutation that replaces a function by `wrap(function)`."""
+    return lambda patch: patch.setattr(owner, name, wrap(getattr(owner, name)))
 
 
-def _dropped(group):
-    """Derivatives of a group that acts behind the light are looked for in the light, and not found."""
-    return lambda monkeypatch: monkeypatch.setattr(model, "IN_THE_SCENE", (*model.IN_THE_SCENE, group))
+def of_light(group):
+    """Derivatives of a group that acts after the light are looked for in the light, and not found."""
+    return lambda patch: patch.setattr(view_model, "LIGHT_GROUPS", (*view_model.LIGHT_GROUPS, group))
 
 
-def _turned_round(monkeypatch):
-    """The direction in which the renderer's tables change, the wrong way."""
-    right = model._direction
-    monkeypatch.setattr(model, "_direction", lambda above, below, step: right(below, above, step))
+def sensor_slopes(change):
+    """Other slopes of the sensor model for the same image."""
+    return replace_attribute(
+        SensorModel, "linear_and_slopes", lambda right: lambda *given: change(*right(*given))
+    )
 
 
-def _photograph(change):
-    """Other slopes of the photograph, the same picture."""
-
-    def mutate(monkeypatch):
-        right = PatchObservables.linear_and_slope
-        monkeypatch.setattr(PatchObservables, "linear_and_slope", lambda *given: change(*right(*given)))
-
-    return mutate
+def negative_hues(right):
+    return lambda linear: (right(linear)[0], -right(linear)[1])
 
 
-def _transposed(monkeypatch):
-    """CIELAB by colours, rows for columns."""
-    right = observables.lab_slopes
-    monkeypatch.setattr(observables, "lab_slopes", lambda linear: np.swapaxes(right(linear), -1, -2))
-
-
-def _hues_backwards(monkeypatch):
-    right = observables.hues
-
-    def wrong(linear):
-        direction, turned = right(linear)
-        return direction, -turned
-
-    monkeypatch.setattr(observables, "hues", wrong)
-
-
-def _without_shade(monkeypatch):
-    """What neighbours let through is left out of the derivatives alone."""
-    right = model.ViewModel.linear_and_slopes
-
-    def wrong(self, made, moves, shade):
-        return right(self, made, moves, shade)[0], right(self, made, moves, np.ones(3))[1]
-
-    monkeypatch.setattr(model.ViewModel, "linear_and_slopes", wrong)
+def without_shade(right):
+    """Derivatives, but not values, ignore the light that neighbours absorb."""
+    return lambda self, parts, steps, shade: (
+        right(self, parts, steps, shade)[0], right(self, parts, steps, np.ones(3))[1],
+    )  # fmt: skip
 
 
 MUTATIONS = {
-    "exposure dropped": _dropped("exposure"),
-    "white balance and matrix dropped": _dropped("camera"),
-    "light the wrong way": _turned_round,
-    "photograph's slope is 1": _photograph(lambda found, slope, free: (found, np.ones_like(slope), free)),
-    "saturated pixels change": _photograph(
-        lambda found, slope, free: (found, np.where(slope == 0.0, slope.max(), slope), free)
+    "exposure dropped": of_light("exposure"),
+    "white balance and matrix dropped": of_light("camera"),
+    "direction of light reversed": replace_attribute(
+        view_model, "_direction", lambda right: lambda above, below, width: right(below, above, width)
     ),
-    "cut colours change": _photograph(lambda found, slope, free: (found, slope, np.ones_like(free))),
-    "CIELAB transposed": _transposed,
-    "hues backwards": _hues_backwards,
-    "shade left out": _without_shade,
+    "slope of the sensor is 1": sensor_slopes(
+        lambda linear, slope, unclipped: (linear, np.ones_like(slope), unclipped)
+    ),
+    "saturated pixels change": sensor_slopes(
+        lambda linear, slope, unclipped: (linear, np.where(slope == 0.0, slope.max(), slope), unclipped)
+    ),
+    "clipped colours change": sensor_slopes(
+        lambda linear, slope, unclipped: (linear, slope, np.ones_like(unclipped))
+    ),
+    "CIELAB transposed": replace_attribute(
+        observables, "lab_derivatives", lambda right: lambda linear: np.swapaxes(right(linear), -1, -2)
+    ),
+    "hues negative": replace_attribute(observables, "hue_vectors", negative_hues),
+    "shade left out": replace_attribute(ViewModel, "linear_and_derivatives", without_shade),
 }
 
 
 @pytest.mark.parametrize("mutation", MUTATIONS)
-def test_mutations_are_noticed(problem, place, differences, monkeypatch, mutation):
+def test_detects_mutations(problem, vector, differences, monkeypatch, mutation):
     MUTATIONS[mutation](monkeypatch)
-    assert worst(problem.jacobian(place), differences, problem) > 2.0 * TOLERANCE
+    assert worst(problem.jacobian(vector), differences, problem) > 2.0 * TOLERANCE
 
 
-# --- the vector -------------------------------------------------------------------------------------------
+# --- values -------------------------------------------------------------------------------------------------
 
 
-def test_a_vector_is_the_values_in_order(problem):
+def test_vector_has_the_values_in_order(problem):
     values = problem.values(problem.default)
     assert tuple(values) == NAMES
     assert np.concatenate(list(values.values())) == pytest.approx(problem.default)
     assert [one.label for one in problem.entries][11:13] == ["flash.power", "flash.colour (warmth)"]
 
 
-def test_what_lies_on_an_end_is_moved_off_it(problem):
+def test_inside_moves_values_off_the_bounds(problem):
     for end in (problem.low, problem.high, problem.low - 1.0):
         inside = problem.inside(end)
         assert ((inside > problem.low) & (inside < problem.high)).all()
     assert problem.inside(problem.mean) == pytest.approx(problem.mean)
 
 
-def test_patches_of_the_model_itself_leave_nothing(subject, problem):
-    """At the values that made them, and only there."""
+def test_residuals_are_zero_for_predicted_targets_only(problem):
     values = problem.values(problem.default)
-    made = problem.tuned(values)
-    cells = [replace(cell, target=cell.predicted(made)) for cell in problem.cells]
-    own = FitProblem(problem.parameters, problem.tuned, cells)
-    assert np.abs(own.data_residuals(values)).max() < 1e-6
-    darker = own.data_residuals({**values, "exposure": np.array([0.9])})
-    assert np.abs(darker).max() > 0.5
+    parts = problem.tuned_parts(values)
+    exact = [replace(one, target=one.predicted(parts)) for one in problem.observations]
+    same = FitProblem(problem.parameters, problem.tuned_parts, exact)
+    assert np.abs(same.data_residuals(values)).max() < 1e-6
+    assert np.abs(same.data_residuals({**values, "exposure": np.array([0.9])})).max() > 0.5
 
 
 def test_residuals_are_in_units_of_sigma(problem):
     values = problem.values(problem.default)
-    half = [replace(cell, sigma=2.0 * cell.sigma) for cell in problem.cells]
-    wider = FitProblem(problem.parameters, problem.tuned, half)
+    uncertain = [replace(one, sigma=2.0 * one.sigma) for one in problem.observations]
+    wider = FitProblem(problem.parameters, problem.tuned_parts, uncertain)
     assert wider.data_residuals(values) == pytest.approx(0.5 * problem.data_residuals(values))
 
 
-def test_offsets_are_added_and_shade_dims(subject, problem):
-    made = subject.tuned({})
-    bare = {cell.label: cell for cell in subject.problem(["exposure"]).cells}
-    shaded = {cell.label: cell for cell in problem.cells}
-    assert shaded["leaf"].predicted(made)[0] < bare["leaf"].predicted(made)[0]
-    assert shaded["pepper.unripe"].predicted(made) == pytest.approx(bare["pepper.unripe"].predicted(made))
-    more = np.arange(NUMBERS, dtype=float)
-    brought = replace(bare["leaf"], around=NeighbourEffect(np.ones(3), more))
-    assert brought.predicted(made) - bare["leaf"].predicted(made) == pytest.approx(more)
+def test_neighbours_shade_views_and_add_an_offset(target, problem):
+    parts = target.tuned_parts({})
+    bare = {one.label: one for one in target.problem(["exposure"]).observations}
+    shaded = {one.label: one for one in problem.observations}
+    assert shaded["leaf"].predicted(parts)[0] < bare["leaf"].predicted(parts)[0]
+    assert shaded["pepper.unripe"].predicted(parts) == pytest.approx(bare["pepper.unripe"].predicted(parts))
+    offset = np.arange(OBSERVABLE_COUNT, dtype=float)
+    moved = replace(bare["leaf"], neighbours=NeighbourEffect(np.ones(3), offset))
+    assert moved.predicted(parts) - bare["leaf"].predicted(parts) == pytest.approx(offset)

@@ -1,4 +1,4 @@
-"""Views: single organs, large in the picture, in the light and at the f-number of the recipe's own camera."""
+"""Views: enlarged images of single organs in the light and at the f-number of the recipe's camera."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from twins import KINDS, no_patches
+from simulated_fits import KINDS, no_patches
 
 from pepperscene.camera import Distortion
 from pepperscene.classes import OrganClass
@@ -16,106 +16,109 @@ from pepperscene.errors import InputError
 from pepperscene.materials import organ_surfaces
 from pepperscene.render import Renderer
 from pepperscene.render.quality import Quality
-from pepperscene.tuning.model.subject import TuningTarget
-from pepperscene.tuning.model.views import PLACES, organ_views, with_surfaces
+from pepperscene.tuning.model.target import TuningTarget
+from pepperscene.tuning.model.views import POSITIONS, organ_views, with_surfaces
 
 PIXELS = 24
 
 
 @pytest.fixture(scope="module")
-def subject() -> TuningTarget:
+def target() -> TuningTarget:
     return TuningTarget(load_recipe("barth2018"), no_patches(), registered=True, pixels=PIXELS)
 
 
-def views_of(subject, kinds, **how):
-    how = {"organs": 1, "pixels": PIXELS, "sky": subject.stage.sky(0), **how}
-    return organ_views(subject.recipe, subject.cultivar, subject.camera, kinds, **how)
+def views_of(target, kinds, **changes):
+    options = {"organs": 1, "pixels": PIXELS, "sky": target.frame_renderer.sky(0), **changes}
+    return organ_views(target.recipe, target.cultivar, target.camera, kinds, **options)
 
 
-# --- which organs -----------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def leaf(target):
+    (view,) = views_of(target, ["leaf"])
+    return view
 
 
-def test_every_kind_has_its_organs(subject):
-    names = [view.name for view in subject.views]
+def same_view(one, other) -> bool:
+    vertices, others = one.scene.mesh.vertices, other.scene.mesh.vertices
+    return (
+        np.array_equal(vertices, others)
+        and np.array_equal(one.camera.pose, other.camera.pose)
+        and np.array_equal(one.mask, other.mask)
+    )
+
+
+def test_every_kind_has_organs_of_its_class(target):
+    names = [view.name for view in target.views]
     assert len(set(names)) == len(names)
-    assert {view.kind for view in subject.views} == set(KINDS)
-    for view in subject.views:
+    assert {view.kind for view in target.views} == set(KINDS)
+    for view in target.views:
         (organ,) = view.scene.mesh.instances
         assert organ.organ_class == OrganClass[view.kind.partition(".")[0].upper()]
         assert view.name.startswith(view.kind)
 
 
-def test_stages_of_fruit_are_told_by_their_ripeness(subject):
-    state = {view.name: view.scene.mesh.state.mean() for view in subject.views}
+def test_stages_of_fruit_differ_in_ripeness(target):
+    state = {view.name: view.scene.mesh.state.mean() for view in target.views}
     assert all(state[name] < 0.5 for name in state if name.startswith("pepper.unripe"))
     assert all(state[name] >= 0.5 for name in state if name.startswith("pepper.ripe"))
 
 
-def test_organs_of_one_surface_go_from_the_lowest_state_to_the_highest(subject):
+def test_organs_of_a_surface_have_ascending_states(target):
     for kind in KINDS:
         by_surface = {}
-        for view in subject.views:
+        for view in target.views:
             if view.kind == kind:
                 mesh = view.scene.mesh
                 by_surface.setdefault(mesh.surfaces, []).append(mesh.state[mesh.faces].mean())
         assert all(states == sorted(states) for states in by_surface.values())
 
 
-def test_a_kind_of_two_surfaces_shows_both(subject):
-    """The calyx of a fruit counts as its stalk, and shows more: without turns no stalk would be seen."""
-    shown = [view.scene.mesh.surfaces for view in subject.views if view.kind == "peduncle"]
-    assert set(shown) == {("peduncle",), ("calyx",)}
+def test_kind_with_two_surfaces_shows_both(target):
+    """The calyx of a fruit is of the same kind as its stalk, and its area is larger."""
+    surfaces = [view.scene.mesh.surfaces for view in target.views if view.kind == "peduncle"]
+    assert set(surfaces) == {("peduncle",), ("calyx",)}
 
 
-def test_views_are_the_same_each_time_and_others_with_another_seed(subject):
-    (one,), (same,), (other,) = (views_of(subject, ["leaf"], seed=seed) for seed in (0, 0, 5))
-    assert np.array_equal(one.scene.mesh.vertices, same.scene.mesh.vertices)
-    assert np.array_equal(one.camera.pose, same.camera.pose)
-    assert np.array_equal(one.mask, same.mask)
-    different = one.scene.mesh.vertices.shape != other.scene.mesh.vertices.shape
-    assert different or not np.array_equal(one.scene.mesh.vertices, other.scene.mesh.vertices)
+def test_views_depend_on_the_seed_only(target, leaf):
+    (same,), (other,) = (views_of(target, ["leaf"], seed=seed) for seed in (0, 5))
+    assert same_view(leaf, same)
+    assert not np.array_equal(leaf.scene.mesh.vertices, other.scene.mesh.vertices)
 
 
-def test_the_views_of_one_kind_do_not_depend_on_the_others(subject):
-    (alone,), (first, _) = views_of(subject, ["stem"]), views_of(subject, ["stem", "shoot"])
-    assert np.array_equal(alone.scene.mesh.vertices, first.scene.mesh.vertices)
-    assert np.array_equal(alone.mask, first.mask)
+def test_views_of_a_kind_do_not_depend_on_other_kinds(target):
+    (alone,), (first, _) = views_of(target, ["stem"]), views_of(target, ["stem", "shoot"])
+    assert same_view(alone, first)
 
 
 @pytest.mark.parametrize("kind", ["wire", "background", "tomato", "pepper.rotten", "leaf.ripe"])
-def test_what_is_no_organ_is_refused_in_a_sentence(subject, kind):
-    with pytest.raises(InputError) as told:
-        views_of(subject, ["leaf", kind])
-    said = str(told.value)
-    assert kind in said
-    assert "must be one of" in said
-    assert "pepper.unripe" in said
-    assert "\n" not in said
+def test_raises_on_kinds_that_are_not_organs(target, kind):
+    with pytest.raises(InputError) as error:
+        views_of(target, ["leaf", kind])
+    message = str(error.value)
+    assert kind in message
+    assert "must be one of" in message
+    assert "pepper.unripe" in message
+    assert "\n" not in message
 
 
-def test_a_kind_that_no_plant_has_is_refused_in_a_sentence(subject):
-    """A cultivar whose fruit never ripens has no ripe ones."""
-    fruit = subject.cultivar.organs["fruit"]
-    shares = {
+def test_raises_on_a_kind_that_no_plant_has(target):
+    """The fruit of this cultivar never ripens."""
+    fruit = target.cultivar.organs["fruit"]
+    fractions = {
         name: getattr(fruit, name).model_copy(update={"mean": 0.0, "sd": 0.0, "low": 0.0, "high": 0.0})
         for name in ("ripe_fraction", "ripe_descent", "breaker_fraction")
     }
-    never = subject.cultivar.model_copy(
-        update={"organs": {**subject.cultivar.organs, "fruit": fruit.model_copy(update=shares)}}
-    )
+    organs = {**target.cultivar.organs, "fruit": fruit.model_copy(update=fractions)}
+    unripe = target.cultivar.model_copy(update={"organs": organs})
     with pytest.raises(InputError, match=r"must have organs of the kind 'pepper\.ripe'"):
-        organ_views(subject.recipe, never, subject.camera, ["pepper.ripe"], organs=1, pixels=PIXELS)
+        organ_views(target.recipe, unripe, target.camera, ["pepper.ripe"], organs=1, pixels=PIXELS)
 
 
-# --- the picture ------------------------------------------------------------------------------------------
-
-
-def test_masks_hold_the_organ_alone(subject):
-    """Not even beside them, in a pixel around, shows anything else."""
-    for view in subject.views:
-        seen = Renderer(view.scene).render(view.camera, ["class"])["class"]
-        wanted = OrganClass[view.kind.partition(".")[0].upper()]
-        padded = np.pad(seen == wanted, 1, constant_values=True)
+def test_masked_pixels_and_their_neighbours_show_the_organ(target):
+    for view in target.views:
+        classes = Renderer(view.scene).render(view.camera, ["class"])["class"]
+        organ = classes == OrganClass[view.kind.partition(".")[0].upper()]
+        padded = np.pad(organ, 1, constant_values=True)
         rows, columns = np.nonzero(view.mask)
         assert len(rows) > 0
         for down in (0, 1, 2):
@@ -123,73 +126,70 @@ def test_masks_hold_the_organ_alone(subject):
                 assert padded[rows + down, columns + right].all()
 
 
-def test_organs_stand_where_places_say(subject):
-    """At these slopes off the axis, and so far away: the middle of the view shows a point of the organ."""
-    for view in subject.views:
-        right, down, far = PLACES[int(view.name.split()[-1]) - 1]
-        wanted = 1e-3 * subject.recipe.path.distance_mm * far * np.array([right, down, 1.0])
+def test_organs_are_at_the_stated_positions(target):
+    """A point of the organ is at the position, and the middle of the view shows it."""
+    for view in target.views:
+        right, down, distance = POSITIONS[int(view.name.split()[-1]) - 1]
+        position = 1e-3 * target.recipe.path.distance_mm * distance * np.array([right, down, 1.0])
         inverse = np.linalg.inv(view.camera.pose)
         points = view.scene.mesh.vertices.astype(float) @ inverse[:3, :3].T + inverse[:3, 3]
-        assert np.linalg.norm(points - wanted, axis=1).min() < 1e-4
-        # A pixel of the middle looks there.
-        middle = view.camera.intrinsics @ wanted
+        assert np.linalg.norm(points - position, axis=1).min() < 1e-4
+        middle = view.camera.intrinsics @ position
         assert middle[:2] / middle[2] == pytest.approx([PIXELS / 2, PIXELS / 2], abs=1e-6)
 
 
-def test_pitch_and_f_number_are_the_recipes(subject):
-    for view in subject.views:
+def test_pitch_f_number_flash_and_exposure_are_the_recipes(target):
+    for view in target.views:
         forward = view.camera.pose[:3, 2]
-        assert np.degrees(np.arcsin(forward[2])) == pytest.approx(subject.recipe.path.pitch_deg)
-        assert view.camera.lens.f_number == subject.camera.lens.f_number
-        assert view.camera.flash is subject.camera.flash
-        assert view.camera.exposure_s == subject.camera.exposure_s
+        assert np.degrees(np.arcsin(forward[2])) == pytest.approx(target.recipe.path.pitch_deg)
+        assert view.camera.lens.f_number == target.camera.lens.f_number
+        assert view.camera.flash is target.camera.flash
+        assert view.camera.exposure_s == target.camera.exposure_s
 
 
 @pytest.mark.parametrize("kind", ["leaf", "stem"])
-def test_electrons_are_those_that_the_recipes_own_camera_counts(subject, kind):
+def test_electrons_are_those_of_the_recipes_lens(target, kind):
     """A longer lens of the same f-number: pixels see less each, and are as bright.
 
-    The own camera stands in the same place; its lens draws straight here, so that pixels can be told apart,
-    and of its picture the piece around the organ is enough.
+    The recipe's lens is at the same position, without distortion, so that pixels can be matched; the part of
+    its image around the organ is enough.
     """
-    (view,) = views_of(subject, [kind], pixels=48)
-    light = Quality(36, 36, 36, 1, target=None, denoise=False)
-    large = Renderer(view.scene).render(view.camera, ["electrons"], light, 1)["electrons"]
-    lens, own = view.camera.lens, subject.camera.lens
-    shorter = own.focal_length_m / lens.focal_length_m
-    off = tuple(shorter * offset for offset in lens.principal_offset_m)
+    (view,) = views_of(target, [kind], pixels=48)
+    quality = Quality(36, 36, 36, 1, target=None, denoise=False)
+    large = Renderer(view.scene).render(view.camera, ["electrons"], quality, 1)["electrons"]
+    lens, recipe_lens = view.camera.lens, target.camera.lens
+    ratio = recipe_lens.focal_length_m / lens.focal_length_m
+    offset = tuple(ratio * one for one in lens.principal_offset_m)
     camera = replace(
-        subject.camera,
-        lens=replace(own, distortion=Distortion(), principal_offset_m=off),
-        sensor=replace(subject.camera.sensor, columns=100, rows=100),
+        target.camera,
+        lens=replace(recipe_lens, distortion=Distortion(), principal_offset_m=offset),
+        sensor=replace(target.camera.sensor, columns=100, rows=100),
         pose=view.camera.pose,
         focus_m=None,
     )
-    small = Renderer(view.scene).render(camera, ["electrons"], light, 2)["electrons"]
+    small = Renderer(view.scene).render(camera, ["electrons"], quality, 2)["electrons"]
 
-    # Each pixel of the small picture, where the large one shows it.
+    # Find each pixel of the small image in the large one.
     rows, columns = np.mgrid[: camera.height, : camera.width]
     pixels = np.stack([columns + 0.5, rows + 0.5, np.ones_like(rows)], axis=-1)
-    rays = pixels @ np.linalg.inv(camera.intrinsics).T
-    seen = rays @ view.camera.intrinsics.T
-    at = np.floor(seen[..., :2]).astype(int)
-    within = ((at >= 0) & (at < view.mask.shape)).all(axis=-1)
-    shown = np.zeros_like(within)
-    shown[within] = view.mask[at[within][:, 1], at[within][:, 0]]
-    assert shown.sum() > 50
-    here, there = small[shown].mean(axis=0), large[at[shown][:, 1], at[shown][:, 0]].mean(axis=0)
-    assert here == pytest.approx(there, rel=0.02)
+    projected = pixels @ np.linalg.inv(camera.intrinsics).T @ view.camera.intrinsics.T
+    at = np.floor(projected[..., :2]).astype(int)
+    inside = ((at >= 0) & (at < view.mask.shape)).all(axis=-1)
+    organ = np.zeros_like(inside)
+    organ[inside] = view.mask[at[inside][:, 1], at[inside][:, 0]]
+    assert organ.sum() > 50
+    expected = large[at[organ][:, 1], at[organ][:, 0]].mean(axis=0)
+    assert small[organ].mean(axis=0) == pytest.approx(expected, rel=0.02)
 
 
-def test_other_surfaces_keep_everything_else(subject):
-    (view,) = views_of(subject, ["leaf"])
-    path = subject.cultivar.pigments["leaf"]
+def test_with_surfaces_replaces_nothing_else(target, leaf):
+    path = target.cultivar.pigments["leaf"]
     pale = path.model_copy(update={"roughness": (0.2, 0.2)})
-    plants = subject.cultivar.model_copy(update={"pigments": {**subject.cultivar.pigments, "leaf": pale}})
-    other = with_surfaces(view, organ_surfaces(plants, surface_wavelengths(subject.camera.sensor)))
-    assert other.scene.mesh is view.scene.mesh
-    assert other.scene.sky is view.scene.sky
-    assert other.camera is view.camera
-    (before,), (after,) = view.scene.surfaces, other.scene.surfaces
+    plants = target.cultivar.model_copy(update={"pigments": {**target.cultivar.pigments, "leaf": pale}})
+    other = with_surfaces(leaf, organ_surfaces(plants, surface_wavelengths(target.camera.sensor)))
+    assert other.scene.mesh is leaf.scene.mesh
+    assert other.scene.sky is leaf.scene.sky
+    assert other.camera is leaf.camera
+    (before,), (after,) = leaf.scene.surfaces, other.scene.surfaces
     assert before.name == after.name == "leaf"
     assert after is not before

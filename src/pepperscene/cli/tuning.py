@@ -166,7 +166,7 @@ def _list(recipe: Recipe, json: bool) -> None:
     """All that can be fitted of a recipe."""
     from pepperscene.colour.comparison.tables import format_tables
     from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
-    from pepperscene.tuning.output.tables import known_table
+    from pepperscene.tuning.output.report import known_table
     from pepperscene.tuning.parameters.parameter import known_parameters
 
     names = known_parameters(load_recipe_cultivar(recipe), load_camera(recipe))
@@ -191,7 +191,7 @@ def _record(done: TuningResult) -> dict[str, Any]:
 
 def _tell(done: TuningResult) -> None:
     from pepperscene.colour.comparison.tables import format_tables
-    from pepperscene.tuning.output.tables import fit_tables
+    from pepperscene.tuning.output.report import fit_tables
 
     typer.echo(format_tables(fit_tables(done.fit, done.verification)))
     typer.echo()

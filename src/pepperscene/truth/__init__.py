@@ -15,6 +15,7 @@ from pepperscene.truth.statistics import (
     grey_values,
     hue_spectrum_correlation,
     mean_hue,
+    saturated_fraction,
 )
 
 __all__ = [
@@ -30,4 +31,5 @@ __all__ = [
     "grey_values",
     "hue_spectrum_correlation",
     "mean_hue",
+    "saturated_fraction",
 ]

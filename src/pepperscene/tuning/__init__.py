@@ -1,12 +1,12 @@
-"""The tuning room: pigments, light and exposure fitted to measured colour by the renderer's derivatives."""
+"""Differentiable fits of pigments, light, exposure and camera to measured colour."""
 
-from pepperscene.tuning.fit.least_squares import fit_parameters
-from pepperscene.tuning.fit.result import FitResult, KindFit, SpectrumFit
-from pepperscene.tuning.model.subject import TuningTarget
+from pepperscene.tuning.fit.least_squares import FitResult, KindFit, SpectrumFit, fit_parameters
+from pepperscene.tuning.model.target import TuningTarget
 from pepperscene.tuning.output.write import write_tuned
 from pepperscene.tuning.parameters.parameter import Parameter, known_parameters, select_parameters
-from pepperscene.tuning.twin import simulate_patches
-from pepperscene.tuning.workflow import TuningResult, Verification, tune
+from pepperscene.tuning.simulated import simulate_patches
+from pepperscene.tuning.whole_scene import Verification
+from pepperscene.tuning.workflow import TuningResult, tune
 
 __all__ = [
     "FitResult",

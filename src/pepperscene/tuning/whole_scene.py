@@ -1,4 +1,4 @@
-"""The whole scene at a recipe's values: what a fit on single organs is held against in the end."""
+"""Frames of the whole scene: their agreement with patches, and the effect of neighbours on single organs."""
 
 from __future__ import annotations
 
@@ -13,11 +13,14 @@ from numpy.typing import NDArray
 
 from pepperscene.colour import PatchSet, delta_e_2000, linear_srgb_to_lab
 from pepperscene.truth.statistics import hue_spectrum_correlation
-from pepperscene.tuning.model.observables import numbers
+from pepperscene.tuning.fit.diagnostics import VISIBLE_DELTA_E
+from pepperscene.tuning.model.observables import observables
+from pepperscene.tuning.model.problem import FitProblem, NeighbourEffect
 
 if TYPE_CHECKING:
     from pepperscene.dataset import Dataset, Recipe
-
+    from pepperscene.tuning.model.target import TuningTarget
+    from pepperscene.tuning.parameters.tuned import TunedParts
 
 Array = NDArray[np.float64]
 
@@ -27,85 +30,133 @@ _PIXELS: Final = 20_000  # of a kind
 
 @dataclass(frozen=True, eq=False)
 class SceneStatistics:
-    """Frames of a recipe.
+    """Statistics of some frames of a recipe."""
 
-    Attributes:
-        patches: their organs.
-        electrons: `(3,)` that photosites expect on average, by kind.
-        picture: `(h, w, 3)` uint8, the middle one of the frames.
-    """
+    patches: PatchSet  # patches of the organs in the frames
+    electrons: Mapping[str, Array]  # (3,) mean expected electrons, by kind
+    picture: NDArray[np.uint8]  # (h, w, 3) uint8 colour image of the middle frame
 
-    patches: PatchSet
-    electrons: Mapping[str, Array]
-    picture: NDArray[np.uint8]
-
-    def numbers(self, kind: str) -> Array | None:
-        """`(8,)` of a kind's pixels as views have them; None where no frame shows it."""
+    def observables(self, kind: str) -> Array | None:
+        """`(8,)` observables of a kind's pixels; None if no frame shows it."""
         pixels = self.patches.pixels(kind, _PIXELS)
-        return numbers(pixels) if len(pixels) else None
+        return observables(pixels) if len(pixels) else None
 
 
 @dataclass(frozen=True)
-class Likeness:
-    """How alike rendered frames and measured patches of a kind are; None where one side has none.
+class Agreement:
+    """Agreement of rendered frames and measured patches of a kind; None if one of them has none."""
+
+    delta_e: float | None  # CIEDE2000 of mean colours
+    correlation: float | None  # correlation of hue spectra (Barth et al. 2018, section 3.1.1)
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """Agreement of the whole scene with the patches, by kind.
 
     Attributes:
-        delta_e: CIEDE2000 of mean colours.
-        correlation: of hue spectra (Barth et al. 2018, section 3.1.1).
+        before, after: With the patches of the fit, at the recipe's values and at the tuned ones.
+        held_before, held_after: With the held-out patches.
+        frames: Number of frames that were rendered for each.
+        rounds: Number of fits; the later ones include the effect of neighbours on single organs.
     """
 
-    delta_e: float | None
-    correlation: float | None
+    before: Mapping[str, Agreement]
+    after: Mapping[str, Agreement]
+    held_before: Mapping[str, Agreement]
+    held_after: Mapping[str, Agreement]
+    frames: int
+    rounds: int
 
 
-def rendered(recipe: Recipe, frames: int, quality: str = "draft") -> SceneStatistics:
-    """Some frames of a recipe, evenly over its plan.
-
-    Args:
-        recipe: what is shown.
-        frames: how many.
-        quality: of `QUALITIES`.
-    """
+def render_statistics(recipe: Recipe, frames: int, quality: str = "draft") -> SceneStatistics:
+    """Render a number of frames that are evenly distributed over the plan of a recipe."""
     from pepperscene.colour import open_patches
     from pepperscene.dataset import BuildOptions, build
 
     plan = recipe.plan
     total = plan.sets * plan.rotations * plan.frames
     count = min(frames, total)
-    # The middles of even pieces of the plan.
+    # Midpoints of equal parts of the plan.
     chosen = [(2 * k + 1) * total // (2 * count) for k in range(count)]
     with tempfile.TemporaryDirectory(prefix="pepperscene-") as folder:
         options = BuildOptions(quality)
         dataset = build(recipe, Path(folder) / "frames", chosen, OUTPUTS, options).dataset
         picture = dataset.image(chosen[count // 2], "colour")
-        return SceneStatistics(open_patches(dataset.folder), _electrons(dataset, chosen), picture)
+        return SceneStatistics(open_patches(dataset.folder), _mean_electrons(dataset, chosen), picture)
 
 
-def _electrons(dataset: Dataset, frames: Sequence[int]) -> dict[str, Array]:
-    """Mean electrons `(3,)` of each kind over all its pixels."""
+def _mean_electrons(dataset: Dataset, frames: Sequence[int]) -> dict[str, Array]:
+    """Mean electrons `(3,)` over all pixels of each kind."""
     from pepperscene.colour.patches.open import organ_regions
     from pepperscene.dataset.readers import open_images
 
     images = open_images(dataset.folder)
     sums: dict[str, Array] = {}
     for picture, index in zip(images, frames, strict=True):
-        light = dataset.image(index, "electrons")
+        electrons = dataset.image(index, "electrons")
         for kind, pixels in organ_regions(images, picture):
-            seen = np.array([*light[pixels].sum(axis=0, dtype=float), pixels.sum()])
-            sums[kind] = sums.get(kind, np.zeros(4)) + seen
+            total = np.array([*electrons[pixels].sum(axis=0, dtype=float), pixels.sum()])
+            sums[kind] = sums.get(kind, np.zeros(4)) + total
     return {kind: total[:3] / total[3] for kind, total in sums.items()}
 
 
-def likeness(one: PatchSet, other: PatchSet, kinds: Iterable[str]) -> Mapping[str, Likeness]:
-    """How alike two sets of patches are, by kind."""
-    found = {}
+def colour_agreement(rendered: PatchSet, measured: PatchSet, kinds: Iterable[str]) -> dict[str, Agreement]:
+    """Compare two sets of patches by kind."""
+    agreement = {}
     for kind in kinds:
-        if not (one.of_kind(kind) and other.of_kind(kind)):
-            found[kind] = Likeness(None, None)
+        if not (rendered.of_kind(kind) and measured.of_kind(kind)):
+            agreement[kind] = Agreement(None, None)
             continue
-        means = [linear_srgb_to_lab(side.pixels(kind).mean(axis=0)) for side in (one, other)]
-        spectra = [np.asarray(side.statistics(kind).hue_spectrum) for side in (one, other)]
-        alike = hue_spectrum_correlation(*spectra)
-        away = float(delta_e_2000(*means))
-        found[kind] = Likeness(away, None if np.isnan(alike) else alike)
-    return found
+        means = [linear_srgb_to_lab(side.pixels(kind).mean(axis=0)) for side in (rendered, measured)]
+        spectra = [np.asarray(side.statistics(kind).hue_spectrum) for side in (rendered, measured)]
+        hues = hue_spectrum_correlation(*spectra)
+        agreement[kind] = Agreement(float(delta_e_2000(*means)), None if np.isnan(hues) else hues)
+    return agreement
+
+
+def describe_verification(verification: Verification) -> tuple[str, ...]:
+    """Sentences on kinds whose mean colour in the whole scene did not improve, or still differs visibly."""
+    sets = {"the patches": (verification.before, verification.after)}
+    sets["the held-out patches"] = (verification.held_before, verification.held_after)
+    sentences = []
+    for name, (before, after) in sets.items():
+        for kind, one in after.items():
+            previous = before[kind].delta_e
+            if one.delta_e is None or previous is None or one.delta_e <= VISIBLE_DELTA_E:
+                continue
+            how = "is no closer to" if one.delta_e >= previous else "still differs from"
+            sentences.append(
+                f"In the whole scene the mean colour of {kind} {how} {name}: dE2000 {previous:.1f} before, "
+                f"{one.delta_e:.1f} after."
+            )
+    return tuple(sentences)
+
+
+def neighbour_effects(
+    target: TuningTarget, parts: TunedParts, scene: SceneStatistics
+) -> dict[str, NeighbourEffect]:
+    """Effect of neighbours on the views of each kind, from frames rendered with the same tuned parts."""
+    effects = {}
+    for kind in target.kinds:
+        models = [model for model in target.view_models if model.view.kind == kind]
+        seen = scene.observables(kind)
+        if seen is None:
+            continue
+        mean = np.concatenate([model.electrons(parts) for model in models]).mean(axis=0)
+        # The electrons of views are those of the recipe's exposure time; without a flash, exposure scales it.
+        time = parts.exposure if target.camera.flash is None else 1.0
+        shade = scene.electrons[kind] / np.maximum(time * mean, 1e-9)
+        alone = observables(np.concatenate([model.linear(parts, shade) for model in models]))
+        effects[kind] = NeighbourEffect(shade, seen - alone)
+    return effects
+
+
+def largest_difference(problem: FitProblem, parts: TunedParts, scene: SceneStatistics) -> float:
+    """Largest difference of mean colours between the scene and the model of a fit, in CIELAB units."""
+    differences = [0.0]
+    for one in problem.observations:
+        seen = scene.observables(one.label)
+        if seen is not None:
+            differences.append(float(np.linalg.norm((seen - one.predicted(parts))[:3])))
+    return max(differences)

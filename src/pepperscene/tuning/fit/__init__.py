@@ -1,1 +1,1 @@
-"""The least-squares fit, its result and diagnostics."""
+"""Least-squares fit, its result, and diagnostics."""

@@ -1,4 +1,4 @@
-"""How sure a fit can be: what curvature says of each parameter, and who could take away what is left."""
+"""Uncertainty of a fit's parameters, and groups of omitted parameters that could explain its residuals."""
 
 from __future__ import annotations
 
@@ -13,267 +13,234 @@ from pepperscene.tuning.model.problem import FitProblem
 from pepperscene.tuning.model.view_model import entries_of
 
 if TYPE_CHECKING:
-    from pepperscene.tuning.fit.result import KindFit
     from pepperscene.tuning.parameters.parameter import Parameter
-
 
 Array = NDArray[np.float64]
 
-LEAST_GAIN: Final = 0.75
-"""Chosen: below, half of the bounds' sd or more is left, and the data do not determine a parameter."""
-TIED: Final = 0.95
-"""Chosen: correlation from which two entries are told to be known together only."""
-WORTH_TELLING: Final = 0.25
-"""Chosen: share of what is left from which a group of parameters is named."""
-ALIKE: Final = 10.0
-"""Twice the logarithm of the odds from which one group is far likelier than another: 150 to 1, "very strong"
-evidence to Kass & Raftery 1995 (J. Am. Stat. Assoc. 90:773)."""
-UNSEEN: Final = 1.0
-"""CIEDE2000 below which two colours look the same."""
-
-SEEN: Final = 3.0
-"""Chosen: CIEDE2000 from which a difference is seen at a glance."""
-
-_AT_AN_END: Final = 1e-3  # of a bound's width
-_LEAST_ROOM: Final = 1e-9  # of the bounds' sd
+MIN_VARIANCE_REDUCTION: Final = 0.75  # chosen: below, half of the prior sd or more remains
+HIGH_CORRELATION: Final = 0.95  # chosen: above, two entries are reported as known in combination only
+MIN_EXPLAINED: Final = 0.25  # chosen: fraction of chi-squared from which a group is reported as a cause
+STRONG_EVIDENCE: Final = 10.0
+"""Difference in twice the log evidence from which one group is far likelier than another: 150 to 1, "very
+strong" evidence in Kass & Raftery 1995 (J. Am. Stat. Assoc. 90:773)."""
+INVISIBLE_DELTA_E: Final = 1.0  # CIEDE2000 below which two colours look the same
+VISIBLE_DELTA_E: Final = 3.0  # chosen: CIEDE2000 above which a difference is visible at a glance
+_AT_BOUND: Final = 1e-3  # fraction of the width of the bounds
+_MIN_SPACE: Final = 1e-9  # in prior standard deviations
 
 
 @dataclass(frozen=True, eq=False)
-class Certainty:
-    """What the curvature at the best values says.
+class Uncertainty:
+    """Posterior uncertainty of the entries in the Laplace approximation."""
 
-    Attributes:
-        sd: `(p,)` of each entry, by data and bounds together (the Laplace approximation).
-        gained: `(p,)` share of the bounds' variance that the data take away.
-        correlation: `(p, p)`.
-    """
-
-    sd: Array
-    gained: Array
-    correlation: Array
+    sd: Array  # (p,) posterior standard deviations
+    variance_reduction: Array  # (p,) 1 - posterior variance / prior variance: 0 if the data add nothing
+    correlation: Array  # (p, p) posterior correlations
 
 
-def certainty(problem: FitProblem, vector: Array) -> Certainty:
-    """Standard deviations and correlations of the entries at a minimum.
+def uncertainty(problem: FitProblem, vector: Array) -> Uncertainty:
+    """Compute the uncertainty of the entries from the curvature of the cost at its minimum.
 
-    Where the data miss the model by more than expected, their errors are taken to be as much larger (the
-    Birge ratio; Birge 1932, Phys. Rev. 40:207).
+    If the residuals are larger than expected, the errors of the data are assumed to be larger by the same
+    factor (the Birge ratio; Birge 1932, Phys. Rev. 40:207).
     """
     slopes = problem.data_jacobian(problem.values(vector), problem.entries)
-    curvature = slopes.T @ slopes / _excess(problem, vector) + np.diag(problem.sd**-2.0)
+    curvature = slopes.T @ slopes / _squared_birge_ratio(problem, vector) + np.diag(problem.sd**-2.0)
     covariance = np.linalg.inv(curvature)
     sd = np.sqrt(np.diag(covariance))
-    return Certainty(sd, 1.0 - (sd / problem.sd) ** 2, covariance / np.outer(sd, sd))
+    return Uncertainty(sd, 1.0 - (sd / problem.sd) ** 2, covariance / np.outer(sd, sd))
 
 
 def chi_squared(problem: FitProblem, vector: Array) -> float:
-    """Sum of the data's squared residuals."""
+    """Sum of the squared residuals of the data."""
     return float((problem.data_residuals(problem.values(vector)) ** 2).sum())
 
 
-def as_expected(value: float, data: int) -> bool:
-    """Whether a sum of squares is within three standard deviations of what `data` residuals should give."""
-    return value <= data + 3.0 * np.sqrt(2.0 * data)
+def is_consistent(chi2: float, data_count: int) -> bool:
+    """Whether chi-squared is at most three standard deviations above its expectation."""
+    return chi2 <= data_count + 3.0 * np.sqrt(2.0 * data_count)
 
 
-def undetermined(problem: FitProblem, vector: Array, known: Certainty) -> tuple[str, ...]:
-    """A sentence for each entry that the data leave open, and why."""
-    found = []
+def _squared_birge_ratio(problem: FitProblem, vector: Array) -> float:
+    """Chi-squared per degree of freedom; 1 if it is smaller."""
+    return max(1.0, chi_squared(problem, vector) / max(problem.data_count - len(vector), 1))
+
+
+def undetermined_entries(problem: FitProblem, vector: Array, posterior: Uncertainty) -> tuple[str, ...]:
+    """Return a sentence, with the reason, for each entry that the data do not determine."""
+    sentences = []
     for i, entry in enumerate(problem.entries):
         width = problem.high[i] - problem.low[i]
-        at_end = min(vector[i] - problem.low[i], problem.high[i] - vector[i]) < _AT_AN_END * width
-        label = entry.label
-        if at_end:
-            found.append(
-                f"{label} lies at an end of its bounds, {vector[i]:.4g}: the data ask for more than they "
-                "allow, or for something else"
+        if min(vector[i] - problem.low[i], problem.high[i] - vector[i]) < _AT_BOUND * width:
+            sentences.append(
+                f"{entry.label} is at a limit of its bounds, {vector[i]:.4g}: the data call for a value "
+                "outside of the bounds, or another parameter is missing from the fit"
             )
-        elif known.gained[i] < LEAST_GAIN:
-            found.append(_open(problem, known, i))
-    return tuple(found)
+        elif posterior.variance_reduction[i] < MIN_VARIANCE_REDUCTION:
+            sds = f"its posterior sd is {posterior.sd[i]:.3g}, its prior sd {problem.sd[i]:.3g}"
+            sentence = f"{entry.label} cannot be determined: {sds}"
+            others = np.abs(posterior.correlation[i]).copy()
+            others[i] = 0.0
+            partner = int(np.argmax(others))
+            if others[partner] >= HIGH_CORRELATION:
+                label, correlation = problem.entries[partner].label, posterior.correlation[i, partner]
+                sentence += f"; only a combination with {label} is known (correlation {correlation:+.2f})"
+            sentences.append(sentence)
+    return tuple(sentences)
 
 
-def _open(problem: FitProblem, known: Certainty, i: int) -> str:
-    """Why the data do not determine an entry: nothing depends on it, or another does the same."""
-    others = np.abs(known.correlation[i]).copy()
-    others[i] = 0.0
-    tied = int(np.argmax(others))
-    what = (
-        f"{problem.entries[i].label} cannot be determined: it is known to ± {known.sd[i]:.3g}, the bounds "
-        f"alone say ± {problem.sd[i]:.3g}"
-    )
-    if others[tied] < TIED:
-        return what
-    with_it = f"{problem.entries[tied].label} is known (correlation {known.correlation[i, tied]:+.2f})"
-    return f"{what}; only a combination with {with_it}"
+# --- omitted parameters -------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Suspect:
-    """A group of parameters that was not fitted, as the cause of what is left.
+class OmittedGroup:
+    """A group of parameters that was not fitted, as a possible cause of the residuals."""
 
-    Attributes:
-        share: of the data's squared residuals that it could take away within its bounds.
-        evidence: twice the logarithm of how many times likelier it makes the data.
-        alone: the one parameter that explains them better by itself than all of the group do; or "".
-    """
-
-    share: float
-    evidence: float
-    alone: str = ""
+    explained: float  # fraction of chi-squared that it could remove within its bounds
+    evidence: float  # twice the logarithm of its Bayes factor
+    parameter: str = ""  # the one that explains the data better than the whole group; or ""
 
 
-def suspects(
-    problem: FitProblem, vector: Array, others: Mapping[str, Sequence[Parameter]]
-) -> dict[str, Suspect]:
-    """Who could have caused what is left, the likeliest first.
+def omitted_groups(
+    problem: FitProblem, vector: Array, unfitted: Mapping[str, Sequence[Parameter]]
+) -> dict[str, OmittedGroup]:
+    """Rank groups of parameters that were not fitted as causes of the residuals, the likeliest first.
 
-    A linear step of the fitted and the further parameters together, within their bounds, tells what they
-    could take away (the score test of whether they are missed; Rao 1948, Proc. Camb. Phil. Soc. 44:50).
-    Dozens of pigments can take away nearly anything, so the groups are ordered by the evidence: it asks in
-    addition how well the step goes with what is known beforehand, and how much else the group could have
-    explained (MacKay 1992, Neural Comput. 4:415). For that the data's errors are as large as in `certainty`,
-    and the cause is all of a group, or one parameter of it, each as likely beforehand as any other one.
-
-    Args:
-        problem: with the fitted parameters.
-        vector: at the minimum.
-        others: further parameters, at the recipe's own values, by group.
+    The fraction that a group could explain follows from a linear step of fitted and further parameters
+    together, within their bounds (the score test; Rao 1948, Proc. Camb. Phil. Soc. 44:50). Dozens of pigments
+    can explain almost anything, so the groups are ranked by evidence, which also accounts for the prior
+    probability of the step and for everything else that the group could have explained (MacKay 1992, Neural
+    Comput. 4:415). Errors of the data are as in `uncertainty`. The cause is a whole group or one of its
+    parameters, each of which is equally likely beforehand.
     """
     values = problem.values(vector)
     residuals = problem.data_residuals(values)
     if not np.any(residuals):
         return {}
-    wider = np.sqrt(_excess(problem, vector))
-    # In units of the bounds' sd, so that those are rows of ones.
-    own = problem.data_jacobian(values, problem.entries) * problem.sd
-    pull = (vector - problem.mean) / problem.sd
-    room = [(problem.low - vector) / problem.sd, (problem.high - vector) / problem.sd]
-    found = {}
-    for group, parameters in others.items():
+    error_scale = np.sqrt(_squared_birge_ratio(problem, vector))
+    # In units of the prior sd, so that the rows of the priors are ones.
+    fitted_slopes = problem.data_jacobian(values, problem.entries) * problem.sd
+    deviation = (vector - problem.mean) / problem.sd
+    low, high = (problem.low - vector) / problem.sd, (problem.high - vector) / problem.sd
+    groups = {}
+    for group, parameters in unfitted.items():
         entries = entries_of(parameters)
         if not entries:
             continue
-        scales = np.array([entry.scale for entry in entries])
-        laws = [entry.parameter.prior[entry.place] for entry in entries]
-        start = np.array([entry.parameter.default[entry.place] for entry in entries])
-        low, high = (np.array([getattr(law, end) for law in laws]) for end in ("low", "high"))
-        step = _Step(
-            np.hstack([own, problem.data_jacobian(values, entries) * scales]),
+        scales, lows, highs, start = np.array(
+            [(one.prior.sd, one.prior.low, one.prior.high, one.value({})) for one in entries]
+        ).T
+        model = _LinearModel(
+            np.hstack([fitted_slopes, problem.data_jacobian(values, entries) * scales]),
             residuals,
-            np.concatenate([pull, np.zeros(len(entries))]),
-            np.concatenate([room[0], (low - start) / scales]),
-            np.concatenate([room[1], (high - start) / scales]),
+            np.concatenate([deviation, np.zeros(len(entries))]),
+            np.concatenate([low, (lows - start) / scales]),
+            np.concatenate([high, (highs - start) / scales]),
         )
         names = [entry.parameter.name for entry in entries]
-        found[group] = step.suspect(len(vector), names, wider)
-    return dict(sorted(found.items(), key=lambda item: -item[1].evidence))
+        groups[group] = model.omitted_group(len(vector), names, error_scale)
+    return dict(sorted(groups.items(), key=lambda item: -item[1].evidence))
 
 
 @dataclass(frozen=True, eq=False)
-class _Step:
-    """A linear model of fitted and further parameters, in units of their bounds' sd."""
+class _LinearModel:
+    """Linear model of fitted and further entries, in units of their prior sd."""
 
-    slopes: Array
-    residuals: Array
-    pull: Array
-    low: Array
-    high: Array
+    slopes: Array  # (m, p) derivatives of the residuals
+    residuals: Array  # (m,) residuals of the data
+    deviation: Array  # (p,) distance of the entries from their prior means
+    low: Array  # (p,) limits of a step
+    high: Array  # (p,) limits of a step
 
-    def suspect(self, fitted: int, names: Sequence[str], wider: float) -> Suspect:
-        """What those behind the fitted ones explain, where errors may be wider than expected.
+    def omitted_group(self, fitted: int, names: Sequence[str], error_scale: float) -> OmittedGroup:
+        """What the entries after the `fitted` ones, of parameters `names`, explain.
 
-        Args:
-            fitted: how many are.
-            names: of the parameters that the further ones belong to.
-            wider: by how much.
+        `error_scale` is a factor on the errors of the data.
         """
-        every, own = np.arange(len(self.pull)), np.arange(fitted)
-        share = 1.0 - self._costs(every, 1.0)[0] / float(self.residuals @ self.residuals)
-        # Where errors are wider, the fitted ones alone would give way to their bounds as well.
-        before = self._badness(own, wider)
-        evidence = {"": before - self._badness(every, wider)}
+        all_entries, fitted_entries = np.arange(len(self.deviation)), np.arange(fitted)
+        explained = 1.0 - self._costs(all_entries, 1.0)[0] / float(self.residuals @ self.residuals)
+        # With larger errors, the fitted entries alone would move towards their prior means as well.
+        before = self._deviance(fitted_entries, error_scale)
+        evidence = {"": before - self._deviance(all_entries, error_scale)}
         for name in dict.fromkeys(names):
-            chosen = np.concatenate([own, fitted + np.flatnonzero([one == name for one in names])])
-            gained = before - self._badness(chosen, wider)
-            evidence[name] = gained - 2.0 * np.log(len(set(names)))
-        alone = max(evidence, key=lambda name: evidence[name])
-        return Suspect(float(np.clip(share, 0.0, 1.0)), float(evidence[alone]), alone)
+            chosen = np.concatenate([fitted_entries, fitted + np.flatnonzero([one == name for one in names])])
+            gain = before - self._deviance(chosen, error_scale)
+            evidence[name] = gain - 2.0 * np.log(len(set(names)))
+        best = max(evidence, key=lambda name: evidence[name])
+        return OmittedGroup(float(np.clip(explained, 0.0, 1.0)), float(evidence[best]), best)
 
-    def _badness(self, chosen: NDArray[np.intp], wider: float) -> float:
-        """Minus twice the logarithm of how likely the data are if no others change, up to a constant."""
-        return sum(self._costs(chosen, wider)) + _freedom(self.slopes[:, chosen] / wider)
+    def _deviance(self, chosen: NDArray[np.intp], error_scale: float) -> float:
+        """Minus twice the log evidence if only the chosen entries change, up to a constant."""
+        slopes = self.slopes[:, chosen] / error_scale
+        # Log of the squared ratio of prior to posterior volume: the Occam factor.
+        occam = float(np.linalg.slogdet(np.eye(slopes.shape[1]) + slopes.T @ slopes)[1])
+        return sum(self._costs(chosen, error_scale)) + occam
 
-    def _costs(self, chosen: NDArray[np.intp], wider: float) -> tuple[float, float]:
-        """Of data and bounds after the best step of some."""
+    def _costs(self, chosen: NDArray[np.intp], error_scale: float) -> tuple[float, float]:
+        """Costs of data and priors after the best step of the chosen entries."""
         from scipy.optimize import lsq_linear
 
-        slopes, residuals, pull = self.slopes[:, chosen] / wider, self.residuals / wider, self.pull[chosen]
-        rows = np.vstack([slopes, np.eye(len(pull))])
-        # What lies on a bound has no room there, and rounding must not make it less than none.
-        room = np.minimum(self.low[chosen], -_LEAST_ROOM), np.maximum(self.high[chosen], _LEAST_ROOM)
-        step = lsq_linear(rows, -np.concatenate([residuals, pull]), room).x
+        slopes, deviation = self.slopes[:, chosen] / error_scale, self.deviation[chosen]
+        residuals = self.residuals / error_scale
+        rows = np.vstack([slopes, np.eye(len(deviation))])
+        # An entry on a bound has no space; rounding must not make it negative.
+        bounds = np.minimum(self.low[chosen], -_MIN_SPACE), np.maximum(self.high[chosen], _MIN_SPACE)
+        step = lsq_linear(rows, -np.concatenate([residuals, deviation]), bounds).x
         left = residuals + slopes @ step
-        return float(left @ left), float(((pull + step) ** 2).sum())
+        return float(left @ left), float(((deviation + step) ** 2).sum())
 
 
-def _freedom(slopes: Array) -> float:
-    """How much parameters with these slopes could explain: logarithm of the volume of the bounds over that of
-    what data of unit errors leave of it, squared.
-    """
-    return float(np.linalg.slogdet(np.eye(slopes.shape[1]) + slopes.T @ slopes)[1])
+# --- sentences ----------------------------------------------------------------------------------------------
 
 
-def _excess(problem: FitProblem, vector: Array) -> float:
-    """By how much the data's squared errors are larger than expected; 1 where they are not."""
-    return max(1.0, chi_squared(problem, vector) / max(problem.data - len(vector), 1))
-
-
-def _causes(left: Mapping[str, Suspect]) -> list[str]:
-    """Which of the groups that were not fitted is missed, the likeliest first."""
-    if not left:
-        return []
-    named = [group for group, one in left.items() if one.share >= WORTH_TELLING and one.evidence > 0.0]
-    if not named:
-        return [
-            "No parameter that was left out takes away a quarter of it: look at the patches themselves, "
-            "their labels and their light."
-        ]
-    shares = {group: f"{100 * left[group].share:.0f} %" for group in named}
-    likely = [group for group in named if left[named[0]].evidence - left[group].evidence < ALIKE]
-    causes = [f"the {group}" + f" ({left[group].alone})" * bool(left[group].alone) for group in likely]
-    found = [
-        f"Most likely the fit lacks {' or '.join(causes)}, which could take away "
-        f"{' or '.join(shares[group] for group in likely)} of what is left."
-    ]
-    others = [f"the {group} ({shares[group]})" for group in named if group not in likely]
-    if others:
-        found.append(f"Far less likely, though some of it goes with them: {', '.join(others)}.")
-    return found
-
-
-def sentences(
+def describe_fit(
     problem: FitProblem,
-    value: float,
-    open_entries: Sequence[str],
-    left: Mapping[str, Suspect],
-    kinds: Mapping[str, KindFit],
+    chi2: float,
+    undetermined: Sequence[str],
+    omitted: Mapping[str, OmittedGroup],
+    delta_e: Mapping[str, float],
 ) -> tuple[str, ...]:
-    """What was found, for people."""
-    ratio = np.sqrt(value / max(problem.data, 1))
-    if as_expected(value, problem.data):
-        told = [f"The model meets the patches: what is left is {ratio:.2f} times what is expected."]
+    """Describe a fit in sentences; `delta_e` is CIEDE2000 of the mean colours after the fit, by kind."""
+    ratio, consistent = np.sqrt(chi2 / max(problem.data_count, 1)), is_consistent(chi2, problem.data_count)
+    if consistent:
+        sentences = [f"The model fits the patches: RMS residuals are {ratio:.2f} times the expected size."]
     else:
-        told = [f"The model misses the patches by {ratio:.1f} times what is expected."]
-        told += _causes(left)
-        most = max((one.delta_e_after for one in kinds.values()), default=np.inf)
-        if most < UNSEEN:
-            told.append(f"No mean colour lies further off than dE2000 {most:.1f}, which is not seen.")
-    far = [
-        f"{kind} (dE2000 {one.delta_e_after:.1f})" for kind, one in kinds.items() if one.delta_e_after > SEEN
-    ]
-    if far:
-        told.append(f"Mean colours still lie off: {', '.join(far)}.")
-        if as_expected(value, problem.data):
-            told.append("Patches of a kind differ so much among themselves that they tell no more.")
-    return (*told, *open_entries)
+        conclusion = (
+            f"The model does not fit the patches: RMS residuals are {ratio:.1f} times the expected size."
+        )
+        sentences = [conclusion, *_describe_causes(omitted)]
+        if (largest := max(delta_e.values(), default=np.inf)) < INVISIBLE_DELTA_E:
+            sentences.append(
+                f"No mean colour differs by more than dE2000 {largest:.1f}, which is not visible."
+            )
+    visible = [f"{kind} (dE2000 {value:.1f})" for kind, value in delta_e.items() if value > VISIBLE_DELTA_E]
+    if visible:
+        sentences.append(f"Mean colours still differ visibly: {', '.join(visible)}.")
+        if consistent:
+            sentences.append("Patches of the same kind vary too much to determine the mean colour better.")
+    return (*sentences, *undetermined)
+
+
+def _describe_causes(omitted: Mapping[str, OmittedGroup]) -> list[str]:
+    if not omitted:
+        return []
+    causes = {
+        group: one for group, one in omitted.items() if one.explained >= MIN_EXPLAINED and one.evidence > 0.0
+    }
+    if not causes:
+        reason = "No omitted parameter could explain a quarter of the residuals"
+        return [f"{reason}: check the patches, their labels and their light."]
+    percent = {group: f"{100 * one.explained:.0f} %" for group, one in causes.items()}
+    best, *_ = causes.values()
+    likely = [group for group in causes if best.evidence - causes[group].evidence < STRONG_EVIDENCE]
+    parts: list[str] = []
+    for group in likely:
+        single = f", especially {causes[group].parameter}" if causes[group].parameter else ""
+        fraction = percent[group] if parts else f"could explain {percent[group]} of chi-squared"
+        parts.append(f"{group}{single} ({fraction})")
+    sentences = [f"The unexplained residuals point to {', or '.join(parts)}."]
+    others = [f"{group} ({percent[group]})" for group in causes if group not in likely]
+    if others:
+        listed = ", ".join(others)
+        sentences.append(f"Other groups could explain part of it, but are much less likely: {listed}.")
+    return sentences

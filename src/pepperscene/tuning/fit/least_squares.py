@@ -1,8 +1,8 @@
-"""The fit itself: bounded least squares with the renderer's derivatives, from several starts.
+"""Bounded least-squares fit with the renderer's derivatives, from several starts, and its result.
 
-Steps are those of a trust region around Gauss and Newton's (Branch, Coleman & Li 1999, SIAM J. Sci. Comput.
-21:1, as SciPy has it). A derivative by one number costs about one picture of a small view, and ten steps are
-enough, where an optimiser that knows the slope of the cost alone needs hundreds (benchmarks/tuning.py).
+The optimiser is a trust-region Gauss-Newton method with bounds (Branch, Coleman & Li 1999, SIAM J. Sci.
+Comput. 21:1, as in SciPy). A derivative with respect to one number costs about one image of a small view, and
+ten steps are enough; optimisers that use only the gradient of the cost need hundreds (benchmarks/tuning.py).
 """
 
 from __future__ import annotations
@@ -14,183 +14,237 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.colour import delta_e_2000, linear_srgb_to_lab
 from pepperscene.tuning.fit.diagnostics import (
-    Suspect,
-    as_expected,
-    certainty,
+    OmittedGroup,
     chi_squared,
-    sentences,
-    suspects,
-    undetermined,
+    describe_fit,
+    is_consistent,
+    omitted_groups,
+    uncertainty,
+    undetermined_entries,
 )
-from pepperscene.tuning.fit.result import FitResult, KindFit, SpectrumFit, Start
-from pepperscene.tuning.model.observables import lab_of
 from pepperscene.tuning.model.problem import FitProblem
 
 if TYPE_CHECKING:
-    from pepperscene.tuning.model.subject import TuningTarget
-
+    from pepperscene.tuning.model.target import TuningTarget
+    from pepperscene.tuning.parameters.parameter import Parameter
+    from pepperscene.tuning.parameters.tuned import TunedParts
 
 Array = NDArray[np.float64]
-Told = Callable[[str], None]
 
 STARTS: Final = 4
-_DRAWN: Final = 12  # chosen: points of the bounds that are looked at for each further start
-_EVALUATIONS: Final = 30  # chosen: of a start; ten are usual
+_CANDIDATES: Final = 12  # chosen: random points that are evaluated for each further start
+_EVALUATIONS: Final = 30  # chosen: maximum of a start; ten are usual
 _TOLERANCE: Final = 1e-5  # chosen: relative change of the cost at which a start ends
-_SHOWN: Final = 4000  # pixels of a kind that are kept to be shown
+_PLOTTED: Final = 4000  # pixels of a kind that are kept for the figure
 
 
 @dataclass(frozen=True, eq=False)
-class _Run:
-    vector: Array
-    start: Start
+class KindFit:
+    """Colours of one kind of organ, before and after a fit.
+
+    Attributes:
+        target: `(2, 3)` CIELAB of the patches' mean colour, and sd of their pixels' L*, a*, b*.
+        before, after: The same of the model, at the recipe's values and at the fitted ones.
+        delta_e_before, delta_e_after: CIEDE2000 between the mean colours of model and patches.
+        pixels_target, pixels_before, pixels_after: `(n, 3)` linear sRGB of evenly sampled pixels, for plots.
+    """
+
+    target: Array
+    before: Array
+    after: Array
+    delta_e_before: float
+    delta_e_after: float
+    pixels_target: Array
+    pixels_before: Array
+    pixels_after: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SpectrumFit:
+    """One measured reflectance, before and after a fit.
+
+    Attributes:
+        wavelength_nm, target, before, after: `(n,)` wavelengths and reflectances.
+        rmse_before, rmse_after: Root mean square errors in reflectance.
+    """
+
+    wavelength_nm: Array
+    target: Array
+    before: Array
+    after: Array
+    rmse_before: float
+    rmse_after: float
+
+
+@dataclass(frozen=True)
+class Start:
+    """One run of the optimiser."""
+
+    values: Mapping[str, tuple[float, ...]]  # start values by parameter
+    cost: float  # half the sum of squared residuals at the end, including those of the priors
+    evaluations: int  # of the model
+    message: str  # why the optimiser stopped
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """Result of a fit.
+
+    Attributes:
+        parameters: Fitted parameters, in order.
+        values: `(k,)` best values of each parameter.
+        sd: `(k,)` posterior standard deviations of each parameter.
+        variance_reduction: `(k,)` 1 - posterior variance / prior variance: 0 if the data add nothing.
+        correlation: `(p, p)` posterior correlations of all entries, in order.
+        undetermined: A sentence for each entry that the data cannot determine.
+        kinds: Colours by kind of organ.
+        spectra: Measured reflectances by name.
+        starts: Runs of the optimiser, in order.
+        chi_squared: Sum of squared residuals of the data at the best values.
+        data_count: Number of independent data.
+        omitted: Fraction of `chi_squared` that each group of parameters that was not fitted could remove, the
+            likeliest cause first.
+        diagnostics: Sentences that describe the fit.
+        tuned_parts: The recipe's parts at the best values.
+    """
+
+    parameters: tuple[Parameter, ...]
+    values: Mapping[str, Array]
+    sd: Mapping[str, Array]
+    variance_reduction: Mapping[str, Array]
+    correlation: Array
+    undetermined: tuple[str, ...]
+    kinds: Mapping[str, KindFit]
+    spectra: Mapping[str, SpectrumFit]
+    starts: tuple[Start, ...]
+    chi_squared: float
+    data_count: int
+    omitted: Mapping[str, float]
+    diagnostics: tuple[str, ...]
+    tuned_parts: TunedParts
 
 
 def fit_parameters(
-    subject: TuningTarget,
+    target: TuningTarget,
     problem: FitProblem,
     *,
     starts: int = STARTS,
     seed: int = 0,
-    on_progress: Told | None = None,
+    on_progress: Callable[[str], None] | None = None,
 ) -> FitResult:
-    """The best values of a problem, and what is known of them.
+    """Find the best values of a problem, and their uncertainty.
 
-    The first start is the recipe itself; further ones are the best of a dozen points drawn from the bounds.
-    Once a start ends as near to the data as their errors allow, no further one is run.
+    The first start is the recipe itself; further ones are each the best of a dozen points drawn from the
+    priors. They end once the residuals are consistent with the errors of the data.
 
     Args:
-        subject: the recipe's parts.
-        problem: what is fitted, to what.
-        starts: at most.
-        seed: of the drawn points.
-        on_progress: is called with a line after each start.
+        target: Recipe and patches.
+        problem: The problem to solve, from `target.problem`.
+        starts: Maximum number of starts.
+        seed: Seed of the random points.
+        on_progress: Called with a line of text after each start.
     """
     rng = np.random.default_rng(seed)
-    runs: list[_Run] = []
+    runs: list[tuple[Array, Start]] = []
     for number in range(starts):
-        start = problem.default if number == 0 else _drawn(problem, rng)
-        runs.append(_run(problem, problem.inside(start)))
-        best = min(runs, key=lambda run: run.start.cost)
-        chi = chi_squared(problem, best.vector)
+        vector = problem.default if number == 0 else _random_start(problem, rng)
+        runs.append(_optimise(problem, problem.inside(vector)))
+        best, _ = min(runs, key=lambda run: run[1].cost)
+        chi2 = chi_squared(problem, best)
         if on_progress is not None:
-            on_progress(
-                f"start {number + 1} of {starts}: misses the patches by "
-                f"{np.sqrt(chi / max(problem.data, 1)):.2f} times what is expected, "
-                f"after {runs[-1].start.evaluations} evaluations"
-            )
-        if as_expected(chi, problem.data):
+            ratio, count = np.sqrt(chi2 / max(problem.data_count, 1)), runs[-1][1].evaluations
+            residuals = f"RMS residuals are {ratio:.2f} times the expected size after {count} evaluations"
+            on_progress(f"start {number + 1} of {starts}: {residuals}")
+        if is_consistent(chi2, problem.data_count):
             break
-    return _outcome(subject, problem, best.vector, tuple(run.start for run in runs))
+    return _summarise(target, problem, best, tuple(start for _, start in runs))
 
 
-def _drawn(problem: FitProblem, rng: np.random.Generator) -> Array:
-    """The best of some points drawn from the bounds."""
-    points = [
-        np.array([entry.parameter.prior[entry.place].draw(rng) for entry in problem.entries])
-        for _ in range(_DRAWN)
-    ]
+def _random_start(problem: FitProblem, rng: np.random.Generator) -> Array:
+    """The best of some points drawn from the priors."""
+    points = [np.array([entry.prior.draw(rng) for entry in problem.entries]) for _ in range(_CANDIDATES)]
     return min(points, key=lambda point: float((problem.residuals(problem.inside(point)) ** 2).sum()))
 
 
-def _run(problem: FitProblem, start: Array) -> _Run:
+def _optimise(problem: FitProblem, vector: Array) -> tuple[Array, Start]:
     from scipy.optimize import least_squares
 
-    done = least_squares(
-        problem.residuals,
-        start,
-        problem.jacobian,
-        bounds=(problem.low, problem.high),
-        x_scale=problem.sd,
-        ftol=_TOLERANCE,
-        xtol=_TOLERANCE,
-        max_nfev=_EVALUATIONS,
-    )
-    begun = {name: tuple(value.tolist()) for name, value in problem.values(start).items()}
-    return _Run(done.x, Start(begun, float(done.cost), int(done.nfev), str(done.message)))
+    options = {"ftol": _TOLERANCE, "xtol": _TOLERANCE, "max_nfev": _EVALUATIONS, "x_scale": problem.sd}
+    bounds = (problem.low, problem.high)
+    done = least_squares(problem.residuals, vector, problem.jacobian, bounds=bounds, **options)
+    values = {name: tuple(value.tolist()) for name, value in problem.values(vector).items()}
+    return done.x, Start(values, float(done.cost), int(done.nfev), str(done.message))
 
 
-def _outcome(
-    subject: TuningTarget, problem: FitProblem, vector: Array, starts: tuple[Start, ...]
+def _summarise(
+    target: TuningTarget, problem: FitProblem, vector: Array, starts: tuple[Start, ...]
 ) -> FitResult:
-    """Everything that is known at the best values."""
-    known, chi = certainty(problem, vector), chi_squared(problem, vector)
+    """The result at the best values."""
+    posterior, chi2 = uncertainty(problem, vector), chi_squared(problem, vector)
     values, before = problem.values(vector), problem.values(problem.default)
-    left: dict[str, Suspect] = {}
-    if not as_expected(chi, problem.data):
-        left = suspects(problem, vector, subject.others([one.name for one in problem.parameters]))
-    open_entries = undetermined(problem, vector, known)
-    kinds = _kinds(problem, before, values, subject.targets)
+    omitted: dict[str, OmittedGroup] = {}
+    if not is_consistent(chi2, problem.data_count):
+        unfitted = target.unfitted_parameters([one.name for one in problem.parameters])
+        omitted = omitted_groups(problem, vector, unfitted)
+    undetermined = undetermined_entries(problem, vector, posterior)
+    kinds = _compare_kinds(problem, before, values, target.targets)
+    delta_e = {kind: one.delta_e_after for kind, one in kinds.items()}
     return FitResult(
         parameters=problem.parameters,
         values=values,
-        sd=problem.values(known.sd),
-        gained=problem.values(known.gained),
-        correlation=known.correlation,
-        undetermined=open_entries,
+        sd=problem.values(posterior.sd),
+        variance_reduction=problem.values(posterior.variance_reduction),
+        correlation=posterior.correlation,
+        undetermined=undetermined,
         kinds=kinds,
-        spectra=_spectra(problem, before, values),
+        spectra=_compare_spectra(problem, before, values),
         starts=starts,
-        chi_squared=chi,
-        data=problem.data,
-        leftover={group: one.share for group, one in left.items()},
-        diagnostics=sentences(problem, chi, open_entries, left, kinds),
-        tuned=subject.tuned(values),
+        chi_squared=chi2,
+        data_count=problem.data_count,
+        omitted={group: one.explained for group, one in omitted.items()},
+        diagnostics=describe_fit(problem, chi2, undetermined, omitted, delta_e),
+        tuned_parts=target.tuned_parts(values),
     )
 
 
-def _kinds(
+def _compare_kinds(
     problem: FitProblem, before: Mapping[str, Array], after: Mapping[str, Array], targets: Mapping[str, Array]
 ) -> dict[str, KindFit]:
-    """Colours of each kind, all its views together."""
-    found = {}
+    """Colours of each kind, pooled over its views."""
+    kinds = {}
+    both = [problem.tuned_parts(values) for values in (before, after)] if targets else []
     for kind, target in targets.items():
-        cells = [cell for cell in problem.cells if any(eye.view.kind == kind for eye in cell.eyes)]
-        if not cells:
+        of_kind = [one for one in problem.observations if any(m.view.kind == kind for m in one.view_models)]
+        if not of_kind:
             continue
-        made = [problem.tuned(values) for values in (before, after)]
-        pixels = [np.concatenate([cell.linear(one) for cell in cells]) for one in made]
-        sides = (target, *pixels)
-        both = [np.stack([lab_of(one.mean(axis=0)), lab_of(one).std(axis=0)]) for one in sides]
-        # Views' colours as they are among their neighbours.
-        offset = np.mean([cell.around.offset for cell in cells], axis=0)[:6].reshape(2, 3)
-        both[1:] = [one + offset for one in both[1:]]
-        away = _delta_e(np.array([one[0] for one in both[1:]]), both[0][0])
-        shown = [one[:: max(1, -(-len(one) // _SHOWN))] for one in sides]
-        found[kind] = KindFit(
-            target=both[0],
-            before=both[1],
-            after=both[2],
-            delta_e_before=float(away[0]),
-            delta_e_after=float(away[1]),
-            pixels_target=shown[0],
-            pixels_before=shown[1],
-            pixels_after=shown[2],
-        )
-    return found
+        # The colours of the views are those among their neighbours.
+        offset = np.mean([one.neighbours.offset for one in of_kind], axis=0)[:6].reshape(2, 3)
+        pixels = [np.concatenate([one.linear(parts) for one in of_kind]) for parts in both]
+        moments = [_moments(target), *(_moments(one) + offset for one in pixels)]
+        delta_e = [float(delta_e_2000(one[0], moments[0][0])) for one in moments]
+        sampled = [one[:: max(1, -(-len(one) // _PLOTTED))] for one in (target, *pixels)]
+        kinds[kind] = KindFit(moments[0], moments[1], moments[2], delta_e[1], delta_e[2], *sampled)
+    return kinds
 
 
-def _spectra(
+def _moments(pixels: Array) -> Array:
+    """`(2, 3)` CIELAB of the mean colour, and sd of the pixels' L*, a*, b*."""
+    return np.stack([linear_srgb_to_lab(pixels.mean(axis=0)), linear_srgb_to_lab(pixels).std(axis=0)])
+
+
+def _compare_spectra(
     problem: FitProblem, before: Mapping[str, Array], after: Mapping[str, Array]
 ) -> dict[str, SpectrumFit]:
-    """Reflectances, where there are any."""
-    model = problem.spectra
+    """Reflectances by name; empty if none were measured."""
+    model = problem.direct_model
     if model is None:
         return {}
-    target, one, other = model.measured, model.predicted(before), model.predicted(after)
-    found = {}
+    measured, *predicted = model.measured, model.predicted(before), model.predicted(after)
+    spectra = {}
     for (name, part), nm in zip(model.parts.items(), model.wavelength_nm, strict=True):
-        off = [_rms((made - target)[part]) for made in (one, other)]
-        found[name] = SpectrumFit(nm, target[part], one[part], other[part], *off)
-    return found
-
-
-def _rms(difference: Array) -> float:
-    return float(np.sqrt(np.mean(difference**2)))
-
-
-def _delta_e(lab: Array, other: Array) -> Array:
-    from pepperscene.colour import delta_e_2000
-
-    return np.asarray(delta_e_2000(lab, np.broadcast_to(other, lab.shape)))
+        rmse = [float(np.sqrt(np.mean((one - measured)[part] ** 2))) for one in predicted]
+        one, other = (curve[part] for curve in predicted)
+        spectra[name] = SpectrumFit(nm, measured[part], one, other, *rmse)
+    return spectra

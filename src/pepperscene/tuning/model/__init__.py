@@ -1,1 +1,1 @@
-"""The forward model of a fit: views of organs, observables and residuals."""
+"""Forward model of a fit: views of organs, observables, reflectance spectra and residuals."""

@@ -1,8 +1,8 @@
-"""A fit as a least-squares problem: what the data miss the model by, in units of what is expected.
+"""A fit as a least-squares problem: residuals of data and priors, in standard deviations.
 
-Mean and spread of each kind's colour, measured spectra, and the bounds themselves are rows of one vector: the
-bounds are distributions, and a value as far from its mean as its sd costs as much as a datum that is one sd
-off (maximum a posteriori; Tarantola 2005, "Inverse problem theory", section 3.2).
+The rows are the observables of each group of patches, the measured spectra, and the parameters themselves. A
+parameter that is one prior standard deviation from its mean costs as much as a datum that is one standard
+deviation off (maximum a posteriori; Tarantola 2005, "Inverse problem theory", section 3.2).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.tuning.model.observables import NUMBERS, numbers, numbers_and_slopes
+from pepperscene.tuning.model.observables import OBSERVABLE_COUNT, observables, observables_and_derivatives
 from pepperscene.tuning.model.view_model import Entry, ParameterStep, Values, ViewModel, entries_of
 
 if TYPE_CHECKING:
@@ -22,115 +22,101 @@ if TYPE_CHECKING:
     from pepperscene.tuning.parameters.parameter import Parameter
     from pepperscene.tuning.parameters.tuned import TunedParts
 
-
 Array = NDArray[np.float64]
 
-_INSIDE: Final = 1e-6  # of a bound's width: where a start that lies on it begins
+_MARGIN: Final = 1e-6  # fraction of a bound's width by which starts are moved off the bounds
 
 
 @dataclass(frozen=True, eq=False)
 class NeighbourEffect:
-    """What neighbours do to an organ's light and colours, as the whole scene shows it.
+    """Effect of neighbouring organs on an organ's light and colour, measured in the whole scene."""
 
-    Attributes:
-        shade: `(c,)` electrons of the kind's pixels in the scene, in shares of those in the views.
-        offset: `(8,)` what is left to add to the views' numbers after that.
-    """
-
-    shade: Array
-    offset: Array
+    shade: Array  # (c,) electrons of the kind's pixels in the scene relative to those in the views
+    offset: Array  # (8,) what then remains to be added to the observables of the views
 
 
-def alone() -> NeighbourEffect:
-    """Organs without neighbours, or before the scene has been looked at."""
-    return NeighbourEffect(np.ones(3), np.zeros(NUMBERS))
+NO_NEIGHBOURS: Final = NeighbourEffect(np.ones(3), np.zeros(OBSERVABLE_COUNT))
 
 
 @dataclass(frozen=True, eq=False)
-class Cell:
-    """Patches that are compared with views.
+class Observation:
+    """Observables of a group of patches, and the views that they are compared with."""
 
-    Attributes:
-        label: the kind, or a single view's name.
-        eyes: the views.
-        target: `(8,)` numbers of the patches (see `observables.numbers`).
-        sigma: `(8,)` by how much model and patches may differ.
-        around: what neighbours do to the views' light and colours.
-    """
+    label: str  # the kind of organ, or the name of a single view
+    view_models: tuple[ViewModel, ...]
+    target: Array  # (8,) observables of the patches
+    sigma: Array  # (8,) standard deviations of the difference between model and patches
+    neighbours: NeighbourEffect
 
-    label: str
-    eyes: tuple[ViewModel, ...]
-    target: Array
-    sigma: Array
-    around: NeighbourEffect
+    def linear(self, parts: TunedParts) -> Array:
+        """`(n, 3)` linear sRGB of all pixels of the views."""
+        return np.concatenate([one.linear(parts, self.neighbours.shade) for one in self.view_models])
 
-    def linear(self, made: TunedParts) -> Array:
-        """`(n, 3)` linear sRGB of all pixels of its views."""
-        return np.concatenate([eye.linear(made, self.around.shade) for eye in self.eyes])
+    def predicted(self, parts: TunedParts) -> Array:
+        """`(8,)` observables of the model."""
+        return observables(self.linear(parts)) + self.neighbours.offset
 
-    def predicted(self, made: TunedParts) -> Array:
-        """`(8,)` the model's numbers."""
-        return numbers(self.linear(made)) + self.around.offset
-
-    def slopes(self, made: TunedParts, moves: Sequence[ParameterStep]) -> Array:
-        """`(8, p)` derivatives of `predicted` along moves."""
-        parts = [eye.linear_and_slopes(made, moves, self.around.shade) for eye in self.eyes]
-        linear = np.concatenate([linear for linear, _ in parts])
-        return numbers_and_slopes(linear, np.concatenate([slope for _, slope in parts], axis=1))[1]
+    def derivatives(self, parts: TunedParts, steps: Sequence[ParameterStep]) -> Array:
+        """`(8, p)` derivatives of `predicted` along steps."""
+        shade = self.neighbours.shade
+        pixels = [one.linear_and_derivatives(parts, steps, shade) for one in self.view_models]
+        linear = np.concatenate([linear for linear, _ in pixels])
+        derivatives = np.concatenate([derivatives for _, derivatives in pixels], axis=1)
+        return observables_and_derivatives(linear, derivatives)[1]
 
 
 class FitProblem:
-    """Residuals of data and bounds, and their derivatives, as functions of one vector.
+    """Residuals and their derivatives as functions of the vector of all entries.
 
     Args:
-        parameters: that are fitted.
-        tuned: the recipe's parts at some values.
-        cells: what pictures tell.
-        spectra: what measured reflectances tell, or None.
+        parameters: The parameters to fit.
+        tuned_parts: Returns the recipe's parts at values.
+        observations: Observables of patches in images.
+        direct_model: Model of measured reflectances, or None.
 
     Attributes:
-        entries: the vector's numbers.
-        low, high: `(p,)` their ends.
-        data: how many independent data there are: the numbers of all cells, and what spectra are worth.
+        entries: Entries of the vector.
+        low, high, mean, sd: `(p,)` of their prior distributions.
+        data_count: Number of independent data in observations and spectra.
     """
 
     def __init__(
         self,
         parameters: Sequence[Parameter],
-        tuned: Callable[[Values], TunedParts],
-        cells: Sequence[Cell],
-        spectra: DirectModel | None = None,
+        tuned_parts: Callable[[Values], TunedParts],
+        observations: Sequence[Observation],
+        direct_model: DirectModel | None = None,
     ) -> None:
-        self.parameters, self.cells, self.spectra = tuple(parameters), tuple(cells), spectra
-        self.tuned = tuned
+        self.parameters, self.observations = tuple(parameters), tuple(observations)
+        self.tuned_parts, self.direct_model = tuned_parts, direct_model
         self.entries = entries_of(parameters)
-        laws = [one.parameter.prior[one.place] for one in self.entries]
-        self.low = np.array([law.low for law in laws])
-        self.high = np.array([law.high for law in laws])
-        self.mean = np.array([law.mean for law in laws])
-        self.sd = np.array([law.sd for law in laws])
-        # Neighbouring wavelengths miss alike: a spectrum is worth fewer data than it has residuals.
-        worth = 0 if spectra is None else round(spectra.independent)
-        self.data = NUMBERS * len(self.cells) + worth
+        priors = [one.prior for one in self.entries]
+        self.low = np.array([prior.low for prior in priors])
+        self.high = np.array([prior.high for prior in priors])
+        self.mean = np.array([prior.mean for prior in priors])
+        self.sd = np.array([prior.sd for prior in priors])
+        # Residuals at neighbouring wavelengths are correlated: a spectrum has fewer data than residuals.
+        independent = 0 if direct_model is None else round(direct_model.independent)
+        self.data_count = OBSERVABLE_COUNT * len(self.observations) + independent
 
     @property
     def default(self) -> Array:
-        """`(p,)` the recipe's own values."""
+        """`(p,)` values of the recipe."""
         return np.concatenate([one.default for one in self.parameters])
 
     def inside(self, vector: Array) -> Array:
         """The vector, moved off the ends of its bounds."""
-        margin = _INSIDE * (self.high - self.low)
+        margin = _MARGIN * (self.high - self.low)
         return np.clip(vector, self.low + margin, self.high - margin)
 
     def values(self, vector: Array) -> dict[str, Array]:
-        """A vector's numbers by parameter."""
+        """Values of a vector by parameter."""
         ends = np.cumsum([len(one.default) for one in self.parameters])[:-1]
         parts = np.split(np.asarray(vector, float), ends)
         return {one.name: part for one, part in zip(self.parameters, parts, strict=True)}
 
     def residuals(self, vector: Array) -> Array:
-        """`(m + p,)` of the data, then of the bounds."""
+        """`(m + p,)` residuals of the data, then of the priors."""
         return np.concatenate([self.data_residuals(self.values(vector)), (vector - self.mean) / self.sd])
 
     def jacobian(self, vector: Array) -> Array:
@@ -138,18 +124,19 @@ class FitProblem:
         return np.vstack([self.data_jacobian(self.values(vector), self.entries), np.diag(1.0 / self.sd)])
 
     def data_residuals(self, values: Values) -> Array:
-        """`(m,)` cell by cell, then of spectra."""
-        made = self.tuned(values)
-        rows = [(cell.predicted(made) - cell.target) / cell.sigma for cell in self.cells]
-        if self.spectra is not None:
-            rows.append(self.spectra.residuals(values))
+        """`(m,)` residuals of the observations, then of the spectra."""
+        parts = self.tuned_parts(values)
+        rows = [(one.predicted(parts) - one.target) / one.sigma for one in self.observations]
+        if self.direct_model is not None:
+            rows.append(self.direct_model.residuals(values))
         return np.concatenate(rows) if rows else np.zeros(0)
 
     def data_jacobian(self, values: Values, entries: Sequence[Entry]) -> Array:
-        """`(m, p)` with respect to any entries."""
-        made = self.tuned(values)
-        moves = [ParameterStep.along(entry, values, self.tuned) for entry in entries] if self.cells else []
-        rows = [cell.slopes(made, moves) / cell.sigma[:, None] for cell in self.cells]
-        if self.spectra is not None:
-            rows.append(self.spectra.jacobian(values, entries))
+        """`(m, p)` derivatives of `data_residuals` with respect to any entries."""
+        parts, steps = self.tuned_parts(values), []
+        if self.observations:
+            steps = [ParameterStep.along(entry, values, self.tuned_parts) for entry in entries]
+        rows = [one.derivatives(parts, steps) / one.sigma[:, None] for one in self.observations]
+        if self.direct_model is not None:
+            rows.append(self.direct_model.jacobian(values, entries))
         return np.concatenate(rows) if rows else np.zeros((0, len(entries)))

@@ -1,8 +1,8 @@
-"""What views look like at other values of the parameters, and how that changes with each of them.
+"""Views of organs as functions of the parameters, with derivatives.
 
-Light goes through the differentiable renderer, in every wavelength; what the camera makes of it is a few
-formulas. Derivatives of the parameters that change light are Dr.Jit's, forward; those of exposure, white
-balance and colour matrix, which act on what was counted, are differences of those formulas.
+Light is computed by the differentiable renderer, in every wavelength; the camera is a few formulas. The
+derivatives of parameters that change light are Dr.Jit's, in forward mode. Those of exposure, white balance
+and colour matrix, which act on the counted electrons, are finite differences of the formulas.
 """
 
 from __future__ import annotations
@@ -18,192 +18,180 @@ from numpy.typing import NDArray
 from pepperscene.render.gradients.pigment_models import path_values
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
 from pepperscene.render.quality import Quality
-from pepperscene.tuning.model.observables import NUMBERS, PatchObservables, numbers, pixel_noise
+from pepperscene.tuning.model.observables import (
+    OBSERVABLE_COUNT,
+    SensorModel,
+    observables,
+    standardised_noise,
+)
 from pepperscene.tuning.model.views import OrganView
 
 if TYPE_CHECKING:
-    from pepperscene.cultivar import Cultivar
+    from pepperscene.cultivar import Cultivar, Distribution
     from pepperscene.tuning.parameters.parameter import Parameter
     from pepperscene.tuning.parameters.tuned import TunedParts
-
 
 Array = NDArray[np.float64]
 Values = Mapping[str, Array]
 
-EFFORT: Final = Quality(16, 16, 16, 1, target=None, denoise=False)
-"""Chosen: the noise of a view's mean is then a thousandth of it; organs alone hardly light themselves."""
+VIEW_QUALITY: Final = Quality(16, 16, 16, 1, target=None, denoise=False)
+"""Chosen: the noise of a view's mean is then a thousandth of it; a single organ hardly lights itself."""
 
-IN_THE_SCENE: Final = ("pigments", "cuticle", "light")
-"""Groups of parameters that change light; others change what the camera makes of it."""
-
+LIGHT_GROUPS: Final = ("pigments", "cuticle", "light")  # the others change what the camera makes of it
 _STEP: Final = 1e-4
-"""Of a parameter's own scale, by which the chain from it to the renderer's tables is differentiated: its
+"""Finite-difference step, in prior standard deviations, from a parameter to the renderer's tables. These
 functions are smooth and in double precision, so that the error is about 1e-8 of the slope."""
 
-_PICTURES: Final = 24  # chosen: a standard error is then known to a seventh
+_NOISE_IMAGES: Final = 24  # chosen: a standard error is then known to a seventh
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One number of a fit.
-
-    Attributes:
-        parameter: that it belongs to.
-        place: among its entries.
-    """
+    """One scalar of a fit: the entry of a parameter with this index."""
 
     parameter: Parameter
-    place: int
+    index: int
 
     @property
     def label(self) -> str:
-        """Name, with the entry's own where there are several."""
-        own = self.parameter.labels[self.place]
-        return f"{self.parameter.name} ({own})" if own else self.parameter.name
+        """Name of the parameter, with the entry's label if there are several."""
+        return self.parameter.entry_labels[self.index]
 
     @property
-    def scale(self) -> float:
-        """Standard deviation of its bounds."""
-        return float(self.parameter.prior[self.place].sd)
+    def prior(self) -> Distribution:
+        """Prior distribution."""
+        return self.parameter.prior[self.index]
 
-    def moved(self, values: Values, step: float) -> dict[str, Array]:
-        """Values with this one moved by a step."""
-        own = np.array(values.get(self.parameter.name, self.parameter.default), float)
-        own[self.place] += step
-        return {**values, self.parameter.name: own}
+    def value(self, values: Values) -> float:
+        """Its value, or the default if it is not among the values."""
+        return float(np.asarray(values.get(self.parameter.name, self.parameter.default))[self.index])
+
+    def with_step(self, values: Values, step: float) -> dict[str, Array]:
+        """Values with a step added to this entry."""
+        changed = np.array(values.get(self.parameter.name, self.parameter.default), float)
+        changed[self.index] += step
+        return {**values, self.parameter.name: changed}
 
 
 def entries_of(parameters: Sequence[Parameter]) -> tuple[Entry, ...]:
-    """Their numbers, in order."""
-    return tuple(Entry(one, place) for one in parameters for place in range(len(one.default)))
+    """All entries of some parameters, in order."""
+    return tuple(Entry(one, index) for one in parameters for index in range(len(one.default)))
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterStep:
-    """The recipe's parts a little to either side of some values, along one entry.
+    """The recipe's parts at two values of one entry, for a finite difference."""
 
-    Attributes:
-        above, below: the parts there.
-        width: of the entry between the two.
-        in_the_scene: whether light changes.
-    """
-
-    above: TunedParts
-    below: TunedParts
-    width: float
-    in_the_scene: bool
+    above: TunedParts  # parts at the larger and at the smaller value
+    below: TunedParts  # parts at the larger and at the smaller value
+    width: float  # difference of the values
+    changes_light: bool  # whether the light changes, or only what the camera makes of it
 
     @classmethod
-    def along(cls, entry: Entry, values: Values, tuned: Callable[[Values], TunedParts]) -> Self:
-        """The move along an entry; at an end of its bounds, inwards alone: beyond lies what cannot be."""
-        law = entry.parameter.prior[entry.place]
-        value = float(np.asarray(values.get(entry.parameter.name, entry.parameter.default))[entry.place])
-        step = _STEP * entry.scale
-        up, down = min(step, law.high - value), min(step, value - law.low)
+    def along(cls, entry: Entry, values: Values, tuned_parts: Callable[[Values], TunedParts]) -> Self:
+        """Return a central step along an entry; at a bound a one-sided one that stays within the bounds."""
+        prior, value = entry.prior, entry.value(values)
+        step = _STEP * float(prior.sd)
+        up, down = min(step, prior.high - value), min(step, value - prior.low)
         if up <= 0.0 and down <= 0.0:
-            raise ValueError(f"{entry.label} cannot move: its bounds are {law.low:g} to {law.high:g}")
+            raise ValueError(f"{entry.label} cannot change: its bounds are {prior.low:g} to {prior.high:g}")
         up, down = max(up, 0.0), max(down, 0.0)
-        above, below = tuned(entry.moved(values, up)), tuned(entry.moved(values, -down))
-        return cls(above, below, up + down, entry.parameter.group in IN_THE_SCENE)
+        above, below = tuned_parts(entry.with_step(values, up)), tuned_parts(entry.with_step(values, -down))
+        return cls(above, below, up + down, entry.parameter.group in LIGHT_GROUPS)
 
 
 class ViewModel:
     """One view as a function of the recipe's parts.
 
     Args:
-        view: what is seen.
-        cultivar: whose pigments made its surfaces.
-        seed: of light and noise.
-        effort: of light.
+        view: The view, of surfaces that the cultivar's pigments make.
+        cultivar: The cultivar.
+        seed: Seed of light and noise.
+        quality: Samples of light.
     """
 
-    def __init__(self, view: OrganView, cultivar: Cultivar, seed: int, effort: Quality) -> None:
+    def __init__(self, view: OrganView, cultivar: Cultivar, seed: int, quality: Quality) -> None:
         self.view = view
-        self._cultivar, self._seed, self._effort = cultivar, seed, effort
-        steps = view.camera.developing
-        pixels, channels = int(view.mask.sum()), view.camera.sensor.channels
-        noise = pixel_noise(pixels, channels, np.random.default_rng([seed, 1]))
-        noisy = steps.shot_noise or steps.read_noise
-        self._photograph = PatchObservables(
-            view.camera.sensor,
+        self._cultivar, self._seed, self._quality = cultivar, seed, quality
+        camera, steps = view.camera, view.camera.developing
+        noise = standardised_noise(
+            int(view.mask.sum()), camera.sensor.channels, np.random.default_rng([seed, 1])
+        )
+        self._sensor = SensorModel(
+            camera.sensor,
             steps.saturation,
-            noise if noisy else None,
+            noise if steps.shot_noise or steps.read_noise else None,
             steps.shot_noise,
             steps.read_noise,
-            timed=view.camera.flash is None,
+            scales_time=camera.flash is None,
         )
 
-    def electrons(self, made: TunedParts) -> Array:
-        """`(n, c)` that the photosites of the view's pixels expect."""
-        return self._renderer.rgb(self._light(made))[self.view.mask]
+    def electrons(self, parts: TunedParts) -> Array:
+        """`(n, c)` electrons that the photosites of the view's pixels expect."""
+        return self._renderer.rgb(self._light(parts))[self.view.mask]
 
-    def linear(self, made: TunedParts, shade: Array) -> Array:
-        """`(n, 3)` linear sRGB of the view's pixels.
+    def linear(self, parts: TunedParts, shade: Array) -> Array:
+        """`(n, 3)` linear sRGB of the view's pixels; neighbours let the fraction `shade` `(c,)` through."""
+        return self._developed(shade * self.electrons(parts), parts)
 
-        Args:
-            made: the recipe's parts.
-            shade: `(c,)` share of the light that neighbours let through, by colour.
-        """
-        return self._developed(shade * self.electrons(made), made)
-
-    def linear_and_slopes(
-        self, made: TunedParts, moves: Sequence[ParameterStep], shade: Array
+    def linear_and_derivatives(
+        self, parts: TunedParts, steps: Sequence[ParameterStep], shade: Array
     ) -> tuple[Array, Array]:
-        """`linear`, and its derivatives `(p, n, 3)` along moves."""
-        electrons = shade * self.electrons(made)
-        found, by_electrons, free = self._photograph.linear_and_slope(
-            electrons, made.exposure, made.gains, made.matrix
+        """`linear`, and its derivatives `(p, n, 3)` along steps."""
+        electrons = shade * self.electrons(parts)
+        linear, by_electrons, unclipped = self._sensor.linear_and_slopes(
+            electrons, parts.exposure, parts.gains, parts.matrix
         )
-        slopes = np.zeros((len(moves), *found.shape))
-        parameters = self._light(made)
-        for slope, move in zip(slopes, moves, strict=True):
-            if move.in_the_scene:
-                direction = _direction(self._light(move.above), self._light(move.below), move.width)
+        derivatives = np.zeros((len(steps), *linear.shape))
+        parameters = self._light(parts)
+        for derivative, step in zip(derivatives, steps, strict=True):
+            if step.changes_light:
+                direction = _direction(self._light(step.above), self._light(step.below), step.width)
                 if direction:
                     change = shade * self._renderer.forward(parameters, direction)[self.view.mask]
-                    slope[:] = free * ((by_electrons * change) @ made.matrix.T)
+                    derivative[:] = unclipped * ((by_electrons * change) @ parts.matrix.T)
             else:
-                here = [self._developed(electrons, one) for one in (move.above, move.below)]
-                slope[:] = (here[0] - here[1]) / move.width
-        return found, slopes
+                above, below = (self._developed(electrons, one) for one in (step.above, step.below))
+                derivative[:] = (above - below) / step.width
+        return linear, derivatives
 
-    def noise(self, made: TunedParts) -> Array:
-        """`(8,)` standard errors of the numbers of one picture, by the noise of its sensor alone."""
-        electrons, rng = self.electrons(made), np.random.default_rng([self._seed, 2])
-        if self._photograph.noise is None:
-            return np.zeros(NUMBERS)
-        found = []
-        for _ in range(_PICTURES):
-            taken = replace(self._photograph, noise=rng.standard_normal(electrons.shape))
-            found.append(numbers(taken.linear(electrons, made.exposure, made.gains, made.matrix)))
-        return np.asarray(np.std(found, axis=0, ddof=1))
+    def standard_errors(self, parts: TunedParts) -> Array:
+        """`(8,)` standard errors of the observables of one image, from the noise of its sensor alone."""
+        electrons, rng = self.electrons(parts), np.random.default_rng([self._seed, 2])
+        if self._sensor.noise is None:
+            return np.zeros(OBSERVABLE_COUNT)
+        samples = []
+        for _ in range(_NOISE_IMAGES):
+            sensor = replace(self._sensor, noise=rng.standard_normal(electrons.shape))
+            samples.append(observables(sensor.linear(electrons, parts.exposure, parts.gains, parts.matrix)))
+        return np.asarray(np.std(samples, axis=0, ddof=1))
 
     @property
     def nodes_nm(self) -> Array:
-        """`(m,)` where the renderer takes factors of the flash's spectrum."""
+        """`(m,)` wavelengths of the renderer's factors on the flash spectrum."""
         return self._renderer.flash_nodes_nm
 
     @cached_property
     def _renderer(self) -> DifferentiableRenderer:
         return DifferentiableRenderer(
-            self.view.scene, self.view.camera, self._cultivar, self._effort, self._seed
+            self.view.scene, self.view.camera, self._cultivar, self._quality, self._seed
         )
 
-    def _light(self, made: TunedParts) -> dict[str, Array]:
-        """The renderer's parameters of this view."""
-        found: dict[str, Array] = {}
-        for surface, path in made.pigments.items():
-            found |= path_values(surface, path)
-        if made.flash_spectrum.size:
-            found |= {"flash.spectrum": made.flash_spectrum}
-        found |= {"flash.power": np.array(made.flash_power)}
-        return {name: np.asarray(found[name]) for name in self._renderer.parameters if name in found}
+    def _light(self, parts: TunedParts) -> dict[str, Array]:
+        """The renderer's parameters for this view."""
+        values: dict[str, Array] = {}
+        for surface, path in parts.pigments.items():
+            values |= path_values(surface, path)
+        if parts.flash_factors.size:
+            values |= {"flash.spectrum": parts.flash_factors}
+        values |= {"flash.power": np.array(parts.flash_power)}
+        return {name: np.asarray(values[name]) for name in self._renderer.parameters if name in values}
 
-    def _developed(self, electrons: Array, made: TunedParts) -> Array:
-        return self._photograph.linear(electrons, made.exposure, made.gains, made.matrix)
+    def _developed(self, electrons: Array, parts: TunedParts) -> Array:
+        return self._sensor.linear(electrons, parts.exposure, parts.gains, parts.matrix)
 
 
-def _direction(above: dict[str, Array], below: dict[str, Array], step: float) -> dict[str, Array]:
-    """How the renderer's parameters change, those that do."""
-    found = {name: (value - below[name]) / step for name, value in above.items()}
-    return {name: change for name, change in found.items() if np.any(change != 0.0)}
+def _direction(above: dict[str, Array], below: dict[str, Array], width: float) -> dict[str, Array]:
+    """Derivatives of the renderer's parameters that change."""
+    derivatives = {name: (value - below[name]) / width for name, value in above.items()}
+    return {name: change for name, change in derivatives.items() if np.any(change != 0.0)}

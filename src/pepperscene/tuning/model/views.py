@@ -1,9 +1,9 @@
-"""Small pictures of single organs, in the recipe's own light and camera: what a fit looks at in each step.
+"""Small images of single organs in the recipe's light, which a fit renders in each step.
 
-An organ stands alone, somewhere in the middle of the picture that the camera of the recipe's path takes, at
-its distance or a little further, as most of a plant is. A longer lens of the same f-number shows it large:
-the light on the sensor, and so electrons and noise, stay those of the recipe. What neighbours do to its light
-is left out; the whole scene is looked at in the end (see `pepperscene.tuning.whole_scene`).
+Each organ is alone, near the middle of the image of the recipe's camera, at the distance of the recipe's path
+or somewhat farther away, like most of a plant. A lens with a longer focal length and the same f-number
+enlarges it, so that irradiance on the sensor, electrons and noise are those of the recipe. The effect of
+neighbours on its light is missing; `pepperscene.tuning.whole_scene` measures it.
 """
 
 from __future__ import annotations
@@ -28,42 +28,32 @@ if TYPE_CHECKING:
     from pepperscene.materials import Surface
     from pepperscene.scene import Scene, Sky
 
-
 Array = NDArray[np.float64]
 
-ORGANS: Final = 3
-"""Chosen: of each kind: a dark, a middling and a pale one."""
+ORGANS: Final = 3  # of each kind; chosen: a dark, a medium and a pale one
 PIXELS: Final = 48
-"""Chosen: along the sides of a view; a mean over its pixels is then good to a hundredth of its spread."""
+"""Width and height of a view. Chosen: the mean of its pixels is then known to a hundredth of their spread."""
 
-PLACES: Final = ((0.12, 0.0, 1.0), (-0.11, 0.19, 1.2), (-0.15, -0.26, 1.4))
-"""Where organs stand in turn: slopes to the right and down off the optical axis, and the distance in units of
-the path's. Chosen: radii that part the middle 300 x 300 pixels of the paper's camera, in which hues are
-counted, into thirds; and as far behind the nearest organs as leaves and fruit of one plant lie."""
+POSITIONS: Final = ((0.12, 0.0, 1.0), (-0.11, 0.19, 1.2), (-0.15, -0.26, 1.4))
+"""Positions of the organs, used cyclically: slopes to the right and down off the optical axis, and distance
+relative to the path's. Chosen: radii that divide the central 300 x 300 pixels of the paper's camera, where
+hues are counted, into thirds; and distances behind the nearest organs as of leaves and fruit of a plant."""
 
-_PLANTS: Final = 6  # chosen: grown at most, until there are organs enough of every kind
-_CANDIDATES: Final = 3  # times the organs wanted: those that show most are looked at for their states
-_SLENDER: Final = 1.6  # a view is so many times as wide as an organ is thick
-_RIPE: Final = 0.5  # ripeness that parts unripe from ripe fruit
+_PLANTS: Final = 6  # chosen: maximum number of plants to grow until there are enough organs of every kind
+_CANDIDATES: Final = 3  # times the organs wanted: the most visible ones, among which states are chosen
+_SLENDER: Final = 1.6  # width of a view relative to the thickness of its organ
+_RIPE: Final = 0.5  # ripeness that separates unripe from ripe fruit
 
 
 @dataclass(frozen=True, eq=False)
 class OrganView:
-    """A small picture of an organ.
+    """A small image of one organ."""
 
-    Attributes:
-        name: unique among the views of a fit.
-        kind: of the organ, as patches call it: "leaf", "pepper.unripe".
-        scene: the organ alone, with all surfaces that it shows.
-        camera: that sees it.
-        mask: `(h, w)` the pixels that show nothing else.
-    """
-
-    name: str
-    kind: str
-    scene: Scene
-    camera: Camera
-    mask: NDArray[np.bool_]
+    name: str  # unique among the views of a fit
+    kind: str  # kind of the organ as for patches: "leaf", "pepper.unripe"
+    scene: Scene  # the organ alone, with the surfaces that it shows
+    camera: Camera  # the camera
+    mask: NDArray[np.bool_]  # (h, w) pixels that show nothing but the organ
 
 
 def organ_views(
@@ -77,20 +67,13 @@ def organ_views(
     pixels: int = PIXELS,
     seed: int = 0,
 ) -> tuple[OrganView, ...]:
-    """Views of a few organs of each kind, of plants that the cultivar grows.
+    """Return views of at most `organs` organs of each kind, from plants of the cultivar.
 
-    Args:
-        recipe: gives path, and the seed of its plants.
-        cultivar: that grows; its pigments make the surfaces.
-        camera: the recipe's, at no place.
-        kinds: class names in lower case, peppers also as "pepper.unripe" and "pepper.ripe".
-        sky: the recipe's daylight, or None.
-        organs: of each kind, at most.
-        pixels: along the sides of a view.
-        seed: of the plants, besides the recipe's own.
+    Kinds are class names in lower case, peppers also "pepper.unripe" and "pepper.ripe". Recipe, camera and
+    sky give the camera path and the light; the seed of the plants is added to the recipe's.
 
     Raises:
-        InputError: a kind is no organ's, or no plant of the cultivar has it.
+        InputError: A kind is not that of an organ, or the plants have no such organ.
     """
     from pepperscene.geometry import mesh_plant
     from pepperscene.grammar import grow
@@ -98,49 +81,45 @@ def organ_views(
     from pepperscene.scene import assemble_scene
 
     for kind in kinds:
-        _check(kind)
+        _check_kind(kind)
     surfaces = organ_surfaces(cultivar, surface_wavelengths(camera.sensor))
     path = recipe.path
     forward = np.array([0.0, np.cos(np.radians(path.pitch_deg)), np.sin(np.radians(path.pitch_deg))])
-    found: dict[str, list[Mesh]] = {kind: [] for kind in kinds}
+
+    # Grow plants until there are enough organs of every kind.
+    meshes: dict[str, list[Mesh]] = {kind: [] for kind in kinds}
     for plant in range(_PLANTS):
-        missing = [kind for kind in kinds if len(found[kind]) < organs]
+        missing = [kind for kind in kinds if len(meshes[kind]) < organs]
         if not missing:
             break
-        grown = grow(cultivar, random_generator(recipe.seed, Stream.PLANT, seed, plant))
-        mesh = mesh_plant(grown)
+        mesh = mesh_plant(grow(cultivar, random_generator(recipe.seed, Stream.PLANT, seed, plant)))
         for kind in missing:
-            found[kind] += _shown(mesh, kind, forward, organs - len(found[kind]))
+            meshes[kind] += _select_organs(mesh, kind, forward, organs - len(meshes[kind]))
+
+    # Place a camera in front of each.
     views: list[OrganView] = []
-    for kind, meshes in found.items():
-        if not meshes:
-            raise InputError(
-                recipe.name,
-                f"must have organs of the kind {kind!r} to fit them",
-                key="cultivar",
-                value=recipe.cultivar,
-            )
-        for i, mesh in enumerate(meshes):
-            own = {name: surfaces[name] for name in mesh.surfaces}
-            right, down, far = PLACES[i % len(PLACES)]
-            place = 1e-3 * path.distance_mm * far * np.array([right, down, 1.0])
-            placed = _placed(camera, mesh, forward, place, pixels)
-            views.append(_view(f"{kind} {i + 1}", kind, assemble_scene(mesh, own, sky), placed))
+    for kind, of_kind in meshes.items():
+        if not of_kind:
+            problem = f"must have organs of the kind {kind!r} to fit them"
+            raise InputError(recipe.name, problem, key="cultivar", value=recipe.cultivar)
+        for i, mesh in enumerate(of_kind):
+            right, down, distance = POSITIONS[i % len(POSITIONS)]
+            position = 1e-3 * path.distance_mm * distance * np.array([right, down, 1.0])
+            close_up = _close_up_camera(camera, mesh, forward, position, pixels)
+            scene = assemble_scene(mesh, {name: surfaces[name] for name in mesh.surfaces}, sky)
+            views.append(OrganView(f"{kind} {i + 1}", kind, scene, close_up, _mask(kind, scene, close_up)))
     return tuple(view for view in views if view.mask.any())
 
 
 def with_surfaces(view: OrganView, surfaces: dict[str, Surface]) -> OrganView:
-    """The same view of an organ of other surfaces."""
+    """Return the same view with other surfaces of the organ."""
     from pepperscene.scene import assemble_scene
 
-    own = {name: surfaces[name] for name in view.scene.mesh.surfaces}
-    return replace(view, scene=assemble_scene(view.scene.mesh, own, view.scene.sky))
+    shown = {name: surfaces[name] for name in view.scene.mesh.surfaces}
+    return replace(view, scene=assemble_scene(view.scene.mesh, shown, view.scene.sky))
 
 
-# --- organs -----------------------------------------------------------------------------------------------
-
-
-def _check(kind: str) -> None:
+def _check_kind(kind: str) -> None:
     name, _, stage = kind.partition(".")
     known = [one.name.lower() for one in OrganClass if one not in (OrganClass.BACKGROUND, OrganClass.WIRE)]
     if name not in known or (stage and (name != "pepper" or stage not in ("unripe", "ripe"))):
@@ -148,73 +127,68 @@ def _check(kind: str) -> None:
         raise InputError("patches", f"must be one of {allowed}", key="kind", value=kind)
 
 
-def _shown(mesh: Mesh, kind: str, forward: Array, most: int) -> list[Mesh]:
-    """Organs of a kind by themselves, surface by surface: of those that show most, from the lowest to the
-    highest state.
-    """
+def _select_organs(mesh: Mesh, kind: str, forward: Array, count: int) -> list[Mesh]:
+    """Meshes of some of the most visible organs of a kind, by surface and from low to high states."""
     name, _, stage = kind.partition(".")
-    chosen = [i for i, one in enumerate(mesh.instances) if one.organ_class == OrganClass[name.upper()]]
+    indices = [i for i, one in enumerate(mesh.instances) if one.organ_class == OrganClass[name.upper()]]
     corners = mesh.vertices[mesh.faces].astype(float)
     normal = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.bincount(mesh.face_instance, np.abs(normal @ forward), minlength=len(mesh.instances))
-    states = np.bincount(mesh.face_instance, mesh.state[mesh.faces].mean(axis=1), minlength=len(area))
-    state = states / np.maximum(np.bincount(mesh.face_instance, minlength=len(area)), 1)
+    totals = np.bincount(mesh.face_instance, mesh.state[mesh.faces].mean(axis=1), minlength=len(area))
+    states = totals / np.maximum(np.bincount(mesh.face_instance, minlength=len(area)), 1)
     if stage:
-        chosen = [i for i in chosen if (state[i] >= _RIPE) == (stage == "ripe")]
-    # The stalk of a fruit and its calyx are one kind of two surfaces: they take turns, what shows more first.
+        indices = [i for i in indices if (states[i] >= _RIPE) == (stage == "ripe")]
+    # A fruit's stalk and calyx are one kind with two surfaces: alternate, starting with the larger area.
     surface = np.zeros(len(mesh.instances), int)
     surface[mesh.face_instance] = mesh.face_surface
     by_surface: dict[int, list[int]] = {}
-    for i in sorted(chosen, key=lambda i: -area[i]):
+    for i in sorted(indices, key=lambda i: -area[i]):
         by_surface.setdefault(int(surface[i]), []).append(i)
-    turns = sorted(by_surface.values(), key=lambda own: -area[own].sum())
-    found: list[int] = []
-    for turn, own in enumerate(turns):
-        share = -(-(most - turn) // len(turns))
-        by_state = sorted(own[: _CANDIDATES * share], key=lambda i: float(state[i]))
-        places = np.round((np.arange(share) + 0.5) / max(share, 1) * len(by_state) - 0.5)
-        found += [by_state[place] for place in np.unique(places.astype(int))]
-    return [mesh.select_instances([i]) for i in found]
+    groups = sorted(by_surface.values(), key=lambda group: -area[group].sum())
+    selected: list[int] = []
+    for rank, group in enumerate(groups):
+        quota = -(-(count - rank) // len(groups))
+        by_state = sorted(group[: _CANDIDATES * quota], key=lambda i: float(states[i]))
+        positions = np.round((np.arange(quota) + 0.5) / max(quota, 1) * len(by_state) - 0.5)
+        selected += [by_state[position] for position in np.unique(positions.astype(int))]
+    return [mesh.select_instances([i]) for i in selected]
 
 
-# --- cameras ----------------------------------------------------------------------------------------------
-
-
-def _placed(camera: Camera, mesh: Mesh, forward: Array, place: Array, pixels: int) -> Camera:
-    """The camera that has an organ at a place `(3,)` in its own axes, with a lens that shows it large."""
+def _close_up_camera(camera: Camera, mesh: Mesh, forward: Array, position: Array, pixels: int) -> Camera:
+    """The camera that sees an organ at a position `(3,)` in its own axes, with a lens that enlarges it."""
     from pepperscene.camera import Distortion, look_at
 
-    # How thick the organ looks across its longer axis tells how much of it is shown.
+    # The width of the view follows from the thickness of the organ across its longer axis.
     points = mesh.vertices.astype(float)
     right = np.array([1.0, 0.0, 0.0])
     flat = (points - points.mean(axis=0)) @ np.stack([right, np.cross(forward, right)]).T
     _, _, axes = np.linalg.svd(flat - flat.mean(axis=0), full_matrices=False)
     along, across = np.ptp(flat @ axes.T, axis=0)
     width = float(min(_SLENDER * across, 1.1 * max(along, across)))
-    # Long organs bend: the middle of the view is a point on them.
+    # Long organs bend: look at the point of the organ that is closest to its centre.
     target = points[np.argmin((flat**2).sum(axis=1))]
     step = 2 if camera.sensor.binning == 1 and camera.sensor.channels == 3 else 1
     sensor = replace(camera.sensor, columns=pixels - pixels % step, rows=pixels - pixels % step)
-    # A longer lens, and of its picture the piece around the organ.
-    focal = place[2] * pixels * sensor.pixel_pitch_m / width
+    # A longer focal length, and the part of its image that shows the organ.
+    focal = position[2] * pixels * sensor.pixel_pitch_m / width
     lens = replace(
         camera.lens,
         focal_length_m=focal,
         distortion=Distortion(),
-        principal_offset_m=(-focal * place[0] / place[2], -focal * place[1] / place[2]),
+        principal_offset_m=(-focal * position[0] / position[2], -focal * position[1] / position[2]),
     )
     pose = look_at(target - forward, target)
-    pose[:3, 3] = target - pose[:3, :3] @ place
+    pose[:3, 3] = target - pose[:3, :3] @ position
     return replace(camera, lens=lens, sensor=sensor, pose=pose, focus_m=None)
 
 
-def _view(name: str, kind: str, scene: Scene, camera: Camera) -> OrganView:
+def _mask(kind: str, scene: Scene, camera: Camera) -> NDArray[np.bool_]:
+    """`(h, w)` pixels that show the organ, as do all their neighbours."""
     from scipy.ndimage import binary_erosion
 
     from pepperscene.render import Renderer
 
-    wanted = OrganClass[kind.partition(".")[0].upper()]
-    seen = Renderer(scene).render(camera, ["class"])["class"] == wanted
-    # Beyond the border nothing is known, so what lies there counts as more of the same.
-    inside = binary_erosion(seen, np.ones((3, 3), bool), border_value=1)
-    return OrganView(name, kind, scene, camera, inside)
+    organ_class = OrganClass[kind.partition(".")[0].upper()]
+    visible = Renderer(scene).render(camera, ["class"])["class"] == organ_class
+    # Outside of the image nothing is known; assume more of the same.
+    return np.asarray(binary_erosion(visible, np.ones((3, 3), bool), border_value=1))

@@ -1,301 +1,198 @@
-"""A sheet that shows a fit to people: measured colours, the model's before and after, what was changed."""
+"""Figure of a fit: measured colours, the model's before and after, spectra, scene, and fitted values."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from functools import partial
+from io import BytesIO
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import encode_tone
-from pepperscene.camera.colorimetry import D65_WHITE, SRGB_TO_XYZ, XYZ_TO_SRGB, xyz_to_lab
+from pepperscene.camera.colorimetry import D65_WHITE, XYZ_TO_SRGB
+from pepperscene.colour import ColourStatistics, linear_srgb_to_lab
 from pepperscene.spectra import colour_science
-from pepperscene.tuning.output.provenance import entries, plain, with_spread
+from pepperscene.tuning.output.provenance import fitted_entries, format_value, format_with_sd
 
 if TYPE_CHECKING:
-    from PIL import Image
+    from matplotlib.figure import Figure, SubFigure
 
-    from pepperscene.tuning.fit.result import FitResult, KindFit, SpectrumFit
+    from pepperscene.tuning.fit.least_squares import FitResult, KindFit, SpectrumFit
 
-
-WIDTH: Final = 1400  # chosen: a page at 120 pixels an inch, as all of the layout below
-_MARGIN, _LABEL, _GAP = 44, 176, 18
-_FIELD, _STRIP, _CELL = 116, 48, 6
-_ACROSS: Final = (WIDTH - 2 * _MARGIN - _LABEL - 2 * _GAP) // 3
-_PAPER, _INK, _FAINT, _LINE = (250, 249, 246), (34, 36, 33), (112, 114, 108), (214, 212, 204)
-_BEFORE, _AFTER = (196, 118, 44), (38, 122, 84)
-_SAID: Final = (
-    (1.0, "no difference to the eye"), (2.0, "hardly a difference"), (5.0, "a small difference"),
-    (10.0, "a clear difference"), (np.inf, "another colour"),
+WIDTH_IN: Final = 11.5  # chosen, as all of the layout below: 1380 pixels
+DPI: Final = 120
+_LEFT, _RIGHT = 0.03, 0.97  # fractions of the width
+_MEASURED, _BEFORE, _AFTER = "#222421", "#c4762c", "#267a54"
+_STYLE: Final = {
+    "text.parse_math": False, "font.size": 9, "axes.titlesize": 9, "axes.titlelocation": "left",
+    "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.6, "lines.linewidth": 1.3,
+    "legend.frameon": False, "legend.fontsize": 8, "xtick.labelsize": 8, "ytick.labelsize": 8,
+}  # fmt: skip
+_VISIBILITY: Final = (
+    (1.0, "not visible"), (2.0, "barely visible"), (5.0, "slightly different"),
+    (10.0, "clearly different"), (np.inf, "another colour"),
 )  # fmt: skip
-"""CIEDE2000 in words. Chosen: 1 is about what can just be told side by side, and each step doubles it."""
-_FINE: Final = 3  # chosen: curves are drawn so many times as large, for smooth edges
+"""CIEDE2000 in words. Chosen: 1 is just visible side by side, and each step is about twice as large."""
+_SWATCH: Final = (18, 72)  # rows and columns of a mean colour
+_STRIP_ROWS: Final = 8  # of pixels below it
+
+Row = tuple[float, Callable[["SubFigure"], None]]  # height in inches, and function that draws it
 
 
 @dataclass(frozen=True, eq=False)
 class BeforeAfter:
-    """The same frame of the whole scene twice, `(h, w, 3)` sRGB: before and after tuning."""
+    """The same frame of the whole scene before and after tuning, `(h, w, 3)` sRGB."""
 
     before: NDArray[np.uint8]
     after: NDArray[np.uint8]
 
 
-def sheet(fit: FitResult, name: str, frames: BeforeAfter | None = None) -> Image.Image:
-    """The whole sheet, `WIDTH` pixels wide.
+def before_after_png(fit: FitResult, name: str, frames: BeforeAfter | None = None) -> bytes:
+    """Return the figure as PNG; the same fit gives the same bytes."""
+    import matplotlib.style
 
-    Args:
-        fit: what was found.
-        name: of the recipe.
-        frames: of the whole scene, or None.
-    """
-    from PIL import Image
+    buffer = BytesIO()
+    with matplotlib.style.context(["default", _STYLE]), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing", category=UserWarning)
+        before_after_figure(fit, name, frames).savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
 
-    blocks = [_head(name)]
-    if fit.kinds:
-        blocks += [_titles(), *(_kind_row(kind, one) for kind, one in fit.kinds.items())]
-    blocks += _spectra(fit.spectra)
+
+def before_after_figure(fit: FitResult, name: str, frames: BeforeAfter | None = None) -> Figure:
+    """Draw the fit of the recipe of this name, with frames of the whole scene or without."""
+    from matplotlib.figure import Figure
+
+    spectra = list(fit.spectra.items())
+    sentences = dict.fromkeys((*fit.diagnostics, *fit.undetermined))
+    lines = [line for sentence in sentences for line in textwrap.wrap(sentence, 150)]
+    rows: list[Row] = [(0.7, partial(_draw_title, name=name, kinds=bool(fit.kinds)))]
+    rows += [(1.75, partial(_draw_kind, kind=kind, colours=one)) for kind, one in fit.kinds.items()]
+    rows += [(2.4, partial(_draw_spectra, spectra=spectra[i : i + 2])) for i in range(0, len(spectra), 2)]
     if frames is not None:
-        blocks.append(_scene(frames))
-    blocks += [_changes(fit), _words(fit), _blank(20)[0]]
-    whole = Image.new("RGB", (WIDTH, sum(block.height for block in blocks)), _PAPER)
-    top = 0
-    for block in blocks:
-        whole.paste(block, (0, top))
-        top += block.height
-    return whole
+        height, width, _ = frames.before.shape
+        rows.append((0.4 + 0.47 * WIDTH_IN * height / width, partial(_draw_frames, frames=frames)))
+    entries = sum(len(one.labels) for one in fit.parameters)
+    rows.append((0.5 + 0.22 * entries, partial(_draw_values, fit=fit)))
+    rows.append((0.3 + 0.19 * len(lines), partial(_draw_text, text="\n".join(lines))))
+
+    heights = [height for height, _ in rows]
+    figure = Figure(figsize=(WIDTH_IN, sum(heights)), dpi=DPI)
+    parts = figure.subfigures(len(rows), 1, squeeze=False, height_ratios=heights, hspace=0.0)
+    for (_, draw), part in zip(rows, parts[:, 0], strict=True):
+        draw(part)
+    return figure
 
 
-def _head(name: str) -> Image.Image:
-    block, pen = _blank(96)
-    pen.text(
-        (_MARGIN, 34), _plain_text(f"{name}: colours before and after tuning"), fill=_INK, font=_font(30)
-    )
-    return block
+def _draw_title(part: SubFigure, name: str, kinds: bool) -> None:
+    part.text(_LEFT, 0.75, textwrap.shorten(f"{name}: before and after tuning", 90), size=15, va="top")
+    if kinds:
+        explanation = (
+            "Mean colours, with the measured one in the middle; below them pixels from dark to bright. "
+            "Hues: measured dashed, before orange, after green."
+        )
+        part.text(_LEFT, 0.2, explanation, color="0.4", va="top")
 
 
-def _titles() -> Image.Image:
-    block, pen = _blank(68)
-    titles = ("measured", "model before", "model after")
-    below = ("mean colour; below it pixels, from dark to bright", *["in its middle: the measured colour"] * 2)
-    for i, (title, more) in enumerate(zip(titles, below, strict=True)):
-        pen.text((_left(i), 4), title, fill=_INK, font=_font(22))
-        pen.text((_left(i), 36), more, fill=_FAINT, font=_font(15))
-    return block
-
-
-def _kind_row(kind: str, one: KindFit) -> Image.Image:
-    """Three fields of mean colour over strips of pixels."""
-    from PIL import Image
-
-    block, pen = _blank(_FIELD + _STRIP + 74)
+def _draw_kind(part: SubFigure, kind: str, colours: KindFit) -> None:
+    """Swatches of mean colour and pixels, measured, before and after, and their hue spectra."""
     organ, _, stage = kind.partition(".")
-    pen.text((_MARGIN, 4), organ, fill=_INK, font=_font(24))
-    pen.text((_MARGIN, 36), stage, fill=_FAINT, font=_font(18))
-    measured = _colour(one.target[0])
+    part.text(_LEFT, 0.84, f"{organ}\n{stage}", size=11, va="top")
+    axes = part.subplots(1, 4, gridspec_kw={"width_ratios": (1, 1, 1, 0.9)})
+    part.subplots_adjust(left=0.1, right=_RIGHT, bottom=0.24, top=0.84, wspace=0.08)
     columns = (
-        (one.target, one.pixels_target, None),
-        (one.before, one.pixels_before, one.delta_e_before),
-        (one.after, one.pixels_after, one.delta_e_after),
+        ("measured", _MEASURED, colours.target, colours.pixels_target, None),
+        ("before", _BEFORE, colours.before, colours.pixels_before, colours.delta_e_before),
+        ("after", _AFTER, colours.after, colours.pixels_after, colours.delta_e_after),
     )
-    for i, (moments, pixels, difference) in enumerate(columns):
-        left, low = _left(i), _FIELD + _STRIP
-        pen.rectangle((left, 0, left + _ACROSS - 1, _FIELD - 1), fill=_colour(moments[0]))
-        if difference is not None:
-            # Colours are compared best where they touch.
-            middle = left + _ACROSS // 2
-            pen.rectangle((middle - 70, 32, middle + 69, _FIELD - 33), fill=measured)
-        block.paste(Image.fromarray(_strip(pixels)), (left, _FIELD))
-        light, red, yellow = moments[0]
-        spread = " / ".join(f"{one:.0f}" for one in moments[1])
-        told = f"L* {light:.0f}   a* {red:.0f}   b* {yellow:.0f}   spread {spread}"
-        if difference is None:
-            pen.text((left, low + 8), told, fill=_FAINT, font=_font(16))
-            continue
-        word = next(text for most, text in _SAID if difference <= most or most == np.inf)
-        pen.text((left, low + 6), f"dE2000 {difference:.1f}", fill=_INK, font=_font(19))
-        pen.text((left + 130, low + 9), word, fill=_FAINT, font=_font(16))
-        pen.text((left, low + 34), told, fill=_FAINT, font=_font(16))
-    return block
+    for axis, (title, colour, (mean, sd), pixels, delta_e) in zip(axes, columns, strict=False):
+        axis.imshow(_swatch(mean, colours.target[0], pixels), interpolation="nearest", aspect="auto")
+        hues, style = ColourStatistics.of(pixels).hue_spectrum, "--" if delta_e is None else "-"
+        axes[3].plot(np.arange(-60, 300, 2), np.roll(hues, 30), color=colour, lw=1.0, ls=style)
+        if delta_e is not None:
+            words = next(text for limit, text in _VISIBILITY if delta_e <= limit or limit == np.inf)
+            title = f"{title}: dE2000 {delta_e:.1f}, {words}"
+        axis.set_title(title, color=colour)
+        lab = "  ".join(f"{label}* {value:.0f}" for label, value in zip("Lab", mean, strict=True))
+        axis.set_xlabel(f"{lab}   sd {' / '.join(f'{one:.0f}' for one in sd)}", loc="left", color="0.4")
+        axis.set(xticks=[], yticks=[])
+        axis.spines[:].set_visible(False)
+    # Reds are on both sides of 0 degrees.
+    axes[3].set(xlim=(-60, 180), ylim=(0, None), xticks=range(-60, 181, 60), yticks=[])
+    axes[3].set_title("% of pixels by hue, degrees")
 
 
-def _strip(pixels: ArrayLike) -> NDArray[np.uint8]:
-    """`(_STRIP, _ACROSS, 3)` sRGB of pixels `(n, 3)`: cells column by column, from dark to bright."""
-    linear = np.asarray(pixels, float).reshape(-1, 3)
-    columns, rows = -(-_ACROSS // _CELL), _STRIP // _CELL
-    if not len(linear):
-        return np.full((_STRIP, _ACROSS, 3), _PAPER, np.uint8)
-    # A strip of few pixels shows each of them several times.
-    ascending = linear[np.argsort(xyz_to_lab(linear @ SRGB_TO_XYZ.T)[:, 0], kind="stable")]
-    picked = ascending[np.arange(columns * rows) * len(ascending) // (columns * rows)]
-    cells = encode_tone(picked.astype(np.float32)).reshape(columns, rows, 3).transpose(1, 0, 2)
-    return cells.repeat(_CELL, axis=0).repeat(_CELL, axis=1)[:, :_ACROSS]
+def _swatch(mean: ArrayLike, measured: ArrayLike, pixels: ArrayLike) -> NDArray[np.uint8]:
+    """`(h, w, 3)` sRGB of a mean colour with the measured one in its middle, above pixels by lightness."""
+    rows, columns = _SWATCH
+    field = np.tile(_srgb(mean), (rows, columns, 1))
+    field[rows // 3 : -(rows // 3), columns // 3 : -(columns // 3)] = _srgb(measured)
+    linear = np.asarray(pixels, float)
+    ascending = linear[np.argsort(linear_srgb_to_lab(linear)[:, 0], kind="stable")]
+    # Evenly sampled; few pixels are repeated.
+    cells = _STRIP_ROWS * columns
+    sampled = ascending[np.arange(cells) * len(ascending) // cells]
+    codes = encode_tone(sampled.astype(np.float32)).reshape(columns, _STRIP_ROWS, 3)
+    return np.concatenate([field, codes.transpose(1, 0, 2)])
 
 
-def _spectra(spectra: Mapping[str, SpectrumFit]) -> list[Image.Image]:
-    """Curves of measured reflectances, two beside each other."""
-    blocks, width = [], (WIDTH - 2 * _MARGIN - _GAP) // 2
-    items = list(spectra.items())
-    for i in range(0, len(items), 2):
-        block, pen = _blank(330)
-        for k, (name, one) in enumerate(items[i : i + 2]):
-            left = _MARGIN + k * (width + _GAP)
-            pen.text((left, 6), f"{_plain_text(name)}: reflectance by nm", fill=_INK, font=_font(19))
-            block.paste(_curves(one, width, 236), (left, 36))
-            at = float(left)
-            for text, colour in (
-                ("measured", _INK),
-                (f"before, RMSE {one.rmse_before:.4f}", _BEFORE),
-                (f"after, RMSE {one.rmse_after:.4f}", _AFTER),
-            ):
-                pen.text((at, 286), text, fill=colour, font=_font(16))
-                at += pen.textlength(text, font=_font(16)) + 24
-        blocks.append(block)
-    return blocks
-
-
-def _curves(one: SpectrumFit, width: int, height: int) -> Image.Image:
-    """Reflectance against wavelength."""
-    from PIL import Image, ImageDraw
-
-    big = Image.new("RGB", (width * _FINE, height * _FINE), _PAPER)
-    pen = ImageDraw.Draw(big)
-    most = 0.1 * np.ceil(
-        10.0 * max(float(np.max(curve)) for curve in (one.target, one.before, one.after)) + 1e-9
-    )
-    first, last = float(one.wavelength_nm[0]), float(one.wavelength_nm[-1])
-    left, right, top, bottom = (_FINE * edge for edge in (44, width - 16, 8, height - 26))
-
-    def x(nm: float) -> float:
-        return left + (nm - first) / (last - first) * (right - left)
-
-    def y(value: float) -> float:
-        return bottom - value / most * (bottom - top)
-
-    for value in np.linspace(0.0, most, 3):
-        pen.line((left, y(value), right, y(value)), fill=_LINE, width=_FINE)
-        pen.text(
-            (left - 6 * _FINE, y(value)), f"{value:.2f}", fill=_FAINT, font=_font(14 * _FINE), anchor="rm"
-        )
-    for nm in np.arange(100.0 * np.ceil(first / 100.0), last + 1.0, 100.0):
-        pen.line((x(nm), bottom, x(nm), bottom + 4 * _FINE), fill=_FAINT, width=_FINE)
-        pen.text((x(nm), bottom + 6 * _FINE), f"{nm:.0f}", fill=_FAINT, font=_font(14 * _FINE), anchor="ma")
-    for curve, colour, thick in ((one.before, _BEFORE, 2), (one.target, _INK, 3), (one.after, _AFTER, 2)):
-        points = [(x(nm), y(value)) for nm, value in zip(one.wavelength_nm, curve, strict=True)]
-        pen.line(points, fill=colour, width=thick * _FINE, joint="curve")
-    return big.resize((width, height), Image.Resampling.LANCZOS)
-
-
-def _scene(frames: BeforeAfter) -> Image.Image:
-    """The whole scene, before and after side by side."""
-    from PIL import Image
-
-    width = (WIDTH - 2 * _MARGIN - _GAP) // 2
-    pictures = []
-    for codes in (frames.before, frames.after):
-        picture = Image.fromarray(np.ascontiguousarray(codes)).convert("RGB")
-        size = (width, max(1, round(width * picture.height / picture.width)))
-        pictures.append(picture.resize(size, Image.Resampling.LANCZOS))
-    block, pen = _blank(40 + max(picture.height for picture in pictures) + 36)
-    for i, (picture, title) in enumerate(zip(pictures, ("whole scene before", "after"), strict=True)):
-        left = _MARGIN + i * (width + _GAP)
-        pen.text((left, 6), title, fill=_INK, font=_font(20))
-        block.paste(picture, (left, 40))
-    return block
-
-
-def _changes(fit: FitResult) -> Image.Image:
-    """Each number before and after, and how much of it the patches tell."""
-    columns, step = (_MARGIN, 480, 680, 960), 30
-    rows = [
-        (label, parameter.unit, value, sd, before, gained)
-        for parameter in fit.parameters
-        for (label, value, sd, before), gained in zip(
-            entries(fit, parameter), np.atleast_1d(fit.gained[parameter.name]), strict=True
-        )
-    ]  # fmt: skip
-    block, pen = _blank(66 + step * len(rows) + 24)
-    for left, title in zip(
-        columns, ("what was fitted", "before", "after", "how much the patches tell"), strict=True
-    ):
-        pen.text((left, 16), title, fill=_INK, font=_font(20))
-    pen.line((_MARGIN, 50, WIDTH - _MARGIN, 50), fill=_LINE, width=2)
-    for i, (label, unit, value, sd, before, gained) in enumerate(rows):
-        top, share = 60 + step * i, float(np.clip(np.nan_to_num(gained), 0.0, 1.0))
-        name = f"{label}, {unit}" if unit and unit != "1" else label
-        texts = (
-            _shortened(pen, _plain_text(name), columns[1] - columns[0] - 12),
-            plain(before, sd),
-            with_spread(value, sd),
-        )
-        for left, text in zip(columns, texts, strict=False):
-            pen.text((left, top), text, fill=_INK, font=_font(17))
-        left, full = columns[3], 300
-        pen.rectangle((left, top + 3, left + full, top + 17), fill=_LINE)
-        if share > 0.0:
-            pen.rectangle((left, top + 3, left + round(full * share), top + 17), fill=_AFTER)
-        pen.text((left + full + 14, top), f"{100 * share:.0f} %", fill=_INK, font=_font(17))
-    return block
-
-
-def _words(fit: FitResult) -> Image.Image:
-    """What was found, in sentences."""
-    lines = [
-        line
-        for text in dict.fromkeys((*fit.diagnostics, *fit.undetermined))
-        for line in (*_wrapped(text), "")
-    ]
-    block, pen = _blank(26 * len(lines) + 12)
-    for i, line in enumerate(lines):
-        pen.text((_MARGIN, 26 * i), line, fill=_INK, font=_font(18))
-    return block
-
-
-# --- means ------------------------------------------------------------------------------------------------
-
-
-def _blank(height: int) -> tuple[Image.Image, Any]:
-    """A piece of the sheet, and its pen."""
-    from PIL import Image, ImageDraw
-
-    block = Image.new("RGB", (WIDTH, height), _PAPER)
-    return block, ImageDraw.Draw(block)
-
-
-def _left(column: int) -> int:
-    return _MARGIN + _LABEL + column * (_ACROSS + _GAP)
-
-
-def _colour(of_lab: ArrayLike) -> tuple[int, int, int]:
-    """8-bit sRGB of a colour in CIELAB, the nearest there is."""
+def _srgb(lab: ArrayLike) -> NDArray[np.uint8]:
+    """`(3,)` 8-bit sRGB of a CIELAB colour, clipped to the gamut."""
     colour = colour_science()
-    xyz = colour.Lab_to_XYZ(np.asarray(of_lab, float), colour.XYZ_to_xy(D65_WHITE))
-    red, green, blue = encode_tone((XYZ_TO_SRGB @ xyz).astype(np.float32)).tolist()
-    return red, green, blue
+    xyz = colour.Lab_to_XYZ(np.asarray(lab, float), colour.XYZ_to_xy(D65_WHITE))
+    return encode_tone((XYZ_TO_SRGB @ xyz).astype(np.float32))
 
 
-def _wrapped(text: str) -> Sequence[str]:
-    return textwrap.wrap(_plain_text(text), 140)
+def _draw_spectra(part: SubFigure, spectra: Sequence[tuple[str, SpectrumFit]]) -> None:
+    """Measured reflectances and those of the model."""
+    axes = part.subplots(1, 2)
+    part.subplots_adjust(left=0.06, right=_RIGHT, bottom=0.17, top=0.88, wspace=0.12)
+    for axis, (name, one) in zip(axes, spectra, strict=False):
+        axis.plot(one.wavelength_nm, one.before, color=_BEFORE, label=f"before, RMSE {one.rmse_before:.4f}")
+        axis.plot(one.wavelength_nm, one.after, color=_AFTER, label=f"after, RMSE {one.rmse_after:.4f}")
+        axis.plot(one.wavelength_nm, one.target, color=_MEASURED, ls="--", label="measured")
+        axis.set(xlim=(one.wavelength_nm[0], one.wavelength_nm[-1]), ylim=(0, None), xlabel="wavelength, nm")
+        axis.set_title(f"Reflectance: {textwrap.shorten(name, 70)}")
+        axis.legend(loc="upper left")
+    for axis in axes[len(spectra) :]:
+        axis.remove()
 
 
-def _shortened(pen: Any, text: str, width: int) -> str:
-    """The text, cut where it would run into its neighbour."""
-    while len(text) > 1 and pen.textlength(text, font=_font(17)) > width:
-        text = f"{text.removesuffix('…')[:-1]}…"
-    return text
+def _draw_frames(part: SubFigure, frames: BeforeAfter) -> None:
+    axes = part.subplots(1, 2)
+    part.subplots_adjust(left=_LEFT, right=_RIGHT, bottom=0.02, top=0.92, wspace=0.03)
+    images = {"whole scene before": frames.before, "whole scene after": frames.after}
+    for axis, (title, image) in zip(axes, images.items(), strict=True):
+        axis.imshow(image)
+        axis.set_title(title)
+        axis.set_axis_off()
 
 
-def _plain_text(text: str) -> str:
-    """The text with what Pillow's own font has no letters for written otherwise."""
-    for sign, word in {"µ": "u", "²": "2", "→": "to", "−": "-", "Δ": "d", "×": "x", "–": "-"}.items():
-        text = text.replace(sign, word)
-    return "".join(sign if sign.isascii() or sign in "±°…·" else "?" for sign in text)
+def _draw_values(part: SubFigure, fit: FitResult) -> None:
+    """Table of the fitted values, with a bar for the reduction of the prior variance by the data."""
+    axis = part.add_axes((_LEFT, 0.02, _RIGHT - _LEFT, 0.96))
+    columns, full, row = (0.0, 0.42, 0.54, 0.74, 0.95), 0.2, 0
+
+    def write(*texts: str, weight: str = "normal") -> None:
+        for x, text in zip(columns, texts, strict=False):
+            axis.text(x, row, text, va="center", weight=weight)
+
+    write("fitted parameter", "before", "after", "reduction of the prior variance", weight="bold")
+    for one in fit.parameters:
+        unit = f", {one.unit}" if one.unit and one.unit != "1" else ""
+        reductions = np.nan_to_num(np.atleast_1d(fit.variance_reduction[one.name])).clip(0.0, 1.0)
+        for (label, value, sd, before), reduction in zip(fitted_entries(fit, one), reductions, strict=True):
+            row -= 1
+            numbers = format_value(before, sd), format_with_sd(value, sd)
+            write(f"{label}{unit}", *numbers, "", f"{100 * reduction:.0f} %")
+            axis.barh(row, [full, full * reduction], 0.55, columns[3], color=["0.88", _AFTER])
+    axis.set(xlim=(0.0, 1.0), ylim=(row - 0.6, 1.0))
+    axis.set_axis_off()
 
 
-def _font(size: int) -> Any:
-    """Pillow's own font, so that the sheet looks the same everywhere."""
-    from PIL import ImageFont
-
-    return ImageFont.load_default(size)
+def _draw_text(part: SubFigure, text: str) -> None:
+    part.text(_LEFT, 0.9, text, va="top", linespacing=1.4)

@@ -1,89 +1,95 @@
-"""Where tuned numbers come from: which program, when, to which patches, how sure; in words and as JSON."""
+"""Provenance of tuned values: the run that tuned them, sentences, and TOML text with comments."""
 
 from __future__ import annotations
 
 import datetime
 import hashlib
 import math
+import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import tomlkit
+from tomlkit.container import Container
+from tomlkit.items import Item, Table
 
+from pepperscene.tuning.parameters.tuned import round_for_file
 from pepperscene.version import __version__
 
 if TYPE_CHECKING:
     from pepperscene.colour import PatchSet
-    from pepperscene.tuning.fit.result import FitResult
+    from pepperscene.tuning.fit.least_squares import FitResult
     from pepperscene.tuning.parameters.parameter import Parameter
 
-
-FORMAT: Final = "pepperscene tuning 1"
+_WIDTH: Final = 116  # chosen: of comment lines
 
 
 @dataclass(frozen=True)
 class RunInfo:
-    """When something was tuned, to what, and how it was asked for.
-
-    Attributes:
-        when: the date.
-        patches: name of the set.
-        sha256: of all its pixels and spectra.
-        members: sha256 of each patch and each spectrum, by name.
-        options: what else was asked for (seed, starts, ...), ready for JSON.
-        version: of this package.
-    """
+    """When a recipe was tuned, to which patches, and with which options."""
 
     when: datetime.date
-    patches: str
-    sha256: str
-    members: Mapping[str, str]
-    options: Mapping[str, Any] = field(default_factory=dict)
+    patches: str  # name of the set
+    sha256: str  # of all its pixels and spectra
+    members: Mapping[str, str]  # digest of each patch and spectrum, by name
+    options: Mapping[str, Any] = field(default_factory=dict)  # such as seed and starts, for JSON
     version: str = __version__
 
     @classmethod
     def of(cls, patches: PatchSet, when: datetime.date, options: Mapping[str, Any] | None = None) -> RunInfo:
-        """The occasion on which something is tuned to these patches."""
+        """Return the information on a run that tunes something to these patches."""
         members = dict(_digests(patches))
         joined = "".join(f"{name}\0{digest}\n" for name, digest in sorted(members.items()))
-        whole = hashlib.sha256(joined.encode()).hexdigest()
-        return cls(when, patches.name, whole, members, dict(options or {}))
+        sha256 = hashlib.sha256(joined.encode()).hexdigest()
+        return cls(when, patches.name, sha256, members, dict(options or {}))
 
-    def told(self) -> str:
-        """By which program, when and to what, as the beginning of a sentence."""
+    def summary(self) -> str:
+        """Program, date and patches, as the beginning of a sentence."""
         return (
             f"Tuned by pepperscene {self.version} on {self.when.isoformat()} to the patches "
             f"{self.patches!r} (sha256 of their pixels {self.sha256})"
         )
 
 
-def entries(fit: FitResult, parameter: Parameter) -> Iterator[tuple[str, float, float, float]]:
-    """Label, value, standard deviation and former value of each entry of a fitted parameter."""
-    name = parameter.name
-    rows = zip(
-        parameter.labels,
-        np.atleast_1d(fit.values[name]),
-        np.atleast_1d(fit.sd[name]),
-        np.atleast_1d(parameter.default),
-        strict=True,
-    )
-    for label, value, sd, before in rows:
-        yield f"{name} ({label})" if label else name, float(value), float(sd), float(before)
+def _digests(patches: PatchSet) -> Iterator[tuple[str, str]]:
+    """SHA-256 of the numbers of each patch and spectrum, independent of the platform."""
+    for patch in patches.patches:
+        yield patch.name, _sha256(np.asarray(patch.linear, "<f8"), np.asarray(patch.codes, "u1"))
+    for one in patches.spectra:
+        wavelength_nm, values = one.spectrum.wavelength_nm, one.spectrum.values
+        yield one.name, _sha256(np.asarray(wavelength_nm, "<f8"), np.asarray(values, "<f8"))
 
 
-def values_told(fit: FitResult, parameter: Parameter) -> str:
-    """Each entry of a parameter with its spread and what it was before."""
+def _sha256(*arrays: Any) -> str:
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def fitted_entries(fit: FitResult, parameter: Parameter) -> Iterator[tuple[str, float, float, float]]:
+    """Label, value, standard deviation and original value of each entry of a fitted parameter."""
+    columns = (fit.values[parameter.name], fit.sd[parameter.name], parameter.default)
+    numbers = (np.atleast_1d(column).tolist() for column in columns)
+    yield from zip(parameter.entry_labels, *numbers, strict=True)
+
+
+def describe_values(fit: FitResult, parameter: Parameter) -> str:
+    """Values of a parameter with their standard deviations and original values."""
     unit = f" {parameter.unit}" if parameter.unit and parameter.unit != "1" else ""
-    told = [
-        f"{label} {with_spread(value, sd)}{unit} (was {plain(before, sd)})".strip()
-        for label, (_, value, sd, before) in zip(parameter.labels, entries(fit, parameter), strict=True)
+    values = [
+        f"{label} {format_with_sd(value, sd)}{unit} (was {format_value(before, sd)})".strip()
+        for label, (_, value, sd, before) in zip(
+            parameter.labels, fitted_entries(fit, parameter), strict=True
+        )
     ]
-    return f"{parameter.name} {', '.join(told)}"
+    return f"{parameter.name} {', '.join(values)}"
 
 
-def colours_told(fit: FitResult) -> str:
-    """How far the model's mean colours were from the patches', and are now."""
+def describe_colours(fit: FitResult) -> str:
+    """Differences between model and patches before and after the fit."""
     kinds = [
         f"{name} {kind.delta_e_before:.2f} before, {kind.delta_e_after:.2f} after"
         for name, kind in fit.kinds.items()
@@ -92,125 +98,87 @@ def colours_told(fit: FitResult) -> str:
         f"{name} RMSE {one.rmse_before:.4f} before, {one.rmse_after:.4f} after"
         for name, one in fit.spectra.items()
     ]
-    colours = [f"CIEDE2000 of mean colours: {'; '.join(kinds)}"] if kinds else []
-    return ". ".join([*colours, *([f"Reflectance: {'; '.join(spectra)}"] if spectra else [])])
+    sentences = [f"CIEDE2000 of mean colours: {'; '.join(kinds)}"] if kinds else []
+    return ". ".join([*sentences, *([f"Reflectance: {'; '.join(spectra)}"] if spectra else [])])
 
 
-def with_spread(value: float, sd: float) -> str:
-    """A value and its standard deviation, to the deviation's second digit."""
-    return f"{plain(value, sd)} ± {plain(sd, sd)}"
+def format_with_sd(value: float, sd: float) -> str:
+    """A value and its standard deviation, with two significant digits of the latter."""
+    return f"{format_value(value, sd)} ± {format_value(sd, sd)}"
 
 
-def plain(value: float, sd: float) -> str:
-    """A value, to the second digit of its standard deviation; to four digits where there is none."""
+def format_value(value: float, sd: float) -> str:
+    """A value to the second digit of its standard deviation, or with four digits if there is none."""
     if not (math.isfinite(sd) and sd > 0.0) or not math.isfinite(value):
         return f"{value:.4g}"
     places = 1 - math.floor(math.log10(sd))
-    # A spread far above the value still shows the value.
+    # A value far below its sd keeps one digit.
     if value:
         places = max(places, -math.floor(math.log10(abs(value))))
     return f"{round(value, places):.{max(min(places, 12), 0)}f}"
 
 
-def as_json(
-    fit: FitResult, occasion: RunInfo, verification: Mapping[str, Any] | None = None
-) -> dict[str, Any]:
-    """Everything that was found, ready for JSON; what is not a finite number becomes null."""
-    tuned = fit.tuned
-    told = {
-        "format": FORMAT,
-        "version": occasion.version,
-        "date": occasion.when.isoformat(),
-        "options": dict(occasion.options),
-        "patches": {
-            "name": occasion.patches, "sha256": occasion.sha256, "members": dict(occasion.members)
-        },
-        "parameters": [_parameter(fit, one) for one in fit.parameters],
-        "entries": [label for one in fit.parameters for label, *_ in entries(fit, one)],
-        "correlation": fit.correlation,
-        "undetermined": list(fit.undetermined),
-        "kinds": {name: _kind(one) for name, one in fit.kinds.items()},
-        "spectra": {name: _spectrum(one) for name, one in fit.spectra.items()},
-        "starts": [
-            {"values": one.values, "cost": one.cost, "evaluations": one.evaluations, "message": one.message}
-            for one in fit.starts
-        ],
-        "chi_squared": fit.chi_squared,
-        "data": fit.data,
-        "leftover": dict(fit.leftover),
-        "verdict": list(fit.diagnostics),
-        "verification": verification,
-        "tuned": {
-            "pigments": {
-                name: path.model_dump(mode="json") for name, path in sorted(tuned.pigments.items())
-            },
-            "flash_power": tuned.flash_power,
-            "flash_nodes_nm": tuned.flash_nodes_nm,
-            "flash_spectrum": tuned.flash_spectrum,
-            "exposure": tuned.exposure,
-            "gains": tuned.gains,
-            "matrix": tuned.matrix,
-        },
-    }  # fmt: skip
-    return {key: finite(value) for key, value in told.items()}
+def toml_text(
+    tables: Mapping[str, Any], head: str = "", comments: Mapping[str, str] | None = None, depth: int = 1
+) -> str:
+    """Return a TOML file with a comment at the top and comments after values.
+
+    Args:
+        tables: Content; numbers are written with 12 significant digits.
+        head: Paragraphs of the comment at the top.
+        comments: Comment after a value, by dotted key.
+        depth: Levels of tables with headings, which come after other keys; deeper ones are inline.
+    """
+    document = tomlkit.document()
+    for paragraph in head.splitlines():
+        indent = paragraph[: len(paragraph) - len(paragraph.lstrip())]
+        for line in textwrap.wrap(
+            paragraph.strip(),
+            _WIDTH,
+            initial_indent=indent,
+            subsequent_indent=2 * indent,
+            break_long_words=False,
+        ):
+            document.add(tomlkit.comment(line))
+    if head:
+        document.add(tomlkit.nl())
+    _fill(document, tables, "", comments or {}, depth)
+    return tomlkit.dumps(document)
 
 
-def finite(value: Any) -> Any:
-    """The value with Python's own numbers, and None for those that JSON does not know."""
+def _fill(
+    table: Container | Table, content: Mapping[str, Any], prefix: str, comments: Mapping[str, str], depth: int
+) -> None:
+    headed = {key: value for key, value in content.items() if isinstance(value, Mapping) and depth > 0}
+    for key, value in content.items():
+        if key not in headed:
+            item = _item(value)
+            if comment := comments.get(f"{prefix}{key}"):
+                item.comment(" ".join(comment.split()))
+                item.trivia.comment_ws = "  "
+            table.append(key, item)
+    for key, value in headed.items():
+        # A table that only holds tables needs no heading.
+        only_tables = bool(value) and depth > 1 and all(isinstance(one, Mapping) for one in value.values())
+        inner = tomlkit.table(is_super_table=only_tables)
+        _fill(inner, value, f"{prefix}{key}.", comments, depth - 1)
+        table.append(key, inner)
+
+
+def _item(value: Any) -> Item:
+    """A value as a TOML item: tables inline, arrays of arrays with one row a line."""
     if isinstance(value, np.ndarray | np.generic):
-        return finite(value.tolist())
+        value = value.tolist()
+    if isinstance(value, float):
+        rounded = round_for_file(value)
+        value = int(rounded) if rounded.is_integer() and abs(rounded) < 1e15 else rounded
     if isinstance(value, Mapping):
-        return {str(key): finite(one) for key, one in value.items()}
+        table = tomlkit.inline_table()
+        for key, one in value.items():
+            table.append(key, _item(one))
+        return table
     if isinstance(value, list | tuple):
-        return [finite(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _parameter(fit: FitResult, parameter: Parameter) -> dict[str, Any]:
-    name = parameter.name
-    return {
-        "name": name,
-        "unit": parameter.unit,
-        "group": parameter.group,
-        "labels": parameter.labels,
-        "before": parameter.default,
-        "value": fit.values[name],
-        "sd": fit.sd[name],
-        "gained": fit.gained[name],
-        "bounds": [
-            {"mean": law.mean, "sd": law.sd, "low": law.low, "high": law.high,
-             "source": law.source, "chosen": law.chosen}
-            for law in parameter.prior
-        ],
-    }  # fmt: skip
-
-
-def _kind(one: Any) -> dict[str, Any]:
-    moments = {
-        name: {"mean_lab": getattr(one, name)[0], "sd_lab": getattr(one, name)[1]}
-        for name in ("target", "before", "after")
-    }
-    return {**moments, "delta_e_before": one.delta_e_before, "delta_e_after": one.delta_e_after}
-
-
-def _spectrum(one: Any) -> dict[str, Any]:
-    names = ("wavelength_nm", "target", "before", "after", "rmse_before", "rmse_after")
-    return {name: getattr(one, name) for name in names}
-
-
-def _digests(patches: PatchSet) -> Iterator[tuple[str, str]]:
-    """SHA-256 of the numbers of each patch and spectrum, the same on every machine."""
-    for patch in patches.patches:
-        yield patch.name, _sha256(np.asarray(patch.linear, "<f8"), np.asarray(patch.codes, "u1"))
-    for one in patches.spectra:
-        yield (
-            one.name,
-            _sha256(np.asarray(one.spectrum.wavelength_nm, "<f8"), np.asarray(one.spectrum.values, "<f8")),
-        )
-
-
-def _sha256(*arrays: Any) -> str:
-    digest = hashlib.sha256()
-    for array in arrays:
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
+        array = tomlkit.array()
+        array.extend(_item(one) for one in value)
+        return array.multiline(bool(value) and isinstance(value[0], list | tuple))
+    return tomlkit.item(value)

@@ -1,4 +1,4 @@
-"""The file of a tuned recipe: it extends the one that was tuned and states what is different now."""
+"""The TOML file of a tuned recipe: it extends the original and states what changed."""
 
 from __future__ import annotations
 
@@ -13,13 +13,11 @@ import numpy as np
 from pepperscene.camera import Camera, Flash, colour_transform
 from pepperscene.dataset import Recipe, load_recipe
 from pepperscene.shipped import shipped_folder
-from pepperscene.tuning.output.provenance import RunInfo, colours_told, values_told
-from pepperscene.tuning.output.toml_text import document, rounded
+from pepperscene.tuning.output.provenance import RunInfo, describe_colours, describe_values, toml_text
 
 if TYPE_CHECKING:
-    from pepperscene.tuning.fit.result import FitResult
+    from pepperscene.tuning.fit.least_squares import FitResult
     from pepperscene.tuning.parameters.tuned import TunedParts
-
 
 _FILE_KEYS: Final = (
     "cultivar", "camera.sensor", "camera.lens", "camera.flash", "camera.filter", "daylight.cover",
@@ -27,15 +25,15 @@ _FILE_KEYS: Final = (
 )  # fmt: skip
 """Keys whose value may be a path."""
 _SAME: Final = 1e-9
-"""Chosen: gains and entries of matrices that are closer give the same picture to the last code."""
-_COMMENTED: Final[Mapping[str, tuple[str, ...]]] = {
+"""Chosen: difference of gains and matrix entries that does not change a single code of an image."""
+_PARAMETERS: Final[Mapping[str, tuple[str, ...]]] = {
     "camera.exposure_us": ("exposure",),
     "camera.gain": ("exposure",),
     "camera.flash": ("flash.power", "flash.colour", "flash.spectrum"),
     "developing.white_balance": ("white_balance",),
     "developing.colour_matrix": ("colour_matrix",),
 }
-"""Keys and the parameters that they follow from."""
+"""Recipe key -> parameters that it depends on."""
 
 Changes = dict[str, Any]
 
@@ -46,149 +44,120 @@ def recipe_text(
     folder: Path,
     changes: Mapping[str, Any],
     fit: FitResult,
-    occasion: RunInfo,
+    run: RunInfo,
 ) -> str:
-    """The TOML of a recipe with some values changed.
+    """Return the TOML of a recipe with changed values by dotted key.
 
-    Args:
-        recipe: that was tuned, with all that was changed about it by hand.
-        extends: name or path of the recipe file that it came from; None writes out everything.
-        folder: where the file is to lie.
-        changes: tuned values by dotted key; files by their names in `folder`.
-        fit: that changed them.
-        occasion: when and to what.
+    It extends the file of the recipe, or has all values if `extends` is None; `folder` is its folder.
     """
-    told = _told(recipe, folder)
-    # What was said of the old colours is not expected of the new ones.
-    told.pop("expect", None)
-    told["name"] = f"{recipe.name}_tuned"
+    content = _recipe_content(recipe, folder)
+    content["name"] = f"{recipe.name}_tuned"
     for key, value in changes.items():
-        _put(told, key, value)
+        _set(content, key, value)
     if extends is not None:
-        base = _told(load_recipe(extends), folder)
-        base.pop("expect", None)
-        if _reachable(base, told):
-            told = {"extends": reference(extends, "recipes", folder), **_difference(base, told)}
+        base = _recipe_content(load_recipe(extends), folder)
+        if _can_extend(base, content):
+            content = {"extends": reference(extends, "recipes", folder), **_difference(base, content)}
     comments = {}
-    for key, names in _COMMENTED.items():
-        fitted = [values_told(fit, one) for one in fit.parameters if one.name in names]
-        if key in changes and fitted:
-            comments[key] = f"tuned: {'; '.join(fitted)}"
-        elif key in changes:
-            comments[key] = "as it was while the rest was tuned"
+    for key, names in _PARAMETERS.items():
+        fitted = [describe_values(fit, one) for one in fit.parameters if one.name in names]
+        if key in changes:
+            comments[key] = (
+                f"tuned: {'; '.join(fitted)}"
+                if fitted
+                else "not fitted: the value that was used during tuning"
+            )
     if "cultivar" in changes:
         comments["cultivar"] = "tuned"
-    values = "\n".join(f"  {values_told(fit, one)}" for one in fit.parameters)
-    head = f"{recipe.name}, tuned to measured colour.\n{occasion.told()}:\n{values}\n{colours_told(fit)}."
-    return document(told, comments, head)
+    values = "\n".join(f"  {describe_values(fit, one)}" for one in fit.parameters)
+    head = f"{recipe.name}, tuned to measured colour.\n{run.summary()}:\n{values}\n{describe_colours(fit)}."
+    return toml_text(content, head, comments)
 
 
 def camera_changes(camera: Camera, flash: Flash | None, tuned: TunedParts) -> Changes:
-    """The recipe's values, by dotted key, that let a camera develop as the tuned one did.
-
-    Args:
-        camera: of the recipe before.
-        flash: that the written recipe has.
-        tuned: exposure, gains and matrix in use.
-    """
-    found: Changes = {}
+    """Return the recipe values, by dotted key, with which a camera with a new flash is like the tuned one."""
+    changes: Changes = {}
     if abs(tuned.exposure - 1.0) > 1e-12:
-        # A flash is over before the shutter closes: more of its light is more gain.
+        # The light of a flash does not depend on the exposure time, so the gain is changed instead.
         if camera.flash is None:
-            found["camera.exposure_us"] = rounded(1e6 * camera.exposure_s * tuned.exposure)
+            changes["camera.exposure_us"] = 1e6 * camera.exposure_s * tuned.exposure
         else:
-            found["camera.gain"] = rounded(camera.sensor.gain * tuned.exposure)
+            changes["camera.gain"] = camera.sensor.gain * tuned.exposure
     if camera.sensor.channels == 1:
-        return found
-    # What the written recipe would make of its own light, if that is not told otherwise.
+        return changes
+    # Gains and matrix that the written recipe would have for its light without further settings.
     gains, matrix = colour_transform(dataclasses.replace(camera, flash=flash))
-    same = np.allclose(gains, tuned.gains, rtol=_SAME, atol=_SAME)
-    if not (same and np.allclose(matrix, tuned.matrix, rtol=_SAME, atol=_SAME)):
-        if camera.developing.white_balance is not None or not np.allclose(tuned.gains, 1.0, rtol=_SAME):
-            found["developing.white_balance"] = [rounded(gain) for gain in tuned.gains]
-        if camera.developing.colour_matrix is not False or not np.allclose(
-            tuned.matrix, np.eye(3), atol=_SAME
-        ):
-            found["developing.colour_matrix"] = [[rounded(entry) for entry in row] for row in tuned.matrix]
-    return found
+    same_gains = np.allclose(gains, tuned.gains, rtol=_SAME, atol=_SAME)
+    if not (same_gains and np.allclose(matrix, tuned.matrix, rtol=_SAME, atol=_SAME)):
+        developing = camera.developing
+        if developing.white_balance is not None or not np.allclose(tuned.gains, 1.0, rtol=_SAME):
+            changes["developing.white_balance"] = tuned.gains.tolist()
+        if developing.colour_matrix is not False or not np.allclose(tuned.matrix, np.eye(3), atol=_SAME):
+            changes["developing.colour_matrix"] = tuned.matrix.tolist()
+    return changes
 
 
-def reference(wanted: str | Path, which: Any, folder: Path) -> str:
-    """How a file in `folder` names another one: a shipped one by name, a user's by the way to it.
-
-    Args:
-        wanted: shipped name or path, as seen from the current folder.
-        which: shelf of the shipped ones.
-        folder: of the file that names it.
-    """
-    path = Path(wanted)
+def reference(name: str | Path, kind: Any, folder: Path) -> str:
+    """Return how a file in `folder` refers to another: shipped ones by name, a user's by relative path."""
+    path = Path(name)
     if path.parent == Path(".") and path.suffix != ".toml":
-        return str(wanted)
-    if path.resolve().parent == shipped_folder(which).resolve():
+        return str(name)
+    if path.resolve().parent == shipped_folder(kind).resolve():
         return path.stem
-    # Recipes take a step upwards out of the path as it is written, cultivars out of the folder on the disk.
-    return _way(path.resolve(), folder.resolve()) if which == "plants" else _way(path, folder)
+    # Recipes resolve ".." in the path as written, cultivars in the folder on the disk.
+    if kind == "plants":
+        return _relative_path(path.resolve(), folder.resolve())
+    return _relative_path(path, folder)
 
 
-def _way(path: Path, folder: Path) -> str:
-    """The way from a folder to a file, with slashes; the whole path where there is none (another drive)."""
+def _relative_path(path: Path, folder: Path) -> str:
+    """Relative path with slashes; the absolute path if there is none (another drive)."""
     try:
         return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
     except ValueError:
         return path.absolute().as_posix()
 
 
-def _told(recipe: Recipe, folder: Path) -> Changes:
-    """A recipe's values as its file would say them, without those that it does not have."""
-    told = _without_none(recipe.model_dump(mode="python"))
+def _recipe_content(recipe: Recipe, folder: Path) -> Changes:
+    """Values of a recipe as in its file, without `expect`, which was measured with other colours."""
+    content = recipe.model_dump(mode="python", exclude_none=True, exclude={"expect"})
     for key in _FILE_KEYS:
-        value = _at(told, key)
+        *tables, last = key.split(".")
+        table: Any = content
+        for name in tables:
+            table = table.get(name, {})
+        value = table.get(last)
         if isinstance(value, str) and (value.endswith(".toml") or Path(value).parent != Path(".")):
-            _put(told, key, _way(Path(value), folder))
-    return told
+            table[last] = _relative_path(Path(value), folder)
+    return content
 
 
-def _without_none(table: Mapping[str, Any]) -> Changes:
-    return {
-        key: _without_none(value) if isinstance(value, Mapping) else value
-        for key, value in table.items()
-        if value is not None
-    }
-
-
-def _reachable(base: Mapping[str, Any], wanted: Mapping[str, Any]) -> bool:
-    """Whether adding and replacing lead from one to the other; nothing can be taken away."""
+def _can_extend(base: Mapping[str, Any], content: Mapping[str, Any]) -> bool:
+    """Whether a file that extends the base can have this content: keys can be added but not removed."""
     return all(
-        key in wanted
+        key in content
         and (
             not isinstance(value, Mapping)
-            or (isinstance(wanted[key], Mapping) and _reachable(value, wanted[key]))
+            or (isinstance(content[key], Mapping) and _can_extend(value, content[key]))
         )
         for key, value in base.items()
     )
 
 
-def _difference(base: Mapping[str, Any], wanted: Mapping[str, Any]) -> Changes:
-    found: Changes = {}
-    for key, value in wanted.items():
-        below = base.get(key)
-        if isinstance(value, Mapping) and isinstance(below, Mapping):
-            if inner := _difference(below, value):
-                found[key] = inner
-        elif key not in base or value != below:
-            found[key] = value
-    return found
+def _difference(base: Mapping[str, Any], content: Mapping[str, Any]) -> Changes:
+    changes: Changes = {}
+    for key, value in content.items():
+        original = base.get(key)
+        if isinstance(value, Mapping) and isinstance(original, Mapping):
+            if inner := _difference(original, value):
+                changes[key] = inner
+        elif key not in base or value != original:
+            changes[key] = value
+    return changes
 
 
-def _at(tables: Mapping[str, Any], key: str) -> Any:
-    value: Any = tables
-    for part in key.split("."):
-        value = value.get(part) if isinstance(value, Mapping) else None
-    return value
-
-
-def _put(tables: Changes, key: str, value: Any) -> None:
+def _set(tables: Changes, key: str, value: Any) -> None:
     *above, last = key.split(".")
-    for part in above:
-        tables = tables.setdefault(part, {})
+    for name in above:
+        tables = tables.setdefault(name, {})
     tables[last] = value

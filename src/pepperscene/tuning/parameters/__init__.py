@@ -1,1 +1,1 @@
-"""What can be tuned, its bounds, and a recipe with given parameter values."""
+"""Parameters of a fit: what can be tuned, its prior distribution, and a recipe's parts at given values."""

@@ -1,4 +1,4 @@
-"""How far parameters may go, and what is known of them beforehand: distributions as in cultivar files."""
+"""Prior distributions and limits of parameters, from the shipped bounds file and from a user's."""
 
 from __future__ import annotations
 
@@ -16,101 +16,90 @@ from pepperscene.cultivar import Distribution, Origin, Ratio
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError
 from pepperscene.shipped import shipped_folder
-from pepperscene.tuning.parameters.surface import NAMES
-from pepperscene.tuning.parameters.tunables import Tunables
+from pepperscene.tuning.parameters.surface import CONTENT_FIELDS
+from pepperscene.tuning.parameters.tunables import Parameter
 
-SHIPPED: Final = "tuning/bounds.toml"
-"""In the materials."""
-
+SHIPPED: Final = "tuning/bounds.toml"  # in the materials folder
 _RATIO: Final[TypeAdapter[Distribution]] = TypeAdapter(Ratio)
 _KEYS: Final = ("mean", "sd", "low", "high", "uniform", "relative", *Origin.model_fields)
-_SUCH: Final = "must be a table such as { mean = 50, sd = 10, low = 20, high = 80, source = … }"
-_LEAST_ROOM: Final = 0.1
-_STEEPEST: Final = 0.5
-"""Of bounds that had to be cut to what is possible: the mean keeps a tenth of their width from either end,
-and the sd is at most half of its distance to the nearer one, which some truncated normal law has. Chosen."""
+_EXPECTED: Final = "must be a table such as { mean = 50, sd = 10, low = 20, high = 80, source = … }"
+_MIN_MARGIN: Final = 0.1
+_MAX_SD: Final = 0.5
+"""For bounds that had to be clipped: the mean keeps a tenth of the width from either end, and the sd is at
+most half of the mean's distance to the nearer end, which a truncated normal distribution can have. Chosen."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """The tables of one bounds file.
+    """Tables of one bounds file `where`, by key.
 
-    Attributes:
-        where: the file, for messages.
-        tables: key -> table of a law.
-        binding: whether they are a user's, which are followed or refused; the shipped ones give way.
+    If `strict`, as for a user's file, values out of the bounds are errors; shipped bounds are adapted.
     """
 
     where: str
     tables: Mapping[str, Mapping[str, Any]]
-    binding: bool
+    strict: bool
 
 
-def priors(
-    wanted: Iterable[Tunables],
-    every: Iterable[Tunables],
+def prior_distributions(
+    selected: Iterable[Parameter],
+    available: Iterable[Parameter],
     bounds: Mapping[str, Any] | str | Path | None = None,
 ) -> tuple[tuple[Distribution, ...], ...]:
-    """Of every entry of some parameters, its law.
+    """Prior distribution of every entry of the selected parameters.
 
-    The first of these keys that there is holds, in the user's tables and then in the shipped ones: the name
-    with the entry's label (`flash.colour.warmth`), the name (`fruit.ripe.chlorophyll`), and that of any
-    surface (`*.ripe.chlorophyll`, `*.chlorophyll`); before the latter, where the recipe has nothing of a
-    content, `*.added.chlorophyll`.
-
-    Args:
-        wanted: at the recipe's own values.
-        every: all that the recipe has.
-        bounds: a user's file or its tables.
+    The first of these keys that exists is used, in the user's tables and then in the shipped ones: the name
+    with the entry's label (`flash.colour.warmth`), the name (`fruit.ripe.chlorophyll`), and the name for any
+    surface (`*.ripe.chlorophyll`, then `*.chlorophyll`). If the recipe has none of a content,
+    `*.added.chlorophyll` comes before the names for any surface.
 
     Raises:
-        InputError: the file cannot be read, or a table is not such a law, names nothing that is known, keeps
-            the recipe's own value out, or allows what cannot be.
+        InputError: The user's file cannot be read; or one of its tables is not a valid distribution, has an
+            unknown name, excludes the recipe's value, or allows impossible values.
     """
-    layers = [_shipped()]
+    layers = [_shipped_bounds()]
     if bounds is not None:
-        layers.insert(0, _users(bounds, every))
-    return tuple(tuple(_prior(one, i, layers) for i in range(one.value.size)) for one in wanted)
-
-
-# --- tables ---------------------------------------------------------------------------------------------
+        layers.insert(0, _user_bounds(bounds, available))
+    return tuple(tuple(_prior(one, i, layers) for i in range(one.default.size)) for one in selected)
 
 
 @lru_cache(maxsize=1)
-def _shipped() -> Bounds:
+def _shipped_bounds() -> Bounds:
     path = shipped_folder("materials") / SHIPPED
-    return Bounds(path.name, dict(_flat(read_toml(path), path.name)), binding=False)
+    return Bounds(path.name, dict(_flatten(read_toml(path), path.name)), strict=False)
 
 
-def _users(bounds: Mapping[str, Any] | str | Path, every: Iterable[Tunables]) -> Bounds:
-    """A user's tables, every one checked, so that no slip of the pen goes unseen."""
+def _user_bounds(bounds: Mapping[str, Any] | str | Path, available: Iterable[Parameter]) -> Bounds:
+    """A user's tables. All of them are checked, also those that are not used, so that typing errors show."""
     where = "bounds" if isinstance(bounds, Mapping) else str(bounds)
-    tables = dict(_flat(bounds if isinstance(bounds, Mapping) else read_toml(Path(bounds)), where))
-    known = dict.fromkeys(key for own in every for i in range(own.value.size) for key in _keys(own, i))
-    known |= dict.fromkeys(f"*.added.{what}" for what in NAMES)
+    tables = dict(_flatten(bounds if isinstance(bounds, Mapping) else read_toml(Path(bounds)), where))
+    known = dict.fromkeys(key for one in available for i in range(one.default.size) for key in _keys(one, i))
+    known |= dict.fromkeys(f"*.added.{content}" for content in CONTENT_FIELDS)
     for key, table in tables.items():
         if key not in known:
             close = get_close_matches(key, known, n=3, cutoff=0.5)
-            closest = f"; closest are {', '.join(close)}" if close else ""
-            raise InputError(where, f"is not the name of anything that can be fitted{closest}", key=key)
-        _law(table, where, key)
-    return Bounds(where, tables, binding=True)
+            hint = f"; closest are {', '.join(close)}" if close else ""
+            raise InputError(where, f"is not the name of a parameter{hint}", key=key)
+        _parse(table, where, key)
+    return Bounds(where, tables, strict=True)
 
 
-def _flat(tables: Mapping[str, Any], where: str, before: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Key -> table of a law; `leaf.chlorophyll` may stand in quotes or not."""
+def _flatten(
+    tables: Mapping[str, Any], where: str, prefix: str = ""
+) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Key -> table of a distribution; keys such as `leaf.chlorophyll` may be quoted or not."""
     for name, table in tables.items():
-        key = f"{before}{name}"
+        key = f"{prefix}{name}"
         if not isinstance(table, Mapping):
-            raise InputError(where, _SUCH, key=key, value=table)
-        if table and all(isinstance(below, Mapping) for below in table.values()):
-            yield from _flat(table, where, f"{key}.")
+            raise InputError(where, _EXPECTED, key=key, value=table)
+        if table and all(isinstance(inner, Mapping) for inner in table.values()):
+            yield from _flatten(table, where, f"{key}.")
         else:
             yield key, table
 
 
-def _law(table: Mapping[str, Any], where: str, key: str) -> tuple[Distribution, str]:
-    """The law that a table states, and what its numbers are relative to."""
+def _parse(table: Mapping[str, Any], where: str, key: str) -> tuple[Distribution, str]:
+    """Distribution of a table, and whether its numbers are relative ("times", "plus") or not ("")."""
     for name in table:
         if name not in _KEYS:
             raise InputError(where, f"is not one of {', '.join(_KEYS)}", key=f"{key}.{name}")
@@ -118,63 +107,61 @@ def _law(table: Mapping[str, Any], where: str, key: str) -> tuple[Distribution, 
     if relative not in ("", "times", "plus"):
         raise InputError(where, 'must be "times" or "plus"', key=f"{key}.relative", value=relative)
     if not table:
-        raise InputError(where, _SUCH, key=key)
+        raise InputError(where, _EXPECTED, key=key)
     try:
         return _RATIO.validate_python({name: table[name] for name in table if name != "relative"}), relative
-    except ValidationError as fault:
-        said = fault.errors(include_url=False)[0]["msg"].removeprefix("Value error, ")
-        raise InputError(where, said, key=key) from None
+    except ValidationError as error:
+        problem = error.errors(include_url=False)[0]["msg"].removeprefix("Value error, ")
+        raise InputError(where, problem, key=key) from None
 
 
-# --- one entry ------------------------------------------------------------------------------------------
-
-
-def _keys(own: Tunables, entry: int) -> list[str]:
-    """Where an entry's law is looked for, in order."""
-    label, what = own.labels[entry], own.name.rpartition(".")[2]
-    keys = [f"{own.name}.{label}"] if label else []
-    keys.append(own.name)
-    if own.group in ("pigments", "cuticle"):
-        if own.value[entry] <= own.floor:
-            keys.append(f"*.added.{what}")
-        keys += dict.fromkeys((f"*.{own.name.partition('.')[2]}", f"*.{what}"))
+def _keys(parameter: Parameter, entry: int) -> list[str]:
+    """Keys of an entry's distribution, in order of precedence."""
+    label, content = parameter.labels[entry], parameter.name.rpartition(".")[2]
+    keys = [f"{parameter.name}.{label}"] if label else []
+    keys.append(parameter.name)
+    if parameter.group in ("pigments", "cuticle"):
+        if parameter.default[entry] <= parameter.floor:
+            keys.append(f"*.added.{content}")
+        keys += dict.fromkeys((f"*.{parameter.name.partition('.')[2]}", f"*.{content}"))
     return keys
 
 
-def _prior(own: Tunables, entry: int, layers: Sequence[Bounds]) -> Distribution:
-    """The law of one entry."""
+def _prior(parameter: Parameter, entry: int, layers: Sequence[Bounds]) -> Distribution:
     for layer in layers:
-        for key in _keys(own, entry):
+        for key in _keys(parameter, entry):
             if key in layer.tables:
-                return _fitted(own, float(own.value[entry]), layer, key)
-    raise ValueError(f"there are no shipped bounds of {own.name}")
+                return _within_limits(parameter, float(parameter.default[entry]), layer, key)
+    raise ValueError(f"there are no shipped bounds of {parameter.name}")
 
 
-def _fitted(own: Tunables, value: float, layer: Bounds, key: str) -> Distribution:
-    """A layer's law at the recipe's own value, within what is possible."""
-    law, relative = _law(layer.tables[key], layer.where, key)
-    scale, shift = {"": (1.0, 0.0), "times": (value - own.floor, own.floor), "plus": (1.0, value)}[relative]
+def _within_limits(parameter: Parameter, value: float, layer: Bounds, key: str) -> Distribution:
+    """Distribution at the recipe's value; for shipped bounds, adapted to it and to what is possible."""
+    prior, relative = _parse(layer.tables[key], layer.where, key)
+    transforms = {"": (1.0, 0.0), "times": (value - parameter.floor, parameter.floor), "plus": (1.0, value)}
+    scale, shift = transforms[relative]
     if scale <= 0.0:
-        raise InputError(layer.where, f"cannot be relative: the recipe has nothing of {own.name}", key=key)
-    low, mean, high = (shift + scale * number for number in (law.low, law.mean, law.high))
-    sd = scale * law.sd
+        raise InputError(layer.where, f"cannot be relative: the recipe has no {parameter.name}", key=key)
+    low, mean, high = (shift + scale * number for number in (prior.low, prior.mean, prior.high))
+    sd = scale * prior.sd
 
-    # What a user states is followed or refused.
-    if layer.binding:
-        span = f"goes from {low:.4g} to {high:.4g}"
+    # A user's bounds are used as they are or refused.
+    if layer.strict:
+        interval = f"is {low:.4g} to {high:.4g}"
         if not low <= value <= high:
-            allowed = f"must hold what the recipe has of {own.name}, {value:.4g}, and {span}"
-            raise InputError(layer.where, allowed, key=key)
-        if not relative and (low < own.low or high > own.high):
-            allowed = f"must lie within {own.low:.4g} to {own.high:.4g} and {span}"
-            raise InputError(layer.where, allowed, key=key)
+            problem = f"must include the recipe's value of {parameter.name}, {value:.4g}, but {interval}"
+            raise InputError(layer.where, problem, key=key)
+        if not relative and (low < parameter.low or high > parameter.high):
+            problem = f"must be within {parameter.low:.4g} to {parameter.high:.4g}, but {interval}"
+            raise InputError(layer.where, problem, key=key)
 
-    # Shipped bounds make room for what the recipe has, and relative ones keep to what is possible.
-    least, most = max(min(low, value), own.low), min(max(high, value), own.high)
-    cut = (least, most) != (low, high)
-    if cut:
-        room = _LEAST_ROOM * (most - least)
-        mean = float(np.clip(mean, least + room, most - room))
-        sd = min(sd, _STEEPEST * min(mean - least, most - mean))
-    said = {name: getattr(law, name) for name in Origin.model_fields}
-    return Distribution(law="normal" if cut else law.law, mean=mean, sd=sd, low=least, high=most, **said)
+    # Shipped bounds are widened to the recipe's value, and relative ones clipped to the possible range.
+    new_low, new_high = max(min(low, value), parameter.low), min(max(high, value), parameter.high)
+    adapted = (new_low, new_high) != (low, high)
+    if adapted:
+        margin = _MIN_MARGIN * (new_high - new_low)
+        mean = float(np.clip(mean, new_low + margin, new_high - margin))
+        sd = min(sd, _MAX_SD * min(mean - new_low, new_high - mean))
+    origin = {name: getattr(prior, name) for name in Origin.model_fields}
+    law = "normal" if adapted else prior.law
+    return Distribution(law=law, mean=mean, sd=sd, low=new_low, high=new_high, **origin)

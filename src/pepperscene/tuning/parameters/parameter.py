@@ -1,22 +1,17 @@
-"""The parameters of a fit: what can be fitted of a recipe, what it is there, and how far it may go."""
+"""Parameters of a fit: selection by name, with default values and prior distributions."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from pepperscene.cultivar import Distribution
 from pepperscene.errors import ArgumentError
-from pepperscene.tuning.parameters.bounds import priors
-from pepperscene.tuning.parameters.camera import camera_side
-from pepperscene.tuning.parameters.surface import ENDS, NAMES, surface_side
-from pepperscene.tuning.parameters.tunables import Group, Tunables
+from pepperscene.tuning.parameters.bounds import prior_distributions
+from pepperscene.tuning.parameters.surface import CONTENT_FIELDS, PATH_ENDS
+from pepperscene.tuning.parameters.tunables import Parameter, all_parameters
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
@@ -24,32 +19,9 @@ if TYPE_CHECKING:
     from pepperscene.dataset import Recipe
 
 
-@dataclass(frozen=True, eq=False)
-class Parameter:
-    """One parameter of a fit, of one or more entries.
-
-    Attributes:
-        name: "leaf.chlorophyll", "flash.colour".
-        unit: of its numbers; "" for plain ones.
-        meaning: in a few words.
-        labels: `(k,)` of its entries, `("",)` for a single one.
-        default: `(k,)` what the recipe has.
-        prior: `(k,)` what is known of it beforehand: mean, sd, and bounds that hold the default.
-        group: "pigments", "cuticle", "light", "exposure" or "camera".
-    """
-
-    name: str
-    unit: str
-    meaning: str
-    labels: tuple[str, ...]
-    default: NDArray[np.float64]
-    prior: tuple[Distribution, ...]
-    group: Group
-
-
 def known_parameters(cultivar: Cultivar, camera: Camera) -> tuple[str, ...]:
-    """Every name that can be fitted of plants of this cultivar before this camera."""
-    return tuple(_everything(cultivar, camera))
+    """Names of all parameters that can be fitted for a cultivar and a camera."""
+    return tuple(all_parameters(cultivar, camera))
 
 
 def select_parameters(
@@ -59,92 +31,91 @@ def select_parameters(
     names: Sequence[str],
     bounds: Mapping[str, Any] | str | Path | None = None,
 ) -> tuple[Parameter, ...]:
-    """The parameters of these names, in their order.
+    """Return the parameters of these names, in their order.
 
     Args:
-        recipe: for messages.
-        cultivar: the recipe's.
-        camera: the recipe's.
-        names: such as `known_parameters` gives; `state` of fruit is another word for its `ripeness`.
-        bounds: a bounds file, or its tables, that go before the shipped ones.
+        recipe: Recipe, for messages.
+        cultivar: Cultivar of the recipe.
+        camera: Camera of the recipe.
+        names: Names as in `known_parameters`; `state` of fruit is an alias of its `ripeness`.
+        bounds: A bounds file, or its tables, that override the shipped bounds.
 
     Raises:
-        ArgumentError: no name at all, an unknown name or one twice, one that this recipe cannot have, two
-            that move the same thing, or a fault in the bounds.
+        ArgumentError: There is no name; a name is unknown, repeated, or not available for this recipe; or two
+            names change the same quantity.
+        InputError: The bounds are not valid.
     """
-    every = _everything(cultivar, camera)
-    wanted = [_canonical(name.strip(), every) for name in names]
-    if not wanted:
-        raise ArgumentError("names", f"needs at least one of {_listed(every)}")
-    for i, name in enumerate(wanted):
-        if name not in every:
-            raise ArgumentError("names", _unknown(name, every, recipe, cultivar, camera))
-        if name in wanted[:i]:
-            raise ArgumentError("names", f"{name} is named twice")
-    _check_overlap(wanted)
-    laws = priors([every[name] for name in wanted], every.values(), bounds)
-    return tuple(
-        Parameter(one.name, one.unit, one.meaning, one.labels, one.value.copy(), law, one.group)
-        for one, law in zip((every[name] for name in wanted), laws, strict=True)
-    )
+    available = all_parameters(cultivar, camera)
+    selected = [_canonical(name.strip(), available) for name in names]
+    if not selected:
+        raise ArgumentError("names", f"needs at least one of {_list_names(available)}")
+    for i, name in enumerate(selected):
+        if name not in available:
+            raise ArgumentError("names", _unknown_message(name, available, recipe, cultivar, camera))
+        if name in selected[:i]:
+            raise ArgumentError("names", f"{name} is given twice")
+    _check_overlap(selected)
+    parameters = [available[name] for name in selected]
+    priors = prior_distributions(parameters, available.values(), bounds)
+    return tuple(replace(one, prior=prior) for one, prior in zip(parameters, priors, strict=True))
 
 
-def _everything(cultivar: Cultivar, camera: Camera) -> dict[str, Tunables]:
-    return surface_side(cultivar) | camera_side(camera)
-
-
-def _canonical(name: str, every: Mapping[str, Tunables]) -> str:
-    """The name that the parameter is known by: a fruit's state is called its ripeness."""
-    surface, _, what = name.rpartition(".")
-    return f"{surface}.ripeness" if what == "state" and f"{surface}.ripeness" in every else name
+def _canonical(name: str, available: Mapping[str, Parameter]) -> str:
+    """The name of the parameter: the state of fruit is called ripeness."""
+    surface, _, key = name.rpartition(".")
+    return f"{surface}.ripeness" if key == "state" and f"{surface}.ripeness" in available else name
 
 
 def _check_overlap(names: Iterable[str]) -> None:
-    """Refuse to move a content as a whole and at one end: no data could tell the two apart."""
+    """Refuse a content of the whole path together with that of one end: no data could separate them."""
     for name in names:
-        surface, _, what = name.rpartition(".")
-        whole = f"{surface.rpartition('.')[0]}.{what}"
-        if what in NAMES and surface.rpartition(".")[2] in ENDS and whole in names:
-            allowed = f"{whole} moves the whole path, so it cannot be fitted beside {name}"
-            raise ArgumentError("names", allowed)
+        surface, _, content = name.rpartition(".")
+        scaled = f"{surface.rpartition('.')[0]}.{content}"
+        if content in CONTENT_FIELDS and surface.rpartition(".")[2] in PATH_ENDS and scaled in names:
+            raise ArgumentError(
+                "names", f"{scaled} scales the whole path and cannot be fitted together with {name}"
+            )
 
 
-def _unknown(
-    name: str, every: Mapping[str, Tunables], recipe: Recipe, cultivar: Cultivar, camera: Camera
+def _unknown_message(
+    name: str, available: Mapping[str, Parameter], recipe: Recipe, cultivar: Cultivar, camera: Camera
 ) -> str:
-    """Why there is no such parameter, and what there is, the closest first."""
+    """Why a parameter does not exist, the closest names, and all names."""
     surface = name.partition(".")[0]
     if surface == "flash" and camera.flash is None:
-        why = f"{name} cannot be fitted, since {recipe.name} has no flash"
+        reason = f"{name} cannot be fitted, because {recipe.name} has no flash"
     elif name in ("white_balance", "colour_matrix"):
-        why = f"{name} cannot be fitted, since {camera.sensor.name} sees no colours"
-    elif surface in cultivar.pigments and not any(one.startswith(f"{surface}.") for one in every):
-        why = f"{name} cannot be fitted, since plants of {cultivar.name} show no {surface}"
+        reason = f"{name} cannot be fitted, because {camera.sensor.name} is monochrome"
+    elif surface in cultivar.pigments and not any(one.startswith(f"{surface}.") for one in available):
+        reason = f"{name} cannot be fitted, because plants of {cultivar.name} show no {surface}"
     else:
-        why = f"there is no parameter {name!r}"
-    close = get_close_matches(name, every, n=3, cutoff=0.5)
-    closest = f"closest are {', '.join(close)}; " if close else ""
-    return f"{why}; {closest}there are {_listed(every)}"
+        reason = f"there is no parameter {name!r}"
+    close = get_close_matches(name, available, n=3, cutoff=0.5)
+    hint = f"closest are {', '.join(close)}; " if close else ""
+    return f"{reason}; {hint}parameters are {_list_names(available)}"
 
 
-def _listed(every: Mapping[str, Tunables]) -> str:
-    """All names in few words: {leaf,stem}.{ior,roughness} are four."""
+def _list_names(available: Mapping[str, Parameter]) -> str:
+    """All names in short form: {leaf,stem}.{ior,roughness} are four."""
     surfaces: dict[str, list[str]] = {}
-    for own in every.values():
-        if own.group in ("pigments", "cuticle"):
-            surface, _, what = own.name.rpartition(".")
-            surfaces.setdefault(what, []).append(surface.partition(".")[0])
-    alike: dict[tuple[str, ...], list[str]] = {}
-    for what, names in surfaces.items():
-        alike.setdefault(tuple(dict.fromkeys(names)), []).append(what)
-    found = []
-    for shared, whats in alike.items():
-        found.append(f"{_braced(shared)}.{_braced(whats)}")
-        contents = [what for what in whats if what in NAMES]
-        found += [f"{_braced(shared)}.{_braced(ENDS)}.{_braced(contents)}"] * bool(contents)
-    return ", ".join(found + [own.name for own in every.values() if own.group not in ("pigments", "cuticle")])
+    others: list[str] = []
+    for name, parameter in available.items():
+        if parameter.group in ("pigments", "cuticle"):
+            prefix, _, key = name.rpartition(".")
+            surfaces.setdefault(key, []).append(prefix.partition(".")[0])
+        else:
+            others.append(name)
+    keys_by_surfaces: dict[tuple[str, ...], list[str]] = {}
+    for key, names in surfaces.items():
+        keys_by_surfaces.setdefault(tuple(dict.fromkeys(names)), []).append(key)
+    patterns = []
+    for shared, keys in keys_by_surfaces.items():
+        patterns.append(f"{_braces(shared)}.{_braces(keys)}")
+        contents = [key for key in keys if key in CONTENT_FIELDS]
+        patterns += [f"{_braces(shared)}.{_braces(PATH_ENDS)}.{_braces(contents)}"] * bool(contents)
+    return ", ".join(patterns + others)
 
 
-def _braced(names: Iterable[str]) -> str:
+def _braces(names: Iterable[str]) -> str:
     words = list(names)
     return words[0] if len(words) == 1 else f"{{{','.join(words)}}}"

@@ -1,114 +1,200 @@
-"""A recipe's parts at some values of a fit's parameters: smooth functions of them.
+"""Parts of a recipe at values of a fit's parameters, as smooth functions of these values.
 
-A path's shape between its knots is what a change of state makes anew, so paths are given more knots first, at
-which it says nothing else than before. They stay the same whatever the values, as the renderer's derivatives
-are those by contents at the knots.
+Moving organs along a pigment path changes the shape of the path between its knots. Paths are therefore given
+more knots first, which do not change their contents. The knots stay the same for all values, since the
+renderer differentiates with respect to the contents at the knots.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.cultivar import PigmentPath, Pigments
-from pepperscene.tuning.parameters.camera import colour_steps_at, flash_factors
-from pepperscene.tuning.parameters.surface import path_at, state_law
+from pepperscene.spectra import Spectrum, illuminance
+from pepperscene.tuning.parameters.surface import state_distribution, tuned_path
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera
+    from pepperscene.camera import Camera, Flash
     from pepperscene.cultivar import Cultivar
-
 
 Array = NDArray[np.float64]
 
 STEPS: Final = 20
-"""Even steps between knots. Chosen: a twentieth of the path is half of what organs of a kind differ by."""
-NEAREST: Final = 0.4 / STEPS
-"""No knot is put closer to one of the path's own: nothing would be gained."""
+"""Even intervals between knots. Chosen: organs of a kind differ by twice as much, a tenth of the path."""
+_MIN_KNOT_DISTANCE: Final = 0.4 / STEPS  # from the path's own knots; a closer one would gain nothing
+
+MIDDLE_NM, WARMTH_NM, GREEN_NM = 550.0, 150.0, 50.0
+"""Chosen: a warmth of 1 multiplies 700 nm by e and divides 400 nm by e, relative to the middle; between black
+bodies of 6500 K and 3000 K is a warmth of 1.4. The green is about as wide as a camera's green channel."""
+
+OFF_DIAGONAL: Final = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
+"""Entries of the colour matrix that are fitted."""
+
+_DIGITS: Final = 12
+"""Significant digits of numbers in files. Chosen: six more than any fit determines, and few enough that the
+last one does not depend on rounding in sums."""
 
 
 @dataclass(frozen=True, eq=False)
 class TunedParts:
-    """A recipe's parts at some values.
+    """Parts of a recipe at parameter values.
 
-    Attributes:
-        pigments: of the surfaces that have parameters among the values, on dense knots.
-        flash_power: factor on the flash's light.
-        flash_nodes_nm: `(m,)` wavelengths.
-        flash_spectrum: `(m,)` factors on its spectrum there, linear in between.
-        exposure: factor on the sensor's gain; without a flash, on the exposure time.
-        gains: `(3,)` white balance in use.
-        matrix: `(3, 3)` colour matrix in use, behind the gains.
+    Exposure is a factor on the sensor gain; without a flash, on the exposure time.
     """
 
-    pigments: Mapping[str, PigmentPath]
-    flash_power: float
-    flash_nodes_nm: Array
-    flash_spectrum: Array
+    pigments: Mapping[str, PigmentPath]  # of surfaces with parameters among the values, on dense knots
+    flash_power: float  # factor on the power of the flash
+    flash_nodes_nm: Array  # (m,)
+    flash_factors: Array  # (m,) factors on the flash spectrum at the nodes, linear in between
     exposure: float
-    gains: Array
-    matrix: Array
+    gains: Array  # (3,) white balance in use
+    matrix: Array  # (3, 3) colour matrix in use, applied after the gains
 
 
 def tuned_parts(
     cultivar: Cultivar, camera: Camera, values: Mapping[str, ArrayLike], nodes_nm: ArrayLike = ()
 ) -> TunedParts:
-    """The parts at these values; what has none among them is the recipe's own.
+    """Return the parts of a recipe at parameter values; parameters without a value keep the recipe's.
 
     Args:
-        cultivar: the recipe's, with its own knots or dense ones.
-        camera: the recipe's.
-        values: of parameters by their names, as `select_parameters` gives them.
-        nodes_nm: `(m,)` where the renderer takes factors of the flash's spectrum.
-
-    Raises:
-        ValueError: a value has the wrong shape or lies where there are no such plants.
+        cultivar: Cultivar of the recipe, with its own knots or dense ones.
+        camera: Camera of the recipe.
+        values: Parameter values by name; wrong shapes raise a ValueError.
+        nodes_nm: `(m,)` wavelengths of the renderer's factors on the flash spectrum.
     """
     pigments = {
-        surface: path_at(surface, dense_path(path), state_law(cultivar, surface), values)
+        surface: tuned_path(surface, densify_path(path), state_distribution(cultivar, surface), values)
         for surface, path in cultivar.pigments.items()
         if any(name.startswith(f"{surface}.") for name in values)
     }
-    gains, matrix = colour_steps_at(camera, values)
+    gains, matrix = colour_steps(camera, values)
     return TunedParts(
         pigments=pigments,
-        flash_power=_single(values, "flash.power"),
+        flash_power=_scalar(values, "flash.power"),
         flash_nodes_nm=np.array(nodes_nm, float),
-        flash_spectrum=flash_factors(values, nodes_nm),
-        exposure=_single(values, "exposure"),
+        flash_factors=flash_factors(values, nodes_nm),
+        exposure=_scalar(values, "exposure"),
         gains=gains,
         matrix=matrix,
     )
 
 
-def dense(cultivar: Cultivar, surfaces: Iterable[str]) -> Cultivar:
-    """The same cultivar with more knots on the paths of some surfaces, and the same contents everywhere."""
-    paths = {name: dense_path(cultivar.pigments[name]) for name in surfaces}
-    return cultivar.model_copy(update={"pigments": {**cultivar.pigments, **paths}})
+def _scalar(values: Mapping[str, ArrayLike], name: str) -> float:
+    """A factor; 1 if it is not among the values."""
+    (value,) = np.asarray(values.get(name, 1.0), dtype=float).ravel()
+    return float(value)
 
 
-def dense_path(path: PigmentPath) -> PigmentPath:
-    """The same path with its own knots and further ones in between, at most `NEAREST` from even steps."""
-    own = dict(path.knots)
-    known = np.array(list(own))
+def densify_cultivar(cultivar: Cultivar) -> Cultivar:
+    """The same cultivar with more knots on its pigment paths; contents are unchanged everywhere."""
+    paths = {name: densify_path(path) for name, path in cultivar.pigments.items()}
+    return cultivar.model_copy(update={"pigments": paths})
+
+
+def densify_path(path: PigmentPath) -> PigmentPath:
+    """The same path with its own knots and evenly spaced ones, unless these are close to its own."""
+    knots = dict(path.knots)
+    known = np.array(list(knots))
     even = np.arange(1, STEPS) / STEPS
-    further = [float(state) for state in even if np.abs(known - state).min() > NEAREST]
-    contents = path.at(further)
-    fields = Pigments.model_fields
-    more = {
-        state: Pigments(**{what: float(contents[what][i]) for what in fields})
-        for i, state in enumerate(further)
+    added = [float(state) for state in even if np.abs(known - state).min() > _MIN_KNOT_DISTANCE]
+    contents = path.at(added)
+    knots |= {
+        state: Pigments(**{field: float(contents[field][i]) for field in Pigments.model_fields})
+        for i, state in enumerate(added)
     }
-    every = own | more
-    between = tuple((state, every[state]) for state in sorted(every) if 0.0 < state < 1.0)
+    between = tuple((state, knots[state]) for state in sorted(knots) if 0.0 < state < 1.0)
     return path.model_copy(update={"path": between})
 
 
-def _single(values: Mapping[str, ArrayLike], name: str) -> float:
-    """A factor; 1 where it is not among the values."""
-    (value,) = np.asarray(values.get(name, 1.0), dtype=float).ravel()
-    return float(value)
+def flash_factors(values: Mapping[str, ArrayLike], nodes_nm: ArrayLike) -> Array:
+    """`(m,)` factors on the flash spectrum at the nodes: `flash.spectrum` times those of `flash.colour`.
+
+    Without nodes (fits to reflectance spectra render no view) it is empty. Another number of factors than
+    nodes raises a ValueError.
+    """
+    nm = np.asarray(nodes_nm, dtype=float)
+    factors = np.ones(nm.size)
+    if nm.size and "flash.spectrum" in values:
+        factors = np.atleast_1d(np.asarray(values["flash.spectrum"], dtype=float))
+        if factors.shape != nm.shape:
+            raise ValueError(f"flash.spectrum has {factors.size} factors and the renderer {nm.size} nodes")
+    if "flash.colour" in values:
+        warmth, green = np.asarray(values["flash.colour"], dtype=float)
+        offset = nm - MIDDLE_NM
+        factors = factors * np.exp(warmth * offset / WARMTH_NM + green * np.exp(-((offset / GREEN_NM) ** 2)))
+    return np.array(factors)
+
+
+def tuned_spectrum(spectrum: Spectrum, nodes_nm: ArrayLike, factors: ArrayLike) -> Spectrum:
+    """The spectrum times factors that are linear between nodes and constant beyond them.
+
+    It is sampled at every whole nanometre, where the renderer reads it, and at the nodes of both.
+    """
+    low, high = spectrum.range_nm
+    nodes = np.asarray(nodes_nm, float)
+    whole = np.arange(np.ceil(low), np.floor(high) + 1.0)
+    nm = np.union1d(np.union1d(spectrum.wavelength_nm, whole), nodes[(nodes >= low) & (nodes <= high)])
+    # A wavelength that differs from a whole nanometre by rounding only would give a duplicate row.
+    nm = np.unique(nm.round(6))
+    factor = np.interp(nm, nodes, np.asarray(factors, float)) if nodes.size else np.ones(nm.size)
+    held = Spectrum(spectrum.wavelength_nm, spectrum.values, "hold")
+    values = np.array([round_for_file(value) for value in held.at(nm) * factor])
+    return Spectrum(nm, values, spectrum.outside)
+
+
+def tuned_flash(flash: Flash, parts: TunedParts) -> Flash:
+    """The flash with its tuned spectrum and power; its illuminance or irradiance follows."""
+    spectrum = tuned_spectrum(flash.spectrum, parts.flash_nodes_nm, parts.flash_factors)
+    if flash.illuminance_lx is not None:
+        factor = parts.flash_power * illuminance(spectrum) / illuminance(flash.spectrum)
+        return replace(flash, spectrum=spectrum, illuminance_lx=flash.illuminance_lx * factor)
+    assert flash.irradiance_W_m2 is not None  # exactly one is given
+    factor = parts.flash_power * float(spectrum.integral()) / float(flash.spectrum.integral())
+    return replace(flash, spectrum=spectrum, irradiance_W_m2=flash.irradiance_W_m2 * factor)
+
+
+def colour_steps(camera: Camera, values: Mapping[str, ArrayLike] | None = None) -> tuple[Array, Array]:
+    """White balance gains `(3,)` and colour matrix `(3, 3)`; ones and the identity for a monochrome sensor.
+
+    The camera's own are those of its reference light. They do not change if the flash is tuned.
+    """
+    from pepperscene.camera import colour_transform
+
+    if camera.sensor.channels == 1:
+        return np.ones(3), np.eye(3)
+    given = {} if values is None else values
+    gains, matrix = (np.array(one, float) for one in colour_transform(camera))
+    if "white_balance" in given:
+        red, blue = np.asarray(given["white_balance"], dtype=float)
+        gains = gains * np.array([red, 1.0, blue])
+    if "colour_matrix" in given:
+        entries = np.asarray(given["colour_matrix"], dtype=float)
+        for (row, column), entry in zip(OFF_DIAGONAL, entries, strict=True):
+            # The row's sum, and so white, is kept; the recipe's own entries give its own matrix to rounding.
+            matrix[row, row] += matrix[row, column] - entry
+            matrix[row, column] = entry
+    return gains, matrix
+
+
+def tuned_camera(camera: Camera, parts: TunedParts) -> Camera:
+    """The camera with tuned flash, exposure, white balance and colour matrix."""
+    red, green, blue = parts.gains.tolist()
+    red_row, green_row, blue_row = (tuple(row) for row in parts.matrix.tolist())
+    developing = replace(
+        camera.developing, white_balance=(red, green, blue), colour_matrix=(red_row, green_row, blue_row)
+    )
+    developed = replace(camera, developing=developing)
+    if camera.flash is None:
+        return replace(developed, exposure_s=camera.exposure_s * parts.exposure)
+    sensor = camera.sensor.with_settings(gain=camera.sensor.gain * parts.exposure)
+    return replace(developed, flash=tuned_flash(camera.flash, parts), sensor=sensor)
+
+
+def round_for_file(value: float) -> float:
+    """A number with the significant digits that files state."""
+    return float(f"{float(value):.{_DIGITS}g}")

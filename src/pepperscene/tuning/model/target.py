@@ -1,0 +1,211 @@
+"""A recipe and the patches that it is tuned to: parameters, views, targets, and the least-squares problem."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.dataset import FrameRenderer
+from pepperscene.errors import InputError
+from pepperscene.tuning.model.observables import observables
+from pepperscene.tuning.model.problem import NO_NEIGHBOURS, FitProblem, NeighbourEffect, Observation
+from pepperscene.tuning.model.reflectance import DirectModel
+from pepperscene.tuning.model.view_model import VIEW_QUALITY, Values, ViewModel
+from pepperscene.tuning.model.views import ORGANS, PIXELS, OrganView, organ_views
+from pepperscene.tuning.parameters.parameter import Parameter, known_parameters, select_parameters
+from pepperscene.tuning.parameters.tuned import TunedParts, densify_cultivar, tuned_parts
+
+if TYPE_CHECKING:
+    from pepperscene.colour import PatchSet
+    from pepperscene.dataset import Recipe
+    from pepperscene.render import Quality
+
+Array = NDArray[np.float64]
+
+LAB_ERROR: Final = 0.5
+HUE_ERROR: Final = 0.05
+"""Chosen: CIELAB units by which mean and spread of a colour may always differ (half of a visible difference),
+and radians by which mean hue vectors may (three degrees, more than half a bin of hue spectra)."""
+REGISTERED_LAB_ERROR: Final = 0.06
+REGISTERED_HUE_ERROR: Final = 0.0025
+"""The same for patches of the very organs of the views, in addition to the sensor's noise: few samples of
+light, 8 bits, and a camera in formulas. Chosen: twice what simulated patches show (0.03 and 0.001), because
+the errors are partly systematic and shift several observables together."""
+RELATIVE_SPREAD_ERROR: Final = 0.2  # chosen: between organs; a few do not determine their spread better
+_DEFAULT_HUE_SD: Final = 0.1  # radians; chosen: differences between organs if there is only one
+_REGISTERED_ERRORS: Final = np.array([REGISTERED_LAB_ERROR] * 6 + [REGISTERED_HUE_ERROR] * 2)
+_PIXELS: Final = 20_000  # of a kind that are compared; more add no information
+NOT_ORGANS: Final = ("background", "wire", "cut")
+
+
+class TuningTarget:
+    """A recipe and the patches that it is to be tuned to.
+
+    Args:
+        recipe: The recipe.
+        patches: The measurements.
+        bounds: A bounds file or its tables, overriding the shipped bounds (see `select_parameters`).
+        registered: Whether patches are named after views and show the same organs, as simulated patches do;
+            otherwise patches and views show different samples of organs.
+        organs: Number of organs of each kind to view.
+        pixels: Width and height of a view.
+        quality: Samples of light in a view.
+        seed: Seed of organs, light and noise.
+
+    Attributes:
+        camera: The recipe's camera, without a pose.
+        cultivar: The recipe's cultivar with dense pigment paths.
+
+    Raises:
+        InputError: The recipe, the bounds or the patches are not valid, or the sensor is monochrome.
+    """
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        patches: PatchSet,
+        *,
+        bounds: str | Path | Mapping[str, Any] | None = None,
+        registered: bool = False,
+        organs: int = ORGANS,
+        pixels: int = PIXELS,
+        quality: Quality = VIEW_QUALITY,
+        seed: int = 0,
+    ) -> None:
+        self.recipe, self.patches, self.registered = recipe, patches, registered
+        self._bounds, self._organs, self._pixels = bounds, organs, pixels
+        self._quality, self._seed = quality, seed
+        self.frame_renderer = FrameRenderer(recipe)
+        self.camera = self.frame_renderer.resolved.camera
+        if self.camera.sensor.channels != 3:
+            problem, sensor = "must be a colour sensor", recipe.camera.sensor
+            raise InputError(recipe.name, problem, key="camera.sensor", value=sensor)
+        self.cultivar = densify_cultivar(self.frame_renderer.cultivar)
+
+    def parameters(self, names: Sequence[str]) -> tuple[Parameter, ...]:
+        """Return the parameters of these names; errors as for `select_parameters`."""
+        return select_parameters(self.recipe, self.cultivar, self.camera, names, self._bounds)
+
+    def unfitted_parameters(self, fitted: Iterable[str]) -> dict[str, tuple[Parameter, ...]]:
+        """Parameters that are not fitted and that could change the predictions, by group."""
+        excluded = set(fitted)
+        surfaces = {name for view in self.views for name in view.scene.mesh.surfaces}
+        if self.direct_model is not None:
+            surfaces |= {one.surface for one in self.direct_model.surfaces}
+        # Parameters of single path ends would duplicate those of the whole path.
+        names = [name for name in known_parameters(self.cultivar, self.camera) if name.count(".") < 2]
+        relevant = [
+            one
+            for one in self.parameters([name for name in names if name not in excluded])
+            if one.group not in ("pigments", "cuticle") or one.name.partition(".")[0] in surfaces
+        ]
+        groups = dict.fromkeys(one.group for one in relevant)
+        return {group: tuple(one for one in relevant if one.group == group) for group in groups}
+
+    def tuned_parts(self, values: Values) -> TunedParts:
+        """Return the recipe's parts at parameter values."""
+        return tuned_parts(self.cultivar, self.camera, values, self._nodes_nm)
+
+    @cached_property
+    def _nodes_nm(self) -> Array:
+        """Wavelengths of the renderer's factors on the flash spectrum."""
+        return self.view_models[0].nodes_nm if self.view_models else np.zeros(0)
+
+    @cached_property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of organs of the patches from images."""
+        kinds = dict.fromkeys(patch.kind for patch in self.patches.patches)
+        return tuple(kind for kind in kinds if kind not in NOT_ORGANS)
+
+    @cached_property
+    def targets(self) -> Mapping[str, Array]:
+        """`(n, 3)` linear sRGB of the patches by kind; equal weights of images unless registered."""
+        if self.registered:
+            return {kind: self.patches.pixels(kind) for kind in self.kinds}
+        targets = {}
+        for kind in self.kinds:
+            images = dict.fromkeys(patch.picture for patch in self.patches.of_kind(kind))
+            count = _PIXELS // len(images)
+            parts = [self.patches.select([image]).pixels(kind) for image in images]
+            indices = [np.arange(count) * len(part) // count for part in parts]
+            targets[kind] = np.concatenate([part[at] for part, at in zip(parts, indices, strict=True)])
+        return targets
+
+    @cached_property
+    def views(self) -> tuple[OrganView, ...]:
+        """Views of the kinds of organs that the patches show."""
+        if not self.kinds:
+            return ()
+        size = {"organs": self._organs, "pixels": self._pixels, "seed": self._seed}
+        sky = self.frame_renderer.sky(0)
+        return organ_views(self.recipe, self.cultivar, self.camera, self.kinds, sky=sky, **size)
+
+    @cached_property
+    def view_models(self) -> tuple[ViewModel, ...]:
+        """The views as functions of the recipe's parts."""
+        return tuple(
+            ViewModel(view, self.cultivar, self._seed + i, self._quality) for i, view in enumerate(self.views)
+        )
+
+    @cached_property
+    def direct_model(self) -> DirectModel | None:
+        """Model of the measured reflectances, or None if there are none."""
+        spectra = self.patches.spectra
+        return DirectModel.of(spectra, self.cultivar, self.tuned_parts) if spectra else None
+
+    def problem(
+        self, names: Sequence[str], neighbours: Mapping[str, NeighbourEffect] | None = None
+    ) -> FitProblem:
+        """Return the fit of these parameters to all patches, with effects of neighbouring organs by kind."""
+        observations = self._by_view() if self.registered else self._by_kind(neighbours or {})
+        return FitProblem(self.parameters(names), self.tuned_parts, observations, self.direct_model)
+
+    def _by_view(self) -> list[Observation]:
+        """One observation for each view that a patch is named after."""
+        patches = {patch.name: patch for patch in self.patches.patches}
+        observations = []
+        for model in self.view_models:
+            name = model.view.name
+            if name in patches:
+                sigma = np.hypot(_REGISTERED_ERRORS, model.standard_errors(self.tuned_parts({})))
+                target = observables(patches[name].linear)
+                observations.append(Observation(name, (model,), target, sigma, NO_NEIGHBOURS))
+        return observations
+
+    def _by_kind(self, neighbours: Mapping[str, NeighbourEffect]) -> list[Observation]:
+        """One observation for all organs of a kind."""
+        observations = []
+        for kind, pixels in self.targets.items():
+            models = tuple(model for model in self.view_models if model.view.kind == kind)
+            if not models:
+                continue
+            target = observables(pixels)
+            samples = [[patch.linear for patch in self.patches.of_kind(kind)]]
+            if kind not in neighbours:
+                # The views are a small sample of organs, like the patches; the whole scene shows many.
+                parts = self.tuned_parts({})
+                samples.append([model.linear(parts, NO_NEIGHBOURS.shade) for model in models])
+            effect = neighbours.get(kind, NO_NEIGHBOURS)
+            observations.append(Observation(kind, models, target, _sigma(samples, target), effect))
+        return observations
+
+
+def _sigma(samples: Sequence[Sequence[Array]], target: Array) -> Array:
+    """`(8,)` standard deviations of the difference between samples of organs; pixels of each organ given."""
+    between = np.zeros(5)
+    if len(samples[0]) == 1:
+        # Differences between organs are unknown for a single one; assume those within the organ.
+        between = np.append(target[3:6], [_DEFAULT_HUE_SD] * 2)
+    for sample in samples:
+        if len(sample) > 1:
+            means = np.array([observables(one) for one in sample])[:, [0, 1, 2, 6, 7]]
+            between = np.maximum(between, means.std(axis=0, ddof=1))
+    errors = np.array([LAB_ERROR, LAB_ERROR, LAB_ERROR, HUE_ERROR, HUE_ERROR])
+    of_mean = np.sqrt(errors**2 + between**2 * sum(1.0 / len(sample) for sample in samples))
+    of_spread = LAB_ERROR + RELATIVE_SPREAD_ERROR * np.sqrt(len(samples) / 2.0) * target[3:6]
+    return np.concatenate([of_mean[:3], of_spread, of_mean[3:]])

@@ -1,0 +1,97 @@
+"""Simulated patches are like those of a camera: noisy, in codes, and changed by parameter values."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pepperscene.camera import decode_tone, load_flash
+from pepperscene.dataset import load_recipe
+from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
+from pepperscene.errors import InputError
+from pepperscene.tuning import TuningTarget, simulate_patches
+from pepperscene.tuning.parameters.tuned import colour_steps, tuned_camera, tuned_flash, tuned_parts
+
+SMALL = {"organs": 1, "pixels": 16}
+KINDS = ("leaf", "pepper.unripe")
+NODES_NM = np.linspace(391.0, 729.0, 8)
+NOISE = 2e-3
+"""Of the mean of a view this small, in linear light: photons and amplifier give a pixel about .01."""
+
+
+@pytest.fixture(scope="module")
+def recipe():
+    return load_recipe("barth2018")
+
+
+@pytest.fixture(scope="module")
+def default(recipe):
+    return simulate_patches(recipe, {}, KINDS, **SMALL)
+
+
+def mean(patches, kind):
+    return patches.pixels(kind).mean(axis=0)
+
+
+def test_patches_show_the_views_of_a_target(recipe, default):
+    target = TuningTarget(recipe, default, registered=True, **SMALL)
+    assert [one.name for one in default.patches] == [view.name for view in target.views]
+    assert [len(one.codes) for one in default.patches] == [view.mask.sum() for view in target.views]
+    for one in default.patches:
+        assert one.codes.dtype == np.uint8
+        assert np.array_equal(one.linear, decode_tone(one.codes))
+    # At the recipe's values, the fit's model and the simulation differ by noise.
+    assert np.abs(target.problem(["exposure"]).data_residuals({})).max() < 5.0
+
+
+def test_codes_depend_on_the_noise_seed_only(recipe, default):
+    again, other = (simulate_patches(recipe, {}, KINDS, **SMALL, noise=noise) for noise in (1, 2))
+    for one, same, different in zip(default.patches, again.patches, other.patches, strict=True):
+        assert np.array_equal(one.codes, same.codes)
+        assert not np.array_equal(one.codes, different.codes)
+
+
+def test_exposure_and_power_are_factors_of_light(recipe, default):
+    """Half the gain gives half the light if nothing is clipped; without daylight so does half the flash."""
+    half = simulate_patches(recipe, {"exposure": 0.5}, ["leaf"], **SMALL)
+    assert mean(half, "leaf") == pytest.approx(0.5 * mean(default, "leaf"), rel=0.02, abs=NOISE)
+    dark = load_recipe("barth2018", {"daylight.illuminance_lx": 0.0})
+    full, weak = (simulate_patches(dark, {"flash.power": p}, ["leaf"], **SMALL) for p in (1.0, 0.5))
+    assert mean(weak, "leaf") == pytest.approx(0.5 * mean(full, "leaf"), rel=0.02, abs=NOISE)
+
+
+def test_pigments_change_their_own_organs_only(recipe, default):
+    pale = simulate_patches(recipe, {"leaf.chlorophyll": 20.0}, KINDS, **SMALL)
+    assert (mean(pale, "leaf")[:2] > 1.1 * mean(default, "leaf")[:2]).all()
+    assert mean(pale, "pepper.unripe") == pytest.approx(mean(default, "pepper.unripe"), rel=0.02, abs=NOISE)
+
+
+def test_tuned_camera_has_gains_matrix_and_gain(recipe):
+    camera = load_camera(recipe)
+    values = {"white_balance": np.array([1.2, 0.9]), "exposure": np.array([0.7])}
+    tuned = tuned_camera(camera, tuned_parts(load_recipe_cultivar(recipe), camera, values, NODES_NM))
+    gains, matrix = colour_steps(camera, values)
+    assert tuned.developing.white_balance == pytest.approx(tuple(gains))
+    assert np.asarray(tuned.developing.colour_matrix) == pytest.approx(matrix)
+    assert tuned.sensor.gain == pytest.approx(0.7 * camera.sensor.gain)
+
+
+@pytest.mark.parametrize("name", ["led_matrix_200klx", "led_nir_850nm"])
+def test_tuned_flash_is_the_flash_times_power_and_factors(recipe, name):
+    """At every wavelength, for flashes with a strength in lux and in watts."""
+    flash = load_flash(name)
+    values = {"flash.power": np.array([0.7]), "flash.colour": np.array([0.4, -0.2])}
+    parts = tuned_parts(load_recipe_cultivar(recipe), load_camera(recipe), values, NODES_NM)
+    nm = np.arange(400.0, 701.0) if flash.illuminance_lx is not None else np.arange(800.0, 901.0)
+    factors = 0.7 * np.interp(nm, NODES_NM, parts.flash_factors)
+    assert tuned_flash(flash, parts).irradiance().at(nm) == pytest.approx(flash.irradiance().at(nm) * factors)
+
+
+def test_raises_on_unknown_names_kinds_and_wrong_sizes(recipe):
+    with pytest.raises(InputError, match="chlorofyll"):
+        simulate_patches(recipe, {"leaf.chlorofyll": 40.0}, ["leaf"], **SMALL)
+    with pytest.raises(InputError, match=r"values: white_balance = 1\.2: must be 2 number"):
+        simulate_patches(recipe, {"white_balance": 1.2}, ["leaf"], **SMALL)
+    for kind in ("wire", "branch", "pepper.rotten"):
+        with pytest.raises(InputError, match=kind):
+            simulate_patches(recipe, {}, [kind], **SMALL)

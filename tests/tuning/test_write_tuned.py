@@ -1,0 +1,388 @@
+"""Files of a fit load like any other recipe, and have the fitted values."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import re
+import shutil
+import tomllib
+
+import numpy as np
+import pytest
+from example_fit import VALUES, example_fit, example_patches
+
+from pepperscene.camera import colour_transform
+from pepperscene.cultivar import PigmentPath, Pigments, load_cultivar
+from pepperscene.dataset import FrameRenderer, load_recipe
+from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
+from pepperscene.errors import InputError, OutputError
+from pepperscene.tuning.output import write as write_module
+from pepperscene.tuning.output.parts import simplify_path
+from pepperscene.tuning.output.provenance import RunInfo, format_value, format_with_sd, toml_text
+from pepperscene.tuning.output.write import write_tuned
+
+WHEN = datetime.date(2026, 1, 2)
+STATES = np.linspace(0.0, 1.0, 401)
+
+
+def write(recipe, fit, out, **options):
+    return write_tuned(recipe, fit, out, patches=example_patches(), when=WHEN, **options)
+
+
+def check_pigments(pigments, expected):
+    """Contents agree to a millionth of their range at every state, the rest to rounding."""
+    for name, path in expected.items():
+        contents, written = path.at(STATES), pigments[name].at(STATES)
+        for field, content in contents.items():
+            extent = max(np.ptp(content), 1e-9 * np.abs(content).max())
+            assert np.abs(written[field] - content).max() <= 1.001e-6 * extent + 1e-15, (name, field)
+        flesh = [one.flesh_reflectance for one in (pigments[name], path)]
+        assert flesh == [None, None] or flesh[0] == pytest.approx(flesh[1], rel=1e-10)
+        assert pigments[name].ior == pytest.approx(path.ior, rel=1e-10)
+        assert pigments[name].roughness == pytest.approx(path.roughness, rel=1e-10)
+
+
+def check_camera(camera, before, parts):
+    """Exposure, gains, matrix and light are those of the fit."""
+    time, gain = (parts.exposure, 1.0) if before.flash is None else (1.0, parts.exposure)
+    assert camera.exposure_s == pytest.approx(before.exposure_s * time, rel=1e-10)
+    assert camera.sensor.gain == pytest.approx(before.sensor.gain * gain, rel=1e-10)
+    if before.sensor.channels > 1:
+        gains, matrix = colour_transform(camera)
+        np.testing.assert_allclose(gains, parts.gains, rtol=1e-9)
+        np.testing.assert_allclose(matrix, parts.matrix, atol=1e-9)
+    if before.flash is not None:
+        # On the renderer's grid: every whole nanometre, with factors linear between nodes that are not on it.
+        nm = np.arange(370.0, 800.0)
+        factors = np.interp(nm, parts.flash_nodes_nm, parts.flash_factors)
+        expected = parts.flash_power * factors * before.flash.radiant_intensity(nm)
+        written = camera.flash.radiant_intensity(nm)
+        np.testing.assert_allclose(written, expected, rtol=1e-6, atol=1e-12 * expected.max())
+
+
+def check_recipe(path, before, fit):
+    """The recipe in a file has the fitted values."""
+    recipe = load_recipe(path)
+    check_pigments(load_recipe_cultivar(recipe).pigments, fit.tuned_parts.pigments)
+    check_camera(load_camera(recipe), load_camera(before), fit.tuned_parts)
+
+
+@pytest.fixture(autouse=True)
+def small_picture(monkeypatch):
+    """The figure has its own tests (test_figure.py), and takes half of the time of writing."""
+    monkeypatch.setattr(write_module, "before_after_png", lambda *_: b"PNG")
+
+
+@pytest.fixture(scope="module")
+def demo():
+    return load_recipe("demo")
+
+
+@pytest.fixture(scope="module")
+def fit(demo):
+    return example_fit(demo)
+
+
+def test_written_recipe_has_the_fitted_values(demo, fit, tmp_path):
+    files = write(demo, fit, tmp_path / "out", extends="demo")
+    recipe = load_recipe(files[0])
+    check_pigments(FrameRenderer(recipe).cultivar.pigments, fit.tuned_parts.pigments)
+    check_recipe(files[0], demo, fit)
+    assert recipe.name == "demo_tuned"
+    assert {path.name for path in files} == {path.name for path in (tmp_path / "out").iterdir()}
+
+
+def test_only_changes_are_stated_and_the_rest_is_inherited(demo, fit, tmp_path):
+    files = write(demo, fit, tmp_path / "o", extends="demo")
+    recipe, cultivar = (tomllib.loads(path.read_text()) for path in files[:2])
+    assert recipe.keys() == {"extends", "name", "cultivar", "camera", "developing"}
+    assert recipe["camera"].keys() == {"flash", "gain"}
+    assert recipe["developing"].keys() == {"white_balance", "colour_matrix"}
+    assert cultivar["extends"] == "kaite"
+    assert cultivar["pigments"].keys() == {"leaf", "fruit"}
+    tuned, original = load_cultivar(files[1]), load_cultivar("kaite")
+    for name in ("organs", "stem", "date"):
+        assert getattr(tuned, name) == getattr(original, name)
+    for name in original.pigments.keys() - {"leaf", "fruit"}:
+        assert tuned.pigments[name] == original.pigments[name]
+
+
+def test_unchanged_values_write_no_changes(demo, tmp_path):
+    defaults = {one.name: one.default for one in example_fit(demo).parameters}
+    files = write(demo, example_fit(demo, defaults), tmp_path / "out", extends="demo")
+    assert tomllib.loads(files[0].read_text()) == {"extends": "demo", "name": "demo_tuned"}
+    assert [path.name for path in files[1:]] == ["before_after.png", "tuning.json"]
+
+
+@pytest.mark.parametrize("name", list(VALUES))
+def test_each_parameter_alone_is_written(demo, name, tmp_path):
+    fit = example_fit(demo, {name: VALUES[name]})
+    check_recipe(write(demo, fit, tmp_path / "out", extends="demo")[0], demo, fit)
+
+
+def test_tuned_flash_keeps_the_white_balance_of_the_fit(demo, tmp_path):
+    """The recipe balances to its flash; another flash must not change that."""
+    fit = example_fit(demo, {"flash.colour": [0.4, 0.0]})
+    camera = load_camera(load_recipe(write(demo, fit, tmp_path / "out", extends="demo")[0]))
+    np.testing.assert_allclose(colour_transform(camera)[0], colour_transform(load_camera(demo))[0], rtol=1e-9)
+
+
+def test_infrared_flash_has_its_strength_in_watts(tmp_path):
+    changes = {
+        "camera.sensor": "onsemi_mt9v024_mono",
+        "camera.flash": "led_nir_850nm",
+        "developing.white_balance": "none",
+    }
+    recipe = load_recipe("demo", changes)
+    fit = example_fit(recipe, {"flash.power": [1.3], "flash.spectrum": np.linspace(0.5, 1.5, 8)})
+    flash = load_camera(load_recipe(write(recipe, fit, tmp_path / "out")[0])).flash
+    nm = np.arange(780.0, 920.0)
+    factors = np.interp(nm, fit.tuned_parts.flash_nodes_nm, fit.tuned_parts.flash_factors)
+    expected = 1.3 * factors * load_camera(recipe).flash.radiant_intensity(nm)
+    np.testing.assert_allclose(flash.radiant_intensity(nm), expected, rtol=1e-6)
+    assert flash.irradiance_W_m2 is not None
+
+
+def test_both_growth_stages_are_tuned(tmp_path):
+    changes = {"cultivar": "kaite_february", "growth.until": "kaite_september", "growth.share": 0.3}
+    recipe = load_recipe("demo", changes)
+    fit = example_fit(recipe, {"leaf.chlorophyll": [41.0]})
+    files = write(recipe, fit, tmp_path / "out", extends="demo")
+    assert {"kaite_february_tuned.toml", "kaite_september_tuned.toml"} <= {path.name for path in files}
+    cultivar = load_recipe_cultivar(load_recipe(files[0]))
+    check_pigments(cultivar.pigments, fit.tuned_parts.pigments)
+    assert cultivar.date == load_recipe_cultivar(recipe).date
+
+
+def test_recipe_without_a_flash_has_no_flash_file(tmp_path):
+    recipe = load_recipe("greenhouse")
+    fit = example_fit(recipe, {"exposure": [1.4], "white_balance": [0.9, 1.2]})
+    files = write(recipe, fit, tmp_path / "out", extends="greenhouse")
+    assert [path.name for path in files] == ["greenhouse_tuned.toml", "before_after.png", "tuning.json"]
+    check_recipe(files[0], recipe, fit)
+
+
+def test_folder_can_be_moved(demo, fit, tmp_path):
+    write(demo, fit, tmp_path / "out", extends="demo")
+    (tmp_path / "far").mkdir()
+    shutil.move(tmp_path / "out", tmp_path / "far" / "away")
+    check_recipe(tmp_path / "far" / "away" / "demo_tuned.toml", demo, fit)
+
+
+def test_files_of_the_user_are_found_by_relative_paths(tmp_path, monkeypatch):
+    mine = tmp_path / "both" / "mine"
+    mine.mkdir(parents=True)
+    (mine / "plant.toml").write_text('extends = "red_blocky"\nname = "Mine"\nsource = "own"\n')
+    (mine / "crop.toml").write_text('extends = "demo"\nname = "crop"\ncultivar = "plant.toml"\n')
+    monkeypatch.chdir(mine)
+    recipe = load_recipe("crop.toml", {"camera.exposure_us": 40})
+    fit = example_fit(recipe)
+    files = write(recipe, fit, "../results/first", extends="crop.toml")
+    stated = tomllib.loads(files[0].read_text())
+    assert stated["extends"] == "../../mine/crop.toml"
+    assert stated["camera"]["exposure_us"] == 40
+    # From another working directory, and after both have moved together.
+    monkeypatch.chdir("/")
+    (tmp_path / "both").rename(tmp_path / "moved")
+    moved = load_recipe_cultivar(load_recipe(tmp_path / "moved" / "results" / "first" / "crop_tuned.toml"))
+    check_pigments(moved.pigments, fit.tuned_parts.pigments)
+    assert moved.organs == load_cultivar("red_blocky").organs
+
+
+def test_files_of_the_user_are_found_behind_a_symbolic_link(tmp_path):
+    (tmp_path / "real" / "deep" / "er").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "real" / "deep" / "er")
+    (tmp_path / "plant.toml").write_text('extends = "kaite"\nname = "Mine"\n')
+    (tmp_path / "crop.toml").write_text('extends = "demo"\ncultivar = "plant.toml"\n')
+    recipe = load_recipe(tmp_path / "crop.toml")
+    files = write(recipe, example_fit(recipe), tmp_path / "link" / "out", extends=tmp_path / "crop.toml")
+    assert load_recipe_cultivar(load_recipe(files[0])).name == "Mine, tuned"
+
+
+def test_recipe_without_a_file_is_written_completely(demo, fit, tmp_path):
+    files = write(demo, fit, tmp_path / "out")
+    assert "extends" not in tomllib.loads(files[0].read_text())
+    recipe, base = load_recipe(files[0]), load_recipe(write(demo, fit, tmp_path / "two", extends="demo")[0])
+    for name in ("seed", "plan", "row", "path", "daylight", "twine", "growth", "greenhouse", "developing"):
+        assert getattr(recipe, name) == getattr(base, name), name
+
+
+def test_recipe_that_lacks_a_table_of_its_file_is_written_completely(demo, fit, tmp_path):
+    night = demo.model_copy(update={"daylight": None})
+    assert load_recipe(write(night, fit, tmp_path / "out", extends="demo")[0]).daylight is None
+
+
+def test_recipe_and_cultivar_of_the_same_name_have_different_files(demo, fit, tmp_path):
+    recipe = demo.model_copy(update={"name": "kaite"})
+    files = write(recipe, fit, tmp_path / "out", extends="demo")
+    assert len({path.name.lower() for path in files}) == len(files) == 7
+    assert load_recipe_cultivar(load_recipe(files[0])).name == "Kaite, tuned"
+
+
+def test_recipe_name_need_not_be_a_file_name(demo, tmp_path):
+    recipe = demo.model_copy(update={"name": 'a/b: "c" \\'})
+    first = write(recipe, example_fit(demo, {"exposure": [1.2]}), tmp_path / "out", extends="demo")[0]
+    assert first.parent == tmp_path / "out"
+    assert load_recipe(first).name == 'a/b: "c" \\_tuned'
+
+
+def test_tuned_recipe_can_be_tuned_again(demo, fit, tmp_path):
+    first = write(demo, fit, tmp_path / "one", extends="demo")[0]
+    recipe = load_recipe(first)
+    again = example_fit(recipe, {"leaf.chlorophyll": [30.0], "flash.power": [0.9]})
+    second = write(recipe, again, tmp_path / "two", extends=first)[0]
+    check_recipe(second, recipe, again)
+    fruit = load_recipe_cultivar(recipe).pigments["fruit"]
+    check_pigments(load_recipe_cultivar(load_recipe(second)).pigments, {"fruit": fruit})
+
+
+def test_every_file_states_its_provenance(demo, fit, tmp_path):
+    files = write(demo, fit, tmp_path / "out", extends="demo")
+    record = json.loads((tmp_path / "out" / "tuning.json").read_text())
+    for path in files:
+        if path.suffix == ".toml":
+            text = path.read_text()
+            assert "2026-01-02" in text
+            assert record["version"] in text
+            assert record["patches"]["sha256"] in text
+    leaf = tomllib.loads(files[1].read_text())["pigments"]["leaf"]["source"]
+    assert "leaf.chlorophyll 48.12 ± 0.96" in leaf
+    assert "(was 62.00)" in leaf
+    assert "LOPEX" in leaf
+    assert "fruit.ripeness" not in leaf
+
+
+def test_record_is_complete_and_plain_json(demo, fit, tmp_path):
+    write(demo, fit, tmp_path / "out", options={"seed": 3}, verification={"frames": 2, "worst": float("nan")})
+
+    def refuse(text):
+        raise AssertionError(f"{text} is not valid JSON")
+
+    record = json.loads((tmp_path / "out" / "tuning.json").read_text(), parse_constant=refuse)
+    assert record["options"] == {"seed": 3}
+    assert record["verification"] == {"frames": 2, "worst": None}
+    assert [one["name"] for one in record["parameters"]] == list(VALUES)
+    assert len(record["entries"]) == len(record["correlation"]) == 15
+    for one in record["parameters"]:
+        assert one["value"] == list(VALUES[one["name"]])
+        assert len(one["sd"]) == len(one["gained"]) == len(one["bounds"]) == len(one["labels"])
+        assert one["bounds"][0].keys() == {"mean", "sd", "low", "high", "source", "chosen"}
+    assert record["kinds"].keys() == {"leaf", "pepper.ripe", "peduncle"}
+    assert record["spectra"].keys() == {"green pepper"}
+    assert [one["cost"] for one in record["starts"]] == [812.5, None]
+    assert record["leftover"] == {"camera": 0.4, "light": None}
+    assert record["verdict"] == list(fit.diagnostics)
+    assert record["tuned"]["gains"] == pytest.approx(list(fit.tuned_parts.gains))
+
+
+def test_digests_identify_patches():
+    runs = [RunInfo.of(example_patches(), WHEN) for _ in range(2)]
+    assert runs[0] == runs[1]
+    patches = example_patches()
+    patches.patches[0].linear[0, 0] += 1e-3
+    other = RunInfo.of(patches, WHEN)
+    assert other.sha256 != runs[0].sha256
+    assert [n for n, digest in other.members.items() if digest != runs[0].members[n]] == ["leaf 1"]
+
+
+def test_same_fit_gives_the_same_bytes(demo, fit, tmp_path, monkeypatch):
+    monkeypatch.undo()  # the figure as well
+    pairs = zip(write(demo, fit, tmp_path / "one"), write(demo, fit, tmp_path / "two"), strict=True)
+    assert all(a.read_bytes() == b.read_bytes() for a, b in pairs)
+
+
+def test_raises_on_a_folder_that_is_not_empty(demo, fit, tmp_path):
+    (tmp_path / "mine.txt").write_text("keep")
+    with pytest.raises(OutputError, match=r"mine\.txt"):
+        write(demo, fit, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+@pytest.mark.parametrize("failing", [0, 3, 6])
+def test_full_disk_leaves_no_files(demo, fit, tmp_path, monkeypatch, failing):
+    atomic_write, calls = write_module.atomic_write, []
+
+    def full(path):
+        calls.append(path)
+        if len(calls) == failing + 1:
+            raise OSError(28, "No space left on device", str(path))
+        return atomic_write(path)
+
+    monkeypatch.setattr(write_module, "atomic_write", full)
+    with pytest.raises(OutputError, match="No space left"):
+        write(demo, fit, tmp_path / "deep" / "out")
+    assert not list(tmp_path.iterdir())
+
+
+def test_invalid_values_leave_no_files(demo, tmp_path):
+    fit = example_fit(demo, {"exposure": [50.0]})
+    loud = demo.model_copy(update={"camera": demo.camera.model_copy(update={"gain": 900.0})})
+    with pytest.raises(InputError, match=r"camera\.gain"):
+        write(loud, fit, tmp_path / "out")
+    assert not list(tmp_path.iterdir())
+
+
+def path_of(states, chlorophyll):
+    contents = [
+        Pigments(
+            structure_n=1.5,
+            chlorophyll_ug_cm2=c,
+            carotenoid_ug_cm2=2.0,
+            water_cm=0.01,
+            dry_matter_g_cm2=0.004,
+        )
+        for c in chlorophyll
+    ]
+    between = tuple(zip(states[1:-1], contents[1:-1], strict=True))
+    return PigmentPath(
+        source="made", start=contents[0], end=contents[-1], path=between, ior=1.3, roughness=(0.3, 0.4)
+    )
+
+
+def test_simplified_path_keeps_corners_only():
+    states = [float(s) for s in np.linspace(0.0, 1.0, 21)]
+    simple = simplify_path(path_of(states, np.interp(states, [0, 0.25, 0.6, 1], [5, 40, 41, 3])))
+    assert [state for state, _ in simple.path] == pytest.approx([0.25, 0.6])
+    assert not simplify_path(path_of(states, np.full(21, 7.0))).path
+
+
+def test_simplified_path_is_within_the_tolerance():
+    rng = np.random.default_rng(11)
+    states = np.sort(np.concatenate([[0.0, 1.0], rng.uniform(0.01, 0.99, 22)])).tolist()
+    rough = path_of(states, np.maximum(90.0 + np.cumsum(rng.normal(0.0, 2.0, 24)), 0.0))
+    smooth = path_of(states, 10.0 + 1e-7 * rng.random(24) + 20.0 * np.array(states))
+    for path in (rough, smooth):
+        before, after = (p.at(STATES)["chlorophyll_ug_cm2"] for p in (path, simplify_path(path)))
+        assert np.abs(before - after).max() <= 1.001e-6 * np.ptp(before)
+    assert len(simplify_path(rough).path) == 22
+    assert not simplify_path(smooth).path
+
+
+@pytest.mark.parametrize("depth", [0, 1, 2, 5])
+def test_toml_text_loads_with_the_same_values(depth):
+    tables = {
+        "name": 'a "b" \\ \n\t\x7f µ', "integer": 3, "small": 1.25e-7, "round": 2.0, "yes": True, "day": WHEN,
+        "rows": [[1.0, 2.5], [3.0, 4.0]], "empty": [], "array": [1.0, {"x": 2.5}],
+        "one": {"two": {"three": {"x": 0.1}, "y": 1}, "a key": "v"}, "none": {},
+    }  # fmt: skip
+    comments = {"name": "a\ncomment", "rows": "more", "one.a key": "x"}
+    text = toml_text(tables, "head\nand more", comments, depth)
+    assert tomllib.loads(text) == tables
+    assert text.startswith("# head\n# and more\n\n")
+    assert 'µ"  # a comment\n' in text
+    assert len(re.findall(r"^\[", text, re.MULTILINE)) == (0, 2, 3, 4)[min(depth, 3)]
+
+
+def test_toml_text_has_twelve_digits():
+    assert (
+        toml_text({"x": 0.1 + 0.2, "y": np.array([1.0 / 3.0, 2.0])}) == "x = 0.3\ny = [0.333333333333, 2]\n"
+    )
+
+
+def test_values_have_the_digits_of_their_sd():
+    assert format_with_sd(48.1234, 0.957) == "48.12 ± 0.96"
+    assert format_with_sd(1234.5, 120.0) == "1230 ± 120"
+    assert format_with_sd(0.0, 0.004) == "0.0000 ± 0.0040"
+    assert format_value(3.14159, 0.0) == "3.142"
+    assert format_value(3.14159, float("inf")) == "3.142"
