@@ -1,4 +1,4 @@
-"""The command line: parse, call, show progress, exit code; one file for each group of commands.
+"""The command line: one module for each group of commands.
 
 Exit codes: 0 success, 1 a data set has faults, 2 an error that the user can fix (one line says what), 130
 interrupted.

@@ -1,4 +1,4 @@
-"""The command that compares two sets of images, or one with patches of measured colour."""
+"""The command `compare`: two image sets, or an image set and patches of measured colour."""
 
 from __future__ import annotations
 
@@ -9,78 +9,82 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pepperscene.cli.application import app, handle_errors, told
-from pepperscene.cli.datasets import measuring
+from pepperscene.cli.application import app, handle_errors
+from pepperscene.cli.progress import echo_measured, echo_progress
 from pepperscene.errors import InputError, OutputError
 
 if TYPE_CHECKING:
     from pepperscene.colour.comparison.tables import TextTable
 
 
-_SIDE = "Folder of images, or a file of patches or measured reflectances."
+_SET_HELP = "Folder of images, or file of patches or measured reflectances."
 
 
 @app.command()
 @handle_errors
 def compare(
-    one: Annotated[str, typer.Argument(metavar="A", help=_SIDE)],
-    other: Annotated[str, typer.Argument(metavar="B", help=_SIDE)],
+    first: Annotated[str, typer.Argument(metavar="A", help=_SET_HELP)],
+    second: Annotated[str, typer.Argument(metavar="B", help=_SET_HELP)],
     labels: Annotated[
         str | None,
-        typer.Option(metavar="NAME[,NAME]", help="What masks mean, where A or B is a folder of images."),
+        typer.Option(metavar="NAME[,NAME]", help="Meaning of the masks, if A or B is a folder of images."),
     ] = None,
     half: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME[,NAME]", help="synthetic or empirical, where A or B is the published data set."
+            metavar="NAME[,NAME]", help="synthetic or empirical, if A or B is the published data set."
         ),
     ] = None,
-    limit: Annotated[int, typer.Option(min=1, help="Most pictures of each side that are measured.")] = 1000,
+    limit: Annotated[int, typer.Option(min=1, help="Measure at most this many pictures of each set.")] = 1000,
     figure: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw Figs. 10 to 13 of the paper as an .svg.")
+        Path | None, typer.Option(metavar="FILE", help="Draw Figs. 10 to 13 of the paper as .svg or .png.")
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
-    """Tell how alike two sets of images are: hues, CIELAB, class shares, places, light; with intervals."""
-    from pepperscene.colour.comparison.compare import compare as compare_sets
-    from pepperscene.colour.comparison.measure import open_comparison_sides
+    """Compare two image sets: hues, CIELAB, class fractions, places, light; with confidence intervals."""
+    from pepperscene.colour import (
+        compare as compare_sets,
+    )
+    from pepperscene.colour import comparison_figure, comparison_json, comparison_tables, format_tables
+    from pepperscene.colour.comparison.measure import open_two_sets
 
-    if figure is not None and figure.suffix.lower() != ".svg":
-        raise InputError("--figure", f"only .svg is written, not {figure.name}")
-    found = compare_sets(*open_comparison_sides(one, other, labels, half), limit=limit, on_progress=measuring)
+    if figure is not None and figure.suffix.lower() not in (".svg", ".png"):
+        raise InputError("--figure", f"must end in .svg or .png, not {figure.name}")
+    sets = open_two_sets(first, second, labels, half)
+    comparison = compare_sets(*sets, limit=limit, on_progress=echo_measured)
     if json:
-        typer.echo(json_text.dumps(found.json(), indent=1, allow_nan=False))
+        typer.echo(json_text.dumps(comparison_json(comparison), indent=1, allow_nan=False))
     elif sys.stdout.isatty():
-        _show(found.tables())
+        _print_tables(comparison_tables(comparison))
     else:
-        typer.echo(found.table())
+        typer.echo(format_tables(comparison_tables(comparison)))
     if figure is not None:
-        _write(figure, found.figure())
+        _write(figure, comparison_figure(comparison, figure.suffix.lower()[1:]))
 
 
-def _show(parts: tuple[TextTable, ...]) -> None:
-    """Tables with lines, on a terminal."""
+def _print_tables(tables: tuple[TextTable, ...]) -> None:
+    """Print tables with lines, on a terminal."""
     from rich.console import Console
-    from rich.table import Table as Lined
+    from rich.table import Table
     from rich.text import Text
 
     console = Console()
-    for part in parts:
-        lined = Lined(*part.heads, title=Text(part.title), title_justify="left")
-        for row in part.rows:
+    for table in tables:
+        lined = Table(*table.heads, title=Text(table.title), title_justify="left")
+        for row in table.rows:
             lined.add_row(*(Text(cell) for cell in row))
         console.print(lined)
-        for note in part.notes:
+        for note in table.notes:
             console.print(Text(note))
 
 
-def _write(file: Path, text: str) -> None:
+def _write(file: Path, content: bytes) -> None:
     from pepperscene.dataset.store.atomic import atomic_write
 
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(file) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    except OSError as fault:
-        raise OutputError(f"{file}: the figure cannot be written ({fault.strerror or fault})") from None
-    told(f"figure: {file}")
+            temporary.write_bytes(content)
+    except OSError as error:
+        raise OutputError(f"{file}: the figure cannot be written ({error.strerror or error})") from None
+    echo_progress(f"figure: {file}")
