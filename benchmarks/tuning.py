@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.bench.records import machine_info, sentence
+from pepperscene.bench.records import describe_machine, machine_info
 from pepperscene.colour import PatchSet, delta_e_2000
 from pepperscene.dataset import load_recipe
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
@@ -411,7 +411,7 @@ def main() -> None:
         ran = compared(of, names[turn:] + names[:turn], options.budget if seed else 1.0)
         if seed:
             runs.append(ran)
-    told = [sentence(machine_info()), "", *table(runs)]
+    told = [describe_machine(machine_info()), "", *table(runs)]
     sys.stdout.write("\n".join(told) + "\n")
 
 

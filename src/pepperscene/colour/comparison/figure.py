@@ -214,7 +214,8 @@ def _draw_light(part: SubFigure, comparison: Comparison) -> None:
     if light.correlation.value is not None:
         text += (
             f"\ncorrelation of the falloff r = {format_estimate(light.falloff_correlation)}\n"
-            f"of the mean pictures r = {format_estimate(light.correlation)}, SSIM {format_estimate(light.ssim)}"
+            f"of the mean pictures r = {format_estimate(light.correlation)}, "
+            f"SSIM {format_estimate(light.ssim)}"
         )
     falloff.set_xlabel(text)
 
