@@ -62,7 +62,8 @@ def comparison_figure(comparison: Comparison, file_format: str = "svg") -> bytes
     if any(side.share.value is not None for kind in classes for side in (kind.first, kind.second)):
         sections.append((1.1 + 0.38 * len(classes), lambda part: _draw_fractions(part, comparison, classes)))
         sections.append((0.8 + 1.6 * _rows(classes), lambda part: _draw_masks(part, comparison, classes)))
-    sections.append((0.5 + 2.2 * _rows(kinds), lambda part: _draw_hues(part, comparison, kinds)))
+    if kinds:
+        sections.append((0.5 + 2.2 * _rows(kinds), lambda part: _draw_hues(part, comparison, kinds)))
     if any(side.statistics.mean_intensity() is not None for side in sides):
         sections.append((3.2, lambda part: _draw_light(part, comparison)))
 
