@@ -25,7 +25,7 @@ class StandIn:
         _note(seed)
         time.sleep(float(os.environ.get("STAND_IN_S", "0")))
         seen = {"1": {"class": 1, "kind": "lamina", "plant": 0, "phytomer": 3, "parent": 0, "pixels": 5}}
-        facts = {"camera": camera.facts(), "instances": seen, "triangles": self.triangles}
+        facts = {"camera": camera.metadata(), "instances": seen, "triangles": self.triangles}
         return Frame({name: _image(name, camera, seed) for name in outputs}, facts)
 
 
