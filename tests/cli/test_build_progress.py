@@ -85,7 +85,8 @@ def test_sigterm_interrupts_a_build(tmp_path):
         "from pepperscene.cli import main\n"
         "main()\n"
     )
-    environment = {**os.environ, "PYTHONPATH": str(stand_in), "STAND_IN_S": "0.3"}
+    search_path = os.pathsep.join((str(stand_in), os.environ.get("PYTHONPATH", "")))
+    environment = {**os.environ, "PYTHONPATH": search_path, "STAND_IN_S": "0.3"}
     process = subprocess.Popen(
         [sys.executable, "-c", script, "build", "barth2018", "--out", str(tmp_path / "set"), "--json",
          *SMALL, "--set", "plan.frames=200"],

@@ -14,66 +14,43 @@ from hypothesis import strategies as st
 from pepperscene.document import read_toml
 from pepperscene.shipped import shipped_folder
 
-EXAMPLES = 150
-
 # One short plant without daylight is fast.
 RECIPE = read_toml(shipped_folder("recipes") / "barth2018.toml") | {"cultivar": "plant.toml"}
 RECIPE["row"] |= {"plants_front": 1, "plants_back": 0}
 RECIPE["daylight"]["illuminance_lx"] = 0
 RECIPE["camera"] |= {"filter": "schott_22022010", "focus_mm": 400, "gain": 2.0, "bits": 10}
-RECIPE["developing"] |= {
-    "falloff": True,
-    "shot_noise": True,
-    "read_noise": True,
-    "saturation": True,
-    "quantise": True,
-    "demosaic": "malvar",
-    "colour_matrix": True,
-    "tone": "srgb",
-}
+STEPS = ("falloff", "shot_noise", "read_noise", "saturation", "quantise", "colour_matrix")
+RECIPE["developing"] |= {"demosaic": "malvar", "tone": "srgb", **dict.fromkeys(STEPS, True)}
 CULTIVAR = read_toml(shipped_folder("plants") / "kaite.toml")
 CULTIVAR["stem"] |= {"parts": 4, "young_nodes": 2}
 
+NUMBERS = (
+    -1,
+    0,
+    1,
+    2,
+    40,
+    10**9,
+    2**63 - 1,
+    -0.0,
+    0.5,
+    -5.0,
+    1e-300,
+    1e300,
+    float("nan"),
+    float("inf"),
+    True,
+)
+TEXTS = ("", "x", "1", "none", "nikon_d5100", "bandpass_850nm", "../..", "a\x00b", "q" * 400)
+LISTS = ([], [1], [0, 1], [[0, 1, 1.0]], [["a"]])
+TABLES = (
+    {},
+    {"value": 1},
+    {"value_mm": 3, "chosen": "x"},
+    {"mean_mm": 1, "sd_mm": 1e9, "source": "x"},
+)
 REPLACEMENTS = st.one_of(
-    st.sampled_from(
-        [
-            -1,
-            0,
-            1,
-            2,
-            40,
-            10**9,
-            2**63 - 1,
-            -0.0,
-            0.5,
-            -5.0,
-            1e-300,
-            1e300,
-            True,
-            False,
-            "",
-            "x",
-            "1",
-            "none",
-            "nikon_d5100",
-            "bandpass_850nm",
-            "../..",
-            "a\x00b",
-            "q" * 400,
-            [],
-            [1],
-            [0, 1],
-            [[0, 1, 1.0]],
-            [["a"]],
-            {},
-            {"value": 1},
-            {"value_mm": 3, "chosen": "x"},
-            {"mean_mm": 1, "sd_mm": 1e9, "source": "x"},
-            float("nan"),
-            float("inf"),
-            float("-inf"),
-        ]
-    ),
+    st.sampled_from((*NUMBERS, float("-inf"), True, False, *TEXTS, *LISTS, *TABLES)),
     st.floats(),
     st.integers(-(10**6), 10**6),
     st.text(max_size=8),
@@ -151,7 +128,7 @@ def check(command, recipe, cultivar, outputs):
 
 
 thorough = settings(
-    max_examples=EXAMPLES,
+    max_examples=150,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
