@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Annotated, Final, ParamSpec, TypeVar
 
@@ -121,6 +121,30 @@ SetOption = Annotated[
         metavar="KEY=VALUE", help="Change one value of the recipe (camera.flash=none); can be repeated."
     ),
 ]
+LabelsOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Meaning of the masks of a folder of images.")
+]
+HalfOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Half of the published data set: synthetic or empirical.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the complete result as JSON.")]
+
+
+def print_ruled_table(
+    heads: Sequence[str], rows: Iterable[Sequence[str]], title: str | None = None, notes: Iterable[str] = ()
+) -> None:
+    """Print a table with rules and wrapped cells, for terminals."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console()
+    table = Table(*heads, title=None if title is None else Text(title), title_justify="left")
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    console.print(table)
+    for note in notes:
+        console.print(Text(note))
 
 
 def parse_outputs(outputs: str) -> tuple[str, ...]:

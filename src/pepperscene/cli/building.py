@@ -29,9 +29,7 @@ def build(
     recipe: RecipeArgument = "demo",
     frames: Annotated[
         str | None,
-        typer.Option(
-            metavar="A:B", help="Frames A to B - 1, counted from 0. Default: those that the recipe selects."
-        ),
+        typer.Option(metavar="A:B", help="Frames A to B - 1, counted from 0. Default: the recipe's."),
     ] = None,
     outputs: OutputsOption = DEFAULTS,
     quality: QualityOption = "standard",
@@ -40,10 +38,7 @@ def build(
     set: SetOption = None,
     workers: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            help="Number of processes on this machine, which divide the cores. Default: one.",
-        ),
+        typer.Option(metavar="N", help="Processes on this machine, which share its cores. Default: one."),
     ] = None,
     scheduler: Annotated[
         str | None,

@@ -5,17 +5,13 @@ from __future__ import annotations
 import json as json_text
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from pepperscene.cli.application import app, handle_errors
+from pepperscene.cli.application import JsonOption, app, handle_errors, print_ruled_table
 from pepperscene.cli.progress import echo_measured, echo_progress
 from pepperscene.errors import InputError, OutputError
-
-if TYPE_CHECKING:
-    from pepperscene.colour.comparison.tables import TextTable
-
 
 _SET_HELP = "Folder of images, or file of patches or measured reflectances."
 
@@ -31,21 +27,17 @@ def compare(
     ] = None,
     half: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME[,NAME]", help="synthetic or empirical, if A or B is the published data set."
-        ),
+        typer.Option(metavar="NAME[,NAME]", help="synthetic or empirical, for the published data set."),
     ] = None,
     limit: Annotated[int, typer.Option(min=1, help="Measure at most this many pictures of each set.")] = 1000,
     figure: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw Figs. 10 to 13 of the paper as .svg or .png.")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Compare two image sets: hues, CIELAB, class fractions, places, light; with confidence intervals."""
-    from pepperscene.colour import (
-        compare as compare_sets,
-    )
     from pepperscene.colour import comparison_figure, comparison_json, comparison_tables, format_tables
+    from pepperscene.colour.comparison.compare import compare as compare_sets
     from pepperscene.colour.comparison.measure import open_two_sets
 
     if figure is not None and figure.suffix.lower() not in (".svg", ".png"):
@@ -55,27 +47,12 @@ def compare(
     if json:
         typer.echo(json_text.dumps(comparison_json(comparison), indent=1, allow_nan=False))
     elif sys.stdout.isatty():
-        _print_tables(comparison_tables(comparison))
+        for table in comparison_tables(comparison):
+            print_ruled_table(table.heads, table.rows, table.title, table.notes)
     else:
         typer.echo(format_tables(comparison_tables(comparison)))
     if figure is not None:
         _write(figure, comparison_figure(comparison, figure.suffix.lower()[1:]))
-
-
-def _print_tables(tables: tuple[TextTable, ...]) -> None:
-    """Print tables with lines, on a terminal."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    console = Console()
-    for table in tables:
-        lined = Table(*table.heads, title=Text(table.title), title_justify="left")
-        for row in table.rows:
-            lined.add_row(*(Text(cell) for cell in row))
-        console.print(lined)
-        for note in table.notes:
-            console.print(Text(note))
 
 
 def _write(file: Path, content: bytes) -> None:

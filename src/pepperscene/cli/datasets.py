@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from pepperscene.cli.application import app, handle_errors
+from pepperscene.cli.application import (
+    HalfOption,
+    JsonOption,
+    LabelsOption,
+    app,
+    handle_errors,
+    print_ruled_table,
+)
 from pepperscene.cli.progress import check_progress, echo_measured, echo_progress, export_progress
 from pepperscene.errors import InputError
 
@@ -30,15 +37,13 @@ FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a
 def check(
     folder: FolderArgument,
     frames: Annotated[
-        str | None,
-        typer.Option(metavar="A:B", help="Frames that must exist. Default: those of the manifest."),
+        str | None, typer.Option(metavar="A:B", help="Frames that must exist. Default: the manifest's.")
     ] = None,
     rows: Annotated[int, typer.Option(min=1, help="Print at most this many faults of each kind.")] = 10,
     workers: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Number of processes that read frames. Default: one per core."),
+        int | None, typer.Option(metavar="N", help="Processes that read frames. Default: one per core.")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the complete result as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Check a data set for faults. Exits with 1 if there are any."""
     from pepperscene.dataset import check_dataset
@@ -79,16 +84,9 @@ def _fault_rows(result: CheckResult, limit: int) -> Iterator[tuple[str, str, str
 
 
 def _print_table(rows: list[tuple[str, str, str, str]]) -> None:
-    """With lines and wrapping on a terminal, plain columns elsewhere."""
+    """Print a table with rules and wrapping on a terminal, plain columns elsewhere."""
     if sys.stdout.isatty():
-        from rich.console import Console
-        from rich.table import Table
-        from rich.text import Text
-
-        table = Table(*_HEADINGS)
-        for row in rows:
-            table.add_row(*(Text(cell) for cell in row))
-        Console().print(table)
+        print_ruled_table(_HEADINGS, rows)
         return
     widths = [max(len(row[column]) for row in (_HEADINGS, *rows)) for column in range(3)]
     for row in (_HEADINGS, *rows):
@@ -102,9 +100,7 @@ def export(
     folder: FolderArgument,
     form: Annotated[
         str,
-        typer.Option(
-            "--format", metavar="NAME", help="Format: published, coco, yolo, webdataset or huggingface."
-        ),
+        typer.Option("--format", metavar="NAME", help="published, coco, yolo, webdataset or huggingface."),
     ],
     out: Annotated[Path, typer.Option(help="New or empty folder for the export.")],
     split: Annotated[
@@ -120,9 +116,7 @@ def export(
     ] = None,
     smallest: Annotated[
         int | None,
-        typer.Option(
-            metavar="N", help="Minimum number of visible pixels of an object. Default: coco 1, yolo 12."
-        ),
+        typer.Option(metavar="N", help="Minimum visible pixels of an object. Default: coco 1, yolo 12."),
     ] = None,
 ) -> None:
     """Export a data set to a format that training code reads."""
@@ -142,18 +136,10 @@ def report(
         Path | None,
         typer.Option(metavar="OTHER", help="Folder of a second image set to compare with, in any layout."),
     ] = None,
-    labels: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Meaning of the masks of OTHER, if it is a folder of images."),
-    ] = None,
-    half: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="synthetic or empirical, if OTHER is the published data set."),
-    ] = None,
+    labels: LabelsOption = None,
+    half: HalfOption = None,
     limit: Annotated[int, typer.Option(min=1, max=200, help="Show at most this many frames.")] = 12,
-    sample: Annotated[
-        int, typer.Option(min=1, help="Measure the images of at most this many frames.")
-    ] = 1000,
+    sample: Annotated[int, typer.Option(min=1, help="Measure at most this many frames.")] = 1000,
 ) -> None:
     """Write a contact sheet and an HTML report into the folder of a data set."""
     from pepperscene.dataset import write_report

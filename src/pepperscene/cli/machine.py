@@ -27,12 +27,8 @@ def bench(
     budget: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Approximate time limit of the whole benchmark.")
     ] = None,
-    size: Annotated[
-        str | None, typer.Option(metavar="WxH", help="Picture size in pixels. Overrides the cameras'.")
-    ] = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Use few settings and a coarse reference, as a test.")
-    ] = False,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the pictures in pixels.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Few settings and a coarse reference.")] = False,
     profile: Annotated[
         bool, typer.Option("--profile", help="Instead, time the stages of a frame, including the imports.")
     ] = False,

@@ -203,33 +203,32 @@ def check_progress() -> Iterator[Callable[[int, int], None] | None]:
     if not sys.stderr.isatty():
         yield None
         return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("checking", total=None)
+    with _simple_bar("checking", transient=True) as (bar, task):
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 @contextmanager
 def export_progress() -> Iterator[Callable[[int, int, int], None]]:
     """Callback for each exported frame: a bar on a terminal, lines elsewhere."""
-    if not sys.stderr.isatty():
-        throttle = _Throttle()
-
-        def print_line(index: int, done: int, total: int) -> None:
-            if throttle.is_due(done, total):
-                echo_progress(f"frame {index:06d} ({done} of {total})")
-
-        yield print_line
+    if sys.stderr.isatty():
+        with _simple_bar("exporting", transient=False) as (bar, task):
+            yield lambda index, done, total: bar.update(
+                task, completed=done, total=total, description=f"frame {index:06d}"
+            )
         return
+    throttle = _Throttle()
+
+    def print_line(index: int, done: int, total: int) -> None:
+        if throttle.is_due(done, total):
+            echo_progress(f"frame {index:06d} ({done} of {total})")
+
+    yield print_line
+
+
+@contextmanager
+def _simple_bar(description: str, *, transient: bool) -> Iterator[tuple[Progress, TaskID]]:
     from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True)) as bar:
-        task = bar.add_task("exporting", total=None)
-
-        def advance(index: int, done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total, description=f"frame {index:06d}")
-
-        yield advance
+    with Progress(console=Console(stderr=True), transient=transient) as bar:
+        yield bar, bar.add_task(description, total=None)

@@ -13,6 +13,9 @@ import typer
 
 from pepperscene.cli.application import (
     EXIT_INTERRUPTED,
+    HalfOption,
+    JsonOption,
+    LabelsOption,
     QualityOption,
     RecipeArgument,
     SetOption,
@@ -45,49 +48,28 @@ def tune(
     ],
     patches: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="P", help="Patches file, folder of images, or CSV file of reflectances; can be repeated."
-        ),
+        typer.Option(metavar="P", help="Patches file, folder of images, or CSV of reflectances; repeatable."),
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="New or empty folder for the results. Default: the recipe's name and _tuned."
-        ),
+        Path | None, typer.Option(metavar="DIR", help="New or empty folder. Default: RECIPE_tuned.")
     ] = None,
     bounds: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="TOML file that overrides the default bounds."),
+        Path | None, typer.Option(metavar="FILE", help="TOML file that overrides the default bounds.")
     ] = None,
     hold_out: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAMES", help="Pictures to exclude from the fit and use for validation, comma-separated."
-        ),
+        typer.Option(metavar="NAMES", help="Pictures to hold out for validation, comma-separated."),
     ] = None,
     verify: Annotated[
-        int,
-        typer.Option(
-            metavar="N", min=0, help="Number of frames of the complete scene to render for verification."
-        ),
+        int, typer.Option(metavar="N", min=0, help="Frames of the full scene to render for verification.")
     ] = 0,
     quality: QualityOption = "draft",
-    starts: Annotated[
-        int, typer.Option(min=1, max=100, help="Maximum number of starting points of the fit.")
-    ] = 4,
-    seed: Annotated[
-        int, typer.Option(min=0, help="Random seed of the fit: organs, light, noise and starting points.")
-    ] = 0,
-    labels: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Meaning of the masks, if P is a folder of images."),
-    ] = None,
-    half: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="synthetic or empirical, if P is the published data set."),
-    ] = None,
+    starts: Annotated[int, typer.Option(min=1, max=100, help="Maximum number of starting points.")] = 4,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed: organs, light, noise, starting points.")] = 0,
+    labels: LabelsOption = None,
+    half: HalfOption = None,
     set: SetOption = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Fit pigments, light and camera of a recipe to measured colours, and write the tuned recipe."""
     from pepperscene.dataset import load_recipe, parse_changes
