@@ -119,7 +119,7 @@ def _write(
 ) -> None:
     np.savez(folder / "scene.npz", **exported.arrays)
     (folder / "scene.json").write_text(json.dumps(exported.facts))
-    values = [{**dataclasses.asdict(one), "frames": one.frames or frames} for one in settings]
+    values = [{**dataclasses.asdict(setting), "frames": setting.frames or frames} for setting in settings]
     (folder / "settings.json").write_text(json.dumps({"settings": values, "threads": threads}))
 
 

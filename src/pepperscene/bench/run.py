@@ -172,35 +172,35 @@ def _measure_scene(
     return _SceneResults(scene, subject.camera, triangles, full_triangles, reference, tuple(results))
 
 
-def _scene_json(one: _SceneResults) -> dict[str, Any]:
+def _scene_json(results: _SceneResults) -> dict[str, Any]:
     return {
-        "recipe": one.scene.recipe,
-        "changes": dict(one.scene.changes),
-        "frame": one.scene.index,
-        "meaning": one.scene.description,
-        "size": [one.camera.width, one.camera.height],
-        "triangles": one.triangles,
-        "of_triangles": one.full_triangles,
+        "recipe": results.scene.recipe,
+        "changes": dict(results.scene.changes),
+        "frame": results.scene.index,
+        "meaning": results.scene.description,
+        "size": [results.camera.width, results.camera.height],
+        "triangles": results.triangles,
+        "of_triangles": results.full_triangles,
         "reference": {
-            "pictures": one.reference.renders,
-            "seconds": one.reference.seconds,
-            "error_codes": one.reference.error_codes,
-            "relative_mse": one.reference.relative_mse,
+            "pictures": results.reference.renders,
+            "seconds": results.reference.seconds,
+            "error_codes": results.reference.error_codes,
+            "relative_mse": results.reference.relative_mse,
         },
     }
 
 
-def _scene_markdown(one: _SceneResults) -> str:
+def _scene_markdown(results: _SceneResults) -> str:
     """The tables of a scene with an introduction."""
-    scene, reference = one.scene, one.reference
+    scene, reference = results.scene, results.reference
     introduction = (
         f"{scene.description[0].upper()}{scene.description[1:]} (frame {scene.index} of `{scene.recipe}`), "
-        f"{one.camera.width}x{one.camera.height}, {one.triangles:,} of the full scene's "
-        f"{one.full_triangles:,} triangles. The reference, of the full scene, is the mean of "
+        f"{results.camera.width}x{results.camera.height}, {results.triangles:,} of the full scene's "
+        f"{results.full_triangles:,} triangles. The reference, of the full scene, is the mean of "
         f"{reference.renders} pictures without denoiser; its error is {reference.error_codes:.3f} codes."
     )
-    parts = [f"#### {scene.name.capitalize()}", introduction, error_table(one.results)]
-    if ratios := time_ratios(one.results):
+    parts = [f"#### {scene.name.capitalize()}", introduction, error_table(results.results)]
+    if ratios := time_ratios(results.results):
         parts += ["Time at equal error:", ratio_table(ratios)]
     if any(ratio.beyond for ratio in ratios):
         parts.append("\\* extrapolated along the line through the two outermost points.")

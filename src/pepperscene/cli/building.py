@@ -51,7 +51,7 @@ def build(
         bool, typer.Option("--json", help="Report progress as JSON lines on standard output.")
     ] = False,
 ) -> None:
-    """Build a data set; existing frames are kept, so that interrupted builds resume."""
+    """Build a data set. Finished frames are kept: run the same command again to resume a build."""
     names = parse_outputs(outputs)
     from pepperscene.cli.progress import progress_reporter
     from pepperscene.dataset import build as build_dataset
@@ -91,7 +91,7 @@ def render(
     seed: SeedOption = None,
     set: SetOption = None,
 ) -> None:
-    """Render one frame of a recipe, to preview it or to try a setting."""
+    """Render one frame of a recipe. This previews a recipe or tries a setting."""
     names = parse_outputs(outputs)
     from pepperscene.dataset import load_recipe, parse_changes, render_frame
 
@@ -138,7 +138,7 @@ def plant(
     picture: Annotated[bool, typer.Option(help="Render a picture of the same name as well.")] = True,
     quality: QualityOption = "standard",
 ) -> None:
-    """Grow one plant and export its mesh and a picture of it."""
+    """Grow one plant and export its mesh, with a picture."""
     from pepperscene.dataset.scenes.plant_export import export_plant
 
     done = export_plant(

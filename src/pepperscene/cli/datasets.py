@@ -1,4 +1,4 @@
-"""Commands for finished data sets: check, export and report."""
+"""Commands for image sets: check, export, report and compare."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ from pepperscene.cli.application import (
     print_ruled_table,
 )
 from pepperscene.cli.progress import check_progress, echo_measured, echo_progress, export_progress
-from pepperscene.errors import InputError
+from pepperscene.errors import InputError, OutputError
 
 if TYPE_CHECKING:
     from pepperscene.dataset.check import CheckResult
 
 
 EXIT_FAULTS: Final = 1
+_SET_HELP: Final = "Folder of images, or file of patches or measured reflectances."
 _HEADINGS: Final = ("kind", "frame", "file", "problem")
 
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a data set.")]
@@ -141,7 +142,7 @@ def report(
     limit: Annotated[int, typer.Option(min=1, max=200, help="Show at most this many frames.")] = 12,
     sample: Annotated[int, typer.Option(min=1, help="Measure at most this many frames.")] = 1000,
 ) -> None:
-    """Write a contact sheet and an HTML report into the folder of a data set."""
+    """Write an HTML report and a contact sheet. The files are in the folder of the data set."""
     from pepperscene.dataset import write_report
     from pepperscene.dataset.readers import open_images
 
@@ -154,3 +155,54 @@ def report(
         f"{done.shown} of {done.frames} frames shown, {done.measured} measured:\n"
         f"  {done.sheet}\n  {done.page}"
     )
+
+
+@app.command()
+@handle_errors
+def compare(
+    first: Annotated[str, typer.Argument(metavar="A", help=_SET_HELP)],
+    second: Annotated[str, typer.Argument(metavar="B", help=_SET_HELP)],
+    labels: Annotated[
+        str | None,
+        typer.Option(metavar="NAME[,NAME]", help="Meaning of the masks, if A or B is a folder of images."),
+    ] = None,
+    half: Annotated[
+        str | None,
+        typer.Option(metavar="NAME[,NAME]", help="synthetic or empirical, for the published data set."),
+    ] = None,
+    limit: Annotated[int, typer.Option(min=1, help="Measure at most this many pictures of each set.")] = 1000,
+    figure: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw Figs. 10 to 13 of the paper as .svg or .png.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Compare two image sets. Measures hues, CIELAB, class fractions, places and light, with intervals."""
+    from pepperscene.colour import comparison_figure, comparison_json, comparison_tables, format_tables
+    from pepperscene.colour.comparison.compare import compare as compare_sets
+    from pepperscene.colour.comparison.measure import open_two_sets
+
+    if figure is not None and figure.suffix.lower() not in (".svg", ".png"):
+        raise InputError("--figure", f"must end in .svg or .png, not {figure.name}")
+    sets = open_two_sets(first, second, labels, half)
+    comparison = compare_sets(*sets, limit=limit, on_progress=echo_measured)
+    if json:
+        typer.echo(json_text.dumps(comparison_json(comparison), indent=1, allow_nan=False))
+    elif sys.stdout.isatty():
+        for table in comparison_tables(comparison):
+            print_ruled_table(table.heads, table.rows, table.title, table.notes)
+    else:
+        typer.echo(format_tables(comparison_tables(comparison)))
+    if figure is not None:
+        _write_figure(figure, comparison_figure(comparison, figure.suffix.lower()[1:]))
+
+
+def _write_figure(file: Path, content: bytes) -> None:
+    from pepperscene.dataset.store.atomic import atomic_write
+
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(file) as temporary:
+            temporary.write_bytes(content)
+    except OSError as error:
+        raise OutputError(f"{file}: the figure cannot be written ({error.strerror or error})") from None
+    echo_progress(f"figure: {file}")

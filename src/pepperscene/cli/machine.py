@@ -39,7 +39,7 @@ def bench(
         ),
     ] = False,
 ) -> None:
-    """Measure rendering time against error on this machine, with tables and plots."""
+    """Measure rendering time against error. Writes tables and plots."""
     from pepperscene import bench as benchmark
 
     names = ("standard" if scaling else ",".join(benchmark.SCENES)) if scene is None else scene

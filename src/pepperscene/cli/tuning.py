@@ -71,7 +71,7 @@ def tune(
     set: SetOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Fit pigments, light and camera of a recipe to measured colours, and write the tuned recipe."""
+    """Fit a recipe to measured colours. Fits pigments, light and camera, and writes the tuned recipe."""
     from pepperscene.dataset import load_recipe, parse_changes
 
     changed_recipe = load_recipe(recipe, parse_changes(set or ()))

@@ -21,7 +21,7 @@ from pepperscene.colour.comparison.bootstrap import (
     estimate_values,
     unknown_estimate,
 )
-from pepperscene.colour.comparison.measure import PIXELS, OnProgress, SetMeasures, measure_set, open_set
+from pepperscene.colour.comparison.measure import PIXELS, OnProgress, SetMeasures, measure_set
 from pepperscene.colour.comparison.result import Comparison, KindComparison, KindMeasures, LightComparison
 from pepperscene.colour.patches.patch import PatchSet
 from pepperscene.colour.statistics import circular_emd, delta_e_2000
@@ -62,12 +62,11 @@ def compare(
     Raises:
         InputError: a path is no set of images or patches, or a file is damaged.
     """
-    opened = [open_set(one) if isinstance(one, str | Path) else one for one in (first, second)]
-    sets = measure_set(opened[0], limit, on_progress), measure_set(opened[1], limit, on_progress)
+    sets = measure_set(first, limit, on_progress), measure_set(second, limit, on_progress)
     # A set against itself, or two folders of one name, need different names.
     if sets[0].name == sets[1].name:
-        for one, letter in zip(sets, "AB", strict=True):
-            one.name = f"{one.name} ({letter})"
+        for side, letter in zip(sets, "AB", strict=True):
+            side.name = f"{side.name} ({letter})"
     return Comparison(
         *sets,
         kinds={kind: _compare_kind(kind, sets) for kind in _kinds(sets)},
@@ -81,9 +80,9 @@ def _kinds(sets: Sets) -> list[str]:
     """Classes in either set, and their stages if both sets have them, in the order of the classes."""
     staged = sets[0].classes_with_stages() & sets[1].classes_with_stages()
     seen = set[str]()
-    for one in sets:
-        seen |= one.kinds.keys()
-        seen |= {organ.name.lower() for organ in OrganClass if one.statistics.pixels[organ]}
+    for side in sets:
+        seen |= side.kinds.keys()
+        seen |= {organ.name.lower() for organ in OrganClass if side.statistics.pixels[organ]}
     return sorted(
         (kind for kind in seen if "." not in kind or kind.partition(".")[0] in staged),
         key=lambda kind: (_ORDER.index(kind.partition(".")[0]), kind),
@@ -106,13 +105,13 @@ def _estimate_pair(
 def _compare_kind(kind: str, sets: Sets) -> KindComparison:
     """All measures of a kind; those that are unknown give the reason."""
     places = _compare_places(kind, sets)
-    sides = [_measure_kind(kind, one) for one in sets]
-    rows = [sums for one in sets if (sums := one.totals(kind)) is not None]
+    sides = [_measure_kind(kind, side) for side in sets]
+    rows = [sums for side in sets if (sums := side.totals(kind)) is not None]
     if len(rows) < 2:
-        unseen = next(one for one in sets if kind not in one.kinds)
+        unseen = next(side for side in sets if kind not in side.kinds)
         unknown = unknown_estimate(_why_unseen(kind, unseen))
         return KindComparison(kind, unknown, unknown, unknown, *places, *sides)
-    resampled = min(one.kinds[kind].count for one in sets) > 1
+    resampled = min(side.kinds[kind].count for side in sets) > 1
     spectra = [similarity.hue_spectra(sums) for sums in rows]
     return KindComparison(
         kind,
@@ -124,16 +123,16 @@ def _compare_kind(kind: str, sets: Sets) -> KindComparison:
     )
 
 
-def _measure_kind(kind: str, one: SetMeasures) -> KindMeasures:
-    fraction = _class_fraction(kind, one)
-    sums = one.totals(kind)
+def _measure_kind(kind: str, side: SetMeasures) -> KindMeasures:
+    fraction = _class_fraction(kind, side)
+    sums = side.totals(kind)
     if sums is None:
-        unknown = unknown_estimate(_why_unseen(kind, one))
+        unknown = unknown_estimate(_why_unseen(kind, side))
         return KindMeasures(0, 0, unknown, unknown, unknown, (unknown,) * 3, (unknown,) * 3, fraction)
-    resampled = one.kinds[kind].count > 1
+    resampled = side.kinds[kind].count > 1
     spectra = similarity.hue_spectra(sums)
     return KindMeasures(
-        one.kinds[kind].count,
+        side.kinds[kind].count,
         int(sums[0, PIXELS]),
         estimate_angles(similarity.mean_hues(spectra), resampled, _NO_DIRECTION),
         estimate_values(similarity.hue_spreads(spectra), resampled, _NO_DIRECTION),
@@ -150,28 +149,28 @@ def _estimate_channels(rows: Floats, resampled: bool) -> tuple[Estimate, Estimat
     return first, second, third
 
 
-def _class_fraction(kind: str, one: SetMeasures) -> Estimate:
+def _class_fraction(kind: str, side: SetMeasures) -> Estimate:
     if "." in kind:
         return unknown_estimate("given for classes, not for their stages")
-    if not one.class_pixels.count:
-        return unknown_estimate(_why_unlabelled(one))
-    fractions = similarity.class_fractions(one.class_pixels.totals())[:, OrganClass[kind.upper()]]
-    return estimate_values(fractions, one.class_pixels.count > 1, f"not labelled in {one.name}")
+    if not side.class_pixels.count:
+        return unknown_estimate(_why_unlabelled(side))
+    fractions = similarity.class_fractions(side.class_pixels.totals())[:, OrganClass[kind.upper()]]
+    return estimate_values(fractions, side.class_pixels.count > 1, f"not labelled in {side.name}")
 
 
 def _compare_places(kind: str, sets: Sets) -> tuple[Estimate, Estimate]:
     """Correlation and structural similarity of the mean masks of a class."""
     masks = []
-    for one in sets:
+    for side in sets:
         if "." in kind:
             return (unknown_estimate("given for classes, not for their stages"),) * 2
-        if not one.places.count:
-            return (unknown_estimate(_why_unlabelled(one)),) * 2
+        if not side.places.count:
+            return (unknown_estimate(_why_unlabelled(side)),) * 2
         organ_class = OrganClass[kind.upper()]
-        if not one.statistics.pixels[organ_class]:
-            return (unknown_estimate(_why_absent(one)),) * 2
-        masks.append(similarity.mean_masks(one.places.totals(), organ_class))
-    resampled = min(one.places.count for one in sets) > 1
+        if not side.statistics.pixels[organ_class]:
+            return (unknown_estimate(_why_absent(side)),) * 2
+        masks.append(similarity.mean_masks(side.places.totals(), organ_class))
+    resampled = min(side.places.count for side in sets) > 1
     constant = "its mean mask is constant"
     return (
         _estimate_pair(similarity.correlation, masks, resampled, constant),
@@ -179,7 +178,7 @@ def _compare_places(kind: str, sets: Sets) -> tuple[Estimate, Estimate]:
     )
 
 
-# --- whole sets ---------------------------------------------------------------------------------------------
+# --- complete sets -----------------------------------------------------------------------------------------
 
 
 def _mean_hue_correlation(sets: Sets) -> Estimate:
@@ -187,76 +186,78 @@ def _mean_hue_correlation(sets: Sets) -> Estimate:
     parts = [
         kind
         for kind in _kinds(sets)
-        if "." not in kind and kind != _BACKGROUND and all(kind in one.kinds for one in sets)
+        if "." not in kind and kind != _BACKGROUND and all(kind in side.kinds for side in sets)
     ]
-    spectra = [[similarity.hue_spectra(one.kinds[kind].totals()) for one in sets] for kind in parts]
+    spectra = [[similarity.hue_spectra(side.kinds[kind].totals()) for side in sets] for kind in parts]
     rows = [similarity.pairwise(similarity.correlation, *pair) for pair in spectra]
     rows = [row for row in rows if np.isfinite(row[0])]
     if not rows:
         return unknown_estimate("the sets have no plant part with hues in common")
-    resampled = min(one.kinds[kind].count for kind in parts for one in sets) > 1
+    resampled = min(side.kinds[kind].count for kind in parts for side in sets) > 1
     return estimate_values(np.mean(rows, axis=0), resampled)
 
 
 def _class_fraction_correlation(sets: Sets) -> Estimate:
-    for one in sets:
-        if not one.class_pixels.count:
-            return unknown_estimate(_why_unlabelled(one))
-    fractions = [similarity.class_fractions(one.class_pixels.totals()) for one in sets]
+    for side in sets:
+        if not side.class_pixels.count:
+            return unknown_estimate(_why_unlabelled(side))
+    fractions = [similarity.class_fractions(side.class_pixels.totals()) for side in sets]
     values = np.array([similarity.class_fraction_correlation(p, q) for p, q in zip(*fractions, strict=True)])
-    resampled = min(one.class_pixels.count for one in sets) > 1
+    resampled = min(side.class_pixels.count for side in sets) > 1
     return estimate_values(values, resampled, "fewer than three classes are labelled in both sets")
 
 
 def _compare_light(sets: Sets) -> LightComparison:
-    means: list[Estimate] = []
-    spreads: list[float | None] = []
-    reason = ""
-    for one in sets:
-        if one.light.count:
-            means.append(estimate_values(similarity.mean_greys(one.light.totals()), one.light.count > 1))
-            spreads.append(float(np.std(np.sort(one.statistics.intensities))))
-        else:
-            why = f"no photographs in {one.name}" if one.has_images else _why_unlabelled(one)
-            reason = reason or why
-            means.append(unknown_estimate(why))
-            spreads.append(None)
-    if reason:
-        return LightComparison(*(unknown_estimate(reason),) * 3, means[0], means[1], *spreads)
-    resampled = min(one.light.count for one in sets) > 1
-    images = [similarity.mean_images(one.light.totals()) for one in sets]
+    """Mean grey values, and similarities of the mean pictures and of their radial falloff."""
+    greys = [_mean_grey(side) for side in sets]
+    spreads = [_grey_spread(side) for side in sets]
+    if unknown := [grey for grey in greys if grey.value is None]:
+        return LightComparison(unknown[0], unknown[0], unknown[0], greys[0], greys[1], *spreads)
+    resampled = min(side.light.count for side in sets) > 1
+    images = [similarity.mean_images(side.light.totals()) for side in sets]
     falloffs = [similarity.radial_falloffs(rows) for rows in images]
     constant = "a mean picture is constant"
     return LightComparison(
         _estimate_pair(similarity.correlation, images, resampled, constant),
         _estimate_pair(similarity.ssim, images, resampled, constant),
         _estimate_pair(similarity.correlation, falloffs, resampled, constant),
-        means[0],
-        means[1],
+        greys[0],
+        greys[1],
         *spreads,
     )
+
+
+def _mean_grey(side: SetMeasures) -> Estimate:
+    if side.light.count:
+        return estimate_values(similarity.mean_greys(side.light.totals()), side.light.count > 1)
+    return unknown_estimate(f"no photographs in {side.name}" if side.has_images else _why_unlabelled(side))
+
+
+def _grey_spread(side: SetMeasures) -> float | None:
+    """Standard deviation of the mean grey value between pictures; None without photographs."""
+    return float(np.std(np.sort(side.statistics.intensities))) if side.light.count else None
 
 
 # --- reasons for missing values -----------------------------------------------------------------------------
 
 
-def _why_unlabelled(one: SetMeasures) -> str:
-    return f"no labels in {one.name}" if one.has_images else f"{one.name} has patches, not pictures"
+def _why_unlabelled(side: SetMeasures) -> str:
+    return f"no labels in {side.name}" if side.has_images else f"{side.name} has patches, not pictures"
 
 
-def _why_absent(one: SetMeasures) -> str:
+def _why_absent(side: SetMeasures) -> str:
     """Why a class has no pixel: it was not labelled, or it does not occur."""
-    return f"not labelled in {one.name}" if one.statistics.unlabelled else f"not seen in {one.name}"
+    return f"not labelled in {side.name}" if side.statistics.unlabelled else f"not seen in {side.name}"
 
 
-def _why_unseen(kind: str, one: SetMeasures) -> str:
+def _why_unseen(kind: str, side: SetMeasures) -> str:
     """Why the colours of a kind are unknown."""
-    if not one.has_images:
-        return f"no patch of it in {one.name}"
-    if not one.statistics.photographs:
-        return f"no photographs in {one.name}"
-    if not one.statistics.labelled:
-        return f"no labels in {one.name}"
-    if "." not in kind and one.statistics.pixels[OrganClass[kind.upper()]]:
-        return f"not in the centre of the pictures of {one.name}"
-    return _why_absent(one)
+    if not side.has_images:
+        return f"no patch of it in {side.name}"
+    if not side.statistics.photographs:
+        return f"no photographs in {side.name}"
+    if not side.statistics.labelled:
+        return f"no labels in {side.name}"
+    if "." not in kind and side.statistics.pixels[OrganClass[kind.upper()]]:
+        return f"not in the centre of the pictures of {side.name}"
+    return _why_absent(side)

@@ -235,7 +235,9 @@ def open_two_sets(
         path.is_dir() and not n and not (path / MARK).exists() for path, n in zip(paths, halves, strict=True)
     ]
     # A name applies to the folders without a table of labels, or to all if every folder has one.
-    without_table = [one and not (path / LABEL_FILE).exists() for path, one in zip(paths, plain, strict=True)]
+    without_table = [
+        is_plain and not (path / LABEL_FILE).exists() for path, is_plain in zip(paths, plain, strict=True)
+    ]
     label_targets = without_table if any(without_table) else plain
     both_halves = [count > 1 for count in halves]
     half_targets = both_halves if any(both_halves) else [count > 0 for count in halves]
@@ -262,13 +264,14 @@ def _split_option(
 
 
 def measure_set(
-    image_set: ImageSet | PatchSet, limit: int | None, on_progress: OnProgress | None = None
+    source: str | Path | ImageSet | PatchSet, limit: int | None, on_progress: OnProgress | None = None
 ) -> SetMeasures:
-    """Measure at most `limit` pictures of a set, evenly spaced.
+    """Measure at most `limit` pictures of a set or of the set at a path, evenly spaced.
 
     Raises:
-        InputError: a file is damaged, or there is nothing to measure.
+        InputError: the path is no set, a file is damaged, or there is nothing to measure.
     """
+    image_set = open_set(source) if isinstance(source, str | Path) else source
     if isinstance(image_set, PatchSet):
         return _measure_patches(image_set, limit)
     sums = SetMeasures(image_set.name, len(image_set), has_images=True)

@@ -27,8 +27,8 @@ _KEYS: Final = {
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
     """The comparison as JSON data; an unknown number is null, and `why` gives the reason."""
     first, second = (
-        {"name": one.name, "measured": one.units, "of": one.available}
-        for one in (comparison.first, comparison.second)
+        {"name": side.name, "measured": side.units, "of": side.available}
+        for side in (comparison.first, comparison.second)
     )
     return {
         "format": FORMAT,
@@ -111,8 +111,8 @@ def format_estimate(estimate: Estimate, digits: int = 2, factor: float = 1.0) ->
 
 def _hue_table(comparison: Comparison) -> TextTable:
     a, b = (
-        f"{one.name}, {one.units:,} of {one.available:,} pictures measured"
-        for one in (comparison.first, comparison.second)
+        f"{side.name}, {side.units:,} of {side.available:,} pictures measured"
+        for side in (comparison.first, comparison.second)
     )
     kinds = comparison.kinds.values()
     rows = [

@@ -47,11 +47,11 @@ def homography(source: Floats, target: Floats) -> Floats:
     (from_points, from_matrix), (to_points, to_matrix) = _normalise(source), _normalise(target)
     x, y = from_points.T
     u, v = to_points.T
-    zero, one = np.zeros_like(x), np.ones_like(x)
+    zero, unit = np.zeros_like(x), np.ones_like(x)
     rows = np.concatenate(
         [
-            np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1),
-            np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1),
+            np.stack([x, y, unit, zero, zero, zero, -u * x, -u * y, -u], axis=1),
+            np.stack([zero, zero, zero, x, y, unit, -v * x, -v * y, -v], axis=1),
         ]
     )
     matrix = np.linalg.svd(rows)[2][-1].reshape(3, 3)

@@ -165,8 +165,8 @@ def _ripeness_masks(images: ImageSet, picture: LabelledImage) -> Mapping[str, ND
         return {} if values is None else {kind: np.isin(values, codes) for kind, codes in _MONTOYA.items()}
     if picture.instances is not None and "harvest" in picture.facts:
         fruit = picture.facts["harvest"]["fruit"]
-        ripe = [int(one["instance"]) for one in fruit if float(one["ripeness"]) >= RIPE_FROM]
-        unripe = [int(one["instance"]) for one in fruit if float(one["ripeness"]) < RIPE_FROM]
+        ripe = [int(entry["instance"]) for entry in fruit if float(entry["ripeness"]) >= RIPE_FROM]
+        unripe = [int(entry["instance"]) for entry in fruit if float(entry["ripeness"]) < RIPE_FROM]
         return {UNRIPE: np.isin(picture.instances, unripe), RIPE: np.isin(picture.instances, ripe)}
     return {}
 

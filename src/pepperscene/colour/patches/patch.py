@@ -122,7 +122,9 @@ class PatchSet:
     @property
     def kinds(self) -> tuple[str, ...]:
         """Kinds of the patches and spectra, sorted."""
-        return tuple(sorted({*(patch.kind for patch in self.patches), *(one.kind for one in self.spectra)}))
+        return tuple(
+            sorted({*(patch.kind for patch in self.patches), *(spectrum.kind for spectrum in self.spectra)})
+        )
 
     @property
     def pictures(self) -> tuple[str, ...]:
