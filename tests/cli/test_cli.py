@@ -31,7 +31,9 @@ def run_python(code):
     return done.stdout.split()
 
 
-HEAVY = "{'mitsuba', 'drjit', 'colour', 'scipy', 'trimesh', 'skimage', 'OpenEXR', 'PIL', 'torch'}"
+HEAVY = (
+    "{'mitsuba', 'drjit', 'colour', 'scipy', 'trimesh', 'skimage', 'OpenEXR', 'PIL', 'torch', 'matplotlib'}"
+)
 
 
 def test_import_of_the_package_is_light():

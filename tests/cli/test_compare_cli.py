@@ -133,12 +133,12 @@ def test_limit_is_passed_on(command, without_table):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--labels", "nobody"), "must be a table or one of"),
+        (("--labels", "unknown"), "must be a table or one of"),
         (
             ("--labels", "montoya2021", "--half", "empirical"),
             "--half: applies only to the published data set",
         ),
-        ((), "whose classes nobody tells"),
+        ((), "mask1.png"),
         (("--labels", "montoya2021", "--figure", "page.pdf"), "must end in .svg or .png"),
     ],
 )

@@ -63,7 +63,7 @@ def test_invalid_folders_give_one_line(folder, command, tmp_path):
     for source, out, message in [
         (tmp_path, tmp_path / "out", "holds no data set"),
         (folder, tmp_path / "full", "holds 'mine'; choose an empty or a new folder"),
-        (folder, folder / "coco", "lies inside the data set"),
+        (folder, folder / "coco", "inside the data set"),
     ]:
         done = command("export", source, "--format", "coco", "--out", out)
         assert done.exit_code == 2
