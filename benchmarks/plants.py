@@ -1,7 +1,7 @@
-"""How long plants take: one of forty nodes, a row of thirteen, and the row after its plants have moved on.
+"""Time to make plants: a single one of forty nodes, a row of thirteen, and the same row at its next rotation.
 
-One process, one core, but where two processes are named; medians over plants and rows of different seeds; the
-first of each kind warms up and is not counted. Run it from the top of the repository:
+One process on one core, except where two processes are named; medians over plants and rows of different
+seeds; the first of each kind warms up and is not counted. Run it from the top of the repository:
 
     OMP_NUM_THREADS=1 python benchmarks/plants.py
 """
@@ -9,22 +9,21 @@ first of each kind warms up and is not counted. Run it from the top of the repos
 from __future__ import annotations
 
 import argparse
-import statistics
 import sys
-from collections.abc import Mapping
 
-from pepperscene.bench.frames_child import PLANT_STAGES, Times, clock_plants, timed
+from pepperscene.bench.frames_child import PLANT_STAGES, Times, time_plants, timed
 from pepperscene.bench.records import machine_info
-from pepperscene.bench.run import LEAST_RUNS
+from pepperscene.bench.report import time_table
+from pepperscene.bench.run import DEFAULT_RUNS
 
 
 def single_plants(cultivar: str, runs: int, detail: float) -> dict[str, list[float]]:
-    """Seconds to grow, mesh and settle single plants."""
+    """Seconds to grow and mesh single plants, and to resolve their contacts."""
     import numpy as np
 
     import pepperscene as ps
 
-    model, found = ps.load_cultivar(cultivar), list[Times]()
+    model, all_times = ps.load_cultivar(cultivar), list[Times]()
     for seed in range(runs + 1):
         times: Times = {}
         with timed(times, "grow"):
@@ -32,72 +31,65 @@ def single_plants(cultivar: str, runs: int, detail: float) -> dict[str, list[flo
         with timed(times, "mesh"):
             mesh = ps.mesh_plant(plant, detail)
         times["grow and mesh"] = times["grow"] + times["mesh"]
-        with timed(times, "settle"):
+        with timed(times, "resolve contacts"):
             ps.resolve_contacts(mesh, np.random.default_rng(seed))
-        found.append(times)
-    return columns(found[1:])
+        all_times.append(times)
+    return by_stage(all_times[1:])
 
 
 def rows(recipe_name: str, runs: int) -> dict[str, list[float]]:
-    """Seconds to make the plants of a recipe's row and to place it, by stage; and to place it once more."""
+    """Seconds to make the plants of a recipe's row and to place it, by stage, and to place it once more."""
     import pepperscene as ps
     from pepperscene.dataset.scenes.scene_builder import SceneBuilder
 
-    found = []
-    clocks: Times = {}
-    clock_plants(clocks)
+    all_times = []
+    stage_times: Times = {}
+    time_plants(stage_times)
     for seed in range(runs + 1):
-        clocks.clear()
+        stage_times.clear()
         recipe = ps.load_recipe(recipe_name).with_seed(seed)
         cultivar, times = ps.load_cultivar(recipe.cultivar), Times()
-        planting = SceneBuilder(recipe, cultivar, 1)
-        with timed(times, "all of it"):
-            planting.scene(0, 0)
-        # Far rows are grown and meshed too where a recipe has them; they count to their stages.
-        stages = {name: clocks.get(name, 0.0) for name in PLANT_STAGES}
-        times = {**stages, "place and settle row": times["all of it"] - sum(stages.values()), **times}
+        builder = SceneBuilder(recipe, cultivar, 1)
+        with timed(times, "total"):
+            builder.scene(0, 0)
+        # Far rows, if the recipe has them, are grown and meshed too and count to their stages.
+        stages = {name: stage_times.get(name, 0.0) for name in PLANT_STAGES}
+        placing = times["total"] - sum(stages.values())
+        times = {**stages, "place row and resolve contacts": placing, **times}
         with timed(times, "the next rotation"):
-            planting.scene(0, 1)
-        with timed(times, "all of it in two processes"):
+            builder.scene(0, 1)
+        with timed(times, "total in two processes"):
             SceneBuilder(recipe, cultivar, 2).scene(0, 0)
-        found.append(times)
-    return columns(found[1:])
+        all_times.append(times)
+    return by_stage(all_times[1:])
 
 
-def columns(found: list[Times]) -> dict[str, list[float]]:
+def by_stage(all_times: list[Times]) -> dict[str, list[float]]:
     """Times of each stage over the runs."""
-    return {name: [times[name] for times in found] for name in found[0]}
-
-
-def lines(title: str, seconds: Mapping[str, list[float]]) -> list[str]:
-    """Rows of a Markdown table."""
-    return [
-        f"| {title}: {name} | "
-        + " | ".join(f"{1e3 * one:,.0f} ms" for one in (statistics.median(every), min(every), max(every)))
-        + f" | {len(every)} |"
-        for name, every in seconds.items()
-    ]
+    return {name: [times[name] for times in all_times] for name in all_times[0]}
 
 
 def main() -> None:
     """Measure and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cultivar", default="kaite")
-    parser.add_argument("--recipe", default="barth2018", help="whose row to plant")
-    parser.add_argument("--detail", type=float, default=1.0, help="of the single plants")
-    parser.add_argument("--runs", type=int, default=LEAST_RUNS, help=f"at least {LEAST_RUNS}")
+    parser.add_argument("--recipe", default="barth2018", help="recipe of the row (default: barth2018)")
+    parser.add_argument("--detail", type=float, default=1.0, help="mesh resolution of the single plants")
+    parser.add_argument("--runs", type=int, default=DEFAULT_RUNS, help=f"at least {DEFAULT_RUNS}")
     options = parser.parse_args()
-    if options.runs < LEAST_RUNS:
-        parser.error(f"--runs must be at least {LEAST_RUNS}: a median of fewer says little")
-    on = machine_info()
-    told = [f"On one of {on['cores']} cores of {on['cpu']}, {on['system']}; Python {on['python']}, "]
-    told[0] += f"numpy {on['packages']['numpy']}."
-    told += ["", "| what | median | least | most | runs |", "|---|---:|---:|---:|---:|"]
-    told += lines(
-        f"one plant of {options.cultivar}", single_plants(options.cultivar, 4 * options.runs, options.detail)
+    if options.runs < DEFAULT_RUNS:
+        parser.error(f"--runs must be at least {DEFAULT_RUNS}: a median of fewer is unreliable")
+    machine = machine_info()
+    sys.stdout.write(
+        f"On one of {machine['cores']} cores of {machine['cpu']}, {machine['system']}; "
+        f"Python {machine['python']}, numpy {machine['packages']['numpy']}.\n\n"
     )
-    told += lines(f"row of {options.recipe}", rows(options.recipe, options.runs))
-    sys.stdout.write("\n".join(told) + "\n")
+    plants = single_plants(options.cultivar, 4 * options.runs, options.detail)
+    table = {f"one plant of {options.cultivar}: {stage}": times for stage, times in plants.items()}
+    table |= {
+        f"row of {options.recipe}: {stage}": t for stage, t in rows(options.recipe, options.runs).items()
+    }
+    sys.stdout.write(time_table(table.items()) + "\n")
 
 
 if __name__ == "__main__":

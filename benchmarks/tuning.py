@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.bench.records import machine_info, sentence
+from pepperscene.bench.records import describe_machine, machine_info
 from pepperscene.colour import PatchSet, delta_e_2000, linear_srgb_to_lab
 from pepperscene.dataset import load_recipe
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
@@ -413,7 +413,7 @@ def main() -> None:
         results = compare_methods(of, names[rotation:] + names[:rotation], options.budget if seed else 1.0)
         if seed:
             runs.append(results)
-    sys.stdout.write("\n".join([sentence(machine_info()), "", *tables(runs)]) + "\n")
+    sys.stdout.write("\n".join([describe_machine(machine_info()), "", *tables(runs)]) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
-"""A subject without plants, and a renderer whose error and run time follow a law that is known."""
+"""A benchmark subject without plants, and a renderer with a known error and run time."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from pepperscene.bench.scenes import BenchSubject, resized
+from pepperscene.bench import measure, scenes
+from pepperscene.bench.scenes import BenchSubject, resize_camera
 from pepperscene.dataset import FrameRenderer, load_recipe
 from pepperscene.frame import Frame
 from pepperscene.geometry import rectangle
@@ -13,39 +14,32 @@ from pepperscene.materials import lambertian_surface
 from pepperscene.render import QUALITIES
 from pepperscene.scene import assemble_scene
 
-SIZE = (24, 18)
-LEVEL_E = 2_000.0
-NOISE_E = 200.0
 
+class NoisyRenderer:
+    """Renders a constant with noise that falls with the root of the samples; its clock advances with them."""
 
-class Noisy:
-    """Light with independent noise that falls with the root of the samples; the clock goes with them."""
-
-    level, noise = LEVEL_E, NOISE_E
+    level_e, noise_e = 2_000.0, 200.0
 
     def __init__(self, scene):
         self.scene = scene
         self.now = 0.0
-        self.asked = []
-
-    def clock(self):
-        return self.now
+        self.calls = []
 
     def render(self, camera, outputs=(), quality="standard", seed=0):
         quality = QUALITIES[quality] if isinstance(quality, str) else quality
-        self.asked.append((camera, quality, seed))
+        self.calls.append((camera, quality, seed))
         self.now += 0.01 * quality.samples
         shape = (camera.height, camera.width, camera.sensor.channels)
-        noise = np.random.default_rng(seed).normal(size=shape) * NOISE_E / np.sqrt(quality.samples)
-        image = (LEVEL_E + noise).astype(np.float32)
-        return Frame({"electrons": image}, {"variant": "made up", "sampling": {"samples_per_pixel": 1.0}})
+        noise = np.random.default_rng(seed).normal(size=shape) * self.noise_e / np.sqrt(quality.samples)
+        image = (self.level_e + noise).astype(np.float32)
+        return Frame({"electrons": image}, {"variant": "noisy", "sampling": {"samples_per_pixel": 1.0}})
 
 
 @pytest.fixture(scope="session")
 def camera():
-    """Of the standard scene, with few pixels."""
+    """The camera of the standard scene, with few pixels."""
     recipe = load_recipe("barth2018")
-    return resized(FrameRenderer(recipe).camera(recipe.plan.frame(125)), SIZE)
+    return resize_camera(FrameRenderer(recipe).camera(recipe.plan.frame(125)), (24, 18))
 
 
 @pytest.fixture(scope="session")
@@ -59,17 +53,18 @@ def wall():
 @pytest.fixture
 def subject(camera, wall):
     path = tuple(camera.at_pose(camera.pose) for _ in range(3))
-    noisy = Noisy(wall)
-    return BenchSubject("made", wall, wall, camera, path, noisy, noisy)
+    renderer = NoisyRenderer(wall)
+    return BenchSubject("made", wall, wall, camera, path, renderer, renderer)
 
 
 @pytest.fixture
-def no_plants(monkeypatch, wall):
-    """Stages without plants."""
+def simulated_clock(subject, monkeypatch):
+    """Times are those of the subject's renderer."""
+    monkeypatch.setattr(measure, "perf_counter", lambda: subject.renderer.now)
+
+
+@pytest.fixture
+def noisy_scenes(monkeypatch, wall):
+    """All scenes are the wall, rendered with noise."""
     monkeypatch.setattr(FrameRenderer, "scene", lambda *_args, **_kwargs: wall)
-
-
-@pytest.fixture
-def noisy_renderer():
-    """Makes the renderer of a scene."""
-    return Noisy
+    monkeypatch.setattr(scenes, "Renderer", NoisyRenderer)

@@ -1,4 +1,4 @@
-"""The command line in process, with a stand-in for Mitsuba."""
+"""Runs the command line in this process, with a stub renderer instead of Mitsuba."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pepperscene.cli import app
 from pepperscene.frame import OUTPUTS, Frame
 
 
-class NoLight:
-    """Renders nothing but black, empty images; the scene is examined, as a renderer would."""
+class StubRenderer:
+    """Renders black images of 4 x 4 pixels; checks that the scene is finite."""
 
     def __init__(self, scene):
         assert np.isfinite(scene.mesh.vertices).all()
@@ -28,11 +28,11 @@ class NoLight:
 
 @pytest.fixture(scope="session")
 def command():
-    """Runs a command line; gives exit code, standard output and standard error."""
-    from pepperscene.dataset.scenes import frame_renderer as stage
+    """Function that runs a command line and returns exit code, standard output and standard error."""
+    from pepperscene.dataset.scenes import frame_renderer
 
     runner, patch = CliRunner(), pytest.MonkeyPatch()
-    patch.setattr(stage, "mitsuba_renderer", NoLight)
+    patch.setattr(frame_renderer, "mitsuba_renderer", StubRenderer)
 
     def run(*arguments):
         return runner.invoke(app, [str(argument) for argument in arguments])

@@ -1,4 +1,4 @@
-"""What a build tells while it goes on."""
+"""Progress of a build: JSON lines, plain lines, a progress bar, and signals."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from pepperscene.cli.progress import OnTerminal, Plain, Scripted, progress_reporter
+from pepperscene.cli.progress import BarReporter, JsonReporter, LineReporter, progress_reporter
 from pepperscene.dataset import BuildProgress
 
 SMALL = (
@@ -21,11 +21,11 @@ SMALL = (
 )  # fmt: skip
 
 
-def told(done, total=3, **more):
-    return BuildProgress(7, done, total, True, 12.5, 75.0, Path("set/class/000007.png"), **more)
+def progress(done, total=3):
+    return BuildProgress(7, done, total, True, 12.5, 75.0, Path("set/class/000007.png"))
 
 
-def test_json_lines_tell_every_frame_and_the_end(command, tmp_path):
+def test_json_lines_report_each_frame_and_the_end(command, tmp_path):
     folder = tmp_path / "set"
     done = command("build", "barth2018", "--out", folder, *SMALL, "--json")
     assert done.exit_code == 0, done.stderr
@@ -41,43 +41,43 @@ def test_json_lines_tell_every_frame_and_the_end(command, tmp_path):
     assert json.loads(again.stdout.splitlines()[-1])["kept"] == 4
 
 
-def test_plain_lines_tell_rate_and_time_left(capsys):
-    Plain().frame(told(2))
+def test_plain_lines_have_rate_and_time_left(capsys):
+    LineReporter().frame(progress(2))
     assert capsys.readouterr().err == "frame 000007 built (2 of 3, 12.5 frames/s, 1 min 15 s left)\n"
 
 
-def test_of_many_frames_a_line_comes_now_and_then(capsys):
-    plain = Plain()
+def test_lines_are_throttled_for_many_frames(capsys):
+    reporter = LineReporter()
     for done in range(1, 5001):
-        plain.frame(told(done, 5000))
+        reporter.frame(progress(done, 5000))
     lines = capsys.readouterr().err.splitlines()
     assert 2 <= len(lines) < 50
     assert "5000 of 5000" in lines[-1]
 
 
-def test_a_notice_is_told_in_every_way(capsys):
-    Plain().notice("a worker was lost")
+def test_notices_are_reported(capsys):
+    LineReporter().notice("a worker was lost")
     assert "a worker was lost" in capsys.readouterr().err
-    Scripted().notice("a worker was lost")
+    JsonReporter().notice("a worker was lost")
     assert json.loads(capsys.readouterr().out) == {"event": "notice", "text": "a worker was lost"}
 
 
-def test_a_terminal_gets_a_bar_with_the_last_picture(monkeypatch, capsys):
+def test_terminal_shows_a_bar_with_the_latest_picture(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setenv("TERM", "xterm")
-    with progress_reporter(False) as shown:
-        assert isinstance(shown, OnTerminal)
-        shown.frame(told(2))
-        shown.notice("[red]brackets stay")
+    with progress_reporter(False) as reporter:
+        assert isinstance(reporter, BarReporter)
+        reporter.frame(progress(2))
+        reporter.notice("[red]brackets stay")
     out = capsys.readouterr().err
     assert "000007.png" in out
     assert "12.5 frames/s" in out
     assert "[red]brackets stay" in out
 
 
-@pytest.mark.skipif(os.name != "posix", reason="SIGTERM ends processes otherwise")
-def test_sigterm_ends_a_build_as_ctrl_c_does(tmp_path):
+@pytest.mark.skipif(os.name != "posix", reason="needs SIGTERM")
+def test_sigterm_interrupts_a_build(tmp_path):
     stand_in = Path(__file__).resolve().parents[1] / "dataset"
     script = (
         "import sys, pepperscene.dataset.scenes.frame_renderer as stage, stand_in\n"
@@ -85,7 +85,8 @@ def test_sigterm_ends_a_build_as_ctrl_c_does(tmp_path):
         "from pepperscene.cli import main\n"
         "main()\n"
     )
-    environment = {**os.environ, "PYTHONPATH": str(stand_in), "STAND_IN_S": "0.3"}
+    search_path = os.pathsep.join((str(stand_in), os.environ.get("PYTHONPATH", "")))
+    environment = {**os.environ, "PYTHONPATH": search_path, "STAND_IN_S": "0.3"}
     process = subprocess.Popen(
         [sys.executable, "-c", script, "build", "barth2018", "--out", str(tmp_path / "set"), "--json",
          *SMALL, "--set", "plan.frames=200"],
@@ -95,5 +96,5 @@ def test_sigterm_ends_a_build_as_ctrl_c_does(tmp_path):
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "goes on with the same command" in errors
+    assert "run the same command again" in errors
     assert (tmp_path / "set" / "manifest.parquet").is_file()

@@ -1,4 +1,4 @@
-"""`pepperscene compare`: what it prints, what it writes, and what it refuses."""
+"""`pepperscene compare`: tables, JSON, figure, options and errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pepperscene.errors import EXIT_BAD_INPUT
 
 
 def photographs(folder, values, green):
-    """Two photographs and the masks of them."""
+    """Write two photographs and their masks."""
     folder.mkdir(parents=True)
     for number in (1, 2):
         colour = np.full((24, 32, 3), (90, green, 20 * number), np.uint8)
@@ -25,26 +25,26 @@ def photographs(folder, values, green):
     return folder
 
 
-def explained(folder):
+def add_label_table(folder):
     (folder / "classes.toml").write_text('0 = "background"\n5 = "pepper"\n', encoding="utf-8")
     return folder
 
 
 @pytest.fixture(scope="module")
-def silent(tmp_path_factory):
-    """Masks that nobody explains; they are meant as those of montoya2021."""
-    return photographs(tmp_path_factory.mktemp("compare") / "silent", 1, 140)
+def without_table(tmp_path_factory):
+    """Masks with the values of montoya2021, without a table of labels."""
+    return photographs(tmp_path_factory.mktemp("compare") / "plain", 1, 140)
 
 
 @pytest.fixture(scope="module")
-def telling(tmp_path_factory):
-    """Masks with a table, in which the values mean something else."""
-    return explained(photographs(tmp_path_factory.mktemp("compare") / "telling", 5, 60))
+def with_table(tmp_path_factory):
+    """Masks with a table of labels that gives the values another meaning."""
+    return add_label_table(photographs(tmp_path_factory.mktemp("compare") / "table", 5, 60))
 
 
 @pytest.fixture(scope="module")
 def published(tmp_path_factory):
-    """Both halves of the published layout, two pictures each."""
+    """Both halves of the published data set, two pictures each."""
     folder = tmp_path_factory.mktemp("compare") / "published"
     classes = np.full((24, 32), 2, np.uint8)
     classes[:12] = 1
@@ -61,8 +61,8 @@ def published(tmp_path_factory):
     return folder
 
 
-def test_without_a_terminal_it_prints_plain_lines(command, silent):
-    done = command("compare", silent, silent, "--labels", "montoya2021")
+def test_prints_plain_tables_without_a_terminal(command, without_table):
+    done = command("compare", without_table, without_table, "--labels", "montoya2021")
     assert done.exit_code == 0, done.stderr
     assert done.stderr == ""
     lines = done.stdout.splitlines()
@@ -72,41 +72,49 @@ def test_without_a_terminal_it_prints_plain_lines(command, silent):
     assert not any(line.endswith(" ") for line in lines)
 
 
-def test_on_standard_output_there_is_json_alone(command, silent, telling, tmp_path):
+def test_json_option_prints_json_only_and_reproducibly(command, without_table, with_table, tmp_path):
     figure = tmp_path / "deep" / "figure.svg"
-    arguments = ("compare", silent, telling, "--labels", "montoya2021", "--json", "--figure", figure)
+    arguments = (
+        "compare",
+        without_table,
+        with_table,
+        "--labels",
+        "montoya2021",
+        "--json",
+        "--figure",
+        figure,
+    )
     done = command(*arguments)
     assert done.exit_code == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["format"] == "pepperscene compare 1"
-    assert found["one"] == {"name": "silent", "measured": 2, "of": 2}
+    assert found["one"] == {"name": "plain", "measured": 2, "of": 2}
     pepper = found["kinds"]["pepper"]
     assert pepper["delta_e_2000"]["value"] > 5
     assert pepper["hue_emd_deg"]["low"] <= pepper["hue_emd_deg"]["value"] <= pepper["hue_emd_deg"]["high"]
     assert pepper["one"]["share"]["value"] == pepper["other"]["share"]["value"] == 0.375
-    # The masks that explain themselves mean by 0 the background, those of montoya2021 leave it open.
+    # 0 is background in the table of labels, and unlabelled in montoya2021.
     background = found["kinds"]["background"]["one"]["share"]
     assert background["value"] is None
-    assert background["why"] == "not labelled in silent"
+    assert background["why"] == "not labelled in plain"
     assert found["kinds"]["background"]["other"]["share"]["value"] == 0.625
     assert str(figure) in done.stderr
     ElementTree.parse(figure)
-    # The same command gives the same bytes.
     before = figure.read_bytes()
     assert command(*arguments).stdout == done.stdout
     assert figure.read_bytes() == before
 
 
-def test_labels_are_told_for_each_side_by_its_place(command, silent, telling):
-    done = command("compare", telling, silent, "--labels", ",montoya2021", "--json")
+def test_labels_apply_to_each_set_by_position(command, without_table, with_table):
+    done = command("compare", with_table, without_table, "--labels", ",montoya2021", "--json")
     assert done.exit_code == 0, done.stderr
-    # Told for both where both explain themselves, it overrides their tables.
-    done = command("compare", telling, telling, "--labels", "published", "--json")
+    # If both have a table, one name overrides both.
+    done = command("compare", with_table, with_table, "--labels", "published", "--json")
     assert done.exit_code == 0, done.stderr
     assert json.loads(done.stdout)["kinds"]["shoot"]["one"]["share"]["value"] == 0.375
 
 
-def test_both_halves_of_the_published_set_are_compared(command, published):
+def test_compares_both_halves_of_the_published_set(command, published):
     done = command("compare", published, published, "--half", "synthetic,empirical", "--json")
     assert done.exit_code == 0, done.stderr
     found = json.loads(done.stdout)
@@ -115,32 +123,35 @@ def test_both_halves_of_the_published_set_are_compared(command, published):
     assert found["kinds"]["leaf"]["place_correlation"]["value"] == pytest.approx(1.0)
 
 
-def test_of_many_pictures_some_are_measured(command, silent):
-    done = command("compare", silent, silent, "--labels", "montoya2021", "--limit", 1, "--json")
+def test_limit_is_passed_on(command, without_table):
+    done = command("compare", without_table, without_table, "--labels", "montoya2021", "--limit", 1, "--json")
     found = json.loads(done.stdout)
-    assert found["other"] == {"name": "silent (B)", "measured": 1, "of": 2}
+    assert found["other"] == {"name": "plain (B)", "measured": 1, "of": 2}
     assert found["kinds"]["pepper"]["delta_e_2000"] == {"value": 0.0, "low": None, "high": None}
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
-        (("--labels", "nobody"), "must be a table or one of"),
-        (("--labels", "montoya2021", "--half", "empirical"), "--half: goes only with the published data set"),
-        ((), "whose classes nobody tells"),
-        (("--labels", "montoya2021", "--figure", "page.png"), "only .svg is written"),
+        (("--labels", "unknown"), "must be a table or one of"),
+        (
+            ("--labels", "montoya2021", "--half", "empirical"),
+            "--half: applies only to the published data set",
+        ),
+        ((), "mask1.png"),
+        (("--labels", "montoya2021", "--figure", "page.pdf"), "must end in .svg or .png"),
     ],
 )
-def test_what_does_not_go_is_refused_in_one_sentence(command, silent, options, told):
-    done = command("compare", silent, silent, *options)
+def test_invalid_options_give_one_line(command, without_table, options, message):
+    done = command("compare", without_table, without_table, *options)
     assert done.exit_code == EXIT_BAD_INPUT
-    assert told in done.stderr
+    assert message in done.stderr
     assert done.stderr.startswith("error: ")
     assert len(done.stderr.splitlines()) == 1
     assert done.stdout == ""
 
 
-def test_what_is_not_there_is_refused(command, silent):
-    done = command("compare", silent, "nowhere", "--labels", "montoya2021")
+def test_rejects_a_missing_folder(command, without_table):
+    done = command("compare", without_table, "nowhere", "--labels", "montoya2021")
     assert done.exit_code == EXIT_BAD_INPUT
     assert "nowhere: must be a folder of images, or a file of patches" in done.stderr

@@ -1,4 +1,4 @@
-"""`pepperscene export`: progress, a summary, and faults in one sentence."""
+"""`pepperscene export`: progress, summary and error messages."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 @pytest.fixture(scope="module")
 def folder(command, tmp_path_factory):
-    """A data set of empty pictures."""
+    """A data set of empty images."""
     out = tmp_path_factory.mktemp("cli") / "set"
     done = command(
         "build", "demo", "--out", out, "--frames", "6137:6140", "--outputs", "colour,class,instance,distance",
@@ -18,7 +18,7 @@ def folder(command, tmp_path_factory):
 
 
 @pytest.mark.parametrize("form", ["published", "coco", "yolo"])
-def test_an_export_tells_what_it_did(form, folder, command, tmp_path):
+def test_export_prints_progress_and_summary(form, folder, command, tmp_path):
     out = tmp_path / form
     done = command("export", folder, "--format", form, "--out", out, "--split", "train=:6139,val=6139:")
     assert done.exit_code == 0, done.stderr
@@ -31,24 +31,14 @@ def test_an_export_tells_what_it_did(form, folder, command, tmp_path):
     assert any(out.iterdir())
 
 
-def test_options_reach_the_export(folder, command, tmp_path):
-    done = command(
-        "export",
-        folder,
-        "--format",
-        "yolo",
-        "--out",
-        tmp_path / "o",
-        "--frames",
-        "6138:6139",
-        "--smallest",
-        3,
-    )
+def test_options_are_passed_on(folder, command, tmp_path):
+    options = ("--format", "yolo", "--out", tmp_path / "o", "--frames", "6138:6139", "--smallest", 3)
+    done = command("export", folder, *options)
     assert done.stdout == f"1 frame as yolo (1 train): {tmp_path / 'o'}\n"
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"--format": "coc"}, "--format: unknown format 'coc'; allowed are published, coco, yolo"),
         ({"--split": "train=.5"}, "--split: the fractions sum to 0.5; they must be positive and sum to 1"),
@@ -57,20 +47,20 @@ def test_options_reach_the_export(folder, command, tmp_path):
         ({"--smallest": "0"}, "--smallest: 0 must be at least 1"),
     ],
 )
-def test_wrong_options_are_told_in_a_sentence(change, told, folder, command, tmp_path):
+def test_invalid_options_give_one_line(change, message, folder, command, tmp_path):
     options = {"--format": "coco", "--out": str(tmp_path / "out")} | change
     done = command("export", folder, *(word for pair in options.items() for word in pair))
     assert done.exit_code == 2
     assert done.stdout == ""
     assert len(done.stderr.splitlines()) == 1
-    assert told in done.stderr
+    assert message in done.stderr
     assert not (tmp_path / "out").exists()
 
 
-def test_folders_that_will_not_do_are_told_in_a_sentence(folder, command, tmp_path):
+def test_invalid_folders_give_one_line(folder, command, tmp_path):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine").touch()
-    for source, out, told in [
+    for source, out, message in [
         (tmp_path, tmp_path / "out", "holds no data set"),
         (folder, tmp_path / "full", "holds 'mine'; choose an empty or a new folder"),
         (folder, folder / "coco", "is inside the data set"),
@@ -78,4 +68,4 @@ def test_folders_that_will_not_do_are_told_in_a_sentence(folder, command, tmp_pa
         done = command("export", source, "--format", "coco", "--out", out)
         assert done.exit_code == 2
         assert len(done.stderr.splitlines()) == 1
-        assert told in done.stderr
+        assert message in done.stderr

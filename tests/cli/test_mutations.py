@@ -1,4 +1,4 @@
-"""Whatever stands in a recipe or a cultivar file: exit code 0 or 2, one line, nothing left behind."""
+"""Mutated recipes and cultivars: exit code 0, or 2 with one line and no files left."""
 
 from __future__ import annotations
 
@@ -14,87 +14,64 @@ from hypothesis import strategies as st
 from pepperscene.document import read_toml
 from pepperscene.shipped import shipped_folder
 
-EXAMPLES = 150
-
-# One short plant in the night is grown in a moment.
+# One short plant without daylight is fast.
 RECIPE = read_toml(shipped_folder("recipes") / "barth2018.toml") | {"cultivar": "plant.toml"}
 RECIPE["row"] |= {"plants_front": 1, "plants_back": 0}
 RECIPE["daylight"]["illuminance_lx"] = 0
 RECIPE["camera"] |= {"filter": "schott_22022010", "focus_mm": 400, "gain": 2.0, "bits": 10}
-RECIPE["developing"] |= {
-    "falloff": True,
-    "shot_noise": True,
-    "read_noise": True,
-    "saturation": True,
-    "quantise": True,
-    "demosaic": "malvar",
-    "colour_matrix": True,
-    "tone": "srgb",
-}
+STEPS = ("falloff", "shot_noise", "read_noise", "saturation", "quantise", "colour_matrix")
+RECIPE["developing"] |= {"demosaic": "malvar", "tone": "srgb", **dict.fromkeys(STEPS, True)}
 CULTIVAR = read_toml(shipped_folder("plants") / "kaite.toml")
 CULTIVAR["stem"] |= {"parts": 4, "young_nodes": 2}
 
+NUMBERS = (
+    -1,
+    0,
+    1,
+    2,
+    40,
+    10**9,
+    2**63 - 1,
+    -0.0,
+    0.5,
+    -5.0,
+    1e-300,
+    1e300,
+    float("nan"),
+    float("inf"),
+    True,
+)
+TEXTS = ("", "x", "1", "none", "nikon_d5100", "bandpass_850nm", "../..", "a\x00b", "q" * 400)
+LISTS = ([], [1], [0, 1], [[0, 1, 1.0]], [["a"]])
+TABLES = (
+    {},
+    {"value": 1},
+    {"value_mm": 3, "chosen": "x"},
+    {"mean_mm": 1, "sd_mm": 1e9, "source": "x"},
+)
 REPLACEMENTS = st.one_of(
-    st.sampled_from(
-        [
-            -1,
-            0,
-            1,
-            2,
-            40,
-            10**9,
-            2**63 - 1,
-            -0.0,
-            0.5,
-            -5.0,
-            1e-300,
-            1e300,
-            True,
-            False,
-            "",
-            "x",
-            "1",
-            "none",
-            "nikon_d5100",
-            "bandpass_850nm",
-            "../..",
-            "a\x00b",
-            "q" * 400,
-            [],
-            [1],
-            [0, 1],
-            [[0, 1, 1.0]],
-            [["a"]],
-            {},
-            {"value": 1},
-            {"value_mm": 3, "chosen": "x"},
-            {"mean_mm": 1, "sd_mm": 1e9, "source": "x"},
-            float("nan"),
-            float("inf"),
-            float("-inf"),
-        ]
-    ),
+    st.sampled_from((*NUMBERS, float("-inf"), True, False, *TEXTS, *LISTS, *TABLES)),
     st.floats(),
     st.integers(-(10**6), 10**6),
     st.text(max_size=8),
 )
 
 
-def places(table, above=()):
-    """The path of every key and list item below a table."""
+def paths(table, above=()):
+    """Path of every key and list item below a table."""
     items = table.items() if isinstance(table, dict) else enumerate(table)
     for key, value in items:
         yield (*above, key)
         if isinstance(value, (dict, list)):
-            yield from places(value, (*above, key))
+            yield from paths(value, (*above, key))
 
 
 @st.composite
 def mutated(draw, original):
-    """The text of a TOML file with one to three faults in it, as bytes."""
+    """A TOML file with up to three mutations, as bytes."""
     tables = copy.deepcopy(original)
     for _ in range(draw(st.integers(0, 3))):
-        path = draw(st.sampled_from(sorted(places(tables), key=str)))
+        path = draw(st.sampled_from(sorted(paths(tables), key=str)))
         holder = tables
         for key in path[:-1]:
             holder = holder[key]
@@ -102,13 +79,13 @@ def mutated(draw, original):
         if not tables:
             break
     data = bytearray(tomli_w.dumps(tables).encode())
-    fault = draw(st.sampled_from(["none", "none", "none", "cut", "bytes", "line"]))
+    damage = draw(st.sampled_from(["none", "none", "none", "cut", "bytes", "line"]))
     at = draw(st.integers(0, max(0, len(data) - 1)))
-    if fault == "cut":
+    if damage == "cut":
         del data[at:]
-    elif fault == "bytes":
+    elif damage == "bytes":
         data[at:at] = draw(st.binary(min_size=1, max_size=4))
-    elif fault == "line":
+    elif damage == "line":
         lines = bytes(data).split(b"\n")
         del lines[at % len(lines)]
         data = bytearray(b"\n".join(lines))
@@ -116,13 +93,13 @@ def mutated(draw, original):
 
 
 def _change(draw, holder, key):
-    way = draw(st.sampled_from(["replace", "replace", "scale", "drop", "rename"]))
+    change = draw(st.sampled_from(["replace", "replace", "scale", "drop", "rename"]))
     value = holder[key]
-    if way == "scale" and isinstance(value, (int, float)):
+    if change == "scale" and isinstance(value, (int, float)):
         holder[key] = value * draw(st.sampled_from([-1, 0, 1e-6, 0.5, 2, 10, 1000]))
-    elif way == "drop":
+    elif change == "drop":
         del holder[key]
-    elif way == "rename" and isinstance(holder, dict):
+    elif change == "rename" and isinstance(holder, dict):
         holder[draw(st.sampled_from([f"{key}_", str(key).replace("_mm", "_cm"), "", "ü"]))] = holder.pop(key)
     else:
         holder[key] = draw(REPLACEMENTS)
@@ -150,8 +127,8 @@ def check(command, recipe, cultivar, outputs):
             assert left == set()
 
 
-careful = settings(
-    max_examples=EXAMPLES,
+thorough = settings(
+    max_examples=150,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
@@ -160,26 +137,26 @@ GOOD_RECIPE = tomli_w.dumps(RECIPE).encode()
 GOOD_CULTIVAR = tomli_w.dumps(CULTIVAR).encode()
 
 
-def test_the_files_are_good_before_they_are_mutated(command):
+def test_files_are_valid_before_mutation(command):
     check(command, GOOD_RECIPE, GOOD_CULTIVAR, "class,colour")
 
 
-@careful
+@thorough
 @given(mutated(RECIPE))
 def test_mutated_recipes(command, recipe):
     check(command, recipe, GOOD_CULTIVAR, "class")
 
 
-@careful
+@thorough
 @given(mutated(CULTIVAR))
 def test_mutated_cultivars(command, cultivar):
     check(command, GOOD_RECIPE, cultivar, "class")
 
 
-@settings(careful, max_examples=30)
+@settings(thorough, max_examples=30)
 @given(mutated({"pigments": CULTIVAR["pigments"]}))
 def test_mutated_pigments(command, pigments):
-    """Surfaces are made for colour only; here they are."""
+    """Surfaces are needed for colour only."""
     rest = tomli_w.dumps({key: value for key, value in CULTIVAR.items() if key != "pigments"}).encode()
     check(command, GOOD_RECIPE, rest + b"\n" + pigments, "colour")
 
@@ -187,12 +164,12 @@ def test_mutated_pigments(command, pigments):
 @pytest.mark.parametrize("digits", [400, 5000])
 @pytest.mark.parametrize("file", ["recipe", "cultivar"])
 def test_enormous_integers(command, file, digits):
-    """TOML's integers end at 64 bits, Python's do not."""
+    """TOML integers have 64 bits, Python's any number."""
     number = b"4" + b"0" * digits
     recipe, cultivar = GOOD_RECIPE, GOOD_CULTIVAR
     if file == "recipe":
         recipe = recipe.replace(b"distance_mm = 400", b"distance_mm = " + number)
     else:
         cultivar = cultivar.replace(b"mean_mm = 99\n", b"mean_mm = " + number + b"\n")
-    assert (recipe, cultivar) != (GOOD_RECIPE, GOOD_CULTIVAR), "the number to replace is gone"
+    assert (recipe, cultivar) != (GOOD_RECIPE, GOOD_CULTIVAR), "the number to replace is missing"
     check(command, recipe, cultivar, "class")

@@ -22,7 +22,7 @@ def built(command, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def photographs(tmp_path_factory):
-    """Two photographs whose masks nobody explains."""
+    """Two photographs with masks, without a table of labels."""
     folder = tmp_path_factory.mktemp("photographs")
     for number in (1, 2):
         Image.fromarray(np.full((20, 30, 3), 90 * number, np.uint8)).save(folder / f"img{number}.png")
@@ -32,14 +32,14 @@ def photographs(tmp_path_factory):
     return folder
 
 
-def test_what_was_shown_and_measured_is_told(command, built):
+def test_report_prints_what_it_shows_and_measures(command, built):
     done = command("report", built, "--limit", 1, "--sample", 2)
     assert done.exit_code == 0, done.stderr
     assert "1 of 3 frames shown, 2 measured" in done.stdout
     assert done.stdout.splitlines()[1:] == [f"  {built / 'contact_sheet.png'}", f"  {built / 'index.html'}"]
 
 
-def test_a_folder_of_photographs_stands_beside(command, built, photographs):
+def test_report_compares_with_a_folder_of_photographs(command, built, photographs):
     done = command("report", built, "--beside", photographs, "--labels", "montoya2021")
     assert done.exit_code == 0, done.stderr
     text = (built / "index.html").read_text(encoding="utf-8")
@@ -49,20 +49,20 @@ def test_a_folder_of_photographs_stands_beside(command, built, photographs):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
-        (("--labels", "montoya2021"), "--labels: goes only with --beside"),
-        (("--half", "empirical"), "--half: goes only with --beside"),
+        (("--labels", "montoya2021"), "--labels: applies only with --beside"),
+        (("--half", "empirical"), "--half: applies only with --beside"),
         (("--beside", "nowhere"), "nowhere"),
     ],
 )
-def test_what_cannot_be_compared_is_refused(command, built, options, told):
+def test_rejects_options_that_do_not_apply(command, built, options, message):
     done = command("report", built, *options)
     assert done.exit_code == EXIT_BAD_INPUT
-    assert told in done.stderr
+    assert message in done.stderr
 
 
-def test_masks_that_nobody_explains_are_refused(command, built, photographs):
+def test_rejects_masks_without_labels(command, built, photographs):
     done = command("report", built, "--beside", photographs)
     assert done.exit_code == EXIT_BAD_INPUT
     assert "mask1.png" in done.stderr

@@ -1,4 +1,4 @@
-"""`pepperscene tune`: names, patches, progress, tables and faults; fits to reflectances alone."""
+"""`pepperscene tune`: names, patches, progress, tables and errors, with fits to reflectances."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def green(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def done(command, green, tmp_path_factory):
-    """A fit that a wrong cultivar is given to start from."""
+    """A fit that starts from a wrong cultivar."""
     folder = tmp_path_factory.mktemp("tuned")
     wrong = ("--set", f"cultivar={_paler(folder)}", "--set", "camera.gain=2")
     found = command("tune", "demo", "--patches", green, *FIT, *wrong, "--out", folder / "out")
@@ -57,14 +57,14 @@ def _paler(folder):
     return folder / "paler.toml"
 
 
-def test_a_fit_is_told_and_written(done):
+def test_fit_is_printed_and_written(done):
     found, folder = done
     assert [line[:12] for line in found.stderr.splitlines()] == ["start 1 of 1"]
     lines = found.stdout.splitlines()
     assert lines[0] == "Fitted parameters"
     name, before, *_ = lines[2].split()
     assert name == "fruit.unripe.chlorophyll"
-    # Told to as many digits as its error leaves sense in.
+    # Rounded to its significant digits.
     assert float(before) == pytest.approx(7.85, abs=0.06)
     before, after = (float(cell) for cell in lines[lines.index("") + 3].split()[1:])
     assert after < 0.02 < before
@@ -75,44 +75,44 @@ def test_a_fit_is_told_and_written(done):
     ]
 
 
-def test_what_is_written_has_the_green_of_the_measured_fruit(done):
+def test_tuned_fruit_has_the_chlorophyll_of_the_measured_one(done):
     _, folder = done
     start = load_recipe_cultivar(load_recipe(folder / "out" / "demo_tuned.toml")).pigments["fruit"].start
-    # The shipped fruit was fitted to the same spectrum by other means, all its contents together.
+    # The shipped fruit was fitted to the same spectrum by another method, all pigments together.
     assert start.chlorophyll_ug_cm2 == pytest.approx(15.7, rel=0.15)
 
 
-def test_changes_by_hand_are_stated_beside_what_was_tuned(done):
+def test_written_recipe_has_manual_changes_as_well(done):
     _, folder = done
-    stated = tomllib.loads((folder / "out" / "demo_tuned.toml").read_text())
-    assert stated == {
+    content = tomllib.loads((folder / "out" / "demo_tuned.toml").read_text())
+    assert content == {
         "extends": "demo", "name": "demo_tuned", "cultivar": "paler_tuned.toml", "camera": {"gain": 2}
     }  # fmt: skip
-    told = json.loads((folder / "out" / "tuning.json").read_text())["options"]
-    assert told["fit"] == ["fruit.unripe.chlorophyll", "fruit.unripe.brown"]
-    assert told["starts"] == 1
-    assert "camera.gain=2" in told["set"]
+    options = json.loads((folder / "out" / "tuning.json").read_text())["options"]
+    assert options["fit"] == ["fruit.unripe.chlorophyll", "fruit.unripe.brown"]
+    assert options["starts"] == 1
+    assert "camera.gain=2" in options["set"]
 
 
-def test_json_is_all_that_is_printed(command, green, tmp_path):
+def test_json_option_prints_json_only(command, green, tmp_path):
     found = command("tune", "demo", "--patches", green, *FIT, "--out", tmp_path / "out", "--json")
     assert found.exit_code == 0
     assert found.stderr == ""
-    told = json.loads(found.stdout)
-    assert [one["name"] for one in told["parameters"]] == ["fruit.unripe.chlorophyll", "fruit.unripe.brown"]
-    assert told["files"][0] == str(tmp_path / "out" / "demo_tuned.toml")
+    record = json.loads(found.stdout)
+    assert [one["name"] for one in record["parameters"]] == ["fruit.unripe.chlorophyll", "fruit.unripe.brown"]
+    assert record["files"][0] == str(tmp_path / "out" / "demo_tuned.toml")
 
 
-def test_patches_of_several_files_are_one_set(command, green, tmp_path):
+def test_merges_patches_of_several_files(command, green, tmp_path):
     found = command(
         "tune", "demo", "--patches", green, "--patches", green, *FIT, "--out", tmp_path / "out", "--json"
     )
     assert found.exit_code == 0, found.stderr
-    told = json.loads(found.stdout)
-    assert len(told["patches"]["members"]) == len(told["spectra"]) == 2
+    record = json.loads(found.stdout)
+    assert len(record["patches"]["members"]) == len(record["spectra"]) == 2
 
 
-def test_the_names_are_listed(command):
+def test_help_lists_the_parameters(command):
     found = command("tune", "demo", "--fit", "help")
     assert found.exit_code == 0
     for name in ("leaf.chlorophyll", "fruit.unripe.brown", "flash.colour (warmth)", "white_balance (red)"):
@@ -123,20 +123,20 @@ def test_the_names_are_listed(command):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"--fit": "leaf.chlorophyl"}, "closest are leaf.chlorophyll"),
         ({"--fit": ","}, "--fit: needs at least one"),
         ({"--fit": "flash.power", "--set": "camera.flash=none"}, "flash"),
         ({"--patches": "nowhere.toml"}, "nowhere.toml"),
-        ({"--patches": None}, "--patches: is needed"),
+        ({"--patches": None}, "--patches: is required"),
         ({"--bounds": "nowhere.toml"}, "nowhere.toml"),
         ({"--hold-out": "img9"}, "--hold-out: no patch is of a picture 'img9'"),
-        ({"--labels": "barth2018"}, "--labels: goes only with a folder"),
+        ({"--labels": "barth2018"}, "--labels: applies only to a folder"),
         ({"--quality": "best", "--verify": "1"}, "draft, standard, reference"),
     ],
 )
-def test_faults_are_told_in_a_sentence_and_nothing_is_written(change, told, command, green, tmp_path):
+def test_errors_give_one_line_and_write_nothing(change, message, command, green, tmp_path):
     options = {"--fit": FIT[1], "--patches": str(green), "--out": str(tmp_path / "out")} | change
     if options.get("--set"):
         options["--set"] = "camera.flash=none"
@@ -145,12 +145,12 @@ def test_faults_are_told_in_a_sentence_and_nothing_is_written(change, told, comm
     found = command("tune", "demo", *arguments, *more)
     assert found.exit_code == EXIT_BAD_INPUT, found.stdout
     assert found.stderr.startswith("error: ")
-    assert told in found.stderr
+    assert message in found.stderr
     assert len(found.stderr.splitlines()) == 1
     assert not (tmp_path / "out").exists()
 
 
-def test_folder_that_holds_something_is_refused_before_the_fit(command, green, tmp_path):
+def test_rejects_a_folder_with_files_before_the_fit(command, green, tmp_path):
     (tmp_path / "mine.txt").write_text("keep")
     found = command("tune", "demo", "--patches", green, *FIT, "--out", tmp_path)
     assert found.exit_code == EXIT_BAD_INPUT
@@ -158,11 +158,11 @@ def test_folder_that_holds_something_is_refused_before_the_fit(command, green, t
     assert "start 1" not in found.stderr
 
 
-def test_interrupted_nothing_is_written(command, green, tmp_path, monkeypatch):
-    def interrupted(*_args, **_more):
+def test_interrupted_fit_writes_nothing(command, green, tmp_path, monkeypatch):
+    def interrupt(*_args, **_kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(importlib.import_module("pepperscene.tuning.workflow"), "fit_parameters", interrupted)
+    monkeypatch.setattr(importlib.import_module("pepperscene.tuning.workflow"), "fit_parameters", interrupt)
     found = command("tune", "demo", "--patches", green, *FIT, "--out", tmp_path / "out")
     assert found.exit_code == 130
     assert found.stderr == "interrupted; nothing was written\n"

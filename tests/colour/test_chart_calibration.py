@@ -1,4 +1,4 @@
-"""Charts drawn with a known camera: their colours come back, found or told; what is no chart is refused."""
+"""Colour calibration by synthetic charts: a known camera is inverted, invalid charts are rejected."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pepperscene.camera import encode_tone
 from pepperscene.camera.colorimetry import XYZ_TO_SRGB
 from pepperscene.colour import calibrate, delta_e_2000, linear_srgb_to_lab
 from pepperscene.colour.patches.chart import chart_linear, chart_names
-from pepperscene.colour.patches.chart_detection import grid_corners, homography, mapped
+from pepperscene.colour.patches.chart_detection import apply_homography, grid_corners, homography
 from pepperscene.errors import InputError
 from pepperscene.spectra import colour_science
 
@@ -23,7 +23,7 @@ UPSIDE_DOWN = ((400, 420), (120, 380), (160, 150), (430, 200))
 ON_ITS_SIDE = ((420, 90), (440, 400), (220, 410), (210, 80))
 
 
-def drawn(
+def draw_chart(
     corners: object,
     camera: NDArray[np.float64] = CAMERA,
     *,
@@ -35,13 +35,13 @@ def drawn(
     rng = np.random.default_rng(3)
     linear = np.full((480, 640, 3), 0.18)
     if clutter:
-        # Flat quadrangles of many sizes, as of shelves and panes, and something rough.
+        # Flat quadrangles of many sizes, and a rough area.
         for _ in range(60):
             x, y, w, h = rng.integers((0, 0, 10, 10), (600, 440, 60, 60))
             linear[y : y + h, x : x + w] = rng.uniform(0.02, 0.6, 3)
         linear[:, 560:] = rng.uniform(0.0, 0.5, (480, 80, 3))
     x, y = np.meshgrid(np.arange(640) + 0.5, np.arange(480) + 0.5)
-    place = mapped(homography(np.array(corners, float), grid_corners()), np.stack([x, y], axis=-1))
+    place = apply_homography(homography(np.array(corners, float), grid_corners()), np.stack([x, y], axis=-1))
     linear[((place > -0.25) & (place < [6.25, 4.25])).all(axis=-1)] = 0.02
     cell = np.floor(place)
     field = ((np.abs(place - cell - 0.5) < 0.435) & (cell >= 0) & (cell < [6, 4])).all(axis=-1)
@@ -50,8 +50,8 @@ def drawn(
     return encode_tone(seen.astype(np.float32), tone)
 
 
-def test_the_aim_is_what_colour_science_tabulates() -> None:
-    """The chart of November 2014 as measured by X-Rite, another chart and another illuminant's adaptation."""
+def test_chart_colours_agree_with_colour_science() -> None:
+    """X-Rite's measurement of November 2014: another specimen, adapted from another illuminant."""
     colour = colour_science()
     chart = colour.CCS_COLOURCHECKERS["ColorChecker24 - After November 2014"]
     xyz = colour.xyY_to_XYZ(list(chart.data.values()))
@@ -66,90 +66,86 @@ def test_the_aim_is_what_colour_science_tabulates() -> None:
 
 
 @pytest.mark.parametrize("corners", [UPRIGHT, TILTED, UPSIDE_DOWN, ON_ITS_SIDE])
-@pytest.mark.parametrize("told", [True, False])
-def test_a_known_camera_is_undone(corners: tuple[tuple[int, int], ...], told: bool) -> None:
-    found = calibrate(drawn(corners), corners if told else None)
-    assert found.after.max() < 1.0
-    assert found.before.mean() > 5.0
-    assert found.corners == pytest.approx(np.array(corners, float), abs=2.0)
-    # Other colours than the chart's come back as well.
+@pytest.mark.parametrize("detect", [False, True])
+def test_inverts_a_known_camera(corners: tuple[tuple[int, int], ...], detect: bool) -> None:
+    calibration = calibrate(draw_chart(corners), None if detect else corners)
+    assert calibration.after.max() < 1.0
+    assert calibration.before.mean() > 5.0
+    assert calibration.corners == pytest.approx(np.array(corners, float), abs=2.0)
+    # Other colours than the chart's are restored as well.
     others = np.random.default_rng(4).uniform(0.02, 0.9, (200, 3))
-    restored = found.apply(others @ CAMERA.T)
+    restored = calibration.apply(others @ CAMERA.T)
     assert delta_e_2000(linear_srgb_to_lab(restored), linear_srgb_to_lab(others)).max() < 1.0
 
 
-def test_a_chart_is_found_among_other_things() -> None:
-    found = calibrate(drawn(TILTED, clutter=True))
-    assert found.corners == pytest.approx(np.array(TILTED, float), abs=2.0)
-    assert found.after.max() < 1.0
+def test_detects_a_chart_in_clutter() -> None:
+    calibration = calibrate(draw_chart(TILTED, clutter=True))
+    assert calibration.corners == pytest.approx(np.array(TILTED, float), abs=2.0)
+    assert calibration.after.max() < 1.0
 
 
-def test_a_large_picture_is_searched_at_a_smaller_scale() -> None:
-    large = drawn(TILTED).repeat(4, axis=0).repeat(4, axis=1)
+def test_detects_a_chart_in_a_large_picture() -> None:
+    large = draw_chart(TILTED).repeat(4, axis=0).repeat(4, axis=1)
     assert calibrate(large).corners == pytest.approx(4.0 * np.array(TILTED, float), abs=8.0)
 
 
-def test_linear_codes_need_no_curve() -> None:
-    found = calibrate(drawn(TILTED, tone="linear"), TILTED, tone="linear")
-    assert found.after.mean() < 1.0
-    assert found.matrix @ CAMERA == pytest.approx(np.eye(3), abs=0.02)
+def test_calibrates_linear_codes() -> None:
+    calibration = calibrate(draw_chart(TILTED, tone="linear"), TILTED, tone="linear")
+    assert calibration.after.mean() < 1.0
+    assert calibration.matrix @ CAMERA == pytest.approx(np.eye(3), abs=0.02)
 
 
-def test_a_mirrored_picture_is_understood_when_the_chart_is_looked_for() -> None:
-    found = calibrate(drawn(TILTED)[:, ::-1])
-    assert found.corners == pytest.approx(np.array([(640 - x, y) for x, y in TILTED], float), abs=2.0)
+def test_detects_a_mirrored_chart() -> None:
+    calibration = calibrate(draw_chart(TILTED)[:, ::-1])
+    assert calibration.corners == pytest.approx(np.array([(640 - x, y) for x, y in TILTED], float), abs=2.0)
 
 
-def test_a_colour_cut_off_at_zero_is_left_out_of_the_fit() -> None:
-    """Cyan lies outside of sRGB, so that a picture in sRGB cannot hold it."""
-    found = calibrate(drawn(UPRIGHT, np.eye(3), noise=0.0), UPRIGHT)
-    assert found.left_out == ("cyan",)
+def test_leaves_fields_clipped_at_zero_out_of_the_fit() -> None:
+    """Cyan is outside the sRGB gamut."""
+    calibration = calibrate(draw_chart(UPRIGHT, np.eye(3), noise=0.0), UPRIGHT)
+    assert calibration.left_out == ("cyan",)
     others = [name != "cyan" for name in chart_names()]
-    # The black field has but nine codes of light.
-    assert found.after[others].max() < 1.0
-    assert np.median(found.after) < 0.3
-    assert found.matrix == pytest.approx(np.eye(3), abs=0.01)
+    # The black field has nine codes only.
+    assert calibration.after[others].max() < 1.0
+    assert np.median(calibration.after) < 0.3
+    assert calibration.matrix == pytest.approx(np.eye(3), abs=0.01)
 
 
-@pytest.mark.parametrize("turn", [1, 2, 3])
-def test_corners_in_another_order_are_told(turn: int) -> None:
-    turned = np.roll(np.array(TILTED), turn, axis=0)
-    with pytest.raises(InputError, match=f"from corner {turn + 1} to corner {(turn + 1) % 4 + 1}"):
-        calibrate(drawn(TILTED), turned)
-
-
-def test_corners_around_the_other_way_are_told() -> None:
-    with pytest.raises(InputError, match="from corner 4 to corner 3"):
-        calibrate(drawn(TILTED), TILTED[::-1])
+@pytest.mark.parametrize(("order", "message"), [
+    ((3, 0, 1, 2), "corner 2 and 3"),
+    ((2, 3, 0, 1), "corner 3 and 4"),
+    ((1, 2, 3, 0), "corner 4 and 1"),
+    ((3, 2, 1, 0), "corner 4 and 3"),
+])  # fmt: skip
+def test_rejects_corners_in_another_order(order: tuple[int, ...], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        calibrate(draw_chart(TILTED), np.array(TILTED)[list(order)])
 
 
 @pytest.mark.parametrize(
-    ("corners", "said"),
+    ("corners", "message"),
     [
         ([(0, 0), (10, 0), (10, 10)], "four pairs"),
-        ([(0, 0), (10, 0), (10, 10), (0, 900)], "must lie in"),
-        ([(100, 100), (500, 367), (500, 100), (100, 367)], "go around"),
+        ([(0, 0), (10, 0), (10, 10), (0, 900)], "must be inside"),
+        ([(100, 100), (500, 367), (500, 100), (100, 367)], "in order around"),
         ([(10, 10), (22, 10), (22, 18), (10, 18)], "fields of"),
         ([(520, 10), (635, 10), (635, 90), (520, 90)], "shows no ColorChecker"),
     ],
 )
-def test_corners_that_hold_no_chart_are_refused(corners: list[tuple[int, int]], said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        calibrate(drawn(UPRIGHT), corners)
+def test_rejects_corners_without_a_chart(corners: list[tuple[int, int]], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        calibrate(draw_chart(UPRIGHT), corners)
 
 
-@pytest.mark.parametrize("corners", [TILTED, None])
-def test_a_saturated_chart_is_refused(corners: object) -> None:
-    with pytest.raises(InputError, match=r"saturated in the fields .*white"):
-        calibrate(drawn(TILTED, 1.6 * CAMERA), corners)
-
-
-def test_a_dark_chart_is_refused() -> None:
+def test_rejects_a_chart_that_is_saturated_or_too_dark() -> None:
+    for corners in (TILTED, None):
+        with pytest.raises(InputError, match=r"saturated in the fields .*white"):
+            calibrate(draw_chart(TILTED, 1.6 * CAMERA), corners)
     with pytest.raises(InputError, match="too dark"):
-        calibrate(drawn(TILTED, 0.04 * CAMERA, noise=0.0), TILTED)
+        calibrate(draw_chart(TILTED, 0.04 * CAMERA, noise=0.0), TILTED)
 
 
-def test_a_picture_without_a_chart_is_refused() -> None:
+def test_rejects_a_picture_without_a_chart() -> None:
     rng = np.random.default_rng(5)
     with pytest.raises(InputError, match="no ColorChecker"):
         calibrate(rng.integers(0, 256, (200, 300, 3), dtype=np.uint8))

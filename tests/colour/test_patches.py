@@ -1,4 +1,4 @@
-"""Patches out of pictures: which pixels, of which kind, and what is said of those left out."""
+"""Patches of pictures: pixels, kinds, borders, clipping and ripeness."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from PIL import Image
 from pepperscene import OrganClass, Spectrum, open_images, open_patches
 from pepperscene.camera import decode_tone
 from pepperscene.colour import MeasuredSpectrum, Patch, PatchSet
-from pepperscene.colour.patches.extraction import Extraction, eroded
+from pepperscene.colour.patches.extraction import Extraction, erode
 from pepperscene.colour.patches.open import organ_regions
-from pepperscene.colour.patches.patch import belongs, evenly, is_organ_kind
-from pepperscene.colour.statistics.colours import encoded, hue_counts_of
+from pepperscene.colour.patches.patch import even_indices, is_organ_kind, matches_kind
+from pepperscene.colour.statistics import hue_histogram, srgb_codes
 from pepperscene.dataset import LabelledImage
 from pepperscene.errors import InputError
 from pepperscene.truth.statistics import ImageStatistics
@@ -31,37 +31,37 @@ def _patch(name: str, kind: str, picture: str, n: int = 20) -> Patch:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three labelled pictures of 40 x 60 pixels: halves of leaf and fruit, and a strip nobody labels."""
-    where = tmp_path_factory.mktemp("labelled")
+    """Three labelled pictures of 40 x 60 pixels: halves of leaf and fruit, and an unlabelled strip."""
+    path = tmp_path_factory.mktemp("labelled")
     rng = np.random.default_rng(1)
     for k in (1, 2, 10):
         colour = rng.integers(0, 256, (40, 60, 3), dtype=np.uint8)
         mask = np.ones((40, 60), np.uint8)
         mask[:, 30:] = 2
         mask[:4] = 255
-        Image.fromarray(colour).save(where / f"img{k}.png")
-        Image.fromarray(mask).save(where / f"mask{k}.png")
-    (where / "classes.toml").write_text('1 = "leaf"\n2 = "pepper"\n255 = "void"\n')
-    return where
+        Image.fromarray(colour).save(path / f"img{k}.png")
+        Image.fromarray(mask).save(path / f"mask{k}.png")
+    (path / "classes.toml").write_text('1 = "leaf"\n2 = "pepper"\n255 = "void"\n')
+    return path
 
 
-def test_kinds_are_classes_with_stages() -> None:
+def test_kinds_are_classes_with_optional_stages() -> None:
     assert all(map(is_organ_kind, ("leaf", "pepper.ripe", "shoot.young_2")))
     assert not any(map(is_organ_kind, ("Leaf", "fruit", "pepper.", "pepper.Ripe", "pepper.a.b", "")))
-    assert belongs("pepper.ripe", "pepper")
-    assert not belongs("pepper", "pepper.ripe")
-    assert not belongs("peppery", "pepper")
+    assert matches_kind("pepper.ripe", "pepper")
+    assert not matches_kind("pepper", "pepper.ripe")
+    assert not matches_kind("peppery", "pepper")
 
 
-@pytest.mark.parametrize(("count", "most"), [(10, 3), (7, 7), (5, None), (1_000_003, 20_000), (0, 4)])
-def test_thinning_is_even(count: int, most: int | None) -> None:
-    kept = evenly(count, most)
-    assert len(kept) == min(count, most or count)
-    gaps = np.diff(np.concatenate([kept, [count + kept[0]]])) if count else np.zeros(1)
+@pytest.mark.parametrize(("count", "limit"), [(10, 3), (7, 7), (5, None), (1_000_003, 20_000), (0, 4)])
+def test_even_indices_have_equal_gaps(count: int, limit: int | None) -> None:
+    indices = even_indices(count, limit)
+    assert len(indices) == min(count, limit or count)
+    gaps = np.diff(np.concatenate([indices, [count + indices[0]]])) if count else np.zeros(1)
     assert gaps.max() - gaps.min() <= 1
 
 
-def test_a_set_pools_and_selects() -> None:
+def test_set_pools_and_selects_patches() -> None:
     unripe, ripe = _patch("a", "pepper.unripe", "one"), _patch("b", "pepper.ripe", "two", 7)
     leaf = _patch("c", "leaf", "two")
     reflectance = MeasuredSpectrum("r", "peduncle", Spectrum([400.0, 700.0], [0.1, 0.2], "hold"))
@@ -69,31 +69,31 @@ def test_a_set_pools_and_selects() -> None:
     assert found.kinds == ("leaf", "peduncle", "pepper.ripe", "pepper.unripe")
     assert found.pictures == ("one", "two")
     assert found.pixels("pepper").shape == (27, 3)
-    assert found.pixels("pepper", 5).shape == found.codes("pepper", 5).shape == (5, 3)
+    assert found.pixels("pepper", 5).shape == (5, 3)
     assert found.pixels("stem").shape == (0, 3)
-    assert found.pixels("pepper") == pytest.approx(decode_tone(found.codes("pepper")))
+    assert (found.pixels("pepper") == np.concatenate([unripe.linear, ripe.linear])).all()
     assert found.without(["one"]).patches == found.select(["two"]).patches == (ripe, leaf)
     assert found.without(["one"]).spectra == (reflectance,)
     with pytest.raises(ValueError, match="three"):
         found.select(["three"])
     with pytest.raises(ValueError, match="'a'"):
         PatchSet("set", (unripe, _patch("a", "leaf", "one")))
-    with pytest.raises(ValueError, match="no kind"):
+    with pytest.raises(ValueError, match="must be a class"):
         _patch("d", "fruit", "one")
 
 
-def test_the_order_of_pictures_changes_nothing() -> None:
+def test_order_of_pictures_does_not_matter() -> None:
     patches = tuple(_patch(f"{k}", "leaf", f"p{k}", 30 + k) for k in range(5))
-    one, other = PatchSet("a", patches).statistics("leaf"), PatchSet("b", patches[::-1]).statistics("leaf")
-    assert (one.hue_spectrum == other.hue_spectrum).all()
-    assert one.mean_hue_deg == other.mean_hue_deg
-    assert one.mean_lab == pytest.approx(other.mean_lab, rel=1e-12)
-    assert one.covariance == pytest.approx(other.covariance, rel=1e-10, abs=1e-10)
+    a, b = PatchSet("a", patches).statistics("leaf"), PatchSet("b", patches[::-1]).statistics("leaf")
+    assert (a.hue_spectrum == b.hue_spectrum).all()
+    assert a.mean_hue_deg == b.mean_hue_deg
+    assert a.mean_lab == pytest.approx(b.mean_lab, rel=1e-12)
+    assert a.covariance == pytest.approx(b.covariance, rel=1e-10, abs=1e-10)
 
 
 @pytest.mark.parametrize("centre_px", [300, 21, None])
-def test_hue_spectra_are_those_of_the_pictures(folder: Path, centre_px: int | None) -> None:
-    """The paper's: percentage of a class's pixels in the middle of each picture, averaged over pictures."""
+def test_hue_spectra_equal_image_statistics(folder: Path, centre_px: int | None) -> None:
+    """As in the paper: percentage of a class's pixels in the centre of each picture, averaged."""
     images = open_images(folder)
     sums = ImageStatistics()
     for picture in images:
@@ -111,59 +111,59 @@ def test_hue_spectra_are_those_of_the_pictures(folder: Path, centre_px: int | No
     assert found.kinds == ("leaf", "pepper")
 
 
-def test_the_same_folder_gives_the_same_patches(folder: Path) -> None:
-    one, other = open_patches(folder), open_patches(str(folder))
-    for first, second in zip(one.patches, other.patches, strict=True):
+def test_same_folder_gives_same_patches(folder: Path) -> None:
+    a, b = open_patches(folder), open_patches(str(folder))
+    for first, second in zip(a.patches, b.patches, strict=True):
         assert first.name == second.name
         assert (first.codes == second.codes).all()
-    assert open_patches(open_images(folder)).kinds == one.kinds
+    assert open_patches(open_images(folder)).kinds == a.kinds
     assert len(open_patches(folder, limit=2).pictures) == 2
 
 
-def test_borders_are_left_out_and_told(folder: Path) -> None:
-    whole, inner = open_patches(folder), open_patches(folder, erode_px=2)
-    for before, after in zip(whole.patches, inner.patches, strict=True):
+def test_erosion_leaves_borders_out_and_counts_them(folder: Path) -> None:
+    full, eroded = open_patches(folder), open_patches(folder, erode_px=2)
+    for before, after in zip(full.patches, eroded.patches, strict=True):
         assert before.border == 0
         # 36 rows of 30 columns; two rows below the void and two columns at the other class go.
         assert (before.pixels, after.pixels, after.border) == (1080, 34 * 28, 1080 - 34 * 28)
         assert after.hues.sum() == after.pixels
 
 
-def test_erosion_is_by_rows_and_columns() -> None:
+def test_erosion_uses_rows_and_columns() -> None:
     region = np.zeros((9, 9), bool)
     region[2:7, 3:9] = True
-    assert eroded(region, 1).sum() == 3 * 5  # the picture's own border is none of the region's
-    assert eroded(region, 0) is region
-    assert not eroded(region, 3).any()
+    assert erode(region, 1).sum() == 3 * 5  # the border of the picture is not eroded
+    assert erode(region, 0) is region
+    assert not erode(region, 3).any()
 
 
-def test_clipped_pixels_are_told_and_can_be_left_out(folder: Path) -> None:
-    kept, left = open_patches(folder), open_patches(folder, clipped="leave_out")
-    for all_of_it, rest in zip(kept.patches, left.patches, strict=True):
-        codes = all_of_it.codes
-        off = ((codes == 0) | (codes == 255)).any(axis=1)
-        assert all_of_it.clipped == rest.clipped == off.sum() > 0
-        assert (rest.codes == codes[~off]).all()
-        assert (rest.linear == decode_tone(codes[~off])).all()
-        assert (rest.hues == all_of_it.hues).all()
+def test_clipped_pixels_are_counted_and_can_be_left_out(folder: Path) -> None:
+    kept, left_out = open_patches(folder), open_patches(folder, clipped="leave_out")
+    for full, rest in zip(kept.patches, left_out.patches, strict=True):
+        codes = full.codes
+        clipped = ((codes == 0) | (codes == 255)).any(axis=1)
+        assert full.clipped == rest.clipped == clipped.sum() > 0
+        assert (rest.codes == codes[~clipped]).all()
+        assert (rest.linear == decode_tone(codes[~clipped])).all()
+        assert (rest.hues == full.hues).all()
 
 
-def test_large_patches_are_thinned_but_their_hues_are_all_counted() -> None:
+def test_large_patches_are_thinned_but_all_hues_are_counted() -> None:
     codes = RNG.integers(0, 256, (200, 300, 3), dtype=np.uint8)
     region = np.ones((200, 300), bool)
-    found = Extraction(most_px=1000).patch(codes, region, name="n", kind="leaf", of="p")
+    found = Extraction(limit_px=1000).patch(codes, region, name="n", kind="leaf", picture="p")
     assert found is not None
     assert found.linear.shape == found.codes.shape == (1000, 3)
     assert found.pixels == 60_000
-    assert (found.hues == hue_counts_of(codes)).all()
+    assert (found.hues == hue_histogram(codes)).all()
 
 
-def test_linear_pictures_are_taken_as_light() -> None:
+def test_linear_tone_is_not_decoded() -> None:
     codes = RNG.integers(0, 256, (5, 6, 3), dtype=np.uint8)
-    found = Extraction(tone="linear").patch(codes, np.ones((5, 6), bool), name="n", kind="leaf", of="p")
+    found = Extraction(tone="linear").patch(codes, np.ones((5, 6), bool), name="n", kind="leaf", picture="p")
     assert found is not None
     assert found.linear == pytest.approx(codes.reshape(-1, 3) / 255.0)
-    assert (found.codes == encoded(found.linear)).all()
+    assert (found.codes == srgb_codes(found.linear)).all()
 
 
 def _frame(instances: NDArray[np.uint16], harvest: object) -> LabelledImage:
@@ -173,20 +173,20 @@ def _frame(instances: NDArray[np.uint16], harvest: object) -> LabelledImage:
     return LabelledImage("000001", np.zeros((*classes.shape, 3), np.uint8), classes, instances, facts=facts)
 
 
-def test_a_rendered_fruit_is_ripe_or_not_by_its_harvest(folder: Path) -> None:
+def test_ripeness_of_rendered_fruit_comes_from_harvest(folder: Path) -> None:
     instances = np.array([[0, 7, 7, 8, 9, 3]] * 4, np.uint16)
     harvest = {"fruit": [{"instance": k, "ripeness": ripe} for k, ripe in ((7, 0.49), (8, 0.5), (9, 1.0))]}
     found = dict(organ_regions(open_images(folder), _frame(instances, harvest)))
     assert set(found) == {"leaf", "pepper.unripe", "pepper.ripe", "pepper"}
     assert (found["pepper.unripe"][1:] == (instances[1:] == 7)).all()
     assert (found["pepper.ripe"][1:] == (instances[1:] >= 8)).all()
-    # A fruit of which the harvest says nothing; and the leaf in the first row is no fruit.
+    # A fruit that the harvest does not list; the leaf in the first row is no fruit.
     assert (found["pepper"][1:] == (instances[1:] == 3)).all()
     assert all(found[kind][0].any() == (kind == "leaf") for kind in found)
     assert set(dict(organ_regions(open_images(folder), _frame(instances, None)))) == {"leaf", "pepper"}
 
 
-def test_montoyas_masks_tell_green_from_red_and_yellow(tmp_path: Path) -> None:
+def test_montoya_masks_separate_ripe_from_unripe(tmp_path: Path) -> None:
     mask = np.array([[0, 1, 2, 3, 4, 5, 255]] * 3, np.uint8)
     colour = np.repeat(mask[..., None] * np.uint8(20) + np.uint8(50), 3, axis=-1)
     Image.fromarray(colour).save(tmp_path / "img1.png")
@@ -199,10 +199,10 @@ def test_montoyas_masks_tell_green_from_red_and_yellow(tmp_path: Path) -> None:
     }
 
 
-def test_what_does_not_go_together_is_refused(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="goes only with a patches file"):
+def test_rejects_arguments_that_do_not_apply(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="applies only to a patches file"):
         open_patches(folder, pictures=tmp_path)
-    with pytest.raises(InputError, match="goes only with a set"):
+    with pytest.raises(InputError, match="applies only to a set"):
         open_patches("fruit/vrhel_fruit_vegetable_reflectance", limit=3)
     with pytest.raises(InputError, match="no such file"):
         open_patches("nothing_like_it")
@@ -217,16 +217,17 @@ def test_what_does_not_go_together_is_refused(folder: Path, tmp_path: Path) -> N
 
 
 def photos() -> Path:
-    """The six real photographs, or a skipped test."""
-    beside = Path(__file__).resolve().parents[3] / "shared" / "reference" / "photos"
-    found = Path(os.environ.get("PEPPERSCENE_PHOTOS", beside))
+    """Folder of the six real photographs; skips the test without them."""
+    default = Path(__file__).resolve().parents[3] / "shared" / "reference" / "photos"
+    found = Path(os.environ.get("PEPPERSCENE_PHOTOS", default))
     if not (found / "img1.png").is_file():
-        pytest.skip("the real photographs are not there: PEPPERSCENE_PHOTOS tells their folder")
+        pytest.skip("the real photographs are missing; set PEPPERSCENE_PHOTOS to their folder")
     return found
 
 
-def test_real_photographs_give_green_and_red_fruit() -> None:
-    found = open_patches(photos(), labels="montoya2021", centre_px=None, erode_px=1)
+def test_real_photographs_have_green_and_red_fruit() -> None:
+    images = open_images(photos(), labels="montoya2021").take(range(6))
+    found = open_patches(images, centre_px=None, erode_px=1)
     assert found.kinds == ("peduncle", "pepper.ripe", "pepper.unripe")
     assert len(found.pictures) == 6
     unripe, ripe = found.statistics("pepper.unripe"), found.statistics("pepper.ripe")

@@ -1,4 +1,4 @@
-"""Patches files: regions, charts and reflectances; every slip is one sentence that names its key."""
+"""Patches files: regions, charts and reflectances; errors name the key."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ def pictures(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def _written(folder: Path, text: str) -> Path:
+def write_patches_file(folder: Path, text: str) -> Path:
     path = folder / "patches.toml"
     path.write_text(text)
     return path
 
 
-def test_regions_are_the_pixels_told(pictures: Path) -> None:
+def test_regions_select_their_pixels(pictures: Path) -> None:
     found = open_patches(
-        _written(
+        write_patches_file(
             pictures,
             """
             [[patch]]
@@ -76,36 +76,38 @@ def test_regions_are_the_pixels_told(pictures: Path) -> None:
     assert box.linear == pytest.approx(decode_tone(box.codes))
     assert stem.codes[:, 0].min() == 120
     assert stem.pixels == 200
-    # The centres of pixels x + 0.5, y + 0.5 below the diagonal; those on it may count or not.
+    # Pixels whose centres are below the diagonal; those on it may count or not.
     inside = triangle.codes[:, 0].astype(int) + triangle.codes[:, 1] - 200
     assert inside.max() <= 9
     assert 45 <= triangle.pixels <= 55
     assert (box.picture, triangle.picture) == ("p1", "days/p2")
     assert triangle.name == "triangle"
     assert found.name == "patches"
-    # Pictures may be moved elsewhere.
+    # Pictures may be in another folder.
     moved = pictures.parent / f"{pictures.name}_toml"
     moved.mkdir()
-    again = open_patches(_written(moved, (pictures / "patches.toml").read_text()), pictures=pictures)
+    again = open_patches(
+        write_patches_file(moved, (pictures / "patches.toml").read_text()), pictures=pictures
+    )
     assert [patch.pixels for patch in again.patches] == [patch.pixels for patch in found.patches]
 
 
-def test_a_file_says_how_pixels_are_taken(pictures: Path) -> None:
+def test_settings_of_the_file_and_overrides(pictures: Path) -> None:
     text = '\n[[patch]]\npicture = "p1.png"\nkind = "leaf"\nbox = [0, 0, 20, 10]\n'
-    (plain,) = open_patches(_written(pictures, text)).patches
-    (inner,) = open_patches(_written(pictures, "erode_px = 1" + text)).patches
-    (middle,) = open_patches(_written(pictures, "centre_px = 6" + text)).patches
-    (linear,) = open_patches(_written(pictures, 'tone = "linear"' + text)).patches
+    (plain,) = open_patches(write_patches_file(pictures, text)).patches
+    (inner,) = open_patches(write_patches_file(pictures, "erode_px = 1" + text)).patches
+    (middle,) = open_patches(write_patches_file(pictures, "centre_px = 6" + text)).patches
+    (linear,) = open_patches(write_patches_file(pictures, 'tone = "linear"' + text)).patches
     assert plain.pixels == 200
-    assert inner.pixels == 19 * 9  # the picture's own border is no border of the region
+    assert inner.pixels == 19 * 9  # the border of the picture is not eroded
     assert middle.pixels == 6 * 3
     assert linear.linear.mean() > 2.0 * plain.linear.mean()
-    (over,) = open_patches(_written(pictures, "erode_px = 1" + text), erode_px=3).patches
+    (over,) = open_patches(write_patches_file(pictures, "erode_px = 1" + text), erode_px=3).patches
     assert over.pixels == 17 * 7
 
 
-def test_measured_reflectances_are_patches_too(tmp_path: Path) -> None:
-    found = open_patches(_written(tmp_path, PEPPER))
+def test_reads_measured_reflectances(tmp_path: Path) -> None:
+    found = open_patches(write_patches_file(tmp_path, PEPPER))
     (pepper,) = found.spectra
     assert (pepper.name, pepper.kind) == ("green_pepper_136", "pepper.unripe")
     shipped = read_spectrum("fruit/vrhel_fruit_vegetable_reflectance", "green_pepper_136")
@@ -114,7 +116,7 @@ def test_measured_reflectances_are_patches_too(tmp_path: Path) -> None:
     assert found.pictures == ()
 
 
-def test_a_table_of_reflectances_tells_its_kinds(tmp_path: Path) -> None:
+def test_reads_a_csv_file_with_kinds(tmp_path: Path) -> None:
     table = tmp_path / "mine.csv"
     table.write_text("wavelength_nm,a,b\n400,0.1,0.2\n700,0.3,0.4\n")
     with pytest.raises(InputError, match=r"mine\.toml"):
@@ -127,7 +129,7 @@ def test_a_table_of_reflectances_tells_its_kinds(tmp_path: Path) -> None:
     (leaf,) = open_patches(table).spectra
     assert leaf.spectrum.at(550.0) == pytest.approx([0.2])
     table.with_suffix(".toml").write_text(about + '[kinds]\nc = "leaf"\n')
-    with pytest.raises(InputError, match="is not one of a, b"):
+    with pytest.raises(InputError, match="must be one of a, b"):
         open_patches(table)
     table.with_suffix(".toml").write_text(about + '[kinds]\na = "tree"\n')
     with pytest.raises(InputError, match=r"kinds\.a"):
@@ -138,8 +140,8 @@ def test_a_table_of_reflectances_tells_its_kinds(tmp_path: Path) -> None:
         open_patches(table)
 
 
-def _chart(path: Path, scale: float = 1.0) -> None:
-    """A drawn chart of 240 x 160 pixels without a frame, through a camera."""
+def write_chart(path: Path, scale: float = 1.0) -> None:
+    """Write a picture of a chart of 240 x 160 pixels without a frame, as the camera sees it."""
     linear = chart_linear().reshape(4, 6, 3).repeat(40, axis=0).repeat(40, axis=1)
     Image.fromarray(encode_tone((scale * linear @ CAMERA.T).astype(np.float32))).save(path)
 
@@ -156,41 +158,41 @@ corners = [[0, 0], [240, 0], [240, 160], [0, 160]]
 """
 
 
-def test_a_chart_calibrates_the_pictures(tmp_path: Path) -> None:
+def test_chart_calibrates_the_pictures(tmp_path: Path) -> None:
     leaf = np.array([0.08, 0.16, 0.03])
     Image.fromarray(encode_tone(np.tile((CAMERA @ leaf).astype(np.float32), (12, 12, 1)))).save(
         tmp_path / "p1.png"
     )
-    _chart(tmp_path / "chart.png")
-    (found,) = open_patches(_written(tmp_path, CHARTED)).patches
+    write_chart(tmp_path / "chart.png")
+    (found,) = open_patches(write_patches_file(tmp_path, CHARTED)).patches
     assert delta_e_2000(linear_srgb_to_lab(found.linear.mean(axis=0)), linear_srgb_to_lab(leaf)) < 1.0
     # Hues are counted in the calibrated colours.
     assert found.codes[0] == pytest.approx(encode_tone(leaf.astype(np.float32)), abs=3)
     (other,) = open_patches(
-        _written(tmp_path, CHARTED.replace("[chart]", '[[chart]]\npictures = ["p7.png"]'))
+        write_patches_file(tmp_path, CHARTED.replace("[chart]", '[[chart]]\npictures = ["p7.png"]'))
     ).patches
     assert delta_e_2000(linear_srgb_to_lab(other.linear.mean(axis=0)), linear_srgb_to_lab(leaf)) > 3.0
 
 
-def test_a_chart_may_stand_in_every_picture(tmp_path: Path) -> None:
+def test_chart_in_every_picture_removes_exposure(tmp_path: Path) -> None:
     """Two exposures of the same scene become one colour."""
     for k, scale in ((1, 1.0), (2, 0.4)):
-        _chart(tmp_path / f"p{k}.png", scale)
+        write_chart(tmp_path / f"p{k}.png", scale)
     text = "".join(
         f'[[patch]]\npicture = "p{k}.png"\nkind = "leaf"\nbox = [125, 5, 155, 35]\n' for k in (1, 2)
     )
     text += "[chart]\ncorners = [[0, 0], [240, 0], [240, 160], [0, 160]]\n"
-    one, other = open_patches(_written(tmp_path, text)).patches
+    bright, dark = open_patches(write_patches_file(tmp_path, text)).patches
     foliage = linear_srgb_to_lab(chart_linear()[3])
-    assert delta_e_2000(linear_srgb_to_lab(one.linear.mean(axis=0)), foliage) < 1.0
-    assert delta_e_2000(linear_srgb_to_lab(other.linear.mean(axis=0)), foliage) < 1.0
+    assert delta_e_2000(linear_srgb_to_lab(bright.linear.mean(axis=0)), foliage) < 1.0
+    assert delta_e_2000(linear_srgb_to_lab(dark.linear.mean(axis=0)), foliage) < 1.0
 
 
 BOX = '[[patch]]\npicture = "p1.png"\nkind = "leaf"\n'
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "at least one"),
         (BOX, "one of box, polygon and mask"),
@@ -207,14 +209,14 @@ BOX = '[[patch]]\npicture = "p1.png"\nkind = "leaf"\n'
         (BOX.replace("p1", "p9") + "box = [0, 0, 4, 4]", "p9.png"),
         (BOX + 'box = [0, 0, 4, 4]\nname = "n"\n' + BOX + 'box = [0, 0, 4, 4]\nname = "n"', "'n'.*one patch"),
         ("erode_px = 9\n" + BOX + "box = [5, 5, 9, 9]", "leaves no pixel"),
-        (PEPPER.replace("green_pepper_136", "blue_pepper"), "is not one of"),
+        (PEPPER.replace("green_pepper_136", "blue_pepper"), "must be one of"),
         (PEPPER.replace("vrhel", "no"), "nor one of the shipped"),
         (PEPPER + "[chart]\ndetect = false", "corners or detect"),
-        (PEPPER + "[[chart]]\ndetect = true\n[[chart]]\ndetect = true", "must tell its pictures"),
+        (PEPPER + "[[chart]]\ndetect = true\n[[chart]]\ndetect = true", "may omit pictures"),
         (BOX + "box = [0, 0, 4, 4]\n[chart]\ndetect = true", "shows no ColorChecker"),
         (PEPPER + "colour = 3", "not a known key"),
     ],
 )
-def test_slips_are_told(pictures: Path, text: str, said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        open_patches(_written(pictures, text))
+def test_errors_name_key_and_allowed_values(pictures: Path, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        open_patches(write_patches_file(pictures, text))

@@ -1,17 +1,17 @@
-"""Measures the program: against itself, against the reference and against its peers."""
+"""Benchmarks of this program on the user's machine."""
 
 from pepperscene.bench.profile import profile_frames
 from pepperscene.bench.run import BenchmarkFiles, run_benchmark
 from pepperscene.bench.scaling import measure_scaling
-from pepperscene.bench.scenes import SCENES, BenchScene, scenes_named, size_of
+from pepperscene.bench.scenes import SCENES, BenchScene, parse_size, select_scenes
 
 __all__ = [
     "SCENES",
     "BenchScene",
     "BenchmarkFiles",
     "measure_scaling",
+    "parse_size",
     "profile_frames",
     "run_benchmark",
-    "scenes_named",
-    "size_of",
+    "select_scenes",
 ]

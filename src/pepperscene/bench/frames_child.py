@@ -1,4 +1,4 @@
-"""Frames of a scene in a process of its own, stage by stage, with what a process does only once.
+"""Render frames in a process of its own and time them by stage, including what a process does only once.
 
 Run as `python -P frames_child.py JSON`; it prints one line of JSON.
 """
@@ -14,71 +14,34 @@ from time import perf_counter
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pepperscene.geometry import Mesh
 
+START: Final = perf_counter()
 
-def quartered(mesh: Mesh) -> Mesh:
-    """The mesh with each triangle cut into four at the middles of its sides, which leaves all as it is seen.
-
-    Instances keep their vertices together, as `Mesh.instance_vertices` asks for.
-    """
-    sides = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    sides, where = np.unique(sides, axis=0, return_inverse=True)
-    owner = np.concatenate([mesh.vertex_instance, mesh.vertex_instance[sides[:, 0]]])
-    order = np.argsort(owner, kind="stable")
-    place = np.empty_like(order)
-    place[order] = np.arange(order.size)
-
-    def halved(values: NDArray[np.float32]) -> NDArray[np.float32]:
-        middles = values[sides].mean(axis=1, dtype=np.float32)
-        return np.concatenate([values, middles])[order]
-
-    corners: list[Any] = [place[column] for column in mesh.faces.T]
-    middles: list[Any] = [place[column + len(mesh.vertices)] for column in where.reshape(-1, 3).T]
-    (a, b, c), (ab, bc, ca) = corners, middles
-    parts = np.array([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]])
-    normals = halved(mesh.normals)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return replace(
-        mesh,
-        vertices=halved(mesh.vertices),
-        normals=(normals / np.maximum(lengths, 1e-12)).astype(np.float32),
-        uv=halved(mesh.uv),
-        state=halved(mesh.state),
-        # The four parts of a triangle lie side by side, as what belongs to a face is repeated.
-        faces=parts.transpose(2, 0, 1).reshape(-1, 3).astype(np.uint32),
-        face_instance=np.repeat(mesh.face_instance, 4),
-        face_surface=np.repeat(mesh.face_surface, 4),
-    )
-
-
-BEGAN: Final = perf_counter()
-
-PLANT_STAGES: Final = ("grow", "mesh", "twine", "settle plants")
-"""Of plants, where one process makes them all; of its share where two do."""
+PLANT_STAGES: Final = ("grow", "mesh", "twine", "resolve contacts")
+"""Stages of making plants, as far as this process makes them itself."""
 
 LIGHT_STAGES: Final = ("trace", "denoise", "develop")
-"""Of a frame; what is left of its time are labels."""
+"""Stages of a photograph; the rest of a frame's time is for labels."""
 
 Times = dict[str, float]
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What a child is to render.
+class FramesTask:
+    """The frames that a child process renders.
 
     Attributes:
-        recipe: shipped name.
-        changes: of its values.
-        index: of the first frame; the next ones follow on the path.
+        recipe: name of a shipped recipe.
+        changes: changed values of the recipe.
+        index: of the first frame; the next ones follow on the camera path.
         size: of the picture, or None for the camera's own.
-        frames: after the first.
+        frames: number of frames after the first.
         outputs: of each frame.
         quality: of each frame.
-        divided: how often each triangle is cut into four, which leaves the picture as it is.
-        encode: whether images are written, as a build does.
+        divided: how often each triangle is divided into four, which does not change the picture.
+        encode: whether images are written, as in a build.
     """
 
     recipe: str
@@ -93,52 +56,52 @@ class Asked:
 
 
 @contextmanager
-def timed(times: Times, what: str) -> Iterator[None]:
-    """Add the seconds that the block takes to `times[what]`."""
+def timed(times: Times, stage: str) -> Iterator[None]:
+    """Add the seconds that the block takes to `times[stage]`."""
     start = perf_counter()
     yield
-    times[what] = times.get(what, 0.0) + perf_counter() - start
+    times[stage] = times.get(stage, 0.0) + perf_counter() - start
 
 
-def clocked(times: Times, what: str, inner: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, with its time added up."""
+def time_calls(times: Times, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, with the time of its calls added to `times[stage]`."""
 
     def call(*args: Any, **kwargs: Any) -> Any:
-        with timed(times, what):
-            return inner(*args, **kwargs)
+        with timed(times, stage):
+            return function(*args, **kwargs)
 
     return call
 
 
-def clock_plants(times: Times) -> None:
-    """Clock the functions that make a plant; `resolve_contacts` of single plants alone."""
+def time_plants(times: Times) -> None:
+    """Time the functions that make a plant; `resolve_contacts` of single plants only."""
     from pepperscene import geometry, grammar, scene
 
-    grammar.grow = clocked(times, "grow", grammar.grow)
-    geometry.mesh_plant = clocked(times, "mesh", geometry.mesh_plant)
-    scene.add_twine = clocked(times, "twine", scene.add_twine)
-    settle = geometry.resolve_contacts
+    grammar.grow = time_calls(times, "grow", grammar.grow)
+    geometry.mesh_plant = time_calls(times, "mesh", geometry.mesh_plant)
+    scene.add_twine = time_calls(times, "twine", scene.add_twine)
+    resolve = geometry.resolve_contacts
 
-    def settled(*args: Any, between_plants: bool = False, **kwargs: Any) -> Any:
+    def resolve_timed(*args: Any, between_plants: bool = False, **kwargs: Any) -> Any:
         if between_plants:
-            return settle(*args, between_plants=True, **kwargs)
-        with timed(times, "settle plants"):
-            return settle(*args, **kwargs)
+            return resolve(*args, between_plants=True, **kwargs)
+        with timed(times, "resolve contacts"):
+            return resolve(*args, **kwargs)
 
-    geometry.resolve_contacts = settled
+    geometry.resolve_contacts = resolve_timed
 
 
-def clock_light(times: Times) -> None:
-    """Clock the steps of a photograph, and the making of the kernel's scene."""
+def time_light(times: Times) -> None:
+    """Time the stages of a photograph, and the construction of Mitsuba's scene."""
     from pepperscene.render import renderer
 
-    steps = {"kernel scene": "light_scene", "trace": "trace", "denoise": "denoised", "develop": "develop"}
-    for what, name in steps.items():
-        setattr(renderer, name, clocked(times, what, getattr(renderer, name)))
+    stages = {"kernel scene": "light_scene", "trace": "trace", "denoise": "denoised", "develop": "develop"}
+    for stage, name in stages.items():
+        setattr(renderer, name, time_calls(times, stage, getattr(renderer, name)))
 
 
-def frames(asked: Asked) -> dict[str, Any]:
-    """Render them; seconds by stage for the scene, the first frame and each of the next ones."""
+def render_frames(task: FramesTask) -> dict[str, Any]:
+    """Render the frames; seconds by stage for the scene, the first frame and each of the next ones."""
     import tempfile
     from pathlib import Path
 
@@ -151,73 +114,98 @@ def frames(asked: Asked) -> dict[str, Any]:
         from pepperscene.render.variant import mitsuba_modules, variant_name
     with timed(scene_times, "start Mitsuba"):
         mitsuba_modules()
-    # The bench's own are no part of a frame.
-    from pepperscene.bench.records import peak_mib
-    from pepperscene.bench.scenes import resized
+    # Imports of the benchmark itself are not part of a frame.
+    from pepperscene.bench.records import peak_memory_mib
+    from pepperscene.bench.scenes import resize_camera
 
-    outputs = check_outputs(asked.outputs)
+    outputs = check_outputs(task.outputs)
     traced = any(OUTPUTS[name].traced for name in outputs)
 
-    clock_plants(plant_times)
-    recipe = ps.load_recipe(asked.recipe, asked.changes)
+    time_plants(plant_times)
+    recipe = ps.load_recipe(task.recipe, task.changes)
     plan, stage = recipe.plan, FrameRenderer(recipe)
-    shot = plan.frame(asked.index)
-    scene = _scene(stage, shot, traced, asked.divided, scene_times)
+    shot = plan.frame(task.index)
+    scene = _build_scene(stage, shot, traced, task.divided, scene_times)
 
-    steps: Times = {}
-    clock_light(steps)
+    times: Times = {}
+    time_light(times)
     renderer = ps.Renderer(scene)
-    begin, found, peaks = asked.index - shot.step, [], []
+    first, frames, peaks = task.index - shot.step, [], []
     with tempfile.TemporaryDirectory() as folder:
-        for number in range(asked.frames + 1):
-            view = plan.frame(begin + (shot.step + number) % plan.frames)
-            camera = resized(stage.camera(view), asked.size)
-            steps.clear()
-            with timed(steps, "render"):
-                frame = renderer.render(camera, outputs, asked.quality, number)
-            if asked.encode:
-                with timed(steps, "encode"):
+        for number in range(task.frames + 1):
+            view = plan.frame(first + (shot.step + number) % plan.frames)
+            camera = resize_camera(stage.camera(view), task.size)
+            times.clear()
+            with timed(times, "render"):
+                frame = renderer.render(camera, outputs, task.quality, number)
+            if task.encode:
+                with timed(times, "encode"):
                     for name, image in frame.images.items():
                         ps.write_image(Path(folder) / f"{name}{OUTPUTS[name].suffix}", image, name)
-            steps["labels"] = steps.pop("render") - sum(
-                steps.get(what, 0.0) for what in (*LIGHT_STAGES, "kernel scene")
+            times["labels"] = times.pop("render") - sum(
+                times.get(name, 0.0) for name in (*LIGHT_STAGES, "kernel scene")
             )
-            if "kernel scene" in steps:
-                scene_times["kernel scene"] = steps.pop("kernel scene")
-            found.append(dict(steps))
-            peaks.append(peak_mib())
+            if "kernel scene" in times:
+                scene_times["kernel scene"] = times.pop("kernel scene")
+            frames.append(dict(times))
+            peaks.append(peak_memory_mib())
     return {
-        "asked": asdict(asked),
+        "asked": asdict(task),
         "scene": scene_times,
         "plants": plant_times,
-        "frames": found,
+        "frames": frames,
         "peaks_mib": peaks,
-        "whole_s": perf_counter() - BEGAN,
+        "whole_s": perf_counter() - START,
         "triangles": len(scene.mesh.faces),
         "size": [camera.width, camera.height],
         "variant": variant_name(),
     }
 
 
-def _scene(stage: Any, shot: Any, traced: bool, divided: int, times: Times) -> Any:
-    """The scene; making plants, placing them and leaving out what is not seen are told apart."""
-    from dataclasses import replace
-
-    planting = stage._scene_builder
-    planting.plants = clocked(times, "plants", planting.plants)
-    planting.scene = clocked(times, "place and settle row", planting.scene)
-    stage._cull = clocked(times, "leave out what is not seen", stage._cull)
+def _build_scene(stage: Any, shot: Any, traced: bool, divided: int, times: Times) -> Any:
+    """Build the scene; making plants, placing them and culling are timed separately."""
+    builder = stage._scene_builder
+    builder.plants = time_calls(times, "plants", builder.plants)
+    builder.scene = time_calls(times, "place row and resolve contacts", builder.scene)
+    stage._cull = time_calls(times, "cull hidden geometry", stage._cull)
     with timed(times, "surfaces and sky"):
         scene = stage.scene(shot, traced=traced)
-    times["surfaces and sky"] -= times["place and settle row"] + times["leave out what is not seen"]
-    times["place and settle row"] -= times["plants"]
+    times["surfaces and sky"] -= times["place row and resolve contacts"] + times["cull hidden geometry"]
+    times["place row and resolve contacts"] -= times["plants"]
     for _ in range(divided):
-        scene = replace(scene, mesh=quartered(scene.mesh))
+        scene = replace(scene, mesh=subdivide_mesh(scene.mesh))
     return scene
 
 
+def subdivide_mesh(mesh: Mesh) -> Mesh:
+    """Divide each triangle into four at the midpoints of its edges, which does not change the picture."""
+    from trimesh.remesh import subdivide
+
+    values = {"normals": mesh.normals, "uv": mesh.uv, "state": mesh.state[:, None]}
+    vertices, faces, values = subdivide(mesh.vertices, mesh.faces, vertex_attributes=values)
+    # `Mesh.instance_vertices` needs the vertices of each instance in one block.
+    face_instance = np.repeat(mesh.face_instance, 4)
+    owner = np.empty(len(vertices), np.uint32)
+    owner[faces] = face_instance[:, None]
+    order = np.argsort(owner, kind="stable")
+    position = np.empty_like(order)
+    position[order] = np.arange(order.size)
+    normals = values["normals"][order]
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return replace(
+        mesh,
+        vertices=vertices[order].astype(np.float32),
+        normals=(normals / np.maximum(lengths, 1e-12)).astype(np.float32),
+        uv=values["uv"][order].astype(np.float32),
+        state=values["state"][order, 0].astype(np.float32),
+        faces=position[faces].astype(np.uint32),
+        face_instance=face_instance,
+        face_surface=np.repeat(mesh.face_surface, 4),
+    )
+
+
 if __name__ == "__main__":
-    wanted = json.loads(sys.argv[1])
-    wanted["size"] = None if wanted["size"] is None else tuple(wanted["size"])
-    wanted["outputs"] = tuple(wanted["outputs"])
-    sys.stdout.write(json.dumps(frames(Asked(**wanted))) + "\n")
+    arguments = json.loads(sys.argv[1])
+    arguments["size"] = None if arguments["size"] is None else tuple(arguments["size"])
+    arguments["outputs"] = tuple(arguments["outputs"])
+    sys.stdout.write(json.dumps(render_frames(FramesTask(**arguments))) + "\n")

@@ -1,39 +1,44 @@
-"""Run time against error: settings take turns frame by frame, so that other load hits all alike."""
+"""Rendering time against error; settings are interleaved frame by frame, so that other load affects all.
+
+The module also runs as a script, for variants of Mitsuba other than the process's own: a process keeps the
+variant that it started with, so that they cannot be interleaved.
+"""
 
 from __future__ import annotations
 
+import json
+import os
 import statistics
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
 
-from pepperscene.bench.reference import Converged, Errors, errors
-from pepperscene.bench.scenes import BenchSubject
-from pepperscene.bench.settings import Setting
+from pepperscene.bench.reference import Errors, OnProgress, Reference, measure_errors, render_reference
+from pepperscene.bench.scenes import SCENES, BenchSubject, load_subject
+from pepperscene.bench.settings import NAMED, Setting, settings
+from pepperscene.errors import SetupError
 
-Told = Callable[[str], None]
-Clock = Callable[[], float]
-
-_WARM_SHARE: Final = 0.5
-"""Chosen: of a time limit, what the first frames may take; the rest is enough to time each of them once."""
+_FIRST_FRAMES: Final = 0.5
+"""Chosen: fraction of a time limit for the first frames; the rest is enough to time each setting once."""
 
 
 @dataclass(frozen=True)
 class BenchResult:
-    """What a setting took and what came of it.
+    """Times and errors of a setting.
 
     Attributes:
-        scene: of the bench.
+        scene: name of the benchmark scene.
         family, name: of the setting.
-        effort: its values.
+        effort: values of its quality.
         errors: of the frame at the subject's own camera.
-        seconds: of the timed frames in sequence, in the order of their rounds.
-        first_s: of the first frame with this setting: where it compiles.
-        sampling: what the frame tells of its sampling.
-        variant: of Mitsuba, or the other program.
-        peak_mib: most memory of its process, where it has one of its own.
-        frames: that were timed, where `seconds` holds their median alone.
+        seconds: of the timed frames, in the order of the rounds.
+        first_s: of the first frame with this setting, which compiles kernels.
+        sampling: sampling statistics of the frame.
+        variant: of Mitsuba.
     """
 
     scene: str
@@ -45,88 +50,135 @@ class BenchResult:
     first_s: float
     sampling: Mapping[str, Any] = field(default_factory=dict)
     variant: str = ""
-    peak_mib: float | None = None
-    frames: int | None = None
-
-    @property
-    def runs(self) -> int:
-        """How many frames were timed."""
-        return len(self.seconds) if self.frames is None else self.frames
 
     @property
     def median_s(self) -> float:
-        """Of the timed frames."""
+        """Median of the timed frames."""
         return statistics.median(self.seconds)
 
 
 def measure_settings(
     subject: BenchSubject,
     settings: Sequence[Setting],
-    reference: Converged,
+    reference: Reference,
     runs: int,
     *,
-    flip: bool = True,
     limit_s: float | None = None,
-    told: Told = lambda _: None,
-    clock: Clock = perf_counter,
+    on_progress: OnProgress = lambda _: None,
 ) -> list[BenchResult]:
     """Measure settings on a subject.
 
-    Each setting renders the frame whose error is taken, which compiles what it needs and is not timed. Then
-    follow rounds: in each of them every setting renders one frame. Settings and cameras are shifted against
-    each other from round to round, so that no setting always comes first to a place.
+    Each setting first renders the frame whose error is measured, which compiles kernels and is not timed.
+    Then follow rounds, in which every setting renders one frame. Settings and cameras are shifted against
+    each other from round to round, so that no setting is always the first at a view.
 
     Args:
-        subject: scene, cameras, renderer.
+        subject: scene, cameras, renderers.
         settings: to compare.
         reference: converged picture of the subject's camera.
-        runs: rounds.
-        flip: whether to take FLIP, .2 s for 800 x 600.
-        limit_s: about how long it may take. Settings whose first frame would come too late are left out;
-            rounds end early, but there is one.
-        told: is told how it goes.
-        clock: gives seconds.
+        runs: number of rounds.
+        limit_s: approximate time limit. Settings whose first frame would be late are left out; rounds end
+            early, after at least one.
+        on_progress: receives progress lines.
     """
-    start = clock()
-    firsts: list[tuple[Setting, float, Errors, Mapping[str, Any], str]] = []
+    start = perf_counter()
+    first_frames: list[BenchResult] = []
     for number, setting in enumerate(settings):
-        if limit_s is not None and firsts and clock() - start > _WARM_SHARE * limit_s:
-            told(f"{subject.name}: no time for {_names(settings[number:])}")
+        if limit_s is not None and first_frames and perf_counter() - start > _FIRST_FRAMES * limit_s:
+            names = "; ".join(f"{late.family}, {late.name}" for late in settings[number:])
+            on_progress(f"{subject.name}: no time for {names}")
             break
-        before = clock()
-        frame = subject.frame(setting.quality, 1 + number, whole=setting.whole)
-        took = clock() - before
-        found = errors(frame["electrons"], reference.electrons, subject.camera, flip=flip)
-        found = found.without(reference.error_codes, reference.relative_mse)
-        told(f"{subject.name}: {_name(setting)}: {found.rmse_codes:.2f} codes, first frame {took:.2f} s")
-        firsts.append(
-            (setting, took, found, frame.metadata.get("sampling", {}), str(frame.metadata.get("variant", "")))
+        before = perf_counter()
+        frame = subject.render(setting.quality, 1 + number, full=setting.full_scene)
+        first_s = perf_counter() - before
+        errors = measure_errors(frame["electrons"], reference.electrons, subject.camera)
+        errors = errors.subtract(reference.error_codes, reference.relative_mse)
+        on_progress(
+            f"{subject.name}: {setting.family}, {setting.name}: {errors.rmse_codes:.2f} codes, "
+            f"first frame {first_s:.2f} s"
         )
-        # A picture of 4k holds 100 MB.
+        first_frames.append(
+            BenchResult(
+                subject.name,
+                setting.family,
+                setting.name,
+                setting.effort(),
+                errors,
+                (),
+                first_s,
+                frame.metadata.get("sampling", {}),
+                str(frame.metadata.get("variant", "")),
+            )
+        )
+        # A picture of 4k has 100 MB.
         del frame
 
-    seconds: list[list[float]] = [[] for _ in firsts]
+    seconds: list[list[float]] = [[] for _ in first_frames]
     for turn in range(runs):
-        if turn and limit_s is not None and clock() - start > limit_s:
-            told(f"{subject.name}: no time for more than {turn} of {runs} rounds")
+        if turn and limit_s is not None and perf_counter() - start > limit_s:
+            on_progress(f"{subject.name}: no time for more than {turn} of {runs} rounds")
             break
-        for number, (setting, *_) in enumerate(firsts):
+        for number, setting in enumerate(settings[: len(first_frames)]):
             camera = subject.path[(turn + number) % len(subject.path)]
-            before = clock()
-            subject.frame(setting.quality, 1000 * (turn + 1) + number, camera, whole=setting.whole)
-            seconds[number].append(clock() - before)
-        told(f"{subject.name}: round {turn + 1} of {runs} done")
+            before = perf_counter()
+            subject.render(setting.quality, 1000 * (turn + 1) + number, camera, full=setting.full_scene)
+            seconds[number].append(perf_counter() - before)
+        on_progress(f"{subject.name}: round {turn + 1} of {runs} done")
     return [
-        BenchResult(
-            subject.name, setting.family, setting.name, setting.effort(), found, tuple(times), took, facts, by
-        )
-        for (setting, took, found, facts, by), times in zip(firsts, seconds, strict=True)
+        replace(result, seconds=tuple(times)) for result, times in zip(first_frames, seconds, strict=True)
     ]
 
 
-def _name(setting: Setting) -> str:
-    return f"{setting.family}, {setting.name}"
+# --- other variants of Mitsuba ------------------------------------------------------------------------------
 
 
-def _names(settings: Sequence[Setting]) -> str:
-    return "; ".join(_name(setting) for setting in settings)
+def other_variants() -> tuple[str, ...]:
+    """The variants that run on this machine, without the one of this process."""
+    from pepperscene.render.variant import VARIANTS, choose_variant, variant_name
+
+    available = []
+    for name in VARIANTS:
+        try:
+            available.append(choose_variant(name))
+        except SetupError:
+            continue
+    return tuple(name for name in available if name != variant_name())
+
+
+def measure_variant(
+    variant: str, scene: str, size: tuple[int, int] | None, runs: int, references: Path, *, quick: bool
+) -> list[BenchResult]:
+    """Measure the named qualities of a scene with another variant, in a process of its own.
+
+    Raises:
+        SetupError: the process failed.
+    """
+    task = {"scene": scene, "size": size, "runs": runs, "references": str(references), "quick": quick}
+    done = subprocess.run(
+        [sys.executable, "-m", "pepperscene.bench.measure", json.dumps(task)],
+        env={**os.environ, "PEPPERSCENE_VARIANT": variant},
+        capture_output=True,
+        text=True,
+    )
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise SetupError(f"the benchmark process for {variant} failed: {last}")
+    return [
+        BenchResult(**{**result, "errors": Errors(**result["errors"]), "seconds": tuple(result["seconds"])})
+        for result in json.loads(done.stdout.splitlines()[-1])
+    ]
+
+
+def _measure_named(task: dict[str, Any]) -> list[dict[str, Any]]:
+    """Measure the named qualities in this process; results as JSON data."""
+    size = tuple(task["size"]) if task["size"] else None
+    subject = load_subject(SCENES[task["scene"]], size, task["runs"])
+    # The parent has rendered the reference; the cached one is used as it is.
+    reference = render_reference(subject, Path(task["references"]), limit_s=0.0)
+    named = [setting for setting in settings(quick=task["quick"]) if setting.family == NAMED]
+    results = measure_settings(subject, named, reference, task["runs"])
+    return [{**asdict(result), "family": f"{NAMED}, {result.variant}"} for result in results]
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(_measure_named(json.loads(sys.argv[1]))) + "\n")

@@ -1,4 +1,4 @@
-"""Measuring in processes of their own, one after the other or several at a time."""
+"""Time of a frame by stage, measured in child processes."""
 
 from __future__ import annotations
 
@@ -14,76 +14,34 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
 
-from pepperscene.bench.frames_child import PLANT_STAGES, Asked
-from pepperscene.bench.measure import Told
-from pepperscene.bench.records import FORMAT, machine_info, plain, sentence, write_all
-from pepperscene.bench.run import LEAST_RUNS, BenchmarkFiles, check_arguments
+from pepperscene.bench.frames_child import PLANT_STAGES, FramesTask
+from pepperscene.bench.records import describe_machine, machine_info, write_results
+from pepperscene.bench.reference import OnProgress
+from pepperscene.bench.report import time_table
+from pepperscene.bench.run import DEFAULT_RUNS, BenchmarkFiles, check_arguments
 from pepperscene.bench.scenes import SCENES, BenchScene
-from pepperscene.bench.tables import time_table
-from pepperscene.dataset.store.atomic import canonical_json
 from pepperscene.errors import SetupError
 
-_CHILD: Final = Path(__file__).with_name("frames_child.py")
-"""Run as a file: as a module, its room would be imported before its clock starts."""
-
-
-def in_child(asked: Asked, environment: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """What one process found.
-
-    Raises:
-        SetupError: it failed.
-    """
-    return in_children([asked], environment)[0]
-
-
-def in_children(asked: Sequence[Asked], environment: Mapping[str, str] | None = None) -> list[dict[str, Any]]:
-    """What several processes found that ran at the same time.
-
-    Raises:
-        SetupError: one failed.
-    """
-    running = [
-        subprocess.Popen(
-            [sys.executable, "-P", str(_CHILD), json.dumps(asdict(one))],
-            env={**os.environ, **(environment or {})},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for one in asked
-    ]
-    found, faults = [], []
-    for process in running:
-        out, said = process.communicate()
-        if process.returncode:
-            faults.append((said.strip().splitlines() or [f"exit code {process.returncode}"])[-1])
-        else:
-            found.append(json.loads(out.splitlines()[-1]))
-    if faults:
-        raise SetupError(f"a process of the bench failed: {faults[0]}")
-    return found
-
-
-def seconds_of(command: Sequence[str]) -> float:
-    """Seconds that a command takes, from its start to its end.
-
-    Raises:
-        SetupError: it failed.
-    """
-    start = perf_counter()
-    done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    if done.returncode:
-        raise SetupError(f"{' '.join(command)} failed: {done.stderr.strip()[-200:]}")
-    return perf_counter() - start
-
-
 LABELS: Final = ("class", "instance", "distance")
-_FRAME: Final = ("trace", "denoise", "develop", "labels", "encode")
-_SCENE: Final = (
-    "import", "start Mitsuba", "plants", "place and settle row", "leave out what is not seen",
-    "surfaces and sky", "kernel scene",
+
+_CHILD: Final = Path(__file__).with_name("frames_child.py")
+"""Run as a file: as a module, its package would be imported before its clock starts."""
+
+_START_STAGES: Final = ("import", "start Mitsuba")
+"""Stages of a process; all others are stages of a scene."""
+
+_SCENE_STAGES: Final = (
+    *_START_STAGES, "plants", "place row and resolve contacts", "cull hidden geometry", "surfaces and sky",
+    "kernel scene",
 )  # fmt: skip
+_FRAME_STAGES: Final = ("trace", "denoise", "develop", "labels", "encode")
 _ONE_PROCESS: Final = {"PEPPERSCENE_PROCESSES": "1"}
+
+_START_UP: Final = {
+    "python -c pass": ("-c", "pass"),
+    "import pepperscene": ("-c", "import pepperscene"),
+    "pepperscene --help": ("-m", "pepperscene", "--help"),
+}
 
 
 def profile_frames(
@@ -91,120 +49,152 @@ def profile_frames(
     scenes: Sequence[BenchScene] = tuple(SCENES.values()),
     size: tuple[int, int] | None = None,
     *,
-    runs: int = LEAST_RUNS,
+    runs: int = DEFAULT_RUNS,
     quick: bool = False,
-    told: Told = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
 ) -> BenchmarkFiles:
-    """Measure the stages of first and following frames, labels alone, and the start-up; write `profile.*`.
+    """Time the stages of first and next frames, labels alone, and start-up; write `profile.*`.
 
-    Args, Raises: as `bench`; no extra is needed. `quick` takes drafts.
+    Arguments and errors are those of `run_benchmark`; no extra is needed. `quick` renders drafts.
     """
     folder = Path(out)
     check_arguments(folder, runs)
-    on, quality = machine_info(), "draft" if quick else "standard"
-    chapters, found = [sentence(on)], {}
+    machine, quality = machine_info(), "draft" if quick else "standard"
+    chapters, profiles = [describe_machine(machine)], {}
     for scene in scenes:
-        asked = Asked(scene.recipe, dict(scene.changes), scene.index, size, runs, quality=quality)
-        found[scene.name] = one = _measured(asked, runs, scene.name, told)
-        width, height = one["size"]
+        task = FramesTask(scene.recipe, dict(scene.changes), scene.index, size, runs, quality=quality)
+        profiles[scene.name] = profile = _profile_scene(task, runs, scene.name, on_progress)
+        width, height = profile["size"]
         chapters += [
             f"#### {scene.name.capitalize()}",
-            f"{width}x{height}, {one['triangles']:,} triangles, quality `{quality}`, {one['variant']}.",
-            time_table(one["seconds"].items(), "stage"),
-            "; ".join(f"{what}: at most {peak:,.0f} MiB" for what, peak in one["peaks_mib"].items()) + ".",
+            f"{width}x{height}, {profile['triangles']:,} triangles, quality `{quality}`, "
+            f"{profile['variant']}.",
+            time_table(profile["seconds"].items(), "stage"),
+            "; ".join(f"{what}: at most {peak:,.0f} MiB" for what, peak in profile["peaks_mib"].items())
+            + ".",
         ]
-    told("start-up")
-    python = sys.executable
+    on_progress("start-up")
     start_up = {
-        what: [seconds_of([python, *command]) for _ in range(runs)]
-        for what, command in {
-            "python -c pass": ["-c", "pass"],
-            "import pepperscene": ["-c", "import pepperscene"],
-            "pepperscene --help": ["-m", "pepperscene", "--help"],
-        }.items()
+        what: [time_command([sys.executable, *arguments]) for _ in range(runs)]
+        for what, arguments in _START_UP.items()
     }
     chapters += ["#### Start-up", time_table(start_up.items())]
     markdown = "\n\n".join(chapters) + "\n"
-    record = {"format": FORMAT, "machine": on, "scenes": found, "start_up": start_up}
-    files = {"profile.json": canonical_json(plain(record)), "profile.md": markdown.encode()}
-    return BenchmarkFiles(write_all(folder, files), markdown)
+    content = {"machine": machine, "scenes": profiles, "start_up": start_up}
+    return BenchmarkFiles(write_results(folder, "profile", content, markdown, {}), markdown)
 
 
-def _measured(asked: Asked, runs: int, name: str, told: Told) -> dict[str, Any]:
-    """Seconds by stage over several processes, the peaks of memory, and what the scene was."""
-    # One process more than counted: the first warms the disk's cache and that of compiled kernels.
-    told(f"{name}: first frame, a run that is not counted")
-    in_child(replace(asked, frames=0))
+def run_child(task: FramesTask, environment: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """Run one child process and return its measurements.
+
+    Raises:
+        SetupError: it failed.
+    """
+    return run_children([task], environment)[0]
+
+
+def run_children(
+    tasks: Sequence[FramesTask], environment: Mapping[str, str] | None = None
+) -> list[dict[str, Any]]:
+    """Run several child processes at the same time and return their measurements.
+
+    Raises:
+        SetupError: one failed.
+    """
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-P", str(_CHILD), json.dumps(asdict(task))],
+            env={**os.environ, **(environment or {})},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for task in tasks
+    ]
+    results, errors = [], []
+    for process in processes:
+        output, messages = process.communicate()
+        if process.returncode:
+            errors.append((messages.strip().splitlines() or [f"exit code {process.returncode}"])[-1])
+        else:
+            results.append(json.loads(output.splitlines()[-1]))
+    if errors:
+        raise SetupError(f"a benchmark process failed: {errors[0]}")
+    return results
+
+
+def time_command(command: Sequence[str]) -> float:
+    """Seconds that a command takes."""
+    start = perf_counter()
+    subprocess.run(command, stdout=subprocess.DEVNULL, check=True)
+    return perf_counter() - start
+
+
+def _profile_scene(task: FramesTask, runs: int, name: str, on_progress: OnProgress) -> dict[str, Any]:
+    """Seconds by stage over several processes, peak memory, and facts about the scene."""
+    # The first process is not counted: it warms the caches of the disk and of compiled kernels.
+    on_progress(f"{name}: first frame, not counted")
+    run_child(replace(task, frames=0))
     children = []
     for number in range(runs):
-        told(f"{name}: process {number + 1} of {runs}")
-        children.append(in_child(asked))
-    told(f"{name}: without compiled kernels, and labels alone")
+        on_progress(f"{name}: process {number + 1} of {runs}")
+        children.append(run_child(task))
+    on_progress(f"{name}: without compiled kernels, and labels alone")
     with tempfile.TemporaryDirectory() as empty:
-        # Dr.Jit keeps its kernels below the home folder.
-        cold = in_child(replace(asked, frames=1), {"HOME": empty})
-    labels = in_child(replace(asked, outputs=LABELS, encode=False))
-    told(f"{name}: plants in one process")
-    alone = [in_child(replace(asked, outputs=("class",), frames=0), _ONE_PROCESS) for _ in range(runs)]
+        # Dr.Jit caches its kernels in the home folder.
+        cold = run_child(replace(task, frames=1), {"HOME": empty})
+    labels = run_child(replace(task, outputs=LABELS, encode=False))
+    on_progress(f"{name}: plants in one process")
+    alone = [run_child(replace(task, outputs=("class",), frames=0), _ONE_PROCESS) for _ in range(runs)]
+    first, second = (frame.get("trace", 0.0) for frame in cold["frames"][:2])
     return {
-        "seconds": {**_by_stage(children), **_of_labels(labels), **_cold(cold), **_of_plants(alone)},
+        "seconds": {
+            **_stage_times(children),
+            "labels alone, next frames": [frame["labels"] for frame in labels["frames"][1:]],
+            "first frame, in addition to a next one: trace, without cached kernels": [first - second],
+            **{
+                f"all plants in one process: {stage}": [child["plants"][stage] for child in alone]
+                for stage in PLANT_STAGES
+                if stage in alone[0]["plants"]
+            },
+        },
         "peaks_mib": {
             "photographs and labels": max(child["peaks_mib"][-1] for child in children),
             "labels alone": labels["peaks_mib"][-1],
         },
-        "triangles": children[0]["triangles"],
-        "size": children[0]["size"],
-        "variant": children[0]["variant"],
+        **{key: children[0][key] for key in ("triangles", "size", "variant")},
     }
 
 
-def _by_stage(children: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
-    """Of a new scene, its first frame, and the frames behind it."""
-    once = ("import", "start Mitsuba")
-    following = [one for child in children for one in child["frames"][1:]]
-    held = [what for what in _FRAME if what in following[0]]
-    # What the first frame takes longer than those behind it: kernels compiled or loaded, libraries imported.
-    on_top = {
-        what: [
-            child["frames"][0][what] - statistics.median(one[what] for one in child["frames"][1:])
+def _stage_times(children: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
+    """Times of a new scene, of its first frame, and of the next frames, by stage."""
+    next_frames = [frame for child in children for frame in child["frames"][1:]]
+    stages = [stage for stage in _FRAME_STAGES if stage in next_frames[0]]
+    # What the first frame takes in addition: kernels are compiled or loaded, libraries imported.
+    additional = {
+        stage: [
+            child["frames"][0][stage] - statistics.median(frame[stage] for frame in child["frames"][1:])
             for child in children
         ]
-        for what in held
+        for stage in stages
     }
     per_scene = [
-        sum(seconds for what, seconds in child["scene"].items() if what not in once)
-        + sum(more[number] for more in on_top.values())
+        scene_seconds(child) + sum(times[number] for times in additional.values())
         for number, child in enumerate(children)
     ]
-    whole = [sum(child["scene"].values()) + sum(child["frames"][0].values()) for child in children]
+    scene_stages = sorted(children[0]["scene"], key=_SCENE_STAGES.index)
     return {
-        **{f"new scene: {what}": [child["scene"][what] for child in children] for what in _order(children)},
-        **{f"first frame, on top of a next one: {what}": more for what, more in on_top.items()},
-        "new scene: all of that, without import and start": per_scene,
-        "from the import to the end of the first frame": whole,
-        **{f"next frames: {what}": [one[what] for one in following] for what in held},
-        "next frames: all of it": [sum(one.values()) for one in following],
+        **{f"new scene: {stage}": [child["scene"][stage] for child in children] for stage in scene_stages},
+        **{f"first frame, in addition to a next one: {stage}": times for stage, times in additional.items()},
+        "new scene: total, without import and start": per_scene,
+        "from the import to the end of the first frame": [
+            sum(child["scene"].values()) + sum(child["frames"][0].values()) for child in children
+        ],
+        **{f"next frames: {stage}": [frame[stage] for frame in next_frames] for stage in stages},
+        "next frames: total": [sum(frame.values()) for frame in next_frames],
     }
 
 
-def _order(children: Sequence[dict[str, Any]]) -> list[str]:
-    """The stages of a scene in the order in which they run."""
-    held = children[0]["scene"]
-    return [*(what for what in _SCENE if what in held), *(what for what in held if what not in _SCENE)]
-
-
-def _of_plants(alone: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
-    return {
-        f"all plants in one process: {what}": [child["plants"][what] for child in alone]
-        for what in PLANT_STAGES
-        if what in alone[0]["plants"]
-    }
-
-
-def _of_labels(labels: dict[str, Any]) -> dict[str, list[float]]:
-    return {"labels alone, next frames": [one["labels"] for one in labels["frames"][1:]]}
-
-
-def _cold(cold: dict[str, Any]) -> dict[str, list[float]]:
-    first, second = (frame.get("trace", 0.0) for frame in cold["frames"][:2])
-    return {"first frame, on top of a next one: trace, with no kernels on disk": [first - second]}
+def scene_seconds(child: Mapping[str, Any]) -> float:
+    """Seconds of a new scene, without the start of the process."""
+    return sum(seconds for stage, seconds in child["scene"].items() if stage not in _START_STAGES)

@@ -1,11 +1,10 @@
-"""Everything that was measured as files: every single time in JSON and CSV, with what it was taken on."""
+"""The machine that figures were measured on, and result files in JSON and CSV."""
 
 from __future__ import annotations
 
 import csv
 import datetime
 import io
-import json
 import math
 import os
 import platform
@@ -20,169 +19,159 @@ from pepperscene.bench.measure import BenchResult
 from pepperscene.dataset.store.atomic import atomic_write, canonical_json
 from pepperscene.errors import OutputError
 
-PACKAGES: Final = (
+FORMAT: Final = "pepperscene bench 1"
+
+_PACKAGES: Final = (
     "pepperscene", "mitsuba", "drjit", "numpy", "pyoidn", "karellen-llvm-core", "flip-evaluator",
 )  # fmt: skip
 
+_EFFORT: Final = (
+    "integrator", "sampler", "samples", "soft", "most", "bounces", "target", "denoise", "whole_scene",
+)  # fmt: skip
+"""Values of a setting in the CSV file; the JSON file has all of them."""
+
+
+# --- machine ------------------------------------------------------------------------------------------------
+
 
 def machine_info() -> dict[str, Any]:
-    """What figures are taken on, ready for JSON."""
+    """The machine, the versions of the packages and the load, as JSON data."""
     return {
         "date": datetime.date.today().isoformat(),
-        "cpu": cpu_model(),
-        "cores": cores(),
-        "memory_mib": memory_mib(),
+        "cpu": _cpu_model(),
+        "cores": available_cores(),
+        "memory_mib": _memory_mib(),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
-        "packages": {name: version(name) for name in PACKAGES},
+        "packages": {name: _version(name) for name in _PACKAGES},
         "load_average": list(os.getloadavg()) if hasattr(os, "getloadavg") else None,
     }
 
 
-def sentence(on: dict[str, Any]) -> str:
-    """The machine in one sentence for the head of a table."""
-    packages = ", ".join(f"{name} {number}" for name, number in on["packages"].items() if number)
-    load = on["load_average"]
+def describe_machine(machine: Mapping[str, Any]) -> str:
+    """The machine in one sentence, as the heading of a table."""
+    packages = ", ".join(f"{name} {number}" for name, number in machine["packages"].items() if number)
+    cores, load = machine["cores"], machine["load_average"]
     return (
-        f"On {on['cores']} core{'' if on['cores'] == 1 else 's'} of {on['cpu']}, {on['system']}, "
-        f"{on['date']}{f', load average {load[0]:.1f} before' if load else ''}; "
-        f"Python {on['python']}, {packages}."
+        f"On {cores} core{'' if cores == 1 else 's'} of {machine['cpu']}, {machine['system']}, "
+        f"{machine['date']}{f', load average {load[0]:.1f} before' if load else ''}; "
+        f"Python {machine['python']}, {packages}."
     )
 
 
-def cores() -> int:
-    """Processor cores that this process may use."""
+def available_cores() -> int:
+    """Number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def cpu_model() -> str:
-    """The processor's name as the system tells it."""
-    told = Path("/proc/cpuinfo")
-    if told.is_file():
-        for line in told.read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()
-
-
-def memory_mib() -> int | None:
-    """Memory of the machine; None where the system does not tell."""
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") >> 20
-    except (AttributeError, ValueError, OSError):
-        return None
-
-
-def version(package: str) -> str | None:
-    """The installed version of a package, or None."""
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None
-
-
-def peak_mib() -> float:
-    """The most memory that this process has held at once."""
+def peak_memory_mib() -> float:
+    """Peak memory of this process so far."""
     import resource
 
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 
-FORMAT: Final = "pepperscene bench 1"
-
-EFFORT: Final = (
-    "integrator",
-    "sampler",
-    "samples",
-    "soft",
-    "most",
-    "bounces",
-    "target",
-    "denoise",
-    "whole_scene",
-    "spp",
-)
-"""Of a setting, in the table; all of it is in the JSON."""
+def _cpu_model() -> str:
+    file = Path("/proc/cpuinfo")
+    if file.is_file():
+        for line in file.read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
 
 
-def row(one: BenchResult) -> dict[str, Any]:
-    """A measurement, ready for JSON; None for what is not known."""
-    wrong = one.errors
+def _memory_mib() -> int | None:
+    """Memory of the machine; None if the system does not report it."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") >> 20
+    except (AttributeError, ValueError, OSError):
+        return None
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+# --- files --------------------------------------------------------------------------------------------------
+
+
+def result_json(result: BenchResult) -> dict[str, Any]:
+    """A result as JSON data."""
     return {
-        "scene": one.scene,
-        "family": one.family,
-        "name": one.name,
-        "effort": dict(one.effort),
-        "rmse_codes": _finite(wrong.rmse_codes),
-        "relative_mse": _finite(wrong.relative_mse),
-        "flip": _finite(wrong.flip),
-        "median_s": one.median_s,
-        "seconds": list(one.seconds),
-        "first_s": one.first_s,
-        "sampling": dict(one.sampling),
-        "variant": one.variant,
-        "peak_mib": one.peak_mib,
-        "runs": one.runs,
+        "scene": result.scene,
+        "family": result.family,
+        "name": result.name,
+        "effort": dict(result.effort),
+        "rmse_codes": result.errors.rmse_codes,
+        "relative_mse": result.errors.relative_mse,
+        "flip": result.errors.flip,
+        "median_s": result.median_s,
+        "seconds": list(result.seconds),
+        "first_s": result.first_s,
+        "sampling": dict(result.sampling),
+        "variant": result.variant,
+        "runs": len(result.seconds),
     }
 
 
-def csv_text(measured: Sequence[BenchResult]) -> str:
-    """A line for each setting, its times in the last columns."""
-    most = max((len(one.seconds) for one in measured), default=0)
-    head = (
-        "scene", "family", "name", *EFFORT, "variant", "rmse_codes", "relative_mse", "flip", "median_s",
-        "least_s", "most_s", "first_s", "runs", *(f"run_{number + 1}_s" for number in range(most)),
-    )  # fmt: skip
+def results_csv(results: Sequence[BenchResult]) -> str:
+    """Results as CSV, one line a setting, with all its times in the last columns."""
+    runs = max((len(result.seconds) for result in results), default=0)
+    keys = ("variant", "rmse_codes", "relative_mse", "flip", "median_s")
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(head)
-    for one in measured:
-        told = row(one)
+    table.writerow(
+        [
+            *("scene", "family", "name", *_EFFORT, *keys, "least_s", "most_s", "first_s", "runs"),
+            *(f"run_{number + 1}_s" for number in range(runs)),
+        ]
+    )
+    for result in results:
+        values, seconds = result_json(result), result.seconds
         table.writerow(
             [
-                *(told[key] for key in ("scene", "family", "name")),
-                *(_cell(one.effort.get(key)) for key in EFFORT),
-                *(_cell(told[key]) for key in ("variant", "rmse_codes", "relative_mse", "flip", "median_s")),
-                min(one.seconds), max(one.seconds), one.first_s, one.runs,
-                *one.seconds, *[""] * (most - len(one.seconds)),
+                *(result.scene, result.family, result.name),
+                *(result.effort.get(key) for key in _EFFORT),
+                *(values[key] for key in keys),
+                *(min(seconds), max(seconds), result.first_s, len(seconds)),
+                *seconds,
+                *[""] * (runs - len(seconds)),
             ]
-        )  # fmt: skip
+        )
     return text.getvalue()
 
 
-def write_all(folder: Path, files: Mapping[str, bytes]) -> tuple[Path, ...]:
-    """Write files into a folder, and only when all are whole let them take their places.
+def write_results(
+    folder: Path, name: str, content: Mapping[str, Any], markdown: str, others: Mapping[str, bytes]
+) -> tuple[Path, ...]:
+    """Write `name.json`, `name.md` and other files into a folder, all or none.
 
     Raises:
-        OutputError: the folder cannot be written to.
+        OutputError: the folder cannot be written.
     """
+    files = {
+        f"{name}.json": canonical_json(_replace_nan({"format": FORMAT, **content})),
+        f"{name}.md": markdown.encode(),
+        **others,
+    }
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
-            for name, content in files.items():
-                stack.enter_context(atomic_write(folder / name)).write_bytes(content)
-    except OSError as fault:
-        raise OutputError(f"{fault.filename or folder}: cannot be written ({fault.strerror})") from None
-    return tuple(folder / name for name in files)
+            for file, data in files.items():
+                stack.enter_context(atomic_write(folder / file)).write_bytes(data)
+    except OSError as error:
+        raise OutputError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
+    return tuple(folder / file for file in files)
 
 
-def plain(content: Any) -> Any:
-    """The content as JSON gives it back: tables, lists, text and finite numbers."""
-    return json.loads(canonical_json(_without_nan(content)))
-
-
-def _without_nan(thing: Any) -> Any:
-    if isinstance(thing, Mapping):
-        return {str(key): _without_nan(value) for key, value in thing.items()}
-    if isinstance(thing, list | tuple):
-        return [_without_nan(value) for value in thing]
-    return _finite(thing) if isinstance(thing, float) else thing
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _cell(value: Any) -> Any:
-    return "" if value is None else value
+def _replace_nan(value: Any) -> Any:
+    """Nested data with None for numbers that are not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): _replace_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_replace_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,4 +1,4 @@
-"""Pictures that are kept for the next bench: a file of arrays is whole, or counts as not there."""
+"""Errors of pictures, and converged reference pictures that are cached and refined from call to call."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
@@ -20,84 +21,51 @@ from pepperscene.dataset.store.atomic import atomic_write
 from pepperscene.errors import SetupError
 from pepperscene.render import Quality
 
+OnProgress = Callable[[str], None]
+"""Called with a line of progress."""
 
-def read_arrays(path: Path) -> dict[str, NDArray[Any]] | None:
-    """The arrays of a file by name; None where there is no such file or it is damaged."""
-    try:
-        with path.open("rb") as file, np.load(file) as kept:
-            return dict(kept)
-    except (OSError, ValueError, EOFError, BadZipFile):
-        return None
+_MEAN_WEIGHT: Final = 1e-2
+"""Regularisation of the relative error, in squared means of the reference: the 0.01 of Rousselle, Knaus and
+Zwicker 2011 ("Adaptive sampling and reconstruction using greedy error minimization") for a mean of 1."""
 
 
-def write_arrays(path: Path, **arrays: Any) -> None:
-    """Write arrays and numbers by name; the folder is made when missing.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, **arrays)
-
-
-EXTRA: Final = "pip install 'pepperscene[bench]'"
-
-REGULARISER: Final = 1e-2
-"""Of the relative squared error, times the squared mean of the reference: the 0.01 with which Rousselle,
-Knaus and Zwicker ("Adaptive sampling and reconstruction using greedy error minimization", 2011) divide where
-pictures have a mean about 1."""
+# --- errors -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Of a picture.
+    """Errors of a picture.
 
     Attributes:
-        rmse_codes: root of the mean squared difference of the developed, noise-free pictures, in codes of
-            8 bits, but not rounded to whole ones: rounding alone would add 0.4 codes.
+        rmse_codes: root mean squared difference of the developed, noise-free pictures, in 8-bit codes, before
+            rounding to whole codes, which would add 0.4 codes.
         relative_mse: mean of (x - r)^2 / (r^2 + 0.01 mean(r)^2) over electrons.
-        flip: mean of FLIP (Andersson et al. 2020) at 67 pixels per degree, 0 to 1; nan where it was not asked
-            for.
+        flip: mean of FLIP (Andersson et al. 2020) at 67 pixels per degree, 0 to 1.
     """
 
     rmse_codes: float
     relative_mse: float
-    flip: float = float("nan")
+    flip: float
 
-    def without(self, rmse_codes: float, relative_mse: float) -> Errors:
-        """What is left when a reference's own error, independent of the picture's, is taken off in squares.
-
-        Args:
-            rmse_codes: of the reference; nan where it is not known, which takes nothing off.
-            relative_mse: of it.
-        """
-        own_codes, own_relative = (0.0 if x != x else x for x in (rmse_codes, relative_mse))
+    def subtract(self, rmse_codes: float, relative_mse: float) -> Errors:
+        """Subtract the squared errors of the reference, which are independent of the picture's."""
         return dataclasses.replace(
             self,
-            rmse_codes=math.sqrt(max(self.rmse_codes**2 - own_codes**2, 0.0)),
-            relative_mse=max(self.relative_mse - own_relative, 0.0),
+            rmse_codes=math.sqrt(max(self.rmse_codes**2 - rmse_codes**2, 0.0)),
+            relative_mse=max(self.relative_mse - relative_mse, 0.0),
         )
 
 
-def errors(
-    electrons: NDArray[np.floating], reference: NDArray[np.floating], camera: Camera, *, flip: bool = True
+def measure_errors(
+    electrons: NDArray[np.floating], reference: NDArray[np.floating], camera: Camera
 ) -> Errors:
-    """The errors of `(h, w, c)` expected electrons against those of the converged picture.
-
-    Raises:
-        SetupError: FLIP is asked for and not installed.
-    """
-    found, wanted = codes(electrons, camera), codes(reference, camera)
-    return Errors(
-        rmse_codes=rms(found - wanted),
-        relative_mse=relative_mse(electrons, reference),
-        flip=flip_of(found, wanted) if flip else float("nan"),
-    )
+    """Errors of expected electrons `(h, w, c)` against those of the converged picture."""
+    picture, converged = develop_codes(electrons, camera), develop_codes(reference, camera)
+    return Errors(rms(picture - converged), relative_mse(electrons, reference), mean_flip(picture, converged))
 
 
-def codes(electrons: NDArray[Any], camera: Camera) -> NDArray[np.float64]:
-    """`(h, w, c)` the developed picture without noise, in codes of 8 bits, 0 to 255, not rounded."""
+def develop_codes(electrons: NDArray[Any], camera: Camera) -> NDArray[np.float64]:
+    """`(h, w, c)` the developed picture without noise, in 8-bit codes, 0 to 255, not rounded."""
     exact = dataclasses.replace(camera, developing=dataclasses.replace(camera.developing, quantise=False))
     linear = np.clip(np.asarray(correct_colours(camera_rgb(electrons, exact), exact), float), 0.0, 1.0)
     if camera.developing.tone == "srgb":
@@ -107,82 +75,74 @@ def codes(electrons: NDArray[Any], camera: Camera) -> NDArray[np.float64]:
 
 
 def rms(difference: NDArray[np.floating]) -> float:
-    """Root of the mean square."""
+    """Root mean square."""
     return float(np.sqrt(np.mean(np.square(difference, dtype=float))))
 
 
-def relative_mse(found: NDArray[np.floating], reference: NDArray[np.floating]) -> float:
-    """Mean of (x - r)^2 / (r^2 + `REGULARISER` mean(r)^2); 0 / 0 counts as 0.
+def relative_mse(picture: NDArray[np.floating], reference: NDArray[np.floating]) -> float:
+    """Mean of (x - r)^2 / (r^2 + 0.01 mean(r)^2); 0 / 0 counts as 0.
 
-    It is worked out in units of the mean, so that no square overflows.
+    It is computed in units of the mean, so that no square overflows.
     """
-    x, r = np.asarray(found, float), np.asarray(reference, float)
+    x, r = np.asarray(picture, float), np.asarray(reference, float)
     mean = float(np.abs(r).mean())
     if mean == 0.0:
         return 0.0 if not x.any() else float("inf")
     x, r = x / mean, r / mean
-    return float(np.mean((x - r) ** 2 / (r**2 + REGULARISER)))
+    return float(np.mean((x - r) ** 2 / (r**2 + _MEAN_WEIGHT)))
 
 
-def flip_of(found: NDArray[np.float64], reference: NDArray[np.float64]) -> float:
-    """Mean LDR-FLIP of two pictures in codes.
+def mean_flip(picture: NDArray[np.float64], reference: NDArray[np.float64]) -> float:
+    """Mean LDR-FLIP of two pictures in codes; it takes 0.2 s for 800 x 600 pixels."""
+    import flip_evaluator
 
-    Raises:
-        SetupError: the package is not installed.
-    """
-    try:
-        import flip_evaluator
-    except ImportError:
-        raise SetupError(f"the bench needs flip-evaluator, which is not installed: {EXTRA}") from None
-    pictures = [_three(picture / 255.0) for picture in (reference, found)]
-    _, mean, _ = flip_evaluator.evaluate(*pictures, "LDR", applyMagma=False)
+    shape = (*picture.shape[:2], 3)  # three channels, also for a monochrome sensor
+    arrays = [
+        np.ascontiguousarray(np.broadcast_to(np.clip(codes / 255.0, 0.0, 1.0), shape), np.float32)
+        for codes in (reference, picture)
+    ]
+    _, mean, _ = flip_evaluator.evaluate(*arrays, "LDR", applyMagma=False)
     return float(mean)
 
 
-def check_extra() -> None:
-    """Find out before anything is measured whether the extra `bench` is there.
+def check_packages() -> None:
+    """Check that the packages of the extra `bench` are installed.
 
     Raises:
-        SetupError: it is not.
+        SetupError: one is missing.
     """
-    from importlib.util import find_spec
-
     packages = {"flip_evaluator": "flip-evaluator", "matplotlib": "matplotlib"}
     missing = [package for module, package in packages.items() if find_spec(module) is None]
     if missing:
-        raise SetupError(f"the bench needs {' and '.join(missing)}, not installed here: {EXTRA}")
+        command = "pip install 'pepperscene[bench]'"
+        raise SetupError(f"the benchmark needs {' and '.join(missing)}, not installed here: {command}")
 
 
-def _three(picture: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Three channels, whatever the sensor has."""
-    shape = (*picture.shape[:2], 3)
-    return np.ascontiguousarray(np.broadcast_to(np.clip(picture, 0.0, 1.0), shape), np.float32)
+# --- converged pictures -------------------------------------------------------------------------------------
 
 
 SMALLEST_ERROR: Final = 0.5
-"""Codes: the smallest error of interest. Chosen: a picture is rounded with an error of 0.3 codes."""
+"""Smallest error of interest, in codes. Chosen: rounding a picture has an error of 0.3 codes."""
 
-SHARE: Final = 0.1
-"""Of the smallest error that the reference's own may be: it then adds half a per cent to what is measured."""
+TARGET_FRACTION: Final = 0.1
+"""Target error of the reference over the smallest error of interest: it adds half a per cent to results."""
 
-_SEEDS: Final = 1_000_000  # chosen: far from those of what is measured
-_KEPT_EVERY_S: Final = 60.0  # chosen: what a stop costs at most
-_FORM: Final = 1
-"""Of the file; another number forgets all that are there."""
-
-Told = Callable[[str], None]
+_FIRST_SEED: Final = 1_000_000  # chosen: far from the seeds of the measured frames
+_SAVE_INTERVAL_S: Final = 60.0  # chosen: the most that an interruption costs
+_FORMAT: Final = 1
+"""Version of the cache files; others are ignored."""
 
 
 @dataclass(frozen=True, eq=False)
-class Converged:
-    """A picture whose error is known.
+class Reference:
+    """A converged picture and its estimated error.
 
     Attributes:
         electrons: `(h, w, c)` float64, the mean of both halves.
-        error_codes: estimated RMSE of it, in codes, from the difference of the halves.
-        relative_mse: estimated of it.
-        renders: how many pictures went into it.
-        seconds: that took.
+        error_codes: estimated RMSE in codes, from the difference of the halves.
+        relative_mse: estimated relative MSE.
+        renders: number of pictures in the mean.
+        seconds: rendering time of all of them.
     """
 
     electrons: NDArray[np.float64]
@@ -193,7 +153,7 @@ class Converged:
 
 
 @dataclass(eq=False)
-class Halves:
+class _Halves:
     """Sums of independent pictures, even ones in the first half and odd ones in the second."""
 
     sums: NDArray[np.float64]
@@ -201,79 +161,78 @@ class Halves:
     seconds: float = 0.0
 
     def add(self, electrons: NDArray[np.floating], seconds: float) -> None:
-        """One more picture."""
         self.sums[self.renders % 2] += electrons
         self.renders += 1
         self.seconds += seconds
 
-    def converged(self, camera: Camera) -> Converged:
-        """What they come to; at least two pictures are needed.
-
-        The mean of two independent halves errs by half of their difference.
-        """
+    def reference(self, camera: Camera) -> Reference:
+        """Mean of at least two pictures; its error is half the difference of its independent halves."""
         first, second = self.sums[0] / ((self.renders + 1) // 2), self.sums[1] / (self.renders // 2)
         mean = self.sums.sum(axis=0) / self.renders
-        apart = rms(codes(first, camera) - codes(second, camera)) / 2
-        return Converged(
-            mean, apart, relative_mse(mean + (first - second) / 2, mean), self.renders, self.seconds
+        error = rms(develop_codes(first, camera) - develop_codes(second, camera)) / 2
+        return Reference(
+            mean, error, relative_mse(mean + (first - second) / 2, mean), self.renders, self.seconds
         )
 
 
-def converged(
+def render_reference(
     subject: BenchSubject,
     folder: Path,
     quality: str | Quality = "reference",
-    wanted_codes: float = SHARE * SMALLEST_ERROR,
+    target_codes: float = TARGET_FRACTION * SMALLEST_ERROR,
     limit_s: float | None = None,
-    told: Told = lambda _: None,
-) -> Converged:
-    """The converged picture of a subject, from the cache as far as it goes there.
-
-    What is rendered is added to what an earlier call left, so that no sample is paid for twice.
+    on_progress: OnProgress = lambda _: None,
+) -> Reference:
+    """The converged picture of a subject; pictures of earlier calls are cached and count.
 
     Args:
-        subject: whose camera's view of the whole scene it is.
-        folder: of the cache; made when missing. Files are named after scene, camera and version.
-        quality: of the pictures that are added up; without denoiser.
-        wanted_codes: the error at which it ends.
-        limit_s: seconds after which it ends as well, with two pictures at least.
-        told: is told how it goes.
+        subject: its camera's view of the full scene is rendered.
+        folder: of the cache; created if missing. Files are named by scene, camera and version.
+        quality: of the pictures that are averaged; without denoiser.
+        target_codes: error at which it stops.
+        limit_s: seconds after which it also stops, once there are two pictures.
+        on_progress: receives progress lines.
 
     Raises:
-        OSError: the cache cannot be written to.
+        OSError: the cache cannot be written.
     """
     path = folder / f"{subject.name}_{subject.digest()[:20]}.npz"
+    camera = subject.camera
     halves = _read(path)
     if halves is None:
-        camera = subject.camera
-        halves = Halves(np.zeros((2, camera.height, camera.width, camera.sensor.channels)))
-    start = kept = perf_counter()
+        halves = _Halves(np.zeros((2, camera.height, camera.width, camera.sensor.channels)))
+    start = saved = perf_counter()
     while True:
         now = perf_counter()
         if halves.renders >= 2:
-            found = halves.converged(subject.camera)
+            reference = halves.reference(camera)
             late = limit_s is not None and now - start > limit_s
-            done = found.error_codes <= wanted_codes or late
-            if done or now - kept > _KEPT_EVERY_S:
+            done = reference.error_codes <= target_codes or late
+            if done or now - saved > _SAVE_INTERVAL_S:
                 _write(path, halves)
-                kept = now
+                saved = now
             if done:
-                return found
-            told(
-                f"{subject.name}: reference, {halves.renders} pictures, {found.error_codes:.3f} of "
-                f"{wanted_codes:g} codes"
+                return reference
+            on_progress(
+                f"{subject.name}: reference, {halves.renders} pictures, {reference.error_codes:.3f} of "
+                f"{target_codes:g} codes"
             )
-        electrons = subject.truth(quality, _SEEDS + halves.renders)
-        halves.add(electrons, perf_counter() - now)
+        frame = subject.render(quality, _FIRST_SEED + halves.renders, full=True)
+        halves.add(frame["electrons"], perf_counter() - now)
 
 
-def _read(path: Path) -> Halves | None:
-    """What an earlier call left, if it is whole."""
-    kept = read_arrays(path)
-    if kept is None or int(kept.get("form", 0)) != _FORM:
+def _read(path: Path) -> _Halves | None:
+    """Sums of an earlier call; None if there are none, or the file is damaged."""
+    try:
+        with path.open("rb") as file, np.load(file) as arrays:
+            if int(arrays["form"]) != _FORMAT:
+                return None
+            return _Halves(arrays["sums"], int(arrays["renders"]), float(arrays["seconds"]))
+    except (OSError, ValueError, EOFError, KeyError, BadZipFile):
         return None
-    return Halves(kept["sums"], int(kept["renders"]), float(kept["seconds"]))
 
 
-def _write(path: Path, halves: Halves) -> None:
-    write_arrays(path, sums=halves.sums, renders=halves.renders, seconds=halves.seconds, form=_FORM)
+def _write(path: Path, halves: _Halves) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, sums=halves.sums, renders=halves.renders, seconds=halves.seconds, form=_FORMAT)

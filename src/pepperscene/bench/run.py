@@ -1,48 +1,50 @@
-"""The bench itself: run time against error on each scene, with a plot, tables and every single time."""
+"""The benchmark: rendering time against error on each scene, with tables, plots and all single times."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
 
-from pepperscene.bench.measure import BenchResult, Told, measure_settings
-from pepperscene.bench.peers import check_peers, measure_cycles
-from pepperscene.bench.plot import pareto
-from pepperscene.bench.records import FORMAT, csv_text, machine_info, plain, row, sentence, write_all
-from pepperscene.bench.reference import Converged, check_extra, converged
-from pepperscene.bench.scenes import SCENES, BenchScene, RendererFactory, bench_subject
+from pepperscene.bench.measure import BenchResult, measure_settings, measure_variant, other_variants
+from pepperscene.bench.records import (
+    describe_machine,
+    machine_info,
+    result_json,
+    results_csv,
+    write_results,
+)
+from pepperscene.bench.reference import OnProgress, Reference, check_packages, render_reference
+from pepperscene.bench.report import error_table, plot_pareto, ratio_table, time_ratios
+from pepperscene.bench.scenes import SCENES, BenchScene, load_subject
 from pepperscene.bench.settings import settings
-from pepperscene.bench.tables import error_table, ratio_table, ratios
-from pepperscene.bench.variants import measure_variant, other_variants
 from pepperscene.camera import Camera
-from pepperscene.dataset.store.atomic import canonical_json
 from pepperscene.dataset.store.folder import check_can_create
 from pepperscene.errors import ArgumentError, OutputError
 from pepperscene.render import QUALITIES
 
-LEAST_RUNS: Final = 5
-"""Rounds of a whole bench: a median of fewer says little."""
+DEFAULT_RUNS: Final = 5
+"""Rounds of a full benchmark: a median of fewer is unreliable."""
 
 REFERENCES: Final = "references"
-"""Folder of the converged pictures, inside the bench's own."""
+"""Folder of the cached converged pictures, inside the output folder."""
 
-_REFERENCE_SHARE: Final = 0.5
-"""Chosen: of a time limit, what the reference may take where it is not there yet."""
+_REFERENCE_FRACTION: Final = 0.5
+"""Chosen: fraction of a time limit for a reference that is not cached."""
 
-_QUICK: Final = dataclasses.replace(QUALITIES["reference"], samples=64, soft=64, most=64)
-"""Of the two pictures that a quick bench takes for its reference."""
+_QUICK_REFERENCE: Final = dataclasses.replace(QUALITIES["reference"], samples=64, soft=64, most=64)
+"""Quality of the two pictures that are averaged for the reference of a quick benchmark."""
 
 
 @dataclass(frozen=True)
 class BenchmarkFiles:
-    """What came out.
+    """Results of a benchmark.
 
     Attributes:
-        files: that were written.
+        files: paths of the written files.
         markdown: the tables.
     """
 
@@ -51,14 +53,13 @@ class BenchmarkFiles:
 
 
 @dataclass(frozen=True, eq=False)
-class _SceneResult:
+class _SceneResults:
     scene: BenchScene
     camera: Camera
     triangles: int
-    of_triangles: int
-    reference: Converged
-    measured: tuple[BenchResult, ...]
-    cycles_floor: float | None
+    full_triangles: int
+    reference: Reference
+    results: tuple[BenchResult, ...]
 
 
 def run_benchmark(
@@ -66,66 +67,67 @@ def run_benchmark(
     scenes: Sequence[BenchScene] = tuple(SCENES.values()),
     size: tuple[int, int] | None = None,
     *,
-    runs: int = LEAST_RUNS,
+    runs: int = DEFAULT_RUNS,
     budget_s: float | None = None,
     quick: bool = False,
-    peers: bool = False,
-    factory: RendererFactory | None = None,
-    told: Told = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
 ) -> BenchmarkFiles:
-    """Measure run time against error and write what came of it.
+    """Measure rendering time against error, and write the results.
 
     Args:
-        out: folder; made when missing. Files of an earlier bench are replaced, its references are used.
+        out: folder; created if missing. Result files are replaced, cached references are used.
         scenes: to render.
         size: of the pictures, or None for the cameras' own.
-        runs: timed frames of each setting.
-        budget_s: about how long all of it may take, shared out over the scenes; None takes what it takes.
-        quick: few settings and a coarse reference, to see that all works.
-        peers: whether Cycles is measured as well; it does not count for the budget.
-        factory: makes the renderer of a scene; None for the render room's.
-        told: is told how it goes.
+        runs: number of timed frames of each setting.
+        budget_s: approximate time limit, divided equally among the scenes; None has no limit.
+        quick: few settings and a coarse reference, as a test.
+        on_progress: receives progress lines.
 
     Raises:
         InputError: an argument is out of range.
-        OutputError: the folder cannot be written to.
-        SetupError: the machine lacks an extra or cannot render; nothing is written.
+        OutputError: the folder cannot be written.
+        SetupError: the extra `bench` is missing or the machine cannot render; nothing is written.
     """
     folder = Path(out)
     check_arguments(folder, runs, budget_s)
-    check_extra()
-    if peers:
-        check_peers()
-    on = machine_info()
-    share = None if budget_s is None else budget_s / len(scenes)
-    results = []
-    for scene in scenes:
-        results.append(_measured(scene, folder, size, runs, share, quick, peers, factory, told))
-    found = {
-        "format": FORMAT,
-        "machine": on,
-        "asked": {"size": size, "runs": runs, "budget_s": budget_s, "quick": quick, "peers": peers},
-        "scenes": {one.scene.name: _about(one) for one in results},
-        "measured": [row(one) for result in results for one in result.measured],
-        "ratios": {one.scene.name: ratios(one.measured) for one in results},
+    check_packages()
+    machine = machine_info()
+    limit_s = None if budget_s is None else budget_s / len(scenes)
+    measured = [_measure_scene(scene, folder, size, runs, limit_s, quick, on_progress) for scene in scenes]
+    results = [result for scene in measured for result in scene.results]
+    content = {
+        "machine": machine,
+        "asked": {"size": size, "runs": runs, "budget_s": budget_s, "quick": quick},
+        "scenes": {scene.scene.name: _scene_json(scene) for scene in measured},
+        "measured": [result_json(result) for result in results],
+        "ratios": {
+            scene.scene.name: [
+                {**asdict(ratio), "times": ratio.times} for ratio in time_ratios(scene.results)
+            ]
+            for scene in measured
+        },
     }
-    markdown = "\n\n".join([sentence(on), *(_chapter(one) for one in results)]) + "\n"
-    files = {
-        "results.json": canonical_json(plain(found)),
-        "results.csv": csv_text([one for result in results for one in result.measured]).encode(),
-        "results.md": markdown.encode(),
-    }
-    for one in results:
-        files |= _plots(one)
-    return BenchmarkFiles(write_all(folder, files), markdown)
+    markdown = (
+        "\n\n".join([describe_machine(machine), *(_scene_markdown(scene) for scene in measured)]) + "\n"
+    )
+    others = {"results.csv": results_csv(results).encode()}
+    for scene in measured:
+        plots = plot_pareto(
+            scene.results,
+            f"Rendering time against error: {scene.scene.name}",
+            f"{scene.scene.description}; {scene.camera.width}x{scene.camera.height}",
+            scene.reference.error_codes,
+        )
+        others |= {f"pareto_{scene.scene.name}.{suffix}": plot for suffix, plot in plots.items()}
+    return BenchmarkFiles(write_results(folder, "results", content, markdown, others), markdown)
 
 
 def check_arguments(folder: Path, runs: int, budget_s: float | None = None) -> None:
-    """Find out before anything is measured what is wrong with the arguments.
+    """Check the arguments before anything is measured.
 
     Raises:
         InputError: one is out of range.
-        OutputError: the folder cannot be written to.
+        OutputError: the folder cannot be written.
     """
     if runs < 1:
         raise ArgumentError("runs", f"{runs} must be at least 1")
@@ -134,107 +136,72 @@ def check_arguments(folder: Path, runs: int, budget_s: float | None = None) -> N
     check_can_create(folder)
 
 
-def _measured(
+def _measure_scene(
     scene: BenchScene,
     folder: Path,
     size: tuple[int, int] | None,
     runs: int,
-    share: float | None,
+    limit_s: float | None,
     quick: bool,
-    peers: bool,
-    factory: RendererFactory | None,
-    told: Told,
-) -> _SceneResult:
-    told(f"{scene.name}: {scene.meaning}")
+    on_progress: OnProgress,
+) -> _SceneResults:
+    on_progress(f"{scene.name}: {scene.description}")
     start = perf_counter()
-    here = bench_subject(scene, size, runs, factory)
+    subject = load_subject(scene, size, runs)
     references = folder / REFERENCES
-    limit = 0.0 if quick else None if share is None else _REFERENCE_SHARE * share
-    effort = _QUICK if quick else QUALITIES["reference"]
-    reference = _kept(lambda: converged(here, references, effort, limit_s=limit, told=told), references)
-    limit = None
-    if share is not None:
-        # What a reference out of the cache leaves is for the measuring.
-        limit = max(share - (perf_counter() - start), _REFERENCE_SHARE * share)
-    found = measure_settings(here, settings(quick=quick), reference, runs, limit_s=limit, told=told)
-    if factory is None:
-        for variant in other_variants():
-            told(f"{scene.name}: {variant}")
-            found += measure_variant(variant, scene.name, size, runs, references, quick=quick)
-    floor = None
-    if peers:
-        theirs, floor = _kept(
-            lambda: measure_cycles(here, references, runs, quick=quick, told=told), references
-        )
-        found += theirs
-    # The renderer and all that it holds go before the next scene comes.
-    triangles, of = (len(one.mesh.faces) for one in (here.scene, here.whole))
-    return _SceneResult(scene, here.camera, triangles, of, reference, tuple(found), floor)
-
-
-def _kept(make: Callable[[], Any], folder: Path) -> Any:
-    """What is made with the cache, whose faults are the output folder's."""
+    reference_limit = 0.0 if quick else None if limit_s is None else _REFERENCE_FRACTION * limit_s
+    quality = _QUICK_REFERENCE if quick else QUALITIES["reference"]
     try:
-        return make()
-    except OSError as fault:
-        raise OutputError(f"{fault.filename or folder}: cannot be written ({fault.strerror})") from None
+        reference = render_reference(
+            subject, references, quality, limit_s=reference_limit, on_progress=on_progress
+        )
+    except OSError as error:
+        path = error.filename or references
+        raise OutputError(f"{path}: cannot be written ({error.strerror})") from None
+    if limit_s is not None:
+        # A cached reference leaves more time for the measurements.
+        limit_s = max(limit_s - (perf_counter() - start), _REFERENCE_FRACTION * limit_s)
+    results = measure_settings(
+        subject, settings(quick=quick), reference, runs, limit_s=limit_s, on_progress=on_progress
+    )
+    for variant in other_variants():
+        on_progress(f"{scene.name}: {variant}")
+        results += measure_variant(variant, scene.name, size, runs, references, quick=quick)
+    # The subject and its renderers are freed before the next scene is loaded.
+    triangles, full_triangles = len(subject.scene.mesh.faces), len(subject.full_scene.mesh.faces)
+    return _SceneResults(scene, subject.camera, triangles, full_triangles, reference, tuple(results))
 
 
-def _about(one: _SceneResult) -> dict[str, Any]:
-    camera, reference = one.camera, one.reference
+def _scene_json(results: _SceneResults) -> dict[str, Any]:
     return {
-        "recipe": one.scene.recipe,
-        "changes": dict(one.scene.changes),
-        "frame": one.scene.index,
-        "meaning": one.scene.meaning,
-        "size": [camera.width, camera.height],
-        "triangles": one.triangles,
-        "of_triangles": one.of_triangles,
+        "recipe": results.scene.recipe,
+        "changes": dict(results.scene.changes),
+        "frame": results.scene.index,
+        "meaning": results.scene.description,
+        "size": [results.camera.width, results.camera.height],
+        "triangles": results.triangles,
+        "of_triangles": results.full_triangles,
         "reference": {
-            "pictures": reference.renders,
-            "seconds": reference.seconds,
-            "error_codes": reference.error_codes,
-            "relative_mse": reference.relative_mse,
+            "pictures": results.reference.renders,
+            "seconds": results.reference.seconds,
+            "error_codes": results.reference.error_codes,
+            "relative_mse": results.reference.relative_mse,
         },
-        "cycles_reference_error_codes": one.cycles_floor,
     }
 
 
-def _chapter(one: _SceneResult) -> str:
-    """A scene's tables with what must be said of them."""
-    compared = ratios(one.measured)
-    starred = any(ratio["beyond"] for ratio in compared)
-    parts = [f"#### {one.scene.name.capitalize()}", _head(one), error_table(one.measured)]
-    if compared:
-        parts += ["The same error:", ratio_table(compared)]
-    if starred:
-        parts.append("\\* beyond what was measured: the line through the two outermost points, drawn on.")
+def _scene_markdown(results: _SceneResults) -> str:
+    """The tables of a scene with an introduction."""
+    scene, reference = results.scene, results.reference
+    introduction = (
+        f"{scene.description[0].upper()}{scene.description[1:]} (frame {scene.index} of `{scene.recipe}`), "
+        f"{results.camera.width}x{results.camera.height}, {results.triangles:,} of the full scene's "
+        f"{results.full_triangles:,} triangles. The reference, of the full scene, is the mean of "
+        f"{reference.renders} pictures without denoiser; its error is {reference.error_codes:.3f} codes."
+    )
+    parts = [f"#### {scene.name.capitalize()}", introduction, error_table(results.results)]
+    if ratios := time_ratios(results.results):
+        parts += ["Time at equal error:", ratio_table(ratios)]
+    if any(ratio.beyond for ratio in ratios):
+        parts.append("\\* extrapolated along the line through the two outermost points.")
     return "\n\n".join(parts)
-
-
-def _head(one: _SceneResult) -> str:
-    camera, reference = one.camera, one.reference
-    theirs = (
-        ""
-        if one.cycles_floor is None
-        else f" Cycles is compared with its own, whose error is {one.cycles_floor:.2f} codes."
-    )
-    return (
-        f"{one.scene.meaning[0].upper()}{one.scene.meaning[1:]} (frame {one.scene.index} of "
-        f"`{one.scene.recipe}`), {camera.width}x{camera.height}, "
-        f"{one.triangles:,} triangles out of the whole scene's {one.of_triangles:,}. The reference, of the "
-        f"whole scene, is the mean of "
-        f"{reference.renders} pictures, not denoised; its own error is "
-        f"{reference.error_codes:.3f} codes.{theirs}"
-    )
-
-
-def _plots(one: _SceneResult) -> dict[str, bytes]:
-    camera = one.camera
-    made = pareto(
-        one.measured,
-        f"Run time against error: {one.scene.name}",
-        f"{one.scene.meaning}; {camera.width}x{camera.height}",
-        one.reference.error_codes,
-    )
-    return {f"pareto_{one.scene.name}.{kind}": content for kind, content in made.items()}

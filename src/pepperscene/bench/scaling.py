@@ -1,4 +1,4 @@
-"""What frames cost as scenes, pictures and data sets grow: one thing at a time, in processes of their own."""
+"""Cost of frames as scenes, pictures and data sets grow, one quantity at a time, in child processes."""
 
 from __future__ import annotations
 
@@ -9,26 +9,30 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
 
-from pepperscene.bench.frames_child import Asked
-from pepperscene.bench.measure import Told
-from pepperscene.bench.profile import in_child, in_children
-from pepperscene.bench.records import FORMAT, cores, machine_info, plain, sentence, write_all
-from pepperscene.bench.run import LEAST_RUNS, BenchmarkFiles, check_arguments
+from pepperscene.bench.frames_child import FramesTask
+from pepperscene.bench.profile import run_child, run_children, scene_seconds
+from pepperscene.bench.records import available_cores, describe_machine, machine_info, write_results
+from pepperscene.bench.reference import OnProgress
+from pepperscene.bench.report import format_time, markdown_table
+from pepperscene.bench.run import DEFAULT_RUNS, BenchmarkFiles, check_arguments
 from pepperscene.bench.scenes import SCENES, BenchScene
-from pepperscene.bench.tables import duration
-from pepperscene.dataset.store.atomic import canonical_json
 
 _PLANTS: Final = ((1, 0), (3, 0), (4, 3), (7, 6), (14, 12))
-"""Front and back row."""
+"""Plants in the front and the back row."""
 
-_SHARES: Final = (0.25, 0.5, 1.0, 2.0)
-"""Of the picture's width and height."""
-
-_DIVIDED: Final = (0, 1)
-"""How often triangles are cut into four."""
+_SCALES: Final = (0.25, 0.5, 1.0, 2.0)
+"""Factors of the picture's width and height."""
 
 _FRAMES: Final = 40
-"""Of the run that is watched for growth."""
+"""Frames of the run in which memory growth is watched."""
+
+_HEADS: Final = {
+    "scene_s": "new scene", "frame_s": "frame", "least_s": "min", "most_s": "max",
+    "together_s": "total, with the scene", "each_s": "per frame", "peak_mib": "memory",
+    "frames_per_s": "frames/s", "with_start_s": "with start and scene",
+}  # fmt: skip
+
+Row = dict[str, Any]
 
 
 def measure_scaling(
@@ -36,148 +40,138 @@ def measure_scaling(
     scenes: Sequence[BenchScene] = (SCENES["standard"],),
     size: tuple[int, int] | None = None,
     *,
-    runs: int = LEAST_RUNS,
+    runs: int = DEFAULT_RUNS,
     quick: bool = False,
-    told: Told = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
 ) -> BenchmarkFiles:
-    """Measure the cost against plants, triangles, pixels, frames and workers; write `scaling.*`.
+    """Measure cost against plants, triangles, pixels, frames and workers; write `scaling.*`.
 
-    Args, Raises: as `bench`; no extra is needed. `quick` takes drafts of fewer and smaller scenes.
+    Arguments and errors are those of `run_benchmark`; no extra is needed. `quick` renders drafts of fewer and
+    smaller scenes.
     """
     folder = Path(out)
     check_arguments(folder, runs)
-    on, quality = machine_info(), "draft" if quick else "standard"
-    chapters, found = [sentence(on)], {}
+    machine, quality = machine_info(), "draft" if quick else "standard"
+    chapters, measured = [describe_machine(machine)], {}
     for scene in scenes:
-        asked = Asked(scene.recipe, dict(scene.changes), scene.index, size, runs, quality=quality)
-        # Not counted: it warms the disk's cache and that of compiled kernels.
-        plainest = in_child(replace(asked, frames=0))
-        asked = replace(asked, size=tuple(plainest["size"]))
-        found[scene.name] = one = {
-            "plants": _plants(asked, quick, told),
-            "triangles": _triangles(asked, told),
-            "pixels": _pixels(asked, quick, told),
-            "frames": _frames(asked, quick, told),
-            "workers": _workers(asked, told),
+        task = FramesTask(scene.recipe, dict(scene.changes), scene.index, size, runs, quality=quality)
+        # Not counted: it warms the caches of the disk and of compiled kernels.
+        first = run_child(replace(task, frames=0))
+        task = replace(task, size=tuple(first["size"]))
+        measured[scene.name] = tables = {
+            "plants": _measure_plants(task, quick, on_progress),
+            "triangles": _measure_triangles(task, on_progress),
+            "pixels": _measure_pixels(task, quick, on_progress),
+            "frames": _measure_frames(task, quick, on_progress),
+            "workers": _measure_workers(task, on_progress),
         }
-        chapters += [f"#### {scene.name.capitalize()}, quality `{quality}`", *map(_table, one.values())]
+        chapters += [f"#### {scene.name.capitalize()}, quality `{quality}`", *map(_format, tables.values())]
     markdown = "\n\n".join(chapters) + "\n"
-    record = {"format": FORMAT, "machine": on, "scenes": found}
-    files = {"scaling.json": canonical_json(plain(record)), "scaling.md": markdown.encode()}
-    return BenchmarkFiles(write_all(folder, files), markdown)
+    content = {"machine": machine, "scenes": measured}
+    return BenchmarkFiles(write_results(folder, "scaling", content, markdown, {}), markdown)
 
 
-def _plants(asked: Asked, quick: bool, told: Told) -> list[dict[str, Any]]:
+def _measure_plants(task: FramesTask, quick: bool, on_progress: OnProgress) -> list[Row]:
     """More plants in both rows."""
     rows = []
     for front, back in _PLANTS[:2] if quick else _PLANTS:
-        told(f"{front + back} plants")
-        changes = {**asked.changes, "row.plants_front": front, "row.plants_back": back}
-        rows.append({"plants": front + back, **_cost(in_child(replace(asked, changes=changes)))})
+        on_progress(f"{front + back} plants")
+        changes = {**task.changes, "row.plants_front": front, "row.plants_back": back}
+        rows.append({"plants": front + back, **_cost(run_child(replace(task, changes=changes)))})
     return rows
 
 
-def _triangles(asked: Asked, told: Told) -> list[dict[str, Any]]:
-    """The same bodies out of more triangles."""
+def _measure_triangles(task: FramesTask, on_progress: OnProgress) -> list[Row]:
+    """The same surfaces with each triangle divided into four."""
     rows = []
-    for divided in _DIVIDED:
-        told(f"each triangle as {4**divided}")
-        rows.append({"cut into": 4**divided, **_cost(in_child(replace(asked, divided=divided)))})
+    for divided in (0, 1):
+        on_progress(f"each triangle divided into {4**divided}")
+        rows.append({"divided into": 4**divided, **_cost(run_child(replace(task, divided=divided)))})
     return rows
 
 
-def _pixels(asked: Asked, quick: bool, told: Told) -> list[dict[str, Any]]:
+def _measure_pixels(task: FramesTask, quick: bool, on_progress: OnProgress) -> list[Row]:
     """Larger pictures of the same view."""
-    assert asked.size is not None
+    assert task.size is not None
     rows = []
-    for share in _SHARES[:3] if quick else _SHARES:
-        size = (max(round(asked.size[0] * share), 1), max(round(asked.size[1] * share), 1))
-        told(f"{size[0]}x{size[1]} pixels")
-        rows.append({"pixels": f"{size[0]}x{size[1]}", **_cost(in_child(replace(asked, size=size)))})
+    for scale in _SCALES[:3] if quick else _SCALES:
+        width, height = (max(round(length * scale), 1) for length in task.size)
+        on_progress(f"{width}x{height} pixels")
+        cost = _cost(run_child(replace(task, size=(width, height))))
+        rows.append({"pixels": f"{width}x{height}", **cost})
     return rows
 
 
-def _frames(asked: Asked, quick: bool, told: Told) -> list[dict[str, Any]]:
-    """A long run: what the fixed cost of a scene comes to, and whether memory grows."""
+def _measure_frames(task: FramesTask, quick: bool, on_progress: OnProgress) -> list[Row]:
+    """A long sequence: the fixed cost of a scene per frame, and the growth of memory."""
     count = 8 if quick else _FRAMES
-    told(f"{count} frames in sequence")
-    found = in_child(replace(asked, frames=count - 1))
-    fixed = sum(found["scene"].values())
-    each = [sum(frame.values()) for frame in found["frames"]]
-    marks = sorted({1, 2, 4, 8, count // 2, count})
+    on_progress(f"{count} frames in sequence")
+    child = run_child(replace(task, frames=count - 1))
+    fixed = sum(child["scene"].values())
+    times = _frame_times(child)
     return [
         {
-            "frames": mark,
-            "together_s": fixed + sum(each[:mark]),
-            "each_s": (fixed + sum(each[:mark])) / mark,
-            "peak_mib": found["peaks_mib"][mark - 1],
+            "frames": frames,
+            "together_s": fixed + sum(times[:frames]),
+            "each_s": (fixed + sum(times[:frames])) / frames,
+            "peak_mib": child["peaks_mib"][frames - 1],
         }
-        for mark in marks
+        for frames in sorted({1, 2, 4, 8, count // 2, count})
     ]
 
 
-def _workers(asked: Asked, told: Told) -> list[dict[str, Any]]:
-    """As many processes at a time, each with frames of its own, from one to the machine's cores."""
+def _measure_workers(task: FramesTask, on_progress: OnProgress) -> list[Row]:
+    """Several processes at a time, each with its own frames, up to the number of cores."""
     rows = []
-    for workers in sorted({1, 2, cores()}):
-        told(f"{workers} workers")
+    for workers in sorted({1, 2, available_cores()}):
+        on_progress(f"{workers} workers")
         start = perf_counter()
-        parts = [replace(asked, index=asked.index + number) for number in range(workers)]
-        found = in_children(parts)
-        together = perf_counter() - start
-        # The rate while all are at work: frames behind the first of each process.
-        rate = sum(1.0 / _median(child) for child in found)
+        children = run_children([replace(task, index=task.index + number) for number in range(workers)])
+        total = perf_counter() - start
+        # The rate while all processes render: without the first frame of each.
+        medians = [statistics.median(_frame_times(child)[1:]) for child in children]
         rows.append(
             {
                 "workers": workers,
-                "frame_s": statistics.median(_median(child) for child in found),
-                "frames_per_s": rate,
-                "with_start_s": together,
-                "peak_mib": sum(child["peaks_mib"][-1] for child in found),
+                "frame_s": statistics.median(medians),
+                "frames_per_s": sum(1.0 / median for median in medians),
+                "with_start_s": total,
+                "peak_mib": sum(child["peaks_mib"][-1] for child in children),
             }
         )
     return rows
 
 
-def _cost(found: dict[str, Any]) -> dict[str, Any]:
-    """A scene's and a frame's cost, with each time."""
-    times = [sum(frame.values()) for frame in found["frames"][1:]]
-    once = ("import", "start Mitsuba")
+def _frame_times(child: dict[str, Any]) -> list[float]:
+    return [sum(frame.values()) for frame in child["frames"]]
+
+
+def _cost(child: dict[str, Any]) -> Row:
+    """Cost of a scene and of its next frames."""
+    times = _frame_times(child)[1:]
     return {
-        "triangles": found["triangles"],
-        "scene_s": sum(seconds for what, seconds in found["scene"].items() if what not in once),
+        "triangles": child["triangles"],
+        "scene_s": scene_seconds(child),
         "frame_s": statistics.median(times),
         "least_s": min(times),
         "most_s": max(times),
         "seconds": times,
-        "peak_mib": found["peaks_mib"][-1],
+        "peak_mib": child["peaks_mib"][-1],
     }
 
 
-def _median(found: dict[str, Any]) -> float:
-    return statistics.median(sum(frame.values()) for frame in found["frames"][1:])
-
-
-_HEADS: Final = {
-    "scene_s": "new scene", "frame_s": "frame", "least_s": "least", "most_s": "most",
-    "together_s": "together, with the scene", "each_s": "for each", "peak_mib": "memory",
-    "frames_per_s": "frames a second", "with_start_s": "with start and scene",
-}  # fmt: skip
-
-
-def _table(rows: Sequence[dict[str, Any]]) -> str:
-    """Rows of equal keys as Markdown; lists are for the JSON alone."""
+def _format(rows: Sequence[Row]) -> str:
+    """Rows with the same keys as Markdown; lists are written to the JSON file only."""
     keys = [key for key, value in rows[0].items() if not isinstance(value, list)]
-    lines = [f"| {' | '.join(_HEADS.get(key, key) for key in keys)} |", f"|{'---:|' * len(keys)}"]
-    lines += [f"| {' | '.join(_cell(key, row[key]) for key in keys)} |" for row in rows]
-    return "\n".join(lines)
+    cells = [[_format_cell(key, row[key]) for key in keys] for row in rows]
+    return markdown_table([_HEADS.get(key, key) for key in keys], cells, left=0)
 
 
-def _cell(key: str, value: Any) -> str:
+def _format_cell(key: str, value: Any) -> str:
     if key == "frames_per_s":
         return f"{value:.2f}"
     if key.endswith("_s"):
-        return duration(value)
+        return format_time(value)
     if key == "peak_mib":
         return f"{value:,.0f} MiB"
     return f"{value:,}" if isinstance(value, int) else str(value)

@@ -1,58 +1,54 @@
-"""The bench's own scenes, told here once for all: figures of different days can be compared."""
+"""The benchmark scenes, fixed here so that figures of different days can be compared."""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.dataset import FrameRenderer
+from pepperscene.dataset import FrameRenderer, Recipe, load_recipe
 from pepperscene.errors import ArgumentError
 from pepperscene.frame import Frame
-from pepperscene.render import Quality
+from pepperscene.render import Quality, Renderer
 from pepperscene.scene import Scene
 from pepperscene.version import __version__
 
-if TYPE_CHECKING:
-    from pepperscene.dataset import Recipe
-
-
 _ONE_SCENE: Final = {"plan.sets": 1, "plan.rotations": 1, "plan.frames": 250, "plan.select": [0]}
-_LARGEST: Final = 8192
-"""Chosen: pixels along a side; a picture twice as large hardly fits into memory."""
+_MAX_SIDE_PX: Final = 8192
+"""Chosen: a picture twice as large hardly fits into memory."""
 
 _SIZE: Final = re.compile(r"([1-9]\d{0,4})x([1-9]\d{0,4})", re.ASCII)
+
+TRACED: Final = ("electrons",)
+"""The timed output: light, up to the sensor's electrons. Developing and labels cost the same everywhere."""
 
 
 @dataclass(frozen=True)
 class BenchScene:
-    """What is rendered, and from where.
+    """A scene and a view of it.
 
     Attributes:
         name: on the command line and in file names.
-        recipe: of the shipped ones.
-        index: of the frame whose error is measured; those beside it on the camera's path are timed as well.
-        meaning: one line for tables and pages.
-        changes: of single values, as `--set` takes them.
+        recipe: name of a shipped recipe.
+        index: of the frame whose error is measured; its neighbours on the camera path are timed.
+        description: one line for tables and pages.
+        changes: changed values of the recipe, as for `--set`.
     """
 
     name: str
     recipe: str
     index: int
-    meaning: str
+    description: str
     changes: Mapping[str, Any] = field(default_factory=dict)
 
     def load(self) -> Recipe:
         """The recipe with the changes."""
-        from pepperscene.dataset import load_recipe
-
         return load_recipe(self.recipe, dict(self.changes))
 
 
@@ -63,13 +59,13 @@ SCENES: Final[Mapping[str, BenchScene]] = {
             "near",
             "barth2018",
             155,
-            "three plants, a fruit and a stem before the lens, the rest out of focus",
+            "three plants, a fruit and a stem close to the lens, the rest out of focus",
             {
                 **_ONE_SCENE,
                 "row.plants_front": 3,
                 "row.plants_back": 0,
-                "path.distance_mm": 210.0,  # chosen: half of the paper's; a fruit fills a tenth of it
-                "path.pitch_deg": 0.0,  # chosen: fruit hang in the middle
+                "path.distance_mm": 210.0,  # chosen: half of the paper's; a fruit fills a tenth
+                "path.pitch_deg": 0.0,  # chosen: fruit are in the centre
                 "camera.focus_mm": 140.0,  # chosen: on the nearest fruit
                 "camera.exposure_us": 14.0,  # chosen: 50 us times (210 mm / 400 mm)^2, as the flash is nearer
             },
@@ -82,180 +78,150 @@ SCENES: Final[Mapping[str, BenchScene]] = {
 }
 
 
-def scenes_named(names: str) -> tuple[BenchScene, ...]:
-    """The scenes of a list with commas, in the order of `SCENES`.
+def select_scenes(names: str) -> tuple[BenchScene, ...]:
+    """The scenes of a comma-separated list, in the order of `SCENES`.
 
     Raises:
-        InputError: a name is unknown, or there is none.
+        InputError: a name is unknown, or the list is empty.
     """
-    wanted = [name.strip() for name in names.split(",") if name.strip()]
-    unknown = [name for name in wanted if name not in SCENES]
-    if unknown or not wanted:
-        told = f"unknown scene {unknown[0]!r}" if unknown else "no scene is named"
-        raise ArgumentError("scene", f"{told}; allowed are {', '.join(SCENES)}")
-    return tuple(scene for name, scene in SCENES.items() if name in wanted)
+    selected = [name.strip() for name in names.split(",") if name.strip()]
+    unknown = [name for name in selected if name not in SCENES]
+    if unknown or not selected:
+        problem = f"unknown scene {unknown[0]!r}" if unknown else "names no scene"
+        raise ArgumentError("scene", f"{problem}; allowed are {', '.join(SCENES)}")
+    return tuple(scene for name, scene in SCENES.items() if name in selected)
 
 
-def size_of(text: str) -> tuple[int, int]:
-    """Width and height out of "WxH".
+def parse_size(text: str) -> tuple[int, int]:
+    """Width and height of a text "WxH".
 
     Raises:
-        InputError: not of that form, or too large.
+        InputError: the text has another form, or a side is too large.
     """
-    found = _SIZE.fullmatch(text.strip())
-    size = (int(found[1]), int(found[2])) if found else (0, 0)
-    if not 1 <= min(size) <= max(size) <= _LARGEST:
-        raise ArgumentError("size", f"{text!r} must be WIDTHxHEIGHT, each 1 to {_LARGEST} pixels")
+    match = _SIZE.fullmatch(text.strip())
+    size = (int(match[1]), int(match[2])) if match else (0, 0)
+    if not 1 <= min(size) <= max(size) <= _MAX_SIDE_PX:
+        raise ArgumentError("size", f"{text!r} must be WIDTHxHEIGHT, each 1 to {_MAX_SIDE_PX} pixels")
     return size
 
 
-def resized(camera: Camera, size: Sequence[int] | None) -> Camera:
-    """The camera with another number of pixels across the same width of the scene, exposed alike.
+def resize_camera(camera: Camera, size: Sequence[int] | None) -> Camera:
+    """The camera with another number of pixels, the same width of view and the same exposure.
 
-    Pixels become larger or smaller. So that a photosite still gathers the same share of its well, a lens with
-    larger pixels lets less light through, and a sensor with smaller ones amplifies more: both leave the
-    depth of field, the mixture of lights and the picture's brightness as they are.
+    Pixels become larger or smaller. So that a photosite still collects the same fraction of its full well,
+    the lens transmits less for larger pixels, and the sensor's gain rises for smaller ones: both keep the
+    depth of field, the mixture of lights and the brightness of the picture.
 
     Args:
-        camera: as the recipe says.
+        camera: of the recipe.
         size: width and height, or None for the camera's own.
     """
     if size is None or tuple(size) == (camera.width, camera.height):
         return camera
-    columns, rows = (int(one) for one in size)
-    wider = camera.width / columns
+    columns, rows = (int(length) for length in size)
+    scale = camera.width / columns
     sensor = dataclasses.replace(
         camera.sensor,
         columns=columns,
         rows=rows,
-        pitch_m=camera.sensor.pitch_m * wider,
-        gain=camera.sensor.gain * max(1.0, wider**-2),
+        pitch_m=camera.sensor.pitch_m * scale,
+        gain=camera.sensor.gain * max(1.0, scale**-2),
     )
-    lens = dataclasses.replace(camera.lens, transmittance=camera.lens.transmittance / max(1.0, wider**2))
+    lens = dataclasses.replace(camera.lens, transmittance=camera.lens.transmittance / max(1.0, scale**2))
     return dataclasses.replace(camera, sensor=sensor, lens=lens)
-
-
-TRACED: Final = ("electrons",)
-"""What is timed: light, as far as the sensor's wells. Developing and labels are the same for all settings."""
-
-
-class BenchRenderer(Protocol):
-    """What renders the views of one scene."""
-
-    def render(
-        self,
-        camera: Camera,
-        outputs: Sequence[str] = ...,
-        quality: str | Quality = ...,
-        seed: int = ...,
-    ) -> Frame:
-        """One view."""
-
-
-RendererFactory = Callable[[Scene], BenchRenderer]
 
 
 @dataclass(frozen=True, eq=False)
 class BenchSubject:
-    """What is measured.
+    """A loaded benchmark scene with its cameras and renderers.
 
     Attributes:
-        name: of the bench's scene.
-        whole: all that stands there.
-        scene: without what the frames cannot tell, as they are built.
+        name: of the benchmark scene.
+        full_scene: with everything in it.
+        scene: as builds render it, without what the frames cannot see.
         camera: of the frame whose error is measured.
-        path: cameras beside it on the path, in the order of frames.
-        whole_renderer: holds the whole scene.
-        renderer: holds what frames are built from.
+        path: neighbouring cameras on the path, in the order of frames.
+        full_renderer: of the full scene.
+        renderer: of the culled scene.
     """
 
     name: str
-    whole: Scene
+    full_scene: Scene
     scene: Scene
     camera: Camera
     path: tuple[Camera, ...]
-    whole_renderer: BenchRenderer
-    renderer: BenchRenderer
+    full_renderer: Renderer
+    renderer: Renderer
 
-    def truth(self, quality: str | Quality, seed: int) -> NDArray[Any]:
-        """`(h, w, c)` expected electrons of the whole scene, of the frame whose error is measured."""
-        return self.frame(quality, seed, whole=True)["electrons"]
-
-    def frame(
-        self, quality: str | Quality, seed: int, camera: Camera | None = None, *, whole: bool = False
+    def render(
+        self, quality: str | Quality, seed: int, camera: Camera | None = None, *, full: bool = False
     ) -> Frame:
-        """A view, light alone; by default that whose error is measured."""
-        renderer = self.whole_renderer if whole else self.renderer
+        """Render the light of a view, by default of the frame whose error is measured.
+
+        Args:
+            quality: of the frame.
+            seed: of its samples.
+            camera: another view, or None.
+            full: True renders the full scene.
+        """
+        renderer = self.full_renderer if full else self.renderer
         return renderer.render(camera or self.camera, TRACED, quality, seed)
 
     def digest(self) -> str:
-        """SHA-256 over all that decides the true picture: version, whole scene and camera."""
-        found = hashlib.sha256(__version__.encode())
-        _feed(found, self.whole)
-        _feed(found, self.camera)
-        return found.hexdigest()
+        """SHA-256 of everything that the converged picture depends on: version, full scene and camera."""
+        sha256 = hashlib.sha256(__version__.encode())
+        _update_digest(sha256, self.full_scene)
+        _update_digest(sha256, self.camera)
+        return sha256.hexdigest()
 
 
-def bench_subject(
-    bench_scene: BenchScene,
-    size: tuple[int, int] | None,
-    frames: int,
-    factory: RendererFactory | None = None,
-) -> BenchSubject:
-    """A bench scene made ready.
+def load_subject(bench_scene: BenchScene, size: tuple[int, int] | None, frames: int) -> BenchSubject:
+    """Build a benchmark scene and its renderers.
 
     Args:
-        bench_scene: which.
+        bench_scene: of `SCENES`.
         size: of the picture, or None for the camera's own.
-        frames: how many cameras of the path are to be timed.
-        factory: makes the renderer; None for the render room's.
+        frames: number of cameras on the path that are timed.
 
     Raises:
         SetupError: the machine cannot render.
     """
     recipe = bench_scene.load()
-    stage, plan, make = FrameRenderer(recipe), recipe.plan, factory or _renderer
+    stage, plan = FrameRenderer(recipe), recipe.plan
     shot = plan.frame(bench_scene.index)
-    whole, scene = FrameRenderer(recipe, culled=False).scene(shot), stage.scene(shot)
-    # Neighbours on the path, as a build goes through them; they stay in the same scene.
+    full_scene, scene = FrameRenderer(recipe, culled=False).scene(shot), stage.scene(shot)
+    # Neighbours on the path, in the order of a build; they share the scene.
     first = bench_scene.index - bench_scene.index % plan.frames
     steps = [(shot.step + 1 + number) % plan.frames for number in range(frames)]
-    cameras = [resized(stage.camera(plan.frame(first + step)), size) for step in steps]
     return BenchSubject(
         bench_scene.name,
-        whole,
+        full_scene,
         scene,
-        resized(stage.camera(shot), size),
-        tuple(cameras),
-        make(whole),
-        make(scene),
+        resize_camera(stage.camera(shot), size),
+        tuple(resize_camera(stage.camera(plan.frame(first + step)), size) for step in steps),
+        Renderer(full_scene),
+        Renderer(scene),
     )
 
 
-def _renderer(scene: Scene) -> BenchRenderer:
-    from pepperscene.render import Renderer
-
-    return Renderer(scene)
-
-
-def _feed(found: Any, thing: Any) -> None:
-    """Feed a digest with frozen data, all the way down: data classes, tuples, tables, arrays and scalars."""
-    found.update(type(thing).__name__.encode())
-    if isinstance(thing, np.ndarray):
-        found.update(f"{thing.dtype}{thing.shape}".encode())
-        found.update(np.ascontiguousarray(thing).data)
-    elif dataclasses.is_dataclass(thing) and not isinstance(thing, type):
-        for one in dataclasses.fields(thing):
-            found.update(one.name.encode())
-            _feed(found, getattr(thing, one.name))
-    elif isinstance(thing, dict):
-        for key, value in thing.items():
-            _feed(found, key)
-            _feed(found, value)
-    elif isinstance(thing, tuple | list):
-        for value in thing:
-            _feed(found, value)
-    elif thing is None or isinstance(thing, str | int | float | bool | np.generic):
-        found.update(repr(thing).encode())
+def _update_digest(sha256: Any, value: Any) -> None:
+    """Add nested frozen data to a digest: data classes, tuples, dictionaries, arrays and scalars."""
+    sha256.update(type(value).__name__.encode())
+    if isinstance(value, np.ndarray):
+        sha256.update(f"{value.dtype}{value.shape}".encode())
+        sha256.update(np.ascontiguousarray(value).data)
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        for entry in dataclasses.fields(value):
+            sha256.update(entry.name.encode())
+            _update_digest(sha256, getattr(value, entry.name))
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            _update_digest(sha256, key)
+            _update_digest(sha256, item)
+    elif isinstance(value, tuple | list):
+        for item in value:
+            _update_digest(sha256, item)
+    elif value is None or isinstance(value, str | int | float | bool | np.generic):
+        sha256.update(repr(value).encode())
     else:
-        raise ValueError(f"{type(thing).__name__} is not plain data")
+        raise ValueError(f"{type(value).__name__} cannot be hashed: it is not plain data")

@@ -1,10 +1,10 @@
-"""The command line: parse, call, show progress, exit code; one file for each group of commands.
+"""The command line: one module for each group of commands.
 
 Exit codes: 0 success, 1 a data set has faults, 2 an error that the user can fix (one line says what), 130
 interrupted.
 """
 
-from pepperscene.cli import building, comparing, datasets, machine, tuning
+from pepperscene.cli import building, datasets, machine, tuning
 from pepperscene.cli.application import app, main
 
-__all__ = ["app", "building", "comparing", "datasets", "machine", "main", "tuning"]
+__all__ = ["app", "building", "datasets", "machine", "main", "tuning"]

@@ -1,16 +1,17 @@
-"""The application that commands are added to, and what they share."""
+"""The command-line application, and the options and error handling that its commands share."""
 
 from __future__ import annotations
 
 import functools
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Annotated, Final, ParamSpec, TypeVar
 
 import typer
 
+from pepperscene.cli.progress import echo_progress
 from pepperscene.errors import EXIT_BAD_INPUT, ArgumentError, PepperError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, check_outputs
 from pepperscene.version import __version__
@@ -25,7 +26,8 @@ R = TypeVar("R")
 
 app = typer.Typer(
     name="pepperscene",
-    help="Labelled, radiometrically calibrated images of sweet-pepper plants, by spectral light transport.",
+    help="Render labelled, radiometrically calibrated images of sweet-pepper plants by spectral light "
+    "transport.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -39,49 +41,50 @@ def main() -> None:
 
 
 _OPTIONS: Final = {"changes": "set", "form": "format", "names": "fit", "smallest_px": "smallest"}
-"""Options whose name is not that of the argument that they set."""
+"""Names of options that differ from the argument that they set."""
 
 
 def handle_errors(command: Callable[P, R]) -> Callable[P, R]:
-    """The command with every foreseeable error as one line on standard error, without a traceback."""
+    """Wrap a command so that foreseeable errors are one line on standard error, without a traceback."""
 
     @functools.wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
             return command(*args, **kwargs)
-        except PepperError as fault:
-            message = str(fault)
-            if isinstance(fault, ArgumentError):
-                message = f"--{_OPTIONS.get(fault.where, fault.where).replace('_', '-')}: {fault.detail}"
-            typer.echo(f"error: {' '.join(message.split())}", err=True)
+        except PepperError as error:
+            message = str(error)
+            if isinstance(error, ArgumentError):
+                option = _OPTIONS.get(error.where, error.where).replace("_", "-")
+                message = f"--{option}: {error.detail}"
+            echo_progress(f"error: {' '.join(message.split())}")
             raise typer.Exit(EXIT_BAD_INPUT) from None
         except KeyboardInterrupt:
-            typer.echo("interrupted; a build keeps whole frames and goes on with the same command", err=True)
+            echo_progress("interrupted; to resume a build, run the same command again")
             raise typer.Exit(EXIT_INTERRUPTED) from None
 
     return run
 
 
 @contextmanager
-def ended_by_signals() -> Iterator[None]:
-    """SIGTERM, as a cluster sends it before the time is over, ends what is done as Ctrl-C does."""
+def sigterm_as_interrupt() -> Iterator[None]:
+    """Treat SIGTERM, which clusters send before the time limit, like Ctrl-C."""
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    # Signals can only be caught in a program's first thread.
+    # Signal handlers can only be set in the main thread.
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, interrupt)
+    previous = signal.signal(signal.SIGTERM, interrupt)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGTERM, previous)
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(requested: bool) -> None:
+    if requested:
         typer.echo(f"pepperscene {__version__}")
         raise typer.Exit
 
@@ -89,41 +92,61 @@ def _show_version(wanted: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and exit."),
     ] = False,
 ) -> None:
     pass
 
 
 RecipeArgument = Annotated[
-    str, typer.Argument(help="A recipe file, or the name of a shipped one (see `recipes`).")
+    str, typer.Argument(help="Recipe file, or name of a shipped recipe (see `recipes`).")
 ]
 OutputsOption = Annotated[
-    str, typer.Option(metavar="NAMES", help=f"Of {', '.join(OUTPUTS)}; separated by commas.")
+    str, typer.Option(metavar="NAMES", help=f"Outputs to write, comma-separated: {', '.join(OUTPUTS)}.")
 ]
 QualityOption = Annotated[
-    str, typer.Option(metavar="NAME", help="draft, standard or reference: how much light is traced.")
+    str, typer.Option(metavar="NAME", help="Rendering quality: draft, standard or reference.")
 ]
 TargetOption = Annotated[
     float | None,
     typer.Option(
-        help="Light's error over the sensor's noise at which sampling stops; the quality's own otherwise."
+        help="Rendering error relative to the sensor noise at which sampling stops. Overrides the quality's."
     ),
 ]
-SeedOption = Annotated[int | None, typer.Option(help="Instead of the recipe's.")]
+SeedOption = Annotated[int | None, typer.Option(help="Random seed. Overrides the recipe's.")]
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
-        metavar="KEY=VALUE", help="Change one value of the recipe, as camera.flash=none; can be repeated."
+        metavar="KEY=VALUE", help="Change one value of the recipe (camera.flash=none); can be repeated."
     ),
 ]
+LabelsOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Meaning of the masks of a folder of images.")
+]
+HalfOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Half of the published data set: synthetic or empirical.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the complete result as JSON.")]
 
 
-def names_of(outputs: str) -> tuple[str, ...]:
-    """Output names out of a list with commas."""
+def print_ruled_table(
+    heads: Sequence[str], rows: Iterable[Sequence[str]], title: str | None = None, notes: Iterable[str] = ()
+) -> None:
+    """Print a table with rules and wrapped cells, for terminals."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console()
+    table = Table(*heads, title=None if title is None else Text(title), title_justify="left")
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    console.print(table)
+    for note in notes:
+        console.print(Text(note))
+
+
+def parse_outputs(outputs: str) -> tuple[str, ...]:
+    """Output names from a comma-separated list."""
     return check_outputs(name.strip() for name in outputs.split(",") if name.strip())
-
-
-def told(text: str) -> None:
-    """A line of progress, beside what is printed for keeps."""
-    typer.echo(text, err=True)

@@ -1,4 +1,4 @@
-"""Commands that render: a data set, or one frame of it."""
+"""Commands that build data sets, frames and plants, and list the shipped recipes and cultivars."""
 
 from __future__ import annotations
 
@@ -16,22 +16,20 @@ from pepperscene.cli.application import (
     SetOption,
     TargetOption,
     app,
-    ended_by_signals,
     handle_errors,
-    names_of,
+    parse_outputs,
+    sigterm_as_interrupt,
 )
 
 
 @app.command()
 @handle_errors
 def build(
-    out: Annotated[Path, typer.Option(help="Folder of the data set; made when missing.")],
+    out: Annotated[Path, typer.Option(help="Folder of the data set; created if missing.")],
     recipe: RecipeArgument = "demo",
     frames: Annotated[
         str | None,
-        typer.Option(
-            metavar="A:B", help="Indices A to B - 1, counted from 0; by default what the recipe selects."
-        ),
+        typer.Option(metavar="A:B", help="Frames A to B - 1, counted from 0. Default: the recipe's."),
     ] = None,
     outputs: OutputsOption = DEFAULTS,
     quality: QualityOption = "standard",
@@ -40,29 +38,27 @@ def build(
     set: SetOption = None,
     workers: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            help="Processes on this machine, each with its share of the cores; without it, one with all.",
-        ),
+        typer.Option(metavar="N", help="Processes on this machine, which share its cores. Default: one."),
     ] = None,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Of a running Dask cluster that sees the folder.")
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Scheduler of a Dask cluster that can access the folder."),
     ] = None,
     slurm: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Jobs to ask Slurm for, as a TOML file.")
+        Path | None, typer.Option(metavar="FILE", help="TOML file that describes the Slurm jobs to submit.")
     ] = None,
     json: Annotated[
-        bool, typer.Option("--json", help="Tell of each frame as a line of JSON on standard output.")
+        bool, typer.Option("--json", help="Report progress as JSON lines on standard output.")
     ] = False,
 ) -> None:
-    """Build a data set, or what is missing of it."""
-    names = names_of(outputs)
+    """Build a data set. Finished frames are kept: run the same command again to resume a build."""
+    names = parse_outputs(outputs)
     from pepperscene.cli.progress import progress_reporter
     from pepperscene.dataset import BuildOptions, parse_changes, resolve_recipe
     from pepperscene.dataset import build as build_dataset
 
     resolved = resolve_recipe(recipe, parse_changes(set or ()))
-    with ended_by_signals(), progress_reporter(json) as shown:
+    with sigterm_as_interrupt(), progress_reporter(json) as reporter:
         options = BuildOptions(
             quality=quality,
             target_error=target_error,
@@ -70,20 +66,20 @@ def build(
             workers=workers,
             scheduler=scheduler,
             slurm=slurm,
-            on_notice=shown.notice,
+            on_notice=reporter.notice,
         )
-        done = build_dataset(resolved, out, frames, names, options, on_frame=shown.frame)
-    shown.end(done, out)
+        done = build_dataset(resolved, out, frames, names, options, on_frame=reporter.frame)
+    reporter.end(done, out)
 
 
 @app.command()
 @handle_errors
 def render(
-    out: Annotated[Path, typer.Option(help="Folder of the frame; made when missing.")],
+    out: Annotated[Path, typer.Option(help="Folder of the frame; created if missing.")],
     recipe: RecipeArgument = "demo",
     frame: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Its index, counted from 0; by default the first that is selected."),
+        typer.Option(metavar="N", help="Index of the frame, counted from 0. Default: the first selected."),
     ] = None,
     outputs: OutputsOption = DEFAULTS,
     quality: QualityOption = "standard",
@@ -91,8 +87,8 @@ def render(
     seed: SeedOption = None,
     set: SetOption = None,
 ) -> None:
-    """Render one frame of a recipe, to look at it or to try a setting."""
-    names = names_of(outputs)
+    """Render one frame of a recipe, to preview it or to try a setting."""
+    names = parse_outputs(outputs)
     from pepperscene.dataset import BuildOptions, parse_changes, render_frame, resolve_recipe
 
     resolved = resolve_recipe(recipe, parse_changes(set or ()))
@@ -110,35 +106,36 @@ def recipes() -> None:
 
     for path in sorted(shipped_folder("recipes").glob("*.toml")):
         plan = load_recipe(path.stem).plan
-        chosen = len(plan.select_indices(None))
+        selected = len(plan.select_indices(None))
         total = f"{plan.count:,} frames: {plan.sets} sets x {plan.rotations} rotations x {plan.frames} steps"
-        typer.echo(f"{path.stem:<12} {total}{f'; builds {chosen} of them' if chosen < plan.count else ''}")
+        typer.echo(f"{path.stem:<12} {total}{f'; {selected} selected' if selected < plan.count else ''}")
 
 
 @app.command()
 @handle_errors
 def plant(
     cultivar: Annotated[
-        str, typer.Argument(help="A cultivar file, or the name of a shipped one (see `cultivars`).")
+        str, typer.Argument(help="Cultivar file, or name of a shipped cultivar (see `cultivars`).")
     ],
     out: Annotated[
-        Path, typer.Option(help="The mesh's file: its ending tells the format, .glb, .obj, .ply or .stl.")
+        Path, typer.Option(help="Mesh file; its suffix sets the format: .glb, .obj, .ply or .stl.")
     ],
-    seed: Annotated[int, typer.Option(help="Another seed is another plant.")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed; each seed gives a different plant.")] = 0,
     detail: Annotated[
-        float, typer.Option(help="Fineness of the mesh: twice as much has four times the triangles.")
+        float, typer.Option(help="Mesh resolution; doubling it gives four times as many triangles.")
     ] = 1.0,
     until: Annotated[
-        str | None, typer.Option(metavar="CULTIVAR", help="Of a later date; the plant stands between both.")
+        str | None,
+        typer.Option(metavar="CULTIVAR", help="Second cultivar, of a later date, to interpolate towards."),
     ] = None,
     share: Annotated[
         float | None,
-        typer.Option(help="How far from the first to the second, 0 to 1; 0.5 if left out."),
+        typer.Option(help="Position between the two cultivars, 0 to 1. Default: 0.5."),
     ] = None,
-    picture: Annotated[bool, typer.Option(help="Render a picture beside the mesh, of the same name.")] = True,
+    picture: Annotated[bool, typer.Option(help="Render a picture of the same name as well.")] = True,
     quality: QualityOption = "standard",
 ) -> None:
-    """Grow one plant and write its mesh for other programs, with a picture of it."""
+    """Grow one plant and export its mesh, with a picture."""
     from pepperscene.dataset.scenes.plant_export import export_plant
 
     done = export_plant(
@@ -150,10 +147,10 @@ def plant(
     )
     for kind, count in done.organs.items():
         typer.echo(f"  {count:>4} {kind}")
-    left = done.contacts
+    contacts = done.contacts
     typer.echo(
-        f"  {left.fruit_touching} of {left.fruit} fruit still touch another organ, "
-        f"{left.blades_touching} of {left.blades} blades a stem"
+        f"  {contacts.fruit_touching} of {contacts.fruit} fruit still touch another organ, "
+        f"{contacts.blades_touching} of {contacts.blades} blades a stem"
     )
     for path in done.files:
         typer.echo(path)
@@ -168,8 +165,8 @@ def cultivars() -> None:
 
     names = [path.stem for path in sorted(shipped_folder("plants").glob("*.toml"))]
     for name in names:
-        one = load_cultivar(name)
-        dated = f", {one.date}" if one.date is not None else ""
+        model = load_cultivar(name)
+        date = f", {model.date}" if model.date is not None else ""
         typer.echo(
-            f"{name:<{max(map(len, names))}}  {one.name}, {one.species}: {one.stem.parts} nodes{dated}"
+            f"{name:<{max(map(len, names))}}  {model.name}, {model.species}: {model.stem.parts} nodes{date}"
         )

@@ -1,237 +1,208 @@
-"""The command that lets a data set pass, or tells its faults."""
+"""Commands for image sets: check, export, report and compare."""
 
 from __future__ import annotations
 
 import json as json_text
 import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from pepperscene.cli.application import app, handle_errors, told
-from pepperscene.errors import InputError
+from pepperscene.cli.application import (
+    HalfOption,
+    JsonOption,
+    LabelsOption,
+    app,
+    handle_errors,
+    print_ruled_table,
+)
+from pepperscene.cli.progress import check_progress, echo_measured, echo_progress, export_progress
+from pepperscene.errors import InputError, OutputError
 
 if TYPE_CHECKING:
-    from pepperscene.dataset.check import CheckResult, Finding
-    from pepperscene.dataset.readers.image_set import ImageSet
+    from pepperscene.dataset.check import CheckResult
 
 
 EXIT_FAULTS: Final = 1
-_HEADINGS: Final = ("kind", "frame", "file", "what is wrong")
+_SET_HELP: Final = "Folder of images, or file of patches or measured reflectances."
+_HEADINGS: Final = ("kind", "frame", "file", "problem")
+
+FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a data set.")]
 
 
 @app.command()
 @handle_errors
 def check(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a data set.")],
+    folder: FolderArgument,
     frames: Annotated[
-        str | None,
-        typer.Option(metavar="A:B", help="Indices that must be there; by default those of the manifest."),
+        str | None, typer.Option(metavar="A:B", help="Frames that must exist. Default: the manifest's.")
     ] = None,
-    rows: Annotated[int, typer.Option(min=1, help="Most rows shown of each kind of fault.")] = 10,
+    rows: Annotated[int, typer.Option(min=1, help="Print at most this many faults of each kind.")] = 10,
     workers: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Processes that read frames; one for each core if left out."),
+        int | None, typer.Option(metavar="N", help="Processes that read frames. Default: one per core.")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the whole verdict as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
-    """Look for faults in a data set; exit code 1 if there are any."""
-    from pepperscene.dataset import check_dataset as check_dataset
+    """Check a data set for faults. Exits with 1 if there are any."""
+    from pepperscene.dataset import check_dataset
 
-    with _progress() as on_frame:
-        verdict = check_dataset(folder, workers, on_frame, frames)
+    with check_progress() as on_frame:
+        result = check_dataset(folder, workers, on_frame, frames)
     if json:
-        typer.echo(json_text.dumps(verdict.as_json(), indent=1))
+        typer.echo(json_text.dumps(result.as_json(), indent=1))
     else:
-        _tell(verdict, folder, rows)
-    if not verdict.good:
+        _print_result(result, folder, rows)
+    if not result.good:
         raise typer.Exit(EXIT_FAULTS)
 
 
-def _tell(verdict: CheckResult, folder: Path, most: int) -> None:
-    """One line when all is well, else a table, the most serious faults first."""
-    counted = f"{verdict.frames:,} frame{'' if verdict.frames == 1 else 's'}"
-    for note in verdict.notes:
-        typer.echo(f"note: {note}", err=True)
-    if verdict.good:
-        typer.echo(f"{folder}: {counted} without a fault")
+def _print_result(result: CheckResult, folder: Path, limit: int) -> None:
+    """Print one line if the data set is valid, else a table, most serious faults first."""
+    frames = f"{result.frames:,} frame{'' if result.frames == 1 else 's'}"
+    for note in result.notes:
+        echo_progress(f"note: {note}")
+    if result.good:
+        typer.echo(f"{folder}: {frames}, no faults")
         return
-    _table(list(_lines(verdict, most)))
-    kinds = ", ".join(f"{count} {kind}" for kind, count in verdict.counts().items())
-    faults = f"{len(verdict.findings):,} fault{'' if len(verdict.findings) == 1 else 's'}"
-    typer.echo(f"{folder}: {counted}, {faults}: {kinds}")
+    _print_table(list(_fault_rows(result, limit)))
+    kinds = ", ".join(f"{count} {kind}" for kind, count in result.counts().items())
+    faults = f"{len(result.findings):,} fault{'' if len(result.findings) == 1 else 's'}"
+    typer.echo(f"{folder}: {frames}, {faults}: {kinds}")
 
 
-def _lines(verdict: CheckResult, most: int) -> Iterator[tuple[str, str, str, str]]:
-    """Rows of the table; of each kind the first ones, then how many more there are."""
-    for kind, found in groupby(verdict.findings, key=lambda one: one.kind):
-        told = list(found)
-        for one in told[:most]:
-            yield kind, _frame(one), one.file, one.what
-        if len(told) > most:
-            yield kind, "", "", f"... and {len(told) - most:,} more"
+def _fault_rows(result: CheckResult, limit: int) -> Iterator[tuple[str, str, str, str]]:
+    """Rows of the table: the first faults of each kind, then the number of further ones."""
+    for kind, group in groupby(result.findings, key=lambda finding: finding.kind):
+        findings = list(group)
+        for finding in findings[:limit]:
+            frame = "" if finding.index is None else f"{finding.index:06d}"
+            yield kind, frame, finding.file, finding.what
+        if len(findings) > limit:
+            yield kind, "", "", f"... and {len(findings) - limit:,} more"
 
 
-def _frame(finding: Finding) -> str:
-    return "" if finding.index is None else f"{finding.index:06d}"
-
-
-def _table(lines: list[tuple[str, str, str, str]]) -> None:
-    """With lines and wrapping on a terminal, plain columns elsewhere."""
+def _print_table(rows: list[tuple[str, str, str, str]]) -> None:
+    """Print a table with rules and wrapping on a terminal, plain columns elsewhere."""
     if sys.stdout.isatty():
-        from rich.console import Console
-        from rich.table import Table
-        from rich.text import Text
-
-        table = Table(*_HEADINGS)
-        for line in lines:
-            table.add_row(*(Text(cell) for cell in line))
-        Console().print(table)
+        print_ruled_table(_HEADINGS, rows)
         return
-    widths = [max(len(line[place]) for line in (_HEADINGS, *lines)) for place in range(3)]
-    for line in (_HEADINGS, *lines):
-        cells = [cell.ljust(width) for cell, width in zip(line, widths, strict=False)]
-        typer.echo("  ".join([*cells, line[3]]))
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int], None] | None]:
-    """What to call after every frame: a bar on a terminal, nothing elsewhere."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich import progress
-    from rich.console import Console
-
-    with progress.Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("checking", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-_FEW: Final = 200  # chosen: frames that are told a line each
-_EVERY_S: Final = 5.0  # chosen: of more frames, how often a line is told
+    widths = [max(len(row[column]) for row in (_HEADINGS, *rows)) for column in range(3)]
+    for row in (_HEADINGS, *rows):
+        cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
+        typer.echo("  ".join([*cells, row[3]]))
 
 
 @app.command()
 @handle_errors
 def export(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a data set.")],
+    folder: FolderArgument,
     form: Annotated[
         str,
         typer.Option("--format", metavar="NAME", help="published, coco, yolo, webdataset or huggingface."),
     ],
-    out: Annotated[Path, typer.Option(help="A new or an empty folder.")],
+    out: Annotated[Path, typer.Option(help="New or empty folder for the export.")],
     split: Annotated[
         str | None,
         typer.Option(
             metavar="TEXT",
-            help="Shares, train=.8,val=.1,test=.1, or ranges, train=0:8750,val=8750:8800; if left out, all "
-            "frames are for training.",
+            help="Fractions (train=.8,val=.1,test=.1) or ranges of frames (train=0:8750,val=8750:8800). "
+            "Default: all frames are for training.",
         ),
     ] = None,
     frames: Annotated[
-        str | None,
-        typer.Option(
-            metavar="A:B", help="Indices A to B - 1, counted from 0; by default all that are there."
-        ),
+        str | None, typer.Option(metavar="A:B", help="Frames A to B - 1, counted from 0. Default: all.")
     ] = None,
     smallest: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            help="Pixels that must be seen of an organ to be an object; coco 1, yolo 12 if left out.",
-        ),
+        typer.Option(metavar="N", help="Minimum visible pixels of an object. Default: coco 1, yolo 12."),
     ] = None,
 ) -> None:
-    """Write a data set in the format that training code reads."""
-    from pepperscene.dataset import export_dataset as export_dataset
+    """Export a data set to a format that training code reads."""
+    from pepperscene.dataset import export_dataset
 
-    with _export_progress() as on_frame:
+    with export_progress() as on_frame:
         done = export_dataset(folder, form, out, split, frames, on_frame, smallest)
     parts = ", ".join(f"{count} {name}" for name, count in done.splits.items())
     typer.echo(f"{done.frames} frame{'' if done.frames == 1 else 's'} as {form} ({parts}): {out}")
 
 
-@contextmanager
-def _export_progress() -> Iterator[Callable[[int, int, int], None]]:
-    """What to call after every frame: a bar on a terminal, a line now and then elsewhere."""
-    if not sys.stderr.isatty():
-        yield _plain()
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True)) as bar:
-        task = bar.add_task("exporting", total=None)
-
-        def step(index: int, done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total, description=f"frame {index:06d}")
-
-        yield step
-
-
-def _plain() -> Callable[[int, int, int], None]:
-    last = float("-inf")
-
-    def step(index: int, done: int, total: int) -> None:
-        nonlocal last
-        now = time.monotonic()
-        if total <= _FEW or done == total or now - last >= _EVERY_S:
-            last = now
-            told(f"frame {index:06d} ({done} of {total})")
-
-    return step
-
-
-_TOLD_EVERY = 200
-"""Chosen: pictures measured from one line of progress to the next, some seconds."""
-
-
 @app.command()
 @handle_errors
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a data set.")],
+    folder: FolderArgument,
     beside: Annotated[
         Path | None,
-        typer.Option(metavar="OTHER", help="A second set to compare with: its folder, whatever its layout."),
+        typer.Option(metavar="OTHER", help="Folder of a second image set to compare with, in any layout."),
     ] = None,
-    labels: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="What the masks of OTHER mean, when it is a folder of images."),
-    ] = None,
-    half: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="synthetic or empirical, when OTHER is the published data set."),
-    ] = None,
-    limit: Annotated[int, typer.Option(min=1, max=200, help="Most frames shown.")] = 12,
-    sample: Annotated[int, typer.Option(min=1, help="Most frames whose images are measured.")] = 1000,
+    labels: LabelsOption = None,
+    half: HalfOption = None,
+    limit: Annotated[int, typer.Option(min=1, max=200, help="Show at most this many frames.")] = 12,
+    sample: Annotated[int, typer.Option(min=1, help="Measure at most this many frames.")] = 1000,
 ) -> None:
-    """Write a contact sheet and a web page into a data set's folder, with a second set beside it."""
-    from pepperscene.dataset import write_report as write_report
+    """Write an HTML report and a contact sheet. The files are in the folder of the data set."""
+    from pepperscene.dataset import write_report
+    from pepperscene.dataset.readers import open_images
 
-    other = None if beside is None else _opened(beside, labels, half)
+    other = None if beside is None else open_images(beside, labels=labels, half=half)
     for name, value in (("labels", labels), ("half", half)):
         if beside is None and value is not None:
-            raise InputError(f"--{name}", "goes only with --beside")
-    done = write_report(folder, limit, other, sample=sample, on_progress=measuring)
+            raise InputError(f"--{name}", "applies only with --beside")
+    done = write_report(folder, limit, other, sample=sample, on_progress=echo_measured)
     typer.echo(
         f"{done.shown} of {done.frames} frames shown, {done.measured} measured:\n"
         f"  {done.sheet}\n  {done.page}"
     )
 
 
-def _opened(folder: Path, labels: str | None, half: str | None) -> ImageSet:
-    from pepperscene.dataset.readers import open_images
+@app.command()
+@handle_errors
+def compare(
+    first: Annotated[str, typer.Argument(metavar="A", help=_SET_HELP)],
+    second: Annotated[str, typer.Argument(metavar="B", help=_SET_HELP)],
+    labels: Annotated[
+        str | None,
+        typer.Option(metavar="NAME[,NAME]", help="Meaning of the masks, if A or B is a folder of images."),
+    ] = None,
+    half: Annotated[
+        str | None,
+        typer.Option(metavar="NAME[,NAME]", help="synthetic or empirical, for the published data set."),
+    ] = None,
+    limit: Annotated[int, typer.Option(min=1, help="Measure at most this many pictures of each set.")] = 1000,
+    figure: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw Figs. 10 to 13 of the paper as .svg or .png.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Compare two image sets. Measures hues, CIELAB, class fractions, places and light, with intervals."""
+    from pepperscene.colour import comparison_figure, comparison_json, comparison_tables, format_tables
+    from pepperscene.colour.comparison.compare import compare as compare_sets
+    from pepperscene.colour.comparison.measure import open_two_sets
 
-    return open_images(folder, labels=labels, half=half)
+    if figure is not None and figure.suffix.lower() not in (".svg", ".png"):
+        raise InputError("--figure", f"must end in .svg or .png, not {figure.name}")
+    sets = open_two_sets(first, second, labels, half)
+    comparison = compare_sets(*sets, limit=limit, on_progress=echo_measured)
+    if json:
+        typer.echo(json_text.dumps(comparison_json(comparison), indent=1, allow_nan=False))
+    elif sys.stdout.isatty():
+        for table in comparison_tables(comparison):
+            print_ruled_table(table.heads, table.rows, table.title, table.notes)
+    else:
+        typer.echo(format_tables(comparison_tables(comparison)))
+    if figure is not None:
+        _write_figure(figure, comparison_figure(comparison, figure.suffix.lower()[1:]))
 
 
-def measuring(done: int, of: int) -> None:
-    """A line now and then about how many pictures are measured."""
-    if of > _TOLD_EVERY and (done % _TOLD_EVERY == 0 or done == of):
-        told(f"{done:,} of {of:,} pictures measured")
+def _write_figure(file: Path, content: bytes) -> None:
+    from pepperscene.dataset.store.atomic import atomic_write
+
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(file) as temporary:
+            temporary.write_bytes(content)
+    except OSError as error:
+        raise OutputError(f"{file}: the figure cannot be written ({error.strerror or error})") from None
+    echo_progress(f"figure: {file}")

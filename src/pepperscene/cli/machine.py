@@ -1,4 +1,4 @@
-"""Commands that examine and measure this machine."""
+"""Commands that examine and benchmark this machine."""
 
 from __future__ import annotations
 
@@ -7,50 +7,51 @@ from typing import Annotated
 
 import typer
 
-from pepperscene.cli.application import app, handle_errors, told
+from pepperscene.cli.application import app, handle_errors
+from pepperscene.cli.progress import echo_progress
 from pepperscene.errors import EXIT_BAD_INPUT, InputError
 
 
 @app.command()
 @handle_errors
 def bench(
-    out: Annotated[Path, typer.Option(help="Folder of tables and plots; made when missing.")],
+    out: Annotated[Path, typer.Option(help="Folder for tables and plots; created if missing.")],
     scene: Annotated[
         str | None,
         typer.Option(
-            metavar="NAMES", help="Of near, standard and dense; all, with --scaling standard, if left out."
+            metavar="NAMES",
+            help="Scenes, comma-separated: near, standard, dense. Default: all; standard with --scaling.",
         ),
     ] = None,
-    runs: Annotated[int, typer.Option(help="Timed frames of each setting.")] = 5,
+    runs: Annotated[int, typer.Option(help="Number of timed frames of each setting.")] = 5,
     budget: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="About how long it may take.")
+        float | None, typer.Option(metavar="SECONDS", help="Approximate time limit of the whole benchmark.")
     ] = None,
-    size: Annotated[
-        str | None, typer.Option(metavar="WxH", help="Of the pictures, instead of the cameras' own.")
-    ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Few settings, a coarse reference.")] = False,
-    peers: Annotated[bool, typer.Option("--peers", help="Measure Blender Cycles as well.")] = False,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the pictures in pixels.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Few settings and a coarse reference.")] = False,
     profile: Annotated[
-        bool, typer.Option("--profile", help="Instead: a frame by stage, from the import on.")
+        bool, typer.Option("--profile", help="Instead, time the stages of a frame, including the imports.")
     ] = False,
     scaling: Annotated[
         bool,
-        typer.Option("--scaling", help="Instead: against plants, triangles, pixels, frames and workers."),
+        typer.Option(
+            "--scaling", help="Instead, measure cost against plants, triangles, pixels, frames and workers."
+        ),
     ] = False,
 ) -> None:
-    """Measure run time against error on this machine, with a plot and tables."""
-    from pepperscene import bench as room
+    """Measure rendering time against error. Writes tables and plots."""
+    from pepperscene import bench as benchmark
 
-    names = ("standard" if scaling else ",".join(room.SCENES)) if scene is None else scene
-    asked = room.scenes_named(names), None if size is None else room.size_of(size)
+    names = ("standard" if scaling else ",".join(benchmark.SCENES)) if scene is None else scene
+    scenes, pixels = benchmark.select_scenes(names), None if size is None else benchmark.parse_size(size)
     if profile and scaling:
-        raise InputError("--profile", "goes without --scaling; one at a time")
+        raise InputError("--profile", "cannot be combined with --scaling")
     if profile or scaling:
-        measure = room.profile_frames if profile else room.measure_scaling
-        done = measure(out, *asked, runs=runs, quick=quick, told=told)
+        measure = benchmark.profile_frames if profile else benchmark.measure_scaling
+        done = measure(out, scenes, pixels, runs=runs, quick=quick, on_progress=echo_progress)
     else:
-        done = room.run_benchmark(
-            out, *asked, runs=runs, budget_s=budget, quick=quick, peers=peers, told=told
+        done = benchmark.run_benchmark(
+            out, scenes, pixels, runs=runs, budget_s=budget, quick=quick, on_progress=echo_progress
         )
     typer.echo(done.markdown)
     for path in done.files:
@@ -60,16 +61,16 @@ def bench(
 @app.command()
 @handle_errors
 def doctor() -> None:
-    """Find out what this machine has and lacks for rendering."""
+    """Check the installation: can this machine render?"""
     from pepperscene.render.doctor import diagnose
 
-    found = diagnose()
-    width = max(len(line.what) for line in found.lines)
-    for line in found.lines:
+    diagnosis = diagnose()
+    width = max(len(line.what) for line in diagnosis.lines)
+    for line in diagnosis.lines:
         mark = typer.style("ok  ", fg="green") if line.good else typer.style("BAD ", fg="red", bold=True)
         typer.echo(f"{mark} {line.what:<{width}}  {line.found}")
         if line.advice:
             typer.echo(f"     {'':<{width}}  -> {line.advice}")
-    if not found.healthy:
+    if not diagnosis.healthy:
         raise typer.Exit(EXIT_BAD_INPUT)
-    typer.echo("All is well: this machine can render.")
+    typer.echo("This machine can render.")

@@ -1,4 +1,4 @@
-"""How a build's progress is shown: a bar on a terminal, plain lines elsewhere, JSON lines for scripts."""
+"""Progress of commands: a bar on a terminal, plain lines elsewhere, JSON lines for scripts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import sys
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
@@ -14,138 +14,158 @@ from typing import TYPE_CHECKING, Any, Final, final
 import typer
 
 if TYPE_CHECKING:
-    from rich.progress import Progress as Bar
-    from rich.progress import TaskID
+    from rich.progress import Progress, TaskID
 
     from pepperscene.dataset import BuildProgress, BuildResult
 
-
-_FEW: Final = 200  # chosen: frames that are told a line each
-_EVERY_S: Final = 5.0  # chosen: of more frames, how often a line is told
-
-
-class ProgressReporter(ABC):
-    """Tells of a build."""
-
-    @abstractmethod
-    def frame(self, told: BuildProgress) -> None:
-        """A frame is whole."""
-
-    @abstractmethod
-    def notice(self, text: str) -> None:
-        """Something that the user should know."""
-
-    @abstractmethod
-    def end(self, result: BuildResult, out: Path) -> None:
-        """The build is done."""
+_EVERY_LINE: Final = 200  # chosen: up to so many frames, each is printed
+_INTERVAL_S: Final = 5.0  # chosen: seconds between lines for more frames
+_PICTURES_PER_LINE: Final = 200  # chosen: measured pictures from line to line, some seconds
 
 
-@contextmanager
-def progress_reporter(as_json: bool) -> Iterator[ProgressReporter]:
-    """Who tells of a build: for a script, for a terminal, or for a log."""
-    if as_json:
-        yield Scripted()
-    elif sys.stderr.isatty():
-        with _bar() as (bar, task):
-            yield OnTerminal(bar, task)
-    else:
-        yield Plain()
+def echo_progress(text: str) -> None:
+    """Print a line of progress to standard error."""
+    typer.echo(text, err=True)
 
 
-@final
-class Scripted(ProgressReporter):
-    """One JSON object a line on standard output: `frame`, `notice` and `end` by their key `event`."""
-
-    def frame(self, told: BuildProgress) -> None:
-        """See `ProgressReporter`."""
-        self._line(
-            event="frame",
-            index=told.index,
-            made=told.made,
-            done=told.done,
-            total=told.total,
-            frames_per_s=told.frames_per_s,
-            left_s=told.left_s,
-            picture=None if told.picture is None else str(told.picture),
-        )
-
-    def notice(self, text: str) -> None:
-        """See `ProgressReporter`."""
-        self._line(event="notice", text=text)
-
-    def end(self, result: BuildResult, out: Path) -> None:
-        """See `ProgressReporter`."""
-        self._line(event="end", made=len(result.made), kept=len(result.kept), folder=str(out))
-
-    @staticmethod
-    def _line(**told: Any) -> None:
-        typer.echo(json.dumps(told))
+def echo_measured(done: int, total: int) -> None:
+    """Print now and then how many pictures are measured."""
+    if total > _PICTURES_PER_LINE and (done % _PICTURES_PER_LINE == 0 or done == total):
+        echo_progress(f"{done:,} of {total:,} pictures measured")
 
 
-class _Worded(ProgressReporter):
-    """Words for people."""
-
-    def end(self, result: BuildResult, out: Path) -> None:
-        """See `ProgressReporter`."""
-        kept = f", {len(result.kept)} were there already" if result.kept else ""
-        made = len(result.made)
-        typer.echo(f"{made} frame{'' if made == 1 else 's'} built{kept}: {out}")
-
-
-@final
-class Plain(_Worded):
-    """A line each for few frames, now and then for many."""
+class _Throttle:
+    """Every line for few frames, one line every few seconds for many."""
 
     def __init__(self) -> None:
         self._last = float("-inf")
 
-    def frame(self, told: BuildProgress) -> None:
-        """See `ProgressReporter`."""
+    def is_due(self, done: int, total: int) -> bool:
+        """Whether to print a line now."""
         now = time.monotonic()
-        if told.total > _FEW and told.done < told.total and now - self._last < _EVERY_S:
-            return
-        self._last = now
-        state = "built" if told.made else "kept"
-        rate = "" if told.frames_per_s is None else f", {_rate(told.frames_per_s)}"
-        left = "" if told.left_s is None or told.done == told.total else f", {_duration(told.left_s)} left"
-        typer.echo(f"frame {told.index:06d} {state} ({told.done} of {told.total}{rate}{left})", err=True)
+        due = total <= _EVERY_LINE or done == total or now - self._last >= _INTERVAL_S
+        self._last = now if due else self._last
+        return due
 
+
+# --- building -----------------------------------------------------------------------------------------------
+
+
+class ProgressReporter(ABC):
+    """Reports the progress of a build."""
+
+    @abstractmethod
+    def frame(self, progress: BuildProgress) -> None:
+        """Report a finished frame."""
+
+    @abstractmethod
     def notice(self, text: str) -> None:
-        """See `ProgressReporter`."""
-        typer.echo(f"note: {text}", err=True)
+        """Report something that the user should know."""
+
+    def end(self, result: BuildResult, out: Path) -> None:
+        """Report the end of the build."""
+        made, kept = len(result.made), len(result.kept)
+        skipped = f", {kept} already there" if kept else ""
+        typer.echo(f"{made} frame{'' if made == 1 else 's'} built{skipped}: {out}")
+
+
+@contextmanager
+def progress_reporter(as_json: bool) -> Iterator[ProgressReporter]:
+    """The reporter for scripts, for a terminal, or for a log."""
+    if as_json:
+        yield JsonReporter()
+    elif sys.stderr.isatty():
+        with _build_bar() as (bar, task):
+            yield BarReporter(bar, task)
+    else:
+        yield LineReporter()
 
 
 @final
-class OnTerminal(_Worded):
-    """A bar with rate, time left and the last picture's path.
+class JsonReporter(ProgressReporter):
+    """One JSON object a line on standard output, with the key `event`: `frame`, `notice` or `end`."""
 
-    Args:
-        bar: Rich's.
-        task: its only one.
-    """
-
-    def __init__(self, bar: Bar, task: TaskID) -> None:
-        self._bar, self._task = bar, task
-
-    def frame(self, told: BuildProgress) -> None:
-        """See `ProgressReporter`."""
-        self._bar.update(
-            self._task,
-            completed=told.done,
-            total=told.total,
-            description=f"frame {told.index:06d}",
-            rate="" if told.frames_per_s is None else _rate(told.frames_per_s),
-            left="" if told.left_s is None else f"{_duration(told.left_s)} left",
-            picture="" if told.picture is None else str(told.picture),
+    def frame(self, progress: BuildProgress) -> None:
+        """Print the event `frame`."""
+        self._print(
+            event="frame",
+            index=progress.index,
+            made=progress.made,
+            done=progress.done,
+            total=progress.total,
+            frames_per_s=progress.frames_per_s,
+            left_s=progress.left_s,
+            picture=None if progress.picture is None else str(progress.picture),
         )
 
     def notice(self, text: str) -> None:
-        """See `ProgressReporter`."""
+        """Print the event `notice`."""
+        self._print(event="notice", text=text)
+
+    def end(self, result: BuildResult, out: Path) -> None:
+        """Print the event `end`."""
+        self._print(event="end", made=len(result.made), kept=len(result.kept), folder=str(out))
+
+    @staticmethod
+    def _print(**values: Any) -> None:
+        typer.echo(json.dumps(values))
+
+
+@final
+class LineReporter(ProgressReporter):
+    """Plain lines on standard error."""
+
+    def __init__(self) -> None:
+        self._throttle = _Throttle()
+
+    def frame(self, progress: BuildProgress) -> None:
+        """Print a line, unless the last one is recent."""
+        if not self._throttle.is_due(progress.done, progress.total):
+            return
+        parts = [f"{progress.done} of {progress.total}"]
+        if progress.frames_per_s is not None:
+            parts.append(_format_rate(progress.frames_per_s))
+        if progress.left_s is not None and progress.done < progress.total:
+            parts.append(f"{_format_duration(progress.left_s)} left")
+        state = "built" if progress.made else "kept"
+        echo_progress(f"frame {progress.index:06d} {state} ({', '.join(parts)})")
+
+    def notice(self, text: str) -> None:
+        """Print a line."""
+        echo_progress(f"note: {text}")
+
+
+@final
+class BarReporter(ProgressReporter):
+    """A progress bar with frame rate, time left and the path of the latest picture.
+
+    Args:
+        bar: of Rich.
+        task: its only task.
+    """
+
+    def __init__(self, bar: Progress, task: TaskID) -> None:
+        self._bar, self._task = bar, task
+
+    def frame(self, progress: BuildProgress) -> None:
+        """Advance the bar."""
+        self._bar.update(
+            self._task,
+            completed=progress.done,
+            total=progress.total,
+            description=f"frame {progress.index:06d}",
+            rate="" if progress.frames_per_s is None else _format_rate(progress.frames_per_s),
+            left="" if progress.left_s is None else f"{_format_duration(progress.left_s)} left",
+            picture="" if progress.picture is None else str(progress.picture),
+        )
+
+    def notice(self, text: str) -> None:
+        """Print a line above the bar."""
         self._bar.console.print(f"note: {text}", markup=False, highlight=False)
 
 
 @contextmanager
-def _bar() -> Iterator[tuple[Bar, TaskID]]:
+def _build_bar() -> Iterator[tuple[Progress, TaskID]]:
     from rich import progress
     from rich.console import Console
 
@@ -161,14 +181,54 @@ def _bar() -> Iterator[tuple[Bar, TaskID]]:
         yield bar, bar.add_task("growing plants", total=None, rate="", left="", picture="")
 
 
-def _rate(frames_per_s: float) -> str:
-    """Frames in a second, or seconds for a frame."""
+def _format_rate(frames_per_s: float) -> str:
+    """Frames per second, or seconds per frame."""
     return f"{frames_per_s:.1f} frames/s" if frames_per_s >= 1 else f"{1 / frames_per_s:.1f} s a frame"
 
 
-def _duration(seconds: float) -> str:
-    """Hours, minutes or seconds, of two units at most."""
-    whole = round(seconds)
-    if whole >= 3600:
-        return f"{whole // 3600} h {whole % 3600 // 60} min"
-    return f"{whole // 60} min {whole % 60} s" if whole >= 60 else f"{whole} s"
+def _format_duration(seconds: float) -> str:
+    """Hours, minutes and seconds, at most two units."""
+    total = round(seconds)
+    if total >= 3600:
+        return f"{total // 3600} h {total % 3600 // 60} min"
+    return f"{total // 60} min {total % 60} s" if total >= 60 else f"{total} s"
+
+
+# --- checking and exporting ---------------------------------------------------------------------------------
+
+
+@contextmanager
+def check_progress() -> Iterator[Callable[[int, int], None] | None]:
+    """Callback for each checked frame: a bar on a terminal, None elsewhere."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    with _simple_bar("checking", transient=True) as (bar, task):
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextmanager
+def export_progress() -> Iterator[Callable[[int, int, int], None]]:
+    """Callback for each exported frame: a bar on a terminal, lines elsewhere."""
+    if sys.stderr.isatty():
+        with _simple_bar("exporting", transient=False) as (bar, task):
+            yield lambda index, done, total: bar.update(
+                task, completed=done, total=total, description=f"frame {index:06d}"
+            )
+        return
+    throttle = _Throttle()
+
+    def print_line(index: int, done: int, total: int) -> None:
+        if throttle.is_due(done, total):
+            echo_progress(f"frame {index:06d} ({done} of {total})")
+
+    yield print_line
+
+
+@contextmanager
+def _simple_bar(description: str, *, transient: bool) -> Iterator[tuple[Progress, TaskID]]:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=transient) as bar:
+        yield bar, bar.add_task(description, total=None)

@@ -1,4 +1,4 @@
-"""The command that tunes a recipe to patches of measured colour."""
+"""The command `tune`: fit a recipe to patches of measured colour."""
 
 from __future__ import annotations
 
@@ -13,13 +13,16 @@ import typer
 
 from pepperscene.cli.application import (
     EXIT_INTERRUPTED,
+    HalfOption,
+    JsonOption,
+    LabelsOption,
     QualityOption,
     RecipeArgument,
     SetOption,
     app,
     handle_errors,
-    told,
 )
+from pepperscene.cli.progress import echo_progress
 from pepperscene.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,130 +43,121 @@ def tune(
         str,
         typer.Option(
             metavar="NAMES",
-            help="What to fit, as leaf.chlorophyll,fruit.ripeness,flash.colour; `help` lists what there is.",
+            help="Parameters to fit, comma-separated (leaf.chlorophyll,flash.colour); `help` lists them.",
         ),
     ],
     patches: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="P", help="A patches file, a folder of images, or a CSV of reflectances; can be repeated."
-        ),
+        typer.Option(metavar="P", help="Patches file, folder of images, or CSV of reflectances; repeatable."),
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="A new or an empty folder; the recipe's name and _tuned if left out."
-        ),
+        Path | None, typer.Option(metavar="DIR", help="New or empty folder. Default: RECIPE_tuned.")
     ] = None,
     bounds: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="How far parameters may go, over what is shipped.")
+        Path | None, typer.Option(metavar="FILE", help="TOML file that overrides the default bounds.")
     ] = None,
     hold_out: Annotated[
         str | None,
-        typer.Option(metavar="NAMES", help="Pictures that the fit does not see; separated by commas."),
+        typer.Option(metavar="NAMES", help="Pictures to hold out for validation, comma-separated."),
     ] = None,
     verify: Annotated[
-        int, typer.Option(metavar="N", min=0, help="Frames of the whole scene to hold the fit against.")
+        int, typer.Option(metavar="N", min=0, help="Frames of the full scene to render for verification.")
     ] = 0,
     quality: QualityOption = "draft",
-    starts: Annotated[int, typer.Option(min=1, max=100, help="Most points that the fit starts from.")] = 4,
-    seed: Annotated[int, typer.Option(min=0, help="Of the fit's organs, light, noise and starts.")] = 0,
-    labels: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="What masks mean, where P is a folder of images."),
-    ] = None,
-    half: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="synthetic or empirical, where P is the published data set."),
-    ] = None,
+    starts: Annotated[int, typer.Option(min=1, max=100, help="Maximum number of starting points.")] = 4,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed: organs, light, noise, starting points.")] = 0,
+    labels: LabelsOption = None,
+    half: HalfOption = None,
     set: SetOption = None,
-    json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
-    """Fit pigments, light and camera of a recipe to measured colour, and write the tuned recipe."""
+    """Fit a recipe to measured colours. Fits pigments, light and camera, and writes the tuned recipe."""
     from pepperscene.dataset import load_recipe, parse_changes
 
-    wanted = load_recipe(recipe, parse_changes(set or ()))
+    changed_recipe = load_recipe(recipe, parse_changes(set or ()))
     names = _split(fit)
     if names == (_HELP,):
-        _list(wanted, json)
+        _list_parameters(changed_recipe, json)
         return
-    # All that can be wrong comes to light before light is traced.
-    _parameters(wanted, names, bounds)
+    # Find all errors in the arguments before the fit starts.
+    _select_parameters(changed_recipe, names, bounds)
     if not patches:
-        raise InputError("--patches", "is needed: a patches file, a folder of images, or a CSV file")
+        raise InputError("--patches", "is required: a patches file, a folder of images, or a CSV file")
     folder = out or Path(f"{Path(recipe).stem}_tuned")
-    measured, held = _opened(patches, labels, half), _split(hold_out or "")
-    _check_held_out(measured, held)
+    measured, held_out = _open_patches(patches, labels, half), _split(hold_out or "")
+    _check_held_out(measured, held_out)
     options = {
         "recipe": recipe, "set": list(set or ()), "fit": list(names), "patches": list(patches),
-        "bounds": None if bounds is None else str(bounds), "hold_out": list(held), "starts": starts,
+        "bounds": None if bounds is None else str(bounds), "hold_out": list(held_out), "starts": starts,
         "seed": seed, "labels": labels, "half": half, "verify": verify, "quality": quality,
     }  # fmt: skip
 
     from pepperscene.tuning.workflow import tune as tune_recipe
 
     try:
-        with _progress(quiet=json) as tell:
+        with _progress(quiet=json) as on_progress:
             done = tune_recipe(
-                wanted,
+                changed_recipe,
                 measured,
                 names,
                 folder,
                 bounds=bounds,
-                hold_out=held,
+                hold_out=held_out,
                 starts=starts,
                 seed=seed,
                 verify=verify,
                 quality=quality,
                 options=options,
                 extends=recipe,
-                on_progress=tell,
+                on_progress=on_progress,
             )
     except KeyboardInterrupt:
-        told("interrupted; nothing was written")
+        echo_progress("interrupted; nothing was written")
         raise typer.Exit(EXIT_INTERRUPTED) from None
     if json:
         typer.echo(json_text.dumps(_record(done), indent=1, allow_nan=False))
     else:
-        _tell(done)
+        _print_result(done)
 
 
-def _opened(patches: Sequence[str], labels: str | None, half: str | None) -> PatchSet:
-    """All patches in one set; labels and half go with those that are folders."""
+def _open_patches(patches: Sequence[str], labels: str | None, half: str | None) -> PatchSet:
+    """All patches in one set; labels and half apply to those that are folders."""
     from pepperscene.colour import open_patches
     from pepperscene.tuning.workflow import merge_patches
 
-    folders = [Path(one).is_dir() for one in patches]
+    folders = [Path(path).is_dir() for path in patches]
     for option, value in (("--labels", labels), ("--half", half)):
         if value is not None and not any(folders):
-            raise InputError(option, "goes only with a folder of images")
+            raise InputError(option, "applies only to a folder of images")
     return merge_patches(
         [
-            open_patches(one, labels=labels, half=half) if folder else open_patches(one)
-            for one, folder in zip(patches, folders, strict=True)
+            open_patches(path, labels=labels, half=half) if is_folder else open_patches(path)
+            for path, is_folder in zip(patches, folders, strict=True)
         ]
     )
 
 
-def _check_held_out(measured: PatchSet, held: Sequence[str]) -> None:
+def _check_held_out(measured: PatchSet, held_out: Sequence[str]) -> None:
     pictures = measured.pictures
-    for name in held:
+    for name in held_out:
         if name not in pictures:
-            there = ", ".join(pictures) or "none"
-            raise InputError("--hold-out", f"no patch is of a picture {name!r}; pictures are {there}")
-    if held and len({*held}) == len(pictures) and not measured.spectra:
-        raise InputError("--hold-out", "leaves nothing to fit to: it names all pictures")
+            known = ", ".join(pictures) or "none"
+            raise InputError("--hold-out", f"no patch is of a picture {name!r}; pictures are {known}")
+    if held_out and len({*held_out}) == len(pictures) and not measured.spectra:
+        raise InputError("--hold-out", "leaves no data for the fit: it names all pictures")
 
 
-def _parameters(recipe: Recipe, names: Sequence[str], bounds: Path | None = None) -> tuple[Parameter, ...]:
+def _select_parameters(
+    recipe: Recipe, names: Sequence[str], bounds: Path | None = None
+) -> tuple[Parameter, ...]:
     from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
     from pepperscene.tuning.parameters.parameter import select_parameters
 
     return select_parameters(recipe, load_recipe_cultivar(recipe), load_camera(recipe), names, bounds)
 
 
-def _list(recipe: Recipe, json: bool) -> None:
-    """All that can be fitted of a recipe."""
+def _list_parameters(recipe: Recipe, json: bool) -> None:
+    """Print the parameters of a recipe that can be fitted."""
     from pepperscene.colour.comparison.tables import format_tables
     from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
     from pepperscene.tuning.output.report import known_table
@@ -173,23 +167,23 @@ def _list(recipe: Recipe, json: bool) -> None:
     if json:
         typer.echo(json_text.dumps(list(names)))
         return
-    # A path as a whole and its two ends cannot be fitted together.
+    # A ripening path and its two ends cannot be selected together.
     ends = [name for name in names if name.count(".") > 1]
-    found = [_parameters(recipe, some) for some in ([n for n in names if n not in ends], ends) if some]
-    known = {one.name: one for some in found for one in some}
+    groups = [group for group in ([name for name in names if name not in ends], ends) if group]
+    known = {parameter.name: parameter for group in groups for parameter in _select_parameters(recipe, group)}
     typer.echo(format_tables([known_table(tuple(known[name] for name in names))]))
 
 
 def _record(done: TuningResult) -> dict[str, Any]:
-    """What stands in the record, and which files there are."""
+    """The record of the fit, and the files written."""
     from pepperscene.tuning.output.write import RECORD
 
     (record,) = (path for path in done.files if path.name == RECORD)
-    told: dict[str, Any] = json_text.loads(record.read_text(encoding="utf-8"))
-    return {**told, "files": [str(path) for path in done.files]}
+    content: dict[str, Any] = json_text.loads(record.read_text(encoding="utf-8"))
+    return {**content, "files": [str(path) for path in done.files]}
 
 
-def _tell(done: TuningResult) -> None:
+def _print_result(done: TuningResult) -> None:
     from pepperscene.colour.comparison.tables import format_tables
     from pepperscene.tuning.output.report import fit_tables
 
@@ -204,12 +198,12 @@ def _tell(done: TuningResult) -> None:
 
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[str], None] | None]:
-    """What to call with a line now and then; on a terminal there is a sign of life below."""
+    """Callback for lines of progress; a terminal also shows a spinner."""
     if quiet:
         yield None
         return
     if not sys.stderr.isatty():
-        yield told
+        yield echo_progress
         return
     from rich.console import Console
     from rich.text import Text

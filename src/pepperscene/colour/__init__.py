@@ -1,19 +1,22 @@
-"""The colour room: patches of measured colour, what they have in common, and how alike two sets are."""
+"""Measured colour: patches, colour statistics, and the similarity of two image sets."""
 
+from pepperscene.colour.comparison.bootstrap import Estimate
 from pepperscene.colour.comparison.compare import compare
+from pepperscene.colour.comparison.figure import comparison_figure
 from pepperscene.colour.comparison.result import Comparison, KindComparison
+from pepperscene.colour.comparison.tables import comparison_json, comparison_tables, format_tables
 from pepperscene.colour.patches.chart import Calibration, calibrate
 from pepperscene.colour.patches.open import open_patches
 from pepperscene.colour.patches.patch import MeasuredSpectrum, Patch, PatchSet
-from pepperscene.colour.statistics.bootstrap import Estimate
-from pepperscene.colour.statistics.circular import (
+from pepperscene.colour.statistics import (
+    ColourStatistics,
     circular_emd,
     circular_mean,
-    circular_median,
     circular_sd,
+    delta_e_2000,
+    linear_srgb_to_lab,
     resultant_length,
 )
-from pepperscene.colour.statistics.colours import ColourStatistics, delta_e_2000, linear_srgb_to_lab
 
 __all__ = [
     "Calibration",
@@ -27,10 +30,13 @@ __all__ = [
     "calibrate",
     "circular_emd",
     "circular_mean",
-    "circular_median",
     "circular_sd",
     "compare",
+    "comparison_figure",
+    "comparison_json",
+    "comparison_tables",
     "delta_e_2000",
+    "format_tables",
     "linear_srgb_to_lab",
     "open_patches",
     "resultant_length",

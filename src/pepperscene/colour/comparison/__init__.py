@@ -1,1 +1,1 @@
-"""Comparison of two sets of images or patches."""
+"""Similarity of two image sets: measures, confidence intervals, tables and figure."""

@@ -1,7 +1,7 @@
-"""What is measured of one of two sets: sums over its pictures, or over the pictures that patches are from.
+"""Sums over one image set, or over the pictures of a patch set, from which comparisons are computed.
 
-What the paper shows (Figs. 10 to 13) is gathered by `truth.ImageStatistics`; here are the sums that
-numbers are made of, plain and resampled. Memory is that of a few pictures, however many are added.
+`truth.ImageStatistics` holds what the paper shows (Figs. 10 to 13); the sums here, plain and bootstrapped,
+give the numbers. Memory is that of a few pictures, however large the set.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.camera import decode_tone
 from pepperscene.camera.colorimetry import XYZ_TO_SRGB, adapted_xyz, d65_spectrum
 from pepperscene.classes import OrganClass
+from pepperscene.colour.comparison.bootstrap import BootstrapSums, Floats, bootstrap_weights
 from pepperscene.colour.patches.extraction import reflectance_file
 from pepperscene.colour.patches.open import open_patches, organ_regions
 from pepperscene.colour.patches.patch import MeasuredSpectrum, Patch, PatchSet
-from pepperscene.colour.statistics.bootstrap import BootstrapSums, Floats, weights_of
-from pepperscene.colour.statistics.colours import encoded, hue_counts_of, linear_srgb_to_lab
+from pepperscene.colour.statistics import hue_histogram, linear_srgb_to_lab, srgb_codes
 from pepperscene.dataset import ImageSet
 from pepperscene.dataset.readers import open_images
 from pepperscene.dataset.readers.labels import LABEL_FILE
@@ -31,19 +31,24 @@ from pepperscene.errors import ArgumentError, InputError
 from pepperscene.spectra import Spectrum
 from pepperscene.truth import HUE_BINS, ImageStatistics, centre_crop, grey_values
 
+OnProgress = Callable[[int, int], None]
+"""Called with the number of measured pictures and their total."""
+
 CLASSES: Final = len(OrganClass)
 CELLS: Final = (30, 40)
-"""Rows and columns of the cells in which places are compared. Chosen: 20 x 20 pixels of an 800 x 600 picture,
-narrower than a fruit and wider than a wire, so that a few dozen pictures already fill them."""
+"""Rows and columns of the grid in which spatial distributions are compared. Chosen: cells of 20 x 20 pixels
+of an 800 x 600 picture, narrower than a fruit and wider than a wire, which a few dozen pictures fill."""
 
-# Columns of a kind's sums.
+_CELLS_TOTAL: Final = CELLS[0] * CELLS[1]
+
+# Columns of the sums of a kind: hue fractions, pictures, pixels, linear sRGB, L*a*b* and its squares.
 HUES: Final = slice(0, HUE_BINS + 1)
 PICTURES: Final = HUE_BINS + 1
 PIXELS: Final = PICTURES + 1
-LIGHT: Final = slice(PIXELS + 1, PIXELS + 4)
+LINEAR: Final = slice(PIXELS + 1, PIXELS + 4)
 LAB: Final = slice(PIXELS + 4, PIXELS + 7)
-SQUARES: Final = slice(PIXELS + 7, PIXELS + 10)
-_WIDTH: Final = PIXELS + 10
+LAB_SQUARED: Final = slice(PIXELS + 7, PIXELS + 10)
+_KIND_WIDTH: Final = PIXELS + 10
 
 
 class SetMeasures:
@@ -51,22 +56,22 @@ class SetMeasures:
 
     Attributes:
         name: of the set.
-        of: how many pictures it has, of which `units` were measured.
-        pictured: whether it has whole pictures, so that shares, places and light can be told.
-        kinds: sums of each kind's colours, in the middle of the pictures; by `HUES` and so on.
-        shares: labelled pixels of each class `(8,)` and those without a label, in whole pictures.
-        places: share of each class in each cell, `(8 * rows * columns,)`.
-        light: mean grey value of each cell, `(rows * columns,)`, that of the picture, and 1.
+        available: number of pictures in the set, `units` of which were measured.
+        has_images: whether it has whole pictures: class fractions, places and light need them.
+        kinds: colour sums of each kind, in the centre of the pictures; columns `HUES` and so on.
+        class_pixels: labelled pixels of each class `(8,)` and unlabelled ones, in whole pictures.
+        places: fraction of each class in each cell, `(8 * rows * columns,)`.
+        light: mean grey value of each cell, `(rows * columns,)`, of the picture, and 1.
         statistics: the measures of the paper.
-        units: pictures measured, or pictures and spectra that patches are from.
+        units: pictures measured, or pictures and spectra of a patch set.
     """
 
-    def __init__(self, name: str, of: int, *, pictured: bool) -> None:
-        self.name, self.of, self.pictured, self.units = name, of, pictured, 0
+    def __init__(self, name: str, available: int, *, has_images: bool) -> None:
+        self.name, self.available, self.has_images, self.units = name, available, has_images, 0
         self.kinds: dict[str, BootstrapSums] = {}
-        self.shares = BootstrapSums(CLASSES + 1)
-        self.places = BootstrapSums(CLASSES * CELLS[0] * CELLS[1])
-        self.light = BootstrapSums(CELLS[0] * CELLS[1] + 2)
+        self.class_pixels = BootstrapSums(CLASSES + 1)
+        self.places = BootstrapSums(CLASSES * _CELLS_TOTAL)
+        self.light = BootstrapSums(_CELLS_TOTAL + 2)
         self.statistics = ImageStatistics()
 
     def add_picture(
@@ -75,126 +80,125 @@ class SetMeasures:
         classes: NDArray[np.uint8] | None,
         stages: Mapping[str, NDArray[np.bool_]] | None = None,
     ) -> None:
-        """Count a picture in.
+        """Add a picture.
 
         Args:
             colour: `(h, w, 3)` sRGB, or None.
             classes: `(h, w)` class ids, or None; values above 7 are unlabelled.
-            stages: `(h, w)` of each kind with a stage ("pepper.ripe"), where it is seen.
+            stages: masks `(h, w)` of the kinds with a stage ("pepper.ripe").
         """
         self.statistics.add(colour, classes)
         self.units += 1
         content = b"".join(image.tobytes() for image in (colour, classes) if image is not None)
-        weights = weights_of(content)
+        weights = bootstrap_weights(content)
         if classes is not None:
             self._add_classes(classes, weights)
         if colour is not None:
             grey = grey_values(colour)
             self.light.add([*_cell_means(grey), grey.mean(dtype=np.float64), 1.0], weights)
         if colour is not None and classes is not None:
-            middle, ids = centre_crop(colour), centre_crop(classes)
-            masks = {one.name.lower(): ids == one for one in OrganClass}
+            central, ids = centre_crop(colour), centre_crop(classes)
+            masks = {organ_class.name.lower(): ids == organ_class for organ_class in OrganClass}
             masks |= {kind: centre_crop(mask) for kind, mask in (stages or {}).items()}
             for kind, mask in masks.items():
                 if mask.any():
-                    codes = middle[mask]
-                    self._add_kind(kind, hue_counts_of(codes), _light(decode_tone(codes)), weights)
+                    codes = central[mask]
+                    self._add_kind(kind, hue_histogram(codes), _colour_sums(decode_tone(codes)), weights)
 
     def add_patches(self, patches: Iterable[Patch]) -> None:
-        """Count in all patches of one picture; a patch with a stage counts for its class as well."""
-        found: dict[str, list[Patch]] = {}
-        for patch in sorted(patches, key=lambda one: one.name):
-            for kind in {patch.kind, patch.kind.partition(".")[0]}:
-                found.setdefault(kind, []).append(patch)
-        weights = weights_of(b"".join(one.codes.tobytes() for some in found.values() for one in some))
-        for kind, some in found.items():
-            # Of a large patch a part of its pixels is there, which stand for all.
-            light = np.sum([_light(one.linear, one.pixels) for one in some], axis=0)
-            self._add_kind(kind, np.sum([one.hues for one in some], axis=0), light, weights)
+        """Add all patches of one picture; a patch with a stage counts for its class as well."""
+        by_kind: dict[str, list[Patch]] = {}
+        for patch in sorted(patches, key=lambda patch: patch.name):
+            for kind in dict.fromkeys((patch.kind, _class_of(patch.kind))):
+                by_kind.setdefault(kind, []).append(patch)
+        content = b"".join(patch.codes.tobytes() for same in by_kind.values() for patch in same)
+        weights = bootstrap_weights(content)
+        for kind, same in by_kind.items():
+            # A large patch keeps a sample of its pixels, which is scaled to the whole patch.
+            sums = np.sum([_colour_sums(patch.linear, patch.pixels) for patch in same], axis=0)
+            self._add_kind(kind, np.sum([patch.hues for patch in same], axis=0), sums, weights)
         self.units += 1
 
     def add_spectrum(self, measured: MeasuredSpectrum) -> None:
-        """Count in a measured reflectance, as one pixel of its colour under D65."""
-        linear = reflectance_colour(measured.spectrum)[None]
-        weights = weights_of(np.ascontiguousarray(measured.spectrum.values).tobytes())
-        for kind in {measured.kind, measured.kind.partition(".")[0]}:
-            self._add_kind(kind, hue_counts_of(encoded(linear)), _light(linear), weights)
+        """Add a measured reflectance, as one pixel of its colour under D65."""
+        linear = reflectance_to_linear_srgb(measured.spectrum)[None]
+        weights = bootstrap_weights(np.ascontiguousarray(measured.spectrum.values).tobytes())
+        for kind in dict.fromkeys((measured.kind, _class_of(measured.kind))):
+            self._add_kind(kind, hue_histogram(srgb_codes(linear)), _colour_sums(linear), weights)
         self.units += 1
 
     def totals(self, kind: str) -> Floats | None:
-        """Sums of a kind's colours; None where it was not seen."""
+        """Colour sums of a kind; None if it was not seen."""
         return self.kinds[kind].totals() if kind in self.kinds else None
 
-    def staged(self) -> frozenset[str]:
-        """Classes of which it tells stages."""
-        return frozenset(kind.partition(".")[0] for kind in self.kinds if "." in kind)
+    def classes_with_stages(self) -> frozenset[str]:
+        """Classes that are also measured by stage."""
+        return frozenset(_class_of(kind) for kind in self.kinds if "." in kind)
 
-    def _add_kind(self, kind: str, hues: ArrayLike, light: Floats, weights: Floats) -> None:
-        """Hues count the same for each picture, as in the paper; light counts by the pixel."""
+    def _add_kind(self, kind: str, hues: ArrayLike, colour_sums: Floats, weights: Floats) -> None:
+        """Hues have the same weight in each picture, as in the paper; colours are weighted by pixels."""
         counts = np.asarray(hues, float)
-        row = np.concatenate([counts / counts.sum(), [1.0], light])
-        self.kinds.setdefault(kind, BootstrapSums(_WIDTH)).add(row, weights)
+        vector = np.concatenate([counts / counts.sum(), [1.0], colour_sums])
+        self.kinds.setdefault(kind, BootstrapSums(_KIND_WIDTH)).add(vector, weights)
 
     def _add_classes(self, classes: NDArray[np.uint8], weights: Floats) -> None:
-        counts = np.bincount(np.minimum(classes, CLASSES).ravel(), minlength=CLASSES + 1)
-        self.shares.add(counts, weights)
-        ids, cells = _cells(np.minimum(classes, CLASSES))
-        area = CELLS[0] * CELLS[1]
-        found = np.bincount((ids.astype(np.int64) * area + cells).ravel(), minlength=(CLASSES + 1) * area)
-        sizes = np.bincount(cells.ravel(), minlength=area)
-        self.places.add((found.reshape(-1, area)[:CLASSES] / sizes).ravel(), weights)
+        ids = np.minimum(classes, CLASSES)
+        self.class_pixels.add(np.bincount(ids.ravel(), minlength=CLASSES + 1), weights)
+        ids, cells = _assign_cells(ids)
+        counts = np.bincount(
+            (ids.astype(np.int64) * _CELLS_TOTAL + cells).ravel(), minlength=(CLASSES + 1) * _CELLS_TOTAL
+        )
+        sizes = np.bincount(cells.ravel(), minlength=_CELLS_TOTAL)
+        self.places.add((counts.reshape(-1, _CELLS_TOTAL)[:CLASSES] / sizes).ravel(), weights)
 
 
-def _light(linear: Floats, pixels: int | None = None) -> Floats:
-    """Sums of pixels `(n, 3)` from `PIXELS` on; brought to a number of pixels that they stand for."""
-    seen = linear_srgb_to_lab(linear)
-    sums = [linear.sum(axis=0), seen.sum(axis=0), (seen**2).sum(axis=0)]
+def reflectance_to_linear_srgb(reflectance: Spectrum) -> Floats:
+    """`(3,)` linear sRGB of a reflectance as the CIE 1931 observer sees it under D65.
+
+    Outside the measured range its end values are used; the observer sees little there.
+    """
+    extended = Spectrum(reflectance.wavelength_nm, reflectance.values, "hold")
+    (xyz,) = adapted_xyz(d65_spectrum(), extended.at(np.arange(300.0, 1101.0))[None])
+    return np.asarray(xyz @ XYZ_TO_SRGB.T)
+
+
+def _class_of(kind: str) -> str:
+    return kind.partition(".")[0]
+
+
+def _colour_sums(linear: Floats, pixels: int | None = None) -> Floats:
+    """Sums over pixels `(n, 3)` for the columns from `PIXELS` on, scaled to a number of pixels."""
+    lab = linear_srgb_to_lab(linear)
+    sums = [linear.sum(axis=0), lab.sum(axis=0), (lab**2).sum(axis=0)]
     factor = 1.0 if pixels is None else pixels / len(linear)
     return factor * np.concatenate([[len(linear)], *sums])
 
 
-def reflectance_colour(reflectance: Spectrum) -> Floats:
-    """`(3,)` linear sRGB of a reflectance as the CIE 1931 observer sees it under D65.
-
-    Beyond the range that was measured its end values hold; the observer sees little there.
-    """
-    held = Spectrum(reflectance.wavelength_nm, reflectance.values, "hold")
-    (xyz,) = adapted_xyz(d65_spectrum(), held.at(np.arange(300.0, 1101.0))[None])
-    return np.asarray(xyz @ XYZ_TO_SRGB.T)
-
-
 def _cell_means(grey: NDArray[np.uint8]) -> Floats:
     """Mean of an image `(h, w)` in each cell."""
-    values, cells = _cells(grey)
-    area = CELLS[0] * CELLS[1]
-    sums = np.bincount(cells.ravel(), values.ravel(), minlength=area)
-    return np.asarray(sums / np.bincount(cells.ravel(), minlength=area))
+    values, cells = _assign_cells(grey)
+    sums = np.bincount(cells.ravel(), values.ravel(), minlength=_CELLS_TOTAL)
+    return np.asarray(sums / np.bincount(cells.ravel(), minlength=_CELLS_TOTAL))
 
 
-def _cells(image: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
-    """An image, its pixels repeated where it has fewer than there are cells, and the cell of each pixel."""
-    places = []
+def _assign_cells(image: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """An image, enlarged if it has fewer pixels than the grid has cells, and the cell of each pixel."""
+    indices = []
     for axis, cells in enumerate(CELLS):
         image = np.repeat(image, -(-cells // image.shape[axis]), axis=axis)
-        # A pixel belongs to the cell that its middle lies in.
-        places.append((2 * np.arange(image.shape[axis]) + 1) * cells // (2 * image.shape[axis]))
-    return image, places[0][:, None] * CELLS[1] + places[1][None, :]
+        # A pixel belongs to the cell that contains its centre.
+        indices.append((2 * np.arange(image.shape[axis]) + 1) * cells // (2 * image.shape[axis]))
+    return image, indices[0][:, None] * CELLS[1] + indices[1][None, :]
 
 
-Told = Callable[[int, int], None]
-"""Called with how many pictures are measured, and out of how many."""
-
-MOST: Final = 1000
-"""Chosen: a mean over 1,000 pictures is known to 3 % of the spread between them."""
+# --- opening and measuring ----------------------------------------------------------------------------------
 
 
-def open_comparison_side(
-    path: str | Path, *, labels: Any = None, half: str | None = None
-) -> ImageSet | PatchSet:
-    """A folder as a set of images; a file, or the name of shipped reflectances, as patches.
+def open_set(path: str | Path, *, labels: Any = None, half: str | None = None) -> ImageSet | PatchSet:
+    """Open a folder as an image set; a file, or the name of shipped reflectances, as patches.
 
     Raises:
-        InputError: it is neither, or an argument does not go with it.
+        InputError: it is neither, or an argument does not apply to it.
     """
     if Path(path).is_dir():
         return open_images(path, labels=labels, half=half)
@@ -206,85 +210,91 @@ def open_comparison_side(
             raise InputError(path, allowed) from None
     for name, value in (("labels", labels), ("half", half)):
         if value is not None:
-            raise InputError(path, "goes only with a folder of images", key=name)
+            raise InputError(path, "applies only to a folder of images", key=name)
     return open_patches(path)
 
 
-def open_comparison_sides(
-    one: str | Path, other: str | Path, labels: str | None, half: str | None
+def open_two_sets(
+    first: str | Path, second: str | Path, labels: str | None, half: str | None
 ) -> tuple[ImageSet | PatchSet, ImageSet | PatchSet]:
-    """Both sides, with what the command line says of them.
+    """Open both sets, with the options of the command line.
 
     Args:
-        one: the first side's path.
-        other: the second side's.
-        labels: what masks mean; one name for every side that is a folder of images without a `classes.toml`
-            (if all have one, instead of it), or two with a comma between, for one and other.
-        half: of the published data set; one name for every side that is one, or two likewise.
+        first: path of the first set.
+        second: path of the second set.
+        labels: meaning of the masks: one name for each folder of images without a `classes.toml` (if both
+            have one, for both, overriding it), or two names for first and second, separated by a comma.
+        half: of the published data set: one name for each set that is the published one, or two likewise.
 
     Raises:
-        InputError: see `open_comparison_side`; or an option goes with neither side.
+        InputError: see `open_set`; or an option applies to neither set.
     """
-    paths = (Path(one), Path(other))
+    paths = (Path(first), Path(second))
     halves = [len(published_halves(path)) if path.is_dir() else 0 for path in paths]
-    published = [count > 0 for count in halves]
     plain = [
-        path.is_dir() and not found and not (path / MARK).exists()
-        for path, found in zip(paths, published, strict=True)
+        path.is_dir() and not n and not (path / MARK).exists() for path, n in zip(paths, halves, strict=True)
     ]
-    # A folder that explains its own masks keeps that, as long as the other one needs what is told.
-    silent = [found and not (path / LABEL_FILE).exists() for path, found in zip(paths, plain, strict=True)]
-    all_labels = _each("labels", labels, silent if any(silent) else plain, "a folder of images with masks")
-    both = [count > 1 for count in halves]
-    all_halves = _each("half", half, both if any(both) else published, "the published data set")
-    first, second = (
-        open_comparison_side(path, labels=labels_told, half=half_told)
-        for path, labels_told, half_told in zip(paths, all_labels, all_halves, strict=True)
+    # A name applies to the folders without a table of labels, or to all if every folder has one.
+    without_table = [
+        is_plain and not (path / LABEL_FILE).exists() for path, is_plain in zip(paths, plain, strict=True)
+    ]
+    label_targets = without_table if any(without_table) else plain
+    both_halves = [count > 1 for count in halves]
+    half_targets = both_halves if any(both_halves) else [count > 0 for count in halves]
+    all_labels = _split_option("labels", labels, label_targets, "a folder of images with masks")
+    all_halves = _split_option("half", half, half_targets, "the published data set")
+    return (
+        open_set(paths[0], labels=all_labels[0], half=all_halves[0]),
+        open_set(paths[1], labels=all_labels[1], half=all_halves[1]),
     )
-    return first, second
 
 
-def measure_set(side: ImageSet | PatchSet, limit: int | None, told: Told | None = None) -> SetMeasures:
-    """The sums of one side, of at most `limit` of its pictures, evenly over the set.
+def _split_option(
+    option: str, value: str | None, targets: list[bool], what: str
+) -> tuple[str | None, str | None]:
+    """Value of an option for each set: one name for all sets that it applies to, or one name for each."""
+    if value is None:
+        return None, None
+    first, comma, second = (part.strip() or None for part in value.partition(","))
+    if comma:
+        return first, second
+    if not any(targets):
+        raise ArgumentError(option, f"applies only to {what}; neither set is one")
+    return (first if targets[0] else None), (first if targets[1] else None)
+
+
+def measure_set(
+    source: str | Path | ImageSet | PatchSet, limit: int | None, on_progress: OnProgress | None = None
+) -> SetMeasures:
+    """Measure at most `limit` pictures of a set or of the set at a path, evenly spaced.
 
     Raises:
-        InputError: a file is damaged, or nothing is there to measure.
+        InputError: the path is no set, a file is damaged, or there is nothing to measure.
     """
-    if isinstance(side, PatchSet):
-        return _of_patches(side, limit)
-    sums = SetMeasures(side.name, len(side), pictured=True)
-    places = evenly_spaced(len(side), len(side) if limit is None else limit)
-    images = side.select("colour", "classes", "instances", "facts")
-    for picture in read_ahead(images, places):
-        staged = (
-            {} if picture.colour is None else {k: m for k, m in organ_regions(images, picture) if "." in k}
-        )
-        sums.add_picture(picture.colour, picture.classes, staged)
-        if told is not None:
-            told(sums.units, len(places))
+    image_set = open_set(source) if isinstance(source, str | Path) else source
+    if isinstance(image_set, PatchSet):
+        return _measure_patches(image_set, limit)
+    sums = SetMeasures(image_set.name, len(image_set), has_images=True)
+    indices = evenly_spaced(len(image_set), len(image_set) if limit is None else limit)
+    images = image_set.select("colour", "classes", "instances", "facts")
+    for picture in read_ahead(images, indices):
+        stages = {}
+        if picture.colour is not None:
+            stages = {kind: mask for kind, mask in organ_regions(images, picture) if "." in kind}
+        sums.add_picture(picture.colour, picture.classes, stages)
+        if on_progress is not None:
+            on_progress(sums.units, len(indices))
     return sums
 
 
-def _of_patches(patches: PatchSet, limit: int | None) -> SetMeasures:
-    """Patches count by the picture they are from, spectra one by one."""
+def _measure_patches(patches: PatchSet, limit: int | None) -> SetMeasures:
+    """Patches are added picture by picture, spectra singly."""
     if not patches.patches and not patches.spectra:
         raise InputError(patches.name, "holds no patches")
     pictures = patches.pictures
-    sums = SetMeasures(patches.name, len(pictures) + len(patches.spectra), pictured=False)
-    for place in evenly_spaced(len(pictures), len(pictures) if limit is None else limit):
-        sums.add_patches(patch for patch in patches.patches if patch.picture == pictures[place])
+    sums = SetMeasures(patches.name, len(pictures) + len(patches.spectra), has_images=False)
+    for index in evenly_spaced(len(pictures), len(pictures) if limit is None else limit):
+        sums.add_patches(patch for patch in patches.patches if patch.picture == pictures[index])
     for spectrum in patches.spectra:
         sums.add_spectrum(spectrum)
     return sums
-
-
-def _each(option: str, told: str | None, concerned: list[bool], what: str) -> tuple[str | None, str | None]:
-    """An option's value for each side: one for all that it concerns, or one for each by its place."""
-    if told is None:
-        return None, None
-    first, comma, second = (part.strip() or None for part in told.partition(","))
-    if comma:
-        return first, second
-    if not any(concerned):
-        raise ArgumentError(option, f"goes only with {what}, and neither side is one")
-    return (first if concerned[0] else None), (first if concerned[1] else None)

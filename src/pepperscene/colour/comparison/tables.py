@@ -1,29 +1,73 @@
-"""A comparison as text: tables for people, and the same numbers as JSON."""
+"""A comparison as text tables and as JSON."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from pepperscene.colour.statistics.bootstrap import Estimate
+from pepperscene.colour.comparison.bootstrap import LEVEL, REPLICATES, Estimate
+from pepperscene.colour.comparison.result import Comparison, KindComparison, KindMeasures
 
-if TYPE_CHECKING:
-    from pepperscene.colour.comparison.result import Comparison, KindComparison, KindSide
-
-
+FORMAT: Final = "pepperscene compare 1"
 UNKNOWN: Final = "-"
+
+_KEYS: Final = {
+    "first": "one",
+    "second": "other",
+    "first_spread": "one_spread",
+    "second_spread": "other_spread",
+}
+"""Keys of the JSON format that differ from the names of the attributes."""
+
+
+# --- JSON ---------------------------------------------------------------------------------------------------
+
+
+def comparison_json(comparison: Comparison) -> dict[str, Any]:
+    """The comparison as JSON data; an unknown number is null, and `why` gives the reason."""
+    first, second = (
+        {"name": side.name, "measured": side.units, "of": side.available}
+        for side in (comparison.first, comparison.second)
+    )
+    return {
+        "format": FORMAT,
+        "one": first,
+        "other": second,
+        "interval": {"level": LEVEL, "replicates": REPLICATES},
+        "hue_correlation": _to_json(comparison.hue_correlation),
+        "share_correlation": _to_json(comparison.share_correlation),
+        "kinds": {
+            name: {key: value for key, value in _to_json(kind).items() if key != "kind"}
+            for name, kind in comparison.kinds.items()
+        },
+        "light": _to_json(comparison.light),
+    }
+
+
+def _to_json(value: Any) -> Any:
+    """Estimates and the data classes that hold them as JSON data."""
+    if isinstance(value, Estimate):
+        numbers = {"value": value.value, "low": value.low, "high": value.high}
+        return {**numbers, "why": value.why} if value.value is None else numbers
+    if is_dataclass(value) and not isinstance(value, type):
+        names = [field.name for field in fields(value)]
+        return {_KEYS.get(name, name): _to_json(getattr(value, name)) for name in names}
+    return [_to_json(item) for item in value] if isinstance(value, tuple) else value
+
+
+# --- tables -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class TextTable:
-    """Rows of cells under headings.
+    """A table of text cells.
 
     Attributes:
-        title: what is told, in a line.
-        heads: of the columns.
-        rows: as many cells each.
-        notes: lines below it.
+        title: one line.
+        heads: column headings.
+        rows: one cell for each heading.
+        notes: lines below the table.
     """
 
     title: str
@@ -32,86 +76,78 @@ class TextTable:
     notes: tuple[str, ...] = ()
 
 
-def comparison_tables(found: Comparison) -> tuple[TextTable, ...]:
-    """The comparison in four tables: hues, CIELAB, shares and places, light."""
-    parts = [_hues(found), _lab(found)]
-    if found.one.pictured and found.other.pictured:
-        parts += [_places(found), _light(found)]
-    return tuple(parts)
+def comparison_tables(comparison: Comparison) -> tuple[TextTable, ...]:
+    """The comparison in four tables: hues, CIELAB, class fractions and places, light; two with patches."""
+    tables = [_hue_table(comparison), _lab_table(comparison)]
+    if comparison.first.has_images and comparison.second.has_images:
+        tables += [_class_table(comparison), _light_table(comparison)]
+    return tuple(tables)
 
 
-def format_tables(parts: Sequence[TextTable]) -> str:
-    """Tables as lines of text, columns by spaces."""
+def format_tables(tables: Sequence[TextTable]) -> str:
+    """Tables as lines of text, with columns aligned by spaces."""
     lines: list[str] = []
-    for part in parts:
-        lines += [*([""] if lines else []), part.title]
-        widths = [max(map(len, column)) for column in zip(part.heads, *part.rows, strict=True)]
-        for row in (part.heads, *part.rows):
+    for table in tables:
+        lines += [*([""] if lines else []), table.title]
+        widths = [max(map(len, column)) for column in zip(table.heads, *table.rows, strict=True)]
+        for row in (table.heads, *table.rows):
             cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=True)]
             lines.append("  ".join(cells).rstrip())
-        lines += part.notes
+        lines += table.notes
     return "\n".join(lines)
 
 
-def to_json(value: Any) -> Any:
-    """Measures and what is made of them as JSON holds it; `why` only where there is no value."""
-    if isinstance(value, Estimate):
-        told = {"value": value.value, "low": value.low, "high": value.high}
-        return {**told, "why": value.why} if value.value is None else told
-    if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: to_json(getattr(value, field.name)) for field in fields(value)}
-    return [to_json(one) for one in value] if isinstance(value, tuple) else value
-
-
-def cell(measure: Estimate, digits: int = 2, factor: float = 1.0) -> str:
+def format_estimate(estimate: Estimate, digits: int = 2, factor: float = 1.0) -> str:
     """A number with its interval in brackets."""
-    if measure.value is None:
+    if estimate.value is None:
         return UNKNOWN
-    # Adding zero makes of a rounded minus zero a zero.
+    # Adding zero turns a rounded minus zero into zero.
     value, *ends = (
-        None if one is None else f"{round(factor * one, digits) + 0.0:.{digits}f}"
-        for one in (measure.value, measure.low, measure.high)
+        None if number is None else f"{round(factor * number, digits) + 0.0:.{digits}f}"
+        for number in (estimate.value, estimate.low, estimate.high)
     )
     return str(value) if None in ends else f"{value} [{ends[0]}, {ends[1]}]"
 
 
-def _hues(found: Comparison) -> TextTable:
+def _hue_table(comparison: Comparison) -> TextTable:
+    a, b = (
+        f"{side.name}, {side.units:,} of {side.available:,} pictures measured"
+        for side in (comparison.first, comparison.second)
+    )
+    kinds = comparison.kinds.values()
     rows = [
         (
-            kind.kind, cell(kind.hue_correlation), cell(kind.hue_emd_deg, 1),
-            _hue(kind.one), _hue(kind.other), f"{kind.one.pictures:,}", f"{kind.other.pictures:,}",
+            kind.kind,
+            format_estimate(kind.hue_correlation),
+            format_estimate(kind.hue_emd_deg, 1),
+            _format_hue(kind.first),
+            _format_hue(kind.second),
+            f"{kind.first.pictures:,}",
+            f"{kind.second.pictures:,}",
         )
-        for kind in found.kinds.values()
-    ]  # fmt: skip
-    one, other = (f"{name}: {side.units:,} of {side.of:,}" for name, side in
-                  zip(found.names, (found.one, found.other), strict=True))  # fmt: skip
-    mean = cell(found.hue_correlation)
-    return TextTable(
-        f"A is {one}, B is {other} measured. Hues (Fig. 12)",
-        ("kind", "correlation", "EMD, deg", "mean ± sd of A", "mean ± sd of B", "seen in A", "in B"),
-        tuple(rows),
-        (
-            f"mean correlation of the plant parts: {mean}",
-            *_reasons(found.kinds.values(), "hue_correlation", "hue_emd_deg"),
-        ),
-    )
+        for kind in kinds
+    ]
+    heads = ("kind", "correlation", "EMD, deg", "A, mean ± sd", "B, mean ± sd", "pictures A", "pictures B")
+    mean = f"mean correlation over plant parts: {format_estimate(comparison.hue_correlation)}"
+    notes = (mean, *_reasons(kinds, "hue_correlation", "hue_emd_deg"))
+    return TextTable(f"Hues (Fig. 12). A: {a}; B: {b}", heads, tuple(rows), notes)
 
 
-def _hue(side: KindSide) -> str:
+def _format_hue(side: KindMeasures) -> str:
     mean, spread = side.hue_mean_deg.value, side.hue_spread_deg.value
     return UNKNOWN if mean is None or spread is None else f"{mean:.0f} ± {spread:.0f}"
 
 
-def _lab(found: Comparison) -> TextTable:
+def _lab_table(comparison: Comparison) -> TextTable:
     rows = [
-        (kind.kind, cell(kind.delta_e_2000, 1), *(_colour(side) for side in (kind.one, kind.other)))
-        for kind in found.kinds.values()
+        (kind.kind, format_estimate(kind.delta_e_2000, 1), _format_lab(kind.first), _format_lab(kind.second))
+        for kind in comparison.kinds.values()
     ]
-    heads = ("kind", "dE2000", "L* a* b* of A", "L* a* b* of B")
-    return TextTable("CIELAB (D65) of the mean colour ± sd of the pixels", heads, tuple(rows))
+    heads = ("kind", "CIEDE2000", "A, L* a* b*", "B, L* a* b*")
+    return TextTable("CIELAB (D65): mean colour ± standard deviation over pixels", heads, tuple(rows))
 
 
-def _colour(side: KindSide) -> str:
+def _format_lab(side: KindMeasures) -> str:
     cells = [
         f"{round(mean.value) + 0} ± {spread.value:.0f}"
         for mean, spread in zip(side.lab, side.lab_spread, strict=True)
@@ -120,46 +156,49 @@ def _colour(side: KindSide) -> str:
     return ", ".join(cells) or UNKNOWN
 
 
-def _places(found: Comparison) -> TextTable:
+def _class_table(comparison: Comparison) -> TextTable:
+    kinds = [kind for kind in comparison.kinds.values() if "." not in kind.kind]
     rows = [
         (
-            kind.kind, *(cell(side.share, 2, 100.0) for side in (kind.one, kind.other)),
-            cell(kind.place_correlation), cell(kind.place_ssim),
+            kind.kind,
+            *(format_estimate(side.share, 2, 100.0) for side in (kind.first, kind.second)),
+            format_estimate(kind.place_correlation),
+            format_estimate(kind.place_ssim),
         )
-        for kind in found.kinds.values() if "." not in kind.kind
-    ]  # fmt: skip
-    alike = found.share_correlation
-    because = f" ({alike.why})" if alike.value is None else ""
+        for kind in kinds
+    ]
+    correlation = comparison.share_correlation
+    reason = f" ({correlation.why})" if correlation.value is None else ""
     return TextTable(
-        "Shares of all pixels (Fig. 10) and places (Fig. 11)",
-        ("kind", "% of A", "% of B", "correlation of places", "SSIM of places"),
+        "Class fractions in % of all pixels (Fig. 10), and mean masks (Fig. 11)",
+        ("kind", "A, %", "B, %", "mask correlation", "mask SSIM"),
         tuple(rows),
         (
-            f"correlation of the shares: {cell(alike, 3)}{because}",
-            *_reasons([kind for kind in found.kinds.values() if "." not in kind.kind], "place_correlation"),
+            f"correlation of the class fractions: {format_estimate(correlation, 3)}{reason}",
+            *_reasons(kinds, "place_correlation"),
         ),
     )
 
 
-def _light(found: Comparison) -> TextTable:
-    light = found.light
-    rows = [
-        ("mean grey value of A", cell(light.one, 1)),
-        ("mean grey value of B", cell(light.other, 1)),
-        ("sd between pictures, A and B", " and ".join(
-            UNKNOWN if one is None else f"{one:.1f}" for one in (light.one_spread, light.other_spread))),
-        ("correlation of mean pictures", cell(light.correlation)),
-        ("SSIM of mean pictures", cell(light.ssim)),
-        ("correlation of the falls from the middle", cell(light.falloff_correlation)),
-    ]  # fmt: skip
-    return TextTable("Light (Fig. 13)", ("measure", "value"), tuple(rows))
+def _light_table(comparison: Comparison) -> TextTable:
+    light = comparison.light
+    a, b = (UNKNOWN if sd is None else f"{sd:.1f}" for sd in (light.first_spread, light.second_spread))
+    rows = (
+        ("mean grey value, A", format_estimate(light.first, 1)),
+        ("mean grey value, B", format_estimate(light.second, 1)),
+        ("sd between pictures, A and B", f"{a} and {b}"),
+        ("correlation of the mean pictures", format_estimate(light.correlation)),
+        ("SSIM of the mean pictures", format_estimate(light.ssim)),
+        ("correlation of the radial falloff", format_estimate(light.falloff_correlation)),
+    )
+    return TextTable("Light (Fig. 13)", ("measure", "value"), rows)
 
 
 def _reasons(kinds: Iterable[KindComparison], *names: str) -> list[str]:
-    """Why cells hold a dash, each reason once."""
-    why: dict[str, list[str]] = {}
+    """Reasons for missing values, each with the kinds that it applies to."""
+    kinds_of: dict[str, list[str]] = {}
     for kind in kinds:
         for name in names:
             if reason := getattr(kind, name).why:
-                why.setdefault(reason, []).append(kind.kind)
-    return [f"{', '.join(dict.fromkeys(some))}: {reason}" for reason, some in why.items()]
+                kinds_of.setdefault(reason, []).append(kind.kind)
+    return [f"{', '.join(dict.fromkeys(names))}: {reason}" for reason, names in kinds_of.items()]

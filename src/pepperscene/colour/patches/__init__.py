@@ -1,1 +1,1 @@
-"""Patches of measured colour, and how they are read."""
+"""Patches of measured colour: pixels of labelled pictures, charts and reflectances."""

@@ -1,17 +1,26 @@
-"""The file that says which pixels of which pictures show what: regions, charts and measured reflectances."""
+"""Patches files: TOML that names regions of pictures, colour charts and measured reflectances."""
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from pepperscene.colour.patches.chart import Calibration, calibrate
-from pepperscene.colour.patches.extraction import Extraction, measured_spectrum
-from pepperscene.colour.patches.patch import MeasuredSpectrum, Patch, PatchSet, is_organ_kind
+from pepperscene.colour.patches.chart import Calibration, Tone, calibrate
+from pepperscene.colour.patches.extraction import Clipped, Extraction, read_reflectance
+from pepperscene.colour.patches.patch import (
+    KIND_RULE,
+    MeasuredSpectrum,
+    Patch,
+    PatchSet,
+    duplicate_name,
+    is_organ_kind,
+)
 from pepperscene.dataset.readers.folder import natural_sort_key
 from pepperscene.dataset.readers.pictures import read_mask, read_photo
 from pepperscene.document import Document, read_toml, validate
@@ -23,28 +32,28 @@ Point = tuple[float, float]
 Corners = tuple[Point, Point, Point, Point]
 
 
-class _OfKind(Document):
-    """Something that shows a kind of organ."""
+class _WithKind(Document):
+    """A table with the key `kind`."""
 
     kind: Text
 
     @field_validator("kind")
     @classmethod
-    def _is_kind(cls, kind: str) -> str:
+    def _check_kind(cls, kind: str) -> str:
         if not is_organ_kind(kind):
-            raise ValueError('must be a class in lower case, and maybe a stage ("leaf", "pepper.ripe")')
+            raise ValueError(KIND_RULE)
         return kind
 
 
 class MaskRegion(Document):
-    """Pixels that have one of these values, or this colour, in a mask."""
+    """The pixels of a mask that have one of these values, or this colour."""
 
     file: Text
     value: int | tuple[int, ...] | Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")]
 
 
-class PatchRegion(_OfKind):
-    """One `[[patch]]`: a region of a picture, as a box, a polygon, or a part of a mask."""
+class PatchRegion(_WithKind):
+    """One `[[patch]]`: a region of a picture, given as a box, a polygon or part of a mask."""
 
     picture: Text
     name: Text | None = None
@@ -53,15 +62,15 @@ class PatchRegion(_OfKind):
     mask: MaskRegion | None = None
 
     @model_validator(mode="after")
-    def _one_region(self) -> PatchRegion:
-        told = [name for name in ("box", "polygon", "mask") if getattr(self, name) is not None]
-        if len(told) != 1:
-            raise ValueError(f"must have one of box, polygon and mask, not {' and '.join(told) or 'none'}")
+    def _check_one_region(self) -> PatchRegion:
+        given = [name for name in ("box", "polygon", "mask") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"must have one of box, polygon and mask, not {' and '.join(given) or 'none'}")
         return self
 
 
-class SpectrumColumn(_OfKind):
-    """One `[[spectrum]]`: a column of a CSV file of reflectances with its provenance beside it."""
+class SpectrumColumn(_WithKind):
+    """One `[[spectrum]]`: a column of a CSV file of reflectances with provenance."""
 
     file: Text
     column: Text
@@ -69,13 +78,13 @@ class SpectrumColumn(_OfKind):
 
 
 class ChartPlace(Document):
-    """One `[chart]`: where a ColorChecker is, and which pictures it calibrates.
+    """One `[chart]`: the position of a ColorChecker, and the pictures that it calibrates.
 
     Attributes:
-        picture: that shows it; None where every picture shows its own.
-        corners: of its fields at dark skin, bluish green, black and white.
-        detect: instead of `corners`.
-        pictures: that it calibrates; None means all that no other chart names.
+        picture: file that shows the chart; None if every picture shows its own.
+        corners: of its fields dark skin, bluish green, black and white.
+        detect: find the corners automatically.
+        pictures: files that it calibrates; None means all that no other chart lists.
     """
 
     picture: Text | None = None
@@ -84,7 +93,7 @@ class ChartPlace(Document):
     pictures: tuple[Text, ...] | None = None
 
     @model_validator(mode="after")
-    def _one_way(self) -> ChartPlace:
+    def _check_one_way(self) -> ChartPlace:
         if (self.corners is None) != self.detect:
             raise ValueError("must have either corners or detect = true")
         return self
@@ -94,16 +103,16 @@ class PatchesFile(Document):
     """A patches file.
 
     Attributes:
-        folder: that pictures and masks lie in, from the file's own.
+        folder: of pictures and masks, relative to the file.
         tone: of the pictures' codes.
         clipped: whether pixels with a channel at 0 or 255 are kept.
-        erode_px: border of every region that is left out.
-        centre_px: side of the middle part of the pictures that counts; None for all of them.
+        erode_px: width of the border of every region that is left out.
+        centre_px: side of the central square of the pictures that is used; None uses all of it.
     """
 
     folder: Text = "."
-    tone: Literal["srgb", "linear"] = "srgb"
-    clipped: Literal["keep", "leave_out"] = "keep"
+    tone: Tone = "srgb"
+    clipped: Clipped = "keep"
     erode_px: Annotated[int, Field(ge=0, le=1000)] = 0
     centre_px: Annotated[int, Field(ge=1)] | None = None
     patch: tuple[PatchRegion, ...] = ()
@@ -112,15 +121,15 @@ class PatchesFile(Document):
 
     @field_validator("chart", mode="before")
     @classmethod
-    def _one_or_many(cls, chart: Any) -> Any:
+    def _allow_single_table(cls, chart: Any) -> Any:
         return (chart,) if isinstance(chart, dict) else chart
 
     @model_validator(mode="after")
-    def _names_something(self) -> PatchesFile:
+    def _check_not_empty(self) -> PatchesFile:
         if not self.patch and not self.spectrum:
             raise ValueError("must hold at least one [[patch]] or [[spectrum]]")
         if sum(chart.pictures is None for chart in self.chart) > 1:
-            raise ValueError("each of several [[chart]] but one must tell its pictures")
+            raise ValueError("at most one [[chart]] may omit pictures")
         return self
 
 
@@ -129,142 +138,119 @@ def read_patches_file(
     *,
     pictures: Path | None = None,
     erode_px: int | None = None,
-    clipped: Literal["keep", "leave_out"] | None = None,
-    most_px: int = Extraction.most_px,
+    clipped: Clipped | None = None,
 ) -> PatchSet:
-    """The patches and spectra of a file.
+    """Read the patches and spectra of a patches file.
 
     Args:
         path: of the TOML file.
-        pictures: folder to look for pictures and masks in, instead of the file's.
-        erode_px: instead of the file's.
-        clipped: instead of the file's.
-        most_px: pixels kept of one patch.
+        pictures: folder of pictures and masks; overrides the file's.
+        erode_px: overrides the file's.
+        clipped: overrides the file's.
 
     Raises:
-        InputError: a key, a picture, a mask, a chart or a spectrum is not what it must be.
+        InputError: a key, a picture, a mask, a chart or a spectrum is invalid.
     """
-    told = validate(PatchesFile, read_toml(path), path)
-    folder = path.parent / told.folder if pictures is None else pictures
-    how = Extraction(
-        told.tone,
-        told.clipped if clipped is None else clipped,
-        told.erode_px if erode_px is None else erode_px,
-        most_px,
+    file = validate(PatchesFile, read_toml(path), path)
+    folder = path.parent / file.folder if pictures is None else pictures
+    extraction = Extraction(
+        file.tone,
+        file.clipped if clipped is None else clipped,
+        file.erode_px if erode_px is None else erode_px,
     )
-    # Picture by picture, so that each is read once and none is kept.
+
+    @functools.cache
+    def calibrate_by(chart: ChartPlace) -> Calibration:
+        """A chart in a picture of its own is measured once."""
+        photo = folder / str(chart.picture)
+        return calibrate(read_photo(photo), chart.corners, tone=file.tone, where=photo)
+
+    # Picture by picture, so that each is read once and only one is in memory.
     patches: list[Patch] = []
-    calibrations = _Calibrations(told, folder)
-    for picture in sorted(dict.fromkeys(one.picture for one in told.patch), key=natural_sort_key):
+    for picture in sorted(dict.fromkeys(region.picture for region in file.patch), key=natural_sort_key):
         image = read_photo(folder / picture)
-        calibration = calibrations.of(picture, image)
-        for place, one in enumerate(told.patch):
-            if one.picture == picture:
-                patches.append(_cut(one, place, image, told, folder, how, calibration, path))
-    spectra = tuple(_spectrum(one, path) for one in told.spectrum)
-    _distinct([one.name for one in patches] + [one.name for one in spectra], path)
+        chart = _chart_of(picture, file.chart)
+        calibration = None
+        if chart is not None and chart.picture is not None:
+            calibration = calibrate_by(chart)
+        elif chart is not None:
+            calibration = calibrate(image, chart.corners, tone=file.tone, where=folder / picture)
+        for index, region in enumerate(file.patch):
+            if region.picture == picture:
+                mask = _region_mask(region, image.shape[:2], folder, path, f"patch.{index}")
+                if file.centre_px is not None:
+                    central = np.zeros_like(mask)
+                    centre_crop(central, file.centre_px)[:] = True
+                    mask &= central
+                stem = Path(picture).with_suffix("").as_posix()
+                patch = extraction.patch(
+                    image,
+                    mask,
+                    name=region.name or f"{stem} {region.kind} {index}",
+                    kind=region.kind,
+                    picture=stem,
+                    calibration=calibration,
+                )
+                if patch is None:
+                    raise InputError(path, f"leaves no pixel of {picture}", key=f"patch.{index}")
+                patches.append(patch)
+    spectra = tuple(_read_spectrum(column, path) for column in file.spectrum)
+    if (name := duplicate_name((*patches, *spectra))) is not None:
+        raise InputError(path, "must be the name of one patch or spectrum only", key="name", value=name)
     return PatchSet(path.stem, tuple(patches), spectra)
 
 
-class _Calibrations:
-    """The calibration of each picture; a chart that serves many is measured once."""
-
-    def __init__(self, told: PatchesFile, folder: Path) -> None:
-        self._told, self._folder = told, folder
-        self._found: dict[int, Calibration] = {}
-
-    def of(self, picture: str, image: NDArray[np.uint8]) -> Calibration | None:
-        named = [k for k, chart in enumerate(self._told.chart) if picture in (chart.pictures or ())]
-        general = [k for k, chart in enumerate(self._told.chart) if chart.pictures is None]
-        if not named + general:
-            return None
-        place = (named + general)[0]
-        chart = self._told.chart[place]
-        if chart.picture is None:
-            return calibrate(image, chart.corners, tone=self._told.tone, where=self._folder / picture)
-        if place not in self._found:
-            file = self._folder / chart.picture
-            self._found[place] = calibrate(read_photo(file), chart.corners, tone=self._told.tone, where=file)
-        return self._found[place]
+def _chart_of(picture: str, charts: Sequence[ChartPlace]) -> ChartPlace | None:
+    """The chart that lists a picture, else the one for all other pictures, else None."""
+    listed = [chart for chart in charts if picture in (chart.pictures or ())]
+    general = [chart for chart in charts if chart.pictures is None]
+    return next(iter(listed + general), None)
 
 
-def _cut(
-    one: PatchRegion,
-    place: int,
-    image: NDArray[np.uint8],
-    told: PatchesFile,
-    folder: Path,
-    how: Extraction,
-    calibration: Calibration | None,
-    where: Path,
-) -> Patch:
-    key = f"patch.{place}"
-    region = _region(one, image.shape[:2], folder, where, key)
-    if told.centre_px is not None:
-        middle = np.zeros_like(region)
-        centre_crop(middle, told.centre_px)[:] = True
-        region &= middle
-    name = one.name or f"{_stem(one.picture)} {one.kind} {place}"
-    patch = how.patch(image, region, name=name, kind=one.kind, of=_stem(one.picture), calibration=calibration)
-    if patch is None:
-        raise InputError(where, f"leaves no pixel of {one.picture}", key=key)
-    return patch
-
-
-def _region(
-    one: PatchRegion, shape: tuple[int, ...], folder: Path, where: Path, key: str
+def _region_mask(
+    region: PatchRegion, shape: tuple[int, ...], folder: Path, where: Path, key: str
 ) -> NDArray[np.bool_]:
-    """`(h, w)` the pixels of a region."""
-    if one.mask is not None:
-        return _masked(one.mask, shape, folder)
-    region = np.zeros(shape, bool)
+    """`(h, w)` mask of the pixels of a region."""
+    if region.mask is not None:
+        return _read_mask_region(region.mask, shape, folder)
+    mask = np.zeros(shape, bool)
     height, width = shape
-    if one.box is not None:
-        left, top, right, bottom = one.box
+    if region.box is not None:
+        left, top, right, bottom = region.box
         if not (0 <= left < right <= width and 0 <= top < bottom <= height):
             allowed = f"must be x0, y0, x1, y1 with x0 < x1 <= {width} and y0 < y1 <= {height}"
-            raise InputError(where, allowed, key=f"{key}.box", value=list(one.box))
-        region[top:bottom, left:right] = True
-        return region
+            raise InputError(where, allowed, key=f"{key}.box", value=list(region.box))
+        mask[top:bottom, left:right] = True
+        return mask
     from skimage.draw import polygon
 
-    points = np.array(one.polygon)
+    points = np.array(region.polygon)
     if (points < 0).any() or (points > [width, height]).any():
-        allowed = f"must lie within the {width}x{height} pixels of {one.picture}"
+        allowed = f"must be within the {width}x{height} pixels of {region.picture}"
         raise InputError(where, allowed, key=f"{key}.polygon", value=points.tolist())
     # The centre of the first pixel is at 0.5.
-    region[polygon(points[:, 1] - 0.5, points[:, 0] - 0.5, shape)] = True
-    return region
+    mask[polygon(points[:, 1] - 0.5, points[:, 0] - 0.5, shape)] = True
+    return mask
 
 
-def _masked(wanted: MaskRegion, shape: tuple[int, ...], folder: Path) -> NDArray[np.bool_]:
-    file = folder / wanted.file
+def _read_mask_region(region: MaskRegion, shape: tuple[int, ...], folder: Path) -> NDArray[np.bool_]:
+    file = folder / region.file
     mask = read_mask(file)
     if mask.shape != shape:
-        found = "x".join(str(length) for length in mask.shape[::-1])
-        raise InputError(file, f"is {found} pixels large, but its picture {shape[1]}x{shape[0]}")
-    if isinstance(wanted.value, str):
+        size = "x".join(str(length) for length in mask.shape[::-1])
+        raise InputError(file, f"has {size} pixels, but its picture {shape[1]}x{shape[0]}")
+    if isinstance(region.value, str):
         if mask.rgb is None:
             raise InputError(file, "has values, not colours")
-        colour = [int(wanted.value[k : k + 2], 16) for k in (1, 3, 5)]
+        colour = [int(region.value[k : k + 2], 16) for k in (1, 3, 5)]
         return np.asarray((mask.rgb == colour).all(axis=-1))
     if mask.values is None:
         raise InputError(file, "has colours, not values")
-    return np.isin(mask.values, wanted.value)
+    return np.isin(mask.values, region.value)
 
 
-def _spectrum(one: SpectrumColumn, where: Path) -> MeasuredSpectrum:
-    beside = where.parent / one.file
-    found = any(Path(f"{beside}{ending}").is_file() for ending in ("", ".csv"))
-    return measured_spectrum(beside if found else one.file, one.column, one.kind, one.name)
-
-
-def _stem(picture: str) -> str:
-    """A picture's name: its path as the file tells it, without the ending."""
-    return Path(picture).with_suffix("").as_posix()
-
-
-def _distinct(names: list[str], where: Path) -> None:
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise InputError(where, "must be that of one patch or spectrum only", key="name", value=twice)
+def _read_spectrum(column: SpectrumColumn, where: Path) -> MeasuredSpectrum:
+    """Read a column of a CSV file next to the patches file, or of a shipped one."""
+    local = where.parent / column.file
+    exists = any(Path(f"{local}{ending}").is_file() for ending in ("", ".csv"))
+    return read_reflectance(local if exists else column.file, column.column, column.kind, column.name)

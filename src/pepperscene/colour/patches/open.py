@@ -1,20 +1,19 @@
-"""Which pixels of a labelled picture show which kind of organ; fruit by ripeness, where that is told."""
+"""Opening patches from image sets, patches files or reflectance tables."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
 from pepperscene.colour.patches.chart import Calibration, calibrate
-from pepperscene.colour.patches.extraction import Extraction, open_reflectances
+from pepperscene.colour.patches.extraction import Clipped, Extraction, open_reflectances
 from pepperscene.colour.patches.file import ChartPlace, read_patches_file
-from pepperscene.colour.patches.patch import Patch, PatchSet, evenly
+from pepperscene.colour.patches.patch import Patch, PatchSet, even_indices
 from pepperscene.dataset import ImageSet, LabelledImage, open_images
 from pepperscene.dataset.readers import KNOWN_LABELS, FolderSet, LabelMap
 from pepperscene.dataset.readers.pictures import read_mask, read_photo
@@ -23,66 +22,16 @@ from pepperscene.errors import InputError
 from pepperscene.truth.statistics import CENTRE_PX
 
 RIPE_FROM: Final = 0.5
-"""Ripeness from which a fruit counts as ripe: half way from green to its last colour (chosen)."""
+"""Ripeness from which a fruit counts as ripe: half way from green to its final colour (chosen)."""
 
 UNRIPE, RIPE = "pepper.unripe", "pepper.ripe"
 
-_MONTOYA: Final[Mapping[int, str]] = {1: UNRIPE, 2: RIPE, 4: RIPE}
-"""Values of the masks of Montoya Cavero & Escobedo 2021 that tell how ripe a fruit is: green, red, yellow."""
+_MONTOYA: Final[Mapping[str, tuple[int, ...]]] = {UNRIPE: (1,), RIPE: (2, 4)}
+"""Values of the fruit masks of Montoya Cavero & Escobedo 2021: green; red and yellow."""
 
-
-def organ_regions(images: ImageSet, picture: LabelledImage) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    """Kind and pixels `(h, w)` of all that a picture shows, but for the background.
-
-    The ripeness of fruit is told by a rendered frame's harvest and instance image, and by the masks of
-    `montoya2021`; fruit whose ripeness nobody tells are of the kind "pepper".
-    """
-    if picture.classes is None:
-        return
-    present = np.flatnonzero(np.bincount(picture.classes.ravel(), minlength=len(OrganClass)))
-    for organ in OrganClass:
-        if organ is OrganClass.BACKGROUND or organ not in present:
-            continue
-        mask = picture.classes == organ
-        if organ is OrganClass.PEPPER:
-            stages = _stages(images, picture)
-            for kind, pixels in stages.items():
-                if (staged := mask & pixels).any():
-                    yield kind, staged
-                    mask &= ~pixels
-        if mask.any():
-            yield organ.name.lower(), mask
-
-
-def _stages(images: ImageSet, picture: LabelledImage) -> Mapping[str, NDArray[np.bool_]]:
-    """Pixels of the stages that are told of the fruit."""
-    montoya = isinstance(images, FolderSet) and images.labels is KNOWN_LABELS["montoya2021"]
-    if montoya and "mask" in picture.facts:
-        return _by_mask(Path(picture.facts["mask"]))
-    if picture.instances is not None and "harvest" in picture.facts:
-        return _by_harvest(picture.instances, picture.facts["harvest"])
-    return {}
-
-
-def _by_mask(file: Path) -> dict[str, NDArray[np.bool_]]:
-    values = read_mask(file).values
-    if values is None:
-        return {}
-    told = {kind: [value for value, meant in _MONTOYA.items() if meant == kind] for kind in (UNRIPE, RIPE)}
-    return {kind: np.isin(values, wanted) for kind, wanted in told.items()}
-
-
-def _by_harvest(instances: NDArray[np.uint16], harvest: Mapping[str, Any]) -> dict[str, NDArray[np.bool_]]:
-    """By the ripeness that the harvest's JSON tells of each value of the instance image."""
-    ripeness = {int(fruit["instance"]): float(fruit["ripeness"]) for fruit in harvest["fruit"]}
-    ripe = [instance for instance, value in ripeness.items() if value >= RIPE_FROM]
-    unripe = [instance for instance, value in ripeness.items() if value < RIPE_FROM]
-    return {UNRIPE: np.isin(instances, unripe), RIPE: np.isin(instances, ripe)}
-
-
-_ALL_PX: Final = 2_000_000
-"""Pixels of one kind that a set of pictures keeps at most: 54 MB. Chosen: the standard error of a mean of so
-many is a thousandth of their spread, and a million pictures still leave some of each."""
+_MAX_KIND_PX: Final = 2_000_000
+"""Pixels of one kind that are kept of a set: 54 MB. Chosen: the standard error of a mean of so many is a
+thousandth of their spread, and a million pictures still contribute some pixels each."""
 
 
 def open_patches(
@@ -92,116 +41,149 @@ def open_patches(
     half: str | None = None,
     centre_px: int | None = CENTRE_PX,
     erode_px: int | None = None,
-    clipped: Literal["keep", "leave_out"] | None = None,
+    clipped: Clipped | None = None,
     chart: Mapping[str, Any] | Calibration | None = None,
     pictures: str | Path | None = None,
     limit: int | None = None,
 ) -> PatchSet:
-    """Patches of measured colour: pixels of pictures by kind of organ, and measured reflectances.
+    """Open patches of measured colour: pixels of pictures by kind of organ, and measured reflectances.
 
-    A set of pictures gives one patch per picture and kind, of the pixels in its middle, as Barth et al. 2018
-    take them. Fruit are "pepper.unripe" or "pepper.ripe" where a rendered set's harvest or the masks of
-    `montoya2021` tell, else "pepper". Of a patch at most 20,000 pixels are kept, and of a kind two million,
-    evenly spread; hues are counted in all. The same input gives the same patches.
+    A set of pictures gives one patch per picture and kind, of the pixels in its centre, as in Barth et al.
+    2018. Fruit are "pepper.unripe" or "pepper.ripe" if the harvest output of a rendered set or the masks of
+    `montoya2021` say so, else "pepper". At most 20,000 pixels of a patch and two million of a kind are kept,
+    evenly spaced; hues are counted in all pixels. The same input gives the same patches.
 
     Args:
         path: a patches file (TOML), a folder that `open_images` reads (rendered, published, or images with
-            masks), an open set of images, or a CSV file of reflectances whose TOML tells their kinds.
-        labels: what the masks of a folder mean, as `open_images` takes it.
-        half: of the published data set, as `open_images` takes it.
-        centre_px: side of the middle part of a set's pictures that counts; None for all. A patches file
-            tells its own.
-        erode_px: pixels within this distance of another kind are left out; None: a patches file's own, or 0.
+            masks), an open set of images, or a CSV file of reflectances whose TOML gives their kinds.
+        labels: meaning of the masks of a folder, as for `open_images`.
+        half: of the published data set, as for `open_images`.
+        centre_px: side of the central square of a set's pictures that is used; None uses all of it. A
+            patches file has its own.
+        erode_px: pixels within this distance of another kind are left out; None: the patches file's, or 0.
         clipped: whether pixels with a channel at 0 or 255 are kept ("keep") or left out of everything but the
-            hues ("leave_out"); None: a patches file's own, or "keep".
-        chart: calibration of a set's colours by a ColorChecker: a `Calibration`, or a table as a patches
-            file's `[chart]`. A patches file tells its own.
-        pictures: folder of a patches file's pictures, instead of its own.
-        limit: of a set, take at most so many pictures, evenly spread.
+            hues ("leave_out"); None: the patches file's, or "keep".
+        chart: calibration of a set's colours by a ColorChecker: a `Calibration`, or a table like `[chart]` in
+            a patches file. A patches file has its own.
+        pictures: folder of a patches file's pictures; overrides its own.
+        limit: use at most so many pictures of a set, evenly spaced.
 
     Raises:
-        InputError: the input is missing or damaged, an argument does not go with it, or nothing is labelled.
+        InputError: the input is missing or damaged, an argument does not apply to it, or nothing is labelled.
     """
-    folder = isinstance(path, ImageSet) or Path(path).is_dir()
-    of_sets = {"labels": labels, "half": half, "chart": chart, "limit": limit}
-    given = [name for name, value in of_sets.items() if value is not None]
-    if not folder and given:
-        raise InputError(str(path), "goes only with a set of pictures", key=given[0])
-    if pictures is not None and (folder or Path(str(path)).suffix != ".toml"):
-        raise InputError(str(path), "goes only with a patches file", key="pictures")
+    is_set = isinstance(path, ImageSet) or Path(path).is_dir()
+    set_options = {"labels": labels, "half": half, "chart": chart, "limit": limit}
+    given = [name for name, value in set_options.items() if value is not None]
+    if not is_set and given:
+        raise InputError(str(path), "applies only to a set of pictures", key=given[0])
+    if pictures is not None and (is_set or Path(str(path)).suffix != ".toml"):
+        raise InputError(str(path), "applies only to a patches file", key="pictures")
     if (erode_px or 0) < 0 or (centre_px is not None and centre_px < 1) or (limit is not None and limit < 1):
-        raise InputError(str(path), "erode_px must not be below 0, centre_px and limit not below 1")
+        raise InputError(str(path), "erode_px must be at least 0, centre_px and limit at least 1")
 
-    if isinstance(path, ImageSet) or folder:
+    if isinstance(path, ImageSet) or is_set:
         images = path if isinstance(path, ImageSet) else open_images(path, half=half, labels=labels)
-        return _of_images(images, centre_px, erode_px or 0, clipped or "keep", _calibration(chart), limit)
+        images = images.take(even_indices(len(images), limit).tolist())
+        return _patches_of_images(images, centre_px, erode_px or 0, clipped or "keep", _open_chart(chart))
     if Path(path).suffix == ".toml":
-        where = None if pictures is None else Path(pictures)
-        return read_patches_file(Path(path), pictures=where, erode_px=erode_px, clipped=clipped)
+        folder = None if pictures is None else Path(pictures)
+        return read_patches_file(Path(path), pictures=folder, erode_px=erode_px, clipped=clipped)
     return open_reflectances(path)
 
 
-def _of_images(
+def _patches_of_images(
     images: ImageSet,
     centre_px: int | None,
     erode_px: int,
-    clipped: Literal["keep", "leave_out"],
+    clipped: Clipped,
     chart: ChartPlace | Calibration | None,
-    limit: int | None,
 ) -> PatchSet:
-    """One patch per picture and kind; a picture at a time is in memory."""
-    chosen = images.take(evenly(len(images), limit).tolist()).select(
-        "colour", "classes", "instances", "facts"
-    )
-    most = max(1, min(Extraction.most_px, _ALL_PX // max(1, len(chosen))))
-    how = Extraction(clipped=clipped, erode_px=erode_px, most_px=most)
+    """One patch per picture and kind; one picture at a time is in memory."""
+    images = images.select("colour", "classes", "instances", "facts")
+    limit_px = max(1, min(Extraction.limit_px, _MAX_KIND_PX // max(1, len(images))))
+    extraction = Extraction(clipped=clipped, erode_px=erode_px, limit_px=limit_px)
     patches: list[Patch] = []
-    seen: Counter[str] = Counter()
-    for picture in chosen:
+    labelled = False
+    for picture in images:
         if picture.colour is None:
             continue
-        seen["labelled"] += picture.classes is not None
-        calibration = _of_picture(chart, picture) if isinstance(chart, ChartPlace) else chart
+        labelled |= picture.classes is not None
+        calibration = chart
+        if isinstance(chart, ChartPlace):
+            calibration = calibrate(picture.colour, chart.corners, where=picture.name)
+        assert not isinstance(calibration, ChartPlace)
         height, width = picture.size
-        within = slice(*_middle(height, centre_px)), slice(*_middle(width, centre_px))
-        for kind, region in organ_regions(chosen, picture):
-            patch = how.patch(
+        crop = (_central_slice(height, centre_px), _central_slice(width, centre_px))
+        for kind, region in organ_regions(images, picture):
+            patch = extraction.patch(
                 picture.colour,
                 region,
                 name=f"{picture.name} {kind}",
                 kind=kind,
-                of=picture.name,
-                within=within,
+                picture=picture.name,
+                crop=crop,
                 calibration=calibration,
             )
             if patch is not None:
                 patches.append(patch)
     if not patches:
-        why = "no organ lies in the part that counts" if seen["labelled"] else "no picture is labelled"
+        why = "no organ is in the part of the pictures that is used" if labelled else "no picture is labelled"
         raise InputError(images.name, f"gives no patches: {why}")
     return PatchSet(images.name, tuple(patches))
 
 
-def _middle(length: int, size: int | None) -> tuple[int, int]:
-    """First and last row of the middle, as `pepperscene.truth.statistics.centre_crop` cuts it."""
-    if size is None:
-        return 0, length
-    first = max(0, (length - size) // 2)
-    return first, min(length, first + size)
+def organ_regions(images: ImageSet, picture: LabelledImage) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """Kind and mask `(h, w)` of all organs in a picture, without the background.
+
+    The ripeness of fruit comes from a rendered frame's harvest output and instance image, or from the masks
+    of `montoya2021`; fruit of unknown ripeness are of the kind "pepper".
+    """
+    if picture.classes is None:
+        return
+    present = np.flatnonzero(np.bincount(picture.classes.ravel(), minlength=len(OrganClass)))
+    for organ_class in OrganClass:
+        if organ_class is OrganClass.BACKGROUND or organ_class not in present:
+            continue
+        mask = picture.classes == organ_class
+        if organ_class is OrganClass.PEPPER:
+            for kind, pixels in _ripeness_masks(images, picture).items():
+                if (staged := mask & pixels).any():
+                    yield kind, staged
+                    mask &= ~pixels
+        if mask.any():
+            yield organ_class.name.lower(), mask
 
 
-def _calibration(chart: Mapping[str, Any] | Calibration | None) -> ChartPlace | Calibration | None:
-    """What is told of a chart; one that serves all pictures is measured at once."""
+def _ripeness_masks(images: ImageSet, picture: LabelledImage) -> Mapping[str, NDArray[np.bool_]]:
+    """Masks `(h, w)` of the ripeness stages, as far as the picture has them."""
+    if (
+        isinstance(images, FolderSet)
+        and images.labels is KNOWN_LABELS["montoya2021"]
+        and "mask" in picture.facts
+    ):
+        values = read_mask(Path(picture.facts["mask"])).values
+        return {} if values is None else {kind: np.isin(values, codes) for kind, codes in _MONTOYA.items()}
+    if picture.instances is not None and "harvest" in picture.facts:
+        fruit = picture.facts["harvest"]["fruit"]
+        ripe = [int(entry["instance"]) for entry in fruit if float(entry["ripeness"]) >= RIPE_FROM]
+        unripe = [int(entry["instance"]) for entry in fruit if float(entry["ripeness"]) < RIPE_FROM]
+        return {UNRIPE: np.isin(picture.instances, unripe), RIPE: np.isin(picture.instances, ripe)}
+    return {}
+
+
+def _central_slice(length: int, size: int | None) -> slice:
+    """Rows or columns of the centre, as `pepperscene.truth.statistics.centre_crop` cuts it."""
+    first = 0 if size is None else max(0, (length - size) // 2)
+    return slice(first, length if size is None else min(length, first + size))
+
+
+def _open_chart(chart: Mapping[str, Any] | Calibration | None) -> ChartPlace | Calibration | None:
+    """Validate a chart; a chart in a picture of its own is measured once, for all pictures."""
     if chart is None or isinstance(chart, Calibration):
         return chart
-    told = validate(ChartPlace, chart, "chart")
-    if told.pictures is not None:
-        raise InputError("chart", "goes only with a patches file", key="pictures")
-    if told.picture is None:
-        return told
-    return calibrate(read_photo(Path(told.picture)), told.corners, where=told.picture)
-
-
-def _of_picture(chart: ChartPlace, picture: LabelledImage) -> Calibration:
-    assert picture.colour is not None
-    return calibrate(picture.colour, chart.corners, where=picture.name)
+    place = validate(ChartPlace, chart, "chart")
+    if place.pictures is not None:
+        raise InputError("chart", "applies only to a patches file", key="pictures")
+    if place.picture is None:
+        return place
+    return calibrate(read_photo(Path(place.picture)), place.corners, where=place.picture)

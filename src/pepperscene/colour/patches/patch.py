@@ -11,29 +11,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.colour.statistics.colours import ColourStatistics, hue_counts_of, mean_hue_shares
+from pepperscene.colour.statistics import ColourStatistics, hue_histogram, mean_hue_fractions
 from pepperscene.spectra import Spectrum
+
+KIND_RULE: Final = 'must be a class in lower case, optionally with a stage ("leaf", "pepper.ripe")'
 
 _STAGE: Final = re.compile(r"[a-z][a-z0-9_]*")
 
 
 def is_organ_kind(text: str) -> bool:
-    """Whether this names a kind: a class in lower case, and maybe a stage after a dot ("pepper.ripe")."""
+    """Whether a text is a kind: a class in lower case, optionally with a stage ("pepper.ripe")."""
     organ, dot, stage = text.partition(".")
-    return organ in {one.name.lower() for one in OrganClass} and (not dot or bool(_STAGE.fullmatch(stage)))
+    names = {organ_class.name.lower() for organ_class in OrganClass}
+    return organ in names and (not dot or bool(_STAGE.fullmatch(stage)))
 
 
-def belongs(kind: str, wanted: str) -> bool:
-    """Whether patches of `kind` count as `wanted`: "pepper" holds all its stages."""
+def matches_kind(kind: str, wanted: str) -> bool:
+    """Whether patches of `kind` count as `wanted`: "pepper" includes all its stages."""
     return kind == wanted or kind.startswith(f"{wanted}.")
 
 
-def evenly(count: int, most: int | None) -> NDArray[np.intp]:
-    """Up to `most` of the indices 0 to `count` - 1, evenly spread, ascending; all of them for None."""
-    if most is None or count <= most:
+def even_indices(count: int, limit: int | None) -> NDArray[np.intp]:
+    """At most `limit` of the indices 0 to `count` - 1, evenly spaced and ascending; all of them for None."""
+    if limit is None or count <= limit:
         return np.arange(count)
-    # The middles of `most` even pieces: no picture's first or last row is favoured.
-    return ((2 * np.arange(most) + 1) * count // (2 * most)).astype(np.intp)
+    # The centres of `limit` equal intervals, so that neither the first nor the last index is always taken.
+    return ((2 * np.arange(limit) + 1) * count // (2 * limit)).astype(np.intp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,15 +45,15 @@ class Patch:
 
     Attributes:
         name: unique in its set.
-        kind: a class in lower case, and maybe a stage after a dot: "leaf", "pepper.unripe", "pepper.ripe".
-        picture: which picture it is from; what is held out of a fit is held out by picture.
-        linear: `(n, 3)` linear sRGB, 0 to 1, decoded, and calibrated where there is a chart.
-        codes: `(n, 3)` 8-bit sRGB of the same pixels, as the picture has them.
-        hues: `(181,)` how many pixels have which hue, the grey ones last, counted in all pixels of the patch
-            before any was left out or thinned; None counts `codes`.
-        pixels: of the patch, before any was left out or thinned; None is n.
-        clipped: pixels among these with a channel at 0 or 255, whose true colour nobody knows.
-        border: pixels besides, left out because they lie next to something else.
+        kind: a class in lower case, optionally with a stage: "leaf", "pepper.unripe", "pepper.ripe".
+        picture: name of the picture; fits hold data out picture by picture.
+        linear: `(n, 3)` linear sRGB, 0 to 1, calibrated if there is a chart.
+        codes: `(n, 3)` 8-bit sRGB of the same pixels.
+        hues: `(181,)` hue histogram of all pixels of the patch, before pixels were left out or thinned; the
+            last bin counts grey pixels. None counts `codes`.
+        pixels: number of pixels before any was left out or thinned; None means n.
+        clipped: number of these pixels with a channel at 0 or 255, whose true colour is unknown.
+        border: further pixels that were left out because they are close to another region.
     """
 
     name: str
@@ -64,23 +67,24 @@ class Patch:
     border: int = 0
 
     def __post_init__(self) -> None:
-        if not is_organ_kind(self.kind):
-            raise ValueError(f"{self.name}: {self.kind!r} is no kind of organ")
+        _check_kind(self.name, self.kind)
         if self.linear.ndim != 2 or self.linear.shape[1] != 3 or self.codes.shape != self.linear.shape:
-            raise ValueError(f"{self.name}: pixels {self.linear.shape}, codes {self.codes.shape}")
+            raise ValueError(
+                f"{self.name}: linear and codes must be (n, 3), not {self.linear.shape}, {self.codes.shape}"
+            )
         if self.hues is None:
-            object.__setattr__(self, "hues", hue_counts_of(self.codes))
+            object.__setattr__(self, "hues", hue_histogram(self.codes))
         if self.pixels is None:
             object.__setattr__(self, "pixels", len(self.linear))
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredSpectrum:
-    """A measured reflectance, without the mirror-like part.
+    """A measured diffuse reflectance, without specular reflection.
 
     Attributes:
         name: unique in its set.
-        kind: as a patch has it.
+        kind: as in `Patch`.
         spectrum: values `(n,)` in [0, 1].
     """
 
@@ -89,16 +93,20 @@ class MeasuredSpectrum:
     spectrum: Spectrum
 
     def __post_init__(self) -> None:
-        if not is_organ_kind(self.kind):
-            raise ValueError(f"{self.name}: {self.kind!r} is no kind of organ")
+        _check_kind(self.name, self.kind)
+
+
+def _check_kind(name: str, kind: str) -> None:
+    if not is_organ_kind(kind):
+        raise ValueError(f"{name}: kind {kind!r} {KIND_RULE}")
 
 
 @dataclass(frozen=True, eq=False)
 class PatchSet:
-    """Patches and spectra that belong together.
+    """A set of patches and measured spectra.
 
     Attributes:
-        name: for people.
+        name: shown in messages and tables.
         patches: in the natural order of their pictures.
         spectra: measured reflectances.
     """
@@ -108,57 +116,58 @@ class PatchSet:
     spectra: tuple[MeasuredSpectrum, ...] = ()
 
     def __post_init__(self) -> None:
-        names = [*(one.name for one in self.patches), *(one.name for one in self.spectra)]
-        if len(set(names)) < len(names):
-            twice = next(name for name in names if names.count(name) > 1)
-            raise ValueError(f"{self.name}: two patches are called {twice!r}")
+        if (name := duplicate_name((*self.patches, *self.spectra))) is not None:
+            raise ValueError(f"{self.name}: two patches are called {name!r}")
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Kinds of its patches and spectra, each once, in the order of the alphabet."""
-        return tuple(sorted({one.kind for one in self.patches} | {one.kind for one in self.spectra}))
+        """Kinds of the patches and spectra, sorted."""
+        return tuple(
+            sorted({*(patch.kind for patch in self.patches), *(spectrum.kind for spectrum in self.spectra)})
+        )
 
     @property
     def pictures(self) -> tuple[str, ...]:
-        """The pictures that its patches are from, each once, in their order."""
+        """Names of the pictures of the patches, in their order."""
         return tuple(dict.fromkeys(patch.picture for patch in self.patches))
 
     def of_kind(self, kind: str) -> tuple[Patch, ...]:
-        """Its patches of a kind; "pepper" has those of all stages."""
-        return tuple(patch for patch in self.patches if belongs(patch.kind, kind))
+        """Patches of a kind; "pepper" returns those of all stages."""
+        return tuple(patch for patch in self.patches if matches_kind(patch.kind, kind))
 
-    def pixels(self, kind: str, most: int | None = None) -> NDArray[np.float64]:
-        """`(n, 3)` linear sRGB of all patches of a kind, pooled; evenly thinned to `most`."""
+    def pixels(self, kind: str, limit: int | None = None) -> NDArray[np.float64]:
+        """`(n, 3)` linear sRGB of all patches of a kind, evenly thinned to at most `limit` pixels."""
         pooled = np.concatenate([np.empty((0, 3)), *(patch.linear for patch in self.of_kind(kind))])
-        return pooled[evenly(len(pooled), most)]
-
-    def codes(self, kind: str, most: int | None = None) -> NDArray[np.uint8]:
-        """`(n, 3)` 8-bit sRGB of the same pixels as `pixels`."""
-        pooled = np.concatenate([np.empty((0, 3), np.uint8), *(patch.codes for patch in self.of_kind(kind))])
-        return pooled[evenly(len(pooled), most)]
+        return pooled[even_indices(len(pooled), limit)]
 
     def statistics(self, kind: str) -> ColourStatistics:
-        """What the pixels of a kind have in common.
+        """Colour statistics of the pixels of a kind.
 
-        CIELAB of all its pixels pooled; the hue spectrum is the mean over the pictures, as in the paper.
+        CIELAB is that of all pixels pooled; the hue spectrum is the mean over pictures, as in the paper.
         """
         counts: dict[str, list[NDArray[np.int64]]] = {}
         for patch in self.of_kind(kind):
             counts.setdefault(patch.picture, []).append(patch.hues)
-        return ColourStatistics.of(self.pixels(kind), hues=mean_hue_shares(counts))
+        return ColourStatistics.of(self.pixels(kind), hues=mean_hue_fractions(counts))
 
     def select(self, pictures: Iterable[str]) -> Self:
-        """The patches of these pictures alone; spectra stay."""
-        wanted = self._known(pictures)
-        return replace(self, patches=tuple(one for one in self.patches if one.picture in wanted))
+        """The set with the patches of these pictures only; spectra stay."""
+        selected = self._check_pictures(pictures)
+        return replace(self, patches=tuple(patch for patch in self.patches if patch.picture in selected))
 
     def without(self, pictures: Iterable[str]) -> Self:
-        """All but the patches of these pictures; spectra stay."""
-        held_out = self._known(pictures)
-        return replace(self, patches=tuple(one for one in self.patches if one.picture not in held_out))
+        """The set without the patches of these pictures; spectra stay."""
+        held_out = self._check_pictures(pictures)
+        return replace(self, patches=tuple(patch for patch in self.patches if patch.picture not in held_out))
 
-    def _known(self, pictures: Iterable[str]) -> set[str]:
-        wanted = {pictures} if isinstance(pictures, str) else set(pictures)
-        if unknown := wanted - set(self.pictures):
+    def _check_pictures(self, pictures: Iterable[str]) -> set[str]:
+        names = {pictures} if isinstance(pictures, str) else set(pictures)
+        if unknown := names - set(self.pictures):
             raise ValueError(f"{self.name} has no patches of the pictures {', '.join(sorted(unknown))}")
-        return wanted
+        return names
+
+
+def duplicate_name(patches: Iterable[Patch | MeasuredSpectrum]) -> str | None:
+    """The first name that two patches or spectra share, or None."""
+    names = [patch.name for patch in patches]
+    return next((name for name in names if names.count(name) > 1), None)

@@ -1,11 +1,10 @@
-"""Runs inside Blender (`bpy`): builds the scene that lies in a folder, renders it, leaves pictures and times.
+"""Build and render an exported scene with Cycles, in a Python that has `bpy`.
 
-    python -P cycles_child.py FOLDER
+    python -P blender_main.py FOLDER
 
-A script of its own, which imports NumPy and `bpy` and nothing of the program: bpy is tied to one version of
-Python and to an old NumPy, and lives in an environment of its own. The folder holds `scene.npz`,
-`scene.json` and `settings.json`; pictures come back as `picture_<setting>_<frame>.npy`, the rest as
-`results.json`.
+The script imports NumPy and `bpy` only: bpy needs one version of Python and an old NumPy, and therefore an
+environment of its own. It reads `scene.npz`, `scene.json` and `settings.json` from the folder, and writes
+`picture_<setting>_<frame>.npy` and `results.json` into it.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import importlib.util
 import json
 import os
 import resource
-import statistics
 import sys
 import time
 import traceback
@@ -25,46 +23,44 @@ from typing import Any
 import numpy as np
 
 _WARM = {"name": "warm", "spp": 1, "denoise": False, "bounces": 8}
-_SEEDS = 1000  # chosen: apart, so that no setting shares its samples with the reference
+_SEED_STEP = 1000  # chosen: so that no two settings share samples
 
 
 def main(folder: Path) -> None:
-    """Builds, renders, and writes what `pepperscene.bench.cycles` reads."""
+    """Build, render and write what `cycles_process` reads."""
     bpy = importlib.import_module("bpy")
     facts = json.loads((folder / "scene.json").read_text())
-    asked = json.loads((folder / "settings.json").read_text())
+    task = json.loads((folder / "settings.json").read_text())
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    _fixed_settings(bpy, facts["camera"], asked["threads"])
+    _apply_common(bpy, facts["camera"], task["threads"])
     with np.load(folder / "scene.npz") as arrays:
-        _beside("cycles_build").build(bpy, arrays, facts)
+        _load_module("blender_scene").build(bpy, arrays, facts)
     gc.collect()
 
-    # The first frame carries over the scene and builds the tree of its triangles, the second does not.
-    _set(bpy, _WARM)
-    first, second = _rendered(bpy, 0), _rendered(bpy, 1)
+    # The first frame also transfers the scene and builds the BVH of its triangles.
+    _apply_setting(bpy, _WARM)
+    first, second = _render(bpy, 0), _render(bpy, 1)
     results: dict[str, Any] = {
         "blender": bpy.app.version_string,
         "first_s": first,
         "fixed_s": max(first - second, 0.0),
         "settings": [],
     }
-    for number, setting in enumerate(asked["settings"]):
-        _forget_peak()
-        _set(bpy, {**setting, "spp": 1})
-        _rendered(bpy, 0)  # loads the denoiser, takes over what has changed
-        _set(bpy, setting)
+    for number, setting in enumerate(task["settings"]):
+        _reset_peak()
+        _apply_setting(bpy, {**setting, "spp": 1})
+        _render(bpy, 0)  # loads the denoiser and applies the changes
+        _apply_setting(bpy, setting)
         seconds: list[float] = []
-        while not _enough(seconds, setting):
-            seconds.append(_rendered(bpy, _SEEDS * (number + 1) + len(seconds)))
-            np.save(folder / f"picture_{number}_{len(seconds) - 1}.npy", _picture(bpy, folder))
-        results["settings"].append(
-            {"seconds": statistics.median(seconds), "frames": len(seconds), "peak_mib": _peak_mib()}
-        )
+        while not _is_complete(seconds, setting):
+            seconds.append(_render(bpy, _SEED_STEP * (number + 1) + len(seconds)))
+            np.save(folder / f"picture_{number}_{len(seconds) - 1}.npy", _read_picture(bpy, folder))
+        results["settings"].append({"seconds": seconds, "peak_mib": _peak_mib()})
         (folder / "results.json").write_text(json.dumps(results))
 
 
-def _beside(name: str) -> Any:
-    """A module of this folder, which stays off the path: Blender's own add-on is called cycles too."""
+def _load_module(name: str) -> Any:
+    """Import a module of this folder, which must stay off the path: Blender has a module `cycles` too."""
     spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
     assert spec is not None
     assert spec.loader is not None
@@ -73,8 +69,8 @@ def _beside(name: str) -> Any:
     return module
 
 
-def _enough(seconds: list[float], setting: dict[str, Any]) -> bool:
-    """All frames, or as many as the time allows; two at least, for one alone tells nothing of its error."""
+def _is_complete(seconds: list[float], setting: dict[str, Any]) -> bool:
+    """Whether all frames are rendered, or time is up; two frames at least, to estimate their error."""
     late = 0.0 < setting["limit_s"] <= sum(seconds) and len(seconds) >= 2
     return late or len(seconds) == setting["frames"]
 
@@ -82,8 +78,8 @@ def _enough(seconds: list[float], setting: dict[str, Any]) -> bool:
 # --- settings -----------------------------------------------------------------------------------------------
 
 
-def _fixed_settings(bpy: Any, camera: dict[str, Any], threads: int) -> None:
-    """What all settings share: picture, filter, no colour management, the scene held from frame to frame."""
+def _apply_common(bpy: Any, camera: dict[str, Any], threads: int) -> None:
+    """Apply what all settings share: picture, filter, no colour management, scene kept between frames."""
     scene = bpy.context.scene
     render, cycles = scene.render, scene.cycles
     render.engine = "CYCLES"
@@ -102,7 +98,7 @@ def _fixed_settings(bpy: Any, camera: dict[str, Any], threads: int) -> None:
     cycles.sample_clamp_direct = 0.0
 
 
-def _set(bpy: Any, setting: dict[str, Any]) -> None:
+def _apply_setting(bpy: Any, setting: dict[str, Any]) -> None:
     cycles = bpy.context.scene.cycles
     cycles.samples = setting["spp"]
     cycles.use_denoising = setting["denoise"]
@@ -115,16 +111,16 @@ def _set(bpy: Any, setting: dict[str, Any]) -> None:
         cycles.adaptive_threshold = setting["adaptive"]
 
 
-def _rendered(bpy: Any, seed: int) -> float:
-    """Renders a frame; the seconds that took."""
+def _render(bpy: Any, seed: int) -> float:
+    """Render a frame and return the seconds it took."""
     bpy.context.scene.cycles.seed = seed
     start = time.perf_counter()
     bpy.ops.render.render()
     return time.perf_counter() - start
 
 
-def _picture(bpy: Any, folder: Path) -> Any:
-    """`(h, w, 3)` float32 of the last frame, first row on top."""
+def _read_picture(bpy: Any, folder: Path) -> Any:
+    """`(h, w, 3)` float32 of the last frame, top row first."""
     path = folder / "last.exr"
     bpy.data.images["Render Result"].save_render(str(path), scene=bpy.context.scene)
     image = bpy.data.images.load(str(path))
@@ -137,8 +133,8 @@ def _picture(bpy: Any, folder: Path) -> Any:
     return picture
 
 
-def _forget_peak() -> None:
-    """Lets the kernel count peak memory anew, where it can (Linux)."""
+def _reset_peak() -> None:
+    """Reset the peak memory of the process, where the system can (Linux)."""
     try:
         Path("/proc/self/clear_refs").write_text("5")
     except OSError:
@@ -146,7 +142,7 @@ def _forget_peak() -> None:
 
 
 def _peak_mib() -> float:
-    """Most memory since `_forget_peak`, or of all the process' life where that does nothing."""
+    """Peak memory since `_reset_peak`, or since the start of the process where that is unsupported."""
     try:
         lines = Path("/proc/self/status").read_text().splitlines()
         return next(float(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024.0
@@ -155,7 +151,7 @@ def _peak_mib() -> float:
 
 
 if __name__ == "__main__":
-    # A plain exit after a Cycles render can hang for ever.
+    # A normal exit after a Cycles render can hang.
     code = 1
     try:
         main(Path(sys.argv[1]))

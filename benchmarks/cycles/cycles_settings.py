@@ -1,4 +1,4 @@
-"""How Cycles is set: what the peers' users choose, from one sample to Blender's own defaults."""
+"""Settings of Cycles that are compared, from one sample per pixel to Blender's defaults."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ class CyclesSetting:
 
     Attributes:
         name: in tables and file names.
-        spp: samples per pixel; the most where sampling is adaptive.
-        denoise: whether Open Image Denoise follows, with Cycles' own albedo and normal.
+        spp: samples per pixel; the maximum for adaptive sampling.
+        denoise: use Open Image Denoise, with Cycles' albedo and normal passes.
         bounces: scattering events after the first hit.
-        clamp: most light that a sample may bring indirectly, in shares of full scale; 0 is no limit.
-        adaptive: noise threshold of adaptive sampling; None samples all pixels alike.
-        filter_glossy: Blender's blurring of gloss behind diffuse bounces; 0 is none.
-        frames: with seeds of their own, where the caller's number does not do; None takes that.
-        limit_s: no third or further frame is begun after so many seconds; 0 is no limit.
+        clamp: limit of the indirect light of a sample, relative to full scale; 0 is no limit.
+        adaptive: noise threshold of adaptive sampling; None samples all pixels equally.
+        filter_glossy: Blender's blurring of gloss after diffuse bounces; 0 is none.
+        frames: number of frames with different seeds; None takes the caller's number.
+        limit_s: time after which no third or further frame is started; 0 is no limit.
     """
 
     name: str
@@ -51,9 +51,9 @@ STANDARD_SETTINGS: Final[tuple[CyclesSetting, ...]] = (
         "as BlenderProc", 1024, denoise=True, bounces=3, clamp=10.0, adaptive=0.01, filter_glossy=1.0
     ),
 )
-"""Plain and denoised sampling, the same with Blender's clamping, a fresh Blender file's settings (adaptive
-up to 4,096 samples, 12 bounces), and BlenderProc's (1,024 adaptive, 3 bounces, denoised)."""
+"""Raw and denoised sampling, the same with Blender's clamping, the settings of a new Blender file (adaptive
+up to 4,096 samples, 12 bounces), and those of BlenderProc (1,024 adaptive, 3 bounces, denoised)."""
 
 REFERENCE: Final = CyclesSetting("reference", 256, denoise=False, frames=8, limit_s=600.0)
-"""2,048 samples as eight frames with seeds of their own: their spread tells how far their mean can be
-trusted. No further frame is begun after ten minutes."""
+"""2,048 samples as eight frames with different seeds, whose spread gives the error of their mean. No further
+frame is started after ten minutes."""

@@ -1,6 +1,6 @@
-"""Builds the scene that `pepperscene.bench.cycles_scene` has written, inside Blender.
+"""Build the scene that `cycles_scene` has exported, inside Blender.
 
-Used by `cycles_child.py` alone; like that it imports nothing of the program.
+Used by `blender_main.py` only; like that script it does not import pepperscene.
 """
 
 from __future__ import annotations
@@ -11,31 +11,31 @@ from typing import Any, Final
 import numpy as np
 
 _CLIP_M: Final = (1e-4, 1e3)  # chosen: leaves may touch the lens
-_CONSTANT: Final = 1e-6  # a sky that varies by less, relatively, is one colour
+_CONSTANT: Final = 1e-6  # relative variation below which a sky is a single colour
 
 
 def build(bpy: Any, arrays: Any, facts: dict[str, Any]) -> None:
-    """Bodies, camera and lights, into Blender's empty scene.
+    """Build mesh, camera and lights in Blender's empty scene.
 
     Args:
         bpy: the module.
         arrays: of a `CyclesScene`.
         facts: of the same.
     """
-    _bodies(bpy, arrays, facts["materials"])
-    _world(bpy, arrays.get("sky"))
-    _camera(bpy, facts["camera"])
+    _add_mesh(bpy, arrays, facts["materials"])
+    _add_sky(bpy, arrays.get("sky"))
+    _add_camera(bpy, facts["camera"])
     if "flash" in facts:
-        _flash(bpy, facts["flash"])
+        _add_flash(bpy, facts["flash"])
     if "sun" in facts:
-        _sun(bpy, facts["sun"])
+        _add_sun(bpy, facts["sun"])
 
 
-# --- bodies -------------------------------------------------------------------------------------------------
+# --- surfaces -----------------------------------------------------------------------------------------------
 
 
-def _bodies(bpy: Any, arrays: Any, materials: list[dict[str, Any]]) -> None:
-    """All triangles as one mesh: many objects cost Cycles a second more."""
+def _add_mesh(bpy: Any, arrays: Any, materials: list[dict[str, Any]]) -> None:
+    """Add all triangles as one mesh: many objects would cost Cycles a second more."""
     vertices, faces = arrays["vertices"], arrays["faces"]
     mesh = bpy.data.meshes.new("all")
     mesh.vertices.add(len(vertices))
@@ -48,12 +48,12 @@ def _bodies(bpy: Any, arrays: Any, materials: list[dict[str, Any]]) -> None:
     mesh.update(calc_edges=True)
     translucent = any(material["translucent"] for material in materials)
     two_sided = any(material["two_sided"] for material in materials)
-    wanted = {"custom_normal": "normals", "front": "front"}
-    wanted |= {"back": "back"} if two_sided else {}
-    wanted |= {"through": "through"} if translucent else {}
-    for attribute, array in wanted.items():
-        made = mesh.attributes.new(attribute, "FLOAT_VECTOR", "POINT")
-        made.data.foreach_set("vector", arrays[array].ravel())
+    attributes = {"custom_normal": "normals", "front": "front"}
+    attributes |= {"back": "back"} if two_sided else {}
+    attributes |= {"through": "through"} if translucent else {}
+    for name, array in attributes.items():
+        attribute = mesh.attributes.new(name, "FLOAT_VECTOR", "POINT")
+        attribute.data.foreach_set("vector", arrays[array].ravel())
     mesh.update()
     for number, material in enumerate(materials):
         mesh.materials.append(_material(bpy, f"cuticle {number}", material))
@@ -63,7 +63,7 @@ def _bodies(bpy: Any, arrays: Any, materials: list[dict[str, Any]]) -> None:
 
 
 def _material(bpy: Any, name: str, facts: dict[str, Any]) -> Any:
-    """A body that scatters and lets through under a rough dielectric; colours come from the vertices."""
+    """A diffuse, translucent body under a rough dielectric; colours come from the vertices."""
     material = bpy.data.materials.new(name)
     tree = _Tree(material)
     side = tree.add("ShaderNodeNewGeometry").outputs["Backfacing"]
@@ -71,22 +71,22 @@ def _material(bpy: Any, name: str, facts: dict[str, Any]) -> Any:
     colour = front
     if facts["two_sided"]:
         back = tree.add("ShaderNodeAttribute", attribute_name="back").outputs["Vector"]
-        colour = tree.mixed(side, front, back)
-    shader = _coated(tree, side, colour, facts) if facts["ior"] > 1.0 else _matt(tree, colour)
+        colour = tree.mix(side, front, back)
+    shader = _coated(tree, side, colour, facts) if facts["ior"] > 1.0 else _matte(tree, colour)
     if facts["translucent"]:
-        shader = tree.joined("ShaderNodeAddShader", shader, _translucent(tree, side, facts))
+        shader = tree.join("ShaderNodeAddShader", shader, _translucent(tree, side, facts))
     tree.link(shader, tree.output.inputs["Surface"])
     return material
 
 
-def _matt(tree: _Tree, colour: Any) -> Any:
+def _matte(tree: _Tree, colour: Any) -> Any:
     diffuse = tree.add("ShaderNodeBsdfDiffuse")
     tree.link(colour, diffuse.inputs["Color"])
     return diffuse.outputs[0]
 
 
 def _coated(tree: _Tree, side: Any, colour: Any, facts: dict[str, Any]) -> Any:
-    """Principled: what its dielectric does not mirror goes to the diffuse body, as in our own surfaces."""
+    """Principled BSDF: what its dielectric does not reflect reaches the diffuse body, as in our surfaces."""
     principled = tree.add("ShaderNodeBsdfPrincipled", distribution="GGX")
     principled.inputs["IOR"].default_value = facts["ior"]
     front, back = (math.sqrt(alpha) for alpha in facts["alpha"])  # Blender's roughness is the root of alpha
@@ -99,15 +99,17 @@ def _coated(tree: _Tree, side: Any, colour: Any, facts: dict[str, Any]) -> Any:
 
 
 def _translucent(tree: _Tree, side: Any, facts: dict[str, Any]) -> Any:
-    """What the cuticle lets in and the body lets through."""
-    scale = facts["let_out"][0]
-    if facts["let_out"][0] != facts["let_out"][1]:
-        scale = tree.affine(side, facts["let_out"][1] - facts["let_out"][0], facts["let_out"][0])
-    if facts["openness"]:
+    """Light that enters through the cuticle and is transmitted by the body."""
+    scale = facts["exit_fraction"][0]
+    if facts["exit_fraction"][0] != facts["exit_fraction"][1]:
+        scale = tree.affine(
+            side, facts["exit_fraction"][1] - facts["exit_fraction"][0], facts["exit_fraction"][0]
+        )
+    if facts["transmittance"]:
         geometry = tree.add("ShaderNodeNewGeometry")
         cosine = tree.vector("DOT_PRODUCT", geometry.outputs["Normal"], geometry.outputs["Incoming"], "Value")
-        places = np.linspace(0.0, 1.0, len(facts["openness"])).tolist()
-        scale = tree.math("MULTIPLY", tree.ramp(cosine, places, facts["openness"]), scale)
+        places = np.linspace(0.0, 1.0, len(facts["transmittance"])).tolist()
+        scale = tree.math("MULTIPLY", tree.ramp(cosine, places, facts["transmittance"]), scale)
     colour = tree.add("ShaderNodeAttribute", attribute_name="through").outputs["Vector"]
     translucent = tree.add("ShaderNodeBsdfTranslucent")
     tree.link(tree.vector("SCALE", colour, scale, "Vector"), translucent.inputs["Color"])
@@ -115,7 +117,7 @@ def _translucent(tree: _Tree, side: Any, facts: dict[str, Any]) -> Any:
 
 
 class _Tree:
-    """A node tree that grows towards its output."""
+    """A shader node tree."""
 
     def __init__(self, owner: Any) -> None:
         owner.use_nodes = True
@@ -131,13 +133,13 @@ class _Tree:
         return node
 
     def link(self, value: Any, socket: Any) -> None:
-        """Feeds a number, or another node's output."""
+        """Set a socket to a number, or connect it to another node's output."""
         if isinstance(value, int | float):
             socket.default_value = value
         else:
             self._links.new(value, socket)
 
-    def joined(self, kind: str, first: Any, second: Any) -> Any:
+    def join(self, kind: str, first: Any, second: Any) -> Any:
         node = self.add(kind)
         self.link(first, node.inputs[0])
         self.link(second, node.inputs[1])
@@ -161,7 +163,7 @@ class _Tree:
         self.link(second, node.inputs["Scale"] if operation == "SCALE" else node.inputs[1])
         return node.outputs[output]
 
-    def mixed(self, factor: Any, first: Any, second: Any) -> Any:
+    def mix(self, factor: Any, first: Any, second: Any) -> Any:
         node = self.add("ShaderNodeMix", data_type="VECTOR", factor_mode="UNIFORM")
         for socket in node.inputs:
             if socket.identifier in ("Factor_Float", "A_Vector", "B_Vector"):
@@ -169,7 +171,7 @@ class _Tree:
         return next(socket for socket in node.outputs if socket.identifier == "Result_Vector")
 
     def ramp(self, value: Any, places: list[float], levels: list[float]) -> Any:
-        """Piecewise linear over [0, 1]; Cycles tabulates it in 256 steps."""
+        """Piecewise linear function over [0, 1]; Cycles tabulates it in 256 steps."""
         node = self.add("ShaderNodeValToRGB")
         elements = node.color_ramp.elements
         for number, (place, level) in enumerate(zip(places, levels, strict=True)):
@@ -182,7 +184,7 @@ class _Tree:
 # --- camera and lights --------------------------------------------------------------------------------------
 
 
-def _camera(bpy: Any, facts: dict[str, Any]) -> None:
+def _add_camera(bpy: Any, facts: dict[str, Any]) -> None:
     data = bpy.data.cameras.new("camera")
     data.sensor_fit = "HORIZONTAL"
     data.lens, data.sensor_width = facts["lens_mm"], facts["sensor_width_mm"]
@@ -191,15 +193,15 @@ def _camera(bpy: Any, facts: dict[str, Any]) -> None:
     if facts["focus_m"] is not None:
         data.dof.use_dof = True
         data.dof.focus_distance, data.dof.aperture_fstop = facts["focus_m"], facts["f_number"]
-    bpy.context.scene.camera = _placed(bpy, "camera", data, facts["matrix_world"])
+    bpy.context.scene.camera = _add_object(bpy, "camera", data, facts["matrix_world"])
 
 
-def _flash(bpy: Any, facts: dict[str, Any]) -> None:
-    """A rectangle whose radiance is the beam's intensity over its area as it is seen from there."""
+def _add_flash(bpy: Any, facts: dict[str, Any]) -> None:
+    """A rectangle whose radiance is the beam's intensity over the projected area."""
     light = bpy.data.lights.new("flash", "AREA")
     light.shape = "RECTANGLE"
     light.size, light.size_y = facts["sides_m"]
-    light.energy = math.pi  # spread evenly after Lambert, that is 1 W/sr on the axis
+    light.energy = math.pi  # for a Lambertian emitter, 1 W/sr on the axis
     tree = _Tree(light)
     geometry = tree.add("ShaderNodeNewGeometry")
     cosine = tree.vector("DOT_PRODUCT", geometry.outputs["Normal"], geometry.outputs["Incoming"], "Value")
@@ -215,23 +217,23 @@ def _flash(bpy: Any, facts: dict[str, Any]) -> None:
     strength = tree.math("MULTIPLY", tree.math("DIVIDE", relative, cosine), inside)
     tree.link(strength, emission.inputs["Strength"])
     tree.link(emission.outputs[0], tree.output.inputs["Surface"])
-    lamp = _placed(bpy, "flash", light, facts["matrix_world"])
+    lamp = _add_object(bpy, "flash", light, facts["matrix_world"])
     lamp.visible_camera = False
 
 
-def _sun(bpy: Any, facts: dict[str, Any]) -> None:
+def _add_sun(bpy: Any, facts: dict[str, Any]) -> None:
     from mathutils import Vector  # type: ignore[import-not-found]
 
     light = bpy.data.lights.new("sun", "SUN")
     light.angle = 2.0 * facts["angular_radius"]
     light.energy = max(facts["irradiance"])
     light.color = [channel / light.energy for channel in facts["irradiance"]]
-    turn = Vector(facts["direction"]).to_track_quat("Z", "Y").to_matrix().to_4x4()
-    _placed(bpy, "sun", light, [list(row) for row in turn])
+    rotation = Vector(facts["direction"]).to_track_quat("Z", "Y").to_matrix().to_4x4()
+    _add_object(bpy, "sun", light, [list(row) for row in rotation])
 
 
-def _world(bpy: Any, sky: Any) -> None:
-    """The sky as an equirectangular picture; one colour where it has but one; black without one."""
+def _add_sky(bpy: Any, sky: Any) -> None:
+    """Add the sky as an equirectangular image; as a colour if it is uniform; black without a sky."""
     world = bpy.data.worlds.new("sky")
     bpy.context.scene.world = world
     tree = _Tree(world)
@@ -243,23 +245,23 @@ def _world(bpy: Any, sky: Any) -> None:
     if np.ptp(sky, axis=(0, 1)).max() <= _CONSTANT * sky.max():
         background.inputs["Color"].default_value = (*sky[0, 0].tolist(), 1.0)
         return
-    # Blender's columns turn clockwise from -x, its rows begin at the nadir.
+    # Blender's columns run clockwise from -x, its rows start at the nadir.
     wide = sky if sky.shape[1] % 2 == 0 else np.repeat(sky, 2, axis=1)
     columns = wide.shape[1]
-    turned = wide[::-1, (columns // 2 - 1 - np.arange(columns)) % columns]
+    flipped = wide[::-1, (columns // 2 - 1 - np.arange(columns)) % columns]
     image = bpy.data.images.new("sky", columns, len(wide), float_buffer=True)
     image.colorspace_settings.name = "Non-Color"
-    pixels = np.concatenate([turned, np.ones((*turned.shape[:2], 1), np.float32)], axis=-1)
+    pixels = np.concatenate([flipped, np.ones((*flipped.shape[:2], 1), np.float32)], axis=-1)
     image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
     image.update()
     texture = tree.add("ShaderNodeTexEnvironment", image=image)
     tree.link(texture.outputs["Color"], background.inputs["Color"])
 
 
-def _placed(bpy: Any, name: str, data: Any, matrix: list[list[float]]) -> Any:
+def _add_object(bpy: Any, name: str, data: Any, matrix: list[list[float]]) -> Any:
     from mathutils import Matrix
 
-    thing = bpy.data.objects.new(name, data)
-    bpy.context.scene.collection.objects.link(thing)
-    thing.matrix_world = Matrix(matrix)
-    return thing
+    new_object = bpy.data.objects.new(name, data)
+    bpy.context.scene.collection.objects.link(new_object)
+    new_object.matrix_world = Matrix(matrix)
+    return new_object

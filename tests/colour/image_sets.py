@@ -1,4 +1,4 @@
-"""Sets of painted pictures in memory, for tests that compare sets."""
+"""Image sets in memory, for tests that compare sets."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pepperscene.dataset import ImageSet, LabelledImage
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Painted(ImageSet):
-    """Pictures that are there already."""
+class MemorySet(ImageSet):
+    """Pictures that are in memory already."""
 
     def names(self):
         return tuple(item.name for item in self.items)
@@ -22,16 +22,16 @@ class Painted(ImageSet):
         return item
 
 
-def painted(*pictures, name="painted"):
+def image_set(*pictures, name="memory"):
     """A set of `(colour, classes)`; either may be None."""
     items = tuple(
         LabelledImage(f"{name}{k}", colour, classes) for k, (colour, classes) in enumerate(pictures)
     )
-    return Painted(name=name, items=items)
+    return MemorySet(name=name, items=items)
 
 
-def noisy(seed, count=5, size=(48, 64), name="noisy"):
-    """Pictures in which every class lies somewhere, in colours of its own that vary."""
+def noisy_set(seed, count=5, size=(48, 64), name="noisy"):
+    """Pictures with all classes, each in a random colour with noise."""
     rng = np.random.default_rng(seed)
     pictures = []
     for _ in range(count):
@@ -39,23 +39,23 @@ def noisy(seed, count=5, size=(48, 64), name="noisy"):
         paint = rng.integers(30, 226, (8, 3))
         colour = np.clip(paint[classes] + rng.normal(0, 12, (*size, 3)), 0, 255).astype(np.uint8)
         pictures.append((colour, classes))
-    return painted(*pictures, name=name)
+    return image_set(*pictures, name=name)
 
 
-def hue(degrees):
-    """8-bit sRGB of a full hue."""
-    return tuple(round(255 * part) for part in colorsys.hsv_to_rgb(degrees / 360.0 % 1.0, 1.0, 1.0))
+def saturated(hue_deg):
+    """8-bit sRGB of a fully saturated hue."""
+    return tuple(round(255 * part) for part in colorsys.hsv_to_rgb(hue_deg / 360.0 % 1.0, 1.0, 1.0))
 
 
-def flat(colour, organ=OrganClass.LEAF, size=(30, 40)):
+def uniform(colour, organ=OrganClass.LEAF, size=(30, 40)):
     """A picture of one colour and class."""
     return np.full((*size, 3), colour, np.uint8), np.full(size, organ, np.uint8)
 
 
-def numbers(value, path=""):
-    """Every number of a JSON object by its path."""
+def flatten(value, path=""):
+    """Every number in JSON data by its path."""
     if isinstance(value, dict):
-        return {k: v for key, one in value.items() for k, v in numbers(one, f"{path}/{key}").items()}
+        return {k: v for key, item in value.items() for k, v in flatten(item, f"{path}/{key}").items()}
     if isinstance(value, list):
-        return {k: v for key, one in enumerate(value) for k, v in numbers(one, f"{path}/{key}").items()}
+        return {k: v for key, item in enumerate(value) for k, v in flatten(item, f"{path}/{key}").items()}
     return {path: value} if isinstance(value, int | float) else {}

@@ -1,12 +1,12 @@
-"""Our scene as Cycles can hold it: the same triangles, with red, green and blue instead of spectra.
+"""Export a scene to Cycles: the same triangles, with three channels instead of spectra.
 
-Its three channels are the sensor's own. What the sensor makes of a spectrum R under the light L,
+The channels are the sensor's own. The mean that the sensor takes of a spectrum R under the light L,
 
     R_c = integral of R L QE_c lambda / integral of L QE_c lambda,
 
-stands for the surface, and the integral of L QE_c lambda / (h c) for the light, so that one scale per channel
-turns Cycles' picture into electrons per second, square metre and steradian. It is exact for light that is
-scattered once; light scattered twice carries the product of two means for the mean of a product.
+represents the surface, and the integral of L QE_c lambda / (h c) the light, so that one scale per channel
+converts Cycles' picture to electrons per second, square metre and steradian. This is exact for light that is
+scattered once; light scattered twice carries a product of means instead of the mean of a product.
 """
 
 from __future__ import annotations
@@ -25,21 +25,23 @@ from pepperscene.scene import Scene, Sky
 
 Array = NDArray[np.float64]
 
-_LEAST_ALPHA: Final = 1e-3  # chosen, as the kernel's: a mirror for every lens here
-_COSINES: Final = np.linspace(0.0, 1.0, 17)  # chosen: of the cuticle's openness; a ramp holds 32 at most
-_STEP_NM: Final = 1.0  # chosen: finer than any curve that is shipped
-_PROFILE_STOPS: Final = 32  # a Blender colour ramp holds no more
+_MIN_ALPHA: Final = 1e-3  # chosen, as in our renderer: a mirror for every lens here
+_COSINES: Final = np.linspace(
+    0.0, 1.0, 17
+)  # chosen: of the cuticle's transmittance; a colour ramp holds at most 32
+_STEP_NM: Final = 1.0  # chosen: finer than any shipped spectrum
+_PROFILE_STOPS: Final = 32  # as many as a Blender colour ramp holds
 
 
 @dataclass(frozen=True, eq=False)
 class CyclesScene:
-    """What the child process builds.
+    """A scene for the Blender process.
 
     Attributes:
         arrays: `vertices` and `normals` `(v, 3)`; `faces` `(f, 3)`; `face_material` `(f,)`; `front`, `back`
-            and `through` `(v, 3)`, what the body sends back on either side and lets through; `sky`
-            `(rows, columns, 3)` radiance, zenith first, counter-clockwise from +x, where there is one.
-        facts: JSON-ready camera, materials and lights.
+            and `through` `(v, 3)`, reflectance of either side and transmittance; `sky` `(rows, columns, 3)`
+            radiance, zenith first, counter-clockwise from +x, if there is a sky.
+        facts: camera, materials and lights as JSON data.
         unit: `(3,)` electrons s-1 m-2 sr-1 of a value of 1 in Cycles' picture.
     """
 
@@ -49,49 +51,50 @@ class CyclesScene:
 
     def electrons(self, picture: NDArray[np.floating], camera: Camera) -> Array:
         """`(h, w, 3)` expected electrons of a picture `(h, w, 3)` of Cycles."""
-        return expected_electrons(np.asarray(picture, float) * self.unit, pinhole(camera))
+        return expected_electrons(np.asarray(picture, float) * self.unit, undistorted(camera))
 
 
-def pinhole(camera: Camera) -> Camera:
-    """The camera without its lens' distortion, which Cycles does not have: what both are compared on."""
+def undistorted(camera: Camera) -> Camera:
+    """The camera without lens distortion, which Cycles does not have."""
     return dataclasses.replace(camera, lens=dataclasses.replace(camera.lens, distortion=Distortion()))
 
 
-def exported(scene: Scene, camera: Camera) -> CyclesScene:
-    """The scene and the camera for Cycles.
+def export_scene(scene: Scene, camera: Camera) -> CyclesScene:
+    """Export a scene and a camera to Cycles.
 
     Raises:
-        ValueError: the scene has no surfaces, no light, or the sensor has not three channels.
+        ValueError: the scene has no surfaces or no light, or the sensor does not have three channels.
     """
     if not scene.surfaces:
-        raise ValueError("the scene has no surfaces: assemble it with them to render colour")
+        raise ValueError("the scene has no surfaces")
     if camera.sensor.channels != 3:
         raise ValueError(f"{camera.sensor.name} has {camera.sensor.channels} channels; Cycles renders three")
-    sensed = Sensed(camera, scene.sky)
-    unit = _unit(sensed, camera)
-    arrays, materials = _bodies(scene, sensed)
-    facts: dict[str, Any] = {"camera": _camera(pinhole(camera)), "materials": materials}
+    sensor = SensorChannels(camera, scene.sky)
+    unit = _unit(sensor, camera)
+    arrays, materials = _export_mesh(scene, sensor)
+    facts: dict[str, Any] = {"camera": _export_camera(undistorted(camera)), "materials": materials}
     if camera.flash is not None:
-        facts["flash"] = _flash(camera, sensed.flash / unit)
+        facts["flash"] = _export_flash(camera, sensor.flash / unit)
     if scene.sky is not None:
-        arrays["sky"] = (sensed.sky_map(scene.sky) / unit).astype(np.float32)
+        arrays["sky"] = (sensor.sky_map(scene.sky) / unit).astype(np.float32)
         if scene.sky.sun is not None:
             sun = scene.sky.sun
             facts["sun"] = {
                 "direction": sun.direction.tolist(),
                 "angular_radius": float(sun.angular_radius),
-                "irradiance": (sensed.light(sun.irradiance.at(sensed.nm)) / unit).tolist(),
+                "irradiance": (sensor.light(sun.irradiance.at(sensor.nm)) / unit).tolist(),
             }
     return CyclesScene(arrays, facts, unit)
 
 
-class Sensed:
-    """The sensor's sums over wavelengths.
+class SensorChannels:
+    """Integrals over wavelength for the channels of the sensor.
 
     Attributes:
-        nm: `(n,)` grid over all that the sensor sees.
-        flash: `(3,)` axial intensity of the flash in electrons s-1 m-2 (of a lit metre away) sr-1, averaged
-            over the exposure; zeros without one.
+        nm: `(n,)` wavelengths of the sensor's range.
+        flash: `(3,)` axial intensity of the flash in electrons s-1 m-2 sr-1 at a distance of 1 m, averaged
+            over the exposure; zeros without a flash.
+        white: `(3,)` signal of the reference light, the flash or else the sky.
     """
 
     def __init__(self, camera: Camera, sky: Sky | None) -> None:
@@ -103,22 +106,19 @@ class Sensed:
             flash = camera.flash.radiant_intensity(self.nm) * camera.flash_duty
         self.flash = self.light(flash)
         light = flash if self.flash.all() else _mean_sky(sky, self.nm)
-        self._white = self.light(light)
-        if not self._white.all():
-            raise ValueError("a scene for Cycles needs a flash or a sky that each colour of the sensor sees")
-        self._weights = self._electrons * light * _STEP_NM / self._white[:, None]
-
-    @property
-    def white(self) -> Array:
-        """`(3,)` the reference light, the flash or else the sky, as the channels see it."""
-        return self._white
+        self.white = self.light(light)
+        if not self.white.all():
+            raise ValueError(
+                "a scene for Cycles needs a flash or a sky that every channel of the sensor sees"
+            )
+        self._weights = self._electrons * light * _STEP_NM / self.white[:, None]
 
     def light(self, spectrum: NDArray[np.floating]) -> Array:
-        """`(..., 3)` electrons per second of spectral values `(..., n)` on the grid."""
+        """`(..., 3)` electrons per second of spectral values `(..., n)` at the wavelengths `nm`."""
         return np.asarray(spectrum @ self._electrons.T * _STEP_NM)
 
     def reflectance(self, surface: Surface, values: Array) -> Array:
-        """`(..., 3)` of a surface's reflectance or transmittance `(..., n)` under the reference light."""
+        """`(..., 3)` channel means of a reflectance or transmittance `(..., n)` under the reference light."""
         grid = np.apply_along_axis(lambda row: np.interp(self.nm, surface.wavelength_nm, row), -1, values)
         return np.asarray(grid @ self._weights.T)
 
@@ -128,37 +128,39 @@ class Sensed:
 
 
 def _mean_sky(sky: Sky | None, nm: Array) -> Array:
-    """Spectrum of the whole sky and the sun together, relative."""
+    """Relative spectrum of sky and sun together."""
     if sky is None:
         return np.zeros(nm.size)
     spectrum = sky.weights.mean(axis=(1, 2), dtype=float) @ sky.radiance.at(nm) * 4.0 * np.pi
     return spectrum + (sky.sun.irradiance.at(nm) if sky.sun is not None else 0.0)
 
 
-def _unit(sensed: Sensed, camera: Camera) -> Array:
-    """Signals that make full scale once white is balanced: Cycles' clamps and thresholds count from there."""
+def _unit(sensor: SensorChannels, camera: Camera) -> Array:
+    """Signals of full scale after white balance, to which Cycles' clamps and thresholds are relative."""
     on_axis = expected_electrons(np.ones((camera.height, camera.width, 3)), camera).max()
     full = camera.sensor.full_well_e / camera.sensor.gain / on_axis
-    return full * sensed.white / sensed.white.max()
+    return full * sensor.white / sensor.white.max()
 
 
-# --- bodies -------------------------------------------------------------------------------------------------
+# --- surfaces -----------------------------------------------------------------------------------------------
 
 
-def _bodies(scene: Scene, sensed: Sensed) -> tuple[dict[str, NDArray[Any]], list[dict[str, Any]]]:
-    """The mesh with colours at its vertices, and as many materials as there are cuticles."""
+def _export_mesh(
+    scene: Scene, sensor: SensorChannels
+) -> tuple[dict[str, NDArray[Any]], list[dict[str, Any]]]:
+    """The mesh with colours at its vertices, and one material for each kind of cuticle."""
     mesh = scene.mesh
-    vertex, surface_of, faces = _split(mesh.faces, mesh.face_surface)
+    vertex, surface_of, faces = _split_vertices(mesh.faces, mesh.face_surface)
     colours = np.zeros((3, len(vertex), 3), np.float32)
     materials: list[dict[str, Any]] = []
     material_of = np.zeros(len(scene.surfaces), np.int32)
     for number, surface in enumerate(scene.surfaces):
-        mine = np.flatnonzero(surface_of == number)
-        state = _with_pattern(surface, mesh.state[vertex[mine]], mesh.uv[vertex[mine]])
-        shares = _shares_let_out(surface)
-        table = _table(surface, sensed, shares)
-        colours[:, mine] = np.moveaxis(_at_state(table, state), 1, 0)
-        material = _cuticle(surface, shares, table)
+        selected = np.flatnonzero(surface_of == number)
+        state = _pigment_state(surface, mesh.state[vertex[selected]], mesh.uv[vertex[selected]])
+        exits = _exit_fractions(surface)
+        table = _colour_table(surface, sensor, exits)
+        colours[:, selected] = np.moveaxis(_interpolate_rows(table, state), 1, 0)
+        material = _material(surface, exits, table)
         if material not in materials:
             materials.append(material)
         material_of[number] = materials.index(material)
@@ -174,15 +176,15 @@ def _bodies(scene: Scene, sensed: Sensed) -> tuple[dict[str, NDArray[Any]], list
     return arrays, materials
 
 
-def _split(faces: NDArray[np.uint32], face_surface: NDArray[np.uint8]) -> tuple[NDArray[Any], ...]:
-    """Vertices so that each has one surface: their old numbers, their surfaces, and the faces anew."""
+def _split_vertices(faces: NDArray[np.uint32], face_surface: NDArray[np.uint8]) -> tuple[NDArray[Any], ...]:
+    """Duplicate vertices so that each has one surface: old vertex numbers, surfaces, and new faces."""
     pairs = faces.astype(np.int64) * 256 + face_surface[:, None]
-    found, renumbered = np.unique(pairs, return_inverse=True)
-    return found // 256, found % 256, renumbered.reshape(faces.shape)
+    unique, inverse = np.unique(pairs, return_inverse=True)
+    return unique // 256, unique % 256, inverse.reshape(faces.shape)
 
 
-def _with_pattern(surface: Surface, state: NDArray[np.float32], uv: NDArray[np.float32]) -> Array:
-    """Pigment state of vertices, `(m,)`: bilinear in the pattern's texels, which repeat in u and end in v."""
+def _pigment_state(surface: Surface, state: NDArray[np.float32], uv: NDArray[np.float32]) -> Array:
+    """Pigment state `(m,)` of vertices: bilinear in the pattern, which repeats in u and is clamped in v."""
     if surface.pattern is None or not state.size:
         return np.clip(state.astype(float), 0.0, 1.0)
     height, width = surface.pattern.shape
@@ -199,37 +201,37 @@ def _with_pattern(surface: Surface, state: NDArray[np.float32], uv: NDArray[np.f
 
 
 def _alphas(surface: Surface) -> tuple[float, float]:
-    front, back = (max(float(alpha), _LEAST_ALPHA) for alpha in surface.roughness)
+    front, back = (max(float(alpha), _MIN_ALPHA) for alpha in surface.roughness)
     return front, back
 
 
-def _shares_let_out(surface: Surface) -> tuple[float, float]:
-    """Which share of the transmitted light the other side's cuticle lets out, from the front and the back."""
+def _exit_fractions(surface: Surface) -> tuple[float, float]:
+    """Fraction of transmitted light that leaves through the other side's cuticle, by the side of entry."""
     means = [cuticle_transmittance(max(surface.ior, 1.0), alpha)[1] for alpha in _alphas(surface)]
     return min(means) / means[0], min(means) / means[1]
 
 
-def _table(surface: Surface, sensed: Sensed, shares: tuple[float, float]) -> Array:
-    """`(s, 3, 3)`: front and back reflectance and transmittance of the body by state and channel."""
-    through = sensed.reflectance(surface, surface.transmittance)
+def _colour_table(surface: Surface, sensor: SensorChannels, exits: tuple[float, float]) -> Array:
+    """`(s, 3, 3)`: front and back reflectance and transmittance by state and channel."""
+    through = sensor.reflectance(surface, surface.transmittance)
     front, back = (
-        sensed.reflectance(surface, surface.reflectance[:, side]) + through * (1.0 - shares[side])
+        sensor.reflectance(surface, surface.reflectance[:, side]) + through * (1.0 - exits[side])
         for side in (0, 1)
     )
     return np.stack([front, back, through], axis=1)
 
 
-def _at_state(table: Array, state: Array) -> Array:
-    """Rows of a table, linear in between, `(m, 3, 3)`."""
-    place = state * (len(table) - 1)
-    low = np.minimum(place.astype(int), max(len(table) - 2, 0))
+def _interpolate_rows(table: Array, state: Array) -> Array:
+    """Rows of a table at states in [0, 1], linearly interpolated, `(m, 3, 3)`."""
+    position = state * (len(table) - 1)
+    low = np.minimum(position.astype(int), max(len(table) - 2, 0))
     high = np.minimum(low + 1, len(table) - 1)
-    part = (place - low)[:, None, None]
-    return np.asarray(table[low] * (1.0 - part) + table[high] * part)
+    fraction = (position - low)[:, None, None]
+    return np.asarray(table[low] * (1.0 - fraction) + table[high] * fraction)
 
 
-def _cuticle(surface: Surface, shares: tuple[float, float], table: Array) -> dict[str, Any]:
-    """All of a surface that is not in its vertices' colours."""
+def _material(surface: Surface, exits: tuple[float, float], table: Array) -> dict[str, Any]:
+    """The properties of a surface besides its colours at the vertices."""
     ior = max(float(surface.ior), 1.0)
     tables = [cuticle_transmittance(ior, alpha)[0] for alpha in _alphas(surface)]
     return {
@@ -237,16 +239,16 @@ def _cuticle(surface: Surface, shares: tuple[float, float], table: Array) -> dic
         "alpha": list(_alphas(surface)) if ior > 1.0 else [1.0, 1.0],
         "translucent": bool(table[:, 2].any()),
         "two_sided": bool(np.abs(table[:, 0] - table[:, 1]).max() > 0.0),
-        "let_out": list(shares),
-        "openness": interpolate_table(np.mean(tables, axis=0), _COSINES).tolist() if ior > 1.0 else [],
+        "exit_fraction": list(exits),
+        "transmittance": interpolate_table(np.mean(tables, axis=0), _COSINES).tolist() if ior > 1.0 else [],
     }
 
 
 # --- camera and flash ---------------------------------------------------------------------------------------
 
 
-def _camera(camera: Camera) -> dict[str, Any]:
-    """Blender's: axes are x right, y up, z backwards; lengths in millimetres, shifts in picture widths."""
+def _export_camera(camera: Camera) -> dict[str, Any]:
+    """Camera in Blender's convention: x right, y up, z backwards; lengths in mm, shifts in picture widths."""
     matrix, width, height = camera.intrinsics, camera.width, camera.height
     return {
         "matrix_world": (camera.pose @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist(),
@@ -261,26 +263,26 @@ def _camera(camera: Camera) -> dict[str, Any]:
     }
 
 
-def _flash(camera: Camera, intensity: Array) -> dict[str, Any]:
-    """One rectangle for all discs, across the camera's axis, with the discs' variance of place."""
+def _export_flash(camera: Camera, intensity: Array) -> dict[str, Any]:
+    """One rectangle for all discs of the flash, with the same variance of position."""
     flash = camera.flash
     assert flash is not None
-    places = np.asarray(flash.emitters_m)
-    # A disc's points vary by r^2 / 4 along each axis about its centre, a side's by s^2 / 12 about its middle.
-    sides = np.sqrt(12.0 * (places.var(axis=0) + flash.radius_m**2 / 4.0))
-    centre = np.asarray(flash.offset_m) + np.append(places.mean(axis=0), 0.0)
+    centres = np.asarray(flash.emitters_m)
+    # Variance along each axis: r^2 / 4 for points on a disc, s^2 / 12 for points on a side.
+    sides = np.sqrt(12.0 * (centres.var(axis=0) + flash.radius_m**2 / 4.0))
+    centre = np.asarray(flash.offset_m) + np.append(centres.mean(axis=0), 0.0)
     pose = np.array(camera.pose)
     pose[:3, 3] += pose[:3, :3] @ centre
     return {
         "matrix_world": (pose @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist(),
-        "sides_m": np.maximum(sides, 1e-4).tolist(),  # a point is a tenth of a millimetre wide
+        "sides_m": np.maximum(sides, 1e-4).tolist(),  # a point source is 0.1 mm wide
         "intensity": intensity.tolist(),
         **_profile_stops(flash.profile.angle_rad, flash.profile.at),
     }
 
 
 def _profile_stops(angles: Array, profile: Any) -> dict[str, list[float]]:
-    """The beam at its own nodes where a ramp can hold them, else at even angles; 0 at a right angle."""
+    """The beam profile at its own nodes, or at equally spaced angles if a colour ramp cannot hold them."""
     if angles.size >= _PROFILE_STOPS:
         angles = np.linspace(0.0, float(angles[-1]), _PROFILE_STOPS - 1)
     return {"angle_rad": np.asarray(angles).tolist(), "relative_intensity": profile(angles).tolist()}

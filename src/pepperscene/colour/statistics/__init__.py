@@ -1,1 +1,0 @@
-"""Statistics of colours and hue angles, with confidence intervals."""

@@ -1,0 +1,100 @@
+"""The figure of a comparison, by the artists that it is made of and its bytes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from image_sets import image_set, noisy_set, uniform
+from matplotlib.figure import Figure
+
+from pepperscene.colour import compare, comparison_figure, open_patches
+
+FIRST, SECOND = noisy_set(1, 3, name="ours & <mine>"), noisy_set(2, 4, name="theirs")
+
+
+def words(svg):
+    root = ElementTree.fromstring(svg)
+    return ["".join(element.itertext()) for element in root.iter("{http://www.w3.org/2000/svg}text")]
+
+
+def figures_of_paper(svg):
+    return [text[:7] for text in words(svg) if text.startswith("Fig.")]
+
+
+@pytest.fixture(scope="module")
+def comparison():
+    return compare(FIRST, SECOND)
+
+
+@pytest.fixture(scope="module")
+def svg(comparison):
+    return comparison_figure(comparison)
+
+
+@pytest.fixture
+def axes(comparison, monkeypatch):
+    """All axes of the figure."""
+    figures = []
+    save = Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", lambda self, *a, **k: (figures.append(self), save(self, *a, **k)))
+    comparison_figure(comparison)
+    return [axes for part in figures[0].subfigs for axes in part.axes]
+
+
+def test_names_both_sets_and_has_all_four_figures(svg):
+    assert "ours & <mine>: 3 of 3 pictures" in words(svg)
+    assert "theirs: 4 of 4 pictures" in words(svg)
+    assert figures_of_paper(svg) == ["Fig. 10", "Fig. 11", "Fig. 12", "Fig. 13"]
+
+
+def test_each_kind_has_both_hue_spectra(comparison, axes):
+    charts = [one for one in axes if one.get_ylabel() == "% of its pixels"]
+    assert [chart.get_title(loc="left") for chart in charts] == list(comparison.kinds)
+    for number, chart in enumerate(charts):
+        for line, side in zip(chart.lines, (comparison.first, comparison.second), strict=True):
+            np.testing.assert_allclose(line.get_ydata(), side.statistics.hue_spectra()[number], atol=1e-9)
+
+
+def test_bars_have_the_class_fractions(comparison, axes):
+    (chart,) = (one for one in axes if one.get_xlabel().startswith("correlation of the class fractions"))
+    widths = [bar.get_width() for bar in chart.patches]
+    kinds = comparison.kinds.values()
+    fractions = [100.0 * side.share.value for kind in kinds for side in (kind.first, kind.second)]
+    np.testing.assert_allclose(widths, fractions, atol=1e-9)
+
+
+def test_each_class_has_both_mean_masks(comparison, axes):
+    images = [one.images[0].get_array() for one in axes if "up to" in one.get_xlabel()]
+    for index, side in enumerate((comparison.first, comparison.second)):
+        for image, mask in zip(images[index::2], side.statistics.mean_masks(), strict=True):
+            np.testing.assert_allclose(image, mask / mask.max())
+
+
+def test_svg_is_self_contained_and_reproducible(comparison, svg):
+    text = svg.decode()
+    assert re.findall(r'(?:href|src)="(?!data:image/png|#)', text) == []
+    assert not any("nan" in word.lower() for word in words(svg))
+    assert comparison_figure(comparison) == svg
+
+
+def test_png_is_reproducible(comparison):
+    png = comparison_figure(comparison, "png")
+    assert png.startswith(b"\x89PNG")
+    assert comparison_figure(comparison, "png") == png
+
+
+def test_patches_have_hues_only():
+    patches = replace(open_patches(SECOND), name="patches")
+    assert "Fig. 12" in figures_of_paper(comparison_figure(compare(FIRST, patches)))
+    assert figures_of_paper(comparison_figure(compare(patches, patches))) == ["Fig. 12"]
+
+
+def test_draws_sets_without_labels_or_photographs():
+    bare = image_set((uniform((90, 90, 90))[0], None), name="bare")
+    dark = image_set((None, uniform((0, 0, 0))[1]), name="dark")
+    for first, second in ((bare, bare), (dark, dark), (bare, dark), (dark, FIRST)):
+        comparison_figure(compare(first, second))
