@@ -93,7 +93,7 @@ _ALL: Final = (
 OUTPUTS: Final[Mapping[str, Output]] = {output.name: output for output in _ALL}
 """All outputs by name, in canonical order."""
 
-PARTNERED: Final = frozenset({"stereo", "colour_stereo"})
+STEREO_OUTPUTS: Final = frozenset({"stereo", "colour_stereo"})
 """Outputs that need a stereo camera."""
 
 DEFAULT_OUTPUTS: Final = ("colour", "class", "instance", "distance", "distance_code")

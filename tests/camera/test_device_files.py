@@ -44,7 +44,7 @@ def test_camera_of_the_paper():
     assert (sensor.columns, sensor.rows, sensor.binning, sensor.photosites) == (800, 600, 2, (1, 2, 1))
     assert sensor.columns * sensor.pixel_pitch_m == pytest.approx(7.2e-3)
     assert lens.focal_length_m == pytest.approx(4.16e-3)
-    assert lens.distortion.is_none
+    assert lens.distortion.is_zero
     assert (flash.illuminance_lx, flash.at_m, flash.pulse_s) == pytest.approx((2e5, 0.5, 50e-6))
     # No red, green or blue photosite counts infrared light: the filter is included.
     assert sensor.quantum_efficiency.at([700.0, 800.0]).max() < 1e-3

@@ -26,7 +26,7 @@ def test_lab_agrees_with_colour_science():
 
 
 def test_mean_is_linear_and_spread_is_in_lab():
-    statistics = ColourStatistics.of(LINEAR)
+    statistics = ColourStatistics.from_pixels(LINEAR)
     lab = linear_srgb_to_lab(LINEAR)
     assert statistics.n == 400
     assert statistics.mean_lab == pytest.approx(linear_srgb_to_lab(LINEAR.mean(axis=0)))
@@ -38,7 +38,7 @@ def test_mean_is_linear_and_spread_is_in_lab():
 
 
 def test_equal_pixels_have_no_spread():
-    statistics = ColourStatistics.of(np.tile([[0.1, 0.3, 0.05]], (7, 1)))
+    statistics = ColourStatistics.from_pixels(np.tile([[0.1, 0.3, 0.05]], (7, 1)))
     assert statistics.mean_lab == pytest.approx(statistics.lab_of_pixels)
     assert statistics.sd == pytest.approx(np.zeros(3), abs=1e-12)
     assert statistics.resultant_length == pytest.approx(1.0)
@@ -46,7 +46,7 @@ def test_equal_pixels_have_no_spread():
 
 
 def test_hue_spectrum_agrees_with_truth_and_mean_hue_with_hsv():
-    statistics = ColourStatistics.of(LINEAR, CODES)
+    statistics = ColourStatistics.from_pixels(LINEAR, CODES)
     counts = hue_counts(CODES[None], np.ones((1, 500), np.uint8))[1]
     assert statistics.hue_spectrum == pytest.approx(100.0 * counts[:180] / counts.sum())
     assert statistics.hue_spectrum.sum() == pytest.approx(100.0 * (1.0 - statistics.grey_share))
@@ -60,7 +60,7 @@ def test_hue_spectrum_agrees_with_truth_and_mean_hue_with_hsv():
 
 def test_order_of_pixels_does_not_matter():
     shuffled = LINEAR[RNG.permutation(len(LINEAR))]
-    a, b = ColourStatistics.of(LINEAR), ColourStatistics.of(shuffled)
+    a, b = ColourStatistics.from_pixels(LINEAR), ColourStatistics.from_pixels(shuffled)
     assert (a.hue_spectrum == b.hue_spectrum).all()
     assert (a.mean_hue_deg, a.kappa) == (b.mean_hue_deg, b.kappa)
     for name in ("mean_lab", "lab_of_pixels", "sd", "covariance"):
@@ -71,7 +71,10 @@ def test_order_of_pixels_does_not_matter():
 def test_rotating_hues_by_thirds_rotates_their_mean_only(turns):
     # Red to green to blue is a third of the circle.
     codes = RNG.integers((150, 20, 10), (250, 120, 60), (300, 3)).astype(np.uint8)
-    a, b = ColourStatistics.of(LINEAR, codes), ColourStatistics.of(LINEAR, np.roll(codes, turns, axis=1))
+    a, b = (
+        ColourStatistics.from_pixels(LINEAR, codes),
+        ColourStatistics.from_pixels(LINEAR, np.roll(codes, turns, axis=1)),
+    )
     assert (b.mean_hue_deg - a.mean_hue_deg) % 360.0 == pytest.approx(120.0 * turns % 360.0)
     assert b.circular_sd_deg == pytest.approx(a.circular_sd_deg)
     assert b.kappa == pytest.approx(a.kappa)
@@ -81,18 +84,18 @@ def test_rotating_hues_by_thirds_rotates_their_mean_only(turns):
 @pytest.mark.parametrize("bins", [1, 37, 179, 180])
 def test_rotating_a_spectrum_by_bins_rotates_its_mean_by_two_degrees_each(bins):
     counts = np.append(np.bincount(RNG.integers(30, 90, 1000), minlength=180), 12)
-    a = ColourStatistics.of(LINEAR, hues=counts)
-    b = ColourStatistics.of(LINEAR, hues=np.append(np.roll(counts[:180], bins), 12))
+    a = ColourStatistics.from_pixels(LINEAR, hues=counts)
+    b = ColourStatistics.from_pixels(LINEAR, hues=np.append(np.roll(counts[:180], bins), 12))
     assert (b.mean_hue_deg - a.mean_hue_deg - 2.0 * bins + 180.0) % 360.0 == pytest.approx(180.0)
     assert b.grey_share == a.grey_share
 
 
 def test_grey_pixels_and_no_pixels_have_no_hue():
-    grey = ColourStatistics.of(np.full((5, 3), 0.2))
+    grey = ColourStatistics.from_pixels(np.full((5, 3), 0.2))
     assert grey.grey_share == 1.0
     assert np.isnan(grey.mean_hue_deg)
     assert grey.mean_lab[1:] == pytest.approx([0.0, 0.0], abs=0.02)
-    empty = ColourStatistics.of(np.empty((0, 3)))
+    empty = ColourStatistics.from_pixels(np.empty((0, 3)))
     assert empty.n == 0
     assert np.isnan(empty.mean_lab).all()
     assert np.isnan(empty.hue_spectrum).all()
@@ -100,9 +103,9 @@ def test_grey_pixels_and_no_pixels_have_no_hue():
 
 def test_rejects_arrays_of_other_shapes():
     with pytest.raises(ValueError, match="must be"):
-        ColourStatistics.of(np.zeros((3, 4)))
+        ColourStatistics.from_pixels(np.zeros((3, 4)))
     with pytest.raises(ValueError, match="hues must be"):
-        ColourStatistics.of(np.zeros((3, 3)), hues=np.ones(180))
+        ColourStatistics.from_pixels(np.zeros((3, 3)), hues=np.ones(180))
 
 
 def test_pictures_have_equal_weight_in_any_order():

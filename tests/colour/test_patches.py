@@ -106,7 +106,7 @@ def test_hue_spectra_equal_image_statistics(folder: Path, centre_px: int | None)
     for organ in (OrganClass.LEAF, OrganClass.PEPPER):
         statistics = found.statistics(organ.name.lower())
         assert statistics.hue_spectrum == pytest.approx(sums.hue_spectra()[organ], abs=1e-12)
-        assert statistics.grey_share == pytest.approx(sums.grey_shares()[organ], abs=1e-12)
+        assert statistics.grey_share == pytest.approx(sums.grey_fractions()[organ], abs=1e-12)
     assert found.pictures == ("img1", "img2", "img10")
     assert found.kinds == ("leaf", "pepper")
 
@@ -170,7 +170,9 @@ def _frame(instances: NDArray[np.uint16], harvest: object) -> LabelledImage:
     classes = np.where(instances > 0, np.uint8(OrganClass.PEPPER), np.uint8(OrganClass.BACKGROUND))
     classes[0] = OrganClass.LEAF
     facts = {} if harvest is None else {"harvest": harvest}
-    return LabelledImage("000001", np.zeros((*classes.shape, 3), np.uint8), classes, instances, facts=facts)
+    return LabelledImage(
+        "000001", np.zeros((*classes.shape, 3), np.uint8), classes, instances, metadata=facts
+    )
 
 
 def test_ripeness_of_rendered_fruit_comes_from_harvest(folder: Path) -> None:

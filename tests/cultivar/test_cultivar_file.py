@@ -78,7 +78,7 @@ def test_shipped_files_load_and_every_distribution_has_an_origin(name: str) -> N
     for organ in cultivar.organs.values():
         for value in organ.distributions.values():
             assert value.source or value.chosen
-    assert {"internode", "node", "fruit", "calyx"} <= set(cultivar.grown) <= set(cultivar.kinds)
+    assert {"internode", "node", "fruit", "calyx"} <= set(cultivar.present_kinds) <= set(cultivar.kinds)
 
 
 def test_kinds_have_the_default_class_and_surface_of_their_form(kaite: Cultivar) -> None:
@@ -86,7 +86,7 @@ def test_kinds_have_the_default_class_and_surface_of_their_form(kaite: Cultivar)
     assert kaite.kinds["lamina"].surface == "leaf"
     # The calyx is part of the fruit; flowers have parameters but do not grow in April.
     assert kaite.kinds["calyx"].form == "calyx"
-    assert set(kaite.kinds) - set(kaite.grown) == {"pedicel", "flower"}
+    assert set(kaite.kinds) - set(kaite.present_kinds) == {"pedicel", "flower"}
 
 
 def test_pigment_paths_run_from_start_to_end(kaite: Cultivar) -> None:

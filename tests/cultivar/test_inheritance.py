@@ -35,7 +35,7 @@ def test_distributions_are_replaced_and_tables_merged(kaite: Cultivar, tmp_path:
     width = {"value_mm": 20, "chosen": "x"}
     child = load_cultivar(write(tmp_path, organs={"node": {"width": width}}, stem={"parts": 7}))
     changed = child.organs["node"].distributions["width"]
-    assert (changed.law, changed.mean, changed.source) == ("value", 0.02, "")
+    assert (changed.family, changed.mean, changed.source) == ("value", 0.02, "")
     assert child.organs["node"].distributions["length"] == kaite.organs["node"].distributions["length"]
     assert child.stem == kaite.stem.model_copy(update={"parts": 7})
     assert child.organs["node"].bears == kaite.organs["node"].bears
@@ -62,14 +62,14 @@ def test_an_empty_list_removes_all_slots(kaite: Cultivar, tmp_path: Path) -> Non
     assert kaite.organs["peduncle"].bears
     child = load_cultivar(write(tmp_path, organs={"peduncle": {"bears": []}}))
     assert child.organs["peduncle"].bears == ()
-    assert "fruit" not in child.grown
+    assert "fruit" not in child.present_kinds
 
 
 def test_a_slot_with_an_inherited_descent_can_be_emptied(kaite: Cultivar, tmp_path: Path) -> None:
     slots = [{"name": "fruit", "what": {"none": 1, "chosen": "x"}}]
     child = load_cultivar(write(tmp_path, organs={"node": {"bears": slots}}))
     assert child.organs["node"].bears[2].descent is not None
-    assert set(kaite.grown) - set(child.grown) >= {"peduncle", "fruit", "cut"}
+    assert set(kaite.present_kinds) - set(child.present_kinds) >= {"peduncle", "fruit", "cut"}
 
 
 def test_like_refers_to_the_overridden_kind(kaite: Cultivar, tmp_path: Path) -> None:

@@ -44,7 +44,9 @@ def test_between_two_normal_distributions_is_a_normal_distribution(stages: Stage
     width = interpolate_cultivars(first, last, 0.25).organs["node"].distributions["width"]
     ends = [c.organs["node"].distributions["width"] for c in (first, last)]
     mean, sd = (0.75 * getattr(ends[0], m) + 0.25 * getattr(ends[1], m) for m in ("mean", "sd"))
-    normal = Distribution(law="normal", mean=mean, sd=sd, low=mean - 3 * sd, high=mean + 3 * sd, chosen="x")
+    normal = Distribution(
+        family="normal", mean=mean, sd=sd, low=mean - 3 * sd, high=mean + 3 * sd, chosen="x"
+    )
     assert width.quantiles(PROBABILITIES) == pytest.approx(normal.quantiles(PROBABILITIES), rel=1e-9)
     assert (width.mean, width.sd) == (pytest.approx(mean), pytest.approx(sd, rel=1e-3))
 

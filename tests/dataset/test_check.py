@@ -181,7 +181,7 @@ def test_correct_data_set_has_no_findings_and_is_not_changed(all_outputs):
     before = {path: path.stat().st_mtime_ns for path in all_outputs.rglob("*")}
     result = check_dataset(all_outputs, workers=1)
     assert result.findings == ()
-    assert (result.good, result.frames, result.counts()) == (True, 6, {})
+    assert (result.passed, result.frames, result.counts()) == (True, 6, {})
     assert {path: path.stat().st_mtime_ns for path in all_outputs.rglob("*")} == before
 
 
@@ -337,7 +337,7 @@ def test_finds_json_that_contradicts_its_images(folder):
     sign(folder, 3, metadata)
     findings = check_dataset(folder, workers=1).findings
     assert {finding.kind for finding in findings} == {"contradiction"}
-    text = " ".join(finding.what for finding in findings)
+    text = " ".join(finding.problem for finding in findings)
     assert all(words in text for words in ("leaf", "box", "lists instance 999", f"have instance {first}"))
 
 
@@ -472,8 +472,8 @@ def test_reports_the_shift_of_labels(folder, right, down):
     change_image(folder, 1, "colour", lambda image: np.roll(image, (-down, -right), (0, 1)))
     (finding,) = check_dataset(folder, workers=1).findings
     assert (finding.kind, finding.file) == ("edges", "instance/000001.png")
-    assert f"{right:+d} px to the right" in finding.what
-    assert f"{down:+d} px below" in finding.what
+    assert f"{right:+d} px to the right" in finding.problem
+    assert f"{down:+d} px below" in finding.problem
 
 
 def test_finds_labels_of_a_mirrored_or_another_photograph(folder):
@@ -482,7 +482,7 @@ def test_finds_labels_of_a_mirrored_or_another_photograph(folder):
     change_image(folder, 3, "colour", lambda image: other // 2 + 60)
     findings = check_dataset(folder, workers=1).findings
     assert [(finding.kind, finding.index) for finding in findings] == [("edges", 1), ("edges", 3)]
-    assert all("no shift" in finding.what for finding in findings)
+    assert all("no shift" in finding.problem for finding in findings)
 
 
 # --- all frames together ------------------------------------------------------------------------------------
@@ -525,7 +525,7 @@ def test_finds_statistics_out_of_range(folder, changes, text, frames):
     change_expectations(folder, **changes)
     findings = check_dataset(folder, workers=1).findings
     assert {finding.kind for finding in findings} == {"drift"}
-    assert any(text in finding.what for finding in findings)
+    assert any(text in finding.problem for finding in findings)
     assert len([finding for finding in findings if finding.index is not None]) == frames
 
 
@@ -577,7 +577,7 @@ def test_findings_are_sorted_by_severity(folder):
     assert ranks == sorted(ranks)
     missing = [finding.index for finding in result.findings if finding.kind == "missing"]
     assert missing == [2, 4]
-    content = json.loads(json.dumps(result.as_json()))
+    content = json.loads(json.dumps(result.to_json()))
     assert content["counts"] == result.counts()
     assert content["good"] is False
     assert set(content["findings"][0]) == {"kind", "index", "file", "what"}

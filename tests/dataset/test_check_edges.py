@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 from skimage import transform
 
-from pepperscene.dataset.check.edges import CHANCE, QUARTERS, match
+from pepperscene.dataset.check.edges import CHANCE, QUARTERS, match_edges
 
 
 def draw_discs(height, width, seed=0, discs=140):
@@ -33,7 +33,7 @@ COLOUR, LABELS = draw_discs(240, 320)
 
 
 def test_correct_labels_fit():
-    result = match(develop(COLOUR), LABELS)
+    result = match_edges(develop(COLOUR), LABELS)
     assert result.fits
     assert (result.right_px, result.down_px, result.quarter) == (0, 0, "")
 
@@ -44,7 +44,7 @@ def test_finds_shift(right, down):
     colour, labels = draw_discs(340, 420, seed=2, discs=260)
     inner = np.s_[50:290, 50:370]
     moved = np.roll(labels, (down, right), (0, 1))[inner]
-    result = match(develop(colour)[inner], moved)
+    result = match_edges(develop(colour)[inner], moved)
     assert (result.right_px, result.down_px) == (right, down)
     assert result.fits == (max(abs(right), abs(down)) < 2)
 
@@ -62,20 +62,20 @@ def test_finds_shift(right, down):
     ids=["dim", "negative", "vignetted", "out of focus", "overexposed", "grey"],
 )
 def test_light_and_focus_do_not_matter(change):
-    assert match(develop(change(COLOUR)), LABELS).fits
+    assert match_edges(develop(change(COLOUR)), LABELS).fits
 
 
 @pytest.mark.parametrize("mirror", [np.s_[:, ::-1], np.s_[::-1], np.s_[::-1, ::-1]])
 def test_mirrored_labels_fit_at_no_shift(mirror):
-    result = match(develop(COLOUR), LABELS[mirror])
+    result = match_edges(develop(COLOUR), LABELS[mirror])
     assert not result.fits
     assert result.height < CHANCE
 
 
 def test_chance_is_below_the_threshold():
     photographs = [develop(draw_discs(240, 320, seed)[0]) for seed in range(5, 11)]
-    heights = [match(photograph, LABELS).height for photograph in photographs]
-    heights += [match(develop(COLOUR * 0 + 90, seed), LABELS).height for seed in range(4)]
+    heights = [match_edges(photograph, LABELS).height for photograph in photographs]
+    heights += [match_edges(develop(COLOUR * 0 + 90, seed), LABELS).height for seed in range(4)]
     assert max(heights) < CHANCE
 
 
@@ -92,8 +92,8 @@ def test_another_scale_or_angle_is_found_in_a_quarter(large, scale, degrees):
     change = transform.SimilarityTransform(scale=scale, rotation=np.radians(degrees))
     inverse = (transform.SimilarityTransform(translation=(-400.0, -300.0)) + change + centre).inverse
     changed = transform.warp(labels, inverse, order=0, preserve_range=True).astype(np.uint16)
-    assert match(photograph, labels).fits
-    result = match(photograph, changed)
+    assert match_edges(photograph, labels).fits
+    result = match_edges(photograph, changed)
     assert not result.fits
     assert result.quarter in QUARTERS
 
@@ -101,17 +101,17 @@ def test_another_scale_or_angle_is_found_in_a_quarter(large, scale, degrees):
 @pytest.mark.parametrize("size", [(151, 203), (97, 241), (1, 1), (1, 400), (600, 2)])
 def test_accepts_any_size(size):
     colour, labels = draw_discs(*size)
-    result = match(develop(colour), labels)
+    result = match_edges(develop(colour), labels)
     assert result is None or result.fits
 
 
 def test_few_borders_are_not_judged():
     few = np.zeros((240, 320), np.uint16)
     few[50:100, 60:110] = 3
-    assert match(develop(COLOUR), few) is None
-    assert match(develop(COLOUR), np.zeros_like(few)) is None
+    assert match_edges(develop(COLOUR), few) is None
+    assert match_edges(develop(COLOUR), np.zeros_like(few)) is None
 
 
 def test_rejects_labels_of_another_size():
     with pytest.raises(ValueError, match="must have the same size"):
-        match(develop(COLOUR), LABELS[1:])
+        match_edges(develop(COLOUR), LABELS[1:])

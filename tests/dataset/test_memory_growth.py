@@ -87,6 +87,6 @@ def test_300_frames_of_10_scenes_hold_no_more_than_60_frames_of_2():
     assert done.returncode == 0, done.stderr
     held = json.loads(done.stdout.splitlines()[-1])
     assert len(held) == 10
-    # Eight scenes that stayed would be 100 MiB, the images of 240 frames 30 MiB; the allocator's reserve varies
-    # by 15 MiB.
+    # Eight scenes that stayed would be 100 MiB, the images of 240 frames 30 MiB; the allocator's
+    # reserve varies by 15 MiB.
     assert max(held[-5:]) - max(held[:2]) < 16 * 2**20

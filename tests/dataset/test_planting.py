@@ -19,7 +19,7 @@ from pepperscene.dataset import FrameRenderer, grow_plant, load_recipe
 from pepperscene.dataset.recipe.plan import Stream, random_generator
 from pepperscene.dataset.scenes.scene_builder import SceneBuilder
 from pepperscene.grammar import grow
-from pepperscene.scene.far_rows import MODELS
+from pepperscene.scene.far_rows import FAR_ROW_PLANTS
 
 SMALL = {
     "cultivar": "kaite_february",  # the smallest plants
@@ -75,10 +75,10 @@ def test_rotations_reuse_the_plants_of_their_set(recipe, monkeypatch):
     planting.scene(0, 1)
     planting.scene(0, 2)
     assert all(one is other.mesh for one, other in zip(before, planting.plants(0), strict=True))
-    assert len(made) == 3 + MODELS
+    assert len(made) == 3 + FAR_ROW_PLANTS
     # The far rows' plants serve all sets.
     planting.plants(1)
-    assert len(made) == 6 + MODELS
+    assert len(made) == 6 + FAR_ROW_PLANTS
 
 
 def test_a_scene_leaves_the_plants_of_its_set_alone(recipe):
@@ -139,7 +139,7 @@ def test_the_greenhouse_of_the_recipe_in_metres(planting):
 def test_rows_lean_apart_and_stand_on_their_blocks(planting, planted):
     for number, posture in enumerate(one.posture for one in planting.plants(0)):
         stem = of_plant(planted.mesh, number)
-        assert stem[:, 2].min() == pytest.approx(planting.house.foot_m, abs=0.01)
+        assert stem[:, 2].min() == pytest.approx(planting.house.stem_base_m, abs=0.01)
         # The stem's own wander is some centimetres a metre; the rows' lean is 7.
         rise = stem[:, 2].max() - stem[:, 2].min()
         away = stem[stem[:, 2] > stem[:, 2].max() - 0.01, 1].mean() - foot(stem)[1]
@@ -156,7 +156,7 @@ def test_plants_keep_their_posture_and_places_their_blocks(planting):
     first, second = np.array(feet)
     # Along the row, places are off their even spots, and stay so when the plants move on.
     np.testing.assert_allclose(first[:, 0], second[:, 0], atol=2e-3)
-    off = first[:, 0] - row.places()[:, 0]
+    off = first[:, 0] - row.positions()[:, 0]
     assert 1e-3 < np.abs(off).max() <= 3 * 0.015 + 2e-3
     # Across, plants are, and take that along; away from the aisle is the other way in the back row.
     across = [postures[0].across_m, postures[1].across_m, row.gap_m - postures[2].across_m]
@@ -181,15 +181,15 @@ def test_without_the_table_plants_stand_evenly_and_alone(recipe, planting):
     mesh = planting_of(alone).scene(0, 0).mesh
     assert {one.plant for one in mesh.instances} == {0, 1, 2}
     feet = [foot(of_plant(mesh, number)) for number in range(3)]
-    np.testing.assert_allclose(feet, planting.row.places(), atol=2e-3)
+    np.testing.assert_allclose(feet, planting.row.positions(), atol=2e-3)
     assert mesh.vertices[:, 2].min() < 0.01
     # An empty table turns the back row, and is otherwise the same.
     tables = recipe.model_dump() | {"greenhouse": {}}
     empty = planting_of(type(recipe).model_validate(tables)).scene(0, 0).mesh
     assert len(empty.instances) == len(mesh.instances)
     np.testing.assert_allclose(of_plant(empty, 0), of_plant(mesh, 0))
-    turned = (of_plant(mesh, 2) - [*planting.row.places()[2], 0]) * [-1, -1, 1]
-    np.testing.assert_allclose(of_plant(empty, 2) - [*planting.row.places()[2], 0], turned, atol=1e-6)
+    turned = (of_plant(mesh, 2) - [*planting.row.positions()[2], 0]) * [-1, -1, 1]
+    np.testing.assert_allclose(of_plant(empty, 2) - [*planting.row.positions()[2], 0], turned, atol=1e-6)
 
 
 # --- labels -------------------------------------------------------------------------------------------------

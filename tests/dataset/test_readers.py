@@ -57,8 +57,8 @@ def test_reads_rendered_data_set(small):
             expected = small.image(index, output)
             np.testing.assert_array_equal(getattr(image, field), expected)
             assert getattr(image, field).dtype == expected.dtype
-        assert image.facts["index"] == index
-        assert len(image.facts["harvest"]["fruit"]) == 2
+        assert image.metadata["index"] == index
+        assert len(image.metadata["harvest"]["fruit"]) == 2
 
 
 def test_fields_are_decoded_from_other_outputs(tmp_path):
@@ -76,7 +76,7 @@ def test_only_selected_files_are_opened(copied, small):
     for path in (folder / "distance").iterdir():
         path.unlink()
     images = open_images(folder)
-    assert images.select("colour", "classes")[0].facts == {}
+    assert images.select("colour", "classes")[0].metadata == {}
     with pytest.raises(InputError, match=r"distance/000000.exr"):
         images[0]
 
@@ -114,7 +114,7 @@ def test_reads_published_set_in_order_of_numbers(tmp_path, ids):
         assert (image.colour == number).all()
         np.testing.assert_array_equal(image.classes, np.roll(ids, number, axis=1))
         assert image.distance_m is None
-        assert image.facts == {"half": "synthetic", "number": number}
+        assert image.metadata == {"half": "synthetic", "number": number}
 
 
 def test_inexact_colours_give_the_nearest_class(tmp_path, ids):

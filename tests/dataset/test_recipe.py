@@ -381,13 +381,13 @@ def read_or_fault(steps):
 
 
 def test_the_limits_of_gains_and_matrix_are_the_cameras():
-    from pepperscene.camera.readout import GAIN_RANGE, LARGEST_ENTRY
+    from pepperscene.camera.readout import GAIN_RANGE, LARGEST_MATRIX_ENTRY
 
     for limit, beyond in zip(GAIN_RANGE, (0.99, 1.01), strict=True):
         assert DevelopingTable(white_balance=(limit, 1.0, 1.0)).white_balance[0] == limit
         with pytest.raises(ValueError, match="must be"):
             DevelopingTable(white_balance=(beyond * limit, 1.0, 1.0))
-    for entry in (LARGEST_ENTRY, -LARGEST_ENTRY):
+    for entry in (LARGEST_MATRIX_ENTRY, -LARGEST_MATRIX_ENTRY):
         rows = ((entry, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
         assert DevelopingTable(colour_matrix=rows).colour_matrix == rows
         with pytest.raises(ValueError, match="must be"):

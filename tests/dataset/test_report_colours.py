@@ -15,10 +15,10 @@ from pepperscene.dataset.report.colours import (
     VIRIDIS,
     class_colours,
     distance_colours,
-    drawing,
     instance_colours,
     jpeg_data_uri,
-    share_colours,
+    png_data_uri,
+    viridis_colours,
 )
 
 
@@ -44,7 +44,7 @@ def test_background_is_darkest():
 
 def test_fractions_are_clipped_and_reversed_distances():
     fractions = np.linspace(-0.5, 1.5, 41)[None]
-    np.testing.assert_array_equal(share_colours(fractions), distance_colours(1.0 - fractions, 0.0, 1.0))
+    np.testing.assert_array_equal(viridis_colours(fractions), distance_colours(1.0 - fractions, 0.0, 1.0))
 
 
 def test_neighbouring_instances_have_different_hues():
@@ -71,14 +71,14 @@ def test_drawings_are_lossless_and_have_a_palette_if_possible():
         (distance_colours(distance, 0.2, 1.0), "P"),
         (rng.integers(0, 256, (30, 40, 3)).astype(np.uint8), "RGB"),
     ):
-        mode, decoded = decode(drawing(picture))
+        mode, decoded = decode(png_data_uri(picture))
         assert mode == expected_mode
         np.testing.assert_array_equal(decoded, picture)
 
 
 def test_large_images_shrink_without_new_label_colours():
     classes = class_colours(np.random.default_rng(7).integers(0, 8, (90, 200)).astype(np.uint8))
-    _, decoded = decode(drawing(classes, max_size_px=100))
+    _, decoded = decode(png_data_uri(classes, max_size_px=100))
     assert decoded.shape == (45, 100, 3)
     np.testing.assert_array_equal(decoded, classes[::2, ::2])
     _, decoded = decode(jpeg_data_uri(np.zeros((40, 4000, 3), np.uint8)))

@@ -6,11 +6,11 @@ import numpy as np
 import trimesh
 
 from pepperscene.classes import OrganClass
-from pepperscene.cultivar.organs import USUAL, OrganKind
+from pepperscene.cultivar.organs import DEFAULT_KINDS, OrganKind
 from pepperscene.geometry import Mesh, mesh_plant
 from pepperscene.grammar.plant import Organ, Plant
 
-KINDS = {**USUAL, "shoot": OrganKind("stalk", OrganClass.SHOOT, "stem")}
+KINDS = {**DEFAULT_KINDS, "shoot": OrganKind("stalk", OrganClass.SHOOT, "stem")}
 
 
 def organ(kind, base=(0.0, 0.0, 0.0), tip=(0.0, 0.1, 0.0), *, up=(0.0, 0.0, 1.0), parent=-1, **measures):

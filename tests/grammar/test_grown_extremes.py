@@ -16,14 +16,14 @@ Change = Callable[[Distribution], Distribution]
 def constant(distribution: Distribution) -> Distribution:
     """The mean, without variance."""
     mean = distribution.mean
-    return Distribution(law="value", mean=mean, sd=0.0, low=mean, high=mean, chosen="for a test")
+    return Distribution(family="value", mean=mean, sd=0.0, low=mean, high=mean, chosen="for a test")
 
 
 def widened(distribution: Distribution) -> Distribution:
     """Ten times the standard deviation about the same mean, whatever the bounds were."""
     mean, sd = distribution.mean, 10.0 * max(distribution.sd, 0.1 * abs(distribution.mean))
     low, high = mean - 3.0 * sd, mean + 3.0 * sd
-    return Distribution(law="normal", mean=mean, sd=sd, low=low, high=high, chosen="for a test")
+    return Distribution(family="normal", mean=mean, sd=sd, low=low, high=high, chosen="for a test")
 
 
 def with_organ(cultivar: Cultivar, name: str, **values: object) -> Cultivar:
@@ -97,7 +97,7 @@ def test_any_number_of_nodes(name: str, parts: int, young: int) -> None:
     ("kind", "parameter", "value"), [("lamina", "length", 1e-3), ("fruit", "diameter", 0.3)]
 )
 def test_tiny_leaves_and_huge_fruit(kaite: Cultivar, kind: str, parameter: str, value: float) -> None:
-    size = Distribution(law="value", mean=value, sd=0.0, low=value, high=value, chosen="for a test")
+    size = Distribution(family="value", mean=value, sd=0.0, low=value, high=value, chosen="for a test")
     plant = grow(with_organ(kaite, kind, **{parameter: size}), np.random.default_rng(1))
     assert_is_sound(plant)
     sizes = [o.measures[f"{parameter}_m"] for o in plant.of_kind(kind) if o.phytomer < 36]
@@ -105,7 +105,7 @@ def test_tiny_leaves_and_huge_fruit(kaite: Cultivar, kind: str, parameter: str, 
 
 
 def test_internodes_shorter_than_their_nodes_run_upwards(kaite: Cultivar) -> None:
-    length = Distribution(law="uniform", mean=0.05, sd=0.028, low=0.001, high=0.1, chosen="for a test")
+    length = Distribution(family="uniform", mean=0.05, sd=0.028, low=0.001, high=0.1, chosen="for a test")
     plant = grow(with_organ(kaite, "internode", length=length), np.random.default_rng(3))
     assert_is_sound(plant)
     stem = np.concatenate([o.curve for o in plant.organs if o.kind in ("internode", "node")])

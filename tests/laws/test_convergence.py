@@ -20,7 +20,7 @@ from pepperscene.render.kernel.scene import light_scene, sky_tables
 from pepperscene.render.transport import trace as trace_module
 from pepperscene.render.transport.trace import Sampling, trace
 from pepperscene.scene import Sky, Sun, assemble_scene
-from pepperscene.spectra import Spectrum, sky_spectrum, sun_spectrum, with_illuminance
+from pepperscene.spectra import Spectrum, scale_to_illuminance, sky_spectrum, sun_spectrum
 
 NM = np.arange(380.0, 781.0, 5.0)
 PARTS = ("flash", "sky_and_sun", "indirect")
@@ -42,10 +42,10 @@ def bench():
         ]
     )
     # A sky of two halves, and a wide sun behind the camera, whose penumbras are visible.
-    irradiance = with_illuminance(sky_spectrum("d65"), 20_000.0)
+    irradiance = scale_to_illuminance(sky_spectrum("d65"), 20_000.0)
     halves = np.array([[[1.0, 1.0, 3.0, 3.0]] * 2], np.float32)
     direction = np.array([0.4, -0.5, -1.0]) / np.linalg.norm([0.4, -0.5, -1.0])
-    sun = Sun(direction, with_illuminance(sun_spectrum(), 20_000.0), angular_radius=0.05)
+    sun = Sun(direction, scale_to_illuminance(sun_spectrum(), 20_000.0), angular_radius=0.05)
     sky = Sky(halves, Spectrum(irradiance.wavelength_nm, irradiance.values[None] / np.pi), sun)
     return assemble_scene(mesh, {"matt": lambertian_surface("matt", 0.6), "leaf": glossy_leaf()}, sky)
 

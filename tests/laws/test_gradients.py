@@ -18,7 +18,7 @@ from pepperscene.camera import load_sensor
 from pepperscene.cultivar import Cultivar, load_cultivar
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import Surface, lambertian_surface, organ_surfaces
-from pepperscene.materials.organs import thin_surface
+from pepperscene.materials.organs import leaf_surface
 from pepperscene.render.gradients import detached_sampling as passes
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
 from pepperscene.render.kernel.arrays import local_coordinates
@@ -323,7 +323,7 @@ def test_descent_finds_a_leafs_chlorophyll(camera, kaite):
     tell (Barzilai & Borwein 1988).
     """
     path = kaite.pigments["leaf"]
-    leaf = thin_surface("leaf", path, NM)
+    leaf = leaf_surface("leaf", path, NM)
     mesh = concatenate_meshes(
         [card(0.0, 0.0, 0.06, 0.06, "leaf", z=0.44), card(0.0, 0.0, 1.0, 1.0, "matt", z=0.5)]
     )

@@ -20,7 +20,7 @@ import pytest
 from small_scenes import bright_day
 
 from pepperscene.dataset import FrameRenderer, load_recipe
-from pepperscene.dataset.check.edges import CHANCE, match
+from pepperscene.dataset.check.edges import CHANCE, match_edges
 from pepperscene.render import render_scene
 
 COLUMNS, ROWS = 640, 480  # photosites, 2x2 to a pixel
@@ -48,7 +48,7 @@ def view(request):
 
 def test_true_labels_match_the_photograph(view):
     camera, photograph, labels = view
-    peak = match(photograph, labels(camera))
+    peak = match_edges(photograph, labels(camera))
     assert peak.fits
     assert (peak.right_px, peak.down_px) == (0, 0)
     assert peak.height > 3 * CHANCE
@@ -59,13 +59,13 @@ def test_shift_of_misaligned_labels_is_measured(view):
     true = labels(camera)
     inner = np.s_[10:-10, 10:-10]
     for right, down in ((2, 0), (0, 2), (-4, 4), (8, -8)):
-        peak = match(photograph[inner], np.roll(true, (down, right), (0, 1))[inner])
+        peak = match_edges(photograph[inner], np.roll(true, (down, right), (0, 1))[inner])
         assert not peak.fits
         assert (peak.right_px, peak.down_px) == (right, down)
-    assert not match(photograph, true[:, ::-1]).fits
+    assert not match_edges(photograph, true[:, ::-1]).fits
 
 
 def test_labels_through_another_lens_are_detected(view):
     camera, photograph, labels = view
     longer = replace(camera, lens=replace(camera.lens, focal_length_m=1.03 * camera.lens.focal_length_m))
-    assert not match(photograph, labels(longer)).fits
+    assert not match_edges(photograph, labels(longer)).fits

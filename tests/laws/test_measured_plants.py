@@ -296,7 +296,7 @@ def follows(
     assert abs(square.mean()) < most, f"spread: {told}"
     if any(slack) and plants > FEW:
         return
-    if law.law == "histogram":
+    if law.family == "histogram":
         edges, shares = np.array([low for low, _, _ in law.bins[1:]]), np.array([row[2] for row in law.bins])
     else:
         edges, shares = law.quantiles(np.arange(1, 8) / 8.0), np.full(8, 1.0 / 8.0)

@@ -13,7 +13,7 @@ from bodies import bench_camera, sphere
 from scipy.ndimage import distance_transform_edt
 
 from pepperscene.camera import look_at
-from pepperscene.cultivar.organs import USUAL
+from pepperscene.cultivar.organs import DEFAULT_KINDS
 from pepperscene.geometry import mesh_plant
 from pepperscene.grammar import Organ, Plant
 from pepperscene.materials import Surface, lambertian_surface
@@ -71,7 +71,7 @@ def fruit(detail: float):
         Organ("calyx", 0, 0, np.stack([stalk[-1], top]), up, {"radius_m": 0.02, "seed": 0.3, "tooth": 0.3}),
         Organ("fruit", 1, 0, np.stack([top, top + 0.085 * down]), up, shape),
     )
-    return mesh_plant(Plant("fruit", organs, USUAL), detail)
+    return mesh_plant(Plant("fruit", organs, DEFAULT_KINDS), detail)
 
 
 @pytest.mark.parametrize("ior", [1.0, 1.3])

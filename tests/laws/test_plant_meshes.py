@@ -87,10 +87,10 @@ def _scaled(law: Distribution, by: float) -> Distribution:
 
 def _spread(law: Distribution, variance: float) -> Distribution:
     """The law at so many times its variance: an even one, cut where lengths and ratios end."""
-    if variance == 1.0 or law.sd == 0.0 or law.law == "curve":
+    if variance == 1.0 or law.sd == 0.0 or law.family == "curve":
         return law
     if variance == 0.0:
-        return Distribution(law="value", mean=law.mean, sd=0.0, low=law.mean, high=law.mean, chosen="test")
+        return Distribution(family="value", mean=law.mean, sd=0.0, low=law.mean, high=law.mean, chosen="test")
     reach = np.sqrt(3.0 * variance) * law.sd
     low, high = law.mean - reach, law.mean + reach
     if law.low > 0.0 or (law.low == 0.0 and law.mean > 0.0):
@@ -98,7 +98,7 @@ def _spread(law: Distribution, variance: float) -> Distribution:
     if law.low >= 0.0 and law.high <= 1.0:
         high = min(high, 1.0)
     mean, sd = 0.5 * (low + high), (high - low) / np.sqrt(12.0)
-    return Distribution(law="uniform", mean=mean, sd=sd, low=low, high=high, chosen="test")
+    return Distribution(family="uniform", mean=mean, sd=sd, low=low, high=high, chosen="test")
 
 
 CHANGES = st.builds(

@@ -17,8 +17,10 @@ PAIRS = 1 << 16
 
 
 def pairs_of_directions(surfaces: tuple[Surface, ...], seed: int) -> tuple[Cases, np.ndarray]:
-    """Surfaces seen from random directions, and `(n, 3)` second directions: half of them random, half near the
-    mirrored direction, in the gloss."""
+    """Surfaces seen from random directions, and `(n, 3)` second directions.
+
+    Half of them are random, half near the mirrored direction, in the gloss.
+    """
     rng = np.random.default_rng(seed)
     surface = rng.integers(0, len(surfaces), PAIRS)
     a, b = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, PAIRS, 3)))

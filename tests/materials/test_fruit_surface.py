@@ -5,7 +5,7 @@ import pytest
 from plant_colours import at, lab, lab_hue, smooth_gloss, srgb_hue
 
 from pepperscene.cultivar import load_cultivar
-from pepperscene.cultivar.organs import USUAL
+from pepperscene.cultivar.organs import DEFAULT_KINDS
 from pepperscene.geometry import mesh_plant
 from pepperscene.grammar import Organ, Plant
 from pepperscene.materials import flesh_reflectance, rind_reflectance
@@ -94,7 +94,7 @@ def test_a_breaker_colours_unevenly(surfaces, ripening, nm):
     }  # fmt: skip
     curve = np.array([[0, 0, 0], [0, 0, -0.04], [0, 0, -0.087]], dtype=float)
     fruit = Organ("fruit", -1, 3, curve, np.array([1.0, 0, 0]), measures)
-    mesh = mesh_plant(Plant("kaite", (fruit,), USUAL))
+    mesh = mesh_plant(Plant("kaite", (fruit,), DEFAULT_KINDS))
     shoulder, blossom_end = mesh.uv[:, 1] < 0.35, mesh.uv[:, 1] > 0.75
     # A gradient from the shoulders to the blossom end.
     assert mesh.state[blossom_end].mean() - mesh.state[shoulder].mean() > 0.05

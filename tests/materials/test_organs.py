@@ -5,7 +5,7 @@ import pytest
 from plant_colours import at, lab, lab_hue
 
 from pepperscene.cultivar import Cultivar, load_cultivar
-from pepperscene.cultivar.organs import USUAL
+from pepperscene.cultivar.organs import DEFAULT_KINDS
 from pepperscene.materials import greenhouse_surfaces, leaf_body, organ_surfaces, organs, rind_reflectance
 
 ORGANS = {"leaf", "petiole", "stem", "fruit", "peduncle", "calyx", "cut"}
@@ -15,7 +15,7 @@ GREEN = ["stem", "petiole", "peduncle", "calyx"]
 
 def test_makes_every_surface_that_meshes_name(surfaces, nm):
     assert set(surfaces) == ORGANS | GREENHOUSE
-    assert {kind.surface for form, kind in USUAL.items() if form != "flower"} == ORGANS
+    assert {kind.surface for form, kind in DEFAULT_KINDS.items() if form != "flower"} == ORGANS
     for name, surface in surfaces.items():
         assert surface.name == name
         assert surface.wavelength_nm.tolist() == nm.tolist()
@@ -147,7 +147,7 @@ def test_ribs_run_along_the_organ_and_are_gentle(surfaces, kaite):
 
 def test_is_deterministic_and_independent_of_threads(surfaces, kaite: Cultivar, nm):
     serial = {}
-    for kind in kaite.grown:
+    for kind in kaite.present_kinds:
         name = kaite.kinds[kind].surface
         if name not in serial:
             serial[name] = organs._organ_surface(kaite, kind, name, nm)

@@ -78,7 +78,7 @@ def test_rows_are_regular_and_leave_labelled_positions_free():
     for mesh, line in zip(meshes, lines, strict=True):
         centres = mesh.vertices.reshape(-1, len(ball(0.01).vertices), 3).mean(axis=1)
         np.testing.assert_allclose(centres[:, 1], line.y_m, atol=1e-6)
-        np.testing.assert_allclose(centres[:, 2], GREENHOUSE.foot_m, atol=1e-6)
+        np.testing.assert_allclose(centres[:, 2], GREENHOUSE.stem_base_m, atol=1e-6)
         x = np.sort(centres[:, 0])
         assert np.abs(x).max() <= GREENHOUSE.far_reach_m
         # There is a plant at every position as far as the row extends.
@@ -86,7 +86,7 @@ def test_rows_are_regular_and_leave_labelled_positions_free():
         np.testing.assert_allclose(steps, np.rint(steps), atol=1e-4)
         assert GREENHOUSE.far_reach_m - np.abs([x[0], x[-1]]).min() < 2 * ROW.spacing_m
         if line.labelled:
-            taken = [x for x, y in ROW.places() if y == line.y_m]
+            taken = [x for x, y in ROW.positions() if y == line.y_m]
             assert np.abs(x[:, None] - taken).min() > 0.99 * ROW.spacing_m
             assert sorted(np.rint(steps))[-1] == len(taken) + 1
         else:

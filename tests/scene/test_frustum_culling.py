@@ -187,7 +187,7 @@ def test_total_change_by_removed_chunks_is_below_the_tolerance(camera, seed, day
     for index in np.flatnonzero(removed):
         centre, radius = chunks.centres[index].astype(float), float(chunks.radii[index])
         gap = (np.linalg.norm(chunks.centres[visible] - centre, axis=1) - chunks.radii[visible]).min()
-        flash = np.linalg.norm(frustums.places - centre, axis=1).min() - radius - 0.07
+        flash = np.linalg.norm(frustums.positions - centre, axis=1).min() - radius - 0.07
         covered = min(1.0, (radius / max(gap, radius)) ** 2)
         total += (daylight + sun + 0.05 * (0.4 / flash) ** 2) * covered
         # The sun's disc is half a degree wide.

@@ -10,7 +10,7 @@ import trimesh
 
 from pepperscene.classes import OrganClass
 from pepperscene.materials import greenhouse_surfaces
-from pepperscene.scene import DoubleRow, Greenhouse, draw_posture, greenhouse_mesh, jittered_places
+from pepperscene.scene import DoubleRow, Greenhouse, draw_posture, greenhouse_mesh, jittered_positions
 from pepperscene.scene.greenhouse import beam, box, rod, row_lines
 
 HEXAGON = [(np.cos(a), 2 * np.sin(a)) for a in np.arange(6) * np.pi / 3]
@@ -41,7 +41,7 @@ def merged(mesh):
 
 def meshes_by_kind(greenhouse, row=ROW):
     meshes = {}
-    for mesh in greenhouse_mesh(row, greenhouse, row.places()):
+    for mesh in greenhouse_mesh(row, greenhouse, row.positions()):
         assert len(mesh.instances) == 1
         meshes.setdefault(mesh.instances[0].kind, []).append(mesh)
     return meshes
@@ -166,23 +166,23 @@ def test_each_row_has_a_gutter_with_a_slab(full):
 def test_each_stem_base_is_on_open_rockwool(full):
     (blocks,) = full["block"]
     top = blocks.vertices[:, 2].max()
-    assert top == pytest.approx(FULL.foot_m)
+    assert top == pytest.approx(FULL.stem_base_m)
     slab_top = max(slab.vertices[:, 2].max() for slab in full["slab"])
     assert blocks.vertices[:, 2].min() == pytest.approx(slab_top)
     upper = blocks.vertices[blocks.faces[blocks.face_surface == blocks.surfaces.index("rockwool")]]
     upper = upper[(upper[..., 2] > top - 1e-6).all(axis=1)]
-    for x, y in ROW.places():
+    for x, y in ROW.positions():
         inside = (upper[..., 0].min(1) <= x) & (x <= upper[..., 0].max(1))
         assert (inside & (upper[..., 1].min(1) <= y) & (y <= upper[..., 1].max(1))).any()
 
 
 def test_wires_are_shifted_by_the_rows_lean(full):
-    offset = np.tan(np.radians(4)) * (4.2 - FULL.foot_m)
+    offset = np.tan(np.radians(4)) * (4.2 - FULL.stem_base_m)
     for wire, line in zip(full["crop_wire"], row_lines(ROW, FULL), strict=True):
         middle = (wire.vertices.min(axis=0) + wire.vertices.max(axis=0)) / 2
         np.testing.assert_allclose(middle, [0, line.y_m + line.aisle * offset, 4.2], atol=1e-5)
-    assert FULL.away(4.2) == pytest.approx(offset)
-    assert FULL.away(0.1) == 0
+    assert FULL.lean_offset_m(4.2) == pytest.approx(offset)
+    assert FULL.lean_offset_m(0.1) == 0
 
 
 def test_each_aisle_has_two_pipes_clear_of_floor_and_gutters(full):
@@ -225,7 +225,7 @@ def test_postures_have_the_given_means_and_deviations():
 
 def test_plant_positions_vary_only_along_the_row():
     offsets = np.stack(
-        [jittered_places(ROW, IRREGULAR, np.random.default_rng(n)) - ROW.places() for n in range(300)]
+        [jittered_positions(ROW, IRREGULAR, np.random.default_rng(n)) - ROW.positions() for n in range(300)]
     )
     assert (offsets[..., 1] == 0).all()
     along = offsets[..., 0]
@@ -234,6 +234,8 @@ def test_plant_positions_vary_only_along_the_row():
 
 
 def test_regular_greenhouse_has_regular_rows():
-    np.testing.assert_array_equal(jittered_places(ROW, Greenhouse(), np.random.default_rng(0)), ROW.places())
+    np.testing.assert_array_equal(
+        jittered_positions(ROW, Greenhouse(), np.random.default_rng(0)), ROW.positions()
+    )
     posture = draw_posture(Greenhouse(row_lean_rad=0.05), np.random.default_rng(0))
     assert (posture.across_m, posture.lean_rad, posture.turn_rad) == (0, 0.05, 0)

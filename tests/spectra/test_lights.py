@@ -13,9 +13,9 @@ from pepperscene.spectra import (
     photopic_efficiency,
     read_spectra,
     read_spectrum,
+    scale_to_illuminance,
     sky_spectrum,
     sun_spectrum,
-    with_illuminance,
 )
 from pepperscene.spectra.lights import LUMINOUS_EFFICACY, diffuse_spectrum
 
@@ -90,12 +90,12 @@ def test_infrared_has_no_illuminance_and_cannot_be_scaled():
     infrared = Spectrum(np.array([850.0, 1000.0]), np.array([1.0, 1.0]))
     assert illuminance(infrared) == 0
     with pytest.raises(ValueError, match="cannot scale"):
-        with_illuminance(infrared, 100)
+        scale_to_illuminance(infrared, 100)
 
 
 @pytest.mark.parametrize("spd", [sun_spectrum(), sky_spectrum()])
 def test_scales_to_an_illuminance(spd):
-    assert illuminance(with_illuminance(spd, 5_500)) == pytest.approx(5_500)
+    assert illuminance(scale_to_illuminance(spd, 5_500)) == pytest.approx(5_500)
     assert spd.at(560) == pytest.approx(1.0)
 
 

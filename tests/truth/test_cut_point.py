@@ -26,7 +26,7 @@ def arc(inclination, length, bend, start, steps=64):
 @pytest.mark.parametrize("inclination", [0.0, 30.0, 60.0])
 def test_straight_stalk_emerges_from_the_stems_surface(inclination):
     line = arc(inclination, 0.05, 0.0, 0.8 * 6e-3)
-    stalk = fruit_stalk(line, 3.5e-3, STEM, instance=4, bearer_instance=3)
+    stalk = fruit_stalk(line, 3.5e-3, STEM, instance=4, parent_instance=3)
     hidden = 0.2 * 6e-3 / np.cos(np.radians(inclination))
     assert stalk.attachment[0] == pytest.approx(6e-3, abs=1e-9)
     assert stalk.length_m == pytest.approx(0.05 - hidden, abs=1e-9)

@@ -158,20 +158,22 @@ def stack() -> Stack:
 
 def test_sums_equal_those_of_the_whole_stack(stack: Stack):
     statistics, colour, class_id = stack
-    assert (statistics.pictures, statistics.photographs, statistics.labelled) == (6, 6, 6)
+    assert (statistics.image_count, statistics.photograph_count, statistics.labelled_count) == (6, 6, 6)
     masks = class_id[:, None] == np.arange(8)[:, None, None]
-    np.testing.assert_allclose(statistics.shares(), masks.mean(axis=(0, 2, 3)))
-    assert statistics.shares().sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(statistics.class_fractions(), masks.mean(axis=(0, 2, 3)))
+    assert statistics.class_fractions().sum() == pytest.approx(1.0)
     np.testing.assert_allclose(statistics.mean_masks(), masks.mean(axis=0))
     grey = np.stack([cv2.cvtColor(one, cv2.COLOR_RGB2GRAY) for one in colour])
     np.testing.assert_allclose(statistics.mean_intensity(), grey.mean(axis=0), atol=0.51)
     np.testing.assert_allclose(statistics.intensities, grey.mean(axis=(1, 2)), atol=0.05)
-    np.testing.assert_allclose(statistics.saturated, (colour == 255).any(-1).mean(axis=(1, 2)))
+    np.testing.assert_allclose(statistics.saturated_fractions, (colour == 255).any(-1).mean(axis=(1, 2)))
 
 
 def test_spectra_and_grey_pixels_add_up(stack: Stack):
     statistics, colour, class_id = stack
-    np.testing.assert_allclose(statistics.hue_spectra().sum(axis=1) + 100 * statistics.grey_shares(), 100.0)
+    np.testing.assert_allclose(
+        statistics.hue_spectra().sum(axis=1) + 100 * statistics.grey_fractions(), 100.0
+    )
     by_image = [(bins[ids == 3] == 40).mean() for bins, ids in zip(hue_bins(colour), class_id, strict=True)]
     assert statistics.hue_spectra()[3, 40] == pytest.approx(100 * np.mean(by_image))
 
@@ -192,7 +194,7 @@ def test_each_image_has_the_same_weight_in_a_hue_spectrum():
     # The background is in one of the two; a class that is in none has no spectrum.
     assert spectra[0, 0] == pytest.approx(100.0)
     assert np.isnan(spectra[2]).all()
-    assert statistics.hue_pictures.tolist() == [1, 2, 0, 0, 0, 0, 0, 0]
+    assert statistics.hue_image_counts.tolist() == [1, 2, 0, 0, 0, 0, 0, 0]
 
 
 def test_only_hues_are_restricted_to_the_centre():
@@ -202,7 +204,7 @@ def test_only_hues_are_restricted_to_the_centre():
     statistics = ImageStatistics()
     statistics.add(colour, np.full((400, 500), 2, np.uint8))
     assert statistics.hue_spectra()[2, 60] == pytest.approx(100.0)
-    assert statistics.saturated == [pytest.approx(1 - 0.09 / 0.2)]
+    assert statistics.saturated_fractions == [pytest.approx(1 - 0.09 / 0.2)]
     assert statistics.mean_intensity().shape == (400, 500)
 
 
@@ -215,7 +217,7 @@ def test_images_of_other_sizes_are_resized_where_positions_are_compared():
     both.add(*(image.repeat(2, axis=0).repeat(2, axis=1) for image in (colour, class_id)))
     np.testing.assert_array_equal(both.mean_masks(), alone.mean_masks())
     np.testing.assert_array_equal(both.mean_intensity(), alone.mean_intensity())
-    assert both.pixels.sum() == 5 * alone.pixels.sum()
+    assert both.class_pixels.sum() == 5 * alone.class_pixels.sum()
 
 
 def test_unlabelled_pixels_are_counted_separately():
@@ -223,8 +225,8 @@ def test_unlabelled_pixels_are_counted_separately():
     class_id[0] = 2
     statistics = ImageStatistics()
     statistics.add(None, class_id)
-    assert statistics.unlabelled == 15
-    assert statistics.shares().tolist() == [0, 0, 0.25, 0, 0, 0, 0, 0]
+    assert statistics.unlabelled_pixels == 15
+    assert statistics.class_fractions().tolist() == [0, 0, 0.25, 0, 0, 0, 0, 0]
     assert statistics.mean_masks()[:, 1:].sum() == 0
     assert statistics.mean_intensity() is None
 
@@ -232,7 +234,7 @@ def test_unlabelled_pixels_are_counted_separately():
 def test_measures_without_labels_are_nan_or_none():
     statistics = ImageStatistics()
     statistics.add(np.zeros((3, 3, 3), np.uint8), None)
-    assert np.isnan(statistics.shares()).all()
+    assert np.isnan(statistics.class_fractions()).all()
     assert np.isnan(statistics.hue_spectra()).all()
     assert statistics.mean_masks() is None
     assert statistics.mean_intensity().max() == 0

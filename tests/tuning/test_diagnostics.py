@@ -29,7 +29,7 @@ from pepperscene.tuning.parameters.parameter import Parameter
 
 
 def parameter(name, group="pigments", *, entries=1, default=0.0, sd=1.0, low=-10.0, high=10.0) -> Parameter:
-    prior = Distribution(law="normal", mean=0.0, sd=sd, low=low, high=high, chosen="for a test")
+    prior = Distribution(family="normal", mean=0.0, sd=sd, low=low, high=high, chosen="for a test")
     labels = ("",) if entries == 1 else tuple(f"n{i}" for i in range(entries))
     values = np.full(entries, float(default))
     return Parameter(name, "", "for a test", group, values, labels=labels, prior=(prior,) * entries)

@@ -154,7 +154,7 @@ def test_state_distribution_is_that_of_organs_with_equal_weights_of_kinds(name):
     rng = np.random.default_rng(5)
     for surface in visible_surfaces(cultivar):
         samples = []
-        for kind in cultivar.grown:
+        for kind in cultivar.present_kinds:
             organ = cultivar.organs.get(kind)
             if kind == "calyx" and surface == "calyx":
                 samples.append(cultivar.organs["fruit"].calyx_state.quantiles(rng.random(4000)))

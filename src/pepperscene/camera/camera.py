@@ -216,7 +216,7 @@ def relative_illumination(camera: Camera) -> NDArray[np.float64]:
     cosine = directions[..., 2]
     relative = cosine**4
     distortion = camera.lens.distortion
-    if not distortion.is_none:
+    if not distortion.is_zero:
         relative = relative / distortion.area_scale(directions[..., :2] / cosine[..., None])
     if camera.lens.vignetting is not None:
         relative = relative * camera.lens.vignetting.at(np.arccos(np.minimum(cosine, 1.0)))

@@ -20,7 +20,7 @@ from pepperscene.spectra import Spectrum, colour_science, read_spectra, sky_spec
 Array = NDArray[np.float64]
 FloatType = TypeVar("FloatType", np.float32, np.float64)
 
-CHART: Final = "chart/colorchecker_iso17321_1.csv"
+COLOUR_CHECKER_FILE: Final = "chart/colorchecker_iso17321_1.csv"
 
 SRGB_TO_XYZ: Final[Array] = np.array(
     [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
@@ -72,7 +72,7 @@ def d65_spectrum() -> Spectrum:
 
 def colour_checker_reflectances() -> Spectrum:
     """`(24, n)` reflectances of the ColorChecker of ISO 17321-1; the end values are held."""
-    patches = list(read_spectra(CHART).values())
+    patches = list(read_spectra(COLOUR_CHECKER_FILE).values())
     return Spectrum(patches[0].wavelength_nm, np.stack([patch.values for patch in patches]), "hold")
 
 

@@ -16,11 +16,11 @@ from pepperscene.camera.lens import AngularProfile, ProfileTable
 from pepperscene.document import Document, read_toml, validate
 from pepperscene.errors import InputError
 from pepperscene.shipped import is_file, shipped_folder
-from pepperscene.spectra import Spectrum, with_illuminance
+from pepperscene.spectra import Spectrum, scale_to_illuminance
 from pepperscene.spectra.files import (
     CurveTable,
     Millimetres,
-    NotNegative,
+    NonNegative,
     SourcedDocument,
     find_material,
     read_curve,
@@ -135,7 +135,7 @@ class Flash:
     def irradiance(self) -> Spectrum:
         """W m-2 nm-1 straight ahead at `at_m` during the pulse."""
         if self.illuminance_lx is not None:
-            return with_illuminance(self.spectrum, self.illuminance_lx)
+            return scale_to_illuminance(self.spectrum, self.illuminance_lx)
         assert self.irradiance_W_m2 is not None  # exactly one is given
         return self.spectrum.times(self.irradiance_W_m2 / float(self.spectrum.integral()))
 
@@ -155,7 +155,7 @@ Strength = Annotated[float, Field(gt=0, le=1e9)]
 class BeamTable(ProfileTable):
     """Relative intensity against the angle to the flash's axis."""
 
-    relative_intensity: tuple[NotNegative, ...]
+    relative_intensity: tuple[NonNegative, ...]
 
     def profile(self) -> AngularProfile:
         """The beam; it ends at the last angle."""

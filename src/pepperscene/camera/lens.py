@@ -76,7 +76,7 @@ class Distortion:
             raise ValueError("distortion coefficients must be finite")
 
     @property
-    def is_none(self) -> bool:
+    def is_zero(self) -> bool:
         """Whether all coefficients are zero."""
         return not any(astuple(self))
 
@@ -96,7 +96,7 @@ class Distortion:
     def distort(self, slopes: ArrayLike) -> NDArray[np.float64]:
         """Distorted slopes `(..., 2)` of ideal ones `(..., 2)`."""
         ideal = np.asarray(slopes, dtype=float)
-        if self.is_none:
+        if self.is_zero:
             return ideal.copy()
         x, y = np.moveaxis(ideal, -1, 0)
         r2 = x * x + y * y
@@ -115,7 +115,7 @@ class Distortion:
         """
         target = np.asarray(slopes, dtype=float)
         ideal = target.copy()
-        if self.is_none:
+        if self.is_zero:
             return ideal
         with np.errstate(all="ignore"):  # a diverging point becomes nan or inf and is reported below
             for _ in range(_NEWTON_STEPS):

@@ -24,7 +24,7 @@ Tone = Literal["srgb", "linear"]
 GAIN_RANGE: Final = (0.01, 100.0)
 """Allowed white balance gains. Chosen: cameras need 1 to 4, and single precision is exact enough here."""
 
-LARGEST_ENTRY: Final = 100.0
+LARGEST_MATRIX_ENTRY: Final = 100.0
 """Largest absolute entry of a given colour matrix. Chosen as `GAIN_RANGE`; fitted matrices stay below 20."""
 
 _FEW_ELECTRONS: Final = 32.0  # chosen: below, single electrons and the lack of negative counts could show
@@ -96,8 +96,8 @@ def _colour_matrix(value: object) -> bool | Matrix:
     if isinstance(value, bool | np.bool_):
         return bool(value)
     matrix = np.asarray(value, dtype=float)
-    if matrix.shape != (3, 3) or not (np.abs(matrix) <= LARGEST_ENTRY).all():
-        allowed = f"three rows of three numbers of {-LARGEST_ENTRY:g} to {LARGEST_ENTRY:g}"
+    if matrix.shape != (3, 3) or not (np.abs(matrix) <= LARGEST_MATRIX_ENTRY).all():
+        allowed = f"three rows of three numbers of {-LARGEST_MATRIX_ENTRY:g} to {LARGEST_MATRIX_ENTRY:g}"
         raise ValueError(f"a colour matrix must be {allowed}")
     red, green, blue = ((float(row[0]), float(row[1]), float(row[2])) for row in matrix)
     return red, green, blue

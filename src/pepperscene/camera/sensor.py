@@ -16,9 +16,9 @@ from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum, photons_per_joule
 from pepperscene.spectra.files import (
     CurveTable,
-    NotNegative,
+    NonEmptyText,
+    NonNegative,
     SourcedDocument,
-    Text,
     find_material,
     read_curve,
 )
@@ -178,8 +178,8 @@ class Filter:
 class EfficiencyTable(Document):
     """Columns of a CSV file beside the TOML file: red, green and blue, or the only one."""
 
-    file: Text
-    columns: Annotated[list[Text], Field(min_length=1, max_length=3)]
+    file: NonEmptyText
+    columns: Annotated[list[NonEmptyText], Field(min_length=1, max_length=3)]
 
 
 class SensorDocument(SourcedDocument):
@@ -194,7 +194,7 @@ class SensorDocument(SourcedDocument):
     full_well_e: Annotated[float, Field(ge=1, le=1e9)]
     read_noise_e: Annotated[float, Field(ge=0, le=1e9)]
     bits: Annotated[int, Field(ge=1, le=_MAX_BITS)]
-    black_level_dn: NotNegative
+    black_level_dn: NonNegative
     quantum_efficiency: EfficiencyTable
     infrared_cut: CurveTable | None = None
 

@@ -52,10 +52,10 @@ def check(
     with check_progress() as on_frame:
         result = check_dataset(folder, workers, on_frame, frames)
     if json:
-        typer.echo(json_text.dumps(result.as_json(), indent=1))
+        typer.echo(json_text.dumps(result.to_json(), indent=1))
     else:
         _print_result(result, folder, rows)
-    if not result.good:
+    if not result.passed:
         raise typer.Exit(EXIT_FAULTS)
 
 
@@ -64,7 +64,7 @@ def _print_result(result: CheckResult, folder: Path, limit: int) -> None:
     frames = f"{result.frames:,} frame{'' if result.frames == 1 else 's'}"
     for note in result.notes:
         echo_progress(f"note: {note}")
-    if result.good:
+    if result.passed:
         typer.echo(f"{folder}: {frames}, no faults")
         return
     _print_table(list(_fault_rows(result, limit)))
@@ -79,7 +79,7 @@ def _fault_rows(result: CheckResult, limit: int) -> Iterator[tuple[str, str, str
         findings = list(group)
         for finding in findings[:limit]:
             frame = "" if finding.index is None else f"{finding.index:06d}"
-            yield kind, frame, finding.file, finding.what
+            yield kind, frame, finding.file, finding.problem
         if len(findings) > limit:
             yield kind, "", "", f"... and {len(findings) - limit:,} more"
 

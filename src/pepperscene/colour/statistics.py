@@ -147,7 +147,7 @@ class ColourStatistics:
     kappa: float
 
     @classmethod
-    def of(
+    def from_pixels(
         cls, linear: ArrayLike, codes: NDArray[np.uint8] | None = None, hues: ArrayLike | None = None
     ) -> Self:
         """Compute the statistics of pixels; their order changes nothing but rounding.

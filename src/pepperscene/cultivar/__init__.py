@@ -8,14 +8,14 @@ from pepperscene.cultivar.cultivar import Cultivar, interpolate_cultivars, load_
 from pepperscene.cultivar.distribution import Distribution, Origin
 from pepperscene.cultivar.inheritance import cultivar_files
 from pepperscene.cultivar.notation import Ratio
-from pepperscene.cultivar.organs import FORMS, USUAL, Fruit, OrganForm, OrganKind, OrganModel
+from pepperscene.cultivar.organs import DEFAULT_KINDS, FORMS, Fruit, OrganForm, OrganKind, OrganModel
 from pepperscene.cultivar.slot import Slot
 from pepperscene.cultivar.structure import CALYX, PigmentPath, Pigments, Stem
 
 __all__ = [
     "CALYX",
+    "DEFAULT_KINDS",
     "FORMS",
-    "USUAL",
     "Cultivar",
     "Distribution",
     "Fruit",

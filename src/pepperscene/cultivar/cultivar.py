@@ -13,7 +13,7 @@ from pydantic import model_validator
 from pepperscene.cultivar.distribution import Distribution, Origin
 from pepperscene.cultivar.inheritance import defining_file, merge_chain, read_chain
 from pepperscene.cultivar.notation import Choice
-from pepperscene.cultivar.organs import USUAL, AnyOrgan, OrganKind
+from pepperscene.cultivar.organs import DEFAULT_KINDS, AnyOrgan, OrganKind
 from pepperscene.cultivar.slot import Slot
 from pepperscene.cultivar.structure import CALYX, Key, PigmentPath, Pigments, Stem, check_structure
 from pepperscene.document import Document, toml_key, validate
@@ -50,11 +50,11 @@ class Cultivar(Document):
         """Every kind of organ that a plant can have, including the fruit's calyx."""
         kinds = {name: organ.kind for name, organ in self.organs.items()}
         if any(getattr(organ, "calyx", False) for organ in self.organs.values()):
-            kinds[CALYX] = USUAL["calyx"]
+            kinds[CALYX] = DEFAULT_KINDS["calyx"]
         return kinds
 
     @property
-    def grown(self) -> tuple[str, ...]:
+    def present_kinds(self) -> tuple[str, ...]:
         """Kinds with a probability above 0, in the file's order."""
         reached, queue = set(), [self.stem.internode, self.stem.node]
         while queue:
@@ -175,13 +175,13 @@ class _Interpolation:
             self.number(getattr(first, name), getattr(last, name)) for name in ("mean", "sd", "low", "high")
         )
         origin = self.fields(first, last, (), Origin.model_fields)
-        if first.law == last.law == "value":
-            return Distribution(law="value", mean=mean, sd=sd, low=low, high=high, **origin)
+        if first.family == last.family == "value":
+            return Distribution(family="value", mean=mean, sd=sd, low=low, high=high, **origin)
         if not (first.needs_position or last.needs_position):
             midpoints = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
             sd = float(self.number(first.quantiles(midpoints), last.quantiles(midpoints)).std())
         between = (self.fraction, first, last)
-        return Distribution(law="blend", mean=mean, sd=sd, low=low, high=high, between=between, **origin)
+        return Distribution(family="blend", mean=mean, sd=sd, low=low, high=high, between=between, **origin)
 
     def choice(self, first: Choice, last: Choice) -> Choice:
         """Every outcome of either, with interpolated probabilities."""

@@ -116,7 +116,7 @@ class Distribution(Origin):
         between: (fraction, first, last) of a blend, whose quantiles are interpolated linearly.
     """
 
-    law: Literal["value", "normal", "uniform", "histogram", "curve", "blend"]
+    family: Literal["value", "normal", "uniform", "histogram", "curve", "blend"]
     mean: float
     sd: float
     low: float
@@ -136,7 +136,7 @@ class Distribution(Origin):
     def needs_position(self) -> bool:
         """Whether values are undefined without a position: a curve, or a blend with one."""
         parts = () if self.between is None else self.between[1:]
-        return self.law == "curve" or any(part.needs_position for part in parts)
+        return self.family == "curve" or any(part.needs_position for part in parts)
 
     def draw(self, rng: np.random.Generator, size: int | tuple[int, ...] = ()) -> FloatArray:
         """Draw independent values in metres, radians or a plain number, an array of this shape."""
@@ -166,19 +166,19 @@ class Distribution(Origin):
             fraction, first, last = self.between
             values = first.quantiles(probability, position)
             return values + fraction * (last.quantiles(probability, position) - values)
-        if self.law == "histogram":
+        if self.family == "histogram":
             starts, lows, highs, weights = _cumulative_bins(self.bins)
             index = np.searchsorted(starts, probability, side="right") - 1
             within = np.minimum((probability - starts[index]) / weights[index], 1.0)
             return lows[index] + within * (highs[index] - lows[index])
-        if self.law == "curve":
+        if self.family == "curve":
             if position is None:
                 raise ValueError("a curve along the stem needs positions")
             positions, means = np.array(self.along).T
             standard = _truncated_normal(0.0, 1.0, -DEFAULT_BOUND_SD, DEFAULT_BOUND_SD)
             deviation = _truncated_normal_quantiles(probability, *standard)
             return np.interp(position, positions, means) + self.sd * deviation
-        if self.law == "normal" and self.sd > 0:
+        if self.family == "normal" and self.sd > 0:
             parent = _truncated_normal(self.mean, self.sd, self.low, self.high)
             return _truncated_normal_quantiles(probability, *parent)
         return self.low + probability * (self.high - self.low)

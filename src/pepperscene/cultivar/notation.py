@@ -103,7 +103,7 @@ def _parse_distribution(unit: Unit, raw: Any) -> Distribution:
         else:
             numbers[stem] = value
     distribution = _parse_numbers(numbers, _TO_SI[unit], suffix, **origin)
-    if "with_height" in origin and distribution.law in ("value", "curve"):
+    if "with_height" in origin and distribution.family in ("value", "curve"):
         raise ValueError("with_height needs a normal or uniform distribution or a histogram")
     return distribution
 
@@ -116,7 +116,7 @@ def _parse_numbers(numbers: dict[str, Any], factor: float, suffix: str, **origin
         if not low < high:
             raise ValueError(f"uniform{suffix} must be a smaller and a larger number")
         sd = (high - low) / math.sqrt(12.0)
-        return Distribution(law="uniform", mean=0.5 * (low + high), sd=sd, low=low, high=high, **origin)
+        return Distribution(family="uniform", mean=0.5 * (low + high), sd=sd, low=low, high=high, **origin)
     if keys == {"histogram"}:
         return _parse_histogram(numbers["histogram"], factor, f"histogram{suffix}", **origin)
     along = numbers.pop("along", None)
@@ -127,7 +127,7 @@ def _parse_numbers(numbers: dict[str, Any], factor: float, suffix: str, **origin
     }
     if keys == {"value"}:
         value = scaled["value"]
-        return Distribution(law="value", mean=value, sd=0.0, low=value, high=value, **origin)
+        return Distribution(family="value", mean=value, sd=0.0, low=value, high=value, **origin)
     if {"along"} <= keys <= {"along", "sd", "low", "high"}:
         return _parse_curve(along, scaled, factor, suffix, **origin)
     if {"mean", "sd"} <= keys <= {"mean", "sd", "low", "high"}:
@@ -155,7 +155,7 @@ def _parse_normal(numbers: dict[str, float], suffix: str, **origin: Any) -> Dist
     if not low < mean < high:
         raise ValueError(f"mean{suffix} must be between low{suffix} and high{suffix}")
     parent_normal(mean, sd, low, high)
-    return Distribution(law="normal", mean=mean, sd=sd, low=low, high=high, **origin)
+    return Distribution(family="normal", mean=mean, sd=sd, low=low, high=high, **origin)
 
 
 def _parse_curve(
@@ -176,7 +176,7 @@ def _parse_curve(
     if not low <= least <= most <= high:
         raise ValueError(f"along{suffix}: every mean must be between low{suffix} and high{suffix}")
     mean = math.fsum(0.5 * (b[1] + a[1]) * (b[0] - a[0]) for a, b in pairwise(along))
-    return Distribution(law="curve", mean=mean, sd=sd, low=low, high=high, along=along, **origin)
+    return Distribution(family="curve", mean=mean, sd=sd, low=low, high=high, along=along, **origin)
 
 
 def _parse_histogram(raw: Any, factor: float, key: str, **origin: Any) -> Distribution:
@@ -197,7 +197,7 @@ def _parse_histogram(raw: Any, factor: float, key: str, **origin: Any) -> Distri
     sd = math.sqrt(max(square - mean * mean, 0.0))
     filled = [row for row in scaled if row[2] > 0]
     low, high = filled[0][0], filled[-1][1]
-    return Distribution(law="histogram", mean=mean, sd=sd, low=low, high=high, bins=scaled, **origin)
+    return Distribution(family="histogram", mean=mean, sd=sd, low=low, high=high, bins=scaled, **origin)
 
 
 def _finite(raw: Any, key: str) -> float:

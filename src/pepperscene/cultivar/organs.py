@@ -34,7 +34,7 @@ class OrganKind:
     scan: Path | None = None  # file of a scanned mesh to use instead of a generated one, or None
 
 
-USUAL: Final[Mapping[OrganForm, OrganKind]] = MappingProxyType(
+DEFAULT_KINDS: Final[Mapping[OrganForm, OrganKind]] = MappingProxyType(
     {
         "internode": OrganKind("internode", OrganClass.STEM, "stem"),
         "node": OrganKind("node", OrganClass.STEM, "stem"),
@@ -57,7 +57,7 @@ ClassName = Literal["background", "leaf", "pepper", "peduncle", "stem", "shoot",
 
 
 def _default(value: float) -> Distribution:
-    return Distribution(law="value", mean=value, sd=0.0, low=value, high=value, chosen="neutral default")
+    return Distribution(family="value", mean=value, sd=0.0, low=value, high=value, chosen="neutral default")
 
 
 class OrganModel(Document):
@@ -78,7 +78,7 @@ class OrganModel(Document):
     @property
     def kind(self) -> OrganKind:
         """Form, class, surface and scan, with the form's defaults."""
-        default = USUAL[self.form]
+        default = DEFAULT_KINDS[self.form]
         label = default.organ_class if self.organ_class is None else OrganClass[self.organ_class.upper()]
         return OrganKind(self.form, label, self.surface or default.surface, getattr(self, "scan", None))
 

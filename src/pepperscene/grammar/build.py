@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.cultivar import CALYX, USUAL, Cultivar, OrganForm
+from pepperscene.cultivar import CALYX, DEFAULT_KINDS, Cultivar, OrganForm
 from pepperscene.grammar.draw import draw_parameters
 from pepperscene.grammar.frames import NodeFrames, StalkFrames, direction, orthogonal_units
 from pepperscene.grammar.hashing import FloatArray
@@ -45,7 +45,7 @@ def build_plant(parameters: PlantParameters) -> Plant:
     kinds = {name: parts.kind for name, parts in organs.items()}
     # Plants whose cultivar has fruit have the kind calyx, even without any fruit.
     if any(kind.form == "fruit" for kind in kinds.values()):
-        kinds[CALYX] = USUAL["calyx"]
+        kinds[CALYX] = DEFAULT_KINDS["calyx"]
     return Plant(parameters.cultivar, tuple(built[number] for number in sorted(built)), kinds)
 
 

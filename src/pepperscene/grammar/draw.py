@@ -207,7 +207,7 @@ def _draw_values(model: OrganModel, address: Addresses, positions: FloatArray) -
     # Most parameters are constants: skip the quantile function for speed.
     return {
         name: np.full(address.size, distribution.mean)
-        if distribution.law == "value"
+        if distribution.family == "value"
         else distribution.quantiles(uniform[name], positions)
         for name, distribution in distributions.items()
     }

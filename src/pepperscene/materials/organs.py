@@ -50,7 +50,7 @@ def leaf_body(
     return upper, lower, np.minimum(transmittance, 1.0 - lower)
 
 
-def thin_surface(name: str, path: PigmentPath, wavelength_nm: FloatArray) -> Surface:
+def leaf_surface(name: str, path: PigmentPath, wavelength_nm: FloatArray) -> Surface:
     """Leaf or petal of these pigments, without a pattern."""
     states = refine_states(lambda nm, states: np.stack(leaf_body(path, nm, states), axis=1))
     upper, lower, transmittance = leaf_body(path, wavelength_nm, states)
@@ -73,7 +73,7 @@ def organ_surfaces(cultivar: Cultivar, wavelength_nm: ArrayLike) -> dict[str, Su
     """
     nm = np.atleast_1d(np.asarray(wavelength_nm, dtype=float))
     first_kind: dict[str, str] = {}
-    for kind in cultivar.grown:
+    for kind in cultivar.present_kinds:
         first_kind.setdefault(cultivar.kinds[kind].surface, kind)
     # In parallel, with one generator per surface: the leaf's veins take about as long as all others together.
     with ThreadPoolExecutor(2) as pool:
@@ -94,12 +94,12 @@ def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> 
     if form == "blade":
         veins = grow_veins(size_mm, rng)
         pattern, relief_mm = vein_pattern(veins, rng), vein_relief(veins, rng)
-        return replace(thin_surface(name, path, nm), pattern=pattern, relief_mm=relief_mm)
+        return replace(leaf_surface(name, path, nm), pattern=pattern, relief_mm=relief_mm)
     if form == "flower":
         # A petal is a leaf with a petal's pigments and no veins: faint streaks, a millimetre wide, along it;
         # amplitude chosen by eye.
         streaks = 0.05 * noise_mm(rng, (64, 64), size_mm, (0.5, 6.0))
-        return replace(thin_surface(name, path, nm), pattern=streaks.astype(np.float32))
+        return replace(leaf_surface(name, path, nm), pattern=streaks.astype(np.float32))
     if form == "fruit":
         return fruit_surface(name, path, nm, size_mm, rng)
     return green_surface(name, form, path, nm, size_mm, rng)

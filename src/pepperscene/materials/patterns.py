@@ -72,12 +72,12 @@ def cell_walls(rng: np.random.Generator, points: FloatArray, spacing: float) -> 
 
 
 PIXELS: Final = 512
-PAIRS: Final = 7
-BASE_COT: Final = 1.0 / np.tan(np.radians(60.0))  # of the angles of secondary veins to the midrib
-TIP_COT: Final = 1.0 / np.tan(np.radians(45.0))
-ASPECT: Final = 112.0 / 135.0
+VEIN_PAIRS: Final = 7
+VEIN_COT_BASE: Final = 1.0 / np.tan(np.radians(60.0))  # of the angles of secondary veins to the midrib
+VEIN_COT_TIP: Final = 1.0 / np.tan(np.radians(45.0))
+VEIN_ASPECT: Final = 112.0 / 135.0
 """Width over length of the blade that the vein layout is defined for; other blades stretch it, as uv is."""
-ARC: Final = 0.7
+VEIN_ARC: Final = 0.7
 """Bend of a secondary vein towards the tip, at the margin of the widest part, as a slope."""
 
 
@@ -114,11 +114,13 @@ def grow_veins(size_mm: tuple[float, float], rng: np.random.Generator, pixels: i
     # Solve for the origin of the vein through each point, as a fraction of the length of the layout's blade.
     midrib_mm = np.abs(x)
     reach = 2.0 * midrib_mm / width
-    half, turn = 0.5 * ASPECT * reach, TIP_COT - BASE_COT
+    half, turn = 0.5 * VEIN_ASPECT * reach, VEIN_COT_TIP - VEIN_COT_BASE
     stretch = 1.0 + turn * half
-    origin = (y / length - BASE_COT * half - ARC * ASPECT / 6.0 * reach**3) / stretch
+    origin = (y / length - VEIN_COT_BASE * half - VEIN_ARC * VEIN_ASPECT / 6.0 * reach**3) / stretch
     # |grad| of `origin`, times `stretch`, per millimetre of this blade.
-    slope = np.hypot(1.0 / length, (BASE_COT + turn * origin + ARC * reach**2) * ASPECT / width)
+    slope = np.hypot(
+        1.0 / length, (VEIN_COT_BASE + turn * origin + VEIN_ARC * reach**2) * VEIN_ASPECT / width
+    )
 
     # Each side has its own veins: they are opposite only by chance.
     secondary_mm = np.full(x.shape, np.inf)
@@ -136,7 +138,9 @@ def grow_veins(size_mm: tuple[float, float], rng: np.random.Generator, pixels: i
 
 def _draw_origins(rng: np.random.Generator) -> FloatArray:
     """Origins of one side's secondary veins, as fractions of the midrib; closer to each other at the base."""
-    even = (np.arange(PAIRS) + rng.uniform(-0.12, 0.12, PAIRS) + rng.uniform(0.15, 0.5)) / PAIRS
+    even = (
+        np.arange(VEIN_PAIRS) + rng.uniform(-0.12, 0.12, VEIN_PAIRS) + rng.uniform(0.15, 0.5)
+    ) / VEIN_PAIRS
     return 0.02 + 0.85 * even**1.15
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import platform
 from collections.abc import Iterable, Mapping
-from importlib import metadata
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, develop, expected_electrons, raw_frame
 from pepperscene.errors import InputError
-from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, PARTNERED, Frame, check_outputs
+from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, STEREO_OUTPUTS, Frame, check_outputs
 from pepperscene.render.aov import labels
 from pepperscene.render.kernel.arrays import LocalCoordinates, local_coordinates
 from pepperscene.render.kernel.camera import camera_rays, spectral_response
@@ -94,7 +94,7 @@ class Renderer:
         described: dict[str, Any] = {}
 
         # Light first: its kernel scene then serves the ground truth as well.
-        if any(OUTPUTS[name].traced and name not in PARTNERED for name in requested):
+        if any(OUTPUTS[name].traced and name not in STEREO_OUTPUTS for name in requested):
             noise, sampling = np.random.SeedSequence(seed).spawn(2)
             signal, described["sampling"] = self._trace(camera, quality, sampling)
             images |= _photographs(requested, signal, camera, noise)
@@ -104,7 +104,7 @@ class Renderer:
             partner = others["stereo"]
             signal, described["sampling_stereo"] = self._trace(partner, quality, sampling)
             images["colour_stereo"] = _photographs(("colour",), signal, partner, noise)["colour"]
-        if set(requested) & PARTNERED:
+        if set(requested) & STEREO_OUTPUTS:
             described["stereo_pose"] = others["stereo"].pose.tolist()
 
         # Ground truth, from one ray through each pixel.
@@ -124,9 +124,9 @@ class Renderer:
                 images[name] = optical_flow(*mitsuba_scene, hits, camera, others.get(name))
             if "harvest" in requested:
                 images["harvest"] = self._harvest.truth(camera, rays, hits, instance)
-        facts = {"camera": camera.metadata(), "seed": seed, "variant": variant_name()}
-        facts |= {"versions": _library_versions(), **described, "instances": instances}
-        return Frame({name: images[name] for name in requested}, facts)
+        metadata = {"camera": camera.metadata(), "seed": seed, "variant": variant_name()}
+        metadata |= {"versions": _library_versions(), **described, "instances": instances}
+        return Frame({name: images[name] for name in requested}, metadata)
 
     def _trace(self, camera: Camera, quality: Quality, sampling: np.random.SeedSequence) -> TracedSignal:
         """Trace light with the integrator of the quality."""
@@ -205,7 +205,7 @@ def _check_others(requested: tuple[str, ...], others: Mapping[str, Camera]) -> M
     for name in others:
         if name not in ("flow", "stereo"):
             raise InputError("others", "unknown camera; allowed are flow, stereo", key=name)
-    partnered = [name for name in requested if name in PARTNERED]
+    partnered = [name for name in requested if name in STEREO_OUTPUTS]
     if partnered and "stereo" not in others:
         raise InputError("others", f"the output {partnered[0]} needs this camera", key="stereo")
     return others
@@ -230,7 +230,7 @@ def _library_versions() -> dict[str, str]:
     """Versions of all libraries that the numbers of a frame depend on."""
     mi, dr = mitsuba_modules()
     versions = {"pepperscene": __version__, "python": platform.python_version(), "mitsuba": mi.__version__}
-    versions |= {name: metadata.version(name) for name in ("drjit", "numpy", "pyoidn")}
+    versions |= {name: version(name) for name in ("drjit", "numpy", "pyoidn")}
     if mi.variant().startswith("llvm"):
         versions["llvm"] = ".".join(str(part) for part in dr.detail.llvm_version())
     return versions

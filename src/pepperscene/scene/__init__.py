@@ -4,7 +4,13 @@ from pepperscene.scene.cover import Cover, load_cover
 from pepperscene.scene.culling import LightReach, cull_mesh, light_reach
 from pepperscene.scene.far_rows import coarsen_plant, far_rows
 from pepperscene.scene.frustum import ViewFrustums, view_frustums
-from pepperscene.scene.greenhouse import Greenhouse, Posture, draw_posture, greenhouse_mesh, jittered_places
+from pepperscene.scene.greenhouse import (
+    Greenhouse,
+    Posture,
+    draw_posture,
+    greenhouse_mesh,
+    jittered_positions,
+)
 from pepperscene.scene.placement import Scene, Skeleton, assemble_scene, build_skeleton
 from pepperscene.scene.row import DoubleRow, Twine, add_twine, double_row, place_plants, rotation_about_z
 from pepperscene.scene.sky import Sky, Sun, partly_cloudy_sky, uniform_sky
@@ -30,7 +36,7 @@ __all__ = [
     "draw_posture",
     "far_rows",
     "greenhouse_mesh",
-    "jittered_places",
+    "jittered_positions",
     "light_reach",
     "load_cover",
     "partly_cloudy_sky",

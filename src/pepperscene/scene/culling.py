@@ -146,7 +146,9 @@ def negligible(
     removed = np.zeros(len(visible), dtype=bool)
     hidden, shown = np.flatnonzero(~visible), np.flatnonzero(visible)
     centres, radii = chunks.centres[hidden], chunks.radii[hidden]
-    from_flash = np.maximum(distances_to_balls(centres, frustums.places) - radii - light.flash_extent_m, 1e-3)
+    from_flash = np.maximum(
+        distances_to_balls(centres, frustums.positions) - radii - light.flash_extent_m, 1e-3
+    )
     incident = light.sky + light.sun + light.stray * (light.distance_m / from_flash) ** 2
 
     def change(rows: NDArray[np.intp], others: NDArray[np.intp]) -> NDArray[np.float32]:

@@ -14,7 +14,7 @@ from pepperscene.scene.greenhouse import Greenhouse, RowLine, as_single_instance
 from pepperscene.scene.lod import cluster_vertices
 from pepperscene.scene.row import DoubleRow, rotation_about_z
 
-MODELS: Final = 6
+FAR_ROW_PLANTS: Final = 6
 """Number of different plants in far rows. Chosen: a row of twenty plants shows no pattern."""
 
 _MAX_TURN: Final = np.radians(30.0)  # chosen: small enough that a leaning row keeps its line
@@ -96,7 +96,7 @@ def _row_mesh(
     facing = 0.0 if line.aisle < 0 else np.pi
     turns = rng.uniform(-_MAX_TURN, _MAX_TURN, x.size)
     rotations = np.stack([rotation_about_z(facing + turn) for turn in turns])
-    bases = np.column_stack([x, np.full((x.size, 2), (line.y_m, greenhouse.foot_m))])
+    bases = np.column_stack([x, np.full((x.size, 2), (line.y_m, greenhouse.stem_base_m))])
     parts = [
         _repeated_plant(models[number], rotations[choice == number], bases[choice == number])
         for number in np.unique(choice)

@@ -31,15 +31,15 @@ class ViewFrustums:
 
     normals: NDArray[np.float32]
     offsets: NDArray[np.float32]
-    places: NDArray[np.float32]
+    positions: NDArray[np.float32]
 
     def intersects(
         self, centres: NDArray[np.float32], half_extents: NDArray[np.float32]
     ) -> NDArray[np.bool_]:
         """`(n,)` whether axis-aligned boxes, `(n, 3)` and `(n, 3)`, may reach into any view."""
         visible = np.zeros(len(centres), dtype=bool)
-        first = np.arange(0, len(self.places), _POSE_STRIDE)
-        for poses in (first, np.setdiff1d(np.arange(len(self.places)), first)):
+        first = np.arange(0, len(self.positions), _POSE_STRIDE)
+        for poses in (first, np.setdiff1d(np.arange(len(self.positions)), first)):
             rest, block = np.flatnonzero(~visible), max(_PRODUCT_SIZE // (3 * max(len(poses), 1)), 1)
             for start in range(0, len(rest), block):
                 boxes = rest[start : start + block]

@@ -134,21 +134,21 @@ class Greenhouse:
     pipes: bool = False
 
     @property
-    def foot_m(self) -> float:
+    def stem_base_m(self) -> float:
         """Height of the stem bases above the floor: the upper side of the blocks that the plants root in."""
         if self.gutter_width_m == 0.0:
             return 0.0
         return self.gutter_height_m + _SHEET + _SLAB[1] + _BLOCK[2]
 
-    def away(self, height_m: float) -> float:
+    def lean_offset_m(self, height_m: float) -> float:
         """Distance that a row's middle is shifted towards its aisle at a height above the floor."""
-        return float(np.tan(self.row_lean_rad)) * max(0.0, height_m - self.foot_m)
+        return float(np.tan(self.row_lean_rad)) * max(0.0, height_m - self.stem_base_m)
 
-    def wire_above_foot(self) -> tuple[float, float] | None:
+    def wire_position(self) -> tuple[float, float] | None:
         """Position of the row's wire: y and z from the stem base of a plant with its aisle at -y, or None."""
         if self.crop_wire_m == 0.0:
             return None
-        return -self.away(self.crop_wire_m), self.crop_wire_m - self.foot_m
+        return -self.lean_offset_m(self.crop_wire_m), self.crop_wire_m - self.stem_base_m
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,7 @@ def _gutter_and_slab(y: float, greenhouse: Greenhouse, ends: tuple[float, float]
 
 def _blocks(positions: NDArray[np.float64], greenhouse: Greenhouse, spacing_m: float) -> Mesh:
     """The blocks that the plants root in: rockwool, open at the top and wrapped in foil."""
-    top, half = greenhouse.foot_m, _BLOCK[1] / 2.0
+    top, half = greenhouse.stem_base_m, _BLOCK[1] / 2.0
     half_length = min(_BLOCK[0], 0.9 * spacing_m) / 2.0
     parts: list[Mesh] = []
     for x, y in positions:
@@ -233,7 +233,7 @@ def _blocks(positions: NDArray[np.float64], greenhouse: Greenhouse, spacing_m: f
 def _crop_wire(line: RowLine, greenhouse: Greenhouse, ends: tuple[float, float]) -> Mesh:
     """The wire above a row, shifted towards the row's aisle as far as the row leans."""
     height = greenhouse.crop_wire_m
-    y = line.y_m + line.aisle * greenhouse.away(height)
+    y = line.y_m + line.aisle * greenhouse.lean_offset_m(height)
     wire = rod(y, height, _WIRE_RADIUS, ends, "steel")
     return as_single_instance(wire, "crop_wire", OrganClass.WIRE if line.labelled else OrganClass.BACKGROUND)
 
@@ -272,9 +272,11 @@ def draw_posture(greenhouse: Greenhouse, rng: np.random.Generator) -> Posture:
     )
 
 
-def jittered_places(row: DoubleRow, greenhouse: Greenhouse, rng: np.random.Generator) -> NDArray[np.float64]:
+def jittered_positions(
+    row: DoubleRow, greenhouse: Greenhouse, rng: np.random.Generator
+) -> NDArray[np.float64]:
     """`(n, 2)` x and y of the plants of a double row, each shifted randomly along the row."""
-    positions = row.places()
+    positions = row.positions()
     positions[:, 0] += greenhouse.spacing_sd_m * _clipped_normal(rng, len(positions))
     return positions
 

@@ -42,7 +42,7 @@ class DoubleRow:
     gap_m: float
     shift_m: float
 
-    def places(self) -> NDArray[np.float64]:
+    def positions(self) -> NDArray[np.float64]:
         """`(front + back, 2)` x and y of the plants in metres, front to back and left to right."""
         front_x = (np.arange(self.front) - self.front // 2) * self.spacing_m
         back_x = (np.arange(self.back) - self.back // 2) * self.spacing_m + self.shift_m
@@ -115,7 +115,7 @@ def double_row(
     Returns:
         One mesh; instances are numbered front to back, left to right, and carry their plant's number.
     """
-    positions = DoubleRow(len(front), len(back), spacing_m, gap_m, shift_m).places()
+    positions = DoubleRow(len(front), len(back), spacing_m, gap_m, shift_m).positions()
     return place_plants([*front, *back], np.pad(positions, ((0, 0), (0, 1))), np.zeros(len(positions)))
 
 

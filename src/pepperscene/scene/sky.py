@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.scene.cover import Cover, directions, row_geometry, tabulate_haze
-from pepperscene.spectra import Spectrum, illuminance, sky_spectrum, sun_spectrum, with_illuminance
+from pepperscene.spectra import Spectrum, illuminance, scale_to_illuminance, sky_spectrum, sun_spectrum
 
 SUN_ANGULAR_RADIUS: Final = 0.004654
 """Radians; the solar radius of 695,700 km at one astronomical unit (IAU 2015 resolution B3)."""
@@ -84,7 +84,7 @@ def _projected_solid_angles(rows: int, columns: int) -> NDArray[np.float64]:
 
 def uniform_sky(spectrum: Spectrum, illuminance_lx: float) -> Sky:
     """A sky with the same radiance in every direction of the sphere; any plane receives `illuminance_lx`."""
-    irradiance = with_illuminance(spectrum, illuminance_lx)
+    irradiance = scale_to_illuminance(spectrum, illuminance_lx)
     radiance = Spectrum(irradiance.wavelength_nm, irradiance.values[None] / np.pi)
     return Sky(np.ones((1, 2, 4), np.float32), radiance)
 
@@ -138,7 +138,7 @@ def partly_cloudy_sky(
 
     # Filter blue and clouds; from here every spectrum has 1 lux below the cover.
     lights = (sky_spectrum("d75"), sky_spectrum("d65"), sun_spectrum())
-    spectra = [with_illuminance(light, 1.0) for light in lights]
+    spectra = [scale_to_illuminance(light, 1.0) for light in lights]
     if cover is not None:
         spectra = [spectrum.times(cover.transmittance) for spectrum in spectra]
     transmitted = np.array([illuminance(spectrum) for spectrum in spectra])

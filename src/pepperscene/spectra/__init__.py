@@ -12,9 +12,9 @@ from pepperscene.spectra.lights import (
     illuminance,
     photons_per_joule,
     photopic_efficiency,
+    scale_to_illuminance,
     sky_spectrum,
     sun_spectrum,
-    with_illuminance,
 )
 from pepperscene.spectra.prospect import absorption_coefficients, layer_over_body, leaf_spectra
 from pepperscene.spectra.spectrum import Spectrum
@@ -32,8 +32,8 @@ __all__ = [
     "read_provenance",
     "read_spectra",
     "read_spectrum",
+    "scale_to_illuminance",
     "sky_spectrum",
     "spectra_file",
     "sun_spectrum",
-    "with_illuminance",
 ]

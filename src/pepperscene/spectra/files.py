@@ -145,18 +145,18 @@ def _cell_error(file: Path, row: int, column: str, value: object, allowed: str) 
 
 # Bounds of device and cover files, wider than anything that can be built; they catch wrong units and typing
 # errors.
-NotNegative = Annotated[float, Field(ge=0, le=1e6)]
+NonNegative = Annotated[float, Field(ge=0, le=1e6)]
 Millimetres = Annotated[float, Field(ge=-1e6, le=1e6)]
 Coefficient = Annotated[float, Field(ge=-100, le=100)]
-Text = Annotated[str, Field(min_length=1)]
+NonEmptyText = Annotated[str, Field(min_length=1)]
 
 
 class SourcedDocument(Document):
     """A file in which every number has its source."""
 
-    name: Text
-    licence: Text
-    sources: dict[str, Text]
+    name: NonEmptyText
+    licence: NonEmptyText
+    sources: dict[str, NonEmptyText]
 
     @model_validator(mode="after")
     def _check_sources(self) -> SourcedDocument:
@@ -171,8 +171,8 @@ class SourcedDocument(Document):
 class CurveTable(Document):
     """One column of a CSV file in the folder of the TOML file."""
 
-    file: Text
-    column: Text
+    file: NonEmptyText
+    column: NonEmptyText
 
 
 def find_material(folder: str, wanted: str | Path) -> Path:

@@ -55,7 +55,7 @@ def illuminance(irradiance: Spectrum) -> float:
     return LUMINOUS_EFFICACY * float(irradiance.integral(photopic_efficiency()))
 
 
-def with_illuminance(relative: Spectrum, lux: float) -> Spectrum:
+def scale_to_illuminance(relative: Spectrum, lux: float) -> Spectrum:
     """Scale a relative SPD to a spectral irradiance, W m-2 nm-1, of the illuminance `lux`.
 
     Raises:

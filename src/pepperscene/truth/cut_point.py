@@ -62,7 +62,7 @@ def fruit_stalk(
     parent: tuple[FloatArray, float, float] | None,
     *,
     instance: int = -1,
-    bearer_instance: int = -1,
+    parent_instance: int = -1,
     on_stalk: bool = False,
 ) -> FruitStalk:
     """Locate attachment and cut point of a fruit's stalk.
@@ -72,7 +72,7 @@ def fruit_stalk(
         radius_m: radius of the stalk above its collar.
         parent: centreline `(k, 3)` of the organ that it grows on, and the radii at both ends; None for none.
         instance: index of the stalk.
-        bearer_instance: index of that organ.
+        parent_instance: index of that organ.
         on_stalk: whether that organ is another fruit stalk.
     """
     arc = _arc_lengths(line)
@@ -89,7 +89,7 @@ def fruit_stalk(
     chord = _point_at(line, arc, behind) - _point_at(line, arc, before)
     tangent = np.asarray(chord / np.linalg.norm(chord))
     point = _point_at(line, arc, cut)
-    return FruitStalk(instance, bearer_instance, radius_m, curve, float(free_length), point, tangent)
+    return FruitStalk(instance, parent_instance, radius_m, curve, float(free_length), point, tangent)
 
 
 def _arc_lengths(line: FloatArray) -> FloatArray:

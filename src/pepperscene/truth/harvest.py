@@ -67,7 +67,7 @@ class AmodalMask:
     corner: tuple[int, int]
     mask: NDArray[np.bool_]
 
-    def of(self, image: NDArray[Any]) -> NDArray[Any]:
+    def crop(self, image: NDArray[Any]) -> NDArray[Any]:
         """The part of an image that the mask covers; a view."""
         (x, y), (height, width) = self.corner, self.mask.shape
         return image[y : y + height, x : x + width]
@@ -171,7 +171,7 @@ def _fruit_entry(fruit: FruitTruth, amodal: AmodalMask, view: LabelView, px: Flo
 
 def _visibility(fruit: FruitTruth, amodal: AmodalMask, view: LabelView) -> dict[str, Any]:
     """Visible and amodal boxes and pixels, and the occluders."""
-    labels = amodal.of(view.instance)
+    labels = amodal.crop(view.instance)
     visible = labels == fruit.index + 1
     amodal_box = mask_box(amodal.mask, amodal.corner)
     if amodal_box is None:

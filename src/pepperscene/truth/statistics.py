@@ -148,11 +148,11 @@ class ImageStatistics:
     """
 
     def __init__(self) -> None:
-        self.pictures = self.photographs = self.labelled = self.unlabelled = 0
-        self.pixels = np.zeros(_CLASSES, np.int64)
-        self.hue_pictures = np.zeros(_CLASSES, np.int64)
+        self.image_count = self.photograph_count = self.labelled_count = self.unlabelled_pixels = 0
+        self.class_pixels = np.zeros(_CLASSES, np.int64)
+        self.hue_image_counts = np.zeros(_CLASSES, np.int64)
         self.intensities: list[float] = []
-        self.saturated: list[float] = []
+        self.saturated_fractions: list[float] = []
         self._spectra = np.zeros((_CLASSES, HUE_BINS))
         self._grey_fractions = np.zeros(_CLASSES)
         self._grey_sum: NDArray[np.uint32] | None = None
@@ -177,16 +177,16 @@ class ImageStatistics:
             self._add_photograph(colour)
         if class_id is not None:
             self._add_labels(np.asarray(class_id))
-        self.pictures += 1
+        self.image_count += 1
 
-    def shares(self) -> NDArray[np.float64]:
+    def class_fractions(self) -> NDArray[np.float64]:
         """Fraction of each class in all pixels of the label images `(8,)`; nan if there are none.
 
         All pixels include unlabelled ones, so that the fractions of a set in which only one class is labelled
         can be compared with another's.
         """
-        total = int(self.pixels.sum()) + self.unlabelled
-        return self.pixels / total if total else np.full(_CLASSES, np.nan)
+        total = int(self.class_pixels.sum()) + self.unlabelled_pixels
+        return self.class_pixels / total if total else np.full(_CLASSES, np.nan)
 
     def hue_spectra(self) -> NDArray[np.float64]:
         """Percentage of a class's pixels at each hue `(8, 180)`, averaged over the images that show it.
@@ -194,12 +194,12 @@ class ImageStatistics:
         A row adds up to 100 less the class's grey pixels; nan if no image's centre shows the class.
         """
         with np.errstate(invalid="ignore"):
-            return 100.0 * self._spectra / self.hue_pictures[:, None]
+            return 100.0 * self._spectra / self.hue_image_counts[:, None]
 
-    def grey_shares(self) -> NDArray[np.float64]:
+    def grey_fractions(self) -> NDArray[np.float64]:
         """Fraction of a class's pixels that have no hue `(8,)`, averaged like the spectra."""
         with np.errstate(invalid="ignore"):
-            return self._grey_fractions / self.hue_pictures
+            return self._grey_fractions / self.hue_image_counts
 
     def mean_masks(self) -> NDArray[np.float64] | None:
         """Fraction of the labelled images in which a class is at a position `(8, h, w)`; None without labels.
@@ -209,11 +209,11 @@ class ImageStatistics:
         if self._mask_sums is None:
             return None
         self._flush()
-        return self._mask_sums / self.labelled
+        return self._mask_sums / self.labelled_count
 
     def mean_intensity(self) -> NDArray[np.float64] | None:
         """Mean grey value at each position `(h, w)`, 0 to 255; None without photographs."""
-        return None if self._grey_sum is None else self._grey_sum / self.photographs
+        return None if self._grey_sum is None else self._grey_sum / self.photograph_count
 
     def _add_hues(self, counts: NDArray[np.int64]) -> None:
         """Give every image that shows a class the same weight, however many of its pixels it shows."""
@@ -222,29 +222,29 @@ class ImageStatistics:
         fractions = counts[seen] / pixels[seen, None]
         self._spectra[seen] += fractions[:, :HUE_BINS]
         self._grey_fractions[seen] += fractions[:, HUE_BINS]
-        self.hue_pictures += seen
+        self.hue_image_counts += seen
 
     def _add_photograph(self, colour: NDArray[np.uint8]) -> None:
         grey = grey_values(colour)
         self.intensities.append(float(grey.mean(dtype=np.float64)))
-        self.saturated.append(saturated_fraction(colour))
+        self.saturated_fractions.append(saturated_fraction(colour))
         if self._grey_sum is None:
             self._grey_sum = np.zeros(grey.shape, np.uint32)
         self._grey_sum += _resize_nearest(grey, self._grey_sum.shape)
-        self.photographs += 1
+        self.photograph_count += 1
 
     def _add_labels(self, class_id: NDArray[np.unsignedinteger[Any]]) -> None:
         counts = np.bincount(class_id.ravel(), minlength=_CLASSES)
-        self.pixels += counts[:_CLASSES]
-        self.unlabelled += int(counts[_CLASSES:].sum())
+        self.class_pixels += counts[:_CLASSES]
+        self.unlabelled_pixels += int(counts[_CLASSES:].sum())
         if self._mask_sums is None or self._recent_masks is None:
             self._mask_sums = np.zeros((_CLASSES, *class_id.shape), np.uint32)
             self._recent_masks = np.zeros((_CLASSES, *class_id.shape), np.uint8)
         ids = _resize_nearest(class_id, self._recent_masks.shape[1:])
         for organ_class, counter in zip(OrganClass, self._recent_masks, strict=True):
             counter += (ids == organ_class).view(np.uint8)
-        self.labelled += 1
-        if self.labelled % _FLUSH_INTERVAL == 0:
+        self.labelled_count += 1
+        if self.labelled_count % _FLUSH_INTERVAL == 0:
             self._flush()
 
     def _flush(self) -> None:

@@ -82,7 +82,7 @@ def _kinds(sets: Sets) -> list[str]:
     seen = set[str]()
     for side in sets:
         seen |= side.kinds.keys()
-        seen |= {organ.name.lower() for organ in OrganClass if side.statistics.pixels[organ]}
+        seen |= {organ.name.lower() for organ in OrganClass if side.statistics.class_pixels[organ]}
     return sorted(
         (kind for kind in seen if "." not in kind or kind.partition(".")[0] in staged),
         key=lambda kind: (_ORDER.index(kind.partition(".")[0]), kind),
@@ -167,7 +167,7 @@ def _compare_places(kind: str, sets: Sets) -> tuple[Estimate, Estimate]:
         if not side.places.count:
             return (unknown_estimate(_why_unlabelled(side)),) * 2
         organ_class = OrganClass[kind.upper()]
-        if not side.statistics.pixels[organ_class]:
+        if not side.statistics.class_pixels[organ_class]:
             return (unknown_estimate(_why_absent(side)),) * 2
         masks.append(similarity.mean_masks(side.places.totals(), organ_class))
     resampled = min(side.places.count for side in sets) > 1
@@ -247,17 +247,17 @@ def _why_unlabelled(side: SetMeasures) -> str:
 
 def _why_absent(side: SetMeasures) -> str:
     """Why a class has no pixel: it was not labelled, or it does not occur."""
-    return f"not labelled in {side.name}" if side.statistics.unlabelled else f"not seen in {side.name}"
+    return f"not labelled in {side.name}" if side.statistics.unlabelled_pixels else f"not seen in {side.name}"
 
 
 def _why_unseen(kind: str, side: SetMeasures) -> str:
     """Why the colours of a kind are unknown."""
     if not side.has_images:
         return f"no patch of it in {side.name}"
-    if not side.statistics.photographs:
+    if not side.statistics.photograph_count:
         return f"no photographs in {side.name}"
-    if not side.statistics.labelled:
+    if not side.statistics.labelled_count:
         return f"no labels in {side.name}"
-    if "." not in kind and side.statistics.pixels[OrganClass[kind.upper()]]:
+    if "." not in kind and side.statistics.class_pixels[OrganClass[kind.upper()]]:
         return f"not in the centre of the pictures of {side.name}"
     return _why_absent(side)

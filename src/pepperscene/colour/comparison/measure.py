@@ -276,7 +276,7 @@ def measure_set(
         return _measure_patches(image_set, limit)
     sums = SetMeasures(image_set.name, len(image_set), has_images=True)
     indices = evenly_spaced(len(image_set), len(image_set) if limit is None else limit)
-    images = image_set.select("colour", "classes", "instances", "facts")
+    images = image_set.select("colour", "classes", "instances", "metadata")
     for picture in read_ahead(images, indices):
         stages = {}
         if picture.colour is not None:

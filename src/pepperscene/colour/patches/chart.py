@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import decode_tone
 from pepperscene.camera.colorimetry import (
-    CHART,
+    COLOUR_CHECKER_FILE,
     XYZ_TO_SRGB,
     adapted_xyz,
     colour_checker_reflectances,
@@ -111,7 +111,7 @@ def chart_linear() -> Floats:
 @lru_cache(maxsize=1)
 def chart_names() -> tuple[str, ...]:
     """Names of the 24 fields, row by row from dark skin."""
-    return tuple(read_spectra(CHART))
+    return tuple(read_spectra(COLOUR_CHECKER_FILE))
 
 
 def _check_corners(corners: ArrayLike, shape: tuple[int, ...], where: str | Path) -> Floats:

@@ -99,7 +99,7 @@ def _patches_of_images(
     chart: ChartPlace | Calibration | None,
 ) -> PatchSet:
     """One patch per picture and kind; one picture at a time is in memory."""
-    images = images.select("colour", "classes", "instances", "facts")
+    images = images.select("colour", "classes", "instances", "metadata")
     limit_px = max(1, min(Extraction.limit_px, _MAX_KIND_PX // max(1, len(images))))
     extraction = Extraction(clipped=clipped, erode_px=erode_px, limit_px=limit_px)
     patches: list[Patch] = []
@@ -159,12 +159,12 @@ def _ripeness_masks(images: ImageSet, picture: LabelledImage) -> Mapping[str, ND
     if (
         isinstance(images, FolderSet)
         and images.labels is KNOWN_LABELS["montoya2021"]
-        and "mask" in picture.facts
+        and "mask" in picture.metadata
     ):
-        values = read_mask(Path(picture.facts["mask"])).values
+        values = read_mask(Path(picture.metadata["mask"])).values
         return {} if values is None else {kind: np.isin(values, codes) for kind, codes in _MONTOYA.items()}
-    if picture.instances is not None and "harvest" in picture.facts:
-        fruit = picture.facts["harvest"]["fruit"]
+    if picture.instances is not None and "harvest" in picture.metadata:
+        fruit = picture.metadata["harvest"]["fruit"]
         ripe = [int(entry["instance"]) for entry in fruit if float(entry["ripeness"]) >= RIPE_FROM]
         unripe = [int(entry["instance"]) for entry in fruit if float(entry["ripeness"]) < RIPE_FROM]
         return {UNRIPE: np.isin(picture.instances, unripe), RIPE: np.isin(picture.instances, ripe)}

@@ -148,7 +148,7 @@ class PatchSet:
         counts: dict[str, list[NDArray[np.int64]]] = {}
         for patch in self.of_kind(kind):
             counts.setdefault(patch.picture, []).append(patch.hues)
-        return ColourStatistics.of(self.pixels(kind), hues=mean_hue_fractions(counts))
+        return ColourStatistics.from_pixels(self.pixels(kind), hues=mean_hue_fractions(counts))
 
     def select(self, pictures: Iterable[str]) -> Self:
         """The set with the patches of these pictures only; spectra stay."""

@@ -42,7 +42,7 @@ QUARTERS: Final = ("upper left", "upper right", "lower left", "lower right")
 
 
 @dataclass(frozen=True)
-class Match:
+class EdgeMatch:
     """Best alignment of label borders with colour edges."""
 
     right_px: int  # shift of the labels to the right of the colour edges
@@ -56,7 +56,7 @@ class Match:
         return self.height >= CHANCE and max(abs(self.right_px), abs(self.down_px)) <= MAX_SHIFT_PX
 
 
-def match(colour: NDArray[np.uint8], labels: NDArray[np.integer[Any]]) -> Match | None:
+def match_edges(colour: NDArray[np.uint8], labels: NDArray[np.integer[Any]]) -> EdgeMatch | None:
     """Find the shift at which labels fit a photograph best; None if there are too few borders to judge.
 
     If the whole image fits but a quarter of it does not, the result is that of the quarter: labels of another
@@ -108,13 +108,13 @@ def _correlate(steps: NDArray[np.complex64], borders: NDArray[np.complex64]) -> 
     return correlation
 
 
-def _find_peak(correlation: NDArray[np.float32], quarter: str) -> Match:
+def _find_peak(correlation: NDArray[np.float32], quarter: str) -> EdgeMatch:
     peak = np.unravel_index(int(correlation.argmax()), correlation.shape)
     down, right = (
         int(at) - size * (at > size // 2) for at, size in zip(peak, correlation.shape, strict=True)
     )
     # The peak is the shift from the labels to the colours.
-    return Match(-right, -down, _peak_height(correlation, (int(peak[0]), int(peak[1]))), quarter)
+    return EdgeMatch(-right, -down, _peak_height(correlation, (int(peak[0]), int(peak[1]))), quarter)
 
 
 def _border_length(borders: NDArray[np.complex64]) -> float:

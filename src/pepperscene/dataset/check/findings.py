@@ -49,7 +49,7 @@ class Finding:
     kind: str
     index: int | None
     file: str
-    what: str
+    problem: str
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -71,7 +71,7 @@ class CheckResult:
     notes: tuple[str, ...] = ()
 
     @property
-    def good(self) -> bool:
+    def passed(self) -> bool:
         """Whether there are no findings."""
         return not self.findings
 
@@ -80,14 +80,14 @@ class CheckResult:
         counter = Counter(finding.kind for finding in self.findings)
         return {kind: counter[kind] for kind in KINDS if counter[kind]}
 
-    def as_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """The result as an object for JSON."""
         return {
-            "good": self.good,
+            "good": self.passed,
             "frames": self.frames,
             "counts": self.counts(),
             "findings": [
-                {"kind": item.kind, "index": item.index, "file": item.file, "what": item.what}
+                {"kind": item.kind, "index": item.index, "file": item.file, "what": item.problem}
                 for item in self.findings
             ],
             "notes": list(self.notes),

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.check.edges import CHANCE, Match, match
+from pepperscene.dataset.check.edges import CHANCE, EdgeMatch, match_edges
 from pepperscene.dataset.check.findings import Finding, camera_integer, camera_pose, json_object
 from pepperscene.dataset.check.images import check_photo, check_values
 from pepperscene.dataset.check.labels import check_harvest, check_labels
@@ -229,12 +229,12 @@ def _check_content(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> It
     yield from check_harvest(images)
     labels = next((name for name in ("instance", "class") if name in images), None)
     if has_edges and labels is not None:
-        result = match(images["colour"], images[labels])
+        result = match_edges(images["colour"], images[labels])
         if result is not None and not result.fits:
             yield "edges", labels, _describe_shift(result)
 
 
-def _describe_shift(result: Match) -> str:
+def _describe_shift(result: EdgeMatch) -> str:
     if result.height < CHANCE:
         return "fits the photograph at no shift: mirrored, or of another frame"
     where = f"in its {result.quarter} quarter is" if result.quarter else "is"

@@ -160,7 +160,7 @@ class FolderSet(ImageSet):
         colour = read_photo(item.image) if "colour" in self.fields else None
         classes = self._classes(item) if "classes" in self.fields else None
         files = {"image": str(item.image), "mask": None if item.mask is None else str(item.mask)}
-        return LabelledImage(item.name, colour, classes, facts=files if "facts" in self.fields else {})
+        return LabelledImage(item.name, colour, classes, metadata=files if "metadata" in self.fields else {})
 
     def _classes(self, pair: ImagePair) -> NDArray[np.uint8] | None:
         if pair.mask is None:

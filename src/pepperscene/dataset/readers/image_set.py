@@ -14,7 +14,7 @@ VOID: Final = 255
 """Class id of unlabelled pixels, as in Cityscapes and PASCAL VOC; losses and metrics ignore it
 (`ignore_index=255`). It is not the background."""
 
-FIELDS: Final = ("colour", "classes", "instances", "distance_m", "facts")
+FIELDS: Final = ("colour", "classes", "instances", "distance_m", "metadata")
 """Fields of `LabelledImage` that a reader reads or skips."""
 
 
@@ -28,7 +28,7 @@ class LabelledImage:
         classes: `(h, w)` uint8, ids of `OrganClass`, or `VOID`.
         instances: `(h, w)` uint16, 0 where there is none.
         distance_m: `(h, w)` float32, metres along the ray from the projection centre, inf for none.
-        facts: further metadata: the JSON of a rendered frame, the files of an image in a folder.
+        metadata: further metadata: the JSON of a rendered frame, the files of an image in a folder.
     """
 
     name: str
@@ -36,7 +36,7 @@ class LabelledImage:
     classes: NDArray[np.uint8] | None
     instances: NDArray[np.uint16] | None = None
     distance_m: NDArray[np.float32] | None = None
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         sizes = self._sizes()

@@ -51,11 +51,11 @@ class RenderedSet(ImageSet):
         metadata = self.dataset.metadata(item)
         outputs = metadata.get("outputs", {})
         arrays = {field: self._array(item, field, outputs) for field in _SOURCES}
-        if "facts" not in self.fields:
+        if "metadata" not in self.fields:
             metadata = {}
         elif "harvest" in outputs:
             metadata["harvest"] = self.dataset.image(item, "harvest")
-        return LabelledImage(_name(item), facts=metadata, **arrays)
+        return LabelledImage(_name(item), metadata=metadata, **arrays)
 
     def _array(self, index: int, field: str, outputs: Mapping[str, Any]) -> NDArray[Any] | None:
         if field not in self.fields:

@@ -70,7 +70,7 @@ class PublishedSet(ImageSet):
             read_photo(self._file("colour", item)) if "colour" in self.fields else None,
             self._classes(item) if "classes" in self.fields else None,
             distance_m=distance_m,
-            facts={"half": self.half, "number": item} if "facts" in self.fields else {},
+            metadata={"half": self.half, "number": item} if "metadata" in self.fields else {},
         )
 
     def _classes(self, number: int) -> NDArray[np.uint8] | None:

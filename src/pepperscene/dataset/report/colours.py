@@ -30,7 +30,7 @@ _CHANNELS: Final = [np.interp(_POSITIONS, range(len(VIRIDIS)), channel) for chan
 _VIRIDIS_TABLE: Final = np.stack(_CHANNELS, axis=-1).round().astype(np.uint8)
 
 
-def share_colours(fraction: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+def viridis_colours(fraction: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
     """Values in [0, 1] `(h, w)` as viridis' colours `(h, w, 3)`, from dark violet to yellow."""
     position = np.rint(np.clip(fraction, 0.0, 1.0) * (len(_VIRIDIS_TABLE) - 1)).astype(np.intp)
     return np.take(_VIRIDIS_TABLE, position, axis=0)
@@ -40,7 +40,7 @@ def distance_colours(distance_m: NDArray[np.floating[Any]], near_m: float, far_m
     """Distances `(h, w)` as colours `(h, w, 3)`: near is yellow, far dark violet, background nearly black."""
     finite = np.isfinite(distance_m)
     distance = np.where(finite, distance_m, far_m)
-    rgb = share_colours((far_m - distance) / max(far_m - near_m, 1e-9))
+    rgb = viridis_colours((far_m - distance) / max(far_m - near_m, 1e-9))
     rgb[~finite] = _BACKGROUND
     return rgb
 
@@ -86,7 +86,7 @@ def jpeg_data_uri(rgb: NDArray[np.uint8]) -> str:
     return _data_uri("jpeg", buffer.getvalue())
 
 
-def drawing(rgb: NDArray[np.uint8], max_size_px: int = _MAX_SIZE_PX) -> str:
+def png_data_uri(rgb: NDArray[np.uint8], max_size_px: int = _MAX_SIZE_PX) -> str:
     """Labels or a map in colours `(h, w, 3)` uint8 as the data URI of a PNG with the same colours."""
     from PIL import Image
 

@@ -42,7 +42,7 @@ def image_statistics(images: ImageSet, sample: int, on_progress: OnProgress | No
     for image in read_ahead(images.select("colour", "classes"), positions):
         statistics.add(image.colour, image.classes)
         if on_progress is not None:
-            on_progress(statistics.pictures, len(positions))
+            on_progress(statistics.image_count, len(positions))
     return statistics
 
 
@@ -148,10 +148,10 @@ class SetSummary:
         """
         labelled = np.empty((0, 8)) if self.records is None else self.records.labelled()
         if len(labelled) == 0:
-            return self.statistics.shares(), self.statistics.labelled
+            return self.statistics.class_fractions(), self.statistics.labelled_count
         return labelled.sum(axis=0) / max(1.0, float(labelled.sum())), len(labelled)
 
     def unlabelled_fraction(self) -> float:
         """Fraction of the pixels of the label images that have no label."""
-        void = self.statistics.unlabelled
-        return void / max(1, void + int(self.statistics.pixels.sum()))
+        void = self.statistics.unlabelled_pixels
+        return void / max(1, void + int(self.statistics.class_pixels.sum()))

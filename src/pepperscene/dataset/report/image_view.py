@@ -15,9 +15,9 @@ from pepperscene.dataset.readers.image_set import LabelledImage
 from pepperscene.dataset.report.colours import (
     class_colours,
     distance_colours,
-    drawing,
     instance_colours,
     jpeg_data_uri,
+    png_data_uri,
 )
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def image_view(image: LabelledImage, near_m: float, far_m: float) -> ImageView:
     if image.distance_m is not None:
         panels["distance"] = distance_colours(image.distance_m, near_m, far_m)
     height, width = image.size
-    return ImageView(image.name, image.facts, panels, class_pixels, height * width)
+    return ImageView(image.name, image.metadata, panels, class_pixels, height * width)
 
 
 def card_html(view: ImageView, set_key: str) -> str:
@@ -153,7 +153,7 @@ def _card_id(view: ImageView, set_key: str) -> str:
 
 def _panel_button(view: ImageView, key: str) -> str:
     panel = view.panels[key]
-    uri = jpeg_data_uri(panel) if key == "colour" else drawing(panel)
+    uri = jpeg_data_uri(panel) if key == "colour" else png_data_uri(panel)
     is_large = next(iter(view.panels)) == key and len(view.panels) != 2
     alt = f"{TITLES[key]} of {'frame ' if view.is_frame else ''}{view.name}"
     return image_button(key, uri, alt, (panel.shape[1], panel.shape[0]), "" if is_large else _LABELS[key])

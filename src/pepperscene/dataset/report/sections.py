@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.report.charts import Curve, line_chart, value_chart
-from pepperscene.dataset.report.colours import drawing, share_colours
+from pepperscene.dataset.report.colours import png_data_uri, viridis_colours
 from pepperscene.dataset.report.data import FrameRecords, SetSummary
 from pepperscene.dataset.report.image_view import class_colour_code, image_button
 from pepperscene.truth import HUE_BINS, centre_falloff, hue_spectrum_correlation, mean_hue
@@ -45,7 +45,9 @@ def class_fractions_html(sets: Sequence[SetSummary]) -> str:
         values = {item.key: float(fractions[item.key][0][organ]) for item in sets}
         # Zero is unknown if the set has unlabelled pixels.
         shown = [
-            float("nan") if values[item.key] == 0.0 and item.statistics.unlabelled else values[item.key]
+            float("nan")
+            if values[item.key] == 0.0 and item.statistics.unlabelled_pixels
+            else values[item.key]
             for item in sets
         ]
         rows.append(
@@ -53,7 +55,7 @@ def class_fractions_html(sets: Sequence[SetSummary]) -> str:
             f"{_cells(_percent(value) for value in shown)}"
             f'<td class="bars">{_bars(list(values.items()), scale)}</td></tr>'
         )
-    if any(item.statistics.unlabelled for item in sets):
+    if any(item.statistics.unlabelled_pixels for item in sets):
         cells = _cells(_percent(item.unlabelled_fraction()) for item in sets)
         rows.append(f'<tr><th scope="row">no label</th>{cells}<td class="bars"></td></tr>')
     counts = " and ".join(
@@ -178,9 +180,9 @@ def _class_map(item: SetSummary, organ_class: OrganClass, masks: NDArray[np.floa
     if masks is None or not masks[organ_class].any():
         return f'<div class="absent"><p>{set_label(item)}<br>has no such label</p></div>'
     maximum = float(masks[organ_class].max())
-    picture = share_colours(masks[organ_class] / maximum)
+    picture = viridis_colours(masks[organ_class] / maximum)
     alt = f"Locations of {organ_class.name.lower()} in {item.name}"
-    button = image_button("map", drawing(picture, _MAP_PX), alt, (picture.shape[1], picture.shape[0]))
+    button = image_button("map", png_data_uri(picture, _MAP_PX), alt, (picture.shape[1], picture.shape[0]))
     return f"<div>{button}<p>{set_label(item)} up to {_percent(maximum, 0)}</p></div>"
 
 
@@ -189,8 +191,8 @@ def _hue_table(
 ) -> str:
     rows = []
     for item, hue in zip(sets, map(mean_hue, spectra), strict=True):
-        grey = _percent(item.statistics.grey_shares()[organ_class], 1)
-        images = f"{item.statistics.hue_pictures[organ_class]:,}"
+        grey = _percent(item.statistics.grey_fractions()[organ_class], 1)
+        images = f"{item.statistics.hue_image_counts[organ_class]:,}"
         rows.append((set_label(item), ["–" if np.isnan(hue) else f"{hue:.0f}°", grey, images]))
     table = html_table("small", ("", "mean hue", "grey", "images"), rows)
     if len(spectra) == 2 and np.isfinite(correlation := hue_spectrum_correlation(*spectra)):
@@ -200,11 +202,11 @@ def _hue_table(
 
 def _mean_image(item: SetSummary, mean: NDArray[np.float64], factor: float) -> str:
     grey = np.rint(np.minimum(factor * mean, 255.0)).astype(np.uint8)
-    uri = drawing(np.repeat(grey[..., None], 3, axis=-1))
+    uri = png_data_uri(np.repeat(grey[..., None], 3, axis=-1))
     button = image_button("mean", uri, f"Mean intensity of {item.name}", (grey.shape[1], grey.shape[0]))
     brightness = f", shown {factor:g} times as bright" if factor > 1.0 else ""
     text = (
-        f"Mean of {plural(item.statistics.photographs, 'photograph')}: "
+        f"Mean of {plural(item.statistics.photograph_count, 'photograph')}: "
         f"<b>{float(np.mean(item.statistics.intensities)):.1f}</b> of 255{brightness}."
     )
     return _panel(set_label(item), f"{button}<p>{text}</p>")
@@ -224,7 +226,7 @@ def _intensity_table(sets: Sequence[SetSummary]) -> str:
     for item in sets:
         values = np.array(item.statistics.intensities)
         statistics = (values.mean(), values.std(), values.min(), values.max())
-        saturated = _percent(float(np.mean(item.statistics.saturated)))
+        saturated = _percent(float(np.mean(item.statistics.saturated_fractions)))
         cells = [f"{values.size:,}", *(f"{value:.1f}" for value in statistics), saturated]
         rows.append((set_label(item), cells))
     return html_table("intensities", heads, rows)

@@ -119,7 +119,7 @@ def write_report(
     except OSError as error:
         raise OutputError(f"{folder}: the report cannot be written ({error.strerror or error})") from None
     first = sets[0]
-    return ReportFiles(page, sheet, len(first.cards), first.statistics.pictures, first.frames)
+    return ReportFiles(page, sheet, len(first.cards), first.statistics.image_count, first.frames)
 
 
 def _summarize(
@@ -158,7 +158,7 @@ def _page(
     ]
     measured = []
     for item in sets:
-        count = item.statistics.pictures
+        count = item.statistics.image_count
         number = f"all {count:,}" if count == item.frames else f"{count:,} evenly spaced of {item.frames:,}"
         measured.append(f"{number} images of {sections.set_label(item)}")
     ramp = ""

@@ -166,7 +166,7 @@ class PlantFactory:
         """`(3,)` point on the wire, if there is one, above the stem's tip, in the plant's coordinates."""
         from pepperscene.scene import rotation_about_z
 
-        wire = self.greenhouse.wire_above_foot()
+        wire = self.greenhouse.wire_position()
         if wire is None:
             return None
         rotation = rotation_about_z(posture.turn_rad)

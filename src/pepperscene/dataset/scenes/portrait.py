@@ -162,8 +162,8 @@ def _looking_at(camera: Camera, place: Point, target: Point) -> Camera:
 def _sky() -> Sky:
     """A uniform white sky on all sides, and the sun."""
     from pepperscene.scene import Sun, uniform_sky
-    from pepperscene.spectra import sky_spectrum, sun_spectrum, with_illuminance
+    from pepperscene.spectra import scale_to_illuminance, sky_spectrum, sun_spectrum
 
     direction = np.array(_SUN) / np.linalg.norm(_SUN)
-    sun = Sun(direction, with_illuminance(sun_spectrum(), _SUN_FRACTION * _SKY_LX))
+    sun = Sun(direction, scale_to_illuminance(sun_spectrum(), _SUN_FRACTION * _SKY_LX))
     return dataclasses.replace(uniform_sky(sky_spectrum("d65"), (1.0 - _SUN_FRACTION) * _SKY_LX), sun=sun)

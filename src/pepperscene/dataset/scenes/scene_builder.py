@@ -60,14 +60,14 @@ class SceneBuilder:
     def scene(self, which: int, rotation: int) -> BuiltScene:
         """Build the scene of a set at a rotation."""
         from pepperscene.geometry import concatenate_meshes, resolve_contacts
-        from pepperscene.scene import Skeleton, far_rows, greenhouse_mesh, jittered_places, place_plants
+        from pepperscene.scene import Skeleton, far_rows, greenhouse_mesh, jittered_positions, place_plants
 
         plants, row, greenhouse, seed = self.plants(which), self.row, self.greenhouse, self.recipe.seed
         ordered = rotate_row(plants[: row.front], rotation) + rotate_row(plants[row.front :], rotation)
 
         # Places belong to the greenhouse, postures to the plants that move on.
-        places = jittered_places(row, greenhouse, random_generator(seed, Stream.PLACE, which, 0))
-        feet = np.column_stack([places, np.full(len(places), greenhouse.foot_m)])
+        places = jittered_positions(row, greenhouse, random_generator(seed, Stream.PLACE, which, 0))
+        feet = np.column_stack([places, np.full(len(places), greenhouse.stem_base_m)])
         turns = np.array([plant.posture.turn_rad for plant in ordered])
         across = np.array([plant.posture.across_m for plant in ordered])
         if self.recipe.greenhouse is not None:
@@ -145,10 +145,10 @@ class SceneBuilder:
         from pepperscene.geometry import mesh_plant
         from pepperscene.grammar import grow
         from pepperscene.scene import coarsen_plant
-        from pepperscene.scene.far_rows import MODELS
+        from pepperscene.scene.far_rows import FAR_ROW_PLANTS
 
         models = []
-        for number in range(MODELS):
+        for number in range(FAR_ROW_PLANTS):
             rng = random_generator(self.recipe.seed, Stream.FAR, 0, number)
             plant = grow(self.cultivar, rng, lean=self.greenhouse.row_lean_rad)
             models.append(coarsen_plant(mesh_plant(plant, FAR_DETAIL)))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.errors import InputError
-from pepperscene.frame import PARTNERED
+from pepperscene.frame import STEREO_OUTPUTS
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
@@ -48,7 +48,7 @@ class Viewpoints:
         cameras = {}
         if "flow" in names and step + 1 < len(self._poses):
             cameras["flow"] = self.camera(step + 1)
-        if names & PARTNERED:
+        if names & STEREO_OUTPUTS:
             cameras["stereo"] = self._partner.at_pose(self._partner_poses[step])
         return cameras
 
@@ -64,7 +64,7 @@ class Viewpoints:
         return ViewFrustums(
             np.concatenate([path.normals, partners.normals]),
             np.concatenate([path.offsets, partners.offsets]),
-            np.concatenate([path.places, partners.places]),
+            np.concatenate([path.positions, partners.positions]),
         )
 
     @cached_property
@@ -98,13 +98,13 @@ class Viewpoints:
             float(np.radians(path.pitch_deg)),
         )
         # Keep the distance from the row, wherever the row leans at the camera's height.
-        poses[:, 1, 3] -= [self._greenhouse.away(float(height)) for height in poses[:, 2, 3]]
+        poses[:, 1, 3] -= [self._greenhouse.lean_offset_m(float(height)) for height in poses[:, 2, 3]]
         return poses
 
 
 def check_partner(recipe: Recipe, outputs: Iterable[str]) -> None:
     """Raise `InputError` if a recipe has no stereo partner, and outputs need it."""
-    partnered = sorted(PARTNERED.intersection(outputs))
+    partnered = sorted(STEREO_OUTPUTS.intersection(outputs))
     if partnered and recipe.camera.baseline_mm is None:
         problem = f"is required for the output {partnered[0]}"
         raise InputError(recipe.name, problem, key="camera.baseline_mm")

@@ -15,40 +15,40 @@ import numpy as np
 
 from pepperscene.geometry.batch import subdivisions
 from pepperscene.geometry.mesh import FloatArray, IndexArray
-from pepperscene.materials.patterns import ARC, ASPECT, BASE_COT, PAIRS, TIP_COT
+from pepperscene.materials.patterns import VEIN_ARC, VEIN_ASPECT, VEIN_COT_BASE, VEIN_COT_TIP, VEIN_PAIRS
 
-_COT_CHANGE: Final = TIP_COT - BASE_COT
+_COT_CHANGE: Final = VEIN_COT_TIP - VEIN_COT_BASE
 _MEAN_OFFSET: Final = 0.325  # of the numbers that the material adds to a vein's, uniform in 0.15 to 0.5
 
 
 def vein_origin(number: FloatArray) -> FloatArray:
     """Place where secondary vein `number` (0 the lowest, or a fraction) leaves the midrib."""
-    return 0.02 + 0.85 * (np.maximum(number + _MEAN_OFFSET, 0.0) / PAIRS) ** 1.15
+    return 0.02 + 0.85 * (np.maximum(number + _MEAN_OFFSET, 0.0) / VEIN_PAIRS) ** 1.15
 
 
 def vein_number(origin: float) -> float:
     """Number of the vein with that origin, the inverse of `vein_origin`."""
-    return float(PAIRS * ((origin - 0.02) / 0.85) ** (1.0 / 1.15) - _MEAN_OFFSET)
+    return float(VEIN_PAIRS * ((origin - 0.02) / 0.85) ** (1.0 / 1.15) - _MEAN_OFFSET)
 
 
 def vein_rise(origin: FloatArray, out: FloatArray) -> FloatArray:
     """Distance along the blade that a vein has risen from its origin at `out` from the midrib."""
-    half = 0.5 * ASPECT * out
-    return (BASE_COT + _COT_CHANGE * origin) * half + ARC * ASPECT / 6.0 * out**3
+    half = 0.5 * VEIN_ASPECT * out
+    return (VEIN_COT_BASE + _COT_CHANGE * origin) * half + VEIN_ARC * VEIN_ASPECT / 6.0 * out**3
 
 
 def origin_of_vein_at(along: FloatArray, out: FloatArray) -> FloatArray:
     """Origin of the vein through a place, the inverse of `vein_rise`; may be below the base."""
-    half = 0.5 * ASPECT * out
-    return (along - BASE_COT * half - ARC * ASPECT / 6.0 * out**3) / (1.0 + _COT_CHANGE * half)
+    half = 0.5 * VEIN_ASPECT * out
+    return (along - VEIN_COT_BASE * half - VEIN_ARC * VEIN_ASPECT / 6.0 * out**3) / (1.0 + _COT_CHANGE * half)
 
 
 def vein_density(out: FloatArray, origin: float) -> FloatArray:
     """Veins per half-width that a straight cut across the blade meets, at the vein with that origin."""
-    half = 0.5 * ASPECT
-    slope = (BASE_COT + _COT_CHANGE * origin) * half + 0.5 * ARC * ASPECT * out**2
+    half = 0.5 * VEIN_ASPECT
+    slope = (VEIN_COT_BASE + _COT_CHANGE * origin) * half + 0.5 * VEIN_ARC * VEIN_ASPECT * out**2
     # d number / d origin, from `vein_origin`.
-    crowding = PAIRS / (1.15 * 0.85) * ((origin - 0.02) / 0.85) ** (1.0 / 1.15 - 1.0)
+    crowding = VEIN_PAIRS / (1.15 * 0.85) * ((origin - 0.02) / 0.85) ** (1.0 / 1.15 - 1.0)
     return crowding * slope / (1.0 + _COT_CHANGE * half * out)
 
 
@@ -142,7 +142,7 @@ def blade_grid(detail: float, lobes: float) -> Grid:
 def _grid(fan: int, per_vein: int, side: int, pieces: int) -> Grid:
     """A grid of `2 * side + 1` columns; margins have about `pieces` pieces, at least one per row."""
     # Rows are closer together near the veins, where the blade is creased.
-    even = np.arange(per_vein * PAIRS + 1) / per_vein
+    even = np.arange(per_vein * VEIN_PAIRS + 1) / per_vein
     veined = even - 0.3 / (2.0 * np.pi) * np.sin(2.0 * np.pi * even)
     number = np.concatenate([np.arange(1, fan) / fan - 1.0, veined])
     # Columns are a little closer together at the midrib.

@@ -12,7 +12,7 @@ from pepperscene.geometry.blade.grid import vein_density
 from pepperscene.geometry.blade.outline import FlatBlades
 from pepperscene.geometry.mesh import FloatArray
 from pepperscene.grammar.plant import Organ
-from pepperscene.materials.patterns import PAIRS
+from pepperscene.materials.patterns import VEIN_PAIRS
 
 _DOME: Final = 0.8  # chosen: power of a half sine from vein to vein; bulges are round, creases narrow
 _RISE: Final = 0.1  # of the half-width: distance from the midrib within which bulges rise
@@ -80,7 +80,7 @@ def vein_bulges(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
     within = np.where(number < 0.0, 2.0 * number, number) % 1.0
     dome = np.sin(np.pi * within) ** _DOME
     # Panels differ in height and in the places where tertiary veins divide them.
-    panels = PAIRS + 3
+    panels = VEIN_PAIRS + 3
     draws = hash_uniform(flat.seed, 241, 4 * panels).reshape(-1, 2, panels, 2)[:, :, panel]
     scale = 0.7 + 0.6 * draws[..., 0]
     cells: FloatArray | float = 0.75  # factor of the bulges: 1 between tertiary veins, less on them

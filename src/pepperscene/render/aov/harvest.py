@@ -152,7 +152,7 @@ class SceneHarvest:
         for (index, (x, y, *_)), mask in zip(boxes.items(), masks, strict=True):
             amodal = AmodalMask((x, y), mask)
             # Rays with equal directions can disagree at an outline; visible pixels always count.
-            mask |= amodal.of(instance) == index + 1
+            mask |= amodal.crop(instance) == index + 1
             if not mask.any():
                 continue
             # The truth of a fruit is the same in all views.
@@ -241,7 +241,7 @@ def _stalk(skeleton: Skeleton, ancestors: tuple[int, ...]) -> FruitStalk | None:
         float(organ.measures["radius_m"]),
         _tube(skeleton.organ(bearer)) if bearer >= 0 else None,
         instance=ancestors[position],
-        bearer_instance=bearer,
+        parent_instance=bearer,
         on_stalk=bearer >= 0 and forms[position + 1] == "peduncle",
     )
 

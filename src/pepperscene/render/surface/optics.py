@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.materials import Surface
-from pepperscene.materials.gloss import NODES, cuticle_transmittance
+from pepperscene.materials.gloss import TABLE_SIZE, cuticle_transmittance
 from pepperscene.render.kernel.arrays import device_array, device_float, device_uint
 from pepperscene.render.surface.scattering import SurfacePoint, interpolate_openness
 from pepperscene.render.variant import mitsuba_modules
@@ -136,8 +136,8 @@ class Optics:
         # The cuticle on the viewer's side, and the start of both sides' tables.
         side = surface * 2 + dr.select(in_front, mi.UInt32(0), mi.UInt32(1))
         cuticle = dr.gather(mi.Vector4f, self.sides, side, active)
-        near_table = dr.select(active, side * NODES, 0)
-        far_table = dr.select(active, (side ^ 1) * NODES, 0)
+        near_table = dr.select(active, side * TABLE_SIZE, 0)
+        far_table = dr.select(active, (side ^ 1) * TABLE_SIZE, 0)
         openness = interpolate_openness(self.openness, near_table, wi.z)
         leaving = through * cuticle.w
         return SurfacePoint(
@@ -243,7 +243,7 @@ def cuticle_tables(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np.fl
     relative = np.stack([table / mean for table, mean in zip(tables, means, strict=True)])
     steps = np.diff(relative, axis=1, append=relative[:, -1:])
     packed = np.stack([relative, steps], axis=-1)
-    assert packed.shape == (2, NODES, 2)
+    assert packed.shape == (2, TABLE_SIZE, 2)
     return sides, packed
 
 

@@ -36,12 +36,12 @@ import math
 from dataclasses import dataclass
 from typing import Any, Final
 
-from pepperscene.materials.gloss import NODE_SCALE, NODES
+from pepperscene.materials.gloss import TABLE_SCALE, TABLE_SIZE
 from pepperscene.render.variant import mitsuba_modules
 
 _MIN_SQUARE: Final = 1e-20
 """Chosen: below the square of any length here that single precision distinguishes from 0."""
-_NODES_PER_LOG: Final = (NODES - 1) / math.log1p(1.0 / NODE_SCALE)
+_NODES_PER_LOG: Final = (TABLE_SIZE - 1) / math.log1p(1.0 / TABLE_SCALE)
 MIN_COSINE: Final = 1e-5
 """No light is scattered to or from directions closer to the horizon. Chosen: single precision resolves no
 angles there, and only 1e-10 of a diffuse lobe is beyond it."""
@@ -186,9 +186,9 @@ class SurfacePoint:
 def interpolate_openness(tables: Any, first: Any, cosine: Any) -> Any:
     """Relative openness at cosines, linear between the nodes of the table that starts at entry `first`."""
     mi, dr = mitsuba_modules()
-    position = dr.log(dr.fma(cosine, 1.0 / NODE_SCALE, 1.0)) * _NODES_PER_LOG
+    position = dr.log(dr.fma(cosine, 1.0 / TABLE_SCALE, 1.0)) * _NODES_PER_LOG
     # Written like this, the NaN of an inactive lane reads entry 0, not an address outside the table.
-    position = dr.select(position > 0.0, dr.minimum(position, NODES - 1.0), 0.0)
+    position = dr.select(position > 0.0, dr.minimum(position, TABLE_SIZE - 1.0), 0.0)
     node = dr.floor(position)
     entry = dr.gather(mi.Point2f, tables, first + mi.UInt32(node))
     return dr.fma(entry.y, position - node, entry.x)

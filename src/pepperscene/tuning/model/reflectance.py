@@ -106,7 +106,7 @@ def surface_of_kind(cultivar: Cultivar, kind: str) -> MeasuredSurface:
     """
     name, _, stage = kind.partition(".")
     classes = {one.name.lower(): one for one in OrganClass}
-    kinds, grown = cultivar.kinds, cultivar.grown
+    kinds, grown = cultivar.kinds, cultivar.present_kinds
     present = {kinds[one].organ_class for one in grown if kinds[one].surface in cultivar.pigments}
     where = f"cultivar {cultivar.name}"
     if name not in classes or classes[name] not in present:

@@ -111,7 +111,7 @@ def _draw_kind(part: SubFigure, kind: str, colours: KindFit) -> None:
     )
     for axis, (title, colour, (mean, sd), pixels, delta_e) in zip(axes, columns, strict=False):
         axis.imshow(_swatch(mean, colours.target[0], pixels), interpolation="nearest", aspect="auto")
-        hues, style = ColourStatistics.of(pixels).hue_spectrum, "--" if delta_e is None else "-"
+        hues, style = ColourStatistics.from_pixels(pixels).hue_spectrum, "--" if delta_e is None else "-"
         axes[3].plot(np.arange(-60, 300, 2), np.roll(hues, 30), color=colour, lw=1.0, ls=style)
         if delta_e is not None:
             words = next(text for limit, text in _VISIBILITY if delta_e <= limit or limit == np.inf)

@@ -163,5 +163,5 @@ def _within_limits(parameter: Parameter, value: float, layer: Bounds, key: str) 
         mean = float(np.clip(mean, new_low + margin, new_high - margin))
         sd = min(sd, _MAX_SD * min(mean - new_low, new_high - mean))
     origin = {name: getattr(prior, name) for name in Origin.model_fields}
-    law = "normal" if adapted else prior.law
-    return Distribution(law=law, mean=mean, sd=sd, low=new_low, high=new_high, **origin)
+    law = "normal" if adapted else prior.family
+    return Distribution(family=law, mean=mean, sd=sd, low=new_low, high=new_high, **origin)

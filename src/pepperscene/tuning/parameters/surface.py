@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.cultivar import CALYX, USUAL, Fruit, PigmentPath, Pigments
+from pepperscene.cultivar import CALYX, DEFAULT_KINDS, Fruit, PigmentPath, Pigments
 from pepperscene.render.gradients.pigment_models import CONTENTS, RANGES
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def state_distribution(cultivar: Cultivar, surface: str) -> StateDistribution | 
     For fruit, the mixture of unripe, turning and ripe fruit in the cultivar's fractions. Variation within an
     organ (mottling) is not included.
     """
-    kinds = [_components(cultivar, kind, surface) for kind in cultivar.grown]
+    kinds = [_components(cultivar, kind, surface) for kind in cultivar.present_kinds]
     mixture = [(weight / len(parts), mean, sd) for parts in kinds for weight, mean, sd in parts]
     if not mixture:
         return None
@@ -62,7 +62,7 @@ def state_distribution(cultivar: Cultivar, surface: str) -> StateDistribution | 
     weights /= weights.sum()
     mean = float(weights @ means)
     sd = float(np.sqrt(weights @ (sds**2 + (means - mean) ** 2)))
-    organs = [cultivar.organs[kind] for kind in cultivar.grown if kind != CALYX]
+    organs = [cultivar.organs[kind] for kind in cultivar.present_kinds if kind != CALYX]
     fruits = [one for one in organs if isinstance(one, Fruit) and one.kind.surface == surface]
     ripe = float(np.mean([fruit.ripe.mean for fruit in fruits])) if fruits else 0.0
     return StateDistribution(mean, sd, ripe if ripe > 0.0 else None)
@@ -70,7 +70,7 @@ def state_distribution(cultivar: Cultivar, surface: str) -> StateDistribution | 
 
 def visible_surfaces(cultivar: Cultivar) -> tuple[str, ...]:
     """Surfaces with pigments that grown organs show, in the order of the cultivar's file."""
-    surfaces = {cultivar.kinds[kind].surface for kind in cultivar.grown}
+    surfaces = {cultivar.kinds[kind].surface for kind in cultivar.present_kinds}
     return tuple(name for name in cultivar.pigments if name in surfaces)
 
 
@@ -78,9 +78,11 @@ def _components(cultivar: Cultivar, kind: str, surface: str) -> list[Component]:
     """Components that one kind of organ adds to the mixture of a surface's states."""
     if kind == CALYX:
         # The state of a calyx is defined in the table of its fruit.
-        bearers = [cultivar.organs[name] for name in cultivar.grown if name != CALYX]
+        bearers = [cultivar.organs[name] for name in cultivar.present_kinds if name != CALYX]
         states = [organ.calyx_state for organ in bearers if isinstance(organ, Fruit) and organ.calyx]
-        return [_component(one, 1.0 / len(states)) for one in states if USUAL["calyx"].surface == surface]
+        return [
+            _component(one, 1.0 / len(states)) for one in states if DEFAULT_KINDS["calyx"].surface == surface
+        ]
     organ = cultivar.organs[kind]
     if organ.kind.surface != surface:
         return []
