@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -143,7 +144,9 @@ def _as_input_error(error: ValidationError, where: str | Path) -> InputError:
 _MOST_FILES: Final = 20  # chosen: more files than a reader can follow
 
 
-def extends_chain(path: Path, folder: ShippedFolder) -> list[tuple[Path, dict[str, Any]]]:
+def extends_chain(
+    path: Path, folder: ShippedFolder, *, follow_links: bool = True
+) -> list[tuple[Path, dict[str, Any]]]:
     """Read a TOML file, the file that its key `extends` names, and so on.
 
     `extends` is a path relative to the file, or the bare name of a shipped file.
@@ -151,6 +154,8 @@ def extends_chain(path: Path, folder: ShippedFolder) -> list[tuple[Path, dict[st
     Args:
         path: the first file.
         folder: of the shipped files.
+        follow_links: whether ".." behind a symbolic link leaves the folder that the link points to; False
+            removes the name before it, as written.
 
     Returns:
         Each file with its tables, without `extends`; the first file comes first.
@@ -169,8 +174,11 @@ def extends_chain(path: Path, folder: ShippedFolder) -> list[tuple[Path, dict[st
         if not isinstance(name, str):
             raise InputError(path, "must be a name or a path", key="extends", value=name)
         is_bare = not name.endswith(".toml") and Path(name).parent == Path(".")
+        target = path.parent / name
         try:
-            parent = find_file(folder, name if is_bare else path.parent / name)
+            if not follow_links:
+                target = Path(os.path.normpath(target.absolute()))
+            parent = find_file(folder, name if is_bare else target)
         except InputError as error:
             raise InputError(path, error.problem, key="extends", value=name) from None
         if len(files) == _MOST_FILES or parent.resolve() in {file.resolve() for file, _ in files}:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import os
 import re
 import shutil
 import tomllib
@@ -301,15 +302,15 @@ def test_raises_on_a_folder_that_is_not_empty(demo, fit, tmp_path):
 
 @pytest.mark.parametrize("failing", [0, 3, 6])
 def test_full_disk_leaves_no_files(demo, fit, tmp_path, monkeypatch, failing):
-    atomic_write, calls = write_module.atomic_write, []
+    flush, calls = os.fsync, []
 
-    def full(path):
-        calls.append(path)
+    def full(file):
+        calls.append(file)
         if len(calls) == failing + 1:
-            raise OSError(28, "No space left on device", str(path))
-        return atomic_write(path)
+            raise OSError(28, "No space left on device")
+        flush(file)
 
-    monkeypatch.setattr(write_module, "atomic_write", full)
+    monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OutputError, match="No space left"):
         write(demo, fit, tmp_path / "deep" / "out")
     assert not list(tmp_path.iterdir())

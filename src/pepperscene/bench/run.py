@@ -22,7 +22,7 @@ from pepperscene.bench.report import error_table, plot_pareto, ratio_table, time
 from pepperscene.bench.scenes import SCENES, BenchScene, load_subject
 from pepperscene.bench.settings import settings
 from pepperscene.camera import Camera
-from pepperscene.dataset.store.folder import check_can_create
+from pepperscene.dataset.store.atomic import check_can_create
 from pepperscene.errors import ArgumentError, OutputError
 from pepperscene.render import QUALITIES
 

@@ -13,7 +13,7 @@ from pepperscene.cultivar.organs import OrganForm
 from pepperscene.geometry.mesh import FloatArray, IndexArray
 from pepperscene.geometry.spine import normalize
 from pepperscene.grammar.frames import cross
-from pepperscene.grammar.hashing import splitmix64
+from pepperscene.grammar.hashing import GOLDEN_GAMMA, splitmix64
 from pepperscene.grammar.plant import Organ, Plant
 
 
@@ -64,7 +64,7 @@ def hash_uniform(seed: FloatArray, salt: int, count: int) -> FloatArray:
     """
     start = np.ldexp(np.mod(seed, 1.0), 53).astype(np.uint64)[:, None]
     step = np.arange(1, count + 1, dtype=np.uint64) + np.uint64(salt) * np.uint64(1 << 20)
-    bits = splitmix64(start + step * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(11)
+    bits = splitmix64(start + step * GOLDEN_GAMMA) >> np.uint64(11)
     return np.ldexp(bits.astype(np.float64), -53)
 
 

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.camera.colorimetry import srgb_decode
 from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
 from pepperscene.errors import InputError
-from pepperscene.geometry.mesh import FloatArray, Mesh, SingleArray
+from pepperscene.geometry.mesh import Mesh, SingleArray
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -175,7 +176,7 @@ def _glb(mesh: Mesh, colours: Mapping[str, NDArray[np.floating[Any]]]) -> bytes:
 def _base_colour(organ_class: OrganClass, step: int, colours: NDArray[Any] | None) -> list[float]:
     """Linear RGBA of a surface at a step of its state, or of its class."""
     if colours is None:
-        rgb = _srgb_decode(np.array(CLASS_COLOURS[organ_class]) / 255.0)
+        rgb = srgb_decode(np.array(CLASS_COLOURS[organ_class]) / 255.0)
     else:
         table = np.asarray(colours, dtype=float)
         place = np.linspace(0.0, 1.0, len(table))
@@ -229,11 +230,6 @@ def _single_body(mesh: Mesh, suffix: str) -> bytes:
     if suffix == ".stl":
         return bytes(trimesh.exchange.stl.export_stl(body))
     return bytes(trimesh.exchange.ply.export_ply(body, vertex_normal=True))
-
-
-def _srgb_decode(encoded: FloatArray) -> FloatArray:
-    """Linear values of sRGB values in [0, 1] (IEC 61966-2-1)."""
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
 def _word(text: str) -> str:

@@ -15,8 +15,9 @@ from typing import Final
 from pepperscene.dataset.export.job import ExportJob, OnFrame, import_library
 from pepperscene.dataset.export.splits import read_splits
 from pepperscene.dataset.recipe.plan import Plan
+from pepperscene.dataset.store.atomic import check_can_create, make_folder, remove
 from pepperscene.dataset.store.dataset import Dataset, open_dataset
-from pepperscene.dataset.store.folder import LITTER, check_can_create, make_folder, remove
+from pepperscene.dataset.store.folder import LITTER
 from pepperscene.errors import ArgumentError, InputError, OutputError
 
 

@@ -13,11 +13,10 @@ from pydantic import BaseModel
 
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe, load_files
-from pepperscene.document import read_toml, validate
+from pepperscene.document import extends_chain, validate
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.shipped import find_file
 
-_MAX_CHAIN: Final = 16  # chosen: more files are hard to follow
 _FILE_KEYS: Final = (
     ("cultivar",), ("camera", "sensor"), ("camera", "lens"), ("camera", "flash"), ("camera", "filter"),
     ("daylight", "cover"), ("growth", "until"),
@@ -75,7 +74,10 @@ def resolve_recipe(
 def _read(name_or_path: str | Path, changes: Mapping[str, Any]) -> ResolvedRecipe:
     # The layers from the highest priority to the lowest.
     path = find_file("recipes", name_or_path)
-    where, files = str(path), _layers(path)
+    where, files = str(path), list[_Layer]()
+    for file, table in extends_chain(path, "recipes", follow_links=False):
+        _resolve_paths(table, file.parent)
+        files.append((str(file), table))
     changed: dict[str, Any] = {}
     for key, value in changes.items():
         changed = _merge(changed, _change_tables(key, value))
@@ -175,29 +177,6 @@ def _with_origin(error: InputError, layers: list[_Layer]) -> InputError:
     if where is None:
         return ArgumentError(_CHANGES, error.problem, key=error.key, value=error.value)
     return InputError(where, error.problem, key=error.key, value=error.value)
-
-
-def _layers(path: Path) -> list[_Layer]:
-    """The tables of a recipe file and of those that it extends, in that order."""
-    layers: list[_Layer] = []
-    seen: list[Path] = []
-    while True:
-        if path.resolve() in seen or len(seen) == _MAX_CHAIN:
-            problem = f"`extends` forms a cycle, or is longer than {_MAX_CHAIN} files"
-            raise InputError(seen[-1], problem, key="extends", value=str(path))
-        seen.append(path.resolve())
-        table = read_toml(path)
-        base = table.pop("extends", None)
-        _resolve_paths(table, path.parent)
-        layers.append((str(path), table))
-        if base is None:
-            return layers
-        if not isinstance(base, str):
-            raise InputError(path, "must be the name or the path of a recipe", key="extends", value=base)
-        try:
-            path = find_file("recipes", _absolute(base, path.parent))
-        except InputError as error:
-            raise InputError(path, error.problem, key="extends", value=base) from None
 
 
 def _resolve_paths(table: dict[str, Any], folder: Path) -> None:

@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-# Modules outside this package import the last two from here.
 from pepperscene.dataset.store.atomic import (
     check_can_create,
     is_temporary,
+    remove,
     remove_temporary_files,
     write_json,
 )
-from pepperscene.dataset.store.atomic import make_folder as make_folder
-from pepperscene.dataset.store.atomic import remove as remove
 from pepperscene.dataset.store.dataset import FRAMES, MARK, Dataset, read_json
 from pepperscene.dataset.store.journal import JOURNAL
 from pepperscene.dataset.store.manifest import FRUIT, MANIFEST

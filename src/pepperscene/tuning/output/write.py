@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Mapping
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,8 +13,14 @@ from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import Recipe, load_recipe
 from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
 from pepperscene.dataset.recipe.tables import NONE
-from pepperscene.dataset.store.atomic import atomic_write, canonical_json, is_temporary
-from pepperscene.dataset.store.folder import LITTER, check_can_create, make_folder, remove
+from pepperscene.dataset.store.atomic import (
+    canonical_json,
+    check_can_create,
+    is_temporary,
+    remove,
+    write_files,
+)
+from pepperscene.dataset.store.folder import LITTER
 from pepperscene.errors import OutputError
 from pepperscene.tuning.output.figure import BeforeAfter, before_after_png
 from pepperscene.tuning.output.parts import changed_paths, cultivar_text, flash_changed, flash_files
@@ -76,11 +81,7 @@ def write_tuned(
     files = {name: text.encode() for name, text in texts.items()}
     files[PICTURE] = before_after_png(fit, recipe.name, frames)
     files[RECORD] = canonical_json(fit_record(fit, run, verification))
-    try:
-        return _write(folder, files)
-    except OSError as error:
-        where = error.filename or folder
-        raise OutputError(f"{where}: cannot be written ({error.strerror or error})") from None
+    return _write(folder, files)
 
 
 def check_folder(folder: Path) -> None:
@@ -139,22 +140,15 @@ def _file_stem(name: str, suffix: str, used: set[str]) -> str:
 
 
 def _write(folder: Path, files: Mapping[str, bytes]) -> tuple[Path, ...]:
-    """Write all files under temporary names, and rename them when all are complete."""
-    made: list[Path] = []
-    paths = [folder / name for name in files]
+    """Write all files or none, the recipe last; files that cannot be loaded are removed again."""
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    paths = write_files(folder, {name: files[name] for name in reversed(list(files))})[::-1]
     try:
-        make_folder(folder, made)
-        with ExitStack() as stack:
-            # The stack unwinds from its end, so that the recipe is renamed last.
-            for path in paths:
-                stack.enter_context(atomic_write(path)).write_bytes(files[path.name])
-            made += paths
-        # Files that cannot be loaded are removed again.
         loaded = load_recipe(paths[0])
         load_recipe_cultivar(loaded)
         if loaded.camera.flash != NONE:
             load_flash(loaded.camera.flash)
     except BaseException:
-        remove(made)
+        remove([*reversed(missing), *paths])
         raise
-    return tuple(paths)
+    return paths
