@@ -2,7 +2,7 @@
 
 Run it after a change that affects them:
 
-python docs/figures/colour.py
+python docs/figures/tuning.py
 """
 
 from __future__ import annotations
