@@ -15,12 +15,7 @@ from pepperscene.render.surface.optics import MIN_ALPHA, Optics
 from pepperscene.render.variant import mitsuba_modules
 
 GRID_NM = np.arange(380.0, 961.0, 5.0)
-TEST_NM = (
-    450.0,
-    550.0,
-    680.0,
-    850.0,
-)  # a leaf's two absorption bands, green and bright infrared
+TEST_NM = (450.0, 550.0, 680.0, 850.0)  # a leaf's two absorption bands, green and bright infrared
 EXTENT_M = 0.03  # of a unit of uv: makes shipped reliefs about three times as steep as on the plant
 IORS = (1.0, 1.05, 1.28, 1.5, 2.5)
 ROUGHNESSES = ((1e-3, 1e-3), (1e-3, 1.0), (0.1, 0.45), (0.7, 0.02))

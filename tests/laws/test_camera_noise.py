@@ -12,15 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pepperscene.camera import (
-    Camera,
-    Developing,
-    camera_rgb,
-    load_flash,
-    load_lens,
-    load_sensor,
-    raw_frame,
-)
+from pepperscene.camera import Camera, Developing, camera_rgb, load_flash, load_lens, load_sensor, raw_frame
 from pepperscene.camera.readout import shot_noise
 from pepperscene.shipped import shipped_folder
 

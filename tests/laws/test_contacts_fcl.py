@@ -71,10 +71,7 @@ def boxes(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
 def near(mesh: Mesh, some: Sequence[int], others: Sequence[int]) -> list[int]:
     """Those of the others whose boxes meet the box of any of some: the rest cannot touch."""
     low, high = boxes(mesh)
-    meet = np.all(
-        (low[others][:, None] <= high[some]) & (high[others][:, None] >= low[some]),
-        axis=2,
-    )
+    meet = np.all((low[others][:, None] <= high[some]) & (high[others][:, None] >= low[some]), axis=2)
     return [organ for organ, close in zip(others, meet.any(axis=1), strict=True) if close]
 
 

@@ -16,16 +16,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scatterers import (
-    TEST_NM,
-    Cases,
-    grey_surface,
-    integrate_cases,
-    lossless,
-    plain,
-    sample_cases,
-    shipped,
-)
+from scatterers import TEST_NM, Cases, grey_surface, integrate_cases, lossless, plain, sample_cases, shipped
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import flesh_reflectance

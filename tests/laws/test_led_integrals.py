@@ -22,15 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bodies import (
-    bench_lamp,
-    card,
-    chosen_camera,
-    columns_of,
-    irradiance_by_hand,
-    matt,
-    response_by_hand,
-)
+from bodies import bench_lamp, card, chosen_camera, columns_of, irradiance_by_hand, matt, response_by_hand
 
 from pepperscene.errors import SetupError
 from pepperscene.geometry import concatenate_meshes
