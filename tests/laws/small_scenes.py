@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from bodies import bench_camera
+from bodies import axis_camera
 from test_convergence import bench
 
 from pepperscene.camera import Camera, correct_colours
@@ -18,7 +18,7 @@ COLUMNS, ROWS = 112, 84
 
 def bench_shot() -> tuple[Scene, Camera]:
     """The scene of `test_convergence`, not overexposed."""
-    camera = bench_camera(columns=COLUMNS, rows=ROWS)
+    camera = axis_camera(columns=COLUMNS, rows=ROWS)
     return bench(), replace(camera, sensor=replace(camera.sensor, binning=8), exposure_s=15e-6)
 
 

@@ -23,7 +23,7 @@ from __future__ import annotations
 import colour
 import numpy as np
 import pytest
-from bodies import bench_lamp, card, chosen_camera, columns_of, irradiance_by_hand, matt, response_by_hand
+from bodies import axis_camera, card, columns_of, even_lamp, irradiance_by_hand, matt, response_by_hand
 
 from pepperscene.camera import develop, load_flash, reference_correction
 from pepperscene.geometry import concatenate_meshes
@@ -52,10 +52,10 @@ def electrons_by_hand(sensor, reflectance, lux):
 
 def studio(sensor):
     """The chart's scene and the camera in front of it."""
-    camera = chosen_camera(sensor, None, columns=6 * SIDE, rows=4 * SIDE)
+    camera = axis_camera(6 * SIDE, 4 * SIDE, sensor=sensor, flash=None)
     lux = FILLED * camera.sensor.full_well_e / electrons_by_hand(sensor, np.ones((1, NM.size)), 1.0).max()
-    lamp = bench_lamp(load_flash("led_matrix_200klx").spectrum, float(lux))
-    camera = chosen_camera(sensor, lamp, columns=6 * SIDE, rows=4 * SIDE)
+    lamp = even_lamp(load_flash("led_matrix_200klx").spectrum, float(lux))
+    camera = axis_camera(6 * SIDE, 4 * SIDE, sensor=sensor, flash=lamp)
     side = SIDE * 0.5 * camera.sensor.pixel_pitch_m / 4.16e-3
     cards = [
         card((number % 6 - 2.5) * side, (number // 6 - 1.5) * side, side, side, str(number))

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bodies import bench_camera, sheet, sphere
+from bodies import axis_camera, sheet, sphere
 from scipy import stats
 
 from pepperscene.geometry import concatenate_meshes
@@ -54,7 +54,7 @@ class Tracer:
     """Traces the scene with any number of samples."""
 
     def __init__(self) -> None:
-        scene, camera = bench(), bench_camera(columns=32, rows=24)
+        scene, camera = bench(), axis_camera(columns=32, rows=24)
         # Large pixels: few of them show the whole scene.
         self.camera = replace(camera, sensor=replace(camera.sensor, binning=20))
         self.response = spectral_response(self.camera, scene)

@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from bodies import bench_lamp, body, chosen_camera
+from bodies import axis_camera, body, even_lamp
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from pepperscene.camera import Distortion, load_lens
@@ -93,7 +93,7 @@ def projected(points, distortion):
 @pytest.fixture(scope="module", params=sorted(LENSES))
 def photograph(request):
     """(distortion, white fraction of each pixel `(600, 800)`, class of each pixel)."""
-    camera = chosen_camera("ueye_ui5250re", bench_lamp(LED), columns=800, rows=600)
+    camera = axis_camera(flash=even_lamp(LED))
     distortion = LENSES[request.param]
     camera = replace(camera, lens=replace(camera.lens, distortion=distortion))
     mesh, white = board(), lambertian_surface("white", 0.9)

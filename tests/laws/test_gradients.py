@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-from bodies import bench_camera, card, sphere
+from bodies import axis_camera, card, sphere
 
 from pepperscene.camera import load_sensor
 from pepperscene.cultivar import Cultivar, load_cultivar
@@ -73,7 +73,7 @@ def bench(surfaces, sky=DAY):
 
 @pytest.fixture(scope="module")
 def camera():
-    return bench_camera(columns=24, rows=16)
+    return axis_camera(columns=24, rows=16)
 
 
 @pytest.fixture(scope="module")

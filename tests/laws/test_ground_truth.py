@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from bodies import bench_camera, sheet, sphere
+from bodies import axis_camera, sheet, sphere
 from trimesh.ray.ray_triangle import RayMeshIntersector
 
 from pepperscene.camera import Distortion, arc_path, relative_illumination
@@ -26,7 +26,7 @@ LABELS = ("class", "instance", "distance", "depth_z", "normal")
 def test_sphere_is_where_the_pinhole_formula_puts_it():
     # Set-up: a sphere of 40 mm at (60, -30, 500) mm in camera axes in front of a far wall.
     centre, radius = np.array([0.06, -0.03, 0.5]), 0.04
-    camera = bench_camera(flash=False)
+    camera = axis_camera(flash=False)
     scene = assemble_scene(
         concatenate_meshes([sphere(tuple(centre), radius, "ball", 6), sheet(9, 9, 3.0, "wall")])
     )
@@ -58,7 +58,7 @@ def test_sphere_is_where_the_pinhole_formula_puts_it():
 
 def test_background_is_infinitely_far_and_has_no_labels():
     scene = assemble_scene(sphere((0, 0, -1.0), 0.1, "ball", 2))
-    frame = Renderer(scene).render(bench_camera(columns=16, rows=12, flash=False), LABELS)
+    frame = Renderer(scene).render(axis_camera(columns=16, rows=12, flash=False), LABELS)
     assert np.isinf(frame["distance"]).all()
     assert np.isinf(frame["depth_z"]).all()
     assert not frame["class"].any()
@@ -76,7 +76,7 @@ def plants_before_the_camera():
         plant = grow(short, rng)
         meshes.append(add_twine(plant, mesh_plant(plant, 0.5), Twine(0.003, 4.0), rng))
     mesh = double_row(meshes[:2], meshes[2:], spacing_m=0.2, gap_m=0.2, shift_m=0.1)
-    camera = bench_camera(flash=False)
+    camera = axis_camera(flash=False)
     lens = replace(camera.lens, distortion=Distortion(k1=-0.1, k2=0.04, p1=1e-3, p2=-1e-3))
     pose = arc_path(3, 0.4, (-0.3, 0.3), (0.2, 0.5), np.radians(20.0))[1]
     return mesh, replace(camera, lens=lens, pose=pose)
@@ -112,7 +112,7 @@ def assert_labels_equal_hits(mesh, camera, pixels, seed):
 def test_colour_and_labels_have_the_same_lens_geometry():
     # A black ball in front of a uniform sky, in a distorting lens: its outline equals its label to .2 pixels.
     nm = np.arange(380.0, 781.0)
-    camera = bench_camera(flash=False)
+    camera = axis_camera(flash=False)
     camera = replace(camera, lens=replace(camera.lens, distortion=Distortion(k1=-0.1, k2=0.04)))
     scene = assemble_scene(
         sphere((0.25, 0.15, 0.5), 0.06, "black", 6),

@@ -23,7 +23,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from bodies import chosen_camera, columns_of, irradiance_by_hand, matt, response_by_hand, sheet
+from bodies import axis_camera, columns_of, irradiance_by_hand, matt, response_by_hand, sheet
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import organ_surfaces
@@ -57,7 +57,7 @@ def photograph(surface, direction, sensor, *, turned=False, side=8, mesh=None):
     """`(side, side, 3)` electrons of a sheet of this surface; `turned` shows the camera its back."""
     mesh = sheet(2.0, 2.0, 0.0, surface.name) if mesh is None else mesh
     mesh = mesh.moved(HALF_TURN if turned else np.eye(3), np.array([0.0, 0.0, 0.5]))
-    camera = chosen_camera(sensor, None, columns=side, rows=side)
+    camera = axis_camera(side, side, sensor=sensor, flash=None)
     scene = assemble_scene(mesh, {surface.name: surface}, sun_alone(direction))
     return render_scene(scene, camera, ["electrons"], "reference", seed=5)["electrons"].astype(float)
 

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bodies import bench_lamp, card, chosen_camera, columns_of, irradiance_by_hand, matt, response_by_hand
+from bodies import axis_camera, card, columns_of, even_lamp, irradiance_by_hand, matt, response_by_hand
 
 from pepperscene.errors import SetupError
 from pepperscene.geometry import concatenate_meshes
@@ -67,7 +67,7 @@ def leds():
 def rendered(sensor):
     """`{led: (3 patches, 256 pixels, 3 channels)}` electrons."""
     # Strips of 8 columns and 32 rows, wider than the image at the outer sides.
-    pixel = 0.5 * chosen_camera(sensor, None, columns=24, rows=32).sensor.pixel_pitch_m / 4.16e-3
+    pixel = 0.5 * axis_camera(24, 32, sensor=sensor, flash=None).sensor.pixel_pitch_m / 4.16e-3
     strips = [
         card(8 * pixel * place, 0.0, 8 * pixel, 0.1, patch.__name__)
         for place, patch in zip((-1, 0, 1), PATCHES, strict=True)
@@ -76,7 +76,7 @@ def rendered(sensor):
     renderer = Renderer(assemble_scene(concatenate_meshes(strips), surfaces))
     electrons_by_led = {}
     for name, spd in leds().items():
-        camera = chosen_camera(sensor, bench_lamp(Spectrum(*spd), LUX), columns=24, rows=32)
+        camera = axis_camera(24, 32, sensor=sensor, flash=even_lamp(Spectrum(*spd), LUX))
         electrons = renderer.render(camera, ["electrons"], "standard")["electrons"]
         electrons_by_led[name] = electrons.reshape(32, 3, 8, 3).swapaxes(0, 1).reshape(3, 256, 3)
     return electrons_by_led

@@ -25,9 +25,9 @@ import numpy as np
 import pytest
 from bodies import (
     PITCH_M,
-    bench_lamp,
-    chosen_camera,
+    axis_camera,
     columns_of,
+    even_lamp,
     irradiance_by_hand,
     matt,
     response_by_hand,
@@ -71,9 +71,9 @@ def rendered(reflectance, sensor, spd, by):
     """`(3,)` electrons of a patch that fills the image, lit by a flash or by a uniform sky."""
     light = Spectrum(*spd)
     lamp, sky, side = (
-        (bench_lamp(light, LUX), None, 8) if by == "flash" else (None, uniform_sky(light, LUX), 48)
+        (even_lamp(light, LUX), None, 8) if by == "flash" else (None, uniform_sky(light, LUX), 48)
     )
-    camera = chosen_camera(sensor, lamp, columns=side, rows=side)
+    camera = axis_camera(side, side, sensor=sensor, flash=lamp)
     scene = assemble_scene(sheet(1.0, 1.0, 0.5, "patch"), {"patch": matt("patch", NM, reflectance)}, sky)
     electrons = render_scene(scene, camera, ["electrons"], "reference", seed=7)["electrons"]
     if by == "flash":  # whose beam compensates the lens' fall-off

@@ -11,7 +11,7 @@ import json
 
 import numpy as np
 import pytest
-from bodies import bench_camera, sheet
+from bodies import axis_camera, sheet
 
 from pepperscene.materials import lambertian_surface
 from pepperscene.render import Renderer
@@ -61,7 +61,7 @@ def grey_under_sky(illuminance_lx: float):
 
 def test_flash_on_a_patch_gives_the_calculated_electrons():
     # Set-up: an 18 % matt patch 50 cm in front of the camera, a point flash at the lens.
-    camera = bench_camera(
+    camera = axis_camera(
         columns=8, rows=6, radius_m=0.0, emitters_m=np.zeros((1, 2)), offset_m=(0.0, 0.0, 0.0)
     )
     scene = assemble_scene(sheet(1.0, 1.0, 0.5, "grey"), {"grey": lambertian_surface("grey", REFLECTANCE)})
@@ -78,7 +78,7 @@ def test_flash_on_a_patch_gives_the_calculated_electrons():
 
 def test_matrix_flash_equals_its_integral():
     # The shipped flash is a matrix of discs beside the lens: integrate cosine, profile and distance.
-    camera = bench_camera(columns=8, rows=6)
+    camera = axis_camera(columns=8, rows=6)
     flash = camera.flash
     scene = assemble_scene(sheet(1.0, 1.0, 0.5, "grey"), {"grey": lambertian_surface("grey", REFLECTANCE)})
     radii = flash.radius_m * np.sqrt((np.arange(200) + 0.5) / 200)
@@ -99,7 +99,7 @@ def test_matrix_flash_equals_its_integral():
 
 def test_uniform_sky_on_a_patch_gives_its_illuminance():
     # A patch that faces a whole uniform sky receives its illuminance.
-    camera = bench_camera(columns=8, rows=6, flash=False)
+    camera = axis_camera(columns=8, rows=6, flash=False)
     scene = grey_under_sky(5500.0)
     nm = np.arange(380.0, 781.0)
     v_nm, v = photopic()
@@ -111,7 +111,7 @@ def test_uniform_sky_on_a_patch_gives_its_illuminance():
 
 def test_relative_illumination_falls_with_the_fourth_power_of_the_cosine():
     # A uniform sky seen directly has the same radiance everywhere; only the lens makes a difference.
-    camera = bench_camera(flash=False)
+    camera = axis_camera(flash=False)
     nm = np.arange(380.0, 781.0)
     far = assemble_scene(
         sheet(0.01, 0.01, -1.0, "grey"),
@@ -133,6 +133,6 @@ def test_relative_illumination_falls_with_the_fourth_power_of_the_cosine():
 
 def test_daylight_at_the_paper_level_gives_about_eighty_electrons():
     # By estimate, 5 klx on an 18 % grey in 50 us at f/2 give about 80 electrons in green.
-    camera = bench_camera(columns=8, rows=6, flash=False)
+    camera = axis_camera(columns=8, rows=6, flash=False)
     scene = grey_under_sky(5000.0)
     assert 50.0 < centre(scene, camera)[1] < 110.0

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bodies import bench_camera, sheet, sphere
+from bodies import axis_camera, sheet, sphere
 
 from pepperscene.camera import AngularProfile, Camera, expected_electrons, load_sensor
 from pepperscene.dataset.recipe.load import load_recipe
@@ -72,7 +72,7 @@ def camera(*, flash: bool = True, **flash_changes: object) -> Camera:
     """The recipe's camera a metre from the still life, with few large pixels."""
     pose = np.eye(4)
     pose[2, 3] = -0.4
-    return few_pixels(bench_camera(flash=flash, **flash_changes).at_pose(pose))
+    return few_pixels(axis_camera(flash=flash, **flash_changes).at_pose(pose))
 
 
 def few_pixels(original: Camera, columns: int = 32) -> Camera:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bodies import bench_camera
+from bodies import axis_camera
 from scatterers import Cases, interaction, lossless, plain, shipped
 
 from pepperscene.materials import Surface
@@ -87,7 +87,7 @@ def test_packed_spectra_equal_the_surfaces():
 
 def test_nearest_wavelengths_are_accurate_for_shipped_surfaces():
     # Taking the nearest 1 nm entry changes no channel of any surface by more than 2e-4.
-    camera = bench_camera()
+    camera = axis_camera()
     fine = np.arange(380.0, 690.0, 0.02)
     weight = camera.sensor.electrons_per_joule(fine) * camera.flash.radiant_intensity(fine)
     for surface in shipped():
