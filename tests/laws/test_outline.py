@@ -85,7 +85,7 @@ def test_coarse_white_fruit_has_the_outline_of_a_fine_one(ior):
 
 
 def corrected(g: np.ndarray, n: np.ndarray, v: np.ndarray):
-    """Normal, tangents and view `(m, 3)` after `shading_normals`, for geometric and shading normals and views."""
+    """Normal, tangents and view `(m, 3)` after `shading_normals`; geometric and shading normals, views."""
     mi, dr = mitsuba_modules()
 
     def vectors(values):

@@ -33,7 +33,7 @@ def plants():
 
 
 def assert_similar(result, expected, *, labels: float, pixels: float, mean: float) -> None:
-    """Limit the fractions of pixels of another class and of light off by more than 5 %, and the mean's error."""
+    """Limit the fractions of pixels with another class and with light off by 5 %, and the mean's error."""
     agree = result["class"] == expected["class"]
     assert 1.0 - agree.mean() <= labels
     a, b = result["electrons"][agree], expected["electrons"][agree]
@@ -93,7 +93,7 @@ def test_scaled_scenes_look_the_same(plants, factor):
 
 
 def test_tiny_scene_far_from_the_origin_keeps_its_light():
-    # A scene of 2 cm, 8 m along the row: its grid is finer, so the ray offset does not grow with the distance.
+    # A scene of 2 cm, 8 m along the row: its grid is finer, so the ray offset does not grow with distance.
     scene, camera = scaled(grey(two_cards(), sky=EVEN_SKY), axis_camera(24, 18), 0.125)
     expected = render(scene, camera, "standard")
     result = render(*moved(scene, camera, np.array([8.0, 4.0, -8.0])), "standard")

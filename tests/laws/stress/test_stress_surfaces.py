@@ -49,7 +49,7 @@ def test_almost_black_leaves_are_like_black_ones(reflectance, quality):
 @pytest.mark.parametrize("ior", [1.5, 2.5])
 def test_mirror_shows_the_flash_at_twice_the_distance(roughness, ior):
     # A black body under a smooth cuticle; the flash is a point at the lens. Its image gives the irradiance
-    # F I / (2 d)^2, with Fresnel's F = ((n - 1) / (n + 1))^2, and a pixel covers a solid angle of 1 / (fx fy).
+    # F I / (2 d)^2, with Fresnel's F = ((n - 1) / (n + 1))^2, and a pixel covers the solid angle 1 / (fx fy).
     # Cuticles smoother than alpha = .001 are rendered as that: 1 / (1 + 27^2) of such a lobe is outside the
     # image. At least 100 samples hit a pixel in the lobe: 1 %.
     camera = point_flash_camera(48, 48)
