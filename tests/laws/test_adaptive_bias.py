@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from small_scenes import plants_shot
+from small_scenes import plants_view
 
 from pepperscene.camera import Camera, camera_rgb, correct_colours
 from pepperscene.classes import OrganClass
@@ -104,7 +104,7 @@ def assert_not_visible(bias: Bias, most: float) -> None:
 
 
 def test_small_frames_have_no_visible_bias():
-    scene, camera = plants_shot()
+    scene, camera = plants_view()
     camera = replace(camera, sensor=replace(camera.sensor, columns=88, rows=66))
     bias = measure_bias(scene, camera, seeds=SEEDS, reference_frames=1, least_pixels=150)
     assert len(bias.classes) >= 4, bias

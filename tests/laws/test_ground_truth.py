@@ -83,7 +83,7 @@ def distorted_view_of_plants():
 
 
 def cast_rays(mesh, origin, directions):
-    """Distances `(n,)` and faces `(n,)` of the first hits by trimesh (R-tree and triangle tests, no Embree)."""
+    """Distances and faces `(n,)` of the first hits by trimesh (R-tree and triangle tests, no Embree)."""
     caster = RayMeshIntersector(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False))
     nearest, face = np.full(len(directions), np.inf), np.full(len(directions), -1)
     for first in range(0, len(directions), 10):  # in small batches: each ray has many candidate triangles

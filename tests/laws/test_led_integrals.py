@@ -14,15 +14,19 @@ from their deviation and must be below .15 %, less than a third of the bound of 
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-from bodies import axis_camera, card, columns_of, even_lamp, irradiance_by_hand, matt, response_by_hand
+from bodies import (
+    SENSORS,
+    axis_camera,
+    card,
+    columns_of,
+    even_lamp,
+    irradiance_by_hand,
+    matt,
+    response_by_hand,
+)
+from processes import run_python
 
 from pepperscene.errors import SetupError
 from pepperscene.geometry import concatenate_meshes
@@ -37,7 +41,6 @@ LED_FILES = (
     "light/cie_illuminants_colour_science",
 )
 LUX = 200_000.0
-SENSORS = ("ueye_ui5250re", "onsemi_mt9v024")
 SURFACE_NM = np.arange(380.0, 781.0)
 
 
@@ -98,18 +101,14 @@ def electrons(request):
         choose_variant(request.param)
     except SetupError as error:
         pytest.skip(str(error))
-    done = subprocess.run(
-        [sys.executable, __file__],
-        env=os.environ | {"PEPPERSCENE_VARIANT": request.param},
-        cwd=Path(__file__).parent,
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=600,
+    code = (
+        "import json; from test_led_integrals import *\n"
+        "result = {sensor: {led: x.tolist() for led, x in rendered(sensor).items()} for sensor in SENSORS}\n"
+        "print(json.dumps({'variant': variant_name(), **result}))"
     )
-    answer = json.loads(done.stdout.splitlines()[-1])
-    assert answer["variant"] == request.param
-    return {sensor: {led: np.array(pixels) for led, pixels in answer[sensor].items()} for sensor in SENSORS}
+    result = run_python(code, PEPPERSCENE_VARIANT=request.param)
+    assert result["variant"] == request.param
+    return {sensor: {led: np.array(pixels) for led, pixels in result[sensor].items()} for sensor in SENSORS}
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
@@ -122,8 +121,3 @@ def test_electrons_of_each_led_match_the_integral(electrons, sensor):
         error = pixels.std(1) / np.sqrt(pixels.shape[1]) / mean
         assert error[lit].max() < 0.0015, name
         assert mean[lit] == pytest.approx(integral[lit], rel=0.005), name
-
-
-if __name__ == "__main__":
-    results = {sensor: {led: x.tolist() for led, x in rendered(sensor).items()} for sensor in SENSORS}
-    print(json.dumps({"variant": variant_name(), **results}))  # noqa: T201

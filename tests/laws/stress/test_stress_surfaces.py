@@ -82,9 +82,7 @@ def test_rejects_invalid_spectra(field, bad):
 @pytest.mark.parametrize(
     ("field", "bad", "message"),
     [
-        ("ior", np.nan, "index"),
-        ("ior", np.inf, "index"),
-        ("ior", 0.9, "index"),
+        *(("ior", bad, "ior must be at least 1") for bad in (np.nan, np.inf, 0.9)),
         ("roughness", (np.nan, 0.3), "roughness"),
         ("roughness", (0.3, -0.1), "roughness"),
         ("roughness", (np.inf, 0.3), "roughness"),
