@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 import trimesh
 from bodies import EVEN_SKY, axis_camera, sheet, sphere
+from greenhouse import row_of_plants
 from trimesh.ray.ray_triangle import RayMeshIntersector
 
 from pepperscene.camera import Distortion, arc_path, relative_illumination
 from pepperscene.classes import OrganClass
-from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import FrameRenderer, load_recipe
-from pepperscene.geometry import concatenate_meshes, mesh_plant
-from pepperscene.grammar import grow
+from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import lambertian_surface
 from pepperscene.render import Renderer
-from pepperscene.scene import Twine, add_twine, assemble_scene, double_row
+from pepperscene.scene import assemble_scene
 
 LABELS = ("class", "instance", "distance", "depth_z", "normal")
 
@@ -68,18 +67,10 @@ def test_background_is_infinitely_far_and_has_no_labels():
 
 def distorted_view_of_plants():
     """Three plants of twelve stem parts with twine, seen at 40 cm through a distorting lens."""
-    cultivar = load_cultivar("kaite")
-    short = cultivar.model_copy(update={"stem": cultivar.stem.model_copy(update={"parts": 12})})
-    meshes = []
-    for number in range(3):
-        rng = np.random.default_rng(number)
-        plant = grow(short, rng)
-        meshes.append(add_twine(plant, mesh_plant(plant, 0.5), Twine(0.003, 4.0), rng))
-    mesh = double_row(meshes[:2], meshes[2:], spacing_m=0.2, gap_m=0.2, shift_m=0.1)
     camera = axis_camera(flash=False)
     lens = replace(camera.lens, distortion=Distortion(k1=-0.1, k2=0.04, p1=1e-3, p2=-1e-3))
     pose = arc_path(3, 0.4, (-0.3, 0.3), (0.2, 0.5), np.radians(20.0))[1]
-    return mesh, replace(camera, lens=lens, pose=pose)
+    return row_of_plants(12, range(3), 0.5), replace(camera, lens=lens, pose=pose)
 
 
 def cast_rays(mesh, origin, directions):
