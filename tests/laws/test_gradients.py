@@ -311,11 +311,11 @@ def test_descent_recovers_the_chlorophyll_of_a_leaf(surfaces, kaite, start):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"leaf.clorophyll": 1.0}, "there is no parameter 'leaf.clorophyll'"),
-        ({"leaf.roughness": [0.1, 0.2, 0.3]}, "has the shape"),
-        ({"leaf.roughness": 0.0}, "must lie in"),
-        ({"leaf.structure_n": 0.9}, "must lie in"),
-        ({"fruit.brown": float("nan")}, "must lie in"),
+        ({"leaf.clorophyll": 1.0}, "unknown parameter 'leaf.clorophyll'"),
+        ({"leaf.roughness": [0.1, 0.2, 0.3]}, "must have the shape"),
+        ({"leaf.roughness": 0.0}, "must be finite and between"),
+        ({"leaf.structure_n": 0.9}, "must be finite and between"),
+        ({"fruit.brown": float("nan")}, "must be finite and between"),
         ({"flash.power": 0.0}, "must be above 0"),
         ({"flash.spectrum": 0.0}, "must be above 0"),
         ({"exposure.f_number": float("inf")}, "be finite"),
