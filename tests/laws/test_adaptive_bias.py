@@ -1,6 +1,6 @@
 """Adaptive sampling and denoising cause no visible bias.
 
-Rationale: samples that depend on earlier ones bias means (a pixel whose first samples missed something keeps
+Rationale: samples that depend on earlier ones bias means (a pixel whose first samples missed a detail keeps
 its value), and a denoiser redistributes light. Both are hidden by the noise of a single frame.
 
 Set-up: the mean over 64 seeds of frames of the standard quality, against a reference of many samples in
@@ -96,7 +96,7 @@ def measure_bias(
     )
 
 
-def assert_not_visible(bias: Bias, most: float) -> None:
+def assert_invisible(bias: Bias, most: float) -> None:
     assert np.abs(bias.mean).max() < 0.3, bias
     for name, (relative, error) in bias.classes.items():
         # Within the noise of 64 seeds.
@@ -108,7 +108,7 @@ def test_small_frames_have_no_visible_bias():
     camera = replace(camera, sensor=replace(camera.sensor, columns=88, rows=66))
     bias = measure_bias(scene, camera, seeds=SEEDS, reference_frames=1, least_pixels=150)
     assert len(bias.classes) >= 4, bias
-    assert_not_visible(bias, 0.015)
+    assert_invisible(bias, 0.015)
 
 
 @pytest.mark.long
@@ -123,4 +123,4 @@ def test_standard_frames_have_no_visible_bias():
         scene, replace(camera, sensor=sensor), seeds=SEEDS, reference_frames=1, least_pixels=100
     )
     assert len(bias.classes) >= 4, bias
-    assert_not_visible(bias, 0.01)
+    assert_invisible(bias, 0.01)

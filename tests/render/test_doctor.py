@@ -83,7 +83,7 @@ def test_wrong_image_is_reported():
 
 
 def test_missing_variant_is_reported_with_advice(monkeypatch):
-    # An unsupported variant stands for a machine without any.
+    # An unsupported variant simulates a machine without any.
     monkeypatch.setenv("PEPPERSCENE_VARIANT", "scalar_rgb")
     variant = line_of(diagnose(), "variant")
     assert not variant.good
