@@ -7,7 +7,7 @@ Set-up: the mean over 64 seeds of frames of the standard quality, against a refe
 every pixel, six bounces and no denoiser. Differences are in codes after the tone curve, of the mean light.
 
 Expected: less than .3 codes in the mean of each colour, and 1 % in the light of every class of the ground
-truth; 1.5 % in a small picture, where more of each class is at its edges. In single pixels the smoothing of
+truth; 1.5 % in a small image, where more of each class is at its edges. In single pixels the smoothing of
 the denoiser remains: its root mean square is reported, from two halves of frames and of the reference.
 """
 
@@ -34,7 +34,7 @@ class Bias:
 
     Attributes:
         mean: `(3,)` in codes, signed.
-        rms: in codes over the picture, without noise.
+        rms: in codes over the image, without noise.
         classes: relative error of a class's light and its standard error, by name.
     """
 
@@ -44,7 +44,7 @@ class Bias:
 
 
 def unrounded_codes(electrons: np.ndarray, camera: Camera) -> np.ndarray:
-    """Codes of the picture without rounding (IEC 61966-2-1)."""
+    """Codes of the image without rounding (IEC 61966-2-1)."""
     smooth = replace(camera, developing=replace(camera.developing, quantise=False))
     value = np.clip(correct_colours(camera_rgb(electrons, smooth), smooth).astype(float), 0.0, 1.0)
     toe = value <= 0.0031308

@@ -52,12 +52,12 @@ def squared_slopes(camera):
 
 @given(right=st.floats(-1e-3, 1e-3), down=st.floats(-1e-3, 1e-3))
 @settings(max_examples=25, deadline=None)
-def test_light_falls_with_the_fourth_power_of_the_cosine_from_the_optical_axis(right, down):
+def test_light_falls_with_the_fourth_power_of_the_cosine(right, down):
     camera = Camera(dataclasses.replace(LENS, principal_offset_m=(right, down)), COARSE)
     np.testing.assert_allclose(relative_illumination(camera), (1 + squared_slopes(camera)) ** -2, rtol=1e-12)
 
 
-def test_mechanical_vignetting_multiplies_the_natural_one_by_field_angle():
+def test_vignetting_multiplies_the_cosine_falloff():
     table = AngularProfile(np.deg2rad([0, 20, 30]), np.array([1.0, 0.9, 0.5]), "hold")
     camera = Camera(dataclasses.replace(LENS, vignetting=table), COARSE)
     angle = np.rad2deg(np.arctan(np.sqrt(squared_slopes(camera))))
@@ -81,7 +81,7 @@ def test_falloff_can_be_disabled():
     offset=st.tuples(st.floats(-5e-4, 5e-4), st.floats(-5e-4, 5e-4)),
 )  # fmt: skip
 @settings(max_examples=40, deadline=None)
-def test_all_light_of_a_uniform_field_that_enters_the_pupil_reaches_the_sensor(k1, k2, k3, p1, p2, offset):
+def test_all_light_that_enters_the_pupil_reaches_the_sensor(k1, k2, k3, p1, p2, offset):
     # Under the radiance L the pupil of area A receives L A times the integral of cos(theta) over the solid
     # angle that the image shows. In the plane z = 1 that is the integral of cos^4(theta) dx dy inside the
     # image's outline, which is known without the fall-off: the rays through the image's border.

@@ -1,7 +1,7 @@
 """Light transport converges like Monte Carlo integration, to a mean that does not depend on the samples.
 
 Rationale: correlated random numbers, a weight that does not match its density, or a pass that repeats another
-leave pictures that look right. They are visible in the rate of convergence and in the mean.
+leave images that look right. They are visible in the rate of convergence and in the mean.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ the product of the differences to two independent halves of it, in which the ref
 codes are linearised about the reference, as in the estimate.
 
 Expected: within a factor of 2.2. Light that meets one surface alone follows Mitchell's equation and is
-reported within [.6, 1.8]. What the denoiser leaves of other light depends on the picture: less where surfaces
+reported within [.6, 1.8]. What the denoiser leaves of other light depends on the image: less where surfaces
 are large and uniform (sphere and leaf, reported / true 1.9), more where they are small (plants by flash .63,
 by daylight .74).
 """

@@ -114,7 +114,7 @@ def test_backlit_leaf_has_the_colour_and_level_of_its_transmittance(blade, senso
 
 
 def test_patterned_leaf_transmits_the_mean_of_its_transmittances(blade):
-    # The whole blade in the picture with its pattern of pigments: light is averaged, not pigments.
+    # The whole blade in the image with its pattern of pigments: light is averaged, not pigments.
     surface, pattern = blade
     side = 48
     width = side * 9e-6 / 4.16e-3 * 0.5

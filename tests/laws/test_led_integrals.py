@@ -4,7 +4,7 @@ Rationale: a renderer that is not spectral throughout (three numbers per ray, or
 is multiplied) passes with a grey patch under one light. It fails with colours under lights of other shapes:
 the sensor's integral of light x reflectance x response is not a product of integrals.
 
-Set-up: a white, a strongly coloured and a narrow-band patch side by side, facing camera and lamp at 50 cm.
+Set-up: a white, a strongly coloured and a narrow-band patch, facing camera and lamp at 50 cm.
 
 Expected: the integral in NumPy, on half nanometres, from the numbers in the data files.
 

@@ -83,18 +83,18 @@ def rendered(reflectance, sensor, spd, by):
 
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_pair_differs_but_is_equal_to_the_sensor(sensor):
-    one, other = metamers(sensor)
-    assert min(one.min(), other.min()) >= 0.0
-    assert max(one.max(), other.max()) <= 1.0
-    assert np.sqrt(np.mean((one - other) ** 2)) > 0.05
-    assert electrons_of(one, sensor, LED_A) == pytest.approx(electrons_of(other, sensor, LED_A), rel=1e-9)
+    a, b = metamers(sensor)
+    assert min(a.min(), b.min()) >= 0.0
+    assert max(a.max(), b.max()) <= 1.0
+    assert np.sqrt(np.mean((a - b) ** 2)) > 0.05
+    assert electrons_of(a, sensor, LED_A) == pytest.approx(electrons_of(b, sensor, LED_A), rel=1e-9)
 
 
 @pytest.mark.parametrize(("by", "bound"), [("flash", 0.001), ("sky", 0.003)])
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_metamers_are_rendered_equal(sensor, by, bound):
-    one, other = (rendered(reflectance, sensor, LED_A, by) for reflectance in metamers(sensor))
-    assert one == pytest.approx(other, rel=bound)
+    a, b = (rendered(reflectance, sensor, LED_A, by) for reflectance in metamers(sensor))
+    assert a == pytest.approx(b, rel=bound)
 
 
 @pytest.mark.parametrize(("spd", "by"), [(LED_B, "flash"), (D65, "flash"), (D65, "sky")])

@@ -80,9 +80,9 @@ def test_packed_spectra_equal_the_surfaces():
     si = interaction((0.0, 0.0, 1.0), 1)
     si.wavelengths = mi.Spectrum(412.0, 530.0, 655.0, 700.0)
     point = optics.point(si, mi.UInt32(0), mi.Float(0.3), mi.Bool(True))
-    wanted = np.interp([412, 530, 655, 700], nm, curve) * (0.5 + 0.3 * 0.5)
-    assert np.asarray(point.reflectance).ravel() == pytest.approx(wanted, rel=1e-5)
-    assert np.asarray(point.transmittance).ravel() == pytest.approx(wanted * 0.5, rel=1e-5)
+    expected = np.interp([412, 530, 655, 700], nm, curve) * (0.5 + 0.3 * 0.5)
+    assert np.asarray(point.reflectance).ravel() == pytest.approx(expected, rel=1e-5)
+    assert np.asarray(point.transmittance).ravel() == pytest.approx(expected * 0.5, rel=1e-5)
 
 
 def test_nearest_wavelengths_are_accurate_for_shipped_surfaces():

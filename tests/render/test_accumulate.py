@@ -72,15 +72,15 @@ def test_means_and_variances_equal_those_of_the_samples(channels):
     accumulator.add_all(samples.all_light(0, 2), 2)
     accumulator.add_direct(samples.direct(None, 2, 4), 2)
     # Some pixels continue to 8 samples, some of these and others to 16.
-    some, more = np.array([3, 4, 11, 34]), np.array([4, 20, 34])
-    accumulator.add_direct(samples.direct(some, 4, 8), 4, some)
-    for pixel in more.tolist():
+    eight, sixteen = np.array([3, 4, 11, 34]), np.array([4, 20, 34])
+    accumulator.add_direct(samples.direct(eight, 4, 8), 4, eight)
+    for pixel in sixteen.tolist():
         begin = int(accumulator.samples[pixel])
         chosen = np.array([pixel])
         accumulator.add_direct(samples.direct(chosen, begin, 16), 16 - begin, chosen)
 
     counts = np.full(PIXELS, 4)
-    counts[some], counts[more] = 8, 16
+    counts[eight], counts[sixteen] = 8, 16
     assert np.array_equal(accumulator.samples, counts)
     light = accumulator.light()
     assert light.variance.indirect_samples == 2
@@ -220,7 +220,7 @@ def test_variance_of_traced_samples_equals_that_of_independent_samples(tracer):
 
 
 def test_variance_from_four_samples_equals_that_from_many(tracer):
-    # Averaged over the picture, as adaptive sampling uses it. So small a picture has few edges: frames differ
+    # Averaged over the image, as adaptive sampling uses it. So small a image has few edges: frames differ
     # by half, their mean over 48 by 7 %.
     many = tracer.light(256, 1, seed=1).variance.direct.mean()
     few = np.mean([tracer.light(4, 1, seed=seed).variance.direct.mean() for seed in range(48)])

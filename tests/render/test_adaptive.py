@@ -138,7 +138,7 @@ def test_codes_are_finite(camera, level):
     assert (codes.noise > 0.0).all()  # read noise
 
 
-def picture_deviation(signal: np.ndarray, camera: Camera, frames: int = 300) -> np.ndarray:
+def image_deviation(signal: np.ndarray, camera: Camera, frames: int = 300) -> np.ndarray:
     """`(h, w)` standard deviation of developed images, root mean square over colours, without rounding."""
     electrons, squares, sums = expected_electrons(signal, camera), 0.0, 0.0
     for seed in range(frames):
@@ -151,12 +151,12 @@ def picture_deviation(signal: np.ndarray, camera: Camera, frames: int = 300) -> 
 
 @pytest.mark.parametrize("name", ["flash", "daylight", "linear", "no matrix", "mono", "mono, linear"])
 @pytest.mark.parametrize("level", [0.05, 0.3])
-def test_noise_equals_the_deviation_of_developed_pictures(name, level):
+def test_noise_equals_the_deviation_of_developed_images(name, level):
     camera = CAMERAS[name]
     signal, white = random_light(camera, level, saturation=0.1)
     noise = code_response(signal, white, camera).noise
-    deviation = picture_deviation(signal, camera)
-    # Brighter pixels are clipped in the picture.
+    deviation = image_deviation(signal, camera)
+    # Brighter pixels are clipped in the image.
     linear = linear_values(signal, camera)
     unclipped = (linear.max(axis=-1) < 0.9) & (linear.min(axis=-1) > 0.0)
     assert unclipped.mean() > 0.6
@@ -169,12 +169,12 @@ def test_noise_in_the_dark_has_the_right_magnitude():
     # Clipped at black it is not Gaussian: within a factor of two.
     camera = CAMERAS["flash"]
     signal, white = random_light(camera, 1e-4)
-    ratio = code_response(signal, white, camera).noise.mean() / picture_deviation(signal, camera).mean()
+    ratio = code_response(signal, white, camera).noise.mean() / image_deviation(signal, camera).mean()
     assert 0.5 < ratio < 2.0
 
 
 def random_variances(seed: int, n: int = 8192) -> np.ndarray:
-    """Variances of one sample like those of pictures: most are small, some a million times larger."""
+    """Variances of one sample like those of images: most are small, some a million times larger."""
     rng = np.random.default_rng(seed)
     return np.exp(rng.normal(-3.0, 3.0, n)).astype(np.float32) * (rng.random(n) < 0.7)
 
@@ -241,7 +241,7 @@ def test_samples_are_powers_of_two_that_meet_the_target():
 
 @pytest.mark.parametrize("size", [(512, 512), (1024, 1280), (600, 800), (480, 640)])
 def test_subset_of_pixels_does_not_follow_the_columns(size):
-    # For large pictures the scale is computed from a subset of pixels, which must not miss stripes.
+    # For large images the scale is computed from a subset of pixels, which must not miss stripes.
     variance = np.full(size, 1e-3, np.float32)
     variance[:, ::16] = 1.0
     sampler = AdaptiveSampler(CAMERAS["flash"], 0.1, 1024, denoised=True)
@@ -284,7 +284,7 @@ def accumulated(
 
 
 def edge_variance(camera: Camera, level: float) -> np.ndarray:
-    """`(h, w)` variances of direct light: large at an edge across the picture, small elsewhere."""
+    """`(h, w)` variances of direct light: large at an edge across the image, small elsewhere."""
     signal, white = random_light(camera, level)
     square = np.square(signal / white).sum(axis=-1)
     edge = np.abs(np.arange(WIDTH) - WIDTH / 2) < 2.0
@@ -336,7 +336,7 @@ def test_required_samples_meet_the_target(target):
     assert columns[WIDTH // 2] > 3 * columns[2]
 
 
-def test_error_of_indirect_light_above_the_target_does_not_multiply_direct_samples():
+def test_noisy_indirect_light_does_not_multiply_direct_samples():
     # Direct light may then still have half of the error.
     camera = CAMERAS["flash"]
     direct = edge_variance(camera, 0.1)

@@ -117,10 +117,10 @@ def first_hit_light(
         spectra, optics = wavelengths.spectra, (None, None)
         si = mi.SurfaceInteraction3f(si)
         si.wavelengths = wavelengths.nm
-    flashed, sunlit = (tables.scene.surface_point(si, hit, active, one) for one in optics)
-    light = samples.flash_light(si, flashed, active, spectra)
+    flash_point, sun_point = (tables.scene.surface_point(si, hit, active, packed) for packed in optics)
+    light = samples.flash_light(si, flash_point, active, spectra)
     light += samples.sky_radiance(samples.ray.d, ~active, spectra, with_sun=True)
-    light += samples.sun_light(si, sunlit, active, spectra)
+    light += samples.sun_light(si, sun_point, active, spectra)
     return [*light] if wavelengths is None else wavelengths.channels(light)
 
 

@@ -157,7 +157,7 @@ def test_points_and_their_groups_are_evenly_spread():
         assert sorted(map(tuple, group)) == [(0, 0), (0, 1), (1, 0), (1, 1)]
 
 
-def test_points_estimate_the_area_beside_an_edge():
+def test_points_estimate_the_area_on_one_side_of_an_edge():
     rng = np.random.default_rng(1)
     exact = (np.stack(np.mgrid[:500, :500], -1).reshape(-1, 2) + 0.5) / 500 - 0.5
     errors = []

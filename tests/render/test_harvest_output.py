@@ -60,11 +60,11 @@ def test_amodal_mask_is_that_of_the_isolated_fruit(plant, scene, frame):
         alone = assemble_scene(scene.mesh.select_instances([fruit["instance"] - 1]))
         mask = Renderer(alone).render(aisle_camera(plant), ["instance"])["instance"] > 0
         np.testing.assert_array_equal(decode_rle(fruit["amodal"]), mask)
-        seen = frame["instance"] == fruit["instance"]
-        assert not (seen & ~mask).any()
-        assert fruit["visible_pixels"] == seen.sum()
+        visible = frame["instance"] == fruit["instance"]
+        assert not (visible & ~mask).any()
+        assert fruit["visible_pixels"] == visible.sum()
         hidden = sum(item["pixels"] for item in fruit["occluders"])
-        assert hidden == mask.sum() - seen.sum()
+        assert hidden == mask.sum() - visible.sum()
 
 
 def test_fruit_hidden_by_a_board_keep_their_truth(plant, frame):
@@ -156,8 +156,8 @@ def test_camera_inside_a_fruit_sees_only_that_fruit(plant, scene):
     target = largest_fruit_centre(plant)
     view = camera().at_pose(look_at(target, target + np.array([0.0, 1.0, 0.0])))
     frame = Renderer(scene).render(view, OUTPUTS)
-    seen = np.bincount(frame["instance"].ravel()).argmax()
-    fruit = next(item for item in frame["harvest"]["fruit"] if item["instance"] == seen)
+    instance = np.bincount(frame["instance"].ravel()).argmax()
+    fruit = next(item for item in frame["harvest"]["fruit"] if item["instance"] == instance)
     assert fruit["amodal_pixels"] == view.width * view.height
     # Contacts are not resolved: something reaches into the fruit.
     assert fruit["visible_fraction"] > 0.9

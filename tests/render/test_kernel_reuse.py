@@ -1,4 +1,4 @@
-"""A new scene, sky, picture size or pose reuses the compiled kernels; device arrays are aligned."""
+"""A new scene, sky, image size or pose reuses the compiled kernels; device arrays are aligned."""
 
 from __future__ import annotations
 
