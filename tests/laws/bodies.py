@@ -1,4 +1,4 @@
-"""Small scenes with closed forms, shared by the laws."""
+"""Small scenes whose results have a closed form, and electrons computed without the program."""
 
 from __future__ import annotations
 
@@ -12,20 +12,23 @@ from pepperscene.camera import AngularProfile, Camera, Flash, load_flash, load_l
 from pepperscene.classes import Instance, OrganClass
 from pepperscene.geometry import Mesh
 from pepperscene.materials import Surface
+from pepperscene.scene import uniform_sky
 from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import Spectrum
 
 RANGE_NM = np.array([300.0, 1100.0])
+EVEN_SKY = uniform_sky(Spectrum(RANGE_NM, np.ones(2)), 5500.0)
 PLANCK, LIGHT_SPEED = 6.62607015e-34, 2.99792458e8  # J s, m/s (SI 2019, exact)
+SENSORS = ("ueye_ui5250re", "onsemi_mt9v024")  # one binned, one demosaiced
 PITCH_M = {"ueye_ui5250re": 4.5e-6, "onsemi_mt9v024": 6.0e-6}  # of a photosite, from the data sheets
-CURVES = {  # files of quantum efficiency and of the infrared-cut filter before it
+CURVES = {  # files of quantum efficiency and of the infrared-cut filter in front
     "ueye_ui5250re": ("ev76c570_rgb_qe_MODEL", None),
     "onsemi_mt9v024": ("onsemi_mt9v024_rgb_qe", "ircut_schott_22022010"),
 }
 
 
 def body(solid: trimesh.Trimesh, surface: str, organ_class: OrganClass = OrganClass.LEAF) -> Mesh:
-    """A trimesh body as a one-instance mesh; uv in the middle of everything."""
+    """A trimesh body as a mesh of one instance; all vertices have the same uv and state."""
     vertices, faces = len(solid.vertices), len(solid.faces)
     return Mesh(
         vertices=solid.vertices.astype(np.float32),
@@ -41,12 +44,15 @@ def body(solid: trimesh.Trimesh, surface: str, organ_class: OrganClass = OrganCl
 
 
 def sheet(width: float, height: float, z: float, surface: str) -> Mesh:
-    """A single rectangle across the z axis, facing -z."""
-    x, y = width / 2, height / 2
-    flat = trimesh.Trimesh(
-        [[-x, -y, z], [x, -y, z], [x, y, z], [-x, y, z]], [[0, 2, 1], [0, 3, 2]], process=False
-    )
-    return body(flat, surface)
+    """A rectangle across the z axis, facing -z."""
+    return card(0.0, 0.0, width, height, surface, z)
+
+
+def card(x: float, y: float, width: float, height: float, surface: str, z: float = 0.5) -> Mesh:
+    """A rectangle with its centre at (x, y, z), facing -z."""
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (width / 2, height / 2)
+    flat = trimesh.Trimesh(np.pad(corners, ((0, 0), (0, 1))), [[0, 2, 1], [0, 3, 2]], process=False)
+    return body(flat, surface).moved(np.eye(3), np.array([x, y, z]))
 
 
 def sphere(centre: tuple[float, float, float], radius: float, surface: str, subdivisions: int = 5) -> Mesh:
@@ -56,18 +62,28 @@ def sphere(centre: tuple[float, float, float], radius: float, surface: str, subd
     return body(ball, surface, OrganClass.PEPPER)
 
 
-def bench_camera(
-    *, columns: int = 800, rows: int = 600, flash: bool = True, **flash_changes: object
+def axis_camera(
+    columns: int = 800,
+    rows: int = 600,
+    *,
+    sensor: str = "ueye_ui5250re",
+    flash: Flash | bool | None = True,
+    **flash_changes: object,
 ) -> Camera:
-    """The recipe's camera at the world's origin looking along +z; the image may be cut to a few pixels."""
-    lamp = replace(load_flash("led_matrix_200klx"), **flash_changes) if flash else None  # type: ignore[arg-type]
-    sensor = replace(load_sensor("ueye_ui5250re"), columns=columns, rows=rows)
-    return Camera(load_lens("lensagon_cmfa0420nd"), sensor, np.eye(4), 50e-6, lamp)
+    """A shipped sensor, cropped, behind the recipe's lens at the origin, looking along +z, for 50 us.
+
+    `flash` is the recipe's with `flash_changes`, none, or another one.
+    """
+    if flash is True:
+        flash = replace(load_flash("led_matrix_200klx"), **flash_changes)  # type: ignore[arg-type]
+    cropped = replace(load_sensor(sensor), columns=columns, rows=rows)
+    return Camera(load_lens("lensagon_cmfa0420nd"), cropped, np.eye(4), 50e-6, flash or None)
 
 
-def card(x: float, y: float, width: float, height: float, surface: str, z: float = 0.5) -> Mesh:
-    """A `sheet` whose centre is at (x, y, z)."""
-    return sheet(width, height, z, surface).moved(np.eye(3), np.array([x, y, 0.0]))
+def point_flash_camera(columns: int = 16, rows: int = 12, **changes: object) -> Camera:
+    """`axis_camera` with a point flash at the lens."""
+    point = {"radius_m": 0.0, "emitters_m": np.zeros((1, 2)), "offset_m": (0.0, 0.0, 0.0)}
+    return axis_camera(columns, rows, **{**point, **changes})
 
 
 def matt(name: str, nm: np.ndarray, reflectance: np.ndarray) -> Surface:
@@ -76,28 +92,17 @@ def matt(name: str, nm: np.ndarray, reflectance: np.ndarray) -> Surface:
     return Surface(name, np.asarray(nm, float), both, np.zeros((1, nm.size)))
 
 
-def bench_lamp(spectrum: Spectrum, illuminance_lx: float = 200_000.0) -> Flash:
-    """A point lamp in the lens' place whose beam makes a facing plane at 50 cm look evenly bright.
+def even_lamp(spectrum: Spectrum, illuminance_lx: float = 200_000.0) -> Flash:
+    """A point lamp at the lens whose beam makes a facing plane at 50 cm look evenly bright.
 
     A point of intensity I cos^-7 lights that plane with I cos^-7 cos^3 / z^2, and the lens takes cos^4 of it.
     """
     angle = np.radians(np.arange(0.0, 60.1, 0.25))
-    return Flash(
-        "lamp",
-        spectrum,
-        illuminance_lx=illuminance_lx,
-        at_m=0.5,
-        profile=AngularProfile(angle, np.cos(angle) ** -7),
-    )
+    profile = AngularProfile(angle, np.cos(angle) ** -7)
+    return Flash("lamp", spectrum, illuminance_lx=illuminance_lx, at_m=0.5, profile=profile)
 
 
-def chosen_camera(sensor: str, lamp: Flash | None, *, columns: int, rows: int) -> Camera:
-    """A shipped sensor, cut to a few pixels, behind the recipe's lens at the world's origin, 50 us long."""
-    small = replace(load_sensor(sensor), columns=columns, rows=rows)
-    return Camera(load_lens("lensagon_cmfa0420nd"), small, np.eye(4), 50e-6, lamp)
-
-
-# --- the same by hand: NumPy and the data files' numbers, nothing of the program ---------------------------
+# --- by hand: NumPy and the numbers of the data files, no code of the program -------------------------------
 
 
 def columns_of(file: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -112,19 +117,22 @@ def response_by_hand(sensor: str, nm: np.ndarray) -> np.ndarray:
     """`(3, n)` electrons per nm of a photosite, for 1 W m-2 sr-1 nm-1: f/2, 90 % glass, 50 us."""
     efficiency, cut = CURVES[sensor]
     curves = columns_of(f"sensors/spectra/{efficiency}")
-    sensed = np.array([np.interp(nm, *curves[channel], 0, 0) for channel in "rgb"])
+    quantum_efficiency = np.array([np.interp(nm, *curves[channel], 0, 0) for channel in "rgb"])
     if cut:
-        sensed = sensed * np.interp(nm, *columns_of(f"sensors/spectra/{cut}")["transmittance"], 0, 0)
+        quantum_efficiency *= np.interp(nm, *columns_of(f"sensors/spectra/{cut}")["transmittance"], 0, 0)
     photons = nm * 1e-9 / (PLANCK * LIGHT_SPEED)
-    return sensed * photons * PITCH_M[sensor] ** 2 * np.pi / (4 * 2.0**2) * 0.9 * 50e-6
+    return quantum_efficiency * photons * PITCH_M[sensor] ** 2 * np.pi / (4 * 2.0**2) * 0.9 * 50e-6
 
 
-def irradiance_by_hand(spd: tuple[np.ndarray, np.ndarray], lux: float, nm: np.ndarray) -> np.ndarray:
-    """`(n,)` W m-2 nm-1 of a light of this relative SPD that gives `lux` (CIE 1924, 683.002 lm/W)."""
+def lux(nm: np.ndarray, irradiance: np.ndarray) -> float:
+    """Illuminance of W m-2 nm-1 (CIE 1924, 683.002 lm/W)."""
     import colour
 
     v = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
+    return 683.002 * np.trapezoid(irradiance * np.interp(nm, v.wavelengths, v.values, 0, 0), nm)
+
+
+def irradiance_by_hand(spd: tuple[np.ndarray, np.ndarray], lx: float, nm: np.ndarray) -> np.ndarray:
+    """`(n,)` W m-2 nm-1 of a light of this relative SPD that gives `lx`."""
     fine = np.arange(360.0, 830.0, 0.5)
-    efficiency = np.interp(fine, v.wavelengths, v.values, 0, 0)
-    unit = 683.002 * np.trapezoid(np.interp(fine, *spd, 0, 0) * efficiency, fine)
-    return np.interp(nm, *spd, 0, 0) * lux / unit
+    return np.interp(nm, *spd, 0, 0) * lx / lux(fine, np.interp(fine, *spd, 0, 0))

@@ -15,12 +15,7 @@ from pepperscene.render.surface.optics import MIN_ALPHA, Optics
 from pepperscene.render.variant import mitsuba_modules
 
 GRID_NM = np.arange(380.0, 961.0, 5.0)
-TEST_NM = (
-    450.0,
-    550.0,
-    680.0,
-    850.0,
-)  # a leaf's two absorption bands, green and bright infrared
+TEST_NM = (450.0, 550.0, 680.0, 850.0)  # a leaf's two absorption bands, green and bright infrared
 EXTENT_M = 0.03  # of a unit of uv: makes shipped reliefs about three times as steep as on the plant
 IORS = (1.0, 1.05, 1.28, 1.5, 2.5)
 ROUGHNESSES = ((1e-3, 1e-3), (1e-3, 1.0), (0.1, 0.45), (0.7, 0.02))
@@ -100,12 +95,8 @@ class Cases:
 
     def alpha(self) -> np.ndarray:
         """`(c,)` roughness of the cuticle on the viewer's side, as packed."""
-        return np.array(
-            [
-                max(self.surfaces[k].roughness[s], MIN_ALPHA)
-                for k, s in zip(self.surface, self.side, strict=True)
-            ]
-        )
+        sides = zip(self.surface, self.side, strict=True)
+        return np.array([max(self.surfaces[k].roughness[side], MIN_ALPHA) for k, side in sides])
 
     def expected(self) -> np.ndarray:
         """`(c, 4)`: E + (1 - E) (R + T) by NumPy, of plain surfaces."""
@@ -137,18 +128,10 @@ class Cases:
         mi, dr = mitsuba_modules()
         point = self.points(optics, dr.arange(mi.UInt32, len(self)))
         dr.eval(point.frame, point.flip)
-        axes = [np.broadcast_to(np.asarray(axis), (3, len(self))) for axis in _axes(point)]
+        one = dr.ones(mi.Float, dr.width(point.flip))
+        local = mi.Vector3f(one, 0, 0), mi.Vector3f(0, one, 0), mi.Vector3f(0, 0, one * point.flip)
+        axes = [np.broadcast_to(np.asarray(point.frame.to_world(axis)), (3, len(self))) for axis in local]
         return np.stack(axes).transpose(2, 0, 1).astype(float)
-
-
-def _axes(point):
-    mi, dr = mitsuba_modules()
-    one, zero = dr.ones(mi.Float, dr.width(point.flip)), 0.0
-    return (
-        point.frame.to_world(mi.Vector3f(one, zero, zero)),
-        point.frame.to_world(mi.Vector3f(zero, one, zero)),
-        point.frame.to_world(mi.Vector3f(zero, zero, one * point.flip)),
-    )
 
 
 def interaction(wi, n: int, uv=(0.5, 0.5)):

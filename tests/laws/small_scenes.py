@@ -1,12 +1,12 @@
-"""Small pictures with a reference, shared by the tests of the light's error."""
+"""Small frames with a reference, shared by the tests of the rendering error."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
-from bodies import bench_camera
-from test_convergence import bench
+from bodies import axis_camera
+from test_convergence import sphere_and_leaf
 
 from pepperscene.camera import Camera, correct_colours
 from pepperscene.dataset import FrameRenderer, Recipe, load_recipe
@@ -16,10 +16,11 @@ from pepperscene.scene import Scene
 COLUMNS, ROWS = 112, 84
 
 
-def bench_shot() -> tuple[Scene, Camera]:
+def sphere_and_leaf_view() -> tuple[Scene, Camera]:
     """The scene of `test_convergence`, not overexposed."""
-    camera = bench_camera(columns=COLUMNS, rows=ROWS)
-    return bench(), replace(camera, sensor=replace(camera.sensor, binning=8), exposure_s=15e-6)
+    camera = axis_camera(COLUMNS, ROWS)
+    camera = replace(camera, sensor=replace(camera.sensor, binning=8), exposure_s=15e-6)
+    return sphere_and_leaf(), camera
 
 
 def bright_day(recipe: Recipe, exposure_us: float) -> dict[str, object]:
@@ -32,8 +33,8 @@ def bright_day(recipe: Recipe, exposure_us: float) -> dict[str, object]:
     }
 
 
-def plants_shot(*, daylight: bool = False) -> tuple[Scene, Camera]:
-    """Two plants of the demo: the middle of a picture, by flash or by bright daylight alone."""
+def plants_view(*, daylight: bool = False) -> tuple[Scene, Camera]:
+    """Two plants of the demo: the middle of a frame, by flash or by bright daylight alone."""
     recipe = load_recipe("demo")
     changes: dict[str, object] = {"row": recipe.row.model_copy(update={"plants_front": 1, "plants_back": 1})}
     if daylight:
@@ -45,10 +46,10 @@ def plants_shot(*, daylight: bool = False) -> tuple[Scene, Camera]:
 
 
 class Codes:
-    """Errors of a camera's light in codes of its picture, linear in the light.
+    """Converts small differences in electrons to codes of the developed image.
 
     Args:
-        camera: that takes the pictures.
+        camera: with the developing settings.
         electrons: `(h, w, c)` nearly without noise, for the slope of the tone curve.
     """
 
@@ -61,7 +62,7 @@ class Codes:
         slope = np.where(linear <= 0.0031308, 12.92, 1.055 / 2.4 * value ** (1 / 2.4 - 1.0))
         self._slope = np.where((linear <= 0.0) | (linear >= 1.0), 0.0, 255.0 * slope)
 
-    def of(self, electrons: np.ndarray) -> np.ndarray:
+    def convert(self, electrons: np.ndarray) -> np.ndarray:
         """`(h, w, 3)` codes of a difference in electrons."""
         return self._slope * self._linear(electrons)
 
@@ -96,7 +97,7 @@ class WithReference:
 
     def true_square(self, electrons: np.ndarray) -> float:
         """Mean square of the true error, codes."""
-        first, second = (self.codes.of(electrons - half) for half in self.halves)
+        first, second = (self.codes.convert(electrons - half) for half in self.halves)
         return float((first * second).mean())
 
     def errors(

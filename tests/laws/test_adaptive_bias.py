@@ -1,13 +1,13 @@
 """Adaptive sampling and denoising cause no visible bias.
 
-Rationale: samples that depend on earlier ones bias means (a pixel whose first samples missed something keeps
+Rationale: samples that depend on earlier ones bias means (a pixel whose first samples missed a detail keeps
 its value), and a denoiser redistributes light. Both are hidden by the noise of a single frame.
 
 Set-up: the mean over 64 seeds of frames of the standard quality, against a reference of many samples in
 every pixel, six bounces and no denoiser. Differences are in codes after the tone curve, of the mean light.
 
 Expected: less than .3 codes in the mean of each colour, and 1 % in the light of every class of the ground
-truth; 1.5 % in a small picture, where more of each class is at its edges. In single pixels the smoothing of
+truth; 1.5 % in a small image, where more of each class is at its edges. In single pixels the smoothing of
 the denoiser remains: its root mean square is reported, from two halves of frames and of the reference.
 """
 
@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from small_scenes import plants_shot
+from small_scenes import plants_view
 
 from pepperscene.camera import Camera, camera_rgb, correct_colours
 from pepperscene.classes import OrganClass
@@ -34,7 +34,7 @@ class Bias:
 
     Attributes:
         mean: `(3,)` in codes, signed.
-        rms: in codes over the picture, without noise.
+        rms: in codes over the image, without noise.
         classes: relative error of a class's light and its standard error, by name.
     """
 
@@ -44,7 +44,7 @@ class Bias:
 
 
 def unrounded_codes(electrons: np.ndarray, camera: Camera) -> np.ndarray:
-    """Codes of the picture without rounding (IEC 61966-2-1)."""
+    """Codes of the image without rounding (IEC 61966-2-1)."""
     smooth = replace(camera, developing=replace(camera.developing, quantise=False))
     value = np.clip(correct_colours(camera_rgb(electrons, smooth), smooth).astype(float), 0.0, 1.0)
     toe = value <= 0.0031308
@@ -96,7 +96,7 @@ def measure_bias(
     )
 
 
-def assert_not_visible(bias: Bias, most: float) -> None:
+def assert_invisible(bias: Bias, most: float) -> None:
     assert np.abs(bias.mean).max() < 0.3, bias
     for name, (relative, error) in bias.classes.items():
         # Within the noise of 64 seeds.
@@ -104,11 +104,11 @@ def assert_not_visible(bias: Bias, most: float) -> None:
 
 
 def test_small_frames_have_no_visible_bias():
-    scene, camera = plants_shot()
+    scene, camera = plants_view()
     camera = replace(camera, sensor=replace(camera.sensor, columns=88, rows=66))
     bias = measure_bias(scene, camera, seeds=SEEDS, reference_frames=1, least_pixels=150)
     assert len(bias.classes) >= 4, bias
-    assert_not_visible(bias, 0.015)
+    assert_invisible(bias, 0.015)
 
 
 @pytest.mark.long
@@ -123,4 +123,4 @@ def test_standard_frames_have_no_visible_bias():
         scene, replace(camera, sensor=sensor), seeds=SEEDS, reference_frames=1, least_pixels=100
     )
     assert len(bias.classes) >= 4, bias
-    assert_not_visible(bias, 0.01)
+    assert_invisible(bias, 0.01)

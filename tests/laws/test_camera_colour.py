@@ -5,37 +5,12 @@ from __future__ import annotations
 import dataclasses
 
 import colour
-import numpy as np
 import pytest
+from colour_chart import NM, chart, difference, lab_of_rgb, observer_lab
 
 from pepperscene.camera import Camera, Developing, develop, load_flash, load_lens, load_sensor
 from pepperscene.camera.colorimetry import d65_spectrum
 from pepperscene.shipped import shipped_folder
-
-NM = np.arange(380.0, 781.0)
-D65 = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
-
-
-def chart():
-    """`(24, n)` BabelColor's average of 30 ColorCheckers, from colour-science; the fit uses ISO 17321-1."""
-    patches = colour.SDS_COLOURCHECKERS["BabelColor Average"].values()
-    return np.stack([np.interp(NM, patch.wavelengths, patch.values) for patch in patches])
-
-
-def observer_lab(light):
-    """`(24, 3)` Lab under `light`, adapted to D65 by CIECAT02 (the camera uses Bradford)."""
-    observer = (
-        colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
-        .copy()
-        .align(colour.SpectralShape(380, 780, 1))
-    )
-    weight = light.at(NM)[:, None] * observer.values
-    white = weight.sum(0)
-    xyz = chart() @ weight / white[1]
-    d65 = colour.xy_to_XYZ(D65)
-    xyz = colour.chromatic_adaptation(xyz, white / white[1], d65, method="Von Kries", transform="CAT02")
-    return colour.XYZ_to_Lab(xyz, D65)
-
 
 PATCH = 16  # pixels; demosaicing mixes colours only at the borders of patches
 SENSORS = [
@@ -54,31 +29,32 @@ def photographed_lab(sensor, light, flash, white_balance):
     developing = Developing(white_balance=white_balance)
     camera = Camera(load_lens("lensagon_cmfa0420nd"), small, flash=flash, developing=developing)
     codes = develop(electrons, camera)[PATCH // 2 :: PATCH, PATCH // 2 :: PATCH].reshape(24, 3)
-    rgb = colour.cctf_decoding(codes / 255, function="sRGB")
-    xyz = colour.RGB_to_XYZ(rgb, "sRGB", apply_cctf_decoding=False)
-    return colour.XYZ_to_Lab(xyz, D65)
+    return lab_of_rgb(colour.cctf_decoding(codes / 255, function="sRGB"))
+
+
+def flash_and_light(white_balance):
+    flash = load_flash("led_matrix_200klx")
+    return flash, flash.spectrum if white_balance == "flash" else d65_spectrum()
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
 @pytest.mark.parametrize("white_balance", ["flash", "daylight"])
 def test_chart_colours_are_reproduced(sensor, white_balance):
-    flash = load_flash("led_matrix_200klx")
-    light = flash.spectrum if white_balance == "flash" else d65_spectrum()
-    found = photographed_lab(load_sensor(sensor), light, flash, white_balance)
-    difference = colour.delta_E(observer_lab(light), found, method="CIE 2000")
-    assert difference.mean() < 3.0
-    assert difference.max() < 8.0
-    # Greys are close; the worst is the white patch, dark below 420 nm where these sensors still see.
-    assert difference[18:].max() < 4.0
+    flash, light = flash_and_light(white_balance)
+    lab = photographed_lab(load_sensor(sensor), light, flash, white_balance)
+    error = difference(observer_lab(light.at(NM)), lab)
+    assert error.mean() < 3.0
+    assert error.max() < 8.0
+    # Greys are close; the worst is the white patch, dark below 420 nm where these sensors still respond.
+    assert error[18:].max() < 4.0
 
 
 @pytest.mark.parametrize("white_balance", ["flash", "daylight"])
 def test_demosaiced_chart_has_the_colours_of_a_binned_one(white_balance):
-    flash = load_flash("led_matrix_200klx")
-    light = flash.spectrum if white_balance == "flash" else d65_spectrum()
-    quads, sites = (
+    flash, light = flash_and_light(white_balance)
+    binned, demosaiced = (
         photographed_lab(load_sensor(name), light, flash, white_balance)
         for name in ("ueye_ui5250re", "ueye_ui5250re_full")
     )
     # Both are uniform inside a patch, so only rounding to single precision may change an 8-bit code.
-    assert colour.delta_E(quads, sites, method="CIE 2000").max() < 0.5
+    assert difference(binned, demosaiced).max() < 0.5

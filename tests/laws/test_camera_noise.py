@@ -12,15 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pepperscene.camera import (
-    Camera,
-    Developing,
-    camera_rgb,
-    load_flash,
-    load_lens,
-    load_sensor,
-    raw_frame,
-)
+from pepperscene.camera import Camera, Developing, camera_rgb, load_flash, load_lens, load_sensor, raw_frame
 from pepperscene.camera.readout import shot_noise
 from pepperscene.shipped import shipped_folder
 
@@ -84,8 +76,8 @@ def test_noise_of_photosites_is_uncorrelated():
     noise = flat_frame(sensor, 2000.0, 14)
     noise -= noise.mean()
     for down, right in ((0, 1), (1, 0), (1, 1), (0, 2), (2, 0), (512, 0), (1024, 0)):
-        one, other = noise[down:, right:], noise[: noise.shape[0] - down, : noise.shape[1] - right]
-        assert abs((one * other).mean()) / noise.var() < SIGMAS / np.sqrt(one.size)
+        a, b = noise[down:, right:], noise[: noise.shape[0] - down, : noise.shape[1] - right]
+        assert abs((a * b).mean()) / noise.var() < SIGMAS / np.sqrt(a.size)
 
 
 # --- photon transfer ----------------------------------------------------------------------------------------
@@ -221,7 +213,7 @@ def test_converter_rounds_to_its_steps(bits, gain):
 
 
 @pytest.mark.parametrize("choice", ["shot_noise", "read_noise"])
-def test_each_noise_can_be_left_out(choice):
+def test_each_noise_can_be_disabled(choice):
     sensor = cropped_sensor("ueye_ui5250re")
     alone = {"shot_noise": sensor.read_noise_e**2, "read_noise": 3000.0}[choice]
     frame = flat_frame(sensor, 3000.0, 50, **{choice: False})

@@ -1,14 +1,13 @@
-"""Electrons of a grey patch under the flash, by a calculation that shares no code with the camera."""
+"""Electrons of the camera against calculations that share no code with it."""
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import math
 
-import colour
 import numpy as np
 import pytest
+from bodies import columns_of, irradiance_by_hand, response_by_hand
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,70 +22,25 @@ from pepperscene.camera import (
     load_sensor,
     relative_illumination,
 )
-from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import Spectrum
-
-DISTANCE_M = 0.5
-REFLECTANCE = 0.18
-
-
-def read_column(path, name):
-    with path.open(encoding="utf-8") as stream:
-        rows = list(csv.DictReader(stream))
-    return np.array([float(row["wavelength_nm"]) for row in rows]), np.array(
-        [float(row[name]) for row in rows]
-    )
-
-
-def predicted_electrons(lux):
-    """Photo-electrons of a red, a green and a blue photosite on the axis, after 50 us."""
-    nm = np.arange(380.0, 781.0, 0.5)
-    spd = np.interp(
-        nm,
-        *read_column(
-            shipped_folder("materials") / "flashes/spectra/lumileds_cool_white.csv", "lumileds_cool_white"
-        ),
-    )
-    v = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
-    v = np.interp(nm, v.wavelengths, v.values, left=0, right=0)
-    # Lux to W m-2 nm-1, to the radiance of a Lambertian patch, through f/2 and 0.9 of glass onto the sensor.
-    irradiance = spd * lux / (683.002 * np.trapezoid(spd * v, nm))
-    radiance = REFLECTANCE * irradiance / math.pi
-    on_sensor = radiance * math.pi / (4 * 2.0**2) * 0.9
-    photons = on_sensor * nm * 1e-9 / (6.62607015e-34 * 299792458.0) * 4.5e-6**2 * 50e-6
-    srf = shipped_folder("materials") / "sensors/spectra/ev76c570_rgb_qe_MODEL.csv"
-    return [np.trapezoid(photons * np.interp(nm, *read_column(srf, channel)), nm) for channel in "rgb"]
-
-
-def patch_signal(camera):
-    """The renderer's signal for the patch straight ahead of the flash, seen along the optical axis."""
-    nm = np.arange(380.0, 781.0)
-    irradiance = camera.flash.radiant_intensity(nm) / camera.flash.axial_area_m2 * camera.flash_duty
-    radiance = REFLECTANCE * irradiance / np.pi
-    return np.trapezoid(radiance * camera.sensor.electrons_per_joule(nm), nm, axis=-1)
-
-
-def test_grey_patch_at_half_a_metre_from_the_flash():
-    camera = Camera(
-        load_lens("lensagon_cmfa0420nd"), load_sensor("ueye_ui5250re"), flash=load_flash("led_matrix_200klx")
-    )
-    signal = np.broadcast_to(patch_signal(camera), (600, 800, 3))
-    electrons = expected_electrons(signal, camera)[299:301, 399:401].mean(axis=(0, 1))
-    np.testing.assert_allclose(electrons, predicted_electrons(200_000), rtol=2e-3)
-    # An independent estimate by hand (f/2, 50 us): 2.6 to 3.5 thousand in green, half of the full well.
-    assert 2600 < electrons[1] < 3500
-
-
-def test_daylight_is_weak_compared_with_the_flash():
-    # The same estimate puts 5,000 lx at about 80 electrons: the flash is forty times as bright as a
-    # greenhouse.
-    assert predicted_electrons(5_000)[1] == pytest.approx(82, rel=0.1)
-
-
-# --- fall-off towards the corners ---------------------------------------------------------------------------
 
 LENS, SENSOR = load_lens("lensagon_cmfa0420nd"), load_sensor("ueye_ui5250re")
 COARSE = dataclasses.replace(SENSOR, columns=80, rows=60, pitch_m=10 * SENSOR.pitch_m)
+
+
+def test_flash_on_a_grey_patch_at_half_a_metre():
+    camera = Camera(LENS, SENSOR, flash=load_flash("led_matrix_200klx"))
+    nm = np.arange(380.0, 781.0)
+    irradiance = camera.flash.radiant_intensity(nm) / camera.flash.axial_area_m2 * camera.flash_duty
+    radiance = 0.18 * irradiance / np.pi
+    signal = np.trapezoid(radiance * camera.sensor.electrons_per_joule(nm), nm, axis=-1)
+    image = expected_electrons(np.broadcast_to(signal, (600, 800, 3)), camera)
+    electrons = image[299:301, 399:401].mean(axis=(0, 1))
+    spd = columns_of("flashes/spectra/lumileds_cool_white")["lumileds_cool_white"]
+    expected = 0.18 / np.pi * irradiance_by_hand(spd, 200_000, nm) * response_by_hand("ueye_ui5250re", nm)
+    np.testing.assert_allclose(electrons, np.trapezoid(expected, nm), rtol=2e-3)
+    # An independent estimate by hand (f/2, 50 us): 2.6 to 3.5 thousand in green, half of the full well.
+    assert 2600 < electrons[1] < 3500
 
 
 def squared_slopes(camera):
@@ -98,12 +52,12 @@ def squared_slopes(camera):
 
 @given(right=st.floats(-1e-3, 1e-3), down=st.floats(-1e-3, 1e-3))
 @settings(max_examples=25, deadline=None)
-def test_light_falls_with_the_fourth_power_of_the_cosine_from_the_optical_axis(right, down):
+def test_light_falls_with_the_fourth_power_of_the_cosine(right, down):
     camera = Camera(dataclasses.replace(LENS, principal_offset_m=(right, down)), COARSE)
     np.testing.assert_allclose(relative_illumination(camera), (1 + squared_slopes(camera)) ** -2, rtol=1e-12)
 
 
-def test_mechanical_vignetting_multiplies_the_natural_one_by_field_angle():
+def test_vignetting_multiplies_the_cosine_falloff():
     table = AngularProfile(np.deg2rad([0, 20, 30]), np.array([1.0, 0.9, 0.5]), "hold")
     camera = Camera(dataclasses.replace(LENS, vignetting=table), COARSE)
     angle = np.rad2deg(np.arctan(np.sqrt(squared_slopes(camera))))
@@ -112,7 +66,7 @@ def test_mechanical_vignetting_multiplies_the_natural_one_by_field_angle():
     assert angle.max() > 45  # held beyond the table's end
 
 
-def test_falloff_can_be_left_out():
+def test_falloff_can_be_disabled():
     lens = load_lens("lensagon_cmfa0420nd_typical_distortion")
     camera = Camera(lens, COARSE, developing=Developing(falloff=False))
     np.testing.assert_array_equal(relative_illumination(camera), np.ones((60, 80)))
@@ -127,7 +81,7 @@ def test_falloff_can_be_left_out():
     offset=st.tuples(st.floats(-5e-4, 5e-4), st.floats(-5e-4, 5e-4)),
 )  # fmt: skip
 @settings(max_examples=40, deadline=None)
-def test_all_light_of_a_uniform_field_that_enters_the_pupil_reaches_the_sensor(k1, k2, k3, p1, p2, offset):
+def test_all_light_that_enters_the_pupil_reaches_the_sensor(k1, k2, k3, p1, p2, offset):
     # Under the radiance L the pupil of area A receives L A times the integral of cos(theta) over the solid
     # angle that the image shows. In the plane z = 1 that is the integral of cos^4(theta) dx dy inside the
     # image's outline, which is known without the fall-off: the rays through the image's border.
@@ -157,9 +111,8 @@ def test_electrons_of_one_and_three_channels(channels):
     camera = Camera(LENS, dataclasses.replace(COARSE, quantum_efficiency=efficiency, **mono))
     signal = np.random.default_rng(3).uniform(0, 1e20, (60, 80, channels))
     electrons = expected_electrons(signal, camera)
-    expected = (
-        signal * (1 + squared_slopes(camera)[..., None]) ** -2 * math.pi / 16 * 0.9 * (45e-6) ** 2 * 50e-6
-    )
+    falloff = (1 + squared_slopes(camera)[..., None]) ** -2
+    expected = signal * falloff * math.pi / 16 * 0.9 * (45e-6) ** 2 * 50e-6
     np.testing.assert_allclose(electrons, expected, rtol=1e-9)
     with pytest.raises(ValueError, match="must have the shape"):
         expected_electrons(np.zeros((60, 80, 4 - channels)), camera)

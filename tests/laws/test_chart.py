@@ -23,25 +23,26 @@ from __future__ import annotations
 import colour
 import numpy as np
 import pytest
-from bodies import bench_lamp, card, chosen_camera, columns_of, irradiance_by_hand, matt, response_by_hand
+from bodies import (
+    SENSORS,
+    axis_camera,
+    card,
+    columns_of,
+    even_lamp,
+    irradiance_by_hand,
+    matt,
+    response_by_hand,
+)
+from colour_chart import NM, chart, difference, lab_of_rgb, observer_lab
 
 from pepperscene.camera import develop, load_flash, reference_correction
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.render import render_scene
 from pepperscene.scene import assemble_scene
 
-NM = np.arange(380.0, 781.0)
 SPD = columns_of("flashes/spectra/lumileds_cool_white")["lumileds_cool_white"]
-D65 = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
 FILLED = 0.995
 SIDE, MARGIN = 12, 2  # pixels of a patch, and of its margin that is not measured
-SENSORS = ("ueye_ui5250re", "onsemi_mt9v024")
-
-
-def chart():
-    """`(24, n)` reflectances, row by row."""
-    patches = colour.SDS_COLOURCHECKERS["BabelColor Average"].values()
-    return np.stack([np.interp(NM, patch.wavelengths, patch.values) for patch in patches])
 
 
 def electrons_by_hand(sensor, reflectance, lux):
@@ -50,12 +51,12 @@ def electrons_by_hand(sensor, reflectance, lux):
     return np.trapezoid(radiance[:, None] * response_by_hand(sensor, NM), NM)
 
 
-def studio(sensor):
+def chart_scene(sensor):
     """The chart's scene and the camera in front of it."""
-    camera = chosen_camera(sensor, None, columns=6 * SIDE, rows=4 * SIDE)
+    camera = axis_camera(6 * SIDE, 4 * SIDE, sensor=sensor, flash=None)
     lux = FILLED * camera.sensor.full_well_e / electrons_by_hand(sensor, np.ones((1, NM.size)), 1.0).max()
-    lamp = bench_lamp(load_flash("led_matrix_200klx").spectrum, float(lux))
-    camera = chosen_camera(sensor, lamp, columns=6 * SIDE, rows=4 * SIDE)
+    lamp = even_lamp(load_flash("led_matrix_200klx").spectrum, float(lux))
+    camera = axis_camera(6 * SIDE, 4 * SIDE, sensor=sensor, flash=lamp)
     side = SIDE * 0.5 * camera.sensor.pixel_pitch_m / 4.16e-3
     cards = [
         card((number % 6 - 2.5) * side, (number // 6 - 1.5) * side, side, side, str(number))
@@ -73,12 +74,7 @@ def patch_means(image):
 
 def lab_of_codes(codes):
     """`(..., 3)` Lab of 8-bit sRGB, with the perfect diffuser's `FILLED` as white."""
-    return lab_of_linear(colour.cctf_decoding(np.asarray(codes) / 255.0, function="sRGB"))
-
-
-def lab_of_linear(rgb):
-    xyz = colour.RGB_to_XYZ(rgb / FILLED, "sRGB", apply_cctf_decoding=False)
-    return colour.XYZ_to_Lab(xyz, D65)
+    return lab_of_rgb(colour.cctf_decoding(np.asarray(codes) / 255.0, function="sRGB") / FILLED)
 
 
 def lab_by_hand(sensor, camera):
@@ -90,51 +86,24 @@ def lab_by_hand(sensor, camera):
     return lab_of_codes(255.0 * colour.cctf_encoding(np.clip(linear, 0.0, 1.0), function="sRGB"))
 
 
-def lab_of_observer():
-    """`(24, 3)` Lab of the CIE 1931 observer under the flash's light, adapted to D65."""
-    observer = (
-        colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
-        .copy()
-        .align(colour.SpectralShape(380, 780, 1))
-    )
-    weight = np.interp(NM, *SPD)[:, None] * observer.values
-    white = weight.sum(0)
-    xyz = colour.chromatic_adaptation(
-        chart() @ weight / white[1],
-        white / white[1],
-        colour.xy_to_XYZ(D65),
-        method="Von Kries",
-        transform="CAT02",
-    )
-    return colour.XYZ_to_Lab(xyz, D65)
-
-
-def difference(one, other):
-    return colour.delta_E(one, other, method="CIE 2000")
-
-
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_photographed_chart_matches_observer_and_prediction(sensor):
-    scene, camera = studio(sensor)
+    scene, camera = chart_scene(sensor)
     frame = render_scene(scene, camera, ["electrons", "colour"], "standard", seed=3)
-    target, predicted = lab_of_observer(), lab_by_hand(sensor, camera)
-
-    # Without noise.
-    found = lab_of_codes(patch_means(develop(frame["electrons"], camera, None)))
-    assert difference(target, found).mean() <= 3.0
-    assert difference(target, found).mean() == pytest.approx(difference(target, predicted).mean(), abs=0.3)
-    assert difference(predicted, found).mean() < 0.5
-    assert difference(predicted, found).max() < 2.5
-
+    target, predicted = observer_lab(np.interp(NM, *SPD)), lab_by_hand(sensor, camera)
+    noiseless = lab_of_codes(patch_means(develop(frame["electrons"], camera, None)))
     # With noise, as in a frame: average light, not codes.
     linear = colour.cctf_decoding(frame["colour"] / 255.0, function="sRGB")
-    noisy = lab_of_linear(patch_means(linear))
-    assert difference(target, noisy).mean() <= 3.0
-    assert difference(target, noisy).mean() == pytest.approx(difference(target, predicted).mean(), abs=0.3)
+    noisy = lab_of_rgb(patch_means(linear) / FILLED)
+    for lab in (noiseless, noisy):
+        assert difference(target, lab).mean() <= 3.0
+        assert difference(target, lab).mean() == pytest.approx(difference(target, predicted).mean(), abs=0.3)
+    assert difference(predicted, noiseless).mean() < 0.5
+    assert difference(predicted, noiseless).max() < 2.5
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_perfect_diffuser_just_fits_into_the_full_well(sensor):
-    _, camera = studio(sensor)
+    _, camera = chart_scene(sensor)
     filled = electrons_by_hand(sensor, np.ones((1, NM.size)), camera.flash.illuminance_lx)
     assert filled.max() == pytest.approx(FILLED * camera.sensor.full_well_e)

@@ -1,7 +1,7 @@
 """Light transport converges like Monte Carlo integration, to a mean that does not depend on the samples.
 
 Rationale: correlated random numbers, a weight that does not match its density, or a pass that repeats another
-leave pictures that look right. They are visible in the rate of convergence and in the mean.
+leave images that look right. They are visible in the rate of convergence and in the mean.
 """
 
 from __future__ import annotations
@@ -10,15 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bodies import bench_camera, sheet, sphere
+from bodies import axis_camera, card, sheet, sphere
 from scipy import stats
+from tracer import Tracer
 
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import Surface, lambertian_surface
-from pepperscene.render.kernel.camera import camera_rays, spectral_response
-from pepperscene.render.kernel.scene import light_scene, sky_tables
 from pepperscene.render.transport import trace as trace_module
-from pepperscene.render.transport.trace import Sampling, trace
 from pepperscene.scene import Sky, Sun, assemble_scene
 from pepperscene.spectra import Spectrum, scale_to_illuminance, sky_spectrum, sun_spectrum
 
@@ -32,15 +30,11 @@ def glossy_leaf() -> Surface:
     return Surface("leaf", NM, both, 0.8 * red_edge[None], 1.45, (0.3, 0.4))
 
 
-def bench():
-    """A sphere and a leaf in front of a card under the sky: edges, penumbras, light through a leaf."""
-    mesh = concatenate_meshes(
-        [
-            sphere((0.03, 0.02, 0.45), 0.06, "matt", subdivisions=3),
-            sheet(0.15, 0.4, 0.4, "leaf").moved(np.eye(3), np.array([-0.12, 0.0, 0.0])),
-            sheet(0.3, 0.2, 0.6, "matt"),
-        ]
-    )
+def sphere_and_leaf():
+    """In front of a card under the sky: edges, penumbras, light through a leaf."""
+    ball = sphere((0.03, 0.02, 0.45), 0.06, "matt", subdivisions=3)
+    leaf = card(-0.12, 0.0, 0.15, 0.4, "leaf", 0.4)
+    mesh = concatenate_meshes([ball, leaf, sheet(0.3, 0.2, 0.6, "matt")])
     # A sky of two halves, and a wide sun behind the camera, whose penumbras are visible.
     irradiance = scale_to_illuminance(sky_spectrum("d65"), 20_000.0)
     halves = np.array([[[1.0, 1.0, 3.0, 3.0]] * 2], np.float32)
@@ -50,32 +44,19 @@ def bench():
     return assemble_scene(mesh, {"matt": lambertian_surface("matt", 0.6), "leaf": glossy_leaf()}, sky)
 
 
-class Tracer:
-    """Traces the scene with any number of samples."""
-
-    def __init__(self) -> None:
-        scene, camera = bench(), bench_camera(columns=32, rows=24)
-        # Large pixels: few of them show the whole scene.
-        self.camera = replace(camera, sensor=replace(camera.sensor, binning=20))
-        self.response = spectral_response(self.camera, scene)
-        grid = self.response.grid_nm
-        self.scene = light_scene(scene, float(grid[0]), float(grid[-1]))
-        self.sky, self.rays = sky_tables(scene, grid), camera_rays(self.camera)
-
-    def light(self, count: int, seed: int):
-        sampling = Sampling(count, count, 2)
-        return trace(self.scene, self.rays, self.response, self.camera.flash, self.sky, sampling, seed)
-
+class PartTracer(Tracer):
     def parts(self, count: int, stream: int, runs: int) -> dict[str, np.ndarray]:
-        """`(runs, h, w, 3)` of each part, with seeds drawn as a renderer draws them."""
+        """`(runs, h, w, 3)` of each part of the light, with seeds drawn as a renderer draws them."""
         seeds = np.random.SeedSequence(stream).generate_state(runs)
-        lights = [self.light(count, int(seed)) for seed in seeds]
+        lights = [self.light(count, count, seed=int(seed)) for seed in seeds]
         return {part: np.array([getattr(light, part) for light in lights], float) for part in PARTS}
 
 
 @pytest.fixture(scope="module")
 def tracer():
-    return Tracer()
+    # Few large pixels show the whole scene.
+    camera = axis_camera(32, 24)
+    return PartTracer(sphere_and_leaf(), replace(camera, sensor=replace(camera.sensor, binning=20)))
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Culling changes no label, and light less than is visible: complete scenes against culled ones."""
+"""Culling changes no labels and no visible light: complete scenes against culled ones."""
 
 from __future__ import annotations
 
@@ -22,37 +22,33 @@ def with_larger_pixels(camera, binning):
 
 
 def compare(recipe, index, binning, quality="reference", seeds=(1, 2)):
-    """Frames and triangle counts of the complete and the culled scene, and how much light differs.
+    """Frames and triangle counts of both scenes; mean squared and mean difference in codes.
 
     Both are traced with the same random numbers. The remaining noise is independent between two seeds, so the
     mean product of their differences is the true mean squared difference.
-
-    Returns:
-        Frames, triangle counts, mean squared and mean difference in codes.
     """
-    stage = FrameRenderer(recipe)
-    shot = recipe.plan.frame(index)
-    camera = with_larger_pixels(stage.camera(shot), binning)
+    frame_renderer, spec = FrameRenderer(recipe), recipe.plan.frame(index)
+    camera = with_larger_pixels(frame_renderer.camera(spec), binning)
     codes, frames, triangles = [], [], []
-    for stage.culled in (False, True):
-        scene = stage.scene(shot)
+    for frame_renderer.culled in (False, True):
+        scene = frame_renderer.scene(spec)
         renderer = Renderer(scene)
         triangles.append(len(scene.mesh.faces))
         rendered = [renderer.render(camera, ("electrons", *LABELS), quality, seed) for seed in seeds]
         codes.append([develop(frame["electrons"], camera).astype(float) for frame in rendered])
         frames.append(rendered[0])
-    one, two = (culled - full for full, culled in zip(*codes, strict=True))
-    return frames, triangles, float(np.mean(one * two)), float(np.mean((one + two) / 2.0))
+    first, second = (culled - complete for complete, culled in zip(*codes, strict=True))
+    return frames, triangles, float(np.mean(first * second)), float(np.mean((first + second) / 2.0))
 
 
 def assert_same_labels(frames, most=0.0):
-    full, culled = frames
+    complete, culled = frames
     for name in LABELS:
-        assert np.mean(np.any(np.atleast_3d(full[name] != culled[name]), axis=-1)) <= most, name
+        assert np.mean(np.any(np.atleast_3d(complete[name] != culled[name]), axis=-1)) <= most, name
 
 
 @pytest.mark.parametrize(
-    ("name", "changes", "index", "kept"),
+    ("name", "changes", "index", "max_fraction"),
     [
         ("barth2018", {}, 20, 0.75),
         ("barth2018", {"daylight.illuminance_lx": 0}, 70, 0.75),
@@ -60,24 +56,25 @@ def assert_same_labels(frames, most=0.0):
         ("greenhouse", {"greenhouse.far_rows": 1, "greenhouse.far_reach_mm": 1000}, 4, 1.0),
     ],
 )
-def test_culled_scene_looks_the_same(name, changes, index, kept):
+def test_culled_scene_looks_the_same(name, changes, index, max_fraction):
     recipe = load_recipe(name, {**FEW, **changes})
-    frames, (triangles, left), squared, mean = compare(recipe, index, binning=20)
+    frames, (complete, culled), squared, mean = compare(recipe, index, binning=20)
     assert_same_labels(frames)
     assert frames[0]["instance"].max() > 0
-    assert left <= kept * triangles
+    assert culled <= max_fraction * complete
     assert squared < 0.15**2
     assert abs(mean) < 0.1
 
 
 def test_all_frames_of_a_scene_share_one_mesh():
     recipe = load_recipe("barth2018", FEW)
-    shot = recipe.plan.frame(3)
-    traced, plain = (FrameRenderer(recipe).scene(shot, traced=traced).mesh for traced in (True, False))
-    np.testing.assert_array_equal(traced.vertices, plain.vertices)
-    np.testing.assert_array_equal(traced.faces, plain.faces)
-    other = FrameRenderer(recipe).scene(recipe.plan.frame(249), traced=False).mesh
-    np.testing.assert_array_equal(other.vertices, plain.vertices)
+    first, *others = (
+        FrameRenderer(recipe).scene(recipe.plan.frame(index), traced=traced).mesh
+        for index, traced in ((3, False), (3, True), (249, False))
+    )
+    for mesh in others:
+        np.testing.assert_array_equal(mesh.vertices, first.vertices)
+        np.testing.assert_array_equal(mesh.faces, first.faces)
 
 
 @pytest.mark.long
@@ -85,9 +82,9 @@ def test_all_frames_of_a_scene_share_one_mesh():
 def test_culled_standard_scene_looks_the_same(index):
     # Labels pixel by pixel at 800x600; light with larger pixels, which have less noise.
     recipe = load_recipe("barth2018")
-    frames, (triangles, left), _, _ = compare(recipe, index, 1, "draft", (1, 1))
+    frames, (complete, culled), _, _ = compare(recipe, index, 1, "draft", (1, 1))
     assert_same_labels(frames, most=1e-6)
-    assert left < 0.6 * triangles
+    assert culled < 0.6 * complete
     _, _, squared, mean = compare(recipe, index, 4)
     assert squared < 0.1**2
     assert abs(mean) < 0.05

@@ -1,14 +1,13 @@
 """Daylight below a cover: energy conservation and the cover's spectrum.
 
-Solid angles are computed here in closed form for a map's texels; lux are integrated on 1 nm with
-colour-science's V(lambda).
+Solid angles of a map's texels are in closed form here; lux are integrated on 1 nm.
 """
 
 from __future__ import annotations
 
-import colour
 import numpy as np
 import pytest
+from bodies import lux as lux_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -36,10 +35,8 @@ def hazy(haze, width_deg=15.0, sheet=GREEN):
 
 
 def lux(spectrum):
-    nm = np.arange(360, 831)
-    v = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
-    # The curves are linear between whole nanometres here, or nearly: 1e-5.
-    return 683.002 * np.trapezoid(spectrum.at(nm) * np.interp(nm, v.wavelengths, v.values), nm)
+    nm = np.arange(360, 831)  # the curves are nearly linear between whole nanometres: 1e-5
+    return lux_of(nm, spectrum.at(nm))
 
 
 def level_lux(sky):
@@ -62,23 +59,16 @@ COVERS = st.one_of(
 @settings(max_examples=15, deadline=None, derandomize=True)
 @given(
     cover=COVERS,
-    elevation=st.floats(0.01, np.pi / 2),
-    azimuth=st.floats(-np.pi, np.pi),
+    sun=st.fixed_dictionaries(
+        {"sun_elevation_rad": st.floats(0.01, np.pi / 2), "sun_azimuth_rad": st.floats(-np.pi, np.pi)}
+    ),
     sun_fraction=st.floats(0.0, 0.99),
     cloud_cover=st.sampled_from([0.0, 0.0, 0.3, 1.0]),
     illuminance_lx=st.sampled_from([0.0, 1e-3, 5500.0, 120_000.0]),
 )
-def test_light_below_any_cover_is_the_requested_one(
-    cover, elevation, azimuth, sun_fraction, cloud_cover, illuminance_lx
-):
-    sky = sky_of(
-        cover,
-        sun_elevation_rad=elevation,
-        sun_azimuth_rad=azimuth,
-        sun_fraction=sun_fraction,
-        cloud_cover=cloud_cover,
-        illuminance_lx=illuminance_lx,
-    )
+def test_light_below_any_cover_is_the_requested_one(cover, sun, sun_fraction, cloud_cover, illuminance_lx):
+    light = {"sun_fraction": sun_fraction, "cloud_cover": cloud_cover, "illuminance_lx": illuminance_lx}
+    sky = sky_of(cover, **sun, **light)
     parts, disc = level_lux(sky)
     assert parts.sum() + disc == pytest.approx(illuminance_lx, rel=1e-3)
     assert sky.horizontal_illuminance() == pytest.approx(illuminance_lx, rel=1e-5)
@@ -102,8 +92,8 @@ def test_cover_filters_sky_clouds_and_sun(haze):
     spectra = list(below.radiance.at(nm)) + ([below.sun.irradiance.at(nm)] if below.sun else [])
     expected = [lights[i].at(nm) * GREEN.at(nm) for i in range(len(below.weights))]
     expected += [lights[2].at(nm) * GREEN.at(nm)] if below.sun else []
-    for one, other in zip(spectra, expected, strict=True):
-        np.testing.assert_allclose(one / one.max(), other / other.max(), rtol=1e-9, atol=1e-12)
+    for a, b in zip(spectra, expected, strict=True):
+        np.testing.assert_allclose(a / a.max(), b / b.max(), rtol=1e-9, atol=1e-12)
 
 
 def test_coloured_cover_changes_the_ratio_of_blue_sky_and_clouds():
@@ -133,11 +123,9 @@ def test_lobe_is_centred_on_the_sun(azimuth_deg, elevation_deg):
     rows, columns = sky.weights.shape[1:]
     polar = (np.arange(rows)[:, None] + 0.5) / rows * np.pi
     azimuth = (np.arange(columns) + 0.5) / columns * 2 * np.pi
-    towards = np.stack(
-        np.broadcast_arrays(np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar))
-    )
+    x, y = np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth)
     energy = sky.weights[2] * np.sin(polar)
-    mean = (towards * energy).sum(axis=(1, 2))
+    mean = np.array([(axis * energy).sum() for axis in (x, y, np.cos(polar))])
     mean /= np.linalg.norm(mean)
     # The horizon cuts a low sun's lobe, which raises its mean direction but keeps its azimuth.
     east, north, _ = sky.sun.direction
@@ -149,12 +137,12 @@ def test_lobe_is_centred_on_the_sun(azimuth_deg, elevation_deg):
 
 
 def test_unscattered_sunlight_stays_a_disc():
-    clear, half, none = sky_of(), sky_of(hazy(0.5)), sky_of(hazy(1.0))
+    clear, half, full = sky_of(), sky_of(hazy(0.5)), sky_of(hazy(1.0))
     assert half.sun.angular_radius == clear.sun.angular_radius
     assert lux(half.sun.irradiance) == pytest.approx(0.5 * lux(clear.sun.irradiance), rel=1e-4)
-    assert none.sun is None
+    assert full.sun is None
     assert len(clear.weights) == 2
-    assert len(half.weights) == len(none.weights) == 3
+    assert len(half.weights) == len(full.weights) == 3
     # Without a sun there is no lobe.
     assert len(sky_of(hazy(0.5), sun_fraction=0.0).weights) == 2
 

@@ -6,26 +6,23 @@ import dataclasses
 
 import numpy as np
 import pytest
-from bodies import bench_camera, sheet
+from bodies import EVEN_SKY, axis_camera, card
 
 from pepperscene.materials import lambertian_surface
 from pepperscene.render import Renderer
-from pepperscene.scene import assemble_scene, uniform_sky
-from pepperscene.spectra import Spectrum
+from pepperscene.scene import assemble_scene
 
-GREY = Spectrum(np.array([300.0, 1100.0]), np.ones(2))
-WIDTH = 64
-"""Columns of the cropped image, whose middle is on the axis."""
+WIDTH = 64  # columns of the cropped image, whose middle is on the axis
 
 
 def knife_edge(z: float):
     """A black half-plane (x > 0) at distance z in front of a uniform sky."""
-    blade = sheet(2.0, 4.0, z, "black").moved(np.eye(3), np.array([1.0, 0.0, 0.0]))
-    return assemble_scene(blade, {"black": lambertian_surface("black", 0.0)}, uniform_sky(GREY, 5500.0))
+    blade = card(1.0, 0.0, 2.0, 4.0, "black", z)
+    return assemble_scene(blade, {"black": lambertian_surface("black", 0.0)}, EVEN_SKY)
 
 
 def camera_focused_at(focus_m: float | None):
-    camera = bench_camera(columns=WIDTH, rows=8, flash=False)
+    camera = axis_camera(WIDTH, 8, flash=False)
     lens = dataclasses.replace(camera.lens, f_number=0.8)  # wide open, so that the blur spans many pixels
     return dataclasses.replace(camera, lens=lens, focus_m=focus_m)
 
@@ -67,7 +64,6 @@ def test_labels_are_rendered_through_the_pupils_centre():
     # One class per pixel needs one ray: that through the middle of the pupil, whatever the focus.
     scene = knife_edge(0.1)
     names = ["class", "distance"]
-    blurred = Renderer(scene).render(camera_focused_at(0.4), names)
-    sharp = Renderer(scene).render(camera_focused_at(None), names)
-    np.testing.assert_array_equal(blurred["class"], sharp["class"])
-    np.testing.assert_array_equal(blurred["distance"], sharp["distance"])
+    blurred, sharp = (Renderer(scene).render(camera_focused_at(focus), names) for focus in (0.4, None))
+    for name in names:
+        np.testing.assert_array_equal(blurred[name], sharp[name])

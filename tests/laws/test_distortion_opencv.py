@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from bodies import bench_lamp, body, chosen_camera
+from bodies import axis_camera, body, even_lamp
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from pepperscene.camera import Distortion, load_lens
@@ -60,19 +60,19 @@ def board():
     """The board's mesh: white of class LEAF, black of class STEM."""
     x = (np.arange(COLUMNS + 1) - COLUMNS / 2) * SQUARE
     y = (np.arange(ROWS + 1) - ROWS / 2) * SQUARE
-    field = [
+    squares = [
         [(x[i], y[j], x[i + 1], y[j + 1]) for j in range(ROWS) for i in range(COLUMNS) if (i + j) % 2 == odd]
         for odd in (0, 1)
     ]
     left, top, right, bottom = x[0], y[0], x[-1], y[-1]
-    frame = [
+    margin = [
         (left - BORDER, top - BORDER, right + BORDER, top),
         (left - BORDER, bottom, right + BORDER, bottom + BORDER),
         (left - BORDER, top, left, bottom),
         (right, top, right + BORDER, bottom),
     ]
-    white = rectangles(field[0] + frame, "white", OrganClass.LEAF)
-    return concatenate_meshes([white, rectangles(field[1], "black", OrganClass.STEM)])
+    white = rectangles(squares[0] + margin, "white", OrganClass.LEAF)
+    return concatenate_meshes([white, rectangles(squares[1], "black", OrganClass.STEM)])
 
 
 def board_corners(margin=0):
@@ -93,15 +93,17 @@ def projected(points, distortion):
 @pytest.fixture(scope="module", params=sorted(LENSES))
 def photograph(request):
     """(distortion, white fraction of each pixel `(600, 800)`, class of each pixel)."""
-    camera = chosen_camera("ueye_ui5250re", bench_lamp(LED), columns=800, rows=600)
+    camera = axis_camera(flash=even_lamp(LED))
     distortion = LENSES[request.param]
     camera = replace(camera, lens=replace(camera.lens, distortion=distortion))
     mesh, white = board(), lambertian_surface("white", 0.9)
-    frame = Renderer(
-        assemble_scene(mesh, {"white": white, "black": lambertian_surface("black", 0.0)})
-    ).render(camera, ["electrons", "class"], "standard", seed=1)
-    blank = assemble_scene(mesh, {"white": white, "black": replace(white, name="black")})
-    even = Renderer(blank).render(camera, ["electrons"], "standard", seed=1)["electrons"].sum(-1)
+    frame, blank = (
+        Renderer(assemble_scene(mesh, {"white": white, "black": black})).render(
+            camera, ["electrons", "class"], "standard", seed=1
+        )
+        for black in (lambertian_surface("black", 0.0), replace(white, name="black"))
+    )
+    even = blank["electrons"].sum(-1)
     whiteness = np.where(even > 0, frame["electrons"].sum(-1) / np.maximum(even, 1e-6), 0.0)
     return distortion, whiteness, frame["class"]
 

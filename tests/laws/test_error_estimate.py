@@ -8,16 +8,16 @@ the product of the differences to two independent halves of it, in which the ref
 codes are linearised about the reference, as in the estimate.
 
 Expected: within a factor of 2.2. Light that meets one surface alone follows Mitchell's equation and is
-reported within [.6, 1.8]. What the denoiser leaves of other light depends on the picture: less where surfaces
-are large and uniform (bench, reported / true 1.9), more where they are small (plants by flash .63, by
-daylight .74).
+reported within [.6, 1.8]. What the denoiser leaves of other light depends on the image: less where surfaces
+are large and uniform (sphere and leaf, reported / true 1.9), more where they are small (plants by flash .63,
+by daylight .74).
 """
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_scenes import WithReference, bench_shot, plants_shot
+from small_scenes import WithReference, plants_view, sphere_and_leaf_view
 
 from pepperscene.errors import InputError
 from pepperscene.render import Quality, resolve_quality
@@ -25,28 +25,28 @@ from pepperscene.render.quality import MAX_TARGET, MIN_TARGET
 from pepperscene.scene import assemble_scene
 
 
-@pytest.mark.parametrize("name", ["bench", "plants", "daylight"])
+@pytest.mark.parametrize("name", ["sphere and leaf", "plants", "daylight"])
 def test_reported_error_is_the_true_error(name):
-    shot = bench_shot() if name == "bench" else plants_shot(daylight=name == "daylight")
-    true, reported, metadata = WithReference(*shot).errors("standard")
+    view = plants_view(daylight=name == "daylight") if name != "sphere and leaf" else sphere_and_leaf_view()
+    true, reported, metadata = WithReference(*view).errors("standard")
     assert 1 / 2.2 < reported / true < 2.2, (true, reported, metadata[0])
     for frame in metadata:
         assert frame["error_to_noise"] == pytest.approx(frame["error_codes"] / frame["noise_codes"])
 
 
 @pytest.fixture(scope="module")
-def flashed() -> WithReference:
+def flash_only() -> WithReference:
     """The plants by direct light of the flash alone."""
-    scene, camera = plants_shot()
+    scene, camera = plants_view()
     surfaces = {surface.name: surface for surface in scene.surfaces}
     return WithReference(assemble_scene(scene.mesh, surfaces), camera, bounces=0)
 
 
-def test_error_of_the_flash_follows_the_target(flashed):
+def test_error_of_the_flash_follows_the_target(flash_only):
     direct = Quality(4, 1, 1024, 0, target=1.0, denoise=False)
     targets, true = [0.4, 0.2, 0.1], []
     for target in targets:
-        error, reported, metadata = flashed.errors(direct, target)
+        error, reported, metadata = flash_only.errors(direct, target)
         assert 0.6 < reported / error < 1.8, (target, error, reported, metadata[0])
         true.append(error)
         # Powers of two are coarse, and the last round leaves some pixels with a quarter of their samples.

@@ -16,16 +16,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scatterers import (
-    TEST_NM,
-    Cases,
-    grey_surface,
-    integrate_cases,
-    lossless,
-    plain,
-    sample_cases,
-    shipped,
-)
+from scatterers import TEST_NM, Cases, grey_surface, integrate_cases, lossless, plain, sample_cases, shipped
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import flesh_reflectance
@@ -110,9 +101,9 @@ def test_relief_loses_only_light_below_the_smooth_surface():
         cosine = np.abs(cases.frames(cases.optics())[:, 2, 2])
         assert cosine.min() < 0.75
         albedo, rejected = sample_cases(cases, 8, 4096, seed=4)
-        kept = (1.0 + cosine) / 2.0
-        assert albedo.mean(axis=1) == pytest.approx(np.tile(kept[:, None], (1, 4)), abs=0.003)
-        assert rejected.mean(axis=1) == pytest.approx(1.0 - kept, abs=0.003)
+        visible = (1.0 + cosine) / 2.0
+        assert albedo.mean(axis=1) == pytest.approx(np.tile(visible[:, None], (1, 4)), abs=0.003)
+        assert rejected.mean(axis=1) == pytest.approx(1.0 - visible, abs=0.003)
 
 
 def test_gloss_and_body_together_reproduce_the_leaf_model():

@@ -7,12 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pepperscene.materials.gloss import (
-    cuticle_transmittance,
-    fresnel,
-    gloss_albedo,
-    interpolate_table,
-)
+from pepperscene.materials.gloss import cuticle_transmittance, fresnel, gloss_albedo, interpolate_table
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.spectra.prospect import cone_transmissivity
 

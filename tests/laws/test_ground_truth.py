@@ -7,26 +7,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from bodies import bench_camera, sheet, sphere
+from bodies import EVEN_SKY, axis_camera, sheet, sphere
+from greenhouse import row_of_plants
 from trimesh.ray.ray_triangle import RayMeshIntersector
 
 from pepperscene.camera import Distortion, arc_path, relative_illumination
 from pepperscene.classes import OrganClass
-from pepperscene.cultivar import load_cultivar
-from pepperscene.geometry import concatenate_meshes, mesh_plant
-from pepperscene.grammar import grow
+from pepperscene.dataset import FrameRenderer, load_recipe
+from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import lambertian_surface
 from pepperscene.render import Renderer
-from pepperscene.scene import Twine, add_twine, assemble_scene, double_row, uniform_sky
-from pepperscene.spectra import Spectrum
+from pepperscene.scene import assemble_scene
 
 LABELS = ("class", "instance", "distance", "depth_z", "normal")
 
 
 def test_sphere_is_where_the_pinhole_formula_puts_it():
-    # Set-up: a sphere of 40 mm at (60, -30, 500) mm in camera axes in front of a far wall.
+    # A sphere of 40 mm at (60, -30, 500) mm in camera axes in front of a far wall.
     centre, radius = np.array([0.06, -0.03, 0.5]), 0.04
-    camera = bench_camera(flash=False)
+    camera = axis_camera(flash=False)
     scene = assemble_scene(
         concatenate_meshes([sphere(tuple(centre), radius, "ball", 6), sheet(9, 9, 3.0, "wall")])
     )
@@ -58,7 +57,7 @@ def test_sphere_is_where_the_pinhole_formula_puts_it():
 
 def test_background_is_infinitely_far_and_has_no_labels():
     scene = assemble_scene(sphere((0, 0, -1.0), 0.1, "ball", 2))
-    frame = Renderer(scene).render(bench_camera(columns=16, rows=12, flash=False), LABELS)
+    frame = Renderer(scene).render(axis_camera(columns=16, rows=12, flash=False), LABELS)
     assert np.isinf(frame["distance"]).all()
     assert np.isinf(frame["depth_z"]).all()
     assert not frame["class"].any()
@@ -66,25 +65,30 @@ def test_background_is_infinitely_far_and_has_no_labels():
     assert not frame["normal"].any()
 
 
-def plants_before_the_camera():
+def distorted_view_of_plants():
     """Three plants of twelve stem parts with twine, seen at 40 cm through a distorting lens."""
-    cultivar = load_cultivar("kaite")
-    short = cultivar.model_copy(update={"stem": cultivar.stem.model_copy(update={"parts": 12})})
-    meshes = []
-    for number in range(3):
-        rng = np.random.default_rng(number)
-        plant = grow(short, rng)
-        meshes.append(add_twine(plant, mesh_plant(plant, 0.5), Twine(0.003, 4.0), rng))
-    mesh = double_row(meshes[:2], meshes[2:], spacing_m=0.2, gap_m=0.2, shift_m=0.1)
-    camera = bench_camera(flash=False)
+    camera = axis_camera(flash=False)
     lens = replace(camera.lens, distortion=Distortion(k1=-0.1, k2=0.04, p1=1e-3, p2=-1e-3))
     pose = arc_path(3, 0.4, (-0.3, 0.3), (0.2, 0.5), np.radians(20.0))[1]
-    return mesh, replace(camera, lens=lens, pose=pose)
+    return row_of_plants(12, range(3), 0.5), replace(camera, lens=lens, pose=pose)
+
+
+def cast_rays(mesh, origin, directions):
+    """Distances and faces `(n,)` of the first hits by trimesh (R-tree and triangle tests, no Embree)."""
+    caster = RayMeshIntersector(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False))
+    nearest, face = np.full(len(directions), np.inf), np.full(len(directions), -1)
+    for first in range(0, len(directions), 10):  # in small batches: each ray has many candidate triangles
+        batch = directions[first : first + 10]
+        points, ray, hit = caster.intersects_location(np.tile(origin, (len(batch), 1)), batch)
+        distance = np.linalg.norm(points - origin, axis=1)
+        for k in np.argsort(-distance, kind="stable"):
+            nearest[first + ray[k]], face[first + ray[k]] = distance[k], hit[k]
+    return nearest, face
 
 
 def test_labels_equal_the_hits_of_an_independent_ray_caster():
-    # 2,000 random pixels, cast with trimesh (R-tree and triangle tests, no Embree) through the lens formula.
-    assert_labels_equal_hits(*plants_before_the_camera(), pixels=2000, seed=5)
+    # 2,000 random pixels, through the lens formula.
+    assert_labels_equal_hits(*distorted_view_of_plants(), pixels=2000, seed=5)
 
 
 def assert_labels_equal_hits(mesh, camera, pixels, seed):
@@ -92,14 +96,7 @@ def assert_labels_equal_hits(mesh, camera, pixels, seed):
     rng = np.random.default_rng(seed)
     row, column = rng.integers(0, 600, pixels), rng.integers(0, 800, pixels)
     directions = camera.pixel_directions()[row, column] @ camera.pose[:3, :3].T
-    caster = RayMeshIntersector(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False))
-    face, nearest = np.full(pixels, -1), np.full(pixels, np.inf)
-    for first in range(0, pixels, 10):  # in small batches, as each ray has many candidate triangles
-        batch = directions[first : first + 10]
-        points, ray, hit = caster.intersects_location(np.tile(camera.pose[:3, 3], (len(batch), 1)), batch)
-        distance = np.linalg.norm(points - camera.pose[:3, 3], axis=1)
-        for k in np.argsort(-distance, kind="stable"):
-            nearest[first + ray[k]], face[first + ray[k]] = distance[k], hit[k]
+    nearest, face = cast_rays(mesh, camera.pose[:3, 3], directions)
     is_hit = face >= 0
     assert is_hit.mean() > 0.3
     np.testing.assert_array_equal(frame["class"][row, column], np.where(is_hit, mesh.face_class[face], 0))
@@ -111,13 +108,12 @@ def assert_labels_equal_hits(mesh, camera, pixels, seed):
 
 def test_colour_and_labels_have_the_same_lens_geometry():
     # A black ball in front of a uniform sky, in a distorting lens: its outline equals its label to .2 pixels.
-    nm = np.arange(380.0, 781.0)
-    camera = bench_camera(flash=False)
+    camera = axis_camera(flash=False)
     camera = replace(camera, lens=replace(camera.lens, distortion=Distortion(k1=-0.1, k2=0.04)))
     scene = assemble_scene(
         sphere((0.25, 0.15, 0.5), 0.06, "black", 6),
         {"black": lambertian_surface("black", 0.0)},
-        uniform_sky(Spectrum(nm, np.ones(nm.size)), 5500.0),
+        EVEN_SKY,
     )
     frame = Renderer(scene).render(camera, ["electrons", "class"], "standard")
     # Without the lens's falloff, the sky is 1 and the ball 0: coverage in light against that in labels.
@@ -135,9 +131,7 @@ def test_colour_and_labels_have_the_same_lens_geometry():
 @pytest.mark.long
 @pytest.mark.parametrize("index", [110, 4940, 9225])
 def test_labels_of_the_paper_plan_equal_the_hits_of_an_independent_ray_caster(index):
-    # As above on whole scenes of 13 plants and two million triangles.
-    from pepperscene.dataset import FrameRenderer, load_recipe
-
+    # Complete scenes of 13 plants and two million triangles.
     recipe = load_recipe("barth2018")
     frames, spec = FrameRenderer(recipe), recipe.plan.frame(index)
     mesh, camera = frames.scene(spec, traced=False).mesh, frames.camera(spec)

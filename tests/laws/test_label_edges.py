@@ -4,11 +4,11 @@ Rationale: class and instance come from one ray through each pixel's centre, the
 a lens of finite aperture, a mosaic and its interpolation. Half a pixel between the two conventions, or a
 distortion applied to only one of them, would spoil every label and be visible in no single value.
 
-Set-up: three plants by flash and by daylight, 320x240 pixels of the middle of the picture, with all noise of
+Set-up: three plants by flash and by daylight, 320x240 pixels of the middle of the image, with all noise of
 the camera. The statistic is that of `pepperscene check`, the correlation of both kinds of edges over shifts.
 
 Expected: the peak of true labels is at no shift and far above chance; that of labels through a lens that
-shifts, stretches or mirrors the picture is not.
+shifts, stretches or mirrors the image is not.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from bodies import chosen_camera, columns_of, irradiance_by_hand, matt, response_by_hand, sheet
+from bodies import SENSORS, axis_camera, columns_of, irradiance_by_hand, matt, response_by_hand, sheet
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import organ_surfaces
@@ -34,7 +34,6 @@ from pepperscene.spectra import Spectrum
 NM = np.arange(380.0, 1000.1, 0.5)  # infrared that the sensor's filter leaks is .3 % of a blue pixel here
 LUX = 50_000.0
 SUN = columns_of("light/astm_g173_300_1100")["direct_W_m2_nm"]
-SENSORS = ("ueye_ui5250re", "onsemi_mt9v024")
 BEHIND, OVER_SHOULDER = (0.0, 0.0, 1.0), (0.0, np.sqrt(0.5), -np.sqrt(0.5))
 HALF_TURN = np.diag([-1.0, 1.0, -1.0])  # about the vertical
 
@@ -53,11 +52,11 @@ def sun_alone(direction):
     return Sky(np.zeros((1, 2, 4), np.float32), Spectrum(nm, values[None] / values.mean()), disc)
 
 
-def photograph(surface, direction, sensor, *, turned=False, side=8, mesh=None):
-    """`(side, side, 3)` electrons of a sheet of this surface; `turned` shows the camera its back."""
+def photograph(surface, direction, sensor, *, back=False, side=8, mesh=None):
+    """`(side, side, 3)` electrons of a sheet of this surface, seen from the front or the back."""
     mesh = sheet(2.0, 2.0, 0.0, surface.name) if mesh is None else mesh
-    mesh = mesh.moved(HALF_TURN if turned else np.eye(3), np.array([0.0, 0.0, 0.5]))
-    camera = chosen_camera(sensor, None, columns=side, rows=side)
+    mesh = mesh.moved(HALF_TURN if back else np.eye(3), np.array([0.0, 0.0, 0.5]))
+    camera = axis_camera(side, side, sensor=sensor, flash=None)
     scene = assemble_scene(mesh, {surface.name: surface}, sun_alone(direction))
     return render_scene(scene, camera, ["electrons"], "reference", seed=5)["electrons"].astype(float)
 
@@ -66,13 +65,10 @@ def electrons_by_hand(radiance, sensor):
     return np.trapezoid(radiance * response_by_hand(sensor, NM), NM)
 
 
-# --- the cuticle by hand ----------------------------------------------------------------------------------
-
-
 def gloss_albedo(cosine, ior, alpha, steps=200):
     """Fraction of light that a rough dielectric reflects: Walter et al. 2007, by the midpoint rule."""
-    z, turn = np.meshgrid((np.arange(steps) + 0.5) / steps, (np.arange(steps) + 0.5) / steps * 2 * np.pi)
-    o = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])
+    z, phi = np.meshgrid((np.arange(steps) + 0.5) / steps, (np.arange(steps) + 0.5) / steps * 2 * np.pi)
+    o = np.stack([np.sqrt(1 - z**2) * np.cos(phi), np.sqrt(1 - z**2) * np.sin(phi), z])
     i = np.array([np.sqrt(1 - cosine**2), 0.0, cosine])
     h = o + i[:, None, None]
     h /= np.linalg.norm(h, axis=0)
@@ -88,7 +84,7 @@ def gloss_albedo(cosine, ior, alpha, steps=200):
 
 
 @cache
-def openness(ior, alpha):
+def cuticle_transmittance(ior, alpha):
     """Fraction of light along the normal that reaches the body, and its cosine-weighted mean."""
     node, weight = np.polynomial.legendre.leggauss(12)
     cosine = (node + 1) / 2
@@ -98,19 +94,16 @@ def openness(ior, alpha):
 
 def glow_by_hand(blade, transmittance):
     """`(n,)` radiance of the backlit blade along its normal."""
-    (a, mean_a), (b, mean_b) = (openness(blade.ior, alpha) for alpha in blade.roughness)
+    (a, mean_a), (b, mean_b) = (cuticle_transmittance(blade.ior, alpha) for alpha in blade.roughness)
     through = transmittance * a * b * min(mean_a, mean_b) / (mean_a * mean_b)
     return irradiance_by_hand(SUN, LUX, NM) * through / np.pi
 
 
-# --- tests --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("turned", [False, True], ids=["front", "back"])
+@pytest.mark.parametrize("back", [False, True], ids=["front", "back"])
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_backlit_leaf_has_the_colour_and_level_of_its_transmittance(blade, sensor, turned):
+def test_backlit_leaf_has_the_colour_and_level_of_its_transmittance(blade, sensor, back):
     surface, _ = blade
-    pixels = photograph(surface, BEHIND, sensor, turned=turned).reshape(-1, 3)
+    pixels = photograph(surface, BEHIND, sensor, back=back).reshape(-1, 3)
     assert (pixels.std(0) / pixels.mean(0)).max() < 0.02
     mean = pixels.mean(0)
     middle = surface.transmittance[surface.transmittance.shape[0] // 2]  # the sheet's state is .5
@@ -121,19 +114,18 @@ def test_backlit_leaf_has_the_colour_and_level_of_its_transmittance(blade, senso
 
 
 def test_patterned_leaf_transmits_the_mean_of_its_transmittances(blade):
-    # The whole blade in the picture with its pattern of pigments: light is averaged, not pigments.
+    # The whole blade in the image with its pattern of pigments: light is averaged, not pigments.
     surface, pattern = blade
     side = 48
     width = side * 9e-6 / 4.16e-3 * 0.5
     mesh = sheet(width, width, 0.0, surface.name)
     mesh = replace(mesh, uv=(mesh.vertices[:, :2] / width + 0.5).astype(np.float32))
     image = photograph(replace(surface, pattern=pattern), BEHIND, "ueye_ui5250re", side=side, mesh=mesh)
-    state = np.clip(0.5 + pattern.astype(float), 0.0, 1.0) * (surface.transmittance.shape[0] - 1)
-    fraction = np.bincount(
-        np.floor(state).astype(int).ravel(), (1 - state % 1).ravel(), surface.transmittance.shape[0]
-    )
-    above = np.bincount(np.floor(state).astype(int).ravel() + 1, (state % 1).ravel(), fraction.size + 1)[:-1]
-    mean = (fraction + above) / state.size @ surface.transmittance
+    rows = surface.transmittance.shape[0]
+    state = (np.clip(0.5 + pattern.astype(float), 0.0, 1.0) * (rows - 1)).ravel()
+    row, fraction = np.floor(state).astype(int), state % 1
+    weight = np.bincount(row, 1 - fraction, rows + 1) + np.bincount(row + 1, fraction, rows + 1)
+    mean = weight[:rows] / state.size @ surface.transmittance
     expected = electrons_by_hand(glow_by_hand(surface, mean), "ueye_ui5250re")
     level = image.mean((0, 1))
     assert level / level[1] == pytest.approx(expected / expected[1], rel=0.01)

@@ -4,7 +4,7 @@ Rationale: a renderer that is not spectral throughout (three numbers per ray, or
 is multiplied) passes with a grey patch under one light. It fails with colours under lights of other shapes:
 the sensor's integral of light x reflectance x response is not a product of integrals.
 
-Set-up: a white, a strongly coloured and a narrow-band patch side by side, facing camera and lamp at 50 cm.
+Set-up: a white, a strongly coloured and a narrow-band patch, facing camera and lamp at 50 cm.
 
 Expected: the integral in NumPy, on half nanometres, from the numbers in the data files.
 
@@ -14,23 +14,19 @@ from their deviation and must be below .15 %, less than a third of the bound of 
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from bodies import (
-    bench_lamp,
+    SENSORS,
+    axis_camera,
     card,
-    chosen_camera,
     columns_of,
+    even_lamp,
     irradiance_by_hand,
     matt,
     response_by_hand,
 )
+from processes import run_python
 
 from pepperscene.errors import SetupError
 from pepperscene.geometry import concatenate_meshes
@@ -45,7 +41,6 @@ LED_FILES = (
     "light/cie_illuminants_colour_science",
 )
 LUX = 200_000.0
-SENSORS = ("ueye_ui5250re", "onsemi_mt9v024")
 SURFACE_NM = np.arange(380.0, 781.0)
 
 
@@ -75,7 +70,7 @@ def leds():
 def rendered(sensor):
     """`{led: (3 patches, 256 pixels, 3 channels)}` electrons."""
     # Strips of 8 columns and 32 rows, wider than the image at the outer sides.
-    pixel = 0.5 * chosen_camera(sensor, None, columns=24, rows=32).sensor.pixel_pitch_m / 4.16e-3
+    pixel = 0.5 * axis_camera(24, 32, sensor=sensor, flash=None).sensor.pixel_pitch_m / 4.16e-3
     strips = [
         card(8 * pixel * place, 0.0, 8 * pixel, 0.1, patch.__name__)
         for place, patch in zip((-1, 0, 1), PATCHES, strict=True)
@@ -84,7 +79,7 @@ def rendered(sensor):
     renderer = Renderer(assemble_scene(concatenate_meshes(strips), surfaces))
     electrons_by_led = {}
     for name, spd in leds().items():
-        camera = chosen_camera(sensor, bench_lamp(Spectrum(*spd), LUX), columns=24, rows=32)
+        camera = axis_camera(24, 32, sensor=sensor, flash=even_lamp(Spectrum(*spd), LUX))
         electrons = renderer.render(camera, ["electrons"], "standard")["electrons"]
         electrons_by_led[name] = electrons.reshape(32, 3, 8, 3).swapaxes(0, 1).reshape(3, 256, 3)
     return electrons_by_led
@@ -106,18 +101,14 @@ def electrons(request):
         choose_variant(request.param)
     except SetupError as error:
         pytest.skip(str(error))
-    done = subprocess.run(
-        [sys.executable, __file__],
-        env=os.environ | {"PEPPERSCENE_VARIANT": request.param},
-        cwd=Path(__file__).parent,
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=600,
+    code = (
+        "import json; from test_led_integrals import *\n"
+        "result = {sensor: {led: x.tolist() for led, x in rendered(sensor).items()} for sensor in SENSORS}\n"
+        "print(json.dumps({'variant': variant_name(), **result}))"
     )
-    answer = json.loads(done.stdout.splitlines()[-1])
-    assert answer["variant"] == request.param
-    return {sensor: {led: np.array(pixels) for led, pixels in answer[sensor].items()} for sensor in SENSORS}
+    result = run_python(code, PEPPERSCENE_VARIANT=request.param)
+    assert result["variant"] == request.param
+    return {sensor: {led: np.array(pixels) for led, pixels in result[sensor].items()} for sensor in SENSORS}
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
@@ -130,8 +121,3 @@ def test_electrons_of_each_led_match_the_integral(electrons, sensor):
         error = pixels.std(1) / np.sqrt(pixels.shape[1]) / mean
         assert error[lit].max() < 0.0015, name
         assert mean[lit] == pytest.approx(integral[lit], rel=0.005), name
-
-
-if __name__ == "__main__":
-    results = {sensor: {led: x.tolist() for led, x in rendered(sensor).items()} for sensor in SENSORS}
-    print(json.dumps({"variant": variant_name(), **results}))  # noqa: T201

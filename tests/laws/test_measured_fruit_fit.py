@@ -1,9 +1,9 @@
 """Fits of the model's pigments to measured reflectances, from independent starts.
 
-The shipped fruit is such a fit to the measured green pepper (Vrhel, Gershon & Iwan 1994), and the means of
-the shipped bounds come from it. So the cultivar that these fits start from has another fruit: with the
-contents of the plant's own leaf, which come from tomato leaves, on a flesh in the middle of the range. Only
-the ends of the bounds are used, which are far apart; the prior between them is uniform.
+The shipped fruit is such a fit to the measured green pepper (Vrhel, Gershon & Iwan 1994), and so are the
+means of the shipped bounds. Therefore these fits start from another fruit: with the contents of the leaf,
+which come from tomato leaves, on a flesh in the middle of the range. Only the wide limits of the bounds are
+used, with a uniform prior between them.
 """
 
 from __future__ import annotations
@@ -12,13 +12,16 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from pepperscene.colour import MeasuredSpectrum, PatchSet
 from pepperscene.cultivar import Cultivar, PigmentPath, load_cultivar
 from pepperscene.dataset import load_recipe
 from pepperscene.dataset.recipe.resolved import load_camera
 from pepperscene.spectra import Spectrum, read_spectra, read_spectrum
+from pepperscene.tuning.fit.least_squares import fit_parameters
 from pepperscene.tuning.model.reflectance import CORRELATION_NM, MODEL_ERROR, DirectModel
+from pepperscene.tuning.model.target import TuningTarget
 from pepperscene.tuning.model.view_model import entries_of
 from pepperscene.tuning.parameters.parameter import select_parameters
 from pepperscene.tuning.parameters.tuned import tuned_parts
@@ -30,7 +33,7 @@ RMSE = 0.012
 
 @cache
 def unfitted_cultivar() -> Cultivar:
-    """Kaite with a fruit that was not fitted to any measured fruit: its leaf's tissue on grey flesh."""
+    """Kaite with a fruit that is not fitted to any measurement: the leaf's tissue on grey flesh."""
     kaite = load_cultivar("kaite")
     leaf = kaite.pigments["leaf"]
     fruit = PigmentPath(
@@ -45,7 +48,7 @@ def unfitted_cultivar() -> Cultivar:
 
 
 class Fitting:
-    """A measured reflectance, and the parameters fitted to it within the ends of the shipped bounds."""
+    """Fits parameters to a measured reflectance, within the limits of the shipped bounds."""
 
     def __init__(self, spectrum: MeasuredSpectrum, names: tuple[str, ...], plants: Cultivar) -> None:
         recipe = load_recipe("barth2018")
@@ -68,8 +71,6 @@ class Fitting:
         return rng.uniform(self.low, self.high)
 
     def fit(self, start: np.ndarray) -> np.ndarray:
-        from scipy.optimize import least_squares
-
         margin = 1e-6 * (self.high - self.low)
         result = least_squares(
             lambda x: self.model.residuals(self.values(x)),
@@ -110,31 +111,27 @@ def test_starts_are_far_from_the_measurement():
 def test_fit_reproduces_the_measured_green_pepper():
     fitting = green_pepper()
     starts = [fitting.default, *(fitting.random_start(np.random.default_rng(seed)) for seed in range(7))]
-    found = [fitting.fit(start) for start in starts]
-    assert max(map(fitting.rmse, found)) <= RMSE
-    # There is one answer, whatever the start: within a hundredth of the bounds' width.
-    assert np.all(np.ptp(found, axis=0) <= 0.01 * (fitting.high - fitting.low))
+    results = [fitting.fit(start) for start in starts]
+    assert max(map(fitting.rmse, results)) <= RMSE
+    # All starts give the same result, within a hundredth of the bounds' width.
+    assert np.all(np.ptp(results, axis=0) <= 0.01 * (fitting.high - fitting.low))
     assert fitting.evaluations <= 40
 
 
-def test_tuning_a_recipe_reproduces_it_too():
+def test_tuning_a_recipe_reproduces_the_measured_green_pepper():
     # A complete tuning fit with spectra alone, so nothing is rendered; its priors are uniform.
-    from pepperscene.tuning.fit.least_squares import fit_parameters
-    from pepperscene.tuning.model.target import TuningTarget
-
-    spectrum = green_pepper().model.spectra[0]
+    pepper = green_pepper()
+    spectrum = pepper.model.spectra[0]
     bounds = {
         entry.parameter.name: {"uniform": [float(low), float(high)], "chosen": "uniform"}
-        for entry, low, high in zip(
-            green_pepper().entries, green_pepper().low, green_pepper().high, strict=True
-        )
+        for entry, low, high in zip(pepper.entries, pepper.low, pepper.high, strict=True)
     }
     target = TuningTarget(load_recipe("barth2018"), PatchSet("green pepper", (), (spectrum,)), bounds=bounds)
     target.cultivar = unfitted_cultivar()
     result = fit_parameters(target, target.problem(list(bounds)), starts=2)
-    (one,) = result.spectra.values()
-    assert one.rmse_before >= 4 * RMSE
-    assert one.rmse_after <= RMSE
+    (fit,) = result.spectra.values()
+    assert fit.rmse_before >= 4 * RMSE
+    assert fit.rmse_after <= RMSE
     assert result.variance_reduction["fruit.flesh"][0] >= 0.5
 
 
@@ -145,14 +142,13 @@ def test_fit_recovers_known_contents():
     for _ in range(3):
         contents = pepper.low + rng.uniform(0.15, 0.85, pepper.low.size) * (pepper.high - pepper.low)
         spectrum = Spectrum(nm, pepper.model.predicted(pepper.values(contents)), "error")
-        twin = Fitting(
-            MeasuredSpectrum("twin", "pepper.unripe", spectrum), fruit(*CONTENTS), unfitted_cultivar()
-        )
+        synthetic = MeasuredSpectrum("twin", "pepper.unripe", spectrum)
+        twin = Fitting(synthetic, fruit(*CONTENTS), unfitted_cultivar())
         assert twin.fit(twin.default) == pytest.approx(contents, rel=1e-3, abs=1e-3)
 
 
 def test_model_error_constants_match_residuals_of_leaf_fits():
-    # The constants that weight spectra against images, from leaves of twelve plants.
+    # The constants that weight spectra against images, for leaves of twelve plants.
     names = tuple(f"leaf.{name}" for name in CONTENTS[:4])
     columns = [name for name in read_spectra(LEAVES) if "husk" not in name]
     residuals, lags = [], []

@@ -25,9 +25,10 @@ import numpy as np
 import pytest
 from bodies import (
     PITCH_M,
-    bench_lamp,
-    chosen_camera,
+    SENSORS,
+    axis_camera,
     columns_of,
+    even_lamp,
     irradiance_by_hand,
     matt,
     response_by_hand,
@@ -38,7 +39,6 @@ from pepperscene.render import render_scene
 from pepperscene.scene import assemble_scene, uniform_sky
 from pepperscene.spectra import Spectrum
 
-SENSORS = ("ueye_ui5250re", "onsemi_mt9v024")
 NM = np.arange(380.0, 780.1, 0.5)
 LED_A = columns_of("light/houser2013_cool_white_led")["slide_4_lumileds_cool_white"]
 LED_B = columns_of("light/cie_illuminants_colour_science")["led_b1"]  # warm, 2,733 K
@@ -55,28 +55,26 @@ def electrons_of(reflectance, sensor, spd):
     return np.trapezoid(reflectance * responses(sensor, spd), NM)
 
 
-def pair(sensor):
+def metamers(sensor):
     """Two reflectances `(n,)` in [0, 1] that are metamers under LED A and very different under LED B."""
-    # Cosines with half periods of 20 nm and more; those of the null space that LED B sees most.
-    shape = np.cos(np.pi * np.arange(20)[:, None] * (NM - 380.0) / 400.0)
-    seen = np.trapezoid(responses(sensor, LED_A)[:, None] * shape, NM)
-    null = np.linalg.svd(seen)[2][3:]
-    other = np.trapezoid(responses(sensor, LED_B)[:, None] * (null @ shape), NM)
-    curve = np.linalg.svd(other)[2][0] @ null @ shape
+    # Cosines with half periods of 20 nm and more; of the null space, the curve with the most effect under B.
+    basis = np.cos(np.pi * np.arange(20)[:, None] * (NM - 380.0) / 400.0)
+    under_a = np.trapezoid(responses(sensor, LED_A)[:, None] * basis, NM)
+    null = np.linalg.svd(under_a)[2][3:]
+    under_b = np.trapezoid(responses(sensor, LED_B)[:, None] * (null @ basis), NM)
+    curve = np.linalg.svd(under_b)[2][0] @ null @ basis
     curve *= 0.5 / np.abs(curve).max()
     return 0.5 + curve, 0.5 - curve
 
 
 def rendered(reflectance, sensor, spd, by):
     """`(3,)` electrons of a patch that fills the image, lit by a flash or by a uniform sky."""
-    light = Spectrum(*spd)
-    lamp, sky, side = (
-        (bench_lamp(light, LUX), None, 8) if by == "flash" else (None, uniform_sky(light, LUX), 48)
-    )
-    camera = chosen_camera(sensor, lamp, columns=side, rows=side)
+    light, side = Spectrum(*spd), 8 if by == "flash" else 48
+    lamp, sky = (even_lamp(light, LUX), None) if by == "flash" else (None, uniform_sky(light, LUX))
+    camera = axis_camera(side, side, sensor=sensor, flash=lamp)
     scene = assemble_scene(sheet(1.0, 1.0, 0.5, "patch"), {"patch": matt("patch", NM, reflectance)}, sky)
     electrons = render_scene(scene, camera, ["electrons"], "reference", seed=7)["electrons"]
-    if by == "flash":  # whose beam compensates the lens' fall-off
+    if by == "flash":  # its beam compensates the lens' fall-off
         return electrons.mean((0, 1), np.float64)
     slope = (np.arange(side) + 0.5 - side / 2) * 2 * PITCH_M[sensor] / 4.16e-3
     falloff = (1.0 + slope[:, None] ** 2 + slope**2) ** -2.0  # cos^4
@@ -85,25 +83,25 @@ def rendered(reflectance, sensor, spd, by):
 
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_pair_differs_but_is_equal_to_the_sensor(sensor):
-    one, other = pair(sensor)
-    assert min(one.min(), other.min()) >= 0.0
-    assert max(one.max(), other.max()) <= 1.0
-    assert np.sqrt(np.mean((one - other) ** 2)) > 0.05
-    assert electrons_of(one, sensor, LED_A) == pytest.approx(electrons_of(other, sensor, LED_A), rel=1e-9)
+    a, b = metamers(sensor)
+    assert min(a.min(), b.min()) >= 0.0
+    assert max(a.max(), b.max()) <= 1.0
+    assert np.sqrt(np.mean((a - b) ** 2)) > 0.05
+    assert electrons_of(a, sensor, LED_A) == pytest.approx(electrons_of(b, sensor, LED_A), rel=1e-9)
 
 
 @pytest.mark.parametrize(("by", "bound"), [("flash", 0.001), ("sky", 0.003)])
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_metamers_are_rendered_equal(sensor, by, bound):
-    one, other = (rendered(reflectance, sensor, LED_A, by) for reflectance in pair(sensor))
-    assert one == pytest.approx(other, rel=bound)
+    a, b = (rendered(reflectance, sensor, LED_A, by) for reflectance in metamers(sensor))
+    assert a == pytest.approx(b, rel=bound)
 
 
 @pytest.mark.parametrize(("spd", "by"), [(LED_B, "flash"), (D65, "flash"), (D65, "sky")])
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_metamers_differ_under_another_light_as_their_integrals(sensor, spd, by):
-    electrons = np.array([rendered(reflectance, sensor, spd, by) for reflectance in pair(sensor)])
-    expected = np.array([electrons_of(reflectance, sensor, spd) for reflectance in pair(sensor)])
+    electrons = np.array([rendered(reflectance, sensor, spd, by) for reflectance in metamers(sensor)])
+    expected = np.array([electrons_of(reflectance, sensor, spd) for reflectance in metamers(sensor)])
     assert electrons == pytest.approx(expected, rel=0.005)
     # Their relative difference.
     difference, target = np.log(electrons[0] / electrons[1]), np.log(expected[0] / expected[1])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from bodies import bench_camera, sphere
+from bodies import EVEN_SKY, RANGE_NM, axis_camera, sphere
 from scipy.ndimage import distance_transform_edt
 
 from pepperscene.camera import look_at
@@ -20,27 +20,23 @@ from pepperscene.materials import Surface, lambertian_surface
 from pepperscene.render import Renderer
 from pepperscene.render.surface.scattering import shading_normals
 from pepperscene.render.variant import mitsuba_modules
-from pepperscene.scene import assemble_scene, uniform_sky
-from pepperscene.spectra import Spectrum
-
-NM = np.array([300.0, 1100.0])
-SKY = uniform_sky(Spectrum(NM, np.ones(2)), 5500.0)
+from pepperscene.scene import assemble_scene
 
 
 def photograph(mesh, surfaces, quality="reference", seed=0, pose=None, side=72):
     """`(h, w)` brightness relative to the sky, and each pixel's distance to the outline, 0 outside."""
-    camera = bench_camera(columns=side, rows=side, flash=False)
+    camera = axis_camera(side, side, flash=False)
     camera = camera if pose is None else camera.at_pose(pose)
-    frame = Renderer(assemble_scene(mesh, surfaces, SKY)).render(
-        camera, ["electrons", "class"], quality, seed
-    )
+    scene = assemble_scene(mesh, surfaces, EVEN_SKY)
+    frame = Renderer(scene).render(camera, ["electrons", "class"], quality, seed)
     covered = frame["class"] > 0
     light = frame["electrons"].astype(float)
     sky = light[distance_transform_edt(~covered) > 3.0].mean(axis=0)
     return (light / sky).mean(axis=-1), distance_transform_edt(covered)
 
 
-# --- coarse meshes ------------------------------------------------------------------------------------------
+def white(name: str, ior: float, alpha: float) -> Surface:
+    return Surface(name, RANGE_NM, np.ones((1, 2, 2)), np.zeros((1, 2)), ior, (alpha, alpha))
 
 
 @pytest.mark.parametrize(
@@ -51,9 +47,8 @@ def test_coarse_lossless_ball_has_no_dark_rim_in_a_uniform_sky(ior, roughness, l
     # 80 triangles, whose normals are up to 20 degrees off: without correction, the darkest pixels fall to .65
     # and the outermost to .90 to .95. Light is still lost on the wrong side of a triangle: (1 - cos t) / 2 of
     # a matt body, and up to half of a mirror image at the rim.
-    both = np.ones((1, 2, 2))
-    white = Surface("white", NM, both, np.zeros((1, 2)), ior, (roughness, roughness))
-    light, depth = photograph(sphere((0.0, 0.0, 0.5), 0.03, "white", subdivisions=1), {"white": white})
+    ball = sphere((0.0, 0.0, 0.5), 0.03, "white", subdivisions=1)
+    light, depth = photograph(ball, {"white": white("white", ior, roughness)})
     assert light[depth > 0].min() > least
     assert light[(depth > 0) & (depth < 1.5)].mean() > rim
     assert light[depth > 0].mean() == pytest.approx(1.0, abs=0.01)
@@ -79,9 +74,7 @@ def test_coarse_white_fruit_has_the_outline_of_a_fine_one(ior):
     # From 15 cm, in a uniform sky, everything white so that lost light is visible. Without correction, the
     # outermost pixels of the coarse fruit are 2 % darker than the fine one's, their darkest fortieth 7 to 8
     # %; with it both agree within 1 %.
-    both = np.ones((1, 2, 2))
-    organs = ("fruit", "calyx", "peduncle")
-    surfaces = {name: Surface(name, NM, both, np.zeros((1, 2)), ior, (0.25, 0.25)) for name in organs}
+    surfaces = {name: white(name, ior, 0.25) for name in ("fruit", "calyx", "peduncle")}
     pose = look_at((0.0, -0.15, 0.03), (0.03, 0.0, 0.0))
     rims = []
     for detail in (1.0, 4.0):
@@ -91,11 +84,8 @@ def test_coarse_white_fruit_has_the_outline_of_a_fine_one(ior):
     assert rims[0] == pytest.approx(rims[1], rel=0.015)
 
 
-# --- normals ------------------------------------------------------------------------------------------------
-
-
-def turn_normals(g: np.ndarray, n: np.ndarray, v: np.ndarray):
-    """`(m, 3)` results of `shading_normals` for geometric and shading normals and views."""
+def corrected(g: np.ndarray, n: np.ndarray, v: np.ndarray):
+    """Normal, tangents and view `(m, 3)` after `shading_normals`; geometric and shading normals, views."""
     mi, dr = mitsuba_modules()
 
     def vectors(values):
@@ -120,49 +110,42 @@ def dot(a, b):
     return np.sum(a * b, axis=-1)
 
 
-def test_normals_are_turned_only_as_far_as_needed():
+def test_normals_are_rotated_only_as_far_as_needed():
     rng = np.random.default_rng(7)
     g, v = random_units(rng, 20_000), random_units(rng, 20_000)
     n = g + 1.2 * rng.uniform(0.0, 1.0, (20_000, 1)) * random_units(rng, 20_000)
     n /= np.linalg.norm(n, axis=1, keepdims=True)
-    turned, s, t, wi = turn_normals(g, n, v)
+    normal, s, t, wi = corrected(g, n, v)
     side = np.sign(dot(g, v))
     front = side * dot(n, v)
     mirror = side * (2.0 * dot(n, v) * dot(n, g) - dot(g, v))
     valid, needed = (front > 1e-5) & (mirror > 1e-5), (front < -1e-5) | (mirror < -1e-5)
     assert valid.sum() > 2000 < needed.sum()
     # Valid normals do not change; the others mirror the view along the triangle.
-    assert turned[valid] == pytest.approx(n[valid], abs=1e-6)
-    mirrored = 2.0 * dot(turned, v) * dot(turned, g) - dot(g, v)
+    assert normal[valid] == pytest.approx(n[valid], abs=1e-6)
+    mirrored = 2.0 * dot(normal, v) * dot(normal, g) - dot(g, v)
     assert mirrored[needed] == pytest.approx(0.0, abs=2e-5)
     # The viewer is on the triangle's side; the normal is between the two original ones.
-    assert (dot(turned, v) * dot(g, v) > 0.0).all()
-    assert (dot(turned, g) >= dot(n, g) - 1e-5).all()
-    assert dot(turned, np.cross(n, g)) == pytest.approx(0.0, abs=1e-5)
+    assert (dot(normal, v) * dot(g, v) > 0.0).all()
+    assert (dot(normal, g) >= dot(n, g) - 1e-5).all()
+    assert dot(normal, np.cross(n, g)) == pytest.approx(0.0, abs=1e-5)
     # The frame is orthonormal, and contains the view.
-    for a, b, expected in (
-        (turned, turned, 1),
-        (s, s, 1),
-        (t, t, 1),
-        (turned, s, 0),
-        (turned, t, 0),
-        (s, t, 0),
-    ):
-        assert dot(a, b) == pytest.approx(expected, abs=1e-5)
-    assert wi == pytest.approx(np.stack([dot(s, v), dot(t, v), dot(turned, v)], axis=1), abs=1e-5)
+    frame = np.stack([s, t, normal], axis=1)
+    assert frame @ frame.transpose(0, 2, 1) == pytest.approx(np.tile(np.eye(3), (20_000, 1, 1)), abs=1e-5)
+    assert wi == pytest.approx(np.einsum("nij,nj->ni", frame, v), abs=1e-5)
 
 
 def test_normals_of_flat_triangles_keep_their_bits():
     rng = np.random.default_rng(8)
     g, v = random_units(rng, 1000), random_units(rng, 1000)
-    assert np.array_equal(turn_normals(g, g, v)[0], g.astype(np.float32))
+    assert np.array_equal(corrected(g, g, v)[0], g.astype(np.float32))
 
 
 def test_grazing_views_and_opposite_normals_give_finite_frames():
     z, x = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
     cases = [(z, -z, z), (z, -z, x), (z, z, x), (z, x, x), (z, x, -x), (z, x, z), (z, -z, -z), (z, x, -z)]
     g, n, v = (np.array(part) for part in zip(*cases, strict=True))
-    for part in turn_normals(g, n, v):
+    for part in corrected(g, n, v):
         assert np.isfinite(part).all()
 
 
@@ -177,9 +160,6 @@ def test_gradients_with_respect_to_normals_are_finite():
     si.wi = si.to_local(mi.Vector3f(-0.8, 0.0, 0.6))
     dr.backward(dr.sum(shading_normals(si).wi.z))
     assert np.isfinite(np.array(dr.grad(tilt))).all()
-
-
-# --- denoising ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("reflectance", [0.25, 0.5])

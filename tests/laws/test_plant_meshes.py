@@ -1,24 +1,21 @@
-"""Meshes of plants are sound whatever the parameters, and the same wherever they are made.
+"""Meshes of plants are valid for extreme parameters, and identical in all processes.
 
-Rationale: the grid of an organ is fit for its usual size and shape; a blade of 1 mm, a fruit of 300 mm,
-laws of ten times the variance stretch it. A face without area has no normal, an open fruit no inside, and
-a mesh that differs from machine to machine cannot be compared.
+Rationale: the tessellation of an organ is made for its usual size and shape; a blade of 1 mm, a fruit of
+300 mm and ten times the variance stretch it. A face without area has no normal, an open fruit no inside, and
+a mesh that differs between machines cannot be compared.
 
 Set-up: Hypothesis changes shipped cultivars: stems of 1 to 200 parts, blades of 1 to 600 mm, fruit of 5 to
-300 mm, the variance of every law nothing, as it is, or tenfold; details .3 to 2.
+300 mm, all variances 0, unchanged or tenfold; details of .3 to 2.
 
-Expected: what every mesh of an organ must have (after Botsch et al. 2010, Polygon Mesh Processing, ch. 1):
-finite, no face without area and no face twice, at most two faces at an edge, which run through it in opposite
-directions, solids that are closed balls of a positive volume, and normals on the faces' side.
+Expected, after Botsch et al. 2010, Polygon Mesh Processing, ch. 1: finite values, no face without area, no
+duplicate faces, at most two faces at an edge with opposite directions, solids that are closed and have
+positive volume and the topology of a ball, and normals on the front of the faces.
 """
 
 from __future__ import annotations
 
 import hashlib
 import multiprocessing
-import os
-import subprocess
-import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,23 +23,20 @@ import pytest
 import trimesh
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from processes import run_python
 
 from pepperscene.cultivar import Cultivar, Distribution, OrganModel, Stem, load_cultivar
 from pepperscene.geometry import Mesh, mesh_plant
 from pepperscene.grammar import grow
 
-SHEETS = ("blade", "flower")
-"""Forms that are single sheets; all others are closed."""
-
-CAP = 0.012
-"""Part of a tube's length in v that a cap takes."""
-
-CHECKED = 60  # instances of a plant that trimesh looks at one by one
+SHEETS = ("blade", "flower")  # forms that are single surfaces; all others are closed
+CAP = 0.012  # length of a tube's cap in v
+CHECKED = 60  # instances of a plant that trimesh checks one by one
 
 
 @dataclass(frozen=True)
 class Changes:
-    """What is extreme about a plant."""
+    """Changes of a cultivar, and how to grow and mesh it."""
 
     cultivar: str = "kaite"
     seed: int = 0
@@ -54,48 +48,50 @@ class Changes:
     young: int = 1
 
 
-def changed(cultivar: Cultivar, to: Changes) -> Cultivar:
-    """The cultivar with other means, and with laws of another variance that keep to what can be."""
-    organs = {name: _organ(one, to) for name, one in cultivar.organs.items()}
-    stem = {**_fields(cultivar.stem), "parts": to.parts, "young_nodes": min(to.young, to.parts)}
-    stem |= {name: _spread(law, to.variance) for name, law in stem.items() if isinstance(law, Distribution)}
+def change_cultivar(cultivar: Cultivar, changes: Changes) -> Cultivar:
+    """The cultivar with other means and variances, within possible ranges."""
+    organs = {name: _change_organ(organ, changes) for name, organ in cultivar.organs.items()}
+    stem = _fields(cultivar.stem)
+    stem |= {k: _widen(v, changes.variance) for k, v in stem.items() if isinstance(v, Distribution)}
+    stem |= {"parts": changes.parts, "young_nodes": min(changes.young, changes.parts)}
     return Cultivar(**{**_fields(cultivar), "stem": Stem(**stem), "organs": organs})
 
 
-def _organ(one: OrganModel, to: Changes) -> OrganModel:
-    laws = dict(one.distributions)
-    if one.form == "blade":
-        scale = to.blade_mm / 1e3 / laws["length"].mean
-        small = ("length", "width", "margin_wave", "blister", "vein")
-        laws |= {name: _scaled(laws[name], scale) for name in small}
-    if one.form == "fruit":
-        laws["diameter"] = _scaled(laws["diameter"], to.fruit_mm / 1e3 / laws["diameter"].mean)
-    # Shares of ripe fruit hang together, and concern colours alone.
-    kept = ("ripe_fraction", "ripe_descent", "breaker_fraction")
-    spread = {name: law if name in kept else _spread(law, to.variance) for name, law in laws.items()}
-    return type(one)(**{**_fields(one), **spread})
+def _change_organ(organ: OrganModel, changes: Changes) -> OrganModel:
+    values = dict(organ.distributions)
+    if organ.form == "blade":
+        scale = changes.blade_mm / 1e3 / values["length"].mean
+        lengths = ("length", "width", "margin_wave", "blister", "vein")
+        values |= {name: _scale(values[name], scale) for name in lengths}
+    if organ.form == "fruit":
+        values["diameter"] = _scale(values["diameter"], changes.fruit_mm / 1e3 / values["diameter"].mean)
+    # Fractions of ripe fruit depend on each other, and affect colours only.
+    unchanged = ("ripe_fraction", "ripe_descent", "breaker_fraction")
+    values |= {k: _widen(v, changes.variance) for k, v in values.items() if k not in unchanged}
+    return type(organ)(**{**_fields(organ), **values})
 
 
 def _fields(model: object) -> dict[str, object]:
     return {name: getattr(model, name) for name in type(model).model_fields}  # type: ignore[attr-defined]
 
 
-def _scaled(law: Distribution, by: float) -> Distribution:
-    numbers = {name: by * getattr(law, name) for name in ("mean", "sd", "low", "high")}
-    return Distribution(**{**_fields(law), **numbers})
+def _scale(value: Distribution, factor: float) -> Distribution:
+    numbers = {name: factor * getattr(value, name) for name in ("mean", "sd", "low", "high")}
+    return Distribution(**{**_fields(value), **numbers})
 
 
-def _spread(law: Distribution, variance: float) -> Distribution:
-    """The law at so many times its variance: an even one, cut where lengths and ratios end."""
-    if variance == 1.0 or law.sd == 0.0 or law.family == "curve":
-        return law
-    if variance == 0.0:
-        return Distribution(family="value", mean=law.mean, sd=0.0, low=law.mean, high=law.mean, chosen="test")
-    reach = np.sqrt(3.0 * variance) * law.sd
-    low, high = law.mean - reach, law.mean + reach
-    if law.low > 0.0 or (law.low == 0.0 and law.mean > 0.0):
-        low = max(low, 0.02 * law.mean)
-    if law.low >= 0.0 and law.high <= 1.0:
+def _widen(value: Distribution, factor: float) -> Distribution:
+    """A uniform distribution of `factor` times the variance, clipped to possible lengths and ratios."""
+    mean = value.mean
+    if factor == 1.0 or value.sd == 0.0 or value.family == "curve":
+        return value
+    if factor == 0.0:
+        return Distribution(family="value", mean=mean, sd=0.0, low=mean, high=mean, chosen="test")
+    half_width = np.sqrt(3.0 * factor) * value.sd
+    low, high = mean - half_width, mean + half_width
+    if value.low > 0.0 or (value.low == 0.0 and mean > 0.0):
+        low = max(low, 0.02 * mean)
+    if value.low >= 0.0 and value.high <= 1.0:
         high = min(high, 1.0)
     mean, sd = 0.5 * (low + high), (high - low) / np.sqrt(12.0)
     return Distribution(family="uniform", mean=mean, sd=sd, low=low, high=high, chosen="test")
@@ -123,8 +119,8 @@ CHANGES = st.builds(
 @example(Changes(cultivar="tomato", parts=16, detail=0.5, variance=10.0))
 @example(Changes(cultivar="orange_pointed", parts=8, fruit_mm=300.0))
 @given(CHANGES)
-def test_meshes_are_sound(changes: Changes) -> None:
-    cultivar = changed(load_cultivar(changes.cultivar), changes)
+def test_meshes_are_valid(changes: Changes) -> None:
+    cultivar = change_cultivar(load_cultivar(changes.cultivar), changes)
     plant = grow(cultivar, np.random.default_rng(changes.seed))
     assert len(plant.of_form("internode")) == changes.parts
     mesh = mesh_plant(plant, changes.detail)
@@ -132,14 +128,14 @@ def test_meshes_are_sound(changes: Changes) -> None:
     check_numbers(mesh)
     # Blades of ten times the variance fold over themselves.
     check_faces(mesh, creased=0.002 if changes.variance <= 1.0 else 0.02)
-    sheets = [cultivar.kinds[one.kind].form in SHEETS for one in mesh.instances]
+    sheets = [cultivar.kinds[instance.kind].form in SHEETS for instance in mesh.instances]
     chosen = np.unique(np.linspace(0, len(sheets) - 1, CHECKED).astype(int))
     for index in chosen:
         check_body(mesh, int(index), sheet=sheets[index])
 
 
 def check_numbers(mesh: Mesh) -> None:
-    """Everything is finite and in its range."""
+    """All values are finite and in their ranges."""
     for name in ("vertices", "normals", "uv", "state"):
         assert np.isfinite(getattr(mesh, name)).all(), name
     assert 0.0 <= mesh.uv.min() <= mesh.uv.max() <= 1.0
@@ -149,21 +145,20 @@ def check_numbers(mesh: Mesh) -> None:
 
 
 def check_faces(mesh: Mesh, creased: float) -> None:
-    """No face without area, none twice, and the normals on their side."""
+    """No face without area, no duplicates, and normals on the front."""
     corners = mesh.vertices.astype(float)[mesh.faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = 0.5 * np.linalg.norm(across, axis=1)
-    flat = np.flatnonzero(~(area > 0.0))
-    assert not len(flat), f"{len(flat)} faces without area, of {kinds_of(mesh, flat)}"
-    once = {tuple(row) for row in np.sort(mesh.faces, axis=1).tolist()}
-    assert len(once) == len(mesh.faces)
-    # The normals of a face's corners point to its front. Caps lie inside what a tube joins, and are lit as if
-    # it went on; a blade or a calyx may be creased so sharply that a small face is turned over.
-    facing = np.einsum("fi,fci->fc", across / (2.0 * area[:, None]), mesh.normals.astype(float)[mesh.faces])
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = 0.5 * np.linalg.norm(normal, axis=1)
+    empty = np.flatnonzero(~(area > 0.0))
+    assert not len(empty), f"{len(empty)} faces without area, of {kinds_of(mesh, empty)}"
+    assert len(np.unique(np.sort(mesh.faces, axis=1), axis=0)) == len(mesh.faces)
+    # The normals of a face's corners point to its front. Caps are inside other organs and have the normals of
+    # a longer tube; a blade or a calyx may be creased so sharply that a small face is inverted.
+    cosine = np.einsum("fi,fci->fc", normal / (2.0 * area[:, None]), mesh.normals.astype(float)[mesh.faces])
     height = mesh.uv[mesh.faces][..., 1]
     cap = (height.min(axis=1) < CAP) | (height.max(axis=1) > 1.0 - CAP)
-    behind = np.flatnonzero((facing.sum(axis=1) <= 0.0) & ~cap)
-    assert len(behind) <= creased * len(facing), f"{len(behind)} faces turned over, {kinds_of(mesh, behind)}"
+    inverted = np.flatnonzero((cosine.sum(axis=1) <= 0.0) & ~cap)
+    assert len(inverted) <= creased * len(area), f"{len(inverted)} inverted, of {kinds_of(mesh, inverted)}"
 
 
 def kinds_of(mesh: Mesh, faces: np.ndarray) -> set[str]:
@@ -171,11 +166,11 @@ def kinds_of(mesh: Mesh, faces: np.ndarray) -> set[str]:
 
 
 def check_body(mesh: Mesh, index: int, *, sheet: bool) -> None:
-    """One organ as trimesh sees it, with the vertices of seams made one."""
+    """Check one organ with trimesh; the vertices of seams are merged."""
     faces = mesh.faces[mesh.face_instance == index].astype(np.int64)
     first = faces.min()
-    points, same = np.unique(mesh.vertices[first : faces.max() + 1], axis=0, return_inverse=True)
-    body = trimesh.Trimesh(points, same.ravel()[faces - first], process=False, validate=False)
+    points, merged = np.unique(mesh.vertices[first : faces.max() + 1], axis=0, return_inverse=True)
+    body = trimesh.Trimesh(points, merged.ravel()[faces - first], process=False, validate=False)
     kind = mesh.instances[index].kind
     assert body.is_winding_consistent, kind
     edges = np.sort(body.edges, axis=1)
@@ -189,47 +184,34 @@ def check_body(mesh: Mesh, index: int, *, sheet: bool) -> None:
     assert body.euler_number == 2, f"{kind}: not a ball, Euler number {body.euler_number}"
 
 
-# --- the same everywhere ----------------------------------------------------------------------------------
-
-
 def digest(seed: int) -> str:
-    """Of all arrays of a plant."""
+    """Digest of all arrays of a plant."""
     mesh = mesh_plant(grow(load_cultivar("kaite"), np.random.default_rng(seed)), 0.5)
     names = ("vertices", "normals", "uv", "state", "faces", "face_instance", "face_surface")
-    told = hashlib.sha256(repr((mesh.surfaces, mesh.instances)).encode())
+    result = hashlib.sha256(repr((mesh.surfaces, mesh.instances)).encode())
     for name in names:
         array = getattr(mesh, name)
-        told.update(str(array.dtype).encode() + np.ascontiguousarray(array).tobytes())
-    return told.hexdigest()
-
-
-def digests(seeds: list[int]) -> list[str]:
-    return [digest(seed) for seed in seeds]
+        result.update(str(array.dtype).encode() + np.ascontiguousarray(array).tobytes())
+    return result.hexdigest()
 
 
 @pytest.fixture(scope="module")
-def here() -> list[str]:
-    return digests([3, 4])
+def digests() -> list[str]:
+    return [digest(3), digest(4)]
 
 
 @pytest.mark.parametrize(("hash_seed", "threads"), [("0", "1"), ("1", "2"), ("random", "4")])
-def test_other_processes_make_the_same_vertices(here: list[str], hash_seed: str, threads: str) -> None:
+def test_other_processes_make_the_same_vertices(digests: list[str], hash_seed: str, threads: str) -> None:
     counts = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), threads)
-    environment = {**os.environ, "PYTHONHASHSEED": hash_seed, **counts}
-    code = f"import sys; sys.path.insert(0, {os.path.dirname(__file__)!r}); import {__name__} as test; "
-    # In the other order, so that nothing is carried from one plant to the next.
-    code += "print(*test.digests([4, 3]))"
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == here[::-1]
+    # In reverse order, so that no state is carried over.
+    code = "import json; from test_plant_meshes import digest; print(json.dumps([digest(4), digest(3)]))"
+    assert run_python(code, PYTHONHASHSEED=hash_seed, **counts) == digests[::-1]
 
 
-def test_workers_make_the_same_vertices(here: list[str]) -> None:
+def test_workers_make_the_same_vertices(digests: list[str]) -> None:
     with multiprocessing.get_context("spawn").Pool(2) as pool:
-        assert pool.map(digest, [3, 4, 3, 4], chunksize=1) == here * 2
+        assert pool.map(digest, [3, 4, 3, 4], chunksize=1) == digests * 2
 
 
-def test_another_seed_is_another_plant(here: list[str]) -> None:
-    assert here[0] != here[1]
+def test_plants_differ_between_seeds(digests: list[str]) -> None:
+    assert digests[0] != digests[1]

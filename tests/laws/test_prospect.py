@@ -129,7 +129,7 @@ def test_raises_on_impossible_contents(contents):
         leaf_spectra(NM, **(LEAF | contents))
 
 
-def test_a_layer_on_a_body_equals_a_series_of_bounces():
+def test_layer_on_a_body_equals_a_series_of_reflections():
     skin = leaf_spectra(NM, structure_n=1.0, chlorophyll_ug_cm2=5)
     rho, light, total = 0.7, skin.transmittance, skin.reflectance.copy()
     for _ in range(200):

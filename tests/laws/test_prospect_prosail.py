@@ -47,7 +47,7 @@ def max_difference(leaf, index: int, reflectance: np.ndarray, transmittance: np.
 
 
 @pytest.mark.parametrize("part", range(10))
-def test_a_thousand_leaves_match_prosail(part):
+def test_random_leaves_match_prosail(part):
     contents = draw(100, part, **RANGES)
     leaf = leaf_spectra(NM, **contents)
     assert leaf.reflectance.shape == (100, NM.size)
@@ -57,7 +57,7 @@ def test_a_thousand_leaves_match_prosail(part):
         assert max_difference(leaf, i, *spectra) < TOLERANCE, {k: v[i] for k, v in contents.items()}
 
 
-def test_an_empty_leaf_matches_prosail():
+def test_leaf_without_pigments_matches_prosail():
     """prosail has a special case for it, too."""
     for n in (1.0, 1.5, 3.5):
         leaf = leaf_spectra(NM, structure_n=[n])

@@ -1,8 +1,8 @@
-"""Our integrator against Mitsuba's own path tracer, on every kind of scene that we render.
+"""Our integrator against Mitsuba's path tracer, for all kinds of lights.
 
-Both use the same meshes, materials, camera rays and response. How light is found is implemented twice: ours
-in `pepperscene.render.transport.trace`, the reference's in Mitsuba with the emitters of
-`pepperscene.render.reference.emitters`, or with Mitsuba's own emitters.
+Both use the same meshes, materials, camera rays and response. Light transport is implemented twice: ours in
+`pepperscene.render.transport.trace`, the reference in Mitsuba, with the emitters of
+`pepperscene.render.reference.emitters` or with Mitsuba's own.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bodies import bench_camera, sheet, sphere
+from bodies import axis_camera, card, sheet, sphere
+from scipy import stats
 
 from pepperscene.camera import AngularProfile, Camera, expected_electrons, load_sensor
 from pepperscene.dataset.recipe.load import load_recipe
@@ -57,13 +58,8 @@ def glossy_fruit() -> Surface:
 
 def still_life(sky: Sky | None = None, card_m: float = 2.0) -> Scene:
     """A thin leaf that shades a glossy fruit, both in front of a matt card; the camera looks along +z."""
-    mesh = concatenate_meshes(
-        [
-            sphere((0.03, 0.02, 0.45), 0.06, "fruit", subdivisions=3),
-            sheet(0.15, 0.4, 0.4, "leaf").moved(np.eye(3), np.array([-0.12, 0.0, 0.0])),
-            sheet(card_m, card_m, 0.6, "card"),
-        ]
-    )
+    fruit, leaf = sphere((0.03, 0.02, 0.45), 0.06, "fruit", 3), card(-0.12, 0.0, 0.15, 0.4, "leaf", 0.4)
+    mesh = concatenate_meshes([fruit, leaf, sheet(card_m, card_m, 0.6, "card")])
     surfaces = {"card": lambertian_surface("card", 0.6), "leaf": thin_leaf(), "fruit": glossy_fruit()}
     return assemble_scene(mesh, surfaces, sky)
 
@@ -72,7 +68,7 @@ def camera(*, flash: bool = True, **flash_changes: object) -> Camera:
     """The recipe's camera a metre from the still life, with few large pixels."""
     pose = np.eye(4)
     pose[2, 3] = -0.4
-    return few_pixels(bench_camera(flash=flash, **flash_changes).at_pose(pose))
+    return few_pixels(axis_camera(flash=flash, **flash_changes).at_pose(pose))
 
 
 def few_pixels(original: Camera, columns: int = 32) -> Camera:
@@ -96,7 +92,7 @@ def sun(direction: tuple[float, float, float], radius: float, irradiance: float 
 
 
 def point_flash() -> dict[str, object]:
-    """Beside the lens, so that shadows are visible, with a beam that ends inside the picture."""
+    """Next to the lens, so that shadows are visible, with a beam that ends inside the image."""
     beam = AngularProfile(np.radians([0.0, 5.0, 12.0, 18.0]), np.array([1.0, 0.9, 0.4, 0.0]))
     position = {"emitters_m": np.zeros((1, 2)), "offset_m": (0.05, -0.02, 0.01)}
     return {"radius_m": 0.0, "profile": beam, **position}
@@ -113,7 +109,7 @@ def mono() -> Camera:
     return few_pixels(replace(camera(), sensor=load_sensor("onsemi_mt9v024_mono")))
 
 
-BACK, FRONT = (0.4, -0.5, -1.0), (0.12, -0.05, 1.0)  # behind the camera, and in its picture
+BACK, FRONT = (0.4, -0.5, -1.0), (0.12, -0.05, 1.0)  # behind the camera, and in view
 
 SCENES = {
     "flash of many emitters": lambda: (still_life(), camera()),
@@ -125,7 +121,7 @@ SCENES = {
     ),
     "patchy sky": lambda: (still_life(patchy_sky(), 0.5), camera(flash=False)),
     "wide sun": lambda: (still_life(patchy_sky(sun(BACK, 0.2))), camera(flash=False)),
-    "wide sun in the picture, through the leaf": lambda: (
+    "wide sun in view, through the leaf": lambda: (
         still_life(patchy_sky(sun(FRONT, 0.15)), 0.3),
         camera(flash=False),
     ),
@@ -159,7 +155,7 @@ def reference(
 
 
 def block_means(frames: np.ndarray) -> np.ndarray:
-    """`(n, blocks * c + c)` means over blocks and over the whole picture."""
+    """`(n, blocks * c + c)` means over blocks and over the whole image."""
     n, h, w, c = frames.shape
     blocks = frames.astype(float).reshape(n, h // BLOCK, BLOCK, w // BLOCK, BLOCK, c).mean((2, 4))
     return np.concatenate([blocks.reshape(n, -1), blocks.mean((1, 2))], axis=1)
@@ -168,13 +164,8 @@ def block_means(frames: np.ndarray) -> np.ndarray:
 def assert_agree(first: np.ndarray, second: np.ndarray, precision: float = 0.005) -> None:
     """Welch's tests (1947) over blocks and channels, with Bonferroni's correction of the smallest p-value.
 
-    Args:
-        first, second: `(n, h, w, c)`.
-        precision: limit of the relative standard error of the picture's mean, without which the test would
-            have no power.
+    `precision` limits the relative standard error of the image's mean: otherwise the test has no power.
     """
-    from scipy.stats import t
-
     assert np.isfinite(first).all()
     assert np.isfinite(second).all()
     a, b = block_means(first), block_means(second)
@@ -187,7 +178,7 @@ def assert_agree(first: np.ndarray, second: np.ndarray, precision: float = 0.005
     difference = np.abs(a.mean(axis=0) - b.mean(axis=0)) - TOLERANCE * b.mean(axis=0)
     tiny = 1e-9 * b.mean()
     freedom = error**4 / (squares[0] ** 2 / (len(a) - 1) + squares[1] ** 2 / (len(b) - 1) + tiny**4)
-    p = 2.0 * t.sf(np.maximum(difference, 0.0) / (error + tiny), np.maximum(freedom, 1.0))
+    p = 2.0 * stats.t.sf(np.maximum(difference, 0.0) / (error + tiny), np.maximum(freedom, 1.0))
     worst = int(p.argmin())
     details = a.mean(axis=0)[worst], b.mean(axis=0)[worst], error[worst], freedom[worst]
     ratio = a[:, -channels:].mean(axis=0) / b[:, -channels:].mean(axis=0)
@@ -209,28 +200,23 @@ def test_both_are_black_without_light():
     assert not reference(scene, dark, spp=4, frames=1).any()
 
 
-def recipe_frame(name: str, index: int, columns: int, **changes: object) -> tuple[Scene, Camera]:
-    recipe = load_recipe(name, {key.replace("__", "."): value for key, value in changes.items()})
-    frames = FrameRenderer(recipe)
-    spec = recipe.plan.frame(index)
-    return frames.scene(spec), few_pixels(frames.camera(spec), columns)
+FEW = {"row.plants_front": 1, "row.plants_back": 1}
 
 
-def test_light_on_a_plant_by_flash():
-    scene, camera = recipe_frame("demo", 110, 40, row__plants_front=1, row__plants_back=1)
-    assert_agree(ours(scene, camera), reference(scene, camera))
-
-
-def test_light_on_a_plant_by_daylight():
-    few = {"row__plants_front": 1, "row__plants_back": 1, "greenhouse__far_rows": 0}
-    scene, camera = recipe_frame("greenhouse", 1, 40, **few)
-    assert_agree(ours(scene, camera), reference(scene, camera))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("name", "index"), [("demo", 2290), ("barth2018", 125), ("greenhouse", 4)])
-def test_light_of_whole_recipes(name, index):
-    scene, camera = recipe_frame(name, index, 100)
+@pytest.mark.parametrize(
+    ("name", "index", "columns", "changes"),
+    [
+        ("demo", 110, 40, FEW),
+        ("greenhouse", 1, 40, {**FEW, "greenhouse.far_rows": 0}),
+        pytest.param("demo", 2290, 100, {}, marks=pytest.mark.long),
+        pytest.param("barth2018", 125, 100, {}, marks=pytest.mark.long),
+        pytest.param("greenhouse", 4, 100, {}, marks=pytest.mark.long),
+    ],
+)
+def test_light_on_plants_equals_the_reference(name, index, columns, changes):
+    recipe = load_recipe(name, changes)
+    frames, spec = FrameRenderer(recipe), recipe.plan.frame(index)
+    scene, camera = frames.scene(spec), few_pixels(frames.camera(spec), columns)
     assert_agree(ours(scene, camera), reference(scene, camera))
 
 
@@ -243,7 +229,7 @@ def mitsuba_spectrum(values: np.ndarray) -> dict[str, str]:
 
 
 def spot_camera() -> tuple[Camera, dict[str, object]]:
-    """A camera with a point flash of linear falloff beside it, and that flash as Mitsuba's spot emitter."""
+    """A camera with a point flash of linear falloff next to it, and that flash as Mitsuba's spot emitter."""
     profile = AngularProfile(np.radians([0.0, 15.0, 30.0]), np.array([1.0, 1.0, 0.0]))
     offset = np.array([0.01, -0.02, 0.0])
     view = camera(radius_m=0.0, emitters_m=np.zeros((1, 2)), offset_m=tuple(offset), profile=profile)
@@ -291,7 +277,7 @@ def test_flash_and_sky_equal_mitsubas_emitters():
 
 @pytest.mark.parametrize("irradiance", [0.03, 1.0, 2.0])
 def test_flash_and_sun_equal_mitsubas_emitters(irradiance):
-    # A weak sun at first hits is indirect light. The last one shines without a flash.
+    # A weak sun at first hits is indirect light. The last case has no flash.
     sky, directional = sun_alone(irradiance)
     scene = still_life(sky)
     if irradiance == 2.0:
@@ -320,15 +306,16 @@ def test_same_seed_gives_the_same_bits():
     assert (first != path_traced(scene, lit, seed=6, **options)).mean() > 0.9
 
 
-def test_flash_of_a_kept_scene_follows_the_camera():
-    scene, here = still_life(), camera()
-    pose = np.array(here.pose)
+def test_flash_of_a_reused_scene_follows_the_camera():
+    scene, first = still_life(), camera()
+    pose = np.array(first.pose)
     pose[:3, 3] += (0.02, 0.01, 0.1)
-    there = here.at_pose(pose)
-    kept = path_scene(scene, here)
-    moved = path_traced(scene, there, spp=16, bounces=1, kernel_scene=kept)
-    np.testing.assert_array_equal(moved, path_traced(scene, there, spp=16, bounces=1))
-    assert not np.array_equal(moved, path_traced(scene, here, spp=16, bounces=1, kernel_scene=kept))
+    second = first.at_pose(pose)
+    kernel_scene = path_scene(scene, first)
+    result = path_traced(scene, second, spp=16, bounces=1, kernel_scene=kernel_scene)
+    np.testing.assert_array_equal(result, path_traced(scene, second, spp=16, bounces=1))
+    other = path_traced(scene, first, spp=16, bounces=1, kernel_scene=kernel_scene)
+    assert not np.array_equal(result, other)
 
 
 def test_samplers_take_at_least_as_many_samples():

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bodies import bench_camera
+from bodies import axis_camera
 from scatterers import Cases, interaction, lossless, plain, shipped
 
 from pepperscene.materials import Surface
@@ -80,14 +80,14 @@ def test_packed_spectra_equal_the_surfaces():
     si = interaction((0.0, 0.0, 1.0), 1)
     si.wavelengths = mi.Spectrum(412.0, 530.0, 655.0, 700.0)
     point = optics.point(si, mi.UInt32(0), mi.Float(0.3), mi.Bool(True))
-    wanted = np.interp([412, 530, 655, 700], nm, curve) * (0.5 + 0.3 * 0.5)
-    assert np.asarray(point.reflectance).ravel() == pytest.approx(wanted, rel=1e-5)
-    assert np.asarray(point.transmittance).ravel() == pytest.approx(wanted * 0.5, rel=1e-5)
+    expected = np.interp([412, 530, 655, 700], nm, curve) * (0.5 + 0.3 * 0.5)
+    assert np.asarray(point.reflectance).ravel() == pytest.approx(expected, rel=1e-5)
+    assert np.asarray(point.transmittance).ravel() == pytest.approx(expected * 0.5, rel=1e-5)
 
 
 def test_nearest_wavelengths_are_accurate_for_shipped_surfaces():
     # Taking the nearest 1 nm entry changes no channel of any surface by more than 2e-4.
-    camera = bench_camera()
+    camera = axis_camera()
     fine = np.arange(380.0, 690.0, 0.02)
     weight = camera.sensor.electrons_per_joule(fine) * camera.flash.radiant_intensity(fine)
     for surface in shipped():

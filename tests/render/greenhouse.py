@@ -1,12 +1,10 @@
-"""A small greenhouse scene made of numbers alone, and the fingerprint of its frames.
-
-Tests also run it in processes of their own.
-"""
+"""A small greenhouse scene, and the digests of its frames; also imported by test processes."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -15,40 +13,51 @@ from pepperscene.camera import Camera, Distortion, arc_path, load_flash, load_le
 from pepperscene.cultivar import load_cultivar
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, Frame
 from pepperscene.geometry import Mesh, mesh_plant
-from pepperscene.grammar import grow
-from pepperscene.materials import organ_surfaces, twine_surface
+from pepperscene.grammar import Plant, grow
+from pepperscene.materials import Surface, organ_surfaces, twine_surface
 from pepperscene.render import Renderer
-from pepperscene.scene import Scene, Twine, add_twine, assemble_scene, double_row, partly_cloudy_sky
+from pepperscene.scene import Scene, Sky, Twine, add_twine, assemble_scene, double_row, partly_cloudy_sky
 
 NM = np.arange(360.0, 831.0, 10.0)
 POSES = arc_path(3, 0.4, (-0.4, 0.4), (0.1, 0.4), np.radians(20.0))
 
 
-def row_of_plants(parts: int = 6, first_seed: int = 0) -> Mesh:
-    """Two plants of few stem parts with twine."""
+def short_plant(parts: int, seed: int) -> Plant:
     cultivar = load_cultivar("kaite")
     short = cultivar.model_copy(update={"stem": cultivar.stem.model_copy(update={"parts": parts})})
+    return grow(short, np.random.default_rng(seed))
+
+
+def row_of_plants(parts: int = 6, seeds: Iterable[int] = (0, 1), detail: float = 0.4) -> Mesh:
+    """Plants of few stem parts with twine, one of them in the back row."""
     meshes = []
-    for number in range(first_seed, first_seed + 2):
-        plant = grow(short, np.random.default_rng(number))
-        twine = Twine(0.003, 4.0)
-        meshes.append(add_twine(plant, mesh_plant(plant, 0.4), twine, np.random.default_rng(number)))
-    return double_row(meshes[:1], meshes[1:], spacing_m=0.2, gap_m=0.2, shift_m=0.1)
+    for seed in seeds:
+        plant = short_plant(parts, seed)
+        rng = np.random.default_rng(seed)
+        meshes.append(add_twine(plant, mesh_plant(plant, detail), Twine(0.003, 4.0), rng))
+    return double_row(meshes[:-1], meshes[-1:], spacing_m=0.2, gap_m=0.2, shift_m=0.1)
 
 
-def greenhouse() -> Scene:
-    """The plants under a partly cloudy sky; the sun is outside the camera's pictures."""
-    sky = partly_cloudy_sky(
-        np.random.default_rng(7),
+def cloudy_sky(seed: int = 7, azimuth_rad: float = -0.5) -> Sky:
+    """A partly cloudy sky; the sun is not in view of `camera`."""
+    return partly_cloudy_sky(
+        np.random.default_rng(seed),
         illuminance_lx=5500.0,
-        sun_azimuth_rad=-0.5,
+        sun_azimuth_rad=azimuth_rad,
         sun_elevation_rad=0.7,
         sun_fraction=0.3,
         cloud_cover=0.5,
     )
-    twine = twine_surface(NM)
-    surfaces = {**organ_surfaces(load_cultivar("kaite"), NM), twine.name: twine}
-    return assemble_scene(row_of_plants(), surfaces, sky)
+
+
+def surfaces(nm: np.ndarray) -> dict[str, Surface]:
+    twine = twine_surface(nm)
+    return {**organ_surfaces(load_cultivar("kaite"), nm), twine.name: twine}
+
+
+def greenhouse() -> Scene:
+    """Two plants under a partly cloudy sky."""
+    return assemble_scene(row_of_plants(), surfaces(NM), cloudy_sky())
 
 
 def camera(
@@ -83,5 +92,5 @@ def digests(frame: Frame) -> dict[str, str]:
 
 
 def fresh_digests() -> dict[str, str]:
-    """Fingerprints of the default outputs of one frame, with a new scene and renderer."""
+    """Digests of the default outputs of one frame, with a new scene and renderer."""
     return digests(Renderer(greenhouse()).render(camera(), DEFAULT_OUTPUTS, "standard", 5))

@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from greenhouse import camera, greenhouse
+from tracer import Tracer
 
-from pepperscene.render.kernel.camera import camera_rays, spectral_response
-from pepperscene.render.kernel.scene import light_scene, sky_tables
 from pepperscene.render.transport import trace as trace_module
 from pepperscene.render.transport.accumulate import SampleAccumulator
-from pepperscene.render.transport.trace import Sampling, trace
 
 HEIGHT, WIDTH = 5, 7
 PIXELS = HEIGHT * WIDTH
@@ -74,15 +72,15 @@ def test_means_and_variances_equal_those_of_the_samples(channels):
     accumulator.add_all(samples.all_light(0, 2), 2)
     accumulator.add_direct(samples.direct(None, 2, 4), 2)
     # Some pixels continue to 8 samples, some of these and others to 16.
-    some, more = np.array([3, 4, 11, 34]), np.array([4, 20, 34])
-    accumulator.add_direct(samples.direct(some, 4, 8), 4, some)
-    for pixel in more.tolist():
+    eight, sixteen = np.array([3, 4, 11, 34]), np.array([4, 20, 34])
+    accumulator.add_direct(samples.direct(eight, 4, 8), 4, eight)
+    for pixel in sixteen.tolist():
         begin = int(accumulator.samples[pixel])
         chosen = np.array([pixel])
         accumulator.add_direct(samples.direct(chosen, begin, 16), 16 - begin, chosen)
 
     counts = np.full(PIXELS, 4)
-    counts[some], counts[more] = 8, 16
+    counts[eight], counts[sixteen] = 8, 16
     assert np.array_equal(accumulator.samples, counts)
     light = accumulator.light()
     assert light.variance.indirect_samples == 2
@@ -115,14 +113,10 @@ def test_images_have_their_shapes_and_types(channels):
     accumulator = samples.accumulator()
     accumulator.add_all(samples.all_light(0, 2), 2)
     light = accumulator.light()
-    for name, depth in (
-        ("flash", channels),
-        ("sky_and_sun", channels),
-        ("indirect", channels),
-        ("normal", 3),
-    ):
+    for name in ("flash", "sky_and_sun", "indirect", "normal"):
         image = getattr(light, name)
-        assert (image.shape, image.dtype) == ((HEIGHT, WIDTH, depth), np.float32), name
+        shape = (HEIGHT, WIDTH, 3 if name == "normal" else channels)
+        assert (image.shape, image.dtype) == (shape, np.float32), name
         assert image.flags.c_contiguous, name
     assert light.coverage.shape == (HEIGHT, WIDTH, 2)
     assert light.variance.direct.shape == light.variance.indirect.shape == (HEIGHT, WIDTH)
@@ -178,29 +172,10 @@ def test_variances_do_not_depend_on_the_unit_of_light(scale):
     assert np.allclose(results[0].indirect, results[1].indirect, rtol=1e-4)
 
 
-# --- traced light -------------------------------------------------------------------------------------------
-
-
-class Tracer:
-    """Two small plants, and their light with any numbers of samples."""
-
-    def __init__(self) -> None:
-        scene, view = greenhouse(), camera(columns=24, rows=16)
-        self.camera = replace(view, sensor=replace(view.sensor, binning=60))
-        self.response = spectral_response(self.camera, scene)
-        grid = self.response.grid_nm
-        self.scene = light_scene(scene, float(grid[0]), float(grid[-1]))
-        self.sky = sky_tables(scene, grid)
-        self.rays = camera_rays(self.camera)
-
-    def light(self, samples: int, indirect: int, required=None, seed: int = 3):
-        sampling = Sampling(samples, indirect, 2, required)
-        return trace(self.scene, self.rays, self.response, self.camera.flash, self.sky, sampling, seed)
-
-
 @pytest.fixture(scope="module")
 def tracer():
-    return Tracer()
+    view = camera(columns=24, rows=16)
+    return Tracer(greenhouse(), replace(view, sensor=replace(view.sensor, binning=60)))
 
 
 def test_splitting_into_passes_does_not_change_direct_light(tracer, monkeypatch):
@@ -245,7 +220,7 @@ def test_variance_of_traced_samples_equals_that_of_independent_samples(tracer):
 
 
 def test_variance_from_four_samples_equals_that_from_many(tracer):
-    # Averaged over the picture, as adaptive sampling uses it. So small a picture has few edges: frames differ
+    # Averaged over the image, as adaptive sampling uses it. So small a image has few edges: frames differ
     # by half, their mean over 48 by 7 %.
     many = tracer.light(256, 1, seed=1).variance.direct.mean()
     few = np.mean([tracer.light(4, 1, seed=seed).variance.direct.mean() for seed in range(48)])

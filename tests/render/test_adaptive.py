@@ -1,4 +1,4 @@
-"""Light and noise in codes against developed pictures, and the distribution of samples over pixels."""
+"""Light and noise in codes against developed images, and the distribution of samples over pixels."""
 
 from __future__ import annotations
 
@@ -58,11 +58,9 @@ CAMERAS = {
 }
 
 
-def random_light(
-    camera: Camera, level: float, seed: int = 1, saturation: float = 0.3
-) -> tuple[np.ndarray, np.ndarray]:
+def random_light(camera: Camera, level: float, saturation: float = 0.3) -> tuple[np.ndarray, np.ndarray]:
     """`(h, w, c)` nearly grey light, about a fraction of the full well, and a unit `(c,)` of white."""
-    rng, c = np.random.default_rng(seed), camera.sensor.channels
+    rng, c = np.random.default_rng(1), camera.sensor.channels
     full = camera.sensor.full_well_e / expected_electrons(np.ones((HEIGHT, WIDTH, c)), camera).max()
     colours = 1.0 + saturation * rng.uniform(-1.0, 1.0, (HEIGHT, WIDTH, c))
     signal = level * full * colours * rng.uniform(0.5, 1.5, (HEIGHT, WIDTH, 1))
@@ -83,7 +81,10 @@ def unrounded_codes(linear: np.ndarray, tone: str) -> np.ndarray:
     return 255.0 * value
 
 
-# --- light in codes -----------------------------------------------------------------------------------------
+def slope_per_white(below, above, signal, white, step):
+    """`(h, w)` codes per white, from codes of light that is darker and brighter by the relative step."""
+    length = np.sqrt(np.square(signal / white).sum(axis=-1))
+    return np.sqrt(np.square(above - below).mean(axis=-1)) / (2.0 * step * length)
 
 
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
@@ -91,12 +92,10 @@ def unrounded_codes(linear: np.ndarray, tone: str) -> np.ndarray:
 def test_codes_per_light_equal_the_slope_of_developing(camera, level):
     signal, white = random_light(camera, level)
     codes = code_response(signal, white, camera)
-    # The pixel's light is made slightly brighter and darker.
-    step = 1e-2
-    ends = [linear_values(signal * np.float32(1.0 + side * step), camera) for side in (-1, 1)]
-    below, above = (unrounded_codes(end, camera.developing.tone) for end in ends)
-    length = np.sqrt(np.square(signal / white).sum(axis=-1))
-    slope = np.sqrt(np.square(above - below).mean(axis=-1)) / (2.0 * step * length)
+    ends = [linear_values(signal * np.float32(factor), camera) for factor in (0.99, 1.01)]
+    slope = slope_per_white(
+        *(unrounded_codes(end, camera.developing.tone) for end in ends), signal, white, 0.01
+    )
     inside = ((ends[0] > 0.0) & (ends[1] < 1.0)).all(axis=-1)
     assert inside.mean() > 0.6
     # At the end of its linear part the slope of the tone curve has a step of 2 %.
@@ -105,17 +104,15 @@ def test_codes_per_light_equal_the_slope_of_developing(camera, level):
 
 @pytest.mark.parametrize("name", ["flash", "linear", "mono"])
 def test_tone_curve_is_extended_above_white(name):
-    # Electrons are an output as well, and they are not clipped like the picture.
+    # Electrons are an output as well, and they are not clipped like the image.
     camera = CAMERAS[name]
     signal, white = random_light(camera, 5.0)
     unsaturated = replace(camera, developing=replace(camera.developing, saturation=False))
-    ends = [linear_values(signal * np.float32(1.0 + side * 1e-2), unsaturated) for side in (-1, 1)]
+    ends = [linear_values(signal * np.float32(factor), unsaturated) for factor in (0.99, 1.01)]
     assert min(np.median(end) for end in ends) > 1.0
     below, above = (255.0 * (end if name == "linear" else 1.055 * end ** (1 / 2.4) - 0.055) for end in ends)
-    length = np.sqrt(np.square(signal / white).sum(axis=-1))
-    slope = np.sqrt(np.square(above - below).mean(axis=-1)) / (2e-2 * length)
     codes = code_response(signal, white, camera)
-    assert codes.per_white == pytest.approx(slope, rel=5e-3)
+    assert codes.per_white == pytest.approx(slope_per_white(below, above, signal, white, 0.01), rel=5e-3)
     assert (codes.noise > 0.0).all()
 
 
@@ -127,29 +124,22 @@ def test_codes_do_not_depend_on_the_unit_of_white():
     assert np.array_equal(codes.noise, scaled.noise)
 
 
-@pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
-def test_no_light_gives_finite_codes(camera):
-    signal = np.zeros((HEIGHT, WIDTH, camera.sensor.channels), np.float32)
-    codes = code_response(signal, random_light(camera, 1.0)[1], camera)
+# A camera without the flash of its white balance gives electrons, but no image.
+NO_IMAGE = small_camera(flash=False, white_balance="flash")
+
+
+@pytest.mark.parametrize("camera", [*CAMERAS.values(), NO_IMAGE], ids=[*CAMERAS, "no image"])
+@pytest.mark.parametrize("level", [0.0, 0.1])
+def test_codes_are_finite(camera, level):
+    signal, white = random_light(camera, 1.0)
+    codes = code_response(signal * np.float32(level), white, camera)
     assert np.isfinite(codes.per_white).all()
     assert np.isfinite(codes.noise).all()
     assert (codes.noise > 0.0).all()  # read noise
 
 
-def test_missing_flash_for_the_white_balance_gives_finite_codes():
-    # Such a camera gives electrons, but no picture to measure its light in.
-    camera = small_camera(flash=False, white_balance="flash")
-    signal, white = random_light(camera, 0.1)
-    codes = code_response(signal, white, camera)
-    assert np.isfinite(codes.per_white).all()
-    assert (codes.noise > 0.0).all()
-
-
-# --- noise in codes -----------------------------------------------------------------------------------------
-
-
-def picture_deviation(signal: np.ndarray, camera: Camera, frames: int = 300) -> np.ndarray:
-    """`(h, w)` standard deviation of developed pictures, root mean square over colours, without rounding."""
+def image_deviation(signal: np.ndarray, camera: Camera, frames: int = 300) -> np.ndarray:
+    """`(h, w)` standard deviation of developed images, root mean square over colours, without rounding."""
     electrons, squares, sums = expected_electrons(signal, camera), 0.0, 0.0
     for seed in range(frames):
         linear = correct_colours(camera_rgb(electrons, camera, np.random.default_rng(seed)), camera)
@@ -161,12 +151,12 @@ def picture_deviation(signal: np.ndarray, camera: Camera, frames: int = 300) -> 
 
 @pytest.mark.parametrize("name", ["flash", "daylight", "linear", "no matrix", "mono", "mono, linear"])
 @pytest.mark.parametrize("level", [0.05, 0.3])
-def test_noise_equals_the_deviation_of_developed_pictures(name, level):
+def test_noise_equals_the_deviation_of_developed_images(name, level):
     camera = CAMERAS[name]
     signal, white = random_light(camera, level, saturation=0.1)
     noise = code_response(signal, white, camera).noise
-    deviation = picture_deviation(signal, camera)
-    # Brighter pixels are clipped in the picture.
+    deviation = image_deviation(signal, camera)
+    # Brighter pixels are clipped in the image.
     linear = linear_values(signal, camera)
     unclipped = (linear.max(axis=-1) < 0.9) & (linear.min(axis=-1) > 0.0)
     assert unclipped.mean() > 0.6
@@ -179,15 +169,12 @@ def test_noise_in_the_dark_has_the_right_magnitude():
     # Clipped at black it is not Gaussian: within a factor of two.
     camera = CAMERAS["flash"]
     signal, white = random_light(camera, 1e-4)
-    ratio = code_response(signal, white, camera).noise.mean() / picture_deviation(signal, camera).mean()
+    ratio = code_response(signal, white, camera).noise.mean() / image_deviation(signal, camera).mean()
     assert 0.5 < ratio < 2.0
 
 
-# --- distribution of samples --------------------------------------------------------------------------------
-
-
 def random_variances(seed: int, n: int = 8192) -> np.ndarray:
-    """Variances of one sample like those of pictures: most are small, some a million times larger."""
+    """Variances of one sample like those of images: most are small, some a million times larger."""
     rng = np.random.default_rng(seed)
     return np.exp(rng.normal(-3.0, 3.0, n)).astype(np.float32) * (rng.random(n) < 0.7)
 
@@ -226,9 +213,8 @@ def test_no_other_distribution_of_as_many_samples_is_better(fraction, most):
         best * np.exp(size * rng.normal(size=best.size)) for size in (0.01, 0.1, 0.5) for _ in range(5)
     ]
     for other in others:
-        assert mean_variance(variance, scale_to_total(other.astype(float), best.sum(), most)) > least * (
-            1.0 - 1e-9
-        )
+        samples = scale_to_total(other.astype(float), best.sum(), most)
+        assert mean_variance(variance, samples) > least * (1.0 - 1e-9)
 
 
 def scale_to_total(weights: np.ndarray, total: float, most: int) -> np.ndarray:
@@ -255,7 +241,7 @@ def test_samples_are_powers_of_two_that_meet_the_target():
 
 @pytest.mark.parametrize("size", [(512, 512), (1024, 1280), (600, 800), (480, 640)])
 def test_subset_of_pixels_does_not_follow_the_columns(size):
-    # For large pictures the scale is computed from a subset of pixels, which must not miss stripes.
+    # For large images the scale is computed from a subset of pixels, which must not miss stripes.
     variance = np.full(size, 1e-3, np.float32)
     variance[:, ::16] = 1.0
     sampler = AdaptiveSampler(CAMERAS["flash"], 0.1, 1024, denoised=True)
@@ -280,9 +266,6 @@ def test_no_variance_needs_one_sample():
         assert (sampler._distribute(np.zeros(100, np.float32), allowed) == 1).all()
 
 
-# --- from accumulated samples -------------------------------------------------------------------------------
-
-
 def accumulated(
     camera: Camera, level: float, direct: np.ndarray, indirect: np.ndarray, n: int = 4
 ) -> SampleAccumulator:
@@ -301,7 +284,7 @@ def accumulated(
 
 
 def edge_variance(camera: Camera, level: float) -> np.ndarray:
-    """`(h, w)` variances of direct light: large at an edge across the picture, small elsewhere."""
+    """`(h, w)` variances of direct light: large at an edge across the image, small elsewhere."""
     signal, white = random_light(camera, level)
     square = np.square(signal / white).sum(axis=-1)
     edge = np.abs(np.arange(WIDTH) - WIDTH / 2) < 2.0
@@ -345,9 +328,7 @@ def test_required_samples_meet_the_target(target):
         accumulator = accumulated(camera, 0.1, direct, 1e-6 * direct)
         accumulator._direct *= (samples / 4).astype(np.float32)
         accumulator.samples[:] = samples
-        accumulator._direct[-1] += (direct.ravel() * (0.75 * samples - (samples - 1)) * -1.0).astype(
-            np.float32
-        )
+        accumulator._direct[-1] += (direct.ravel() * (0.25 * samples - 1)).astype(np.float32)
     reported = sampler.metadata(accumulator.light())
     # Uniform parts need fewer than four samples, and powers of two are coarse.
     assert 0.7 * target < reported["error_to_noise"] < 1.15 * target
@@ -355,7 +336,7 @@ def test_required_samples_meet_the_target(target):
     assert columns[WIDTH // 2] > 3 * columns[2]
 
 
-def test_error_of_indirect_light_above_the_target_does_not_multiply_direct_samples():
+def test_noisy_indirect_light_does_not_multiply_direct_samples():
     # Direct light may then still have half of the error.
     camera = CAMERAS["flash"]
     direct = edge_variance(camera, 0.1)
@@ -401,6 +382,5 @@ def test_pixels_above_the_maximum_keep_their_samples():
     # With a minimum above the maximum, no pixel may lose samples.
     camera = CAMERAS["flash"]
     accumulator = accumulated(camera, 0.1, edge_variance(camera, 0.1), edge_variance(camera, 0.1), n=128)
-    assert np.array_equal(
-        AdaptiveSampler(camera, 0.01, 64, denoised=True).required(accumulator), accumulator.samples
-    )
+    required = AdaptiveSampler(camera, 0.01, 64, denoised=True).required(accumulator)
+    assert np.array_equal(required, accumulator.samples)

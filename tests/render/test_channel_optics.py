@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from greenhouse import camera, greenhouse
 from scipy import stats
+from tracer import Tracer
 
 from pepperscene.camera import Camera
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import Surface, greenhouse_surfaces, organ_surfaces
-from pepperscene.render.kernel.camera import camera_rays, spectral_response
-from pepperscene.render.kernel.scene import light_scene, sky_tables
+from pepperscene.render.kernel.camera import spectral_response
 from pepperscene.render.surface.optics import Optics
 from pepperscene.render.transport import lights
-from pepperscene.render.transport.lights import FrameTables, frame_tables
+from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.samples import Samples, SampleWavelengths
 from pepperscene.render.transport.trace import _intersect, _sum_samples
 from pepperscene.render.variant import mitsuba_modules
@@ -104,9 +104,6 @@ def test_colours_do_not_depend_on_the_scale_of_the_weights(shipped, weights):
     assert small == pytest.approx(large, rel=1e-6)
 
 
-# --- the same light, both ways ------------------------------------------------------------------------------
-
-
 def first_hit_light(
     tables: FrameTables, samples: Samples, wavelengths: SampleWavelengths | None
 ) -> list[object]:
@@ -120,20 +117,15 @@ def first_hit_light(
         spectra, optics = wavelengths.spectra, (None, None)
         si = mi.SurfaceInteraction3f(si)
         si.wavelengths = wavelengths.nm
-    flashed, sunlit = (tables.scene.surface_point(si, hit, active, one) for one in optics)
-    light = samples.flash_light(si, flashed, active, spectra)
+    flash_point, sun_point = (tables.scene.surface_point(si, hit, active, packed) for packed in optics)
+    light = samples.flash_light(si, flash_point, active, spectra)
     light += samples.sky_radiance(samples.ray.d, ~active, spectra, with_sun=True)
-    light += samples.sun_light(si, sunlit, active, spectra)
+    light += samples.sun_light(si, sun_point, active, spectra)
     return [*light] if wavelengths is None else wavelengths.channels(light)
 
 
 def tables_of(view: Camera) -> FrameTables:
-    """The greenhouse scene's."""
-    scene = greenhouse()
-    response = spectral_response(view, scene)
-    grid = response.grid_nm
-    kernel_scene = light_scene(scene, float(grid[0]), float(grid[-1]))
-    return frame_tables(kernel_scene, camera_rays(view), response, view.flash, sky_tables(scene, grid))
+    return Tracer(greenhouse(), view).tables()
 
 
 @pytest.mark.parametrize("flash", [True, False], ids=["flash", "daylight"])

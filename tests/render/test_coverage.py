@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from bodies import axis_camera, body, sphere
 from greenhouse import POSES, camera, others, row_of_plants
 from test_kernel_reuse import count_compiled
 
-from pepperscene.camera import Camera, load_lens, load_sensor
-from pepperscene.classes import Instance, OrganClass
+from pepperscene.camera import Camera
+from pepperscene.classes import OrganClass
 from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.render import Renderer
 from pepperscene.render.aov import coverage
@@ -22,40 +23,20 @@ from pepperscene.render.kernel.scene import truth_scene
 from pepperscene.scene import assemble_scene
 
 FOCAL_PX = 4.16e-3 / 9e-6  # of `axis_camera`: focal length over pixel pitch
+VIEW = axis_camera(64, 64, flash=False)
 
 
-def solid(body: trimesh.Trimesh, organ_class: OrganClass) -> Mesh:
-    vertices, faces = len(body.vertices), len(body.faces)
-    return Mesh(
-        vertices=body.vertices.astype(np.float32),
-        normals=np.asarray(body.vertex_normals, np.float32),
-        uv=np.zeros((vertices, 2), np.float32),
-        state=np.zeros(vertices, np.float32),
-        faces=body.faces.astype(np.uint32),
-        face_instance=np.zeros(faces, np.uint32),
-        face_surface=np.zeros(faces, np.uint8),
-        surfaces=("matt",),
-        instances=(Instance(organ_class, "body"),),
-    )
-
-
-def wire(width_px: float, turn: float, offset_px: float = 0.0) -> Mesh:
-    """A straight wire across the optical axis at 50 cm, turned from vertical, with a width in pixels."""
+def wire(width_px: float, angle: float, offset_px: float = 0.0) -> Mesh:
+    """A straight wire across the optical axis at 50 cm, at an angle to the vertical."""
     rod = trimesh.creation.cylinder(radius=0.5 * width_px * 0.5 / FOCAL_PX, height=2.0, sections=64)
     rod.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
     rod.apply_translation([offset_px * 0.5 / FOCAL_PX, 0, 0])
-    rod.apply_transform(trimesh.transformations.rotation_matrix(turn, [0, 0, 1]))
+    rod.apply_transform(trimesh.transformations.rotation_matrix(angle, [0, 0, 1]))
     rod.apply_translation([0, 0, 0.5])
-    return solid(rod, OrganClass.WIRE)
+    return body(rod, "matt", OrganClass.WIRE)
 
 
-def axis_camera(columns: int = 64, rows: int = 64) -> Camera:
-    """A camera at the origin, looking along +z."""
-    sensor = replace(load_sensor("ueye_ui5250re"), columns=columns, rows=rows)
-    return Camera(load_lens("lensagon_cmfa0420nd"), sensor, np.eye(4), 50e-6)
-
-
-def fast_and_exhaustive(mesh: Mesh, view: Camera) -> tuple[np.ndarray, np.ndarray]:
+def fast_and_exhaustive(mesh: Mesh, view: Camera = VIEW) -> tuple[np.ndarray, np.ndarray]:
     """The coverage image, and the one with all rays in every pixel."""
     scene, rays = truth_scene(assemble_scene(mesh)), camera_rays(view, local_coordinates(mesh))
     fast = SceneCoverage(mesh).image(scene, rays).astype(float)
@@ -64,20 +45,16 @@ def fast_and_exhaustive(mesh: Mesh, view: Camera) -> tuple[np.ndarray, np.ndarra
         return fast, SceneCoverage(mesh).image(scene, rays).astype(float)
 
 
-# --- a wire -------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("turn", [0.0, 0.05, 0.4, 0.7, 1.2, np.pi / 2])
+@pytest.mark.parametrize("angle", [0.0, 0.05, 0.4, 0.7, 1.2, np.pi / 2])
 @pytest.mark.parametrize("width", [0.06, 0.2, 0.7, 3.0])
-def test_wire_covers_its_width_of_each_row_it_crosses(width, turn):
+def test_wire_covers_its_width_of_each_row_it_crosses(width, angle):
     # It crosses rows at an angle: width / cos of each row, or of each column if it is closer to horizontal.
-    fast, exhaustive = fast_and_exhaustive(wire(width, turn, offset_px=0.3), axis_camera())
+    fast, exhaustive = fast_and_exhaustive(wire(width, angle, offset_px=0.3))
     np.testing.assert_array_equal(fast, exhaustive)
-    along = 1 if turn < np.pi / 4 else 0
-    covered = fast[..., OrganClass.WIRE].sum(axis=along)
-    expected = width / max(np.cos(turn), np.sin(turn))
+    covered = fast[..., OrganClass.WIRE].sum(axis=1 if angle < np.pi / 4 else 0)
+    expected = width / max(np.cos(angle), np.sin(angle))
     # Along a pixel's sides every row hits the same of 64 columns, and the mean is no better than one row.
-    tolerance = 1 / POINTS if turn in (0.0, np.pi / 2) else 0.01 * width + 0.003
+    tolerance = 1 / POINTS if angle in (0.0, np.pi / 2) else 0.01 * width + 0.003
     assert covered.mean() == pytest.approx(expected, abs=tolerance)
     # Every crossed row is covered, even if no ray through a centre hits the wire.
     assert (covered > 0).mean() > (0.95 if width > 0.1 else 0.9)
@@ -85,25 +62,19 @@ def test_wire_covers_its_width_of_each_row_it_crosses(width, turn):
 
 
 def test_coverage_keeps_a_wire_that_labels_miss():
-    mesh, view = wire(0.1, 0.3), axis_camera()
-    frame = Renderer(assemble_scene(mesh)).render(view, ["class", "coverage"])
+    frame = Renderer(assemble_scene(wire(0.1, 0.3))).render(VIEW, ["class", "coverage"])
     assert (frame["class"] == OrganClass.WIRE).any(axis=1).mean() < 0.4
     assert (frame["coverage"][..., OrganClass.WIRE] > 0).any(axis=1).mean() > 0.9
 
 
 def test_thin_wire_is_followed_from_where_it_is_hit():
     # The few rays of most of its pixels miss it; a ball is attached to it.
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.004)
-    ball.apply_translation([0, 0, 0.5])
-    mesh = concatenate_meshes([wire(0.08, 0.6), solid(ball, OrganClass.PEPPER)])
-    fast, exhaustive = fast_and_exhaustive(mesh, axis_camera())
-    hit, there = (image[..., OrganClass.WIRE] > 0 for image in (fast, exhaustive))
-    assert there.sum() > 60
-    assert (there & ~hit).sum() <= 1  # where it leaves the picture through the corner of a pixel
-    np.testing.assert_array_equal(fast[hit], exhaustive[hit])
-
-
-# --- plants -------------------------------------------------------------------------------------------------
+    ball = sphere((0, 0, 0.5), 0.004, "matt", subdivisions=2)
+    fast, exhaustive = fast_and_exhaustive(concatenate_meshes([wire(0.08, 0.6), ball]))
+    detected, expected = (image[..., OrganClass.WIRE] > 0 for image in (fast, exhaustive))
+    assert expected.sum() > 60
+    assert (expected & ~detected).sum() <= 1  # where it leaves the image through the corner of a pixel
+    np.testing.assert_array_equal(fast[detected], exhaustive[detected])
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +93,7 @@ def test_coverage_equals_the_mean_of_labels_of_smaller_pixels(plants, distorted)
         expected = (labels == organ_class).mean(axis=(1, 3))
         error = image[..., organ_class] - expected
         mixed = (expected > 0) & (expected < 1)
-        # They count a hundred and 64 points.
+        # 64 points per pixel against a hundred labels.
         assert np.abs(error).max() < 0.2, organ_class.name
         if mixed.any():
             assert np.sqrt(np.mean(error[mixed] ** 2)) < 0.04, organ_class.name
@@ -177,9 +148,6 @@ def test_another_scene_image_size_or_pose_compiles_nothing(plants):
     assert count_compiled(lambda: other.render(camera(), outputs, others=others())) == 0
 
 
-# --- points of a pixel --------------------------------------------------------------------------------------
-
-
 def test_points_and_their_groups_are_evenly_spread():
     points = pixel_points()
     cell = np.floor(points * POINTS).astype(int)
@@ -189,13 +157,13 @@ def test_points_and_their_groups_are_evenly_spread():
         assert sorted(map(tuple, group)) == [(0, 0), (0, 1), (1, 0), (1, 1)]
 
 
-def test_points_estimate_the_area_beside_an_edge():
+def test_points_estimate_the_area_on_one_side_of_an_edge():
     rng = np.random.default_rng(1)
     exact = (np.stack(np.mgrid[:500, :500], -1).reshape(-1, 2) + 0.5) / 500 - 0.5
     errors = []
     for _ in range(300):
-        turn, offset = rng.uniform(0, 2 * np.pi), rng.uniform(-0.5, 0.5)
-        normal = np.array([np.cos(turn), np.sin(turn)])
+        angle, offset = rng.uniform(0, 2 * np.pi), rng.uniform(-0.5, 0.5)
+        normal = np.array([np.cos(angle), np.sin(angle)])
         area, estimate = ((p @ normal < offset).mean() for p in (exact, pixel_points() - 0.5))
         errors.append(estimate - area)
     assert np.std(errors) < 0.014

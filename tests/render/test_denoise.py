@@ -1,4 +1,4 @@
-"""The denoiser keeps energy and direct light, and takes any picture; pyoidn loads without PyTorch."""
+"""The denoiser keeps energy and direct light, and accepts any image; pyoidn loads without PyTorch."""
 
 from __future__ import annotations
 
@@ -37,12 +37,8 @@ def traced_light(indirect, *, flash=0.0, sky_and_sun=0.0, coverage=1.0, albedo=0
 def noisy(shape, rng, level=1.0, rare_fraction=0.02):
     """Light of mean `level`, a tenth of which comes by rare paths."""
     rare = rng.random(shape[:2]) < rare_fraction
-    return level * (0.9 * rng.gamma(2.0, 0.5, shape) + 0.1 / rare_fraction * rare[..., None]).astype(
-        np.float32
-    )
-
-
-# --- energy -------------------------------------------------------------------------------------------------
+    light = 0.9 * rng.gamma(2.0, 0.5, shape) + 0.1 / rare_fraction * rare[..., None]
+    return level * light.astype(np.float32)
 
 
 @pytest.mark.parametrize("rare_fraction", [0.02, 0.002])
@@ -55,7 +51,7 @@ def test_keeps_energy_of_rare_bright_paths(rare_fraction):
     assert np.diff(result, axis=0).std() < 0.1 * np.diff(indirect, axis=0).std()
 
 
-def test_keeps_energy_in_each_part_of_the_picture():
+def test_keeps_energy_in_each_part_of_the_image():
     indirect = noisy((256, 384, 3), np.random.default_rng(2))
     indirect[:, 192:] *= 0.1
     result = denoised(traced_light(indirect))
@@ -76,20 +72,17 @@ def test_keeps_colour():
     assert result / result.sum() == pytest.approx(colour / colour.sum(), rel=0.01)
 
 
-# --- edges --------------------------------------------------------------------------------------------------
-
-
 def test_direct_light_is_not_filtered():
     rng = np.random.default_rng(4)
     flash, sky = rng.random((2, 48, 64, 3)).astype(np.float32)
     dark = traced_light(np.zeros((48, 64, 3)), flash=flash, sky_and_sun=sky)
     assert np.array_equal(denoised(dark), flash + sky)
     indirect = np.full((48, 64, 3), 0.1)
-    with_direct = denoised(traced_light(indirect, flash=flash, sky_and_sun=sky))
-    assert np.allclose(with_direct - denoised(traced_light(indirect)), flash + sky, atol=1e-6)
+    both = denoised(traced_light(indirect, flash=flash, sky_and_sun=sky))
+    assert np.allclose(both - denoised(traced_light(indirect)), flash + sky, atol=1e-6)
 
 
-def test_outline_before_the_sky_is_as_bright_as_the_inside():
+def test_outline_against_the_sky_is_as_bright_as_the_inside():
     # A half plane whose outline cuts pixels: the indirect light of each follows the area covered.
     cover = np.clip(np.arange(96.0) - 40.3, 0.0, 1.0)[None].repeat(96, axis=0)
     rng = np.random.default_rng(5)
@@ -97,9 +90,6 @@ def test_outline_before_the_sky_is_as_bright_as_the_inside():
     result = denoised(traced_light(indirect, coverage=cover)).mean(axis=(0, 2))
     assert (result[:40] == 0.0).all()
     assert result[40:60] == pytest.approx(cover[0, 40:60], rel=0.05)
-
-
-# --- any picture --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("channels", [1, 3])
@@ -151,19 +141,11 @@ def test_does_not_change_its_input():
     assert all(np.array_equal(value, before[name]) for name, value in vars(light).items())
 
 
-# --- on a scene ---------------------------------------------------------------------------------------------
-
-
 def test_keeps_the_mean_light_of_each_class(monkeypatch):
     # The same traced light with the filter and without, so that most noise cancels: over twelve frames the
     # mean of each class in view differs by less than 1 %, or less than four standard errors of that mean.
     lights = []
-
-    def record(light):
-        lights.append(light)
-        return denoised(light)
-
-    monkeypatch.setattr(renderer, "denoised", record)
+    monkeypatch.setattr(renderer, "denoised", lambda light: (lights.append(light), denoised(light))[1])
     plants, view = Renderer(greenhouse()), camera()
     classes = plants.render(view, ["class"])["class"]
     for seed in range(12):

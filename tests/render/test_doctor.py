@@ -1,4 +1,4 @@
-"""`pepperscene doctor` reports problems as plain sentences, even if native libraries abort."""
+"""`pepperscene doctor` reports problems in plain words, even if native libraries abort."""
 
 from __future__ import annotations
 
@@ -47,14 +47,13 @@ def test_old_llvm_is_rejected_by_its_file_name(monkeypatch, tmp_path, version):
 
 
 def test_crash_of_the_test_render_is_reported():
-    diagnosis = diagnose(
-        test_code=(
-            "import os, sys\n"
-            'print(\'{"variant": "llvm_ad_spectral"}\', flush=True)\n'
-            "print('LLVM ERROR: Cannot select', file=sys.stderr, flush=True)\n"
-            "os.abort()\n"
-        )
+    code = (
+        "import os, sys\n"
+        'print(\'{"variant": "llvm_ad_spectral"}\', flush=True)\n'
+        "print('LLVM ERROR: Cannot select', file=sys.stderr, flush=True)\n"
+        "os.abort()\n"
     )
+    diagnosis = diagnose(test_code=code)
     render = line_of(diagnosis, "test render")
     assert not diagnosis.healthy
     assert "crashed (SIGABRT)" in render.found
@@ -76,16 +75,15 @@ def test_hanging_test_render_is_killed_and_reported():
     assert "no answer" in line_of(diagnosis, "variant").found
 
 
-def test_wrong_picture_is_reported():
-    diagnosis = diagnose(
-        test_code='print(\'{"variant": "llvm_ad_spectral", "cuda": false, "furnace": 0.9}\')'
-    )
+def test_wrong_image_is_reported():
+    code = 'print(\'{"variant": "llvm_ad_spectral", "cuda": false, "furnace": 0.9}\')'
+    diagnosis = diagnose(test_code=code)
     assert not diagnosis.healthy
     assert not line_of(diagnosis, "test render").good
 
 
 def test_missing_variant_is_reported_with_advice(monkeypatch):
-    # An unsupported variant stands for a machine without any.
+    # An unsupported variant simulates a machine without any.
     monkeypatch.setenv("PEPPERSCENE_VARIANT", "scalar_rgb")
     variant = line_of(diagnose(), "variant")
     assert not variant.good

@@ -1,4 +1,4 @@
-"""A new scene, sky, picture size or pose reuses the compiled kernels; device arrays are aligned."""
+"""A new scene, sky, image size or pose reuses the compiled kernels; device arrays are aligned."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from greenhouse import camera, greenhouse, row_of_plants
+from greenhouse import camera, cloudy_sky, greenhouse, row_of_plants, surfaces
 
-from pepperscene.cultivar import load_cultivar
 from pepperscene.frame import DEFAULT_OUTPUTS
-from pepperscene.materials import lambertian_surface, organ_surfaces, twine_surface
+from pepperscene.materials import lambertian_surface
 from pepperscene.render import Renderer
 from pepperscene.render.kernel.arrays import ALIGNMENT, device_array, device_float, device_uint
 from pepperscene.render.variant import mitsuba_modules
-from pepperscene.scene import Sky, assemble_scene, partly_cloudy_sky
+from pepperscene.scene import Sky, assemble_scene
 
 QUALITY = "draft"
 
@@ -43,28 +42,19 @@ def half_resolution(sky):
 
 def other_scene(number):
     """Other plants, one more surface, other patterns and wavelengths, and another sky."""
-    row = row_of_plants(7 + number, 10 + 2 * number)
-    nm = np.arange(370.0 + number, 821.0, 7.0)
-    twine = twine_surface(nm)
-    surfaces = {**organ_surfaces(load_cultivar("kaite"), nm), twine.name: twine}
-    leaf = surfaces["leaf"]
-    surfaces["leaf"] = replace(leaf, pattern=leaf.pattern[::2, ::3], relief_mm=leaf.relief_mm[::2, ::3])
+    row = row_of_plants(7 + number, (10 + 2 * number, 11 + 2 * number))
+    others = surfaces(np.arange(370.0 + number, 821.0, 7.0))
+    leaf = others["leaf"]
+    others["leaf"] = replace(leaf, pattern=leaf.pattern[::2, ::3], relief_mm=leaf.relief_mm[::2, ::3])
     row = replace(row, surfaces=("board", *row.surfaces), face_surface=row.face_surface + 1)
-    surfaces["board"] = lambertian_surface("board", 0.3)
-    sky = partly_cloudy_sky(
-        np.random.default_rng(number),
-        illuminance_lx=4000.0 + number,
-        sun_azimuth_rad=-0.2,
-        sun_elevation_rad=0.6,
-        sun_fraction=0.4,
-        cloud_cover=0.3,
-    )
-    return assemble_scene(row, surfaces, half_resolution(sky) if number else sky)
+    others["board"] = lambertian_surface("board", 0.3)
+    sky = cloudy_sky(number, -0.2)
+    return assemble_scene(row, others, half_resolution(sky) if number else sky)
 
 
 @pytest.fixture(scope="module")
 def first():
-    """A first scene, rendered and kept: scenes in memory must not matter either."""
+    """A first scene, rendered and kept in memory."""
     renderer = Renderer(greenhouse())
     renderer.render(camera(), DEFAULT_OUTPUTS, QUALITY, 1)
     renderer.render(camera(2), DEFAULT_OUTPUTS, QUALITY, 2)
@@ -73,8 +63,7 @@ def first():
 
 @pytest.mark.parametrize("number", range(3))
 def test_another_scene_compiles_nothing(first, number):
-    scene = other_scene(number)
-    render = Renderer(scene).render
+    render = Renderer(other_scene(number)).render
     assert count_compiled(lambda: render(camera(), DEFAULT_OUTPUTS, QUALITY, 3 + number)) == 0
 
 
@@ -91,14 +80,11 @@ def test_kernels_outlive_their_scene(first):
     assert count_compiled(lambda: render(camera(), DEFAULT_OUTPUTS, QUALITY, 1)) == 0
 
 
-# --- device arrays ------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("dtype", [np.float32, np.uint32])
 @pytest.mark.parametrize("shape", [(1,), (2,), (7, 3), (1001, 4)])
 def test_device_arrays_are_flat_and_aligned(shape, dtype):
     values = np.arange(np.prod(shape)).reshape(shape)
-    arrays = [device_array(values, dtype) for _ in range(8)]  # all are kept, so addresses differ
+    arrays = [device_array(values, dtype) for _ in range(8)]  # kept, so their addresses differ
     for array in map(np.asarray, arrays):
         assert (array.dtype, array.ndim) == (dtype, 1)
         assert np.array_equal(array[: values.size], values.ravel())
@@ -114,11 +100,8 @@ def test_device_arrays_copy_slices():
     assert np.array_equal(np.asarray(array), expected)
 
 
-def test_single_entry_is_repeated_so_that_it_is_no_constant():
+def test_single_entries_and_device_numbers_are_not_compiled_as_constants():
     assert np.asarray(device_array([3.0])).tolist() == [3.0, 3.0]
-
-
-def test_device_numbers_are_evaluated_so_that_they_are_no_constants():
     mi, dr = mitsuba_modules()
     fraction, integer = device_float(0.25), device_uint(7)
     assert (type(fraction), type(integer)) == (mi.Float, mi.UInt32)

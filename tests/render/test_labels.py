@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
+from bodies import body
 from greenhouse import camera, row_of_plants
 
-from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
+from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.frame import OUTPUTS
-from pepperscene.geometry import Mesh
 from pepperscene.render.aov import labels
 from pepperscene.render.aov.labels import Hits
 from pepperscene.render.kernel.camera import camera_rays
@@ -100,9 +98,6 @@ def test_visible_instances_have_their_boxes_and_pixel_counts(mesh, hits):
     assert labels.visible_instances(mesh, np.zeros((2, 2), np.uint16)) == {}
 
 
-# --- positions and surface coordinates ----------------------------------------------------------------------
-
-
 def test_positions_are_at_their_distance_along_the_pixels_ray(hits):
     view = camera(distorted=True)
     position = labels.positions(hits, view)
@@ -146,18 +141,10 @@ def test_empty_view_has_no_labels(mesh):
 
 
 def test_last_face_is_not_mistaken_for_the_background():
-    mesh = Mesh(
-        vertices=np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32),
-        normals=np.tile(np.float32([0, 0, 1]), (3, 1)),
-        uv=np.zeros((3, 2), np.float32),
-        state=np.zeros(3, np.float32),
-        faces=np.array([[0, 1, 2]], np.uint32),
-        face_instance=np.zeros(1, np.uint32),
-        face_surface=np.zeros(1, np.uint8),
-        surfaces=("matt",),
-        instances=(Instance(OrganClass.STEM, "sheet"),),
-    )
-    view = replace(camera(), pose=np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -1], [0, 0, 0, 1.0]]))
+    triangle = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
+    mesh, pose = body(triangle, "matt", OrganClass.STEM), np.eye(4)
+    pose[2, 3] = -1.0
+    view = camera().at_pose(pose)
     hits = Hits(np.array([[0, -1]]), np.array([[1.0, np.inf]], np.float32))
     instance = labels.instance_ids(mesh, hits)
     assert instance.tolist() == [[1, 0]]

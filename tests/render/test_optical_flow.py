@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from bodies import axis_camera, body, sheet, sphere
 from greenhouse import POSES, camera, row_of_plants
-from test_coverage import FOCAL_PX, axis_camera, solid
+from test_coverage import FOCAL_PX, VIEW
 
-from pepperscene.camera import Camera, Distortion
+from pepperscene.camera import Camera
 from pepperscene.classes import OrganClass
 from pepperscene.frame import OUTPUTS
 from pepperscene.geometry import Mesh, concatenate_meshes
@@ -19,23 +20,13 @@ from pepperscene.render.aov.flow import CLEARANCE, is_unoccluded
 from pepperscene.render.kernel.scene import truth_scene
 from pepperscene.scene import assemble_scene
 
-BENT = Distortion(k1=-0.1, k2=0.04, p1=1e-3, p2=-1e-3)
+WALL = sheet(2.0, 2.0, 0.4, "matt")
 
 
-def sheet(centre, across, down, organ_class: OrganClass = OrganClass.LEAF) -> Mesh:
-    """A parallelogram with a centre and half axes."""
-    centre, across, down = (np.array(v, float) for v in (centre, across, down))
-    corners = [centre + a * across + b * down for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    return solid(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False), organ_class)
-
-
-def move(view: Camera, *, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn: float = 0.0) -> Camera:
-    """A camera moved along its own axes, and turned to the right."""
-    pose = view.pose.copy()
-    pose[:3, 3] += pose[:3, :3] @ [x, y, z]
-    cos, sin = np.cos(turn), np.sin(turn)
-    pose[:3, :3] = pose[:3, :3] @ [[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]
-    return view.at_pose(pose)
+def moved_view(x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> Camera:
+    """`VIEW` moved along its axes and rotated to the right."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return VIEW.at_pose(np.array([[cos, 0, sin, x], [0, 1, 0, y], [-sin, 0, cos, z], [0, 0, 0, 1]]))
 
 
 def flow(mesh: Mesh, view: Camera, other: Camera) -> np.ndarray:
@@ -59,8 +50,7 @@ def test_same_camera_has_no_flow(plants, distorted):
 
 def test_flow_of_a_wall_follows_the_pinhole_formula():
     # It is 40 cm from the camera, which moves 12 mm to the right, 5 mm down and 80 mm forward.
-    view = axis_camera()
-    image = flow(sheet((0, 0, 0.4), (1, 0, 0), (0, 1, 0)), view, move(view, x=0.012, y=0.005, z=0.08))
+    image = flow(WALL, VIEW, moved_view(0.012, 0.005, 0.08))
     v, u = np.mgrid[:64, :64] + 0.5 - 32
     x, y = u * 0.4 / FOCAL_PX, v * 0.4 / FOCAL_PX
     expected = np.stack([(x - 0.012) / 0.32 * FOCAL_PX - u, (y - 0.005) / 0.32 * FOCAL_PX - v], axis=-1)
@@ -71,41 +61,30 @@ def test_flow_of_a_wall_follows_the_pinhole_formula():
 
 
 def test_flow_of_the_sky_follows_the_rotation_alone():
-    # A small ball in front of the sky; the camera moves and turns 3 degrees to the left.
-    view, turn = axis_camera(), np.radians(-3.0)
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.02)
-    ball.apply_translation([0.0, 0.0, 0.5])
-    mesh = solid(ball, OrganClass.PEPPER)
-    renderer = Renderer(assemble_scene(mesh))
-    other = move(view, x=0.02, turn=turn)
-    frame = renderer.render(view, ["class", "flow"], others={"flow": other})
+    # A small ball in front of the sky; the camera moves and rotates 3 degrees to the left.
+    renderer = Renderer(assemble_scene(sphere((0.0, 0.0, 0.5), 0.02, "matt", 4)))
+    other = moved_view(x=0.02, yaw=np.radians(-3.0))
+    frame = renderer.render(VIEW, ["class", "flow"], others={"flow": other})
     sky = frame["class"] == 0
     v, u = np.mgrid[:64, :64] + 0.5
     ray = np.stack([u - 32, v - 32, np.full_like(u, FOCAL_PX)], -1)
-    turned = ray @ other.pose[:3, :3]
-    expected = turned[..., :2] / turned[..., 2:] * FOCAL_PX + 32
+    rotated = ray @ other.pose[:3, :3]
+    expected = rotated[..., :2] / rotated[..., 2:] * FOCAL_PX + 32
     np.testing.assert_allclose((frame["flow"][..., :2] + np.stack([u, v], -1))[sky], expected[sky], atol=1e-3)
-    # The ball hides the sky in the other picture.
-    there = renderer.render(other, ["class"])["class"]
+    # The ball hides the sky in the other image.
+    classes = renderer.render(other, ["class"])["class"]
     inside = sky & (expected > 0).all(-1) & (expected < 64).all(-1)
     column, row = np.floor(np.where(inside[..., None], expected, 0)).astype(int).transpose(2, 0, 1)
-    hidden = inside & (there[row, column] > 0)
+    hidden = inside & (classes[row, column] > 0)
     assert hidden.sum() > 300
     assert (frame["flow"][..., 2] == 1)[hidden].mean() < 0.1
     assert (frame["flow"][..., 2] == 1)[inside & ~hidden].mean() > 0.98
     assert not frame["flow"][..., 2][~inside & sky].any()
 
 
-def test_points_behind_the_other_camera_have_no_flow():
-    view = axis_camera()
-    image = flow(sheet((0, 0, 0.4), (1, 0, 0), (0, 1, 0)), view, move(view, z=1.0))
-    assert np.isnan(image[..., :2]).all()
-    assert not image[..., 2].any()
-
-
-def test_without_another_camera_there_is_no_flow():
-    renderer = Renderer(assemble_scene(sheet((0, 0, 0.4), (1, 0, 0), (0, 1, 0))))
-    image = renderer.render(axis_camera(), ["flow"])["flow"]
+@pytest.mark.parametrize("others", [{}, {"flow": moved_view(z=1.0)}], ids=["none", "in front of the wall"])
+def test_points_that_no_other_camera_sees_have_no_flow(others):
+    image = Renderer(assemble_scene(WALL)).render(VIEW, ["flow"], others=others)["flow"]
     assert OUTPUTS["flow"].fits(image)
     assert np.isnan(image[..., :2]).all()
     assert not image[..., 2].any()
@@ -113,16 +92,15 @@ def test_without_another_camera_there_is_no_flow():
 
 @pytest.mark.parametrize(("gap", "hides"), [(100.0, True), (2.0, True), (1.1, True), (0.9, False)])
 def test_occluders_hide_points_beyond_the_clearance(gap, hides):
-    # Points of a wall at 40 cm, and a sheet in front of it at a multiple of the clearance.
+    # Points of a wall at 40 cm, and a second wall in front of it at a multiple of the clearance.
     rng = np.random.default_rng(2)
     closer = 0.4 * (1.0 - gap * CLEARANCE)
-    walls = [sheet((0, 0, z), (1, 0, 0), (0, 1, 0)) for z in (0.4, closer)]
     points = np.column_stack([rng.uniform(-0.3, 0.3, (500, 2)), np.full(500, 0.4)])
-    # The wall's triangles are the first two; either will do.
-    scene = truth_scene(assemble_scene(concatenate_meshes(walls)))
-    image = is_unoccluded(scene, np.zeros(3), points, np.zeros(500, dtype=np.int64))
-    assert (image == (not hides)).all()
-    # Nothing is in front of the sheet.
+    # The first wall has the first two triangles.
+    scene = truth_scene(assemble_scene(concatenate_meshes([WALL, sheet(2.0, 2.0, closer, "matt")])))
+    visible = is_unoccluded(scene, np.zeros(3), points, np.zeros(500, dtype=np.int64))
+    assert (visible == (not hides)).all()
+    # Nothing is in front of the second wall.
     assert is_unoccluded(scene, np.zeros(3), points * closer / 0.4, np.full(500, 2)).all()
 
 
@@ -136,8 +114,7 @@ def test_surface_does_not_hide_itself_at_grazing_angles(degrees):
     first = (np.arange(40)[:, None] * 41 + np.arange(40)).ravel()
     upper, lower = (np.stack([first, first + one, first + two], 1) for one, two in ((1, 42), (42, 41)))
     faces = np.concatenate([upper, lower])
-    mesh = solid(trimesh.Trimesh(points, faces, process=False), OrganClass.LEAF)
-    view = axis_camera()
+    mesh = body(trimesh.Trimesh(points, faces, process=False), "matt")
     # From the side, at the angle above the sheet, looking at its centre.
     centre = np.array([0, 0, 0.4]) + 0.4 * np.array([np.cos(angle), 0, -np.sin(angle)])
     forward = (np.array([0, 0, 0.4]) - centre) / 0.4
@@ -145,41 +122,35 @@ def test_surface_does_not_hide_itself_at_grazing_angles(degrees):
     pose = np.eye(4)
     pose[:3, :3] = np.stack([np.cross(down, forward), down, forward], axis=1)
     pose[:3, 3] = centre
-    wide = replace(view, sensor=replace(view.sensor, columns=400, rows=400))
-    frame = Renderer(assemble_scene(mesh)).render(
-        view, ["class", "flow"], others={"flow": wide.at_pose(pose)}
-    )
-    leaf = frame["class"] == OrganClass.LEAF
-    assert leaf.all()
+    wide = axis_camera(400, 400).at_pose(pose)
+    frame = Renderer(assemble_scene(mesh)).render(VIEW, ["class", "flow"], others={"flow": wide})
+    assert (frame["class"] == OrganClass.LEAF).all()
     assert (frame["flow"][..., 2] == 1).all()
 
 
 def test_back_of_a_solid_is_hidden_and_that_of_a_sheet_is_not():
-    view = axis_camera()
-    behind = move(view, z=0.8, turn=np.pi)
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.05)
-    ball.apply_translation([0, 0, 0.4])
-    assert not flow(solid(ball, OrganClass.PEPPER), view, behind)[16:48, 16:48, 2].any()
-    assert flow(sheet((0, 0, 0.4), (1, 0, 0), (0, 1, 0)), view, behind)[..., 2].all()
+    behind = moved_view(z=0.8, yaw=np.pi)
+    assert not flow(sphere((0, 0, 0.4), 0.05, "matt", 4), VIEW, behind)[16:48, 16:48, 2].any()
+    assert flow(WALL, VIEW, behind)[..., 2].all()
 
 
 @pytest.mark.parametrize(("shift", "scale"), [((1e4, -2e4, 50.0), 1.0), ((0, 0, 0), 1e-3)])
 def test_flow_does_not_depend_on_position_or_size_of_the_scene(plants, shift, scale):
     # 20 km away, and a thousand times smaller: the kernel uses local coordinates.
-    view = replace(camera(columns=40, rows=30), lens=replace(camera().lens, distortion=BENT), flash=None)
+    view = camera(columns=40, rows=30, distorted=True, flash=False)
 
     def moved(original: Camera) -> Camera:
         pose = original.pose.copy()
         pose[:3, 3] = scale * pose[:3, 3] + shift
         return original.at_pose(pose)
 
-    there = replace(plants, vertices=(scale * plants.vertices.astype(float) + shift).astype(np.float32))
+    mesh = replace(plants, vertices=(scale * plants.vertices.astype(float) + shift).astype(np.float32))
     other = view.at_pose(POSES[2])
-    here, away = flow(plants, view, other), flow(there, moved(view), moved(other))
-    same = np.isclose(here, away, atol=0.05, equal_nan=True).all(axis=-1)
+    expected, result = flow(plants, view, other), flow(mesh, moved(view), moved(other))
+    same = np.isclose(expected, result, atol=0.05, equal_nan=True).all(axis=-1)
     # Far from the origin, vertices are rounded to a millimetre.
     assert same.mean() > (0.97 if scale != 1.0 else 0.5)
-    assert np.mean(here[..., 2] == away[..., 2]) > 0.95
+    assert np.mean(expected[..., 2] == result[..., 2]) > 0.95
 
 
 def test_bytes_do_not_depend_on_earlier_frames(plants):

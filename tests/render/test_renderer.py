@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from greenhouse import camera, digests, fresh_digests, greenhouse, others
+from processes import run_python
 
 from pepperscene.camera import expected_electrons
 from pepperscene.errors import InputError
@@ -43,23 +40,6 @@ def frame(used):
     return used.render(camera(), ALL, "standard", 5, others=others())
 
 
-# --- reproducible bytes -------------------------------------------------------------------------------------
-
-
-def run_python(code, **environment):
-    """Run code in a new interpreter that can import this folder's modules; its last line, as JSON."""
-    path = os.pathsep.join([str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])])
-    process = subprocess.run(
-        [sys.executable, "-c", code],
-        env={**os.environ, "PYTHONPATH": path, **environment},
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert process.returncode == 0, process.stderr
-    return json.loads(process.stdout.splitlines()[-1])
-
-
 def test_frame_has_the_same_bytes_in_another_process():
     # With another hash seed and, where the system allows it, a single core: neither the order of sets nor the
     # number of threads may matter.
@@ -69,9 +49,9 @@ def test_frame_has_the_same_bytes_in_another_process():
         "from greenhouse import fresh_digests\n"
         "print(json.dumps(fresh_digests()))"
     )
-    here = fresh_digests()
-    assert set(here) == set(DEFAULT_OUTPUTS)
-    assert run_python(code, PYTHONHASHSEED="2") == here
+    expected = fresh_digests()
+    assert set(expected) == set(DEFAULT_OUTPUTS)
+    assert run_python(code, PYTHONHASHSEED="2") == expected
 
 
 def test_frame_has_the_same_bytes_from_a_new_renderer(scene, frame):
@@ -79,17 +59,15 @@ def test_frame_has_the_same_bytes_from_a_new_renderer(scene, frame):
 
 
 def test_repeated_frames_are_equal_and_finite(scene, used):
-    # Lanes that have left the scene contain whatever was in memory; none of it may reach a pixel. Renders of
-    # another kind in between leave other values there.
-    seen = set()
-    for turn in range(16):
-        used.render(
-            camera(turn % 3, distorted=turn % 2 == 1), ["electrons"], ("draft", "standard")[turn % 2], turn
-        )
-        again = (used, Renderer(scene))[turn % 2].render(camera(), ["electrons"], "standard", 5)
-        assert np.isfinite(again["electrons"]).all(), turn
-        seen.add(digests(again)["electrons"])
-    assert len(seen) == 1
+    # Lanes that have left the scene contain uninitialised memory; none of it may reach a pixel. Other renders
+    # in between leave other values there.
+    distinct = set()
+    for i in range(16):
+        used.render(camera(i % 3, distorted=i % 2 == 1), ["electrons"], ("draft", "standard")[i % 2], i)
+        again = (used, Renderer(scene))[i % 2].render(camera(), ["electrons"], "standard", 5)
+        assert np.isfinite(again["electrons"]).all(), i
+        distinct.add(digests(again)["electrons"])
+    assert len(distinct) == 1
 
 
 @pytest.mark.parametrize("step", [0, 2])
@@ -125,27 +103,24 @@ def test_another_seed_changes_noise_but_no_labels(used, frame):
 
 def test_stereo_partner_has_its_own_noise_and_the_same_light(scene, frame):
     # From the camera's own pose it is another photograph of the same view.
-    twin = Renderer(scene).render(camera(), ["colour_stereo"], "standard", 5, others={"stereo": camera()})
-    difference = twin["colour_stereo"].astype(float) - frame["colour"]
+    same = Renderer(scene).render(camera(), ["colour_stereo"], "standard", 5, others={"stereo": camera()})
+    difference = same["colour_stereo"].astype(float) - frame["colour"]
     assert 0.5 < np.abs(difference).mean() < 8
     assert abs(difference.mean()) < 0.5
     # Otherwise it is what a camera at the partner's pose takes.
     partner = others()["stereo"]
     own = Renderer(scene).render(partner, ["colour"], "standard", 77)
-    near, far = (
+    error, baseline = (
         np.abs(own["colour"] - frame[name].astype(float)).mean() for name in ("colour_stereo", "colour")
     )
-    assert near < 0.25 * far
+    assert error < 0.25 * baseline
     assert frame.metadata["stereo_pose"] == partner.pose.tolist()
 
 
 def test_render_scene_gives_the_same_frame(scene, frame):
-    short = render_scene(scene, camera(), DEFAULT_OUTPUTS, "standard", 5, others=others())
-    assert digests(short) == {name: digests(frame)[name] for name in DEFAULT_OUTPUTS}
-    assert list(short.images) == list(DEFAULT_OUTPUTS)
-
-
-# --- contents of a frame ------------------------------------------------------------------------------------
+    result = render_scene(scene, camera(), DEFAULT_OUTPUTS, "standard", 5, others=others())
+    assert digests(result) == {name: digests(frame)[name] for name in DEFAULT_OUTPUTS}
+    assert list(result.images) == list(DEFAULT_OUTPUTS)
 
 
 def test_images_match_their_specification(frame):
@@ -153,7 +128,7 @@ def test_images_match_their_specification(frame):
         image = frame[name]
         assert OUTPUTS[name].fits(image), name
         assert image.shape[:2] == (camera().sensor.site_shape if name == "raw" else (60, 80)), name
-    # Plants and the sky behind them are in the picture.
+    # Plants and the sky are in view.
     assert {0, 1, 2, 4} <= set(np.unique(frame["class"]).tolist())
     assert np.isfinite(frame["electrons"]).all()
     assert frame["electrons"].min() >= 0.0
@@ -180,11 +155,10 @@ def test_metadata_is_complete_and_plain_json(frame, scene):
     assert metadata["variant"].endswith("_ad_spectral")
     assert {"pepperscene", "mitsuba", "numpy", "python"} <= set(metadata["versions"])
     # It describes every instance with a pixel, and no other.
-    seen, pixels = np.unique(frame["instance"], return_counts=True)
+    values, counts = np.unique(frame["instance"][frame["instance"] > 0], return_counts=True)
     instances = metadata["instances"]
-    assert {value: instances[value]["pixels"] for value in instances} == {
-        str(value): count for value, count in zip(seen.tolist(), pixels.tolist(), strict=True) if value
-    }
+    pixels = {value: item["pixels"] for value, item in instances.items()}
+    assert pixels == dict(zip(map(str, values.tolist()), counts.tolist(), strict=True))
     for value, item in instances.items():
         instance = scene.mesh.instances[int(value) - 1]
         assert (item["class"], item["kind"]) == (int(instance.organ_class), instance.kind)
@@ -194,31 +168,13 @@ def test_metadata_is_complete_and_plain_json(frame, scene):
         assert 0 <= item["parent"] < int(value)
 
 
-def test_distortion_bends_the_picture_and_is_in_the_metadata(used, frame):
-    bent = used.render(camera(distorted=True), ["class"], "draft", 5)
-    assert bent.metadata["camera"]["distortion"]["k1"] == -0.1
-    changed = bent["class"] != frame["class"]
+def test_distortion_changes_the_image_and_is_in_the_metadata(used, frame):
+    distorted = used.render(camera(distorted=True), ["class"], "draft", 5)
+    assert distorted.metadata["camera"]["distortion"]["k1"] == -0.1
+    changed = distorted["class"] != frame["class"]
     assert changed.any()
     # Nothing moves on the optical axis.
     assert not changed[28:32, 38:42].any()
-
-
-def test_renders_a_single_pixel(used):
-    view = camera(columns=1, rows=1)
-    tiny = used.render(view, ALL, "standard", 5, others={"flow": view, "stereo": view})
-    for name in ALL:
-        assert OUTPUTS[name].fits(tiny[name])
-        assert name == "raw" or tiny[name].shape[:2] == (1, 1)
-        assert not np.isnan(tiny[name].astype(float)).any()
-
-
-def test_night_without_flash_is_black(scene):
-    dark = Renderer(assemble_scene(scene.mesh, {s.name: s for s in scene.surfaces}))
-    view = replace(camera(), flash=None, developing=replace(camera().developing, white_balance="daylight"))
-    assert not dark.render(view, ["electrons", "class"], "standard")["electrons"].any()
-
-
-# --- only what is needed ------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -244,9 +200,7 @@ def calls(monkeypatch):
 
 def test_labels_trace_no_light(scene, calls):
     result = Renderer(scene).render(camera(), LABELS, others=others())
-    assert set(calls) == {
-        "truth_scene", "first_hits", "class_ids", "instance_ids", "normals", "depth_z",
-    }  # fmt: skip
+    assert set(calls) == {"truth_scene", "first_hits", "class_ids", "instance_ids", "normals", "depth_z"}
     assert calls.count("first_hits") == 1
     assert set(result.images) == set(LABELS)
 
@@ -262,11 +216,6 @@ def test_colour_traces_no_rays_for_labels(scene, calls):
     assert result.metadata["instances"] == {}
 
 
-def test_electrons_are_not_developed(scene, calls):
-    Renderer(scene).render(camera(), ["electrons"], "draft")
-    assert "develop" not in calls
-
-
 def test_stereo_partner_alone_is_a_single_photograph(scene, calls):
     result = Renderer(scene).render(camera(), ["colour_stereo"], "draft", others=others())
     assert calls == ["light_scene", "sky_tables", "trace", "denoised", "develop"]
@@ -274,31 +223,33 @@ def test_stereo_partner_alone_is_a_single_photograph(scene, calls):
     assert "sampling" not in result.metadata
 
 
-def test_reference_is_not_denoised(scene, calls):
-    light = Renderer(scene).render(camera(columns=8, rows=6), ["electrons"], "reference")
-    assert "denoised" not in calls
+@pytest.mark.parametrize(("quality", "denoised"), [("draft", True), ("reference", False)])
+def test_electrons_are_not_developed_and_the_reference_is_not_denoised(scene, calls, quality, denoised):
+    light = Renderer(scene).render(camera(columns=8, rows=6), ["electrons"], quality)
+    assert "develop" not in calls
+    assert ("denoised" in calls) == denoised
     assert light["electrons"].any()
 
 
 def test_path_integrator_renders_with_the_path_tracer(scene):
-    # Its scene is kept along a path and made again for a camera without flash.
+    # Its scene is reused along a path, and rebuilt for a camera without flash.
     quality = replace(
         QUALITIES["reference"], samples=2, soft=2, most=2, bounces=1, integrator="path", sampler="stratified"
     )
-    paths, seed = Renderer(scene), 9
-    number = int(np.random.SeedSequence(seed).spawn(2)[1].generate_state(1)[0])
-    for small in (camera(columns=16, rows=12), camera(2, columns=16, rows=12), camera(flash=False)):
-        frame = paths.render(small, ["electrons"], quality, seed)
-        signal = path_traced(scene, small, spp=2, bounces=1, sampler="stratified", seed=number)
-        assert (frame["electrons"] == expected_electrons(signal, small).astype(np.float32)).all()
+    path_renderer, seed = Renderer(scene), 9
+    path_seed = int(np.random.SeedSequence(seed).spawn(2)[1].generate_state(1)[0])
+    for view in (camera(columns=16, rows=12), camera(2, columns=16, rows=12), camera(flash=False)):
+        frame = path_renderer.render(view, ["electrons"], quality, seed)
+        signal = path_traced(scene, view, spp=2, bounces=1, sampler="stratified", seed=path_seed)
+        assert (frame["electrons"] == expected_electrons(signal, view).astype(np.float32)).all()
         assert frame["electrons"].any()
         assert frame.metadata["sampling"] == {"samples_per_pixel": float(samples_taken("stratified", 2))}
 
 
 def test_kernel_scene_is_built_once(scene, calls):
-    plants = Renderer(scene)
+    reused = Renderer(scene)
     for step in range(3):
-        plants.render(camera(step), DEFAULT_OUTPUTS, "draft")
+        reused.render(camera(step), DEFAULT_OUTPUTS, "draft")
     assert calls.count("light_scene") == 1
     assert calls.count("truth_scene") == 0
     assert calls.count("trace") == 3
@@ -324,9 +275,6 @@ def test_modules_are_imported_only_when_needed():
     assert on_import == []
     assert with_labels == []
     assert with_further == ["pepperscene.render.aov.coverage", "pepperscene.render.aov.flow"]
-
-
-# --- errors -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("outputs", [["depth"], ["colour", "Class"], []])

@@ -1,4 +1,4 @@
-"""Choice of LLVM and of the variant, and the errors if there is none; empty files stand for libraries."""
+"""Choice of LLVM and of the variant, and the errors if there is none; empty files replace libraries."""
 
 from __future__ import annotations
 
@@ -43,13 +43,9 @@ def backends(monkeypatch):
     return present
 
 
-# --- versions -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("name", "version"),
     [
-        ("libLLVM-14.so.1", 14),
         ("libLLVM-15.so.1", 15),
         ("libLLVM-17.so", 17),
         ("libLLVM.so.23.1", 23),
@@ -81,9 +77,6 @@ def test_version_is_none_if_the_file_is_no_library(tmp_path):
 def test_version_from_a_child_process_if_the_name_has_none(monkeypatch, tmp_path, code, version):
     monkeypatch.setattr(variant, "_PRINT_LLVM_VERSION", code)
     assert llvm_version(library(tmp_path, "compiler.so")) == version
-
-
-# --- the library --------------------------------------------------------------------------------------------
 
 
 def test_finds_the_newest_library_of_the_system(tmp_path):
@@ -132,9 +125,6 @@ def test_raises_on_an_unsuitable_library_in_the_environment(monkeypatch, tmp_pat
     monkeypatch.setenv(LLVM_VARIABLE, str(library(tmp_path, name)))
     with pytest.raises(SetupError, match=version):
         find_llvm()
-
-
-# --- the variant --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("wanted", ["scalar_rgb", "llvm_ad_rgb", "cuda_ad_spectral ", "LLVM_AD_SPECTRAL"])

@@ -1,12 +1,11 @@
-"""What every picture must be, however strained; scenes moved, scaled and made of single triangles."""
+"""Checks that every frame must pass; scenes that are moved, scaled and made of single triangles."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from bodies import RANGE_NM, bench_camera
+from bodies import RANGE_NM
 
 from pepperscene.camera import Camera
 from pepperscene.classes import Instance, OrganClass
@@ -14,28 +13,24 @@ from pepperscene.frame import Frame
 from pepperscene.geometry import Mesh
 from pepperscene.materials import Surface, lambertian_surface
 from pepperscene.render import QUALITIES, Quality, Renderer
-from pepperscene.scene import Scene, Sky, assemble_scene, uniform_sky
-from pepperscene.spectra import Spectrum
+from pepperscene.scene import Scene, Sky, assemble_scene
 
 OUTPUTS = ("electrons", "class", "instance", "distance", "normal")
-DAYLIGHT = uniform_sky(Spectrum(RANGE_NM, np.ones(2)), 5500.0)
-
-
 FIXED = replace(QUALITIES["standard"], target=None)
-"""The standard quality with as many samples whatever the light: pictures of two lights differ by it alone."""
+"""The standard quality with the same samples for any light: frames differ by the light alone."""
 
 
-def picture(
+def render(
     scene: Scene, camera: Camera, quality: str | Quality = "draft", outputs=OUTPUTS, seed: int = 0
 ) -> Frame:
-    """A frame that holds together."""
+    """Render a frame and check it."""
     frame = Renderer(scene).render(camera, outputs, quality, seed)
     assert_sound(frame)
     return frame
 
 
 def assert_sound(frame: Frame) -> None:
-    """All numbers are numbers, light is not negative, and the labels tell of the same hits."""
+    """Values are finite, light is not negative, and all labels agree about the hits."""
     if "electrons" in frame.images:
         assert np.isfinite(frame["electrons"]).all()
         assert frame["electrons"].min() >= 0.0
@@ -59,32 +54,21 @@ def surface(
 
 
 def grey(mesh: Mesh, reflectance: float = 0.5, sky: Sky | None = None) -> Scene:
-    """A mesh with all surfaces matt and of one grey."""
+    """A scene with the same matt grey on all surfaces."""
     return assemble_scene(mesh, {name: lambertian_surface(name, reflectance) for name in mesh.surfaces}, sky)
 
 
-def point_flash_camera(columns: int = 16, rows: int = 12, **changes: object) -> Camera:
-    """The laws' camera with its flash a point in the lens' place."""
-    point: Mapping[str, object] = {
-        "radius_m": 0.0,
-        "emitters_m": np.zeros((1, 2)),
-        "offset_m": (0.0, 0.0, 0.0),
-        **changes,
-    }
-    return bench_camera(columns=columns, rows=rows, **point)
-
-
 def triangles(corners: np.ndarray, uv: np.ndarray | None = None, name: str = "leaf") -> Mesh:
-    """`(f, 3, 3)` corners as a mesh of one instance, each triangle with its own flat normal."""
-    places = np.asarray(corners, np.float32).reshape(-1, 3)
-    count = len(places) // 3
-    edges = np.asarray(corners, float)
-    across = np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0])
-    length = np.linalg.norm(across, axis=1, keepdims=True)
-    flat = np.where(length > 0, across / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
+    """`(f, 3, 3)` corners as a mesh of one instance with flat normals."""
+    vertices = np.asarray(corners, np.float32).reshape(-1, 3)
+    count = len(vertices) // 3
+    a, b, c = np.moveaxis(np.asarray(corners, float), 1, 0)
+    normal = np.cross(b - a, c - a)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = np.where(length > 0, normal / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
     return Mesh(
-        vertices=places,
-        normals=np.repeat(flat, 3, axis=0).astype(np.float32),
+        vertices=vertices,
+        normals=np.repeat(normal, 3, axis=0).astype(np.float32),
         uv=np.asarray(np.tile([[0, 0], [1, 0], [0, 1]], (count, 1)) if uv is None else uv, np.float32),
         state=np.full(3 * count, 0.5, np.float32),
         faces=np.arange(3 * count, dtype=np.uint32).reshape(-1, 3),
@@ -96,7 +80,7 @@ def triangles(corners: np.ndarray, uv: np.ndarray | None = None, name: str = "le
 
 
 def with_faces(mesh: Mesh, faces: np.ndarray) -> Mesh:
-    """The mesh with more faces of its first instance and surface, after its own."""
+    """The mesh with more faces, of its first instance and surface, appended."""
     return replace(
         mesh,
         faces=np.concatenate([mesh.faces, faces.astype(np.uint32)]),
@@ -106,14 +90,14 @@ def with_faces(mesh: Mesh, faces: np.ndarray) -> Mesh:
 
 
 def moved(scene: Scene, camera: Camera, by: np.ndarray) -> tuple[Scene, Camera]:
-    """Scene and camera, `(3,)` metres away."""
+    """Scene and camera moved by `(3,)` metres."""
     pose = camera.pose.copy()
     pose[:3, 3] += by
     return replace(scene, mesh=scene.mesh.moved(np.eye(3), by)), camera.at_pose(pose)
 
 
 def scaled(scene: Scene, camera: Camera, factor: float) -> tuple[Scene, Camera]:
-    """Scene, reliefs, camera's place and flash, all `factor` times as large about the origin."""
+    """Scene, reliefs, camera position and flash scaled about the origin."""
     pose = camera.pose.copy()
     pose[:3, 3] *= factor
     flash = camera.flash
@@ -127,7 +111,7 @@ def scaled(scene: Scene, camera: Camera, factor: float) -> tuple[Scene, Camera]:
         )
     mesh = replace(scene.mesh, vertices=(scene.mesh.vertices * factor).astype(np.float32))
     surfaces = tuple(
-        one if one.relief_mm is None else replace(one, relief_mm=one.relief_mm * np.float32(factor))
-        for one in scene.surfaces
+        s if s.relief_mm is None else replace(s, relief_mm=s.relief_mm * np.float32(factor))
+        for s in scene.surfaces
     )
     return replace(scene, mesh=mesh, surfaces=surfaces), replace(camera, pose=pose, flash=flash)

@@ -1,4 +1,4 @@
-"""Lights at the ends of what lights can be: the sun in view, next to none, more than single precision."""
+"""Extreme lights: the sun in view, almost no light, more light than single precision holds."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bodies import RANGE_NM, bench_camera, card, response_by_hand, sheet
-from strain import DAYLIGHT, FIXED, grey, picture, point_flash_camera, surface
+from bodies import EVEN_SKY, RANGE_NM, axis_camera, card, point_flash_camera, response_by_hand, sheet
+from strain import FIXED, grey, render, surface
 from typer.testing import CliRunner
 
 from pepperscene.camera import Camera
@@ -24,46 +24,45 @@ NM = np.arange(360.0, 831.0, 0.5)
 EVEN = Spectrum(RANGE_NM, np.ones(2))
 AHEAD, BEHIND = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])
 IRRADIANCE = 1.5  # W m-2 nm-1, about the sun's
+LEAF = sheet(0.2, 0.2, 0.5, "leaf")
 
 
 def sun_alone(direction: np.ndarray, radius: float) -> Sky:
-    """A sun of one irradiance, however wide, in a black sky."""
+    """A sun of the same irradiance for any radius, in a black sky."""
     dark = Spectrum(RANGE_NM, np.ones((1, 2)))
     sun = Sun(direction, Spectrum(RANGE_NM, np.full(2, IRRADIANCE)), radius)
     return Sky(np.zeros((1, 2, 4), np.float32), dark, sun)
 
 
 def electrons_by_hand(radiance: float) -> np.ndarray:
-    """`(3,)` of a photosite on the axis that sees this radiance, W m-2 sr-1 nm-1, at all wavelengths."""
+    """`(3,)` electrons of a photosite on the axis for this radiance, W m-2 sr-1 nm-1, at all wavelengths."""
     return np.trapezoid(response_by_hand("ueye_ui5250re", NM) * radiance, NM, axis=-1)
 
 
 def close_up(radius: float) -> Camera:
-    """A camera with such a focal length that a disc of this radius is eight pixels wide."""
-    camera = bench_camera(columns=24, rows=24, flash=False)
-    longer = camera.lens.focal_length_m * SUN_ANGULAR_RADIUS / radius
-    return replace(camera, lens=replace(camera.lens, focal_length_m=longer))
-
-
-# --- the sun ------------------------------------------------------------------------------------------------
+    """A camera whose focal length makes a disc of this radius eight pixels wide."""
+    camera = axis_camera(24, 24, flash=False)
+    focal_length = camera.lens.focal_length_m * SUN_ANGULAR_RADIUS / radius
+    return replace(camera, lens=replace(camera.lens, focal_length_m=focal_length))
 
 
 @pytest.mark.parametrize("radius", [1e-4, 1e-3, SUN_ANGULAR_RADIUS, 0.02])
 @pytest.mark.parametrize("half_hidden", [False, True])
-def test_the_suns_disc_beside_black_has_its_energy(radius, half_hidden):
+def test_visible_sun_has_its_energy(radius, half_hidden):
     # All pixels together see the disc's irradiance: the sum of their electrons, each of a solid angle of
-    # 1 / (fx fy), is that of a radiance E fx fy in one. 15,000 samples hit the disc. Then a black card hides
-    # half of it. Directions err by 1e-7 in single precision, a thousandth of the smallest disc's radius.
-    at = 0.5 if half_hidden else -0.5
+    # 1 / (fx fy), is that of a radiance E fx fy in one. 15,000 samples hit the disc. A black card hides half
+    # of it, or is behind the camera. Directions err by 1e-7 in single precision, a thousandth of the smallest
+    # radius.
+    z = 0.5 if half_hidden else -0.5
     black = assemble_scene(
-        card(0.1, 0.0, 0.2, 0.4, "black", at), {"black": surface("black", 0.0)}, sun_alone(AHEAD, radius)
+        card(0.1, 0.0, 0.2, 0.4, "black", z), {"black": surface("black", 0.0)}, sun_alone(AHEAD, radius)
     )
     camera = close_up(radius)
-    frame = picture(black, camera, "reference")
+    frame = render(black, camera, "reference")
     density = camera.intrinsics[0, 0] * camera.intrinsics[1, 1]
-    share = 0.5 if half_hidden else 1.0
+    fraction = 0.5 if half_hidden else 1.0
     total = frame["electrons"].astype(float).sum((0, 1))
-    assert total == pytest.approx(share * electrons_by_hand(IRRADIANCE * density), rel=0.01)
+    assert total == pytest.approx(fraction * electrons_by_hand(IRRADIANCE * density), rel=0.01)
     assert frame["electrons"].max() < 1.05 * electrons_by_hand(IRRADIANCE / (np.pi * radius**2)).max()
     row, column = np.mgrid[0:24, 0:24] + 0.5
     beyond = np.hypot(row - 12.0, column - 12.0) > camera.intrinsics[0, 0] * radius + 1.0
@@ -75,78 +74,62 @@ def test_the_suns_disc_beside_black_has_its_energy(radius, half_hidden):
 
 @pytest.mark.parametrize("radius", [1e-12, 1e-4, SUN_ANGULAR_RADIUS, 0.05])
 @pytest.mark.parametrize("quality", ["draft", "standard"])
-def test_a_sun_of_any_width_lights_a_patch_alike(radius, quality):
-    # Facing it, a matt patch has the radiance R E / pi, but for the disc's own cosine: 1 - r^2 / 4.
-    scene = assemble_scene(
-        sheet(0.2, 0.2, 0.5, "grey"), {"grey": surface("grey", 0.5)}, sun_alone(BEHIND, radius)
-    )
-    found = picture(scene, bench_camera(columns=4, rows=4, flash=False), quality)["electrons"].mean((0, 1))
-    assert found == pytest.approx(
-        electrons_by_hand(0.5 * IRRADIANCE / np.pi) * (1 - radius**2 / 4), rel=0.005
-    )
+def test_light_of_the_sun_on_a_patch_does_not_depend_on_its_radius(radius, quality):
+    # A facing matt patch has the radiance R E / pi, times the mean cosine over the disc, 1 - r^2 / 4.
+    scene = grey(sheet(0.2, 0.2, 0.5, "grey"), sky=sun_alone(BEHIND, radius))
+    result = render(scene, axis_camera(4, 4, flash=False), quality)["electrons"].mean((0, 1))
+    expected = electrons_by_hand(0.5 * IRRADIANCE / np.pi) * (1 - radius**2 / 4)
+    assert result == pytest.approx(expected, rel=0.005)
 
 
-@pytest.mark.parametrize("radius", [0.0, -0.1, np.nan, 2.0])
-def test_a_sun_of_no_width_is_refused(radius):
-    with pytest.raises(ValueError, match="radius"):
-        sun_alone(AHEAD, radius)
-
-
-@pytest.mark.parametrize("direction", [np.zeros(3), np.array([0.0, 0.0, 2.0]), np.full(3, np.nan)])
-def test_a_sun_in_no_direction_is_refused(direction):
-    with pytest.raises(ValueError, match="unit vector"):
-        sun_alone(direction, 0.01)
-
-
-# --- faint and strong ---------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("direction", "radius", "message"),
+    [
+        *((AHEAD, radius, "radius") for radius in (0.0, -0.1, np.nan, 2.0)),
+        *((bad, 0.01, "unit vector") for bad in (np.zeros(3), 2.0 * AHEAD, np.full(3, np.nan))),
+    ],
+)
+def test_rejects_suns_without_radius_or_direction(direction, radius, message):
+    with pytest.raises(ValueError, match=message):
+        sun_alone(direction, radius)
 
 
 @pytest.mark.parametrize("lux", [1e-12, 1e-3, 1e6, 1e9])
-def test_light_is_proportional_to_the_lamp(lux):
-    scene = grey(sheet(0.2, 0.2, 0.5, "leaf"))
-    found, expected = (
-        picture(scene, point_flash_camera(illuminance_lx=lx), FIXED)["electrons"] / lx
-        for lx in (lux, 200_000.0)
-    )
-    assert found == pytest.approx(expected, rel=1e-5)
-    found, expected = (
-        picture(
-            grey(sheet(0.2, 0.2, 0.5, "leaf"), sky=uniform_sky(EVEN, lx)),
-            bench_camera(columns=8, rows=6, flash=False),
-        )["electrons"]
-        / lx
-        for lx in (lux, 200_000.0)
-    )
-    assert found == pytest.approx(expected, rel=1e-4)
+def test_electrons_are_proportional_to_the_illuminance(lux):
+    def by_flash(lx):
+        return render(grey(LEAF), point_flash_camera(illuminance_lx=lx), FIXED)["electrons"] / lx
+
+    def by_sky(lx):
+        camera = axis_camera(8, 6, flash=False)
+        return render(grey(LEAF, sky=uniform_sky(EVEN, lx)), camera)["electrons"] / lx
+
+    assert by_flash(lux) == pytest.approx(by_flash(200_000.0), rel=1e-5)
+    assert by_sky(lux) == pytest.approx(by_sky(200_000.0), rel=1e-4)
 
 
 @pytest.mark.parametrize("lux", [1e-45, 1e-38, 1e-30])
-def test_next_to_no_light_is_none(lux):
-    # Beside daylight, a lamp of so little adds nothing; alone, it shows as little, or nothing.
-    scene = grey(sheet(0.2, 0.2, 0.5, "leaf"), sky=DAYLIGHT)
-    with_lamp = picture(scene, point_flash_camera(illuminance_lx=lux), FIXED)["electrons"]
-    without = picture(scene, replace(point_flash_camera(), flash=None), FIXED)["electrons"]
-    assert with_lamp == pytest.approx(without, rel=1e-4)
-    night = replace(scene, sky=None)
-    assert picture(night, point_flash_camera(illuminance_lx=lux), FIXED)["electrons"].max() <= lux
-    dusk = replace(scene, sky=uniform_sky(EVEN, lux))
-    assert picture(dusk, replace(point_flash_camera(), flash=None), FIXED)["electrons"].max() <= lux
-    lamp = point_flash_camera()
-    found = picture(dusk, lamp, FIXED)["electrons"]
-    assert found == pytest.approx(picture(night, lamp, FIXED)["electrons"], rel=1e-4)
+def test_almost_no_light_adds_nothing(lux):
+    def electrons(sky, camera):
+        return render(grey(LEAF, sky=sky), camera, FIXED)["electrons"]
+
+    faint, usual = point_flash_camera(illuminance_lx=lux), point_flash_camera()
+    none, faint_sky = replace(usual, flash=None), uniform_sky(EVEN, lux)
+    assert electrons(EVEN_SKY, faint) == pytest.approx(electrons(EVEN_SKY, none), rel=1e-4)
+    assert electrons(faint_sky, usual) == pytest.approx(electrons(None, usual), rel=1e-4)
+    assert electrons(None, faint).max() <= lux
+    assert electrons(faint_sky, none).max() <= lux
 
 
 @pytest.mark.parametrize(
     "strength", [{"illuminance_lx": 1e30}, {"illuminance_lx": None, "irradiance_W_m2": 1e30}]
 )
-def test_too_strong_a_lamp_is_refused(strength):
-    renderer = Renderer(grey(sheet(0.2, 0.2, 0.5, "leaf")))
+def test_rejects_too_strong_a_flash(strength):
     with pytest.raises(ValueError, match="a light is too strong"):
-        renderer.render(point_flash_camera(**strength), ["electrons"])
+        Renderer(grey(LEAF)).render(point_flash_camera(**strength), ["electrons"])
 
 
 @pytest.mark.parametrize("light", ["radiance", "weights", "sun"])
-def test_too_strong_a_daylight_is_refused(light):
+def test_rejects_too_strong_daylight(light):
     weights, radiance = np.ones((1, 2, 4), np.float32), Spectrum(RANGE_NM, np.ones((1, 2)))
     sky = {
         "radiance": Sky(weights, radiance.times(1e30)),
@@ -154,11 +137,11 @@ def test_too_strong_a_daylight_is_refused(light):
         "sun": Sky(weights, radiance, Sun(AHEAD, EVEN.times(1e30))),
     }[light]
     with pytest.raises(ValueError, match="a light is too strong"):
-        Renderer(grey(sheet(0.2, 0.2, 0.5, "leaf"), sky=sky)).render(point_flash_camera(), ["electrons"])
+        Renderer(grey(LEAF, sky=sky)).render(point_flash_camera(), ["electrons"])
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0])
-def test_skies_of_no_numbers_are_refused(bad):
+def test_rejects_non_finite_and_negative_skies(bad):
     radiance = Spectrum(RANGE_NM, np.ones((1, 2)))
     with pytest.raises(ValueError, match="weights"):
         Sky(np.full((1, 2, 4), bad, np.float32), radiance)
@@ -168,40 +151,27 @@ def test_skies_of_no_numbers_are_refused(bad):
 
 
 @pytest.mark.parametrize("scale", [1e-300, 1e-38, 1e30])
-def test_the_scale_of_a_lamps_spectrum_does_not_matter(scale):
-    # Its strength is told in lux: the spectrum is relative.
-    camera = point_flash_camera(columns=4, rows=4)
+def test_scale_of_the_flash_spectrum_does_not_matter(scale):
+    # The strength is in lux, so the spectrum is relative.
+    camera = point_flash_camera(4, 4)
     other = replace(camera, flash=replace(camera.flash, spectrum=camera.flash.spectrum.times(scale)))
-    scene = grey(sheet(0.2, 0.2, 0.5, "leaf"))
-    found, expected = (picture(scene, one)["electrons"] for one in (other, camera))
-    assert found == pytest.approx(expected, rel=1e-5)
-
-
-# --- files --------------------------------------------------------------------------------------------------
+    result, expected = (render(grey(LEAF), view)["electrons"] for view in (other, camera))
+    assert result == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize("cell", ["nan", "inf", "-inf", "1e999", "-0.5", "", "red", "1,2"])
-def test_a_spectrum_file_of_no_numbers_is_refused_in_one_sentence(tmp_path, cell):
-    # A copy of the shipped lamp with one cell of its spectrum spoilt.
-    for name in (
-        "led_matrix_200klx.toml",
-        "spectra/lumileds_cool_white.csv",
-        "spectra/lumileds_cool_white.toml",
-    ):
-        there = tmp_path / name
-        there.parent.mkdir(exist_ok=True)
-        shutil.copy(shipped_folder("materials") / "flashes" / name, there)
-    table = tmp_path / "spectra" / "lumileds_cool_white.csv"
+def test_invalid_spectrum_file_gives_a_one_line_error(tmp_path, cell):
+    # A copy of the shipped flash with one invalid cell in its spectrum.
+    copy = shutil.copytree(shipped_folder("materials") / "flashes", tmp_path / "flashes")
+    table = copy / "spectra" / "lumileds_cool_white.csv"
     lines = table.read_text().splitlines()
-    first = next(i for i, line in enumerate(lines) if line.startswith("wavelength_nm"))
-    lines[first + 20] = f"{lines[first + 20].split(',')[0]},{cell}"
+    header = next(i for i, line in enumerate(lines) if line.startswith("wavelength_nm"))
+    lines[header + 20] = f"{lines[header + 20].split(',')[0]},{cell}"
     table.write_text("\n".join(lines) + "\n")
-    flash = tmp_path / "led_matrix_200klx.toml"
-    done = CliRunner().invoke(
-        app, ["render", "demo", "--out", str(tmp_path / "one"), "--set", f"camera.flash={flash}"]
-    )
-    assert done.exit_code == EXIT_BAD_INPUT
-    assert done.stderr.startswith("error: ")
-    assert done.stderr.count("\n") == 1
-    assert table.name in done.stderr
-    assert not (tmp_path / "one").exists()
+    arguments = ["--out", str(tmp_path / "out"), "--set", f"camera.flash={copy / 'led_matrix_200klx.toml'}"]
+    result = CliRunner().invoke(app, ["render", "demo", *arguments])
+    assert result.exit_code == EXIT_BAD_INPUT
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
+    assert table.name in result.stderr
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,26 @@
+"""New Python processes that can import the test modules."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+_LAWS = Path(__file__).parent
+FOLDERS = [str(folder) for folder in (_LAWS, _LAWS / "stress", _LAWS.parent / "render")]
+
+
+def run_python(code: str, timeout_s: float = 600.0, **environment: str):
+    """The JSON value on the last line that code prints in a new interpreter."""
+    path = os.pathsep.join([*FOLDERS, *filter(None, [os.environ.get("PYTHONPATH")])])
+    process = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": path, **environment},
+        capture_output=True,
+        text=True,
+        timeout=timeout_s,
+    )
+    assert process.returncode == 0, process.stderr
+    return json.loads(process.stdout.splitlines()[-1])
