@@ -204,7 +204,7 @@ def test_blender_camera_projects_points_like_ours():
 def test_undistorted_camera_differs_in_distortion_only():
     distorted = make_camera(distortion=Distortion(k1=-0.1), transmittance=0.8)
     straight = undistorted(distorted)
-    assert straight.lens.distortion.is_none
+    assert straight.lens.distortion.is_zero
     assert straight.lens == dataclasses.replace(distorted.lens, distortion=Distortion())
     np.testing.assert_array_equal(straight.pose, distorted.pose)
 
