@@ -65,9 +65,6 @@ def export(surface, camera=CAMERA, state=0.5):
     return export_scene(assemble_scene(square(state=state), {"plate": surface}), camera)
 
 
-# --- colours ------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("reflectance", [0.0, 0.18, 1.0])
 def test_grey_has_its_reflectance_in_every_channel(reflectance):
     front = export(lambertian_surface("plate", reflectance)).arrays["front"]
@@ -135,9 +132,6 @@ def test_surfaces_of_one_cuticle_share_a_material_but_no_vertex():
     np.testing.assert_array_equal(exported.arrays["vertices"][faces], shared.vertices[shared.faces])
 
 
-# --- lights -------------------------------------------------------------------------------------------------
-
-
 def test_flash_is_white_and_full_scale_is_one():
     exported = export(WHITE)
     intensity = np.array(exported.facts["flash"]["intensity"])
@@ -180,9 +174,6 @@ def test_sky_and_sun_are_in_electrons():
     expected = 0.5 * weights[0][..., None] * per_unit
     np.testing.assert_allclose(exported.arrays["sky"] * exported.unit, expected, rtol=2e-3)
     assert "flash" not in exported.facts
-
-
-# --- camera -------------------------------------------------------------------------------------------------
 
 
 def test_blender_camera_projects_points_like_ours():

@@ -30,9 +30,6 @@ from pepperscene.spectra import Spectrum, photopic_efficiency, read_spectra
 SENSOR = load_sensor("ueye_ui5250re")
 
 
-# --- formulas -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_srgb_curve_matches_colour_science_and_keeps_the_type(dtype):
     linear = np.linspace(0, 1, 5000, dtype=dtype)
@@ -81,9 +78,6 @@ def test_adaptation_matches_colour_science_and_maps_white_to_d65(white):
     assert adaptation @ white == pytest.approx(D65_WHITE, rel=1e-12)
     if white is D65_WHITE:
         np.testing.assert_allclose(adaptation, np.eye(3), atol=1e-14)
-
-
-# --- corrections --------------------------------------------------------------------------------------------
 
 
 def narrow_band(nm, width=10.0):

@@ -44,9 +44,6 @@ def with_developing(**choices):
     return replace(CAMERA, developing=Developing(**choices))
 
 
-# --- the image ----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("level", [0.01, 0.05, 0.2, 0.5, 0.9])
 def test_white_under_the_flash_is_neutral_within_a_code(level):
     image = develop(white_under_flash(level), with_developing(quantise=False)).astype(int)
@@ -128,9 +125,6 @@ def test_raises_on_invalid_electrons_or_missing_flash():
     assert develop(uniform(1), daylight).shape == (30, 40, 3)
 
 
-# --- exposure -----------------------------------------------------------------------------------------------
-
-
 def test_electrons_scale_with_aperture_exposure_and_light():
     light = np.ones((30, 40, 3))
     base = expected_electrons(light, CAMERA)
@@ -147,9 +141,6 @@ def test_image_corners_are_darker_by_cos4():
     assert falloff[0, 0] == pytest.approx((1 + (4.5 / 4.16) ** 2) ** -2, rel=0.01)
     assert falloff[299:301, 399:401].min() > 0.99999
     np.testing.assert_allclose(falloff, falloff[::-1, ::-1])
-
-
-# --- tone curves --------------------------------------------------------------------------------------------
 
 
 def test_encoding_is_srgb_or_linear():

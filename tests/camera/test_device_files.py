@@ -19,8 +19,6 @@ SHIPPED = [(kind, path.stem) for kind in LOADERS for path in sorted((FOLDER / ki
 FILTERS = [name for kind, name in SHIPPED if kind == "filters"]
 NM = np.arange(300.0, 1201.0)
 
-# --- shipped files ------------------------------------------------------------------------------------------
-
 
 @pytest.mark.parametrize(("kind", "name"), SHIPPED)
 def test_shipped_device_loads_by_name_and_by_path(kind, name):
@@ -123,9 +121,6 @@ def test_unknown_name_lists_shipped_devices(kind):
     with pytest.raises(InputError, match=f"nor one of the shipped {kind}") as caught:
         LOADERS[kind]("nikon")
     assert all(name in str(caught.value) for shipped_kind, name in SHIPPED if shipped_kind == kind)
-
-
-# --- errors -------------------------------------------------------------------------------------------------
 
 
 def copy_of(tmp_path, kind, name, change):
@@ -254,9 +249,6 @@ def test_raises_on_invalid_curve_with_row_and_column(tmp_path, table, text, mess
     (tmp_path / "curve.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=message):
         LOADERS[kind](path)
-
-
-# --- values in files ----------------------------------------------------------------------------------------
 
 
 def infrared(tmp_path, *changes):

@@ -142,9 +142,6 @@ def test_lens_is_hashable():
     assert lens.principal_offset_m == (1e-4, -1e-4)
 
 
-# --- angular profiles ---------------------------------------------------------------------------------------
-
-
 def test_profile_is_zero_or_held_beyond_its_last_angle():
     angle, relative = np.array([0.0, 0.5, 1.0]), np.array([1.0, 0.8, 0.4])
     at = [0.25, 1.0, 1.01, 1.5]

@@ -51,9 +51,6 @@ def random_electrons(most, channels=3, seed=1):
     return np.random.default_rng(seed).uniform(0, most, (12, 16, channels))
 
 
-# --- settings -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -122,9 +119,6 @@ def test_photosite_counts():
     assert small(MONO, binning=3).pixel_pitch_m == pytest.approx(18e-6)
 
 
-# --- mosaic -------------------------------------------------------------------------------------------------
-
-
 @all_patterns
 @pytest.mark.parametrize("binning", [1, 2, 4])
 def test_pure_colours_reach_only_their_photosites(pattern, binning):
@@ -182,9 +176,6 @@ def test_smallest_mosaics_can_be_demosaiced(rows, columns, method):
     np.testing.assert_allclose(demosaic_image(sites, "rggb", method), uniform, atol=1e-6)
 
 
-# --- raw frame and image ------------------------------------------------------------------------------------
-
-
 @all_methods
 @all_patterns
 def test_image_is_made_from_the_raw_frame(pattern, method):
@@ -235,8 +226,6 @@ def test_monochrome_image_is_grey_and_needs_no_reference_light():
     with pytest.raises(ValueError, match="must have the shape"):
         develop(np.zeros((12, 16, 3)), camera)
 
-
-# --- any light on any sensor --------------------------------------------------------------------------------
 
 # Zero, numbers below the smallest normal one, single electrons, and unrealistically strong light.
 ELECTRONS = st.one_of(

@@ -13,8 +13,6 @@ import pytest
 from pepperscene.cli import app
 from pepperscene.dataset import write_image
 
-# --- check --------------------------------------------------------------------------------------------------
-
 
 @pytest.fixture
 def folder(data_set, tmp_path):
@@ -85,9 +83,6 @@ def test_terminal_does_not_interpret_markup_in_file_names(folder, monkeypatch, c
     assert "┃" in text
 
 
-# --- export -------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("form", ["published", "coco", "yolo"])
 def test_export_prints_progress_and_summary(form, data_set, command, tmp_path):
     out = tmp_path / form
@@ -129,9 +124,6 @@ def test_export_rejects_invalid_folders(data_set, rejects, tmp_path):
         (data_set, data_set / "coco", "is inside the data set"),
     ]:
         rejects(message, "export", source, "--format", "coco", "--out", out)
-
-
-# --- report -------------------------------------------------------------------------------------------------
 
 
 def test_report_prints_what_it_shows_and_measures(command, folder):

@@ -57,9 +57,6 @@ def error_of(path):
     return caught.value
 
 
-# --- reading ------------------------------------------------------------------------------------------------
-
-
 def test_valid_file_is_read_unchanged(write):
     table = GOOD | {"least": -(2**63), "most": 2**63 - 1, "on": True, "deep": {"er": [[1], [{"x": 2}]]}}
     assert read_toml(write(tomli_w.dumps(table))) == table
@@ -137,9 +134,6 @@ def test_any_bytes_give_tables_or_an_input_error(write, content):
         assert isinstance(read_toml(path), dict)
 
 
-# --- validation ---------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("change", "key", "value", "allowed"),
     [
@@ -185,9 +179,6 @@ def test_only_plain_keys_are_written_without_quotes(parts):
     key = toml_key(tuple(parts))
     assert key.isprintable()
     assert (key == ".".join(parts)) == all(p and p.isprintable() and not set(p) & set(" .\"'") for p in parts)
-
-
-# --- errors -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -241,9 +232,6 @@ def test_all_errors_share_one_base_and_exit_code_2_means_wrong_usage():
     for kind in (InputError, OutputError, SetupError):
         assert issubclass(kind, PepperError)
     assert EXIT_BAD_INPUT == 2
-
-
-# --- shipped files ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["plants", "recipes", "materials"])

@@ -14,9 +14,6 @@ from pepperscene.spectra import Spectrum, illuminance, read_provenance, read_spe
 SHIPPED = ("float_glass_4mm", "diffuse_glass_4mm", "polyethylene_film")
 
 
-# --- shipped covers -----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("name", "light", "haze"),
     [
@@ -75,8 +72,6 @@ def test_curves_are_declared_as_models(csv):
     assert csv.stem.endswith("_MODEL")
     assert read_spectrum(csv, "transmittance").wavelength_nm[[0, -1]].tolist() == [300, 1100]
 
-
-# --- files --------------------------------------------------------------------------------------------------
 
 VALID = """
 name = "test"
@@ -172,8 +167,6 @@ def test_cover_raises_on_values_out_of_range(values, haze, width, message):
     with pytest.raises(ValueError, match=message):
         Cover("test", Spectrum(np.array([400.0, 700.0]), np.array(values)), haze, width)
 
-
-# --- haze ---------------------------------------------------------------------------------------------------
 
 ROWS, COLUMNS, OUT_ROWS = 64, 128, 40
 WIDTHS = np.radians([4.0, 12.0, 30.0, 90.0])

@@ -64,9 +64,6 @@ def in_image(camera, poses, points):
     return found
 
 
-# --- frustums -----------------------------------------------------------------------------------------------
-
-
 @given(
     seed=st.integers(0, 2**32 - 1),
     k1=st.floats(-0.12, 0.1),
@@ -113,9 +110,6 @@ def test_frustums_exclude_boxes_outside_every_view(camera):
     outside = np.array([[0.0, 3.0, 9.0], [0.0, 0.0, 0.2], [0.0, -5.0, 0.9]], np.float32)
     assert not frustums.intersects(outside, half).any()
     assert frustums.intersects(np.array([[0.0, 0.0, 0.9]], np.float32), half[:1]).all()
-
-
-# --- culled meshes ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("light", [NIGHT, LightReach(0.01, 0.01, 0.05, 0.4), LightReach(1.0, 1.0, 0.0, 0.4)])
@@ -167,9 +161,6 @@ def test_chunks_are_bounded_by_their_boxes(row):
     assert (mesh.faces < chunks.vertices[number, 1:]).all()
 
 
-# --- negligible objects -------------------------------------------------------------------------------------
-
-
 @given(seed=st.integers(0, 2**32 - 1), daylight=st.floats(0.0, 1.0), sun=st.sampled_from([0.0, 1e-4, 0.3]))
 @settings(max_examples=20, deadline=None)
 def test_total_change_by_removed_chunks_is_below_the_tolerance(camera, seed, daylight, sun):
@@ -218,9 +209,6 @@ def test_light_reach_compares_flash_and_daylight(camera):
     # At half the distance the flash is four times as bright.
     one, two = light_reach(camera, 0.4, 5500.0).sky, light_reach(camera, 0.2, 5500.0).sky
     assert (1 / two - 1) == pytest.approx(4 * (1 / one - 1))
-
-
-# --- simplified organs --------------------------------------------------------------------------------------
 
 
 def test_simplified_sheet_keeps_its_area():

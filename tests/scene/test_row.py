@@ -102,9 +102,6 @@ def test_plants_rotate_about_their_own_axes():
     np.testing.assert_allclose(row.vertices[8:], turned + bases[1], atol=1e-6)
 
 
-# --- twine --------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def plant():
     return grow(load_cultivar("kaite"), np.random.default_rng(3))

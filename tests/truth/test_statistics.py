@@ -27,9 +27,6 @@ from pepperscene.truth.statistics import (
 BYTE = st.integers(0, 255)
 
 
-# --- hues ---------------------------------------------------------------------------------------------------
-
-
 @given(BYTE, BYTE, BYTE)
 def test_hue_bin_contains_the_hue_of_colorsys(red, green, blue):
     number = int(hue_bins(np.array([red, green, blue], np.uint8)))
@@ -96,9 +93,6 @@ def test_correlation_is_independent_of_scale_and_offset():
     assert hue_spectrum_correlation(spectrum, 2.0 - spectrum) == pytest.approx(-1.0)
 
 
-# --- single images ------------------------------------------------------------------------------------------
-
-
 def test_grey_values_and_saturated_fraction():
     colour = np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255]]], np.uint8)
     assert grey_values(colour).tolist() == [[76, 150, 29]]
@@ -132,9 +126,6 @@ def test_falloff_of_a_radial_image(shape):
 def test_falloff_is_nan_in_rings_without_pixels():
     falloff = centre_falloff(np.ones((2, 2)), np.array([0.0, 0.25, 0.75, 1.0]))
     np.testing.assert_array_equal(falloff, [np.nan, 1.0, np.nan])
-
-
-# --- sets of images -----------------------------------------------------------------------------------------
 
 
 def random_image(rng, shape=(20, 30)):

@@ -103,9 +103,6 @@ def worst(jacobian, differences, problem) -> float:
     return max(disagreement(jacobian, differences, problem).values())
 
 
-# --- derivatives --------------------------------------------------------------------------------------------
-
-
 def test_derivatives_match_finite_differences(problem, jacobian, differences):
     errors = disagreement(jacobian, differences, problem)
     assert max(errors.values()) < TOLERANCE, errors
@@ -149,9 +146,6 @@ def test_raises_on_an_entry_that_cannot_change(target):
     fixed = replace(exposure, prior=(exposure.prior[0].model_copy(update={"low": 1.0, "high": 1.0}),))
     with pytest.raises(ValueError, match="cannot change"):
         ParameterStep.along(Entry(fixed, 0), {}, target.tuned_parts)
-
-
-# --- mutations ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("factor", "least"), [(-1.0, 1.0), (1.1, 5.0 * TOLERANCE), (0.9, 5.0 * TOLERANCE)])
@@ -217,9 +211,6 @@ MUTATIONS = {
 def test_detects_mutations(problem, vector, differences, monkeypatch, mutation):
     MUTATIONS[mutation](monkeypatch)
     assert worst(problem.jacobian(vector), differences, problem) > 2.0 * TOLERANCE
-
-
-# --- values -------------------------------------------------------------------------------------------------
 
 
 def test_vector_has_the_values_in_order(problem):
