@@ -135,9 +135,10 @@ def test_infrared_cut_improves_the_colours(infrared_sensor):
     assert filtered.mean_delta_e_2000 < 2.5 < bare.mean_delta_e_2000
 
 
-def test_correction_does_not_import_colour_science():
+def test_illuminance_and_correction_do_not_import_colour_science():
     code = (
         "import sys; from pepperscene.camera import load_sensor\n"
+        "from pepperscene.spectra import illuminance, sun_spectrum; illuminance(sun_spectrum())\n"
         "from pepperscene.camera.colorimetry import colour_correction, d65_spectrum\n"
         "correction = colour_correction(load_sensor('ueye_ui5250re'), d65_spectrum())\n"
         "assert 'colour' not in sys.modules\n"

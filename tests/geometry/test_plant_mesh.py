@@ -39,13 +39,6 @@ ONE_OF_EACH = (
     organ("cut", TOP, (0.012, 0, 0.1), parent=1, radius_m=0.004),
     organ("flower", TOP, (0.004, 0, 0.1), parent=5, radius_m=0.012),
 )
-SOLIDS = tuple(one for one in ONE_OF_EACH if one.kind not in ("blade", "flower"))
-
-
-@pytest.mark.parametrize("one", SOLIDS, ids=lambda one: one.kind)
-@pytest.mark.parametrize("detail", [0.3, 1.0, 1.7])
-def test_solids_are_closed_and_face_outwards(one, detail):
-    check_solid(mesh_organs(replace(one, parent=-1), detail=detail))
 
 
 @pytest.mark.parametrize("one", ONE_OF_EACH, ids=lambda one: one.kind)
