@@ -11,7 +11,7 @@ import tomli_w
 from pepperscene.camera import Filter, load_filter, load_flash, load_lens, load_sensor
 from pepperscene.errors import InputError
 from pepperscene.shipped import shipped_folder
-from pepperscene.spectra import Spectrum, read_provenance, read_spectra, read_spectrum, sky_spectrum
+from pepperscene.spectra import Spectrum, read_spectra, read_spectrum, sky_spectrum
 
 FOLDER = shipped_folder("materials")
 LOADERS = {"sensors": load_sensor, "lenses": load_lens, "flashes": load_flash, "filters": load_filter}
@@ -24,16 +24,6 @@ NM = np.arange(300.0, 1201.0)
 def test_shipped_device_loads_by_name_and_by_path(kind, name):
     load = LOADERS[kind]
     assert load(name).name == load(FOLDER / kind / f"{name}.toml").name
-
-
-@pytest.mark.parametrize(
-    "path", [p for kind in LOADERS for p in (FOLDER / kind).rglob("*.csv")], ids=lambda p: p.stem
-)
-def test_shipped_curve_has_source_and_licence(path):
-    provenance = read_provenance(path)
-    assert provenance.source
-    assert provenance.licence
-    assert ("MODEL" in path.stem) == (provenance.kind == "MODEL")
 
 
 def test_camera_of_the_paper():

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from pydantic import Field, ValidationError, model_validator
 
 from pepperscene.document import Document, read_toml, toml_key, validate
-from pepperscene.errors import EXIT_BAD_INPUT, ArgumentError, InputError, OutputError, PepperError, SetupError
+from pepperscene.errors import ArgumentError, InputError
 from pepperscene.shipped import find_file, shipped_folder
 
 
@@ -226,12 +226,6 @@ def test_errors_can_be_pickled_with_any_value(kind, value, pickled):
     copy = pickle.loads(pickle.dumps(kind("f", "must be better", key="k", value=value)))
     assert (type(copy), copy.where, copy.problem, copy.key) == (kind, "f", "must be better", "k")
     assert copy.value == pickled
-
-
-def test_all_errors_share_one_base_and_exit_code_2_means_wrong_usage():
-    for kind in (InputError, OutputError, SetupError):
-        assert issubclass(kind, PepperError)
-    assert EXIT_BAD_INPUT == 2
 
 
 @pytest.mark.parametrize("name", ["plants", "recipes", "materials"])

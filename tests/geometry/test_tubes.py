@@ -207,12 +207,6 @@ def test_internodes_and_nodes_join_without_a_step(grown):
     assert max(np.ptp(mesh.state) for mesh in stem) < 0.9
 
 
-def test_tubes_of_a_plant_are_closed(grown):
-    meshes = list(grown[1].values())
-    for mesh in meshes[:: max(1, len(meshes) // 25)]:
-        check_solid(mesh)
-
-
 @pytest.mark.parametrize("offset", [-0.3, 0.1, 0.4])
 @pytest.mark.parametrize("slope", [-0.2, 0.3, 0.8, 1.2])
 @pytest.mark.parametrize("form", ["stalk", "peduncle", "cut"])

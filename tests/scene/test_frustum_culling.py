@@ -57,11 +57,11 @@ def triangles(mesh):
 
 def in_image(camera, poses, points):
     """`(n,)` whether the camera's own projection puts a point into the image from any pose."""
-    found = np.zeros(len(points), dtype=bool)
+    visible = np.zeros(len(points), dtype=bool)
     for pose in poses:
         u, v = camera.at_pose(pose).project(points).T
-        found |= (u >= 0) & (u <= camera.width) & (v >= 0) & (v <= camera.height)
-    return found
+        visible |= (u >= 0) & (u <= camera.width) & (v >= 0) & (v <= camera.height)
+    return visible
 
 
 @given(
@@ -116,9 +116,9 @@ def test_frustums_exclude_boxes_outside_every_view(camera):
 def test_visible_triangles_are_unchanged(camera, row, light):
     culled = cull_mesh(row, view_frustums(camera, path()), light)
     visible = in_image(camera, path(), row.vertices)[row.faces].any(axis=1)
-    wanted = {line for line, shown in zip(triangles(row), visible, strict=True) if shown}
-    assert len(wanted) > 1000
-    assert wanted <= set(triangles(culled))
+    expected = {line for line, shown in zip(triangles(row), visible, strict=True) if shown}
+    assert len(expected) > 1000
+    assert expected <= set(triangles(culled))
     # Instances and surfaces keep their numbers.
     assert culled.instances == row.instances
     assert culled.surfaces == row.surfaces

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import colour
 import numpy as np
 import pytest
 
@@ -12,7 +13,6 @@ import pepperscene
 from pepperscene.errors import InputError
 from pepperscene.spectra import (
     Spectrum,
-    colour_science,
     illuminance,
     photons_per_joule,
     photopic_efficiency,
@@ -30,8 +30,6 @@ ILLUMINANTS = "light/cie_illuminants_colour_science"
 
 def colour_temperature(spd: Spectrum) -> float:
     """Correlated colour temperature by colour-science (Ohno 2013)."""
-    import colour
-
     nm = np.arange(380, 781, 5)
     sd = colour.SpectralDistribution(dict(zip(nm.tolist(), spd.at(nm).tolist(), strict=True)))
     xyz = colour.sd_to_XYZ(sd, method="Integration", shape=colour.SpectralShape(380, 780, 5))
@@ -45,7 +43,7 @@ def test_a_narrow_line_at_555_nm_has_the_maximum_efficacy():
 
 
 def test_v_lambda_is_the_table_of_colour_science():
-    table = colour_science().colorimetry.SDS_LEFS_PHOTOPIC["CIE 1924 Photopic Standard Observer"]
+    table = colour.colorimetry.SDS_LEFS_PHOTOPIC["CIE 1924 Photopic Standard Observer"]
     v = photopic_efficiency()
     assert np.array_equal(v.wavelength_nm, table.wavelengths)
     assert np.array_equal(v.values, table.values)
@@ -121,8 +119,6 @@ def test_daylight_matches_cie_table_and_colour_temperature(kind, kelvin):
 
 @pytest.mark.parametrize("kind", ["d50", "d55", "d65", "d75"])
 def test_daylight_matches_the_cie_formula_from_300_to_830_nm(kind):
-    import colour
-
     # CIE 015:2018: the daylight components, by colour-science. The shipped values have five digits.
     xy = colour.temperature.CCT_to_xy_CIE_D(float(kind[1:]) * 100 * 1.4388 / 1.4380)
     shape = colour.SpectralShape(300, 830, 5)

@@ -61,12 +61,6 @@ def test_shipped_distributions_have_the_stated_moments():
         assert values.std() == pytest.approx(prior.sd, rel=0.01)
 
 
-def test_shipped_bounds_of_leaf_chlorophyll_are_measured():
-    prior = prior_of("leaf.chlorophyll")
-    assert "Padilla" in prior.source
-    assert (prior.mean, prior.low, prior.high) == (58, 15, 100)
-
-
 def test_shipped_bounds_are_widened_to_the_cultivar():
     leaf = KAITE.pigments["leaf"]
     dark = leaf.model_copy(update={"end": leaf.end.model_copy(update={"chlorophyll_ug_cm2": 140.0})})

@@ -161,8 +161,8 @@ def replace_attribute(owner, name, wrap):
     return lambda patch: patch.setattr(owner, name, wrap(getattr(owner, name)))
 
 
-def of_light(group):
-    """Derivatives of a group that acts after the light are looked for in the light, and not found."""
+def as_light(group):
+    """A mutation that treats a group that acts after the light as a part of the light."""
     return lambda patch: patch.setattr(view_model, "LIGHT_GROUPS", (*view_model.LIGHT_GROUPS, group))
 
 
@@ -185,8 +185,8 @@ def without_shade(right):
 
 
 MUTATIONS = {
-    "exposure dropped": of_light("exposure"),
-    "white balance and matrix dropped": of_light("camera"),
+    "exposure dropped": as_light("exposure"),
+    "white balance and matrix dropped": as_light("camera"),
     "direction of light reversed": replace_attribute(
         view_model, "_direction", lambda right: lambda above, below, width: right(below, above, width)
     ),

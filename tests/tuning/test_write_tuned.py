@@ -326,7 +326,7 @@ def path_of(states, chlorophyll):
     ]
     between = tuple(zip(states[1:-1], contents[1:-1], strict=True))
     return PigmentPath(
-        source="made", start=contents[0], end=contents[-1], path=between, ior=1.3, roughness=(0.3, 0.4)
+        source="test", start=contents[0], end=contents[-1], path=between, ior=1.3, roughness=(0.3, 0.4)
     )
 
 
