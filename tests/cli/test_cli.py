@@ -163,7 +163,7 @@ def test_render_prints_the_written_files(command, tmp_path):
     assert metadata["recipe"]["row"]["plants_back"] == 0
 
 
-def test_build_with_another_change_is_rejected(command, rejects, tmp_path):
+def test_build_rejects_a_folder_with_another_recipe(command, rejects, tmp_path):
     arguments = ("build", "--out", tmp_path / "set", "--frames", "0:1", "--outputs", "class", *ONE_PLANT)
     for _ in range(2):
         assert command(*arguments, "--set", "camera.bits=8").exit_code == 0
