@@ -185,11 +185,11 @@ def test_lobes_invert_hardly_any_triangle(seed):
     detail=st.floats(0.1, 2.0),
 )
 def test_any_blade_is_sound(seed, factor, length, aspect, asymmetry, lobes, detail):
-    blade = random_organ(np.random.default_rng(seed), factor, lobes=lobes, lobe_depth=0.3)
+    drawn = random_organ(np.random.default_rng(seed), factor, lobes=lobes, lobe_depth=0.3)
     scale = length / LENGTH
-    sizes = {name: scale * blade.measures[name] for name in ("margin_wave_m", "blister_m", "vein_m")}
+    sizes = {name: scale * drawn.measures[name] for name in ("margin_wave_m", "blister_m", "vein_m")}
     sizes |= {"length_m": length, "width_m": aspect * length, "asymmetry": asymmetry}
-    scaled = Organ("blade", -1, 0, blade.curve * scale, blade.up, {**blade.measures, **sizes})
+    scaled = Organ("blade", -1, 0, drawn.curve * scale, drawn.up, {**drawn.measures, **sizes})
     mesh = mesh_organs(scaled, detail=detail)
     check_mesh(mesh)
     assert len(np.unique(mesh.vertices, axis=0)) == len(mesh.vertices)
