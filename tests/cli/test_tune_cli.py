@@ -93,22 +93,15 @@ def test_written_recipe_has_manual_changes_as_well(fitted):
     assert "camera.gain=2" in options["set"]
 
 
-def test_json_option_prints_json_only(command, green, tmp_path):
-    result = command("tune", "demo", "--patches", green, *FIT, "--out", tmp_path / "out", "--json")
-    assert result.exit_code == 0
+def test_patches_of_several_files_are_merged_and_json_is_the_only_output(command, green, tmp_path):
+    files = ("--patches", green, "--patches", green)
+    result = command("tune", "demo", *files, *FIT, "--out", tmp_path / "out", "--json")
+    assert result.exit_code == 0, result.stderr
     assert result.stderr == ""
     record = json.loads(result.stdout)
+    assert len(record["patches"]["members"]) == len(record["spectra"]) == 2
     assert [one["name"] for one in record["parameters"]] == ["fruit.unripe.chlorophyll", "fruit.unripe.brown"]
     assert record["files"][0] == str(tmp_path / "out" / "demo_tuned.toml")
-
-
-def test_merges_patches_of_several_files(command, green, tmp_path):
-    result = command(
-        "tune", "demo", "--patches", green, "--patches", green, *FIT, "--out", tmp_path / "out", "--json"
-    )
-    assert result.exit_code == 0, result.stderr
-    record = json.loads(result.stdout)
-    assert len(record["patches"]["members"]) == len(record["spectra"]) == 2
 
 
 def test_help_lists_the_parameters(command):
