@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from organ_meshes import KINDS, check_mesh, check_solid, merged, mesh_organs, organ, shading_agreement
 
@@ -146,6 +146,10 @@ def test_concatenation_renumbers_faces_instances_and_surfaces():
     seed=st.floats(0.0, 0.999),
     detail=st.floats(0.2, 1.5),
 )
+@example(  # The radius of a furrow decreases along the shoulder.
+    diameter=0.25, slimness=2.875, lobes=3, depth=1.5, shoulder=0.0, taper=1.03125, point=0.0, bend=0.0,
+    sepals=1.0, tooth=0.0, spread=0.0, seed=0.0, detail=1.5,
+)  # fmt: skip
 def test_any_fruit_and_calyx_are_sound_and_closed(
     diameter, slimness, lobes, depth, shoulder, taper, point, bend, sepals, tooth, spread, seed, detail
 ):
