@@ -1,10 +1,12 @@
-"""Marks the tests that `make check` leaves out."""
+"""A cultivar for all tests; marks the tests that `make check` leaves out."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
+
+from pepperscene.cultivar import Cultivar, load_cultivar
 
 TESTS = Path(__file__).parent
 UNIT = {
@@ -18,3 +20,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.relative_to(TESTS).parts[0] not in UNIT:
             item.add_marker("slow")
+
+
+@pytest.fixture(scope="session")
+def kaite() -> Cultivar:
+    return load_cultivar("kaite")

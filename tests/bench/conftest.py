@@ -54,7 +54,7 @@ def wall():
 def subject(camera, wall):
     path = tuple(camera.at_pose(camera.pose) for _ in range(3))
     renderer = NoisyRenderer(wall)
-    return BenchSubject("made", wall, wall, camera, path, renderer, renderer)
+    return BenchSubject("test", wall, wall, camera, path, renderer, renderer)
 
 
 @pytest.fixture

@@ -26,9 +26,6 @@ def random_picture(camera, level=2_000.0):
     return np.random.default_rng(0).uniform(0.7, 1.0, shape) * level
 
 
-# --- errors -------------------------------------------------------------------------------------------------
-
-
 def test_codes_equal_the_developed_picture_before_rounding(camera):
     image = random_picture(camera)
     exact = dataclasses.replace(camera, developing=dataclasses.replace(camera.developing, quantise=False))
@@ -80,9 +77,6 @@ def test_missing_packages_are_named(monkeypatch):
         SetupError, match=r"flip-evaluator and matplotlib.*pip install 'pepperscene\[bench\]'"
     ):
         check_packages()
-
-
-# --- converged pictures -------------------------------------------------------------------------------------
 
 
 def test_reference_estimates_its_own_error(subject, tmp_path):

@@ -35,12 +35,12 @@ def test_power_laws_are_inter_and_extrapolated(slope, level, fraction):
     points = power_law((1.0, 4.0, 16.0, 64.0), level, slope)
     seconds = 64.0**fraction
     error = level * seconds**-slope
-    found = time_at_error(error, points)
+    estimate = time_at_error(error, points)
     if not points[-1][1] / MAX_EXTRAPOLATION <= error <= points[0][1] * MAX_EXTRAPOLATION:
-        assert found is None
+        assert estimate is None
         return
-    assert found[0] == pytest.approx(seconds, rel=1e-6)
-    assert found[1] == (not 1.0 <= seconds <= 64.0) or seconds == pytest.approx(64.0)
+    assert estimate[0] == pytest.approx(seconds, rel=1e-6)
+    assert estimate[1] == (not 1.0 <= seconds <= 64.0) or seconds == pytest.approx(64.0)
 
 
 def test_measured_points_are_used_as_they_are():

@@ -65,9 +65,6 @@ def export(surface, camera=CAMERA, state=0.5):
     return export_scene(assemble_scene(square(state=state), {"plate": surface}), camera)
 
 
-# --- colours ------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("reflectance", [0.0, 0.18, 1.0])
 def test_grey_has_its_reflectance_in_every_channel(reflectance):
     front = export(lambertian_surface("plate", reflectance)).arrays["front"]
@@ -135,9 +132,6 @@ def test_surfaces_of_one_cuticle_share_a_material_but_no_vertex():
     np.testing.assert_array_equal(exported.arrays["vertices"][faces], shared.vertices[shared.faces])
 
 
-# --- lights -------------------------------------------------------------------------------------------------
-
-
 def test_flash_is_white_and_full_scale_is_one():
     exported = export(WHITE)
     intensity = np.array(exported.facts["flash"]["intensity"])
@@ -182,9 +176,6 @@ def test_sky_and_sun_are_in_electrons():
     assert "flash" not in exported.facts
 
 
-# --- camera -------------------------------------------------------------------------------------------------
-
-
 def test_blender_camera_projects_points_like_ours():
     pose = np.eye(4)
     pose[:3, :3] = [[0.0, 0.6, 0.8], [-1.0, 0.0, 0.0], [0.0, -0.8, 0.6]]
@@ -204,7 +195,7 @@ def test_blender_camera_projects_points_like_ours():
 def test_undistorted_camera_differs_in_distortion_only():
     distorted = make_camera(distortion=Distortion(k1=-0.1), transmittance=0.8)
     straight = undistorted(distorted)
-    assert straight.lens.distortion.is_none
+    assert straight.lens.distortion.is_zero
     assert straight.lens == dataclasses.replace(distorted.lens, distortion=Distortion())
     np.testing.assert_array_equal(straight.pose, distorted.pose)
 

@@ -22,7 +22,7 @@ def reference(subject):
 
 def samples(*counts):
     return [
-        Setting("made", f"{n} spp", dataclasses.replace(QUALITIES["reference"], samples=n, soft=n, most=n))
+        Setting("test", f"{n} spp", dataclasses.replace(QUALITIES["reference"], samples=n, soft=n, most=n))
         for n in counts
     ]
 
@@ -61,7 +61,7 @@ def test_time_limit_skips_late_settings_and_rounds(subject, reference):
     # After the third setting 2.02 s have passed, more than half: the fourth is skipped, and rounds end early.
     assert [result.effort["samples"] for result in results] == [1, 1, 200]
     assert {len(result.seconds) for result in results} == {1}
-    assert any("no time for made, 300 spp" in line for line in lines)
+    assert any("no time for test, 300 spp" in line for line in lines)
     assert any("no time for more than 1 of 5 rounds" in line for line in lines)
 
 

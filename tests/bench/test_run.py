@@ -25,10 +25,10 @@ NEAR = [SCENES["near"]]
 @pytest.mark.usefixtures("noisy_scenes")
 def test_files_hold_all_measurements(tmp_path):
     lines = []
-    done = run_benchmark(
+    result = run_benchmark(
         tmp_path / "out", NEAR, (16, 12), runs=2, budget_s=60.0, quick=True, on_progress=lines.append
     )
-    assert {path.name for path in done.files} == FILES
+    assert {path.name for path in result.files} == FILES
     content = json.loads((tmp_path / "out" / "results.json").read_text())
     assert {"date", "cpu", "cores", "system", "python", "packages"} <= set(content["machine"])
     assert content["machine"]["packages"]["mitsuba"]
@@ -44,8 +44,8 @@ def test_files_hold_all_measurements(tmp_path):
         assert (line["family"], line["integrator"]) == (row["family"], row["effort"]["integrator"])
         assert [float(line[f"run_{n}_s"]) for n in (1, 2)] == row["seconds"]
         assert float(line["rmse_codes"]) == row["rmse_codes"]
-    assert done.markdown == (tmp_path / "out" / "results.md").read_text()
-    assert "nan" not in done.markdown
+    assert result.markdown == (tmp_path / "out" / "results.md").read_text()
+    assert "nan" not in result.markdown
     assert any("round 2 of 2" in line for line in lines)
 
     with Image.open(tmp_path / "out" / "pareto_near.png") as plot:
@@ -115,10 +115,10 @@ def test_scenes_load_with_neighbouring_frames():
 def test_invalid_options_give_one_line_and_exit_code_2(tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
-    done = CliRunner().invoke(app, ["bench", "--out", "out", *arguments])
-    assert done.exit_code == 2
-    assert message in done.stderr
-    assert done.stderr.count("\n") == 1
+    result = CliRunner().invoke(app, ["bench", "--out", "out", *arguments])
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
 

@@ -26,9 +26,6 @@ COARSE = replace(SENSOR, columns=80, rows=60, pitch_m=10 * SENSOR.pitch_m)
 both_lenses = pytest.mark.parametrize("lens", [PINHOLE, BARREL], ids=["pinhole", "barrel"])
 
 
-# --- known values -------------------------------------------------------------------------------------------
-
-
 def test_intrinsics_field_of_view_and_aperture_of_the_papers_camera():
     # 4.16 mm over pixels of 2 x 4.5 um; the optical axis meets the middle of 800 x 600.
     camera = Camera(PINHOLE, SENSOR)
@@ -67,9 +64,6 @@ def test_flash_duty_is_the_pulse_over_the_exposure():
     assert Camera(PINHOLE, SENSOR, exposure_s=200e-6, flash=FLASH).flash_duty == pytest.approx(0.25)
     assert Camera(PINHOLE, SENSOR, exposure_s=20e-6, flash=FLASH).flash_duty == 1
     assert Camera(PINHOLE, SENSOR).flash_duty == 0
-
-
-# --- rays and projection ------------------------------------------------------------------------------------
 
 
 @both_lenses
@@ -149,9 +143,6 @@ def test_invisible_points_project_to_nan_without_warnings():
     pixels = camera.project(points)
     assert np.isnan(pixels[:3]).all()
     np.testing.assert_allclose(pixels[3], [400, 300])
-
-
-# --- cameras ------------------------------------------------------------------------------------------------
 
 
 def test_at_pose_changes_only_the_pose():

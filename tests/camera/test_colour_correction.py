@@ -30,9 +30,6 @@ from pepperscene.spectra import Spectrum, photopic_efficiency, read_spectra
 SENSOR = load_sensor("ueye_ui5250re")
 
 
-# --- formulas -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_srgb_curve_matches_colour_science_and_keeps_the_type(dtype):
     linear = np.linspace(0, 1, 5000, dtype=dtype)
@@ -81,9 +78,6 @@ def test_adaptation_matches_colour_science_and_maps_white_to_d65(white):
     assert adaptation @ white == pytest.approx(D65_WHITE, rel=1e-12)
     if white is D65_WHITE:
         np.testing.assert_allclose(adaptation, np.eye(3), atol=1e-14)
-
-
-# --- corrections --------------------------------------------------------------------------------------------
 
 
 def narrow_band(nm, width=10.0):
@@ -141,9 +135,10 @@ def test_infrared_cut_improves_the_colours(infrared_sensor):
     assert filtered.mean_delta_e_2000 < 2.5 < bare.mean_delta_e_2000
 
 
-def test_correction_does_not_import_colour_science():
+def test_illuminance_and_correction_do_not_import_colour_science():
     code = (
         "import sys; from pepperscene.camera import load_sensor\n"
+        "from pepperscene.spectra import illuminance, sun_spectrum; illuminance(sun_spectrum())\n"
         "from pepperscene.camera.colorimetry import colour_correction, d65_spectrum\n"
         "correction = colour_correction(load_sensor('ueye_ui5250re'), d65_spectrum())\n"
         "assert 'colour' not in sys.modules\n"

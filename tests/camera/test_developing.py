@@ -44,9 +44,6 @@ def with_developing(**choices):
     return replace(CAMERA, developing=Developing(**choices))
 
 
-# --- the image ----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("level", [0.01, 0.05, 0.2, 0.5, 0.9])
 def test_white_under_the_flash_is_neutral_within_a_code(level):
     image = develop(white_under_flash(level), with_developing(quantise=False)).astype(int)
@@ -54,17 +51,15 @@ def test_white_under_the_flash_is_neutral_within_a_code(level):
     assert abs(image[0, 0, 1] - 255 * colour.cctf_encoding(level, function="sRGB")) <= 1
 
 
-@pytest.mark.parametrize("level", [1.0, 3.0, 1000.0])
-def test_overexposed_white_is_white(level):
-    assert np.all(develop(white_under_flash(level), CAMERA) == 255)
-
-
-@pytest.mark.parametrize("gain", [0.25, 0.5, 2.0])
-def test_overexposed_white_is_neutral_at_every_gain(gain):
+@pytest.mark.parametrize(
+    ("gain", "level", "tolerance"),
+    [(1.0, 1.0, 0), (1.0, 3.0, 0), (1.0, 1000.0, 0), (0.25, 5.0, 1), (0.5, 5.0, 1), (2.0, 5.0, 1)],
+)
+def test_overexposed_white_is_neutral_at_every_gain(gain, level, tolerance):
     camera = replace(CAMERA, sensor=SENSOR.with_settings(gain=gain))
     # With a gain below 1 a full well does not reach full scale, and the image stays that much darker.
     code = round(255 * float(colour.cctf_encoding(min(gain, 1.0), function="sRGB")))
-    assert np.abs(develop(white_under_flash(5.0), camera).astype(int) - code).max() <= 1
+    assert np.abs(develop(white_under_flash(level), camera).astype(int) - code).max() <= tolerance
 
 
 def test_gain_brightens_like_light():
@@ -128,9 +123,6 @@ def test_raises_on_invalid_electrons_or_missing_flash():
     assert develop(uniform(1), daylight).shape == (30, 40, 3)
 
 
-# --- exposure -----------------------------------------------------------------------------------------------
-
-
 def test_electrons_scale_with_aperture_exposure_and_light():
     light = np.ones((30, 40, 3))
     base = expected_electrons(light, CAMERA)
@@ -147,9 +139,6 @@ def test_image_corners_are_darker_by_cos4():
     assert falloff[0, 0] == pytest.approx((1 + (4.5 / 4.16) ** 2) ** -2, rel=0.01)
     assert falloff[299:301, 399:401].min() > 0.99999
     np.testing.assert_allclose(falloff, falloff[::-1, ::-1])
-
-
-# --- tone curves --------------------------------------------------------------------------------------------
 
 
 def test_encoding_is_srgb_or_linear():

@@ -11,7 +11,7 @@ import tomli_w
 from pepperscene.camera import Filter, load_filter, load_flash, load_lens, load_sensor
 from pepperscene.errors import InputError
 from pepperscene.shipped import shipped_folder
-from pepperscene.spectra import Spectrum, read_provenance, read_spectra, read_spectrum, sky_spectrum
+from pepperscene.spectra import Spectrum, read_spectra, read_spectrum, sky_spectrum
 
 FOLDER = shipped_folder("materials")
 LOADERS = {"sensors": load_sensor, "lenses": load_lens, "flashes": load_flash, "filters": load_filter}
@@ -19,23 +19,11 @@ SHIPPED = [(kind, path.stem) for kind in LOADERS for path in sorted((FOLDER / ki
 FILTERS = [name for kind, name in SHIPPED if kind == "filters"]
 NM = np.arange(300.0, 1201.0)
 
-# --- shipped files ------------------------------------------------------------------------------------------
-
 
 @pytest.mark.parametrize(("kind", "name"), SHIPPED)
 def test_shipped_device_loads_by_name_and_by_path(kind, name):
     load = LOADERS[kind]
     assert load(name).name == load(FOLDER / kind / f"{name}.toml").name
-
-
-@pytest.mark.parametrize(
-    "path", [p for kind in LOADERS for p in (FOLDER / kind).rglob("*.csv")], ids=lambda p: p.stem
-)
-def test_shipped_curve_has_source_and_licence(path):
-    provenance = read_provenance(path)
-    assert provenance.source
-    assert provenance.licence
-    assert ("MODEL" in path.stem) == (provenance.kind == "MODEL")
 
 
 def test_camera_of_the_paper():
@@ -123,9 +111,6 @@ def test_unknown_name_lists_shipped_devices(kind):
     with pytest.raises(InputError, match=f"nor one of the shipped {kind}") as caught:
         LOADERS[kind]("nikon")
     assert all(name in str(caught.value) for shipped_kind, name in SHIPPED if shipped_kind == kind)
-
-
-# --- errors -------------------------------------------------------------------------------------------------
 
 
 def copy_of(tmp_path, kind, name, change):
@@ -254,9 +239,6 @@ def test_raises_on_invalid_curve_with_row_and_column(tmp_path, table, text, mess
     (tmp_path / "curve.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=message):
         LOADERS[kind](path)
-
-
-# --- values in files ----------------------------------------------------------------------------------------
 
 
 def infrared(tmp_path, *changes):

@@ -37,9 +37,6 @@ def disc_of(relative, radius_m):
     return replace(DISC, profile=AngularProfile(angle, relative(angle)), radius_m=radius_m)
 
 
-# --- closed forms -------------------------------------------------------------------------------------------
-
-
 def test_point_follows_the_inverse_square_law():
     point = replace(DISC, radius_m=0.0)
     assert point.axial_area_m2 == pytest.approx(0.25, rel=1e-14)
@@ -98,9 +95,6 @@ def test_emitters_share_the_intensity():
     assert 1 / MATRIX.axial_area_m2 == pytest.approx(np.mean(1 / np.array(alone)), rel=1e-12)
     # An emitter beside the axis contributes less: a profile below 1 over a longer distance.
     assert 1 / max(alone) < 1 / MATRIX.axial_area_m2 < 1 / 0.25
-
-
-# --- shipped and invalid flashes ----------------------------------------------------------------------------
 
 
 def test_shipped_matrix_fits_beside_the_lens():

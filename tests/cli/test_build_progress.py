@@ -15,9 +15,8 @@ from pepperscene.cli.progress import BarReporter, JsonReporter, LineReporter, pr
 from pepperscene.dataset import BuildProgress
 
 SMALL = (
-    "--set", "plan.sets=1", "--set", "plan.rotations=2", "--set", "plan.frames=2",
-    "--set", "row.plants_front=1",
-    "--set", "row.plants_back=0", "--set", "cultivar=kaite_february", "--outputs", "class,distance",
+    "--set", "plan.sets=1", "--set", "plan.rotations=2", "--set", "plan.frames=2", "--set",
+    "row={plants_front=1, plants_back=0}", "--set", "cultivar=kaite_february", "--outputs", "class,distance",
 )  # fmt: skip
 
 
@@ -27,16 +26,16 @@ def progress(done, total=3):
 
 def test_json_lines_report_each_frame_and_the_end(command, tmp_path):
     folder = tmp_path / "set"
-    done = command("build", "barth2018", "--out", folder, *SMALL, "--json")
-    assert done.exit_code == 0, done.stderr
-    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    result = command("build", "barth2018", "--out", folder, *SMALL, "--json")
+    assert result.exit_code == 0, result.stderr
+    lines = [json.loads(line) for line in result.stdout.splitlines()]
     assert [line["event"] for line in lines] == ["frame"] * 4 + ["end"]
     assert [(line["index"], line["done"], line["total"], line["made"]) for line in lines[:-1]] == [
         (index, index + 1, 4, True) for index in range(4)
     ]
     assert all(Path(line["picture"]).is_file() for line in lines[:-1])
     assert (lines[-1]["made"], lines[-1]["kept"], lines[-1]["folder"]) == (4, 0, str(folder))
-    assert done.stderr == ""
+    assert result.stderr == ""
     again = command("build", "barth2018", "--out", folder, *SMALL, "--json")
     assert json.loads(again.stdout.splitlines()[-1])["kept"] == 4
 
@@ -80,10 +79,9 @@ def test_terminal_shows_a_bar_with_the_latest_picture(monkeypatch, capsys):
 def test_sigterm_interrupts_a_build(tmp_path):
     stand_in = Path(__file__).resolve().parents[1] / "dataset"
     script = (
-        "import sys, pepperscene.dataset.scenes.frame_renderer as stage, stand_in\n"
-        "stage.mitsuba_renderer = stand_in.StandIn\n"
-        "from pepperscene.cli import main\n"
-        "main()\n"
+        "import pepperscene.dataset.scenes.frame_renderer as frame_renderer, stand_in\n"
+        "frame_renderer.mitsuba_renderer = stand_in.StandIn\n"
+        "from pepperscene.cli import main; main()\n"
     )
     search_path = os.pathsep.join((str(stand_in), os.environ.get("PYTHONPATH", "")))
     environment = {**os.environ, "PYTHONPATH": search_path, "STAND_IN_S": "0.3"}

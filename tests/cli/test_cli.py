@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import ast
 import json
+import re
 import subprocess
 import sys
 import types
@@ -26,18 +26,17 @@ from pepperscene.version import __version__
 
 
 def run_python(code):
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.split()
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    return result.stdout.split()
 
 
-HEAVY = (
-    "{'mitsuba', 'drjit', 'colour', 'scipy', 'trimesh', 'skimage', 'OpenEXR', 'PIL', 'torch', 'matplotlib'}"
-)
+HEAVY = {"mitsuba", "drjit", "colour", "scipy", "trimesh", "skimage", "OpenEXR", "PIL", "torch", "matplotlib"}
+ONE_PLANT = ("--set", "row={plants_front=1, plants_back=0}")
 
 
 def test_import_of_the_package_is_light():
-    code = f"import sys, pepperscene; print(*{HEAVY[:-1]}, 'numpy', 'pydantic'}} & set(sys.modules))"
+    code = f"import sys, pepperscene; print(*{HEAVY | {'numpy', 'pydantic'}} & set(sys.modules))"
     assert run_python(code) == []
 
 
@@ -60,14 +59,13 @@ def test_loading_every_public_name_does_not_load_mitsuba():
 
 def test_public_names_exist_and_hide_no_package():
     stub = Path(pepperscene.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
-    listed = ast.literal_eval(stub.partition("__all__ = ")[2])
-    assert set(pepperscene.__all__) == set(listed)
-    assert set(listed) <= set(dir(pepperscene))
+    listed = set(re.findall(r" as (\w+)$", stub, re.MULTILINE))
+    assert set(pepperscene.__all__) == listed <= set(dir(pepperscene))
     for name in listed:
         assert not isinstance(getattr(pepperscene, name), types.ModuleType), name
     # A function of the same name as a package would be replaced when the package is imported.
     packages = {path.parent.name for path in Path(pepperscene.__file__).parent.glob("*/__init__.py")}
-    assert not packages & set(listed)
+    assert not packages & listed
     with pytest.raises(AttributeError, match="nonsense"):
         pepperscene.nonsense  # noqa: B018
 
@@ -95,9 +93,9 @@ def test_cultivars_lists_shipped_cultivars(command):
 
 def test_plant_writes_a_mesh_and_a_picture(command, tmp_path):
     out = tmp_path / "new" / "plant.glb"
-    done = command("plant", "kaite_february", "--seed", 3, "--out", out, "--detail", 0.4)
-    assert done.exit_code == 0, done.stderr
-    assert done.stdout.splitlines()[-2:] == [str(out), str(out.with_suffix(".png"))]
+    result = command("plant", "kaite_february", "--seed", 3, "--out", out, "--detail", 0.4)
+    assert result.exit_code == 0, result.stderr
+    assert result.stdout.splitlines()[-2:] == [str(out), str(out.with_suffix(".png"))]
     assert {path.name for path in out.parent.iterdir()} == {"plant.glb", "plant.png"}
     with Image.open(out.with_suffix(".png")) as picture:
         assert picture.mode == "RGB"
@@ -106,14 +104,14 @@ def test_plant_writes_a_mesh_and_a_picture(command, tmp_path):
     kinds = Counter(name.rsplit("_", 3)[0] for name in read.geometry)
     printed = dict(
         line.split()[::-1]
-        for line in done.stdout.splitlines()
+        for line in result.stdout.splitlines()
         if line.startswith("  ") and len(line.split()) == 2
     )
     assert {kind: int(count) for kind, count in printed.items()} == kinds
     assert kinds["node"] == load_cultivar("kaite_february").stem.parts
-    assert f"{sum(kinds.values())} organs" in done.stdout
-    assert f"{sum(len(one.faces) for one in read.geometry.values()):,} triangles" in done.stdout
-    assert "fruit still touch" in done.stdout
+    assert f"{sum(kinds.values())} organs" in result.stdout
+    assert f"{sum(len(one.faces) for one in read.geometry.values()):,} triangles" in result.stdout
+    assert "fruit still touch" in result.stdout
 
 
 def test_plant_is_reproducible_without_picture(command, tmp_path):
@@ -132,55 +130,49 @@ def test_interpolation_of_a_cultivar_with_itself_is_the_cultivar(command, tmp_pa
     sizes = []
     name = "kaite_february"
     for more in ((), ("--until", name), ("--until", name, "--share", 0.3)):
-        done = command("plant", name, "--out", tmp_path / "a.stl", "--detail", 0.3, "--no-picture", *more)
-        assert done.exit_code == 0, done.stderr
+        result = command("plant", name, "--out", tmp_path / "a.stl", "--detail", 0.3, "--no-picture", *more)
+        assert result.exit_code == 0, result.stderr
         sizes.append(trimesh.load_mesh(tmp_path / "a.stl").extents)
     np.testing.assert_allclose(sizes[1:], sizes[:1] * 2, rtol=1e-4)
 
 
 def test_build_then_report(command, tmp_path):
-    done = command("build", "--out", tmp_path / "set", "--frames", "6137:6138", "--outputs", "class,distance")
-    assert done.exit_code == 0, done.stderr
-    assert "006137" in done.stderr
-    assert "1 frame built" in done.stdout
+    arguments = ("build", "--out", tmp_path / "set", "--frames", "6137:6138")
+    result = command(*arguments, "--outputs", "class,distance")
+    assert result.exit_code == 0, result.stderr
+    assert "006137" in result.stderr
+    assert "1 frame built" in result.stdout
     assert (tmp_path / "set" / "class" / "006137.png").is_file()
-    again = command(
-        "build", "--out", tmp_path / "set", "--frames", "6137:6138", "--outputs", "distance,class"
-    )
+    again = command(*arguments, "--outputs", "distance,class")
     assert "0 frames built, 1 already there" in again.stdout
-    done = command("report", tmp_path / "set")
-    assert done.exit_code == 0
-    assert "1 of 1 frames shown" in done.stdout
+    result = command("report", tmp_path / "set")
+    assert result.exit_code == 0
+    assert "1 of 1 frames shown" in result.stdout
     assert (tmp_path / "set" / "index.html").is_file()
 
 
 def test_render_prints_the_written_files(command, tmp_path):
-    arguments = ("render", "demo", "--out", tmp_path / "one", "--outputs", "distance,class,raw")
-    done = command(*arguments, "--set", "row={plants_front=1, plants_back=0}", "--set", "camera.flash=none",
-                   "--set", "developing.white_balance=daylight")  # fmt: skip
-    assert done.exit_code == 0, done.stderr
+    arguments = ("render", "demo", "--out", tmp_path / "one", "--outputs", "distance,class,raw", *ONE_PLANT)
+    result = command(*arguments, "--set", "camera.flash=none", "--set", "developing.white_balance=daylight")
+    assert result.exit_code == 0, result.stderr
     names = ["raw.png", "class.png", "distance.exr", "frame.json"]
-    assert done.stdout.splitlines() == [str(tmp_path / "one" / name) for name in names]
+    assert result.stdout.splitlines() == [str(tmp_path / "one" / name) for name in names]
     metadata = json.loads((tmp_path / "one" / "frame.json").read_text())
     assert metadata["index"] == min(load_recipe("demo").plan.select)
     assert metadata["camera"]["flash"] is None
     assert metadata["recipe"]["row"]["plants_back"] == 0
 
 
-def test_build_with_another_change_is_rejected(command, tmp_path):
-    arguments = ("build", "--out", tmp_path / "set", "--frames", "0:1", "--outputs", "class",
-                 "--set", "row={plants_front=1, plants_back=0}")  # fmt: skip
-    assert command(*arguments, "--set", "camera.bits=8").exit_code == 0
-    assert command(*arguments, "--set", "camera.bits=8").exit_code == 0
-    done = command(*arguments)
-    assert done.exit_code == EXIT_BAD_INPUT
-    assert "recipe.camera.bits is 8 there and None here" in done.stderr
+def test_build_rejects_a_folder_with_another_recipe(command, rejects, tmp_path):
+    arguments = ("build", "--out", tmp_path / "set", "--frames", "0:1", "--outputs", "class", *ONE_PLANT)
+    for _ in range(2):
+        assert command(*arguments, "--set", "camera.bits=8").exit_code == 0
+    rejects("recipe.camera.bits is 8 there and None here", *arguments)
 
 
 def test_documentation_has_every_command_and_option():
-    text = (Path(__file__).resolve().parents[2] / "docs" / "reference" / "command_line.md").read_text(
-        encoding="utf-8"
-    )
+    path = Path(__file__).resolve().parents[2] / "docs" / "reference" / "command_line.md"
+    text = path.read_text(encoding="utf-8")
     for name, command in typer.main.get_command(app).commands.items():
         section = text.partition(f"## `pepperscene {name}")[2].partition("\n## ")[0]
         for parameter in command.params:
@@ -197,12 +189,9 @@ def test_documentation_has_every_command_and_option():
         (("render", "--out", "one", "--frame", "-1"), "--frame"),
         (("render", "--out", "one", "--quality", "best"), "draft, standard, reference"),
         (("render", "--out", "/dev/null/one"), "/dev/null"),
-        (
-            ("render", "--out", "one", "--set", "camera.sensor=pinhole"),
-            "--set camera.sensor=pinhole: no such",
-        ),
+        (("render", "--out", "one", "--set", "camera.sensor=pinhole"), "--set: camera.sensor = 'pinhole': "),
         (("render", "--out", "one", "--set", "camera"), "KEY=VALUE"),
-        (("build", "--out", "set", "--set", "camera.gain=-1"), "--set camera.gain=-1: must be"),
+        (("build", "--out", "set", "--set", "camera.gain=-1"), "--set: camera.gain = -1: must be"),
         (("build", "nothing", "--out", "set"), "barth2018, demo"),
         (("build", "--out", "set", "--outputs", "colour,smell"), "'smell'"),
         (("build", "--out", "set", "--outputs", ","), "at least one output"),
@@ -219,19 +208,15 @@ def test_documentation_has_every_command_and_option():
         (("plant", "kaite", "--out", "a.glb", "--seed", "-1"), "--seed"),
         (("plant", "kaite", "--out", "a.glb", "--detail", "0"), "--detail"),
         (("plant", "kaite", "--out", "a.glb", "--detail", "nan"), "--detail"),
-        (("plant", "kaite", "--out", "a.glb", "--share", "0.5"), "--until"),
+        (("plant", "kaite", "--out", "a.glb", "--share", "0.5"), "--share: needs `until`"),
         (("plant", "kaite", "--out", "a.glb", "--until", "kaite", "--share", "2"), "--share"),
         (("plant", "kaite", "--out", "a.glb", "--until", "nothing"), "kaite"),
         (("plant", "kaite", "--out", "a.glb", "--quality", "best"), "draft, standard, reference"),
     ],
 )
-def test_errors_are_one_line_and_exit_code_2(command, tmp_path, monkeypatch, arguments, message):
+def test_errors_are_one_line_and_exit_code_2(rejects, tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
-    done = command(*arguments)
-    assert done.exit_code == EXIT_BAD_INPUT
-    assert done.stderr.startswith("error: ")
-    assert done.stderr.count("\n") == 1
-    assert message in done.stderr
+    rejects(message, *arguments)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -252,9 +237,9 @@ def test_errors_are_one_line_and_exit_code_2(command, tmp_path, monkeypatch, arg
 )
 def test_usage_errors_have_exit_code_2(command, tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)
-    done = command(*arguments)
-    assert done.exit_code == EXIT_BAD_INPUT
-    assert "Traceback" not in done.stderr
+    result = command(*arguments)
+    assert result.exit_code == EXIT_BAD_INPUT
+    assert "Traceback" not in result.stderr
     assert list(tmp_path.iterdir()) == []
 
 
@@ -263,9 +248,9 @@ def test_interrupt_gives_one_line_and_exit_code_130(command, tmp_path, monkeypat
         raise KeyboardInterrupt
 
     monkeypatch.setattr(sys.modules["pepperscene.dataset"], "build", interrupt)
-    done = command("build", "--out", tmp_path / "set")
-    assert done.exit_code == EXIT_INTERRUPTED
-    assert "interrupted" in done.stderr
+    result = command("build", "--out", tmp_path / "set")
+    assert result.exit_code == EXIT_INTERRUPTED
+    assert "interrupted" in result.stderr
 
 
 @pytest.mark.parametrize("healthy", [True, False])
@@ -274,7 +259,7 @@ def test_doctor_prints_findings(command, monkeypatch, healthy):
 
     check = doctor.Check("LLVM", "version 7", healthy, "" if healthy else "install a newer one")
     monkeypatch.setattr(doctor, "diagnose", lambda: doctor.Diagnosis((check,)))
-    done = command("doctor")
-    assert done.exit_code == (0 if healthy else EXIT_BAD_INPUT)
-    assert "version 7" in done.stdout
-    assert ("install a newer one" in done.stdout) is not healthy
+    result = command("doctor")
+    assert result.exit_code == (0 if healthy else EXIT_BAD_INPUT)
+    assert "version 7" in result.stdout
+    assert ("install a newer one" in result.stdout) is not healthy

@@ -10,36 +10,6 @@ import pytest
 from PIL import Image
 
 from pepperscene.classes import CLASS_COLOURS
-from pepperscene.errors import EXIT_BAD_INPUT
-
-
-def photographs(folder, values, green):
-    """Write two photographs and their masks."""
-    folder.mkdir(parents=True)
-    for number in (1, 2):
-        colour = np.full((24, 32, 3), (90, green, 20 * number), np.uint8)
-        Image.fromarray(colour).save(folder / f"img{number}.png")
-        mask = np.zeros((24, 32), np.uint8)
-        mask[: 6 * number] = values
-        Image.fromarray(mask).save(folder / f"mask{number}.png")
-    return folder
-
-
-def add_label_table(folder):
-    (folder / "classes.toml").write_text('0 = "background"\n5 = "pepper"\n', encoding="utf-8")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def without_table(tmp_path_factory):
-    """Masks with the values of montoya2021, without a table of labels."""
-    return photographs(tmp_path_factory.mktemp("compare") / "plain", 1, 140)
-
-
-@pytest.fixture(scope="module")
-def with_table(tmp_path_factory):
-    """Masks with a table of labels that gives the values another meaning."""
-    return add_label_table(photographs(tmp_path_factory.mktemp("compare") / "table", 5, 60))
 
 
 @pytest.fixture(scope="module")
@@ -62,72 +32,65 @@ def published(tmp_path_factory):
 
 
 def test_prints_plain_tables_without_a_terminal(command, without_table):
-    done = command("compare", without_table, without_table, "--labels", "montoya2021")
-    assert done.exit_code == 0, done.stderr
-    assert done.stderr == ""
-    lines = done.stdout.splitlines()
+    result = command("compare", without_table, without_table, "--labels", "montoya2021")
+    assert result.exit_code == 0, result.stderr
+    assert result.stderr == ""
+    lines = result.stdout.splitlines()
     assert any(line.startswith("pepper ") and "1.00" in line for line in lines)
     for figure in (10, 11, 12, 13):
-        assert f"Fig. {figure}" in done.stdout
+        assert f"Fig. {figure}" in result.stdout
     assert not any(line.endswith(" ") for line in lines)
 
 
 def test_json_option_prints_json_only_and_reproducibly(command, without_table, with_table, tmp_path):
     figure = tmp_path / "deep" / "figure.svg"
-    arguments = (
-        "compare",
-        without_table,
-        with_table,
-        "--labels",
-        "montoya2021",
-        "--json",
-        "--figure",
-        figure,
-    )
-    done = command(*arguments)
-    assert done.exit_code == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert found["format"] == "pepperscene compare 1"
-    assert found["one"] == {"name": "plain", "measured": 2, "of": 2}
-    pepper = found["kinds"]["pepper"]
+    options = ("--labels", "montoya2021", "--json", "--figure", figure)
+    result = command("compare", without_table, with_table, *options)
+    assert result.exit_code == 0, result.stderr
+    content = json.loads(result.stdout)
+    assert content["format"] == "pepperscene compare 1"
+    assert content["one"] == {"name": "plain", "measured": 2, "of": 2}
+    pepper = content["kinds"]["pepper"]
     assert pepper["delta_e_2000"]["value"] > 5
     assert pepper["hue_emd_deg"]["low"] <= pepper["hue_emd_deg"]["value"] <= pepper["hue_emd_deg"]["high"]
     assert pepper["one"]["share"]["value"] == pepper["other"]["share"]["value"] == 0.375
     # 0 is background in the table of labels, and unlabelled in montoya2021.
-    background = found["kinds"]["background"]["one"]["share"]
+    background = content["kinds"]["background"]["one"]["share"]
     assert background["value"] is None
     assert background["why"] == "not labelled in plain"
-    assert found["kinds"]["background"]["other"]["share"]["value"] == 0.625
-    assert str(figure) in done.stderr
+    assert content["kinds"]["background"]["other"]["share"]["value"] == 0.625
+    assert str(figure) in result.stderr
     ElementTree.parse(figure)
     before = figure.read_bytes()
-    assert command(*arguments).stdout == done.stdout
+    assert command("compare", without_table, with_table, *options).stdout == result.stdout
     assert figure.read_bytes() == before
 
 
 def test_labels_apply_to_each_set_by_position(command, without_table, with_table):
-    done = command("compare", with_table, without_table, "--labels", ",montoya2021", "--json")
-    assert done.exit_code == 0, done.stderr
+    result = command("compare", with_table, without_table, "--labels", ",montoya2021", "--json")
+    assert result.exit_code == 0, result.stderr
     # If both have a table, one name overrides both.
-    done = command("compare", with_table, with_table, "--labels", "published", "--json")
-    assert done.exit_code == 0, done.stderr
-    assert json.loads(done.stdout)["kinds"]["shoot"]["one"]["share"]["value"] == 0.375
+    result = command("compare", with_table, with_table, "--labels", "published", "--json")
+    assert result.exit_code == 0, result.stderr
+    assert json.loads(result.stdout)["kinds"]["shoot"]["one"]["share"]["value"] == 0.375
 
 
 def test_compares_both_halves_of_the_published_set(command, published):
-    done = command("compare", published, published, "--half", "synthetic,empirical", "--json")
-    assert done.exit_code == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert found["one"]["name"] != found["other"]["name"]
-    assert found["kinds"]["leaf"]["delta_e_2000"]["value"] > 5
-    assert found["kinds"]["leaf"]["place_correlation"]["value"] == pytest.approx(1.0)
+    result = command("compare", published, published, "--half", "synthetic,empirical", "--json")
+    assert result.exit_code == 0, result.stderr
+    content = json.loads(result.stdout)
+    assert content["one"]["name"] != content["other"]["name"]
+    assert content["kinds"]["leaf"]["delta_e_2000"]["value"] > 5
+    assert content["kinds"]["leaf"]["place_correlation"]["value"] == pytest.approx(1.0)
 
 
 def test_limit_is_passed_on(command, without_table):
-    done = command("compare", without_table, without_table, "--labels", "montoya2021", "--limit", 1, "--json")
-    found = json.loads(done.stdout)
-    assert found["other"] == {"name": "plain (B)", "measured": 1, "of": 2}
-    assert found["kinds"]["pepper"]["delta_e_2000"] == {"value": 0.0, "low": None, "high": None}
+    result = command(
+        "compare", without_table, without_table, "--labels", "montoya2021", "--limit", 1, "--json"
+    )
+    content = json.loads(result.stdout)
+    assert content["other"] == {"name": "plain (B)", "measured": 1, "of": 2}
+    assert content["kinds"]["pepper"]["delta_e_2000"] == {"value": 0.0, "low": None, "high": None}
 
 
 @pytest.mark.parametrize(
@@ -142,16 +105,10 @@ def test_limit_is_passed_on(command, without_table):
         (("--labels", "montoya2021", "--figure", "page.pdf"), "must end in .svg or .png"),
     ],
 )
-def test_invalid_options_give_one_line(command, without_table, options, message):
-    done = command("compare", without_table, without_table, *options)
-    assert done.exit_code == EXIT_BAD_INPUT
-    assert message in done.stderr
-    assert done.stderr.startswith("error: ")
-    assert len(done.stderr.splitlines()) == 1
-    assert done.stdout == ""
+def test_rejects_invalid_options(rejects, without_table, options, message):
+    rejects(message, "compare", without_table, without_table, *options)
 
 
-def test_rejects_a_missing_folder(command, without_table):
-    done = command("compare", without_table, "nowhere", "--labels", "montoya2021")
-    assert done.exit_code == EXIT_BAD_INPUT
-    assert "nowhere: must be a folder of images, or a file of patches" in done.stderr
+def test_rejects_a_missing_folder(rejects, without_table):
+    message = "nowhere: must be a folder of images, or a file of patches"
+    rejects(message, "compare", without_table, "nowhere", "--labels", "montoya2021")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import tempfile
 from pathlib import Path
 
@@ -24,33 +25,12 @@ RECIPE["developing"] |= {"demosaic": "malvar", "tone": "srgb", **dict.fromkeys(S
 CULTIVAR = read_toml(shipped_folder("plants") / "kaite.toml")
 CULTIVAR["stem"] |= {"parts": 4, "young_nodes": 2}
 
-NUMBERS = (
-    -1,
-    0,
-    1,
-    2,
-    40,
-    10**9,
-    2**63 - 1,
-    -0.0,
-    0.5,
-    -5.0,
-    1e-300,
-    1e300,
-    float("nan"),
-    float("inf"),
-    True,
-)
+NUMBERS = (-1, 0, 1, 2, 40, 10**9, 2**63 - 1, -0.0, 0.5, -5.0, 1e-300, 1e300, math.nan, math.inf, -math.inf)
 TEXTS = ("", "x", "1", "none", "nikon_d5100", "bandpass_850nm", "../..", "a\x00b", "q" * 400)
 LISTS = ([], [1], [0, 1], [[0, 1, 1.0]], [["a"]])
-TABLES = (
-    {},
-    {"value": 1},
-    {"value_mm": 3, "chosen": "x"},
-    {"mean_mm": 1, "sd_mm": 1e9, "source": "x"},
-)
+TABLES = ({}, {"value": 1}, {"value_mm": 3, "chosen": "x"}, {"mean_mm": 1, "sd_mm": 1e9, "source": "x"})
 REPLACEMENTS = st.one_of(
-    st.sampled_from((*NUMBERS, float("-inf"), True, False, *TEXTS, *LISTS, *TABLES)),
+    st.sampled_from((*NUMBERS, True, False, *TEXTS, *LISTS, *TABLES)),
     st.floats(),
     st.integers(-(10**6), 10**6),
     st.text(max_size=8),
@@ -75,7 +55,7 @@ def mutated(draw, original):
         holder = tables
         for key in path[:-1]:
             holder = holder[key]
-        _change(draw, holder, path[-1])
+        apply_change(draw, holder, path[-1])
         if not tables:
             break
     data = bytearray(tomli_w.dumps(tables).encode())
@@ -92,7 +72,7 @@ def mutated(draw, original):
     return bytes(data)
 
 
-def _change(draw, holder, key):
+def apply_change(draw, holder, key):
     change = draw(st.sampled_from(["replace", "replace", "scale", "drop", "rename"]))
     value = holder[key]
     if change == "scale" and isinstance(value, (int, float)):
@@ -110,21 +90,20 @@ def check(command, recipe, cultivar, outputs):
         folder = Path(name)
         (folder / "mine.toml").write_bytes(recipe)
         (folder / "plant.toml").write_bytes(cultivar)
-        done = command(
+        result = command(
             "build", folder / "mine.toml", "--out", folder / "set", "--frames", "0:1", "--outputs", outputs
         )
-        crash = done.exception if not isinstance(done.exception, SystemExit) else None
-        if crash is not None:
-            raise crash
-        left = {path.name for path in folder.iterdir()} - {"mine.toml", "plant.toml"}
-        if done.exit_code == 0:
-            assert left == {"set"}
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        created = {path.name for path in folder.iterdir()} - {"mine.toml", "plant.toml"}
+        if result.exit_code == 0:
+            assert created == {"set"}
             assert (folder / "set" / "frames" / "000000.json").is_file()
         else:
-            assert done.exit_code == 2
-            assert done.stderr.startswith("error: ")
-            assert done.stderr.count("\n") == 1
-            assert left == set()
+            assert result.exit_code == 2
+            assert result.stderr.startswith("error: ")
+            assert result.stderr.count("\n") == 1
+            assert created == set()
 
 
 thorough = settings(

@@ -1,4 +1,4 @@
-"""CIELAB and hue statistics of pixels: against colour-science, and their invariances."""
+"""CIELAB, CIEDE2000 and hue statistics of pixels: published values, colour-science, and invariances."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import colorsys
 import numpy as np
 import pytest
 
-from pepperscene.colour import ColourStatistics, linear_srgb_to_lab
+from pepperscene.colour import ColourStatistics, delta_e_2000, linear_srgb_to_lab
 from pepperscene.colour.statistics import mean_hue_fractions
 from pepperscene.spectra import colour_science
 from pepperscene.truth.statistics import hue_counts
@@ -19,10 +19,12 @@ LINEAR = RNG.beta(2.0, 4.0, (400, 3))
 
 def test_lab_agrees_with_colour_science():
     colour = colour_science()
-    xyz = colour.RGB_to_XYZ(LINEAR, "sRGB")
+    # With dark colours below the knee of the curve, black and white.
+    linear = np.concatenate([LINEAR, 1e-3 * LINEAR, [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]])
+    xyz = colour.RGB_to_XYZ(linear, "sRGB")
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
     # The matrix of IEC 61966-2-1 has four digits.
-    assert linear_srgb_to_lab(LINEAR) == pytest.approx(colour.XYZ_to_Lab(xyz, white), abs=0.02)
+    assert linear_srgb_to_lab(linear) == pytest.approx(colour.XYZ_to_Lab(xyz, white), abs=0.02)
 
 
 def test_mean_is_linear_and_spread_is_in_lab():
@@ -114,3 +116,56 @@ def test_pictures_have_equal_weight_in_any_order():
     assert fractions.sum() == pytest.approx(1.0)
     assert fractions == pytest.approx(np.mean([one[0] / one[0].sum() for one in counts.values()], axis=0))
     assert (mean_hue_fractions(dict(reversed(counts.items()))) == fractions).all()
+
+
+SHARMA_2005 = np.array(
+    [
+        [50.0000, 2.6772, -79.7751, 50.0000, 0.0000, -82.7485, 2.0425],
+        [50.0000, 3.1571, -77.2803, 50.0000, 0.0000, -82.7485, 2.8615],
+        [50.0000, 2.8361, -74.0200, 50.0000, 0.0000, -82.7485, 3.4412],
+        [50.0000, -1.3802, -84.2814, 50.0000, 0.0000, -82.7485, 1.0000],
+        [50.0000, -1.1848, -84.8006, 50.0000, 0.0000, -82.7485, 1.0000],
+        [50.0000, -0.9009, -85.5211, 50.0000, 0.0000, -82.7485, 1.0000],
+        [50.0000, 0.0000, 0.0000, 50.0000, -1.0000, 2.0000, 2.3669],
+        [50.0000, -1.0000, 2.0000, 50.0000, 0.0000, 0.0000, 2.3669],
+        [50.0000, 2.4900, -0.0010, 50.0000, -2.4900, 0.0009, 7.1792],
+        [50.0000, 2.4900, -0.0010, 50.0000, -2.4900, 0.0010, 7.1792],
+        [50.0000, 2.4900, -0.0010, 50.0000, -2.4900, 0.0011, 7.2195],
+        [50.0000, 2.4900, -0.0010, 50.0000, -2.4900, 0.0012, 7.2195],
+        [50.0000, -0.0010, 2.4900, 50.0000, 0.0009, -2.4900, 4.8045],
+        [50.0000, -0.0010, 2.4900, 50.0000, 0.0010, -2.4900, 4.8045],
+        [50.0000, -0.0010, 2.4900, 50.0000, 0.0011, -2.4900, 4.7461],
+        [50.0000, 2.5000, 0.0000, 50.0000, 0.0000, -2.5000, 4.3065],
+        [50.0000, 2.5000, 0.0000, 73.0000, 25.0000, -18.0000, 27.1492],
+        [50.0000, 2.5000, 0.0000, 61.0000, -5.0000, 29.0000, 22.8977],
+        [50.0000, 2.5000, 0.0000, 56.0000, -27.0000, -3.0000, 31.9030],
+        [50.0000, 2.5000, 0.0000, 58.0000, 24.0000, 15.0000, 19.4535],
+        [50.0000, 2.5000, 0.0000, 50.0000, 3.1736, 0.5854, 1.0000],
+        [50.0000, 2.5000, 0.0000, 50.0000, 3.2972, 0.0000, 1.0000],
+        [50.0000, 2.5000, 0.0000, 50.0000, 1.8634, 0.5757, 1.0000],
+        [50.0000, 2.5000, 0.0000, 50.0000, 3.2592, 0.3350, 1.0000],
+        [60.2574, -34.0099, 36.2677, 60.4626, -34.1751, 39.4387, 1.2644],
+        [63.0109, -31.0961, -5.8663, 62.8187, -29.7946, -4.0864, 1.2630],
+        [61.2901, 3.7196, -5.3901, 61.4292, 2.2480, -4.9620, 1.8731],
+        [35.0831, -44.1164, 3.7933, 35.0232, -40.0716, 1.5901, 1.8645],
+        [22.7233, 20.0904, -46.6940, 23.0331, 14.9730, -42.5619, 2.0373],
+        [36.4612, 47.8580, 18.3852, 36.2715, 50.5065, 21.2231, 1.4146],
+        [90.8027, -2.0831, 1.4410, 91.1528, -1.6435, 0.0447, 1.4441],
+        [90.9257, -0.5406, -0.9208, 88.6381, -0.8985, -0.7239, 1.5381],
+        [6.7747, -0.2908, -2.4247, 5.8714, -0.0985, -2.2286, 0.6377],
+        [2.0776, 0.0795, -1.1350, 0.9033, -0.0636, -0.5514, 0.9082],
+    ]
+)
+"""L1, a1, b1, L2, a2, b2, CIEDE2000 of the 34 pairs that reveal errors in implementations.
+
+G. Sharma, W. Wu, E. N. Dalal 2005, "The CIEDE2000 color-difference formula: implementation notes,
+supplementary test data, and mathematical observations", Color Res. Appl. 30:21-30, Table 1.
+"""
+
+
+def test_delta_e_2000_has_the_published_values_and_is_symmetric():
+    assert SHARMA_2005.shape == (34, 7)
+    first, second, expected = SHARMA_2005[:, :3], SHARMA_2005[:, 3:6], SHARMA_2005[:, 6]
+    assert delta_e_2000(first, second) == pytest.approx(expected, abs=1e-4)
+    assert delta_e_2000(second, first) == pytest.approx(delta_e_2000(first, second), abs=1e-10)
+    assert delta_e_2000(first, first) == pytest.approx(np.zeros(34), abs=1e-12)

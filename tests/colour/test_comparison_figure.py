@@ -1,4 +1,4 @@
-"""The figure of a comparison, by the artists that it is made of and its bytes."""
+"""The figure of a comparison: its artists and its bytes."""
 
 from __future__ import annotations
 
@@ -31,18 +31,23 @@ def comparison():
 
 
 @pytest.fixture(scope="module")
-def svg(comparison):
-    return comparison_figure(comparison)
+def drawn(comparison):
+    """The figure as SVG, and all its axes."""
+    figures, save = [], Figure.savefig
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", lambda self, *a, **k: (figures.append(self), save(self, *a, **k)))
+        svg = comparison_figure(comparison)
+    return svg, [axes for part in figures[0].subfigs for axes in part.axes]
 
 
-@pytest.fixture
-def axes(comparison, monkeypatch):
-    """All axes of the figure."""
-    figures = []
-    save = Figure.savefig
-    monkeypatch.setattr(Figure, "savefig", lambda self, *a, **k: (figures.append(self), save(self, *a, **k)))
-    comparison_figure(comparison)
-    return [axes for part in figures[0].subfigs for axes in part.axes]
+@pytest.fixture(scope="module")
+def svg(drawn):
+    return drawn[0]
+
+
+@pytest.fixture(scope="module")
+def axes(drawn):
+    return drawn[1]
 
 
 def test_names_both_sets_and_has_all_four_figures(svg):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ from pepperscene.truth.statistics import ImageStatistics
 RNG = np.random.default_rng(20180103)
 
 
-def _patch(name: str, kind: str, picture: str, n: int = 20) -> Patch:
+def random_patch(name: str, kind: str, picture: str, n: int = 20) -> Patch:
     codes = RNG.integers(1, 255, (n, 3), dtype=np.uint8)
     return Patch(name, kind, picture, decode_tone(codes), codes)
 
@@ -62,28 +61,28 @@ def test_even_indices_have_equal_gaps(count: int, limit: int | None) -> None:
 
 
 def test_set_pools_and_selects_patches() -> None:
-    unripe, ripe = _patch("a", "pepper.unripe", "one"), _patch("b", "pepper.ripe", "two", 7)
-    leaf = _patch("c", "leaf", "two")
+    unripe, ripe = random_patch("a", "pepper.unripe", "one"), random_patch("b", "pepper.ripe", "two", 7)
+    leaf = random_patch("c", "leaf", "two")
     reflectance = MeasuredSpectrum("r", "peduncle", Spectrum([400.0, 700.0], [0.1, 0.2], "hold"))
-    found = PatchSet("set", (unripe, ripe, leaf), (reflectance,))
-    assert found.kinds == ("leaf", "peduncle", "pepper.ripe", "pepper.unripe")
-    assert found.pictures == ("one", "two")
-    assert found.pixels("pepper").shape == (27, 3)
-    assert found.pixels("pepper", 5).shape == (5, 3)
-    assert found.pixels("stem").shape == (0, 3)
-    assert (found.pixels("pepper") == np.concatenate([unripe.linear, ripe.linear])).all()
-    assert found.without(["one"]).patches == found.select(["two"]).patches == (ripe, leaf)
-    assert found.without(["one"]).spectra == (reflectance,)
+    patch_set = PatchSet("set", (unripe, ripe, leaf), (reflectance,))
+    assert patch_set.kinds == ("leaf", "peduncle", "pepper.ripe", "pepper.unripe")
+    assert patch_set.pictures == ("one", "two")
+    assert patch_set.pixels("pepper").shape == (27, 3)
+    assert patch_set.pixels("pepper", 5).shape == (5, 3)
+    assert patch_set.pixels("stem").shape == (0, 3)
+    assert (patch_set.pixels("pepper") == np.concatenate([unripe.linear, ripe.linear])).all()
+    assert patch_set.without(["one"]).patches == patch_set.select(["two"]).patches == (ripe, leaf)
+    assert patch_set.without(["one"]).spectra == (reflectance,)
     with pytest.raises(ValueError, match="three"):
-        found.select(["three"])
+        patch_set.select(["three"])
     with pytest.raises(ValueError, match="'a'"):
-        PatchSet("set", (unripe, _patch("a", "leaf", "one")))
+        PatchSet("set", (unripe, random_patch("a", "leaf", "one")))
     with pytest.raises(ValueError, match="must be a class"):
-        _patch("d", "fruit", "one")
+        random_patch("d", "fruit", "one")
 
 
 def test_order_of_pictures_does_not_matter() -> None:
-    patches = tuple(_patch(f"{k}", "leaf", f"p{k}", 30 + k) for k in range(5))
+    patches = tuple(random_patch(f"{k}", "leaf", f"p{k}", 30 + k) for k in range(5))
     a, b = PatchSet("a", patches).statistics("leaf"), PatchSet("b", patches[::-1]).statistics("leaf")
     assert (a.hue_spectrum == b.hue_spectrum).all()
     assert a.mean_hue_deg == b.mean_hue_deg
@@ -102,13 +101,13 @@ def test_hue_spectra_equal_image_statistics(folder: Path, centre_px: int | None)
         top, left = max(0, (height - size) // 2), max(0, (width - size) // 2)
         part = (slice(top, top + size), slice(left, left + size))
         sums.add(picture.colour[part], picture.classes[part])
-    found = open_patches(folder, centre_px=centre_px)
+    patch_set = open_patches(folder, centre_px=centre_px)
     for organ in (OrganClass.LEAF, OrganClass.PEPPER):
-        statistics = found.statistics(organ.name.lower())
+        statistics = patch_set.statistics(organ.name.lower())
         assert statistics.hue_spectrum == pytest.approx(sums.hue_spectra()[organ], abs=1e-12)
         assert statistics.grey_share == pytest.approx(sums.grey_fractions()[organ], abs=1e-12)
-    assert found.pictures == ("img1", "img2", "img10")
-    assert found.kinds == ("leaf", "pepper")
+    assert patch_set.pictures == ("img1", "img2", "img10")
+    assert patch_set.kinds == ("leaf", "pepper")
 
 
 def test_same_folder_gives_same_patches(folder: Path) -> None:
@@ -138,54 +137,53 @@ def test_erosion_uses_rows_and_columns() -> None:
 
 
 def test_clipped_pixels_are_counted_and_can_be_left_out(folder: Path) -> None:
-    kept, left_out = open_patches(folder), open_patches(folder, clipped="leave_out")
-    for full, rest in zip(kept.patches, left_out.patches, strict=True):
+    full_set, reduced_set = open_patches(folder), open_patches(folder, clipped="leave_out")
+    for full, reduced in zip(full_set.patches, reduced_set.patches, strict=True):
         codes = full.codes
         clipped = ((codes == 0) | (codes == 255)).any(axis=1)
-        assert full.clipped == rest.clipped == clipped.sum() > 0
-        assert (rest.codes == codes[~clipped]).all()
-        assert (rest.linear == decode_tone(codes[~clipped])).all()
-        assert (rest.hues == full.hues).all()
+        assert full.clipped == reduced.clipped == clipped.sum() > 0
+        assert (reduced.codes == codes[~clipped]).all()
+        assert (reduced.linear == decode_tone(codes[~clipped])).all()
+        assert (reduced.hues == full.hues).all()
 
 
 def test_large_patches_are_thinned_but_all_hues_are_counted() -> None:
     codes = RNG.integers(0, 256, (200, 300, 3), dtype=np.uint8)
     region = np.ones((200, 300), bool)
-    found = Extraction(limit_px=1000).patch(codes, region, name="n", kind="leaf", picture="p")
-    assert found is not None
-    assert found.linear.shape == found.codes.shape == (1000, 3)
-    assert found.pixels == 60_000
-    assert (found.hues == hue_histogram(codes)).all()
+    patch = Extraction(limit_px=1000).patch(codes, region, name="n", kind="leaf", picture="p")
+    assert patch is not None
+    assert patch.linear.shape == patch.codes.shape == (1000, 3)
+    assert patch.pixels == 60_000
+    assert (patch.hues == hue_histogram(codes)).all()
 
 
 def test_linear_tone_is_not_decoded() -> None:
     codes = RNG.integers(0, 256, (5, 6, 3), dtype=np.uint8)
-    found = Extraction(tone="linear").patch(codes, np.ones((5, 6), bool), name="n", kind="leaf", picture="p")
-    assert found is not None
-    assert found.linear == pytest.approx(codes.reshape(-1, 3) / 255.0)
-    assert (found.codes == srgb_codes(found.linear)).all()
+    patch = Extraction(tone="linear").patch(codes, np.ones((5, 6), bool), name="n", kind="leaf", picture="p")
+    assert patch is not None
+    assert patch.linear == pytest.approx(codes.reshape(-1, 3) / 255.0)
+    assert (patch.codes == srgb_codes(patch.linear)).all()
 
 
-def _frame(instances: NDArray[np.uint16], harvest: object) -> LabelledImage:
+def rendered_frame(instances: NDArray[np.uint16], metadata: dict[str, object]) -> LabelledImage:
     classes = np.where(instances > 0, np.uint8(OrganClass.PEPPER), np.uint8(OrganClass.BACKGROUND))
     classes[0] = OrganClass.LEAF
-    facts = {} if harvest is None else {"harvest": harvest}
-    return LabelledImage(
-        "000001", np.zeros((*classes.shape, 3), np.uint8), classes, instances, metadata=facts
-    )
+    colour = np.zeros((*classes.shape, 3), np.uint8)
+    return LabelledImage("000001", colour, classes, instances, metadata=metadata)
 
 
 def test_ripeness_of_rendered_fruit_comes_from_harvest(folder: Path) -> None:
     instances = np.array([[0, 7, 7, 8, 9, 3]] * 4, np.uint16)
-    harvest = {"fruit": [{"instance": k, "ripeness": ripe} for k, ripe in ((7, 0.49), (8, 0.5), (9, 1.0))]}
-    found = dict(organ_regions(open_images(folder), _frame(instances, harvest)))
-    assert set(found) == {"leaf", "pepper.unripe", "pepper.ripe", "pepper"}
-    assert (found["pepper.unripe"][1:] == (instances[1:] == 7)).all()
-    assert (found["pepper.ripe"][1:] == (instances[1:] >= 8)).all()
+    fruit = [{"instance": k, "ripeness": ripeness} for k, ripeness in ((7, 0.49), (8, 0.5), (9, 1.0))]
+    images, frame = open_images(folder), rendered_frame(instances, {"harvest": {"fruit": fruit}})
+    regions = dict(organ_regions(images, frame))
+    assert set(regions) == {"leaf", "pepper.unripe", "pepper.ripe", "pepper"}
+    assert (regions["pepper.unripe"][1:] == (instances[1:] == 7)).all()
+    assert (regions["pepper.ripe"][1:] == (instances[1:] >= 8)).all()
     # A fruit that the harvest does not list; the leaf in the first row is no fruit.
-    assert (found["pepper"][1:] == (instances[1:] == 3)).all()
-    assert all(found[kind][0].any() == (kind == "leaf") for kind in found)
-    assert set(dict(organ_regions(open_images(folder), _frame(instances, None)))) == {"leaf", "pepper"}
+    assert (regions["pepper"][1:] == (instances[1:] == 3)).all()
+    assert all(regions[kind][0].any() == (kind == "leaf") for kind in regions)
+    assert set(dict(organ_regions(images, rendered_frame(instances, {})))) == {"leaf", "pepper"}
 
 
 def test_montoya_masks_separate_ripe_from_unripe(tmp_path: Path) -> None:
@@ -193,8 +191,8 @@ def test_montoya_masks_separate_ripe_from_unripe(tmp_path: Path) -> None:
     colour = np.repeat(mask[..., None] * np.uint8(20) + np.uint8(50), 3, axis=-1)
     Image.fromarray(colour).save(tmp_path / "img1.png")
     Image.fromarray(mask).save(tmp_path / "mask1.png")
-    found = open_patches(tmp_path, labels="montoya2021")
-    assert {patch.kind: sorted(set(patch.codes[:, 0].tolist())) for patch in found.patches} == {
+    patch_set = open_patches(tmp_path, labels="montoya2021")
+    assert {patch.kind: sorted(set(patch.codes[:, 0].tolist())) for patch in patch_set.patches} == {
         "pepper.unripe": [70],
         "pepper.ripe": [90, 130],
         "peduncle": [110, 150],
@@ -216,22 +214,3 @@ def test_rejects_arguments_that_do_not_apply(folder: Path, tmp_path: Path) -> No
     Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(tmp_path / "mask1.png")
     with pytest.raises(InputError, match="no organ"):
         open_patches(tmp_path)
-
-
-def photos() -> Path:
-    """Folder of the six real photographs; skips the test without them."""
-    default = Path(__file__).resolve().parents[3] / "shared" / "reference" / "photos"
-    found = Path(os.environ.get("PEPPERSCENE_PHOTOS", default))
-    if not (found / "img1.png").is_file():
-        pytest.skip("the real photographs are missing; set PEPPERSCENE_PHOTOS to their folder")
-    return found
-
-
-def test_real_photographs_have_green_and_red_fruit() -> None:
-    images = open_images(photos(), labels="montoya2021").take(range(6))
-    found = open_patches(images, centre_px=None, erode_px=1)
-    assert found.kinds == ("peduncle", "pepper.ripe", "pepper.unripe")
-    assert len(found.pictures) == 6
-    unripe, ripe = found.statistics("pepper.unripe"), found.statistics("pepper.ripe")
-    # Coarse masks, but red is redder than green.
-    assert ripe.mean_lab[1] > unripe.mean_lab[1] + 5.0

@@ -44,7 +44,7 @@ def write_patches_file(folder: Path, text: str) -> Path:
 
 
 def test_regions_select_their_pixels(pictures: Path) -> None:
-    found = open_patches(
+    patch_set = open_patches(
         write_patches_file(
             pictures,
             """
@@ -67,7 +67,7 @@ def test_regions_select_their_pixels(pictures: Path) -> None:
         )
     )
     box, stem, triangle = (
-        next(patch for patch in found.patches if patch.kind == kind)
+        next(patch for patch in patch_set.patches if patch.kind == kind)
         for kind in ("leaf", "stem", "pepper.ripe")
     )
     assert sorted(map(tuple, box.codes[:, :2].tolist())) == [
@@ -82,14 +82,14 @@ def test_regions_select_their_pixels(pictures: Path) -> None:
     assert 45 <= triangle.pixels <= 55
     assert (box.picture, triangle.picture) == ("p1", "days/p2")
     assert triangle.name == "triangle"
-    assert found.name == "patches"
+    assert patch_set.name == "patches"
     # Pictures may be in another folder.
     moved = pictures.parent / f"{pictures.name}_toml"
     moved.mkdir()
     again = open_patches(
         write_patches_file(moved, (pictures / "patches.toml").read_text()), pictures=pictures
     )
-    assert [patch.pixels for patch in again.patches] == [patch.pixels for patch in found.patches]
+    assert [patch.pixels for patch in again.patches] == [patch.pixels for patch in patch_set.patches]
 
 
 def test_settings_of_the_file_and_overrides(pictures: Path) -> None:
@@ -107,13 +107,13 @@ def test_settings_of_the_file_and_overrides(pictures: Path) -> None:
 
 
 def test_reads_measured_reflectances(tmp_path: Path) -> None:
-    found = open_patches(write_patches_file(tmp_path, PEPPER))
-    (pepper,) = found.spectra
+    patch_set = open_patches(write_patches_file(tmp_path, PEPPER))
+    (pepper,) = patch_set.spectra
     assert (pepper.name, pepper.kind) == ("green_pepper_136", "pepper.unripe")
     shipped = read_spectrum("fruit/vrhel_fruit_vegetable_reflectance", "green_pepper_136")
     assert (pepper.spectrum.values == shipped.values).all()
-    assert found.kinds == ("pepper.unripe",)
-    assert found.pictures == ()
+    assert patch_set.kinds == ("pepper.unripe",)
+    assert patch_set.pictures == ()
 
 
 def test_reads_a_csv_file_with_kinds(tmp_path: Path) -> None:
@@ -164,10 +164,10 @@ def test_chart_calibrates_the_pictures(tmp_path: Path) -> None:
         tmp_path / "p1.png"
     )
     write_chart(tmp_path / "chart.png")
-    (found,) = open_patches(write_patches_file(tmp_path, CHARTED)).patches
-    assert delta_e_2000(linear_srgb_to_lab(found.linear.mean(axis=0)), linear_srgb_to_lab(leaf)) < 1.0
+    (patch,) = open_patches(write_patches_file(tmp_path, CHARTED)).patches
+    assert delta_e_2000(linear_srgb_to_lab(patch.linear.mean(axis=0)), linear_srgb_to_lab(leaf)) < 1.0
     # Hues are counted in the calibrated colours.
-    assert found.codes[0] == pytest.approx(encode_tone(leaf.astype(np.float32)), abs=3)
+    assert patch.codes[0] == pytest.approx(encode_tone(leaf.astype(np.float32)), abs=3)
     (other,) = open_patches(
         write_patches_file(tmp_path, CHARTED.replace("[chart]", '[[chart]]\npictures = ["p7.png"]'))
     ).patches

@@ -22,11 +22,6 @@ KAITE = shipped_folder("plants") / "kaite.toml"
 SHIPPED = sorted(file.stem for file in KAITE.parent.glob("*.toml"))
 
 
-@pytest.fixture(scope="module")
-def kaite() -> Cultivar:
-    return load_cultivar("kaite")
-
-
 @pytest.fixture
 def table() -> dict[str, Any]:
     return copy.deepcopy(read_toml(KAITE))

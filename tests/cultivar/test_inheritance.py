@@ -20,11 +20,6 @@ def write(folder: Path, name: str = "child.toml", **tables: Any) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def kaite() -> Cultivar:
-    return load_cultivar("kaite")
-
-
 def test_an_empty_child_equals_its_parent(kaite: Cultivar, tmp_path: Path) -> None:
     child = load_cultivar(write(tmp_path))
     assert child.name == "Child"

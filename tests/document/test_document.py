@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from pydantic import Field, ValidationError, model_validator
 
 from pepperscene.document import Document, read_toml, toml_key, validate
-from pepperscene.errors import EXIT_BAD_INPUT, ArgumentError, InputError, OutputError, PepperError, SetupError
+from pepperscene.errors import ArgumentError, InputError
 from pepperscene.shipped import find_file, shipped_folder
 
 
@@ -55,9 +55,6 @@ def error_of(path):
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith(str(path))
     return caught.value
-
-
-# --- reading ------------------------------------------------------------------------------------------------
 
 
 def test_valid_file_is_read_unchanged(write):
@@ -137,9 +134,6 @@ def test_any_bytes_give_tables_or_an_input_error(write, content):
         assert isinstance(read_toml(path), dict)
 
 
-# --- validation ---------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("change", "key", "value", "allowed"),
     [
@@ -187,9 +181,6 @@ def test_only_plain_keys_are_written_without_quotes(parts):
     assert (key == ".".join(parts)) == all(p and p.isprintable() and not set(p) & set(" .\"'") for p in parts)
 
 
-# --- errors -------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("value", "text"),
     [
@@ -235,15 +226,6 @@ def test_errors_can_be_pickled_with_any_value(kind, value, pickled):
     copy = pickle.loads(pickle.dumps(kind("f", "must be better", key="k", value=value)))
     assert (type(copy), copy.where, copy.problem, copy.key) == (kind, "f", "must be better", "k")
     assert copy.value == pickled
-
-
-def test_all_errors_share_one_base_and_exit_code_2_means_wrong_usage():
-    for kind in (InputError, OutputError, SetupError):
-        assert issubclass(kind, PepperError)
-    assert EXIT_BAD_INPUT == 2
-
-
-# --- shipped files ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["plants", "recipes", "materials"])

@@ -58,11 +58,11 @@ def test_flower_is_background_with_normals_out_of_its_inside():
     seed=st.floats(0.0, 0.999),
     detail=st.sampled_from([0.2, 1.0, 2.0]),
 )
-def test_any_flower_is_a_sound_sheet(radius, depth, petals, opened, seed, detail):
+def test_any_flower_is_a_sound_open_surface(radius, depth, petals, opened, seed, detail):
     mesh = flower(radius, depth, detail, petals=float(petals), open=opened, seed=seed)
     check_mesh(mesh)
     body = merged(mesh)
     assert body.is_winding_consistent
     assert len(np.unique(np.sort(mesh.faces, axis=1), axis=0)) == len(mesh.faces)
-    # One sheet around a hole: two borders.
+    # A ring, with two borders.
     assert body.euler_number == 0

@@ -76,8 +76,8 @@ def test_raises_on_mirroring_and_scaling(matrix):
 
 def test_sphere_is_round_and_closed():
     mesh = sphere((1.0, 2.0, 3.0), 0.04, subdivisions=4)
-    away = np.linalg.norm(mesh.vertices - [1.0, 2.0, 3.0], axis=1)
-    np.testing.assert_allclose(away, 0.04, rtol=1e-5)
+    distance = np.linalg.norm(mesh.vertices - [1.0, 2.0, 3.0], axis=1)
+    np.testing.assert_allclose(distance, 0.04, rtol=1e-5)
     np.testing.assert_allclose(mesh.vertices, [1.0, 2.0, 3.0] + 0.04 * mesh.normals, atol=1e-6)
     body = merged(mesh)
     assert body.is_watertight

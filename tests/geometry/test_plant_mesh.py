@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+import trimesh
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from organ_meshes import KINDS, check_mesh, check_solid, merged, mesh_organs, organ, shading_agreement
 
@@ -38,13 +39,6 @@ ONE_OF_EACH = (
     organ("cut", TOP, (0.012, 0, 0.1), parent=1, radius_m=0.004),
     organ("flower", TOP, (0.004, 0, 0.1), parent=5, radius_m=0.012),
 )
-SOLIDS = tuple(one for one in ONE_OF_EACH if one.kind not in ("blade", "flower"))
-
-
-@pytest.mark.parametrize("one", SOLIDS, ids=lambda one: one.kind)
-@pytest.mark.parametrize("detail", [0.3, 1.0, 1.7])
-def test_solids_are_closed_and_face_outwards(one, detail):
-    check_solid(mesh_organs(replace(one, parent=-1), detail=detail))
 
 
 @pytest.mark.parametrize("one", ONE_OF_EACH, ids=lambda one: one.kind)
@@ -88,10 +82,10 @@ def test_mesh_of_a_grown_plant_is_sound_and_its_solids_are_closed(detail):
     faces = number.ravel()[mesh.faces[solid]]
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     owner = np.tile(mesh.face_instance[solid], 3).astype(np.int64)
-    there = (owner * len(points) + edges[:, 0]) * len(points) + edges[:, 1]
-    back = (owner * len(points) + edges[:, 1]) * len(points) + edges[:, 0]
-    assert np.array_equal(np.sort(there), np.sort(back))
-    assert np.unique(there).size == there.size
+    forward = (owner * len(points) + edges[:, 0]) * len(points) + edges[:, 1]
+    backward = (owner * len(points) + edges[:, 1]) * len(points) + edges[:, 0]
+    assert np.array_equal(np.sort(forward), np.sort(backward))
+    assert np.unique(forward).size == forward.size
     again = mesh_plant(plant, detail)
     for name in ("vertices", "normals", "uv", "state", "faces", "face_instance", "face_surface"):
         assert getattr(mesh, name).tobytes() == getattr(again, name).tobytes()
@@ -138,28 +132,6 @@ def test_concatenation_renumbers_faces_instances_and_surfaces():
 
 @settings(max_examples=25, deadline=None)
 @given(
-    length=st.floats(0.001, 0.3),
-    aspect=st.floats(0.1, 1.5),
-    fold=st.floats(-0.3, 1.5),
-    curl=st.floats(-3.0, 3.0),
-    twist=st.floats(-3.0, 3.0),
-    wave=st.floats(0.0, 0.1),
-    waves=st.floats(0.0, 12.0),
-    blister=st.floats(0.0, 0.05),
-    uneven=st.floats(-1.0, 1.0),
-    seed=st.floats(0.0, 0.999),
-    detail=st.floats(0.1, 2.0),
-)
-def test_any_leaf_is_sound(length, aspect, fold, curl, twist, wave, waves, blister, uneven, seed, detail):
-    leaf = blade(
-        length, aspect * length, fold_rad=fold, curl_rad=curl, twist_rad=twist, margin_waves=waves,
-        margin_wave_m=wave * length, blister_m=blister * length, asymmetry=uneven, seed=seed,
-    )  # fmt: skip
-    check_mesh(mesh_organs(leaf, detail=detail))
-
-
-@settings(max_examples=25, deadline=None)
-@given(
     diameter=st.floats(0.001, 0.3),
     slimness=st.floats(0.4, 4.5),
     lobes=st.integers(1, 6),
@@ -174,6 +146,10 @@ def test_any_leaf_is_sound(length, aspect, fold, curl, twist, wave, waves, blist
     seed=st.floats(0.0, 0.999),
     detail=st.floats(0.2, 1.5),
 )
+@example(  # The radius of a furrow decreases along the shoulder.
+    diameter=0.25, slimness=2.875, lobes=3, depth=1.5, shoulder=0.0, taper=1.03125, point=0.0, bend=0.0,
+    sepals=1.0, tooth=0.0, spread=0.0, seed=0.0, detail=1.5,
+)  # fmt: skip
 def test_any_fruit_and_calyx_are_sound_and_closed(
     diameter, slimness, lobes, depth, shoulder, taper, point, bend, sepals, tooth, spread, seed, detail
 ):
@@ -190,3 +166,33 @@ def test_any_fruit_and_calyx_are_sound_and_closed(
     check_solid(mesh)
     for number in (0, 1):
         assert merged(mesh, number).volume > 0.0
+
+
+PIXEL_M = 0.9e-3
+"""Width that a pixel of the standard camera covers at 40 cm."""
+
+
+@pytest.fixture(scope="module")
+def grown():
+    """A plant and its meshes of detail 1 and 4."""
+    plant = grow(load_cultivar("kaite"), np.random.default_rng(3))
+    return plant, mesh_plant(plant), mesh_plant(plant, 4.0)
+
+
+@pytest.mark.parametrize(
+    "kind", ["lamina", "shoot_lamina", "fruit", "node", "internode", "side_shoot", "petiole"]
+)
+def test_triangles_are_close_to_the_shapes_that_they_approximate(kind, grown):
+    """Half of every surface is within a fifth of a pixel, and 95 % within a pixel.
+
+    Organs have as few triangles as that allows, because triangles cost time from meshing to tracing.
+    """
+    plant, coarse, fine = grown
+    numbers = [number for number, one in enumerate(plant.organs) if one.kind == kind]
+    distances = []
+    for number in numbers[:: max(1, len(numbers) // 8)]:
+        surface, exact = (merged(mesh.select_instances([number])) for mesh in (coarse, fine))
+        points, _ = trimesh.sample.sample_surface(exact, int(exact.area / 3e-3**2), seed=1)
+        distances.append(trimesh.proximity.closest_point(surface, points)[1])
+    assert np.median(np.concatenate(distances)) < PIXEL_M / 5.0
+    assert np.quantile(np.concatenate(distances), 0.95) < PIXEL_M

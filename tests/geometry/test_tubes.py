@@ -51,9 +51,6 @@ def diameters(mesh):
     return 2.0 * np.linalg.norm(points - points.mean(axis=1, keepdims=True), axis=2).max(axis=1)
 
 
-# --- measured back on the triangles -----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("detail", [0.4, 1.0, 2.0])
 @pytest.mark.parametrize(
     ("form", "curve"),
@@ -121,9 +118,6 @@ def test_node_has_the_stated_radii(detail):
 def test_scar_has_a_rim_of_the_stated_radius():
     # Across the slant it is longer by up to 2 %.
     assert 0.008 < diameters(tube("cut", UPRIGHT * 0.06, seed=0.3))[2] < 0.00817
-
-
-# --- shapes -----------------------------------------------------------------------------------------------
 
 
 def test_internode_has_four_or_five_ridges_that_fade_into_the_nodes():
@@ -194,9 +188,6 @@ def test_scar_is_slanted_and_corky_inside_its_rim():
     assert 1e-5 < np.ptp(rim) < 0.0021
 
 
-# --- joints -----------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def grown():
     """A plant and the mesh of each of its tubes, by index."""
@@ -214,12 +205,6 @@ def test_internodes_and_nodes_join_without_a_step(grown):
         # The frames may rotate a little about the axis from one organ to the next.
         assert np.linalg.norm(below[-1] - above[0], axis=1).max() < 3e-4
     assert max(np.ptp(mesh.state) for mesh in stem) < 0.9
-
-
-def test_tubes_of_a_plant_are_closed(grown):
-    meshes = list(grown[1].values())
-    for mesh in meshes[:: max(1, len(meshes) // 25)]:
-        check_solid(mesh)
 
 
 @pytest.mark.parametrize("offset", [-0.3, 0.1, 0.4])
@@ -252,9 +237,6 @@ def test_tip_of_a_petiole_continues_flat_below_the_midrib():
     point = mesh.vertices[-1] - end
     assert point @ ahead > 2.0 * 0.0013
     assert -0.0013 < point @ over < 0.0
-
-
-# --- soundness --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", SIZES)

@@ -10,11 +10,6 @@ from pepperscene.grammar import Plant, grow
 
 
 @pytest.fixture(scope="session")
-def kaite() -> Cultivar:
-    return load_cultivar("kaite")
-
-
-@pytest.fixture(scope="session")
 def tomato() -> Cultivar:
     return load_cultivar("tomato")
 

@@ -213,7 +213,7 @@ def test_items_at_one_position_fan_out(tmp_path: Path, count: str, number: int) 
 
 
 def test_raises_on_an_endless_plant(kaite: Cultivar) -> None:
-    # Files of this sort are refused, but cultivars can be made in code.
+    # Such files are rejected, but cultivars can be constructed in code.
     shoot = kaite.organs["side_shoot"]
     what = shoot.bears[0].what.model_copy(update={"probabilities": {"shoot_petiole": 0.0, "side_shoot": 1.0}})
     slot = shoot.bears[0].model_copy(update={"what": what})

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import greenhouse_surfaces, organ_surfaces
 
 NM = np.arange(300.0, 1101.0, 5.0)
@@ -11,11 +10,6 @@ NM = np.arange(300.0, 1101.0, 5.0)
 def nm():
     """Wavelengths up to the range of near-infrared cameras."""
     return NM
-
-
-@pytest.fixture(scope="session")
-def kaite():
-    return load_cultivar("kaite")
 
 
 @pytest.fixture(scope="session")

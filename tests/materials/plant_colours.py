@@ -1,5 +1,6 @@
 """Colours of reflectances by colour-science, and spectra between the rows of a surface; for tests."""
 
+import colour
 import numpy as np
 
 from pepperscene.spectra import sky_spectrum
@@ -19,8 +20,6 @@ def at(table, state):
 
 def xyz(reflectance, nm):
     """XYZ under D65 and the white's chromaticity, 2 degrees, by colour-science's observer."""
-    import colour
-
     cmfs = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     bars = np.stack([np.interp(nm, cmfs.wavelengths, cmfs.values[:, i]) for i in range(3)])
     light = sky_spectrum("d65").at(nm)
@@ -30,8 +29,6 @@ def xyz(reflectance, nm):
 
 def lab(reflectance, nm):
     """CIELAB under D65."""
-    import colour
-
     return colour.XYZ_to_Lab(*xyz(reflectance, nm))
 
 
@@ -43,8 +40,6 @@ def lab_hue(reflectance, nm):
 
 def srgb_hue(reflectance, nm):
     """Hue in HSV of the sRGB colour under D65, degrees: 0 is red, 60 yellow."""
-    import colour
-
     value, white = xyz(reflectance, nm)
     rgb = np.clip(colour.XYZ_to_sRGB(value, illuminant=white), 0, 1)
     return 360 * colour.RGB_to_HSV(rgb)[0]

@@ -8,13 +8,9 @@ import pytest
 from pepperscene.errors import InputError
 from pepperscene.scene import Cover, load_cover
 from pepperscene.scene.cover import directions, tabulate_haze
-from pepperscene.shipped import shipped_folder
-from pepperscene.spectra import Spectrum, illuminance, read_provenance, read_spectrum, sky_spectrum
+from pepperscene.spectra import Spectrum, illuminance, sky_spectrum
 
 SHIPPED = ("float_glass_4mm", "diffuse_glass_4mm", "polyethylene_film")
-
-
-# --- shipped covers -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -22,7 +18,7 @@ SHIPPED = ("float_glass_4mm", "diffuse_glass_4mm", "polyethylene_film")
     [
         # 4 mm of float glass are specified with about 90 %.
         ("float_glass_4mm", (0.88, 0.91), (0.0, 0.0)),
-        # Low-iron glass: 91 to 92 % across the sheet; haze from 10 to 75 % is sold.
+        # Low-iron glass: 91 to 92 % through the glass; haze from 10 to 75 % is sold.
         ("diffuse_glass_4mm", (0.905, 0.92), (0.1, 0.75)),
         # New film in one layer: 85 to 91 %.
         ("polyethylene_film", (0.85, 0.91), (0.15, 0.6)),
@@ -43,15 +39,17 @@ def test_no_cover_exceeds_the_transmittance_of_its_two_faces():
 
 @pytest.mark.parametrize(("name", "half_nm"), [*zip(SHIPPED, (335, 320, 375), strict=True)])
 def test_covers_block_ultraviolet(name, half_nm):
-    sheet = load_cover(name).transmittance
-    assert sheet.at([300])[0] < 0.01
-    assert sheet.at([half_nm - 15])[0] < 0.5 * sheet.at([420])[0] < sheet.at([half_nm + 15])[0]
+    transmittance = load_cover(name).transmittance
+    assert transmittance.range_nm == (300, 1100)
+    dark, below, above, visible = transmittance.at([300, half_nm - 15, half_nm + 15, 420])
+    assert dark < 0.01
+    assert below < 0.5 * visible < above
 
 
 def test_iron_darkens_glass_in_the_infrared_but_not_film():
     clear, low_iron, film = (load_cover(name).transmittance for name in SHIPPED)
-    for sheet, ratio in ((clear, 0.85), (low_iron, 0.98), (film, 1.05)):
-        assert sheet.at([1000])[0] / sheet.at([550])[0] < ratio
+    for cover, ratio in ((clear, 0.85), (low_iron, 0.98), (film, 1.05)):
+        assert cover.at([1000])[0] / cover.at([550])[0] < ratio
     assert clear.at([1000])[0] < low_iron.at([1000])[0] - 0.1
     assert film.at([1000])[0] > film.at([550])[0]
 
@@ -67,17 +65,6 @@ def test_glass_follows_from_its_optical_constants():
         assert load_cover("float_glass_4mm").transmittance.at([nm])[0] == pytest.approx(series, abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    "csv", sorted((shipped_folder("materials") / "covers/spectra").glob("*.csv")), ids=lambda p: p.stem
-)
-def test_curves_are_declared_as_models(csv):
-    assert read_provenance(csv).kind == "MODEL"
-    assert csv.stem.endswith("_MODEL")
-    assert read_spectrum(csv, "transmittance").wavelength_nm[[0, -1]].tolist() == [300, 1100]
-
-
-# --- files --------------------------------------------------------------------------------------------------
-
 VALID = """
 name = "test"
 kind = "MODEL"
@@ -85,7 +72,7 @@ licence = "MIT"
 haze = 0.4
 haze_width_deg = 15
 [transmittance]
-file = "sheet.csv"
+file = "cover.csv"
 column = "transmittance"
 [sources]
 haze = "chosen"
@@ -96,7 +83,7 @@ CSV = "wavelength_nm,transmittance\n400,0.8\n700,0.9\n"
 
 
 def write_cover(tmp_path, text=VALID, csv=CSV):
-    (tmp_path / "sheet.csv").write_text(csv)
+    (tmp_path / "cover.csv").write_text(csv)
     (tmp_path / "cover.toml").write_text(text)
     return tmp_path / "cover.toml"
 
@@ -124,7 +111,7 @@ def test_loads_a_user_file_and_holds_its_end_values(tmp_path):
         ("haze = 0.4", "haze = 0.4\ncolour = 3", "colour"),
         ('transmittance = "chosen"\n', "", r"\[sources\].*transmittance"),
         ('haze_width_deg = "chosen"\n', "", r"\[sources\].*haze_width_deg"),
-        ('file = "sheet.csv"', 'file = "none.csv"', "none.csv.*is not a file"),
+        ('file = "cover.csv"', 'file = "none.csv"', "none.csv.*is not a file"),
         ('column = "transmittance"', 'column = "tau"', "tau.*is not one of transmittance"),
     ],
 )
@@ -173,8 +160,6 @@ def test_cover_raises_on_values_out_of_range(values, haze, width, message):
         Cover("test", Spectrum(np.array([400.0, 700.0]), np.array(values)), haze, width)
 
 
-# --- haze ---------------------------------------------------------------------------------------------------
-
 ROWS, COLUMNS, OUT_ROWS = 64, 128, 40
 WIDTHS = np.radians([4.0, 12.0, 30.0, 90.0])
 
@@ -207,7 +192,7 @@ def test_scattering_conserves_energy(width, row):
 
 @pytest.mark.parametrize("width", WIDTHS)
 def test_uniform_sky_stays_uniform(width):
-    # Otherwise a passive sheet could make light brighter, against the second law of thermodynamics.
+    # Otherwise a passive cover could make light brighter, against the second law of thermodynamics.
     scattered = haze_of(width).scatter(np.full((2, ROWS, COLUMNS), 3.0))
     np.testing.assert_allclose(scattered[:, :OUT_ROWS], 3.0, rtol=1e-8)
     assert not scattered[:, OUT_ROWS:].any()

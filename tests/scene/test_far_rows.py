@@ -62,8 +62,8 @@ def test_each_organ_keeps_its_extent(plant, coarse):
             continue
         assert number in kept, instance
         size = np.linalg.norm(np.subtract(*extent(plant, number)[::-1]))
-        for found, true in zip(extent(coarse, number), extent(plant, number), strict=True):
-            assert np.abs(found - true).max() < 0.3 * size, instance
+        for coarse_corner, corner in zip(extent(coarse, number), extent(plant, number), strict=True):
+            assert np.abs(coarse_corner - corner).max() < 0.3 * size, instance
 
 
 def test_coarsening_raises_if_no_organ_is_left():

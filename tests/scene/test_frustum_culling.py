@@ -57,14 +57,11 @@ def triangles(mesh):
 
 def in_image(camera, poses, points):
     """`(n,)` whether the camera's own projection puts a point into the image from any pose."""
-    found = np.zeros(len(points), dtype=bool)
+    visible = np.zeros(len(points), dtype=bool)
     for pose in poses:
         u, v = camera.at_pose(pose).project(points).T
-        found |= (u >= 0) & (u <= camera.width) & (v >= 0) & (v <= camera.height)
-    return found
-
-
-# --- frustums -----------------------------------------------------------------------------------------------
+        visible |= (u >= 0) & (u <= camera.width) & (v >= 0) & (v <= camera.height)
+    return visible
 
 
 @given(
@@ -115,16 +112,13 @@ def test_frustums_exclude_boxes_outside_every_view(camera):
     assert frustums.intersects(np.array([[0.0, 0.0, 0.9]], np.float32), half[:1]).all()
 
 
-# --- culled meshes ------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("light", [NIGHT, LightReach(0.01, 0.01, 0.05, 0.4), LightReach(1.0, 1.0, 0.0, 0.4)])
 def test_visible_triangles_are_unchanged(camera, row, light):
     culled = cull_mesh(row, view_frustums(camera, path()), light)
     visible = in_image(camera, path(), row.vertices)[row.faces].any(axis=1)
-    wanted = {line for line, shown in zip(triangles(row), visible, strict=True) if shown}
-    assert len(wanted) > 1000
-    assert wanted <= set(triangles(culled))
+    expected = {line for line, shown in zip(triangles(row), visible, strict=True) if shown}
+    assert len(expected) > 1000
+    assert expected <= set(triangles(culled))
     # Instances and surfaces keep their numbers.
     assert culled.instances == row.instances
     assert culled.surfaces == row.surfaces
@@ -165,9 +159,6 @@ def test_chunks_are_bounded_by_their_boxes(row):
     assert (offset <= chunks.half_extents[number][:, None] + 1e-6).all()
     assert (mesh.faces >= chunks.vertices[number, :1]).all()
     assert (mesh.faces < chunks.vertices[number, 1:]).all()
-
-
-# --- negligible objects -------------------------------------------------------------------------------------
 
 
 @given(seed=st.integers(0, 2**32 - 1), daylight=st.floats(0.0, 1.0), sun=st.sampled_from([0.0, 1e-4, 0.3]))
@@ -218,9 +209,6 @@ def test_light_reach_compares_flash_and_daylight(camera):
     # At half the distance the flash is four times as bright.
     one, two = light_reach(camera, 0.4, 5500.0).sky, light_reach(camera, 0.2, 5500.0).sky
     assert (1 / two - 1) == pytest.approx(4 * (1 / one - 1))
-
-
-# --- simplified organs --------------------------------------------------------------------------------------
 
 
 def test_simplified_sheet_keeps_its_area():

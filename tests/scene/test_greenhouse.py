@@ -52,9 +52,6 @@ def full():
     return meshes_by_kind(FULL)
 
 
-# --- beams --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("mesh", "volume"),
     [
@@ -99,9 +96,6 @@ def test_box_sides_are_flat_and_rod_sides_are_round():
 def test_beam_raises_on_invalid_section_or_ends(section, ends):
     with pytest.raises(ValueError, match="convex"):
         beam(section, ends, "gutter")
-
-
-# --- parts --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -204,9 +198,6 @@ def test_floor_film_is_level_and_extends_beyond_the_rows(full):
     assert (film.vertices[:, 2] == 0).all()
     assert (film.normals == [0, 0, 1]).all()
     assert np.abs(film.vertices[:, :2]).min() > FULL.far_reach_m
-
-
-# --- irregularity -------------------------------------------------------------------------------------------
 
 
 def test_postures_have_the_given_means_and_deviations():

@@ -17,8 +17,6 @@ from pepperscene.grammar import grow
 from pepperscene.materials import lambertian_surface
 from pepperscene.scene import Scene, Skeleton, assemble_scene, build_skeleton
 
-# --- scenes -------------------------------------------------------------------------------------------------
-
 MESH = concatenate_meshes(
     [
         rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1), surface="leaf"),
@@ -48,9 +46,6 @@ def test_raises_on_missing_or_mismatched_surfaces():
     for surfaces in ((FRUIT, LEAF), (LEAF,), (LEAF, FRUIT, STEM)):
         with pytest.raises(ValueError, match="do not match"):
             Scene(MESH, surfaces)
-
-
-# --- skeletons ----------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module", params=["barth2018", "greenhouse"])

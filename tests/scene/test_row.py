@@ -98,11 +98,8 @@ def test_plants_rotate_about_their_own_axes():
     bases = np.array([[0.0, 0.0, 0.5], [1.0, 0.2, 0.5]])
     row = place_plants([first, second], bases, np.array([np.pi, np.pi / 2]))
     np.testing.assert_allclose(row.vertices[:8], first.vertices * [-1, -1, 1] + bases[0], atol=1e-6)
-    turned = np.stack([-second.vertices[:, 1], second.vertices[:, 0], second.vertices[:, 2]], axis=1)
-    np.testing.assert_allclose(row.vertices[8:], turned + bases[1], atol=1e-6)
-
-
-# --- twine --------------------------------------------------------------------------------------------------
+    rotated = np.stack([-second.vertices[:, 1], second.vertices[:, 0], second.vertices[:, 2]], axis=1)
+    np.testing.assert_allclose(row.vertices[8:], rotated + bases[1], atol=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +155,7 @@ def test_twine_is_one_wire_instance_after_the_plants_organs(mesh, tied):
 
 def test_twine_touches_the_stem(stem, tied):
     # The gap between the surfaces of twine and stem, in bands of 5 cm of height, a fifth of a turn. Beside
-    # the widest side of a node, or where the stem bends, it may sink in or stand off by a millimetre.
+    # the widest side of a node, or where the stem bends, it may sink in or be off by a millimetre.
     twine, (axis, along, radius) = twine_vertices(tied), stem
     distance, nearest = cKDTree(axis).query(twine)
     # Distance from the outline, in the plane of height and distance from the axis; negative inside.

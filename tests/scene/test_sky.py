@@ -115,9 +115,9 @@ def test_blue_is_brightest_around_the_sun(azimuth_deg):
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_clouds_hide_the_requested_fraction(cover, seed):
     # Their soft edges count in part, and so do clouds in the blend at the horizon: the tolerance is 4 % of
-    # the sky (found: 2.2 %).
-    found = hidden_fraction(sky_of(seed, cloud_cover=cover), sky_of(seed, cloud_cover=0.0))
-    assert found == pytest.approx(cover, abs=0.04)
+    # the sky (measured: 2.2 %).
+    hidden = hidden_fraction(sky_of(seed, cloud_cover=cover), sky_of(seed, cloud_cover=0.0))
+    assert hidden == pytest.approx(cover, abs=0.04)
 
 
 def test_cloud_cover_of_0_and_1():

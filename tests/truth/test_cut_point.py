@@ -10,8 +10,6 @@ from pepperscene.classes import Instance, OrganClass
 from pepperscene.truth.cut_point import fruit_stalk, tool_approach
 from pepperscene.truth.harvest import organ_graph
 
-# --- stalks -------------------------------------------------------------------------------------------------
-
 STEM = (np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]), 6e-3, 6e-3)
 
 
@@ -81,8 +79,6 @@ def test_stalk_that_never_emerges_is_attached_at_its_base():
     assert stalk.cut[0] == pytest.approx(1e-3)
 
 
-# --- approaches ---------------------------------------------------------------------------------------------
-
 UPRIGHT = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 2.0]])
 
 
@@ -126,9 +122,6 @@ def test_azimuth_is_defined_for_a_camera_that_looks_up():
     approach = tool_approach(np.array([0.0, -0.05, 1.0]), UPRIGHT)
     pose = look_at([0.0, -0.05, 0.5], [0.0, -0.05, 1.0], up=(0.0, -1.0, 0.0))
     assert np.isfinite(approach.azimuth(pose))
-
-
-# --- graphs -------------------------------------------------------------------------------------------------
 
 
 def test_graph_has_each_organ_and_edge_once():

@@ -21,8 +21,6 @@ from pepperscene.truth.encodings import (
     touches_border,
 )
 
-# --- distances ----------------------------------------------------------------------------------------------
-
 
 @pytest.mark.parametrize("grey", [1, 55, 128, 255])
 def test_distance_code_follows_the_papers_formula(grey):
@@ -51,9 +49,6 @@ def test_background_is_code_0_and_infinite():
 def test_raises_on_negative_or_nan_distance(distance):
     with pytest.raises(ValueError, match="distances"):
         distance_code(np.array([0.5, distance]))
-
-
-# --- classes ------------------------------------------------------------------------------------------------
 
 
 def test_class_colours_round_trip():
@@ -86,8 +81,6 @@ def test_raises_on_wrong_channels_or_class_ids():
         with pytest.raises(ValueError, match="ids"):
             encode(np.array([8]))
 
-
-# --- masks --------------------------------------------------------------------------------------------------
 
 MASKS = [np.zeros((4, 5), bool), np.ones((4, 5), bool), np.eye(4, 5, dtype=bool)]
 MASKS += [np.random.default_rng(0).uniform(size=(13, 17)) < fraction for fraction in (0.05, 0.5, 0.95)]

@@ -35,9 +35,6 @@ def table(mean, sd, low, high, **more):
     return {"mean": mean, "sd": sd, "low": low, "high": high, "chosen": "for a test", **more}
 
 
-# --- shipped bounds -----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "name", ["kaite", "red_blocky", "orange_pointed", "tomato", "kaite_september", "kaite_february"]
 )
@@ -64,21 +61,12 @@ def test_shipped_distributions_have_the_stated_moments():
         assert values.std() == pytest.approx(prior.sd, rel=0.01)
 
 
-def test_shipped_bounds_of_leaf_chlorophyll_are_measured():
-    prior = prior_of("leaf.chlorophyll")
-    assert "Padilla" in prior.source
-    assert (prior.mean, prior.low, prior.high) == (58, 15, 100)
-
-
 def test_shipped_bounds_are_widened_to_the_cultivar():
     leaf = KAITE.pigments["leaf"]
     dark = leaf.model_copy(update={"end": leaf.end.model_copy(update={"chlorophyll_ug_cm2": 140.0})})
     cultivar = KAITE.model_copy(update={"pigments": {**KAITE.pigments, "leaf": dark}})
     prior = prior_of("leaf.chlorophyll", cultivar=cultivar)
     assert (prior.mean, prior.high) == (58.0, 140.0)
-
-
-# --- a user's bounds ----------------------------------------------------------------------------------------
 
 
 def test_user_bounds_override_shipped_ones(tmp_path):
@@ -181,9 +169,6 @@ def test_raises_on_invalid_files(tmp_path, text):
         prior_of("leaf.brown", path)
     with pytest.raises(InputError, match=r"nowhere\.toml.*cannot be read"):
         prior_of("leaf.brown", tmp_path / "nowhere.toml")
-
-
-# --- documentation ------------------------------------------------------------------------------------------
 
 
 def documented():

@@ -103,9 +103,6 @@ def worst(jacobian, differences, problem) -> float:
     return max(disagreement(jacobian, differences, problem).values())
 
 
-# --- derivatives --------------------------------------------------------------------------------------------
-
-
 def test_derivatives_match_finite_differences(problem, jacobian, differences):
     errors = disagreement(jacobian, differences, problem)
     assert max(errors.values()) < TOLERANCE, errors
@@ -151,9 +148,6 @@ def test_raises_on_an_entry_that_cannot_change(target):
         ParameterStep.along(Entry(fixed, 0), {}, target.tuned_parts)
 
 
-# --- mutations ----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("factor", "least"), [(-1.0, 1.0), (1.1, 5.0 * TOLERANCE), (0.9, 5.0 * TOLERANCE)])
 def test_detects_a_column_of_wrong_sign_or_scale(problem, jacobian, differences, factor, least):
     for i, entry in enumerate(problem.entries):
@@ -167,8 +161,8 @@ def replace_attribute(owner, name, wrap):
     return lambda patch: patch.setattr(owner, name, wrap(getattr(owner, name)))
 
 
-def of_light(group):
-    """Derivatives of a group that acts after the light are looked for in the light, and not found."""
+def as_light(group):
+    """A mutation that treats a group that acts after the light as a part of the light."""
     return lambda patch: patch.setattr(view_model, "LIGHT_GROUPS", (*view_model.LIGHT_GROUPS, group))
 
 
@@ -191,8 +185,8 @@ def without_shade(right):
 
 
 MUTATIONS = {
-    "exposure dropped": of_light("exposure"),
-    "white balance and matrix dropped": of_light("camera"),
+    "exposure dropped": as_light("exposure"),
+    "white balance and matrix dropped": as_light("camera"),
     "direction of light reversed": replace_attribute(
         view_model, "_direction", lambda right: lambda above, below, width: right(below, above, width)
     ),
@@ -217,9 +211,6 @@ MUTATIONS = {
 def test_detects_mutations(problem, vector, differences, monkeypatch, mutation):
     MUTATIONS[mutation](monkeypatch)
     assert worst(problem.jacobian(vector), differences, problem) > 2.0 * TOLERANCE
-
-
-# --- values -------------------------------------------------------------------------------------------------
 
 
 def test_vector_has_the_values_in_order(problem):

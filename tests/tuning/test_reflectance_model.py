@@ -189,19 +189,6 @@ def test_derivatives_match_finite_differences(kind):
         assert disagreement(1.1 * jacobian, of, values, column) >= 0.09, name
 
 
-def test_check_detects_one_wrong_column():
-    of = model("pepper.unripe", "leaf")
-    columns = entries("fruit.chlorophyll", "fruit.flesh", "leaf.structure", "leaf.ior")
-    values = {one.parameter.name: one.parameter.default for one in columns}
-    jacobian = of.jacobian(values, columns)
-    assert disagreement(jacobian, of, values, columns) <= 1e-6
-    for k in range(len(columns)):
-        for factor in (-1.0, 1.1):
-            wrong = jacobian.copy()
-            wrong[:, k] *= factor
-            assert disagreement(wrong, of, values, columns) >= 0.09
-
-
 def test_derivatives_at_bounds_use_values_within_bounds():
     of = model("pepper.unripe", "leaf")
     for name in ("fruit.chlorophyll", "fruit.flesh", "leaf.structure"):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pepperscene.camera import decode_tone, load_flash
+from pepperscene.camera import decode_tone
 from pepperscene.dataset import load_recipe
 from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
 from pepperscene.errors import InputError
 from pepperscene.tuning import TuningTarget, simulate_patches
-from pepperscene.tuning.parameters.tuned import colour_steps, tuned_camera, tuned_flash, tuned_parts
+from pepperscene.tuning.parameters.tuned import colour_steps, tuned_camera, tuned_parts
 
 SMALL = {"organs": 1, "pixels": 16}
 KINDS = ("leaf", "pepper.unripe")
@@ -74,17 +74,6 @@ def test_tuned_camera_has_gains_matrix_and_gain(recipe):
     assert tuned.developing.white_balance == pytest.approx(tuple(gains))
     assert np.asarray(tuned.developing.colour_matrix) == pytest.approx(matrix)
     assert tuned.sensor.gain == pytest.approx(0.7 * camera.sensor.gain)
-
-
-@pytest.mark.parametrize("name", ["led_matrix_200klx", "led_nir_850nm"])
-def test_tuned_flash_is_the_flash_times_power_and_factors(recipe, name):
-    """At every wavelength, for flashes with a strength in lux and in watts."""
-    flash = load_flash(name)
-    values = {"flash.power": np.array([0.7]), "flash.colour": np.array([0.4, -0.2])}
-    parts = tuned_parts(load_recipe_cultivar(recipe), load_camera(recipe), values, NODES_NM)
-    nm = np.arange(400.0, 701.0) if flash.illuminance_lx is not None else np.arange(800.0, 901.0)
-    factors = 0.7 * np.interp(nm, NODES_NM, parts.flash_factors)
-    assert tuned_flash(flash, parts).irradiance().at(nm) == pytest.approx(flash.irradiance().at(nm) * factors)
 
 
 def test_raises_on_unknown_names_kinds_and_wrong_sizes(recipe):

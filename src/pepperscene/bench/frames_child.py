@@ -183,7 +183,7 @@ def subdivide_mesh(mesh: Mesh) -> Mesh:
 
     values = {"normals": mesh.normals, "uv": mesh.uv, "state": mesh.state[:, None]}
     vertices, faces, values = subdivide(mesh.vertices, mesh.faces, vertex_attributes=values)
-    # `Mesh.instance_vertices` needs the vertices of each instance in one block.
+    # Keep the vertices of each instance contiguous, as meshes of plants have them.
     face_instance = np.repeat(mesh.face_instance, 4)
     owner = np.empty(len(vertices), np.uint32)
     owner[faces] = face_instance[:, None]

@@ -150,7 +150,8 @@ def pericarp_shoulders(pericarps: Pericarps) -> Shoulders:
     index = np.clip((knots[:, None] <= at[:, :, None]).sum(axis=2) - 1, 0, None)
     row, column = np.arange(n)[:, None, None], np.arange(SHOULDER_COLUMNS)
     start, stop = radius[row, index, column], radius[row, index + 1, column]
-    part = (at - start) / (stop - start)
+    # Clipped, because the radius of a deep furrow may decrease in between.
+    part = np.clip((at - start) / (stop - start), 0.0, 1.0)
     low, high = along[row, index, column], along[row, index + 1, column]
     return Shoulders(extent, low + part * (high - low))
 

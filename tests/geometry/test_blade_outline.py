@@ -1,0 +1,236 @@
+"""Outline, triangles, normals and texture coordinates of blades."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from blade_meshes import FLAT, LENGTH, LOBED, WIDTH, areas, blade, droop, edges, organ, random_organ
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from organ_meshes import check_mesh, mesh_organs
+
+from pepperscene.geometry.batch import vertex_normals
+from pepperscene.geometry.blade.blades import mesh_blades
+from pepperscene.geometry.blade.grid import blade_grid
+from pepperscene.grammar.plant import Organ
+
+
+def flat_areas(batch):
+    """Doubled signed areas of the triangles on the flat leaf, negative if inverted."""
+    a, b, c = (batch.uv[:, batch.faces[:, corner]] for corner in range(3))
+    (p, q), (r, s) = np.moveaxis(b - a, -1, 0), np.moveaxis(c - a, -1, 0)
+    return p * s - q * r
+
+
+def margin(batch, k=0):
+    """The blade's edge as a closed polygon, in the order of its points."""
+    directed = edges(batch.faces).tolist()
+    opposite = {(b, a) for a, b in directed}
+    successor = {a: b for a, b in directed if (a, b) not in opposite}
+    line = [0]
+    while (point := successor[line[-1]]) != 0:
+        line.append(point)
+    assert len(line) == len(successor)
+    return batch.vertices[k][line]
+
+
+def distance(points, polygon):
+    """Distance of each point from a closed polygon."""
+    start, step = polygon, np.roll(polygon, -1, axis=0) - polygon
+    offset = points[:, None] - start
+    fraction = np.clip((offset * step).sum(axis=2) / (step * step).sum(axis=1), 0.0, 1.0)
+    return np.linalg.norm(offset - fraction[..., None] * step, axis=2).min(axis=1)
+
+
+def hausdorff(one, other):
+    return max(distance(one, other).max(), distance(other, one).max())
+
+
+@pytest.mark.parametrize("seed", [0.0, 0.21, 0.93])
+@pytest.mark.parametrize("asymmetry", [-0.1, 0.0, 0.1])
+@pytest.mark.parametrize("detail", [0.3, 1.0])
+def test_flat_blade_has_the_stated_sizes(seed, asymmetry, detail):
+    x, y, z = blade(seed=seed, asymmetry=asymmetry, detail=detail).vertices[0].T
+    np.testing.assert_allclose(np.ptp(y), LENGTH, rtol=1e-9)
+    # The width is that of the curve; its polygon stays within it.
+    assert WIDTH * 0.99 < np.ptp(x) <= WIDTH * (1.0 + 1e-9)
+    np.testing.assert_allclose(x.max() / np.ptp(x), 0.5 * (1.0 + asymmetry), atol=0.004)
+    np.testing.assert_allclose(z, 0.0, atol=1e-12)
+
+
+def test_halves_are_mirror_images_without_asymmetry():
+    flat = blade().uv[0]
+    mirrored = flat * [-1.0, 1.0] + [1.0, 0.0]
+    np.testing.assert_allclose(
+        flat[np.lexsort(flat.T.round(9))], mirrored[np.lexsort(mirrored.T.round(9))], atol=1e-9
+    )
+
+
+def test_outline_is_ovate_with_a_drawn_out_tip():
+    x, y, _ = blade(detail=2.0).vertices[0].T
+    bands = np.array([np.ptp(x[np.abs(y / LENGTH - v) < 0.03]) for v in (0.1, 0.37, 0.75, 0.93)]) / WIDTH
+    assert bands[1] > 0.98
+    assert 0.5 < bands[0] < 0.8
+    assert bands[2] < 0.6
+    assert bands[3] < 0.25
+
+
+@pytest.mark.parametrize("widest", [0.25, 0.35, 0.45])
+@pytest.mark.parametrize("base", [0.5, 0.8])
+def test_blade_is_widest_at_the_stated_place(widest, base):
+    x, y, _ = blade(detail=2.0, widest=widest, base=base).vertices[0].T
+    assert y[x.argmax()] / LENGTH == pytest.approx(widest, abs=0.02)
+
+
+@pytest.mark.parametrize(("measures", "tolerance", "rel"), [({}, 0.004, 0.004), (LOBED, 0.045, 0.01)])
+@pytest.mark.parametrize("seed", [0.05, 0.6])
+def test_outline_is_the_same_at_every_detail(measures, tolerance, rel, seed):
+    """The polygons differ by half a millimetre on a pepper's leaf; slits between lobes may be cut short."""
+    *coarser, finest = (
+        margin(blade(detail=detail, seed=seed, **measures))[:, :2] for detail in (0.3, 0.5, 1.0, 2.0)
+    )
+
+    def area(line):
+        x, y = line.T
+        return 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
+
+    for line in coarser:
+        assert hausdorff(line, finest) < tolerance * LENGTH
+        assert area(line) == pytest.approx(area(finest), rel=rel)
+
+
+@pytest.mark.parametrize("detail", [0.3, 0.5, 1.0])
+def test_outline_of_random_blades_is_the_same_at_every_detail(detail):
+    rng = np.random.default_rng(3)
+    blades = [random_organ(rng) for _ in range(6)]
+    coarse, fine = mesh_blades(blades, detail), mesh_blades(blades, 2.0)
+    for k in range(len(blades)):
+        assert hausdorff(margin(coarse, k), margin(fine, k)) < 0.025 * LENGTH
+
+
+def test_outline_is_smooth():
+    """No corner of the margin at detail 1 turns by more than 12 degrees, except at base and tip."""
+    step = np.diff(margin(blade())[:, :2], axis=0)
+    turn = np.degrees(np.abs(np.diff(np.unwrap(np.arctan2(step[:, 1], step[:, 0])))))
+    assert np.sort(turn)[:-4].max() < 12.0
+
+
+def test_lobes_point_to_the_tip():
+    """Each half has several notches; the lobes between them lean forward."""
+    line = margin(blade(detail=2.0, widest=0.3, **LOBED))[:, :2]
+    right = line[: line[:, 1].argmax()]
+    x = right[:, 0]
+    tops = np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] > x[2:])) + 1
+    notches = [a + x[a:b].argmin() for a, b in pairwise(tops)]
+    assert len(tops) >= 2
+    assert max(x[a] - x[b] for a, b in zip(tops, notches, strict=False)) > 0.03 * WIDTH
+    for top, notch in zip(tops, notches, strict=False):
+        below = top - 1 - np.argmax((x[:top] <= x[notch])[::-1]) if (x[:top] <= x[notch]).any() else 0
+        assert right[notch, 1] - right[top, 1] < right[top, 1] - right[below, 1]
+
+
+@pytest.mark.parametrize("measures", [{"lobes": 0.0, "lobe_depth": 0.4}, {"lobes": 0.0}])
+def test_entire_margins_have_no_lobes(measures):
+    np.testing.assert_array_equal(blade(**measures).vertices, blade().vertices)
+
+
+@pytest.mark.parametrize(
+    ("detail", "low", "high"), [(0.3, 150, 400), (0.5, 200, 500), (1.0, 500, 800), (2.0, 2000, 3200)]
+)
+def test_detail_sets_the_number_of_triangles(detail, low, high):
+    assert low <= len(blade_grid(detail, 0.0).faces) <= high
+    assert len(blade_grid(detail, 5.0).faces) <= 1.2 * high
+
+
+@pytest.mark.parametrize("detail", [0.1, 0.3, 0.45, 0.7, 1.0, 1.6, 2.0])
+@pytest.mark.parametrize("lobes", [0.0, 3.0, 8.0])
+def test_grid_is_one_disc(detail, lobes):
+    """Every edge has one or two faces of the same winding; Euler's number is that of a disc."""
+    faces = blade_grid(detail, lobes).faces
+    directed, counts = np.unique(edges(faces), axis=0, return_counts=True)
+    assert counts.max() == 1
+    assert len(directed) == 3 * len(faces)
+    assert len(np.unique(np.sort(faces, axis=1), axis=0)) == len(faces)
+    edge_count = len(np.unique(np.sort(edges(faces), axis=1), axis=0))
+    point_count = len(np.unique(faces))
+    assert point_count == faces.max() + 1 == blade(detail=detail, lobes=lobes).vertices.shape[1]
+    assert point_count - edge_count + len(faces) == 1
+
+
+@pytest.mark.parametrize("aspect", [0.3, 0.83, 1.4])
+@pytest.mark.parametrize("base", [0.5, 0.8, 0.9])
+@pytest.mark.parametrize("detail", [0.3, 1.0, 2.0])
+def test_no_triangle_of_a_flat_blade_is_inverted(aspect, base, detail):
+    for widest in (0.25, 0.35, 0.45):
+        flat = blade(width_m=aspect * LENGTH, base=base, widest=widest, asymmetry=0.05, detail=detail)
+        assert flat_areas(flat).min() > 0.0
+
+
+@pytest.mark.parametrize("seed", [0.05, 0.5, 0.77])
+def test_lobes_invert_hardly_any_triangle(seed):
+    area = flat_areas(blade(seed=seed, base=0.7, widest=0.32, **LOBED))
+    assert area[area < 0.0].sum() > -0.001 * area.sum()
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    seed=st.integers(0, 2**20),
+    factor=st.sampled_from([0.0, 1.0, 10.0]),
+    length=st.sampled_from([0.001, 0.05, 0.135, 0.3]),
+    aspect=st.floats(0.1, 1.5),
+    asymmetry=st.floats(-1.0, 1.0),
+    lobes=st.sampled_from([0.0, 4.0]),
+    detail=st.floats(0.1, 2.0),
+)
+def test_any_blade_is_sound(seed, factor, length, aspect, asymmetry, lobes, detail):
+    drawn = random_organ(np.random.default_rng(seed), factor, lobes=lobes, lobe_depth=0.3)
+    scale = length / LENGTH
+    sizes = {name: scale * drawn.measures[name] for name in ("margin_wave_m", "blister_m", "vein_m")}
+    sizes |= {"length_m": length, "width_m": aspect * length, "asymmetry": asymmetry}
+    scaled = Organ("blade", -1, 0, drawn.curve * scale, drawn.up, {**drawn.measures, **sizes})
+    mesh = mesh_organs(scaled, detail=detail)
+    check_mesh(mesh)
+    assert len(np.unique(mesh.vertices, axis=0)) == len(mesh.vertices)
+    area = areas(mesh_blades([scaled], detail))
+    assert area.min() > 1e-9 * area.sum()
+
+
+def test_normals_are_area_weighted_means_of_faces():
+    rng = np.random.default_rng(8)
+    batch = mesh_blades([random_organ(rng) for _ in range(2)], 0.5)
+    for vertices, normals in zip(batch.vertices, batch.normals, strict=True):
+        total = np.zeros_like(vertices)
+        for a, b, c in batch.faces:
+            total[[a, b, c]] += np.cross(vertices[b] - vertices[a], vertices[c] - vertices[a])
+        np.testing.assert_allclose(normals, total / np.linalg.norm(total, axis=1, keepdims=True), atol=1e-9)
+    # The normal of a vertex without faces is zero.
+    triangle = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5]]])
+    normals = vertex_normals(triangle, np.array([[0, 1, 2]]))
+    np.testing.assert_array_equal(normals[0], [[0, 0, 1]] * 3 + [[0, 0, 0]])
+
+
+def test_normals_point_out_of_the_upper_side():
+    assert blade().normals[..., 2].min() > 0.99
+    upside_down = Organ("lamina", -1, 0, organ().curve, np.array([0.0, 0.0, -1.0]), FLAT)
+    assert mesh_blades([upside_down], 1.0).normals[..., 2].max() < -0.99
+
+
+def test_uv_are_coordinates_of_the_flat_leaf():
+    bent = blade(droop(1.0), fold_rad=0.4, curl_rad=0.5, margin_wave_m=0.003, margin_waves=4.0)
+    flat = blade()
+    np.testing.assert_array_equal(bent.uv, flat.uv)
+    np.testing.assert_allclose(flat.vertices[..., 1], flat.uv[..., 1] * LENGTH, atol=1e-9)
+    np.testing.assert_allclose(flat.vertices[..., 0], (flat.uv[..., 0] - 0.5) * WIDTH, atol=1e-9)
+
+
+def test_blades_do_not_depend_on_others_in_the_batch():
+    rng = np.random.default_rng(12)
+    blades = [random_organ(rng) for _ in range(5)]
+    together = mesh_blades(blades, 1.0)
+    for k, one in enumerate(blades):
+        alone = mesh_blades([one], 1.0)
+        # Up to the last bits: the vectorized sines of long arrays are not those of short ones.
+        np.testing.assert_allclose(alone.vertices[0], together.vertices[k], atol=1e-13)
+        np.testing.assert_allclose(alone.state[0], together.state[k], atol=1e-12)
