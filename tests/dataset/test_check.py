@@ -7,7 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
-from set_files import set_without_plants
+from data_sets import set_without_plants
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import check_dataset, read_image, write_image

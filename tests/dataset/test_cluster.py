@@ -13,7 +13,7 @@ import time
 from contextlib import contextmanager
 
 import pytest
-from set_files import contents
+from data_sets import contents
 from stand_in import PYTHONPATH, Gated, Hungry, StandIn, rendered, wait_for
 
 from pepperscene.dataset import open_dataset

@@ -8,7 +8,7 @@ import tarfile
 
 import numpy as np
 import pytest
-from small_set import HARVEST
+from data_sets import HARVEST
 
 from pepperscene.dataset.export import export_dataset
 

@@ -10,7 +10,7 @@ import types
 from pathlib import Path
 
 import pytest
-from set_files import contents
+from data_sets import contents
 from stand_in import Deadly, Hungry, StandIn, Threaded
 
 from pepperscene.dataset import open_dataset

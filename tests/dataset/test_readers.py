@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from PIL import Image
-from set_files import set_without_plants
+from data_sets import set_without_plants
 from stand_in import StandIn
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass

@@ -13,7 +13,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from PIL import Image
-from set_files import set_without_plants
+from data_sets import set_without_plants
 from stand_in import StandIn
 
 from pepperscene.classes import OrganClass

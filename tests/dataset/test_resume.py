@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from set_files import contents
+from data_sets import contents
 from stand_in import PYTHONPATH, rendered
 
 from pepperscene.dataset import open_dataset

@@ -11,7 +11,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from set_files import contents
+from data_sets import contents
 from stand_in import PYTHONPATH, StandIn, wait_for
 
 from pepperscene.dataset.execution import slurm

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from small_set import FRAMES
+from data_sets import FRAMES
 
 from pepperscene.dataset.export import Splits
 from pepperscene.dataset.readers import open_images
