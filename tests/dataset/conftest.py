@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import shutil
+import sys
 from types import SimpleNamespace
 
 import pytest
+import tomli_w
 from data_sets import make_small_set, remove_plants
 from painted_set import make_painted_set
 from stand_in import StandIn
@@ -58,9 +61,30 @@ def build_small(recipe, tmp_path):
 
 
 @pytest.fixture
+def local_renderer(tmp_path, monkeypatch):
+    """A renderer in a module that other processes cannot import."""
+    (tmp_path / "only_here.py").write_text("import stand_in\nclass Local(stand_in.StandIn): pass\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    yield importlib.import_module("only_here").Local
+    del sys.modules["only_here"]
+
+
+@pytest.fixture
 def empty_scenes(monkeypatch):
     """Scenes without plants, where only files are examined."""
     remove_plants(monkeypatch)
+
+
+@pytest.fixture
+def write_recipe(tmp_path):
+    """Writes a recipe file, which extends `barth2018` unless `extends` is given."""
+
+    def write(file="mine.toml", /, **tables):
+        path = tmp_path / file
+        path.write_text(tomli_w.dumps({"extends": "barth2018", **tables}), encoding="utf-8")
+        return path
+
+    return write
 
 
 @pytest.fixture

@@ -39,7 +39,7 @@ def make(build_small, fake_renderer):
 
 @pytest.fixture
 def fill_disk(monkeypatch):
-    """Makes the disk full for the images for which a function is true, by path and number of writes before."""
+    """Fills the disk at the writes that a function selects, by path and number of earlier writes."""
 
     def install(is_full):
         write, written = STORE.write_file, []

@@ -93,7 +93,7 @@ def test_statistics_are_those_of_the_frames_scene_in_any_order(three_plants, fak
         index: FrameRenderer(three_plants).assemble(plan.frame(index), traced=False) for index in (0, last)
     }
     assert expected[0].statistics != expected[last].statistics
-    for index, assembled in expected.items():
+    for assembled in expected.values():
         organs = [instance.organ_class for instance in assembled.scene.mesh.instances]
         contacts = assembled.statistics["contacts"]
         assert contacts["fruit"] == organs.count(OrganClass.PEPPER)
@@ -161,7 +161,9 @@ def test_surfaces_cover_the_sensitive_wavelengths_and_no_more(changes):
 
 
 def test_cover_filters_daylight_and_keeps_its_illuminance():
-    bare, covered = (renderer_with({"daylight.cover": name})[0].sky(0) for name in ("none", "polyethylene_film"))
+    bare, covered = (
+        renderer_with({"daylight.cover": name})[0].sky(0) for name in ("none", "polyethylene_film")
+    )
     for sky in (bare, covered):
         assert sky.horizontal_illuminance() == pytest.approx(5500, rel=1e-3)
     # The film scatters sunlight, so that the disc is weaker, and absorbs more ultraviolet than red light.

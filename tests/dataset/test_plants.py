@@ -33,7 +33,9 @@ def vertices(*args, **kwargs):
 
 def test_single_plant_is_grown_meshed_and_free_of_contacts(february):
     grown = grow_plant("kaite_february", 3, detail=0.5)
-    assert [instance.kind for instance in grown.mesh.instances] == [organ.kind for organ in grown.plant.organs]
+    assert [instance.kind for instance in grown.mesh.instances] == [
+        organ.kind for organ in grown.plant.organs
+    ]
     assert grown.contacts == pepperscene.geometry.count_contacts(grown.mesh)
     # Organs have the poses of the mesh, also those that were moved.
     np.testing.assert_allclose(

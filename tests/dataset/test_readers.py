@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from PIL import Image
 from data_sets import set_without_plants
+from PIL import Image
 from stand_in import StandIn
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass

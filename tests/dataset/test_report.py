@@ -12,8 +12,8 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from PIL import Image
 from data_sets import set_without_plants
+from PIL import Image
 from stand_in import StandIn
 
 from pepperscene.classes import OrganClass
