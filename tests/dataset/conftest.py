@@ -11,10 +11,12 @@ from types import SimpleNamespace
 import pytest
 import tomli_w
 from data_sets import make_small_set, remove_plants
+from disc_set import make_disc_set
 from painted_set import make_painted_set
 from stand_in import StandIn
 
 from pepperscene.dataset import BuildOptions, Recipe, build, load_recipe, open_dataset
+from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
 
 
 class FakeRenderer(StandIn):
@@ -113,6 +115,27 @@ def small(tmp_path_factory):
 def painted(tmp_path_factory):
     """Six painted frames, with organs in pieces and with holes; to be read, not changed."""
     return make_painted_set(tmp_path_factory.mktemp("painted") / "set")
+
+
+@pytest.fixture(scope="session")
+def all_outputs(tmp_path_factory):
+    """Folder of a correct data set with all outputs."""
+    return make_disc_set(tmp_path_factory.mktemp("check") / "all", tuple(OUTPUTS))
+
+
+@pytest.fixture(scope="session")
+def default_outputs(tmp_path_factory):
+    return make_disc_set(tmp_path_factory.mktemp("check") / "default", (*DEFAULT_OUTPUTS, "class_colour"))
+
+
+@pytest.fixture
+def folder(default_outputs, tmp_path):
+    return shutil.copytree(default_outputs, tmp_path / "set")
+
+
+@pytest.fixture
+def full_folder(all_outputs, tmp_path):
+    return shutil.copytree(all_outputs, tmp_path / "set")
 
 
 @pytest.fixture

@@ -1,13 +1,17 @@
-"""Frames from the real grammar, geometry and camera; only the light transport is a stand-in."""
+"""Frames and cameras from the real grammar and geometry; only the light transport is a stand-in."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset import FrameRenderer, load_recipe
+from pepperscene.dataset import BuildOptions, FrameRenderer, build, load_recipe
 from pepperscene.dataset.recipe.plan import frame_seed
+from pepperscene.errors import InputError
+from pepperscene.scene import view_frustums
 
 LABELS = ("class", "distance")
 
@@ -23,37 +27,14 @@ def renderer(recipe, fake_renderer):
     return FrameRenderer(recipe, fake_renderer)
 
 
-def stem_shape(scene, plant):
-    """Vertices of a plant's stem, which no neighbour moves, relative to their mean."""
-    mesh = scene.mesh
-    owner = np.array([instance.plant for instance in mesh.instances])[mesh.face_instance]
-    stem = (owner == plant) & (mesh.face_class == OrganClass.STEM)
-    vertices = mesh.vertices[np.unique(mesh.faces[stem])].astype(float)
-    return vertices - vertices.mean(axis=0)
-
-
-def test_rotation_moves_plants_along_the_row(three_plants, fake_renderer):
-    renderer = FrameRenderer(three_plants, fake_renderer, culled=False)
-    plan = three_plants.plan
-    before = renderer.scene(plan.frame(0), traced=False)
-    after = renderer.scene(plan.frame(plan.frames), traced=False)
-    for place, plant in ((1, 0), (0, 1), (2, 2)):
-        np.testing.assert_allclose(stem_shape(after, place), stem_shape(before, plant), atol=1e-5)
-
-
-def test_plants_depend_on_set_and_number_but_not_on_the_count(three_plants, recipe, fake_renderer):
-    many, one = (FrameRenderer(each, fake_renderer, culled=False) for each in (three_plants, recipe))
-    expected = stem_shape(many.scene(three_plants.plan.frame(0), traced=False), 0)
-    first = stem_shape(one.scene(recipe.plan.frame(0), traced=False), 0)
-    np.testing.assert_allclose(first, expected, atol=1e-5)
-    other_set = stem_shape(one.scene(recipe.plan.frame(recipe.plan.count - 1), traced=False), 0)
-    assert other_set.shape != expected.shape or not np.allclose(other_set, expected)
-
-
-def test_frames_of_a_scene_share_its_renderer(renderer, recipe, fake_renderer):
+def test_frames_of_a_scene_share_its_renderer_and_differ_in_seed(
+    renderer, recipe, fake_renderer, empty_scenes
+):
     for index in range(8):
         renderer.render(recipe.plan.frame(index), LABELS)
-    assert [len(one.calls) for one in fake_renderer.created] == [4, 4]
+    seeds = [[call.seed for call in one.calls] for one in fake_renderer.created]
+    expected = [frame_seed(recipe.seed, index) for index in range(8)]
+    assert seeds == [expected[:4], expected[4:]]
 
 
 def test_labels_need_no_surfaces_and_no_sky(renderer, recipe, fake_renderer):
@@ -76,15 +57,16 @@ def test_scene_has_sky_and_twine_only_if_the_recipe_has(renderer, recipe):
     assert "twine" in {instance.kind for instance in renderer.scene(spec).mesh.instances}
 
 
-def test_each_set_has_its_own_clouds(recipe):
-    def clouds(index, recipe=recipe):
-        return FrameRenderer(recipe).scene(recipe.plan.frame(index)).sky.weights
+def test_each_set_has_its_own_clouds(renderer, recipe):
+    def clouds(index, renderer=renderer):
+        return renderer.scene(renderer.recipe.plan.frame(index)).sky.weights
 
     frames = recipe.plan.frames
-    first = clouds(0)
+    first, other_set = clouds(0), clouds(recipe.plan.rotations * frames)
+    assert not np.array_equal(other_set, first)
     np.testing.assert_array_equal(clouds(frames), first)
-    assert not np.array_equal(clouds(recipe.plan.rotations * frames), first)
-    assert not np.array_equal(clouds(0, recipe.with_seed(recipe.seed + 1)), first)
+    other_recipe = FrameRenderer(recipe.with_seed(recipe.seed + 1))
+    assert not np.array_equal(clouds(0, other_recipe), first)
 
 
 def test_statistics_are_those_of_the_frames_scene_in_any_order(three_plants, fake_renderer):
@@ -120,26 +102,6 @@ def test_camera_follows_the_arc(renderer, recipe):
     np.testing.assert_allclose(poses[:, 2, 2], np.sin(np.radians(20)))
 
 
-def test_each_frame_has_its_own_seed(renderer, recipe, fake_renderer, empty_scenes):
-    for index in (2, 3):
-        renderer.render(recipe.plan.frame(index), LABELS)
-    seeds = [call.seed for call in fake_renderer.created[0].calls]
-    assert seeds == [frame_seed(recipe.seed, 2), frame_seed(recipe.seed, 3)]
-
-
-def test_scenes_do_not_depend_on_the_order_of_frames(renderer, recipe):
-    plan, last = recipe.plan, recipe.plan.count - 1
-    for index in (last, 0):
-        renderer.render(plan.frame(index), LABELS)
-    scene = renderer.scene(plan.frame(last))
-    expected = FrameRenderer(recipe).scene(plan.frame(last))
-    np.testing.assert_array_equal(scene.mesh.vertices, expected.mesh.vertices)
-    np.testing.assert_array_equal(scene.sky.weights, expected.sky.weights)
-
-
-# --- what a scene takes from the recipe's devices -----------------------------------------------------------
-
-
 def renderer_with(changes):
     small = {"row.plants_front": 1, "row.plants_back": 0, "cultivar": "kaite_february"}
     recipe = load_recipe("barth2018", {**small, **changes})
@@ -170,3 +132,70 @@ def test_cover_filters_daylight_and_keeps_its_illuminance():
     bare, covered = bare.sun.irradiance, covered.sun.irradiance
     assert covered.at(550)[0] < bare.at(550)[0]
     assert covered.at(380)[0] / covered.at(650)[0] < bare.at(380)[0] / bare.at(650)[0]
+
+
+BASELINE_M = 0.06  # of the recipe
+
+
+@pytest.fixture
+def without_partner(recipe):
+    return recipe.model_copy(update={"camera": recipe.camera.model_copy(update={"baseline_mm": None})})
+
+
+def test_other_cameras_are_passed_only_for_outputs_that_need_them(recipe, fake_renderer, empty_scenes):
+    renderer, plan = FrameRenderer(recipe, fake_renderer), recipe.plan
+    for outputs in (("class",), ("flow",), ("class", "stereo"), ("colour_stereo",), ("flow", "stereo")):
+        renderer.render(plan.frame(1), outputs)
+    renderer.render(plan.frame(plan.frames - 1), ("flow",))
+    others = [call.others for created in fake_renderer.created for call in created.calls]
+    purposes = [None if cameras is None else set(cameras) for cameras in others]
+    assert purposes == [None, {"flow"}, {"stereo"}, {"stereo"}, {"flow", "stereo"}, None]
+    np.testing.assert_array_equal(others[1]["flow"].pose, renderer.camera(plan.frame(2)).pose)
+
+
+def test_partner_is_one_baseline_to_the_right_and_shares_the_flash(recipe):
+    views = FrameRenderer(recipe).views
+    camera, partner = views.camera(2), views.others(2, ["stereo"])["stereo"]
+    rotation = camera.pose[:3, :3]
+    np.testing.assert_array_equal(partner.pose[:3, :3], rotation)
+    offset = rotation.T @ (partner.pose[:3, 3] - camera.pose[:3, 3])
+    np.testing.assert_allclose(offset, [BASELINE_M, 0, 0], atol=1e-12)
+    for name in ("lens", "exposure_s", "focus_m"):
+        assert getattr(partner, name) == getattr(camera, name)
+    flashes = [rotation @ np.array(one.flash.offset_m) + one.pose[:3, 3] for one in (camera, partner)]
+    np.testing.assert_allclose(flashes[1], flashes[0], atol=1e-12)
+
+
+def test_partner_has_no_flash_if_the_camera_has_none(recipe):
+    camera = recipe.camera.model_copy(update={"flash": "none"})
+    developing = recipe.developing.model_copy(update={"white_balance": "daylight"})
+    views = FrameRenderer(recipe.model_copy(update={"camera": camera, "developing": developing})).views
+    assert views.others(0, ["colour_stereo"])["stereo"].flash is None
+
+
+@pytest.mark.parametrize("name", ["stereo", "colour_stereo"])
+def test_stereo_outputs_need_a_baseline(without_partner, fake_renderer, empty_scenes, tmp_path, name):
+    with pytest.raises(InputError, match=rf"small: camera\.baseline_mm: is required .*{name}"):
+        FrameRenderer(without_partner, fake_renderer).render(without_partner.plan.frame(0), ("class", name))
+    options = BuildOptions(renderer=fake_renderer)
+    with pytest.raises(InputError, match=r"camera\.baseline_mm"):
+        build(without_partner, tmp_path / "set", [0], ("class", name), options)
+    assert not (tmp_path / "set").exists()
+
+
+def test_frustums_without_partner_are_those_of_the_path(without_partner):
+    views = FrameRenderer(without_partner).views
+    poses = [views.camera(step).pose for step in range(without_partner.plan.frames)]
+    expected = view_frustums(views.camera(0), poses)
+    for name in ("normals", "offsets", "positions"):
+        np.testing.assert_array_equal(getattr(views.frustums, name), getattr(expected, name))
+
+
+def test_frustums_include_the_partner(recipe):
+    views = FrameRenderer(recipe).views
+    half_extent = np.full((1, 3), 1e-3, np.float32)
+    for step in range(recipe.plan.frames):
+        partner = replace(views.others(step, ["stereo"])["stereo"], focus_m=None)
+        for slope in partner.ray_slopes()[[1, 1, -2, -2], [1, -2, 1, -2]]:
+            corner = partner.pose[:3, :3] @ [*(0.99 * slope), 1.0] + partner.pose[:3, 3]
+            assert views.frustums.intersects(corner[None].astype(np.float32), half_extent).all()

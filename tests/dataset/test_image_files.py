@@ -236,17 +236,12 @@ def test_equal_rows_are_compressed():
 @pytest.mark.parametrize(
     ("shape", "dtype", "palette"),
     [
-        ((2, 2), np.float32, None),
-        ((2, 2), np.int16, None),
-        ((2, 2, 3), np.uint16, None),
-        ((2, 2, 4), np.uint8, None),
-        ((2, 2, 3, 1), np.uint8, None),
-        ((4,), np.uint8, None),
-        ((0, 4), np.uint8, None),
-        ((2, 2), np.uint16, ((0, 0, 0),)),
+        ((2, 2), np.float32, None), ((2, 2), np.int16, None), ((2, 2, 3), np.uint16, None),
+        ((2, 2, 4), np.uint8, None), ((2, 2, 3, 1), np.uint8, None), ((4,), np.uint8, None),
+        ((0, 4), np.uint8, None), ((2, 2), np.uint16, ((0, 0, 0),)),
         ((2, 2, 3), np.uint8, ((0, 0, 0),)),
     ],
-)
+)  # fmt: skip
 def test_rejects_arrays_that_are_no_png(shape, dtype, palette):
     with pytest.raises(ValueError, match="does not fit this PNG type"):
         png_bytes(np.zeros(shape, dtype), palette)

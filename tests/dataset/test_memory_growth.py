@@ -19,12 +19,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
-from pepperscene.classes import Instance, OrganClass
 from pepperscene.dataset import BuildOptions, FrameRenderer, build, load_recipe
 from pepperscene.dataset.scenes.frame_renderer import AssembledScene
-from pepperscene.geometry import Mesh
+from pepperscene.geometry import sphere
 from pepperscene.materials import lambertian_surface
 from pepperscene.scene import assemble_scene
 
@@ -33,19 +31,7 @@ SCENES, FRAMES = 10, 30
 def sphere_scene(renderer, spec, **_):
     # 80,000 triangles in front of the camera, different ones in every scene.
     rng = np.random.default_rng([spec.set, spec.rotation])
-    sphere = trimesh.creation.icosphere(subdivisions=6, radius=0.15)
-    vertices = (sphere.vertices + rng.uniform(-0.02, 0.02, 3) + [0, 0, 0.3]).astype(np.float32)
-    mesh = Mesh(
-        vertices=vertices,
-        normals=np.asarray(sphere.vertex_normals, np.float32),
-        uv=np.full((len(vertices), 2), 0.5, np.float32),
-        state=np.full(len(vertices), 0.5, np.float32),
-        faces=sphere.faces.astype(np.uint32),
-        face_instance=np.zeros(len(sphere.faces), np.uint32),
-        face_surface=np.zeros(len(sphere.faces), np.uint8),
-        surfaces=("matt",),
-        instances=(Instance(OrganClass.PEPPER, "sphere"),),
-    )
+    mesh = sphere(rng.uniform(-0.02, 0.02, 3) + [0, 0, 0.3], 0.15, "matt", subdivisions=6)
     return AssembledScene(assemble_scene(mesh, {"matt": lambertian_surface("matt", 0.5)}), {})
 
 def small_camera(renderer, spec):

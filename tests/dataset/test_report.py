@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from data_sets import set_without_plants
 from PIL import Image
-from stand_in import StandIn
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import open_dataset, write_report
@@ -87,7 +86,7 @@ def make(cache, tmp_path):
     def run(frames=3, outputs=DEFAULT_OUTPUTS, **changes):
         cached = cache / "-".join([*outputs, str(frames), *map(str, changes)])
         if not cached.exists():
-            set_without_plants(cached, range(frames), outputs, StandIn, changes)
+            set_without_plants(cached, range(frames), outputs, changes=changes)
         return shutil.copytree(cached, tmp_path / "set", dirs_exist_ok=True)
 
     return run
@@ -204,7 +203,7 @@ def test_names_are_escaped(make, photographs):
 def test_build_continues_after_a_report(make):
     folder = make(1)
     write_report(folder)
-    set_without_plants(folder, range(2), DEFAULT_OUTPUTS, StandIn)
+    set_without_plants(folder, range(2), DEFAULT_OUTPUTS)
     assert write_report(folder).frames == 2
 
 

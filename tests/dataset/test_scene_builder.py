@@ -90,6 +90,13 @@ def test_rotations_reuse_the_plants_of_their_set(recipe, monkeypatch):
     assert len(calls) == 6 + FAR_ROW_PLANTS
 
 
+def test_plants_depend_on_set_and_number_but_not_on_the_count(recipe, builder):
+    alone = recipe.model_copy(update={"row": recipe.row.model_copy(update={"plants_front": 1})})
+    other = builder_of(alone)
+    np.testing.assert_array_equal(other.plants(0)[0].mesh.vertices, builder.plants(0)[0].mesh.vertices)
+    assert not np.array_equal(other.plants(1)[0].mesh.vertices, builder.plants(0)[0].mesh.vertices)
+
+
 def test_scene_depends_on_no_other_scene(recipe, builder):
     expected = builder_of(recipe).scene(1, 1)
     builder.scene(0, 0)
@@ -140,9 +147,14 @@ def test_rows_lean_apart_and_stems_begin_on_blocks(builder, scene):
         assert towards_aisle / height == pytest.approx(np.tan(plant.posture.lean_rad), abs=0.06)
 
 
-def test_rotation_moves_postures_but_not_blocks(builder):
+def test_rotation_moves_plants_and_postures_but_not_blocks(builder):
     row, postures = builder.row, [plant.posture for plant in builder.plants(0)]
-    first, second = (feet(builder.scene(0, rotation).mesh) for rotation in (0, 1))
+    meshes = [builder.scene(0, rotation).mesh for rotation in (0, 1)]
+    before, after = ([plant_vertices(mesh, plant) for plant in range(3)] for mesh in meshes)
+    for place, plant in ((1, 0), (0, 1), (2, 2)):
+        shapes = [stem - stem.mean(axis=0) for stem in (after[place], before[plant])]
+        np.testing.assert_allclose(*shapes, atol=1e-5)
+    first, second = map(feet, meshes)
     # Along the row, places deviate from even spacing in the same way.
     np.testing.assert_allclose(first[:, 0], second[:, 0], atol=2e-3)
     deviation = first[:, 0] - row.positions()[:, 0]

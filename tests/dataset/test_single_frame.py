@@ -130,16 +130,10 @@ def test_failed_rename_leaves_no_frame(render, folder, refuse_rename):
 @pytest.mark.parametrize(
     "arguments",
     [
-        {"outputs": ("smell",)},
-        {"outputs": ()},
-        {"index": 24},
-        {"index": -1},
-        {"quality": "best"},
-        {"seed": -1},
-        {"recipe": "nothing"},
-        {"workers": 2},
+        {"outputs": ("smell",)}, {"outputs": ()}, {"index": 24}, {"index": -1}, {"quality": "best"},
+        {"seed": -1}, {"recipe": "nothing"}, {"workers": 2},
     ],
-)
+)  # fmt: skip
 def test_rejects_invalid_arguments_before_writing(render, tmp_path, arguments):
     with pytest.raises(InputError):
         render(**arguments)
