@@ -54,9 +54,10 @@ def recipe() -> Recipe:
 
 @pytest.fixture
 def build_small(recipe, tmp_path):
-    """Builds the small recipe into a folder; further keywords are build options."""
+    """Builds the small recipe into a folder without Mitsuba; further keywords are build options."""
 
     def run(out="set", frames=None, outputs=("class", "distance"), on_frame=None, recipe=recipe, **options):
+        options.setdefault("renderer", StandIn)
         return build(recipe, tmp_path / out, frames, outputs, BuildOptions(**options), on_frame)
 
     return run

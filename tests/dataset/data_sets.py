@@ -7,6 +7,7 @@ import pytest
 from stand_in import StandIn
 
 from pepperscene.dataset import BuildOptions, FrameRenderer, build, load_recipe
+from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
 from pepperscene.dataset.scenes.frame_renderer import AssembledScene
 from pepperscene.geometry import rectangle
 from pepperscene.scene import assemble_scene
@@ -73,3 +74,17 @@ class HarvestRenderer(StandIn):
 def make_small_set(folder):
     """Nine tiny frames of three scenes with all outputs that exports use."""
     return set_without_plants(folder, range(FRAMES), OUTPUTS, HarvestRenderer)
+
+
+class RandomImages(ImageSet):
+    """Photographs of noise, the upper half labelled as fruit, generated on access."""
+
+    def names(self):
+        return tuple(f"random{item}" for item in self.items)
+
+    def read(self, item):
+        rng = np.random.default_rng(item)
+        colour = rng.integers(0, 256, (30, 40, 3)).astype(np.uint8) if "colour" in self.fields else None
+        classes = np.full((30, 40), 255, np.uint8)
+        classes[:15] = 2
+        return LabelledImage(f"random{item}", colour, classes if "classes" in self.fields else None)

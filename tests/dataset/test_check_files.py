@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 
 import numpy as np
@@ -86,20 +87,18 @@ def test_required_frames(folder):
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["notes.txt", "class/copy.png", "frames/.000003.json.here.7.1.tmp", "frames/5.json", "masks/1.png"],
+    ("name", "expected"),
+    [(b"masks/1.png", "masks"), (b"class/\xff.png", "class/\\udcff.png")]
+    + [
+        (name.encode(), name)
+        for name in ("notes.txt", "class/copy.png", "frames/.000003.json.here.7.1.tmp", "frames/5.json")
+    ],
 )
-def test_finds_stray_files(folder, name):
-    (folder / name).parent.mkdir(exist_ok=True)
-    (folder / name).write_bytes(b"")
-    expected = name if name != "masks/1.png" else "masks"
+def test_finds_stray_files(folder, name, expected):
+    path = folder / os.fsdecode(name)
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(b"")
     assert find(folder) == {("extra", None, expected)}
-
-
-def test_finds_file_name_that_is_not_text(folder):
-    with open(bytes(folder / "class") + b"/\xff.png", "wb"):
-        pass
-    assert find(folder) == {("extra", None, "class/\\udcff.png")}
 
 
 def test_files_of_file_managers_and_reports_are_allowed(folder):

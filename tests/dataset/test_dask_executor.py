@@ -14,7 +14,7 @@ from contextlib import contextmanager
 
 import pytest
 from data_sets import contents
-from stand_in import PYTHONPATH, GatedRenderer, OutOfMemoryRenderer, StandIn, rendered, wait_for
+from stand_in import PYTHONPATH, GatedRenderer, OutOfMemoryRenderer, rendered, wait_for
 
 from pepperscene.dataset import open_dataset
 from pepperscene.dataset.execution import dask_executor, dask_worker
@@ -29,12 +29,9 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs signals")
 
 @contextmanager
 def local_cluster(workers, preload=(), **variables):
-    """Worker processes on this machine, with a renderer that takes some time.
+    """Worker processes on this machine, which first run the Python texts in `preload`.
 
-    Args:
-        workers: number of them.
-        preload: Python that each runs first.
-        variables: of their environment.
+    Further arguments are environment variables. Their stand-in renderer takes some time.
     """
     with pytest.MonkeyPatch.context() as monkeypatch:
         for name, value in {"PYTHONPATH": PYTHONPATH, "STAND_IN_S": "0.05", **variables}.items():
@@ -65,8 +62,8 @@ def cluster(log):
 def make(build_small, cluster):
     """Builds on the shared cluster, or in this process if `scheduler` is None."""
 
-    def run(out="set", renderer=StandIn, scheduler=cluster.scheduler_address, **arguments):
-        return build_small(out, renderer=renderer, scheduler=scheduler, **arguments)
+    def run(out="set", scheduler=cluster.scheduler_address, **arguments):
+        return build_small(out, scheduler=scheduler, **arguments)
 
     return run
 
@@ -111,7 +108,7 @@ def test_worker_that_is_killed_twice(make, recipe, assert_complete, tmp_path):
                 killer.start()
 
         address = cluster.scheduler_address
-        result = make("set", GatedRenderer, address, on_frame=on_frame, on_notice=notices.append)
+        result = make("set", address, renderer=GatedRenderer, on_frame=on_frame, on_notice=notices.append)
         killer.join()
 
     # All frames are complete and reported once; those that a killed worker had not reported were found.
@@ -224,9 +221,6 @@ def test_frames_that_were_not_reported_are_requested_again(make, monkeypatch):
     assert (len(result.made), len(result.kept)) == (5, 1)
 
 
-# --- workers that cannot be used, and errors ----------------------------------------------------------------
-
-
 def test_workers_of_another_version_are_not_used(make, tmp_path, monkeypatch):
     monkeypatch.setattr(dask_worker, "__version__", "9.9")
     notices = []
@@ -238,10 +232,9 @@ def test_workers_of_another_version_are_not_used(make, tmp_path, monkeypatch):
 
 
 def test_workers_that_do_not_see_the_folder_are_not_used(make, tmp_path, monkeypatch):
-    create = dask_worker.BuildRequest.create
-    monkeypatch.setattr(
-        dask_worker.BuildRequest, "create", lambda build, marker, job: create(build, tmp_path / "gone", job)
-    )
+    request = dask_worker.BuildRequest
+    create = request.create
+    monkeypatch.setattr(request, "create", lambda build, marker, job: create(build, tmp_path / "gone", job))
     with pytest.raises(WorkerError, match=r"no worker at tcp.* can be used: .* does not see"):
         make()
     assert not (tmp_path / "set").exists()

@@ -58,9 +58,6 @@ def bounds(mask):
     return [columns.min(), rows.min(), np.ptp(columns) + 1, np.ptp(rows) + 1]
 
 
-# --- instances ----------------------------------------------------------------------------------------------
-
-
 def test_every_organ_has_its_mask_and_attributes(painted, out, truth):
     assert sorted(truth.imgs) == list(FRAMES[:4])
     assert {category["id"]: category["name"] for category in truth.cats.values()} == {
@@ -221,9 +218,6 @@ def test_run_lengths_are_those_of_pycocotools(ids):
     for value, runs in lengths.items():
         mask = mask_tools.frPyObjects({"size": list(ids.shape), "counts": runs}, *ids.shape)
         assert mask["counts"] == mask_tools.encode(np.asfortranarray(ids == value, dtype=np.uint8))["counts"]
-
-
-# --- panoptic -----------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

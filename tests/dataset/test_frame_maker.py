@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from data_sets import contents
-from stand_in import StandIn
 
 from pepperscene.dataset import BuildOptions, open_dataset
 from pepperscene.dataset.execution.job import BuildJob, FrameMaker
@@ -21,7 +20,6 @@ pytestmark = pytest.mark.usefixtures("empty_scenes")
 STORE = sys.modules["pepperscene.dataset.store.dataset"]
 ATOMIC = sys.modules["pepperscene.dataset.store.atomic"]
 OUTPUTS = ("class", "distance")
-FIRST_FRAME = {"dataset.json", "frames/000000.json", "class/000000.png", "distance/000000.exr"}
 
 
 @pytest.fixture
@@ -30,23 +28,15 @@ def job(recipe, fake_renderer, tmp_path):
 
 
 @pytest.fixture
-def make(build_small, fake_renderer):
-    def run(frames, out="set", renderer=fake_renderer):
-        return build_small(out, frames, OUTPUTS, renderer=renderer)
-
-    return run
-
-
-@pytest.fixture
 def fill_disk(monkeypatch):
-    """Fills the disk at the writes that a function selects, by path and number of earlier writes."""
+    """Makes the disk full after a number of images."""
 
-    def install(is_full):
+    def install(count):
         write, written = STORE.write_file, []
 
         def write_or_fail(path, content):
             written.append(path)
-            if is_full(path, len(written) - 1):
+            if len(written) > count:
                 with ATOMIC.atomic_write(path) as temporary:
                     temporary.write_bytes(b"half")
                     raise OSError(28, "No space left on device", str(path))
@@ -113,38 +103,30 @@ def test_frame_that_is_complete_is_kept_when_the_caller_fails(job):
     assert_intact(job.folder, (0,))
 
 
-def test_failed_write_is_raised_and_leaves_nothing_of_its_frame(job, fill_disk):
-    reported = []
-    fill_disk(lambda path, _: path.name == "000001.exr")
-    with FrameMaker(job) as maker, pytest.raises(OutputError, match=r"distance.*No space left"):
-        maker.make(range(4), lambda done: reported.append(done.index))
-    assert reported == [0]
-    assert set(contents(job.folder)) == FIRST_FRAME
-
-
 @pytest.mark.parametrize("fail_at", range(len(OUTPUTS)))
-def test_build_keeps_frames_before_a_full_disk(make, tmp_path, fill_disk, fail_at):
-    make("0:1")
-    before = contents(tmp_path / "set")
-    fill_disk(lambda _, count: count >= fail_at)
+def test_full_disk_leaves_only_complete_frames(build_small, tmp_path, fill_disk, fail_at):
+    build_small(frames="0:1", out="expected")
+    reported = []
+    fill_disk(len(OUTPUTS) + fail_at)
     with pytest.raises(OutputError, match="No space left"):
-        make("0:3")
-    assert contents(tmp_path / "set") == before
+        build_small(frames="0:4", on_frame=lambda progress: reported.append(progress.index))
+    assert reported == [0]
+    assert contents(tmp_path / "set") == contents(tmp_path / "expected")
 
 
-def test_failure_in_the_first_frame_leaves_no_folder(make, tmp_path, fill_disk):
-    fill_disk(lambda _, count: count >= 1)
+def test_failure_in_the_first_frame_leaves_no_folder(build_small, tmp_path, fill_disk):
+    fill_disk(1)
     with pytest.raises(OutputError):
-        make("0:3", out="a/b/set")
+        build_small(frames="0:3", out="a/b/set")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_failed_rename_of_frame_json_leaves_nothing_of_the_frame(make, tmp_path, refuse_rename):
-    make("0:1")
+def test_failed_rename_of_frame_json_leaves_nothing_of_the_frame(build_small, tmp_path, refuse_rename):
+    build_small(frames="0:1")
     before = contents(tmp_path / "set")
     refuse_rename("000001.json")
     with pytest.raises(OutputError, match=r"000001\.json.*Input/output error"):
-        make("0:2")
+        build_small(frames="0:2")
     assert contents(tmp_path / "set") == before
 
 
@@ -156,12 +138,12 @@ def test_failed_rename_of_frame_json_leaves_nothing_of_the_frame(make, tmp_path,
 def test_system_that_refuses_large_files(build_small, tmp_path, output, limit, workers):
     import resource
 
-    build_small(frames="0:2", outputs=("class",), renderer=StandIn)
+    build_small(frames="0:2", outputs=("class",))
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
     try:
         with pytest.raises(OutputError, match="cannot be written") as error:
-            build_small(outputs=("class", output), renderer=StandIn, workers=workers)
+            build_small(outputs=("class", output), workers=workers)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert "\n" not in str(error.value)
@@ -183,7 +165,7 @@ def test_metadata_that_is_not_json_leaves_nothing_of_the_frame(job, fake_rendere
     assert set(contents(job.folder)) == {"dataset.json"}
 
 
-def test_frame_that_is_being_written_is_finished_when_the_next_one_fails(make, fake_renderer, tmp_path):
+def test_frame_being_written_is_finished_when_the_next_one_fails(build_small, fake_renderer, tmp_path):
     class FailingRenderer(fake_renderer):
         def render(self, *args, **kwargs):
             if len(self.calls) == 2:
@@ -191,5 +173,5 @@ def test_frame_that_is_being_written_is_finished_when_the_next_one_fails(make, f
             return super().render(*args, **kwargs)
 
     with pytest.raises(InputError):
-        make("0:4", renderer=FailingRenderer)
+        build_small(frames="0:4", renderer=FailingRenderer)
     assert_intact(tmp_path / "set", (0, 1))

@@ -39,22 +39,16 @@ def images():
     return LoggedSet(name="logged", items=tuple(range(10)), log=[])
 
 
-def test_images_are_read_on_access(images):
+def test_set_is_a_sequence_that_is_read_on_access(images):
     part = images[2:8:2]
     assert images.log == []
     assert part.names() == ("2", "4", "6")
     assert part[-1].name == "6"
     assert images.log == [6]
-
-
-def test_set_is_a_sequence(images):
     assert len(images) == 10
     assert [image.name for image in images] == list(images.names())
     with pytest.raises(IndexError):
         images[10]
-
-
-def test_take_keeps_order_and_type(images):
     part = images.take([7, 1])
     assert isinstance(part, LoggedSet)
     assert part.names() == ("7", "1")

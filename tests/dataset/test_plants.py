@@ -98,9 +98,6 @@ def test_rejects_detail_that_is_not_positive_and_finite(february, detail):
         grow_plant(february, detail=detail)
 
 
-# --- two processes ------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def factory(february):
     return PlantFactory(february, 7, Greenhouse(turn_sd_rad=0.5), TwineTable(diameter_mm=3, turns_per_m=4))

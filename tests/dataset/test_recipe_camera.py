@@ -61,9 +61,6 @@ def test_surface_wavelengths_cover_the_sensitive_range():
         surface_wavelengths(sensor([400.0, 700.0], [0.0, 0.0]))
 
 
-# --- developing ---------------------------------------------------------------------------------------------
-
-
 def test_without_a_flash_the_white_balance_must_be_another():
     with pytest.raises(InputError, match=r"camera\.flash = .none.: needs a developing"):
         load_recipe("barth2018", {"camera.flash": "none"})

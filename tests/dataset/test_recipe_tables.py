@@ -29,9 +29,6 @@ def error_message(*texts):
     return message
 
 
-# --- greenhouse ---------------------------------------------------------------------------------------------
-
-
 def test_missing_tables_are_not_in_the_identity():
     recipe = load_recipe("barth2018")
     assert (recipe.growth, recipe.greenhouse) == (None, None)
@@ -94,9 +91,6 @@ def test_camera_path_leans_with_the_row():
     # Stems begin 144 mm above the floor.
     expected = np.tan(np.radians(4)) * (upright[:, 2, 3] - 0.144)
     np.testing.assert_allclose(upright[:, 1, 3] - leaning[:, 1, 3], expected, atol=1e-12)
-
-
-# --- growth -------------------------------------------------------------------------------------------------
 
 
 def internode_length(cultivar):

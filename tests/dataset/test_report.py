@@ -12,12 +12,11 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from data_sets import set_without_plants
+from data_sets import RandomImages, set_without_plants
 from PIL import Image
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import open_dataset, write_report
-from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
 from pepperscene.dataset.report.data import (
     NUMBERS,
     distance_range,
@@ -59,20 +58,6 @@ class Page(HTMLParser):
 
     def fractions(self):
         return self.text.partition('class="fractions"')[2].partition("</table>")[0]
-
-
-class RandomImages(ImageSet):
-    """Photographs of noise, the upper half labelled as fruit, generated on access."""
-
-    def names(self):
-        return tuple(f"random{item}" for item in self.items)
-
-    def read(self, item):
-        rng = np.random.default_rng(item)
-        colour = rng.integers(0, 256, (30, 40, 3)).astype(np.uint8) if "colour" in self.fields else None
-        classes = np.full((30, 40), 255, np.uint8)
-        classes[:15] = 2
-        return LabelledImage(f"random{item}", colour, classes if "classes" in self.fields else None)
 
 
 @pytest.fixture(scope="module")

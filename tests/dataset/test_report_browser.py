@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from chromium import Browser, find_chromium
-from data_sets import set_without_plants
+from data_sets import RandomImages, set_without_plants
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import write_report
-from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
 from pepperscene.frame import Frame
 
 pytestmark = pytest.mark.skipif(find_chromium() is None, reason="there is no Chromium on this machine")
@@ -18,19 +17,6 @@ SIZE = (120, 160)
 FRAME_COUNT = 40
 SHOWN = 3
 PANELS = ("colour", "class", "instance", "distance")
-
-
-class Photographs(ImageSet):
-    """Two photographs in which only fruit is labelled."""
-
-    def names(self):
-        return tuple(f"photo {item}" for item in self.items)
-
-    def read(self, item):
-        colour = np.full((90, 120, 3), (40, 120, 60), np.uint8)
-        classes = np.full((90, 120), 255, np.uint8)
-        classes[20:50, 30:70], colour[20:50, 30:70] = 2, (190, 40 + 50 * item, 20)
-        return LabelledImage(f"photo {item}", colour, classes)
 
 
 class BandRenderer:
@@ -68,7 +54,7 @@ def page(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report") / "set with a long name_that_cannot_be_broken_anywhere"
     changes = {"name": "striped", "plan.sets": 1, "plan.rotations": 1, "plan.frames": 100}
     set_without_plants(folder, range(FRAME_COUNT), PANELS, BandRenderer, changes)
-    return write_report(folder, SHOWN, Photographs(name="photographs", items=(0, 1))).page
+    return write_report(folder, SHOWN, RandomImages(name="photographs", items=(0, 1))).page
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +98,7 @@ def test_page_opens_with_all_images(browser):
     )
     frames = [SIZE[1]] * (SHOWN * len(PANELS))
     # Frames, photographs with their masks, maps of eight classes and of one, both mean intensities.
-    assert sorted(widths) == sorted([*frames, *[120] * 4, *[SIZE[1]] * 8, 120, SIZE[1], 120])
+    assert sorted(widths) == sorted([*frames, *[40] * 4, *[SIZE[1]] * 8, 40, SIZE[1], 40])
     assert browser.run("document.title").startswith("striped")
 
 

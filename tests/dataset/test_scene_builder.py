@@ -68,9 +68,6 @@ def feet(mesh):
     return np.array([foot(plant_vertices(mesh, number)) for number in range(3)])
 
 
-# --- what is grown once -------------------------------------------------------------------------------------
-
-
 def test_rotations_reuse_the_plants_of_their_set(recipe, monkeypatch):
     calls, mesh_plant = [], pepperscene.geometry.mesh_plant
     monkeypatch.setattr(
@@ -122,9 +119,6 @@ def test_every_process_makes_the_same_bytes(scene):
         env={**os.environ, "PYTHONHASHSEED": "1", "OMP_NUM_THREADS": "1"},
     )
     assert result.stdout.strip() == mesh_digest(scene.mesh)
-
-
-# --- positions ----------------------------------------------------------------------------------------------
 
 
 def test_greenhouse_is_the_recipes_in_metres_and_radians(builder):
@@ -190,9 +184,6 @@ def test_without_greenhouse_table_plants_are_even_upright_and_alone(recipe, buil
     centre = [*positions[2], 0]
     expected = (plant_vertices(mesh, 2) - centre) * [-1, -1, 1]
     np.testing.assert_allclose(plant_vertices(empty, 2) - centre, expected, atol=1e-6)
-
-
-# --- labels and contacts ------------------------------------------------------------------------------------
 
 
 def test_surroundings_are_background_except_for_crop_wires(scene):

@@ -10,7 +10,7 @@ import pytest
 from data_sets import contents
 
 from pepperscene.dataset import BuildOptions, read_image, render_frame
-from pepperscene.errors import InputError, OutputError, SetupError
+from pepperscene.errors import InputError, OutputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
 
 pytestmark = pytest.mark.usefixtures("empty_scenes")
@@ -137,13 +137,4 @@ def test_failed_rename_leaves_no_frame(render, folder, refuse_rename):
 def test_rejects_invalid_arguments_before_writing(render, tmp_path, arguments):
     with pytest.raises(InputError):
         render(**arguments)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_renderer_that_cannot_start_leaves_nothing(render, tmp_path):
-    def fail(_scene):
-        raise SetupError("no variant")
-
-    with pytest.raises(SetupError):
-        render(out="a/one", renderer=fail)
     assert list(tmp_path.iterdir()) == []

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from data_sets import contents
-from stand_in import PYTHONPATH, StandIn, process_fields, wait_for
+from stand_in import PYTHONPATH, process_fields, wait_for
 
 from pepperscene.dataset.execution import slurm
 from pepperscene.dataset.execution.slurm import SlurmJobs, read_slurm_file
@@ -105,23 +105,15 @@ def write_jobs(tmp_path):
     return write
 
 
-@pytest.fixture
-def make(build_small):
-    def run(slurm=None, out="set", **arguments):
-        return build_small(out, renderer=StandIn, slurm=slurm, **arguments)
-
-    return run
-
-
-def submitted_script(make, commands, path):
+def submitted_script(build_small, commands, path):
     """The script that Slurm was asked to check, and rejects."""
     with pytest.raises(InputError, match=r"Slurm refuses such a job: .*closed"):
-        make(path)
+        build_small(slurm=path)
     return (commands / "tested.sh").read_text()
 
 
-def test_script_has_all_settings(make, commands, write_jobs, tmp_path):
-    script = submitted_script(make, commands, write_jobs(ALL_KEYS))
+def test_script_has_all_settings(build_small, commands, write_jobs, tmp_path):
+    script = submitted_script(build_small, commands, write_jobs(ALL_KEYS))
     for option in (
         "-J pepperscene",
         "-p closed",
@@ -150,8 +142,8 @@ def test_script_has_all_settings(make, commands, write_jobs, tmp_path):
     assert [path.name for path in commands.iterdir()] == ["tested.sh"]
 
 
-def test_script_without_options_leaves_defaults_to_the_site(make, commands, write_jobs):
-    script = submitted_script(make, commands, write_jobs(REQUIRED_KEYS + 'partition = "closed"\n'))
+def test_script_without_options_leaves_defaults_to_the_site(build_small, commands, write_jobs):
+    script = submitted_script(build_small, commands, write_jobs(REQUIRED_KEYS + 'partition = "closed"\n'))
     assert "#SBATCH -A" not in script
     assert "#SBATCH -o" not in script
     assert script.splitlines()[-1].startswith(f"{sys.executable} -m distributed")
@@ -196,25 +188,25 @@ def test_every_key_is_documented():
     assert SlurmJobs.model_validate(tomllib.loads(example)).workers == 32
 
 
-def test_machine_without_slurm(make, write_jobs, tmp_path, monkeypatch):
+def test_machine_without_slurm(build_small, write_jobs, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(SetupError, match="cannot submit jobs to Slurm: it has no command sbatch"):
-        make(write_jobs(REQUIRED_KEYS))
+        build_small(slurm=write_jobs(REQUIRED_KEYS))
     assert not (tmp_path / "set").exists()
 
 
-def test_missing_network_interface(make, commands, write_jobs, tmp_path):
+def test_missing_network_interface(build_small, commands, write_jobs, tmp_path):
     path = write_jobs(REQUIRED_KEYS.replace('"lo"', '"ib77"'))
     with pytest.raises(InputError, match=r"jobs\.toml: cannot be used on this machine: .*ib77"):
-        make(path)
+        build_small(slurm=path)
     assert not (tmp_path / "set").exists()
 
 
-def test_jobs_make_the_same_files(make, commands, write_jobs, tmp_path, monkeypatch):
+def test_jobs_make_the_same_files(build_small, commands, write_jobs, tmp_path, monkeypatch):
     notices = []
     monkeypatch.setenv("STAND_IN_S", "0.1")
-    result = make(write_jobs(REQUIRED_KEYS), on_notice=notices.append)
-    make(None, "serial")
+    result = build_small(slurm=write_jobs(REQUIRED_KEYS), on_notice=notices.append)
+    build_small("serial")
     assert result.made == tuple(range(24))
     assert notices == ["2 jobs were submitted to Slurm; frames are made once one of them runs"]
     assert contents(tmp_path / "set") == contents(tmp_path / "serial")
@@ -228,7 +220,7 @@ def test_jobs_make_the_same_files(make, commands, write_jobs, tmp_path, monkeypa
     )
 
 
-def test_job_that_ends_is_submitted_again(make, commands, write_jobs, monkeypatch):
+def test_job_that_ends_is_submitted_again(build_small, commands, write_jobs, monkeypatch):
     monkeypatch.setattr(slurm, "_RENEW_S", 1.0)
     monkeypatch.setenv("STAND_IN_S", "0.1")
     notices = []
@@ -239,17 +231,17 @@ def test_job_that_ends_is_submitted_again(make, commands, write_jobs, monkeypatc
 
     path = write_jobs(REQUIRED_KEYS.replace("jobs = 2", "jobs = 1"))
     with dask.config.set({"distributed.deploy.lost-worker-timeout": "1s"}):
-        result = make(path, on_frame=end_job, on_notice=notices.append)
+        result = build_small(slurm=path, on_frame=end_job, on_notice=notices.append)
     assert sorted((*result.made, *result.kept)) == list(range(24))
     assert sorted(path.name for path in commands.iterdir() if path.is_dir()) == ["1", "2"]
     assert len(notices) == 2
     assert "a worker was lost over frame 0000" in notices[1]
 
 
-def test_jobs_that_end_before_a_worker_starts(make, commands, write_jobs, tmp_path, monkeypatch):
+def test_jobs_that_end_before_a_worker_starts(build_small, commands, write_jobs, tmp_path, monkeypatch):
     monkeypatch.setattr(slurm, "_QUEUE_CHECK_S", 0.1)
     monkeypatch.setattr(slurm, "_QUEUE_CHECKS", 2)
     path = write_jobs(REQUIRED_KEYS + 'prologue = ["exit 1"]\n')
     with pytest.raises(WorkerError, match="Slurm has none of the jobs any more"):
-        make(path)
+        build_small(slurm=path)
     assert not (tmp_path / "set").exists()
