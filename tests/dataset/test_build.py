@@ -132,9 +132,6 @@ def test_temporary_files_of_killed_builds_are_removed(make, tmp_path):
     assert recent.exists()
 
 
-# --- interruptions ------------------------------------------------------------------------------------------
-
-
 def test_interrupt_keeps_only_complete_frames(make, tmp_path):
     def stop(progress):
         if progress.index == 1:
@@ -153,9 +150,6 @@ def test_renderer_that_cannot_start_leaves_nothing(make, tmp_path):
     with pytest.raises(SetupError):
         make(frames="0:1", renderer=fail)
     assert list(tmp_path.iterdir()) == []
-
-
-# --- what is rejected ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -238,9 +232,6 @@ def test_rejects_folders_that_cannot_be_used(make, tmp_path, monkeypatch):
     with pytest.raises(OutputError, match="not writable"):
         make(frames="0:1")
     assert contents(tmp_path) == {"file": b"mine"}
-
-
-# --- progress -----------------------------------------------------------------------------------------------
 
 
 def test_reports_progress(make):

@@ -20,6 +20,7 @@ from pepperscene.dataset.execution.job import FrameDone
 from pepperscene.dataset.recipe.plan import Plan, frame_seed
 from pepperscene.errors import InputError, OutputError, WorkerError
 
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs signals")
 PLAN = Plan(sets=3, rotations=2, frames=5)
 
 

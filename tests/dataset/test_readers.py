@@ -42,9 +42,6 @@ def grey(value, dtype=np.uint8):
     return np.full(SIZE, value, dtype)
 
 
-# --- rendered sets ------------------------------------------------------------------------------------------
-
-
 def test_reads_rendered_data_set(small):
     images = open_images(small.folder)
     assert isinstance(images, RenderedSet)
@@ -86,9 +83,6 @@ def test_rejects_data_set_without_frames(copied, small):
         path.unlink()
     with pytest.raises(InputError, match="holds no frames"):
         open_images(folder)
-
-
-# --- the published layout -----------------------------------------------------------------------------------
 
 
 def publish(folder, classes, half="synthetic", numbers=(1, 2, 10), values=True, colours=True):
@@ -161,9 +155,6 @@ def test_published_labels_may_contain_void(tmp_path, ids):
     ids[0, 0] = VOID
     publish(tmp_path, ids, numbers=(8,), colours=False)
     np.testing.assert_array_equal(open_images(tmp_path)[0].classes, ids)
-
-
-# --- folders ------------------------------------------------------------------------------------------------
 
 
 def test_natural_sort_key_sorts_numbers_by_value():
@@ -263,9 +254,6 @@ def test_rejects_missing_folder_and_damaged_file(tmp_path):
         open_images(tmp_path)[0]
 
 
-# --- masks --------------------------------------------------------------------------------------------------
-
-
 def classes_of(folder, mask, labels=None):
     """The classes of a mask, an array or the content of a PNG, beside an image of its size."""
     path = folder / "a_mask.png"
@@ -352,9 +340,6 @@ def test_montoya2021_labels_only_fruit_and_peduncles():
 def test_rejects_invalid_table(table, message):
     with pytest.raises(InputError, match=message):
         parse_labels(table, "labels")
-
-
-# --- photographs --------------------------------------------------------------------------------------------
 
 
 def test_photograph_is_rotated_by_its_exif_orientation(tmp_path):

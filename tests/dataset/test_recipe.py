@@ -16,9 +16,6 @@ from pepperscene.shipped import shipped_folder
 RECIPES, PLANTS = shipped_folder("recipes"), shipped_folder("plants")
 
 
-# --- shipped recipes ----------------------------------------------------------------------------------------
-
-
 def test_shipped_plan_is_the_published_one():
     recipe = load_recipe("barth2018")
     assert (recipe.plan.sets, recipe.plan.rotations, recipe.plan.frames) == (6, 7, 250)
@@ -43,9 +40,6 @@ def test_demo_selects_frames_of_the_published_plan():
     assert len({demo.plan.frame(index).set for index in demo.plan.select}) == 6
     renamed = demo.model_copy(update={"name": published.name})
     assert renamed.identity() == published.identity()
-
-
-# --- files that extend each other ---------------------------------------------------------------------------
 
 
 def test_tables_are_merged_and_lists_replaced(write_recipe):
@@ -102,9 +96,6 @@ def test_expectations_are_inherited_only_for_frames_of_the_same_kind(tmp_path, t
     file = tmp_path / "mine.toml"
     file.write_text(f'extends = "barth2018"\n{text}\n')
     assert (load_recipe(file, changes).expect is not None) == inherited
-
-
-# --- identity -----------------------------------------------------------------------------------------------
 
 
 def test_identity_follows_the_cultivars_values_not_its_comments(tmp_path, write_recipe):
@@ -198,8 +189,6 @@ def test_seed_can_be_replaced():
         with pytest.raises(InputError, match="seed"):
             recipe.with_seed(invalid)
 
-
-# --- errors -------------------------------------------------------------------------------------------------
 
 NAN, INF = float("nan"), float("inf")
 INVALID = {

@@ -87,9 +87,6 @@ def remove_tables(folder):
         (folder / name).unlink(missing_ok=True)
 
 
-# --- the page -----------------------------------------------------------------------------------------------
-
-
 def test_page_contains_its_images_and_needs_no_network(make):
     folder = make()
     page = Page(write_report(folder).page)
@@ -218,9 +215,6 @@ def test_unwritable_page_is_an_output_error(make):
         write_report(folder)
 
 
-# --- statistics of images -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("count", "limit"), [(1, 1), (5, 9), (9, 9), (10_500, 12), (7, 1)])
 def test_evenly_spaced_positions(count, limit):
     positions = evenly_spaced(count, limit)
@@ -269,9 +263,6 @@ def test_error_ends_the_reading():
 
 def test_images_without_distances_have_no_range(photographs):
     assert distance_range(photographs, [0, 1]) is None
-
-
-# --- records of frames --------------------------------------------------------------------------------------
 
 
 def test_records_match_the_files(make):
