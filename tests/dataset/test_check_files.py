@@ -123,13 +123,6 @@ def test_finds_damaged_frame_json(folder, content):
     assert ("damaged", 3, "frames/000003.json") in find(folder)
 
 
-@pytest.mark.parametrize("changes", [{"camera": {}}, {"step": 7}, {"checksum": "0" * 64}])
-def test_finds_frame_json_that_does_not_match_its_checksum(folder, changes):
-    path = folder / "frames/000003.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
-    assert ("damaged", 3, "frames/000003.json") in find(folder)
-
-
 def test_edited_frame_json_is_one_finding(folder):
     path = folder / "frames/000003.json"
     metadata = json.loads(path.read_text())
@@ -138,20 +131,13 @@ def test_edited_frame_json_is_one_finding(folder):
     assert find(folder) == {("damaged", 3, "frames/000003.json")}
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b'{"format": "another"}'])
-def test_finds_damaged_dataset_json(folder, content):
-    (folder / "dataset.json").write_bytes(content)
-    assert find(folder) == {("damaged", None, "dataset.json")}
-
-
-def test_finds_edited_or_missing_dataset_json(folder):
+def test_finds_damaged_edited_or_missing_dataset_json(folder):
     path = folder / "dataset.json"
     info = json.loads(path.read_text())
     info["recipe"]["path"]["distance_mm"] += 1
-    path.write_text(json.dumps(info))
-    assert find(folder) == {("damaged", None, "dataset.json")}
-    path.unlink()
-    assert find(folder) == {("damaged", None, "dataset.json")}
+    for content in ("", "{", '{"format": "another"}', json.dumps(info), None):
+        path.unlink() if content is None else path.write_text(content)
+        assert find(folder) == {("damaged", None, "dataset.json")}
     shutil.rmtree(folder / "frames")
     with pytest.raises(InputError, match="no data set"):
         check_dataset(folder)

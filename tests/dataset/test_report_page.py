@@ -200,16 +200,15 @@ def test_missing_data_set_or_frames_are_an_input_error(make, tmp_path):
         write_report(folder)
 
 
-def test_damaged_image_is_an_input_error_and_leaves_no_report(make):
+def test_damaged_image_and_unwritable_page_are_errors(make):
     folder = make(1)
-    (folder / "colour" / "000000.png").write_bytes(b"nothing")
+    path = folder / "colour" / "000000.png"
+    content = path.read_bytes()
+    path.write_bytes(b"nothing")
     with pytest.raises(InputError, match=r"000000\.png"):
         write_report(folder)
     assert not (folder / "index.html").exists()
-
-
-def test_unwritable_page_is_an_output_error(make):
-    folder = make(1)
+    path.write_bytes(content)
     (folder / "index.html").mkdir()
     with pytest.raises(OutputError, match="cannot be written"):
         write_report(folder)
