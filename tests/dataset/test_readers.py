@@ -354,7 +354,8 @@ def test_grey_and_transparent_photographs_become_rgb(tmp_path):
     save(tmp_path, "a.png", grey(90))
     assert (open_images(tmp_path)[0].colour == 90).all()
     rgba = np.full((*SIZE, 4), 200, np.uint8)
-    rgba[1:, :, 3] = 0
+    rgba[..., 3] = 0
+    rgba[0, :, 3] = 255
     save(tmp_path, "a.png", rgba)
     colour = open_images(tmp_path)[0].colour
     # Transparent pixels are black.
