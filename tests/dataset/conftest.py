@@ -1,59 +1,38 @@
-"""A small recipe, and a renderer that needs no Mitsuba but has the same interface."""
+"""A small recipe, small data sets, and a renderer that records its calls."""
 
 from __future__ import annotations
 
+import importlib
+import os
 import shutil
+import sys
+from types import SimpleNamespace
 
-import numpy as np
 import pytest
+import tomli_w
+from data_sets import make_small_set, remove_plants
+from disc_set import make_disc_set
+from painted_set import make_painted_set
+from stand_in import StandIn
 
-from pepperscene.dataset import BuildOptions, FrameRenderer, Recipe, build, load_recipe, open_dataset
-from pepperscene.dataset.scenes.frame_renderer import AssembledScene
-from pepperscene.frame import OUTPUTS, Frame, check_outputs
-from pepperscene.geometry import rectangle
-from pepperscene.scene import assemble_scene
-
-SIZE = (6, 8)
+from pepperscene.dataset import BuildOptions, Recipe, build, load_recipe, open_dataset
+from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
 
 
-class FakeRenderer:
-    """Noise that depends on the view and the seed alone, like a real frame."""
+class FakeRenderer(StandIn):
+    """Records its instances in `created`, and the arguments of each frame in `calls`."""
 
     created: list = []  # noqa: RUF012 - the fixture empties it
 
     def __init__(self, scene):
-        self.scene = scene
-        self.views, self.others = [], []
+        super().__init__(scene)
+        self.calls = []
         FakeRenderer.created.append(self)
 
     def render(self, camera, outputs=(), quality="standard", seed=0, others=None):
-        names = check_outputs(outputs)
-        self.views.append((camera, names, quality, seed))
-        self.others.append(others)
-        images = {name: self._image(name, camera, seed) for name in names}
-        instances = {"1": {"class": 1, "kind": "lamina", "plant": 0, "phytomer": 3, "parent": 0}}
-        labelled = any(not OUTPUTS[name].traced for name in names)
-        metadata = {
-            "camera": camera.metadata(),
-            "variant": "fake",
-            "versions": {"fake": "1"},
-            "instances": instances if labelled else {},
-        }
-        return Frame(images, metadata)
-
-    def _image(self, name, camera, seed):
-        place = int(abs(camera.pose[0, 3]) * 1e9)
-        rng = np.random.default_rng([list(OUTPUTS).index(name), place, seed])
-        if name == "harvest":
-            return {"format": "pepperscene harvest 1", "fruit": [], "graph": {"nodes": [], "edges": []}}
-        shape = (*SIZE, *OUTPUTS[name].channels[-1:])
-        if OUTPUTS[name].dtype.startswith("float"):
-            values = rng.uniform(0.1, 2.0, shape).astype(OUTPUTS[name].dtype)
-            if name in ("distance", "depth_z"):
-                values[0, 0] = np.inf
-            return values
-        end = {"class": 8, "instance": 65536, "raw": 4096}.get(name, 256)
-        return rng.integers(0, end, shape).astype(OUTPUTS[name].dtype)
+        call = SimpleNamespace(camera=camera, outputs=outputs, quality=quality, seed=seed, others=others)
+        self.calls.append(call)
+        return super().render(camera, outputs, quality, seed)
 
 
 @pytest.fixture
@@ -64,46 +43,100 @@ def fake_renderer():
 
 @pytest.fixture
 def recipe() -> Recipe:
-    """The shipped plan with few frames and a single plant, of the smallest stage."""
-    whole = load_recipe("barth2018")
-    plan = whole.plan.model_copy(update={"sets": 2, "rotations": 3, "frames": 4})
-    row = whole.row.model_copy(update={"plants_front": 1, "plants_back": 0})
-    camera = whole.camera.model_copy(update={"baseline_mm": 60.0})
+    """The shipped recipe with few frames and a single plant, of the smallest growth stage."""
+    shipped = load_recipe("barth2018")
+    plan = shipped.plan.model_copy(update={"sets": 2, "rotations": 3, "frames": 4})
+    row = shipped.row.model_copy(update={"plants_front": 1, "plants_back": 0})
+    camera = shipped.camera.model_copy(update={"baseline_mm": 60.0})
     changes = {"name": "small", "plan": plan, "row": row, "camera": camera, "cultivar": "kaite_february"}
-    return whole.model_copy(update=changes)
+    return shipped.model_copy(update=changes)
 
 
 @pytest.fixture
 def build_small(recipe, tmp_path):
-    """Builds the small recipe into a folder; further keywords are build options."""
+    """Builds the small recipe into a folder without Mitsuba; further keywords are build options."""
 
     def run(out="set", frames=None, outputs=("class", "distance"), on_frame=None, recipe=recipe, **options):
+        options.setdefault("renderer", StandIn)
         return build(recipe, tmp_path / out, frames, outputs, BuildOptions(**options), on_frame)
 
     return run
 
 
 @pytest.fixture
+def local_renderer(tmp_path, monkeypatch):
+    """A renderer in a module that other processes cannot import."""
+    (tmp_path / "only_here.py").write_text("import stand_in\nclass Local(stand_in.StandIn): pass\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    yield importlib.import_module("only_here").Local
+    del sys.modules["only_here"]
+
+
+@pytest.fixture
 def empty_scenes(monkeypatch):
     """Scenes without plants, where only files are examined."""
-    scene = assemble_scene(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
-    monkeypatch.setattr(FrameRenderer, "assemble", lambda *_args, **_kwargs: AssembledScene(scene, {}))
+    remove_plants(monkeypatch)
+
+
+@pytest.fixture
+def write_recipe(tmp_path):
+    """Writes a recipe file, which extends `barth2018` unless `extends` is given."""
+
+    def write(file="mine.toml", /, **tables):
+        path = tmp_path / file
+        path.write_text(tomli_w.dumps({"extends": "barth2018", **tables}), encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.fixture
+def refuse_rename(monkeypatch):
+    """Makes renaming to a name fail."""
+    replace = os.replace
+
+    def install(name):
+        def refuse(source, target):
+            if str(target).endswith(name):
+                raise OSError(5, "Input/output error", str(target))
+            replace(source, target)
+
+        monkeypatch.setattr(os, "replace", refuse)
+
+    return install
 
 
 @pytest.fixture(scope="session")
 def small(tmp_path_factory):
     """Nine tiny frames with everything that exports contain; to be read, not changed."""
-    from small_set import make_small_set
-
     return make_small_set(tmp_path_factory.mktemp("small") / "set")
 
 
 @pytest.fixture(scope="session")
 def painted(tmp_path_factory):
     """Six painted frames, with organs in pieces and with holes; to be read, not changed."""
-    from painted_set import make_painted_set
-
     return make_painted_set(tmp_path_factory.mktemp("painted") / "set")
+
+
+@pytest.fixture(scope="session")
+def all_outputs(tmp_path_factory):
+    """Folder of a correct data set with all outputs."""
+    return make_disc_set(tmp_path_factory.mktemp("check") / "all", tuple(OUTPUTS))
+
+
+@pytest.fixture(scope="session")
+def default_outputs(tmp_path_factory):
+    return make_disc_set(tmp_path_factory.mktemp("check") / "default", (*DEFAULT_OUTPUTS, "class_colour"))
+
+
+@pytest.fixture
+def folder(default_outputs, tmp_path):
+    return shutil.copytree(default_outputs, tmp_path / "set")
+
+
+@pytest.fixture
+def full_folder(all_outputs, tmp_path):
+    return shutil.copytree(all_outputs, tmp_path / "set")
 
 
 @pytest.fixture

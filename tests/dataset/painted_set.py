@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from set_files import set_without_plants
+from data_sets import set_without_plants
 
 from pepperscene.frame import Frame
 from pepperscene.truth import class_colour, distance_code

@@ -22,23 +22,31 @@ PYTHONPATH = os.pathsep.join(
 )
 """For other processes: this folder, and the package under test."""
 
-_FREE_FRAMES = 3
+_UNGATED_FRAMES = 3
 _rendered = 0
 
 
 class StandIn:
+    """Renders noise."""
+
     def __init__(self, scene):
-        self.triangles = len(scene.mesh.faces)
+        self.scene = scene
 
     def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
         _log(seed)
         time.sleep(float(os.environ.get("STAND_IN_S", "0")))
-        instances = {"1": {"class": 1, "kind": "lamina", "plant": 0, "phytomer": 3, "parent": 0, "pixels": 5}}
-        metadata = {"camera": camera.metadata(), "instances": instances, "triangles": self.triangles}
+        # As of Mitsuba, only labels list instances.
+        labelled = any(not OUTPUTS[name].traced for name in outputs)
+        instance = {"class": 1, "kind": "lamina", "plant": 0, "phytomer": 3, "parent": 0, "pixels": 5}
+        metadata = {
+            "camera": camera.metadata(),
+            "instances": {"1": instance} if labelled else {},
+            "triangles": len(self.scene.mesh.faces),
+        }
         return Frame({name: _image(name, camera, seed) for name in outputs}, metadata)
 
 
-class Logged:
+class LoggedRenderer:
     """Mitsuba, with the log."""
 
     def __init__(self, scene):
@@ -51,40 +59,65 @@ class Logged:
         return self.renderer.render(camera, outputs, quality, seed, **others)
 
 
-class Deadly(StandIn):
-    """Kills its process at the frame whose seed is `DEADLY_SEED`, as a system does without memory."""
+class KilledRenderer(StandIn):
+    """Kills its process at the frame whose seed is `KILL_SEED`, as a system does when memory runs out.
+
+    With `KILL_ONCE`, the path of a file that does not exist yet, it does so only once.
+    """
 
     def render(self, camera, outputs=(), quality="standard", seed=0, **others):
-        if str(seed) == os.environ.get("DEADLY_SEED") and not _exists_already("DEADLY_ONCE"):
+        if str(seed) == os.environ.get("KILL_SEED") and _is_new(os.environ.get("KILL_ONCE")):
             os.kill(os.getpid(), signal.SIGKILL)
         return super().render(camera, outputs, quality, seed, **others)
 
 
-class Gated(StandIn):
+class GatedRenderer(StandIn):
     """Waits, after a process's third frame, until the file named by `GATE` exists."""
 
-    def render(self, camera, outputs=(), quality="standard", seed=0, **others):
+    def render(self, *args, **kwargs):
         global _rendered
-        frame = super().render(camera, outputs, quality, seed, **others)
+        frame = super().render(*args, **kwargs)
         _rendered += 1
-        while _rendered > _FREE_FRAMES and not Path(os.environ["GATE"]).exists():
+        while _rendered > _UNGATED_FRAMES and not Path(os.environ["GATE"]).exists():
             time.sleep(0.02)
         return frame
 
 
-class Threaded(StandIn):
-    """Adds the number of threads that Mitsuba would use."""
+class ThreadsRenderer(StandIn):
+    """Adds the number of threads that Mitsuba would use to the metadata."""
 
-    def render(self, camera, outputs=(), quality="standard", seed=0, **others):
-        frame = super().render(camera, outputs, quality, seed, **others)
+    def render(self, *args, **kwargs):
+        frame = super().render(*args, **kwargs)
         return Frame(frame.images, {**frame.metadata, "threads": os.environ["PEPPERSCENE_THREADS"]})
 
 
-class Hungry(StandIn):
-    """Runs out of memory."""
-
-    def render(self, camera, outputs=(), quality="standard", seed=0, **others):
+class OutOfMemoryRenderer(StandIn):
+    def render(self, *args, **kwargs):
         raise MemoryError
+
+
+def rendered(log):
+    """Process and seed of every frame that was started, in that order."""
+    return [tuple(map(int, line.split())) for line in log.read_text().splitlines()] if log.exists() else []
+
+
+def wait_for(condition, timeout_s=30.0):
+    """Wait until a condition is true, and return its value."""
+    end = time.monotonic() + timeout_s
+    while not (result := condition()):
+        assert time.monotonic() < end, "the condition did not become true"
+        time.sleep(0.02)
+    return result
+
+
+def process_fields():
+    """Yield the id of every process on this machine with its state, parent, group and session."""
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, *numbers = status.read_text().rpartition(")")[2].split()[:4]
+        except OSError:
+            continue
+        yield int(status.parent.name), state, *map(int, numbers)
 
 
 def _log(seed):
@@ -94,35 +127,27 @@ def _log(seed):
             file.write(f"{os.getpid()} {seed}\n")
 
 
-def rendered(log):
-    """Process and seed of every frame that was started, in that order."""
-    return [tuple(map(int, line.split())) for line in log.read_text().splitlines()] if log.exists() else []
-
-
-def wait_for(condition, patience_s=30.0):
-    end = time.monotonic() + patience_s
-    while not (result := condition()):
-        assert time.monotonic() < end, "the condition did not become true"
-        time.sleep(0.02)
-    return result
-
-
-def _exists_already(variable):
-    """Whether the file that a variable names exists; it does from then on."""
-    path = os.environ.get(variable)
-    if not path:
-        return False
+def _is_new(path):
+    """Whether a file does not exist yet; it does from then on."""
     try:
-        with open(path, "x", encoding="utf-8"):
-            return False
+        if path:
+            open(path, "x", encoding="utf-8").close()
     except FileExistsError:
-        return True
+        return False
+    return True
 
 
 def _image(name, camera, seed):
     output = OUTPUTS[name]
-    rng = np.random.default_rng([list(OUTPUTS).index(name), int(camera.pose[2, 3] * 1e9), seed])
+    if not output.is_image:
+        return {"format": "pepperscene harvest 1", "fruit": [], "graph": {"nodes": [], "edges": []}}
+    position = (int(abs(value) * 1e9) for value in camera.pose[:3, 3])
+    rng = np.random.default_rng([list(OUTPUTS).index(name), *position, seed])
     shape = (*SIZE, *output.channels[-1:])
-    if output.dtype.startswith("float"):
-        return rng.uniform(0.1, 2.0, shape).astype(output.dtype)
-    return rng.integers(0, 8 if name == "class" else 256, shape).astype(output.dtype)
+    if not output.dtype.startswith("float"):
+        end = {"class": 8, "instance": 65536, "raw": 4096}.get(name, 256)
+        return rng.integers(0, end, shape).astype(output.dtype)
+    values = rng.uniform(0.1, 2.0, shape).astype(output.dtype)
+    if name in ("distance", "depth_z"):
+        values[0, 0] = np.inf
+    return values

@@ -4,24 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from disc_set import draw_discs
 from scipy import ndimage
 from skimage import transform
 
 from pepperscene.dataset.check.edges import CHANCE, QUARTERS, match_edges
-
-
-def draw_discs(height, width, seed=0, discs=140):
-    """Discs in front of each other, each in its own colour, and their numbers."""
-    rng = np.random.default_rng(seed)
-    rows, columns = np.mgrid[:height, :width]
-    labels = np.zeros((height, width), np.uint16)
-    colour = np.full((height, width, 3), 60.0)
-    for number in range(1, discs + 1):
-        x, y, radius = rng.uniform(0, width), rng.uniform(0, height), rng.uniform(5, 25)
-        inside = (columns - x) ** 2 + (rows - y) ** 2 < radius**2
-        labels[inside] = number
-        colour[inside] = rng.uniform(40, 200, 3)
-    return colour, labels
 
 
 def develop(colour, seed=1, noise=6.0):
@@ -29,7 +16,11 @@ def develop(colour, seed=1, noise=6.0):
     return np.clip(values, 0, 255).astype(np.uint8)
 
 
-COLOUR, LABELS = draw_discs(240, 320)
+def discs(height, width, seed=0, count=140):
+    return draw_discs(height, width, np.random.default_rng(seed), count)
+
+
+COLOUR, LABELS = discs(240, 320)
 
 
 def test_correct_labels_fit():
@@ -41,7 +32,7 @@ def test_correct_labels_fit():
 @pytest.mark.parametrize(("right", "down"), [(1, 0), (0, -2), (2, 0), (-3, 5), (17, -11), (-40, 30)])
 def test_finds_shift(right, down):
     # Part of a larger image, so that nothing wraps around.
-    colour, labels = draw_discs(340, 420, seed=2, discs=260)
+    colour, labels = discs(340, 420, 2, 260)
     inner = np.s_[50:290, 50:370]
     moved = np.roll(labels, (down, right), (0, 1))[inner]
     result = match_edges(develop(colour)[inner], moved)
@@ -73,7 +64,7 @@ def test_mirrored_labels_fit_at_no_shift(mirror):
 
 
 def test_chance_is_below_the_threshold():
-    photographs = [develop(draw_discs(240, 320, seed)[0]) for seed in range(5, 11)]
+    photographs = [develop(discs(240, 320, seed)[0]) for seed in range(5, 11)]
     heights = [match_edges(photograph, LABELS).height for photograph in photographs]
     heights += [match_edges(develop(COLOUR * 0 + 90, seed), LABELS).height for seed in range(4)]
     assert max(heights) < CHANCE
@@ -81,7 +72,7 @@ def test_chance_is_below_the_threshold():
 
 @pytest.fixture(scope="module")
 def large():
-    colour, labels = draw_discs(600, 800, seed=3, discs=900)
+    colour, labels = discs(600, 800, 3, 900)
     return develop(colour), labels
 
 
@@ -100,7 +91,7 @@ def test_another_scale_or_angle_is_found_in_a_quarter(large, scale, degrees):
 
 @pytest.mark.parametrize("size", [(151, 203), (97, 241), (1, 1), (1, 400), (600, 2)])
 def test_accepts_any_size(size):
-    colour, labels = draw_discs(*size)
+    colour, labels = discs(*size)
     result = match_edges(develop(colour), labels)
     assert result is None or result.fits
 

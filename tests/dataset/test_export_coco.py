@@ -1,4 +1,4 @@
-"""COCO: pycocotools loads instances and panoptic segments, decodes their masks, and evaluates them to 1."""
+"""COCO: pycocotools loads the instances, decodes their masks, and evaluates them to a precision of 1."""
 
 from __future__ import annotations
 
@@ -56,9 +56,6 @@ def organ_entries(dataset, index):
 def bounds(mask):
     rows, columns = np.nonzero(mask)
     return [columns.min(), rows.min(), np.ptp(columns) + 1, np.ptp(rows) + 1]
-
-
-# --- instances ----------------------------------------------------------------------------------------------
 
 
 def test_every_organ_has_its_mask_and_attributes(painted, out, truth):
@@ -223,9 +220,6 @@ def test_run_lengths_are_those_of_pycocotools(ids):
         assert mask["counts"] == mask_tools.encode(np.asfortranarray(ids == value, dtype=np.uint8))["counts"]
 
 
-# --- panoptic -----------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def panoptic(out):
     return json.loads((out / "annotations" / "panoptic_train.json").read_text())
@@ -236,40 +230,6 @@ def decode_ids(out, annotation):
     path = out / "annotations" / "panoptic_train" / annotation["file_name"]
     red, green, blue = np.moveaxis(read_image(path).astype(int), 2, 0)
     return red + 256 * green + 65536 * blue
-
-
-def panoptic_quality(truth, truth_info, predicted, predicted_info, categories):
-    """Panoptic quality of each category (Kirillov et al. 2019): overlaps of matches over the mean number."""
-    category_of = [
-        {info["id"]: info["category_id"] for info in infos} for infos in (truth_info, predicted_info)
-    ]
-    crowd = {info["id"] for info in truth_info if info["iscrowd"]}
-    areas = [dict(zip(*np.unique(ids, return_counts=True), strict=True)) for ids in (truth, predicted)]
-    pairs, counts = np.unique(np.stack([truth.ravel(), predicted.ravel()]), axis=1, return_counts=True)
-    matched, overlaps = set(), {category: [] for category in categories}
-    ignored = {}
-    for (a, b), count in zip(pairs.T.tolist(), counts.tolist(), strict=True):
-        if a in crowd:
-            ignored[b] = ignored.get(b, 0) + count
-            continue
-        overlap = count / (areas[0][a] + areas[1][b] - count)
-        if overlap > 0.5 and category_of[0][a] == category_of[1].get(b):
-            overlaps[category_of[0][a]].append(overlap)
-            matched |= {("truth", a), ("predicted", b)}
-    scores = {}
-    for category in categories:
-        missed = sum(
-            c == category and i not in crowd and ("truth", i) not in matched
-            for i, c in category_of[0].items()
-        )
-        wrong = sum(
-            c == category and ("predicted", i) not in matched and ignored.get(i, 0) <= 0.5 * areas[1][i]
-            for i, c in category_of[1].items()
-        )
-        if overlaps[category] or missed or wrong:
-            number = len(overlaps[category]) + 0.5 * (missed + wrong)
-            scores[category] = sum(overlaps[category]) / number
-    return scores
 
 
 def test_every_pixel_belongs_to_a_described_segment(painted, out, panoptic):
@@ -297,44 +257,3 @@ def test_every_pixel_belongs_to_a_described_segment(painted, out, panoptic):
         rest = {info["id"]: info["iscrowd"] for info in infos if info["id"] >= REST}
         assert rest == {REST: 0, REST + OrganClass.WIRE: 1}
         assert ((ids == REST + OrganClass.WIRE) == (instance == WIRE)).all()
-
-
-def test_panoptic_quality_of_perfect_and_damaged_predictions(out, panoptic):
-    categories = [category["id"] for category in panoptic["categories"]]
-    for annotation in panoptic["annotations"]:
-        ids, infos = decode_ids(out, annotation), annotation["segments_info"]
-        assert set(panoptic_quality(ids, infos, ids, infos, categories).values()) == {1.0}
-        moved = np.roll(ids, 1, axis=0)
-        assert max(panoptic_quality(ids, infos, moved, infos, categories).values()) < 1
-    half = [info for info in infos if not info["iscrowd"]][::2]
-    kept = {info["id"] for info in half} | {info["id"] for info in infos if info["iscrowd"]}
-    predicted = np.where(np.isin(ids, list(kept)), ids, 0)
-    scores = panoptic_quality(ids, infos, predicted, half, categories)
-    assert np.mean(list(scores.values())) < 0.9
-
-
-def test_panoptic_segments_are_the_instances(out, panoptic):
-    """Convert segments to annotations, as COCO's converter from panoptic to detection does."""
-    instances = load(out / "annotations" / "instances_train.json")
-    segments = COCO()
-    records = []
-    for annotation in panoptic["annotations"]:
-        ids = decode_ids(out, annotation)
-        for info in annotation["segments_info"]:
-            if info["category_id"] == OrganClass.BACKGROUND:
-                continue
-            mask = mask_tools.encode(np.asfortranarray(ids == info["id"], dtype=np.uint8))
-            image = {"image_id": annotation["image_id"], "segmentation": mask}
-            records.append({**info, "id": len(records) + 1, **image})
-            assert mask_tools.area(mask) == info["area"]
-            assert mask_tools.toBbox(mask).tolist() == info["bbox"]
-    segments.dataset = {**panoptic, "annotations": records}
-    with contextlib.redirect_stdout(io.StringIO()):
-        segments.createIndex()
-
-    def properties(part, index):
-        keys = ("category_id", "iscrowd", "area", "bbox")
-        return sorted([annotation[key] for key in keys] for annotation in part.imgToAnns[index])
-
-    for index in instances.imgs:
-        assert properties(instances, index) == properties(segments, index)

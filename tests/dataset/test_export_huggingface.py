@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from small_set import FRUIT
+from data_sets import FRUIT
 
 from pepperscene.dataset.export import export_dataset
 from pepperscene.dataset.export.columns import CLASS_NAMES, frame_columns

@@ -70,9 +70,13 @@ def test_every_organ_has_its_mask(painted, out):
             assert large > 8
 
 
-def test_description_names_classes_and_folders(out):
+def read_description(folder):
     yaml = pytest.importorskip("yaml", reason="a reader of YAML")
-    description = yaml.safe_load((out / "data.yaml").read_text())
+    return yaml.safe_load((folder / "data.yaml").read_text())
+
+
+def test_description_names_classes_and_folders(out):
+    description = read_description(out)
     assert description == {
         "train": "images/train",
         "val": "images/val",
@@ -89,9 +93,8 @@ def test_description_names_classes_and_folders(out):
     ],
 )  # fmt: skip
 def test_description_has_train_and_val_for_any_split_names(split, train, val, painted, tmp_path):
-    yaml = pytest.importorskip("yaml", reason="a reader of YAML")
     export_dataset(painted.folder, "yolo", tmp_path / "out", split)
-    description = yaml.safe_load((tmp_path / "out" / "data.yaml").read_text())
+    description = read_description(tmp_path / "out")
     assert (description["train"], description["val"]) == (f"images/{train}", f"images/{val}")
 
 

@@ -1,13 +1,15 @@
-"""Frames are written in the background: in order, completely or not at all, and one at a time."""
+"""Frames are written in the background: in order, and completely or not at all."""
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from data_sets import contents
 
 from pepperscene.dataset import BuildOptions, open_dataset
 from pepperscene.dataset.execution.job import BuildJob, FrameMaker
@@ -16,8 +18,8 @@ from pepperscene.frame import Frame
 
 pytestmark = pytest.mark.usefixtures("empty_scenes")
 STORE = sys.modules["pepperscene.dataset.store.dataset"]
+ATOMIC = sys.modules["pepperscene.dataset.store.atomic"]
 OUTPUTS = ("class", "distance")
-FIRST = {"dataset.json", "frames/000000.json", "class/000000.png", "distance/000000.exr"}
 
 
 @pytest.fixture
@@ -25,27 +27,51 @@ def job(recipe, fake_renderer, tmp_path):
     return BuildJob.create(recipe, tmp_path / "set", OUTPUTS, BuildOptions(renderer=fake_renderer))
 
 
-def files(folder):
-    return {str(path.relative_to(folder)) for path in folder.rglob("*.*")}
+@pytest.fixture
+def fill_disk(monkeypatch):
+    """Makes the disk full after a number of images."""
+
+    def install(count):
+        write, written = STORE.write_file, []
+
+        def write_or_fail(path, content):
+            written.append(path)
+            if len(written) > count:
+                with ATOMIC.atomic_write(path) as temporary:
+                    temporary.write_bytes(b"half")
+                    raise OSError(28, "No space left on device", str(path))
+            write(path, content)
+
+        monkeypatch.setattr(STORE, "write_file", write_or_fail)
+
+    return install
+
+
+def assert_intact(folder, expected):
+    """The expected frames exist, and are complete."""
+    dataset = open_dataset(folder)
+    assert dataset.indices() == expected
+    assert all(set(dataset.intact(index).outputs) == set(OUTPUTS) for index in expected)
 
 
 @pytest.mark.parametrize("eager", [False, True])
-def test_the_next_frame_is_rendered_while_one_is_written(job, fake_renderer, monkeypatch, eager):
-    write, first_is_rendered, go = STORE.write_file, threading.Event(), threading.Event()
-    events, begun = [], []
+def test_next_frame_is_rendered_while_one_is_written(job, fake_renderer, monkeypatch, eager):
+    write, is_writing, go = STORE.write_file, threading.Event(), threading.Event()
+    events, written = [], []
 
-    class Noting(fake_renderer):
-        def render(self, camera, *args, **kwargs):
-            events.append(f"render {len(self.views)}")
-            if len(self.views) == 1:
+    class NotingRenderer(fake_renderer):
+        def render(self, *args, **kwargs):
+            events.append(f"render {len(self.calls)}")
+            if len(self.calls) == 1:
                 # The first frame is neither complete nor reported.
+                assert is_writing.wait(60)
                 assert not list(job.folder.glob("frames/*"))
                 go.set()
-            return super().render(camera, *args, **kwargs)
+            return super().render(*args, **kwargs)
 
-    def held(path, content):
-        begun.append(path.name)
-        first_is_rendered.set()
+    def write_later(path, content):
+        written.append(path.name)
+        is_writing.set()
         assert go.wait(60)
         write(path, content)
 
@@ -53,17 +79,17 @@ def test_the_next_frame_is_rendered_while_one_is_written(job, fake_renderer, mon
         in_caller = threading.current_thread() is threading.main_thread()
         events.append(("report", done.index, in_caller, len(list(job.folder.glob("frames/*.json")))))
 
-    monkeypatch.setattr(STORE, "write_file", held)
-    with FrameMaker(replace(job, renderer=Noting), eager=eager) as maker:
+    monkeypatch.setattr(STORE, "write_file", write_later)
+    with FrameMaker(replace(job, renderer=NotingRenderer), eager=eager) as maker:
         maker.make([0, 1, 2], on_frame)
     reports = [event for event in events if event[0] == "report"]
     # Every frame is complete when it is reported, and the one after the next waits for that.
     assert reports == [("report", index, not eager, index + 1) for index in range(3)]
     assert events.index(reports[0]) < events.index("render 2")
-    assert len(begun) == 6
+    assert len(written) == 6
 
 
-def test_a_frame_that_is_being_written_is_finished_when_the_caller_fails(job):
+def test_frame_that_is_complete_is_kept_when_the_caller_fails(job):
     def interrupt(done):
         if done.index == 0:
             raise KeyboardInterrupt
@@ -74,46 +100,78 @@ def test_a_frame_that_is_being_written_is_finished_when_the_caller_fails(job):
 
     with pytest.raises(KeyboardInterrupt):
         run()
-    dataset = open_dataset(job.folder)
-    assert 0 in dataset.indices()
-    assert all(set(dataset.intact(index).outputs) == set(OUTPUTS) for index in dataset.indices())
+    assert_intact(job.folder, (0,))
 
 
-def test_a_failed_write_is_raised_and_leaves_nothing_of_its_frame(job, monkeypatch):
-    write, reported = STORE.write_file, []
-
-    def full(path, content):
-        if path.name == "000001.exr":
-            raise OSError(28, "No space left on device", str(path))
-        write(path, content)
-
-    monkeypatch.setattr(STORE, "write_file", full)
-    with FrameMaker(job) as maker, pytest.raises(OutputError, match=r"distance.*No space left"):
-        maker.make(range(4), lambda done: reported.append(done.index))
+@pytest.mark.parametrize("fail_at", range(len(OUTPUTS)))
+def test_full_disk_leaves_only_complete_frames(build_small, tmp_path, fill_disk, fail_at):
+    build_small(frames="0:1", out="expected")
+    reported = []
+    fill_disk(len(OUTPUTS) + fail_at)
+    with pytest.raises(OutputError, match="No space left"):
+        build_small(frames="0:4", on_frame=lambda progress: reported.append(progress.index))
     assert reported == [0]
-    assert files(job.folder) == FIRST
+    assert contents(tmp_path / "set") == contents(tmp_path / "expected")
+
+
+def test_failure_in_the_first_frame_leaves_no_folder(build_small, tmp_path, fill_disk):
+    fill_disk(1)
+    with pytest.raises(OutputError):
+        build_small(frames="0:3", out="a/b/set")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_failed_rename_of_frame_json_leaves_nothing_of_the_frame(build_small, tmp_path, refuse_rename):
+    build_small(frames="0:1")
+    before = contents(tmp_path / "set")
+    refuse_rename("000001.json")
+    with pytest.raises(OutputError, match=r"000001\.json.*Input/output error"):
+        build_small(frames="0:2")
+    assert contents(tmp_path / "set") == before
+
+
+@pytest.mark.skipif(os.name != "posix", reason="files are limited by setrlimit")
+@pytest.mark.parametrize(
+    ("output", "limit", "workers"),
+    [("colour", 100, None), ("distance", 300, None), ("normal", 700, None), ("distance", 300, 1)],
+)
+def test_system_that_refuses_large_files(build_small, tmp_path, output, limit, workers):
+    import resource
+
+    build_small(frames="0:2", outputs=("class",))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
+    try:
+        with pytest.raises(OutputError, match="cannot be written") as error:
+            build_small(outputs=("class", output), workers=workers)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert "\n" not in str(error.value)
+    dataset = open_dataset(tmp_path / "set")
+    assert dataset.indices() == (0, 1)
+    assert all(set(dataset.intact(index).outputs) == {"class"} for index in (0, 1))
+    assert not [name for name in contents(tmp_path) if name.endswith(".tmp")]
+    assert not list((tmp_path / "set" / output).iterdir())
 
 
 def test_metadata_that_is_not_json_leaves_nothing_of_the_frame(job, fake_renderer):
-    class Wrong(fake_renderer):
-        def render(self, camera, *args, **kwargs):
-            frame = super().render(camera, *args, **kwargs)
+    class InvalidRenderer(fake_renderer):
+        def render(self, *args, **kwargs):
+            frame = super().render(*args, **kwargs)
             return Frame(frame.images, {**frame.metadata, "light": np.nan})
 
-    with FrameMaker(replace(job, renderer=Wrong)) as maker, pytest.raises(ValueError, match="JSON"):
+    with FrameMaker(replace(job, renderer=InvalidRenderer)) as maker, pytest.raises(ValueError, match="JSON"):
         maker.make([0], lambda done: None)
-    assert files(job.folder) == {"dataset.json"}
+    assert set(contents(job.folder)) == {"dataset.json"}
 
 
-def test_frames_before_a_failing_one_are_kept(build_small, fake_renderer, tmp_path):
-    class Failing(fake_renderer):
-        def render(self, camera, outputs=(), quality="standard", seed=0):
-            if len(self.views) == 2:
+def test_frame_being_written_is_finished_when_the_next_one_fails(build_small, fake_renderer, tmp_path):
+    class FailingRenderer(fake_renderer):
+        def render(self, *args, **kwargs):
+            if len(self.calls) == 2:
                 raise InputError("a", "no more", key="b", value=0)
-            return super().render(camera, outputs, quality, seed)
+            return super().render(*args, **kwargs)
 
     with pytest.raises(InputError):
-        build_small(frames="0:4", renderer=Failing)
-    dataset = open_dataset(tmp_path / "set")
-    assert dataset.indices() == (0, 1)
-    assert all(set(dataset.intact(index).outputs) == set(OUTPUTS) for index in (0, 1))
+        build_small(frames="0:4", renderer=FailingRenderer)
+    assert_intact(tmp_path / "set", (0, 1))

@@ -1,9 +1,8 @@
-"""The journal and the tables: they agree with the frames' files, and may be lost."""
+"""The journal and the tables: they agree with the frames' files, and are restored if lost."""
 
 from __future__ import annotations
 
 import json
-import sys
 
 import numpy as np
 import pytest
@@ -32,6 +31,10 @@ def rows(folder):
     return open_dataset(folder).manifest().to_pylist()
 
 
+def row_indices(folder):
+    return [row["index"] for row in rows(folder)]
+
+
 def test_rows_agree_with_the_frames_files(make, recipe):
     dataset = open_dataset(make("2:9"))
     table = rows(dataset.folder)
@@ -40,11 +43,12 @@ def test_rows_agree_with_the_frames_files(make, recipe):
     for row in table:
         metadata, spec = dataset.metadata(row["index"]), recipe.plan.frame(row["index"])
         assert (row["set"], row["rotation"], row["step"]) == (spec.set, spec.rotation, spec.step)
-        assert [row["x_m"], row["y_m"], row["z_m"]] == [line[3] for line in metadata["camera"]["pose"][:3]]
-        assert np.reshape(row["pose"], (4, 4)).tolist() == metadata["camera"]["pose"]
+        pose = metadata["camera"]["pose"]
+        assert [row["x_m"], row["y_m"], row["z_m"]] == [line[3] for line in pose[:3]]
+        assert np.reshape(row["pose"], (4, 4)).tolist() == pose
         assert row["recipe_seed"] == recipe.seed
         counts = np.bincount(dataset.image(row["index"], "class").ravel(), minlength=8)
-        assert [row[f"pixels_{one.name.lower()}"] for one in OrganClass] == counts.tolist()
+        assert [row[f"pixels_{organ.name.lower()}"] for organ in OrganClass] == counts.tolist()
         assert row["class_sha256"] == metadata["outputs"]["class"]["sha256"]
         assert row["instance_sha256"] is None
         assert row["checksum"] == metadata["checksum"]
@@ -54,7 +58,7 @@ def test_rows_agree_with_the_frames_files(make, recipe):
         assert row["worker"]
 
 
-def test_lost_tables_are_written_again(make):
+def test_lost_tables_are_restored(make):
     folder = make()
     before = rows(folder)
     # From the journal.
@@ -68,19 +72,19 @@ def test_lost_tables_are_written_again(make):
     assert rows(folder) == [{**row, **dict.fromkeys(TIMINGS)} for row in before]
 
 
-def test_a_second_build_adds_rows_and_keeps_timings(make):
+def test_second_build_adds_rows_and_keeps_timings(make):
     folder = make("3:5")
-    before = {row["index"]: row for row in rows(folder)}
+    before = rows(folder)
     make("0:6")
-    after = {row["index"]: row for row in rows(folder)}
-    assert sorted(after) == list(range(6))
-    assert {index: after[index] for index in before} == before
-    lines = (folder / JOURNAL).read_bytes()
+    after = rows(folder)
+    assert [row["index"] for row in after] == list(range(6))
+    assert after[3:5] == before
+    journal = (folder / JOURNAL).read_bytes()
     make("0:6")
-    assert (folder / JOURNAL).read_bytes() == lines
+    assert (folder / JOURNAL).read_bytes() == journal
 
 
-def test_the_row_of_an_extended_frame_is_replaced(make):
+def test_row_of_an_extended_frame_is_replaced(make):
     folder = make("0:2")
     make("0:1", ("normal",))
     first, second = rows(folder)
@@ -89,54 +93,51 @@ def test_the_row_of_an_extended_frame_is_replaced(make):
     assert second["normal_sha256"] is None
 
 
-def test_a_removed_frame_has_no_row(make):
+def test_removed_frame_has_no_row(make):
     folder = make()
     (folder / "frames" / "000002.json").unlink()
-    assert [row["index"] for row in rows(folder)] == [0, 1, 3, 4, 5]
+    assert row_indices(folder) == [0, 1, 3, 4, 5]
 
 
 @pytest.mark.parametrize("cut", [1, 20, 200])
-def test_a_torn_line_is_skipped_and_ended(make, cut):
+def test_truncated_line_is_skipped_and_new_entries_start_on_new_lines(make, cut):
     folder = make("0:3")
-    whole = (folder / JOURNAL).read_bytes()
-    (folder / JOURNAL).write_bytes(whole[:-cut])
+    (folder / JOURNAL).write_bytes((folder / JOURNAL).read_bytes()[:-cut])
     (folder / MANIFEST).unlink()
-    assert [row["index"] for row in rows(folder)] == [0, 1, 2]
+    assert row_indices(folder) == [0, 1, 2]
     make("0:4")
-    # New entries start on new lines.
     added = (folder / JOURNAL).read_bytes().splitlines()[-2:]
     assert all({"checksum", "wanted"} & set(json.loads(line)) for line in added)
-    assert [row["index"] for row in rows(folder)] == [0, 1, 2, 3]
+    assert row_indices(folder) == [0, 1, 2, 3]
 
 
-def test_the_journal_knows_the_requested_frames(make):
+def test_journal_lists_requested_frames(make):
     folder = make("3:5")
     assert Journal(folder).wanted == {3, 4}
-    lines = (folder / JOURNAL).read_bytes()
+    journal = (folder / JOURNAL).read_bytes()
     make("4:5")
-    assert (folder / JOURNAL).read_bytes() == lines
+    assert (folder / JOURNAL).read_bytes() == journal
     make([6, 7, 9])
     assert Journal(folder).wanted == {3, 4, 6, 7, 9}
 
 
-def test_the_last_line_of_a_frame_counts(tmp_path):
+def test_last_new_checksum_of_a_frame_counts(tmp_path):
     with Journal(tmp_path) as journal:
-        journal.add({"index": 7, "checksum": "a", "bytes": 1})
-        journal.add({"index": 7, "checksum": "b", "bytes": 2})
-        journal.add({"index": 7, "checksum": "b", "bytes": 3})
-    again = Journal(tmp_path)
-    assert list(again.rows([7, 8])) == [(7, {"index": 7, "checksum": "b", "bytes": 2}), (8, None)]
+        for checksum, size in (("a", 1), ("b", 2), ("b", 3)):
+            journal.add({"index": 7, "checksum": checksum, "bytes": size})
+    expected = [(7, {"index": 7, "checksum": "b", "bytes": 2}), (8, None)]
+    assert list(Journal(tmp_path).rows([7, 8])) == expected
 
 
-def test_no_fruit_table_without_harvest(make):
+def test_fruit_table_needs_harvest(make):
     with pytest.raises(InputError, match="harvest"):
         open_dataset(make("0:1")).fruit()
 
 
-def test_a_full_disk_under_the_journal_is_reported(make, monkeypatch):
-    def full(*_args):
+def test_full_disk_under_the_journal_is_an_output_error(make, monkeypatch):
+    def fail(*_args):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(sys.modules["pepperscene.dataset.store.journal"].Journal, "add", full)
+    monkeypatch.setattr(Journal, "add", fail)
     with pytest.raises(OutputError, match="No space left on device"):
         make("0:2")

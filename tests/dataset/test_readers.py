@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from data_sets import set_without_plants
 from PIL import Image
-from set_files import set_without_plants
-from stand_in import StandIn
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset.readers import FolderSet, PublishedSet, RenderedSet, open_images
@@ -34,16 +33,13 @@ def save(folder, name, pixels):
     return path
 
 
-def save_photo(folder, name, value=7, size=SIZE):
-    """Write an image of one grey, by which tests recognise it."""
-    return save(folder, name, np.full((*size, 3), value, np.uint8))
+def photo(value=7, size=SIZE):
+    """An image of one grey, by which tests recognise it."""
+    return np.full((*size, 3), value, np.uint8)
 
 
-def save_mask(folder, name, value=1, size=SIZE):
-    return save(folder, name, np.full(size, value, np.uint8))
-
-
-# --- rendered sets ------------------------------------------------------------------------------------------
+def grey(value, dtype=np.uint8):
+    return np.full(SIZE, value, dtype)
 
 
 def test_reads_rendered_data_set(small):
@@ -62,9 +58,9 @@ def test_reads_rendered_data_set(small):
 
 
 def test_fields_are_decoded_from_other_outputs(tmp_path):
-    made = set_without_plants(tmp_path / "set", [0], ("class_colour", "distance_code"), StandIn)
-    image = open_images(made.folder)[0]
-    code = made.image(0, "distance_code")
+    dataset = set_without_plants(tmp_path / "set", [0], ("class_colour", "distance_code"))
+    image = open_images(dataset.folder)[0]
+    code = dataset.image(0, "distance_code")
     np.testing.assert_array_equal(image.distance_m, distance_from_code(code))
     assert image.classes.max() < len(OrganClass)
     assert image.colour is None
@@ -89,15 +85,12 @@ def test_rejects_data_set_without_frames(copied, small):
         open_images(folder)
 
 
-# --- the published layout -----------------------------------------------------------------------------------
-
-
-def publish(folder, classes, half="synthetic", numbers=(1, 2, 10), grey=True, colours=True):
+def publish(folder, classes, half="synthetic", numbers=(1, 2, 10), values=True, colours=True):
     """Write the published layout, from its description alone."""
     for number in numbers:
-        save_photo(folder, f"{half}_image_color/{half}_image_color_{number}.png", number)
+        save(folder, f"{half}_image_color/{half}_image_color_{number}.png", photo(number))
         shifted = np.roll(classes, number, axis=1)
-        if grey:
+        if values:
             name = f"{half}_label_class_all_grayscale"
             save(folder, f"{half}_label_class_grayscale/{name}/{name}_{number}.png", shifted)
         if colours:
@@ -118,7 +111,7 @@ def test_reads_published_set_in_order_of_numbers(tmp_path, ids):
 
 
 def test_inexact_colours_give_the_nearest_class(tmp_path, ids):
-    publish(tmp_path, ids, grey=False)
+    publish(tmp_path, ids, values=False)
     for path in (tmp_path / "synthetic_label_class_colorscale").iterdir():
         rgb = np.array(Image.open(path)).astype(int)
         rng = np.random.default_rng(1)
@@ -147,6 +140,8 @@ def test_two_halves_require_a_choice(tmp_path, ids):
 
 
 def test_rejects_missing_and_invalid_published_labels(tmp_path, ids):
+    # Labels may contain void.
+    ids[0, 0] = VOID
     publish(tmp_path, ids, colours=False)
     labels = tmp_path / "synthetic_label_class_grayscale" / "synthetic_label_class_all_grayscale"
     (labels / "synthetic_label_class_all_grayscale_2.png").unlink()
@@ -156,15 +151,7 @@ def test_rejects_missing_and_invalid_published_labels(tmp_path, ids):
         images[1]
     with pytest.raises(InputError, match="has the class id 9; allowed are 0 to 7"):
         images[0]
-
-
-def test_published_labels_may_contain_void(tmp_path, ids):
-    ids[0, 0] = VOID
-    publish(tmp_path, ids, numbers=(8,), colours=False)
-    np.testing.assert_array_equal(open_images(tmp_path)[0].classes, ids)
-
-
-# --- folders: pairs of images and masks ---------------------------------------------------------------------
+    np.testing.assert_array_equal(images[2].classes, np.roll(ids, 10, axis=1))
 
 
 def test_natural_sort_key_sorts_numbers_by_value():
@@ -188,9 +175,9 @@ def test_natural_sort_key_sorts_numbers_by_value():
 )
 def test_pairs_images_with_masks(tmp_path, image_name, mask_name):
     for number in (10, 2, 1, 33):
-        save_mask(tmp_path, mask_name.format(number), number)
+        save(tmp_path, mask_name.format(number), grey(number))
     for number in (2, 33, 10, 1):
-        save_photo(tmp_path, image_name.format(number), number)
+        save(tmp_path, image_name.format(number), photo(number))
     images = open_images(tmp_path, labels={1: "leaf", 2: "pepper", 10: "stem", 33: "wire"})
     assert isinstance(images, FolderSet)
     for image, number, organ in zip(images, (1, 2, 10, 33), (1, 2, 4, 6), strict=True):
@@ -201,67 +188,89 @@ def test_pairs_images_with_masks(tmp_path, image_name, mask_name):
 
 
 def test_image_without_mask_has_no_classes(tmp_path):
-    save_photo(tmp_path, "a.png")
-    save_photo(tmp_path, "b.png")
-    save_mask(tmp_path, "b_mask.png")
+    save(tmp_path, "a.png", photo())
+    save(tmp_path, "b.png", photo())
+    save(tmp_path, "b_mask.png", grey(1))
     first, second = open_images(tmp_path, labels=FRUIT)
     assert first.classes is None
     assert second.classes is not None
 
 
-def test_rejects_mask_without_image(tmp_path):
-    save_photo(tmp_path, "img1.png")
-    save_mask(tmp_path, "mask2.png")
-    with pytest.raises(InputError, match=r"mask2.png: is a mask without an image of the same name"):
-        open_images(tmp_path)
-
-
-def test_rejects_ambiguous_names(tmp_path):
-    save_photo(tmp_path, "img1.png")
-    save_photo(tmp_path, "img01.png")
-    with pytest.raises(InputError, match=r"has a name too similar to img01.png"):
-        open_images(tmp_path)
-
-
 def test_other_files_are_ignored(tmp_path):
-    save_photo(tmp_path, "img1.png")
-    save_mask(tmp_path, "img1_instance.png")
+    save(tmp_path, "img1.png", photo())
+    save(tmp_path, "img1_instance.png", grey(1))
     (tmp_path / "notes.txt").write_text("taken on Monday")
     (tmp_path / "._img1.png").write_bytes(b"\0")
     assert [pair.name for pair in pair_images(tmp_path)] == ["img1"]
 
 
-def test_rejects_folders_without_images(tmp_path):
-    with pytest.raises(InputError, match="holds no images"):
-        open_images(tmp_path)
+STRIPES = np.indices(SIZE).sum(0) % 2
+STRIPED_PNG = png_bytes(STRIPES.astype(np.uint8), [(9, 9, 9), (128, 0, 0)])
+UNKNOWN_COLOUR = np.full((*SIZE, 3), (120, 120, 60), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("files", "labels", "message"),
+    [
+        ({}, None, "holds no images"),
+        ({"img1.png": photo(), "mask2.png": grey(1)}, None, r"mask2.png: is a mask without an image of the"),
+        ({"img1.png": photo(), "img01.png": photo()}, None, "has a name too similar to img01.png"),
+        ({"a.png": grey(900, np.uint16)}, None, "must be a photograph with 8 bits per channel"),
+        ({"a.png": photo(), "a_mask.jpg": photo(255)}, None, "is a JPEG, which changes the values of a mask"),
+        (
+            {"a.png": photo(), "a_mask.png": grey(1)[:3, :4]},
+            FRUIT,
+            "has 4x3 pixels, but its image a.png has",
+        ),
+        ({"a.png": photo(), "a_mask.png": grey(17)}, FRUIT, "a_mask.png: has the value 17, for which labels"),
+        (
+            {"a.png": photo(), "a_mask.png": UNKNOWN_COLOUR},
+            None,
+            "has the colour #78783c, for which",
+        ),
+        (
+            {"a.png": photo(), "a_mask.png": UNKNOWN_COLOUR},
+            FRUIT,
+            "has colours, but labels defines no",
+        ),
+    ],
+)
+def test_rejects_images_and_masks(tmp_path, files, labels, message):
+    for name, pixels in files.items():
+        save(tmp_path, name, pixels)
+    with pytest.raises(InputError, match=message):
+        list(open_images(tmp_path, labels=labels))
+
+
+def test_rejects_missing_folder_and_damaged_file(tmp_path):
     with pytest.raises(InputError, match="must be a folder"):
         open_images(tmp_path / "none")
-
-
-# --- folders: meaning of masks ------------------------------------------------------------------------------
-
-
-def test_class_images_of_this_package_need_no_table(tmp_path, ids):
-    save_photo(tmp_path, "a.png")
-    (tmp_path / "a_mask.png").write_bytes(png_bytes(ids, CLASS_COLOURS))
-    np.testing.assert_array_equal(open_images(tmp_path)[0].classes, ids)
-
-
-def test_published_colours_need_no_table_and_others_are_rejected(tmp_path, ids):
-    save_photo(tmp_path, "a.png")
-    rgb = class_colour(ids)
-    save(tmp_path, "a_mask.png", rgb)
-    np.testing.assert_array_equal(open_images(tmp_path)[0].classes, ids)
-    rgb[0, 0] = (120, 120, 60)
-    save(tmp_path, "a_mask.png", rgb)
-    message = "has the colour #78783c, for which the published colour scale defines no class"
-    with pytest.raises(InputError, match=message):
+    path = save(tmp_path, "a.png", photo())
+    path.write_bytes(path.read_bytes()[:45])
+    with pytest.raises(InputError, match=r"a.png: cannot be read as an image"):
         open_images(tmp_path)[0]
+
+
+def classes_of(folder, mask, labels=None):
+    """The classes of a mask, an array or the content of a PNG, for an image of its size."""
+    path = folder / "a_mask.png"
+    if isinstance(mask, bytes):
+        path.write_bytes(mask)
+    else:
+        save(folder, path.name, mask)
+    with Image.open(path) as image:
+        save(folder, "a.png", photo(size=(image.height, image.width)))
+    return open_images(folder, labels=labels)[0].classes
+
+
+def test_class_images_and_published_colours_need_no_table(tmp_path, ids):
+    for mask in (png_bytes(ids, CLASS_COLOURS), class_colour(ids)):
+        np.testing.assert_array_equal(classes_of(tmp_path, mask), ids)
 
 
 @pytest.mark.parametrize("mode", ["L", "RGB", "P"])
 def test_grey_values_require_a_table(tmp_path, ids, mode):
-    save_photo(tmp_path, "a.png")
+    save(tmp_path, "a.png", photo())
     Image.fromarray(ids).convert(mode).save(tmp_path / "a_mask.png")
     images = open_images(tmp_path)
     assert images.select("colour")[0].colour is not None
@@ -271,105 +280,39 @@ def test_grey_values_require_a_table(tmp_path, ids, mode):
 
 
 def test_folder_can_define_its_classes(tmp_path):
-    save_photo(tmp_path, "a.png", size=(3, 4))
-    save(tmp_path, "a_mask.png", np.array([[0, 3, 9, 200]] * 3, np.uint8))
     (tmp_path / "classes.toml").write_text('0 = "background"\n3 = "pepper"\n9 = "stem"\notherwise = "void"\n')
-    np.testing.assert_array_equal(open_images(tmp_path)[0].classes, [[0, 2, 4, VOID]] * 3)
+    classes = classes_of(tmp_path, np.array([[0, 3, 9, 200]] * 3, np.uint8))
+    np.testing.assert_array_equal(classes, [[0, 2, 4, VOID]] * 3)
 
 
-def test_colours_of_a_table_match_with_a_small_tolerance(tmp_path):
-    save_photo(tmp_path, "a.png", size=(1, 3))
-    save(tmp_path, "a_mask.png", np.array([[[250, 2, 3], [0, 0, 0], [1, 128, 0]]], np.uint8))
-    labels = {"#ff0000": OrganClass.PEPPER, (0, 0, 0): None, "#008000": "leaf"}
-    np.testing.assert_array_equal(open_images(tmp_path, labels=labels)[0].classes, [[2, VOID, 1]])
-    with pytest.raises(InputError, match="has colours, but labels defines no classes for colours"):
-        open_images(tmp_path, labels=FRUIT)[0]
-
-
-def test_rejects_value_without_class(tmp_path):
-    save_photo(tmp_path, "a.png")
-    save_mask(tmp_path, "a_mask.png", 17)
-    with pytest.raises(InputError, match=r"a_mask.png: has the value 17, for which labels defines no class"):
-        open_images(tmp_path, labels=FRUIT)[0]
-
-
-def test_reads_masks_of_1_and_16_bits(tmp_path):
-    save_photo(tmp_path, "a.png")
-    save(tmp_path, "a_mask.png", np.full(SIZE, 4001, np.uint16))
-    assert (open_images(tmp_path, labels={4001: "pepper"})[0].classes == 2).all()
-    bits = np.indices(SIZE).sum(0) % 2 == 0
-    save(tmp_path, "a_mask.png", bits)
-    np.testing.assert_array_equal(open_images(tmp_path, labels=FRUIT)[0].classes, np.where(bits, 2, 0))
-
-
-def test_palette_indices_take_precedence_over_colours(tmp_path):
-    save_photo(tmp_path, "a.png")
-    values = (np.indices(SIZE).sum(0) % 2).astype(np.uint8)
-    (tmp_path / "a_mask.png").write_bytes(png_bytes(values, [(9, 9, 9), (128, 0, 0)]))
-    np.testing.assert_array_equal(open_images(tmp_path, labels=FRUIT)[0].classes, 2 * values)
-    colours = {"#090909": "stem", "#800000": "cut"}
-    np.testing.assert_array_equal(open_images(tmp_path, labels=colours)[0].classes, np.where(values, 7, 4))
+@pytest.mark.parametrize(
+    ("mask", "labels", "expected"),
+    [
+        # 1 and 16 bits.
+        (STRIPES == 1, FRUIT, 2 * STRIPES),
+        (grey(4001, np.uint16), {4001: "pepper"}, np.full(SIZE, 2)),
+        # Colours match with a small tolerance.
+        (
+            np.array([[[250, 2, 3], [0, 0, 0], [1, 128, 0]]], np.uint8),
+            {"#ff0000": OrganClass.PEPPER, (0, 0, 0): None, "#008000": "leaf"},
+            [[2, VOID, 1]],
+        ),
+        # Indices of a palette take precedence over its colours.
+        (STRIPED_PNG, FRUIT, 2 * STRIPES),
+        (STRIPED_PNG, {"#090909": "stem", "#800000": "cut"}, np.where(STRIPES, 7, 4)),
+    ],
+)
+def test_table_gives_classes_to_values_or_colours(tmp_path, mask, labels, expected):
+    np.testing.assert_array_equal(classes_of(tmp_path, mask, labels), expected)
 
 
 def test_transparent_pixels_of_a_mask_are_void(tmp_path):
-    save_photo(tmp_path, "a.png")
     rgba = np.zeros((*SIZE, 4), np.uint8)
     rgba[:, :4] = (*CLASS_COLOURS[OrganClass.PEPPER], 255)
     rgba[:, 4:] = (13, 77, 200, 0)
-    save(tmp_path, "a_mask.png", rgba)
-    classes = open_images(tmp_path)[0].classes
-    assert (classes[:, :4] == OrganClass.PEPPER).all()
-    assert (classes[:, 4:] == VOID).all()
-
-
-def test_rejects_mask_of_another_size(tmp_path):
-    save_photo(tmp_path, "a.png")
-    save_mask(tmp_path, "a_mask.png", size=(3, 4))
-    with pytest.raises(InputError, match=r"has 4x3 pixels, but its image a.png has 8x6; masks are never"):
-        open_images(tmp_path, labels=FRUIT)[0]
-
-
-def test_rejects_lossy_mask(tmp_path):
-    save_photo(tmp_path, "a.png")
-    save_photo(tmp_path, "a_mask.jpg", 255)
-    with pytest.raises(InputError, match="is a JPEG, which changes the values of a mask; save it as PNG"):
-        open_images(tmp_path)[0]
-
-
-def test_photograph_is_rotated_by_its_exif_orientation(tmp_path):
-    upright = np.random.default_rng(3).integers(0, 256, (6, 8, 3)).astype(np.uint8)
-    exif = Image.Exif()
-    exif[0x0112] = 6  # rotate by a quarter to the right
-    Image.fromarray(np.rot90(upright, 1)).save(tmp_path / "a.png", exif=exif)
-    save_mask(tmp_path, "a_mask.png", 1)
-    image = open_images(tmp_path, labels=FRUIT)[0]
-    np.testing.assert_array_equal(image.colour, upright)
-    assert image.size == (6, 8)
-
-
-def test_transparent_pixels_of_a_photograph_are_black(tmp_path):
-    rgba = np.full((*SIZE, 4), 200, np.uint8)
-    rgba[..., 3] = 0
-    rgba[0, :, 3] = 255
-    save(tmp_path, "a.png", rgba)
-    colour = open_images(tmp_path)[0].colour
-    assert (colour[0] == 200).all()
-    assert (colour[1:] == 0).all()
-
-
-def test_grey_photograph_has_three_equal_channels(tmp_path):
-    save(tmp_path, "a.png", np.full(SIZE, 90, np.uint8))
-    assert (open_images(tmp_path)[0].colour == 90).all()
-    save(tmp_path, "a.png", np.full(SIZE, 900, np.uint16))
-    with pytest.raises(InputError, match="must be a photograph with 8 bits per channel"):
-        open_images(tmp_path)[0]
-
-
-def test_damaged_file_is_an_input_error(tmp_path):
-    path = save_photo(tmp_path, "a.png")
-    path.write_bytes(path.read_bytes()[:45])
-    with pytest.raises(InputError, match=r"a.png: cannot be read as an image"):
-        open_images(tmp_path)[0]
+    expected = np.full(SIZE, OrganClass.PEPPER)
+    expected[:, 4:] = VOID
+    np.testing.assert_array_equal(classes_of(tmp_path, rgba), expected)
 
 
 def test_montoya2021_labels_only_fruit_and_peduncles():
@@ -396,11 +339,35 @@ def test_rejects_invalid_table(table, message):
         parse_labels(table, "labels")
 
 
+def test_photograph_is_rotated_by_its_exif_orientation(tmp_path):
+    upright = np.random.default_rng(3).integers(0, 256, (6, 8, 3)).astype(np.uint8)
+    exif = Image.Exif()
+    exif[0x0112] = 6  # rotate by a quarter to the right
+    Image.fromarray(np.rot90(upright, 1)).save(tmp_path / "a.png", exif=exif)
+    save(tmp_path, "a_mask.png", grey(1))
+    image = open_images(tmp_path, labels=FRUIT)[0]
+    np.testing.assert_array_equal(image.colour, upright)
+    assert image.size == (6, 8)
+
+
+def test_grey_and_transparent_photographs_become_rgb(tmp_path):
+    save(tmp_path, "a.png", grey(90))
+    assert (open_images(tmp_path)[0].colour == 90).all()
+    rgba = np.full((*SIZE, 4), 200, np.uint8)
+    rgba[..., 3] = 0
+    rgba[0, :, 3] = 255
+    save(tmp_path, "a.png", rgba)
+    colour = open_images(tmp_path)[0].colour
+    # Transparent pixels are black.
+    assert (colour[0] == 200).all()
+    assert (colour[1:] == 0).all()
+
+
 def test_rejects_arguments_of_another_layout(tmp_path, small):
     with pytest.raises(InputError, match="apply only to a folder of images"):
         open_images(small.folder, labels="published")
     with pytest.raises(InputError, match="applies only to the published data set"):
         open_images(small.folder, half="synthetic")
-    save_photo(tmp_path, "photos/a.png")
+    save(tmp_path, "photos/a.png", photo())
     with pytest.raises(InputError, match="must be a table or one of published, montoya2021, not 'voc'"):
         open_images(tmp_path / "photos", labels="voc")

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 from chromium import Browser, find_chromium
+from data_sets import RandomImages, set_without_plants
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import write_report
-from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
-from pepperscene.dataset.store.dataset import FORMAT, FRAMES, MARK, file_name, written_image
+from pepperscene.frame import Frame
 
 pytestmark = pytest.mark.skipif(find_chromium() is None, reason="there is no Chromium on this machine")
 
@@ -21,24 +19,23 @@ SHOWN = 3
 PANELS = ("colour", "class", "instance", "distance")
 
 
-class Photographs(ImageSet):
-    """Two photographs in which only fruit is labelled."""
+class BandRenderer:
+    """Renders bands of classes, each in its own colour, brightest in the centre."""
 
-    def names(self):
-        return tuple(f"photo {item}" for item in self.items)
+    def __init__(self, scene):
+        pass
 
-    def read(self, item):
-        colour = np.full((90, 120, 3), (40, 120, 60), np.uint8)
-        classes = np.full((90, 120), 255, np.uint8)
-        classes[20:50, 30:70], colour[20:50, 30:70] = 2, (190, 40 + 50 * item, 20)
-        return LabelledImage(f"photo {item}", colour, classes)
+    def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
+        images = band_images(round(camera.pose[2, 3] * 100))
+        sampling = {"error_codes": 1 + seed % 50 / 50, "noise_codes": 9.0, "samples_per_pixel": 8.0}
+        metadata = {"camera": camera.metadata(), "instances": {}, "sampling": sampling}
+        return Frame({name: images[name] for name in outputs}, metadata)
 
 
-def frame_images(index):
-    """Bands of classes, each in its own colour, brightest in the centre."""
+def band_images(shift):
     height, width = SIZE
     rows, columns = np.mgrid[:height, :width]
-    classes = ((rows // 15 + index) % len(OrganClass)).astype(np.uint8)
+    classes = ((rows // 15 + shift) % len(OrganClass)).astype(np.uint8)
     light = np.exp(-((rows / height - 0.5) ** 2 + (columns / width - 0.5) ** 2) * 4)
     palette = np.array(
         [[90, 80, 140], [60, 160, 40], [220, 190, 20], [90, 150, 30], [120, 160, 60], [100, 150, 50],
@@ -55,28 +52,9 @@ def frame_images(index):
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report") / "set with a long name_that_cannot_be_broken_anywhere"
-    for name in (FRAMES, *PANELS):
-        (folder / name).mkdir(parents=True, exist_ok=True)
-    recipe = {
-        "name": "striped", "cultivar": "kaite", "seed": 1, "plan": {"sets": 1, "rotations": 1, "frames": 100},
-        "row": {"plants_front": 1, "plants_back": 0, "spacing_mm": 200.0}, "camera": {"exposure_us": 50.0},
-        "daylight": None,
-    }  # fmt: skip
-    info = {"format": FORMAT, "quality": "draft", "version": "1", "recipe_sha256": "0" * 64, "recipe": recipe}
-    (folder / MARK).write_text(json.dumps(info))
-    for index in range(FRAME_COUNT):
-        images = frame_images(index)
-        outputs = {name: written_image(folder / file_name(index, name), image, name, file_name(index, name))
-                   for name, image in images.items()}  # fmt: skip
-        counts = np.bincount(images["class"].ravel(), minlength=len(OrganClass))
-        metadata = {
-            "index": index, "set": 0, "rotation": 0, "step": index, "outputs": outputs,
-            "class_pixels": {organ.name.lower(): int(counts[organ]) for organ in OrganClass},
-            "sampling": {"error_codes": 1 + index / 50, "noise_codes": 9.0, "samples_per_pixel": 8 + index},
-            "camera": {"pose": np.eye(4).tolist()},
-        }  # fmt: skip
-        (folder / FRAMES / f"{index:06d}.json").write_text(json.dumps(metadata))
-    return write_report(folder, SHOWN, Photographs(name="photographs", items=(0, 1))).page
+    changes = {"name": "striped", "plan.sets": 1, "plan.rotations": 1, "plan.frames": 100}
+    set_without_plants(folder, range(FRAME_COUNT), PANELS, BandRenderer, changes)
+    return write_report(folder, SHOWN, RandomImages(name="photographs", items=(0, 1))).page
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +98,7 @@ def test_page_opens_with_all_images(browser):
     )
     frames = [SIZE[1]] * (SHOWN * len(PANELS))
     # Frames, photographs with their masks, maps of eight classes and of one, both mean intensities.
-    assert sorted(widths) == sorted([*frames, *[120] * 4, *[SIZE[1]] * 8, 120, SIZE[1], 120])
+    assert sorted(widths) == sorted([*frames, *[40] * 4, *[SIZE[1]] * 8, 40, SIZE[1], 40])
     assert browser.run("document.title").startswith("striped")
 
 

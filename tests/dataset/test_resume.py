@@ -1,4 +1,4 @@
-"""A build killed at any moment is resumed by the same command, and ends as if it had never been killed."""
+"""A build that is killed at any time is resumed by the same command, and makes the same files."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import os
 import signal
 import subprocess
 import sys
-import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
-from set_files import contents
-from stand_in import PYTHONPATH, rendered
+from data_sets import contents
+from stand_in import PYTHONPATH, process_fields, rendered, wait_for
 
 from pepperscene.dataset import open_dataset
-from pepperscene.dataset.recipe.plan import Plan, frame_seed
+from pepperscene.dataset.recipe.plan import frame_seed
 
 FRAMES = 60
 SEED = 2018
@@ -31,9 +31,9 @@ recipe = load_recipe("barth2018", {{"cultivar": "kaite_february", "plan.sets": 2
 options = BuildOptions("draft", workers=int(sys.argv[2]) or None, renderer=Renderer)
 build(recipe, sys.argv[1], None, {outputs}, options)
 """
-STAND_IN = _SCRIPT.format(renderer="StandIn", front=1, back=0, outputs=("class", "distance", "colour"))
+FAKE = _SCRIPT.format(renderer="StandIn", front=1, back=0, outputs=("class", "distance", "colour"))
 REAL = _SCRIPT.format(
-    renderer="Logged",
+    renderer="LoggedRenderer",
     front=2,
     back=1,
     outputs=("class", "instance", "distance", "distance_code", "harvest", "colour"),
@@ -46,60 +46,43 @@ def log(tmp_path):
 
 
 @pytest.fixture
-def begin(tmp_path, monkeypatch, log):
+def start(tmp_path, monkeypatch, log):
     """Starts a build of 60 frames in another process."""
     monkeypatch.setenv("PYTHONPATH", PYTHONPATH)
     monkeypatch.setenv("STAND_IN_LOG", str(log))
     monkeypatch.setenv("STAND_IN_S", "0.02")
 
-    def start(out, workers=0, script=STAND_IN):
+    def run(out, workers=0, script=FAKE):
         return subprocess.Popen(
             [sys.executable, "-c", script, str(tmp_path / out), str(workers)],
             stderr=subprocess.PIPE,
             start_new_session=True,
         )
 
-    return start
+    return run
 
 
-def family(process):
-    """A process and all that it has started, directly or not."""
-    parents = {}
-    for status in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            parents[int(status.parent.name)] = int(status.read_text().rpartition(")")[2].split()[1])
-        except OSError:
-            continue
+def descendants(process):
+    """Ids of a process and of all that it has started, directly or not."""
+    parents = {pid: parent for pid, _, parent, *_ in process_fields()}
     members = {process}
-    while more := {child for child, parent in parents.items() if parent in members} - members:
+    while more := {pid for pid, parent in parents.items() if parent in members} - members:
         members |= more
     return members
 
 
-def kill(process, everybody):
-    """`kill -9`, of the build alone or of its workers as well; all have ended on return."""
-    members = family(process.pid)
-    for member in members if everybody else [process.pid]:
-        try:
+def kill(process, with_workers):
+    """Kill a build, with or without its workers; all have ended on return."""
+    members = descendants(process.pid)
+    for member in members if with_workers else [process.pid]:
+        with suppress(ProcessLookupError):
             os.kill(member, signal.SIGKILL)
-        except ProcessLookupError:
-            continue
     process.communicate()
-    deadline = time.monotonic() + 60
-    while any(is_alive(member) for member in members) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not any(is_alive(member) for member in members), "workers outlive their build"
-
-
-def is_alive(process):
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
+    wait_for(lambda: not any(pid in members and state != "Z" for pid, state, *_ in process_fields()), 60.0)
 
 
 def complete_frames(folder):
-    """Frames that count, each verified to the last bit; none is damaged."""
+    """Indices of the complete frames; none of them is damaged."""
     if not (folder / "dataset.json").is_file():
         return set()
     dataset = open_dataset(folder)
@@ -109,51 +92,49 @@ def complete_frames(folder):
     return set(dataset.indices())
 
 
-def interrupted_build(begin, folder, rng, kills, script, longest_s, log):
-    """A build that is killed at random moments until the last one may finish; returns how often it was."""
-    times = 0
+def interrupted_build(start, folder, rng, max_kills, script, max_s, log):
+    """Kill a build at random times until it finishes; returns how often it was killed."""
+    kills = 0
     while True:
-        before, started = complete_frames(folder), len(rendered(log))
-        process = begin(folder.name, workers=int(rng.integers(0, 3)), script=script)
-        if times == kills:
+        complete, started = complete_frames(folder), len(rendered(log))
+        process = start(folder.name, workers=int(rng.integers(0, 3)), script=script)
+        if kills == max_kills:
             assert process.communicate()[1] == b""
             assert process.returncode == 0
         else:
             try:
-                process.wait(rng.uniform(0.3, longest_s))
+                process.wait(rng.uniform(0.3, max_s))
             except subprocess.TimeoutExpired:
-                kill(process, everybody=bool(rng.integers(2)))
-                times += 1
+                kill(process, with_workers=bool(rng.integers(2)))
+                kills += 1
             else:
                 process.communicate()
-        seeds = {frame_seed(SEED, index) for index in before}
-        again = {seed for _, seed in rendered(log)[started:]}
-        assert not seeds & again, "a complete frame was rendered again"
+        seeds = {seed for _, seed in rendered(log)[started:]}
+        assert not seeds & {frame_seed(SEED, index) for index in complete}, "a frame was rendered again"
         if process.returncode == 0:
-            return times
+            return kills
 
 
-def test_killed_at_random_moments_and_resumed(begin, tmp_path, log):
-    assert begin("whole").communicate()[1] == b""
+def test_build_that_is_killed_at_random_times_is_resumed(start, tmp_path, log):
+    assert start("expected").communicate()[1] == b""
     log.unlink()
-    times = interrupted_build(begin, tmp_path / "set", np.random.default_rng(6), 6, STAND_IN, 4.0, log)
-    assert times > 1
-    assert contents(tmp_path / "set") == contents(tmp_path / "whole")
+    kills = interrupted_build(start, tmp_path / "set", np.random.default_rng(6), 6, FAKE, 4.0, log)
+    assert kills > 1
+    assert contents(tmp_path / "set") == contents(tmp_path / "expected")
     manifest = open_dataset(tmp_path / "set").manifest()
     assert manifest["index"].to_pylist() == list(range(FRAMES))
-    plan = Plan(sets=2, rotations=2, frames=15)
-    assert manifest["seed"].to_pylist() == [frame_seed(SEED, plan.frame(i).index) for i in range(FRAMES)]
+    assert manifest["seed"].to_pylist() == [frame_seed(SEED, index) for index in range(FRAMES)]
 
 
 @pytest.mark.long
-def test_thirty_kills_of_real_builds(begin, tmp_path, log):
-    """Sixty frames in colour with all labels, killed at thirty random moments of several builds."""
+def test_real_builds_that_are_killed_30_times(start, tmp_path, log):
+    """Sixty frames in colour with all labels, killed at thirty random times of several builds."""
     rng = np.random.default_rng(30)
-    assert begin("whole", script=REAL).communicate()[1] == b""
-    expected, kills = contents(tmp_path / "whole"), 0
+    assert start("expected", script=REAL).communicate()[1] == b""
+    expected, kills = contents(tmp_path / "expected"), 0
     assert len(expected) == 1 + FRAMES * 7
     while kills < 30:
-        kills += interrupted_build(begin, tmp_path / "set", rng, 30 - kills, REAL, 30.0, log)
+        kills += interrupted_build(start, tmp_path / "set", rng, 30 - kills, REAL, 30.0, log)
         assert contents(tmp_path / "set") == expected
         for path in sorted((tmp_path / "set").rglob("*"), reverse=True):
             path.rmdir() if path.is_dir() else path.unlink()

@@ -142,14 +142,17 @@ class FrameMaker:
         self._renderer = FrameRenderer(job.recipe, job.renderer)
         self._folder = OutputFolder(job.folder, job.info)
         self._prepared: set[str] = set()
-        self._threads = ThreadPoolExecutor(1 + _IMAGE_THREADS, "write")
+        # Two pools, because a pool that ends starts nothing more: frames end first, then their images.
+        self._frame_thread = ThreadPoolExecutor(1, "write frame")
+        self._image_threads = ThreadPoolExecutor(_IMAGE_THREADS, "write image")
         self._writing: Future[FrameDone] | None = None
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._threads.shutdown()
+        self._frame_thread.shutdown()
+        self._image_threads.shutdown()
 
     def make(
         self, indices: Iterable[int], on_frame: OnFrame, stop: Callable[[], bool] = lambda: False
@@ -176,7 +179,7 @@ class FrameMaker:
             frame = self._renderer.render(spec, missing, self._quality)
             render_s = time.perf_counter() - start
             self._finish(on_frame)
-            self._writing = self._threads.submit(
+            self._writing = self._frame_thread.submit(
                 self._write, spec, frame, missing, status, render_s, on_frame
             )
         self._finish(on_frame)
@@ -211,7 +214,7 @@ class FrameMaker:
                 self._prepared.update(outputs)
             images = {name: frame.images[name] for name in outputs}
             metadata = {**status.metadata, **metadata}
-            written = dataset.commit(spec.index, images, metadata, status.outputs, self._threads)
+            written = dataset.commit(spec.index, images, metadata, status.outputs, self._image_threads)
         except OSError as error:
             raise write_error(error, dataset.folder) from None
         timing = {"render_s": render_s, "write_s": time.perf_counter() - start, "worker": self._worker}

@@ -1,4 +1,4 @@
-"""Slurm: the file of jobs, the submitted script, and a build by a Slurm that consists of three scripts."""
+"""Slurm: the file of jobs, the submitted script, and a build by a fake Slurm of three shell scripts."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from set_files import contents
-from stand_in import PYTHONPATH, StandIn, wait_for
+from data_sets import contents
+from stand_in import PYTHONPATH, process_fields, wait_for
 
 from pepperscene.dataset.execution import slurm
 from pepperscene.dataset.execution.slurm import SlurmJobs, read_slurm_file
@@ -46,7 +46,7 @@ local_directory = "scratch"
 """
 
 SBATCH = """#!/bin/sh
-# Like Slurm's: --test-only judges a script; otherwise the job starts at once, in a session of its own.
+# Like Slurm's: --test-only checks a script; otherwise the job starts at once, in its own session.
 if [ "$1" = --test-only ]; then
     cp "$2" "$FAKE_SLURM/tested.sh"
     if grep -q 'SBATCH -p closed' "$2"; then
@@ -80,9 +80,9 @@ exit 0
 
 @pytest.fixture
 def commands(tmp_path, monkeypatch):
-    """A Slurm of which this machine is the only node; its jobs leave a folder each."""
+    """The commands of a Slurm whose only node is this machine; each job has a folder here."""
     if os.name != "posix" or shutil.which("setsid") is None:
-        pytest.skip("the scripts are for Linux")
+        pytest.skip("the scripts need Linux")
     programs, jobs = tmp_path / "bin", tmp_path / "slurm"
     programs.mkdir()
     jobs.mkdir()
@@ -96,32 +96,24 @@ def commands(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def write(tmp_path):
-    def written(text):
+def write_jobs(tmp_path):
+    def write(text):
         path = tmp_path / "jobs.toml"
         path.write_text(text)
         return path
 
-    return written
+    return write
 
 
-@pytest.fixture
-def make(build_small):
-    def run(slurm=None, out="set", **arguments):
-        return build_small(out, renderer=StandIn, slurm=slurm, **arguments)
-
-    return run
-
-
-def submitted_script(make, commands, path):
-    """The script that is shown to Slurm, which refuses it."""
+def submitted_script(build_small, commands, path):
+    """The script that Slurm was asked to check, and rejects."""
     with pytest.raises(InputError, match=r"Slurm refuses such a job: .*closed"):
-        make(path)
+        build_small(slurm=path)
     return (commands / "tested.sh").read_text()
 
 
-def test_the_script_holds_all_settings(make, commands, write, tmp_path):
-    script = submitted_script(make, commands, write(ALL_KEYS))
+def test_script_has_all_settings(build_small, commands, write_jobs, tmp_path):
+    script = submitted_script(build_small, commands, write_jobs(ALL_KEYS))
     for option in (
         "-J pepperscene",
         "-p closed",
@@ -150,8 +142,8 @@ def test_the_script_holds_all_settings(make, commands, write, tmp_path):
     assert [path.name for path in commands.iterdir()] == ["tested.sh"]
 
 
-def test_defaults_are_left_to_the_site(make, commands, write):
-    script = submitted_script(make, commands, write(REQUIRED_KEYS + 'partition = "closed"\n'))
+def test_script_without_options_leaves_defaults_to_the_site(build_small, commands, write_jobs):
+    script = submitted_script(build_small, commands, write_jobs(REQUIRED_KEYS + 'partition = "closed"\n'))
     assert "#SBATCH -A" not in script
     assert "#SBATCH -o" not in script
     assert script.splitlines()[-1].startswith(f"{sys.executable} -m distributed")
@@ -173,10 +165,10 @@ def test_defaults_are_left_to_the_site(make, commands, write):
         *((f"-{key}", f"{key}: is required but missing") for key in ("jobs", "cores", "memory", "walltime")),
     ],
 )
-def test_errors_of_the_file(write, change, message):
+def test_rejects_invalid_file(write_jobs, change, message):
     key = change.removeprefix("-").split(" ")[0]
     lines = [line for line in REQUIRED_KEYS.splitlines() if not line.startswith(f"{key} ")]
-    path = write("\n".join([*lines, *([] if change.startswith("-") else [change])]))
+    path = write_jobs("\n".join([*lines, *([] if change.startswith("-") else [change])]))
     with pytest.raises(InputError) as caught:
         read_slurm_file(path)
     assert str(caught.value).startswith(f"{path}: ")
@@ -196,69 +188,60 @@ def test_every_key_is_documented():
     assert SlurmJobs.model_validate(tomllib.loads(example)).workers == 32
 
 
-def test_a_machine_without_slurm(make, write, tmp_path, monkeypatch):
+def test_machine_without_slurm(build_small, write_jobs, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(SetupError, match="cannot submit jobs to Slurm: it has no command sbatch"):
-        make(write(REQUIRED_KEYS))
+        build_small(slurm=write_jobs(REQUIRED_KEYS))
     assert not (tmp_path / "set").exists()
 
 
-def test_an_interface_that_this_machine_lacks(make, commands, write, tmp_path):
-    path = write(REQUIRED_KEYS.replace('"lo"', '"ib77"'))
+def test_missing_network_interface(build_small, commands, write_jobs, tmp_path):
+    path = write_jobs(REQUIRED_KEYS.replace('"lo"', '"ib77"'))
     with pytest.raises(InputError, match=r"jobs\.toml: cannot be used on this machine: .*ib77"):
-        make(path)
+        build_small(slurm=path)
     assert not (tmp_path / "set").exists()
 
 
-def test_jobs_make_the_same_files(make, commands, write, tmp_path, monkeypatch):
+def test_jobs_make_the_same_files(build_small, commands, write_jobs, tmp_path, monkeypatch):
     notices = []
     monkeypatch.setenv("STAND_IN_S", "0.1")
-    shared = make(write(REQUIRED_KEYS), "shared", on_notice=notices.append)
-    alone = make(None, "alone")
-    assert shared.made == alone.made == tuple(range(24))
+    result = build_small(slurm=write_jobs(REQUIRED_KEYS), on_notice=notices.append)
+    build_small("serial")
+    assert result.made == tuple(range(24))
     assert notices == ["2 jobs were submitted to Slurm; frames are made once one of them runs"]
-    assert contents(tmp_path / "shared") == contents(tmp_path / "alone")
-    # Both jobs ran here, and both have ended with the build.
+    assert contents(tmp_path / "set") == contents(tmp_path / "serial")
+    # Both jobs ran, and ended with the build.
     jobs = sorted(path.name for path in commands.iterdir() if path.is_dir())
     assert jobs == ["1", "2"]
     assert all((commands / job / "cancelled").exists() for job in jobs)
-    wait_for(lambda: not any(is_alive(int((commands / job / "session").read_text())) for job in jobs))
+    sessions = {int((commands / job / "session").read_text()) for job in jobs}
+    wait_for(
+        lambda: not any(session in sessions and state != "Z" for _, state, *_, session in process_fields())
+    )
 
 
-def test_a_job_whose_time_is_over_is_submitted_again(make, commands, write, monkeypatch):
+def test_job_that_ends_is_submitted_again(build_small, commands, write_jobs, monkeypatch):
     monkeypatch.setattr(slurm, "_RENEW_S", 1.0)
     monkeypatch.setenv("STAND_IN_S", "0.1")
     notices = []
 
-    def end(progress):
+    def end_job(progress):
         if progress.done == 2:
             os.killpg(int((commands / "1" / "session").read_text()), signal.SIGKILL)
 
-    path = write(REQUIRED_KEYS.replace("jobs = 2", "jobs = 1"))
+    path = write_jobs(REQUIRED_KEYS.replace("jobs = 2", "jobs = 1"))
     with dask.config.set({"distributed.deploy.lost-worker-timeout": "1s"}):
-        result = make(path, on_frame=end, on_notice=notices.append)
+        result = build_small(slurm=path, on_frame=end_job, on_notice=notices.append)
     assert sorted((*result.made, *result.kept)) == list(range(24))
     assert sorted(path.name for path in commands.iterdir() if path.is_dir()) == ["1", "2"]
     assert len(notices) == 2
     assert "a worker was lost over frame 0000" in notices[1]
 
 
-def test_jobs_that_end_before_a_worker_starts(make, commands, write, tmp_path, monkeypatch):
+def test_jobs_that_end_before_a_worker_starts(build_small, commands, write_jobs, tmp_path, monkeypatch):
     monkeypatch.setattr(slurm, "_QUEUE_CHECK_S", 0.1)
     monkeypatch.setattr(slurm, "_QUEUE_CHECKS", 2)
-    path = write(REQUIRED_KEYS + 'prologue = ["exit 1"]\n')
+    path = write_jobs(REQUIRED_KEYS + 'prologue = ["exit 1"]\n')
     with pytest.raises(WorkerError, match="Slurm has none of the jobs any more"):
-        make(path)
+        build_small(slurm=path)
     assert not (tmp_path / "set").exists()
-
-
-def is_alive(session):
-    """Whether a session has a process that has not ended."""
-    for status in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = status.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[3]) == session and fields[0] != "Z":
-            return True
-    return False

@@ -12,13 +12,11 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from data_sets import RandomImages, set_without_plants
 from PIL import Image
-from set_files import set_without_plants
-from stand_in import StandIn
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import open_dataset, write_report
-from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
 from pepperscene.dataset.report.data import (
     NUMBERS,
     distance_range,
@@ -62,20 +60,6 @@ class Page(HTMLParser):
         return self.text.partition('class="fractions"')[2].partition("</table>")[0]
 
 
-class RandomImages(ImageSet):
-    """Photographs of noise, the upper half labelled as fruit, generated on access."""
-
-    def names(self):
-        return tuple(f"random{item}" for item in self.items)
-
-    def read(self, item):
-        rng = np.random.default_rng(item)
-        colour = rng.integers(0, 256, (30, 40, 3)).astype(np.uint8) if "colour" in self.fields else None
-        classes = np.full((30, 40), 255, np.uint8)
-        classes[:15] = 2
-        return LabelledImage(f"random{item}", colour, classes if "classes" in self.fields else None)
-
-
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory):
     """Data sets that are built once and copied for each test."""
@@ -87,7 +71,7 @@ def make(cache, tmp_path):
     def run(frames=3, outputs=DEFAULT_OUTPUTS, **changes):
         cached = cache / "-".join([*outputs, str(frames), *map(str, changes)])
         if not cached.exists():
-            set_without_plants(cached, range(frames), outputs, StandIn, changes)
+            set_without_plants(cached, range(frames), outputs, changes=changes)
         return shutil.copytree(cached, tmp_path / "set", dirs_exist_ok=True)
 
     return run
@@ -101,9 +85,6 @@ def photographs():
 def remove_tables(folder):
     for name in ("manifest.parquet", "journal.jsonl"):
         (folder / name).unlink(missing_ok=True)
-
-
-# --- the page -----------------------------------------------------------------------------------------------
 
 
 def test_page_contains_its_images_and_needs_no_network(make):
@@ -204,7 +185,7 @@ def test_names_are_escaped(make, photographs):
 def test_build_continues_after_a_report(make):
     folder = make(1)
     write_report(folder)
-    set_without_plants(folder, range(2), DEFAULT_OUTPUTS, StandIn)
+    set_without_plants(folder, range(2), DEFAULT_OUTPUTS)
     assert write_report(folder).frames == 2
 
 
@@ -219,22 +200,18 @@ def test_missing_data_set_or_frames_are_an_input_error(make, tmp_path):
         write_report(folder)
 
 
-def test_damaged_image_is_an_input_error_and_leaves_no_report(make):
+def test_damaged_image_and_unwritable_page_are_errors(make):
     folder = make(1)
-    (folder / "colour" / "000000.png").write_bytes(b"nothing")
+    path = folder / "colour" / "000000.png"
+    content = path.read_bytes()
+    path.write_bytes(b"nothing")
     with pytest.raises(InputError, match=r"000000\.png"):
         write_report(folder)
     assert not (folder / "index.html").exists()
-
-
-def test_unwritable_page_is_an_output_error(make):
-    folder = make(1)
+    path.write_bytes(content)
     (folder / "index.html").mkdir()
     with pytest.raises(OutputError, match="cannot be written"):
         write_report(folder)
-
-
-# --- statistics of images -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("count", "limit"), [(1, 1), (5, 9), (9, 9), (10_500, 12), (7, 1)])
@@ -285,9 +262,6 @@ def test_error_ends_the_reading():
 
 def test_images_without_distances_have_no_range(photographs):
     assert distance_range(photographs, [0, 1]) is None
-
-
-# --- records of frames --------------------------------------------------------------------------------------
 
 
 def test_records_match_the_files(make):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 import sys
 import tracemalloc
 
 import pytest
+from data_sets import contents
 from painted_set import FRAMES
 
 from pepperscene.dataset.export import FORMATS, export_dataset
@@ -18,12 +18,6 @@ from pepperscene.errors import InputError, OutputError, SetupError
 
 every_format = pytest.mark.parametrize("format_name", FORMATS)
 NEEDED = {"published": "class", "coco": "instance", "yolo": "instance"}
-
-
-def contents(folder):
-    """Digest of every file by its name."""
-    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
-    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
 @every_format
