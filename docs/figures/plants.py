@@ -1,4 +1,6 @@
-"""Renders the pictures of the page on plants into docs/images; run it after a change that they show.
+"""Render the figures of the page about plants into docs/images.
+
+Run it after a change that affects them:
 
 python docs/figures/plants.py [NAME ...]
 """
@@ -13,7 +15,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from overview import GAP, IMAGES, Picture, beside
+from overview import GAP, IMAGES, Picture, side_by_side
 from PIL import Image
 
 from pepperscene import (
@@ -33,23 +35,33 @@ from pepperscene.dataset.scenes.portrait import portrait
 
 PHOTOS: Final = Path(__file__).parents[1] / "photos"
 SIZE: Final = (613, 346)
-"""Of the photographs, pixels."""
+"""Width and height of the photographs, in pixels."""
 PHONE_DEG: Final = 62.0
-"""Horizontal field of view of the telephone that took them: chosen, as most have."""
+"""Horizontal field of view of the smartphone that took them. Chosen: common for smartphones."""
 
 
-def phone(place: tuple[float, float, float], target: tuple[float, float, float]) -> Camera:
-    """A telephone's field of view on the paper's sensor, all sharp, by daylight."""
+Point = tuple[float, float, float]
+
+PAIRS: Final[tuple[tuple[str, Point, Point], ...]] = (
+    ("img4", (0.1, -0.72, 1.5), (0.1, 0.0, 1.65)),
+    ("img6", (-0.3, -0.65, 1.9), (-0.3, 0.0, 2.0)),
+    ("img3", (0.2, -1.0, 1.4), (0.2, 0.0, 1.7)),
+)
+"""Each photograph, with the camera position and the target of the corresponding rendering, in metres."""
+
+
+def phone_camera(position: Point, target: Point) -> Camera:
+    """A camera for daylight with a smartphone's field of view on the paper's sensor; all is in focus."""
     columns, rows = SIZE
     sensor = dataclasses.replace(load_sensor("ueye_ui5250re"), columns=columns, rows=rows)
-    focal = 0.5 * columns * sensor.pixel_pitch_m / np.tan(np.radians(0.5 * PHONE_DEG))
-    lens = dataclasses.replace(load_lens("lensagon_cmfa0420nd"), focal_length_m=float(focal))
+    focal_length_m = 0.5 * columns * sensor.pixel_pitch_m / np.tan(np.radians(0.5 * PHONE_DEG))
+    lens = dataclasses.replace(load_lens("lensagon_cmfa0420nd"), focal_length_m=float(focal_length_m))
     developing = Developing(white_balance="daylight", falloff=False)
-    return Camera(lens, sensor, look_at(place, target), 2e-3, developing=developing)
+    return Camera(lens, sensor, look_at(position, target), 2e-3, developing=developing)
 
 
 def photographs() -> Picture:
-    """Photographs on the left, renders of the red cultivar at the same scale on the right."""
+    """Photographs on the left, renderings of the red cultivar at the same scale on the right."""
     recipe = load_recipe(
         "greenhouse",
         {
@@ -59,59 +71,50 @@ def photographs() -> Picture:
     )
     renderer = Renderer(FrameRenderer(recipe).scene(recipe.plan.frame(0)))
     rows = []
-    for name, place, target in PAIRS:
+    for name, position, target in PAIRS:
         photo = np.asarray(Image.open(PHOTOS / f"{name}.png").convert("RGB").resize(SIZE))
-        shown = renderer.render(phone(place, target), ["colour"])["colour"]
-        rows.append(beside([photo, shown]))
-    return above(rows)
-
-
-Point = tuple[float, float, float]
-PAIRS: Final[tuple[tuple[str, Point, Point], ...]] = (
-    ("img4", (0.1, -0.72, 1.5), (0.1, 0.0, 1.65)),
-    ("img6", (-0.3, -0.65, 1.9), (-0.3, 0.0, 2.0)),
-    ("img3", (0.2, -1.0, 1.4), (0.2, 0.0, 1.7)),
-)
-"""Each photograph, and where its twin is taken from and towards, metres."""
+        rendering = renderer.render(phone_camera(position, target), ["colour"])["colour"]
+        rows.append(side_by_side([photo, rendering]))
+    return stacked(rows)
 
 
 def cultivars() -> Picture:
-    """Four cultivars and crops: whole, from 50 cm, and with a fruit 10 cm before the lens."""
+    """Four cultivars: whole, from 50 cm, and with a fruit 10 cm in front of the lens."""
     names = ("kaite", "red_blocky", "orange_pointed", "tomato")
-    sheets = [portrait(grow_plant(name, seed=5).mesh, load_cultivar(name)) for name in names]
-    return above([beside(even(sheets[:2])), beside(even(sheets[2:]))])
+    portraits = [portrait(grow_plant(name, seed=5).mesh, load_cultivar(name)) for name in names]
+    return stacked([side_by_side(half_size(portraits[:2])), side_by_side(half_size(portraits[2:]))])
 
 
 def stages() -> Picture:
-    """One plant at four dates: the same seed, the shipped stages, and one between them."""
+    """One seed at four dates: the three shipped stages, and one between the last two."""
     spring, autumn = load_cultivar("kaite"), load_cultivar("kaite_september")
     summer = interpolate_cultivars(spring, autumn, 0.5)
-    sheets = [
+    portraits = [
         portrait(grow_plant("kaite_february", seed=7).mesh, load_cultivar("kaite_february")),
         portrait(grow_plant("kaite", seed=7).mesh, spring),
         portrait(grow_plant("kaite", seed=7, until="kaite_september", share=0.5).mesh, summer),
         portrait(grow_plant("kaite_september", seed=7).mesh, autumn),
     ]
-    return above([beside(even(sheets[:2])), beside(even(sheets[2:]))])
+    return stacked([side_by_side(half_size(portraits[:2])), side_by_side(half_size(portraits[2:]))])
 
 
-def even(sheets: list[Picture]) -> list[Picture]:
-    """Sheets of one height, half as large."""
+def half_size(pictures: list[Picture]) -> list[Picture]:
+    """Resize pictures to half their width and the same height."""
     return [
-        np.asarray(Image.fromarray(one).resize((one.shape[1] // 2, 454), Image.Resampling.BOX))
-        for one in sheets
+        np.asarray(Image.fromarray(picture).resize((picture.shape[1] // 2, 454), Image.Resampling.BOX))
+        for picture in pictures
     ]
 
 
-def above(rows: list[Picture]) -> Picture:
-    """Pictures one above the other on white, the narrower ones filled up."""
+def stacked(rows: list[Picture]) -> Picture:
+    """Arrange pictures in a column, with white gaps and margins."""
     width = max(row.shape[1] for row in rows)
-    parts: list[NDArray[np.uint8]] = []
+    padded_rows: list[NDArray[np.uint8]] = []
     for row in rows:
-        full = np.full((row.shape[0] + GAP, width, 3), 255, np.uint8)
-        full[GAP:, : row.shape[1]] = row
-        parts.append(full)
-    return np.vstack(parts)[GAP:]
+        padded = np.full((row.shape[0] + GAP, width, 3), 255, np.uint8)
+        padded[GAP:, : row.shape[1]] = row
+        padded_rows.append(padded)
+    return np.vstack(padded_rows)[GAP:]
 
 
 FIGURES: Final[dict[str, Callable[[], Picture]]] = {
@@ -122,7 +125,7 @@ FIGURES: Final[dict[str, Callable[[], Picture]]] = {
 
 
 def main(names: list[str]) -> None:
-    """Write the figures asked for, by default all."""
+    """Write the named figures; without names, all of them."""
     for name in names or FIGURES:
         Image.fromarray(FIGURES[name]()).save(IMAGES / name, optimize=True, quality=90)
 
