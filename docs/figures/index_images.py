@@ -2,8 +2,8 @@
 
     python docs/figures/index_images.py [NAME ...]
 
-What is rendered or fitted for them is kept in the folder `pepperscene_index_images` of the system's folder for
-temporary files, so that a second run takes seconds. Remove that folder to render again.
+Renderings and a fit are cached in the folder `pepperscene_index_images` of the system's folder for temporary
+files, so that a second run takes seconds. Remove it to render again.
 """
 
 from __future__ import annotations
@@ -52,10 +52,14 @@ INK: Final = "#333333"
 GREY: Final = "#999999"
 GREEN, RED, BLUE, ORANGE = "#3c7a32", "#c0392b", "#2c6fbb", "#d98c21"
 PALE: Final = "#e8f0e4"
-FONT_PT: Final = 6.5
+FONT_PT: Final = 7.0
 DPI: Final = 100
 KINDS: Final = ("leaf", "pepper.unripe", "pepper.ripe")
-FITTED: Final[dict[str, ArrayLike]] = {"leaf.chlorophyll": 38.0, "fruit.chlorophyll": 11.0, "fruit.capsanthin": 12.0}
+FITTED: Final[dict[str, ArrayLike]] = {
+    "leaf.chlorophyll": 38.0,
+    "fruit.chlorophyll": 11.0,
+    "fruit.capsanthin": 12.0,
+}
 
 Picture = NDArray[np.uint8]
 
@@ -67,7 +71,7 @@ Picture = NDArray[np.uint8]
 def demo_set() -> ps.Dataset:
     """The six frames of `demo`, at draft quality."""
     folder = CACHE / "demo"
-    outputs = ["colour", "class", "instance", "distance", "normal", "harvest"]
+    outputs = ["colour", "class", "instance", "distance", "harvest"]
     ps.build(ps.load_recipe("demo"), folder, outputs=outputs, options=ps.BuildOptions("draft"))
     return ps.open_dataset(folder)
 
@@ -137,7 +141,9 @@ def plant() -> ps.Plant:
 # --- tools -----------------------------------------------------------------------------------------------
 
 
-def fill(picture: Picture, size: tuple[int, int] = (WIDTH, HEIGHT), centre: tuple[float, float] = (0.5, 0.5)) -> Image.Image:
+def fill(
+    picture: Picture, size: tuple[int, int] = (WIDTH, HEIGHT), centre: tuple[float, float] = (0.5, 0.5)
+) -> Image.Image:
     """A picture scaled and cropped to a size; `centre` is the position of the crop, each in [0, 1]."""
     image = Image.fromarray(picture)
     scale = max(size[0] / image.width, size[1] / image.height)
@@ -162,7 +168,9 @@ def white() -> Image.Image:
 def font(size: int, *, mono: bool = False, bold: bool = False) -> ImageFont.FreeTypeFont:
     """A font that matplotlib brings."""
     family = "DejaVu Sans Mono" if mono else "DejaVu Sans"
-    return ImageFont.truetype(findfont(FontProperties(family=family, weight="bold" if bold else "normal")), size)
+    return ImageFont.truetype(
+        findfont(FontProperties(family=family, weight="bold" if bold else "normal")), size
+    )
 
 
 def caption(image: Image.Image, place: tuple[int, int], text: str, size: int = 10) -> None:
@@ -182,7 +190,9 @@ def canvas() -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def chart(left: float = 0.14, bottom: float = 0.21, right: float = 0.97, top: float = 0.96) -> tuple[Figure, Axes]:
+def chart(
+    left: float = 0.14, bottom: float = 0.21, right: float = 0.97, top: float = 0.96
+) -> tuple[Figure, Axes]:
     """A figure with one chart; the numbers are the edges of its axes as fractions of the figure."""
     figure = Figure(figsize=(WIDTH / DPI, HEIGHT / DPI), dpi=DPI)
     axes = figure.add_axes((left, bottom, right - left, top - bottom))
@@ -198,13 +208,15 @@ def drawn(figure: Figure) -> Image.Image:
     return Image.open(buffer).convert("RGB")
 
 
-def box(axes: Axes, centre: tuple[float, float], size: tuple[float, float], text: str, colour: str = PALE) -> None:
+def box(
+    axes: Axes, centre: tuple[float, float], size: tuple[float, float], text: str, colour: str = PALE
+) -> None:
     """A box with text, in pixels."""
     corner = (centre[0] - size[0] / 2, centre[1] - size[1] / 2)
     shape = FancyBboxPatch(corner, *size, boxstyle="round,pad=0,rounding_size=3", fc=colour, ec=INK, lw=0.7)
     axes.add_patch(shape)
     middle = {"ha": "center", "va": "center" if "\n" in text else "center_baseline"}
-    axes.text(*centre, text, **middle, fontsize=FONT_PT, color=INK, linespacing=1.1)
+    axes.text(*centre, text, **middle, fontsize=min(FONT_PT, 0.55 * size[1]), color=INK, linespacing=1.1)
 
 
 def arrow(axes: Axes, start: ArrayLike, end: ArrayLike, colour: str = INK, width: float = 1.0) -> None:
@@ -223,7 +235,7 @@ def terminal(lines: Sequence[tuple[str, str]], size: int = 10, step: int = 11) -
 
 
 def draw_mesh(axes: Axes, mesh: ps.Mesh, azimuth_rad: float, colours: dict[str, str] | None = None) -> None:
-    """Draw a mesh from the side, far faces first; a face is brighter the more it faces the viewer and the light."""
+    """Draw a mesh from the side, far faces first, with simple shading."""
     view = np.array([-np.sin(azimuth_rad), np.cos(azimuth_rad), 0.0])
     across = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
     corners = mesh.vertices[mesh.faces]
@@ -238,7 +250,9 @@ def draw_mesh(axes: Axes, mesh: ps.Mesh, azimuth_rad: float, colours: dict[str, 
     rgb = np.array([[int(code[k : k + 2], 16) / 255 for k in (1, 3, 5)] for code in kinds])
     faces = rgb[mesh.face_instance] * shade[:, None]
     order = np.argsort(-(corners @ view).mean(axis=1))
-    axes.add_collection(PolyCollection(points[order], facecolors=faces[order], edgecolors=faces[order], lw=0.2))
+    axes.add_collection(
+        PolyCollection(points[order], facecolors=faces[order], edgecolors=faces[order], lw=0.2)
+    )
     axes.set_aspect("equal")
     axes.axis("off")
 
@@ -263,10 +277,10 @@ def quickstart() -> Image.Image:
 def first_frame() -> Image.Image:
     """The mesh of a plant, and a photograph."""
     figure, axes = canvas()
-    stand = figure.add_axes((0, 0, 0.25, 1))
+    plant_axes = figure.add_axes((0, 0, 0.25, 1))
     mesh = ps.mesh_plant(plant(), detail=0.5)
-    draw_mesh(stand, mesh, 0.4)
-    stand.set(xlim=(-0.215, 0.215), ylim=(1.45, 2.6))
+    draw_mesh(plant_axes, mesh, 0.4)
+    plant_axes.set(xlim=(-0.215, 0.215), ylim=(1.45, 2.6))
     arrow(axes, (64, 80), (81, 80))
     image = drawn(figure)
     image.paste(fill(photograph(4940), (156, HEIGHT)), (84, 0))
@@ -365,7 +379,14 @@ def report() -> Image.Image:
     colours = [hex_colour(np.array(colour) / 255) for colour in ps.CLASS_COLOURS]
     axes.barh(range(len(names)), percent, color=colours, ec=GREY, lw=0.5, height=0.75)
     for row, value in enumerate(percent):
-        axes.text(value + 1.5, row, f"{value:.1f}", va="center", fontsize=FONT_PT, color=INK)
+        axes.text(
+            value + 1.5,
+            row,
+            f"{value:.1f}" if value > 0.1 else f"{value:.2f}",
+            va="center",
+            fontsize=FONT_PT,
+            color=INK,
+        )
     axes.set_yticks(range(len(names)), names)
     axes.set_xticks([])
     axes.spines["bottom"].set_visible(False)
@@ -437,7 +458,9 @@ def benchmark() -> Image.Image:
 def command_line() -> Image.Image:
     """The commands out of `pepperscene --help`."""
     command = [sys.executable, "-m", "pepperscene", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, env={**os.environ, "COLUMNS": "80"})
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=True, env={**os.environ, "COLUMNS": "80"}
+    )
     commands = done.stdout.split("Commands:\n")[1].rstrip().splitlines()
     lines = [("$ pepperscene --help", "#7fd07f"), ("Commands:", "#dddddd")]
     for line in commands:
@@ -449,7 +472,7 @@ def command_line() -> Image.Image:
 
 
 def recipe() -> Image.Image:
-    """The rows of plants, the path of the camera and its first and last view from above, out of `barth2018`."""
+    """The rows of plants and the path of the camera from above, from the values of `barth2018`."""
     table = ps.load_recipe("barth2018")
     figure, axes = canvas()
     axes.set(xlim=(-0.78, 0.78), ylim=(-0.62, 0.42))
@@ -468,11 +491,13 @@ def recipe() -> Image.Image:
         arrow(axes, start, start + 0.16 * forward, ORANGE, 1.3)
         axes.plot(*start, "s", color=ORANGE, ms=5, zorder=4)
     axes.text(0, 0.33, "double row of plants", ha="center", fontsize=FONT_PT, color=GREEN)
-    axes.text(0, -0.53, f"camera path, {table.plan.frames} frames", ha="center", fontsize=FONT_PT, color=ORANGE)
+    axes.text(
+        0, -0.53, f"camera path, {table.plan.frames} frames", ha="center", fontsize=FONT_PT, color=ORANGE
+    )
     axes.annotate("", (spacing, 0.09), (0, 0.09), arrowprops={"arrowstyle": "<->", "lw": 0.7, "color": INK})
     label = f"{row.spacing_mm:g} mm"
     axes.text(spacing + 0.02, 0.09, label, ha="left", va="center", fontsize=FONT_PT - 0.5, color=INK)
-    axes.text(-0.2, -0.17, f"{path.distance_mm:g} mm", ha="right", fontsize=FONT_PT - 0.5, color=INK)
+    axes.text(-0.25, -0.13, f"{path.distance_mm:g} mm", ha="right", fontsize=FONT_PT - 0.5, color=INK)
     axes.plot([0, poses[10, 0, 3]], [0, poses[10, 1, 3]], ":", color=INK, lw=0.8)
     return drawn(figure)
 
@@ -491,7 +516,7 @@ def cultivar() -> Image.Image:
 
 def devices() -> Image.Image:
     """Quantum efficiencies of two sensors, and the spectrum of the flash."""
-    figure, axes = chart(left=0.14, bottom=0.22)
+    figure, axes = chart(left=0.17, bottom=0.22)
     nm = np.arange(380.0, 721.0, 2.0)
     led = ps.load_flash("led_matrix_200klx").spectrum.at(nm)
     axes.fill_between(nm, 0.62 * led / led.max(), color="#e3e3e3", lw=0)
@@ -512,7 +537,12 @@ def devices() -> Image.Image:
 def outputs() -> Image.Image:
     """One frame in four strips: colour, class, instance and distance."""
     instance = instance_colours(demo_set().image(FRAME, "instance"))
-    strips = {"colour": photograph(), "class": class_image(), "instance": instance, "distance": distance_image()}
+    strips = {
+        "colour": photograph(),
+        "class": class_image(),
+        "instance": instance,
+        "distance": distance_image(),
+    }
     image = white()
     for i, (name, picture) in enumerate(strips.items()):
         image.paste(crop(picture, 200, 120, 440).crop((60 * i, 0, 60 * i + 59, HEIGHT)), (60 * i, 0))
@@ -526,14 +556,17 @@ def harvest() -> Image.Image:
 
 
 def check() -> Image.Image:
-    """Borders of instances over the photograph: at their places, and shifted as in a faulty data set."""
+    """Borders of instances over the photograph: correct, and shifted as in a faulty data set."""
     left, top, width, height, shift = 160, 300, 160, 213, 9
     instance = demo_set().image(FRAME, "instance")
     edge = np.zeros(instance.shape, bool)
     edge[:, 1:] |= instance[:, 1:] != instance[:, :-1]
     edge[1:] |= instance[1:] != instance[:-1]
     image = white()
-    for place, offset, colour, text in ((0, 0, (80, 255, 80), "correct"), (121, shift, (255, 60, 60), "shifted")):
+    for place, offset, colour, text in (
+        (0, 0, (80, 255, 80), "correct"),
+        (121, shift, (255, 60, 60), "shifted"),
+    ):
         picture = photograph()[top : top + height, left : left + width].copy()
         picture[edge[top : top + height, left - offset : left - offset + width]] = colour
         image.paste(fill(picture, (119, HEIGHT)), (place, 0))
@@ -543,16 +576,19 @@ def check() -> Image.Image:
 
 def patches() -> Image.Image:
     """The colours of pixels of a set's kinds of organs, from dark to bright."""
-    found = ps.open_patches(red_set())
-    names = [name for name in ("leaf", "pepper", "peduncle", "stem", "shoot", "wire") if name in found.kinds]
+    patch_set = ps.open_patches(red_set())
+    names = [
+        name for name in ("leaf", "pepper", "peduncle", "stem", "shoot", "wire") if name in patch_set.kinds
+    ]
     image = white()
     draw = ImageDraw.Draw(image)
     for i, name in enumerate(names):
-        codes = np.concatenate([patch.codes for patch in found.of_kind(name)]).astype(float) * 1.2
+        codes = np.concatenate([patch.codes for patch in patch_set.of_kind(name)]).astype(float) * 1.2
         codes = codes[np.argsort(codes.sum(axis=1))][np.linspace(0, len(codes) - 1, 12 * 8).astype(int)]
         swatch = np.clip(codes, 0, 255).astype(np.uint8).reshape(12, 8, 3).transpose(1, 0, 2)
         place = (81 * (i % 3), 81 * (i // 3))
         image.paste(Image.fromarray(swatch).resize((78, 62), Image.Resampling.NEAREST), place)
+        draw.rectangle((*place, place[0] + 77, place[1] + 61), outline=GREY)
         draw.text((place[0] + 1, place[1] + 64), name, fill=INK, font=font(10))
     return image
 
@@ -560,10 +596,18 @@ def patches() -> Image.Image:
 def tuning_parameters() -> Image.Image:
     """Bounds and prior distributions of some parameters, relative to the recipe's values."""
     target = TuningTarget(
-        ps.load_recipe("barth2018"), ps.simulate_patches(ps.load_recipe("barth2018"), {}, ["leaf"], organs=1, pixels=8)
+        ps.load_recipe("barth2018"),
+        ps.simulate_patches(ps.load_recipe("barth2018"), {}, ["leaf"], organs=1, pixels=8),
     )
-    names = ["leaf.chlorophyll", "leaf.carotenoid", "fruit.chlorophyll", "stem.chlorophyll", "flash.power", "exposure"]
-    figure, axes = chart(left=0.40, bottom=0.22, right=0.96)
+    names = [
+        "leaf.chlorophyll",
+        "leaf.carotenoid",
+        "fruit.chlorophyll",
+        "stem.chlorophyll",
+        "flash.power",
+        "exposure",
+    ]
+    figure, axes = chart(left=0.42, bottom=0.22, right=0.96)
     for row, one in enumerate(target.parameters(names)):
         prior, default = one.prior[0], one.default[0]
         axes.plot([prior.low / default, prior.high / default], [row, row], color="#cccccc", lw=1.5)
@@ -603,7 +647,7 @@ def tuning_files() -> Image.Image:
 
 
 def conventions() -> Image.Image:
-    """The axes of the world at the foot of a plant, and those of a camera that looks at it."""
+    """The axes of the world at the foot of a plant, and the axes of a camera in front of it."""
     figure, axes = canvas()
     oblique = np.array([[1.0, 0.0], [0.52, -0.36], [0.0, -1.0]])
 
@@ -611,10 +655,20 @@ def conventions() -> Image.Image:
         point: NDArray[np.float64] = np.asarray(origin, float) + np.asarray(offset, float) @ oblique
         return point
 
-    def axis(origin: ArrayLike, direction: ArrayLike, name: str, colour: str, shift: tuple[float, float]) -> None:
+    def axis(
+        origin: ArrayLike, direction: ArrayLike, name: str, colour: str, shift: tuple[float, float]
+    ) -> None:
         end = at(origin, direction)
         arrow(axes, at(origin), end, colour, 1.4)
-        axes.text(end[0] + shift[0], end[1] + shift[1], name, color=colour, fontsize=FONT_PT + 1, ha="center", va="center")
+        axes.text(
+            end[0] + shift[0],
+            end[1] + shift[1],
+            name,
+            color=colour,
+            fontsize=FONT_PT + 1,
+            ha="center",
+            va="center",
+        )
 
     foot, camera = np.array([158.0, 124.0]), np.array([62.0, 86.0])
     axes.plot([foot[0], foot[0]], [foot[1], 12], color=GREEN, lw=2.2)
@@ -625,8 +679,20 @@ def conventions() -> Image.Image:
     axis(foot, (58, 0, 0), "x", RED, (7, 0))
     axis(foot, (0, 50, 0), "y", GREEN, (8, -4))
     axis(foot, (0, 0, 46), "z", BLUE, (-8, 0))
-    axes.text(foot[0], foot[1] + 14, "world: z up, y into the crop", fontsize=FONT_PT, color=INK, ha="center", va="center")
-    axes.add_patch(FancyBboxPatch(camera - (18, 12), 36, 24, boxstyle="round,pad=0,rounding_size=3", fc="#dddddd", ec=INK, lw=0.8))
+    axes.text(
+        foot[0],
+        foot[1] + 14,
+        "world: z up, y into the crop",
+        fontsize=FONT_PT,
+        color=INK,
+        ha="center",
+        va="center",
+    )
+    axes.add_patch(
+        FancyBboxPatch(
+            camera - (18, 12), 36, 24, boxstyle="round,pad=0,rounding_size=3", fc="#dddddd", ec=INK, lw=0.8
+        )
+    )
     axis(camera, (40, 0, 0), "x", RED, (6, 0))
     axis(camera, (0, 0, -36), "y", GREEN, (0, 7))
     axis(camera, (0, 62, 0), "z", BLUE, (5, -6))
@@ -637,14 +703,21 @@ def conventions() -> Image.Image:
 def api() -> Image.Image:
     """The five steps of the program, each as a small picture."""
     figure, axes = canvas()
-    places = {"Cultivar": (3, 16), "Plant": (86, 16), "Mesh": (169, 16), "Scene": (44, 98), "Frame": (127, 98)}
+    places = {
+        "Cultivar": (3, 16),
+        "Plant": (86, 16),
+        "Mesh": (169, 16),
+        "Scene": (44, 98),
+        "Frame": (127, 98),
+    }
     size = (68, 60)
     for name, (x, y) in places.items():
         axes.add_patch(FancyBboxPatch((x, y), *size, boxstyle="square,pad=0", fc="white", ec=GREY, lw=0.7))
         axes.text(x + size[0] / 2, y - 2, name, ha="center", va="bottom", fontsize=FONT_PT + 0.5, color=INK)
-    length = ps.load_cultivar("kaite").organs["fruit"].diameter
-    text = f"[organs.fruit]\n\n[….diameter_mm]\nmean = {1000 * length.mean:g}\nsd = {1000 * length.sd:g}"
-    axes.text(6, 20, text, fontsize=4.9, family="monospace", va="top", color=INK, linespacing=1.3)
+    diameter = ps.load_cultivar("kaite").organs["fruit"].diameter
+    mean, sd = 1000 * diameter.mean, 1000 * diameter.sd
+    text = f"[organs.fruit]\ndiameter = {{\n mean_mm = {mean:g},\n sd_mm = {sd:g}, …"
+    axes.text(6, 22, text, fontsize=4.9, family="monospace", va="top", color=INK, linespacing=1.5)
 
     def inset(name: str) -> Axes:
         x, y = places[name]
@@ -653,7 +726,9 @@ def api() -> Image.Image:
     organs = inset("Plant")
     for organ in plant().organs:
         colour = "#d9a400" if organ.kind == "fruit" else GREEN
-        organs.plot(organ.curve[:, 0], organ.curve[:, 2], color=colour, lw=2.4 if organ.kind == "fruit" else 0.8)
+        organs.plot(
+            organ.curve[:, 0], organ.curve[:, 2], color=colour, lw=2.4 if organ.kind == "fruit" else 0.8
+        )
     organs.axis("off")
     organs.set_aspect("equal")
     mesh = ps.mesh_plant(plant(), detail=0.5)
@@ -713,7 +788,9 @@ def glossary() -> Image.Image:
         axes.annotate(text, target, place, arrowprops=style, **middle)
     # The bracket around all organs of one phytomer.
     axes.plot([0.182, 0.19, 0.19, 0.182], [0.855, 0.855, 1.04, 1.04], color=GREY, lw=0.8)
-    axes.text(0.2, 0.945, "phytomer", rotation=270, color=GREY, fontsize=FONT_PT + 0.5, ha="center", va="center")
+    axes.text(
+        0.2, 0.945, "phytomer", rotation=270, color=GREY, fontsize=FONT_PT + 0.5, ha="center", va="center"
+    )
     return drawn(figure)
 
 
@@ -769,7 +846,7 @@ def optics() -> Image.Image:
 
 
 def rendering() -> Image.Image:
-    """A part of a frame by a path tracer with four samples per pixel, and the same part at standard quality."""
+    """A part of a frame by a path tracer with four samples per pixel, and at standard quality."""
     table = ps.load_recipe("demo")
     renderer, spec = ps.FrameRenderer(table), table.plan.frame(FRAME)
     noisy = Quality(samples=4, soft=4, most=4, bounces=2, target=None, denoise=False, integrator="path")
@@ -795,40 +872,36 @@ def colour() -> Image.Image:
     for column, title in enumerate(columns):
         draw.text((40 + 68 * column, 1), title, fill=INK, font=font(10))
     for row, kind in enumerate(KINDS):
-        found = tuning_record()["kinds"][kind]
+        colours = tuning_record()["kinds"][kind]
         draw.text((1, 24 + 48 * row), kind.replace(".", "\n"), fill=INK, font=font(9), spacing=1)
         for column, key in enumerate(columns.values()):
-            rgb = lab2rgb(np.array(found[key]["mean_lab"])[None, None])[0, 0]
+            rgb = lab2rgb(np.array(colours[key]["mean_lab"])[None, None])[0, 0]
             left, top = 40 + 68 * column, 16 + 48 * row
             draw.rectangle((left, top, left + 62, top + 44), fill=hex_colour(rgb))
     return image
 
 
+PHOTOGRAPHS: Final = (
+    quickstart, first_frame, dataset, build, read, export,
+    cultivar, outputs, harvest, check, plants, rendering,
+)  # fmt: skip
+"""Pictures that are smaller as JPEG files."""
+DRAWINGS: Final = (
+    colour_tuning, cluster, report, compare, benchmark, command_line, recipe, devices, patches,
+    tuning_parameters, tuning_files, conventions, api, glossary, architecture, optics, colour,
+)  # fmt: skip
 FIGURES: Final[dict[str, Callable[[], Image.Image]]] = {
-    one.__name__: one
-    for one in (
-        quickstart, first_frame, dataset, colour_tuning,
-        build, cluster, read, export, report, compare, benchmark,
-        command_line, recipe, cultivar, devices, outputs, harvest, check, patches,
-        tuning_parameters, tuning_files, conventions, api, glossary,
-        architecture, plants, optics, rendering, colour,
-    )
-}  # fmt: skip
-PHOTOGRAPHIC: Final = frozenset(
-    "quickstart first_frame dataset build read export cultivar outputs harvest check plants rendering".split()
-)
-"""Pictures with photographs: they are smaller as JPEG files."""
+    one.__name__: one for one in (*PHOTOGRAPHS, *DRAWINGS)
+}
 
 
 def main(names: list[str]) -> None:
     """Write the pictures of these names, by default all."""
-    # The neighbour `colour.py` would hide the package `colour`, which pepperscene imports when it needs it.
-    sys.path[:] = [folder for folder in sys.path if Path(folder).resolve() != Path(__file__).parent]
     folder = IMAGES / "index"
     folder.mkdir(exist_ok=True)
     for name in names or FIGURES:
         image = FIGURES[name]()
-        if name in PHOTOGRAPHIC:
+        if FIGURES[name] in PHOTOGRAPHS:
             image.save(folder / f"{name}.jpg", quality=85, optimize=True)
         else:
             image.quantize(128, dither=Image.Dither.NONE).save(folder / f"{name}.png", optimize=True)
