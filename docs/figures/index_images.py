@@ -497,7 +497,7 @@ def recipe() -> Image.Image:
     axes.annotate("", (spacing, 0.09), (0, 0.09), arrowprops={"arrowstyle": "<->", "lw": 0.7, "color": INK})
     label = f"{row.spacing_mm:g} mm"
     axes.text(spacing + 0.02, 0.09, label, ha="left", va="center", fontsize=FONT_PT - 0.5, color=INK)
-    axes.text(-0.25, -0.13, f"{path.distance_mm:g} mm", ha="right", fontsize=FONT_PT - 0.5, color=INK)
+    axes.text(-0.04, -0.14, f"{path.distance_mm:g} mm", ha="left", fontsize=FONT_PT - 0.5, color=INK)
     axes.plot([0, poses[10, 0, 3]], [0, poses[10, 1, 3]], ":", color=INK, lw=0.8)
     return drawn(figure)
 
