@@ -5,8 +5,8 @@ The differences are listed in `cycles_scene` (three channels instead of spectra)
 - The flash's discs are one rectangle with the same variance of position; the beam profile is the same.
 - Colours, with the patterns of veins, are taken at the vertices; relief is left out. Both save time.
 - The cuticle is Cycles' Principled BSDF. Its diffuse part is constant with angle, while ours gets darker
-  towards grazing angles (Kelemen & Szirmay-Kalos 2001): seen along the flash, glossy surfaces are a few per cent
-  darker.
+  towards grazing angles (Kelemen & Szirmay-Kalos 2001): seen along the flash, glossy surfaces are a few
+  per cent darker.
 - The lens has no distortion; the sun's disc itself is not visible.
 
 So the errors of Cycles are measured against its own converged image, never against ours.

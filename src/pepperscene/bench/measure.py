@@ -1,7 +1,7 @@
 """Rendering time against error; settings are interleaved frame by frame, so that other load affects all.
 
-The module also runs as a script, for variants of Mitsuba other than the process's own: a process keeps the
-variant that it started with, so that they cannot be interleaved.
+The module also runs as a script, for other variants of Mitsuba: a process keeps the variant that it started
+with, so variants cannot be interleaved.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class BenchResult:
         scene: name of the benchmark scene.
         family, name: of the setting.
         effort: values of its quality.
-        errors: of the frame at the subject's own camera.
+        errors: of the frame at the subject's camera.
         seconds: of the timed frames, in the order of the rounds.
         first_s: of the first frame with this setting, which compiles kernels.
         sampling: sampling statistics of the frame.
@@ -75,7 +75,7 @@ def measure_settings(
     Args:
         subject: scene, cameras, renderers.
         settings: to compare.
-        reference: converged picture of the subject's camera.
+        reference: converged image of the subject's camera.
         runs: number of rounds.
         limit_s: approximate time limit. Settings whose first frame would be late are left out; rounds end
             early, after at least one.
@@ -110,7 +110,7 @@ def measure_settings(
                 str(frame.metadata.get("variant", "")),
             )
         )
-        # A picture of 4k has 100 MB.
+        # A 4k image has 100 MB.
         del frame
 
     seconds: list[list[float]] = [[] for _ in first_frames]
@@ -148,24 +148,24 @@ def other_variants() -> tuple[str, ...]:
 def measure_variant(
     variant: str, scene: str, size: tuple[int, int] | None, runs: int, references: Path, *, quick: bool
 ) -> list[BenchResult]:
-    """Measure the named qualities of a scene with another variant, in a process of its own.
+    """Measure the named qualities of a scene with another variant, in a subprocess.
 
     Raises:
         SetupError: the process failed.
     """
     task = {"scene": scene, "size": size, "runs": runs, "references": str(references), "quick": quick}
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-m", "pepperscene.bench.measure", json.dumps(task)],
         env={**os.environ, "PEPPERSCENE_VARIANT": variant},
         capture_output=True,
         text=True,
     )
-    if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+    if completed.returncode:
+        last = (completed.stderr.strip().splitlines() or ["no message"])[-1]
         raise SetupError(f"the benchmark process for {variant} failed: {last}")
     return [
         BenchResult(**{**result, "errors": Errors(**result["errors"]), "seconds": tuple(result["seconds"])})
-        for result in json.loads(done.stdout.splitlines()[-1])
+        for result in json.loads(completed.stdout.splitlines()[-1])
     ]
 
 

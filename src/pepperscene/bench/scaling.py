@@ -1,4 +1,4 @@
-"""Cost of frames as scenes, pictures and data sets grow, one quantity at a time, in child processes."""
+"""Cost of frames as scenes, images and data sets grow, one quantity at a time, in child processes."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _PLANTS: Final = ((1, 0), (3, 0), (4, 3), (7, 6), (14, 12))
 """Plants in the front and the back row."""
 
 _SCALES: Final = (0.25, 0.5, 1.0, 2.0)
-"""Factors of the picture's width and height."""
+"""Factors of the image's width and height."""
 
 _FRAMES: Final = 40
-"""Frames of the run in which memory growth is watched."""
+"""Frames of the run that measures memory growth."""
 
-_HEADS: Final = {
+_HEADERS: Final = {
     "scene_s": "new scene", "frame_s": "frame", "least_s": "min", "most_s": "max",
     "together_s": "total, with the scene", "each_s": "per frame", "peak_mib": "memory",
     "frames_per_s": "frames/s", "with_start_s": "with start and scene",
@@ -91,7 +91,7 @@ def _measure_triangles(task: FramesTask, on_progress: OnProgress) -> list[Row]:
 
 
 def _measure_pixels(task: FramesTask, quick: bool, on_progress: OnProgress) -> list[Row]:
-    """Larger pictures of the same view."""
+    """Larger images of the same view."""
     assert task.size is not None
     rows = []
     for scale in _SCALES[:3] if quick else _SCALES:
@@ -121,7 +121,7 @@ def _measure_frames(task: FramesTask, quick: bool, on_progress: OnProgress) -> l
 
 
 def _measure_workers(task: FramesTask, on_progress: OnProgress) -> list[Row]:
-    """Several processes at a time, each with its own frames, up to the number of cores."""
+    """Several processes at a time with separate frames, up to the number of cores."""
     rows = []
     for workers in sorted({1, 2, available_cores()}):
         on_progress(f"{workers} workers")
@@ -164,7 +164,7 @@ def _format(rows: Sequence[Row]) -> str:
     """Rows with the same keys as Markdown; lists are written to the JSON file only."""
     keys = [key for key, value in rows[0].items() if not isinstance(value, list)]
     cells = [[_format_cell(key, row[key]) for key in keys] for row in rows]
-    return markdown_table([_HEADS.get(key, key) for key in keys], cells, left=0)
+    return markdown_table([_HEADERS.get(key, key) for key in keys], cells, left=0)
 
 
 def _format_cell(key: str, value: Any) -> str:

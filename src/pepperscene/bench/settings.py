@@ -23,19 +23,12 @@ OUR_FAMILIES: Final = (NAMED, ADAPTIVE, FIXED, NO_DENOISER)
 
 @dataclass(frozen=True)
 class Setting:
-    """One way to render a frame.
+    """One way to render a frame."""
 
-    Attributes:
-        family: settings of one family differ in effort only.
-        name: within the family.
-        quality: of the renderer.
-        full_scene: True also renders what the frames cannot see, which builds leave out.
-    """
-
-    family: str
-    name: str
-    quality: Quality
-    full_scene: bool = False
+    family: str  # settings of one family differ in effort only
+    name: str  # within the family
+    quality: Quality  # of the renderer
+    full_scene: bool = False  # True also renders what the frames cannot see, which builds leave out
 
     def effort(self) -> dict[str, Any]:
         """Values of the quality, for tables."""

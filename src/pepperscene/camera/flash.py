@@ -229,7 +229,7 @@ def load_flash(name_or_path: str | Path) -> Flash:
 
 
 def _read_spectrum(path: Path, document: FlashDocument) -> Spectrum:
-    """The curve of a CSV file beside this one, or of a shipped one ("light/houser2013_cool_white_led")."""
+    """The curve of a CSV file in the same folder, or of a shipped one ("light/houser2013_cool_white_led")."""
     file, column = document.spectrum.file, document.spectrum.column
     shipped = shipped_folder("materials") / f"{file.removesuffix('.csv')}.csv"
     if not is_file(path.parent / file) and is_file(shipped):

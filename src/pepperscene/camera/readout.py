@@ -145,8 +145,8 @@ def shot_noise(mean: Floats, rng: np.random.Generator) -> Floats:
     square = z * z
     with np.errstate(divide="ignore", invalid="ignore"):  # means of 0 are drawn below
         counts = mean + z * (root + (1 - square) / (72 * root)) + (square - 1) / 6
-    few = mean < _FEW_ELECTRONS
-    counts[few] = rng.poisson(mean[few])
+    is_small = mean < _FEW_ELECTRONS
+    counts[is_small] = rng.poisson(mean[is_small])
     return counts
 
 
@@ -177,8 +177,8 @@ def bin_photosites(sites: Floats, sensor: Sensor) -> Floats:
 
 def _quad(sensor: Sensor) -> Iterator[tuple[int, int, int]]:
     """Row, column and channel of the four photosites of a quad."""
-    for place, letter in enumerate(sensor.pattern):
-        yield place // 2, place % 2, "rgb".index(letter)
+    for position, letter in enumerate(sensor.pattern):
+        yield position // 2, position % 2, "rgb".index(letter)
 
 
 def _repeat(plane: NDArray[np.floating], times: int) -> NDArray[np.floating]:

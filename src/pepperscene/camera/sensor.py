@@ -143,7 +143,7 @@ class Sensor:
 
 
 def _binning_error(pattern: Pattern, binning: int, columns: int, rows: int) -> str:
-    """What is wrong with a binning and an image size for a pattern, or ""."""
+    """The reason why a binning and an image size do not fit a pattern, or ""."""
     if min(columns, rows) < 1 or binning < 1:
         return "the image must be at least 1 x 1, and binning at least 1"
     if pattern == "mono":
@@ -176,7 +176,7 @@ class Filter:
 
 
 class EfficiencyTable(Document):
-    """Columns of a CSV file beside the TOML file: red, green and blue, or the only one."""
+    """Columns of a CSV file next to the TOML file: red, green and blue, or the only one."""
 
     file: NonEmptyText
     columns: Annotated[list[NonEmptyText], Field(min_length=1, max_length=3)]
@@ -260,7 +260,7 @@ def load_filter(name_or_path: str | Path) -> Filter:
 
 
 def read_fraction(path: Path, table: str, file: str, column: str) -> Spectrum:
-    """Read a curve within [0, 1] from a column of the CSV file beside `path`; it is 0 beyond its range.
+    """Read a curve within [0, 1] from a column of the CSV file next to `path`; it is 0 beyond its range.
 
     Raises:
         InputError: the file or the column is missing, or a value is out of range.

@@ -138,11 +138,11 @@ def _parse_numbers(numbers: dict[str, Any], factor: float, suffix: str, **origin
     )
 
 
-def _bounds(numbers: dict[str, float], least: float, most: float, suffix: str) -> tuple[float, float]:
+def _bounds(numbers: dict[str, float], lowest: float, highest: float, suffix: str) -> tuple[float, float]:
     """`low` and `high`, three standard deviations beyond the least and the greatest mean if not given."""
     reach = DEFAULT_BOUND_SD * numbers.get("sd", 0.0)
-    low, high = numbers.get("low", least - reach), numbers.get("high", most + reach)
-    if suffix == "_mm" and low < 0 <= least and "low" not in numbers:
+    low, high = numbers.get("low", lowest - reach), numbers.get("high", highest + reach)
+    if suffix == "_mm" and low < 0 <= lowest and "low" not in numbers:
         raise ValueError("needs low_mm, since three standard deviations below the mean is a negative length")
     return low, high
 
@@ -171,9 +171,9 @@ def _parse_curve(
     if sd < 0:
         raise ValueError(f"sd{suffix} must be 0 or more")
     along = tuple((position, factor * mean) for position, mean in zip(positions, means, strict=True))
-    least, most = min(mean for _, mean in along), max(mean for _, mean in along)
-    low, high = _bounds(numbers, least, most, suffix)
-    if not low <= least <= most <= high:
+    lowest, highest = min(mean for _, mean in along), max(mean for _, mean in along)
+    low, high = _bounds(numbers, lowest, highest, suffix)
+    if not low <= lowest <= highest <= high:
         raise ValueError(f"along{suffix}: every mean must be between low{suffix} and high{suffix}")
     mean = math.fsum(0.5 * (b[1] + a[1]) * (b[0] - a[0]) for a, b in pairwise(along))
     return Distribution(family="curve", mean=mean, sd=sd, low=low, high=high, along=along, **origin)
@@ -220,13 +220,13 @@ Ratio = Annotated[Distribution, BeforeValidator(partial(_parse_distribution, "")
 
 
 def _check_range(
-    distribution: Distribution, least: float, most: float = math.inf, *, exclusive: bool = False
+    distribution: Distribution, minimum: float, maximum: float = math.inf, *, exclusive: bool = False
 ) -> Distribution:
     """Raise ValueError if a value that can be drawn is outside the parameter's range."""
     slack, low, high = 1e-9, distribution.low, distribution.high
-    if low < least - slack or high > most + slack or (exclusive and low <= least):
-        allowed = f"above {least:g}" if exclusive else f"from {least:g}"
-        upper = "" if most == math.inf else f" to {most:g}"
+    if low < minimum - slack or high > maximum + slack or (exclusive and low <= minimum):
+        allowed = f"above {minimum:g}" if exclusive else f"from {minimum:g}"
+        upper = "" if maximum == math.inf else f" to {maximum:g}"
         raise ValueError(f"must be {allowed}{upper}, but is {low:.4g} to {high:.4g} (in metres if a length)")
     return distribution
 
@@ -237,11 +237,11 @@ def _check_once_per_plant(distribution: Distribution) -> Distribution:
     return distribution
 
 
-_Positive: Final = AfterValidator(partial(_check_range, least=0.0, exclusive=True))
+_Positive: Final = AfterValidator(partial(_check_range, minimum=0.0, exclusive=True))
 Size = Annotated[Length, _Positive]
 """A length without which the organ would vanish."""
-Width = Annotated[Length, AfterValidator(partial(_check_range, least=0.0))]
+Width = Annotated[Length, AfterValidator(partial(_check_range, minimum=0.0))]
 Factor = Annotated[Ratio, _Positive]
-Fraction = Annotated[Ratio, AfterValidator(partial(_check_range, least=0.0, most=1.0))]
+Fraction = Annotated[Ratio, AfterValidator(partial(_check_range, minimum=0.0, maximum=1.0))]
 OncePerPlant: Final = AfterValidator(_check_once_per_plant)
 """Marks a distribution from which each plant draws one value."""

@@ -1,4 +1,4 @@
-"""Organ kinds of a cultivar: the parameters of each form, and what grows on it.
+"""Organ kinds of a cultivar: the parameters of each form, and its slots.
 
 Codes such as P-1 or L-4 are those of Barth et al. 2018, Table 1. Inclinations are angles above the
 horizontal, in the vertical plane of the organ. Parameters that a file leaves out have a neutral default.

@@ -97,7 +97,7 @@ Organs = Mapping[str, OrganModel]
 
 
 def check_structure(stem: Stem, organs: Organs, surfaces: Mapping[str, Any]) -> None:
-    """Check what no table shows alone.
+    """Check conditions across tables.
 
     Raises:
         ValidationError: for the first error, with the key to change.

@@ -21,7 +21,7 @@ FORMATS: Final = (".glb", ".obj", ".ply", ".stl")
 STATE_STEPS: Final = 20
 """Steps of pigment state for which a GLB has separate materials: chosen, each too small to be seen."""
 
-_ROUGHNESS: Final[Mapping[str, float]] = {"fruit": 0.3, "peduncle": 0.45}  # chosen by eye
+_ROUGHNESS: Final[Mapping[str, float]] = {"fruit": 0.3, "peduncle": 0.45}  # chosen
 _OTHER_ROUGHNESS: Final = 0.7
 # glTF has y up and its viewer on +z: the plant's aisle side (-y) faces the viewer.
 _Y_UP: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]])
@@ -178,8 +178,8 @@ def _base_colour(organ_class: OrganClass, step: int, colours: NDArray[Any] | Non
         rgb = _srgb_decode(np.array(CLASS_COLOURS[organ_class]) / 255.0)
     else:
         table = np.asarray(colours, dtype=float)
-        place = np.linspace(0.0, 1.0, len(table))
-        rgb = np.array([np.interp(step / STATE_STEPS, place, table[:, channel]) for channel in range(3)])
+        states = np.linspace(0.0, 1.0, len(table))
+        rgb = np.array([np.interp(step / STATE_STEPS, states, table[:, channel]) for channel in range(3)])
     return [*(round(float(value), 6) for value in np.clip(rgb, 0.0, 1.0)), 1.0]
 
 

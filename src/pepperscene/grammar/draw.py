@@ -61,8 +61,8 @@ def draw_parameters(cultivar: Cultivar, rng: np.random.Generator, lean: float = 
     groups = TopologyBuilder(cultivar, phytomers).build()
     for name, model in cultivar.organs.items():
         if name not in organs:
-            own = [group for group in groups if group.kind == name]
-            organs[name] = _draw_kind(cultivar, name, model, own, phytomers)
+            kind_groups = [group for group in groups if group.kind == name]
+            organs[name] = _draw_kind(cultivar, name, model, kind_groups, phytomers)
     return PlantParameters(cultivar.name, organs)
 
 

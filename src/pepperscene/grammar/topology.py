@@ -63,8 +63,8 @@ class Phytomers:
 
     def descent(self, slot: Slot) -> FloatArray:
         """`(parts,)` linear decrease from 1 to -1 along the nodes that have a slot, of mean 0."""
-        here = self.with_slot(slot)
-        return np.where(here, 1.0 - (2.0 * np.cumsum(here) - 1.0) / max(int(here.sum()), 1), 0.0)
+        occupied = self.with_slot(slot)
+        return np.where(occupied, 1.0 - (2.0 * np.cumsum(occupied) - 1.0) / max(int(occupied.sum()), 1), 0.0)
 
 
 def slot_items(
@@ -97,9 +97,9 @@ def slot_items(
     if slot.aside is not None:
         # Pairs have an item on either side, others alternate along the organ; the first side is random.
         first = np.where(uniforms(slots, "side") < 0.5, 1.0, -1.0)[row]
-        turn = item if slot.pairs else index
+        rotation = item if slot.pairs else index
         angle = slot.aside.quantiles(uniforms(address, "aside"), positions[row])
-        azimuth += first * np.where(turn % 2 == 0, 1.0, -1.0) * angle
+        azimuth += first * np.where(rotation % 2 == 0, 1.0, -1.0) * angle
     return row, address, at[index], azimuth
 
 
@@ -253,7 +253,7 @@ class TopologyBuilder:
     def _on(self, parents: OrganGroup, slot: Slot, index: int, azimuth: FloatArray) -> Iterator[OrganGroup]:
         """Organs in slot number `index` of organs of one kind, at `(n,)` azimuths, kind by kind."""
         kinds, slots = slot.kinds, child_addresses(parents.address, index)
-        row, address, at, turn = slot_items(slot, slots, self.phytomers.positions[parents.phytomer])
+        row, address, at, rotation = slot_items(slot, slots, self.phytomers.positions[parents.phytomer])
         exhausted = np.zeros((len(slots), len(kinds)), dtype=bool)
         for column, (name, depth) in enumerate(self.limits.items()):
             if name in kinds:
@@ -262,10 +262,10 @@ class TopologyBuilder:
         probabilities = outcome_probabilities(slot, slots, parents.phytomer, exhausted, self.phytomers, flush)
         outcome = draw_outcomes(probabilities, row, uniforms(address, "what"))
         for column, name in enumerate(kinds):
-            here = np.flatnonzero(outcome == column)
-            if here.size:
-                place = {"at": at[here], "azimuth": azimuth[row[here]] + turn[here]}
-                yield self._group(name, parents, slot, row[here], address=address[here], **place)
+            selected = np.flatnonzero(outcome == column)
+            if selected.size:
+                columns = {"at": at[selected], "azimuth": azimuth[row[selected]] + rotation[selected]}
+                yield self._group(name, parents, slot, row[selected], address=address[selected], **columns)
 
     def _group(self, name: str, parents: OrganGroup, slot: Slot, row: Indices, **columns: Any) -> OrganGroup:
         """Organs of one kind on the parents of these rows, with the next free numbers."""

@@ -65,7 +65,7 @@ def cell_walls(rng: np.random.Generator, points: FloatArray, spacing: float) -> 
     x, y = np.meshgrid(columns, rows)
     x = x + (np.arange(rows.size) % 2)[:, None] * spacing / 2
     centres = np.stack([x.ravel(), y.ravel()], axis=-1)
-    # A jitter of a quarter of the spacing hides the grid without making slivers: chosen by eye.
+    # A jitter of a quarter of the spacing hides the grid without making slivers: chosen.
     centres += rng.normal(0.0, 0.25 * spacing, centres.shape)
     distance, _ = cKDTree(centres).query(points, k=2, workers=-1)
     return np.asarray(distance[..., 1] - distance[..., 0])

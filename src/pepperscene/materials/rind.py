@@ -110,7 +110,7 @@ def fruit_surface(
         size_mm: girth and length.
         rng: draws the patches.
     """
-    # Patches of centimetres turn earlier than others, with a faint speckle on top: amplitudes chosen by eye.
+    # Patches of centimetres turn earlier than others, with a faint speckle on top: amplitudes chosen.
     patches = 0.045 * noise_mm(rng, PATTERN_SHAPE, size_mm, (9.0, 14.0))
     speckle = 0.012 * noise_mm(rng, PATTERN_SHAPE, size_mm, (0.7, 0.7))
     return _rind_surface(name, path, wavelength_nm, patches + speckle)
@@ -118,7 +118,7 @@ def fruit_surface(
 
 @dataclass(frozen=True)
 class RindTexture:
-    """Variation of a rind's state and height over its surface; all chosen by eye from photographs."""
+    """Variation of a rind's state and height over its surface; all chosen from photographs."""
 
     streaks: float  # standard deviation of the state in streaks along the organ
     mottle: float  # standard deviation of the state in blotches of some millimetres

@@ -42,24 +42,17 @@ _INSTALL_LLVM: Final = (
 
 @dataclass(frozen=True)
 class Check:
-    """The result of one check.
+    """The result of one check."""
 
-    Attributes:
-        what: the subject ("LLVM", "test render").
-        found: the result in a few words.
-        good: False if rendering is impossible, or gives wrong results.
-        advice: how to fix it; "" if nothing is wrong.
-    """
-
-    what: str
-    found: str
-    good: bool = True
-    advice: str = ""
+    what: str  # the subject ("LLVM", "test render")
+    found: str  # the result in a few words
+    good: bool = True  # False if rendering is impossible, or gives wrong results
+    advice: str = ""  # how to fix it; "" if nothing is wrong
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The results of all checks, from the interpreter to a rendered picture."""
+    """The results of all checks, from the interpreter to a rendered image."""
 
     lines: tuple[Check, ...]
 
@@ -94,7 +87,7 @@ def render_test_scene() -> None:
     """Render a matt grey sphere in a uniform sky at 32x32, and print results as one JSON object per line.
 
     In a uniform sky of radiance L, a convex Lambertian body of reflectance r has the radiance r L everywhere
-    (the light that it sends out never meets it again), so the centre of the picture must be r times its
+    (the light that it sends out never meets it again), so the centre of the image must be r times its
     corners. Run it in its own process, which ends if a native library aborts.
     """
     try:
@@ -146,17 +139,11 @@ def _furnace_ratio(variant: str) -> float:
 
 @dataclass(frozen=True)
 class _ChildResult:
-    """How a child process ended, and what it printed.
+    """How a child process ended, and what it printed."""
 
-    Attributes:
-        code: exit status, negative for a signal; None if it was killed at the time limit.
-        printed: the JSON objects on its standard output, merged.
-        error: the last line of its standard error.
-    """
-
-    code: int | None
-    printed: Mapping[str, object]
-    error: str
+    code: int | None  # exit status, negative for a signal; None if it was killed at the time limit
+    printed: Mapping[str, object]  # the JSON objects on its standard output, merged
+    error: str  # the last line of its standard error
 
     def __str__(self) -> str:
         """The end of the process in words."""
@@ -193,7 +180,7 @@ def _parse_json_lines(output: bytes) -> dict[str, object]:
 
 
 def _check_rendering(child: _ChildResult) -> list[Check]:
-    """Variant, GPU and picture, as far as the test render got."""
+    """Variant, GPU and image, as far as the test render got."""
     printed = child.printed
     lines = []
     if "variant" in printed:
@@ -203,7 +190,7 @@ def _check_rendering(child: _ChildResult) -> list[Check]:
 
     ratio = printed.get("furnace")
     if child.code == 0 and isinstance(ratio, float):
-        # 64 samples on 64 pixels leave well below 1 % of noise; 3 % separates wrong pictures from right ones.
+        # 64 samples on 64 pixels leave well below 1 % of noise; 3 % separates wrong images from correct ones.
         right = abs(ratio / _REFLECTANCE - 1) < 0.03
         result = f"32x32, furnace ratio {ratio:.3f} (expected {_REFLECTANCE})"
         advice = "" if right else f"the renderer gives wrong results on this machine; {_INSTALL_LLVM}"

@@ -18,7 +18,7 @@ from pepperscene.spectra import Spectrum, illuminance
 from pepperscene.spectra.files import CurveTable, SourcedDocument, find_material
 
 _CONVERGED: Final = 1e-12  # chosen: rounding of doubles, well below that of the float32 sky
-_MAX_ITERATIONS: Final = 1000  # chosen: ten times what the narrowest lobe takes
+_MAX_ITERATIONS: Final = 1000  # chosen: ten times the iterations of the narrowest lobe
 
 NARROWEST_HAZE_DEG: Final = 2.0
 """ASTM D1003 counts light scattered by more than 2.5 degrees as haze; a narrower lobe is not haze."""

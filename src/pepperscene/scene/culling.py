@@ -144,7 +144,7 @@ def negligible(
     Of the sun's disc, of angular radius s, it can cover (r / d)^2 / s^2.
     """
     removed = np.zeros(len(visible), dtype=bool)
-    hidden, shown = np.flatnonzero(~visible), np.flatnonzero(visible)
+    hidden, seen = np.flatnonzero(~visible), np.flatnonzero(visible)
     centres, radii = chunks.centres[hidden], chunks.radii[hidden]
     from_flash = np.maximum(
         distances_to_balls(centres, frustums.positions) - radii - light.flash_extent_m, 1e-3
@@ -159,9 +159,9 @@ def negligible(
         return np.asarray(incident[rows] * covered + shadow)
 
     # A sample of the visible chunks gives lower bounds; only candidates below them are compared with all.
-    candidates = _smallest(change(np.arange(len(hidden)), shown[:: max(1, len(shown) // 64)]))
+    candidates = _smallest(change(np.arange(len(hidden)), seen[:: max(1, len(seen) // 64)]))
     if candidates.size:
-        removed[hidden[candidates[_smallest(change(candidates, shown))]]] = True
+        removed[hidden[candidates[_smallest(change(candidates, seen))]]] = True
     return removed
 
 
@@ -202,5 +202,5 @@ def cull_mesh(mesh: Mesh, frustums: ViewFrustums, light: LightReach) -> Mesh:
     used = np.zeros(len(mesh.vertices), dtype=bool)
     used[faces] = True
     faces = (np.cumsum(used, dtype=np.uint32) - np.uint32(1))[faces]
-    rest = Triangles(np.flatnonzero(used), faces, np.flatnonzero(kept))
-    return join_triangles([rest, *simple]).taken_from(mesh)
+    remaining = Triangles(np.flatnonzero(used), faces, np.flatnonzero(kept))
+    return join_triangles([remaining, *simple]).taken_from(mesh)

@@ -135,7 +135,7 @@ class Greenhouse:
 
     @property
     def stem_base_m(self) -> float:
-        """Height of the stem bases above the floor: the upper side of the blocks that the plants root in."""
+        """Height of the stem bases above the floor: the upper side of the substrate blocks."""
         if self.gutter_width_m == 0.0:
             return 0.0
         return self.gutter_height_m + _SHEET + _SLAB[1] + _BLOCK[2]
@@ -153,19 +153,12 @@ class Greenhouse:
 
 @dataclass(frozen=True)
 class RowLine:
-    """The line of one plant row.
+    """The line of one plant row."""
 
-    Attributes:
-        y_m: its position across the rows.
-        aisle: -1 if its own aisle is at -y, 1 if it is at +y.
-        labelled: whether it belongs to the double row in front of the camera.
-        shift_m: shift of its plants along x.
-    """
-
-    y_m: float
-    aisle: int
-    labelled: bool
-    shift_m: float
+    y_m: float  # its position across the rows
+    aisle: int  # -1 if its own aisle is at -y, 1 if it is at +y
+    labelled: bool  # whether it belongs to the double row in front of the camera
+    shift_m: float  # shift of its plants along x
 
 
 def row_lines(row: DoubleRow, greenhouse: Greenhouse) -> list[RowLine]:
@@ -219,7 +212,7 @@ def _gutter_and_slab(y: float, greenhouse: Greenhouse, ends: tuple[float, float]
 
 
 def _blocks(positions: NDArray[np.float64], greenhouse: Greenhouse, spacing_m: float) -> Mesh:
-    """The blocks that the plants root in: rockwool, open at the top and wrapped in foil."""
+    """The substrate blocks: rockwool, open at the top and wrapped in foil."""
     top, half = greenhouse.stem_base_m, _BLOCK[1] / 2.0
     half_length = min(_BLOCK[0], 0.9 * spacing_m) / 2.0
     parts: list[Mesh] = []

@@ -33,17 +33,11 @@ _STEPS: Final = {
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """New triangles on vertices of a mesh.
+    """New triangles on vertices of a mesh."""
 
-    Attributes:
-        vertices: `(k,)` indices of the mesh's vertices.
-        faces: `(m, 3)` indices into `vertices`.
-        source: `(m,)` index of the mesh's face whose instance and surface each triangle takes.
-    """
-
-    vertices: Index
-    faces: NDArray[np.integer]
-    source: Index
+    vertices: Index  # `(k,)` indices of the mesh's vertices
+    faces: NDArray[np.integer]  # `(m, 3)` indices into `vertices`
+    source: Index  # `(m,)` index of the mesh's face whose instance and surface each triangle takes
 
     def taken_from(self, mesh: Mesh) -> Mesh:
         """The mesh of these triangles; instances and surfaces keep their numbers."""

@@ -24,7 +24,7 @@ class Skeleton:
 
     Attributes:
         plants: in their own coordinates, as their meshes were before they were placed.
-        sizes: number of instances in each plant's mesh: its organs in order, then what supports it.
+        sizes: number of instances in each plant's mesh: its organs in order, then its twine.
         bases: `(n, 3)` positions of the stem bases, metres.
         turns: `(n,)` radians about the vertical, counter-clockwise seen from above.
         motions: rotations that resolved the row's contacts, by instance numbers of the scene.

@@ -102,7 +102,7 @@ def partly_cloudy_sky(
     """A blue sky with cumulus clouds and the sun's disc, over a pale floor.
 
     A cover filters the light of sky and sun. A hazy cover scatters a fraction of both: it smooths the sky
-    map, and what the sun's disc loses forms a lobe around it, a third map with the sun's own spectrum.
+    map, and light scattered out of the sun's disc forms a lobe around it, a third map with its spectrum.
 
     Args:
         rng: places the clouds.

@@ -82,7 +82,7 @@ def centre_crop(image: NDArray[Any], size_px: int = CENTRE_PX) -> NDArray[Any]:
     """The central `size_px` x `size_px` pixels of an image `(h, w, ...)`, fewer if it is smaller; a view.
 
     Barth et al. 2018 (section 3.1.1) take hues from the central 300 x 300 pixels, because the dark margins
-    contain more of the last hues than what they show.
+    contain more of the last hues than the plants.
     """
     top, left = (max(0, (length - size_px) // 2) for length in image.shape[:2])
     return image[top : top + size_px, left : left + size_px]
@@ -98,11 +98,11 @@ def mean_hue(spectrum: NDArray[np.floating[Any]]) -> float:
     return float(np.degrees(np.angle(total)) % 360.0)
 
 
-def hue_spectrum_correlation(one: NDArray[np.floating[Any]], other: NDArray[np.floating[Any]]) -> float:
+def hue_spectrum_correlation(first: NDArray[np.floating[Any]], second: NDArray[np.floating[Any]]) -> float:
     """Pearson's correlation coefficient of two hue spectra over their bins; nan if one is flat."""
-    if np.ptp(one) == 0.0 or np.ptp(other) == 0.0:
+    if np.ptp(first) == 0.0 or np.ptp(second) == 0.0:
         return float("nan")
-    return float(np.corrcoef(one, other)[0, 1])
+    return float(np.corrcoef(first, second)[0, 1])
 
 
 def grey_values(colour: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -218,11 +218,11 @@ class ImageStatistics:
     def _add_hues(self, counts: NDArray[np.int64]) -> None:
         """Give every image that shows a class the same weight, however many of its pixels it shows."""
         pixels = counts.sum(axis=1)
-        seen = pixels > 0
-        fractions = counts[seen] / pixels[seen, None]
-        self._spectra[seen] += fractions[:, :HUE_BINS]
-        self._grey_fractions[seen] += fractions[:, HUE_BINS]
-        self.hue_image_counts += seen
+        is_shown = pixels > 0
+        fractions = counts[is_shown] / pixels[is_shown, None]
+        self._spectra[is_shown] += fractions[:, :HUE_BINS]
+        self._grey_fractions[is_shown] += fractions[:, HUE_BINS]
+        self.hue_image_counts += is_shown
 
     def _add_photograph(self, colour: NDArray[np.uint8]) -> None:
         grey = grey_values(colour)

@@ -44,7 +44,7 @@ def simulate_patches(
     """Render patches of single organs at given values of a recipe's parameters.
 
     They are named after the views that `TuningTarget` has of the same recipe, kinds, `organs`, `pixels` and
-    `seed`. With `registered=True` it compares each patch with the very organ that it shows. With another
+    `seed`. With `registered=True` it compares each patch with the same organ. With another
     seed, and without `registered`, they are a sample of other organs, like photographs.
 
     Args:
@@ -61,11 +61,11 @@ def simulate_patches(
     """
     target = _target(recipe, kinds, organs, pixels, seed)
     known = target.parameters(list(values)) if values else ()
-    given = {one.name: np.atleast_1d(np.asarray(values[one.name], float)) for one in known}
-    for one in known:
-        if given[one.name].shape != one.default.shape:
-            problem = f"must be {one.default.size} number(s)"
-            raise ArgumentError("values", problem, key=one.name, value=values[one.name])
+    given = {parameter.name: np.atleast_1d(np.asarray(values[parameter.name], float)) for parameter in known}
+    for parameter in known:
+        if given[parameter.name].shape != parameter.default.shape:
+            problem = f"must be {parameter.default.size} number(s)"
+            raise ArgumentError("values", problem, key=parameter.name, value=values[parameter.name])
     parts = target.tuned_parts(given)
     pigments = {**target.cultivar.pigments, **parts.pigments}
     cultivar = target.cultivar.model_copy(update={"pigments": pigments})

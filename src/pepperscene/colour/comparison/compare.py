@@ -246,12 +246,12 @@ def _why_unlabelled(side: SetMeasures) -> str:
 
 
 def _why_absent(side: SetMeasures) -> str:
-    """Why a class has no pixel: it was not labelled, or it does not occur."""
+    """Reason why a class has no pixel: it was not labelled, or it does not occur."""
     return f"not labelled in {side.name}" if side.statistics.unlabelled_pixels else f"not seen in {side.name}"
 
 
 def _why_unseen(kind: str, side: SetMeasures) -> str:
-    """Why the colours of a kind are unknown."""
+    """Reason why the colours of a kind are unknown."""
     if not side.has_images:
         return f"no patch of it in {side.name}"
     if not side.statistics.photograph_count:

@@ -61,19 +61,12 @@ def _to_json(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of text cells.
+    """A table of text cells."""
 
-    Attributes:
-        title: one line.
-        heads: column headings.
-        rows: one cell for each heading.
-        notes: lines below the table.
-    """
-
-    title: str
-    heads: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...] = ()
+    title: str  # one line
+    heads: tuple[str, ...]  # column headings
+    rows: tuple[tuple[str, ...], ...]  # one cell for each heading
+    notes: tuple[str, ...] = ()  # lines below the table
 
 
 def comparison_tables(comparison: Comparison) -> tuple[TextTable, ...]:

@@ -95,9 +95,7 @@ def calibrate(
     calibration = _fit_matrix(means, saturated, oriented, where)
     if corners is not None and oriented.tolist() != given.tolist():
         first, second = (1 + int(np.flatnonzero((given == oriented[k]).all(axis=1))[0]) for k in range(2))
-        problem = (
-            f"must begin at dark skin and go on to bluish green, which are here corner {first} and {second}"
-        )
+        problem = f"must begin at dark skin, then bluish green; here they are corners {first} and {second}"
         raise InputError(where, problem, key="corners", value=given.tolist())
     return calibration
 

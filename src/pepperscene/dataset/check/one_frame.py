@@ -237,8 +237,8 @@ def _check_content(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> It
 def _describe_shift(result: EdgeMatch) -> str:
     if result.height < CHANCE:
         return "fits the photograph at no shift: mirrored, or of another frame"
-    where = f"in its {result.quarter} quarter is" if result.quarter else "is"
+    position = f"in its {result.quarter} quarter is" if result.quarter else "is"
     return (
-        f"{where} {result.right_px:+d} px to the right of and {result.down_px:+d} px below "
+        f"{position} {result.right_px:+d} px to the right of and {result.down_px:+d} px below "
         f"the photograph's edges ({result.height:.0f} standard deviations above other shifts)"
     )

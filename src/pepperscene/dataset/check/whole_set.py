@@ -57,7 +57,7 @@ def open_leniently(folder: Path) -> tuple[Dataset, list[Finding]]:
 
 
 def stray_files(dataset: Dataset, indices: Sequence[int]) -> Iterator[Finding]:
-    """Yield files that belong to no frame: those of other programs, and those left by a killed build."""
+    """Yield files that belong to no frame, from other programs or killed builds."""
     known = set(indices)
     for entry in sorted(os.scandir(dataset.folder), key=lambda entry: entry.name):
         if entry.name in LITTER:
@@ -164,11 +164,11 @@ class CrossFrameChecks:
         for trait, digests in self._digests.items():
             digests.append(getattr(traits, trait))
 
-    def drift(self, whole: bool) -> Iterator[Finding]:
+    def drift(self, complete: bool) -> Iterator[Finding]:
         """Yield means of the set that are outside the expected ranges.
 
         Args:
-            whole: whether all frames of the plan exist; for a part of it, chance is allowed for.
+            complete: whether all frames of the plan exist; otherwise sampling error is allowed for.
         """
         ranges = dict(self._expect.share)
         if self._expect.intensity is not None:
@@ -178,10 +178,10 @@ class CrossFrameChecks:
             if len(values) == 0:
                 continue
             mean, tolerance = values.mean(), 0.0
-            if not whole:
+            if not complete:
                 # The standard error from scene to scene: the frames of a scene show the same plants.
-                few = len(scene_means) < _MIN_SCENES
-                error = math.inf if few else scene_means.std(ddof=1) / math.sqrt(len(scene_means))
+                too_few = len(scene_means) < _MIN_SCENES
+                error = math.inf if too_few else scene_means.std(ddof=1) / math.sqrt(len(scene_means))
                 tolerance = _STANDARD_ERRORS * error
             if not low - tolerance <= mean <= high + tolerance:
                 text = f"{mean:.4g} over {len(values)} frames, expected {low:g} to {high:g}"

@@ -1,4 +1,4 @@
-"""Building a data set: missing frames are made, each completely or not at all."""
+"""Build a data set: render the missing frames, each completely or not at all."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 _ANSWER_S: Final = 10.0  # chosen: how long a scheduler may take to answer
-_NO_WORKER_S: Final = 60.0  # chosen: how long there may be no worker; a lost one is replaced within seconds
+_NO_WORKER_S: Final = 60.0  # chosen: how long there may be no worker; lost ones are replaced within seconds
 _CHECK_S: Final = 1.0  # chosen: how often the scheduler is asked for its workers
 _PATIENCE_S: Final = 60.0  # chosen: how long workers may take to finish their frames when one has failed
 _INTERRUPT_PATIENCE_S: Final = 5.0  # chosen: the same after Ctrl-C
@@ -35,7 +35,7 @@ _LIBRARIES: Final = frozenset({"distributed", "tornado", "asyncio", "dask_jobque
 
 @final
 class DaskExecutor(Executor):
-    """A running Dask cluster, which goes on when the build has ended.
+    """A running Dask cluster, which keeps running after the build.
 
     Its workers have this version of the package and see the output folder under the same path. Each makes one
     unit at a time, with as many cores as it has threads. Raises `ArgumentError` if this is not an address,
@@ -48,9 +48,9 @@ class DaskExecutor(Executor):
         except ImportError:
             raise missing_extra() from None
         try:
-            scheme, place = parse_address(address)
+            scheme, host = parse_address(address)
             if scheme in ("tcp", "tls", "ws", "wss"):
-                parse_host_port(place)
+                parse_host_port(host)
         except (ValueError, TypeError):
             problem = f"must be an address such as tcp://10.0.0.5:8786, not {address!r}"
             raise ArgumentError("scheduler", problem) from None
@@ -93,7 +93,7 @@ class _DaskBuild:
     """The workers of one build, by address, and their tasks.
 
     Dask itself would send all of a lost worker's task to another one; here the dispatcher requeues only the
-    rest, and decides which worker goes on with the plants of a set.
+    rest, and decides which worker continues with the plants of a set.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class _DaskBuild:
         self._request = BuildRequest.create(uuid.uuid4().hex, marker, job)
         self._messages: queue.SimpleQueue[tuple[int, FrameDone | None]] = queue.SimpleQueue()
         self._tasks: dict[int, tuple[str, Future]] = {}
-        self._unfinished: set[int] = set()  # tasks that a worker may be at, recalled ones included
+        self._unfinished: set[int] = set()  # tasks that a worker may be processing, including recalled ones
         self._unfit: dict[str, str] = {}
         self._count = 0
 
@@ -119,7 +119,7 @@ class _DaskBuild:
         while error is not None and self._unfinished and time.monotonic() < end:
             time.sleep(0.05)
         with suppress(Exception):
-            # Fails if the scheduler is lost.
+            # This fails if the scheduler is lost.
             self._client.unsubscribe_topic(TOPIC)
 
     def run(self, upkeep: Callable[[bool], None]) -> None:
@@ -215,7 +215,7 @@ class _DaskBuild:
         future.add_done_callback(lambda _: self._messages.put((number, None)))
 
     def _recall(self, number: int) -> str:
-        """Cancel a task; a worker that is at it ends after its frame. Returns the worker's address."""
+        """Cancel a task, which ends after the current frame; return its worker's address."""
         address, future = self._tasks.pop(number)
         with suppress(Exception):
             future.cancel()
@@ -234,13 +234,13 @@ def _unfit_reason(error: BaseException) -> str | None:
 @contextmanager
 def _marker(folder: Path) -> Iterator[Path]:
     """A file in a folder, or in the first parent that exists, by which workers recognise the file system."""
-    existing = next(path for path in (folder, *folder.parents) if path.is_dir())
+    existing_folder = next(path for path in (folder, *folder.parents) if path.is_dir())
     try:
         file = tempfile.NamedTemporaryFile(  # noqa: SIM115 - entered below
-            prefix=".pepperscene.", suffix=".tmp", dir=existing
+            prefix=".pepperscene.", suffix=".tmp", dir=existing_folder
         )
     except OSError as error:
-        raise write_error(error, existing) from None
+        raise write_error(error, existing_folder) from None
     with file:
         yield Path(file.name)
 

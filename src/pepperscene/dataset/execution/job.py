@@ -1,4 +1,4 @@
-"""The job of a build, and how its frames are made and written, in any process."""
+"""The job of a build: render and write its frames, in any process."""
 
 from __future__ import annotations
 

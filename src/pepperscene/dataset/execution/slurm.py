@@ -108,9 +108,9 @@ class SlurmJobs(Document):
 
     def cluster_arguments(self) -> dict[str, Any]:
         """The arguments of `dask_jobqueue.SLURMCluster`."""
-        # What is not given comes from Dask's own configuration, which a site may have adapted.
-        given = self.model_dump(exclude={"jobs"}, exclude_none=True)
-        arguments = {_DASK_NAMES.get(key, key): value for key, value in given.items() if value != ()}
+        # Missing values come from Dask's configuration, which a site may have adapted.
+        stated = self.model_dump(exclude={"jobs"}, exclude_none=True)
+        arguments = {_DASK_NAMES.get(key, key): value for key, value in stated.items() if value != ()}
         return {key: list(value) if isinstance(value, tuple) else value for key, value in arguments.items()}
 
 
@@ -216,7 +216,7 @@ def _run(command: list[str]) -> subprocess.CompletedProcess[str] | None:
 
 
 class _Upkeep:
-    """Submits jobs, again where they have ended, and notices when there are none any more."""
+    """Submits jobs, resubmits those that have ended, and detects when none is left."""
 
     def __init__(self, cluster: SLURMCluster, jobs: int) -> None:
         self._cluster, self._jobs = cluster, jobs
@@ -237,8 +237,8 @@ class _Upkeep:
             self._checks_without_job = 0 if self._has_job() else self._checks_without_job + 1
         if self._checks_without_job >= _QUEUE_CHECKS:
             raise WorkerError(
-                "Slurm has none of the jobs any more, and no worker has started; their output tells why "
-                "(see log_directory), and complete frames are kept"
+                "Slurm has none of the jobs any more, and no worker has started; see their output "
+                "(log_directory) for the reason; complete frames are kept"
             )
 
     def _has_job(self) -> bool:

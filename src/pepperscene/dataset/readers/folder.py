@@ -114,8 +114,8 @@ def _index_by_key(files: Iterable[tuple[Path, Path]]) -> dict[tuple[str, ...], t
         name = path.relative_to(root).with_suffix("").as_posix()
         key = _pairing_key(name)
         if key in index:
-            other = index[key][1].name
-            raise InputError(path, f"has a name too similar to {other}: rename one of them")
+            existing = index[key][1].name
+            raise InputError(path, f"has a name too similar to {existing}: rename one of them")
         index[key] = (name, path)
     return index
 

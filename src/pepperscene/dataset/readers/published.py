@@ -44,17 +44,17 @@ class PublishedSet(ImageSet):
         halves = published_halves(folder)
         if half is None and len(halves) > 1:
             raise InputError(folder, f"holds {' and '.join(halves)}; choose one, e.g. half={halves[0]!r}")
-        chosen = halves[0] if half is None and halves else half
-        if chosen not in halves:
+        selected = halves[0] if half is None and halves else half
+        if selected not in halves:
             allowed = f"must be one of {', '.join(halves) or 'none'}"
-            raise InputError(folder, allowed, key="half", value=chosen)
-        paths = {kind: folder / name.format(chosen) for kind, name in _FOLDERS.items()}
+            raise InputError(folder, allowed, key="half", value=selected)
+        paths = {kind: folder / name.format(selected) for kind, name in _FOLDERS.items()}
         files = {kind: _numbered_files(path) for kind, path in paths.items() if path.is_dir()}
         if not files["colour"]:
             raise InputError(paths["colour"], "holds no images")
         items = tuple(sorted(files["colour"]))
-        name = f"{folder.resolve().name} {chosen}"
-        return cls(name=name, folder=folder, half=chosen, items=items, files=files)
+        name = f"{folder.resolve().name} {selected}"
+        return cls(name=name, folder=folder, half=selected, items=items, files=files)
 
     def names(self) -> tuple[str, ...]:
         """The numbers in the file names."""

@@ -42,7 +42,7 @@ class Recipe(Document):
         daylight: or None for a night scene.
         twine: or None for none.
         growth: a stage between two cultivar files, or None for the cultivar as in its file.
-        greenhouse: what surrounds an irregular row, or None for plants alone, evenly spaced and upright.
+        greenhouse: surroundings of an irregular row, or None for evenly spaced, upright plants alone.
         expect: expected statistics of the finished data set, or None; see `pepperscene check`.
     """
 

@@ -31,7 +31,7 @@ Content = TypeVar("Content")
 
 @dataclass(frozen=True, eq=False)
 class ResolvedRecipe:
-    """A recipe and all that it names, loaded once and passed on.
+    """A recipe and all files that it names, loaded once.
 
     Attributes:
         recipe: the validated recipe.

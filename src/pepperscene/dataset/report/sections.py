@@ -44,7 +44,7 @@ def class_fractions_html(sets: Sequence[SetSummary]) -> str:
     for organ in OrganClass:
         values = {item.key: float(fractions[item.key][0][organ]) for item in sets}
         # Zero is unknown if the set has unlabelled pixels.
-        shown = [
+        displayed = [
             float("nan")
             if values[item.key] == 0.0 and item.statistics.unlabelled_pixels
             else values[item.key]
@@ -52,7 +52,7 @@ def class_fractions_html(sets: Sequence[SetSummary]) -> str:
         ]
         rows.append(
             f'<tr><th scope="row">{swatch(organ)}{organ.name.lower()}<small>{organ:d}</small></th>'
-            f"{_cells(_percent(value) for value in shown)}"
+            f"{_cells(_percent(value) for value in displayed)}"
             f'<td class="bars">{_bars(list(values.items()), scale)}</td></tr>'
         )
     if any(item.statistics.unlabelled_pixels for item in sets):
@@ -161,9 +161,9 @@ def _percent(fraction: float, digits: int = 2) -> str:
     """A fraction as a percentage; a dash if it is unknown."""
     if not np.isfinite(fraction):
         return "–"
-    least = 10.0**-digits
-    is_small = 0 < 100 * fraction < least / 2
-    return f"< {least:g}\u00a0%" if is_small else f"{100 * fraction:.{digits}f}\u00a0%"
+    smallest = 10.0**-digits
+    is_small = 0 < 100 * fraction < smallest / 2
+    return f"< {smallest:g}\u00a0%" if is_small else f"{100 * fraction:.{digits}f}\u00a0%"
 
 
 def _bars(fractions: Sequence[tuple[str, float]], scale: float) -> str:

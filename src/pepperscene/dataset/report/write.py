@@ -156,11 +156,11 @@ def _page(
         f"Compared with {sections.set_label(item)}, {sections.plural(item.frames, 'image')}."
         for item in sets[1:]
     ]
-    measured = []
+    measured_sets = []
     for item in sets:
         count = item.statistics.image_count
         number = f"all {count:,}" if count == item.frames else f"{count:,} evenly spaced of {item.frames:,}"
-        measured.append(f"{number} images of {sections.set_label(item)}")
+        measured_sets.append(f"{number} images of {sections.set_label(item)}")
     ramp = ""
     if distances_m is not None:
         near, far = (f"<span>{distance:.2f} m</span>" for distance in distances_m)
@@ -178,7 +178,7 @@ def _page(
         distances=ramp,
         frames="".join(_frames_html(item, single=len(sets) == 1) for item in sets),
         fractions=sections.class_fractions_html(sets),
-        measured=f"Measured in {' and '.join(measured)}.",
+        measured=f"Measured in {' and '.join(measured_sets)}.",
         maps=sections.class_maps_html(sets),
         hues=sections.hue_spectra_html(sets),
         intensity=sections.intensity_html(sets),
@@ -208,10 +208,10 @@ def _facts(info: Mapping[str, Any]) -> str:
 
 def _frames_html(item: SetSummary, single: bool) -> str:
     """The displayed images of a set as cards, and as a table."""
-    shown = f"{len(item.cards):,} of {item.frames:,}" if len(item.cards) < item.frames else f"{item.frames:,}"
+    count = f"{len(item.cards):,} of {item.frames:,}" if len(item.cards) < item.frames else f"{item.frames:,}"
     title, suffix = ("", "") if single else (f"<h3>{sections.set_label(item)}</h3>", f": {escape(item.name)}")
     return (
-        f'{title}<p>{shown} shown.</p><div class="cards">{"".join(item.cards)}</div>'
+        f'{title}<p>{count} shown.</p><div class="cards">{"".join(item.cards)}</div>'
         f"<details><summary>As a table{suffix}</summary>"
         f'<div class="scroll" tabindex="0" role="region" aria-label="Images of {escape(item.name)}">'
         f"{sections.html_table('frames', TABLE_COLUMNS, item.table_rows)}</div></details>"

@@ -38,7 +38,7 @@ class PlantExport:
         triangles: of the mesh.
         height_m: of the mesh.
         contacts: fruit and blades that still touch.
-        seconds: that growing and meshing took.
+        seconds: time of growing and meshing.
     """
 
     files: tuple[Path, ...]

@@ -1,4 +1,4 @@
-"""A data set on disk: the layout of its folder, what of it exists, and how frames are added.
+"""A data set on disk: the layout of its folder, its existing frames, and how frames are added.
 
 - `dataset.json`: what the data set is: recipe, its digest, version, quality.
 - `colour/006137.png` and so on: one folder for each output.
@@ -46,7 +46,7 @@ def file_name(index: int, output: str) -> str:
 
 @dataclass(frozen=True)
 class FrameStatus:
-    """What exists of a frame: its JSON without `outputs` and `checksum`, intact images, and its checksum."""
+    """Existing parts of a frame: JSON without `outputs` and `checksum`, intact images, and checksum."""
 
     metadata: dict[str, Any] = field(default_factory=dict)
     outputs: dict[str, Any] = field(default_factory=dict)
@@ -160,9 +160,9 @@ class Dataset:
         kept: Mapping[str, Any],
         pool: Executor,
     ) -> FrameStatus:
-        """Add a frame, or outputs to a frame: first the images, then the JSON that makes them count.
+        """Add a frame, or outputs to a frame: first the images, then the JSON, which completes it.
 
-        If that raises, the images of this call are removed, and what existed before still counts.
+        On an error, the images of this call are removed, and existing outputs stay valid.
 
         Args:
             index: of the frame.
@@ -212,7 +212,7 @@ def written_image(path: Path, image: Any, output: str, name: str) -> dict[str, A
 
 
 def file_entry(name: str, content: bytes) -> dict[str, Any]:
-    """What a frame's JSON holds of a file."""
+    """Entry of a file in a frame's JSON."""
     return {"file": name, "bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
 
 

@@ -162,6 +162,6 @@ def _ring_points(
     foot: FloatArray, axes: FloatArray, width: FloatArray, angle: FloatArray, along: FloatArray
 ) -> FloatArray:
     """`(n, r, c, 3)` points at `width` from the axes, at angles from the upper side, and at `along`."""
-    turn = angle[:, None]
-    local = np.stack([width * np.cos(turn), width * np.sin(turn), along], axis=-1)
+    rotation = angle[:, None]
+    local = np.stack([width * np.cos(rotation), width * np.sin(rotation), along], axis=-1)
     return FruitFrames(foot, axes).to_plant(local.reshape(len(foot), -1, 3)).reshape(local.shape)

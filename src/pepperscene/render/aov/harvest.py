@@ -1,4 +1,4 @@
-"""The output `harvest`: everything that is known of each fruit in a picture."""
+"""The output `harvest`: ground truth of each fruit in an image."""
 
 from __future__ import annotations
 
@@ -32,15 +32,10 @@ _STALK_STEPS: Final = 32  # chosen: pieces of a stalk's centreline, within micro
 
 @dataclass(frozen=True, eq=False)
 class IsolatedOrgan:
-    """One organ of a scene.
+    """One organ of a scene."""
 
-    Attributes:
-        mesh: its triangles alone.
-        coordinates: of the whole scene.
-    """
-
-    mesh: Mesh
-    coordinates: LocalCoordinates
+    mesh: Mesh  # its triangles alone
+    coordinates: LocalCoordinates  # of the whole scene
 
     @cached_property
     def scene(self) -> Any:
@@ -49,7 +44,7 @@ class IsolatedOrgan:
         return mitsuba_modules()[0].load_dict({"type": "scene", "organ": shape})
 
     def box(self, camera: Camera) -> Box | None:
-        """The part of a picture outside of which no ray can hit the organ; None if there is no such part."""
+        """The part of the image that contains all rays that can hit the organ; None if there is none."""
         pixels = camera.project(self.mesh.vertices)
         finite = np.isfinite(pixels).all(axis=1)
         if not finite.any():
@@ -145,7 +140,7 @@ class SceneHarvest:
         self, camera: Camera, rays: CameraRays, hits: Hits, instance: NDArray[np.uint16]
     ) -> dict[str, Any]:
         """Compute the output `harvest` from a camera's rays, hits and instance image."""
-        near = [index for index, seen in zip(self._organs, self._in_view(camera), strict=True) if seen]
+        near = [index for index, in_view in zip(self._organs, self._in_view(camera), strict=True) if in_view]
         boxes = {index: box for index in near if (box := self._organs[index].box(camera)) is not None}
         masks = hit_masks([(self._organs[index], box) for index, box in boxes.items()], rays)
         fruit = []
@@ -170,7 +165,7 @@ class SceneHarvest:
     @cached_property
     def _bounding_spheres(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """`(n, 3)` centres and `(n,)` radii of the fruit's bounding spheres, metres."""
-        bounds = np.array([one.mesh.bounds for one in self._organs.values()], float).reshape(-1, 2, 3)
+        bounds = np.array([organ.mesh.bounds for organ in self._organs.values()], float).reshape(-1, 2, 3)
         return bounds.mean(axis=1), 0.5 * np.linalg.norm(bounds[:, 1] - bounds[:, 0], axis=1)
 
     def _in_view(self, camera: Camera) -> NDArray[np.bool_]:
@@ -182,7 +177,7 @@ class SceneHarvest:
         x, y, z = ((centres - camera.pose[:3, 3]) @ camera.pose[:3, :3]).T
         slopes = camera.ray_slopes()
         inside = z > -radii
-        # The picture is between the extreme slopes of its borders.
+        # The image is between the extreme slopes of its borders.
         for along, axis in ((x, 0), (y, 1)):
             border = np.concatenate([slopes[[0, -1], :, axis].ravel(), slopes[:, [0, -1], axis].ravel()])
             for side, limit in ((1.0, border.max()), (-1.0, -border.min())):
@@ -190,7 +185,7 @@ class SceneHarvest:
         return inside
 
     def _fruit_truth(self, index: int) -> FruitTruth:
-        organ, about = self._skeleton.organ(index), self._mesh.instances[index]
+        organ, instance = self._skeleton.organ(index), self._mesh.instances[index]
         frames = fruit_frames([organ])
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = frames.axes[0].T, frames.foot[0]
@@ -201,8 +196,8 @@ class SceneHarvest:
         names = ("ripeness", "ripeness_spread", "length_m", "diameter_m")
         measures = {name: float(organ.measures.get(name, 0.0)) for name in names}
         stalk = _stalk(self._skeleton, ancestors)
-        approach = tool_approach(centre, self._stem_axis(about.plant))
-        return FruitTruth(index, about, pose, low, high, measures, ancestors, stalk, approach)
+        approach = tool_approach(centre, self._stem_axis(instance.plant))
+        return FruitTruth(index, instance, pose, low, high, measures, ancestors, stalk, approach)
 
     def _stem_axis(self, plant: int) -> NDArray[np.float64]:
         """`(k, 3)` axis of a plant's main stem."""
@@ -235,14 +230,14 @@ def _stalk(skeleton: Skeleton, ancestors: tuple[int, ...]) -> FruitStalk | None:
     organ = skeleton.organ(ancestors[position])
     # The same curve that the stalk's mesh is built around.
     smooth = spines([organ.curve], [organ.up], _STALK_STEPS).points[0]
-    bearer = ancestors[position + 1] if position + 1 < len(ancestors) else -1
+    parent = ancestors[position + 1] if position + 1 < len(ancestors) else -1
     return fruit_stalk(
         smooth,
         float(organ.measures["radius_m"]),
-        _tube(skeleton.organ(bearer)) if bearer >= 0 else None,
+        _tube(skeleton.organ(parent)) if parent >= 0 else None,
         instance=ancestors[position],
-        parent_instance=bearer,
-        on_stalk=bearer >= 0 and forms[position + 1] == "peduncle",
+        parent_instance=parent,
+        on_stalk=parent >= 0 and forms[position + 1] == "peduncle",
     )
 
 

@@ -1,4 +1,4 @@
-"""The kernel tables that a picture is differentiated by, as functions of surfaces and flash.
+"""The kernel tables that an image is differentiated by, as functions of surfaces and flash.
 
 Light that meets one surface is carried by channel, so the spectra of a surface and of the flash meet before
 any ray is traced: with W_lc, the contribution of each wavelength of the flash to channel c, the kernel reads
@@ -130,6 +130,6 @@ def _colours(spectra: Array, fractions: Array) -> Array:
 
 
 def _join(tables: list[SurfaceTables]) -> Tables:
-    """The tables of all surfaces, one after the other."""
+    """Concatenate the tables of all surfaces."""
     spectra, sides, openness = zip(*tables, strict=True)
     return {"spectra": np.concatenate(spectra), "sides": np.stack(sides), "openness": np.stack(openness)}

@@ -76,7 +76,7 @@ class CameraRays:
 
 
 def camera_rays(camera: Camera, coordinates: LocalCoordinates = WORLD) -> CameraRays:
-    """Upload a camera's lens and pose to the device, in local coordinates."""
+    """Transfer a camera's lens and pose to the device, in local coordinates."""
     mi, dr = mitsuba_modules()
     slopes = device_array(camera.ray_slopes())
     rotation = mi.Matrix3f(np.asarray(camera.pose[:3, :3], np.float32))

@@ -95,17 +95,11 @@ def surface_bsdf() -> Any:
 
 @dataclass(frozen=True, eq=False)
 class PathScene:
-    """A Mitsuba scene with emitters, for all poses of a camera.
+    """A Mitsuba scene with emitters, for all poses of a camera."""
 
-    Attributes:
-        scene: Mitsuba's.
-        flash: the camera's emitter, or None.
-        coordinates: of the scene.
-    """
-
-    scene: Any
-    flash: Any
-    coordinates: LocalCoordinates
+    scene: Any  # Mitsuba's
+    flash: Any  # the camera's emitter, or None
+    coordinates: LocalCoordinates  # of the scene
 
 
 def path_scene(scene: Scene, camera: Camera) -> PathScene:
@@ -124,7 +118,7 @@ def path_scene(scene: Scene, camera: Camera) -> PathScene:
         intensity = SpectralTable(grid, response.flash)
         parts["flash"] = flash_emitter().of(camera.flash, camera_rays(camera, coordinates), intensity)
     if scene.sky is not None:
-        # Beside a flash, a sky without a sun gets no light samples; scattered rays find it.
+        # With a flash, a sky without a sun gets no light samples; scattered rays find it.
         weight = 1.0 if scene.sky.sun is not None or camera.flash is None else 0.0
         diagonal = float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0)))
         reach = 2.0 * diagonal / coordinates.unit_m + 1.0
@@ -196,7 +190,7 @@ def path_traced(
 
 
 def samples_taken(sampler: str, spp: int) -> int:
-    """Number of samples per pixel that a sampler takes when asked for `spp`: at least as many.
+    """Number of samples per pixel that a sampler takes for a request of `spp`: at least as many.
 
     Raises:
         ValueError: unknown sampler, or no samples.

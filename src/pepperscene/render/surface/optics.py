@@ -238,8 +238,8 @@ def cuticle_tables(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np.fl
     ior = max(float(surface.ior), 1.0)
     alphas = [max(float(alpha), MIN_ALPHA) for alpha in surface.roughness]
     tables, means = zip(*(cuticle_transmittance(ior, alpha) for alpha in alphas), strict=True)
-    least = min(means)
-    sides = np.array([(alpha, ior, mean, least / mean) for alpha, mean in zip(alphas, means, strict=True)])
+    smallest = min(means)
+    sides = np.array([(alpha, ior, mean, smallest / mean) for alpha, mean in zip(alphas, means, strict=True)])
     relative = np.stack([table / mean for table, mean in zip(tables, means, strict=True)])
     steps = np.diff(relative, axis=1, append=relative[:, -1:])
     packed = np.stack([relative, steps], axis=-1)

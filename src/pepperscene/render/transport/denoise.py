@@ -48,8 +48,8 @@ _EXTENSION: Final = 2
 """Pixels by which surfaces are extended into the background. Chosen among 1, 2, 4 and 12: spheres and fruit
 in front of the sky keep the indirect light of their outermost pixels within 2 %; with 4 it is 5 % less."""
 _PADDING: Final = 8
-"""Pixels by which the picture is mirrored beyond its borders. Without it, the filter makes the corners of a
-uniform picture up to a third too dark or too bright; with 4 they are off by 2 %, with 8 by less than 1 %."""
+"""Pixels by which the image is mirrored beyond its borders. Without it, the filter makes the corners of a
+uniform image up to a third too dark or too bright; with 4 they are off by 2 %, with 8 by less than 1 %."""
 _NEIGHBOURHOOD: Final = 97
 """Pixels: the square whose mean is restored. Chosen among 15, 33, 65, 97 and 193: smaller ones bring noise
 back; from 65 to 193 the error is the same within 1 %."""
@@ -115,17 +115,11 @@ def _restore_local_mean(filtered: Image, traced: Image) -> Image:
 
 @dataclass(frozen=True, eq=False)
 class _Coverage:
-    """The area of each pixel that surfaces cover.
+    """The area of each pixel that surfaces cover."""
 
-    Attributes:
-        fraction: `(h, w, 1)` in [0, 1].
-        inverse: `(h, w, 1)` its inverse, 0 where nothing is covered.
-        rim: `(m, 2)` rows and columns of uncovered pixels close to surfaces.
-    """
-
-    fraction: Image
-    inverse: Image
-    rim: NDArray[np.intp]
+    fraction: Image  # `(h, w, 1)` in [0, 1]
+    inverse: Image  # `(h, w, 1)` its inverse, 0 where nothing is covered
+    rim: NDArray[np.intp]  # `(m, 2)` rows and columns of uncovered pixels close to surfaces
 
     @classmethod
     def of(cls, fraction: Image) -> _Coverage:
@@ -165,7 +159,7 @@ def _filter(image: Image, albedo: Image, normal: Image) -> Image:
 
 
 def _padded(image: Image) -> Image:
-    """Three channels, mirrored beyond the borders of the picture."""
+    """Three channels, mirrored beyond the borders of the image."""
     three = np.broadcast_to(image, (*image.shape[:2], 3))
     widths = ((_PADDING, _PADDING), (_PADDING, _PADDING), (0, 0))
     return np.ascontiguousarray(np.pad(three, widths, mode="symmetric"), np.float32)

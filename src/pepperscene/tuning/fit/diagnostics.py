@@ -128,7 +128,7 @@ def omitted_groups(
         if not entries:
             continue
         scales, lows, highs, start = np.array(
-            [(one.prior.sd, one.prior.low, one.prior.high, one.value({})) for one in entries]
+            [(entry.prior.sd, entry.prior.low, entry.prior.high, entry.value({})) for entry in entries]
         ).T
         model = _LinearModel(
             np.hstack([fitted_slopes, problem.data_jacobian(values, entries) * scales]),
@@ -163,7 +163,9 @@ class _LinearModel:
         before = self._deviance(fitted_entries, error_scale)
         evidence = {"": before - self._deviance(all_entries, error_scale)}
         for name in dict.fromkeys(names):
-            chosen = np.concatenate([fitted_entries, fitted + np.flatnonzero([one == name for one in names])])
+            chosen = np.concatenate(
+                [fitted_entries, fitted + np.flatnonzero([entry_name == name for entry_name in names])]
+            )
             gain = before - self._deviance(chosen, error_scale)
             evidence[name] = gain - 2.0 * np.log(len(set(names)))
         best = max(evidence, key=lambda name: evidence[name])
@@ -225,12 +227,14 @@ def _describe_causes(omitted: Mapping[str, OmittedGroup]) -> list[str]:
     if not omitted:
         return []
     causes = {
-        group: one for group, one in omitted.items() if one.explained >= MIN_EXPLAINED and one.evidence > 0.0
+        group: cause
+        for group, cause in omitted.items()
+        if cause.explained >= MIN_EXPLAINED and cause.evidence > 0.0
     }
     if not causes:
         reason = "No omitted parameter could explain a quarter of the residuals"
         return [f"{reason}: check the patches, their labels and their light."]
-    percent = {group: f"{100 * one.explained:.0f} %" for group, one in causes.items()}
+    percent = {group: f"{100 * cause.explained:.0f} %" for group, cause in causes.items()}
     best, *_ = causes.values()
     likely = [group for group in causes if best.evidence - causes[group].evidence < STRONG_EVIDENCE]
     parts: list[str] = []
@@ -241,6 +245,6 @@ def _describe_causes(omitted: Mapping[str, OmittedGroup]) -> list[str]:
     sentences = [f"The unexplained residuals point to {', or '.join(parts)}."]
     others = [f"{group} ({percent[group]})" for group in causes if group not in likely]
     if others:
-        listed = ", ".join(others)
-        sentences.append(f"Other groups could explain part of it, but are much less likely: {listed}.")
+        names = ", ".join(others)
+        sentences.append(f"Other groups could explain part of it, but are much less likely: {names}.")
     return sentences

@@ -57,9 +57,9 @@ def _digests(patches: PatchSet) -> Iterator[tuple[str, str]]:
     """SHA-256 of the numbers of each patch and spectrum, independent of the platform."""
     for patch in patches.patches:
         yield patch.name, _sha256(np.asarray(patch.linear, "<f8"), np.asarray(patch.codes, "u1"))
-    for one in patches.spectra:
-        wavelength_nm, values = one.spectrum.wavelength_nm, one.spectrum.values
-        yield one.name, _sha256(np.asarray(wavelength_nm, "<f8"), np.asarray(values, "<f8"))
+    for measurement in patches.spectra:
+        wavelength_nm, values = measurement.spectrum.wavelength_nm, measurement.spectrum.values
+        yield measurement.name, _sha256(np.asarray(wavelength_nm, "<f8"), np.asarray(values, "<f8"))
 
 
 def _sha256(*arrays: Any) -> str:
@@ -95,8 +95,8 @@ def describe_colours(fit: FitResult) -> str:
         for name, kind in fit.kinds.items()
     ]
     spectra = [
-        f"{name} RMSE {one.rmse_before:.4f} before, {one.rmse_after:.4f} after"
-        for name, one in fit.spectra.items()
+        f"{name} RMSE {spectrum.rmse_before:.4f} before, {spectrum.rmse_after:.4f} after"
+        for name, spectrum in fit.spectra.items()
     ]
     sentences = [f"CIEDE2000 of mean colours: {'; '.join(kinds)}"] if kinds else []
     return ". ".join([*sentences, *([f"Reflectance: {'; '.join(spectra)}"] if spectra else [])])
@@ -159,7 +159,7 @@ def _fill(
             table.append(key, item)
     for key, value in headed.items():
         # A table that only holds tables needs no heading.
-        only_tables = bool(value) and depth > 1 and all(isinstance(one, Mapping) for one in value.values())
+        only_tables = bool(value) and depth > 1 and all(isinstance(item, Mapping) for item in value.values())
         inner = tomlkit.table(is_super_table=only_tables)
         _fill(inner, value, f"{prefix}{key}.", comments, depth - 1)
         table.append(key, inner)
@@ -174,11 +174,11 @@ def _item(value: Any) -> Item:
         value = int(rounded) if rounded.is_integer() and abs(rounded) < 1e15 else rounded
     if isinstance(value, Mapping):
         table = tomlkit.inline_table()
-        for key, one in value.items():
-            table.append(key, _item(one))
+        for key, item in value.items():
+            table.append(key, _item(item))
         return table
     if isinstance(value, list | tuple):
         array = tomlkit.array()
-        array.extend(_item(one) for one in value)
+        array.extend(_item(item) for item in value)
         return array.multiline(bool(value) and isinstance(value[0], list | tuple))
     return tomlkit.item(value)

@@ -60,7 +60,7 @@ def recipe_text(
             content = {"extends": reference(extends, "recipes", folder), **_difference(base, content)}
     comments = {}
     for key, names in _PARAMETERS.items():
-        fitted = [describe_values(fit, one) for one in fit.parameters if one.name in names]
+        fitted = [describe_values(fit, parameter) for parameter in fit.parameters if parameter.name in names]
         if key in changes:
             comments[key] = (
                 f"tuned: {'; '.join(fitted)}"
@@ -69,7 +69,7 @@ def recipe_text(
             )
     if "cultivar" in changes:
         comments["cultivar"] = "tuned"
-    values = "\n".join(f"  {describe_values(fit, one)}" for one in fit.parameters)
+    values = "\n".join(f"  {describe_values(fit, parameter)}" for parameter in fit.parameters)
     head = f"{recipe.name}, tuned to measured colour.\n{run.summary()}:\n{values}\n{describe_colours(fit)}."
     return toml_text(content, head, comments)
 

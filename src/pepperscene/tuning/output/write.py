@@ -140,21 +140,21 @@ def _file_stem(name: str, suffix: str, used: set[str]) -> str:
 
 def _write(folder: Path, files: Mapping[str, bytes]) -> tuple[Path, ...]:
     """Write all files under temporary names, and rename them when all are complete."""
-    made: list[Path] = []
+    written: list[Path] = []
     paths = [folder / name for name in files]
     try:
-        make_folder(folder, made)
+        make_folder(folder, written)
         with ExitStack() as stack:
             # The stack unwinds from its end, so that the recipe is renamed last.
             for path in paths:
                 stack.enter_context(atomic_write(path)).write_bytes(files[path.name])
-            made += paths
+            written += paths
         # Files that cannot be loaded are removed again.
         loaded = load_recipe(paths[0])
         load_recipe_cultivar(loaded)
         if loaded.camera.flash != NONE:
             load_flash(loaded.camera.flash)
     except BaseException:
-        remove(made)
+        remove(written)
         raise
     return tuple(paths)

@@ -60,7 +60,9 @@ def prior_distributions(
     layers = [_shipped_bounds()]
     if bounds is not None:
         layers.insert(0, _user_bounds(bounds, available))
-    return tuple(tuple(_prior(one, i, layers) for i in range(one.default.size)) for one in selected)
+    return tuple(
+        tuple(_prior(parameter, i, layers) for i in range(parameter.default.size)) for parameter in selected
+    )
 
 
 @lru_cache(maxsize=1)
@@ -73,7 +75,9 @@ def _user_bounds(bounds: Mapping[str, Any] | str | Path, available: Iterable[Par
     """A user's tables. All of them are checked, also those that are not used, so that typing errors show."""
     where = "bounds" if isinstance(bounds, Mapping) else str(bounds)
     tables = dict(_flatten(bounds if isinstance(bounds, Mapping) else read_toml(Path(bounds)), where))
-    known = dict.fromkeys(key for one in available for i in range(one.default.size) for key in _keys(one, i))
+    known = dict.fromkeys(
+        key for parameter in available for i in range(parameter.default.size) for key in _keys(parameter, i)
+    )
     known |= dict.fromkeys(f"*.added.{content}" for content in CONTENT_FIELDS)
     for key, table in tables.items():
         if key not in known:
@@ -163,5 +167,5 @@ def _within_limits(parameter: Parameter, value: float, layer: Bounds, key: str) 
         mean = float(np.clip(mean, new_low + margin, new_high - margin))
         sd = min(sd, _MAX_SD * min(mean - new_low, new_high - mean))
     origin = {name: getattr(prior, name) for name in Origin.model_fields}
-    law = "normal" if adapted else prior.family
-    return Distribution(family=law, mean=mean, sd=sd, low=new_low, high=new_high, **origin)
+    family = "normal" if adapted else prior.family
+    return Distribution(family=family, mean=mean, sd=sd, low=new_low, high=new_high, **origin)

@@ -57,7 +57,7 @@ def select_parameters(
     _check_overlap(selected)
     parameters = [available[name] for name in selected]
     priors = prior_distributions(parameters, available.values(), bounds)
-    return tuple(replace(one, prior=prior) for one, prior in zip(parameters, priors, strict=True))
+    return tuple(replace(parameter, prior=prior) for parameter, prior in zip(parameters, priors, strict=True))
 
 
 def _canonical(name: str, available: Mapping[str, Parameter]) -> str:
@@ -86,7 +86,9 @@ def _unknown_message(
         reason = f"{name} cannot be fitted, because {recipe.name} has no flash"
     elif name in ("white_balance", "colour_matrix"):
         reason = f"{name} cannot be fitted, because {camera.sensor.name} is monochrome"
-    elif surface in cultivar.pigments and not any(one.startswith(f"{surface}.") for one in available):
+    elif surface in cultivar.pigments and not any(
+        parameter.startswith(f"{surface}.") for parameter in available
+    ):
         reason = f"{name} cannot be fitted, because plants of {cultivar.name} show no {surface}"
     else:
         reason = f"there is no parameter {name!r}"
