@@ -138,21 +138,21 @@ def plant(
     """Grow one plant and export its mesh, with an image."""
     from pepperscene.dataset.scenes.plant_export import export_plant
 
-    export = export_plant(
+    result = export_plant(
         cultivar, out, seed, detail=detail, until=until, share=share, picture=picture, quality=quality
     )
     typer.echo(
-        f"{export.cultivar}, seed {seed}: {sum(export.organs.values()):,} organs, {export.triangles:,} triangles, "
-        f"{export.height_m:.2f} m tall, grown in {export.seconds:.2f} s"
+        f"{result.cultivar}, seed {seed}: {sum(result.organs.values()):,} organs, {result.triangles:,} triangles, "
+        f"{result.height_m:.2f} m tall, grown in {result.seconds:.2f} s"
     )
-    for kind, count in export.organs.items():
+    for kind, count in result.organs.items():
         typer.echo(f"  {count:>4} {kind}")
-    contacts = export.contacts
+    contacts = result.contacts
     typer.echo(
         f"  {contacts.fruit_touching} of {contacts.fruit} fruit still touch another organ, "
         f"{contacts.blades_touching} of {contacts.blades} blades a stem"
     )
-    for path in export.files:
+    for path in result.files:
         typer.echo(path)
 
 

@@ -2,10 +2,10 @@
 
 Growers cut or break the stalk at its natural abscission zone next to the stem and leave all of it on the
 fruit: a wound there is small, while stumps and ragged ends go mouldy, and a complete stalk keeps the fruit
-fresh and is paid for (freshknowledge.eu, "Moulds" of pepper: mould grows above all where the stem is not cut at its
-natural breaking knot; Sa et al. 2017, "Peduncle detection of sweet pepper for autonomous crop harvesting",
-section I). On a stem that is the furrow above the stalk's collar. A stalk that grows on another fruit stalk,
-as a tomato's pedicel on its truss, breaks at the joint half-way along it.
+fresh and is paid for (freshknowledge.eu, "Moulds" of pepper: mould grows above all where the stem is not cut
+at its natural breaking knot; Sa et al. 2017, "Peduncle detection of sweet pepper for autonomous crop
+harvesting", section I). On a stem that is the furrow above the stalk's collar. A stalk that grows on another
+fruit stalk, as a tomato's pedicel on its truss, breaks at the joint half-way along it.
 """
 
 from __future__ import annotations
