@@ -28,28 +28,17 @@ _FIRST_FRAMES: Final = 0.5
 
 @dataclass(frozen=True)
 class BenchResult:
-    """Times and errors of a setting.
+    """Times and errors of a setting."""
 
-    Attributes:
-        scene: name of the benchmark scene.
-        family, name: of the setting.
-        effort: values of its quality.
-        errors: of the frame at the subject's camera.
-        seconds: of the timed frames, in the order of the rounds.
-        first_s: of the first frame with this setting, which compiles kernels.
-        sampling: sampling statistics of the frame.
-        variant: of Mitsuba.
-    """
-
-    scene: str
-    family: str
-    name: str
-    effort: Mapping[str, Any]
-    errors: Errors
-    seconds: tuple[float, ...]
-    first_s: float
-    sampling: Mapping[str, Any] = field(default_factory=dict)
-    variant: str = ""
+    scene: str  # name of the benchmark scene
+    family: str  # of the setting
+    name: str  # of the setting
+    effort: Mapping[str, Any]  # values of its quality
+    errors: Errors  # of the frame at the subject's camera
+    seconds: tuple[float, ...]  # of the timed frames, in the order of the rounds
+    first_s: float  # of the first frame with this setting, which compiles kernels
+    sampling: Mapping[str, Any] = field(default_factory=dict)  # sampling statistics of the frame
+    variant: str = ""  # of Mitsuba
 
     @property
     def median_s(self) -> float:
@@ -85,7 +74,7 @@ def measure_settings(
     first_frames: list[BenchResult] = []
     for number, setting in enumerate(settings):
         if limit_s is not None and first_frames and perf_counter() - start > _FIRST_FRAMES * limit_s:
-            names = "; ".join(f"{late.family}, {late.name}" for late in settings[number:])
+            names = "; ".join(f"{skipped.family}, {skipped.name}" for skipped in settings[number:])
             on_progress(f"{subject.name}: no time for {names}")
             break
         before = perf_counter()
@@ -114,16 +103,16 @@ def measure_settings(
         del frame
 
     seconds: list[list[float]] = [[] for _ in first_frames]
-    for turn in range(runs):
-        if turn and limit_s is not None and perf_counter() - start > limit_s:
-            on_progress(f"{subject.name}: no time for more than {turn} of {runs} rounds")
+    for round_ in range(runs):
+        if round_ and limit_s is not None and perf_counter() - start > limit_s:
+            on_progress(f"{subject.name}: no time for more than {round_} of {runs} rounds")
             break
         for number, setting in enumerate(settings[: len(first_frames)]):
-            camera = subject.path[(turn + number) % len(subject.path)]
+            camera = subject.path[(round_ + number) % len(subject.path)]
             before = perf_counter()
-            subject.render(setting.quality, 1000 * (turn + 1) + number, camera, full=setting.full_scene)
+            subject.render(setting.quality, 1000 * (round_ + 1) + number, camera, full=setting.full_scene)
             seconds[number].append(perf_counter() - before)
-        on_progress(f"{subject.name}: round {turn + 1} of {runs} done")
+        on_progress(f"{subject.name}: round {round_ + 1} of {runs} done")
     return [
         replace(result, seconds=tuple(times)) for result, times in zip(first_frames, seconds, strict=True)
     ]

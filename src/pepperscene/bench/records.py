@@ -146,7 +146,7 @@ def results_csv(results: Sequence[BenchResult]) -> str:
 
 
 def write_results(
-    folder: Path, name: str, content: Mapping[str, Any], markdown: str, others: Mapping[str, bytes]
+    folder: Path, name: str, content: Mapping[str, Any], markdown: str, extra_files: Mapping[str, bytes]
 ) -> tuple[Path, ...]:
     """Write `name.json`, `name.md` and other files into a folder, all or none.
 
@@ -156,7 +156,7 @@ def write_results(
     files = {
         f"{name}.json": canonical_json(_replace_nan({"format": FORMAT, **content})),
         f"{name}.md": markdown.encode(),
-        **others,
+        **extra_files,
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)

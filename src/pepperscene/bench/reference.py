@@ -198,12 +198,12 @@ def render_reference(
         now = perf_counter()
         if halves.renders >= 2:
             reference = halves.reference(camera)
-            late = limit_s is not None and now - start > limit_s
-            done = reference.error_codes <= target_codes or late
-            if done or now - saved > _SAVE_INTERVAL_S:
+            is_late = limit_s is not None and now - start > limit_s
+            is_done = reference.error_codes <= target_codes or is_late
+            if is_done or now - saved > _SAVE_INTERVAL_S:
                 _write(path, halves)
                 saved = now
-            if done:
+            if is_done:
                 return reference
             on_progress(
                 f"{subject.name}: reference, {halves.renders} images, {reference.error_codes:.3f} of "

@@ -49,8 +49,7 @@ def time_at_error(error: float, points: Sequence[Point]) -> tuple[float, bool] |
         points: of one family of settings.
 
     Returns:
-        The seconds, and whether they are extrapolated; None with fewer than two points on the front, or too
-        far beyond it.
+        Seconds, and whether they are extrapolated; None for fewer than two points, or too far away.
 
     Raises:
         ValueError: the error is not above 0.
@@ -221,11 +220,11 @@ def plot_pareto(
 def _draw_results(axes: Axes, results: Sequence[BenchResult], floor: float | None) -> None:
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    used: list[str] = []
+    families: list[str] = []
     for family in dict.fromkeys(result.family for result in results):
         colour = next((c for start, c in _COLOURS.items() if family.startswith(start)), _OTHER_COLOUR)
-        style = used.count(colour) % len(_MARKERS)
-        used.append(colour)
+        style = families.count(colour) % len(_MARKERS)
+        families.append(colour)
         members = [result for result in results if result.family == family]
         points = sorted((result.median_s, result.errors.rmse_codes) for result in members)
         # Named qualities are single points with a name, not a line.

@@ -110,7 +110,7 @@ def run_benchmark(
     markdown = (
         "\n\n".join([describe_machine(machine), *(_scene_markdown(scene) for scene in measured)]) + "\n"
     )
-    others = {"results.csv": results_csv(results).encode()}
+    extra_files = {"results.csv": results_csv(results).encode()}
     for scene in measured:
         plots = plot_pareto(
             scene.results,
@@ -118,8 +118,8 @@ def run_benchmark(
             f"{scene.scene.description}; {scene.camera.width}x{scene.camera.height}",
             scene.reference.error_codes,
         )
-        others |= {f"pareto_{scene.scene.name}.{suffix}": plot for suffix, plot in plots.items()}
-    return BenchmarkFiles(write_results(folder, "results", content, markdown, others), markdown)
+        extra_files |= {f"pareto_{scene.scene.name}.{suffix}": plot for suffix, plot in plots.items()}
+    return BenchmarkFiles(write_results(folder, "results", content, markdown, extra_files), markdown)
 
 
 def check_arguments(folder: Path, runs: int, budget_s: float | None = None) -> None:

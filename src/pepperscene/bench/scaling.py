@@ -46,8 +46,7 @@ def measure_scaling(
 ) -> BenchmarkFiles:
     """Measure cost against plants, triangles, pixels, frames and workers; write `scaling.*`.
 
-    Arguments and errors are those of `run_benchmark`; no extra is needed. `quick` renders drafts of fewer and
-    smaller scenes.
+    Arguments and errors as of `run_benchmark`; no extra is needed. `quick` renders fewer, smaller drafts.
     """
     folder = Path(out)
     check_arguments(folder, runs)

@@ -59,8 +59,7 @@ def raw_frame(
 def camera_rgb(electrons: ArrayLike, camera: Camera, rng: np.random.Generator | None = None) -> Floats:
     """`(h, w, c)` linear device colour of the image pixels: black is 0, full scale is 1.
 
-    Noise can make values slightly negative, and demosaicing can make them exceed 1; without saturation they
-    can be far above 1.
+    Noise can make values slightly negative, or, by demosaicing, above 1; without saturation far above 1.
 
     Raises:
         ValueError: as `develop`.
@@ -103,8 +102,7 @@ def colour_transform(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.fl
     ones, or the identity, if the step is left out. Clipping is not included.
 
     Raises:
-        ValueError: the sensor is monochrome, or the white balance needs a flash that the camera does not
-            have.
+        ValueError: the sensor is monochrome, or the white balance needs a missing flash.
         InputError: the sensor cannot distinguish colours under the reference light.
     """
     _check_has_colours(camera)

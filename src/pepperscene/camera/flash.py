@@ -87,8 +87,7 @@ class Flash:
 
         On its axis, a point of intensity I gives E = I / d^2. At the distance rho from the axis, at the angle
         theta = atan(rho / d), E = I p(theta) cos(theta) / (d^2 + rho^2). Each of k discs emits I / k, evenly
-        over its area, so E / I is the mean of p(theta) cos(theta) / (d^2 + rho^2) over all points of all
-        discs.
+        over its area, so E / I is the mean of p(theta) cos(theta) / (d^2 + rho^2) over all discs.
         """
         return 1.0 / self._irradiance_per_intensity
 

@@ -42,8 +42,7 @@ class Sensor:
         quantum_efficiency: `(c, n)` photo-electrons per incident photon (the spectral response functions,
             SRF), with any filter that belongs to the sensor; c = 3 for red, green and blue photosites, or 1.
         full_well_e: electrons at which a photosite is full.
-        read_noise_e: standard deviation of the temporal dark noise of one photosite, in electrons, at every
-            gain.
+        read_noise_e: temporal dark noise of one photosite (standard deviation), in electrons, at every gain.
         bits: resolution of the analogue-to-digital converter, 1 to 16.
         black_level_dn: digital number of a dark photosite.
         binning: photosites per pixel and direction: 1 or even on Bayer sensors, any on monochrome ones.
@@ -135,8 +134,8 @@ class Sensor:
         """The same sensor behind a filter of this transmittance `(n,)`, at the wavelengths of both curves."""
         sensor_nm, filter_nm = self.quantum_efficiency.wavelength_nm, transmittance.wavelength_nm
         # A filter that ends within the sensor's range falls to 0 there, not by the sensor's next node.
-        ends = np.nextafter(filter_nm[[0, -1]], [-np.inf, np.inf])
-        nm = np.unique(np.concatenate([sensor_nm, filter_nm, ends]))
+        limits = np.nextafter(filter_nm[[0, -1]], [-np.inf, np.inf])
+        nm = np.unique(np.concatenate([sensor_nm, filter_nm, limits]))
         nm = nm[(nm >= sensor_nm[0]) & (nm <= sensor_nm[-1])]
         product = Spectrum(nm, self.quantum_efficiency.at(nm) * transmittance.at(nm))
         return dataclasses.replace(self, quantum_efficiency=product)

@@ -142,8 +142,8 @@ def plant(
         cultivar, out, seed, detail=detail, until=until, share=share, picture=picture, quality=quality
     )
     typer.echo(
-        f"{result.cultivar}, seed {seed}: {sum(result.organs.values()):,} organs, {result.triangles:,} triangles, "
-        f"{result.height_m:.2f} m tall, grown in {result.seconds:.2f} s"
+        f"{result.cultivar}, seed {seed}: {sum(result.organs.values()):,} organs, "
+        f"{result.triangles:,} triangles, {result.height_m:.2f} m tall, grown in {result.seconds:.2f} s"
     )
     for kind, count in result.organs.items():
         typer.echo(f"  {count:>4} {kind}")

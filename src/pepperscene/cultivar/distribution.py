@@ -169,8 +169,8 @@ class Distribution(Origin):
         if self.family == "histogram":
             starts, lows, highs, weights = _cumulative_bins(self.bins)
             index = np.searchsorted(starts, probability, side="right") - 1
-            within = np.minimum((probability - starts[index]) / weights[index], 1.0)
-            return lows[index] + within * (highs[index] - lows[index])
+            bin_fraction = np.minimum((probability - starts[index]) / weights[index], 1.0)
+            return lows[index] + bin_fraction * (highs[index] - lows[index])
         if self.family == "curve":
             if position is None:
                 raise ValueError("a curve along the stem needs positions")

@@ -64,8 +64,7 @@ def mesh_files(
       mean pigment state as extras; y up, as glTF requires.
     - `.obj`: a group for each organ, a material for each class and surface in the colour of the class, in a
       second file, `.mtl`; z up.
-    - `.ply`: class colours, surface coordinates and pigment state at the vertices; class and instance of the
-      faces; z up.
+    - `.ply`: class colours, uv and pigment state at the vertices; class and instance of the faces; z up.
     - `.stl`: bare triangles, z up.
 
     Args:

@@ -270,11 +270,11 @@ def _mean_items(slot: Slot) -> float:
 
 def _mean_probability(slot: Slot, name: str, phytomers: Phytomers) -> FloatArray | float:
     """Probability of an outcome along the stem; flushes leave it unchanged on average over plants."""
-    stated = slot.what.probabilities[name]
+    probability = slot.what.probabilities[name]
     if slot.descent is None or slot.filled == 0:
-        return stated
+        return probability
     fraction = slot.what.probabilities[slot.descent.of] / slot.filled
     excess = slot.descent.by.mean * phytomers.descent(slot)
     if name == slot.descent.of:
-        return np.asarray(stated + slot.filled * excess)
-    return np.asarray(stated * (1.0 - excess / (1.0 - fraction))) if fraction < 1.0 else stated
+        return np.asarray(probability + slot.filled * excess)
+    return np.asarray(probability * (1.0 - excess / (1.0 - fraction))) if fraction < 1.0 else probability

@@ -91,8 +91,8 @@ def orthogonal_units(vector: FloatArray, axis: FloatArray) -> FloatArray:
     parallel = square < 1e-24
     if parallel.any():
         # The coordinate axis that is farthest from it.
-        other = np.eye(3)[np.argmin(np.abs(axis[parallel]), axis=1)]
-        result[parallel] = other - dot(other, axis[parallel])[:, None] * axis[parallel]
+        fallback = np.eye(3)[np.argmin(np.abs(axis[parallel]), axis=1)]
+        result[parallel] = fallback - dot(fallback, axis[parallel])[:, None] * axis[parallel]
         square = dot(result, result)
     return np.asarray(result / np.sqrt(square)[:, None])
 

@@ -134,15 +134,15 @@ def outcome_probabilities(
     """
     kinds = slot.kinds
     # Files give probabilities with few digits.
-    stated = np.array([slot.what.probabilities[kind] for kind in kinds])
-    stated = stated / sum(slot.what.probabilities.values())
-    filled = stated.sum()
+    base = np.array([slot.what.probabilities[kind] for kind in kinds])
+    base = base / sum(slot.what.probabilities.values())
+    filled = base.sum()
     result = np.empty((len(slots), len(kinds) + 1))
-    result[:, :-1] = stated
+    result[:, :-1] = base
     if slot.descent is not None and filled > 0:
         by = slot.descent.by.quantiles(uniforms(slots, "descent"), phytomers.heights[phytomer])
         column = kinds.index(slot.descent.of)
-        mean = stated[column] / filled
+        mean = base[column] / filled
         fraction = np.clip(mean + by * phytomers.descent(slot)[phytomer], 0.0, 1.0)
         if mean < 1.0:
             result[:, :-1] *= ((1.0 - fraction) / (1.0 - mean))[:, None]
@@ -154,8 +154,8 @@ def outcome_probabilities(
         strength = slot.flush.strength.quantiles(uniforms(slots, "strength"), phytomers.positions[phytomer])
         factor = 1.0 + strength * wave
         result[:, :-1] *= np.clip(factor, 0.0, 1.0 / filled if filled > 0 else 1.0)[:, None]
-    nothing = 1.0 - result[:, :-1].sum(axis=1)
-    result[:, -1] = np.where(nothing > _ROUNDING, nothing, 0.0)
+    remainder = 1.0 - result[:, :-1].sum(axis=1)
+    result[:, -1] = np.where(remainder > _ROUNDING, remainder, 0.0)
     result[:, :-1][exhausted] = 0.0
     return result
 

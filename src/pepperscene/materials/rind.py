@@ -200,6 +200,6 @@ def _dry_material(visible_column: str, infrared_column: str) -> Spectrum:
     last_nm = visible.wavelength_nm[-1]
     beyond_nm = infrared.wavelength_nm[infrared.wavelength_nm > last_nm]
     ratio, last_ratio = (_absorption_per_scattering(infrared.at(nm)) for nm in (beyond_nm, last_nm))
-    beyond = _thick_reflectance(ratio / last_ratio * _absorption_per_scattering(visible.values[-1:]))
+    extrapolated = _thick_reflectance(ratio / last_ratio * _absorption_per_scattering(visible.values[-1:]))
     nm = np.concatenate([visible.wavelength_nm, beyond_nm])
-    return Spectrum(nm, np.concatenate([visible.values, beyond]), "hold")
+    return Spectrum(nm, np.concatenate([visible.values, extrapolated]), "hold")

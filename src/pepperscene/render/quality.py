@@ -26,8 +26,7 @@ class Quality:
         soft: how many of them trace indirect light as well: daylight on surfaces, and light that was
             scattered more than once.
         most: largest number per pixel, for adaptive sampling of edges.
-        bounces: scattering events after the first hit. Of the light of `barth2018` two bounces lose 0.15 %,
-            one loses 1 %.
+        bounces: scattering events after the first hit. Of the light of `barth2018` two lose 0.15 %, one 1 %.
         target: standard error of a pixel's mean over the sensor noise at that signal, at which sampling
             stops; None for `samples` in every pixel.
         denoise: whether indirect light is denoised.

@@ -140,8 +140,7 @@ class Cover:
     Attributes:
         transmittance: fraction of the sky's light that passes, scattered or not, in [0, 1].
         haze: fraction of the transmitted light that is scattered, in [0, 1].
-        haze_width_rad: standard deviation of its direction along each of two axes (see `Haze`); unused
-            without haze.
+        haze_width_rad: standard deviation of its direction per axis (see `Haze`); unused without haze.
 
     Raises:
         ValueError: a number is out of range, or no visible light passes.

@@ -84,22 +84,14 @@ def light_reach(camera: Camera, distance_m: float, sky_lx: float, sun_lx: float 
 
 @dataclass(frozen=True, eq=False)
 class Chunks:
-    """Runs of faces that are kept or removed together: an instance, or a part of a long one.
+    """Runs of faces that are kept or removed together: an instance, or a part of a long one."""
 
-    Attributes:
-        faces: `(n + 1,)` first face of each chunk, and the end of the last.
-        vertices: `(n, 2)` first vertex that a chunk uses and the one after the last.
-        whole: `(n,)` whether it contains all faces of its instance.
-        centres, half_extents: `(n, 3)` float32, metres, of its axis-aligned bounding box.
-        radii: `(n,)` float32, metres, of the ball around the box.
-    """
-
-    faces: NDArray[np.intp]
-    vertices: NDArray[np.intp]
-    whole: NDArray[np.bool_]
-    centres: NDArray[np.float32]
-    half_extents: NDArray[np.float32]
-    radii: NDArray[np.float32]
+    faces: NDArray[np.intp]  # `(n + 1,)` first face of each chunk, and the end of the last
+    vertices: NDArray[np.intp]  # `(n, 2)` first vertex that a chunk uses and the one after the last
+    whole: NDArray[np.bool_]  # `(n,)` whether it contains all faces of its instance
+    centres: NDArray[np.float32]  # `(n, 3)` float32, metres, of its axis-aligned bounding box
+    half_extents: NDArray[np.float32]  # `(n, 3)` float32, metres, of its axis-aligned bounding box
+    radii: NDArray[np.float32]  # `(n,)` float32, metres, of the ball around the box
 
 
 def mesh_chunks(mesh: Mesh) -> Chunks:
@@ -120,14 +112,14 @@ def mesh_chunks(mesh: Mesh) -> Chunks:
     stop = np.maximum.reduceat(corners, 3 * starts).astype(np.intp) + 1
     vertices = np.stack([first, stop], axis=1)
     points = np.concatenate([mesh.vertices, mesh.vertices[-1:]])  # `reduceat` needs a point at every stop
-    least: NDArray[np.float32] = np.minimum.reduceat(points, vertices.ravel(), axis=0)[::2]
+    lowest: NDArray[np.float32] = np.minimum.reduceat(points, vertices.ravel(), axis=0)[::2]
     greatest: NDArray[np.float32] = np.maximum.reduceat(points, vertices.ravel(), axis=0)[::2]
-    half = (greatest - least) / 2.0
+    half = (greatest - lowest) / 2.0
     return Chunks(
         np.append(starts, len(mesh.faces)),
         vertices,
         is_whole,
-        least + half,
+        lowest + half,
         half,
         np.asarray(np.linalg.norm(half, axis=1)),
     )

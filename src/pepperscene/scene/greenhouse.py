@@ -44,8 +44,8 @@ def beam(section: ArrayLike, ends: tuple[float, float], surface: str, *, smooth:
     corners = np.asarray(section, dtype=float)
     k = len(corners)
     edge = np.roll(corners, -1, axis=0) - corners
-    turn = edge[:, 0] * np.roll(edge, -1, axis=0)[:, 1] - edge[:, 1] * np.roll(edge, -1, axis=0)[:, 0]
-    if k < 3 or not np.all(turn > 0.0) or not ends[0] < ends[1]:
+    turning = edge[:, 0] * np.roll(edge, -1, axis=0)[:, 1] - edge[:, 1] * np.roll(edge, -1, axis=0)[:, 0]
+    if k < 3 or not np.all(turning > 0.0) or not ends[0] < ends[1]:
         raise ValueError("a beam needs a convex, counter-clockwise section and ascending ends")
     outward = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)

@@ -106,8 +106,7 @@ def simplify_organs(
 ) -> tuple[list[Triangles], NDArray[np.bool_]]:
     """The triangles of simplified organs, and `(n,)` which organs were simplified.
 
-    `face_ranges` and `vertex_ranges`, `(n, 2)`, are the first face and vertex of each organ and those after
-    its last.
+    `face_ranges` and `vertex_ranges`, `(n, 2)`, are the half-open ranges of each organ.
     """
     simplified = np.zeros(len(face_ranges), dtype=bool)
     parts = []

@@ -118,8 +118,7 @@ class Scene:
         mesh: all triangles.
         surfaces: one for each of `mesh.surfaces`, in that order; empty if only labels are rendered.
         sky: daylight, or None for a night scene.
-        skeleton: the plants whose organs are the first instances of the mesh; None if the output "harvest" is
-            not needed.
+        skeleton: plants whose organs are the first instances of the mesh; None without output "harvest".
     """
 
     mesh: Mesh

@@ -143,8 +143,7 @@ def _cell_error(file: Path, row: int, column: str, value: object, allowed: str) 
     return InputError(file, allowed, key=f"row {row + 2}, column {column}", value=value)
 
 
-# Bounds of device and cover files, wider than anything that can be built; they catch wrong units and typing
-# errors.
+# Bounds of device and cover files, wider than any device; they catch wrong units and typing errors.
 NonNegative = Annotated[float, Field(ge=0, le=1e6)]
 Millimetres = Annotated[float, Field(ge=-1e6, le=1e6)]
 Coefficient = Annotated[float, Field(ge=-100, le=100)]

@@ -26,8 +26,7 @@ SkyKind = Literal["d50", "d55", "d65", "d75"]
 def colour_science() -> ModuleType:
     """Import and return the package `colour`.
 
-    It warns if matplotlib is missing, which only its plots need. The warning is suppressed, because nothing
-    here plots.
+    It warns if matplotlib is missing, which only its plots need. The warning is suppressed here.
     """
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", '"Matplotlib" related API features are not available')

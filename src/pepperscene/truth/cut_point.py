@@ -123,12 +123,10 @@ class Approach:
     The harvest robots of Wageningen reach for a sweet pepper in the horizontal plane, on the line through the
     centres of fruit and stem, so the cutter passes between the two. Barth, Hemming & van Henten 2019 ("Angle
     estimation between plant parts for grasp optimisation in harvest robots", Biosystems Engineering 183,
-    26-46) estimate that angle between fruit and stem from colour images; their tool tolerates an error of 25
-    degrees.
+    26-46) estimate that angle between fruit and stem from colour images; their tool tolerates 25 degrees.
 
     Attributes:
-        direction: `(3,)` horizontal unit vector in the world in which the tool moves: from the fruit's centre
-            to the stem.
+        direction: `(3,)` horizontal unit vector of the tool's motion, from the fruit's centre to the stem.
         stem: `(3,)` world metres, the stem's centre at the fruit's height.
     """
 

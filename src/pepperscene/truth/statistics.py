@@ -26,8 +26,7 @@ def hue_bins(colour: NDArray[np.uint8]) -> NDArray[np.int16]:
     """Bin numbers of the HSV hues of 8-bit sRGB pixels.
 
     The bins are those of OpenCV's 8-bit hue; Barth et al. 2018 do not give theirs. Hues that a few grey
-    values can produce (60, 120 degrees and so on, in dark pixels) are inside such a bin and not on its
-    border.
+    values can produce (60, 120 degrees and so on, in dark pixels) are inside a bin, not on its border.
 
     Args:
         colour: `(..., 3)` uint8.
@@ -141,8 +140,7 @@ class ImageStatistics:
         labelled: number of those with classes.
         pixels: `(8,)`, labelled pixels of each class.
         unlabelled: pixels of label images whose value is no class id.
-        hue_pictures: `(8,)`, number of images whose centre shows a class; the hue spectra are means over
-            these.
+        hue_pictures: `(8,)`, number of images whose centre shows a class, for mean hue spectra.
         intensities: mean grey value of each photograph, in the order added.
         saturated: fraction of pixels with a channel at 255 of each photograph.
     """

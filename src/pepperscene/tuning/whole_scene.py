@@ -78,12 +78,12 @@ def render_statistics(recipe: Recipe, frames: int, quality: str = "draft") -> Sc
     total = plan.sets * plan.rotations * plan.frames
     count = min(frames, total)
     # Midpoints of equal parts of the plan.
-    chosen = [(2 * k + 1) * total // (2 * count) for k in range(count)]
+    indices = [(2 * k + 1) * total // (2 * count) for k in range(count)]
     with tempfile.TemporaryDirectory(prefix="pepperscene-") as folder:
         options = BuildOptions(quality)
-        dataset = build(recipe, Path(folder) / "frames", chosen, OUTPUTS, options).dataset
-        picture = dataset.image(chosen[count // 2], "colour")
-        return SceneStatistics(open_patches(dataset.folder), _mean_electrons(dataset, chosen), picture)
+        dataset = build(recipe, Path(folder) / "frames", indices, OUTPUTS, options).dataset
+        picture = dataset.image(indices[count // 2], "colour")
+        return SceneStatistics(open_patches(dataset.folder), _mean_electrons(dataset, indices), picture)
 
 
 def _mean_electrons(dataset: Dataset, frames: Sequence[int]) -> dict[str, Array]:

@@ -133,9 +133,9 @@ def tune(
     check_folder(Path(out))
     date = when or datetime.date.today()
     write = partial(write_tuned, loaded, patches=fitted, when=date, extends=source, options=options)
-    fit_to = partial(fit_parameters, target, seed=seed, on_progress=on_progress)
+    run_fit = partial(fit_parameters, target, seed=seed, on_progress=on_progress)
     if not verify:
-        fit = fit_to(target.problem(names), starts=starts)
+        fit = run_fit(target.problem(names), starts=starts)
         return TuningResult(fit, write(fit, out), None)
 
     # Measure the effect of neighbours in the whole scene, fit with it, and repeat with the tuned scene.
@@ -143,7 +143,7 @@ def tune(
     neighbours = neighbour_effects(target, target.tuned_parts({}), before)
     for round_ in range(1, MAX_ROUNDS + 1):
         problem = target.problem(names, neighbours)
-        fit = fit_to(problem, starts=starts if round_ == 1 else 1)
+        fit = run_fit(problem, starts=starts if round_ == 1 else 1)
         with tempfile.TemporaryDirectory(prefix="pepperscene-") as folder:
             after = render_statistics(load_recipe(write(fit, folder)[0]), verify, quality)
         difference = largest_difference(problem, fit.tuned_parts, after)

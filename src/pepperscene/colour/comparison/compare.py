@@ -79,12 +79,12 @@ def compare(
 def _kinds(sets: Sets) -> list[str]:
     """Classes in either set, and their stages if both sets have them, in the order of the classes."""
     staged = sets[0].classes_with_stages() & sets[1].classes_with_stages()
-    seen = set[str]()
+    names = set[str]()
     for side in sets:
-        seen |= side.kinds.keys()
-        seen |= {organ.name.lower() for organ in OrganClass if side.statistics.class_pixels[organ]}
+        names |= side.kinds.keys()
+        names |= {organ.name.lower() for organ in OrganClass if side.statistics.class_pixels[organ]}
     return sorted(
-        (kind for kind in seen if "." not in kind or kind.partition(".")[0] in staged),
+        (kind for kind in names if "." not in kind or kind.partition(".")[0] in staged),
         key=lambda kind: (_ORDER.index(kind.partition(".")[0]), kind),
     )
 
@@ -104,13 +104,13 @@ def _estimate_pair(
 
 def _compare_kind(kind: str, sets: Sets) -> KindComparison:
     """All measures of a kind; those that are unknown give the reason."""
-    places = _compare_places(kind, sets)
+    place_similarity = _compare_places(kind, sets)
     sides = [_measure_kind(kind, side) for side in sets]
     rows = [sums for side in sets if (sums := side.totals(kind)) is not None]
     if len(rows) < 2:
         unseen = next(side for side in sets if kind not in side.kinds)
         unknown = unknown_estimate(_why_unseen(kind, unseen))
-        return KindComparison(kind, unknown, unknown, unknown, *places, *sides)
+        return KindComparison(kind, unknown, unknown, unknown, *place_similarity, *sides)
     resampled = min(side.kinds[kind].count for side in sets) > 1
     spectra = [similarity.hue_spectra(sums) for sums in rows]
     return KindComparison(
@@ -118,7 +118,7 @@ def _compare_kind(kind: str, sets: Sets) -> KindComparison:
         _estimate_pair(similarity.correlation, spectra, resampled, _ALL_GREY),
         _estimate_pair(circular_emd, spectra, resampled, _ALL_GREY),
         estimate_values(delta_e_2000(*(similarity.mean_labs(sums) for sums in rows)), resampled),
-        *places,
+        *place_similarity,
         *sides,
     )
 

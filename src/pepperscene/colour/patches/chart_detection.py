@@ -207,8 +207,8 @@ def _grow_grid(regions: _Regions, seed: int) -> dict[int, tuple[int, int]]:
             if neighbour is None or neighbour in cells or cell in cells.values():
                 continue
             cells[neighbour] = cell
-            moved = regions.centres[neighbour] - regions.centres[current]
-            queue.append((neighbour, (moved * column, down) if column else (along, moved * row)))
+            offset = regions.centres[neighbour] - regions.centres[current]
+            queue.append((neighbour, (offset * column, down) if column else (along, offset * row)))
     return cells
 
 

@@ -129,9 +129,9 @@ def _class_fractions(classes: NDArray[np.uint8] | None) -> tuple[float, ...] | N
 
 def _row_digest(metadata: Mapping[str, Any]) -> int:
     outputs = {name: entry for name, entry in json_object(metadata, "outputs").items() if name in OUTPUTS}
-    rest = {key: value for key, value in metadata.items() if key not in (CHECKSUM, "outputs")}
+    content = {key: value for key, value in metadata.items() if key not in (CHECKSUM, "outputs")}
     try:
-        return manifest_digest(frame_row(rest, outputs, str(metadata.get(CHECKSUM))))
+        return manifest_digest(frame_row(content, outputs, str(metadata.get(CHECKSUM))))
     except (AttributeError, IndexError, KeyError, TypeError):
         # Damaged JSON, which is a finding already.
         return 0

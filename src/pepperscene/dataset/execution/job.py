@@ -130,8 +130,7 @@ class FrameMaker:
     Args:
         job: of the build.
         worker: name of this process, for the manifest.
-        eager: report a frame in the writing thread, at once; by default in the calling thread, once the next
-            one is rendered.
+        eager: report a frame at once, in the writing thread; by default in this one, after the next frame.
     """
 
     def __init__(self, job: BuildJob, worker: str = "", *, eager: bool = False) -> None:

@@ -202,9 +202,9 @@ def _check_accepted(path: Path, job_script: str) -> None:
     with tempfile.NamedTemporaryFile("w", suffix=".sh") as file:
         file.write(job_script)
         file.flush()
-        answer = _run(["sbatch", "--test-only", file.name])
-    if answer is None or answer.returncode:
-        reason = "no answer" if answer is None else (answer.stderr.strip() or answer.stdout.strip())
+        result = _run(["sbatch", "--test-only", file.name])
+    if result is None or result.returncode:
+        reason = "no answer" if result is None else (result.stderr.strip() or result.stdout.strip())
         raise InputError(path, f"Slurm refuses such a job: {' '.join(reason.split())}")
 
 
@@ -247,5 +247,5 @@ class _Upkeep:
         numbers = [str(worker.job_id) for worker in workers.values() if worker.job_id is not None]
         if not numbers:
             return False
-        answer = _run(["squeue", "--noheader", "--format=%i", f"--jobs={','.join(numbers)}"])
-        return answer is not None and bool(answer.stdout.strip())
+        result = _run(["squeue", "--noheader", "--format=%i", f"--jobs={','.join(numbers)}"])
+        return result is not None and bool(result.stdout.strip())

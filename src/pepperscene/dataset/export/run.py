@@ -81,8 +81,7 @@ def export_dataset(
         smallest_px: visible pixels below which an organ is not a separate object; None for the default.
 
     Raises:
-        InputError: there is no data set or no frame, an argument is not valid, an output is missing, or a
-            file is damaged.
+        InputError: there is no data set or frame, an argument is invalid, an output missing, a file damaged.
         OutputError: the folder is not empty or cannot be written to.
         SetupError: a library that the format needs is not installed.
     """
@@ -114,8 +113,8 @@ def _select_frames(dataset: Dataset, frames: str | None) -> tuple[int, ...]:
         raise InputError(dataset.folder, "holds no frames yet; build some first")
     if frames is None:
         return indices
-    wanted = set(Plan.model_validate(dataset.info["recipe"]["plan"]).select_indices(frames))
-    selected = tuple(index for index in indices if index in wanted)
+    selection = set(Plan.model_validate(dataset.info["recipe"]["plan"]).select_indices(frames))
+    selected = tuple(index for index in indices if index in selection)
     if not selected:
         raise ArgumentError("frames", f"{frames!r} holds none of the data set's frames")
     return selected

@@ -28,8 +28,7 @@ class Splits:
     """Assignment of frames to splits.
 
     Attributes:
-        ranges: (name, indices) pairs that do not overlap; a name may have several, and frames in none are
-            left out.
+        ranges: (name, indices) pairs that do not overlap; a name may have several, other frames are left out.
     """
 
     ranges: tuple[tuple[str, range], ...] = ((DEFAULT_SPLIT, range(2**31)),)

@@ -180,12 +180,12 @@ def _with_origin(error: InputError, layers: list[_Layer]) -> InputError:
 def _layers(path: Path) -> list[_Layer]:
     """The tables of a recipe file and of those that it extends, in that order."""
     layers: list[_Layer] = []
-    seen: list[Path] = []
+    visited: list[Path] = []
     while True:
-        if path.resolve() in seen or len(seen) == _MAX_CHAIN:
+        if path.resolve() in visited or len(visited) == _MAX_CHAIN:
             problem = f"`extends` forms a cycle, or is longer than {_MAX_CHAIN} files"
-            raise InputError(seen[-1], problem, key="extends", value=str(path))
-        seen.append(path.resolve())
+            raise InputError(visited[-1], problem, key="extends", value=str(path))
+        visited.append(path.resolve())
         table = read_toml(path)
         base = table.pop("extends", None)
         _resolve_paths(table, path.parent)

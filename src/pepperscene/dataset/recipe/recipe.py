@@ -31,8 +31,7 @@ _MATERIALS: Final = (
 
 
 class Recipe(Document):
-    """A recipe fully defines a data set: with the version of this package it determines every byte of every
-    frame.
+    """A recipe fully defines a data set: with the package version it determines every byte of a frame.
 
     Attributes:
         name: of the data set.

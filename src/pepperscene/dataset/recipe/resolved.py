@@ -162,8 +162,8 @@ def surface_wavelengths(sensor: Sensor) -> NDArray[np.float64]:
     if not sensitive.size:
         raise ValueError("is not sensitive at any wavelength")
     # The curves fall to zero at the neighbouring entries.
-    ends = [max(sensitive[0] - 1, 0), min(sensitive[-1] + 1, efficiency.wavelength_nm.size - 1)]
-    nm = efficiency.wavelength_nm[ends]
+    limits = [max(sensitive[0] - 1, 0), min(sensitive[-1] + 1, efficiency.wavelength_nm.size - 1)]
+    nm = efficiency.wavelength_nm[limits]
     first, last = GRID_STEP_NM * np.floor(nm[0] / GRID_STEP_NM), GRID_STEP_NM * np.ceil(nm[1] / GRID_STEP_NM)
     if last > MAX_WAVELENGTH_NM:
         raise ValueError(

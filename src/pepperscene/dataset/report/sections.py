@@ -39,7 +39,7 @@ def class_fractions_html(sets: Sequence[SetSummary]) -> str:
     if not known:
         return "<p>No frame has class labels yet.</p>"
     scale = max(float(values.max()) for values in known)
-    heads = "".join(f'<th scope="col">{set_label(item)}</th>' for item in sets)
+    header_cells = "".join(f'<th scope="col">{set_label(item)}</th>' for item in sets)
     rows = []
     for organ in OrganClass:
         values = {item.key: float(fractions[item.key][0][organ]) for item in sets}
@@ -63,7 +63,7 @@ def class_fractions_html(sets: Sequence[SetSummary]) -> str:
     )
     return (
         f'<table class="fractions" style="--sets: {len(sets)}"><thead>'
-        f'<tr><th scope="col">Class</th>{heads}<th class="bars"></th></tr></thead>'
+        f'<tr><th scope="col">Class</th>{header_cells}<th class="bars"></th></tr></thead>'
         f"<tbody>{''.join(rows)}</tbody></table><p>Fraction of all pixels, in {counts}.</p>"
     )
 
@@ -152,9 +152,9 @@ def _cells(values: Iterable[str]) -> str:
 
 def html_table(css_class: str, heads: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]]) -> str:
     """A table from its column heads, and the head and the cells of each row."""
-    head = "".join(f'<th scope="col">{name}</th>' for name in heads)
+    header_row = "".join(f'<th scope="col">{name}</th>' for name in heads)
     body = "".join(f'<tr><th scope="row">{name}</th>{_cells(cells)}</tr>' for name, cells in rows)
-    return f'<table class="{css_class}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+    return f'<table class="{css_class}"><thead><tr>{header_row}</tr></thead><tbody>{body}</tbody></table>'
 
 
 def _percent(fraction: float, digits: int = 2) -> str:

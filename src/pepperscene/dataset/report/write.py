@@ -75,8 +75,7 @@ def write_report(
     """Write `contact_sheet.png` and `index.html` into a data set's folder, from the frames that exist.
 
     The page contains its images: it can be moved, mailed and opened without a network. It shows frames, and
-    the statistics by which Barth et al. 2018 compare image sets (Figs. 10 to 13), of the data set and of a
-    second one.
+    the statistics by which Barth et al. 2018 compare image sets (Figs. 10 to 13), of one or two data sets.
 
     Args:
         folder: of the data set.
@@ -105,8 +104,8 @@ def write_report(
     far = max((pair[1] for pair in known), default=1.0)
 
     sets, sheet_rows = [], []
-    for key, images, shown in zip("ab", image_sets, positions, strict=False):
-        summary, rows = _summarize(key, images, shown, sample, (near, far), on_progress)
+    for key, images, displayed in zip("ab", image_sets, positions, strict=False):
+        summary, rows = _summarize(key, images, displayed, sample, (near, far), on_progress)
         sets.append(summary)
         sheet_rows.append(rows)
     text = _page(dataset.info, sets, (near, far) if known else None)

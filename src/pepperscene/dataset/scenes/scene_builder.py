@@ -29,8 +29,7 @@ class BuiltScene:
 
     Attributes:
         mesh: plants first, then greenhouse and far rows.
-        contacts: fruit and blades of the plants that still touch, within plants and between them; what does
-            both counts twice.
+        contacts: fruit and blades of the plants that still touch, within plants plus between them.
         skeleton: the plants' organs, with poses as in the mesh.
     """
 
@@ -66,8 +65,8 @@ class SceneBuilder:
         ordered = rotate_row(plants[: row.front], rotation) + rotate_row(plants[row.front :], rotation)
 
         # Positions belong to the greenhouse, postures to the plants that rotate through the row.
-        places = jittered_positions(row, greenhouse, random_generator(seed, Stream.PLACE, set_index, 0))
-        feet = np.column_stack([places, np.full(len(places), greenhouse.stem_base_m)])
+        positions = jittered_positions(row, greenhouse, random_generator(seed, Stream.PLACE, set_index, 0))
+        feet = np.column_stack([positions, np.full(len(positions), greenhouse.stem_base_m)])
         turns = np.array([plant.posture.turn_rad for plant in ordered])
         across = np.array([plant.posture.across_m for plant in ordered])
         if self.recipe.greenhouse is not None:
@@ -89,7 +88,7 @@ class SceneBuilder:
         )
 
         # What surrounds it.
-        surroundings = greenhouse_mesh(row, greenhouse, places)
+        surroundings = greenhouse_mesh(row, greenhouse, positions)
         if greenhouse.far_rows > 0:
             rng = random_generator(seed, Stream.FAR, 1, set_index, rotation)
             surroundings += far_rows(self._far_models, row, greenhouse, rng)

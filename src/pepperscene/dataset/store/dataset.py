@@ -121,8 +121,8 @@ class Dataset:
 
         path = self.folder / name
         with suppress(OSError, ArrowInvalid):
-            listed = parquet.read_table(self.folder / MANIFEST, columns=["index"])["index"].to_pylist()
-            if tuple(listed) == self.indices():
+            indices = parquet.read_table(self.folder / MANIFEST, columns=["index"])["index"].to_pylist()
+            if tuple(indices) == self.indices():
                 return parquet.read_table(path)
         self.write_tables()
         if not path.is_file():
@@ -200,8 +200,8 @@ def _matches(path: Path, entry: Mapping[str, Any]) -> bool:
 
 def checksum_of(metadata: Mapping[str, Any]) -> str:
     """SHA-256 of a frame's JSON as canonical text, hexadecimal, without its own `checksum`."""
-    rest = {key: value for key, value in metadata.items() if key != CHECKSUM}
-    return hashlib.sha256(canonical_json(rest)).hexdigest()
+    content = {key: value for key, value in metadata.items() if key != CHECKSUM}
+    return hashlib.sha256(canonical_json(content)).hexdigest()
 
 
 def written_image(path: Path, image: Any, output: str, name: str) -> dict[str, Any]:

@@ -49,9 +49,9 @@ class OutputFolder:
     def prepare(self, outputs: tuple[str, ...]) -> None:
         """Make missing folders and `dataset.json`; other processes may do so at the same time."""
         self.dataset.folder.mkdir(parents=True, exist_ok=True)
-        mark = self.dataset.folder / MARK
-        if not mark.is_file():
-            write_json(mark, self.dataset.info)
+        info_file = self.dataset.folder / MARK
+        if not info_file.is_file():
+            write_json(info_file, self.dataset.info)
         for name in (*outputs, FRAMES):
             (self.dataset.folder / name).mkdir(exist_ok=True)
         self.remove_temporary_files()

@@ -137,8 +137,7 @@ def flat_blades(outline: Outlines, grid: Grid, seed: FloatArray) -> FlatBlades:
     along[..., low] = ends[..., :1] * spread[low] ** FAN_POWER
     origin = vein_origin(np.maximum(number, 0.0)) * np.minimum(spread**0.8, 5.0 * spread**FAN_POWER)
     origin[~low] = vein_origin(number[~low])
-    # Lobes are cut along the rows, so that they point where the veins do, and less deep where rows graze the
-    # margin.
+    # Lobes are cut along the rows, so that they point where the veins do, less deep at grazing angles.
     entire = outline.reach(along)
     lobed = 1.0 - (1.0 - outline.lobe_factor(along)) * (0.3 + 0.7 * spread)
     edge = entire * lobed
@@ -152,8 +151,8 @@ def flat_blades(outline: Outlines, grid: Grid, seed: FloatArray) -> FlatBlades:
         extent = outline.half_extent[:, None, None, None]
         climb = vein_rise(start, out / extent) / vein_rise(start, end / extent)
         if np.any(weight[:, :, row] < 1.0):
-            straight = (out / end) ** power[:, :, row, None]
-            climb = straight + weight[:, :, row, None] * (climb - straight)
+            fraction = (out / end) ** power[:, :, row, None]
+            climb = fraction + weight[:, :, row, None] * (climb - fraction)
         return start + (along[:, :, row, None] - start) * climb
 
     # The inside follows the lobes, less so towards the midrib.

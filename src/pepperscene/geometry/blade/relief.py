@@ -34,18 +34,20 @@ def margin_waves(
     height = np.clip(read_measure(organs, "margin_wave_m", 0.0), -0.25 * half, 0.25 * half)[:, None, None]
     count = np.clip(read_measure(organs, "margin_waves", 0.0), 0.0, 12.0)[:, None, None]
     draws = hash_uniform(flat.seed, 231, 16).reshape(-1, 2, 8, 1)
-    phase_1, phase_2, phase_3, phase, ripple, much, place, turn = (draws[:, :, k] for k in range(8))
+    phase_1, phase_2, phase_3, phase, ripple, amount, position, curl_angle = (
+        draws[:, :, k] for k in range(8)
+    )
     at, wide = flat.margin, np.minimum(flat.reach / flat.half_width[..., None], 1.0)
     warp = 0.07 * np.sin(_TURN * (1.2 * at + phase_1)) + 0.04 * np.sin(_TURN * (2.7 * at + phase_2))
     turns = count * (at + warp) + phase
-    amplitude = 1.0 - (0.25 + 0.5 * much) * (0.5 + 0.5 * np.sin(_TURN * (0.9 * at + phase_3)))
+    amplitude = 1.0 - (0.25 + 0.5 * amount) * (0.5 + 0.5 * np.sin(_TURN * (0.9 * at + phase_3)))
     waves = amplitude * np.sin(_TURN * turns) + 0.1 * np.sin(_TURN * (2.6 * turns + ripple))
     # Chosen: maximum angle at the margin of the stretch that turns over, radians up or down.
     curl = np.minimum(np.abs(read_measure(organs, "curl_rad", 0.0)), 1.5)
     max_angle = (0.5 * waviness + 0.4 * curl)[:, None, None]
-    bump = np.exp(-(((at - 0.15 - 0.7 * place) / 0.16) ** 2))
+    bump = np.exp(-(((at - 0.15 - 0.7 * position) / 0.16) ** 2))
     # Both vanish towards base and tip, where the blade is narrow.
-    return height * np.sqrt(wide) * waves, 0.2 * flat.reach * max_angle * (2.0 * turn - 1.0) * bump
+    return height * np.sqrt(wide) * waves, 0.2 * flat.reach * max_angle * (2.0 * curl_angle - 1.0) * bump
 
 
 def margin_relief(margin: FloatArray, x: FloatArray | float) -> tuple[FloatArray, FloatArray]:
@@ -60,9 +62,9 @@ def margin_relief(margin: FloatArray, x: FloatArray | float) -> tuple[FloatArray
     """
     waves, curled, reach = margin
     cube = x * x * x
-    wave, turn = waves * x, curled * (cube * x)
-    width = (2 / 3 * wave**2 + 5 / 3 * wave * turn + 25 / 18 * turn**2) * (x / reach)
-    return x * (wave + turn), width
+    wave, curl = waves * x, curled * (cube * x)
+    width = (2 / 3 * wave**2 + 5 / 3 * wave * curl + 25 / 18 * curl**2) * (x / reach)
+    return x * (wave + curl), width
 
 
 def vein_bulges(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
@@ -89,8 +91,8 @@ def vein_bulges(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
         cells = 0.75 - 0.25 * np.cos(2.0 * np.pi * (_CELLS * out + draws[..., 1, None]))
     panelled = (scale * dome)[..., None] * _dome_across(column) * cells
     # Furrows run along the veins, shallower towards the margin.
-    away = np.minimum(number % 1.0, -number % 1.0)
-    furrow = np.where(number > -0.5, np.exp(-((away / _FURROW) ** 2)), 0.0)[:, None]
+    vein_distance = np.minimum(number % 1.0, -number % 1.0)
+    furrow = np.where(number > -0.5, np.exp(-((vein_distance / _FURROW) ** 2)), 0.0)[:, None]
     taper = np.minimum(column / _RISE, 1.0) * (1.0 - 0.75 * column) * (1.0 - column**8)
     uneven = 0.3 * grid.split_halves(grid_noise(flat, 245, 0.5)) * _dome_across(column)
     # Narrow panels bulge less.

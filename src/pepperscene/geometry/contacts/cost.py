@@ -187,17 +187,17 @@ class Poses:
         transforms, cost = self.transforms(self.angles), self.effort + self.remaining
         # Examine a few first, as one of these may be free.
         first = np.arange(min(1 + _FIRST, cost.shape[1]))
-        rest = np.append(0, np.arange(len(first), cost.shape[1]))
+        remaining = np.append(0, np.arange(len(first), cost.shape[1]))
         open_units = np.arange(len(cost))
-        for columns in (first, rest):
+        for columns in (first, remaining):
             block = np.ix_(open_units, columns)
             contact = costs.cost(open_units, transforms.select(block), _STRIDE)
             cost[block] = self.effort[block] + np.maximum(self.remaining[block], contact)
-            if columns is first and len(rest) > 1:
+            if columns is first and len(remaining) > 1:
                 # Poses with a lower bound above the best cost so far need no examination.
-                decided = cost[:, first].min(axis=1) <= cost[:, len(first)]
-                cost[np.ix_(decided, rest[1:])] = np.inf
-                open_units = np.flatnonzero(~decided)
+                is_decided = cost[:, first].min(axis=1) <= cost[:, len(first)]
+                cost[np.ix_(is_decided, remaining[1:])] = np.inf
+                open_units = np.flatnonzero(~is_decided)
         return np.asarray(cost)
 
     def shorten(

@@ -69,13 +69,13 @@ def mesh_calyces(
     tooth = np.clip(read_measure(organs, "tooth", _TOOTH), 0.02, 0.9)
     stalk, stalk_axis = _stalk_ends(organs, stalks)
     radius = np.maximum(read_positive(organs, "radius_m"), 1.5 * stalk)
-    thickness, sunk = (np.minimum(part * radius, most) for part, most in (_THICKNESS, _SUNK))
+    thickness, sunk = (np.minimum(part * radius, limit) for part, limit in (_THICKNESS, _SUNK))
     # The rim, and for each column the fraction of the way to the tip of its tooth.
     angle, phase = _columns(seed, float(tooth.max()), detail)
-    long = 1.0 - 0.3 * _tooth_values(phase, hash_uniform(seed, 403, 8))
+    length_factor = 1.0 - 0.3 * _tooth_values(phase, hash_uniform(seed, 403, 8))
     aside = np.abs(2.0 * (phase - np.round(phase)))
     blade = 1.0 - aside ** (_NARROW[0] - _NARROW[1] * tooth)[:, None]
-    rim = 1.0 - tooth[:, None] + tooth[:, None] * blade * long
+    rim = 1.0 - tooth[:, None] + tooth[:, None] * blade * length_factor
     rim *= (radius / rim.max(axis=1))[:, None]
     disc = np.maximum(0.85 * (1.0 - tooth) * radius, 1.25 * stalk)[:, None]
     rim = np.maximum(rim, 1.12 * disc)

@@ -53,11 +53,11 @@ class Pericarps:
         far = np.clip(along - straight, 0.0, None)
         angle = np.linalg.norm(self.bend, axis=1)[:, None]
         side = self.bend / np.where(angle > 0.0, angle, 1.0)
-        turn = angle * far / (self.end[:, None] - straight)
+        arc_angle = angle * far / (self.end[:, None] - straight)
         # sin(x) / x and (1 - cos(x)) / x, also right for x = 0.
-        forward = far * np.sinc(turn / np.pi)
-        aside = far * 0.5 * turn * np.sinc(0.5 * turn / np.pi) ** 2
-        sine, cosine = np.sin(turn), np.cos(turn)
+        forward = far * np.sinc(arc_angle / np.pi)
+        aside = far * 0.5 * arc_angle * np.sinc(0.5 * arc_angle / np.pi) ** 2
+        sine, cosine = np.sin(arc_angle), np.cos(arc_angle)
         offset = side[:, :1] * up + side[:, 1:] * right
         across = aside + (cosine - 1.0) * offset
         return np.stack(
@@ -173,9 +173,9 @@ def _mean_profile(
         (end**point) * (start ** (1.0 - point))
         for start, end in zip((corner - 0.1, long), _POINTED, strict=True)
     )
-    turn = 0.5 * np.pi * np.linspace(0.0, 1.0, 60) ** 1.5
-    quarter_top = np.sin(turn) ** (2.0 / corner), np.cos(turn) ** (2.0 / corner)
-    back = turn[-2::-1]
+    angle = 0.5 * np.pi * np.linspace(0.0, 1.0, 60) ** 1.5
+    quarter_top = np.sin(angle) ** (2.0 / corner), np.cos(angle) ** (2.0 / corner)
+    back = angle[-2::-1]
     quarter_low = np.sin(back) ** (2.0 / across), np.cos(back) ** (2.0 / down)
     width = np.concatenate([quarter_top[0], quarter_low[0]], axis=1)
     top = np.concatenate([quarter_top[1], np.zeros_like(quarter_low[0])], axis=1)

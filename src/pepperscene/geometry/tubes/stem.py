@@ -171,8 +171,8 @@ def _node_profile(organs: Sequence[Organ], detail: float) -> tuple[FloatArray, F
     # The widest ring has the stated radius.
     widest, end = read_positive(organs, "radius_m"), read_positive(organs, "radius_end_m")
     start = read_measure(organs, "radius_start_m", end)
-    straight = start[:, None] + (end - start)[:, None] * v
-    return v, straight + (widest[:, None] - straight) * bulge / bulge.max()
+    linear = start[:, None] + (end - start)[:, None] * v
+    return v, linear + (widest[:, None] - linear) * bulge / bulge.max()
 
 
 def _grooves(seed: FloatArray, v: FloatArray, angle: FloatArray) -> FloatArray:

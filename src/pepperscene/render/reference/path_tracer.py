@@ -64,15 +64,15 @@ def surface_bsdf() -> Any:
             # Mitsuba finds the position in the triangle by normal equations, whose determinant is 0 in single
             # precision for the needle-like triangles of wires; these have one state everywhere.
             state = dr.select(dr.isfinite(state), state, 0.5)
-            turned = shading_normals(si)
-            return turned, self.optics.point(turned, surface, state, active)
+            oriented = shading_normals(si)
+            return oriented, self.optics.point(oriented, surface, state, active)
 
         def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
-            turned, point = self._point(si, active)
+            oriented, point = self._point(si, active)
             wo, density, weight, lobe = point.sample(sample1, sample2)
             bs = dr.zeros(mi.BSDFSample3f)
             # The caller's directions are in the frame that it passed.
-            bs.wo = si.to_local(turned.to_world(wo))
+            bs.wo = si.to_local(oriented.to_world(wo))
             bs.pdf, bs.eta = dr.select(active, density, 0.0), 1.0
             bs.sampled_component = lobe
             gloss, reflection, transmission = (mi.UInt32(int(flag)) for flag in lobes)
@@ -86,8 +86,8 @@ def surface_bsdf() -> Any:
             return self.eval_pdf(ctx, si, wo, active)[1]
 
         def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            turned, point = self._point(si, active)
-            value, density = point.eval_pdf(turned.to_local(si.to_world(wo)))
+            oriented, point = self._point(si, active)
+            value, density = point.eval_pdf(oriented.to_local(si.to_world(wo)))
             return value & active, dr.select(active, density, 0.0)
 
     return SurfaceBSDF

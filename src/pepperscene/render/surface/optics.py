@@ -31,8 +31,7 @@ STEP_NM: Final = 1.0
 pixel's samples that is the midpoint rule, whose error is below 2e-4 for all shipped surfaces."""
 
 MIN_ALPHA: Final = 1e-3
-"""Smoother cuticles are packed with this roughness: a mirror for every lens here, and safe in single
-precision."""
+"""Smoother cuticles are packed with this roughness: a mirror for every lens, safe in single precision."""
 
 
 @dataclass(frozen=True, eq=False)

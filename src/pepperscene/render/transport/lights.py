@@ -51,12 +51,12 @@ class FlashSampler:
         remainder = mi.Point2f(dr.clip(scaled - chosen, 0.0, 1.0), sample.y)
         on_disc = emitter + self.radius * mi.warp.square_to_uniform_disk_concentric(remainder)
         point = self.centre + self.rotation @ mi.Vector3f(on_disc.x, on_disc.y, 0.0)
-        away = p - point
+        offset = p - point
         # Closer than the minimum distance, light no longer increases, and at distance 0 it is 0.
-        square = dr.maximum(dr.squared_norm(away), self.min_square)
+        square = dr.maximum(dr.squared_norm(offset), self.min_square)
         distance = dr.sqrt(square)
         forward = self.rotation @ mi.Vector3f(0.0, 0.0, 1.0)
-        cosine = dr.dot(away, forward) / distance
+        cosine = dr.dot(offset, forward) / distance
         x = dr.clip(dr.safe_acos(cosine) * self.steps, 0.0, 510.999)
         left = dr.floor(x)
         index = mi.UInt32(left)

@@ -79,10 +79,10 @@ def undetermined_entries(problem: FitProblem, vector: Array, posterior: Uncertai
         elif posterior.variance_reduction[i] < MIN_VARIANCE_REDUCTION:
             sds = f"its posterior sd is {posterior.sd[i]:.3g}, its prior sd {problem.sd[i]:.3g}"
             sentence = f"{entry.label} cannot be determined: {sds}"
-            others = np.abs(posterior.correlation[i]).copy()
-            others[i] = 0.0
-            partner = int(np.argmax(others))
-            if others[partner] >= HIGH_CORRELATION:
+            correlations = np.abs(posterior.correlation[i]).copy()
+            correlations[i] = 0.0
+            partner = int(np.argmax(correlations))
+            if correlations[partner] >= HIGH_CORRELATION:
                 label, correlation = problem.entries[partner].label, posterior.correlation[i, partner]
                 sentence += f"; only a combination with {label} is known (correlation {correlation:+.2f})"
             sentences.append(sentence)
@@ -163,30 +163,30 @@ class _LinearModel:
         before = self._deviance(fitted_entries, error_scale)
         evidence = {"": before - self._deviance(all_entries, error_scale)}
         for name in dict.fromkeys(names):
-            chosen = np.concatenate(
+            selected = np.concatenate(
                 [fitted_entries, fitted + np.flatnonzero([entry_name == name for entry_name in names])]
             )
-            gain = before - self._deviance(chosen, error_scale)
+            gain = before - self._deviance(selected, error_scale)
             evidence[name] = gain - 2.0 * np.log(len(set(names)))
         best = max(evidence, key=lambda name: evidence[name])
         return OmittedGroup(float(np.clip(explained, 0.0, 1.0)), float(evidence[best]), best)
 
-    def _deviance(self, chosen: NDArray[np.intp], error_scale: float) -> float:
+    def _deviance(self, selected: NDArray[np.intp], error_scale: float) -> float:
         """Minus twice the log evidence if only the chosen entries change, up to a constant."""
-        slopes = self.slopes[:, chosen] / error_scale
+        slopes = self.slopes[:, selected] / error_scale
         # Log of the squared ratio of prior to posterior volume: the Occam factor.
         occam = float(np.linalg.slogdet(np.eye(slopes.shape[1]) + slopes.T @ slopes)[1])
-        return sum(self._costs(chosen, error_scale)) + occam
+        return sum(self._costs(selected, error_scale)) + occam
 
-    def _costs(self, chosen: NDArray[np.intp], error_scale: float) -> tuple[float, float]:
+    def _costs(self, selected: NDArray[np.intp], error_scale: float) -> tuple[float, float]:
         """Costs of data and priors after the best step of the chosen entries."""
         from scipy.optimize import lsq_linear
 
-        slopes, deviation = self.slopes[:, chosen] / error_scale, self.deviation[chosen]
+        slopes, deviation = self.slopes[:, selected] / error_scale, self.deviation[selected]
         residuals = self.residuals / error_scale
         rows = np.vstack([slopes, np.eye(len(deviation))])
         # An entry on a bound has no space; rounding must not make it negative.
-        bounds = np.minimum(self.low[chosen], -_MIN_SPACE), np.maximum(self.high[chosen], _MIN_SPACE)
+        bounds = np.minimum(self.low[selected], -_MIN_SPACE), np.maximum(self.high[selected], _MIN_SPACE)
         step = lsq_linear(rows, -np.concatenate([residuals, deviation]), bounds).x
         left = residuals + slopes @ step
         return float(left @ left), float(((deviation + step) ** 2).sum())

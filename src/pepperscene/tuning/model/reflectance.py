@@ -120,15 +120,15 @@ def surface_of_kind(cultivar: Cultivar, kind: str) -> MeasuredSurface:
         organ for organ in grown if kinds[organ].organ_class == classes[name] and organ in cultivar.organs
     ]
     usual = [organ for organ in of_class if kinds[organ].form == FORMS.get(classes[name])]
-    chosen = (usual or of_class)[0]
+    selected = (usual or of_class)[0]
 
     # Fruit has a distribution of states for each of its stages, other organs have one.
-    distributions = cultivar.organs[chosen].distributions
+    distributions = cultivar.organs[selected].distributions
     key = stage or "state"
     if key not in distributions or key not in (*STAGES, "state"):
         stages = [f"{name}.{ripe}" for ripe in STAGES if ripe in distributions] or [name]
         raise InputError(where, f"must be one of {', '.join(stages)}", key="kind", value=kind)
-    surface = kinds[chosen].surface
+    surface = kinds[selected].surface
     forms = {organ_kind.form for organ_kind in kinds.values() if organ_kind.surface == surface}
     return MeasuredSurface(surface, distributions[key].mean, bool(forms & set(THIN)))
 
@@ -172,7 +172,7 @@ class DirectModel:
     def measured(self) -> Array:
         """`(m,)` measured reflectances of all spectra, concatenated."""
         pairs = zip(self.spectra, self.wavelength_nm, strict=True)
-        return np.concatenate([np.empty(0), *(one.spectrum.at(nm) for one, nm in pairs)])
+        return np.concatenate([np.empty(0), *(measurement.spectrum.at(nm) for measurement, nm in pairs)])
 
     @property
     def sd(self) -> Array:
@@ -197,7 +197,7 @@ class DirectModel:
         """Slice of the `(m,)` values of each spectrum, by name."""
         ends = np.cumsum([0, *(nm.size for nm in self.wavelength_nm)]).tolist()
         pairs = zip(self.spectra, pairwise(ends), strict=True)
-        return {one.name: slice(first, end) for one, (first, end) in pairs}
+        return {measurement.name: slice(first, end) for measurement, (first, end) in pairs}
 
     def predicted(self, values: Values) -> Array:
         """`(m,)` reflectances that the instrument would read at these values."""

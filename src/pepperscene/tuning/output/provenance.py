@@ -111,11 +111,11 @@ def format_value(value: float, sd: float) -> str:
     """A value to the second digit of its standard deviation, or with four digits if there is none."""
     if not (math.isfinite(sd) and sd > 0.0) or not math.isfinite(value):
         return f"{value:.4g}"
-    places = 1 - math.floor(math.log10(sd))
+    digits = 1 - math.floor(math.log10(sd))
     # A value far below its sd keeps one digit.
     if value:
-        places = max(places, -math.floor(math.log10(abs(value))))
-    return f"{round(value, places):.{max(min(places, 12), 0)}f}"
+        digits = max(digits, -math.floor(math.log10(abs(value))))
+    return f"{round(value, digits):.{max(min(digits, 12), 0)}f}"
 
 
 def toml_text(

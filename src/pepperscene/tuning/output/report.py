@@ -37,8 +37,8 @@ def known_table(parameters: Sequence[Parameter]) -> TextTable:
             zip(parameter.entry_labels, parameter.default.tolist(), parameter.prior, strict=True)
         )
     ]
-    heads = ("parameter", "current", "prior", "bounds", "unit", "meaning")
-    return TextTable("Parameters that can be fitted", heads, tuple(rows))
+    headers = ("parameter", "current", "prior", "bounds", "unit", "meaning")
+    return TextTable("Parameters that can be fitted", headers, tuple(rows))
 
 
 def fit_tables(fit: FitResult, verification: Verification | None = None) -> tuple[TextTable, ...]:
@@ -54,8 +54,8 @@ def fit_tables(fit: FitResult, verification: Verification | None = None) -> tupl
             np.atleast_1d(fit.variance_reduction[parameter.name]), strict=True,
         )
     ]  # fmt: skip
-    heads = ("parameter", "before", "after", "bounds", "unit", "variance reduction")
-    tables = [TextTable("Fitted parameters", heads, tuple(rows))]
+    headers = ("parameter", "before", "after", "bounds", "unit", "variance reduction")
+    tables = [TextTable("Fitted parameters", headers, tuple(rows))]
     delta_e = {
         name: (kind_fit.delta_e_before, kind_fit.delta_e_after) for name, kind_fit in fit.kinds.items()
     }
@@ -81,7 +81,7 @@ def fit_tables(fit: FitResult, verification: Verification | None = None) -> tupl
 def _agreement_table(
     title: str, before: Mapping[str, Agreement], after: Mapping[str, Agreement]
 ) -> TextTable:
-    heads = ("kind", "dE2000 before", "after", "hue correlation before", "after")
+    headers = ("kind", "dE2000 before", "after", "hue correlation before", "after")
     rows = [
         (
             kind,
@@ -90,7 +90,7 @@ def _agreement_table(
         )
         for kind, agreement in after.items()
     ]  # fmt: skip
-    return TextTable(title, heads, tuple(rows))
+    return TextTable(title, headers, tuple(rows))
 
 
 def _number(value: float | None) -> str:

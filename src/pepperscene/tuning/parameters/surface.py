@@ -236,5 +236,5 @@ def _integral(knots: Array, contents: Array, to: Array) -> Array:
     knot = np.clip(np.searchsorted(knots, inside, side="right") - 1, 0, len(slopes) - 1)
     step = (inside - knots[knot])[:, None]
     within = sums[knot] + step * (contents[knot] + 0.5 * slopes[knot] * step)
-    before, behind = np.minimum(to, 0.0)[:, None], np.maximum(to - 1.0, 0.0)[:, None]
-    return np.asarray(within + contents[0] * before + contents[-1] * behind)
+    before, beyond = np.minimum(to, 0.0)[:, None], np.maximum(to - 1.0, 0.0)[:, None]
+    return np.asarray(within + contents[0] * before + contents[-1] * beyond)
