@@ -170,7 +170,7 @@ def _stage_times(children: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
     """Times of a new scene, of its first frame, and of the next frames, by stage."""
     next_frames = [frame for child in children for frame in child["frames"][1:]]
     stages = [stage for stage in _FRAME_STAGES if stage in next_frames[0]]
-    # What the first frame takes in addition: kernels are compiled or loaded, libraries imported.
+    # Additional time of the first frame: kernels are compiled or loaded, libraries imported.
     additional = {
         stage: [
             child["frames"][0][stage] - statistics.median(frame[stage] for frame in child["frames"][1:])

@@ -223,7 +223,7 @@ def load_flash(name_or_path: str | Path) -> Flash:
             pulse_s=document.pulse_us * 1e-6,
         )
     except ValueError as error:
-        # What remains is a beam so narrow that no emitter lights the point where the strength is given.
+        # The only remaining error: the beam is so narrow that no emitter lights the reference point.
         raise InputError(path, f"does not fit the other values: {error}", key="profile") from None
 
 

@@ -139,7 +139,7 @@ def _furnace_ratio(variant: str) -> float:
 
 @dataclass(frozen=True)
 class _ChildResult:
-    """How a child process ended, and what it printed."""
+    """Exit status and output of a child process."""
 
     code: int | None  # exit status, negative for a signal; None if it was killed at the time limit
     printed: Mapping[str, object]  # the JSON objects on its standard output, merged

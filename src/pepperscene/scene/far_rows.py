@@ -53,7 +53,7 @@ def far_rows(
 
     Args:
         models: plants with their aisle at -y; each is repeated many times with random turns.
-        row: the labelled double row, whose own positions stay free.
+        row: the labelled double row; its positions stay free.
         greenhouse: number, spacing, length and lean of the rows.
         rng: draws plants, turns and positions.
 

@@ -242,7 +242,7 @@ def _pipe_axes(row: DoubleRow, greenhouse: Greenhouse) -> Sequence[float]:
 
 @dataclass(frozen=True)
 class Posture:
-    """How a plant deviates from its regular position; it keeps this wherever it is placed.
+    """Deviation of a plant from its regular position, the same wherever it is placed.
 
     Attributes:
         across_m: offset of its stem base, away from its aisle.

@@ -70,7 +70,7 @@ def grid_corners(columns: int = COLUMNS, rows: int = ROWS) -> Floats:
 
 
 def field_numbers(shape: tuple[int, int], corners: Floats) -> tuple[tuple[slice, slice], NDArray[np.intp]]:
-    """Number of the field whose central half each pixel shows; large charts are subsampled.
+    """Field numbers of the pixels in the central halves of fields; large charts are subsampled.
 
     Args:
         shape: height and width of the picture.

@@ -32,7 +32,7 @@ _PHOTOS: Final = ("colour", "colour_stereo")
 
 @dataclass(frozen=True)
 class FrameTraits:
-    """What is compared with other frames, the manifest and the recipe.
+    """Values that are compared with other frames, the manifest and the recipe.
 
     Digests have 64 bits, and are 0 if there is nothing to compare: in a million frames, two different ones
     have the same digest with a probability of 3e-8.

@@ -112,8 +112,8 @@ def check_dataset(
         folder: of the data set.
         workers: processes that read frames; None for one per core.
         on_frame: called after every frame with the number of frames done and the number of all.
-        frames: that must exist, "A:B" (0-based, half-open) or indices; None for those that builds were asked
-            for, which the journal lists, and those in the manifest.
+        frames: that must exist, "A:B" (0-based, half-open) or indices; None for those that builds
+            requested, which the journal lists, and those in the manifest.
 
     Raises:
         InputError: the folder holds no data set, or an argument is not valid.

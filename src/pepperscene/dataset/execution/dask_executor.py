@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _ANSWER_S: Final = 10.0  # chosen: how long a scheduler may take to answer
 _NO_WORKER_S: Final = 60.0  # chosen: how long there may be no worker; lost ones are replaced within seconds
-_CHECK_S: Final = 1.0  # chosen: how often the scheduler is asked for its workers
+_CHECK_S: Final = 1.0  # chosen: interval between queries of the scheduler's workers
 _PATIENCE_S: Final = 60.0  # chosen: how long workers may take to finish their frames when one has failed
 _INTERRUPT_PATIENCE_S: Final = 5.0  # chosen: the same after Ctrl-C
 
@@ -223,7 +223,7 @@ class _DaskBuild:
 
 
 def _unfit_reason(error: BaseException) -> str | None:
-    """What prevents a worker from making frames at all, or None for any other error."""
+    """Reason why a worker cannot make frames at all, or None for any other error."""
     if isinstance(error, UnfitWorkerError):
         return str(error)
     # A task cannot be read where this package, or a module of the user's, is missing or has another version.

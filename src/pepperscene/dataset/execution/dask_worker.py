@@ -40,7 +40,7 @@ class UnfitWorkerError(WorkerError):
 
 @dataclass(frozen=True)
 class BuildRequest:
-    """What a worker receives of a build with this unique name.
+    """Data that a worker receives of a build with this unique name.
 
     Workers compare versions and identity with their own, and see the marker file if the file system is
     shared. The job is pickled, so that it is read only where the versions are right.
@@ -64,7 +64,7 @@ class FrameTask:
 
     A worker that cannot read a message ends, and a scheduler that cannot read a task refuses it. So the task
     is    `pickle.loads`, which is known everywhere, and it reads these bytes: where this package is missing
-    or has another version the task fails, and the worker goes on with tasks of others.
+    or has another version the task fails, and the worker continues with other tasks.
     """
 
     request: BuildRequest

@@ -30,7 +30,7 @@ _IMAGE_THREADS: Final = 4
 
 @dataclass(frozen=True)
 class BuildOptions:
-    """How frames are made; what they show is in the recipe.
+    """Options of a build; the content of its frames is defined by the recipe.
 
     Attributes:
         quality: "draft", "standard" or "reference".

@@ -40,7 +40,7 @@ _DASK_NAMES: Final = {
 
 _COMMANDS: Final = ("sbatch", "squeue", "scancel")
 _JOB_NAME: Final = "pepperscene"
-_RENEW_S: Final = 60.0  # chosen: how often jobs whose time is over are submitted again
+_RENEW_S: Final = 60.0  # chosen: interval after which expired jobs are submitted again
 _QUEUE_CHECK_S: Final = 10.0  # chosen: how often the queue is checked while there is no worker
 _QUEUE_CHECKS: Final = (
     6  # chosen: checks in a row without a job; Slurm's controller is at times too busy to answer
@@ -133,7 +133,7 @@ class SlurmExecutor(Executor):
     """Workers in jobs of a Slurm cluster, described by a file (see `SlurmJobs`).
 
     The scheduler runs in this process. Jobs may wait in Slurm's queue; frames are made as soon as the first
-    one runs. A job whose time is over is submitted again. Raises `InputError` if the file is not valid, and
+    one runs. An expired job is submitted again. Raises `InputError` if the file is not valid, and
     `SetupError` if this machine cannot submit jobs, or the extra `cluster` is not installed.
     """
 

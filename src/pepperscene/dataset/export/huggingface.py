@@ -71,7 +71,7 @@ def write_huggingface(job: ExportJob, folder: Path) -> None:
 def _write_split(
     folder: Path, split: str, frames: Iterator[ExportFrame], columns: Sequence[Column]
 ) -> SplitSize:
-    """Write the files of a split, whose names contain the number of files."""
+    """Write the files of a split; their names contain the number of files."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

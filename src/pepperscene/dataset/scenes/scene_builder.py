@@ -87,7 +87,7 @@ class SceneBuilder:
             resolved.motions,
         )
 
-        # What surrounds it.
+        # Its surroundings.
         surroundings = greenhouse_mesh(row, greenhouse, positions)
         if greenhouse.far_rows > 0:
             rng = random_generator(seed, Stream.FAR, 1, set_index, rotation)

@@ -215,7 +215,7 @@ class PairCosts:
 class PairRules:
     """Costs of contacts between current organs, by their classes.
 
-    With `hard` nothing gives way; otherwise leaves give way to fruit. Between plants, a unit may come as near
+    With `hard` nothing gives way; otherwise leaves give way to fruit. Between plants, a unit may move as near
     to organs of its own plant as it is.
     """
 

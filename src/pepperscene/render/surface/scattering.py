@@ -1,4 +1,4 @@
-"""How plant organs scatter light: a diffuse, possibly translucent body under a rough dielectric cuticle.
+"""Scattering of light by plant organs: a diffuse, possibly translucent body under a rough dielectric cuticle.
 
 Side s of a sheet reflects by a single-scattering GGX lobe with separable Smith masking (Walter et al. 2007)
 

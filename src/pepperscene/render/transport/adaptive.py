@@ -31,7 +31,7 @@ DENOISED_ERROR: Final = 0.15
 _GROWTH: Final = 4  # chosen: largest factor by which the samples of a pixel grow in one round
 _SUBSET: Final = 1 << 14  # chosen: pixels that the scale is computed from
 _MAX_ERROR: Final = 127.5
-"""Codes: of a pixel whose value may be anything. Near the sun the tone curve's slope would give thousands."""
+"""Codes: error of a pixel of unknown value. Near the sun the tone curve's slope would give thousands."""
 _MAX_DIFFERENCE: Final = 510.0  # chosen: codes between samples, from black to overexposed
 
 Floats = NDArray[np.float32]

@@ -153,7 +153,7 @@ class _LinearModel:
     high: Array  # (p,) limits of a step
 
     def omitted_group(self, fitted: int, names: Sequence[str], error_scale: float) -> OmittedGroup:
-        """What the entries after the `fitted` ones, of parameters `names`, explain.
+        """Residuals that the entries after the `fitted` ones, of parameters `names`, explain.
 
         `error_scale` is a factor on the errors of the data.
         """

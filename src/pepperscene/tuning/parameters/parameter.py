@@ -80,7 +80,7 @@ def _check_overlap(names: Iterable[str]) -> None:
 def _unknown_message(
     name: str, available: Mapping[str, Parameter], recipe: Recipe, cultivar: Cultivar, camera: Camera
 ) -> str:
-    """Why a parameter does not exist, the closest names, and all names."""
+    """Reason why a parameter does not exist, the closest names, and all names."""
     surface = name.partition(".")[0]
     if surface == "flash" and camera.flash is None:
         reason = f"{name} cannot be fitted, because {recipe.name} has no flash"
