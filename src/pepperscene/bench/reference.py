@@ -190,7 +190,7 @@ def render_reference(
     """
     path = folder / f"{subject.name}_{subject.digest()[:20]}.npz"
     camera = subject.camera
-    halves = _read(path)
+    halves = _read_cache(path)
     if halves is None:
         halves = _Halves(np.zeros((2, camera.height, camera.width, camera.sensor.channels)))
     start = saved = perf_counter()
@@ -201,7 +201,7 @@ def render_reference(
             is_late = limit_s is not None and now - start > limit_s
             is_done = reference.error_codes <= target_codes or is_late
             if is_done or now - saved > _SAVE_INTERVAL_S:
-                _write(path, halves)
+                _write_cache(path, halves)
                 saved = now
             if is_done:
                 return reference
@@ -213,7 +213,7 @@ def render_reference(
         halves.add(frame["electrons"], perf_counter() - now)
 
 
-def _read(path: Path) -> _Halves | None:
+def _read_cache(path: Path) -> _Halves | None:
     """Sums of an earlier call; None if there are none, or the file is damaged."""
     try:
         with path.open("rb") as file, np.load(file) as arrays:
@@ -224,7 +224,7 @@ def _read(path: Path) -> _Halves | None:
         return None
 
 
-def _write(path: Path, halves: _Halves) -> None:
+def _write_cache(path: Path, halves: _Halves) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         np.savez(file, sums=halves.sums, renders=halves.renders, seconds=halves.seconds, form=_FORMAT)

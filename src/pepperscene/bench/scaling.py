@@ -64,7 +64,7 @@ def measure_scaling(
             "frames": _measure_frames(task, quick, on_progress),
             "workers": _measure_workers(task, on_progress),
         }
-        chapters += [f"#### {scene.name.capitalize()}, quality `{quality}`", *map(_format, tables.values())]
+        chapters += [f"#### {scene.name.capitalize()}, quality `{quality}`", *map(_table, tables.values())]
     markdown = "\n\n".join(chapters) + "\n"
     content = {"machine": machine, "scenes": measured}
     return BenchmarkFiles(write_results(folder, "scaling", content, markdown, {}), markdown)
@@ -76,7 +76,7 @@ def _measure_plants(task: FramesTask, quick: bool, on_progress: OnProgress) -> l
     for front, back in _PLANTS[:2] if quick else _PLANTS:
         on_progress(f"{front + back} plants")
         changes = {**task.changes, "row.plants_front": front, "row.plants_back": back}
-        rows.append({"plants": front + back, **_cost(run_child(replace(task, changes=changes)))})
+        rows.append({"plants": front + back, **_cost_row(run_child(replace(task, changes=changes)))})
     return rows
 
 
@@ -85,7 +85,7 @@ def _measure_triangles(task: FramesTask, on_progress: OnProgress) -> list[Row]:
     rows = []
     for divided in (0, 1):
         on_progress(f"each triangle divided into {4**divided}")
-        rows.append({"divided into": 4**divided, **_cost(run_child(replace(task, divided=divided)))})
+        rows.append({"divided into": 4**divided, **_cost_row(run_child(replace(task, divided=divided)))})
     return rows
 
 
@@ -96,7 +96,7 @@ def _measure_pixels(task: FramesTask, quick: bool, on_progress: OnProgress) -> l
     for scale in _SCALES[:3] if quick else _SCALES:
         width, height = (max(round(length * scale), 1) for length in task.size)
         on_progress(f"{width}x{height} pixels")
-        cost = _cost(run_child(replace(task, size=(width, height))))
+        cost = _cost_row(run_child(replace(task, size=(width, height))))
         rows.append({"pixels": f"{width}x{height}", **cost})
     return rows
 
@@ -145,7 +145,7 @@ def _frame_times(child: dict[str, Any]) -> list[float]:
     return [sum(frame.values()) for frame in child["frames"]]
 
 
-def _cost(child: dict[str, Any]) -> Row:
+def _cost_row(child: dict[str, Any]) -> Row:
     """Cost of a scene and of its next frames."""
     times = _frame_times(child)[1:]
     return {
@@ -159,7 +159,7 @@ def _cost(child: dict[str, Any]) -> Row:
     }
 
 
-def _format(rows: Sequence[Row]) -> str:
+def _table(rows: Sequence[Row]) -> str:
     """Rows with the same keys as Markdown; lists are written to the JSON file only."""
     keys = [key for key, value in rows[0].items() if not isinstance(value, list)]
     cells = [[_format_cell(key, row[key]) for key in keys] for row in rows]

@@ -53,7 +53,7 @@ def raw_frame(
     Arguments and errors are those of `develop`.
     """
     developing = dataclasses.replace(camera.developing, quantise=True, saturation=True)
-    return read_out(_checked(electrons, camera), camera.sensor, rng, developing).astype(np.uint16)
+    return read_out(_check_electrons(electrons, camera), camera.sensor, rng, developing).astype(np.uint16)
 
 
 def camera_rgb(electrons: ArrayLike, camera: Camera, rng: np.random.Generator | None = None) -> Floats:
@@ -65,7 +65,7 @@ def camera_rgb(electrons: ArrayLike, camera: Camera, rng: np.random.Generator | 
         ValueError: as `develop`.
     """
     sensor, developing = camera.sensor, camera.developing
-    sites = read_out(_checked(electrons, camera), sensor, rng, developing)
+    sites = read_out(_check_electrons(electrons, camera), sensor, rng, developing)
     sites -= np.float32(sensor.black_level_dn)
     sites /= np.float32(sensor.full_scale_dn - sensor.black_level_dn)
     if sensor.channels == 3 and sensor.binning == 1:
@@ -170,7 +170,7 @@ def _reference_light(camera: Camera) -> Spectrum:
     return d65_spectrum() if balance == "daylight" or camera.flash is None else camera.flash.spectrum
 
 
-def _checked(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating]:
+def _check_electrons(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating]:
     """Finite electrons of the image's shape, clipped at 0."""
     expected, shape = np.asarray(electrons), (camera.height, camera.width, camera.sensor.channels)
     if expected.shape != shape:

@@ -194,7 +194,7 @@ class ProfileTable(Document):
     angle_deg: Annotated[tuple[Annotated[float, Field(ge=0, le=90)], ...], Field(min_length=2)]
 
     @model_validator(mode="after")
-    def _is_a_profile(self) -> ProfileTable:
+    def _check_profile(self) -> ProfileTable:
         self.profile()
         return self
 

@@ -198,7 +198,7 @@ class SensorDocument(SourcedDocument):
     infrared_cut: CurveTable | None = None
 
     @model_validator(mode="after")
-    def _is_consistent(self) -> SensorDocument:
+    def _check_consistency(self) -> SensorDocument:
         if self.black_level_dn >= 2**self.bits - 1:
             raise ValueError(f"black_level_dn must be below the full scale of {2**self.bits - 1}")
         if error := _binning_error(self.pattern, self.binning, self.columns, self.rows):

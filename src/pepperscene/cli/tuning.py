@@ -75,7 +75,7 @@ def tune(
     from pepperscene.dataset import load_recipe, parse_changes
 
     changed_recipe = load_recipe(recipe, parse_changes(set or ()))
-    names = _split(fit)
+    names = _split_names(fit)
     if names == (_HELP,):
         _list_parameters(changed_recipe, json)
         return
@@ -84,7 +84,7 @@ def tune(
     if not patches:
         raise InputError("--patches", "is required: a patches file, a folder of images, or a CSV file")
     folder = out or Path(f"{Path(recipe).stem}_tuned")
-    measured, held_out = _open_patches(patches, labels, half), _split(hold_out or "")
+    measured, held_out = _open_patches(patches, labels, half), _split_names(hold_out or "")
     _check_held_out(measured, held_out)
     options = {
         "recipe": recipe, "set": list(set or ()), "fit": list(names), "patches": list(patches),
@@ -95,7 +95,7 @@ def tune(
     from pepperscene.tuning.workflow import tune as tune_recipe
 
     try:
-        with _progress(quiet=json) as on_progress:
+        with _progress_callback(quiet=json) as on_progress:
             result = tune_recipe(
                 changed_recipe,
                 measured,
@@ -115,7 +115,7 @@ def tune(
         echo_progress("interrupted; nothing was written")
         raise typer.Exit(EXIT_INTERRUPTED) from None
     if json:
-        typer.echo(json_text.dumps(_record(result), indent=1, allow_nan=False))
+        typer.echo(json_text.dumps(_result_record(result), indent=1, allow_nan=False))
     else:
         _print_result(result)
 
@@ -174,7 +174,7 @@ def _list_parameters(recipe: Recipe, json: bool) -> None:
     typer.echo(format_tables([known_table(tuple(known[name] for name in names))]))
 
 
-def _record(result: TuningResult) -> dict[str, Any]:
+def _result_record(result: TuningResult) -> dict[str, Any]:
     """The record of the fit, and the files written."""
     from pepperscene.tuning.output.write import RECORD
 
@@ -197,7 +197,7 @@ def _print_result(result: TuningResult) -> None:
 
 
 @contextmanager
-def _progress(quiet: bool) -> Iterator[Callable[[str], None] | None]:
+def _progress_callback(quiet: bool) -> Iterator[Callable[[str], None] | None]:
     """Callback for lines of progress; a terminal also shows a spinner."""
     if quiet:
         yield None
@@ -213,5 +213,5 @@ def _progress(quiet: bool) -> Iterator[Callable[[str], None] | None]:
         yield lambda line: console.print(Text(line))
 
 
-def _split(names: str) -> tuple[str, ...]:
+def _split_names(names: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in names.split(",") if name.strip())

@@ -112,7 +112,7 @@ def _parse_numbers(numbers: dict[str, Any], factor: float, suffix: str, **origin
     """The distribution that a table's numbers describe, in SI units."""
     keys = set(numbers)
     if keys == {"uniform"}:
-        low, high = (factor * x for x in _row(numbers["uniform"], 2, f"uniform{suffix}"))
+        low, high = (factor * x for x in _number_row(numbers["uniform"], 2, f"uniform{suffix}"))
         if not low < high:
             raise ValueError(f"uniform{suffix} must be a smaller and a larger number")
         sd = (high - low) / math.sqrt(12.0)
@@ -121,7 +121,7 @@ def _parse_numbers(numbers: dict[str, Any], factor: float, suffix: str, **origin
         return _parse_histogram(numbers["histogram"], factor, f"histogram{suffix}", **origin)
     along = numbers.pop("along", None)
     scaled = {
-        key: factor * _finite(value, key + suffix)
+        key: factor * _finite_number(value, key + suffix)
         for key, value in numbers.items()
         if key not in ("uniform", "histogram")
     }
@@ -164,7 +164,7 @@ def _parse_curve(
     """A mean that follows the position along the stem, with the same spread everywhere."""
     if not isinstance(raw, (list, tuple)) or len(raw) < 2:
         raise ValueError(f"along{suffix} must be a list of at least two [position, mean]")
-    positions, means = zip(*(_row(row, 2, f"along{suffix}") for row in raw), strict=True)
+    positions, means = zip(*(_number_row(row, 2, f"along{suffix}") for row in raw), strict=True)
     if positions[0] != 0 or positions[-1] != 1 or any(b <= a for a, b in pairwise(positions)):
         raise ValueError(f"along{suffix}: positions must ascend from 0, the stem's foot, to 1, its top")
     sd = numbers.get("sd", 0.0)
@@ -182,7 +182,7 @@ def _parse_curve(
 def _parse_histogram(raw: Any, factor: float, key: str, **origin: Any) -> Distribution:
     if not isinstance(raw, (list, tuple)) or not raw:
         raise ValueError(f"{key} must be a list of [from, to, weight]")
-    bins = [_row(row, 3, key) for row in raw]
+    bins = [_number_row(row, 3, key) for row in raw]
     if any(not low < high for low, high, _ in bins) or any(weight < 0 for _, _, weight in bins):
         raise ValueError(f"{key}: each bin must ascend and have a weight of at least 0")
     if any(after[0] < before[1] for before, after in pairwise(bins)):
@@ -200,7 +200,7 @@ def _parse_histogram(raw: Any, factor: float, key: str, **origin: Any) -> Distri
     return Distribution(family="histogram", mean=mean, sd=sd, low=low, high=high, bins=scaled, **origin)
 
 
-def _finite(raw: Any, key: str) -> float:
+def _finite_number(raw: Any, key: str) -> float:
     if isinstance(raw, bool) or not isinstance(raw, (int, float)) or not -math.inf < raw < math.inf:
         raise ValueError(f"{key} must be a finite number")
     if not -_LARGEST <= raw <= _LARGEST:
@@ -208,10 +208,10 @@ def _finite(raw: Any, key: str) -> float:
     return float(raw)
 
 
-def _row(raw: Any, length: int, key: str) -> list[float]:
+def _number_row(raw: Any, length: int, key: str) -> list[float]:
     if not isinstance(raw, (list, tuple)) or len(raw) != length:
         raise ValueError(f"{key} must have {length} numbers")
-    return [_finite(value, key) for value in raw]
+    return [_finite_number(value, key) for value in raw]
 
 
 Length = Annotated[Distribution, BeforeValidator(partial(_parse_distribution, "mm"))]

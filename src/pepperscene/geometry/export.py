@@ -81,8 +81,8 @@ def mesh_files(
     """
     suffix = check_mesh_format(name)
     if suffix == ".glb":
-        return {name: _glb(mesh, colours or {})}
-    return _obj(mesh, name) if suffix == ".obj" else {name: _single_body(mesh, suffix)}
+        return {name: _encode_glb(mesh, colours or {})}
+    return _encode_obj(mesh, name) if suffix == ".obj" else {name: _single_body(mesh, suffix)}
 
 
 def write_mesh(
@@ -104,7 +104,7 @@ def write_mesh(
     return tuple(files)
 
 
-def _parts(mesh: Mesh) -> Iterator[tuple[int, Instance, str, float, SingleArray, Trimesh]]:
+def _instance_meshes(mesh: Mesh) -> Iterator[tuple[int, Instance, str, float, SingleArray, Trimesh]]:
     """Index, instance, surface, mean state, uv and body of the instances that have triangles, in order."""
     import trimesh
 
@@ -120,7 +120,7 @@ def _parts(mesh: Mesh) -> Iterator[tuple[int, Instance, str, float, SingleArray,
             yield index, item, surface, state, mesh.uv[used], body
 
 
-def _glb(mesh: Mesh, colours: Mapping[str, NDArray[np.floating[Any]]]) -> bytes:
+def _encode_glb(mesh: Mesh, colours: Mapping[str, NDArray[np.floating[Any]]]) -> bytes:
     """A tree of organs, each a node with its own mesh."""
     import trimesh
     from trimesh.visual.material import PBRMaterial
@@ -129,7 +129,7 @@ def _glb(mesh: Mesh, colours: Mapping[str, NDArray[np.floating[Any]]]) -> bytes:
     scene.graph.update(frame_from="world", frame_to="plant", matrix=_Y_UP)
     materials: dict[str, Any] = {}
     factors: dict[str, list[float]] = {}
-    for index, item, surface, state, uv, body in _parts(mesh):
+    for index, item, surface, state, uv, body in _instance_meshes(mesh):
         # Organs that look the same share a material.
         step = round(STATE_STEPS * state)
         material = f"{_word(surface)}_{step}"
@@ -182,14 +182,14 @@ def _base_colour(organ_class: OrganClass, step: int, colours: NDArray[Any] | Non
     return [*(round(float(value), 6) for value in np.clip(rgb, 0.0, 1.0)), 1.0]
 
 
-def _obj(mesh: Mesh, name: str) -> dict[str, bytes]:
+def _encode_obj(mesh: Mesh, name: str) -> dict[str, bytes]:
     """Groups with materials; trimesh writes objects, which other programs distinguish from groups."""
     import trimesh
     from trimesh.visual.material import SimpleMaterial
 
     names, scene = organ_names(mesh), trimesh.Scene()
     materials: dict[str, Any] = {}
-    for index, item, surface, _, uv, body in _parts(mesh):
+    for index, item, surface, _, uv, body in _instance_meshes(mesh):
         organ_class = item.organ_class
         material = f"{organ_class.name.lower()}_{_word(surface)}"
         if material not in materials:

@@ -93,7 +93,7 @@ def slot_items(
     azimuth = np.zeros(group.size)
     if slot.spread is not None:
         rank = item // 2 if slot.pairs else item
-        azimuth += _fan(slot.spread, groups[group], rank, numbers[group], positions[row])
+        azimuth += _fan_azimuths(slot.spread, groups[group], rank, numbers[group], positions[row])
     if slot.aside is not None:
         # Pairs have an item on either side, others alternate along the organ; the first side is random.
         first = np.where(uniforms(slots, "side") < 0.5, 1.0, -1.0)[row]
@@ -103,7 +103,7 @@ def slot_items(
     return row, address, at[index], azimuth
 
 
-def _fan(
+def _fan_azimuths(
     spread: Distribution, group: Addresses, rank: Indices, number: Indices, positions: FloatArray
 ) -> FloatArray:
     """Azimuths of items that share a position: an even fan that deviates as a whole from the parent's."""
@@ -209,18 +209,18 @@ class TopologyBuilder:
         Raises:
             ValueError: the plant has too many organs.
         """
-        level, groups = list(self._on_nodes()), list[OrganGroup]()
+        level, groups = list(self._draw_node_items()), list[OrganGroup]()
         while level:
             groups += level
             level = [
                 group
                 for parents in level
                 for index, slot in enumerate(self.organs[parents.kind].bears)
-                for group in self._on(parents, slot, index, np.zeros(len(parents.number)))
+                for group in self._draw_items(parents, slot, index, np.zeros(len(parents.number)))
             ]
         return groups
 
-    def _on_nodes(self) -> Iterator[OrganGroup]:
+    def _draw_node_items(self) -> Iterator[OrganGroup]:
         """Organs on nodes, each slot at its azimuth around the stem."""
         nodes, positions = self.phytomers.nodes, self.phytomers.positions
         levels: dict[str, FloatArray] = {}
@@ -237,7 +237,7 @@ class TopologyBuilder:
                 parents = OrganGroup(
                     self.node, nodes[order], number, number - 1, order, zeros, zeros, zeros, zeros, depths
                 )
-                yield from self._on(parents, slot, index, azimuth[order])
+                yield from self._draw_items(parents, slot, index, azimuth[order])
 
     def _azimuth_levels(self, slot: Slot, uniform: FloatArray, others: dict[str, FloatArray]) -> FloatArray:
         """`(parts,)` quantile levels of the slot's azimuth, uniform at every node whatever the steps."""
@@ -250,7 +250,9 @@ class TopologyBuilder:
         start = uniforms(child_addresses(self.phytomers.key, name_number(slot.name)), "azimuth")
         return np.asarray((start + np.cumsum(step)) % 1.0)
 
-    def _on(self, parents: OrganGroup, slot: Slot, index: int, azimuth: FloatArray) -> Iterator[OrganGroup]:
+    def _draw_items(
+        self, parents: OrganGroup, slot: Slot, index: int, azimuth: FloatArray
+    ) -> Iterator[OrganGroup]:
         """Organs in slot number `index` of organs of one kind, at `(n,)` azimuths, kind by kind."""
         kinds, slots = slot.kinds, child_addresses(parents.address, index)
         row, address, at, rotation = slot_items(slot, slots, self.phytomers.positions[parents.phytomer])
@@ -265,9 +267,13 @@ class TopologyBuilder:
             selected = np.flatnonzero(outcome == column)
             if selected.size:
                 columns = {"at": at[selected], "azimuth": azimuth[row[selected]] + rotation[selected]}
-                yield self._group(name, parents, slot, row[selected], address=address[selected], **columns)
+                yield self._make_group(
+                    name, parents, slot, row[selected], address=address[selected], **columns
+                )
 
-    def _group(self, name: str, parents: OrganGroup, slot: Slot, row: Indices, **columns: Any) -> OrganGroup:
+    def _make_group(
+        self, name: str, parents: OrganGroup, slot: Slot, row: Indices, **columns: Any
+    ) -> OrganGroup:
         """Organs of one kind on the parents of these rows, with the next free numbers."""
         # A fruit's calyx has the number before.
         width = 2 if getattr(self.organs[name], "calyx", False) else 1

@@ -76,7 +76,7 @@ def diagnose(*, test_code: str = _TEST_RENDER, time_limit_s: float = TIME_LIMIT_
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     lines += [llvm, Check("cores", str(cores))]
     if llvm.good:
-        lines += _check_rendering(_run(test_code, time_limit_s))
+        lines += _check_rendering(_run_child(test_code, time_limit_s))
     else:
         lines.append(Check("test render", "skipped", good=False, advice="fix LLVM first, see above"))
     lines.append(_check_denoiser())
@@ -156,7 +156,7 @@ class _ChildResult:
         return f"{words}: {self.error}" if self.error else words
 
 
-def _run(code: str, time_limit_s: float = TIME_LIMIT_S) -> _ChildResult:
+def _run_child(code: str, time_limit_s: float = TIME_LIMIT_S) -> _ChildResult:
     """Run Python code in a child process to its end or to the time limit."""
     try:
         child = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=time_limit_s)
@@ -227,7 +227,7 @@ def _check_denoiser() -> Check:
     package = _check_package("pyoidn")
     if not package.good:
         return Check("denoiser", "pyoidn is not installed", good=False, advice=_REINSTALL)
-    child = _run(_TEST_DENOISER)
+    child = _run_child(_TEST_DENOISER)
     if child.code != 0:
         return Check("denoiser", f"pyoidn {package.found} {child}", good=False, advice=_REINSTALL)
     return Check("denoiser", f"Open Image Denoise, pyoidn {package.found}")

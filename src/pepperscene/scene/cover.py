@@ -175,7 +175,7 @@ class CoverDocument(SourcedDocument):
     haze_width_deg: Annotated[float, Field(ge=NARROWEST_HAZE_DEG, le=WIDEST_HAZE_DEG)] | None = None
 
     @model_validator(mode="after")
-    def _haze_has_a_width(self) -> CoverDocument:
+    def _check_haze_width(self) -> CoverDocument:
         if self.haze > 0.0 and self.haze_width_deg is None:
             raise ValueError("haze_width_deg is required when haze is more than 0")
         return self

@@ -151,13 +151,13 @@ def negligible(
         return np.asarray(incident[rows] * covered + shadow)
 
     # A sample of the visible chunks gives lower bounds; only candidates below them are compared with all.
-    candidates = _smallest(change(np.arange(len(hidden)), seen[:: max(1, len(seen) // 64)]))
+    candidates = _smallest_changes(change(np.arange(len(hidden)), seen[:: max(1, len(seen) // 64)]))
     if candidates.size:
-        removed[hidden[candidates[_smallest(change(candidates, seen))]]] = True
+        removed[hidden[candidates[_smallest_changes(change(candidates, seen))]]] = True
     return removed
 
 
-def _smallest(changes: NDArray[np.float32]) -> NDArray[np.intp]:
+def _smallest_changes(changes: NDArray[np.float32]) -> NDArray[np.intp]:
     """Indices of the smallest changes, as many as together stay below `LIGHT_TOLERANCE`."""
     order = np.argsort(changes, kind="stable")
     return order[np.cumsum(changes[order], dtype=float) <= LIGHT_TOLERANCE]

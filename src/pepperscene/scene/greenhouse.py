@@ -188,7 +188,7 @@ def greenhouse_mesh(row: DoubleRow, greenhouse: Greenhouse, positions: NDArray[n
     meshes: list[Mesh] = []
     if greenhouse.gutter_width_m > 0.0:
         meshes += [part for line in lines for part in _gutter_and_slab(line.y_m, greenhouse, ends)]
-        meshes.append(_blocks(positions, greenhouse, row.spacing_m))
+        meshes.append(_substrate_blocks(positions, greenhouse, row.spacing_m))
     if greenhouse.crop_wire_m > 0.0:
         meshes += [_crop_wire(line, greenhouse, ends) for line in lines]
     if greenhouse.pipes:
@@ -211,7 +211,7 @@ def _gutter_and_slab(y: float, greenhouse: Greenhouse, ends: tuple[float, float]
     return [as_single_instance(concatenate_meshes(parts), "gutter"), as_single_instance(slab, "slab")]
 
 
-def _blocks(positions: NDArray[np.float64], greenhouse: Greenhouse, spacing_m: float) -> Mesh:
+def _substrate_blocks(positions: NDArray[np.float64], greenhouse: Greenhouse, spacing_m: float) -> Mesh:
     """The substrate blocks: rockwool, open at the top and wrapped in foil."""
     top, half = greenhouse.stem_base_m, _BLOCK[1] / 2.0
     half_length = min(_BLOCK[0], 0.9 * spacing_m) / 2.0

@@ -59,7 +59,7 @@ def simulate_patches(
     Raises:
         InputError: A name or a kind is unknown, or a value has the wrong number of entries.
     """
-    target = _target(recipe, kinds, organs, pixels, seed)
+    target = _make_target(recipe, kinds, organs, pixels, seed)
     known = target.parameters(list(values)) if values else ()
     given = {parameter.name: np.atleast_1d(np.asarray(values[parameter.name], float)) for parameter in known}
     for parameter in known:
@@ -89,7 +89,7 @@ def photograph(view: OrganView, camera: Camera, seed: tuple[int, int]) -> Patch:
     return Patch(view.name, view.kind, view.name, decode_tone(codes, tone), codes)
 
 
-def _target(recipe: Recipe, kinds: Sequence[str], organs: int, pixels: int, seed: int) -> TuningTarget:
+def _make_target(recipe: Recipe, kinds: Sequence[str], organs: int, pixels: int, seed: int) -> TuningTarget:
     """A target with views of these kinds; its patches are grey pixels that nothing is compared with."""
     grey = np.full((1, 3), 188, np.uint8)
     linear = decode_tone(grey)

@@ -92,7 +92,7 @@ def examine_frame(dataset: Dataset, index: int) -> FrameExamination:
 def manifest_digest(row: Mapping[str, Any]) -> int:
     """Digest of a row of the manifest, without the columns that only the journal knows."""
     known = {name: value for name, value in row.items() if value is not None and name not in _JOURNAL_COLUMNS}
-    return _digest(json.dumps(known, sort_keys=True, default=str).encode())
+    return _short_digest(json.dumps(known, sort_keys=True, default=str).encode())
 
 
 def _traits(
@@ -111,9 +111,9 @@ def _traits(
     return FrameTraits(
         index,
         scene=scene,
-        photo=_digest(np.ascontiguousarray(images[traced]).data) if traced else 0,
-        content=_digest(json.dumps(digests, sort_keys=True).encode()) if varied else 0,
-        view=0 if pose is None or seed is None else _digest(json.dumps([pose.tolist(), seed]).encode()),
+        photo=_short_digest(np.ascontiguousarray(images[traced]).data) if traced else 0,
+        content=_short_digest(json.dumps(digests, sort_keys=True).encode()) if varied else 0,
+        view=0 if pose is None or seed is None else _short_digest(json.dumps([pose.tolist(), seed]).encode()),
         row=_row_digest(metadata),
         fractions=_class_fractions(images.get("class")),
         mean=None if photo is None else float(photo.mean()),
@@ -137,7 +137,7 @@ def _row_digest(metadata: Mapping[str, Any]) -> int:
         return 0
 
 
-def _digest(content: bytes | memoryview) -> int:
+def _short_digest(content: bytes | memoryview) -> int:
     return int.from_bytes(hashlib.blake2b(content, digest_size=8).digest())
 
 

@@ -85,7 +85,7 @@ def run_on_dask(
     `where` names the cluster in messages. `upkeep` is called about once a second with whether there is a
     worker, and raises `WorkerError` if none will come.
     """
-    with _marker(job.folder) as marker, _DaskBuild(client, where, job, marker, dispatcher) as build:
+    with _marker_file(job.folder) as marker, _DaskBuild(client, where, job, marker, dispatcher) as build:
         build.run(upkeep)
 
 
@@ -113,7 +113,7 @@ class _DaskBuild:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         for number in list(self._tasks):
-            self._recall(number)
+            self._cancel(number)
         # Let workers finish their frames.
         end = time.monotonic() + (_PATIENCE_S if isinstance(error, PepperError) else _INTERRUPT_PATIENCE_S)
         while error is not None and self._unfinished and time.monotonic() < end:
@@ -136,7 +136,7 @@ class _DaskBuild:
             if done is not None:
                 self._dispatcher.report(done)
             elif number in self._tasks:
-                self._end(number)
+                self._end_task(number)
 
     def _receive(self, event: tuple[float, dict[str, Any]]) -> None:
         """Receive a worker's message, in the client's thread."""
@@ -147,7 +147,7 @@ class _DaskBuild:
             else:
                 self._messages.put((message["number"], pickle.loads(message["done"])))
 
-    def _end(self, number: int) -> None:
+    def _end_task(self, number: int) -> None:
         """React to the end of a task, and assign the next unit to its worker."""
         from distributed import KilledWorker
 
@@ -156,25 +156,25 @@ class _DaskBuild:
         # A task that could not even be read sends no message of its end.
         self._unfinished.discard(number)
         if error is None and self._dispatcher.is_complete(address):
-            self._dispatcher.release(self._recall(number))
+            self._dispatcher.release(self._cancel(number))
             self._assign(address)
         elif error is None or isinstance(error, KilledWorker):
-            self._dispatcher.lose(self._recall(number), f"at {address}")
+            self._dispatcher.lose(self._cancel(number), f"at {address}")
         elif (reason := _unfit_reason(error)) is not None:
-            self._dispatcher.release(self._recall(number))
+            self._dispatcher.release(self._cancel(number))
             self._unfit[address] = reason
             self._dispatcher.on_notice(f"the worker at {address} {reason}; it is not used")
         else:
-            self._recall(number)
+            self._cancel(number)
             raise error
 
     def _check_workers(self) -> bool:
         """Requeue units of lost workers, assign units to new ones; returns whether there is a worker."""
-        present = self._present()
+        present = self._present_workers()
         for number, (address, _) in list(self._tasks.items()):
             if address not in present:
                 self._unfinished.discard(number)
-                self._dispatcher.lose(self._recall(number), f"at {address}")
+                self._dispatcher.lose(self._cancel(number), f"at {address}")
         for address in sorted(present - self._dispatcher.running.keys() - self._unfit.keys()):
             self._assign(address)
         if not self._tasks and present and present <= self._unfit.keys():
@@ -184,7 +184,7 @@ class _DaskBuild:
             )
         return bool(present)
 
-    def _present(self) -> set[str]:
+    def _present_workers(self) -> set[str]:
         """Addresses of the workers that the scheduler knows."""
         try:
             if self._client.status == "running":
@@ -214,7 +214,7 @@ class _DaskBuild:
         self._unfinished.add(number)
         future.add_done_callback(lambda _: self._messages.put((number, None)))
 
-    def _recall(self, number: int) -> str:
+    def _cancel(self, number: int) -> str:
         """Cancel a task, which ends after the current frame; return its worker's address."""
         address, future = self._tasks.pop(number)
         with suppress(Exception):
@@ -232,7 +232,7 @@ def _unfit_reason(error: BaseException) -> str | None:
 
 
 @contextmanager
-def _marker(folder: Path) -> Iterator[Path]:
+def _marker_file(folder: Path) -> Iterator[Path]:
     """A file in a folder, or in the first parent that exists, by which workers recognise the file system."""
     existing_folder = next(path for path in (folder, *folder.parents) if path.is_dir())
     try:

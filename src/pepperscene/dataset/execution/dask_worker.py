@@ -162,7 +162,7 @@ class _FrameThread:
             return
         self._units += 1
         try:
-            self._maker(request).make(indices, on_frame, stop)
+            self._frame_maker(request).make(indices, on_frame, stop)
         except BaseException:
             self._release()
             raise
@@ -170,7 +170,7 @@ class _FrameThread:
         timer.daemon = True
         timer.start()
 
-    def _maker(self, request: BuildRequest) -> FrameMaker:
+    def _frame_maker(self, request: BuildRequest) -> FrameMaker:
         if self._held is None or self._held[0] != request.build:
             # Release the old plants before making new ones.
             self._release()

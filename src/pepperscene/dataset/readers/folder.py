@@ -167,7 +167,8 @@ class FolderSet(ImageSet):
             return None
         mask = read_mask(pair.mask)
         if mask.shape != (shape := photo_shape(pair.image)):
-            sizes = f"has {_size(mask.shape)} pixels, but its image {pair.image.name} has {_size(shape)}"
+            sizes = f"has {_format_size(mask.shape)} pixels, but its image"
+            sizes += f" {pair.image.name} has {_format_size(shape)}"
             raise InputError(pair.mask, f"{sizes}; masks are never resized")
         ids = _class_ids(mask, self.labels, pair.mask)
         return ids if mask.opaque is None else np.where(mask.opaque, ids, np.uint8(VOID))
@@ -213,5 +214,5 @@ def _fill_transparent(pixels: NDArray[Any], mask: MaskImage, value: Any) -> NDAr
     return np.where(opaque, pixels, np.asarray(value, pixels.dtype))
 
 
-def _size(shape: tuple[int, int]) -> str:
+def _format_size(shape: tuple[int, int]) -> str:
     return f"{shape[1]}x{shape[0]}"

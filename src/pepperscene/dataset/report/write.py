@@ -108,7 +108,7 @@ def write_report(
         summary, rows = _summarize(key, images, displayed, sample, (near, far), on_progress)
         sets.append(summary)
         sheet_rows.append(rows)
-    text = _page(dataset.info, sets, (near, far) if known else None)
+    text = _page_html(dataset.info, sets, (near, far) if known else None)
     page, sheet = dataset.folder / PAGE, dataset.folder / SHEET
     try:
         with atomic_write(sheet) as temporary:
@@ -144,7 +144,7 @@ def _summarize(
     return summary, sheet_rows
 
 
-def _page(
+def _page_html(
     info: Mapping[str, Any], sets: Sequence[SetSummary], distances_m: tuple[float, float] | None
 ) -> str:
     """The page as HTML; `distances_m` are those of the brightest and the darkest colour."""
@@ -164,13 +164,13 @@ def _page(
     if distances_m is not None:
         near, far = (f"<span>{distance:.2f} m</span>" for distance in distances_m)
         ramp = f'<p class="ramp">{near}<i class="back"></i>{far}</p>'
-    return Template(_resource("page.html")).substitute(
-        style=Template(_resource("page.css")).substitute(ramp=", ".join(VIRIDIS)),
-        script=_resource("page.js"),
+    return Template(_read_resource("page.html")).substitute(
+        style=Template(_read_resource("page.css")).substitute(ramp=", ".join(VIRIDIS)),
+        script=_read_resource("page.js"),
         name=escape(str(recipe["name"])),
         cultivar=escape(str(recipe["cultivar"])),
         summary=" ".join(summary),
-        facts=_facts(info),
+        facts=_facts_html(info),
         classes=" ".join(
             f"<span>{sections.swatch(organ)}{organ.name.lower()}</span>" for organ in OrganClass
         ),
@@ -185,11 +185,11 @@ def _page(
     )
 
 
-def _resource(name: str) -> str:
+def _read_resource(name: str) -> str:
     return resources.files("pepperscene.dataset.report").joinpath(name).read_text(encoding="utf-8")
 
 
-def _facts(info: Mapping[str, Any]) -> str:
+def _facts_html(info: Mapping[str, Any]) -> str:
     recipe = info["recipe"]
     daylight = recipe["daylight"] or {"illuminance_lx": 0}
     items = {

@@ -162,9 +162,9 @@ class PlantFactory:
         if self.twine is None or self.twine.diameter_mm == 0:
             return mesh
         twine = Twine(self.twine.diameter_mm / 1e3, self.twine.turns_per_m)
-        return add_twine(plant, mesh, twine, rng, self._knot(plant, posture))
+        return add_twine(plant, mesh, twine, rng, self._wire_knot(plant, posture))
 
-    def _knot(self, plant: Plant, posture: Posture) -> np.ndarray | None:
+    def _wire_knot(self, plant: Plant, posture: Posture) -> np.ndarray | None:
         """`(3,)` point on the wire, if there is one, above the stem's tip, in the plant's coordinates."""
         from pepperscene.scene import rotation_about_z
 

@@ -182,7 +182,7 @@ def _is_orphan(path: Path) -> bool:
     """Whether a temporary file was made by a process of this machine that has ended."""
     match = _TEMPORARY_NAME.search(path.name)
     # On other systems signal 0 would end the process.
-    if os.name != "posix" or match is None or match["host"] != _host():
+    if os.name != "posix" or match is None or match["host"] != _host_name():
         return False
     try:
         os.kill(int(match["process"]), 0)
@@ -194,11 +194,11 @@ def _is_orphan(path: Path) -> bool:
 
 
 def _temporary_path(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{_host()}.{os.getpid()}.{next(_number)}.tmp")
+    return path.with_name(f".{path.name}.{_host_name()}.{os.getpid()}.{next(_number)}.tmp")
 
 
 @cache
-def _host() -> str:
+def _host_name() -> str:
     """This machine's name, reduced to characters that file names may have."""
     return re.sub(r"[^A-Za-z0-9-]", "-", platform.node()) or "unnamed"
 

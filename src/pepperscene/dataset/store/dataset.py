@@ -146,7 +146,7 @@ class Dataset:
             outputs = {
                 str(name): entry
                 for name, entry in entries
-                if name in OUTPUTS and _matches(self.path(index, name), entry)
+                if name in OUTPUTS and _matches_entry(self.path(index, name), entry)
             }
         except (InputError, KeyError, AttributeError, TypeError):
             return FrameStatus()
@@ -190,7 +190,7 @@ class Dataset:
         return FrameStatus(metadata, outputs, checksum)
 
 
-def _matches(path: Path, entry: Mapping[str, Any]) -> bool:
+def _matches_entry(path: Path, entry: Mapping[str, Any]) -> bool:
     """Whether a file has the size and the checksum of its entry in the frame's JSON."""
     try:
         return bool(path.stat().st_size == entry["bytes"] and digest(path) == entry["sha256"])

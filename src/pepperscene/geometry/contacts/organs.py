@@ -210,7 +210,7 @@ class Organs:
             if not self.solid[organ]:
                 continue
             if self.patch_count[organ] < 0:
-                points = self._current(organ, self.original_vertices(organ))
+                points = self._current_points(organ, self.original_vertices(organ))
             else:
                 points = self._move_patches(organ, rotation, shift)
             self.low[organ], self.high[organ] = points.min(axis=0), points.max(axis=0)
@@ -222,7 +222,7 @@ class Organs:
         vertices, normals = self.mesh.vertices.copy(), self.mesh.normals.copy()
         for organ in np.flatnonzero(self.moved_at).tolist():
             rows = self._vertices.rows(organ)
-            vertices[rows] = self._current(organ, vertices[rows])
+            vertices[rows] = self._current_points(organ, vertices[rows])
             normals[rows] = (normals[rows] @ self.rotation[organ].T).astype(np.float32)
         return replace(self.mesh, vertices=vertices, normals=normals)
 
@@ -234,7 +234,7 @@ class Organs:
                 children[above].append(organ)
         return children
 
-    def _current(self, organ: int, points: SingleArray) -> SingleArray:
+    def _current_points(self, organ: int, points: SingleArray) -> SingleArray:
         return (points @ self.rotation[organ].T + self.shift[organ]).astype(np.float32)
 
     def _boxes(self) -> tuple[FloatArray, FloatArray]:

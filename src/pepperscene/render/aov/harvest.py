@@ -195,7 +195,7 @@ class SceneHarvest:
         ancestors = _ancestors(self._skeleton, index)
         names = ("ripeness", "ripeness_spread", "length_m", "diameter_m")
         measures = {name: float(organ.measures.get(name, 0.0)) for name in names}
-        stalk = _stalk(self._skeleton, ancestors)
+        stalk = _find_stalk(self._skeleton, ancestors)
         approach = tool_approach(centre, self._stem_axis(instance.plant))
         return FruitTruth(index, instance, pose, low, high, measures, ancestors, stalk, approach)
 
@@ -212,18 +212,18 @@ def _ancestors(skeleton: Skeleton, index: int) -> tuple[int, ...]:
     line = []
     while index >= 0:
         line.append(index)
-        index = -1 if _form(skeleton, index) in ("internode", "node") else skeleton.organ(index).parent
+        index = -1 if _organ_form(skeleton, index) in ("internode", "node") else skeleton.organ(index).parent
     return tuple(line)
 
 
-def _form(skeleton: Skeleton, index: int) -> str | None:
+def _organ_form(skeleton: Skeleton, index: int) -> str | None:
     kind = skeleton.kind(index)
     return None if kind is None else kind.form
 
 
-def _stalk(skeleton: Skeleton, ancestors: tuple[int, ...]) -> FruitStalk | None:
+def _find_stalk(skeleton: Skeleton, ancestors: tuple[int, ...]) -> FruitStalk | None:
     """The stalk of a fruit, directly above it or above its calyx; None if it has none."""
-    forms = [_form(skeleton, index) for index in ancestors]
+    forms = [_organ_form(skeleton, index) for index in ancestors]
     position = next((step for step in range(1, len(forms)) if forms[step] != "calyx"), len(forms))
     if position == len(forms) or forms[position] != "peduncle":
         return None
@@ -234,14 +234,14 @@ def _stalk(skeleton: Skeleton, ancestors: tuple[int, ...]) -> FruitStalk | None:
     return fruit_stalk(
         smooth,
         float(organ.measures["radius_m"]),
-        _tube(skeleton.organ(parent)) if parent >= 0 else None,
+        _tube_shape(skeleton.organ(parent)) if parent >= 0 else None,
         instance=ancestors[position],
         parent_instance=parent,
         on_stalk=parent >= 0 and forms[position + 1] == "peduncle",
     )
 
 
-def _tube(organ: Organ) -> tuple[NDArray[np.float64], float, float]:
+def _tube_shape(organ: Organ) -> tuple[NDArray[np.float64], float, float]:
     """Centreline of a tube and its radii at both ends; a node counts with its largest radius."""
     radius = float(organ.measures.get("radius_m", 0.0))
     return organ.curve, radius, float(organ.measures.get("radius_tip_m", radius))

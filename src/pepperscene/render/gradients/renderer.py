@@ -118,7 +118,7 @@ class DifferentiableRenderer:
             ValueError: a parameter is unknown, has a wrong shape, or is out of its range.
         """
         values = self._values(parameters or {})
-        tables = _upload(self._tables.tables(values))
+        tables = _to_device(self._tables.tables(values))
         passes = self._passes
         return self._image([passes.sums(passes.lanes(tables, block)) for block in passes.blocks], values)
 
@@ -134,8 +134,8 @@ class DifferentiableRenderer:
         """
         _, dr = mitsuba_modules()
         values, direction = self._values(parameters), self._with_shapes(direction)
-        tables = _upload(self._tables.tables(values))
-        tangents = _upload(self._tables.forward(values, direction))
+        tables = _to_device(self._tables.tables(values))
+        tangents = _to_device(self._tables.forward(values, direction))
         channels, sums = self._frame.channels, []
         for block in self._passes.blocks:
             for name, table in tables.items():
@@ -172,7 +172,7 @@ class DifferentiableRenderer:
         blocks = self._passes.blocks
         weights = np.pad(weights / scale, ((0, blocks[-1].stop - len(weights)), (0, 0)))
         tables = self._tables.tables(values)
-        device_tables, loss = _upload(tables), 0.0
+        device_tables, loss = _to_device(tables), 0.0
         cotangents = {name: np.zeros(table.shape) for name, table in tables.items()}
         for block in blocks:
             columns = [device_array(column) for column in weights[block.start : block.stop].T]
@@ -237,5 +237,5 @@ class DifferentiableRenderer:
         return {**self.parameters, **changed}
 
 
-def _upload(tables: Tables) -> dict[str, Any]:
+def _to_device(tables: Tables) -> dict[str, Any]:
     return {name: device_array(table) for name, table in tables.items()}

@@ -90,12 +90,12 @@ class Optics:
             first_nm=device_float(first_nm),
             columns=device_uint(grid.size),
             spectra=device_array(np.concatenate(blocks)),
-            first_row=device_array(_starts(states), np.uint32),
+            first_row=device_array(_block_starts(states), np.uint32),
             last_state=device_array(states - 1),
             sides=device_array(np.stack(sides)),
             openness=device_array(np.stack(openness)),
             details=device_array(np.concatenate([detail.ravel() for detail in details])),
-            first_texel=device_array(_starts(texels), np.uint32),
+            first_texel=device_array(_block_starts(texels), np.uint32),
             width=device_array([detail.shape[1] for detail in details], np.uint32),
             height=device_array([detail.shape[0] for detail in details], np.uint32),
         )
@@ -259,6 +259,6 @@ def _details(surface: Surface, unit_m: float) -> NDArray[np.float32]:
     return packed
 
 
-def _starts(counts: NDArray[np.int_]) -> NDArray[np.uint32]:
+def _block_starts(counts: NDArray[np.int_]) -> NDArray[np.uint32]:
     """Start of each block when blocks of these lengths follow one another."""
     return (np.cumsum(counts) - counts).astype(np.uint32)

@@ -98,7 +98,7 @@ def _denoised_indirect(light: TracedLight) -> Image:
     # The filter and its albedo expect values about 1.
     traced = np.asarray(light.indirect / level, np.float32)
     albedo = np.clip(of_guides.extend(light.albedo), 0.0, 1.0)
-    filtered = _filter(of_light.extend(traced), albedo, of_guides.extend(light.normal))
+    filtered = _apply_filter(of_light.extend(traced), albedo, of_guides.extend(light.normal))
     filtered *= of_guides.fraction
     return _restore_local_mean(filtered, traced) * np.float32(level)
 
@@ -150,15 +150,15 @@ class _Coverage:
         return per_area
 
 
-def _filter(image: Image, albedo: Image, normal: Image) -> Image:
+def _apply_filter(image: Image, albedo: Image, normal: Image) -> Image:
     """Apply the "RT" filter of Open Image Denoise, which takes three channels; a single one is repeated."""
     h, w, c = image.shape
-    result = open_image_denoise().denoise(_padded(image), _padded(albedo), _padded(normal), hdr=True)
+    result = open_image_denoise().denoise(_pad_image(image), _pad_image(albedo), _pad_image(normal), hdr=True)
     inner = np.asarray(result, np.float32)[_PADDING : _PADDING + h, _PADDING : _PADDING + w]
     return np.maximum(inner if c == 3 else inner.mean(axis=-1, keepdims=True), np.float32(0.0))
 
 
-def _padded(image: Image) -> Image:
+def _pad_image(image: Image) -> Image:
     """Three channels, mirrored beyond the borders of the image."""
     three = np.broadcast_to(image, (*image.shape[:2], 3))
     widths = ((_PADDING, _PADDING), (_PADDING, _PADDING), (0, 0))

@@ -193,11 +193,11 @@ class TuningTarget:
                 parts = self.tuned_parts({})
                 samples.append([model.linear(parts, NO_NEIGHBOURS.shade) for model in models])
             effect = neighbours.get(kind, NO_NEIGHBOURS)
-            observations.append(Observation(kind, models, target, _sigma(samples, target), effect))
+            observations.append(Observation(kind, models, target, _observable_sd(samples, target), effect))
         return observations
 
 
-def _sigma(samples: Sequence[Sequence[Array]], target: Array) -> Array:
+def _observable_sd(samples: Sequence[Sequence[Array]], target: Array) -> Array:
     """`(8,)` standard deviations of the difference between samples of organs; pixels of each organ given."""
     between = np.zeros(5)
     if len(samples[0]) == 1:

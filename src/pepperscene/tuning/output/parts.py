@@ -154,7 +154,7 @@ def flash_files(name: str, fit: FitResult, run: RunInfo, stem: str) -> tuple[Fla
     tables["sources"] = sources
     texts = {
         f"{stem}.toml": toml_text(tables, f"The flash {path.stem}, tuned to measured colour.\n{tuned}."),
-        f"{spectrum}.csv": _csv(flash.spectrum),
+        f"{spectrum}.csv": _spectrum_csv(flash.spectrum),
         f"{spectrum}.toml": toml_text(_spectrum_provenance(path, tables["licence"], tuned)),
     }
     return flash, texts
@@ -166,7 +166,7 @@ def flash_changed(fit: FitResult) -> bool:
     return abs(fit.tuned_parts.flash_power - 1.0) > 1e-12 or bool((np.abs(factors - 1.0) > 1e-12).any())
 
 
-def _csv(spectrum: Spectrum) -> str:
+def _spectrum_csv(spectrum: Spectrum) -> str:
     rows = zip(spectrum.wavelength_nm.tolist(), spectrum.values.tolist(), strict=True)
     return f"wavelength_nm,{_COLUMN}\n" + "".join(f"{nm:.12g},{value!r}\n" for nm, value in rows)
 

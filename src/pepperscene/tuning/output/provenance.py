@@ -142,17 +142,17 @@ def toml_text(
             document.add(tomlkit.comment(line))
     if head:
         document.add(tomlkit.nl())
-    _fill(document, tables, "", comments or {}, depth)
+    _fill_table(document, tables, "", comments or {}, depth)
     return tomlkit.dumps(document)
 
 
-def _fill(
+def _fill_table(
     table: Container | Table, content: Mapping[str, Any], prefix: str, comments: Mapping[str, str], depth: int
 ) -> None:
     headed = {key: value for key, value in content.items() if isinstance(value, Mapping) and depth > 0}
     for key, value in content.items():
         if key not in headed:
-            item = _item(value)
+            item = _toml_item(value)
             if comment := comments.get(f"{prefix}{key}"):
                 item.comment(" ".join(comment.split()))
                 item.trivia.comment_ws = "  "
@@ -161,11 +161,11 @@ def _fill(
         # A table that only holds tables needs no heading.
         only_tables = bool(value) and depth > 1 and all(isinstance(item, Mapping) for item in value.values())
         inner = tomlkit.table(is_super_table=only_tables)
-        _fill(inner, value, f"{prefix}{key}.", comments, depth - 1)
+        _fill_table(inner, value, f"{prefix}{key}.", comments, depth - 1)
         table.append(key, inner)
 
 
-def _item(value: Any) -> Item:
+def _toml_item(value: Any) -> Item:
     """A value as a TOML item: tables inline, arrays of arrays with one row a line."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
@@ -175,10 +175,10 @@ def _item(value: Any) -> Item:
     if isinstance(value, Mapping):
         table = tomlkit.inline_table()
         for key, item in value.items():
-            table.append(key, _item(item))
+            table.append(key, _toml_item(item))
         return table
     if isinstance(value, list | tuple):
         array = tomlkit.array()
-        array.extend(_item(item) for item in value)
+        array.extend(_toml_item(item) for item in value)
         return array.multiline(bool(value) and isinstance(value[0], list | tuple))
     return tomlkit.item(value)

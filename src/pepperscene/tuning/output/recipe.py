@@ -53,7 +53,7 @@ def recipe_text(
     content = _recipe_content(recipe, folder)
     content["name"] = f"{recipe.name}_tuned"
     for key, value in changes.items():
-        _set(content, key, value)
+        _set_value(content, key, value)
     if extends is not None:
         base = _recipe_content(load_recipe(extends), folder)
         if _can_extend(base, content):
@@ -156,7 +156,7 @@ def _difference(base: Mapping[str, Any], content: Mapping[str, Any]) -> Changes:
     return changes
 
 
-def _set(tables: Changes, key: str, value: Any) -> None:
+def _set_value(tables: Changes, key: str, value: Any) -> None:
     *above, last = key.split(".")
     for name in above:
         tables = tables.setdefault(name, {})

@@ -46,7 +46,7 @@ def fit_tables(fit: FitResult, verification: Verification | None = None) -> tupl
     rows = [
         (
             label, format_value(before, sd), format_with_sd(value, sd),
-            f"{prior.low:.4g} to {prior.high:.4g}", parameter.unit, _percent(reduction),
+            f"{prior.low:.4g} to {prior.high:.4g}", parameter.unit, _format_percent(reduction),
         )
         for parameter in fit.parameters
         for (label, value, sd, before), prior, reduction in zip(
@@ -85,19 +85,19 @@ def _agreement_table(
     rows = [
         (
             kind,
-            _number(before[kind].delta_e), _number(agreement.delta_e),
-            _number(before[kind].correlation), _number(agreement.correlation),
+            _format_number(before[kind].delta_e), _format_number(agreement.delta_e),
+            _format_number(before[kind].correlation), _format_number(agreement.correlation),
         )
         for kind, agreement in after.items()
     ]  # fmt: skip
     return TextTable(title, headers, tuple(rows))
 
 
-def _number(value: float | None) -> str:
+def _format_number(value: float | None) -> str:
     return UNKNOWN if value is None or not np.isfinite(value) else f"{value:.2f}"
 
 
-def _percent(value: float) -> str:
+def _format_percent(value: float) -> str:
     return UNKNOWN if not np.isfinite(value) else f"{100 * np.clip(value, 0.0, 1.0):.0f} %"
 
 

@@ -72,12 +72,12 @@ def write_tuned(
     folder = Path(out)
     check_folder(folder)
     run = RunInfo.of(patches, when, options)
-    texts = _texts(recipe, fit, folder, extends, run)
+    texts = _file_texts(recipe, fit, folder, extends, run)
     files = {name: text.encode() for name, text in texts.items()}
     files[PICTURE] = before_after_png(fit, recipe.name, frames)
     files[RECORD] = canonical_json(fit_record(fit, run, verification))
     try:
-        return _write(folder, files)
+        return _write_files(folder, files)
     except OSError as error:
         where = error.filename or folder
         raise OutputError(f"{where}: cannot be written ({error.strerror or error})") from None
@@ -95,7 +95,7 @@ def check_folder(folder: Path) -> None:
         raise OutputError(f"{folder}: contains {names[0]!r}; choose an empty or a new folder")
 
 
-def _texts(
+def _file_texts(
     recipe: Recipe, fit: FitResult, folder: Path, extends: str | Path | None, run: RunInfo
 ) -> dict[str, str]:
     """The TOML and CSV files by name, the recipe first."""
@@ -138,7 +138,7 @@ def _file_stem(name: str, suffix: str, used: set[str]) -> str:
     return stem
 
 
-def _write(folder: Path, files: Mapping[str, bytes]) -> tuple[Path, ...]:
+def _write_files(folder: Path, files: Mapping[str, bytes]) -> tuple[Path, ...]:
     """Write all files under temporary names, and rename them when all are complete."""
     written: list[Path] = []
     paths = [folder / name for name in files]
