@@ -144,7 +144,7 @@ def check_dataset(
 
     # All frames together.
     findings += comparison.duplicates()
-    findings += comparison.drift(complete=plan is not None and len(indices) == plan.count)
+    findings += comparison.drift(whole=plan is not None and len(indices) == plan.count)
     incomplete = {finding.index for finding in findings if finding.kind == "incomplete"}
     findings += (
         finding

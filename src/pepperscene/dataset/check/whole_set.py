@@ -164,11 +164,11 @@ class CrossFrameChecks:
         for trait, digests in self._digests.items():
             digests.append(getattr(traits, trait))
 
-    def drift(self, complete: bool) -> Iterator[Finding]:
+    def drift(self, whole: bool) -> Iterator[Finding]:
         """Yield means of the set that are outside the expected ranges.
 
         Args:
-            complete: whether all frames of the plan exist; otherwise sampling error is allowed for.
+            whole: whether all frames of the plan exist; otherwise sampling error is allowed for.
         """
         ranges = dict(self._expect.share)
         if self._expect.intensity is not None:
@@ -178,7 +178,7 @@ class CrossFrameChecks:
             if len(values) == 0:
                 continue
             mean, tolerance = values.mean(), 0.0
-            if not complete:
+            if not whole:
                 # The standard error from scene to scene: the frames of a scene show the same plants.
                 too_few = len(scene_means) < _MIN_SCENES
                 error = math.inf if too_few else scene_means.std(ddof=1) / math.sqrt(len(scene_means))
