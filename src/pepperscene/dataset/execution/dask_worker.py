@@ -63,8 +63,8 @@ class FrameTask:
     """A task, as bytes that run it when they are read.
 
     A worker that cannot read a message ends, and a scheduler that cannot read a task refuses it. So the task
-    is    `pickle.loads`, which is known everywhere, and it reads these bytes: where this package is missing
-    or has another version the task fails, and the worker continues with other tasks.
+    is `pickle.loads`, which is known everywhere, and it reads these bytes: where this package is missing or
+    has another version, the task fails, and the worker continues with other tasks.
     """
 
     request: BuildRequest
