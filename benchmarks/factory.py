@@ -24,7 +24,7 @@ from pepperscene.dataset import BuildProgress
 TRUTH = ("class", "instance", "distance", "distance_code")
 
 
-def rate(recipe: ps.Recipe, frames: Sequence[int], workers: int | None) -> float:
+def build_rate(recipe: ps.Recipe, frames: Sequence[int], workers: int | None) -> float:
     """Frames per second of a complete build of labels, including the start of workers and the manifest."""
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
@@ -32,19 +32,19 @@ def rate(recipe: ps.Recipe, frames: Sequence[int], workers: int | None) -> float
         return len(frames) / (time.perf_counter() - start)
 
 
-def overhead(recipe: ps.Recipe, frames: Sequence[int]) -> float:
+def build_overhead(recipe: ps.Recipe, frames: Sequence[int]) -> float:
     """Overhead of a build of colour and labels over rendering the same frames in sequence, as a fraction.
 
     Both build the scene with an extra frame before the first. A build reports a frame when the next one is
     rendered, so its clock starts after the first.
     """
     outputs = ("colour", *TRUTH)
-    stage = ps.FrameRenderer(recipe)
+    renderer = ps.FrameRenderer(recipe)
     for index in (frames[0] - 1, frames[0]):
-        stage.render(recipe.plan.frame(index), outputs)
+        renderer.render(recipe.plan.frame(index), outputs)
     start = time.perf_counter()
     for index in frames[1:]:
-        stage.render(recipe.plan.frame(index), outputs)
+        renderer.render(recipe.plan.frame(index), outputs)
     render_s = time.perf_counter() - start
     times: list[float] = []
 
@@ -63,10 +63,10 @@ def main() -> None:
     )
     parser.add_argument("--runs", type=int, default=3, help="runs of each kind (default: 3)")
     parser.add_argument("--scenes", type=int, default=2, help="scenes of 250 label frames (default: 2)")
-    given = parser.parse_args()
+    options = parser.parse_args()
     sys.stdout.write(describe_machine(machine_info()) + "\n\n")
-    _measure_labels(given.runs, given.scenes)
-    _measure_overhead(given.runs)
+    _measure_labels(options.runs, options.scenes)
+    _measure_overhead(options.runs)
 
 
 def _measure_labels(runs: int, scenes: int) -> None:
@@ -85,7 +85,7 @@ def _measure_labels(runs: int, scenes: int) -> None:
         for name, workers in configurations.items():
             os.environ.pop("PEPPERSCENE_THREADS", None)
             os.environ |= {} if workers is None else {"PEPPERSCENE_THREADS": "1"}
-            measured[name].append(rate(recipe, frames, workers))
+            measured[name].append(build_rate(recipe, frames, workers))
     os.environ.pop("PEPPERSCENE_THREADS", None)
     one_worker = measured["one worker"]
     sys.stdout.write(
@@ -99,7 +99,7 @@ def _measure_labels(runs: int, scenes: int) -> None:
 
 def _measure_overhead(runs: int) -> None:
     recipe = ps.load_recipe("barth2018")
-    overheads = [100.0 * overhead(recipe, range(122, 134)) for _ in range(runs)]
+    overheads = [100.0 * build_overhead(recipe, range(122, 134)) for _ in range(runs)]
     sys.stdout.write(
         f"\nA build of colour and labels takes {statistics.median(overheads):+.1f} % "
         f"({min(overheads):+.1f} to {max(overheads):+.1f}) longer than rendering alone.\n"

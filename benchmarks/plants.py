@@ -17,7 +17,7 @@ from pepperscene.bench.report import time_table
 from pepperscene.bench.run import DEFAULT_RUNS
 
 
-def single_plants(cultivar: str, runs: int, detail: float) -> dict[str, list[float]]:
+def time_single_plants(cultivar: str, runs: int, detail: float) -> dict[str, list[float]]:
     """Seconds to grow and mesh single plants, and to resolve their contacts."""
     import numpy as np
 
@@ -37,8 +37,8 @@ def single_plants(cultivar: str, runs: int, detail: float) -> dict[str, list[flo
     return by_stage(all_times[1:])
 
 
-def rows(recipe_name: str, runs: int) -> dict[str, list[float]]:
-    """Seconds to make the plants of a recipe's row and to place it, by stage, and to place it once more."""
+def time_rows(recipe_name: str, runs: int) -> dict[str, list[float]]:
+    """Seconds to make and place the plants of a recipe's row, by stage, and to place them a second time."""
     import pepperscene as ps
     from pepperscene.dataset.scenes.scene_builder import SceneBuilder
 
@@ -52,7 +52,7 @@ def rows(recipe_name: str, runs: int) -> dict[str, list[float]]:
         builder = SceneBuilder(recipe, cultivar, 1)
         with timed(times, "total"):
             builder.scene(0, 0)
-        # Far rows, if the recipe has them, are grown and meshed too and count to their stages.
+        # Far rows, if the recipe has them, are grown and meshed too and count towards their stages.
         stages = {name: stage_times.get(name, 0.0) for name in PLANT_STAGES}
         placing = times["total"] - sum(stages.values())
         times = {**stages, "place row and resolve contacts": placing, **times}
@@ -84,10 +84,10 @@ def main() -> None:
         f"On one of {machine['cores']} cores of {machine['cpu']}, {machine['system']}; "
         f"Python {machine['python']}, numpy {machine['packages']['numpy']}.\n\n"
     )
-    plants = single_plants(options.cultivar, 4 * options.runs, options.detail)
+    plants = time_single_plants(options.cultivar, 4 * options.runs, options.detail)
     table = {f"one plant of {options.cultivar}: {stage}": times for stage, times in plants.items()}
     table |= {
-        f"row of {options.recipe}: {stage}": t for stage, t in rows(options.recipe, options.runs).items()
+        f"row of {options.recipe}: {stage}": t for stage, t in time_rows(options.recipe, options.runs).items()
     }
     sys.stdout.write(time_table(table.items()) + "\n")
 

@@ -80,7 +80,7 @@ def count_calls() -> None:
 
 
 class BackwardViewModel(ViewModel):
-    """A view with reverse-mode derivatives: of a cost of its pixels with respect to all entries at once."""
+    """A view with reverse-mode derivatives of a cost of its pixels with respect to all entries at once."""
 
     def backward(
         self,
@@ -110,7 +110,7 @@ class BackwardViewModel(ViewModel):
         for i, step in enumerate(steps):
             if step.changes_light:
                 above, below = self._light(step.above), self._light(step.below)
-                change = sum(float((slopes[one] * (above[one] - below[one])).sum()) for one in parameters)
+                change = sum(float((slopes[name] * (above[name] - below[name])).sum()) for name in parameters)
             else:
                 ends = [self._developed(electrons, one) for one in (step.above, step.below)]
                 change = float((gradient * (ends[0] - ends[1])).sum())
@@ -143,20 +143,20 @@ class KnownProblem:
     problem: FitProblem
     hidden: Array
     path: list[tuple[float, int, int, float, Array]] = field(default_factory=list)
-    began: float = 0.0
+    start_s: float = 0.0
 
     @contextmanager
     def clock(self) -> Iterator[None]:
         """Start counting."""
         COUNTS.clear()
         self.path = []
-        self.began = time.perf_counter()
+        self.start_s = time.perf_counter()
         yield
 
     @property
     def seconds(self) -> float:
         """Seconds since the clock was started."""
-        return time.perf_counter() - self.began
+        return time.perf_counter() - self.start_s
 
     def vector(self, scaled: Array) -> Array:
         """Values of scaled entries."""
@@ -188,12 +188,12 @@ class KnownProblem:
     def differences(self, scaled: Array) -> Array:
         """Finite differences: one image for each entry, within the bounds."""
         _, high = self.bounds
-        here, columns = self.problem.residuals(self.vector(scaled)), []
+        residuals, columns = self.problem.residuals(self.vector(scaled)), []
         for i in range(scaled.size):
             step = DIFFERENCE if scaled[i] + DIFFERENCE <= high[i] else -DIFFERENCE
-            moved = scaled.copy()
-            moved[i] += step
-            columns.append((self.problem.residuals(self.vector(moved)) - here) / step)
+            shifted = scaled.copy()
+            shifted[i] += step
+            columns.append((self.problem.residuals(self.vector(shifted)) - residuals) / step)
         return np.stack(columns, axis=1)
 
     def cost_and_gradient(self, scaled: Array) -> tuple[float, Array]:
@@ -204,18 +204,21 @@ class KnownProblem:
         steps = [ParameterStep.along(entry, values, problem.tuned_parts) for entry in problem.entries]
         deviation = (vector - problem.mean) / problem.sd
         cost, gradient = 0.5 * float(deviation @ deviation), deviation / problem.sd
-        for one in problem.observations:
+        for observation in problem.observations:
             # One image gives the residuals, which are the input of the backward pass.
-            (model,) = one.view_models
+            (model,) = observation.view_models
             residuals: list[Array] = []
 
             def cost_gradient(
-                linear: Array, one: Observation = one, residuals: list[Array] = residuals
+                linear: Array, observation: Observation = observation, residuals: list[Array] = residuals
             ) -> Array:
-                residuals.append((observables(linear) + one.neighbours.offset - one.target) / one.sigma)
-                return pixel_gradient(linear, residuals[0] / one.sigma)
+                residuals.append(
+                    (observables(linear) + observation.neighbours.offset - observation.target)
+                    / observation.sigma
+                )
+                return pixel_gradient(linear, residuals[0] / observation.sigma)
 
-            gradient = gradient + model.backward(parts, cost_gradient, steps, one.neighbours.shade)
+            gradient = gradient + model.backward(parts, cost_gradient, steps, observation.neighbours.shade)
             cost += 0.5 * float(residuals[0] @ residuals[0])
         self._record(cost, scaled)
         return cost, gradient * problem.sd
@@ -223,8 +226,8 @@ class KnownProblem:
     def errors(self, vector: Array) -> tuple[float, float]:
         """Mean CIEDE2000 of the patches, and mean distance of the entries from the solution in prior sd."""
         parts = self.problem.tuned_parts(self.problem.values(vector))
-        predicted = np.array([one.predicted(parts)[:3] for one in self.problem.observations])
-        target = np.array([one.target[:3] for one in self.problem.observations])
+        predicted = np.array([observation.predicted(parts)[:3] for observation in self.problem.observations])
+        target = np.array([observation.target[:3] for observation in self.problem.observations])
         distance = np.abs(vector - self.hidden) / self.problem.sd
         return float(np.mean(delta_e_2000(predicted, target))), float(np.mean(distance))
 
@@ -237,7 +240,9 @@ def known_problem(recipe_name: str, seed: int) -> KnownProblem:
     """Values drawn from the priors, and patches simulated with other random numbers than the fit's."""
     recipe, rng = load_recipe(recipe_name), np.random.default_rng(seed)
     parameters = TuningTarget(recipe, PatchSet("none", ())).parameters(NAMES)
-    hidden = {one.name: np.array([prior.draw(rng) for prior in one.prior]) for one in parameters}
+    hidden = {
+        parameter.name: np.array([prior.draw(rng) for prior in parameter.prior]) for parameter in parameters
+    }
     patches = simulate_patches(recipe, hidden, KINDS, organs=1, seed=seed, noise=seed + 1)
     target = TuningTarget(recipe, patches, registered=True, organs=1, seed=seed)
     problem = target.problem(NAMES)
@@ -245,57 +250,65 @@ def known_problem(recipe_name: str, seed: int) -> KnownProblem:
         view.name: BackwardViewModel(view, target.cultivar, seed + i, VIEW_QUALITY)
         for i, view in enumerate(target.views)
     }
-    observations = [replace(one, view_models=(models[one.label],)) for one in problem.observations]
+    observations = [
+        replace(observation, view_models=(models[observation.label],)) for observation in problem.observations
+    ]
     problem = FitProblem(problem.parameters, target.tuned_parts, observations)
-    return KnownProblem(problem, np.concatenate([hidden[one.name] for one in parameters]))
+    return KnownProblem(problem, np.concatenate([hidden[parameter.name] for parameter in parameters]))
 
 
 # --- methods ------------------------------------------------------------------------------------------------
 
 
-def gauss_newton(of: KnownProblem, budget_s: float, derivatives: Callable[[Array], Array]) -> None:
+def gauss_newton(known: KnownProblem, budget_s: float, derivatives: Callable[[Array], Array]) -> None:
     """Trust-region Gauss-Newton method (Branch, Coleman & Li 1999)."""
     from scipy.optimize import least_squares
 
     least_squares(
-        of.residuals, of.start, derivatives, bounds=of.bounds, ftol=TOLERANCE, xtol=TOLERANCE, max_nfev=40
+        known.residuals,
+        known.start,
+        derivatives,
+        bounds=known.bounds,
+        ftol=TOLERANCE,
+        xtol=TOLERANCE,
+        max_nfev=40,
     )
 
 
-def l_bfgs(of: KnownProblem, budget_s: float) -> None:
+def l_bfgs(known: KnownProblem, budget_s: float) -> None:
     """A limited-memory approximation of the curvature from gradients (Byrd et al. 1995)."""
     from scipy.optimize import minimize
 
     minimize(
-        of.cost_and_gradient,
-        of.start,
+        known.cost_and_gradient,
+        known.start,
         jac=True,
         method="L-BFGS-B",
-        bounds=np.transpose(of.bounds),
+        bounds=np.transpose(known.bounds),
         options={"ftol": TOLERANCE, "maxfun": 400},
     )
 
 
-def adam(of: KnownProblem, budget_s: float, step: float) -> None:
-    """Kingma & Ba 2015 with their constants, clipped to the bounds, until the time is over."""
-    scaled, (low, high) = of.start, of.bounds
+def adam(known: KnownProblem, budget_s: float, step: float) -> None:
+    """Kingma & Ba 2015 with their constants, clipped to the bounds, until the time limit."""
+    scaled, (low, high) = known.start, known.bounds
     mean, square = np.zeros(scaled.size), np.zeros(scaled.size)
     for i in range(1, 10_000):
-        _, gradient = of.cost_and_gradient(scaled)
+        _, gradient = known.cost_and_gradient(scaled)
         mean, square = 0.9 * mean + 0.1 * gradient, 0.999 * square + 0.001 * gradient**2
         unbiased = mean / (1.0 - 0.9**i), square / (1.0 - 0.999**i)
         scaled = np.clip(scaled - step * unbiased[0] / (np.sqrt(unbiased[1]) + 1e-8), low, high)
-        if of.seconds > budget_s:
+        if known.seconds > budget_s:
             break
 
 
 METHODS: Final[Mapping[str, Callable[[KnownProblem, float], None]]] = {
-    "Gauss-Newton, forward derivatives": lambda of, budget: gauss_newton(of, budget, of.jacobian),
-    "the same, finite differences": lambda of, budget: gauss_newton(of, budget, of.differences),
+    "Gauss-Newton, forward derivatives": lambda known, budget: gauss_newton(known, budget, known.jacobian),
+    "the same, finite differences": lambda known, budget: gauss_newton(known, budget, known.differences),
     "L-BFGS, backward derivatives": l_bfgs,
     **{
         f"Adam, backward derivatives, steps of {step:g} sd": (
-            lambda of, budget, step=step: adam(of, budget, step)
+            lambda known, budget, step=step: adam(known, budget, step)
         )
         for step in STEPS
     },
@@ -324,43 +337,43 @@ class Run:
     errors_by_time: tuple[tuple[float, float], ...]
 
 
-def compare_methods(of: KnownProblem, order: Sequence[str], budget_s: float) -> dict[str, Run]:
-    """Run all methods on one problem, in an order."""
+def compare_methods(known: KnownProblem, order: Sequence[str], budget_s: float) -> dict[str, Run]:
+    """Run all methods on one problem, in the given order."""
     paths, totals = {}, {}
     for name in order:
-        with of.clock():
-            METHODS[name](of, budget_s)
-            totals[name] = of.seconds
-        paths[name] = of.path
+        with known.clock():
+            METHODS[name](known, budget_s)
+            totals[name] = known.seconds
+        paths[name] = known.path
     lowest = min(cost for path in paths.values() for *_, cost, _ in path)
     runs = {}
     for name, path in paths.items():
-        converged = next((one for one in path if one[3] <= (1.0 + NEAR) * lowest), None)
-        best = min(path, key=lambda one: one[3])
+        converged = next((step for step in path if step[3] <= (1.0 + NEAR) * lowest), None)
+        best = min(path, key=lambda step: step[3])
         by_time = []
         for limit in CHECKPOINTS_S:
-            until = [one for one in path if one[0] <= limit] or path[:1]
-            by_time.append(of.errors(min(until, key=lambda one: one[3])[4]))
+            until = [step for step in path if step[0] <= limit] or path[:1]
+            by_time.append(known.errors(min(until, key=lambda step: step[3])[4]))
         reached = converged[:3] if converged is not None else (np.inf, np.inf, np.inf)
-        runs[name] = Run(best[3], *reached, totals[name], of.errors(best[4]), tuple(by_time))
+        runs[name] = Run(best[3], *reached, totals[name], known.errors(best[4]), tuple(by_time))
     return runs
 
 
-def check(of: KnownProblem) -> None:
+def check_derivatives(known: KnownProblem) -> None:
     """Check that forward, backward and finite differences agree, before comparing methods that use them."""
-    scaled = 0.5 * of.start
-    residuals, jacobian = of.residuals(scaled), of.jacobian(scaled)
-    cost, gradient = of.cost_and_gradient(scaled)
+    scaled = 0.5 * known.start
+    residuals, jacobian = known.residuals(scaled), known.jacobian(scaled)
+    cost, gradient = known.cost_and_gradient(scaled)
     expected = jacobian.T @ residuals
     assert abs(cost - 0.5 * residuals @ residuals) <= 1e-6 * cost
     assert np.abs(gradient - expected).max() <= 1e-2 * np.abs(expected).max(), (gradient, expected)
-    assert np.abs(of.differences(scaled) - jacobian).max() <= 5e-2 * np.abs(jacobian).max()
+    assert np.abs(known.differences(scaled) - jacobian).max() <= 5e-2 * np.abs(jacobian).max()
 
 
 # --- tables -------------------------------------------------------------------------------------------------
 
 
-def tables(runs: Sequence[Mapping[str, Run]]) -> list[str]:
+def format_tables(runs: Sequence[Mapping[str, Run]]) -> list[str]:
     """Rows of two Markdown tables: time until converged, and errors by time."""
     first, median = next(iter(METHODS)), statistics.median
     lines = [
@@ -369,32 +382,34 @@ def tables(runs: Sequence[Mapping[str, Run]]) -> list[str]:
         "|---|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for name in METHODS:
-        of_method = [one[name] for one in runs]
+        method_runs = [run[name] for run in runs]
         # The ratio within each problem removes what slows all methods equally.
-        ratio = median(one[name].converged_s / one[first].converged_s for one in runs)
+        ratio = median(run[name].converged_s / run[first].converged_s for run in runs)
         row = [
-            _format(median(one.converged_s for one in of_method), ".2f"),
+            _format(median(run.converged_s for run in method_runs), ".2f"),
             _format(ratio, ".2f"),
-            _format(median(one.converged_images for one in of_method), ".0f"),
-            _format(median(one.converged_passes for one in of_method), ".0f"),
-            str(sum(bool(np.isfinite(one.converged_s)) for one in of_method)),
-            _format(median(one.errors[0] for one in of_method), ".3f"),
-            _format(median(one.errors[1] for one in of_method), ".3f"),
+            _format(median(run.converged_images for run in method_runs), ".0f"),
+            _format(median(run.converged_passes for run in method_runs), ".0f"),
+            str(sum(bool(np.isfinite(run.converged_s)) for run in method_runs)),
+            _format(median(run.errors[0] for run in method_runs), ".3f"),
+            _format(median(run.errors[1] for run in method_runs), ".3f"),
         ]
         lines.append(f"| {name} | {' | '.join(row)} |")
-    times = " | ".join(f"{one:g} s" for one in CHECKPOINTS_S)
+    times = " | ".join(f"{limit:g} s" for limit in CHECKPOINTS_S)
     lines += ["", f"| ΔE₀₀, and distance in sd, after | {times} |", "|---|" + "---:|" * len(CHECKPOINTS_S)]
     for name in METHODS:
         cells = []
         for i in range(len(CHECKPOINTS_S)):
-            errors = [one[name].errors_by_time[i] for one in runs]
-            cells.append(f"{median(one[0] for one in errors):.2f}, {median(one[1] for one in errors):.2f}")
+            errors = [run[name].errors_by_time[i] for run in runs]
+            cells.append(
+                f"{median(error[0] for error in errors):.2f}, {median(error[1] for error in errors):.2f}"
+            )
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return lines
 
 
-def _format(number: float, form: str) -> str:
-    return format(number, form) if np.isfinite(number) else "-"
+def _format(number: float, spec: str) -> str:
+    return format(number, spec) if np.isfinite(number) else "-"
 
 
 def main() -> None:
@@ -407,13 +422,13 @@ def main() -> None:
     names, runs = list(METHODS), []
     count_calls()
     for seed in range(options.twins + 1):
-        of = known_problem(options.recipe, seed)
-        check(of)  # compiles, too
+        known = known_problem(options.recipe, seed)
+        check_derivatives(known)  # also compiles the kernels
         rotation = seed % len(names)
-        results = compare_methods(of, names[rotation:] + names[:rotation], options.budget if seed else 1.0)
+        results = compare_methods(known, names[rotation:] + names[:rotation], options.budget if seed else 1.0)
         if seed:
             runs.append(results)
-    sys.stdout.write("\n".join([describe_machine(machine_info()), "", *tables(runs)]) + "\n")
+    sys.stdout.write("\n".join([describe_machine(machine_info()), "", *format_tables(runs)]) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,15 +1,15 @@
 """Render a scene with Blender Cycles: the same meshes, camera and light, through `bpy` in a child process.
 
-What differs is described in `cycles_scene` (three channels instead of spectra) and here:
+The differences are listed in `cycles_scene` (three channels instead of spectra) and here:
 
 - The flash's discs are one rectangle with the same variance of position; the beam profile is the same.
 - Colours, with the patterns of veins, are taken at the vertices; relief is left out. Both save time.
-- The cuticle is Cycles' Principled BSDF. Its diffuse part is constant with angle, where ours gets darker
-  towards grazing (Kelemen & Szirmay-Kalos 2001): seen along the flash, glossy surfaces are a few per cent
-  darker.
+- The cuticle is Cycles' Principled BSDF. Its diffuse part is constant with angle, while ours gets darker
+  towards grazing angles (Kelemen & Szirmay-Kalos 2001): seen along the flash, glossy surfaces are a few
+  per cent darker.
 - The lens has no distortion; the sun's disc itself is not visible.
 
-So the errors of Cycles are measured against its own converged picture, never against ours.
+So the errors of Cycles are measured against its own converged image, never against ours.
 """
 
 from __future__ import annotations

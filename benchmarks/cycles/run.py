@@ -36,15 +36,15 @@ from pepperscene.camera import Camera
 from pepperscene.dataset import FrameRenderer
 from pepperscene.errors import ArgumentError, InputError, PepperError
 
-OTHERS = {
+FAMILIES = {
     "Cycles, raw": "Cycles, raw",
     "Cycles, denoised": "Cycles, denoised",
     "Cycles, best setting": "Cycles",
 }
-"""Families that are compared with ours at equal error."""
+"""Families of settings that are compared with pepperscene at equal error."""
 
 
-def family(setting: CyclesSetting) -> str:
+def plot_family(setting: CyclesSetting) -> str:
     """Line of the plot that a setting belongs to."""
     parts = ["adaptive"] if setting.adaptive is not None else ["clamped"] if setting.clamp else []
     return f"Cycles, {' '.join([*parts, 'denoised' if setting.denoise else 'raw'])}"
@@ -64,7 +64,7 @@ def evaluate(
 ) -> list[BenchResult]:
     """Errors of each setting's frames against the mean of the reference, averaged as squares."""
     mean = reference.images.mean(axis=0, dtype=float).astype(np.float32)
-    own_codes, own_relative = reference_error(reference, camera)
+    reference_codes, reference_relative = reference_error(reference, camera)
     results = []
     for run in runs:
         errors = [measure_errors(image, mean, undistorted(camera)) for image in run.images]
@@ -76,10 +76,10 @@ def evaluate(
         results.append(
             BenchResult(
                 scene,
-                family(run.setting),
+                plot_family(run.setting),
                 run.setting.name,
                 dataclasses.asdict(run.setting),
-                mean_errors.subtract(own_codes, own_relative),
+                mean_errors.subtract(reference_codes, reference_relative),
                 run.seconds,
                 statistics.median(run.seconds) + run.fixed_seconds,
                 variant=f"Blender {run.blender}",
@@ -143,14 +143,14 @@ def measure(
     """Render a benchmark scene with Cycles, write `cycles.*`, and return the tables as Markdown."""
     (bench_scene,) = select_scenes(scene_name)
     recipe = bench_scene.load()
-    stage, shot = FrameRenderer(recipe), recipe.plan.frame(bench_scene.index)
-    camera = resize_camera(stage.camera(shot), size)
+    renderer, frame = FrameRenderer(recipe), recipe.plan.frame(bench_scene.index)
+    camera = resize_camera(renderer.camera(frame), size)
     pixels = (camera.width, camera.height)
     ours = [] if bench is None else read_results(bench, scene_name, pixels)
     machine = machine_info()
 
     *runs, reference = render_cycles(
-        stage.scene(shot), camera, [*settings, reference_setting], folder / "blender", frames, threads
+        renderer.scene(frame), camera, [*settings, reference_setting], folder / "blender", frames, threads
     )
     results = evaluate(runs, reference, camera, scene_name)
     error, _ = reference_error(reference, camera)
@@ -161,7 +161,7 @@ def measure(
         f"{error:.2f} codes."
     )
     parts = [describe_machine(machine), introduction, cycles_table(results, runs, reference)]
-    ratios = time_ratios([*ours, *results], OTHERS) if ours else []
+    ratios = time_ratios([*ours, *results], FAMILIES) if ours else []
     if ratios:
         parts += ["Time at equal error (*: extrapolated):", ratio_table(ratios)]
     markdown = "\n\n".join(parts) + "\n"
@@ -204,22 +204,29 @@ def main() -> int:
     parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     parser.add_argument("--scene", default="standard", help=f"one of {', '.join(SCENES)} (default: standard)")
     parser.add_argument("--size", default="", help="WIDTHxHEIGHT (default: the camera's own)")
-    parser.add_argument("--settings", default="", help="comma-separated names (default: all)")
+    parser.add_argument("--settings", default="", help="comma-separated names of settings (default: all)")
     parser.add_argument("--frames", type=int, default=1, help="frames of each setting (default: 1)")
-    parser.add_argument("--threads", type=int, default=0, help="of Cycles (default: all cores)")
+    parser.add_argument("--threads", type=int, default=0, help="threads of Cycles (default: all cores)")
     parser.add_argument(
         "--reference-s", type=float, default=REFERENCE.limit_s, help="time limit of the reference in seconds"
     )
     parser.add_argument("--bench", type=Path, help="output folder of `pepperscene bench` to compare with")
-    given = parser.parse_args()
+    options = parser.parse_args()
     try:
         check_packages()
-        settings = select_settings(given.settings)
-        size = parse_size(given.size) if given.size else None
-        reference = dataclasses.replace(REFERENCE, limit_s=given.reference_s)
+        settings = select_settings(options.settings)
+        size = parse_size(options.size) if options.size else None
+        reference = dataclasses.replace(REFERENCE, limit_s=options.reference_s)
         sys.stdout.write(
             measure(
-                given.scene, size, given.out, settings, reference, given.frames, given.threads, given.bench
+                options.scene,
+                size,
+                options.out,
+                settings,
+                reference,
+                options.frames,
+                options.threads,
+                options.bench,
             )
         )
     except PepperError as error:

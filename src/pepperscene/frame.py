@@ -105,13 +105,13 @@ def check_outputs(names: Iterable[str]) -> tuple[str, ...]:
     Raises:
         ArgumentError: a name is unknown, or no name is given.
     """
-    wanted = list(names)
-    for name in wanted:
+    requested = list(names)
+    for name in requested:
         if name not in OUTPUTS:
             raise ArgumentError("outputs", f"unknown output {name!r}; allowed are {', '.join(OUTPUTS)}")
-    if not wanted:
+    if not requested:
         raise ArgumentError("outputs", f"must name at least one output of {', '.join(OUTPUTS)}")
-    return tuple(name for name in OUTPUTS if name in wanted)
+    return tuple(name for name in OUTPUTS if name in requested)
 
 
 @dataclass(frozen=True, eq=False)

@@ -171,7 +171,7 @@ ERRORS: dict[str, tuple[str, Any, str]] = {
         f"{FRUIT}.flush.strength", {"value": 0.99, "chosen": "x"}, "at most 1"
     ),
     "descent too steep": (f"{FRUIT}.descent.by", {"value": 0.5, "chosen": "x"}, "must be between"),
-    "descent of a kind that does not grow": (f"{FRUIT}.descent.of", "petiole", "one of what grows here"),
+    "descent of a kind that does not grow": (f"{FRUIT}.descent.of", "petiole", "one of the kinds"),
     "ripe fraction above 1": ("organs.fruit.ripe_descent", {"value": 0.6, "chosen": "x"}, "within [0, 1]"),
     "no such form": ("organs.node.form", "knot", "must be one of internode"),
     "a stem of nodes": ("stem.internode", "node", "of the form internode"),

@@ -1,4 +1,4 @@
-"""Render frames in a process of its own and time them by stage, including what a process does only once.
+"""Render frames in a separate process and time them by stage, including what happens once per process.
 
 Run as `python -P frames_child.py JSON`; it prints one line of JSON.
 """
@@ -30,29 +30,17 @@ Times = dict[str, float]
 
 @dataclass(frozen=True)
 class FramesTask:
-    """The frames that a child process renders.
+    """The frames that a child process renders."""
 
-    Attributes:
-        recipe: name of a shipped recipe.
-        changes: changed values of the recipe.
-        index: of the first frame; the next ones follow on the camera path.
-        size: of the picture, or None for the camera's own.
-        frames: number of frames after the first.
-        outputs: of each frame.
-        quality: of each frame.
-        divided: how often each triangle is divided into four, which does not change the picture.
-        encode: whether images are written, as in a build.
-    """
-
-    recipe: str
-    changes: dict[str, Any] = field(default_factory=dict)
-    index: int = 0
-    size: tuple[int, int] | None = None
-    frames: int = 1
-    outputs: tuple[str, ...] = ("colour", "class", "instance", "distance", "distance_code")
-    quality: str = "standard"
-    divided: int = 0
-    encode: bool = True
+    recipe: str  # name of a shipped recipe
+    changes: dict[str, Any] = field(default_factory=dict)  # changed values of the recipe
+    index: int = 0  # of the first frame; the next ones follow on the camera path
+    size: tuple[int, int] | None = None  # of the image, or None for the camera's
+    frames: int = 1  # number of frames after the first
+    outputs: tuple[str, ...] = ("colour", "class", "instance", "distance", "distance_code")  # of each frame
+    quality: str = "standard"  # of each frame
+    divided: int = 0  # how often each triangle is divided into four, which does not change the image
+    encode: bool = True  # whether images are written, as in a build
 
 
 @contextmanager
@@ -123,18 +111,18 @@ def render_frames(task: FramesTask) -> dict[str, Any]:
 
     time_plants(plant_times)
     recipe = ps.load_recipe(task.recipe, task.changes)
-    plan, stage = recipe.plan, FrameRenderer(recipe)
-    shot = plan.frame(task.index)
-    scene = _build_scene(stage, shot, traced, task.divided, scene_times)
+    plan, frame_renderer = recipe.plan, FrameRenderer(recipe)
+    first_frame = plan.frame(task.index)
+    scene = _build_scene(frame_renderer, first_frame, traced, task.divided, scene_times)
 
     times: Times = {}
     time_light(times)
     renderer = ps.Renderer(scene)
-    first, frames, peaks = task.index - shot.step, [], []
+    first, frames, peaks = task.index - first_frame.step, [], []
     with tempfile.TemporaryDirectory() as folder:
         for number in range(task.frames + 1):
-            view = plan.frame(first + (shot.step + number) % plan.frames)
-            camera = resize_camera(stage.camera(view), task.size)
+            view = plan.frame(first + (first_frame.step + number) % plan.frames)
+            camera = resize_camera(frame_renderer.camera(view), task.size)
             times.clear()
             with timed(times, "render"):
                 frame = renderer.render(camera, outputs, task.quality, number)
@@ -162,14 +150,14 @@ def render_frames(task: FramesTask) -> dict[str, Any]:
     }
 
 
-def _build_scene(stage: Any, shot: Any, traced: bool, divided: int, times: Times) -> Any:
+def _build_scene(frame_renderer: Any, frame: Any, traced: bool, divided: int, times: Times) -> Any:
     """Build the scene; making plants, placing them and culling are timed separately."""
-    builder = stage._scene_builder
+    builder = frame_renderer._scene_builder
     builder.plants = time_calls(times, "plants", builder.plants)
     builder.scene = time_calls(times, "place row and resolve contacts", builder.scene)
-    stage._cull = time_calls(times, "cull hidden geometry", stage._cull)
+    frame_renderer._cull = time_calls(times, "cull hidden geometry", frame_renderer._cull)
     with timed(times, "surfaces and sky"):
-        scene = stage.scene(shot, traced=traced)
+        scene = frame_renderer.scene(frame, traced=traced)
     times["surfaces and sky"] -= times["place row and resolve contacts"] + times["cull hidden geometry"]
     times["place row and resolve contacts"] -= times["plants"]
     for _ in range(divided):
@@ -178,7 +166,7 @@ def _build_scene(stage: Any, shot: Any, traced: bool, divided: int, times: Times
 
 
 def subdivide_mesh(mesh: Mesh) -> Mesh:
-    """Divide each triangle into four at the midpoints of its edges, which does not change the picture."""
+    """Divide each triangle into four at the midpoints of its edges, which does not change the image."""
     from trimesh.remesh import subdivide
 
     values = {"normals": mesh.normals, "uv": mesh.uv, "state": mesh.state[:, None]}

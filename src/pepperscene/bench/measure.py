@@ -1,7 +1,7 @@
 """Rendering time against error; settings are interleaved frame by frame, so that other load affects all.
 
-The module also runs as a script, for variants of Mitsuba other than the process's own: a process keeps the
-variant that it started with, so that they cannot be interleaved.
+The module also runs as a script, for other variants of Mitsuba: a process keeps the variant that it started
+with, so variants cannot be interleaved.
 """
 
 from __future__ import annotations
@@ -28,28 +28,17 @@ _FIRST_FRAMES: Final = 0.5
 
 @dataclass(frozen=True)
 class BenchResult:
-    """Times and errors of a setting.
+    """Times and errors of a setting."""
 
-    Attributes:
-        scene: name of the benchmark scene.
-        family, name: of the setting.
-        effort: values of its quality.
-        errors: of the frame at the subject's own camera.
-        seconds: of the timed frames, in the order of the rounds.
-        first_s: of the first frame with this setting, which compiles kernels.
-        sampling: sampling statistics of the frame.
-        variant: of Mitsuba.
-    """
-
-    scene: str
-    family: str
-    name: str
-    effort: Mapping[str, Any]
-    errors: Errors
-    seconds: tuple[float, ...]
-    first_s: float
-    sampling: Mapping[str, Any] = field(default_factory=dict)
-    variant: str = ""
+    scene: str  # name of the benchmark scene
+    family: str  # of the setting
+    name: str  # of the setting
+    effort: Mapping[str, Any]  # values of its quality
+    errors: Errors  # of the frame at the subject's camera
+    seconds: tuple[float, ...]  # of the timed frames, in the order of the rounds
+    first_s: float  # of the first frame with this setting, which compiles kernels
+    sampling: Mapping[str, Any] = field(default_factory=dict)  # sampling statistics of the frame
+    variant: str = ""  # of Mitsuba
 
     @property
     def median_s(self) -> float:
@@ -75,7 +64,7 @@ def measure_settings(
     Args:
         subject: scene, cameras, renderers.
         settings: to compare.
-        reference: converged picture of the subject's camera.
+        reference: converged image of the subject's camera.
         runs: number of rounds.
         limit_s: approximate time limit. Settings whose first frame would be late are left out; rounds end
             early, after at least one.
@@ -85,7 +74,7 @@ def measure_settings(
     first_frames: list[BenchResult] = []
     for number, setting in enumerate(settings):
         if limit_s is not None and first_frames and perf_counter() - start > _FIRST_FRAMES * limit_s:
-            names = "; ".join(f"{late.family}, {late.name}" for late in settings[number:])
+            names = "; ".join(f"{skipped.family}, {skipped.name}" for skipped in settings[number:])
             on_progress(f"{subject.name}: no time for {names}")
             break
         before = perf_counter()
@@ -110,20 +99,20 @@ def measure_settings(
                 str(frame.metadata.get("variant", "")),
             )
         )
-        # A picture of 4k has 100 MB.
+        # A 4k image has 100 MB.
         del frame
 
     seconds: list[list[float]] = [[] for _ in first_frames]
-    for turn in range(runs):
-        if turn and limit_s is not None and perf_counter() - start > limit_s:
-            on_progress(f"{subject.name}: no time for more than {turn} of {runs} rounds")
+    for round_ in range(runs):
+        if round_ and limit_s is not None and perf_counter() - start > limit_s:
+            on_progress(f"{subject.name}: no time for more than {round_} of {runs} rounds")
             break
         for number, setting in enumerate(settings[: len(first_frames)]):
-            camera = subject.path[(turn + number) % len(subject.path)]
+            camera = subject.path[(round_ + number) % len(subject.path)]
             before = perf_counter()
-            subject.render(setting.quality, 1000 * (turn + 1) + number, camera, full=setting.full_scene)
+            subject.render(setting.quality, 1000 * (round_ + 1) + number, camera, full=setting.full_scene)
             seconds[number].append(perf_counter() - before)
-        on_progress(f"{subject.name}: round {turn + 1} of {runs} done")
+        on_progress(f"{subject.name}: round {round_ + 1} of {runs} done")
     return [
         replace(result, seconds=tuple(times)) for result, times in zip(first_frames, seconds, strict=True)
     ]
@@ -148,24 +137,24 @@ def other_variants() -> tuple[str, ...]:
 def measure_variant(
     variant: str, scene: str, size: tuple[int, int] | None, runs: int, references: Path, *, quick: bool
 ) -> list[BenchResult]:
-    """Measure the named qualities of a scene with another variant, in a process of its own.
+    """Measure the named qualities of a scene with another variant, in a subprocess.
 
     Raises:
         SetupError: the process failed.
     """
     task = {"scene": scene, "size": size, "runs": runs, "references": str(references), "quick": quick}
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-m", "pepperscene.bench.measure", json.dumps(task)],
         env={**os.environ, "PEPPERSCENE_VARIANT": variant},
         capture_output=True,
         text=True,
     )
-    if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+    if completed.returncode:
+        last = (completed.stderr.strip().splitlines() or ["no message"])[-1]
         raise SetupError(f"the benchmark process for {variant} failed: {last}")
     return [
         BenchResult(**{**result, "errors": Errors(**result["errors"]), "seconds": tuple(result["seconds"])})
-        for result in json.loads(done.stdout.splitlines()[-1])
+        for result in json.loads(completed.stdout.splitlines()[-1])
     ]
 
 

@@ -145,7 +145,7 @@ def _profile_scene(task: FramesTask, runs: int, name: str, on_progress: OnProgre
         cold = run_child(replace(task, frames=1), {"HOME": empty})
     labels = run_child(replace(task, outputs=LABELS, encode=False))
     on_progress(f"{name}: plants in one process")
-    alone = [run_child(replace(task, outputs=("class",), frames=0), _ONE_PROCESS) for _ in range(runs)]
+    single = [run_child(replace(task, outputs=("class",), frames=0), _ONE_PROCESS) for _ in range(runs)]
     first, second = (frame.get("trace", 0.0) for frame in cold["frames"][:2])
     return {
         "seconds": {
@@ -153,9 +153,9 @@ def _profile_scene(task: FramesTask, runs: int, name: str, on_progress: OnProgre
             "labels alone, next frames": [frame["labels"] for frame in labels["frames"][1:]],
             "first frame, in addition to a next one: trace, without cached kernels": [first - second],
             **{
-                f"all plants in one process: {stage}": [child["plants"][stage] for child in alone]
+                f"all plants in one process: {stage}": [child["plants"][stage] for child in single]
                 for stage in PLANT_STAGES
-                if stage in alone[0]["plants"]
+                if stage in single[0]["plants"]
             },
         },
         "peaks_mib": {
@@ -170,7 +170,7 @@ def _stage_times(children: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
     """Times of a new scene, of its first frame, and of the next frames, by stage."""
     next_frames = [frame for child in children for frame in child["frames"][1:]]
     stages = [stage for stage in _FRAME_STAGES if stage in next_frames[0]]
-    # What the first frame takes in addition: kernels are compiled or loaded, libraries imported.
+    # Additional time of the first frame: kernels are compiled or loaded, libraries imported.
     additional = {
         stage: [
             child["frames"][0][stage] - statistics.median(frame[stage] for frame in child["frames"][1:])

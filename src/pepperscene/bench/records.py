@@ -43,7 +43,7 @@ def machine_info() -> dict[str, Any]:
         "memory_mib": _memory_mib(),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
-        "packages": {name: _version(name) for name in _PACKAGES},
+        "packages": {name: _package_version(name) for name in _PACKAGES},
         "load_average": list(os.getloadavg()) if hasattr(os, "getloadavg") else None,
     }
 
@@ -89,7 +89,7 @@ def _memory_mib() -> int | None:
         return None
 
 
-def _version(package: str) -> str | None:
+def _package_version(package: str) -> str | None:
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
@@ -146,7 +146,7 @@ def results_csv(results: Sequence[BenchResult]) -> str:
 
 
 def write_results(
-    folder: Path, name: str, content: Mapping[str, Any], markdown: str, others: Mapping[str, bytes]
+    folder: Path, name: str, content: Mapping[str, Any], markdown: str, extra_files: Mapping[str, bytes]
 ) -> tuple[Path, ...]:
     """Write `name.json`, `name.md` and other files into a folder, all or none.
 
@@ -156,7 +156,7 @@ def write_results(
     files = {
         f"{name}.json": canonical_json(_replace_nan({"format": FORMAT, **content})),
         f"{name}.md": markdown.encode(),
-        **others,
+        **extra_files,
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Errors of pictures, and converged reference pictures that are cached and refined from call to call."""
+"""Errors of images, and converged reference images that are cached and refined from call to call."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ Zwicker 2011 ("Adaptive sampling and reconstruction using greedy error minimizat
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of a picture.
+    """Errors of an image.
 
     Attributes:
-        rmse_codes: root mean squared difference of the developed, noise-free pictures, in 8-bit codes, before
+        rmse_codes: root mean squared difference of the developed, noise-free images, in 8-bit codes, before
             rounding to whole codes, which would add 0.4 codes.
         relative_mse: mean of (x - r)^2 / (r^2 + 0.01 mean(r)^2) over electrons.
         flip: mean of FLIP (Andersson et al. 2020) at 67 pixels per degree, 0 to 1.
@@ -48,7 +48,7 @@ class Errors:
     flip: float
 
     def subtract(self, rmse_codes: float, relative_mse: float) -> Errors:
-        """Subtract the squared errors of the reference, which are independent of the picture's."""
+        """Subtract the squared errors of the reference, which are independent of the image's."""
         return dataclasses.replace(
             self,
             rmse_codes=math.sqrt(max(self.rmse_codes**2 - rmse_codes**2, 0.0)),
@@ -59,13 +59,13 @@ class Errors:
 def measure_errors(
     electrons: NDArray[np.floating], reference: NDArray[np.floating], camera: Camera
 ) -> Errors:
-    """Errors of expected electrons `(h, w, c)` against those of the converged picture."""
+    """Errors of expected electrons `(h, w, c)` against those of the converged image."""
     picture, converged = develop_codes(electrons, camera), develop_codes(reference, camera)
     return Errors(rms(picture - converged), relative_mse(electrons, reference), mean_flip(picture, converged))
 
 
 def develop_codes(electrons: NDArray[Any], camera: Camera) -> NDArray[np.float64]:
-    """`(h, w, c)` the developed picture without noise, in 8-bit codes, 0 to 255, not rounded."""
+    """`(h, w, c)` the developed image without noise, in 8-bit codes, 0 to 255, not rounded."""
     exact = dataclasses.replace(camera, developing=dataclasses.replace(camera.developing, quantise=False))
     linear = np.clip(np.asarray(correct_colours(camera_rgb(electrons, exact), exact), float), 0.0, 1.0)
     if camera.developing.tone == "srgb":
@@ -79,12 +79,12 @@ def rms(difference: NDArray[np.floating]) -> float:
     return float(np.sqrt(np.mean(np.square(difference, dtype=float))))
 
 
-def relative_mse(picture: NDArray[np.floating], reference: NDArray[np.floating]) -> float:
+def relative_mse(image: NDArray[np.floating], reference: NDArray[np.floating]) -> float:
     """Mean of (x - r)^2 / (r^2 + 0.01 mean(r)^2); 0 / 0 counts as 0.
 
     It is computed in units of the mean, so that no square overflows.
     """
-    x, r = np.asarray(picture, float), np.asarray(reference, float)
+    x, r = np.asarray(image, float), np.asarray(reference, float)
     mean = float(np.abs(r).mean())
     if mean == 0.0:
         return 0.0 if not x.any() else float("inf")
@@ -92,14 +92,14 @@ def relative_mse(picture: NDArray[np.floating], reference: NDArray[np.floating])
     return float(np.mean((x - r) ** 2 / (r**2 + _MEAN_WEIGHT)))
 
 
-def mean_flip(picture: NDArray[np.float64], reference: NDArray[np.float64]) -> float:
-    """Mean LDR-FLIP of two pictures in codes; it takes 0.2 s for 800 x 600 pixels."""
+def mean_flip(image: NDArray[np.float64], reference: NDArray[np.float64]) -> float:
+    """Mean LDR-FLIP of two images in codes; it takes 0.2 s for 800 x 600 pixels."""
     import flip_evaluator
 
-    shape = (*picture.shape[:2], 3)  # three channels, also for a monochrome sensor
+    shape = (*image.shape[:2], 3)  # three channels, also for a monochrome sensor
     arrays = [
         np.ascontiguousarray(np.broadcast_to(np.clip(codes / 255.0, 0.0, 1.0), shape), np.float32)
-        for codes in (reference, picture)
+        for codes in (reference, image)
     ]
     _, mean, _ = flip_evaluator.evaluate(*arrays, "LDR", applyMagma=False)
     return float(mean)
@@ -122,7 +122,7 @@ def check_packages() -> None:
 
 
 SMALLEST_ERROR: Final = 0.5
-"""Smallest error of interest, in codes. Chosen: rounding a picture has an error of 0.3 codes."""
+"""Smallest error of interest, in codes. Chosen: rounding an image has an error of 0.3 codes."""
 
 TARGET_FRACTION: Final = 0.1
 """Target error of the reference over the smallest error of interest: it adds half a per cent to results."""
@@ -135,26 +135,18 @@ _FORMAT: Final = 1
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A converged picture and its estimated error.
+    """A converged image and its estimated error."""
 
-    Attributes:
-        electrons: `(h, w, c)` float64, the mean of both halves.
-        error_codes: estimated RMSE in codes, from the difference of the halves.
-        relative_mse: estimated relative MSE.
-        renders: number of pictures in the mean.
-        seconds: rendering time of all of them.
-    """
-
-    electrons: NDArray[np.float64]
-    error_codes: float
-    relative_mse: float
-    renders: int
-    seconds: float
+    electrons: NDArray[np.float64]  # `(h, w, c)` float64, the mean of both halves
+    error_codes: float  # estimated RMSE in codes, from the difference of the halves
+    relative_mse: float  # estimated relative MSE
+    renders: int  # number of images in the mean
+    seconds: float  # rendering time of all of them
 
 
 @dataclass(eq=False)
 class _Halves:
-    """Sums of independent pictures, even ones in the first half and odd ones in the second."""
+    """Sums of independent images, even ones in the first half and odd ones in the second."""
 
     sums: NDArray[np.float64]
     renders: int = 0
@@ -166,7 +158,7 @@ class _Halves:
         self.seconds += seconds
 
     def reference(self, camera: Camera) -> Reference:
-        """Mean of at least two pictures; its error is half the difference of its independent halves."""
+        """Mean of at least two images; its error is half the difference of its independent halves."""
         first, second = self.sums[0] / ((self.renders + 1) // 2), self.sums[1] / (self.renders // 2)
         mean = self.sums.sum(axis=0) / self.renders
         error = rms(develop_codes(first, camera) - develop_codes(second, camera)) / 2
@@ -183,14 +175,14 @@ def render_reference(
     limit_s: float | None = None,
     on_progress: OnProgress = lambda _: None,
 ) -> Reference:
-    """The converged picture of a subject; pictures of earlier calls are cached and count.
+    """Render the converged image of a subject; images of earlier calls are cached and included.
 
     Args:
         subject: its camera's view of the full scene is rendered.
         folder: of the cache; created if missing. Files are named by scene, camera and version.
-        quality: of the pictures that are averaged; without denoiser.
+        quality: of the images that are averaged; without denoiser.
         target_codes: error at which it stops.
-        limit_s: seconds after which it also stops, once there are two pictures.
+        limit_s: seconds after which it also stops, once there are two images.
         on_progress: receives progress lines.
 
     Raises:
@@ -198,7 +190,7 @@ def render_reference(
     """
     path = folder / f"{subject.name}_{subject.digest()[:20]}.npz"
     camera = subject.camera
-    halves = _read(path)
+    halves = _read_cache(path)
     if halves is None:
         halves = _Halves(np.zeros((2, camera.height, camera.width, camera.sensor.channels)))
     start = saved = perf_counter()
@@ -206,22 +198,22 @@ def render_reference(
         now = perf_counter()
         if halves.renders >= 2:
             reference = halves.reference(camera)
-            late = limit_s is not None and now - start > limit_s
-            done = reference.error_codes <= target_codes or late
-            if done or now - saved > _SAVE_INTERVAL_S:
-                _write(path, halves)
+            is_late = limit_s is not None and now - start > limit_s
+            is_done = reference.error_codes <= target_codes or is_late
+            if is_done or now - saved > _SAVE_INTERVAL_S:
+                _write_cache(path, halves)
                 saved = now
-            if done:
+            if is_done:
                 return reference
             on_progress(
-                f"{subject.name}: reference, {halves.renders} pictures, {reference.error_codes:.3f} of "
+                f"{subject.name}: reference, {halves.renders} images, {reference.error_codes:.3f} of "
                 f"{target_codes:g} codes"
             )
         frame = subject.render(quality, _FIRST_SEED + halves.renders, full=True)
         halves.add(frame["electrons"], perf_counter() - now)
 
 
-def _read(path: Path) -> _Halves | None:
+def _read_cache(path: Path) -> _Halves | None:
     """Sums of an earlier call; None if there are none, or the file is damaged."""
     try:
         with path.open("rb") as file, np.load(file) as arrays:
@@ -232,7 +224,7 @@ def _read(path: Path) -> _Halves | None:
         return None
 
 
-def _write(path: Path, halves: _Halves) -> None:
+def _write_cache(path: Path, halves: _Halves) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         np.savez(file, sums=halves.sums, renders=halves.renders, seconds=halves.seconds, form=_FORMAT)

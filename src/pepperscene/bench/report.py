@@ -30,7 +30,7 @@ the standard quality is to reach it."""
 
 
 def pareto_front(points: Iterable[Point]) -> list[Point]:
-    """Points that no other beats in both time and error, from the fastest to the most accurate."""
+    """Points that no other point dominates in time and error, from the fastest to the most accurate."""
     front: list[Point] = []
     for seconds, error in sorted(points):
         if not front or error < front[-1][1]:
@@ -49,8 +49,7 @@ def time_at_error(error: float, points: Sequence[Point]) -> tuple[float, bool] |
         points: of one family of settings.
 
     Returns:
-        The seconds, and whether they are extrapolated; None with fewer than two points on the front, or too
-        far beyond it.
+        Seconds, and whether they are extrapolated; None for fewer than two points, or too far away.
 
     Raises:
         ValueError: the error is not above 0.
@@ -66,7 +65,7 @@ def time_at_error(error: float, points: Sequence[Point]) -> tuple[float, bool] |
     if not front[-1][1] / MAX_EXTRAPOLATION <= error <= front[0][1] * MAX_EXTRAPOLATION:
         return None
     extrapolated = not front[-1][1] < error < front[0][1]
-    # The pair of points around the error; beyond the front, the outermost pair.
+    # The two points around the error; beyond the front, the outermost two.
     right = next((i for i in range(1, len(front)) if front[i][1] < error), len(front) - 1)
     (t0, e0), (t1, e1) = front[right - 1], front[right]
     fraction = math.log(error / e0) / math.log(e1 / e0)
@@ -75,42 +74,33 @@ def time_at_error(error: float, points: Sequence[Point]) -> tuple[float, bool] |
 
 @dataclass(frozen=True)
 class TimeRatio:
-    """Times of two ways of rendering for the same error.
+    """Times of two families of settings at the same error."""
 
-    Attributes:
-        error_codes: at which they are compared.
-        ours: name of our setting, or "best".
-        ours_s: seconds of ours.
-        other: name of the other way.
-        other_s: seconds of the other.
-        beyond: True if one of them is extrapolated.
-    """
-
-    error_codes: float
-    ours: str
-    ours_s: float
-    other: str
-    other_s: float
-    beyond: bool
+    error_codes: float  # at which they are compared
+    ours: str  # name of pepperscene's setting, or "best"
+    ours_s: float  # its seconds
+    other: str  # name of the other family
+    other_s: float  # its seconds
+    beyond: bool  # True if one of them is extrapolated
 
     @property
     def times(self) -> float:
-        """The other's time over ours."""
+        """Time of the other family relative to pepperscene's."""
         return self.other_s / self.ours_s
 
 
 def time_ratios(results: Sequence[BenchResult], others: Mapping[str, str] | None = None) -> list[TimeRatio]:
-    """Times of other ways of rendering for the errors that ours reaches, on one scene.
+    """Times of other families at the errors that pepperscene's settings reach, on one scene.
 
     Args:
         results: of all settings.
-        others: start of the family's name for each other way, by its name in tables; None: the path tracer.
+        others: prefix of each other family, by its name in tables; None for the path tracer.
     """
     ours = _points(result for result in results if result.family in OUR_FAMILIES)
     named = {result.errors.rmse_codes: result for result in results if result.family == NAMED}
     ratios = []
     for error in sorted({CODES_OF_INTEREST, *named}, reverse=True):
-        # At its own error a named quality is compared itself, not the best of all settings.
+        # At the error of a named quality that quality is compared, not the best of all settings.
         label, points = ("best", ours) if error not in named else (named[error].name, _points([named[error]]))
         for name, family in (others or {PLAIN: PLAIN}).items():
             other = _points(result for result in results if result.family.startswith(family))
@@ -128,16 +118,16 @@ def _points(results: Iterable[BenchResult]) -> list[Point]:
 # --- tables -------------------------------------------------------------------------------------------------
 
 
-def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
+def markdown_table(headers: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
     """A Markdown table; columns after the first `left` ones are aligned to the right."""
-    rules = ["---" if column < left else "---:" for column in range(len(heads))]
-    lines = [f"| {' | '.join(cells)} |" for cells in (heads, *rows)]
+    rules = ["---" if column < left else "---:" for column in range(len(headers))]
+    lines = [f"| {' | '.join(cells)} |" for cells in (headers, *rows)]
     return "\n".join([lines[0], f"|{'|'.join(rules)}|", *lines[1:]])
 
 
 def error_table(results: Sequence[BenchResult]) -> str:
     """Errors and times of each setting of one scene."""
-    heads = ("family", "setting", "RMSE, codes", "relative MSE", "FLIP", "median", "min", "max", "runs")
+    headers = ("family", "setting", "RMSE, codes", "relative MSE", "FLIP", "median", "min", "max", "runs")
     rows = [
         (
             result.family,
@@ -149,12 +139,12 @@ def error_table(results: Sequence[BenchResult]) -> str:
         )
         for result in results
     ]
-    return markdown_table(heads, rows, left=2)
+    return markdown_table(headers, rows, left=2)
 
 
 def ratio_table(ratios: Iterable[TimeRatio]) -> str:
     """Times at equal error."""
-    heads = ("error", "ours", "time", "compared with", "time", "ratio")
+    headers = ("error", "ours", "time", "compared with", "time", "ratio")
     rows = [
         (
             f"{ratio.error_codes:.2f} codes",
@@ -166,7 +156,7 @@ def ratio_table(ratios: Iterable[TimeRatio]) -> str:
         )
         for ratio in ratios
     ]
-    return markdown_table(heads, rows, left=0)
+    return markdown_table(headers, rows, left=0)
 
 
 def time_table(rows: Iterable[tuple[str, Sequence[float]]], head: str = "what") -> str:
@@ -230,11 +220,11 @@ def plot_pareto(
 def _draw_results(axes: Axes, results: Sequence[BenchResult], floor: float | None) -> None:
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    used: list[str] = []
+    families: list[str] = []
     for family in dict.fromkeys(result.family for result in results):
         colour = next((c for start, c in _COLOURS.items() if family.startswith(start)), _OTHER_COLOUR)
-        style = used.count(colour) % len(_MARKERS)
-        used.append(colour)
+        style = families.count(colour) % len(_MARKERS)
+        families.append(colour)
         members = [result for result in results if result.family == family]
         points = sorted((result.median_s, result.errors.rmse_codes) for result in members)
         # Named qualities are single points with a name, not a line.
@@ -250,8 +240,8 @@ def _draw_results(axes: Axes, results: Sequence[BenchResult], floor: float | Non
             zorder=4 if family in OUR_FAMILIES else 3,
         )
         for result in members if named else ():
-            place = (result.median_s, result.errors.rmse_codes)
-            axes.annotate(result.name, place, (9, 7), textcoords="offset points", fontweight="bold", zorder=5)
+            point = (result.median_s, result.errors.rmse_codes)
+            axes.annotate(result.name, point, (9, 7), textcoords="offset points", fontweight="bold", zorder=5)
     front = _points(results)
     axes.plot(*zip(*front, strict=True), color="0.85", linewidth=7, zorder=1, solid_capstyle="round")
     axes.set(xscale="log", yscale="log")
@@ -280,4 +270,4 @@ def _draw_results(axes: Axes, results: Sequence[BenchResult], floor: float | Non
     axes.grid(which="major", color="0.93", linewidth=0.8)
     axes.spines[["top", "right"]].set_visible(False)
     axes.set_xlabel("seconds per frame, in sequence (median)")
-    axes.set_ylabel("RMSE of the noise-free picture, 8-bit codes")
+    axes.set_ylabel("RMSE of the noise-free image, 8-bit codes")

@@ -30,13 +30,13 @@ DEFAULT_RUNS: Final = 5
 """Rounds of a full benchmark: a median of fewer is unreliable."""
 
 REFERENCES: Final = "references"
-"""Folder of the cached converged pictures, inside the output folder."""
+"""Folder of the cached converged images, inside the output folder."""
 
 _REFERENCE_FRACTION: Final = 0.5
 """Chosen: fraction of a time limit for a reference that is not cached."""
 
 _QUICK_REFERENCE: Final = dataclasses.replace(QUALITIES["reference"], samples=64, soft=64, most=64)
-"""Quality of the two pictures that are averaged for the reference of a quick benchmark."""
+"""Quality of the two images that are averaged for the reference of a quick benchmark."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def run_benchmark(
     Args:
         out: folder; created if missing. Result files are replaced, cached references are used.
         scenes: to render.
-        size: of the pictures, or None for the cameras' own.
+        size: of the images, or None for the cameras'.
         runs: number of timed frames of each setting.
         budget_s: approximate time limit, divided equally among the scenes; None has no limit.
         quick: few settings and a coarse reference, as a test.
@@ -110,7 +110,7 @@ def run_benchmark(
     markdown = (
         "\n\n".join([describe_machine(machine), *(_scene_markdown(scene) for scene in measured)]) + "\n"
     )
-    others = {"results.csv": results_csv(results).encode()}
+    extra_files = {"results.csv": results_csv(results).encode()}
     for scene in measured:
         plots = plot_pareto(
             scene.results,
@@ -118,8 +118,8 @@ def run_benchmark(
             f"{scene.scene.description}; {scene.camera.width}x{scene.camera.height}",
             scene.reference.error_codes,
         )
-        others |= {f"pareto_{scene.scene.name}.{suffix}": plot for suffix, plot in plots.items()}
-    return BenchmarkFiles(write_results(folder, "results", content, markdown, others), markdown)
+        extra_files |= {f"pareto_{scene.scene.name}.{suffix}": plot for suffix, plot in plots.items()}
+    return BenchmarkFiles(write_results(folder, "results", content, markdown, extra_files), markdown)
 
 
 def check_arguments(folder: Path, runs: int, budget_s: float | None = None) -> None:
@@ -197,7 +197,7 @@ def _scene_markdown(results: _SceneResults) -> str:
         f"{scene.description[0].upper()}{scene.description[1:]} (frame {scene.index} of `{scene.recipe}`), "
         f"{results.camera.width}x{results.camera.height}, {results.triangles:,} of the full scene's "
         f"{results.full_triangles:,} triangles. The reference, of the full scene, is the mean of "
-        f"{reference.renders} pictures without denoiser; its error is {reference.error_codes:.3f} codes."
+        f"{reference.renders} images without denoiser; its error is {reference.error_codes:.3f} codes."
     )
     parts = [f"#### {scene.name.capitalize()}", introduction, error_table(results.results)]
     if ratios := time_ratios(results.results):

@@ -1,4 +1,4 @@
-"""Cost of frames as scenes, pictures and data sets grow, one quantity at a time, in child processes."""
+"""Cost of frames as scenes, images and data sets grow, one quantity at a time, in child processes."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _PLANTS: Final = ((1, 0), (3, 0), (4, 3), (7, 6), (14, 12))
 """Plants in the front and the back row."""
 
 _SCALES: Final = (0.25, 0.5, 1.0, 2.0)
-"""Factors of the picture's width and height."""
+"""Factors of the image's width and height."""
 
 _FRAMES: Final = 40
-"""Frames of the run in which memory growth is watched."""
+"""Frames of the run that measures memory growth."""
 
-_HEADS: Final = {
+_HEADERS: Final = {
     "scene_s": "new scene", "frame_s": "frame", "least_s": "min", "most_s": "max",
     "together_s": "total, with the scene", "each_s": "per frame", "peak_mib": "memory",
     "frames_per_s": "frames/s", "with_start_s": "with start and scene",
@@ -46,8 +46,7 @@ def measure_scaling(
 ) -> BenchmarkFiles:
     """Measure cost against plants, triangles, pixels, frames and workers; write `scaling.*`.
 
-    Arguments and errors are those of `run_benchmark`; no extra is needed. `quick` renders drafts of fewer and
-    smaller scenes.
+    Arguments and errors as of `run_benchmark`; no extra is needed. `quick` renders fewer, smaller drafts.
     """
     folder = Path(out)
     check_arguments(folder, runs)
@@ -65,7 +64,7 @@ def measure_scaling(
             "frames": _measure_frames(task, quick, on_progress),
             "workers": _measure_workers(task, on_progress),
         }
-        chapters += [f"#### {scene.name.capitalize()}, quality `{quality}`", *map(_format, tables.values())]
+        chapters += [f"#### {scene.name.capitalize()}, quality `{quality}`", *map(_table, tables.values())]
     markdown = "\n\n".join(chapters) + "\n"
     content = {"machine": machine, "scenes": measured}
     return BenchmarkFiles(write_results(folder, "scaling", content, markdown, {}), markdown)
@@ -77,7 +76,7 @@ def _measure_plants(task: FramesTask, quick: bool, on_progress: OnProgress) -> l
     for front, back in _PLANTS[:2] if quick else _PLANTS:
         on_progress(f"{front + back} plants")
         changes = {**task.changes, "row.plants_front": front, "row.plants_back": back}
-        rows.append({"plants": front + back, **_cost(run_child(replace(task, changes=changes)))})
+        rows.append({"plants": front + back, **_cost_row(run_child(replace(task, changes=changes)))})
     return rows
 
 
@@ -86,18 +85,18 @@ def _measure_triangles(task: FramesTask, on_progress: OnProgress) -> list[Row]:
     rows = []
     for divided in (0, 1):
         on_progress(f"each triangle divided into {4**divided}")
-        rows.append({"divided into": 4**divided, **_cost(run_child(replace(task, divided=divided)))})
+        rows.append({"divided into": 4**divided, **_cost_row(run_child(replace(task, divided=divided)))})
     return rows
 
 
 def _measure_pixels(task: FramesTask, quick: bool, on_progress: OnProgress) -> list[Row]:
-    """Larger pictures of the same view."""
+    """Larger images of the same view."""
     assert task.size is not None
     rows = []
     for scale in _SCALES[:3] if quick else _SCALES:
         width, height = (max(round(length * scale), 1) for length in task.size)
         on_progress(f"{width}x{height} pixels")
-        cost = _cost(run_child(replace(task, size=(width, height))))
+        cost = _cost_row(run_child(replace(task, size=(width, height))))
         rows.append({"pixels": f"{width}x{height}", **cost})
     return rows
 
@@ -121,7 +120,7 @@ def _measure_frames(task: FramesTask, quick: bool, on_progress: OnProgress) -> l
 
 
 def _measure_workers(task: FramesTask, on_progress: OnProgress) -> list[Row]:
-    """Several processes at a time, each with its own frames, up to the number of cores."""
+    """Several processes at a time with separate frames, up to the number of cores."""
     rows = []
     for workers in sorted({1, 2, available_cores()}):
         on_progress(f"{workers} workers")
@@ -146,7 +145,7 @@ def _frame_times(child: dict[str, Any]) -> list[float]:
     return [sum(frame.values()) for frame in child["frames"]]
 
 
-def _cost(child: dict[str, Any]) -> Row:
+def _cost_row(child: dict[str, Any]) -> Row:
     """Cost of a scene and of its next frames."""
     times = _frame_times(child)[1:]
     return {
@@ -160,11 +159,11 @@ def _cost(child: dict[str, Any]) -> Row:
     }
 
 
-def _format(rows: Sequence[Row]) -> str:
+def _table(rows: Sequence[Row]) -> str:
     """Rows with the same keys as Markdown; lists are written to the JSON file only."""
     keys = [key for key, value in rows[0].items() if not isinstance(value, list)]
     cells = [[_format_cell(key, row[key]) for key in keys] for row in rows]
-    return markdown_table([_HEADS.get(key, key) for key in keys], cells, left=0)
+    return markdown_table([_HEADERS.get(key, key) for key in keys], cells, left=0)
 
 
 def _format_cell(key: str, value: Any) -> str:

@@ -21,7 +21,7 @@ from pepperscene.version import __version__
 
 _ONE_SCENE: Final = {"plan.sets": 1, "plan.rotations": 1, "plan.frames": 250, "plan.select": [0]}
 _MAX_SIDE_PX: Final = 8192
-"""Chosen: a picture twice as large hardly fits into memory."""
+"""Chosen: an image twice as large hardly fits into memory."""
 
 _SIZE: Final = re.compile(r"([1-9]\d{0,4})x([1-9]\d{0,4})", re.ASCII)
 
@@ -110,11 +110,11 @@ def resize_camera(camera: Camera, size: Sequence[int] | None) -> Camera:
 
     Pixels become larger or smaller. So that a photosite still collects the same fraction of its full well,
     the lens transmits less for larger pixels, and the sensor's gain rises for smaller ones: both keep the
-    depth of field, the mixture of lights and the brightness of the picture.
+    depth of field, the mixture of lights and the brightness of the image.
 
     Args:
         camera: of the recipe.
-        size: width and height, or None for the camera's own.
+        size: width and height, or None for the camera's.
     """
     if size is None or tuple(size) == (camera.width, camera.height):
         return camera
@@ -133,25 +133,15 @@ def resize_camera(camera: Camera, size: Sequence[int] | None) -> Camera:
 
 @dataclass(frozen=True, eq=False)
 class BenchSubject:
-    """A loaded benchmark scene with its cameras and renderers.
+    """A loaded benchmark scene with its cameras and renderers."""
 
-    Attributes:
-        name: of the benchmark scene.
-        full_scene: with everything in it.
-        scene: as builds render it, without what the frames cannot see.
-        camera: of the frame whose error is measured.
-        path: neighbouring cameras on the path, in the order of frames.
-        full_renderer: of the full scene.
-        renderer: of the culled scene.
-    """
-
-    name: str
-    full_scene: Scene
-    scene: Scene
-    camera: Camera
-    path: tuple[Camera, ...]
-    full_renderer: Renderer
-    renderer: Renderer
+    name: str  # of the benchmark scene
+    full_scene: Scene  # with everything in it
+    scene: Scene  # as builds render it, without what the frames cannot see
+    camera: Camera  # of the frame whose error is measured
+    path: tuple[Camera, ...]  # neighbouring cameras on the path, in the order of frames
+    full_renderer: Renderer  # of the full scene
+    renderer: Renderer  # of the culled scene
 
     def render(
         self, quality: str | Quality, seed: int, camera: Camera | None = None, *, full: bool = False
@@ -168,7 +158,7 @@ class BenchSubject:
         return renderer.render(camera or self.camera, TRACED, quality, seed)
 
     def digest(self) -> str:
-        """SHA-256 of everything that the converged picture depends on: version, full scene and camera."""
+        """SHA-256 of everything that the converged image depends on: version, full scene and camera."""
         sha256 = hashlib.sha256(__version__.encode())
         _update_digest(sha256, self.full_scene)
         _update_digest(sha256, self.camera)
@@ -180,25 +170,25 @@ def load_subject(bench_scene: BenchScene, size: tuple[int, int] | None, frames: 
 
     Args:
         bench_scene: of `SCENES`.
-        size: of the picture, or None for the camera's own.
+        size: of the image, or None for the camera's.
         frames: number of cameras on the path that are timed.
 
     Raises:
         SetupError: the machine cannot render.
     """
     recipe = bench_scene.load()
-    stage, plan = FrameRenderer(recipe), recipe.plan
-    shot = plan.frame(bench_scene.index)
-    full_scene, scene = FrameRenderer(recipe, culled=False).scene(shot), stage.scene(shot)
+    frame_renderer, plan = FrameRenderer(recipe), recipe.plan
+    frame = plan.frame(bench_scene.index)
+    full_scene, scene = FrameRenderer(recipe, culled=False).scene(frame), frame_renderer.scene(frame)
     # Neighbours on the path, in the order of a build; they share the scene.
     first = bench_scene.index - bench_scene.index % plan.frames
-    steps = [(shot.step + 1 + number) % plan.frames for number in range(frames)]
+    steps = [(frame.step + 1 + number) % plan.frames for number in range(frames)]
     return BenchSubject(
         bench_scene.name,
         full_scene,
         scene,
-        resize_camera(stage.camera(shot), size),
-        tuple(resize_camera(stage.camera(plan.frame(first + step)), size) for step in steps),
+        resize_camera(frame_renderer.camera(frame), size),
+        tuple(resize_camera(frame_renderer.camera(plan.frame(first + step)), size) for step in steps),
         Renderer(full_scene),
         Renderer(scene),
     )

@@ -23,19 +23,12 @@ OUR_FAMILIES: Final = (NAMED, ADAPTIVE, FIXED, NO_DENOISER)
 
 @dataclass(frozen=True)
 class Setting:
-    """One way to render a frame.
+    """One way to render a frame."""
 
-    Attributes:
-        family: settings of one family differ in effort only.
-        name: within the family.
-        quality: of the renderer.
-        full_scene: True also renders what the frames cannot see, which builds leave out.
-    """
-
-    family: str
-    name: str
-    quality: Quality
-    full_scene: bool = False
+    family: str  # settings of one family differ in effort only
+    name: str  # within the family
+    quality: Quality  # of the renderer
+    full_scene: bool = False  # True also renders what the frames cannot see, which builds leave out
 
     def effort(self) -> dict[str, Any]:
         """Values of the quality, for tables."""
@@ -52,48 +45,48 @@ def settings(*, quick: bool = False) -> tuple[Setting, ...]:
     if quick:
         return (
             Setting(NAMED, "draft", QUALITIES["draft"]),
-            _adaptive(0.5),
-            *_fixed(1, 4),
-            *_path(PLAIN, "independent", 1, 4),
+            _adaptive_setting(0.5),
+            *_fixed_settings(1, 4),
+            *_path_settings(PLAIN, "independent", 1, 4),
         )
     samplers: tuple[Sampler, ...] = get_args(Sampler)
     return (
         *(Setting(NAMED, name, QUALITIES[name]) for name in ("draft", "standard")),
-        *(_adaptive(target) for target in (0.5, 0.25, 0.1, 0.07)),
-        *_fixed(1, 4, 16, 64),
+        *(_adaptive_setting(target) for target in (0.5, 0.25, 0.1, 0.07)),
+        *_fixed_settings(1, 4, 16, 64),
         Setting(FULL_SCENE, "standard", standard, full_scene=True),
-        *_path(PLAIN, "independent", 1, 4, 16, 64, 256),
+        *_path_settings(PLAIN, "independent", 1, 4, 16, 64, 256),
         *(
             setting
             for name in samplers
             if name != "independent"
-            for setting in _path(f"{PATH}{name}", name, 16, 64)
+            for setting in _path_settings(f"{PATH}{name}", name, 16, 64)
         ),
     )
 
 
-def _adaptive(target: float) -> Setting:
+def _adaptive_setting(target: float) -> Setting:
     """The standard quality with another target error."""
     return Setting(ADAPTIVE, f"target {target:g}", resolve_quality("standard", target))
 
 
-def _fixed(*counts: int) -> list[Setting]:
+def _fixed_settings(*counts: int) -> list[Setting]:
     """Equal samples in every pixel, a quarter of them for soft light; with and without denoiser."""
     return [
-        _fixed_samples(family, count, soft=max(count // 4, 1), denoise=denoise)
+        _fixed_setting(family, count, soft=max(count // 4, 1), denoise=denoise)
         for family, denoise in ((FIXED, True), (NO_DENOISER, False))
         for count in counts
     ]
 
 
-def _path(family: str, sampler: Sampler, *counts: int) -> list[Setting]:
+def _path_settings(family: str, sampler: Sampler, *counts: int) -> list[Setting]:
     """Mitsuba's own path tracer with as many bounces as the standard quality."""
     return [
-        _fixed_samples(family, count, soft=count, denoise=False, integrator="path", sampler=sampler)
+        _fixed_setting(family, count, soft=count, denoise=False, integrator="path", sampler=sampler)
         for count in counts
     ]
 
 
-def _fixed_samples(family: str, count: int, **changes: Any) -> Setting:
+def _fixed_setting(family: str, count: int, **changes: Any) -> Setting:
     quality = dataclasses.replace(QUALITIES["standard"], samples=count, most=count, target=None, **changes)
     return Setting(family, f"{count} spp", quality)

@@ -232,8 +232,7 @@ def expected_electrons(signal: ArrayLike, camera: Camera) -> NDArray[np.float64]
 
     Args:
         signal: `(h, w, c)` integral of L(lambda) QE_c(lambda) lambda / (h c) over wavelength: photo-electrons
-            per second, square metre and steradian, averaged over the exposure; one channel for each of the
-            sensor's.
+            per second, square metre and steradian, averaged over the exposure; by sensor channel.
         camera: aperture, transmittance, exposure, pitch and fall-off.
 
     Raises:

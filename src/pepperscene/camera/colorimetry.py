@@ -1,5 +1,4 @@
-"""Colorimetry of images: sRGB, CIELAB, chromatic adaptation, and the colour correction of a sensor under a
-light.
+"""Colorimetry of images: sRGB, CIELAB, chromatic adaptation, and colour correction of sensors.
 
 colour-science provides the basic formulas too, but importing it takes a second.
 """

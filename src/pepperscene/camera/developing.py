@@ -53,20 +53,19 @@ def raw_frame(
     Arguments and errors are those of `develop`.
     """
     developing = dataclasses.replace(camera.developing, quantise=True, saturation=True)
-    return read_out(_checked(electrons, camera), camera.sensor, rng, developing).astype(np.uint16)
+    return read_out(_check_electrons(electrons, camera), camera.sensor, rng, developing).astype(np.uint16)
 
 
 def camera_rgb(electrons: ArrayLike, camera: Camera, rng: np.random.Generator | None = None) -> Floats:
     """`(h, w, c)` linear device colour of the image pixels: black is 0, full scale is 1.
 
-    Noise can make values slightly negative, and demosaicing can make them exceed 1; without saturation they
-    can be far above 1.
+    Noise can make values slightly negative, or, by demosaicing, above 1; without saturation far above 1.
 
     Raises:
         ValueError: as `develop`.
     """
     sensor, developing = camera.sensor, camera.developing
-    sites = read_out(_checked(electrons, camera), sensor, rng, developing)
+    sites = read_out(_check_electrons(electrons, camera), sensor, rng, developing)
     sites -= np.float32(sensor.black_level_dn)
     sites /= np.float32(sensor.full_scale_dn - sensor.black_level_dn)
     if sensor.channels == 3 and sensor.binning == 1:
@@ -103,8 +102,7 @@ def colour_transform(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.fl
     ones, or the identity, if the step is left out. Clipping is not included.
 
     Raises:
-        ValueError: the sensor is monochrome, or the white balance needs a flash that the camera does not
-            have.
+        ValueError: the sensor is monochrome, or the white balance needs a missing flash.
         InputError: the sensor cannot distinguish colours under the reference light.
     """
     _check_has_colours(camera)
@@ -172,7 +170,7 @@ def _reference_light(camera: Camera) -> Spectrum:
     return d65_spectrum() if balance == "daylight" or camera.flash is None else camera.flash.spectrum
 
 
-def _checked(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating]:
+def _check_electrons(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating]:
     """Finite electrons of the image's shape, clipped at 0."""
     expected, shape = np.asarray(electrons), (camera.height, camera.width, camera.sensor.channels)
     if expected.shape != shape:

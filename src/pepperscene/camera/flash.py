@@ -87,8 +87,7 @@ class Flash:
 
         On its axis, a point of intensity I gives E = I / d^2. At the distance rho from the axis, at the angle
         theta = atan(rho / d), E = I p(theta) cos(theta) / (d^2 + rho^2). Each of k discs emits I / k, evenly
-        over its area, so E / I is the mean of p(theta) cos(theta) / (d^2 + rho^2) over all points of all
-        discs.
+        over its area, so E / I is the mean of p(theta) cos(theta) / (d^2 + rho^2) over all discs.
         """
         return 1.0 / self._irradiance_per_intensity
 
@@ -97,18 +96,18 @@ class Flash:
         """Irradiance straight ahead at `at_m` over the axial intensity, m-2: the mean over all emitters."""
         rho = np.hypot(*self.emitters_m.T)
         if self.radius_m < 1e-9 * self.at_m:  # points, to rounding
-            return float(self._of_points(rho).mean())
+            return float(self._points_irradiance(rho).mean())
         # Emitters at the same distance, to a picometre, contribute the same.
         distances, counts = np.unique(rho.round(12), return_counts=True)
-        return float(np.average([self._of_disc(distance) for distance in distances], weights=counts))
+        return float(np.average([self._disc_irradiance(distance) for distance in distances], weights=counts))
 
-    def _of_points(self, rho: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _points_irradiance(self, rho: NDArray[np.float64]) -> NDArray[np.float64]:
         """p(theta) cos(theta) / (d^2 + rho^2) of points at the distance rho from the axis, m-2."""
         distance2 = rho**2 + self.at_m**2
         return self.profile.at(np.arctan2(rho, self.at_m)) * self.at_m / distance2**1.5
 
-    def _of_disc(self, centre: float) -> float:
-        """The mean of `_of_points` over the disc whose centre is at this distance from the axis, m-2.
+    def _disc_irradiance(self, centre: float) -> float:
+        """The mean of `_points_irradiance` over the disc whose centre is at this distance from the axis, m-2.
 
         Points at the distance rho from the axis fill an arc of the half-angle phi inside the disc, with
         sin^2(phi / 2) = (a^2 - (rho - c)^2) / (4 rho c), so the mean is an integral over rho alone.
@@ -130,7 +129,7 @@ class Flash:
             with np.errstate(divide="ignore"):
                 sine2 = (self.radius_m**2 - (rho - centre) ** 2) / (4 * rho * centre)
             arc = 4 * np.arcsin(np.sqrt(np.clip(sine2, 0.0, 1.0)))
-        return float(np.sum(self._of_points(rho) * arc * rho * step)) / (math.pi * self.radius_m**2)
+        return float(np.sum(self._points_irradiance(rho) * arc * rho * step)) / (math.pi * self.radius_m**2)
 
     def irradiance(self) -> Spectrum:
         """W m-2 nm-1 straight ahead at `at_m` during the pulse."""
@@ -191,7 +190,7 @@ class FlashDocument(SourcedDocument):
     profile: BeamTable
 
     @model_validator(mode="after")
-    def _is_consistent(self) -> FlashDocument:
+    def _check_consistency(self) -> FlashDocument:
         if (self.illuminance_lx is None) == (self.irradiance_W_m2 is None):
             raise ValueError("exactly one of illuminance_lx and irradiance_W_m2 must be given")
         matrix = self.matrix
@@ -224,12 +223,12 @@ def load_flash(name_or_path: str | Path) -> Flash:
             pulse_s=document.pulse_us * 1e-6,
         )
     except ValueError as error:
-        # What remains is a beam so narrow that no emitter lights the point where the strength is given.
+        # The only remaining error: the beam is so narrow that no emitter lights the reference point.
         raise InputError(path, f"does not fit the other values: {error}", key="profile") from None
 
 
 def _read_spectrum(path: Path, document: FlashDocument) -> Spectrum:
-    """The curve of a CSV file beside this one, or of a shipped one ("light/houser2013_cool_white_led")."""
+    """The curve of a CSV file in the same folder, or of a shipped one ("light/houser2013_cool_white_led")."""
     file, column = document.spectrum.file, document.spectrum.column
     shipped = shipped_folder("materials") / f"{file.removesuffix('.csv')}.csv"
     if not is_file(path.parent / file) and is_file(shipped):

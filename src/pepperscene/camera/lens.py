@@ -20,8 +20,7 @@ _TOLERANCE: Final = 1e-12  # chosen: of slopes, 1e-9 of a pixel and far above ro
 
 @dataclass(frozen=True, eq=False)
 class AngularProfile:
-    """Relative intensity against the angle to an axis (a flash's beam, a lens' vignetting), linear in
-    between.
+    """Relative intensity against the angle to an axis (a beam, vignetting), linear in between.
 
     Attributes:
         angle_rad: `(n,)` increasing from 0, at most pi/2; read-only.
@@ -195,7 +194,7 @@ class ProfileTable(Document):
     angle_deg: Annotated[tuple[Annotated[float, Field(ge=0, le=90)], ...], Field(min_length=2)]
 
     @model_validator(mode="after")
-    def _is_a_profile(self) -> ProfileTable:
+    def _check_profile(self) -> ProfileTable:
         self.profile()
         return self
 

@@ -145,8 +145,8 @@ def shot_noise(mean: Floats, rng: np.random.Generator) -> Floats:
     square = z * z
     with np.errstate(divide="ignore", invalid="ignore"):  # means of 0 are drawn below
         counts = mean + z * (root + (1 - square) / (72 * root)) + (square - 1) / 6
-    few = mean < _FEW_ELECTRONS
-    counts[few] = rng.poisson(mean[few])
+    is_small = mean < _FEW_ELECTRONS
+    counts[is_small] = rng.poisson(mean[is_small])
     return counts
 
 
@@ -154,12 +154,12 @@ def spread_to_photosites(pixels: NDArray[np.floating], sensor: Sensor) -> Floats
     """`(site rows, site columns)` the value of each photosite's pixel `(h, w, c)` in its own colour."""
     sites = np.empty(sensor.site_shape, np.float32)
     if sensor.pattern == "mono":
-        sites[:] = _repeat(pixels[..., 0], sensor.binning)
+        sites[:] = _upscale(pixels[..., 0], sensor.binning)
         return sites
-    for row, column, channel in _quad(sensor):
+    for row, column, channel in _quad_sites(sensor):
         # A block with an even binning holds binning / 2 quads each way; a pixel of binning 1 is part of one.
         plane = pixels[..., channel]
-        plane = plane[row::2, column::2] if sensor.binning == 1 else _repeat(plane, sensor.binning // 2)
+        plane = plane[row::2, column::2] if sensor.binning == 1 else _upscale(plane, sensor.binning // 2)
         sites[row::2, column::2] = plane
     return sites
 
@@ -169,19 +169,19 @@ def bin_photosites(sites: Floats, sensor: Sensor) -> Floats:
     if sensor.pattern == "mono":
         return _block_means(sites, sensor.binning)[..., None]
     pixels = np.zeros((sensor.rows, sensor.columns, 3), np.float32)
-    for row, column, channel in _quad(sensor):
+    for row, column, channel in _quad_sites(sensor):
         weight = np.float32(0.5 if channel == 1 else 1.0)  # two of a quad's photosites are green
         pixels[..., channel] += weight * _block_means(sites[row::2, column::2], sensor.binning // 2)
     return pixels
 
 
-def _quad(sensor: Sensor) -> Iterator[tuple[int, int, int]]:
+def _quad_sites(sensor: Sensor) -> Iterator[tuple[int, int, int]]:
     """Row, column and channel of the four photosites of a quad."""
-    for place, letter in enumerate(sensor.pattern):
-        yield place // 2, place % 2, "rgb".index(letter)
+    for position, letter in enumerate(sensor.pattern):
+        yield position // 2, position % 2, "rgb".index(letter)
 
 
-def _repeat(plane: NDArray[np.floating], times: int) -> NDArray[np.floating]:
+def _upscale(plane: NDArray[np.floating], times: int) -> NDArray[np.floating]:
     return plane if times == 1 else plane.repeat(times, axis=0).repeat(times, axis=1)
 
 

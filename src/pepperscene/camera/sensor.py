@@ -42,8 +42,7 @@ class Sensor:
         quantum_efficiency: `(c, n)` photo-electrons per incident photon (the spectral response functions,
             SRF), with any filter that belongs to the sensor; c = 3 for red, green and blue photosites, or 1.
         full_well_e: electrons at which a photosite is full.
-        read_noise_e: standard deviation of the temporal dark noise of one photosite, in electrons, at every
-            gain.
+        read_noise_e: temporal dark noise of one photosite (standard deviation), in electrons, at every gain.
         bits: resolution of the analogue-to-digital converter, 1 to 16.
         black_level_dn: digital number of a dark photosite.
         binning: photosites per pixel and direction: 1 or even on Bayer sensors, any on monochrome ones.
@@ -135,15 +134,15 @@ class Sensor:
         """The same sensor behind a filter of this transmittance `(n,)`, at the wavelengths of both curves."""
         sensor_nm, filter_nm = self.quantum_efficiency.wavelength_nm, transmittance.wavelength_nm
         # A filter that ends within the sensor's range falls to 0 there, not by the sensor's next node.
-        ends = np.nextafter(filter_nm[[0, -1]], [-np.inf, np.inf])
-        nm = np.unique(np.concatenate([sensor_nm, filter_nm, ends]))
+        limits = np.nextafter(filter_nm[[0, -1]], [-np.inf, np.inf])
+        nm = np.unique(np.concatenate([sensor_nm, filter_nm, limits]))
         nm = nm[(nm >= sensor_nm[0]) & (nm <= sensor_nm[-1])]
         product = Spectrum(nm, self.quantum_efficiency.at(nm) * transmittance.at(nm))
         return dataclasses.replace(self, quantum_efficiency=product)
 
 
 def _binning_error(pattern: Pattern, binning: int, columns: int, rows: int) -> str:
-    """What is wrong with a binning and an image size for a pattern, or ""."""
+    """The reason why a binning and an image size do not fit a pattern, or ""."""
     if min(columns, rows) < 1 or binning < 1:
         return "the image must be at least 1 x 1, and binning at least 1"
     if pattern == "mono":
@@ -176,7 +175,7 @@ class Filter:
 
 
 class EfficiencyTable(Document):
-    """Columns of a CSV file beside the TOML file: red, green and blue, or the only one."""
+    """Columns of a CSV file next to the TOML file: red, green and blue, or the only one."""
 
     file: NonEmptyText
     columns: Annotated[list[NonEmptyText], Field(min_length=1, max_length=3)]
@@ -199,7 +198,7 @@ class SensorDocument(SourcedDocument):
     infrared_cut: CurveTable | None = None
 
     @model_validator(mode="after")
-    def _is_consistent(self) -> SensorDocument:
+    def _check_consistency(self) -> SensorDocument:
         if self.black_level_dn >= 2**self.bits - 1:
             raise ValueError(f"black_level_dn must be below the full scale of {2**self.bits - 1}")
         if error := _binning_error(self.pattern, self.binning, self.columns, self.rows):
@@ -260,7 +259,7 @@ def load_filter(name_or_path: str | Path) -> Filter:
 
 
 def read_fraction(path: Path, table: str, file: str, column: str) -> Spectrum:
-    """Read a curve within [0, 1] from a column of the CSV file beside `path`; it is 0 beyond its range.
+    """Read a curve within [0, 1] from a column of the CSV file next to `path`; it is 0 beyond its range.
 
     Raises:
         InputError: the file or the column is missing, or a value is out of range.

@@ -68,8 +68,8 @@ def build(
             slurm=slurm,
             on_notice=reporter.notice,
         )
-        done = build_dataset(resolved, out, frames, names, options, on_frame=reporter.frame)
-    reporter.end(done, out)
+        result = build_dataset(resolved, out, frames, names, options, on_frame=reporter.frame)
+    reporter.end(result, out)
 
 
 @app.command()
@@ -132,27 +132,27 @@ def plant(
         float | None,
         typer.Option(help="Position between the two cultivars, 0 to 1. Default: 0.5."),
     ] = None,
-    picture: Annotated[bool, typer.Option(help="Render a picture of the same name as well.")] = True,
+    picture: Annotated[bool, typer.Option(help="Render an image of the same name as well.")] = True,
     quality: QualityOption = "standard",
 ) -> None:
-    """Grow one plant and export its mesh, with a picture."""
+    """Grow one plant and export its mesh, with an image."""
     from pepperscene.dataset.scenes.plant_export import export_plant
 
-    done = export_plant(
+    result = export_plant(
         cultivar, out, seed, detail=detail, until=until, share=share, picture=picture, quality=quality
     )
     typer.echo(
-        f"{done.cultivar}, seed {seed}: {sum(done.organs.values()):,} organs, {done.triangles:,} triangles, "
-        f"{done.height_m:.2f} m tall, grown in {done.seconds:.2f} s"
+        f"{result.cultivar}, seed {seed}: {sum(result.organs.values()):,} organs, "
+        f"{result.triangles:,} triangles, {result.height_m:.2f} m tall, grown in {result.seconds:.2f} s"
     )
-    for kind, count in done.organs.items():
+    for kind, count in result.organs.items():
         typer.echo(f"  {count:>4} {kind}")
-    contacts = done.contacts
+    contacts = result.contacts
     typer.echo(
         f"  {contacts.fruit_touching} of {contacts.fruit} fruit still touch another organ, "
         f"{contacts.blades_touching} of {contacts.blades} blades a stem"
     )
-    for path in done.files:
+    for path in result.files:
         typer.echo(path)
 
 

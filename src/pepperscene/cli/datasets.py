@@ -124,9 +124,9 @@ def export(
     from pepperscene.dataset import export_dataset
 
     with export_progress() as on_frame:
-        done = export_dataset(folder, form, out, split, frames, on_frame, smallest)
-    parts = ", ".join(f"{count} {name}" for name, count in done.splits.items())
-    typer.echo(f"{done.frames} frame{'' if done.frames == 1 else 's'} as {form} ({parts}): {out}")
+        result = export_dataset(folder, form, out, split, frames, on_frame, smallest)
+    parts = ", ".join(f"{count} {name}" for name, count in result.splits.items())
+    typer.echo(f"{result.frames} frame{'' if result.frames == 1 else 's'} as {form} ({parts}): {out}")
 
 
 @app.command()
@@ -150,10 +150,10 @@ def report(
     for name, value in (("labels", labels), ("half", half)):
         if beside is None and value is not None:
             raise InputError(f"--{name}", "applies only with --beside")
-    done = write_report(folder, limit, other, sample=sample, on_progress=echo_measured)
+    written = write_report(folder, limit, other, sample=sample, on_progress=echo_measured)
     typer.echo(
-        f"{done.shown} of {done.frames} frames shown, {done.measured} measured:\n"
-        f"  {done.sheet}\n  {done.page}"
+        f"{written.shown} of {written.frames} frames shown, {written.measured} measured:\n"
+        f"  {written.sheet}\n  {written.page}"
     )
 
 
@@ -170,13 +170,13 @@ def compare(
         str | None,
         typer.Option(metavar="NAME[,NAME]", help="synthetic or empirical, for the published data set."),
     ] = None,
-    limit: Annotated[int, typer.Option(min=1, help="Measure at most this many pictures of each set.")] = 1000,
+    limit: Annotated[int, typer.Option(min=1, help="Measure at most this many images of each set.")] = 1000,
     figure: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw Figs. 10 to 13 of the paper as .svg or .png.")
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Compare two image sets. Measures hues, CIELAB, class fractions, places and light, with intervals."""
+    """Compare two image sets. Measures hues, CIELAB, class fractions, positions and light."""
     from pepperscene.colour import comparison_figure, comparison_json, comparison_tables, format_tables
     from pepperscene.colour.comparison.compare import compare as compare_sets
     from pepperscene.colour.comparison.measure import open_two_sets

@@ -27,7 +27,7 @@ def bench(
     budget: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Approximate time limit of the whole benchmark.")
     ] = None,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the pictures in pixels.")] = None,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the images in pixels.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Few settings and a coarse reference.")] = False,
     profile: Annotated[
         bool, typer.Option("--profile", help="Instead, time the stages of a frame, including the imports.")
@@ -48,13 +48,13 @@ def bench(
         raise InputError("--profile", "cannot be combined with --scaling")
     if profile or scaling:
         measure = benchmark.profile_frames if profile else benchmark.measure_scaling
-        done = measure(out, scenes, pixels, runs=runs, quick=quick, on_progress=echo_progress)
+        files = measure(out, scenes, pixels, runs=runs, quick=quick, on_progress=echo_progress)
     else:
-        done = benchmark.run_benchmark(
+        files = benchmark.run_benchmark(
             out, scenes, pixels, runs=runs, budget_s=budget, quick=quick, on_progress=echo_progress
         )
-    typer.echo(done.markdown)
-    for path in done.files:
+    typer.echo(files.markdown)
+    for path in files.files:
         typer.echo(path, err=True)
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _EVERY_LINE: Final = 200  # chosen: up to so many frames, each is printed
 _INTERVAL_S: Final = 5.0  # chosen: seconds between lines for more frames
-_PICTURES_PER_LINE: Final = 200  # chosen: measured pictures from line to line, some seconds
+_IMAGES_PER_LINE: Final = 200  # chosen: measured images between lines, some seconds
 
 
 def echo_progress(text: str) -> None:
@@ -29,8 +29,8 @@ def echo_progress(text: str) -> None:
 
 
 def echo_measured(done: int, total: int) -> None:
-    """Print now and then how many pictures are measured."""
-    if total > _PICTURES_PER_LINE and (done % _PICTURES_PER_LINE == 0 or done == total):
+    """Print the number of measured images from time to time."""
+    if total > _IMAGES_PER_LINE and (done % _IMAGES_PER_LINE == 0 or done == total):
         echo_progress(f"{done:,} of {total:,} pictures measured")
 
 
@@ -137,7 +137,7 @@ class LineReporter(ProgressReporter):
 
 @final
 class BarReporter(ProgressReporter):
-    """A progress bar with frame rate, time left and the path of the latest picture.
+    """A progress bar with frame rate, time left and the path of the latest image.
 
     Args:
         bar: of Rich.

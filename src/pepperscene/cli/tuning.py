@@ -58,7 +58,7 @@ def tune(
     ] = None,
     hold_out: Annotated[
         str | None,
-        typer.Option(metavar="NAMES", help="Pictures to hold out for validation, comma-separated."),
+        typer.Option(metavar="NAMES", help="Images to hold out for validation, comma-separated."),
     ] = None,
     verify: Annotated[
         int, typer.Option(metavar="N", min=0, help="Frames of the full scene to render for verification.")
@@ -75,7 +75,7 @@ def tune(
     from pepperscene.dataset import load_recipe, parse_changes
 
     changed_recipe = load_recipe(recipe, parse_changes(set or ()))
-    names = _split(fit)
+    names = _split_names(fit)
     if names == (_HELP,):
         _list_parameters(changed_recipe, json)
         return
@@ -84,7 +84,7 @@ def tune(
     if not patches:
         raise InputError("--patches", "is required: a patches file, a folder of images, or a CSV file")
     folder = out or Path(f"{Path(recipe).stem}_tuned")
-    measured, held_out = _open_patches(patches, labels, half), _split(hold_out or "")
+    measured, held_out = _open_patches(patches, labels, half), _split_names(hold_out or "")
     _check_held_out(measured, held_out)
     options = {
         "recipe": recipe, "set": list(set or ()), "fit": list(names), "patches": list(patches),
@@ -95,8 +95,8 @@ def tune(
     from pepperscene.tuning.workflow import tune as tune_recipe
 
     try:
-        with _progress(quiet=json) as on_progress:
-            done = tune_recipe(
+        with _progress_callback(quiet=json) as on_progress:
+            result = tune_recipe(
                 changed_recipe,
                 measured,
                 names,
@@ -115,13 +115,13 @@ def tune(
         echo_progress("interrupted; nothing was written")
         raise typer.Exit(EXIT_INTERRUPTED) from None
     if json:
-        typer.echo(json_text.dumps(_record(done), indent=1, allow_nan=False))
+        typer.echo(json_text.dumps(_result_record(result), indent=1, allow_nan=False))
     else:
-        _print_result(done)
+        _print_result(result)
 
 
 def _open_patches(patches: Sequence[str], labels: str | None, half: str | None) -> PatchSet:
-    """All patches in one set; labels and half apply to those that are folders."""
+    """Merge all patches into one set; labels and half apply to those that are folders."""
     from pepperscene.colour import open_patches
     from pepperscene.tuning.workflow import merge_patches
 
@@ -174,30 +174,30 @@ def _list_parameters(recipe: Recipe, json: bool) -> None:
     typer.echo(format_tables([known_table(tuple(known[name] for name in names))]))
 
 
-def _record(done: TuningResult) -> dict[str, Any]:
+def _result_record(result: TuningResult) -> dict[str, Any]:
     """The record of the fit, and the files written."""
     from pepperscene.tuning.output.write import RECORD
 
-    (record,) = (path for path in done.files if path.name == RECORD)
+    (record,) = (path for path in result.files if path.name == RECORD)
     content: dict[str, Any] = json_text.loads(record.read_text(encoding="utf-8"))
-    return {**content, "files": [str(path) for path in done.files]}
+    return {**content, "files": [str(path) for path in result.files]}
 
 
-def _print_result(done: TuningResult) -> None:
+def _print_result(result: TuningResult) -> None:
     from pepperscene.colour.comparison.tables import format_tables
     from pepperscene.tuning.output.report import fit_tables
 
-    typer.echo(format_tables(fit_tables(done.fit, done.verification)))
+    typer.echo(format_tables(fit_tables(result.fit, result.verification)))
     typer.echo()
-    for line in dict.fromkeys((*done.fit.diagnostics, *done.fit.undetermined)):
+    for line in dict.fromkeys((*result.fit.diagnostics, *result.fit.undetermined)):
         typer.echo(line)
     typer.echo()
-    for path in done.files:
+    for path in result.files:
         typer.echo(path)
 
 
 @contextmanager
-def _progress(quiet: bool) -> Iterator[Callable[[str], None] | None]:
+def _progress_callback(quiet: bool) -> Iterator[Callable[[str], None] | None]:
     """Callback for lines of progress; a terminal also shows a spinner."""
     if quiet:
         yield None
@@ -213,5 +213,5 @@ def _progress(quiet: bool) -> Iterator[Callable[[str], None] | None]:
         yield lambda line: console.print(Text(line))
 
 
-def _split(names: str) -> tuple[str, ...]:
+def _split_names(names: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in names.split(",") if name.strip())

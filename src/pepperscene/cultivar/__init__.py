@@ -1,4 +1,4 @@
-"""Cultivars: organ kinds, what grows on them, and every parameter as a distribution with its source.
+"""Cultivars: organ kinds, their slots, and every parameter as a distribution with its source.
 
 Read from TOML. The parameters are those of Barth et al. 2018, Table 1 and Fig. 3 to 5, and others that a
 plant needs, each with its `source`, or `chosen` with the reason. Lengths are metres and angles radians.

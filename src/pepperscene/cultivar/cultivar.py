@@ -28,7 +28,7 @@ class Cultivar(Document):
         source: of the numbers.
         date: of the growth stage.
         stem: the main stem.
-        organs: kind -> its parameters and what grows on it.
+        organs: kind -> its parameters and its slots.
         pigments: surface -> its path through pigment space.
     """
 
@@ -79,8 +79,8 @@ def load_cultivar(name_or_path: str | Path) -> Cultivar:
     try:
         return validate(Cultivar, tables, files[0][0])
     except InputError as error:
-        where = defining_file(files, tables, error.key)
-        raise InputError(where, error.problem, key=error.key, value=error.value) from None
+        file = defining_file(files, tables, error.key)
+        raise InputError(file, error.problem, key=error.key, value=error.value) from None
 
 
 _TEXT_KEYS: Final = (*Origin.model_fields, "name")

@@ -169,8 +169,8 @@ class Distribution(Origin):
         if self.family == "histogram":
             starts, lows, highs, weights = _cumulative_bins(self.bins)
             index = np.searchsorted(starts, probability, side="right") - 1
-            within = np.minimum((probability - starts[index]) / weights[index], 1.0)
-            return lows[index] + within * (highs[index] - lows[index])
+            bin_fraction = np.minimum((probability - starts[index]) / weights[index], 1.0)
+            return lows[index] + bin_fraction * (highs[index] - lows[index])
         if self.family == "curve":
             if position is None:
                 raise ValueError("a curve along the stem needs positions")
@@ -210,8 +210,8 @@ def _truncated_normal_quantiles(
     # scipy.stats.truncnorm.ppf takes 16 times as long and differs in the last bits of 42 % of the values.
     from scipy.special import ndtri
 
-    within = np.clip(cdf_low + probability * (cdf_high - cdf_low), 1e-300, 1.0 - 1e-16)
-    return np.asarray(mean + sd * ndtri(within))
+    scaled = np.clip(cdf_low + probability * (cdf_high - cdf_low), 1e-300, 1.0 - 1e-16)
+    return np.asarray(mean + sd * ndtri(scaled))
 
 
 def _correlate_with_height(probability: FloatArray, position: FloatArray, correlation: float) -> FloatArray:

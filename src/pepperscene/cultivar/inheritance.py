@@ -50,8 +50,8 @@ def merge_chain(files: Chain) -> Tables:
         InputError: a kind is `like` one that does not exist, or like itself.
     """
     tables: Tables = {}
-    for _, own in reversed(files):
-        tables = _merge_tables(tables, own)
+    for _, table in reversed(files):
+        tables = _merge_tables(tables, table)
     organs = tables.get("organs")
     if isinstance(organs, Mapping):
         tables = tables | {"organs": {name: _resolve_like(name, organs, files) for name in organs}}
@@ -129,18 +129,20 @@ def _resolve_like(name: str, organs: Mapping[str, Any], files: Chain) -> Any:
     return table
 
 
-def _matching_parts(own: Any, tables: Any, parts: list[str]) -> int:
+def _matching_parts(value: Any, tables: Any, parts: list[str]) -> int:
     """Number of leading parts of a key that a file's own tables have; slots match by name."""
     for depth, part in enumerate(parts):
         if isinstance(tables, list) and part.isdigit() and int(part) < len(tables):
             tables = tables[int(part)]
             name = tables.get("name") if isinstance(tables, dict) else None
-            slots = own if isinstance(own, list) else []
-            own = next((slot for slot in slots if isinstance(slot, dict) and slot.get("name") == name), None)
+            slots = value if isinstance(value, list) else []
+            value = next(
+                (slot for slot in slots if isinstance(slot, dict) and slot.get("name") == name), None
+            )
         else:
             tables = tables.get(part) if isinstance(tables, dict) else None
-            own = own.get(part) if isinstance(own, dict) else None
-        if own is None:
+            value = value.get(part) if isinstance(value, dict) else None
+        if value is None:
             return depth
     return len(parts)
 

@@ -112,7 +112,7 @@ def _parse_numbers(numbers: dict[str, Any], factor: float, suffix: str, **origin
     """The distribution that a table's numbers describe, in SI units."""
     keys = set(numbers)
     if keys == {"uniform"}:
-        low, high = (factor * x for x in _row(numbers["uniform"], 2, f"uniform{suffix}"))
+        low, high = (factor * x for x in _number_row(numbers["uniform"], 2, f"uniform{suffix}"))
         if not low < high:
             raise ValueError(f"uniform{suffix} must be a smaller and a larger number")
         sd = (high - low) / math.sqrt(12.0)
@@ -121,7 +121,7 @@ def _parse_numbers(numbers: dict[str, Any], factor: float, suffix: str, **origin
         return _parse_histogram(numbers["histogram"], factor, f"histogram{suffix}", **origin)
     along = numbers.pop("along", None)
     scaled = {
-        key: factor * _finite(value, key + suffix)
+        key: factor * _finite_number(value, key + suffix)
         for key, value in numbers.items()
         if key not in ("uniform", "histogram")
     }
@@ -138,11 +138,11 @@ def _parse_numbers(numbers: dict[str, Any], factor: float, suffix: str, **origin
     )
 
 
-def _bounds(numbers: dict[str, float], least: float, most: float, suffix: str) -> tuple[float, float]:
+def _bounds(numbers: dict[str, float], lowest: float, highest: float, suffix: str) -> tuple[float, float]:
     """`low` and `high`, three standard deviations beyond the least and the greatest mean if not given."""
     reach = DEFAULT_BOUND_SD * numbers.get("sd", 0.0)
-    low, high = numbers.get("low", least - reach), numbers.get("high", most + reach)
-    if suffix == "_mm" and low < 0 <= least and "low" not in numbers:
+    low, high = numbers.get("low", lowest - reach), numbers.get("high", highest + reach)
+    if suffix == "_mm" and low < 0 <= lowest and "low" not in numbers:
         raise ValueError("needs low_mm, since three standard deviations below the mean is a negative length")
     return low, high
 
@@ -164,16 +164,16 @@ def _parse_curve(
     """A mean that follows the position along the stem, with the same spread everywhere."""
     if not isinstance(raw, (list, tuple)) or len(raw) < 2:
         raise ValueError(f"along{suffix} must be a list of at least two [position, mean]")
-    positions, means = zip(*(_row(row, 2, f"along{suffix}") for row in raw), strict=True)
+    positions, means = zip(*(_number_row(row, 2, f"along{suffix}") for row in raw), strict=True)
     if positions[0] != 0 or positions[-1] != 1 or any(b <= a for a, b in pairwise(positions)):
         raise ValueError(f"along{suffix}: positions must ascend from 0, the stem's foot, to 1, its top")
     sd = numbers.get("sd", 0.0)
     if sd < 0:
         raise ValueError(f"sd{suffix} must be 0 or more")
     along = tuple((position, factor * mean) for position, mean in zip(positions, means, strict=True))
-    least, most = min(mean for _, mean in along), max(mean for _, mean in along)
-    low, high = _bounds(numbers, least, most, suffix)
-    if not low <= least <= most <= high:
+    lowest, highest = min(mean for _, mean in along), max(mean for _, mean in along)
+    low, high = _bounds(numbers, lowest, highest, suffix)
+    if not low <= lowest <= highest <= high:
         raise ValueError(f"along{suffix}: every mean must be between low{suffix} and high{suffix}")
     mean = math.fsum(0.5 * (b[1] + a[1]) * (b[0] - a[0]) for a, b in pairwise(along))
     return Distribution(family="curve", mean=mean, sd=sd, low=low, high=high, along=along, **origin)
@@ -182,7 +182,7 @@ def _parse_curve(
 def _parse_histogram(raw: Any, factor: float, key: str, **origin: Any) -> Distribution:
     if not isinstance(raw, (list, tuple)) or not raw:
         raise ValueError(f"{key} must be a list of [from, to, weight]")
-    bins = [_row(row, 3, key) for row in raw]
+    bins = [_number_row(row, 3, key) for row in raw]
     if any(not low < high for low, high, _ in bins) or any(weight < 0 for _, _, weight in bins):
         raise ValueError(f"{key}: each bin must ascend and have a weight of at least 0")
     if any(after[0] < before[1] for before, after in pairwise(bins)):
@@ -200,7 +200,7 @@ def _parse_histogram(raw: Any, factor: float, key: str, **origin: Any) -> Distri
     return Distribution(family="histogram", mean=mean, sd=sd, low=low, high=high, bins=scaled, **origin)
 
 
-def _finite(raw: Any, key: str) -> float:
+def _finite_number(raw: Any, key: str) -> float:
     if isinstance(raw, bool) or not isinstance(raw, (int, float)) or not -math.inf < raw < math.inf:
         raise ValueError(f"{key} must be a finite number")
     if not -_LARGEST <= raw <= _LARGEST:
@@ -208,10 +208,10 @@ def _finite(raw: Any, key: str) -> float:
     return float(raw)
 
 
-def _row(raw: Any, length: int, key: str) -> list[float]:
+def _number_row(raw: Any, length: int, key: str) -> list[float]:
     if not isinstance(raw, (list, tuple)) or len(raw) != length:
         raise ValueError(f"{key} must have {length} numbers")
-    return [_finite(value, key) for value in raw]
+    return [_finite_number(value, key) for value in raw]
 
 
 Length = Annotated[Distribution, BeforeValidator(partial(_parse_distribution, "mm"))]
@@ -220,13 +220,13 @@ Ratio = Annotated[Distribution, BeforeValidator(partial(_parse_distribution, "")
 
 
 def _check_range(
-    distribution: Distribution, least: float, most: float = math.inf, *, exclusive: bool = False
+    distribution: Distribution, minimum: float, maximum: float = math.inf, *, exclusive: bool = False
 ) -> Distribution:
     """Raise ValueError if a value that can be drawn is outside the parameter's range."""
     slack, low, high = 1e-9, distribution.low, distribution.high
-    if low < least - slack or high > most + slack or (exclusive and low <= least):
-        allowed = f"above {least:g}" if exclusive else f"from {least:g}"
-        upper = "" if most == math.inf else f" to {most:g}"
+    if low < minimum - slack or high > maximum + slack or (exclusive and low <= minimum):
+        allowed = f"above {minimum:g}" if exclusive else f"from {minimum:g}"
+        upper = "" if maximum == math.inf else f" to {maximum:g}"
         raise ValueError(f"must be {allowed}{upper}, but is {low:.4g} to {high:.4g} (in metres if a length)")
     return distribution
 
@@ -237,11 +237,11 @@ def _check_once_per_plant(distribution: Distribution) -> Distribution:
     return distribution
 
 
-_Positive: Final = AfterValidator(partial(_check_range, least=0.0, exclusive=True))
+_Positive: Final = AfterValidator(partial(_check_range, minimum=0.0, exclusive=True))
 Size = Annotated[Length, _Positive]
 """A length without which the organ would vanish."""
-Width = Annotated[Length, AfterValidator(partial(_check_range, least=0.0))]
+Width = Annotated[Length, AfterValidator(partial(_check_range, minimum=0.0))]
 Factor = Annotated[Ratio, _Positive]
-Fraction = Annotated[Ratio, AfterValidator(partial(_check_range, least=0.0, most=1.0))]
+Fraction = Annotated[Ratio, AfterValidator(partial(_check_range, minimum=0.0, maximum=1.0))]
 OncePerPlant: Final = AfterValidator(_check_once_per_plant)
 """Marks a distribution from which each plant draws one value."""

@@ -1,4 +1,4 @@
-"""Organ kinds of a cultivar: the parameters of each form, and what grows on it.
+"""Organ kinds of a cultivar: the parameters of each form, and its slots.
 
 Codes such as P-1 or L-4 are those of Barth et al. 2018, Table 1. Inclinations are angles above the
 horizontal, in the vertical plane of the organ. Parameters that a file leaves out have a neutral default.
@@ -56,7 +56,7 @@ LARGEST_FRUIT_M: Final = 0.6
 ClassName = Literal["background", "leaf", "pepper", "peduncle", "stem", "shoot", "cut"]
 
 
-def _default(value: float) -> Distribution:
+def _constant(value: float) -> Distribution:
     return Distribution(family="value", mean=value, sd=0.0, low=value, high=value, chosen="neutral default")
 
 
@@ -94,9 +94,9 @@ class Internode(OrganModel):
 
     form: Literal["internode"]
     length: Size
-    groove: Width = _default(0.0)
-    state: Fraction = _default(0.6)
-    state_spread: Fraction = _default(0.12)
+    groove: Width = _constant(0.0)
+    state: Fraction = _constant(0.6)
+    state_spread: Fraction = _constant(0.12)
 
 
 class Node(OrganModel):
@@ -105,7 +105,7 @@ class Node(OrganModel):
     form: Literal["node"]
     width: Size
     length: Size
-    state: Fraction = _default(0.6)
+    state: Fraction = _constant(0.6)
 
 
 class Stalk(OrganModel):
@@ -114,12 +114,12 @@ class Stalk(OrganModel):
     form: Literal["stalk"]
     length: Size
     diameter: Size  # at its base
-    tip: Factor = _default(1.0)  # ratio of the diameter at its end to that at its base
+    tip: Factor = _constant(1.0)  # ratio of the diameter at its end to that at its base
     inclination: Angle  # at its base
-    bend: Angle = _default(0.0)  # change of the inclination from base to end; negative is downwards
-    sway: Angle = _default(0.0)  # bend out of its vertical plane, counter-clockwise
-    state: Fraction = _default(0.6)
-    state_spread: Fraction = _default(0.12)
+    bend: Angle = _constant(0.0)  # change of the inclination from base to end; negative is downwards
+    sway: Angle = _constant(0.0)  # bend out of its vertical plane, counter-clockwise
+    state: Fraction = _constant(0.6)
+    state_spread: Fraction = _constant(0.12)
     # Fraction of the way to the inclination of the blade at its tip that the stalk itself bends.
     towards: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     channel: Annotated[int, Field(ge=0, le=1)] = 0  # 1 for a channel along its upper side
@@ -131,10 +131,10 @@ class Peduncle(OrganModel):
     form: Literal["peduncle"]
     length: Size
     diameter: Size
-    tip: Factor = _default(1.0)
+    tip: Factor = _constant(1.0)
     inclination: Angle
     end_inclination: Angle
-    state: Fraction = _default(0.6)
+    state: Fraction = _constant(0.6)
 
 
 class Blade(OrganModel):
@@ -144,23 +144,23 @@ class Blade(OrganModel):
     length: Size  # of the midrib
     width: Size  # of the flat blade
     inclination: Angle  # of the midrib at its middle
-    droop: Angle = _default(0.0)  # downward bend of the midrib from base to tip
-    sway: Angle = _default(0.0)  # its sideways bend, counter-clockwise
-    roll: Angle = _default(0.0)  # about the midrib
-    fold: Angle = _default(0.0)  # angle by which each half is lifted
-    curl: Angle = _default(0.0)  # cross-curvature of each half, margins up if positive
-    twist: Angle = _default(0.0)  # of the tip relative to the base
-    margin_wave: Width = _default(0.0)  # amplitude of the waves along a margin
-    margin_waves: Factor = _default(4.0)  # number of waves
-    blister: Width = _default(0.0)  # height of the bulges between the veins
-    vein: Width = _default(0.0)  # depth of the sunken secondary veins
-    asymmetry: Ratio = _default(0.0)  # excess width of one half over the mean half, relative
-    widest: Fraction = _default(0.35)  # position of the greatest width, 0 base to 1 tip
-    base: Factor = _default(0.8)  # exponent of the outline at the base; small is broad
-    lobes: Ratio = _default(0.0)  # number of teeth or lobes along each margin; 0 is entire
-    lobe_depth: Fraction = _default(0.0)  # their depth, as a fraction of half the width
-    state: Fraction = _default(0.7)  # 0 pale to 1 dark green
-    state_spread: Fraction = _default(0.1)  # mottling within a blade
+    droop: Angle = _constant(0.0)  # downward bend of the midrib from base to tip
+    sway: Angle = _constant(0.0)  # its sideways bend, counter-clockwise
+    roll: Angle = _constant(0.0)  # about the midrib
+    fold: Angle = _constant(0.0)  # angle by which each half is lifted
+    curl: Angle = _constant(0.0)  # cross-curvature of each half, margins up if positive
+    twist: Angle = _constant(0.0)  # of the tip relative to the base
+    margin_wave: Width = _constant(0.0)  # amplitude of the waves along a margin
+    margin_waves: Factor = _constant(4.0)  # number of waves
+    blister: Width = _constant(0.0)  # height of the bulges between the veins
+    vein: Width = _constant(0.0)  # depth of the sunken secondary veins
+    asymmetry: Ratio = _constant(0.0)  # excess width of one half over the mean half, relative
+    widest: Fraction = _constant(0.35)  # position of the greatest width, 0 base to 1 tip
+    base: Factor = _constant(0.8)  # exponent of the outline at the base; small is broad
+    lobes: Ratio = _constant(0.0)  # number of teeth or lobes along each margin; 0 is entire
+    lobe_depth: Fraction = _constant(0.0)  # their depth, as a fraction of half the width
+    state: Fraction = _constant(0.7)  # 0 pale to 1 dark green
+    state_spread: Fraction = _constant(0.1)  # mottling within a blade
     size_correlation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # of length and width (Gaussian copula)
 
 
@@ -171,26 +171,26 @@ class Fruit(OrganModel):
     diameter: Size  # F-2, of a grown fruit
     slenderness: Factor  # length divided by diameter
     inclination: Angle  # of the axis from stalk end to blossom end, about -90 degrees
-    aside: Angle = _default(0.0)  # azimuth of the axis relative to that of its peduncle
-    lobe_depth: Ratio = _default(0.0)  # of the furrows; 1 is typical of a blocky pepper
-    shoulder: Ratio = _default(0.0)  # height of the shoulders above the stalk end
-    taper: Factor = _default(1.0)  # ratio of the diameter near the blossom end to the greatest
-    point: Fraction = _default(0.0)  # 0 blocky to 1 pointed
-    bend: Angle = _default(0.0)  # of the axis
-    calyx_radius: Factor = _default(0.27)  # to the longest teeth, as a ratio to the fruit's diameter
-    calyx_tooth: Fraction = _default(0.28)  # depth of the calyx' teeth, as a fraction of its radius
-    calyx_state: Fraction = _default(0.5)  # pigment state of the calyx
-    ripe_fraction: Fraction = _default(0.0)  # of the mature fruit; fruit of a young top is green
+    aside: Angle = _constant(0.0)  # azimuth of the axis relative to that of its peduncle
+    lobe_depth: Ratio = _constant(0.0)  # of the furrows; 1 is typical of a blocky pepper
+    shoulder: Ratio = _constant(0.0)  # height of the shoulders above the stalk end
+    taper: Factor = _constant(1.0)  # ratio of the diameter near the blossom end to the greatest
+    point: Fraction = _constant(0.0)  # 0 blocky to 1 pointed
+    bend: Angle = _constant(0.0)  # of the axis
+    calyx_radius: Factor = _constant(0.27)  # to the longest teeth, as a ratio to the fruit's diameter
+    calyx_tooth: Fraction = _constant(0.28)  # depth of the calyx' teeth, as a fraction of its radius
+    calyx_state: Fraction = _constant(0.5)  # pigment state of the calyx
+    ripe_fraction: Fraction = _constant(0.0)  # of the mature fruit; fruit of a young top is green
     # Rise of ripe_fraction towards the foot, where fruit is older, and fall towards the top, over half the
     # plant's height.
-    ripe_descent: Fraction = _default(0.0)
+    ripe_descent: Fraction = _constant(0.0)
     # Fraction of fruit at the breaker stage, taken equally from the ripe and the unripe.
-    breaker_fraction: Fraction = _default(0.0)
+    breaker_fraction: Fraction = _constant(0.0)
     # Ripeness at each stage, 0 green to 1 ripe.
-    unripe: Fraction = _default(0.0)
-    breaker: Fraction = _default(0.5)
-    ripe: Fraction = _default(1.0)
-    ripeness_spread: Fraction = _default(0.0)  # variation of ripeness within a fruit
+    unripe: Fraction = _constant(0.0)
+    breaker: Fraction = _constant(0.5)
+    ripe: Fraction = _constant(1.0)
+    ripeness_spread: Fraction = _constant(0.0)  # variation of ripeness within a fruit
     lobes: Lobes = Number(probabilities={"four": 1.0}, chosen="the usual number of a blocky pepper")
     scan: Path | None = None  # a mesh file to use instead of a generated mesh
     calyx: bool = True  # whether it has one
@@ -216,7 +216,7 @@ class Cut(OrganModel):
     form: Literal["cut"]
     diameter: Size
     length: Size
-    inclination: Angle = _default(0.0)
+    inclination: Angle = _constant(0.0)
 
 
 class Flower(OrganModel):
@@ -224,9 +224,9 @@ class Flower(OrganModel):
 
     form: Literal["flower"]
     diameter: Size
-    open: Fraction = _default(0.8)
+    open: Fraction = _constant(0.8)
     inclination: Angle
-    state: Fraction = _default(0.8)
+    state: Fraction = _constant(0.8)
     petals: Annotated[int, Field(ge=3, le=12)] = 6
 
 

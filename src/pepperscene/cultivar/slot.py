@@ -1,4 +1,4 @@
-"""Slots: the places on an organ where others grow."""
+"""Slots: the positions on an organ where others grow."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Descent(Document):
 
 
 class Slot(Document):
-    """Table of an organ that says what grows at one of its places, how many, and in which direction."""
+    """Table of an organ: kinds, number and direction of the organs that grow at one position."""
 
     name: Annotated[str, Field(min_length=1)]  # unique among the slots of its organ
     what: Choice  # kind -> probability; `none` for nothing
@@ -87,12 +87,14 @@ class Slot(Document):
         if self.descent is not None and self.filled > 0:
             of, by = self.descent.of, self.descent.by
             if of not in self.kinds:
-                raise ValueError(f"descent.of must be one of what grows here: {', '.join(self.kinds)}")
-            fraction = self.what.probabilities[of] / self.filled
-            most = min(fraction, 1.0 - fraction) + 1e-9
-            if not -most <= by.low <= by.high <= most:
                 raise ValueError(
-                    f"descent.by must be between {-most:.3g} and {most:.3g}, "
+                    f"descent.of must be one of the kinds that grow here: {', '.join(self.kinds)}"
+                )
+            fraction = self.what.probabilities[of] / self.filled
+            limit = min(fraction, 1.0 - fraction) + 1e-9
+            if not -limit <= by.low <= by.high <= limit:
+                raise ValueError(
+                    f"descent.by must be between {-limit:.3g} and {limit:.3g}, "
                     f"the smaller of {of}'s fraction and the others'"
                 )
         return self

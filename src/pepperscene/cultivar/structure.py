@@ -97,7 +97,7 @@ Organs = Mapping[str, OrganModel]
 
 
 def check_structure(stem: Stem, organs: Organs, surfaces: Mapping[str, Any]) -> None:
-    """Check what no table shows alone.
+    """Check conditions across tables.
 
     Raises:
         ValidationError: for the first error, with the key to change.
@@ -169,11 +169,11 @@ def _check_recursion(organs: Organs) -> None:
         for name, organ in unlimited.items()
     }
     for name in unlimited:
-        seen, queue = set[str](), list(below[name])
+        visited, queue = set[str](), list(below[name])
         while queue:
             kind = queue.pop()
-            if kind not in seen:
-                seen.add(kind)
+            if kind not in visited:
+                visited.add(kind)
                 queue.extend(below[kind])
-        if name in seen:
+        if name in visited:
             raise _error(("organs", name, "depth"), None, "is required for a kind that can follow itself")

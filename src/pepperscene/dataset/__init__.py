@@ -1,4 +1,4 @@
-"""Data sets: a recipe defines one, a plan numbers its frames, a build makes them, a report shows them."""
+"""Data sets: a recipe defines one, a plan numbers its frames, a build renders them, a report shows them."""
 
 from pepperscene.dataset.check import CheckResult, Finding, check_dataset
 from pepperscene.dataset.execution.build import BuildProgress, BuildResult, build

@@ -32,12 +32,13 @@ def read_measure(organs: Sequence[Organ], name: str, default: float | FloatArray
     defaults = default if isinstance(default, np.ndarray) else [default] * len(organs)
     # Without a default, a missing measure becomes NaN.
     values = np.array(
-        [organ.measures.get(name, other) for organ, other in zip(organs, defaults, strict=True)], np.float64
+        [organ.measures.get(name, fallback) for organ, fallback in zip(organs, defaults, strict=True)],
+        np.float64,
     )
     for organ, finite in zip(organs, np.isfinite(values), strict=True):
         if not finite:
-            where, value = f"{organ.kind} of phytomer {organ.phytomer}", organ.measures.get(name)
-            raise ValueError(f"{where}: measure {name} must be a finite number, not {value}")
+            location, value = f"{organ.kind} of phytomer {organ.phytomer}", organ.measures.get(name)
+            raise ValueError(f"{location}: measure {name} must be a finite number, not {value}")
     return values
 
 

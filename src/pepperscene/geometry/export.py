@@ -22,7 +22,7 @@ FORMATS: Final = (".glb", ".obj", ".ply", ".stl")
 STATE_STEPS: Final = 20
 """Steps of pigment state for which a GLB has separate materials: chosen, each too small to be seen."""
 
-_ROUGHNESS: Final[Mapping[str, float]] = {"fruit": 0.3, "peduncle": 0.45}  # chosen by eye
+_ROUGHNESS: Final[Mapping[str, float]] = {"fruit": 0.3, "peduncle": 0.45}  # chosen
 _OTHER_ROUGHNESS: Final = 0.7
 # glTF has y up and its viewer on +z: the plant's aisle side (-y) faces the viewer.
 _Y_UP: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]])
@@ -65,8 +65,7 @@ def mesh_files(
       mean pigment state as extras; y up, as glTF requires.
     - `.obj`: a group for each organ, a material for each class and surface in the colour of the class, in a
       second file, `.mtl`; z up.
-    - `.ply`: class colours, surface coordinates and pigment state at the vertices; class and instance of the
-      faces; z up.
+    - `.ply`: class colours, uv and pigment state at the vertices; class and instance of the faces; z up.
     - `.stl`: bare triangles, z up.
 
     Args:
@@ -83,8 +82,8 @@ def mesh_files(
     """
     suffix = check_mesh_format(name)
     if suffix == ".glb":
-        return {name: _glb(mesh, colours or {})}
-    return _obj(mesh, name) if suffix == ".obj" else {name: _single_body(mesh, suffix)}
+        return {name: _encode_glb(mesh, colours or {})}
+    return _encode_obj(mesh, name) if suffix == ".obj" else {name: _single_body(mesh, suffix)}
 
 
 def write_mesh(
@@ -106,7 +105,7 @@ def write_mesh(
     return tuple(files)
 
 
-def _parts(mesh: Mesh) -> Iterator[tuple[int, Instance, str, float, SingleArray, Trimesh]]:
+def _instance_meshes(mesh: Mesh) -> Iterator[tuple[int, Instance, str, float, SingleArray, Trimesh]]:
     """Index, instance, surface, mean state, uv and body of the instances that have triangles, in order."""
     import trimesh
 
@@ -122,7 +121,7 @@ def _parts(mesh: Mesh) -> Iterator[tuple[int, Instance, str, float, SingleArray,
             yield index, item, surface, state, mesh.uv[used], body
 
 
-def _glb(mesh: Mesh, colours: Mapping[str, NDArray[np.floating[Any]]]) -> bytes:
+def _encode_glb(mesh: Mesh, colours: Mapping[str, NDArray[np.floating[Any]]]) -> bytes:
     """A tree of organs, each a node with its own mesh."""
     import trimesh
     from trimesh.visual.material import PBRMaterial
@@ -131,7 +130,7 @@ def _glb(mesh: Mesh, colours: Mapping[str, NDArray[np.floating[Any]]]) -> bytes:
     scene.graph.update(frame_from="world", frame_to="plant", matrix=_Y_UP)
     materials: dict[str, Any] = {}
     factors: dict[str, list[float]] = {}
-    for index, item, surface, state, uv, body in _parts(mesh):
+    for index, item, surface, state, uv, body in _instance_meshes(mesh):
         # Organs that look the same share a material.
         step = round(STATE_STEPS * state)
         material = f"{_word(surface)}_{step}"
@@ -179,19 +178,19 @@ def _base_colour(organ_class: OrganClass, step: int, colours: NDArray[Any] | Non
         rgb = srgb_decode(np.array(CLASS_COLOURS[organ_class]) / 255.0)
     else:
         table = np.asarray(colours, dtype=float)
-        place = np.linspace(0.0, 1.0, len(table))
-        rgb = np.array([np.interp(step / STATE_STEPS, place, table[:, channel]) for channel in range(3)])
+        states = np.linspace(0.0, 1.0, len(table))
+        rgb = np.array([np.interp(step / STATE_STEPS, states, table[:, channel]) for channel in range(3)])
     return [*(round(float(value), 6) for value in np.clip(rgb, 0.0, 1.0)), 1.0]
 
 
-def _obj(mesh: Mesh, name: str) -> dict[str, bytes]:
+def _encode_obj(mesh: Mesh, name: str) -> dict[str, bytes]:
     """Groups with materials; trimesh writes objects, which other programs distinguish from groups."""
     import trimesh
     from trimesh.visual.material import SimpleMaterial
 
     names, scene = organ_names(mesh), trimesh.Scene()
     materials: dict[str, Any] = {}
-    for index, item, surface, _, uv, body in _parts(mesh):
+    for index, item, surface, _, uv, body in _instance_meshes(mesh):
         organ_class = item.organ_class
         material = f"{organ_class.name.lower()}_{_word(surface)}"
         if material not in materials:

@@ -1,4 +1,4 @@
-"""Triangle meshes whose faces know their organ and surface, and simple ones: spheres and rectangles."""
+"""Triangle meshes with an organ and a surface for each face, and simple shapes: sphere and rectangle."""
 
 from __future__ import annotations
 
@@ -151,11 +151,11 @@ class Mesh:
         Raises:
             ValueError: `chosen` is empty, has duplicates, or has an index out of range.
         """
-        wanted, count = [int(index) for index in chosen], len(self.instances)
-        if not wanted or len(set(wanted)) < len(wanted) or not 0 <= min(wanted) <= max(wanted) < count:
-            raise ValueError(f"chosen must be different indices of {count} instances, not {wanted}")
+        indices, count = [int(index) for index in chosen], len(self.instances)
+        if not indices or len(set(indices)) < len(indices) or not 0 <= min(indices) <= max(indices) < count:
+            raise ValueError(f"chosen must be different indices of {count} instances, not {indices}")
         new_index = np.full(count, -1)
-        new_index[wanted] = np.arange(len(wanted))
+        new_index[indices] = np.arange(len(indices))
         kept = new_index[self.face_instance] >= 0
         old_faces = self.faces[kept]
         used = np.zeros(len(self.vertices), dtype=bool)
@@ -172,7 +172,7 @@ class Mesh:
             surfaces=tuple(self.surfaces[index] for index in surfaces),
             instances=tuple(
                 replace(item, parent=int(new_index[item.parent]) if item.parent >= 0 else -1)
-                for item in (self.instances[index] for index in wanted)
+                for item in (self.instances[index] for index in indices)
             ),
         )
 

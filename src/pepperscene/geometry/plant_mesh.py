@@ -109,7 +109,7 @@ def _fruit_parts(plant: Plant, detail: float) -> list[Part]:
     """Fruit and calyces; a calyx follows the shape of the fruit below it."""
     fruit, calyx = form_indices(plant, "fruit"), form_indices(plant, "calyx")
     parts: list[Part] = []
-    placed = None
+    modelled = None
     if fruit.size:
         # The modelled fruit share a grid, and so do those that use the same scan.
         scans = [plant.kinds[plant.organs[index].kind].scan for index in fruit]
@@ -126,7 +126,7 @@ def _fruit_parts(plant: Plant, detail: float) -> list[Part]:
                 parts.append((fruit[group], mesh_scanned_fruits(organs, scan)))
                 shoulders.append(scan_shoulders(organs, scan))
         frames = fruit_frames([plant.organs[index] for index in fruit])
-        placed = frames, concatenate_shoulders(shoulders, np.argsort(np.concatenate(groups)))
+        modelled = frames, concatenate_shoulders(shoulders, np.argsort(np.concatenate(groups)))
     if calyx.size:
         organs = [plant.organs[index] for index in calyx]
         # The fruit grows out of the calyx, or out of the same fruit stalk.
@@ -136,5 +136,5 @@ def _fruit_parts(plant: Plant, detail: float) -> list[Part]:
             for index, organ in zip(calyx, organs, strict=True)
         ]
         stalks = [plant.organs[organ.parent] if organ.parent >= 0 else None for organ in organs]
-        parts.append((calyx, mesh_calyces(organs, stalks, np.array(under), placed, detail)))
+        parts.append((calyx, mesh_calyces(organs, stalks, np.array(under), modelled, detail)))
     return parts

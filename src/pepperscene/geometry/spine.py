@@ -56,11 +56,11 @@ def normalize(vectors: FloatArray) -> FloatArray:
 def perpendicular(axis: FloatArray, preferred: FloatArray) -> FloatArray:
     """`(n, 3)` unit vectors across unit axes, as near to the preferred directions as possible.
 
-    A direction along its axis says nothing; then any perpendicular is returned.
+    If the preferred direction is parallel to the axis, any perpendicular is returned.
     """
     side = preferred - np.sum(preferred * axis, axis=1, keepdims=True) * axis
-    other = cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=1)])
-    return normalize(np.where(np.linalg.norm(side, axis=1, keepdims=True) > 1e-6, side, other))
+    fallback = cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=1)])
+    return normalize(np.where(np.linalg.norm(side, axis=1, keepdims=True) > 1e-6, side, fallback))
 
 
 def organ_spines(organs: Sequence[Organ], steps: int) -> Spines:

@@ -15,7 +15,9 @@ from pepperscene.grammar.plant import Indices, KindParameters, Organ, Plant, Pla
 from pepperscene.grammar.shapes import STALK_POINTS, NumberedOrgans, blade_hang, build_kind, make_organs
 
 INTERNODE_POINTS: Final = 3
-_MAX_NODE_FRACTION: Final = 0.4  # chosen: of the shorter adjacent internode that half a node takes at most
+_MAX_NODE_FRACTION: Final = (
+    0.4  # chosen: maximum fraction of the shorter adjacent internode that half a node takes
+)
 
 
 def grow(cultivar: Cultivar, rng: np.random.Generator, lean: float = 0.0) -> Plant:
@@ -117,7 +119,7 @@ def _build_stem(
 def _build_branches(
     organs: Mapping[str, KindParameters], nodes: NodeFrames, count: int
 ) -> Iterator[tuple[int, Organ]]:
-    """All organs except the stem's, level by level, since a stalk must be built before what it bears."""
+    """All organs except the stem's, level by level, since a stalk must be built before its children."""
     stalks, hang = StalkFrames(count, STALK_POINTS), _tip_blade_hang(organs, count)
     levels = _branch_levels(organs, count)
     for level in range(1, int(levels.max()) + 1):

@@ -61,8 +61,8 @@ def draw_parameters(cultivar: Cultivar, rng: np.random.Generator, lean: float = 
     groups = TopologyBuilder(cultivar, phytomers).build()
     for name, model in cultivar.organs.items():
         if name not in organs:
-            own = [group for group in groups if group.kind == name]
-            organs[name] = _draw_kind(cultivar, name, model, own, phytomers)
+            kind_groups = [group for group in groups if group.kind == name]
+            organs[name] = _draw_kind(cultivar, name, model, kind_groups, phytomers)
     return PlantParameters(cultivar.name, organs)
 
 
@@ -270,11 +270,11 @@ def _mean_items(slot: Slot) -> float:
 
 def _mean_probability(slot: Slot, name: str, phytomers: Phytomers) -> FloatArray | float:
     """Probability of an outcome along the stem; flushes leave it unchanged on average over plants."""
-    stated = slot.what.probabilities[name]
+    probability = slot.what.probabilities[name]
     if slot.descent is None or slot.filled == 0:
-        return stated
+        return probability
     fraction = slot.what.probabilities[slot.descent.of] / slot.filled
     excess = slot.descent.by.mean * phytomers.descent(slot)
     if name == slot.descent.of:
-        return np.asarray(stated + slot.filled * excess)
-    return np.asarray(stated * (1.0 - excess / (1.0 - fraction))) if fraction < 1.0 else stated
+        return np.asarray(probability + slot.filled * excess)
+    return np.asarray(probability * (1.0 - excess / (1.0 - fraction))) if fraction < 1.0 else probability

@@ -91,8 +91,8 @@ def orthogonal_units(vector: FloatArray, axis: FloatArray) -> FloatArray:
     parallel = square < 1e-24
     if parallel.any():
         # The coordinate axis that is farthest from it.
-        other = np.eye(3)[np.argmin(np.abs(axis[parallel]), axis=1)]
-        result[parallel] = other - dot(other, axis[parallel])[:, None] * axis[parallel]
+        fallback = np.eye(3)[np.argmin(np.abs(axis[parallel]), axis=1)]
+        result[parallel] = fallback - dot(fallback, axis[parallel])[:, None] * axis[parallel]
         square = dot(result, result)
     return np.asarray(result / np.sqrt(square)[:, None])
 
@@ -189,7 +189,7 @@ class Sites:
     sway: FloatArray  # out of those planes, at their start
     slope: FloatArray  # inclination of the stalk that they continue
     continues: NDArray[np.bool_]  # whether they continue a stalk from its tip
-    inset: FloatArray  # depth of their start below the surface of what bears them, metres
+    inset: FloatArray  # depth of their start below the parent's surface, metres
     parts: KindParameters  # their parameters
     stalks: StalkFrames | None  # that bear them, or None on nodes
 
@@ -209,7 +209,7 @@ class Sites:
             return np.zeros(len(self.parts))
         at, parent = self.parts.values["at"], self.parts.parent
         # Organs that leave the side of a stalk, such as leaflets, are in its plane.
-        up, own = self.stalks.upper_side(parent, at), upper_side(self.azimuth, inclination, tangent)
-        in_plane = np.arctan2(dot(up, cross(tangent, own)), dot(up, own))
+        up, default = self.stalks.upper_side(parent, at), upper_side(self.azimuth, inclination, tangent)
+        in_plane = np.arctan2(dot(up, cross(tangent, default)), dot(up, default))
         sideways = self.parts.values["sideways"] > 0.0
         return np.where(sideways, in_plane, np.where(self.continues, self.stalks.roll[parent], 0.0))

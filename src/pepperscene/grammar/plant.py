@@ -74,8 +74,8 @@ class KindParameters:
             `diameter`, `inclination`), and in addition: `seed`, in (0, 1), of the organ's own noise;
             `azimuth`, around the vertical, counter-clockwise seen from above, relative to the aisle (-y) for
             organs on nodes and to the parent's own direction for all others; `at`, position along the parent,
-            0 base to 1 tip; `lift` on a node, in half node lengths above its centre; `sideways`, 1 for what
-            leaves its parent's side in its parent's plane, as leaflets do, otherwise 0.
+            0 base to 1 tip; `lift` on a node, in half node lengths above its centre; `sideways`, 1 for organs
+            that leave their parent's side in its plane, as leaflets do, otherwise 0.
             An internode has the `azimuth` and `inclination` of its direction, `diameter` and `diameter_tip`
             of the stem, `state` and `state_tip`; a node the stem's `diameter` and `groove`; a fruit its
             `ripeness` and `calyx_seed`.
@@ -159,6 +159,6 @@ _LIMITS: Final[Mapping[str, tuple[float, float]]] = {
 
 
 def clip_to_limits(name: str, values: FloatArray) -> FloatArray:
-    """Clip the values of a parameter to what an organ can have."""
+    """Clip the values of a parameter to the limits of an organ."""
     low, high = _LIMITS.get(name, (-_INF, _INF))
     return values if low == -_INF else np.minimum(np.maximum(values, low), high)

@@ -99,7 +99,7 @@ def _build_stalks(name: str, sites: Sites, hang: FloatArray, frames: StalkFrames
     base = values["inclination"]
     extra_measures: tuple[str, ...] = ()
     if sites.parts.kind.form == "peduncle":
-        # An even bend from what bears it to the calyx.
+        # An even bend from its parent to the calyx.
         bend = values["end_inclination"] - base
         more = sway = np.zeros(len(sites.parts))
     else:

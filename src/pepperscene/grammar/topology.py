@@ -63,8 +63,8 @@ class Phytomers:
 
     def descent(self, slot: Slot) -> FloatArray:
         """`(parts,)` linear decrease from 1 to -1 along the nodes that have a slot, of mean 0."""
-        here = self.with_slot(slot)
-        return np.where(here, 1.0 - (2.0 * np.cumsum(here) - 1.0) / max(int(here.sum()), 1), 0.0)
+        occupied = self.with_slot(slot)
+        return np.where(occupied, 1.0 - (2.0 * np.cumsum(occupied) - 1.0) / max(int(occupied.sum()), 1), 0.0)
 
 
 def slot_items(
@@ -93,17 +93,17 @@ def slot_items(
     azimuth = np.zeros(group.size)
     if slot.spread is not None:
         rank = item // 2 if slot.pairs else item
-        azimuth += _fan(slot.spread, groups[group], rank, numbers[group], positions[row])
+        azimuth += _fan_azimuths(slot.spread, groups[group], rank, numbers[group], positions[row])
     if slot.aside is not None:
         # Pairs have an item on either side, others alternate along the organ; the first side is random.
         first = np.where(uniforms(slots, "side") < 0.5, 1.0, -1.0)[row]
-        turn = item if slot.pairs else index
+        rotation = item if slot.pairs else index
         angle = slot.aside.quantiles(uniforms(address, "aside"), positions[row])
-        azimuth += first * np.where(turn % 2 == 0, 1.0, -1.0) * angle
+        azimuth += first * np.where(rotation % 2 == 0, 1.0, -1.0) * angle
     return row, address, at[index], azimuth
 
 
-def _fan(
+def _fan_azimuths(
     spread: Distribution, group: Addresses, rank: Indices, number: Indices, positions: FloatArray
 ) -> FloatArray:
     """Azimuths of items that share a position: an even fan that deviates as a whole from the parent's."""
@@ -134,15 +134,15 @@ def outcome_probabilities(
     """
     kinds = slot.kinds
     # Files give probabilities with few digits.
-    stated = np.array([slot.what.probabilities[kind] for kind in kinds])
-    stated = stated / sum(slot.what.probabilities.values())
-    filled = stated.sum()
+    base = np.array([slot.what.probabilities[kind] for kind in kinds])
+    base = base / sum(slot.what.probabilities.values())
+    filled = base.sum()
     result = np.empty((len(slots), len(kinds) + 1))
-    result[:, :-1] = stated
+    result[:, :-1] = base
     if slot.descent is not None and filled > 0:
         by = slot.descent.by.quantiles(uniforms(slots, "descent"), phytomers.heights[phytomer])
         column = kinds.index(slot.descent.of)
-        mean = stated[column] / filled
+        mean = base[column] / filled
         fraction = np.clip(mean + by * phytomers.descent(slot)[phytomer], 0.0, 1.0)
         if mean < 1.0:
             result[:, :-1] *= ((1.0 - fraction) / (1.0 - mean))[:, None]
@@ -154,8 +154,8 @@ def outcome_probabilities(
         strength = slot.flush.strength.quantiles(uniforms(slots, "strength"), phytomers.positions[phytomer])
         factor = 1.0 + strength * wave
         result[:, :-1] *= np.clip(factor, 0.0, 1.0 / filled if filled > 0 else 1.0)[:, None]
-    nothing = 1.0 - result[:, :-1].sum(axis=1)
-    result[:, -1] = np.where(nothing > _ROUNDING, nothing, 0.0)
+    remainder = 1.0 - result[:, :-1].sum(axis=1)
+    result[:, -1] = np.where(remainder > _ROUNDING, remainder, 0.0)
     result[:, :-1][exhausted] = 0.0
     return result
 
@@ -209,18 +209,18 @@ class TopologyBuilder:
         Raises:
             ValueError: the plant has too many organs.
         """
-        level, groups = list(self._on_nodes()), list[OrganGroup]()
+        level, groups = list(self._draw_node_items()), list[OrganGroup]()
         while level:
             groups += level
             level = [
                 group
                 for parents in level
                 for index, slot in enumerate(self.organs[parents.kind].bears)
-                for group in self._on(parents, slot, index, np.zeros(len(parents.number)))
+                for group in self._draw_items(parents, slot, index, np.zeros(len(parents.number)))
             ]
         return groups
 
-    def _on_nodes(self) -> Iterator[OrganGroup]:
+    def _draw_node_items(self) -> Iterator[OrganGroup]:
         """Organs on nodes, each slot at its azimuth around the stem."""
         nodes, positions = self.phytomers.nodes, self.phytomers.positions
         levels: dict[str, FloatArray] = {}
@@ -237,7 +237,7 @@ class TopologyBuilder:
                 parents = OrganGroup(
                     self.node, nodes[order], number, number - 1, order, zeros, zeros, zeros, zeros, depths
                 )
-                yield from self._on(parents, slot, index, azimuth[order])
+                yield from self._draw_items(parents, slot, index, azimuth[order])
 
     def _azimuth_levels(self, slot: Slot, uniform: FloatArray, others: dict[str, FloatArray]) -> FloatArray:
         """`(parts,)` quantile levels of the slot's azimuth, uniform at every node whatever the steps."""
@@ -250,10 +250,12 @@ class TopologyBuilder:
         start = uniforms(child_addresses(self.phytomers.key, name_number(slot.name)), "azimuth")
         return np.asarray((start + np.cumsum(step)) % 1.0)
 
-    def _on(self, parents: OrganGroup, slot: Slot, index: int, azimuth: FloatArray) -> Iterator[OrganGroup]:
+    def _draw_items(
+        self, parents: OrganGroup, slot: Slot, index: int, azimuth: FloatArray
+    ) -> Iterator[OrganGroup]:
         """Organs in slot number `index` of organs of one kind, at `(n,)` azimuths, kind by kind."""
         kinds, slots = slot.kinds, child_addresses(parents.address, index)
-        row, address, at, turn = slot_items(slot, slots, self.phytomers.positions[parents.phytomer])
+        row, address, at, rotation = slot_items(slot, slots, self.phytomers.positions[parents.phytomer])
         exhausted = np.zeros((len(slots), len(kinds)), dtype=bool)
         for column, (name, depth) in enumerate(self.limits.items()):
             if name in kinds:
@@ -262,12 +264,16 @@ class TopologyBuilder:
         probabilities = outcome_probabilities(slot, slots, parents.phytomer, exhausted, self.phytomers, flush)
         outcome = draw_outcomes(probabilities, row, uniforms(address, "what"))
         for column, name in enumerate(kinds):
-            here = np.flatnonzero(outcome == column)
-            if here.size:
-                place = {"at": at[here], "azimuth": azimuth[row[here]] + turn[here]}
-                yield self._group(name, parents, slot, row[here], address=address[here], **place)
+            selected = np.flatnonzero(outcome == column)
+            if selected.size:
+                columns = {"at": at[selected], "azimuth": azimuth[row[selected]] + rotation[selected]}
+                yield self._make_group(
+                    name, parents, slot, row[selected], address=address[selected], **columns
+                )
 
-    def _group(self, name: str, parents: OrganGroup, slot: Slot, row: Indices, **columns: Any) -> OrganGroup:
+    def _make_group(
+        self, name: str, parents: OrganGroup, slot: Slot, row: Indices, **columns: Any
+    ) -> OrganGroup:
         """Organs of one kind on the parents of these rows, with the next free numbers."""
         # A fruit's calyx has the number before.
         width = 2 if getattr(self.organs[name], "calyx", False) else 1

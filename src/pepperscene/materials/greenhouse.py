@@ -48,17 +48,17 @@ def greenhouse_surfaces(wavelength_nm: ArrayLike) -> dict[str, Surface]:
     surfaces = (
         twine_surface(nm),
         # The gutter that carries the substrate: white-coated steel, a satin coating.
-        _opaque("gutter", nm, dusty, ior=1.5, roughness=0.3),
+        _opaque_surface("gutter", nm, dusty, ior=1.5, roughness=0.3),
         # Foil around slabs and blocks of substrate: white polyethylene, opaque; rougher, as foil creases.
-        _opaque("foil", nm, dusty, ior=1.5, roughness=0.45),
+        _opaque_surface("foil", nm, dusty, ior=1.5, roughness=0.45),
         # The open upper side of a block of substrate, matt.
-        _opaque("rockwool", nm, np.interp(nm, rockwool_nm, rockwool)),
+        _opaque_surface("rockwool", nm, np.interp(nm, rockwool_nm, rockwool)),
         # The floor: white film or woven ground cover on wet, dark ground; worn polyethylene.
-        _opaque("floor_film", nm, _film_on_ground(paint, nm), ior=1.5, roughness=0.5),
+        _opaque_surface("floor_film", nm, _film_on_ground(paint, nm), ior=1.5, roughness=0.5),
         # The wire that the twine is tied to, matt.
-        _opaque("steel", nm, np.full(nm.size, STEEL_REFLECTANCE)),
+        _opaque_surface("steel", nm, np.full(nm.size, STEEL_REFLECTANCE)),
         # Heating pipes on the floor: steel painted white, like the gutter.
-        _opaque("pipe", nm, dusty, ior=1.5, roughness=0.3),
+        _opaque_surface("pipe", nm, dusty, ior=1.5, roughness=0.3),
     )
     return {surface.name: surface for surface in surfaces}
 
@@ -66,7 +66,7 @@ def greenhouse_surfaces(wavelength_nm: ArrayLike) -> dict[str, Surface]:
 def twine_surface(wavelength_nm: ArrayLike) -> Surface:
     """Twine that plants climb on: matt, opaque, with the reflectance of `WHITE_FABRIC`."""
     nm = np.atleast_1d(np.asarray(wavelength_nm, dtype=float))
-    return _opaque("twine", nm, read_spectrum(*WHITE_FABRIC, outside="hold").at(nm))
+    return _opaque_surface("twine", nm, read_spectrum(*WHITE_FABRIC, outside="hold").at(nm))
 
 
 def _film_on_ground(paint: FloatArray, nm: FloatArray) -> FloatArray:
@@ -83,7 +83,7 @@ def _film_on_ground(paint: FloatArray, nm: FloatArray) -> FloatArray:
     return np.asarray((1.0 - ground * (a - c)) / (a - ground + c))
 
 
-def _opaque(
+def _opaque_surface(
     name: str, nm: FloatArray, reflectance: FloatArray, ior: float = 1.0, roughness: float = 0.3
 ) -> Surface:
     """Surface with the same spectrum on both sides."""

@@ -96,8 +96,7 @@ def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> 
         pattern, relief_mm = vein_pattern(veins, rng), vein_relief(veins, rng)
         return replace(leaf_surface(name, path, nm), pattern=pattern, relief_mm=relief_mm)
     if form == "flower":
-        # A petal is a leaf with a petal's pigments and no veins: faint streaks, a millimetre wide, along it;
-        # amplitude chosen by eye.
+        # A petal is a leaf with a petal's pigments and no veins: faint streaks along it, 1 mm wide (chosen).
         streaks = 0.05 * noise_mm(rng, (64, 64), size_mm, (0.5, 6.0))
         return replace(leaf_surface(name, path, nm), pattern=streaks.astype(np.float32))
     if form == "fruit":

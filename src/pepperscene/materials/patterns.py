@@ -65,7 +65,7 @@ def cell_walls(rng: np.random.Generator, points: FloatArray, spacing: float) -> 
     x, y = np.meshgrid(columns, rows)
     x = x + (np.arange(rows.size) % 2)[:, None] * spacing / 2
     centres = np.stack([x.ravel(), y.ravel()], axis=-1)
-    # A jitter of a quarter of the spacing hides the grid without making slivers: chosen by eye.
+    # A jitter of a quarter of the spacing hides the grid without making slivers: chosen.
     centres += rng.normal(0.0, 0.25 * spacing, centres.shape)
     distance, _ = cKDTree(centres).query(points, k=2, workers=-1)
     return np.asarray(distance[..., 1] - distance[..., 0])
@@ -114,12 +114,12 @@ def grow_veins(size_mm: tuple[float, float], rng: np.random.Generator, pixels: i
     # Solve for the origin of the vein through each point, as a fraction of the length of the layout's blade.
     midrib_mm = np.abs(x)
     reach = 2.0 * midrib_mm / width
-    half, turn = 0.5 * VEIN_ASPECT * reach, VEIN_COT_TIP - VEIN_COT_BASE
-    stretch = 1.0 + turn * half
+    half, cot_change = 0.5 * VEIN_ASPECT * reach, VEIN_COT_TIP - VEIN_COT_BASE
+    stretch = 1.0 + cot_change * half
     origin = (y / length - VEIN_COT_BASE * half - VEIN_ARC * VEIN_ASPECT / 6.0 * reach**3) / stretch
     # |grad| of `origin`, times `stretch`, per millimetre of this blade.
     slope = np.hypot(
-        1.0 / length, (VEIN_COT_BASE + turn * origin + VEIN_ARC * reach**2) * VEIN_ASPECT / width
+        1.0 / length, (VEIN_COT_BASE + cot_change * origin + VEIN_ARC * reach**2) * VEIN_ASPECT / width
     )
 
     # Each side has its own veins: they are opposite only by chance.

@@ -110,7 +110,7 @@ def fruit_surface(
         size_mm: girth and length.
         rng: draws the patches.
     """
-    # Patches of centimetres turn earlier than others, with a faint speckle on top: amplitudes chosen by eye.
+    # Patches of centimetres turn earlier than others, with a faint speckle on top: amplitudes chosen.
     patches = 0.045 * noise_mm(rng, PATTERN_SHAPE, size_mm, (9.0, 14.0))
     speckle = 0.012 * noise_mm(rng, PATTERN_SHAPE, size_mm, (0.7, 0.7))
     return _rind_surface(name, path, wavelength_nm, patches + speckle)
@@ -118,7 +118,7 @@ def fruit_surface(
 
 @dataclass(frozen=True)
 class RindTexture:
-    """Variation of a rind's state and height over its surface; all chosen by eye from photographs."""
+    """Variation of a rind's state and height over its surface; all chosen from photographs."""
 
     streaks: float  # standard deviation of the state in streaks along the organ
     mottle: float  # standard deviation of the state in blotches of some millimetres
@@ -200,6 +200,6 @@ def _dry_material(visible_column: str, infrared_column: str) -> Spectrum:
     last_nm = visible.wavelength_nm[-1]
     beyond_nm = infrared.wavelength_nm[infrared.wavelength_nm > last_nm]
     ratio, last_ratio = (_absorption_per_scattering(infrared.at(nm)) for nm in (beyond_nm, last_nm))
-    beyond = _thick_reflectance(ratio / last_ratio * _absorption_per_scattering(visible.values[-1:]))
+    extrapolated = _thick_reflectance(ratio / last_ratio * _absorption_per_scattering(visible.values[-1:]))
     nm = np.concatenate([visible.wavelength_nm, beyond_nm])
-    return Spectrum(nm, np.concatenate([visible.values, beyond]), "hold")
+    return Spectrum(nm, np.concatenate([visible.values, extrapolated]), "hold")

@@ -42,24 +42,17 @@ _INSTALL_LLVM: Final = (
 
 @dataclass(frozen=True)
 class Check:
-    """The result of one check.
+    """The result of one check."""
 
-    Attributes:
-        what: the subject ("LLVM", "test render").
-        found: the result in a few words.
-        good: False if rendering is impossible, or gives wrong results.
-        advice: how to fix it; "" if nothing is wrong.
-    """
-
-    what: str
-    found: str
-    good: bool = True
-    advice: str = ""
+    what: str  # the subject ("LLVM", "test render")
+    found: str  # the result in a few words
+    good: bool = True  # False if rendering is impossible, or gives wrong results
+    advice: str = ""  # how to fix it; "" if nothing is wrong
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The results of all checks, from the interpreter to a rendered picture."""
+    """The results of all checks, from the interpreter to a rendered image."""
 
     lines: tuple[Check, ...]
 
@@ -83,7 +76,7 @@ def diagnose(*, test_code: str = _TEST_RENDER, time_limit_s: float = TIME_LIMIT_
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     lines += [llvm, Check("cores", str(cores))]
     if llvm.good:
-        lines += _check_rendering(_run(test_code, time_limit_s))
+        lines += _check_rendering(_run_child(test_code, time_limit_s))
     else:
         lines.append(Check("test render", "skipped", good=False, advice="fix LLVM first, see above"))
     lines.append(_check_denoiser())
@@ -94,7 +87,7 @@ def render_test_scene() -> None:
     """Render a matt grey sphere in a uniform sky at 32x32, and print results as one JSON object per line.
 
     In a uniform sky of radiance L, a convex Lambertian body of reflectance r has the radiance r L everywhere
-    (the light that it sends out never meets it again), so the centre of the picture must be r times its
+    (the light that it sends out never meets it again), so the centre of the image must be r times its
     corners. Run it in its own process, which ends if a native library aborts.
     """
     try:
@@ -146,17 +139,11 @@ def _furnace_ratio(variant: str) -> float:
 
 @dataclass(frozen=True)
 class _ChildResult:
-    """How a child process ended, and what it printed.
+    """Exit status and output of a child process."""
 
-    Attributes:
-        code: exit status, negative for a signal; None if it was killed at the time limit.
-        printed: the JSON objects on its standard output, merged.
-        error: the last line of its standard error.
-    """
-
-    code: int | None
-    printed: Mapping[str, object]
-    error: str
+    code: int | None  # exit status, negative for a signal; None if it was killed at the time limit
+    printed: Mapping[str, object]  # the JSON objects on its standard output, merged
+    error: str  # the last line of its standard error
 
     def __str__(self) -> str:
         """The end of the process in words."""
@@ -169,7 +156,7 @@ class _ChildResult:
         return f"{words}: {self.error}" if self.error else words
 
 
-def _run(code: str, time_limit_s: float = TIME_LIMIT_S) -> _ChildResult:
+def _run_child(code: str, time_limit_s: float = TIME_LIMIT_S) -> _ChildResult:
     """Run Python code in a child process to its end or to the time limit."""
     try:
         child = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=time_limit_s)
@@ -193,7 +180,7 @@ def _parse_json_lines(output: bytes) -> dict[str, object]:
 
 
 def _check_rendering(child: _ChildResult) -> list[Check]:
-    """Variant, GPU and picture, as far as the test render got."""
+    """Variant, GPU and image, as far as the test render got."""
     printed = child.printed
     lines = []
     if "variant" in printed:
@@ -203,7 +190,7 @@ def _check_rendering(child: _ChildResult) -> list[Check]:
 
     ratio = printed.get("furnace")
     if child.code == 0 and isinstance(ratio, float):
-        # 64 samples on 64 pixels leave well below 1 % of noise; 3 % separates wrong pictures from right ones.
+        # 64 samples on 64 pixels leave well below 1 % of noise; 3 % separates wrong images from correct ones.
         right = abs(ratio / _REFLECTANCE - 1) < 0.03
         result = f"32x32, furnace ratio {ratio:.3f} (expected {_REFLECTANCE})"
         advice = "" if right else f"the renderer gives wrong results on this machine; {_INSTALL_LLVM}"
@@ -240,7 +227,7 @@ def _check_denoiser() -> Check:
     package = _check_package("pyoidn")
     if not package.good:
         return Check("denoiser", "pyoidn is not installed", good=False, advice=_REINSTALL)
-    child = _run(_TEST_DENOISER)
+    child = _run_child(_TEST_DENOISER)
     if child.code != 0:
         return Check("denoiser", f"pyoidn {package.found} {child}", good=False, advice=_REINSTALL)
     return Check("denoiser", f"Open Image Denoise, pyoidn {package.found}")

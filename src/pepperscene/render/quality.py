@@ -26,8 +26,7 @@ class Quality:
         soft: how many of them trace indirect light as well: daylight on surfaces, and light that was
             scattered more than once.
         most: largest number per pixel, for adaptive sampling of edges.
-        bounces: scattering events after the first hit. Of the light of `barth2018` two bounces lose 0.15 %,
-            one loses 1 %.
+        bounces: scattering events after the first hit. Of the light of `barth2018` two lose 0.15 %, one 1 %.
         target: standard error of a pixel's mean over the sensor noise at that signal, at which sampling
             stops; None for `samples` in every pixel.
         denoise: whether indirect light is denoised.
@@ -85,9 +84,9 @@ def resolve_quality(quality: str | Quality, target_error: float | None = None) -
     Raises:
         InputError: unknown quality, or target out of range.
     """
-    chosen = find_quality(quality) if isinstance(quality, str) else quality
+    base = find_quality(quality) if isinstance(quality, str) else quality
     if target_error is None:
-        return chosen
+        return base
     if not MIN_TARGET <= target_error <= MAX_TARGET:
         raise ArgumentError(
             "target_error",
@@ -95,8 +94,8 @@ def resolve_quality(quality: str | Quality, target_error: float | None = None) -
             f"not {target_error:g}",
         )
     # Errors of direct light fall with samples^(-3/4), which sets `most`; `soft` grows with the ratio.
-    finer = max((chosen.target or QUALITIES["standard"].target or 1.0) / target_error, 1.0)
-    most = 2 ** math.ceil(math.log2(max(chosen.most, 64) * finer ** (4 / 3)))
-    soft = math.ceil(chosen.soft * finer)
-    samples = max(chosen.samples, 2 ** math.ceil(math.log2(soft)))
-    return replace(chosen, target=float(target_error), most=max(most, samples), soft=soft, samples=samples)
+    finer = max((base.target or QUALITIES["standard"].target or 1.0) / target_error, 1.0)
+    maximum = 2 ** math.ceil(math.log2(max(base.most, 64) * finer ** (4 / 3)))
+    soft = math.ceil(base.soft * finer)
+    samples = max(base.samples, 2 ** math.ceil(math.log2(soft)))
+    return replace(base, target=float(target_error), most=max(maximum, samples), soft=soft, samples=samples)

@@ -1,4 +1,4 @@
-"""From a scene and a camera to a frame; nothing is computed that the requested outputs do not need."""
+"""Render a scene and a camera to a frame; only what the requested outputs need is computed."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Renderer:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        # The last kernel scene of each kind, by what it was made for.
+        # The last kernel scene of each kind, by its arguments.
         self._light: dict[tuple[float, float], LightScene] = {}
         self._path: dict[tuple[float, float, bool], PathScene] = {}
 
@@ -217,7 +217,7 @@ def _photographs(
     """The camera's outputs from the light that reaches its pixels."""
     electrons = expected_electrons(signal, camera)
     images: dict[str, NDArray[Any]] = {"electrons": electrons.astype(np.float32)}
-    # Both start from the same generator state: the picture is developed from exactly this raw frame.
+    # Both start from the same generator state: the image is developed from exactly this raw frame.
     if "raw" in requested:
         images["raw"] = raw_frame(electrons, camera, np.random.default_rng(noise))
     if "colour" in requested:

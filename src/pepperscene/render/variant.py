@@ -1,6 +1,6 @@
 """Choice of the Mitsuba variant and of the LLVM library that it compiles with.
 
-The library is never left to chance: Dr.Jit rejects LLVM 14, and LLVM 15 aborts the whole process at the first
+The library is chosen explicitly: Dr.Jit rejects LLVM 14, and LLVM 15 aborts the whole process at the first
 kernel ("Cannot select: fmaximum"; x86 got that instruction selection in LLVM 17). Dr.Jit reads
 `DRJIT_LIBLLVM_PATH` during its import, so the choice comes before.
 """
@@ -76,25 +76,25 @@ def llvm_version(path: Path) -> int | None:
     return int(printed) if process.returncode == 0 and printed.isdigit() else None
 
 
-def choose_variant(wanted: str | None = None) -> str:
+def choose_variant(requested: str | None = None) -> str:
     """Choose the best variant that runs on this machine, and set the LLVM library that Dr.Jit will load.
 
     Args:
-        wanted: this one of `VARIANTS` and no other; default `PEPPERSCENE_VARIANT` from the environment.
+        requested: this one of `VARIANTS` and no other; default `PEPPERSCENE_VARIANT` from the environment.
 
     Raises:
         SetupError: no variant runs; the message says what to install.
     """
-    wanted = wanted or os.environ.get("PEPPERSCENE_VARIANT") or None
-    if wanted is not None and wanted not in VARIANTS:
-        raise SetupError(f"variant {wanted!r} is not supported; allowed are {', '.join(VARIANTS)}")
+    requested = requested or os.environ.get("PEPPERSCENE_VARIANT") or None
+    if requested is not None and requested not in VARIANTS:
+        raise SetupError(f"variant {requested!r} is not supported; allowed are {', '.join(VARIANTS)}")
     library = find_llvm()
     if library is not None:
         os.environ[LLVM_VARIABLE] = str(library)
-    for variant in (wanted,) if wanted else VARIANTS:
+    for variant in (requested,) if requested else VARIANTS:
         if _can_run(variant, library):
             return variant
-    if wanted == "cuda_ad_spectral":
+    if requested == "cuda_ad_spectral":
         raise SetupError("no usable renderer: cuda_ad_spectral needs a CUDA GPU with its driver")
     raise SetupError(
         f"no usable renderer: llvm_ad_spectral needs LLVM {OLDEST_LLVM} or newer; on Linux x86-64 run "
@@ -147,9 +147,9 @@ def _check_named_library(path: Path) -> Path:
         raise SetupError(f"{LLVM_VARIABLE} = {str(path)!r}: there is no such file")
     version = llvm_version(path)
     if version is None or version < OLDEST_LLVM:
-        which = "an unknown version" if version is None else f"version {version}"
+        description = "an unknown version" if version is None else f"version {version}"
         raise SetupError(
-            f"{LLVM_VARIABLE} = {str(path)!r}: is {which} of LLVM, which can abort the process; "
+            f"{LLVM_VARIABLE} = {str(path)!r}: is {description} of LLVM, which can abort the process; "
             f"version {OLDEST_LLVM} or newer is needed (`pip install {_LLVM_PACKAGE}`)"
         )
     return path

@@ -1,4 +1,4 @@
-"""Scenes as plain data: plant rows, greenhouse, sky and cover, and the culling of what no view can show."""
+"""Scenes as plain data: plant rows, greenhouse, sky and cover, and the culling of invisible geometry."""
 
 from pepperscene.scene.cover import Cover, load_cover
 from pepperscene.scene.culling import LightReach, cull_mesh, light_reach

@@ -18,7 +18,7 @@ from pepperscene.spectra import Spectrum, illuminance
 from pepperscene.spectra.files import CurveTable, SourcedDocument, find_material
 
 _CONVERGED: Final = 1e-12  # chosen: rounding of doubles, well below that of the float32 sky
-_MAX_ITERATIONS: Final = 1000  # chosen: ten times what the narrowest lobe takes
+_MAX_ITERATIONS: Final = 1000  # chosen: ten times the iterations of the narrowest lobe
 
 NARROWEST_HAZE_DEG: Final = 2.0
 """ASTM D1003 counts light scattered by more than 2.5 degrees as haze; a narrower lobe is not haze."""
@@ -140,8 +140,7 @@ class Cover:
     Attributes:
         transmittance: fraction of the sky's light that passes, scattered or not, in [0, 1].
         haze: fraction of the transmitted light that is scattered, in [0, 1].
-        haze_width_rad: standard deviation of its direction along each of two axes (see `Haze`); unused
-            without haze.
+        haze_width_rad: standard deviation of its direction per axis (see `Haze`); unused without haze.
 
     Raises:
         ValueError: a number is out of range, or no visible light passes.
@@ -176,7 +175,7 @@ class CoverDocument(SourcedDocument):
     haze_width_deg: Annotated[float, Field(ge=NARROWEST_HAZE_DEG, le=WIDEST_HAZE_DEG)] | None = None
 
     @model_validator(mode="after")
-    def _haze_has_a_width(self) -> CoverDocument:
+    def _check_haze_width(self) -> CoverDocument:
         if self.haze > 0.0 and self.haze_width_deg is None:
             raise ValueError("haze_width_deg is required when haze is more than 0")
         return self

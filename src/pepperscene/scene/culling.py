@@ -84,22 +84,14 @@ def light_reach(camera: Camera, distance_m: float, sky_lx: float, sun_lx: float 
 
 @dataclass(frozen=True, eq=False)
 class Chunks:
-    """Runs of faces that are kept or removed together: an instance, or a part of a long one.
+    """Runs of faces that are kept or removed together: an instance, or a part of a long one."""
 
-    Attributes:
-        faces: `(n + 1,)` first face of each chunk, and the end of the last.
-        vertices: `(n, 2)` first vertex that a chunk uses and the one after the last.
-        whole: `(n,)` whether it contains all faces of its instance.
-        centres, half_extents: `(n, 3)` float32, metres, of its axis-aligned bounding box.
-        radii: `(n,)` float32, metres, of the ball around the box.
-    """
-
-    faces: NDArray[np.intp]
-    vertices: NDArray[np.intp]
-    whole: NDArray[np.bool_]
-    centres: NDArray[np.float32]
-    half_extents: NDArray[np.float32]
-    radii: NDArray[np.float32]
+    faces: NDArray[np.intp]  # `(n + 1,)` first face of each chunk, and the end of the last
+    vertices: NDArray[np.intp]  # `(n, 2)` first vertex that a chunk uses and the one after the last
+    whole: NDArray[np.bool_]  # `(n,)` whether it contains all faces of its instance
+    centres: NDArray[np.float32]  # `(n, 3)` float32, metres, of its axis-aligned bounding box
+    half_extents: NDArray[np.float32]  # `(n, 3)` float32, metres, of its axis-aligned bounding box
+    radii: NDArray[np.float32]  # `(n,)` float32, metres, of the ball around the box
 
 
 def mesh_chunks(mesh: Mesh) -> Chunks:
@@ -120,14 +112,14 @@ def mesh_chunks(mesh: Mesh) -> Chunks:
     stop = np.maximum.reduceat(corners, 3 * starts).astype(np.intp) + 1
     vertices = np.stack([first, stop], axis=1)
     points = np.concatenate([mesh.vertices, mesh.vertices[-1:]])  # `reduceat` needs a point at every stop
-    least: NDArray[np.float32] = np.minimum.reduceat(points, vertices.ravel(), axis=0)[::2]
+    lowest: NDArray[np.float32] = np.minimum.reduceat(points, vertices.ravel(), axis=0)[::2]
     greatest: NDArray[np.float32] = np.maximum.reduceat(points, vertices.ravel(), axis=0)[::2]
-    half = (greatest - least) / 2.0
+    half = (greatest - lowest) / 2.0
     return Chunks(
         np.append(starts, len(mesh.faces)),
         vertices,
         is_whole,
-        least + half,
+        lowest + half,
         half,
         np.asarray(np.linalg.norm(half, axis=1)),
     )
@@ -144,7 +136,7 @@ def negligible(
     Of the sun's disc, of angular radius s, it can cover (r / d)^2 / s^2.
     """
     removed = np.zeros(len(visible), dtype=bool)
-    hidden, shown = np.flatnonzero(~visible), np.flatnonzero(visible)
+    hidden, seen = np.flatnonzero(~visible), np.flatnonzero(visible)
     centres, radii = chunks.centres[hidden], chunks.radii[hidden]
     from_flash = np.maximum(
         distances_to_balls(centres, frustums.positions) - radii - light.flash_extent_m, 1e-3
@@ -159,13 +151,13 @@ def negligible(
         return np.asarray(incident[rows] * covered + shadow)
 
     # A sample of the visible chunks gives lower bounds; only candidates below them are compared with all.
-    candidates = _smallest(change(np.arange(len(hidden)), shown[:: max(1, len(shown) // 64)]))
+    candidates = _smallest_changes(change(np.arange(len(hidden)), seen[:: max(1, len(seen) // 64)]))
     if candidates.size:
-        removed[hidden[candidates[_smallest(change(candidates, shown))]]] = True
+        removed[hidden[candidates[_smallest_changes(change(candidates, seen))]]] = True
     return removed
 
 
-def _smallest(changes: NDArray[np.float32]) -> NDArray[np.intp]:
+def _smallest_changes(changes: NDArray[np.float32]) -> NDArray[np.intp]:
     """Indices of the smallest changes, as many as together stay below `LIGHT_TOLERANCE`."""
     order = np.argsort(changes, kind="stable")
     return order[np.cumsum(changes[order], dtype=float) <= LIGHT_TOLERANCE]
@@ -202,5 +194,5 @@ def cull_mesh(mesh: Mesh, frustums: ViewFrustums, light: LightReach) -> Mesh:
     used = np.zeros(len(mesh.vertices), dtype=bool)
     used[faces] = True
     faces = (np.cumsum(used, dtype=np.uint32) - np.uint32(1))[faces]
-    rest = Triangles(np.flatnonzero(used), faces, np.flatnonzero(kept))
-    return join_triangles([rest, *simple]).taken_from(mesh)
+    remaining = Triangles(np.flatnonzero(used), faces, np.flatnonzero(kept))
+    return join_triangles([remaining, *simple]).taken_from(mesh)

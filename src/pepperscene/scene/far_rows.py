@@ -36,9 +36,9 @@ def coarsen_plant(mesh: Mesh) -> Mesh:
         ValueError: no organ of the plant is left.
     """
     steps = np.array(
-        [(0, 0) if one.kind == "calyx" else _STEPS.get(one.organ_class, (0, 0)) for one in mesh.instances]
+        [(0, 0) if part.kind == "calyx" else _STEPS.get(part.organ_class, (0, 0)) for part in mesh.instances]
     )
-    closed = np.array([one.organ_class != OrganClass.LEAF for one in mesh.instances])
+    closed = np.array([part.organ_class != OrganClass.LEAF for part in mesh.instances])
     owner = mesh.vertex_instance.astype(np.intp)
     coarse = cluster_vertices(mesh.uv, mesh.faces, steps[owner], closed[owner], owner)
     if not coarse.source.size:
@@ -53,7 +53,7 @@ def far_rows(
 
     Args:
         models: plants with their aisle at -y; each is repeated many times with random turns.
-        row: the labelled double row, whose own positions stay free.
+        row: the labelled double row; its positions stay free.
         greenhouse: number, spacing, length and lean of the rows.
         rng: draws plants, turns and positions.
 

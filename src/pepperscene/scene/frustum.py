@@ -40,9 +40,9 @@ class ViewFrustums:
         visible = np.zeros(len(centres), dtype=bool)
         first = np.arange(0, len(self.positions), _POSE_STRIDE)
         for poses in (first, np.setdiff1d(np.arange(len(self.positions)), first)):
-            rest, block = np.flatnonzero(~visible), max(_PRODUCT_SIZE // (3 * max(len(poses), 1)), 1)
-            for start in range(0, len(rest), block):
-                boxes = rest[start : start + block]
+            remaining, block = np.flatnonzero(~visible), max(_PRODUCT_SIZE // (3 * max(len(poses), 1)), 1)
+            for start in range(0, len(remaining), block):
+                boxes = remaining[start : start + block]
                 inside = np.ones((len(boxes), len(poses)), dtype=bool)
                 for side in range(self.normals.shape[1]):
                     normal = self.normals[poses, side].T

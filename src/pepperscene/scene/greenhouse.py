@@ -44,8 +44,8 @@ def beam(section: ArrayLike, ends: tuple[float, float], surface: str, *, smooth:
     corners = np.asarray(section, dtype=float)
     k = len(corners)
     edge = np.roll(corners, -1, axis=0) - corners
-    turn = edge[:, 0] * np.roll(edge, -1, axis=0)[:, 1] - edge[:, 1] * np.roll(edge, -1, axis=0)[:, 0]
-    if k < 3 or not np.all(turn > 0.0) or not ends[0] < ends[1]:
+    turning = edge[:, 0] * np.roll(edge, -1, axis=0)[:, 1] - edge[:, 1] * np.roll(edge, -1, axis=0)[:, 0]
+    if k < 3 or not np.all(turning > 0.0) or not ends[0] < ends[1]:
         raise ValueError("a beam needs a convex, counter-clockwise section and ascending ends")
     outward = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
@@ -135,7 +135,7 @@ class Greenhouse:
 
     @property
     def stem_base_m(self) -> float:
-        """Height of the stem bases above the floor: the upper side of the blocks that the plants root in."""
+        """Height of the stem bases above the floor: the upper side of the substrate blocks."""
         if self.gutter_width_m == 0.0:
             return 0.0
         return self.gutter_height_m + _SHEET + _SLAB[1] + _BLOCK[2]
@@ -153,19 +153,12 @@ class Greenhouse:
 
 @dataclass(frozen=True)
 class RowLine:
-    """The line of one plant row.
+    """The line of one plant row."""
 
-    Attributes:
-        y_m: its position across the rows.
-        aisle: -1 if its own aisle is at -y, 1 if it is at +y.
-        labelled: whether it belongs to the double row in front of the camera.
-        shift_m: shift of its plants along x.
-    """
-
-    y_m: float
-    aisle: int
-    labelled: bool
-    shift_m: float
+    y_m: float  # its position across the rows
+    aisle: int  # -1 if its own aisle is at -y, 1 if it is at +y
+    labelled: bool  # whether it belongs to the double row in front of the camera
+    shift_m: float  # shift of its plants along x
 
 
 def row_lines(row: DoubleRow, greenhouse: Greenhouse) -> list[RowLine]:
@@ -195,7 +188,7 @@ def greenhouse_mesh(row: DoubleRow, greenhouse: Greenhouse, positions: NDArray[n
     meshes: list[Mesh] = []
     if greenhouse.gutter_width_m > 0.0:
         meshes += [part for line in lines for part in _gutter_and_slab(line.y_m, greenhouse, ends)]
-        meshes.append(_blocks(positions, greenhouse, row.spacing_m))
+        meshes.append(_substrate_blocks(positions, greenhouse, row.spacing_m))
     if greenhouse.crop_wire_m > 0.0:
         meshes += [_crop_wire(line, greenhouse, ends) for line in lines]
     if greenhouse.pipes:
@@ -218,8 +211,8 @@ def _gutter_and_slab(y: float, greenhouse: Greenhouse, ends: tuple[float, float]
     return [as_single_instance(concatenate_meshes(parts), "gutter"), as_single_instance(slab, "slab")]
 
 
-def _blocks(positions: NDArray[np.float64], greenhouse: Greenhouse, spacing_m: float) -> Mesh:
-    """The blocks that the plants root in: rockwool, open at the top and wrapped in foil."""
+def _substrate_blocks(positions: NDArray[np.float64], greenhouse: Greenhouse, spacing_m: float) -> Mesh:
+    """The substrate blocks: rockwool, open at the top and wrapped in foil."""
     top, half = greenhouse.stem_base_m, _BLOCK[1] / 2.0
     half_length = min(_BLOCK[0], 0.9 * spacing_m) / 2.0
     parts: list[Mesh] = []
@@ -249,7 +242,7 @@ def _pipe_axes(row: DoubleRow, greenhouse: Greenhouse) -> Sequence[float]:
 
 @dataclass(frozen=True)
 class Posture:
-    """How a plant deviates from its regular position; it keeps this wherever it is placed.
+    """Deviation of a plant from its regular position, the same wherever it is placed.
 
     Attributes:
         across_m: offset of its stem base, away from its aisle.

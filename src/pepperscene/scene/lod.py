@@ -33,17 +33,11 @@ _STEPS: Final = {
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """New triangles on vertices of a mesh.
+    """New triangles on vertices of a mesh."""
 
-    Attributes:
-        vertices: `(k,)` indices of the mesh's vertices.
-        faces: `(m, 3)` indices into `vertices`.
-        source: `(m,)` index of the mesh's face whose instance and surface each triangle takes.
-    """
-
-    vertices: Index
-    faces: NDArray[np.integer]
-    source: Index
+    vertices: Index  # `(k,)` indices of the mesh's vertices
+    faces: NDArray[np.integer]  # `(m, 3)` indices into `vertices`
+    source: Index  # `(m,)` index of the mesh's face whose instance and surface each triangle takes
 
     def taken_from(self, mesh: Mesh) -> Mesh:
         """The mesh of these triangles; instances and surfaces keep their numbers."""
@@ -112,8 +106,7 @@ def simplify_organs(
 ) -> tuple[list[Triangles], NDArray[np.bool_]]:
     """The triangles of simplified organs, and `(n,)` which organs were simplified.
 
-    `face_ranges` and `vertex_ranges`, `(n, 2)`, are the first face and vertex of each organ and those after
-    its last.
+    `face_ranges` and `vertex_ranges`, `(n, 2)`, are the half-open ranges of each organ.
     """
     simplified = np.zeros(len(face_ranges), dtype=bool)
     parts = []

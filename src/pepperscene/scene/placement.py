@@ -24,7 +24,7 @@ class Skeleton:
 
     Attributes:
         plants: in their own coordinates, as their meshes were before they were placed.
-        sizes: number of instances in each plant's mesh: its organs in order, then what supports it.
+        sizes: number of instances in each plant's mesh: its organs in order, then its twine.
         bases: `(n, 3)` positions of the stem bases, metres.
         turns: `(n,)` radians about the vertical, counter-clockwise seen from above.
         motions: rotations that resolved the row's contacts, by instance numbers of the scene.
@@ -118,8 +118,7 @@ class Scene:
         mesh: all triangles.
         surfaces: one for each of `mesh.surfaces`, in that order; empty if only labels are rendered.
         sky: daylight, or None for a night scene.
-        skeleton: the plants whose organs are the first instances of the mesh; None if the output "harvest" is
-            not needed.
+        skeleton: plants whose organs are the first instances of the mesh; None without output "harvest".
     """
 
     mesh: Mesh

@@ -55,7 +55,7 @@ def add_twine(
 ) -> Mesh:
     """Add a twine to a plant's mesh, wound unevenly round its main stem from a random side.
 
-    The twine lies on internodes and nodes, and passes beside what grows out of them.
+    The twine touches internodes and nodes, and passes next to the organs that grow out of them.
 
     Args:
         plant: the plant.

@@ -102,7 +102,7 @@ def partly_cloudy_sky(
     """A blue sky with cumulus clouds and the sun's disc, over a pale floor.
 
     A cover filters the light of sky and sun. A hazy cover scatters a fraction of both: it smooths the sky
-    map, and what the sun's disc loses forms a lobe around it, a third map with the sun's own spectrum.
+    map, and light scattered out of the sun's disc forms a lobe around it, a third map with its spectrum.
 
     Args:
         rng: places the clouds.
@@ -117,7 +117,7 @@ def partly_cloudy_sky(
     Raises:
         ValueError: an argument is out of range.
     """
-    _check(illuminance_lx, sun_elevation_rad, sun_fraction, cloud_cover)
+    _check_arguments(illuminance_lx, sun_elevation_rad, sun_fraction, cloud_cover)
     level = np.cos(sun_elevation_rad)
     direction = np.array(
         [level * np.cos(sun_azimuth_rad), level * np.sin(sun_azimuth_rad), np.sin(sun_elevation_rad)]
@@ -164,7 +164,9 @@ def partly_cloudy_sky(
     return Sky(weights.astype(np.float32), radiance, sun)
 
 
-def _check(illuminance_lx: float, sun_elevation_rad: float, sun_fraction: float, cloud_cover: float) -> None:
+def _check_arguments(
+    illuminance_lx: float, sun_elevation_rad: float, sun_fraction: float, cloud_cover: float
+) -> None:
     if not 0.0 <= illuminance_lx < np.inf:
         raise ValueError(f"illuminance_lx must be at least 0, not {illuminance_lx}")
     if not 0.0 <= sun_fraction <= _MAX_SUN_FRACTION:

@@ -24,7 +24,7 @@ WAVELENGTH_RANGE_NM: Final = (100.0, 20_000.0)
 class Provenance(Document):
     """Origin of a file of spectra."""
 
-    title: str  # what the spectra are
+    title: str  # short description of the spectra
     source: str  # publication and file that they were taken from
     licence: str  # licence and its holder
     # "standard" for agreed or retrieved reference tables, "MODEL" for modelled spectra.
@@ -40,9 +40,9 @@ def spectra_file(path: str | Path) -> Path:
     Raises:
         InputError: neither exists; the message lists the shipped files.
     """
-    wanted = Path(path) if str(path).endswith(".csv") else Path(f"{path}.csv")
+    file_name = Path(path) if str(path).endswith(".csv") else Path(f"{path}.csv")
     root = shipped_folder("materials")
-    for candidate in (wanted, root / wanted):
+    for candidate in (file_name, root / file_name):
         if is_file(candidate):
             return candidate
     names = ", ".join(sorted(p.relative_to(root).with_suffix("").as_posix() for p in root.rglob("*.csv")))
@@ -143,8 +143,7 @@ def _cell_error(file: Path, row: int, column: str, value: object, allowed: str) 
     return InputError(file, allowed, key=f"row {row + 2}, column {column}", value=value)
 
 
-# Bounds of device and cover files, wider than anything that can be built; they catch wrong units and typing
-# errors.
+# Bounds of device and cover files, wider than any device; they catch wrong units and typing errors.
 NonNegative = Annotated[float, Field(ge=0, le=1e6)]
 Millimetres = Annotated[float, Field(ge=-1e6, le=1e6)]
 Coefficient = Annotated[float, Field(ge=-100, le=100)]
@@ -175,19 +174,19 @@ class CurveTable(Document):
     column: NonEmptyText
 
 
-def find_material(folder: str, wanted: str | Path) -> Path:
+def find_material(folder: str, name_or_path: str | Path) -> Path:
     """Find a TOML file by its path, or by the bare name of a shipped one in `folder` of the materials.
 
     Raises:
         InputError: neither exists; the message lists the shipped files.
     """
-    path, shipped = Path(wanted), shipped_folder("materials") / folder
+    path, shipped = Path(name_or_path), shipped_folder("materials") / folder
     if is_file(path):
         return path
     if path.parent == Path(".") and is_file(shipped / f"{path}.toml"):
         return shipped / f"{path}.toml"
     names = ", ".join(sorted(file.stem for file in shipped.glob("*.toml")))
-    raise InputError(str(wanted), f"no such file, nor one of the shipped {folder}: {names}")
+    raise InputError(str(name_or_path), f"no such file, nor one of the shipped {folder}: {names}")
 
 
 def read_curve(path: Path, table: str, file: str, column: str) -> Spectrum:

@@ -26,8 +26,7 @@ SkyKind = Literal["d50", "d55", "d65", "d75"]
 def colour_science() -> ModuleType:
     """Import and return the package `colour`.
 
-    It warns if matplotlib is missing, which only its plots need. The warning is suppressed, because nothing
-    here plots.
+    It warns if matplotlib is missing, which only its plots need. The warning is suppressed here.
     """
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", '"Matplotlib" related API features are not available')
@@ -92,9 +91,9 @@ def sky_spectrum(kind: SkyKind = "d65") -> Spectrum:
     # Match energies, not single values: the shape resolves absorption lines that the table smooths.
     overlap = np.arange(last - 50.0, last + 0.5)
     scale = np.trapezoid(table.at(overlap), overlap) / np.trapezoid(shape.at(overlap), overlap)
-    beyond = shape.wavelength_nm > last
-    nm = np.append(table.wavelength_nm, shape.wavelength_nm[beyond])
-    return _normalise(Spectrum(nm, np.append(table.values, scale * shape.values[beyond])))
+    is_beyond = shape.wavelength_nm > last
+    nm = np.append(table.wavelength_nm, shape.wavelength_nm[is_beyond])
+    return _normalise(Spectrum(nm, np.append(table.values, scale * shape.values[is_beyond])))
 
 
 def diffuse_spectrum() -> Spectrum:

@@ -100,8 +100,7 @@ def leaf_spectra(
         carbon_g_cm2: its carbon-based part (PROSPECT-PRO).
 
     Raises:
-        ValueError: N < 1, a content is negative or infinite, or dry matter is given both in total and in
-            parts.
+        ValueError: N < 1, a content is negative or infinite, or dry matter is given both ways.
     """
     contents = {
         "chlorophyll": chlorophyll_ug_cm2,

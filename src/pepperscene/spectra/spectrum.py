@@ -52,11 +52,11 @@ class Spectrum:
         """
         nm = np.atleast_1d(np.asarray(wavelength_nm, dtype=float))
         low, high = self.range_nm
-        beyond = (nm < low) | (nm > high)
-        if self.outside == "error" and beyond.any():
-            raise ValueError(f"{nm[beyond][0]:g} nm is outside the spectrum's {low:g} to {high:g} nm")
+        outside = (nm < low) | (nm > high)
+        if self.outside == "error" and outside.any():
+            raise ValueError(f"{nm[outside][0]:g} nm is outside the spectrum's {low:g} to {high:g} nm")
         values = self._interpolate(nm)
-        return np.where(beyond, 0.0, values) if self.outside == "zero" else values
+        return np.where(outside, 0.0, values) if self.outside == "zero" else values
 
     def integral(self, weight: Spectrum | None = None) -> FloatArray:
         """Integral over this spectrum's range, `(...)`, exact for piecewise linear functions (unit x nm).

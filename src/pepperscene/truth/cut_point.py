@@ -1,11 +1,11 @@
-"""Where a fruit's stalk joins the plant, where it is cut, and from where a tool approaches the fruit.
+"""Attachment and cut point of a fruit's stalk, and the approach of a tool to the fruit.
 
-Growers cut or break the stalk at its natural abscission zone right by the stem and leave all of it on the
-fruit: a wound there is small, while stumps and ragged ends go mouldy, and a whole stalk keeps the fruit fresh
-and is paid for (freshknowledge.eu, "Moulds" of pepper: mould grows above all where the stem is not cut at its
-natural breaking knot; Sa et al. 2017, "Peduncle detection of sweet pepper for autonomous crop harvesting",
-section I). On a stem that is the furrow above the stalk's collar. A stalk that grows on another fruit stalk,
-as a tomato's pedicel on its truss, breaks at the joint half-way along it.
+Growers cut or break the stalk at its natural abscission zone next to the stem and leave all of it on the
+fruit: a wound there is small, while stumps and ragged ends go mouldy, and a complete stalk keeps the fruit
+fresh and is paid for (freshknowledge.eu, "Moulds" of pepper: mould grows above all where the stem is not cut
+at its natural breaking knot; Sa et al. 2017, "Peduncle detection of sweet pepper for autonomous crop
+harvesting", section I). On a stem that is the furrow above the stalk's collar. A stalk that grows on another
+fruit stalk, as a tomato's pedicel on its truss, breaks at the joint half-way along it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _FURROW: Final = 1.8
 """Distance from the stalk's base to the furrow over the collar's size, which is the stalk's radius but at
 most `_COLLAR` of its length, as modelled by `geometry.tubes.stalk.peduncles`; a test compares the two."""
 _COLLAR: Final = 0.12
-_CLEARANCE: Final = 1.0  # chosen: radii of stalk between its parent and the cut, room for a blade
+_CLEARANCE: Final = 1.0  # chosen: radii of stalk between its parent and the cut, space for a blade
 _JOINT: Final = 0.5  # chosen: fraction of a pedicel's free length at which it breaks
 _LATEST: Final = 0.5  # chosen: no cut is beyond this fraction of the free length
 _MIN_DISTANCE: Final = 1e-3  # chosen: metres between fruit and stem axis below which no side is in front
@@ -30,25 +30,15 @@ _MIN_DISTANCE: Final = 1e-3  # chosen: metres between fruit and stem axis below 
 
 @dataclass(frozen=True, eq=False)
 class FruitStalk:
-    """The stalk that a fruit is harvested with, in world metres.
+    """The stalk that a fruit is harvested with, in world metres."""
 
-    Attributes:
-        instance: index of the stalk.
-        parent: index of the organ that it grows on; -1 for none.
-        radius_m: radius of the stalk above its collar.
-        curve: `(k, 3)` its centreline, from where it emerges from its parent to the fruit's calyx.
-        length_m: length of that curve.
-        cut: `(3,)` cut point, on the centreline.
-        tangent: `(3,)` unit tangent there, towards the fruit; the cut is perpendicular to it.
-    """
-
-    instance: int
-    parent: int
-    radius_m: float
-    curve: FloatArray
-    length_m: float
-    cut: FloatArray
-    tangent: FloatArray
+    instance: int  # index of the stalk
+    parent: int  # index of the organ that it grows on; -1 for none
+    radius_m: float  # radius of the stalk above its collar
+    curve: FloatArray  # `(k, 3)` its centreline, from where it emerges from its parent to the fruit's calyx
+    length_m: float  # length of that curve
+    cut: FloatArray  # `(3,)` cut point, on the centreline
+    tangent: FloatArray  # `(3,)` unit tangent there, towards the fruit; the cut is perpendicular to it
 
     @property
     def attachment(self) -> FloatArray:
@@ -133,12 +123,10 @@ class Approach:
     The harvest robots of Wageningen reach for a sweet pepper in the horizontal plane, on the line through the
     centres of fruit and stem, so the cutter passes between the two. Barth, Hemming & van Henten 2019 ("Angle
     estimation between plant parts for grasp optimisation in harvest robots", Biosystems Engineering 183,
-    26-46) estimate that angle between fruit and stem from colour images; their tool tolerates an error of 25
-    degrees.
+    26-46) estimate that angle between fruit and stem from colour images; their tool tolerates 25 degrees.
 
     Attributes:
-        direction: `(3,)` horizontal unit vector in the world in which the tool moves: from the fruit's centre
-            to the stem.
+        direction: `(3,)` horizontal unit vector of the tool's motion, from the fruit's centre to the stem.
         stem: `(3,)` world metres, the stem's centre at the fruit's height.
     """
 
@@ -151,9 +139,9 @@ class Approach:
         0 if the camera looks at the fruit with the stem behind it. For a camera that looks straight up or
         down, the upper side of its image replaces the axis.
         """
-        ahead = pose[:3, 2] if np.hypot(*pose[:2, 2]) > 1e-6 else -pose[:3, 1]
-        cross = ahead[0] * self.direction[1] - ahead[1] * self.direction[0]
-        return float(-np.arctan2(cross, ahead[:2] @ self.direction[:2]))
+        forward = pose[:3, 2] if np.hypot(*pose[:2, 2]) > 1e-6 else -pose[:3, 1]
+        cross = forward[0] * self.direction[1] - forward[1] * self.direction[0]
+        return float(-np.arctan2(cross, forward[:2] @ self.direction[:2]))
 
 
 def tool_approach(centre: FloatArray, stem: FloatArray) -> Approach | None:

@@ -1,4 +1,4 @@
-"""The harvest truth of an image: what a harvest robot needs to know of each fruit, as a JSON-ready object.
+"""The harvest truth of an image: a harvest robot's description of each fruit, as a JSON-ready object.
 
 Instances are given as values of the instance image: the index of the organ plus 1. Lengths are metres, image
 positions are continuous pixel coordinates; both are rounded far below what is visible.
@@ -57,15 +57,10 @@ class FruitTruth:
 
 @dataclass(frozen=True, eq=False)
 class AmodalMask:
-    """The pixels that a fruit would have if nothing occluded it.
+    """The pixels that a fruit would have if nothing occluded it."""
 
-    Attributes:
-        corner: column and row of the first pixel of `mask` in the image.
-        mask: `(h, w)`, for the part of the image that contains the fruit.
-    """
-
-    corner: tuple[int, int]
-    mask: NDArray[np.bool_]
+    corner: tuple[int, int]  # column and row of the first pixel of `mask` in the image
+    mask: NDArray[np.bool_]  # `(h, w)`, for the part of the image that contains the fruit
 
     def crop(self, image: NDArray[Any]) -> NDArray[Any]:
         """The part of an image that the mask covers; a view."""
@@ -75,17 +70,11 @@ class AmodalMask:
 
 @dataclass(frozen=True, eq=False)
 class LabelView:
-    """The labels of an image.
+    """The labels of an image."""
 
-    Attributes:
-        camera: the camera.
-        instance: `(h, w)` the instance image.
-        distance: `(h, w)` metres along the rays through the pixel centres.
-    """
-
-    camera: Camera
-    instance: NDArray[np.uint16]
-    distance: NDArray[np.float32]
+    camera: Camera  # the camera
+    instance: NDArray[np.uint16]  # `(h, w)` the instance image
+    distance: NDArray[np.float32]  # `(h, w)` metres along the rays through the pixel centres
 
     @property
     def rotation(self) -> FloatArray:
@@ -108,11 +97,13 @@ def harvest_truth(
         instances: of the scene.
     """
     # Project the points of all fruit in one call, which takes the time of one point.
-    points = [_projected_points(one) for one, _ in fruit]
+    points = [_projected_points(organ) for organ, _ in fruit]
     pixels = view.camera.project(np.concatenate([*points, np.empty((0, 3))]))
     parts = np.split(pixels, np.cumsum([len(part) for part in points]))
-    entries = [_fruit_entry(one, mask, view, part) for (one, mask), part in zip(fruit, parts, strict=False)]
-    graph = organ_graph((one.lineage for one, _ in fruit), instances, np.bincount(view.instance.ravel()))
+    entries = [
+        _fruit_entry(organ, mask, view, part) for (organ, mask), part in zip(fruit, parts, strict=False)
+    ]
+    graph = organ_graph((organ.lineage for organ, _ in fruit), instances, np.bincount(view.instance.ravel()))
     return {"format": FORMAT, "fruit": entries, "graph": graph}
 
 
@@ -189,7 +180,11 @@ def _visibility(fruit: FruitTruth, amodal: AmodalMask, view: LabelView) -> dict[
         "amodal_pixels": count,
         "visible_fraction": _rounded(visible_count / count),
         "truncated": touches_border(amodal_box, view.instance.shape),
-        "occluders": [{"instance": int(one), "pixels": int(occluded[one])} for one in occluders if one > 0],
+        "occluders": [
+            {"instance": int(occluder), "pixels": int(occluded[occluder])}
+            for occluder in occluders
+            if occluder > 0
+        ],
         "amodal": encode_rle(amodal.mask, view.instance.shape, amodal.corner),
     }
 

@@ -26,8 +26,7 @@ def hue_bins(colour: NDArray[np.uint8]) -> NDArray[np.int16]:
     """Bin numbers of the HSV hues of 8-bit sRGB pixels.
 
     The bins are those of OpenCV's 8-bit hue; Barth et al. 2018 do not give theirs. Hues that a few grey
-    values can produce (60, 120 degrees and so on, in dark pixels) are inside such a bin and not on its
-    border.
+    values can produce (60, 120 degrees and so on, in dark pixels) are inside a bin, not on its border.
 
     Args:
         colour: `(..., 3)` uint8.
@@ -82,7 +81,7 @@ def centre_crop(image: NDArray[Any], size_px: int = CENTRE_PX) -> NDArray[Any]:
     """The central `size_px` x `size_px` pixels of an image `(h, w, ...)`, fewer if it is smaller; a view.
 
     Barth et al. 2018 (section 3.1.1) take hues from the central 300 x 300 pixels, because the dark margins
-    contain more of the last hues than what they show.
+    contain more of the last hues than the plants.
     """
     top, left = (max(0, (length - size_px) // 2) for length in image.shape[:2])
     return image[top : top + size_px, left : left + size_px]
@@ -98,11 +97,11 @@ def mean_hue(spectrum: NDArray[np.floating[Any]]) -> float:
     return float(np.degrees(np.angle(total)) % 360.0)
 
 
-def hue_spectrum_correlation(one: NDArray[np.floating[Any]], other: NDArray[np.floating[Any]]) -> float:
+def hue_spectrum_correlation(first: NDArray[np.floating[Any]], second: NDArray[np.floating[Any]]) -> float:
     """Pearson's correlation coefficient of two hue spectra over their bins; nan if one is flat."""
-    if np.ptp(one) == 0.0 or np.ptp(other) == 0.0:
+    if np.ptp(first) == 0.0 or np.ptp(second) == 0.0:
         return float("nan")
-    return float(np.corrcoef(one, other)[0, 1])
+    return float(np.corrcoef(first, second)[0, 1])
 
 
 def grey_values(colour: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -141,8 +140,7 @@ class ImageStatistics:
         labelled: number of those with classes.
         pixels: `(8,)`, labelled pixels of each class.
         unlabelled: pixels of label images whose value is no class id.
-        hue_pictures: `(8,)`, number of images whose centre shows a class; the hue spectra are means over
-            these.
+        hue_pictures: `(8,)`, number of images whose centre shows a class, for mean hue spectra.
         intensities: mean grey value of each photograph, in the order added.
         saturated: fraction of pixels with a channel at 255 of each photograph.
     """
@@ -218,11 +216,11 @@ class ImageStatistics:
     def _add_hues(self, counts: NDArray[np.int64]) -> None:
         """Give every image that shows a class the same weight, however many of its pixels it shows."""
         pixels = counts.sum(axis=1)
-        seen = pixels > 0
-        fractions = counts[seen] / pixels[seen, None]
-        self._spectra[seen] += fractions[:, :HUE_BINS]
-        self._grey_fractions[seen] += fractions[:, HUE_BINS]
-        self.hue_image_counts += seen
+        is_shown = pixels > 0
+        fractions = counts[is_shown] / pixels[is_shown, None]
+        self._spectra[is_shown] += fractions[:, :HUE_BINS]
+        self._grey_fractions[is_shown] += fractions[:, HUE_BINS]
+        self.hue_image_counts += is_shown
 
     def _add_photograph(self, colour: NDArray[np.uint8]) -> None:
         grey = grey_values(colour)

@@ -44,7 +44,7 @@ def simulate_patches(
     """Render patches of single organs at given values of a recipe's parameters.
 
     They are named after the views that `TuningTarget` has of the same recipe, kinds, `organs`, `pixels` and
-    `seed`. With `registered=True` it compares each patch with the very organ that it shows. With another
+    `seed`. With `registered=True` it compares each patch with the same organ. With another
     seed, and without `registered`, they are a sample of other organs, like photographs.
 
     Args:
@@ -59,13 +59,13 @@ def simulate_patches(
     Raises:
         InputError: A name or a kind is unknown, or a value has the wrong number of entries.
     """
-    target = _target(recipe, kinds, organs, pixels, seed)
+    target = _make_target(recipe, kinds, organs, pixels, seed)
     known = target.parameters(list(values)) if values else ()
-    given = {one.name: np.atleast_1d(np.asarray(values[one.name], float)) for one in known}
-    for one in known:
-        if given[one.name].shape != one.default.shape:
-            problem = f"must be {one.default.size} number(s)"
-            raise ArgumentError("values", problem, key=one.name, value=values[one.name])
+    given = {parameter.name: np.atleast_1d(np.asarray(values[parameter.name], float)) for parameter in known}
+    for parameter in known:
+        if given[parameter.name].shape != parameter.default.shape:
+            problem = f"must be {parameter.default.size} number(s)"
+            raise ArgumentError("values", problem, key=parameter.name, value=values[parameter.name])
     parts = target.tuned_parts(given)
     pigments = {**target.cultivar.pigments, **parts.pigments}
     cultivar = target.cultivar.model_copy(update={"pigments": pigments})
@@ -89,7 +89,7 @@ def photograph(view: OrganView, camera: Camera, seed: tuple[int, int]) -> Patch:
     return Patch(view.name, view.kind, view.name, decode_tone(codes, tone), codes)
 
 
-def _target(recipe: Recipe, kinds: Sequence[str], organs: int, pixels: int, seed: int) -> TuningTarget:
+def _make_target(recipe: Recipe, kinds: Sequence[str], organs: int, pixels: int, seed: int) -> TuningTarget:
     """A target with views of these kinds; its patches are grey pixels that nothing is compared with."""
     grey = np.full((1, 3), 188, np.uint8)
     linear = decode_tone(grey)

@@ -78,12 +78,12 @@ def render_statistics(recipe: Recipe, frames: int, quality: str = "draft") -> Sc
     total = plan.sets * plan.rotations * plan.frames
     count = min(frames, total)
     # Midpoints of equal parts of the plan.
-    chosen = [(2 * k + 1) * total // (2 * count) for k in range(count)]
+    indices = [(2 * k + 1) * total // (2 * count) for k in range(count)]
     with tempfile.TemporaryDirectory(prefix="pepperscene-") as folder:
         options = BuildOptions(quality)
-        dataset = build(recipe, Path(folder) / "frames", chosen, OUTPUTS, options).dataset
-        picture = dataset.image(chosen[count // 2], "colour")
-        return SceneStatistics(open_patches(dataset.folder), _mean_electrons(dataset, chosen), picture)
+        dataset = build(recipe, Path(folder) / "frames", indices, OUTPUTS, options).dataset
+        picture = dataset.image(indices[count // 2], "colour")
+        return SceneStatistics(open_patches(dataset.folder), _mean_electrons(dataset, indices), picture)
 
 
 def _mean_electrons(dataset: Dataset, frames: Sequence[int]) -> dict[str, Array]:
@@ -121,14 +121,14 @@ def describe_verification(verification: Verification) -> tuple[str, ...]:
     sets["the held-out patches"] = (verification.held_before, verification.held_after)
     sentences = []
     for name, (before, after) in sets.items():
-        for kind, one in after.items():
+        for kind, agreement in after.items():
             previous = before[kind].delta_e
-            if one.delta_e is None or previous is None or one.delta_e <= VISIBLE_DELTA_E:
+            if agreement.delta_e is None or previous is None or agreement.delta_e <= VISIBLE_DELTA_E:
                 continue
-            how = "is no closer to" if one.delta_e >= previous else "still differs from"
+            comparison = "is no closer to" if agreement.delta_e >= previous else "still differs from"
             sentences.append(
-                f"In the whole scene the mean colour of {kind} {how} {name}: dE2000 {previous:.1f} before, "
-                f"{one.delta_e:.1f} after."
+                f"In the whole scene the mean colour of {kind} {comparison} {name}: dE2000 "
+                f"{previous:.1f} before, {agreement.delta_e:.1f} after."
             )
     return tuple(sentences)
 
@@ -140,23 +140,23 @@ def neighbour_effects(
     effects = {}
     for kind in target.kinds:
         models = [model for model in target.view_models if model.view.kind == kind]
-        seen = scene.observables(kind)
-        if seen is None:
+        scene_observables = scene.observables(kind)
+        if scene_observables is None:
             continue
         mean = np.concatenate([model.electrons(parts) for model in models]).mean(axis=0)
         # The electrons of views are those of the recipe's exposure time; without a flash, exposure scales it.
         time = parts.exposure if target.camera.flash is None else 1.0
         shade = scene.electrons[kind] / np.maximum(time * mean, 1e-9)
-        alone = observables(np.concatenate([model.linear(parts, shade) for model in models]))
-        effects[kind] = NeighbourEffect(shade, seen - alone)
+        isolated = observables(np.concatenate([model.linear(parts, shade) for model in models]))
+        effects[kind] = NeighbourEffect(shade, scene_observables - isolated)
     return effects
 
 
 def largest_difference(problem: FitProblem, parts: TunedParts, scene: SceneStatistics) -> float:
     """Largest difference of mean colours between the scene and the model of a fit, in CIELAB units."""
     differences = [0.0]
-    for one in problem.observations:
-        seen = scene.observables(one.label)
-        if seen is not None:
-            differences.append(float(np.linalg.norm((seen - one.predicted(parts))[:3])))
+    for observation in problem.observations:
+        scene_observables = scene.observables(observation.label)
+        if scene_observables is not None:
+            differences.append(float(np.linalg.norm((scene_observables - observation.predicted(parts))[:3])))
     return max(differences)

@@ -54,23 +54,26 @@ def merge_patches(sets: Sequence[PatchSet]) -> PatchSet:
         raise ValueError("at least one set of patches is needed")
     if len(sets) == 1:
         return sets[0]
-    repeated = Counter(one.name for one in sets)
-    set_names = [f"{one.name} {i + 1}" if repeated[one.name] > 1 else one.name for i, one in enumerate(sets)]
-    pictures = Counter(picture for one in sets for picture in one.pictures)
-    members = Counter(patch.name for one in sets for patch in one.patches)
-    members.update(spectrum.name for one in sets for spectrum in one.spectra)
+    repeated = Counter(patch_set.name for patch_set in sets)
+    set_names = [
+        f"{patch_set.name} {i + 1}" if repeated[patch_set.name] > 1 else patch_set.name
+        for i, patch_set in enumerate(sets)
+    ]
+    pictures = Counter(picture for patch_set in sets for picture in patch_set.pictures)
+    members = Counter(patch.name for patch_set in sets for patch in patch_set.patches)
+    members.update(spectrum.name for patch_set in sets for spectrum in patch_set.spectra)
 
     def unique(set_name: str, name: str, counts: Counter[str]) -> str:
         return f"{set_name}: {name}" if counts[name] > 1 else name
 
     patches: list[Patch] = []
     spectra: list[MeasuredSpectrum] = []
-    for one, set_name in zip(sets, set_names, strict=True):
-        for patch in one.patches:
+    for patch_set, set_name in zip(sets, set_names, strict=True):
+        for patch in patch_set.patches:
             name = unique(set_name, patch.name, members)
             picture = unique(set_name, patch.picture, pictures)
             patches.append(replace(patch, name=name, picture=picture))
-        for spectrum in one.spectra:
+        for spectrum in patch_set.spectra:
             spectra.append(replace(spectrum, name=unique(set_name, spectrum.name, members)))
     return PatchSet(" and ".join(set_names), tuple(patches), tuple(spectra))
 
@@ -122,15 +125,17 @@ def tune(
     source = extends if isinstance(recipe, Recipe) else recipe
     loaded = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
     measured = patches if isinstance(patches, PatchSet) else open_patches(patches)
-    used, held = (measured.without(hold_out), measured.select(hold_out)) if hold_out else (measured, None)
-    target = TuningTarget(loaded, used, bounds=bounds, seed=seed)
+    fitted, held_out = (
+        (measured.without(hold_out), measured.select(hold_out)) if hold_out else (measured, None)
+    )
+    target = TuningTarget(loaded, fitted, bounds=bounds, seed=seed)
     target.parameters(names)
     check_folder(Path(out))
     date = when or datetime.date.today()
-    write = partial(write_tuned, loaded, patches=used, when=date, extends=source, options=options)
-    fit_to = partial(fit_parameters, target, seed=seed, on_progress=on_progress)
+    write = partial(write_tuned, loaded, patches=fitted, when=date, extends=source, options=options)
+    run_fit = partial(fit_parameters, target, seed=seed, on_progress=on_progress)
     if not verify:
-        fit = fit_to(target.problem(names), starts=starts)
+        fit = run_fit(target.problem(names), starts=starts)
         return TuningResult(fit, write(fit, out), None)
 
     # Measure the effect of neighbours in the whole scene, fit with it, and repeat with the tuned scene.
@@ -138,7 +143,7 @@ def tune(
     neighbours = neighbour_effects(target, target.tuned_parts({}), before)
     for round_ in range(1, MAX_ROUNDS + 1):
         problem = target.problem(names, neighbours)
-        fit = fit_to(problem, starts=starts if round_ == 1 else 1)
+        fit = run_fit(problem, starts=starts if round_ == 1 else 1)
         with tempfile.TemporaryDirectory(prefix="pepperscene-") as folder:
             after = render_statistics(load_recipe(write(fit, folder)[0]), verify, quality)
         difference = largest_difference(problem, fit.tuned_parts, after)
@@ -151,10 +156,10 @@ def tune(
     # Compare the scene before and after with all patches.
     kinds = target.kinds
     verification = Verification(
-        before=colour_agreement(before.patches, used, kinds),
-        after=colour_agreement(after.patches, used, kinds),
-        held_before=colour_agreement(before.patches, held, kinds) if held else {},
-        held_after=colour_agreement(after.patches, held, kinds) if held else {},
+        before=colour_agreement(before.patches, fitted, kinds),
+        after=colour_agreement(after.patches, fitted, kinds),
+        held_before=colour_agreement(before.patches, held_out, kinds) if held_out else {},
+        held_after=colour_agreement(after.patches, held_out, kinds) if held_out else {},
         frames=verify,
         rounds=round_,
     )

@@ -69,22 +69,22 @@ def compare(
             side.name = f"{side.name} ({letter})"
     return Comparison(
         *sets,
-        kinds={kind: _compare_kind(kind, sets) for kind in _kinds(sets)},
+        kinds={kind: _compare_kind(kind, sets) for kind in _common_kinds(sets)},
         hue_correlation=_mean_hue_correlation(sets),
         share_correlation=_class_fraction_correlation(sets),
         light=_compare_light(sets),
     )
 
 
-def _kinds(sets: Sets) -> list[str]:
+def _common_kinds(sets: Sets) -> list[str]:
     """Classes in either set, and their stages if both sets have them, in the order of the classes."""
     staged = sets[0].classes_with_stages() & sets[1].classes_with_stages()
-    seen = set[str]()
+    names = set[str]()
     for side in sets:
-        seen |= side.kinds.keys()
-        seen |= {organ.name.lower() for organ in OrganClass if side.statistics.class_pixels[organ]}
+        names |= side.kinds.keys()
+        names |= {organ.name.lower() for organ in OrganClass if side.statistics.class_pixels[organ]}
     return sorted(
-        (kind for kind in seen if "." not in kind or kind.partition(".")[0] in staged),
+        (kind for kind in names if "." not in kind or kind.partition(".")[0] in staged),
         key=lambda kind: (_ORDER.index(kind.partition(".")[0]), kind),
     )
 
@@ -104,13 +104,13 @@ def _estimate_pair(
 
 def _compare_kind(kind: str, sets: Sets) -> KindComparison:
     """All measures of a kind; those that are unknown give the reason."""
-    places = _compare_places(kind, sets)
+    place_similarity = _compare_places(kind, sets)
     sides = [_measure_kind(kind, side) for side in sets]
     rows = [sums for side in sets if (sums := side.totals(kind)) is not None]
     if len(rows) < 2:
         unseen = next(side for side in sets if kind not in side.kinds)
-        unknown = unknown_estimate(_why_unseen(kind, unseen))
-        return KindComparison(kind, unknown, unknown, unknown, *places, *sides)
+        unknown = unknown_estimate(_missing_reason(kind, unseen))
+        return KindComparison(kind, unknown, unknown, unknown, *place_similarity, *sides)
     resampled = min(side.kinds[kind].count for side in sets) > 1
     spectra = [similarity.hue_spectra(sums) for sums in rows]
     return KindComparison(
@@ -118,7 +118,7 @@ def _compare_kind(kind: str, sets: Sets) -> KindComparison:
         _estimate_pair(similarity.correlation, spectra, resampled, _ALL_GREY),
         _estimate_pair(circular_emd, spectra, resampled, _ALL_GREY),
         estimate_values(delta_e_2000(*(similarity.mean_labs(sums) for sums in rows)), resampled),
-        *places,
+        *place_similarity,
         *sides,
     )
 
@@ -127,7 +127,7 @@ def _measure_kind(kind: str, side: SetMeasures) -> KindMeasures:
     fraction = _class_fraction(kind, side)
     sums = side.totals(kind)
     if sums is None:
-        unknown = unknown_estimate(_why_unseen(kind, side))
+        unknown = unknown_estimate(_missing_reason(kind, side))
         return KindMeasures(0, 0, unknown, unknown, unknown, (unknown,) * 3, (unknown,) * 3, fraction)
     resampled = side.kinds[kind].count > 1
     spectra = similarity.hue_spectra(sums)
@@ -153,7 +153,7 @@ def _class_fraction(kind: str, side: SetMeasures) -> Estimate:
     if "." in kind:
         return unknown_estimate("given for classes, not for their stages")
     if not side.class_pixels.count:
-        return unknown_estimate(_why_unlabelled(side))
+        return unknown_estimate(_unlabelled_reason(side))
     fractions = similarity.class_fractions(side.class_pixels.totals())[:, OrganClass[kind.upper()]]
     return estimate_values(fractions, side.class_pixels.count > 1, f"not labelled in {side.name}")
 
@@ -165,10 +165,10 @@ def _compare_places(kind: str, sets: Sets) -> tuple[Estimate, Estimate]:
         if "." in kind:
             return (unknown_estimate("given for classes, not for their stages"),) * 2
         if not side.places.count:
-            return (unknown_estimate(_why_unlabelled(side)),) * 2
+            return (unknown_estimate(_unlabelled_reason(side)),) * 2
         organ_class = OrganClass[kind.upper()]
         if not side.statistics.class_pixels[organ_class]:
-            return (unknown_estimate(_why_absent(side)),) * 2
+            return (unknown_estimate(_absence_reason(side)),) * 2
         masks.append(similarity.mean_masks(side.places.totals(), organ_class))
     resampled = min(side.places.count for side in sets) > 1
     constant = "its mean mask is constant"
@@ -185,7 +185,7 @@ def _mean_hue_correlation(sets: Sets) -> Estimate:
     """Mean over the plant parts (without background) in both sets, each replicate over the same parts."""
     parts = [
         kind
-        for kind in _kinds(sets)
+        for kind in _common_kinds(sets)
         if "." not in kind and kind != _BACKGROUND and all(kind in side.kinds for side in sets)
     ]
     spectra = [[similarity.hue_spectra(side.kinds[kind].totals()) for side in sets] for kind in parts]
@@ -200,7 +200,7 @@ def _mean_hue_correlation(sets: Sets) -> Estimate:
 def _class_fraction_correlation(sets: Sets) -> Estimate:
     for side in sets:
         if not side.class_pixels.count:
-            return unknown_estimate(_why_unlabelled(side))
+            return unknown_estimate(_unlabelled_reason(side))
     fractions = [similarity.class_fractions(side.class_pixels.totals()) for side in sets]
     values = np.array([similarity.class_fraction_correlation(p, q) for p, q in zip(*fractions, strict=True)])
     resampled = min(side.class_pixels.count for side in sets) > 1
@@ -230,7 +230,7 @@ def _compare_light(sets: Sets) -> LightComparison:
 def _mean_grey(side: SetMeasures) -> Estimate:
     if side.light.count:
         return estimate_values(similarity.mean_greys(side.light.totals()), side.light.count > 1)
-    return unknown_estimate(f"no photographs in {side.name}" if side.has_images else _why_unlabelled(side))
+    return unknown_estimate(f"no photographs in {side.name}" if side.has_images else _unlabelled_reason(side))
 
 
 def _grey_spread(side: SetMeasures) -> float | None:
@@ -241,17 +241,17 @@ def _grey_spread(side: SetMeasures) -> float | None:
 # --- reasons for missing values -----------------------------------------------------------------------------
 
 
-def _why_unlabelled(side: SetMeasures) -> str:
+def _unlabelled_reason(side: SetMeasures) -> str:
     return f"no labels in {side.name}" if side.has_images else f"{side.name} has patches, not pictures"
 
 
-def _why_absent(side: SetMeasures) -> str:
-    """Why a class has no pixel: it was not labelled, or it does not occur."""
+def _absence_reason(side: SetMeasures) -> str:
+    """Reason why a class has no pixel: it was not labelled, or it does not occur."""
     return f"not labelled in {side.name}" if side.statistics.unlabelled_pixels else f"not seen in {side.name}"
 
 
-def _why_unseen(kind: str, side: SetMeasures) -> str:
-    """Why the colours of a kind are unknown."""
+def _missing_reason(kind: str, side: SetMeasures) -> str:
+    """Reason why the colours of a kind are unknown."""
     if not side.has_images:
         return f"no patch of it in {side.name}"
     if not side.statistics.photograph_count:
@@ -260,4 +260,4 @@ def _why_unseen(kind: str, side: SetMeasures) -> str:
         return f"no labels in {side.name}"
     if "." not in kind and side.statistics.class_pixels[OrganClass[kind.upper()]]:
         return f"not in the centre of the pictures of {side.name}"
-    return _why_absent(side)
+    return _absence_reason(side)

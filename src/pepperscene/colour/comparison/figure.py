@@ -129,9 +129,9 @@ def _draw_masks(part: SubFigure, comparison: Comparison, kinds: list[KindCompari
     grid = part.add_gridspec(_rows(kinds), 2 * _COLUMNS, **edges, hspace=0.65, wspace=0.12)
     sides = (comparison.first, comparison.second)
     all_masks = [side.statistics.mean_masks() for side in sides]
-    for place, kind in enumerate(kinds):
+    for position, kind in enumerate(kinds):
         for index, side in enumerate((kind.first, kind.second)):
-            axes = part.add_subplot(grid[divmod(2 * place + index, 2 * _COLUMNS)])
+            axes = part.add_subplot(grid[divmod(2 * position + index, 2 * _COLUMNS)])
             axes.set(xticks=[], yticks=[])
             axes.spines[:].set_visible(False)
             masks = all_masks[index]
@@ -163,8 +163,8 @@ def _draw_hues(part: SubFigure, comparison: Comparison, kinds: list[KindComparis
     height = _add_title(part, f"Fig. 12: hues of each kind, in the centre of the pictures ({mean})")
     edges = {"left": 0.06, "right": 0.97, "top": 1 - 0.65 / height, "bottom": 0.85 / height}
     grid = part.add_gridspec(_rows(kinds), _COLUMNS, **edges, hspace=0.95, wspace=0.28)
-    for place, kind in enumerate(kinds):
-        axes = part.add_subplot(grid[divmod(place, _COLUMNS)])
+    for position, kind in enumerate(kinds):
+        axes = part.add_subplot(grid[divmod(position, _COLUMNS)])
         for side, colour, dashes in zip(
             (comparison.first, comparison.second), _COLOURS, _DASHES, strict=True
         ):

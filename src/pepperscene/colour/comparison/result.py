@@ -11,27 +11,16 @@ from pepperscene.colour.comparison.measure import SetMeasures
 
 @dataclass(frozen=True)
 class KindMeasures:
-    """Measures of one kind of organ in one set.
+    """Measures of one kind of organ in one set."""
 
-    Attributes:
-        pictures: number of pictures that show the kind in their centre.
-        pixels: number of its pixels there.
-        hue_mean_deg: mean direction of its hues.
-        hue_spread_deg: their circular standard deviation.
-        grey_share: fraction of its pixels that are grey and have no hue.
-        lab: CIELAB (D65) of the mean linear colour of its pixels.
-        lab_spread: standard deviation of its pixels' L*, a*, b*.
-        share: fraction of all pixels of the whole pictures.
-    """
-
-    pictures: int
-    pixels: int
-    hue_mean_deg: Estimate
-    hue_spread_deg: Estimate
-    grey_share: Estimate
-    lab: tuple[Estimate, Estimate, Estimate]
-    lab_spread: tuple[Estimate, Estimate, Estimate]
-    share: Estimate
+    pictures: int  # number of pictures that show the kind in their centre
+    pixels: int  # number of its pixels there
+    hue_mean_deg: Estimate  # mean direction of its hues
+    hue_spread_deg: Estimate  # their circular standard deviation
+    grey_share: Estimate  # fraction of its pixels that are grey and have no hue
+    lab: tuple[Estimate, Estimate, Estimate]  # CIELAB (D65) of the mean linear colour of its pixels
+    lab_spread: tuple[Estimate, Estimate, Estimate]  # standard deviation of its pixels' L*, a*, b*
+    share: Estimate  # fraction of all pixels of the whole pictures
 
 
 @dataclass(frozen=True)
@@ -61,25 +50,15 @@ class KindComparison:
 
 @dataclass(frozen=True)
 class LightComparison:
-    """Brightness of the pictures of both sets (Fig. 13).
+    """Brightness of the pictures of both sets (Fig. 13)."""
 
-    Attributes:
-        correlation: Pearson correlation of the two mean intensity images.
-        ssim: their structural similarity, without normalising their levels.
-        falloff_correlation: correlation of their means in rings around the centre.
-        first: mean grey value of the first set's pictures, 0 to 255.
-        second: of the second set's.
-        first_spread: its standard deviation between pictures; None without photographs.
-        second_spread: likewise.
-    """
-
-    correlation: Estimate
-    ssim: Estimate
-    falloff_correlation: Estimate
-    first: Estimate
-    second: Estimate
-    first_spread: float | None
-    second_spread: float | None
+    correlation: Estimate  # Pearson correlation of the two mean intensity images
+    ssim: Estimate  # their structural similarity, without normalising their levels
+    falloff_correlation: Estimate  # correlation of their means in rings around the centre
+    first: Estimate  # mean grey value of the first set's pictures, 0 to 255
+    second: Estimate  # of the second set's
+    first_spread: float | None  # its standard deviation between pictures; None without photographs
+    second_spread: float | None  # likewise
 
 
 @dataclass(frozen=True, eq=False)

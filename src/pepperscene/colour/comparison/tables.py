@@ -61,19 +61,12 @@ def _to_json(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of text cells.
+    """A table of text cells."""
 
-    Attributes:
-        title: one line.
-        heads: column headings.
-        rows: one cell for each heading.
-        notes: lines below the table.
-    """
-
-    title: str
-    heads: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...] = ()
+    title: str  # one line
+    heads: tuple[str, ...]  # column headings
+    rows: tuple[tuple[str, ...], ...]  # one cell for each heading
+    notes: tuple[str, ...] = ()  # lines below the table
 
 
 def comparison_tables(comparison: Comparison) -> tuple[TextTable, ...]:
@@ -127,10 +120,10 @@ def _hue_table(comparison: Comparison) -> TextTable:
         )
         for kind in kinds
     ]
-    heads = ("kind", "correlation", "EMD, deg", "A, mean ± sd", "B, mean ± sd", "pictures A", "pictures B")
+    headers = ("kind", "correlation", "EMD, deg", "A, mean ± sd", "B, mean ± sd", "pictures A", "pictures B")
     mean = f"mean correlation over plant parts: {format_estimate(comparison.hue_correlation)}"
     notes = (mean, *_reasons(kinds, "hue_correlation", "hue_emd_deg"))
-    return TextTable(f"Hues (Fig. 12). A: {a}; B: {b}", heads, tuple(rows), notes)
+    return TextTable(f"Hues (Fig. 12). A: {a}; B: {b}", headers, tuple(rows), notes)
 
 
 def _format_hue(side: KindMeasures) -> str:
@@ -143,8 +136,8 @@ def _lab_table(comparison: Comparison) -> TextTable:
         (kind.kind, format_estimate(kind.delta_e_2000, 1), _format_lab(kind.first), _format_lab(kind.second))
         for kind in comparison.kinds.values()
     ]
-    heads = ("kind", "CIEDE2000", "A, L* a* b*", "B, L* a* b*")
-    return TextTable("CIELAB (D65): mean colour ± standard deviation over pixels", heads, tuple(rows))
+    headers = ("kind", "CIEDE2000", "A, L* a* b*", "B, L* a* b*")
+    return TextTable("CIELAB (D65): mean colour ± standard deviation over pixels", headers, tuple(rows))
 
 
 def _format_lab(side: KindMeasures) -> str:

@@ -81,8 +81,7 @@ def calibrate(
     Args:
         picture: `(h, w, 3)` uint8.
         corners: `(4, 2)` pixel coordinates x, y of the outer corners of the fields dark skin, bluish green,
-            black and white (clockwise if dark skin is at the upper left); None detects the chart in any
-            orientation.
+            black and white (clockwise if dark skin is at the upper left); None detects the chart.
         tone: of the picture's codes.
         where: file name for messages.
 
@@ -95,9 +94,7 @@ def calibrate(
     calibration = _fit_matrix(means, saturated, oriented, where)
     if corners is not None and oriented.tolist() != given.tolist():
         first, second = (1 + int(np.flatnonzero((given == oriented[k]).all(axis=1))[0]) for k in range(2))
-        problem = (
-            f"must begin at dark skin and go on to bluish green, which are here corner {first} and {second}"
-        )
+        problem = f"must begin at dark skin, then bluish green, which are here corner {first} and {second}"
         raise InputError(where, problem, key="corners", value=given.tolist())
     return calibration
 

@@ -70,7 +70,7 @@ def grid_corners(columns: int = COLUMNS, rows: int = ROWS) -> Floats:
 
 
 def field_numbers(shape: tuple[int, int], corners: Floats) -> tuple[tuple[slice, slice], NDArray[np.intp]]:
-    """Number of the field whose central half each pixel shows; large charts are subsampled.
+    """Field numbers of the pixels in the central halves of fields; large charts are subsampled.
 
     Args:
         shape: height and width of the picture.
@@ -84,9 +84,9 @@ def field_numbers(shape: tuple[int, int], corners: Floats) -> tuple[tuple[slice,
     right, bottom = np.minimum(np.ceil(corners.max(axis=0)).astype(int), [shape[1], shape[0]])
     step = 1 + int(np.sqrt((right - left) * (bottom - top) / _MAX_CHART_PX))
     columns, rows = np.meshgrid(np.arange(left, right, step) + 0.5, np.arange(top, bottom, step) + 0.5)
-    place = apply_homography(homography(corners, grid_corners()), np.stack([columns, rows], axis=-1))
-    cell = np.floor(place)
-    central = (np.abs(place - cell - 0.5) <= _HALF_CENTRE).all(axis=-1)
+    position = apply_homography(homography(corners, grid_corners()), np.stack([columns, rows], axis=-1))
+    cell = np.floor(position)
+    central = (np.abs(position - cell - 0.5) <= _HALF_CENTRE).all(axis=-1)
     inside = central & (cell >= 0).all(axis=-1) & (cell < [COLUMNS, ROWS]).all(axis=-1)
     numbers = np.where(inside, cell[..., 1] * COLUMNS + cell[..., 0], -1.0).astype(np.intp)
     return (slice(int(top), int(bottom), step), slice(int(left), int(right), step)), numbers
@@ -95,8 +95,8 @@ def field_numbers(shape: tuple[int, int], corners: Floats) -> tuple[tuple[slice,
 def orientations(corners: Floats) -> Iterator[Floats]:
     """The corners in all eight cyclic orders, as given first: four rotations, plain and mirrored."""
     for order in (corners, corners[::-1]):
-        for turn in range(4):
-            yield np.roll(order, -turn, axis=0)
+        for rotation in range(4):
+            yield np.roll(order, -rotation, axis=0)
 
 
 def _normalise(points: Floats) -> tuple[Floats, Floats]:
@@ -136,9 +136,9 @@ def find_chart(picture: NDArray[np.uint8], where: str | Path) -> Floats:
 
 
 def _misfit(cells: Floats, centres: Floats) -> float:
-    """Mean distance of the fields from their places on the grid."""
-    placed = apply_homography(homography(cells + 0.5, centres), cells + 0.5)
-    return float(np.linalg.norm(placed - centres, axis=1).mean())
+    """Mean distance of the fields from their positions on the grid."""
+    predicted = apply_homography(homography(cells + 0.5, centres), cells + 0.5)
+    return float(np.linalg.norm(predicted - centres, axis=1).mean())
 
 
 def _downscale(picture: NDArray[np.uint8], scale: float) -> Floats:
@@ -158,11 +158,11 @@ def _flat_regions(picture: Floats, max_gradient: float) -> _Regions:
 
     gradient = np.max([gaussian_gradient_magnitude(picture[..., k], _SMOOTHING_PX) for k in range(3)], axis=0)
     labels, _ = label(gradient < max_gradient)
-    least, most = _AREA_RANGE[0], _AREA_RANGE[1] * gradient.size
+    smallest, largest = _AREA_RANGE[0], _AREA_RANGE[1] * gradient.size
     rows = [
         (region.centroid[1] + 0.5, region.centroid[0] + 0.5, region.area)
         for region in regionprops(labels)
-        if least <= region.area <= most and region.area >= _MIN_SOLIDITY * region.area_convex
+        if smallest <= region.area <= largest and region.area >= _MIN_SOLIDITY * region.area_convex
     ]
     table = np.array(rows, float).reshape(-1, 3)
     return _Regions(table[:, :2], table[:, 2])
@@ -176,11 +176,11 @@ def _find_grids(regions: _Regions) -> Iterator[tuple[Floats, Floats]]:
             continue
         cells = _grow_grid(regions, seed)
         visited |= cells.keys()
-        places, centres = np.array(list(cells.values())), regions.centres[list(cells)]
+        positions, centres = np.array(list(cells.values())), regions.centres[list(cells)]
         # Other objects next to the chart may have joined the grid: try every window of the chart's size.
         for size in ((COLUMNS, ROWS), (ROWS, COLUMNS)):
-            for first in np.ndindex(*np.maximum(np.ptp(places, axis=0) + 2 - size, 1).tolist()):
-                offset = places - places.min(axis=0) - first
+            for first in np.ndindex(*np.maximum(np.ptp(positions, axis=0) + 2 - size, 1).tolist()):
+                offset = positions - positions.min(axis=0) - first
                 inside = ((offset >= 0) & (offset < size)).all(axis=1)
                 extent = tuple((np.ptp(offset[inside], axis=0) + 1).tolist()) if inside.any() else ()
                 if inside.sum() >= _MIN_FIELDS and extent == size:
@@ -203,12 +203,12 @@ def _grow_grid(regions: _Regions, seed: int) -> dict[int, tuple[int, int]]:
             step = column * along + row * down
             centre, radius = regions.centres[current] + step, _SEARCH_RADIUS * float(np.linalg.norm(step))
             neighbour = _region_at(regions, current, centre, radius)
-            place = (cells[current][0] + column, cells[current][1] + row)
-            if neighbour is None or neighbour in cells or place in cells.values():
+            cell = (cells[current][0] + column, cells[current][1] + row)
+            if neighbour is None or neighbour in cells or cell in cells.values():
                 continue
-            cells[neighbour] = place
-            moved = regions.centres[neighbour] - regions.centres[current]
-            queue.append((neighbour, (moved * column, down) if column else (along, moved * row)))
+            cells[neighbour] = cell
+            offset = regions.centres[neighbour] - regions.centres[current]
+            queue.append((neighbour, (offset * column, down) if column else (along, offset * row)))
     return cells
 
 

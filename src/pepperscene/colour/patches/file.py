@@ -161,7 +161,7 @@ def read_patches_file(
 
     @functools.cache
     def calibrate_by(chart: ChartPlace) -> Calibration:
-        """A chart in a picture of its own is measured once."""
+        """A chart in a separate picture is measured once."""
         photo = folder / str(chart.picture)
         return calibrate(read_photo(photo), chart.corners, tone=file.tone, where=photo)
 
@@ -202,9 +202,9 @@ def read_patches_file(
 
 def _chart_of(picture: str, charts: Sequence[ChartPlace]) -> ChartPlace | None:
     """The chart that lists a picture, else the one for all other pictures, else None."""
-    listed = [chart for chart in charts if picture in (chart.pictures or ())]
+    charts_of_picture = [chart for chart in charts if picture in (chart.pictures or ())]
     general = [chart for chart in charts if chart.pictures is None]
-    return next(iter(listed + general), None)
+    return next(iter(charts_of_picture + general), None)
 
 
 def _region_mask(

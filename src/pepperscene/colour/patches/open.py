@@ -1,4 +1,4 @@
-"""Opening patches from image sets, patches files or reflectance tables."""
+"""Open patches from image sets, patches files or reflectance tables."""
 
 from __future__ import annotations
 
@@ -127,8 +127,10 @@ def _patches_of_images(
             if patch is not None:
                 patches.append(patch)
     if not patches:
-        why = "no organ is in the part of the pictures that is used" if labelled else "no picture is labelled"
-        raise InputError(images.name, f"gives no patches: {why}")
+        reason = (
+            "no organ is in the part of the pictures that is used" if labelled else "no picture is labelled"
+        )
+        raise InputError(images.name, f"gives no patches: {reason}")
     return PatchSet(images.name, tuple(patches))
 
 
@@ -178,12 +180,12 @@ def _central_slice(length: int, size: int | None) -> slice:
 
 
 def _open_chart(chart: Mapping[str, Any] | Calibration | None) -> ChartPlace | Calibration | None:
-    """Validate a chart; a chart in a picture of its own is measured once, for all pictures."""
+    """Validate a chart; a chart in a separate picture is measured once, for all pictures."""
     if chart is None or isinstance(chart, Calibration):
         return chart
-    place = validate(ChartPlace, chart, "chart")
-    if place.pictures is not None:
+    position = validate(ChartPlace, chart, "chart")
+    if position.pictures is not None:
         raise InputError("chart", "applies only to a patches file", key="pictures")
-    if place.picture is None:
-        return place
-    return calibrate(read_photo(Path(place.picture)), place.corners, where=place.picture)
+    if position.picture is None:
+        return position
+    return calibrate(read_photo(Path(position.picture)), position.corners, where=position.picture)

@@ -80,14 +80,14 @@ def match_edges(colour: NDArray[np.uint8], labels: NDArray[np.integer[Any]]) -> 
         (quarter, _border_length(borders[window]), _correlate(steps[window], borders[window]))
         for quarter, window in zip(QUARTERS, _quarter_windows(labels.shape), strict=True)
     ]
-    whole = _find_peak(np.sum([correlation for *_, correlation in parts], axis=0), "")
-    if not whole.fits:
-        return whole
+    match = _find_peak(np.sum([correlation for *_, correlation in parts], axis=0), "")
+    if not match.fits:
+        return match
     # A quarter without a clear peak is not judged.
     quarters = (
         _find_peak(correlation, name) for name, length, correlation in parts if length >= _MIN_BORDERS
     )
-    return next((part for part in quarters if part.height >= CHANCE and not part.fits), whole)
+    return next((part for part in quarters if part.height >= CHANCE and not part.fits), match)
 
 
 def _quarter_windows(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
@@ -156,6 +156,6 @@ def _peak_height(correlation: NDArray[np.floating[Any]], peak: tuple[int, int]) 
     centred = np.roll(correlation, [_PEAK_RADIUS_PX - at for at in peak], (0, 1))
     top = float(centred[_PEAK_RADIUS_PX, _PEAK_RADIUS_PX])
     wide = 2 * _PEAK_RADIUS_PX + 1
-    others = np.concatenate([centred[wide:].ravel(), centred[:wide, wide:].ravel()])
-    deviation = float(others.std()) if others.size else 0.0
-    return (top - float(others.mean())) / deviation if deviation > 0 else 0.0
+    remaining = np.concatenate([centred[wide:].ravel(), centred[:wide, wide:].ravel()])
+    deviation = float(remaining.std()) if remaining.size else 0.0
+    return (top - float(remaining.mean())) / deviation if deviation > 0 else 0.0

@@ -43,7 +43,7 @@ class Finding:
         kind: in `KINDS`.
         index: of the frame, or None if it does not concern a single frame.
         file: inside the data set, with forward slashes; "" for the data set as a whole.
-        what: description of the problem, one sentence.
+        problem: its description, one sentence.
     """
 
     kind: str

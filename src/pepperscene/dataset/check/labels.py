@@ -39,7 +39,7 @@ def check_labels(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iter
 def _check_classes(classes: NDArray[np.uint8], metadata: Mapping[str, Any]) -> Iterator[Problem]:
     invalid = classes >= len(OrganClass)
     if invalid.any():
-        ids = _listed(np.unique(classes[invalid]))
+        ids = _list_ids(np.unique(classes[invalid]))
         last = len(OrganClass) - 1
         yield "label", "class", f"{_pixels(invalid)} with class {ids}; the last class is {last}"
         return
@@ -60,26 +60,26 @@ def _check_instances(instances: NDArray[np.uint16], metadata: Mapping[str, Any])
     entries = instance_entries(metadata)
     if unknown := sorted(visible - entries.keys()):
         pixels = int(counts[unknown].sum())
-        problem = f"{pixels} pixels with instance {_listed(unknown)}, which the JSON does not list"
+        problem = f"{pixels} pixels with instance {_list_ids(unknown)}, which the JSON does not list"
         yield "instance", "instance", problem
     if absent := sorted(entries.keys() - visible):
-        yield "contradiction", "instance", f"the JSON lists instance {_listed(absent)}, without any pixel"
+        yield "contradiction", "instance", f"the JSON lists instance {_list_ids(absent)}, without any pixel"
     common = sorted(visible & entries.keys())
     if wrong := [number for number in common if entries[number].get("pixels") != int(counts[number])]:
         first = wrong[0]
         problem = (
             f"{counts[first]} pixels have instance {first}, the JSON says {entries[first].get('pixels')}"
         )
-        yield "contradiction", "instance", problem + _others(wrong)
+        yield "contradiction", "instance", problem + _describe_others(wrong)
     if any("box" in entries[number] for number in common):
         windows = ndimage.find_objects(instances)
-        boxes = {number: _box(windows[number - 1]) for number in common}
+        boxes = {number: _window_box(windows[number - 1]) for number in common}
         if wrong := [number for number in common if entries[number].get("box") != boxes[number]]:
             first = wrong[0]
             problem = (
                 f"the box of instance {first} is {boxes[first]}, the JSON says {entries[first].get('box')}"
             )
-            yield "contradiction", "instance", problem + _others(wrong)
+            yield "contradiction", "instance", problem + _describe_others(wrong)
 
 
 def _check_instance_classes(
@@ -167,7 +167,7 @@ def _check_fruit(fruit: Mapping[str, Any], counts: Any) -> Iterator[str]:
         yield f"the amodal mask of fruit {number} has {sum(runs[1::2])} pixels, the JSON says {amodal}"
 
 
-def _box(window: tuple[slice, slice]) -> list[int]:
+def _window_box(window: tuple[slice, slice]) -> list[int]:
     """`[x0, y0, x1, y1]`, half open."""
     rows, columns = window
     return [columns.start, rows.start, columns.stop, rows.stop]
@@ -180,10 +180,10 @@ def _pixels(mask: NDArray[np.bool_]) -> str:
     return f"{count} pixel{'' if count == 1 else 's'} (the first at column {column}, row {row})"
 
 
-def _listed(numbers: Any) -> str:
+def _list_ids(numbers: Any) -> str:
     names = ", ".join(str(number) for number in numbers[:_MAX_NAMES])
     return f"{names} and {len(numbers) - _MAX_NAMES} more" if len(numbers) > _MAX_NAMES else names
 
 
-def _others(numbers: Sequence[int]) -> str:
+def _describe_others(numbers: Sequence[int]) -> str:
     return f"; likewise {len(numbers) - 1} more" if len(numbers) > 1 else ""

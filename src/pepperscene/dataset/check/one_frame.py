@@ -32,7 +32,7 @@ _PHOTOS: Final = ("colour", "colour_stereo")
 
 @dataclass(frozen=True)
 class FrameTraits:
-    """What is compared with other frames, the manifest and the recipe.
+    """Values that are compared with other frames, the manifest and the recipe.
 
     Digests have 64 bits, and are 0 if there is nothing to compare: in a million frames, two different ones
     have the same digest with a probability of 3e-8.
@@ -92,7 +92,7 @@ def examine_frame(dataset: Dataset, index: int) -> FrameExamination:
 def manifest_digest(row: Mapping[str, Any]) -> int:
     """Digest of a row of the manifest, without the columns that only the journal knows."""
     known = {name: value for name, value in row.items() if value is not None and name not in _JOURNAL_COLUMNS}
-    return _digest(json.dumps(known, sort_keys=True, default=str).encode())
+    return _short_digest(json.dumps(known, sort_keys=True, default=str).encode())
 
 
 def _traits(
@@ -111,9 +111,9 @@ def _traits(
     return FrameTraits(
         index,
         scene=scene,
-        photo=_digest(np.ascontiguousarray(images[traced]).data) if traced else 0,
-        content=_digest(json.dumps(digests, sort_keys=True).encode()) if varied else 0,
-        view=0 if pose is None or seed is None else _digest(json.dumps([pose.tolist(), seed]).encode()),
+        photo=_short_digest(np.ascontiguousarray(images[traced]).data) if traced else 0,
+        content=_short_digest(json.dumps(digests, sort_keys=True).encode()) if varied else 0,
+        view=0 if pose is None or seed is None else _short_digest(json.dumps([pose.tolist(), seed]).encode()),
         row=_row_digest(metadata),
         fractions=_class_fractions(images.get("class")),
         mean=None if photo is None else float(photo.mean()),
@@ -129,15 +129,15 @@ def _class_fractions(classes: NDArray[np.uint8] | None) -> tuple[float, ...] | N
 
 def _row_digest(metadata: Mapping[str, Any]) -> int:
     outputs = {name: entry for name, entry in json_object(metadata, "outputs").items() if name in OUTPUTS}
-    rest = {key: value for key, value in metadata.items() if key not in (CHECKSUM, "outputs")}
+    content = {key: value for key, value in metadata.items() if key not in (CHECKSUM, "outputs")}
     try:
-        return manifest_digest(frame_row(rest, outputs, str(metadata.get(CHECKSUM))))
+        return manifest_digest(frame_row(content, outputs, str(metadata.get(CHECKSUM))))
     except (AttributeError, IndexError, KeyError, TypeError):
         # Damaged JSON, which is a finding already.
         return 0
 
 
-def _digest(content: bytes | memoryview) -> int:
+def _short_digest(content: bytes | memoryview) -> int:
     return int.from_bytes(hashlib.blake2b(content, digest_size=8).digest())
 
 
@@ -237,8 +237,8 @@ def _check_content(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> It
 def _describe_shift(result: EdgeMatch) -> str:
     if result.height < CHANCE:
         return "fits the photograph at no shift: mirrored, or of another frame"
-    where = f"in its {result.quarter} quarter is" if result.quarter else "is"
+    position = f"in its {result.quarter} quarter is" if result.quarter else "is"
     return (
-        f"{where} {result.right_px:+d} px to the right of and {result.down_px:+d} px below "
+        f"{position} {result.right_px:+d} px to the right of and {result.down_px:+d} px below "
         f"the photograph's edges ({result.height:.0f} standard deviations above other shifts)"
     )

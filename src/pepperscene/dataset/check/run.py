@@ -49,15 +49,15 @@ def examine_frames(
 
 def _examine_in_workers(dataset: Dataset, indices: Sequence[int], count: int) -> Iterator[FrameExamination]:
     chunks = [indices[start : start + _CHUNK] for start in range(0, len(indices), _CHUNK)]
-    idle: queue.SimpleQueue[WorkerProcess] = queue.SimpleQueue()
+    idle_workers: queue.SimpleQueue[WorkerProcess] = queue.SimpleQueue()
     with ExitStack() as stack:
         for _ in range(count):
-            idle.put(_start_worker(dataset, stack))
+            idle_workers.put(_start_worker(dataset, stack))
         # One thread per process waits for its answers; the processes end before the threads.
         pool = stack.enter_context(ThreadPoolExecutor(count))
         pending: deque[Future[list[FrameExamination]]] = deque()
         for chunk in chunks:
-            pending.append(pool.submit(_request, idle, chunk))
+            pending.append(pool.submit(_request, idle_workers, chunk))
             if len(pending) > _CHUNKS_AHEAD * count:
                 yield from pending.popleft().result()
         while pending:
@@ -74,8 +74,8 @@ def _start_worker(dataset: Dataset, stack: ExitStack) -> WorkerProcess:
     return worker
 
 
-def _request(idle: queue.SimpleQueue[WorkerProcess], chunk: Sequence[int]) -> list[FrameExamination]:
-    worker = idle.get()
+def _request(idle_workers: queue.SimpleQueue[WorkerProcess], chunk: Sequence[int]) -> list[FrameExamination]:
+    worker = idle_workers.get()
     try:
         examinations: list[FrameExamination] = worker.call(list(chunk))
     except (OSError, EOFError):
@@ -85,7 +85,7 @@ def _request(idle: queue.SimpleQueue[WorkerProcess], chunk: Sequence[int]) -> li
         ) from None
     finally:
         # Even a lost process goes back, so that other threads fail instead of waiting.
-        idle.put(worker)
+        idle_workers.put(worker)
     return examinations
 
 
@@ -112,8 +112,8 @@ def check_dataset(
         folder: of the data set.
         workers: processes that read frames; None for one per core.
         on_frame: called after every frame with the number of frames done and the number of all.
-        frames: that must exist, "A:B" (0-based, half-open) or indices; None for those that builds were asked
-            for, which the journal lists, and those in the manifest.
+        frames: that must exist, "A:B" (0-based, half-open) or indices; None for those that builds
+            requested, which the journal lists, and those in the manifest.
 
     Raises:
         InputError: the folder holds no data set, or an argument is not valid.
@@ -164,11 +164,11 @@ def _read_plan(dataset: Dataset) -> Plan | None:
 def _missing_frames(dataset: Dataset, indices: Sequence[int], required: Sequence[int]) -> list[Finding]:
     if not indices:
         return [Finding("incomplete", None, "", "there are no frames")]
-    existing = set(indices)
+    existing_set = set(indices)
     return [
         Finding("incomplete", index, f"{FRAMES}/{dataset.frame_path(index).name}", "does not exist")
         for index in required
-        if index not in existing
+        if index not in existing_set
     ]
 
 

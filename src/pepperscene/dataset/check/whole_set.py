@@ -57,7 +57,7 @@ def open_leniently(folder: Path) -> tuple[Dataset, list[Finding]]:
 
 
 def stray_files(dataset: Dataset, indices: Sequence[int]) -> Iterator[Finding]:
-    """Yield files that belong to no frame: those of other programs, and those left by a killed build."""
+    """Yield files that belong to no frame, from other programs or killed builds."""
     known = set(indices)
     for entry in sorted(os.scandir(dataset.folder), key=lambda entry: entry.name):
         if entry.name in LITTER:
@@ -168,29 +168,29 @@ class CrossFrameChecks:
         """Yield means of the set that are outside the expected ranges.
 
         Args:
-            whole: whether all frames of the plan exist; for a part of it, chance is allowed for.
+            whole: whether all frames of the plan exist; otherwise sampling error is allowed for.
         """
         ranges = dict(self._expect.share)
         if self._expect.intensity is not None:
             ranges["intensity"] = self._expect.intensity
         for name, (low, high) in ranges.items():
-            values, _, scene_means = self._known(name)
+            values, _, scene_means = self._known_values(name)
             if len(values) == 0:
                 continue
             mean, tolerance = values.mean(), 0.0
             if not whole:
                 # The standard error from scene to scene: the frames of a scene show the same plants.
-                few = len(scene_means) < _MIN_SCENES
-                error = math.inf if few else scene_means.std(ddof=1) / math.sqrt(len(scene_means))
+                too_few = len(scene_means) < _MIN_SCENES
+                error = math.inf if too_few else scene_means.std(ddof=1) / math.sqrt(len(scene_means))
                 tolerance = _STANDARD_ERRORS * error
             if not low - tolerance <= mean <= high + tolerance:
                 text = f"{mean:.4g} over {len(values)} frames, expected {low:g} to {high:g}"
-                yield Finding("drift", None, "", f"the {_describe(name)} is {text}")
+                yield Finding("drift", None, "", f"the {_describe_statistic(name)} is {text}")
 
     def outlier_scenes(self) -> Iterator[str]:
         """Yield scenes whose means differ strongly from those of the others."""
         for name in _STATISTICS:
-            _, scenes, means = self._known(name)
+            _, scenes, means = self._known_values(name)
             if len(scenes) < _MIN_SCENES_FOR_OUTLIERS:
                 continue
             centre = np.median(means)
@@ -198,11 +198,11 @@ class CrossFrameChecks:
             limit = _OUTLIER_DEVIATIONS * _MAD_TO_SD * np.median(distances)
             for scene, mean in zip(scenes[distances > limit], means[distances > limit], strict=True):
                 set_index, rotation = divmod(int(scene), 1000)
-                text = f"{_describe(name)} {mean:.4g}, median of all scenes {centre:.4g}"
+                text = f"{_describe_statistic(name)} {mean:.4g}, median of all scenes {centre:.4g}"
                 if limit > 0:
                     yield f"set {set_index}, rotation {rotation} is an outlier: {text}"
 
-    def _known(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    def _known_values(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
         """The known values of a statistic, and scenes with their mean."""
         table = np.array(self._values).reshape(-1, len(_STATISTICS))
         values = table[:, _STATISTICS.index(name)]
@@ -250,5 +250,5 @@ class CrossFrameChecks:
             yield Finding("drift", traits.index, file, problem)
 
 
-def _describe(statistic: str) -> str:
+def _describe_statistic(statistic: str) -> str:
     return "mean grey value" if statistic == "intensity" else f"pixel fraction of {statistic}"

@@ -1,4 +1,4 @@
-"""Building a data set: missing frames are made, each completely or not at all."""
+"""Build a data set: render the missing frames, each completely or not at all."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ class _Reporter:
         self._on_frame(BuildProgress(done.index, throughput.done, total, done.made, rate, left_s, picture))
 
     def _check_disk(self, needed: int) -> None:
-        """Notify if the disk has no room for the remaining frames, if they are like the first one."""
+        """Notify if the disk is too small for the remaining frames, if they are like the first one."""
         free = shutil.disk_usage(self._dataset.folder).free
         if needed > free:
             self._on_notice(

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 
 _ANSWER_S: Final = 10.0  # chosen: how long a scheduler may take to answer
-_NO_WORKER_S: Final = 60.0  # chosen: how long there may be no worker; a lost one is replaced within seconds
-_CHECK_S: Final = 1.0  # chosen: how often the scheduler is asked for its workers
+_NO_WORKER_S: Final = 60.0  # chosen: how long there may be no worker; lost ones are replaced within seconds
+_CHECK_S: Final = 1.0  # chosen: interval between queries of the scheduler's workers
 _PATIENCE_S: Final = 60.0  # chosen: how long workers may take to finish their frames when one has failed
 _INTERRUPT_PATIENCE_S: Final = 5.0  # chosen: the same after Ctrl-C
 
@@ -35,7 +35,7 @@ _LIBRARIES: Final = frozenset({"distributed", "tornado", "asyncio", "dask_jobque
 
 @final
 class DaskExecutor(Executor):
-    """A running Dask cluster, which goes on when the build has ended.
+    """A running Dask cluster, which keeps running after the build.
 
     Its workers have this version of the package and see the output folder under the same path. Each makes one
     unit at a time, with as many cores as it has threads. Raises `ArgumentError` if this is not an address,
@@ -48,9 +48,9 @@ class DaskExecutor(Executor):
         except ImportError:
             raise missing_extra() from None
         try:
-            scheme, place = parse_address(address)
+            scheme, host = parse_address(address)
             if scheme in ("tcp", "tls", "ws", "wss"):
-                parse_host_port(place)
+                parse_host_port(host)
         except (ValueError, TypeError):
             problem = f"must be an address such as tcp://10.0.0.5:8786, not {address!r}"
             raise ArgumentError("scheduler", problem) from None
@@ -85,7 +85,7 @@ def run_on_dask(
     `where` names the cluster in messages. `upkeep` is called about once a second with whether there is a
     worker, and raises `WorkerError` if none will come.
     """
-    with _marker(job.folder) as marker, _DaskBuild(client, where, job, marker, dispatcher) as build:
+    with _marker_file(job.folder) as marker, _DaskBuild(client, where, job, marker, dispatcher) as build:
         build.run(upkeep)
 
 
@@ -93,7 +93,7 @@ class _DaskBuild:
     """The workers of one build, by address, and their tasks.
 
     Dask itself would send all of a lost worker's task to another one; here the dispatcher requeues only the
-    rest, and decides which worker goes on with the plants of a set.
+    rest, and decides which worker continues with the plants of a set.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class _DaskBuild:
         self._request = BuildRequest.create(uuid.uuid4().hex, marker, job)
         self._messages: queue.SimpleQueue[tuple[int, FrameDone | None]] = queue.SimpleQueue()
         self._tasks: dict[int, tuple[str, Future]] = {}
-        self._unfinished: set[int] = set()  # tasks that a worker may be at, recalled ones included
+        self._unfinished: set[int] = set()  # tasks that a worker may be processing, including recalled ones
         self._unfit: dict[str, str] = {}
         self._count = 0
 
@@ -113,13 +113,13 @@ class _DaskBuild:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         for number in list(self._tasks):
-            self._recall(number)
+            self._cancel(number)
         # Let workers finish their frames.
         end = time.monotonic() + (_PATIENCE_S if isinstance(error, PepperError) else _INTERRUPT_PATIENCE_S)
         while error is not None and self._unfinished and time.monotonic() < end:
             time.sleep(0.05)
         with suppress(Exception):
-            # Fails if the scheduler is lost.
+            # This fails if the scheduler is lost.
             self._client.unsubscribe_topic(TOPIC)
 
     def run(self, upkeep: Callable[[bool], None]) -> None:
@@ -136,7 +136,7 @@ class _DaskBuild:
             if done is not None:
                 self._dispatcher.report(done)
             elif number in self._tasks:
-                self._end(number)
+                self._end_task(number)
 
     def _receive(self, event: tuple[float, dict[str, Any]]) -> None:
         """Receive a worker's message, in the client's thread."""
@@ -147,7 +147,7 @@ class _DaskBuild:
             else:
                 self._messages.put((message["number"], pickle.loads(message["done"])))
 
-    def _end(self, number: int) -> None:
+    def _end_task(self, number: int) -> None:
         """React to the end of a task, and assign the next unit to its worker."""
         from distributed import KilledWorker
 
@@ -156,25 +156,25 @@ class _DaskBuild:
         # A task that could not even be read sends no message of its end.
         self._unfinished.discard(number)
         if error is None and self._dispatcher.is_complete(address):
-            self._dispatcher.release(self._recall(number))
+            self._dispatcher.release(self._cancel(number))
             self._assign(address)
         elif error is None or isinstance(error, KilledWorker):
-            self._dispatcher.lose(self._recall(number), f"at {address}")
+            self._dispatcher.lose(self._cancel(number), f"at {address}")
         elif (reason := _unfit_reason(error)) is not None:
-            self._dispatcher.release(self._recall(number))
+            self._dispatcher.release(self._cancel(number))
             self._unfit[address] = reason
             self._dispatcher.on_notice(f"the worker at {address} {reason}; it is not used")
         else:
-            self._recall(number)
+            self._cancel(number)
             raise error
 
     def _check_workers(self) -> bool:
         """Requeue units of lost workers, assign units to new ones; returns whether there is a worker."""
-        present = self._present()
+        present = self._present_workers()
         for number, (address, _) in list(self._tasks.items()):
             if address not in present:
                 self._unfinished.discard(number)
-                self._dispatcher.lose(self._recall(number), f"at {address}")
+                self._dispatcher.lose(self._cancel(number), f"at {address}")
         for address in sorted(present - self._dispatcher.running.keys() - self._unfit.keys()):
             self._assign(address)
         if not self._tasks and present and present <= self._unfit.keys():
@@ -184,7 +184,7 @@ class _DaskBuild:
             )
         return bool(present)
 
-    def _present(self) -> set[str]:
+    def _present_workers(self) -> set[str]:
         """Addresses of the workers that the scheduler knows."""
         try:
             if self._client.status == "running":
@@ -214,8 +214,8 @@ class _DaskBuild:
         self._unfinished.add(number)
         future.add_done_callback(lambda _: self._messages.put((number, None)))
 
-    def _recall(self, number: int) -> str:
-        """Cancel a task; a worker that is at it ends after its frame. Returns the worker's address."""
+    def _cancel(self, number: int) -> str:
+        """Cancel a task, which ends after the current frame; return its worker's address."""
         address, future = self._tasks.pop(number)
         with suppress(Exception):
             future.cancel()
@@ -223,7 +223,7 @@ class _DaskBuild:
 
 
 def _unfit_reason(error: BaseException) -> str | None:
-    """What prevents a worker from making frames at all, or None for any other error."""
+    """Reason why a worker cannot make frames at all, or None for any other error."""
     if isinstance(error, UnfitWorkerError):
         return str(error)
     # A task cannot be read where this package, or a module of the user's, is missing or has another version.
@@ -232,15 +232,15 @@ def _unfit_reason(error: BaseException) -> str | None:
 
 
 @contextmanager
-def _marker(folder: Path) -> Iterator[Path]:
+def _marker_file(folder: Path) -> Iterator[Path]:
     """A file in a folder, or in the first parent that exists, by which workers recognise the file system."""
-    existing = next(path for path in (folder, *folder.parents) if path.is_dir())
+    existing_folder = next(path for path in (folder, *folder.parents) if path.is_dir())
     try:
         file = tempfile.NamedTemporaryFile(  # noqa: SIM115 - entered below
-            prefix=".pepperscene.", suffix=".tmp", dir=existing
+            prefix=".pepperscene.", suffix=".tmp", dir=existing_folder
         )
     except OSError as error:
-        raise write_error(error, existing) from None
+        raise write_error(error, existing_folder) from None
     with file:
         yield Path(file.name)
 

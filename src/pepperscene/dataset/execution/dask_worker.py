@@ -1,4 +1,4 @@
-"""The side of a Dask worker: frames are made in its process, one unit at a time."""
+"""Code that runs in Dask workers: it renders frames, one unit at a time."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _IDLE_S: Final = 60.0
 """Chosen: a worker without units for so long frees the memory of its plants and its scene."""
 
 _LIBRARIES: Final = ("mitsuba", "drjit", "numpy", "scipy")
-"""Other versions of these may make other bytes."""
+"""Packages whose version can change the bytes of frames."""
 
 
 class UnfitWorkerError(WorkerError):
@@ -40,7 +40,7 @@ class UnfitWorkerError(WorkerError):
 
 @dataclass(frozen=True)
 class BuildRequest:
-    """What a worker receives of a build with this unique name.
+    """Data that a worker receives of a build with this unique name.
 
     Workers compare versions and identity with their own, and see the marker file if the file system is
     shared. The job is pickled, so that it is read only where the versions are right.
@@ -77,13 +77,13 @@ class FrameTask:
 
 def versions() -> dict[str, str]:
     """Versions of everything besides the recipe that determines a frame's bytes."""
-    found = {"pepperscene": __version__, "Python": ".".join(platform.python_version_tuple()[:2])}
+    result = {"pepperscene": __version__, "Python": ".".join(platform.python_version_tuple()[:2])}
     for library in _LIBRARIES:
         try:
-            found[library] = metadata.version(library)
+            result[library] = metadata.version(library)
         except metadata.PackageNotFoundError:
-            found[library] = "none"
-    return found
+            result[library] = "none"
+    return result
 
 
 def make_unit(request: BuildRequest, number: int, indices: tuple[int, ...]) -> None:
@@ -118,10 +118,12 @@ def make_unit(request: BuildRequest, number: int, indices: tuple[int, ...]) -> N
 
 def _check_fit(request: BuildRequest) -> None:
     """Raise `UnfitWorkerError` if this worker cannot make frames."""
-    own = versions()
+    installed = versions()
     for name, version in request.versions.items():
-        if own.get(name) != version:
-            raise UnfitWorkerError(f"has {name} {own.get(name)}, not {version}, and would make other frames")
+        if installed.get(name) != version:
+            raise UnfitWorkerError(
+                f"has {name} {installed.get(name)}, not {version}, and would make other frames"
+            )
     folder = request.marker.parent
     if not request.marker.is_file():
         raise UnfitWorkerError(f"does not see {folder}; the folder must be on a shared file system")
@@ -130,7 +132,7 @@ def _check_fit(request: BuildRequest) -> None:
 
 
 def _is_cancelled(worker: Worker, key: Any) -> bool:
-    """Whether nobody waits for a task: it is cancelled, the build has ended, or the worker closes."""
+    """Whether a task is cancelled, its build has ended, or the worker closes."""
     task = worker.state.tasks.get(key)
     return task is None or task.state == "cancelled" or worker.status.name not in ("running", "paused")
 
@@ -160,7 +162,7 @@ class _FrameThread:
             return
         self._units += 1
         try:
-            self._maker(request).make(indices, on_frame, stop)
+            self._frame_maker(request).make(indices, on_frame, stop)
         except BaseException:
             self._release()
             raise
@@ -168,7 +170,7 @@ class _FrameThread:
         timer.daemon = True
         timer.start()
 
-    def _maker(self, request: BuildRequest) -> FrameMaker:
+    def _frame_maker(self, request: BuildRequest) -> FrameMaker:
         if self._held is None or self._held[0] != request.build:
             # Release the old plants before making new ones.
             self._release()
@@ -182,9 +184,9 @@ class _FrameThread:
         return self._held[1]
 
     def _release(self) -> None:
-        held, self._held = self._held, None
-        if held is not None:
-            held[1].__exit__(None, None, None)
+        maker, self._held = self._held, None
+        if maker is not None:
+            maker[1].__exit__(None, None, None)
 
     def _release_if_idle(self, units: int) -> None:
         # A process that ends accepts no further work.

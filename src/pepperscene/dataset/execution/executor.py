@@ -33,11 +33,11 @@ def work_units(plan: Plan, indices: Sequence[int], workers: int) -> list[WorkUni
     """
     specs = [plan.frame(index) for index in indices]
     units = [
-        WorkUnit(which, tuple(spec.index for spec in group))
-        for (which, _), group in groupby(specs, lambda spec: (spec.set, spec.rotation))
+        WorkUnit(set_index, tuple(spec.index for spec in group))
+        for (set_index, _), group in groupby(specs, lambda spec: (spec.set, spec.rotation))
     ]
     while 0 < len(units) < workers:
-        longest = max(range(len(units)), key=lambda place: len(units[place].indices))
+        longest = max(range(len(units)), key=lambda position: len(units[position].indices))
         unit = units[longest]
         half = -(-len(unit.indices) // 2)
         if half == len(unit.indices):
@@ -51,7 +51,7 @@ class Dispatcher:
     """Assigns units to workers, requeues those of lost workers, and reports every frame once.
 
     Plants of a set are grown as few times as possible: a worker stays with its set, then takes one that
-    nobody has started, then helps with the set that has most units left.
+    no worker has started, then helps with the set that has most units left.
 
     Attributes:
         running: the unit of each worker that has one.
@@ -106,9 +106,9 @@ class Dispatcher:
             self._pending.setdefault(unit.set, deque()).appendleft(unit)
         return unit.indices
 
-    def lose(self, worker: Hashable, how: str) -> None:
-        """Requeue what a worker has not finished that was lost, or raise `WorkerError` if it is the third one
-        over its first unfinished frame; `how` completes the message.
+    def lose(self, worker: Hashable, reason: str) -> None:
+        """Requeue the unfinished frames of a lost worker. Raise `WorkerError` if it is the third worker lost
+        over its first unfinished frame; `reason` says how it was lost.
         """
         frames = self.release(worker)
         if not frames:
@@ -116,24 +116,26 @@ class Dispatcher:
         self._losses[frames[0]] += 1
         if self._losses[frames[0]] >= MAX_LOSSES:
             raise WorkerError(
-                f"frame {frames[0]:06d} ended {MAX_LOSSES} workers, the last one {how}; complete frames are "
-                "kept, and the same command resumes the build: use fewer workers if memory ran out"
+                f"frame {frames[0]:06d} ended {MAX_LOSSES} workers, the last one {reason}; complete frames "
+                "are kept, and the same command resumes the build: use fewer workers if memory ran out"
             )
-        self.on_notice(f"a worker was lost over frame {frames[0]:06d} ({how}); another one makes its frames")
+        self.on_notice(
+            f"a worker was lost over frame {frames[0]:06d} ({reason}); another one makes its frames"
+        )
 
     def _take(self, worker: Hashable) -> WorkUnit:
         last, started = self._last_set.get(worker), {*self._last_set.values()}
-        untouched = [which for which in self._pending if which not in started]
+        untouched = [set_index for set_index in self._pending if set_index not in started]
         if last is not None and last in self._pending:
-            which, unit = last, self._pending[last].popleft()
+            set_index, unit = last, self._pending[last].popleft()
         elif untouched:
-            which, unit = untouched[0], self._pending[untouched[0]].popleft()
+            set_index, unit = untouched[0], self._pending[untouched[0]].popleft()
         else:
-            # From the end: the workers that are at this set get there last.
-            which = max(self._pending, key=lambda which: len(self._pending[which]))
-            unit = self._pending[which].pop()
-        if not self._pending[which]:
-            del self._pending[which]
+            # From the end: the workers of this set reach it last.
+            set_index = max(self._pending, key=lambda set_index: len(self._pending[set_index]))
+            unit = self._pending[set_index].pop()
+        if not self._pending[set_index]:
+            del self._pending[set_index]
         return unit
 
     def _remaining(self, unit: WorkUnit) -> WorkUnit:

@@ -1,4 +1,4 @@
-"""The job of a build, and how its frames are made and written, in any process."""
+"""The job of a build: render and write its frames, in any process."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _IMAGE_THREADS: Final = 4
 
 @dataclass(frozen=True)
 class BuildOptions:
-    """How frames are made; what they show is in the recipe.
+    """Options of a build; the content of its frames is defined by the recipe.
 
     Attributes:
         quality: "draft", "standard" or "reference".
@@ -130,8 +130,7 @@ class FrameMaker:
     Args:
         job: of the build.
         worker: name of this process, for the manifest.
-        eager: report a frame in the writing thread, at once; by default in the calling thread, once the next
-            one is rendered.
+        eager: report a frame at once, in the writing thread; by default in this one, after the next frame.
     """
 
     def __init__(self, job: BuildJob, worker: str = "", *, eager: bool = False) -> None:

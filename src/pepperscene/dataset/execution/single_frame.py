@@ -1,4 +1,4 @@
-"""A single frame of a recipe in a folder, to look at or to try a setting."""
+"""Render a single frame of a recipe into a folder, to try settings."""
 
 from __future__ import annotations
 

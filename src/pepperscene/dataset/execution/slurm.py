@@ -40,7 +40,7 @@ _DASK_NAMES: Final = {
 
 _COMMANDS: Final = ("sbatch", "squeue", "scancel")
 _JOB_NAME: Final = "pepperscene"
-_RENEW_S: Final = 60.0  # chosen: how often jobs whose time is over are submitted again
+_RENEW_S: Final = 60.0  # chosen: interval after which expired jobs are submitted again
 _QUEUE_CHECK_S: Final = 10.0  # chosen: how often the queue is checked while there is no worker
 _QUEUE_CHECKS: Final = (
     6  # chosen: checks in a row without a job; Slurm's controller is at times too busy to answer
@@ -108,9 +108,9 @@ class SlurmJobs(Document):
 
     def cluster_arguments(self) -> dict[str, Any]:
         """The arguments of `dask_jobqueue.SLURMCluster`."""
-        # What is not given comes from Dask's own configuration, which a site may have adapted.
-        given = self.model_dump(exclude={"jobs"}, exclude_none=True)
-        arguments = {_DASK_NAMES.get(key, key): value for key, value in given.items() if value != ()}
+        # Missing values come from Dask's configuration, which a site may have adapted.
+        stated = self.model_dump(exclude={"jobs"}, exclude_none=True)
+        arguments = {_DASK_NAMES.get(key, key): value for key, value in stated.items() if value != ()}
         return {key: list(value) if isinstance(value, tuple) else value for key, value in arguments.items()}
 
 
@@ -133,7 +133,7 @@ class SlurmExecutor(Executor):
     """Workers in jobs of a Slurm cluster, described by a file (see `SlurmJobs`).
 
     The scheduler runs in this process. Jobs may wait in Slurm's queue; frames are made as soon as the first
-    one runs. A job whose time is over is submitted again. Raises `InputError` if the file is not valid, and
+    one runs. An expired job is submitted again. Raises `InputError` if the file is not valid, and
     `SetupError` if this machine cannot submit jobs, or the extra `cluster` is not installed.
     """
 
@@ -202,9 +202,9 @@ def _check_accepted(path: Path, job_script: str) -> None:
     with tempfile.NamedTemporaryFile("w", suffix=".sh") as file:
         file.write(job_script)
         file.flush()
-        answer = _run(["sbatch", "--test-only", file.name])
-    if answer is None or answer.returncode:
-        reason = "no answer" if answer is None else (answer.stderr.strip() or answer.stdout.strip())
+        result = _run(["sbatch", "--test-only", file.name])
+    if result is None or result.returncode:
+        reason = "no answer" if result is None else (result.stderr.strip() or result.stdout.strip())
         raise InputError(path, f"Slurm refuses such a job: {' '.join(reason.split())}")
 
 
@@ -216,7 +216,7 @@ def _run(command: list[str]) -> subprocess.CompletedProcess[str] | None:
 
 
 class _Upkeep:
-    """Submits jobs, again where they have ended, and notices when there are none any more."""
+    """Submits jobs, resubmits those that have ended, and detects when none is left."""
 
     def __init__(self, cluster: SLURMCluster, jobs: int) -> None:
         self._cluster, self._jobs = cluster, jobs
@@ -237,8 +237,8 @@ class _Upkeep:
             self._checks_without_job = 0 if self._has_job() else self._checks_without_job + 1
         if self._checks_without_job >= _QUEUE_CHECKS:
             raise WorkerError(
-                "Slurm has none of the jobs any more, and no worker has started; their output tells why "
-                "(see log_directory), and complete frames are kept"
+                "Slurm has none of the jobs any more, and no worker has started; see their output "
+                "(log_directory) for the reason; complete frames are kept"
             )
 
     def _has_job(self) -> bool:
@@ -247,5 +247,5 @@ class _Upkeep:
         numbers = [str(worker.job_id) for worker in workers.values() if worker.job_id is not None]
         if not numbers:
             return False
-        answer = _run(["squeue", "--noheader", "--format=%i", f"--jobs={','.join(numbers)}"])
-        return answer is not None and bool(answer.stdout.strip())
+        result = _run(["squeue", "--noheader", "--format=%i", f"--jobs={','.join(numbers)}"])
+        return result is not None and bool(result.stdout.strip())

@@ -34,11 +34,11 @@ def write_coco(job: ExportJob, folder: Path) -> None:
     """
     annotations = folder / "annotations"
     annotations.mkdir()
-    things = [_category(organ) for organ in OrganClass if organ != OrganClass.BACKGROUND]
+    thing_categories = [_category(organ) for organ in OrganClass if organ != OrganClass.BACKGROUND]
     # COCO declares keypoints per category, so either all frames have them or none.
     harvest = bool(job.common_outputs(["harvest"]))
     if harvest:
-        things[OrganClass.PEPPER - 1] |= {"keypoints": ["cut"], "skeleton": []}
+        thing_categories[OrganClass.PEPPER - 1] |= {"keypoints": ["cut"], "skeleton": []}
     segmented = [
         {**_category(organ), "isthing": int(organ > 0), "color": list(CLASS_COLOURS[organ])}
         for organ in OrganClass
@@ -48,7 +48,9 @@ def write_coco(job: ExportJob, folder: Path) -> None:
         images.mkdir()
         panoptic_images.mkdir()
         with (
-            _open_json(annotations / f"instances_{split}.json", job.dataset.info, things) as instances,
+            _open_json(
+                annotations / f"instances_{split}.json", job.dataset.info, thing_categories
+            ) as instances,
             _open_json(annotations / f"panoptic_{split}.json", job.dataset.info, segmented) as panoptic,
         ):
             for frame in frames:

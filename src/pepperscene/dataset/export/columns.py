@@ -60,28 +60,31 @@ def frame_columns(outputs: Sequence[str], shape: tuple[int, int]) -> tuple[Colum
     distances = {"shape": list(shape), "dtype": "float32", "_type": "Array2D"}
     camera = dict.fromkeys((*_CAMERA_KEYS, *_DISTORTION_KEYS), _FLOAT)
     optional = {
-        "instance": Column("instances", _IMAGE, "16-bit instances; 0 is the sky", _image_of("instance")),
+        "instance": Column("instances", _IMAGE, "16-bit instances; 0 is the sky", _image_column("instance")),
         "distance": Column(
             "distance",
             distances,
             "metres along the ray from the projection centre, inf in the sky",
             lambda frame: frame.image("distance"),
         ),
-        "harvest": Column("fruit", [_FRUIT], "visible fruit with hidden parts and cut points", _fruit),
+        "harvest": Column("fruit", [_FRUIT], "visible fruit with hidden parts and cut points", _fruit_values),
     }
     return (
         Column("index", _INT, "of the frame in the whole plan", lambda frame: frame.index),
-        Column("image", _IMAGE, "the photograph, 8-bit sRGB", _image_of("colour")),
-        Column("mask", _IMAGE, "class ids 0 to 7, with a palette for display", _image_of("class")),
+        Column("image", _IMAGE, "the photograph, 8-bit sRGB", _image_column("colour")),
+        Column("mask", _IMAGE, "class ids 0 to 7, with a palette for display", _image_column("class")),
         *(optional[output] for output in optional if output in outputs),
-        Column("organs", [_ORGAN], "the visible instances", _organs),
+        Column("organs", [_ORGAN], "the visible instances", _organ_values),
         Column("pixels", dict.fromkeys(CLASS_NAMES, _INT), "of each class", _class_pixels),
-        Column("set", _INT, "of plants", _metadata_of("set")),
-        Column("rotation", _INT, "of the row", _metadata_of("rotation")),
-        Column("step", _INT, "along the camera's path", _metadata_of("step")),
-        Column("pose", _POSE, "camera to world, metres; x right, y down, z forward", _pose),
+        Column("set", _INT, "of plants", _metadata_column("set")),
+        Column("rotation", _INT, "of the row", _metadata_column("rotation")),
+        Column("step", _INT, "along the camera's path", _metadata_column("step")),
+        Column("pose", _POSE, "camera to world, metres; x right, y down, z forward", _pose_value),
         Column(
-            "camera", camera, "focal lengths and principal point in pixels, Brown-Conrady distortion", _camera
+            "camera",
+            camera,
+            "focal lengths and principal point in pixels, Brown-Conrady distortion",
+            _camera_value,
         ),
     )
 
@@ -135,11 +138,11 @@ def yaml_feature(feature: Any) -> dict[str, Any]:
     return {"dtype": feature["dtype"]}
 
 
-def _image_of(output: str) -> Callable[[ExportFrame], Mapping[str, Any]]:
+def _image_column(output: str) -> Callable[[ExportFrame], Mapping[str, Any]]:
     return lambda frame: {"bytes": frame.content(output), "path": f"{frame.name}_{output}.png"}
 
 
-def _metadata_of(key: str) -> Callable[[ExportFrame], Any]:
+def _metadata_column(key: str) -> Callable[[ExportFrame], Any]:
     return lambda frame: frame.metadata.get(key)
 
 
@@ -148,7 +151,7 @@ def _class_pixels(frame: ExportFrame) -> dict[str, int]:
     return {name: int(counts.get(name, 0)) for name in CLASS_NAMES}
 
 
-def _organs(frame: ExportFrame) -> list[dict[str, Any]]:
+def _organ_values(frame: ExportFrame) -> list[dict[str, Any]]:
     entries = frame.metadata.get("instances") or {}
     return [
         {**{key: entry.get(key) for key in _ORGAN}, "instance": int(instance)}
@@ -156,16 +159,16 @@ def _organs(frame: ExportFrame) -> list[dict[str, Any]]:
     ]
 
 
-def _fruit(frame: ExportFrame) -> list[dict[str, Any]]:
+def _fruit_values(frame: ExportFrame) -> list[dict[str, Any]]:
     rows = fruit_rows(frame.index, frame.image("harvest"))
     return [{name: row.get(name) for name in _FRUIT} for row in rows]
 
 
-def _pose(frame: ExportFrame) -> NDArray[np.float64]:
+def _pose_value(frame: ExportFrame) -> NDArray[np.float64]:
     return np.asarray(frame.metadata["camera"]["pose"], np.float64)
 
 
-def _camera(frame: ExportFrame) -> dict[str, float]:
+def _camera_value(frame: ExportFrame) -> dict[str, float]:
     camera = frame.metadata["camera"]
     distortion = camera["distortion"]
     return {

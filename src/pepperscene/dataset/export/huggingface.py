@@ -65,13 +65,13 @@ def write_huggingface(job: ExportJob, folder: Path) -> None:
         for split, frames in job.frames_by_split()
     }
     (folder / MARK).write_bytes((job.dataset.folder / MARK).read_bytes())
-    (folder / "README.md").write_text(_card(job.dataset.info, columns, sizes), encoding="utf-8")
+    (folder / "README.md").write_text(_card_text(job.dataset.info, columns, sizes), encoding="utf-8")
 
 
 def _write_split(
     folder: Path, split: str, frames: Iterator[ExportFrame], columns: Sequence[Column]
 ) -> SplitSize:
-    """Write the files of a split, whose names contain the number of files."""
+    """Write the files of a split; their names contain the number of files."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -107,7 +107,7 @@ def _write_split(
     return SplitSize(rows, memory_bytes, file_bytes)
 
 
-def _card(info: Mapping[str, Any], columns: Sequence[Column], splits: Mapping[str, SplitSize]) -> str:
+def _card_text(info: Mapping[str, Any], columns: Sequence[Column], splits: Mapping[str, SplitSize]) -> str:
     """The card: front matter, whose values are JSON and therefore YAML, and a page in Markdown."""
     title = f"{info['recipe']['name']}: rendered sweet-pepper plants"
     front = card_front_matter(title, columns, splits)

@@ -1,4 +1,4 @@
-"""The frames of an export and what is read of them."""
+"""The frames of an export, and access to their outputs."""
 
 from __future__ import annotations
 

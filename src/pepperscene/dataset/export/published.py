@@ -43,7 +43,7 @@ def write_published(job: ExportJob, folder: Path) -> None:
         rows = csv.DictWriter(file, _COLUMNS, extrasaction="ignore", lineterminator="\n")
         rows.writeheader()
         for number, frame in enumerate(job.frames(), start=1):
-            for name, content in _images(frame).items():
+            for name, content in _image_files(frame).items():
                 (folder / f"{name}_{number}.png").write_bytes(content)
             rows.writerow({**frame.metadata, "number": number, "split": job.split_of[frame.index]})
 
@@ -53,7 +53,7 @@ def _binary_name(organ_class: OrganClass) -> str:
     return f"{_CLASS_FOLDER}/{name}_binary/{name}"
 
 
-def _images(frame: ExportFrame) -> Mapping[str, bytes]:
+def _image_files(frame: ExportFrame) -> Mapping[str, bytes]:
     """PNG files of a frame by name without the number; files of the data set are copied where they fit."""
     classes, outputs = frame.image("class"), frame.metadata["outputs"]
     if "class_colour" in outputs:

@@ -82,8 +82,7 @@ def export_dataset(
         smallest_px: visible pixels below which an organ is not a separate object; None for the default.
 
     Raises:
-        InputError: there is no data set or no frame, an argument is not valid, an output is missing, or a
-            file is damaged.
+        InputError: there is no data set or frame, an argument is invalid, an output missing, a file damaged.
         OutputError: the folder is not empty or cannot be written to.
         SetupError: a library that the format needs is not installed.
     """
@@ -110,13 +109,13 @@ def export_dataset(
 
 
 def _select_frames(dataset: Dataset, frames: str | None) -> tuple[int, ...]:
-    existing = dataset.indices()
-    if not existing:
+    indices = dataset.indices()
+    if not indices:
         raise InputError(dataset.folder, "holds no frames yet; build some first")
     if frames is None:
-        return existing
-    wanted = set(Plan.model_validate(dataset.info["recipe"]["plan"]).select_indices(frames))
-    selected = tuple(index for index in existing if index in wanted)
+        return indices
+    selection = set(Plan.model_validate(dataset.info["recipe"]["plan"]).select_indices(frames))
+    selected = tuple(index for index in indices if index in selection)
     if not selected:
         raise ArgumentError("frames", f"{frames!r} holds none of the data set's frames")
     return selected
@@ -141,13 +140,13 @@ def new_folder(out: Path, source: Path) -> Iterator[Path]:
     It is next to `out`. If `out` exists already (and is empty), it is inside, and its content moves up: a
     mounted folder can be filled but not replaced. All content is on the disk before the folder has its name.
     """
-    made: list[Path] = []
+    created: list[Path] = []
     try:
         _check_out(out, source)
         name = f".{out.resolve().name}.{os.getpid()}.tmp"
         temporary = out / name if out.is_dir() else out.absolute().with_name(name)
         try:
-            make_folder(temporary.parent, made)
+            make_folder(temporary.parent, created)
             shutil.rmtree(temporary, ignore_errors=True)
             temporary.mkdir()
             yield temporary
@@ -162,7 +161,7 @@ def new_folder(out: Path, source: Path) -> Iterator[Path]:
                 os.rename(temporary, out)
         except BaseException:
             shutil.rmtree(temporary, ignore_errors=True)
-            remove(made)
+            remove(created)
             raise
     except OSError as error:
         raise OutputError(f"{out}: cannot be written ({error.strerror or error})") from None

@@ -28,8 +28,7 @@ class Splits:
     """Assignment of frames to splits.
 
     Attributes:
-        ranges: (name, indices) pairs that do not overlap; a name may have several, and frames in none are
-            left out.
+        ranges: (name, indices) pairs that do not overlap; a name may have several, other frames are left out.
     """
 
     ranges: tuple[tuple[str, range], ...] = ((DEFAULT_SPLIT, range(2**31)),)
@@ -65,16 +64,16 @@ def split_by_sets(
         ValueError: there are fewer frames than splits, or fractions are not positive or do not sum to 1.
     """
     whole_plan = _parse_plan(plan)
-    existing = np.arange(whole_plan.count) if indices is None else np.unique(np.asarray(indices, np.int64))
+    frames = np.arange(whole_plan.count) if indices is None else np.unique(np.asarray(indices, np.int64))
     total = sum(fractions.values())
     if not fractions or min(fractions.values()) <= 0 or abs(total - 1) > _SUM_TOLERANCE:
         raise ValueError(f"the fractions sum to {total:g}; they must be positive and sum to 1")
-    if len(existing) < len(fractions):
-        raise ValueError(f"{len(existing)} frames cannot make {len(fractions)} splits")
+    if len(frames) < len(fractions):
+        raise ValueError(f"{len(frames)} frames cannot make {len(fractions)} splits")
     # The largest units of which every split gets at least one.
     unit_sizes = (whole_plan.frames * whole_plan.rotations, whole_plan.frames, 1)
-    size = next(size for size in unit_sizes if len(np.unique(existing // size)) >= len(fractions))
-    units, frames_per_unit = np.unique(existing // size, return_counts=True)
+    size = next(size for size in unit_sizes if len(np.unique(frames // size)) >= len(fractions))
+    units, frames_per_unit = np.unique(frames // size, return_counts=True)
 
     # Frames that do not exist yet belong to the split before them.
     ends = [int(units[end]) * size for end in _split_ends(frames_per_unit, list(fractions.values()))[:-1]]

@@ -57,7 +57,7 @@ def write_webdataset(job: ExportJob, folder: Path) -> None:
         return order
 
     shards = {
-        split: _write_shards(folder, split, (_sample(frame, outputs) for frame in frames))
+        split: _write_shards(folder, split, (_make_sample(frame, outputs) for frame in frames))
         for split, frames in job.frames_by_split(shuffle)
     }
     content = canonical_json({"splits": shards, "dataset": dict(job.dataset.info)})
@@ -89,7 +89,7 @@ def _tar_size(sample: Sample) -> int:
     return sum(_TAR_BLOCK * (1 + -(-len(content) // _TAR_BLOCK)) for _, content in sample)
 
 
-def _sample(frame: ExportFrame, outputs: Sequence[str]) -> Sample:
+def _make_sample(frame: ExportFrame, outputs: Sequence[str]) -> Sample:
     members = []
     for output in outputs:
         if output == "colour":

@@ -21,8 +21,7 @@ Points = NDArray[np.int32]
 """`(n, 2)` column and row of pixels."""
 
 TOLERANCE_PX: Final = 0.35
-"""Chosen: distance between a simplified side and its pixels; filled polygons are the same with a fifth fewer
-points."""
+"""Chosen: largest distance of a simplified side from its pixels; saves a fifth of the points."""
 
 MAX_BRIDGE_FRACTION: Final = 0.04
 """Chosen: bridge pixels over those of the joined pieces, if each piece is large enough by itself."""
@@ -41,7 +40,7 @@ def write_yolo(job: ExportJob, folder: Path) -> None:
     the pixel centres of its polygon over the width and height of the image. What belongs to no plant, organs
     below `smallest_px` and pieces below it are left out, as the format has no crowd.
     """
-    (folder / "data.yaml").write_text(_description(list(job.splits)), encoding="utf-8")
+    (folder / "data.yaml").write_text(_data_yaml(list(job.splits)), encoding="utf-8")
     for split, frames in job.frames_by_split():
         images, labels = folder / "images" / split, folder / "labels" / split
         images.mkdir(parents=True)
@@ -52,7 +51,7 @@ def write_yolo(job: ExportJob, folder: Path) -> None:
             (labels / f"{frame.name}.txt").write_text(lines, encoding="ascii")
 
 
-def _description(splits: Sequence[str]) -> str:
+def _data_yaml(splits: Sequence[str]) -> str:
     """`data.yaml`, with paths relative to its folder; readers require both `train` and `val`."""
     folders = {split: f"images/{split}" for split in splits}
     validation = next((name for name in _VALIDATION_NAMES if name in splits), splits[0])

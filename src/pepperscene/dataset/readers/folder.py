@@ -114,8 +114,8 @@ def _index_by_key(files: Iterable[tuple[Path, Path]]) -> dict[tuple[str, ...], t
         name = path.relative_to(root).with_suffix("").as_posix()
         key = _pairing_key(name)
         if key in index:
-            other = index[key][1].name
-            raise InputError(path, f"has a name too similar to {other}: rename one of them")
+            existing = index[key][1].name
+            raise InputError(path, f"has a name too similar to {existing}: rename one of them")
         index[key] = (name, path)
     return index
 
@@ -167,7 +167,8 @@ class FolderSet(ImageSet):
             return None
         mask = read_mask(pair.mask)
         if mask.shape != (shape := photo_shape(pair.image)):
-            sizes = f"has {_size(mask.shape)} pixels, but its image {pair.image.name} has {_size(shape)}"
+            sizes = f"has {_format_size(mask.shape)} pixels, but its image"
+            sizes += f" {pair.image.name} has {_format_size(shape)}"
             raise InputError(pair.mask, f"{sizes}; masks are never resized")
         ids = _class_ids(mask, self.labels, pair.mask)
         return ids if mask.opaque is None else np.where(mask.opaque, ids, np.uint8(VOID))
@@ -213,5 +214,5 @@ def _fill_transparent(pixels: NDArray[Any], mask: MaskImage, value: Any) -> NDAr
     return np.where(opaque, pixels, np.asarray(value, pixels.dtype))
 
 
-def _size(shape: tuple[int, int]) -> str:
+def _format_size(shape: tuple[int, int]) -> str:
     return f"{shape[1]}x{shape[0]}"

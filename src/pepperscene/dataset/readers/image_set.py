@@ -67,7 +67,7 @@ class ImageSet(Sequence[LabelledImage]):
 
     Attributes:
         name: of the set, for display.
-        items: what each image is read from, in order.
+        items: sources of the images, in order.
         fields: the fields of `FIELDS` that are read; the others stay None.
     """
 

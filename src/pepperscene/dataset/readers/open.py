@@ -44,20 +44,20 @@ class RenderedSet(ImageSet):
 
     def names(self) -> tuple[str, ...]:
         """The indices with six digits, as in the file names."""
-        return tuple(_name(index) for index in self.items)
+        return tuple(_frame_name(index) for index in self.items)
 
     def read(self, item: int) -> LabelledImage:
         """Read one frame; a field is None if the frame lacks its outputs."""
         metadata = self.dataset.metadata(item)
         outputs = metadata.get("outputs", {})
-        arrays = {field: self._array(item, field, outputs) for field in _SOURCES}
+        arrays = {field: self._read_field(item, field, outputs) for field in _SOURCES}
         if "metadata" not in self.fields:
             metadata = {}
         elif "harvest" in outputs:
             metadata["harvest"] = self.dataset.image(item, "harvest")
-        return LabelledImage(_name(item), metadata=metadata, **arrays)
+        return LabelledImage(_frame_name(item), metadata=metadata, **arrays)
 
-    def _array(self, index: int, field: str, outputs: Mapping[str, Any]) -> NDArray[Any] | None:
+    def _read_field(self, index: int, field: str, outputs: Mapping[str, Any]) -> NDArray[Any] | None:
         if field not in self.fields:
             return None
         for output, decode in _SOURCES[field]:
@@ -67,7 +67,7 @@ class RenderedSet(ImageSet):
         return None
 
 
-def _name(index: int) -> str:
+def _frame_name(index: int) -> str:
     return f"{index:0{DIGITS}d}"
 
 

@@ -81,20 +81,20 @@ def read_mask(path: Path) -> MaskImage:
             raise InputError(path, "is a JPEG, which changes the values of a mask; save it as PNG")
         if image.mode == "P":
             rgba = np.array(image.convert("RGBA"))
-            return MaskImage(np.array(image), rgba[..., :3].copy(), _opaque(rgba[..., 3]))
+            return MaskImage(np.array(image), rgba[..., :3].copy(), _opaque_mask(rgba[..., 3]))
         if image.mode in _VALUE_MODES:
             return MaskImage(np.array(image).astype(np.int32), None, None)
         if image.mode == "LA":
             values, alpha = np.moveaxis(np.array(image), -1, 0)
-            return MaskImage(values, None, _opaque(alpha))
+            return MaskImage(values, None, _opaque_mask(alpha))
         if image.mode in _COLOUR_MODES:
             rgba = np.array(image.convert("RGBA"))
-            mask = MaskImage(None, rgba[..., :3].copy(), _opaque(rgba[..., 3]))
+            mask = MaskImage(None, rgba[..., :3].copy(), _opaque_mask(rgba[..., 3]))
             return replace(mask, values=rgba[..., 0].copy()) if mask.is_grey else mask
         raise InputError(path, f"must hold integers or RGB colours, not mode {image.mode}")
 
 
-def _opaque(alpha: NDArray[np.uint8]) -> NDArray[np.bool_] | None:
+def _opaque_mask(alpha: NDArray[np.uint8]) -> NDArray[np.bool_] | None:
     opaque = alpha > 0
     return None if opaque.all() else opaque
 

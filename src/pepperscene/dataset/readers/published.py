@@ -44,17 +44,17 @@ class PublishedSet(ImageSet):
         halves = published_halves(folder)
         if half is None and len(halves) > 1:
             raise InputError(folder, f"holds {' and '.join(halves)}; choose one, e.g. half={halves[0]!r}")
-        chosen = halves[0] if half is None and halves else half
-        if chosen not in halves:
+        selected = halves[0] if half is None and halves else half
+        if selected not in halves:
             allowed = f"must be one of {', '.join(halves) or 'none'}"
-            raise InputError(folder, allowed, key="half", value=chosen)
-        paths = {kind: folder / name.format(chosen) for kind, name in _FOLDERS.items()}
+            raise InputError(folder, allowed, key="half", value=selected)
+        paths = {kind: folder / name.format(selected) for kind, name in _FOLDERS.items()}
         files = {kind: _numbered_files(path) for kind, path in paths.items() if path.is_dir()}
         if not files["colour"]:
             raise InputError(paths["colour"], "holds no images")
         items = tuple(sorted(files["colour"]))
-        name = f"{folder.resolve().name} {chosen}"
-        return cls(name=name, folder=folder, half=chosen, items=items, files=files)
+        name = f"{folder.resolve().name} {selected}"
+        return cls(name=name, folder=folder, half=selected, items=items, files=files)
 
     def names(self) -> tuple[str, ...]:
         """The numbers in the file names."""
@@ -64,10 +64,10 @@ class PublishedSet(ImageSet):
         """Read one image: classes from grey labels, or else the nearest colour; distances from their code."""
         distance_m = None
         if "distance_m" in self.fields and "depth" in self.files:
-            distance_m = distance_from_code(_read_grey(self._file("depth", item)))
+            distance_m = distance_from_code(_read_grey(self._find_file("depth", item)))
         return LabelledImage(
             str(item),
-            read_photo(self._file("colour", item)) if "colour" in self.fields else None,
+            read_photo(self._find_file("colour", item)) if "colour" in self.fields else None,
             self._classes(item) if "classes" in self.fields else None,
             distance_m=distance_m,
             metadata={"half": self.half, "number": item} if "metadata" in self.fields else {},
@@ -75,7 +75,7 @@ class PublishedSet(ImageSet):
 
     def _classes(self, number: int) -> NDArray[np.uint8] | None:
         if "grey" in self.files:
-            path = self._file("grey", number)
+            path = self._find_file("grey", number)
             ids = _read_grey(path)
             known = (ids < len(OrganClass)) | (ids == VOID)
             if not known.all():
@@ -83,14 +83,14 @@ class PublishedSet(ImageSet):
                 raise InputError(path, f"has the class id {int(ids[~known][0])}; {allowed}")
             return ids
         if "scale" in self.files:
-            path = self._file("scale", number)
+            path = self._find_file("scale", number)
             rgb = read_mask(path).rgb
             if rgb is None:
                 raise InputError(path, "must hold the colour of each class")
             return class_from_colour(rgb)
         return None
 
-    def _file(self, kind: str, number: int) -> Path:
+    def _find_file(self, kind: str, number: int) -> Path:
         files = self.files[kind]
         if number not in files:
             folder = next(iter(files.values())).parent if files else self.folder

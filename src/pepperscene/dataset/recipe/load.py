@@ -67,11 +67,11 @@ def resolve_recipe(
     if isinstance(recipe, Recipe):
         return load_files(recipe.with_seed(seed))
     if not isinstance(recipe, ResolvedRecipe):
-        recipe = _read(recipe, changes or {})
+        recipe = _read_recipe(recipe, changes or {})
     return recipe.with_seed(seed)
 
 
-def _read(name_or_path: str | Path, changes: Mapping[str, Any]) -> ResolvedRecipe:
+def _read_recipe(name_or_path: str | Path, changes: Mapping[str, Any]) -> ResolvedRecipe:
     # The layers from the highest priority to the lowest.
     path = find_file("recipes", name_or_path)
     where, files = str(path), list[_Layer]()
@@ -80,14 +80,14 @@ def _read(name_or_path: str | Path, changes: Mapping[str, Any]) -> ResolvedRecip
         files.append((str(file), table))
     changed: dict[str, Any] = {}
     for key, value in changes.items():
-        changed = _merge(changed, _change_tables(key, value))
+        changed = _merge_tables(changed, _change_tables(key, value))
     _resolve_paths(changed, Path())
     layers = [(None, changed), *files] if changed else files
 
     # One table of all layers.
     merged: dict[str, Any] = {}
     for _, table in reversed(layers):
-        merged = _merge(merged, table)
+        merged = _merge_tables(merged, table)
     if _expect_is_outdated(list(changes), files):
         del merged[_EXPECT]
     try:
@@ -172,7 +172,7 @@ def _expect_is_outdated(changed_keys: Sequence[str], files: Sequence[_Layer]) ->
 def _with_origin(error: InputError, layers: list[_Layer]) -> InputError:
     """The error with the name of the layer that holds its key, or at least the table above the key."""
     above = error.key.rpartition(".")[0]
-    holders = [layer for key in (error.key, above) if key for layer in layers if _holds(layer[1], key)]
+    holders = [layer for key in (error.key, above) if key for layer in layers if _has_key(layer[1], key)]
     where = (holders or layers)[0][0]
     if where is None:
         return ArgumentError(_CHANGES, error.problem, key=error.key, value=error.value)
@@ -186,27 +186,27 @@ def _resolve_paths(table: dict[str, Any], folder: Path) -> None:
         for key in outer:
             inner = inner.get(key) if isinstance(inner, dict) else None
         if isinstance(inner, dict) and isinstance(inner.get(last), str):
-            inner[last] = _absolute(inner[last], folder)
+            inner[last] = _absolute_path(inner[last], folder)
 
 
-def _absolute(name_or_path: str, folder: Path) -> str:
+def _absolute_path(name_or_path: str, folder: Path) -> str:
     """A path relative to a folder as an absolute one; a bare name stays as it is."""
     if not name_or_path.endswith(".toml") and Path(name_or_path).parent == Path("."):
         return name_or_path
     return os.path.normpath(folder.absolute() / name_or_path)
 
 
-def _merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+def _merge_tables(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     """Replace the values of `base` by those of `over`: tables key by key, everything else as a whole."""
     merged = dict(base)
     for key, value in over.items():
         below = merged.get(key)
         tables = isinstance(value, dict) and isinstance(below, dict)
-        merged[key] = _merge(below, value) if tables and isinstance(below, dict) else value
+        merged[key] = _merge_tables(below, value) if tables and isinstance(below, dict) else value
     return merged
 
 
-def _holds(table: Any, dotted: str) -> bool:
+def _has_key(table: Any, dotted: str) -> bool:
     """Whether a table holds a dotted key; an index into a list counts as the list."""
     for key in dotted.split("."):
         if isinstance(table, list):

@@ -40,8 +40,8 @@ def random_generator(seed: int, stream: Stream, *address: int) -> np.random.Gene
         seed: of the recipe.
         stream: purpose of the numbers.
         address: (set, plant) for a plant, its twine and its contacts; (set, 1, plant) for its posture; (set,)
-            for the sky; (set, 0) for the places in a row, and (set, rotation, 0) for its contacts; (0, model)
-            for a plant of the far rows, and (1, set, rotation) for their places.
+            for the sky; (set, 0) for positions in a row, and (set, rotation, 0) for its contacts; (0, model)
+            for a plant of the far rows, and (1, set, rotation) for their positions.
     """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(stream), *address)))
 
@@ -67,7 +67,7 @@ class FrameSpec:
     Attributes:
         index: of the frame in the whole data set, 0-based.
         set: number of the set of plants.
-        rotation: number of places by which the plants of the row have moved on.
+        rotation: number of positions by which the plants of the row are shifted.
         step: position along the camera's path.
     """
 
@@ -149,5 +149,5 @@ class Plan(Document):
 
 
 def rotate_row(row: Sequence[Item], rotation: int) -> list[Item]:
-    """Move a row on: place p holds item (p - rotation) mod n."""
-    return [row[(place - rotation) % len(row)] for place in range(len(row))]
+    """Rotate a row: position p holds item (p - rotation) mod n."""
+    return [row[(position - rotation) % len(row)] for position in range(len(row))]

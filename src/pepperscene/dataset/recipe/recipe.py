@@ -31,8 +31,7 @@ _MATERIALS: Final = (
 
 
 class Recipe(Document):
-    """A recipe fully defines a data set: with the version of this package it determines every byte of every
-    frame.
+    """A recipe fully defines a data set: with the package version it determines every byte of a frame.
 
     Attributes:
         name: of the data set.
@@ -42,7 +41,7 @@ class Recipe(Document):
         daylight: or None for a night scene.
         twine: or None for none.
         growth: a stage between two cultivar files, or None for the cultivar as in its file.
-        greenhouse: what surrounds an irregular row, or None for plants alone, evenly spaced and upright.
+        greenhouse: surroundings of an irregular row, or None for evenly spaced, upright plants alone.
         expect: expected statistics of the finished data set, or None; see `pepperscene check`.
     """
 

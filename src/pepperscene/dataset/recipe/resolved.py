@@ -31,7 +31,7 @@ Content = TypeVar("Content")
 
 @dataclass(frozen=True, eq=False)
 class ResolvedRecipe:
-    """A recipe and all that it names, loaded once and passed on.
+    """A recipe and all files that it names, loaded once.
 
     Attributes:
         recipe: the validated recipe.
@@ -70,7 +70,7 @@ def load_files(recipe: Recipe, where: str | Path = "") -> ResolvedRecipe:
     if daylight is not None and daylight.cover != NONE:
         from pepperscene.scene import load_cover
 
-        cover = _load(load_cover, where, "daylight.cover", daylight.cover)
+        cover = _load_file(load_cover, where, "daylight.cover", daylight.cover)
     camera = load_camera(recipe, where)
     _check_gutters(recipe, where)
     return ResolvedRecipe(recipe, cultivar, camera, cover)
@@ -81,10 +81,10 @@ def load_recipe_cultivar(recipe: Recipe, where: str | Path = "") -> Cultivar:
     from pepperscene.cultivar import interpolate_cultivars, load_cultivar
 
     where, growth = where or recipe.name, recipe.growth
-    first = _load(load_cultivar, where, "cultivar", recipe.cultivar)
+    first = _load_file(load_cultivar, where, "cultivar", recipe.cultivar)
     if growth is None:
         return first
-    last = _load(load_cultivar, where, "growth.until", growth.until)
+    last = _load_file(load_cultivar, where, "growth.until", growth.until)
     fraction = growth.share if growth.share is not None else _fraction_of_time(growth, first, last, where)
     try:
         return interpolate_cultivars(first, last, fraction)
@@ -128,8 +128,8 @@ def load_camera(recipe: Recipe, where: str | Path = "") -> Camera:
 
     where, table = where or recipe.name, recipe.camera
     sensor = _load_sensor(table, where)
-    lens = _load(load_lens, where, "camera.lens", table.lens)
-    flash = None if table.flash == NONE else _load(load_flash, where, "camera.flash", table.flash)
+    lens = _load_file(load_lens, where, "camera.lens", table.lens)
+    flash = None if table.flash == NONE else _load_file(load_flash, where, "camera.flash", table.flash)
 
     # Checks that need several parts.
     if table.focus_mm is not None and table.focus_mm <= 1e3 * lens.focal_length_m:
@@ -162,8 +162,8 @@ def surface_wavelengths(sensor: Sensor) -> NDArray[np.float64]:
     if not sensitive.size:
         raise ValueError("is not sensitive at any wavelength")
     # The curves fall to zero at the neighbouring entries.
-    ends = [max(sensitive[0] - 1, 0), min(sensitive[-1] + 1, efficiency.wavelength_nm.size - 1)]
-    nm = efficiency.wavelength_nm[ends]
+    limits = [max(sensitive[0] - 1, 0), min(sensitive[-1] + 1, efficiency.wavelength_nm.size - 1)]
+    nm = efficiency.wavelength_nm[limits]
     first, last = GRID_STEP_NM * np.floor(nm[0] / GRID_STEP_NM), GRID_STEP_NM * np.ceil(nm[1] / GRID_STEP_NM)
     if last > MAX_WAVELENGTH_NM:
         raise ValueError(
@@ -176,14 +176,14 @@ def _load_sensor(table: CameraTable, where: str | Path) -> Sensor:
     """Load the sensor with its settings, behind its filter."""
     from pepperscene.camera import load_filter, load_sensor
 
-    sensor = _load(load_sensor, where, "camera.sensor", table.sensor)
+    sensor = _load_file(load_sensor, where, "camera.sensor", table.sensor)
     sensor = sensor.with_settings(bits=table.bits, gain=table.gain)
     key, name = "camera.sensor", table.sensor
     try:
         surface_wavelengths(sensor)
         if table.filter != NONE:
             key, name = "camera.filter", table.filter
-            sensor = sensor.with_filter(_load(load_filter, where, key, name).transmittance)
+            sensor = sensor.with_filter(_load_file(load_filter, where, key, name).transmittance)
             surface_wavelengths(sensor)
     except ValueError as error:
         behind = " behind it" if key == "camera.filter" else ""
@@ -191,7 +191,7 @@ def _load_sensor(table: CameraTable, where: str | Path) -> Sensor:
     return sensor
 
 
-def _load(load: Callable[[str], Content], where: str | Path, key: str, name: str) -> Content:
+def _load_file(load: Callable[[str], Content], where: str | Path, key: str, name: str) -> Content:
     """Load a file; if there is no such file, the error names the recipe's key."""
     try:
         return load(name)

@@ -14,7 +14,7 @@ Name = Annotated[str, Field(strict=True, min_length=1, max_length=400, pattern=r
 """A shipped name or a path."""
 
 NONE: Final = "none"
-"""In place of a name: no flash, no filter, no cover, no white balance."""
+"""Instead of a name: no flash, no filter, no cover, no white balance."""
 
 Angle = Annotated[float, Field(strict=True, ge=-180, le=180)]
 Height = Annotated[float, Field(strict=True, ge=0, le=10_000)]
@@ -26,10 +26,10 @@ Fraction = Annotated[float, Field(strict=True, ge=0, le=1)]
 Grey = Annotated[float, Field(strict=True, ge=0, le=255)]
 
 MIN_GUTTER_WIDTH_MM: Final = 110
-"""The block that a plant roots in is 100 mm wide."""
+"""The substrate block of a plant is 100 mm wide."""
 
 MIN_WIRE_HEIGHT_MM: Final = 500
-"""Above the gutter. Chosen: lower down there is hardly a stem to hold."""
+"""Above the gutter. Chosen: a lower wire could hardly hold a stem."""
 
 
 class RowTable(Document):
@@ -126,7 +126,7 @@ class TwineTable(Document):
 
 
 class GreenhouseTable(Document):
-    """What surrounds the double row, and how irregular its plants are; 0 or false leaves a part out."""
+    """Surroundings of the double row, and irregularity of its plants; 0 or false omits a part."""
 
     row_lean_deg: Annotated[float, Field(strict=True, ge=0, le=20)] = 0.0
     lean_sd_deg: Annotated[float, Field(strict=True, ge=0, le=10)] = 0.0

@@ -103,7 +103,7 @@ def card_html(view: ImageView, set_key: str) -> str:
         images = f'{buttons[0]}<div class="thumbs">{"".join(buttons[1:])}</div>'
     elif len(buttons) == 2:
         images = f'<div class="thumbs">{images}</div>'
-    lines = "".join(f"<p>{escape(line)}</p>" for line in (view.location, _description(view)) if line)
+    lines = "".join(f"<p>{escape(line)}</p>" for line in (view.location, _describe_organs(view)) if line)
     return (
         f'<article class="card" id="{_card_id(view, set_key)}">{images}{_class_bar(view)}'
         f"<h3>{escape(view.title)}</h3>{lines}</article>"
@@ -170,7 +170,7 @@ def _class_bar(view: ImageView) -> str:
     return f'<div class="stack">{parts}</div>' if view.class_pixels else ""
 
 
-def _description(view: ImageView) -> str:
+def _describe_organs(view: ImageView) -> str:
     """Numbers of visible organs and of contacts; empty if they are unknown."""
     sentences = []
     if instances := view.metadata.get("instances"):

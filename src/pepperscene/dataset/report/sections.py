@@ -39,12 +39,12 @@ def class_fractions_html(sets: Sequence[SetSummary]) -> str:
     if not known:
         return "<p>No frame has class labels yet.</p>"
     scale = max(float(values.max()) for values in known)
-    heads = "".join(f'<th scope="col">{set_label(item)}</th>' for item in sets)
+    header_cells = "".join(f'<th scope="col">{set_label(item)}</th>' for item in sets)
     rows = []
     for organ in OrganClass:
         values = {item.key: float(fractions[item.key][0][organ]) for item in sets}
         # Zero is unknown if the set has unlabelled pixels.
-        shown = [
+        displayed = [
             float("nan")
             if values[item.key] == 0.0 and item.statistics.unlabelled_pixels
             else values[item.key]
@@ -52,18 +52,18 @@ def class_fractions_html(sets: Sequence[SetSummary]) -> str:
         ]
         rows.append(
             f'<tr><th scope="row">{swatch(organ)}{organ.name.lower()}<small>{organ:d}</small></th>'
-            f"{_cells(_percent(value) for value in shown)}"
-            f'<td class="bars">{_bars(list(values.items()), scale)}</td></tr>'
+            f"{_table_cells(_format_percent(value) for value in displayed)}"
+            f'<td class="bars">{_fraction_bars(list(values.items()), scale)}</td></tr>'
         )
     if any(item.statistics.unlabelled_pixels for item in sets):
-        cells = _cells(_percent(item.unlabelled_fraction()) for item in sets)
+        cells = _table_cells(_format_percent(item.unlabelled_fraction()) for item in sets)
         rows.append(f'<tr><th scope="row">no label</th>{cells}<td class="bars"></td></tr>')
     counts = " and ".join(
         f"{plural(fractions[item.key][1], 'image')} of {escape(item.name)}" for item in sets
     )
     return (
         f'<table class="fractions" style="--sets: {len(sets)}"><thead>'
-        f'<tr><th scope="col">Class</th>{heads}<th class="bars"></th></tr></thead>'
+        f'<tr><th scope="col">Class</th>{header_cells}<th class="bars"></th></tr></thead>'
         f"<tbody>{''.join(rows)}</tbody></table><p>Fraction of all pixels, in {counts}.</p>"
     )
 
@@ -146,27 +146,27 @@ def _class_panel(organ_class: OrganClass, content: str) -> str:
     return _panel(swatch(organ_class) + organ_class.name.lower(), content)
 
 
-def _cells(values: Iterable[str]) -> str:
+def _table_cells(values: Iterable[str]) -> str:
     return "".join(f"<td>{value}</td>" for value in values)
 
 
 def html_table(css_class: str, heads: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]]) -> str:
     """A table from its column heads, and the head and the cells of each row."""
-    head = "".join(f'<th scope="col">{name}</th>' for name in heads)
-    body = "".join(f'<tr><th scope="row">{name}</th>{_cells(cells)}</tr>' for name, cells in rows)
-    return f'<table class="{css_class}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+    header_row = "".join(f'<th scope="col">{name}</th>' for name in heads)
+    body = "".join(f'<tr><th scope="row">{name}</th>{_table_cells(cells)}</tr>' for name, cells in rows)
+    return f'<table class="{css_class}"><thead><tr>{header_row}</tr></thead><tbody>{body}</tbody></table>'
 
 
-def _percent(fraction: float, digits: int = 2) -> str:
+def _format_percent(fraction: float, digits: int = 2) -> str:
     """A fraction as a percentage; a dash if it is unknown."""
     if not np.isfinite(fraction):
         return "–"
-    least = 10.0**-digits
-    is_small = 0 < 100 * fraction < least / 2
-    return f"< {least:g}\u00a0%" if is_small else f"{100 * fraction:.{digits}f}\u00a0%"
+    smallest = 10.0**-digits
+    is_small = 0 < 100 * fraction < smallest / 2
+    return f"< {smallest:g}\u00a0%" if is_small else f"{100 * fraction:.{digits}f}\u00a0%"
 
 
-def _bars(fractions: Sequence[tuple[str, float]], scale: float) -> str:
+def _fraction_bars(fractions: Sequence[tuple[str, float]], scale: float) -> str:
     """A bar for the fraction of each set."""
     bars = "".join(
         f'<rect class="{key}" y="{9 * row}" height="7" rx="1.5" width="{100 * fraction / scale:.2f}%"/>'
@@ -183,7 +183,7 @@ def _class_map(item: SetSummary, organ_class: OrganClass, masks: NDArray[np.floa
     picture = viridis_colours(masks[organ_class] / maximum)
     alt = f"Locations of {organ_class.name.lower()} in {item.name}"
     button = image_button("map", png_data_uri(picture, _MAP_PX), alt, (picture.shape[1], picture.shape[0]))
-    return f"<div>{button}<p>{set_label(item)} up to {_percent(maximum, 0)}</p></div>"
+    return f"<div>{button}<p>{set_label(item)} up to {_format_percent(maximum, 0)}</p></div>"
 
 
 def _hue_table(
@@ -191,7 +191,7 @@ def _hue_table(
 ) -> str:
     rows = []
     for item, hue in zip(sets, map(mean_hue, spectra), strict=True):
-        grey = _percent(item.statistics.grey_fractions()[organ_class], 1)
+        grey = _format_percent(item.statistics.grey_fractions()[organ_class], 1)
         images = f"{item.statistics.hue_image_counts[organ_class]:,}"
         rows.append((set_label(item), ["–" if np.isnan(hue) else f"{hue:.0f}°", grey, images]))
     table = html_table("small", ("", "mean hue", "grey", "images"), rows)
@@ -226,7 +226,7 @@ def _intensity_table(sets: Sequence[SetSummary]) -> str:
     for item in sets:
         values = np.array(item.statistics.intensities)
         statistics = (values.mean(), values.std(), values.min(), values.max())
-        saturated = _percent(float(np.mean(item.statistics.saturated_fractions)))
+        saturated = _format_percent(float(np.mean(item.statistics.saturated_fractions)))
         cells = [f"{values.size:,}", *(f"{value:.1f}" for value in statistics), saturated]
         rows.append((set_label(item), cells))
     return html_table("intensities", heads, rows)
@@ -258,23 +258,23 @@ def _build_panel(
 
 def _totals(records: FrameRecords) -> str:
     size = float(np.nansum(records.numbers["bytes"]))
-    parts = [f"{plural(len(records.indices), 'frame')}, {_size(size)} of files"]
+    parts = [f"{plural(len(records.indices), 'frame')}, {_format_size(size)} of files"]
     if records.known("render_s").any():
         seconds = float(np.nansum(records.numbers["render_s"]))
         by = f" by {plural(len(records.workers), 'worker')}" if records.workers else ""
-        parts.append(f"{_duration(seconds)} of rendering{by}")
+        parts.append(f"{_format_duration(seconds)} of rendering{by}")
     if records.known("error_codes").any() and records.known("noise_codes").any():
         ratio = np.nanmedian(records.numbers["error_codes"] / records.numbers["noise_codes"])
         parts.append(f"the light's error is {100 * ratio:.0f} % of the sensor's noise (median)")
     return "; ".join(parts) + "."
 
 
-def _size(count: float) -> str:
+def _format_size(count: float) -> str:
     unit, size = next((pair for pair in (("GB", 1e9), ("MB", 1e6)) if count >= pair[1]), ("kB", 1e3))
     return f"{count / size:.3g} {unit}"
 
 
-def _duration(seconds: float) -> str:
+def _format_duration(seconds: float) -> str:
     if seconds < 120:
         return f"{seconds:.3g} s"
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

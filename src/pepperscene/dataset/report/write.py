@@ -75,8 +75,7 @@ def write_report(
     """Write `contact_sheet.png` and `index.html` into a data set's folder, from the frames that exist.
 
     The page contains its images: it can be moved, mailed and opened without a network. It shows frames, and
-    the statistics by which Barth et al. 2018 compare image sets (Figs. 10 to 13), of the data set and of a
-    second one.
+    the statistics by which Barth et al. 2018 compare image sets (Figs. 10 to 13), of one or two data sets.
 
     Args:
         folder: of the data set.
@@ -105,11 +104,11 @@ def write_report(
     far = max((pair[1] for pair in known), default=1.0)
 
     sets, sheet_rows = [], []
-    for key, images, shown in zip("ab", image_sets, positions, strict=False):
-        summary, rows = _summarize(key, images, shown, sample, (near, far), on_progress)
+    for key, images, displayed in zip("ab", image_sets, positions, strict=False):
+        summary, rows = _summarize(key, images, displayed, sample, (near, far), on_progress)
         sets.append(summary)
         sheet_rows.append(rows)
-    text = _page(dataset.info, sets, (near, far) if known else None)
+    text = _page_html(dataset.info, sets, (near, far) if known else None)
     page, sheet = dataset.folder / PAGE, dataset.folder / SHEET
     try:
         with atomic_write(sheet) as temporary:
@@ -145,7 +144,7 @@ def _summarize(
     return summary, sheet_rows
 
 
-def _page(
+def _page_html(
     info: Mapping[str, Any], sets: Sequence[SetSummary], distances_m: tuple[float, float] | None
 ) -> str:
     """The page as HTML; `distances_m` are those of the brightest and the darkest colour."""
@@ -156,29 +155,29 @@ def _page(
         f"Compared with {sections.set_label(item)}, {sections.plural(item.frames, 'image')}."
         for item in sets[1:]
     ]
-    measured = []
+    measured_sets = []
     for item in sets:
         count = item.statistics.image_count
         number = f"all {count:,}" if count == item.frames else f"{count:,} evenly spaced of {item.frames:,}"
-        measured.append(f"{number} images of {sections.set_label(item)}")
+        measured_sets.append(f"{number} images of {sections.set_label(item)}")
     ramp = ""
     if distances_m is not None:
         near, far = (f"<span>{distance:.2f} m</span>" for distance in distances_m)
         ramp = f'<p class="ramp">{near}<i class="back"></i>{far}</p>'
-    return Template(_resource("page.html")).substitute(
-        style=Template(_resource("page.css")).substitute(ramp=", ".join(VIRIDIS)),
-        script=_resource("page.js"),
+    return Template(_read_resource("page.html")).substitute(
+        style=Template(_read_resource("page.css")).substitute(ramp=", ".join(VIRIDIS)),
+        script=_read_resource("page.js"),
         name=escape(str(recipe["name"])),
         cultivar=escape(str(recipe["cultivar"])),
         summary=" ".join(summary),
-        facts=_facts(info),
+        facts=_facts_html(info),
         classes=" ".join(
             f"<span>{sections.swatch(organ)}{organ.name.lower()}</span>" for organ in OrganClass
         ),
         distances=ramp,
         frames="".join(_frames_html(item, single=len(sets) == 1) for item in sets),
         fractions=sections.class_fractions_html(sets),
-        measured=f"Measured in {' and '.join(measured)}.",
+        measured=f"Measured in {' and '.join(measured_sets)}.",
         maps=sections.class_maps_html(sets),
         hues=sections.hue_spectra_html(sets),
         intensity=sections.intensity_html(sets),
@@ -186,11 +185,11 @@ def _page(
     )
 
 
-def _resource(name: str) -> str:
+def _read_resource(name: str) -> str:
     return resources.files("pepperscene.dataset.report").joinpath(name).read_text(encoding="utf-8")
 
 
-def _facts(info: Mapping[str, Any]) -> str:
+def _facts_html(info: Mapping[str, Any]) -> str:
     recipe = info["recipe"]
     daylight = recipe["daylight"] or {"illuminance_lx": 0}
     items = {
@@ -208,10 +207,10 @@ def _facts(info: Mapping[str, Any]) -> str:
 
 def _frames_html(item: SetSummary, single: bool) -> str:
     """The displayed images of a set as cards, and as a table."""
-    shown = f"{len(item.cards):,} of {item.frames:,}" if len(item.cards) < item.frames else f"{item.frames:,}"
+    count = f"{len(item.cards):,} of {item.frames:,}" if len(item.cards) < item.frames else f"{item.frames:,}"
     title, suffix = ("", "") if single else (f"<h3>{sections.set_label(item)}</h3>", f": {escape(item.name)}")
     return (
-        f'{title}<p>{shown} shown.</p><div class="cards">{"".join(item.cards)}</div>'
+        f'{title}<p>{count} shown.</p><div class="cards">{"".join(item.cards)}</div>'
         f"<details><summary>As a table{suffix}</summary>"
         f'<div class="scroll" tabindex="0" role="region" aria-label="Images of {escape(item.name)}">'
         f"{sections.html_table('frames', TABLE_COLUMNS, item.table_rows)}</div></details>"

@@ -1,1 +1,1 @@
-"""From a recipe to scenes, cameras and rendered frames."""
+"""Scenes, cameras and rendered frames of a recipe."""

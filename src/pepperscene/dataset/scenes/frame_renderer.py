@@ -1,4 +1,4 @@
-"""From an index to a frame: the plants of its set, the scene of its rotation, the camera of its step."""
+"""Render frames by index: the plants of the set, the scene of the rotation, the camera of the step."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def mitsuba_renderer(scene: Scene) -> SceneRenderer:
 
 @dataclass(frozen=True, eq=False)
 class AssembledScene:
-    """A scene, and its JSON-ready statistics: `contacts` that are left, and triangles in `geometry`."""
+    """A scene, and its JSON-ready statistics: remaining `contacts`, and triangles in `geometry`."""
 
     scene: Scene
     statistics: Mapping[str, Any]
@@ -73,7 +73,7 @@ class FrameRenderer:
     Args:
         recipe: a recipe, its resolved form, a shipped name or a path.
         renderer: makes the renderer of a scene; None for Mitsuba.
-        culled: see there.
+        culled: see the attribute.
 
     Raises:
         InputError: the recipe or a file that it names is missing or not valid.
@@ -109,7 +109,7 @@ class FrameRenderer:
         others = self.views.others(spec.step, outputs)
         renderer, statistics = self._renderer(spec, any(OUTPUTS[name].traced for name in outputs))
         seed = frame_seed(self.recipe.seed, spec.index)
-        # A renderer need not know about other cameras unless an output needs them.
+        # Renderers receive other cameras only if an output needs them.
         further = {"others": others} if others else {}
         frame = renderer.render(self.camera(spec), outputs=outputs, quality=quality, seed=seed, **further)
         return Frame(frame.images, {**frame.metadata, **statistics})
@@ -146,7 +146,7 @@ class FrameRenderer:
 
         return cull_mesh(mesh, self.views.frustums, self._light_reach)
 
-    def sky(self, which: int) -> Sky | None:
+    def sky(self, set_index: int) -> Sky | None:
         """The daylight above a set, or None if the recipe has none."""
         from pepperscene.scene import partly_cloudy_sky
 
@@ -154,7 +154,7 @@ class FrameRenderer:
         if light is None or light.illuminance_lx == 0:
             return None
         return partly_cloudy_sky(
-            random_generator(self.recipe.seed, Stream.SKY, which),
+            random_generator(self.recipe.seed, Stream.SKY, set_index),
             illuminance_lx=light.illuminance_lx,
             sun_azimuth_rad=float(np.radians(light.sun_azimuth_deg)),
             sun_elevation_rad=float(np.radians(light.sun_elevation_deg)),
@@ -165,8 +165,8 @@ class FrameRenderer:
 
     def _renderer(self, spec: FrameSpec, traced: bool) -> tuple[SceneRenderer, Mapping[str, Any]]:
         """The renderer of the frame's scene, and the scene's statistics."""
-        wanted = {(spec.set, spec.rotation, True), (spec.set, spec.rotation, traced)}
-        if self._held is None or self._held[0] not in wanted:
+        usable = {(spec.set, spec.rotation, True), (spec.set, spec.rotation, traced)}
+        if self._held is None or self._held[0] not in usable:
             # Release the old scene before making the new one.
             self._held = None
             assembled = self.assemble(spec, traced=traced)

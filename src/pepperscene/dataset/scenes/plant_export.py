@@ -38,7 +38,7 @@ class PlantExport:
         triangles: of the mesh.
         height_m: of the mesh.
         contacts: fruit and blades that still touch.
-        seconds: that growing and meshing took.
+        seconds: time of growing and meshing.
     """
 
     files: tuple[Path, ...]
@@ -100,24 +100,24 @@ def export_plant(
 
     # The plant.
     start = time.perf_counter()
-    stage = growth_stage(cultivar, until, share)
-    plant = grow_plant(stage, seed, detail=detail)
+    cultivar_stage = growth_stage(cultivar, until, share)
+    plant = grow_plant(cultivar_stage, seed, detail=detail)
     seconds = time.perf_counter() - start
 
     # Its files.
-    files = mesh_files(plant.mesh, path.name, surface_colours(organ_surfaces(stage, _NM).values()))
+    files = mesh_files(plant.mesh, path.name, surface_colours(organ_surfaces(cultivar_stage, _NM).values()))
     if picture:
         from PIL import Image
 
         from pepperscene.dataset.scenes.portrait import portrait
 
         stream = BytesIO()
-        image = Image.fromarray(portrait(plant.mesh, stage, quality, renderer))
+        image = Image.fromarray(portrait(plant.mesh, cultivar_stage, quality, renderer))
         image.save(stream, format="PNG", optimize=True)
         files[picture_path.name] = stream.getvalue()
     return PlantExport(
         files=write_files(path.parent, files),
-        cultivar=stage.name,
+        cultivar=cultivar_stage.name,
         organs=dict(Counter(instance.kind for instance in plant.mesh.instances)),
         triangles=len(plant.mesh.faces),
         height_m=float(np.ptp(plant.mesh.vertices[:, 2])),

@@ -41,7 +41,7 @@ class GrownPlant:
 
     Attributes:
         plant: its organs, with poses as in the mesh.
-        mesh: instance i is organ i of the plant; what holds the plant follows.
+        mesh: instance i is organ i of the plant; its twine follows.
         contacts: fruit and blades that still touch.
     """
 
@@ -118,7 +118,7 @@ def grow_plant_at(
         address: set and number.
         detail: fineness of the mesh.
         lean_rad: towards the plant's aisle, -y.
-        add_support: adds what holds the plant; organs are then moved off it.
+        add_support: adds the twine that holds the plant; organs are then moved off it.
     """
     from pepperscene.geometry import mesh_plant, move_plant, resolve_contacts
     from pepperscene.grammar import grow
@@ -139,18 +139,20 @@ class PlantFactory:
     greenhouse: Greenhouse
     twine: TwineTable | None
 
-    def plant(self, which: int, number: int) -> PlacedPlant:
+    def plant(self, set_index: int, number: int) -> PlacedPlant:
         """Make one plant of a set."""
         from pepperscene.scene import draw_posture
 
-        posture = draw_posture(self.greenhouse, random_generator(self.seed, Stream.PLACE, which, 1, number))
+        posture = draw_posture(
+            self.greenhouse, random_generator(self.seed, Stream.PLACE, set_index, 1, number)
+        )
 
         def add_support(plant: Plant, mesh: Mesh) -> Mesh:
-            rng = random_generator(self.seed, Stream.TWINE, which, number)
+            rng = random_generator(self.seed, Stream.TWINE, set_index, number)
             return self._with_twine(plant, mesh, posture, rng)
 
         grown = grow_plant_at(
-            self.cultivar, self.seed, which, number, lean_rad=posture.lean_rad, add_support=add_support
+            self.cultivar, self.seed, set_index, number, lean_rad=posture.lean_rad, add_support=add_support
         )
         return PlacedPlant(grown.plant, grown.mesh, grown.contacts, posture)
 
@@ -160,9 +162,9 @@ class PlantFactory:
         if self.twine is None or self.twine.diameter_mm == 0:
             return mesh
         twine = Twine(self.twine.diameter_mm / 1e3, self.twine.turns_per_m)
-        return add_twine(plant, mesh, twine, rng, self._knot(plant, posture))
+        return add_twine(plant, mesh, twine, rng, self._wire_knot(plant, posture))
 
-    def _knot(self, plant: Plant, posture: Posture) -> np.ndarray | None:
+    def _wire_knot(self, plant: Plant, posture: Posture) -> np.ndarray | None:
         """`(3,)` point on the wire, if there is one, above the stem's tip, in the plant's coordinates."""
         from pepperscene.scene import rotation_about_z
 
@@ -187,7 +189,7 @@ def plant_processes(processes: int | None = None) -> int:
     return 1 if is_pool_worker or available_cores() < 2 else 2
 
 
-def make_plants(factory: PlantFactory, which: int, count: int, processes: int) -> list[PlacedPlant]:
+def make_plants(factory: PlantFactory, set_index: int, count: int, processes: int) -> list[PlacedPlant]:
     """Make the plants of a set, in one or two processes with the same result.
 
     With two processes the first label frame of `barth2018` takes 4.5 s instead of 5.0 (two cores).
@@ -196,12 +198,12 @@ def make_plants(factory: PlantFactory, which: int, count: int, processes: int) -
     if processes == 2 and count >= _MIN_SHARED_PLANTS:
         # Without a second process, or when it fails, the plants are made here, where errors are reported.
         with suppress(OSError):
-            _make_in_two_processes(factory, which, pending, plants)
-    return [plants[n] if n in plants else factory.plant(which, n) for n in range(count)]
+            _make_in_two_processes(factory, set_index, pending, plants)
+    return [plants[n] if n in plants else factory.plant(set_index, n) for n in range(count)]
 
 
 def _make_in_two_processes(
-    factory: PlantFactory, which: int, pending: deque[int], plants: dict[int, PlacedPlant]
+    factory: PlantFactory, set_index: int, pending: deque[int], plants: dict[int, PlacedPlant]
 ) -> None:
     """Make the pending plants: this process takes them from the front, a worker from the end."""
     worker = WorkerProcess(__name__)
@@ -210,16 +212,16 @@ def _make_in_two_processes(
         with suppress(OSError, EOFError):
             worker.send(factory)
             for number in _drain(pending.pop):
-                plants[number] = worker.call((which, number))
+                plants[number] = worker.call((set_index, number))
 
     thread = threading.Thread(target=fetch_plants, name="plant worker", daemon=True)
     thread.start()
     try:
         for number in _drain(pending.popleft):
-            plants[number] = factory.plant(which, number)
+            plants[number] = factory.plant(set_index, number)
         thread.join()
     finally:
-        # The thread only lives on if this process failed or was interrupted.
+        # The thread is still alive only if this process failed or was interrupted.
         pending.clear()
         worker.close(0.0 if thread.is_alive() else GRACE_S)
         thread.join()
@@ -235,5 +237,5 @@ def _drain(pop: Callable[[], int]) -> Iterator[int]:
 def serve(connection: Connection) -> None:
     """Make the requested plants, in a worker process."""
     factory: PlantFactory = connection.state
-    for which, number in connection:
-        connection.send(factory.plant(which, number))
+    for set_index, number in connection:
+        connection.send(factory.plant(set_index, number))

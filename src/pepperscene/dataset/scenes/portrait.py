@@ -1,4 +1,4 @@
-"""A picture of one plant in three views: the whole plant, from 50 cm, and a close-up."""
+"""An image of one plant in three views: the whole plant, from 50 cm, and a close-up."""
 
 from __future__ import annotations
 
@@ -66,25 +66,25 @@ def portrait(
     from pepperscene.materials import greenhouse_surfaces, organ_surfaces
     from pepperscene.scene import assemble_scene
 
-    nm = surface_wavelengths(_camera(_SIZE, _FOCAL_LENGTH_M).sensor)
+    nm = surface_wavelengths(_paper_camera(_SIZE, _FOCAL_LENGTH_M).sensor)
     surfaces = {**organ_surfaces(cultivar, nm), **greenhouse_surfaces(nm)}
-    scene_renderer = (renderer or mitsuba_renderer)(assemble_scene(mesh, surfaces, _sky()))
-    cameras = (_whole_plant(mesh), _medium_view(mesh, scene_renderer), _close_up(mesh, scene_renderer))
-    whole, *others = (scene_renderer.render(camera, ["colour"], quality)["colour"] for camera in cameras)
+    scene_renderer = (renderer or mitsuba_renderer)(assemble_scene(mesh, surfaces, _white_sky()))
+    cameras = (_plant_camera(mesh), _medium_camera(mesh, scene_renderer), _close_up(mesh, scene_renderer))
+    first, *further = (scene_renderer.render(camera, ["colour"], quality)["colour"] for camera in cameras)
 
     # The first view on the left, the others on the right, white between them.
-    height = max(whole.shape[0], sum(view.shape[0] for view in others) + _GAP * (len(others) - 1))
-    width = whole.shape[1] + _GAP + max(view.shape[1] for view in others)
+    height = max(first.shape[0], sum(view.shape[0] for view in further) + _GAP * (len(further) - 1))
+    width = first.shape[1] + _GAP + max(view.shape[1] for view in further)
     picture = np.full((height, width, 3), 255, np.uint8)
-    picture[: whole.shape[0], : whole.shape[1]] = whole
+    picture[: first.shape[0], : first.shape[1]] = first
     row = 0
-    for view in others:
-        picture[row : row + view.shape[0], whole.shape[1] + _GAP :][:, : view.shape[1]] = view
+    for view in further:
+        picture[row : row + view.shape[0], first.shape[1] + _GAP :][:, : view.shape[1]] = view
         row += view.shape[0] + _GAP
     return picture
 
 
-def _whole_plant(mesh: Mesh) -> Camera:
+def _plant_camera(mesh: Mesh) -> Camera:
     """The camera that shows the whole plant, in an image as high as both other views together."""
     low, high = mesh.vertices.min(axis=0).astype(float), mesh.vertices.max(axis=0).astype(float)
     middle, width, height = 0.5 * (low + high), high[0] - low[0], high[2] - low[2]
@@ -93,13 +93,11 @@ def _whole_plant(mesh: Mesh) -> Camera:
     # Height or width, whichever needs the shorter lens, with a margin of a twentieth.
     extent = 1.05 * max(height, width * rows / columns)
     distance = _RELATIVE_DISTANCE * extent + 0.5 * (high[1] - low[1])
-    focal_length = distance / extent * rows * _camera((columns, rows), 1.0).sensor.pixel_pitch_m
-    return _looking_at(
-        _camera((columns, rows), focal_length), middle - np.array([0.0, distance, 0.0]), middle
-    )
+    focal_length = distance / extent * rows * _paper_camera((columns, rows), 1.0).sensor.pixel_pitch_m
+    return _aim(_paper_camera((columns, rows), focal_length), middle - np.array([0.0, distance, 0.0]), middle)
 
 
-def _medium_view(mesh: Mesh, renderer: SceneRenderer) -> Camera:
+def _medium_camera(mesh: Mesh, renderer: SceneRenderer) -> Camera:
     """The camera level with the stem and 50 cm away that sees most fruit."""
     top = float(mesh.vertices[:, 2].max())
     stem = mesh.vertices[mesh.faces[mesh.face_class == OrganClass.STEM].ravel()]
@@ -108,12 +106,12 @@ def _medium_view(mesh: Mesh, renderer: SceneRenderer) -> Camera:
         near = stem[np.abs(stem[:, 2] - height) < 0.1 * top]
         target = np.array([*near[:, :2].mean(axis=0), height]) if len(near) else np.array([0.0, 0.0, height])
         for azimuth in _AZIMUTHS[:3]:
-            place = target + DISTANCE_M * np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
-            trials.append((place, target))
-            classes = _trial(renderer, place, target, "class")
+            position = target + DISTANCE_M * np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+            trials.append((position, target))
+            classes = _trial(renderer, position, target, "class")
             # Leaves only decide between views with the same fruit.
             scores.append((classes == OrganClass.PEPPER).sum() + 1e-3 * (classes == OrganClass.LEAF).sum())
-    return _looking_at(_camera(_SIZE, _FOCAL_LENGTH_M), *trials[int(np.argmax(scores))])
+    return _aim(_paper_camera(_SIZE, _FOCAL_LENGTH_M), *trials[int(np.argmax(scores))])
 
 
 def _close_up(mesh: Mesh, renderer: SceneRenderer) -> Camera:
@@ -126,24 +124,24 @@ def _close_up(mesh: Mesh, renderer: SceneRenderer) -> Camera:
     trials, scores = [], []
     for organ in organs:
         vertices = mesh.vertices[mesh.faces[mesh.face_instance == organ].ravel()]
-        # A little above the middle, so that the calyx is in the picture.
+        # A little above the middle, so that the calyx is visible.
         low, high = vertices.min(axis=0).astype(float), vertices.max(axis=0).astype(float)
         target = 0.5 * (low + high) + np.array([0.0, 0.0, 0.15 * (high[2] - low[2])])
         distance = CLOSE_UP_M + 0.25 * (high - low)[:2].sum()
         for azimuth in _AZIMUTHS:
-            place = target + distance * np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
-            trials.append((place, target))
-            scores.append((_trial(renderer, place, target, "instance") == organ + 1).sum())
-    return _looking_at(_camera(_SIZE, _FOCAL_LENGTH_M), *trials[int(np.argmax(scores))])
+            position = target + distance * np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+            trials.append((position, target))
+            scores.append((_trial(renderer, position, target, "instance") == organ + 1).sum())
+    return _aim(_paper_camera(_SIZE, _FOCAL_LENGTH_M), *trials[int(np.argmax(scores))])
 
 
-def _trial(renderer: SceneRenderer, place: Point, target: Point, output: str) -> NDArray[np.integer]:
+def _trial(renderer: SceneRenderer, position: Point, target: Point, output: str) -> NDArray[np.integer]:
     """A small label image of a view."""
-    camera = _camera(_TRIAL_SIZE, _FOCAL_LENGTH_M * _TRIAL_SIZE[0] / _SIZE[0])
-    return renderer.render(_looking_at(camera, place, target), [output])[output]
+    camera = _paper_camera(_TRIAL_SIZE, _FOCAL_LENGTH_M * _TRIAL_SIZE[0] / _SIZE[0])
+    return renderer.render(_aim(camera, position, target), [output])[output]
 
 
-def _camera(size: tuple[int, int], focal_length_m: float) -> Camera:
+def _paper_camera(size: tuple[int, int], focal_length_m: float) -> Camera:
     """The paper's sensor, with this number of columns and rows, behind a lens of this focal length."""
     from pepperscene.camera import Camera, Developing, load_lens, load_sensor
 
@@ -153,13 +151,13 @@ def _camera(size: tuple[int, int], focal_length_m: float) -> Camera:
     return Camera(lens, sensor, exposure_s=_EXPOSURE_S, developing=steps)
 
 
-def _looking_at(camera: Camera, place: Point, target: Point) -> Camera:
+def _aim(camera: Camera, position: Point, target: Point) -> Camera:
     from pepperscene.camera import look_at
 
-    return camera.at_pose(look_at(place, target))
+    return camera.at_pose(look_at(position, target))
 
 
-def _sky() -> Sky:
+def _white_sky() -> Sky:
     """A uniform white sky on all sides, and the sun."""
     from pepperscene.scene import Sun, uniform_sky
     from pepperscene.spectra import scale_to_illuminance, sky_spectrum, sun_spectrum

@@ -29,8 +29,7 @@ class BuiltScene:
 
     Attributes:
         mesh: plants first, then greenhouse and far rows.
-        contacts: fruit and blades of the plants that still touch, within plants and between them; what does
-            both counts twice.
+        contacts: fruit and blades of the plants that still touch, within plants plus between them.
         skeleton: the plants' organs, with poses as in the mesh.
     """
 
@@ -57,17 +56,17 @@ class SceneBuilder:
         self._factory = PlantFactory(cultivar, recipe.seed, self.greenhouse, recipe.twine)
         self._set: tuple[int, list[PlacedPlant]] | None = None
 
-    def scene(self, which: int, rotation: int) -> BuiltScene:
+    def scene(self, set_index: int, rotation: int) -> BuiltScene:
         """Build the scene of a set at a rotation."""
         from pepperscene.geometry import concatenate_meshes, resolve_contacts
         from pepperscene.scene import Skeleton, far_rows, greenhouse_mesh, jittered_positions, place_plants
 
-        plants, row, greenhouse, seed = self.plants(which), self.row, self.greenhouse, self.recipe.seed
+        plants, row, greenhouse, seed = self.plants(set_index), self.row, self.greenhouse, self.recipe.seed
         ordered = rotate_row(plants[: row.front], rotation) + rotate_row(plants[row.front :], rotation)
 
-        # Places belong to the greenhouse, postures to the plants that move on.
-        places = jittered_positions(row, greenhouse, random_generator(seed, Stream.PLACE, which, 0))
-        feet = np.column_stack([places, np.full(len(places), greenhouse.stem_base_m)])
+        # Positions belong to the greenhouse, postures to the plants that rotate through the row.
+        positions = jittered_positions(row, greenhouse, random_generator(seed, Stream.PLACE, set_index, 0))
+        feet = np.column_stack([positions, np.full(len(positions), greenhouse.stem_base_m)])
         turns = np.array([plant.posture.turn_rad for plant in ordered])
         across = np.array([plant.posture.across_m for plant in ordered])
         if self.recipe.greenhouse is not None:
@@ -78,7 +77,7 @@ class SceneBuilder:
 
         # The row, without contacts between its plants.
         together = place_plants([plant.mesh for plant in ordered], feet, turns)
-        rng = random_generator(seed, Stream.SETTLE, which, rotation, 0)
+        rng = random_generator(seed, Stream.SETTLE, set_index, rotation, 0)
         resolved = resolve_contacts(together, rng, between_plants=True)
         skeleton = Skeleton(
             tuple(plant.plant for plant in ordered),
@@ -88,21 +87,21 @@ class SceneBuilder:
             resolved.motions,
         )
 
-        # What surrounds it.
-        surroundings = greenhouse_mesh(row, greenhouse, places)
+        # Its surroundings.
+        surroundings = greenhouse_mesh(row, greenhouse, positions)
         if greenhouse.far_rows > 0:
-            rng = random_generator(seed, Stream.FAR, 1, which, rotation)
+            rng = random_generator(seed, Stream.FAR, 1, set_index, rotation)
             surroundings += far_rows(self._far_models, row, greenhouse, rng)
         mesh = concatenate_meshes([resolved.mesh, *surroundings]) if surroundings else resolved.mesh
         return BuiltScene(mesh, _total_contacts(resolved.contacts, plants), skeleton)
 
-    def plants(self, which: int) -> list[PlacedPlant]:
+    def plants(self, set_index: int) -> list[PlacedPlant]:
         """The plants of a set, those of the front row first."""
-        if self._set is None or self._set[0] != which:
+        if self._set is None or self._set[0] != set_index:
             # Release the old plants before making new ones.
             self._set = None
             count = self.row.front + self.row.back
-            self._set = which, make_plants(self._factory, which, count, self._processes)
+            self._set = set_index, make_plants(self._factory, set_index, count, self._processes)
         return self._set[1]
 
     @cached_property

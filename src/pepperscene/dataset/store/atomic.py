@@ -65,9 +65,9 @@ def write_files(folder: Path, files: Mapping[str, bytes], obsolete: Iterable[Pat
         OutputError: a file cannot be written.
     """
     temporary = {folder / name: _temporary_path(folder / name) for name in files}
-    made: list[Path] = []
+    created: list[Path] = []
     try:
-        make_folder(folder, made)
+        make_folder(folder, created)
         for path, content in zip(temporary.values(), files.values(), strict=True):
             with path.open("wb") as file:
                 file.write(content)
@@ -77,9 +77,9 @@ def write_files(folder: Path, files: Mapping[str, bytes], obsolete: Iterable[Pat
             path.unlink(missing_ok=True)
         for path in temporary:
             os.replace(temporary[path], path)
-            made.append(path)
+            created.append(path)
     except BaseException as error:
-        remove([*made, *temporary.values()])
+        remove([*created, *temporary.values()])
         if isinstance(error, OSError):
             raise write_error(error, folder) from None
         raise
@@ -91,18 +91,18 @@ def write_error(error: OSError, path: Path) -> OutputError:
     return OutputError(f"{error.filename or path}: cannot be written ({error.strerror or error})")
 
 
-def make_folder(folder: Path, made: list[Path]) -> None:
-    """Make a folder and its missing parents, and append those that were made to `made`."""
+def make_folder(folder: Path, created: list[Path]) -> None:
+    """Make a folder and its missing parents, and append those to `created`."""
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     for path in reversed(missing):
         path.mkdir(exist_ok=True)
-        made.append(path)
+        created.append(path)
 
 
-def remove(made: Iterable[Path]) -> None:
+def remove(created: Iterable[Path]) -> None:
     """Remove files and empty folders in the reverse of the given order, as far as they exist."""
-    for path in reversed(list(made)):
-        # A folder may have been filled by another process meanwhile.
+    for path in reversed(list(created)):
+        # Another process may have written into the folder.
         with suppress(OSError):
             path.rmdir() if path.is_dir() else path.unlink()
 
@@ -114,10 +114,10 @@ def check_can_create(folder: Path) -> None:
     try:
         if folder.exists() and not folder.is_dir():
             raise OutputError(f"{folder}: is not a folder")
-        existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-        if not existing.is_dir():
-            raise OutputError(f"{folder}: cannot be made, because {existing} is not a folder")
-        if not os.access(existing, os.W_OK | os.X_OK):
+        parent = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        if not parent.is_dir():
+            raise OutputError(f"{folder}: cannot be made, because {parent} is not a folder")
+        if not os.access(parent, os.W_OK | os.X_OK):
             raise OutputError(f"{folder}: is not writable")
     except OSError as error:
         raise OutputError(f"{folder}: cannot be used ({error.strerror})") from None
@@ -182,7 +182,7 @@ def _is_orphan(path: Path) -> bool:
     """Whether a temporary file was made by a process of this machine that has ended."""
     match = _TEMPORARY_NAME.search(path.name)
     # On other systems signal 0 would end the process.
-    if os.name != "posix" or match is None or match["host"] != _host():
+    if os.name != "posix" or match is None or match["host"] != _host_name():
         return False
     try:
         os.kill(int(match["process"]), 0)
@@ -194,11 +194,11 @@ def _is_orphan(path: Path) -> bool:
 
 
 def _temporary_path(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{_host()}.{os.getpid()}.{next(_number)}.tmp")
+    return path.with_name(f".{path.name}.{_host_name()}.{os.getpid()}.{next(_number)}.tmp")
 
 
 @cache
-def _host() -> str:
+def _host_name() -> str:
     """This machine's name, reduced to characters that file names may have."""
     return re.sub(r"[^A-Za-z0-9-]", "-", platform.node()) or "unnamed"
 

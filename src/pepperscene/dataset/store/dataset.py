@@ -1,4 +1,4 @@
-"""A data set on disk: the layout of its folder, what of it exists, and how frames are added.
+"""A data set on disk: the layout of its folder, its existing frames, and how frames are added.
 
 - `dataset.json`: what the data set is: recipe, its digest, version, quality.
 - `colour/006137.png` and so on: one folder for each output.
@@ -46,7 +46,7 @@ def file_name(index: int, output: str) -> str:
 
 @dataclass(frozen=True)
 class FrameStatus:
-    """What exists of a frame: its JSON without `outputs` and `checksum`, intact images, and its checksum."""
+    """Existing parts of a frame: JSON without `outputs` and `checksum`, intact images, and checksum."""
 
     metadata: dict[str, Any] = field(default_factory=dict)
     outputs: dict[str, Any] = field(default_factory=dict)
@@ -121,8 +121,8 @@ class Dataset:
 
         path = self.folder / name
         with suppress(OSError, ArrowInvalid):
-            listed = parquet.read_table(self.folder / MANIFEST, columns=["index"])["index"].to_pylist()
-            if tuple(listed) == self.indices():
+            indices = parquet.read_table(self.folder / MANIFEST, columns=["index"])["index"].to_pylist()
+            if tuple(indices) == self.indices():
                 return parquet.read_table(path)
         self.write_tables()
         if not path.is_file():
@@ -146,7 +146,7 @@ class Dataset:
             outputs = {
                 str(name): entry
                 for name, entry in entries
-                if name in OUTPUTS and _matches(self.path(index, name), entry)
+                if name in OUTPUTS and _matches_entry(self.path(index, name), entry)
             }
         except (InputError, KeyError, AttributeError, TypeError):
             return FrameStatus()
@@ -160,9 +160,9 @@ class Dataset:
         kept: Mapping[str, Any],
         pool: Executor,
     ) -> FrameStatus:
-        """Add a frame, or outputs to a frame: first the images, then the JSON that makes them count.
+        """Add a frame, or outputs to a frame: first the images, then the JSON, which completes it.
 
-        If that raises, the images of this call are removed, and what existed before still counts.
+        On an error, the images of this call are removed, and existing outputs stay valid.
 
         Args:
             index: of the frame.
@@ -190,7 +190,7 @@ class Dataset:
         return FrameStatus(metadata, outputs, checksum)
 
 
-def _matches(path: Path, entry: Mapping[str, Any]) -> bool:
+def _matches_entry(path: Path, entry: Mapping[str, Any]) -> bool:
     """Whether a file has the size and the checksum of its entry in the frame's JSON."""
     try:
         return bool(path.stat().st_size == entry["bytes"] and digest(path) == entry["sha256"])
@@ -200,8 +200,8 @@ def _matches(path: Path, entry: Mapping[str, Any]) -> bool:
 
 def checksum_of(metadata: Mapping[str, Any]) -> str:
     """SHA-256 of a frame's JSON as canonical text, hexadecimal, without its own `checksum`."""
-    rest = {key: value for key, value in metadata.items() if key != CHECKSUM}
-    return hashlib.sha256(canonical_json(rest)).hexdigest()
+    content = {key: value for key, value in metadata.items() if key != CHECKSUM}
+    return hashlib.sha256(canonical_json(content)).hexdigest()
 
 
 def written_image(path: Path, image: Any, output: str, name: str) -> dict[str, Any]:
@@ -212,7 +212,7 @@ def written_image(path: Path, image: Any, output: str, name: str) -> dict[str, A
 
 
 def file_entry(name: str, content: bytes) -> dict[str, Any]:
-    """What a frame's JSON holds of a file."""
+    """Entry of a file in a frame's JSON."""
     return {"file": name, "bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
 
 

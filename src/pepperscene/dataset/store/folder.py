@@ -1,4 +1,4 @@
-"""The output folder of a build: whether it can take the data set, creation, and cleanup after a failure."""
+"""The output folder of a build: checks, creation, and cleanup after a failure."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ class OutputFolder:
     def prepare(self, outputs: tuple[str, ...]) -> None:
         """Make missing folders and `dataset.json`; other processes may do so at the same time."""
         self.dataset.folder.mkdir(parents=True, exist_ok=True)
-        mark = self.dataset.folder / MARK
-        if not mark.is_file():
-            write_json(mark, self.dataset.info)
+        info_file = self.dataset.folder / MARK
+        if not info_file.is_file():
+            write_json(info_file, self.dataset.info)
         for name in (*outputs, FRAMES):
             (self.dataset.folder / name).mkdir(exist_ok=True)
         self.remove_temporary_files()
@@ -79,10 +79,10 @@ def check_output_folder(folder: Path, info: Mapping[str, Any]) -> None:
 def _check_content(folder: Path, info: Mapping[str, Any]) -> None:
     names = sorted(path.name for path in folder.iterdir() if not is_temporary(path))
     names = [name for name in names if name not in LITTER]
-    foreign = next((name for name in names if name not in OWN), None)
-    if foreign is not None or (names and not (folder / MARK).is_file()):
+    unexpected = next((name for name in names if name not in OWN), None)
+    if unexpected is not None or (names and not (folder / MARK).is_file()):
         raise OutputError(
-            f"{folder}: holds {foreign or names[0]!r}, so it is not a data set; "
+            f"{folder}: holds {unexpected or names[0]!r}, so it is not a data set; "
             "choose an empty or a new folder"
         )
     if not names:
@@ -94,8 +94,8 @@ def _check_content(folder: Path, info: Mapping[str, Any]) -> None:
     differences = [text for name in _COMPARED for text in _differences(name, existing.get(name), info[name])]
     if differences:
         more = len(differences) - _MAX_DIFFERENCES
-        listed = ", ".join(differences[:_MAX_DIFFERENCES]) + (f", and {more} more" if more > 0 else "")
-        raise OutputError(f"{folder}: holds another data set: {listed}; choose another folder")
+        listing = ", ".join(differences[:_MAX_DIFFERENCES]) + (f", and {more} more" if more > 0 else "")
+        raise OutputError(f"{folder}: holds another data set: {listing}; choose another folder")
 
 
 def _differences(key: str, existing: Any, expected: Any) -> list[str]:

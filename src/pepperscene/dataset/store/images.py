@@ -78,8 +78,8 @@ def encode_image(image: Any, output: str) -> bytes:
     """The content of the file that `write_image` writes; same arguments and `ValueError`."""
     expected = OUTPUTS[output]
     if not expected.fits(image):
-        found = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
-        raise ValueError(f"{output} must be {f'{expected.shape} {expected.dtype}'.strip()}, not {found}")
+        actual = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
+        raise ValueError(f"{output} must be {f'{expected.shape} {expected.dtype}'.strip()}, not {actual}")
     if not expected.is_image:
         return canonical_json(image)
     if expected.suffix == ".exr":

@@ -35,7 +35,7 @@ class Journal:
             with self._path.open("rb") as file:
                 offset = 0
                 for line in file:
-                    self._index(offset, line)
+                    self._index_line(offset, line)
                     offset += len(line)
 
     def __enter__(self) -> Self:
@@ -54,7 +54,7 @@ class Journal:
         """Note the frames that a build requests, unless all of them are noted already."""
         requested = sorted(indices)
         if not self._wanted.issuperset(requested):
-            self._write({"wanted": _ranges(requested)})
+            self._write_line({"wanted": _to_ranges(requested)})
 
     def checksum(self, index: int) -> str:
         """Checksum of the frame's JSON according to the journal; empty if the frame is unknown."""
@@ -63,7 +63,7 @@ class Journal:
     def add(self, row: Row) -> None:
         """Add a frame's row, unless the journal holds this frame with this checksum already."""
         if self.checksum(row["index"]) != row["checksum"]:
-            self._write(row)
+            self._write_line(row)
 
     def rows(self, indices: Iterable[int]) -> Iterator[tuple[int, Row | None]]:
         """Yield each index with the frame's row, or with None if the journal does not hold the frame."""
@@ -78,7 +78,7 @@ class Journal:
                 file.seek(self._frames[index][0])
                 yield index, json.loads(file.readline())
 
-    def _write(self, row: Row) -> None:
+    def _write_line(self, row: Row) -> None:
         if self._file is None:
             self._file = self._path.open("ab")
             if self._is_torn():
@@ -87,9 +87,9 @@ class Journal:
         offset = self._file.tell()
         self._file.write(line)
         self._file.flush()
-        self._index(offset, line)
+        self._index_line(offset, line)
 
-    def _index(self, offset: int, line: bytes) -> None:
+    def _index_line(self, offset: int, line: bytes) -> None:
         try:
             row = json.loads(line)
             if "wanted" in row:
@@ -108,7 +108,7 @@ class Journal:
             return size > 0 and file.read() != b"\n"
 
 
-def _ranges(indices: list[int]) -> list[tuple[int, int]]:
+def _to_ranges(indices: list[int]) -> list[tuple[int, int]]:
     """Ascending numbers as half-open ranges."""
     ranges: list[tuple[int, int]] = []
     for index in indices:

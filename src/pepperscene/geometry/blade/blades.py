@@ -43,8 +43,7 @@ def mesh_blades(organs: Sequence[Organ], detail: float) -> MeshBatch:
     asymmetry (fraction by which the right half is wider than the mean half, and the left narrower), widest
     (fraction of the length), base (power of the outline there), lobes (along each margin), lobe_depth
     (fraction of the half-width), state_mean, state_spread, seed. All but the sizes are optional. Measures
-    that would tear a blade are limited: fold to 80 degrees, curl to 150, bulges to a tenth of the width and
-    waves to an eighth.
+    that would tear a blade are limited: fold 80 degrees, curl 150, bulges 1/10 of the width, waves 1/8.
     """
     read_positive(organs, "length_m")  # the curve has this length; here it is only checked
     width, seed = read_positive(organs, "width_m"), read_measure(organs, "seed", 0.0)

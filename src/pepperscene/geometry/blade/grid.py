@@ -22,7 +22,7 @@ _MEAN_OFFSET: Final = 0.325  # of the numbers that the material adds to a vein's
 
 
 def vein_origin(number: FloatArray) -> FloatArray:
-    """Place where secondary vein `number` (0 the lowest, or a fraction) leaves the midrib."""
+    """Position where secondary vein `number` (0 the lowest, or a fraction) leaves the midrib."""
     return 0.02 + 0.85 * (np.maximum(number + _MEAN_OFFSET, 0.0) / VEIN_PAIRS) ** 1.15
 
 
@@ -38,7 +38,7 @@ def vein_rise(origin: FloatArray, out: FloatArray) -> FloatArray:
 
 
 def origin_of_vein_at(along: FloatArray, out: FloatArray) -> FloatArray:
-    """Origin of the vein through a place, the inverse of `vein_rise`; may be below the base."""
+    """Origin of the vein through a position, the inverse of `vein_rise`; may be below the base."""
     half = 0.5 * VEIN_ASPECT * out
     return (along - VEIN_COT_BASE * half - VEIN_ARC * VEIN_ASPECT / 6.0 * out**3) / (1.0 + _COT_CHANGE * half)
 

@@ -1,6 +1,6 @@
 """The outline of a flat blade: ovate, with a drawn-out tip, a rounded or wedge-shaped base, lobed or not.
 
-Places on a margin are given as `along`, the fraction of the length that the outline without lobes has there.
+Positions on a margin are given as `along`, the fraction of the length in the outline without lobes.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from pepperscene.geometry.blade.grid import FAN_POWER, Grid, origin_of_vein_at, 
 from pepperscene.geometry.mesh import FloatArray, IndexArray
 from pepperscene.grammar.plant import Organ
 
-_WIDEST: Final = 0.35  # chosen with _BASE by eye from photographs: rounded-cuneate base, drawn-out tip
+_WIDEST: Final = 0.35  # chosen with _BASE from photographs: rounded-cuneate base, drawn-out tip
 _BASE: Final = 0.8
 _FINEST_TIP: Final = 2.2  # power of the outline at the tip, chosen
 _FOOT: Final = 0.012  # chosen: fraction of the length below which the blade narrows down to the petiole
-_SAMPLES: Final = 0.5 - 0.5 * np.cos(np.pi * np.arange(193) / 192)  # places searched for the widest one
+_SAMPLES: Final = 0.5 - 0.5 * np.cos(np.pi * np.arange(193) / 192)  # positions searched for the widest one
 _MOST_LOBES: Final = 24  # along a margin; finer teeth need more triangles than a blade should have
 
 
@@ -31,14 +31,14 @@ class Outlines:
     half_width: FloatArray  # `(n, 2)` metres, of the left and the right half where it is widest
     half_extent: FloatArray  # `(n,)` metres, the larger of the two; the extent of the material's veins
     base: FloatArray  # `(n, 1, 1)` power of the outline at the base
-    widest: FloatArray  # `(n, 1, 1)` place where it is widest
+    widest: FloatArray  # `(n, 1, 1)` position where it is widest
     scale: FloatArray  # `(n, 2, 1)` factor that makes the greatest reach 1
-    lobes: FloatArray  # `(n, 2, 4 + k)` hashed numbers for the place and depth of each lobe
+    lobes: FloatArray  # `(n, 2, 4 + k)` hashed numbers for the position and depth of each lobe
     count: FloatArray  # `(n, 1, 1)` lobes along a margin
     depth: FloatArray  # `(n, 1, 1)` of the lobes, as a fraction of the half-width
 
     def reach(self, along: FloatArray) -> FloatArray:
-        """`(n, 2, m)` metres from the midrib to the margin without lobes, at `(n, 2, m)` or `(m,)` places."""
+        """`(n, 2, m)` metres from midrib to margin without lobes, at positions `(n, 2, m)` or `(m,)`."""
         return self.half_width[..., None] * self.scale * _entire_outline(along, self.base, self.widest)
 
     def lobe_factor(self, along: FloatArray) -> FloatArray:
@@ -103,7 +103,7 @@ def _smooth_step(x: FloatArray) -> FloatArray:
 
 
 _MARGIN_SAMPLES: Final = np.linspace(0.0, 1.0, 161)
-"""Chosen: places along a margin between which the ends of rows are interpolated."""
+"""Chosen: positions along a margin between which the ends of rows are interpolated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +115,7 @@ class FlatBlades:
     rim: FloatArray  # `(n, 2, r)` the values of `margin` at the ends of the rows
     origin: FloatArray  # `(r,)` along, where rows leave the midrib
     edge: FloatArray  # `(n, 2, r)` metres from the midrib to the ends of the rows
-    column: (
-        FloatArray  # `(s,)` places of the columns of a half, from 0 at the midrib to 1 at the end of the row
-    )
+    column: FloatArray  # `(s,)` columns of a half, from 0 at the midrib to 1 at the end of the row
     out: FloatArray  # `(n, 2, r, s)` metres from the midrib
     along: FloatArray  # `(n, 2, r, s)`
     extra_edge: FloatArray  # `(n, 2, e)` metres from the midrib to the extra points of the margins
@@ -139,8 +137,7 @@ def flat_blades(outline: Outlines, grid: Grid, seed: FloatArray) -> FlatBlades:
     along[..., low] = ends[..., :1] * spread[low] ** FAN_POWER
     origin = vein_origin(np.maximum(number, 0.0)) * np.minimum(spread**0.8, 5.0 * spread**FAN_POWER)
     origin[~low] = vein_origin(number[~low])
-    # Lobes are cut along the rows, so that they point where the veins do, and less deep where rows graze the
-    # margin.
+    # Lobes are cut along the rows, so that they point where the veins do, less deep at grazing angles.
     entire = outline.reach(along)
     lobed = 1.0 - (1.0 - outline.lobe_factor(along)) * (0.3 + 0.7 * spread)
     edge = entire * lobed
@@ -154,8 +151,8 @@ def flat_blades(outline: Outlines, grid: Grid, seed: FloatArray) -> FlatBlades:
         extent = outline.half_extent[:, None, None, None]
         climb = vein_rise(start, out / extent) / vein_rise(start, end / extent)
         if np.any(weight[:, :, row] < 1.0):
-            straight = (out / end) ** power[:, :, row, None]
-            climb = straight + weight[:, :, row, None] * (climb - straight)
+            fraction = (out / end) ** power[:, :, row, None]
+            climb = fraction + weight[:, :, row, None] * (climb - fraction)
         return start + (along[:, :, row, None] - start) * climb
 
     # The inside follows the lobes, less so towards the midrib.
@@ -184,9 +181,9 @@ def _row_ends(outline: Outlines, number: FloatArray) -> FloatArray:
     origins = origin_of_vein_at(_MARGIN_SAMPLES, out)
     # Under a broad base the margin crosses the same veins on the way down and up: the upper crossing counts.
     origins = np.minimum.accumulate(origins[..., ::-1], axis=2)[..., ::-1] + 1e-9 * _MARGIN_SAMPLES
-    wanted = vein_origin(number)
+    origin = vein_origin(number)
     rows = origins.reshape(-1, len(_MARGIN_SAMPLES))
-    return np.array([np.interp(wanted, row, _MARGIN_SAMPLES) for row in rows]).reshape(*origins.shape[:2], -1)
+    return np.array([np.interp(origin, row, _MARGIN_SAMPLES) for row in rows]).reshape(*origins.shape[:2], -1)
 
 
 def _row_shapes(
@@ -202,9 +199,9 @@ def _row_shapes(
     step = 1.0 + 1e-4
     reach = outline.reach(along)
     growth = np.log(outline.reach(np.minimum(along * step, 1.0 - 1e-12)) / reach) / np.log(step)
-    most = 0.65 * along / (np.maximum(along - origin, 1e-9) * np.maximum(growth, 1e-3))
+    limit = 0.65 * along / (np.maximum(along - origin, 1e-9) * np.maximum(growth, 1e-3))
     out = reach / outline.half_extent[:, None, None]
     rise = vein_rise(origin, out)
     steep = (vein_rise(origin, out * step) / rise - 1.0) / (step - 1.0)
-    power = np.minimum(most, 1.0)
-    return np.clip((most - power) / np.maximum(steep - power, 1e-9), 0.0, spread), power
+    power = np.minimum(limit, 1.0)
+    return np.clip((limit - power) / np.maximum(steep - power, 1e-9), 0.0, spread), power

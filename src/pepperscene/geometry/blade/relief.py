@@ -16,7 +16,7 @@ from pepperscene.materials.patterns import VEIN_PAIRS
 
 _DOME: Final = 0.8  # chosen: power of a half sine from vein to vein; bulges are round, creases narrow
 _RISE: Final = 0.1  # of the half-width: distance from the midrib within which bulges rise
-_CELLS: Final = 3.5  # parts of a bulge between tertiary veins at the widest place
+_CELLS: Final = 3.5  # parts of a bulge between tertiary veins at the widest position
 _TURN: Final = 2.0 * np.pi
 _FURROW: Final = 0.15  # half-width of a sunken vein, as a fraction of the distance to the next
 _NOISE_WAVES: Final = 8
@@ -34,18 +34,20 @@ def margin_waves(
     height = np.clip(read_measure(organs, "margin_wave_m", 0.0), -0.25 * half, 0.25 * half)[:, None, None]
     count = np.clip(read_measure(organs, "margin_waves", 0.0), 0.0, 12.0)[:, None, None]
     draws = hash_uniform(flat.seed, 231, 16).reshape(-1, 2, 8, 1)
-    phase_1, phase_2, phase_3, phase, ripple, much, place, turn = (draws[:, :, k] for k in range(8))
+    phase_1, phase_2, phase_3, phase, ripple, amount, position, curl_angle = (
+        draws[:, :, k] for k in range(8)
+    )
     at, wide = flat.margin, np.minimum(flat.reach / flat.half_width[..., None], 1.0)
     warp = 0.07 * np.sin(_TURN * (1.2 * at + phase_1)) + 0.04 * np.sin(_TURN * (2.7 * at + phase_2))
     turns = count * (at + warp) + phase
-    amplitude = 1.0 - (0.25 + 0.5 * much) * (0.5 + 0.5 * np.sin(_TURN * (0.9 * at + phase_3)))
+    amplitude = 1.0 - (0.25 + 0.5 * amount) * (0.5 + 0.5 * np.sin(_TURN * (0.9 * at + phase_3)))
     waves = amplitude * np.sin(_TURN * turns) + 0.1 * np.sin(_TURN * (2.6 * turns + ripple))
     # Chosen: maximum angle at the margin of the stretch that turns over, radians up or down.
     curl = np.minimum(np.abs(read_measure(organs, "curl_rad", 0.0)), 1.5)
-    most = (0.5 * waviness + 0.4 * curl)[:, None, None]
-    bump = np.exp(-(((at - 0.15 - 0.7 * place) / 0.16) ** 2))
+    max_angle = (0.5 * waviness + 0.4 * curl)[:, None, None]
+    bump = np.exp(-(((at - 0.15 - 0.7 * position) / 0.16) ** 2))
     # Both vanish towards base and tip, where the blade is narrow.
-    return height * np.sqrt(wide) * waves, 0.2 * flat.reach * most * (2.0 * turn - 1.0) * bump
+    return height * np.sqrt(wide) * waves, 0.2 * flat.reach * max_angle * (2.0 * curl_angle - 1.0) * bump
 
 
 def margin_relief(margin: FloatArray, x: FloatArray | float) -> tuple[FloatArray, FloatArray]:
@@ -58,11 +60,11 @@ def margin_relief(margin: FloatArray, x: FloatArray | float) -> tuple[FloatArray
         margin: `(3, ...)` w, t and the reach of the margin, metres.
         x: fraction of the way from the midrib to the margin, broadcast against `(...)`.
     """
-    waves, turned, reach = margin
+    waves, curled, reach = margin
     cube = x * x * x
-    wave, turn = waves * x, turned * (cube * x)
-    width = (2 / 3 * wave**2 + 5 / 3 * wave * turn + 25 / 18 * turn**2) * (x / reach)
-    return x * (wave + turn), width
+    wave, curl = waves * x, curled * (cube * x)
+    width = (2 / 3 * wave**2 + 5 / 3 * wave * curl + 25 / 18 * curl**2) * (x / reach)
+    return x * (wave + curl), width
 
 
 def vein_bulges(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
@@ -77,9 +79,9 @@ def vein_bulges(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
     sunken = np.clip(read_measure(organs, "vein_m", 0.0), -0.05 * width, 0.05 * width)[:, None, None, None]
     # Two panels below the first vein, one between each vein and the next.
     panel = np.where(number < 0.0, np.floor(2.0 * number) + 2.0, np.floor(number) + 2.0).astype(np.intp)
-    within = np.where(number < 0.0, 2.0 * number, number) % 1.0
-    dome = np.sin(np.pi * within) ** _DOME
-    # Panels differ in height and in the places where tertiary veins divide them.
+    fraction = np.where(number < 0.0, 2.0 * number, number) % 1.0
+    dome = np.sin(np.pi * fraction) ** _DOME
+    # Panels differ in height and in the positions of the tertiary veins that divide them.
     panels = VEIN_PAIRS + 3
     draws = hash_uniform(flat.seed, 241, 4 * panels).reshape(-1, 2, panels, 2)[:, :, panel]
     scale = 0.7 + 0.6 * draws[..., 0]
@@ -89,8 +91,8 @@ def vein_bulges(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
         cells = 0.75 - 0.25 * np.cos(2.0 * np.pi * (_CELLS * out + draws[..., 1, None]))
     panelled = (scale * dome)[..., None] * _dome_across(column) * cells
     # Furrows run along the veins, shallower towards the margin.
-    away = np.minimum(number % 1.0, -number % 1.0)
-    furrow = np.where(number > -0.5, np.exp(-((away / _FURROW) ** 2)), 0.0)[:, None]
+    vein_distance = np.minimum(number % 1.0, -number % 1.0)
+    furrow = np.where(number > -0.5, np.exp(-((vein_distance / _FURROW) ** 2)), 0.0)[:, None]
     taper = np.minimum(column / _RISE, 1.0) * (1.0 - 0.75 * column) * (1.0 - column**8)
     uneven = 0.3 * grid.split_halves(grid_noise(flat, 245, 0.5)) * _dome_across(column)
     # Narrow panels bulge less.
@@ -106,8 +108,8 @@ def _dome_across(column: FloatArray) -> FloatArray:
 def grid_noise(flat: FlatBlades, salt: int, size: float) -> FloatArray:
     """Compute `(n, r, c)` smooth noise of mean 0 and variance 1 over the grid, like `smooth_field`.
 
-    Places are in half-widths across and, along the midrib, at the origin of the row's vein. There each wave
-    is a product of a factor for rows and one for columns, which saves most of the cosines.
+    Positions are in half-widths across and, along the midrib, at the origin of the row's vein. There each
+    wave is a product of a factor for rows and one for columns, which saves most of the cosines.
     """
     angle = 2.0 * np.pi * hash_uniform(flat.seed, salt, _NOISE_WAVES)
     wavenumber = 2.0 * np.pi / size * (1.0 + 0.4 * hash_signed(flat.seed, salt + 1, _NOISE_WAVES))
@@ -124,7 +126,7 @@ def bulge_shrinkage(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
     """Compute `(n, 1, 1, s)` factors by which a half shrinks across to keep its width over all bulges.
 
     The arc over a surface of slope h' is longer by sqrt(1 + h'^2); bulges are formed from a blade of the
-    stated width, not added to it. Slopes are those of the mean bulge at the widest place.
+    stated width, not added to it. Slopes are those of the mean bulge at the widest position.
     """
     half = flat.half_width.mean(axis=1)[:, None]
     middle = 0.5 * (flat.column + np.concatenate([[0.0], flat.column[:-1]]))

@@ -92,8 +92,8 @@ class ContactCosts:
             row, column = np.flatnonzero(rows), np.flatnonzero(columns)
             # Both are in order of units: every row meets the run of columns of its unit.
             first, stop = (np.searchsorted(near_unit[column], unit[row], side) for side in ("left", "right"))
-            place, step = expand_counts(stop - first)
-            row, other = row[place], near[column[first[place] + step]]
+            pair, step = expand_counts(stop - first)
+            row, other = row[pair], near[column[first[pair] + step]]
             overlap = boxes_overlap(organs.low[other], organs.high[other], low[row], high[row])
             return row[overlap], members[row[overlap]], other[overlap]
 
@@ -118,21 +118,21 @@ class ContactCosts:
     def cost(self, rows: IndexArray, transforms: RigidTransforms, stride: int) -> FloatArray:
         """Compute `(r, k)` costs of some units, with every `stride`-th point; the first is the identity."""
         total, both = np.zeros(transforms.shift.shape[:2]), transforms.with_inverses()
-        place = np.full(len(self._units), -1)
-        place[rows] = np.arange(len(rows))
+        row_of_unit = np.full(len(self._units), -1)
+        row_of_unit[rows] = np.arange(len(rows))
         for pairs in self._pairs:
-            chosen = np.flatnonzero(place[pairs.unit] >= 0)
-            if not len(chosen):
+            selected = np.flatnonzero(row_of_unit[pairs.unit] >= 0)
+            if not len(selected):
                 continue
-            unit = place[pairs.unit[chosen]]
-            np.add.at(total, unit, pairs.cost(chosen, unit, both, stride))
+            unit = row_of_unit[pairs.unit[selected]]
+            np.add.at(total, unit, pairs.cost(selected, unit, both, stride))
         for row in np.flatnonzero(self._reaches_floor[rows]).tolist():
             total[row] += self._underground(int(rows[row]), transforms.rotation[row], transforms.shift[row])
         return total
 
     def _underground(self, unit: int, rotation: FloatArray, shift: FloatArray) -> FloatArray:
         """`(k,)` cost of organs below the floor."""
-        members = np.array([one for one in self._units[unit].members if self._organs.solid[one]])
+        members = np.array([member for member in self._units[unit].members if self._organs.solid[member]])
         patches, patch, _ = self._organs.patches(members)
         points = patches.points[patch].reshape(-1, 3)
         excess = self._floor[unit] - ((points @ rotation[:, 2].T).min(axis=0) + shift[:, 2]) - 1e-6
@@ -187,29 +187,29 @@ class Poses:
         transforms, cost = self.transforms(self.angles), self.effort + self.remaining
         # Examine a few first, as one of these may be free.
         first = np.arange(min(1 + _FIRST, cost.shape[1]))
-        rest = np.append(0, np.arange(len(first), cost.shape[1]))
+        remaining = np.append(0, np.arange(len(first), cost.shape[1]))
         open_units = np.arange(len(cost))
-        for columns in (first, rest):
-            chosen = np.ix_(open_units, columns)
-            contact = costs.cost(open_units, transforms.select(chosen), _STRIDE)
-            cost[chosen] = self.effort[chosen] + np.maximum(self.remaining[chosen], contact)
-            if columns is first and len(rest) > 1:
+        for columns in (first, remaining):
+            block = np.ix_(open_units, columns)
+            contact = costs.cost(open_units, transforms.select(block), _STRIDE)
+            cost[block] = self.effort[block] + np.maximum(self.remaining[block], contact)
+            if columns is first and len(remaining) > 1:
                 # Poses with a lower bound above the best cost so far need no examination.
-                decided = cost[:, first].min(axis=1) <= cost[:, len(first)]
-                cost[np.ix_(decided, rest[1:])] = np.inf
-                open_units = np.flatnonzero(~decided)
+                is_decided = cost[:, first].min(axis=1) <= cost[:, len(first)]
+                cost[np.ix_(is_decided, remaining[1:])] = np.inf
+                open_units = np.flatnonzero(~is_decided)
         return np.asarray(cost)
 
     def shorten(
-        self, costs: ContactCosts, rows: IndexArray, picked: IndexArray
+        self, costs: ContactCosts, rows: IndexArray, selected: IndexArray
     ) -> Iterator[tuple[int, float, FloatArray, bool]]:
-        """Choose the best fraction of the way to the picked pose of each of some units, with all points.
+        """Choose the best fraction of the way to the selected pose of each of some units, with all points.
 
         Yields:
             The unit's row, its gain, its angles, and whether it is small and free of contacts.
         """
         current, weights = self.current[rows], self.weights[rows]
-        angles = current + _FRACTIONS[:, None] * (self.angles[rows, picked][:, None] - current)
+        angles = current + _FRACTIONS[:, None] * (self.angles[rows, selected][:, None] - current)
         effort = weighted_effort(angles, weights)
         transforms = self.joints.select(rows).transforms(angles - current)
         cost = effort + costs.cost(rows, transforms, 1)

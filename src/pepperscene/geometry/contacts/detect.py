@@ -62,8 +62,8 @@ class ContactDetector:
         self.is_stem = np.isin(self.organs.organ_class, [STEM, WIRE])
         self.surfaces = FruitSurfaces(self.organs, self.fruit)
         self.capsules = StemCapsules(self.organs)
-        nothing = np.empty(0, dtype=np.intp)
-        empty = ContactPairs(nothing, nothing, np.empty(0, dtype=np.float32))
+        none = np.empty(0, dtype=np.intp)
+        empty = ContactPairs(none, none, np.empty(0, dtype=np.float32))
         self._known, self._known_at = dict.fromkeys((FRUIT, LEAF), empty), dict.fromkeys((FRUIT, LEAF), -1)
 
     def are_joined(self, organs: IndexArray, others: IndexArray) -> NDArray[np.bool_]:
@@ -134,9 +134,9 @@ class ContactDetector:
         if not len(fruit):
             return result
         # Organs outside the bounding sphere of the fruit need no sample points.
-        which, place = np.unique(fruit, return_inverse=True)
-        spheres = self.surfaces.spheres(which)
-        centre, limit = spheres.centre[place], spheres.radius[place] + NEAR
+        distinct, position = np.unique(fruit, return_inverse=True)
+        spheres = self.surfaces.spheres(distinct)
+        centre, limit = spheres.centre[position], spheres.radius[position] + NEAR
         offset = centre - np.clip(centre, self.organs.low[others], self.organs.high[others])
         pair = np.flatnonzero(np.einsum("ni,ni->n", offset, offset) < limit**2)
         patches, patch, entry = self.organs.patches(others[pair])
@@ -147,7 +147,7 @@ class ContactDetector:
         pair, patch = pair[kept], patch[kept]
         inverse = spheres.rotation.transpose(0, 2, 1)
         shift = -np.einsum("fij,fj->fi", inverse, spheres.centre)
-        body = place[pair]
+        body = position[pair]
         depth = self.surfaces.depth(
             spheres.row[body],
             patches.coordinates(patch),
@@ -163,15 +163,15 @@ class ContactDetector:
         result = np.full(len(blades), -np.inf, dtype=np.float32)
         if not len(blades):
             return result
-        capsules, which, pair = self.capsules.of_tubes(stems)
+        capsules, capsule, pair = self.capsules.of_tubes(stems)
         low, high = self.organs.low[blades] - NEAR, self.organs.high[blades] + NEAR
-        kept = boxes_overlap(capsules.low[which], capsules.high[which], low[pair], high[pair])
-        which, pair = which[kept], pair[kept]
+        kept = boxes_overlap(capsules.low[capsule], capsules.high[capsule], low[pair], high[pair])
+        capsule, pair = capsule[kept], pair[kept]
         patches, patch, entry = self.organs.patches(blades[pair])
-        which, pair = which[entry], pair[entry]
-        near = capsules.depth(patches.centre[patch].T[:, None], which) + patches.radius[patch] > -NEAR
+        capsule, pair = capsule[entry], pair[entry]
+        near = capsules.depth(patches.centre[patch].T[:, None], capsule) + patches.radius[patch] > -NEAR
         hit = np.flatnonzero(near)
-        depth = capsules.depth(patches.coordinates(patch[hit]), which[hit])
+        depth = capsules.depth(patches.coordinates(patch[hit]), capsule[hit])
         np.maximum.at(result, pair[hit], depth)
         return result
 

@@ -92,17 +92,17 @@ class Organs:
         """Positions in `organs` and in `others` of pairs whose boxes are closer than `margin` metres."""
         rows, columns = [], []
         # Sweep along x: compare a block of neighbours with the others in the same range only.
-        place = np.argsort(self.low[organs, 0], kind="stable")
+        order = np.argsort(self.low[organs, 0], kind="stable")
         low, high = self.low[others] - margin, self.high[others] + margin
-        for start in range(0, len(place), _BLOCK):
-            block = organs[place[start : start + _BLOCK]]
+        for start in range(0, len(order), _BLOCK):
+            block = organs[order[start : start + _BLOCK]]
             near = np.flatnonzero(
                 (low[:, 0] < self.high[block, 0].max()) & (high[:, 0] > self.low[block, 0].min())
             )
             row, column = np.nonzero(
                 boxes_overlap(self.low[block, None], self.high[block, None], low[near], high[near])
             )
-            rows.append(place[start + row])
+            rows.append(order[start + row])
             columns.append(near[column])
         empty = np.empty(0, dtype=np.intp)
         return np.concatenate([empty, *rows]), np.concatenate([empty, *columns])
@@ -179,8 +179,8 @@ class Organs:
             the position of each one's organ.
         """
         self.sample(organs)
-        place, number = expand_counts(self.patch_count[organs])
-        return self.all_patches, self.patch_first[organs][place] + number, place
+        position, number = expand_counts(self.patch_count[organs])
+        return self.all_patches, self.patch_first[organs][position] + number, position
 
     def subtree(self, root: int) -> list[int]:
         """An organ and all its descendants, in ascending order."""
@@ -210,7 +210,7 @@ class Organs:
             if not self.solid[organ]:
                 continue
             if self.patch_count[organ] < 0:
-                points = self._current(organ, self.original_vertices(organ))
+                points = self._current_points(organ, self.original_vertices(organ))
             else:
                 points = self._move_patches(organ, rotation, shift)
             self.low[organ], self.high[organ] = points.min(axis=0), points.max(axis=0)
@@ -222,7 +222,7 @@ class Organs:
         vertices, normals = self.mesh.vertices.copy(), self.mesh.normals.copy()
         for organ in np.flatnonzero(self.moved_at).tolist():
             rows = self._vertices.rows(organ)
-            vertices[rows] = self._current(organ, vertices[rows])
+            vertices[rows] = self._current_points(organ, vertices[rows])
             normals[rows] = (normals[rows] @ self.rotation[organ].T).astype(np.float32)
         return replace(self.mesh, vertices=vertices, normals=normals)
 
@@ -234,7 +234,7 @@ class Organs:
                 children[above].append(organ)
         return children
 
-    def _current(self, organ: int, points: SingleArray) -> SingleArray:
+    def _current_points(self, organ: int, points: SingleArray) -> SingleArray:
         return (points @ self.rotation[organ].T + self.shift[organ]).astype(np.float32)
 
     def _boxes(self) -> tuple[FloatArray, FloatArray]:

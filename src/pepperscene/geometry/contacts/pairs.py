@@ -42,13 +42,13 @@ class FruitPairs:
         self._spheres = detector.surfaces.spheres(fruit)
 
     def depths(
-        self, rows: IndexArray, which: IndexArray, transforms: RigidTransforms, stride: int
+        self, rows: IndexArray, transform: IndexArray, transforms: RigidTransforms, stride: int
     ) -> SingleArray:
         """Compute `(r, k)` metres by which some movers penetrate their fruit; minus infinity if far apart.
 
         Args:
             rows: `(r,)` indices of pairs, ascending.
-            which: `(r,)` row of `transforms` for each mover.
+            transform: `(r,)` row of `transforms` for each mover.
             transforms: `(t, k)`.
             stride: use every `stride`-th point.
         """
@@ -56,9 +56,9 @@ class FruitPairs:
         spheres, organs = self._spheres, self._detector.organs
         centre, limit = spheres.centre[rows], spheres.radius[rows] + NEAR
         inverse, movers = spheres.rotation.transpose(0, 2, 1)[rows], self._movers[rows]
-        for pair, step, hit, patch in _near_patches(organs, movers, centre, limit, which, transforms):
+        for pair, step, hit, patch in _near_patches(organs, movers, centre, limit, transform, transforms):
             # Relative to the fruit's centre numbers are small, as single precision requires.
-            to_fruit, row = inverse[pair], which[pair]
+            to_fruit, row = inverse[pair], transform[pair]
             matrix = np.matmul(to_fruit, transforms.rotation[row, step])
             offset = np.matmul(to_fruit, (transforms.shift[row, step] - centre[pair])[:, :, None])[:, :, 0]
             depth = self._detector.surfaces.depth(
@@ -84,26 +84,28 @@ class StemPairs:
         high: FloatArray,
     ) -> None:
         self._organs, self._blades = detector.organs, blades
-        capsules, which, pair = detector.capsules.of_tubes(stems)
-        kept = boxes_overlap(capsules.low[which], capsules.high[which], low[pair], high[pair])
-        self._capsules, self._pair = capsules.select(which[kept]), pair[kept]
+        capsules, capsule, pair = detector.capsules.of_tubes(stems)
+        kept = boxes_overlap(capsules.low[capsule], capsules.high[capsule], low[pair], high[pair])
+        self._capsules, self._pair = capsules.select(capsule[kept]), pair[kept]
 
     def depths(
-        self, rows: IndexArray, which: IndexArray, transforms: RigidTransforms, stride: int
+        self, rows: IndexArray, transform: IndexArray, transforms: RigidTransforms, stride: int
     ) -> SingleArray:
         """Compute `(r, k)` metres by which some blades penetrate their stems; as `FruitPairs.depths`."""
         result = np.full((len(rows), transforms.shift.shape[1]), -np.inf, dtype=np.float32)
-        place = np.full(len(self._blades), -1)
-        place[rows] = np.arange(len(rows))
-        kept = np.flatnonzero(place[self._pair] >= 0)
-        entry, capsules = place[self._pair[kept]], self._capsules.select(kept)
+        row_of_blade = np.full(len(self._blades), -1)
+        row_of_blade[rows] = np.arange(len(rows))
+        kept = np.flatnonzero(row_of_blade[self._pair] >= 0)
+        entry, capsules = row_of_blade[self._pair[kept]], self._capsules.select(kept)
         middle = capsules.start + 0.5 * capsules.span
         limit = capsules.radius + 0.5 * np.sqrt(np.einsum("ci,ci->c", capsules.span, capsules.span)) + NEAR
-        blades, which = self._blades[rows][entry], which[entry]
-        for pair, step, hit, patch in _near_patches(self._organs, blades, middle, limit, which, transforms):
+        blades, transform = self._blades[rows][entry], transform[entry]
+        for pair, step, hit, patch in _near_patches(
+            self._organs, blades, middle, limit, transform, transforms
+        ):
             # Instead of moving blades to stems, move stems back to the blades.
-            inverse = transforms.rotation[which[pair], step]
-            start = capsules.start[pair] - transforms.shift[which[pair], step]
+            inverse = transforms.rotation[transform[pair], step]
+            start = capsules.start[pair] - transforms.shift[transform[pair], step]
             moved = Capsules(
                 np.matmul(start[:, None], inverse)[:, 0],
                 np.matmul(capsules.span[pair][:, None], inverse)[:, 0],
@@ -119,7 +121,7 @@ def _near_patches(
     movers: IndexArray,
     centre: FloatArray,
     radius: FloatArray,
-    which: IndexArray,
+    transform: IndexArray,
     transforms: RigidTransforms,
 ) -> Iterator[tuple[IndexArray, IndexArray, IndexArray, IndexArray]]:
     """Patches of moving organs that overlap spheres, one sphere for each mover.
@@ -136,7 +138,7 @@ def _near_patches(
     for start in range(0, len(movers), block_size):
         block = slice(start, start + block_size)
         # Instead of moving organs to spheres, move spheres back to the organs.
-        target = _move_back(centres[block], which[block], rotation, shift)
+        target = _move_back(centres[block], transform[block], rotation, shift)
         square = np.zeros(target.shape[1:], dtype=np.float32)
         for axis in range(3):
             offset = target[axis] - np.clip(target[axis], low[block, axis, None], high[block, axis, None])
@@ -160,12 +162,14 @@ def _near_patches(
 
 
 def _move_back(
-    centre: SingleArray, which: IndexArray, rotation: SingleArray, shift: SingleArray
+    centre: SingleArray, transform: IndexArray, rotation: SingleArray, shift: SingleArray
 ) -> SingleArray:
     """`(3, n, k)` points that transforms move to centres `(n, 3)`."""
-    x, y, z = (centre[:, axis, None] - shift[which, :, axis] for axis in range(3))
+    x, y, z = (centre[:, axis, None] - shift[transform, :, axis] for axis in range(3))
     r = rotation.transpose(2, 3, 0, 1)
-    return np.stack([x * r[0, i][which] + y * r[1, i][which] + z * r[2, i][which] for i in range(3)])
+    return np.stack(
+        [x * r[0, i][transform] + y * r[1, i][transform] + z * r[2, i][transform] for i in range(3)]
+    )
 
 
 def _blocks(sizes: IndexArray) -> Iterator[slice]:
@@ -199,11 +203,11 @@ class PairCosts:
             transforms: `(2 u, k)` with their inverses, the first of each the identity.
             stride: use every `stride`-th sample point: the cost is at most that with all points.
         """
-        which = unit + len(transforms.shift) // 2 if self.inverse else unit
-        depth = self.table.depths(rows, which, transforms, stride)
+        transform = unit + len(transforms.shift) // 2 if self.inverse else unit
+        depth = self.table.depths(rows, transform, transforms, stride)
         slack = self.slack[rows]
-        now = np.maximum(depth[:, 0], -CLEARANCE)
-        excess = depth - np.where(np.isnan(slack), -CLEARANCE, now + slack)[:, None]
+        current = np.maximum(depth[:, 0], -CLEARANCE)
+        excess = depth - np.where(np.isnan(slack), -CLEARANCE, current + slack)[:, None]
         graded = self.weight[rows, None] * (1.0 + 1e3 * PER_MM * np.maximum(excess, 0.0))
         return np.asarray(np.where(excess > 0.0, graded, 0.0))
 
@@ -211,7 +215,7 @@ class PairCosts:
 class PairRules:
     """Costs of contacts between current organs, by their classes.
 
-    With `hard` nothing gives way; otherwise leaves give way to fruit. Between plants, a unit may come as near
+    With `hard` nothing gives way; otherwise leaves give way to fruit. Between plants, a unit may move as near
     to organs of its own plant as it is.
     """
 

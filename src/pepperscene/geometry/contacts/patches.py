@@ -89,15 +89,15 @@ class Patches:
 
     def coordinates(self, patch: IndexArray, stride: int = 1) -> SingleArray:
         """`(3, s, h)` metres: x, y and z of every `stride`-th point of patches `(h,)`."""
-        place = PATCH_SIZE * patch + np.arange(0, PATCH_SIZE, stride)[:, None]
-        return np.stack([axis.take(place) for axis in self.points.transpose(2, 0, 1).reshape(3, -1)])
+        entry = PATCH_SIZE * patch + np.arange(0, PATCH_SIZE, stride)[:, None]
+        return np.stack([axis.take(entry) for axis in self.points.transpose(2, 0, 1).reshape(3, -1)])
 
     def view(self, rows: slice) -> Patches:
         """Some of the patches, sharing memory."""
         return Patches(self.points[rows], self.centre[rows], self.radius[rows])
 
     def write(self, first: int, other: Patches) -> None:
-        """Overwrite the patches from a first one on."""
+        """Overwrite patches, starting at index `first`."""
         rows = slice(first, first + len(other))
         self.points[rows], self.centre[rows], self.radius[rows] = other.points, other.centre, other.radius
 
@@ -123,7 +123,7 @@ def build_patches(
         extent: `(owners,)` metres, the longest sides of these boxes.
 
     Returns:
-        The patches, and `(owners,)` how many each owner has.
+        The patches, and `(owners,)` number of patches of each owner.
     """
     owners = len(low)
     small = owner.astype(np.uint16) if owners < 2**16 else owner
@@ -139,9 +139,9 @@ def build_patches(
     along = np.argsort(key, kind="stable")
     along = along[np.argsort(sorted_owner[along], kind="stable")]
     count = -(-number // PATCH_SIZE)
-    place, run = expand_counts(count)
-    last = first[place] + number[place] - 1
-    rows = np.minimum((first[place] + PATCH_SIZE * run)[:, None] + np.arange(PATCH_SIZE), last[:, None])
+    position, run = expand_counts(count)
+    last = first[position] + number[position] - 1
+    rows = np.minimum((first[position] + PATCH_SIZE * run)[:, None] + np.arange(PATCH_SIZE), last[:, None])
     grouped = sorted_points[along[rows]]
     centre = np.matmul(_MEAN, grouped)[:, 0]
     offset = grouped - centre[:, None]

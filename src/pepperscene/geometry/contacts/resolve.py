@@ -24,7 +24,7 @@ _TOUCHING: Final = -0.75 * CLEARANCE  # m, chosen: organs closer than this may t
 _POSES: Final = (30, 60, 60, 120)  # chosen: candidate poses of a unit in each round, then as in the last
 _EXAMINED: Final = (10, 20, 20, 120)  # chosen: the cheapest of these, examined with all contacts
 _COARSE_STRIDE: Final = 16  # chosen: poses are compared by what remains of a contact with every 16th point
-_FEW: Final = 8  # contacts, chosen: decides when units are tried, not which
+_FEW: Final = 8  # contacts, chosen: decides when units are tried, not which ones
 _ROUNDS: Final = 18  # chosen: later rounds hardly resolve anything
 
 
@@ -69,13 +69,13 @@ class ContactSolver:
     def run_round(self, number: int) -> bool:
         """Try to resolve every contact once; return whether there was any."""
         contacts = self._find_contacts()
-        found = len(contacts) > 0
-        phase = self._rng.uniform(0.0, 2.0 * np.pi, len(self.organs)) if found else np.empty(0)
+        has_contacts = len(contacts) > 0
+        phase = self._rng.uniform(0.0, 2.0 * np.pi, len(self.organs)) if has_contacts else np.empty(0)
         while len(contacts):
             contacts = self._resolve_some(contacts, _Round(number, phase))
             # A motion may have resolved others, too.
             contacts = contacts[self.detector.depths(*contacts.T) > _TOUCHING]
-        return found
+        return has_contacts
 
     def _find_contacts(self) -> IndexArray:
         """`(c, 2)` fruit and the organs that touch them, blades and the stems that they run through."""
@@ -99,10 +99,12 @@ class ContactSolver:
         unresolved = list(range(len(candidates)))
         for turn in range(max(map(len, candidates))):
             unresolved = [place for place in unresolved if turn < len(candidates[place])]
-            # Trying a few units too many costs less than trying them one after another.
+            # Trying a few units too many costs less than trying units separately.
             stop = turn + 1 if len(unresolved) > _FEW else None
-            wanted = {unit.root: unit for place in unresolved for unit in candidates[place][turn:stop]}
-            units = [unit for root, unit in wanted.items() if root not in trials]
+            candidates_by_root = {
+                unit.root: unit for place in unresolved for unit in candidates[place][turn:stop]
+            }
+            units = [unit for root, unit in candidates_by_root.items() if root not in trials]
             if units:
                 places = [contacts_of[unit.root] for unit in units]
                 trials |= self._try_units(units, places, contacts, current_round)
@@ -117,9 +119,9 @@ class ContactSolver:
 
     def _candidate_units(self, organ: int, other: int) -> list[MovableUnit]:
         """The units whose motion may resolve a contact, those of the other organ first."""
-        for one in (organ, other):
-            if one not in self._units:
-                self._units[one] = units_of(self.organs, one)
+        for touching in (organ, other):
+            if touching not in self._units:
+                self._units[touching] = units_of(self.organs, touching)
         both = (*self._units[other], *self._units[organ])
         return [unit for unit in both if not (organ in unit.members and other in unit.members)]
 
@@ -144,10 +146,10 @@ class ContactSolver:
         useful_units = [units[row] for row in useful.tolist()]
         swept = np.concatenate([poses.angles, 0.5 * (poses.angles + poses.current)], axis=1)
         costs = ContactCosts(rules, useful_units, poses.transforms(swept))
-        picked = poses.cost(costs).argmin(axis=1)
-        better = np.flatnonzero(picked)
+        cheapest = poses.cost(costs).argmin(axis=1)
+        better = np.flatnonzero(cheapest)
         if len(better):
-            for row, gain, angles, small in poses.shorten(costs, better, picked[better]):
+            for row, gain, angles, small in poses.shorten(costs, better, cheapest[better]):
                 root = useful_units[row].root
                 trials[root] = _Trial(gain, angles, small, trials[root].resolves)
         return trials
@@ -194,14 +196,14 @@ class ContactSolver:
         Returns:
             The contacts that must wait.
         """
-        organs, before = self.organs, self.organs.moves
+        organs, first_move = self.organs, self.organs.moves
         waiting = []
         for place, unit in best.items():
             members = np.array(unit.members)
-            moved = np.flatnonzero(organs.moved_at > before)
+            moved = np.flatnonzero(organs.moved_at > first_move)
             if len(moved) and (
-                np.any(organs.moved_at[contacts[place]] > before)
-                or np.any(organs.moved_at[members] > before)
+                np.any(organs.moved_at[contacts[place]] > first_move)
+                or np.any(organs.moved_at[members] > first_move)
                 or self._comes_near(unit, angles[unit.root], moved)
             ):
                 waiting.append(place)
@@ -260,9 +262,9 @@ def resolve_contacts(
 ) -> ResolvedMesh:
     """Rotate parts of plants so that fruit touches nothing and blades do not run through stems.
 
-    Only the classes and parents of the instances are used, so any crop will do. Units on either side of a
-    contact are tried in a number of poses, and the smallest rotation that resolves it is made; leaves give
-    way before fruit does. The same mesh and state of the generator give the same mesh, bit for bit.
+    Only the classes and parents of the instances are used, so this works for any crop. Units on either side
+    of a contact are tried in a number of poses, and the smallest rotation that resolves it is made; leaves
+    give way before fruit does. The same mesh and state of the generator give the same mesh, bit for bit.
 
     Args:
         mesh: one or more plants, z up, with the ground at z = 0.

@@ -190,13 +190,13 @@ class Capsules:
         """`(c, 3)` metres, upper corners of the bounding boxes."""
         return np.asarray(np.maximum(self.start, self.start + self.span) + self.radius[:, None])
 
-    def select(self, which: IndexArray) -> Capsules:
+    def select(self, indices: IndexArray) -> Capsules:
         """Some of the capsules."""
-        return Capsules(self.start[which], self.span[which], self.radius[which])
+        return Capsules(self.start[indices], self.span[indices], self.radius[indices])
 
-    def depth(self, points: SingleArray, which: IndexArray) -> SingleArray:
-        """`(h,)` metres: depth of the deepest point of each patch `(3, s, h)` in capsule `which` `(h,)`."""
-        start, span = self.start.T.astype(np.float32)[:, which], self.span.T.astype(np.float32)[:, which]
+    def depth(self, points: SingleArray, capsule: IndexArray) -> SingleArray:
+        """`(h,)` metres: depth of the deepest point of each patch `(3, s, h)` in capsules `(h,)`."""
+        start, span = self.start.T.astype(np.float32)[:, capsule], self.span.T.astype(np.float32)[:, capsule]
         square = np.maximum(np.einsum("ih,ih->h", span, span), np.float32(1e-12))
         offset = points - start[:, None]
         along = offset[0] * span[0] + offset[1] * span[1] + offset[2] * span[2]
@@ -205,7 +205,7 @@ class Capsules:
         for axis in range(3):
             across = offset[axis] - along * span[axis]
             nearest += across * across
-        return np.asarray(self.radius.astype(np.float32)[which] - np.sqrt(nearest.min(axis=0)))
+        return np.asarray(self.radius.astype(np.float32)[capsule] - np.sqrt(nearest.min(axis=0)))
 
 
 class StemCapsules:
@@ -230,8 +230,8 @@ class StemCapsules:
                 np.concatenate([old.span, new.span]),
                 np.concatenate([old.radius, new.radius]),
             )
-        place, number = expand_counts(self._count[tubes])
-        return self._capsules, self._first[tubes][place] + number, place
+        position, number = expand_counts(self._count[tubes])
+        return self._capsules, self._first[tubes][position] + number, position
 
 
 def _tube_capsules(organs: Organs, tubes: Sequence[int]) -> tuple[Capsules, IndexArray]:

@@ -69,13 +69,13 @@ def mesh_calyces(
     tooth = np.clip(read_measure(organs, "tooth", _TOOTH), 0.02, 0.9)
     stalk, stalk_axis = _stalk_ends(organs, stalks)
     radius = np.maximum(read_positive(organs, "radius_m"), 1.5 * stalk)
-    thickness, sunk = (np.minimum(part * radius, most) for part, most in (_THICKNESS, _SUNK))
+    thickness, sunk = (np.minimum(part * radius, limit) for part, limit in (_THICKNESS, _SUNK))
     # The rim, and for each column the fraction of the way to the tip of its tooth.
     angle, phase = _columns(seed, float(tooth.max()), detail)
-    long = 1.0 - 0.3 * _tooth_values(phase, hash_uniform(seed, 403, 8))
+    length_factor = 1.0 - 0.3 * _tooth_values(phase, hash_uniform(seed, 403, 8))
     aside = np.abs(2.0 * (phase - np.round(phase)))
     blade = 1.0 - aside ** (_NARROW[0] - _NARROW[1] * tooth)[:, None]
-    rim = 1.0 - tooth[:, None] + tooth[:, None] * blade * long
+    rim = 1.0 - tooth[:, None] + tooth[:, None] * blade * length_factor
     rim *= (radius / rim.max(axis=1))[:, None]
     disc = np.maximum(0.85 * (1.0 - tooth) * radius, 1.25 * stalk)[:, None]
     rim = np.maximum(rim, 1.12 * disc)
@@ -162,6 +162,6 @@ def _ring_points(
     foot: FloatArray, axes: FloatArray, width: FloatArray, angle: FloatArray, along: FloatArray
 ) -> FloatArray:
     """`(n, r, c, 3)` points at `width` from the axes, at angles from the upper side, and at `along`."""
-    turn = angle[:, None]
-    local = np.stack([width * np.cos(turn), width * np.sin(turn), along], axis=-1)
+    rotation = angle[:, None]
+    local = np.stack([width * np.cos(rotation), width * np.sin(rotation), along], axis=-1)
     return FruitFrames(foot, axes).to_plant(local.reshape(len(foot), -1, 3)).reshape(local.shape)

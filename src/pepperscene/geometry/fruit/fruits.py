@@ -123,8 +123,8 @@ class Shoulders:
             rise = self.along[fruit[:, None, None], index + 1, side[:, None]] - low
             limit = _STEEPEST * self.extent[fruit[:, None], side][:, None] / steps
             part = position - index
-            beyond = np.clip(part - 1.0, 0.0, None)
-            sides.append(low + np.minimum(part, 1.0) * rise + beyond * np.clip(rise, -limit, limit))
+            excess = np.clip(part - 1.0, 0.0, None)
+            sides.append(low + np.minimum(part, 1.0) * rise + excess * np.clip(rise, -limit, limit))
         return sides[0] + fraction * (sides[1] - sides[0])
 
 

@@ -18,10 +18,10 @@ from pepperscene.geometry.batch import (
 from pepperscene.geometry.mesh import FloatArray, IndexArray
 from pepperscene.grammar.plant import Organ
 
-# Chosen by eye, from photographs of blocky and of pointed sweet peppers and of round tomatoes.
+# Chosen from photographs of blocky and of pointed sweet peppers and of round tomatoes.
 _FURROW = 0.17  # depth of a typical furrow over the radius, where it is deepest
-_FURROW_AT_EQUATOR = 0.42  # fraction of that depth that remains at the widest place
-_FURROW_WIDTH = 0.22, 0.75  # roundness of furrows at the ends and at the widest place; 0 a crease, 1 a sine
+_FURROW_AT_EQUATOR = 0.42  # fraction of that depth that remains at the widest ring
+_FURROW_WIDTH = 0.22, 0.75  # roundness of furrows at the ends and at the widest ring; 0 a crease, 1 a sine
 _CAVITY = 0.4  # depth of a deep stalk cavity over the radius
 _DIMPLE = 0.2  # depth of the blossom end's dimple over the radius
 _ROUND, _BLOCKY = 2.0, 4.0  # exponents of the profile's superellipse: without furrows, with deep ones
@@ -53,11 +53,11 @@ class Pericarps:
         far = np.clip(along - straight, 0.0, None)
         angle = np.linalg.norm(self.bend, axis=1)[:, None]
         side = self.bend / np.where(angle > 0.0, angle, 1.0)
-        turn = angle * far / (self.end[:, None] - straight)
+        arc_angle = angle * far / (self.end[:, None] - straight)
         # sin(x) / x and (1 - cos(x)) / x, also right for x = 0.
-        forward = far * np.sinc(turn / np.pi)
-        aside = far * 0.5 * turn * np.sinc(0.5 * turn / np.pi) ** 2
-        sine, cosine = np.sin(turn), np.cos(turn)
+        forward = far * np.sinc(arc_angle / np.pi)
+        aside = far * 0.5 * arc_angle * np.sinc(0.5 * arc_angle / np.pi) ** 2
+        sine, cosine = np.sin(arc_angle), np.cos(arc_angle)
         offset = side[:, :1] * up + side[:, 1:] * right
         across = aside + (cosine - 1.0) * offset
         return np.stack(
@@ -91,9 +91,11 @@ def build_pericarps(organs: Sequence[Organ], detail: float) -> Pericarps:
     columns = 4 * subdivisions(9, detail, 3)
     draw = hash_signed(seed, 301, 8)[:, :, None, None]
     angle = 2.0 * np.pi * np.arange(columns) / columns
-    turned = angle + np.pi * draw[:, 0]
+    rotated = angle + np.pi * draw[:, 0]
     warped = (
-        turned + 0.16 * np.sin(turned + np.pi * draw[:, 1]) + 0.1 * np.sin(2.0 * turned + np.pi * draw[:, 2])
+        rotated
+        + 0.16 * np.sin(rotated + np.pi * draw[:, 1])
+        + 0.1 * np.sin(2.0 * rotated + np.pi * draw[:, 2])
     )
     lobe = lobes * warped / (2.0 * np.pi)
     # Furrows between them, all different: narrow and deep at both ends, faint and broad in the middle.
@@ -107,7 +109,7 @@ def build_pericarps(organs: Sequence[Organ], detail: float) -> Pericarps:
     fading = 1.0 - 0.75 * point * low
     strength = (_FURROW_AT_EQUATOR + (1.0 - _FURROW_AT_EQUATOR) * ends) * fading
     even = 0.25 + 0.75 * blocky
-    oval = 0.03 * np.cos(turned + np.pi * draw[:, 3]) + 0.025 * np.cos(2.0 * turned + np.pi * draw[:, 4])
+    oval = 0.03 * np.cos(rotated + np.pi * draw[:, 3]) + 0.025 * np.cos(2.0 * rotated + np.pi * draw[:, 4])
     bulge = 0.035 * _blend_lobes(lobe, lobes, hash_signed(seed, 303, 6))
     radius = width * (1.0 + even * (oval + bulge)) * (1.0 - np.clip(depth, 0.0, 0.5) * furrow * strength)
     # Furrows cut into both ends, so that each lobe has a shoulder and a foot of uneven height.
@@ -151,7 +153,7 @@ def _mean_profile(
         organs: n fruit.
         blocky: `(n, 1)` 0 is round, 1 has corners.
         slimness: `(n,)` diameter over length.
-        rings: how many.
+        rings: their number.
 
     Returns:
         `(n, r)` each: distance from the axis, in radii; height, down the fruit, in half lengths; 1 at the
@@ -171,9 +173,9 @@ def _mean_profile(
         (end**point) * (start ** (1.0 - point))
         for start, end in zip((corner - 0.1, long), _POINTED, strict=True)
     )
-    turn = 0.5 * np.pi * np.linspace(0.0, 1.0, 60) ** 1.5
-    quarter_top = np.sin(turn) ** (2.0 / corner), np.cos(turn) ** (2.0 / corner)
-    back = turn[-2::-1]
+    angle = 0.5 * np.pi * np.linspace(0.0, 1.0, 60) ** 1.5
+    quarter_top = np.sin(angle) ** (2.0 / corner), np.cos(angle) ** (2.0 / corner)
+    back = angle[-2::-1]
     quarter_low = np.sin(back) ** (2.0 / across), np.cos(back) ** (2.0 / down)
     width = np.concatenate([quarter_top[0], quarter_low[0]], axis=1)
     top = np.concatenate([quarter_top[1], np.zeros_like(quarter_low[0])], axis=1)
@@ -218,7 +220,7 @@ def _ring(width: FloatArray, middle: float, half: float) -> FloatArray:
 def _blend_lobes(lobe: FloatArray, lobes: FloatArray, values: FloatArray) -> FloatArray:
     """One of `(n, 6)` values per lobe, blended smoothly from each crest to the next.
 
-    `lobe` is the place around the fruit, with the crests at whole numbers; `lobes` their number.
+    `lobe` is the position around the fruit, with the crests at whole numbers; `lobes` their number.
     """
     before = np.floor(lobe)
     fraction = np.sin(0.5 * np.pi * (lobe - before)) ** 2

@@ -235,9 +235,9 @@ def _add_seam(
     face_u = u[faces]
     crossing = np.ptp(face_u, axis=1) > 0.5
     beyond = crossing[:, None] & (face_u < 0.5)
-    duplicated, place = np.unique(faces[beyond], return_inverse=True)
+    duplicated, position = np.unique(faces[beyond], return_inverse=True)
     new_faces = faces.copy()
-    new_faces[beyond] = len(points) + place
+    new_faces[beyond] = len(points) + position
     # Drop points that only faces beyond the seam used.
     kept, new_faces = np.unique(new_faces, return_inverse=True)
     uv = np.stack([np.append(u, np.ones(len(duplicated))), np.append(v, v[duplicated])], axis=1)
@@ -263,16 +263,16 @@ def _shoulders(triangles: FloatArray) -> Shoulders:
     return Shoulders(extent[None], along[None])
 
 
-def _first_hits(triangles: FloatArray, places: FloatArray) -> FloatArray:
+def _first_hits(triangles: FloatArray, positions: FloatArray) -> FloatArray:
     """`(m,)` least `along` where lines parallel to the axis at `(m, 2)` meet triangles, or infinity."""
     # Only triangles that face the stalk can be met first.
     a, b, c = (triangles[:, corner] for corner in range(3))
     doubled = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     facing = doubled < 0.0
     a, b, c, doubled = a[facing], b[facing], c[facing], doubled[facing]
-    result = np.full(len(places), np.inf)
-    for start in range(0, len(places), 64):
-        p = places[start : start + 64, None]
+    result = np.full(len(positions), np.inf)
+    for start in range(0, len(positions), 64):
+        p = positions[start : start + 64, None]
         weight_b = (p[..., 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (p[..., 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
         weight_c = (b[:, 0] - a[:, 0]) * (p[..., 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (p[..., 0] - a[:, 0])
         weight_b, weight_c = weight_b / doubled, weight_c / doubled

@@ -22,7 +22,7 @@ from pepperscene.grammar.plant import Organ
 _PETALS: Final = 6.0  # chosen: Capsicum annuum has five to seven
 _OPEN: Final = 0.8  # chosen: most flowers are nearly flat
 _STATE: Final = 0.8  # chosen: white rather than greenish
-# Chosen by eye from photographs of Capsicum annuum; radii over the flower's radius.
+# Chosen from photographs of Capsicum annuum; radii over the flower's radius.
 _TUBE: Final = (0.12, 0.3)  # radius of the corolla's tube at the stalk, and where the petals start
 _NOTCH: Final = 0.5  # radius where neighbouring petals separate
 _BUD: Final = 1.45  # radians by which petals stand up in a bud

@@ -158,11 +158,11 @@ def _rows(
     `knots` are over the length of the foot, the first 0; `fraction` is that of the whole length that a foot
     usually takes, for v, which is the same for all stalks.
     """
-    rest = np.arange(1, pieces + 1) / pieces
+    steps = np.arange(1, pieces + 1) / pieces
     near = foot[:, None] * np.array(knots)
-    far = near[:, -1:] + (spine.lengths[:, None] - near[:, -1:]) * rest
+    far = near[:, -1:] + (spine.lengths[:, None] - near[:, -1:]) * steps
     v = fraction * np.array(knots)
-    return np.concatenate([v, v[-1] + (1.0 - v[-1]) * rest]), np.concatenate([near, far], axis=1)
+    return np.concatenate([v, v[-1] + (1.0 - v[-1]) * steps]), np.concatenate([near, far], axis=1)
 
 
 def _foot_pitch(spine: Spines) -> FloatArray:
@@ -172,7 +172,7 @@ def _foot_pitch(spine: Spines) -> FloatArray:
     """
     tangent = cross(spine.normals[:, 0], spine.binormals[:, 0])
     slope = np.arcsin(np.clip(tangent[:, 2], -1.0, 1.0))
-    # The upper side may look down, if a stalk has been turned about itself.
+    # The upper side may point down, if a stalk is twisted about its axis.
     upright = np.array([0.0, 0.0, 1.0]) - tangent[:, 2:] * tangent
     level = np.einsum("ni,ni->n", upright, spine.normals[:, 0])
     return np.clip(slope * level / np.maximum(np.linalg.norm(upright, axis=1), 1e-9), -_LEAN, _LEAN)
@@ -185,8 +185,8 @@ def _slant_feet(spine: Spines, along: FloatArray, up: FloatArray) -> FloatArray:
     """
     slant = np.tan(np.minimum(_foot_pitch(spine) + _UNDER, _LEAN))[:, None] * up[:, 0]
     # Rings must not touch each other.
-    most, gap = np.abs(slant).max(axis=1).clip(1e-9), np.diff(along[:, :3], axis=1)
-    slant = slant * np.minimum(1.0, np.minimum(1.2 * gap[:, 0], 1.4 * gap[:, 1]) / most)[:, None]
+    highest, gap = np.abs(slant).max(axis=1).clip(1e-9), np.diff(along[:, :3], axis=1)
+    slant = slant * np.minimum(1.0, np.minimum(1.2 * gap[:, 0], 1.4 * gap[:, 1]) / highest)[:, None]
     result = np.repeat(along[..., None], up.shape[2], axis=2)
     result[:, 0] += slant
     result[:, 1] += 0.5 * slant

@@ -31,7 +31,7 @@ from pepperscene.grammar.plant import Organ, Plant
 _SIDES: Final = 12  # chosen: three points to a ridge; internodes and nodes share it, so that their rings meet
 _FADING: Final = 0.12  # chosen: fraction of an internode within which its ridges rise out of the node
 _GROOVE_STATE: Final = 0.2  # chosen: how much greener grooves are than ridges
-# Outline of a node, chosen by eye from photographs of Capsicum: fractions of its length and of its swelling.
+# Outline of a node, chosen from photographs of Capsicum: fractions of its length and of its swelling.
 # It swells slowly from below, is widest above its middle, and steps back above that collar.
 _OUTLINE: Final = np.array(
     [[0.0, 0.0], [0.1, 0.13], [0.23, 0.55], [0.4, 0.91], [0.57, 1.0], [0.68, 0.78], [0.82, 0.28], [1.0, 0.0]]
@@ -54,16 +54,16 @@ def mesh_internodes(organs: Sequence[Organ], detail: float) -> MeshBatch:
     radius = base[:, None] + (tip - base)[:, None] * v
     # Ridges have their full height except near the ends, where the section is as round as the node.
     edge = np.clip(np.minimum(v, 1.0 - v) / _FADING, 0.0, 1.0)
-    full = edge**2 * (3.0 - 2.0 * edge)
+    height = edge**2 * (3.0 - 2.0 * edge)
     groove = _grooves(read_measure(organs, "seed", 0.0), v, angle)
     depth = np.clip(read_measure(organs, "groove_m", 0.0), 0.0, 0.5 * np.minimum(base, tip))
-    reach = radius[..., None] - (depth[:, None] * full)[..., None] * groove
+    reach = radius[..., None] - (depth[:, None] * height)[..., None] * groove
     right, up = centre_rings(reach * np.sin(angle), reach * np.cos(angle), radius)
     # The state changes linearly from base to tip; grooves are greener than ridges.
     along = spine.lengths[:, None] * v
     mean = read_measure(organs, "state_mean", DEFAULT_STATE)
     rise = read_measure(organs, "state_tip", mean) - mean
-    state = rise[:, None, None] * v[:, None] + _GROOVE_STATE * full[:, None] * (groove - 0.5)
+    state = rise[:, None, None] * v[:, None] + _GROOVE_STATE * height[:, None] * (groove - 0.5)
     rings = Rings(along, right, up, v, state + state_with_streaks(organs, along, len(angle)))
     return sweep_rings(spine, rings, round_cap(base, spine.lengths), round_cap(tip, spine.lengths))
 
@@ -77,7 +77,7 @@ def mesh_nodes(organs: Sequence[Organ], detail: float) -> MeshBatch:
     v, radius = _node_profile(organs, detail)
     angle = ring_angles(subdivisions(_SIDES, detail, 8))
     spine = _node_spines(organs)
-    # It bulges to some sides, as if for what grows there; its ends are as round as those of the internodes.
+    # It bulges to some sides, as if for organs that grow there; its ends are as round as the internodes.
     phase = 2.0 * np.pi * hash_uniform(read_measure(organs, "seed", 0.0), 103, 2)
     hollow = 0.5 - 0.3 * np.cos(2.0 * angle + phase[:, :1]) - 0.2 * np.cos(3.0 * angle + phase[:, 1:])
     reach = radius[..., None] * (1.0 - _LUMPS * np.sin(np.pi * v)[:, None] * hollow[:, None, :])
@@ -124,7 +124,7 @@ def stem_profile(plant: Plant) -> tuple[FloatArray, FloatArray]:
 
 
 def stem_branches(plant: Plant) -> FloatArray:
-    """Find where organs leave the side of the main stem: what twine must pass.
+    """Find the positions where organs grow out of the main stem, which the twine must avoid.
 
     Returns:
         `(j, 4)` centre and radius, metres, of stalks, fruit stalks and scars with their flared feet.
@@ -140,8 +140,8 @@ def stem_branches(plant: Plant) -> FloatArray:
             continue
         # Feet start a fifth of the parent's radius below its surface.
         start = organ.curve[1] - organ.curve[0]
-        ahead = 0.35 * plant.organs[organ.parent].measures["radius_m"]
-        centre = organ.curve[0] + ahead * start / max(float(np.linalg.norm(start)), 1e-9)
+        offset = 0.35 * plant.organs[organ.parent].measures["radius_m"]
+        centre = organ.curve[0] + offset * start / max(float(np.linalg.norm(start)), 1e-9)
         branches.append([*centre, 1.35 * radius])
     return np.array(branches).reshape(-1, 4)
 
@@ -171,8 +171,8 @@ def _node_profile(organs: Sequence[Organ], detail: float) -> tuple[FloatArray, F
     # The widest ring has the stated radius.
     widest, end = read_positive(organs, "radius_m"), read_positive(organs, "radius_end_m")
     start = read_measure(organs, "radius_start_m", end)
-    straight = start[:, None] + (end - start)[:, None] * v
-    return v, straight + (widest[:, None] - straight) * bulge / bulge.max()
+    linear = start[:, None] + (end - start)[:, None] * v
+    return v, linear + (widest[:, None] - linear) * bulge / bulge.max()
 
 
 def _grooves(seed: FloatArray, v: FloatArray, angle: FloatArray) -> FloatArray:
@@ -182,9 +182,9 @@ def _grooves(seed: FloatArray, v: FloatArray, angle: FloatArray) -> FloatArray:
     """
     draw = hash_uniform(seed, 101, 5)[..., None, None]
     count = np.where(draw[:, 0] < 0.5, 4.0, 5.0)
-    place = angle + 0.25 * np.pi * (draw[:, 1] - 0.5) * v[:, None] + 2.0 * np.pi * draw[:, 2]
-    wave = count * place + 0.5 * np.sin(place + 2.0 * np.pi * draw[:, 3])
+    position = angle + 0.25 * np.pi * (draw[:, 1] - 0.5) * v[:, None] + 2.0 * np.pi * draw[:, 2]
+    wave = count * position + 0.5 * np.sin(position + 2.0 * np.pi * draw[:, 3])
     groove = np.abs(np.sin(0.5 * wave)) ** 1.5
-    groove = groove + 0.25 * (1.0 - groove) * (0.5 + 0.5 * np.sin(place + 2.0 * np.pi * draw[:, 4]))
+    groove = groove + 0.25 * (1.0 - groove) * (0.5 + 0.5 * np.sin(position + 2.0 * np.pi * draw[:, 4]))
     low, high = groove.min(axis=2, keepdims=True), groove.max(axis=2, keepdims=True)
     return np.asarray((groove - low) / (high - low))

@@ -65,7 +65,7 @@ def ring_angles(sides: int) -> FloatArray:
 def centre_rings(right: FloatArray, up: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Move rings `(n, r, c)` so that their mean is on the spine, and scale them to a radius.
 
-    So the spine and the diameter over the ridges can be measured back on the triangles.
+    The spine and the diameter over the ridges can then be recovered from the triangles.
 
     Args:
         right: along the binormal, in any unit.

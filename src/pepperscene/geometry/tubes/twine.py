@@ -23,7 +23,7 @@ _LONGEST_M: Final = 0.04  # chosen: length of pieces; longer ones along a curve 
 _LIFT_OFF_M: Final = 0.05  # chosen: distance over which twine moves from the stem's side to the line above it
 _WAVE_RAD: Final = 0.12  # chosen: amplitude of each of the waves by which the pitch is uneven
 _WAVES_M: Final = np.array([0.13, 0.21, 0.34])  # chosen: their lengths; two or three nodes
-_CLEARANCE_M: Final = 6e-4  # chosen: gap between the twine and what grows out of the stem
+_CLEARANCE_M: Final = 6e-4  # chosen: gap between the twine and organs that grow out of the stem
 _SHIFTS: Final = np.linspace(-np.pi, np.pi, 145)  # chosen: shifts tried to avoid it, 2.5 degrees apart
 _PLY_STEPS: Final = 4  # rings to half a turn of two plies, the fewest that show them
 _PLY_SIDES: Final = 8
@@ -54,7 +54,7 @@ def twine_mesh(
         turns_per_m: windings per metre of stem; negative winds the other way.
         phase_rad: where the winding starts, from the -y side.
         above_m: metres that the twine continues above the stem's top; 0 ends it there.
-        branches: `(j, 4)` metres, centre and radius of what grows out of the stem's side, from
+        branches: `(j, 4)` metres, centre and radius of organs on the stem's side, from
             `stem_branches`; the twine shifts aside to pass it, as a grower winds it.
         seed: in [0, 1), makes the pitch uneven, differently for each; None keeps it even.
         lay_m: length of twine in which its two plies turn once about each other; each ply is round, at eight
@@ -144,40 +144,41 @@ class _Stem:
         window = np.ones(2 * width + 1) / (2 * width + 1)
         curvature = np.convolve(np.pad(curvature, width, mode="edge"), window, "valid")
         pieces = np.cumsum(step * np.maximum(np.sqrt(curvature / (8.0 * _DEVIATION_M)), 1.0 / _LONGEST_M))
-        wanted = np.linspace(0.0, pieces[-1], int(np.ceil(pieces[-1])) + 1)
-        chosen = np.unique(np.searchsorted(pieces, wanted).clip(0, len(line) - 1))
-        chosen[0], chosen[-1] = 0, len(line) - 1
-        return line[chosen], outward[chosen]
+        targets = np.linspace(0.0, pieces[-1], int(np.ceil(pieces[-1])) + 1)
+        selected = np.unique(np.searchsorted(pieces, targets).clip(0, len(line) - 1))
+        selected[0], selected[-1] = 0, len(line) - 1
+        return line[selected], outward[selected]
 
     def avoidance(self, branches: FloatArray, angle: FloatArray) -> FloatArray:
         """`(k,)` radians by which the twine must shift to pass branches `(j, 4)`."""
         centre, radius = branches[:, :3], branches[:, 3]
-        # Place of each branch along the stem; those beyond the ends are not in the way.
+        # Position of each branch along the stem; those beyond the ends are ignored.
         direction = normalize(self.axis[-1] - self.axis[0])
-        place = np.searchsorted(self.axis @ direction, centre @ direction)
-        inside = (place > 0) & (place < len(self.along))
-        order = np.argsort(place[inside], kind="stable")
-        place, centre, radius = place[inside][order], centre[inside][order], radius[inside][order]
-        if not len(place):
+        position = np.searchsorted(self.axis @ direction, centre @ direction)
+        inside = (position > 0) & (position < len(self.along))
+        order = np.argsort(position[inside], kind="stable")
+        position, centre, radius = position[inside][order], centre[inside][order], radius[inside][order]
+        if not len(position):
             return np.zeros(len(self.along))
-        offset = centre - self.axis[place]
+        offset = centre - self.axis[position]
         side = np.arctan2(
-            np.einsum("ji,ji->j", offset, self.right[place]), np.einsum("ji,ji->j", offset, self.up[place])
+            np.einsum("ji,ji->j", offset, self.right[position]),
+            np.einsum("ji,ji->j", offset, self.up[position]),
         )
         # A steep stalk stays close to the stem for a while, where the stem may be thinner.
         wide, high = radius + self.ball + _CLEARANCE_M, 2.0 * radius + self.ball + _CLEARANCE_M
-        span = place[:, None] + np.round(high / self.along[1])[:, None] * [-1, 0, 1]
+        span = position[:, None] + np.round(high / self.along[1])[:, None] * [-1, 0, 1]
         span = np.clip(span, 0, len(self.along) - 1).astype(np.intp)
         half_angle = wide / np.maximum(self.distance[span].min(axis=1), self.ball)
         # The branches of one node are passed together, by the smallest shift that clears them all.
-        splits = np.flatnonzero(np.diff(self.along[place]) > 2.0 * high.max()) + 1
+        splits = np.flatnonzero(np.diff(self.along[position]) > 2.0 * high.max()) + 1
         knots, shifts, last = [], [], 0.0
-        for group in np.split(np.arange(len(place)), splits):
-            here = angle[place[group]] - side[group]
-            gap = np.abs((_SHIFTS[:, None] + here + np.pi) % (2.0 * np.pi) - np.pi)
+        for group in np.split(np.arange(len(position)), splits):
+            relative = angle[position[group]] - side[group]
+            gap = np.abs((_SHIFTS[:, None] + relative + np.pi) % (2.0 * np.pi) - np.pi)
             overlap = np.clip(half_angle[group] - gap, 0.0, None).max(axis=1)
             last = _SHIFTS[np.argmin(100.0 * overlap + np.abs(_SHIFTS) + 0.3 * np.abs(_SHIFTS - last))]
-            at = self.along[place[group]]
+            at = self.along[position[group]]
             knots += [at.min() - high.max(), at.max() + high.max()]
             shifts += [last, last]
         return np.interp(self.along, np.maximum.accumulate(knots), shifts)
@@ -200,9 +201,9 @@ def _sweep_twine(line: FloatArray, outward: FloatArray, radius: float, lay: floa
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     if lay is not None:
         extra = np.arange(1, int(along[-1] * 2 * _PLY_STEPS / lay)) * lay / (2 * _PLY_STEPS)
-        places = np.unique(np.concatenate([along, extra]))
-        line, outward = _interpolate(places, along, line), normalize(_interpolate(places, along, outward))
-        along = places
+        stations = np.unique(np.concatenate([along, extra]))
+        line, outward = _interpolate(stations, along, line), normalize(_interpolate(stations, along, outward))
+        along = stations
     tangent = normalize(np.gradient(line, along, axis=0, edge_order=1))
     normal = normalize(outward - np.einsum("ki,ki->k", outward, tangent)[:, None] * tangent)
     binormal = cross(tangent, normal)

@@ -20,7 +20,7 @@ from pepperscene.render.kernel.camera import CameraRays
 from pepperscene.render.variant import mitsuba_modules
 
 POINTS: Final = 64
-"""Chosen: of a mixed pixel; the area beside a straight edge has an error of 0.012 (root mean square)."""
+"""Chosen: of a mixed pixel; the area next to a straight edge has an error of 0.012 (root mean square)."""
 _COARSE_POINTS: Final = 4
 """Chosen: of every pixel. Neighbours have different ones, all `POINTS` among sixteen pixels."""
 _LATTICE_STEP: Final = 37
@@ -48,9 +48,9 @@ class SceneCoverage:
         counts = np.unpackbits(classes[..., None], axis=-1, bitorder="little") * np.uint8(POINTS)
         pixels = np.flatnonzero(_is_mixed(classes))
         while pixels.size:
-            found = self._count_classes(scene, rays, pixels)
-            counts.reshape(-1, len(OrganClass))[pixels] = found
-            classes.ravel()[pixels] = np.packbits(found > 0, axis=1, bitorder="little")[:, 0]
+            mixed_counts = self._count_classes(scene, rays, pixels)
+            counts.reshape(-1, len(OrganClass))[pixels] = mixed_counts
+            classes.ravel()[pixels] = np.packbits(mixed_counts > 0, axis=1, bitorder="little")[:, 0]
             refined.ravel()[pixels] = True
             pixels = np.flatnonzero(_is_mixed(classes) & ~refined)
         # Exact: integers up to 64 over a power of two.
@@ -70,7 +70,7 @@ class SceneCoverage:
         return classes
 
     def _count_classes(self, scene: Any, rays: CameraRays, pixels: NDArray[np.intp]) -> NDArray[np.uint8]:
-        """`(n, 8)` how many of all `POINTS` of each pixel hit each class."""
+        """`(n, 8)` number of the `POINTS` of each pixel that hit each class."""
         counts = np.empty((len(pixels), len(OrganClass)), np.uint8)
         for start in range(0, len(pixels), _BATCH):
             batch = pixels[start : start + _BATCH].astype(np.uint32)

@@ -1,4 +1,4 @@
-"""The output `harvest`: everything that is known of each fruit in a picture."""
+"""The output `harvest`: ground truth of each fruit in an image."""
 
 from __future__ import annotations
 
@@ -32,15 +32,10 @@ _STALK_STEPS: Final = 32  # chosen: pieces of a stalk's centreline, within micro
 
 @dataclass(frozen=True, eq=False)
 class IsolatedOrgan:
-    """One organ of a scene.
+    """One organ of a scene."""
 
-    Attributes:
-        mesh: its triangles alone.
-        coordinates: of the whole scene.
-    """
-
-    mesh: Mesh
-    coordinates: LocalCoordinates
+    mesh: Mesh  # its triangles alone
+    coordinates: LocalCoordinates  # of the whole scene
 
     @cached_property
     def scene(self) -> Any:
@@ -49,7 +44,7 @@ class IsolatedOrgan:
         return mitsuba_modules()[0].load_dict({"type": "scene", "organ": shape})
 
     def box(self, camera: Camera) -> Box | None:
-        """The part of a picture outside of which no ray can hit the organ; None if there is no such part."""
+        """The part of the image that contains all rays that can hit the organ; None if there is none."""
         pixels = camera.project(self.mesh.vertices)
         finite = np.isfinite(pixels).all(axis=1)
         if not finite.any():
@@ -145,7 +140,7 @@ class SceneHarvest:
         self, camera: Camera, rays: CameraRays, hits: Hits, instance: NDArray[np.uint16]
     ) -> dict[str, Any]:
         """Compute the output `harvest` from a camera's rays, hits and instance image."""
-        near = [index for index, seen in zip(self._organs, self._in_view(camera), strict=True) if seen]
+        near = [index for index, in_view in zip(self._organs, self._in_view(camera), strict=True) if in_view]
         boxes = {index: box for index in near if (box := self._organs[index].box(camera)) is not None}
         masks = hit_masks([(self._organs[index], box) for index, box in boxes.items()], rays)
         fruit = []
@@ -170,7 +165,7 @@ class SceneHarvest:
     @cached_property
     def _bounding_spheres(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """`(n, 3)` centres and `(n,)` radii of the fruit's bounding spheres, metres."""
-        bounds = np.array([one.mesh.bounds for one in self._organs.values()], float).reshape(-1, 2, 3)
+        bounds = np.array([organ.mesh.bounds for organ in self._organs.values()], float).reshape(-1, 2, 3)
         return bounds.mean(axis=1), 0.5 * np.linalg.norm(bounds[:, 1] - bounds[:, 0], axis=1)
 
     def _in_view(self, camera: Camera) -> NDArray[np.bool_]:
@@ -182,7 +177,7 @@ class SceneHarvest:
         x, y, z = ((centres - camera.pose[:3, 3]) @ camera.pose[:3, :3]).T
         slopes = camera.ray_slopes()
         inside = z > -radii
-        # The picture is between the extreme slopes of its borders.
+        # The image is between the extreme slopes of its borders.
         for along, axis in ((x, 0), (y, 1)):
             border = np.concatenate([slopes[[0, -1], :, axis].ravel(), slopes[:, [0, -1], axis].ravel()])
             for side, limit in ((1.0, border.max()), (-1.0, -border.min())):
@@ -190,7 +185,7 @@ class SceneHarvest:
         return inside
 
     def _fruit_truth(self, index: int) -> FruitTruth:
-        organ, about = self._skeleton.organ(index), self._mesh.instances[index]
+        organ, instance = self._skeleton.organ(index), self._mesh.instances[index]
         frames = fruit_frames([organ])
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = frames.axes[0].T, frames.foot[0]
@@ -200,9 +195,9 @@ class SceneHarvest:
         ancestors = _ancestors(self._skeleton, index)
         names = ("ripeness", "ripeness_spread", "length_m", "diameter_m")
         measures = {name: float(organ.measures.get(name, 0.0)) for name in names}
-        stalk = _stalk(self._skeleton, ancestors)
-        approach = tool_approach(centre, self._stem_axis(about.plant))
-        return FruitTruth(index, about, pose, low, high, measures, ancestors, stalk, approach)
+        stalk = _find_stalk(self._skeleton, ancestors)
+        approach = tool_approach(centre, self._stem_axis(instance.plant))
+        return FruitTruth(index, instance, pose, low, high, measures, ancestors, stalk, approach)
 
     def _stem_axis(self, plant: int) -> NDArray[np.float64]:
         """`(k, 3)` axis of a plant's main stem."""
@@ -217,36 +212,36 @@ def _ancestors(skeleton: Skeleton, index: int) -> tuple[int, ...]:
     line = []
     while index >= 0:
         line.append(index)
-        index = -1 if _form(skeleton, index) in ("internode", "node") else skeleton.organ(index).parent
+        index = -1 if _organ_form(skeleton, index) in ("internode", "node") else skeleton.organ(index).parent
     return tuple(line)
 
 
-def _form(skeleton: Skeleton, index: int) -> str | None:
+def _organ_form(skeleton: Skeleton, index: int) -> str | None:
     kind = skeleton.kind(index)
     return None if kind is None else kind.form
 
 
-def _stalk(skeleton: Skeleton, ancestors: tuple[int, ...]) -> FruitStalk | None:
+def _find_stalk(skeleton: Skeleton, ancestors: tuple[int, ...]) -> FruitStalk | None:
     """The stalk of a fruit, directly above it or above its calyx; None if it has none."""
-    forms = [_form(skeleton, index) for index in ancestors]
+    forms = [_organ_form(skeleton, index) for index in ancestors]
     position = next((step for step in range(1, len(forms)) if forms[step] != "calyx"), len(forms))
     if position == len(forms) or forms[position] != "peduncle":
         return None
     organ = skeleton.organ(ancestors[position])
     # The same curve that the stalk's mesh is built around.
     smooth = spines([organ.curve], [organ.up], _STALK_STEPS).points[0]
-    bearer = ancestors[position + 1] if position + 1 < len(ancestors) else -1
+    parent = ancestors[position + 1] if position + 1 < len(ancestors) else -1
     return fruit_stalk(
         smooth,
         float(organ.measures["radius_m"]),
-        _tube(skeleton.organ(bearer)) if bearer >= 0 else None,
+        _tube_shape(skeleton.organ(parent)) if parent >= 0 else None,
         instance=ancestors[position],
-        parent_instance=bearer,
-        on_stalk=bearer >= 0 and forms[position + 1] == "peduncle",
+        parent_instance=parent,
+        on_stalk=parent >= 0 and forms[position + 1] == "peduncle",
     )
 
 
-def _tube(organ: Organ) -> tuple[NDArray[np.float64], float, float]:
+def _tube_shape(organ: Organ) -> tuple[NDArray[np.float64], float, float]:
     """Centreline of a tube and its radii at both ends; a node counts with its largest radius."""
     radius = float(organ.measures.get("radius_m", 0.0))
     return organ.curve, radius, float(organ.measures.get("radius_tip_m", radius))

@@ -24,15 +24,10 @@ longer than those of a line (800x600, 2.9 million triangles: 33 ms of CPU time a
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """The first hit behind each pixel's centre.
+    """The first hit behind each pixel's centre."""
 
-    Attributes:
-        face: `(h, w)` int64, index of the triangle hit, -1 for the background.
-        distance: `(h, w)` float32, metres along the ray, inf for the background.
-    """
-
-    face: NDArray[np.int64]
-    distance: NDArray[np.float32]
+    face: NDArray[np.int64]  # `(h, w)` int64, index of the triangle hit, -1 for the background
+    distance: NDArray[np.float32]  # `(h, w)` float32, metres along the ray, inf for the background
 
 
 def first_hits(scene: Any, rays: CameraRays) -> Hits:

@@ -1,1 +1,1 @@
-"""Derivatives of a picture with respect to pigments, cuticles, flash and exposure."""
+"""Derivatives of an image with respect to pigments, cuticles, flash and exposure."""

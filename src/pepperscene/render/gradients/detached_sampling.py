@@ -1,9 +1,9 @@
 """Detached sampling: directions are sampled from one state of the surfaces while another is evaluated.
 
-A direction that is sampled from the tuned surfaces moves with them, over edges and behind occluders, and the
-picture is not continuous. So directions and their densities are those of the original surfaces, fixed, and
-only the values of the BSDF follow the parameters. Value over density stays unbiased and is as smooth as the
-BSDF itself, so its derivative is exact without any treatment of visibility (Zeltner et al. 2021, ACM TOG
+A direction that is sampled from the tuned surfaces moves with them, over edges and behind occluders, so the
+image is not continuous. Therefore directions and their densities are those of the original surfaces, fixed,
+and only the values of the BSDF follow the parameters. Value over density stays unbiased and is as smooth as
+the BSDF itself, so its derivative is exact without any treatment of visibility (Zeltner et al. 2021, ACM TOG
 40(4)). The noise grows with the difference between the two states; if they are equal, it is the renderer's.
 """
 
@@ -28,15 +28,10 @@ from pepperscene.render.variant import mitsuba_modules
 
 @dataclass(frozen=True, eq=False)
 class DetachedOptics:
-    """Two states of the surfaces, used in place of `Optics`.
+    """Two states of the surfaces, used in place of `Optics`."""
 
-    Attributes:
-        evaluated: state whose values are used.
-        sampled: state that directions are sampled from; None if none are.
-    """
-
-    evaluated: Optics
-    sampled: Optics | None = None
+    evaluated: Optics  # state whose values are used
+    sampled: Optics | None = None  # state that directions are sampled from; None if none are
 
     def point(self, si: Any, surface: Any, state: Any, active: Any) -> DetachedPoint:
         """Look up the optical states at surface interactions; see `Optics.point`."""
@@ -47,17 +42,11 @@ class DetachedOptics:
 
 @dataclass(frozen=True, eq=False)
 class DetachedPoint:
-    """Two optical states at a hit, used in place of `SurfacePoint`.
+    """Two optical states at a hit, used in place of `SurfacePoint`."""
 
-    Attributes:
-        evaluated: state whose values are used.
-        sampled: state that directions are sampled from.
-        active: mask of valid hits.
-    """
-
-    evaluated: SurfacePoint
-    sampled: SurfacePoint | None
-    active: Any
+    evaluated: SurfacePoint  # state whose values are used
+    sampled: SurfacePoint | None  # state that directions are sampled from
+    active: Any  # mask of valid hits
 
     @property
     def reflectance(self) -> Any:
@@ -73,9 +62,9 @@ class DetachedPoint:
         _, dr = mitsuba_modules()
         assert self.sampled is not None
         wo, density, _, lobe = self.sampled.sample(sample1, sample2)
-        good = density > 0.0
+        valid = density > 0.0
         value, _ = self.eval_pdf(wo)
-        return wo, density, dr.select(good, value / dr.select(good, density, 1.0), 0.0), lobe
+        return wo, density, dr.select(valid, value / dr.select(valid, density, 1.0), 0.0), lobe
 
     def eval_pdf(self, wo: Any) -> Any:
         """See `SurfacePoint.eval_pdf`; lanes without a value are evaluated along the normal.
@@ -84,10 +73,10 @@ class DetachedPoint:
         """
         mi, dr = mitsuba_modules()
         wi, (local, same_side) = self.evaluated.wi, self.evaluated.to_relief(wo)
-        good = self.active & same_side & (wi.z > MIN_COSINE) & (dr.abs(local.z) > MIN_COSINE)
+        valid = self.active & same_side & (wi.z > MIN_COSINE) & (dr.abs(local.z) > MIN_COSINE)
         up = mi.Vector3f(0.0, 0.0, 1.0)
-        safe = replace(self.evaluated, wi=dr.select(good, wi, up))
-        return safe.eval_pdf_in_relief(dr.select(good, local, up), good)
+        safe = replace(self.evaluated, wi=dr.select(valid, wi, up))
+        return safe.eval_pdf_in_relief(dr.select(valid, local, up), valid)
 
 
 _LANES: Final = 1 << 17
@@ -99,7 +88,7 @@ class SamplePasses:
 
     Args:
         frame: kernel data of the original surfaces and lights.
-        pixels: of the picture.
+        pixels: of the image.
         quality: its samples in every pixel, and its bounces.
         seed: of all random numbers.
     """
@@ -112,7 +101,7 @@ class SamplePasses:
     def blocks(self) -> list[range]:
         """Pixels of each pass, equally many, because Dr.Jit compiles again for another number.
 
-        The last pass can extend beyond the picture, and repeats its last pixel there.
+        The last pass can extend beyond the image, and repeats its last pixel there.
         """
         block = min(max(_LANES // self.samples, 1), self._pixels)
         return [range(start, start + block) for start in range(0, self._pixels, block)]

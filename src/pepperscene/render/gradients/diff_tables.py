@@ -1,4 +1,4 @@
-"""The kernel tables that a picture is differentiated by, as functions of surfaces and flash.
+"""The kernel tables that an image is differentiated by, as functions of surfaces and flash.
 
 Light that meets one surface is carried by channel, so the spectra of a surface and of the flash meet before
 any ray is traced: with W_lc, the contribution of each wavelength of the flash to channel c, the kernel reads
@@ -49,7 +49,7 @@ class DiffTables:
         Spectra `(r, n, 4)`, sides `(k, 2, 4)` and openness `(k, 2, NODES, 2)`; with a flash also flash_optics
         `(r, c, 4)`, flash_colour `(c,)` and flash `(n,)`; with a direct sun also sun_optics `(r, c, 4)`.
         """
-        result = _join(self._tunable.tables(values))
+        result = _join_tables(self._tunable.tables(values))
         if self._sun is not None:
             result["sun_optics"] = _colours(result["spectra"], self._sun)
         if self._hats is None:
@@ -63,12 +63,12 @@ class DiffTables:
 
     def forward(self, values: Values, direction: Values) -> Tables:
         """Derivatives of the tables along a direction of the parameters."""
-        result = _join(self._tunable.forward(values, direction))
+        result = _join_tables(self._tunable.forward(values, direction))
         if self._sun is not None:
             result["sun_optics"] = _colours(result["spectra"], self._sun)
         if self._hats is None:
             return result
-        spectra = _join(self._tunable.tables(values))["spectra"]
+        spectra = _join_tables(self._tunable.tables(values))["spectra"]
         power, curve, weights = self._flash_weights(values, self._hats)
         no_change = np.zeros(self._hats.shape[1])
         power_change = direction.get("flash.power", np.zeros(()))
@@ -88,7 +88,7 @@ class DiffTables:
     ) -> dict[str, Array]:
         """Derivatives of a number with respect to parameters, from those with respect to the tables."""
         tables = self._tunable.tables(values)
-        spectra, by_spectra = _join(tables)["spectra"], cotangents["spectra"].copy()
+        spectra, by_spectra = _join_tables(tables)["spectra"], cotangents["spectra"].copy()
         result: dict[str, Array] = {}
         if self._sun is not None:
             by_spectra += np.einsum("rcs,lc->rls", cotangents["sun_optics"], self._sun)
@@ -129,7 +129,7 @@ def _colours(spectra: Array, fractions: Array) -> Array:
     return np.asarray(np.einsum("rls,lc->rcs", spectra, fractions))
 
 
-def _join(tables: list[SurfaceTables]) -> Tables:
-    """The tables of all surfaces, one after the other."""
+def _join_tables(tables: list[SurfaceTables]) -> Tables:
+    """Concatenate the tables of all surfaces."""
     spectra, sides, openness = zip(*tables, strict=True)
     return {"spectra": np.concatenate(spectra), "sides": np.stack(sides), "openness": np.stack(openness)}

@@ -1,4 +1,4 @@
-"""How pigments determine a surface's spectra: the parameters, and the models from parameters to spectra."""
+"""Models from pigments to a surface's spectra, and their parameters."""
 
 from __future__ import annotations
 
@@ -42,21 +42,13 @@ SpectralModel = Callable[["PigmentPath", Array, Array], tuple[Array, Array]]
 
 @dataclass(frozen=True, eq=False)
 class PigmentModel:
-    """The model behind a surface's spectra.
+    """The model behind a surface's spectra."""
 
-    Attributes:
-        path: name of the pigment path, and prefix of the parameters.
-        states: `(a,)` at which the model needs contents.
-        knot_weights: `(a, k)` of the path's knots in the contents at each of these states.
-        rows: `(s,)` which of these states each row of spectra depends on.
-        model: from contents to spectra.
-    """
-
-    path: str
-    states: Array
-    knot_weights: Array
-    rows: NDArray[np.intp]
-    model: SpectralModel
+    path: str  # name of the pigment path, and prefix of the parameters
+    states: Array  # `(a,)` at which the model needs contents
+    knot_weights: Array  # `(a, k)` of the path's knots in the contents at each of these states
+    rows: NDArray[np.intp]  # `(s,)` which of these states each row of spectra depends on
+    model: SpectralModel  # from contents to spectra
 
     def contents(self, values: Values) -> dict[str, Array]:
         """`(a,)` of each content at the model's states."""

@@ -1,4 +1,4 @@
-"""A picture as a smooth function of pigments, cuticles, flash and exposure, with its derivatives."""
+"""An image as a smooth function of pigments, cuticles, flash and exposure, with its derivatives."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ Array = NDArray[np.float64]
 FLASH_WEIGHTS: Final = 8  # chosen: resolves an LED's blue peak from the rise and fall of its phosphor
 
 _EXPOSURE_POWERS: Final = {"exposure.time": 1.0, "exposure.gain": 1.0, "exposure.f_number": -2.0}
-"""The picture is proportional to each of these parameters to this power."""
+"""The image is proportional to each of these parameters to this power."""
 _POSITIVE: Final = ("flash.power", "flash.spectrum", *_EXPOSURE_POWERS)
 
 
 class DifferentiableRenderer:
-    """A picture of a scene as a smooth function of parameters, with its derivatives.
+    """An image of a scene as a smooth function of parameters, with its derivatives.
 
     Parameters are named after the scene's surfaces: `leaf.chlorophyll_ug_cm2` and the other contents of
     `Pigments`, `(k,)` at the knots of the surface's pigment path; `fruit.flesh_reflectance`, `fruit.ior`, and
     `fruit.roughness`, `(2,)` for front and back. For the light there are `flash.power`, a factor, and
     `flash.spectrum`, `(m,)` factors at `flash_nodes_nm`, linear in between; for the exposure `exposure.time`
-    and `exposure.gain`, factors of the whole picture, and `exposure.f_number`.
+    and `exposure.gain`, factors of the whole image, and `exposure.f_number`.
 
     `exposure.time` assumes that the flash shines through the whole exposure, and `exposure.f_number` does not
     change the depth of field.
 
     Directions and wavelengths are sampled for the original surfaces and lights of the scene (see
-    `gradients.detached_sampling`) and no path ends by Russian roulette: all pictures have the same random
+    `gradients.detached_sampling`) and no path ends by Russian roulette: all images have the same random
     numbers. Far from the original surfaces noise grows, and no direction is sampled through one that
     transmits nothing: build a new renderer from a scene of the new surfaces there.
 
@@ -60,7 +60,7 @@ class DifferentiableRenderer:
         flash_weights: number of factors of the flash's spectrum.
 
     Attributes:
-        parameters: every parameter with the value that the scene and the camera have.
+        parameters: every parameter with their values in the scene and the camera.
         flash_nodes_nm: `(m,)` evenly over the range in which the sensor detects the flash.
 
     Raises:
@@ -118,12 +118,12 @@ class DifferentiableRenderer:
             ValueError: a parameter is unknown, has a wrong shape, or is out of its range.
         """
         values = self._values(parameters or {})
-        tables = _upload(self._tables.tables(values))
+        tables = _to_device(self._tables.tables(values))
         passes = self._passes
-        return self._picture([passes.sums(passes.lanes(tables, block)) for block in passes.blocks], values)
+        return self._image([passes.sums(passes.lanes(tables, block)) for block in passes.blocks], values)
 
     def forward(self, parameters: Parameters, direction: Parameters) -> Array:
-        """`(h, w, c)` derivative of the picture along a direction of the parameters.
+        """`(h, w, c)` derivative of the image along a direction of the parameters.
 
         Args:
             parameters: those that differ from the scene's own.
@@ -134,8 +134,8 @@ class DifferentiableRenderer:
         """
         _, dr = mitsuba_modules()
         values, direction = self._values(parameters), self._with_shapes(direction)
-        tables = _upload(self._tables.tables(values))
-        tangents = _upload(self._tables.forward(values, direction))
+        tables = _to_device(self._tables.tables(values))
+        tangents = _to_device(self._tables.forward(values, direction))
         channels, sums = self._frame.channels, []
         for block in self._passes.blocks:
             for name, table in tables.items():
@@ -145,8 +145,8 @@ class DifferentiableRenderer:
             slopes = dr.forward_to(light, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
             sums.append(self._passes.sums([*slopes, *dr.detach(light)]))
             dr.disable_grad(tables)
-        picture = self._picture([block_sums[:, channels:] for block_sums in sums], values)
-        slope = self._picture([block_sums[:, :channels] for block_sums in sums], values)
+        picture = self._image([block_sums[:, channels:] for block_sums in sums], values)
+        slope = self._image([block_sums[:, :channels] for block_sums in sums], values)
         by_exposure = sum(
             float(power * direction[name] / values[name])
             for name, power in _EXPOSURE_POWERS.items()
@@ -159,20 +159,20 @@ class DifferentiableRenderer:
 
         Args:
             parameters: to differentiate by, and their values.
-            loss_gradient: `(h, w, c)` derivatives of the loss with respect to the picture.
+            loss_gradient: `(h, w, c)` derivatives of the loss with respect to the image.
 
         Raises:
-            ValueError: see `rgb`; or the gradient does not have the picture's shape.
+            ValueError: see `rgb`; or the gradient does not have the image's shape.
         """
         mi, dr = mitsuba_modules()
         values = self._values(parameters)
         # The steps from light to electrons scale each pixel: they are their own transpose.
-        weights = self._picture([self._flatten(loss_gradient)], values).reshape(-1, self._frame.channels)
+        weights = self._image([self._flatten(loss_gradient)], values).reshape(-1, self._frame.channels)
         scale = float(np.abs(weights).max()) or 1.0  # keeps weights within single precision
         blocks = self._passes.blocks
         weights = np.pad(weights / scale, ((0, blocks[-1].stop - len(weights)), (0, 0)))
         tables = self._tables.tables(values)
-        device_tables, loss = _upload(tables), 0.0
+        device_tables, loss = _to_device(tables), 0.0
         cotangents = {name: np.zeros(table.shape) for name, table in tables.items()}
         for block in blocks:
             columns = [device_array(column) for column in weights[block.start : block.stop].T]
@@ -197,7 +197,7 @@ class DifferentiableRenderer:
             gradients[name] = np.asarray(power * (scale * loss) / values[name])
         return {name: gradients[name] for name in names}
 
-    def _picture(self, sums: list[Array], values: Values) -> Array:
+    def _image(self, sums: list[Array], values: Values) -> Array:
         """`(h, w, c)` electrons from sums over samples."""
         height, width = self._camera.height, self._camera.width
         signal = np.concatenate(sums)[: height * width].reshape(height, width, -1) / self._passes.samples
@@ -209,7 +209,7 @@ class DifferentiableRenderer:
         gradient = np.asarray(loss_gradient, dtype=float)
         shape = (self._camera.height, self._camera.width, self._frame.channels)
         if gradient.shape != shape:
-            raise ValueError(f"loss_gradient must have the picture's shape {shape}, not {gradient.shape}")
+            raise ValueError(f"loss_gradient must have the image's shape {shape}, not {gradient.shape}")
         return gradient.reshape(-1, shape[2])
 
     def _with_shapes(self, parameters: Parameters) -> dict[str, Array]:
@@ -226,16 +226,16 @@ class DifferentiableRenderer:
 
     def _values(self, parameters: Parameters) -> dict[str, Array]:
         """All parameters, with the given ones checked."""
-        given = self._with_shapes(parameters)
-        for name, value in given.items():
+        changed = self._with_shapes(parameters)
+        for name, value in changed.items():
             low, high = RANGES.get(name.rpartition(".")[2], (0.0, np.inf))
             if not ((value >= low) & (value <= high) & (value < np.inf)).all():
                 raise ValueError(f"{name} must be finite and between {low:g} and {high:g}, not {value}")
         for name in _POSITIVE:
-            if name in given and not (given[name] > 0.0).any():
+            if name in changed and not (changed[name] > 0.0).any():
                 raise ValueError(f"{name} must be above 0")
-        return {**self.parameters, **given}
+        return {**self.parameters, **changed}
 
 
-def _upload(tables: Tables) -> dict[str, Any]:
+def _to_device(tables: Tables) -> dict[str, Any]:
     return {name: device_array(table) for name, table in tables.items()}

@@ -135,7 +135,7 @@ class Tunable:
         contents = model.contents(values) if contents is None else contents
         front, back = np.asarray(values[f"{model.path}.roughness"]).tolist()
         flesh = values.get(f"{model.path}.flesh_reflectance")
-        # Stands in for a pigment path with these contents at the model's states.
+        # Replaces a pigment path: it has these contents at the model's states.
         path = SimpleNamespace(
             at=lambda states: dict(contents),
             flesh_reflectance=None if flesh is None else float(flesh),

@@ -75,15 +75,10 @@ _FARTHEST_M: Final = 1e7
 
 @dataclass(frozen=True)
 class LocalCoordinates:
-    """Coordinates that the kernel computes in: (world metres - `origin`) / `unit_m`.
+    """Coordinates that the kernel computes in: (world metres - `origin`) / `unit_m`."""
 
-    Attributes:
-        origin: metres.
-        unit_m: a power of two.
-    """
-
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    unit_m: float = 1.0
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # metres
+    unit_m: float = 1.0  # a power of two
 
     def from_world(self, points: ArrayLike) -> NDArray[np.float64]:
         """Transform world points `(..., 3)`, metres, to local coordinates."""

@@ -76,7 +76,7 @@ class CameraRays:
 
 
 def camera_rays(camera: Camera, coordinates: LocalCoordinates = WORLD) -> CameraRays:
-    """Upload a camera's lens and pose to the device, in local coordinates."""
+    """Transfer a camera's lens and pose to the device, in local coordinates."""
     mi, dr = mitsuba_modules()
     slopes = device_array(camera.ray_slopes())
     rotation = mi.Matrix3f(np.asarray(camera.pose[:3, :3], np.float32))
@@ -99,8 +99,7 @@ _STRONGEST_LIGHT: Final = 1e26
 """Electrons s-1 m-2 (sr-1): chosen, a million times a flash of 200 klx at 50 cm. Single precision ends at
 3e38; next to a flash light is 1e8 times stronger, and mirrors concentrate that another 1e4 times."""
 _FAINTEST_FLASH: Final = 1e-10
-"""Chosen: a flash below this fraction of the daylight is ignored. Even at a centimetre it adds one part in a
-million."""
+"""Chosen: a flash below this fraction of the daylight is ignored. It adds 1e-6 at a centimetre."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,15 +64,15 @@ def surface_bsdf() -> Any:
             # Mitsuba finds the position in the triangle by normal equations, whose determinant is 0 in single
             # precision for the needle-like triangles of wires; these have one state everywhere.
             state = dr.select(dr.isfinite(state), state, 0.5)
-            turned = shading_normals(si)
-            return turned, self.optics.point(turned, surface, state, active)
+            oriented = shading_normals(si)
+            return oriented, self.optics.point(oriented, surface, state, active)
 
         def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
-            turned, point = self._point(si, active)
+            oriented, point = self._point(si, active)
             wo, density, weight, lobe = point.sample(sample1, sample2)
             bs = dr.zeros(mi.BSDFSample3f)
             # The caller's directions are in the frame that it passed.
-            bs.wo = si.to_local(turned.to_world(wo))
+            bs.wo = si.to_local(oriented.to_world(wo))
             bs.pdf, bs.eta = dr.select(active, density, 0.0), 1.0
             bs.sampled_component = lobe
             gloss, reflection, transmission = (mi.UInt32(int(flag)) for flag in lobes)
@@ -86,8 +86,8 @@ def surface_bsdf() -> Any:
             return self.eval_pdf(ctx, si, wo, active)[1]
 
         def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            turned, point = self._point(si, active)
-            value, density = point.eval_pdf(turned.to_local(si.to_world(wo)))
+            oriented, point = self._point(si, active)
+            value, density = point.eval_pdf(oriented.to_local(si.to_world(wo)))
             return value & active, dr.select(active, density, 0.0)
 
     return SurfaceBSDF
@@ -95,17 +95,11 @@ def surface_bsdf() -> Any:
 
 @dataclass(frozen=True, eq=False)
 class PathScene:
-    """A Mitsuba scene with emitters, for all poses of a camera.
+    """A Mitsuba scene with emitters, for all poses of a camera."""
 
-    Attributes:
-        scene: Mitsuba's.
-        flash: the camera's emitter, or None.
-        coordinates: of the scene.
-    """
-
-    scene: Any
-    flash: Any
-    coordinates: LocalCoordinates
+    scene: Any  # Mitsuba's
+    flash: Any  # the camera's emitter, or None
+    coordinates: LocalCoordinates  # of the scene
 
 
 def path_scene(scene: Scene, camera: Camera) -> PathScene:
@@ -124,7 +118,7 @@ def path_scene(scene: Scene, camera: Camera) -> PathScene:
         intensity = SpectralTable(grid, response.flash)
         parts["flash"] = flash_emitter().of(camera.flash, camera_rays(camera, coordinates), intensity)
     if scene.sky is not None:
-        # Beside a flash, a sky without a sun gets no light samples; scattered rays find it.
+        # With a flash, a sky without a sun gets no light samples; scattered rays find it.
         weight = 1.0 if scene.sky.sun is not None or camera.flash is None else 0.0
         diagonal = float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0)))
         reach = 2.0 * diagonal / coordinates.unit_m + 1.0
@@ -196,7 +190,7 @@ def path_traced(
 
 
 def samples_taken(sampler: str, spp: int) -> int:
-    """Number of samples per pixel that a sampler takes when asked for `spp`: at least as many.
+    """Number of samples per pixel that a sampler takes for a request of `spp`: at least as many.
 
     Raises:
         ValueError: unknown sampler, or no samples.

@@ -1,1 +1,1 @@
-"""How surfaces scatter light, and the tables that describe them on the device."""
+"""Scattering of light by surfaces, and the tables that describe them on the device."""

@@ -31,8 +31,7 @@ STEP_NM: Final = 1.0
 pixel's samples that is the midpoint rule, whose error is below 2e-4 for all shipped surfaces."""
 
 MIN_ALPHA: Final = 1e-3
-"""Smoother cuticles are packed with this roughness: a mirror for every lens here, and safe in single
-precision."""
+"""Smoother cuticles are packed with this roughness: a mirror for every lens, safe in single precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,12 +90,12 @@ class Optics:
             first_nm=device_float(first_nm),
             columns=device_uint(grid.size),
             spectra=device_array(np.concatenate(blocks)),
-            first_row=device_array(_starts(states), np.uint32),
+            first_row=device_array(_block_starts(states), np.uint32),
             last_state=device_array(states - 1),
             sides=device_array(np.stack(sides)),
             openness=device_array(np.stack(openness)),
             details=device_array(np.concatenate([detail.ravel() for detail in details])),
-            first_texel=device_array(_starts(texels), np.uint32),
+            first_texel=device_array(_block_starts(texels), np.uint32),
             width=device_array([detail.shape[1] for detail in details], np.uint32),
             height=device_array([detail.shape[0] for detail in details], np.uint32),
         )
@@ -238,8 +237,8 @@ def cuticle_tables(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np.fl
     ior = max(float(surface.ior), 1.0)
     alphas = [max(float(alpha), MIN_ALPHA) for alpha in surface.roughness]
     tables, means = zip(*(cuticle_transmittance(ior, alpha) for alpha in alphas), strict=True)
-    least = min(means)
-    sides = np.array([(alpha, ior, mean, least / mean) for alpha, mean in zip(alphas, means, strict=True)])
+    smallest = min(means)
+    sides = np.array([(alpha, ior, mean, smallest / mean) for alpha, mean in zip(alphas, means, strict=True)])
     relative = np.stack([table / mean for table, mean in zip(tables, means, strict=True)])
     steps = np.diff(relative, axis=1, append=relative[:, -1:])
     packed = np.stack([relative, steps], axis=-1)
@@ -260,6 +259,6 @@ def _details(surface: Surface, unit_m: float) -> NDArray[np.float32]:
     return packed
 
 
-def _starts(counts: NDArray[np.int_]) -> NDArray[np.uint32]:
+def _block_starts(counts: NDArray[np.int_]) -> NDArray[np.uint32]:
     """Start of each block when blocks of these lengths follow one another."""
     return (np.cumsum(counts) - counts).astype(np.uint32)

@@ -1,4 +1,4 @@
-"""How plant organs scatter light: a diffuse, possibly translucent body under a rough dielectric cuticle.
+"""Scattering of light by plant organs: a diffuse, possibly translucent body under a rough dielectric cuticle.
 
 Side s of a sheet reflects by a single-scattering GGX lobe with separable Smith masking (Walter et al. 2007)
 
@@ -86,8 +86,8 @@ class SurfacePoint:
         frame: shading frame of the relief within the smooth one.
         wi: direction to the viewer in the relief's frame, above it.
         flip: -1 if the viewer is on the back side.
-        reflectance, transmittance: R' and T' of the body, what it sends out on the viewer's side and on the
-            other, by wavelength or channel.
+        reflectance, transmittance: R' and T' of the body, to the viewer's side and to the other, by
+            wavelength or channel.
         ior: of the cuticle on the viewer's side.
         gloss: its GGX distribution.
         entering: 1 - E, the fraction of light along `wi` that reaches the body.
@@ -127,17 +127,17 @@ class SurfacePoint:
         mi, dr = mitsuba_modules()
         gloss, through = self._lobe_probabilities()
         mirror = sample1 < gloss
-        rest = (sample1 - gloss) / dr.maximum(1.0 - gloss, 1e-6)
+        remainder = (sample1 - gloss) / dr.maximum(1.0 - gloss, 1e-6)
         normal, _ = self.gloss.sample(self.wi, sample2)
         mirrored = 2.0 * dr.dot(self.wi, normal) * mi.Vector3f(normal) - self.wi
         scattered = mi.warp.square_to_cosine_hemisphere(sample2)
-        scattered.z = dr.select(rest < through, -scattered.z, scattered.z)
+        scattered.z = dr.select(remainder < through, -scattered.z, scattered.z)
         local = dr.select(mirror, mirrored, scattered)
         wo = self.frame.to_world(mi.Vector3f(local.x, local.y, local.z * self.flip))
         # A mirrored direction can end below; one on a relief can end on the other side of the smooth surface.
-        good = (~mirror | (local.z > 0.0)) & (wo.z * local.z * self.flip > 0.0)
-        value, density = self.eval_pdf_in_relief(local, good)
-        lobe = dr.select(mirror, mi.UInt32(0), dr.select(rest < through, mi.UInt32(2), mi.UInt32(1)))
+        valid = (~mirror | (local.z > 0.0)) & (wo.z * local.z * self.flip > 0.0)
+        value, density = self.eval_pdf_in_relief(local, valid)
+        lobe = dr.select(mirror, mi.UInt32(0), dr.select(remainder < through, mi.UInt32(2), mi.UInt32(1)))
         return wo, density, value / dr.maximum(density, 1e-20), lobe
 
     def albedo(self) -> Any:

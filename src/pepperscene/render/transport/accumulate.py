@@ -94,10 +94,10 @@ class SampleAccumulator:
             count: number of samples.
             pixels: None for all.
         """
-        where = slice(None) if pixels is None else pixels
+        selection = slice(None) if pixels is None else pixels
         for total, part in zip(self._direct, sums, strict=True):
-            total[where] += part
-        self.samples[where] += count
+            total[selection] += part
+        self.samples[selection] += count
 
     def add_all(self, sums: SampleSums, count: int) -> None:
         """Add samples of all light in every pixel; sums of indirect light and its squares come last."""

@@ -1,7 +1,7 @@
-"""Adaptive sampling: stop where the error of the light is hidden by the sensor noise in the picture.
+"""Adaptive sampling: stop where the error of the light is hidden by the sensor noise in the image.
 
-Error and noise are compared as they are visible: in 8-bit codes of the developed picture, root mean square
-over the picture. Stratified samples of edges and penumbras do better than independent ones: an edge through a
+Error and noise are compared as they are visible: in 8-bit codes of the developed image, root mean square
+over the image. Stratified samples of edges and penumbras do better than independent ones: an edge through a
 pixel cuts about sqrt(n) of n cells, so the variance of the mean is
 
     V(n) = VARIANCE_GAIN s^2 n^(-3/2)
@@ -31,7 +31,7 @@ DENOISED_ERROR: Final = 0.15
 _GROWTH: Final = 4  # chosen: largest factor by which the samples of a pixel grow in one round
 _SUBSET: Final = 1 << 14  # chosen: pixels that the scale is computed from
 _MAX_ERROR: Final = 127.5
-"""Codes: of a pixel whose value may be anything. Near the sun the tone curve's slope would give thousands."""
+"""Codes: error of a pixel of unknown value. Near the sun the tone curve's slope would give thousands."""
 _MAX_DIFFERENCE: Final = 510.0  # chosen: codes between samples, from black to overexposed
 
 Floats = NDArray[np.float32]
@@ -41,7 +41,7 @@ class AdaptiveSampler:
     """Decides how many samples each pixel of a frame needs, and estimates the error that remains.
 
     Args:
-        camera: that takes the picture.
+        camera: that takes the image.
         target: error over noise, root mean square in codes; None for a fixed number of samples.
         max_samples: per pixel.
         denoised: whether indirect light will be denoised.
@@ -56,7 +56,7 @@ class AdaptiveSampler:
         """`(h * w,)` number of samples that each pixel should have by now."""
         if self.target is None:
             return accumulator.samples
-        # The first samples are enough to tell how light appears in the picture.
+        # The first samples are enough to estimate how light appears in the image.
         codes = self._code_response(accumulator.total(), accumulator.white)
         direct = codes.squared(_local_mean(accumulator.direct_variance()), _MAX_DIFFERENCE)
         indirect = codes.squared(accumulator.indirect_variance(), _MAX_DIFFERENCE)
@@ -65,8 +65,8 @@ class AdaptiveSampler:
         allowed = self.target**2 * float(np.mean(np.square(codes.noise)))
         allowed = max(allowed - remaining / accumulator.indirect_samples, 0.5 * allowed)
         taken = accumulator.samples
-        most = np.minimum(taken * _GROWTH, np.maximum(self.max_samples, taken))
-        return np.clip(self._distribute(direct.ravel(), allowed), taken, most).astype(np.int32)
+        limit = np.minimum(taken * _GROWTH, np.maximum(self.max_samples, taken))
+        return np.clip(self._distribute(direct.ravel(), allowed), taken, limit).astype(np.int32)
 
     def metadata(self, light: TracedLight) -> dict[str, Any]:
         """Describe the samples of a finished frame and their error, for its JSON file."""
@@ -82,7 +82,7 @@ class AdaptiveSampler:
             "soft_samples_per_pixel": variance.indirect_samples,
             "error_codes": rms_error,
             "noise_codes": rms_noise,
-            # Both are 0 in an overexposed picture.
+            # Both are 0 in an overexposed image.
             "error_to_noise": rms_error / rms_noise if rms_noise > 0.0 else 0.0,
             "below_half_of_noise": float((error <= 0.25 * noise).mean()),
         }
@@ -94,7 +94,7 @@ class AdaptiveSampler:
 
     def _distribute(self, variance: Floats, allowed: float) -> NDArray[np.float32]:
         """Powers of two whose mean variance is the allowed one, with the fewest samples."""
-        # An odd step does not follow the columns of a picture, whose widths are even.
+        # An odd step does not follow the columns of an image, whose width is even.
         subset = variance[:: variance.size // _SUBSET | 1]
         scale = _variance_scale(subset, allowed, self.max_samples)
         samples = np.power(np.maximum(scale * variance, 1e-9), 0.4)
@@ -105,27 +105,22 @@ def _variance_scale(variance: Floats, allowed: float, max_samples: int) -> float
     """The factor between variances and samples^(5/2), by bisection of its logarithm."""
     if not variance.any():
         return 0.0
-    # The lower end gives one sample per pixel, the upper end the most even in the pixel of least variance.
+    # The lower end gives one sample per pixel, the upper end the maximum in every pixel.
     low, high = -80.0, 80.0
     for _ in range(40):
         middle = 0.5 * (low + high)
         samples = np.clip(np.power(np.exp2(middle) * variance.astype(np.float64), 0.4), 1.0, max_samples)
-        enough = np.mean(VARIANCE_GAIN * variance * samples**-1.5) <= allowed
-        low, high = (low, middle) if enough else (middle, high)
+        is_enough = np.mean(VARIANCE_GAIN * variance * samples**-1.5) <= allowed
+        low, high = (low, middle) if is_enough else (middle, high)
     return float(np.exp2(high))
 
 
 @dataclass(frozen=True, eq=False)
 class CodeResponse:
-    """How sensor noise and light appear in each pixel of a picture, root mean square over its colours.
+    """Appearance of sensor noise and light in each pixel of an image, root mean square over its colours."""
 
-    Attributes:
-        noise: `(h, w)` standard deviation, codes.
-        per_white: `(h, w)` codes per unit of `SampleVariance.white`.
-    """
-
-    noise: Floats
-    per_white: Floats
+    noise: Floats  # `(h, w)` standard deviation, codes
+    per_white: Floats  # `(h, w)` codes per unit of `SampleVariance.white`
 
     def squared(self, variance: Floats, limit: float) -> Floats:
         """A variance of `SampleVariance` in squared codes; deviations are limited to `limit` codes."""
@@ -133,7 +128,7 @@ class CodeResponse:
 
 
 def code_response(signal: Floats, white: NDArray[np.float64], camera: Camera) -> CodeResponse:
-    """Compute how noise and light appear in a camera's picture.
+    """Compute how noise and light appear in a camera's image.
 
     Args:
         signal: `(h, w, c)` light, electrons s-1 m-2 sr-1.
@@ -166,10 +161,10 @@ def code_response(signal: Floats, white: NDArray[np.float64], camera: Camera) ->
 
 
 def _colour_matrix(camera: Camera) -> Floats:
-    """`(c, k)` linear part of developing: what it makes of each channel far below saturation."""
+    """`(c, k)` linear part of developing: the contribution of each channel far below saturation."""
     channels = np.eye(camera.sensor.channels, dtype=np.float32)
     if camera.developing.white_balance == "flash" and camera.flash is None:
-        return channels  # such a camera gives electrons and no pictures
+        return channels  # such a camera gives electrons and no images
     level = np.float32(1e-4)
     return correct_colours(channels[None] * level, camera)[0] / level
 

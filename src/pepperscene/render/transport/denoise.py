@@ -48,8 +48,8 @@ _EXTENSION: Final = 2
 """Pixels by which surfaces are extended into the background. Chosen among 1, 2, 4 and 12: spheres and fruit
 in front of the sky keep the indirect light of their outermost pixels within 2 %; with 4 it is 5 % less."""
 _PADDING: Final = 8
-"""Pixels by which the picture is mirrored beyond its borders. Without it, the filter makes the corners of a
-uniform picture up to a third too dark or too bright; with 4 they are off by 2 %, with 8 by less than 1 %."""
+"""Pixels by which the image is mirrored beyond its borders. Without it, the filter makes the corners of a
+uniform image up to a third too dark or too bright; with 4 they are off by 2 %, with 8 by less than 1 %."""
 _NEIGHBOURHOOD: Final = 97
 """Pixels: the square whose mean is restored. Chosen among 15, 33, 65, 97 and 193: smaller ones bring noise
 back; from 65 to 193 the error is the same within 1 %."""
@@ -98,7 +98,7 @@ def _denoised_indirect(light: TracedLight) -> Image:
     # The filter and its albedo expect values about 1.
     traced = np.asarray(light.indirect / level, np.float32)
     albedo = np.clip(of_guides.extend(light.albedo), 0.0, 1.0)
-    filtered = _filter(of_light.extend(traced), albedo, of_guides.extend(light.normal))
+    filtered = _apply_filter(of_light.extend(traced), albedo, of_guides.extend(light.normal))
     filtered *= of_guides.fraction
     return _restore_local_mean(filtered, traced) * np.float32(level)
 
@@ -115,17 +115,11 @@ def _restore_local_mean(filtered: Image, traced: Image) -> Image:
 
 @dataclass(frozen=True, eq=False)
 class _Coverage:
-    """The area of each pixel that surfaces cover.
+    """The area of each pixel that surfaces cover."""
 
-    Attributes:
-        fraction: `(h, w, 1)` in [0, 1].
-        inverse: `(h, w, 1)` its inverse, 0 where nothing is covered.
-        rim: `(m, 2)` rows and columns of uncovered pixels close to surfaces.
-    """
-
-    fraction: Image
-    inverse: Image
-    rim: NDArray[np.intp]
+    fraction: Image  # `(h, w, 1)` in [0, 1]
+    inverse: Image  # `(h, w, 1)` its inverse, 0 where nothing is covered
+    rim: NDArray[np.intp]  # `(m, 2)` rows and columns of uncovered pixels close to surfaces
 
     @classmethod
     def of(cls, fraction: Image) -> _Coverage:
@@ -156,16 +150,16 @@ class _Coverage:
         return per_area
 
 
-def _filter(image: Image, albedo: Image, normal: Image) -> Image:
+def _apply_filter(image: Image, albedo: Image, normal: Image) -> Image:
     """Apply the "RT" filter of Open Image Denoise, which takes three channels; a single one is repeated."""
     h, w, c = image.shape
-    result = open_image_denoise().denoise(_padded(image), _padded(albedo), _padded(normal), hdr=True)
+    result = open_image_denoise().denoise(_pad_image(image), _pad_image(albedo), _pad_image(normal), hdr=True)
     inner = np.asarray(result, np.float32)[_PADDING : _PADDING + h, _PADDING : _PADDING + w]
     return np.maximum(inner if c == 3 else inner.mean(axis=-1, keepdims=True), np.float32(0.0))
 
 
-def _padded(image: Image) -> Image:
-    """Three channels, mirrored beyond the borders of the picture."""
+def _pad_image(image: Image) -> Image:
+    """Three channels, mirrored beyond the borders of the image."""
     three = np.broadcast_to(image, (*image.shape[:2], 3))
     widths = ((_PADDING, _PADDING), (_PADDING, _PADDING), (0, 0))
     return np.ascontiguousarray(np.pad(three, widths, mode="symmetric"), np.float32)

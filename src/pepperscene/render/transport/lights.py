@@ -1,4 +1,4 @@
-"""The lights inside the kernel: points on the flash, and what all lights send out."""
+"""The lights inside the kernel: points on the flash, and the emission of all lights."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ class FlashSampler:
         remainder = mi.Point2f(dr.clip(scaled - chosen, 0.0, 1.0), sample.y)
         on_disc = emitter + self.radius * mi.warp.square_to_uniform_disk_concentric(remainder)
         point = self.centre + self.rotation @ mi.Vector3f(on_disc.x, on_disc.y, 0.0)
-        away = p - point
+        offset = p - point
         # Closer than the minimum distance, light no longer increases, and at distance 0 it is 0.
-        square = dr.maximum(dr.squared_norm(away), self.min_square)
+        square = dr.maximum(dr.squared_norm(offset), self.min_square)
         distance = dr.sqrt(square)
         forward = self.rotation @ mi.Vector3f(0.0, 0.0, 1.0)
-        cosine = dr.dot(away, forward) / distance
+        cosine = dr.dot(offset, forward) / distance
         x = dr.clip(dr.safe_acos(cosine) * self.steps, 0.0, 510.999)
         left = dr.floor(x)
         index = mi.UInt32(left)
@@ -80,17 +80,11 @@ def _z_order(positions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class LightSpectra:
-    """What the lights send out: by sensor channel, at the wavelengths of samples, or as tables.
+    """Emission of the lights: by sensor channel, at the wavelengths of samples, or as tables."""
 
-    Attributes:
-        flash: radiant intensity on the axis; None without a flash.
-        sun: irradiance across its beam; None without a sun.
-        sky: radiance of each of the sky's spectra.
-    """
-
-    flash: Any | None
-    sun: Any | None
-    sky: Sequence[Any]
+    flash: Any | None  # radiant intensity on the axis; None without a flash
+    sun: Any | None  # irradiance across its beam; None without a sun
+    sky: Sequence[Any]  # radiance of each of the sky's spectra
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +147,7 @@ def frame_tables(
     *,
     roulette: bool = True,
 ) -> FrameTables:
-    """Upload what all samples of a frame share; see `FrameTables`."""
+    """Transfer the data that all samples of a frame share to the device; see `FrameTables`."""
     mi, dr = mitsuba_modules()
     grid, electrons = response.grid_nm, response.electrons_per_joule
     has_flash = flash is not None and response.flash.any()
@@ -174,7 +168,7 @@ def frame_tables(
 
     reference = response.flash if response.flash.any() else np.ones(grid.size)
     white = integral(reference)
-    # A flash of intensity I lights what is half a metre away with I / .25 m2.
+    # A flash of intensity I gives an irradiance of I / .25 m2 at half a metre.
     sun_is_direct = sun is not None and (
         not has_flash or integral(sun).sum() > _VISIBLE_SUN * (integral(response.flash).sum() / 0.25)
     )

@@ -5,8 +5,7 @@ multiple of 2^m has one point in each of 2^m equal boxes of every shape. So addi
 between earlier ones, and a pixel can be refined where its first samples ended. Each further pair of numbers
 is the same sequence in another order and with another scrambling (padding), both by hashes of pixel,
 dimension and seed (B. Burley, "Practical hash-based Owen scrambling", J. Comput. Graph. Tech. 9 (2020),
-no. 4). A number depends on these and on the sample's index alone: there is no state, and samples can be split
-into passes freely.
+no. 4). A number depends on these and on the sample's index alone: samples can be split into passes freely.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ class Samples:
     def flash_light(self, si: Any, point: Any, active: Any, spectra: LightSpectra) -> Any:
         """Light of the flash at first hits, as the mean over evenly spread points with a shadow ray to each.
 
-        Close to the camera, the emitters light a point very differently, and most of the picture is in their
+        Close to the camera, the emitters light a point very differently, and most of the image is in their
         penumbras. Shadow rays from one hit are coherent, and cheaper than rays to new hits.
         """
         mi, dr = mitsuba_modules()

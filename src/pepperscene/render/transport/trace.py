@@ -1,7 +1,7 @@
 """Light transport for a flash at the camera: one traversal for all light, then more samples of its edges.
 
 The flash is nearly deterministic; all other light is small and smooth (a tenth of the signal in `barth2018`).
-So at the first hit the flash and the sun get shadow rays of their own, towards points of their discs, at
+So at the first hit the flash and the sun get separate shadow rays, towards points of their discs, at
 later hits one for both, and the sky is found by BSDF sampling alone. Light that meets one surface only is
 carried by sensor channel, with its integrals over wavelength taken in advance; light that meets more is
 carried at four wavelengths per sample. The first samples of a pixel trace both; where they show edges, more
@@ -76,8 +76,8 @@ def trace(
         all_light = functools.partial(_all_light, bounces=sampling.bounces)
         accumulator.add_all(_sum_samples(tables, None, 0, first, seed, all_light), first)
     if sampling.samples > first:
-        rest = sampling.samples - first
-        accumulator.add_direct(_sum_samples(tables, None, first, rest, seed, _direct_light), rest)
+        remaining = sampling.samples - first
+        accumulator.add_direct(_sum_samples(tables, None, first, remaining, seed, _direct_light), remaining)
 
     if not tables.has_lights or sampling.required is None:
         return accumulator.light()

@@ -79,10 +79,10 @@ def undetermined_entries(problem: FitProblem, vector: Array, posterior: Uncertai
         elif posterior.variance_reduction[i] < MIN_VARIANCE_REDUCTION:
             sds = f"its posterior sd is {posterior.sd[i]:.3g}, its prior sd {problem.sd[i]:.3g}"
             sentence = f"{entry.label} cannot be determined: {sds}"
-            others = np.abs(posterior.correlation[i]).copy()
-            others[i] = 0.0
-            partner = int(np.argmax(others))
-            if others[partner] >= HIGH_CORRELATION:
+            correlations = np.abs(posterior.correlation[i]).copy()
+            correlations[i] = 0.0
+            partner = int(np.argmax(correlations))
+            if correlations[partner] >= HIGH_CORRELATION:
                 label, correlation = problem.entries[partner].label, posterior.correlation[i, partner]
                 sentence += f"; only a combination with {label} is known (correlation {correlation:+.2f})"
             sentences.append(sentence)
@@ -128,7 +128,7 @@ def omitted_groups(
         if not entries:
             continue
         scales, lows, highs, start = np.array(
-            [(one.prior.sd, one.prior.low, one.prior.high, one.value({})) for one in entries]
+            [(entry.prior.sd, entry.prior.low, entry.prior.high, entry.value({})) for entry in entries]
         ).T
         model = _LinearModel(
             np.hstack([fitted_slopes, problem.data_jacobian(values, entries) * scales]),
@@ -153,7 +153,7 @@ class _LinearModel:
     high: Array  # (p,) limits of a step
 
     def omitted_group(self, fitted: int, names: Sequence[str], error_scale: float) -> OmittedGroup:
-        """What the entries after the `fitted` ones, of parameters `names`, explain.
+        """Residuals that the entries after the `fitted` ones, of parameters `names`, explain.
 
         `error_scale` is a factor on the errors of the data.
         """
@@ -163,28 +163,30 @@ class _LinearModel:
         before = self._deviance(fitted_entries, error_scale)
         evidence = {"": before - self._deviance(all_entries, error_scale)}
         for name in dict.fromkeys(names):
-            chosen = np.concatenate([fitted_entries, fitted + np.flatnonzero([one == name for one in names])])
-            gain = before - self._deviance(chosen, error_scale)
+            selected = np.concatenate(
+                [fitted_entries, fitted + np.flatnonzero([entry_name == name for entry_name in names])]
+            )
+            gain = before - self._deviance(selected, error_scale)
             evidence[name] = gain - 2.0 * np.log(len(set(names)))
         best = max(evidence, key=lambda name: evidence[name])
         return OmittedGroup(float(np.clip(explained, 0.0, 1.0)), float(evidence[best]), best)
 
-    def _deviance(self, chosen: NDArray[np.intp], error_scale: float) -> float:
+    def _deviance(self, selected: NDArray[np.intp], error_scale: float) -> float:
         """Minus twice the log evidence if only the chosen entries change, up to a constant."""
-        slopes = self.slopes[:, chosen] / error_scale
+        slopes = self.slopes[:, selected] / error_scale
         # Log of the squared ratio of prior to posterior volume: the Occam factor.
         occam = float(np.linalg.slogdet(np.eye(slopes.shape[1]) + slopes.T @ slopes)[1])
-        return sum(self._costs(chosen, error_scale)) + occam
+        return sum(self._costs(selected, error_scale)) + occam
 
-    def _costs(self, chosen: NDArray[np.intp], error_scale: float) -> tuple[float, float]:
+    def _costs(self, selected: NDArray[np.intp], error_scale: float) -> tuple[float, float]:
         """Costs of data and priors after the best step of the chosen entries."""
         from scipy.optimize import lsq_linear
 
-        slopes, deviation = self.slopes[:, chosen] / error_scale, self.deviation[chosen]
+        slopes, deviation = self.slopes[:, selected] / error_scale, self.deviation[selected]
         residuals = self.residuals / error_scale
         rows = np.vstack([slopes, np.eye(len(deviation))])
         # An entry on a bound has no space; rounding must not make it negative.
-        bounds = np.minimum(self.low[chosen], -_MIN_SPACE), np.maximum(self.high[chosen], _MIN_SPACE)
+        bounds = np.minimum(self.low[selected], -_MIN_SPACE), np.maximum(self.high[selected], _MIN_SPACE)
         step = lsq_linear(rows, -np.concatenate([residuals, deviation]), bounds).x
         left = residuals + slopes @ step
         return float(left @ left), float(((deviation + step) ** 2).sum())
@@ -225,12 +227,14 @@ def _describe_causes(omitted: Mapping[str, OmittedGroup]) -> list[str]:
     if not omitted:
         return []
     causes = {
-        group: one for group, one in omitted.items() if one.explained >= MIN_EXPLAINED and one.evidence > 0.0
+        group: cause
+        for group, cause in omitted.items()
+        if cause.explained >= MIN_EXPLAINED and cause.evidence > 0.0
     }
     if not causes:
         reason = "No omitted parameter could explain a quarter of the residuals"
         return [f"{reason}: check the patches, their labels and their light."]
-    percent = {group: f"{100 * one.explained:.0f} %" for group, one in causes.items()}
+    percent = {group: f"{100 * cause.explained:.0f} %" for group, cause in causes.items()}
     best, *_ = causes.values()
     likely = [group for group in causes if best.evidence - causes[group].evidence < STRONG_EVIDENCE]
     parts: list[str] = []
@@ -241,6 +245,6 @@ def _describe_causes(omitted: Mapping[str, OmittedGroup]) -> list[str]:
     sentences = [f"The unexplained residuals point to {', or '.join(parts)}."]
     others = [f"{group} ({percent[group]})" for group in causes if group not in likely]
     if others:
-        listed = ", ".join(others)
-        sentences.append(f"Other groups could explain part of it, but are much less likely: {listed}.")
+        names = ", ".join(others)
+        sentences.append(f"Other groups could explain part of it, but are much less likely: {names}.")
     return sentences

@@ -173,9 +173,9 @@ def _optimise(problem: FitProblem, vector: Array) -> tuple[Array, Start]:
 
     options = {"ftol": _TOLERANCE, "xtol": _TOLERANCE, "max_nfev": _EVALUATIONS, "x_scale": problem.sd}
     bounds = (problem.low, problem.high)
-    done = least_squares(problem.residuals, vector, problem.jacobian, bounds=bounds, **options)
+    solution = least_squares(problem.residuals, vector, problem.jacobian, bounds=bounds, **options)
     values = {name: tuple(value.tolist()) for name, value in problem.values(vector).items()}
-    return done.x, Start(values, float(done.cost), int(done.nfev), str(done.message))
+    return solution.x, Start(values, float(solution.cost), int(solution.nfev), str(solution.message))
 
 
 def _summarise(
@@ -186,11 +186,11 @@ def _summarise(
     values, before = problem.values(vector), problem.values(problem.default)
     omitted: dict[str, OmittedGroup] = {}
     if not is_consistent(chi2, problem.data_count):
-        unfitted = target.unfitted_parameters([one.name for one in problem.parameters])
+        unfitted = target.unfitted_parameters([parameter.name for parameter in problem.parameters])
         omitted = omitted_groups(problem, vector, unfitted)
     undetermined = undetermined_entries(problem, vector, posterior)
     kinds = _compare_kinds(problem, before, values, target.targets)
-    delta_e = {kind: one.delta_e_after for kind, one in kinds.items()}
+    delta_e = {kind: kind_fit.delta_e_after for kind, kind_fit in kinds.items()}
     return FitResult(
         parameters=problem.parameters,
         values=values,
@@ -203,7 +203,7 @@ def _summarise(
         starts=starts,
         chi_squared=chi2,
         data_count=problem.data_count,
-        omitted={group: one.explained for group, one in omitted.items()},
+        omitted={group: cause.explained for group, cause in omitted.items()},
         diagnostics=describe_fit(problem, chi2, undetermined, omitted, delta_e),
         tuned_parts=target.tuned_parts(values),
     )
@@ -216,15 +216,15 @@ def _compare_kinds(
     kinds = {}
     both = [problem.tuned_parts(values) for values in (before, after)] if targets else []
     for kind, target in targets.items():
-        of_kind = [one for one in problem.observations if any(m.view.kind == kind for m in one.view_models)]
-        if not of_kind:
+        observations = [o for o in problem.observations if any(m.view.kind == kind for m in o.view_models)]
+        if not observations:
             continue
         # The colours of the views are those among their neighbours.
-        offset = np.mean([one.neighbours.offset for one in of_kind], axis=0)[:6].reshape(2, 3)
-        pixels = [np.concatenate([one.linear(parts) for one in of_kind]) for parts in both]
-        moments = [_moments(target), *(_moments(one) + offset for one in pixels)]
-        delta_e = [float(delta_e_2000(one[0], moments[0][0])) for one in moments]
-        sampled = [one[:: max(1, -(-len(one) // _PLOTTED))] for one in (target, *pixels)]
+        offset = np.mean([o.neighbours.offset for o in observations], axis=0)[:6].reshape(2, 3)
+        pixels = [np.concatenate([o.linear(parts) for o in observations]) for parts in both]
+        moments = [_moments(target), *(_moments(colours) + offset for colours in pixels)]
+        delta_e = [float(delta_e_2000(moment[0], moments[0][0])) for moment in moments]
+        sampled = [colours[:: max(1, -(-len(colours) // _PLOTTED))] for colours in (target, *pixels)]
         kinds[kind] = KindFit(moments[0], moments[1], moments[2], delta_e[1], delta_e[2], *sampled)
     return kinds
 
@@ -244,7 +244,7 @@ def _compare_spectra(
     measured, *predicted = model.measured, model.predicted(before), model.predicted(after)
     spectra = {}
     for (name, part), nm in zip(model.parts.items(), model.wavelength_nm, strict=True):
-        rmse = [float(np.sqrt(np.mean((one - measured)[part] ** 2))) for one in predicted]
-        one, other = (curve[part] for curve in predicted)
-        spectra[name] = SpectrumFit(nm, measured[part], one, other, *rmse)
+        rmse = [float(np.sqrt(np.mean((curve - measured)[part] ** 2))) for curve in predicted]
+        curves = [curve[part] for curve in predicted]
+        spectra[name] = SpectrumFit(nm, measured[part], curves[0], curves[1], *rmse)
     return spectra

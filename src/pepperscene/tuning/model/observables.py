@@ -127,13 +127,13 @@ class SensorModel:
         """
         time, gain = (exposure, 1.0) if self.scales_time else (1.0, exposure)
         counted, slope = self._counted(time * electrons)
-        full = self.sensor.gain_e_per_dn * (self.sensor.full_scale_dn - self.sensor.black_level_dn)
-        raw, slope = gain * counted / full, slope * (time * gain / full) * gains
+        full_scale_e = self.sensor.gain_e_per_dn * (self.sensor.full_scale_dn - self.sensor.black_level_dn)
+        raw, slope = gain * counted / full_scale_e, slope * (time * gain / full_scale_e) * gains
         balanced = raw * gains
         if self.saturation:
             # The full well does not depend on the gain; the converter ends at full scale.
-            most = min(gain * self.sensor.full_well_e / full, 1.0)
-            limit = np.minimum(most * gains, min(self.sensor.gain * gain, 1.0) * gains.min())
+            maximum = min(gain * self.sensor.full_well_e / full_scale_e, 1.0)
+            limit = np.minimum(maximum * gains, min(self.sensor.gain * gain, 1.0) * gains.min())
             slope = np.where(balanced < limit, slope, 0.0)
             balanced = np.minimum(balanced, limit)
         colour = balanced @ matrix.T

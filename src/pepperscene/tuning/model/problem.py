@@ -50,7 +50,9 @@ class Observation:
 
     def linear(self, parts: TunedParts) -> Array:
         """`(n, 3)` linear sRGB of all pixels of the views."""
-        return np.concatenate([one.linear(parts, self.neighbours.shade) for one in self.view_models])
+        return np.concatenate(
+            [view_model.linear(parts, self.neighbours.shade) for view_model in self.view_models]
+        )
 
     def predicted(self, parts: TunedParts) -> Array:
         """`(8,)` observables of the model."""
@@ -59,7 +61,7 @@ class Observation:
     def derivatives(self, parts: TunedParts, steps: Sequence[ParameterStep]) -> Array:
         """`(8, p)` derivatives of `predicted` along steps."""
         shade = self.neighbours.shade
-        pixels = [one.linear_and_derivatives(parts, steps, shade) for one in self.view_models]
+        pixels = [view_model.linear_and_derivatives(parts, steps, shade) for view_model in self.view_models]
         linear = np.concatenate([linear for linear, _ in pixels])
         derivatives = np.concatenate([derivatives for _, derivatives in pixels], axis=1)
         return observables_and_derivatives(linear, derivatives)[1]
@@ -90,7 +92,7 @@ class FitProblem:
         self.parameters, self.observations = tuple(parameters), tuple(observations)
         self.tuned_parts, self.direct_model = tuned_parts, direct_model
         self.entries = entries_of(parameters)
-        priors = [one.prior for one in self.entries]
+        priors = [entry.prior for entry in self.entries]
         self.low = np.array([prior.low for prior in priors])
         self.high = np.array([prior.high for prior in priors])
         self.mean = np.array([prior.mean for prior in priors])
@@ -102,7 +104,7 @@ class FitProblem:
     @property
     def default(self) -> Array:
         """`(p,)` values of the recipe."""
-        return np.concatenate([one.default for one in self.parameters])
+        return np.concatenate([parameter.default for parameter in self.parameters])
 
     def inside(self, vector: Array) -> Array:
         """The vector, moved off the ends of its bounds."""
@@ -111,9 +113,9 @@ class FitProblem:
 
     def values(self, vector: Array) -> dict[str, Array]:
         """Values of a vector by parameter."""
-        ends = np.cumsum([len(one.default) for one in self.parameters])[:-1]
+        ends = np.cumsum([len(parameter.default) for parameter in self.parameters])[:-1]
         parts = np.split(np.asarray(vector, float), ends)
-        return {one.name: part for one, part in zip(self.parameters, parts, strict=True)}
+        return {parameter.name: part for parameter, part in zip(self.parameters, parts, strict=True)}
 
     def residuals(self, vector: Array) -> Array:
         """`(m + p,)` residuals of the data, then of the priors."""
@@ -126,7 +128,10 @@ class FitProblem:
     def data_residuals(self, values: Values) -> Array:
         """`(m,)` residuals of the observations, then of the spectra."""
         parts = self.tuned_parts(values)
-        rows = [(one.predicted(parts) - one.target) / one.sigma for one in self.observations]
+        rows = [
+            (observation.predicted(parts) - observation.target) / observation.sigma
+            for observation in self.observations
+        ]
         if self.direct_model is not None:
             rows.append(self.direct_model.residuals(values))
         return np.concatenate(rows) if rows else np.zeros(0)
@@ -136,7 +141,10 @@ class FitProblem:
         parts, steps = self.tuned_parts(values), []
         if self.observations:
             steps = [ParameterStep.along(entry, values, self.tuned_parts) for entry in entries]
-        rows = [one.derivatives(parts, steps) / one.sigma[:, None] for one in self.observations]
+        rows = [
+            observation.derivatives(parts, steps) / observation.sigma[:, None]
+            for observation in self.observations
+        ]
         if self.direct_model is not None:
             rows.append(self.direct_model.jacobian(values, entries))
         return np.concatenate(rows) if rows else np.zeros((0, len(entries)))

@@ -105,27 +105,31 @@ def surface_of_kind(cultivar: Cultivar, kind: str) -> MeasuredSurface:
         InputError: The plants have no such organ, or the organ has no such stage.
     """
     name, _, stage = kind.partition(".")
-    classes = {one.name.lower(): one for one in OrganClass}
+    classes = {organ_class.name.lower(): organ_class for organ_class in OrganClass}
     kinds, grown = cultivar.kinds, cultivar.present_kinds
-    present = {kinds[one].organ_class for one in grown if kinds[one].surface in cultivar.pigments}
+    present = {kinds[organ].organ_class for organ in grown if kinds[organ].surface in cultivar.pigments}
     where = f"cultivar {cultivar.name}"
     if name not in classes or classes[name] not in present:
-        allowed = ", ".join(one.name.lower() for one in sorted(present - {OrganClass.BACKGROUND}))
+        allowed = ", ".join(
+            organ_class.name.lower() for organ_class in sorted(present - {OrganClass.BACKGROUND})
+        )
         raise InputError(where, f"must be one of {allowed}", key="kind", value=kind)
 
     # The usual form of the class, or the first kind that the plants have.
-    of_class = [one for one in grown if kinds[one].organ_class == classes[name] and one in cultivar.organs]
-    usual = [one for one in of_class if kinds[one].form == FORMS.get(classes[name])]
-    chosen = (usual or of_class)[0]
+    of_class = [
+        organ for organ in grown if kinds[organ].organ_class == classes[name] and organ in cultivar.organs
+    ]
+    usual = [organ for organ in of_class if kinds[organ].form == FORMS.get(classes[name])]
+    selected = (usual or of_class)[0]
 
     # Fruit has a distribution of states for each of its stages, other organs have one.
-    distributions = cultivar.organs[chosen].distributions
+    distributions = cultivar.organs[selected].distributions
     key = stage or "state"
     if key not in distributions or key not in (*STAGES, "state"):
-        stages = [f"{name}.{one}" for one in STAGES if one in distributions] or [name]
+        stages = [f"{name}.{ripe}" for ripe in STAGES if ripe in distributions] or [name]
         raise InputError(where, f"must be one of {', '.join(stages)}", key="kind", value=kind)
-    surface = kinds[chosen].surface
-    forms = {one.form for one in kinds.values() if one.surface == surface}
+    surface = kinds[selected].surface
+    forms = {organ_kind.form for organ_kind in kinds.values() if organ_kind.surface == surface}
     return MeasuredSurface(surface, distributions[key].mean, bool(forms & set(THIN)))
 
 
@@ -154,21 +158,21 @@ class DirectModel:
         """
         low, high = RANGE_NM
         wavelengths = []
-        for one in spectra:
-            nm = one.spectrum.wavelength_nm
+        for measurement in spectra:
+            nm = measurement.spectrum.wavelength_nm
             inside = nm[(nm >= low) & (nm <= high)]
             if inside.size < 2:
                 problem = f"must have at least two values from {low:g} to {high:g} nm"
-                raise InputError(f"spectrum {one.name}", problem, key="wavelength_nm")
+                raise InputError(f"spectrum {measurement.name}", problem, key="wavelength_nm")
             wavelengths.append(inside)
-        surfaces = tuple(surface_of_kind(cultivar, one.kind) for one in spectra)
+        surfaces = tuple(surface_of_kind(cultivar, measurement.kind) for measurement in spectra)
         return cls(tuple(spectra), surfaces, tuple(wavelengths), cultivar, tuned_parts)
 
     @property
     def measured(self) -> Array:
         """`(m,)` measured reflectances of all spectra, concatenated."""
         pairs = zip(self.spectra, self.wavelength_nm, strict=True)
-        return np.concatenate([np.empty(0), *(one.spectrum.at(nm) for one, nm in pairs)])
+        return np.concatenate([np.empty(0), *(measurement.spectrum.at(nm) for measurement, nm in pairs)])
 
     @property
     def sd(self) -> Array:
@@ -193,15 +197,15 @@ class DirectModel:
         """Slice of the `(m,)` values of each spectrum, by name."""
         ends = np.cumsum([0, *(nm.size for nm in self.wavelength_nm)]).tolist()
         pairs = zip(self.spectra, pairwise(ends), strict=True)
-        return {one.name: slice(first, end) for one, (first, end) in pairs}
+        return {measurement.name: slice(first, end) for measurement, (first, end) in pairs}
 
     def predicted(self, values: Values) -> Array:
         """`(m,)` reflectances that the instrument would read at these values."""
         paths = self.tuned_parts(values).pigments
         spectra = [np.empty(0)]
-        for one, nm in zip(self.surfaces, self.wavelength_nm, strict=True):
-            path = paths.get(one.surface, self.cultivar.pigments[one.surface])
-            spectra.append(instrument_reflectance(path, nm, one.state, thin=one.thin))
+        for surface, nm in zip(self.surfaces, self.wavelength_nm, strict=True):
+            path = paths.get(surface.surface, self.cultivar.pigments[surface.surface])
+            spectra.append(instrument_reflectance(path, nm, surface.state, thin=surface.thin))
         return np.concatenate(spectra)
 
     def residuals(self, values: Values) -> Array:

@@ -33,7 +33,7 @@ HUE_ERROR: Final = 0.05
 and radians by which mean hue vectors may (three degrees, more than half a bin of hue spectra)."""
 REGISTERED_LAB_ERROR: Final = 0.06
 REGISTERED_HUE_ERROR: Final = 0.0025
-"""The same for patches of the very organs of the views, in addition to the sensor's noise: few samples of
+"""The same for patches of the same organs as the views, in addition to the sensor's noise: few samples of
 light, 8 bits, and a camera in formulas. Chosen: twice what simulated patches show (0.03 and 0.001), because
 the errors are partly systematic and shift several observables together."""
 RELATIVE_SPREAD_ERROR: Final = 0.2  # chosen: between organs; a few do not determine their spread better
@@ -96,16 +96,18 @@ class TuningTarget:
         excluded = set(fitted)
         surfaces = {name for view in self.views for name in view.scene.mesh.surfaces}
         if self.direct_model is not None:
-            surfaces |= {one.surface for one in self.direct_model.surfaces}
+            surfaces |= {surface.surface for surface in self.direct_model.surfaces}
         # Parameters of single path ends would duplicate those of the whole path.
         names = [name for name in known_parameters(self.cultivar, self.camera) if name.count(".") < 2]
         relevant = [
-            one
-            for one in self.parameters([name for name in names if name not in excluded])
-            if one.group not in ("pigments", "cuticle") or one.name.partition(".")[0] in surfaces
+            parameter
+            for parameter in self.parameters([name for name in names if name not in excluded])
+            if parameter.group not in ("pigments", "cuticle") or parameter.name.partition(".")[0] in surfaces
         ]
-        groups = dict.fromkeys(one.group for one in relevant)
-        return {group: tuple(one for one in relevant if one.group == group) for group in groups}
+        groups = dict.fromkeys(parameter.group for parameter in relevant)
+        return {
+            group: tuple(parameter for parameter in relevant if parameter.group == group) for group in groups
+        }
 
     def tuned_parts(self, values: Values) -> TunedParts:
         """Return the recipe's parts at parameter values."""
@@ -191,11 +193,11 @@ class TuningTarget:
                 parts = self.tuned_parts({})
                 samples.append([model.linear(parts, NO_NEIGHBOURS.shade) for model in models])
             effect = neighbours.get(kind, NO_NEIGHBOURS)
-            observations.append(Observation(kind, models, target, _sigma(samples, target), effect))
+            observations.append(Observation(kind, models, target, _observable_sd(samples, target), effect))
         return observations
 
 
-def _sigma(samples: Sequence[Sequence[Array]], target: Array) -> Array:
+def _observable_sd(samples: Sequence[Sequence[Array]], target: Array) -> Array:
     """`(8,)` standard deviations of the difference between samples of organs; pixels of each organ given."""
     between = np.zeros(5)
     if len(samples[0]) == 1:
@@ -203,7 +205,7 @@ def _sigma(samples: Sequence[Sequence[Array]], target: Array) -> Array:
         between = np.append(target[3:6], [_DEFAULT_HUE_SD] * 2)
     for sample in samples:
         if len(sample) > 1:
-            means = np.array([observables(one) for one in sample])[:, [0, 1, 2, 6, 7]]
+            means = np.array([observables(pixels) for pixels in sample])[:, [0, 1, 2, 6, 7]]
             between = np.maximum(between, means.std(axis=0, ddof=1))
     errors = np.array([LAB_ERROR, LAB_ERROR, LAB_ERROR, HUE_ERROR, HUE_ERROR])
     of_mean = np.sqrt(errors**2 + between**2 * sum(1.0 / len(sample) for sample in samples))

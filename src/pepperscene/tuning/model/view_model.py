@@ -75,7 +75,9 @@ class Entry:
 
 def entries_of(parameters: Sequence[Parameter]) -> tuple[Entry, ...]:
     """All entries of some parameters, in order."""
-    return tuple(Entry(one, index) for one in parameters for index in range(len(one.default)))
+    return tuple(
+        Entry(parameter, index) for parameter in parameters for index in range(len(parameter.default))
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +153,7 @@ class ViewModel:
                     change = shade * self._renderer.forward(parameters, direction)[self.view.mask]
                     derivative[:] = unclipped * ((by_electrons * change) @ parts.matrix.T)
             else:
-                above, below = (self._developed(electrons, one) for one in (step.above, step.below))
+                above, below = (self._developed(electrons, end) for end in (step.above, step.below))
                 derivative[:] = (above - below) / step.width
         return linear, derivatives
 

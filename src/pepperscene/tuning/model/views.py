@@ -115,13 +115,17 @@ def with_surfaces(view: OrganView, surfaces: dict[str, Surface]) -> OrganView:
     """Return the same view with other surfaces of the organ."""
     from pepperscene.scene import assemble_scene
 
-    shown = {name: surfaces[name] for name in view.scene.mesh.surfaces}
-    return replace(view, scene=assemble_scene(view.scene.mesh, shown, view.scene.sky))
+    used = {name: surfaces[name] for name in view.scene.mesh.surfaces}
+    return replace(view, scene=assemble_scene(view.scene.mesh, used, view.scene.sky))
 
 
 def _check_kind(kind: str) -> None:
     name, _, stage = kind.partition(".")
-    known = [one.name.lower() for one in OrganClass if one not in (OrganClass.BACKGROUND, OrganClass.WIRE)]
+    known = [
+        organ_class.name.lower()
+        for organ_class in OrganClass
+        if organ_class not in (OrganClass.BACKGROUND, OrganClass.WIRE)
+    ]
     if name not in known or (stage and (name != "pepper" or stage not in ("unripe", "ripe"))):
         allowed = ", ".join([*known, "pepper.unripe", "pepper.ripe"])
         raise InputError("patches", f"must be one of {allowed}", key="kind", value=kind)
@@ -130,7 +134,9 @@ def _check_kind(kind: str) -> None:
 def _select_organs(mesh: Mesh, kind: str, forward: Array, count: int) -> list[Mesh]:
     """Meshes of some of the most visible organs of a kind, by surface and from low to high states."""
     name, _, stage = kind.partition(".")
-    indices = [i for i, one in enumerate(mesh.instances) if one.organ_class == OrganClass[name.upper()]]
+    indices = [
+        i for i, instance in enumerate(mesh.instances) if instance.organ_class == OrganClass[name.upper()]
+    ]
     corners = mesh.vertices[mesh.faces].astype(float)
     normal = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.bincount(mesh.face_instance, np.abs(normal @ forward), minlength=len(mesh.instances))

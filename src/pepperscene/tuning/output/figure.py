@@ -71,12 +71,12 @@ def before_after_figure(fit: FitResult, name: str, frames: BeforeAfter | None = 
     sentences = dict.fromkeys((*fit.diagnostics, *fit.undetermined))
     lines = [line for sentence in sentences for line in textwrap.wrap(sentence, 150)]
     rows: list[Row] = [(0.7, partial(_draw_title, name=name, kinds=bool(fit.kinds)))]
-    rows += [(1.75, partial(_draw_kind, kind=kind, colours=one)) for kind, one in fit.kinds.items()]
+    rows += [(1.75, partial(_draw_kind, kind=kind, colours=kind_fit)) for kind, kind_fit in fit.kinds.items()]
     rows += [(2.4, partial(_draw_spectra, spectra=spectra[i : i + 2])) for i in range(0, len(spectra), 2)]
     if frames is not None:
         height, width, _ = frames.before.shape
         rows.append((0.4 + 0.47 * WIDTH_IN * height / width, partial(_draw_frames, frames=frames)))
-    entries = sum(len(one.labels) for one in fit.parameters)
+    entries = sum(len(parameter.labels) for parameter in fit.parameters)
     rows.append((0.5 + 0.22 * entries, partial(_draw_values, fit=fit)))
     rows.append((0.3 + 0.19 * len(lines), partial(_draw_text, text="\n".join(lines))))
 
@@ -118,7 +118,7 @@ def _draw_kind(part: SubFigure, kind: str, colours: KindFit) -> None:
             title = f"{title}: dE2000 {delta_e:.1f}, {words}"
         axis.set_title(title, color=colour)
         lab = "  ".join(f"{label}* {value:.0f}" for label, value in zip("Lab", mean, strict=True))
-        axis.set_xlabel(f"{lab}   sd {' / '.join(f'{one:.0f}' for one in sd)}", loc="left", color="0.4")
+        axis.set_xlabel(f"{lab}   sd {' / '.join(f'{number:.0f}' for number in sd)}", loc="left", color="0.4")
         axis.set(xticks=[], yticks=[])
         axis.spines[:].set_visible(False)
     # Reds are on both sides of 0 degrees.
@@ -151,11 +151,25 @@ def _draw_spectra(part: SubFigure, spectra: Sequence[tuple[str, SpectrumFit]]) -
     """Measured reflectances and those of the model."""
     axes = part.subplots(1, 2)
     part.subplots_adjust(left=0.06, right=_RIGHT, bottom=0.17, top=0.88, wspace=0.12)
-    for axis, (name, one) in zip(axes, spectra, strict=False):
-        axis.plot(one.wavelength_nm, one.before, color=_BEFORE, label=f"before, RMSE {one.rmse_before:.4f}")
-        axis.plot(one.wavelength_nm, one.after, color=_AFTER, label=f"after, RMSE {one.rmse_after:.4f}")
-        axis.plot(one.wavelength_nm, one.target, color=_MEASURED, ls="--", label="measured")
-        axis.set(xlim=(one.wavelength_nm[0], one.wavelength_nm[-1]), ylim=(0, None), xlabel="wavelength, nm")
+    for axis, (name, spectrum) in zip(axes, spectra, strict=False):
+        axis.plot(
+            spectrum.wavelength_nm,
+            spectrum.before,
+            color=_BEFORE,
+            label=f"before, RMSE {spectrum.rmse_before:.4f}",
+        )
+        axis.plot(
+            spectrum.wavelength_nm,
+            spectrum.after,
+            color=_AFTER,
+            label=f"after, RMSE {spectrum.rmse_after:.4f}",
+        )
+        axis.plot(spectrum.wavelength_nm, spectrum.target, color=_MEASURED, ls="--", label="measured")
+        axis.set(
+            xlim=(spectrum.wavelength_nm[0], spectrum.wavelength_nm[-1]),
+            ylim=(0, None),
+            xlabel="wavelength, nm",
+        )
         axis.set_title(f"Reflectance: {textwrap.shorten(name, 70)}")
         axis.legend(loc="upper left")
     for axis in axes[len(spectra) :]:
@@ -182,10 +196,12 @@ def _draw_values(part: SubFigure, fit: FitResult) -> None:
             axis.text(x, row, text, va="center", weight=weight)
 
     write("fitted parameter", "before", "after", "reduction of the prior variance", weight="bold")
-    for one in fit.parameters:
-        unit = f", {one.unit}" if one.unit and one.unit != "1" else ""
-        reductions = np.nan_to_num(np.atleast_1d(fit.variance_reduction[one.name])).clip(0.0, 1.0)
-        for (label, value, sd, before), reduction in zip(fitted_entries(fit, one), reductions, strict=True):
+    for parameter in fit.parameters:
+        unit = f", {parameter.unit}" if parameter.unit and parameter.unit != "1" else ""
+        reductions = np.nan_to_num(np.atleast_1d(fit.variance_reduction[parameter.name])).clip(0.0, 1.0)
+        for (label, value, sd, before), reduction in zip(
+            fitted_entries(fit, parameter), reductions, strict=True
+        ):
             row -= 1
             numbers = format_value(before, sd), format_with_sd(value, sd)
             write(f"{label}{unit}", *numbers, "", f"{100 * reduction:.0f} %")

@@ -62,8 +62,8 @@ def _path_table(
     surface: str, path: PigmentPath, original: PigmentPath, fit: FitResult, run: RunInfo
 ) -> dict[str, Any]:
     """A pigment path as in cultivar files."""
-    fitted = [one for one in fit.parameters if one.name.partition(".")[0] == surface]
-    source = f"{run.summary()}: {'; '.join(describe_values(fit, one) for one in fitted)}"
+    fitted = [parameter for parameter in fit.parameters if parameter.name.partition(".")[0] == surface]
+    source = f"{run.summary()}: {'; '.join(describe_values(fit, parameter) for parameter in fitted)}"
     if original.source.strip():
         source += f". Before tuning: {original.source}"
     table: dict[str, Any] = {"source": source}
@@ -87,13 +87,13 @@ def _contents(pigments: Pigments) -> dict[str, float]:
     return {n: v for n, v in contents.items() if fields[n].is_required() or v != fields[n].default}
 
 
-def _same_path(one: PigmentPath, other: PigmentPath) -> bool:
+def _same_path(first: PigmentPath, second: PigmentPath) -> bool:
     """Whether two paths have the same contents at every state, flesh and cuticle."""
-    states = sorted({state for path in (one, other) for state, _ in path.knots})
-    a, b = (np.array(list(path.at(states).values())) for path in (one, other))
+    states = sorted({state for path in (first, second) for state, _ in path.knots})
+    a, b = (np.array(list(path.at(states).values())) for path in (first, second))
     if not np.allclose(a, b, rtol=_SAME, atol=_SAME * max(float(np.abs(a).max()), 1e-300) * 1e-3):
         return False
-    a, b = (np.array([p.flesh_reflectance or 0.0, p.ior, *p.roughness]) for p in (one, other))
+    a, b = (np.array([p.flesh_reflectance or 0.0, p.ior, *p.roughness]) for p in (first, second))
     return np.allclose(a, b, rtol=_SAME, atol=0.0)
 
 
@@ -137,7 +137,9 @@ def flash_files(name: str, fit: FitResult, run: RunInfo, stem: str) -> tuple[Fla
     path = find_material("flashes", name)
     original = load_flash(name)
     flash = tuned_flash(original, fit.tuned_parts)
-    fitted = [describe_values(fit, one) for one in fit.parameters if one.name.startswith("flash.")]
+    fitted = [
+        describe_values(fit, parameter) for parameter in fit.parameters if parameter.name.startswith("flash.")
+    ]
     tuned = f"{run.summary()}: {'; '.join(fitted)}"
 
     key = "illuminance_lx" if original.illuminance_lx is not None else "irradiance_W_m2"
@@ -152,7 +154,7 @@ def flash_files(name: str, fit: FitResult, run: RunInfo, stem: str) -> tuple[Fla
     tables["sources"] = sources
     texts = {
         f"{stem}.toml": toml_text(tables, f"The flash {path.stem}, tuned to measured colour.\n{tuned}."),
-        f"{spectrum}.csv": _csv(flash.spectrum),
+        f"{spectrum}.csv": _spectrum_csv(flash.spectrum),
         f"{spectrum}.toml": toml_text(_spectrum_provenance(path, tables["licence"], tuned)),
     }
     return flash, texts
@@ -164,7 +166,7 @@ def flash_changed(fit: FitResult) -> bool:
     return abs(fit.tuned_parts.flash_power - 1.0) > 1e-12 or bool((np.abs(factors - 1.0) > 1e-12).any())
 
 
-def _csv(spectrum: Spectrum) -> str:
+def _spectrum_csv(spectrum: Spectrum) -> str:
     rows = zip(spectrum.wavelength_nm.tolist(), spectrum.values.tolist(), strict=True)
     return f"wavelength_nm,{_COLUMN}\n" + "".join(f"{nm:.12g},{value!r}\n" for nm, value in rows)
 

@@ -57,9 +57,9 @@ def _digests(patches: PatchSet) -> Iterator[tuple[str, str]]:
     """SHA-256 of the numbers of each patch and spectrum, independent of the platform."""
     for patch in patches.patches:
         yield patch.name, _sha256(np.asarray(patch.linear, "<f8"), np.asarray(patch.codes, "u1"))
-    for one in patches.spectra:
-        wavelength_nm, values = one.spectrum.wavelength_nm, one.spectrum.values
-        yield one.name, _sha256(np.asarray(wavelength_nm, "<f8"), np.asarray(values, "<f8"))
+    for measurement in patches.spectra:
+        wavelength_nm, values = measurement.spectrum.wavelength_nm, measurement.spectrum.values
+        yield measurement.name, _sha256(np.asarray(wavelength_nm, "<f8"), np.asarray(values, "<f8"))
 
 
 def _sha256(*arrays: Any) -> str:
@@ -95,8 +95,8 @@ def describe_colours(fit: FitResult) -> str:
         for name, kind in fit.kinds.items()
     ]
     spectra = [
-        f"{name} RMSE {one.rmse_before:.4f} before, {one.rmse_after:.4f} after"
-        for name, one in fit.spectra.items()
+        f"{name} RMSE {spectrum.rmse_before:.4f} before, {spectrum.rmse_after:.4f} after"
+        for name, spectrum in fit.spectra.items()
     ]
     sentences = [f"CIEDE2000 of mean colours: {'; '.join(kinds)}"] if kinds else []
     return ". ".join([*sentences, *([f"Reflectance: {'; '.join(spectra)}"] if spectra else [])])
@@ -111,11 +111,11 @@ def format_value(value: float, sd: float) -> str:
     """A value to the second digit of its standard deviation, or with four digits if there is none."""
     if not (math.isfinite(sd) and sd > 0.0) or not math.isfinite(value):
         return f"{value:.4g}"
-    places = 1 - math.floor(math.log10(sd))
+    digits = 1 - math.floor(math.log10(sd))
     # A value far below its sd keeps one digit.
     if value:
-        places = max(places, -math.floor(math.log10(abs(value))))
-    return f"{round(value, places):.{max(min(places, 12), 0)}f}"
+        digits = max(digits, -math.floor(math.log10(abs(value))))
+    return f"{round(value, digits):.{max(min(digits, 12), 0)}f}"
 
 
 def toml_text(
@@ -142,30 +142,30 @@ def toml_text(
             document.add(tomlkit.comment(line))
     if head:
         document.add(tomlkit.nl())
-    _fill(document, tables, "", comments or {}, depth)
+    _fill_table(document, tables, "", comments or {}, depth)
     return tomlkit.dumps(document)
 
 
-def _fill(
+def _fill_table(
     table: Container | Table, content: Mapping[str, Any], prefix: str, comments: Mapping[str, str], depth: int
 ) -> None:
     headed = {key: value for key, value in content.items() if isinstance(value, Mapping) and depth > 0}
     for key, value in content.items():
         if key not in headed:
-            item = _item(value)
+            item = _toml_item(value)
             if comment := comments.get(f"{prefix}{key}"):
                 item.comment(" ".join(comment.split()))
                 item.trivia.comment_ws = "  "
             table.append(key, item)
     for key, value in headed.items():
         # A table that only holds tables needs no heading.
-        only_tables = bool(value) and depth > 1 and all(isinstance(one, Mapping) for one in value.values())
+        only_tables = bool(value) and depth > 1 and all(isinstance(item, Mapping) for item in value.values())
         inner = tomlkit.table(is_super_table=only_tables)
-        _fill(inner, value, f"{prefix}{key}.", comments, depth - 1)
+        _fill_table(inner, value, f"{prefix}{key}.", comments, depth - 1)
         table.append(key, inner)
 
 
-def _item(value: Any) -> Item:
+def _toml_item(value: Any) -> Item:
     """A value as a TOML item: tables inline, arrays of arrays with one row a line."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
@@ -174,11 +174,11 @@ def _item(value: Any) -> Item:
         value = int(rounded) if rounded.is_integer() and abs(rounded) < 1e15 else rounded
     if isinstance(value, Mapping):
         table = tomlkit.inline_table()
-        for key, one in value.items():
-            table.append(key, _item(one))
+        for key, item in value.items():
+            table.append(key, _toml_item(item))
         return table
     if isinstance(value, list | tuple):
         array = tomlkit.array()
-        array.extend(_item(one) for one in value)
+        array.extend(_toml_item(item) for item in value)
         return array.multiline(bool(value) and isinstance(value[0], list | tuple))
     return tomlkit.item(value)

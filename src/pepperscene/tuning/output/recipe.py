@@ -53,14 +53,14 @@ def recipe_text(
     content = _recipe_content(recipe, folder)
     content["name"] = f"{recipe.name}_tuned"
     for key, value in changes.items():
-        _set(content, key, value)
+        _set_value(content, key, value)
     if extends is not None:
         base = _recipe_content(load_recipe(extends), folder)
         if _can_extend(base, content):
             content = {"extends": reference(extends, "recipes", folder), **_difference(base, content)}
     comments = {}
     for key, names in _PARAMETERS.items():
-        fitted = [describe_values(fit, one) for one in fit.parameters if one.name in names]
+        fitted = [describe_values(fit, parameter) for parameter in fit.parameters if parameter.name in names]
         if key in changes:
             comments[key] = (
                 f"tuned: {'; '.join(fitted)}"
@@ -69,7 +69,7 @@ def recipe_text(
             )
     if "cultivar" in changes:
         comments["cultivar"] = "tuned"
-    values = "\n".join(f"  {describe_values(fit, one)}" for one in fit.parameters)
+    values = "\n".join(f"  {describe_values(fit, parameter)}" for parameter in fit.parameters)
     head = f"{recipe.name}, tuned to measured colour.\n{run.summary()}:\n{values}\n{describe_colours(fit)}."
     return toml_text(content, head, comments)
 
@@ -156,7 +156,7 @@ def _difference(base: Mapping[str, Any], content: Mapping[str, Any]) -> Changes:
     return changes
 
 
-def _set(tables: Changes, key: str, value: Any) -> None:
+def _set_value(tables: Changes, key: str, value: Any) -> None:
     *above, last = key.split(".")
     for name in above:
         tables = tables.setdefault(name, {})

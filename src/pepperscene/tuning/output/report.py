@@ -29,16 +29,16 @@ def known_table(parameters: Sequence[Parameter]) -> TextTable:
             format_value(before, prior.sd),
             f"{prior.mean:.3g} ± {prior.sd:.2g}",
             f"{prior.low:.3g} to {prior.high:.3g}",
-            one.unit,
-            one.meaning if i == 0 else "",
+            parameter.unit,
+            parameter.meaning if i == 0 else "",
         )
-        for one in parameters
+        for parameter in parameters
         for i, (label, before, prior) in enumerate(
-            zip(one.entry_labels, one.default.tolist(), one.prior, strict=True)
+            zip(parameter.entry_labels, parameter.default.tolist(), parameter.prior, strict=True)
         )
     ]
-    heads = ("parameter", "current", "prior", "bounds", "unit", "meaning")
-    return TextTable("Parameters that can be fitted", heads, tuple(rows))
+    headers = ("parameter", "current", "prior", "bounds", "unit", "meaning")
+    return TextTable("Parameters that can be fitted", headers, tuple(rows))
 
 
 def fit_tables(fit: FitResult, verification: Verification | None = None) -> tuple[TextTable, ...]:
@@ -46,23 +46,28 @@ def fit_tables(fit: FitResult, verification: Verification | None = None) -> tupl
     rows = [
         (
             label, format_value(before, sd), format_with_sd(value, sd),
-            f"{prior.low:.4g} to {prior.high:.4g}", one.unit, _percent(reduction),
+            f"{prior.low:.4g} to {prior.high:.4g}", parameter.unit, _format_percent(reduction),
         )
-        for one in fit.parameters
+        for parameter in fit.parameters
         for (label, value, sd, before), prior, reduction in zip(
-            fitted_entries(fit, one), one.prior, np.atleast_1d(fit.variance_reduction[one.name]), strict=True
+            fitted_entries(fit, parameter), parameter.prior,
+            np.atleast_1d(fit.variance_reduction[parameter.name]), strict=True,
         )
     ]  # fmt: skip
-    heads = ("parameter", "before", "after", "bounds", "unit", "variance reduction")
-    tables = [TextTable("Fitted parameters", heads, tuple(rows))]
-    delta_e = {name: (one.delta_e_before, one.delta_e_after) for name, one in fit.kinds.items()}
-    rmse = {name: (one.rmse_before, one.rmse_after) for name, one in fit.spectra.items()}
+    headers = ("parameter", "before", "after", "bounds", "unit", "variance reduction")
+    tables = [TextTable("Fitted parameters", headers, tuple(rows))]
+    delta_e = {
+        name: (kind_fit.delta_e_before, kind_fit.delta_e_after) for name, kind_fit in fit.kinds.items()
+    }
+    rmse = {name: (spectrum.rmse_before, spectrum.rmse_after) for name, spectrum in fit.spectra.items()}
     for title, head, digits, pairs in (
         ("CIEDE2000 of mean colours, single organs", "kind", 2, delta_e),
         ("Root mean square error of reflectance", "spectrum", 4, rmse),
     ):
         if pairs:
-            cells = tuple((name, *(f"{one:.{digits}f}" for one in pair)) for name, pair in pairs.items())
+            cells = tuple(
+                (name, *(f"{number:.{digits}f}" for number in pair)) for name, pair in pairs.items()
+            )
             tables.append(TextTable(title, (head, "before", "after"), cells))
     if verification is not None:
         frames = f"{verification.frames} frame{'' if verification.frames == 1 else 's'} of the whole scene"
@@ -76,23 +81,23 @@ def fit_tables(fit: FitResult, verification: Verification | None = None) -> tupl
 def _agreement_table(
     title: str, before: Mapping[str, Agreement], after: Mapping[str, Agreement]
 ) -> TextTable:
-    heads = ("kind", "dE2000 before", "after", "hue correlation before", "after")
+    headers = ("kind", "dE2000 before", "after", "hue correlation before", "after")
     rows = [
         (
             kind,
-            _number(before[kind].delta_e), _number(one.delta_e),
-            _number(before[kind].correlation), _number(one.correlation),
+            _format_number(before[kind].delta_e), _format_number(agreement.delta_e),
+            _format_number(before[kind].correlation), _format_number(agreement.correlation),
         )
-        for kind, one in after.items()
+        for kind, agreement in after.items()
     ]  # fmt: skip
-    return TextTable(title, heads, tuple(rows))
+    return TextTable(title, headers, tuple(rows))
 
 
-def _number(value: float | None) -> str:
+def _format_number(value: float | None) -> str:
     return UNKNOWN if value is None or not np.isfinite(value) else f"{value:.2f}"
 
 
-def _percent(value: float) -> str:
+def _format_percent(value: float) -> str:
     return UNKNOWN if not np.isfinite(value) else f"{100 * np.clip(value, 0.0, 1.0):.0f} %"
 
 
@@ -105,13 +110,13 @@ def fit_record(fit: FitResult, run: RunInfo, verification: Mapping[str, Any] | N
         "date": run.when.isoformat(),
         "options": run.options,
         "patches": {"name": run.patches, "sha256": run.sha256, "members": run.members},
-        "parameters": [_parameter_record(fit, one) for one in fit.parameters],
-        "entries": [label for one in fit.parameters for label in one.entry_labels],
+        "parameters": [_parameter_record(fit, parameter) for parameter in fit.parameters],
+        "entries": [label for parameter in fit.parameters for label in parameter.entry_labels],
         "correlation": fit.correlation,
         "undetermined": fit.undetermined,
-        "kinds": {name: _kind_record(one) for name, one in fit.kinds.items()},
-        "spectra": {name: asdict(one) for name, one in fit.spectra.items()},
-        "starts": [asdict(one) for one in fit.starts],
+        "kinds": {name: _kind_record(kind_fit) for name, kind_fit in fit.kinds.items()},
+        "spectra": {name: asdict(spectrum) for name, spectrum in fit.spectra.items()},
+        "starts": [asdict(start) for start in fit.starts],
         "chi_squared": fit.chi_squared,
         "data": fit.data_count,
         "leftover": fit.omitted,
@@ -145,10 +150,10 @@ def _parameter_record(fit: FitResult, parameter: Parameter) -> dict[str, Any]:
     }
 
 
-def _kind_record(one: KindFit) -> dict[str, Any]:
-    colours = {"target": one.target, "before": one.before, "after": one.after}
+def _kind_record(kind_fit: KindFit) -> dict[str, Any]:
+    colours = {"target": kind_fit.target, "before": kind_fit.before, "after": kind_fit.after}
     moments = {name: {"mean_lab": mean, "sd_lab": sd} for name, (mean, sd) in colours.items()}
-    return {**moments, "delta_e_before": one.delta_e_before, "delta_e_after": one.delta_e_after}
+    return {**moments, "delta_e_before": kind_fit.delta_e_before, "delta_e_after": kind_fit.delta_e_after}
 
 
 def _json_value(value: Any) -> Any:
@@ -156,7 +161,7 @@ def _json_value(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return _json_value(value.tolist())
     if isinstance(value, Mapping):
-        return {str(key): _json_value(one) for key, one in value.items()}
+        return {str(key): _json_value(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_json_value(one) for one in value]
+        return [_json_value(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -77,11 +77,11 @@ def write_tuned(
     folder = Path(out)
     check_folder(folder)
     run = RunInfo.of(patches, when, options)
-    texts = _texts(recipe, fit, folder, extends, run)
+    texts = _file_texts(recipe, fit, folder, extends, run)
     files = {name: text.encode() for name, text in texts.items()}
     files[PICTURE] = before_after_png(fit, recipe.name, frames)
     files[RECORD] = canonical_json(fit_record(fit, run, verification))
-    return _write(folder, files)
+    return _write_and_load(folder, files)
 
 
 def check_folder(folder: Path) -> None:
@@ -96,7 +96,7 @@ def check_folder(folder: Path) -> None:
         raise OutputError(f"{folder}: contains {names[0]!r}; choose an empty or a new folder")
 
 
-def _texts(
+def _file_texts(
     recipe: Recipe, fit: FitResult, folder: Path, extends: str | Path | None, run: RunInfo
 ) -> dict[str, str]:
     """The TOML and CSV files by name, the recipe first."""
@@ -139,7 +139,7 @@ def _file_stem(name: str, suffix: str, used: set[str]) -> str:
     return stem
 
 
-def _write(folder: Path, files: Mapping[str, bytes]) -> tuple[Path, ...]:
+def _write_and_load(folder: Path, files: Mapping[str, bytes]) -> tuple[Path, ...]:
     """Write all files or none, the recipe last; files that cannot be loaded are removed again."""
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     paths = write_files(folder, {name: files[name] for name in reversed(list(files))})[::-1]

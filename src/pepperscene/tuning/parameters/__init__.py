@@ -1,1 +1,1 @@
-"""Parameters of a fit: what can be tuned, its prior distribution, and a recipe's parts at given values."""
+"""Parameters of a fit: tunable values, their prior distributions, and a recipe's parts at given values."""

@@ -60,7 +60,10 @@ def prior_distributions(
     layers = [_shipped_bounds()]
     if bounds is not None:
         layers.insert(0, _user_bounds(bounds, available))
-    return tuple(tuple(_prior(one, i, layers) for i in range(one.default.size)) for one in selected)
+    return tuple(
+        tuple(_entry_prior(parameter, i, layers) for i in range(parameter.default.size))
+        for parameter in selected
+    )
 
 
 @lru_cache(maxsize=1)
@@ -73,14 +76,19 @@ def _user_bounds(bounds: Mapping[str, Any] | str | Path, available: Iterable[Par
     """A user's tables. All of them are checked, also those that are not used, so that typing errors show."""
     where = "bounds" if isinstance(bounds, Mapping) else str(bounds)
     tables = dict(_flatten(bounds if isinstance(bounds, Mapping) else read_toml(Path(bounds)), where))
-    known = dict.fromkeys(key for one in available for i in range(one.default.size) for key in _keys(one, i))
+    known = dict.fromkeys(
+        key
+        for parameter in available
+        for i in range(parameter.default.size)
+        for key in _entry_keys(parameter, i)
+    )
     known |= dict.fromkeys(f"*.added.{content}" for content in CONTENT_FIELDS)
     for key, table in tables.items():
         if key not in known:
             close = get_close_matches(key, known, n=3, cutoff=0.5)
             hint = f"; closest are {', '.join(close)}" if close else ""
             raise InputError(where, f"is not the name of a parameter{hint}", key=key)
-        _parse(table, where, key)
+        _parse_table(table, where, key)
     return Bounds(where, tables, strict=True)
 
 
@@ -98,7 +106,7 @@ def _flatten(
             yield key, table
 
 
-def _parse(table: Mapping[str, Any], where: str, key: str) -> tuple[Distribution, str]:
+def _parse_table(table: Mapping[str, Any], where: str, key: str) -> tuple[Distribution, str]:
     """Distribution of a table, and whether its numbers are relative ("times", "plus") or not ("")."""
     for name in table:
         if name not in _KEYS:
@@ -115,7 +123,7 @@ def _parse(table: Mapping[str, Any], where: str, key: str) -> tuple[Distribution
         raise InputError(where, problem, key=key) from None
 
 
-def _keys(parameter: Parameter, entry: int) -> list[str]:
+def _entry_keys(parameter: Parameter, entry: int) -> list[str]:
     """Keys of an entry's distribution, in order of precedence."""
     label, content = parameter.labels[entry], parameter.name.rpartition(".")[2]
     keys = [f"{parameter.name}.{label}"] if label else []
@@ -127,9 +135,9 @@ def _keys(parameter: Parameter, entry: int) -> list[str]:
     return keys
 
 
-def _prior(parameter: Parameter, entry: int, layers: Sequence[Bounds]) -> Distribution:
+def _entry_prior(parameter: Parameter, entry: int, layers: Sequence[Bounds]) -> Distribution:
     for layer in layers:
-        for key in _keys(parameter, entry):
+        for key in _entry_keys(parameter, entry):
             if key in layer.tables:
                 return _within_limits(parameter, float(parameter.default[entry]), layer, key)
     raise ValueError(f"there are no shipped bounds of {parameter.name}")
@@ -137,7 +145,7 @@ def _prior(parameter: Parameter, entry: int, layers: Sequence[Bounds]) -> Distri
 
 def _within_limits(parameter: Parameter, value: float, layer: Bounds, key: str) -> Distribution:
     """Distribution at the recipe's value; for shipped bounds, adapted to it and to what is possible."""
-    prior, relative = _parse(layer.tables[key], layer.where, key)
+    prior, relative = _parse_table(layer.tables[key], layer.where, key)
     transforms = {"": (1.0, 0.0), "times": (value - parameter.floor, parameter.floor), "plus": (1.0, value)}
     scale, shift = transforms[relative]
     if scale <= 0.0:
@@ -163,5 +171,5 @@ def _within_limits(parameter: Parameter, value: float, layer: Bounds, key: str) 
         mean = float(np.clip(mean, new_low + margin, new_high - margin))
         sd = min(sd, _MAX_SD * min(mean - new_low, new_high - mean))
     origin = {name: getattr(prior, name) for name in Origin.model_fields}
-    law = "normal" if adapted else prior.family
-    return Distribution(family=law, mean=mean, sd=sd, low=new_low, high=new_high, **origin)
+    family = "normal" if adapted else prior.family
+    return Distribution(family=family, mean=mean, sd=sd, low=new_low, high=new_high, **origin)

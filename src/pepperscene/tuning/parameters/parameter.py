@@ -57,7 +57,7 @@ def select_parameters(
     _check_overlap(selected)
     parameters = [available[name] for name in selected]
     priors = prior_distributions(parameters, available.values(), bounds)
-    return tuple(replace(one, prior=prior) for one, prior in zip(parameters, priors, strict=True))
+    return tuple(replace(parameter, prior=prior) for parameter, prior in zip(parameters, priors, strict=True))
 
 
 def _canonical(name: str, available: Mapping[str, Parameter]) -> str:
@@ -80,13 +80,15 @@ def _check_overlap(names: Iterable[str]) -> None:
 def _unknown_message(
     name: str, available: Mapping[str, Parameter], recipe: Recipe, cultivar: Cultivar, camera: Camera
 ) -> str:
-    """Why a parameter does not exist, the closest names, and all names."""
+    """Reason why a parameter does not exist, the closest names, and all names."""
     surface = name.partition(".")[0]
     if surface == "flash" and camera.flash is None:
         reason = f"{name} cannot be fitted, because {recipe.name} has no flash"
     elif name in ("white_balance", "colour_matrix"):
         reason = f"{name} cannot be fitted, because {camera.sensor.name} is monochrome"
-    elif surface in cultivar.pigments and not any(one.startswith(f"{surface}.") for one in available):
+    elif surface in cultivar.pigments and not any(
+        parameter.startswith(f"{surface}.") for parameter in available
+    ):
         reason = f"{name} cannot be fitted, because plants of {cultivar.name} show no {surface}"
     else:
         reason = f"there is no parameter {name!r}"

@@ -63,7 +63,7 @@ def state_distribution(cultivar: Cultivar, surface: str) -> StateDistribution | 
     mean = float(weights @ means)
     sd = float(np.sqrt(weights @ (sds**2 + (means - mean) ** 2)))
     organs = [cultivar.organs[kind] for kind in cultivar.present_kinds if kind != CALYX]
-    fruits = [one for one in organs if isinstance(one, Fruit) and one.kind.surface == surface]
+    fruits = [organ for organ in organs if isinstance(organ, Fruit) and organ.kind.surface == surface]
     ripe = float(np.mean([fruit.ripe.mean for fruit in fruits])) if fruits else 0.0
     return StateDistribution(mean, sd, ripe if ripe > 0.0 else None)
 
@@ -81,7 +81,9 @@ def _components(cultivar: Cultivar, kind: str, surface: str) -> list[Component]:
         bearers = [cultivar.organs[name] for name in cultivar.present_kinds if name != CALYX]
         states = [organ.calyx_state for organ in bearers if isinstance(organ, Fruit) and organ.calyx]
         return [
-            _component(one, 1.0 / len(states)) for one in states if DEFAULT_KINDS["calyx"].surface == surface
+            _component(state, 1.0 / len(states))
+            for state in states
+            if DEFAULT_KINDS["calyx"].surface == surface
         ]
     organ = cultivar.organs[kind]
     if organ.kind.surface != surface:
@@ -234,5 +236,5 @@ def _integral(knots: Array, contents: Array, to: Array) -> Array:
     knot = np.clip(np.searchsorted(knots, inside, side="right") - 1, 0, len(slopes) - 1)
     step = (inside - knots[knot])[:, None]
     within = sums[knot] + step * (contents[knot] + 0.5 * slopes[knot] * step)
-    before, behind = np.minimum(to, 0.0)[:, None], np.maximum(to - 1.0, 0.0)[:, None]
-    return np.asarray(within + contents[0] * before + contents[-1] * behind)
+    before, beyond = np.minimum(to, 0.0)[:, None], np.maximum(to - 1.0, 0.0)[:, None]
+    return np.asarray(within + contents[0] * before + contents[-1] * beyond)

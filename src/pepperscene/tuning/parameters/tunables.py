@@ -67,8 +67,10 @@ class Parameter:
 
 def all_parameters(cultivar: Cultivar, camera: Camera) -> dict[str, Parameter]:
     """Everything that can be fitted for a cultivar and a camera, by name: surfaces first, in file order."""
-    parameters = [one for name in visible_surfaces(cultivar) for one in _surface_parameters(cultivar, name)]
-    return {one.name: one for one in (*parameters, *_camera_parameters(camera))}
+    parameters = [
+        parameter for name in visible_surfaces(cultivar) for parameter in _surface_parameters(cultivar, name)
+    ]
+    return {parameter.name: parameter for parameter in (*parameters, *_camera_parameters(camera))}
 
 
 def _surface_parameters(cultivar: Cultivar, surface: str) -> list[Parameter]:

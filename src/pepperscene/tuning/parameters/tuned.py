@@ -137,13 +137,13 @@ def tuned_spectrum(spectrum: Spectrum, nodes_nm: ArrayLike, factors: ArrayLike) 
     """
     low, high = spectrum.range_nm
     nodes = np.asarray(nodes_nm, float)
-    whole = np.arange(np.ceil(low), np.floor(high) + 1.0)
-    nm = np.union1d(np.union1d(spectrum.wavelength_nm, whole), nodes[(nodes >= low) & (nodes <= high)])
+    whole_nm = np.arange(np.ceil(low), np.floor(high) + 1.0)
+    nm = np.union1d(np.union1d(spectrum.wavelength_nm, whole_nm), nodes[(nodes >= low) & (nodes <= high)])
     # A wavelength that differs from a whole nanometre by rounding only would give a duplicate row.
     nm = np.unique(nm.round(6))
     factor = np.interp(nm, nodes, np.asarray(factors, float)) if nodes.size else np.ones(nm.size)
-    held = Spectrum(spectrum.wavelength_nm, spectrum.values, "hold")
-    values = np.array([round_for_file(value) for value in held.at(nm) * factor])
+    extended = Spectrum(spectrum.wavelength_nm, spectrum.values, "hold")
+    values = np.array([round_for_file(value) for value in extended.at(nm) * factor])
     return Spectrum(nm, values, spectrum.outside)
 
 
@@ -168,7 +168,7 @@ def colour_steps(camera: Camera, values: Mapping[str, ArrayLike] | None = None) 
     if camera.sensor.channels == 1:
         return np.ones(3), np.eye(3)
     given = {} if values is None else values
-    gains, matrix = (np.array(one, float) for one in colour_transform(camera))
+    gains, matrix = (np.array(array, float) for array in colour_transform(camera))
     if "white_balance" in given:
         red, blue = np.asarray(given["white_balance"], dtype=float)
         gains = gains * np.array([red, 1.0, blue])
