@@ -58,7 +58,9 @@ def _tree(module: str) -> ast.Module:
 @pytest.mark.parametrize("package", PUBLIC_PACKAGES)
 def test_public_names_are_sorted_and_documented(package: str) -> None:
     module = importlib.import_module(package)
-    assert list(module.__all__) == sorted(set(module.__all__), key=_sort_key)
+    # The top level's names come from its stub, and lazy_loader sorts them by character.
+    key = None if package == "pepperscene" else _sort_key
+    assert list(module.__all__) == sorted(set(module.__all__), key=key)
     for name in module.__all__:
         value = getattr(module, name)
         if inspect.isclass(value) or inspect.isfunction(value):

@@ -11,7 +11,7 @@ from pepperscene.classes import Instance, OrganClass
 from pepperscene.cultivar import load_cultivar
 from pepperscene.geometry import concatenate_meshes, mesh_plant, rectangle, sphere
 from pepperscene.grammar import grow
-from pepperscene.scene import DoubleRow, Greenhouse, coarsen_plant, far_rows
+from pepperscene.scene import DoubleRow, Greenhouse, coarsen_plant, far_row_meshes
 from pepperscene.scene.greenhouse import row_lines
 
 ROW = DoubleRow(front=3, back=2, spacing_m=0.25, gap_m=0.3, shift_m=0.125)
@@ -19,7 +19,7 @@ GREENHOUSE = Greenhouse(row_lean_rad=np.radians(5.0), far_rows=1, far_reach_m=2.
 
 
 def rows(models, seed=1, greenhouse=GREENHOUSE):
-    return far_rows(models, ROW, greenhouse, np.random.default_rng(seed))
+    return far_row_meshes(models, ROW, greenhouse, np.random.default_rng(seed))
 
 
 def ball(radius):

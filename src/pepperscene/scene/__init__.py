@@ -2,7 +2,7 @@
 
 from pepperscene.scene.cover import Cover, load_cover
 from pepperscene.scene.culling import LightReach, cull_mesh, light_reach
-from pepperscene.scene.far_rows import coarsen_plant, far_rows
+from pepperscene.scene.far_rows import coarsen_plant, far_row_meshes
 from pepperscene.scene.frustum import ViewFrustums, view_frustums
 from pepperscene.scene.greenhouse import (
     Greenhouse,
@@ -34,7 +34,7 @@ __all__ = [
     "cull_mesh",
     "double_row",
     "draw_posture",
-    "far_rows",
+    "far_row_meshes",
     "greenhouse_mesh",
     "jittered_positions",
     "light_reach",

@@ -46,7 +46,7 @@ def coarsen_plant(mesh: Mesh) -> Mesh:
     return coarse.taken_from(mesh)
 
 
-def far_rows(
+def far_row_meshes(
     models: Sequence[Mesh], row: DoubleRow, greenhouse: Greenhouse, rng: np.random.Generator
 ) -> list[Mesh]:
     """The neighbouring double rows, and the continuation of the labelled rows to either side.

@@ -59,7 +59,13 @@ class SceneBuilder:
     def scene(self, set_index: int, rotation: int) -> BuiltScene:
         """Build the scene of a set at a rotation."""
         from pepperscene.geometry import concatenate_meshes, resolve_contacts
-        from pepperscene.scene import Skeleton, far_rows, greenhouse_mesh, jittered_positions, place_plants
+        from pepperscene.scene import (
+            Skeleton,
+            far_row_meshes,
+            greenhouse_mesh,
+            jittered_positions,
+            place_plants,
+        )
 
         plants, row, greenhouse, seed = self.plants(set_index), self.row, self.greenhouse, self.recipe.seed
         ordered = rotate_row(plants[: row.front], rotation) + rotate_row(plants[row.front :], rotation)
@@ -91,7 +97,7 @@ class SceneBuilder:
         surroundings = greenhouse_mesh(row, greenhouse, positions)
         if greenhouse.far_rows > 0:
             rng = random_generator(seed, Stream.FAR, 1, set_index, rotation)
-            surroundings += far_rows(self._far_models, row, greenhouse, rng)
+            surroundings += far_row_meshes(self._far_models, row, greenhouse, rng)
         mesh = concatenate_meshes([resolved.mesh, *surroundings]) if surroundings else resolved.mesh
         return BuiltScene(mesh, _total_contacts(resolved.contacts, plants), skeleton)
 
