@@ -2,48 +2,55 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
+import subprocess
 import sys
-import threading
 from pathlib import Path
-from types import FrameType
-
-import pytest
 
 import pepperscene
-from pepperscene.cli import app
 
 PACKAGE = Path(pepperscene.__file__).parent
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "architecture.md"
 ROW = re.compile(r"^\| (\d+) \| `(\w+)` \| `([\w/]+\.py)` \| .+ \|$", re.MULTILINE)
 
+RECORD_CALLS = """
+import json, sys, threading
+from pepperscene.cli import app
 
-def test_a_build_makes_the_calls_of_the_architecture_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+numbers = {(file, name): number for number, name, file in json.loads(sys.argv[1])}
+calls = []
+
+def record(frame, event, _):
+    number = numbers.get((frame.f_code.co_filename, frame.f_code.co_name))
+    if event == "call" and number is not None and number not in calls:
+        calls.append(number)
+
+threading.setprofile(record)
+sys.setprofile(record)
+app(sys.argv[2:], standalone_mode=False)
+sys.setprofile(None)
+print(json.dumps(calls))
+"""
+"""Records the first call of each function in any thread, in a process that makes all plants itself."""
+
+
+def test_a_build_makes_the_calls_of_the_architecture_page(tmp_path: Path) -> None:
     rows = ROW.findall(PAGE.read_text(encoding="utf-8"))
     assert [int(number) for number, _, _ in rows] == list(range(1, len(rows) + 1))
     assert 10 <= len(rows) <= 15
-    wanted = {(str(PACKAGE / file), name): int(number) for number, name, file in rows}
-
-    # Record the first call of each function, in any thread. Plants are made in this process.
-    calls: list[int] = []
-
-    def record(frame: FrameType, event: str, _: object) -> None:
-        if event == "call":
-            number = wanted.get((frame.f_code.co_filename, frame.f_code.co_name))
-            if number is not None and number not in calls:
-                calls.append(number)
-
-    monkeypatch.setenv("PEPPERSCENE_PROCESSES", "1")
-    threading.setprofile(record)
-    sys.setprofile(record)
-    try:
-        settings = ["row.plants_front=2", "row.plants_back=0"]
-        options = [word for setting in settings for word in ("--set", setting)]
-        command = ["build", "barth2018", "--out", str(tmp_path / "set"), "--frames", "5:6", *options]
-        app([*command, "--quality", "draft"], standalone_mode=False)
-    finally:
-        sys.setprofile(None)
-        threading.setprofile(None)
-    assert calls == sorted(wanted.values())
+    functions = [(int(number), name, str(PACKAGE / file)) for number, name, file in rows]
+    command = [
+        "build", "barth2018", "--out", str(tmp_path / "set"), "--frames", "5:6", "--quality", "draft",
+        "--set", "row.plants_front=2", "--set", "row.plants_back=0",
+    ]  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-c", RECORD_CALLS, json.dumps(functions), *command],
+        env={**os.environ, "PEPPERSCENE_PROCESSES": "1"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1]) == list(range(1, len(rows) + 1))
