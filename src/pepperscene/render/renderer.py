@@ -16,7 +16,7 @@ from pepperscene.errors import InputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, STEREO_OUTPUTS, Frame, check_outputs
 from pepperscene.render.aov import labels
 from pepperscene.render.kernel.arrays import LocalCoordinates, local_coordinates
-from pepperscene.render.kernel.camera import camera_rays, spectral_response
+from pepperscene.render.kernel.camera import CameraRays, camera_rays, spectral_response
 from pepperscene.render.kernel.scene import LightScene, light_scene, sky_tables, truth_scene
 from pepperscene.render.quality import Quality, resolve_quality
 from pepperscene.render.reference.path_tracer import PathScene, path_scene, path_traced, samples_taken
@@ -76,6 +76,7 @@ class Renderer:
         # The last kernel scene of each kind, by its arguments.
         self._light: dict[tuple[float, float], LightScene] = {}
         self._path: dict[tuple[float, float, bool], PathScene] = {}
+        self._slopes: dict[tuple[Any, ...], Any] = {}
 
     def render(
         self,
@@ -110,7 +111,7 @@ class Renderer:
         # Ground truth, from one ray through each pixel.
         instances: dict[str, dict[str, Any]] = {}
         if any(not OUTPUTS[name].traced for name in requested):
-            rays = camera_rays(camera, self._coordinates)
+            rays = self._rays(camera)
             hits = labels.first_hits(self._truth_scene(), rays)
             instance = labels.instance_ids(self.scene.mesh, hits)
             images |= labels.label_outputs(self.scene.mesh, hits, instance, camera, requested)
@@ -140,7 +141,7 @@ class Renderer:
         adaptive = AdaptiveSampler(camera, quality.target, quality.most, denoised=quality.denoise)
         light = trace(
             self._light_scene(float(response.grid_nm[0]), float(response.grid_nm[-1])),
-            camera_rays(camera, self._coordinates),
+            self._rays(camera),
             response,
             camera.flash,
             sky_tables(self.scene, response.grid_nm),
@@ -166,6 +167,13 @@ class Renderer:
             kernel_scene=self._path[key],
         )
         return signal, {"samples_per_pixel": float(samples_taken(quality.sampler, quality.samples))}
+
+    def _rays(self, camera: Camera) -> CameraRays:
+        """Rays of a camera; along a path only the pose changes, so the lens stays on the device."""
+        key = (camera.lens, camera.width, camera.height, camera.sensor.name, camera.intrinsics.tobytes())
+        rays = camera_rays(camera, self._coordinates, self._slopes.get(key))
+        self._slopes = {key: rays.slopes}
+        return rays
 
     @functools.cached_property
     def _coordinates(self) -> LocalCoordinates:

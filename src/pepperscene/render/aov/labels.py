@@ -82,14 +82,8 @@ def visible_instances(mesh: Mesh, instance: NDArray[np.uint16]) -> dict[str, dic
 
     The `box` [x0, y0, x1, y1] contains all its pixels: columns x0 to x1 - 1, rows y0 to y1 - 1.
     """
-    from scipy.ndimage import find_objects
-
-    pixels = np.bincount(instance.ravel()).tolist()
     described: dict[str, dict[str, Any]] = {}
-    for value, box in enumerate(find_objects(instance), start=1):
-        if box is None:
-            continue
-        rows, columns = box
+    for value, pixels, *box in _pixel_extents(instance).tolist():
         item = mesh.instances[value - 1]
         described[str(value)] = {
             "class": int(item.organ_class),
@@ -97,10 +91,38 @@ def visible_instances(mesh: Mesh, instance: NDArray[np.uint16]) -> dict[str, dic
             "plant": item.plant,
             "phytomer": item.phytomer,
             "parent": item.parent + 1,
-            "pixels": pixels[value],
-            "box": [columns.start, rows.start, columns.stop, rows.stop],
+            "pixels": pixels,
+            "box": box,
         }
     return described
+
+
+def _pixel_extents(instance: NDArray[np.uint16]) -> NDArray[np.int64]:
+    """`(n, 6)` each value above 0, ascending, its number of pixels, and its box x0, y0, x1, y1.
+
+    `scipy.ndimage.find_objects` visits every pixel: 4.2 ms instead of 1.9, a tenth of a label frame.
+    """
+    # Runs of equal values along the rows: an image has ten times fewer of them than pixels.
+    width, values = instance.shape[1], instance.ravel()
+    begins = np.ones(values.size, dtype=bool)
+    np.not_equal(values[1:], values[:-1], out=begins[1:])
+    begins[::width] = True
+    first = np.flatnonzero(begins)
+    length = np.diff(first, append=values.size)
+    is_organ = values[first] > 0
+    first, length = first[is_organ], length[is_organ]
+    if not first.size:
+        return np.empty((0, 6), dtype=np.int64)
+
+    # Sort the runs by value; those of a value stay in the order of their rows.
+    order = np.argsort(values[first], kind="stable")
+    first, length = first[order], length[order]
+    value, row, column = values[first], first // width, first % width
+    start = np.flatnonzero(np.diff(value, prepend=0))
+    end = np.append(start[1:], len(value)) - 1
+    left, right = np.minimum.reduceat(column, start), np.maximum.reduceat(column + length, start)
+    pixels = np.add.reduceat(length, start)
+    return np.stack([value[start].astype(np.int64), pixels, left, row[start], right, row[end] + 1], axis=1)
 
 
 def class_ids(mesh: Mesh, instance: NDArray[np.uint16]) -> NDArray[np.uint8]:

@@ -75,10 +75,16 @@ class CameraRays:
         return mi.Vector3f(slope.x, slope.y, 1.0)
 
 
-def camera_rays(camera: Camera, coordinates: LocalCoordinates = WORLD) -> CameraRays:
-    """Transfer a camera's lens and pose to the device, in local coordinates."""
+def camera_rays(
+    camera: Camera, coordinates: LocalCoordinates = WORLD, slopes: Any | None = None
+) -> CameraRays:
+    """Transfer a camera's lens and pose to the device, in local coordinates.
+
+    `slopes` are those of earlier rays of the same lens and image size, which are not transferred again.
+    """
     mi, dr = mitsuba_modules()
-    slopes = device_array(camera.ray_slopes())
+    if slopes is None:
+        slopes = device_array(camera.ray_slopes())
     rotation = mi.Matrix3f(np.asarray(camera.pose[:3, :3], np.float32))
     origin = mi.Point3f(*(float(x) for x in coordinates.from_world(camera.pose[:3, 3])))
     dr.make_opaque(rotation, origin)
