@@ -100,7 +100,7 @@ class Distribution(Origin):
     """One random parameter, in metres, radians or a plain number.
 
     Attributes:
-        law: family of the distribution: "value" (constant), "normal" (truncated), "uniform", "histogram"
+        family: family of the distribution: "value" (constant), "normal" (truncated), "uniform", "histogram"
             (uniform within each bin), "curve" (a mean that follows the position along the stem, with a
             truncated normal distribution about it) or "blend" (interpolated between two others).
         mean: of the drawn values: for "normal" that of the truncated distribution, as is `sd`, so that a

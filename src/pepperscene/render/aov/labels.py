@@ -155,7 +155,7 @@ def normals(mesh: Mesh, hits: Hits, camera: Camera) -> NDArray[np.float32]:
     first, second, third = (
         mesh.vertices[mesh.faces[faces, corner]].astype(np.float64) for corner in range(3)
     )
-    normal = _cross((second - first).T, (third - first).T)
+    normal = np.cross((second - first).T, (third - first).T, axis=0)
     # The camera sees a triangle from its own side of the triangle's plane.
     normal *= np.where(np.sum(normal * (camera.pose[:3, 3] - first).T, axis=0) < 0.0, -1.0, 1.0)
     normal /= np.maximum(np.sqrt(np.sum(normal * normal, axis=0)), 1e-300)
@@ -205,7 +205,7 @@ def surface_coordinates(mesh: Mesh, hits: Hits, camera: Camera) -> NDArray[np.fl
     ray = world_directions(camera)[is_hit].T
     edge1, edge2 = second - first, third - first
     origin = camera.pose[:3, 3][:, None] - first
-    p, q = _cross(ray, edge2), _cross(origin, edge1)
+    p, q = np.cross(ray, edge2, axis=0), np.cross(origin, edge1, axis=0)
     determinant = (edge1 * p).sum(axis=0)
     # Rounding can put a ray next to its triangle, and in a degenerate triangle it has no position.
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -228,8 +228,3 @@ def _visible_faces(face: NDArray[np.int64], count: int) -> tuple[NDArray[np.intp
     index[faces] = np.arange(len(faces), dtype=np.uint32)
     index[-1] = len(faces)
     return faces, index[face]
-
-
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Cross products of `(3, n)` vectors."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
