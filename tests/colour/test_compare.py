@@ -231,7 +231,7 @@ def test_patches_of_a_set_have_its_colours():
             assert kind.hue_emd_deg.value == pytest.approx(0.0, abs=1e-9)
             assert kind.delta_e_2000.value == pytest.approx(0.0, abs=1e-9)
         assert kind.place_correlation.value is None
-    assert "patches, not pictures" in comparison.light.correlation.why
+    assert "patches, not images" in comparison.light.correlation.why
     to_json(comparison)
 
 

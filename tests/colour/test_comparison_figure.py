@@ -51,8 +51,8 @@ def axes(drawn):
 
 
 def test_names_both_sets_and_has_all_four_figures(svg):
-    assert "ours & <mine>: 3 of 3 pictures" in words(svg)
-    assert "theirs: 4 of 4 pictures" in words(svg)
+    assert "ours & <mine>: 3 of 3 images" in words(svg)
+    assert "theirs: 4 of 4 images" in words(svg)
     assert figures_of_paper(svg) == ["Fig. 10", "Fig. 11", "Fig. 12", "Fig. 13"]
 
 

@@ -118,7 +118,7 @@ def check_packages() -> None:
         raise SetupError(f"the benchmark needs {' and '.join(missing)}, not installed here: {command}")
 
 
-# --- converged pictures -------------------------------------------------------------------------------------
+# --- converged images -------------------------------------------------------------------------------------
 
 
 SMALLEST_ERROR: Final = 0.5

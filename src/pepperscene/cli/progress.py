@@ -31,7 +31,7 @@ def echo_progress(text: str) -> None:
 def echo_measured(done: int, total: int) -> None:
     """Print the number of measured images from time to time."""
     if total > _IMAGES_PER_LINE and (done % _IMAGES_PER_LINE == 0 or done == total):
-        echo_progress(f"{done:,} of {total:,} pictures measured")
+        echo_progress(f"{done:,} of {total:,} images measured")
 
 
 class _Throttle:

@@ -122,7 +122,7 @@ class ColourStatistics:
 
     Attributes:
         n: number of pixels; without pixels everything else is nan.
-        mean_lab: `(3,)` CIELAB (D65) of the mean linear colour: the colour of a blurred picture.
+        mean_lab: `(3,)` CIELAB (D65) of the mean linear colour: the colour of a blurred image.
         lab_of_pixels: `(3,)` mean of the pixels' CIELAB.
         sd: `(3,)` standard deviation of the pixels' L*, a* and b*.
         covariance: `(3, 3)` of the pixels' L*, a* and b*.
@@ -207,10 +207,10 @@ def hue_histogram(codes: NDArray[np.uint8]) -> NDArray[np.int64]:
 
 
 def mean_hue_fractions(counts: Mapping[str, Sequence[NDArray[Any]]]) -> Floats:
-    """`(181,)` mean hue fractions over pictures; each picture has the same weight, as in the paper.
+    """`(181,)` mean hue fractions over images; each image has the same weight, as in the paper.
 
     Args:
-        counts: hue histograms of the patches of each picture. Pictures are summed in the order of their
+        counts: hue histograms of the patches of each image. Images are summed in the order of their
             names, so that the order of the mapping changes no bit; those without pixels are left out.
     """
     histograms = [np.sum(counts[name], axis=0) for name in sorted(counts)]

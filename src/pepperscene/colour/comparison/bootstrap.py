@@ -1,8 +1,8 @@
 """Confidence intervals of measures of image sets, by the Bayesian bootstrap.
 
-Rubin 1981, "The Bayesian bootstrap", Ann. Stat. 9:130: the weights of a picture are drawn from the
-exponential distribution of mean 1. Unlike resampling with replacement it never loses a kind that few pictures
-show, and it sums picture by picture, so that memory does not grow with the set.
+Rubin 1981, "The Bayesian bootstrap", Ann. Stat. 9:130: the weights of an image are drawn from the
+exponential distribution of mean 1. Unlike resampling with replacement it never loses a kind that few images
+show, and it sums image by image, so that memory does not grow with the set.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _BATCH: Final = 16  # chosen: vectors that are added by one matrix product
 
 
 def bootstrap_weights(content: bytes) -> Floats:
-    """`(1 + REPLICATES,)` weights of a picture: 1 for the plain sum, then its weight in each replicate.
+    """`(1 + REPLICATES,)` weights of an image: 1 for the plain sum, then its weight in each replicate.
 
-    The content of the picture seeds them, so that neither its name nor its position in the set matters, and a
-    picture that is in both sets has the same weights in both.
+    The content of the image seeds them, so that neither its name nor its position in the set matters, and a
+    image that is in both sets has the same weights in both.
     """
     words = np.frombuffer(hashlib.sha256(content).digest(), np.uint32)
     weights = np.random.default_rng(words.tolist()).standard_exponential(REPLICATES)
@@ -49,7 +49,7 @@ class BootstrapSums:
         self._pending: list[tuple[Floats, Floats]] = []
 
     def add(self, values: ArrayLike, weights: Floats) -> None:
-        """Add a vector `(width,)` with the weights of its picture."""
+        """Add a vector `(width,)` with the weights of its image."""
         vector = np.asarray(values, float)
         if vector.shape != (self.width,):
             raise ValueError(f"a vector must be ({self.width},), not {vector.shape}")
@@ -97,7 +97,7 @@ def estimate_values(values: Floats, resampled: bool, why: str = "it is not defin
 
     Args:
         values: `(1 + n,)`, the value first.
-        resampled: whether to compute an interval; replicates of a single picture carry no information.
+        resampled: whether to compute an interval; replicates of a single image carry no information.
         why: the reason to give if the value is not finite.
     """
     if not np.isfinite(values[0]):
@@ -122,7 +122,7 @@ def confidence_interval(values: Floats) -> tuple[float, float] | None:
     """95 % interval of a measure; it always contains the measure itself.
 
     The bias-corrected percentile interval (Efron 1981, "Nonparametric standard errors and confidence
-    intervals", Can. J. Stat. 9:139): distances grow and correlations shrink when pictures are weighted
+    intervals", Can. J. Stat. 9:139): distances grow and correlations shrink when images are weighted
     unevenly, which shifts all replicates to one side.
 
     Args:

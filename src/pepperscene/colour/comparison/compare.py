@@ -28,7 +28,7 @@ from pepperscene.colour.statistics import circular_emd, delta_e_2000
 from pepperscene.dataset import ImageSet
 
 DEFAULT_LIMIT: Final = 1000
-"""Chosen: a mean over 1,000 pictures is known to 3 % of the spread between them."""
+"""Chosen: a mean over 1,000 images is known to 3 % of the spread between them."""
 
 _BACKGROUND: Final = OrganClass.BACKGROUND.name.lower()
 _ORDER: Final = [organ_class.name.lower() for organ_class in OrganClass]
@@ -48,16 +48,16 @@ def compare(
 ) -> Comparison:
     """Compare two sets of images, or a set and patches of measured colour.
 
-    Colours are those of the central 300 x 300 pixels of each picture, as in the paper; class fractions,
-    spatial distributions and light those of whole pictures. Every number has a 95 % interval from 200
-    bootstrap replicates over the pictures of both sets, unless a set has one picture (of a kind) only. The
-    same pictures give the same numbers, in any order.
+    Colours are those of the central 300 x 300 pixels of each image, as in the paper; class fractions,
+    spatial distributions and light those of whole images. Every number has a 95 % interval from 200
+    bootstrap replicates over the images of both sets, unless a set has one image (of a kind) only. The
+    same images give the same numbers, in any order.
 
     Args:
         first: a set of images or patches, or the path of one (see `open_images` and `open_patches`).
         second: the second set; with patches, only colours are compared.
-        limit: at most so many pictures of each set are measured, evenly spaced; None measures all.
-        on_progress: called after each measured picture with the number measured and the total.
+        limit: at most so many images of each set are measured, evenly spaced; None measures all.
+        on_progress: called after each measured image with the number measured and the total.
 
     Raises:
         InputError: a path is no set of images or patches, or a file is damaged.
@@ -208,7 +208,7 @@ def _class_fraction_correlation(sets: Sets) -> Estimate:
 
 
 def _compare_light(sets: Sets) -> LightComparison:
-    """Mean grey values, and similarities of the mean pictures and of their radial falloff."""
+    """Mean grey values, and similarities of the mean images and of their radial falloff."""
     greys = [_mean_grey(side) for side in sets]
     spreads = [_grey_spread(side) for side in sets]
     if unknown := [grey for grey in greys if grey.value is None]:
@@ -216,7 +216,7 @@ def _compare_light(sets: Sets) -> LightComparison:
     resampled = min(side.light.count for side in sets) > 1
     images = [similarity.mean_images(side.light.totals()) for side in sets]
     falloffs = [similarity.radial_falloffs(rows) for rows in images]
-    constant = "a mean picture is constant"
+    constant = "a mean image is constant"
     return LightComparison(
         _estimate_pair(similarity.correlation, images, resampled, constant),
         _estimate_pair(similarity.ssim, images, resampled, constant),
@@ -234,7 +234,7 @@ def _mean_grey(side: SetMeasures) -> Estimate:
 
 
 def _grey_spread(side: SetMeasures) -> float | None:
-    """Standard deviation of the mean grey value between pictures; None without photographs."""
+    """Standard deviation of the mean grey value between images; None without photographs."""
     return float(np.std(np.sort(side.statistics.intensities))) if side.light.count else None
 
 
@@ -242,7 +242,7 @@ def _grey_spread(side: SetMeasures) -> float | None:
 
 
 def _unlabelled_reason(side: SetMeasures) -> str:
-    return f"no labels in {side.name}" if side.has_images else f"{side.name} has patches, not pictures"
+    return f"no labels in {side.name}" if side.has_images else f"{side.name} has patches, not images"
 
 
 def _absence_reason(side: SetMeasures) -> str:
@@ -259,5 +259,5 @@ def _missing_reason(kind: str, side: SetMeasures) -> str:
     if not side.statistics.labelled_count:
         return f"no labels in {side.name}"
     if "." not in kind and side.statistics.class_pixels[OrganClass[kind.upper()]]:
-        return f"not in the centre of the pictures of {side.name}"
+        return f"not in the centre of the images of {side.name}"
     return _absence_reason(side)

@@ -26,7 +26,7 @@ _DASHES: Final = ("-", (0, (4, 2)))
 _COLUMNS: Final = 4  # chosen: charts in a row
 _WIDTH_IN: Final = 13.0
 _DPI: Final = 150  # of PNG files, and of the images in an SVG
-_RINGS: Final = 40  # chosen: each 12 pixels wide in a picture of 800 x 600
+_RINGS: Final = 40  # chosen: each 12 pixels wide in an image of 800 x 600
 _STYLE: Final = {
     "svg.fonttype": "none",  # text stays text
     "svg.hashsalt": "pepperscene",  # the same comparison gives the same bytes
@@ -87,7 +87,7 @@ def _draw_heading(part: SubFigure, comparison: Comparison) -> None:
     part.text(0.04, 0.7, title, fontsize=15, fontweight="bold", va="center")
     handles = []
     for side, colour, dashes in zip(sides, _COLOURS, _DASHES, strict=True):
-        noun = "pictures" if side.has_images else "pictures and spectra of the patches"
+        noun = "images" if side.has_images else "images and spectra of the patches"
         label = f"{_shorten(side.name, 45)}: {side.units:,} of {side.available:,} {noun}"
         handles.append(Line2D([], [], color=colour, linestyle=dashes, linewidth=2.5, label=label))
     part.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.03, 0.0), ncols=2, frameon=False)
@@ -160,7 +160,7 @@ def _draw_masks(part: SubFigure, comparison: Comparison, kinds: list[KindCompari
 def _draw_hues(part: SubFigure, comparison: Comparison, kinds: list[KindComparison]) -> None:
     """Fig. 12: both hue spectra of each kind, with their similarity below."""
     mean = f"mean correlation over plant parts: r = {format_estimate(comparison.hue_correlation)}"
-    height = _add_title(part, f"Fig. 12: hues of each kind, in the centre of the pictures ({mean})")
+    height = _add_title(part, f"Fig. 12: hues of each kind, in the centre of the images ({mean})")
     edges = {"left": 0.06, "right": 0.97, "top": 1 - 0.65 / height, "bottom": 0.85 / height}
     grid = part.add_gridspec(_rows(kinds), _COLUMNS, **edges, hspace=0.95, wspace=0.28)
     for position, kind in enumerate(kinds):
@@ -190,14 +190,14 @@ def _describe_hues(kind: KindComparison) -> str:
 
 
 def _draw_light(part: SubFigure, comparison: Comparison) -> None:
-    """Fig. 13: the mean pictures, and their radial falloff."""
+    """Fig. 13: the mean images, and their radial falloff."""
     sides = (comparison.first, comparison.second)
     means = [side.statistics.mean_intensity() for side in sides]
     # As in the paper, both are brightened by one factor, as far as nothing saturates.
     brightest = max(float(np.percentile(mean, 99.5)) for mean in means if mean is not None)
     factor = max(1.0, float(np.floor(10.0 * 255.0 / max(1.0, brightest)) / 10.0))
     note = f", shown {factor:g} times as bright" if factor > 1.0 else ""
-    _add_title(part, f"Fig. 13: mean intensity over all pictures{note}")
+    _add_title(part, f"Fig. 13: mean intensity over all images{note}")
     grid = part.add_gridspec(1, 3, left=0.04, right=0.97, top=0.82, bottom=0.22, wspace=0.12)
     light, falloff = comparison.light, part.add_subplot(grid[2])
     for index, mean in enumerate(means):
@@ -215,7 +215,7 @@ def _draw_light(part: SubFigure, comparison: Comparison) -> None:
     if light.correlation.value is not None:
         text += (
             f"\ncorrelation of the falloff r = {format_estimate(light.falloff_correlation)}\n"
-            f"of the mean pictures r = {format_estimate(light.correlation)}, "
+            f"of the mean images r = {format_estimate(light.correlation)}, "
             f"SSIM {format_estimate(light.ssim)}"
         )
     falloff.set_xlabel(text)

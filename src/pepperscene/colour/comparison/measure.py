@@ -1,7 +1,7 @@
-"""Sums over one image set, or over the pictures of a patch set, from which comparisons are computed.
+"""Sums over one image set, or over the images of a patch set, from which comparisons are computed.
 
 `truth.ImageStatistics` holds what the paper shows (Figs. 10 to 13); the sums here, plain and bootstrapped,
-give the numbers. Memory is that of a few pictures, however large the set.
+give the numbers. Memory is that of a few images, however large the set.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from pepperscene.spectra import Spectrum
 from pepperscene.truth import HUE_BINS, ImageStatistics, centre_crop, grey_values
 
 OnProgress = Callable[[int, int], None]
-"""Called with the number of measured pictures and their total."""
+"""Called with the number of measured images and their total."""
 
 CLASSES: Final = len(OrganClass)
 CELLS: Final = (30, 40)
 """Rows and columns of the grid in which spatial distributions are compared. Chosen: cells of 20 x 20 pixels
-of an 800 x 600 picture, narrower than a fruit and wider than a wire, which a few dozen pictures fill."""
+of an 800 x 600 image, narrower than a fruit and wider than a wire, which a few dozen images fill."""
 
 _CELLS_TOTAL: Final = CELLS[0] * CELLS[1]
 
-# Columns of the sums of a kind: hue fractions, pictures, pixels, linear sRGB, L*a*b* and its squares.
+# Columns of the sums of a kind: hue fractions, images, pixels, linear sRGB, L*a*b* and its squares.
 HUES: Final = slice(0, HUE_BINS + 1)
 PICTURES: Final = HUE_BINS + 1
 PIXELS: Final = PICTURES + 1
@@ -56,14 +56,14 @@ class SetMeasures:
 
     Attributes:
         name: of the set.
-        available: number of pictures in the set, `units` of which were measured.
-        has_images: whether it has whole pictures: class fractions, places and light need them.
-        kinds: colour sums of each kind, in the centre of the pictures; columns `HUES` and so on.
-        class_pixels: labelled pixels of each class `(8,)` and unlabelled ones, in whole pictures.
+        available: number of images in the set, `units` of which were measured.
+        has_images: whether it has whole images: class fractions, places and light need them.
+        kinds: colour sums of each kind, in the centre of the images; columns `HUES` and so on.
+        class_pixels: labelled pixels of each class `(8,)` and unlabelled ones, in whole images.
         places: fraction of each class in each cell, `(8 * rows * columns,)`.
-        light: mean grey value of each cell, `(rows * columns,)`, of the picture, and 1.
+        light: mean grey value of each cell, `(rows * columns,)`, of the image, and 1.
         statistics: the measures of the paper.
-        units: pictures measured, or pictures and spectra of a patch set.
+        units: images measured, or images and spectra of a patch set.
     """
 
     def __init__(self, name: str, available: int, *, has_images: bool) -> None:
@@ -80,7 +80,7 @@ class SetMeasures:
         classes: NDArray[np.uint8] | None,
         stages: Mapping[str, NDArray[np.bool_]] | None = None,
     ) -> None:
-        """Add a picture.
+        """Add an image.
 
         Args:
             colour: `(h, w, 3)` sRGB, or None.
@@ -106,7 +106,7 @@ class SetMeasures:
                     self._add_kind(kind, hue_histogram(codes), _colour_sums(decode_tone(codes)), weights)
 
     def add_patches(self, patches: Iterable[Patch]) -> None:
-        """Add all patches of one picture; a patch with a stage counts for its class as well."""
+        """Add all patches of one image; a patch with a stage counts for its class as well."""
         by_kind: dict[str, list[Patch]] = {}
         for patch in sorted(patches, key=lambda patch: patch.name):
             for kind in dict.fromkeys((patch.kind, _class_of(patch.kind))):
@@ -136,7 +136,7 @@ class SetMeasures:
         return frozenset(_class_of(kind) for kind in self.kinds if "." in kind)
 
     def _add_kind(self, kind: str, hues: ArrayLike, colour_sums: Floats, weights: Floats) -> None:
-        """Hues have the same weight in each picture, as in the paper; colours are weighted by pixels."""
+        """Hues have the same weight in each image, as in the paper; colours are weighted by pixels."""
         counts = np.asarray(hues, float)
         vector = np.concatenate([counts / counts.sum(), [1.0], colour_sums])
         self.kinds.setdefault(kind, BootstrapSums(_KIND_WIDTH)).add(vector, weights)
@@ -266,7 +266,7 @@ def _split_option(
 def measure_set(
     source: str | Path | ImageSet | PatchSet, limit: int | None, on_progress: OnProgress | None = None
 ) -> SetMeasures:
-    """Measure at most `limit` pictures of a set or of the set at a path, evenly spaced.
+    """Measure at most `limit` images of a set or of the set at a path, evenly spaced.
 
     Raises:
         InputError: the path is no set, a file is damaged, or there is nothing to measure.
@@ -288,7 +288,7 @@ def measure_set(
 
 
 def _measure_patches(patches: PatchSet, limit: int | None) -> SetMeasures:
-    """Patches are added picture by picture, spectra singly."""
+    """Patches are added image by image, spectra singly."""
     if not patches.patches and not patches.spectra:
         raise InputError(patches.name, "holds no patches")
     pictures = patches.pictures

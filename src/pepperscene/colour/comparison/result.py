@@ -13,14 +13,14 @@ from pepperscene.colour.comparison.measure import SetMeasures
 class KindMeasures:
     """Measures of one kind of organ in one set."""
 
-    pictures: int  # number of pictures that show the kind in their centre
+    pictures: int  # number of images that show the kind in their centre
     pixels: int  # number of its pixels there
     hue_mean_deg: Estimate  # mean direction of its hues
     hue_spread_deg: Estimate  # their circular standard deviation
     grey_share: Estimate  # fraction of its pixels that are grey and have no hue
     lab: tuple[Estimate, Estimate, Estimate]  # CIELAB (D65) of the mean linear colour of its pixels
     lab_spread: tuple[Estimate, Estimate, Estimate]  # standard deviation of its pixels' L*, a*, b*
-    share: Estimate  # fraction of all pixels of the whole pictures
+    share: Estimate  # fraction of all pixels of the whole images
 
 
 @dataclass(frozen=True)
@@ -50,14 +50,14 @@ class KindComparison:
 
 @dataclass(frozen=True)
 class LightComparison:
-    """Brightness of the pictures of both sets (Fig. 13)."""
+    """Brightness of the images of both sets (Fig. 13)."""
 
     correlation: Estimate  # Pearson correlation of the two mean intensity images
     ssim: Estimate  # their structural similarity, without normalising their levels
     falloff_correlation: Estimate  # correlation of their means in rings around the centre
-    first: Estimate  # mean grey value of the first set's pictures, 0 to 255
+    first: Estimate  # mean grey value of the first set's images, 0 to 255
     second: Estimate  # of the second set's
-    first_spread: float | None  # its standard deviation between pictures; None without photographs
+    first_spread: float | None  # its standard deviation between images; None without photographs
     second_spread: float | None  # likewise
 
 
@@ -71,7 +71,7 @@ class Comparison:
         kinds: by name: classes, and their stages if both sets have them.
         hue_correlation: mean of the classes' hue correlations over the plant parts that both sets show.
         share_correlation: of the class fractions, over the classes that both sets know (Fig. 10).
-        light: brightness of the pictures.
+        light: brightness of the images.
     """
 
     first: SetMeasures = field(repr=False)

@@ -52,12 +52,12 @@ def pairwise(
 
 
 def hue_spectra(sums: Floats) -> Floats:
-    """`(n, 180)` percentage of a kind's pixels at each hue, averaged over pictures (Fig. 12)."""
+    """`(n, 180)` percentage of a kind's pixels at each hue, averaged over images (Fig. 12)."""
     return 100.0 * sums[:, HUES][:, :HUE_BINS] / sums[:, PICTURES, None]
 
 
 def grey_fractions(sums: Floats) -> Floats:
-    """`(n,)` fraction of a kind's pixels that are grey, averaged over pictures."""
+    """`(n,)` fraction of a kind's pixels that are grey, averaged over images."""
     return np.asarray(sums[:, HUES][:, HUE_BINS] / sums[:, PICTURES])
 
 
@@ -107,7 +107,7 @@ def mean_images(sums: Floats) -> Floats:
 
 
 def mean_greys(sums: Floats) -> Floats:
-    """`(n,)` mean grey value of the pictures, 0 to 255."""
+    """`(n,)` mean grey value of the images, 0 to 255."""
     return np.asarray(sums[:, -2] / sums[:, -1])
 
 

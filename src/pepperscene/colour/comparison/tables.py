@@ -104,7 +104,7 @@ def format_estimate(estimate: Estimate, digits: int = 2, factor: float = 1.0) ->
 
 def _hue_table(comparison: Comparison) -> TextTable:
     a, b = (
-        f"{side.name}, {side.units:,} of {side.available:,} pictures measured"
+        f"{side.name}, {side.units:,} of {side.available:,} images measured"
         for side in (comparison.first, comparison.second)
     )
     kinds = comparison.kinds.values()
@@ -120,7 +120,7 @@ def _hue_table(comparison: Comparison) -> TextTable:
         )
         for kind in kinds
     ]
-    headers = ("kind", "correlation", "EMD, deg", "A, mean ± sd", "B, mean ± sd", "pictures A", "pictures B")
+    headers = ("kind", "correlation", "EMD, deg", "A, mean ± sd", "B, mean ± sd", "images A", "images B")
     mean = f"mean correlation over plant parts: {format_estimate(comparison.hue_correlation)}"
     notes = (mean, *_reasons(kinds, "hue_correlation", "hue_emd_deg"))
     return TextTable(f"Hues (Fig. 12). A: {a}; B: {b}", headers, tuple(rows), notes)
@@ -179,9 +179,9 @@ def _light_table(comparison: Comparison) -> TextTable:
     rows = (
         ("mean grey value, A", format_estimate(light.first, 1)),
         ("mean grey value, B", format_estimate(light.second, 1)),
-        ("sd between pictures, A and B", f"{a} and {b}"),
-        ("correlation of the mean pictures", format_estimate(light.correlation)),
-        ("SSIM of the mean pictures", format_estimate(light.ssim)),
+        ("sd between images, A and B", f"{a} and {b}"),
+        ("correlation of the mean images", format_estimate(light.correlation)),
+        ("SSIM of the mean images", format_estimate(light.ssim)),
         ("correlation of the radial falloff", format_estimate(light.falloff_correlation)),
     )
     return TextTable("Light (Fig. 13)", ("measure", "value"), rows)
