@@ -127,8 +127,8 @@ def test_depths_in_fruit_are_those_of_all_points(between_plants: bool) -> None:
     """Boxes and bounding spheres leave out nothing that penetrates: all points of all organs agree."""
     mesh = grown()[1]
     if between_plants:
-        second = shifted(grown("kaite", 5)[1].select_plant(1), 0.15)
-        mesh = concatenate_meshes([mesh.select_plant(0), second])
+        second = shifted(grown("kaite", 5)[1].with_plant(1), 0.15)
+        mesh = concatenate_meshes([mesh.with_plant(0), second])
     detector = ContactDetector(mesh, between_plants=between_plants)
     organs, pairs = detector.organs, detector.fruit_pairs()
     solid = np.flatnonzero(organs.solid)

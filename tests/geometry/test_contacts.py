@@ -201,8 +201,8 @@ def test_a_stem_alone_has_no_contacts() -> None:
 
 
 def test_between_plants_resolves_contacts_of_neighbours() -> None:
-    first = resolved("kaite", 3).mesh.select_plant(0)
-    second = shifted(resolved("kaite", 5).mesh.select_plant(1), 0.15)
+    first = resolved("kaite", 3).mesh.with_plant(0)
+    second = shifted(resolved("kaite", 5).mesh.with_plant(1), 0.15)
     row = concatenate_meshes([first, second])
     result = resolve_contacts(row, np.random.default_rng(0), between_plants=True)
     assert count_contacts(row).fruit_touching > 2
@@ -215,8 +215,8 @@ def test_between_plants_resolves_contacts_of_neighbours() -> None:
 
 
 def test_between_plants_ignores_contacts_within_a_plant() -> None:
-    far = shifted(grown("kaite", 5)[1].select_plant(1), 3.0)
-    row = concatenate_meshes([grown()[1].select_plant(0), far])
+    far = shifted(grown("kaite", 5)[1].with_plant(1), 3.0)
+    row = concatenate_meshes([grown()[1].with_plant(0), far])
     result = resolve_contacts(row, np.random.default_rng(0), between_plants=True)
     assert result.motions == ()
     assert result.contacts.fruit_touching == 0

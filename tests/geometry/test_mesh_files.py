@@ -57,7 +57,7 @@ def parse_obj(text):
 
 def test_names_are_unique_and_give_kind_and_node():
     assert organ_names(MESH) == NAMES
-    names = organ_names(concatenate_meshes([MESH.select_plant(0), MESH.select_plant(1)]))
+    names = organ_names(concatenate_meshes([MESH.with_plant(0), MESH.with_plant(1)]))
     assert len(set(names)) == len(names) == 8
     assert names[5] == "plant_1_fruit_0_node_7"
 

@@ -27,7 +27,7 @@ from pepperscene.errors import ArgumentError, OutputError
 from pepperscene.render import QUALITIES
 
 DEFAULT_RUNS: Final = 5
-"""Rounds of a full benchmark: a median of fewer is unreliable."""
+"""Rounds of a full benchmark. Chosen: a median of fewer is unreliable."""
 
 REFERENCES: Final = "references"
 """Folder of the cached converged images, inside the output folder."""

@@ -21,10 +21,10 @@ _PLANTS: Final = ((1, 0), (3, 0), (4, 3), (7, 6), (14, 12))
 """Plants in the front and the back row."""
 
 _SCALES: Final = (0.25, 0.5, 1.0, 2.0)
-"""Factors of the image's width and height."""
+"""Factors of the image's width and height, chosen."""
 
 _FRAMES: Final = 40
-"""Frames of the run that measures memory growth."""
+"""Frames of the run that measures memory growth, chosen."""
 
 _HEADERS: Final = {
     "scene_s": "new scene", "frame_s": "frame", "least_s": "min", "most_s": "max",

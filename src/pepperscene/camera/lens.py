@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -188,7 +189,7 @@ class Lens:
         object.__setattr__(self, "principal_offset_m", (right, down))
 
 
-class ProfileTable(Document):
+class ProfileTable(Document, ABC):
     """Relative values against the angle to an axis."""
 
     angle_deg: Annotated[tuple[Annotated[float, Field(ge=0, le=90)], ...], Field(min_length=2)]
@@ -198,9 +199,9 @@ class ProfileTable(Document):
         self.profile()
         return self
 
+    @abstractmethod
     def profile(self) -> AngularProfile:
         """The table as a curve."""
-        raise NotImplementedError
 
 
 class VignettingTable(ProfileTable):

@@ -23,7 +23,7 @@ from pepperscene.truth.statistics import HUE_BINS, hue_bins
 Floats = NDArray[np.float64]
 
 _ROUNDING: Final = 1e-12
-"""Resultant length, relative to the sum of the weights, below which only rounding errors are left."""
+"""Chosen: resultant length, relative to the sum of the weights, below which only rounding errors are left."""
 
 
 # --- circular statistics ------------------------------------------------------------------------------------

@@ -4,8 +4,9 @@ from pepperscene.geometry.contacts.detect import ContactCounts, count_contacts
 from pepperscene.geometry.contacts.joints import Motion, move_plant
 from pepperscene.geometry.contacts.resolve import ResolvedMesh, resolve_contacts
 from pepperscene.geometry.export import check_mesh_format, mesh_files, organ_names, write_mesh
-from pepperscene.geometry.mesh import Mesh, concatenate_meshes, rectangle, single_instance_mesh, sphere
+from pepperscene.geometry.mesh import Mesh, concatenate_meshes, single_instance_mesh
 from pepperscene.geometry.plant_mesh import mesh_plant
+from pepperscene.geometry.primitives import rectangle, sphere
 from pepperscene.geometry.tubes.stem import stem_branches, stem_profile
 from pepperscene.geometry.tubes.twine import twine_mesh
 

@@ -71,6 +71,7 @@ def cell_walls(rng: np.random.Generator, points: FloatArray, spacing: float) -> 
     return np.asarray(distance[..., 1] - distance[..., 0])
 
 
+# Chosen: the layout of the veins of a leaf, and the resolution at which it is drawn.
 PIXELS: Final = 512
 VEIN_PAIRS: Final = 7
 VEIN_COT_BASE: Final = 1.0 / np.tan(np.radians(60.0))  # of the angles of secondary veins to the midrib

@@ -132,7 +132,7 @@ def place_plants(plants: Sequence[Mesh], bases: NDArray[np.float64], turns: NDAr
     """
     placements = enumerate(zip(plants, bases, turns, strict=True))
     return concatenate_meshes(
-        [plant.select_plant(n).moved(rotation_about_z(turn), base) for n, (plant, base, turn) in placements]
+        [plant.with_plant(n).moved(rotation_about_z(turn), base) for n, (plant, base, turn) in placements]
     )
 
 

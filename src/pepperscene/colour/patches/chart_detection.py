@@ -29,7 +29,7 @@ _MAX_CHART_PX: Final = 500_000
 """Pixels of a chart that are used at most: some five thousand in the centre of each field (chosen)."""
 
 # All chosen, on drawn charts in any pose that leaves the fields' sides within a factor of 2 of each other.
-_MAX_SIDE_PX: Final = 1000  # of the downscaled picture; a chart over a sixth of it has fields of 20 px
+_MAX_SIDE_PX: Final = 1000  # of the downscaled image; a chart over a sixth of it has fields of 20 px
 _MAX_GRADIENTS: Final = (0.015, 0.03, 0.06)  # change of a channel per pixel within a field, of full scale
 _SMOOTHING_PX: Final = 1.0  # removes noise from the gradients
 _MIN_SOLIDITY: Final = 0.85  # fraction of its convex hull that a field fills

@@ -34,7 +34,7 @@ _MAX_STEP: Final = 4.0  # chosen: in means of the surroundings, so that no highl
 _PEAK_RADIUS_PX: Final = 8  # chosen: around the peak, what still belongs to it and not to chance
 
 CHANCE: Final = 8.0
-"""Standard deviations: the highest of half a million chance values is rarely above 5.5."""
+"""Standard deviations, chosen: the highest of half a million chance values is rarely above 5.5."""
 MAX_SHIFT_PX: Final = 1
 """Labels are of pixel centres, colours of whole pixels; by rounding, the peak can be one pixel off."""
 

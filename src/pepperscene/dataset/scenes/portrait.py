@@ -36,10 +36,10 @@ _RELATIVE_DISTANCE: Final = 2.0  # of the first view, in extents of the plant
 _SKY_LX, _SUN_FRACTION = 5000.0, 0.5  # chosen: soft light, with enough sun to show relief
 _SUN: Final = (-0.45, -0.7, 0.6)  # chosen: over the left shoulder of a person in the aisle
 _EXPOSURE_S: Final = 1 / 700  # chosen: the sky behind the plant just saturates the sensor
-_TRIAL_SIZE: Final = (60, 45)  # pixels of the label images that choose a view
-_HEIGHTS: Final = 10  # tried for the second view
-_CANDIDATES: Final = 12  # organs tried for the third view
-_AZIMUTHS: Final = (0.0, -0.6, 0.6, -1.2, 1.2)  # radians from the aisle, tried for both
+_TRIAL_SIZE: Final = (60, 45)  # chosen: pixels of the label images that select a view
+_HEIGHTS: Final = 10  # chosen: tried for the second view
+_CANDIDATES: Final = 12  # chosen: organs tried for the third view
+_AZIMUTHS: Final = (0.0, -0.6, 0.6, -1.2, 1.2)  # chosen: radians from the aisle, tried for both
 
 
 def portrait(

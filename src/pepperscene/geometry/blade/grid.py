@@ -57,12 +57,13 @@ def vein_density(out: FloatArray, origin: float) -> FloatArray:
 _FAN: Final = 5  # rows below the first vein
 _PER_VEIN: Final = 3  # rows from one vein to the next: the vein and the flanks of the bulge
 _SIDE: Final = 6  # columns in each half, the fewest that show how tertiary veins divide bulges
-_MARGIN: Final = 48  # pieces of an entire margin at any detail from 0.5 to 2
-_PER_LOBE: Final = 10  # rows to a lobe, likewise
-_LOBED_SIDE: Final = 4  # columns in each half of a lobed blade
+_MARGIN: Final = 48  # chosen: pieces of an entire margin at any detail from 0.5 to 2
+_PER_LOBE: Final = 10  # chosen: rows to a lobe, likewise
+_LOBED_SIDE: Final = 4  # chosen: columns in each half of a lobed blade
 
 FAN_POWER: Final = 1.5
-"""Row i of k below the first vein meets the margin at (i/k)^1.5 of the way: evenly along a round base."""
+"""Chosen: row i of k below the first vein meets the margin at (i/k)^1.5 of the way, evenly along a round
+base."""
 
 TIP_NUMBER: Final = vein_number(1.0)
 

@@ -15,11 +15,11 @@ from pepperscene.grammar.plant import Organ
 from pepperscene.materials.patterns import VEIN_PAIRS
 
 _DOME: Final = 0.8  # chosen: power of a half sine from vein to vein; bulges are round, creases narrow
-_RISE: Final = 0.1  # of the half-width: distance from the midrib within which bulges rise
-_CELLS: Final = 3.5  # parts of a bulge between tertiary veins at the widest position
+_RISE: Final = 0.1  # chosen, of the half-width: distance from the midrib within which bulges rise
+_CELLS: Final = 3.5  # chosen: parts of a bulge between tertiary veins at the widest position
 _TURN: Final = 2.0 * np.pi
-_FURROW: Final = 0.15  # half-width of a sunken vein, as a fraction of the distance to the next
-_NOISE_WAVES: Final = 8
+_FURROW: Final = 0.15  # chosen: half-width of a sunken vein, as a fraction of the distance to the next
+_NOISE_WAVES: Final = 8  # chosen
 
 
 def margin_waves(

@@ -13,7 +13,7 @@ from pepperscene.geometry.contacts.shapes import FruitSurfaces, StemCapsules
 from pepperscene.geometry.mesh import IndexArray, Mesh, SingleArray
 
 NEAR: Final = 3e-3
-"""Metres; depths are computed only for points and boxes closer to a fruit or stem than this."""
+"""Metres, chosen; depths are computed only for points and boxes closer to a fruit or stem than this."""
 
 
 @dataclass(frozen=True)

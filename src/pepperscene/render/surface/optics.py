@@ -27,11 +27,12 @@ from pepperscene.render.surface.scattering import SurfacePoint, interpolate_open
 from pepperscene.render.variant import mitsuba_modules
 
 STEP_NM: Final = 1.0
-"""Spacing of all wavelength grids. The kernel takes a surface's nearest entry: with wavelengths spread over a
-pixel's samples that is the midpoint rule, whose error is below 2e-4 for all shipped surfaces."""
+"""Spacing of all wavelength grids, chosen. The kernel takes a surface's nearest entry: with wavelengths
+spread over a pixel's samples that is the midpoint rule; its error is below 2e-4 for all shipped surfaces."""
 
 MIN_ALPHA: Final = 1e-3
-"""Smoother cuticles are packed with this roughness: a mirror for every lens, safe in single precision."""
+"""Chosen: smoother cuticles are packed with this roughness, a mirror for every lens and safe in single
+precision."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,11 +33,11 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-STARTS: Final = 4
+STARTS: Final = 4  # chosen
 _CANDIDATES: Final = 12  # chosen: random points that are evaluated for each further start
 _EVALUATIONS: Final = 30  # chosen: maximum of a start; ten are usual
 _TOLERANCE: Final = 1e-5  # chosen: relative change of the cost at which a start ends
-_PLOTTED: Final = 4000  # pixels of a kind that are kept for the figure
+_PLOTTED: Final = 4000  # chosen: pixels of a kind that are kept for the figure
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_MARGIN: Final = 1e-6  # fraction of a bound's width by which starts are moved off the bounds
+_MARGIN: Final = 1e-6  # chosen: fraction of a bound's width by which starts are moved off the bounds
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from pepperscene.tuning.fit.least_squares import FitResult
 
 _TOLERANCE: Final = 1e-6
-"""Largest change of a content when a knot is removed, relative to the content's range along the path."""
-_SAME: Final = 1e-9  # relative difference below which a path has not changed
+"""Chosen: largest change of a content when a knot is removed, relative to its range along the path."""
+_SAME: Final = 1e-9  # chosen: relative difference below which a path has not changed
 _COLUMN: Final = "relative_power"
 
 
