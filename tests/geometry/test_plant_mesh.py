@@ -150,6 +150,10 @@ def test_concatenation_renumbers_faces_instances_and_surfaces():
     diameter=0.25, slimness=2.875, lobes=3, depth=1.5, shoulder=0.0, taper=1.03125, point=0.0, bend=0.0,
     sepals=1.0, tooth=0.0, spread=0.0, seed=0.0, detail=1.5,
 )  # fmt: skip
+@example(  # A shoulder bends sharply under long sepals.
+    diameter=0.25, slimness=2.0, lobes=1, depth=1.0, shoulder=0.0, taper=1.1875, point=0.0, bend=0.0,
+    sepals=0.75, tooth=1.0, spread=0.0, seed=0.0, detail=1.0,
+)  # fmt: skip
 def test_any_fruit_and_calyx_are_sound_and_closed(
     diameter, slimness, lobes, depth, shoulder, taper, point, bend, sepals, tooth, spread, seed, detail
 ):

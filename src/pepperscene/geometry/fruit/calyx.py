@@ -102,6 +102,7 @@ def mesh_calyces(
     uneven = 1.0 + 0.6 * _tooth_values(phase, hash_signed(seed, 404, 8))
     tip = _LIFT * (radius * tooth**2)[:, None] * uneven * blade
     along = surface - raised[..., None] - tip[:, None] * outer**2
+    _keep_above_lower_side(along, lower)
     plate = _ring_points(foot, axes, width, angle, along)
     # The collar closes around the stalk: it starts in it a little before its end.
     collar_axes = axis_frames(stalk_axis, axes[:, 0])
@@ -116,6 +117,19 @@ def mesh_calyces(
     state = state + read_measure(organs, "state_mean", 0.5)[:, None]
     v = np.broadcast_to(np.arange(1, len(colour) + 1) / (len(colour) + 1), (n, len(colour)))
     return ring_shells(np.concatenate([collar, plate], axis=1), np.stack([first, last], axis=1), v, state)
+
+
+def _keep_above_lower_side(along: FloatArray, lower: FloatArray) -> None:
+    """Move the upper rings of plates `(n, r, c)` above the straight lines between the lower rings, in place.
+
+    Rings are few, so on a shoulder that bends sharply the sides would intersect.
+    """
+    upper = len(_UPPER)
+    way_out, ascending = _UPPER[:, 0], lower[::-1]
+    weights = np.array([np.interp(way_out, ascending, unit) for unit in np.eye(len(lower))])
+    chord = np.einsum("lu,nlc->nuc", weights, along[:, upper:][:, ::-1])
+    between = np.flatnonzero((way_out >= ascending[0]) & (way_out <= ascending[-1]))
+    along[:, between] = np.minimum(along[:, between], chord[:, between])
 
 
 def _stalk_ends(organs: Sequence[Organ], stalks: Sequence[Organ | None]) -> tuple[FloatArray, FloatArray]:
