@@ -9,7 +9,7 @@ import platform
 import re
 import secrets
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -48,6 +48,24 @@ def write_file(path: Path, content: bytes) -> None:
         temporary.write_bytes(content)
 
 
+def write_file_if(path: Path, content: bytes, is_valid: Callable[[], bool]) -> bool:
+    """Write one file atomically if a condition holds at the moment of the rename; returns whether it did.
+
+    Of several processes that call this for files of one folder, one at a time checks and renames, as far as
+    the file system has locks. Flushing, which takes longest, is not part of that.
+    """
+    temporary = _create_temporary(path)
+    try:
+        _write_flushed(temporary, content)
+        with exclusive_access(path.parent):
+            if not is_valid():
+                return False
+            os.replace(temporary, path)
+            return True
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
 def write_files(folder: Path, files: Mapping[str, bytes], obsolete: Iterable[Path] = ()) -> tuple[Path, ...]:
     """Write several files into a folder, which is made if missing: all or none.
 
@@ -72,10 +90,7 @@ def write_files(folder: Path, files: Mapping[str, bytes], obsolete: Iterable[Pat
         make_folder(folder, created)
         for name, content in files.items():
             temporary[folder / name] = _create_temporary(folder / name)
-            with temporary[folder / name].open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
+            _write_flushed(temporary[folder / name], content)
         for path in obsolete:
             path.unlink(missing_ok=True)
         for path in temporary:
@@ -222,6 +237,13 @@ def _is_orphan(path: Path) -> bool:
     except OSError:
         return False
     return False
+
+
+def _write_flushed(path: Path, content: bytes) -> None:
+    with path.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def _create_temporary(path: Path) -> Path:

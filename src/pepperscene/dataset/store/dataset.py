@@ -14,7 +14,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Executor, wait
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -29,7 +29,7 @@ from pepperscene.dataset.store.atomic import (
     exclusive_access,
     write_error,
     write_file,
-    write_json,
+    write_file_if,
 )
 from pepperscene.dataset.store.images import encode_image, read_image
 from pepperscene.dataset.store.journal import Journal
@@ -66,11 +66,15 @@ def frame_index(name: str, suffix: str) -> int | None:
 
 @dataclass(frozen=True)
 class FrameStatus:
-    """Existing parts of a frame: JSON without `outputs` and `checksum`, intact images, and checksum."""
+    """Existing parts of a frame: JSON without `outputs` and `checksum`, intact images, and checksum.
+
+    `written_checksum` is that in the JSON before it was read, even if it does not fit the rest.
+    """
 
     metadata: dict[str, Any] = field(default_factory=dict)
     outputs: dict[str, Any] = field(default_factory=dict)
     checksum: str = ""
+    written_checksum: str = ""
 
     def row(self) -> Row:
         """The frame's row in the manifest, without timings."""
@@ -207,11 +211,12 @@ class Dataset:
 
     def intact(self, index: int) -> FrameStatus:
         """The files of a frame that are exactly what the build wrote; none if its JSON is damaged."""
+        written = self.written_checksum(index)
         try:
             metadata = self.metadata(index)
             checksum = str(metadata.pop(CHECKSUM))
             if checksum != checksum_of(metadata) or metadata.get("index") != index:
-                return FrameStatus()
+                return FrameStatus(written_checksum=written)
             entries = metadata.pop("outputs").items()
             outputs = {
                 str(name): entry
@@ -219,26 +224,27 @@ class Dataset:
                 if name in OUTPUTS and _matches_entry(self.path(index, name), entry)
             }
         except (InputError, KeyError, AttributeError, TypeError):
-            return FrameStatus()
-        return FrameStatus(metadata, outputs, checksum)
+            return FrameStatus(written_checksum=written)
+        return FrameStatus(metadata, outputs, checksum, written)
 
     def commit(
         self,
         index: int,
         images: Mapping[str, NDArray[Any]],
         metadata: Mapping[str, Any],
-        kept: Mapping[str, Any],
+        existing: FrameStatus,
         pool: Executor,
     ) -> FrameStatus:
-        """Add a frame, or outputs to a frame: first the images, then the JSON, which completes it.
+        """Write further images of a frame and, last and in one step, its JSON, which completes them.
 
-        On an error, the images of this call are removed, and existing outputs stay valid.
+        Another build may have added outputs to the frame since `existing` was read; its outputs stay. On an
+        error, the images of this call are removed, and existing outputs stay valid.
 
         Args:
             index: of the frame.
             images: arrays by output name.
             metadata: the whole JSON without its `outputs`.
-            kept: entries of the existing outputs.
+            existing: the frame as it was before.
             pool: writes several images at a time; encoding and waiting for the disk release Python's lock.
         """
         metadata = {str(key): value for key, value in metadata.items() if key not in (CHECKSUM, "outputs")}
@@ -250,14 +256,35 @@ class Dataset:
             }
             # Wait for all before the first error is raised, so that no image is written after the removal.
             wait(entries.values())
-            outputs = {**kept, **{output: entry.result() for output, entry in entries.items()}}
-            checksum = checksum_of({**metadata, "outputs": outputs})
-            write_json(self.frame_path(index), {**metadata, "outputs": outputs, CHECKSUM: checksum})
+            written = {output: entry.result() for output, entry in entries.items()}
+            while (status := self._write_frame(index, written, metadata, existing)) is None:
+                existing = self.intact(index)
+            return status
         except BaseException:
-            for output in images:
-                self.path(index, output).unlink(missing_ok=True)
+            self._remove_unnamed(index, images)
             raise
-        return FrameStatus(metadata, outputs, checksum)
+
+    def _write_frame(
+        self, index: int, written: Mapping[str, Any], metadata: Mapping[str, Any], existing: FrameStatus
+    ) -> FrameStatus | None:
+        """Write a frame's JSON with existing and new outputs; None if it is not the existing one any more."""
+        merged = {**existing.metadata, **metadata}
+        # Without label outputs the renderer does not list the instances in view; an earlier build may have.
+        merged["instances"] = metadata.get("instances") or existing.metadata.get("instances", {})
+        outputs = {**existing.outputs, **written}
+        checksum = checksum_of({**merged, "outputs": outputs})
+        content = canonical_json({**merged, "outputs": outputs, CHECKSUM: checksum})
+        is_unchanged = write_file_if(
+            self.frame_path(index), content, lambda: self.written_checksum(index) == existing.written_checksum
+        )
+        return FrameStatus(merged, outputs, checksum, checksum) if is_unchanged else None
+
+    def _remove_unnamed(self, index: int, outputs: Iterable[str]) -> None:
+        """Remove images of a frame, except those that its JSON names, as another build may have made them."""
+        named = self.intact(index).outputs
+        for output in outputs:
+            if output not in named:
+                self.path(index, output).unlink(missing_ok=True)
 
 
 def _matches_entry(path: Path, entry: Mapping[str, Any]) -> bool:
