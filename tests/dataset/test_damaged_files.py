@@ -90,7 +90,7 @@ def check_flips(original, tmp_path, name, flips):
         result = check_dataset(folder, workers=1)
         # Journal lines are reported for any change, because a reader cannot know what they held.
         assert not (changed_value and result.passed), f"{name}: {where} is not found"
-if "/" in name:
+        if "/" in name:
             assert {finding.index for finding in result.findings} <= {1}
         changed += changed_value
 
