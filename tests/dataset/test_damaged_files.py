@@ -1,4 +1,4 @@
-"""A changed bit in a file of a data set is found if it changes a value, and the next build mends it or says so."""
+"""A changed bit in a file of a data set is found if it changes a value, and the next build mends it."""
 
 from __future__ import annotations
 
