@@ -12,6 +12,7 @@ import pytest
 
 from pepperscene.dataset import check_dataset, open_dataset
 from pepperscene.dataset.store import journal as journal_module
+from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.journal import JOURNAL, Journal
 from pepperscene.errors import InputError, OutputError
 
@@ -171,6 +172,23 @@ def test_folder_that_is_removed_during_a_build_is_an_error(make, tmp_path):
 
     with pytest.raises(OutputError):
         make("0:5", on_frame=remove)
+
+
+def test_folders_that_another_interrupted_build_removes_are_made_again(make, monkeypatch, tmp_path):
+    """A build that is interrupted before its first frame removes what it made, if there is no frame."""
+    folder, commit, removed = tmp_path / "set", Dataset.commit, []
+
+    def remove_once(self, *arguments):
+        if not removed:
+            removed.extend(path for path in folder.iterdir() if path.is_dir())
+            for path in removed:
+                path.rmdir()
+        return commit(self, *arguments)
+
+    monkeypatch.setattr(Dataset, "commit", remove_once)
+    make("0:3")
+    assert len(removed) == 3
+    assert check_dataset(folder, workers=1, frames="0:3").counts().keys() <= {"shape"}
 
 
 def test_folder_whose_name_is_not_text(build_small, tmp_path):

@@ -208,7 +208,12 @@ class FrameMaker:
                 self._folder.prepare(outputs)
                 self._prepared.update(outputs)
             images = {name: frame.images[name] for name in outputs}
-            written = dataset.commit(spec.index, images, metadata, status, self._image_threads)
+            try:
+                written = dataset.commit(spec.index, images, metadata, status, self._image_threads)
+            except FileNotFoundError:
+                # Another build that was interrupted before its first frame has removed the empty folders.
+                self._folder.prepare(outputs)
+                written = dataset.commit(spec.index, images, metadata, status, self._image_threads)
         except OSError as error:
             raise write_error(error, dataset.folder) from None
         timing = {"render_s": render_s, "write_s": time.perf_counter() - start, "worker": self._worker}
