@@ -816,6 +816,21 @@ def architecture() -> Image.Image:
     return drawn(figure)
 
 
+def reliability() -> Image.Image:
+    """The steps by which a frame becomes complete."""
+    figure, axes = canvas()
+    steps = ("write images under\ntemporary names", "flush, then rename", "JSON with checksums:\nframe is complete")
+    for row, (text, fill_colour) in enumerate(zip(steps, ("#f6ead2", "#dfe9f5", "#e2f0dd"), strict=True)):
+        y = 30 + 48 * row
+        box(axes, (92, y), (124, 32), text, fill_colour)
+        if row:
+            arrow(axes, (92, y - 32), (92, y - 16))
+    box(axes, (204, 54), (62, 52), "kill,\nfull disk,\npower cut", "#f5dede")
+    arrow(axes, (173, 48), (154, 36), GREY)
+    arrow(axes, (173, 60), (154, 72), GREY)
+    return drawn(figure)
+
+
 def plants() -> Image.Image:
     """Four cultivars from 50 cm, out of the picture of the page on plants."""
     sheet = np.asarray(Image.open(IMAGES / "plant_cultivars.png").convert("RGB"))
@@ -888,7 +903,7 @@ PHOTOGRAPHS: Final = (
 """Pictures that are smaller as JPEG files."""
 DRAWINGS: Final = (
     colour_tuning, cluster, report, compare, benchmark, command_line, recipe, devices, patches,
-    tuning_parameters, tuning_files, conventions, api, glossary, architecture, optics, colour,
+    tuning_parameters, tuning_files, conventions, api, glossary, architecture, reliability, optics, colour,
 )  # fmt: skip
 FIGURES: Final[dict[str, Callable[[], Image.Image]]] = {
     one.__name__: one for one in (*PHOTOGRAPHS, *DRAWINGS)
