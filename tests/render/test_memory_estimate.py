@@ -97,13 +97,13 @@ def test_far_rows_are_counted(resolved):
 PEAK = """
 import json, resource
 from dataclasses import replace
-from pepperscene.dataset import FrameRenderer
+from pepperscene.dataset import FrameRenderer, resolve_recipe
 from pepperscene.render import QUALITIES
 from pepperscene.render.memory import frame_memory
 from pepperscene.dataset.scenes.scene_size import plant_triangles, scene_triangles
 
 size, output = {size}, {output!r}
-renderer = FrameRenderer("demo")
+renderer = FrameRenderer(resolve_recipe("demo", {{"row.plants_front": 3, "row.plants_back": 0}}))
 sensor = replace(renderer.resolved.camera.sensor, columns=size[0], rows=size[1])
 sensor = replace(sensor, pitch_m=sensor.pitch_m * 800 / size[0])
 resolved = replace(renderer.resolved, camera=replace(renderer.resolved.camera, sensor=sensor))
