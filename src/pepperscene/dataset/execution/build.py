@@ -131,6 +131,7 @@ def build(
     executor = choose_executor(options)
     job = BuildJob.create(recipe, out, outputs, options)
     indices = job.recipe.recipe.plan.select_indices(frames)
+    executor.check_memory(job, len(indices))
     check_output_folder(Path(out), job.info)
 
     # Make the frames. The tables are also written when a build is interrupted.

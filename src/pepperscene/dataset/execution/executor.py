@@ -16,6 +16,9 @@ from pepperscene.errors import WorkerError
 MAX_LOSSES: Final = 3
 """Chosen: a frame that ends a third worker would end the next one, too."""
 
+MAX_LOSSES_ALONE: Final = 2
+"""Chosen: the same for a worker that is the only one, as no other one leaves it more memory the next time."""
+
 
 @dataclass(frozen=True)
 class WorkUnit:
@@ -106,18 +109,27 @@ class Dispatcher:
             self._pending.setdefault(unit.set, deque()).appendleft(unit)
         return unit.indices
 
-    def lose(self, worker: Hashable, reason: str) -> None:
-        """Requeue the unfinished frames of a lost worker. Raise `WorkerError` if it is the third worker lost
-        over its first unfinished frame; `reason` says how it was lost.
+    def lose(self, worker: Hashable, reason: str, *, is_only: bool = False) -> None:
+        """Requeue the unfinished frames of a lost worker.
+
+        Args:
+            worker: that was lost.
+            reason: how it was lost.
+            is_only: whether the build has no other worker, which could have taken the memory.
+
+        Raises:
+            WorkerError: its first unfinished frame has ended as many workers as are allowed.
         """
         frames = self.release(worker)
         if not frames:
             return
         self._losses[frames[0]] += 1
-        if self._losses[frames[0]] >= MAX_LOSSES:
+        most = MAX_LOSSES_ALONE if is_only else MAX_LOSSES
+        if self._losses[frames[0]] >= most:
+            advice = "a smaller sensor or fewer outputs" if is_only else "fewer workers"
             raise WorkerError(
-                f"frame {frames[0]:06d} ended {MAX_LOSSES} workers, the last one {reason}; complete frames "
-                "are kept, and the same command resumes the build: use fewer workers if memory ran out"
+                f"frame {frames[0]:06d} ended {most} workers, the last one {reason}; complete frames "
+                f"are kept, and the same command resumes the build: use {advice} if memory ran out"
             )
         self.on_notice(
             f"a worker was lost over frame {frames[0]:06d} ({reason}); another one makes its frames"
@@ -149,6 +161,17 @@ class Executor(ABC):
     @abstractmethod
     def size(self) -> int:
         """Number of frames that are made at a time."""
+
+    def check_memory(self, job: BuildJob, frames: int) -> None:  # noqa: B027 - clusters check their nodes
+        """Check that frames of a job fit into the memory of this machine, if this machine makes them.
+
+        Args:
+            job: of the build.
+            frames: number of all frames.
+
+        Raises:
+            PepperError: they do not fit.
+        """
 
     @abstractmethod
     def make(self, job: BuildJob, dispatcher: Dispatcher) -> None:

@@ -18,6 +18,8 @@ from typing import Any, Final, Self, final
 
 from pepperscene.dataset.execution.executor import Dispatcher, Executor
 from pepperscene.dataset.execution.job import BuildJob, FrameDone, FrameMaker
+from pepperscene.dataset.execution.memory import is_out_of_memory, report_memory_errors
+from pepperscene.dataset.execution.memory_check import check_memory
 from pepperscene.dataset.scenes.plants import PROCESSES
 from pepperscene.dataset.subprocess_rpc import Connection, WorkerProcess, available_cores
 from pepperscene.errors import PepperError, WorkerError
@@ -34,10 +36,14 @@ class SerialExecutor(Executor):
 
     size = 1
 
+    def check_memory(self, job: BuildJob, frames: int) -> None:
+        """See `Executor.check_memory`."""
+        check_memory(job, 1, frames)
+
     def make(self, job: BuildJob, dispatcher: Dispatcher) -> None:
         """See `Executor.make`; frames are reported in ascending order."""
         units = iter(lambda: dispatcher.assign(0), ())
-        with FrameMaker(job, platform.node()) as maker:
+        with report_memory_errors(), FrameMaker(job, platform.node()) as maker:
             maker.make(chain.from_iterable(units), dispatcher.report)
 
 
@@ -59,6 +65,10 @@ class ProcessExecutor(Executor):
     def size(self) -> int:
         """Number of workers."""
         return self._workers
+
+    def check_memory(self, job: BuildJob, frames: int) -> None:
+        """See `Executor.check_memory`."""
+        check_memory(job, self._workers, frames)
 
     def make(self, job: BuildJob, dispatcher: Dispatcher) -> None:
         """See `Executor.make`; frames are reported as they become complete."""
@@ -108,7 +118,8 @@ class _Pool:
                 if message is None:
                     self._dispatcher.release(slot)
                 else:
-                    self._dispatcher.lose(slot, self._workers.pop(slot).close())
+                    reason = self._workers.pop(slot).close()
+                    self._dispatcher.lose(slot, reason, is_only=size == 1)
                     self._start(slot)
                     self._send(slot, self._job)
                 self._assign(slot)
@@ -147,7 +158,9 @@ def serve(connection: Connection) -> None:
                 connection.send(None)
     except PepperError as error:
         connection.send(error)
-    except MemoryError:
+    except (MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
+            raise
         connection.send(
             WorkerError("a worker ran out of memory; use fewer workers, complete frames are kept")
         )

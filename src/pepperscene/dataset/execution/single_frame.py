@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Final
 
 from pepperscene.dataset.execution.job import BuildJob, BuildOptions
+from pepperscene.dataset.execution.memory import report_memory_errors
+from pepperscene.dataset.execution.memory_check import check_memory
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
@@ -63,12 +65,14 @@ def render_frame(
                 f"{folder}: belongs to a data set; add frames to it with `build`, or choose another folder"
             )
     names = {output: f"{output}{OUTPUTS[output].suffix}" for output in job.outputs}
+    check_memory(job)
     check_can_write(folder, [*names.values(), METADATA])
 
     # Render, encode, and write all files or none.
-    renderer = FrameRenderer(job.recipe, job.renderer)
-    frame = renderer.render(spec, job.outputs, resolve_quality(job.quality, job.target_error))
-    files = {name: encode_image(frame.images[output], output) for output, name in names.items()}
+    with report_memory_errors():
+        renderer = FrameRenderer(job.recipe, job.renderer)
+        frame = renderer.render(spec, job.outputs, resolve_quality(job.quality, job.target_error))
+        files = {name: encode_image(frame.images[output], output) for output, name in names.items()}
     entries = {output: file_entry(name, files[name]) for output, name in names.items()}
     metadata = {**job.info, "format": FORMAT, **job.frame_metadata(frame, spec), "outputs": entries}
     files[METADATA] = canonical_json(metadata)

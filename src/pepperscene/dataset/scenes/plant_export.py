@@ -13,17 +13,25 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.dataset.execution.memory import MEMORY, memory_limits, report_memory_errors, shortage
 from pepperscene.dataset.recipe.plan import check_seed
+from pepperscene.dataset.scenes.scene_size import most_plant_triangles, plant_triangles
 from pepperscene.dataset.store.atomic import check_can_write, write_files
-from pepperscene.errors import ArgumentError
+from pepperscene.errors import ArgumentError, SetupError
 
 if TYPE_CHECKING:
+    from pepperscene.cultivar import Cultivar
     from pepperscene.dataset.scenes.frame_renderer import RendererFactory
-    from pepperscene.geometry import ContactCounts
+    from pepperscene.geometry import ContactCounts, Mesh
     from pepperscene.materials import Surface
 
 
 _MAX_DETAIL: Final = 8.0  # chosen: a plant of ten million triangles
+_PER_TRIANGLE: Final = {".obj": 850.0}
+_PER_TRIANGLE_BINARY: Final = 260.0
+"""Bytes per triangle of the mesh, its file and its picture, by the format; measured 750 and 250."""
+_PROCESS, _PICTURE = 300e6, 700e6
+"""Bytes of a process that grows a plant, and of the picture; measured 320 MB and 690 MB."""
 _NM: Final = np.arange(380.0, 781.0, 5.0)
 
 
@@ -81,7 +89,7 @@ def export_plant(
     Raises:
         InputError: an argument or a cultivar is not valid; nothing is written.
         OutputError: a file cannot be written.
-        SetupError: the machine cannot render; nothing is written.
+        SetupError: the machine cannot render, or has not enough memory; nothing is written.
     """
     from pepperscene.dataset.scenes.plants import grow_plant, growth_stage
     from pepperscene.geometry import check_mesh_format, mesh_files
@@ -98,23 +106,20 @@ def export_plant(
     picture_path = path.with_suffix(".png")
     check_can_write(path.parent, [path.name, picture_path.name] if picture else [path.name])
 
-    # The plant.
-    start = time.perf_counter()
     cultivar_stage = growth_stage(cultivar, until, share)
-    plant = grow_plant(cultivar_stage, seed, detail=detail)
-    seconds = time.perf_counter() - start
+    _check_memory(cultivar_stage, seed, detail, path.suffix.lower(), has_picture=picture and renderer is None)
 
-    # Its files.
-    files = mesh_files(plant.mesh, path.name, surface_colours(organ_surfaces(cultivar_stage, _NM).values()))
-    if picture:
-        from PIL import Image
+    with report_memory_errors():
+        # The plant.
+        start = time.perf_counter()
+        plant = grow_plant(cultivar_stage, seed, detail=detail)
+        seconds = time.perf_counter() - start
 
-        from pepperscene.dataset.scenes.portrait import portrait
-
-        stream = BytesIO()
-        image = Image.fromarray(portrait(plant.mesh, cultivar_stage, quality, renderer))
-        image.save(stream, format="PNG", optimize=True)
-        files[picture_path.name] = stream.getvalue()
+        # Its files.
+        colours = surface_colours(organ_surfaces(cultivar_stage, _NM).values())
+        files = mesh_files(plant.mesh, path.name, colours)
+        if picture:
+            files[picture_path.name] = _picture_file(plant.mesh, cultivar_stage, quality, renderer)
     return PlantExport(
         files=write_files(path.parent, files),
         cultivar=cultivar_stage.name,
@@ -124,6 +129,40 @@ def export_plant(
         contacts=plant.contacts,
         seconds=seconds,
     )
+
+
+def _check_memory(cultivar: Cultivar, seed: int, detail: float, suffix: str, *, has_picture: bool) -> None:
+    """Raise `SetupError` if the plant and its files do not fit into memory."""
+    from pepperscene.render.memory import reserved_address_space
+
+    limits = memory_limits()
+    fixed = _PROCESS + (_PICTURE if has_picture else 0.0)
+    per_triangle = detail**2 * _PER_TRIANGLE.get(suffix, _PER_TRIANGLE_BINARY)
+
+    def missing(triangles: int) -> str | None:
+        return shortage(int(fixed + per_triangle * triangles), reserved_address_space(), limits)
+
+    # A plant is grown to count its triangles only if an upper bound of their number does not fit.
+    if not limits or missing(most_plant_triangles(cultivar)) is None:
+        return
+    figures = missing(plant_triangles(cultivar, seed))
+    if figures is not None:
+        raise SetupError(
+            f"{cultivar.name}: a plant of detail {detail:g} needs {figures}; use a smaller detail, or set "
+            f"{MEMORY} if the estimate is wrong"
+        )
+
+
+def _picture_file(mesh: Mesh, cultivar: Cultivar, quality: str, renderer: RendererFactory | None) -> bytes:
+    """The picture of a plant as a PNG file."""
+    from PIL import Image
+
+    from pepperscene.dataset.scenes.portrait import portrait
+
+    stream = BytesIO()
+    image = Image.fromarray(portrait(mesh, cultivar, quality, renderer))
+    image.save(stream, format="PNG", optimize=True)
+    return stream.getvalue()
 
 
 def surface_colours(surfaces: Iterable[Surface]) -> dict[str, NDArray[np.float64]]:

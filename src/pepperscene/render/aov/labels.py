@@ -21,6 +21,9 @@ _TILE: Final = 4
 """Pixels along the sides of a tile. Embree traces rays in packets of 16: those of a square stay together
 longer than those of a line (800x600, 2.9 million triangles: 33 ms of CPU time against 44)."""
 
+_UV_PIXELS: Final = 1 << 20
+"""Chosen: pixels whose surface coordinates are computed at a time; each takes 0.6 KB meanwhile."""
+
 
 @dataclass(frozen=True, eq=False)
 class Hits:
@@ -198,13 +201,23 @@ def surface_coordinates(mesh: Mesh, hits: Hits, camera: Camera) -> NDArray[np.fl
     Method: T. Moeller and B. Trumbore, "Fast, minimum storage ray-triangle intersection", Journal of Graphics
     Tools 2 (1997) 21.
     """
-    uv = np.full((*hits.face.shape, 2), -1.0, np.float32)
-    is_hit = hits.face >= 0
-    corners = mesh.faces[hits.face[is_hit]]
+    uv = np.full((hits.face.size, 2), -1.0, np.float32)
+    face, rays = hits.face.ravel(), world_directions(camera).reshape(-1, 3)
+    hit_pixels = np.flatnonzero(face >= 0)
+    for start in range(0, hit_pixels.size, _UV_PIXELS):
+        pixels = hit_pixels[start : start + _UV_PIXELS]
+        uv[pixels] = _coordinates_of_hits(mesh, face[pixels], rays[pixels].T, camera.pose[:3, 3])
+    return uv.reshape(*hits.face.shape, 2)
+
+
+def _coordinates_of_hits(
+    mesh: Mesh, face: NDArray[np.int64], ray: NDArray[np.float64], start: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """`(n, 2)` surface coordinates where rays `(3, n)` from a point meet triangles."""
+    corners = mesh.faces[face]
     first, second, third = (mesh.vertices[corners[:, corner]].astype(np.float64).T for corner in range(3))
-    ray = world_directions(camera)[is_hit].T
     edge1, edge2 = second - first, third - first
-    origin = camera.pose[:3, 3][:, None] - first
+    origin = start[:, None] - first
     p, q = np.cross(ray, edge2, axis=0), np.cross(origin, edge1, axis=0)
     determinant = (edge1 * p).sum(axis=0)
     # Rounding can put a ray next to its triangle, and in a degenerate triangle it has no position.
@@ -212,8 +225,8 @@ def surface_coordinates(mesh: Mesh, hits: Hits, camera: Camera) -> NDArray[np.fl
         u = np.nan_to_num(np.clip((origin * p).sum(axis=0) / determinant, 0.0, 1.0))
         v = np.nan_to_num(np.clip((ray * q).sum(axis=0) / determinant, 0.0, 1.0 - u))
     uv1, uv2, uv3 = (mesh.uv[corners[:, corner]].T for corner in range(3))
-    uv[is_hit] = ((1.0 - u - v) * uv1 + u * uv2 + v * uv3).T
-    return uv
+    coordinates: NDArray[np.float64] = ((1.0 - u - v) * uv1 + u * uv2 + v * uv3).T
+    return coordinates
 
 
 def _visible_faces(face: NDArray[np.int64], count: int) -> tuple[NDArray[np.intp], NDArray[np.uint32]]:

@@ -32,6 +32,7 @@ _GROWTH: Final = 4  # chosen: largest factor by which the samples of a pixel gro
 _SUBSET: Final = 1 << 14  # chosen: pixels that the scale is computed from
 _MAX_ERROR: Final = 127.5
 """Codes: error of a pixel of unknown value. Near the sun the tone curve's slope would give thousands."""
+_ROWS_PIXELS: Final = 1 << 20  # chosen: pixels whose noise is computed at a time; each takes 0.2 KB meanwhile
 _MAX_DIFFERENCE: Final = 510.0  # chosen: codes between samples, from black to overexposed
 
 Floats = NDArray[np.float32]
@@ -135,12 +136,25 @@ def code_response(signal: Floats, white: NDArray[np.float64], camera: Camera) ->
         white: `(c,)` see `SampleVariance`.
         camera: with the sensor's noise and the developing from light to codes.
     """
-    sensor, c = camera.sensor, camera.sensor.channels
-    per_light = expected_electrons(np.ones((camera.height, camera.width, 1)).repeat(c, -1), camera)
-    electrons = per_light.astype(np.float32)
-    full_scale = np.float32(1.0 / (sensor.gain_e_per_dn * (sensor.full_scale_dn - sensor.black_level_dn)))
-    matrix = _colour_matrix(camera)
+    channels = camera.sensor.channels
+    per_light = expected_electrons(np.ones((camera.height, camera.width, 1)).repeat(channels, -1), camera)
+    electrons, matrix = per_light.astype(np.float32), _colour_matrix(camera)
+    del per_light
+    # By whole rows, so that intermediate results of a large image take little memory.
+    noise, per_white = (np.empty((camera.height, camera.width), np.float32) for _ in range(2))
+    step = max(_ROWS_PIXELS // camera.width, 1)
+    for top in range(0, camera.height, step):
+        rows = slice(top, top + step)
+        noise[rows], per_white[rows] = _rows_response(signal[rows], electrons[rows], white, matrix, camera)
+    return CodeResponse(noise, per_white)
 
+
+def _rows_response(
+    signal: Floats, electrons: Floats, white: NDArray[np.float64], matrix: Floats, camera: Camera
+) -> tuple[Floats, Floats]:
+    """Noise and codes per unit of white of some rows; `electrons` are those of a unit of light."""
+    sensor = camera.sensor
+    full_scale = np.float32(1.0 / (sensor.gain_e_per_dn * (sensor.full_scale_dn - sensor.black_level_dn)))
     charge = np.maximum(signal * electrons, np.float32(0.0))
     linear = (charge * full_scale) @ matrix
     slope = _tone_slope(linear, camera.developing.tone)
@@ -157,7 +171,7 @@ def code_response(signal: Floats, white: NDArray[np.float64], camera: Camera) ->
     colour = np.maximum(signal / unit, np.float32(0.0)) + np.float32(1e-12)
     colour /= np.sqrt(np.sum(np.square(colour), axis=-1, keepdims=True))
     codes = slope * ((colour * unit * electrons * full_scale) @ matrix)
-    return CodeResponse(noise, np.sqrt(np.mean(np.square(codes), axis=-1)))
+    return noise, np.sqrt(np.mean(np.square(codes), axis=-1))
 
 
 def _colour_matrix(camera: Camera) -> Floats:

@@ -113,29 +113,47 @@ def _sum_samples(
 
     `pixels` are row-major indices, or None for all; `integrand` computes the values of a wavefront.
     """
-    mi, dr = mitsuba_modules()
     total = tables.rays.width * tables.rays.height if pixels is None else len(pixels)
     block = max(_LANES // count, 1)
-    salt, begin, per_pixel = (device_uint(n) for n in (seed & 0xFFFFFFFF, first, count))
-    passes: list[list[Images]] = []
+    if total <= block:
+        return _sum_pass(tables, pixels, (0, total), first, count, seed, integrand)
+    # Copied pass by pass, so that the device holds the sums of one pass and not those of the whole image.
+    sums: list[Images] = []
     for start in range(0, total, block):
-        pixels_in_pass = min(block, total - start)
-        lane = dr.arange(mi.UInt32, pixels_in_pass * count)
-        number = lane // per_pixel
-        index = begin + lane - number * per_pixel
-        if pixels is None:
-            pixel = number + device_uint(start)
-        else:
-            pixel = dr.gather(
-                mi.UInt32, device_array(pixels[start : start + pixels_in_pass], np.uint32), number
-            )
-        values = integrand(tables, Samples(tables, pixel, index, salt))
-        # Evaluate all results in one kernel: reduced separately, each would run the kernel again.
-        dr.eval(values)
-        sums = [dr.block_reduce(dr.ReduceOp.Add, value, count) for value in values]
-        dr.eval(sums)
-        passes.append([np.asarray(values_sum) for values_sum in sums])
-    return passes[0] if len(passes) == 1 else [np.concatenate(parts) for parts in zip(*passes, strict=True)]
+        end = min(start + block, total)
+        parts = _sum_pass(tables, pixels, (start, end), first, count, seed, integrand)
+        sums = sums or [np.empty(total, np.float32) for _ in parts]
+        for whole, part in zip(sums, parts, strict=True):
+            whole[start:end] = part
+    return sums
+
+
+def _sum_pass(
+    tables: FrameTables,
+    pixels: NDArray[np.int64] | None,
+    limits: tuple[int, int],
+    first: int,
+    count: int,
+    seed: int,
+    integrand: Callable[[FrameTables, Samples], list[Any]],
+) -> list[Images]:
+    """The sums of `_sum_samples` for its pixels from one number to another, in the device's memory."""
+    mi, dr = mitsuba_modules()
+    start, end = limits
+    salt, begin, per_pixel = (device_uint(n) for n in (seed & 0xFFFFFFFF, first, count))
+    lane = dr.arange(mi.UInt32, (end - start) * count)
+    number = lane // per_pixel
+    index = begin + lane - number * per_pixel
+    if pixels is None:
+        pixel = number + device_uint(start)
+    else:
+        pixel = dr.gather(mi.UInt32, device_array(pixels[start:end], np.uint32), number)
+    values = integrand(tables, Samples(tables, pixel, index, salt))
+    # Evaluate all results in one kernel: reduced separately, each would run the kernel again.
+    dr.eval(values)
+    sums = [dr.block_reduce(dr.ReduceOp.Add, value, count) for value in values]
+    dr.eval(sums)
+    return [np.asarray(values_sum) for values_sum in sums]
 
 
 def _direct_light(tables: FrameTables, samples: Samples) -> list[Any]:

@@ -1,0 +1,103 @@
+"""Checks that the frames of a build fit into memory, before the renderer is imported or a file is written."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from pepperscene.dataset.execution.job import BuildJob
+from pepperscene.dataset.execution.memory import (
+    MEMORY,
+    MemoryLimit,
+    format_size,
+    least,
+    memory_limits,
+    shortage,
+)
+from pepperscene.dataset.scenes.scene_size import most_plant_triangles, plant_triangles, scene_triangles
+from pepperscene.errors import ArgumentError, PepperError, SetupError
+
+_OR: Final = f", or set {MEMORY} if the estimate is wrong"
+
+
+def check_memory(job: BuildJob, processes: int = 1, frames: int = 1) -> None:
+    """Raise an error if processes of this machine cannot make the frames of a job.
+
+    Jobs with a renderer of their own are not checked.
+
+    Args:
+        job: of the build.
+        processes: that make a frame each at a time.
+        frames: number of all frames; with several, one is written while the next is rendered.
+
+    Raises:
+        ArgumentError: fewer processes would fit.
+        SetupError: not even one process fits.
+        InputError: the environment variable `MEMORY` is not valid.
+    """
+    _check_limits(job, min(processes, frames), frames, memory_limits())
+
+
+def check_worker_memory(job: BuildJob, allowed: int | None = None) -> None:
+    """Raise `SetupError` if a worker of a cluster cannot make the frames of a job.
+
+    Args:
+        job: of the build.
+        allowed: bytes that the cluster allows the worker; None if it sets no limit.
+    """
+    limits = memory_limits()
+    if allowed and limits:
+        limits += (MemoryLimit(int(allowed), "allowed for this worker by the cluster"),)
+    _check_limits(job, 1, 2, limits)
+
+
+def _check_limits(job: BuildJob, processes: int, frames: int, limits: tuple[MemoryLimit, ...]) -> None:
+    if job.renderer is not None or not limits:
+        return
+    resolved = job.recipe
+    # An upper bound of the plants' size takes no time. A plant is grown only if that is too much.
+    bound = scene_triangles(resolved, most_plant_triangles(resolved.cultivar))
+    if _problem(job, _process_memory(job, bound, frames), processes, limits) is None:
+        return
+    triangles = scene_triangles(resolved, plant_triangles(resolved.cultivar, resolved.recipe.seed))
+    problem = _problem(job, _process_memory(job, triangles, frames), processes, limits)
+    if problem is not None:
+        raise problem
+
+
+def _process_memory(job: BuildJob, triangles: int, frames: int) -> int:
+    """Bytes that one process takes at most."""
+    from pepperscene.render import resolve_quality
+    from pepperscene.render.memory import frame_memory, written_memory
+
+    camera, quality = job.recipe.camera, resolve_quality(job.quality, job.target_error)
+    needed = frame_memory(camera, job.outputs, quality, triangles)
+    return needed + (written_memory(camera, job.outputs) if frames > 1 else 0)
+
+
+def _problem(
+    job: BuildJob, needed: int, processes: int, limits: tuple[MemoryLimit, ...]
+) -> PepperError | None:
+    """The error if processes that take `needed` bytes each exceed a limit."""
+    from pepperscene.render.memory import reserved_address_space
+
+    missing = shortage(needed, reserved_address_space(), limits)
+    if missing is not None:
+        return SetupError(
+            f"{_describe_frame(job)} needs {missing}; use a smaller sensor or fewer outputs{_OR}"
+        )
+    shared = least(limits, is_shared=True)
+    if shared is None or needed * processes <= shared.size:
+        return None
+    return ArgumentError(
+        "workers",
+        f"{processes} need about {format_size(processes * needed)} of memory, {format_size(needed)} each, "
+        f"and {format_size(shared.size)} are {shared.reason}; use at most {shared.size // needed}{_OR}",
+    )
+
+
+def _describe_frame(job: BuildJob) -> str:
+    camera, row = job.recipe.camera, job.recipe.recipe.row
+    return (
+        f"{job.recipe.recipe.name}: a frame of {camera.width} x {camera.height} pixels and "
+        f"{row.plants_front + row.plants_back} plants with the outputs {', '.join(job.outputs)}"
+    )

@@ -1,0 +1,165 @@
+"""Estimate of the memory that a render takes, before anything is allocated.
+
+The numbers were measured with `barth2018` on two cores, as the peak of the resident memory of processes that
+render one frame, from 320x240 to 4096x3072 pixels. Stages that follow each other share memory, so a frame
+takes what its largest stage takes. What the denoiser and Dr.Jit have allocated, they keep for the next frame.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection
+from typing import Final
+
+import numpy as np
+
+from pepperscene.camera import Camera
+from pepperscene.frame import OUTPUTS
+from pepperscene.render.quality import Quality
+from pepperscene.render.variant import wanted_threads
+
+_MARGIN: Final = 1.07
+"""Chosen: measured peaks are at most 7 % above the sum of the parts below, and at most 15 % under it."""
+
+_PROCESS: Final = 150e6
+"""Bytes: the interpreter, the libraries and compiled kernels; measured 120 to 170 MB."""
+
+_PER_TRIANGLE: Final = 185.0
+"""Bytes per triangle of the scene as it is built: the mesh and its copies while it is assembled, and Embree's
+tree of what is left of it; measured 180 to 190 for 13 to 100 plants."""
+
+_WAVEFRONT: Final = 1 << 21
+"""Samples that are traced at a time, at most: `_LANES` of `pepperscene.render.transport.trace`."""
+
+_PER_BOUNCE: Final = 30e6  # bytes of the code for one more scattering event, and of compiling it; measured
+
+_TRACED_HELD, _TRACED_PEAK = 225.0, 315.0
+"""Bytes per pixel of a sensor with three channels, after light was traced, and at most meanwhile: 2.8 and 3.9
+times the 80 that the sums over samples take; measured 210 to 230 and 290 to 315."""
+_PER_SITE: Final = 10.0  # bytes per photosite of reading the sensor out: 4 of the mosaic, and its copies
+
+_MENON: Final = 85.0  # further bytes per pixel of demosaicing in two directions; measured 83
+
+_LABELS: Final = 50.0
+"""Bytes per pixel of the first hits, with classes, instances and distances; measured 41 to 50."""
+_FURTHER: Final = {
+    "normal": 10.0,
+    "depth_z": 65.0,
+    "position": 80.0,
+    "uv": 65.0,
+    "coverage": 55.0,
+    "flow": 165.0,
+    "stereo": 165.0,
+}
+"""Further bytes per pixel that one of these outputs takes while it is computed; measured."""
+_UV_PIXELS, _PER_UV_PIXEL = 1 << 20, 350.0
+"""Pixels whose surface coordinates are computed at a time, as in `pepperscene.render.aov.labels`, and bytes
+of each; measured 330 to 380."""
+
+_DENOISER_TILE: Final = 2160 * 2160
+"""Pixels that Open Image Denoise filters at a time, at most: it divides larger images into tiles."""
+_DENOISER_OVERLAP: Final = 192
+"""Pixels by which neighbouring tiles overlap, from the reach of its filter."""
+_PER_DENOISED: Final = 560.0  # bytes per pixel of a tile; measured 555 to 580
+_DENOISER_IMAGES: Final = 12.0  # bytes per pixel of the denoiser's result
+
+_ADDRESS_SPACE: Final = 900e6
+"""Bytes of address space that a process reserves beyond its memory: libraries, and pages that are never used;
+measured 460 to 1000 MB."""
+_ADDRESS_SPACE_PER_THREAD: Final = 30e6
+"""The same for each thread: its stack, and its part of the allocator; measured 26 MB."""
+
+
+def frame_memory(camera: Camera, outputs: Collection[str], quality: Quality, triangles: int) -> int:
+    """Bytes that a process takes at most to render frames.
+
+    Args:
+        camera: of the frames; its pose does not matter.
+        outputs: names out of `OUTPUTS`.
+        quality: of the frames.
+        triangles: of the scene, before those that no camera sees are left out.
+    """
+    pixels, labels = camera.width * camera.height, [name for name in outputs if not OUTPUTS[name].traced]
+    total = _PROCESS + _PER_TRIANGLE * triangles
+    per_pixel = 0.0
+    if any(OUTPUTS[name].traced for name in outputs):
+        total += _device_memory(camera, quality) + _PER_BOUNCE * (quality.bounces - 1)
+        if quality.denoise:
+            total += _denoiser_memory(camera.width, camera.height)
+        # Half of the arrays have one entry for each channel of the sensor.
+        share = (3 + camera.sensor.channels) / 6
+        sites = _PER_SITE * np.prod(camera.sensor.site_shape) / pixels
+        held = _TRACED_HELD * share
+        per_pixel = max(_TRACED_PEAK * share, held + sites)
+        if (
+            camera.sensor.channels == 3
+            and camera.sensor.binning == 1
+            and camera.developing.demosaic == "menon"
+        ):
+            per_pixel += _MENON
+    else:
+        held = 0.0
+    if labels:
+        further = max(_FURTHER.get(name, 0.0) for name in labels)
+        per_pixel = max(per_pixel, held + _LABELS + further)
+    if "uv" in labels:
+        total += _PER_UV_PIXEL * min(pixels, _UV_PIXELS)
+    total += per_pixel * pixels + sum(_image_size(name, camera) for name in outputs)
+    return int(_MARGIN * total)
+
+
+def written_memory(camera: Camera, outputs: Collection[str]) -> int:
+    """Bytes of a frame that is encoded while the next one is rendered: its images, and their files twice."""
+    return int(3 * sum(_image_size(name, camera) for name in outputs))
+
+
+def reserved_address_space() -> int:
+    """Bytes of address space that a rendering process reserves beyond its memory."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return int(_ADDRESS_SPACE + _ADDRESS_SPACE_PER_THREAD * (wanted_threads() or cores))
+
+
+def _device_memory(camera: Camera, quality: Quality) -> float:
+    """Bytes of the values and sums of wavefronts that Dr.Jit keeps; it rounds sizes up to powers of two."""
+    pixels, channels, total = camera.width * camera.height, camera.sensor.channels, 0.0
+    first = min(quality.soft, quality.samples)
+    # Numbers of values as of the functions `_all_light` and `_direct_light` of the integrator.
+    passes = ((first, 4 * channels + 6), (quality.samples - first, 3 * channels + 5))
+    sizes: dict[float, int] = {}
+    for samples, values in passes:
+        if samples:
+            lanes = min(max(_WAVEFRONT // samples, 1), pixels) * samples
+            size = _rounded(lanes)
+            # Both kinds of passes use the same arrays if these have the same size.
+            sizes[size] = max(sizes.get(size, 0), values)
+            total += 4.0 * values * _rounded(lanes // samples)
+    if quality.target is not None:
+        # Refinements trace fewer samples at a time, in arrays of several smaller sizes.
+        total += 4.0 * (3 * channels + 5) * _rounded(min(pixels, _WAVEFRONT))
+    return total + sum(4.0 * values * size for size, values in sizes.items())
+
+
+def _rounded(count: int) -> float:
+    return float(2 ** int(np.ceil(np.log2(max(count, 1)))))
+
+
+def _denoiser_memory(width: int, height: int) -> float:
+    """Bytes that Open Image Denoise keeps: it halves the longer side of its tiles until they are small."""
+    tiles = [1, 1]
+    tile = [width, height]
+    while tile[0] * tile[1] > _DENOISER_TILE:
+        longer = 0 if tile[0] >= tile[1] else 1
+        tiles[longer] += 1
+        length = (width, height)[longer]
+        tile[longer] = -(-(length - _DENOISER_OVERLAP) // tiles[longer]) + _DENOISER_OVERLAP
+    return _PER_DENOISED * tile[0] * tile[1] + _DENOISER_IMAGES * width * height
+
+
+def _image_size(name: str, camera: Camera) -> float:
+    """Bytes of the array of one output."""
+    output = OUTPUTS[name]
+    if not output.is_image:
+        return 0.0
+    rows, columns = camera.sensor.site_shape if name == "raw" else (camera.height, camera.width)
+    channels = (camera.sensor.channels,) if output.channels == (1, 3) else output.channels
+    return float(rows) * columns * int(np.prod(channels or (1,))) * np.dtype(output.dtype).itemsize

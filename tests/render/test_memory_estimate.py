@@ -1,0 +1,124 @@
+"""Estimates of memory agree with measured peaks, and grow with everything that takes memory."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from processes import run_python
+
+from pepperscene.dataset import resolve_recipe
+from pepperscene.dataset.scenes.scene_size import most_plant_triangles, plant_triangles, scene_triangles
+from pepperscene.frame import OUTPUTS
+from pepperscene.render import QUALITIES
+from pepperscene.render.memory import frame_memory, written_memory
+
+TRIANGLES = 2_000_000
+
+
+@pytest.fixture(scope="module")
+def resolved():
+    return resolve_recipe("barth2018")
+
+
+def resized(camera, columns, rows, **changes):
+    return replace(camera, sensor=replace(camera.sensor, columns=columns, rows=rows, **changes))
+
+
+@pytest.fixture(scope="module")
+def camera(resolved):
+    return resolved.camera
+
+
+def estimate(camera, *outputs, quality="draft", triangles=TRIANGLES):
+    return frame_memory(camera, outputs, QUALITIES[quality], triangles)
+
+
+@pytest.mark.parametrize("output", OUTPUTS)
+def test_memory_grows_with_the_image(camera, output):
+    # Larger steps than those in which the denoiser's tiles shrink.
+    sizes = [(400, 300), (800, 600), (1600, 1200), (4000, 3000), (12000, 9000)]
+    needed = [estimate(resized(camera, *size), output) for size in sizes]
+    assert needed == sorted(set(needed))
+
+
+def test_memory_grows_with_triangles_outputs_and_photosites(camera):
+    assert estimate(camera, "class", triangles=2 * TRIANGLES) > 1.3 * estimate(camera, "class")
+    assert estimate(camera, "class", "flow") > estimate(camera, "class")
+    finer = resized(camera, 800, 600, binning=16)
+    assert estimate(finer, "raw") > estimate(camera, "raw") + 4 * 800 * 600 * (256 - 4)
+    assert estimate(camera, "colour", quality="standard") > estimate(camera, "colour", quality="reference")
+
+
+# Peaks of processes that rendered the first frame of `demo` on two cores.
+@pytest.mark.parametrize(
+    ("size", "outputs", "quality", "measured_mb"),
+    [
+        ((3840, 2160), ("colour",), "draft", 6015),
+        ((3840, 2160), ("colour",), "standard", 6181),
+        ((4096, 3072), ("colour",), "standard", 6891),
+        ((1600, 1200), ("colour",), "draft", 2711),
+        ((4096, 3072), ("uv",), "draft", 2344),
+        ((4096, 3072), ("normal", "position", "depth_z"), "draft", 2360),
+        ((3840, 2160), ("flow", "stereo"), "draft", 2497),
+    ],
+)
+def test_estimates_agree_with_measured_peaks(camera, size, outputs, quality, measured_mb):
+    ratio = estimate(resized(camera, *size), *outputs, quality=quality) / (measured_mb * 1e6)
+    assert 1.0 <= ratio <= 1.2
+
+
+def test_estimate_of_a_huge_label_build_agrees_with_its_measured_peak(camera):
+    # Two frames of `demo`.
+    huge = resized(camera, 12000, 9000)
+    assert 1.0 <= (estimate(huge, "class") + written_memory(huge, ["class"])) / 6511e6 <= 1.2
+
+
+def test_images_that_are_written_take_memory(camera):
+    assert written_memory(camera, ["colour", "distance"]) >= 800 * 600 * 7
+    assert written_memory(camera, ["harvest"]) == 0
+
+
+@pytest.mark.parametrize("cultivar", ["kaite", "kaite_february", "red_blocky", "tomato"])
+def test_bound_of_a_plants_triangles_holds(cultivar):
+    model = resolve_recipe("barth2018", {"cultivar": cultivar}).cultivar
+    assert plant_triangles(model, 1) <= most_plant_triangles(model) <= 10 * plant_triangles(model, 1)
+
+
+def test_far_rows_are_counted(resolved):
+    greenhouse = resolve_recipe("greenhouse")
+    more = resolve_recipe("greenhouse", {"greenhouse.far_rows": 5, "greenhouse.far_reach_mm": 20000.0})
+    assert scene_triangles(resolved, 1000) == 13_000
+    assert scene_triangles(greenhouse, 1000) > 17_000
+    assert scene_triangles(more, 1000) > 5 * scene_triangles(greenhouse, 1000)
+
+
+PEAK = """
+import json, resource
+from dataclasses import replace
+from pepperscene.dataset import FrameRenderer, resolve_recipe
+from pepperscene.render import QUALITIES
+from pepperscene.render.memory import frame_memory
+from pepperscene.dataset.scenes.scene_size import plant_triangles, scene_triangles
+
+size, output = {size}, {output!r}
+renderer = FrameRenderer(resolve_recipe("demo", {{"row.plants_front": 3, "row.plants_back": 0}}))
+sensor = replace(renderer.resolved.camera.sensor, columns=size[0], rows=size[1])
+sensor = replace(sensor, pitch_m=sensor.pitch_m * 800 / size[0])
+resolved = replace(renderer.resolved, camera=replace(renderer.resolved.camera, sensor=sensor))
+renderer = FrameRenderer(resolved)
+triangles = scene_triangles(resolved, plant_triangles(resolved.cultivar, resolved.recipe.seed))
+needed = frame_memory(resolved.camera, [output], QUALITIES["draft"], triangles)
+renderer.render(resolved.recipe.plan.frame(110), [output], "draft")
+status = dict(line.split(":", 1) for line in open("/proc/self/status"))
+print(json.dumps([needed, 1024 * int(status["VmHWM"].split()[0])]))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system does not report memory peaks")
+@pytest.mark.parametrize(("size", "output"), [((800, 600), "class"), ((1280, 960), "colour")])
+def test_estimate_agrees_with_the_peak_of_a_process(size, output):
+    needed, peak = run_python(PEAK.format(size=size, output=output))
+    assert 0.9 <= needed / peak <= 1.3
