@@ -18,7 +18,6 @@ from pepperscene.cli.application import (
     app,
     handle_errors,
     parse_outputs,
-    sigterm_as_interrupt,
 )
 
 
@@ -58,17 +57,21 @@ def build(
     from pepperscene.dataset import build as build_dataset
 
     resolved = resolve_recipe(recipe, parse_changes(set or ()))
-    with sigterm_as_interrupt(), progress_reporter(json) as reporter:
-        options = BuildOptions(
-            quality=quality,
-            target_error=target_error,
-            seed=seed,
-            workers=workers,
-            scheduler=scheduler,
-            slurm=slurm,
-            on_notice=reporter.notice,
-        )
-        result = build_dataset(resolved, out, frames, names, options, on_frame=reporter.frame)
+    try:
+        with progress_reporter(json) as reporter:
+            options = BuildOptions(
+                quality=quality,
+                target_error=target_error,
+                seed=seed,
+                workers=workers,
+                scheduler=scheduler,
+                slurm=slurm,
+                on_notice=reporter.notice,
+            )
+            result = build_dataset(resolved, out, frames, names, options, on_frame=reporter.frame)
+    except KeyboardInterrupt as error:
+        error.add_note("to resume the build, run the same command again")
+        raise
     reporter.end(result, out)
 
 

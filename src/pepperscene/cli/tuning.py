@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from pepperscene.cli.application import (
-    EXIT_INTERRUPTED,
     HalfOption,
     JsonOption,
     LabelsOption,
@@ -111,9 +110,9 @@ def tune(
                 extends=recipe,
                 on_progress=on_progress,
             )
-    except KeyboardInterrupt:
-        echo_progress("interrupted; nothing was written")
-        raise typer.Exit(EXIT_INTERRUPTED) from None
+    except KeyboardInterrupt as error:
+        error.add_note("nothing was written")
+        raise
     if json:
         typer.echo(json_text.dumps(_result_record(result), indent=1, allow_nan=False))
     else:
