@@ -14,7 +14,7 @@ import typer
 from pepperscene.cli.interrupts import Interrupted, interruptible
 from pepperscene.cli.progress import echo_progress
 from pepperscene.cli.streams import protect_streams
-from pepperscene.errors import EXIT_BAD_INPUT, ArgumentError, PepperError
+from pepperscene.errors import EXIT_BAD_INPUT, ArgumentError, OutputError, PepperError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, check_outputs
 from pepperscene.version import __version__
 
@@ -60,6 +60,7 @@ def handle_errors(command: Callable[P, R]) -> Callable[P, R]:
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
         with interruptible(command.__code__) as interruption:
             try:
+                _check_current_folder()
                 result = command(*args, **kwargs)
                 interruption.raise_if_pending()
                 return result
@@ -82,12 +83,16 @@ def handle_errors(command: Callable[P, R]) -> Callable[P, R]:
     return run
 
 
-def _describe_system_error(error: OSError) -> str:
-    """A system error that no check has foreseen, in words."""
+def _check_current_folder() -> None:
+    """Raise `OutputError` if the current folder was removed: Mitsuba would end the process."""
     try:
         os.getcwd()
     except OSError:
-        return "the current folder does not exist any more; change to another folder"
+        raise OutputError("the current folder does not exist any more; change to another folder") from None
+
+
+def _describe_system_error(error: OSError) -> str:
+    """A system error that no check has foreseen, in words."""
     problem = " ".join(str(error.strerror or error).split())
     return problem if error.filename is None else f"{error.filename}: {problem}"
 
