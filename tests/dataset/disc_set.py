@@ -105,7 +105,8 @@ def make_disc_set(folder, outputs):
 def change_expectations(folder, **changes):
     path = folder / "dataset.json"
     info = json.loads(path.read_text())
-    path.write_text(json.dumps({**info, "expect": {**info.get("expect", {}), **changes}}))
+    info["expect"] = {**info.get("expect", {}), **changes}
+    path.write_text(json.dumps({**info, "checksum": checksum_of(info)}))
 
 
 def sign(folder, index, changes=None, tables=True):

@@ -15,6 +15,7 @@ from data_sets import contents
 
 from pepperscene.dataset import check_dataset, open_dataset, read_image
 from pepperscene.dataset.execution.build import Throughput
+from pepperscene.dataset.store.dataset import checksum_of
 from pepperscene.errors import InputError, OutputError, SetupError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
 
@@ -188,11 +189,11 @@ def test_rejects_folder_of_another_data_set(make, recipe, tmp_path):
     info = json.loads(path.read_text())
     cultivar = {**info["files"], "cultivar": {**info["files"]["cultivar"], "sha256": "0" * 64}}
     for content, message in (
-        (json.dumps(info | {"version": "0.0.1"}), r"version is '0\.0\.1' there"),
-        (json.dumps(info | {"files": cultivar}), r"files\.cultivar\.sha256"),
-        ("{", "not valid JSON"),
+        (info | {"version": "0.0.1"}, r"version is '0\.0\.1' there"),
+        (info | {"files": cultivar}, r"files\.cultivar\.sha256"),
+        (None, "not valid JSON"),
     ):
-        path.write_text(content)
+        path.write_text("{" if content is None else json.dumps(content | {"checksum": checksum_of(content)}))
         with pytest.raises(OutputError, match=message):
             make(frames="0:1")
 

@@ -121,12 +121,29 @@ def test_journal_lists_requested_frames(make):
     assert Journal(folder).wanted == {3, 4, 6, 7, 9}
 
 
-def test_last_new_checksum_of_a_frame_counts(tmp_path):
+def test_journal_holds_each_state_of_a_frame_once(tmp_path):
     with Journal(tmp_path) as journal:
         for checksum, size in (("a", 1), ("b", 2), ("b", 3)):
             journal.add({"index": 7, "checksum": checksum, "bytes": size})
-    expected = [(7, {"index": 7, "checksum": "b", "bytes": 2}), (8, None)]
-    assert list(Journal(tmp_path).rows([7, 8])) == expected
+    assert [*Journal(tmp_path).rows([(7, "a"), (7, "b"), (7, "c"), (8, "a")])] == [
+        (7, {"index": 7, "checksum": "a", "bytes": 1}),
+        (7, {"index": 7, "checksum": "b", "bytes": 2}),
+        (7, None),
+        (8, None),
+    ]
+
+
+def test_timings_of_the_build_that_made_a_frame_count(tmp_path):
+    """Another build that finds the frame complete adds a line without timings, before or after."""
+    without = {"index": 7, "checksum": "a", "bytes": 1}
+    timed = {**without, "render_s": 1.5, "write_s": 0.5, "worker": "x"}
+    for rows in ([without, timed], [timed, without], [timed, {**timed, "render_s": 9.0}]):
+        journals = [Journal(tmp_path) for _ in rows]
+        for journal, row in zip(journals, rows, strict=True):
+            with journal:
+                journal.add(row)
+        assert [*Journal(tmp_path).rows([(7, "a")])] == [(7, timed)]
+        (tmp_path / JOURNAL).unlink()
 
 
 def test_fruit_table_needs_harvest(make):

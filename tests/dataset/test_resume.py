@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from stand_in import PYTHONPATH, process_fields, rendered, wait_for
 
 from pepperscene.dataset import open_dataset
 from pepperscene.dataset.recipe.plan import frame_seed
+from pepperscene.dataset.store.journal import Journal
 
 FRAMES = 60
 SEED = 2018
@@ -124,6 +126,19 @@ def test_build_that_is_killed_at_random_times_is_resumed(start, tmp_path, log):
     manifest = open_dataset(tmp_path / "set").manifest()
     assert manifest["index"].to_pylist() == list(range(FRAMES))
     assert manifest["seed"].to_pylist() == [frame_seed(SEED, index) for index in range(FRAMES)]
+
+
+@pytest.mark.long
+def test_builds_that_are_killed_100_times(start, tmp_path, log):
+    rng, folder = np.random.default_rng(100), tmp_path / "set"
+    assert start("expected").communicate()[1] == b""
+    expected, kills = contents(tmp_path / "expected"), 0
+    while kills < 100:
+        kills += interrupted_build(start, folder, rng, 100 - kills, FAKE, 4.0, log)
+        assert contents(folder) == expected
+        assert Journal(folder).damaged == ()
+        assert open_dataset(folder).manifest()["index"].to_pylist() == list(range(FRAMES))
+        shutil.rmtree(folder)
 
 
 @pytest.mark.long

@@ -16,16 +16,14 @@ from pepperscene.dataset.check.edges import CHANCE, EdgeMatch, match_edges
 from pepperscene.dataset.check.findings import Finding, camera_integer, camera_pose, json_object
 from pepperscene.dataset.check.images import check_photo, check_values
 from pepperscene.dataset.check.labels import check_harvest, check_labels
+from pepperscene.dataset.check.tables import frame_row_digest, fruit_rows_digest, short_digest
 from pepperscene.dataset.recipe.plan import Plan, frame_seed
 from pepperscene.dataset.store.dataset import CHECKSUM, FRAMES, Dataset, checksum_of, file_name
 from pepperscene.dataset.store.images import read_image
-from pepperscene.dataset.store.manifest import frame_row
+from pepperscene.dataset.store.manifest import frame_row, fruit_rows
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
 from pepperscene.truth import class_pixel_counts, saturated_fraction
-
-_JOURNAL_COLUMNS: Final = ("render_s", "write_s", "worker")
-"""Columns of the manifest that are not known from the frame."""
 
 _PHOTOS: Final = ("colour", "colour_stereo")
 
@@ -34,8 +32,7 @@ _PHOTOS: Final = ("colour", "colour_stereo")
 class FrameTraits:
     """Values that are compared with other frames, the manifest and the recipe.
 
-    Digests have 64 bits, and are 0 if there is nothing to compare: in a million frames, two different ones
-    have the same digest with a probability of 3e-8.
+    Digests have 64 bits (see `short_digest`), and are 0 if there is nothing to compare.
     """
 
     index: int
@@ -44,6 +41,7 @@ class FrameTraits:
     content: int = 0  # digest of all its files, unless all images are constant
     view: int = 0  # digest of pose and seed
     row: int = 0  # digest of its row in the manifest
+    fruit: int = 0  # digest of its rows in the table of fruit
     fractions: tuple[float, ...] | None = None  # of the pixels for each class
     mean: float | None = None  # grey value of the photograph
     saturated: float = 0.0  # fraction of the photograph's pixels with a channel at 255
@@ -78,6 +76,7 @@ def examine_frame(dataset: Dataset, index: int) -> FrameExamination:
         file = file_name(index, output) if output in OUTPUTS else json_file
         for kind, problem in _read_file(dataset, index, output, entry, digests, images):
             findings.append(Finding(kind, index, file, problem))
+    findings += _unnamed_files(dataset, index, metadata)
     for output, problem in _wrong_shapes(images, metadata):
         findings.append(Finding("shape", index, file_name(index, output), problem))
         del images[output]
@@ -87,12 +86,6 @@ def examine_frame(dataset: Dataset, index: int) -> FrameExamination:
         findings.append(Finding(kind, index, file_name(index, output), problem))
     has_harvest = "harvest" in json_object(metadata, "outputs")
     return FrameExamination(tuple(findings), _traits(index, metadata, digests, images), has_harvest)
-
-
-def manifest_digest(row: Mapping[str, Any]) -> int:
-    """Digest of a row of the manifest, without the columns that only the journal knows."""
-    known = {name: value for name, value in row.items() if value is not None and name not in _JOURNAL_COLUMNS}
-    return _short_digest(json.dumps(known, sort_keys=True, default=str).encode())
 
 
 def _traits(
@@ -111,10 +104,11 @@ def _traits(
     return FrameTraits(
         index,
         scene=scene,
-        photo=_short_digest(np.ascontiguousarray(images[traced]).data) if traced else 0,
-        content=_short_digest(json.dumps(digests, sort_keys=True).encode()) if varied else 0,
-        view=0 if pose is None or seed is None else _short_digest(json.dumps([pose.tolist(), seed]).encode()),
+        photo=short_digest(np.ascontiguousarray(images[traced]).data) if traced else 0,
+        content=short_digest(json.dumps(digests, sort_keys=True).encode()) if varied else 0,
+        view=0 if pose is None or seed is None else short_digest(json.dumps([pose.tolist(), seed]).encode()),
         row=_row_digest(metadata),
+        fruit=_fruit_digest(index, metadata, images),
         fractions=_class_fractions(images.get("class")),
         mean=None if photo is None else float(photo.mean()),
         saturated=0.0 if photo is None else saturated_fraction(photo),
@@ -130,15 +124,18 @@ def _class_fractions(classes: NDArray[np.uint8] | None) -> tuple[float, ...] | N
 def _row_digest(metadata: Mapping[str, Any]) -> int:
     outputs = {name: entry for name, entry in json_object(metadata, "outputs").items() if name in OUTPUTS}
     content = {key: value for key, value in metadata.items() if key not in (CHECKSUM, "outputs")}
+    return frame_row_digest(frame_row(content, outputs, str(metadata.get(CHECKSUM))))
+
+
+def _fruit_digest(index: int, metadata: Mapping[str, Any], images: Mapping[str, Any]) -> int:
+    """Digest of the rows of the frame in the table of fruit; 0 if the output harvest cannot be read."""
+    if "harvest" not in json_object(metadata, "outputs"):
+        return fruit_rows_digest(())
     try:
-        return manifest_digest(frame_row(content, outputs, str(metadata.get(CHECKSUM))))
-    except (AttributeError, IndexError, KeyError, TypeError):
-        # Damaged JSON, which is a finding already.
+        return fruit_rows_digest(fruit_rows(index, images["harvest"]))
+    except (LookupError, TypeError, AttributeError):
+        # Its faults are findings of other checks.
         return 0
-
-
-def _short_digest(content: bytes | memoryview) -> int:
-    return int.from_bytes(hashlib.blake2b(content, digest_size=8).digest())
 
 
 def _check_metadata(dataset: Dataset, metadata: dict[str, Any], index: int) -> Iterator[tuple[str, str]]:
@@ -196,6 +193,14 @@ def _read_file(
         images[output] = read_image(path)
     except InputError as error:
         yield "unreadable", error.problem
+
+
+def _unnamed_files(dataset: Dataset, index: int, metadata: Mapping[str, Any]) -> Iterator[Finding]:
+    """Yield the images of a frame that its JSON does not name."""
+    for output in OUTPUTS.keys() - json_object(metadata, "outputs").keys():
+        if dataset.path(index, output).exists():
+            problem = "is not named in the frame's JSON; a build with this output makes it again"
+            yield Finding("extra", index, file_name(index, output), problem)
 
 
 def _wrong_shapes(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> list[tuple[str, str]]:

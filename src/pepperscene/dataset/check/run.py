@@ -12,17 +12,16 @@ from typing import Final
 
 from pepperscene.dataset.check.findings import CheckResult, Finding, sort_findings
 from pepperscene.dataset.check.one_frame import FrameExamination, examine_frame
+from pepperscene.dataset.check.tables import check_tables
 from pepperscene.dataset.check.whole_set import (
     CrossFrameChecks,
-    check_tables,
-    frame_indices,
     open_leniently,
     stray_files,
 )
 from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.dataset.recipe.tables import ExpectTable
 from pepperscene.dataset.store.dataset import FRAMES, MARK, Dataset
-from pepperscene.dataset.store.journal import Journal
+from pepperscene.dataset.store.journal import JOURNAL, Journal
 from pepperscene.dataset.subprocess_rpc import Connection, WorkerProcess, available_cores
 from pepperscene.document import validate
 from pepperscene.errors import ArgumentError, InputError, WorkerError
@@ -120,11 +119,16 @@ def check_dataset(
         WorkerError: a process was lost.
     """
     dataset, findings = open_leniently(Path(folder))
-    indices = frame_indices(dataset)
+    indices = dataset.indices()
     findings += stray_files(dataset, indices)
+    journal = Journal(dataset.folder)
+    findings += (
+        Finding("damaged", None, JOURNAL, f"bytes {first} to {end - 1} are not what was written")
+        for first, end in journal.damaged
+    )
     plan = _read_plan(dataset)
     if frames is None:
-        required: Sequence[int] = sorted(Journal(dataset.folder).wanted)
+        required: Sequence[int] = sorted(journal.wanted)
     elif plan is None:
         raise InputError(dataset.folder / MARK, "must be valid to select frames", key="recipe.plan")
     else:
@@ -148,7 +152,13 @@ def check_dataset(
     incomplete = {finding.index for finding in findings if finding.kind == "incomplete"}
     findings += (
         finding
-        for finding in check_tables(dataset, comparison.row_digests(), has_harvest)
+        for finding in check_tables(
+            dataset,
+            journal,
+            comparison.frame_digests("row"),
+            comparison.frame_digests("fruit"),
+            has_harvest,
+        )
         if finding.kind != "incomplete" or finding.index not in incomplete
     )
     return CheckResult(sort_findings(findings), len(indices), tuple(comparison.outlier_scenes()))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,29 +14,25 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.check.findings import Finding
-from pepperscene.dataset.check.one_frame import FrameTraits, manifest_digest
+from pepperscene.dataset.check.one_frame import FrameTraits
 from pepperscene.dataset.recipe.recipe import digest
 from pepperscene.dataset.recipe.tables import ExpectTable
 from pepperscene.dataset.store.atomic import is_temporary
-from pepperscene.dataset.store.dataset import DIGITS, FORMAT, FRAMES, MARK, Dataset, file_name, read_json
+from pepperscene.dataset.store.dataset import (
+    CHECKSUM,
+    DIGITS,
+    FORMAT,
+    FRAMES,
+    MARK,
+    Dataset,
+    checksum_of,
+    file_name,
+    frame_index,
+    read_json,
+)
 from pepperscene.dataset.store.folder import LITTER, OWN
-from pepperscene.dataset.store.manifest import FRUIT, MANIFEST
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
-
-
-def frame_indices(dataset: Dataset) -> tuple[int, ...]:
-    """Indices of the frames whose JSON exists, ascending; a build's file names have six digits."""
-    folder = dataset.folder / FRAMES
-    names = (entry.name for entry in os.scandir(folder)) if folder.is_dir() else ()
-    return tuple(sorted(index for name in names if (index := _frame_index(name, ".json")) is not None))
-
-
-def _frame_index(name: str, suffix: str) -> int | None:
-    """Index of the frame of a file, None if it is not a frame's."""
-    stem = name.removesuffix(suffix)
-    is_frame = name.endswith(suffix) and len(stem) == DIGITS and stem.isascii() and stem.isdecimal()
-    return int(stem) if is_frame else None
 
 
 def open_leniently(folder: Path) -> tuple[Dataset, list[Finding]]:
@@ -49,6 +45,8 @@ def open_leniently(folder: Path) -> tuple[Dataset, list[Finding]]:
         info = read_json(folder / MARK)
         if info.get("format") != FORMAT:
             problem = f"has format = {info.get('format')!r}, must be {FORMAT!r}"
+        elif info.get(CHECKSUM) != checksum_of(info):
+            problem = "is not what was written: its checksum differs; the same build command mends it"
         elif info.get("recipe_sha256") != digest({name: info.get(name) for name in ("recipe", "files")}):
             problem = "is not what was written: the recipe's checksum differs"
     except InputError as error:
@@ -70,7 +68,7 @@ def stray_files(dataset: Dataset, indices: Sequence[int]) -> Iterator[Finding]:
                 continue
             suffix = ".json" if entry.name == FRAMES else OUTPUTS[entry.name].suffix
             for file in os.scandir(entry):
-                index = _frame_index(file.name, suffix)
+                index = frame_index(file.name, suffix)
                 if file.name not in LITTER and index not in known:
                     yield _stray_file(file, f"{entry.name}/", index)
 
@@ -84,41 +82,6 @@ def _stray_file(entry: os.DirEntry[str], folder: str = "", index: int | None = N
     # File systems allow names that are not text.
     name = entry.name.encode(errors="backslashreplace").decode()
     return Finding("extra", index, folder + name, problem)
-
-
-_BATCH_ROWS: Final = 4096  # chosen: rows in memory at a time
-
-
-def check_tables(dataset: Dataset, row_digests: Mapping[int, int], harvest: bool) -> Iterator[Finding]:
-    """Yield the problems of the tables of a data set.
-
-    Args:
-        dataset: that the tables belong to.
-        row_digests: digest of the expected row of the manifest for each frame.
-        harvest: whether there must be a table of fruit.
-    """
-    from pyarrow import ArrowException, parquet
-
-    expected = dict(row_digests)
-    try:
-        with parquet.ParquetFile(dataset.folder / MANIFEST) as file:
-            for row in (row for batch in file.iter_batches(_BATCH_ROWS) for row in batch.to_pylist()):
-                index = int(row["index"])
-                if index not in expected:
-                    problem = "has a row for this frame, whose JSON does not exist"
-                    yield Finding("incomplete", index, MANIFEST, problem)
-                elif expected.pop(index) != manifest_digest(row):
-                    yield Finding("contradiction", index, MANIFEST, "disagrees with the JSON of this frame")
-    except FileNotFoundError:
-        yield Finding("missing", None, MANIFEST, "does not exist; the same build command writes it again")
-        return
-    except (OSError, ArrowException, KeyError, ValueError) as error:
-        yield Finding("damaged", None, MANIFEST, f"cannot be read ({' '.join(str(error).split())[:80]})")
-        return
-    for index in sorted(expected):
-        yield Finding("contradiction", index, MANIFEST, "has no row for this frame")
-    if harvest and not (dataset.folder / FRUIT).is_file():
-        yield Finding("missing", None, FRUIT, "does not exist, although frames have the output harvest")
 
 
 _STANDARD_ERRORS: Final = 3.0
@@ -152,7 +115,7 @@ class CrossFrameChecks:
         self._indices = array("q")
         self._scenes = array("q")
         self._values = array("d")  # of `_STATISTICS` for every frame, nan if unknown
-        self._digests = {trait: array("Q") for trait in (*_DUPLICATES, "row")}
+        self._digests = {trait: array("Q") for trait in (*_DUPLICATES, "row", "fruit")}
 
     def add(self, traits: FrameTraits) -> Iterator[Finding]:
         """Add a frame, and yield where it violates the expectations of a single frame."""
@@ -229,9 +192,9 @@ class CrossFrameChecks:
                     file = f"{FRAMES}/{index:0{DIGITS}d}.json"
                     yield Finding("duplicate", index, file, problem.format(ordered[first]))
 
-    def row_digests(self) -> dict[int, int]:
-        """Digest of the expected row of the manifest for each frame."""
-        return dict(zip(self._indices, self._digests["row"], strict=True))
+    def frame_digests(self, trait: str) -> dict[int, int]:
+        """A digest of each frame: `row` or `fruit`."""
+        return dict(zip(self._indices, self._digests[trait], strict=True))
 
     def _check_photo(self, traits: FrameTraits) -> Iterator[Finding]:
         if traits.mean is None:

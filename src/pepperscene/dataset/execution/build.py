@@ -19,7 +19,7 @@ from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.store.atomic import write_error
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.folder import OutputFolder, check_output_folder
-from pepperscene.dataset.store.journal import Journal
+from pepperscene.dataset.store.journal import JOURNAL, Journal
 from pepperscene.errors import ArgumentError, OutputError
 from pepperscene.frame import DEFAULT_OUTPUTS
 
@@ -147,8 +147,7 @@ def build(
                 folder.undo()
                 _write_tables(folder.dataset, journal)
             raise
-        _write_tables(folder.dataset, journal)
-    folder.remove_temporary_files()
+        _finish(folder, journal, indices, job.outputs)
     kept = set(indices).difference(reporter.made)
     return BuildResult(folder.dataset, tuple(sorted(reporter.made)), tuple(sorted(kept)))
 
@@ -197,7 +196,7 @@ class _Reporter:
         try:
             # The folder exists from the first frame on.
             if not throughput.done:
-                self._journal.want(self._indices)
+                self._start_journal()
             self._journal.add(done.row)
         except OSError as error:
             raise write_error(error, self._dataset.folder) from None
@@ -210,6 +209,15 @@ class _Reporter:
         rate, left_s = throughput.frames_per_s, throughput.left_s
         self._on_frame(BuildProgress(done.index, throughput.done, total, done.made, rate, left_s, picture))
 
+    def _start_journal(self) -> None:
+        damaged = self._journal.skip_damaged()
+        if damaged:
+            self._on_notice(
+                f"{self._dataset.folder / JOURNAL}: damaged lines are skipped ({damaged}); "
+                "timings and requests of earlier builds that only they held are lost"
+            )
+        self._journal.want(self._indices)
+
     def _check_disk(self, needed: int) -> None:
         """Notify if the disk is too small for the remaining frames, if they are like the first one."""
         free = shutil.disk_usage(self._dataset.folder).free
@@ -218,6 +226,27 @@ class _Reporter:
                 f"{self._dataset.folder}: the remaining frames need {needed / 1e9:.1f} GB, "
                 f"but only {free / 1e9:.1f} GB are free"
             )
+
+
+def _finish(folder: OutputFolder, journal: Journal, indices: Sequence[int], outputs: tuple[str, ...]) -> None:
+    """Complete the folder of a build that has made all its frames.
+
+    Raises `OutputError` if another program has removed some of them.
+    """
+    # What was removed while the build ran and is known completely is written again.
+    try:
+        folder.prepare(())
+        journal.refresh()
+        journal.want(indices)
+    except OSError as error:
+        raise write_error(error, folder.dataset.folder) from None
+    _write_tables(folder.dataset, journal)
+    lost = folder.lost_frames(indices, outputs)
+    if lost:
+        raise OutputError(
+            f"{folder.dataset.folder}: {len(lost)} of {len(indices)} frames were removed during the build, "
+            f"the first is {lost[0]:06d}; the same command builds them again"
+        )
 
 
 def _write_tables(dataset: Dataset, journal: Journal) -> None:

@@ -202,18 +202,18 @@ class FrameMaker:
     ) -> FrameDone:
         dataset, start = self._folder.dataset, time.perf_counter()
         metadata = self._job.frame_metadata(frame, spec)
-        if not metadata.get("instances"):
-            # Without label outputs the renderer does not list the instances in view; an earlier build may
-            # have.
-            metadata["instances"] = status.metadata.get("instances", {})
         try:
             # Folders are prepared once per output, because looking for temporary files reads them completely.
             if not self._prepared.issuperset(outputs):
                 self._folder.prepare(outputs)
                 self._prepared.update(outputs)
             images = {name: frame.images[name] for name in outputs}
-            metadata = {**status.metadata, **metadata}
-            written = dataset.commit(spec.index, images, metadata, status.outputs, self._image_threads)
+            try:
+                written = dataset.commit(spec.index, images, metadata, status, self._image_threads)
+            except FileNotFoundError:
+                # Another build that was interrupted before its first frame has removed the empty folders.
+                self._folder.prepare(outputs)
+                written = dataset.commit(spec.index, images, metadata, status, self._image_threads)
         except OSError as error:
             raise write_error(error, dataset.folder) from None
         timing = {"render_s": render_s, "write_s": time.perf_counter() - start, "worker": self._worker}

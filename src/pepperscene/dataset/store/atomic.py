@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import os
 import platform
 import re
+import secrets
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -18,9 +18,11 @@ from typing import Any, Final
 from pepperscene.errors import OutputError
 
 _STALE_S: Final = 3600.0  # chosen: no write takes an hour, so an older temporary file is a killed build's
-_TEMPORARY_NAME: Final = re.compile(r"\.(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.\d+\.tmp$")
+_TEMPORARY_NAME: Final = re.compile(r"\.(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.[0-9a-f]+\.tmp$")
+_RANDOM_BYTES: Final = 8  # chosen: nobody guesses the name before the file exists
+_LOCK_S: Final = 60.0  # chosen: longer than the tables of a million frames take, and no wait for ever
+_LOCK_INTERVAL_S: Final = 0.02  # chosen
 _LINE_LEVELS: Final = 2  # chosen: JSON levels with one entry per line, so that a diff shows which one changed
-_number: Final = itertools.count()
 
 
 @contextmanager
@@ -30,7 +32,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     The content is flushed to the disk before the rename: after a power cut there is the old file or the new
     one. If the block raises, the temporary file is removed and `path` stays unchanged.
     """
-    temporary = _temporary_path(path)
+    temporary = _create_temporary(path)
     try:
         yield temporary
         with temporary.open("rb+") as file:
@@ -44,6 +46,24 @@ def write_file(path: Path, content: bytes) -> None:
     """Write one file atomically."""
     with atomic_write(path) as temporary:
         temporary.write_bytes(content)
+
+
+def write_file_if(path: Path, content: bytes, is_valid: Callable[[], bool]) -> bool:
+    """Write one file atomically if a condition holds at the moment of the rename; returns whether it did.
+
+    Of several processes that call this for files of one folder, one at a time checks and renames, as far as
+    the file system has locks. Flushing, which takes longest, is not part of that.
+    """
+    temporary = _create_temporary(path)
+    try:
+        _write_flushed(temporary, content)
+        with exclusive_access(path.parent):
+            if not is_valid():
+                return False
+            os.replace(temporary, path)
+            return True
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def write_files(folder: Path, files: Mapping[str, bytes], obsolete: Iterable[Path] = ()) -> tuple[Path, ...]:
@@ -64,15 +84,13 @@ def write_files(folder: Path, files: Mapping[str, bytes], obsolete: Iterable[Pat
     Raises:
         OutputError: a file cannot be written.
     """
-    temporary = {folder / name: _temporary_path(folder / name) for name in files}
+    temporary: dict[Path, Path] = {}
     created: list[Path] = []
     try:
         make_folder(folder, created)
-        for path, content in zip(temporary.values(), files.values(), strict=True):
-            with path.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
+        for name, content in files.items():
+            temporary[folder / name] = _create_temporary(folder / name)
+            _write_flushed(temporary[folder / name], content)
         for path in obsolete:
             path.unlink(missing_ok=True)
         for path in temporary:
@@ -105,6 +123,34 @@ def remove(created: Iterable[Path]) -> None:
         # Another process may have written into the folder.
         with suppress(OSError):
             path.rmdir() if path.is_dir() else path.unlink()
+
+
+@contextmanager
+def exclusive_access(folder: Path) -> Iterator[None]:
+    """Wait until no other process is in this block for the same folder, at most a minute.
+
+    Only where system and file system have locks for folders. A lock ends with its process.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        # Windows has no such locks.
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        end = time.monotonic() + _LOCK_S
+        while time.monotonic() < end:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                time.sleep(_LOCK_INTERVAL_S)
+            except OSError:
+                break
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def check_can_create(folder: Path) -> None:
@@ -193,8 +239,23 @@ def _is_orphan(path: Path) -> bool:
     return False
 
 
-def _temporary_path(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{_host_name()}.{os.getpid()}.{next(_number)}.tmp")
+def _write_flushed(path: Path, content: bytes) -> None:
+    with path.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _create_temporary(path: Path) -> Path:
+    """Create the empty temporary file of a path.
+
+    In a folder that others can write to, nobody can put a link there before: the name is random, and the
+    file must not exist.
+    """
+    token = secrets.token_hex(_RANDOM_BYTES)
+    temporary = path.with_name(f".{path.name}.{_host_name()}.{os.getpid()}.{token}.tmp")
+    temporary.open("xb").close()
+    return temporary
 
 
 @cache

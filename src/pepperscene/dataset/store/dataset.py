@@ -1,6 +1,6 @@
 """A data set on disk: the layout of its folder, its existing frames, and how frames are added.
 
-- `dataset.json`: what the data set is: recipe, its digest, version, quality.
+- `dataset.json`: what the data set is: recipe, its digest, version, quality; `checksum` as of a frame's JSON.
 - `colour/006137.png` and so on: one folder for each output.
 - `frames/006137.json`: metadata of one frame; written last, so that a frame counts once this file exists. Its
   `checksum` is the SHA-256 of the rest; `outputs` holds that of each image.
@@ -12,7 +12,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Executor, wait
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -21,7 +23,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 from numpy.typing import NDArray
 
-from pepperscene.dataset.store.atomic import canonical_json, digest, write_error, write_file, write_json
+from pepperscene.dataset.store.atomic import (
+    canonical_json,
+    digest,
+    exclusive_access,
+    write_error,
+    write_file,
+    write_file_if,
+)
 from pepperscene.dataset.store.images import encode_image, read_image
 from pepperscene.dataset.store.journal import Journal
 from pepperscene.dataset.store.manifest import FRUIT, MANIFEST, Row, frame_row, fruit_rows, write_table
@@ -38,19 +47,34 @@ FRAMES: Final = "frames"
 DIGITS: Final = 6
 CHECKSUM: Final = "checksum"
 
+_CHECKSUM_LINE: Final = re.compile(rb'^"checksum": "([0-9a-f]{64})"', re.MULTILINE)
+_HEAD_BYTES: Final = 8192  # chosen: only the camera comes before the checksum, with one or two thousand bytes
+_TABLE_ATTEMPTS: Final = 5  # chosen: without a change meanwhile, the first one is the last
+
 
 def file_name(index: int, output: str) -> str:
     """Path of an output's file inside the data set, with forward slashes."""
     return f"{output}/{index:0{DIGITS}d}{OUTPUTS[output].suffix}"
 
 
+def frame_index(name: str, suffix: str) -> int | None:
+    """Index of the frame of a file with this name, None if it is not a frame's."""
+    stem = name.removesuffix(suffix)
+    is_frame = name.endswith(suffix) and len(stem) == DIGITS and stem.isascii() and stem.isdecimal()
+    return int(stem) if is_frame else None
+
+
 @dataclass(frozen=True)
 class FrameStatus:
-    """Existing parts of a frame: JSON without `outputs` and `checksum`, intact images, and checksum."""
+    """Existing parts of a frame: JSON without `outputs` and `checksum`, intact images, and checksum.
+
+    `written_checksum` is that in the JSON before it was read, even if it does not fit the rest.
+    """
 
     metadata: dict[str, Any] = field(default_factory=dict)
     outputs: dict[str, Any] = field(default_factory=dict)
     checksum: str = ""
+    written_checksum: str = ""
 
     def row(self) -> Row:
         """The frame's row in the manifest, without timings."""
@@ -66,8 +90,10 @@ class Dataset:
 
     def indices(self) -> tuple[int, ...]:
         """The existing frames, ascending."""
-        names = (path.stem for path in (self.folder / FRAMES).glob("*.json"))
-        return tuple(sorted(int(name) for name in names if name.isdecimal()))
+        with suppress(FileNotFoundError, NotADirectoryError), os.scandir(self.folder / FRAMES) as entries:
+            indices = (frame_index(entry.name, ".json") for entry in entries)
+            return tuple(sorted(index for index in indices if index is not None))
+        return ()
 
     def metadata(self, index: int) -> dict[str, Any]:
         """The content of a frame's JSON; raises `InputError` if it is missing or damaged."""
@@ -88,7 +114,7 @@ class Dataset:
     def manifest(self) -> pyarrow.Table:
         """The table of all frames, ascending; its columns are `manifest.FRAME_COLUMNS`.
 
-        It is written again if it is lost or lists other frames; raises `OutputError` if that fails.
+        It is written again if it is lost, damaged or older than a frame; raises `OutputError` if that fails.
         """
         return self._read_table(MANIFEST)
 
@@ -102,46 +128,95 @@ class Dataset:
     def write_tables(self, journal: Journal | None = None) -> None:
         """Write `manifest.parquet`, and `fruit.parquet` if frames have the output `harvest`.
 
-        Rows come from the journal (None opens it), or else from the frame's own files. Raises `OutputError`
-        if a table cannot be written.
+        Rows come from the journal (None opens it), or else from the frame's own files. Several builds of one
+        folder may call this at the same time: the last table holds all frames. Raises `OutputError` if a
+        table cannot be written.
         """
-        indices = self.indices()
-        rows = (journal or Journal(self.folder)).rows(indices)
-        frames = (self.intact(index).row() if row is None else row for index, row in rows)
+        journal = journal or Journal(self.folder)
         try:
-            write_table(self.folder, MANIFEST, (row for row in frames if row.get("index") is not None))
-            harvested = [index for index in indices if self.path(index, "harvest").is_file()]
-            if harvested:
-                write_table(self.folder, FRUIT, self._fruit_rows(harvested))
+            with exclusive_access(self.folder / FRAMES):
+                for _ in range(_TABLE_ATTEMPTS):
+                    before = self._frames_state()
+                    journal.refresh()
+                    self._write_tables(journal)
+                    # Where the file system has no locks, another build may have added frames meanwhile.
+                    if self._frames_state() == before:
+                        break
         except OSError as error:
             raise write_error(error, self.folder / MANIFEST) from None
 
+    def _write_tables(self, journal: Journal) -> None:
+        indices = self.indices()
+        rows = journal.rows((index, self.written_checksum(index)) for index in indices)
+        frames = (self.intact(index).row() if row is None else row for index, row in rows)
+        write_table(self.folder, MANIFEST, (row for row in frames if row.get("index") is not None))
+        harvested = [index for index in indices if self.path(index, "harvest").is_file()]
+        if harvested:
+            write_table(self.folder, FRUIT, self._fruit_rows(harvested))
+
+    def _frames_state(self) -> dict[str, tuple[int, int]]:
+        """Name, file number and time of each frame's JSON; it is another file after every change."""
+        state = {}
+        with os.scandir(self.folder / FRAMES) as entries:
+            for entry in entries:
+                with suppress(FileNotFoundError):
+                    status = entry.stat()
+                    state[entry.name] = (status.st_ino, status.st_mtime_ns)
+        return state
+
     def _read_table(self, name: str) -> pyarrow.Table:
-        from pyarrow import ArrowInvalid, parquet
+        from pyarrow import ArrowException, parquet
 
         path = self.folder / name
-        with suppress(OSError, ArrowInvalid):
-            indices = parquet.read_table(self.folder / MANIFEST, columns=["index"])["index"].to_pylist()
-            if tuple(indices) == self.indices():
-                return parquet.read_table(path)
+        with suppress(OSError, ArrowException, KeyError):
+            known = self._open_table(MANIFEST, ["index", "checksum"])
+            if self._is_current(known["index"].to_pylist(), known["checksum"].to_pylist()):
+                return self._open_table(name)
         self.write_tables()
         if not path.is_file():
             raise InputError(self.folder, "has no frame with the output harvest; build it first")
-        return parquet.read_table(path)
+        with path.open("rb") as file:
+            return parquet.read_table(file)
+
+    def _open_table(self, name: str, columns: list[str] | None = None) -> pyarrow.Table:
+        """Read a table whose pages have the right checksums."""
+        from pyarrow import parquet
+
+        # An open file, because the library takes no path that is not UTF-8.
+        with (self.folder / name).open("rb") as file:
+            return parquet.read_table(file, columns=columns, page_checksum_verification=True)
+
+    def _is_current(self, indices: list[int], checksums: list[str]) -> bool:
+        """Whether the manifest lists all frames as they are."""
+        if tuple(indices) != self.indices():
+            return False
+        # Only a frame that is as new as the table can have changed since.
+        written = (self.folder / MANIFEST).stat().st_mtime_ns
+        if all(time < written for _, time in self._frames_state().values()):
+            return True
+        return all(map(str.__eq__, map(self.written_checksum, indices), checksums))
+
+    def written_checksum(self, index: int) -> str:
+        """The checksum in a frame's JSON, without a look at the rest; empty if there is none."""
+        with suppress(FileNotFoundError), self.frame_path(index).open("rb") as file:
+            match = _CHECKSUM_LINE.search(file.read(_HEAD_BYTES)) or _CHECKSUM_LINE.search(file.read())
+            return match[1].decode() if match else ""
+        return ""
 
     def _fruit_rows(self, indices: list[int]) -> Iterator[Row]:
         for index in indices:
             # The next build repairs a damaged file.
-            with suppress(InputError):
-                yield from fruit_rows(index, read_json(self.path(index, "harvest")))
+            with suppress(InputError, LookupError, TypeError, AttributeError):
+                yield from list(fruit_rows(index, read_json(self.path(index, "harvest"))))
 
     def intact(self, index: int) -> FrameStatus:
         """The files of a frame that are exactly what the build wrote; none if its JSON is damaged."""
+        written = self.written_checksum(index)
         try:
             metadata = self.metadata(index)
             checksum = str(metadata.pop(CHECKSUM))
             if checksum != checksum_of(metadata) or metadata.get("index") != index:
-                return FrameStatus()
+                return FrameStatus(written_checksum=written)
             entries = metadata.pop("outputs").items()
             outputs = {
                 str(name): entry
@@ -149,26 +224,27 @@ class Dataset:
                 if name in OUTPUTS and _matches_entry(self.path(index, name), entry)
             }
         except (InputError, KeyError, AttributeError, TypeError):
-            return FrameStatus()
-        return FrameStatus(metadata, outputs, checksum)
+            return FrameStatus(written_checksum=written)
+        return FrameStatus(metadata, outputs, checksum, written)
 
     def commit(
         self,
         index: int,
         images: Mapping[str, NDArray[Any]],
         metadata: Mapping[str, Any],
-        kept: Mapping[str, Any],
+        existing: FrameStatus,
         pool: Executor,
     ) -> FrameStatus:
-        """Add a frame, or outputs to a frame: first the images, then the JSON, which completes it.
+        """Write further images of a frame and, last and in one step, its JSON, which completes them.
 
-        On an error, the images of this call are removed, and existing outputs stay valid.
+        Another build may have added outputs to the frame since `existing` was read; its outputs stay. On an
+        error, the images of this call are removed, and existing outputs stay valid.
 
         Args:
             index: of the frame.
             images: arrays by output name.
             metadata: the whole JSON without its `outputs`.
-            kept: entries of the existing outputs.
+            existing: the frame as it was before.
             pool: writes several images at a time; encoding and waiting for the disk release Python's lock.
         """
         metadata = {str(key): value for key, value in metadata.items() if key not in (CHECKSUM, "outputs")}
@@ -180,14 +256,35 @@ class Dataset:
             }
             # Wait for all before the first error is raised, so that no image is written after the removal.
             wait(entries.values())
-            outputs = {**kept, **{output: entry.result() for output, entry in entries.items()}}
-            checksum = checksum_of({**metadata, "outputs": outputs})
-            write_json(self.frame_path(index), {**metadata, "outputs": outputs, CHECKSUM: checksum})
+            written = {output: entry.result() for output, entry in entries.items()}
+            while (status := self._write_frame(index, written, metadata, existing)) is None:
+                existing = self.intact(index)
+            return status
         except BaseException:
-            for output in images:
-                self.path(index, output).unlink(missing_ok=True)
+            self._remove_unnamed(index, images)
             raise
-        return FrameStatus(metadata, outputs, checksum)
+
+    def _write_frame(
+        self, index: int, written: Mapping[str, Any], metadata: Mapping[str, Any], existing: FrameStatus
+    ) -> FrameStatus | None:
+        """Write a frame's JSON with existing and new outputs; None if it is not the existing one any more."""
+        merged = {**existing.metadata, **metadata}
+        # Without label outputs the renderer does not list the instances in view; an earlier build may have.
+        merged["instances"] = metadata.get("instances") or existing.metadata.get("instances", {})
+        outputs = {**existing.outputs, **written}
+        checksum = checksum_of({**merged, "outputs": outputs})
+        content = canonical_json({**merged, "outputs": outputs, CHECKSUM: checksum})
+        is_unchanged = write_file_if(
+            self.frame_path(index), content, lambda: self.written_checksum(index) == existing.written_checksum
+        )
+        return FrameStatus(merged, outputs, checksum, checksum) if is_unchanged else None
+
+    def _remove_unnamed(self, index: int, outputs: Iterable[str]) -> None:
+        """Remove images of a frame, except those that its JSON names, as another build may have made them."""
+        named = self.intact(index).outputs
+        for output in outputs:
+            if output not in named:
+                self.path(index, output).unlink(missing_ok=True)
 
 
 def _matches_entry(path: Path, entry: Mapping[str, Any]) -> bool:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +14,7 @@ from pepperscene.dataset.store.atomic import (
     remove_temporary_files,
     write_json,
 )
-from pepperscene.dataset.store.dataset import FRAMES, MARK, Dataset, read_json
+from pepperscene.dataset.store.dataset import CHECKSUM, FRAMES, MARK, Dataset, checksum_of, read_json
 from pepperscene.dataset.store.journal import JOURNAL
 from pepperscene.dataset.store.manifest import FRUIT, MANIFEST
 from pepperscene.errors import InputError, OutputError
@@ -48,8 +49,8 @@ class OutputFolder:
         """Make missing folders and `dataset.json`; other processes may do so at the same time."""
         self.dataset.folder.mkdir(parents=True, exist_ok=True)
         info_file = self.dataset.folder / MARK
-        if not info_file.is_file():
-            write_json(info_file, self.dataset.info)
+        if not _is_intact(info_file):
+            write_json(info_file, {**self.dataset.info, CHECKSUM: checksum_of(self.dataset.info)})
         for name in (*outputs, FRAMES):
             (self.dataset.folder / name).mkdir(exist_ok=True)
         self.remove_temporary_files()
@@ -59,6 +60,15 @@ class OutputFolder:
         for folder in (self.dataset.folder / name for name in ("", FRAMES, *OUTPUTS)):
             if folder.is_dir():
                 remove_temporary_files(folder)
+
+    def lost_frames(self, indices: Iterable[int], outputs: tuple[str, ...]) -> list[int]:
+        """Those of some complete frames of which a file does not exist any more."""
+        existing = set(self.dataset.indices())
+        return [
+            index
+            for index in indices
+            if index not in existing or not all(self.dataset.path(index, name).is_file() for name in outputs)
+        ]
 
     def undo(self) -> None:
         """Remove what was made since this object was created, by any process, unless there is a frame."""
@@ -85,17 +95,42 @@ def _check_content(folder: Path, info: Mapping[str, Any]) -> None:
             f"{folder}: holds {unexpected or names[0]!r}, so it is not a data set; "
             "choose an empty or a new folder"
         )
-    if not names:
+    if not names or _is_mendable(folder / MARK, info):
         return
     try:
         existing = read_json(folder / MARK)
     except InputError as error:
-        raise OutputError(f"{error}; choose another folder") from None
+        raise OutputError(f"{error}; restore that file from a copy, or choose another folder") from None
+    if CHECKSUM in existing and not _is_intact(folder / MARK):
+        raise OutputError(
+            f"{folder / MARK}: is damaged, and is not of the data set that is to be built; "
+            "restore that file from a copy, or choose another folder"
+        )
     differences = [text for name in _COMPARED for text in _differences(name, existing.get(name), info[name])]
     if differences:
         more = len(differences) - _MAX_DIFFERENCES
         listing = ", ".join(differences[:_MAX_DIFFERENCES]) + (f", and {more} more" if more > 0 else "")
         raise OutputError(f"{folder}: holds another data set: {listing}; choose another folder")
+
+
+def _is_intact(path: Path) -> bool:
+    """Whether a `dataset.json` is what was written."""
+    try:
+        content = read_json(path)
+    except InputError:
+        return False
+    return bool(content.get(CHECKSUM) == checksum_of(content))
+
+
+def _is_mendable(path: Path, info: Mapping[str, Any]) -> bool:
+    """Whether a damaged `dataset.json` was certainly that of `info`, by its checksum or by all the rest."""
+    if _is_intact(path):
+        return False
+    with suppress(InputError):
+        content = read_json(path)
+        if {key: value for key, value in content.items() if key != CHECKSUM} == info:
+            return True
+    return checksum_of(info).encode() in path.read_bytes()
 
 
 def _differences(key: str, existing: Any, expected: Any) -> list[str]:

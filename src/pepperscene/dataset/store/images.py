@@ -17,6 +17,7 @@ import json
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
@@ -178,12 +179,25 @@ def _read_png(path: Path) -> NDArray[Any]:
         raise ValueError(str(error)) from None
 
 
+def _is_utf8(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
 def _read_exr(path: Path) -> NDArray[Any]:
     import OpenEXR
 
     if not path.is_file():
         raise FileNotFoundError("no such file")
-    with OpenEXR.File(str(path), separate_channels=True) as file:
+    with ExitStack() as stack:
+        source: Any = str(path)
+        if not _is_utf8(source):
+            # The library takes no such name. It reads an open file, too, in five times the time.
+            source = stack.enter_context(path.open("rb"))
+        file = stack.enter_context(OpenEXR.File(source, separate_channels=True))
         channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
     for names in (*_CHANNELS.values(), _LUMINANCE):
         if set(channels) == set(names):

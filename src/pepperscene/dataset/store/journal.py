@@ -2,25 +2,61 @@
 
 It holds what no other file does (which frames were requested, how long a frame took, which worker made it),
 and saves reading thousands of frames again for the manifest. It may be lost: everything else can be read from
-the frames. A line torn by a power cut is skipped.
+the frames.
+
+A line is a JSON object whose last key is a checksum of the text before it. It is appended by one system call,
+so several builds can write at the same time. A line that is not what was written (torn by a power cut, or
+changed on the disk) is skipped. The next build says so and adds a line with its position, after which it is
+no fault any more: lines are never changed or removed, because another build may be appending.
 """
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import json
+import os
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Final, Self
+from typing import IO, Any, Final, Self, final
 
-from pepperscene.dataset.store.manifest import Row
+from pepperscene.dataset.store.atomic import write_error
+from pepperscene.dataset.store.manifest import TIMINGS, Row, fits_columns
+from pepperscene.errors import InputError
 
 JOURNAL: Final = "journal.jsonl"
+_MAX_FRAMES: Final = 1_000_000  # file names have six digits
+_CHECKSUM_DIGITS: Final = 16  # chosen: 64 bits; a changed line passes by chance once in 2e19
+_SUFFIX: Final = b', "line_sha256": "%b"}'
+_SUFFIX_LENGTH: Final = len(_SUFFIX % (b"0" * _CHECKSUM_DIGITS))
+_MAX_LINE: Final = 1 << 20  # chosen: bytes; a frame's line has two thousand
+_RANGES_PER_LINE: Final = 10_000  # chosen: so that such a line has at most 200,000 bytes
+
+Span = tuple[int, int]
+"""First byte of a line, and the byte behind it."""
 
 
+@dataclass
+class _Lines:
+    """What the lines of a file hold, as far as it was read."""
+
+    identity: tuple[int, int] | None = None  # of the file
+    end: int = 0  # of the last complete line
+    rows: dict[tuple[int, str], Span] = field(default_factory=dict)  # by index and checksum
+    untimed: set[tuple[int, str]] = field(default_factory=set)  # those of `rows` without timings
+    wanted: list[Span] = field(default_factory=list)  # ranges of indices
+    damaged: list[Span] = field(default_factory=list)
+    skipped: list[Span] = field(default_factory=list)
+    torn: Span | None = None  # the last line, if it has no end
+
+
+@final
 class Journal:
-    """The journal of the data set in a folder; the last line of a frame counts.
+    """The journal of the data set in a folder.
 
-    Only an offset and a checksum per frame are kept in memory, not the rows.
+    Only the position of each frame's line is kept in memory, not the rows.
 
     Args:
         folder: of the data set; nothing is created there before the first line is added.
@@ -28,92 +64,199 @@ class Journal:
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / JOURNAL
-        self._frames: dict[int, tuple[int, str]] = {}  # offset and checksum
-        self._wanted: set[int] = set()
         self._file: IO[bytes] | None = None
-        if self._path.is_file():
-            with self._path.open("rb") as file:
-                offset = 0
-                for line in file:
-                    self._index_line(offset, line)
-                    offset += len(line)
+        self._lines = _Lines()
+        self._added: set[tuple[int, str]] = set()  # index and checksum
+        self.refresh()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        if self._file is not None:
+    def __exit__(self, kind: object, *_: object) -> None:
+        if self._file is None:
+            return
+        try:
             self._file.close()
+        except OSError as error:
+            # Network file systems report a full disk here; an error before it matters more.
+            if kind is None:
+                raise write_error(error, self._path) from None
 
     @property
     def wanted(self) -> frozenset[int]:
         """The frames that builds requested."""
-        return frozenset(self._wanted)
+        return frozenset(index for first, end in self._lines.wanted for index in range(first, end))
+
+    @property
+    def damaged(self) -> tuple[Span, ...]:
+        """Positions of lines that are not what was written, except those that a build has reported."""
+        lines = self._lines
+        spans = [*lines.damaged, lines.torn] if lines.torn is not None else lines.damaged
+        return tuple(
+            span
+            for span in spans
+            if not any(first <= span[0] and span[1] <= end for first, end in lines.skipped)
+        )
+
+    def refresh(self) -> None:
+        """Read the lines that were added since the last call, by any process.
+
+        Raises `InputError` if the file exists and cannot be read.
+        """
+        try:
+            with self._path.open("rb") as file:
+                status = os.fstat(file.fileno())
+                identity = (status.st_dev, status.st_ino)
+                if identity != self._lines.identity or status.st_size < self._lines.end:
+                    self._lines = _Lines(identity)
+                file.seek(self._lines.end)
+                self._read_lines(file)
+        except FileNotFoundError:
+            self._lines = _Lines()
+        except OSError as error:
+            raise InputError(self._path, f"cannot be read ({error.strerror or error})") from None
 
     def want(self, indices: Iterable[int]) -> None:
         """Note the frames that a build requests, unless all of them are noted already."""
         requested = sorted(indices)
-        if not self._wanted.issuperset(requested):
-            self._write_line({"wanted": _to_ranges(requested)})
+        if self.wanted.issuperset(requested):
+            return
+        ranges = _to_ranges(requested)
+        for start in range(0, len(ranges), _RANGES_PER_LINE):
+            self._write_line({"wanted": ranges[start : start + _RANGES_PER_LINE]})
+        self._lines.wanted = _merge([*self._lines.wanted, *ranges])
 
-    def checksum(self, index: int) -> str:
-        """Checksum of the frame's JSON according to the journal; empty if the frame is unknown."""
-        return self._frames.get(index, (0, ""))[1]
+    def skip_damaged(self) -> int:
+        """Note the positions of damaged lines, so that they are no fault any more; returns their number."""
+        spans = self.damaged
+        for start in range(0, len(spans), _RANGES_PER_LINE):
+            self._write_line({"skipped": spans[start : start + _RANGES_PER_LINE]})
+        self._lines.skipped += spans
+        return len(spans)
 
     def add(self, row: Row) -> None:
         """Add a frame's row, unless the journal holds this frame with this checksum already."""
-        if self.checksum(row["index"]) != row["checksum"]:
+        key = (int(row["index"]), str(row["checksum"]))
+        if key not in self._lines.rows and key not in self._added:
             self._write_line(row)
+            self._added.add(key)
 
-    def rows(self, indices: Iterable[int]) -> Iterator[tuple[int, Row | None]]:
-        """Yield each index with the frame's row, or with None if the journal does not hold the frame."""
-        if not self._path.is_file():
-            yield from ((index, None) for index in indices)
-            return
-        with self._path.open("rb") as file:
-            for index in indices:
-                if index not in self._frames:
-                    yield index, None
-                    continue
-                file.seek(self._frames[index][0])
-                yield index, json.loads(file.readline())
+    def rows(self, frames: Iterable[tuple[int, str]]) -> Iterator[tuple[int, Row | None]]:
+        """Yield each index with the frame's row.
 
-    def _write_line(self, row: Row) -> None:
-        if self._file is None:
-            self._file = self._path.open("ab")
-            if self._is_torn():
-                self._file.write(b"\n")
-        line = json.dumps(row, sort_keys=True, allow_nan=False).encode() + b"\n"
-        offset = self._file.tell()
-        self._file.write(line)
-        self._file.flush()
-        self._index_line(offset, line)
+        Args:
+            frames: index, and the checksum in the frame's JSON.
 
-    def _index_line(self, offset: int, line: bytes) -> None:
-        try:
-            row = json.loads(line)
-            if "wanted" in row:
-                for first, end in row["wanted"]:
-                    self._wanted.update(range(int(first), int(end)))
-                return
-            self._frames[int(row["index"])] = (offset, str(row["checksum"]))
-        except (ValueError, KeyError, TypeError):
-            return
+        Yields:
+            The index, and None if the journal does not hold the frame with this checksum.
+        """
+        with ExitStack() as stack:
+            file: IO[bytes] | None = None
+            for index, checksum in frames:
+                span, row = self._lines.rows.get((index, checksum)), None
+                if span is not None:
+                    file = file or stack.enter_context(self._path.open("rb"))
+                    file.seek(span[0])
+                    row = _decode(file.read(span[1] - span[0]))
+                yield index, row if row is not None and fits_columns(row) else None
 
-    def _is_torn(self) -> bool:
-        """Whether the last line has no end."""
-        with self._path.open("rb") as file:
-            size = file.seek(0, 2)
-            file.seek(max(0, size - 1))
-            return size > 0 and file.read() != b"\n"
+    def _read_lines(self, file: IO[bytes]) -> None:
+        lines = self._lines
+        lines.torn = None
+        while line := file.readline(_MAX_LINE):
+            span = (lines.end, lines.end + len(line))
+            if not line.endswith(b"\n") and len(line) < _MAX_LINE:
+                # The end of the file; another process may be writing it.
+                lines.torn = span
+                break
+            lines.end = span[1]
+            if line != b"\n" and not _note_line(lines, span, line):
+                lines.damaged.append(span)
+
+    def _write_line(self, content: Row) -> None:
+        file = self._open()
+        line = _encode(content)
+        # A torn line must not take this one with it.
+        size = file.seek(0, os.SEEK_END)
+        if size:
+            file.seek(size - 1)
+            line = line if file.read(1) == b"\n" else b"\n" + line
+        if file.write(line) != len(line):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self._path))
+
+    def _open(self) -> IO[bytes]:
+        """The file, opened for appending; again if it was removed."""
+        if self._file is not None:
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(self._file.fileno()), self._path.stat()):
+                    return self._file
+            self._file.close()
+        self._file = self._path.open("ab+", buffering=0)
+        return self._file
 
 
-def _to_ranges(indices: list[int]) -> list[tuple[int, int]]:
-    """Ascending numbers as half-open ranges."""
-    ranges: list[tuple[int, int]] = []
-    for index in indices:
-        if ranges and ranges[-1][1] == index:
-            ranges[-1] = (ranges[-1][0], index + 1)
+def _note_line(lines: _Lines, span: Span, line: bytes) -> bool:
+    """Note what a line holds; returns whether it is what was written."""
+    content = _decode(line)
+    if content is None:
+        return False
+    try:
+        if "wanted" in content:
+            ranges = [(int(first), int(end)) for first, end in content["wanted"]]
+            if not all(0 <= first < end <= _MAX_FRAMES for first, end in ranges):
+                return False
+            lines.wanted = _merge([*lines.wanted, *ranges])
+        elif "skipped" in content:
+            lines.skipped += [(int(first), int(end)) for first, end in content["skipped"]]
         else:
-            ranges.append((index, index + 1))
-    return ranges
+            _note_row(lines, span, content)
+    except (KeyError, TypeError, ValueError, OverflowError):
+        return False
+    return True
+
+
+def _note_row(lines: _Lines, span: Span, row: Row) -> None:
+    # The first line with timings counts: a table stays true if another build makes the same frame.
+    key, is_timed = (int(row["index"]), str(row["checksum"])), TIMINGS[0] in row
+    if key not in lines.rows or (key in lines.untimed and is_timed):
+        lines.rows[key] = span
+        (lines.untimed.discard if is_timed else lines.untimed.add)(key)
+
+
+def _encode(content: Row) -> bytes:
+    """A line: the content, with its checksum as the last key."""
+    body = json.dumps(content, sort_keys=True, allow_nan=False).encode()[:-1]
+    return body + _SUFFIX % _checksum(body) + b"\n"
+
+
+def _decode(line: bytes) -> dict[str, Any] | None:
+    """The content of a line, or None if it is not what was written."""
+    line = line.rstrip(b"\n")
+    body, suffix = line[:-_SUFFIX_LENGTH], line[-_SUFFIX_LENGTH:]
+    if suffix != _SUFFIX % _checksum(body):
+        return None
+    try:
+        content = json.loads(body + b"}")
+    except (ValueError, RecursionError):
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def _checksum(body: bytes) -> bytes:
+    return hashlib.sha256(body).hexdigest()[:_CHECKSUM_DIGITS].encode()
+
+
+def _to_ranges(indices: Iterable[int]) -> list[Span]:
+    """Numbers as half-open ranges."""
+    return _merge([(index, index + 1) for index in indices])
+
+
+def _merge(ranges: Iterable[Span]) -> list[Span]:
+    """Half-open ranges, ascending and apart from each other."""
+    merged: list[Span] = []
+    for first, end in sorted(ranges):
+        if merged and first <= merged[-1][1]:
+            merged[-1] = (merged[-1][0], max(end, merged[-1][1]))
+        else:
+            merged.append((first, end))
+    return merged

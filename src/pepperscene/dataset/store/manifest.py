@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Mapping
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.atomic import atomic_write
+from pepperscene.dataset.store.table_checksum import CHECKSUM_KEY, TableChecksum
 from pepperscene.frame import OUTPUTS
+
+if TYPE_CHECKING:
+    import pyarrow
+
 
 MANIFEST: Final = "manifest.parquet"
 FRUIT: Final = "fruit.parquet"
@@ -19,6 +25,11 @@ Row = dict[str, Any]
 
 _ROWS_HELD: Final = 4096  # chosen: rows that are held in memory at a time, some megabytes
 _BOX: Final = ("x0", "y0", "x1", "y1")
+_INTEGER_BITS: Final = {"int32": 32, "int64": 64}
+_MAX_DOUBLE: Final = sys.float_info.max
+
+TIMINGS: Final = ("render_s", "write_s", "worker")
+"""Columns of the manifest that only the journal knows."""
 
 FRAME_COLUMNS: Final[Mapping[str, str]] = {
     "index": "int64",
@@ -67,20 +78,54 @@ FRUIT_COLUMNS: Final[Mapping[str, str]] = {
 
 
 def frame_row(metadata: Mapping[str, Any], outputs: Mapping[str, Any], checksum: str) -> Row:
-    """The row of a frame, without timings: from its JSON, the entries of its images and its checksum."""
+    """The row of a frame, without timings: from its JSON, the entries of its images and its checksum.
+
+    Values of another type than their column's, which no build writes, are left out.
+    """
     columns = ("index", "set", "rotation", "step", "seed", "recipe_seed")
     row: Row = {name: metadata.get(name) for name in columns}
-    pose = metadata.get("camera", {}).get("pose")
-    if pose is not None:
+    pose = _object(metadata, "camera").get("pose")
+    if pose is not None and _is_matrix(pose):
         row |= {name: pose[axis][3] for axis, name in enumerate(("x_m", "y_m", "z_m"))}
         row["pose"] = [number for line in pose for number in line]
-    row |= {f"pixels_{name}": count for name, count in metadata.get("class_pixels", {}).items()}
-    sampling = metadata.get("sampling", {})
+    row |= {f"pixels_{name}": count for name, count in _object(metadata, "class_pixels").items()}
+    sampling = _object(metadata, "sampling")
     row |= {name: sampling.get(name) for name in ("samples_per_pixel", "error_codes", "noise_codes")}
-    row |= {f"{name}_sha256": entry["sha256"] for name, entry in outputs.items()}
-    row["bytes"] = sum(entry["bytes"] for entry in outputs.values())
+    entries = {name: entry for name, entry in outputs.items() if isinstance(entry, Mapping)}
+    row |= {f"{name}_sha256": entry.get("sha256") for name, entry in entries.items()}
+    sizes = [entry.get("bytes") for entry in entries.values()]
+    row["bytes"] = sum(size for size in sizes if isinstance(size, int))
     row["checksum"] = checksum
-    return row
+    return {name: value for name, value in row.items() if _fits(FRAME_COLUMNS.get(name), value)}
+
+
+def fits_columns(row: Row) -> bool:
+    """Whether all values of a row of the manifest have the types of their columns."""
+    return all(_fits(FRAME_COLUMNS.get(name), value) for name, value in row.items())
+
+
+def _object(metadata: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    value = metadata.get(key)
+    return value if isinstance(value, dict) else {}
+
+
+def _is_matrix(value: Any) -> bool:
+    """Whether a value is four lines of four entries."""
+    is_line = [isinstance(line, list) and len(line) == 4 for line in value] if isinstance(value, list) else []
+    return len(is_line) == 4 and all(is_line)
+
+
+def _fits(kind: str | None, value: Any) -> bool:
+    """Whether a value can be stored in a column of a type; None (unknown) always can."""
+    if value is None or kind is None:
+        return value is None
+    if kind == "doubles":
+        return isinstance(value, list) and all(_fits("double", number) for number in value)
+    if kind in _INTEGER_BITS:
+        limit = 1 << (_INTEGER_BITS[kind] - 1)
+        return type(value) is int and -limit <= value < limit
+    allowed = {"double": (int, float), "bool": (bool,), "string": (str,)}[kind]
+    return type(value) in allowed and (kind != "double" or abs(value) <= _MAX_DOUBLE)
 
 
 def fruit_rows(index: int, harvest: Mapping[str, Any]) -> Iterator[Row]:
@@ -107,14 +152,35 @@ def _xyz(name: str, values: Any) -> Row:
 
 
 def write_table(folder: Path, name: str, rows: Iterator[Row]) -> None:
-    """Write `MANIFEST` or `FRUIT`, some thousand rows at a time."""
+    """Write `MANIFEST` or `FRUIT`, some thousand rows at a time, with a checksum of all values.
+
+    Without statistics of columns, which readers use to skip rows: a damaged one would hide rows, and the
+    checksum of the values would not show it.
+    """
     import pyarrow
     from pyarrow import parquet
 
-    columns, doubles = FRAME_COLUMNS if name == MANIFEST else FRUIT_COLUMNS, pyarrow.list_(pyarrow.float64())
-    types = [doubles if kind == "doubles" else pyarrow.type_for_alias(kind) for kind in columns.values()]
-    schema = pyarrow.schema(zip(columns, types, strict=True))
-    with atomic_write(folder / name) as temporary, parquet.ParquetWriter(temporary, schema) as writer:
+    columns = FRAME_COLUMNS if name == MANIFEST else FRUIT_COLUMNS
+    schema, checksum = table_schema(name), TableChecksum()
+    with (
+        atomic_write(folder / name) as temporary,
+        temporary.open("wb") as file,
+        parquet.ParquetWriter(file, schema, write_statistics=False, write_page_checksum=True) as writer,
+    ):
         while part := list(islice(rows, _ROWS_HELD)):
             values = {column: [row.get(column) for row in part] for column in columns}
-            writer.write_table(pyarrow.table(values, schema=schema))
+            table = pyarrow.table(values, schema=schema)
+            checksum.add(table)
+            writer.write_table(table)
+        writer.add_key_value_metadata({CHECKSUM_KEY: checksum.hexdigest()})
+
+
+def table_schema(name: str) -> pyarrow.Schema:
+    """The Arrow schema of `MANIFEST` or `FRUIT`."""
+    import pyarrow
+
+    columns = FRAME_COLUMNS if name == MANIFEST else FRUIT_COLUMNS
+    # Parquet names the entries of lists like this, so the schema is the same after reading.
+    doubles = pyarrow.list_(pyarrow.field("element", pyarrow.float64()))
+    types = [doubles if kind == "doubles" else pyarrow.type_for_alias(kind) for kind in columns.values()]
+    return pyarrow.schema(zip(columns, types, strict=True))
