@@ -1,7 +1,7 @@
 """The start of the command line: of `pepperscene` and of `python -m pepperscene`.
 
-Signals and missing standard streams are handled before anything else is imported, because the imports take most
-of the first second. Programs that import the package get no signal handlers.
+Signals and missing standard streams are handled before anything else is imported, because the imports take
+most of the first second. Programs that import the package get no signal handlers.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ def main() -> NoReturn:
 def _open_missing_streams() -> None:
     """Connect standard streams that are closed with the null device.
 
-    Otherwise the next file that is opened would become standard output, and messages would be written into it.
+    Otherwise the next file that is opened would become standard output, and messages would be written into
+    it.
     """
     for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -56,8 +57,8 @@ def _open_missing_streams() -> None:
 def _end_at_signals() -> None:
     """End the process at once when a signal arrives, with one line on standard error and 128 + its number.
 
-    Nothing is unwound: an exception in an import or in a destructor would become a traceback or an abort. While
-    a command runs, `cli.interrupts` replaces these handlers.
+    Nothing is unwound: an exception in an import or in a destructor would become a traceback or an abort.
+    While a command runs, `cli.interrupts` replaces these handlers.
     """
 
     def end(number: int, _: object) -> None:

@@ -1,9 +1,9 @@
 """Signals while a command runs: it is interrupted where its clean-up is safe.
 
-Python runs signal handlers between any two instructions of the main thread. An exception raised there breaks an
-import of a compiled library, is lost in a destructor, or ends the process if a library cannot pass it on. So
-a handler raises only if the interrupted code is this package's own, or waits for threads or processes. Otherwise a
-timer tries again.
+Python runs signal handlers between any two instructions of the main thread. An exception raised there breaks
+an import of a compiled library, is lost in a destructor, or ends the process if a library cannot pass it on. So
+a handler raises only if the interrupted code is this package's own, or waits for threads or processes. Otherwise
+a timer tries again.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from types import CodeType, FrameType
 from typing import Final, final
@@ -36,6 +37,10 @@ _WAITS: Final = {
     ("selectors", "select"),
 }  # fmt: skip
 """Functions of Python, by module, that wait and can be interrupted."""
+
+_UNSAFE_MODULES: Final = ("importlib", "pepperscene.cli.streams")
+"""Beginnings of the names of modules whose functions must not be interrupted: compiled libraries would be
+imported incompletely, and text is written twice if a write ends without the number of its bytes."""
 
 _UNSAFE_FUNCTIONS: Final = {"__del__", "weakref_cb"}
 """Functions that Python calls itself: it prints their exceptions and goes on."""
@@ -71,9 +76,13 @@ class Interruption:
 
     def raise_if_pending(self) -> None:
         """Raise `Interrupted` if a signal has arrived, unless it was raised before."""
-        if self._number is not None and not self._is_raised:
-            self._is_raised = True
-            raise Interrupted(self._number)
+        if self._number is None or self._is_raised:
+            return
+        self._is_raised = True
+        # From now on the timer limits the clean-up.
+        if hasattr(signal, "SIGALRM"):
+            signal.setitimer(signal.ITIMER_REAL, max(_RETRY_S, self._end_s - time.monotonic()), _RETRY_S)
+        raise Interrupted(self._number)
 
     def install(self) -> None:
         """Install the handlers."""
@@ -109,8 +118,6 @@ class Interruption:
 
     def _raise_if_safe(self, frame: FrameType | None) -> None:
         if frame is not None and not self._is_raised and _is_safe(frame, self._command):
-            if hasattr(signal, "SIGALRM"):
-                signal.setitimer(signal.ITIMER_REAL, max(_RETRY_S, self._end_s - time.monotonic()), _RETRY_S)
             self.raise_if_pending()
 
     def _end_at_once(self) -> None:
@@ -118,6 +125,16 @@ class Interruption:
         assert self._number is not None
         self.remove()
         signal.raise_signal(self._number)
+
+
+_running: ContextVar[Interruption | None] = ContextVar("running command", default=None)
+
+
+def raise_if_interrupted() -> None:
+    """Raise `Interrupted` if a signal has arrived for the running command; call it where that is safe."""
+    interruption = _running.get()
+    if interruption is not None:
+        interruption.raise_if_pending()
 
 
 @contextmanager
@@ -128,11 +145,13 @@ def interruptible(command: CodeType) -> Iterator[Interruption]:
     if threading.current_thread() is not threading.main_thread():
         yield interruption
         return
+    token = _running.set(interruption)
     try:
         interruption.install()
         yield interruption
     finally:
         interruption.remove()
+        _running.reset(token)
 
 
 def _is_safe(frame: FrameType, command: CodeType) -> bool:
@@ -145,7 +164,7 @@ def _is_safe(frame: FrameType, command: CodeType) -> bool:
         if caller.f_code is command:
             return True
         module = str(caller.f_globals.get("__name__"))
-        if module.startswith("importlib") or caller.f_code.co_name in _UNSAFE_FUNCTIONS:
+        if module.startswith(_UNSAFE_MODULES) or caller.f_code.co_name in _UNSAFE_FUNCTIONS:
             return False
         caller = caller.f_back
     return False

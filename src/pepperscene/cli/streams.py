@@ -27,15 +27,15 @@ def protect_streams() -> None:
     | the reader of the pipe has ended | `SystemExit` with `EXIT_NO_READER` | the same |
     | other errors, such as a full disk | `OutputError` | the messages are lost |
 
-    File names that are not valid text are written as the bytes that they are, and characters that the encoding
-    lacks as escape sequences.
+    File names that are not valid text are written as the bytes that they are, and characters that the
+    encoding lacks as escape sequences.
     """
     codecs.register_error(_ESCAPE, _escape)
     # Streams that were replaced, as tests do, stay.
     if sys.stdout is sys.__stdout__ and sys.stdout is not None:
-        sys.stdout = sys.__stdout__ = _protected(sys.stdout, _STDOUT, _ESCAPE)  # type: ignore[misc, assignment]
+        sys.stdout = sys.__stdout__ = _protected(sys.stdout, _STDOUT, _ESCAPE)  # type: ignore[misc]
     if sys.stderr is sys.__stderr__ and sys.stderr is not None:
-        sys.stderr = sys.__stderr__ = _protected(sys.stderr, _STDERR, "backslashreplace")  # type: ignore[misc, assignment]
+        sys.stderr = sys.__stderr__ = _protected(sys.stderr, _STDERR, "backslashreplace")  # type: ignore[misc]
 
 
 @final
