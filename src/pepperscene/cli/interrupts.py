@@ -1,9 +1,9 @@
 """Signals while a command runs: it is interrupted where its clean-up is safe.
 
 Python runs signal handlers between any two instructions of the main thread. An exception raised there breaks
-an import of a compiled library, is lost in a destructor, or ends the process if a library cannot pass it on. So
-a handler raises only if the interrupted code is this package's own, or waits for threads or processes. Otherwise
-a timer tries again.
+an import of a compiled library, is lost in a destructor, or ends the process if a library cannot pass it on.
+So a handler raises only if the interrupted code is this package's own, or waits for threads or processes.
+Otherwise a timer tries again.
 """
 
 from __future__ import annotations

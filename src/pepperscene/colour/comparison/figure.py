@@ -241,6 +241,4 @@ def _rows(kinds: list[KindComparison]) -> int:
 
 
 def _shorten(name: str, limit: int = 12) -> str:
-    # Matplotlib draws no names of folders that are not UTF-8.
-    name = name.encode(errors="backslashreplace").decode()
     return name if len(name) <= limit else name[: limit - 1] + "…"
