@@ -248,7 +248,8 @@ def test_a_hundred_signals_at_random_moments(tmp_path, number):
             check_interrupted(command, code, errors, number)
         assert not list(tmp_path.rglob("*.tmp"))
         if folder.exists():
-            assert check_dataset(folder, frames=None).counts().keys() <= {"incomplete"}
+            # A worker that is killed may leave an image of a frame that is not complete.
+            assert check_dataset(folder, frames=None).counts().keys() <= {"incomplete", "extra"}
     assert Command(*arguments, str(folder)).finish()[0] == 0
     assert contents(folder) == contents(expected)
 
