@@ -93,6 +93,6 @@ def test_sigterm_interrupts_a_build(tmp_path):
     assert json.loads(process.stdout.readline())["event"] == "frame"
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
+    assert process.returncode == 143
     assert "run the same command again" in errors
     assert (tmp_path / "set" / "manifest.parquet").is_file()

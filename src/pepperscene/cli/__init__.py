@@ -1,7 +1,7 @@
 """The command line: one module for each group of commands.
 
-Exit codes: 0 success, 1 a data set has faults, 2 an error that the user can fix (one line says what), 130
-interrupted.
+Exit codes: 0 success, 1 a data set has faults, 2 an error that the user can fix (one line says what), 128
+plus the number of the signal that interrupted the command.
 """
 
 from pepperscene.cli import building, datasets, machine, tuning

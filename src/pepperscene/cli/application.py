@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import functools
+import os
 import signal
-import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from typing import Annotated, Final, ParamSpec, TypeVar
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from typing import Annotated, Final, NoReturn, ParamSpec, TypeVar
 
 import typer
 
+from pepperscene.cli.interrupts import Interrupted, interruptible
 from pepperscene.cli.progress import echo_progress
-from pepperscene.errors import EXIT_BAD_INPUT, ArgumentError, PepperError
+from pepperscene.cli.streams import protect_streams
+from pepperscene.errors import EXIT_BAD_INPUT, ArgumentError, OutputError, PepperError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, check_outputs
 from pepperscene.version import __version__
 
-EXIT_INTERRUPTED: Final = 130
-"""As shells report a process that was ended by Ctrl-C."""
+EXIT_SIGNAL: Final = 128
+"""Exit code after a signal, without its number: as shells report a process that was ended by it."""
 
 DEFAULTS: Final = ",".join(DEFAULT_OUTPUTS)
 
@@ -35,9 +37,16 @@ app = typer.Typer(
 )
 
 
-def main() -> None:
+def main() -> NoReturn:
     """Run the command line."""
-    app()
+    protect_streams()
+    try:
+        app()
+    except PepperError as error:
+        # The help could not be written; commands handle their own errors.
+        echo_progress(f"error: {error}")
+        sys.exit(EXIT_BAD_INPUT)
+    sys.exit(0)
 
 
 _OPTIONS: Final = {"changes": "set", "form": "format", "names": "fit", "smallest_px": "smallest"}
@@ -45,42 +54,47 @@ _OPTIONS: Final = {"changes": "set", "form": "format", "names": "fit", "smallest
 
 
 def handle_errors(command: Callable[P, R]) -> Callable[P, R]:
-    """Wrap a command so that foreseeable errors are one line on standard error, without a traceback."""
+    """Wrap a command so that foreseeable errors and signals give one line on standard error, no traceback."""
 
     @functools.wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
-        try:
-            return command(*args, **kwargs)
-        except PepperError as error:
-            message = str(error)
-            if isinstance(error, ArgumentError):
-                option = _OPTIONS.get(error.where, error.where).replace("_", "-")
-                message = f"--{option}: {error.detail}"
-            echo_progress(f"error: {' '.join(message.split())}")
-            raise typer.Exit(EXIT_BAD_INPUT) from None
-        except KeyboardInterrupt:
-            echo_progress("interrupted; to resume a build, run the same command again")
-            raise typer.Exit(EXIT_INTERRUPTED) from None
+        with interruptible(command.__code__) as interruption:
+            try:
+                _check_current_folder()
+                result = command(*args, **kwargs)
+                interruption.raise_if_pending()
+                return result
+            except PepperError as error:
+                message = str(error)
+                if isinstance(error, ArgumentError):
+                    option = _OPTIONS.get(error.where, error.where).replace("_", "-")
+                    message = f"--{option}: {error.detail}"
+                echo_progress(f"error: {' '.join(message.split())}")
+                raise typer.Exit(EXIT_BAD_INPUT) from None
+            except OSError as error:
+                echo_progress(f"error: {_describe_system_error(error)}")
+                raise typer.Exit(EXIT_BAD_INPUT) from None
+            except KeyboardInterrupt as error:
+                # Commands note what was written.
+                echo_progress("; ".join(("interrupted", *getattr(error, "__notes__", ()))))
+                number = error.number if isinstance(error, Interrupted) else signal.SIGINT
+                raise typer.Exit(EXIT_SIGNAL + number) from None
 
     return run
 
 
-@contextmanager
-def sigterm_as_interrupt() -> Iterator[None]:
-    """Treat SIGTERM, which clusters send before the time limit, like Ctrl-C."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    # Signal handlers can only be set in the main thread.
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    previous = signal.signal(signal.SIGTERM, interrupt)
+def _check_current_folder() -> None:
+    """Raise `OutputError` if the current folder was removed: Mitsuba would end the process."""
     try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, previous)
+        os.getcwd()
+    except OSError:
+        raise OutputError("the current folder does not exist any more; change to another folder") from None
+
+
+def _describe_system_error(error: OSError) -> str:
+    """A system error that no check has foreseen, in words."""
+    problem = " ".join(str(error.strerror or error).split())
+    return problem if error.filename is None else f"{error.filename}: {problem}"
 
 
 def _show_version(requested: bool) -> None:

@@ -18,8 +18,8 @@ from pepperscene.cli.application import (
     app,
     handle_errors,
     parse_outputs,
-    sigterm_as_interrupt,
 )
+from pepperscene.cli.interrupts import raise_if_interrupted
 
 
 @app.command()
@@ -54,21 +54,30 @@ def build(
     """Build a data set. Finished frames are kept: run the same command again to resume a build."""
     names = parse_outputs(outputs)
     from pepperscene.cli.progress import progress_reporter
-    from pepperscene.dataset import BuildOptions, parse_changes, resolve_recipe
+    from pepperscene.dataset import BuildOptions, BuildProgress, parse_changes, resolve_recipe
     from pepperscene.dataset import build as build_dataset
 
     resolved = resolve_recipe(recipe, parse_changes(set or ()))
-    with sigterm_as_interrupt(), progress_reporter(json) as reporter:
-        options = BuildOptions(
-            quality=quality,
-            target_error=target_error,
-            seed=seed,
-            workers=workers,
-            scheduler=scheduler,
-            slurm=slurm,
-            on_notice=reporter.notice,
-        )
-        result = build_dataset(resolved, out, frames, names, options, on_frame=reporter.frame)
+    try:
+        with progress_reporter(json) as reporter:
+
+            def report_frame(progress: BuildProgress) -> None:
+                reporter.frame(progress)
+                raise_if_interrupted()
+
+            options = BuildOptions(
+                quality=quality,
+                target_error=target_error,
+                seed=seed,
+                workers=workers,
+                scheduler=scheduler,
+                slurm=slurm,
+                on_notice=reporter.notice,
+            )
+            result = build_dataset(resolved, out, frames, names, options, on_frame=report_frame)
+    except KeyboardInterrupt as error:
+        error.add_note("to resume the build, run the same command again")
+        raise
     reporter.end(result, out)
 
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from pepperscene.cli.application import (
-    EXIT_INTERRUPTED,
     HalfOption,
     JsonOption,
     LabelsOption,
@@ -84,6 +83,7 @@ def tune(
     if not patches:
         raise InputError("--patches", "is required: a patches file, a folder of images, or a CSV file")
     folder = out or Path(f"{Path(recipe).stem}_tuned")
+    _check_name(folder)
     measured, held_out = _open_patches(patches, labels, half), _split_names(hold_out or "")
     _check_held_out(measured, held_out)
     options = {
@@ -111,13 +111,22 @@ def tune(
                 extends=recipe,
                 on_progress=on_progress,
             )
-    except KeyboardInterrupt:
-        echo_progress("interrupted; nothing was written")
-        raise typer.Exit(EXIT_INTERRUPTED) from None
+    except KeyboardInterrupt as error:
+        error.add_note("nothing was written")
+        raise
     if json:
         typer.echo(json_text.dumps(_result_record(result), indent=1, allow_nan=False))
     else:
         _print_result(result)
+
+
+def _check_name(folder: Path) -> None:
+    try:
+        str(folder.absolute()).encode()
+    except UnicodeEncodeError:
+        raise InputError(
+            "--out", f"must be a name in UTF-8, because the tuned recipe contains it, not {str(folder)!r}"
+        ) from None
 
 
 def _open_patches(patches: Sequence[str], labels: str | None, half: str | None) -> PatchSet:

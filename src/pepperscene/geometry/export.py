@@ -206,7 +206,9 @@ def _encode_obj(mesh: Mesh, name: str) -> dict[str, bytes]:
         scene, include_normals=True, return_texture=True, write_texture=False, mtl_name=library,
         header="metres, z up; a group for each organ",
     )  # fmt: skip
-    return {name: text.replace("\no ", "\ng ").encode(), library: others[library]}
+    # The text names the library, whose name may not be UTF-8.
+    content = text.replace("\no ", "\ng ").encode(errors="surrogateescape")
+    return {name: content, library: others[library]}
 
 
 def _single_body(mesh: Mesh, suffix: str) -> bytes:

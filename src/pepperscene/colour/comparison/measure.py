@@ -55,7 +55,7 @@ class SetMeasures:
     """Sums over one set.
 
     Attributes:
-        name: of the set.
+        name: of the set, with escape sequences for what is not UTF-8 in the name of a folder.
         available: number of images in the set, `units` of which were measured.
         has_images: whether it has whole images: class fractions, places and light need them.
         kinds: colour sums of each kind, in the centre of the images; columns `HUES` and so on.
@@ -67,7 +67,8 @@ class SetMeasures:
     """
 
     def __init__(self, name: str, available: int, *, has_images: bool) -> None:
-        self.name, self.available, self.has_images, self.units = name, available, has_images, 0
+        self.name = name.encode(errors="backslashreplace").decode()
+        self.available, self.has_images, self.units = available, has_images, 0
         self.kinds: dict[str, BootstrapSums] = {}
         self.class_pixels = BootstrapSums(CLASSES + 1)
         self.places = BootstrapSums(CLASSES * _CELLS_TOTAL)

@@ -82,6 +82,7 @@ def _write_split(
     split_columns = [f"{name}.list.element.list.element" for name in features if name == "distance"]
     paths: list[Path] = []
     rows = memory_bytes = 0
+    stream: Any = None
     writer: Any = None
     try:
         while group := list(islice(frames, _ROWS)):
@@ -92,15 +93,19 @@ def _write_split(
             if writer is None:
                 paths.append(folder / f"{split}-{len(paths):05d}.parquet")
                 options = {"compression": "zstd", "use_dictionary": False}
-                writer = pq.ParquetWriter(paths[-1], schema, use_byte_stream_split=split_columns, **options)
+                # Arrow opens no file whose name is not UTF-8.
+                stream = paths[-1].open("wb")
+                writer = pq.ParquetWriter(stream, schema, use_byte_stream_split=split_columns, **options)
             writer.write_table(table)
             rows, memory_bytes = rows + len(group), memory_bytes + table.nbytes
-            if paths[-1].stat().st_size >= SHARD_BYTES:
+            if stream.tell() >= SHARD_BYTES:
                 writer.close()
+                stream.close()
                 writer = None
     finally:
         if writer is not None:
             writer.close()
+            stream.close()
     file_bytes = sum(path.stat().st_size for path in paths)
     for number, path in enumerate(paths):
         path.rename(folder / f"{split}-{number:05d}-of-{len(paths):05d}.parquet")

@@ -114,7 +114,8 @@ def write_report(
         with atomic_write(sheet) as temporary:
             contact_sheet(sheet_rows[0], near, far).save(temporary, format="PNG")
         with atomic_write(page) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+            # Names of folders that are not UTF-8 are shown as escape sequences.
+            temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
     except OSError as error:
         raise OutputError(f"{folder}: the report cannot be written ({error.strerror or error})") from None
     first = sets[0]

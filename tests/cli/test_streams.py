@@ -1,0 +1,242 @@
+"""Streams that are closed, full or without a reader, odd environments, and names that are not UTF-8."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import shlex
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from command_process import FAST_ENTRY, ONE_PLANT, Command
+
+from pepperscene.dataset import open_dataset
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full and a POSIX shell"),
+]
+
+FULL = b"error: standard output: cannot be written (No space left on device)\n"
+NO_READER = 141
+
+
+def shell(redirections, *arguments, entry=("-m", "pepperscene")):
+    """Run a command with redirections of the shell; returns exit code, standard output and error."""
+    command = Command(
+        "-c", f"exec {shlex.join([sys.executable, *entry, *arguments])} {redirections}",
+        entry=("-c", "import os, sys; os.execv('/bin/sh', ['sh', *sys.argv[1:]])"),
+    )  # fmt: skip
+    return command.finish()
+
+
+def build(folder, *more):
+    return ("build", "barth2018", "--out", str(folder), *ONE_PLANT, "--outputs", "class", *more)
+
+
+@pytest.mark.parametrize(
+    "redirections",
+    ["1>&-", "0<&- 1>&- 2>&-", "2>/dev/full", "1</dev/null 2</dev/null", "--json 2>&-"],
+)
+def test_builds_whose_messages_cannot_be_written_are_complete(tmp_path, redirections):
+    code, output, _ = shell(redirections, *build(tmp_path / "set"), entry=FAST_ENTRY)
+    # A standard output that refuses the result is an error, but only after the build.
+    assert code == (2 if "1<" in redirections else 0)
+    dataset = open_dataset(tmp_path / "set")
+    assert dataset.manifest()["index"].to_pylist() == [0, 1]
+    assert all(dataset.intact(index).outputs for index in (0, 1))
+    if "--json" in redirections:
+        assert [json.loads(line)["event"] for line in output.splitlines()] == ["frame", "frame", "end"]
+    # No message was written into a file that was opened instead of a stream.
+    assert not [path for path in tmp_path.rglob("*.json*") if b"built" in path.read_bytes()]
+
+
+def test_workers_are_independent_of_closed_streams(tmp_path):
+    code, _, _ = shell("0<&- 1>&- 2>&-", *build(tmp_path / "set", "--workers", "2"))
+    assert code == 0
+    assert open_dataset(tmp_path / "set").manifest()["index"].to_pylist() == [0, 1]
+
+
+def test_a_full_standard_output_is_one_sentence_and_keeps_frames(tmp_path):
+    assert shell(">/dev/full", *build(tmp_path / "set", "--json"), entry=FAST_ENTRY) == (2, b"", FULL)
+    assert 0 < len(open_dataset(tmp_path / "set").manifest()) <= 2
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("recipes",)])
+def test_every_full_standard_output_is_one_sentence(arguments):
+    assert shell(">/dev/full", *arguments) == (2, b"", FULL)
+
+
+@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+def test_a_build_whose_progress_has_no_reader_stops_and_keeps_frames(tmp_path, stream):
+    more = ("--json",) if stream == "stdout" else ()
+    arguments = build(tmp_path / "set", "--set", "plan.frames=100", *more)
+    command = Command(*arguments, entry=FAST_ENTRY, environment={"STAND_IN_S": "0.05"})
+    pipe = getattr(command.process, stream)
+    assert b"frame" in pipe.readline()
+    pipe.close()
+    setattr(command.process, stream, None)
+    code, output, errors = command.finish()
+    assert (code, output, errors) == (NO_READER, b"", b"")
+    assert 0 < len(open_dataset(tmp_path / "set").manifest()) < 100
+    assert command.remaining() == []
+
+
+def test_a_list_without_a_reader_ends_quietly():
+    command = Command("recipes")
+    command.process.stdout.close()
+    command.process.stdout = None
+    assert command.finish() == (NO_READER, b"", b"")
+
+
+HOSTILE = {
+    "HOME": "/proc/none", "TMPDIR": "/proc/none", "LC_ALL": "C", "LANG": None, "TERM": None, "COLUMNS": "0",
+    "PYTHONUNBUFFERED": "1", "PYTHONIOENCODING": "ascii",
+}  # fmt: skip
+
+
+def test_an_odd_environment_changes_nothing(tmp_path):
+    folder = tmp_path / "Bärenklau √2"
+    code, output, errors = Command(*build(folder), environment=HOSTILE).finish()
+    assert code == 0, errors.decode()
+    assert output.decode() == f"2 frames built: {folder}\n"
+    arguments = ("report", str(folder), "--limit", "1")
+    code, _, errors = Command(*arguments, environment={"HOME": None, "COLUMNS": "x", "TERM": "dumb"}).finish()
+    assert (code, errors) == (0, b"")
+
+
+@pytest.mark.parametrize(
+    ("encoding", "expected"),
+    [("latin-1", b"\\u221a\xe9\xe9\n"), ("utf-8:strict", "√é".encode() + b"\xe9\n")],
+)
+def test_characters_that_an_encoding_lacks_are_no_error(encoding, expected):
+    code = (
+        "import typer\n"
+        "from pepperscene.cli.streams import protect_streams\n"
+        "protect_streams()\n"
+        "typer.echo('√' + 'é' + chr(0xdce9))"
+    )
+    command = Command(entry=("-c", code), environment={"PYTHONIOENCODING": encoding})
+    assert command.finish() == (0, expected, b"")
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [{"TERM": "dumb", "COLUMNS": "x"}, {"TERM": None}, {"TERM": "xterm", "COLUMNS": "0"}],
+    ids=str,
+)
+def test_a_terminal_of_any_kind_shows_progress(tmp_path, environment):
+    parent, child = pty.openpty()
+    command = Command(*build(tmp_path / "set"), entry=FAST_ENTRY, environment=environment, stderr=child)
+    os.close(child)
+    shown = b""
+    # A terminal reports its end as an error.
+    with suppress(OSError):
+        while part := os.read(parent, 4096):
+            shown += part
+    os.close(parent)
+    code, output, _ = command.finish()
+    assert (code, output.decode()) == (0, f"2 frames built: {tmp_path / 'set'}\n")
+    assert b"Traceback" not in shown
+
+
+def test_a_terminal_that_disappears_does_not_stop_a_build(tmp_path):
+    parent, child = pty.openpty()
+    arguments = build(tmp_path / "set", "--set", "plan.frames=5")
+    command = Command(*arguments, entry=FAST_ENTRY, environment={"STAND_IN_S": "0.1"}, stderr=child)
+    os.close(child)
+    os.close(parent)
+    assert command.finish()[0] == 0
+    assert len(open_dataset(tmp_path / "set").manifest()) == 5
+
+
+def test_a_removed_current_folder_is_one_sentence(tmp_path):
+    script = 'mkdir gone && cd gone && rmdir ../gone && exec "$@"'
+    folder = str(tmp_path / "set")
+    for arguments in (build("set"), ("render", "--out", folder)):
+        done = subprocess.run(
+            ["sh", "-c", script, "sh", sys.executable, "-m", "pepperscene", *arguments],
+            cwd=tmp_path, capture_output=True,
+        )  # fmt: skip
+        assert done.returncode == 2
+        assert done.stderr.startswith(b"error: the current folder does not exist any more")
+        assert done.stderr.count(b"\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+NAME = b"caf\xe9"
+
+
+@pytest.fixture(scope="module")
+def odd_set(tmp_path_factory):
+    """A data set in a folder whose name is not UTF-8; standard output has the bytes of the name."""
+    parent = os.fsencode(tmp_path_factory.mktemp("names"))
+    folder = os.path.join(parent, NAME)
+    outputs = ("--outputs", "colour,class,instance,distance", "--quality", "draft")
+    code, output, errors = Command(*build(os.fsdecode(folder), *outputs)).finish()
+    assert (code, output) == (0, b"2 frames built: " + folder + b"\n"), errors
+    return folder
+
+
+def run_together(*commands):
+    """Standard output of several commands that succeed, without tracebacks."""
+    outputs = []
+    for command in [Command(*arguments) for arguments in commands]:
+        code, output, errors = command.finish()
+        assert code == 0, errors.decode()
+        outputs.append(output)
+    return outputs
+
+
+def test_commands_read_and_print_folders_whose_names_are_not_utf8(odd_set):
+    figure = odd_set + b".svg"
+    checked, reported, built, _ = run_together(
+        ("check", odd_set),
+        ("report", odd_set, "--beside", odd_set),
+        (*build(os.fsdecode(odd_set)), "--json", "--quality", "draft"),
+        ("compare", odd_set, odd_set, "--figure", figure),
+    )
+    assert checked == odd_set + b": 2 frames, no faults\n"
+    assert odd_set + b"/index.html" in reported
+    assert json.loads(built.splitlines()[-1])["folder"] == os.fsdecode(odd_set)
+    assert rb"caf\udce9" in Path(os.fsdecode(odd_set), "index.html").read_bytes()
+    assert os.path.getsize(figure)
+
+
+def test_exports_and_meshes_whose_names_are_not_utf8(odd_set):
+    forms = ("published", "coco", "yolo", "webdataset", "huggingface")
+    folders = [odd_set + form.encode() for form in forms]
+    mesh = odd_set + b".obj"
+    *exported, grown = run_together(
+        *(
+            ("export", odd_set, "--format", form, "--out", out)
+            for form, out in zip(forms, folders, strict=True)
+        ),
+        ("plant", "kaite_february", "--detail", "0.3", "--no-picture", "--out", mesh),
+    )
+    for output, folder in zip(exported, folders, strict=True):
+        assert output.endswith(b": " + folder + b"\n")
+        assert os.listdir(folder)
+    assert grown.splitlines()[-2:] == [mesh, odd_set + b".mtl"]
+    assert b"mtllib " + NAME + b".mtl\n" in Path(os.fsdecode(mesh)).read_bytes()
+
+
+def test_other_outputs_whose_names_are_not_utf8(tmp_path):
+    folder = os.path.join(os.fsencode(tmp_path), NAME)
+    (output,) = run_together(
+        ("render", "barth2018", *ONE_PLANT, "--outputs", "class,distance", "--out", folder)
+    )
+    assert output.splitlines()[0] == folder + b"/class.png"
+    # A recipe is a TOML file, which is UTF-8.
+    out = folder + b"_tuned"
+    arguments = ("tune", "demo", "--fit", "leaf.chlorophyll", "--patches", folder, "--out", out)
+    code, output, errors = Command(*arguments).finish()
+    assert (code, output) == (2, b"")
+    assert errors.startswith(b"error: --out: must be a name in UTF-8")
+    code, output, errors = Command("check", folder + b"x").finish()
+    assert (code, output) == (2, b"")
+    assert rb"caf\udce9x: holds no data set" in errors
