@@ -16,6 +16,9 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import NoReturn
 
+MIN_ADDRESS_SPACE = 600_000_000
+"""Bytes; measured: with 400 MB the libraries of a build crash, with 500 MB they do not."""
+
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 """Signals that end a command, as far as the system has them."""
 
@@ -24,6 +27,7 @@ def main() -> NoReturn:
     """Run the command line."""
     _open_missing_streams()
     _end_at_signals()
+    _check_address_space()
     from pepperscene.cli import main as run_command
 
     try:
@@ -52,6 +56,22 @@ def _open_missing_streams() -> None:
         if getattr(sys, name) is None:
             mode = "w" if descriptor else "r"
             setattr(sys, name, open(descriptor, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
+
+
+def _check_address_space() -> None:
+    """End with one line if `ulimit -v` allows so little that compiled libraries crash or hang on import."""
+    try:
+        import resource
+    except ImportError:
+        # Windows has no such limit.
+        return
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < MIN_ADDRESS_SPACE:
+        allowed, needed = limit / 1e9, MIN_ADDRESS_SPACE / 1e9
+        os.write(
+            2, b"error: needs %.1f GB of address space, but `ulimit -v` allows %.1f GB\n" % (needed, allowed)
+        )
+        os._exit(2)
 
 
 def _end_at_signals() -> None:

@@ -74,6 +74,11 @@ def handle_errors(command: Callable[P, R]) -> Callable[P, R]:
             except OSError as error:
                 echo_progress(f"error: {_describe_system_error(error)}")
                 raise typer.Exit(EXIT_BAD_INPUT) from None
+            except (MemoryError, RuntimeError) as error:
+                if not _is_out_of_memory(error):
+                    raise
+                echo_progress("error: memory ran out; use fewer or smaller images, or a larger machine")
+                raise typer.Exit(EXIT_BAD_INPUT) from None
             except KeyboardInterrupt as error:
                 # Commands note what was written.
                 echo_progress("; ".join(("interrupted", *getattr(error, "__notes__", ()))))
@@ -89,6 +94,12 @@ def _check_current_folder() -> None:
         os.getcwd()
     except OSError:
         raise OutputError("the current folder does not exist any more; change to another folder") from None
+
+
+def _is_out_of_memory(error: BaseException) -> bool:
+    from pepperscene.dataset.execution.memory import is_out_of_memory
+
+    return is_out_of_memory(error)
 
 
 def _describe_system_error(error: OSError) -> str:

@@ -29,6 +29,10 @@ THREADS: Final = ("PEPPERSCENE_THREADS", "OIDN_NUM_THREADS", "OMP_NUM_THREADS", 
 """Environment variables that limit the threads of a process: of Mitsuba, the denoiser, the matrix library."""
 
 GRACE_S: Final = 5.0  # chosen: how long a worker that has nothing to finish may take to end
+_LIKELY_CAUSES: Final = {
+    "SIGKILL": ", as when memory runs out",
+    **dict.fromkeys(("SIGSEGV", "SIGABRT"), ", as when the address space (`ulimit -v`) runs out"),
+}
 _STDERR_KEPT: Final = 4000  # chosen: bytes at the end of a worker's standard error
 
 
@@ -119,7 +123,7 @@ class WorkerProcess:
             self._ending = "it did not respond"
         elif status < 0:
             name = signal.Signals(-status).name if -status in set(signal.Signals) else f"signal {-status}"
-            self._ending = f"killed by {name}" + (", as when memory runs out" if status == -9 else "")
+            self._ending = f"killed by {name}" + _LIKELY_CAUSES.get(name, "")
         else:
             self._ending = f"exit code {status}" + (f": {lines[-1]}" if lines else "")
         return self._ending
