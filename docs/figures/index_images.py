@@ -819,7 +819,11 @@ def architecture() -> Image.Image:
 def reliability() -> Image.Image:
     """The steps by which a frame becomes complete."""
     figure, axes = canvas()
-    steps = ("write images under\ntemporary names", "flush, then rename", "JSON with checksums:\nframe is complete")
+    steps = (
+        "write images under\ntemporary names",
+        "flush, then rename",
+        "JSON with checksums:\nframe is complete",
+    )
     for row, (text, fill_colour) in enumerate(zip(steps, ("#f6ead2", "#dfe9f5", "#e2f0dd"), strict=True)):
         y = 30 + 48 * row
         box(axes, (92, y), (124, 32), text, fill_colour)
