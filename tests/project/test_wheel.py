@@ -1,10 +1,12 @@
-"""The wheel contains the shipped data and finds it after installation."""
+"""Wheel and source distribution contain the shipped data, and nothing whose licence they do not name."""
 
 from __future__ import annotations
 
 import json
 import subprocess
 import sys
+import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -12,6 +14,20 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("plants", "materials", "recipes")
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the unpacked source distribution."""
+    folder = tmp_path_factory.mktemp("source")
+    command = (sys.executable, "-m", "hatchling", "build", "--target", "sdist", "--directory", str(folder))
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    (archive,) = folder.glob("pepperscene-*.tar.gz")
+    with tarfile.open(archive) as content:
+        content.extractall(folder / "content", filter="data")
+    (top,) = (folder / "content").iterdir()
+    return top
 
 
 @pytest.fixture(scope="module")
@@ -59,3 +75,72 @@ def test_wheel_has_a_licence_and_finds_its_data(unpacked: Path) -> None:
     for path in json.loads(done.stdout):
         assert Path(path).is_relative_to(unpacked)
         assert Path(path).exists()
+
+
+def files(folder: Path) -> dict[str, Path]:
+    return {str(path.relative_to(folder)): path for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def licences_of_data(folder: Path) -> dict[str, str]:
+    """SPDX identifier of each file with a licence of its own, from the beginning of that licence."""
+    identifiers = {
+        "MIT": "MIT",
+        "BSD-3-Clause": "BSD-3-Clause",
+        "CC0 1.0": "CC0-1.0",
+        "CC BY-SA": "CC-BY-SA-4.0",
+    }
+    found = {}
+    for name, path in files(folder).items():
+        if path.suffix != ".toml" or path.name == "pyproject.toml":
+            continue
+        licence = tomllib.loads(path.read_text(encoding="utf-8")).get("licence")
+        if licence is not None:
+            (found[name],) = {spdx for start, spdx in identifiers.items() if licence.startswith(start)}
+    return found
+
+
+def test_licence_expression_names_the_licences_of_all_files(unpacked: Path, source: Path) -> None:
+    expression = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["license"]
+    (metadata,) = unpacked.glob("pepperscene-*.dist-info/METADATA")
+    assert f"License-Expression: {expression}\n" in metadata.read_text(encoding="utf-8")
+    for folder in (unpacked, source):
+        licences = licences_of_data(folder)
+        assert len(licences) > 40
+        assert set(licences.values()) == set(expression.split(" AND "))
+    for name in ("LICENSE", "materials/LICENCES.md"):
+        assert (metadata.parent / "licenses" / name).read_bytes() == (ROOT / name).read_bytes()
+        assert (source / name).read_bytes() == (ROOT / name).read_bytes()
+
+
+def test_no_photograph_is_distributed(unpacked: Path, source: Path) -> None:
+    """The photographs of the documentation are under CC BY-SA."""
+    for folder in (unpacked, source):
+        suffixes = {path.suffix for path in files(folder).values()}
+        assert suffixes <= {
+            ".py",
+            ".pyi",
+            ".typed",
+            ".toml",
+            ".csv",
+            ".md",
+            ".css",
+            ".js",
+            ".html",
+            ".cff",
+            ".txt",
+            "",
+        }
+        texts = b"".join(path.read_bytes() for path in files(folder).values() if path.suffix != ".md")
+        assert b"CC BY-SA" not in texts
+
+
+def test_source_distribution_builds_the_same_wheel(unpacked: Path, source: Path, tmp_path: Path) -> None:
+    command = (sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(tmp_path))
+    done = subprocess.run(command, cwd=source, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    (wheel,) = tmp_path.glob("pepperscene-*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "content")
+    rebuilt, original = files(tmp_path / "content"), files(unpacked)
+    assert rebuilt.keys() == original.keys()
+    assert all(path.read_bytes() == rebuilt[name].read_bytes() for name, path in original.items())
