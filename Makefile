@@ -8,19 +8,24 @@ JOBS ?= 2
 # The tests that need PyTorch run with a CPU build of it; they are skipped where none can be installed.
 TORCH ?= --index-url https://download.pytorch.org/whl/cpu --retries 0 --timeout 15 torch
 
+# A file of exact versions for pip: `make test CONSTRAINTS=requirements/lock.txt VENV=.venv-lock`.
+CONSTRAINTS ?=
+
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
+INSTALL := $(PIP) install --quiet $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS))
 PYTEST := $(BIN)/python -m pytest --numprocesses=$(JOBS) --dist=worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test test-long docs clean
+.PHONY: help demo check test test-long lock docs clean
 
 help:
 	@echo "make demo       build a few frames and an HTML report in $(OUT)"
 	@echo "make check      lint, types, import layers and unit tests (under two minutes)"
 	@echo "make test       everything that guards a change"
 	@echo "make test-long  tests that take many minutes"
+	@echo "make lock       write the versions of the installed packages to requirements/lock.txt"
 	@echo "make docs       build the documentation in docs/_build/html"
 	@echo "make clean      remove the virtual environment, caches and build products"
 	@echo "Use another interpreter: make demo PYTHON=python3.12"
@@ -41,6 +46,12 @@ test: $(VENV)/.installed-tests
 test-long: $(VENV)/.installed-tests
 	$(BIN)/python -m pytest -m long
 
+# PyTorch has other versions on other machines, so it is left out.
+lock: $(VENV)/.installed-tests
+	@mkdir -p requirements
+	{ printf '# What the tests passed with, on Linux with Python 3.11; written by `make lock`.\n'; \
+	  $(PIP) freeze --exclude-editable --exclude torch; } > requirements/lock.txt
+
 docs: $(VENV)/.installed-tests
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going -b html -d docs/_build/doctrees docs docs/_build/html
 
@@ -50,14 +61,14 @@ clean:
 
 # The stamp files record which packages are installed; a change of pyproject.toml renews them.
 $(VENV)/.installed: pyproject.toml | $(BIN)/python
-	$(PIP) install --quiet --editable .
+	$(INSTALL) --editable .
 	@touch $@
 
 # PyTorch comes first: as a dependency of another package pip would install a build with gigabytes of CUDA.
 $(VENV)/.installed-tests: pyproject.toml | $(BIN)/python
 	@$(BIN)/python -c 'import torch' 2>/dev/null || $(PIP) install --quiet $(TORCH) \
 	    || echo "No CPU build of PyTorch can be installed; the tests that need it are skipped."
-	$(PIP) install --quiet --editable '.[test,docs,notebooks]'
+	$(INSTALL) --editable '.[test,docs,notebooks]'
 	@touch $(VENV)/.installed $@
 
 # An incomplete environment is removed, so that the next call does not use it.
