@@ -18,7 +18,10 @@ def test_lock_satisfies_the_requirements() -> None:
     locked = {canonicalize_name(name): Version(version) for name, version in pinned}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    texts = [*project["dependencies"], *(text for name in ("test", "docs", "notebooks") for text in extras[name])]
+    texts = [
+        *project["dependencies"],
+        *(text for name in ("test", "docs", "notebooks") for text in extras[name]),
+    ]
     for requirement in map(Requirement, texts):
         if requirement.name != project["name"]:
             version = locked[canonicalize_name(requirement.name)]

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
 from time import perf_counter
@@ -101,23 +102,26 @@ def run_children(
     Raises:
         SetupError: one failed.
     """
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-P", str(_CHILD), json.dumps(asdict(task))],
-            env={**os.environ, **(environment or {})},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for task in tasks
-    ]
     results, errors = [], []
-    for process in processes:
-        output, messages = process.communicate()
-        if process.returncode:
-            errors.append((messages.strip().splitlines() or [f"exit code {process.returncode}"])[-1])
-        else:
-            results.append(json.loads(output.splitlines()[-1]))
+    with ExitStack() as stack:
+        processes = []
+        for task in tasks:
+            process = subprocess.Popen(
+                [sys.executable, "-P", str(_CHILD), json.dumps(asdict(task))],
+                env={**os.environ, **(environment or {})},
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+            # The children of a benchmark that is interrupted end with it.
+            stack.callback(process.kill)
+            processes.append(process)
+        for process in processes:
+            output, messages = process.communicate()
+            if process.returncode:
+                errors.append((messages.strip().splitlines() or [f"exit code {process.returncode}"])[-1])
+            else:
+                results.append(json.loads(output.splitlines()[-1]))
     if errors:
         raise SetupError(f"a benchmark process failed: {errors[0]}")
     return results

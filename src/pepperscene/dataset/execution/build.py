@@ -142,13 +142,13 @@ def build(
         try:
             units = work_units(job.recipe.recipe.plan, indices, executor.size)
             executor.make(job, Dispatcher(units, reporter.report, on_notice))
+            _finish(folder, journal, indices, job.outputs)
         except BaseException:
             with suppress(OutputError, OSError):
                 folder.remove_temporary_files()
                 folder.undo()
                 _write_tables(folder.dataset, journal)
             raise
-        _finish(folder, journal, indices, job.outputs)
     kept = set(indices).difference(reporter.made)
     return BuildResult(folder.dataset, tuple(sorted(reporter.made)), tuple(sorted(kept)))
 

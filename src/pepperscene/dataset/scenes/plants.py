@@ -206,7 +206,6 @@ def _make_in_two_processes(
     factory: PlantFactory, set_index: int, pending: deque[int], plants: dict[int, PlacedPlant]
 ) -> None:
     """Make the pending plants: this process takes them from the front, a worker from the end."""
-    worker = WorkerProcess(__name__)
 
     def fetch_plants() -> None:
         with suppress(OSError, EOFError):
@@ -215,8 +214,9 @@ def _make_in_two_processes(
                 plants[number] = worker.call((set_index, number))
 
     thread = threading.Thread(target=fetch_plants, name="plant worker", daemon=True)
-    thread.start()
+    worker = WorkerProcess(__name__)
     try:
+        thread.start()
         for number in _drain(pending.popleft):
             plants[number] = factory.plant(set_index, number)
         thread.join()
@@ -224,7 +224,8 @@ def _make_in_two_processes(
         # The thread is still alive only if this process failed or was interrupted.
         pending.clear()
         worker.close(0.0 if thread.is_alive() else GRACE_S)
-        thread.join()
+        if thread.ident is not None:
+            thread.join()
 
 
 def _drain(pop: Callable[[], int]) -> Iterator[int]:

@@ -36,11 +36,11 @@ class OutputFolder:
 
     Args:
         folder: of the data set; `check_output_folder` accepts it.
-        info: content of its `dataset.json`.
+        info: content of its `dataset.json`, without the checksum.
     """
 
     def __init__(self, folder: Path, info: Mapping[str, Any]) -> None:
-        self.dataset = Dataset(folder, info)
+        self.dataset = Dataset(folder, {**info, CHECKSUM: checksum_of(info)})
         inside = (MARK, MANIFEST, FRUIT, JOURNAL, FRAMES, *OUTPUTS)
         paths = [*reversed(folder.parents), folder, *(folder / name for name in inside)]
         self._missing = [path for path in paths if not path.exists()]
@@ -50,7 +50,7 @@ class OutputFolder:
         self.dataset.folder.mkdir(parents=True, exist_ok=True)
         info_file = self.dataset.folder / MARK
         if not _is_intact(info_file):
-            write_json(info_file, {**self.dataset.info, CHECKSUM: checksum_of(self.dataset.info)})
+            write_json(info_file, self.dataset.info)
         for name in (*outputs, FRAMES):
             (self.dataset.folder / name).mkdir(exist_ok=True)
         self.remove_temporary_files()
