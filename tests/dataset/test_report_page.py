@@ -134,11 +134,9 @@ def test_second_set_is_in_every_figure(make, photographs):
         "–", "–", "50.00\u00a0%", *"–––––", "50.00\u00a0%",
     ]  # fmt: skip
     assert len(page.images("map")) == len(OrganClass) + 1
-    dashed = [
-        attrs["style"] for tag, attrs in page.tags if tag == "path" and "dasharray" in attrs.get("style", "")
-    ]
+    dashed = [attrs for tag, attrs in page.tags if tag == "path" and "stroke-dasharray" in attrs]
     assert len(dashed) == 2
-    assert all("stroke: var(--b)" in style for style in dashed)
+    assert all(attrs["stroke"] == "var(--b)" for attrs in dashed)
     assert page.text.count("Correlation of the two") == 1
 
 
