@@ -39,9 +39,7 @@ def parse(text):
 def curves_of(root):
     """Attributes and points of each curve."""
     paths = [path for path in root.iter("path") if path.get("stroke-width") == "1.8"]
-    return [
-        (path.attrib, np.array(re.findall(r"[ML] (\S+) (\S+)", path.get("d")), float)) for path in paths
-    ]
+    return [(path.attrib, np.array(re.findall(r"[ML] (\S+) (\S+)", path.get("d")), float)) for path in paths]
 
 
 def ticks_of(root, anchor):

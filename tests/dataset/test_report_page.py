@@ -180,6 +180,17 @@ def test_names_are_escaped(make, photographs):
     assert not [attrs for _, attrs in page.tags if "onclick" in attrs]
 
 
+def test_images_with_similar_names_have_different_links(make, tmp_path):
+    for name in ("a/b", "a-b"):
+        path = tmp_path / "photographs" / "images" / f"{name}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.new("RGB", (8, 6)).save(path)
+    tags = Page(write_report(make(1), beside=tmp_path / "photographs").page).tags
+    ids = [attrs["id"] for tag, attrs in tags if tag == "article"]
+    assert len(set(ids)) == 1 + 2
+    assert [attrs["href"] for tag, attrs in tags if tag == "a"][-2:] == [f"#{name}" for name in ids[1:]]
+
+
 def test_build_continues_after_a_report(make):
     folder = make(1)
     write_report(folder)
