@@ -165,13 +165,11 @@ def _class_bar(view: ImageView) -> Html:
     if not view.class_pixels:
         return fragment()
     parts, left = [], 0.0
-    for organ, count in view.class_pixels.items():
-        percentage = 100 * count / view.area
+    for organ, percentage in ((organ, 100 * count / view.area) for organ, count in view.class_pixels.items()):
+        place = {"x": f"{left:.3f}%", "width": f"{percentage:.3f}%", "height": "100%"}
         title = element("title", f"{organ.name.lower()} {percentage:.1f} %")
-        colour = class_colour_code(organ)
-        if count:
-            part = {"x": f"{left:.3f}%", "width": f"{percentage:.3f}%", "height": "100%", "fill": colour}
-            parts.append(element("rect", title, **part))
+        if percentage > 0:
+            parts.append(element("rect", title, **place, fill=class_colour_code(organ)))
         left += percentage
     return element("svg", *parts, class_="stack")
 
