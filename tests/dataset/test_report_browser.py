@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from urllib.parse import unquote
+
 import numpy as np
 import pytest
 from chromium import Browser, find_chromium
 from data_sets import RandomImages, set_without_plants
+from hostile_set import FILE_NAME, TEXT, make_hostile, make_photographs, make_plain_set
+from stand_in import PYTHONPATH
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import write_report
@@ -17,6 +24,13 @@ SIZE = (120, 160)
 FRAME_COUNT = 40
 SHOWN = 3
 PANELS = ("colour", "class", "instance", "distance")
+
+RECORD_VIOLATIONS = """
+window.violations = [];
+addEventListener("securitypolicyviolation", event =>
+  window.violations.push(event.effectiveDirective + " " + event.blockedURI));
+"""
+"""Script that runs before a page: what its content security policy blocks."""
 
 
 class BandRenderer:
@@ -60,6 +74,7 @@ def page(tmp_path_factory):
 @pytest.fixture(scope="module")
 def started(tmp_path_factory):
     browser = Browser(tmp_path_factory.mktemp("profile"))
+    browser.call("Page.addScriptToEvaluateOnNewDocument", source=RECORD_VIOLATIONS)
     yield browser
     browser.close()
 
@@ -69,12 +84,19 @@ def browser(started, page):
     """A browser with the page, which must make no requests, errors or log entries."""
     started.open(page)
     yield started
+    assert_quiet(started, page)
+
+
+def assert_quiet(browser, page):
+    """The page has requested nothing but itself, and neither errors, log entries nor blocked content."""
     urls = {
-        event["request"]["url"].partition(",")[0] for event in started.events("Network.requestWillBeSent")
+        unquote(event["request"]["url"].partition(",")[0])
+        for event in browser.events("Network.requestWillBeSent")
     }
-    assert {url for url in urls if not url.startswith("data:")} == {page.resolve().as_uri()}
+    assert {url for url in urls if not url.startswith("data:")} == {f"file://{page.resolve()}"}
     for method in ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded"):
-        assert started.events(method) == []
+        assert browser.events(method) == []
+    assert browser.run("window.violations") == []
 
 
 def dialog(browser):
@@ -228,3 +250,57 @@ def test_print_hides_controls(started, page):
     )
     assert visible == [False, False, True, True, True]
     assert started.run("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+
+
+@pytest.fixture(scope="module")
+def hostile_page(tmp_path_factory):
+    """The page, by the command line, of a data set and photographs whose texts and names are hostile."""
+    parent = tmp_path_factory.mktemp("hostile")
+    folder = make_plain_set(parent).rename(parent / FILE_NAME)
+    make_hostile(folder)
+    photographs = make_photographs(parent, f"{FILE_NAME}2", FILE_NAME)
+    command = [sys.executable, "-m", "pepperscene", "report", folder, "--beside", photographs, "--limit", "2"]
+    subprocess.run(command, check=True, capture_output=True, env={**os.environ, "PYTHONPATH": PYTHONPATH})
+    return folder / "index.html"
+
+
+def test_no_script_of_a_hostile_data_set_runs(started, hostile_page):
+    started.open(hostile_page)
+    # All interactions that copy text.
+    started.click(".card .picture")
+    for _ in range(12):
+        started.press("ArrowRight")
+    assert FILE_NAME in dialog(started)["caption"]
+    started.press("Escape")
+    started.click("summary")
+    started.click("details tr:last-child a")
+    assert started.run("document.querySelector('h1').textContent") == TEXT
+    assert started.run("typeof window.attacked") == "undefined"
+    assert_quiet(started, hostile_page)
+
+
+def test_policy_stops_what_is_not_escaped(started, page, tmp_path):
+    # As if a text were inserted as it is.
+    link = '<a id="link" href="javascript:window.attacked=1">link</a>'
+    text = page.read_text(encoding="utf-8").replace("</main>", f"<p>{TEXT}{link}</p></main>")
+    attacked = tmp_path / "attacked.html"
+    attacked.write_text(text, encoding="utf-8")
+    started.open(attacked)
+    violations = started.run("window.violations")
+    directives = {violation.split()[0] for violation in violations}
+    assert directives >= {"script-src-elem", "script-src-attr", "style-src-elem", "style-src-attr", "img-src"}
+    started.click("#link")
+    started.wait_until(f"window.violations.length > {len(violations)}")
+    assert started.run("typeof window.attacked") == "undefined"
+    # The browser announces each request before it asks the policy.
+    requested = {
+        event["requestId"]
+        for event in started.events("Network.requestWillBeSent")
+        if event["request"]["url"].startswith("http")
+    }
+    blocked = {
+        event["requestId"]
+        for event in started.events("Network.loadingFailed")
+        if event.get("blockedReason") == "csp"
+    }
+    assert requested <= blocked

@@ -134,11 +134,9 @@ def test_second_set_is_in_every_figure(make, photographs):
         "–", "–", "50.00\u00a0%", *"–––––", "50.00\u00a0%",
     ]  # fmt: skip
     assert len(page.images("map")) == len(OrganClass) + 1
-    dashed = [
-        attrs["style"] for tag, attrs in page.tags if tag == "path" and "dasharray" in attrs.get("style", "")
-    ]
+    dashed = [attrs for tag, attrs in page.tags if tag == "path" and "stroke-dasharray" in attrs]
     assert len(dashed) == 2
-    assert all("stroke: var(--b)" in style for style in dashed)
+    assert all(attrs["stroke"] == "var(--b)" for attrs in dashed)
     assert page.text.count("Correlation of the two") == 1
 
 
@@ -180,6 +178,17 @@ def test_names_are_escaped(make, photographs):
     assert sum(tag == "script" for tag, _ in page.tags) == 1
     assert "&lt;script&gt;" in page.text
     assert not [attrs for _, attrs in page.tags if "onclick" in attrs]
+
+
+def test_images_with_similar_names_have_different_links(make, tmp_path):
+    for name in ("a/b", "a-b"):
+        path = tmp_path / "photographs" / "images" / f"{name}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.new("RGB", (8, 6)).save(path)
+    tags = Page(write_report(make(1), beside=tmp_path / "photographs").page).tags
+    ids = [attrs["id"] for tag, attrs in tags if tag == "article"]
+    assert len(set(ids)) == 1 + 2
+    assert [attrs["href"] for tag, attrs in tags if tag == "a"][-2:] == [f"#{name}" for name in ids[1:]]
 
 
 def test_build_continues_after_a_report(make):

@@ -6,11 +6,12 @@ import io
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pepperscene.dataset.report.markup import Html, element
 
 # Layout in units of the SVG. Chosen: on a phone, a unit is about a pixel.
 _WIDTH, _LEFT, _RIGHT, _BOTTOM = 300, 38, 284, 46
@@ -58,7 +59,7 @@ def line_chart(
     x_axis: Axis,
     y_label: str,
     hue_strip: bool = False,
-) -> str:
+) -> Html:
     """Draw lines from zero upwards over a common axis; the first one is filled.
 
     Args:
@@ -92,7 +93,7 @@ def line_chart(
 
 def value_chart(
     chart_id: str, title: str, values: Sequence[tuple[str, str, NDArray[np.floating]]], unit: str
-) -> str:
+) -> Html:
     """Draw the distribution of values: a histogram, or a dot for each value if there are few.
 
     The values are given as key, name and `(n,)` values of each set.
@@ -127,7 +128,7 @@ def _draw_svg(
     layout: tuple[int, int],
     x_axis: Axis,
     draw: Callable[[Any], None],
-) -> str:
+) -> Html:
     """An SVG element of axes whose content is drawn by `draw`."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -151,11 +152,28 @@ def _draw_svg(
     content = re.sub(r"font-size: [^;]*; font-family: [^;\"]*;? ?", "", content)
     for name, colour in _COLOURS.items():
         content = content.replace(colour, f"var(--{name})")
-    return (
-        f'<svg class="chart" viewBox="0 0 {_WIDTH} {height}" role="img" '
-        f'aria-labelledby="{chart_id}-t {chart_id}-d"><title id="{chart_id}-t">{escape(title)}</title>'
-        f'<desc id="{chart_id}-d">{escape(description)}</desc>{" ".join(content.split())}'
+    content = re.sub(r' style="([^"]*)"', _style_as_attributes, content.removesuffix("</svg>\n"))
+    return element(
+        "svg",
+        element("title", title, id=f"{chart_id}-t"),
+        element("desc", description, id=f"{chart_id}-d"),
+        # Matplotlib has drawn numbers and constants only.
+        Html(" ".join(content.split())),
+        class_="chart",
+        viewBox=f"0 0 {_WIDTH} {height}",
+        role="img",
+        aria_labelledby=f"{chart_id}-t {chart_id}-d",
     )
+
+
+def _style_as_attributes(style: re.Match[str]) -> str:
+    """A style as SVG's presentation attributes, because the page's security policy forbids style attributes.
+
+    Of several values of a property, the last one counts, as in CSS.
+    """
+    pairs = (rule.partition(":")[::2] for rule in style[1].split(";") if rule.strip())
+    attributes = {name.strip(): value.strip() for name, value in pairs}
+    return "".join(f' {name}="{value}"' for name, value in attributes.items())
 
 
 def _set_ticks(axes: Any, axis: str, ticks: Sequence[float]) -> None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
+from pepperscene.dataset.report.markup import Html
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.journal import JOURNAL
 from pepperscene.dataset.store.manifest import MANIFEST, frame_row
@@ -138,8 +139,8 @@ class SetSummary:
     frames: int
     statistics: ImageStatistics  # of its measured images
     records: FrameRecords | None  # of all frames; None if it is not a data set of this package
-    cards: tuple[str, ...]  # its displayed images as HTML
-    table_rows: tuple[tuple[str, list[str]], ...]  # head and cells for each of these images
+    cards: tuple[Html, ...]  # its displayed images
+    table_rows: tuple[tuple[Html, list[str]], ...]  # head and cells for each of these images
 
     def class_fractions(self) -> tuple[NDArray[np.float64], int]:
         """Pixel fraction of each class `(8,)`, and the number of images that they are from.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -19,6 +18,7 @@ from pepperscene.dataset.report.colours import (
     jpeg_data_uri,
     png_data_uri,
 )
+from pepperscene.dataset.report.markup import Html, element, fragment, joined
 
 if TYPE_CHECKING:
     from PIL import Image, ImageDraw
@@ -94,24 +94,25 @@ def image_view(image: LabelledImage, near_m: float, far_m: float) -> ImageView:
     return ImageView(image.name, image.metadata, panels, class_pixels, height * width)
 
 
-def card_html(view: ImageView, set_key: str) -> str:
+def card_html(view: ImageView, set_key: str) -> Html:
     """A card with the panels of an image, its class fractions as one bar, and a description."""
     buttons = [_panel_button(view, key) for key in view.panels]
     # Two panels have the same size; of more, the first is large and the others are small below it.
-    images = "".join(buttons)
+    images = joined(buttons)
     if len(buttons) > 2:
-        images = f'{buttons[0]}<div class="thumbs">{"".join(buttons[1:])}</div>'
+        images = fragment(buttons[0], element("div", *buttons[1:], class_="thumbs"))
     elif len(buttons) == 2:
-        images = f'<div class="thumbs">{images}</div>'
-    lines = "".join(f"<p>{escape(line)}</p>" for line in (view.location, _describe_organs(view)) if line)
-    return (
-        f'<article class="card" id="{_card_id(view, set_key)}">{images}{_class_bar(view)}'
-        f"<h3>{escape(view.title)}</h3>{lines}</article>"
-    )
+        images = element("div", images, class_="thumbs")
+    lines = joined(element("p", line) for line in (view.location, _describe_organs(view)) if line)
+    content = (images, _class_bar(view), element("h3", view.title), lines)
+    return element("article", *content, class_="card", id=_card_id(view, set_key))
 
 
-def table_row(view: ImageView, set_key: str) -> tuple[str, list[str]]:
-    """Head and cells of a table row: place in the plan, camera height, error of the light, percentages."""
+def table_row(view: ImageView, set_key: str) -> tuple[Html, list[str]]:
+    """Head and cells of a table row: place in the plan, camera height, error of the light, percentages.
+
+    The cells are text.
+    """
     metadata = view.metadata
     height, error = view.camera_height_m, metadata.get("sampling", {}).get("error_codes")
     cells = [
@@ -121,10 +122,10 @@ def table_row(view: ImageView, set_key: str) -> tuple[str, list[str]]:
         *(f"{100 * count / view.area:.2f}" for count in view.class_pixels.values()),
     ]
     cells += [""] * (len(TABLE_COLUMNS) - 1 - len(cells))
-    return f'<a href="#{_card_id(view, set_key)}">{escape(view.name)}</a>', cells
+    return element("a", view.name, href=f"#{_card_id(view, set_key)}"), cells
 
 
-def image_button(kind: str, uri: str, alt: str, size: tuple[int, int], label: str = "") -> str:
+def image_button(kind: str, uri: str, alt: str, size: tuple[int, int], label: str = "") -> Html:
     """An image that opens large on click.
 
     Args:
@@ -134,12 +135,10 @@ def image_button(kind: str, uri: str, alt: str, size: tuple[int, int], label: st
         size: width and height in pixels.
         label: text below the image.
     """
-    below = f"<span>{escape(label)}</span>" if label else ""
-    return (
-        f'<button type="button" class="picture" aria-label="{escape(alt)}: open large">'
-        f'<img src="{uri}" class="{kind}" data-kind="{kind}" alt="{escape(alt)}" '
-        f'width="{size[0]}" height="{size[1]}">{below}</button>'
-    )
+    width, height = size
+    image = element("img", src=uri, class_=kind, data_kind=kind, alt=alt, width=width, height=height)
+    below = element("span", label) if label else ""
+    return element("button", image, below, type="button", class_="picture", aria_label=f"{alt}: open large")
 
 
 def class_colour_code(organ_class: OrganClass) -> str:
@@ -148,10 +147,12 @@ def class_colour_code(organ_class: OrganClass) -> str:
 
 
 def _card_id(view: ImageView, set_key: str) -> str:
-    return f"{set_key}-" + "".join(letter if letter.isalnum() else "-" for letter in view.name)
+    """An id without spaces, which differs for every name."""
+    codes = (letter if letter.isalnum() else f"-{ord(letter):x}-" for letter in view.name)
+    return f"{set_key}-{''.join(codes)}"
 
 
-def _panel_button(view: ImageView, key: str) -> str:
+def _panel_button(view: ImageView, key: str) -> Html:
     panel = view.panels[key]
     uri = jpeg_data_uri(panel) if key == "colour" else png_data_uri(panel)
     is_large = next(iter(view.panels)) == key and len(view.panels) != 2
@@ -159,15 +160,18 @@ def _panel_button(view: ImageView, key: str) -> str:
     return image_button(key, uri, alt, (panel.shape[1], panel.shape[0]), "" if is_large else _LABELS[key])
 
 
-def _class_bar(view: ImageView) -> str:
+def _class_bar(view: ImageView) -> Html:
     """The fractions of the classes as one bar."""
-    percentages = {organ: 100 * count / view.area for organ, count in view.class_pixels.items() if count}
-    parts = "".join(
-        f'<b style="width:{percentage:.3f}%;background:{class_colour_code(organ)}"'
-        f' title="{organ.name.lower()} {percentage:.1f} %"></b>'
-        for organ, percentage in percentages.items()
-    )
-    return f'<div class="stack">{parts}</div>' if view.class_pixels else ""
+    if not view.class_pixels:
+        return fragment()
+    parts, left = [], 0.0
+    for organ, percentage in ((organ, 100 * count / view.area) for organ, count in view.class_pixels.items()):
+        place = {"x": f"{left:.3f}%", "width": f"{percentage:.3f}%", "height": "100%"}
+        title = element("title", f"{organ.name.lower()} {percentage:.1f} %")
+        if percentage > 0:
+            parts.append(element("rect", title, **place, fill=class_colour_code(organ)))
+        left += percentage
+    return element("svg", *parts, class_="stack")
 
 
 def _describe_organs(view: ImageView) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from html import escape
 from typing import Final
 
 import numpy as np
@@ -14,6 +13,7 @@ from pepperscene.dataset.report.charts import Curve, line_chart, value_chart
 from pepperscene.dataset.report.colours import png_data_uri, viridis_colours
 from pepperscene.dataset.report.data import FrameRecords, SetSummary
 from pepperscene.dataset.report.image_view import class_colour_code, image_button
+from pepperscene.dataset.report.markup import Html, element, fragment, joined
 from pepperscene.truth import HUE_BINS, centre_falloff, hue_spectrum_correlation, mean_hue
 
 _HUES: Final = np.arange(HUE_BINS) * (360.0 / HUE_BINS)
@@ -32,14 +32,13 @@ _BUILD_CHARTS: Final = (
 """Column of the manifest, title, unit, and factor to that unit."""
 
 
-def class_fractions_html(sets: Sequence[SetSummary]) -> str:
+def class_fractions_html(sets: Sequence[SetSummary]) -> Html:
     """Fraction of each class in all pixels, as a table with a bar for each set (Fig. 10)."""
     fractions = {item.key: item.class_fractions() for item in sets}
     known = [values for values, _ in fractions.values() if np.isfinite(values).all()]
     if not known:
-        return "<p>No frame has class labels yet.</p>"
+        return element("p", "No frame has class labels yet.")
     scale = max(float(values.max()) for values in known)
-    header_cells = "".join(f'<th scope="col">{set_label(item)}</th>' for item in sets)
     rows = []
     for organ in OrganClass:
         values = {item.key: float(fractions[item.key][0][organ]) for item in sets}
@@ -50,35 +49,32 @@ def class_fractions_html(sets: Sequence[SetSummary]) -> str:
             else values[item.key]
             for item in sets
         ]
-        rows.append(
-            f'<tr><th scope="row">{swatch(organ)}{organ.name.lower()}<small>{organ:d}</small></th>'
-            f"{_table_cells(_format_percent(value) for value in displayed)}"
-            f'<td class="bars">{_fraction_bars(list(values.items()), scale)}</td></tr>'
-        )
+        head = fragment(swatch(organ), organ.name.lower(), element("small", f"{organ:d}"))
+        bars = _fraction_bars(list(values.items()), scale)
+        rows.append(_fraction_row(head, map(_format_percent, displayed), bars))
     if any(item.statistics.unlabelled_pixels for item in sets):
-        cells = _table_cells(_format_percent(item.unlabelled_fraction()) for item in sets)
-        rows.append(f'<tr><th scope="row">no label</th>{cells}<td class="bars"></td></tr>')
-    counts = " and ".join(
-        f"{plural(fractions[item.key][1], 'image')} of {escape(item.name)}" for item in sets
-    )
-    return (
-        f'<table class="fractions" style="--sets: {len(sets)}"><thead>'
-        f'<tr><th scope="col">Class</th>{header_cells}<th class="bars"></th></tr></thead>'
-        f"<tbody>{''.join(rows)}</tbody></table><p>Fraction of all pixels, in {counts}.</p>"
+        unlabelled = (_format_percent(item.unlabelled_fraction()) for item in sets)
+        rows.append(_fraction_row("no label", unlabelled))
+    heads = (_head("Class", "col"), *(_head(set_label(item), "col") for item in sets))
+    header = element("thead", element("tr", *heads, element("th", class_="bars")))
+    counts = " and ".join(f"{plural(fractions[item.key][1], 'image')} of {item.name}" for item in sets)
+    return fragment(
+        element("table", header, element("tbody", *rows), class_="fractions", data_sets=len(sets)),
+        element("p", f"Fraction of all pixels, in {counts}."),
     )
 
 
-def class_maps_html(sets: Sequence[SetSummary]) -> str:
+def class_maps_html(sets: Sequence[SetSummary]) -> Html:
     """Mean mask of each class, relative to its maximum (Fig. 11)."""
     masks = {item.key: item.statistics.mean_masks() for item in sets}
     panels = []
     for organ in OrganClass:
         maps = [_class_map(item, organ, masks[item.key]) for item in sets]
-        panels.append(_class_panel(organ, f'<div class="pair">{"".join(maps)}</div>'))
-    return f'<div class="grid{" wide" if len(sets) > 1 else ""}">{"".join(panels)}</div>'
+        panels.append(_class_panel(organ, element("div", *maps, class_="pair")))
+    return element("div", *panels, class_="grid wide" if len(sets) > 1 else "grid")
 
 
-def hue_spectra_html(sets: Sequence[SetSummary]) -> str:
+def hue_spectra_html(sets: Sequence[SetSummary]) -> Html:
     """Distribution of the hues of each class's pixels, in the centre of the images (Fig. 12)."""
     spectra = {item.key: item.statistics.hue_spectra() for item in sets}
     panels = []
@@ -89,48 +85,49 @@ def hue_spectra_html(sets: Sequence[SetSummary]) -> str:
         curves = [Curve(item.key, item.name, _HUES, spectra[item.key][organ]) for item in known]
         title = f"Hues of the class {organ.name.lower()}"
         chart = line_chart(f"hue{organ:d}", title, curves, _HUE_AXIS, "% of its pixels", hue_strip=True)
-        panels.append(_class_panel(organ, chart + _hue_table(known, [curve.y for curve in curves], organ)))
-    return f'<div class="grid">{"".join(panels)}</div>' if panels else "<p>No photograph has labels yet.</p>"
+        table = _hue_table(known, [curve.y for curve in curves], organ)
+        panels.append(_class_panel(organ, fragment(chart, table)))
+    if not panels:
+        return element("p", "No photograph has labels yet.")
+    return element("div", *panels, class_="grid")
 
 
-def intensity_html(sets: Sequence[SetSummary]) -> str:
+def intensity_html(sets: Sequence[SetSummary]) -> Html:
     """Mean intensity image of each set, its falloff to the corners, and a table (Fig. 13)."""
     known = [(item, mean) for item in sets if (mean := item.statistics.mean_intensity()) is not None]
     if not known:
-        return "<p>There are no photographs yet.</p>"
+        return element("p", "There are no photographs yet.")
     # One factor for all images, so that they can be compared, and without clipping.
     factor = 255.0 / max(1.0, max(float(np.percentile(mean, 99.5)) for _, mean in known))
     factor = max(1.0, np.floor(10.0 * factor) / 10.0)
-    images = "".join(_mean_image(item, mean, factor) for item, mean in known)
+    images = joined(_mean_image(item, mean, factor) for item, mean in known)
     curves = [_falloff(item, mean) for item, mean in known]
     title = "Mean intensity by distance from the centre"
     chart = line_chart("falloff", title, curves, _FALLOFF_AXIS, "grey value")
-    return (
-        f'<div class="grid">{images}{_panel("Falloff to the corners", chart)}</div>'
-        '<div class="scroll" tabindex="0" role="region" aria-label="Intensities">'
-        f"{_intensity_table([item for item, _ in known])}</div>"
+    table = _intensity_table([item for item, _ in known])
+    return fragment(
+        element("div", images, _panel("Falloff to the corners", chart), class_="grid"),
+        element("div", table, class_="scroll", tabindex=0, role="region", aria_label="Intensities"),
     )
 
 
-def build_html(sets: Sequence[SetSummary]) -> str:
+def build_html(sets: Sequence[SetSummary]) -> Html:
     """Distributions of timings, errors and sizes of all frames."""
     known = [(item, item.records) for item in sets if item.records is not None]
     panels = [panel for chart in _BUILD_CHARTS if (panel := _build_panel(known, *chart))]
-    totals = "".join(f'<p class="note">{set_label(item)} {_totals(records)}</p>' for item, records in known)
-    return f'{totals}<div class="grid">{"".join(panels)}</div>'
+    totals = (element("p", set_label(item), " ", _totals(records), class_="note") for item, records in known)
+    return fragment(*totals, element("div", *panels, class_="grid"))
 
 
-def swatch(organ_class: OrganClass) -> str:
+def swatch(organ_class: OrganClass) -> Html:
     """A patch of a class's colour."""
-    return (
-        '<svg class="swatch" viewBox="0 0 10 10" aria-hidden="true">'
-        f'<rect width="10" height="10" rx="2" fill="{class_colour_code(organ_class)}"/></svg>'
-    )
+    patch = element("rect", width=10, height=10, rx=2, fill=class_colour_code(organ_class))
+    return element("svg", patch, class_="swatch", viewBox="0 0 10 10", aria_hidden="true")
 
 
-def set_label(item: SetSummary) -> str:
+def set_label(item: SetSummary) -> Html:
     """The name of a set with its colour."""
-    return f'<span class="key {item.key}">{escape(item.name)}</span>'
+    return element("span", item.name, class_=f"key {item.key}")
 
 
 def plural(count: int, noun: str) -> str:
@@ -138,23 +135,32 @@ def plural(count: int, noun: str) -> str:
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
-def _panel(title: str, content: str) -> str:
-    return f'<section class="panel"><h3>{title}</h3>{content}</section>'
+def html_table(css_class: str, heads: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]]) -> Html:
+    """A table from its column heads, and the head and the cells of each row: text or HTML."""
+    header = element("thead", element("tr", *(_head(head, "col") for head in heads)))
+    body = (element("tr", _head(head, "row"), _table_cells(cells)) for head, cells in rows)
+    return element("table", header, element("tbody", *body), class_=css_class)
 
 
-def _class_panel(organ_class: OrganClass, content: str) -> str:
-    return _panel(swatch(organ_class) + organ_class.name.lower(), content)
+def _head(content: str, scope: str) -> Html:
+    return element("th", content, scope=scope)
 
 
-def _table_cells(values: Iterable[str]) -> str:
-    return "".join(f"<td>{value}</td>" for value in values)
+def _table_cells(values: Iterable[str]) -> Html:
+    return joined(element("td", value) for value in values)
 
 
-def html_table(css_class: str, heads: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]]) -> str:
-    """A table from its column heads, and the head and the cells of each row."""
-    header_row = "".join(f'<th scope="col">{name}</th>' for name in heads)
-    body = "".join(f'<tr><th scope="row">{name}</th>{_table_cells(cells)}</tr>' for name, cells in rows)
-    return f'<table class="{css_class}"><thead><tr>{header_row}</tr></thead><tbody>{body}</tbody></table>'
+def _fraction_row(head: str, percentages: Iterable[str], bars: str = "") -> Html:
+    """A row of the table of class fractions."""
+    return element("tr", _head(head, "row"), _table_cells(percentages), element("td", bars, class_="bars"))
+
+
+def _panel(title: str, *contents: str) -> Html:
+    return element("section", element("h3", title), *contents, class_="panel")
+
+
+def _class_panel(organ_class: OrganClass, content: Html) -> Html:
+    return _panel(fragment(swatch(organ_class), organ_class.name.lower()), content)
 
 
 def _format_percent(fraction: float, digits: int = 2) -> str:
@@ -166,29 +172,31 @@ def _format_percent(fraction: float, digits: int = 2) -> str:
     return f"< {smallest:g}\u00a0%" if is_small else f"{100 * fraction:.{digits}f}\u00a0%"
 
 
-def _fraction_bars(fractions: Sequence[tuple[str, float]], scale: float) -> str:
+def _fraction_bars(fractions: Sequence[tuple[str, float]], scale: float) -> Html:
     """A bar for the fraction of each set."""
-    bars = "".join(
-        f'<rect class="{key}" y="{9 * row}" height="7" rx="1.5" width="{100 * fraction / scale:.2f}%"/>'
+    bars = [
+        element("rect", class_=key, y=9 * row, height=7, rx=1.5, width=f"{100 * fraction / scale:.2f}%")
         for row, (key, fraction) in enumerate(fractions)
         if fraction > 0
-    )
-    return f'<svg class="length" height="{9 * len(fractions)}" aria-hidden="true">{bars}</svg>'
+    ]
+    return element("svg", *bars, class_="length", height=9 * len(fractions), aria_hidden="true")
 
 
-def _class_map(item: SetSummary, organ_class: OrganClass, masks: NDArray[np.float64] | None) -> str:
+def _class_map(item: SetSummary, organ_class: OrganClass, masks: NDArray[np.float64] | None) -> Html:
     if masks is None or not masks[organ_class].any():
-        return f'<div class="absent"><p>{set_label(item)}<br>has no such label</p></div>'
+        return element(
+            "div", element("p", set_label(item), element("br"), "has no such label"), class_="absent"
+        )
     maximum = float(masks[organ_class].max())
     picture = viridis_colours(masks[organ_class] / maximum)
     alt = f"Locations of {organ_class.name.lower()} in {item.name}"
     button = image_button("map", png_data_uri(picture, _MAP_PX), alt, (picture.shape[1], picture.shape[0]))
-    return f"<div>{button}<p>{set_label(item)} up to {_format_percent(maximum, 0)}</p></div>"
+    return element("div", button, element("p", set_label(item), f" up to {_format_percent(maximum, 0)}"))
 
 
 def _hue_table(
     sets: Sequence[SetSummary], spectra: Sequence[NDArray[np.floating]], organ_class: OrganClass
-) -> str:
+) -> Html:
     rows = []
     for item, hue in zip(sets, map(mean_hue, spectra), strict=True):
         grey = _format_percent(item.statistics.grey_fractions()[organ_class], 1)
@@ -196,20 +204,23 @@ def _hue_table(
         rows.append((set_label(item), ["–" if np.isnan(hue) else f"{hue:.0f}°", grey, images]))
     table = html_table("small", ("", "mean hue", "grey", "images"), rows)
     if len(spectra) == 2 and np.isfinite(correlation := hue_spectrum_correlation(*spectra)):
-        table += f"<p>Correlation of the two: <b>r = {correlation:.2f}</b></p>"
+        text = element("p", "Correlation of the two: ", element("b", f"r = {correlation:.2f}"))
+        return fragment(table, text)
     return table
 
 
-def _mean_image(item: SetSummary, mean: NDArray[np.float64], factor: float) -> str:
+def _mean_image(item: SetSummary, mean: NDArray[np.float64], factor: float) -> Html:
     grey = np.rint(np.minimum(factor * mean, 255.0)).astype(np.uint8)
     uri = png_data_uri(np.repeat(grey[..., None], 3, axis=-1))
     button = image_button("mean", uri, f"Mean intensity of {item.name}", (grey.shape[1], grey.shape[0]))
     brightness = f", shown {factor:g} times as bright" if factor > 1.0 else ""
-    text = (
-        f"Mean of {plural(item.statistics.photograph_count, 'photograph')}: "
-        f"<b>{float(np.mean(item.statistics.intensities)):.1f}</b> of 255{brightness}."
+    text = element(
+        "p",
+        f"Mean of {plural(item.statistics.photograph_count, 'photograph')}: ",
+        element("b", f"{float(np.mean(item.statistics.intensities)):.1f}"),
+        f" of 255{brightness}.",
     )
-    return _panel(set_label(item), f"{button}<p>{text}</p>")
+    return _panel(set_label(item), button, text)
 
 
 def _falloff(item: SetSummary, mean: NDArray[np.float64]) -> Curve:
@@ -220,7 +231,7 @@ def _falloff(item: SetSummary, mean: NDArray[np.float64]) -> Curve:
     return Curve(item.key, item.name, ((radii[1:] + radii[:-1]) / 2.0)[known], rings[known])
 
 
-def _intensity_table(sets: Sequence[SetSummary]) -> str:
+def _intensity_table(sets: Sequence[SetSummary]) -> Html:
     heads = ("Set", "Photographs", "Mean", "Standard deviation", "Darkest", "Brightest", "Saturated pixels")
     rows = []
     for item in sets:
@@ -234,14 +245,14 @@ def _intensity_table(sets: Sequence[SetSummary]) -> str:
 
 def _build_panel(
     sets: Sequence[tuple[SetSummary, FrameRecords]], column: str, title: str, unit: str, factor: float
-) -> str:
+) -> Html:
     values = [
         (item, records.indices[known], factor * records.numbers[column][known])
         for item, records in sets
         if (known := records.known(column)).any()
     ]
     if not values:
-        return ""
+        return fragment()
     chart = value_chart(
         f"build-{column}", title, [(item.key, item.name, numbers) for item, _, numbers in values], unit
     )
@@ -250,10 +261,13 @@ def _build_panel(
         low, middle, high = np.percentile(numbers, (5, 50, 95))
         highest = int(np.argmax(numbers))
         lines.append(
-            f"{set_label(item)} median <b>{middle:.3g}</b>, 90 % from {low:.3g} to {high:.3g}, "
-            f"maximum {numbers[highest]:.3g} in frame {indices[highest]:06d}"
-        )
-    return _panel(escape(title), f"{chart}<p>{'<br>'.join(lines)}</p>")
+            fragment(
+                set_label(item), " median ", element("b", f"{middle:.3g}"),
+                f", 90 % from {low:.3g} to {high:.3g}, "
+                f"maximum {numbers[highest]:.3g} in frame {indices[highest]:06d}",
+            )
+        )  # fmt: skip
+    return _panel(title, chart, element("p", joined(lines, element("br"))))
 
 
 def _totals(records: FrameRecords) -> str:

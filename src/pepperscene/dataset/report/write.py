@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from importlib import resources
 from pathlib import Path
 from string import Template
@@ -33,6 +32,7 @@ from pepperscene.dataset.report.image_view import (
     sheet_row,
     table_row,
 )
+from pepperscene.dataset.report.markup import Html, as_html, csp_hash, element, fragment, joined
 from pepperscene.dataset.store.atomic import atomic_write
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.errors import InputError, OutputError
@@ -151,46 +151,53 @@ def _page_html(
     """The page as HTML; `distances_m` are those of the brightest and the darkest colour."""
     recipe, plan = info["recipe"], info["recipe"]["plan"]
     total = plan["sets"] * plan["rotations"] * plan["frames"]
-    summary = [f"{sets[0].frames:,} of {total:,} planned frames exist."]
+    summary: list[str] = [f"{sets[0].frames:,} of {total:,} planned frames exist."]
     summary += [
-        f"Compared with {sections.set_label(item)}, {sections.plural(item.frames, 'image')}."
+        fragment("Compared with ", sections.set_label(item), f", {sections.plural(item.frames, 'image')}.")
         for item in sets[1:]
     ]
     measured_sets = []
     for item in sets:
         count = item.statistics.image_count
         number = f"all {count:,}" if count == item.frames else f"{count:,} evenly spaced of {item.frames:,}"
-        measured_sets.append(f"{number} images of {sections.set_label(item)}")
-    ramp = ""
+        measured_sets.append(fragment(f"{number} images of ", sections.set_label(item)))
+    ramp = fragment()
     if distances_m is not None:
-        near, far = (f"<span>{distance:.2f} m</span>" for distance in distances_m)
-        ramp = f'<p class="ramp">{near}<i class="back"></i>{far}</p>'
-    return Template(_read_resource("page.html")).substitute(
-        style=Template(_read_resource("page.css")).substitute(ramp=", ".join(VIRIDIS)),
-        script=_read_resource("page.js"),
-        name=escape(str(recipe["name"])),
-        cultivar=escape(str(recipe["cultivar"])),
-        summary=" ".join(summary),
-        facts=_facts_html(info),
-        classes=" ".join(
-            f"<span>{sections.swatch(organ)}{organ.name.lower()}</span>" for organ in OrganClass
+        near, far = (element("span", f"{distance:.2f} m") for distance in distances_m)
+        ramp = element("p", near, element("i", class_="back"), far, class_="ramp")
+    # The policy allows exactly this style and this script.
+    style = Template(_read_resource("page.css")).substitute(ramp=", ".join(VIRIDIS))
+    script = _read_resource("page.js")
+    contents: dict[str, str] = {
+        "style": Html(style),
+        "style_hash": csp_hash(style),
+        "script": Html(script),
+        "script_hash": csp_hash(script),
+        "name": str(recipe["name"]),
+        "cultivar": str(recipe["cultivar"]),
+        "summary": joined(summary, " "),
+        "facts": _facts_html(info),
+        "classes": joined(
+            (element("span", sections.swatch(organ), organ.name.lower()) for organ in OrganClass), " "
         ),
-        distances=ramp,
-        frames="".join(_frames_html(item, single=len(sets) == 1) for item in sets),
-        fractions=sections.class_fractions_html(sets),
-        measured=f"Measured in {' and '.join(measured_sets)}.",
-        maps=sections.class_maps_html(sets),
-        hues=sections.hue_spectra_html(sets),
-        intensity=sections.intensity_html(sets),
-        build=sections.build_html(sets),
-    )
+        "distances": ramp,
+        "frames": joined(_frames_html(item, single=len(sets) == 1) for item in sets),
+        "fractions": sections.class_fractions_html(sets),
+        "measured": fragment("Measured in ", joined(measured_sets, " and "), "."),
+        "maps": sections.class_maps_html(sets),
+        "hues": sections.hue_spectra_html(sets),
+        "intensity": sections.intensity_html(sets),
+        "build": sections.build_html(sets),
+    }
+    page = Template(_read_resource("page.html"))
+    return page.substitute({name: as_html(content) for name, content in contents.items()})
 
 
 def _read_resource(name: str) -> str:
     return resources.files("pepperscene.dataset.report").joinpath(name).read_text(encoding="utf-8")
 
 
-def _facts_html(info: Mapping[str, Any]) -> str:
+def _facts_html(info: Mapping[str, Any]) -> Html:
     recipe = info["recipe"]
     daylight = recipe["daylight"] or {"illuminance_lx": 0}
     items = {
@@ -203,16 +210,24 @@ def _facts_html(info: Mapping[str, Any]) -> str:
         "Version": info["version"],
         "Recipe SHA-256": info["recipe_sha256"][:12] + "…",
     }
-    return "".join(f"<div><dt>{key}</dt><dd>{escape(str(value))}</dd></div>" for key, value in items.items())
+    return joined(
+        element("div", element("dt", key), element("dd", str(value))) for key, value in items.items()
+    )
 
 
-def _frames_html(item: SetSummary, single: bool) -> str:
+def _frames_html(item: SetSummary, single: bool) -> Html:
     """The displayed images of a set as cards, and as a table."""
     count = f"{len(item.cards):,} of {item.frames:,}" if len(item.cards) < item.frames else f"{item.frames:,}"
-    title, suffix = ("", "") if single else (f"<h3>{sections.set_label(item)}</h3>", f": {escape(item.name)}")
-    return (
-        f'{title}<p>{count} shown.</p><div class="cards">{"".join(item.cards)}</div>'
-        f"<details><summary>As a table{suffix}</summary>"
-        f'<div class="scroll" tabindex="0" role="region" aria-label="Images of {escape(item.name)}">'
-        f"{sections.html_table('frames', TABLE_COLUMNS, item.table_rows)}</div></details>"
+    title = fragment() if single else element("h3", sections.set_label(item))
+    table = sections.html_table("frames", TABLE_COLUMNS, item.table_rows)
+    label = f"Images of {item.name}"
+    return fragment(
+        title,
+        element("p", f"{count} shown."),
+        element("div", *item.cards, class_="cards"),
+        element(
+            "details",
+            element("summary", "As a table" if single else f"As a table: {item.name}"),
+            element("div", table, class_="scroll", tabindex=0, role="region", aria_label=label),
+        ),
     )
