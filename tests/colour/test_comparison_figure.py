@@ -103,3 +103,8 @@ def test_draws_sets_without_labels_or_photographs():
     dark = image_set((None, uniform((0, 0, 0))[1]), name="dark")
     for first, second in ((bare, bare), (dark, dark), (bare, dark), (dark, FIRST)):
         comparison_figure(compare(first, second))
+
+
+def test_names_with_dollar_signs_are_no_formulas():
+    name = r"a $\frac{$ b"
+    assert any(name in text for text in words(comparison_figure(compare(noisy_set(1, 2, name=name), SECOND))))

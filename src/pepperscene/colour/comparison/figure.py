@@ -30,6 +30,7 @@ _RINGS: Final = 40  # chosen: each 12 pixels wide in an image of 800 x 600
 _STYLE: Final = {
     "svg.fonttype": "none",  # text stays text
     "svg.hashsalt": "pepperscene",  # the same comparison gives the same bytes
+    "text.parse_math": False,  # a name may hold dollar signs
     "font.size": 8.0,
     "axes.titlesize": 9.0,
     "axes.titleweight": "bold",
