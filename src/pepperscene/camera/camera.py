@@ -62,8 +62,8 @@ class Camera:
         rotation = pose[:3, :3]
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
             raise ValueError("a pose must be a rotation and a translation, without scale or reflection")
-        if not self.exposure_s > 0:
-            raise ValueError("the exposure must be positive")
+        if not 0 < self.exposure_s < math.inf:
+            raise ValueError("the exposure must be positive and finite")
         if self.focus_m is not None and not self.lens.focal_length_m < self.focus_m < math.inf:
             allowed = f"must be finite and beyond the focal length of {self.lens.focal_length_m:g} m"
             raise InputError(self.lens.name, allowed, key="focus_m", value=self.focus_m)

@@ -192,7 +192,9 @@ class Lens:
     vignetting: AngularProfile | None = None
 
     def __post_init__(self) -> None:
-        if not (self.focal_length_m > 0 and self.f_number >= 0.5 and 0 < self.transmittance <= 1):
+        is_finite = math.isfinite(self.focal_length_m) and math.isfinite(self.f_number)
+        positive = self.focal_length_m > 0 and self.f_number >= 0.5
+        if not (is_finite and positive and 0 < self.transmittance <= 1):
             allowed = "focal length must be > 0, f-number >= 0.5 and transmittance in (0, 1]"
             raise ValueError(f"{self.name}: {allowed}")
         right, down = (float(length) for length in self.principal_offset_m)

@@ -81,7 +81,8 @@ class Sensor:
             raise ValueError(f"{self.name}: pattern {self.pattern!r} does not match {len(qe)} colours")
         if error := _binning_error(self.pattern, self.binning, self.columns, self.rows):
             raise ValueError(f"{self.name}: {error}")
-        if not (min(self.pitch_m, self.full_well_e) > 0 and self.read_noise_e >= 0):
+        numbers = (self.pitch_m, self.full_well_e, self.read_noise_e)
+        if not (np.isfinite(numbers).all() and min(numbers[:2]) > 0 and self.read_noise_e >= 0):
             raise ValueError(f"{self.name}: pitch and full well must be positive, read noise at least 0")
         if not 1 <= self.bits <= _MAX_BITS:
             raise ValueError(f"{self.name}: bits must be in [1, {_MAX_BITS}]")

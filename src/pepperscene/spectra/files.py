@@ -23,7 +23,7 @@ WAVELENGTH_RANGE_NM: Final = (100.0, 20_000.0)
 LEAST_STEP_NM: Final = 1e-6
 """Between two rows. Chosen: the sharpest lines of lasers in tables are a thousand times wider."""
 LARGEST_VALUE: Final = 1e30
-"""Of spectra in any unit. Chosen: photons per second have 1e21, and squares of such values do not overflow."""
+"""Of spectra in any unit. Chosen: photons per second have 1e21, and squares of such values are finite."""
 LEAST_PEAK: Final = 1e-30
 """Of a light that is not dark, in any unit. Chosen as `LARGEST_VALUE`, so that ratios do not overflow."""
 
