@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from pepperscene import open_patches
 from pepperscene.camera import Camera, load_filter, load_flash, load_lens, load_sensor
 from pepperscene.cultivar import load_cultivar
-from pepperscene.cultivar.organs import OrganKind  # noqa: F401  (the models of cultivar files)
 from pepperscene.dataset import parse_changes, resolve_recipe
 from pepperscene.dataset.execution.slurm import read_slurm_file
 from pepperscene.document import read_toml
@@ -252,7 +251,7 @@ TABLE = st.dictionaries(
             "mean",
             "sd_deg",
         ]
-    ),  # fmt: skip
+    ),
     NUMBER | st.lists(NUMBER, max_size=4) | st.lists(st.lists(NUMBER, max_size=4), max_size=4),
     max_size=5,
 )

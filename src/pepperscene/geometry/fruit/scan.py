@@ -171,10 +171,10 @@ def _simplify(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         return mesh
     try:
         simple = mesh.simplify_quadric_decimation(face_count=MAX_TRIANGLES)
-    except ImportError:
+    except ImportError as error:
         problem = (
             f"has {count} triangles, and {MAX_TRIANGLES} are allowed; "
-            "install the package fast-simplification to have it simplified"
+            f"install the package fast-simplification to have it simplified ({error})"
         )
         raise InputError(path, problem) from None
     return _clean(path, np.asarray(simple.vertices, dtype=float), np.asarray(simple.faces, dtype=np.intp))
