@@ -15,12 +15,13 @@ from pydantic import Field, model_validator
 from pepperscene.camera.lens import AngularProfile, ProfileTable
 from pepperscene.document import Document, read_toml, validate
 from pepperscene.errors import InputError
-from pepperscene.shipped import is_file, shipped_folder
+from pepperscene.shipped import is_file
 from pepperscene.spectra import Spectrum, scale_to_illuminance
 from pepperscene.spectra.files import (
     LEAST_PEAK,
     CurveTable,
     SourcedDocument,
+    curve_file,
     find_material,
     read_curve,
 )
@@ -262,10 +263,9 @@ def _check_intensity(path: Path, document: FlashDocument, flash: Flash) -> None:
 def _read_spectrum(path: Path, document: FlashDocument) -> Spectrum:
     """The curve of a CSV file in the same folder, or of a shipped one ("light/houser2013_cool_white_led")."""
     file, column = document.spectrum.file, document.spectrum.column
-    shipped = shipped_folder("materials") / f"{file.removesuffix('.csv')}.csv"
-    if not is_file(path.parent / file) and is_file(shipped):
-        file = str(shipped)
-    spectrum = read_curve(path, "spectrum", file, column)
+    found = curve_file(path, file)
+    # A missing file is reported under the name in the file.
+    spectrum = read_curve(path, "spectrum", str(found) if is_file(found) else file, column)
     if document.illuminance_lx is not None and not _is_visible(spectrum):
         allowed = "must contain light in 400 to 700 nm, or give the strength as irradiance_W_m2"
         raise InputError(path, allowed, key="spectrum.column", value=column)

@@ -199,6 +199,13 @@ def find_material(folder: str, name_or_path: str | Path) -> Path:
     raise InputError(str(name_or_path), f"no such file, nor one of the shipped {folder}: {names}")
 
 
+def curve_file(path: Path, file: str) -> Path:
+    """The CSV file that the TOML file `path` names: beside it, or else a shipped one ("light/led_b1")."""
+    beside = path.parent / file
+    shipped = shipped_folder("materials") / f"{file.removesuffix('.csv')}.csv"
+    return shipped if not is_file(beside) and is_file(shipped) else beside
+
+
 def read_curve(path: Path, table: str, file: str, column: str) -> Spectrum:
     """Read one column of the CSV file that a `table` of the TOML file `path` names; 0 outside its range.
 
