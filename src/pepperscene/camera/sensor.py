@@ -29,8 +29,8 @@ _MAX_BITS: Final = 16  # digital numbers are stored in 16 bits
 
 # Bounds of sensor files.
 _PITCH_UM: Final = (0.1, 1000.0)
-"""Chosen: two photosites within a quarter of a wavelength of light see the same (the smallest that are made have
-0.5 um), and the largest pixels of X-ray detectors have 0.2 mm."""
+"""Chosen: two photosites within a quarter of a wavelength of light see the same (the smallest that are made
+have 0.5 um), and the largest pixels of X-ray detectors have 0.2 mm."""
 _MAX_PHOTOSITES: Final = 500_000_000
 """Chosen: the sensors with the most have 410 million (Canon 2025), and an image needs 4 bytes for each."""
 _HIGHEST_BLACK: Final = 0.9  # of full scale; chosen: cameras use a sixteenth, thermal ones up to a half
