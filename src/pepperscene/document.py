@@ -1,7 +1,8 @@
-"""Reading a TOML file into a validated model; every error becomes one `InputError`."""
+"""Reading text files, and TOML files into validated models; every error becomes one `InputError`."""
 
 from __future__ import annotations
 
+import codecs
 import json
 import os
 import re
@@ -20,6 +21,13 @@ _INTEGERS: Final = range(-(2**63), 2**63)
 
 _INTEGER_RANGE: Final = f"must be an integer of 64 bits, {_INTEGERS[0]} to {_INTEGERS[-1]}"
 _MAX_DEPTH: Final = 32  # chosen: levels of nested tables and lists; no model has more than six
+_OTHER_ENCODINGS: Final = (
+    (codecs.BOM_UTF32_LE, "UTF-32"),  # before UTF-16: its mark begins with that of UTF-16
+    (codecs.BOM_UTF32_BE, "UTF-32"),
+    (codecs.BOM_UTF16_LE, "UTF-16"),
+    (codecs.BOM_UTF16_BE, "UTF-16"),
+)
+"""Byte-order marks of encodings that are not read."""
 _LONG_NUMBER: Final = re.compile(r"\d[\d_]{999,}")
 _PYTHON_TO_TOML: Final = (
     (re.compile(r"a valid tuple|a valid list"), "a list"),
@@ -45,7 +53,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         InputError: the file is missing, unreadable, not UTF-8, not TOML (with the parser's line and column)
             or nested too deeply, or contains an integer beyond 64 bits.
     """
-    text = _read_text(path)
+    text = read_text(path)
     try:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -59,16 +67,39 @@ def read_toml(path: Path) -> dict[str, Any]:
     return tables
 
 
-def _read_text(path: Path) -> str:
+def read_text(path: Path) -> str:
+    """Read a text file in UTF-8, with or without a byte-order mark; every line ends with a line feed.
+
+    Lines may end with a line feed, a carriage return (old Mac programs) or both (Windows programs).
+
+    Raises:
+        InputError: the file is missing, unreadable or not text in UTF-8.
+    """
     try:
-        return path.read_text(encoding="utf-8")
+        content = path.read_bytes()
     except OSError as error:
         raise InputError(path, f"cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError:
-        raise InputError(path, "must be a text file in UTF-8") from None
     except ValueError as error:
         # A path that no file system accepts.
         raise InputError(repr(str(path)), f"cannot be read ({error})") from None
+    return decode_text(content, path)
+
+
+def decode_text(content: bytes, where: str | Path) -> str:
+    """The text of a file that `where` names in errors; as of `read_text`."""
+    encodings = [encoding for mark, encoding in _OTHER_ENCODINGS if content.startswith(mark)]
+    if not encodings and b"\0" in content[:2]:
+        # Every second byte of plain text in UTF-16 is zero, and some programs write no mark.
+        encodings = ["UTF-16"]
+    if encodings:
+        raise InputError(where, f"must be a text file in UTF-8, not {encodings[0]}; save it as UTF-8")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = len((content[: error.start] + b"x").splitlines())
+        problem = f"must be a text file in UTF-8, but line {line} is not; save it as UTF-8"
+        raise InputError(where, problem) from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _check_values(tables: dict[str, Any], path: Path) -> None:

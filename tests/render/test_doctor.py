@@ -75,6 +75,34 @@ def test_hanging_test_render_is_killed_and_reported():
     assert "no answer" in line_of(diagnosis, "variant").found
 
 
+def test_a_process_that_cannot_start_is_reported_as_such(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "missing"))
+    diagnosis = diagnose()
+    assert not diagnosis.healthy
+    for what in ("variant", "denoiser"):
+        line = line_of(diagnosis, what)
+        assert "could not run, because of: No such file" in line.found
+        assert "memory" in line.advice
+        assert "LLVM" not in line.advice
+
+
+def test_a_lack_of_memory_is_not_reported_as_a_wrong_library():
+    variant = line_of(diagnose(test_code="raise MemoryError"), "variant")
+    assert "MemoryError" in variant.found
+    assert "LLVM" not in variant.advice
+
+
+def test_a_library_that_cannot_be_examined_is_reported_with_the_reason(monkeypatch, tmp_path):
+    library = tmp_path / "libLLVM.so"
+    library.touch()
+    monkeypatch.setenv(LLVM_VARIABLE, str(library))
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "missing"))
+    llvm = line_of(diagnose(), "LLVM")
+    assert not llvm.good
+    assert "could not run" in llvm.found
+    assert "install" not in llvm.advice
+
+
 def test_wrong_image_is_reported():
     code = 'print(\'{"variant": "llvm_ad_spectral", "cuda": false, "furnace": 0.9}\')'
     diagnosis = diagnose(test_code=code)

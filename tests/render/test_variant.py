@@ -11,7 +11,14 @@ import pytest
 
 from pepperscene.errors import SetupError
 from pepperscene.render import variant
-from pepperscene.render.variant import LLVM_VARIABLE, OLDEST_LLVM, choose_variant, find_llvm, llvm_version
+from pepperscene.render.variant import (
+    LLVM_VARIABLE,
+    OLDEST_LLVM,
+    LlvmExaminationError,
+    choose_variant,
+    find_llvm,
+    llvm_version,
+)
 
 VARIANT_VARIABLE = "PEPPERSCENE_VARIANT"
 
@@ -77,6 +84,62 @@ def test_version_is_none_if_the_file_is_no_library(tmp_path):
 def test_version_from_a_child_process_if_the_name_has_none(monkeypatch, tmp_path, code, version):
     monkeypatch.setattr(variant, "_PRINT_LLVM_VERSION", code)
     assert llvm_version(library(tmp_path, "compiler.so")) == version
+
+
+def python_with(monkeypatch, tmp_path, limit):
+    """Child processes of this test run under a limit of the shell."""
+    python = tmp_path / "python"
+    python.write_text(f'#!/bin/sh\n{limit}\nexec "{sys.executable}" "$@"\n')
+    python.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(python))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="address space is limited on Linux only")
+@pytest.mark.parametrize("limit_kib", [2_000, 8_000, 12_000])
+def test_a_version_that_could_not_be_asked_for_is_not_reported_as_old(monkeypatch, tmp_path, limit_kib):
+    compiler = library(tmp_path, "libLLVM.so")
+    python_with(monkeypatch, tmp_path, f"ulimit -v {limit_kib}")
+    with pytest.raises(LlvmExaminationError, match=r"could not run, because of: ."):
+        llvm_version(compiler)
+    # Found in the system's folders: none to use, and the cause is the message.
+    assert find_llvm() is None
+    with pytest.raises(SetupError, match=r"could not run, because of: .") as error:
+        choose_variant("llvm_ad_spectral")
+    assert "or newer" not in str(error.value)
+    monkeypatch.setenv(LLVM_VARIABLE, str(compiler))
+    with pytest.raises(LlvmExaminationError, match="could not run"):
+        find_llvm()
+
+
+def test_a_version_is_unknown_if_no_process_can_start(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "missing"))
+    with pytest.raises(LlvmExaminationError, match="could not run, because of: No such file"):
+        llvm_version(library(tmp_path, "libLLVM.so"))
+
+
+@pytest.mark.parametrize(
+    ("code", "reason"),
+    [
+        ("raise MemoryError", "MemoryError"),
+        ("import os; os._exit(3)", "exit code 3"),
+        ("raise OSError('x.so: failed to map segment from shared object')", "failed to map segment"),
+        ("import no_such_module", "no_such_module"),
+        ("while True: pass", "did not end within 0.5 s"),
+    ],
+)
+def test_reasons_of_an_unknown_version(monkeypatch, tmp_path, code, reason):
+    monkeypatch.setattr(variant, "_PRINT_LLVM_VERSION", code)
+    monkeypatch.setattr(variant, "_TIME_LIMIT_S", 0.5)
+    with pytest.raises(LlvmExaminationError, match=reason):
+        llvm_version(library(tmp_path, "compiler.so"))
+
+
+def test_a_library_that_cannot_be_examined_does_not_hide_another(monkeypatch, tmp_path):
+    monkeypatch.setattr(variant, "_PRINT_LLVM_VERSION", "raise MemoryError")
+    library(tmp_path, "libLLVM.so")
+    assert find_llvm() is None
+    usable = library(tmp_path, "libLLVM.so.20.1")
+    assert find_llvm() == usable
 
 
 def test_finds_the_newest_library_of_the_system(tmp_path):
@@ -198,7 +261,7 @@ def test_raises_if_drjit_already_loaded_an_older_llvm(monkeypatch, tmp_path):
     monkeypatch.setattr(Detail, "llvm_version", staticmethod(lambda: (23, 1, 0)))
     assert choose_variant() == "llvm_ad_spectral"
     monkeypatch.setattr(FakeDrJit, "loaded", False)
-    with pytest.raises(SetupError, match="no usable renderer"):
+    with pytest.raises(SetupError, match=r"Dr\.Jit cannot load the LLVM library '.*23\.1'"):
         choose_variant()
 
 

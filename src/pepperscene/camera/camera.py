@@ -6,7 +6,7 @@ import dataclasses
 import math
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,13 @@ from pepperscene.camera.lens import Lens
 from pepperscene.camera.readout import Developing
 from pepperscene.camera.sensor import Sensor
 from pepperscene.errors import InputError
+
+_WIDEST_DEG: Final = 85.0
+"""Field angle of an image's corner. Chosen: images of the widest lenses that keep lines straight end at 68
+degrees, and a straight projection has no image at 90."""
+_MAX_FOCAL_PX: Final = 1e6
+"""Focal length in pixels. Chosen: rays in single precision are exact to 6e-8, a sixteenth of such a pixel,
+and light waves blur it through any lens of less than half a metre."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,14 +62,14 @@ class Camera:
         rotation = pose[:3, :3]
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
             raise ValueError("a pose must be a rotation and a translation, without scale or reflection")
-        if not self.exposure_s > 0:
-            raise ValueError("the exposure must be positive")
+        if not 0 < self.exposure_s < math.inf:
+            raise ValueError("the exposure must be positive and finite")
         if self.focus_m is not None and not self.lens.focal_length_m < self.focus_m < math.inf:
             allowed = f"must be finite and beyond the focal length of {self.lens.focal_length_m:g} m"
             raise InputError(self.lens.name, allowed, key="focus_m", value=self.focus_m)
         pose.setflags(write=False)
         object.__setattr__(self, "pose", pose)
-        _check_distortion(self.lens, self.sensor)
+        _check_field(self.lens, self.sensor)
 
     @property
     def width(self) -> int:
@@ -160,16 +167,20 @@ def _intrinsics(lens: Lens, sensor: Sensor) -> NDArray[np.float64]:
     )
 
 
+def _sensor_slopes(lens: Lens, sensor: Sensor, u: ArrayLike, v: ArrayLike) -> NDArray[np.float64]:
+    """Slopes on the sensor `(rows, columns, 2)`, distortion included, on a grid of pixel coordinates."""
+    matrix = _intrinsics(lens, sensor)
+    return np.asarray((np.stack(np.meshgrid(u, v), axis=-1) - matrix[:2, 2]) / matrix[[0, 1], [0, 1]])
+
+
 def _undistorted_slopes(lens: Lens, sensor: Sensor, u: ArrayLike, v: ArrayLike) -> NDArray[np.float64]:
     """Undistorted slopes `(rows, columns, 2)` on a grid of pixel coordinates.
 
     Raises:
         InputError: the lens and the sensor do not fit together.
     """
-    matrix = _intrinsics(lens, sensor)
-    pixels = np.stack(np.meshgrid(u, v), axis=-1)
     try:
-        return lens.distortion.undistort((pixels - matrix[:2, 2]) / matrix[[0, 1], [0, 1]])
+        return lens.distortion.undistort(_sensor_slopes(lens, sensor, u, v))
     except ValueError as error:
         allowed = f"must be invertible over the whole image of {sensor.name}, but {error}"
         value = dataclasses.asdict(lens.distortion)
@@ -177,9 +188,28 @@ def _undistorted_slopes(lens: Lens, sensor: Sensor, u: ArrayLike, v: ArrayLike) 
 
 
 @lru_cache(maxsize=8)
-def _check_distortion(lens: Lens, sensor: Sensor) -> None:
-    """Check early, on a coarse grid up to the border, that the distortion can be inverted."""
-    _undistorted_slopes(lens, sensor, np.linspace(0, sensor.columns, 33), np.linspace(0, sensor.rows, 33))
+def _check_field(lens: Lens, sensor: Sensor) -> None:
+    """Check early, on a coarse grid, the field of view, and that the distortion can be inverted.
+
+    Raises:
+        InputError: the lens and the sensor do not fit together.
+    """
+    value = 1e3 * lens.focal_length_m
+    if (focal_px := lens.focal_length_m / sensor.pixel_pitch_m) > _MAX_FOCAL_PX:
+        pitch = f"pixels of {sensor.name}, {1e6 * sensor.pixel_pitch_m:g} um wide"
+        problem = f"is {focal_px:.3g} {pitch}; at most {_MAX_FOCAL_PX:g} are allowed"
+        raise InputError(lens.name, problem, key="focal_length_mm", value=value)
+    u, v = np.linspace(0, sensor.columns, 33), np.linspace(0, sensor.rows, 33)
+    # Both on the sensor and in the scene, which differ by the distortion.
+    for slopes_of in (_sensor_slopes, _undistorted_slopes):
+        slopes = slopes_of(lens, sensor, u, v)
+        angle = math.degrees(math.atan(float(np.linalg.norm(slopes, axis=-1).max())))
+        if angle > _WIDEST_DEG:
+            problem = (
+                f"gives {sensor.name} a corner at {angle:.1f} degrees from the optical axis; "
+                f"at most {_WIDEST_DEG:g} are allowed"
+            )
+            raise InputError(lens.name, problem, key="focal_length_mm", value=value)
 
 
 @lru_cache(maxsize=8)

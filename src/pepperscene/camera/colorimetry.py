@@ -42,6 +42,7 @@ _SRGB_KNEE: Final = 0.0031308  # linear value below which the sRGB curve is a li
 _NM: Final = np.arange(300.0, 1101.0)  # covers silicon; 1 nm is finer than any curve that is shipped
 _WHITE: Final = np.ones((1, _NM.size))
 _MIN_LUMINOUS_FRACTION: Final = 1e-3  # chosen: deep red of 700 nm has 4e-3
+_LARGEST_GAIN: Final = 1e6  # chosen: a colour that sees a millionth of another's light measures only noise
 _LARGEST_ENTRY: Final = 20.0  # chosen: of a matrix; broad lights need 2, and noise grows with it
 
 
@@ -148,10 +149,10 @@ def white_balance_gains(sensor: Sensor, light: Spectrum) -> Array:
     """`(3,)` gains, the smallest 1, that make a white diffuser under `light` neutral.
 
     Raises:
-        InputError: a colour of the sensor does not see the light at all.
+        InputError: a colour of the sensor sees hardly any of the light.
     """
     (white,) = _relative_electrons(sensor, light, _WHITE)
-    if not white.min() > 0:
+    if not white.min() * _LARGEST_GAIN > white.max():
         problem = "all three colours must see the reference light"
         raise InputError(sensor.name, problem, key="quantum_efficiency")
     return np.asarray(white.max() / white)

@@ -15,18 +15,36 @@ from pydantic import Field, model_validator
 from pepperscene.camera.lens import AngularProfile, ProfileTable
 from pepperscene.document import Document, read_toml, validate
 from pepperscene.errors import InputError
-from pepperscene.shipped import is_file, shipped_folder
+from pepperscene.shipped import is_file
 from pepperscene.spectra import Spectrum, scale_to_illuminance
 from pepperscene.spectra.files import (
+    LEAST_PEAK,
     CurveTable,
-    Millimetres,
-    NonNegative,
     SourcedDocument,
+    curve_file,
     find_material,
     read_curve,
 )
 
 _NODES: Final = 24  # of Gauss' quadrature; chosen: for each smooth piece exact to 1e-9 or better
+
+_LEAST_LIGHT_AHEAD: Final = 1e-6
+"""Of what a point with the axial intensity gives at the reference point. Chosen: the strength of a lamp that
+hardly shines straight ahead says nothing about its other directions."""
+
+# Bounds of flash files.
+_STRENGTH: Final = (1e-6, 1e9)
+"""Lux or W m-2. Chosen: a moonless night sky gives 1e-4 lx, the sun 1e5, and LEDs at 1 mm 1e8."""
+_STRONGEST_W_SR: Final = 1e6
+"""Axial intensity; chosen: ten thousand times the shipped LED matrix, and near the strongest searchlights.
+A hundred times as much would overflow single precision in the renderer."""
+_AT_MM: Final = (1.0, 1e5)  # chosen: photometers measure lamps within 100 m
+_PULSE_US: Final = (1e-3, 1e9)
+"""Chosen: nanoseconds (electric sparks) to a quarter of an hour (lamps that stay on)."""
+_FLASH_SIZE_MM: Final = 1e4  # radius, pitch and offset; chosen: a lamp as wide as a greenhouse's bays
+_LEAST_PITCH_MM: Final = 1e-3  # chosen: the finest displays have emitters of a few micrometres
+_STRONGEST_SIDE: Final = 100.0
+"""Relative intensity beside the axis; chosen: LEDs that shine sideways ("batwing") have 1.5 to 5."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +96,7 @@ class Flash:
             raise ValueError(f"{self.name}: emitters must be finite")
         emitters.setflags(write=False)
         object.__setattr__(self, "emitters_m", emitters)
-        if not self._irradiance_per_intensity > 0:
+        if not self._irradiance_per_intensity * self.at_m**2 > _LEAST_LIGHT_AHEAD:
             raise ValueError(f"{self.name}: no light of the profile falls straight ahead at {self.at_m:g} m")
 
     @property
@@ -148,13 +166,14 @@ def _is_visible(spectrum: Spectrum) -> bool:
     return bool(spectrum.at(np.arange(400.0, 701.0)).any())
 
 
-Strength = Annotated[float, Field(gt=0, le=1e9)]
+Strength = Annotated[float, Field(ge=_STRENGTH[0], le=_STRENGTH[1])]
+FlashMillimetres = Annotated[float, Field(ge=-_FLASH_SIZE_MM, le=_FLASH_SIZE_MM)]
 
 
 class BeamTable(ProfileTable):
     """Relative intensity against the angle to the flash's axis."""
 
-    relative_intensity: tuple[NonNegative, ...]
+    relative_intensity: tuple[Annotated[float, Field(ge=0, le=_STRONGEST_SIDE)], ...]
 
     def profile(self) -> AngularProfile:
         """The beam; it ends at the last angle."""
@@ -166,7 +185,7 @@ class MatrixTable(Document):
 
     columns: Annotated[int, Field(ge=1, le=100)]
     rows: Annotated[int, Field(ge=1, le=100)]
-    pitch_mm: Annotated[float, Field(gt=0, le=1e4)]
+    pitch_mm: Annotated[float, Field(ge=_LEAST_PITCH_MM, le=_FLASH_SIZE_MM)]
 
     def centres_m(self) -> NDArray[np.float64]:
         """`(rows * columns, 2)` emitter centres, right and down, row by row."""
@@ -181,10 +200,10 @@ class FlashDocument(SourcedDocument):
 
     illuminance_lx: Strength | None = None
     irradiance_W_m2: Strength | None = None  # noqa: N815 (the unit is written so)
-    at_mm: Annotated[float, Field(ge=1, le=1e6)]
-    pulse_us: Annotated[float, Field(gt=0, le=1e9)]
-    radius_mm: Annotated[float, Field(ge=0, le=1e6)]
-    offset_mm: tuple[Millimetres, Millimetres, Millimetres]
+    at_mm: Annotated[float, Field(ge=_AT_MM[0], le=_AT_MM[1])]
+    pulse_us: Annotated[float, Field(ge=_PULSE_US[0], le=_PULSE_US[1])]
+    radius_mm: Annotated[float, Field(ge=0, le=_FLASH_SIZE_MM)]
+    offset_mm: tuple[FlashMillimetres, FlashMillimetres, FlashMillimetres]
     matrix: MatrixTable | None = None
     spectrum: CurveTable
     profile: BeamTable
@@ -210,7 +229,7 @@ def load_flash(name_or_path: str | Path) -> Flash:
     document = validate(FlashDocument, read_toml(path), path)
     right, down, forward = (length * 1e-3 for length in document.offset_mm)
     try:
-        return Flash(
+        flash = Flash(
             name=document.name,
             spectrum=_read_spectrum(path, document),
             at_m=document.at_mm * 1e-3,
@@ -225,18 +244,31 @@ def load_flash(name_or_path: str | Path) -> Flash:
     except ValueError as error:
         # The only remaining error: the beam is so narrow that no emitter lights the reference point.
         raise InputError(path, f"does not fit the other values: {error}", key="profile") from None
+    _check_intensity(path, document, flash)
+    return flash
+
+
+def _check_intensity(path: Path, document: FlashDocument, flash: Flash) -> None:
+    """Raise `InputError` if the strength at this distance means a lamp that cannot exist."""
+    intensity = float(flash.irradiance().integral()) * flash.axial_area_m2
+    if not intensity <= _STRONGEST_W_SR:
+        key = "illuminance_lx" if document.illuminance_lx is not None else "irradiance_W_m2"
+        problem = (
+            f"at at_mm = {document.at_mm:g} is an intensity of {intensity:.3g} W/sr on the axis, "
+            f"and at most {_STRONGEST_W_SR:g} W/sr are allowed"
+        )
+        raise InputError(path, problem, key=key, value=getattr(document, key))
 
 
 def _read_spectrum(path: Path, document: FlashDocument) -> Spectrum:
     """The curve of a CSV file in the same folder, or of a shipped one ("light/houser2013_cool_white_led")."""
     file, column = document.spectrum.file, document.spectrum.column
-    shipped = shipped_folder("materials") / f"{file.removesuffix('.csv')}.csv"
-    if not is_file(path.parent / file) and is_file(shipped):
-        file = str(shipped)
-    spectrum = read_curve(path, "spectrum", file, column)
+    found = curve_file(path, file)
+    # A missing file is reported under the name in the file.
+    spectrum = read_curve(path, "spectrum", str(found) if is_file(found) else file, column)
     if document.illuminance_lx is not None and not _is_visible(spectrum):
         allowed = "must contain light in 400 to 700 nm, or give the strength as irradiance_W_m2"
         raise InputError(path, allowed, key="spectrum.column", value=column)
-    if not spectrum.integral() > 0:
+    if not spectrum.values.max() >= LEAST_PEAK:
         raise InputError(path, "must contain some light", key="spectrum.column", value=column)
     return spectrum

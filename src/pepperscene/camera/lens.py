@@ -17,6 +17,15 @@ from pepperscene.spectra.files import Coefficient, SourcedDocument, find_materia
 
 _NEWTON_STEPS: Final = 30  # chosen: quadratic convergence needs about 6; the rest is for strong distortion
 _TOLERANCE: Final = 1e-12  # chosen: of slopes, 1e-9 of a pixel and far above rounding
+_MIN_ANGLE_STEP_RAD: Final = 1e-6  # chosen: no table is finer; a thousandth of what an instrument resolves
+
+# Bounds of lens files.
+_FOCAL_LENGTH_MM: Final = (0.1, 10_000.0)
+"""Chosen: endoscopes have 0.3 mm, telescopes of amateurs a few metres."""
+_F_NUMBER: Final = (0.5, 1000.0)
+"""0.5 is the limit of a lens in air, whose cone of light fills a hemisphere; the other end is chosen: pinhole
+cameras have some hundreds."""
+_LEAST_TRANSMITTANCE: Final = 1e-6  # chosen: the densest neutral filters, which watch the sun, have 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +47,9 @@ class AngularProfile:
         relative = np.array(self.relative_intensity, dtype=float)
         if angle.ndim != 1 or angle.size < 2 or angle[0] != 0 or not np.all(np.diff(angle) > 0):
             raise ValueError("angles must be one increasing list of at least two numbers from 0")
+        if not np.diff(angle).min() >= _MIN_ANGLE_STEP_RAD:
+            least = math.degrees(_MIN_ANGLE_STEP_RAD)
+            raise ValueError(f"angles must be at least {least:.1g} degrees apart")
         if angle[-1] > math.pi / 2 + 1e-12:
             raise ValueError("angles must not exceed a right angle")
         if relative.shape != angle.shape:
@@ -180,7 +192,9 @@ class Lens:
     vignetting: AngularProfile | None = None
 
     def __post_init__(self) -> None:
-        if not (self.focal_length_m > 0 and self.f_number >= 0.5 and 0 < self.transmittance <= 1):
+        is_finite = math.isfinite(self.focal_length_m) and math.isfinite(self.f_number)
+        positive = self.focal_length_m > 0 and self.f_number >= 0.5
+        if not (is_finite and positive and 0 < self.transmittance <= 1):
             allowed = "focal length must be > 0, f-number >= 0.5 and transmittance in (0, 1]"
             raise ValueError(f"{self.name}: {allowed}")
         right, down = (float(length) for length in self.principal_offset_m)
@@ -231,9 +245,9 @@ SensorMillimetres = Annotated[float, Field(ge=-100, le=100)]
 class LensDocument(SourcedDocument):
     """A file of `materials/lenses`."""
 
-    focal_length_mm: Annotated[float, Field(gt=0, le=10_000)]
-    f_number: Annotated[float, Field(ge=0.5, le=1000)]
-    transmittance: Annotated[float, Field(gt=0, le=1)]
+    focal_length_mm: Annotated[float, Field(ge=_FOCAL_LENGTH_MM[0], le=_FOCAL_LENGTH_MM[1])]
+    f_number: Annotated[float, Field(ge=_F_NUMBER[0], le=_F_NUMBER[1])]
+    transmittance: Annotated[float, Field(ge=_LEAST_TRANSMITTANCE, le=1)]
     principal_offset_mm: tuple[SensorMillimetres, SensorMillimetres] = (0.0, 0.0)
     distortion: DistortionTable
     vignetting: VignettingTable | None = None

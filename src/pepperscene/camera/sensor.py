@@ -27,6 +27,16 @@ Pattern = Literal["rggb", "bggr", "grbg", "gbrg", "mono"]
 _BAYER: Final = ("rggb", "bggr", "grbg", "gbrg")
 _MAX_BITS: Final = 16  # digital numbers are stored in 16 bits
 
+# Bounds of sensor files.
+_PITCH_UM: Final = (0.1, 1000.0)
+"""Chosen: two photosites within a quarter of a wavelength of light see the same (the smallest that are made
+have 0.5 um), and the largest pixels of X-ray detectors have 0.2 mm."""
+_MAX_PHOTOSITES: Final = 500_000_000
+"""Chosen: the sensors with the most have 410 million (Canon 2025), and an image needs 4 bytes for each."""
+_HIGHEST_BLACK: Final = 0.9  # of full scale; chosen: cameras use a sixteenth, thermal ones up to a half
+_LOWEST_EFFICIENCY: Final = 1e-6
+"""At the peak of a curve. Chosen: a photosite that misses all but a millionth of the photons sees nothing."""
+
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
@@ -71,7 +81,8 @@ class Sensor:
             raise ValueError(f"{self.name}: pattern {self.pattern!r} does not match {len(qe)} colours")
         if error := _binning_error(self.pattern, self.binning, self.columns, self.rows):
             raise ValueError(f"{self.name}: {error}")
-        if not (min(self.pitch_m, self.full_well_e) > 0 and self.read_noise_e >= 0):
+        numbers = (self.pitch_m, self.full_well_e, self.read_noise_e)
+        if not (np.isfinite(numbers).all() and min(numbers[:2]) > 0 and self.read_noise_e >= 0):
             raise ValueError(f"{self.name}: pitch and full well must be positive, read noise at least 0")
         if not 1 <= self.bits <= _MAX_BITS:
             raise ValueError(f"{self.name}: bits must be in [1, {_MAX_BITS}]")
@@ -189,7 +200,7 @@ class SensorDocument(SourcedDocument):
     rows: Annotated[int, Field(ge=1, le=20_000)]
     pattern: Pattern
     binning: Annotated[int, Field(ge=1, le=16)]
-    pitch_um: Annotated[float, Field(gt=0, le=1000)]
+    pitch_um: Annotated[float, Field(ge=_PITCH_UM[0], le=_PITCH_UM[1])]
     full_well_e: Annotated[float, Field(ge=1, le=1e9)]
     read_noise_e: Annotated[float, Field(ge=0, le=1e9)]
     bits: Annotated[int, Field(ge=1, le=_MAX_BITS)]
@@ -199,10 +210,18 @@ class SensorDocument(SourcedDocument):
 
     @model_validator(mode="after")
     def _check_consistency(self) -> SensorDocument:
-        if self.black_level_dn >= 2**self.bits - 1:
-            raise ValueError(f"black_level_dn must be below the full scale of {2**self.bits - 1}")
+        full_scale = 2**self.bits - 1
+        if self.black_level_dn > _HIGHEST_BLACK * full_scale:
+            allowed = f"below the full scale of {full_scale}, at most {_HIGHEST_BLACK:g} of it"
+            raise ValueError(f"black_level_dn must be {allowed}")
+        if self.read_noise_e > self.full_well_e:
+            raise ValueError(f"read_noise_e must be at most full_well_e, {self.full_well_e:g}")
         if error := _binning_error(self.pattern, self.binning, self.columns, self.rows):
             raise ValueError(error)
+        photosites = self.columns * self.rows * self.binning**2
+        if photosites > _MAX_PHOTOSITES:
+            size = f"columns x rows x binning^2 = {photosites}"
+            raise ValueError(f"{size} photosites must be at most {_MAX_PHOTOSITES}")
         if len(self.quantum_efficiency.columns) != (colours := 1 if self.pattern == "mono" else 3):
             raise ValueError(f"quantum_efficiency.columns must name {colours} for the pattern {self.pattern}")
         return self
@@ -225,6 +244,12 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
     document = validate(SensorDocument, read_toml(path), path)
     table = document.quantum_efficiency
     curves = [read_fraction(path, "quantum_efficiency", table.file, column) for column in table.columns]
+    for column, curve in zip(table.columns, curves, strict=True):
+        if not (peak := float(curve.values.max())) >= _LOWEST_EFFICIENCY:
+            allowed = f"must reach at least {_LOWEST_EFFICIENCY:g} at some wavelength"
+            raise InputError(
+                path.parent / table.file, allowed, key=f"maximum of the column {column}", value=peak
+            )
     sensor = Sensor(
         name=document.name,
         columns=document.columns,

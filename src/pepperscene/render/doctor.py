@@ -19,7 +19,16 @@ from importlib import metadata
 from typing import Final
 
 from pepperscene.errors import SetupError
-from pepperscene.render.variant import LLVM_VARIABLE, OLDEST_LLVM, choose_variant, find_llvm, llvm_version
+from pepperscene.render.variant import (
+    LACKS_MEMORY,
+    LLVM_VARIABLE,
+    OLDEST_LLVM,
+    LlvmExaminationError,
+    choose_variant,
+    find_llvm,
+    llvm_problems,
+    llvm_version,
+)
 from pepperscene.version import __version__
 
 TIME_LIMIT_S: Final = 120.0
@@ -37,6 +46,9 @@ _REINSTALL: Final = "reinstall pepperscene with its dependencies: `pip install .
 _INSTALL_LLVM: Final = (
     f"install LLVM {OLDEST_LLVM} or newer (`pip install karellen-llvm-core` on Linux x86-64), "
     f"or set {LLVM_VARIABLE} to another library"
+)
+_FREE_MEMORY: Final = (
+    "free some memory and processor time, or raise the limits on them (`ulimit -a`), and try again"
 )
 
 
@@ -145,6 +157,13 @@ class _ChildResult:
     printed: Mapping[str, object]  # the JSON objects on its standard output, merged
     error: str  # the last line of its standard error
 
+    @property
+    def advice(self) -> str:
+        """How to make the process succeed."""
+        # A process that did not end by itself, or lacked memory, says nothing about the libraries.
+        is_starved = self.code is None or LACKS_MEMORY.search(self.error)
+        return _FREE_MEMORY if is_starved else _INSTALL_LLVM
+
     def __str__(self) -> str:
         """The end of the process in words."""
         if self.code is None:
@@ -160,6 +179,8 @@ def _run_child(code: str, time_limit_s: float = TIME_LIMIT_S) -> _ChildResult:
     """Run Python code in a child process to its end or to the time limit."""
     try:
         child = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=time_limit_s)
+    except OSError as error:
+        return _ChildResult(None, {}, f"could not run, because of: {error.strerror or error}")
     except subprocess.TimeoutExpired as error:
         return _ChildResult(None, _parse_json_lines(error.stdout or b""), "no answer within the time limit")
     errors = child.stderr.decode(errors="replace").strip().splitlines()
@@ -198,9 +219,9 @@ def _check_rendering(child: _ChildResult) -> list[Check]:
     elif "setup" in printed:
         lines.append(Check("variant", "none", good=False, advice=str(printed["setup"])))
     elif "variant" not in printed:
-        lines.append(Check("variant", f"none: {child}", good=False, advice=_INSTALL_LLVM))
+        lines.append(Check("variant", f"none: {child}", good=False, advice=child.advice))
     else:
-        lines.append(Check("test render", str(child), good=False, advice=_INSTALL_LLVM))
+        lines.append(Check("test render", str(child), good=False, advice=child.advice))
     return lines
 
 
@@ -215,12 +236,16 @@ def _check_llvm() -> Check:
     """The library that would be used; one that is known to abort is never loaded, not even by a child."""
     try:
         library = find_llvm()
+        version = None if library is None else llvm_version(library)
+        problems = llvm_problems() if library is None else ()
+    except LlvmExaminationError as error:
+        return Check("LLVM", str(error), good=False, advice=_FREE_MEMORY)
     except SetupError as error:
         return Check("LLVM", str(error), good=False, advice=f"unset {LLVM_VARIABLE}, or {_INSTALL_LLVM}")
     if library is None:
         # With a CUDA GPU this is no error; the test render decides.
-        return Check("LLVM", f"no library of version {OLDEST_LLVM} or newer")
-    return Check("LLVM", f"{llvm_version(library)} ({library})")
+        return Check("LLVM", "; ".join(problems) or f"no library of version {OLDEST_LLVM} or newer")
+    return Check("LLVM", f"{version} ({library})")
 
 
 def _check_denoiser() -> Check:
@@ -229,5 +254,6 @@ def _check_denoiser() -> Check:
         return Check("denoiser", "pyoidn is not installed", good=False, advice=_REINSTALL)
     child = _run_child(_TEST_DENOISER)
     if child.code != 0:
-        return Check("denoiser", f"pyoidn {package.found} {child}", good=False, advice=_REINSTALL)
+        advice = _FREE_MEMORY if child.advice == _FREE_MEMORY else _REINSTALL
+        return Check("denoiser", f"pyoidn {package.found} {child}", good=False, advice=advice)
     return Check("denoiser", f"Open Image Denoise, pyoidn {package.found}")

@@ -41,39 +41,85 @@ _PRINT_LLVM_VERSION: Final = (
     "ctypes.CDLL(sys.argv[1]).LLVMGetVersion(*map(ctypes.byref, numbers))\n"
     "print(numbers[0].value)\n"
 )
+_TIME_LIMIT_S: Final = 60.0  # of this process; chosen: it takes a tenth of a second
+_LONGEST_REASON: Final = 300  # characters; chosen: more than any usual error message
+LACKS_MEMORY: Final = re.compile("MemoryError|cannot allocate memory|failed to map segment", re.IGNORECASE)
+"""Words of Python and of the dynamic loader for too little memory."""
+
+
+class LlvmExaminationError(SetupError):
+    """The process that asks a library for its version could not run, which says nothing about the library."""
 
 
 def find_llvm() -> Path | None:
     """Find the LLVM library to use: from the environment, the installed package, or the system's folders.
 
     Raises:
-        SetupError: `DRJIT_LIBLLVM_PATH` names a missing library, or one that is known to abort.
+        SetupError: `DRJIT_LIBLLVM_PATH` names a missing library, one that is known to abort, or one whose
+            version cannot be determined.
     """
+    return _search_llvm()[0]
+
+
+def llvm_problems() -> tuple[str, ...]:
+    """Why libraries could not be examined, if `find_llvm` finds none; a sentence for each. Raises as it."""
+    return _search_llvm()[1]
+
+
+def _search_llvm() -> tuple[Path | None, tuple[str, ...]]:
+    """The library to use, and what prevented the examination of others before it."""
     if named := os.environ.get(LLVM_VARIABLE):
-        return _check_named_library(Path(named))
-    for path in (*_packaged_libraries(), *_system_libraries()):
-        version = llvm_version(path)
-        if version is not None and version >= OLDEST_LLVM:
-            return path
-    return None
+        return _check_named_library(Path(named)), ()
+    problems: list[str] = []
+    for find in (_packaged_libraries, _system_libraries):
+        usable: list[tuple[int, Path]] = []
+        for path in find():
+            try:
+                version = llvm_version(path)
+            except LlvmExaminationError as error:
+                problems.append(str(error))
+            else:
+                usable += [(version, path)] if version is not None and version >= OLDEST_LLVM else []
+        if usable:
+            # The newest; of equal ones the first.
+            return max(usable, key=lambda library: library[0])[1], tuple(problems)
+    return None, tuple(problems)
 
 
 def llvm_version(path: Path) -> int | None:
     """Major version of an LLVM library, from its file name or else from the library, in a child process.
 
-    None if it cannot be determined: the file is no library, or a very old one.
+    None if the file is no library, or a very old one.
+
+    Raises:
+        LlvmExaminationError: the child process could not run.
     """
     match = re.search(r"libLLVM(?:-|\.so\.|\.)(\d+)", path.resolve().name)
     if match:
         return int(match.group(1))
+    command = [sys.executable, "-c", _PRINT_LLVM_VERSION, str(path)]
     try:
         process = subprocess.run(
-            [sys.executable, "-c", _PRINT_LLVM_VERSION, str(path)], capture_output=True, text=True, timeout=60
+            command, capture_output=True, text=True, errors="replace", timeout=_TIME_LIMIT_S
         )
-    except (OSError, subprocess.TimeoutExpired):
-        return None
+    except OSError as error:
+        raise _examination_error(path, error.strerror or str(error)) from None
+    except subprocess.TimeoutExpired:
+        raise _examination_error(path, f"it did not end within {_TIME_LIMIT_S:g} s") from None
+    errors = process.stderr.strip().splitlines() or [""]
+    # An error of the operating system or a missing name is the library's fault, all others are not.
+    is_library_error = errors[-1].startswith(("OSError", "AttributeError"))
+    if process.returncode != 0 and (not is_library_error or LACKS_MEMORY.search(errors[-1])):
+        raise _examination_error(path, errors[-1][:_LONGEST_REASON] or f"exit code {process.returncode}")
     printed = process.stdout.strip()
     return int(printed) if process.returncode == 0 and printed.isdigit() else None
+
+
+def _examination_error(path: Path, reason: str) -> LlvmExaminationError:
+    subject = f"the version of the LLVM library {str(path)!r} is unknown"
+    return LlvmExaminationError(
+        f"{subject}: the process that asks for it could not run, because of: {reason}"
+    )
 
 
 def choose_variant(requested: str | None = None) -> str:
@@ -88,7 +134,7 @@ def choose_variant(requested: str | None = None) -> str:
     requested = requested or os.environ.get("PEPPERSCENE_VARIANT") or None
     if requested is not None and requested not in VARIANTS:
         raise SetupError(f"variant {requested!r} is not supported; allowed are {', '.join(VARIANTS)}")
-    library = find_llvm()
+    library, problems = _search_llvm()
     if library is not None:
         os.environ[LLVM_VARIABLE] = str(library)
     for variant in (requested,) if requested else VARIANTS:
@@ -96,6 +142,13 @@ def choose_variant(requested: str | None = None) -> str:
             return variant
     if requested == "cuda_ad_spectral":
         raise SetupError("no usable renderer: cuda_ad_spectral needs a CUDA GPU with its driver")
+    if library is not None:
+        raise SetupError(
+            f"no usable renderer: Dr.Jit cannot load the LLVM library {str(library)!r}; the file is damaged, "
+            "or memory or address space (`ulimit -v`) is too small"
+        )
+    if problems:
+        raise SetupError(f"no usable renderer: {'; '.join(problems)}")
     raise SetupError(
         f"no usable renderer: llvm_ad_spectral needs LLVM {OLDEST_LLVM} or newer; on Linux x86-64 run "
         f"`pip install {_LLVM_PACKAGE}`, elsewhere install LLVM and set {LLVM_VARIABLE} to its shared library"
@@ -166,14 +219,13 @@ def _packaged_libraries() -> list[Path]:
 
 
 def _system_libraries() -> list[Path]:
-    """LLVM libraries in the system's folders, newest first."""
-    paths = [
+    """LLVM libraries in the system's folders."""
+    return sorted(
         path
         for folder in _SYSTEM_FOLDERS
         for path in Path(folder).glob("libLLVM*")
         if path.suffix != ".a" and path.is_file()
-    ]
-    return sorted(paths, key=lambda path: (-(llvm_version(path) or 0), str(path)))
+    )
 
 
 def _can_run(variant: str, library: Path | None) -> bool:

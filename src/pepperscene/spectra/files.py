@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import itertools
 import math
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from pepperscene.document import Document, read_toml, validate
+from pepperscene.document import Document, read_text, read_toml, validate
 from pepperscene.errors import InputError
 from pepperscene.shipped import is_file, shipped_folder
 from pepperscene.spectra.spectrum import FloatArray, Outside, Spectrum
@@ -19,6 +20,12 @@ from pepperscene.spectra.spectrum import FloatArray, Outside, Spectrum
 WAVELENGTH_KEY: Final = "wavelength_nm"
 WAVELENGTH_RANGE_NM: Final = (100.0, 20_000.0)
 """Chosen, far ultraviolet to thermal infrared: values outside are not in nanometres."""
+LEAST_STEP_NM: Final = 1e-6
+"""Between two rows. Chosen: the sharpest lines of lasers in tables are a thousand times wider."""
+LARGEST_VALUE: Final = 1e30
+"""Of spectra in any unit. Chosen: photons per second have 1e21, and squares of such values are finite."""
+LEAST_PEAK: Final = 1e-30
+"""Of a light that is not dark, in any unit. Chosen as `LARGEST_VALUE`, so that ratios do not overflow."""
 
 
 class Provenance(Document):
@@ -76,8 +83,14 @@ def read_spectra(path: str | Path, *, outside: Outside = "zero") -> dict[str, Sp
     for row, nm in enumerate(wavelength_nm):
         if not low <= nm <= high:
             raise _cell_error(file, row, WAVELENGTH_KEY, nm, f"must be in nanometres, {low:g} to {high:g}")
-        if row and nm <= wavelength_nm[row - 1]:
-            raise _cell_error(file, row, WAVELENGTH_KEY, nm, "must be greater than in the row above")
+        if row and nm < wavelength_nm[row - 1] + LEAST_STEP_NM:
+            allowed = f"must be greater than in the row above, by {LEAST_STEP_NM:g} at least"
+            raise _cell_error(file, row, WAVELENGTH_KEY, nm, allowed)
+    too_large = np.abs(rows) > LARGEST_VALUE
+    if too_large.any():
+        row, column = divmod(int(np.argmax(too_large)), len(header))
+        allowed = f"must be between {-LARGEST_VALUE:g} and {LARGEST_VALUE:g}"
+        raise _cell_error(file, row, header[column], rows[row, column], allowed)
     return {name: Spectrum(wavelength_nm, rows[:, i], outside) for i, name in enumerate(header) if i}
 
 
@@ -96,13 +109,11 @@ def read_spectrum(path: str | Path, column: str, *, outside: Outside = "zero") -
 
 def _read_table(file: Path) -> tuple[list[str], FloatArray]:
     """Header and numbers `(rows, columns)` of a CSV file."""
+    text = read_text(file)
     try:
-        with file.open(encoding="utf-8-sig", newline="") as stream:
-            lines = [line for line in csv.reader(stream) if line]
-    except OSError as error:
-        raise InputError(file, f"cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, csv.Error):
-        raise InputError(file, "must be a comma-separated text file in UTF-8") from None
+        lines = [line for line in csv.reader(io.StringIO(text)) if line]
+    except csv.Error as error:
+        raise InputError(file, f"is not a table of comma-separated values: {error}") from None
 
     header = [name.strip() for name in lines[0]] if lines else []
     if not header or header[0] != WAVELENGTH_KEY:
@@ -145,7 +156,6 @@ def _cell_error(file: Path, row: int, column: str, value: object, allowed: str) 
 
 # Bounds of device and cover files, wider than any device; they catch wrong units and typing errors.
 NonNegative = Annotated[float, Field(ge=0, le=1e6)]
-Millimetres = Annotated[float, Field(ge=-1e6, le=1e6)]
 Coefficient = Annotated[float, Field(ge=-100, le=100)]
 NonEmptyText = Annotated[str, Field(min_length=1)]
 
@@ -187,6 +197,13 @@ def find_material(folder: str, name_or_path: str | Path) -> Path:
         return shipped / f"{path}.toml"
     names = ", ".join(sorted(file.stem for file in shipped.glob("*.toml")))
     raise InputError(str(name_or_path), f"no such file, nor one of the shipped {folder}: {names}")
+
+
+def curve_file(path: Path, file: str) -> Path:
+    """The CSV file that the TOML file `path` names: beside it, or else a shipped one ("light/led_b1")."""
+    beside = path.parent / file
+    shipped = shipped_folder("materials") / f"{file.removesuffix('.csv')}.csv"
+    return shipped if not is_file(beside) and is_file(shipped) else beside
 
 
 def read_curve(path: Path, table: str, file: str, column: str) -> Spectrum:

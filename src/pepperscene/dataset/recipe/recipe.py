@@ -15,7 +15,7 @@ from pepperscene.dataset.recipe.plan import Plan, check_seed
 from pepperscene.dataset.store import atomic
 from pepperscene.document import Document, read_toml
 from pepperscene.spectra import read_spectra
-from pepperscene.spectra.files import find_material
+from pepperscene.spectra.files import curve_file, find_material
 
 _REFERENCE: Final = "file"
 """Key whose value is the path of a CSV file of spectra, relative to the file that holds it."""
@@ -110,7 +110,7 @@ def _material_fingerprints(part: str, file: Path) -> dict[str, dict[str, str]]:
     content = read_toml(file)
     fingerprints = {part: _fingerprint(file, content)}
     for table, reference in _references(content):
-        path = file.parent / reference
+        path = curve_file(file, reference)
         curves = read_spectra(path)
         values = {name: [c.wavelength_nm.tolist(), c.values.tolist()] for name, c in curves.items()}
         fingerprints[".".join((part, *table))] = _fingerprint(path, values)

@@ -5,7 +5,14 @@ from __future__ import annotations
 import datetime
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    model_validator,
+)
 
 from pepperscene.classes import OrganClass
 from pepperscene.document import Document
@@ -25,11 +32,34 @@ MatrixRow = tuple[Entry, Entry, Entry]
 Fraction = Annotated[float, Field(strict=True, ge=0, le=1)]
 Grey = Annotated[float, Field(strict=True, ge=0, le=255)]
 
+LEAST_BASELINE_MM: Final = 0.1
+"""Chosen: the smallest stereo endoscopes have 1 mm; closer images of plants are the same to a pixel."""
+
+LEAST_DAYLIGHT_LX: Final = 1e-4
+"""Chosen: a moonless, overcast night."""
+
+LEAST_SUN_FRACTION: Final = 1e-6
+"""Chosen: far below the sunlight that passes an overcast sky."""
+
+LEAST_TWINE_MM: Final = 0.1
+"""Chosen: fine sewing thread."""
+
 MIN_GUTTER_WIDTH_MM: Final = 110
 """The substrate block of a plant is 100 mm wide."""
 
 MIN_WIRE_HEIGHT_MM: Final = 500
 """Above the gutter. Chosen: a lower wire could hardly hold a stem."""
+
+
+def _zero_or_at_least(least: float) -> AfterValidator:
+    """0 omits a part; a positive number that is no real part's is an error."""
+
+    def check(value: float) -> float:
+        if 0 < value < least:
+            raise ValueError(f"must be 0 for none, or at least {least:g}")
+        return value
+
+    return AfterValidator(check)
 
 
 class RowTable(Document):
@@ -66,7 +96,7 @@ class CameraTable(Document):
     focus_mm: Annotated[float, Field(strict=True, ge=1, le=1_000_000)] | None = None
     gain: Annotated[float, Field(strict=True, ge=0.01, le=1000)] = 1.0
     bits: Annotated[int, Field(strict=True, ge=1, le=16)] | None = None
-    baseline_mm: Annotated[float, Field(strict=True, gt=0, le=10_000)] | None = None
+    baseline_mm: Annotated[float, Field(strict=True, ge=LEAST_BASELINE_MM, le=10_000)] | None = None
 
 
 def _single_message(allowed: str) -> WrapValidator:
@@ -110,10 +140,14 @@ class DevelopingTable(Document):
 class DaylightTable(Document):
     """The partly cloudy sky above the greenhouse's cover; no sky if `illuminance_lx` is 0."""
 
-    illuminance_lx: Annotated[float, Field(strict=True, ge=0, le=200_000)]
+    illuminance_lx: Annotated[
+        float, Field(strict=True, ge=0, le=200_000), _zero_or_at_least(LEAST_DAYLIGHT_LX)
+    ]
     sun_azimuth_deg: Annotated[float, Field(strict=True, ge=-360, le=360)] = 90.0
     sun_elevation_deg: Annotated[float, Field(strict=True, ge=1, le=90)] = 45.0
-    sun_fraction: Annotated[float, Field(strict=True, ge=0, le=0.95)] = 0.0
+    sun_fraction: Annotated[
+        float, Field(strict=True, ge=0, le=0.95), _zero_or_at_least(LEAST_SUN_FRACTION)
+    ] = 0.0
     cloud_cover: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.5
     cover: Name = NONE
 
@@ -121,7 +155,7 @@ class DaylightTable(Document):
 class TwineTable(Document):
     """The twine that is wound around every stem; no twine if `diameter_mm` is 0."""
 
-    diameter_mm: Annotated[float, Field(strict=True, ge=0, le=20)]
+    diameter_mm: Annotated[float, Field(strict=True, ge=0, le=20), _zero_or_at_least(LEAST_TWINE_MM)]
     turns_per_m: Annotated[float, Field(strict=True, ge=0, le=50)]
 
 

@@ -20,6 +20,7 @@ from pepperscene.geometry.fruit.fruits import (
     fruit_frames,
     ripeness,
 )
+from pepperscene.geometry.fruit.scan_file import ALLOWED_SCAN, FORMATS, read_triangles
 from pepperscene.geometry.mesh import FloatArray, IndexArray
 from pepperscene.geometry.spine import normalize
 from pepperscene.grammar.plant import Organ
@@ -27,7 +28,6 @@ from pepperscene.grammar.plant import Organ
 if TYPE_CHECKING:
     import trimesh
 
-FORMATS: Final = (".obj", ".ply", ".stl")
 MAX_TRIANGLES: Final = 25_000
 """Of one scanned fruit; chosen: twelve times a modelled one; points are 1.4 mm apart on a fruit of 80 mm."""
 
@@ -35,7 +35,6 @@ _DECIMALS: Final = 6  # of the greatest extent, to which points are equal; chose
 _DEBRIS: Final = 0.1  # chosen: loose parts below this fraction of the largest one's area are dropped
 _HOLE: Final = 0.15  # chosen: holes up to this fraction of the greatest extent are closed
 _FLAT: Final = 0.02  # chosen: least extent over the greatest; the slimmest peppers have a tenth
-_ALLOWED: Final = "a scanned fruit must be an OBJ, PLY or STL file with one closed surface, z up at its stalk"
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,37 +86,18 @@ def load_scan(path: Path) -> Scan:
         InputError: the file does not exist, cannot be read, or is not one closed body after cleaning.
     """
     if path.suffix.lower() not in FORMATS:
-        raise InputError(path, _ALLOWED)
+        raise InputError(path, ALLOWED_SCAN)
     try:
         status = path.stat()
     except OSError:
-        raise InputError(path, f"there is no such file; {_ALLOWED}") from None
+        raise InputError(path, f"there is no such file; {ALLOWED_SCAN}") from None
     return _load(path, status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=16)
 def _load(path: Path, _changed_ns: int, _size: int) -> Scan:
     """The scan in a file of that modification time and size."""
-    return _unit_size(path, _simplify(path, _clean(path, *_read_triangles(path))))
-
-
-def _read_triangles(path: Path) -> tuple[FloatArray, IndexArray]:
-    """Vertices and faces of the file, of all its groups and materials."""
-    import trimesh
-
-    try:
-        content = trimesh.load(path, process=False, skip_materials=True)
-    except Exception as error:  # readers of many formats raise many kinds
-        raise InputError(path, f"cannot be read as a mesh ({error}); {_ALLOWED}") from error
-    bodies = list(content.geometry.values()) if isinstance(content, trimesh.Scene) else [content]
-    bodies = [body for body in bodies if len(getattr(body, "faces", ())) > 0]
-    if not bodies:
-        raise InputError(path, f"has no triangles; {_ALLOWED}")
-    offsets = np.cumsum([0, *(len(body.vertices) for body in bodies)])
-    faces = [
-        np.asarray(body.faces, dtype=np.intp) + first for body, first in zip(bodies, offsets, strict=False)
-    ]
-    return np.concatenate([np.asarray(body.vertices, dtype=float) for body in bodies]), np.concatenate(faces)
+    return _unit_size(path, _simplify(path, _clean(path, *read_triangles(path))))
 
 
 def _clean(path: Path, vertices: FloatArray, faces: IndexArray) -> trimesh.Trimesh:
@@ -125,12 +105,10 @@ def _clean(path: Path, vertices: FloatArray, faces: IndexArray) -> trimesh.Trime
     import trimesh
 
     used = vertices[np.unique(faces)]
-    if not np.all(np.isfinite(used)):
-        raise InputError(path, f"has points that are not finite numbers; {_ALLOWED}")
     low, high = used.min(axis=0), used.max(axis=0)
     extent = high - low
     if not extent.min() > _FLAT * extent.max():
-        raise InputError(path, f"is flat; {_ALLOWED}")
+        raise InputError(path, f"is flat; {ALLOWED_SCAN}")
     mesh = trimesh.Trimesh((vertices - 0.5 * (low + high)) / extent.max(), faces, process=False)
     mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=_DECIMALS)
     # Needles without area stay if their three points differ: without them the surface would be open.
@@ -140,11 +118,11 @@ def _clean(path: Path, vertices: FloatArray, faces: IndexArray) -> trimesh.Trime
     trimesh.repair.fix_winding(mesh)
     mesh = _close_holes(path, mesh)
     if not (mesh.is_watertight and mesh.is_winding_consistent):
-        raise InputError(path, f"is not closed, or three triangles share an edge; {_ALLOWED}")
+        raise InputError(path, f"is not closed, or three triangles share an edge; {ALLOWED_SCAN}")
     if mesh.volume < 0.0:
         mesh.invert()
     if not mesh.volume > _FLAT * float(np.prod(mesh.extents)):
-        raise InputError(path, f"encloses no volume; {_ALLOWED}")
+        raise InputError(path, f"encloses no volume; {ALLOWED_SCAN}")
     return mesh
 
 
@@ -157,7 +135,7 @@ def _keep_largest(path: Path, mesh: trimesh.Trimesh) -> None:
     ascending = np.sort(area)
     if len(area) > 1 and ascending[-2] > _DEBRIS * ascending[-1]:
         size = f"{ascending[-2] / ascending[-1]:.0%}"
-        raise InputError(path, f"has several parts, the second {size} as large as the first; {_ALLOWED}")
+        raise InputError(path, f"has several parts, the second {size} as large as the first; {ALLOWED_SCAN}")
     mesh.update_faces(part == np.argmax(area))
     mesh.remove_unreferenced_vertices()
 
@@ -178,7 +156,7 @@ def _close_holes(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         width = float(np.ptp(points, axis=0).max())
         if width > _HOLE:
             size = f"{width:.0%} of its size, and holes are closed up to {_HOLE:.0%}"
-            raise InputError(path, f"has a hole of {size}; {_ALLOWED}")
+            raise InputError(path, f"has a hole of {size}; {ALLOWED_SCAN}")
         vertices.append(points.mean(axis=0, keepdims=True))
         # A new triangle runs along the edge of the hole the other way than the old one.
         middle = np.full(len(rim), len(mesh.vertices) + number)
@@ -193,10 +171,10 @@ def _simplify(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         return mesh
     try:
         simple = mesh.simplify_quadric_decimation(face_count=MAX_TRIANGLES)
-    except ImportError:
+    except ImportError as error:
         problem = (
             f"has {count} triangles, and {MAX_TRIANGLES} are allowed; "
-            "install the package fast-simplification to have it simplified"
+            f"install the package fast-simplification to have it simplified ({error})"
         )
         raise InputError(path, problem) from None
     return _clean(path, np.asarray(simple.vertices, dtype=float), np.asarray(simple.faces, dtype=np.intp))
@@ -215,7 +193,7 @@ def _unit_size(path: Path, mesh: trimesh.Trimesh) -> Scan:
     points[:, :2] /= float(np.linalg.norm(hull[:, None] - hull, axis=2).max())
     foot = _first_hits(points[faces], np.zeros((1, 2)))[0]
     if not np.isfinite(foot):
-        raise InputError(path, f"has no surface over its middle; {_ALLOWED}")
+        raise InputError(path, f"has no surface over its middle; {ALLOWED_SCAN}")
     points[:, 2] -= foot
     normals = np.array(trimesh.Trimesh(points, faces, process=False).vertex_normals, dtype=float)
     points, normals, uv, faces = _add_seam(points, normals, faces)

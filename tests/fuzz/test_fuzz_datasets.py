@@ -1,0 +1,230 @@
+"""Changed files of data sets, written by this package or published: each is read, refused or reported."""
+
+from __future__ import annotations
+
+import re
+import shutil
+
+import pytest
+from fuzzing import EDITS, EXAMPLES, attempt, attempt_file, mutated
+from hypothesis import strategies as st
+
+from pepperscene import open_images
+from pepperscene.dataset import check_dataset, export_dataset
+from pepperscene.dataset.store.dataset import open_dataset
+from pepperscene.dataset.store.images import read_image, write_image
+from pepperscene.dataset.store.journal import Journal
+
+INFINITE = re.compile(rb"Infinity|NaN|\de\+?\d{3,}")
+"""Numbers that JSON files cannot hold; see `test_infinite_number_in_the_description_of_a_frame`."""
+
+OUTPUTS = ("colour", "class", "instance", "distance", "harvest")
+
+
+@pytest.fixture(scope="module")
+def small_set(tmp_path_factory):
+    """Two frames with images of every kind, their journal and tables."""
+    from data_sets import HarvestRenderer, set_without_plants
+
+    return set_without_plants(
+        tmp_path_factory.mktemp("set") / "set", range(2), OUTPUTS, HarvestRenderer
+    ).folder
+
+
+@pytest.fixture
+def folder(small_set, tmp_path):
+    return shutil.copytree(small_set, tmp_path / "set")
+
+
+@pytest.fixture
+def image_files(small_set, tmp_path):
+    """The content of an image of every format, by suffix."""
+    import numpy as np
+
+    write_image(tmp_path / "flow.exr", np.zeros((6, 8, 3), np.float32), "flow")
+    write_image(tmp_path / "coverage.exr", np.zeros((6, 8, 8), np.float16), "coverage")
+    contents = {"exr": [(tmp_path / f"{name}.exr").read_bytes() for name in ("flow", "coverage")]}
+    for path in sorted((small_set / "frames").parent.rglob("*")):
+        if path.suffix in {".png", ".exr", ".json"}:
+            contents.setdefault(path.suffix[1:], []).append(path.read_bytes())
+    return contents
+
+
+@EXAMPLES
+@pytest.mark.parametrize("suffix", ["png", "exr", "json"])
+def test_image(examples, tmp_path, image_files, suffix):
+    attempt_file(examples, tmp_path / f"file.{suffix}", image_files[suffix], read_image)
+
+
+@EXAMPLES
+def test_description_of_a_data_set(examples, folder):
+    path = folder / "dataset.json"
+
+    def read(_):
+        dataset = open_dataset(folder)
+        assert dataset.indices() == (0, 1)
+        assert len(dataset.manifest()) == 2
+
+    attempt_file(examples, path, [path.read_bytes()], read)
+
+
+@EXAMPLES
+def test_description_of_a_frame(examples, folder):
+    path = folder / "frames" / "000000.json"
+    dataset = open_dataset(folder)
+
+    def read(_):
+        if INFINITE.search(path.read_bytes()):
+            return
+        status = dataset.intact(0)
+        assert status.checksum in {"", status.written_checksum}
+        assert dataset.manifest().num_rows in {1, 2}
+
+    attempt_file(examples, path, [path.read_bytes()], read)
+
+
+@EXAMPLES
+def test_metadata_of_a_frame(examples, folder):
+    path = folder / "frames" / "000000.json"
+    attempt_file(examples, path, [path.read_bytes()], lambda _: open_dataset(folder).metadata(0))
+
+
+@EXAMPLES
+def test_journal(examples, folder):
+    (path,) = folder.glob("**/journal.jsonl")
+    dataset = open_dataset(folder)
+    known = [(index, dataset.written_checksum(index)) for index in dataset.indices()]
+
+    def read(_):
+        journal = Journal(folder)
+        assert len(list(journal.rows(known))) == 2
+        assert all(index >= 0 for index in journal.wanted)
+        assert all(first < end for first, end in journal.damaged)
+
+    attempt_file(examples, path, [path.read_bytes()], read)
+
+
+@EXAMPLES
+@pytest.mark.parametrize("name", ["manifest", "fruit"])
+def test_table(examples, folder, name):
+    path = folder / f"{name}.parquet"
+    content = path.read_bytes()
+
+    def read(edits):
+        path.write_bytes(mutated(content, edits))
+        table = getattr(open_dataset(folder), name)()
+        assert table.num_rows >= 0
+
+    attempt(examples, EDITS, read)
+
+
+FILES = (
+    "dataset.json", "frames/000000.json", "journal", "manifest.parquet", "fruit.parquet", "colour", "class",
+    "instance", "distance", "harvest",
+)  # fmt: skip
+
+
+def file_of(folder, name):
+    """The file of that name or kind."""
+    if name == "journal":
+        return next(folder.glob("**/journal.jsonl"))
+    return folder / name if "." in name else open_dataset(folder).path(0, name)
+
+
+@EXAMPLES
+@pytest.mark.parametrize("name", FILES)
+def test_check(examples, folder, name):
+    path = file_of(folder, name)
+    content = path.read_bytes()
+
+    def check(edits):
+        changed = mutated(content, edits)
+        if name.startswith("frames") and INFINITE.search(changed):
+            return
+        path.write_bytes(changed)
+        result = check_dataset(folder, workers=1)
+        if name not in {"dataset.json", "journal"}:
+            assert result.findings or changed == content
+
+    # Every example reads all files of both frames.
+    attempt(examples // 10, EDITS, check)
+
+
+@EXAMPLES
+@pytest.mark.parametrize("name", ["colour", "class"])
+def test_published_layout(examples, small_set, tmp_path, name):
+    out = tmp_path / "published"
+    export_dataset(small_set, "published", out)
+    pattern = "image_color" if name == "colour" else "class_all_grayscale"
+    path = next(path for path in sorted(out.rglob("*.png")) if pattern in path.name)
+
+    def read(_):
+        images = open_images(out)
+        for item in range(len(images)):
+            images[item]
+
+    attempt_file(examples, path, [path.read_bytes()], read)
+
+
+@EXAMPLES
+def test_folder_with_a_table_of_labels(examples, tmp_path):
+    import numpy as np
+    from PIL import Image
+
+    Image.fromarray(np.full((6, 8, 3), 90, np.uint8)).save(tmp_path / "a.png")
+    Image.fromarray(np.zeros((6, 8), np.uint8)).save(tmp_path / "a_mask.png")
+    content = b"background = 0\nleaf = 1\npepper = [2, 3]\n"
+
+    def read(edits):
+        (tmp_path / "classes.toml").write_bytes(mutated(content, edits))
+        open_images(tmp_path)[0]
+
+    attempt(examples, EDITS, read)
+
+
+@EXAMPLES
+def test_any_object_as_the_description_of_a_frame(examples, folder):
+    import json
+
+    path = folder / "frames" / "000000.json"
+    original = json.loads(path.read_bytes())
+    numbers = st.integers() | st.floats(allow_nan=False, allow_infinity=False)
+    leaf = st.none() | st.booleans() | numbers | st.text(max_size=5)
+    value = st.recursive(
+        leaf, lambda part: st.lists(part, max_size=3) | st.dictionaries(st.text(max_size=5), part)
+    )
+    change = st.tuples(st.sampled_from(sorted(original)), value)
+    dataset = open_dataset(folder)
+
+    def read(changes):
+        from pepperscene.dataset.store.dataset import CHECKSUM, checksum_of
+
+        content = {**original, **dict(changes)}
+        # With a checksum that fits, the values themselves are examined.
+        content.pop(CHECKSUM, None)
+        content[CHECKSUM] = checksum_of(content)
+        path.write_text(json.dumps(content), encoding="utf-8", errors="surrogatepass")
+        dataset.intact(0)
+        dataset.manifest()
+        result = check_dataset(folder, workers=1)
+        assert result.findings is not None
+
+    attempt(examples // 10, st.lists(change, min_size=1, max_size=3), read)
+
+
+def test_the_unchanged_set_is_correct(small_set):
+    kinds = {finding.kind for finding in check_dataset(small_set, workers=1).findings}
+    assert "damaged" not in kinds
+
+
+@pytest.mark.xfail(raises=ValueError, reason="the checksum of such an object is not an error of this package")
+@pytest.mark.parametrize("number", [b"Infinity", b"NaN", b"1e999"])
+@pytest.mark.parametrize("is_check", [False, True], ids=["intact", "check"])
+def test_infinite_number_in_the_description_of_a_frame(folder, number, is_check):
+    path = folder / "frames" / "000000.json"
+    path.write_bytes(path.read_bytes().replace(b'"index": 0', b'"other": %s, "index": 0' % number))
+    assert number in path.read_bytes()
+    if is_check:
+        assert "damaged" in {finding.kind for finding in check_dataset(folder, workers=1).findings}
+    else:
+        assert open_dataset(folder).intact(0).checksum == ""
