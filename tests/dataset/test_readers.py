@@ -255,7 +255,7 @@ def test_a_jpeg_of_several_images_is_no_mask(tmp_path):
     save(tmp_path, "a.png", photo())
     image = Image.fromarray(photo(255))
     image.save(tmp_path / "a_mask.jpg", format="MPO", save_all=True, append_images=[image])
-    with pytest.raises(InputError, match="a_mask.jpg: is a JPEG"):
+    with pytest.raises(InputError, match=r"a_mask.jpg: is a JPEG"):
         open_images(tmp_path, labels=FRUIT)[0]
 
 
