@@ -18,6 +18,7 @@ from pepperscene.dataset.export.splits import read_splits
 from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.dataset.store.atomic import check_can_create, make_folder, remove
 from pepperscene.dataset.store.dataset import Dataset, open_dataset
+from pepperscene.dataset.store.fields import frame_indices, read_info
 from pepperscene.dataset.store.folder import LITTER
 from pepperscene.errors import ArgumentError, InputError, OutputError
 
@@ -101,6 +102,7 @@ def export_dataset(
         problem = "must be at least 1" if default_px else f"does not apply: {format_name} has no objects"
         raise ArgumentError("smallest", f"{smallest_px} {problem}")
     dataset = open_dataset(folder)
+    read_info(dataset)
     indices = _select_frames(dataset, frames)
     members = read_splits(split, dataset.info["recipe"]["plan"], indices).members(indices)
     for name in members:
@@ -120,9 +122,7 @@ def export_dataset(
 
 
 def _select_frames(dataset: Dataset, frames: str | None) -> tuple[int, ...]:
-    indices = dataset.indices()
-    if not indices:
-        raise InputError(dataset.folder, "holds no frames yet; build some first")
+    indices = frame_indices(dataset)
     if frames is None:
         return indices
     selection = set(Plan.model_validate(dataset.info["recipe"]["plan"]).select_indices(frames))

@@ -1,0 +1,205 @@
+"""Data sets from anywhere: whatever their JSON holds, readers, exports and reports raise `PepperError`."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from data_sets import set_without_plants
+
+from pepperscene.colour import open_patches
+from pepperscene.dataset import open_images
+from pepperscene.dataset.export import FORMATS, export_dataset
+from pepperscene.dataset.readers.torch_images import torch_images
+from pepperscene.dataset.report import write_report
+from pepperscene.dataset.store.atomic import digest
+from pepperscene.dataset.store.dataset import checksum_of
+from pepperscene.errors import PepperError
+from pepperscene.frame import Frame
+from pepperscene.truth import distance_code
+from pepperscene.truth.encodings import encode_rle
+
+SIZE = (12, 16)
+OUTPUTS = ("colour", "class", "instance", "distance", "distance_code", "harvest")
+FILES = ("dataset.json", "frames/000000.json", "harvest/000000.json")
+REMOVED = object()
+DEEP = [[]]
+for _ in range(400):
+    DEEP = [DEEP]
+VALUES = {
+    "removed": REMOVED, "null": None, "text": "text", "empty": "", "lines": "a\nb", "surrogate": "\ud800",
+    "list": [], "numbers": [1, 2], "texts": ["a", "b", "c", "d"], "object": {}, "other_object": {"1": None},
+    "zero": 0, "negative": -1, "fraction": 0.5, "huge": 1e300, "integer": 10**30, "nan": float("nan"),
+    "inf": float("inf"), "true": True, "deep": DEEP,
+}  # fmt: skip
+SAMPLE = 40  # chosen: they take some seconds
+
+
+class TwoFruit:
+    """Renders two fruit of a plant, one of them in front of the other."""
+
+    def __init__(self, scene):
+        pass
+
+    def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
+        instance = np.zeros(SIZE, np.uint16)
+        instance[2:8, 3:9] = 7
+        hidden = np.zeros(SIZE, bool)
+        hidden[4:10, 6:14] = True
+        instance[hidden & (instance == 0)] = 9
+        distance = np.where(instance > 0, np.float32(0.5), np.float32(np.inf))
+        entry = {"class": 2, "kind": "fruit", "plant": 0, "phytomer": 3, "parent": 9, "box": [3, 2, 9, 8]}
+        images = {
+            "colour": np.random.default_rng(seed).integers(0, 256, (*SIZE, 3)).astype(np.uint8),
+            "class": np.where(instance > 0, 2, 0).astype(np.uint8),
+            "instance": instance,
+            "distance": distance,
+            "distance_code": distance_code(distance),
+            "harvest": {
+                "format": "pepperscene harvest 1",
+                "fruit": [self.fruit(7, instance == 7, 0.8), self.fruit(9, hidden, 0.2)],
+            },
+        }
+        metadata = {
+            "camera": camera.metadata(),
+            "instances": {
+                str(value): {**entry, "pixels": int((instance == value).sum())} for value in (7, 9)
+            },
+            "class_pixels": {"pepper": int((instance > 0).sum())},
+            "sampling": {"samples_per_pixel": 4.0, "error_codes": 0.5, "noise_codes": 0.6},
+            "contacts": {"fruit_touching": 1, "blades_touching": 2},
+        }
+        return Frame({name: images[name] for name in outputs}, metadata)
+
+    def fruit(self, value, mask, ripeness):
+        cut = {"camera_m": [0.0, 0.0, 0.4], "px": [3.0, 4.0], "visible": True}
+        return {
+            "instance": value, "plant": 0, "phytomer": 3, "kind": "fruit", "ripeness": ripeness,
+            "length_m": 0.08, "diameter_m": 0.07, "visible_pixels": 36, "amodal_pixels": int(mask.sum()),
+            "visible_fraction": 0.5, "truncated": False, "amodal": encode_rle(mask),
+            "pose": np.eye(4).tolist(), "occluders": [{"instance": 7, "pixels": 8}],
+            "peduncle": {"instance": 7, "cut": cut}, "box": [3, 2, 9, 8], "amodal_box": [3, 2, 9, 8],
+            "approach": {"camera": [0.0, 0.0, 1.0]},
+        }  # fmt: skip
+
+
+def read_all(images):
+    for position in range(len(images)):
+        images[position]
+
+
+def actions(folder, tmp_path):
+    """Everything that reads a data set, by name."""
+    yield "images", lambda: read_all(open_images(folder))
+    yield "patches", lambda: open_patches(folder)
+    keys = ("image", "mask", "instances", "distance")
+    yield "torch", lambda: read_all(torch_images(folder, keys))
+    yield "report", lambda: write_report(folder, limit=2)
+    for format_name in FORMATS:
+        out = tmp_path / format_name
+        shutil.rmtree(out, ignore_errors=True)
+        yield (
+            format_name,
+            lambda format_name=format_name, out=out: export_dataset(folder, format_name, out, "train=0:1"),
+        )
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory):
+    pytest.importorskip("torch", reason="the extra `torch`")
+    pytest.importorskip("pycocotools", reason="the extra `export`")
+    pytest.importorskip("cv2", reason="the extra `export`")
+    folder = tmp_path_factory.mktemp("malformed") / "set"
+    set_without_plants(folder, range(2), OUTPUTS, TwoFruit)
+    return folder
+
+
+def keys_of(content, key=()):
+    """All keys below a content, those of the first two entries only of lists."""
+    items = content.items() if isinstance(content, dict) else enumerate(content[:2])
+    for name, value in items:
+        yield (*key, name)
+        if isinstance(value, dict | list):
+            yield from keys_of(value, (*key, name))
+
+
+def all_cases(original):
+    """File, key and name of the value for every way to change one value."""
+    return [
+        (file, key, value)
+        for file in FILES
+        for key in keys_of(json.loads((original / file).read_text()))
+        for value in VALUES
+    ]
+
+
+def change(folder, file, key, value):
+    """Change one value of a JSON file, and let all checksums be right for the result."""
+    content = json.loads((folder / file).read_text())
+    parent = content
+    for name in key[:-1]:
+        parent = parent[name]
+    if VALUES[value] is REMOVED:
+        del parent[key[-1]]
+    else:
+        parent[key[-1]] = VALUES[value]
+    write(folder / file, content, is_signed=file.startswith("frames") and key[0] != "checksum")
+    if file.startswith("harvest"):
+        path = folder / "frames" / "000000.json"
+        frame = json.loads(path.read_text())
+        frame["outputs"]["harvest"] |= {
+            "bytes": (folder / file).stat().st_size, "sha256": digest(folder / file),
+        }  # fmt: skip
+        write(path, frame, is_signed=True)
+
+
+def write(path, content, is_signed):
+    if is_signed:
+        try:
+            content["checksum"] = checksum_of(content)
+        except ValueError:
+            assert "nan" in str(content) or "inf" in str(content) or "\ud800" in str(content)
+    path.write_text(json.dumps(content))
+
+
+def check_cases(original, tmp_path, cases):
+    """Try all actions on copies of the data set with one changed value each; most of them are refused."""
+    folder = tmp_path / "set"
+    refused, other_errors = 0, []
+    for case in cases:
+        shutil.copytree(original, folder)
+        change(folder, *case)
+        messages = []
+        for name, action in actions(folder, tmp_path):
+            try:
+                action()
+            except PepperError as error:
+                messages.append(str(error))
+            except Exception as error:
+                other_errors.append(f"{name} of {case}: {type(error).__name__}: {error}")
+        refused += bool(messages)
+        other_errors += [f"{case}: {message}" for message in messages if "\n" in message]
+        shutil.rmtree(folder)
+    assert other_errors == []
+    assert refused > len(cases) / 4
+
+
+def test_every_action_reads_the_unchanged_set(original, tmp_path):
+    for _, action in actions(original, tmp_path):
+        action()
+    assert (original / "index.html").is_file()
+    assert all(any((tmp_path / name).iterdir()) for name in FORMATS)
+
+
+def test_a_sample_of_malformed_values_raises_errors_for_users(original, tmp_path):
+    cases = all_cases(original)
+    chosen = np.random.default_rng(12).permutation(len(cases))[:SAMPLE]
+    check_cases(original, tmp_path, [cases[number] for number in chosen])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("file", FILES)
+def test_every_malformed_value_raises_an_error_for_users(file, original, tmp_path):
+    check_cases(original, tmp_path, [case for case in all_cases(original) if case[0] == file])
