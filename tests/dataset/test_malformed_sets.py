@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
 import shutil
 
 import numpy as np
 import pytest
 from data_sets import set_without_plants
+from pyarrow import parquet
 
 from pepperscene.colour import open_patches
-from pepperscene.dataset import open_images
+from pepperscene.dataset import open_dataset, open_images
 from pepperscene.dataset.export import FORMATS, export_dataset
 from pepperscene.dataset.readers.torch_images import torch_images
 from pepperscene.dataset.report import write_report
+from pepperscene.dataset.report.data import frame_records
 from pepperscene.dataset.store.atomic import digest
 from pepperscene.dataset.store.dataset import checksum_of
+from pepperscene.dataset.store.images import encode_image
 from pepperscene.errors import PepperError
 from pepperscene.frame import Frame
 from pepperscene.truth import distance_code
@@ -164,6 +169,21 @@ def write(path, content, is_signed):
     path.write_text(json.dumps(content))
 
 
+def try_actions(folder, tmp_path, case, only=None):
+    """Messages of the actions that are refused, and those with any other error."""
+    messages, other_errors = [], []
+    for name, action in actions(folder, tmp_path):
+        if only is not None and name not in only:
+            continue
+        try:
+            action()
+        except PepperError as error:
+            messages.append(str(error))
+        except Exception as error:
+            other_errors.append(f"{name} of {case}: {type(error).__name__}: {error}")
+    return messages, other_errors + [f"{case}: {message}" for message in messages if "\n" in message]
+
+
 def check_cases(original, tmp_path, cases):
     """Try all actions on copies of the data set with one changed value each; most of them are refused."""
     folder = tmp_path / "set"
@@ -171,29 +191,29 @@ def check_cases(original, tmp_path, cases):
     for case in cases:
         shutil.copytree(original, folder)
         change(folder, *case)
-        messages = []
-        for name, action in actions(folder, tmp_path):
-            try:
-                action()
-            except PepperError as error:
-                messages.append(str(error))
-            except Exception as error:
-                other_errors.append(f"{name} of {case}: {type(error).__name__}: {error}")
-        refused += bool(messages)
-        other_errors += [f"{case}: {message}" for message in messages if "\n" in message]
+        messages, errors = try_actions(folder, tmp_path, case)
+        refused, other_errors = refused + bool(messages), other_errors + errors
         shutil.rmtree(folder)
     assert other_errors == []
     assert refused > len(cases) / 4
 
 
 def test_every_action_reads_the_unchanged_set(original, tmp_path):
-    for _, action in actions(original, tmp_path):
+    folder = shutil.copytree(original, tmp_path / "set")
+    for _, action in actions(folder, tmp_path):
         action()
-    assert (original / "index.html").is_file()
+    assert (folder / "index.html").is_file()
     assert all(any((tmp_path / name).iterdir()) for name in FORMATS)
 
 
-def test_a_sample_of_malformed_values_raises_errors_for_users(original, tmp_path):
+@pytest.fixture
+def without_charts(monkeypatch):
+    """Leave out the charts of reports, which take most of the time."""
+    for name in ("line_chart", "value_chart"):
+        monkeypatch.setattr(f"pepperscene.dataset.report.sections.{name}", lambda *_args, **_kwargs: "")
+
+
+def test_a_sample_of_malformed_values_raises_errors_for_users(original, tmp_path, without_charts):
     cases = all_cases(original)
     chosen = np.random.default_rng(12).permutation(len(cases))[:SAMPLE]
     check_cases(original, tmp_path, [cases[number] for number in chosen])
@@ -201,5 +221,79 @@ def test_a_sample_of_malformed_values_raises_errors_for_users(original, tmp_path
 
 @pytest.mark.long
 @pytest.mark.parametrize("file", FILES)
-def test_every_malformed_value_raises_an_error_for_users(file, original, tmp_path):
+def test_every_malformed_value_raises_an_error_for_users(file, original, tmp_path, without_charts):
     check_cases(original, tmp_path, [case for case in all_cases(original) if case[0] == file])
+
+
+def test_charts_of_extreme_numbers_are_drawn_or_refused(original, tmp_path):
+    keys = [("sampling", "error_codes"), ("class_pixels", "pepper"), ("outputs", "colour", "bytes")]
+    values = ("huge", "negative", "zero")
+    check_cases(original, tmp_path, [(FILES[1], key, value) for key in keys for value in values])
+
+
+def replace_image(folder, output, content):
+    """Replace an image of the first frame, and let all checksums be right for the result."""
+    path = next((folder / output).glob("000000.*"))
+    path.write_bytes(content)
+    frame_file = folder / "frames" / "000000.json"
+    frame = json.loads(frame_file.read_text())
+    frame["outputs"][output] |= {"bytes": len(content), "sha256": digest(path)}
+    write(frame_file, frame, is_signed=True)
+
+
+def other_images(output, image, folder):
+    """Contents that no build writes for an output, by name."""
+    yield "empty", b""
+    yield "text", b"text"
+    yield "one_pixel", encode_image(image[:1, :1], output)
+    yield "half", encode_image(np.ascontiguousarray(image[: len(image) // 2]), output)
+    for other in OUTPUTS[:-1]:
+        yield other, next((folder / other).glob("000001.*")).read_bytes()
+    for value in {"class": (9, 255), "instance": (8, 65535), "distance": (-1, np.nan)}.get(output, ()):
+        yield f"of {value}", encode_image(np.full_like(image, value), output)
+
+
+@pytest.mark.parametrize("output", OUTPUTS[:-1])
+def test_images_of_another_kind_raise_errors_for_users(output, original, tmp_path):
+    folder = tmp_path / "set"
+    image = open_dataset(original).image(0, output)
+    other_errors = []
+    for name, content in other_images(output, image, original):
+        shutil.copytree(original, folder)
+        replace_image(folder, output, content)
+        only = ("images", "patches", *FORMATS)
+        _, errors = try_actions(folder, tmp_path, f"{output} {name}", only)
+        other_errors += errors
+        shutil.rmtree(folder)
+    assert other_errors == []
+
+
+def other_tables(path):
+    """Contents that no build writes for a table, by name."""
+    yield "empty", b""
+    yield "text", b"text"
+    table = parquet.read_table(path)
+    for number, name in enumerate(table.column_names[:30]):
+        for kind in ("texts", "nulls", "lists"):
+            values = {"texts": ["a"], "nulls": [None], "lists": [[1]]}[kind] * len(table)
+            stream = io.BytesIO()
+            parquet.write_table(table.set_column(number, name, [values]), stream)
+            yield f"{name} {kind}", stream.getvalue()
+
+
+@pytest.mark.parametrize("name", ["manifest.parquet", "fruit.parquet"])
+def test_tables_of_other_columns_raise_errors_for_users(name, original, tmp_path):
+    folder = shutil.copytree(original, tmp_path / "set")
+    other_errors = []
+    for case, content in other_tables(original / name):
+        (folder / name).write_bytes(content)
+        # The report takes a table that is newer than the frames as it is.
+        os.utime(folder / "manifest.parquet", (2e9, 2e9))
+        try:
+            frame_records(open_dataset(folder))
+            open_dataset(folder).fruit()
+        except PepperError:
+            pass
+        except Exception as error:
+            other_errors.append(f"{case}: {type(error).__name__}: {error}")
+    assert other_errors == []
