@@ -152,7 +152,7 @@ def change(folder, file, key, value):
         parent[key[-1]] = VALUES[value]
     write(folder / file, content, is_signed=file.startswith("frames") and key[0] != "checksum")
     if file.startswith("harvest"):
-        path = folder / "frames" / "000000.json"
+        path = folder / "frames" / (folder / file).name
         frame = json.loads(path.read_text())
         frame["outputs"]["harvest"] |= {
             "bytes": (folder / file).stat().st_size, "sha256": digest(folder / file),
@@ -206,6 +206,73 @@ def test_every_action_reads_the_unchanged_set(original, tmp_path):
     assert all(any((tmp_path / name).iterdir()) for name in FORMATS)
 
 
+@pytest.mark.parametrize(
+    ("case", "action", "message"),
+    [
+        ((FILES[0], ("recipe",), "removed"), "report", "dataset.json: recipe: is required but missing"),
+        ((FILES[0], ("recipe", "row"), "null"), "report", "dataset.json: recipe.row: must be a table"),
+        (
+            (FILES[0], ("recipe", "plan", "sets"), "zero"),
+            "coco",
+            "dataset.json: recipe.plan.sets = 0: must be",
+        ),
+        ((FILES[0], ("recipe", "name"), "lines"), "huggingface", r"dataset.json: recipe.name = 'a\\nb': "),
+        ((FILES[1], ("camera",), "null"), "patches", "frames/000000.json: camera: must be a table"),
+        (
+            (FILES[1], ("instances", "7", "class"), "text"),
+            "yolo",
+            "000000.json: instances.7.class = 'text': ",
+        ),
+        (
+            (FILES[1], ("set",), "huge"),
+            "report",
+            "frames/000000.json: set = 1e\\+300: must be a valid integer",
+        ),
+        ((FILES[2], ("fruit", 0, "ripeness"), "text"), "patches", "harvest/000000.json: fruit.0.ripeness = "),
+        ((FILES[2], ("fruit", 0, "pose"), "numbers"), "huggingface", "harvest/000000.json: fruit.0.pose"),
+        (
+            (FILES[2], ("fruit", 0, "amodal", "counts"), "numbers"),
+            "coco",
+            "must have counts that sum to 12 x 16",
+        ),
+    ],
+)
+def test_the_message_names_file_and_key(case, action, message, original, tmp_path):
+    folder = shutil.copytree(original, tmp_path / "set")
+    change(folder, *case)
+    run = dict(actions(folder, tmp_path))[action]
+    with pytest.raises(PepperError, match=message):
+        run()
+
+
+def test_a_frame_under_the_name_of_another_is_refused(original, tmp_path):
+    folder = shutil.copytree(original, tmp_path / "set")
+    shutil.copy(folder / "frames" / "000001.json", folder / "frames" / "000000.json")
+    with pytest.raises(PepperError, match=r"frames/000000.json: index = 1: must be 0, as in the name"):
+        read_all(open_images(folder))
+
+
+def test_a_set_without_anything_to_show_has_no_report(original, tmp_path):
+    folder = shutil.copytree(original, tmp_path / "set")
+    for index in (0, 1):
+        path = folder / "frames" / f"00000{index}.json"
+        frame = json.loads(path.read_text())
+        frame["outputs"] = {"harvest": frame["outputs"]["harvest"]}
+        write(path, frame, is_signed=True)
+    with pytest.raises(
+        PepperError, match="000000 has no photograph, classes, instances or distances to show"
+    ):
+        write_report(folder)
+
+
+def test_fruit_of_unknown_ripeness_are_neither_ripe_nor_unripe(original, tmp_path):
+    folder = shutil.copytree(original, tmp_path / "set")
+    assert {patch.kind for patch in open_patches(folder).patches} == {"pepper.ripe", "pepper.unripe"}
+    change(folder, FILES[2], ("fruit", 1, "ripeness"), "null")
+    kinds = {patch.kind for patch in open_patches(open_images(folder)[:1]).patches}
+    assert kinds == {"pepper.ripe", "pepper"}
+
+
 @pytest.fixture
 def without_charts(monkeypatch):
     """Leave out the charts of reports, which take most of the time."""
@@ -223,6 +290,16 @@ def test_a_sample_of_malformed_values_raises_errors_for_users(original, tmp_path
 @pytest.mark.parametrize("file", FILES)
 def test_every_malformed_value_raises_an_error_for_users(file, original, tmp_path, without_charts):
     check_cases(original, tmp_path, [case for case in all_cases(original) if case[0] == file])
+
+
+@pytest.mark.parametrize("key", [("ripeness",), ("plant",), ("box", 0), ("peduncle", "cut", "px"), ("pose",)])
+def test_malformed_fruit_of_a_frame_that_is_not_shown_does_not_end_a_report(
+    key, original, tmp_path, without_charts
+):
+    for value in ("text", "integer", "nan"):
+        folder = shutil.copytree(original, tmp_path / value)
+        change(folder, "harvest/000001.json", ("fruit", 0, *key), value)
+        assert write_report(folder, limit=1).frames == 2
 
 
 def test_charts_of_extreme_numbers_are_drawn_or_refused(original, tmp_path):
