@@ -39,7 +39,7 @@ VALUES = {
     "zero": 0, "negative": -1, "fraction": 0.5, "huge": 1e300, "integer": 10**30, "nan": float("nan"),
     "inf": float("inf"), "true": True, "deep": DEEP,
 }  # fmt: skip
-SAMPLE = 40  # chosen: they take some seconds
+SAMPLE = 25  # chosen: they take two seconds
 
 
 class TwoFruit:
@@ -292,16 +292,17 @@ def test_every_malformed_value_raises_an_error_for_users(file, original, tmp_pat
     check_cases(original, tmp_path, [case for case in all_cases(original) if case[0] == file])
 
 
-@pytest.mark.parametrize("key", [("ripeness",), ("plant",), ("box", 0), ("peduncle", "cut", "px"), ("pose",)])
+@pytest.mark.parametrize("key", [("ripeness",), ("plant",), ("peduncle", "cut", "px")])
 def test_malformed_fruit_of_a_frame_that_is_not_shown_does_not_end_a_report(
     key, original, tmp_path, without_charts
 ):
-    for value in ("text", "integer", "nan"):
+    for value in ("text", "integer"):
         folder = shutil.copytree(original, tmp_path / value)
         change(folder, "harvest/000001.json", ("fruit", 0, *key), value)
         assert write_report(folder, limit=1).frames == 2
 
 
+@pytest.mark.long
 def test_charts_of_extreme_numbers_are_drawn_or_refused(original, tmp_path):
     keys = [("sampling", "error_codes"), ("class_pixels", "pepper"), ("outputs", "colour", "bytes")]
     values = ("huge", "negative", "zero")
@@ -338,11 +339,14 @@ def test_images_of_another_kind_raise_errors_for_users(output, original, tmp_pat
     for name, content in other_images(output, image, original):
         shutil.copytree(original, folder)
         replace_image(folder, output, content)
-        only = ("images", "patches", *FORMATS)
+        only = ("images", "published", "coco", "huggingface")
         _, errors = try_actions(folder, tmp_path, f"{output} {name}", only)
         other_errors += errors
         shutil.rmtree(folder)
     assert other_errors == []
+
+
+READ_COLUMNS = ("index", "checksum", "worker", "render_s", "bytes", "pixels_pepper", "instance", "ripeness")
 
 
 def other_tables(path):
@@ -350,7 +354,9 @@ def other_tables(path):
     yield "empty", b""
     yield "text", b"text"
     table = parquet.read_table(path)
-    for number, name in enumerate(table.column_names[:30]):
+    for number, name in enumerate(table.column_names):
+        if name not in READ_COLUMNS:
+            continue
         for kind in ("texts", "nulls", "lists"):
             values = {"texts": ["a"], "nulls": [None], "lists": [[1]]}[kind] * len(table)
             stream = io.BytesIO()
