@@ -251,6 +251,14 @@ def test_rejects_missing_folder_and_damaged_file(tmp_path):
         open_images(tmp_path)[0]
 
 
+def test_a_jpeg_of_several_images_is_no_mask(tmp_path):
+    save(tmp_path, "a.png", photo())
+    image = Image.fromarray(photo(255))
+    image.save(tmp_path / "a_mask.jpg", format="MPO", save_all=True, append_images=[image])
+    with pytest.raises(InputError, match=r"a_mask.jpg: is a JPEG"):
+        open_images(tmp_path, labels=FRUIT)[0]
+
+
 def classes_of(folder, mask, labels=None):
     """The classes of a mask, an array or the content of a PNG, for an image of its size."""
     path = folder / "a_mask.png"

@@ -166,9 +166,9 @@ def _ripeness_masks(images: ImageSet, picture: LabelledImage) -> Mapping[str, ND
         values = read_mask(Path(picture.metadata["mask"])).values
         return {} if values is None else {kind: np.isin(values, codes) for kind, codes in _MONTOYA.items()}
     if picture.instances is not None and "harvest" in picture.metadata:
-        fruit = picture.metadata["harvest"]["fruit"]
-        ripe = [int(entry["instance"]) for entry in fruit if float(entry["ripeness"]) >= RIPE_FROM]
-        unripe = [int(entry["instance"]) for entry in fruit if float(entry["ripeness"]) < RIPE_FROM]
+        known = [fruit for fruit in picture.metadata["harvest"]["fruit"] if fruit.get("ripeness") is not None]
+        ripe = [int(fruit["instance"]) for fruit in known if float(fruit["ripeness"]) >= RIPE_FROM]
+        unripe = [int(fruit["instance"]) for fruit in known if float(fruit["ripeness"]) < RIPE_FROM]
         return {UNRIPE: np.isin(picture.instances, unripe), RIPE: np.isin(picture.instances, ripe)}
     return {}
 

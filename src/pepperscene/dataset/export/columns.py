@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.export.job import ExportFrame
 from pepperscene.dataset.store.manifest import FRUIT_COLUMNS, fruit_rows
+from pepperscene.errors import InputError
 
 CLASS_NAMES: Final = tuple(organ.name.lower() for organ in OrganClass)
 
@@ -65,7 +66,7 @@ def frame_columns(outputs: Sequence[str], shape: tuple[int, int]) -> tuple[Colum
             "distance",
             distances,
             "metres along the ray from the projection centre, inf in the sky",
-            lambda frame: frame.image("distance"),
+            lambda frame: _distance_values(frame, shape),
         ),
         "harvest": Column("fruit", [_FRUIT], "visible fruit with hidden parts and cut points", _fruit_values),
     }
@@ -142,17 +143,26 @@ def _image_column(output: str) -> Callable[[ExportFrame], Mapping[str, Any]]:
     return lambda frame: {"bytes": frame.content(output), "path": f"{frame.name}_{output}.png"}
 
 
+def _distance_values(frame: ExportFrame, shape: tuple[int, int]) -> NDArray[np.float32]:
+    distance: NDArray[np.float32] = frame.image("distance")
+    if distance.shape != shape:
+        (height, width), (rows, columns) = shape, distance.shape
+        problem = f"has {columns}x{rows} pixels, but the first frame's classes {width}x{height}"
+        raise InputError(frame.dataset.path(frame.index, "distance"), problem)
+    return distance
+
+
 def _metadata_column(key: str) -> Callable[[ExportFrame], Any]:
-    return lambda frame: frame.metadata.get(key)
+    return lambda frame: frame.metadata[key]
 
 
 def _class_pixels(frame: ExportFrame) -> dict[str, int]:
-    counts = frame.metadata.get("class_pixels") or {}
-    return {name: int(counts.get(name, 0)) for name in CLASS_NAMES}
+    counts = frame.metadata.get("class_pixels", {})
+    return {name: counts.get(name, 0) for name in CLASS_NAMES}
 
 
 def _organ_values(frame: ExportFrame) -> list[dict[str, Any]]:
-    entries = frame.metadata.get("instances") or {}
+    entries = frame.metadata["instances"]
     return [
         {**{key: entry.get(key) for key in _ORGAN}, "instance": int(instance)}
         for instance, entry in sorted(entries.items(), key=lambda item: int(item[0]))

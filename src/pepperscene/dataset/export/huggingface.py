@@ -7,6 +7,7 @@ metadata of the schema under the key `huggingface`, so that images are decoded w
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -39,6 +40,12 @@ _SIZE_CATEGORIES: Final = (
 
 _LICENCE: Final = "mit"
 """Of this package, in Hugging Face's list; users who publish their images replace it."""
+
+_YAML_UNPRINTABLE: Final = re.compile("[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
+"""Characters of JSON texts that YAML 1.2 does not allow, or takes for ends of lines, without an escape."""
+
+_MARKDOWN_SYNTAX: Final = re.compile(r"[\\`*_\[\]<>&|~!$#@]|:(?=//)|(?<=www)\.", re.IGNORECASE)
+"""Characters with a meaning inside a line of GitHub's Markdown, also of bare links and formulas."""
 
 
 @dataclass(frozen=True)
@@ -113,11 +120,22 @@ def _write_split(
 
 
 def _card_text(info: Mapping[str, Any], columns: Sequence[Column], splits: Mapping[str, SplitSize]) -> str:
-    """The card: front matter, whose values are JSON and therefore YAML, and a page in Markdown."""
+    """The card: front matter in YAML, and a page in Markdown."""
     title = f"{info['recipe']['name']}: rendered sweet-pepper plants"
     front = card_front_matter(title, columns, splits)
-    lines = [f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in front.items()]
+    lines = [f"{key}: {_yaml_value(value)}" for key, value in front.items()]
     return "\n".join(["---", *lines, "---", "", *_card_page(title, info, columns, splits), ""])
+
+
+def _yaml_value(value: Any) -> str:
+    """A value as JSON, which is YAML, too, if a few characters are escaped; it is on one line."""
+    text = json.dumps(value, ensure_ascii=False, allow_nan=False)
+    return _YAML_UNPRINTABLE.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
+
+
+def _markdown_text(text: Any) -> str:
+    """A text within a line of Markdown, or a cell of a table, that readers see as it is."""
+    return _MARKDOWN_SYNTAX.sub(r"\\\g<0>", str(text))
 
 
 def card_front_matter(
@@ -155,8 +173,10 @@ def _card_page(
     title: str, info: Mapping[str, Any], columns: Sequence[Column], splits: Mapping[str, SplitSize]
 ) -> list[str]:
     recipe, plan = info["recipe"], info["recipe"]["plan"]
+    name, cultivar = _markdown_text(recipe["name"]), _markdown_text(recipe["cultivar"])
+    sensor, lens = (_markdown_text(recipe["camera"][part]) for part in ("sensor", "lens"))
     return [
-        f"# {title}",
+        f"# {_markdown_text(title)}",
         "",
         f"{sum(size.frames for size in splits.values())} images of sweet-pepper plants (*Capsicum annuum*) in"
         " a greenhouse row, rendered with exact labels. Every plant is grown from measured proportions, its"
@@ -165,14 +185,14 @@ def _card_page(
         "",
         "| | |",
         "|---|---|",
-        f"| recipe | {recipe['name']}, seed {recipe['seed']}, SHA-256 `{info['recipe_sha256']}` |",
-        f"| cultivar | {recipe['cultivar']} |",
-        f"| camera | {recipe['camera']['sensor']} with {recipe['camera']['lens']} |",
+        f"| recipe | {name}, seed {recipe['seed']}, SHA-256 `{info['recipe_sha256']}` |",
+        f"| cultivar | {cultivar} |",
+        f"| camera | {sensor} with {lens} |",
         f"| plan | {plan['sets']} sets of plants, {plan['rotations']} rows of each,"
         f" {plan['frames']} steps along the camera's path |",
-        f"| quality | {info['quality']} |",
-        f"| made with | pepperscene {info['version']} |",
-        *(f"| split `{name}` | {size.frames} images |" for name, size in splits.items()),
+        f"| quality | {_markdown_text(info['quality'])} |",
+        f"| made with | pepperscene {_markdown_text(info['version'])} |",
+        *(f"| split `{split}` | {size.frames} images |" for split, size in splits.items()),
         "",
         f"Classes: {', '.join(f'{number} {name}' for number, name in enumerate(CLASS_NAMES))}.",
         "",

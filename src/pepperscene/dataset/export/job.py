@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.dataset import Dataset
+from pepperscene.dataset.store.fields import read_frame, read_output
 from pepperscene.errors import InputError, SetupError
 
 OnFrame = Callable[[int, int, int], None]
@@ -33,8 +34,8 @@ class ExportFrame:
 
     @cached_property
     def metadata(self) -> dict[str, Any]:
-        """The content of its JSON."""
-        return self.dataset.metadata(self.index)
+        """The content of its JSON, of valid types."""
+        return read_frame(self.dataset, self.index)
 
     @property
     def name(self) -> str:
@@ -56,7 +57,7 @@ class ExportFrame:
     def image(self, output: str) -> Any:
         """An output as `Frame` holds it, checked against its checksum."""
         self.content(output)
-        return self.dataset.image(self.index, output)
+        return read_output(self.dataset, self.index, output)
 
     def segment_ids(self, smallest_px: int) -> NDArray[np.uint32]:
         """Segment of every pixel, `(h, w)`, above 0.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from pepperscene.dataset.export.splits import read_splits
 from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.dataset.store.atomic import check_can_create, make_folder, remove
 from pepperscene.dataset.store.dataset import Dataset, open_dataset
+from pepperscene.dataset.store.fields import frame_indices, read_info
 from pepperscene.dataset.store.folder import LITTER
 from pepperscene.errors import ArgumentError, InputError, OutputError
 
@@ -45,14 +47,20 @@ class ExportFormat:
     required: tuple[tuple[str, ...], ...]  # outputs of all frames; of alternatives in a tuple, one is enough
     library: str = ""  # module that the extra `export` installs
     smallest_px: int | None = None  # default of `export_dataset`; None for formats without objects
+    reserved: tuple[str, ...] = ()  # names that no split may have: of other folders, or of other keys
 
+
+_YOLO_KEYS: Final = (
+    "channels", "download", "flip_idx", "kpt_names", "kpt_shape", "names", "nc", "path", "yaml_file",
+)  # fmt: skip
+"""Keys of `data.yaml` that mean something other than a split to Ultralytics."""
 
 FORMATS: Final = MappingProxyType(
     {
         "published": ExportFormat((("colour",), ("class",), ("distance_code", "distance"))),
-        "coco": ExportFormat((("colour",), ("instance",)), "pycocotools.mask", smallest_px=1),
+        "coco": ExportFormat((("colour",), ("instance",)), "pycocotools.mask", 1, ("annotations",)),
         # Chosen: 12 pixels are less than one pixel of a network's masks, a quarter as wide as its input.
-        "yolo": ExportFormat((("colour",), ("instance",)), "cv2", smallest_px=12),
+        "yolo": ExportFormat((("colour",), ("instance",)), "cv2", 12, _YOLO_KEYS),
         "webdataset": ExportFormat((("colour",), ("class",))),
         "huggingface": ExportFormat((("colour",), ("class",))),
     }
@@ -94,8 +102,13 @@ def export_dataset(
         problem = "must be at least 1" if default_px else f"does not apply: {format_name} has no objects"
         raise ArgumentError("smallest", f"{smallest_px} {problem}")
     dataset = open_dataset(folder)
+    read_info(dataset)
     indices = _select_frames(dataset, frames)
     members = read_splits(split, dataset.info["recipe"]["plan"], indices).members(indices)
+    for name in members:
+        if name in export_format.reserved:
+            problem = f"{name} is not allowed in the format {format_name}, which uses the name otherwise"
+            raise ArgumentError("split", problem)
     job = ExportJob(dataset, members, smallest_px or default_px or 1, on_frame)
     if export_format.library:
         import_library(export_format.library)
@@ -109,9 +122,7 @@ def export_dataset(
 
 
 def _select_frames(dataset: Dataset, frames: str | None) -> tuple[int, ...]:
-    indices = dataset.indices()
-    if not indices:
-        raise InputError(dataset.folder, "holds no frames yet; build some first")
+    indices = frame_indices(dataset)
     if frames is None:
         return indices
     selection = set(Plan.model_validate(dataset.info["recipe"]["plan"]).select_indices(frames))
@@ -127,8 +138,8 @@ def _check_outputs(dataset: Dataset, indices: Sequence[int], required: tuple[tup
         for index in indices:
             if not any(dataset.path(index, output).is_file() for output in alternatives):
                 output = alternatives[0]
-                recipe = dataset.info["recipe"].get("name") or "RECIPE"
-                command = f"build {recipe} --out {dataset.folder} --outputs {output}"
+                recipe = shlex.quote(dataset.info["recipe"]["name"])
+                command = f"build {recipe} --out {shlex.quote(str(dataset.folder))} --outputs {output}"
                 problem = f"frame {index:06d} has no output {output!r}, which the format needs"
                 raise InputError(dataset.folder, f"{problem}; `pepperscene {command}` adds it")
 

@@ -26,6 +26,8 @@ from numpy.typing import NDArray
 
 from pepperscene.dataset.export.job import ExportFrame, ExportJob
 from pepperscene.dataset.store.atomic import canonical_json
+from pepperscene.dataset.store.dataset import MARK
+from pepperscene.errors import InputError
 
 SHARD_BYTES: Final = 1_000_000_000
 """Chosen: webdataset recommends shards of about a gigabyte, large enough to read sequentially."""
@@ -60,7 +62,7 @@ def write_webdataset(job: ExportJob, folder: Path) -> None:
         split: _write_shards(folder, split, (_make_sample(frame, outputs) for frame in frames))
         for split, frames in job.frames_by_split(shuffle)
     }
-    content = canonical_json({"splits": shards, "dataset": dict(job.dataset.info)})
+    content = _json_bytes({"splits": shards, "dataset": dict(job.dataset.info)}, job.dataset.folder / MARK)
     (folder / "shards.json").write_bytes(content)
 
 
@@ -98,8 +100,17 @@ def _make_sample(frame: ExportFrame, outputs: Sequence[str]) -> Sample:
             members.append(("harvest.json", frame.content(output)))
         else:
             members.append((f"{output}.npy.gz", _npy_gz(frame.image(output))))
-    members.append(("json", canonical_json(frame.metadata)))
+    members.append(("json", _json_bytes(frame.metadata, frame.dataset.frame_path(frame.index))))
     return [(f"{frame.name}.{suffix}", content) for suffix, content in members]
+
+
+def _json_bytes(content: Any, file: Path) -> bytes:
+    """Canonical JSON of the content of a file; raises `InputError` if that is not JSON to other readers."""
+    try:
+        return canonical_json(content)
+    except (ValueError, RecursionError):
+        problem = "must not hold infinite numbers, nan, unpaired surrogates, or lists nested too deeply"
+        raise InputError(file, problem) from None
 
 
 def _npy_gz(image: NDArray[Any]) -> bytes:

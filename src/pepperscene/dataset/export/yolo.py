@@ -60,7 +60,9 @@ def _data_yaml(splits: Sequence[str]) -> str:
     classes = [
         f"  {organ - 1}: {organ.name.lower()}" for organ in OrganClass if organ != OrganClass.BACKGROUND
     ]
-    return "\n".join([*(f"{name}: {path}" for name, path in folders.items()), "names:", *classes]) + "\n"
+    # Keys in quotes: `no`, `on` and `null` are not text in YAML.
+    paths = [f'"{name}": {path}' for name, path in folders.items()]
+    return "\n".join([*paths, "names:", *classes]) + "\n"
 
 
 def _label_lines(frame: ExportFrame, smallest_px: int) -> list[str]:

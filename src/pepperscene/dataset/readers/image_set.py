@@ -5,10 +5,13 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Final, Self, overload
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pepperscene.errors import InputError
 
 VOID: Final = 255
 """Class id of unlabelled pixels, as in Cityscapes and PASCAL VOC; losses and metrics ignore it
@@ -57,6 +60,14 @@ class LabelledImage:
         for size in self._sizes():
             return size
         raise ValueError(f"{self.name} holds no image")
+
+
+def image_of_files(file: Path, name: str, **fields: Any) -> LabelledImage:
+    """The image with these fields; raises `InputError`, which names `file`, if they differ in size."""
+    try:
+        return LabelledImage(name, **fields)
+    except ValueError as error:
+        raise InputError(file, str(error)) from None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -10,10 +10,11 @@ from typing import Any, Final, Self, final
 from numpy.typing import NDArray
 
 from pepperscene.dataset.readers.folder import FolderSet
-from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
+from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage, image_of_files
 from pepperscene.dataset.readers.labels import LabelMap
 from pepperscene.dataset.readers.published import PublishedSet, published_halves
 from pepperscene.dataset.store.dataset import DIGITS, MARK, Dataset, open_dataset
+from pepperscene.dataset.store.fields import frame_indices, read_frame, read_output
 from pepperscene.errors import InputError
 from pepperscene.truth import class_from_colour, distance_from_code
 
@@ -36,10 +37,8 @@ class RenderedSet(ImageSet):
 
     @classmethod
     def from_dataset(cls, dataset: Dataset) -> Self:
-        """All frames of a data set."""
-        items = dataset.indices()
-        if not items:
-            raise InputError(dataset.folder, "holds no frames")
+        """All frames of a data set; raises `InputError` if there are none."""
+        items = frame_indices(dataset)
         return cls(name=dataset.folder.resolve().name, dataset=dataset, items=items)
 
     def names(self) -> tuple[str, ...]:
@@ -48,21 +47,21 @@ class RenderedSet(ImageSet):
 
     def read(self, item: int) -> LabelledImage:
         """Read one frame; a field is None if the frame lacks its outputs."""
-        metadata = self.dataset.metadata(item)
-        outputs = metadata.get("outputs", {})
+        metadata = read_frame(self.dataset, item)
+        outputs = metadata["outputs"]
         arrays = {field: self._read_field(item, field, outputs) for field in _SOURCES}
         if "metadata" not in self.fields:
             metadata = {}
         elif "harvest" in outputs:
-            metadata["harvest"] = self.dataset.image(item, "harvest")
-        return LabelledImage(_frame_name(item), metadata=metadata, **arrays)
+            metadata["harvest"] = read_output(self.dataset, item, "harvest")
+        return image_of_files(self.dataset.frame_path(item), _frame_name(item), metadata=metadata, **arrays)
 
     def _read_field(self, index: int, field: str, outputs: Mapping[str, Any]) -> NDArray[Any] | None:
         if field not in self.fields:
             return None
         for output, decode in _SOURCES[field]:
             if output in outputs:
-                image = self.dataset.image(index, output)
+                image = read_output(self.dataset, index, output)
                 return image if decode is None else decode(image)
         return None
 

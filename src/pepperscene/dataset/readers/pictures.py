@@ -16,6 +16,12 @@ from pepperscene.errors import InputError
 _ORIENTATION: Final = 0x0112
 """EXIF tag of the camera's orientation."""
 
+_FORMATS: Final = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
+"""Pillow's names of the formats that are read, whatever a file's suffix says. Pillow would otherwise choose
+any format by the content, and it starts another program, Ghostscript, for EPS."""
+
+_JPEG_FORMATS: Final = frozenset({"JPEG", "MPO"})  # Pillow reads a JPEG file of several images as MPO
+
 _VALUE_MODES: Final = frozenset({"1", "L", "I", "I;16", "I;16B", "I;16L"})
 _COLOUR_MODES: Final = frozenset({"RGB", "RGBA"})
 
@@ -77,7 +83,7 @@ def read_mask(path: Path) -> MaskImage:
         InputError: the file is missing, not an image, lossy, or holds real numbers.
     """
     with _open_image(path) as image:
-        if image.format == "JPEG":
+        if image.format in _JPEG_FORMATS:
             raise InputError(path, "is a JPEG, which changes the values of a mask; save it as PNG")
         if image.mode == "P":
             rgba = np.array(image.convert("RGBA"))
@@ -105,7 +111,7 @@ def _open_image(path: Path) -> Iterator[Any]:
     from PIL import Image
 
     try:
-        with Image.open(path) as image:
+        with Image.open(path, formats=_FORMATS) as image:
             yield image
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise InputError(path, f"cannot be read as an image ({error})") from None

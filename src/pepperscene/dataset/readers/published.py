@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.readers.image_set import VOID, ImageSet, LabelledImage
+from pepperscene.dataset.readers.image_set import VOID, ImageSet, LabelledImage, image_of_files
 from pepperscene.dataset.readers.pictures import read_mask, read_photo
 from pepperscene.errors import InputError
 from pepperscene.truth import class_from_colour, distance_from_code
@@ -65,10 +65,11 @@ class PublishedSet(ImageSet):
         distance_m = None
         if "distance_m" in self.fields and "depth" in self.files:
             distance_m = distance_from_code(_read_grey(self._find_file("depth", item)))
-        return LabelledImage(
+        return image_of_files(
+            self._find_file("colour", item),
             str(item),
-            read_photo(self._find_file("colour", item)) if "colour" in self.fields else None,
-            self._classes(item) if "classes" in self.fields else None,
+            colour=read_photo(self._find_file("colour", item)) if "colour" in self.fields else None,
+            classes=self._classes(item) if "classes" in self.fields else None,
             distance_m=distance_m,
             metadata={"half": self.half, "number": item} if "metadata" in self.fields else {},
         )

@@ -17,8 +17,9 @@ from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
 from pepperscene.dataset.report.markup import Html
 from pepperscene.dataset.store.dataset import Dataset
+from pepperscene.dataset.store.fields import read_frame
 from pepperscene.dataset.store.journal import JOURNAL
-from pepperscene.dataset.store.manifest import MANIFEST, frame_row
+from pepperscene.dataset.store.manifest import MANIFEST, frame_row, table_schema
 from pepperscene.errors import OutputError
 from pepperscene.truth import ImageStatistics
 
@@ -109,8 +110,8 @@ def frame_records(dataset: Dataset) -> FrameRecords:
     workers = set()
     for position, index in enumerate(indices):
         if (row := rows.get(index)) is None:
-            metadata = dataset.metadata(index)
-            row = frame_row(metadata, metadata.get("outputs", {}), "")
+            metadata = read_frame(dataset, index)
+            row = frame_row(metadata, metadata["outputs"], "")
         values = (row.get(name) for name in (*NUMBERS, *_PIXELS))
         table[position] = [np.nan if value is None else value for value in values]
         if row.get("worker"):
@@ -120,13 +121,20 @@ def frame_records(dataset: Dataset) -> FrameRecords:
 
 
 def _manifest_rows(dataset: Dataset) -> dict[int, dict[str, Any]]:
-    """Rows by index; empty if the data set has no tables, which are not made for it."""
+    """Rows by index; empty if the data set has no tables, which are not made for it, or none can be made."""
+    from pyarrow import ArrowException
+
     if not any((dataset.folder / name).is_file() for name in (MANIFEST, JOURNAL)):
         return {}
-    with suppress(OutputError):
+    # Malformed frames do not fit into tables; reading the frames themselves names the file and the key.
+    with suppress(OutputError, ArrowException, ValueError, TypeError, ArithmeticError):
         table = dataset.manifest()
         columns = [name for name in ("index", "worker", *NUMBERS, *_PIXELS) if name in table.column_names]
-        return {int(row["index"]): row for row in table.select(columns).to_pylist()}
+        types = table_schema(MANIFEST)
+        # A table that this package did not write.
+        if any(table.schema.field(name).type != types.field(name).type for name in columns):
+            return {}
+        return {row["index"]: row for row in table.select(columns).to_pylist()}
     return {}
 
 

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers import RenderedSet, open_images
-from pepperscene.dataset.readers.image_set import ImageSet
+from pepperscene.dataset.readers.image_set import FIELDS, ImageSet, LabelledImage
 from pepperscene.dataset.report import sections
 from pepperscene.dataset.report.colours import VIRIDIS
 from pepperscene.dataset.report.data import (
@@ -35,6 +35,7 @@ from pepperscene.dataset.report.image_view import (
 from pepperscene.dataset.report.markup import Html, as_html, csp_hash, element, fragment, joined
 from pepperscene.dataset.store.atomic import atomic_write
 from pepperscene.dataset.store.dataset import open_dataset
+from pepperscene.dataset.store.fields import read_info
 from pepperscene.errors import InputError, OutputError
 
 PAGE, SHEET = "index.html", "contact_sheet.png"
@@ -90,8 +91,7 @@ def write_report(
         OutputError: the files cannot be written.
     """
     dataset = open_dataset(folder)
-    if not dataset.indices():
-        raise InputError(folder, "holds no frames yet; build some first")
+    info = read_info(dataset)
     image_sets: list[ImageSet] = [RenderedSet.from_dataset(dataset)]
     if beside is not None:
         image_sets.append(beside if isinstance(beside, ImageSet) else open_images(beside))
@@ -108,7 +108,7 @@ def write_report(
         summary, rows = _summarize(key, images, displayed, sample, (near, far), on_progress)
         sets.append(summary)
         sheet_rows.append(rows)
-    text = _page_html(dataset.info, sets, (near, far) if known else None)
+    text = _page_html(info, sets, (near, far) if known else None)
     page, sheet = dataset.folder / PAGE, dataset.folder / SHEET
     try:
         with atomic_write(sheet) as temporary:
@@ -134,7 +134,7 @@ def _summarize(
     sheet_positions = {positions[number] for number in evenly_spaced(len(positions), MAX_ROWS)}
     cards, table_rows, sheet_rows = [], [], []
     for position in positions:
-        view = image_view(images[position], *distances_m)
+        view = image_view(_visible_image(images, position), *distances_m)
         cards.append(card_html(view, key))
         table_rows.append(table_row(view, key))
         if key == "a" and position in sheet_positions:
@@ -143,6 +143,15 @@ def _summarize(
     statistics = image_statistics(images, sample, on_progress)
     summary = SetSummary(key, images.name, len(images), statistics, records, tuple(cards), tuple(table_rows))
     return summary, sheet_rows
+
+
+def _visible_image(images: ImageSet, position: int) -> LabelledImage:
+    """An image of a set; raises `InputError` if it has nothing that a report shows."""
+    image = images[position]
+    if all(getattr(image, field) is None for field in FIELDS if field != "metadata"):
+        problem = f"{image.name} has no photograph, classes, instances or distances to show"
+        raise InputError(images.name, problem)
+    return image
 
 
 def _page_html(
