@@ -15,7 +15,7 @@ from data_sets import contents
 from stand_in import PYTHONPATH, process_fields, wait_for
 
 from pepperscene.dataset.execution import slurm
-from pepperscene.dataset.execution.slurm import SlurmJobs, read_slurm_file
+from pepperscene.dataset.execution.slurm_jobs import SlurmJobs, read_slurm_file
 from pepperscene.errors import InputError, SetupError, WorkerError
 
 dask = pytest.importorskip("dask", reason="needs the extra `cluster`")
@@ -131,10 +131,10 @@ def test_script_has_all_settings(build_small, commands, write_jobs, tmp_path):
     command = lines[-1]
     assert lines.index("module load python") < lines.index("export PEPPERSCENE_VARIANT=llvm_ad_spectral")
     assert lines.index("export PEPPERSCENE_VARIANT=llvm_ad_spectral") < lines.index(command)
-    assert command.startswith("/opt/python/bin/python -m distributed.cli.dask_worker tcp://127.0.0.1:")
+    assert command.startswith("/opt/python/bin/python -m distributed.cli.dask_worker tls://127.0.0.1:")
     for argument in ("--nworkers 2 --nanny", "--nthreads 2", "--interface lo"):
         assert argument in command
-    assert f"--local-directory {tmp_path}/scratch" in command
+    assert f"$(mktemp -d -- {tmp_path}/scratch/pepperscene-XXXXXXXXXX)" in script
     # Each of the two workers has half of the memory.
     limit = re.search(r"--memory-limit ([\d.]+)GiB", command)
     assert float(limit[1]) == pytest.approx(3e9 / 2**30, abs=0.01)
