@@ -83,7 +83,7 @@ def _exposure(folder: Path) -> str | None:
     As of OpenSSH for its keys: neither the folder nor one above may belong to others or be writable by
     others. Folders such as /tmp are allowed, in which everybody may rename only what is their own.
     """
-    # Whoever owns the root folder controls the machine; in some containers, that is neither root nor this user.
+    # Whoever owns the root folder controls the machine; in some containers, root has another number.
     trusted = {0, os.getuid(), os.stat("/").st_uid}
     try:
         resolved = folder.resolve(strict=True)
@@ -118,13 +118,13 @@ def check_configured_credentials(address: str) -> None:
     except (OSError, ValueError) as error:
         raise ArgumentError(
             "scheduler",
-            f"{address} needs credentials, and those in Dask's configuration (distributed.comm.tls) cannot be "
-            f"used: {error}",
+            f"{address} needs credentials, and those in Dask's configuration (distributed.comm.tls) "
+            f"cannot be used: {error}",
         ) from None
     raise ArgumentError(
         "scheduler",
-        f"{address} needs credentials: set distributed.comm.tls.ca-file, distributed.comm.tls.client.cert and "
-        "distributed.comm.tls.client.key in Dask's configuration to the paths of their files",
+        f"{address} needs credentials: set distributed.comm.tls.ca-file, distributed.comm.tls.client.cert "
+        "and distributed.comm.tls.client.key in Dask's configuration to the paths of their files",
     )
 
 

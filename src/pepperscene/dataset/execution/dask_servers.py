@@ -10,7 +10,7 @@ from distributed.utils import get_ip
 
 
 @final
-class SchedulerWithoutHttp(Scheduler):  # type: ignore[misc]
+class SchedulerWithoutHttp(Scheduler):
     """A scheduler whose only port is the one for its workers and clients."""
 
     def start_http_server(self, *_args: Any, **_options: Any) -> None:
@@ -18,7 +18,7 @@ class SchedulerWithoutHttp(Scheduler):  # type: ignore[misc]
 
 
 @final
-class WorkerWithoutHttp(Worker):  # type: ignore[misc]
+class WorkerWithoutHttp(Worker):
     """A worker whose only port is the one for the cluster, on one interface."""
 
     def __init__(self, scheduler_ip: str, **options: Any) -> None:

@@ -162,7 +162,7 @@ class _FrameThread:
         on_frame: OnFrame,
         stop: Callable[[], bool],
     ) -> None:
-        """Make frames, after those of earlier calls; `allowed` is the worker's memory in bytes, if limited."""
+        """Make frames, after those of earlier calls; `allowed` are bytes of memory, None without limit."""
         self._thread.submit(self._make, request, indices, allowed, on_frame, stop).result()
 
     def _make(

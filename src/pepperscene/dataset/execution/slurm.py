@@ -41,9 +41,10 @@ _ANSWER_S: Final = 60.0  # chosen: how long Slurm may take to answer
 class SlurmExecutor(Executor):
     """Workers in jobs of a Slurm cluster, described by a file (see `SlurmJobs`).
 
-    The scheduler runs in this process, and answers only who has the build's key. Jobs may wait in Slurm's queue; frames are made as soon as the first
-    one runs. An expired job is submitted again. Raises `InputError` if the file is not valid, and
-    `SetupError` if this machine cannot submit jobs, or the extra `cluster` is not installed.
+    The scheduler runs in this process, and answers only processes with the build's key. Jobs may wait in
+    Slurm's queue; frames are made as soon as the first one runs. An expired job is submitted again. Raises
+    `InputError` if the file is not valid, and `SetupError` if this machine cannot submit jobs, or the extra
+    `cluster` is not installed.
     """
 
     def __init__(self, path: Path) -> None:
@@ -101,7 +102,7 @@ def _cluster(path: Path, jobs: SlurmJobs, credentials: Security) -> Iterator[SLU
     # The folder has mode 0700.
     with tempfile.TemporaryDirectory(prefix="pepperscene-") as private, quiet_libraries():
         try:
-            # Dask adds its folder to the search path of modules, and has it in /tmp, where anybody may make it.
+            # Dask adds its folder to the search path of modules; in /tmp, other users may make that folder.
             with warnings.catch_warnings(), dask.config.set({"temporary-directory": private}):
                 # Without a network, Dask guesses this machine's address, with a warning.
                 warnings.simplefilter("ignore")

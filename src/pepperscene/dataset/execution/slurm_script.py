@@ -27,7 +27,7 @@ def site_setting(key: str) -> Any:
 
 
 @final
-class SlurmJob(SLURMJob):  # type: ignore[misc]
+class SlurmJob(SLURMJob):
     """A job that starts workers which have the credentials of a build, and no HTTP server.
 
     All values of the user's file are words of the script, whatever characters they contain; only its
@@ -43,6 +43,8 @@ class SlurmJob(SLURMJob):  # type: ignore[misc]
         interface: of the user's file or of the site.
         others: arguments of `SLURMJob`.
     """
+
+    job_header: str
 
     def __init__(
         self,
