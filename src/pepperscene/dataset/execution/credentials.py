@@ -8,6 +8,7 @@ import stat
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -20,6 +21,11 @@ if TYPE_CHECKING:
 
 _ENCRYPTED: Final = ("tls", "wss")
 """Schemes of addresses whose connections need credentials."""
+
+_CLOCK_DIFFERENCE: Final = timedelta(hours=1)
+"""Chosen: Slurm itself refuses nodes whose clocks differ by more than five minutes."""
+
+_VALIDITY: Final = timedelta(days=365)  # chosen: longer than any build
 
 _OTHERS_MAY_WRITE: Final = stat.S_IWGRP | stat.S_IWOTH
 
@@ -39,9 +45,8 @@ def temporary_credentials(parents: Sequence[Path]) -> Iterator[Security]:
     """
     from distributed.security import Security
 
-    made = Security.temporary()
     # All processes have the same certificate, which is its own authority.
-    folder = _write_private({"certificate.pem": made.tls_ca_file, "key.pem": made.tls_worker_key}, parents)
+    folder = _write_private(_make_certificate(), parents)
     certificate, key = str(folder / "certificate.pem"), str(folder / "key.pem")
     try:
         yield Security(
@@ -54,7 +59,34 @@ def temporary_credentials(parents: Sequence[Path]) -> Iterator[Security]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _write_private(files: dict[str, str], parents: Sequence[Path]) -> Path:
+def _make_certificate() -> dict[str, bytes]:
+    """The files of a certificate and its key. Dask's are not valid where a clock is a second behind."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "pepperscene")])
+    now = datetime.now(UTC)
+    certificate = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _CLOCK_DIFFERENCE)
+        .not_valid_after(now + _VALIDITY)
+        .sign(key, hashes.SHA256())
+    )
+    return {
+        "certificate.pem": certificate.public_bytes(serialization.Encoding.PEM),
+        "key.pem": key.private_bytes(
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        ),
+    }
+
+
+def _write_private(files: dict[str, bytes], parents: Sequence[Path]) -> Path:
     """Write files that only this user can read into a new folder."""
     problems = []
     for parent in parents:
@@ -65,7 +97,7 @@ def _write_private(files: dict[str, str], parents: Sequence[Path]) -> Path:
                 folder = Path(tempfile.mkdtemp(prefix=".pepperscene-", dir=os.path.abspath(parent)))
                 for name, content in files.items():
                     descriptor = os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-                    with open(descriptor, "w", encoding="ascii") as file:
+                    with open(descriptor, "wb") as file:
                         file.write(content)
                 return folder
             except OSError as error:

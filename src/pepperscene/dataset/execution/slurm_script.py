@@ -73,7 +73,6 @@ class SlurmJob(SLURMJob):
             memory=jobs.memory,
             python=_python(jobs),
             interface=interface and shlex.quote(interface),
-            # Its content would be run: Dask adds this folder to the search path of modules.
             local_directory='"$pepperscene_folder"',
             worker_extra_args=[
                 *(site_setting("worker-extra-args") or site_setting("extra") or []),
@@ -84,7 +83,7 @@ class SlurmJob(SLURMJob):
             job_extra_directives=list(jobs.directives) or None,
             job_script_prologue=[
                 *(jobs.prologue or site_setting("job-script-prologue") or site_setting("env-extra") or []),
-                *_make_local_folder(jobs),
+                *_protect_modules(jobs),
             ],
             **others,
         )
@@ -112,13 +111,18 @@ def _python(jobs: SlurmJobs) -> str | None:
     return python and shlex.quote(python)
 
 
-def _make_local_folder(jobs: SlurmJobs) -> tuple[str, ...]:
-    """Lines that make a folder on the node, which only this user can read, and remove it at the end."""
+def _protect_modules(jobs: SlurmJobs) -> tuple[str, ...]:
+    """Lines after which Python imports no module that another user of the node may have written.
+
+    Dask adds its folder to the search path, so it gets one that only this user can read, which the job
+    removes at the end. `python -m` adds the current folder.
+    """
     parent = shlex.quote(jobs.local_directory) if jobs.local_directory else site_setting("local-directory")
     parent = parent or '"${TMPDIR:-/tmp}"'
     return (
         f"mkdir -p -- {parent} && pepperscene_folder=$(mktemp -d -- {parent}/pepperscene-XXXXXXXXXX) || exit",
         """trap 'rm -rf -- "$pepperscene_folder"' EXIT""",
+        "export PYTHONSAFEPATH=1",
     )
 
 
