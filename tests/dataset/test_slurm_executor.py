@@ -100,6 +100,26 @@ def test_script_without_options_leaves_defaults_to_the_site(build_small, command
     assert "--nworkers" not in script
 
 
+def test_settings_of_the_site_are_kept_but_do_not_open_the_scheduler(build_small, commands, write_jobs):
+    site = {
+        "worker-extra-args": ["--lifetime", "1h"],
+        "job-script-prologue": ["module load site"],
+        "local-directory": "$SCRATCH/dask",
+        "scheduler-options": {"host": "127.0.0.1", "protocol": "tcp://", "dashboard": True, "security": None},
+    }
+    lines = REQUIRED_KEYS.replace('interface = "lo"', "").replace('local_directory = "scratch"', "")
+    path = write_jobs(lines + 'partition = "closed"\n')
+    with dask.config.set({f"jobqueue.slurm.{key}": value for key, value in site.items()}):
+        script = submitted_script(build_small, commands, path)
+    assert "\nmodule load site\n" in script
+    assert "$(mktemp -d -- $SCRATCH/dask/pepperscene-XXXXXXXXXX)" in script
+    command = script.splitlines()[-1]
+    assert "distributed.cli.dask_worker tls://127.0.0.1:" in command
+    assert "--lifetime 1h" in command
+    assert "--no-dashboard" in command
+    assert "--interface" not in command
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
