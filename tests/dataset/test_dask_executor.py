@@ -18,6 +18,7 @@ from stand_in import PYTHONPATH, GatedRenderer, OutOfMemoryRenderer, rendered, w
 
 from pepperscene.dataset import open_dataset
 from pepperscene.dataset.execution import dask_executor, dask_worker
+from pepperscene.dataset.execution.credentials import trusts_network
 from pepperscene.dataset.recipe.plan import frame_seed
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.errors import InputError, OutputError, WorkerError
@@ -28,7 +29,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs signals")
 
 
 @contextmanager
-def local_cluster(workers, preload=(), **variables):
+def local_cluster(workers, preload=(), memory_limit="auto", **variables):
     """Worker processes on this machine, which first run the Python texts in `preload`.
 
     Further arguments are environment variables. Their stand-in renderer takes some time.
@@ -43,6 +44,7 @@ def local_cluster(workers, preload=(), **variables):
             dashboard_address=":0",
             silence_logs=50,
             preload=list(preload),
+            memory_limit=memory_limit,
         ) as cluster:
             yield cluster
 
@@ -261,6 +263,15 @@ def test_renderer_that_workers_cannot_import_is_reported(make, local_renderer):
         make(renderer=local_renderer)
 
 
+@pytest.mark.slow
+def test_workers_with_too_little_memory_are_not_used(make, tmp_path):
+    with local_cluster(1, memory_limit="400 MB") as cluster:
+        with pytest.raises(WorkerError, match=r"can be used: .* needs about .* allowed for this worker by"):
+            make(scheduler=cluster.scheduler_address, renderer=None, outputs=("colour",))
+        assert len(cluster.scheduler.workers) == 1
+    assert not (tmp_path / "set").exists()
+
+
 def test_out_of_memory_is_reported(make):
     with pytest.raises(WorkerError, match="out of memory"):
         make(renderer=OutOfMemoryRenderer)
@@ -278,6 +289,20 @@ def test_scheduler_that_does_not_answer(make, tmp_path, monkeypatch):
     with pytest.raises(WorkerError, match=r"tcp://127\.0\.0\.1:9: no Dask scheduler answers there"):
         make(scheduler="tcp://127.0.0.1:9")
     assert not (tmp_path / "set").exists()
+
+
+@pytest.mark.parametrize(
+    ("address", "is_warned"),
+    [
+        ("tcp://192.0.2.7:8786", True),
+        ("ws://somewhere.invalid:8786", True),
+        ("tls://192.0.2.7:8786", False),
+        ("tcp://127.0.0.1:8786", False),
+        ("tcp://localhost:8786", False),
+    ],
+)
+def test_addresses_that_trust_their_network(address, is_warned):
+    assert trusts_network(address) == is_warned
 
 
 @pytest.mark.parametrize("address", ["", "somewhere", "tcp://host", "tcp://host:x"])

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import signal
 import sys
 import tomllib
 from pathlib import Path
 
+import fake_slurm
 import pytest
 from data_sets import contents
-from stand_in import PYTHONPATH, process_fields, wait_for
+from fake_slurm import REQUIRED_KEYS
+from stand_in import process_fields, wait_for
 
 from pepperscene.dataset.execution import slurm
-from pepperscene.dataset.execution.slurm import SlurmJobs, read_slurm_file
+from pepperscene.dataset.execution.slurm_jobs import SlurmJobs, read_slurm_file
 from pepperscene.errors import InputError, SetupError, WorkerError
 
 dask = pytest.importorskip("dask", reason="needs the extra `cluster`")
@@ -36,63 +37,12 @@ interface = "lo"
 local_directory = "scratch"
 log_directory = "logs"
 """
-REQUIRED_KEYS = """
-jobs = 2
-cores = 1
-memory = "1 GB"
-walltime = "10:00"
-interface = "lo"
-local_directory = "scratch"
-"""
-
-SBATCH = """#!/bin/sh
-# Like Slurm's: --test-only checks a script; otherwise the job starts at once, in its own session.
-if [ "$1" = --test-only ]; then
-    cp "$2" "$FAKE_SLURM/tested.sh"
-    if grep -q 'SBATCH -p closed' "$2"; then
-        echo 'sbatch: error: invalid partition specified: closed' >&2
-        exit 1
-    fi
-    exit 0
-fi
-number=1
-while ! mkdir "$FAKE_SLURM/$number" 2>/dev/null; do number=$((number + 1)); done
-cp "$1" "$FAKE_SLURM/$number/job.sh"
-setsid bash "$FAKE_SLURM/$number/job.sh" >"$FAKE_SLURM/$number/out" 2>&1 </dev/null &
-echo $! >"$FAKE_SLURM/$number/session"
-echo "Submitted batch job $number"
-"""
-SCANCEL = """#!/bin/sh
-touch "$FAKE_SLURM/$1/cancelled"
-kill -KILL -- "-$(cat "$FAKE_SLURM/$1/session")" 2>/dev/null
-exit 0
-"""
-SQUEUE = """#!/bin/sh
-for word in "$@"; do
-    case "$word" in --jobs=*) jobs=$(echo "${word#--jobs=}" | tr ',' ' ') ;; esac
-done
-for number in $jobs; do
-    kill -0 -- "-$(cat "$FAKE_SLURM/$number/session")" 2>/dev/null && echo "$number"
-done
-exit 0
-"""
 
 
 @pytest.fixture
 def commands(tmp_path, monkeypatch):
-    """The commands of a Slurm whose only node is this machine; each job has a folder here."""
-    if os.name != "posix" or shutil.which("setsid") is None:
-        pytest.skip("the scripts need Linux")
-    programs, jobs = tmp_path / "bin", tmp_path / "slurm"
-    programs.mkdir()
-    jobs.mkdir()
-    for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL), ("squeue", SQUEUE)):
-        (programs / name).write_text(text)
-        (programs / name).chmod(0o755)
-    monkeypatch.setenv("PATH", f"{programs}:{os.environ['PATH']}")
-    monkeypatch.setenv("FAKE_SLURM", str(jobs))
-    monkeypatch.setenv("PYTHONPATH", PYTHONPATH)
-    return jobs
+    """The folder of the jobs of a fake Slurm."""
+    return fake_slurm.install(tmp_path, monkeypatch)
 
 
 @pytest.fixture
@@ -131,10 +81,10 @@ def test_script_has_all_settings(build_small, commands, write_jobs, tmp_path):
     command = lines[-1]
     assert lines.index("module load python") < lines.index("export PEPPERSCENE_VARIANT=llvm_ad_spectral")
     assert lines.index("export PEPPERSCENE_VARIANT=llvm_ad_spectral") < lines.index(command)
-    assert command.startswith("/opt/python/bin/python -m distributed.cli.dask_worker tcp://127.0.0.1:")
+    assert command.startswith("/opt/python/bin/python -m distributed.cli.dask_worker tls://127.0.0.1:")
     for argument in ("--nworkers 2 --nanny", "--nthreads 2", "--interface lo"):
         assert argument in command
-    assert f"--local-directory {tmp_path}/scratch" in command
+    assert f"$(mktemp -d -- {tmp_path}/scratch/pepperscene-XXXXXXXXXX)" in script
     # Each of the two workers has half of the memory.
     limit = re.search(r"--memory-limit ([\d.]+)GiB", command)
     assert float(limit[1]) == pytest.approx(3e9 / 2**30, abs=0.01)
@@ -150,6 +100,26 @@ def test_script_without_options_leaves_defaults_to_the_site(build_small, command
     assert "--nworkers" not in script
 
 
+def test_settings_of_the_site_are_kept_but_do_not_open_the_scheduler(build_small, commands, write_jobs):
+    site = {
+        "worker-extra-args": ["--lifetime", "1h"],
+        "job-script-prologue": ["module load site"],
+        "local-directory": "$SCRATCH/dask",
+        "scheduler-options": {"host": "127.0.0.1", "protocol": "tcp://", "dashboard": True, "security": None},
+    }
+    lines = REQUIRED_KEYS.replace('interface = "lo"', "").replace('local_directory = "scratch"', "")
+    path = write_jobs(lines + 'partition = "closed"\n')
+    with dask.config.set({f"jobqueue.slurm.{key}": value for key, value in site.items()}):
+        script = submitted_script(build_small, commands, path)
+    assert "\nmodule load site\n" in script
+    assert "$(mktemp -d -- $SCRATCH/dask/pepperscene-XXXXXXXXXX)" in script
+    command = script.splitlines()[-1]
+    assert "distributed.cli.dask_worker tls://127.0.0.1:" in command
+    assert "--lifetime 1h" in command
+    assert "--no-dashboard" in command
+    assert "--interface" not in command
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -160,6 +130,10 @@ def test_script_without_options_leaves_defaults_to_the_site(build_small, command
         ("memory = 16", "memory = 16: must be a valid string"),
         ('walltime = "noon"', "walltime = 'noon': must be a time in Slurm's format"),
         ('partition = "two words"', "partition = 'two words': must be a word without blanks"),
+        ('partition = "open;touch$IFS$HOME"', "must be a word without blanks, quotes and other special"),
+        ("account = 'a\"b'", "must be a word without blanks, quotes and other special characters"),
+        ('log_directory = "it\'s"', "must be a path without quotes and backslashes"),
+        ('local_directory = "~\\u0000"', "must be a line of text"),
         ('prologue = ["a\\nb"]', "prologue.0 = 'a\\nb': must be a line of text"),
         ("workers = 5", "workers = 5 must not be more than cores = 1"),
         *((f"-{key}", f"{key}: is required but missing") for key in ("jobs", "cores", "memory", "walltime")),

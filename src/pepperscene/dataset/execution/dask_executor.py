@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, final
 
+from pepperscene.dataset.execution.credentials import check_configured_credentials, trusts_network
 from pepperscene.dataset.execution.dask_worker import TOPIC, BuildRequest, FrameTask, UnfitWorkerError
 from pepperscene.dataset.execution.executor import Dispatcher, Executor
 from pepperscene.dataset.execution.job import BuildJob, FrameDone
@@ -22,6 +23,7 @@ from pepperscene.errors import ArgumentError, PepperError, SetupError, WorkerErr
 
 if TYPE_CHECKING:
     from distributed import Client, Future
+    from distributed.security import Security
 
 
 _ANSWER_S: Final = 10.0  # chosen: how long a scheduler may take to answer
@@ -54,6 +56,7 @@ class DaskExecutor(Executor):
         except (ValueError, TypeError):
             problem = f"must be an address such as tcp://10.0.0.5:8786, not {address!r}"
             raise ArgumentError("scheduler", problem) from None
+        check_configured_credentials(address)
         self._address = address
 
     @property
@@ -64,6 +67,11 @@ class DaskExecutor(Executor):
 
     def make(self, job: BuildJob, dispatcher: Dispatcher) -> None:
         """See `Executor.make`; frames are reported as they become complete."""
+        if trusts_network(self._address):
+            dispatcher.on_notice(
+                f"{self._address} is not encrypted: whoever reaches that address can run programs as the "
+                "users of its workers, and can read this build"
+            )
         last_present = time.monotonic()
 
         def check_present(present: bool) -> None:
@@ -246,8 +254,11 @@ def _marker_file(folder: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def connect(address: str) -> Iterator[Client]:
-    """A client of a scheduler, silent on the terminal; raises `WorkerError` if no scheduler answers."""
+def connect(address: str, credentials: Security | None = None) -> Iterator[Client]:
+    """A client of a scheduler, silent on the terminal; raises `WorkerError` if no scheduler answers.
+
+    Without credentials, those of Dask's configuration are used.
+    """
     from distributed import Client
     from distributed.versions import VersionMismatchWarning
 
@@ -256,7 +267,7 @@ def connect(address: str) -> Iterator[Client]:
             with warnings.catch_warnings():
                 # Workers compare the versions that matter themselves.
                 warnings.simplefilter("ignore", VersionMismatchWarning)
-                client = Client(address, timeout=_ANSWER_S, set_as_default=False)
+                client = Client(address, timeout=_ANSWER_S, set_as_default=False, security=credentials)
         except (OSError, TimeoutError, ImportError, ValueError, RuntimeError) as error:
             reason = next(iter(str(error).splitlines()), type(error).__name__)
             raise WorkerError(f"{address}: no Dask scheduler answers there ({reason})") from None

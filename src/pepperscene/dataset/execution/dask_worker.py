@@ -15,9 +15,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pepperscene.dataset.execution.job import BuildJob, FrameDone, FrameMaker, OnFrame
+from pepperscene.dataset.execution.memory import is_out_of_memory
+from pepperscene.dataset.execution.memory_check import check_worker_memory
 from pepperscene.dataset.scenes.plants import PROCESSES
 from pepperscene.dataset.subprocess_rpc import THREADS
-from pepperscene.errors import WorkerError
+from pepperscene.errors import SetupError, WorkerError
 from pepperscene.version import __version__
 
 if TYPE_CHECKING:
@@ -107,8 +109,11 @@ def make_unit(request: BuildRequest, number: int, indices: tuple[int, ...]) -> N
         for name in THREADS:
             os.environ.setdefault(name, str(worker.state.nthreads))
         os.environ.setdefault(PROCESSES, "1")
-        _frame_thread.make(request, indices, send, lambda: _is_cancelled(worker, key))
-    except MemoryError:
+        allowed = worker.memory_manager.memory_limit
+        _frame_thread.make(request, indices, allowed, send, lambda: _is_cancelled(worker, key))
+    except (MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
+            raise
         raise WorkerError(
             "a worker ran out of memory; use fewer workers on a machine, complete frames are kept"
         ) from None
@@ -150,19 +155,29 @@ class _FrameThread:
         self._units = 0
 
     def make(
-        self, request: BuildRequest, indices: tuple[int, ...], on_frame: OnFrame, stop: Callable[[], bool]
+        self,
+        request: BuildRequest,
+        indices: tuple[int, ...],
+        allowed: int | None,
+        on_frame: OnFrame,
+        stop: Callable[[], bool],
     ) -> None:
-        """Make frames, after those of earlier calls."""
-        self._thread.submit(self._make, request, indices, on_frame, stop).result()
+        """Make frames, after those of earlier calls; `allowed` are bytes of memory, None without limit."""
+        self._thread.submit(self._make, request, indices, allowed, on_frame, stop).result()
 
     def _make(
-        self, request: BuildRequest, indices: tuple[int, ...], on_frame: OnFrame, stop: Callable[[], bool]
+        self,
+        request: BuildRequest,
+        indices: tuple[int, ...],
+        allowed: int | None,
+        on_frame: OnFrame,
+        stop: Callable[[], bool],
     ) -> None:
         if stop():
             return
         self._units += 1
         try:
-            self._frame_maker(request).make(indices, on_frame, stop)
+            self._frame_maker(request, allowed).make(indices, on_frame, stop)
         except BaseException:
             self._release()
             raise
@@ -170,7 +185,7 @@ class _FrameThread:
         timer.daemon = True
         timer.start()
 
-    def _frame_maker(self, request: BuildRequest) -> FrameMaker:
+    def _frame_maker(self, request: BuildRequest, allowed: int | None) -> FrameMaker:
         if self._held is None or self._held[0] != request.build:
             # Release the old plants before making new ones.
             self._release()
@@ -180,6 +195,10 @@ class _FrameThread:
                 raise UnfitWorkerError(
                     "reads other files by the names in the recipe, and would make other frames"
                 )
+            try:
+                check_worker_memory(job, allowed)
+            except SetupError as error:
+                raise UnfitWorkerError(str(error)) from None
             self._held = request.build, FrameMaker(job, f"{platform.node()}-{os.getpid()}", eager=True)
         return self._held[1]
 
