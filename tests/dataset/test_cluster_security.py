@@ -203,7 +203,7 @@ def test_build_answers_no_client_without_its_key(build_small, commands, folder, 
     assert len({host for host, _ in addresses}) == 1
     assert not {"0.0.0.0", "::"} & {host for host, _ in addresses}
     # Nothing remains.
-    assert not [path for path in folder.rglob("*") if "pepperscene-" in path.name]
+    assert not [path for path in folder.rglob("*") if ".credentials" in path.name]
 
 
 @pytest.mark.slow
@@ -221,7 +221,7 @@ def test_another_user_gets_and_replaces_nothing(build_small, commands, folder, f
     def try_it(addresses, workers):
         lines = [Path(f"/proc/{number}/cmdline").read_text() for number in workers]
         assert not any("PRIVATE KEY" in line for line in lines)
-        (key_folder,) = folder.glob(".pepperscene-*")
+        (key_folder,) = folder.glob(".credentials.*.tmp")
         private = [*shared.glob("pepperscene-*"), key_folder]
         # One of the scheduler, one of the job, and the key.
         assert len(private) == 3

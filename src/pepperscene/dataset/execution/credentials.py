@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import stat
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -13,6 +12,7 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from pepperscene.dataset.store.atomic import temporary_path
 from pepperscene.errors import ArgumentError, SetupError
 
 if TYPE_CHECKING:
@@ -93,8 +93,9 @@ def _write_private(files: dict[str, bytes], parents: Sequence[Path]) -> Path:
         problem = _exposure(parent)
         if problem is None:
             try:
-                # The folder has mode 0700.
-                folder = Path(tempfile.mkdtemp(prefix=".pepperscene-", dir=os.path.abspath(parent)))
+                # The next build removes the folder of a build that was killed.
+                folder = temporary_path(Path(os.path.abspath(parent)) / "credentials")
+                folder.mkdir(mode=0o700)
                 for name, content in files.items():
                     descriptor = os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
                     with open(descriptor, "wb") as file:

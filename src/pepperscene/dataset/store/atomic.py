@@ -8,6 +8,7 @@ import os
 import platform
 import re
 import secrets
+import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -211,16 +212,28 @@ def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+def temporary_path(path: Path) -> Path:
+    """A new random name beside a path, by which a later build finds out that this process has ended."""
+    token = secrets.token_hex(_RANDOM_BYTES)
+    return path.with_name(f".{path.name}.{_host_name()}.{os.getpid()}.{token}.tmp")
+
+
 def is_temporary(path: Path) -> bool:
     """Whether a file is one of `atomic_write`'s, of a running build or left by a killed one."""
     return path.name.startswith(".") and path.name.endswith(".tmp")
 
 
 def remove_temporary_files(folder: Path) -> None:
-    """Remove the temporary files that killed builds left in a folder."""
+    """Remove the temporary files and folders that killed builds left in a folder."""
     for path in folder.iterdir():
         with suppress(FileNotFoundError):
-            if is_temporary(path) and (_is_orphan(path) or time.time() - path.stat().st_mtime > _STALE_S):
+            if not is_temporary(path):
+                continue
+            if path.is_dir() and not path.is_symlink():
+                # The folder with the key of a cluster. A running build does not touch it for hours.
+                if _is_orphan(path):
+                    shutil.rmtree(path)
+            elif _is_orphan(path) or time.time() - path.stat().st_mtime > _STALE_S:
                 path.unlink(missing_ok=True)
 
 
@@ -252,8 +265,7 @@ def _create_temporary(path: Path) -> Path:
     In a folder that others can write to, nobody can put a link there before: the name is random, and the
     file must not exist.
     """
-    token = secrets.token_hex(_RANDOM_BYTES)
-    temporary = path.with_name(f".{path.name}.{_host_name()}.{os.getpid()}.{token}.tmp")
+    temporary = temporary_path(path)
     temporary.open("xb").close()
     return temporary
 
