@@ -56,6 +56,23 @@ def test_names_both_sets_and_has_all_four_figures(svg):
     assert figures_of_paper(svg) == ["Fig. 10", "Fig. 11", "Fig. 12", "Fig. 13"]
 
 
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        (r"$\frac{$", r"$\frac{$"),
+        ("$x$ and $y$", "$x$ and $y$"),
+        ("_old", "_old"),
+        ("<b>&amp;", "<b>&amp;"),
+        ("line\nfeed\x01", r"line\nfeed\x01"),
+        ("not UTF-8 \udcff", r"not UTF-8 \udcff"),
+    ],
+)
+def test_names_of_folders_are_shown_as_they_are(name, shown):
+    texts = words(comparison_figure(compare(image_set(uniform((9, 90, 9)), name=name), SECOND)))
+    assert f"{shown} and theirs" in texts
+    assert f"{shown}: 1 of 1 images" in texts
+
+
 def test_each_kind_has_both_hue_spectra(comparison, axes):
     charts = [one for one in axes if one.get_ylabel() == "% of its pixels"]
     assert [chart.get_title(loc="left") for chart in charts] == list(comparison.kinds)

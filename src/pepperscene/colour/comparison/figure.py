@@ -29,6 +29,7 @@ _DPI: Final = 150  # of PNG files, and of the images in an SVG
 _RINGS: Final = 40  # chosen: each 12 pixels wide in an image of 800 x 600
 _STYLE: Final = {
     "svg.fonttype": "none",  # text stays text
+    "text.parse_math": False,  # names of sets and kinds may hold dollar signs
     "svg.hashsalt": "pepperscene",  # the same comparison gives the same bytes
     "text.parse_math": False,  # a name may hold dollar signs
     "font.size": 8.0,

@@ -51,6 +51,14 @@ LAB_SQUARED: Final = slice(PIXELS + 7, PIXELS + 10)
 _KIND_WIDTH: Final = PIXELS + 10
 
 
+def _printable(name: str) -> str:
+    """A name with escape sequences instead of characters that a text file, or XML, cannot hold."""
+    letters = (
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in name
+    )
+    return "".join(letters)
+
+
 class SetMeasures:
     """Sums over one set.
 
@@ -67,7 +75,7 @@ class SetMeasures:
     """
 
     def __init__(self, name: str, available: int, *, has_images: bool) -> None:
-        self.name = name.encode(errors="backslashreplace").decode()
+        self.name = _printable(name)
         self.available, self.has_images, self.units = available, has_images, 0
         self.kinds: dict[str, BootstrapSums] = {}
         self.class_pixels = BootstrapSums(CLASSES + 1)
