@@ -31,7 +31,6 @@ _STYLE: Final = {
     "svg.fonttype": "none",  # text stays text
     "text.parse_math": False,  # names of sets and kinds may hold dollar signs
     "svg.hashsalt": "pepperscene",  # the same comparison gives the same bytes
-    "text.parse_math": False,  # a name may hold dollar signs
     "font.size": 8.0,
     "axes.titlesize": 9.0,
     "axes.titleweight": "bold",
