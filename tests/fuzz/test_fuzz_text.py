@@ -32,7 +32,7 @@ erode_px = 1
 [[patch]]
 picture = "p1.png"
 kind = "leaf"
-box = [3, 5, 9, 7]
+box = [3, 5, 12, 15]
 
 [[patch]]
 picture = "p1.png"
