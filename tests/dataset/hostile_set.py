@@ -16,8 +16,8 @@ TEXT = (
     "javascript:window.attacked=1//\"'><img src=http://attacker.invalid/x onerror=window.attacked=1>"
     "</title></style></script></td></p></table></svg><script>window.attacked=1</script>"
     "<script src=http://attacker.invalid/y></script><svg onload=window.attacked=1>"
-    "<style>@import 'http://attacker.invalid/z'; * { display: none }</style><b style='color: red' onclick=x>"
-    "${name} $name $$ {name} {0.__class__} %(name)s &lt;b&gt; &quot; -->"
+    "<style>* { display: none }</style><b style='color: red' onclick=x>"
+    "${name} $name $$ {name} %(name)s &lt;b&gt; &quot; -->"
 )
 """Ends every element and attribute that it could be in, and tries templates and formats."""
 

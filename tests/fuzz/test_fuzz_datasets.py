@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 
 import pytest
@@ -14,9 +13,6 @@ from pepperscene.dataset import check_dataset, export_dataset
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.images import read_image, write_image
 from pepperscene.dataset.store.journal import Journal
-
-INFINITE = re.compile(rb"Infinity|NaN|\de\+?\d{3,}")
-"""Numbers that JSON files cannot hold; see `test_infinite_number_in_the_description_of_a_frame`."""
 
 OUTPUTS = ("colour", "class", "instance", "distance", "harvest")
 
@@ -74,8 +70,6 @@ def test_description_of_a_frame(examples, folder):
     dataset = open_dataset(folder)
 
     def read(_):
-        if INFINITE.search(path.read_bytes()):
-            return
         status = dataset.intact(0)
         assert status.checksum in {"", status.written_checksum}
         assert dataset.manifest().num_rows in {1, 2}
@@ -139,8 +133,6 @@ def test_check(examples, folder, name):
 
     def check(edits):
         changed = mutated(content, edits)
-        if name.startswith("frames") and INFINITE.search(changed):
-            return
         path.write_bytes(changed)
         result = check_dataset(folder, workers=1)
         if name not in {"dataset.json", "journal"}:
@@ -217,7 +209,6 @@ def test_the_unchanged_set_is_correct(small_set):
     assert "damaged" not in kinds
 
 
-@pytest.mark.xfail(raises=ValueError, reason="the checksum of such an object is not an error of this package")
 @pytest.mark.parametrize("number", [b"Infinity", b"NaN", b"1e999"])
 @pytest.mark.parametrize("is_check", [False, True], ids=["intact", "check"])
 def test_infinite_number_in_the_description_of_a_frame(folder, number, is_check):

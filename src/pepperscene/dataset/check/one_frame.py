@@ -18,7 +18,7 @@ from pepperscene.dataset.check.images import check_photo, check_values
 from pepperscene.dataset.check.labels import check_harvest, check_labels
 from pepperscene.dataset.check.tables import frame_row_digest, fruit_rows_digest, short_digest
 from pepperscene.dataset.recipe.plan import Plan, frame_seed
-from pepperscene.dataset.store.dataset import CHECKSUM, FRAMES, Dataset, checksum_of, file_name
+from pepperscene.dataset.store.dataset import CHECKSUM, FRAMES, Dataset, file_name, is_as_written
 from pepperscene.dataset.store.images import read_image
 from pepperscene.dataset.store.manifest import frame_row, fruit_rows
 from pepperscene.errors import InputError
@@ -142,7 +142,7 @@ def _check_metadata(dataset: Dataset, metadata: dict[str, Any], index: int) -> I
     """Yield kind and description of the problems of a frame's JSON by itself."""
     if CHECKSUM not in metadata:
         yield "damaged", "has no checksum"
-    elif metadata[CHECKSUM] != checksum_of(metadata):
+    elif not is_as_written(metadata):
         yield "damaged", "is not what was written: its checksum differs"
     if not isinstance(metadata.get("outputs"), dict) or not metadata["outputs"]:
         yield "damaged", "names no outputs"

@@ -89,7 +89,8 @@ def _check_readable(name: str, findings: Iterator[Finding]) -> Iterator[Finding]
     try:
         yield from findings
     except (OSError, ArrowException, LookupError, ValueError, TypeError, MemoryError) as error:
-        yield Finding("damaged", None, name, f"cannot be read ({' '.join(str(error).split())[:80]})")
+        reason = " ".join(str(error).split()) or type(error).__name__
+        yield Finding("damaged", None, name, f"cannot be read ({reason[:80]})")
 
 
 def _check_manifest(

@@ -19,15 +19,14 @@ from pepperscene.dataset.recipe.recipe import digest
 from pepperscene.dataset.recipe.tables import ExpectTable
 from pepperscene.dataset.store.atomic import is_temporary
 from pepperscene.dataset.store.dataset import (
-    CHECKSUM,
     DIGITS,
     FORMAT,
     FRAMES,
     MARK,
     Dataset,
-    checksum_of,
     file_name,
     frame_index,
+    is_as_written,
     read_json,
 )
 from pepperscene.dataset.store.folder import LITTER, OWN
@@ -45,7 +44,7 @@ def open_leniently(folder: Path) -> tuple[Dataset, list[Finding]]:
         info = read_json(folder / MARK)
         if info.get("format") != FORMAT:
             problem = f"has format = {info.get('format')!r}, must be {FORMAT!r}"
-        elif info.get(CHECKSUM) != checksum_of(info):
+        elif not is_as_written(info):
             problem = "is not what was written: its checksum differs; the same build command mends it"
         elif info.get("recipe_sha256") != digest({name: info.get(name) for name in ("recipe", "files")}):
             problem = "is not what was written: the recipe's checksum differs"

@@ -122,12 +122,9 @@ def frame_records(dataset: Dataset) -> FrameRecords:
 
 def _manifest_rows(dataset: Dataset) -> dict[int, dict[str, Any]]:
     """Rows by index; empty if the data set has no tables, which are not made for it, or none can be made."""
-    from pyarrow import ArrowException
-
     if not any((dataset.folder / name).is_file() for name in (MANIFEST, JOURNAL)):
         return {}
-    # Malformed frames do not fit into tables; reading the frames themselves names the file and the key.
-    with suppress(OutputError, ArrowException, ValueError, TypeError, ArithmeticError):
+    with suppress(OutputError):
         table = dataset.manifest()
         columns = [name for name in ("index", "worker", *NUMBERS, *_PIXELS) if name in table.column_names]
         types = table_schema(MANIFEST)

@@ -14,7 +14,15 @@ from pepperscene.dataset.store.atomic import (
     remove_temporary_files,
     write_json,
 )
-from pepperscene.dataset.store.dataset import CHECKSUM, FRAMES, MARK, Dataset, checksum_of, read_json
+from pepperscene.dataset.store.dataset import (
+    CHECKSUM,
+    FRAMES,
+    MARK,
+    Dataset,
+    checksum_of,
+    is_as_written,
+    read_json,
+)
 from pepperscene.dataset.store.journal import JOURNAL
 from pepperscene.dataset.store.manifest import FRUIT, MANIFEST
 from pepperscene.errors import InputError, OutputError
@@ -116,10 +124,9 @@ def _check_content(folder: Path, info: Mapping[str, Any]) -> None:
 def _is_intact(path: Path) -> bool:
     """Whether a `dataset.json` is what was written."""
     try:
-        content = read_json(path)
+        return is_as_written(read_json(path))
     except InputError:
         return False
-    return bool(content.get(CHECKSUM) == checksum_of(content))
 
 
 def _is_mendable(path: Path, info: Mapping[str, Any]) -> bool:

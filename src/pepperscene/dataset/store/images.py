@@ -100,7 +100,7 @@ def read_image(path: str | Path) -> Any:
             return _read_object(path)
         return _read_exr(path) if path.suffix == ".exr" else _read_png(path)
     except (OSError, RuntimeError, ValueError, SyntaxError, MemoryError) as error:
-        raise InputError(path, f"cannot be read as an image ({error})") from None
+        raise InputError(path, f"cannot be read as an image ({str(error) or type(error).__name__})") from None
 
 
 def png_bytes(image: NDArray[Any], palette: Sequence[tuple[int, int, int]] | None = None) -> bytes:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Mapping
 from itertools import islice
 from pathlib import Path
@@ -26,7 +25,6 @@ Row = dict[str, Any]
 _ROWS_HELD: Final = 4096  # chosen: rows that are held in memory at a time, some megabytes
 _BOX: Final = ("x0", "y0", "x1", "y1")
 _INTEGER_BITS: Final = {"int32": 32, "int64": 64}
-_MAX_DOUBLE: Final = sys.float_info.max
 
 TIMINGS: Final = ("render_s", "write_s", "worker")
 """Columns of the manifest that only the journal knows."""
@@ -124,12 +122,17 @@ def _fits(kind: str | None, value: Any) -> bool:
     if kind in _INTEGER_BITS:
         limit = 1 << (_INTEGER_BITS[kind] - 1)
         return type(value) is int and -limit <= value < limit
-    allowed = {"double": (int, float), "bool": (bool,), "string": (str,)}[kind]
-    return type(value) in allowed and (kind != "double" or abs(value) <= _MAX_DOUBLE)
+    if kind == "double" and type(value) is int:
+        # Arrow converts no larger ones.
+        return _fits("int64", value)
+    return type(value) is {"double": float, "bool": bool, "string": str}[kind]
 
 
 def fruit_rows(index: int, harvest: Mapping[str, Any]) -> Iterator[Row]:
-    """Yield a row for each fruit in the output `harvest` of a frame."""
+    """Yield a row for each fruit in the output `harvest` of a frame.
+
+    Values of another type than their column's, which no build writes, are left out.
+    """
     for fruit in harvest["fruit"]:
         pose, peduncle = fruit["pose"], fruit["peduncle"]
         row: Row = {name: fruit[name] for name in FRUIT_COLUMNS if name in fruit and name != "peduncle"}
@@ -144,7 +147,7 @@ def fruit_rows(index: int, harvest: Mapping[str, Any]) -> Iterator[Row]:
             row |= {"peduncle": peduncle["instance"], "cut_visible": cut["visible"]}
             row |= _xyz("cut_{}_m", cut["camera_m"])
             row |= zip(("cut_u", "cut_v"), cut["px"] or (), strict=False)
-        yield row
+        yield {name: value for name, value in row.items() if _fits(FRUIT_COLUMNS.get(name), value)}
 
 
 def _xyz(name: str, values: Any) -> Row:
