@@ -273,6 +273,15 @@ def test_fruit_of_unknown_ripeness_are_neither_ripe_nor_unripe(original, tmp_pat
     assert kinds == {"pepper.ripe", "pepper"}
 
 
+def test_a_foreign_key_named_harvest_is_no_harvest(original, tmp_path):
+    folder = shutil.copytree(original, tmp_path / "set")
+    path = folder / "frames" / "000000.json"
+    frame = json.loads(path.read_text())
+    del frame["outputs"]["harvest"]
+    write(path, {**frame, "harvest": "text"}, is_signed=True)
+    assert {patch.kind for patch in open_patches(open_images(folder)[:1]).patches} == {"pepper"}
+
+
 @pytest.fixture
 def without_charts(monkeypatch):
     """Leave out the charts of reports, which take most of the time."""

@@ -59,6 +59,8 @@ def test_surface_wavelengths_cover_the_sensitive_range():
         surface_wavelengths(sensor([900.0, 2600.0], [0.5, 0.5]))
     with pytest.raises(ValueError, match="is not sensitive at any wavelength"):
         surface_wavelengths(sensor([400.0, 700.0], [0.0, 0.0]))
+    with pytest.raises(ValueError, match="is not sensitive at any whole number of nanometres"):
+        surface_wavelengths(sensor([500.2, 500.5, 500.8], [0.0, 0.5, 0.0]))
 
 
 def test_without_a_flash_the_white_balance_must_be_another():

@@ -129,6 +129,7 @@ def test_raises_on_invalid_file(tmp_path, old, new, message):
         ("400,0.8\n700,1.1\n", "row 3, column transmittance = 1.1: must be at most 1"),
         ("400,-0.1\n700,0.9\n", "row 2, column transmittance = -0.1"),
         ("400,0\n700,0\n", "must let visible light through"),
+        ("400,1e-5\n790,1e-5\n800,0.9\n", "must let visible light through: 1.06e-05 of it passes"),
         ("400,0.5\n700,nan\n", "must be a finite number"),
     ],
 )

@@ -14,11 +14,16 @@ from pydantic import Field, model_validator
 from pepperscene.camera.sensor import read_fraction
 from pepperscene.document import read_toml, validate
 from pepperscene.errors import InputError
-from pepperscene.spectra import Spectrum, illuminance
+from pepperscene.spectra import Spectrum, illuminance, photopic_efficiency
 from pepperscene.spectra.files import CurveTable, SourcedDocument, find_material
 
 _CONVERGED: Final = 1e-12  # chosen: rounding of doubles, well below that of the float32 sky
 _MAX_ITERATIONS: Final = 1000  # chosen: ten times the iterations of the narrowest lobe
+
+_LEAST_VISIBLE: Final = 1e-6  # luminous transmittance; chosen: a hundredth of a blackout screen's
+_LEAST_VISIBLE_SHARE: Final = 0.01
+"""Luminous transmittance over the greatest at any wavelength. Chosen: the light below a darker cover is
+infrared, and its illuminance would mean more of that than the renderer's numbers can hold."""
 
 NARROWEST_HAZE_DEG: Final = 2.0
 """ASTM D1003 counts light scattered by more than 2.5 degrees as haze; a narrower lobe is not haze."""
@@ -193,7 +198,12 @@ def load_cover(name_or_path: str | Path) -> Cover:
     document = validate(CoverDocument, read_toml(path), path)
     table, width_rad = document.transmittance, float(np.radians(document.haze_width_deg or 0.0))
     transmittance = replace(read_fraction(path, "transmittance", table.file, table.column), outside="hold")
-    if illuminance(transmittance) <= 0.0:
-        key = "transmittance.column"
-        raise InputError(path, "must let visible light through", key=key, value=table.column)
+    observer, greatest = photopic_efficiency(), float(transmittance.values.max())
+    visible = float(observer.integral(transmittance) / observer.integral())
+    if not visible >= max(_LEAST_VISIBLE, _LEAST_VISIBLE_SHARE * greatest):
+        problem = (
+            f"must let visible light through: {visible:.3g} of it passes, and at least "
+            f"{_LEAST_VISIBLE:g} and {_LEAST_VISIBLE_SHARE:g} of the greatest transmittance, {greatest:.3g}, must"
+        )
+        raise InputError(path, problem, key="transmittance.column", value=table.column)
     return Cover(document.name, transmittance, document.haze, width_rad)

@@ -48,6 +48,8 @@ class RenderedSet(ImageSet):
     def read(self, item: int) -> LabelledImage:
         """Read one frame; a field is None if the frame lacks its outputs."""
         metadata = read_frame(self.dataset, item)
+        # A key of this name in the frame's JSON is no checked harvest.
+        metadata.pop("harvest", None)
         outputs = metadata["outputs"]
         arrays = {field: self._read_field(item, field, outputs) for field in _SOURCES}
         if "metadata" not in self.fields:

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 # and more. The pigments' absorption coefficients end at 2500 nm.
 GRID_STEP_NM: Final = 5.0
 MAX_WAVELENGTH_NM: Final = 2500.0
+_LEAST_EFFICIENCY: Final = 1e-9
+"""Electrons per photon, of the most sensitive colour. Chosen: less than any dark current leaves visible, and
+far from where single precision ends."""
 
 Content = TypeVar("Content")
 
@@ -155,12 +158,17 @@ def surface_wavelengths(sensor: Sensor) -> NDArray[np.float64]:
     """Wavelengths of the surfaces' spectra, nm: the range in which the sensor is sensitive.
 
     Raises:
-        ValueError: the sensor is sensitive nowhere, or beyond `MAX_WAVELENGTH_NM`.
+        ValueError: the sensor is sensitive nowhere, only between whole nanometres, or beyond
+            `MAX_WAVELENGTH_NM`.
     """
     efficiency = sensor.quantum_efficiency
     sensitive = np.flatnonzero((efficiency.values > 0).any(axis=0))
-    if not sensitive.size:
+    if not efficiency.values.max() >= _LEAST_EFFICIENCY:
         raise ValueError("is not sensitive at any wavelength")
+    # Light is traced at whole nanometres, so a narrower line would be missed.
+    whole_nm = np.arange(np.ceil(efficiency.wavelength_nm[0]), efficiency.wavelength_nm[-1] + 0.5)
+    if not efficiency.at(whole_nm).max(initial=0.0) >= _LEAST_EFFICIENCY:
+        raise ValueError("is not sensitive at any whole number of nanometres")
     # The curves fall to zero at the neighbouring entries.
     limits = [max(sensitive[0] - 1, 0), min(sensitive[-1] + 1, efficiency.wavelength_nm.size - 1)]
     nm = efficiency.wavelength_nm[limits]

@@ -166,7 +166,9 @@ def spectral_response(camera: Camera, scene: Scene) -> SpectralResponse:
 
     # Half of the density follows the lights, all equally, and half the response: no light is left out.
     lights = [light / light.mean() for light in (flash, *daylight) if light.any()]
-    response = (electrons / electrons.max(axis=0)).sum(axis=1)
+    # A colour that detects nothing behind a filter adds nothing.
+    peaks = electrons.max(axis=0)
+    response = (electrons / np.where(peaks > 0, peaks, 1.0)).sum(axis=1)
     density = response * (np.mean(lights, axis=0) if lights else np.ones(grid.size))
     density = density / density.sum() + response / response.sum() + 1e-3 / grid.size
     return SpectralResponse(grid, electrons, flash, density)

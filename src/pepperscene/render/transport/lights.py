@@ -18,6 +18,9 @@ from pepperscene.render.variant import mitsuba_modules
 
 _MIN_DISTANCE: Final = 1e-4
 """Local units: chosen, no emitter is smaller, and its light stays within single precision."""
+_LEAST_WHITE: Final = 1e-12
+"""Light of a white body in one colour over that in another. Chosen: squares of its inverse are far from where
+single precision ends."""
 _VISIBLE_SUN: Final = 0.02
 """Chosen: sunlight over flash light on a white body half a metre from the flash. Above, the sun's shadows are
 visible and it counts as direct light, below as indirect light."""
@@ -168,6 +171,8 @@ def frame_tables(
 
     reference = response.flash if response.flash.any() else np.ones(grid.size)
     white = integral(reference)
+    # A colour may detect none of the flash, and then has no white of its own.
+    white = np.maximum(white, (_LEAST_WHITE * white.max()) or 1.0)
     # A flash of intensity I gives an irradiance of I / .25 m2 at half a metre.
     sun_is_direct = sun is not None and (
         not has_flash or integral(sun).sum() > _VISIBLE_SUN * (integral(response.flash).sum() / 0.25)
