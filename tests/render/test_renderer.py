@@ -311,17 +311,3 @@ def test_raises_on_more_instances_than_16_bits_can_count(scene):
     assert len(many.instances) > 65535
     with pytest.raises(ValueError, match="16-bit"):
         Renderer(assemble_scene(many)).render(camera(), ["instance"])
-
-
-def test_a_colour_that_detects_nothing_is_black(scene):
-    # As behind a filter that blocks all of its range.
-    view = camera()
-    curves = view.sensor.quantum_efficiency
-    blind = replace(curves, values=curves.values * np.array([[1.0], [1.0], [0.0]]))
-    plain = replace(view.developing, white_balance=None, colour_matrix=False)
-    view = replace(view, sensor=replace(view.sensor, quantum_efficiency=blind), developing=plain)
-    electrons = Renderer(scene).render(view, ["electrons"], "draft", 5)["electrons"]
-    assert np.isfinite(electrons).all()
-    # The denoiser leaves a small part of an electron.
-    assert electrons[..., 2].max() < 0.5
-    assert (electrons[..., :2].mean(axis=(0, 1)) > 0).all()

@@ -23,7 +23,8 @@ class Stem(Document):
 
     parts: Annotated[int, Field(ge=1, le=200)]  # number of internodes, each with the node above it
     young_nodes: Annotated[int, Field(ge=0, le=200)] = 0  # number of parts at the top that are still growing
-    young_size: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0  # relative size of the topmost one
+    # Relative size of the topmost one. The least is chosen: such an internode is as long as a cell.
+    young_size: Annotated[float, Field(ge=0.001, le=1.0)] = 1.0
     diameter: Annotated[Size, OncePerPlant]  # mean from foot to top
     top_diameter: Annotated[Factor, OncePerPlant]  # ratio of the diameter at the top to that at the foot
     lean: Annotated[Angle, OncePerPlant]  # positive towards the aisle

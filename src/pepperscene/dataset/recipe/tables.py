@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import (
@@ -40,6 +41,10 @@ LEAST_DAYLIGHT_LX: Final = 1e-4
 
 LEAST_SUN_FRACTION: Final = 1e-6
 """Chosen: far below the sunlight that passes an overcast sky."""
+
+MOST_SUNLIGHT_LX: Final = 1e6
+"""On a plane that faces the sun. Chosen: seven times what the sun gives above the atmosphere (133,000 lx;
+Darula, Kittler and Gueymard 2005, Solar Energy 79:559), and far from where the renderer's numbers end."""
 
 LEAST_TWINE_MM: Final = 0.1
 """Chosen: fine sewing thread."""
@@ -150,6 +155,16 @@ class DaylightTable(Document):
     ] = 0.0
     cloud_cover: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.5
     cover: Name = NONE
+
+    @model_validator(mode="after")
+    def _check(self) -> DaylightTable:
+        direct_lx = self.illuminance_lx * self.sun_fraction / math.sin(math.radians(self.sun_elevation_deg))
+        if direct_lx > MOST_SUNLIGHT_LX:
+            raise ValueError(
+                f"illuminance_lx x sun_fraction / sin(sun_elevation_deg) = {direct_lx:.3g} lx "
+                f"towards the sun must be at most {MOST_SUNLIGHT_LX:g} lx"
+            )
+        return self
 
 
 class TwineTable(Document):
