@@ -88,7 +88,7 @@ def read_text(path: Path) -> str:
 def decode_text(content: bytes, where: str | Path) -> str:
     """The text of a file that `where` names in errors; as of `read_text`."""
     encodings = [encoding for mark, encoding in _OTHER_ENCODINGS if content.startswith(mark)]
-    if not encodings and b"\0" in content[:2]:
+    if not encodings and len(content) > 1 and b"\0" in content[:2]:
         # Every second byte of plain text in UTF-16 is zero, and some programs write no mark.
         encodings = ["UTF-16"]
     if encodings:

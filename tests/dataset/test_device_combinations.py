@@ -12,6 +12,7 @@ import tomli_w
 from pepperscene import BuildOptions, build, open_dataset
 from pepperscene.camera import load_flash
 from pepperscene.dataset import resolve_recipe
+from pepperscene.dataset.scenes.frame_renderer import mitsuba_renderer
 from pepperscene.errors import InputError
 from pepperscene.scene import load_cover
 from pepperscene.shipped import shipped_folder
@@ -72,7 +73,9 @@ def image(folder, changes):
         changes = {**changes, "camera.sensor": device(folder, "sensors", "ueye_ui5250re", **SMALL)}
     recipe = resolve_recipe("barth2018", {**ONE_PLANT, **changes})
     out = folder / "out"
-    build(recipe, out, "0:1", ("colour", "electrons"), BuildOptions(quality="draft"))
+    build(
+        recipe, out, "0:1", ("colour", "electrons"), BuildOptions(quality="draft", renderer=mitsuba_renderer)
+    )
     dataset = open_dataset(out)
     electrons = dataset.image(0, "electrons")
     assert np.isfinite(electrons).all()

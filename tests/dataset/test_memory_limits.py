@@ -47,7 +47,8 @@ def sensor_file(tmp_path):
         for old, new in {
             "columns = 800": f"columns = {columns}",
             "rows = 600": f"rows = {rows}",
-            "pitch_um = 4.5": f"pitch_um = {4.5 * 800 / columns}",
+            "binning = 2": "binning = 1",
+            "pitch_um = 4.5": f"pitch_um = {2 * 4.5 * 800 / columns}",
             '"spectra/': f'"{shipped}/spectra/',
         }.items():
             text = text.replace(old, new)

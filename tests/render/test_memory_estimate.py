@@ -23,7 +23,10 @@ def resolved():
 
 
 def resized(camera, columns, rows, **changes):
-    return replace(camera, sensor=replace(camera.sensor, columns=columns, rows=rows, **changes))
+    """The camera with other numbers of pixels and the same field of view."""
+    sensor = replace(camera.sensor, columns=columns, rows=rows, **changes)
+    pitch_m = sensor.pitch_m * camera.sensor.columns / columns * camera.sensor.binning / sensor.binning
+    return replace(camera, sensor=replace(sensor, pitch_m=pitch_m))
 
 
 @pytest.fixture(scope="module")
