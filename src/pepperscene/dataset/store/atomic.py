@@ -45,8 +45,12 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 def write_file(path: Path, content: bytes) -> None:
     """Write one file atomically."""
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(content)
+    temporary = temporary_path(path)
+    try:
+        _write_new(temporary, content)
+        os.replace(temporary, path)
+    finally:
+        _remove_if_left(temporary)
 
 
 def write_file_if(path: Path, content: bytes, is_valid: Callable[[], bool]) -> bool:
@@ -55,16 +59,16 @@ def write_file_if(path: Path, content: bytes, is_valid: Callable[[], bool]) -> b
     Of several processes that call this for files of one folder, one at a time checks and renames, as far as
     the file system has locks. Flushing, which takes longest, is not part of that.
     """
-    temporary = _create_temporary(path)
+    temporary = temporary_path(path)
     try:
-        _write_flushed(temporary, content)
+        _write_new(temporary, content)
         with exclusive_access(path.parent):
             if not is_valid():
                 return False
             os.replace(temporary, path)
             return True
     finally:
-        temporary.unlink(missing_ok=True)
+        _remove_if_left(temporary)
 
 
 def write_files(folder: Path, files: Mapping[str, bytes], obsolete: Iterable[Path] = ()) -> tuple[Path, ...]:
@@ -90,8 +94,8 @@ def write_files(folder: Path, files: Mapping[str, bytes], obsolete: Iterable[Pat
     try:
         make_folder(folder, created)
         for name, content in files.items():
-            temporary[folder / name] = _create_temporary(folder / name)
-            _write_flushed(temporary[folder / name], content)
+            temporary[folder / name] = temporary_path(folder / name)
+            _write_new(temporary[folder / name], content)
         for path in obsolete:
             path.unlink(missing_ok=True)
         for path in temporary:
@@ -252,11 +256,21 @@ def _is_orphan(path: Path) -> bool:
     return False
 
 
-def _write_flushed(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
+def _write_new(path: Path, content: bytes) -> None:
+    """Write a file that must not exist, and flush it to the disk.
+
+    In a folder that others can write to, nobody can have put a link there.
+    """
+    with path.open("xb", buffering=0) as file:
+        view = memoryview(content)
+        while view:
+            view = view[file.write(view) :]
         os.fsync(file.fileno())
+
+
+def _remove_if_left(temporary: Path) -> None:
+    with suppress(FileNotFoundError):
+        os.unlink(temporary)
 
 
 def _create_temporary(path: Path) -> Path:
