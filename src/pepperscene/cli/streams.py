@@ -1,4 +1,4 @@
-"""Standard output and error of the command line when nobody reads them, or their disk is full."""
+"""Standard output and error of the command line when their reader has ended, or their disk is full."""
 
 from __future__ import annotations
 

@@ -17,6 +17,7 @@ from pepperscene.camera import decode_tone
 from pepperscene.camera.colorimetry import XYZ_TO_SRGB, adapted_xyz, d65_spectrum
 from pepperscene.classes import OrganClass
 from pepperscene.colour.comparison.bootstrap import BootstrapSums, Floats, bootstrap_weights
+from pepperscene.colour.comparison.names import printable_name
 from pepperscene.colour.patches.extraction import reflectance_file
 from pepperscene.colour.patches.open import open_patches, organ_regions
 from pepperscene.colour.patches.patch import MeasuredSpectrum, Patch, PatchSet
@@ -51,14 +52,6 @@ LAB_SQUARED: Final = slice(PIXELS + 7, PIXELS + 10)
 _KIND_WIDTH: Final = PIXELS + 10
 
 
-def _printable(name: str) -> str:
-    """A name with escape sequences instead of characters that a text file, or XML, cannot hold."""
-    letters = (
-        letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in name
-    )
-    return "".join(letters)
-
-
 class SetMeasures:
     """Sums over one set.
 
@@ -75,7 +68,7 @@ class SetMeasures:
     """
 
     def __init__(self, name: str, available: int, *, has_images: bool) -> None:
-        self.name = _printable(name)
+        self.name = printable_name(name)
         self.available, self.has_images, self.units = available, has_images, 0
         self.kinds: dict[str, BootstrapSums] = {}
         self.class_pixels = BootstrapSums(CLASSES + 1)

@@ -34,8 +34,8 @@ _OTHERS_MAY_WRITE: Final = stat.S_IWGRP | stat.S_IWOTH
 def temporary_credentials(parents: Sequence[Path]) -> Iterator[Security]:
     """A certificate and its key for one cluster, in a new folder that only this user can read.
 
-    Whoever has the key can use all processes of the cluster, and nobody else can. The folder is removed at
-    the end.
+    The key is needed to use any process of the cluster, and gives access to all of them. The folder is
+    removed at the end.
 
     Args:
         parents: folders that all machines of the cluster see; the first suitable one is used.
@@ -116,7 +116,7 @@ def _exposure(folder: Path) -> str | None:
     As of OpenSSH for its keys: neither the folder nor one above may belong to others or be writable by
     others. Folders such as /tmp are allowed, in which everybody may rename only what is their own.
     """
-    # Whoever owns the root folder controls the machine; in some containers, root has another number.
+    # The owner of the root folder controls the machine; in some containers, root has another number.
     trusted = {0, os.getuid(), os.stat("/").st_uid}
     try:
         resolved = folder.resolve(strict=True)

@@ -69,8 +69,8 @@ class DaskExecutor(Executor):
         """See `Executor.make`; frames are reported as they become complete."""
         if trusts_network(self._address):
             dispatcher.on_notice(
-                f"{self._address} is not encrypted: whoever reaches that address can run programs as the "
-                "users of its workers, and can read this build"
+                f"{self._address} is not encrypted: every user who can reach that address can run programs "
+                "as the users of its workers, and can read this build"
             )
         last_present = time.monotonic()
 

@@ -20,7 +20,7 @@ from pepperscene.errors import OutputError
 
 _STALE_S: Final = 3600.0  # chosen: no write takes an hour, so an older temporary file is a killed build's
 _TEMPORARY_NAME: Final = re.compile(r"\.(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.[0-9a-f]+\.tmp$")
-_RANDOM_BYTES: Final = 8  # chosen: nobody guesses the name before the file exists
+_RANDOM_BYTES: Final = 8  # chosen: too many to guess the name before the file exists
 _LOCK_S: Final = 60.0  # chosen: longer than the tables of a million frames take, and no wait for ever
 _LOCK_INTERVAL_S: Final = 0.02  # chosen
 _LINE_LEVELS: Final = 2  # chosen: JSON levels with one entry per line, so that a diff shows which one changed
