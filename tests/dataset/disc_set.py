@@ -10,7 +10,8 @@ from data_sets import set_without_plants
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import check_dataset, read_image, write_image
 from pepperscene.dataset.store.atomic import digest, write_json
-from pepperscene.dataset.store.dataset import checksum_of, open_dataset
+from pepperscene.dataset.store.dataset import open_dataset
+from pepperscene.dataset.store.frame_json import checksum_of
 from pepperscene.frame import Frame
 from pepperscene.truth import class_colour, distance_code
 

@@ -10,7 +10,7 @@ from PIL import Image
 
 from pepperscene.classes import CLASS_COLOURS
 from pepperscene.dataset.store.atomic import canonical_json
-from pepperscene.dataset.store.dataset import checksum_of
+from pepperscene.dataset.store.frame_json import checksum_of
 
 TEXT = (
     "javascript:window.attacked=1//\"'><img src=http://attacker.invalid/x onerror=window.attacked=1>"

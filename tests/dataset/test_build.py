@@ -19,7 +19,7 @@ from data_sets import contents
 from pepperscene.dataset import check_dataset, open_dataset, read_image
 from pepperscene.dataset.execution.build import Throughput
 from pepperscene.dataset.store.atomic import temporary_path
-from pepperscene.dataset.store.dataset import checksum_of
+from pepperscene.dataset.store.frame_json import checksum_of
 from pepperscene.errors import InputError, OutputError, SetupError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
 

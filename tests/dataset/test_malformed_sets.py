@@ -19,7 +19,7 @@ from pepperscene.dataset.readers.torch_images import torch_images
 from pepperscene.dataset.report import write_report
 from pepperscene.dataset.report.data import frame_records
 from pepperscene.dataset.store.atomic import digest
-from pepperscene.dataset.store.dataset import checksum_of
+from pepperscene.dataset.store.frame_json import checksum_of
 from pepperscene.dataset.store.images import encode_image
 from pepperscene.errors import PepperError
 from pepperscene.frame import Frame

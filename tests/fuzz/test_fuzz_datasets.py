@@ -189,7 +189,7 @@ def test_any_object_as_the_description_of_a_frame(examples, folder):
     dataset = open_dataset(folder)
 
     def read(changes):
-        from pepperscene.dataset.store.dataset import CHECKSUM, checksum_of
+        from pepperscene.dataset.store.frame_json import CHECKSUM, checksum_of
 
         content = {**original, **dict(changes)}
         # With a checksum that fits, the values themselves are examined.

@@ -18,7 +18,8 @@ from pepperscene.dataset.check.images import check_photo, check_values
 from pepperscene.dataset.check.labels import check_harvest, check_labels
 from pepperscene.dataset.check.tables import frame_row_digest, fruit_rows_digest, short_digest
 from pepperscene.dataset.recipe.plan import Plan, frame_seed
-from pepperscene.dataset.store.dataset import CHECKSUM, FRAMES, Dataset, file_name, is_as_written
+from pepperscene.dataset.store.dataset import FRAMES, Dataset, file_name
+from pepperscene.dataset.store.frame_json import CHECKSUM, is_as_written
 from pepperscene.dataset.store.images import read_image
 from pepperscene.dataset.store.manifest import frame_row, fruit_rows
 from pepperscene.errors import InputError

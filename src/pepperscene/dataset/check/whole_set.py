@@ -18,18 +18,9 @@ from pepperscene.dataset.check.one_frame import FrameTraits
 from pepperscene.dataset.recipe.recipe import digest
 from pepperscene.dataset.recipe.tables import ExpectTable
 from pepperscene.dataset.store.atomic import is_temporary
-from pepperscene.dataset.store.dataset import (
-    DIGITS,
-    FORMAT,
-    FRAMES,
-    MARK,
-    Dataset,
-    file_name,
-    frame_index,
-    is_as_written,
-    read_json,
-)
+from pepperscene.dataset.store.dataset import FORMAT, FRAMES, MARK, Dataset, file_name
 from pepperscene.dataset.store.folder import LITTER, OWN
+from pepperscene.dataset.store.frame_json import DIGITS, frame_index, is_as_written, read_json
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
 

@@ -17,8 +17,9 @@ from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.scenes.frame_renderer import FrameRenderer, RendererFactory
 from pepperscene.dataset.scenes.viewpoints import check_partner
 from pepperscene.dataset.store.atomic import write_error
-from pepperscene.dataset.store.dataset import FORMAT, FrameStatus
+from pepperscene.dataset.store.dataset import FORMAT
 from pepperscene.dataset.store.folder import OutputFolder
+from pepperscene.dataset.store.frame_json import FrameStatus
 from pepperscene.dataset.store.manifest import Row
 from pepperscene.frame import Frame, check_outputs
 from pepperscene.truth import class_pixel_counts

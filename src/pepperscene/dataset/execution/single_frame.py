@@ -13,7 +13,8 @@ from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
 from pepperscene.dataset.store.atomic import canonical_json, check_can_write, digest, write_files
-from pepperscene.dataset.store.dataset import MARK, file_entry, read_json
+from pepperscene.dataset.store.dataset import MARK
+from pepperscene.dataset.store.frame_json import file_entry, read_json
 from pepperscene.dataset.store.images import encode_image
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS

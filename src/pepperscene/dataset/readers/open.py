@@ -13,8 +13,9 @@ from pepperscene.dataset.readers.folder import FolderSet
 from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage, image_of_files
 from pepperscene.dataset.readers.labels import LabelMap
 from pepperscene.dataset.readers.published import PublishedSet, published_halves
-from pepperscene.dataset.store.dataset import DIGITS, MARK, Dataset, open_dataset
+from pepperscene.dataset.store.dataset import MARK, Dataset, open_dataset
 from pepperscene.dataset.store.fields import frame_indices, read_frame, read_output
+from pepperscene.dataset.store.frame_json import DIGITS
 from pepperscene.errors import InputError
 from pepperscene.truth import class_from_colour, distance_from_code
 

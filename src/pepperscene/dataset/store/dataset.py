@@ -10,14 +10,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Executor, wait
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -31,9 +29,19 @@ from pepperscene.dataset.store.atomic import (
     write_file,
     write_file_if,
 )
+from pepperscene.dataset.store.frame_json import (
+    CHECKSUM,
+    DIGITS,
+    FrameStatus,
+    checksum_of,
+    file_entry,
+    frame_index,
+    is_as_written,
+    read_json,
+)
 from pepperscene.dataset.store.images import encode_image, read_image
 from pepperscene.dataset.store.journal import Journal
-from pepperscene.dataset.store.manifest import FRUIT, MANIFEST, Row, frame_row, fruit_rows, write_table
+from pepperscene.dataset.store.manifest import FRUIT, MANIFEST, Row, fruit_rows, write_table
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
 
@@ -44,8 +52,6 @@ if TYPE_CHECKING:
 FORMAT: Final = "pepperscene data set 1"
 MARK: Final = "dataset.json"
 FRAMES: Final = "frames"
-DIGITS: Final = 6
-CHECKSUM: Final = "checksum"
 
 _CHECKSUM_LINE: Final = re.compile(rb'^"checksum": "([0-9a-f]{64})"', re.MULTILINE)
 _HEAD_BYTES: Final = 8192  # chosen: only the camera comes before the checksum, with one or two thousand bytes
@@ -55,30 +61,6 @@ _TABLE_ATTEMPTS: Final = 5  # chosen: without a change meanwhile, the first one 
 def file_name(index: int, output: str) -> str:
     """Path of an output's file inside the data set, with forward slashes."""
     return f"{output}/{index:0{DIGITS}d}{OUTPUTS[output].suffix}"
-
-
-def frame_index(name: str, suffix: str) -> int | None:
-    """Index of the frame of a file with this name, None if it is not a frame's."""
-    stem = name.removesuffix(suffix)
-    is_frame = name.endswith(suffix) and len(stem) == DIGITS and stem.isascii() and stem.isdecimal()
-    return int(stem) if is_frame else None
-
-
-@dataclass(frozen=True)
-class FrameStatus:
-    """Existing parts of a frame: JSON without `outputs` and `checksum`, intact images, and checksum.
-
-    `written_checksum` is that in the JSON before it was read, even if it does not fit the rest.
-    """
-
-    metadata: dict[str, Any] = field(default_factory=dict)
-    outputs: dict[str, Any] = field(default_factory=dict)
-    checksum: str = ""
-    written_checksum: str = ""
-
-    def row(self) -> Row:
-        """The frame's row in the manifest, without timings."""
-        return frame_row(self.metadata, self.outputs, self.checksum)
 
 
 @dataclass(frozen=True)
@@ -295,31 +277,11 @@ def _matches_entry(path: Path, entry: Mapping[str, Any]) -> bool:
         return False
 
 
-def checksum_of(metadata: Mapping[str, Any]) -> str:
-    """SHA-256 of a frame's JSON as canonical text, hexadecimal, without its own `checksum`."""
-    content = {key: value for key, value in metadata.items() if key != CHECKSUM}
-    return hashlib.sha256(canonical_json(content)).hexdigest()
-
-
-def is_as_written(content: Mapping[str, Any]) -> bool:
-    """Whether a JSON object with a `checksum` is what a build wrote."""
-    try:
-        return bool(content.get(CHECKSUM) == checksum_of(content))
-    except (ValueError, RecursionError):
-        # Numbers that JSON does not have, and halves of characters.
-        return False
-
-
 def written_image(path: Path, image: Any, output: str, name: str) -> dict[str, Any]:
     """Write an image of an output atomically; returns its entry, under this name, in the frame's JSON."""
     content = encode_image(image, output)
     write_file(path, content)
     return file_entry(name, content)
-
-
-def file_entry(name: str, content: bytes) -> dict[str, Any]:
-    """Entry of a file in a frame's JSON."""
-    return {"file": name, "bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
 
 
 def open_dataset(folder: str | Path) -> Dataset:
@@ -331,16 +293,3 @@ def open_dataset(folder: str | Path) -> Dataset:
     if info.get("format") != FORMAT:
         raise InputError(path, f"must be {FORMAT!r}", key="format", value=info.get("format"))
     return Dataset(Path(folder), info)
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Read the object in a JSON file; raises `InputError` if it is missing or holds something else."""
-    try:
-        content = json.loads(path.read_bytes())
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError):
-        raise InputError(path, "is not valid JSON") from None
-    if not isinstance(content, dict):
-        raise InputError(path, "must hold a JSON object")
-    return content

@@ -14,15 +14,8 @@ from pepperscene.dataset.store.atomic import (
     remove_temporary_files,
     write_json,
 )
-from pepperscene.dataset.store.dataset import (
-    CHECKSUM,
-    FRAMES,
-    MARK,
-    Dataset,
-    checksum_of,
-    is_as_written,
-    read_json,
-)
+from pepperscene.dataset.store.dataset import FRAMES, MARK, Dataset
+from pepperscene.dataset.store.frame_json import CHECKSUM, checksum_of, is_as_written, read_json
 from pepperscene.dataset.store.journal import JOURNAL
 from pepperscene.dataset.store.manifest import FRUIT, MANIFEST
 from pepperscene.errors import InputError, OutputError
