@@ -27,13 +27,14 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont
-from matplotlib.patches import FancyBboxPatch
+from matplotlib.patches import Circle, FancyBboxPatch
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw, ImageFont
 from pycocotools import mask as coco_mask
 from skimage.color import lab2rgb
 
 import pepperscene as ps
+from pepperscene.camera import spline_trajectory
 from pepperscene.colour.comparison import similarity
 from pepperscene.colour.statistics import bin_angles
 from pepperscene.dataset.report.colours import distance_colours, instance_colours
@@ -136,6 +137,19 @@ def tuning_record() -> dict[str, Any]:
 def plant() -> ps.Plant:
     """A plant of Kaite."""
     return ps.grow(ps.load_cultivar("kaite"), np.random.default_rng(3))
+
+
+def small_frame(
+    name: str, recipe: str, index: int, size: tuple[int, int], changes: dict[str, Any]
+) -> Picture:
+    """A cached photograph of a recipe with few plants and another size of the image."""
+    few = {"row.plants_front": 5, "row.plants_back": 4, "camera.width": size[0], "camera.height": size[1]}
+
+    def render() -> Picture:
+        renderer = ps.FrameRenderer(ps.load_recipe(recipe, {**few, **changes}))
+        return renderer.render(renderer.recipe.plan.frame(index), ("colour",), "draft").colour
+
+    return cached(name, render)
 
 
 # --- tools -----------------------------------------------------------------------------------------------
@@ -274,6 +288,17 @@ def quickstart() -> Image.Image:
     return image
 
 
+def gallery() -> Image.Image:
+    """A photograph of each of four recipes."""
+    image = white()
+    frames = {"barth2018_robot": 4, "randomised": 203, "season": 32, "realsense": 3}
+    for number, (name, index) in enumerate(frames.items()):
+        size = {"camera.hfov_deg": 69} if name == "realsense" else {}
+        picture = small_frame(f"gallery_{name}", name, index, (238, 158), size)
+        image.paste(fill(picture, (119, 79)), (121 * (number % 2), 81 * (number // 2)))
+    return image
+
+
 def first_frame() -> Image.Image:
     """The mesh of a plant, and a photograph."""
     figure, axes = canvas()
@@ -318,6 +343,72 @@ def build() -> Image.Image:
     image = white()
     for i, index in enumerate(demo_set().indices()):
         image.paste(fill(photograph(index), (79, 79)), (81 * (i % 3) - (i % 3 == 2), 81 * (i // 3)))
+    return image
+
+
+def camera() -> Image.Image:
+    """The same view with three fields of view."""
+    image = white()
+    for column, angle in enumerate((35, 60, 100)):
+        changes = {"camera.hfov_deg": angle, "views.distance_mm": 500}
+        picture = small_frame(f"camera_{angle}", "greenhouse", 1, (158, 320), changes)
+        image.paste(fill(picture, (79, HEIGHT)), (81 * column - (column == 2), 0))
+        caption(image, (81 * column + 6, 5), f"{angle}\N{DEGREE SIGN}")
+    return image
+
+
+def views() -> Image.Image:
+    """From above: a path along the row, poses on an arc, and random views of fruit."""
+    figure, axes = canvas()
+    scale, origin = 130.0, np.array([120.0, 30.0])
+
+    def view(position: ArrayLike, forward: ArrayLike, colour: str) -> None:
+        place, along = origin + np.multiply(position, [scale, -scale]), np.multiply(forward, [1.0, -1.0])
+        across = np.array([-along[1], along[0]])
+        sides = [place + 16 * along + side * 8 * across for side in (-1, 1)]
+        axes.fill(*np.transpose([place, *sides]), color=colour, alpha=0.25, lw=0)
+        axes.plot(*np.transpose([sides[0], place, sides[1]]), color=colour, lw=0.7)
+
+    for x in np.arange(-3, 4) * 0.26:
+        axes.add_patch(Circle((origin[0] + scale * x, origin[1]), 13, fc="#8fc07c", ec=GREEN, lw=0.8))
+    for pose in ps.arc_path(5, 0.5, (-1.0, 1.0), (1.0, 1.0), 0.0):
+        view(pose[:2, 3], pose[:2, 2], ORANGE)
+    points = [[-0.85, -0.82, 1], [-0.3, -0.72, 1], [0.3, -0.82, 1], [0.85, -0.74, 1]]
+    path = spline_trajectory(points, 0.3, 60, azimuth_rad=0.0)
+    places = origin + path.poses[:, :2, 3] * [scale, -scale]
+    axes.plot(*places.T, color=BLUE, lw=1.4)
+    arrow(axes, places[-3], places[-1], BLUE, 1.4)
+    for pose in path.poses[6::15]:
+        view(pose[:2, 3], pose[:2, 2], BLUE)
+    rng = np.random.default_rng(7)
+    for fruit in ((-0.66, -0.1), (0.66, -0.1)):
+        axes.plot(*(origin + np.multiply(fruit, [scale, -scale])), "o", color=RED, ms=4, zorder=4)
+        for angle in (-0.7, -0.1, 0.6):
+            direction = np.array([-np.sin(angle), np.cos(angle)])
+            view(np.array(fruit) - rng.uniform(0.25, 0.45) * direction, direction, RED)
+    return drawn(figure)
+
+
+def vary() -> Image.Image:
+    """Six frames of `randomised`."""
+    image = white()
+    for number, index in enumerate((3, 56, 110, 161, 214, 268)):
+        picture = small_frame(f"vary_{index}", "randomised", index, (160, 160), {})
+        image.paste(fill(picture, (79, 79)), (81 * (number % 3) - (number % 3 == 2), 81 * (number // 3)))
+    return image
+
+
+def motion() -> Image.Image:
+    """The same photograph from a camera that stands still, and from one that moves."""
+    image = white()
+    path = {"kind": "path", "points_mm": [[-300, -500, 1400], [300, -500, 1400]], "speed_mm_s": 1000}
+    for column, (name, moves) in enumerate((("stands still", False), ("1 m/s, 20 ms", True))):
+        changes = {f"views.{key}": value for key, value in {**path, "motion": moves}.items()}
+        changes |= {"plan.frames": 3, "camera.hfov_deg": 40}
+        changes |= {"camera.exposure_us": 20_000, "daylight.illuminance_lx": 5000}
+        picture = small_frame(f"motion_{moves}", "greenhouse", 1, (238, 320), changes)
+        image.paste(fill(picture, (119, HEIGHT)), (121 * column, 0))
+        caption(image, (121 * column + 6, 5), name)
     return image
 
 
@@ -477,14 +568,14 @@ def recipe() -> Image.Image:
     figure, axes = canvas()
     axes.set(xlim=(-0.78, 0.78), ylim=(-0.62, 0.42))
     axes.set_aspect("equal")
-    row, path = table.row, table.path
+    row, views = table.row, table.views
     spacing = row.spacing_mm / 1000
     front = (np.arange(row.plants_front) - (row.plants_front - 1) / 2) * spacing
     back = (np.arange(row.plants_back) - (row.plants_back - 1) / 2) * spacing
     for places, depth in ((front, 0.0), (back, row.gap_mm / 1000)):
         axes.scatter(places, np.full(len(places), depth), s=95, c="#8fc07c", ec=GREEN, lw=0.8, zorder=3)
-    azimuth = np.radians(path.azimuth_deg)
-    poses = ps.arc_path(60, path.distance_mm / 1000, tuple(azimuth), (1.0, 1.0), 0.0)
+    azimuth = np.radians(views.azimuth_deg)
+    poses = ps.arc_path(60, views.distance_mm / 1000, tuple(azimuth), (1.0, 1.0), 0.0)
     axes.plot(*poses[:, :2, 3].T, color=ORANGE, lw=1.6)
     for pose in (poses[0], poses[30], poses[-1]):
         start, forward = pose[:2, 3], pose[:2, 2]
@@ -497,7 +588,7 @@ def recipe() -> Image.Image:
     axes.annotate("", (spacing, 0.09), (0, 0.09), arrowprops={"arrowstyle": "<->", "lw": 0.7, "color": INK})
     label = f"{row.spacing_mm:g} mm"
     axes.text(spacing + 0.02, 0.09, label, ha="left", va="center", fontsize=FONT_PT - 0.5, color=INK)
-    axes.text(-0.04, -0.14, f"{path.distance_mm:g} mm", ha="left", fontsize=FONT_PT - 0.5, color=INK)
+    axes.text(-0.04, -0.14, f"{views.distance_mm:g} mm", ha="left", fontsize=FONT_PT - 0.5, color=INK)
     axes.plot([0, poses[10, 0, 3]], [0, poses[10, 1, 3]], ":", color=INK, lw=0.8)
     return drawn(figure)
 
@@ -644,6 +735,29 @@ def tuning_files() -> Image.Image:
         draw.text((172, top), "→", fill=GREEN, font=small)
         draw.text((194, top), f"{one['value'][0]:.1f}", fill=GREEN, font=font(10, bold=True))
     return image
+
+
+def pose_files() -> Image.Image:
+    """A camera path through points around a plant, from above, with the fields of view of some poses."""
+    figure, axes = canvas()
+    points = np.array(
+        [[-0.75, -0.3, 1], [-0.45, -0.62, 1], [0.0, -0.5, 1], [0.45, -0.62, 1], [0.75, -0.3, 1]]
+    )
+    path = spline_trajectory(points, 0.2, count=90, look_at_m=(0.0, 0.15, 1.0))
+    places = np.array([120.0, 42.0]) + path.poses[:, :2, 3] * [140.0, -160.0]
+    axes.add_patch(Circle((120, 42 - 0.15 * 160), 15, fc="#8fc07c", ec=GREEN, lw=0.8))
+    for pose, place in list(zip(path.poses, places, strict=True))[4::16]:
+        forward, right = pose[:2, 2] * [1, -1], pose[:2, 0] * [1, -1]
+        sides = [place + 30 * forward + side * 13 * right for side in (-1, 1)]
+        axes.fill(*np.transpose([place, *sides]), color=ORANGE, alpha=0.25, lw=0)
+        axes.plot(*np.transpose([sides[0], place, sides[1]]), color=ORANGE, lw=0.7)
+    axes.plot(*places.T, color=BLUE, lw=1.4)
+    arrow(axes, places[-3], places[-1], BLUE, 1.4)
+    axes.plot(*(np.array([120.0, 42.0]) + points[:, :2] * [140.0, -160.0]).T, "o", color=INK, ms=3.5)
+    axes.text(
+        120, 153, "x_m, y_m, z_m, qx, qy, qz, qw", fontsize=FONT_PT, color=INK, ha="center", va="center"
+    )
+    return drawn(figure)
 
 
 def conventions() -> Image.Image:
@@ -901,13 +1015,14 @@ def colour() -> Image.Image:
 
 
 PHOTOGRAPHS: Final = (
-    quickstart, first_frame, dataset, build, read, export,
+    quickstart, gallery, first_frame, dataset, build, camera, vary, motion, read, export,
     cultivar, outputs, harvest, check, plants, rendering,
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""
 DRAWINGS: Final = (
-    colour_tuning, cluster, report, compare, benchmark, command_line, recipe, devices, patches,
-    tuning_parameters, tuning_files, conventions, api, glossary, architecture, reliability, optics, colour,
+    colour_tuning, views, cluster, report, compare, benchmark, command_line, recipe, devices, patches,
+    tuning_parameters, tuning_files, pose_files, conventions, api, glossary, architecture, reliability,
+    optics, colour,
 )  # fmt: skip
 FIGURES: Final[dict[str, Callable[[], Image.Image]]] = {
     one.__name__: one for one in (*PHOTOGRAPHS, *DRAWINGS)

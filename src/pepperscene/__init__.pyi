@@ -1,11 +1,17 @@
 from .camera import Camera as Camera
 from .camera import Developing as Developing
+from .camera import Motion as Motion
+from .camera import PoseList as PoseList
+from .camera import Trajectory as Trajectory
 from .camera import arc_path as arc_path
 from .camera import load_filter as load_filter
 from .camera import load_flash as load_flash
 from .camera import load_lens as load_lens
 from .camera import load_sensor as load_sensor
 from .camera import look_at as look_at
+from .camera import read_poses as read_poses
+from .camera import spline_trajectory as spline_trajectory
+from .camera import write_poses as write_poses
 from .classes import CLASS_COLOURS as CLASS_COLOURS
 from .classes import Instance as Instance
 from .classes import OrganClass as OrganClass

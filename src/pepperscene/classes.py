@@ -36,17 +36,26 @@ CLASS_COLOURS: Final[tuple[tuple[int, int, int], ...]] = (
 )
 """8-bit RGB of each class id in the colour copies of the label images."""
 
+IGNORE_CLASS: Final = 255
+"""Class id of pixels that are neither an organ nor background: training and evaluation leave them out
+(`ignore_index=255`, as in Cityscapes and PASCAL VOC)."""
+
+IGNORE_COLOUR: Final[tuple[int, int, int]] = (128, 128, 128)
+"""8-bit RGB of `IGNORE_CLASS`. Chosen: a grey, far from the colours of all classes."""
+
 
 @dataclass(frozen=True)
 class Instance:
     """One organ or object with its own value in the instance image.
 
     Attributes:
-        organ_class: the class of all its pixels.
+        organ_class: the class of all its pixels, unless they are ignored.
         kind: the organ kind ("lamina", "fruit") or the kind of object ("twine").
         plant: number of the plant that it belongs to, 0-based; -1 for none.
         phytomer: position along the main stem, 0-based from the ground; -1 for none.
         parent: index of the instance that it grows on, in the same list; -1 for none.
+        far_row: number of the coarse row that it belongs to, beyond the labelled plants; -1 for none.
+        ignored: whether its pixels have `IGNORE_CLASS` instead of its class.
     """
 
     organ_class: OrganClass
@@ -54,3 +63,19 @@ class Instance:
     plant: int = -1
     phytomer: int = -1
     parent: int = -1
+    far_row: int = -1
+    ignored: bool = False
+
+    def numbered(self, plant: int, parent: int, far_row: int) -> Instance:
+        """The instance with another plant, parent and far row.
+
+        A scene can have 50,000 of them, and `dataclasses.replace` takes five times as long.
+        """
+        instance = object.__new__(Instance)
+        instance.__dict__.update(self.__dict__, plant=plant, parent=parent, far_row=far_row)
+        return instance
+
+    @property
+    def class_id(self) -> int:
+        """The id of its pixels in label images."""
+        return IGNORE_CLASS if self.ignored else int(self.organ_class)

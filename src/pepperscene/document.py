@@ -154,12 +154,19 @@ def validate(model: type[Model], data: Mapping[str, Any], where: str | Path) -> 
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise _as_input_error(error, where) from None
+        raise _as_input_error(error, data, where) from None
 
 
-def _as_input_error(error: ValidationError, where: str | Path) -> InputError:
+def _as_input_error(error: ValidationError, data: Any, where: str | Path) -> InputError:
     first = error.errors(include_url=False, include_context=True)[0]
-    key = toml_key(first["loc"])
+    key = toml_key(_keys_of_file(first["loc"], data))
+    if first["type"] == "union_tag_not_found":
+        return InputError(where, "is required but missing", key=f"{key}.kind")
+    if first["type"] == "union_tag_invalid":
+        context = first["ctx"]
+        return InputError(
+            where, f"must be one of {context['expected_tags']}", key=f"{key}.kind", value=context["tag"]
+        )
     if first["type"] == "extra_forbidden":
         return InputError(where, "is not a known key", key=key)
     if first["type"] == "missing":
@@ -170,6 +177,24 @@ def _as_input_error(error: ValidationError, where: str | Path) -> InputError:
         message = python_type.sub(toml_type, message)
     value = first["input"] if not isinstance(first["input"], (dict, BaseModel)) else None
     return InputError(where, message, key=key, value=value)
+
+
+def _keys_of_file(location: tuple[str | int, ...], data: Any) -> tuple[str | int, ...]:
+    """The location of an error without the validator's own parts: the kind of a table of several kinds."""
+    keys: list[str | int] = []
+    entered: Any = None  # the last table whose kind was skipped
+    for part in location:
+        if isinstance(data, Mapping):
+            if data.get("kind") == part and entered is not data:
+                entered = data
+                continue
+            data = data.get(part)
+        elif isinstance(data, list | tuple) and isinstance(part, int) and part < len(data):
+            data = data[part]
+        else:
+            data = None
+        keys.append(part)
+    return tuple(keys)
 
 
 _MOST_FILES: Final = 20  # chosen: more files than a reader can follow

@@ -71,7 +71,7 @@ _ALL: Final = (
         "expected photo-electrons per photosite of each colour, before noise",
         traced=True,
     ),
-    Output("class", "(h, w)", "uint8", "class id, 0 to 7, with a colour palette"),
+    Output("class", "(h, w)", "uint8", "class id, 0 to 7, or 255 where ignored; with a colour palette"),
     Output("class_colour", "(h, w, 3)", "uint8", "class colour of the published data set"),
     Output("instance", "(h, w)", "uint16", "organ instance; 0 is the background"),
     Output(

@@ -33,7 +33,7 @@ from pepperscene.camera import (
 )
 from pepperscene.camera.flash import FlashDocument
 from pepperscene.camera.lens import LensDocument
-from pepperscene.camera.sensor import FilterDocument, SensorDocument
+from pepperscene.camera.sensor_files import FilterDocument, SensorDocument
 from pepperscene.errors import InputError
 from pepperscene.scene import load_cover
 from pepperscene.scene.cover import CoverDocument

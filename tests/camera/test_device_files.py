@@ -329,3 +329,39 @@ def test_principal_point_is_in_millimetres(tmp_path):
 
     lens = load_lens(copy_of(tmp_path, "lenses", "lensagon_cmfa0420nd", change))
     assert lens.principal_offset_m == pytest.approx((1.2e-4, -5e-5))
+
+
+@pytest.mark.parametrize("folder", [*LOADERS, "covers"])
+def test_every_shipped_number_has_a_source_and_every_file_a_licence(folder):
+    for path in (FOLDER / folder).glob("*.toml"):
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        assert table["licence"], path.name
+        assert table["sources"].keys() == table.keys() - {"name", "licence", "sources", "kind"}, path.name
+        assert all(len(source) > 5 for source in table["sources"].values()), path.name
+
+
+@pytest.mark.parametrize("kind", LOADERS)
+def test_own_files_need_neither_sources_nor_a_licence(tmp_path, kind):
+    def change(table):
+        del table["sources"], table["licence"]
+
+    assert LOADERS[kind](copy_of(tmp_path, kind, NAMES[kind], change)).name
+
+
+@pytest.mark.parametrize(
+    ("distortion", "message"),
+    [
+        ({"k5": 0.1}, r"distortion: k5 is no coefficient of the model plumb_bob: k1, k2, p1, p2, k3"),
+        ({"model": "equidistant", "p1": 0.1}, r"distortion: p1 is no coefficient of the model equidistant"),
+        ({"model": "fisheye"}, r"distortion\.model = 'fisheye'"),
+    ],
+)
+def test_lens_files_name_the_coefficients_of_a_model(tmp_path, distortion, message):
+    with pytest.raises(InputError, match=message):
+        load_lens(copy_of(tmp_path, "lenses", NAMES["lenses"], put("distortion", distortion)))
+
+
+def test_lens_files_have_further_models(tmp_path):
+    coefficients = {"model": "equidistant", "k1": 0.1, "k4": 0.01}
+    lens = load_lens(copy_of(tmp_path, "lenses", NAMES["lenses"], put("distortion", coefficients)))
+    assert lens.distortion.to_json() == coefficients | {"k2": 0.0, "k3": 0.0}

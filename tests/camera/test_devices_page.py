@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from pepperscene.camera import Filter, Flash, Lens, Sensor, load_filter, load_flash, load_lens, load_sensor
 from pepperscene.camera.flash import FlashDocument
 from pepperscene.camera.lens import LensDocument
-from pepperscene.camera.sensor import FilterDocument, SensorDocument
+from pepperscene.camera.sensor_files import FilterDocument, SensorDocument
 from pepperscene.scene.cover import Cover, CoverDocument, load_cover
 from pepperscene.shipped import shipped_folder
 

@@ -41,11 +41,12 @@ def command():
     runner = CliRunner()
 
     def run(*arguments):
-        return runner.invoke(app, [str(argument) for argument in arguments])
+        # Only during the command, so that other tests of the same process render for real.
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(frame_renderer, "mitsuba_renderer", StubRenderer)
+            return runner.invoke(app, [str(argument) for argument in arguments])
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(frame_renderer, "mitsuba_renderer", StubRenderer)
-        yield run
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -183,7 +183,7 @@ def test_documentation_has_every_command_and_option():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("render", "nothing", "--out", "one"), "barth2018, demo"),
+        (("render", "nothing", "--out", "one"), "barth2018, barth2018_robot, demo"),
         (("render", "--out", "one", "--outputs", "smell"), "'smell'"),
         (("render", "--out", "one", "--frame", "10500"), "--frame"),
         (("render", "--out", "one", "--frame", "-1"), "--frame"),
@@ -192,7 +192,7 @@ def test_documentation_has_every_command_and_option():
         (("render", "--out", "one", "--set", "camera.sensor=pinhole"), "--set: camera.sensor = 'pinhole': "),
         (("render", "--out", "one", "--set", "camera"), "KEY=VALUE"),
         (("build", "--out", "set", "--set", "camera.gain=-1"), "--set: camera.gain = -1: must be"),
-        (("build", "nothing", "--out", "set"), "barth2018, demo"),
+        (("build", "nothing", "--out", "set"), "barth2018, barth2018_robot, demo"),
         (("build", "--out", "set", "--outputs", "colour,smell"), "'smell'"),
         (("build", "--out", "set", "--outputs", ","), "at least one output"),
         (("build", "--out", "set", "--frames", "7"), "A:B"),

@@ -134,7 +134,7 @@ def test_edited_frame_json_is_one_finding(folder):
 def test_finds_damaged_edited_or_missing_dataset_json(folder):
     path = folder / "dataset.json"
     info = json.loads(path.read_text())
-    info["recipe"]["path"]["distance_mm"] += 1
+    info["recipe"]["views"]["distance_mm"] += 1
     for content in ("", "{", '{"format": "another"}', json.dumps(info), None):
         path.unlink() if content is None else path.write_text(content)
         assert find(folder) == {("damaged", None, "dataset.json")}

@@ -17,7 +17,7 @@ from painted_set import FRAMES, WIRE
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset import read_image
 from pepperscene.dataset.export import export_dataset
-from pepperscene.dataset.export.coco import segment_run_lengths
+from pepperscene.dataset.export.coco_segments import segment_run_lengths
 from pepperscene.truth.encodings import decode_rle
 
 mask_tools = pytest.importorskip("pycocotools.mask", reason="the extra `export` installs pycocotools")

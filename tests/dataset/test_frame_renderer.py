@@ -124,7 +124,10 @@ def test_surfaces_cover_the_sensitive_wavelengths_and_no_more(changes):
 
 def test_cover_filters_daylight_and_keeps_its_illuminance():
     bare, covered = (
-        renderer_with({"daylight.cover": name})[0].sky(0) for name in ("none", "polyethylene_film")
+        renderer.sky(spec)
+        for renderer, spec in (
+            renderer_with({"daylight.cover": name}) for name in ("none", "polyethylene_film")
+        )
     )
     for sky in (bare, covered):
         assert sky.horizontal_illuminance() == pytest.approx(5500, rel=1e-3)
@@ -155,7 +158,8 @@ def test_other_cameras_are_passed_only_for_outputs_that_need_them(recipe, fake_r
 
 def test_partner_is_one_baseline_to_the_right_and_shares_the_flash(recipe):
     views = FrameRenderer(recipe).views
-    camera, partner = views.camera(2), views.others(2, ["stereo"])["stereo"]
+    spec = recipe.plan.frame(2)
+    camera, partner = views.camera(spec), views.others(spec, ["stereo"])["stereo"]
     rotation = camera.pose[:3, :3]
     np.testing.assert_array_equal(partner.pose[:3, :3], rotation)
     offset = rotation.T @ (partner.pose[:3, 3] - camera.pose[:3, 3])
@@ -170,7 +174,7 @@ def test_partner_has_no_flash_if_the_camera_has_none(recipe):
     camera = recipe.camera.model_copy(update={"flash": "none"})
     developing = recipe.developing.model_copy(update={"white_balance": "daylight"})
     views = FrameRenderer(recipe.model_copy(update={"camera": camera, "developing": developing})).views
-    assert views.others(0, ["colour_stereo"])["stereo"].flash is None
+    assert views.others(recipe.plan.frame(0), ["colour_stereo"])["stereo"].flash is None
 
 
 @pytest.mark.parametrize("name", ["stereo", "colour_stereo"])
@@ -185,17 +189,20 @@ def test_stereo_outputs_need_a_baseline(without_partner, fake_renderer, empty_sc
 
 def test_frustums_without_partner_are_those_of_the_path(without_partner):
     views = FrameRenderer(without_partner).views
-    poses = [views.camera(step).pose for step in range(without_partner.plan.frames)]
-    expected = view_frustums(views.camera(0), poses)
+    specs = [without_partner.plan.frame(step) for step in range(without_partner.plan.frames)]
+    frustums = views.frustums(specs)
+    expected = view_frustums(views.camera(specs[0]), [views.camera(spec).pose for spec in specs])
     for name in ("normals", "offsets", "positions"):
-        np.testing.assert_array_equal(getattr(views.frustums, name), getattr(expected, name))
+        np.testing.assert_array_equal(getattr(frustums, name), getattr(expected, name))
 
 
 def test_frustums_include_the_partner(recipe):
     views = FrameRenderer(recipe).views
     half_extent = np.full((1, 3), 1e-3, np.float32)
-    for step in range(recipe.plan.frames):
-        partner = replace(views.others(step, ["stereo"])["stereo"], focus_m=None)
+    specs = [recipe.plan.frame(step) for step in range(recipe.plan.frames)]
+    frustums = views.frustums(specs)
+    for spec in specs:
+        partner = replace(views.others(spec, ["stereo"])["stereo"], focus_m=None)
         for slope in partner.ray_slopes()[[1, 1, -2, -2], [1, -2, 1, -2]]:
             corner = partner.pose[:3, :3] @ [*(0.99 * slope), 1.0] + partner.pose[:3, 3]
-            assert views.frustums.intersects(corner[None].astype(np.float32), half_extent).all()
+            assert frustums.intersects(corner[None].astype(np.float32), half_extent).all()

@@ -21,7 +21,7 @@ def test_shipped_plan_is_the_published_one():
     assert (recipe.plan.sets, recipe.plan.rotations, recipe.plan.frames) == (6, 7, 250)
     assert (recipe.row.plants_front, recipe.row.plants_back) == (7, 6)
     assert (recipe.row.spacing_mm, recipe.row.gap_mm, recipe.row.shift_mm) == (200, 200, 100)
-    assert (recipe.path.distance_mm, recipe.path.pitch_deg) == (400, 20)
+    assert (recipe.views.distance_mm, recipe.views.pitch_deg) == (400, 20)
     assert 5000 <= recipe.daylight.illuminance_lx <= 6000
     assert recipe.camera.exposure_us == 50
 
@@ -45,11 +45,11 @@ def test_demo_selects_frames_of_the_published_plan():
 def test_tables_are_merged_and_lists_replaced(write_recipe):
     base = write_recipe("base.toml", plan={"frames": 5, "select": [1, 2, 3]})
     recipe = load_recipe(
-        write_recipe(extends=base.name, name="x", plan={"select": [4]}, path={"azimuth_deg": [0, 10]})
+        write_recipe(extends=base.name, name="x", plan={"select": [4]}, views={"azimuth_deg": [0, 10]})
     )
     assert (recipe.plan.sets, recipe.plan.frames, recipe.plan.select) == (6, 5, (4,))
-    assert recipe.path.azimuth_deg == (0, 10)
-    assert recipe.path.distance_mm == 400
+    assert recipe.views.azimuth_deg == (0, 10)
+    assert recipe.views.distance_mm == 400
 
 
 def test_paths_are_relative_to_the_file_that_holds_them(tmp_path, write_recipe, monkeypatch):
@@ -193,13 +193,13 @@ def test_seed_can_be_replaced():
 NAN, INF = float("nan"), float("inf")
 INVALID = {
     "plan.frames": [0, 2.5, "250", True],
-    "plan.select": [[], [-1]],
+    "plan.select": [[-1]],
     "row.plants_front": [0],
     "row.spacing_mm": [-200.0],
-    "path.distance_mm": [0.4],
-    "path.azimuth_deg": [[0.0], [0.0, NAN]],
-    "path.height_mm": [[0.0, INF]],
-    "path.pitch_deg": [90.0],
+    "views.distance_mm": [0.4],
+    "views.azimuth_deg": [[0.0], [0.0, NAN]],
+    "views.height_mm": [[0.0, INF]],
+    "views.pitch_deg": [90.0],
     "camera.exposure_us": [0.0],
     "camera.focus_mm": [0.0],
     "camera.gain": [0],

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from pepperscene.camera import Developing, load_filter, load_sensor
 from pepperscene.camera.readout import GAIN_RANGE, LARGEST_MATRIX_ENTRY
 from pepperscene.dataset import load_recipe, parse_changes, resolve_recipe
-from pepperscene.dataset.recipe.resolved import surface_wavelengths
-from pepperscene.dataset.recipe.tables import DevelopingTable
+from pepperscene.dataset.recipe.camera_tables import DevelopingTable
+from pepperscene.dataset.recipe.load_camera import surface_wavelengths
 from pepperscene.document import validate
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum

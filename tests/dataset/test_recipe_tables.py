@@ -41,7 +41,7 @@ def test_missing_tables_are_not_in_the_identity():
 def test_every_key_changes_the_identity(key):
     recipe = load_recipe("greenhouse")
     value = getattr(recipe.greenhouse, key)
-    other = (not value) if isinstance(value, bool) else value + 1
+    other = (not value) if isinstance(value, bool) else "ignore" if isinstance(value, str) else value + 1
     changed = with_changes(f"greenhouse.{key}={str(other).lower()}", recipe="greenhouse")
     assert getattr(changed.greenhouse, key) == other
     assert changed.sha256() != recipe.sha256()

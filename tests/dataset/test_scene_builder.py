@@ -188,16 +188,32 @@ def test_without_greenhouse_table_plants_are_even_upright_and_alone(recipe, buil
 
 def test_surroundings_are_background_except_for_crop_wires(scene):
     instances = scene.mesh.instances
-    surroundings = [instance for instance in instances if instance.plant < 0]
+    surroundings = [item for item in instances if item.plant < 0 and item.far_row < 0]
     assert {instance.kind for instance in surroundings} == {
-        "gutter", "slab", "block", "crop_wire", "heating_pipe", "floor_film", "far_row",
+        "gutter", "slab", "block", "crop_wire", "heating_pipe", "floor_film",
     }  # fmt: skip
     labelled = [one for one in surroundings if one.organ_class != OrganClass.BACKGROUND]
     assert {instance.kind for instance in labelled} == {"crop_wire"}
     # Plants come first, so that their numbers do not depend on what is around them.
-    is_plant = [instance.plant >= 0 for instance in instances]
-    assert is_plant == sorted(is_plant, reverse=True)
-    assert [instance.kind for instance in instances].count("far_row") == 6
+    order = [2 if item.far_row >= 0 else int(item.plant < 0) for item in instances]
+    assert order == sorted(order)
+
+
+def test_far_rows_follow_with_plants_of_their_own(recipe, scene):
+    far = [item for item in scene.mesh.instances if item.far_row >= 0]
+    assert {item.far_row for item in far} == set(range(6))
+    assert {item.plant for item in far} == set(range(3, 1 + max(item.plant for item in far)))
+    assert {item.organ_class for item in far} >= {OrganClass.LEAF, OrganClass.STEM, OrganClass.SHOOT}
+
+
+def test_far_rows_as_background_are_one_instance_each_and_change_nothing_else(recipe, scene):
+    table = recipe.greenhouse.model_copy(update={"far_rows_as": "background"})
+    other = builder_of(recipe.model_copy(update={"greenhouse": table})).scene(0, 0)
+    kinds = [instance.kind for instance in other.mesh.instances]
+    assert kinds[-6:] == ["far_row"] * 6
+    assert other.mesh.instances[:-6] == tuple(item for item in scene.mesh.instances if item.far_row < 0)
+    np.testing.assert_array_equal(other.mesh.vertices, scene.mesh.vertices)
+    np.testing.assert_array_equal(other.mesh.faces, scene.mesh.faces)
 
 
 def test_no_part_of_the_greenhouse_intersects_fruit():

@@ -108,7 +108,7 @@ def test_raises_on_invalid_path(tmp_path):
     ("text", "key"),
     [
         ("a = {}", "a"),
-        ("[path]\ndistance_mm = 1.{zeros}1\nheight_mm = [0, {}]", "path.height_mm.1"),
+        ("[views]\ndistance_mm = 1.{zeros}1\nheight_mm = [0, {}]", "views.height_mm.1"),
         ('[[x]]\n["a b".c]\ny = [{{ z = {} }}]\n# 1{zeros}', '"a b".c.y.0.z'),
     ],
 )

@@ -195,7 +195,7 @@ KEY = st.sampled_from(
         "camera.sensor",
         "plan.frames",
         "daylight.cover",
-        "path.height_mm",
+        "views.height_mm",
         "growth.date",
         "row",
         "",

@@ -62,7 +62,7 @@ del NUMBERS["growth.share"]  # needs two cultivars
 
 
 def is_pair(key):
-    return key in {"path.azimuth_deg", "path.height_mm"}
+    return key in {"views.azimuth_deg", "views.height_mm"}
 
 
 def values(key):
@@ -76,16 +76,18 @@ def values(key):
 def check_scene(resolved):
     """Cameras, light and surroundings of the recipe."""
     renderer = FrameRenderer(resolved)
-    for step in {0, resolved.recipe.plan.frames - 1}:
-        camera = renderer.views.camera(step)
-        others = renderer.views.others(step, ["stereo"]) if resolved.recipe.camera.baseline_mm else {}
+    plan = resolved.recipe.plan
+    specs = [plan.frame(step) for step in sorted({0, plan.frames - 1})]
+    for spec in specs:
+        camera = renderer.views.camera(spec)
+        others = renderer.views.others(spec, ["stereo"]) if resolved.recipe.camera.baseline_mm else {}
         for view in (camera, *others.values()):
             assert np.isfinite(view.pose).all()
             assert np.isfinite(view.intrinsics).all()
             assert 0 < view.exposure_s * view.sensor.gain_e_per_dn < math.inf
-    assert np.isfinite(renderer.views.frustums.positions).all()
-    assert all(map(math.isfinite, dataclasses.astuple(renderer._light_reach)))
-    sky = renderer.sky(0)
+    assert np.isfinite(renderer.views.frustums(specs).positions).all()
+    assert all(map(math.isfinite, dataclasses.astuple(renderer._light_reach(specs))))
+    sky = renderer.sky(specs[0])
     if sky is not None and sky.sun is not None:
         assert float(np.asarray(sky.sun.irradiance.values).max()) > 1e-38
 

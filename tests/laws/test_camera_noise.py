@@ -23,8 +23,14 @@ SIGMAS = 5.0
 
 
 def cropped_sensor(name, sites=400, **settings):
-    """A shipped sensor with `sites` x `sites` photosites or a few less."""
+    """A shipped sensor with `sites` x `sites` photosites or a few less.
+
+    Its converter resolves the read noise, by more bits if it needs them: rounding adds 1/12 to the variance
+    only of a deviation above one step.
+    """
     sensor = load_sensor(name).with_settings(**settings)
+    while "bits" not in settings and sensor.read_noise_e < sensor.gain_e_per_dn:
+        sensor = sensor.with_settings(bits=sensor.bits + 1)
     size = sites // sensor.binning // 2 * 2
     return dataclasses.replace(sensor, columns=size, rows=size)
 

@@ -116,10 +116,10 @@ def test_visibility_equals_that_of_an_independent_ray_caster(views, name):
 
 def test_culled_scene_contains_everything_that_the_stereo_partner_sees():
     # The path goes straight up; the partner is far to the side and sees what no pose of the path sees.
-    changes = {"row.plants_front": 5, "row.plants_back": 0, "path.azimuth_deg": [0.0, 0.0], "plan.frames": 3}
+    changes = {"row.plants_front": 5, "row.plants_back": 0, "views.azimuth_deg": [0.0, 0.0], "plan.frames": 3}
     recipe = load_recipe("barth2018", {**changes, "camera.baseline_mm": 500.0})
     frames, spec = FrameRenderer(recipe), recipe.plan.frame(1)
-    partner = with_larger_pixels(frames.views.others(spec.step, ["stereo"])["stereo"], 8)
+    partner = with_larger_pixels(frames.views.others(spec, ["stereo"])["stereo"], 8)
     # Culled for a camera without a partner, some of it is simplified: the test has power.
     scenes = [FrameRenderer(load_recipe("barth2018", changes)).scene(spec, traced=False)]
     for frames.culled in (False, True):

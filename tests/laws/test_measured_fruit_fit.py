@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from pepperscene.colour import MeasuredSpectrum, PatchSet
 from pepperscene.cultivar import Cultivar, PigmentPath, load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.resolved import load_camera
+from pepperscene.dataset.recipe.load_camera import load_camera
 from pepperscene.spectra import Spectrum, read_spectra, read_spectrum
 from pepperscene.tuning.fit.least_squares import fit_parameters
 from pepperscene.tuning.model.reflectance import CORRELATION_NM, MODEL_ERROR, DirectModel

@@ -28,6 +28,10 @@ REFERENCE = DOCS / "reference"
 PAGES = [ROOT / "README.md", *sorted(page for page in DOCS.rglob("*.md") if "_build" not in page.parts)]
 NOT_RUN = re.compile(r"<!-- not run: .+ -->")
 """Marks the next block as an example that is only shown, with the reason (it takes a day, say)."""
+FILE_NAME = re.compile(r"# (\w+\.(?:toml|py|csv|yaml))")
+"""First line of a block that is a file of the reader's."""
+EXTENDED = re.compile(r'^extends = "(\w+)"$', re.MULTILINE)
+RECIPES = {recipe.stem for recipe in (ROOT / "recipes").glob("*.toml")}
 
 RUN_COMMAND = """
 def _run(*words):
@@ -76,7 +80,14 @@ def _program(page: Path) -> str:
     program = [""] * (len(page.read_text(encoding="utf-8").splitlines()) + 1)
     for block in _blocks(page):
         start = block.first_line - 1
-        if block.language == "python":
+        text = "\n".join(block.lines)
+        name, extended = FILE_NAME.fullmatch(block.lines[0] if block.lines else ""), EXTENDED.search(text)
+        if name or (block.language == "toml" and extended and extended[1] in RECIPES):
+            file = name[1] if name else "recipe.toml"
+            program[start] = f"open({file!r}, 'w', encoding='utf-8').write({text!r})"
+            if extended and extended[1] in RECIPES:
+                program[start] += f"; __import__('pepperscene').load_recipe({file!r})"
+        elif block.language == "python":
             program[start : start + len(block.lines)] = block.lines
         elif block.language in ("bash", "sh", "console"):
             for offset, command in _commands(block):
@@ -119,6 +130,19 @@ def test_every_page_is_in_one_of_four_kinds() -> None:
     kinds = {page.relative_to(DOCS).parts[0] for page in PAGES[1:] if len(page.relative_to(DOCS).parts) > 1}
     assert kinds == {"tutorials", "how-to", "reference", "explanation"}
     assert [page.name for page in PAGES[1:] if page.parent == DOCS] == ["index.md"]
+
+
+@pytest.mark.parametrize(
+    "phrase", ["field of view", "resolution", "RealSense", "bounding boxes", "motion blur", "exposure"]
+)
+def test_what_a_reader_searches_for_is_in_a_heading_of_a_how_to_page(phrase: str) -> None:
+    headings = [
+        line.lower()
+        for page in sorted((DOCS / "how-to").glob("*.md"))
+        for line in page.read_text(encoding="utf-8").splitlines()
+        if line.startswith("#")
+    ]
+    assert any(phrase.lower() in heading for heading in headings)
 
 
 def test_sphinx_builds_without_warnings(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Far rows: few triangles, background only, and plants at regular free positions."""
+"""Far rows: few triangles, labels as fine as 16 bits allow, and plants at regular free positions."""
 
 from __future__ import annotations
 
@@ -7,15 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pepperscene.classes import Instance, OrganClass
+from pepperscene.classes import IGNORE_CLASS, Instance, OrganClass
 from pepperscene.cultivar import load_cultivar
 from pepperscene.geometry import concatenate_meshes, mesh_plant, rectangle, sphere
 from pepperscene.grammar import grow
-from pepperscene.scene import DoubleRow, Greenhouse, coarsen_plant, far_row_meshes
-from pepperscene.scene.greenhouse import row_lines
+from pepperscene.scene import DoubleRow, Greenhouse, coarsen_plant, far_row_meshes, far_rows
+from pepperscene.scene.culling import mesh_chunks
+from pepperscene.scene.far_rows import FarDetail, far_detail
+from pepperscene.scene.greenhouse import FarRowsAs, row_lines
 
 ROW = DoubleRow(front=3, back=2, spacing_m=0.25, gap_m=0.3, shift_m=0.125)
 GREENHOUSE = Greenhouse(row_lean_rad=np.radians(5.0), far_rows=1, far_reach_m=2.0, aisle_m=1.2)
+AS_BACKGROUND = replace(GREENHOUSE, far_rows_as=FarRowsAs.BACKGROUND)
+AS_IGNORED = replace(GREENHOUSE, far_rows_as=FarRowsAs.IGNORE)
 
 
 def rows(models, seed=1, greenhouse=GREENHOUSE):
@@ -93,8 +97,8 @@ def test_rows_are_regular_and_leave_labelled_positions_free():
             np.testing.assert_allclose(steps, 1, atol=1e-4)
 
 
-def test_each_row_is_one_background_instance(coarse):
-    for mesh in rows([coarse, coarse]):
+def test_as_background_each_row_is_one_background_instance(coarse):
+    for mesh in rows([coarse, coarse], greenhouse=AS_BACKGROUND):
         (instance,) = mesh.instances
         assert (instance.organ_class, instance.kind, instance.plant) == (OrganClass.BACKGROUND, "far_row", -1)
         assert set(mesh.face_class) == {OrganClass.BACKGROUND}
@@ -122,3 +126,107 @@ def test_rows_depend_on_the_seed_only(coarse):
     np.testing.assert_array_equal(first.vertices, again.vertices)
     np.testing.assert_array_equal(first.faces, again.faces)
     assert first.vertices.shape != other.vertices.shape or (first.vertices != other.vertices).any()
+
+
+def test_as_ignored_each_row_is_one_instance_of_no_class(coarse):
+    meshes = rows([coarse, coarse], greenhouse=AS_IGNORED)
+    for number, mesh in enumerate(meshes):
+        (instance,) = mesh.instances
+        assert (instance.kind, instance.plant, instance.far_row) == ("far_row", -1, number)
+        assert instance.class_id == IGNORE_CLASS
+        assert set(mesh.face_class) == {IGNORE_CLASS}
+
+
+def test_how_rows_are_labelled_moves_no_triangle_and_culls_none(coarse):
+    models = [coarse, ball(0.1)]
+    expected = concatenate_meshes(rows(models, greenhouse=AS_BACKGROUND))
+    for greenhouse in (GREENHOUSE, AS_IGNORED):
+        mesh = concatenate_meshes(rows(models, greenhouse=greenhouse))
+        for name in ("vertices", "normals", "uv", "state", "faces", "face_surface"):
+            np.testing.assert_array_equal(getattr(mesh, name), getattr(expected, name))
+        for name in ("faces", "vertices", "centres", "radii"):
+            found, wanted = getattr(mesh_chunks(mesh), name), getattr(mesh_chunks(expected), name)
+            np.testing.assert_array_equal(found, wanted)
+        # Label images never show simplified organs.
+        assert not mesh_chunks(mesh).whole.any()
+
+
+def test_every_fruit_and_blade_is_an_instance_with_the_class_of_its_organ(plant, coarse):
+    meshes = rows([coarse])
+    shown = [item for number, item in enumerate(plant.instances) if number in {*coarse.face_instance}]
+    for mesh in meshes:
+        plants = {item.plant for item in mesh.instances}
+        for organ_class in (OrganClass.PEPPER, OrganClass.LEAF):
+            count = sum(item.organ_class == organ_class for item in shown)
+            assert sum(item.organ_class == organ_class for item in mesh.instances) == count * len(plants)
+        for organ_class in (OrganClass.STEM, OrganClass.SHOOT, OrganClass.PEDUNCLE):
+            assert sum(item.organ_class == organ_class for item in mesh.instances) == len(plants)
+        # All faces of a fruit of the model are one instance, and each plant repeats the model's classes.
+        repeated = mesh.face_class.reshape(len(plants), -1)
+        np.testing.assert_array_equal(repeated, np.tile(coarse.face_class, (len(plants), 1)))
+        fruit = coarse.face_class == OrganClass.PEPPER
+        for faces in mesh.face_instance.reshape(len(plants), -1):
+            pairs = {*zip(coarse.face_instance[fruit].tolist(), faces[fruit].tolist(), strict=True)}
+            assert len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs})
+
+
+def test_far_plants_are_numbered_after_the_labelled_ones_along_each_row(coarse):
+    meshes = rows([coarse, coarse])
+    numbers = [sorted({item.plant for item in mesh.instances}) for mesh in meshes]
+    expected = list(range(5, 5 + sum(map(len, numbers))))
+    assert [number for row in numbers for number in row] == expected
+    for row_number, mesh in enumerate(meshes):
+        assert {item.far_row for item in mesh.instances} == {row_number}
+        owner = np.array([item.plant for item in mesh.instances])[mesh.face_instance]
+        points = mesh.vertices[mesh.faces].mean(axis=1)
+        x = [
+            points[(owner == n) & (mesh.face_class == OrganClass.STEM), 0].mean() for n in numbers[row_number]
+        ]
+        # A leaning stem's middle is within a plant's spacing.
+        assert (np.diff(x) > 0).all()
+
+
+def test_parents_of_far_organs_are_instances_of_the_same_plant(coarse):
+    for mesh in rows([coarse]):
+        fruit = [item for item in mesh.instances if item.organ_class == OrganClass.PEPPER]
+        assert {mesh.instances[item.parent].organ_class for item in fruit} == {OrganClass.PEDUNCLE}
+        for item in mesh.instances:
+            assert item.parent < 0 or mesh.instances[item.parent].plant == item.plant
+
+
+@pytest.mark.parametrize(
+    ("limit", "detail"),
+    [(100_000, FarDetail.ORGANS), (3000, FarDetail.FRUIT), (500, FarDetail.PLANTS), (60, FarDetail.ROWS)],
+)
+def test_instances_are_merged_as_far_as_needed(coarse, monkeypatch, limit, detail):
+    monkeypatch.setattr(far_rows, "MOST_INSTANCES", limit)
+    meshes = rows([coarse, coarse])
+    plants = sum(len({item.plant for item in mesh.instances}) for mesh in meshes)
+    count = sum(len(mesh.instances) for mesh in meshes)
+    assert count <= limit
+    classes = set(coarse.face_class.tolist())
+    leaves, fruit = (
+        len(set(coarse.face_instance[coarse.face_class == organ_class].tolist()))
+        for organ_class in (OrganClass.LEAF, OrganClass.PEPPER)
+    )
+    others = len(classes) - 2
+    expected = {
+        FarDetail.ORGANS: plants * (leaves + fruit + others),
+        FarDetail.FRUIT: plants * (fruit + 1 + others),
+        FarDetail.PLANTS: plants * len(classes),
+        FarDetail.ROWS: len(meshes) * len(classes),
+    }
+    assert count == expected[detail]
+    for mesh in meshes:
+        # Merging changes no class.
+        assert set(mesh.face_class.tolist()) == classes
+        assert {*mesh.face_instance.tolist()} == {*range(len(mesh.instances))}
+
+
+def test_other_instances_of_the_scene_count():
+    sizes = {FarDetail.ORGANS: [100], FarDetail.FRUIT: [10], FarDetail.PLANTS: [5], FarDetail.ROWS: [5]}
+    plants = np.array([500])
+    assert far_detail(sizes, plants, 10_000) == FarDetail.ORGANS
+    assert far_detail(sizes, plants, 10_001) == FarDetail.FRUIT
+    assert far_detail(sizes, plants, 57_500) == FarDetail.PLANTS
+    assert far_detail(sizes, plants, 57_501) == FarDetail.ROWS

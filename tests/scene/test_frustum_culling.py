@@ -23,7 +23,6 @@ from pepperscene.scene import (
     view_frustums,
 )
 from pepperscene.scene.culling import LIGHT_TOLERANCE, mesh_chunks, negligible
-from pepperscene.scene.frustum import emitter_centres
 from pepperscene.scene.lod import cluster_vertices, join_triangles, simplify_organs
 
 NIGHT = LightReach(0.0, 0.0, 0.05, 0.4)
@@ -80,7 +79,9 @@ def test_frustums_contain_all_visible_points_and_their_way_to_the_flash(camera, 
     points = rng.uniform((-2, -2, 0), (2, 2, 4), (400, 3))
     for pose in poses:
         shown = points[in_image(bent, [pose], points)]
-        emitters = emitter_centres(camera.flash)[rng.integers(len(camera.flash.emitters_m), size=len(shown))]
+        emitters = camera.flash.emitter_positions()[
+            rng.integers(len(camera.flash.emitters_m), size=len(shown))
+        ]
         starts = emitters @ pose[:3, :3].T + pose[:3, 3]
         on_the_way = starts + fraction * (shown - starts)
         # A box that contains the point away from its centre.

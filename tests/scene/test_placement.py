@@ -12,7 +12,7 @@ import trimesh
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
 from pepperscene.dataset.scenes.scene_builder import SceneBuilder
-from pepperscene.geometry import Motion, concatenate_meshes, mesh_plant, move_plant, rectangle
+from pepperscene.geometry import JointRotation, concatenate_meshes, mesh_plant, move_plant, rectangle
 from pepperscene.grammar import grow
 from pepperscene.materials import lambertian_surface
 from pepperscene.scene import Scene, Skeleton, assemble_scene, build_skeleton
@@ -128,7 +128,7 @@ def test_motions_apply_to_the_second_plant_as_to_a_single_one(plant):
     motions = []
     for index in (stalk, fruit, stalk, calyx):
         turn = trimesh.transformations.rotation_matrix(rng.uniform(0.1, 1.0), rng.normal(size=3))[:3, :3]
-        motions.append(Motion(index, turn, rng.normal(size=3)))
+        motions.append(JointRotation(index, turn, rng.normal(size=3)))
     moved = move_plant(plant, motions)
     # The first plant's mesh has one instance more than organs.
     size = len(plant.organs)

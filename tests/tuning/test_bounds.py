@@ -12,7 +12,7 @@ from simulated_fits import all_parameters
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.resolved import load_camera
+from pepperscene.dataset.recipe.load_camera import load_camera
 from pepperscene.errors import InputError
 from pepperscene.render.gradients.pigment_models import RANGES
 from pepperscene.shipped import shipped_folder

@@ -23,7 +23,7 @@ from simulated_fits import KINDS, draw_values, no_patches, patch_delta_e
 from pepperscene.camera import Camera, load_sensor, reference_correction
 from pepperscene.colour import PatchSet
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.resolved import surface_wavelengths
+from pepperscene.dataset.recipe.load_camera import surface_wavelengths
 from pepperscene.materials import organ_surfaces
 from pepperscene.spectra import read_spectrum
 from pepperscene.tuning.fit import least_squares

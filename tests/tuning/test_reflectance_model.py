@@ -10,7 +10,7 @@ import pytest
 from pepperscene.colour import MeasuredSpectrum
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.resolved import load_camera
+from pepperscene.dataset.recipe.load_camera import load_camera
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum, read_spectrum
 from pepperscene.tuning.model.reflectance import (

@@ -11,7 +11,7 @@ from simulated_fits import KINDS, no_patches
 from pepperscene.camera import Distortion
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.resolved import surface_wavelengths
+from pepperscene.dataset.recipe.load_camera import surface_wavelengths
 from pepperscene.errors import InputError
 from pepperscene.materials import organ_surfaces
 from pepperscene.render import Renderer
@@ -28,7 +28,12 @@ def target() -> TuningTarget:
 
 
 def views_of(target, kinds, **changes):
-    options = {"organs": 1, "pixels": PIXELS, "sky": target.frame_renderer.sky(0), **changes}
+    options = {
+        "organs": 1,
+        "pixels": PIXELS,
+        "sky": target.frame_renderer.sky(target.recipe.plan.frame(0)),
+        **changes,
+    }
     return organ_views(target.recipe, target.cultivar, target.camera, kinds, **options)
 
 
@@ -130,7 +135,7 @@ def test_organs_are_at_the_stated_positions(target):
     """A point of the organ is at the position, and the middle of the view shows it."""
     for view in target.views:
         right, down, distance = POSITIONS[int(view.name.split()[-1]) - 1]
-        position = 1e-3 * target.recipe.path.distance_mm * distance * np.array([right, down, 1.0])
+        position = 1e-3 * target.recipe.views.distance_mm * distance * np.array([right, down, 1.0])
         inverse = np.linalg.inv(view.camera.pose)
         points = view.scene.mesh.vertices.astype(float) @ inverse[:3, :3].T + inverse[:3, 3]
         assert np.linalg.norm(points - position, axis=1).min() < 1e-4
@@ -141,7 +146,7 @@ def test_organs_are_at_the_stated_positions(target):
 def test_pitch_f_number_flash_and_exposure_are_the_recipes(target):
     for view in target.views:
         forward = view.camera.pose[:3, 2]
-        assert np.degrees(np.arcsin(forward[2])) == pytest.approx(target.recipe.path.pitch_deg)
+        assert np.degrees(np.arcsin(forward[2])) == pytest.approx(target.recipe.views.pitch_deg)
         assert view.camera.lens.f_number == target.camera.lens.f_number
         assert view.camera.flash is target.camera.flash
         assert view.camera.exposure_s == target.camera.exposure_s

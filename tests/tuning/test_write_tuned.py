@@ -15,7 +15,8 @@ from example_fit import VALUES, example_fit, example_patches
 from pepperscene.camera import colour_transform
 from pepperscene.cultivar import PigmentPath, Pigments, load_cultivar
 from pepperscene.dataset import FrameRenderer, load_recipe
-from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
+from pepperscene.dataset.recipe.load_camera import load_camera
+from pepperscene.dataset.recipe.resolved import load_recipe_cultivar
 from pepperscene.errors import InputError, OutputError
 from pepperscene.tuning.output import write as write_module
 from pepperscene.tuning.output.parts import simplify_path
@@ -197,7 +198,7 @@ def test_recipe_without_a_file_is_written_completely(demo, fit, tmp_path):
     files = write(demo, fit, tmp_path / "out")
     assert "extends" not in tomllib.loads(files[0].read_text())
     recipe, base = load_recipe(files[0]), load_recipe(write(demo, fit, tmp_path / "two", extends="demo")[0])
-    for name in ("seed", "plan", "row", "path", "daylight", "twine", "growth", "greenhouse", "developing"):
+    for name in ("seed", "plan", "row", "views", "daylight", "twine", "growth", "greenhouse", "developing"):
         assert getattr(recipe, name) == getattr(base, name), name
     # So is one that lacks a table of its file.
     night = demo.model_copy(update={"daylight": None})

@@ -81,11 +81,16 @@ def time_plants(times: Times) -> None:
 
 def time_light(times: Times) -> None:
     """Time the stages of a photograph, and the construction of Mitsuba's scene."""
-    from pepperscene.render import renderer
+    from pepperscene.render import kernel_scene, renderer
 
-    stages = {"kernel scene": "light_scene", "trace": "trace", "denoise": "denoised", "develop": "develop"}
-    for stage, name in stages.items():
-        setattr(renderer, name, time_calls(times, stage, getattr(renderer, name)))
+    stages = {
+        "kernel scene": (kernel_scene, "make_light_scene"),
+        "trace": (kernel_scene, "trace"),
+        "denoise": (kernel_scene, "denoised"),
+        "develop": (renderer, "develop"),
+    }
+    for stage, (module, name) in stages.items():
+        setattr(module, name, time_calls(times, stage, getattr(module, name)))
 
 
 def render_frames(task: FramesTask) -> dict[str, Any]:
@@ -152,7 +157,7 @@ def render_frames(task: FramesTask) -> dict[str, Any]:
 
 def _build_scene(frame_renderer: Any, frame: Any, traced: bool, divided: int, times: Times) -> Any:
     """Build the scene; making plants, placing them and culling are timed separately."""
-    builder = frame_renderer._scene_builder
+    builder = frame_renderer._builder(frame_renderer.setups.at(frame))
     builder.plants = time_calls(times, "plants", builder.plants)
     builder.scene = time_calls(times, "place row and resolve contacts", builder.scene)
     frame_renderer._cull = time_calls(times, "cull hidden geometry", frame_renderer._cull)

@@ -64,8 +64,8 @@ SCENES: Final[Mapping[str, BenchScene]] = {
                 **_ONE_SCENE,
                 "row.plants_front": 3,
                 "row.plants_back": 0,
-                "path.distance_mm": 210.0,  # chosen: half of the paper's; a fruit fills a tenth
-                "path.pitch_deg": 0.0,  # chosen: fruit are in the centre
+                "views.distance_mm": 210.0,  # chosen: half of the paper's; a fruit fills a tenth
+                "views.pitch_deg": 0.0,  # chosen: fruit are in the centre
                 "camera.focus_mm": 140.0,  # chosen: on the nearest fruit
                 "camera.exposure_us": 14.0,  # chosen: 50 us times (210 mm / 400 mm)^2, as the flash is nearer
             },
@@ -126,6 +126,7 @@ def resize_camera(camera: Camera, size: Sequence[int] | None) -> Camera:
         rows=rows,
         pitch_m=camera.sensor.pitch_m * scale,
         gain=camera.sensor.gain * max(1.0, scale**-2),
+        reduction=None,
     )
     lens = dataclasses.replace(camera.lens, transmittance=camera.lens.transmittance / max(1.0, scale**2))
     return dataclasses.replace(camera, sensor=sensor, lens=lens)

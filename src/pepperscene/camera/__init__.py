@@ -1,5 +1,12 @@
 """The camera: lens, sensor, flash and poses, and the conversion of light to images."""
 
+from pepperscene.camera.auto_exposure import (
+    ChosenExposure,
+    ExposureControl,
+    choose_exposure,
+    metering_camera,
+    with_exposure,
+)
 from pepperscene.camera.camera import Camera, expected_electrons, relative_illumination
 from pepperscene.camera.developing import (
     camera_rgb,
@@ -11,35 +18,58 @@ from pepperscene.camera.developing import (
     raw_frame,
     reference_correction,
 )
+from pepperscene.camera.distortion import Distortion, DistortionModel, FisheyeDistortion
 from pepperscene.camera.flash import Flash, load_flash
-from pepperscene.camera.lens import AngularProfile, Distortion, Lens, load_lens
-from pepperscene.camera.poses import arc_path, look_at
+from pepperscene.camera.lens import AngularProfile, Lens, load_lens
+from pepperscene.camera.motion import Motion
+from pepperscene.camera.paths import Trajectory, spline_trajectory, trajectory_from_poses
+from pepperscene.camera.pose_files import PoseFormat, read_poses, write_poses
+from pepperscene.camera.pose_list import PoseList
+from pepperscene.camera.poses import arc_path, grid_poses, look_at, protocol_poses
 from pepperscene.camera.readout import Developing
-from pepperscene.camera.sensor import Filter, Sensor, load_filter, load_sensor
+from pepperscene.camera.sensor import Filter, Sensor
+from pepperscene.camera.sensor_files import load_filter, load_sensor
 
 __all__ = [
     "AngularProfile",
     "Camera",
+    "ChosenExposure",
     "Developing",
     "Distortion",
+    "DistortionModel",
+    "ExposureControl",
     "Filter",
+    "FisheyeDistortion",
     "Flash",
     "Lens",
+    "Motion",
+    "PoseFormat",
+    "PoseList",
     "Sensor",
+    "Trajectory",
     "arc_path",
     "camera_rgb",
+    "choose_exposure",
     "colour_transform",
     "correct_colours",
     "decode_tone",
     "develop",
     "encode_tone",
     "expected_electrons",
+    "grid_poses",
     "load_filter",
     "load_flash",
     "load_lens",
     "load_sensor",
     "look_at",
+    "metering_camera",
+    "protocol_poses",
     "raw_frame",
+    "read_poses",
     "reference_correction",
     "relative_illumination",
+    "spline_trajectory",
+    "trajectory_from_poses",
+    "with_exposure",
+    "write_poses",
 ]

@@ -17,7 +17,14 @@ from pepperscene.camera.colorimetry import (
     srgb_encode,
     white_balance_gains,
 )
-from pepperscene.camera.readout import Floats, Tone, bin_photosites, demosaic_image, read_out
+from pepperscene.camera.readout import (
+    Floats,
+    Tone,
+    average_areas,
+    bin_photosites,
+    demosaic_image,
+    read_out,
+)
 from pepperscene.spectra import Spectrum
 
 
@@ -69,7 +76,9 @@ def camera_rgb(electrons: ArrayLike, camera: Camera, rng: np.random.Generator | 
     sites -= np.float32(sensor.black_level_dn)
     sites /= np.float32(sensor.full_scale_dn - sensor.black_level_dn)
     if sensor.channels == 3 and sensor.binning == 1:
-        return demosaic_image(sites, sensor.pattern, developing.demosaic)
+        return average_areas(demosaic_image(sites, sensor.pattern, developing.demosaic), sensor)
+    if sensor.reduction is not None:
+        return average_areas(sites[..., None], sensor)
     return bin_photosites(sites, sensor)
 
 
@@ -114,6 +123,7 @@ def colour_transform(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.fl
         gains = white_balance_gains(camera.sensor, _reference_light(camera))
     else:
         gains = np.array(balance)
+    gains = gains * np.array(camera.developing.white_balance_error)
 
     if isinstance(choice, bool):
         matrix = reference_correction(camera).matrix if choice else np.eye(3)

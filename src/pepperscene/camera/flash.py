@@ -64,6 +64,8 @@ class Flash:
         emitters_m: `(k, 2)` centres of the emitters from `offset_m`, right and down; read-only.
         offset_m: `(3,)` the flash's centre in camera axes (x right, y down, z forward).
         pulse_s: duration of constant power; the exposure starts with it.
+        rotation: `(3, 3)` from the flash's axes to the camera's, for a camera of a rig whose flash belongs to
+            another one; None if they are the same. Read-only.
     """
 
     name: str
@@ -76,6 +78,7 @@ class Flash:
     emitters_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 2)))
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     pulse_s: float = 50e-6
+    rotation: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         strengths = [s for s in (self.illuminance_lx, self.irradiance_W_m2) if s is not None]
@@ -96,6 +99,12 @@ class Flash:
             raise ValueError(f"{self.name}: emitters must be finite")
         emitters.setflags(write=False)
         object.__setattr__(self, "emitters_m", emitters)
+        if self.rotation is not None:
+            rotation = np.array(self.rotation, dtype=float)
+            if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
+                raise ValueError(f"{self.name}: rotation must be a (3, 3) rotation")
+            rotation.setflags(write=False)
+            object.__setattr__(self, "rotation", rotation)
         if not self._irradiance_per_intensity * self.at_m**2 > _LEAST_LIGHT_AHEAD:
             raise ValueError(f"{self.name}: no light of the profile falls straight ahead at {self.at_m:g} m")
 
@@ -148,6 +157,11 @@ class Flash:
                 sine2 = (self.radius_m**2 - (rho - centre) ** 2) / (4 * rho * centre)
             arc = 4 * np.arcsin(np.sqrt(np.clip(sine2, 0.0, 1.0)))
         return float(np.sum(self._points_irradiance(rho) * arc * rho * step)) / (math.pi * self.radius_m**2)
+
+    def emitter_positions(self) -> NDArray[np.float64]:
+        """`(k, 3)` centres of the emitters in camera axes, metres."""
+        centres = np.pad(self.emitters_m, ((0, 0), (0, 1)))
+        return np.asarray(self.offset_m) + (centres if self.rotation is None else centres @ self.rotation.T)
 
     def irradiance(self) -> Spectrum:
         """W m-2 nm-1 straight ahead at `at_m` during the pulse."""

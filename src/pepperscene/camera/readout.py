@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,8 @@ class Developing:
             that names none, to the flash or else daylight; False leaves it out; a `(3, 3)` matrix is applied
             to camera_rgb after the gains. Its rows need not sum to 1; entries are within +-`LARGEST_ENTRY`.
         tone: the sRGB curve, or codes proportional to light.
+        white_balance_error: factors on the gains of red, green and blue, as of a camera that misjudges the
+            light; the colour matrix is still that of the right gains.
 
     Sequences and arrays of numbers become tuples of floats. White balance and colour matrix do not apply to
     monochrome sensors. With numbers for both, or without a matrix, no reference light is needed.
@@ -69,11 +72,20 @@ class Developing:
     white_balance: WhiteBalance | None = "flash"
     colour_matrix: bool | Matrix = True
     tone: Tone = "srgb"
+    white_balance_error: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "white_balance_error", _gains(self.white_balance_error, "error"))
         if self.white_balance is not None:
             object.__setattr__(self, "white_balance", _white_balance(self.white_balance))
         object.__setattr__(self, "colour_matrix", _colour_matrix(self.colour_matrix))
+
+    def metadata(self) -> dict[str, Any]:
+        """JSON-ready description; an error of the white balance only if there is one."""
+        steps = dataclasses.asdict(self)
+        if self.white_balance_error == (1.0, 1.0, 1.0):
+            del steps["white_balance_error"]
+        return steps
 
 
 def _white_balance(value: object) -> WhiteBalance:
@@ -83,10 +95,15 @@ def _white_balance(value: object) -> WhiteBalance:
             if value == light:
                 return light
         raise ValueError(f'white balance must be "flash", "daylight", gains or None, not {value!r}')
+    return _gains(value, "gains")
+
+
+def _gains(value: object, name: str) -> tuple[float, float, float]:
+    """Three factors of red, green and blue as a tuple."""
     gains = np.asarray(value, dtype=float)
     # Written so that nan fails too.
     if gains.shape != (3,) or not ((gains >= GAIN_RANGE[0]) & (gains <= GAIN_RANGE[1])).all():
-        raise ValueError("white balance gains must be three numbers of {:g} to {:g}".format(*GAIN_RANGE))
+        raise ValueError("white balance {} must be three numbers of {:g} to {:g}".format(name, *GAIN_RANGE))
     red, green, blue = gains.tolist()
     return red, green, blue
 
@@ -153,6 +170,13 @@ def shot_noise(mean: Floats, rng: np.random.Generator) -> Floats:
 def spread_to_photosites(pixels: NDArray[np.floating], sensor: Sensor) -> Floats:
     """`(site rows, site columns)` the value of each photosite's pixel `(h, w, c)` in its own colour."""
     sites = np.empty(sensor.site_shape, np.float32)
+    if sensor.areas is not None:
+        down, right = sensor.areas
+        # First down the image, where the pixels of a photosite's row are few.
+        for row, column, channel in _quad_sites(sensor):
+            plane = down.spread(pixels[..., channel], 0)[row::2]
+            sites[row::2, column::2] = right.spread(plane, 1)[:, column::2]
+        return sites
     if sensor.pattern == "mono":
         sites[:] = _upscale(pixels[..., 0], sensor.binning)
         return sites
@@ -162,6 +186,14 @@ def spread_to_photosites(pixels: NDArray[np.floating], sensor: Sensor) -> Floats
         plane = plane[row::2, column::2] if sensor.binning == 1 else _upscale(plane, sensor.binning // 2)
         sites[row::2, column::2] = plane
     return sites
+
+
+def average_areas(colours: Floats, sensor: Sensor) -> Floats:
+    """`(h, w, c)` means of demosaiced photosites `(site rows, site columns, c)` over each pixel's area."""
+    if sensor.areas is None:
+        return colours
+    down, right = sensor.areas
+    return right.average(down.average(colours, 0), 1)
 
 
 def bin_photosites(sites: Floats, sensor: Sensor) -> Floats:
@@ -177,7 +209,8 @@ def bin_photosites(sites: Floats, sensor: Sensor) -> Floats:
 
 def _quad_sites(sensor: Sensor) -> Iterator[tuple[int, int, int]]:
     """Row, column and channel of the four photosites of a quad."""
-    for position, letter in enumerate(sensor.pattern):
+    letters = "rrrr" if sensor.pattern == "mono" else sensor.pattern
+    for position, letter in enumerate(letters):
         yield position // 2, position % 2, "rgb".index(letter)
 
 

@@ -1,41 +1,21 @@
-"""The image sensor: Bayer or monochrome photosites, the filter in front of them, and their files."""
+"""The image sensor: Bayer or monochrome photosites, and the filter in front of them."""
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Final, Literal
+from fractions import Fraction
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, model_validator
 
-from pepperscene.document import Document, read_toml, validate
-from pepperscene.errors import InputError
+from pepperscene.camera.area_average import AreaAverage
 from pepperscene.spectra import Spectrum, photons_per_joule
-from pepperscene.spectra.files import (
-    CurveTable,
-    NonEmptyText,
-    NonNegative,
-    SourcedDocument,
-    find_material,
-    read_curve,
-)
 
 Pattern = Literal["rggb", "bggr", "grbg", "gbrg", "mono"]
-_BAYER: Final = ("rggb", "bggr", "grbg", "gbrg")
-_MAX_BITS: Final = 16  # digital numbers are stored in 16 bits
-
-# Bounds of sensor files.
-_PITCH_UM: Final = (0.1, 1000.0)
-"""Chosen: two photosites within a quarter of a wavelength of light see the same (the smallest that are made
-have 0.5 um), and the largest pixels of X-ray detectors have 0.2 mm."""
-_MAX_PHOTOSITES: Final = 500_000_000
-"""Chosen: the sensors with the most have 410 million (Canon 2025), and an image needs 4 bytes for each."""
-_HIGHEST_BLACK: Final = 0.9  # of full scale; chosen: cameras use a sixteenth, thermal ones up to a half
-_LOWEST_EFFICIENCY: Final = 1e-6
-"""At the peak of a curve. Chosen: a photosite that misses all but a millionth of the photons sees nothing."""
+_BAYER: Final[tuple[Pattern, ...]] = ("rggb", "bggr", "grbg", "gbrg")
+MAX_BITS: Final = 16  # digital numbers are stored in 16 bits
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +25,7 @@ class Sensor:
     With an even binning, a block of a Bayer sensor holds whole quads: red, green and blue of a pixel are the
     means of its photosites of that colour, without interpolation. With a binning of 1, every photosite is a
     pixel, and its two other colours are demosaiced. On a monochrome sensor, a pixel is the mean of its block.
+    With a `reduction`, all photosites are read out and demosaiced, and a pixel is the mean over its area.
 
     Attributes:
         columns, rows: size of the image.
@@ -58,6 +39,10 @@ class Sensor:
         binning: photosites per pixel and direction: 1 or even on Bayer sensors, any on monochrome ones.
         pattern: colours of the upper left quad, row by row; "mono" if and only if c is 1.
         gain: gain of the amplifier; at 1 a full well reaches full scale, at 2 half a full well does.
+        reduction: photosites per pixel and direction of a mode that averages areas, at least 1, with a
+            binning of 1; None: `binning` decides.
+        line_time_s: time from the exposure of one row of the image to that of the next one below, of a
+            rolling shutter; 0: all rows are exposed together.
     """
 
     name: str
@@ -72,6 +57,8 @@ class Sensor:
     binning: int = 2
     pattern: Pattern = "rggb"
     gain: float = 1.0
+    reduction: Fraction | None = None
+    line_time_s: float = 0.0
 
     def __post_init__(self) -> None:
         qe = self.quantum_efficiency.values
@@ -79,13 +66,16 @@ class Sensor:
             raise ValueError(f"{self.name}: quantum efficiency must be (3, n) or (1, n) within [0, 1]")
         if self.pattern not in (*_BAYER, "mono") or (self.pattern == "mono") != (len(qe) == 1):
             raise ValueError(f"{self.name}: pattern {self.pattern!r} does not match {len(qe)} colours")
-        if error := _binning_error(self.pattern, self.binning, self.columns, self.rows):
+        error = binning_error(self.pattern, self.binning, self.columns, self.rows, self.reduction)
+        if error:
             raise ValueError(f"{self.name}: {error}")
+        if not 0 <= self.line_time_s < np.inf:
+            raise ValueError(f"{self.name}: the time from row to row must be at least 0")
         numbers = (self.pitch_m, self.full_well_e, self.read_noise_e)
         if not (np.isfinite(numbers).all() and min(numbers[:2]) > 0 and self.read_noise_e >= 0):
             raise ValueError(f"{self.name}: pitch and full well must be positive, read noise at least 0")
-        if not 1 <= self.bits <= _MAX_BITS:
-            raise ValueError(f"{self.name}: bits must be in [1, {_MAX_BITS}]")
+        if not 1 <= self.bits <= MAX_BITS:
+            raise ValueError(f"{self.name}: bits must be in [1, {MAX_BITS}]")
         if not 0 <= self.black_level_dn < self.full_scale_dn:
             raise ValueError(f"{self.name}: black level must be in [0, {self.full_scale_dn})")
         if not 0 < self.gain < np.inf:
@@ -98,13 +88,23 @@ class Sensor:
 
     @property
     def site_shape(self) -> tuple[int, int]:
-        """Rows and columns of photosites."""
+        """Rows and columns of photosites that are read out."""
+        if self.areas is not None:
+            down, right = self.areas
+            return down.sites, right.sites
         return self.rows * self.binning, self.columns * self.binning
+
+    @property
+    def areas(self) -> tuple[AreaAverage, AreaAverage] | None:
+        """How areas of photosites become pixels, down the image and along rows; None without reduction."""
+        if self.reduction is None:
+            return None
+        return AreaAverage(self.rows, self.reduction), AreaAverage(self.columns, self.reduction)
 
     @property
     def pixel_pitch_m(self) -> float:
         """Pitch of the image pixels."""
-        return self.pitch_m * self.binning
+        return self.pitch_m * (self.binning if self.reduction is None else float(self.reduction))
 
     @property
     def full_scale_dn(self) -> int:
@@ -117,8 +117,15 @@ class Sensor:
         return self.full_well_e / (self.full_scale_dn - self.black_level_dn) / self.gain
 
     @property
-    def photosites(self) -> tuple[int, ...]:
-        """Number of photosites of each colour that are averaged for a pixel; all 1 with a binning of 1."""
+    def photosites(self) -> tuple[float, ...]:
+        """Number of photosites of each colour that are averaged for a pixel; all 1 with a binning of 1.
+
+        With a reduction, the number of photosites of equal weight with the same noise. On a Bayer sensor it
+        is approximate, at least 1: interpolated colours share photosites.
+        """
+        if self.areas is not None:
+            count = self.areas[0].count * self.areas[1].count
+            return (count,) if self.channels == 1 else tuple(max(count * n / 4, 1.0) for n in (1, 2, 1))
         if self.channels == 1:
             return (self.binning**2,)
         quads = max(self.binning // 2, 1) ** 2
@@ -141,6 +148,34 @@ class Sensor:
         gain = self.gain if gain is None else gain
         return dataclasses.replace(self, bits=bits, black_level_dn=black, gain=gain)
 
+    def with_size(self, columns: int, rows: int) -> Sensor:
+        """The same sensor in a mode with another image size.
+
+        The image is the largest part of that shape in the middle of the photosites. If a whole number of
+        photosites makes a pixel, and an even one on a Bayer sensor, they are binned; else areas are averaged.
+        The photosites of the image keep their size, noise and colours.
+
+        Raises:
+            ValueError: the image has more columns or rows than there are photosites, or none.
+        """
+        site_rows, site_columns = self.site_shape
+        if not (1 <= columns <= site_columns and 1 <= rows <= site_rows):
+            allowed = f"1 x 1 to {site_columns} x {site_rows}, the photosites of {self.name}"
+            raise ValueError(f"an image of {columns} x {rows} pixels must be {allowed}")
+        factor = min(Fraction(site_columns, columns), Fraction(site_rows, rows))
+        line_time_s = self.line_time_s * float(factor) * self.pitch_m / self.pixel_pitch_m
+        mode = dataclasses.replace(
+            self, columns=columns, rows=rows, binning=1, reduction=factor, line_time_s=line_time_s
+        )
+        # Bin if blocks of whole photosites make a pixel, and the image is in the middle of whole photosites.
+        margins = (site_columns - columns * factor) / 2, (site_rows - rows * factor) / 2
+        is_whole = all(length.denominator == 1 for length in (factor, *margins))
+        if is_whole and not binning_error(self.pattern, int(factor), columns, rows):
+            mode = dataclasses.replace(mode, binning=int(factor), reduction=None)
+        # The first photosite of the mode can have another colour than that of the sensor.
+        left, top = (site_columns - mode.site_shape[1]) // 2, (site_rows - mode.site_shape[0]) // 2
+        return dataclasses.replace(mode, pattern=_shifted_pattern(self.pattern, left, top))
+
     def with_filter(self, transmittance: Spectrum) -> Sensor:
         """The same sensor behind a filter of this transmittance `(n,)`, at the wavelengths of both curves."""
         sensor_nm, filter_nm = self.quantum_efficiency.wavelength_nm, transmittance.wavelength_nm
@@ -152,10 +187,16 @@ class Sensor:
         return dataclasses.replace(self, quantum_efficiency=product)
 
 
-def _binning_error(pattern: Pattern, binning: int, columns: int, rows: int) -> str:
-    """The reason why a binning and an image size do not fit a pattern, or ""."""
+def binning_error(
+    pattern: Pattern, binning: int, columns: int, rows: int, reduction: Fraction | None = None
+) -> str:
+    """The reason why a binning or reduction and an image size do not fit a pattern, or ""."""
     if min(columns, rows) < 1 or binning < 1:
         return "the image must be at least 1 x 1, and binning at least 1"
+    if reduction is not None:
+        return (
+            "" if binning == 1 and reduction >= 1 else "a reduction must be at least 1, with a binning of 1"
+        )
     if pattern == "mono":
         return ""
     if binning % 2 and binning != 1:
@@ -163,6 +204,15 @@ def _binning_error(pattern: Pattern, binning: int, columns: int, rows: int) -> s
     if binning == 1 and (columns % 2 or rows % 2):
         return f"{columns} x {rows} photosites hold no whole Bayer quads; columns and rows must be even"
     return ""
+
+
+def _shifted_pattern(pattern: Pattern, left: int, top: int) -> Pattern:
+    """The pattern of the photosites from a column and a row on."""
+    if pattern == "mono":
+        return pattern
+    letters = (pattern[2 * ((row + top) % 2) + (column + left) % 2] for row in (0, 1) for column in (0, 1))
+    shifted = "".join(letters)
+    return next(name for name in _BAYER if name == shifted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,116 +233,3 @@ class Filter:
         values = self.transmittance.values
         if values.ndim != 1 or not (values.min() >= 0 and values.max() <= 1):
             raise ValueError(f"{self.name}: transmittance must be one curve within [0, 1]")
-
-
-class EfficiencyTable(Document):
-    """Columns of a CSV file next to the TOML file: red, green and blue, or the only one."""
-
-    file: NonEmptyText
-    columns: Annotated[list[NonEmptyText], Field(min_length=1, max_length=3)]
-
-
-class SensorDocument(SourcedDocument):
-    """A file of `materials/sensors`."""
-
-    kind: Literal["measured", "standard", "MODEL"]
-    columns: Annotated[int, Field(ge=1, le=20_000)]
-    rows: Annotated[int, Field(ge=1, le=20_000)]
-    pattern: Pattern
-    binning: Annotated[int, Field(ge=1, le=16)]
-    pitch_um: Annotated[float, Field(ge=_PITCH_UM[0], le=_PITCH_UM[1])]
-    full_well_e: Annotated[float, Field(ge=1, le=1e9)]
-    read_noise_e: Annotated[float, Field(ge=0, le=1e9)]
-    bits: Annotated[int, Field(ge=1, le=_MAX_BITS)]
-    black_level_dn: NonNegative
-    quantum_efficiency: EfficiencyTable
-    infrared_cut: CurveTable | None = None
-
-    @model_validator(mode="after")
-    def _check_consistency(self) -> SensorDocument:
-        full_scale = 2**self.bits - 1
-        if self.black_level_dn > _HIGHEST_BLACK * full_scale:
-            allowed = f"below the full scale of {full_scale}, at most {_HIGHEST_BLACK:g} of it"
-            raise ValueError(f"black_level_dn must be {allowed}")
-        if self.read_noise_e > self.full_well_e:
-            raise ValueError(f"read_noise_e must be at most full_well_e, {self.full_well_e:g}")
-        if error := _binning_error(self.pattern, self.binning, self.columns, self.rows):
-            raise ValueError(error)
-        photosites = self.columns * self.rows * self.binning**2
-        if photosites > _MAX_PHOTOSITES:
-            size = f"columns x rows x binning^2 = {photosites}"
-            raise ValueError(f"{size} photosites must be at most {_MAX_PHOTOSITES}")
-        if len(self.quantum_efficiency.columns) != (colours := 1 if self.pattern == "mono" else 3):
-            raise ValueError(f"quantum_efficiency.columns must name {colours} for the pattern {self.pattern}")
-        return self
-
-
-class FilterDocument(SourcedDocument):
-    """A file of `materials/filters`."""
-
-    kind: Literal["measured", "standard", "MODEL"]
-    transmittance: CurveTable
-
-
-def load_sensor(name_or_path: str | Path) -> Sensor:
-    """Load a sensor from its file, or a shipped one by its name.
-
-    Raises:
-        InputError: the file or its curves are missing or invalid; the message names file, key and value.
-    """
-    path = find_material("sensors", name_or_path)
-    document = validate(SensorDocument, read_toml(path), path)
-    table = document.quantum_efficiency
-    curves = [read_fraction(path, "quantum_efficiency", table.file, column) for column in table.columns]
-    for column, curve in zip(table.columns, curves, strict=True):
-        if not (peak := float(curve.values.max())) >= _LOWEST_EFFICIENCY:
-            allowed = f"must reach at least {_LOWEST_EFFICIENCY:g} at some wavelength"
-            raise InputError(
-                path.parent / table.file, allowed, key=f"maximum of the column {column}", value=peak
-            )
-    sensor = Sensor(
-        name=document.name,
-        columns=document.columns,
-        rows=document.rows,
-        pitch_m=document.pitch_um * 1e-6,
-        quantum_efficiency=Spectrum(curves[0].wavelength_nm, np.stack([curve.values for curve in curves])),
-        full_well_e=document.full_well_e,
-        read_noise_e=document.read_noise_e,
-        bits=document.bits,
-        black_level_dn=document.black_level_dn,
-        binning=document.binning,
-        pattern=document.pattern,
-    )
-    cut = document.infrared_cut
-    return (
-        sensor
-        if cut is None
-        else sensor.with_filter(read_fraction(path, "infrared_cut", cut.file, cut.column))
-    )
-
-
-def load_filter(name_or_path: str | Path) -> Filter:
-    """Load a filter from its file, or a shipped one by its name.
-
-    Raises:
-        InputError: the file or its curve is missing or invalid; the message names file, key and value.
-    """
-    path = find_material("filters", name_or_path)
-    document = validate(FilterDocument, read_toml(path), path)
-    table = document.transmittance
-    return Filter(document.name, read_fraction(path, "transmittance", table.file, table.column))
-
-
-def read_fraction(path: Path, table: str, file: str, column: str) -> Spectrum:
-    """Read a curve within [0, 1] from a column of the CSV file next to `path`; it is 0 beyond its range.
-
-    Raises:
-        InputError: the file or the column is missing, or a value is out of range.
-    """
-    spectrum = read_curve(path, table, file, column)
-    above = spectrum.values > 1.0
-    if above.any():
-        row = int(np.argmax(above))
-        key = f"row {row + 2}, column {column}"  # as a text editor counts: the header is row 1
-        raise InputError(path.parent / file, "must be at most 1", key=key, value=float(spectrum.values[row]))
-    return spectrum

@@ -73,6 +73,8 @@ def build(
                 scheduler=scheduler,
                 slurm=slurm,
                 on_notice=reporter.notice,
+                # Frames that the user has named need no note.
+                on_start=reporter.selected if frames is None else None,
             )
             result = build_dataset(resolved, out, frames, names, options, on_frame=report_frame)
     except KeyboardInterrupt as error:
@@ -117,6 +119,8 @@ def recipes() -> None:
         plan = load_recipe(path.stem).plan
         selected = len(plan.select_indices(None))
         total = f"{plan.count:,} frames: {plan.sets} sets x {plan.rotations} rotations x {plan.frames} steps"
+        total += f" x {plan.twins} twins" if plan.twins > 1 else ""
+        total += f" x {plan.cameras} cameras" if plan.cameras > 1 else ""
         typer.echo(f"{path.stem:<12} {total}{f'; {selected} selected' if selected < plan.count else ''}")
 
 

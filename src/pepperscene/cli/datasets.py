@@ -119,12 +119,34 @@ def export(
         int | None,
         typer.Option(metavar="N", help="Minimum visible pixels of an object. Default: coco 1, yolo 12."),
     ] = None,
+    classes: Annotated[
+        str | None,
+        typer.Option(metavar="TEXT", help="Classes of objects, in order (pepper,leaf). Default: all."),
+    ] = None,
+    min_visibility: Annotated[
+        float | None, typer.Option(metavar="F", help="Minimum visible fraction of a fruit (needs harvest).")
+    ] = None,
+    ripe: Annotated[
+        float | None,
+        typer.Option(metavar="F", help="Ripeness that divides fruit into two categories (needs harvest)."),
+    ] = None,
 ) -> None:
     """Export a data set to a format that training code reads."""
     from pepperscene.dataset import export_dataset
 
     with export_progress() as on_frame:
-        result = export_dataset(folder, form, out, split, frames, on_frame, smallest)
+        result = export_dataset(
+            folder,
+            form,
+            out,
+            split,
+            frames,
+            on_frame,
+            smallest,
+            classes=classes,
+            least_visible=min_visibility,
+            ripe_from=ripe,
+        )
     parts = ", ".join(f"{count} {name}" for name, count in result.splits.items())
     typer.echo(f"{result.frames} frame{'' if result.frames == 1 else 's'} as {form} ({parts}): {out}")
 
@@ -179,7 +201,7 @@ def compare(
     """Compare two image sets. Measures hues, CIELAB, class fractions, positions and light."""
     from pepperscene.colour import comparison_figure, comparison_json, comparison_tables, format_tables
     from pepperscene.colour.comparison.compare import compare as compare_sets
-    from pepperscene.colour.comparison.measure import open_two_sets
+    from pepperscene.colour.comparison.open_sets import open_two_sets
 
     if figure is not None and figure.suffix.lower() not in (".svg", ".png"):
         raise InputError("--figure", f"must end in .svg or .png, not {figure.name}")

@@ -62,6 +62,11 @@ class ProgressReporter(ABC):
     def notice(self, text: str) -> None:
         """Report something that the user should know."""
 
+    def selected(self, frames: int, planned: int) -> None:
+        """Report how many frames of a plan its recipe selects, unless it selects all."""
+        if frames < planned:
+            self.notice(f"{frames:,} of {planned:,} frames selected")
+
     def end(self, result: BuildResult, out: Path) -> None:
         """Report the end of the build."""
         made, kept = len(result.made), len(result.kept)
@@ -97,6 +102,9 @@ class JsonReporter(ProgressReporter):
             left_s=progress.left_s,
             picture=None if progress.picture is None else str(progress.picture),
         )
+
+    def selected(self, frames: int, planned: int) -> None:
+        """Nothing: the events `frame` have the number of frames."""
 
     def notice(self, text: str) -> None:
         """Print the event `notice`."""

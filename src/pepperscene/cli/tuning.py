@@ -159,7 +159,8 @@ def _check_held_out(measured: PatchSet, held_out: Sequence[str]) -> None:
 def _select_parameters(
     recipe: Recipe, names: Sequence[str], bounds: Path | None = None
 ) -> tuple[Parameter, ...]:
-    from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
+    from pepperscene.dataset.recipe.load_camera import load_camera
+    from pepperscene.dataset.recipe.resolved import load_recipe_cultivar
     from pepperscene.tuning.parameters.parameter import select_parameters
 
     return select_parameters(recipe, load_recipe_cultivar(recipe), load_camera(recipe), names, bounds)
@@ -168,7 +169,8 @@ def _select_parameters(
 def _list_parameters(recipe: Recipe, json: bool) -> None:
     """Print the parameters of a recipe that can be fitted."""
     from pepperscene.colour.comparison.tables import format_tables
-    from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
+    from pepperscene.dataset.recipe.load_camera import load_camera
+    from pepperscene.dataset.recipe.resolved import load_recipe_cultivar
     from pepperscene.tuning.output.report import known_table
     from pepperscene.tuning.parameters.parameter import known_parameters
 

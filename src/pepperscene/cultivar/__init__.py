@@ -7,7 +7,7 @@ plant needs, each with its `source`, or `chosen` with the reason. Lengths are me
 from pepperscene.cultivar.cultivar import Cultivar, interpolate_cultivars, load_cultivar
 from pepperscene.cultivar.distribution import Distribution, Origin
 from pepperscene.cultivar.inheritance import cultivar_files
-from pepperscene.cultivar.notation import Ratio
+from pepperscene.cultivar.notation import Ratio, parse_distribution
 from pepperscene.cultivar.organs import DEFAULT_KINDS, FORMS, Fruit, OrganForm, OrganKind, OrganModel
 from pepperscene.cultivar.slot import Slot
 from pepperscene.cultivar.structure import CALYX, PigmentPath, Pigments, Stem
@@ -31,4 +31,5 @@ __all__ = [
     "cultivar_files",
     "interpolate_cultivars",
     "load_cultivar",
+    "parse_distribution",
 ]

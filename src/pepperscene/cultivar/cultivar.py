@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import datetime
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -68,13 +70,24 @@ class Cultivar(Document):
         return tuple(kind for kind in self.kinds if kind in reached)
 
 
-def load_cultivar(name_or_path: str | Path) -> Cultivar:
+CHANGES: Final = "changes"
+"""Name in errors of the changes of `load_cultivar`."""
+
+
+def load_cultivar(name_or_path: str | Path, changes: Mapping[str, Any] | None = None) -> Cultivar:
     """Read a shipped cultivar by its name, or one from a TOML file, with everything that it inherits.
 
+    Args:
+        name_or_path: of the cultivar.
+        changes: tables that override those of the file, in its notation.
+
     Raises:
-        InputError: not found, not TOML, or a parameter is missing, unknown or not allowed.
+        InputError: not found, not TOML, or a parameter is missing, unknown or not allowed; a fault in
+            `changes` is one of the file `CHANGES`.
     """
     files = read_chain(name_or_path)
+    if changes:
+        files = [(Path(CHANGES), copy.deepcopy(dict(changes))), *files]
     tables = merge_chain(files)
     try:
         return validate(Cultivar, tables, files[0][0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -13,6 +14,9 @@ from pepperscene.shipped import find_file, is_file
 
 Tables = dict[str, Any]
 Chain = list[tuple[Path, Tables]]
+
+_MERGED_DEPTH: Final = {"stem": 2, "pigments": 2, "organs": 3}
+"""Tables that are merged with those of the extended file, and the length of the keys replaced in them."""
 
 SCAN_SUFFIXES: Final = (".obj", ".ply", ".stl")
 
@@ -59,9 +63,31 @@ def merge_chain(files: Chain) -> Tables:
 
 
 def defining_file(files: Chain, tables: Tables, key: str) -> Path:
-    """Find the file that defines a dotted key of the merged tables, or the most of its parts."""
+    """Find the file whose value or table a dotted key of the merged tables comes from, in an error about it.
+
+    A key that is missing belongs to the nearest file that holds the table around it. Which keys an organ
+    must and can have follows from its form, so a file that changes the form is named for the keys that it
+    inherits.
+    """
     parts = key.split(".")
-    return max(files, key=lambda file: _matching_parts(file[1], tables, parts))[0]
+    # What a file replaces as a whole: an entry of a merged table or of a slot, and everything below it.
+    depth = _MERGED_DEPTH.get(parts[0], 1)
+    replaced = parts[: 5 if parts[0] == "organs" and parts[2:3] == ["bears"] else depth]
+    matches = [_matching_parts(own, tables, replaced) for _, own in files]
+    nearest = matches.index(max(matches))
+    if parts[0] == "organs" and len(parts) > 2:
+        form = _form_file(files, parts[1])
+        if form is not None and (form < nearest or max(matches) < 3):
+            nearest = form
+    return files[nearest][0]
+
+
+def _form_file(files: Chain, kind: str) -> int | None:
+    """Number of the file that gave a kind its form, not counting nearer ones that repeat it."""
+    organs = [_subtables(own.get("organs")).get(kind, {}) for _, own in files]
+    forms = [(number, organ["form"]) for number, organ in enumerate(organs) if "form" in organ]
+    same = itertools.takewhile(lambda item: item[1] == forms[0][1], forms)
+    return max((number for number, _ in same), default=None)
 
 
 def _resolve_scans(path: Path, tables: Tables) -> None:

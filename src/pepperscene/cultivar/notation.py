@@ -214,6 +214,11 @@ def _number_row(raw: Any, length: int, key: str) -> list[float]:
     return [_finite_number(value, key) for value in raw]
 
 
+def parse_distribution(raw: Mapping[str, Any]) -> Distribution:
+    """Read the table of a distribution of plain numbers; raises ValueError if it is not valid."""
+    return _parse_distribution("", raw)
+
+
 Length = Annotated[Distribution, BeforeValidator(partial(_parse_distribution, "mm"))]
 Angle = Annotated[Distribution, BeforeValidator(partial(_parse_distribution, "deg"))]
 Ratio = Annotated[Distribution, BeforeValidator(partial(_parse_distribution, ""))]

@@ -1,7 +1,7 @@
 """Meshes of plants: organs to triangles, contacts between organs resolved, mesh files."""
 
 from pepperscene.geometry.contacts.detect import ContactCounts, count_contacts
-from pepperscene.geometry.contacts.joints import Motion, move_plant
+from pepperscene.geometry.contacts.joints import JointRotation, move_plant
 from pepperscene.geometry.contacts.resolve import ResolvedMesh, resolve_contacts
 from pepperscene.geometry.export import check_mesh_format, mesh_files, organ_names, write_mesh
 from pepperscene.geometry.mesh import Mesh, concatenate_meshes, single_instance_mesh
@@ -12,8 +12,8 @@ from pepperscene.geometry.tubes.twine import twine_mesh
 
 __all__ = [
     "ContactCounts",
+    "JointRotation",
     "Mesh",
-    "Motion",
     "ResolvedMesh",
     "check_mesh_format",
     "concatenate_meshes",

@@ -58,8 +58,13 @@ class Mesh:
 
     @property
     def face_class(self) -> NDArray[np.uint8]:
-        """`(f,)` the `OrganClass` of each face."""
-        return np.array([item.organ_class for item in self.instances], dtype=np.uint8)[self.face_instance]
+        """`(f,)` the `OrganClass` of each face, or `IGNORE_CLASS`."""
+        return self.instance_class[self.face_instance]
+
+    @cached_property
+    def instance_class(self) -> NDArray[np.uint8]:
+        """`(i,)` the `OrganClass` of each instance, or `IGNORE_CLASS`."""
+        return np.array([item.class_id for item in self.instances], dtype=np.uint8)
 
     @cached_property
     def bounds(self) -> SingleArray:
@@ -178,7 +183,9 @@ class Mesh:
 
     def with_plant(self, plant: int) -> Mesh:
         """Return the mesh with all its instances assigned to a plant of a scene, by its number."""
-        return replace(self, instances=tuple(_renumber(item, plant, item.parent) for item in self.instances))
+        return replace(
+            self, instances=tuple(item.numbered(plant, item.parent, item.far_row) for item in self.instances)
+        )
 
 
 def _transform(points: SingleArray, rotation: FloatArray, translation: FloatArray) -> SingleArray:
@@ -192,11 +199,6 @@ def _transform(points: SingleArray, rotation: FloatArray, translation: FloatArra
     for axis, (a, b, c) in enumerate(rotation):
         result[:, axis] = a * x + b * y + c * z + translation[axis]
     return result
-
-
-def _renumber(item: Instance, plant: int, parent: int) -> Instance:
-    """The instance with another plant and parent; `dataclasses.replace` takes twice as long."""
-    return Instance(item.organ_class, item.kind, plant, item.phytomer, parent)
 
 
 def concatenate_meshes(meshes: Sequence[Mesh]) -> Mesh:
@@ -218,7 +220,9 @@ def concatenate_meshes(meshes: Sequence[Mesh]) -> Mesh:
         face_instances.append(mesh.face_instance + np.uint32(offset))
         face_surfaces.append(surface_index[mesh.face_surface])
         instances += [
-            _renumber(item, item.plant, item.parent + offset) if offset and item.parent >= 0 else item
+            item.numbered(item.plant, item.parent + offset, item.far_row)
+            if offset and item.parent >= 0
+            else item
             for item in mesh.instances
         ]
         vertex_offset += len(mesh.vertices)

@@ -36,9 +36,15 @@ _PER_BOUNCE: Final = 30e6  # bytes of the code for one more scattering event, an
 _TRACED_HELD, _TRACED_PEAK = 225.0, 315.0
 """Bytes per pixel of a sensor with three channels, after light was traced, and at most meanwhile: 2.8 and 3.9
 times the 80 that the sums over samples take; measured 210 to 230 and 290 to 315."""
+_PER_PART: Final = 96.0
+"""Bytes per pixel of a sensor with three channels that the light of an exposure's first part takes while the
+second is traced: 21 values of `TracedLight`, and 3 of the image."""
 _PER_SITE: Final = 10.0  # bytes per photosite of reading the sensor out: 4 of the mosaic, and its copies
 
-_MENON: Final = 85.0  # further bytes per pixel of demosaicing in two directions; measured 83
+_MENON: Final = 85.0  # further bytes per photosite of demosaicing in two directions; measured 83
+
+_DEMOSAIC: Final = 40.0
+"""Further bytes per photosite of a mode that averages areas; chosen: three colours, twice, and their sums."""
 
 _LABELS: Final = 50.0
 """Bytes per pixel of the first hits, with classes, instances and distances; measured 41 to 50."""
@@ -52,6 +58,9 @@ _FURTHER: Final = {
     "stereo": 165.0,
 }
 """Further bytes per pixel that one of these outputs takes while it is computed; measured."""
+_ROW_POSES: Final = 90.0
+"""Further bytes per pixel of the outputs above if the rows of the image have poses of their own; measured 85
+to 90 for normals and flow."""
 _UV_PIXELS, _PER_UV_PIXEL = 1 << 20, 350.0
 """Pixels whose surface coordinates are computed at a time, as in `pepperscene.render.aov.labels`, and bytes
 of each; measured 330 to 380."""
@@ -90,17 +99,22 @@ def frame_memory(camera: Camera, outputs: Collection[str], quality: Quality, tri
         share = (3 + camera.sensor.channels) / 6
         sites = _PER_SITE * np.prod(camera.sensor.site_shape) / pixels
         held = _TRACED_HELD * share
-        per_pixel = max(_TRACED_PEAK * share, held + sites)
+        # Daylight and the flash of a moving camera are traced one after the other.
+        first_part = _PER_PART * share if camera.is_moving and camera.flash is not None else 0.0
+        per_pixel = first_part + max(_TRACED_PEAK * share, held + sites)
         if (
             camera.sensor.channels == 3
             and camera.sensor.binning == 1
             and camera.developing.demosaic == "menon"
         ):
-            per_pixel += _MENON
+            per_pixel += _MENON * np.prod(camera.sensor.site_shape) / pixels
+        if camera.sensor.channels == 3 and camera.sensor.reduction is not None:
+            per_pixel += _DEMOSAIC * np.prod(camera.sensor.site_shape) / pixels
     else:
         held = 0.0
     if labels:
         further = max(_FURTHER.get(name, 0.0) for name in labels)
+        further += _ROW_POSES if camera.rows_move and further else 0.0
         per_pixel = max(per_pixel, held + _LABELS + further)
     if "uv" in labels:
         total += _PER_UV_PIXEL * min(pixels, _UV_PIXELS)

@@ -2,37 +2,43 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import platform
 from collections.abc import Iterable, Mapping
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera import Camera, develop, expected_electrons, raw_frame
+from pepperscene.camera import (
+    Camera,
+    ChosenExposure,
+    ExposureControl,
+    choose_exposure,
+    develop,
+    expected_electrons,
+    raw_frame,
+    with_exposure,
+)
 from pepperscene.errors import InputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, STEREO_OUTPUTS, Frame, check_outputs
 from pepperscene.render.aov import labels
-from pepperscene.render.kernel.arrays import LocalCoordinates, local_coordinates
-from pepperscene.render.kernel.camera import CameraRays, camera_rays, spectral_response
-from pepperscene.render.kernel.scene import LightScene, light_scene, sky_tables, truth_scene
+from pepperscene.render.kernel.camera import label_rays
+from pepperscene.render.kernel_scene import KernelScene
+from pepperscene.render.metering import metered_light
 from pepperscene.render.quality import Quality, resolve_quality
-from pepperscene.render.reference.path_tracer import PathScene, path_scene, path_traced, samples_taken
-from pepperscene.render.transport.adaptive import AdaptiveSampler
-from pepperscene.render.transport.denoise import denoised
-from pepperscene.render.transport.trace import Sampling, trace
 from pepperscene.render.variant import mitsuba_modules, variant_name
-from pepperscene.scene import Scene
+from pepperscene.scene import Scene, Sky
 from pepperscene.version import __version__
 
 if TYPE_CHECKING:
     from pepperscene.render.aov.coverage import SceneCoverage
     from pepperscene.render.aov.harvest import SceneHarvest
 
-TracedSignal = tuple[NDArray[np.float32], dict[str, Any]]
-"""Light `(h, w, c)` in electrons s-1 m-2 sr-1, and the description of its samples for the metadata."""
+FrameSky = Sky | Literal["scene"] | None
+"""The sky of a frame: another than the scene's, None for night, or "scene" for the scene's own."""
 
 
 def render_scene(
@@ -73,10 +79,7 @@ class Renderer:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        # The last kernel scene of each kind, by its arguments.
-        self._light: dict[tuple[float, float], LightScene] = {}
-        self._path: dict[tuple[float, float, bool], PathScene] = {}
-        self._slopes: dict[tuple[Any, ...], Any] = {}
+        self._kernel = KernelScene(scene)
 
     def render(
         self,
@@ -86,24 +89,45 @@ class Renderer:
         seed: int = 0,
         target_error: float | None = None,
         others: Mapping[str, Camera] | None = None,
+        *,
+        sky: FrameSky = "scene",
+        exposure_control: ExposureControl | None = None,
     ) -> Frame:
-        """Render one frame; see `render_scene`."""
+        """Render one frame; see `render_scene` for the other arguments.
+
+        With `sky`, the frame has another daylight than the scene: None has none, "scene" is the scene's own.
+        The geometry stays on the device. With `exposure_control`, exposure time and gain are chosen
+        automatically for `camera`, and used for the other cameras too; only where light is traced.
+
+        Raises:
+            InputError: as `render_scene`; or the camera's gain is above the highest of `exposure_control`.
+            SetupError: as `render_scene`.
+        """
         requested = check_outputs(outputs)
         others = _check_others(requested, others or {})
         quality = resolve_quality(quality, target_error)
+        scene = self._under(sky)
         images: dict[str, Any] = {}
         described: dict[str, Any] = {}
+
+        # Labels do not depend on the exposure.
+        if exposure_control is not None and any(OUTPUTS[name].traced for name in requested):
+            chosen = self.meter(camera, exposure_control, seed, sky, quality.bounces)
+            camera = with_exposure(camera, chosen)
+            others = {name: with_exposure(other, chosen) for name, other in others.items()}
+            target = {"target_grey": exposure_control.target_grey}
+            described["auto_exposure"] = target | dataclasses.asdict(chosen)
 
         # Light first: its kernel scene then serves the ground truth as well.
         if any(OUTPUTS[name].traced and name not in STEREO_OUTPUTS for name in requested):
             noise, sampling = np.random.SeedSequence(seed).spawn(2)
-            signal, described["sampling"] = self._trace(camera, quality, sampling)
+            signal, described["sampling"] = self._kernel.trace(camera, quality, sampling, scene)
             images |= _photographs(requested, signal, camera, noise)
         if "colour_stereo" in requested:
             # The third branch of the frame's seed gives the partner its own noise and samples.
             noise, sampling = np.random.SeedSequence(seed).spawn(3)[2].spawn(2)
             partner = others["stereo"]
-            signal, described["sampling_stereo"] = self._trace(partner, quality, sampling)
+            signal, described["sampling_stereo"] = self._kernel.trace(partner, quality, sampling, scene)
             images["colour_stereo"] = _photographs(("colour",), signal, partner, noise)["colour"]
         if set(requested) & STEREO_OUTPUTS:
             described["stereo_pose"] = others["stereo"].pose.tolist()
@@ -111,17 +135,17 @@ class Renderer:
         # Ground truth, from one ray through each pixel.
         instances: dict[str, dict[str, Any]] = {}
         if any(not OUTPUTS[name].traced for name in requested):
-            rays = self._rays(camera)
-            hits = labels.first_hits(self._truth_scene(), rays)
+            rays = label_rays(self._kernel.rays(camera), camera)
+            hits = labels.first_hits(self._kernel.truth_scene(), rays)
             instance = labels.instance_ids(self.scene.mesh, hits)
             images |= labels.label_outputs(self.scene.mesh, hits, instance, camera, requested)
             instances = labels.visible_instances(self.scene.mesh, instance)
             if "coverage" in requested:
-                images["coverage"] = self._coverage.image(self._truth_scene(), rays)
+                images["coverage"] = self._coverage.image(self._kernel.truth_scene(), rays)
             for name in [name for name in ("flow", "stereo") if name in requested]:
                 from pepperscene.render.aov.flow import optical_flow
 
-                mitsuba_scene = self._truth_scene(), self._coordinates
+                mitsuba_scene = self._kernel.truth_scene(), self._kernel.coordinates
                 images[name] = optical_flow(*mitsuba_scene, hits, camera, others.get(name))
             if "harvest" in requested:
                 images["harvest"] = self._harvest.truth(camera, rays, hits, instance)
@@ -129,71 +153,53 @@ class Renderer:
         metadata |= {"versions": _library_versions(), **described, "instances": instances}
         return Frame({name: images[name] for name in requested}, metadata)
 
-    def _trace(self, camera: Camera, quality: Quality, sampling: np.random.SeedSequence) -> TracedSignal:
-        """Trace light with the integrator of the quality."""
-        seed = int(sampling.generate_state(1)[0])
-        trace_with = self._trace_paths if quality.integrator == "path" else self._trace_flash
-        return trace_with(camera, quality, seed)
+    def visible_points(
+        self,
+        camera: Camera,
+        points: NDArray[np.float64],
+        normals: NDArray[np.float64] | None = None,
+        *,
+        alone: int | None = None,
+    ) -> NDArray[np.bool_]:
+        """`(n,)` whether `(n, 3)` points are in a camera's image and not hidden; see `PointTest`."""
+        from pepperscene.render.visibility import organ_scene, visible_points
 
-    def _trace_flash(self, camera: Camera, quality: Quality, seed: int) -> TracedSignal:
-        """Trace light with our integrator."""
-        response = spectral_response(camera, self.scene)
-        adaptive = AdaptiveSampler(camera, quality.target, quality.most, denoised=quality.denoise)
-        light = trace(
-            self._light_scene(float(response.grid_nm[0]), float(response.grid_nm[-1])),
-            self._rays(camera),
-            response,
-            camera.flash,
-            sky_tables(self.scene, response.grid_nm),
-            Sampling(quality.samples, quality.soft, quality.bounces, adaptive.required),
-            seed,
+        if alone is None:
+            return visible_points(
+                self._kernel.truth_scene(), self._kernel.coordinates, camera, points, normals
+            )
+        organ = organ_scene(self.scene.mesh, alone, self._kernel.coordinates)
+        return visible_points(organ, self._kernel.coordinates, camera, points, normals, has_borders=False)
+
+    def meter(
+        self,
+        camera: Camera,
+        control: ExposureControl,
+        seed: int = 0,
+        sky: FrameSky = "scene",
+        bounces: int = 2,
+    ) -> ChosenExposure:
+        """Choose the exposure of a frame, from the light of a reduced image of it.
+
+        Args:
+            camera: its exposure has no effect; its gain is the lowest that is used.
+            control: the wanted grey and the allowed settings.
+            seed: of the frame.
+            sky: as of `render`.
+            bounces: scattering events after the first hit, as of the quality; that of "standard" by default.
+
+        Raises:
+            InputError: the camera's gain is above the highest allowed.
+            SetupError: no JIT variant of Mitsuba runs on this machine.
+        """
+        light = metered_light(
+            self._under(sky), self._kernel.light_scene, self._kernel.coordinates, camera, seed, bounces
         )
-        signal = denoised(light) if quality.denoise else light.total()
-        return signal, adaptive.metadata(light)
+        return choose_exposure(camera, *light, control)
 
-    def _trace_paths(self, camera: Camera, quality: Quality, seed: int) -> TracedSignal:
-        """Trace light with Mitsuba's path tracer."""
-        grid = spectral_response(camera, self.scene).grid_nm
-        key = (float(grid[0]), float(grid[-1]), camera.flash is not None)
-        if key not in self._path:
-            self._path = {key: path_scene(self.scene, camera)}
-        signal = path_traced(
-            self.scene,
-            camera,
-            spp=quality.samples,
-            bounces=quality.bounces,
-            sampler=quality.sampler,
-            seed=seed,
-            kernel_scene=self._path[key],
-        )
-        return signal, {"samples_per_pixel": float(samples_taken(quality.sampler, quality.samples))}
-
-    def _rays(self, camera: Camera) -> CameraRays:
-        """Rays of a camera; along a path only the pose changes, so the lens stays on the device."""
-        key = (camera.lens, camera.width, camera.height, camera.sensor.name, camera.intrinsics.tobytes())
-        rays = camera_rays(camera, self._coordinates, self._slopes.get(key))
-        self._slopes = {key: rays.slopes}
-        return rays
-
-    @functools.cached_property
-    def _coordinates(self) -> LocalCoordinates:
-        return local_coordinates(self.scene.mesh)
-
-    @functools.cached_property
-    def _geometry(self) -> Any:
-        return truth_scene(self.scene)
-
-    def _truth_scene(self) -> Any:
-        """A Mitsuba scene to intersect: the one with materials if it exists."""
-        for light in self._light.values():
-            return light.scene
-        return self._geometry
-
-    def _light_scene(self, first_nm: float, last_nm: float) -> LightScene:
-        key = (first_nm, last_nm)
-        if key not in self._light:
-            self._light = {key: light_scene(self.scene, *key)}
-        return self._light[key]
+    def _under(self, sky: FrameSky) -> Scene:
+        """The scene under the sky of a frame."""
+        return self.scene if isinstance(sky, str) else dataclasses.replace(self.scene, sky=sky)
 
     @functools.cached_property
     def _coverage(self) -> SceneCoverage:

@@ -1,7 +1,7 @@
 """Scenes as plain data: plant rows, greenhouse, sky and cover, and the culling of invisible geometry."""
 
 from pepperscene.scene.cover import Cover, load_cover
-from pepperscene.scene.culling import LightReach, cull_mesh, light_reach
+from pepperscene.scene.culling import LightReach, combine_reaches, cull_mesh, light_reach
 from pepperscene.scene.far_rows import coarsen_plant, far_row_meshes
 from pepperscene.scene.frustum import ViewFrustums, view_frustums
 from pepperscene.scene.greenhouse import (
@@ -31,6 +31,7 @@ __all__ = [
     "assemble_scene",
     "build_skeleton",
     "coarsen_plant",
+    "combine_reaches",
     "cull_mesh",
     "double_row",
     "draw_posture",

@@ -12,6 +12,7 @@ so 0.05 % of the pixels allow a shift of 0.007 pixels. With half the grid lines,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -20,11 +21,11 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.geometry import Mesh
-from pepperscene.scene.frustum import ViewFrustums, distances_to_balls, emitter_centres
+from pepperscene.scene.frustum import ViewFrustums, distances_to_balls
 from pepperscene.scene.lod import Triangles, join_triangles, simplify_organs
 from pepperscene.scene.sky import SUN_ANGULAR_RADIUS
 
-_LONG_INSTANCE: Final = 2500  # chosen: faces of an instance that is split; twine and rows, but no organ
+_LONG_INSTANCE: Final = 2500  # chosen: faces of what is split; twine and far rows, but no organ
 _CHUNK: Final = 256  # chosen: faces of a part of a split instance, about the leaves of one node in a far row
 _MAX_DAYLIGHT: Final = 0.03
 """Brightest daylight, as a fraction of the light, in which hidden organs are simplified. Chosen: they cover
@@ -71,9 +72,11 @@ def light_reach(camera: Camera, distance_m: float, sky_lx: float, sun_lx: float 
         return LightReach(1.0, 1.0, 0.0, distance_m)
     # Everything outside the frustum is at least as far off the flash's axis as the nearest image border.
     borders = (slopes[0, :, 1].min(), slopes[-1, :, 1].min(), slopes[:, 0, 0].min(), slopes[:, -1, 0].min())
-    outside = np.linspace(np.arctan(min(borders)), np.pi / 2.0, 65)
+    # A flash that is turned may light anything with its axial intensity.
+    nearest = np.arctan(min(borders)) if flash.rotation is None else 0.0
+    outside = np.linspace(nearest, np.pi / 2.0, 65)
     stray = float(np.max(flash.profile.at(outside)))
-    extent = float(np.linalg.norm(emitter_centres(flash), axis=1).max()) + flash.radius_m
+    extent = float(np.linalg.norm(flash.emitter_positions(), axis=1).max()) + flash.radius_m
     if flash.illuminance_lx is None:
         return LightReach(float(sky_lx > 0.0), float(sun_lx > 0.0), stray, distance_m, extent)
     # The flash may be shorter than the exposure.
@@ -82,9 +85,25 @@ def light_reach(camera: Camera, distance_m: float, sky_lx: float, sun_lx: float 
     return LightReach(sky_lx / total, sun_lx / total, stray * flash_lx / total, distance_m, extent)
 
 
+def combine_reaches(reaches: Sequence[LightReach]) -> LightReach:
+    """A reach that is at least each of some, for views by different cameras and in different light."""
+    first = reaches[0]
+    if len(reaches) == 1:
+        return first
+    # Stray light counts with the square of its distance.
+    stray = max(reach.stray * reach.distance_m**2 for reach in reaches) / first.distance_m**2
+    return LightReach(
+        max(reach.sky for reach in reaches),
+        max(reach.sun for reach in reaches),
+        stray,
+        first.distance_m,
+        max(reach.flash_extent_m for reach in reaches),
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Chunks:
-    """Runs of faces that are kept or removed together: an instance, or a part of a long one."""
+    """Runs of faces that are kept or removed together: an instance, or a part of a long one or a far row."""
 
     faces: NDArray[np.intp]  # `(n + 1,)` first face of each chunk, and the end of the last
     vertices: NDArray[np.intp]  # `(n, 2)` first vertex that a chunk uses and the one after the last
@@ -95,16 +114,17 @@ class Chunks:
 
 
 def mesh_chunks(mesh: Mesh) -> Chunks:
-    """Split a mesh into its instances, and long instances into parts."""
-    change = 1 + np.flatnonzero(mesh.face_instance[1:] != mesh.face_instance[:-1])
+    """Split a mesh into its instances, and long instances and far rows into parts."""
+    owner_of_face, is_far = _face_owners(mesh)
+    change = 1 + np.flatnonzero(owner_of_face[1:] != owner_of_face[:-1])
     runs = np.concatenate([[0], change, [len(mesh.faces)]])
     size = np.diff(runs)
     parts = np.where(size > _LONG_INSTANCE, -(-size // _CHUNK), 1)
     # Part k of n begins at face k * size / n of its run.
     number = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
     starts = np.repeat(runs[:-1], parts) + number * np.repeat(size, parts) // np.repeat(parts, parts)
-    owner = mesh.face_instance[starts]
-    is_whole = np.bincount(owner, minlength=len(mesh.instances))[owner] == 1
+    owner = owner_of_face[starts]
+    is_whole = (np.bincount(owner, minlength=len(mesh.instances))[owner] == 1) & ~is_far[owner]
 
     # The box of all vertices between a chunk's first and last contains the chunk.
     corners = mesh.faces.ravel()
@@ -123,6 +143,20 @@ def mesh_chunks(mesh: Mesh) -> Chunks:
         half,
         np.asarray(np.linalg.norm(half, axis=1)),
     )
+
+
+def _face_owners(mesh: Mesh) -> tuple[NDArray[np.uint32], NDArray[np.bool_]]:
+    """`(f,)` the instance that a face is culled with, and `(i,)` which instances are of far rows.
+
+    A far row counts as its first instance: what is culled does not depend on how finely it is labelled.
+    """
+    rows = np.array([item.far_row for item in mesh.instances])
+    is_far = rows >= 0
+    if not is_far.any():
+        return mesh.face_instance, is_far
+    _, first, row = np.unique(rows, return_index=True, return_inverse=True)
+    owners = np.where(is_far, first[row], np.arange(len(rows))).astype(np.uint32)
+    return owners[mesh.face_instance], is_far
 
 
 def negligible(

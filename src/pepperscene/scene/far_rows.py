@@ -1,16 +1,22 @@
-"""Plant rows beyond the labelled ones: a few coarse plants, repeated many times, as inexpensive scenery."""
+"""Plant rows beyond the labelled ones: a few coarse plants, repeated many times, as inexpensive scenery.
+
+Their organs are labelled, since a photograph shows them as clearly as those of the nearest row. The instance
+image has 16 bits, so they are instances as fine as fit in: see `FarDetail`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import OrganClass
+from pepperscene.classes import Instance, OrganClass
 from pepperscene.geometry import Mesh, concatenate_meshes
-from pepperscene.scene.greenhouse import Greenhouse, RowLine, as_single_instance, row_lines
+from pepperscene.scene.greenhouse import FarRowsAs, Greenhouse, RowLine, as_single_instance, row_lines
 from pepperscene.scene.lod import cluster_vertices
 from pepperscene.scene.row import DoubleRow, rotation_about_z
 
@@ -27,6 +33,37 @@ _STEPS: Final = {
     OrganClass.PEDUNCLE: (3, 2),
 }
 """Grid steps of u and v that are left, by class. Chosen: 20 mm are ten pixels at 1 m, and out of focus."""
+
+MOST_INSTANCES: Final = 60_000
+"""Chosen: instances of a scene with far rows, below the 65,535 of a 16-bit image."""
+
+
+class FarDetail(IntEnum):
+    """What is one instance in far rows, the finest first. Tubes are always one for each plant and class."""
+
+    ORGANS = 0  # every fruit, every leaf blade
+    FRUIT = 1  # every fruit, and the leaves of a plant
+    PLANTS = 2  # all organs of a class of a plant
+    ROWS = 3  # all organs of a class of a row
+
+
+_SEPARATE: Final = {
+    FarDetail.ORGANS: (OrganClass.PEPPER, OrganClass.LEAF),
+    FarDetail.FRUIT: (OrganClass.PEPPER,),
+    FarDetail.PLANTS: (),
+    FarDetail.ROWS: (),
+}
+"""Classes of which every organ is one instance."""
+
+
+@dataclass(frozen=True, eq=False)
+class _DrawnRow:
+    """The plants of a far row."""
+
+    number: int  # of the row, 0-based
+    choice: NDArray[np.intp]  # `(n,)` the model of each
+    rotations: NDArray[np.float64]  # `(n, 3, 3)`
+    bases: NDArray[np.float64]  # `(n, 3)` metres
 
 
 def coarsen_plant(mesh: Mesh) -> Mesh:
@@ -47,25 +84,69 @@ def coarsen_plant(mesh: Mesh) -> Mesh:
 
 
 def far_row_meshes(
-    models: Sequence[Mesh], row: DoubleRow, greenhouse: Greenhouse, rng: np.random.Generator
+    models: Sequence[Mesh], row: DoubleRow, greenhouse: Greenhouse, rng: np.random.Generator, others: int = 0
 ) -> list[Mesh]:
     """The neighbouring double rows, and the continuation of the labelled rows to either side.
 
+    Vertices and faces do not depend on how the rows are labelled.
+
     Args:
         models: plants with their aisle at -y; each is repeated many times with random turns.
-        row: the labelled double row; its positions stay free.
-        greenhouse: number, spacing, length and lean of the rows.
+        row: the labelled double row; its positions stay free, and plants are numbered after its own.
+        greenhouse: number, spacing, length, lean and labels of the rows.
         rng: draws plants, turns and positions.
+        others: instances of the scene that are not in far rows.
 
     Returns:
-        One mesh for each row; each is a single instance "far_row" of the background class.
+        One mesh for each row. By `greenhouse.far_rows_as`, its instances are organs as fine as `far_detail`
+        allows, or it is a single instance "far_row" of `IGNORE_CLASS` or of the background.
     """
-    meshes = []
+    rows = _draw_rows(len(models), row, greenhouse, rng)
+    if greenhouse.far_rows_as != FarRowsAs.LABELS:
+        return [_unlabelled_row(models, drawn, greenhouse.far_rows_as) for drawn in rows]
+    grouped = {detail: [_group_organs(model, detail) for model in models] for detail in FarDetail}
+    counts = np.bincount(np.concatenate([[0], *(drawn.choice for drawn in rows)]).astype(np.intp))
+    counts[0] -= 1
+    detail = far_detail(
+        {detail: [len(model.instances) for model in grouped[detail]] for detail in FarDetail}, counts, others
+    )
+    meshes, first_plant = [], row.front + row.back
+    for drawn in rows:
+        meshes.append(_labelled_row(grouped[detail], drawn, first_plant, detail))
+        first_plant += len(drawn.choice)
+    return meshes
+
+
+def far_detail(sizes: dict[FarDetail, list[int]], plants: NDArray[np.intp], others: int) -> FarDetail:
+    """The finest detail with which a scene has at most `MOST_INSTANCES`; `ROWS` always fits.
+
+    Args:
+        sizes: instances of each model, by detail.
+        plants: `(m,)` number of plants of the first m models; of further models there are none.
+        others: instances that are not in far rows.
+    """
+    for detail in (FarDetail.ORGANS, FarDetail.FRUIT, FarDetail.PLANTS):
+        if others + int(np.dot(sizes[detail][: len(plants)], plants)) <= MOST_INSTANCES:
+            return detail
+    return FarDetail.ROWS
+
+
+def _draw_rows(
+    models: int, row: DoubleRow, greenhouse: Greenhouse, rng: np.random.Generator
+) -> list[_DrawnRow]:
+    """Draw the positions, turns and models of all plants; rows without a plant are left out."""
+    rows: list[_DrawnRow] = []
     for line in row_lines(row, greenhouse):
         x = _free_positions(line, row, greenhouse, rng)
-        if greenhouse.far_rows > 0 and x.size:
-            meshes.append(_row_mesh(models, line, x, greenhouse, rng))
-    return meshes
+        if greenhouse.far_rows == 0 or not x.size:
+            continue
+        choice = rng.integers(models, size=x.size).astype(np.intp)
+        facing = 0.0 if line.aisle < 0 else np.pi
+        turns = rng.uniform(-_MAX_TURN, _MAX_TURN, x.size)
+        rotations = np.stack([rotation_about_z(facing + turn) for turn in turns])
+        bases = np.column_stack([x, np.full((x.size, 2), (line.y_m, greenhouse.stem_base_m))])
+        rows.append(_DrawnRow(len(rows), choice, rotations, bases))
+    return rows
 
 
 def _free_positions(
@@ -84,39 +165,94 @@ def _free_positions(
     return x[np.abs(x) <= greenhouse.far_reach_m]
 
 
-def _row_mesh(
-    models: Sequence[Mesh],
-    line: RowLine,
-    x: NDArray[np.float64],
-    greenhouse: Greenhouse,
-    rng: np.random.Generator,
-) -> Mesh:
-    """A row of randomly chosen plants at x; plants of one model are placed together."""
-    choice = rng.integers(len(models), size=x.size)
-    facing = 0.0 if line.aisle < 0 else np.pi
-    turns = rng.uniform(-_MAX_TURN, _MAX_TURN, x.size)
-    rotations = np.stack([rotation_about_z(facing + turn) for turn in turns])
-    bases = np.column_stack([x, np.full((x.size, 2), (line.y_m, greenhouse.stem_base_m))])
-    parts = [
-        _repeated_plant(models[number], rotations[choice == number], bases[choice == number])
-        for number in np.unique(choice)
-    ]
-    return as_single_instance(concatenate_meshes(parts), "far_row")
+def _unlabelled_row(models: Sequence[Mesh], row: _DrawnRow, labelled_as: FarRowsAs) -> Mesh:
+    """A row as a single instance."""
+    mesh = _row_mesh([as_single_instance(model, "far_row") for model in models], row, first_plant=0)
+    mesh = as_single_instance(mesh, "far_row")
+    if labelled_as == FarRowsAs.BACKGROUND:
+        return mesh
+    return replace(mesh, instances=(replace(mesh.instances[0], far_row=row.number, ignored=True),))
+
+
+def _labelled_row(models: Sequence[Mesh], row: _DrawnRow, first_plant: int, detail: FarDetail) -> Mesh:
+    """A row with the instances of its plants, whose numbers ascend along the row."""
+    mesh = _row_mesh(models, row, first_plant)
+    if detail == FarDetail.ROWS:
+        # The organs of a row belong to no single plant.
+        classes, group = np.unique(mesh.instance_class, return_inverse=True)
+        whole = [replace(_group_instance(OrganClass(one)), far_row=row.number) for one in classes.tolist()]
+        mesh = replace(
+            mesh, face_instance=group.astype(np.uint32)[mesh.face_instance], instances=tuple(whole)
+        )
+    return mesh
+
+
+def _row_mesh(models: Sequence[Mesh], row: _DrawnRow, first_plant: int) -> Mesh:
+    """The plants of a row; those of one model are placed together."""
+    parts: list[Mesh] = []
+    instances: list[Instance] = []
+    for number in np.unique(row.choice):
+        model, members = models[number], np.flatnonzero(row.choice == number)
+        parts.append(_repeated_plant(model, row.rotations[members], row.bases[members]))
+        for plant in (first_plant + members).tolist():
+            first = len(instances)
+            instances += [
+                item.numbered(plant, item.parent + first if item.parent >= 0 else -1, row.number)
+                for item in model.instances
+            ]
+    # Each instance is made once, with its final numbers, because a row has thousands.
+    return replace(concatenate_meshes(parts), instances=tuple(instances))
 
 
 def _repeated_plant(plant: Mesh, rotations: NDArray[np.float64], bases: NDArray[np.float64]) -> Mesh:
-    """A plant repeated with rotations `(n, 3, 3)` at stem bases `(n, 3)`, all as its first instance."""
-    n, count = len(bases), len(plant.vertices)
+    """A plant repeated with rotations `(n, 3, 3)` at stem bases `(n, 3)`; its instances have no names yet."""
+    n, count, organs = len(bases), len(plant.vertices), len(plant.instances)
     rotation = np.swapaxes(rotations, 1, 2).astype(np.float32)
-    faces = plant.faces[None] + (count * np.arange(n, dtype=np.uint32))[:, None, None]
+    copy = np.arange(n, dtype=np.uint32)[:, None]
     return Mesh(
         vertices=(plant.vertices @ rotation + bases[:, None].astype(np.float32)).reshape(-1, 3),
         normals=(plant.normals @ rotation).reshape(-1, 3),
         uv=np.tile(plant.uv, (n, 1)),
         state=np.tile(plant.state, n),
-        faces=faces.reshape(-1, 3),
-        face_instance=np.zeros(n * len(plant.faces), dtype=np.uint32),
+        faces=(plant.faces[None] + count * copy[..., None]).reshape(-1, 3),
+        face_instance=(plant.face_instance[None] + organs * copy).ravel(),
         face_surface=np.tile(plant.face_surface, n),
         surfaces=plant.surfaces,
-        instances=plant.instances[:1],
+        instances=(Instance(OrganClass.BACKGROUND, ""),) * (n * organs),
     )
+
+
+def _group_organs(plant: Mesh, detail: FarDetail) -> Mesh:
+    """The plant with one instance for each organ that is separate at a detail, and one for each other class.
+
+    Organs without a triangle are left out; the parent of an organ is then the next one below it.
+    """
+    has_faces = np.bincount(plant.face_instance, minlength=len(plant.instances)) > 0
+    group = np.full(len(plant.instances), -1)
+    of_class: dict[int, int] = {}
+    instances: list[Instance] = []
+    for organ, item in enumerate(plant.instances):
+        if not has_faces[organ]:
+            continue
+        is_separate = item.organ_class in _SEPARATE[detail]
+        if is_separate or item.organ_class not in of_class:
+            of_class.setdefault(item.organ_class, len(instances))
+            instances.append(item if is_separate else _group_instance(OrganClass(item.organ_class)))
+            group[organ] = len(instances) - 1
+        else:
+            group[organ] = of_class[item.organ_class]
+    for organ in np.flatnonzero(has_faces).tolist():
+        item, parent = plant.instances[organ], plant.instances[organ].parent
+        if item.organ_class in _SEPARATE[detail]:
+            while parent >= 0 and not has_faces[parent]:
+                parent = plant.instances[parent].parent
+            above = int(group[parent]) if parent >= 0 else -1
+            instances[group[organ]] = replace(instances[group[organ]], parent=above)
+    return replace(
+        plant, face_instance=group[plant.face_instance].astype(np.uint32), instances=tuple(instances)
+    )
+
+
+def _group_instance(organ_class: OrganClass) -> Instance:
+    """All organs of a class of a plant or a row, named after the class."""
+    return Instance(organ_class, organ_class.name.lower())

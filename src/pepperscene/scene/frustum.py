@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera import Camera, Flash
+from pepperscene.camera import Camera
 
 _POSE_STRIDE: Final = (
     16  # chosen: every 16th pose sees most of what is visible; the others are tested for the rest
@@ -74,7 +74,7 @@ def view_frustums(camera: Camera, poses: ArrayLike) -> ViewFrustums:
     # The flash may extend beyond half-spaces through the projection centre.
     margin = np.full(len(inward), pupil)
     if camera.flash is not None:
-        extent = (camera.flash.radius_m - inward @ emitter_centres(camera.flash).T).max(axis=1)
+        extent = (camera.flash.radius_m - inward @ camera.flash.emitter_positions().T).max(axis=1)
         margin = np.maximum(margin, extent)
 
     normals = np.einsum("pij,kj->pki", pose[:, :3, :3], inward)
@@ -84,11 +84,6 @@ def view_frustums(camera: Camera, poses: ArrayLike) -> ViewFrustums:
     return ViewFrustums(
         normals.astype(np.float32), offsets.astype(np.float32), pose[:, :3, 3].astype(np.float32)
     )
-
-
-def emitter_centres(flash: Flash) -> NDArray[np.float64]:
-    """`(k, 3)` centres of a flash's emitters in camera axes, metres."""
-    return np.asarray(flash.offset_m) + np.pad(flash.emitters_m, ((0, 0), (0, 1)))
 
 
 def distances_to_balls(

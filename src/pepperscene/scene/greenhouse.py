@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
@@ -99,6 +100,14 @@ def as_single_instance(mesh: Mesh, kind: str, organ_class: OrganClass = OrganCla
     return replace(mesh, face_instance=face_instance, instances=(Instance(organ_class, kind),))
 
 
+class FarRowsAs(StrEnum):
+    """What the plants of far rows are in label images."""
+
+    LABELS = "labels"  # organs, each with its class
+    IGNORE = "ignore"  # `IGNORE_CLASS`, one instance for each row
+    BACKGROUND = "background"  # one instance of the background class for each row
+
+
 @dataclass(frozen=True)
 class Greenhouse:
     """Dimensions of a greenhouse around a double row; parts that are 0 or False are left out.
@@ -114,6 +123,7 @@ class Greenhouse:
         floor: whether film covers the floor.
         crop_wire_m: height above the floor of the wire that the twine of a row is tied to.
         far_rows: number of further double rows on either side.
+        far_rows_as: what the plants of these rows, and those that continue the labelled rows, are in labels.
         far_reach_m: half length of all rows, from the middle plant.
         aisle_m: distance between double rows.
         pipes: whether each aisle has two heating pipes.
@@ -129,6 +139,7 @@ class Greenhouse:
     floor: bool = False
     crop_wire_m: float = 0.0
     far_rows: int = 0
+    far_rows_as: FarRowsAs = FarRowsAs.LABELS
     far_reach_m: float = 4.0
     aisle_m: float = 1.2
     pipes: bool = False

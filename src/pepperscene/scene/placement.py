@@ -11,7 +11,7 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry import Mesh, Motion
+from pepperscene.geometry import JointRotation, Mesh
 from pepperscene.grammar import Organ, OrganForm, OrganKind, Plant
 from pepperscene.materials import Surface
 from pepperscene.scene.row import rotation_about_z
@@ -34,7 +34,7 @@ class Skeleton:
     sizes: tuple[int, ...]
     bases: NDArray[np.float64]
     turns: NDArray[np.float64]
-    motions: tuple[Motion, ...] = ()
+    motions: tuple[JointRotation, ...] = ()
 
     def __post_init__(self) -> None:
         counts = {len(self.plants), len(self.sizes), len(self.bases), len(self.turns)}

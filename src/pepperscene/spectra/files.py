@@ -161,14 +161,20 @@ NonEmptyText = Annotated[str, Field(min_length=1)]
 
 
 class SourcedDocument(Document):
-    """A file in which every number has its source."""
+    """A file whose numbers can have sources.
+
+    The shipped files have the licence and the source of every number (a test checks them). A user's own file
+    may leave out both; if it has `[sources]`, they must be complete, so that a forgotten one is found.
+    """
 
     name: NonEmptyText
-    licence: NonEmptyText
-    sources: dict[str, NonEmptyText]
+    licence: NonEmptyText | None = None
+    sources: dict[str, NonEmptyText] | None = None
 
     @model_validator(mode="after")
     def _check_sources(self) -> SourcedDocument:
+        if self.sources is None:
+            return self
         needed = self.model_fields_set - {"name", "licence", "sources", "kind"}
         if missing := sorted(needed - self.sources.keys()):
             raise ValueError(f"[sources] must give the source of {', '.join(missing)}")

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import CLASS_COLOURS, OrganClass
+from pepperscene.classes import CLASS_COLOURS, IGNORE_CLASS, IGNORE_COLOUR, OrganClass
 
 _CM_PER_STEP: Final = 255.0 / (2.0 * 150.0)
 """Centimetres of distance per grey value: z = (255 - I) / (2 * 150 / 255)."""
@@ -24,15 +24,23 @@ _PALETTE: Final = np.array(CLASS_COLOURS, dtype=np.uint8)
 _BLOCK: Final = 65536  # chosen: pixels compared with the palette at a time, 4 MB of differences
 
 
+_UNKNOWN_ID: Final = f"class ids must be in 0 to {len(OrganClass) - 1}, or {IGNORE_CLASS}"
+
+
+def is_class_id(ids: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
+    """Where ids `(...)` are of the eight classes or `IGNORE_CLASS`."""
+    return np.asarray(((ids >= 0) & (ids < len(OrganClass))) | (ids == IGNORE_CLASS))
+
+
 def class_pixel_counts(class_id: NDArray[np.integer[Any]]) -> dict[str, int]:
-    """Number of pixels of each of the eight classes, by lower-case class name.
+    """Number of pixels of each of the eight classes, by lower-case class name, without ignored ones.
 
     Raises:
-        ValueError: an id is not one of the eight.
+        ValueError: an id is neither one of the eight nor `IGNORE_CLASS`.
     """
     counts = np.bincount(np.asarray(class_id).ravel(), minlength=len(OrganClass))
-    if len(counts) > len(OrganClass):
-        raise ValueError(f"class ids must be in 0 to {len(OrganClass) - 1}")
+    if counts[len(OrganClass) : IGNORE_CLASS].any() or len(counts) > IGNORE_CLASS + 1:
+        raise ValueError(_UNKNOWN_ID)
     return {organ_class.name.lower(): int(counts[organ_class]) for organ_class in OrganClass}
 
 
@@ -68,17 +76,21 @@ def class_colour(class_id: NDArray[np.integer[Any]]) -> NDArray[np.uint8]:
     """The published colours `(..., 3)` of class ids `(...)`.
 
     Raises:
-        ValueError: an id is not one of the eight.
+        ValueError: an id is neither one of the eight nor `IGNORE_CLASS`.
     """
-    ids = np.asarray(class_id)
+    ids, palette = np.asarray(class_id), _PALETTE
     if ids.size and (ids.min() < 0 or ids.max() >= len(_PALETTE)):
-        raise ValueError(f"class ids must be in 0 to {len(_PALETTE) - 1}")
+        if not is_class_id(ids).all():
+            raise ValueError(_UNKNOWN_ID)
+        palette = np.array(class_palette(ignored=True), dtype=np.uint8)
     # Four times as fast as indexing, which copies pixel by pixel.
-    return np.take(_PALETTE, ids, axis=0)
+    return np.take(palette, ids, axis=0)
 
 
 def class_from_colour(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Class ids `(...)` of 8-bit colours `(..., 3)`: the nearest of the published colours in RGB.
+
+    Pixels of exactly `IGNORE_COLOUR` have `IGNORE_CLASS`.
 
     The published colours are only known from third-party readers, which differ by a few grey values.
 
@@ -93,7 +105,15 @@ def class_from_colour(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     for start in range(0, len(pixels), _BLOCK):
         difference = pixels[start : start + _BLOCK, None, :] - _PALETTE.astype(np.int32)
         ids[start : start + _BLOCK] = np.square(difference).sum(-1).argmin(-1)
+    ids[(pixels == IGNORE_COLOUR).all(axis=1)] = IGNORE_CLASS
     return ids.reshape(colours.shape[:-1])
+
+
+def class_palette(*, ignored: bool) -> tuple[tuple[int, int, int], ...]:
+    """8-bit RGB of class ids for a PNG: of the eight, or also of `IGNORE_CLASS` (ids between are black)."""
+    if not ignored:
+        return CLASS_COLOURS
+    return (*CLASS_COLOURS, *[(0, 0, 0)] * (IGNORE_CLASS - len(CLASS_COLOURS)), IGNORE_COLOUR)
 
 
 Box = tuple[int, int, int, int]

@@ -85,6 +85,12 @@ class LabelView:
         """`(n, 3)` world points in camera metres."""
         return (world - self.camera.pose[:3, 3]) @ self.camera.pose[:3, :3]
 
+    def distance_to(self, point: FloatArray, row: int) -> float:
+        """Metres from the camera to a world point `(3,)` that is in this row of the image."""
+        if self.camera.rows_move:
+            return float(np.linalg.norm(point - self.camera.label_centres(row + 0.5)))
+        return float(np.linalg.norm(self.points(point)))
+
 
 def harvest_truth(
     fruit: Sequence[tuple[FruitTruth, AmodalMask]], view: LabelView, instances: Sequence[Instance]
@@ -237,7 +243,7 @@ def _point_entry(
     visible = False
     if inside:
         row, column = int(px[1]), int(px[0])
-        depth = float(view.distance[row, column]) - float(np.linalg.norm(view.points(point)))
+        depth = float(view.distance[row, column]) - view.distance_to(point, row)
         visible = int(view.instance[row, column]) - 1 in organs and abs(depth) <= _VISIBLE_DEPTH * radius_m
     return {
         "camera_m": _lists(view.points(point)),

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from pepperscene.camera import Camera, camera_rgb, correct_colours, decode_tone, encode_tone
 from pepperscene.colour import Patch, PatchSet
 from pepperscene.colour.patches.patch import is_organ_kind
-from pepperscene.dataset.recipe.resolved import surface_wavelengths
+from pepperscene.dataset.recipe.load_camera import surface_wavelengths
 from pepperscene.errors import ArgumentError
 from pepperscene.materials import organ_surfaces
 from pepperscene.render.quality import Quality

@@ -74,8 +74,7 @@ def render_statistics(recipe: Recipe, frames: int, quality: str = "draft") -> Sc
     from pepperscene.colour import open_patches
     from pepperscene.dataset import BuildOptions, build
 
-    plan = recipe.plan
-    total = plan.sets * plan.rotations * plan.frames
+    total = recipe.plan.count
     count = min(frames, total)
     # Midpoints of equal parts of the plan.
     indices = [(2 * k + 1) * total // (2 * count) for k in range(count)]

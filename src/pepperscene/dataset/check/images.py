@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -45,10 +46,13 @@ Problem = tuple[str, str, NDArray[np.bool_]]
 """Output, description, and the pixels that it concerns."""
 
 
-def check_values(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+def check_values(
+    images: Mapping[str, Any], metadata: Mapping[str, Any], *, ignored: bool = False
+) -> Iterator[tuple[str, str, str]]:
     """Yield kind, output and description of the problems of a frame's measured images.
 
-    The images, by output name, have the right type and all one size; the metadata are the frame's JSON.
+    The images, by output name, have the right type and all one size; the metadata are the frame's JSON. With
+    `ignored`, a part of a pixel's area may be of no class.
     """
     # Where no surface is hit, by the distance or else the instances.
     sky = images["instance"] == 0 if "instance" in images else None
@@ -56,7 +60,8 @@ def check_values(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iter
         sky = np.isinf(images["distance"])
     # Comparisons with nan are False, as required here, and need no warning.
     with np.errstate(invalid="ignore", over="ignore"):
-        for check in (_check_distances, _check_surfaces, _check_light, _check_flow):
+        surfaces = partial(_check_surfaces, ignored=ignored)
+        for check in (_check_distances, surfaces, _check_light, _check_flow):
             for output, problem, pixels in check(images, sky, metadata):
                 if pixels.any():
                     yield "value", output, f"{np.count_nonzero(pixels)} pixels {problem}"
@@ -92,7 +97,9 @@ def _check_distances(images: Mapping[str, Any], sky: Any, metadata: Mapping[str,
             yield "position", "have a position at another distance from the camera", wrong
 
 
-def _check_surfaces(images: Mapping[str, Any], sky: Any, metadata: Mapping[str, Any]) -> Iterator[Problem]:
+def _check_surfaces(
+    images: Mapping[str, Any], sky: Any, metadata: Mapping[str, Any], *, ignored: bool = False
+) -> Iterator[Problem]:
     if "normal" in images:
         length = np.sqrt(np.einsum("...k,...k", images["normal"], images["normal"]))
         valid = np.abs(length - 1) <= _LENGTH_TOLERANCE
@@ -114,7 +121,11 @@ def _check_surfaces(images: Mapping[str, Any], sky: Any, metadata: Mapping[str, 
         fractions = images["coverage"].astype(np.float32)
         valid = ((fractions >= 0) & (fractions <= 1)).all(-1)
         yield "coverage", "have a class fraction outside 0 to 1", ~valid
-        wrong = np.abs(fractions.sum(-1) - 1) > _COVERAGE_TOLERANCE
+        total = fractions.sum(-1)
+        wrong = np.abs(total - 1) > _COVERAGE_TOLERANCE
+        if ignored:
+            # The ignored part of a pixel's area is of no class.
+            wrong &= total > 1
         yield "coverage", "have class fractions whose sum is not 1", wrong
 
 

@@ -8,36 +8,44 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import OrganClass
+from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.dataset.check.findings import instance_entries, json_object
 from pepperscene.truth import class_colour, class_pixel_counts, distance_code
+from pepperscene.truth.encodings import is_class_id
 
 Problem = tuple[str, str, str]
 """Kind, output and description."""
 
-_UNKNOWN: Final = 255
+_UNKNOWN: Final = 254  # no class id
 _MAX_NAMES: Final = 5  # chosen: in a sentence
 _HARVEST_FORMAT: Final = "pepperscene harvest 1"
 
 
-def check_labels(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[Problem]:
+def check_labels(
+    images: Mapping[str, Any], metadata: Mapping[str, Any], *, ignored: bool = False
+) -> Iterator[Problem]:
     """Yield the problems of a frame's classes and instances.
 
-    The images, by output name, have the right type and all one size; the metadata are the frame's JSON.
+    The images, by output name, have the right type and all one size; the metadata are the frame's JSON. Only
+    with `ignored` may pixels have `IGNORE_CLASS`.
     """
     classes, instances = images.get("class"), images.get("instance")
     if classes is not None:
-        yield from _check_classes(classes, metadata)
+        yield from _check_classes(classes, metadata, ignored)
     if instances is not None:
         yield from _check_instances(instances, metadata)
-        yield from _check_instance_classes(instances, classes, metadata)
+        yield from _check_instance_classes(instances, classes, metadata, ignored)
     if "distance" in images:
         yield from _check_unlabelled(classes, instances, images["distance"])
     yield from _check_derived(images)
 
 
-def _check_classes(classes: NDArray[np.uint8], metadata: Mapping[str, Any]) -> Iterator[Problem]:
+def _check_classes(
+    classes: NDArray[np.uint8], metadata: Mapping[str, Any], ignored: bool
+) -> Iterator[Problem]:
     invalid = classes >= len(OrganClass)
+    if ignored:
+        invalid &= classes != IGNORE_CLASS
     if invalid.any():
         ids = _list_ids(np.unique(classes[invalid]))
         last = len(OrganClass) - 1
@@ -83,14 +91,18 @@ def _check_instances(instances: NDArray[np.uint16], metadata: Mapping[str, Any])
 
 
 def _check_instance_classes(
-    instances: NDArray[np.uint16], classes: NDArray[np.uint8] | None, metadata: Mapping[str, Any]
+    instances: NDArray[np.uint16],
+    classes: NDArray[np.uint8] | None,
+    metadata: Mapping[str, Any],
+    ignored: bool,
 ) -> Iterator[Problem]:
     """Every pixel must have the class of its instance in the JSON; the sky has none."""
+    allowed = [*OrganClass, IGNORE_CLASS] if ignored else [*OrganClass]
     class_of = np.full(int(instances.max()) + 1, _UNKNOWN, np.uint8)
     class_of[0] = OrganClass.BACKGROUND
     for number, entry in instance_entries(metadata).items():
         organ_class = entry.get("class")
-        if not isinstance(organ_class, int) or not 0 <= organ_class < len(OrganClass):
+        if not isinstance(organ_class, int) or organ_class not in allowed:
             problem = f"the JSON gives instance {number} the class {organ_class!r}"
             yield "contradiction", "instance", problem
         elif number < len(class_of):
@@ -121,7 +133,7 @@ def _check_unlabelled(classes: Any, instances: Any, distance: Any) -> Iterator[P
 def _check_derived(images: Mapping[str, Any]) -> Iterator[Problem]:
     """Compare the published encodings with what they encode."""
     classes, distance = images.get("class"), images.get("distance")
-    if "class_colour" in images and classes is not None and classes.max() < len(OrganClass):
+    if "class_colour" in images and classes is not None and is_class_id(classes).all():
         wrong = (class_colour(classes) != images["class_colour"]).any(-1)
         if wrong.any():
             yield "encoding", "class_colour", f"{_pixels(wrong)} in another colour than that of their class"

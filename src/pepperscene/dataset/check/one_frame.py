@@ -5,26 +5,28 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import OrganClass
 from pepperscene.dataset.check.edges import CHANCE, EdgeMatch, match_edges
 from pepperscene.dataset.check.findings import Finding, camera_integer, camera_pose, json_object
 from pepperscene.dataset.check.images import check_photo, check_values
 from pepperscene.dataset.check.labels import check_harvest, check_labels
 from pepperscene.dataset.check.tables import frame_row_digest, fruit_rows_digest, short_digest
+from pepperscene.dataset.check.variation import check_drawn
 from pepperscene.dataset.recipe.plan import Plan, frame_seed
 from pepperscene.dataset.store.dataset import FRAMES, Dataset, file_name
+from pepperscene.dataset.store.fields import has_ignored_pixels
 from pepperscene.dataset.store.frame_json import CHECKSUM, is_as_written
 from pepperscene.dataset.store.images import read_image
-from pepperscene.dataset.store.manifest import frame_row, fruit_rows
+from pepperscene.dataset.store.manifest import MANIFEST, frame_row, fruit_rows, table_columns
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
 from pepperscene.truth import class_pixel_counts, saturated_fraction
+from pepperscene.truth.encodings import is_class_id
 
 _PHOTOS: Final = ("colour", "colour_stereo")
 
@@ -46,6 +48,8 @@ class FrameTraits:
     fractions: tuple[float, ...] | None = None  # of the pixels for each class
     mean: float | None = None  # grey value of the photograph
     saturated: float = 0.0  # fraction of the photograph's pixels with a channel at 255
+    automatic: Mapping[str, Any] | None = None  # what automatic exposure chose
+    drawn: Mapping[str, Any] = field(default_factory=dict)  # values by dotted key
 
 
 @dataclass(frozen=True)
@@ -83,14 +87,19 @@ def examine_frame(dataset: Dataset, index: int) -> FrameExamination:
         del images[output]
 
     # Content of all images that could be read.
-    for kind, output, problem in _check_content(images, metadata):
+    for kind, output, problem in _check_content(images, metadata, has_ignored_pixels(dataset.info)):
         findings.append(Finding(kind, index, file_name(index, output), problem))
     has_harvest = "harvest" in json_object(metadata, "outputs")
-    return FrameExamination(tuple(findings), _traits(index, metadata, digests, images), has_harvest)
+    traits = _traits(index, metadata, digests, images, dataset.info)
+    return FrameExamination(tuple(findings), traits, has_harvest)
 
 
 def _traits(
-    index: int, metadata: Mapping[str, Any], digests: Mapping[str, str], images: Mapping[str, Any]
+    index: int,
+    metadata: Mapping[str, Any],
+    digests: Mapping[str, str],
+    images: Mapping[str, Any],
+    info: Mapping[str, Any],
 ) -> FrameTraits:
     # Frames of constant images (all sky, no light) may be equal.
     arrays = {name: image for name, image in images.items() if OUTPUTS[name].is_image}
@@ -98,6 +107,7 @@ def _traits(
     traced = next((name for name in varied if OUTPUTS[name].traced), None)
     photo = images.get("colour")
     pose, seed = camera_pose(metadata), metadata.get("seed")
+    twin = metadata.get("twin") if isinstance(metadata.get("twin"), int) else None
     set_index, rotation, scene = metadata.get("set"), metadata.get("rotation"), None
     if isinstance(set_index, int) and isinstance(rotation, int):
         # The recipe allows at most 1000 rotations.
@@ -106,26 +116,30 @@ def _traits(
         index,
         scene=scene,
         photo=short_digest(np.ascontiguousarray(images[traced]).data) if traced else 0,
-        content=short_digest(json.dumps(digests, sort_keys=True).encode()) if varied else 0,
+        # Twins may differ in their light alone, and so have equal labels.
+        content=short_digest(json.dumps([digests, twin], sort_keys=True).encode()) if varied else 0,
         view=0 if pose is None or seed is None else short_digest(json.dumps([pose.tolist(), seed]).encode()),
-        row=_row_digest(metadata),
+        row=_row_digest(metadata, info),
         fruit=_fruit_digest(index, metadata, images),
         fractions=_class_fractions(images.get("class")),
         mean=None if photo is None else float(photo.mean()),
         saturated=0.0 if photo is None else saturated_fraction(photo),
+        automatic=json_object(metadata, "auto_exposure") or None,
+        drawn=json_object(metadata, "drawn"),
     )
 
 
 def _class_fractions(classes: NDArray[np.uint8] | None) -> tuple[float, ...] | None:
-    if classes is None or classes.max() >= len(OrganClass):
+    if classes is None or not is_class_id(classes).all():
         return None
     return tuple(count / classes.size for count in class_pixel_counts(classes).values())
 
 
-def _row_digest(metadata: Mapping[str, Any]) -> int:
+def _row_digest(metadata: Mapping[str, Any], info: Mapping[str, Any]) -> int:
     outputs = {name: entry for name, entry in json_object(metadata, "outputs").items() if name in OUTPUTS}
     content = {key: value for key, value in metadata.items() if key not in (CHECKSUM, "outputs")}
-    return frame_row_digest(frame_row(content, outputs, str(metadata.get(CHECKSUM))))
+    row = frame_row(content, outputs, str(metadata.get(CHECKSUM)))
+    return frame_row_digest(row, table_columns(MANIFEST, info))
 
 
 def _fruit_digest(index: int, metadata: Mapping[str, Any], images: Mapping[str, Any]) -> int:
@@ -153,6 +167,8 @@ def _check_metadata(dataset: Dataset, metadata: dict[str, Any], index: int) -> I
         spec = Plan.model_validate(recipe["plan"]).frame(index)
         expected |= {"set": spec.set, "rotation": spec.rotation, "step": spec.step}
         expected |= {"recipe_seed": recipe["seed"], "seed": frame_seed(recipe["seed"], index)}
+        for problem in check_drawn(recipe, spec, metadata):
+            yield "contradiction", problem
     except KeyError:
         # A damaged dataset.json is one finding, not one for every frame.
         pass
@@ -214,24 +230,34 @@ def _wrong_shapes(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> lis
             actual = f"{image.shape} {image.dtype}" if hasattr(image, "dtype") else type(image).__name__
             problems.append((output, f"is {actual}, must be {expected.shape} {expected.dtype}"))
         elif expected.is_image:
-            scale = camera_integer(metadata, "binning", 1) if output == "raw" else 1
-            if image.shape[:2] != (height * scale, width * scale):
-                size = f"{image.shape[1]}x{image.shape[0]}"
-                problem = f"has {size} pixels, the camera has {width * scale}x{height * scale}"
+            rows, columns = _site_shape(metadata, height, width) if output == "raw" else (height, width)
+            if image.shape[:2] != (rows, columns):
+                problem = f"has {image.shape[1]}x{image.shape[0]} pixels, the camera has {columns}x{rows}"
                 problems.append((output, problem))
     return problems
 
 
-def _check_content(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield kind, output and description of the problems of all images."""
+def _site_shape(metadata: Mapping[str, Any], height: int, width: int) -> tuple[int, int]:
+    """Rows and columns of the camera's photosites."""
+    shape = json_object(metadata, "camera").get("site_shape")
+    if isinstance(shape, list) and len(shape) == 2 and all(isinstance(length, int) for length in shape):
+        return shape[0], shape[1]
+    binning = camera_integer(metadata, "binning", 1)
+    return height * binning, width * binning
+
+
+def _check_content(
+    images: Mapping[str, Any], metadata: Mapping[str, Any], ignored: bool
+) -> Iterator[tuple[str, str, str]]:
+    """Yield kind, output and description of the problems of all images; see `check_labels` for `ignored`."""
     has_edges = "colour" in images
     for output in _PHOTOS:
         if output in images:
             for kind, problem in check_photo(images[output]):
                 has_edges = has_edges and output != "colour"
                 yield kind, output, problem
-    yield from check_labels(images, metadata)
-    yield from check_values(images, metadata)
+    yield from check_labels(images, metadata, ignored=ignored)
+    yield from check_values(images, metadata, ignored=ignored)
     yield from check_harvest(images)
     labels = next((name for name in ("instance", "class") if name in images), None)
     if has_edges and labels is not None:

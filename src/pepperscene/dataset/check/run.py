@@ -10,9 +10,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
+from pepperscene.dataset.check.exposure import Exposures
 from pepperscene.dataset.check.findings import CheckResult, Finding, sort_findings
 from pepperscene.dataset.check.one_frame import FrameExamination, examine_frame
 from pepperscene.dataset.check.tables import check_tables
+from pepperscene.dataset.check.variation import DrawnValues
 from pepperscene.dataset.check.whole_set import (
     CrossFrameChecks,
     open_leniently,
@@ -139,9 +141,13 @@ def check_dataset(
 
     # Each frame by itself, in the same order for any number of workers.
     comparison, has_harvest = CrossFrameChecks(expect), False
+    drawn, exposures = DrawnValues(dataset.info), Exposures(dataset.info)
     for done, examination in enumerate(examine_frames(dataset, indices, workers), start=1):
         findings += examination.findings
-        findings += comparison.add(examination.traits)
+        traits = examination.traits
+        findings += comparison.add(traits)
+        drawn.add(traits.index, traits.drawn)
+        exposures.add(traits.mean, traits.saturated, traits.automatic)
         has_harvest = has_harvest or examination.has_harvest
         if on_frame is not None:
             on_frame(done, len(indices))
@@ -161,7 +167,8 @@ def check_dataset(
         )
         if finding.kind != "incomplete" or finding.index not in incomplete
     )
-    return CheckResult(sort_findings(findings), len(indices), tuple(comparison.outlier_scenes()))
+    notes = (*comparison.outlier_scenes(), *drawn.notes(), *exposures.notes())
+    return CheckResult(sort_findings(findings), len(indices), notes)
 
 
 def _read_plan(dataset: Dataset) -> Plan | None:

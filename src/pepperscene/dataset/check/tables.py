@@ -12,12 +12,13 @@ from pepperscene.dataset.check.findings import Finding
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.journal import JOURNAL, Journal
 from pepperscene.dataset.store.manifest import (
-    FRAME_COLUMNS,
     FRUIT,
     FRUIT_COLUMNS,
     MANIFEST,
     TIMINGS,
     Row,
+    stored_row,
+    table_columns,
     table_schema,
 )
 from pepperscene.dataset.store.table_checksum import CHECKSUM_KEY, TableChecksum
@@ -30,9 +31,9 @@ def short_digest(content: bytes | memoryview) -> int:
     return int.from_bytes(hashlib.blake2b(content, digest_size=8).digest())
 
 
-def frame_row_digest(row: Row) -> int:
-    """Digest of a row of the manifest, without the columns that only the journal knows."""
-    return _rows_digest([{**row, **dict.fromkeys(TIMINGS)}], FRAME_COLUMNS)
+def frame_row_digest(row: Row, columns: Mapping[str, str]) -> int:
+    """Digest of a row in a manifest of these columns, without those that only the journal knows."""
+    return _rows_digest([{**stored_row(row, columns), **dict.fromkeys(TIMINGS)}], columns)
 
 
 def fruit_rows_digest(rows: Iterable[Row]) -> int:
@@ -96,14 +97,14 @@ def _check_readable(name: str, findings: Iterator[Finding]) -> Iterator[Finding]
 def _check_manifest(
     dataset: Dataset, journal: Journal, frame_digests: Mapping[int, int]
 ) -> Iterator[Finding]:
-    expected = dict(frame_digests)
+    expected, columns = dict(frame_digests), table_columns(MANIFEST, dataset.info)
     for rows in _read_batches(dataset, MANIFEST):
         keys = [(int(row["index"]), str(row["checksum"])) for row in rows]
         for row, (index, known) in zip(rows, journal.rows(keys), strict=True):
             if index not in expected:
                 problem = "has a row for this frame, whose JSON does not exist"
                 yield Finding("incomplete", index, MANIFEST, problem)
-            elif expected.pop(index) != frame_row_digest(row):
+            elif expected.pop(index) != frame_row_digest(row, columns):
                 yield Finding("contradiction", index, MANIFEST, "disagrees with the JSON of this frame")
             elif known is not None and any(row[name] != known.get(name) for name in TIMINGS):
                 yield Finding("contradiction", index, MANIFEST, f"disagrees with the timings in {JOURNAL}")
@@ -130,7 +131,7 @@ def _read_batches(dataset: Dataset, name: str) -> Iterator[list[Row]]:
         (dataset.folder / name).open("rb") as content,
         parquet.ParquetFile(content, page_checksum_verification=True) as file,
     ):
-        if not file.schema_arrow.equals(table_schema(name)):
+        if not file.schema_arrow.equals(table_schema(table_columns(name, dataset.info))):
             raise ValueError("it has other columns than this version writes")
         for batch in file.iter_batches(_BATCH_ROWS):
             checksum.add(batch)

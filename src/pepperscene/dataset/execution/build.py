@@ -133,6 +133,8 @@ def build(
     indices = job.recipe.recipe.plan.select_indices(frames)
     executor.check_memory(job, len(indices))
     check_output_folder(Path(out), job.info)
+    if options.on_start is not None:
+        options.on_start(len(indices), job.recipe.recipe.plan.count)
 
     # Make the frames. The tables are also written when a build is interrupted.
     on_notice = options.on_notice or _ignore

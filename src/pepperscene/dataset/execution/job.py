@@ -10,17 +10,18 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Self
 
+from pepperscene.dataset.recipe.frame_values import camera_name, frame_values
 from pepperscene.dataset.recipe.load import resolve_recipe
 from pepperscene.dataset.recipe.plan import FrameSpec, frame_seed
 from pepperscene.dataset.recipe.recipe import Recipe, digest
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.scenes.frame_renderer import FrameRenderer, RendererFactory
-from pepperscene.dataset.scenes.viewpoints import check_partner
 from pepperscene.dataset.store.atomic import write_error
 from pepperscene.dataset.store.dataset import FORMAT
 from pepperscene.dataset.store.folder import OutputFolder
 from pepperscene.dataset.store.frame_json import FrameStatus
 from pepperscene.dataset.store.manifest import Row
+from pepperscene.dataset.views.camera_views import check_partner
 from pepperscene.frame import Frame, check_outputs
 from pepperscene.truth import class_pixel_counts
 from pepperscene.version import __version__
@@ -45,6 +46,8 @@ class BuildOptions:
         slurm: TOML file that describes the Slurm jobs to submit; needs the extra `cluster`.
         renderer: makes the renderer of a scene; None for Mitsuba. Workers need one that can be pickled.
         on_notice: called with a sentence for the user, such as that a worker was lost.
+        on_start: called once with the number of frames to build and that of the plan, after all arguments
+            have been checked.
     """
 
     quality: str = "standard"
@@ -55,6 +58,7 @@ class BuildOptions:
     slurm: str | Path | None = None
     renderer: RendererFactory | None = None
     on_notice: Callable[[str], None] | None = None
+    on_start: Callable[[int, int], None] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,11 +102,22 @@ class BuildJob:
             info["expect"] = expect.model_dump(mode="json", exclude_none=True)
         return info
 
+    def _variation(self, spec: FrameSpec) -> dict[str, Any]:
+        """What a frame shares with others, and its drawn values; nothing for a recipe that has neither."""
+        recipe, described = self.recipe.recipe, dict[str, Any]()
+        if recipe.twins:
+            described |= {"moment": spec.moment, "twin": spec.twin}
+        if recipe.rig:
+            described |= {"moment": spec.moment, "rig_camera": camera_name(recipe, spec)}
+        drawn = frame_values(recipe, spec).drawn
+        return {**described, "drawn": drawn} if drawn else described
+
     def frame_metadata(self, frame: Frame, spec: FrameSpec) -> dict[str, Any]:
         """A frame's JSON without `outputs`; it is the same in every run."""
         metadata = {str(key): value for key, value in frame.metadata.items()}
         seed = self.recipe.recipe.seed
         metadata |= {"index": spec.index, "set": spec.set, "rotation": spec.rotation, "step": spec.step}
+        metadata |= self._variation(spec)
         metadata |= {"seed": frame_seed(seed, spec.index), "recipe_seed": seed}
         if "class" in frame.images:
             metadata["class_pixels"] = class_pixel_counts(frame.images["class"])

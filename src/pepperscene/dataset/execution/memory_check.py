@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from pepperscene.dataset.execution.job import BuildJob
 from pepperscene.dataset.execution.memory import (
@@ -13,9 +13,19 @@ from pepperscene.dataset.execution.memory import (
     memory_limits,
     shortage,
 )
+from pepperscene.dataset.recipe.frame_values import frame_values
+from pepperscene.dataset.recipe.load_camera import load_camera
+from pepperscene.dataset.recipe.views_tables import RandomViews
 from pepperscene.dataset.scenes.scene_size import most_plant_triangles, plant_triangles, scene_triangles
 from pepperscene.errors import ArgumentError, PepperError, SetupError
 
+if TYPE_CHECKING:
+    from pepperscene.camera import Camera
+    from pepperscene.dataset.recipe.recipe import Recipe
+
+_SAMPLE: Final = 32
+"""Chosen: frames whose cameras are compared, if cameras differ from frame to frame."""
+_FREE_SPACE: Final = 110  # bytes per triangle of the search trees of random views; measured 105
 _OR: Final = f", or set {MEMORY} if the estimate is wrong"
 
 
@@ -50,6 +60,12 @@ def check_worker_memory(job: BuildJob, allowed: int | None = None) -> None:
     _check_limits(job, 1, 2, limits)
 
 
+def process_memory(job: BuildJob, frames: int = 1) -> int:
+    """Bytes that one process takes at most to make frames of a job; a plant is grown for the estimate."""
+    triangles = scene_triangles(job.recipe, plant_triangles(job.recipe.cultivar, job.recipe.recipe.seed))
+    return _process_memory(job, triangles, frames)
+
+
 def _check_limits(job: BuildJob, processes: int, frames: int, limits: tuple[MemoryLimit, ...]) -> None:
     if job.renderer is not None or not limits:
         return
@@ -58,8 +74,7 @@ def _check_limits(job: BuildJob, processes: int, frames: int, limits: tuple[Memo
     bound = scene_triangles(resolved, most_plant_triangles(resolved.cultivar))
     if _problem(job, _process_memory(job, bound, frames), processes, limits) is None:
         return
-    triangles = scene_triangles(resolved, plant_triangles(resolved.cultivar, resolved.recipe.seed))
-    problem = _problem(job, _process_memory(job, triangles, frames), processes, limits)
+    problem = _problem(job, process_memory(job, frames), processes, limits)
     if problem is not None:
         raise problem
 
@@ -69,9 +84,26 @@ def _process_memory(job: BuildJob, triangles: int, frames: int) -> int:
     from pepperscene.render import resolve_quality
     from pepperscene.render.memory import frame_memory, written_memory
 
-    camera, quality = job.recipe.camera, resolve_quality(job.quality, job.target_error)
-    needed = frame_memory(camera, job.outputs, quality, triangles)
-    return needed + (written_memory(camera, job.outputs) if frames > 1 else 0)
+    quality, cameras = resolve_quality(job.quality, job.target_error), _cameras(job)
+    needed = max(frame_memory(camera, job.outputs, quality, triangles) for camera in cameras)
+    if isinstance(job.recipe.recipe.views, RandomViews):
+        needed += _FREE_SPACE * triangles
+    return needed + (max(written_memory(camera, job.outputs) for camera in cameras) if frames > 1 else 0)
+
+
+def _cameras(job: BuildJob) -> list[Camera]:
+    """The cameras of a sample of the frames: of all, if they have the same camera."""
+    recipe = job.recipe.recipe
+    if not (recipe.variation or recipe.twins or recipe.rig):
+        return [job.recipe.camera]
+    plan = recipe.plan
+    indices = {*range(plan.cameras), *range(0, plan.scene_frames, plan.frames * plan.cameras)}
+    indices |= set(range(0, plan.count, -(-plan.count // _SAMPLE)))
+    tables: dict[object, Recipe] = {}
+    for index in sorted(indices):
+        values = frame_values(recipe, plan.frame(index)).recipe
+        tables.setdefault((values.camera, values.developing), values)
+    return [load_camera(values) for values in tables.values()]
 
 
 def _problem(

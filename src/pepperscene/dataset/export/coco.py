@@ -8,19 +8,23 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
-from pepperscene.dataset.export.job import REST, ExportFrame, ExportJob, import_library
+from pepperscene.dataset.export.coco_segments import Segment, find_segments, json_mask
+from pepperscene.dataset.export.job import IGNORED, REST, ExportFrame, ExportJob, import_library
+from pepperscene.dataset.export.selection import UNRIPE_CATEGORY, Category
+from pepperscene.dataset.store.crop import crop_name
 from pepperscene.dataset.store.images import png_bytes
 
 _CENTRE: Final = 0.5
 """Coordinate of the first pixel's centre here; in COCO's keypoints it is 0."""
+
+_VARIATION_KEYS: Final = ("moment", "twin", "rig_camera", "drawn")
+"""What frames share with others, and their drawn values; only recipes with variation have them."""
 
 _FRUIT_KEYS: Final = ("ripeness", "length_m", "diameter_m", "visible_fraction", "truncated")
 
@@ -29,20 +33,33 @@ def write_coco(job: ExportJob, folder: Path) -> None:
     """Write `train/000110.png`, `annotations/instances_train.json` and `panoptic_train.json` per split.
 
     An annotation is one organ of a plant. The rest of each class (see `ExportFrame.segment_ids`) is one
-    annotation with `iscrowd` 1, which evaluation ignores. Category ids are class ids. If all frames have the
+    annotation with `iscrowd` 1, which evaluation ignores. Category ids are class ids; where ripe and unripe
+    fruit are two categories, the rest of the fruit is a crowd of both, and void in panoptic images. If all
+    frames have the
     output harvest, fruit get amodal masks and cut points.
+
+    The ignored pixels of a frame are one more annotation with `iscrowd` 1 in each category, all with the same
+    mask, because evaluation compares only within a category. In panoptic images they are 0, which is void.
     """
     annotations = folder / "annotations"
     annotations.mkdir()
-    thing_categories = [_category(organ) for organ in OrganClass if organ != OrganClass.BACKGROUND]
+    crop = crop_name(job.dataset.info)
+    thing_categories = [_category_record(category, crop) for category in job.selection.categories]
     # COCO declares keypoints per category, so either all frames have them or none.
     harvest = bool(job.common_outputs(["harvest"]))
-    if harvest:
-        thing_categories[OrganClass.PEPPER - 1] |= {"keypoints": ["cut"], "skeleton": []}
+    background = Category(int(OrganClass.BACKGROUND), "background", OrganClass.BACKGROUND)
     segmented = [
-        {**_category(organ), "isthing": int(organ > 0), "color": list(CLASS_COLOURS[organ])}
-        for organ in OrganClass
+        {
+            **_category_record(category, crop),
+            "isthing": int(category is not background),
+            "color": _panoptic_colour(category),
+        }
+        for category in (background, *job.selection.categories)
     ]
+    if harvest:
+        for record, category in zip(thing_categories, job.selection.categories, strict=True):
+            if category.organ_class == OrganClass.PEPPER:
+                record |= {"keypoints": ["cut"], "skeleton": []}
     for split, frames in job.frames_by_split():
         images, panoptic_images = folder / split, annotations / f"panoptic_{split}"
         images.mkdir()
@@ -54,83 +71,18 @@ def write_coco(job: ExportJob, folder: Path) -> None:
             _open_json(annotations / f"panoptic_{split}.json", job.dataset.info, segmented) as panoptic,
         ):
             for frame in frames:
-                ids = frame.segment_ids(job.smallest_px)
-                segments = find_segments(frame, ids)
+                ids = frame.segment_ids(job.selection)
+                segments = find_segments(frame, ids, job.selection)
                 image = _image_record(frame, ids.shape)
                 (images / image["file_name"]).write_bytes(frame.content("colour"))
                 # The three low bytes of each id are the channels of the panoptic image.
-                channels = ids.astype("<u4", copy=False).view(np.uint8).reshape(*ids.shape, 4)[..., :3]
+                void = [segment.id for segment in segments if segment.is_void]
+                visible = np.where(np.isin(ids, void), 0, ids).astype("<u4", copy=False)
+                channels = visible.view(np.uint8).reshape(*ids.shape, 4)[..., :3]
                 content = png_bytes(np.ascontiguousarray(channels))
                 (panoptic_images / image["file_name"]).write_bytes(content)
                 instances.add(image, _instance_records(frame, segments, harvest))
                 panoptic.add(image, [_panoptic_record(image, segments)])
-
-
-@dataclass(frozen=True, eq=False)
-class Segment:
-    """The pixels of one organ, or of the rest of a class."""
-
-    id: int  # above 0, unique in its image
-    organ_class: OrganClass
-    entry: Mapping[str, Any]  # of the instance in the frame's JSON; empty for the rest of a class
-    mask: dict[str, Any]  # `size` (rows, columns) and `counts`, the run lengths as text
-    area: int
-    box: tuple[int, int, int, int]  # left, top, width, height
-
-    @property
-    def is_crowd(self) -> bool:
-        """Whether it is the rest of an organ's class."""
-        return not self.entry and self.organ_class != OrganClass.BACKGROUND
-
-
-def find_segments(frame: ExportFrame, ids: NDArray[np.uint32]) -> list[Segment]:
-    """The segments of a frame with its `segment_ids` `(h, w)`, by ascending id."""
-    coder = import_library("pycocotools.mask")
-    height, width = ids.shape
-    lengths = segment_run_lengths(ids)
-    masks = coder.frPyObjects(
-        [{"size": [height, width], "counts": runs} for runs in lengths.values()], height, width
-    )
-    boxes = coder.toBbox(masks).astype(int).tolist()
-    entries = frame.metadata["instances"]
-    segments = []
-    for (segment_id, runs), mask, box in zip(lengths.items(), masks, boxes, strict=True):
-        entry = entries[str(segment_id)] if segment_id < REST else {}
-        organ_class = OrganClass(entry["class"] if entry else segment_id - REST)
-        area = sum(runs[1::2])
-        segments.append(Segment(segment_id, organ_class, entry, _json_mask(mask), area, tuple(box)))
-    return segments
-
-
-def segment_run_lengths(ids: NDArray[np.integer[Any]]) -> dict[int, list[int]]:
-    """COCO's uncompressed run lengths of the mask of every id, by ascending id.
-
-    Run lengths go down the columns, alternating between pixels of other ids and of this one. All masks are
-    made in one pass: separate masks would read the image hundreds of times.
-    """
-    # Runs of equal ids down the columns, sorted by id; those of an id stay in order.
-    column = ids.ravel(order="F")
-    starts = np.concatenate([[0], np.flatnonzero(column[1:] != column[:-1]) + 1])
-    ends = np.concatenate([starts[1:], [column.size]])
-    values = column[starts]
-    order = np.argsort(values, kind="stable")
-    starts, ends, values = starts[order], ends[order], values[order]
-
-    # Gap between a run and the previous one of the same id, or the start of the image.
-    first = np.concatenate([[0], np.flatnonzero(values[1:] != values[:-1]) + 1])
-    previous_end = np.concatenate([[0], ends[:-1]])
-    previous_end[first] = 0
-    lengths = np.stack([starts - previous_end, ends - starts], axis=1).ravel()
-    last = np.concatenate([first[1:], [len(values)]])
-    counts = {}
-    for begin, end in zip(first.tolist(), last.tolist(), strict=True):
-        after = int(column.size - ends[end - 1])
-        counts[int(values[begin])] = [*lengths[2 * begin : 2 * end].tolist(), *([after] if after else [])]
-    return counts
-
-
-def _json_mask(mask: Mapping[str, Any]) -> dict[str, Any]:
-    return {"size": [int(side) for side in mask["size"]], "counts": mask["counts"].decode("ascii")}
 
 
 class _JsonFile:
@@ -166,8 +118,14 @@ def _json_line(record: Mapping[str, Any]) -> str:
     return json.dumps(record, separators=(",", ":"), allow_nan=False)
 
 
-def _category(organ_class: OrganClass) -> dict[str, Any]:
-    return {"id": int(organ_class), "name": organ_class.name.lower(), "supercategory": "sweet pepper"}
+def _category_record(category: Category, crop: str) -> dict[str, Any]:
+    return {"id": category.id, "name": category.name, "supercategory": crop}
+
+
+def _panoptic_colour(category: Category) -> list[int]:
+    """The class colour; unripe fruit has half of it, so that no two categories have the same."""
+    colour = CLASS_COLOURS[category.organ_class]
+    return [value // 2 for value in colour] if category.id == UNRIPE_CATEGORY else list(colour)
 
 
 def _image_record(frame: ExportFrame, shape: tuple[int, ...]) -> dict[str, Any]:
@@ -178,6 +136,7 @@ def _image_record(frame: ExportFrame, shape: tuple[int, ...]) -> dict[str, Any]:
         "width": width,
         "height": height,
         **{key: frame.metadata[key] for key in ("set", "rotation", "step")},
+        **{key: frame.metadata[key] for key in _VARIATION_KEYS if key in frame.metadata},
     }
 
 
@@ -188,19 +147,20 @@ def _annotation_id(index: int, segment_id: int) -> int:
 
 def _instance_records(frame: ExportFrame, segments: Sequence[Segment], harvest: bool) -> list[dict[str, Any]]:
     """One annotation for each visible organ, and one for the rest of each class."""
-    fruit = {}
-    if harvest:
-        fruit = {entry["instance"]: entry for entry in frame.image("harvest")["fruit"]}
+    fruit = frame.fruit if harvest else {}
     visible = {segment.id for segment in segments}
     records = []
     for segment in segments:
+        if segment.id == IGNORED or segment.is_crowd:
+            records += _crowd_records(frame, segment, harvest)
+            continue
         if segment.organ_class == OrganClass.BACKGROUND:
             continue
         record: dict[str, Any] = {
             "id": _annotation_id(frame.index, segment.id),
             "image_id": frame.index,
-            "category_id": int(segment.organ_class),
-            "iscrowd": int(segment.is_crowd),
+            "category_id": segment.categories[0].id,
+            "iscrowd": 0,
             "area": segment.area,
             "bbox": segment.box,
             "segmentation": segment.mask,
@@ -208,7 +168,7 @@ def _instance_records(frame: ExportFrame, segments: Sequence[Segment], harvest: 
         if entry := segment.entry:
             # The parent is the annotation of the organ that this one grows out of.
             parent = _annotation_id(frame.index, entry["parent"]) if entry["parent"] in visible else None
-            attributes = {key: entry[key] for key in ("kind", "plant", "phytomer")}
+            attributes = {key: entry[key] for key in ("kind", "plant", "phytomer", "far") if key in entry}
             record["attributes"] = {**attributes, "instance": segment.id, "parent": parent}
         if harvest and segment.organ_class == OrganClass.PEPPER:
             known = fruit.get(segment.id, {})
@@ -219,12 +179,30 @@ def _instance_records(frame: ExportFrame, segments: Sequence[Segment], harvest: 
     return records
 
 
+def _crowd_records(frame: ExportFrame, segment: Segment, harvest: bool) -> list[dict[str, Any]]:
+    """The rest of a class, or the ignored pixels of a frame, as a crowd of each category that they can be."""
+    first = IGNORED if segment.id == IGNORED else REST
+    return [
+        {
+            "id": _annotation_id(frame.index, first + category.id),
+            "image_id": frame.index,
+            "category_id": category.id,
+            "iscrowd": 1,
+            "area": segment.area,
+            "bbox": segment.box,
+            "segmentation": segment.mask,
+            **(_keypoint(None) if harvest and category.organ_class == OrganClass.PEPPER else {}),
+        }
+        for category in segment.categories
+    ]
+
+
 def _fruit_attributes(fruit: Mapping[str, Any]) -> dict[str, Any]:
     """Further attributes of a fruit; `amodal` describes its mask without what hides it."""
     coder = import_library("pycocotools.mask")
     mask = coder.frPyObjects(dict(fruit["amodal"]), *fruit["amodal"]["size"])
     amodal = {
-        "segmentation": _json_mask(mask),
+        "segmentation": json_mask(mask),
         "area": int(coder.area(mask)),
         "bbox": [int(value) for value in coder.toBbox(mask)],
     }
@@ -244,11 +222,12 @@ def _panoptic_record(image: Mapping[str, Any], segments: Sequence[Segment]) -> d
     segments_info = [
         {
             "id": segment.id,
-            "category_id": int(segment.organ_class),
+            "category_id": segment.categories[0].id if segment.categories else int(OrganClass.BACKGROUND),
             "area": segment.area,
             "bbox": segment.box,
             "iscrowd": int(segment.is_crowd),
         }
         for segment in segments
+        if not segment.is_void
     ]
     return {"image_id": image["id"], "file_name": image["file_name"], "segments_info": segments_info}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -9,8 +10,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import OrganClass
+from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.dataset.export.job import ExportFrame
+from pepperscene.dataset.store.drawn_columns import DRAWN, drawn_columns
 from pepperscene.dataset.store.manifest import FRUIT_COLUMNS, fruit_rows
 from pepperscene.errors import InputError
 
@@ -24,7 +26,8 @@ _CLASS: Final = {"names": list(CLASS_NAMES), "_type": "ClassLabel"}
 _POSE: Final = {"shape": [4, 4], "dtype": "float64", "_type": "Array2D"}
 
 _CAMERA_KEYS: Final = ("fx", "fy", "cx", "cy")
-_DISTORTION_KEYS: Final = ("k1", "k2", "k3", "p1", "p2")
+_DISTORTION_KEYS: Final = ("k1", "k2", "k3", "p1", "p2", "k4", "k5", "k6")
+_PLUMB_BOB: Final = "plumb_bob"
 
 _ORGAN: Final = {
     "instance": _INT,
@@ -35,6 +38,7 @@ _ORGAN: Final = {
     "parent": _INT,
     "pixels": _INT,
     "box": [_INT],
+    "far": {"dtype": "bool", "_type": "Value"},
 }
 _DTYPES: Final = {"double": "float64"}
 """Hugging Face's names of types that have another name in Parquet."""
@@ -56,10 +60,36 @@ class Column:
     value: Callable[[ExportFrame], Any]  # its content for a frame
 
 
+_VARIATION: Final = {
+    "moment": (_INT, "number of the view; twins and the cameras of a rig share it"),
+    "twin": (_INT, "number of the twin; twins differ in a few values only"),
+    "rig_camera": (_TEXT, "name of the camera on the rig"),
+}
+_DRAWN: Final = "drawn"
+
+
+def variation_columns(info: Mapping[str, Any]) -> tuple[Column, ...]:
+    """The columns of what frames share and of their drawn values, as far as the recipe has them.
+
+    Args:
+        info: the content of `dataset.json`.
+    """
+    names = drawn_columns(info)
+    columns = [
+        Column(name, feature, meaning, _optional_column(name))
+        for name, (feature, meaning) in _VARIATION.items()
+        if name in names
+    ]
+    if any(name.startswith(DRAWN) for name in names):
+        meaning = "JSON: the values that differ between frames, by key of the recipe"
+        columns.append(Column(_DRAWN, _TEXT, meaning, _drawn_text))
+    return tuple(columns)
+
+
 def frame_columns(outputs: Sequence[str], shape: tuple[int, int]) -> tuple[Column, ...]:
     """The columns of frames of a shape (h, w) that all have some outputs, at least colour and class."""
     distances = {"shape": list(shape), "dtype": "float32", "_type": "Array2D"}
-    camera = dict.fromkeys((*_CAMERA_KEYS, *_DISTORTION_KEYS), _FLOAT)
+    camera = {**dict.fromkeys((*_CAMERA_KEYS, *_DISTORTION_KEYS), _FLOAT), "model": _TEXT}
     optional = {
         "instance": Column("instances", _IMAGE, "16-bit instances; 0 is the sky", _image_column("instance")),
         "distance": Column(
@@ -73,7 +103,12 @@ def frame_columns(outputs: Sequence[str], shape: tuple[int, int]) -> tuple[Colum
     return (
         Column("index", _INT, "of the frame in the whole plan", lambda frame: frame.index),
         Column("image", _IMAGE, "the photograph, 8-bit sRGB", _image_column("colour")),
-        Column("mask", _IMAGE, "class ids 0 to 7, with a palette for display", _image_column("class")),
+        Column(
+            "mask",
+            _IMAGE,
+            "class ids 0 to 7, or 255 to ignore, with a palette for display",
+            _image_column("class"),
+        ),
         *(optional[output] for output in optional if output in outputs),
         Column("organs", [_ORGAN], "the visible instances", _organ_values),
         Column("pixels", dict.fromkeys(CLASS_NAMES, _INT), "of each class", _class_pixels),
@@ -84,7 +119,7 @@ def frame_columns(outputs: Sequence[str], shape: tuple[int, int]) -> tuple[Colum
         Column(
             "camera",
             camera,
-            "focal lengths and principal point in pixels, Brown-Conrady distortion",
+            "focal lengths and principal point in pixels, and distortion of OpenCV's model of this name",
             _camera_value,
         ),
     )
@@ -156,6 +191,14 @@ def _metadata_column(key: str) -> Callable[[ExportFrame], Any]:
     return lambda frame: frame.metadata[key]
 
 
+def _optional_column(key: str) -> Callable[[ExportFrame], Any]:
+    return lambda frame: frame.metadata.get(key)
+
+
+def _drawn_text(frame: ExportFrame) -> str:
+    return json.dumps(frame.metadata.get(_DRAWN, {}), sort_keys=True, allow_nan=False)
+
+
 def _class_pixels(frame: ExportFrame) -> dict[str, int]:
     counts = frame.metadata.get("class_pixels", {})
     return {name: counts.get(name, 0) for name in CLASS_NAMES}
@@ -164,7 +207,12 @@ def _class_pixels(frame: ExportFrame) -> dict[str, int]:
 def _organ_values(frame: ExportFrame) -> list[dict[str, Any]]:
     entries = frame.metadata["instances"]
     return [
-        {**{key: entry.get(key) for key in _ORGAN}, "instance": int(instance)}
+        {
+            **{key: entry.get(key) for key in _ORGAN},
+            "instance": int(instance),
+            "class": None if entry["class"] == IGNORE_CLASS else entry["class"],
+            "far": entry.get("far", False),
+        }
         for instance, entry in sorted(entries.items(), key=lambda item: int(item[0]))
     ]
 
@@ -178,10 +226,11 @@ def _pose_value(frame: ExportFrame) -> NDArray[np.float64]:
     return np.asarray(frame.metadata["camera"]["pose"], np.float64)
 
 
-def _camera_value(frame: ExportFrame) -> dict[str, float]:
+def _camera_value(frame: ExportFrame) -> dict[str, float | str]:
     camera = frame.metadata["camera"]
     distortion = camera["distortion"]
     return {
         **{key: float(camera[key]) for key in _CAMERA_KEYS},
-        **{key: float(distortion[key]) for key in _DISTORTION_KEYS},
+        **{key: float(distortion.get(key, 0.0)) for key in _DISTORTION_KEYS},
+        "model": str(distortion.get("model", _PLUMB_BOB)),
     }

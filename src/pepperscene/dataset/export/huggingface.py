@@ -20,6 +20,7 @@ from pepperscene.dataset.export.columns import (
     arrow_array,
     arrow_type,
     frame_columns,
+    variation_columns,
     yaml_feature,
 )
 from pepperscene.dataset.export.job import ExportFrame, ExportJob
@@ -65,7 +66,7 @@ def write_huggingface(job: ExportJob, folder: Path) -> None:
     """
     outputs = (*_REQUIRED, *job.common_outputs(_OPTIONAL))
     height, width = ExportFrame(job.dataset, min(job.split_of)).image("class").shape
-    columns = frame_columns(outputs, (height, width))
+    columns = (*frame_columns(outputs, (height, width)), *variation_columns(job.dataset.info))
     (folder / "data").mkdir()
     sizes = {
         split: _write_split(folder / "data", split, frames, columns)

@@ -13,9 +13,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import OrganClass
+from pepperscene.classes import IGNORE_CLASS, OrganClass
+from pepperscene.dataset.export.selection import Selection
 from pepperscene.dataset.store.dataset import Dataset
-from pepperscene.dataset.store.fields import read_frame, read_output
+from pepperscene.dataset.store.fields import has_ignored_pixels, read_frame, read_output
 from pepperscene.errors import InputError, SetupError
 
 OnFrame = Callable[[int, int, int], None]
@@ -23,6 +24,9 @@ OnFrame = Callable[[int, int, int], None]
 
 REST: Final = 1 << 16
 """Segment id of the rest of class 0; instances are 16-bit numbers."""
+
+IGNORED: Final = REST + IGNORE_CLASS
+"""Segment id of all pixels of a frame that are ignored."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,21 +63,33 @@ class ExportFrame:
         self.content(output)
         return read_output(self.dataset, self.index, output)
 
-    def segment_ids(self, smallest_px: int) -> NDArray[np.uint32]:
+    @cached_property
+    def fruit(self) -> dict[int, dict[str, Any]]:
+        """The entries of its harvest truth by instance; empty without that output."""
+        if "harvest" not in self.metadata["outputs"]:
+            return {}
+        return {entry["instance"]: entry for entry in self.image("harvest")["fruit"]}
+
+    def segment_ids(self, selection: Selection) -> NDArray[np.uint32]:
         """Segment of every pixel, `(h, w)`, above 0.
 
         An organ of a plant, of any class but the background, is one segment, whose id is its value in
-        the instance image. The rest of each class is the segment `REST` + class: the background, what has
-        an organ's class but belongs to no plant (a wire of the whole row), and organs with fewer than
-        `smallest_px` visible pixels.
+        the instance image. The rest of each class is the segment `REST` + class: the background with organs
+        of classes that are not selected, what has an organ's class but belongs to no plant (a wire of the
+        whole row), and organs that are not separate objects of the selection. Ignored pixels are the segment
+        `IGNORED`.
         """
+        # The harvest truth is read only if the objects depend on it.
+        fruit = self.fruit if selection.needs_harvest else {}
         instance = self.image("instance")
         table = np.zeros(REST, dtype=np.uint32)
         table[0] = REST
         for value, entry in self.metadata["instances"].items():
             organ_class = entry["class"]
-            is_organ = organ_class != OrganClass.BACKGROUND and entry["plant"] >= 0
-            keep = is_organ and entry["pixels"] >= smallest_px
+            if organ_class not in (*selection.classes, IGNORE_CLASS):
+                organ_class = OrganClass.BACKGROUND
+            is_organ = organ_class not in (OrganClass.BACKGROUND, IGNORE_CLASS)
+            keep = is_organ and selection.is_object(entry, fruit.get(int(value)))
             table[int(value)] = int(value) if keep else REST + organ_class
         ids = np.take(table, instance)
         if not ids.all():
@@ -89,8 +105,13 @@ class ExportJob:
 
     dataset: Dataset
     splits: Mapping[str, tuple[int, ...]]  # ascending indices of each; none is empty
-    smallest_px: int = 1  # visible pixels below which an organ is not a separate object
+    selection: Selection = Selection()  # noqa: RUF009 - it is frozen
     on_frame: OnFrame | None = None
+
+    @property
+    def has_ignored_pixels(self) -> bool:
+        """Whether the frames can have pixels that training and evaluation leave out."""
+        return has_ignored_pixels(self.dataset.info)
 
     @cached_property
     def split_of(self) -> dict[int, str]:

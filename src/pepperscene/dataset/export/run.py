@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import Final
 
 from pepperscene.dataset.export.job import ExportJob, OnFrame, import_library
+from pepperscene.dataset.export.selection import Selection, parse_classes
 from pepperscene.dataset.export.splits import read_splits
 from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.dataset.store.atomic import check_can_create, make_folder, remove
@@ -76,6 +77,10 @@ def export_dataset(
     frames: str | None = None,
     on_frame: OnFrame | None = None,
     smallest_px: int | None = None,
+    *,
+    classes: str | None = None,
+    least_visible: float | None = None,
+    ripe_from: float | None = None,
 ) -> ExportResult:
     """Write a data set in another format.
 
@@ -88,6 +93,10 @@ def export_dataset(
         frames: "A:B", indices A to B - 1; None for all existing frames.
         on_frame: called after every frame with its index, the number of frames done, and that of all.
         smallest_px: visible pixels below which an organ is not a separate object; None for the default.
+        classes: "pepper,leaf", the classes of organs that are objects, in the order of their categories; None
+            for all.
+        least_visible: visible fraction below which a fruit is no separate object; needs the output harvest.
+        ripe_from: ripeness from which fruit is "ripe pepper", not "unripe pepper"; needs the output harvest.
 
     Raises:
         InputError: there is no data set or frame, an argument is invalid, an output missing, a file damaged.
@@ -98,9 +107,18 @@ def export_dataset(
         raise ArgumentError("format", f"unknown format {format_name!r}; allowed are {', '.join(FORMATS)}")
     export_format = FORMATS[format_name]
     default_px = export_format.smallest_px
-    if smallest_px is not None and (default_px is None or smallest_px < 1):
-        problem = "must be at least 1" if default_px else f"does not apply: {format_name} has no objects"
-        raise ArgumentError("smallest", f"{smallest_px} {problem}")
+    if smallest_px is not None and smallest_px < 1:
+        raise ArgumentError("smallest", f"{smallest_px} must be at least 1")
+    fractions = {"min_visibility": least_visible, "ripe": ripe_from}
+    for name, value in {"smallest": smallest_px, "classes": classes, **fractions}.items():
+        if value is not None and default_px is None:
+            raise ArgumentError(name, f"{value} does not apply: {format_name} has no objects")
+    for name, fraction in fractions.items():
+        if fraction is not None and not 0 <= fraction <= 1:
+            raise ArgumentError(name, f"{fraction:g} must be 0 to 1")
+    selection = Selection(
+        parse_classes(classes), smallest_px or default_px or 1, least_visible or 0, ripe_from
+    )
     dataset = open_dataset(folder)
     read_info(dataset)
     indices = _select_frames(dataset, frames)
@@ -109,10 +127,13 @@ def export_dataset(
         if name in export_format.reserved:
             problem = f"{name} is not allowed in the format {format_name}, which uses the name otherwise"
             raise ArgumentError("split", problem)
-    job = ExportJob(dataset, members, smallest_px or default_px or 1, on_frame)
+    job = ExportJob(dataset, members, selection, on_frame)
     if export_format.library:
         import_library(export_format.library)
-    _check_outputs(dataset, list(job.split_of), export_format.required)
+    required = export_format.required
+    if selection.needs_harvest:
+        required = (*required, ("harvest",))
+    _check_outputs(dataset, list(job.split_of), required)
     module = import_module(f"pepperscene.dataset.export.{format_name}")
     with new_folder(Path(out), dataset.folder) as temporary:
         getattr(module, f"write_{format_name}")(job, temporary)

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from pepperscene.dataset.recipe.moments import frames_of_moments, moments
 from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.errors import ArgumentError
 
@@ -53,32 +54,41 @@ def split_by_sets(
 
     If there are as many sets of plants as splits, every set goes to one split. Otherwise every scene does;
     the scenes of a set show the same plants in another order. A single scene is split into ranges of the
-    camera's path.
+    camera's path. Twins, and the images of a rig at one moment, are always in one split.
 
     Args:
-        plan: `sets`, `rotations` and `frames`, as in the recipe in `dataset.json`.
+        plan: `sets`, `rotations`, `frames`, `twins` and `cameras`, as in the recipe in `dataset.json`.
         fractions: of the frames by name of the split, in the order of the indices; their sum is 1.
         indices: of the existing frames; None for all frames of the plan.
 
     Raises:
-        ValueError: there are fewer frames than splits, or fractions are not positive or do not sum to 1.
+        ValueError: there are fewer moments than splits, or fractions are not positive or do not sum to 1.
     """
     whole_plan = _parse_plan(plan)
     frames = np.arange(whole_plan.count) if indices is None else np.unique(np.asarray(indices, np.int64))
     total = sum(fractions.values())
     if not fractions or min(fractions.values()) <= 0 or abs(total - 1) > _SUM_TOLERANCE:
         raise ValueError(f"the fractions sum to {total:g}; they must be positive and sum to 1")
-    if len(frames) < len(fractions):
-        raise ValueError(f"{len(frames)} frames cannot make {len(fractions)} splits")
-    # The largest units of which every split gets at least one.
+    shown = moments(whole_plan, frames)
+    if (count := len(np.unique(shown))) < len(fractions):
+        number = f"{len(frames)} frames" + (f" of {count} moments" if count < len(frames) else "")
+        raise ValueError(f"{number} cannot make {len(fractions)} splits")
+    # The largest units, in moments, of which every split gets at least one.
     unit_sizes = (whole_plan.frames * whole_plan.rotations, whole_plan.frames, 1)
-    size = next(size for size in unit_sizes if len(np.unique(frames // size)) >= len(fractions))
-    units, frames_per_unit = np.unique(frames // size, return_counts=True)
+    size = next(size for size in unit_sizes if len(np.unique(shown // size)) >= len(fractions))
+    units, frames_per_unit = np.unique(shown // size, return_counts=True)
 
     # Frames that do not exist yet belong to the split before them.
     ends = [int(units[end]) * size for end in _split_ends(frames_per_unit, list(fractions.values()))[:-1]]
-    bounds = itertools.pairwise([0, *ends, whole_plan.count])
-    return Splits(tuple((name, range(*bound)) for name, bound in zip(fractions, bounds, strict=True)))
+    count = whole_plan.sets * whole_plan.rotations * whole_plan.frames
+    bounds = itertools.pairwise([0, *ends, count])
+    return Splits(
+        tuple(
+            (name, indices)
+            for name, bound in zip(fractions, bounds, strict=True)
+            for indices in frames_of_moments(whole_plan, *bound)
+        )
+    )
 
 
 def read_splits(text: str | None, plan: Mapping[str, Any], indices: Sequence[int]) -> Splits:
@@ -91,7 +101,8 @@ def read_splits(text: str | None, plan: Mapping[str, Any], indices: Sequence[int
         indices: of the frames to split.
 
     Raises:
-        ArgumentError: the text is not valid, ranges overlap or exceed the plan, or a split is empty.
+        ArgumentError: the text is not valid, ranges overlap, exceed the plan or separate twins or the images
+            of a rig at one moment, or a split is empty.
     """
     if text is None:
         return Splits()
@@ -107,10 +118,26 @@ def read_splits(text: str | None, plan: Mapping[str, Any], indices: Sequence[int
             splits = split_by_sets(plan, fractions, indices)
         except ValueError as error:
             raise ArgumentError("split", str(error)) from None
-    empty = [name for name, members in splits.members(indices).items() if not members]
+    members = splits.members(indices)
+    _check_moments(members, plan)
+    empty = [name for name, frames in members.items() if not frames]
     if empty:
         raise ArgumentError("split", f"{empty[0]} would hold none of the {len(indices)} frames")
     return splits
+
+
+def _check_moments(members: Mapping[str, Sequence[int]], plan: Mapping[str, Any]) -> None:
+    """Raise `ArgumentError` if frames of one moment, which show the same, are in different splits."""
+    whole_plan = _parse_plan(plan)
+    if whole_plan.twins * whole_plan.cameras == 1:
+        return
+    found: dict[int, tuple[str, int]] = {}
+    for name, indices in members.items():
+        for index, moment in zip(indices, moments(whole_plan, indices), strict=True):
+            other, first = found.setdefault(int(moment), (name, index))
+            if other != name:
+                problem = f"frame {index} in {name} and frame {first} in {other} show the same moment"
+                raise ArgumentError("split", f"{problem}; they must be in one split")
 
 
 def _parse_pair(part: str) -> tuple[str, str]:
@@ -160,4 +187,5 @@ def _split_ends(frames_per_unit: Any, fractions: Sequence[float]) -> list[int]:
 
 
 def _parse_plan(plan: Mapping[str, Any]) -> Plan:
-    return Plan.model_validate({key: plan[key] for key in ("sets", "rotations", "frames")})
+    keys = ("sets", "rotations", "frames", "twins", "cameras")
+    return Plan.model_validate({key: plan[key] for key in keys if key in plan})

@@ -13,9 +13,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import OrganClass
-from pepperscene.dataset.export.job import REST, ExportFrame, ExportJob, import_library
+from pepperscene.classes import IGNORE_CLASS, OrganClass
+from pepperscene.dataset.export.job import IGNORED, REST, ExportFrame, ExportJob, import_library
+from pepperscene.dataset.export.selection import Selection
 from pepperscene.dataset.export.splits import DEFAULT_SPLIT
+from pepperscene.dataset.store.images import png_bytes
 
 Points = NDArray[np.int32]
 """`(n, 2)` column and row of pixels."""
@@ -36,49 +38,63 @@ _DECIMALS: Final = 6  # 1/200 of a pixel in images 5,000 pixels wide
 def write_yolo(job: ExportJob, folder: Path) -> None:
     """Write `images/train/000110.png`, `labels/train/000110.txt` and `data.yaml`.
 
-    A line is an organ of a plant: its class id minus 1, as ids start at 0 and the background has none, and
-    the pixel centres of its polygon over the width and height of the image. What belongs to no plant, organs
-    below `smallest_px` and pieces below it are left out, as the format has no crowd.
+    A line is an organ of a plant: the number of its category in the selection, and the pixel centres of its
+    polygon over the width and height of the image. Of all classes, the numbers are the class ids minus 1.
+    What belongs to no plant, organs that are not objects and pieces below the selection's `smallest_px` are
+    left out, as the format has no crowd.
+
+    Nor has it ignored pixels: if the frames can have some, `ignore/train/000110.png` is 255 there and 0
+    elsewhere, for losses and evaluations that read it.
     """
-    (folder / "data.yaml").write_text(_data_yaml(list(job.splits)), encoding="utf-8")
+    data = _data_yaml(list(job.splits), job.selection)
+    (folder / "data.yaml").write_text(data, encoding="utf-8")
     for split, frames in job.frames_by_split():
         images, labels = folder / "images" / split, folder / "labels" / split
         images.mkdir(parents=True)
         labels.mkdir(parents=True)
+        if job.has_ignored_pixels:
+            (folder / "ignore" / split).mkdir(parents=True)
         for frame in frames:
             (images / f"{frame.name}.png").write_bytes(frame.content("colour"))
-            lines = "".join(f"{line}\n" for line in _label_lines(frame, job.smallest_px))
+            ids = frame.segment_ids(job.selection)
+            if job.has_ignored_pixels:
+                mask = np.where(ids == IGNORED, np.uint8(IGNORE_CLASS), np.uint8(0))
+                (folder / "ignore" / split / f"{frame.name}.png").write_bytes(png_bytes(mask))
+            lines = "".join(f"{line}\n" for line in _label_lines(frame, ids, job.selection))
             (labels / f"{frame.name}.txt").write_text(lines, encoding="ascii")
 
 
-def _data_yaml(splits: Sequence[str]) -> str:
+def _data_yaml(splits: Sequence[str], selection: Selection) -> str:
     """`data.yaml`, with paths relative to its folder; readers require both `train` and `val`."""
     folders = {split: f"images/{split}" for split in splits}
     validation = next((name for name in _VALIDATION_NAMES if name in splits), splits[0])
     for name, substitute in ((DEFAULT_SPLIT, splits[0]), ("val", validation)):
         folders.setdefault(name, f"images/{substitute}  # there is no split of this name")
-    classes = [
-        f"  {organ - 1}: {organ.name.lower()}" for organ in OrganClass if organ != OrganClass.BACKGROUND
-    ]
+    classes = [f"  {number}: {category.name}" for number, category in enumerate(selection.categories)]
     # Keys in quotes: `no`, `on` and `null` are not text in YAML.
     paths = [f'"{name}": {path}' for name, path in folders.items()]
     return "\n".join([*paths, "names:", *classes]) + "\n"
 
 
-def _label_lines(frame: ExportFrame, smallest_px: int) -> list[str]:
-    """The lines of a frame's label file, by ascending instance."""
+def _label_lines(frame: ExportFrame, ids: NDArray[np.uint32], selection: Selection) -> list[str]:
+    """The lines of the label file of a frame with its `segment_ids`, by ascending instance."""
     from scipy import ndimage
 
-    ids = frame.segment_ids(smallest_px)
+    numbers = {category.id: number for number, category in enumerate(selection.categories)}
     height, width = ids.shape
     xs, ys = _pixel_centres(width), _pixel_centres(height)
+    fruit = frame.fruit if selection.needs_harvest else {}
     lines = []
     for value, window in enumerate(ndimage.find_objects(ids.astype("int32"), max_label=REST - 1), start=1):
         if window is None:
             continue
         rows, columns = window
-        class_id = frame.metadata["instances"][str(value)]["class"] - 1
-        for polygon in mask_polygons(ids[window] == value, smallest_px):
+        organ_class = OrganClass(frame.metadata["instances"][str(value)]["class"])
+        category = selection.category(organ_class, fruit.get(value))
+        if category is None:
+            continue
+        class_id = numbers[category.id]
+        for polygon in mask_polygons(ids[window] == value, selection.smallest_px):
             # At least three points: readers take two for a box.
             points = polygon if len(polygon) > 2 else polygon[[0, 0, -1]]
             xy = " ".join(f"{xs[columns.start + x]} {ys[rows.start + y]}" for x, y in points.tolist())

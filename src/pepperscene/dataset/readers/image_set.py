@@ -11,9 +11,10 @@ from typing import Any, Final, Self, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.classes import IGNORE_CLASS
 from pepperscene.errors import InputError
 
-VOID: Final = 255
+VOID: Final = IGNORE_CLASS
 """Class id of unlabelled pixels, as in Cityscapes and PASCAL VOC; losses and metrics ignore it
 (`ignore_index=255`). It is not the background."""
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import CLASS_COLOURS, OrganClass
+from pepperscene.classes import CLASS_COLOURS, IGNORE_COLOUR, OrganClass
 from pepperscene.dataset.readers.image_set import VOID
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError
@@ -138,9 +138,10 @@ def _parse_value(key: Any) -> int | None:
 
 
 PALETTE: Final = LabelMap(
-    "the published colour scale", colours={colour: organ for organ, colour in enumerate(CLASS_COLOURS)}
+    "the published colour scale",
+    colours={**{colour: organ for organ, colour in enumerate(CLASS_COLOURS)}, IGNORE_COLOUR: VOID},
 )
-"""The published colours, which colour masks mean unless a table says otherwise."""
+"""The published colours and that of ignored pixels, which colour masks mean unless a table says otherwise."""
 
 KNOWN_LABELS: Final[Mapping[str, LabelMap]] = MappingProxyType(
     {

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import json
 import os
+import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -11,23 +13,36 @@ from typing import Any, Final
 
 from pydantic import BaseModel
 
+from pepperscene.dataset.recipe.load_camera import NamedFiles
+from pepperscene.dataset.recipe.merge import merge_layer, merge_tables
+from pepperscene.dataset.recipe.outcomes import check_outcomes
+from pepperscene.dataset.recipe.parse import parse_recipe
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe, load_files
-from pepperscene.document import extends_chain, validate
+from pepperscene.dataset.variation.extract import table_model
+from pepperscene.document import extends_chain
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.shipped import find_file
 
 _FILE_KEYS: Final = (
     ("cultivar",), ("camera", "sensor"), ("camera", "lens"), ("camera", "flash"), ("camera", "filter"),
-    ("daylight", "cover"), ("growth", "until"),
+    ("camera", "calibration"), ("daylight", "cover"), ("growth", "until"), ("views", "file"),
 )  # fmt: skip
 """Keys whose value may be a path, relative to the recipe file that holds it."""
+
+_PATH_ENDINGS: Final = (".toml", ".yaml", ".yml", ".txt", ".csv", ".json", ".py")
+"""A text with one of these is a path, also without a folder; any other such text is a name."""
 
 _EXPECT: Final = "expect"
 _SAME_FRAMES: Final = {"name", "seed", "plan"}
 """Tables and keys that change which frames there are, but not the kind of frame."""
 
+_CHECKED_LATER: Final = ("views", "override", "twins")
+"""Tables whose keys depend on their content, and are checked with it."""
+
 _CHANGES: Final = "changes"  # argument of `load_recipe`
+
+_KEY_PART: Final = re.compile(r'"(?:[^"\\]|\\.)*"|[^."]+')
 
 _Layer = tuple[str | None, dict[str, Any]]
 """A file's name, or None for the changes, and its table."""
@@ -65,7 +80,7 @@ def resolve_recipe(
         seed: replaces the recipe's seed, unless None.
     """
     if isinstance(recipe, Recipe):
-        return load_files(recipe.with_seed(seed))
+        return _load_all(recipe.with_seed(seed), recipe.name)
     if not isinstance(recipe, ResolvedRecipe):
         recipe = _read_recipe(recipe, changes or {})
     return recipe.with_seed(seed)
@@ -80,23 +95,30 @@ def _read_recipe(name_or_path: str | Path, changes: Mapping[str, Any]) -> Resolv
         files.append((str(file), table))
     changed: dict[str, Any] = {}
     for key, value in changes.items():
-        changed = _merge_tables(changed, _change_tables(key, value))
+        changed = merge_tables(changed, _change_tables(key, value), Recipe)
     _resolve_paths(changed, Path())
     layers = [(None, changed), *files] if changed else files
 
     # One table of all layers.
     merged: dict[str, Any] = {}
-    for _, table in reversed(layers):
-        merged = _merge_tables(merged, table)
+    for file, table in reversed(layers):
+        merged = merge_layer(merged, table, is_file=file is not None)
     if _expect_is_outdated(list(changes), files):
         del merged[_EXPECT]
     try:
-        return load_files(validate(Recipe, merged, where), where)
+        return _load_all(parse_recipe(merged, where), where)
     except InputError as error:
         # Errors inside other files name those.
         if error.where != where:
             raise
         raise _with_origin(error, layers) from None
+
+
+def _load_all(recipe: Recipe, where: str) -> ResolvedRecipe:
+    files = NamedFiles()
+    resolved = load_files(recipe, where, files)
+    check_outcomes(recipe, where, files)
+    return resolved
 
 
 def parse_changes(texts: Iterable[str]) -> dict[str, Any]:
@@ -142,19 +164,13 @@ def _change_tables(key: str, value: Any) -> dict[str, Any]:
             allowed = f"allowed{f' in {above}' if above else ''} are {', '.join(fields)}"
             problem = f"is not a known key; {allowed if fields else f'{above} is not a table'}"
             raise ArgumentError(_CHANGES, problem, key=key)
-        model = _table_model(fields[part].annotation)
+        if part in _CHECKED_LATER:
+            break
+        model = table_model(fields[part].annotation)
     tables: Any = copy.deepcopy(value)
     for part in reversed(parts):
         tables = {part: tables}
     return dict(tables)
-
-
-def _table_model(annotation: Any) -> type[BaseModel] | None:
-    """The model of a field that holds a table, optional or not; None for single values."""
-    for kind in (annotation, *getattr(annotation, "__args__", ())):
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
-            return kind
-    return None
 
 
 def _expect_is_outdated(changed_keys: Sequence[str], files: Sequence[_Layer]) -> bool:
@@ -170,45 +186,76 @@ def _expect_is_outdated(changed_keys: Sequence[str], files: Sequence[_Layer]) ->
 
 
 def _with_origin(error: InputError, layers: list[_Layer]) -> InputError:
-    """The error with the name of the layer that holds its key, or at least the table above the key."""
-    above = error.key.rpartition(".")[0]
-    holders = [layer for key in (error.key, above) if key for layer in layers if _has_key(layer[1], key)]
+    """The error with the name of the layer that holds its key, or at least the table above the key.
+
+    A number of frames that is missing is that of the layer that chose the kind of views.
+    """
+    key = _parts(error.key)
+    if key[:1] == ("views",) or key == ("plan", "frames"):
+        layers = layers[: _first_with_other_views(layers)]
+    searched = (key, ("views", "kind") if key == ("plan", "frames") else (), key[:-1])
+    holders = [layer for parts in searched if parts for layer in layers if _has_key(layer[1], parts)]
     where = (holders or layers)[0][0]
     if where is None:
         return ArgumentError(_CHANGES, error.problem, key=error.key, value=error.value)
     return InputError(where, error.problem, key=error.key, value=error.value)
 
 
+def _first_with_other_views(layers: Sequence[_Layer]) -> int:
+    """Number of the first layer whose views are of another kind, and replaced as a whole by those above."""
+    views = [table.get("views") for _, table in layers]
+    kinds = [table.get("kind") if isinstance(table, dict) else None for table in views]
+    given = [kind for kind in kinds if kind is not None]
+    others = (number for number, kind in enumerate(kinds) if kind is not None and kind != given[0])
+    return next(others, len(layers))
+
+
 def _resolve_paths(table: dict[str, Any], folder: Path) -> None:
     """Make the paths in a recipe's table absolute; values of a wrong type are left to validation."""
+    twins, rig = table.get("twins"), table.get("rig")
     for *outer, last in _FILE_KEYS:
         inner: Any = table
         for key in outer:
             inner = inner.get(key) if isinstance(inner, dict) else None
-        if isinstance(inner, dict) and isinstance(inner.get(last), str):
-            inner[last] = _absolute_path(inner[last], folder)
+        holders = [(inner, last), (twins, ".".join((*outer, last)))]
+        if outer == ["camera"] and isinstance(rig, list):
+            holders += [(camera, last) for camera in rig]
+        for holder, key in holders:
+            if isinstance(holder, dict) and key in holder:
+                holder[key] = _absolute_paths(holder[key], folder)
+
+
+def _absolute_paths(value: Any, folder: Path) -> Any:
+    """The same for a name, a list of names, or the table of a varied name."""
+    if isinstance(value, str):
+        return _absolute_path(value, folder)
+    if isinstance(value, list):
+        return [_absolute_paths(item, folder) for item in value]
+    if isinstance(value, dict):
+        # Outcomes are keys; "in_turn" and the settings are no paths.
+        return {_absolute_path(key, folder): _in_turn_paths(key, item, folder) for key, item in value.items()}
+    return value
+
+
+def _in_turn_paths(key: str, value: Any, folder: Path) -> Any:
+    return _absolute_paths(value, folder) if key == "in_turn" else value
 
 
 def _absolute_path(name_or_path: str, folder: Path) -> str:
     """A path relative to a folder as an absolute one; a bare name stays as it is."""
-    if not name_or_path.endswith(".toml") and Path(name_or_path).parent == Path("."):
+    if not name_or_path.endswith(_PATH_ENDINGS) and Path(name_or_path).parent == Path("."):
         return name_or_path
     return os.path.normpath(folder.absolute() / name_or_path)
 
 
-def _merge_tables(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace the values of `base` by those of `over`: tables key by key, everything else as a whole."""
-    merged = dict(base)
-    for key, value in over.items():
-        below = merged.get(key)
-        tables = isinstance(value, dict) and isinstance(below, dict)
-        merged[key] = _merge_tables(below, value) if tables and isinstance(below, dict) else value
-    return merged
+def _parts(key: str) -> tuple[str, ...]:
+    """The parts of a key in TOML's notation, of which some can be quoted."""
+    return tuple(json.loads(part) if part[0] == '"' else part for part in _KEY_PART.findall(key))
 
 
-def _has_key(table: Any, dotted: str) -> bool:
-    """Whether a table holds a dotted key; an index into a list counts as the list."""
-    for key in dotted.split("."):
+def _has_key(table: Any, parts: Sequence[str]) -> bool:
+    """Whether a table holds a key; an index into a list counts as the list."""
+    for key in parts:
         if isinstance(table, list):
             return True
         if not isinstance(table, dict) or key not in table:

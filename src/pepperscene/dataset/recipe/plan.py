@@ -31,6 +31,8 @@ class Stream(IntEnum):
     SETTLE = 4
     PLACE = 5
     FAR = 6
+    VARIATION = 7
+    VIEW = 8
 
 
 def random_generator(seed: int, stream: Stream, *address: int) -> np.random.Generator:
@@ -41,7 +43,8 @@ def random_generator(seed: int, stream: Stream, *address: int) -> np.random.Gene
         stream: purpose of the numbers.
         address: (set, plant) for a plant, its twine and its contacts; (set, 1, plant) for its posture; (set,)
             for the sky; (set, 0) for positions in a row, and (set, rotation, 0) for its contacts; (0, model)
-            for a plant of the far rows, and (1, set, rotation) for their positions.
+            for a plant of the far rows, and (1, set, rotation) for their positions; (moment,) for a random
+            view. The address of a varied value is in `variation.draws`.
     """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(stream), *address)))
 
@@ -68,13 +71,22 @@ class FrameSpec:
         index: of the frame in the whole data set, 0-based.
         set: number of the set of plants.
         rotation: number of positions by which the plants of the row are shifted.
-        step: position along the camera's path.
+        step: number of the view in its scene.
+        scene: number of the scene: set * rotations + rotation.
+        moment: number of the view in the whole plan: scene * frames + step. Twins and the cameras of a rig
+            share it.
+        twin: number of the twin.
+        camera: number of the camera on the rig.
     """
 
     index: int
     set: int
     rotation: int
     step: int
+    scene: int = 0
+    moment: int = 0
+    twin: int = 0
+    camera: int = 0
 
 
 class Plan(Document):
@@ -83,8 +95,10 @@ class Plan(Document):
     Attributes:
         sets: of plants, each grown anew.
         rotations: of the row, each a scene.
-        frames: along the camera's path in every scene.
+        frames: views in every scene.
         select: indices that a build makes by default; None for all.
+        twins, cameras: numbers of twins and of cameras on the rig. They follow from other tables of the
+            recipe and are not keys of its file.
     """
 
     sets: Annotated[int, Field(strict=True, ge=1, le=1000)]
@@ -96,11 +110,20 @@ class Plan(Document):
         ]
         | None
     ) = None
+    twins: Annotated[int, Field(strict=True, ge=1)] = 1
+    cameras: Annotated[int, Field(strict=True, ge=1)] = 1
 
     @model_validator(mode="after")
     def _check(self) -> Plan:
         if self.count > MAX_FRAMES:
-            raise ValueError(f"sets x rotations x frames = {self.count} must be at most {MAX_FRAMES}")
+            further = {"twins": self.twins, "cameras": self.cameras}
+            factors = [
+                "sets",
+                "rotations",
+                "frames",
+                *(name for name, number in further.items() if number > 1),
+            ]
+            raise ValueError(f"{' x '.join(factors)} = {self.count} must be at most {MAX_FRAMES}")
         if self.select is not None and max(self.select) >= self.count:
             raise ValueError(f"select holds {max(self.select)}, but the last index is {self.count - 1}")
         return self
@@ -108,18 +131,38 @@ class Plan(Document):
     @property
     def count(self) -> int:
         """Number of frames in the whole data set."""
-        return self.sets * self.rotations * self.frames
+        return self.sets * self.rotations * self.scene_frames
+
+    @property
+    def scene_frames(self) -> int:
+        """Number of frames of a scene, with all twins and cameras."""
+        return self.twins * self.frames * self.cameras
 
     def frame(self, index: int) -> FrameSpec:
-        """The frame of an index: index = (set * rotations + rotation) * frames + step.
+        """The frame of an index.
+
+        index = (((set * rotations + rotation) * twins + twin) * frames + step) * cameras + camera: the frames
+        of a scene and of a twin follow each other, and so do the images of a rig.
 
         Raises:
             ValueError: there is no such frame.
         """
         if not 0 <= index < self.count:
             raise ValueError(f"frame {index} must be between 0 and {self.count - 1}")
-        scene, step = divmod(index, self.frames)
-        return FrameSpec(index, *divmod(scene, self.rotations), step)
+        rest, camera = divmod(index, self.cameras)
+        rest, step = divmod(rest, self.frames)
+        scene, twin = divmod(rest, self.twins)
+        moment = scene * self.frames + step
+        return FrameSpec(index, *divmod(scene, self.rotations), step, scene, moment, twin, camera)
+
+    def first_of_moment(self, spec: FrameSpec) -> FrameSpec:
+        """The frame of the first twin and the first camera at a frame's moment."""
+        return self.frame((spec.scene * self.twins * self.frames + spec.step) * self.cameras)
+
+    def scene_indices(self, spec: FrameSpec) -> range:
+        """The indices of all frames of a frame's scene, of all twins."""
+        first = spec.scene * self.scene_frames
+        return range(first, first + self.scene_frames)
 
     def select_indices(self, frames: str | Sequence[int] | None, argument: str = "frames") -> tuple[int, ...]:
         """The indices to build, ascending and without repeats.

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from pydantic import Field
+from pydantic import Field, PrivateAttr
 
-from pepperscene.dataset.recipe import tables
+from pepperscene.dataset.recipe import camera_tables, tables
+from pepperscene.dataset.recipe.exposure import AUTO, AutoExposureTable
 from pepperscene.dataset.recipe.plan import Plan, check_seed
+from pepperscene.dataset.recipe.rig import MOST_CAMERAS, RigCamera, Twins
+from pepperscene.dataset.recipe.views_tables import ViewsTable
 from pepperscene.dataset.store import atomic
+from pepperscene.dataset.variation.varied import Varied
 from pepperscene.document import Document, read_toml
 from pepperscene.spectra import read_spectra
 from pepperscene.spectra.files import curve_file, find_material
@@ -20,14 +25,21 @@ from pepperscene.spectra.files import curve_file, find_material
 _REFERENCE: Final = "file"
 """Key whose value is the path of a CSV file of spectra, relative to the file that holds it."""
 
-_MATERIALS: Final = (
-    ("camera", "sensor", "sensors"),
-    ("camera", "lens", "lenses"),
-    ("camera", "flash", "flashes"),
-    ("camera", "filter", "filters"),
-    ("daylight", "cover", "covers"),
-)
-"""Table and key of each material file that a recipe names, and the folder of the shipped ones."""
+_POSES: Final = "poses"
+_CALIBRATIONS: Final = "calibrations"
+
+_FILES: Final[Mapping[tuple[str, ...], str | None]] = {
+    ("cultivar",): None,
+    ("growth", "until"): None,
+    ("camera", "sensor"): "sensors",
+    ("camera", "lens"): "lenses",
+    ("camera", "flash"): "flashes",
+    ("camera", "filter"): "filters",
+    ("camera", "calibration"): _CALIBRATIONS,
+    ("daylight", "cover"): "covers",
+    ("views", "file"): _POSES,
+}
+"""Keys whose values name files, and the folder of the shipped ones; None for cultivars."""
 
 
 class Recipe(Document):
@@ -37,7 +49,11 @@ class Recipe(Document):
         name: of the data set.
         seed: of all random numbers.
         cultivar: shipped name or path.
-        plan, row, path, camera, developing: the tables.
+        plan, row, views, camera, developing: the tables.
+        auto_exposure: for an exposure of "auto"; None for its defaults.
+        override: values of the cultivar file that this recipe changes.
+        rig: further cameras that move with `camera`.
+        twins: values by dotted key, one for each twin: frames that differ in these values only.
         daylight: or None for a night scene.
         twine: or None for none.
         growth: a stage between two cultivar files, or None for the cultivar as in its file.
@@ -50,14 +66,37 @@ class Recipe(Document):
     cultivar: tables.Name
     plan: Plan
     row: tables.RowTable
-    path: tables.PathTable
-    camera: tables.CameraTable
-    developing: tables.DevelopingTable = tables.DevelopingTable()
+    views: ViewsTable
+    camera: camera_tables.CameraTable
+    developing: camera_tables.DevelopingTable = camera_tables.DevelopingTable()
     daylight: tables.DaylightTable | None = None
     twine: tables.TwineTable | None = None
     growth: tables.GrowthTable | None = None
     greenhouse: tables.GreenhouseTable | None = None
     expect: tables.ExpectTable | None = None
+    auto_exposure: AutoExposureTable | None = None
+    override: dict[str, Any] = Field(default_factory=dict)
+    rig: Annotated[tuple[RigCamera, ...], Field(max_length=MOST_CAMERAS - 1)] = ()
+    twins: Twins = Field(default_factory=dict)
+    _variation: tuple[Varied, ...] = PrivateAttr(())
+
+    @property
+    def variation(self) -> tuple[Varied, ...]:
+        """The values that are drawn for each set, scene or frame; fields hold typical values for them."""
+        return self._variation
+
+    @property
+    def exposure_control(self) -> AutoExposureTable | None:
+        """What automatic exposure aims at; None if the exposure is given."""
+        if self.camera.exposure_us != AUTO:
+            return None
+        return self.auto_exposure or AutoExposureTable()
+
+    def with_variation(self, variation: tuple[Varied, ...]) -> Recipe:
+        """The recipe with these varied values."""
+        recipe = self.model_copy()
+        recipe._variation = variation  # a private attribute, as it is no key of the file
+        return recipe
 
     def with_seed(self, seed: int | None) -> Recipe:
         """The recipe with another seed, or itself if that is None; errors as of `check_seed`."""
@@ -71,34 +110,77 @@ class Recipe(Document):
 
         Returns:
             Ready for JSON: the recipe's values under `recipe`, and under `files` a `name` and a `sha256` of
-                each
-            file: the cultivar, those that it extends, its scans, devices, the cover, and their spectra.
+                each file: the cultivar, those that it extends, its scans, devices, the cover, their spectra,
+                and files of poses.
 
         Raises:
             InputError: one of these files is missing or cannot be read.
         """
         recipe = self.model_dump(mode="json", exclude={"plan": {"select"}, "expect": True})
-        recipe["cultivar"] = Path(self.cultivar).stem
-        files = _cultivar_fingerprints("cultivar", self.cultivar)
-        if self.growth is not None:
-            recipe["growth"]["until"] = Path(self.growth.until).stem
-            files |= _cultivar_fingerprints("growth.until", self.growth.until)
         # Tables added later are left out where they are missing, so that older recipes keep their identity.
-        for table in ("growth", "greenhouse"):
-            if recipe[table] is None:
+        for table in ("growth", "greenhouse", "auto_exposure", "override", "rig", "twins"):
+            if not recipe[table]:
                 del recipe[table]
-        if self.camera.baseline_mm is None:
-            del recipe["camera"]["baseline_mm"]
-        for table, part, folder in _MATERIALS:
-            name = (recipe[table] or {}).get(part, tables.NONE)
-            if name != tables.NONE:
-                recipe[table][part] = Path(name).stem
-                files |= _material_fingerprints(part, find_material(folder, name))
-        return {"recipe": recipe, "files": files}
+        for name in ("twins", "cameras"):
+            if recipe["plan"][name] == 1:
+                del recipe["plan"][name]
+        for key in camera_tables.LATER_KEYS:
+            if recipe["camera"][key] is None:
+                del recipe["camera"][key]
+        if recipe["views"].get("speed_mm_s", 0) is None:
+            del recipe["views"]["speed_mm_s"]
+        if self.developing.white_balance_error == (1.0, 1.0, 1.0):
+            del recipe["developing"]["white_balance_error"]
+        if self.variation:
+            recipe["variation"] = {varied.name: varied.identity() for varied in self.variation}
+
+        files: dict[str, dict[str, str]] = {}
+        for dotted, folder in _FILES.items():
+            for number, name in enumerate(self._names(dotted)):
+                part = dotted[-1] if folder is not None else ".".join(dotted)
+                if number:
+                    part = f"{part}.{Path(name).stem}"
+                    # Files of the same name in different folders.
+                    part += f".{number}" if part in files else ""
+                files |= _fingerprints(part, folder, name)
+        return {"recipe": _without_folders(recipe), "files": files}
+
+    def _names(self, key: tuple[str, ...]) -> list[str]:
+        """All names of files that a key can have in any frame; the recipe's own comes first."""
+        value: Any = self
+        for part in key:
+            value = getattr(value, part, None)
+        dotted = ".".join(key)
+        varied = [name for v in self.variation if v.name == dotted for name in v.extremes]
+        rig = [camera.camera.get(key[1]) for camera in self.rig if key[0] == "camera"]
+        names = dict.fromkeys([value, *varied, *self.twins.get(dotted, ()), *rig])
+        return [name for name in names if isinstance(name, str) and name != tables.NONE]
 
     def sha256(self) -> str:
         """SHA-256 of the identity as canonical JSON, hexadecimal."""
         return digest(self.identity())
+
+
+def _without_folders(value: Any) -> Any:
+    """Nested values with paths of files reduced to the files' names."""
+    if isinstance(value, dict):
+        return {_without_folders(key): _without_folders(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_without_folders(item) for item in value]
+    return Path(value).stem if isinstance(value, str) and os.path.isabs(value) else value
+
+
+def _fingerprints(part: str, folder: str | None, name: str) -> dict[str, dict[str, str]]:
+    """Names and digests of a file that a recipe names, and of those that it refers to."""
+    if folder is None:
+        return _cultivar_fingerprints(part, name)
+    if folder == _CALIBRATIONS:
+        from pepperscene.camera.calibration import read_calibration
+
+        return {part: _fingerprint(Path(name), read_calibration(Path(name)).to_json())}
+    if folder == _POSES:
+        return {part: {"name": Path(name).stem, "sha256": atomic.digest(Path(name))}}
+    return _material_fingerprints(part, find_material(folder, name))
 
 
 def _material_fingerprints(part: str, file: Path) -> dict[str, dict[str, str]]:

@@ -24,17 +24,14 @@ Name = Annotated[str, Field(strict=True, min_length=1, max_length=400, pattern=r
 NONE: Final = "none"
 """Instead of a name: no flash, no filter, no cover, no white balance."""
 
+PLANT_TABLES: Final = ("cultivar", "override", "growth", "row", "twine", "greenhouse")
+"""Keys of a recipe that plants and their surroundings depend on."""
+
 Angle = Annotated[float, Field(strict=True, ge=-180, le=180)]
 Height = Annotated[float, Field(strict=True, ge=0, le=10_000)]
 Switch = Annotated[bool, Field(strict=True)]
-Gain = Annotated[float, Field(strict=True, ge=0.01, le=100)]
-Entry = Annotated[float, Field(strict=True, ge=-100, le=100)]
-MatrixRow = tuple[Entry, Entry, Entry]
 Fraction = Annotated[float, Field(strict=True, ge=0, le=1)]
 Grey = Annotated[float, Field(strict=True, ge=0, le=255)]
-
-LEAST_BASELINE_MM: Final = 0.1
-"""Chosen: the smallest stereo endoscopes have 1 mm; closer images of plants are the same to a pixel."""
 
 LEAST_DAYLIGHT_LX: Final = 1e-4
 """Chosen: a moonless, overcast night."""
@@ -67,44 +64,7 @@ def _zero_or_at_least(least: float) -> AfterValidator:
     return AfterValidator(check)
 
 
-class RowTable(Document):
-    """The double row of plants: a front row at the aisle and a row behind it."""
-
-    plants_front: Annotated[int, Field(strict=True, ge=1, le=50)]
-    plants_back: Annotated[int, Field(strict=True, ge=0, le=50)]
-    spacing_mm: Annotated[float, Field(strict=True, ge=50, le=2000)]
-    gap_mm: Annotated[float, Field(strict=True, ge=0, le=5000)]
-    shift_mm: Annotated[float, Field(strict=True, ge=-2000, le=2000)]
-
-
-class PathTable(Document):
-    """The camera's arc around the middle plant; azimuth and height run from the first to the second value."""
-
-    distance_mm: Annotated[float, Field(strict=True, ge=50, le=10_000)]
-    azimuth_deg: tuple[Angle, Angle]
-    height_mm: tuple[Height, Height]
-    pitch_deg: Annotated[float, Field(strict=True, ge=-89, le=89)]
-
-
-class CameraTable(Document):
-    """The camera's parts by shipped name or path, and their settings; flash and filter may be "none".
-
-    Without `focus_mm` everything is sharp; without `bits` the sensor file decides. `baseline_mm` is the
-    distance to a second camera of the same kind on the right; without it there is no stereo partner.
-    """
-
-    sensor: Name
-    lens: Name
-    flash: Name
-    filter: Name = NONE
-    exposure_us: Annotated[float, Field(strict=True, ge=1, le=1_000_000)]
-    focus_mm: Annotated[float, Field(strict=True, ge=1, le=1_000_000)] | None = None
-    gain: Annotated[float, Field(strict=True, ge=0.01, le=1000)] = 1.0
-    bits: Annotated[int, Field(strict=True, ge=1, le=16)] | None = None
-    baseline_mm: Annotated[float, Field(strict=True, ge=LEAST_BASELINE_MM, le=10_000)] | None = None
-
-
-def _single_message(allowed: str) -> WrapValidator:
+def single_message(allowed: str) -> WrapValidator:
     """One sentence for a value of several forms, instead of an error for each form."""
 
     def check(value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
@@ -116,30 +76,14 @@ def _single_message(allowed: str) -> WrapValidator:
     return WrapValidator(check)
 
 
-Balance = Annotated[
-    Literal["flash", "daylight", "none"] | tuple[Gain, Gain, Gain],
-    _single_message(
-        'must be "flash", "daylight", "none", or the gains of red, green and blue, each 0.01 to 100'
-    ),
-]
-ColourMatrix = Annotated[
-    Switch | tuple[MatrixRow, MatrixRow, MatrixRow],
-    _single_message("must be true, false, or three rows of three numbers, each -100 to 100"),
-]
+class RowTable(Document):
+    """The double row of plants: a front row at the aisle and a row behind it."""
 
-
-class DevelopingTable(Document):
-    """The steps from light to image, as in `pepperscene.camera.Developing`; "none": no white balance."""
-
-    falloff: Switch = True
-    shot_noise: Switch = True
-    read_noise: Switch = True
-    saturation: Switch = True
-    quantise: Switch = True
-    demosaic: Literal["malvar", "menon", "bilinear"] = "malvar"
-    white_balance: Balance = "flash"
-    colour_matrix: ColourMatrix = True
-    tone: Literal["srgb", "linear"] = "srgb"
+    plants_front: Annotated[int, Field(strict=True, ge=1, le=50)]
+    plants_back: Annotated[int, Field(strict=True, ge=0, le=50)]
+    spacing_mm: Annotated[float, Field(strict=True, ge=50, le=2000)]
+    gap_mm: Annotated[float, Field(strict=True, ge=0, le=5000)]
+    shift_mm: Annotated[float, Field(strict=True, ge=-2000, le=2000)]
 
 
 class DaylightTable(Document):
@@ -187,6 +131,7 @@ class GreenhouseTable(Document):
     floor: Switch = False
     crop_wire_mm: Annotated[float, Field(strict=True, ge=0, le=10_000)] = 0.0
     far_rows: Annotated[int, Field(strict=True, ge=0, le=5)] = 0
+    far_rows_as: Literal["labels", "ignore", "background"] = "labels"
     far_reach_mm: Annotated[float, Field(strict=True, ge=500, le=20_000)] = 4000.0
     aisle_mm: Annotated[float, Field(strict=True, ge=600, le=5000)] = 1200.0
     pipes: Switch = False

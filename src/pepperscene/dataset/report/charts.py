@@ -102,11 +102,11 @@ def value_chart(
     ticks = _round_ticks(*_padded_range(float(together.min()), float(together.max())))
     if len(together) >= _FEW:
         edges = np.linspace(ticks[0], ticks[-1], _BINS + 1)
-        curves = []
-        for key, name, numbers in values:
-            percentages = 100.0 * np.histogram(numbers, edges)[0] / len(numbers)
-            curves.append(Curve(key, name, np.repeat(edges, 2), np.pad(np.repeat(percentages, 2), 1)))
-        return line_chart(chart_id, title, curves, (unit, ticks), "% of frames")
+        series = [
+            (key, name, 100.0 * np.histogram(numbers, edges)[0] / len(numbers))
+            for key, name, numbers in values
+        ]
+        return step_chart(chart_id, title, edges, series, unit, "% of frames")
     description = "; ".join(
         f"{name}: {len(numbers)} values, median {np.median(numbers):.3g}" for _, name, numbers in values
     )
@@ -119,6 +119,32 @@ def value_chart(
             axes.plot(np.sort(numbers), y, "o", clip_on=False, **style)
 
     return _draw_svg(chart_id, title, description, _DOT_CHART, (unit, ticks), draw)
+
+
+def step_chart(
+    chart_id: str,
+    title: str,
+    edges: NDArray[np.floating],
+    series: Sequence[tuple[str, str, NDArray[np.floating]]],
+    unit: str,
+    y_label: str,
+) -> Html:
+    """Draw histograms over common bins.
+
+    Args:
+        chart_id: unique in the page.
+        title: for screen readers.
+        edges: `(n + 1,)` of the bins, ascending.
+        series: key, name, and `(n,)` heights.
+        unit: label of the horizontal axis.
+        y_label: of the vertical axis.
+    """
+    ticks = _round_ticks(float(edges[0]), float(edges[-1]))
+    curves = [
+        Curve(key, name, np.repeat(edges, 2), np.pad(np.repeat(heights, 2), 1))
+        for key, name, heights in series
+    ]
+    return line_chart(chart_id, title, curves, (unit, ticks), y_label)
 
 
 def _draw_svg(

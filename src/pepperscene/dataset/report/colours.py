@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import CLASS_COLOURS
+from pepperscene.classes import CLASS_COLOURS, IGNORE_COLOUR
 
 VIRIDIS: Final = (
     "#440154", "#472D7B", "#3B528B", "#2C728E", "#21908C", "#27AD81", "#5DC863", "#AADC32", "#FDE725",
@@ -18,7 +18,6 @@ VIRIDIS: Final = (
 """Nine even steps of viridis (S. van der Walt and N. Smith 2015, CC0), as R's viridisLite prints them."""
 
 _BACKGROUND: Final = (13, 15, 20)  # chosen: nearly black, distinct from viridis' dark violet
-_UNKNOWN_CLASS: Final = (120, 120, 120)  # chosen: a grey that no class has
 _GOLDEN_RATIO: Final = 0.6180339887498949
 _STEPS_BETWEEN: Final = 30
 """Chosen: colours from one of viridis' steps to the next. With the background they are 242, which fit into a
@@ -47,7 +46,8 @@ def distance_colours(distance_m: NDArray[np.floating[Any]], near_m: float, far_m
 
 def class_colours(class_id: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Class ids `(h, w)` as the published colours `(h, w, 3)`; grey for other ids."""
-    palette = np.full((256, 3), _UNKNOWN_CLASS, np.uint8)
+    # Ids that are no class are ignored, whatever their number.
+    palette = np.full((256, 3), IGNORE_COLOUR, np.uint8)
     palette[: len(CLASS_COLOURS)] = CLASS_COLOURS
     return np.take(palette, class_id, axis=0)
 

@@ -15,11 +15,16 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
+from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.dataset.report.markup import Html
 from pepperscene.dataset.store.dataset import Dataset
+from pepperscene.dataset.store.drawn_columns import DRAWN
 from pepperscene.dataset.store.fields import read_frame
 from pepperscene.dataset.store.journal import JOURNAL
-from pepperscene.dataset.store.manifest import MANIFEST, frame_row, table_schema
+from pepperscene.dataset.store.manifest import MANIFEST, frame_row, table_columns, table_schema
+from pepperscene.dataset.variation.goodness_of_fit import as_number
+from pepperscene.dataset.variation.recorded import read_variation, recorded_twins
+from pepperscene.dataset.variation.varied import Varied
 from pepperscene.errors import OutputError
 from pepperscene.truth import ImageStatistics
 
@@ -85,6 +90,17 @@ _PIXELS: Final = tuple(f"pixels_{organ.name.lower()}" for organ in OrganClass)
 
 
 @dataclass(frozen=True, eq=False)
+class DrawnRecords:
+    """Drawn values of all n frames of a data set."""
+
+    plan: Plan
+    indices: NDArray[np.int64]  # (n,), ascending
+    variation: tuple[Varied, ...]  # without the values of twins
+    numbers: Mapping[str, NDArray[np.float64]]  # (n,) for each of `variation`; see `as_number`
+    twins: Mapping[str, Sequence[Any]]  # values by dotted key
+
+
+@dataclass(frozen=True, eq=False)
 class FrameRecords:
     """Numbers of all n frames of a data set."""
 
@@ -92,6 +108,7 @@ class FrameRecords:
     numbers: Mapping[str, NDArray[np.float64]]  # (n,) for each of `NUMBERS`; nan if unknown
     pixels: NDArray[np.float64]  # (n, 8), of each class; nan for frames without labels
     workers: frozenset[str]  # that rendered the frames, as far as they are known
+    drawn: DrawnRecords | None = None  # None if nothing is drawn
 
     def known(self, name: str) -> NDArray[np.bool_]:
         """`(n,)`, where a number is known."""
@@ -105,8 +122,11 @@ class FrameRecords:
 def frame_records(dataset: Dataset) -> FrameRecords:
     """The numbers of all frames, from the manifest, or from the frame's JSON if the manifest lacks it."""
     indices = dataset.indices()
-    rows = _manifest_rows(dataset)
+    variation = _recorded_variation(dataset)
+    columns = [f"{DRAWN}{varied.name}" for varied in variation]
+    rows = _manifest_rows(dataset, columns)
     table = np.full((len(indices), len(NUMBERS) + len(_PIXELS)), np.nan)
+    drawn = np.full((len(indices), len(variation)), np.nan)
     workers = set()
     for position, index in enumerate(indices):
         if (row := rows.get(index)) is None:
@@ -114,20 +134,55 @@ def frame_records(dataset: Dataset) -> FrameRecords:
             row = frame_row(metadata, metadata["outputs"], "")
         values = (row.get(name) for name in (*NUMBERS, *_PIXELS))
         table[position] = [np.nan if value is None else value for value in values]
+        pairs = zip(variation, columns, strict=True)
+        drawn[position] = [as_number(varied, row.get(name)) for varied, name in pairs]
         if row.get("worker"):
             workers.add(str(row["worker"]))
     numbers = {name: table[:, column] for column, name in enumerate(NUMBERS)}
-    return FrameRecords(np.array(indices, np.int64), numbers, table[:, len(NUMBERS) :], frozenset(workers))
+    positions = np.array(indices, np.int64)
+    records = _drawn_records(dataset, positions, variation, drawn)
+    return FrameRecords(positions, numbers, table[:, len(NUMBERS) :], frozenset(workers), records)
 
 
-def _manifest_rows(dataset: Dataset) -> dict[int, dict[str, Any]]:
-    """Rows by index; empty if the data set has no tables, which are not made for it, or none can be made."""
+def _recorded_variation(dataset: Dataset) -> tuple[Varied, ...]:
+    """The varied values of a data set, except those that are different for its twins."""
+    with suppress(LookupError, TypeError, ValueError):
+        recipe = dataset.info["recipe"]
+        twins = recorded_twins(recipe)
+        return tuple(varied for varied in read_variation(recipe) if varied.name not in twins)
+    return ()
+
+
+def _drawn_records(
+    dataset: Dataset,
+    indices: NDArray[np.int64],
+    variation: tuple[Varied, ...],
+    drawn: NDArray[np.float64],
+) -> DrawnRecords | None:
+    """The columns of `drawn` `(n, m)` are those of `variation`."""
+    with suppress(LookupError, TypeError, ValueError):
+        recipe = dataset.info["recipe"]
+        plan, twins = Plan.model_validate(recipe["plan"]), recorded_twins(recipe)
+        inside = indices < plan.count
+        numbers = {varied.name: drawn[inside, column] for column, varied in enumerate(variation)}
+        if variation or twins:
+            return DrawnRecords(plan, indices[inside], variation, numbers, twins)
+    return None
+
+
+def _manifest_rows(dataset: Dataset, drawn: Sequence[str]) -> dict[int, dict[str, Any]]:
+    """Rows by index, with the columns `drawn`.
+
+    Empty if the data set has no tables, which are not made for it, or none can be made.
+    """
     if not any((dataset.folder / name).is_file() for name in (MANIFEST, JOURNAL)):
         return {}
     with suppress(OutputError):
         table = dataset.manifest()
-        columns = [name for name in ("index", "worker", *NUMBERS, *_PIXELS) if name in table.column_names]
-        types = table_schema(MANIFEST)
+        columns = [
+            name for name in ("index", "worker", *NUMBERS, *_PIXELS, *drawn) if name in table.column_names
+        ]
+        types = table_schema(table_columns(MANIFEST, dataset.info))
         # A table that this package did not write.
         if any(table.schema.field(name).type != types.field(name).type for name in columns):
             return {}

@@ -21,7 +21,7 @@ from pepperscene.dataset.report.colours import (
 from pepperscene.dataset.report.markup import Html, element, fragment, joined
 
 if TYPE_CHECKING:
-    from PIL import Image, ImageDraw
+    pass
 
 
 TITLES: Final[Mapping[str, str]] = {
@@ -36,6 +36,8 @@ TABLE_COLUMNS: Final = (
     *("", "set", "rotation", "step", "height, m", "error, codes"),
     *(f"{organ.name.lower()}, %" for organ in OrganClass),
 )
+
+MOST_RELATIVES: Final = 12  # chosen: links below an image; some lines on a phone
 
 _LABELS: Final = {"colour": "Colour", "class": "Class", "instance": "Instance", "distance": "Distance"}
 
@@ -66,6 +68,9 @@ class ImageView:
         if not self.is_frame:
             return ""
         location = "set {set} · rotation {rotation} · step {step}".format(**self.metadata)
+        twin, camera = self.metadata.get("twin"), self.metadata.get("rig_camera")
+        location += "" if twin is None else f" · twin {twin}"
+        location += "" if camera is None else f" · camera {camera}"
         height = self.camera_height_m
         return location if height is None else f"{location} · camera at {height:.2f} m"
 
@@ -94,8 +99,26 @@ def image_view(image: LabelledImage, near_m: float, far_m: float) -> ImageView:
     return ImageView(image.name, image.metadata, panels, class_pixels, height * width)
 
 
-def card_html(view: ImageView, set_key: str) -> Html:
-    """A card with the panels of an image, its class fractions as one bar, and a description."""
+@dataclass(frozen=True)
+class Relative:
+    """Another image of the same moment.
+
+    Attributes:
+        name: of the image.
+        difference: what is different, such as "twin 1".
+        is_shown: whether the page shows it.
+    """
+
+    name: str
+    difference: str
+    is_shown: bool
+
+
+def card_html(view: ImageView, set_key: str, relatives: Sequence[Relative] = ()) -> Html:
+    """A card with the panels of an image, its class fractions as one bar, and a description.
+
+    It has links to those `relatives` that the page shows, and names the others.
+    """
     buttons = [_panel_button(view, key) for key in view.panels]
     # Two panels have the same size; of more, the first is large and the others are small below it.
     images = joined(buttons)
@@ -104,8 +127,21 @@ def card_html(view: ImageView, set_key: str) -> Html:
     elif len(buttons) == 2:
         images = element("div", images, class_="thumbs")
     lines = joined(element("p", line) for line in (view.location, _describe_organs(view)) if line)
-    content = (images, _class_bar(view), element("h3", view.title), lines)
-    return element("article", *content, class_="card", id=_card_id(view, set_key))
+    content = (images, _class_bar(view), element("h3", view.title), lines, _links(relatives, set_key))
+    return element("article", *content, class_="card", id=_card_id(view.name, set_key))
+
+
+def _links(relatives: Sequence[Relative], set_key: str) -> Html:
+    """Links to the other images of a moment, or their names; empty if there are none."""
+    if not relatives:
+        return fragment()
+    names = [
+        element("a", item.name, href=f"#{_card_id(item.name, set_key)}") if item.is_shown else item.name
+        for item in relatives[:MOST_RELATIVES]
+    ]
+    texts = [fragment(name, f" ({item.difference})") for name, item in zip(names, relatives, strict=False)]
+    more = len(relatives) - len(texts)
+    return element("p", "Same moment: ", joined(texts, ", "), f" and {more} more" if more else "")
 
 
 def table_row(view: ImageView, set_key: str) -> tuple[Html, list[str]]:
@@ -122,7 +158,7 @@ def table_row(view: ImageView, set_key: str) -> tuple[Html, list[str]]:
         *(f"{100 * count / view.area:.2f}" for count in view.class_pixels.values()),
     ]
     cells += [""] * (len(TABLE_COLUMNS) - 1 - len(cells))
-    return element("a", view.name, href=f"#{_card_id(view, set_key)}"), cells
+    return element("a", view.name, href=f"#{_card_id(view.name, set_key)}"), cells
 
 
 def image_button(kind: str, uri: str, alt: str, size: tuple[int, int], label: str = "") -> Html:
@@ -143,12 +179,17 @@ def image_button(kind: str, uri: str, alt: str, size: tuple[int, int], label: st
 
 def class_colour_code(organ_class: OrganClass) -> str:
     """The published colour of a class in CSS."""
-    return "#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[organ_class])
+    return css_colour(CLASS_COLOURS[organ_class])
 
 
-def _card_id(view: ImageView, set_key: str) -> str:
+def css_colour(rgb: tuple[int, int, int]) -> str:
+    """An 8-bit RGB colour in CSS."""
+    return "#{:02x}{:02x}{:02x}".format(*rgb)
+
+
+def _card_id(name: str, set_key: str) -> str:
     """An id without spaces, which differs for every name."""
-    codes = (letter if letter.isalnum() else f"-{ord(letter):x}-" for letter in view.name)
+    codes = (letter if letter.isalnum() else f"-{ord(letter):x}-" for letter in name)
     return f"{set_key}-{''.join(codes)}"
 
 
@@ -186,89 +227,3 @@ def _describe_organs(view: ImageView) -> str:
     if contacts and (touching := contacts["fruit_touching"] + contacts["blades_touching"]):
         sentences.append(f"{touching} fruit and leaves of the scene touch other organs.")
     return " ".join(sentences)
-
-
-MAX_ROWS: Final = 24
-"""Chosen: image viewers do not open much taller sheets."""
-
-# Layout of the contact sheet in pixels; chosen so that four panels fill a wide screen.
-_PANEL_WIDTH: Final = 440
-_GAP: Final = 10
-_MARGIN: Final = 28
-_CAPTION_HEIGHT: Final = 34
-_HEADER_HEIGHT: Final = 44
-_FOOTER_HEIGHT: Final = 70
-_PAPER: Final = (22, 24, 29)
-_INK: Final = (236, 238, 242)
-_FAINT: Final = (150, 156, 168)
-
-
-@dataclass(frozen=True, eq=False)
-class SheetRow:
-    """Panels of an image in the size of the contact sheet, and the caption below them."""
-
-    panels: dict[str, Image.Image]
-    caption: str
-
-
-def sheet_row(view: ImageView) -> SheetRow:
-    """The row of an image in the contact sheet."""
-    from PIL import Image
-
-    panels = {}
-    for key, panel in view.panels.items():
-        # Labels must not be blended: a mixed colour would be another class.
-        resampling = Image.Resampling.LANCZOS if key == "colour" else Image.Resampling.NEAREST
-        size = (_PANEL_WIDTH, round(_PANEL_WIDTH * panel.shape[0] / panel.shape[1]))
-        panels[key] = Image.fromarray(np.ascontiguousarray(panel)).resize(size, resampling)
-    return SheetRow(panels, " · ".join(part for part in (view.title, view.location) if part))
-
-
-def contact_sheet(rows: Sequence[SheetRow], near_m: float, far_m: float) -> Image.Image:
-    """All rows below each other, with legends for class and distance in the footer."""
-    from PIL import Image, ImageDraw
-
-    columns = [key for key in TITLES if any(key in row.panels for row in rows)]
-    heights = [max((panel.height for panel in row.panels.values()), default=0) for row in rows]
-    width = 2 * _MARGIN + max(2, len(columns)) * (_PANEL_WIDTH + _GAP) - _GAP
-    height = _HEADER_HEIGHT + sum(heights) + len(rows) * _CAPTION_HEIGHT + _FOOTER_HEIGHT
-    sheet = Image.new("RGB", (width, height), _PAPER)
-    draw = ImageDraw.Draw(sheet)
-    lefts = {key: _MARGIN + number * (_PANEL_WIDTH + _GAP) for number, key in enumerate(columns)}
-    for key, left in lefts.items():
-        draw.text((left, _HEADER_HEIGHT - 30), TITLES[key], fill=_INK, font=_font(19))
-    top = _HEADER_HEIGHT
-    for row, row_height in zip(rows, heights, strict=True):
-        for key, panel in row.panels.items():
-            sheet.paste(panel, (lefts[key], top))
-        draw.text((_MARGIN, top + row_height + 6), row.caption, fill=_FAINT, font=_font(15))
-        top += row_height + _CAPTION_HEIGHT
-    _draw_legends(sheet, draw, columns, near_m, far_m)
-    return sheet
-
-
-def _draw_legends(
-    sheet: Image.Image, draw: ImageDraw.ImageDraw, columns: Sequence[str], near_m: float, far_m: float
-) -> None:
-    from PIL import Image
-
-    top, left, font = sheet.height - _FOOTER_HEIGHT + 14, float(_MARGIN), _font(16)
-    if "class" in columns:
-        for organ_class, colour in zip(OrganClass, CLASS_COLOURS, strict=True):
-            draw.rounded_rectangle((left, top + 4, left + 18, top + 22), 4, fill=colour, outline=_FAINT)
-            name = organ_class.name.lower()
-            draw.text((left + 25, top + 2), name, fill=_INK, font=font)
-            left += 25 + draw.textlength(name, font=font) + 22
-    if "distance" in columns:
-        ramp = np.linspace(near_m, far_m, 200)[None].repeat(18, axis=0)
-        right = sheet.width - _MARGIN - 200 - 60
-        sheet.paste(Image.fromarray(distance_colours(ramp, near_m, far_m)), (right, top + 4))
-        draw.text((right - 8, top + 2), f"{near_m:.2f} m", fill=_INK, font=font, anchor="ra")
-        draw.text((right + 208, top + 2), f"{far_m:.2f} m", fill=_INK, font=font)
-
-
-def _font(size: int) -> Any:
-    """Pillow's default font, so that the sheet is the same on every machine."""
-    from PIL import ImageFont
-
-    return ImageFont.load_default(size)

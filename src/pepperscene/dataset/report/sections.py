@@ -1,4 +1,4 @@
-"""Sections of the page: Figs. 10 to 13 of Barth et al. 2018, and the distributions of a build's numbers."""
+"""Sections of the page: Figs. 10 to 13 of Barth et al. 2018."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import OrganClass
-from pepperscene.dataset.report.charts import Curve, line_chart, value_chart
+from pepperscene.classes import IGNORE_COLOUR, OrganClass
+from pepperscene.dataset.report.charts import Curve, line_chart
 from pepperscene.dataset.report.colours import png_data_uri, viridis_colours
-from pepperscene.dataset.report.data import FrameRecords, SetSummary
-from pepperscene.dataset.report.image_view import class_colour_code, image_button
+from pepperscene.dataset.report.data import SetSummary
+from pepperscene.dataset.report.image_view import class_colour_code, css_colour, image_button
 from pepperscene.dataset.report.markup import Html, element, fragment, joined
 from pepperscene.truth import HUE_BINS, centre_falloff, hue_spectrum_correlation, mean_hue
 
@@ -21,15 +21,6 @@ _HUE_AXIS: Final = ("hue, degrees", (0, 60, 120, 180, 240, 300, 360))
 _FALLOFF_AXIS: Final = ("from the centre (0) to the corners (1)", (0, 0.25, 0.5, 0.75, 1))
 _RINGS: Final = 40  # chosen: each 12 pixels wide in an image of 800 x 600
 _MAP_PX: Final = 400  # chosen: twice the displayed width of a map
-
-_BUILD_CHARTS: Final = (
-    ("render_s", "Render time of a frame", "seconds", 1.0),
-    ("write_s", "Write time of a frame", "seconds", 1.0),
-    ("error_codes", "Estimated error of the traced light", "8-bit codes, root mean square", 1.0),
-    ("samples_per_pixel", "Samples per pixel", "mean over the frame", 1.0),
-    ("bytes", "File size of a frame", "MB", 1e-6),
-)
-"""Column of the manifest, title, unit, and factor to that unit."""
 
 
 def class_fractions_html(sets: Sequence[SetSummary]) -> Html:
@@ -50,10 +41,10 @@ def class_fractions_html(sets: Sequence[SetSummary]) -> Html:
             for item in sets
         ]
         head = fragment(swatch(organ), organ.name.lower(), element("small", f"{organ:d}"))
-        bars = _fraction_bars(list(values.items()), scale)
-        rows.append(_fraction_row(head, map(_format_percent, displayed), bars))
+        bars = fraction_bars(list(values.items()), scale)
+        rows.append(_fraction_row(head, map(format_percent, displayed), bars))
     if any(item.statistics.unlabelled_pixels for item in sets):
-        unlabelled = (_format_percent(item.unlabelled_fraction()) for item in sets)
+        unlabelled = (format_percent(item.unlabelled_fraction()) for item in sets)
         rows.append(_fraction_row("no label", unlabelled))
     heads = (_head("Class", "col"), *(_head(set_label(item), "col") for item in sets))
     header = element("thead", element("tr", *heads, element("th", class_="bars")))
@@ -106,22 +97,26 @@ def intensity_html(sets: Sequence[SetSummary]) -> Html:
     chart = line_chart("falloff", title, curves, _FALLOFF_AXIS, "grey value")
     table = _intensity_table([item for item, _ in known])
     return fragment(
-        element("div", images, _panel("Falloff to the corners", chart), class_="grid"),
+        element("div", images, panel("Falloff to the corners", chart), class_="grid"),
         element("div", table, class_="scroll", tabindex=0, role="region", aria_label="Intensities"),
     )
 
 
-def build_html(sets: Sequence[SetSummary]) -> Html:
-    """Distributions of timings, errors and sizes of all frames."""
-    known = [(item, item.records) for item in sets if item.records is not None]
-    panels = [panel for chart in _BUILD_CHARTS if (panel := _build_panel(known, *chart))]
-    totals = (element("p", set_label(item), " ", _totals(records), class_="note") for item, records in known)
-    return fragment(*totals, element("div", *panels, class_="grid"))
+def legend_html(*, ignored: bool) -> Html:
+    """The classes with their colours, and with `ignored` that of pixels that training leaves out."""
+    entries = [element("span", swatch(organ), organ.name.lower()) for organ in OrganClass]
+    if ignored:
+        entries.append(element("span", _patch(css_colour(IGNORE_COLOUR)), "ignored"))
+    return joined(entries, " ")
 
 
 def swatch(organ_class: OrganClass) -> Html:
     """A patch of a class's colour."""
-    patch = element("rect", width=10, height=10, rx=2, fill=class_colour_code(organ_class))
+    return _patch(class_colour_code(organ_class))
+
+
+def _patch(colour: str) -> Html:
+    patch = element("rect", width=10, height=10, rx=2, fill=colour)
     return element("svg", patch, class_="swatch", viewBox="0 0 10 10", aria_hidden="true")
 
 
@@ -155,15 +150,16 @@ def _fraction_row(head: str, percentages: Iterable[str], bars: str = "") -> Html
     return element("tr", _head(head, "row"), _table_cells(percentages), element("td", bars, class_="bars"))
 
 
-def _panel(title: str, *contents: str) -> Html:
+def panel(title: str, *contents: str) -> Html:
+    """A panel with a title."""
     return element("section", element("h3", title), *contents, class_="panel")
 
 
 def _class_panel(organ_class: OrganClass, content: Html) -> Html:
-    return _panel(fragment(swatch(organ_class), organ_class.name.lower()), content)
+    return panel(fragment(swatch(organ_class), organ_class.name.lower()), content)
 
 
-def _format_percent(fraction: float, digits: int = 2) -> str:
+def format_percent(fraction: float, digits: int = 2) -> str:
     """A fraction as a percentage; a dash if it is unknown."""
     if not np.isfinite(fraction):
         return "–"
@@ -172,7 +168,7 @@ def _format_percent(fraction: float, digits: int = 2) -> str:
     return f"< {smallest:g}\u00a0%" if is_small else f"{100 * fraction:.{digits}f}\u00a0%"
 
 
-def _fraction_bars(fractions: Sequence[tuple[str, float]], scale: float) -> Html:
+def fraction_bars(fractions: Sequence[tuple[str, float]], scale: float) -> Html:
     """A bar for the fraction of each set."""
     bars = [
         element("rect", class_=key, y=9 * row, height=7, rx=1.5, width=f"{100 * fraction / scale:.2f}%")
@@ -191,7 +187,7 @@ def _class_map(item: SetSummary, organ_class: OrganClass, masks: NDArray[np.floa
     picture = viridis_colours(masks[organ_class] / maximum)
     alt = f"Locations of {organ_class.name.lower()} in {item.name}"
     button = image_button("map", png_data_uri(picture, _MAP_PX), alt, (picture.shape[1], picture.shape[0]))
-    return element("div", button, element("p", set_label(item), f" up to {_format_percent(maximum, 0)}"))
+    return element("div", button, element("p", set_label(item), f" up to {format_percent(maximum, 0)}"))
 
 
 def _hue_table(
@@ -199,7 +195,7 @@ def _hue_table(
 ) -> Html:
     rows = []
     for item, hue in zip(sets, map(mean_hue, spectra), strict=True):
-        grey = _format_percent(item.statistics.grey_fractions()[organ_class], 1)
+        grey = format_percent(item.statistics.grey_fractions()[organ_class], 1)
         images = f"{item.statistics.hue_image_counts[organ_class]:,}"
         rows.append((set_label(item), ["–" if np.isnan(hue) else f"{hue:.0f}°", grey, images]))
     table = html_table("small", ("", "mean hue", "grey", "images"), rows)
@@ -220,7 +216,7 @@ def _mean_image(item: SetSummary, mean: NDArray[np.float64], factor: float) -> H
         element("b", f"{float(np.mean(item.statistics.intensities)):.1f}"),
         f" of 255{brightness}.",
     )
-    return _panel(set_label(item), button, text)
+    return panel(set_label(item), button, text)
 
 
 def _falloff(item: SetSummary, mean: NDArray[np.float64]) -> Curve:
@@ -237,58 +233,7 @@ def _intensity_table(sets: Sequence[SetSummary]) -> Html:
     for item in sets:
         values = np.array(item.statistics.intensities)
         statistics = (values.mean(), values.std(), values.min(), values.max())
-        saturated = _format_percent(float(np.mean(item.statistics.saturated_fractions)))
+        saturated = format_percent(float(np.mean(item.statistics.saturated_fractions)))
         cells = [f"{values.size:,}", *(f"{value:.1f}" for value in statistics), saturated]
         rows.append((set_label(item), cells))
     return html_table("intensities", heads, rows)
-
-
-def _build_panel(
-    sets: Sequence[tuple[SetSummary, FrameRecords]], column: str, title: str, unit: str, factor: float
-) -> Html:
-    values = [
-        (item, records.indices[known], factor * records.numbers[column][known])
-        for item, records in sets
-        if (known := records.known(column)).any()
-    ]
-    if not values:
-        return fragment()
-    chart = value_chart(
-        f"build-{column}", title, [(item.key, item.name, numbers) for item, _, numbers in values], unit
-    )
-    lines = []
-    for item, indices, numbers in values:
-        low, middle, high = np.percentile(numbers, (5, 50, 95))
-        highest = int(np.argmax(numbers))
-        lines.append(
-            fragment(
-                set_label(item), " median ", element("b", f"{middle:.3g}"),
-                f", 90 % from {low:.3g} to {high:.3g}, "
-                f"maximum {numbers[highest]:.3g} in frame {indices[highest]:06d}",
-            )
-        )  # fmt: skip
-    return _panel(title, chart, element("p", joined(lines, element("br"))))
-
-
-def _totals(records: FrameRecords) -> str:
-    size = float(np.nansum(records.numbers["bytes"]))
-    parts = [f"{plural(len(records.indices), 'frame')}, {_format_size(size)} of files"]
-    if records.known("render_s").any():
-        seconds = float(np.nansum(records.numbers["render_s"]))
-        by = f" by {plural(len(records.workers), 'worker')}" if records.workers else ""
-        parts.append(f"{_format_duration(seconds)} of rendering{by}")
-    if records.known("error_codes").any() and records.known("noise_codes").any():
-        ratio = np.nanmedian(records.numbers["error_codes"] / records.numbers["noise_codes"])
-        parts.append(f"the light's error is {100 * ratio:.0f} % of the sensor's noise (median)")
-    return "; ".join(parts) + "."
-
-
-def _format_size(count: float) -> str:
-    unit, size = next((pair for pair in (("GB", 1e9), ("MB", 1e6)) if count >= pair[1]), ("kB", 1e3))
-    return f"{count / size:.3g} {unit}"
-
-
-def _format_duration(seconds: float) -> str:
-    if seconds < 120:
-        return f"{seconds:.3g} s"
-    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

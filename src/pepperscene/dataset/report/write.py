@@ -9,11 +9,14 @@ from pathlib import Path
 from string import Template
 from typing import Any, Final
 
-from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers import RenderedSet, open_images
 from pepperscene.dataset.readers.image_set import FIELDS, ImageSet, LabelledImage
+from pepperscene.dataset.recipe.exposure import AUTO
+from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.dataset.report import sections
+from pepperscene.dataset.report.build_section import build_html
 from pepperscene.dataset.report.colours import VIRIDIS
+from pepperscene.dataset.report.contact_sheet import MAX_ROWS, SheetRow, contact_sheet, sheet_row
 from pepperscene.dataset.report.data import (
     OnProgress,
     SetSummary,
@@ -23,19 +26,20 @@ from pepperscene.dataset.report.data import (
     image_statistics,
 )
 from pepperscene.dataset.report.image_view import (
-    MAX_ROWS,
     TABLE_COLUMNS,
-    SheetRow,
+    Relative,
     card_html,
-    contact_sheet,
     image_view,
-    sheet_row,
     table_row,
 )
 from pepperscene.dataset.report.markup import Html, as_html, csp_hash, element, fragment, joined
+from pepperscene.dataset.report.moments import Moments, displayed_positions
+from pepperscene.dataset.report.variation import variation_html, variation_link
 from pepperscene.dataset.store.atomic import atomic_write
+from pepperscene.dataset.store.crop import crop_name
 from pepperscene.dataset.store.dataset import open_dataset
-from pepperscene.dataset.store.fields import read_info
+from pepperscene.dataset.store.fields import has_ignored_pixels, read_info
+from pepperscene.dataset.store.frame_json import DIGITS
 from pepperscene.errors import InputError, OutputError
 
 PAGE, SHEET = "index.html", "contact_sheet.png"
@@ -97,7 +101,7 @@ def write_report(
         image_sets.append(beside if isinstance(beside, ImageSet) else open_images(beside))
 
     # One range of distances for all images, so that their colours can be compared.
-    positions = [evenly_spaced(len(images), limit) for images in image_sets]
+    positions = [displayed_positions(images, limit) for images in image_sets]
     ranges = [distance_range(*pair) for pair in zip(image_sets, positions, strict=True)]
     known = [pair for pair in ranges if pair is not None]
     near = min((pair[0] for pair in known), default=0.0)
@@ -133,9 +137,13 @@ def _summarize(
     """Summary of a set, and rows of the contact sheet; one image is in memory at a time."""
     sheet_positions = {positions[number] for number in evenly_spaced(len(positions), MAX_ROWS)}
     cards, table_rows, sheet_rows = [], [], []
+    moments = Moments.of_images(images)
+    displayed = {images.names()[position] for position in positions} if moments else set()
     for position in positions:
         view = image_view(_visible_image(images, position), *distances_m)
-        cards.append(card_html(view, key))
+        relatives = [] if moments is None else moments.relatives(position)
+        named = [(f"{index:0{DIGITS}d}", difference) for index, difference in relatives]
+        cards.append(card_html(view, key, [Relative(name, text, name in displayed) for name, text in named]))
         table_rows.append(table_row(view, key))
         if key == "a" and position in sheet_positions:
             sheet_rows.append(sheet_row(view))
@@ -159,7 +167,7 @@ def _page_html(
 ) -> str:
     """The page as HTML; `distances_m` are those of the brightest and the darkest colour."""
     recipe, plan = info["recipe"], info["recipe"]["plan"]
-    total = plan["sets"] * plan["rotations"] * plan["frames"]
+    total = Plan.model_validate(plan).count
     summary: list[str] = [f"{sets[0].frames:,} of {total:,} planned frames exist."]
     summary += [
         fragment("Compared with ", sections.set_label(item), f", {sections.plural(item.frames, 'image')}.")
@@ -174,6 +182,7 @@ def _page_html(
     if distances_m is not None:
         near, far = (element("span", f"{distance:.2f} m") for distance in distances_m)
         ramp = element("p", near, element("i", class_="back"), far, class_="ramp")
+    variation = variation_html(sets)
     # The policy allows exactly this style and this script.
     style = Template(_read_resource("page.css")).substitute(ramp=", ".join(VIRIDIS))
     script = _read_resource("page.js")
@@ -183,12 +192,11 @@ def _page_html(
         "script": Html(script),
         "script_hash": csp_hash(script),
         "name": str(recipe["name"]),
+        "crop": crop_name(info),
         "cultivar": str(recipe["cultivar"]),
         "summary": joined(summary, " "),
         "facts": _facts_html(info),
-        "classes": joined(
-            (element("span", sections.swatch(organ), organ.name.lower()) for organ in OrganClass), " "
-        ),
+        "classes": sections.legend_html(ignored=has_ignored_pixels(info)),
         "distances": ramp,
         "frames": joined(_frames_html(item, single=len(sets) == 1) for item in sets),
         "fractions": sections.class_fractions_html(sets),
@@ -196,7 +204,9 @@ def _page_html(
         "maps": sections.class_maps_html(sets),
         "hues": sections.hue_spectra_html(sets),
         "intensity": sections.intensity_html(sets),
-        "build": sections.build_html(sets),
+        "variation": variation,
+        "variation_link": variation_link(variation),
+        "build": build_html(sets),
     }
     page = Template(_read_resource("page.html"))
     return page.substitute({name: as_html(content) for name, content in contents.items()})
@@ -212,9 +222,9 @@ def _facts_html(info: Mapping[str, Any]) -> Html:
     items = {
         "Quality": info["quality"],
         "Seed": recipe["seed"],
-        "Plan": "{sets} sets × {rotations} rotations × {frames} steps".format(**recipe["plan"]),
+        "Plan": _describe_plan(recipe["plan"]),
         "Rows": "{plants_front} + {plants_back} plants, {spacing_mm:g} mm apart".format(**recipe["row"]),
-        "Exposure": f"{recipe['camera']['exposure_us']:g} µs",
+        "Exposure": _describe_exposure(recipe),
         "Daylight": f"{daylight['illuminance_lx']:,.0f} lx",
         "Version": info["version"],
         "Recipe SHA-256": info["recipe_sha256"][:12] + "…",
@@ -222,6 +232,19 @@ def _facts_html(info: Mapping[str, Any]) -> Html:
     return joined(
         element("div", element("dt", key), element("dd", str(value))) for key, value in items.items()
     )
+
+
+def _describe_exposure(recipe: Mapping[str, Any]) -> str:
+    exposure, key = recipe["camera"]["exposure_us"], "camera.exposure_us"
+    if key in recipe.get("variation", {}) or key in recipe.get("twins", {}):
+        return "varied"
+    return "automatic" if exposure == AUTO else f"{exposure:g} µs"
+
+
+def _describe_plan(plan: Mapping[str, Any]) -> str:
+    factors = ["{sets} sets", "{rotations} rotations", "{frames} steps"]
+    factors += [f"{{{name}}} {name}" for name in ("twins", "cameras") if plan.get(name, 1) > 1]
+    return " × ".join(factors).format(**plan)
 
 
 def _frames_html(item: SetSummary, single: bool) -> Html:

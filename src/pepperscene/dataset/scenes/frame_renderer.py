@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from pepperscene.dataset.recipe.frame_setups import FrameSetup, FrameSetups
 from pepperscene.dataset.recipe.load import resolve_recipe
+from pepperscene.dataset.recipe.load_camera import GRID_STEP_NM, surface_wavelengths
 from pepperscene.dataset.recipe.plan import FrameSpec, Stream, frame_seed, random_generator
 from pepperscene.dataset.recipe.recipe import Recipe
-from pepperscene.dataset.recipe.resolved import ResolvedRecipe, surface_wavelengths
-from pepperscene.dataset.scenes.scene_builder import SceneBuilder
-from pepperscene.dataset.scenes.viewpoints import Viewpoints
+from pepperscene.dataset.recipe.resolved import ResolvedRecipe
+from pepperscene.dataset.scenes.scene_builder import SceneBuilder, make_greenhouse
+from pepperscene.dataset.views.camera_views import CameraViews
 from pepperscene.frame import OUTPUTS, Frame
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
+    from pepperscene.camera.auto_exposure import ExposureControl
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
     from pepperscene.render import Quality
@@ -37,8 +39,10 @@ class SceneRenderer(Protocol):
         seed: int = ...,
         *,
         others: Mapping[str, Camera] = ...,
+        sky: Sky | None = ...,
+        exposure_control: ExposureControl | None = ...,
     ) -> Frame:
-        """Render one view; `others` is passed only if an output needs another camera."""
+        """Render one view; an optional argument is passed only if it differs from the scene's own."""
 
 
 RendererFactory = Callable[["Scene"], SceneRenderer]
@@ -59,6 +63,21 @@ class AssembledScene:
     statistics: Mapping[str, Any]
 
 
+@dataclass(frozen=True, eq=False)
+class _HeldScene:
+    """The scene that is held, and its renderer.
+
+    Attributes:
+        key: plants, set, rotation, and whether light can be traced.
+        light: what the scene's own sky depends on.
+    """
+
+    key: tuple[str, int, int, bool]
+    light: tuple[int, str]
+    assembled: AssembledScene
+    renderer: SceneRenderer
+
+
 class FrameRenderer:
     """Renders the frames of a recipe in any order.
 
@@ -67,8 +86,10 @@ class FrameRenderer:
 
     Attributes:
         resolved: the recipe with the files that it names; also as `recipe` and `cultivar`.
-        views: the cameras along its path.
-        culled: whether triangles that affect no frame are left out of scenes; False is for comparison.
+        setups: what each frame depends on.
+        views: the cameras of the frames.
+        culled: whether triangles that affect no frame are left out of scenes; False is for comparison. Scenes
+            are never culled if views depend on the plants.
 
     Args:
         recipe: a recipe, its resolved form, a shipped name or a path.
@@ -88,12 +109,13 @@ class FrameRenderer:
     ) -> None:
         self.resolved = resolve_recipe(recipe)
         self.recipe, self.cultivar = self.resolved.recipe, self.resolved.cultivar
-        self.culled = culled
+        self.setups = FrameSetups(self.resolved)
+        self.views = CameraViews(self.setups, lambda setup: make_greenhouse(setup.recipe.greenhouse))
+        self.culled = culled and not self.views.depends_on_scene
         self._renderer_factory = renderer or mitsuba_renderer
-        self._scene_builder = SceneBuilder(self.recipe, self.cultivar)
-        self.views = Viewpoints(self.recipe, self.resolved.camera, self._scene_builder.greenhouse)
-        # Set, rotation and whether light can be traced; the scene's renderer and its statistics.
-        self._held: tuple[tuple[int, int, bool], SceneRenderer, Mapping[str, Any]] | None = None
+        self._builders: tuple[str, SceneBuilder] | None = None
+        self._held: _HeldScene | None = None
+        self._skies: dict[tuple[int, str], Sky | None] = {}
 
     def render(self, spec: FrameSpec, outputs: Sequence[str], quality: str | Quality = "standard") -> Frame:
         """Render one frame.
@@ -106,17 +128,27 @@ class FrameRenderer:
         Raises:
             InputError: an output needs a stereo partner, and the recipe has none.
         """
-        others = self.views.others(spec.step, outputs)
-        renderer, statistics = self._renderer(spec, any(OUTPUTS[name].traced for name in outputs))
+        setup, traced = self.setups.at(spec), any(OUTPUTS[name].traced for name in outputs)
+        held = self._scene_of(spec, setup, traced)
+        scene, visible = held.assembled.scene, getattr(held.renderer, "visible_points", None)
+        others = self.views.others(spec, outputs, scene, visible)
+        camera = self.camera(spec)
         seed = frame_seed(self.recipe.seed, spec.index)
-        # Renderers receive other cameras only if an output needs them.
-        further = {"others": others} if others else {}
-        frame = renderer.render(self.camera(spec), outputs=outputs, quality=quality, seed=seed, **further)
-        return Frame(frame.images, {**frame.metadata, **statistics})
+        # Renderers receive what differs from the scene's own only if an output needs it.
+        further: dict[str, Any] = {"others": others} if others else {}
+        if traced and held.light != (spec.set, setup.light):
+            further["sky"] = self.sky(spec)
+        if traced and setup.recipe.exposure_control is not None:
+            further["exposure_control"] = setup.recipe.exposure_control.control()
+        frame = held.renderer.render(camera, outputs=outputs, quality=quality, seed=seed, **further)
+        return Frame(frame.images, {**frame.metadata, **held.assembled.statistics})
 
     def camera(self, spec: FrameSpec) -> Camera:
-        """The camera of a frame, at its place on the path."""
-        return self.views.camera(spec.step)
+        """The camera of a frame, at its pose."""
+        if not self.views.depends_on_scene:
+            return self.views.camera(spec)
+        held = self._scene_of(spec, self.setups.at(spec), traced=False)
+        return self.views.camera(spec, held.assembled.scene, getattr(held.renderer, "visible_points", None))
 
     def scene(self, spec: FrameSpec, *, traced: bool = True) -> Scene:
         """The scene of a frame; without `traced` it has no surfaces and no sky, which labels do not need."""
@@ -126,31 +158,31 @@ class FrameRenderer:
         """The scene of a frame, as `scene`, with its statistics."""
         from pepperscene.scene import assemble_scene
 
-        built = self._scene_builder.scene(spec.set, spec.rotation)
-        mesh = self._cull(built.mesh) if self.culled else built.mesh
+        setup = self.setups.at(spec)
+        built = self._builder(setup).scene(spec.set, spec.rotation)
+        others = self._frames_of_scene(spec, setup)
+        mesh = self._cull(built.mesh, others) if self.culled else built.mesh
         statistics = {
             "contacts": asdict(built.contacts),
             "geometry": {"triangles": len(mesh.faces), "of": len(built.mesh.faces)},
         }
         if not traced:
             return AssembledScene(assemble_scene(mesh, skeleton=built.skeleton), statistics)
-        scene = assemble_scene(mesh, self._surfaces, self.sky(spec.set), built.skeleton)
+        scene = assemble_scene(mesh, self._surfaces(setup, others), self.sky(spec), built.skeleton)
         return AssembledScene(scene, statistics)
 
-    def _cull(self, mesh: Mesh) -> Mesh:
-        """Leave out what affects no frame of a scene, by all poses and the recipe's light.
+    def sky(self, spec: FrameSpec) -> Sky | None:
+        """The daylight of a frame, or None if the recipe has none."""
+        setup = self.setups.at(spec)
+        key = (spec.set, setup.light)
+        if key not in self._skies:
+            self._skies = {key: self._make_sky(spec.set, setup)}
+        return self._skies[key]
 
-        Outputs do not matter, so a frame's labels fit its colour, and no frame depends on others.
-        """
-        from pepperscene.scene import cull_mesh
-
-        return cull_mesh(mesh, self.views.frustums, self._light_reach)
-
-    def sky(self, set_index: int) -> Sky | None:
-        """The daylight above a set, or None if the recipe has none."""
+    def _make_sky(self, set_index: int, setup: FrameSetup) -> Sky | None:
         from pepperscene.scene import partly_cloudy_sky
 
-        light = self.recipe.daylight
+        light = setup.recipe.daylight
         if light is None or light.illuminance_lx == 0:
             return None
         return partly_cloudy_sky(
@@ -160,36 +192,78 @@ class FrameRenderer:
             sun_elevation_rad=float(np.radians(light.sun_elevation_deg)),
             sun_fraction=light.sun_fraction,
             cloud_cover=light.cloud_cover,
-            cover=self.resolved.cover,
+            cover=setup.cover,
         )
 
-    def _renderer(self, spec: FrameSpec, traced: bool) -> tuple[SceneRenderer, Mapping[str, Any]]:
-        """The renderer of the frame's scene, and the scene's statistics."""
-        usable = {(spec.set, spec.rotation, True), (spec.set, spec.rotation, traced)}
-        if self._held is None or self._held[0] not in usable:
+    def _builder(self, setup: FrameSetup) -> SceneBuilder:
+        """The builder of scenes with a frame's plants and greenhouse."""
+        if self._builders is None or self._builders[0] != setup.plants:
+            self._builders = setup.plants, SceneBuilder(setup.recipe, setup.cultivar)
+        return self._builders[1]
+
+    def _scene_of(self, spec: FrameSpec, setup: FrameSetup, traced: bool) -> _HeldScene:
+        """The scene of a frame with its renderer."""
+        key = (setup.plants, spec.set, spec.rotation, traced)
+        if self._held is None or self._held.key not in (key, (*key[:3], True)):
             # Release the old scene before making the new one.
             self._held = None
             assembled = self.assemble(spec, traced=traced)
             renderer = self._renderer_factory(assembled.scene)
-            self._held = (spec.set, spec.rotation, traced), renderer, assembled.statistics
-        return self._held[1:]
+            self._held = _HeldScene(key, (spec.set, setup.light), assembled, renderer)
+        return self._held
 
-    @cached_property
-    def _light_reach(self) -> LightReach:
-        from pepperscene.scene import light_reach
+    def _frames_of_scene(self, spec: FrameSpec, setup: FrameSetup) -> list[FrameSpec]:
+        """All frames that show the same plants at the same places, in the order of their indices."""
+        specs = [self.recipe.plan.frame(index) for index in self.recipe.plan.scene_indices(spec)]
+        return [other for other in specs if self.setups.at(other).plants == setup.plants]
 
-        camera, light = self.resolved.camera, self.recipe.daylight
-        distance_m = self.recipe.path.distance_mm / 1e3
-        if light is None or light.illuminance_lx == 0:
-            return light_reach(camera, distance_m, 0.0)
-        # As for a clear sky: a hazy cover only softens the sun's shadows.
-        sun_lx = light.illuminance_lx * light.sun_fraction
-        normal_lx = sun_lx / np.sin(np.radians(light.sun_elevation_deg)) if sun_lx > 0 else 0.0
-        return light_reach(camera, distance_m, light.illuminance_lx - sun_lx, float(normal_lx))
+    def _cull(self, mesh: Mesh, specs: Sequence[FrameSpec]) -> Mesh:
+        """Leave out what affects no frame of a scene, by all poses and the recipe's light.
 
-    @cached_property
-    def _surfaces(self) -> dict[str, Surface]:
+        Outputs do not matter, so a frame's labels fit its colour, and no frame depends on others.
+        """
+        from pepperscene.scene import cull_mesh
+
+        return cull_mesh(mesh, self.views.frustums(specs), self._light_reach(specs))
+
+    def _light_reach(self, specs: Sequence[FrameSpec]) -> LightReach:
+        """The largest reach of light in any of some frames."""
+        from pepperscene.scene import combine_reaches
+
+        distinct = {
+            (setup.optics, setup.light, setup.recipe.views): setup for setup in map(self.setups.at, specs)
+        }
+        return combine_reaches(
+            [_light_reach(setup, camera) for setup in distinct.values() for camera in _exposures(setup)]
+        )
+
+    def _surfaces(self, setup: FrameSetup, specs: Sequence[FrameSpec]) -> dict[str, Surface]:
+        """The optics of all surfaces, over the wavelengths that any camera of some frames detects."""
         from pepperscene.materials import greenhouse_surfaces, organ_surfaces
 
-        nm = surface_wavelengths(self.resolved.camera.sensor)
-        return {**organ_surfaces(self.cultivar, nm), **greenhouse_surfaces(nm)}
+        cameras = {other.optics: other.camera for other in map(self.setups.at, specs)}
+        ranges = [surface_wavelengths(camera.sensor) for camera in cameras.values()]
+        first, last = min(nm[0] for nm in ranges), max(nm[-1] for nm in ranges)
+        nm = np.arange(first, last + GRID_STEP_NM / 2, GRID_STEP_NM)
+        return {**organ_surfaces(setup.cultivar, nm), **greenhouse_surfaces(nm)}
+
+
+def _exposures(setup: FrameSetup) -> list[Camera]:
+    """The camera, or those with the shortest and the longest exposure if it is automatic."""
+    control = setup.recipe.exposure_control
+    if control is None:
+        return [setup.camera]
+    return [replace(setup.camera, exposure_s=limit_us / 1e6) for limit_us in control.exposure_us]
+
+
+def _light_reach(setup: FrameSetup, camera: Camera) -> LightReach:
+    from pepperscene.scene import light_reach
+
+    light = setup.recipe.daylight
+    distance_m = setup.recipe.views.subject_mm / 1e3
+    if light is None or light.illuminance_lx == 0:
+        return light_reach(camera, distance_m, 0.0)
+    # As for a clear sky: a hazy cover only softens the sun's shadows.
+    sun_lx = light.illuminance_lx * light.sun_fraction
+    normal_lx = sun_lx / np.sin(np.radians(light.sun_elevation_deg)) if sun_lx > 0 else 0.0
+    return light_reach(camera, distance_m, light.illuminance_lx - sun_lx, float(normal_lx))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.recipe.resolved import surface_wavelengths
+from pepperscene.dataset.recipe.load_camera import surface_wavelengths
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera

@@ -11,6 +11,7 @@ import numpy as np
 
 from pepperscene.dataset.recipe.plan import Stream, random_generator, rotate_row
 from pepperscene.dataset.recipe.recipe import Recipe
+from pepperscene.dataset.recipe.tables import GreenhouseTable
 from pepperscene.dataset.scenes.plants import PlacedPlant, PlantFactory, make_plants, plant_processes
 
 if TYPE_CHECKING:
@@ -97,7 +98,8 @@ class SceneBuilder:
         surroundings = greenhouse_mesh(row, greenhouse, positions)
         if greenhouse.far_rows > 0:
             rng = random_generator(seed, Stream.FAR, 1, set_index, rotation)
-            surroundings += far_row_meshes(self._far_models, row, greenhouse, rng)
+            others = len(resolved.mesh.instances) + sum(len(part.instances) for part in surroundings)
+            surroundings += far_row_meshes(self._far_models, row, greenhouse, rng, others)
         mesh = concatenate_meshes([resolved.mesh, *surroundings]) if surroundings else resolved.mesh
         return BuiltScene(mesh, _total_contacts(resolved.contacts, plants), skeleton)
 
@@ -122,27 +124,8 @@ class SceneBuilder:
 
     @cached_property
     def greenhouse(self) -> Greenhouse:
-        """The greenhouse in metres and radians; without the table, upright plants in even rows alone."""
-        from pepperscene.scene import Greenhouse
-
-        table = self.recipe.greenhouse
-        if table is None:
-            return Greenhouse()
-        return Greenhouse(
-            row_lean_rad=float(np.radians(table.row_lean_deg)),
-            lean_sd_rad=float(np.radians(table.lean_sd_deg)),
-            turn_sd_rad=float(np.radians(table.turn_sd_deg)),
-            spacing_sd_m=table.spacing_sd_mm / 1e3,
-            across_sd_m=table.across_sd_mm / 1e3,
-            gutter_width_m=table.gutter_width_mm / 1e3,
-            gutter_height_m=table.gutter_height_mm / 1e3,
-            floor=table.floor,
-            crop_wire_m=table.crop_wire_mm / 1e3,
-            far_rows=table.far_rows,
-            far_reach_m=table.far_reach_mm / 1e3,
-            aisle_m=table.aisle_mm / 1e3,
-            pipes=table.pipes,
-        )
+        """The greenhouse in metres and radians."""
+        return make_greenhouse(self.recipe.greenhouse)
 
     @cached_property
     def _far_models(self) -> list[Mesh]:
@@ -166,4 +149,29 @@ def _total_contacts(between: ContactCounts, plants: Sequence[PlacedPlant]) -> Co
         between,
         fruit_touching=between.fruit_touching + sum(plant.contacts.fruit_touching for plant in plants),
         blades_touching=between.blades_touching + sum(plant.contacts.blades_touching for plant in plants),
+    )
+
+
+def make_greenhouse(table: GreenhouseTable | None) -> Greenhouse:
+    """The greenhouse of a table in metres and radians; without one, upright plants in even rows alone."""
+    from pepperscene.scene import Greenhouse
+    from pepperscene.scene.greenhouse import FarRowsAs
+
+    if table is None:
+        return Greenhouse()
+    return Greenhouse(
+        row_lean_rad=float(np.radians(table.row_lean_deg)),
+        lean_sd_rad=float(np.radians(table.lean_sd_deg)),
+        turn_sd_rad=float(np.radians(table.turn_sd_deg)),
+        spacing_sd_m=table.spacing_sd_mm / 1e3,
+        across_sd_m=table.across_sd_mm / 1e3,
+        gutter_width_m=table.gutter_width_mm / 1e3,
+        gutter_height_m=table.gutter_height_mm / 1e3,
+        floor=table.floor,
+        crop_wire_m=table.crop_wire_mm / 1e3,
+        far_rows=table.far_rows,
+        far_rows_as=FarRowsAs(table.far_rows_as),
+        far_reach_m=table.far_reach_mm / 1e3,
+        aisle_m=table.aisle_mm / 1e3,
+        pipes=table.pipes,
     )

@@ -259,7 +259,7 @@ def _is_orphan(path: Path) -> bool:
 def _write_new(path: Path, content: bytes) -> None:
     """Write a file that must not exist, and flush it to the disk.
 
-    In a folder that others can write to, nobody can have put a link there.
+    So a link that another user has put there is not followed.
     """
     with path.open("xb", buffering=0) as file:
         view = memoryview(content)

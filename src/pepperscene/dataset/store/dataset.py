@@ -41,7 +41,7 @@ from pepperscene.dataset.store.frame_json import (
 )
 from pepperscene.dataset.store.images import encode_image, read_image
 from pepperscene.dataset.store.journal import Journal
-from pepperscene.dataset.store.manifest import FRUIT, MANIFEST, Row, fruit_rows, write_table
+from pepperscene.dataset.store.manifest import FRUIT, MANIFEST, Row, fruit_rows, table_columns, write_table
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
 
@@ -94,7 +94,7 @@ class Dataset:
         return self.folder / FRAMES / f"{index:0{DIGITS}d}.json"
 
     def manifest(self) -> pyarrow.Table:
-        """The table of all frames, ascending; its columns are `manifest.FRAME_COLUMNS`.
+        """The table of all frames, ascending; its columns are those of `manifest.table_columns`.
 
         It is written again if it is lost, damaged or older than a frame; raises `OutputError` if that fails.
         """
@@ -131,10 +131,12 @@ class Dataset:
         indices = self.indices()
         rows = journal.rows((index, self.written_checksum(index)) for index in indices)
         frames = (self.intact(index).row() if row is None else row for index, row in rows)
-        write_table(self.folder, MANIFEST, (row for row in frames if row.get("index") is not None))
+        known = (row for row in frames if row.get("index") is not None)
+        write_table(self.folder, MANIFEST, known, table_columns(MANIFEST, self.info))
         harvested = [index for index in indices if self.path(index, "harvest").is_file()]
         if harvested:
-            write_table(self.folder, FRUIT, self._fruit_rows(harvested))
+            columns = table_columns(FRUIT, self.info)
+            write_table(self.folder, FRUIT, self._fruit_rows(harvested), columns)
 
     def _frames_state(self) -> dict[str, tuple[int, int]]:
         """Name, file number and time of each frame's JSON; it is another file after every change."""

@@ -8,223 +8,17 @@ The check of a frame's JSON takes half a millisecond for 300 instances, as long 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Final, TypeVar
+from typing import Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+import numpy as np
 
-from pepperscene.classes import OrganClass
-from pepperscene.dataset.recipe.plan import MAX_FRAMES, Plan
+from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.dataset.store.dataset import MARK, Dataset
+from pepperscene.dataset.store.field_models import DatasetFields, FrameFields, HarvestFields
 from pepperscene.dataset.store.images import read_image
-from pepperscene.dataset.store.manifest import FRUIT_COLUMNS
 from pepperscene.document import validate
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
-
-_LARGEST: Final = 1e12
-"""Chosen: no number of a data set comes near, and sums and squares of such numbers stay finite."""
-_LARGEST_SIDE: Final = (
-    65_535  # chosen: pixels; masks of such images have fewer than 2^32, as pycocotools needs
-)
-_INSTANCES: Final = 65_535  # instance images have 16 bits
-_INSTANCE_KEY: Final = (
-    "^([1-9][0-9]{0,3}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])$"
-)
-"""1 to 65535, without leading zeros."""
-
-Item = TypeVar("Item")
-
-
-def _refuse_surrogates(text: str) -> str:
-    """JSON can hold halves of UTF-16 pairs, which no text file can."""
-    if not text.isascii() and any("\ud800" <= letter <= "\udfff" for letter in text):
-        raise ValueError("must be text without unpaired surrogates")
-    return text
-
-
-Text = Annotated[str, AfterValidator(_refuse_surrogates)]
-Line = Annotated[str, Field(max_length=400, pattern=r"^[^\x00-\x1f]+$")]
-"""As the names in a recipe."""
-Real = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
-Count = Annotated[int, Field(ge=0, le=int(_LARGEST))]
-Number = Annotated[int, Field(ge=-(2**31), lt=2**31)]
-Seed = Annotated[int, Field(ge=-(2**63), lt=2**63)]
-Place = Annotated[int, Field(ge=0, lt=MAX_FRAMES)]
-InstanceNumber = Annotated[int, Field(ge=1, le=_INSTANCES)]
-InstanceKey = Annotated[str, Field(pattern=_INSTANCE_KEY)]
-Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-Two = Annotated[list[Item], Field(min_length=2, max_length=2)]
-Three = Annotated[list[Item], Field(min_length=3, max_length=3)]
-Four = Annotated[list[Item], Field(min_length=4, max_length=4)]
-Pose = Four[Four[Real]]
-"""`(4, 4)`, row by row."""
-
-
-class _Fields(BaseModel):
-    """The keys of a JSON object that readers use, of exactly these types."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
-
-
-class _Row(_Fields):
-    plants_front: Count
-    plants_back: Count
-    spacing_mm: Real
-
-
-class _RecipeCamera(_Fields):
-    sensor: Line
-    lens: Line
-    exposure_us: Real
-
-
-class _Daylight(_Fields):
-    illuminance_lx: Real
-
-
-class _Recipe(_Fields):
-    name: Line
-    seed: Annotated[int, Field(ge=0, lt=2**63)]
-    cultivar: Line
-    plan: Plan
-    row: _Row
-    camera: _RecipeCamera
-    daylight: _Daylight | None
-
-
-class _Info(_Fields):
-    """`dataset.json`."""
-
-    quality: Line
-    version: Line
-    recipe_sha256: Digest
-    recipe: _Recipe
-
-
-class _Distortion(_Fields):
-    k1: Real
-    k2: Real
-    k3: Real
-    p1: Real
-    p2: Real
-
-
-class _Camera(_Fields):
-    pose: Pose
-    fx: Real
-    fy: Real
-    cx: Real
-    cy: Real
-    distortion: _Distortion
-
-
-class _Instance(_Fields):
-    organ_class: Annotated[int, Field(ge=0, lt=len(OrganClass), alias="class")]
-    kind: Text
-    plant: Number
-    phytomer: Number
-    parent: Number
-    pixels: Count
-    box: Four[Number] | None = None
-
-
-class _Sampling(_Fields):
-    samples_per_pixel: Real | None = None
-    error_codes: Real | None = None
-    noise_codes: Real | None = None
-
-
-class _Contacts(_Fields):
-    fruit_touching: Count
-    blades_touching: Count
-
-
-class _OutputEntry(_Fields):
-    bytes: Count
-    sha256: Digest
-
-
-class _Frame(_Fields):
-    """`frames/000000.json`."""
-
-    index: Place
-    set: Place
-    rotation: Place
-    step: Place
-    seed: Seed | None = None
-    recipe_seed: Seed | None = None
-    camera: _Camera
-    instances: dict[InstanceKey, _Instance]
-    class_pixels: dict[Text, Count] = {}
-    sampling: _Sampling = _Sampling()
-    contacts: _Contacts | None = None
-    outputs: dict[Text, _OutputEntry]
-
-
-class _Mask(_Fields):
-    """COCO's uncompressed run lengths, of all pixels of the image."""
-
-    size: Two[Annotated[int, Field(ge=1, le=_LARGEST_SIDE)]]
-    counts: list[Annotated[int, Field(ge=0, le=_LARGEST_SIDE**2)]]
-
-    @model_validator(mode="after")
-    def _check_sum(self) -> _Mask:
-        height, width = self.size
-        if sum(self.counts) != height * width:
-            raise ValueError(f"must have counts that sum to {height} x {width}")
-        return self
-
-
-class _Cut(_Fields):
-    camera_m: Three[Real]
-    px: Two[Real] | None
-    visible: bool
-
-
-class _Peduncle(_Fields):
-    instance: InstanceNumber
-    cut: _Cut
-
-
-class _Approach(_Fields):
-    camera: Three[Real]
-
-
-class _Fruit(_Fields):
-    instance: InstanceNumber
-    plant: Number
-    phytomer: Number
-    kind: Text
-    ripeness: Real | None = None
-    length_m: Real | None = None
-    diameter_m: Real | None = None
-    visible_fraction: Real
-    visible_pixels: Count
-    amodal_pixels: Count
-    truncated: bool
-    occluders: list[Any]
-    amodal: _Mask
-    pose: Pose
-    box: Four[Number] | None
-    amodal_box: Four[Number] | None
-    peduncle: _Peduncle | None
-    approach: _Approach | None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _refuse_columns(cls, content: Any) -> Any:
-        # Tables copy the keys that are columns, and compute these columns from other keys.
-        computed = FRUIT_COLUMNS.keys() - cls.model_fields.keys()
-        found = sorted(computed & content.keys()) if isinstance(content, dict) else ()
-        if found:
-            raise ValueError(f"must not have the key {found[0]}, which is computed")
-        return content
-
-
-class _Harvest(_Fields):
-    """`harvest/000000.json`."""
-
-    fruit: list[_Fruit]
 
 
 def frame_indices(dataset: Dataset) -> tuple[int, ...]:
@@ -237,15 +31,22 @@ def frame_indices(dataset: Dataset) -> tuple[int, ...]:
 
 def read_info(dataset: Dataset) -> Mapping[str, Any]:
     """The content of `dataset.json`, of valid types; raises `InputError` otherwise."""
-    validate(_Info, dataset.info, dataset.folder / MARK)
+    validate(DatasetFields, dataset.info, dataset.folder / MARK)
     return dataset.info
+
+
+def has_ignored_pixels(info: Mapping[str, Any]) -> bool:
+    """Whether the recipe in a `dataset.json`, of any content, lets images hold `IGNORE_CLASS`."""
+    recipe = info.get("recipe")
+    greenhouse = recipe.get("greenhouse") if isinstance(recipe, dict) else None
+    return isinstance(greenhouse, dict) and greenhouse.get("far_rows_as") == "ignore"
 
 
 def read_frame(dataset: Dataset, index: int) -> dict[str, Any]:
     """The content of a frame's JSON, of valid types; raises `InputError` if it is missing or damaged."""
     path = dataset.frame_path(index)
     content = dataset.metadata(index)
-    validate(_Frame, content, path)
+    validate(FrameFields, content, path)
     if content["index"] != index:
         raise InputError(path, f"must be {index}, as in the name", key="index", value=content["index"])
     return content
@@ -264,10 +65,13 @@ def read_output(dataset: Dataset, index: int, output: str) -> Any:
             path, f"must hold {expected.shape} {expected.dtype}, not {image.shape} {image.dtype}"
         )
     if output == "harvest":
-        validate(_Harvest, image, path)
+        validate(HarvestFields, image, path)
     elif output == "class" and image.max(initial=0) >= len(OrganClass):
-        allowed = f"must hold class ids from 0 to {len(OrganClass) - 1}"
-        raise InputError(path, f"{allowed}, not {int(image.max())}")
+        is_ignored = image == IGNORE_CLASS if has_ignored_pixels(dataset.info) else False
+        unknown = image[(image >= len(OrganClass)) & ~np.asarray(is_ignored)]
+        if unknown.size:
+            allowed = f"must hold class ids from 0 to {len(OrganClass) - 1}"
+            raise InputError(path, f"{allowed}, not {int(unknown.max())}")
     elif output == "distance" and not (image >= 0).all():
         # Written so that nan fails too.
         raise InputError(path, "must hold distances from 0 metres, inf for none")

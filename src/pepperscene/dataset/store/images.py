@@ -25,10 +25,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import CLASS_COLOURS, OrganClass
+from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.atomic import canonical_json
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
+from pepperscene.truth.encodings import class_palette
 
 _CHANNELS: Final[Mapping[str, tuple[str, ...]]] = {
     "electrons": ("R", "G", "B"),
@@ -85,7 +86,9 @@ def encode_image(image: Any, output: str) -> bytes:
         return canonical_json(image)
     if expected.suffix == ".exr":
         return _exr_bytes(image, output)
-    return png_bytes(image, CLASS_COLOURS if output == "class" else None)
+    if output == "class":
+        return png_bytes(image, class_palette(ignored=int(image.max(initial=0)) >= len(OrganClass)))
+    return png_bytes(image)
 
 
 def read_image(path: str | Path) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from itertools import islice
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.atomic import atomic_write
+from pepperscene.dataset.store.drawn_columns import drawn_columns, drawn_kind, drawn_row
 from pepperscene.dataset.store.table_checksum import CHECKSUM_KEY, TableChecksum
 from pepperscene.frame import OUTPUTS
 
@@ -49,8 +51,9 @@ FRAME_COLUMNS: Final[Mapping[str, str]] = {
     "checksum": "string",
     **{f"{name}_sha256": "string" for name in OUTPUTS},
 }
-"""Columns of the manifest and their types, in Parquet's terms. Timings and the worker come from the journal
-and are unknown where it is lost; all other values can be read from the frames again."""
+"""Columns of every manifest and their types, in Parquet's terms. Timings and the worker come from the journal
+and are unknown where it is lost; all other values can be read from the frames again. Recipes with variation
+have further columns; see `table_columns`."""
 
 FRUIT_COLUMNS: Final[Mapping[str, str]] = {
     "index": "int64",
@@ -94,12 +97,38 @@ def frame_row(metadata: Mapping[str, Any], outputs: Mapping[str, Any], checksum:
     sizes = [entry.get("bytes") for entry in entries.values()]
     row["bytes"] = sum(size for size in sizes if isinstance(size, int))
     row["checksum"] = checksum
-    return {name: value for name, value in row.items() if _fits(FRAME_COLUMNS.get(name), value)}
+    row |= drawn_row(metadata, entries)
+    return {name: value for name, value in row.items() if _fits_any(name, value)}
 
 
 def fits_columns(row: Row) -> bool:
-    """Whether all values of a row of the manifest have the types of their columns."""
-    return all(_fits(FRAME_COLUMNS.get(name), value) for name, value in row.items())
+    """Whether all values of a row have the types that columns of a manifest can have."""
+    return all(_fits_any(name, value) for name, value in row.items())
+
+
+def table_columns(name: str, info: Mapping[str, Any]) -> Mapping[str, str]:
+    """The columns of `MANIFEST` or `FRUIT` and their types, for the content of a `dataset.json`."""
+    return {**FRAME_COLUMNS, **drawn_columns(info)} if name == MANIFEST else FRUIT_COLUMNS
+
+
+def stored_row(row: Row, columns: Mapping[str, str]) -> Row:
+    """A row as a table with these columns holds it: values of other types are unknown."""
+    stored: Row = {}
+    for name, kind in columns.items():
+        if (value := row.get(name)) is not None and _fits(kind, value := _text_of(value, kind)):
+            stored[name] = value
+    return stored
+
+
+def _text_of(value: Any, kind: str) -> Any:
+    """A number or a switch as text in a column that holds different types as text."""
+    return json.dumps(value) if kind == "string" and isinstance(value, bool | int | float) else value
+
+
+def _fits_any(name: str, value: Any) -> bool:
+    """Whether a value can be stored in a column of this name in any manifest."""
+    kinds = (FRAME_COLUMNS[name],) if name in FRAME_COLUMNS else drawn_kind(name) or (None,)
+    return any(_fits(kind, value) for kind in kinds)
 
 
 def _object(metadata: Mapping[str, Any], key: str) -> Mapping[str, Any]:
@@ -154,8 +183,10 @@ def _xyz(name: str, values: Any) -> Row:
     return {} if values is None else {name.format(axis): values[line] for line, axis in enumerate("xyz")}
 
 
-def write_table(folder: Path, name: str, rows: Iterator[Row]) -> None:
+def write_table(folder: Path, name: str, rows: Iterator[Row], columns: Mapping[str, str]) -> None:
     """Write `MANIFEST` or `FRUIT`, some thousand rows at a time, with a checksum of all values.
+
+    The columns are those of `table_columns`; values of other types than these are unknown.
 
     Without statistics of columns, which readers use to skip rows: a damaged one would hide rows, and the
     checksum of the values would not show it.
@@ -163,14 +194,13 @@ def write_table(folder: Path, name: str, rows: Iterator[Row]) -> None:
     import pyarrow
     from pyarrow import parquet
 
-    columns = FRAME_COLUMNS if name == MANIFEST else FRUIT_COLUMNS
-    schema, checksum = table_schema(name), TableChecksum()
+    schema, checksum = table_schema(columns), TableChecksum()
     with (
         atomic_write(folder / name) as temporary,
         temporary.open("wb") as file,
         parquet.ParquetWriter(file, schema, write_statistics=False, write_page_checksum=True) as writer,
     ):
-        while part := list(islice(rows, _ROWS_HELD)):
+        while part := [stored_row(row, columns) for row in islice(rows, _ROWS_HELD)]:
             values = {column: [row.get(column) for row in part] for column in columns}
             table = pyarrow.table(values, schema=schema)
             checksum.add(table)
@@ -178,11 +208,10 @@ def write_table(folder: Path, name: str, rows: Iterator[Row]) -> None:
         writer.add_key_value_metadata({CHECKSUM_KEY: checksum.hexdigest()})
 
 
-def table_schema(name: str) -> pyarrow.Schema:
-    """The Arrow schema of `MANIFEST` or `FRUIT`."""
+def table_schema(columns: Mapping[str, str]) -> pyarrow.Schema:
+    """The Arrow schema of a table with these columns, as of `table_columns`."""
     import pyarrow
 
-    columns = FRAME_COLUMNS if name == MANIFEST else FRUIT_COLUMNS
     # Parquet names the entries of lists like this, so the schema is the same after reading.
     doubles = pyarrow.list_(pyarrow.field("element", pyarrow.float64()))
     types = [doubles if kind == "doubles" else pyarrow.type_for_alias(kind) for kind in columns.values()]

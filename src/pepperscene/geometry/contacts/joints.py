@@ -16,7 +16,7 @@ from pepperscene.grammar.plant import Plant
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class JointRotation:
     """One rotation of a part of a plant.
 
     Attributes:
@@ -30,7 +30,7 @@ class Motion:
     pivot: FloatArray
 
 
-def move_plant(plant: Plant, motions: Sequence[Motion]) -> Plant:
+def move_plant(plant: Plant, motions: Sequence[JointRotation]) -> Plant:
     """Apply the motions of a resolved mesh to the curves and upper sides of the plant's organs.
 
     Args:

@@ -15,7 +15,7 @@ from pepperscene.geometry.contacts.cost import (
     weighted_effort,
 )
 from pepperscene.geometry.contacts.detect import NEAR, ContactCounts, ContactDetector, current_counts
-from pepperscene.geometry.contacts.joints import Motion, MovableUnit, find_joints, rotations, units_of
+from pepperscene.geometry.contacts.joints import JointRotation, MovableUnit, find_joints, rotations, units_of
 from pepperscene.geometry.contacts.organs import FRUIT, boxes_overlap
 from pepperscene.geometry.contacts.pairs import CLEARANCE, PairRules
 from pepperscene.geometry.mesh import FloatArray, IndexArray, Mesh
@@ -61,7 +61,7 @@ class ContactSolver:
 
     def __init__(self, detector: ContactDetector, rng: np.random.Generator) -> None:
         self.detector, self.organs = detector, detector.organs
-        self.motions: list[Motion] = []
+        self.motions: list[JointRotation] = []
         self._rng = rng
         self._angles = np.zeros((len(self.organs), 2))
         self._units: dict[int, list[MovableUnit]] = {}
@@ -229,7 +229,9 @@ class ContactSolver:
         around, up = change
         for axis, angle, pivot in ((joints.across, up, joints.foot), (joints.axis, around, joints.pivot)):
             if angle != 0.0:
-                self.motions.append(Motion(unit.root, rotations(axis, np.array([[angle]]))[0, 0], pivot[0]))
+                self.motions.append(
+                    JointRotation(unit.root, rotations(axis, np.array([[angle]]))[0, 0], pivot[0])
+                )
         transforms = joints.transforms(change[None, None])
         self.organs.move(unit.members, transforms.rotation[0, 0], transforms.shift[0, 0])
         self._angles[unit.root] = angles
@@ -253,7 +255,7 @@ class ResolvedMesh:
     """
 
     mesh: Mesh
-    motions: tuple[Motion, ...]
+    motions: tuple[JointRotation, ...]
     contacts: ContactCounts
 
 

@@ -27,6 +27,10 @@ _LATTICE_STEP: Final = 37
 """Of a dozen odd numbers the one with the smallest errors (root mean square) over half-planes (0.012), and
 over strips of 0.1 and 0.3 pixels (0.016, 0.017), at random angles, that is also good along the pixel's sides:
 0.007 to 0.011, where the errors of the square grid are 0.030 to 0.047."""
+_IGNORED: Final = len(OrganClass)
+"""Number here of all that is ignored, which has no channel but is not the background."""
+_ONES: Final = np.append(np.uint64(1) << np.arange(0, 64, 8, dtype=np.uint64), np.uint64(0))
+"""A count of one in the byte of each class; nothing is counted for what is ignored."""
 _BATCH: Final = 1 << 15  # chosen: mixed pixels traced at once, 2 million rays, below 40 MB
 
 
@@ -38,25 +42,31 @@ class SceneCoverage:
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        self._classes = device_array(mesh.face_class, np.uint32)
+        self._classes = device_array(np.minimum(mesh.face_class, _IGNORED), np.uint32)
         self._points = device_array(pixel_points())
 
     def image(self, scene: Any, rays: CameraRays) -> NDArray[np.float16]:
-        """`(h, w, 8)` fraction of each pixel's area that each `OrganClass` covers, multiples of 1/64."""
+        """`(h, w, 8)` fraction of each pixel's area that each `OrganClass` covers, multiples of 1/64.
+
+        They sum to 1 less the fraction that is ignored.
+        """
         classes = self._coarse_classes(scene, rays)
         refined = np.zeros(classes.shape, bool)
-        counts = np.unpackbits(classes[..., None], axis=-1, bitorder="little") * np.uint8(POINTS)
+        organs = classes.astype(np.uint8)
+        counts = np.unpackbits(organs[..., None], axis=-1, bitorder="little") * np.uint8(POINTS)
         pixels = np.flatnonzero(_is_mixed(classes))
         while pixels.size:
             mixed_counts = self._count_classes(scene, rays, pixels)
             counts.reshape(-1, len(OrganClass))[pixels] = mixed_counts
+            is_ignored = mixed_counts.sum(axis=1, dtype=np.uint16) < POINTS
             classes.ravel()[pixels] = np.packbits(mixed_counts > 0, axis=1, bitorder="little")[:, 0]
+            classes.ravel()[pixels[is_ignored]] |= np.uint16(1 << _IGNORED)
             refined.ravel()[pixels] = True
             pixels = np.flatnonzero(_is_mixed(classes) & ~refined)
         # Exact: integers up to 64 over a power of two.
         return counts.astype(np.float16) / np.float16(POINTS)
 
-    def _coarse_classes(self, scene: Any, rays: CameraRays) -> NDArray[np.uint8]:
+    def _coarse_classes(self, scene: Any, rays: CameraRays) -> NDArray[np.uint16]:
         """`(h, w)` the classes that a few rays through each pixel hit, one bit each."""
         # In blocks of two by two pixels: sixteen similar rays form one Embree packet.
         row, column = np.mgrid[: rays.height + 1 & ~1, : rays.width + 1 & ~1].astype(np.uint32)
@@ -64,8 +74,8 @@ class SceneCoverage:
         blocks = inside.reshape(inside.shape[0] // 2, 2, -1, 2).swapaxes(1, 2)
         pixels = np.ascontiguousarray(blocks).ravel()
         hit_classes = self._trace(scene, rays, pixels, _COARSE_POINTS)
-        bits = (1 << hit_classes).astype(np.uint8).reshape(-1, _COARSE_POINTS)
-        classes = np.empty((rays.height, rays.width), np.uint8)
+        bits = (1 << hit_classes).astype(np.uint16).reshape(-1, _COARSE_POINTS)
+        classes = np.empty((rays.height, rays.width), np.uint16)
         classes.ravel()[pixels] = bits[:, 0] | bits[:, 1] | bits[:, 2] | bits[:, 3]
         return classes
 
@@ -74,9 +84,9 @@ class SceneCoverage:
         counts = np.empty((len(pixels), len(OrganClass)), np.uint8)
         for start in range(0, len(pixels), _BATCH):
             batch = pixels[start : start + _BATCH].astype(np.uint32)
-            hit_classes = self._trace(scene, rays, batch, POINTS).astype(np.uint64)
+            hit_classes = self._trace(scene, rays, batch, POINTS)
             # Eight counts of at most 64 are the bytes of one integer, the first class in the lowest.
-            ones = (np.uint64(1) << (np.uint64(8) * hit_classes)).reshape(-1, POINTS)
+            ones = np.take(_ONES, hit_classes).reshape(-1, POINTS)
             sums = ones.sum(axis=1, dtype=np.uint64)
             counts[start : start + len(batch)] = sums.astype("<u8").view(np.uint8).reshape(-1, 8)
         return counts
@@ -94,8 +104,8 @@ class SceneCoverage:
         if points < POINTS:
             index += points * ((row % 4) * 4 + column % 4)
         at = dr.gather(mi.Point2f, self._points, index)
-        direction = rays.directions(column, row, at.x, at.y)
-        hit = scene.ray_intersect_preliminary(mi.Ray3f(rays.origin, direction), coherent=True)
+        origin, direction = rays.centre_rays(column, row, at.x, at.y)
+        hit = scene.ray_intersect_preliminary(mi.Ray3f(origin, direction), coherent=True)
         return np.array(dr.gather(mi.UInt32, self._classes, hit.prim_index, hit.is_valid()))
 
 
@@ -116,9 +126,9 @@ def pixel_points() -> NDArray[np.float32]:
     return ((np.stack(quarters, axis=1).reshape(-1, 2) + 0.5) / POINTS).astype(np.float32)
 
 
-def _is_mixed(classes: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def _is_mixed(classes: NDArray[np.uint16]) -> NDArray[np.bool_]:
     """`(h, w)` whether a pixel and its eight neighbours show more than one class."""
     padded = np.pad(classes, 1, mode="edge")
     rows = padded[:-2] | padded[1:-1] | padded[2:]
     nearby = rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
-    return np.asarray((nearby & nearby - np.uint8(1)) != 0)
+    return np.asarray((nearby & nearby - np.uint16(1)) != 0)

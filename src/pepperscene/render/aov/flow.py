@@ -2,7 +2,8 @@
 
 Both cameras see one scene in which nothing moves: the next frame of a path, or a stereo partner. The position
 of a point in the other image follows from the lens formula in double precision; whether it is hidden there,
-from one ray per pixel out of the other projection centre.
+from one ray per pixel out of the other projection centre. Where the rows of an image have their own poses,
+those of the pixel and of the point in the other image count.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ CLEARANCE: Final = 1e-4
 0.04 mm, less than the thickness of a leaf. Single precision misplaces hits by a thousandth of that, and by as
 much as that where a ray meets a surface at 0.03 degrees."""
 
+_SKY_M: Final = 1e9
+"""Chosen: distance of the sky from a camera that moves during the readout; a metre shifts it by 1e-9 rad."""
+
 
 def optical_flow(
     scene: Any, coordinates: LocalCoordinates, hits: Hits, camera: Camera, other: Camera | None
@@ -38,11 +42,12 @@ def optical_flow(
     flow[..., 2] = 0.0
     if other is None:
         return flow
-    centre = other.pose[:3, 3]
     sky = hits.face < 0
-    # Vectors from the other camera to the points; for the sky only the direction matters.
-    vectors = positions(hits, camera) - centre
-    vectors[sky] = world_directions(camera)[sky]
+    points, directions = positions(hits, camera), world_directions(camera)
+    # The points as vectors from the other camera; for the sky only the direction matters.
+    centre = other.pose[:3, 3]
+    vectors = points - centre
+    vectors[sky] = directions[sky] * (_SKY_M if other.rows_move else 1.0)
     pixels = other.project(centre + vectors.reshape(-1, 3)).reshape(*shape, 2)
     inside = (pixels >= 0.0).all(axis=-1) & (pixels < [other.width, other.height]).all(axis=-1)
 
@@ -50,8 +55,13 @@ def optical_flow(
     flow[..., 0] = pixels[..., 0] - column
     flow[..., 1] = pixels[..., 1] - row
     if inside.any():
-        start = coordinates.from_world(centre)
-        flow[inside, 2] = is_unoccluded(scene, start, vectors[inside] / coordinates.unit_m, hits.face[inside])
+        seen_from, towards = centre, vectors[inside]
+        if other.rows_move:
+            # Each point is seen from where its row in the other image is exposed.
+            seen_from = other.label_centres(pixels[inside][:, 1])
+            towards = np.where(sky[inside][:, None], directions[inside], points[inside] - seen_from)
+        start = coordinates.from_world(seen_from)
+        flow[inside, 2] = is_unoccluded(scene, start, towards / coordinates.unit_m, hits.face[inside])
     return flow
 
 
@@ -62,12 +72,12 @@ def is_unoccluded(
 
     Args:
         scene: Mitsuba's.
-        start: `(3,)` in local coordinates.
+        start: `(3,)` in local coordinates, or `(n, 3)`.
         vectors: `(n, 3)` in local units; for the sky only the directions matter.
         face: `(n,)` triangle of each point, -1 for the sky.
     """
     mi, dr = mitsuba_modules()
-    origin = mi.Point3f(*(float(x) for x in start))
+    origin = mi.Point3f(*((float(x) if start.ndim == 1 else device_array(x)) for x in start.T))
     dr.make_opaque(origin)
     vector = mi.Vector3f(*(device_array(axis) for axis in vectors.T))
     # As unsigned integers: the sky's number belongs to no face.

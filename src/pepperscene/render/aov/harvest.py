@@ -110,8 +110,8 @@ def _hits_in_box(organ: IsolatedOrgan, box: Box, rays: CameraRays) -> Any:
     lane = dr.arange(mi.UInt32, (x1 - x0) * (y1 - y0))
     row = lane // width
     column = lane - row * width + left
-    direction = rays.directions(column, row + top, mi.Float(0.5), mi.Float(0.5))
-    hit = organ.scene.ray_intersect_preliminary(mi.Ray3f(rays.origin, direction), coherent=True)
+    origin, direction = rays.centre_rays(column, row + top, mi.Float(0.5), mi.Float(0.5))
+    hit = organ.scene.ray_intersect_preliminary(mi.Ray3f(origin, direction), coherent=True)
     is_hit = dr.select(hit.is_valid(), mi.UInt32(1), mi.UInt32(0))
     dr.schedule(is_hit)
     return is_hit
@@ -175,6 +175,11 @@ class SceneHarvest:
         """
         centres, radii = self._bounding_spheres
         x, y, z = ((centres - camera.pose[:3, 3]) @ camera.pose[:3, :3]).T
+        if camera.motion is not None and camera.rows_move:
+            # In camera axes, a centre moves at most this much from the middle row to the first or last.
+            speed, time = float(np.linalg.norm(camera.motion.velocity_m_s)), 0.5 * camera.shutter.readout_s
+            farthest = np.linalg.norm([x, y, z], axis=0) + speed * time
+            radii = radii + (speed + camera.motion.angular_speed_rad_s * farthest) * time
         slopes = camera.ray_slopes()
         inside = z > -radii
         # The image is between the extreme slopes of its borders.

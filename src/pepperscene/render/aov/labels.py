@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
+from pepperscene.classes import OrganClass
 from pepperscene.geometry import Mesh
 from pepperscene.render.kernel.arrays import device_uint
 from pepperscene.render.kernel.camera import CameraRays
@@ -45,8 +46,8 @@ def first_hits(scene: Any, rays: CameraRays) -> Hits:
     # Tiles that reach over the border repeat its last pixels.
     row = dr.minimum(tile_row * _TILE + in_tile // _TILE, rows - 1)
     column = dr.minimum((tile - tile_row * tiles) * _TILE + in_tile % _TILE, columns - 1)
-    direction = rays.directions(column, row, mi.Float(0.5), mi.Float(0.5))
-    hit = scene.ray_intersect_preliminary(mi.Ray3f(rays.origin, direction), coherent=True)
+    origin, direction = rays.centre_rays(column, row, mi.Float(0.5), mi.Float(0.5))
+    hit = scene.ray_intersect_preliminary(mi.Ray3f(origin, direction), coherent=True)
     is_hit = hit.is_valid()
     shape = (rays.height, rays.width)
     distance, face = (dr.empty(kind, shape[0] * shape[1]) for kind in (mi.Float, mi.Int32))
@@ -83,13 +84,14 @@ def label_outputs(
 def visible_instances(mesh: Mesh, instance: NDArray[np.uint16]) -> dict[str, dict[str, Any]]:
     """Describe each instance that has a pixel, by its value in the instance image.
 
-    The `box` [x0, y0, x1, y1] contains all its pixels: columns x0 to x1 - 1, rows y0 to y1 - 1.
+    The `box` [x0, y0, x1, y1] contains all its pixels: columns x0 to x1 - 1, rows y0 to y1 - 1. Only those of
+    far rows have the key `far`, which is True.
     """
     described: dict[str, dict[str, Any]] = {}
     for value, pixels, *box in _pixel_extents(instance).tolist():
         item = mesh.instances[value - 1]
         described[str(value)] = {
-            "class": int(item.organ_class),
+            "class": item.class_id,
             "kind": item.kind,
             "plant": item.plant,
             "phytomer": item.phytomer,
@@ -97,6 +99,8 @@ def visible_instances(mesh: Mesh, instance: NDArray[np.uint16]) -> dict[str, dic
             "pixels": pixels,
             "box": box,
         }
+        if item.far_row >= 0:
+            described[str(value)]["far"] = True
     return described
 
 
@@ -129,8 +133,8 @@ def _pixel_extents(instance: NDArray[np.uint16]) -> NDArray[np.int64]:
 
 
 def class_ids(mesh: Mesh, instance: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """`(h, w)` the `OrganClass` at each pixel of an instance image; 0 in the background."""
-    return np.take(np.array([0, *(item.organ_class for item in mesh.instances)], dtype=np.uint8), instance)
+    """`(h, w)` the `OrganClass` or `IGNORE_CLASS` at each pixel of an instance image; 0 in the background."""
+    return np.take(np.insert(mesh.instance_class, 0, OrganClass.BACKGROUND), instance)
 
 
 def instance_ids(mesh: Mesh, hits: Hits) -> NDArray[np.uint16]:
@@ -165,11 +169,16 @@ def normals(mesh: Mesh, hits: Hits, camera: Camera) -> NDArray[np.float32]:
     # The entry after the last face is the background's.
     table = np.zeros((3, len(faces) + 1), np.float32)
     table[:, :-1] = normal
-    return np.moveaxis(np.stack([np.take(axis, index) for axis in table]), 0, -1)
+    image = np.moveaxis(np.stack([np.take(axis, index) for axis in table]), 0, -1)
+    if camera.rows_move:
+        # A row can see another side of a triangle than the row before.
+        away = np.sum(image * world_directions(camera), axis=-1) > 0.0
+        image[away] *= np.float32(-1.0)
+    return image
 
 
 def depth_z(hits: Hits, camera: Camera) -> NDArray[np.float32]:
-    """`(h, w)` metres along the optical axis; inf in the background."""
+    """`(h, w)` metres along the optical axis that each ray's camera has; inf in the background."""
     return (hits.distance * camera.pixel_directions()[..., 2]).astype(np.float32)
 
 
@@ -177,7 +186,8 @@ def positions(hits: Hits, camera: Camera) -> NDArray[np.float64]:
     """`(h, w, 3)` hit points in world coordinates, metres; inf in the background."""
     is_hit = hits.face >= 0
     # Infinity times 0 would be NaN.
-    points = np.where(is_hit, hits.distance, 0.0)[..., None] * world_directions(camera) + camera.pose[:3, 3]
+    centre = centres(camera)
+    points = np.where(is_hit, hits.distance, 0.0)[..., None] * world_directions(camera) + centre
     points[~is_hit] = np.inf
     return points
 
@@ -186,10 +196,22 @@ def world_directions(camera: Camera) -> NDArray[np.float64]:
     """`(h, w, 3)` unit world directions of the rays through the pixels' centres."""
     x, y, z = np.moveaxis(camera.pixel_directions(), -1, 0)
     directions = np.empty((3, *x.shape))
+    rotation = camera.pose[:3, :3]
+    if camera.rows_move:
+        # One rotation for each row, `(3, 3, h, 1)`.
+        poses = camera.label_poses(np.arange(camera.height) + 0.5)
+        rotation = np.moveaxis(poses[:, :3, :3], 0, -1)[..., None]
     # Axis by axis: BLAS splits such products between threads, and its last bits depend on their number.
-    for axis, (along_x, along_y, along_z) in enumerate(camera.pose[:3, :3]):
+    for axis, (along_x, along_y, along_z) in enumerate(rotation):
         directions[axis] = along_x * x + along_y * y + along_z * z
     return np.moveaxis(directions, 0, -1)
+
+
+def centres(camera: Camera) -> NDArray[np.float64]:
+    """Projection centres of the rays through the pixels' centres, world metres: `(3,)`, or `(h, 1, 3)`."""
+    if not camera.rows_move:
+        return camera.pose[:3, 3]
+    return camera.label_centres(np.arange(camera.height) + 0.5)[:, None]
 
 
 def surface_coordinates(mesh: Mesh, hits: Hits, camera: Camera) -> NDArray[np.float32]:
@@ -203,21 +225,24 @@ def surface_coordinates(mesh: Mesh, hits: Hits, camera: Camera) -> NDArray[np.fl
     """
     uv = np.full((hits.face.size, 2), -1.0, np.float32)
     face, rays = hits.face.ravel(), world_directions(camera).reshape(-1, 3)
+    centre = centres(camera)
+    of_pixels = np.broadcast_to(centre, (*hits.face.shape, 3)).reshape(-1, 3) if centre.ndim > 1 else None
     hit_pixels = np.flatnonzero(face >= 0)
     for start in range(0, hit_pixels.size, _UV_PIXELS):
         pixels = hit_pixels[start : start + _UV_PIXELS]
-        uv[pixels] = _coordinates_of_hits(mesh, face[pixels], rays[pixels].T, camera.pose[:3, 3])
+        origins = centre[:, None] if of_pixels is None else of_pixels[pixels].T
+        uv[pixels] = _coordinates_of_hits(mesh, face[pixels], rays[pixels].T, origins)
     return uv.reshape(*hits.face.shape, 2)
 
 
 def _coordinates_of_hits(
     mesh: Mesh, face: NDArray[np.int64], ray: NDArray[np.float64], start: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """`(n, 2)` surface coordinates where rays `(3, n)` from a point meet triangles."""
+    """`(n, 2)` surface coordinates where rays `(3, n)` from points `(3, n)` or `(3, 1)` meet triangles."""
     corners = mesh.faces[face]
     first, second, third = (mesh.vertices[corners[:, corner]].astype(np.float64).T for corner in range(3))
     edge1, edge2 = second - first, third - first
-    origin = start[:, None] - first
+    origin = start - first
     p, q = np.cross(ray, edge2, axis=0), np.cross(origin, edge1, axis=0)
     determinant = (edge1 * p).sum(axis=0)
     # Rounding can put a ray next to its triangle, and in a degenerate triangle it has no position.

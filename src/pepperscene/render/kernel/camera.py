@@ -9,11 +9,63 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera import Camera
+from pepperscene.camera import Camera, Motion
+from pepperscene.camera.shutter import RowWindows
 from pepperscene.render.kernel.arrays import WORLD, LocalCoordinates, device_array, device_uint
 from pepperscene.render.surface.optics import STEP_NM
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class RayMotion:
+    """Motion of the rays of a camera, and the times at which the rows of its image see.
+
+    Attributes:
+        begin, length: `(h,)` first time of each row and its duration, seconds; see `RowWindows`.
+        velocity: local units per second.
+        axis, speed: unit axis of the rotation in world axes, and radians per second.
+    """
+
+    begin: Any
+    length: Any
+    velocity: Any
+    axis: Any
+    speed: Any
+
+    def times(self, row: Any, fraction: Any) -> Any:
+        """Times in the windows of rows, at fractions in [0, 1] of them."""
+        mi, dr = mitsuba_modules()
+        begin, length = (dr.gather(mi.Float, table, row) for table in (self.begin, self.length))
+        return begin + fraction * length
+
+    def rotated(self, vector: Any, time: Any) -> Any:
+        """A vector after the rotation from time 0, as `Motion.rotate`."""
+        _, dr = mitsuba_modules()
+        angle = self.speed * time
+        across = vector - dr.dot(vector, self.axis) * self.axis
+        versine = 2.0 * dr.square(dr.sin(0.5 * angle))
+        return vector + dr.sin(angle) * dr.cross(self.axis, vector) - versine * across
+
+
+@dataclass(frozen=True, eq=False)
+class RayPose:
+    """The pose of a camera, or one for each ray of a moving camera."""
+
+    rotation: Any
+    origin: Any  # local coordinates
+    motion: RayMotion | None = None
+    time: Any = None  # seconds, with motion
+
+    def to_world(self, vector: Any) -> Any:
+        """Turn a vector from camera axes to world axes."""
+        fixed = self.rotation @ vector
+        return fixed if self.motion is None else self.motion.rotated(fixed, self.time)
+
+    @property
+    def centre(self) -> Any:
+        """Projection centre, local coordinates."""
+        return self.origin if self.motion is None else self.origin + self.motion.velocity * self.time
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,11 +76,12 @@ class CameraRays:
         width, height: of the image, pixels.
         device_width: the width as kernel data, so that another image size compiles nothing.
         slopes: `((h + 1) * (w + 1) * 2,)` undistorted (x/z, y/z) at the pixel corners.
-        rotation: camera to world.
-        origin: projection centre in local coordinates.
+        rotation: camera to world, at time 0 if the camera moves.
+        origin: projection centre in local coordinates, at time 0.
         unit_m: of the local coordinates.
         focus_distance: to the plane in focus along the optical axis, local units; None: all is in focus.
         aperture_radius: of the entrance pupil, local units.
+        motion: None if all rays have one pose.
     """
 
     width: int
@@ -40,17 +93,28 @@ class CameraRays:
     unit_m: float = 1.0
     focus_distance: Any = None
     aperture_radius: Any = None
+    motion: RayMotion | None = None
 
-    def directions(self, column: Any, row: Any, dx: Any, dy: Any) -> Any:
-        """Unit world directions through points (dx, dy) in [0, 1]^2 of pixels.
+    def pose(self, row: Any, next_1d: Callable[[], Any]) -> RayPose:
+        """The pose that rays through a row start from; `next_1d` is called only if it depends on the time."""
+        if self.motion is None:
+            return RayPose(self.rotation, self.origin)
+        return RayPose(self.rotation, self.origin, self.motion, self.motion.times(row, next_1d()))
 
-        Exact for a pinhole, and off by less than 1e-6 rad if the distortion is smooth over a pixel.
+    def centre_rays(self, column: Any, row: Any, dx: Any, dy: Any) -> tuple[Any, Any]:
+        """Origins and unit world directions through points (dx, dy) in [0, 1]^2 of pixels.
+
+        They start at the pupil's centre, in the middle of their row's time. Exact for a pinhole, and off by
+        less than 1e-6 rad if the distortion is smooth over a pixel.
         """
-        _, dr = mitsuba_modules()
-        return dr.normalize(self.rotation @ self._camera_directions(column, row, dx, dy))
+        mi, dr = mitsuba_modules()
+        pose = self.pose(row, lambda: mi.Float(0.5))
+        return pose.centre, dr.normalize(pose.to_world(self._camera_directions(column, row, dx, dy)))
 
-    def sample_rays(self, column: Any, row: Any, point: Any, next_2d: Callable[[], Any]) -> tuple[Any, Any]:
-        """Origins and unit world directions of rays through points in [0, 1]^2 of pixels.
+    def sample_rays(
+        self, pose: RayPose, column: Any, row: Any, point: Any, next_2d: Callable[[], Any]
+    ) -> tuple[Any, Any]:
+        """Origins and unit world directions of rays from a pose through points in [0, 1]^2 of pixels.
 
         With a plane in focus, rays start at random points of the entrance pupil and meet in that plane (the
         thin lens of Cook, Porter & Carpenter 1984). `next_2d` is called only then.
@@ -58,11 +122,11 @@ class CameraRays:
         mi, dr = mitsuba_modules()
         direction = self._camera_directions(column, row, point.x, point.y)
         if self.focus_distance is None:
-            return self.origin, dr.normalize(self.rotation @ direction)
+            return pose.centre, dr.normalize(pose.to_world(direction))
         pupil = self.aperture_radius * mi.warp.square_to_uniform_disk_concentric(next_2d())
         start = mi.Vector3f(pupil.x, pupil.y, 0.0)
-        direction = dr.normalize(self.rotation @ (self.focus_distance * direction - start))
-        return self.origin + self.rotation @ start, direction
+        direction = dr.normalize(pose.to_world(self.focus_distance * direction - start))
+        return pose.centre + pose.to_world(start), direction
 
     def _camera_directions(self, column: Any, row: Any, dx: Any, dy: Any) -> Any:
         """Directions (x/z, y/z, 1) in camera axes, bilinear between the pixel corners."""
@@ -97,6 +161,23 @@ def camera_rays(
     )
     dr.make_opaque(focus_distance, aperture_radius)
     return replace(rays, focus_distance=focus_distance, aperture_radius=aperture_radius)
+
+
+def moving_rays(rays: CameraRays, motion: Motion, windows: RowWindows) -> CameraRays:
+    """The rays of a camera that moves, each at a time in its row's window; `rays` are those of time 0."""
+    mi, dr = mitsuba_modules()
+    velocity = mi.Vector3f(*(float(x / rays.unit_m) for x in motion.velocity_m_s))
+    axis, speed = mi.Vector3f(*(float(x) for x in motion.axis)), mi.Float(motion.angular_speed_rad_s)
+    dr.make_opaque(velocity, axis, speed)
+    begin, length = device_array(windows.begin_s), device_array(windows.length_s)
+    return replace(rays, motion=RayMotion(begin, length, velocity, axis, speed))
+
+
+def label_rays(rays: CameraRays, camera: Camera) -> CameraRays:
+    """The rays of a camera's ground truth: of time 0, or with a rolling shutter each of its row's time."""
+    if camera.motion is None or not camera.rows_move:
+        return rays
+    return moving_rays(rays, camera.motion, camera.shutter.instants())
 
 
 _NEGLIGIBLE_RESPONSE: Final = 1e-5

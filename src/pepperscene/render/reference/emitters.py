@@ -71,17 +71,23 @@ def flash_emitter() -> Any:
 
         def move_to(self, flash: Flash, rays: CameraRays, intensity: SpectralTable) -> None:
             """Move the flash to the camera; `intensity` of all discs on the axis, W sr-1 nm-1."""
-            centres = np.asarray(flash.emitters_m) + np.array(flash.offset_m[:2])
+            # In the flash's own axes, which differ from the camera's for a flash that is turned.
+            turn = np.eye(3) if flash.rotation is None else flash.rotation
+            offset = np.asarray(flash.offset_m) @ turn
+            centres = np.asarray(flash.emitters_m) + offset[:2]
             self.discs = mi.Float((centres / rays.unit_m).astype(np.float32).ravel())
             self.count = mi.UInt32(len(centres))
             self.radius, self.forward = (
-                mi.Float(float(length / rays.unit_m)) for length in (flash.radius_m, flash.offset_m[2])
+                mi.Float(float(length / rays.unit_m)) for length in (flash.radius_m, offset[2])
             )
             dr.make_opaque(self.count, self.radius, self.forward)
             angles = np.linspace(0.0, math.pi / 2.0, _PROFILE_STEPS + 1)
             # Divided by squared distances in local units below.
             self.profile = mi.Float((flash.profile.at(angles) / rays.unit_m**2).astype(np.float32))
-            self.rotation, self.origin, self.intensity = rays.rotation, rays.origin, intensity
+            self.rotation = rays.rotation
+            if flash.rotation is not None:
+                self.rotation = rays.rotation @ mi.Matrix3f(turn.astype(np.float32))
+            self.origin, self.intensity = rays.origin, intensity
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
             # The first coordinate selects a disc; its remainder and the second select a point on it.

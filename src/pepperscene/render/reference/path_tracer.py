@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.render.kernel.arrays import LocalCoordinates, local_coordinates
+from pepperscene.render.kernel.arrays import LocalCoordinates, device_uint, local_coordinates
 from pepperscene.render.kernel.camera import CameraRays, camera_rays, spectral_response
 from pepperscene.render.kernel.scene import mitsuba_mesh
 from pepperscene.render.reference.emitters import SpectralTable, daylight_emitter, flash_emitter
@@ -135,6 +135,7 @@ def path_traced(
     sampler: str = "independent",
     seed: int = 0,
     kernel_scene: PathScene | None = None,
+    rows: tuple[int, int] | None = None,
 ) -> NDArray[np.float32]:
     """Trace the light that reaches each pixel with Mitsuba's path tracer.
 
@@ -146,6 +147,7 @@ def path_traced(
         sampler: one of `SAMPLERS`.
         seed: of the sampler.
         kernel_scene: from `path_scene`, to reuse for other poses of the same camera; None builds one.
+        rows: the first row and the one after the last, of which h are traced; None for all.
 
     Returns:
         `(h, w, c)` electrons s-1 m-2 sr-1, as `TracedLight.total()`.
@@ -162,7 +164,8 @@ def path_traced(
 
     integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2})
     count = samples_taken(sampler, spp)
-    pixels = rays.width * rays.height
+    first_row, end_row = rows or (0, rays.height)
+    pixels = rays.width * (end_row - first_row)
     # The largest divisor of the count whose wavefront fits.
     per_pass = max((n for n in range(1, count + 1) if count % n == 0 and n * pixels <= _LANES), default=1)
     source = mi.load_dict({"type": sampler, "sample_count": count})
@@ -177,7 +180,7 @@ def path_traced(
         if number:
             source.advance()
         # The samples of a pixel are adjacent: sums without atomics, the same bits each time.
-        ray, weights = _sample_rays(rays, distribution, source, per_pass)
+        ray, weights = _sample_rays(rays, (first_row, end_row), distribution, source, per_pass)
         radiance, _, _ = integrator.sample(kernel_scene.scene, source, ray)
         weighted = radiance * weights
         channels = [dr.sum(weighted * table.at(ray.wavelengths)) for table in electrons]
@@ -186,7 +189,7 @@ def path_traced(
         sums = [dr.block_reduce(dr.ReduceOp.Add, channel, per_pass) for channel in channels]
         dr.eval(sums)
         total += np.stack([np.asarray(channel_sums) for channel_sums in sums], axis=-1)
-    return (total / count).reshape(rays.height, rays.width, -1).astype(np.float32)
+    return (total / count).reshape(end_row - first_row, rays.width, -1).astype(np.float32)
 
 
 def samples_taken(sampler: str, spp: int) -> int:
@@ -203,12 +206,16 @@ def samples_taken(sampler: str, spp: int) -> int:
     return int(mi.load_dict({"type": sampler, "sample_count": spp}).sample_count())
 
 
-def _sample_rays(rays: CameraRays, distribution: Any, sampler: Any, per_pass: int) -> tuple[Any, Any]:
-    """Rays of all pixels, each with four wavelengths, and the weights of these."""
+def _sample_rays(
+    rays: CameraRays, rows: tuple[int, int], distribution: Any, sampler: Any, per_pass: int
+) -> tuple[Any, Any]:
+    """Rays of all pixels of some rows, each with four wavelengths, and the weights of these."""
     mi, dr = mitsuba_modules()
-    pixel = dr.arange(mi.UInt32, rays.width * rays.height * per_pass) // per_pass
+    pixel = dr.arange(mi.UInt32, rays.width * (rows[1] - rows[0]) * per_pass) // per_pass
+    pixel += device_uint(rows[0] * rays.width)
     row = pixel // rays.width
-    start, direction = rays.sample_rays(pixel - row * rays.width, row, sampler.next_2d(), sampler.next_2d)
+    point, pose = sampler.next_2d(), rays.pose(row, sampler.next_1d)
+    start, direction = rays.sample_rays(pose, pixel - row * rays.width, row, point, sampler.next_2d)
     wavelengths, weights = mi.Spectrum(0.0), mi.Spectrum(0.0)
     shift = sampler.next_1d()
     # One wavelength in each quarter of the density.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Flash
 from pepperscene.render.kernel.arrays import device_array, device_float
-from pepperscene.render.kernel.camera import CameraRays, SpectralResponse
+from pepperscene.render.kernel.camera import CameraRays, RayPose, SpectralResponse
 from pepperscene.render.kernel.scene import LightScene, SkyTables
 from pepperscene.render.surface.optics import Optics
 from pepperscene.render.variant import mitsuba_modules
@@ -41,11 +41,15 @@ class FlashSampler:
         self.count = device_float(len(flash.emitters_m))
         self.emitters = device_array(_z_order(flash.emitters_m) / rays.unit_m)
         dr.make_opaque(offset)
-        self.rotation = rays.rotation
-        self.centre = rays.origin + rays.rotation @ mi.Vector3f(offset)
+        self.offset = mi.Vector3f(offset)
+        self.turn = None if flash.rotation is None else mi.Matrix3f(flash.rotation.astype(np.float32))
+        self.centre = rays.origin + rays.rotation @ self.offset  # at time 0
 
-    def sample_point(self, p: Any, sample: Any) -> Any:
-        """A point on the flash, and its falloff seen from `p`: profile over squared distance, m-2."""
+    def sample_point(self, p: Any, sample: Any, pose: RayPose) -> Any:
+        """A point on the flash of a camera at a pose, and its falloff seen from `p`.
+
+        The falloff is the profile over the squared distance, m-2.
+        """
         mi, dr = mitsuba_modules()
         # One coordinate selects the emitter; its remainder and the other one select a point on the disc.
         scaled = sample.x * self.count
@@ -53,12 +57,13 @@ class FlashSampler:
         emitter = dr.gather(mi.Point2f, self.emitters, mi.UInt32(chosen))
         remainder = mi.Point2f(dr.clip(scaled - chosen, 0.0, 1.0), sample.y)
         on_disc = emitter + self.radius * mi.warp.square_to_uniform_disk_concentric(remainder)
-        point = self.centre + self.rotation @ mi.Vector3f(on_disc.x, on_disc.y, 0.0)
+        centre = self.centre if pose.motion is None else pose.centre + pose.to_world(self.offset)
+        point = centre + self._to_world(pose, mi.Vector3f(on_disc.x, on_disc.y, 0.0))
         offset = p - point
         # Closer than the minimum distance, light no longer increases, and at distance 0 it is 0.
         square = dr.maximum(dr.squared_norm(offset), self.min_square)
         distance = dr.sqrt(square)
-        forward = self.rotation @ mi.Vector3f(0.0, 0.0, 1.0)
+        forward = self._to_world(pose, mi.Vector3f(0.0, 0.0, 1.0))
         cosine = dr.dot(offset, forward) / distance
         x = dr.clip(dr.safe_acos(cosine) * self.steps, 0.0, 510.999)
         left = dr.floor(x)
@@ -67,6 +72,10 @@ class FlashSampler:
             dr.gather(mi.Float, self.profile, index), dr.gather(mi.Float, self.profile, index + 1), x - left
         )
         return point, dr.select(cosine > 0.0, profile / square, 0.0)
+
+    def _to_world(self, pose: RayPose, vector: Any) -> Any:
+        """A vector in the flash's axes in world axes."""
+        return pose.to_world(vector if self.turn is None else self.turn @ vector)
 
 
 def _z_order(positions: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -26,9 +26,10 @@ class Samples:
         self.next_1d, self.next_2d = sequence.next_1d, sequence.next_2d
         rays = tables.rays
         row = pixel // rays.device_width
-        start, direction = rays.sample_rays(
-            pixel - row * rays.device_width, row, self.next_2d(), self.next_2d
-        )
+        column, point = pixel - row * rays.device_width, self.next_2d()
+        # The flash is on the camera: it lights what a ray sees from where both are at the ray's time.
+        self.pose = rays.pose(row, self.next_1d)
+        start, direction = rays.sample_rays(self.pose, column, row, point, self.next_2d)
         self.ray = mi.Ray3f(start, direction)
 
     def flash_light(self, si: Any, point: Any, active: Any, spectra: LightSpectra) -> Any:
@@ -114,7 +115,7 @@ class Samples:
         """Unshadowed light of a point of the flash, and that point."""
         _, dr = mitsuba_modules()
         assert self.tables.flash is not None
-        target, falloff = self.tables.flash.sample_point(si.p, sample)
+        target, falloff = self.tables.flash.sample_point(si.p, sample, self.pose)
         value, _ = point.eval_pdf(si.to_local(dr.normalize(target - si.p)))
         return (value * spectra.flash * falloff) & (active & (falloff > 0.0)), target
 

@@ -144,7 +144,7 @@ class TuningTarget:
         if not self.kinds:
             return ()
         size = {"organs": self._organs, "pixels": self._pixels, "seed": self._seed}
-        sky = self.frame_renderer.sky(0)
+        sky = self.frame_renderer.sky(self.recipe.plan.frame(0))
         return organ_views(self.recipe, self.cultivar, self.camera, self.kinds, sky=sky, **size)
 
     @cached_property

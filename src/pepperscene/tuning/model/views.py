@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
+from pepperscene.dataset.recipe.load_camera import surface_wavelengths
 from pepperscene.dataset.recipe.plan import Stream, random_generator
-from pepperscene.dataset.recipe.resolved import surface_wavelengths
 from pepperscene.errors import InputError
 
 if TYPE_CHECKING:
@@ -83,8 +83,8 @@ def organ_views(
     for kind in kinds:
         _check_kind(kind)
     surfaces = organ_surfaces(cultivar, surface_wavelengths(camera.sensor))
-    path = recipe.path
-    forward = np.array([0.0, np.cos(np.radians(path.pitch_deg)), np.sin(np.radians(path.pitch_deg))])
+    pitch = np.radians(recipe.views.pitch_of_view_deg)
+    forward = np.array([0.0, np.cos(pitch), np.sin(pitch)])
 
     # Grow plants until there are enough organs of every kind.
     meshes: dict[str, list[Mesh]] = {kind: [] for kind in kinds}
@@ -104,7 +104,7 @@ def organ_views(
             raise InputError(recipe.name, problem, key="cultivar", value=recipe.cultivar)
         for i, mesh in enumerate(of_kind):
             right, down, distance = POSITIONS[i % len(POSITIONS)]
-            position = 1e-3 * path.distance_mm * distance * np.array([right, down, 1.0])
+            position = 1e-3 * recipe.views.subject_mm * distance * np.array([right, down, 1.0])
             close_up = _close_up_camera(camera, mesh, forward, position, pixels)
             scene = assemble_scene(mesh, {name: surfaces[name] for name in mesh.surfaces}, sky)
             views.append(OrganView(f"{kind} {i + 1}", kind, scene, close_up, _mask(kind, scene, close_up)))
@@ -135,7 +135,9 @@ def _select_organs(mesh: Mesh, kind: str, forward: Array, count: int) -> list[Me
     """Meshes of some of the most visible organs of a kind, by surface and from low to high states."""
     name, _, stage = kind.partition(".")
     indices = [
-        i for i, instance in enumerate(mesh.instances) if instance.organ_class == OrganClass[name.upper()]
+        i
+        for i, instance in enumerate(mesh.instances)
+        if instance.organ_class == OrganClass[name.upper()] and instance.far_row < 0
     ]
     corners = mesh.vertices[mesh.faces].astype(float)
     normal = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -181,6 +183,7 @@ def _close_up_camera(camera: Camera, mesh: Mesh, forward: Array, position: Array
         camera.lens,
         focal_length_m=focal,
         distortion=Distortion(),
+        fy_over_fx=1.0,
         principal_offset_m=(-focal * position[0] / position[2], -focal * position[1] / position[2]),
     )
     pose = look_at(target - forward, target)

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from pepperscene.tuning.parameters.tuned import TunedParts
 
 _FILE_KEYS: Final = (
-    "cultivar", "camera.sensor", "camera.lens", "camera.flash", "camera.filter", "daylight.cover",
-    "growth.until",
+    "cultivar", "camera.sensor", "camera.lens", "camera.flash", "camera.filter", "camera.calibration",
+    "daylight.cover", "growth.until", "views.file",
 )  # fmt: skip
 """Keys whose value may be a path."""
 _SAME: Final = 1e-9
@@ -127,7 +127,9 @@ def _recipe_content(recipe: Recipe, folder: Path) -> Changes:
         for name in tables:
             table = table.get(name, {})
         value = table.get(last)
-        if isinstance(value, str) and (value.endswith(".toml") or Path(value).parent != Path(".")):
+        if isinstance(value, str) and (
+            value.endswith((".toml", ".yaml", ".yml")) or Path(value).parent != Path(".")
+        ):
             table[last] = _relative_path(Path(value), folder)
     return content
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 from pepperscene.camera import load_flash
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import Recipe, load_recipe
-from pepperscene.dataset.recipe.resolved import load_camera, load_recipe_cultivar
+from pepperscene.dataset.recipe.load_camera import load_camera
+from pepperscene.dataset.recipe.resolved import load_recipe_cultivar
 from pepperscene.dataset.recipe.tables import NONE
 from pepperscene.dataset.store.atomic import (
     canonical_json,

@@ -1,0 +1,123 @@
+"""Image sizes that are no whole fraction of the photosites: areas of photosites are averaged to pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class AreaAverage:
+    """Photosites and pixels of a length, of which `factor` photosites make a pixel, along one direction.
+
+    The pixels are in the middle of the photosites that are read out, an even number so that they form whole
+    Bayer quads: those that pixels cover, and at most two more.
+
+    Attributes:
+        pixels: number of pixels.
+        factor: photosites per pixel, at least 1.
+    """
+
+    pixels: int
+    factor: Fraction
+
+    @property
+    def sites(self) -> int:
+        """Number of photosites that are read out: even."""
+        covered = self.pixels * self.factor
+        return 2 * -(-covered.numerator // (2 * covered.denominator))
+
+    @property
+    def count(self) -> float:
+        """Number of photosites of equal weight whose mean has the noise of a pixel, on average."""
+        weights = _overlaps(self) / float(self.factor)
+        return float(1 / np.mean(weights.power(2).sum(axis=1)))
+
+    def spread(self, pixels: NDArray[np.floating], axis: int) -> Floats:
+        """Mean light of each photosite, from that of the pixels along `axis`; edge pixels continue outside.
+
+        Within a pixel the light is linear, so that a gradient of grey stays grey after demosaicing. The light
+        of each pixel is kept, and no photosite gets more or less than the pixels around it (monotonised
+        central slopes; B. van Leer, "Towards the ultimate conservative difference scheme III", J. Comput.
+        Phys. 23 (1977) 263).
+        """
+        overlaps, moments = _overlaps(self).T.tocsr(), _moments(self).T.tocsr()
+        covered = np.asarray(overlaps.sum(axis=1)).reshape(-1)
+        # A photosite outside the image has no pixel, and takes that of its neighbour.
+        inside = np.flatnonzero(covered > 0)
+        nearest = inside[np.clip(np.searchsorted(inside, np.arange(self.sites)), 0, len(inside) - 1)]
+        light = _along(overlaps, pixels, axis) + _along(moments, _limited_slopes(pixels, axis), axis)
+        means = light / _column(covered.clip(1e-12), axis, pixels.ndim)
+        return np.asarray(np.take(means, nearest, axis=axis), np.float32)
+
+    def average(self, sites: NDArray[np.floating], axis: int) -> Floats:
+        """Mean over each pixel's area of the photosites along `axis`."""
+        return np.asarray(_along(_overlaps(self), sites, axis) / float(self.factor), np.float32)
+
+
+@lru_cache(maxsize=8)
+def _overlaps(area: AreaAverage) -> csr_array:
+    """`(pixels, sites)` length of each photosite inside each pixel, in photosites."""
+    return _matrix(area, lambda first, last, middle: last - first)
+
+
+@lru_cache(maxsize=8)
+def _moments(area: AreaAverage) -> csr_array:
+    """`(pixels, sites)` these lengths times the distance of their middle from the pixel's, in pixels."""
+
+    def moment(first: Fraction, last: Fraction, middle: Fraction) -> Fraction:
+        return (last - first) * ((first + last) / 2 - middle) / area.factor
+
+    return _matrix(area, moment)
+
+
+def _matrix(area: AreaAverage, value: Callable[[Fraction, Fraction, Fraction], Fraction]) -> csr_array:
+    """`(pixels, sites)` a value of the ends of each photosite inside each pixel and of the pixel's middle."""
+    from scipy.sparse import csr_array
+
+    margin = (area.sites - area.pixels * area.factor) / 2
+    rows, columns, values = [], [], []
+    for pixel in range(area.pixels):
+        first, last = margin + pixel * area.factor, margin + (pixel + 1) * area.factor
+        for site in range(int(first), -(-last.numerator // last.denominator)):
+            rows.append(pixel)
+            columns.append(site)
+            ends = max(first, Fraction(site)), min(last, Fraction(site + 1))
+            values.append(float(value(*ends, (first + last) / 2)))
+    return csr_array((values, (rows, columns)), shape=(area.pixels, area.sites))
+
+
+def _limited_slopes(pixels: NDArray[np.floating], axis: int) -> NDArray[np.floating]:
+    """Slopes per pixel along an axis that overshoot no neighbour: 0 at extrema and at the edges."""
+    steps = np.diff(pixels, axis=axis)
+    widths = [(0, 0)] * pixels.ndim
+    before, after = (
+        np.pad(steps, [*widths[:axis], width, *widths[axis + 1 :]]) for width in ((1, 0), (0, 1))
+    )
+    size = np.minimum(np.abs(before + after) / 2, 2 * np.minimum(np.abs(before), np.abs(after)))
+    return np.where(before * after > 0, np.sign(before) * size, 0.0)
+
+
+def _along(matrix: csr_array, values: NDArray[np.floating], axis: int) -> NDArray[np.float64]:
+    """The product of a matrix with `values` along an axis."""
+    moved = np.moveaxis(values, axis, 0)
+    product = matrix @ moved.reshape(len(moved), -1)
+    return np.moveaxis(product.reshape(-1, *moved.shape[1:]), 0, axis)
+
+
+def _column(values: NDArray[np.float64], axis: int, dimensions: int) -> NDArray[np.float64]:
+    """Values that broadcast along an axis."""
+    shape = [1] * dimensions
+    shape[axis] = -1
+    return values.reshape(shape)

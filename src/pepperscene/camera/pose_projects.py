@@ -1,0 +1,249 @@
+"""Poses in files of reconstruction programs: nerfstudio's transforms.json, and COLMAP's text model."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from pepperscene.camera.camera import Camera
+from pepperscene.camera.pose_list import (
+    Array,
+    Label,
+    PoseList,
+    check_count,
+    check_positions,
+    finite_number,
+    is_name,
+    nearest_rotations,
+    quaternions_of,
+    rigid_poses,
+    rotations_of_quaternions,
+    text_of,
+)
+from pepperscene.errors import ArgumentError, InputError
+
+_OPENGL: Final = np.array([1.0, -1.0, -1.0])
+"""Signs of the camera's axes: nerfstudio's point right, up and backwards, ours right, down and forward."""
+_COLMAP_FIELDS: Final = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
+_RADIAL: Final = ("k1", "k2", "k3", "k4", "k5", "k6")
+
+
+# --- nerfstudio ------------------------------------------------------------------------------------------
+
+
+def read_nerfstudio(path: Path, text: str) -> PoseList:
+    """Poses of a transforms.json, in the order of the file, with their `file_path` as names.
+
+    A key `applied_transform` says that the file's world is A times the original world, and `applied_scale`
+    that its positions were multiplied by a factor; both are undone.
+
+    Raises:
+        InputError: the file is not JSON, has no frames, or a matrix is not a rotation and a translation.
+    """
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(path, f"is not valid JSON: {error}") from None
+    frames = content.get("frames") if isinstance(content, dict) else None
+    if not isinstance(frames, list):
+        raise InputError(path, "must be a list, each with a transform_matrix", key="frames")
+    check_count(len(frames), path)
+
+    def label(number: int) -> str:
+        return f"frames[{number}].transform_matrix"
+
+    matrices = []
+    for number, frame in enumerate(frames):
+        matrix = frame.get("transform_matrix") if isinstance(frame, dict) else None
+        matrices.append(_matrix(matrix, path, label(number)))
+    stack = np.array(matrices)
+    rotation = nearest_rotations(stack[:, :3, :3] * _OPENGL, path, label)
+    poses = _original_world(content, rigid_poses(rotation, stack[:, :3, 3]), path)
+    check_positions(poses[:, :3, 3], path, label)
+    return PoseList(poses, names=_frame_names(frames, path))
+
+
+def nerfstudio_text(poses: PoseList, camera: Camera | None) -> str:
+    """The text of a transforms.json; times are not part of it.
+
+    Raises:
+        ArgumentError: the lens has a rational distortion, which nerfstudio does not have.
+    """
+    content: dict[str, Any] = {} if camera is None else _nerfstudio_intrinsics(camera)
+    matrices = poses.poses.copy()
+    matrices[:, :3, :3] *= _OPENGL
+    content["frames"] = [
+        {"file_path": name, "transform_matrix": matrix.tolist()}
+        for name, matrix in zip(_image_names(poses), matrices, strict=True)
+    ]
+    return json.dumps(content, indent=1) + "\n"
+
+
+def _matrix(rows: object, path: Path, key: str) -> list[list[float]]:
+    """Four rows of four numbers; the last row may be left out."""
+    problem = "must have 4 rows of 4 numbers, the last of them 0, 0, 0, 1"
+    if not isinstance(rows, list) or len(rows) not in (3, 4):
+        raise InputError(path, problem, key=key)
+    if not all(isinstance(row, list) and len(row) == 4 for row in rows):
+        raise InputError(path, problem, key=key)
+    matrix = [[finite_number(value, path, key) for value in row] for row in rows]
+    last = [0.0, 0.0, 0.0, 1.0]
+    if len(matrix) == 4 and matrix[3] != last:
+        raise InputError(path, problem, key=key, value=matrix[3])
+    return [*matrix[:3], last]
+
+
+def _original_world(content: dict[str, Any], poses: Array, path: Path) -> Array:
+    """Poses before the changes of the world that the file states: p' = scale A p."""
+    if "applied_scale" in content:
+        scale = finite_number(content["applied_scale"], path, "applied_scale")
+        if not scale > 0:
+            raise InputError(path, "must be positive", key="applied_scale", value=scale)
+        with np.errstate(over="ignore"):  # checked with the positions
+            poses[:, :3, 3] /= scale
+    if "applied_transform" in content:
+        key = "applied_transform"
+        applied = np.array(_matrix(content[key], path, key))
+        applied[:3, :3] = nearest_rotations(applied[None, :3, :3], path, lambda _: key)[0]
+        back = applied[:3, :3].T
+        poses = rigid_poses(back @ poses[:, :3, :3], (poses[:, :3, 3] - applied[:3, 3]) @ back.T)
+    return poses
+
+
+def _frame_names(frames: list[dict[str, Any]], path: Path) -> tuple[str, ...] | None:
+    names = [frame.get("file_path") for frame in frames]
+    if None in names:
+        return None
+    for number, name in enumerate(names):
+        if not isinstance(name, str) or not is_name(name):
+            problem = "must be a name of printable characters"
+            raise InputError(path, problem, key=f"frames[{number}].file_path", value=name)
+    return tuple(str(name) for name in names)
+
+
+def _nerfstudio_intrinsics(camera: Camera) -> dict[str, Any]:
+    """Keys of the camera; nerfstudio's pixel centres are at half pixels, as ours."""
+    matrix, coefficients = camera.intrinsics, _coefficients(camera)
+    is_fisheye = "p1" not in coefficients
+    if not is_fisheye and any(coefficients.get(name) for name in ("k4", "k5", "k6")):
+        problem = (
+            "must be k1, k2, p1, p2, k3 or a fisheye's k1 to k4 for nerfstudio; COLMAP has the rational model"
+        )
+        raise ArgumentError("camera", problem, key="lens.distortion")
+    return {
+        "camera_model": "OPENCV_FISHEYE" if is_fisheye else "OPENCV",
+        "fl_x": float(matrix[0, 0]),
+        "fl_y": float(matrix[1, 1]),
+        "cx": float(matrix[0, 2]),
+        "cy": float(matrix[1, 2]),
+        "w": camera.width,
+        "h": camera.height,
+        **{name: value for name, value in coefficients.items() if name not in ("k5", "k6")},
+    }
+
+
+# --- COLMAP ----------------------------------------------------------------------------------------------
+
+
+def read_colmap(path: Path, text: str) -> PoseList:
+    """Poses of an images.txt, sorted by name.
+
+    Each image has a line `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME` with its pose from world to camera,
+    and a line of points, which may be empty.
+
+    Raises:
+        InputError: a line does not have these fields, a quaternion is not of length 1, or names are equal.
+    """
+    values: list[list[float]] = []
+    names: dict[str, int] = {}
+    lines = enumerate(text.split("\n"), start=1)
+    for number, line in lines:
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        fields = line.split(maxsplit=9)
+        if len(fields) != 10:
+            problem = f"must have 10 fields, {_COLMAP_FIELDS}, not {len(fields)}"
+            raise InputError(path, problem, key=f"line {number}")
+        key = f"line {number}, {{}}"
+        labels = _COLMAP_FIELDS.split()[1:8]
+        values.append(
+            [finite_number(field, path, key.format(n)) for field, n in zip(fields[1:8], labels, strict=True)]
+        )
+        name = fields[9].strip()
+        if name in names:
+            raise InputError(path, "must be a name of one image only", key=key.format("NAME"), value=name)
+        names[name] = number
+        check_count(len(values), path)
+        # The line of points is always there, except at the end of the file.
+        number, points = next(lines, (0, ""))
+        if len(points.split()) % 3 or points.lstrip().startswith("#"):
+            problem = "must be the points X Y POINT3D_ID of the image before it, or empty"
+            raise InputError(path, problem, key=f"line {number}")
+    check_count(len(values), path)
+    ordered = list(names)
+    label: Label = lambda i: f"line {names[ordered[i]]}"  # noqa: E731
+    table = np.array(values)
+    to_camera = rotations_of_quaternions(table[:, [1, 2, 3, 0]], path, label)
+    check_positions(table[:, 4:], path, label)
+    rotation = np.swapaxes(to_camera, 1, 2)
+    position = -(rotation @ table[:, 4:, None])[..., 0]
+    order = sorted(range(len(ordered)), key=ordered.__getitem__)
+    return PoseList(rigid_poses(rotation, position)[order], names=tuple(sorted(ordered)))
+
+
+def colmap_texts(poses: PoseList, camera: Camera | None) -> dict[str, str]:
+    """Content of the files of a COLMAP model by name; times are not part of it.
+
+    Raises:
+        ArgumentError: two names are equal.
+    """
+    names = _image_names(poses)
+    if len(set(names)) != len(names):
+        raise ArgumentError("poses", "must be different for a COLMAP model", key="names")
+    to_camera = np.swapaxes(poses.poses[:, :3, :3], 1, 2)
+    translation = -(to_camera @ poses.poses[:, :3, 3:])[..., 0]
+    rows = np.hstack([np.roll(quaternions_of(to_camera), 1, axis=1), translation])
+    # An empty line of points follows each image.
+    images = [
+        f"{number} {' '.join(text_of(row))} 1 {name}\n"
+        for number, (row, name) in enumerate(zip(rows, names, strict=True), start=1)
+    ]
+    files = {"images.txt": "\n".join([f"# {_COLMAP_FIELDS}", "# POINTS2D[] as X Y POINT3D_ID", *images, ""])}
+    if camera is not None:
+        files["cameras.txt"] = f"# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n{_colmap_camera(camera)}\n"
+        files["points3D.txt"] = "# POINT3D_ID X Y Z R G B ERROR TRACK[] as IMAGE_ID POINT2D_IDX\n"
+    return files
+
+
+def _colmap_camera(camera: Camera) -> str:
+    """A line of cameras.txt with the simplest model; COLMAP's pixel centres are at half pixels, as ours."""
+    matrix, values = camera.intrinsics, _coefficients(camera)
+    if "p1" not in values:
+        model, names = "OPENCV_FISHEYE", ["k1", "k2", "k3", "k4"]
+    elif not any(values.values()):
+        model, names = "PINHOLE", []
+    elif not any(values.get(name) for name in _RADIAL[2:]):
+        model, names = "OPENCV", ["k1", "k2", "p1", "p2"]
+    else:
+        model, names = "FULL_OPENCV", ["k1", "k2", "p1", "p2", *_RADIAL[2:]]
+    parameters = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
+    parameters += [values.get(name, 0.0) for name in names]
+    return f"1 {model} {camera.width} {camera.height} {' '.join(text_of(np.array(parameters)))}"
+
+
+# --- both ------------------------------------------------------------------------------------------------
+
+
+def _coefficients(camera: Camera) -> dict[str, float]:
+    """Coefficients of the lens' distortion by OpenCV's names; a fisheye has no p1."""
+    fields = dataclasses.asdict(camera.lens.distortion)
+    return {name: float(fields[name]) for name in (*_RADIAL, "p1", "p2") if name in fields}
+
+
+def _image_names(poses: PoseList) -> tuple[str, ...]:
+    """The names of the poses, or numbers with as many digits as 100,000 poses need."""
+    return poses.names or tuple(f"{number:06d}.png" for number in range(len(poses)))

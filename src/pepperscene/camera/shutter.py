@@ -1,0 +1,94 @@
+"""When the rows of an image are exposed, and to which part of the flash's pulse.
+
+Time 0 is the middle of the exposure of the middle of the image. Row r of h is exposed for `exposure_s` about
+(r + 1/2 - h/2) `line_time_s`: a rolling shutter exposes the rows one after the other, a global shutter, whose
+line time is 0, all at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RowWindows:
+    """An interval of time for each row of an image.
+
+    Attributes:
+        begin_s: `(h,)`.
+        length_s: `(h,)`, 0 for an instant or for an empty interval.
+    """
+
+    begin_s: Array
+    length_s: Array
+
+    @property
+    def end_s(self) -> Array:
+        """`(h,)`."""
+        return self.begin_s + self.length_s
+
+
+@dataclass(frozen=True)
+class Shutter:
+    """The times of an image's rows.
+
+    Attributes:
+        exposure_s: of each row.
+        line_time_s: from one row to the next; 0 for a global shutter.
+        rows: of the image.
+    """
+
+    exposure_s: float
+    line_time_s: float
+    rows: int
+
+    @property
+    def readout_s(self) -> float:
+        """From the first row's exposure to that of the last."""
+        return (self.rows - 1) * self.line_time_s
+
+    def middle_at(self, v: ArrayLike) -> Array:
+        """Middle of the exposure at image rows v, continuous coordinates; that of the border beyond it."""
+        return np.asarray((np.clip(v, 0.0, self.rows) - 0.5 * self.rows) * self.line_time_s)
+
+    def middles(self) -> Array:
+        """`(h,)` middles of the exposures of the rows."""
+        return self.middle_at(np.arange(self.rows) + 0.5)
+
+    def instants(self) -> RowWindows:
+        """The middles of the exposures as windows of no length."""
+        return RowWindows(self.middles(), np.zeros(self.rows))
+
+    def exposures(self) -> RowWindows:
+        """The exposures."""
+        return RowWindows(self.middles() - 0.5 * self.exposure_s, np.full(self.rows, self.exposure_s))
+
+    def pulse_begin(self, pulse_s: float) -> float:
+        """When the flash starts.
+
+        With the exposure of the last row if all rows are then exposed; a pulse after that lights all rows.
+        If the shutter reads out for longer than it exposes, there is no such time, and the pulse starts with
+        the first row; so does a lamp that stays on until the last row is finished.
+        """
+        begins = self.exposures().begin_s
+        lasts = pulse_s >= self.readout_s + self.exposure_s
+        return float(begins[-1] if self.exposure_s > self.readout_s and not lasts else begins[0])
+
+    def flash_windows(self, pulse_s: float) -> RowWindows:
+        """The part of the pulse in each row's exposure."""
+        exposed, begin = self.exposures(), self.pulse_begin(pulse_s)
+        start = np.clip(begin, exposed.begin_s, exposed.end_s)
+        # Rounding of the middles must not take light from a global shutter.
+        longest = min(pulse_s, self.exposure_s)
+        length = np.minimum(exposed.end_s, begin + pulse_s) - start
+        length[np.isclose(length, longest, rtol=1e-9, atol=0.0)] = longest
+        return RowWindows(start, np.clip(length, 0.0, longest))
+
+    def flash_share(self, pulse_s: float) -> Array:
+        """`(h,)` the flash's light in each row over that in a row that is exposed to all it can be."""
+        return self.flash_windows(pulse_s).length_s / min(pulse_s, self.exposure_s)

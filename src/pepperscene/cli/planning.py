@@ -1,0 +1,77 @@
+"""The command `plan`: a dry run of a build."""
+
+from __future__ import annotations
+
+import json as json_text
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pepperscene.cli.application import (
+    DEFAULTS,
+    JsonOption,
+    OutputsOption,
+    QualityOption,
+    RecipeArgument,
+    SeedOption,
+    SetOption,
+    app,
+    handle_errors,
+    parse_outputs,
+)
+from pepperscene.cli.progress import echo_progress
+
+
+@app.command()
+@handle_errors
+def plan(
+    recipe: RecipeArgument = "demo",
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="PNG file for a drawing of the camera places, or a folder for RECIPE_plan.png.",
+        ),
+    ] = None,
+    poses: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="File for the poses of the selected frames: .json, .txt, .csv, or a folder."
+        ),
+    ] = None,
+    probe: Annotated[
+        bool, typer.Option(help="Render the first selected frame to estimate time, memory and disk space.")
+    ] = True,
+    outputs: OutputsOption = DEFAULTS,
+    quality: QualityOption = "standard",
+    seed: SeedOption = None,
+    set: SetOption = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Processes of the build that is estimated. Default: one."),
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Describe what a build would make, what it costs and where its cameras are, without building."""
+    names = parse_outputs(outputs)
+    from pepperscene.dataset import BuildOptions, parse_changes, resolve_recipe
+    from pepperscene.dataset.preview.preview import preview_plan
+    from pepperscene.dataset.preview.text import plan_lines
+
+    resolved = resolve_recipe(recipe, parse_changes(set or ()))
+    options = BuildOptions(quality=quality, seed=seed, workers=workers, on_notice=_echo_notice)
+    preview = preview_plan(resolved, names, options, probe=probe, picture=out, poses=poses)
+    if json:
+        typer.echo(json_text.dumps(preview.to_json(), indent=2, default=str))
+        return
+    for line in plan_lines(preview.summary, preview.cost):
+        typer.echo(line)
+    for warning in preview.summary.warnings:
+        _echo_notice(warning)
+    for path in preview.files:
+        typer.echo(path)
+
+
+def _echo_notice(text: str) -> None:
+    echo_progress(f"note: {text}")

@@ -1,0 +1,143 @@
+"""The section "Variation": what the recipe asks for, and what was drawn."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.dataset.report.charts import step_chart
+from pepperscene.dataset.report.data import DrawnRecords, SetSummary
+from pepperscene.dataset.report.markup import Html, element, fragment
+from pepperscene.dataset.report.sections import format_percent, fraction_bars, html_table, panel, set_label
+from pepperscene.dataset.variation.goodness_of_fit import distinct_draws, goodness_of_fit
+from pepperscene.dataset.variation.varied import Varied, VariedChoice, VariedInTurn, VariedNumber
+
+_HEADS: Final = ("Value", "per", "asked for", "draws", "minimum", "median", "maximum", "p")
+_BINS: Final = 24  # chosen: as of the other charts
+_FEWEST_BINS: Final = 4  # chosen: fewer show no shape
+_MOST_BARS: Final = 20  # chosen: outcomes in a panel
+_UNKNOWN: Final = "–"
+
+
+def variation_html(sets: Sequence[SetSummary]) -> Html:
+    """The section; empty if no set has varied values or twins."""
+    known = [(item, item.records.drawn) for item in sets if item.records and item.records.drawn is not None]
+    if not known:
+        return fragment()
+    note = (
+        "Values that differ between frames, over all frames. A value counts once for each set of plants, "
+        "scene or moment that it is drawn for. p is the probability that draws as asked for fit as badly as "
+        "these; it is unknown for values in turn and for few draws."
+    )
+    contents = [_set_html(item, drawn, named=len(sets) > 1) for item, drawn in known]
+    return element(
+        "section",
+        element("h2", "Variation"),
+        element("p", note, class_="note"),
+        *contents,
+        id="variation",
+    )
+
+
+def variation_link(section: Html) -> Html:
+    """The link to a section in the page's navigation; empty for an empty section."""
+    return element("a", "Variation", href="#variation") if section else fragment()
+
+
+def _set_html(item: SetSummary, drawn: DrawnRecords, *, named: bool) -> Html:
+    """The table and the charts of one data set."""
+    rows, panels = [], []
+    for number, varied in enumerate(drawn.variation):
+        draws = distinct_draws(varied, drawn.plan, drawn.indices, drawn.numbers[varied.name])
+        rows.append((varied.name, _cells(varied, draws)))
+        if len(draws):
+            panels.append(_chart(f"varied-{item.key}{number}", varied, draws))
+    for name, values in drawn.twins.items():
+        cells = ["twin", ", ".join(map(str, values)), *[_UNKNOWN] * 5]
+        rows.append((name, cells))
+    table = html_table("drawn", _HEADS, rows)
+    label = f"Variation of {item.name}"
+    return fragment(
+        element("h3", set_label(item)) if named else fragment(),
+        element("div", table, class_="scroll", tabindex=0, role="region", aria_label=label),
+        element("div", *panels, class_="grid"),
+    )
+
+
+def _cells(varied: Varied, draws: NDArray[np.float64]) -> list[str]:
+    limits = [_UNKNOWN] * 3
+    if isinstance(varied, VariedNumber) and len(draws):
+        limits = [_text(varied, value) for value in (draws.min(), np.median(draws), draws.max())]
+    p = goodness_of_fit(varied, draws)
+    return [
+        varied.per, varied.describe(), f"{len(draws):,}", *limits, _UNKNOWN if p is None else f"{p:.2g}",
+    ]  # fmt: skip
+
+
+def _text(varied: VariedNumber, value: float) -> str:
+    return str(datetime.date.fromordinal(round(value))) if varied.kind == "date" else f"{value:.4g}"
+
+
+def _chart(chart_id: str, varied: Varied, draws: NDArray[np.float64]) -> Html:
+    if isinstance(varied, VariedNumber):
+        return panel(varied.name, _histogram(chart_id, varied, draws), _legend())
+    return panel(varied.name, _bars(varied, draws), _legend())
+
+
+def _legend() -> Html:
+    keys = element("span", "drawn", class_="key a"), " ", element("span", "asked for", class_="key b")
+    return element("p", *keys)
+
+
+def _histogram(chart_id: str, varied: VariedNumber, draws: NDArray[np.float64]) -> Html:
+    """Percentage of the draws in each bin, and what the distribution gives."""
+    scale, unit = (np.log10, "logarithm to base 10") if varied.logarithmic else (np.asarray, "value")
+    offset = 0.0
+    if varied.kind == "date":
+        offset = np.floor(draws.min())
+        unit = f"days after {_text(varied, offset)}"
+    ends = varied.quantities.quantiles([0.0, 1.0])
+    ends = np.exp(ends) if varied.logarithmic else ends
+    low, high = min(float(ends[0]), float(draws.min())), max(float(ends[1]), float(draws.max()))
+    if varied.kind != "number":
+        low, high = np.floor(low) - 0.5, np.ceil(high) + 0.5
+    # Few draws need wide bins; bins of integers are whole numbers wide.
+    count = int(np.clip(np.sqrt(len(draws)), _FEWEST_BINS, _BINS))
+    if varied.logarithmic:
+        edges = np.geomspace(low, high, count + 1)
+    else:
+        edges = np.linspace(low, high, count + 1)
+        if varied.kind != "number":
+            edges = np.unique(np.round(edges - low)) + low
+    if (varied.logarithmic and low == high) or edges[0] == edges[-1]:
+        edges = np.array([low * 0.99 - 1e-6, high * 1.01 + 1e-6])
+    drawn = 100.0 * np.histogram(draws, edges)[0] / len(draws)
+    shares = np.diff(varied.cumulative(edges))
+    asked = 100.0 * shares / max(float(shares.sum()), 1e-9)
+    series = [("a", "drawn", drawn), ("b", "asked for", asked)]
+    return step_chart(
+        chart_id, f"Drawn values of {varied.name}", scale(edges - offset), series, unit, "% of draws"
+    )
+
+
+def _bars(varied: Varied, draws: NDArray[np.float64]) -> Html:
+    """A table of outcomes with their percentages, and a bar for each."""
+    if isinstance(varied, VariedChoice):
+        outcomes, asked = varied.outcomes, np.array(varied.probabilities)
+    else:
+        assert isinstance(varied, VariedInTurn)
+        outcomes, asked = varied.values, np.full(len(varied.values), 1.0 / len(varied.values))
+    drawn = np.bincount(draws.astype(np.int64), minlength=len(outcomes)) / len(draws)
+    scale = float(max(drawn.max(), asked.max()))
+    rows = []
+    for outcome, share, wanted in list(zip(outcomes, drawn, asked, strict=True))[:_MOST_BARS]:
+        bars = fraction_bars([("a", float(share)), ("b", float(wanted))], scale)
+        cells = [format_percent(float(share), 1), format_percent(float(wanted), 1), bars]
+        rows.append((str(outcome), cells))
+    table = html_table("small", ("", "drawn", "asked for", ""), rows)
+    more = len(outcomes) - len(rows)
+    return fragment(table, element("p", f"and {more} more") if more else "")

@@ -1,0 +1,249 @@
+"""Models of what readers, exports and reports use of the files of a data set; further keys are ignored."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Final, Literal, TypeVar
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+from pepperscene.classes import IGNORE_CLASS, OrganClass
+from pepperscene.dataset.recipe.plan import MAX_FRAMES, Plan
+from pepperscene.dataset.store.manifest import FRUIT_COLUMNS
+from pepperscene.dataset.variation.recorded import read_variation
+
+_LARGEST: Final = 1e12
+"""Chosen: no number of a data set comes near, and sums and squares of such numbers stay finite."""
+_LARGEST_SIDE: Final = (
+    65_535  # chosen: pixels; masks of such images have fewer than 2^32, as pycocotools needs
+)
+_INSTANCES: Final = 65_535  # instance images have 16 bits
+_INSTANCE_KEY: Final = (
+    "^([1-9][0-9]{0,3}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])$"
+)
+"""1 to 65535, without leading zeros."""
+
+Item = TypeVar("Item")
+
+
+def _refuse_surrogates(text: str) -> str:
+    """JSON can hold halves of UTF-16 pairs, which no text file can."""
+    if not text.isascii() and any("\ud800" <= letter <= "\udfff" for letter in text):
+        raise ValueError("must be text without unpaired surrogates")
+    return text
+
+
+Text = Annotated[str, AfterValidator(_refuse_surrogates)]
+Line = Annotated[str, Field(max_length=400, pattern=r"^[^\x00-\x1f]+$")]
+"""As the names in a recipe."""
+Real = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
+Count = Annotated[int, Field(ge=0, le=int(_LARGEST))]
+Number = Annotated[int, Field(ge=-(2**31), lt=2**31)]
+Seed = Annotated[int, Field(ge=-(2**63), lt=2**63)]
+Place = Annotated[int, Field(ge=0, lt=MAX_FRAMES)]
+InstanceNumber = Annotated[int, Field(ge=1, le=_INSTANCES)]
+InstanceKey = Annotated[str, Field(pattern=_INSTANCE_KEY)]
+Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Two = Annotated[list[Item], Field(min_length=2, max_length=2)]
+Three = Annotated[list[Item], Field(min_length=3, max_length=3)]
+Four = Annotated[list[Item], Field(min_length=4, max_length=4)]
+Pose = Four[Four[Real]]
+"""`(4, 4)`, row by row."""
+
+
+class _Fields(BaseModel):
+    """The keys of a JSON object that readers use, of exactly these types."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class _Row(_Fields):
+    plants_front: Count
+    plants_back: Count
+    spacing_mm: Real
+
+
+class _RecipeCamera(_Fields):
+    sensor: Line
+    lens: Line
+    exposure_us: Real | Literal["auto"]
+
+
+class _Daylight(_Fields):
+    illuminance_lx: Real
+
+
+class _Greenhouse(_Fields):
+    far_rows_as: Line = ""
+
+
+class _RigCamera(_Fields):
+    name: Line
+
+
+def _check_variation(variation: dict[str, Any]) -> dict[str, Any]:
+    read_variation({"variation": variation})
+    return variation
+
+
+class _Recipe(_Fields):
+    name: Line
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
+    cultivar: Line
+    plan: Plan
+    row: _Row
+    camera: _RecipeCamera
+    daylight: _Daylight | None
+    greenhouse: _Greenhouse | None = None
+    variation: Annotated[dict[Line, dict[Text, Any]], AfterValidator(_check_variation)] = {}
+    twins: dict[Line, list[Any]] = {}
+    rig: list[_RigCamera] = []
+
+
+class DatasetFields(_Fields):
+    """`dataset.json`."""
+
+    quality: Line
+    version: Line
+    recipe_sha256: Digest
+    recipe: _Recipe
+
+
+class _Distortion(_Fields):
+    k1: Real
+    k2: Real
+    k3: Real
+    p1: Real = 0.0
+    p2: Real = 0.0
+    k4: Real = 0.0
+    k5: Real = 0.0
+    k6: Real = 0.0
+    model: Text = "plumb_bob"
+
+
+class _Camera(_Fields):
+    pose: Pose
+    fx: Real
+    fy: Real
+    cx: Real
+    cy: Real
+    distortion: _Distortion
+
+
+def _check_class(value: int) -> int:
+    if not 0 <= value < len(OrganClass) and value != IGNORE_CLASS:
+        raise ValueError(f"must be 0 to {len(OrganClass) - 1}, or {IGNORE_CLASS}")
+    return value
+
+
+class _Instance(_Fields):
+    organ_class: Annotated[int, AfterValidator(_check_class), Field(alias="class")]
+    kind: Text
+    plant: Number
+    phytomer: Number
+    parent: Number
+    pixels: Count
+    box: Four[Number] | None = None
+    far: bool = False
+
+
+class _Sampling(_Fields):
+    samples_per_pixel: Real | None = None
+    error_codes: Real | None = None
+    noise_codes: Real | None = None
+
+
+class _Contacts(_Fields):
+    fruit_touching: Count
+    blades_touching: Count
+
+
+class _OutputEntry(_Fields):
+    bytes: Count
+    sha256: Digest
+
+
+class FrameFields(_Fields):
+    """`frames/000000.json`."""
+
+    index: Place
+    set: Place
+    rotation: Place
+    step: Place
+    seed: Seed | None = None
+    recipe_seed: Seed | None = None
+    camera: _Camera
+    instances: dict[InstanceKey, _Instance]
+    class_pixels: dict[Text, Count] = {}
+    sampling: _Sampling = _Sampling()
+    contacts: _Contacts | None = None
+    moment: Place | None = None
+    twin: Place | None = None
+    rig_camera: Line | None = None
+    drawn: dict[Line, bool | Real | Text | list[Any]] = {}
+    outputs: dict[Text, _OutputEntry]
+
+
+class _Mask(_Fields):
+    """COCO's uncompressed run lengths, of all pixels of the image."""
+
+    size: Two[Annotated[int, Field(ge=1, le=_LARGEST_SIDE)]]
+    counts: list[Annotated[int, Field(ge=0, le=_LARGEST_SIDE**2)]]
+
+    @model_validator(mode="after")
+    def _check_sum(self) -> _Mask:
+        height, width = self.size
+        if sum(self.counts) != height * width:
+            raise ValueError(f"must have counts that sum to {height} x {width}")
+        return self
+
+
+class _Cut(_Fields):
+    camera_m: Three[Real]
+    px: Two[Real] | None
+    visible: bool
+
+
+class _Peduncle(_Fields):
+    instance: InstanceNumber
+    cut: _Cut
+
+
+class _Approach(_Fields):
+    camera: Three[Real]
+
+
+class _Fruit(_Fields):
+    instance: InstanceNumber
+    plant: Number
+    phytomer: Number
+    kind: Text
+    ripeness: Real | None = None
+    length_m: Real | None = None
+    diameter_m: Real | None = None
+    visible_fraction: Real
+    visible_pixels: Count
+    amodal_pixels: Count
+    truncated: bool
+    occluders: list[Any]
+    amodal: _Mask
+    pose: Pose
+    box: Four[Number] | None
+    amodal_box: Four[Number] | None
+    peduncle: _Peduncle | None
+    approach: _Approach | None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_columns(cls, content: Any) -> Any:
+        # Tables copy the keys that are columns, and compute these columns from other keys.
+        computed = FRUIT_COLUMNS.keys() - cls.model_fields.keys()
+        found = sorted(computed & content.keys()) if isinstance(content, dict) else ()
+        if found:
+            raise ValueError(f"must not have the key {found[0]}, which is computed")
+        return content
+
+
+class HarvestFields(_Fields):
+    """`harvest/000000.json`."""
+
+    fruit: list[_Fruit]

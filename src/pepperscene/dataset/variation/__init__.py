@@ -1,0 +1,1 @@
+"""Variation: recipe values that are drawn for each set, scene or frame."""

@@ -1,0 +1,229 @@
+"""One varied value of a recipe: a distribution, a weighted choice, or values in turn."""
+
+from __future__ import annotations
+
+import datetime
+import math
+import os
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from pepperscene.cultivar import Distribution
+
+Level = Literal["set", "scene", "frame"]
+LEVELS: Final[tuple[Level, ...]] = ("set", "scene", "frame")
+Key = tuple[str | int, ...]
+"""Where a value is in a recipe's tables: names of tables and keys, and positions in lists."""
+
+
+def json_value(value: Any) -> Any:
+    """A value of a recipe for JSON: dates as text, and of a file's path only its name."""
+    if isinstance(value, str) and os.path.isabs(value):
+        return Path(value).stem
+    if isinstance(value, list | tuple):
+        return [json_value(item) for item in value]
+    return value if isinstance(value, bool | int | float | str) else str(value)
+
+
+@dataclass(frozen=True)
+class Varied(ABC):
+    """A value of a recipe that differs between sets, scenes or frames.
+
+    Attributes:
+        key: of the value.
+        per: what a value is drawn for.
+        draw: name of the draw; values that share a name rise and fall together.
+        reversed: whether the value falls where others of the same draw rise.
+    """
+
+    key: Key
+    per: Level
+    draw: str
+    reversed: bool = False
+
+    @property
+    def name(self) -> str:
+        """The dotted key."""
+        return ".".join(map(str, self.key))
+
+    @abstractmethod
+    def value(self, probability: float, turn: int) -> Any:
+        """The value for a probability in [0, 1) and the number of the set, scene or frame."""
+
+    @property
+    @abstractmethod
+    def nominal(self) -> Any:
+        """A typical value, which stands for the others where one is needed."""
+
+    @property
+    @abstractmethod
+    def extremes(self) -> tuple[Any, ...]:
+        """Values that are valid only if all are: the ends of a range, or all outcomes."""
+
+    @abstractmethod
+    def describe(self) -> str:
+        """The range or the outcomes, for users."""
+
+    @abstractmethod
+    def identity(self) -> dict[str, Any]:
+        """All that drawn values depend on, ready for JSON."""
+
+    def _common_identity(self) -> dict[str, Any]:
+        identity: dict[str, Any] = {"per": self.per, "draw": self.draw}
+        return {**identity, "reversed": True} if self.reversed else identity
+
+
+Kind = Literal["number", "integer", "date"]
+
+
+@dataclass(frozen=True)
+class VariedNumber(Varied):
+    """A number, an integer or a date with a distribution; with `logarithmic`, of the number's logarithm.
+
+    Every integer or date of a uniform distribution is equally likely, its limits included.
+
+    Attributes:
+        distribution: of the number or its logarithm.
+        kind: of the values.
+        logarithmic: whether the distribution is that of the logarithm.
+        limits: of the number; None for those of the distribution. The logarithm's exponential misses them by
+            its rounding.
+    """
+
+    distribution: Distribution | None = None
+    kind: Kind = "number"
+    logarithmic: bool = False
+    limits: tuple[float, float] | None = None
+
+    @property
+    def quantities(self) -> Distribution:
+        """The distribution, of logarithms if the scale is logarithmic."""
+        assert self.distribution is not None
+        return self.distribution
+
+    def value(self, probability: float, turn: int) -> Any:
+        """The value for a probability, or for a number."""
+        if self._is_discrete_uniform:
+            first, last = round(self.quantities.low), round(self.quantities.high)
+            return self._convert(min(first + int(probability * (last - first + 1)), last))
+        return self._convert(float(self.quantities.quantiles(probability)))
+
+    @property
+    def nominal(self) -> Any:
+        """A typical value."""
+        return self.value(0.5, 0)
+
+    @property
+    def extremes(self) -> tuple[Any, ...]:
+        """The ends of the range, or all outcomes."""
+        if self.limits is not None:
+            return tuple(round(limit) if self.kind == "integer" else limit for limit in self.limits)
+        return tuple(self._convert(limit) for limit in (self.quantities.low, self.quantities.high))
+
+    def cumulative(self, values: Any) -> np.ndarray:
+        """Probability that a drawn number is at most each of `values` `(n,)`."""
+        if self._is_discrete_uniform:
+            first, last = round(self.quantities.low), round(self.quantities.high)
+            return np.clip((np.floor(values) - first + 1) / (last - first + 1), 0.0, 1.0)
+        grid = np.linspace(0.0, 1.0, 4097)
+        quantiles = self.quantities.quantiles(grid)
+        numbers = np.asarray(values, dtype=float)
+        return np.interp(np.log(numbers) if self.logarithmic else numbers, quantiles, grid)
+
+    def describe(self) -> str:
+        """The range or the outcomes, for users."""
+        low, high = self.extremes
+        family = self.quantities.family
+        shape = {"normal": "normal", "uniform": "uniform", "histogram": "histogram"}.get(family, family)
+        scale = ", logarithmic scale" if self.logarithmic else ""
+        limits = f"{low} to {high}" if self.kind != "number" else f"{low:g} to {high:g}"
+        if family == "normal" and self.kind == "number" and not self.logarithmic:
+            return f"{limits}, normal with mean {self.quantities.mean:g} and sd {self.quantities.sd:g}"
+        return f"{limits}, {shape}{scale}"
+
+    def identity(self) -> dict[str, Any]:
+        """All that drawn values depend on, ready for JSON."""
+        numbers = self.quantities.model_dump(
+            mode="json", include={"family", "mean", "sd", "low", "high", "bins"}
+        )
+        return {**self._common_identity(), **numbers, "kind": self.kind, "logarithmic": self.logarithmic}
+
+    @property
+    def _is_discrete_uniform(self) -> bool:
+        return self.kind != "number" and self.quantities.family == "uniform" and not self.logarithmic
+
+    def _convert(self, number: float) -> Any:
+        number = math.exp(number) if self.logarithmic else number
+        if self.limits is not None:
+            number = min(max(number, self.limits[0]), self.limits[1])
+        if self.kind == "date":
+            return datetime.date.fromordinal(round(number))
+        return round(number) if self.kind == "integer" else number
+
+
+@dataclass(frozen=True)
+class VariedChoice(Varied):
+    """One of several outcomes, with probabilities that sum to 1."""
+
+    outcomes: tuple[Any, ...] = ()
+    probabilities: tuple[float, ...] = ()
+
+    def value(self, probability: float, turn: int) -> Any:
+        """The value for a probability, or for a number."""
+        ends = np.cumsum(self.probabilities)
+        number = int(np.searchsorted(ends, probability * ends[-1], side="right"))
+        return self.outcomes[min(number, len(self.outcomes) - 1)]
+
+    @property
+    def nominal(self) -> Any:
+        """A typical value."""
+        return self.outcomes[int(np.argmax(self.probabilities))]
+
+    @property
+    def extremes(self) -> tuple[Any, ...]:
+        """The ends of the range, or all outcomes."""
+        return self.outcomes
+
+    def describe(self) -> str:
+        """The range or the outcomes, for users."""
+        pairs = zip(self.outcomes, self.probabilities, strict=True)
+        return ", ".join(f"{outcome} {100 * probability:.3g} %" for outcome, probability in pairs)
+
+    def identity(self) -> dict[str, Any]:
+        """All that drawn values depend on, ready for JSON."""
+        values = map(json_value, self.outcomes)
+        outcomes = [list(pair) for pair in zip(values, self.probabilities, strict=True)]
+        return {**self._common_identity(), "outcomes": outcomes}
+
+
+@dataclass(frozen=True)
+class VariedInTurn(Varied):
+    """The values of a list in turn, by the number of the set, scene or frame."""
+
+    values: tuple[Any, ...] = ()
+
+    def value(self, probability: float, turn: int) -> Any:
+        """The value for a probability, or for a number."""
+        return self.values[turn % len(self.values)]
+
+    @property
+    def nominal(self) -> Any:
+        """A typical value."""
+        return self.values[0]
+
+    @property
+    def extremes(self) -> tuple[Any, ...]:
+        """The ends of the range, or all outcomes."""
+        return self.values
+
+    def describe(self) -> str:
+        """The range or the outcomes, for users."""
+        return f"in turn {', '.join(map(str, self.values))}"
+
+    def identity(self) -> dict[str, Any]:
+        """All that drawn values depend on, ready for JSON."""
+        return {"per": self.per, "in_turn": [json_value(value) for value in self.values]}

@@ -1,0 +1,235 @@
+"""The cameras of a recipe's frames: their poses, the cameras of a rig, and the stereo partner."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.dataset.recipe.frame_setups import FrameSetup, FrameSetups
+from pepperscene.dataset.recipe.plan import FrameSpec, Stream, random_generator
+from pepperscene.dataset.recipe.recipe import Recipe
+from pepperscene.dataset.recipe.views_tables import FunctionViews, RandomViews, Views
+from pepperscene.dataset.views.fixed_views import View, fixed_view
+from pepperscene.errors import InputError
+from pepperscene.frame import STEREO_OUTPUTS
+
+if TYPE_CHECKING:
+    from pepperscene.camera import Camera
+    from pepperscene.dataset.views.free_space import FreeSpace
+    from pepperscene.dataset.views.random_views import RandomViewSettings
+    from pepperscene.render.visibility import PointTest
+    from pepperscene.scene import Greenhouse, Scene, ViewFrustums
+
+
+class CameraViews:
+    """The cameras of all frames of a recipe.
+
+    Args:
+        setups: of its frames.
+        greenhouse: of a frame, by its setup; arcs lean with its row.
+    """
+
+    def __init__(self, setups: FrameSetups, greenhouse: Callable[[FrameSetup], Greenhouse]) -> None:
+        self._setups, self._greenhouse = setups, greenhouse
+        self._plan = setups.resolved.recipe.plan
+        # The last views that depend on a scene: of the scene with this key, by moment and table.
+        self._of_scene: tuple[object, dict[tuple[int, Views], View], FreeSpace | None] = (None, {}, None)
+
+    @property
+    def depends_on_scene(self) -> bool:
+        """Whether views depend on the plants, so that no part of a scene can be left out before."""
+        return isinstance(self._setups.resolved.recipe.views, RandomViews | FunctionViews)
+
+    def camera(self, spec: FrameSpec, scene: Scene | None = None, visible: PointTest | None = None) -> Camera:
+        """The camera of a frame at its pose.
+
+        Args:
+            spec: the frame.
+            scene: of the frame; needed if views depend on the scene.
+            visible: tests whether points of that scene are visible; needed for random views.
+        """
+        setup = self._setups.at(spec)
+        view = self._view(spec, setup, scene, visible)
+        camera = setup.camera
+        if spec.camera:
+            extrinsics = self._setups.resolved.recipe.rig[spec.camera - 1].extrinsics
+            view, camera = _view_of_rig(view, extrinsics), _with_flash_of_rig(camera, extrinsics)
+        camera = camera.at_pose(view.pose)
+        return camera if view.motion is None else replace(camera, motion=view.motion)
+
+    def others(
+        self,
+        spec: FrameSpec,
+        outputs: Iterable[str],
+        scene: Scene | None = None,
+        visible: PointTest | None = None,
+    ) -> dict[str, Camera]:
+        """The further cameras that outputs of a frame need, by purpose.
+
+        "flow" is the camera of the next step, missing at the last one; "stereo" is the partner, which
+        looks in the same direction from one baseline further right, at the same time and by the same flash.
+        Raises `InputError` if the recipe has no partner that an output needs.
+        """
+        names, recipe = set(outputs), self._setups.at(spec).recipe
+        check_partner(recipe, names)
+        cameras = {}
+        if "flow" in names and spec.step + 1 < self._plan.frames:
+            next_spec = self._plan.frame(spec.index + self._plan.cameras)
+            cameras["flow"] = self.camera(next_spec, scene, visible)
+        if names & STEREO_OUTPUTS:
+            assert recipe.camera.baseline_mm is not None  # checked above
+            cameras["stereo"] = _stereo_partner(
+                self.camera(spec, scene, visible), recipe.camera.baseline_mm / 1e3
+            )
+        return cameras
+
+    def frustums(self, specs: Iterable[FrameSpec]) -> ViewFrustums:
+        """The view frustums of all cameras of some frames, partners included."""
+        from pepperscene.scene import ViewFrustums, view_frustums
+
+        # Cameras that differ in their poses only are handled together.
+        groups: dict[tuple[str, int, int], list[Camera]] = {}
+        for spec in specs:
+            setup = self._setups.at(spec)
+            baseline_mm = setup.recipe.camera.baseline_mm
+            cameras = [self.camera(spec)]
+            if baseline_mm is not None:
+                cameras.append(_stereo_partner(cameras[0], baseline_mm / 1e3))
+            for number, camera in enumerate(cameras):
+                key = (setup.optics, number, spec.camera)
+                groups.setdefault(key, []).extend(_along_motion(self._longest_exposure(spec, camera)))
+        parts = [
+            view_frustums(cameras[0], [camera.pose for camera in cameras]) for cameras in groups.values()
+        ]
+        if len(parts) == 1:
+            return parts[0]
+        return ViewFrustums(
+            np.concatenate([part.normals for part in parts]),
+            np.concatenate([part.offsets for part in parts]),
+            np.concatenate([part.positions for part in parts]),
+        )
+
+    def _longest_exposure(self, spec: FrameSpec, camera: Camera) -> Camera:
+        """The camera with the longest exposure that it can have in a frame."""
+        control = self._setups.at(spec).recipe.exposure_control
+        return camera if control is None else replace(camera, exposure_s=control.exposure_us[1] / 1e6)
+
+    def _view(
+        self, spec: FrameSpec, setup: FrameSetup, scene: Scene | None, visible: PointTest | None
+    ) -> View:
+        table, frames, where = setup.recipe.views, self._plan.frames, setup.recipe.name
+        if not isinstance(table, RandomViews | FunctionViews):
+            return fixed_view(table, spec.step, frames, self._greenhouse(setup), where)
+        if scene is None:
+            raise ValueError(f"views of the kind {table.kind} need a scene")
+        key = (spec.scene, setup.plants)
+        if self._of_scene[0] != key:
+            self._of_scene = (key, {}, None)
+        views = self._of_scene[1]
+        # Twins can differ in their views.
+        if (spec.moment, table) not in views:
+            if isinstance(table, FunctionViews):
+                from pepperscene.dataset.views.user_function import function_poses
+
+                rng = random_generator(setup.recipe.seed, Stream.VIEW, spec.scene, 0)
+                poses = function_poses(table, scene, rng, frames)
+                first = spec.moment - spec.step
+                views |= {(first + step, table): View(pose) for step, pose in enumerate(poses)}
+            else:
+                views[spec.moment, table] = self._random_view(spec, setup, table, scene, visible)
+        return views[spec.moment, table]
+
+    def _random_view(
+        self, spec: FrameSpec, setup: FrameSetup, table: RandomViews, scene: Scene, visible: PointTest | None
+    ) -> View:
+        from pepperscene.dataset.views.free_space import FreeSpace
+        from pepperscene.dataset.views.random_views import random_view
+
+        if visible is None:
+            raise ValueError("random views need a test of visibility")
+        key, views, space = self._of_scene
+        if space is None:
+            space = FreeSpace(scene.mesh)
+            self._of_scene = (key, views, space)
+        # Twins and the cameras of a rig share the view of the first.
+        camera = self._setups.at(self._plan.first_of_moment(spec)).camera
+        rng = random_generator(setup.recipe.seed, Stream.VIEW, spec.moment)
+        where = f"{self._setups.resolved.recipe.name}, frame {spec.index}"
+        return View(random_view(_settings(table), scene, camera, rng, visible, space, where).pose)
+
+
+def _settings(table: RandomViews) -> RandomViewSettings:
+    """The limits of random views in SI units."""
+    from pepperscene.dataset.views.random_views import RandomViewSettings
+
+    def metres(limits: tuple[float, ...]) -> Any:
+        return tuple(limit / 1e3 for limit in limits)
+
+    def radians(limits: tuple[float, float]) -> tuple[float, float]:
+        return math.radians(limits[0]), math.radians(limits[1])
+
+    return RandomViewSettings(
+        target=table.target if isinstance(table.target, str) else metres(table.target),
+        distance_m=metres(table.distance_mm),
+        elevation_rad=radians(table.elevation_deg),
+        azimuth_rad=radians(table.azimuth_deg),
+        volume_m=None if table.volume_mm is None else tuple(metres(axis) for axis in table.volume_mm),
+        roll_rad=radians(table.roll_deg),
+        offset=table.offset,
+        clearance_m=table.clearance_mm / 1e3,
+        least_visibility=table.least_visibility,
+    )
+
+
+def check_partner(recipe: Recipe, outputs: Iterable[str]) -> None:
+    """Raise `InputError` if a recipe has no stereo partner, and outputs need it."""
+    partnered = sorted(STEREO_OUTPUTS.intersection(outputs))
+    if partnered and recipe.camera.baseline_mm is None:
+        problem = f"is required for the output {partnered[0]}"
+        raise InputError(recipe.name, problem, key="camera.baseline_mm")
+
+
+def _along_motion(camera: Camera) -> list[Camera]:
+    """The camera at its pose, and if it moves, at the beginning and the end of the exposure too."""
+    if camera.motion is None:
+        return [camera]
+    half_s = (camera.exposure_s + camera.height * camera.sensor.line_time_s) / 2
+    poses = [camera.motion.pose_at(camera.pose, t) for t in (-half_s, 0.0, half_s)]
+    return [camera.at_pose(pose) for pose in poses]
+
+
+def _stereo_partner(camera: Camera, baseline_m: float) -> Camera:
+    """The second camera; the flash, of which there is one for both, stays at the first."""
+    pose = camera.pose.copy()
+    pose[:3, 3] += baseline_m * pose[:3, 0]
+    partner = camera.at_pose(pose)
+    if camera.motion is not None:
+        partner = replace(partner, motion=camera.motion.at_offset(pose[:3, 3] - camera.pose[:3, 3]))
+    if camera.flash is None:
+        return partner
+    right, down, forward = camera.flash.offset_m
+    return replace(partner, flash=replace(camera.flash, offset_m=(right - baseline_m, down, forward)))
+
+
+def _view_of_rig(view: View, extrinsics: NDArray[np.float64]) -> View:
+    """The view of a camera on a rig; it moves and turns with the main camera."""
+    pose = view.pose @ extrinsics
+    if view.motion is None:
+        return View(pose)
+    return View(pose, view.motion.at_offset(pose[:3, 3] - view.pose[:3, 3]))
+
+
+def _with_flash_of_rig(camera: Camera, extrinsics: NDArray[np.float64]) -> Camera:
+    """A camera on a rig with the flash, of which there is one, at the main camera."""
+    if camera.flash is None:
+        return camera
+    turn = extrinsics[:3, :3].T
+    right, down, forward = (float(x) for x in turn @ (np.asarray(camera.flash.offset_m) - extrinsics[:3, 3]))
+    flash = replace(camera.flash, offset_m=(right, down, forward))
+    is_turned = not np.allclose(turn, np.eye(3), atol=1e-12)
+    return replace(camera, flash=replace(flash, rotation=turn) if is_turned else flash)

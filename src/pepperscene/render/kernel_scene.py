@@ -1,0 +1,157 @@
+"""A scene in the kernel's memory, kept between frames, and the tracing of light in it."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.camera import Camera, Motion
+from pepperscene.render.kernel.arrays import LocalCoordinates, local_coordinates
+from pepperscene.render.kernel.camera import CameraRays, camera_rays, moving_rays, spectral_response
+from pepperscene.render.kernel.scene import LightScene, sky_tables
+from pepperscene.render.kernel.scene import light_scene as make_light_scene
+from pepperscene.render.kernel.scene import truth_scene as make_truth_scene
+from pepperscene.render.quality import Quality
+from pepperscene.render.reference.exposure import exposed_paths
+from pepperscene.render.reference.path_tracer import PathScene, path_scene, path_traced, samples_taken
+from pepperscene.render.transport.adaptive import AdaptiveSampler
+from pepperscene.render.transport.denoise import denoised
+from pepperscene.render.transport.exposure import ExposurePart, exposure_parts, in_rows, sum_of_parts
+from pepperscene.render.transport.trace import Sampling, trace
+from pepperscene.scene import Scene, Sky
+
+TracedSignal = tuple[NDArray[np.float32], dict[str, Any]]
+"""Light `(h, w, c)` in electrons s-1 m-2 sr-1, and the description of its samples for the metadata."""
+
+
+class KernelScene:
+    """A scene with what the kernel needs of it, made when first used.
+
+    Args:
+        scene: everything that can be seen.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        # The last kernel scene of each kind, by its arguments.
+        self._light: dict[tuple[float, float], LightScene] = {}
+        self._path: dict[tuple[float, float, bool, Sky | None], PathScene] = {}
+        self._slopes: dict[tuple[Any, ...], Any] = {}
+
+    def trace(
+        self, camera: Camera, quality: Quality, sampling: np.random.SeedSequence, scene: Scene
+    ) -> TracedSignal:
+        """Trace light with the integrator of the quality; `scene` is this one, under any sky."""
+        if parts := exposure_parts(camera, has_daylight=scene.sky is not None):
+            if quality.integrator == "path":
+                return self._expose_paths(camera, quality, sampling, scene)
+            return self._expose(camera, quality, parts, sampling, scene)
+        seed = int(sampling.generate_state(1)[0])
+        trace_with = self._trace_paths if quality.integrator == "path" else self._trace_flash
+        return trace_with(camera, quality, seed, scene)
+
+    def _trace_flash(self, camera: Camera, quality: Quality, seed: int, scene: Scene) -> TracedSignal:
+        """Trace light with our integrator."""
+        response = spectral_response(camera, scene)
+        adaptive = AdaptiveSampler(camera, quality.target, quality.most, denoised=quality.denoise)
+        light = trace(
+            self.light_scene(float(response.grid_nm[0]), float(response.grid_nm[-1])),
+            self.rays(camera),
+            response,
+            camera.flash,
+            sky_tables(scene, response.grid_nm),
+            Sampling(quality.samples, quality.soft, quality.bounces, adaptive.required),
+            seed,
+        )
+        signal = denoised(light) if quality.denoise else light.total()
+        return signal, adaptive.metadata(light)
+
+    def _expose(
+        self,
+        camera: Camera,
+        quality: Quality,
+        parts: list[ExposurePart],
+        sampling: np.random.SeedSequence,
+        scene: Scene,
+    ) -> TracedSignal:
+        """Trace the parts of an exposure with our integrator, each with samples and a denoiser of its own."""
+        response = spectral_response(camera, scene)
+        light_scene = self.light_scene(float(response.grid_nm[0]), float(response.grid_nm[-1]))
+        rays, lights = self.rays(camera), []
+        # The variances of the parts add up to that of the whole.
+        target = None if quality.target is None else quality.target / len(parts) ** 0.5
+        signal = np.zeros((camera.height, camera.width, camera.sensor.channels), np.float32)
+        for part, stream in zip(parts, sampling.spawn(len(parts)), strict=True):
+            adaptive = AdaptiveSampler(camera, target, quality.most, denoised=quality.denoise)
+            light = trace(
+                light_scene,
+                moving_rays(rays, camera.motion or Motion(), part.windows),
+                response,
+                camera.flash if part.has_flash else None,
+                sky_tables(scene, response.grid_nm) if part.has_daylight else None,
+                Sampling(quality.samples, quality.soft, quality.bounces, adaptive.required),
+                int(stream.generate_state(1)[0]),
+            )
+            lights.append(in_rows(light, part.share))
+            signal += denoised(lights[-1]) if quality.denoise else lights[-1].total()
+        whole = AdaptiveSampler(camera, quality.target, quality.most, denoised=quality.denoise)
+        return signal, whole.metadata(sum_of_parts(lights))
+
+    def _expose_paths(
+        self, camera: Camera, quality: Quality, sampling: np.random.SeedSequence, scene: Scene
+    ) -> TracedSignal:
+        """Trace an exposure with Mitsuba's path tracer, as the mean of images of cameras that stand still."""
+        signal, samples = exposed_paths(scene, camera, quality, sampling)
+        return signal, {"samples_per_pixel": samples}
+
+    def _trace_paths(self, camera: Camera, quality: Quality, seed: int, scene: Scene) -> TracedSignal:
+        """Trace light with Mitsuba's path tracer."""
+        grid = spectral_response(camera, scene).grid_nm
+        # Here the sky is part of the kernel scene.
+        key = (float(grid[0]), float(grid[-1]), camera.flash is not None, scene.sky)
+        if key not in self._path:
+            self._path = {key: path_scene(scene, camera)}
+        signal = path_traced(
+            scene,
+            camera,
+            spp=quality.samples,
+            bounces=quality.bounces,
+            sampler=quality.sampler,
+            seed=seed,
+            kernel_scene=self._path[key],
+        )
+        return signal, {"samples_per_pixel": float(samples_taken(quality.sampler, quality.samples))}
+
+    def rays(self, camera: Camera) -> CameraRays:
+        """Rays of a camera; along a path only the pose changes, so the lens stays on the device."""
+        key = (camera.lens, camera.width, camera.height, camera.sensor.name, camera.intrinsics.tobytes())
+        rays = camera_rays(camera, self.coordinates, self._slopes.get(key))
+        self._slopes = {key: rays.slopes}
+        return rays
+
+    @functools.cached_property
+    def coordinates(self) -> LocalCoordinates:
+        """Of the scene in the kernel."""
+        return local_coordinates(self.scene.mesh)
+
+    @functools.cached_property
+    def _geometry(self) -> Any:
+        return make_truth_scene(self.scene)
+
+    def truth_scene(self) -> Any:
+        """A Mitsuba scene to intersect: the one with materials if it exists."""
+        for light in self._light.values():
+            return light.scene
+        return self._geometry
+
+    def light_scene(self, first_nm: float, last_nm: float) -> LightScene:
+        """Geometry and materials over a range of wavelengths, in nanometres."""
+        key = (first_nm, last_nm)
+        if key not in self._light:
+            self._light = {key: make_light_scene(self.scene, *key)}
+            # It serves the ground truth as well, so a copy of the geometry alone is not needed any more.
+            self.__dict__.pop("_geometry", None)
+        return self._light[key]

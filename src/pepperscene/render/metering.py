@@ -1,0 +1,74 @@
+"""Metering: the light of a scene in a reduced image, from which automatic exposure is computed."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.camera import Camera, metering_camera
+from pepperscene.render.kernel.arrays import LocalCoordinates
+from pepperscene.render.kernel.camera import camera_rays, spectral_response
+from pepperscene.render.kernel.scene import LightScene, sky_tables
+from pepperscene.render.transport.denoise import denoised
+from pepperscene.render.transport.trace import Sampling, trace
+from pepperscene.scene import Scene
+
+Images = NDArray[np.float32]
+
+_SAMPLES: Final = 4
+"""Per pixel, of all light. Chosen: after denoising, the mean grey is within 2 % of that of 8, which take half
+as long again. Without denoising, 16 samples of daylight are a fifth too dark, because the tone curve lowers
+the mean of noise."""
+_BRANCH: Final = 1 << 16
+"""Of a frame's seed. Chosen: apart from the branches that noise and samples of the frame take."""
+
+
+def metered_light(
+    scene: Scene,
+    light_scene_of: Callable[[float, float], LightScene],
+    coordinates: LocalCoordinates,
+    camera: Camera,
+    seed: int,
+    bounces: int = 2,
+) -> tuple[Images, Images]:
+    """Trace daylight and the flash separately, in a reduced image over the camera's field of view.
+
+    The result depends on the arguments alone.
+
+    Args:
+        scene: everything that can be seen, and its sky.
+        light_scene_of: the scene in the kernel over a range of wavelengths, in nanometres.
+        coordinates: of the scene in the kernel.
+        camera: lens, sensor, flash and pose; its exposure has no effect.
+        seed: of the frame.
+        bounces: scattering events after the first hit, as in the frame: by daylight, a greenhouse loses some
+            per cent of its light without the second.
+
+    Returns:
+        Daylight, and the light of the flash while it is on, `(h, w, c)` each, electrons s-1 m-2 sr-1; zeros
+        where there is no such light. The size is that of `metering_camera`.
+
+    Raises:
+        ValueError: a light is too strong for single precision.
+    """
+    small = metering_camera(camera)
+    if small.flash is not None:
+        # An exposure as long as the pulse does not average the flash with darkness.
+        small = dataclasses.replace(small, exposure_s=small.flash.pulse_s)
+    # Over the wavelengths of both lights, so that the frame itself uses the same scene in the kernel.
+    response = spectral_response(small, scene)
+    kernel_scene = light_scene_of(float(response.grid_nm[0]), float(response.grid_nm[-1]))
+    rays, sky = camera_rays(small, coordinates), sky_tables(scene, response.grid_nm)
+    sampling = Sampling(_SAMPLES, _SAMPLES, bounces)
+    first, second = np.random.SeedSequence(seed, spawn_key=(_BRANCH,)).generate_state(2).tolist()
+
+    daylight = flash = np.zeros((small.height, small.width, small.sensor.channels), np.float32)
+    if sky is not None:
+        daylight = denoised(trace(kernel_scene, rays, response, None, sky, sampling, first))
+    if small.flash is not None:
+        flash = denoised(trace(kernel_scene, rays, response, small.flash, None, sampling, second))
+    return daylight, flash

@@ -1,0 +1,124 @@
+"""Visibility of points of a scene, and of an organ, from a camera that need not be rendered."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pepperscene.camera import Camera
+from pepperscene.geometry import Mesh
+from pepperscene.render.aov.flow import is_unoccluded
+from pepperscene.render.kernel.arrays import LocalCoordinates
+from pepperscene.render.variant import mitsuba_modules
+
+FloatArray = NDArray[np.float64]
+
+_NO_FACE = 0xFFFFFFFE
+"""The number of no triangle; the next one is that of the sky."""
+
+
+class PointTest(Protocol):
+    """Tests the visibility of points of a scene; `visible_points` of its `Renderer` does."""
+
+    def __call__(
+        self, camera: Camera, points: FloatArray, normals: FloatArray | None = ..., *, alone: int | None = ...
+    ) -> NDArray[np.bool_]:
+        """`(n,)` for `(n, 3)` points and normals.
+
+        With `alone`, whether they would be visible if there were nothing but this instance, and the image had
+        no borders.
+        """
+
+
+def visible_points(
+    scene: Any,
+    coordinates: LocalCoordinates,
+    camera: Camera,
+    points: ArrayLike,
+    normals: ArrayLike | None = None,
+    *,
+    has_borders: bool = True,
+) -> NDArray[np.bool_]:
+    """`(n,)` whether points of surfaces are in a camera's image and not hidden.
+
+    A point is hidden by what is closer to the camera by more than `CLEARANCE` of its distance.
+
+    Args:
+        scene: Mitsuba's.
+        coordinates: of that scene.
+        camera: seen from its projection centre.
+        points: `(n, 3)` world metres.
+        normals: `(n, 3)` of any length, for closed surfaces: points whose normal points away from the camera
+            are hidden. None for blades and for points in space.
+        has_borders: whether points outside the image are hidden.
+    """
+    points = np.asarray(points, dtype=float).reshape(-1, 3)
+    centre = camera.pose[:3, 3]
+    candidate = np.ones(len(points), dtype=bool)
+    if has_borders:
+        # Comparisons with nan are false.
+        u, v = camera.project(points).T
+        candidate &= (u >= 0.0) & (u < camera.width) & (v >= 0.0) & (v < camera.height)
+    if normals is not None:
+        candidate &= np.einsum("ni,ni->n", np.asarray(normals, dtype=float), centre - points) > 0.0
+    rows = np.flatnonzero(candidate)
+    visible = np.zeros(len(points), dtype=bool)
+    if len(rows):
+        start, vectors = coordinates.from_world(centre), (points[rows] - centre) / coordinates.unit_m
+        visible[rows] = is_unoccluded(scene, start, vectors, np.full(len(rows), _NO_FACE))
+    return visible
+
+
+def organ_scene(mesh: Mesh, instance: int, coordinates: LocalCoordinates) -> Any:
+    """A Mitsuba scene of the triangles of one instance, in the coordinates of the whole mesh."""
+    mi, _ = mitsuba_modules()
+    used, faces = np.unique(mesh.faces[mesh.face_runs.rows(instance)], return_inverse=True)
+    local = (mesh.vertices[used] - np.array(coordinates.origin, np.float32)) / np.float32(coordinates.unit_m)
+    shape = mi.Mesh("organ", len(used), faces.size // 3)
+    params = mi.traverse(shape)
+    params["vertex_positions"] = np.ascontiguousarray(local, np.float32).ravel()
+    params["faces"] = faces.astype(np.uint32).ravel()
+    params.update()
+    return mi.load_dict({"type": "scene", "organ": shape})
+
+
+def visible_fraction(
+    visible: PointTest,
+    camera: Camera,
+    points: ArrayLike,
+    normals: ArrayLike | None = None,
+    *,
+    closed: bool = True,
+    instance: int | None = None,
+) -> float:
+    """Fraction of what a camera would see of an organ alone that is in the image and not hidden, 0 to 1.
+
+    Each point counts with the solid angle of its part of the surface, so that this is the fraction of the
+    organ's pixels in an image that is large enough, without distortion.
+
+    Args:
+        visible: tests the points.
+        camera: the camera.
+        points: `(n, 3)` world metres, evenly distributed over the surface.
+        normals: `(n, 3)` unit normals of the surface; None gives all points the same weight.
+        closed: whether only the side that the normals point to can be seen.
+        instance: of the organ, so that what it hides of itself does not count; None for a convex one.
+    """
+    points = np.asarray(points, dtype=float).reshape(-1, 3)
+    if normals is None:
+        return float(visible(camera, points).mean()) if len(points) else 0.0
+    normals = np.asarray(normals, dtype=float).reshape(-1, 3)
+    to_camera = camera.pose[:3, 3] - points
+    cosine = np.einsum("ni,ni->n", normals, to_camera)
+    weight = (np.maximum(cosine, 0.0) if closed else np.abs(cosine)) / np.linalg.norm(to_camera, axis=1) ** 3
+    rows = np.flatnonzero(weight > 0.0)
+    weight, points, facing = weight[rows], points[rows], normals[rows] if closed else None
+    if not len(rows):
+        return 0.0
+    seen = visible(camera, points, facing)
+    if seen.any() and instance is not None:
+        # What is visible in the scene is visible of the organ alone, except for rounding.
+        weight = weight * (seen | visible(camera, points, facing, alone=instance))
+    return float(weight[seen].sum() / weight.sum())

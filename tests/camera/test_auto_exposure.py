@@ -1,0 +1,256 @@
+"""Automatic exposure: closed forms for uniform light, and every limit of exposure and gain."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import colour
+import numpy as np
+import pytest
+
+from pepperscene.camera import (
+    Camera,
+    Developing,
+    ExposureControl,
+    choose_exposure,
+    decode_tone,
+    develop,
+    expected_electrons,
+    load_flash,
+    load_lens,
+    load_sensor,
+    metering_camera,
+    with_exposure,
+)
+from pepperscene.errors import InputError
+from pepperscene.spectra import Spectrum
+
+LENS, FLASH = load_lens("lensagon_cmfa0420nd"), load_flash("led_matrix_200klx")
+SENSOR = replace(load_sensor("ueye_ui5250re"), columns=640, rows=480)
+PLAIN = Developing(falloff=False, white_balance=None, colour_matrix=False)
+CAMERA = Camera(LENS, SENSOR, developing=PLAIN)
+SMALL = metering_camera(CAMERA)
+NONE = np.zeros((SMALL.height, SMALL.width, 3))
+FULL_WELL_PER_S = SENSOR.full_well_e / (
+    SENSOR.pitch_m**2 * np.pi / (4 * LENS.f_number**2) * LENS.transmittance
+)
+"""The signal that fills a photosite of `CAMERA` in a second, by the camera equation."""
+
+
+def grey_card(full_wells_per_s, shape=NONE.shape):
+    return np.full(shape, full_wells_per_s * FULL_WELL_PER_S)
+
+
+def linear_value(grey):
+    return float(colour.cctf_decoding(grey / 255, function="sRGB"))
+
+
+def test_exposure_of_a_grey_card_is_the_analytic_one():
+    for target in (40.0, 110.0, 200.0):
+        chosen = choose_exposure(CAMERA, grey_card(100.0), NONE, ExposureControl(target_grey=target))
+        # Of a full well per 10 ms, the linear value is the fraction of 10 ms.
+        assert chosen.exposure_s == pytest.approx(linear_value(target) / 100.0, rel=5e-3)
+        assert chosen.grey == pytest.approx(target, rel=1.1e-3)
+        assert (chosen.gain, chosen.limited_by) == (1.0, None)
+
+
+def test_exposure_of_a_linear_image_is_proportional_to_its_grey():
+    linear = replace(CAMERA, developing=replace(PLAIN, tone="linear"))
+    for target in (51.0, 102.0, 204.0):
+        chosen = choose_exposure(linear, grey_card(100.0), NONE, ExposureControl(target_grey=target))
+        assert chosen.exposure_s == pytest.approx(target / 255 / 100.0, rel=5e-3)
+
+
+def test_a_white_card_under_the_white_balance_s_light_has_the_target_in_every_colour():
+    camera = replace(CAMERA, developing=Developing(white_balance="flash", falloff=False), flash=FLASH)
+    nm = np.arange(380.0, 781.0)
+    response = np.trapezoid(FLASH.spectrum.at(nm) * SENSOR.electrons_per_joule(nm), nm, axis=-1)
+    light = np.broadcast_to(100.0 * FULL_WELL_PER_S * response / response.max(), NONE.shape)
+    chosen = choose_exposure(camera, light, NONE, ExposureControl())
+    assert chosen.exposure_s == pytest.approx(linear_value(110.0) / 100.0, rel=5e-3)
+    full = np.broadcast_to(light[0, 0], (SENSOR.rows, SENSOR.columns, 3))
+    used = with_exposure(camera, chosen)
+    image = develop(expected_electrons(full, used), used)
+    assert np.abs(image.reshape(-1, 3).mean(axis=0) - 110.0).max() <= 1.0
+
+
+@pytest.mark.parametrize("binning", [1, 2, 4])
+@pytest.mark.parametrize("pattern", ["rggb", "mono"])
+def test_predicted_grey_is_that_of_the_full_image(binning, pattern):
+    # A gradient with the lens' fall-off; photosites of every binning, demosaiced or not.
+    curves = SENSOR.quantum_efficiency
+    if pattern == "mono":
+        curves = Spectrum(curves.wavelength_nm, curves.values[1:2])
+    pitch_m = 9e-6 / binning
+    sensor = replace(SENSOR, binning=binning, pitch_m=pitch_m, pattern=pattern, quantum_efficiency=curves)
+    developing = Developing(white_balance="daylight")
+    camera = Camera(LENS, sensor, developing=developing)
+    slope = np.linspace(20.0, 300.0, 640) * FULL_WELL_PER_S * (4.5e-6 / sensor.pitch_m) ** 2
+    full = np.broadcast_to(slope[None, :, None], (480, 640, sensor.channels))
+    light = full.reshape(240, 2, 320, 2, -1).mean(axis=(1, 3))
+    chosen = choose_exposure(camera, light, np.zeros_like(light), ExposureControl())
+    used = with_exposure(camera, chosen)
+    assert chosen.limited_by is None
+    assert develop(expected_electrons(full, used), used).mean() == pytest.approx(110.0, rel=5e-3)
+
+
+def test_detail_that_the_reduced_image_lacks_is_accounted_for():
+    # Rectangles of all sizes in front of each other, as leaves are, with edges inside most reduced pixels.
+    rng = np.random.default_rng(4)
+    full = np.full((600, 800), 5.0)
+    for _ in range(3000):
+        row, column = rng.integers(0, (600, 800))
+        height, width = rng.integers(8, 80, 2)
+        full[row : row + height, column : column + width] = rng.choice([2.0, 20.0, 100.0, 600.0])
+    full = np.repeat(full[..., None] * FULL_WELL_PER_S, 3, axis=-1)
+    light = full.reshape(120, 5, 160, 5, 3).mean(axis=(1, 3))
+    camera = replace(CAMERA, sensor=replace(SENSOR, columns=800, rows=600))
+    for target in (60.0, 110.0, 160.0):
+        used = with_exposure(
+            camera, choose_exposure(camera, light, np.zeros_like(light), ExposureControl(target_grey=target))
+        )
+        assert develop(expected_electrons(full, used), used).mean() == pytest.approx(target, rel=0.02)
+        without = replace(metering_camera(camera, (160, 120)), exposure_s=used.exposure_s)
+        area = (camera.sensor.pitch_m / without.sensor.pitch_m) ** 2
+        assert develop(area * expected_electrons(light, without), without).mean() > 1.03 * target
+
+
+def test_gain_is_raised_only_at_the_longest_exposure():
+    control = ExposureControl(longest_s=1e-3, most_gain=8.0)
+    bright = choose_exposure(CAMERA, grey_card(1.001 * linear_value(110.0) / 1e-3), NONE, control)
+    assert (bright.gain, bright.limited_by) == (1.0, None)
+    dim = choose_exposure(CAMERA, grey_card(linear_value(110.0) / 1e-3 / 5.0), NONE, control)
+    assert (dim.exposure_s, dim.limited_by) == (1e-3, None)
+    assert dim.gain == pytest.approx(5.0, rel=5e-3)
+    used = with_exposure(CAMERA, dim)
+    assert used.sensor.gain == dim.gain
+    assert used.sensor.gain_e_per_dn == pytest.approx(SENSOR.gain_e_per_dn / dim.gain)
+    assert used.sensor.read_noise_e == SENSOR.read_noise_e
+
+
+def test_lowest_gain_is_the_camera_s_own():
+    camera = replace(CAMERA, sensor=SENSOR.with_settings(gain=2.0))
+    chosen = choose_exposure(camera, grey_card(100.0), NONE, ExposureControl())
+    assert chosen.gain == 2.0
+    assert chosen.exposure_s == pytest.approx(linear_value(110.0) / 200.0, rel=5e-3)
+    with pytest.raises(InputError, match=r"most_gain = 1.5: must be at least the camera's own gain, 2"):
+        choose_exposure(camera, grey_card(100.0), NONE, ExposureControl(most_gain=1.5))
+
+
+def test_light_that_is_too_bright_or_too_dark_is_limited():
+    control = ExposureControl(shortest_s=1e-4, longest_s=1e-3, most_gain=2.0)
+    bright = choose_exposure(CAMERA, grey_card(5000.0), NONE, control)
+    assert (bright.exposure_s, bright.gain, bright.limited_by) == (1e-4, 1.0, "shortest exposure")
+    assert bright.grey == pytest.approx(255.0 * 0.735, rel=0.01)  # sRGB of one half
+    dark = choose_exposure(CAMERA, grey_card(1.0), NONE, control)
+    assert (dark.exposure_s, dark.gain, dark.limited_by) == (1e-3, 2.0, "longest exposure and gain")
+    assert decode_tone(dark.grey) == pytest.approx(2e-3, rel=5e-3)
+
+
+def test_no_light_is_reported():
+    chosen = choose_exposure(CAMERA, NONE, NONE, ExposureControl())
+    assert (chosen.grey, chosen.limited_by) == (0.0, "no light")
+    assert (chosen.exposure_s, chosen.gain) == (ExposureControl().longest_s, ExposureControl().most_gain)
+
+
+def test_an_image_whose_lit_part_is_saturated_is_reported():
+    # A quarter of the image has light, so its mean cannot exceed a quarter of 255.
+    light = NONE.copy()
+    light[:, :80] = grey_card(100.0)[:, :80]
+    chosen = choose_exposure(CAMERA, light, NONE, ExposureControl())
+    assert chosen.limited_by == "saturation"
+    assert chosen.grey == pytest.approx(63.75, rel=2.5e-3)
+    # The shortest exposure that saturates it, not the longest.
+    assert chosen.exposure_s == pytest.approx(0.01, rel=0.01)
+    assert chosen.gain == 1.0
+    assert choose_exposure(CAMERA, 100.0 * light, NONE, ExposureControl()).exposure_s < 1.01e-4
+
+
+def test_clipped_highlights_count_as_white():
+    # A tenth of the image is far above white at every exposure in question.
+    light = grey_card(100.0)
+    light[:, :32] *= 1e4
+    chosen = choose_exposure(CAMERA, light, NONE, ExposureControl())
+    rest = (110.0 - 0.1 * 255.0) / 0.9
+    assert chosen.exposure_s == pytest.approx(linear_value(rest) / 100.0, rel=5e-3)
+
+
+def test_grey_of_a_flash_does_not_depend_on_the_exposure_beyond_its_pulse():
+    camera = replace(CAMERA, flash=FLASH)
+    flash = grey_card(linear_value(80.0) / FLASH.pulse_s)
+    control = ExposureControl(longest_s=1e-3, most_gain=4.0)
+    # Only the gain can brighten it.
+    chosen = choose_exposure(camera, NONE, flash, control)
+    assert (chosen.exposure_s, chosen.limited_by) == (1e-3, None)
+    assert chosen.gain == pytest.approx(linear_value(110.0) / linear_value(80.0), rel=5e-3)
+    # With a target below, the exposure ends within the pulse.
+    darker = choose_exposure(camera, NONE, flash, replace(control, target_grey=60.0))
+    fraction = linear_value(60.0) / linear_value(80.0)
+    assert darker.exposure_s == pytest.approx(fraction * FLASH.pulse_s, rel=5e-3)
+    # Daylight adds after the pulse.
+    day = grey_card(10.0)
+    mixed = choose_exposure(camera, day, flash, replace(control, longest_s=1.0))
+    assert mixed.exposure_s == pytest.approx((linear_value(110.0) - linear_value(80.0)) / 10.0, rel=1e-2)
+
+
+def test_centre_metering_exposes_the_middle():
+    light = grey_card(20.0)
+    light[80:160, 112:208] *= 5.0  # a tenth of the area
+    greys = {}
+    for metering in ("average", "centre"):
+        chosen = choose_exposure(CAMERA, light, NONE, ExposureControl(metering=metering))
+        full = light.repeat(2, axis=0).repeat(2, axis=1)
+        used = with_exposure(CAMERA, chosen)
+        image = develop(expected_electrons(full, used), used)
+        greys[metering] = image[160:320, 224:416].mean() - 110.0, image.mean() - 110.0
+    assert abs(greys["average"][1]) < 1.0
+    assert abs(greys["centre"][0]) < abs(greys["average"][0])
+
+
+def test_the_camera_s_own_exposure_has_no_effect():
+    light = np.random.default_rng(1).uniform(10, 200, NONE.shape) * FULL_WELL_PER_S
+    first, second = (
+        choose_exposure(replace(CAMERA, exposure_s=exposure_s), light, NONE, ExposureControl())
+        for exposure_s in (1e-5, 1e-1)
+    )
+    assert first == second
+
+
+@pytest.mark.parametrize(
+    ("shape", "reduced"),
+    [((800, 600), (320, 240)), ((1600, 1200), (320, 240)), ((64, 48), (64, 48)), ((2000, 2), (2000, 2))],
+)
+def test_metering_camera_has_the_field_of_view_of_the_camera(shape, reduced):
+    camera = replace(CAMERA, sensor=replace(SENSOR, columns=shape[0], rows=shape[1]))
+    if shape[0] == 2000:
+        camera = replace(camera, lens=replace(LENS, focal_length_m=2.0 * LENS.focal_length_m))
+    small = metering_camera(camera)
+    assert (small.width, small.height) == reduced
+    corners = camera.ray_slopes()[[0, 0, -1, -1], [0, -1, 0, -1]]
+    assert small.ray_slopes()[[0, 0, -1, -1], [0, -1, 0, -1]] == pytest.approx(corners, abs=1e-9)
+    assert metering_camera(camera).sensor is small.sensor
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("target_grey", 0.0),
+        ("target_grey", 256.0),
+        ("target_grey", float("nan")),
+        ("shortest_s", 0.0),
+        ("longest_s", 1e-6),
+        ("longest_s", float("inf")),
+        ("most_gain", 0.5),
+        ("metering", "spot"),
+    ],
+)
+def test_control_with_a_wrong_value_is_rejected(key, value):
+    with pytest.raises(InputError, match=f"exposure_control: {key} = "):
+        ExposureControl(**{key: value})
+
+
+def test_light_that_does_not_fit_the_camera_is_rejected():
+    with pytest.raises(ValueError, match="one shape"):
+        choose_exposure(CAMERA, NONE, NONE[:4], ExposureControl())
+    with pytest.raises(ValueError, match="needs a camera with a flash"):
+        choose_exposure(CAMERA, NONE, NONE + 1.0, ExposureControl())

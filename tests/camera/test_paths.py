@@ -1,0 +1,321 @@
+"""Paths of a moving camera against closed forms and numerical derivatives of their own poses."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from pepperscene.camera import (
+    Trajectory,
+    arc_path,
+    grid_poses,
+    look_at,
+    protocol_poses,
+    spline_trajectory,
+    trajectory_from_poses,
+)
+
+RADIUS = 0.6
+POINTS = np.array([[0, -1.5, 1.0], [0.4, -1.3, 1.1], [0.9, -1.45, 1.3], [1.0, -1.2, 1.7], [1.8, -1.6, 1.2]])
+SPEED = 0.35
+HAIRPIN = np.array([[0, 0, 1], [1, 0, 1], [1.05, 0.02, 1], [1, 0.04, 1], [0, 0.05, 1]])
+
+
+def circle(count=64, turns=1.0):
+    angle = np.linspace(0, 2 * np.pi * turns, count + 1)
+    points = np.stack([RADIUS * np.sin(angle), -RADIUS * np.cos(angle), np.full_like(angle, 1.2)], axis=-1)
+    points[-1] = points[0] if turns == 1 else points[-1]
+    return points
+
+
+def numerical_angular_velocity(rotation_before, rotation_after, interval_s):
+    """World axes; the mean over the interval."""
+    turn = Rotation.from_matrix(rotation_after @ np.swapaxes(rotation_before, -1, -2))
+    return turn.as_rotvec() / interval_s
+
+
+def test_circle_around_a_plant_has_its_radius_speed_curvature_and_angular_velocity():
+    path = spline_trajectory(circle(), SPEED, count=101, look_at_m=(0, 0, 1.2))
+    position = path.poses[:, :3, 3]
+    radius = np.linalg.norm(position[:, :2], axis=1)
+    np.testing.assert_allclose(radius, RADIUS, rtol=1e-6)
+    np.testing.assert_allclose(path.times_s[-1], 2 * np.pi * RADIUS / SPEED, rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(path.velocity_m_s, axis=1), SPEED, rtol=1e-12)
+    # The velocity is along the tangent, and turns with the curvature 1 / radius.
+    tangent = np.stack([-position[:, 1], position[:, 0], 0 * radius], axis=-1) / RADIUS
+    np.testing.assert_allclose(path.velocity_m_s, SPEED * tangent, atol=1e-5 * SPEED)
+    turned = np.linalg.norm(np.diff(path.velocity_m_s, axis=0), axis=1) / SPEED
+    step = SPEED * np.diff(path.times_s)
+    np.testing.assert_allclose(2 * np.arcsin(turned / 2) / step, 1 / RADIUS, rtol=1e-3)
+    # Facing the axis, the camera turns counter-clockwise as it moves to +x in front of the plant.
+    expected = np.tile([0, 0, SPEED / RADIUS], (101, 1))
+    np.testing.assert_allclose(path.angular_velocity_rad_s, expected, atol=1e-5)
+
+
+def test_closed_circle_is_smooth_where_it_closes():
+    path = spline_trajectory(circle(), SPEED, count=50, look_at_m=(0, 0, 1.2))
+    np.testing.assert_allclose(path.poses[-1], path.poses[0], atol=1e-12)
+    np.testing.assert_allclose(path.velocity_m_s[-1], path.velocity_m_s[0], atol=1e-12)
+
+
+def test_straight_line_is_even_and_does_not_turn():
+    path = spline_trajectory([(0, -2, 1), (3, -2, 1)], 0.5, frame_interval_s=0.25, azimuth_rad=0.0)
+    assert len(path) == 25
+    np.testing.assert_allclose(path.times_s, np.arange(25) * 0.25)
+    np.testing.assert_allclose(path.poses[:, 0, 3], np.arange(25) * 0.125, atol=1e-12)
+    np.testing.assert_allclose(path.velocity_m_s, np.tile([0.5, 0, 0], (25, 1)), atol=1e-12)
+    np.testing.assert_array_equal(path.angular_velocity_rad_s, 0)
+    np.testing.assert_allclose(path.poses[:, :3, 2], np.tile([0, 1, 0], (25, 1)), atol=1e-15)
+
+
+@pytest.mark.parametrize("points", [POINTS, HAIRPIN], ids=["smooth", "hairpin"])
+def test_arc_length_agrees_with_adaptive_integration(points):
+    knots = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    spline = CubicSpline(knots, points, bc_type="natural")
+    length = sum(
+        quad(lambda u: np.linalg.norm(spline(u, 1)), *ends, epsabs=1e-12, limit=500)[0]
+        for ends in itertools.pairwise(np.linspace(0, knots[-1], 101))
+    )
+    path = spline_trajectory(points, SPEED, count=2, azimuth_rad=0.0)
+    np.testing.assert_allclose(path.times_s[-1] * SPEED, length, rtol=1e-6)
+
+
+def test_hairpin_bend_is_travelled_at_constant_speed():
+    path = spline_trajectory(HAIRPIN, 1.0, count=4001, azimuth_rad=0.0)
+    chords = np.linalg.norm(np.diff(path.poses[:, :3, 3], axis=0), axis=1)
+    assert np.all(chords <= path.times_s[1] * (1 + 1e-9))  # in a bend, a chord is shorter than its arc
+    np.testing.assert_allclose(np.median(chords), path.times_s[1], rtol=1e-6)
+
+
+def test_curve_through_uneven_points_does_not_swing_out():
+    corner = np.array([[0, 0, 1], [2, 0, 1], [2.1, 0, 1], [2.1, 0.1, 1], [2.1, 2, 1.0]])
+    for points in (HAIRPIN, corner):
+        position = spline_trajectory(points, 1.0, count=1000, azimuth_rad=0.0).poses[:, :3, 3]
+        assert np.all((position > points.min(axis=0) - 0.1) & (position < points.max(axis=0) + 0.1))
+
+
+def test_curve_hits_all_points():
+    path = spline_trajectory(POINTS, SPEED, count=5001, azimuth_rad=0.0)
+    step = SPEED * path.times_s[1]
+    nearest = np.linalg.norm(path.poses[:, None, :3, 3] - POINTS, axis=-1).min(axis=0)
+    assert nearest.max() <= step / 2 + 1e-9
+    np.testing.assert_allclose(path.poses[[0, -1], :3, 3], POINTS[[0, -1]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "view",
+    [
+        {"look_at_m": (0.9, 0.1, 1.0)},
+        {"azimuth_rad": [0.0, 0.3, -0.2, 1.0, 2.0], "pitch_rad": [0.1, 0.5, 0.2, -0.6, 0.0]},
+        {"azimuth_rad": 0.4, "pitch_rad": [0.1, 0.5, 0.2, -0.6, 0.0]},
+    ],
+    ids=["look_at", "per_point", "pitch_per_point"],
+)
+def test_velocities_are_the_derivatives_of_the_poses(view):
+    path = spline_trajectory(POINTS, SPEED, count=5001, **view)
+    interval = path.times_s[2] - path.times_s[0]
+    velocity = (path.poses[2:, :3, 3] - path.poses[:-2, :3, 3]) / interval
+    np.testing.assert_allclose(path.velocity_m_s[1:-1], velocity, atol=5e-5)
+    rotation = path.poses[:, :3, :3]
+    turn = numerical_angular_velocity(rotation[:-2], rotation[2:], interval)
+    # Second derivatives of the angles jump at the points.
+    np.testing.assert_allclose(path.angular_velocity_rad_s[1:-1], turn, atol=1e-2)
+    assert np.median(np.abs(path.angular_velocity_rad_s[1:-1] - turn)) < 1e-5
+
+
+def test_direction_at_the_points_is_as_given_and_an_azimuth_is_not_wrapped():
+    azimuth = np.radians([350.0, 370.0])
+    path = spline_trajectory(
+        [(0, -1, 1), (1, -1, 1)], 1.0, count=3, azimuth_rad=azimuth, pitch_rad=[0.2, 0.4]
+    )
+    forward = path.poses[:, :3, 2]
+    np.testing.assert_allclose(np.arcsin(forward[:, 2]), [0.2, 0.3, 0.4], atol=1e-12)
+    heading = np.degrees(np.arctan2(-forward[:, 0], forward[:, 1]))
+    np.testing.assert_allclose(heading, [-10, 0, 10], atol=1e-9)
+
+
+def test_direction_agrees_with_the_arc_around_a_plant():
+    azimuth = np.array([-0.7, 0.0, 0.5])
+    arc = grid_poses(0.0, 0.5, 1.4, azimuth, 0.3)
+    path = spline_trajectory(arc[:, :3, 3], 1.0, count=2, azimuth_rad=azimuth, pitch_rad=0.3)
+    np.testing.assert_allclose(path.poses, arc[[0, 2]], atol=1e-12)
+
+
+def test_centre_moves_points_and_target():
+    moved = spline_trajectory(POINTS, SPEED, count=5, look_at_m=(1, 0, 1), centre=(0.3, -0.2))
+    still = spline_trajectory(POINTS, SPEED, count=5, look_at_m=(1, 0, 1))
+    np.testing.assert_allclose(
+        moved.poses[:, :3, 3] - still.poses[:, :3, 3], [(0.3, -0.2, 0)] * 5, atol=1e-12
+    )
+    np.testing.assert_allclose(moved.poses[:, :3, :3], still.poses[:, :3, :3], atol=1e-12)
+
+
+def test_interval_that_divides_the_duration_includes_the_end():
+    line = [(0, 0, 1), (0.3, 0, 1)]
+    assert len(spline_trajectory(line, 0.1, frame_interval_s=0.1, azimuth_rad=0.0)) == 31
+    assert len(spline_trajectory(line, 0.1, frame_interval_s=0.11, azimuth_rad=0.0)) == 28
+    assert len(spline_trajectory(line, 0.1, frame_interval_s=100.0, azimuth_rad=0.0)) == 1
+    assert len(spline_trajectory(line, 0.1, count=1, azimuth_rad=0.0)) == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"points_m": POINTS[:1]}, "at least two"),
+        ({"points_m": [[0, 0, np.nan], [1, 0, 0]]}, "finite"),
+        ({"points_m": [[0, 0, 1], [1, 0, 1], [1, 0, 1]]}, "points 2 and 3 are equal"),
+        ({"points_m": [[0, 0, 1], [1, 0, 1], [0, 0, 1]]}, "turns back on itself"),
+        ({"points_m": [[0, 0, 1], [1, 0, 1], [0.2, 0, 1], [3, 0, 1]]}, "turns back on itself"),
+        ({"speed_m_s": 0.0}, "speed must be positive"),
+        ({"speed_m_s": np.nan}, "speed must be positive"),
+        ({"count": None}, "either a number of poses or an interval"),
+        ({"frame_interval_s": 1.0}, "either a number of poses or an interval"),
+        ({"count": 0}, "1 to 100,000 poses, not 0"),
+        ({"count": 100_001}, "1 to 100,000 poses, not 100,001"),
+        ({"count": None, "frame_interval_s": 1e-12}, "1 to 100,000 poses"),
+        ({"azimuth_rad": None}, "needs a point to look at, or an azimuth"),
+        ({"look_at_m": (0, 0, 1)}, "not both"),
+        ({"azimuth_rad": [0.0, 1.0]}, "one for each point"),
+        ({"azimuth_rad": np.inf}, "finite"),
+        ({"pitch_rad": np.pi / 2}, "other than upwards or downwards"),
+        ({"azimuth_rad": None, "look_at_m": POINTS[0] + [0, 0, 1]}, "other than upwards or downwards"),
+    ],
+)
+def test_arguments_that_are_not_allowed(changes, message):
+    arguments = {"points_m": POINTS, "speed_m_s": SPEED, "count": 10, "azimuth_rad": 0.0, **changes}
+    with pytest.raises(ValueError, match=message):
+        spline_trajectory(**arguments)
+
+
+@given(st.lists(st.tuples(*3 * [st.floats(-3, 3)]), min_size=2, max_size=8))
+@settings(max_examples=60, deadline=None)
+def test_any_points_give_a_constant_speed_or_one_sentence(points):
+    try:
+        path = spline_trajectory(points, SPEED, count=60, azimuth_rad=0.0)
+    except ValueError as error:
+        assert any(text in str(error) for text in ("are equal", "turns back"))  # noqa: PT017
+        return
+    np.testing.assert_allclose(np.linalg.norm(path.velocity_m_s, axis=1), SPEED, rtol=1e-9)
+    steps = np.linalg.norm(np.diff(path.poses[:, :3, 3], axis=0), axis=1)
+    assert np.all(steps <= SPEED * path.times_s[1] * (1 + 1e-6))  # a chord is shorter than its arc
+
+
+def helix(times, rate=0.8):
+    """Poses on a helix around z that face its axis, and their exact velocities."""
+    angle = rate * times
+    poses = grid_poses(0.0, RADIUS, 1.0, angle, 0.3)
+    poses[:, 2, 3] += 0.1 * times
+    velocity = np.stack([RADIUS * rate * np.cos(angle), RADIUS * rate * np.sin(angle), 0.1 + 0 * times], -1)
+    return poses, velocity, np.tile([0, 0, rate], (len(times), 1))
+
+
+def test_timed_poses_of_a_helix_give_its_velocities():
+    times = 100 + np.cumsum(np.random.default_rng(1).uniform(0.005, 0.015, 400))
+    poses, velocity, turn = helix(times)
+    path = trajectory_from_poses(poses, times)
+    np.testing.assert_allclose(path.velocity_m_s, velocity, atol=1e-4)
+    np.testing.assert_allclose(path.angular_velocity_rad_s, turn, atol=1e-9)
+    np.testing.assert_array_equal(path.poses, poses)
+
+
+def test_constant_acceleration_is_exact_and_two_poses_move_evenly():
+    times = np.array([0.0, 0.1, 0.4, 0.5])
+    poses = np.tile(look_at((0, -1, 1), (0, 0, 1)), (4, 1, 1))
+    poses[:, 0, 3] = 0.2 * times + 3 * times**2
+    path = trajectory_from_poses(poses, times)
+    np.testing.assert_allclose(path.velocity_m_s[:, 0], 0.2 + 6 * times, atol=1e-12)
+    np.testing.assert_allclose(path.angular_velocity_rad_s, 0, atol=1e-12)
+    pair = trajectory_from_poses(poses[:2], times[:2])
+    np.testing.assert_allclose(pair.velocity_m_s[:, 0], 0.5, atol=1e-12)
+
+
+def test_angular_velocity_is_in_world_axes_for_a_camera_with_roll():
+    axis, rate = np.array([2.0, -1.0, 2.0]) / 3, 0.7
+    times = np.linspace(0, 2, 41)
+    start = look_at((0, -1, 1), (0.2, 0.1, 1.4))[:3, :3] @ Rotation.from_rotvec([0, 0, 0.4]).as_matrix()
+    poses = np.tile(np.eye(4), (41, 1, 1))
+    poses[:, :3, :3] = Rotation.from_rotvec(np.outer(times * rate, axis)).as_matrix() @ start
+    path = trajectory_from_poses(poses, times)
+    np.testing.assert_allclose(path.angular_velocity_rad_s, np.tile(rate * axis, (41, 1)), atol=1e-9)
+    np.testing.assert_array_equal(path.velocity_m_s, 0)
+
+
+def test_spline_poses_give_their_velocities_back():
+    path = spline_trajectory(POINTS, SPEED, count=2000, look_at_m=(0.9, 0.1, 1.0))
+    again = trajectory_from_poses(path.poses, path.times_s)
+    np.testing.assert_allclose(again.velocity_m_s, path.velocity_m_s, atol=1e-4)
+    # At the ends the rate is the mean of an interval.
+    np.testing.assert_allclose(again.angular_velocity_rad_s, path.angular_velocity_rad_s, atol=2e-3)
+
+
+def test_single_pose_does_not_move():
+    path = trajectory_from_poses([look_at((0, -1, 1), (0, 0, 1))], [5.0], centre=(1.0, 2.0))
+    np.testing.assert_array_equal(path.velocity_m_s, np.zeros((1, 3)))
+    np.testing.assert_array_equal(path.angular_velocity_rad_s, np.zeros((1, 3)))
+    np.testing.assert_allclose(path.poses[0, :3, 3], [1, 1, 1])
+
+
+def test_timed_poses_that_are_not_allowed():
+    poses, _, _ = helix(np.arange(3.0))
+    for changed, times, message in (
+        (poses, [0.0, 1.0], "as many poses"),
+        (poses[:0], [], "at least one"),
+        (poses, [0.0, 2.0, 2.0], "ascending"),
+        (poses, [0.0, np.nan, 2.0], "ascending"),
+        (2 * poses, [0.0, 1.0, 2.0], "pose 0 must be a rotation"),
+        (poses * [[[1], [1], [-1], [1]]], [0.0, 1.0, 2.0], "without scale or reflection"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            trajectory_from_poses(changed, times)
+
+
+def test_trajectory_is_read_only_and_checks_its_shapes():
+    path = spline_trajectory(POINTS, SPEED, count=4, azimuth_rad=0.0)
+    with pytest.raises(ValueError, match="read-only"):
+        path.velocity_m_s[0] = 0
+    with pytest.raises(ValueError, match="velocity_m_s must be finite"):
+        Trajectory(path.poses, path.times_s, path.velocity_m_s[:2], path.angular_velocity_rad_s)
+
+
+def test_grid_is_the_product_of_its_lists_with_the_last_fastest():
+    lists = ([0.0, 0.5], [0.4, 0.6], [1.0, 1.5, 2.0], [-0.5, 0.5], [0.0, 0.2])
+    poses = grid_poses(*lists, centre=(0.2, 0.1))
+    assert poses.shape == (48, 4, 4)
+    for pose, (x, distance, height, azimuth, pitch) in zip(poses, itertools.product(*lists), strict=True):
+        expected = arc_path(1, distance, (azimuth, azimuth), (height, height), pitch, centre=(0.2 + x, 0.1))
+        np.testing.assert_allclose(pose, expected[0], atol=1e-15)
+
+
+def test_protocol_of_five_distances_and_three_angles():
+    # The robot of Barth et al. 2018: five distances and three angles; these numbers are examples.
+    distances, azimuths = [0.2, 0.3, 0.4, 0.5, 0.6], np.radians([-45, 0, 45])
+    poses = protocol_poses(distances, azimuths, 1.5, np.radians(20), centre=(0.3, 0.05))
+    assert poses.shape == (15, 4, 4)
+    to_axis = np.array([0.3, 0.05]) - poses[:, :2, 3]
+    np.testing.assert_allclose(np.linalg.norm(to_axis, axis=1), np.repeat(distances, 3), atol=1e-12)
+    np.testing.assert_allclose(np.arctan2(-to_axis[:, 0], to_axis[:, 1]), np.tile(azimuths, 5), atol=1e-12)
+    np.testing.assert_array_equal(poses[:, 2, 3], 1.5)
+    np.testing.assert_allclose(np.arcsin(poses[:, 2, 2]), np.radians(20), atol=1e-12)
+    cross = to_axis[:, 0] * poses[:, 1, 2] - to_axis[:, 1] * poses[:, 0, 2]
+    np.testing.assert_allclose(cross, 0, atol=1e-12)  # facing the axis
+
+
+def test_grids_that_are_not_allowed():
+    for changes, message in (
+        ({"distance_m": [0.4, 0.0]}, "positive"),
+        ({"height_m": []}, "at least one number"),
+        ({"height_m": [[1.0]]}, "at least one number"),
+        ({"azimuth_rad": np.nan}, "finite"),
+        ({"pitch_rad": -np.pi / 2}, "upwards or downwards"),
+        ({"x_m": np.zeros(400), "height_m": np.ones(400)}, "160,000 poses is too large"),
+    ):
+        arguments = {"x_m": 0, "distance_m": 0.4, "height_m": 1, "azimuth_rad": 0, "pitch_rad": 0, **changes}
+        with pytest.raises(ValueError, match=message):
+            grid_poses(**arguments)

@@ -1,0 +1,530 @@
+"""Files of camera poses against SciPy, COLMAP's own reader, and nerfstudio's conversion written out."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import astuple, dataclass, replace
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from pepperscene.camera import (
+    Camera,
+    Distortion,
+    PoseList,
+    arc_path,
+    load_lens,
+    load_sensor,
+    look_at,
+    read_poses,
+    write_poses,
+)
+from pepperscene.errors import ArgumentError, InputError, OutputError
+
+FORMATS = {"tum": "poses.txt", "csv": "poses.csv", "nerfstudio": "transforms.json", "colmap": "model"}
+BARREL = replace(
+    load_lens("lensagon_cmfa0420nd"), distortion=Distortion(-0.107, 0.043, 0.001, -0.0005, 0.012)
+)
+SENSOR = load_sensor("ueye_ui5250re")
+
+
+def random_poses(count=40, seed=3):
+    generator = np.random.default_rng(seed)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, :3, :3] = Rotation.random(count, rng=generator).as_matrix()
+    poses[:, :3, 3] = generator.normal(0, 2, (count, 3))
+    times = 1.6e9 + np.cumsum(generator.uniform(0.01, 0.1, count))
+    return PoseList(poses, times, tuple(f"images/{number:04d}.png" for number in range(count)))
+
+
+def angles_between(a, b):
+    """Of rotations, in radians; exact for small ones, unlike an arc cosine."""
+    return Rotation.from_matrix(np.swapaxes(a[:, :3, :3], 1, 2) @ b[:, :3, :3]).magnitude()
+
+
+def written(path, text):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_every_format_gives_the_same_poses_back(format, tmp_path):
+    poses = random_poses()
+    write_poses(tmp_path / FORMATS[format], poses, format)
+    again = read_poses(tmp_path / FORMATS[format])
+    assert np.abs(again.poses[:, :3, 3] - poses.poses[:, :3, 3]).max() <= 1e-9
+    assert angles_between(again.poses, poses.poses).max() <= 1e-9
+    if format in ("tum", "csv"):
+        np.testing.assert_array_equal(again.times_s, poses.times_s)
+    else:
+        assert again.times_s is None
+    assert again.names == (None if format == "tum" else poses.names)
+    assert [path.name for path in tmp_path.rglob("*.tmp")] == []
+
+
+@pytest.mark.parametrize("format", ["csv", "nerfstudio", "colmap"])
+def test_poses_without_names_and_times_keep_their_order(format, tmp_path):
+    poses = PoseList(arc_path(12, 0.4, (-0.8, 0.8), (1.0, 2.0), 0.3))
+    write_poses(tmp_path / FORMATS[format], poses, format)
+    np.testing.assert_allclose(read_poses(tmp_path / FORMATS[format]).poses, poses.poses, atol=1e-12)
+
+
+@given(
+    quaternion=st.tuples(*4 * [st.floats(-1, 1)]).filter(lambda q: np.linalg.norm(q) > 0.1),
+    position=st.tuples(*3 * [st.floats(-1e3, 1e3)]),
+    format=st.sampled_from(list(FORMATS)),
+)
+@settings(max_examples=80, deadline=None)
+def test_any_pose_is_kept(quaternion, position, format, tmp_path_factory):
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = Rotation.from_quat(quaternion).as_matrix(), position
+    file = tmp_path_factory.mktemp("poses") / FORMATS[format]
+    write_poses(file, PoseList(pose[None], [1.5]), format)
+    again = read_poses(file).poses
+    assert np.abs(again[0, :3, 3] - position).max() <= 1e-9
+    assert angles_between(again, pose[None]).max() <= 1e-9
+
+
+# --- TUM -------------------------------------------------------------------------------------------------
+
+
+def test_tum_lines_are_camera_to_world_with_the_real_part_last(tmp_path):
+    half = np.sqrt(0.5)
+    text = (
+        f"# ground truth\n# timestamp tx ty tz qx qy qz qw\n\n1305031098.5 1 2 3 {-half} 0 0 {half} # note\n"
+    )
+    poses = read_poses(written(tmp_path / "groundtruth.txt", text))
+    # A turn by -90 degrees about x: forward along +y, level, into the crop.
+    np.testing.assert_allclose(poses.poses[0], look_at((1, 2, 3), (1, 3, 3)), atol=1e-12)
+    assert poses.times_s.tolist() == [1305031098.5]
+
+
+def test_rounded_quaternions_are_normalised_and_others_are_refused(tmp_path):
+    poses = read_poses(written(tmp_path / "a.txt", "0 0 0 0 0.7068 0 0 0.7068\n"))
+    np.testing.assert_allclose(np.linalg.det(poses.poses[0, :3, :3]), 1, atol=1e-12)
+    with pytest.raises(
+        InputError, match=r"b.txt: line 2 = .*: must be a quaternion of length 1 within 0.001"
+    ):
+        read_poses(written(tmp_path / "b.txt", "0 0 0 0 0 0 0 1\n1 0 0 0 0.71 0 0 0.71\n"))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "contains no poses"),
+        ("# only a comment\n", "contains no poses"),
+        ("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 1\n", "line 2: must have 8 numbers"),
+        ("0 0 0 0 0 0 0 1 5\n", "line 1: must have 8 numbers, .*, not 9"),
+        ("0 0 nan 0 0 0 0 1\n", "line 1, ty = 'nan': must be a finite number"),
+        ("0 0 1e999 0 0 0 0 1\n", "line 1, ty = '1e999': must be a finite number"),
+        ("0 0 1_0 0 0 0 0 1\n", "line 1, ty = '1_0': must be a finite number"),
+        ("0 0 0 0 0 0 0 0\n", "line 1 = .*must be a quaternion"),
+        ("1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "line 2, time = 1.0: must be after the time before it, 1.0"),
+        ("0 -2e6 0 0 0 0 0 1\n", "line 1: must have a position within 1,000,000 m of the origin"),
+        ("2 0 0 0 0 0 0 1\n\n1 0 0 0 0 0 0 1\n", "line 3, time = 1.0: must be after"),
+        ("hello world\n", "is no file of camera poses; allowed are"),
+    ],
+)
+def test_tum_files_that_are_not_allowed(text, message, tmp_path):
+    with pytest.raises(InputError, match=f"poses.txt: {message}"):
+        read_poses(written(tmp_path / "poses.txt", text))
+
+
+def test_more_than_100_000_poses_are_refused(tmp_path):
+    text = "\n".join(f"{time} 0 0 0 0 0 0 1" for time in range(100_001))
+    with pytest.raises(InputError, match="contains more than 100,000 poses"):
+        read_poses(written(tmp_path / "poses.txt", text))
+
+
+# --- CSV -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [("x_m,y_m,z_m", "0.1,-0.4,1.5"), ("x_mm,y_mm,z_mm", "100,-400,1500"), ("x,y,z", "0.1, -0.4, 1.5")],
+)
+def test_csv_units_and_targets(header, row, tmp_path):
+    text = f"name,{header},target_x_m,target_y_m,target_z_m\nfirst, {row},0.2,0.1,1.2\n"
+    poses = read_poses(written(tmp_path / "poses.csv", text))
+    np.testing.assert_allclose(poses.poses[0], look_at((0.1, -0.4, 1.5), (0.2, 0.1, 1.2)), atol=1e-12)
+    assert poses.names == ("first",)
+
+
+def test_csv_angles_agree_with_the_camera_path(tmp_path):
+    # Yaw is the azimuth of a camera that faces the plant, pitch its elevation.
+    arc = arc_path(1, 0.4, (0.5, 0.5), (1.2, 1.2), 0.3)[0]
+    x, y, z = arc[:3, 3]
+    text = f"x_m,y_m,z_m,yaw_deg,pitch_deg\n{x},{y},{z},{np.degrees(0.5)!r},{np.degrees(0.3)!r}\n"
+    poses = read_poses(written(tmp_path / "poses.csv", text.replace("np.float64(", "").replace(")", "")))
+    np.testing.assert_allclose(poses.poses[0], arc, atol=1e-12)
+
+
+def test_csv_roll_turns_the_camera_clockwise_as_seen_from_behind(tmp_path):
+    text = "x,y,z,yaw_deg,pitch_deg,roll_deg\n0,0,1,0,0,90\n0,0,1,0,0,30\n"
+    quarter, twelfth = read_poses(written(tmp_path / "poses.csv", text)).poses
+    # After a quarter turn clockwise, the camera's right side is down and it still looks along +y.
+    np.testing.assert_allclose(quarter[:3, 0], [0, 0, -1], atol=1e-12)
+    np.testing.assert_allclose(quarter[:3, 2], [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(twelfth[:3, 0], [np.cos(np.pi / 6), 0, -np.sin(np.pi / 6)], atol=1e-12)
+
+
+def test_csv_angles_agree_with_scipys_euler_angles(tmp_path):
+    angles = np.random.default_rng(5).uniform(-180, 180, (30, 3))
+    rows = "\n".join(f"0,0,1,{','.join(map(repr, row))}" for row in angles.tolist())
+    poses = read_poses(written(tmp_path / "poses.csv", f"x,y,z,yaw_deg,pitch_deg,roll_deg\n{rows}\n"))
+    # The level camera is the world turned by -90 degrees about x; roll is about its own z axis.
+    level = Rotation.from_euler("x", -90, degrees=True)
+    yaw, pitch, roll = (Rotation.from_euler(axis, angles[:, [i]], True) for i, axis in enumerate("zxz"))
+    np.testing.assert_allclose(poses.poses[:, :3, :3], (yaw * pitch * level * roll).as_matrix(), atol=1e-12)
+
+
+def test_csv_from_a_spreadsheet_is_read(tmp_path):
+    header = '\ufefft_s,"x_m",y_m,z_m,qx,qy,qz,qw\r\n\r\n'
+    text = header + '# start\r\n0.5,"1",2,3,0,0,0,1\r\n,,,,,,,\r\n1.5,1,2,3,0,0,0,1\r\n'
+    file = tmp_path / "poses.csv"
+    file.write_bytes(text.encode())
+    poses = read_poses(file)
+    assert poses.times_s.tolist() == [0.5, 1.5]
+    np.testing.assert_array_equal(poses.poses[:, :3, 3], [[1, 2, 3]] * 2)
+
+
+QUATERNIONS = "x,y,z,qx,qy,qz,qw"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "contains no poses"),
+        (f"{QUATERNIONS}\n", "contains no poses"),
+        ("x,y,z\n0,0,0\n", "header: has no kind of orientation; allowed are"),
+        (f"{QUATERNIONS},yaw_deg\n0,0,0,0,0,0,1,0\n", "header: has more than one kind of orientation"),
+        ("x,y,z,yaw_deg\n0,0,0,0\n", "header: lacks the column pitch_deg"),
+        ("x,y,z,qx,qy,qz\n0,0,0,0,0,0\n", "header: lacks the column qw"),
+        ("x_m,y_m,z_mm,qx,qy,qz,qw\n0,0,0,0,0,0,1\n", "header: must have x, y and z in one unit"),
+        ("x,y,z,target_x_m,target_y_m\n0,0,0,0,0\n", "header: must have target_x, target_y and target_z"),
+        (f"{QUATERNIONS},speed\n0,0,0,0,0,0,1,2\n", "header = 'speed': has an unknown column"),
+        ("x,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n", "header = 'x': must name each column once"),
+        (f"{QUATERNIONS}\n0,0,0,0,0,1\n", "line 2: must have 7 values, as many as the header, not 6"),
+        (f"{QUATERNIONS}\n0,0,,0,0,0,1\n", "line 2, z = '': must be a finite number"),
+        (f"{QUATERNIONS}\n0,0,inf,0,0,0,1\n", "line 2, z = 'inf': must be a finite number"),
+        (f"t_s,{QUATERNIONS}\n1,0,0,0,0,0,0,1\n1,0,0,0,0,0,0,1\n", "line 3, time = 1.0: must be after"),
+        (f"name,{QUATERNIONS}\n ,0,0,0,0,0,0,1\n", "line 2, name = '': must be a name"),
+        (
+            "x,y,z,target_x,target_y,target_z\n0,0,0,0,0,1\n",
+            "line 2: has a target that is not allowed: .*direction",
+        ),
+        ("0,0,0,0,0,0,0,1\n", "header = '0': must name each column once"),
+    ],
+)
+def test_csv_files_that_are_not_allowed(text, message, tmp_path):
+    with pytest.raises(InputError, match=f"poses.csv: {message}"):
+        read_poses(written(tmp_path / "poses.csv", text))
+
+
+# --- nerfstudio ------------------------------------------------------------------------------------------
+
+
+def test_nerfstudio_camera_axes_are_right_up_and_backwards(tmp_path):
+    # The documentation's columns: +X, +Y and +Z of a camera that looks along its -Z, then its position.
+    matrix = [[1, 0, 0, 0.5], [0, 0, -1, -2], [0, 1, 0, 1.5], [0, 0, 0, 1]]
+    content = {"fl_x": 500, "frames": [{"file_path": "images/b.png", "transform_matrix": matrix}]}
+    poses = read_poses(written(tmp_path / "transforms.json", json.dumps(content)))
+    np.testing.assert_allclose(poses.poses[0], look_at((0.5, -2, 1.5), (0.5, 0, 1.5)), atol=1e-12)
+    assert poses.names == ("images/b.png",)
+
+
+def test_nerfstudio_frames_keep_the_order_of_the_file(tmp_path):
+    poses = random_poses(5)
+    write_poses(tmp_path / "transforms.json", replace(poses, names=("c", "a", "e", "b", "d")), "nerfstudio")
+    again = read_poses(tmp_path)
+    assert again.names == ("c", "a", "e", "b", "d")
+    np.testing.assert_allclose(again.poses, poses.poses, atol=1e-12)
+
+
+def test_nerfstudios_conversion_of_a_colmap_model_is_undone(tmp_path):
+    poses = random_poses(8)
+    # As `colmap_to_json` of nerfstudio: turn the camera's axes, then the world by rows.
+    matrices = poses.poses.copy()
+    matrices[:, :3, 1:3] *= -1
+    matrices = matrices[:, [0, 2, 1, 3], :]
+    matrices[:, 2] *= -1
+    applied = np.eye(4)[[0, 2, 1], :]
+    applied[2] *= -1
+    content = {
+        "applied_transform": applied.tolist(),
+        "frames": [{"transform_matrix": matrix.tolist()} for matrix in matrices],
+    }
+    again = read_poses(written(tmp_path / "a.json", json.dumps(content)))
+    np.testing.assert_allclose(again.poses, poses.poses, atol=1e-12)
+    assert again.names is None
+
+
+def test_nerfstudio_scale_and_a_moved_world_are_undone(tmp_path):
+    poses = random_poses(8)
+    applied = np.eye(4)
+    applied[:3, :3], applied[:3, 3] = Rotation.from_rotvec([0.3, -0.2, 1.0]).as_matrix(), [1, -2, 0.5]
+    matrices = applied @ poses.poses
+    matrices[:, :3, 3] *= 0.25
+    matrices[:, :3, 1:3] *= -1
+    content = {
+        "applied_transform": applied[:3].tolist(),
+        "applied_scale": 0.25,
+        "frames": [{"transform_matrix": matrix[:3].tolist()} for matrix in matrices],
+    }
+    again = read_poses(written(tmp_path / "a.json", json.dumps(content)))
+    np.testing.assert_allclose(again.poses, poses.poses, atol=1e-12)
+
+
+def test_nerfstudio_intrinsics_are_those_of_the_camera(tmp_path):
+    camera = Camera(BARREL, SENSOR)
+    write_poses(tmp_path / "transforms.json", random_poses(2), "nerfstudio", camera)
+    content = json.loads((tmp_path / "transforms.json").read_text(encoding="utf-8"))
+    # Nerfstudio's rays go through (column + 0.5, row + 0.5): its principal point is ours.
+    matrix = camera.intrinsics
+    assert [content[key] for key in ("fl_x", "fl_y", "cx", "cy")] == matrix[
+        [0, 1, 0, 1], [0, 1, 2, 2]
+    ].tolist()
+    assert [content[key] for key in ("w", "h", "camera_model")] == [camera.width, camera.height, "OPENCV"]
+    expected = {"k1": -0.107, "k2": 0.043, "p1": 0.001, "p2": -0.0005, "k3": 0.012}
+    assert {key: content[key] for key in expected} == expected
+
+
+UNIT = np.eye(4).tolist()
+
+
+def identity_frame(**changes):
+    return {"frames": [{"file_path": "a", "transform_matrix": UNIT, **changes}]}
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "is not valid JSON"),
+        ("[]", "frames: must be a list"),
+        ({"frames": 3}, "frames: must be a list"),
+        ({"frames": []}, "contains no poses"),
+        ({"frames": [{}]}, r"frames\[0\].transform_matrix: must have 4 rows of 4 numbers"),
+        (identity_frame(transform_matrix=np.eye(3).tolist()), "must have 4 rows of 4 numbers"),
+        (identity_frame(transform_matrix=np.ones((4, 4)).tolist()), "must have 4 rows"),
+        (
+            identity_frame(transform_matrix=np.diag([1, 1, 2, 1]).tolist()),
+            r"frames\[0\].transform_matrix: must contain a rotation, without scale or reflection",
+        ),
+        (identity_frame(transform_matrix=np.diag([1, 1, -1, 1]).tolist()), "must contain a rotation"),
+        (identity_frame(transform_matrix=[[float("nan")] * 4] * 4), "= nan: must be a finite number"),
+        (identity_frame(transform_matrix=[["1", None, True, 0]] * 4), "must be a finite number"),
+        (identity_frame(file_path=3), r"frames\[0\].file_path = 3: must be a name"),
+        ({**identity_frame(), "applied_scale": 0}, "applied_scale = 0.0: must be positive"),
+        ({**identity_frame(), "applied_transform": (2 * np.eye(4))[:3].tolist()}, "must contain a rotation"),
+        ({**identity_frame(), "applied_transform": 1}, "applied_transform: must have 4 rows"),
+        (
+            {"applied_scale": 1e-300, **identity_frame(transform_matrix=[[1, 0, 0, 1e300], *UNIT[1:]])},
+            "must have a position within 1,000,000 m",
+        ),
+    ],
+)  # fmt: skip
+def test_nerfstudio_files_that_are_not_allowed(content, message, tmp_path):
+    text = content if isinstance(content, str) else json.dumps(content)
+    with pytest.raises(InputError, match=f"transforms.json: .*{message}"):
+        read_poses(written(tmp_path / "transforms.json", text))
+
+
+# --- COLMAP ----------------------------------------------------------------------------------------------
+
+
+def test_colmap_lines_are_world_to_camera_and_sorted_by_name(tmp_path):
+    pose = look_at((0.5, -2, 1.5), (0.1, 0.3, 1.2))
+    to_camera = np.linalg.inv(pose)
+    x, y, z, w = Rotation.from_matrix(to_camera[:3, :3]).as_quat().tolist()
+    translation = " ".join(map(repr, to_camera[:3, 3].tolist()))
+    text = (
+        "# Image list with two lines of data per image:\n"
+        f"7 {w} {x} {y} {z} {translation} 1 b image.png\n10.5 20.5 -1 30.5 40.5 12\n"
+        "3 1 0 0 0 1 2 3 1 a.png\n\n"
+    )
+    written(tmp_path / "sparse" / "0" / "images.txt", text)
+    for place in (tmp_path, tmp_path / "sparse" / "0", tmp_path / "sparse" / "0" / "images.txt"):
+        poses = read_poses(place)
+        assert poses.names == ("a.png", "b image.png")
+        np.testing.assert_allclose(poses.poses[1], pose, atol=1e-12)
+        np.testing.assert_allclose(poses.poses[0, :3, 3], [-1, -2, -3], atol=1e-12)
+
+
+def test_colmap_is_recognised_by_its_content(tmp_path):
+    poses = read_poses(
+        written(tmp_path / "other.txt", "1 1 0 0 0 0 0 0 1 a.png\n\n2 1 0 0 0 0 0 1 1 b.png\n")
+    )
+    assert poses.names == ("a.png", "b.png")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1 1 0 0 0 0 0 0 1\n\n", "line 1: must have 10 fields, IMAGE_ID .* NAME, not 9"),
+        ("1 1 0 0 0 0 0 x 1 a.png\n\n", "line 1, TZ = 'x': must be a finite number"),
+        ("1 2 0 0 0 0 0 0 1 a.png\n\n", "line 1 = .*: must be a quaternion of length 1"),
+        (2 * "1 1 0 0 0 0 0 0 1 a.png\n\n", "line 3, NAME = 'a.png': must be a name of one image only"),
+        (2 * "1 1 0 0 0 0 0 0 1 a.png\n", "line 2: must be the points X Y POINT3D_ID"),
+        ("# nothing\n", "contains no poses"),
+    ],
+)
+def test_colmap_files_that_are_not_allowed(text, message, tmp_path):
+    with pytest.raises(InputError, match=f"images.txt: {message}"):
+        read_poses(written(tmp_path / "images.txt", text))
+
+
+def test_colmap_itself_reads_the_same_poses_and_projects_to_the_same_pixels(tmp_path):
+    pycolmap = pytest.importorskip("pycolmap")
+    plain = replace(BARREL, distortion=Distortion())
+    four = replace(BARREL, distortion=replace(BARREL.distortion, k3=0.0))
+    poses = PoseList(arc_path(6, 0.5, (-0.6, 0.6), (1.0, 1.5), 0.2))
+    points = np.random.default_rng(2).uniform([-0.1, -0.1, 1.1], [0.1, 0.1, 1.5], (20, 3))
+    for lens, model in ((plain, "PINHOLE"), (four, "OPENCV"), (BARREL, "FULL_OPENCV")):
+        camera = Camera(lens, SENSOR)
+        write_poses(tmp_path / model, poses, "colmap", camera)
+        reconstruction = pycolmap.Reconstruction(tmp_path / model)
+        assert reconstruction.cameras[1].model.name == model
+        images = sorted(reconstruction.images.values(), key=lambda image: image.name)
+        assert [image.name for image in images] == [f"{number:06d}.png" for number in range(6)]
+        for image, pose in zip(images, poses.poses, strict=True):
+            np.testing.assert_allclose(image.projection_center(), pose[:3, 3], atol=1e-12)
+            expected = camera.at_pose(pose).project(points)
+            np.testing.assert_allclose([image.project_point(point) for point in points], expected, atol=1e-9)
+
+
+def test_model_that_colmap_wrote_is_read(tmp_path):
+    pycolmap = pytest.importorskip("pycolmap")
+    poses = PoseList(arc_path(6, 0.5, (-0.6, 0.6), (1.0, 1.5), 0.2))
+    write_poses(tmp_path / "ours", poses, "colmap", Camera(BARREL, SENSOR))
+    (tmp_path / "theirs").mkdir()
+    pycolmap.Reconstruction(tmp_path / "ours").write_text(tmp_path / "theirs")
+    np.testing.assert_allclose(read_poses(tmp_path / "theirs").poses, poses.poses, atol=1e-12)
+    (tmp_path / "binary").mkdir()
+    pycolmap.Reconstruction(tmp_path / "ours").write_binary(tmp_path / "binary")
+    with pytest.raises(InputError, match="has a binary COLMAP model; convert it"):
+        read_poses(tmp_path / "binary")
+
+
+# --- writing and lists -----------------------------------------------------------------------------------
+
+
+def test_what_a_format_cannot_hold_is_refused_before_anything_is_written(tmp_path):
+    poses = random_poses(3)
+    camera = Camera(BARREL, SENSOR)
+    for changed, format, with_camera, message in (
+        (replace(poses, times_s=None), "tum", None, "times_s: must have times"),
+        (poses, "csv", camera, "camera: must be None"),
+        (replace(poses, names=("a", "b", "a")), "colmap", None, "names: must be different"),
+        (poses, "kitti", None, "format: must be one of tum, csv, nerfstudio, colmap"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            write_poses(tmp_path / "out", changed, format, with_camera)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_colmap_model_is_not_overwritten(tmp_path):
+    written(tmp_path / "model" / "points3D.txt", "1 2 3\n")
+    with pytest.raises(OutputError, match="already has a COLMAP model"):
+        write_poses(tmp_path / "model", random_poses(3), "colmap")
+    assert [path.name for path in (tmp_path / "model").iterdir()] == ["points3D.txt"]
+
+
+def test_files_and_folders_that_cannot_be_used(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        read_poses(tmp_path / "missing.csv")
+    with pytest.raises(InputError, match=r"is a folder without one of images.txt"):
+        read_poses(tmp_path)
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_poses(tmp_path / "missing" / "poses.csv", random_poses(2), "csv")
+    binary = tmp_path / "poses.txt"
+    binary.write_bytes(b"\xff\x00\x81")
+    with pytest.raises(InputError, match="UTF-8"):
+        read_poses(binary)
+
+
+def test_pose_list_checks_its_values():
+    pose = np.eye(4)[None]
+    for arguments, message in (
+        ((pose[:0],), "from 1 to 100,000"),
+        ((2 * pose,), "must be a rotation"),
+        ((np.full((1, 4, 4), np.nan),), "must be a rotation"),
+        ((pose, [0.0, 1.0]), "one time"),
+        ((np.tile(pose, (2, 1, 1)), [1.0, 1.0]), "ascending"),
+        ((pose, None, ["a", "b"]), "one name"),
+        ((pose, None, ["a\nb"]), "one name"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            PoseList(*arguments)
+    assert not PoseList(pose).poses.flags.writeable
+
+
+# --- lenses of other models ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Rational:
+    """The coefficients of OpenCV's rational model, by its names."""
+
+    k1: float = 0.3
+    k2: float = -0.1
+    p1: float = 0.002
+    p2: float = -0.001
+    k3: float = 0.02
+    k4: float = 0.35
+    k5: float = -0.05
+    k6: float = 0.03
+
+
+@dataclass(frozen=True)
+class Fisheye:
+    """The coefficients of OpenCV's fisheye model, by its names."""
+
+    k1: float = 0.03
+    k2: float = -0.01
+    k3: float = 0.004
+    k4: float = -0.001
+
+
+def camera_with(distortion):
+    """What the writers use of a camera."""
+    matrix = np.array([[610.0, 0, 321.5], [0, 605.0, 238.0], [0, 0, 1]])
+    return SimpleNamespace(
+        intrinsics=matrix, width=640, height=480, lens=SimpleNamespace(distortion=distortion)
+    )
+
+
+@pytest.mark.parametrize(
+    ("distortion", "model"), [(Rational(), "FULL_OPENCV"), (Fisheye(), "OPENCV_FISHEYE")]
+)
+def test_colmap_projects_with_rational_and_fisheye_lenses_as_opencv(distortion, model, tmp_path):
+    pycolmap = pytest.importorskip("pycolmap")
+    camera = camera_with(distortion)
+    write_poses(tmp_path / "model", random_poses(2), "colmap", camera)
+    theirs = pycolmap.Reconstruction(tmp_path / "model").cameras[1]
+    assert theirs.model.name == model
+    points = np.random.default_rng(4).uniform([-0.4, -0.4, 1], [0.4, 0.4, 1.5], (50, 3))
+    # OpenCV has the centre of the upper left pixel at (0, 0), half a pixel less than here.
+    matrix = camera.intrinsics - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
+    project = cv2.fisheye.projectPoints if isinstance(distortion, Fisheye) else cv2.projectPoints
+    still = np.zeros(3)
+    expected = project(points[:, None], still, still, matrix, np.array(astuple(distortion)))[0][:, 0] + 0.5
+    np.testing.assert_allclose([theirs.img_from_cam(point) for point in points], expected, atol=1e-9)
+
+
+def test_nerfstudio_has_fisheyes_but_no_rational_lens(tmp_path):
+    write_poses(tmp_path / "transforms.json", random_poses(2), "nerfstudio", camera_with(Fisheye()))
+    content = json.loads((tmp_path / "transforms.json").read_text(encoding="utf-8"))
+    assert content["camera_model"] == "OPENCV_FISHEYE"
+    assert [content[f"k{number}"] for number in range(1, 5)] == list(astuple(Fisheye()))
+    assert [content[key] for key in ("fl_x", "fl_y", "cx", "cy")] == [610, 605, 321.5, 238]
+    with pytest.raises(
+        ArgumentError, match=r"camera: lens.distortion: must be k1, k2, p1, p2, k3 or a fisheye's"
+    ):
+        write_poses(tmp_path / "b.json", random_poses(2), "nerfstudio", camera_with(Rational()))
+    assert not (tmp_path / "b.json").exists()

@@ -1,0 +1,94 @@
+"""Errors of cultivar files that extend others name the file that has to be changed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pepperscene.cultivar import load_cultivar
+from pepperscene.errors import InputError
+
+INCOMPLETE_PIGMENTS = """
+[pigments.fruit]
+chosen = "x"
+ior = 1.45
+roughness = [0.1, 0.1]
+start.structure_n = 1.0
+start.chlorophyll_ug_cm2 = 10
+start.carotenoid_ug_cm2 = 4
+start.water_cm = 0.02
+start.dry_matter_g_cm2 = 0.004
+"""
+OWN_FAULTS = {
+    "incomplete pigments": ("red_blocky", INCOMPLETE_PIGMENTS, "pigments.fruit.end"),
+    "pigments of one number": ("red_blocky", "[pigments.fruit]\nior = 1.4", "pigments.fruit.start"),
+    "unknown pigment": (
+        "red_blocky",
+        INCOMPLETE_PIGMENTS
+        + "end = { structure_n = 1.0, chlorophyll_ug_cm2 = 10, carotenoid_ug_cm2 = 4, water_cm = 0.02, "
+        + "dry_matter_g_cm2 = 0.004, chlorofyll = 3 }",
+        "pigments.fruit.end.chlorofyll",
+    ),
+    "another form": ("tomato", '[organs.lamina]\nform = "stalk"', "organs.lamina"),
+    "another form of an inherited bearer": ("kaite", '[organs.petiole]\nform = "blade"', "organs.petiole"),
+    "like another form": (
+        "kaite",
+        '[organs.bract]\nlike = "lamina"\nform = "peduncle"\n',
+        "organs.bract",
+    ),
+    "own distribution": ("red_blocky", "[organs.fruit.diameter]\nmean_mm = 80", "organs.fruit.diameter"),
+    "own slot": ("kaite", '[[organs.node.bears]]\nname = "leaf"\nlift = "up"', "organs.node.bears.0.lift"),
+    "new slot without an azimuth": (
+        "kaite",
+        '[[organs.node.bears]]\nname = "second"\nwhat = { petiole = 1, chosen = "x" }',
+        "organs.node.bears.4.azimuth",
+    ),
+    "new kind without a form": ("kaite", "[organs.thorn]\nsize_correlation = 0.5", "organs.thorn"),
+    "new kind without its lengths": ("kaite", '[organs.thorn]\nform = "cut"', "organs.thorn"),
+    "stem of an unknown node": ("kaite", '[stem]\nnode = "nod"', "stem.node"),
+    "unknown table": ("kaite", "[leaf]\nlength = 3", "leaf"),
+}
+
+
+@pytest.mark.parametrize("fault", OWN_FAULTS)
+def test_a_fault_of_the_extending_file_names_that_file(fault: str, tmp_path: Path) -> None:
+    extended, text, key = OWN_FAULTS[fault]
+    mine = tmp_path / "mine.toml"
+    mine.write_text(f'extends = "{extended}"\n{text}\n')
+    with pytest.raises(InputError) as caught:
+        load_cultivar(mine)
+    assert caught.value.where == str(mine)
+    assert caught.value.key.startswith(key)
+
+
+PARENT_FAULTS = {
+    "pigments": (INCOMPLETE_PIGMENTS, '[pigments.leaf]\nchosen = "x"\n', "pigments.fruit.end"),
+    "organ of the same form": (
+        "[organs.fruit.diameter]\nmean_mm = -3",
+        '[organs.fruit]\nform = "fruit"',
+        "organs.fruit.diameter",
+    ),
+    "missing key of a new kind": (
+        '[organs.thorn]\nform = "cut"',
+        "[organs.thorn]\nsize_correlation = 0.5",
+        "organs.thorn",
+    ),
+    "slot": (
+        '[[organs.node.bears]]\nname = "leaf"\nlift = "up"',
+        '[[organs.node.bears]]\nname = "leaf"\nfirst = 3',
+        "organs.node.bears.0.lift",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", PARENT_FAULTS)
+def test_a_fault_of_the_extended_file_names_that_file(fault: str, tmp_path: Path) -> None:
+    faulty, good, key = PARENT_FAULTS[fault]
+    parent, mine = tmp_path / "parent.toml", tmp_path / "mine.toml"
+    parent.write_text(f'extends = "kaite"\n{faulty}\n')
+    mine.write_text('extends = "parent.toml"\n' + ("" if fault == "pigments" else good))
+    with pytest.raises(InputError) as caught:
+        load_cultivar(mine)
+    assert caught.value.where == str(parent)
+    assert caught.value.key.startswith(key)

@@ -1,0 +1,53 @@
+import numpy as np
+import pytest
+
+from pepperscene.camera import Camera, load_flash, load_lens, load_sensor, look_at
+from pepperscene.dataset.recipe.rig import RigCamera
+from pepperscene.dataset.views.camera_views import _with_flash_of_rig
+from pepperscene.render.kernel.camera import RayPose, camera_rays
+from pepperscene.render.transport.lights import FlashSampler
+from pepperscene.render.variant import mitsuba_modules
+
+FLASH = load_flash("led_matrix_200klx")
+MAIN = Camera(
+    load_lens("lensagon_cmfa0420nd"),
+    load_sensor("ueye_ui5250re"),
+    look_at((0.1, -0.5, 1.2), (0.0, 0.3, 1.4)),
+    flash=FLASH,
+)
+
+
+def points_and_falloffs(camera, targets, samples):
+    mi, _ = mitsuba_modules()
+    rays = camera_rays(camera)
+    sampler = FlashSampler(camera.flash, rays)
+    pose = RayPose(rays.rotation, rays.origin)
+    points, falloffs = sampler.sample_point(mi.Point3f(targets.T), mi.Point2f(samples.T), pose)
+    return np.array(points).T, np.array(falloffs)
+
+
+@pytest.mark.parametrize("rotation_deg", [(0, 0, 0), (25, 0, 0), (-20, 30, 45)])
+def test_flash_stays_at_the_main_camera_for_all_cameras_of_a_rig(rotation_deg):
+    rig = RigCamera(name="side", position_mm=(60, -20, 10), rotation_deg=rotation_deg)
+    other = _with_flash_of_rig(MAIN.at_pose(MAIN.pose @ rig.extrinsics), rig.extrinsics)
+    world = [
+        camera.flash.emitter_positions() @ camera.pose[:3, :3].T + camera.pose[:3, 3]
+        for camera in (MAIN, other)
+    ]
+    np.testing.assert_allclose(world[1], world[0], atol=1e-12)
+
+    rng = np.random.default_rng(3)
+    targets = rng.uniform(-0.3, 0.3, (200, 3)) + np.array([0.0, 0.2, 1.4])
+    samples = rng.random((200, 2))
+    expected, actual = (points_and_falloffs(camera, targets, samples) for camera in (MAIN, other))
+    np.testing.assert_allclose(actual[0], expected[0], atol=2e-6)
+    np.testing.assert_allclose(actual[1], expected[1], rtol=2e-4, atol=1e-6)
+    assert expected[1].max() > 0
+
+
+def test_rig_cameras_turn_right_up_and_clockwise():
+    forward = [RigCamera(name="a", rotation_deg=turn).extrinsics[:3, 2] for turn in ((30, 0, 0), (0, 30, 0))]
+    half, root = 0.5, np.sqrt(0.75)
+    np.testing.assert_allclose(forward, [[half, 0, root], [0, -half, root]], atol=1e-12)
+    right = RigCamera(name="a", rotation_deg=(0, 0, 90)).extrinsics[:3, 0]
+    np.testing.assert_allclose(right, [0, 1, 0], atol=1e-12)
