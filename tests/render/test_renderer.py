@@ -13,7 +13,7 @@ from processes import run_python
 from pepperscene.camera import expected_electrons
 from pepperscene.errors import InputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
-from pepperscene.render import QUALITIES, Renderer, find_quality, render_scene, renderer
+from pepperscene.render import QUALITIES, Renderer, find_quality, kernel_scene, render_scene, renderer
 from pepperscene.render.aov import labels
 from pepperscene.render.reference.path_tracer import path_traced, samples_taken
 from pepperscene.scene import assemble_scene
@@ -191,8 +191,9 @@ def calls(monkeypatch):
 
         monkeypatch.setattr(module, name, recorded)
 
-    for name in ("light_scene", "truth_scene", "sky_tables", "trace", "denoised", "develop"):
-        record(renderer, name)
+    for name in ("light_scene", "truth_scene", "sky_tables", "trace", "denoised"):
+        record(kernel_scene, name)
+    record(renderer, "develop")
     for name in ("first_hits", "class_ids", "instance_ids", "normals", "depth_z"):
         record(labels, name)
     return names

@@ -84,7 +84,7 @@ def time_light(times: Times) -> None:
     from pepperscene.render import kernel_scene, renderer
 
     stages = {
-        "kernel scene": (kernel_scene, "make_light_scene"),
+        "kernel scene": (kernel_scene, "light_scene"),
         "trace": (kernel_scene, "trace"),
         "denoise": (kernel_scene, "denoised"),
         "develop": (renderer, "develop"),

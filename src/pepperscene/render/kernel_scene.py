@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from pepperscene.camera import Camera, Motion
 from pepperscene.render.kernel.arrays import LocalCoordinates, local_coordinates
 from pepperscene.render.kernel.camera import CameraRays, camera_rays, moving_rays, spectral_response
-from pepperscene.render.kernel.scene import LightScene, sky_tables
-from pepperscene.render.kernel.scene import light_scene as make_light_scene
-from pepperscene.render.kernel.scene import truth_scene as make_truth_scene
+from pepperscene.render.kernel.scene import LightScene, light_scene, sky_tables, truth_scene
 from pepperscene.render.quality import Quality
 from pepperscene.render.reference.exposure import exposed_paths
 from pepperscene.render.reference.path_tracer import PathScene, path_scene, path_traced, samples_taken
@@ -139,7 +137,7 @@ class KernelScene:
 
     @functools.cached_property
     def _geometry(self) -> Any:
-        return make_truth_scene(self.scene)
+        return truth_scene(self.scene)
 
     def truth_scene(self) -> Any:
         """A Mitsuba scene to intersect: the one with materials if it exists."""
@@ -151,7 +149,7 @@ class KernelScene:
         """Geometry and materials over a range of wavelengths, in nanometres."""
         key = (first_nm, last_nm)
         if key not in self._light:
-            self._light = {key: make_light_scene(self.scene, *key)}
+            self._light = {key: light_scene(self.scene, *key)}
             # It serves the ground truth as well, so a copy of the geometry alone is not needed any more.
             self.__dict__.pop("_geometry", None)
         return self._light[key]
