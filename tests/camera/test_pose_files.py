@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import astuple, dataclass, replace
-from types import SimpleNamespace
+from dataclasses import astuple, replace
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from pepperscene.camera import (
     Camera,
     Distortion,
+    FisheyeDistortion,
     PoseList,
     arc_path,
     load_lens,
@@ -24,6 +23,7 @@ from pepperscene.camera import (
     read_poses,
     write_poses,
 )
+from pepperscene.camera.calibration import CameraCalibration
 from pepperscene.errors import ArgumentError, InputError, OutputError
 
 FORMATS = {"tum": "poses.txt", "csv": "poses.csv", "nerfstudio": "transforms.json", "colmap": "model"}
@@ -128,7 +128,7 @@ def test_rounded_quaternions_are_normalised_and_others_are_refused(tmp_path):
         ("1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "line 2, time = 1.0: must be after the time before it, 1.0"),
         ("0 -2e6 0 0 0 0 0 1\n", "line 1: must have a position within 1,000,000 m of the origin"),
         ("2 0 0 0 0 0 0 1\n\n1 0 0 0 0 0 0 1\n", "line 3, time = 1.0: must be after"),
-        ("hello world\n", "is no file of camera poses; allowed are"),
+        ("hello world\n", "is not a file of camera poses; allowed are"),
     ],
 )
 def test_tum_files_that_are_not_allowed(text, message, tmp_path):
@@ -160,8 +160,8 @@ def test_csv_angles_agree_with_the_camera_path(tmp_path):
     # Yaw is the azimuth of a camera that faces the plant, pitch its elevation.
     arc = arc_path(1, 0.4, (0.5, 0.5), (1.2, 1.2), 0.3)[0]
     x, y, z = arc[:3, 3]
-    text = f"x_m,y_m,z_m,yaw_deg,pitch_deg\n{x},{y},{z},{np.degrees(0.5)!r},{np.degrees(0.3)!r}\n"
-    poses = read_poses(written(tmp_path / "poses.csv", text.replace("np.float64(", "").replace(")", "")))
+    text = f"x_m,y_m,z_m,yaw_deg,pitch_deg\n{x},{y},{z},{np.degrees(0.5)},{np.degrees(0.3)}\n"
+    poses = read_poses(written(tmp_path / "poses.csv", text))
     np.testing.assert_allclose(poses.poses[0], arc, atol=1e-12)
 
 
@@ -202,7 +202,7 @@ QUATERNIONS = "x,y,z,qx,qy,qz,qw"
     [
         ("", "contains no poses"),
         (f"{QUATERNIONS}\n", "contains no poses"),
-        ("x,y,z\n0,0,0\n", "header: has no kind of orientation; allowed are"),
+        ("x,y,z\n0,0,0\n", "header: has no orientation; allowed are"),
         (f"{QUATERNIONS},yaw_deg\n0,0,0,0,0,0,1,0\n", "header: has more than one kind of orientation"),
         ("x,y,z,yaw_deg\n0,0,0,0\n", "header: lacks the column pitch_deg"),
         ("x,y,z,qx,qy,qz\n0,0,0,0,0,0\n", "header: lacks the column qw"),
@@ -306,7 +306,7 @@ def identity_frame(**changes):
     ("content", "message"),
     [
         ("{", "is not valid JSON"),
-        ("[]", "frames: must be a list"),
+        ("[]", "frames: must be a list of frames, each with a transform_matrix"),
         ({"frames": 3}, "frames: must be a list"),
         ({"frames": []}, "contains no poses"),
         ({"frames": [{}]}, r"frames\[0\].transform_matrix: must have 4 rows of 4 numbers"),
@@ -325,6 +325,14 @@ def identity_frame(**changes):
         ({**identity_frame(), "applied_transform": 1}, "applied_transform: must have 4 rows"),
         (
             {"applied_scale": 1e-300, **identity_frame(transform_matrix=[[1, 0, 0, 1e300], *UNIT[1:]])},
+            "must have a position within 1,000,000 m",
+        ),
+        (
+            {
+                "applied_scale": 1e-300,
+                "applied_transform": UNIT,
+                **identity_frame(transform_matrix=[[1, 0, 0, 1e300], *UNIT[1:]]),
+            },
             "must have a position within 1,000,000 m",
         ),
     ],
@@ -371,6 +379,9 @@ def test_colmap_is_recognised_by_its_content(tmp_path):
         ("1 2 0 0 0 0 0 0 1 a.png\n\n", "line 1 = .*: must be a quaternion of length 1"),
         (2 * "1 1 0 0 0 0 0 0 1 a.png\n\n", "line 3, NAME = 'a.png': must be a name of one image only"),
         (2 * "1 1 0 0 0 0 0 0 1 a.png\n", "line 2: must be the points X Y POINT3D_ID"),
+        # A name of three words makes 12 fields, as many as four points.
+        (2 * "1 1 0 0 0 0 0 0 1 my image 1.png\n", "line 2: must be the points X Y POINT3D_ID"),
+        ("1 1 0 0 0 0 0 0 1 a\tb.png\n\n", r"line 1, NAME = 'a\\tb.png': must be a name of printable"),
         ("# nothing\n", "contains no poses"),
     ],
 )
@@ -420,6 +431,7 @@ def test_what_a_format_cannot_hold_is_refused_before_anything_is_written(tmp_pat
     for changed, format, with_camera, message in (
         (replace(poses, times_s=None), "tum", None, "times_s: must have times"),
         (poses, "csv", camera, "camera: must be None"),
+        (replace(poses, names=("a", "#b", "c")), "csv", None, "names = '#b': must not start with #"),
         (replace(poses, names=("a", "b", "a")), "colmap", None, "names: must be different"),
         (poses, "kitti", None, "format: must be one of tum, csv, nerfstudio, colmap"),
     ):
@@ -440,12 +452,17 @@ def test_files_and_folders_that_cannot_be_used(tmp_path):
         read_poses(tmp_path / "missing.csv")
     with pytest.raises(InputError, match=r"is a folder without one of images.txt"):
         read_poses(tmp_path)
-    with pytest.raises(OutputError, match="cannot be written"):
-        write_poses(tmp_path / "missing" / "poses.csv", random_poses(2), "csv")
     binary = tmp_path / "poses.txt"
     binary.write_bytes(b"\xff\x00\x81")
     with pytest.raises(InputError, match="UTF-8"):
         read_poses(binary)
+    (tmp_path / "folder").mkdir()
+    for name, format in (("missing/poses.csv", "csv"), ("folder", "csv"), ("poses.txt", "colmap")):
+        with pytest.raises(OutputError, match=f"{name}: cannot be written"):
+            write_poses(tmp_path / name, random_poses(2), format)
+    with pytest.raises(OutputError, match=r"cannot be written \(embedded null"):
+        write_poses("poses\0.csv", random_poses(2), "csv")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "poses.txt"]
 
 
 def test_pose_list_checks_its_values():
@@ -467,64 +484,61 @@ def test_pose_list_checks_its_values():
 # --- lenses of other models ------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Rational:
-    """The coefficients of OpenCV's rational model, by its names."""
-
-    k1: float = 0.3
-    k2: float = -0.1
-    p1: float = 0.002
-    p2: float = -0.001
-    k3: float = 0.02
-    k4: float = 0.35
-    k5: float = -0.05
-    k6: float = 0.03
-
-
-@dataclass(frozen=True)
-class Fisheye:
-    """The coefficients of OpenCV's fisheye model, by its names."""
-
-    k1: float = 0.03
-    k2: float = -0.01
-    k3: float = 0.004
-    k4: float = -0.001
+RATIONAL = Distortion(0.3, -0.1, 0.002, -0.001, 0.02, 0.35, -0.05, 0.03)
+FISHEYE = FisheyeDistortion(0.03, -0.01, 0.004, -0.001)
+PINHOLE = [610.0, 605.0, 321.5, 238.0]
 
 
 def camera_with(distortion):
-    """What the writers use of a camera."""
-    matrix = np.array([[610.0, 0, 321.5], [0, 605.0, 238.0], [0, 0, 1]])
-    return SimpleNamespace(
-        intrinsics=matrix, width=640, height=480, lens=SimpleNamespace(distortion=distortion)
-    )
+    """A camera of 640 x 480 pixels with `PINHOLE`: fx, fy, cx and cy."""
+    model = "equidistant" if distortion is FISHEYE else "rational_polynomial"
+    fx, fy, cx, cy = PINHOLE
+    # Calibrations have the centre of the upper left pixel at (0, 0), half a pixel less than here.
+    calibration = CameraCalibration(640, 480, fx, fy, cx - 0.5, cy - 0.5, model, astuple(distortion))
+    sensor = replace(SENSOR, columns=640, rows=480)
+    return Camera(calibration.lens("test", sensor.pixel_pitch_m, 2.0, 0.9), sensor)
 
 
 @pytest.mark.parametrize(
-    ("distortion", "model"), [(Rational(), "FULL_OPENCV"), (Fisheye(), "OPENCV_FISHEYE")]
+    ("distortion", "model", "names"),
+    [
+        (RATIONAL, "FULL_OPENCV", ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")),
+        (FISHEYE, "OPENCV_FISHEYE", ("k1", "k2", "k3", "k4")),
+        (Distortion(-0.1, 0.02, 0.001, -0.002), "OPENCV", ("k1", "k2", "p1", "p2")),
+        (Distortion(), "PINHOLE", ()),
+    ],
 )
-def test_colmap_projects_with_rational_and_fisheye_lenses_as_opencv(distortion, model, tmp_path):
+def test_colmap_cameras_have_the_parameters_of_their_model_in_colmaps_order(
+    distortion, model, names, tmp_path
+):
+    write_poses(tmp_path / "model", random_poses(2), "colmap", camera_with(distortion))
+    line = (tmp_path / "model" / "cameras.txt").read_text(encoding="utf-8").splitlines()[-1]
+    number, name, width, height, *parameters = line.split()
+    assert (number, name, width, height) == ("1", model, "640", "480")
+    expected = [*PINHOLE, *(getattr(distortion, coefficient) for coefficient in names)]
+    np.testing.assert_allclose([float(parameter) for parameter in parameters], expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("distortion", "model"), [(RATIONAL, "FULL_OPENCV"), (FISHEYE, "OPENCV_FISHEYE")])
+def test_colmap_projects_with_rational_and_fisheye_lenses_to_the_same_pixels(distortion, model, tmp_path):
     pycolmap = pytest.importorskip("pycolmap")
     camera = camera_with(distortion)
     write_poses(tmp_path / "model", random_poses(2), "colmap", camera)
     theirs = pycolmap.Reconstruction(tmp_path / "model").cameras[1]
     assert theirs.model.name == model
     points = np.random.default_rng(4).uniform([-0.4, -0.4, 1], [0.4, 0.4, 1.5], (50, 3))
-    # OpenCV has the centre of the upper left pixel at (0, 0), half a pixel less than here.
-    matrix = camera.intrinsics - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
-    project = cv2.fisheye.projectPoints if isinstance(distortion, Fisheye) else cv2.projectPoints
-    still = np.zeros(3)
-    expected = project(points[:, None], still, still, matrix, np.array(astuple(distortion)))[0][:, 0] + 0.5
-    np.testing.assert_allclose([theirs.img_from_cam(point) for point in points], expected, atol=1e-9)
+    projected = [theirs.img_from_cam(point) for point in points]
+    np.testing.assert_allclose(projected, camera.project(points), atol=1e-9)
 
 
 def test_nerfstudio_has_fisheyes_but_no_rational_lens(tmp_path):
-    write_poses(tmp_path / "transforms.json", random_poses(2), "nerfstudio", camera_with(Fisheye()))
+    write_poses(tmp_path / "transforms.json", random_poses(2), "nerfstudio", camera_with(FISHEYE))
     content = json.loads((tmp_path / "transforms.json").read_text(encoding="utf-8"))
     assert content["camera_model"] == "OPENCV_FISHEYE"
-    assert [content[f"k{number}"] for number in range(1, 5)] == list(astuple(Fisheye()))
-    assert [content[key] for key in ("fl_x", "fl_y", "cx", "cy")] == [610, 605, 321.5, 238]
+    assert [content[f"k{number}"] for number in range(1, 5)] == list(astuple(FISHEYE))
+    assert [content[key] for key in ("fl_x", "fl_y", "cx", "cy")] == pytest.approx(PINHOLE, rel=1e-12)
     with pytest.raises(
         ArgumentError, match=r"camera: lens.distortion: must be k1, k2, p1, p2, k3 or a fisheye's"
     ):
-        write_poses(tmp_path / "b.json", random_poses(2), "nerfstudio", camera_with(Rational()))
+        write_poses(tmp_path / "b.json", random_poses(2), "nerfstudio", camera_with(RATIONAL))
     assert not (tmp_path / "b.json").exists()

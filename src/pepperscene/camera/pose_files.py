@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
 from collections.abc import Mapping
@@ -35,7 +36,7 @@ def read_poses(path: str | Path) -> PoseList:
     Positions are in the file's world, which must have z up and metres to place plants in it.
 
     Raises:
-        InputError: the file is missing, of no such format, or contains a value that is not allowed.
+        InputError: the file is missing, has another format, or contains a value that is not allowed.
     """
     file = _file_in(Path(path))
     text = read_text(file)
@@ -102,7 +103,7 @@ def _format_of(path: Path, text: str) -> PoseFormat:
         return "colmap"
     if path.suffix.lower() == ".tum" or _is_number(fields[0]):
         return "tum"
-    raise InputError(path, f"is no file of camera poses; {_ALLOWED}")
+    raise InputError(path, f"is not a file of camera poses; {_ALLOWED}")
 
 
 def _is_number(text: str) -> bool:
@@ -116,6 +117,8 @@ def _is_number(text: str) -> bool:
 def _write(folder: Path, texts: Mapping[str, str], is_model: bool = False) -> None:
     """Write all files, or none: they are complete under temporary names before the first is renamed."""
     temporary = {name: folder / f".{name}.{secrets.token_hex(8)}.tmp" for name in texts}
+    # A single file is named in errors; the files of a model are not what the user has named.
+    target = folder if is_model else folder / next(iter(texts))
     try:
         if is_model:
             folder.mkdir(parents=True, exist_ok=True)
@@ -126,7 +129,12 @@ def _write(folder: Path, texts: Mapping[str, str], is_model: bool = False) -> No
         for name in texts:
             os.replace(temporary[name], folder / name)
     except OSError as error:
-        raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from None
+        raise OutputError(f"{target}: cannot be written ({error.strerror or error})") from None
+    except ValueError as error:
+        # A path that no file system accepts.
+        raise OutputError(f"{str(target)!r}: cannot be written ({error})") from None
     finally:
         for path in temporary.values():
-            path.unlink(missing_ok=True)
+            # Where nothing could be written there is nothing to remove, and trying can fail again.
+            with contextlib.suppress(OSError, ValueError):
+                path.unlink(missing_ok=True)

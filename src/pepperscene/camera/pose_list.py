@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ Label = Callable[[int], str]
 
 _TOLERANCE: Final = 1e-3
 """Of a quaternion's length, and of the entries of a rotation matrix times its transpose. Chosen: files with
-four digits pass; what is farther off is not a rotation but a mistake."""
+four digits pass; larger deviations are mistakes."""
 
 _FARTHEST_M: Final = 1e6
 """Chosen: coordinates of national grids are some thousand kilometres at most, and doubles resolve 0.1 nm."""
@@ -71,6 +72,16 @@ def is_name(name: str) -> bool:
     return bool(name) and name.isprintable() and name == name.strip()
 
 
+def check_name(name: object, path: Path, key: str) -> None:
+    """Check a pose's name in a file.
+
+    Raises:
+        InputError: it is not text as of `is_name`.
+    """
+    if not isinstance(name, str) or not is_name(name):
+        raise InputError(path, "must be a name of printable characters", key=key, value=name)
+
+
 def rigid_poses(rotation: Array, position: Array) -> Array:
     """`(n, 4, 4)` poses of rotations `(n, 3, 3)` and positions `(n, 3)`."""
     poses = np.tile(np.eye(4), (len(position), 1, 1))
@@ -78,21 +89,21 @@ def rigid_poses(rotation: Array, position: Array) -> Array:
     return poses
 
 
-def finite_number(text: object, path: Path, key: str) -> float:
+def finite_number(value: object, path: Path, key: str) -> float:
     """A number of a file, from text or JSON.
 
     Raises:
         InputError: it is not a finite number.
     """
-    try:
-        # Python would also read "1_000" and the JSON literal true.
-        is_number = "_" not in text if isinstance(text, str) else type(text) in (int, float)
-        value = float(text) if is_number else math.nan  # type: ignore[arg-type]
-    except (ValueError, OverflowError):
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(path, "must be a finite number", key=key, value=text)
-    return value
+    number = math.nan
+    # Python would also convert true, an int, and text with underscores, "1_000".
+    is_excluded = isinstance(value, bool) or (isinstance(value, str) and "_" in value)
+    if isinstance(value, str | int | float) and not is_excluded:
+        with contextlib.suppress(ValueError, OverflowError):
+            number = float(value)
+    if not math.isfinite(number):
+        raise InputError(path, "must be a finite number", key=key, value=value)
+    return number
 
 
 def rotations_of_quaternions(quaternions: Array, path: Path, label: Label) -> Array:
@@ -115,7 +126,7 @@ def rotations_of_quaternions(quaternions: Array, path: Path, label: Label) -> Ar
 
 
 def nearest_rotations(matrices: Array, path: Path, label: Label) -> Array:
-    """`(n, 3, 3)` rotations nearest to matrices that are rotations but for their last digits.
+    """`(n, 3, 3)` rotations nearest to matrices `(n, 3, 3)` that are rotations up to rounding.
 
     Raises:
         InputError: a matrix is not a rotation within 0.001.

@@ -12,12 +12,11 @@ import numpy as np
 from pepperscene.camera.camera import Camera
 from pepperscene.camera.pose_list import (
     Array,
-    Label,
     PoseList,
     check_count,
+    check_name,
     check_positions,
     finite_number,
-    is_name,
     nearest_rotations,
     quaternions_of,
     rigid_poses,
@@ -50,7 +49,7 @@ def read_nerfstudio(path: Path, text: str) -> PoseList:
         raise InputError(path, f"is not valid JSON: {error}") from None
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list):
-        raise InputError(path, "must be a list, each with a transform_matrix", key="frames")
+        raise InputError(path, "must be a list of frames, each with a transform_matrix", key="frames")
     check_count(len(frames), path)
 
     def label(number: int) -> str:
@@ -98,31 +97,30 @@ def _matrix(rows: object, path: Path, key: str) -> list[list[float]]:
 
 
 def _original_world(content: dict[str, Any], poses: Array, path: Path) -> Array:
-    """Poses before the changes of the world that the file states: p' = scale A p."""
-    if "applied_scale" in content:
-        scale = finite_number(content["applied_scale"], path, "applied_scale")
-        if not scale > 0:
-            raise InputError(path, "must be positive", key="applied_scale", value=scale)
-        with np.errstate(over="ignore"):  # checked with the positions
+    """Poses in the original world, without the file's transform A and scale: p' = scale A p."""
+    # Positions that overflow are reported with those that are too far away.
+    with np.errstate(over="ignore", invalid="ignore"):
+        if "applied_scale" in content:
+            scale = finite_number(content["applied_scale"], path, "applied_scale")
+            if not scale > 0:
+                raise InputError(path, "must be positive", key="applied_scale", value=scale)
             poses[:, :3, 3] /= scale
-    if "applied_transform" in content:
-        key = "applied_transform"
-        applied = np.array(_matrix(content[key], path, key))
-        applied[:3, :3] = nearest_rotations(applied[None, :3, :3], path, lambda _: key)[0]
-        back = applied[:3, :3].T
-        poses = rigid_poses(back @ poses[:, :3, :3], (poses[:, :3, 3] - applied[:3, 3]) @ back.T)
+        if "applied_transform" in content:
+            key = "applied_transform"
+            applied = np.array(_matrix(content[key], path, key))
+            applied[:3, :3] = nearest_rotations(applied[None, :3, :3], path, lambda _: key)[0]
+            back = applied[:3, :3].T
+            poses = rigid_poses(back @ poses[:, :3, :3], (poses[:, :3, 3] - applied[:3, 3]) @ back.T)
     return poses
 
 
 def _frame_names(frames: list[dict[str, Any]], path: Path) -> tuple[str, ...] | None:
-    names = [frame.get("file_path") for frame in frames]
+    names: list[Any] = [frame.get("file_path") for frame in frames]
     if None in names:
         return None
     for number, name in enumerate(names):
-        if not isinstance(name, str) or not is_name(name):
-            problem = "must be a name of printable characters"
-            raise InputError(path, problem, key=f"frames[{number}].file_path", value=name)
-    return tuple(str(name) for name in names)
+        check_name(name, path, f"frames[{number}].file_path")
+    return tuple(names)
 
 
 def _nerfstudio_intrinsics(camera: Camera) -> dict[str, Any]:
@@ -131,7 +129,7 @@ def _nerfstudio_intrinsics(camera: Camera) -> dict[str, Any]:
     is_fisheye = "p1" not in coefficients
     if not is_fisheye and any(coefficients.get(name) for name in ("k4", "k5", "k6")):
         problem = (
-            "must be k1, k2, p1, p2, k3 or a fisheye's k1 to k4 for nerfstudio; COLMAP has the rational model"
+            "must be k1, k2, p1, p2, k3 or a fisheye's k1 to k4 for nerfstudio; only COLMAP has k4 to k6"
         )
         raise ArgumentError("camera", problem, key="lens.distortion")
     return {
@@ -159,40 +157,47 @@ def read_colmap(path: Path, text: str) -> PoseList:
         InputError: a line does not have these fields, a quaternion is not of length 1, or names are equal.
     """
     values: list[list[float]] = []
-    names: dict[str, int] = {}
+    places: dict[str, str] = {}  # the line of each image, by name
     lines = enumerate(text.split("\n"), start=1)
     for number, line in lines:
         if not line.strip() or line.lstrip().startswith("#"):
             continue
+        place = f"line {number}"
         fields = line.split(maxsplit=9)
         if len(fields) != 10:
             problem = f"must have 10 fields, {_COLMAP_FIELDS}, not {len(fields)}"
-            raise InputError(path, problem, key=f"line {number}")
-        key = f"line {number}, {{}}"
-        labels = _COLMAP_FIELDS.split()[1:8]
-        values.append(
-            [finite_number(field, path, key.format(n)) for field, n in zip(fields[1:8], labels, strict=True)]
-        )
+            raise InputError(path, problem, key=place)
+        columns = zip(_COLMAP_FIELDS.split()[1:8], fields[1:8], strict=True)
+        values.append([finite_number(field, path, f"{place}, {column}") for column, field in columns])
         name = fields[9].strip()
-        if name in names:
-            raise InputError(path, "must be a name of one image only", key=key.format("NAME"), value=name)
-        names[name] = number
+        check_name(name, path, f"{place}, NAME")
+        if name in places:
+            raise InputError(path, "must be a name of one image only", key=f"{place}, NAME", value=name)
+        places[name] = place
         check_count(len(values), path)
         # The line of points is always there, except at the end of the file.
-        number, points = next(lines, (0, ""))
-        if len(points.split()) % 3 or points.lstrip().startswith("#"):
+        if not _is_line_of_points(next(lines, (0, ""))[1]):
             problem = "must be the points X Y POINT3D_ID of the image before it, or empty"
-            raise InputError(path, problem, key=f"line {number}")
+            raise InputError(path, problem, key=f"line {number + 1}")
     check_count(len(values), path)
-    ordered = list(names)
-    label: Label = lambda i: f"line {names[ordered[i]]}"  # noqa: E731
+    names = list(places)
+
+    def label(number: int) -> str:
+        return places[names[number]]
+
     table = np.array(values)
     to_camera = rotations_of_quaternions(table[:, [1, 2, 3, 0]], path, label)
     check_positions(table[:, 4:], path, label)
     rotation = np.swapaxes(to_camera, 1, 2)
     position = -(rotation @ table[:, 4:, None])[..., 0]
-    order = sorted(range(len(ordered)), key=ordered.__getitem__)
-    return PoseList(rigid_poses(rotation, position)[order], names=tuple(sorted(ordered)))
+    order = sorted(range(len(names)), key=names.__getitem__)
+    return PoseList(rigid_poses(rotation, position)[order], names=tuple(sorted(names)))
+
+
+def _is_line_of_points(line: str) -> bool:
+    """Whether a line has triples X Y POINT3D_ID or nothing; an image's line ends with a name instead."""
+    fields = line.split()
+    return not fields or (len(fields) % 3 == 0 and fields[-1].removeprefix("-").isdecimal())
 
 
 def colmap_texts(poses: PoseList, camera: Camera | None) -> dict[str, str]:

@@ -16,9 +16,9 @@ from pepperscene.camera.pose_list import (
     PoseList,
     ascending_times,
     check_count,
+    check_name,
     check_positions,
     finite_number,
-    is_name,
     quaternions_of,
     rigid_poses,
     rotations_of_quaternions,
@@ -116,8 +116,8 @@ def read_csv(path: Path, text: str) -> PoseList:
     has_target = any(name.startswith("target_") for name in names)
     has = {"q": bool(names & set(_QUATERNION)), "angles": bool(names & set(_ANGLES)), "target": has_target}
     if sum(has.values()) != 1:
-        found = "no" if not any(has.values()) else "more than one"
-        raise InputError(path, f"has {found} kind of orientation; {_ALLOWED}", key="header")
+        found = "more than one kind of" if any(has.values()) else "no"
+        raise InputError(path, f"has {found} orientation; {_ALLOWED}", key="header")
     if has["target"]:
         target_columns, scale = _coordinates("target_", names, path)
         used = {*position_columns, *target_columns}
@@ -142,7 +142,14 @@ def read_csv(path: Path, text: str) -> PoseList:
 
 
 def csv_text(poses: PoseList) -> str:
-    """The text of a CSV file in metres with quaternions, and with times and names if there are any."""
+    """The text of a CSV file in metres with quaternions, and with times and names if there are any.
+
+    Raises:
+        ArgumentError: a name starts with `#`, so that its row would be read as a comment.
+    """
+    if comments := [name for name in poses.names or () if name.startswith("#")]:
+        problem = "must not start with # in a CSV file, where it starts a comment"
+        raise ArgumentError("poses", problem, key="names", value=comments[0])
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     columns = ["x_m", "y_m", "z_m", *_QUATERNION]
@@ -230,7 +237,5 @@ def _poses_of_targets(position: Array, target: Array, path: Path, label: Label) 
 def _names(table: _Table) -> tuple[str, ...]:
     names = tuple(row[table.columns["name"]].strip() for row in table.rows)
     for number, name in enumerate(names):
-        if not is_name(name):
-            problem = "must be a name of printable characters"
-            raise InputError(table.path, problem, key=f"{table.label(number)}, name", value=name)
+        check_name(name, table.path, f"{table.label(number)}, name")
     return names
