@@ -158,6 +158,9 @@ def test_invalid_values_give_one_sentence_with_the_file(tmp_path, edit, message)
         ("a: !!python/object/apply:os.system [ls]", "is not valid YAML at line 1"),
         ("[" * 5000, "is not valid YAML"),
         ("a: 2026-99-99", "is not valid YAML"),
+        ('a: !!int ""', "is not valid YAML"),
+        ('a: !!bool "perhaps"', "is not valid YAML"),
+        ('a: !!timestamp "today"', "is not valid YAML"),
         ("a: " + "x" * 1_000_001, "longer than 1000000 characters"),
     ],
 )

@@ -150,7 +150,7 @@ def read_calibration(path: str | Path) -> CameraCalibration:
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
-    """The keys of a YAML file; those of OpenCV begin with a line and use a tag that are theirs alone."""
+    """The keys of a YAML file; OpenCV's files have a first line and a tag that standard YAML does not."""
     import yaml
 
     class Loader(yaml.SafeLoader):
@@ -161,18 +161,17 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     )
     text = read_text(path)
     if len(text) > _LARGEST_FILE:
-        raise InputError(path, f"is no calibration: longer than {_LARGEST_FILE} characters")
+        raise InputError(path, f"is not a calibration: longer than {_LARGEST_FILE} characters")
     if text.startswith("%YAML:"):
         text = "#" + text
     try:
         # Messages that ROS prints end with "---", as if another followed.
         content = next(iter(yaml.load_all(text, Loader)), None)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError) as error:
+        # PyYAML has errors of its own for the syntax, but not for values that do not fit their tag.
         mark = getattr(error, "problem_mark", None)
         where = f" at line {mark.line + 1}" if mark is not None else ""
         raise InputError(path, f"is not valid YAML{where}") from None
-    except (RecursionError, ValueError):
-        raise InputError(path, "is not valid YAML") from None
     if not isinstance(content, dict):
         raise InputError(path, "must be a calibration: image_width, image_height, camera_matrix and so on")
     return content
