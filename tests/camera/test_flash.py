@@ -159,6 +159,9 @@ NARROW = AngularProfile(np.array([0, 0.01]), np.array([1.0, 0.0]))
         ({"emitters_m": np.zeros(2)}, "emitters"),
         ({"emitters_m": np.full((1, 2), np.nan)}, "emitters"),
         ({"emitters_m": np.ones((3, 2)), "profile": NARROW}, "no light of the profile"),
+        ({"rotation": 2 * np.eye(3)}, "rotation, without reflection"),
+        ({"rotation": np.diag([1, 1, -1])}, "rotation, without reflection"),
+        ({"rotation": np.eye(2)}, "rotation, without reflection"),
     ],
 )
 def test_raises_on_invalid_flash(changes, message):

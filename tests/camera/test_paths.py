@@ -182,6 +182,7 @@ def test_interval_that_divides_the_duration_includes_the_end():
         ({"count": None, "frame_interval_s": 1e-12}, "1 to 100,000 poses"),
         ({"azimuth_rad": None}, "needs a point to look at, or an azimuth"),
         ({"look_at_m": (0, 0, 1)}, "not both"),
+        ({"azimuth_rad": None, "look_at_m": np.ones((10, 3))}, "three coordinates"),
         ({"azimuth_rad": [0.0, 1.0]}, "one for each point"),
         ({"azimuth_rad": np.inf}, "finite"),
         ({"pitch_rad": np.pi / 2}, "other than upwards or downwards"),

@@ -101,8 +101,11 @@ class Flash:
         object.__setattr__(self, "emitters_m", emitters)
         if self.rotation is not None:
             rotation = np.array(self.rotation, dtype=float)
-            if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
-                raise ValueError(f"{self.name}: rotation must be a (3, 3) rotation")
+            is_orthogonal = rotation.shape == (3, 3) and np.allclose(
+                rotation @ rotation.T, np.eye(3), atol=1e-6
+            )
+            if not is_orthogonal or np.linalg.det(rotation) < 0:
+                raise ValueError(f"{self.name}: rotation must be a (3, 3) rotation, without reflection")
             rotation.setflags(write=False)
             object.__setattr__(self, "rotation", rotation)
         if not self._irradiance_per_intensity * self.at_m**2 > _LEAST_LIGHT_AHEAD:

@@ -98,7 +98,10 @@ def spline_trajectory(
     if look_at_m is not None:
         if azimuth_rad is not None or pitch_rad is not None:
             raise ValueError("a path has a point to look at, or an azimuth and a pitch, not both")
-        view = np.asarray(look_at_m, dtype=float) + offset - position
+        target = np.asarray(look_at_m, dtype=float)
+        if target.shape != (3,):
+            raise ValueError("the point to look at must have three coordinates")
+        view = target + offset - position
         azimuth_rate, pitch_rate = _rates_of_view(view, -velocity)
     elif azimuth_rad is not None:
         azimuth, azimuth_rate = _interpolated(curve, azimuth_rad, parameter, rate)
@@ -197,7 +200,7 @@ def _rates_of_view(view: Array, view_rate: Array) -> tuple[Array, Array]:
     x, y, z = view.T
     x_rate, y_rate, z_rate = view_rate.T
     flat = np.hypot(x, y)
-    with np.errstate(divide="ignore", invalid="ignore"):  # a vertical view is refused with its pose
+    with np.errstate(divide="ignore", invalid="ignore"):  # `pose_along` refuses a vertical view
         azimuth_rate = (x * y_rate - y * x_rate) / flat**2
         flat_rate = (x * x_rate + y * y_rate) / flat
         pitch_rate = (flat * z_rate - z * flat_rate) / (flat**2 + z**2)
