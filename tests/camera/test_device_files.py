@@ -351,8 +351,14 @@ def test_own_files_need_neither_sources_nor_a_licence(tmp_path, kind):
 @pytest.mark.parametrize(
     ("distortion", "message"),
     [
-        ({"k5": 0.1}, r"distortion: k5 is no coefficient of the model plumb_bob: k1, k2, p1, p2, k3"),
-        ({"model": "equidistant", "p1": 0.1}, r"distortion: p1 is no coefficient of the model equidistant"),
+        (
+            {"k5": 0.1},
+            r"distortion: k5 is not a coefficient of the model plumb_bob, which has k1, k2, p1, p2, k3",
+        ),
+        (
+            {"model": "equidistant", "p1": 0.1},
+            r"distortion: p1 is not a coefficient of the model equidistant",
+        ),
         ({"model": "fisheye"}, r"distortion\.model = 'fisheye'"),
     ],
 )

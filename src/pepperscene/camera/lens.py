@@ -160,7 +160,8 @@ class DistortionTable(Document):
         allowed = MODELS[self.model]
         for name in sorted(self.model_fields_set - {"model"}):
             if name not in allowed:
-                raise ValueError(f"{name} is no coefficient of the model {self.model}: {', '.join(allowed)}")
+                names = ", ".join(allowed)
+                raise ValueError(f"{name} is not a coefficient of the model {self.model}, which has {names}")
         return self
 
     def distortion(self) -> DistortionModel:
