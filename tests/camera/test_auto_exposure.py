@@ -254,3 +254,32 @@ def test_light_that_does_not_fit_the_camera_is_rejected():
         choose_exposure(CAMERA, NONE, NONE[:4], ExposureControl())
     with pytest.raises(ValueError, match="needs a camera with a flash"):
         choose_exposure(CAMERA, NONE, NONE + 1.0, ExposureControl())
+
+
+def chosen_with_a_rolling_shutter(line_time_s):
+    """The choice by flash and dim daylight, and the mean grey of the full image with it."""
+    camera = replace(CAMERA, sensor=replace(SENSOR, line_time_s=line_time_s), flash=FLASH)
+    flash, day = grey_card(linear_value(200.0) / FLASH.pulse_s), grey_card(linear_value(90.0) / 5e-3)
+    chosen = choose_exposure(camera, day, flash, ExposureControl())
+    used = with_exposure(camera, chosen)
+    share = used.shutter.flash_share(FLASH.pulse_s)
+    light = day[0, 0] + flash[0, 0] * used.flash_duty * share[:, None, None]
+    full = np.broadcast_to(light, (SENSOR.rows, SENSOR.columns, 3))
+    return chosen, develop(expected_electrons(full, used), used).mean()
+
+
+# With a readout as long as the pulse, and with one in which only the first rows see it.
+@pytest.mark.parametrize("line_time_s", [1e-7, 30e-6])
+def test_rows_of_a_rolling_shutter_that_miss_the_flash_are_accounted_for(line_time_s):
+    chosen, grey = chosen_with_a_rolling_shutter(line_time_s)
+    assert chosen.limited_by is None
+    assert grey == pytest.approx(110.0, rel=5e-3)
+
+
+def test_rolling_shutter_keeps_the_flash_on_all_rows_where_no_exposure_reaches_the_target():
+    # Up to the readout, the flash lights a few rows and the image is too dark; beyond, it is too bright.
+    chosen, grey = chosen_with_a_rolling_shutter(2e-6)
+    assert chosen.limited_by == "shortest exposure"
+    assert chosen.exposure_s == pytest.approx(2e-6 * (SENSOR.rows - 1), rel=1e-6)
+    assert grey == pytest.approx(chosen.grey, rel=5e-3)
+    assert grey > 190.0
