@@ -171,6 +171,8 @@ def test_interval_that_divides_the_duration_includes_the_end():
         ({"points_m": POINTS[:1]}, "at least two"),
         ({"points_m": [[0, 0, np.nan], [1, 0, 0]]}, "finite"),
         ({"points_m": [[0, 0, 1], [1, 0, 1], [1, 0, 1]]}, "points 2 and 3 are equal"),
+        ({"points_m": [[0, 0, 1], [1, 0, 1], [1, 1e-30, 1]]}, "points 2 and 3 are equal, or nearly so"),
+        ({"points_m": [[0, 0, 1], [1, 0, 1], [1, 1e-14, 1]]}, "points 2 and 3 are equal, or nearly so"),
         ({"points_m": [[0, 0, 1], [1, 0, 1], [0, 0, 1]]}, "turns back on itself"),
         ({"points_m": [[0, 0, 1], [1, 0, 1], [0.2, 0, 1], [3, 0, 1]]}, "turns back on itself"),
         ({"speed_m_s": 0.0}, "speed must be positive"),

@@ -18,6 +18,9 @@ _PARTS: Final = 32
 curves that are not refused is exact to 1e-8, also in hairpin bends."""
 _GAUSS_POINTS: Final = 8
 _NEWTON_STEPS: Final = 60  # chosen: about 4 are needed; as many halvings of the interval reach rounding
+_LEAST_CHORD: Final = 1e-9
+"""Least distance of two neighbouring points over the length of the path. Chosen: parts of shorter spans
+vanish in the rounding of the arc length."""
 _LEAST_RATE: Final = 1e-3
 """Least |dr/du|, which is near 1 for a parameter u of chord lengths. Chosen: a curve that is slower there
 turns within a thousandth of a span, which no camera follows at constant speed."""
@@ -69,15 +72,17 @@ def curve_through(points_m: Array) -> SmoothCurve:
     otherwise it swings out by several spans where points are unevenly spaced.
 
     Raises:
-        ValueError: fewer than two points, two neighbours are equal, or the curve turns back on itself.
+        ValueError: fewer than two points, two neighbours are (nearly) equal, or the curve turns back on
+            itself.
     """
     from scipy.interpolate import CubicSpline
 
     if points_m.ndim != 2 or points_m.shape[1] != 3 or len(points_m) < 2 or not np.isfinite(points_m).all():
         raise ValueError("the points of a path must be at least two, with three finite coordinates each")
     chords = np.linalg.norm(np.diff(points_m, axis=0), axis=1)
-    if not np.all(chords > 0):
-        raise ValueError(f"points {int(np.argmin(chords)) + 1} and {int(np.argmin(chords)) + 2} are equal")
+    if not chords.min() > _LEAST_CHORD * chords.sum():
+        number = int(np.argmin(chords)) + 1
+        raise ValueError(f"points {number} and {number + 1} are equal, or nearly so")
     knots = np.concatenate([[0.0], np.cumsum(chords)])
     is_closed = len(points_m) > 2 and np.array_equal(points_m[0], points_m[-1])
     spline = CubicSpline(knots, points_m, bc_type="periodic" if is_closed else "natural")
