@@ -19,7 +19,7 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class AreaAverage:
-    """Photosites and pixels of a length, of which `factor` photosites make a pixel, along one direction.
+    """Pixels of `factor` photosites each, not always a whole number, along one direction of the image.
 
     The pixels are in the middle of the photosites that are read out, an even number so that they form whole
     Bayer quads: those that pixels cover, and at most two more.
@@ -45,7 +45,7 @@ class AreaAverage:
         return float(1 / np.mean(weights.power(2).sum(axis=1)))
 
     def spread(self, pixels: NDArray[np.floating], axis: int) -> Floats:
-        """Mean light of each photosite, from that of the pixels along `axis`; edge pixels continue outside.
+        """Mean light of each photosite, from that of the pixels along `axis`.
 
         Within a pixel the light is linear, so that a gradient of grey stays grey after demosaicing. The light
         of each pixel is kept, and no photosite gets more or less than the pixels around it (monotonised
@@ -74,7 +74,7 @@ def _overlaps(area: AreaAverage) -> csr_array:
 
 @lru_cache(maxsize=8)
 def _moments(area: AreaAverage) -> csr_array:
-    """`(pixels, sites)` these lengths times the distance of their middle from the pixel's, in pixels."""
+    """`(pixels, sites)` overlaps times the distance of their middle from that of the pixel, in pixels."""
 
     def moment(first: Fraction, last: Fraction, middle: Fraction) -> Fraction:
         return (last - first) * ((first + last) / 2 - middle) / area.factor
@@ -83,7 +83,7 @@ def _moments(area: AreaAverage) -> csr_array:
 
 
 def _matrix(area: AreaAverage, value: Callable[[Fraction, Fraction, Fraction], Fraction]) -> csr_array:
-    """`(pixels, sites)` a value of the ends of each photosite inside each pixel and of the pixel's middle."""
+    """`(pixels, sites)` values of the first and last end of each overlap and the middle of its pixel."""
     from scipy.sparse import csr_array
 
     margin = (area.sites - area.pixels * area.factor) / 2

@@ -16,8 +16,8 @@ from pepperscene.errors import InputError
 _LARGEST_FILE: Final = 1_000_000  # bytes; chosen: calibrations have a few thousand, with all views 100,000
 LARGEST_SIDE: Final = 20_000  # pixels; chosen: as of sensor files
 FOCAL_PX: Final = (1.0, 1e6)
-"""Chosen: at the least, a pixel next to the axis is 45 degrees off it; the most is that of all cameras."""
-LARGEST_OFFSET_PX: Final = 100_000.0  # of the principal point; chosen: five times the largest image
+"""Chosen: with the least, a pixel next to the axis is 45 degrees off it; the most is that of `pixel_rays`."""
+LARGEST_OFFSET_PX: Final = 100_000.0  # of the principal point; chosen: five times the largest side
 LARGEST_COEFFICIENT: Final = 1e5  # chosen: rational models of narrow lenses have some thousands
 CENTRE_OF_FIRST_PIXEL: Final = 0.5
 """Pixel coordinate of the first pixel's centre here; OpenCV and ROS count it as 0."""

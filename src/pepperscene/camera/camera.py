@@ -48,7 +48,7 @@ class Camera:
             everything sharp: a pinhole with the lens' light.
         motion: velocities during the exposure, or None for a camera that stands still.
         labels_per_row: with a rolling shutter and motion, whether ground truth and `project` follow the pose
-            of each row at the middle of its own exposure, as the image does, or all have `pose`.
+            of each row at the middle of its own exposure, as the image does, or have `pose` in all rows.
 
     Focusing changes neither the field of view nor the light. A thin lens focused at d is (1 + m) f from the
     sensor with m = f / (d - f), and its working f-number is N (1 + m). At 4 mm and 40 cm, m is 1 %: the field
@@ -180,8 +180,9 @@ class Camera:
     def _project_rows(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixel coordinates `(n, 2)` of world points in an image whose rows have different poses.
 
-        The row that a point is in sets the time of the pose that puts it there: a fixed point, to
-        `_ROW_ACCURACY_PX`. nan where there is none: nothing moves faster than the shutter.
+        A point's row sets the time, and the pose at that time sets the point's row: a fixed point, found by
+        iteration to `_ROW_ACCURACY_PX`. nan where it does not converge, because the image moves about as fast
+        as the shutter or faster.
         """
         motion, shutter = self.motion or Motion(), self.shutter
         pixels = np.full((len(points), 2), np.nan)

@@ -203,8 +203,8 @@ class FisheyeDistortion(DistortionModel):
 
     A ray at the angle theta to the axis is imaged at the radius
     theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
-    Without coefficients this is the equidistant projection, which a straight one differs from: the distortion
-    is never zero.
+    Without coefficients this is the equidistant projection, which differs from the rectilinear one: the
+    distortion is never zero.
 
     Method: J. Kannala and S. S. Brandt, "A generic camera model and calibration method for conventional,
     wide-angle, and fish-eye lenses", IEEE Trans. Pattern Anal. Mach. Intell. 28 (2006) 1335.
@@ -256,7 +256,7 @@ class FisheyeDistortion(DistortionModel):
 
     def _angle(self, image_radius: Slopes) -> Slopes:
         """The angle theta `(...)` of an image radius theta_d, by Newton's iteration."""
-        # From below the angle where the radius turns, which the iteration does not pass.
+        # Start below the angle at which the radius starts to decrease; the iteration does not pass it.
         angle = np.minimum(image_radius, 0.9 * math.atan(self.fold_radius))
         for _ in range(_NEWTON_STEPS):
             image, slope = self._image_radius(angle)

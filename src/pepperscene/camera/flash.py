@@ -63,7 +63,7 @@ class Flash:
         radius_m: radius of one emitter; 0 makes it a point.
         emitters_m: `(k, 2)` centres of the emitters from `offset_m`, right and down; read-only.
         offset_m: `(3,)` the flash's centre in camera axes (x right, y down, z forward).
-        pulse_s: duration of constant power; the exposure starts with it.
+        pulse_s: duration of constant power; `Shutter.pulse_begin` defines when it starts.
         rotation: `(3, 3)` from the flash's axes to the camera's, for a camera of a rig whose flash belongs to
             another one; None if they are the same. Read-only.
     """

@@ -1,6 +1,6 @@
-"""The pixels of a lens and a sensor: pinhole matrix, rays through pixels, and what field of view is allowed.
+"""The pixels of a lens and a sensor: pinhole matrix, rays through pixels, and limits of the field of view.
 
-Arrays are shared by all cameras with this lens and sensor, wherever they are.
+Arrays are shared by all cameras with this lens and sensor, at any pose.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def check_field(lens: Lens, sensor: Sensor) -> None:
 
 @lru_cache(maxsize=8)
 def pixel_slopes(lens: Lens, sensor: Sensor, shift: float) -> NDArray[np.float64]:
-    """Undistorted slopes on the grid of pixel corners (shift 0) or pixel centres (shift 0.5)."""
+    """Undistorted slopes of pixel corners `(h + 1, w + 1, 2)`, shift 0, or centres `(h, w, 2)`, shift 0.5."""
     extra = 1 if shift == 0 else 0
     u, v = np.arange(sensor.columns + extra) + shift, np.arange(sensor.rows + extra) + shift
     slopes = _undistorted_slopes(lens, sensor, u, v)

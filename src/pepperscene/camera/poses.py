@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 MOST_POSES: Final = 100_000
-"""Of a list, a grid or a path. Chosen: an hour of a camera at 25 frames a second, in 13 MB."""
+"""In a list, a grid or a path. Chosen: more than an hour at 25 frames per second, in 13 MB."""
 _TOLERANCE: Final = 1e-6  # of a rotation's entries, as in `Camera`
 
 
@@ -116,7 +116,7 @@ def pose_along(
     """`(4, 4)` pose at a position `(3,)` that looks along `view` `(3,)` of any length, with `up` upwards.
 
     Raises:
-        ValueError: the view is empty or along `up`.
+        ValueError: the view is zero or along `up`.
     """
     length = np.linalg.norm(view)
     right = np.cross(view, up)

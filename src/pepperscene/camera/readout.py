@@ -51,7 +51,7 @@ class Developing:
             each within `GAIN_RANGE`; None keeps the device's colour cast.
         colour_matrix: from camera_rgb to linear sRGB. True fits it to the light of the white balance or, if
             that names none, to the flash or else daylight; False leaves it out; a `(3, 3)` matrix is applied
-            to camera_rgb after the gains. Its rows need not sum to 1; entries are within +-`LARGEST_ENTRY`.
+            to camera_rgb after the gains. Its rows need not sum to 1; entries are within +-100.
         tone: the sRGB curve, or codes proportional to light.
         white_balance_error: factors on the gains of red, green and blue, as of a camera that misjudges the
             light; the colour matrix is still that of the right gains.

@@ -1,4 +1,4 @@
-"""When the rows of an image are exposed, and to which part of the flash's pulse.
+"""When the rows of an image are exposed, and which part of the flash's pulse they see.
 
 Time 0 is the middle of the exposure of the middle of the image. Row r of h is exposed for `exposure_s` about
 (r + 1/2 - h/2) `line_time_s`: a rolling shutter exposes the rows one after the other, a global shutter, whose
@@ -29,7 +29,7 @@ class RowWindows:
 
     @property
     def end_s(self) -> Array:
-        """`(h,)`."""
+        """`(h,)` ends of the intervals."""
         return self.begin_s + self.length_s
 
 
@@ -49,11 +49,11 @@ class Shutter:
 
     @property
     def readout_s(self) -> float:
-        """From the first row's exposure to that of the last."""
+        """Time from the exposure of the first row to that of the last."""
         return (self.rows - 1) * self.line_time_s
 
     def middle_at(self, v: ArrayLike) -> Array:
-        """Middle of the exposure at image rows v, continuous coordinates; that of the border beyond it."""
+        """Middles of the exposures `(...)`, seconds, at continuous rows v `(...)`, clipped to the image."""
         return np.asarray((np.clip(v, 0.0, self.rows) - 0.5 * self.rows) * self.line_time_s)
 
     def middles(self) -> Array:
@@ -61,19 +61,19 @@ class Shutter:
         return self.middle_at(np.arange(self.rows) + 0.5)
 
     def instants(self) -> RowWindows:
-        """The middles of the exposures as windows of no length."""
+        """The middles of the exposures as windows of length 0."""
         return RowWindows(self.middles(), np.zeros(self.rows))
 
     def exposures(self) -> RowWindows:
-        """The exposures."""
+        """The exposures of the rows."""
         return RowWindows(self.middles() - 0.5 * self.exposure_s, np.full(self.rows, self.exposure_s))
 
     def pulse_begin(self, pulse_s: float) -> float:
-        """When the flash starts.
+        """When a pulse of this duration starts, seconds.
 
-        With the exposure of the last row if all rows are then exposed; a pulse after that lights all rows.
-        If the shutter reads out for longer than it exposes, there is no such time, and the pulse starts with
-        the first row; so does a lamp that stays on until the last row is finished.
+        With the exposure of the last row, if there is a time at which all rows are exposed. If the readout
+        takes longer than an exposure, there is none, and the pulse starts with the exposure of the first row;
+        so does a pulse that lasts until the end of the last row's exposure.
         """
         begins = self.exposures().begin_s
         lasts = pulse_s >= self.readout_s + self.exposure_s
@@ -90,5 +90,5 @@ class Shutter:
         return RowWindows(start, np.clip(length, 0.0, longest))
 
     def flash_share(self, pulse_s: float) -> Array:
-        """`(h,)` the flash's light in each row over that in a row that is exposed to all it can be."""
+        """`(h,)` fraction that each row sees of the longest possible overlap of pulse and exposure."""
         return self.flash_windows(pulse_s).length_s / min(pulse_s, self.exposure_s)
