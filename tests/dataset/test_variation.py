@@ -210,10 +210,7 @@ def test_coordinates_of_a_target_vary(load):
 
 
 def test_parts_that_differ_in_every_frame_do_not_pile_up_in_memory(load):
-    recipe = load(
-        "plan = { sets = 1, rotations = 1, frames = 200 }\n"
-        "override.stem.parts = { low = 20, high = 170, per = 'frame' }"
-    )
+    recipe = load("plan.frames = 200\noverride.stem.parts = { low = 20, high = 170, per = 'frame' }")
     setups, first = FrameSetups(resolve_recipe(recipe)), recipe.plan.frame(0)
     cultivar = weakref.ref(setups.at(first).cultivar)
     parts = cultivar().stem.parts
