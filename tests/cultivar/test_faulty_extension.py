@@ -30,12 +30,16 @@ OWN_FAULTS = {
         + "dry_matter_g_cm2 = 0.004, chlorofyll = 3 }",
         "pigments.fruit.end.chlorofyll",
     ),
-    "another form": ("tomato", '[organs.lamina]\nform = "stalk"', "organs.lamina"),
-    "another form of an inherited bearer": ("kaite", '[organs.petiole]\nform = "blade"', "organs.petiole"),
+    "another form": ("tomato", '[organs.lamina]\nform = "stalk"', "organs.lamina.length"),
+    "another form of an inherited bearer": (
+        "kaite",
+        '[organs.petiole]\nform = "blade"',
+        "organs.petiole.width",
+    ),
     "like another form": (
         "kaite",
         '[organs.bract]\nlike = "lamina"\nform = "peduncle"\n',
-        "organs.bract",
+        "organs.bract.diameter",
     ),
     "own distribution": ("red_blocky", "[organs.fruit.diameter]\nmean_mm = 80", "organs.fruit.diameter"),
     "own slot": ("kaite", '[[organs.node.bears]]\nname = "leaf"\nlift = "up"', "organs.node.bears.0.lift"),
@@ -45,7 +49,7 @@ OWN_FAULTS = {
         "organs.node.bears.4.azimuth",
     ),
     "new kind without a form": ("kaite", "[organs.thorn]\nsize_correlation = 0.5", "organs.thorn"),
-    "new kind without its lengths": ("kaite", '[organs.thorn]\nform = "cut"', "organs.thorn"),
+    "new kind without its lengths": ("kaite", '[organs.thorn]\nform = "cut"', "organs.thorn.diameter"),
     "stem of an unknown node": ("kaite", '[stem]\nnode = "nod"', "stem.node"),
     "unknown table": ("kaite", "[leaf]\nlength = 3", "leaf"),
 }
@@ -59,11 +63,11 @@ def test_a_fault_of_the_extending_file_names_that_file(fault: str, tmp_path: Pat
     with pytest.raises(InputError) as caught:
         load_cultivar(mine)
     assert caught.value.where == str(mine)
-    assert caught.value.key.startswith(key)
+    assert caught.value.key == key
 
 
 PARENT_FAULTS = {
-    "pigments": (INCOMPLETE_PIGMENTS, '[pigments.leaf]\nchosen = "x"\n', "pigments.fruit.end"),
+    "pigments": (INCOMPLETE_PIGMENTS, "", "pigments.fruit.end"),
     "organ of the same form": (
         "[organs.fruit.diameter]\nmean_mm = -3",
         '[organs.fruit]\nform = "fruit"',
@@ -72,7 +76,7 @@ PARENT_FAULTS = {
     "missing key of a new kind": (
         '[organs.thorn]\nform = "cut"',
         "[organs.thorn]\nsize_correlation = 0.5",
-        "organs.thorn",
+        "organs.thorn.diameter",
     ),
     "slot": (
         '[[organs.node.bears]]\nname = "leaf"\nlift = "up"',
@@ -87,8 +91,8 @@ def test_a_fault_of_the_extended_file_names_that_file(fault: str, tmp_path: Path
     faulty, good, key = PARENT_FAULTS[fault]
     parent, mine = tmp_path / "parent.toml", tmp_path / "mine.toml"
     parent.write_text(f'extends = "kaite"\n{faulty}\n')
-    mine.write_text('extends = "parent.toml"\n' + ("" if fault == "pigments" else good))
+    mine.write_text(f'extends = "parent.toml"\n{good}\n')
     with pytest.raises(InputError) as caught:
         load_cultivar(mine)
     assert caught.value.where == str(parent)
-    assert caught.value.key.startswith(key)
+    assert caught.value.key == key

@@ -1,4 +1,4 @@
-"""Tables that recipes must not have, each with the key that its error names."""
+"""Invalid tables of recipes, each with the key that its error names."""
 
 from __future__ import annotations
 
@@ -150,6 +150,7 @@ VARIED = [
     ("cultivar = 'kaite'\n[growth]\nuntil = 'kaite_september'\ndate = { low = 5, high = 6 }", "growth.date"),
     ("override = 3", "override"),
     ("override.organs.fruit.length = 3", "override.organs.fruit.length"),
+    ("override.organs.fruit.scan = 'fruit.obj'", "override.organs.fruit.scan = 'fruit.obj'"),
     ("override.pigments.fruit.ior = 1.4", "override.pigments.fruit.start"),
     ("override.stem.parts = { low = -3, high = 5, per = 'set' }", "override.stem.parts = -3"),
     ("override.stem.parts = { in_turn = [20, 'a'], per = 'set' }", "override.stem.parts = 'a'"),
@@ -180,6 +181,8 @@ TWINS = [
     ),
     ("[twins]\n'override.organs.fruit.diameter.mean_mm' = [50, 60]", 'twins."override.organs.fruit'),
     ("[twins]\n'cultivar' = ['kaite', 'kate']", "twins.cultivar = 'kate'"),
+    ("[twins]\n'camera.hfov_deg' = [50, 60]", 'twins."camera.hfov_deg": makes camera invalid: lens and'),
+    ("[twins]\n'camera.lens' = ['none', 'lensagon_cmfa0420nd']", 'twins."camera.lens": makes camera invalid'),
     ("[twins]\n"
     "'developing.white_balance_error' = [[1, 1, 1], [1, 1]]", 'twins."developing.white_balance_error"'),
 ]  # fmt: skip

@@ -220,7 +220,14 @@ def test_shipped_devices_have_the_published_field_of_view(device, size, hfov_deg
     assert angle == pytest.approx(hfov_deg, abs=0.1)
 
 
-def test_telephone_camera_has_12_megapixels_and_77_degrees():
+def test_shipped_stereo_pair_has_the_published_order_and_baseline():
+    left, right = (camera.position_mm for camera in load_recipe("realsense").rig)
+    # To the right of the colour camera: the left infrared camera, and 50 mm further the right one.
+    assert 0 < left[0] < right[0]
+    assert np.subtract(right, left).tolist() == [50, 0, 0]
+
+
+def test_phone_camera_has_12_megapixels_and_77_degrees():
     changes = {"camera.sensor": "sony_imx363", "camera.lens": "google_pixel_3"}
     camera = camera_with(changes | {"camera.width": 4032, "camera.height": 3024})
     half = np.hypot(4032, 3024) / 2 / camera.intrinsics[0, 0]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import datetime
+import gc
 import math
+import weakref
 from collections import Counter
 
 import numpy as np
@@ -186,6 +188,39 @@ def test_twins_of_a_moment_have_their_own_values_and_the_same_draws(load):
     assert len({pairs[0][1] for pairs in moments.values()}) == 6
 
 
+def test_a_list_of_twins_replaces_the_varied_values_in_it(load):
+    recipe = load(
+        "developing.white_balance_error = [{ low = 0.9, high = 1.1 }, 1, 1]\n"
+        "[twins]\n'developing.white_balance_error' = [[1, 1, 1], [1.2, 1, 1]]"
+    )
+    assert recipe.variation == ()
+    last = frame_values(recipe, recipe.plan.frame(recipe.plan.count - 1))
+    assert last.drawn == {"developing.white_balance_error": [1.2, 1, 1]}
+    assert last.recipe.developing.white_balance_error == (1.2, 1, 1)
+
+
+def test_coordinates_of_a_target_vary(load):
+    recipe = load(
+        "plan.frames = 20\n[views]\nkind = 'random'\ndistance_mm = [300, 400]\n"
+        "target = [{ low = -500, high = 500 }, 0, 1000]"
+    )
+    targets = [frame_values(recipe, recipe.plan.frame(index)).recipe.views.target for index in range(20)]
+    assert len({x for x, _, _ in targets}) == 20
+    assert all(-500 <= x <= 500 and (y, z) == (0, 1000) for x, y, z in targets)
+
+
+def test_parts_that_differ_in_every_frame_do_not_pile_up_in_memory(load):
+    recipe = load("plan.frames = 200\noverride.stem.parts = { low = 20, high = 170, per = 'frame' }")
+    setups, first = FrameSetups(resolve_recipe(recipe)), recipe.plan.frame(0)
+    cultivar = weakref.ref(setups.at(first).cultivar)
+    parts = cultivar().stem.parts
+    for index in range(1, 200):
+        setups.at(recipe.plan.frame(index))
+    gc.collect()
+    assert cultivar() is None
+    assert setups.at(first).cultivar.stem.parts == parts
+
+
 RIG = (
     "plan = { sets = 1, rotations = 1, frames = 4 }\nviews.speed_mm_s = 500\ncamera.focus_mm = 600\n"
     "[[rig]]\nname = 'right'\nposition_mm = [80, -20, 10]\nrotation_deg = [10, 20, 30]\ngain = 2\n"
@@ -252,12 +287,11 @@ def test_cameras_that_are_drawn_for_each_frame_have_their_own_frustums(load):
     np.testing.assert_array_equal(together.normals, normals)
 
 
-def test_twins_with_other_views_have_their_own_poses_in_any_order(tmp_path, monkeypatch):
+def test_twins_with_other_views_have_their_own_poses_in_any_order(tmp_path):
     (tmp_path / "views.py").write_text(
         "import numpy as np\ndef near(scene, rng):\n    poses = np.tile(np.eye(4), (2, 1, 1))\n"
         "    poses[:, 0, 3] = rng.random(2)\n    return poses\n"
-        "def far(scene, rng):\n    return near(scene, rng) + 10 * np.eye(4)[None] * 0 + _shift()\n"
-        "def _shift():\n    shift = np.zeros((4, 4)); shift[0, 3] = 5\n    return shift\n"
+        "def far(scene, rng):\n    poses = near(scene, rng)\n    poses[:, 0, 3] += 5\n    return poses\n"
     )
     path = tmp_path / "mine.toml"
     path.write_text(

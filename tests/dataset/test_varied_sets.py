@@ -182,7 +182,8 @@ def test_the_record_of_a_recipe_draws_the_values_of_each_frame():
         "row.plants_front": {"low": 5, "high": 9},
         "developing.demosaic": {"malvar": 0.5, "bilinear": 0.5},
     }
-    recipe = load_recipe("barth2018", {**VARIED, **further, "twins": TWINS, "rig": RIG})
+    tables = {"daylight": [{"illuminance_lx": 900.0, "cover": "none"}, {"illuminance_lx": 100.0}]}
+    recipe = load_recipe("barth2018", {**VARIED, **further, "twins": {**TWINS, **tables}, "rig": RIG})
     recorded = json.loads(canonical_json(recipe.identity()))["recipe"]
     variation = read_variation(recorded)
     assert {varied.name: varied.identity() for varied in variation} == recorded["variation"]

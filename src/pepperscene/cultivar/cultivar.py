@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import model_validator
 
 from pepperscene.cultivar.distribution import Distribution, Origin
-from pepperscene.cultivar.inheritance import defining_file, merge_chain, read_chain
+from pepperscene.cultivar.inheritance import check_no_scans, defining_file, merge_chain, read_chain
 from pepperscene.cultivar.notation import Choice
 from pepperscene.cultivar.organs import DEFAULT_KINDS, AnyOrgan, OrganKind
 from pepperscene.cultivar.slot import Slot
@@ -71,7 +71,7 @@ class Cultivar(Document):
 
 
 CHANGES: Final = "changes"
-"""Name in errors of the changes of `load_cultivar`."""
+"""In errors about the `changes` of `load_cultivar`, instead of a file name."""
 
 
 def load_cultivar(name_or_path: str | Path, changes: Mapping[str, Any] | None = None) -> Cultivar:
@@ -79,14 +79,15 @@ def load_cultivar(name_or_path: str | Path, changes: Mapping[str, Any] | None = 
 
     Args:
         name_or_path: of the cultivar.
-        changes: tables that override those of the file, in its notation.
+        changes: tables that override those of the file, in its notation; they name no scans.
 
     Raises:
-        InputError: not found, not TOML, or a parameter is missing, unknown or not allowed; a fault in
-            `changes` is one of the file `CHANGES`.
+        InputError: not found, not TOML, or a parameter is missing, unknown or not allowed; for an error in
+            `changes`, the file name is `CHANGES`.
     """
     files = read_chain(name_or_path)
     if changes:
+        check_no_scans(CHANGES, changes)
         files = [(Path(CHANGES), copy.deepcopy(dict(changes))), *files]
     tables = merge_chain(files)
     try:

@@ -16,7 +16,7 @@ Tables = dict[str, Any]
 Chain = list[tuple[Path, Tables]]
 
 _MERGED_DEPTH: Final = {"stem": 2, "pigments": 2, "organs": 3}
-"""Tables that are merged with those of the extended file, and the length of the keys replaced in them."""
+"""Tables that are merged with those of the extended file, and the number of parts in a key replaced there."""
 
 SCAN_SUFFIXES: Final = (".obj", ".ply", ".stl")
 
@@ -63,7 +63,7 @@ def merge_chain(files: Chain) -> Tables:
 
 
 def defining_file(files: Chain, tables: Tables, key: str) -> Path:
-    """Find the file whose value or table a dotted key of the merged tables comes from, in an error about it.
+    """Find the file to name in an error about a dotted key of the merged tables: the file with its value.
 
     A key that is missing belongs to the nearest file that holds the table around it. Which keys an organ
     must and can have follows from its form, so a file that changes the form is named for the keys that it
@@ -83,7 +83,7 @@ def defining_file(files: Chain, tables: Tables, key: str) -> Path:
 
 
 def _form_file(files: Chain, kind: str) -> int | None:
-    """Number of the file that gave a kind its form, not counting nearer ones that repeat it."""
+    """Index of the file that gave a kind its form; nearer files that repeat the form do not count."""
     organs = [_subtables(own.get("organs")).get(kind, {}) for _, own in files]
     forms = [(number, organ["form"]) for number, organ in enumerate(organs) if "form" in organ]
     same = itertools.takewhile(lambda item: item[1] == forms[0][1], forms)
@@ -101,6 +101,14 @@ def _resolve_scans(path: Path, tables: Tables) -> None:
         if not is_file(file):
             raise InputError(path, "is not a file, relative to this one", key=key, value=scan)
         organ["scan"] = str(file.resolve())
+
+
+def check_no_scans(where: str, tables: Mapping[str, Any]) -> None:
+    """Raise `InputError` if tables that are in no file name a scan, whose path is relative to a file."""
+    for name, organ in _subtables(tables.get("organs")).items():
+        if "scan" in organ:
+            problem = "must be in a cultivar file, because its path is relative to that file"
+            raise InputError(where, problem, key=f"organs.{name}.scan", value=organ["scan"])
 
 
 def _merge_tables(base: Tables, override: Tables) -> Tables:

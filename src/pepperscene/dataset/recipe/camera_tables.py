@@ -6,6 +6,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field, model_validator
 
+from pepperscene.dataset.recipe.exposure import Exposure
 from pepperscene.dataset.recipe.tables import NONE, Name, Switch, single_message
 from pepperscene.document import Document
 
@@ -14,11 +15,11 @@ Entry = Annotated[float, Field(strict=True, ge=-100, le=100)]
 MatrixRow = tuple[Entry, Entry, Entry]
 
 LEAST_BASELINE_MM: Final = 0.1
-"""Chosen: the smallest stereo endoscopes have 1 mm; closer images of plants are the same to a pixel."""
+"""Chosen: the smallest stereo endoscopes have 1 mm; closer cameras have the same image to within a pixel."""
 
 
 ExposureTime = Annotated[
-    Annotated[float, Field(strict=True, ge=1, le=1_000_000)] | Literal["auto"],
+    Exposure | Literal["auto"],
     single_message('must be 1 to 1,000,000, or "auto"'),
 ]
 
@@ -26,8 +27,8 @@ ExposureTime = Annotated[
 GENERIC_SENSOR: Final = "generic_rgb"
 """The shipped sensor that has the size of any image."""
 
-_SIDE: Final = 20_000  # pixels; chosen: as of sensor files
-_MOST_HFOV_DEG: Final = 170.0  # no corner is more than 85 degrees off the axis
+_SIDE: Final = 20_000  # pixels; chosen: the limit of sensor files
+_MOST_HFOV_DEG: Final = 170.0  # no corner may be more than 85 degrees off the axis
 
 INTRINSICS: Final = ("fx", "fy", "cx", "cy")
 LENS_KEYS: Final = (

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pepperscene.scene import Cover
 
 _HELD: Final = 16
-"""Chosen: cultivars, covers and cameras that are kept; a recipe that draws more loads them again."""
+"""Chosen: number of cultivars, covers and cameras that are kept; others are loaded again when needed."""
 
 Content = TypeVar("Content")
 

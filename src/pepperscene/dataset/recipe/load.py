@@ -17,21 +17,15 @@ from pepperscene.dataset.recipe.load_camera import NamedFiles
 from pepperscene.dataset.recipe.merge import merge_layer, merge_tables
 from pepperscene.dataset.recipe.outcomes import check_outcomes
 from pepperscene.dataset.recipe.parse import parse_recipe
-from pepperscene.dataset.recipe.recipe import Recipe
+from pepperscene.dataset.recipe.recipe import FILE_FOLDERS, Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe, load_files
 from pepperscene.dataset.variation.extract import table_model
 from pepperscene.document import extends_chain
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.shipped import find_file
 
-_FILE_KEYS: Final = (
-    ("cultivar",), ("camera", "sensor"), ("camera", "lens"), ("camera", "flash"), ("camera", "filter"),
-    ("camera", "calibration"), ("daylight", "cover"), ("growth", "until"), ("views", "file"),
-)  # fmt: skip
-"""Keys whose value may be a path, relative to the recipe file that holds it."""
-
 _PATH_ENDINGS: Final = (".toml", ".yaml", ".yml", ".txt", ".csv", ".json", ".py")
-"""A text with one of these is a path, also without a folder; any other such text is a name."""
+"""Text with one of these endings is a path. Other text is one only if it has a folder; else it is a name."""
 
 _EXPECT: Final = "expect"
 _SAME_FRAMES: Final = {"name", "seed", "plan"}
@@ -213,7 +207,7 @@ def _first_with_other_views(layers: Sequence[_Layer]) -> int:
 def _resolve_paths(table: dict[str, Any], folder: Path) -> None:
     """Make the paths in a recipe's table absolute; values of a wrong type are left to validation."""
     twins, rig = table.get("twins"), table.get("rig")
-    for *outer, last in _FILE_KEYS:
+    for *outer, last in FILE_FOLDERS:
         inner: Any = table
         for key in outer:
             inner = inner.get(key) if isinstance(inner, dict) else None

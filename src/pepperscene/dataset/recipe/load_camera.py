@@ -26,22 +26,26 @@ if TYPE_CHECKING:
 GRID_STEP_NM: Final = 5.0
 MAX_WAVELENGTH_NM: Final = 2500.0
 _TYPICAL_EXPOSURE_US: Final = 1000.0
-"""Of an automatic exposure, before it is chosen. Chosen: only the order of magnitude matters, for what light
-can be neglected."""
+"""Placeholder until automatic exposure has set one. Chosen: only its order of magnitude matters, to decide
+what light can be neglected."""
 _LEAST_EFFICIENCY: Final = 1e-9
 """Electrons per photon, of the most sensitive colour. Chosen: less than any dark current leaves visible, and
 far from where single precision ends."""
 
 # Of a lens that a recipe describes in numbers.
-_F_NUMBER: Final = 2.0  # chosen: camera modules of webcams, telephones and depth cameras have 1.8 to 2.4
+_F_NUMBER: Final = 2.0  # chosen: camera modules of webcams, phones and depth cameras have 1.8 to 2.4
 _TRANSMITTANCE: Final = 0.9
 """Chosen: 5 to 7 glasses or plastic lenses, coated, transmit 0.87 to 0.95."""
+
+_MOST_KEPT: Final = 64
+"""Chosen: more files than most recipes name. A cultivar takes 0.3 MB, and a recipe can vary its values in
+every frame."""
 
 Content = TypeVar("Content")
 
 
 class NamedFiles:
-    """Loads each file that recipes name once, as long as this object lives."""
+    """Loads files that recipes name, and keeps the latest of them."""
 
     def __init__(self) -> None:
         self._contents: dict[tuple[Hashable, str], Any] = {}
@@ -64,14 +68,18 @@ class NamedFiles:
             content: identifies what is loaded from files of this kind; by default it is the function.
         """
         index = (content or load, name)
-        if index not in self._contents:
-            try:
-                self._contents[index] = load(name)
-            except InputError as error:
-                if error.key or error.where != name:
-                    raise
-                raise InputError(where, error.problem, key=key, value=name) from None
-        loaded: Content = self._contents[index]
+        if index in self._contents:
+            kept: Content = self._contents[index]
+            return kept
+        try:
+            loaded = load(name)
+        except InputError as error:
+            if error.key or error.where != name:
+                raise
+            raise InputError(where, error.problem, key=key, value=name) from None
+        if len(self._contents) >= _MOST_KEPT:
+            del self._contents[next(iter(self._contents))]
+        self._contents[index] = loaded
         return loaded
 
 

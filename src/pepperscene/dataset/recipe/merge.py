@@ -18,8 +18,8 @@ _REPLACED: Final = (
     *((keys, tuple(key for other in LENS_KEYS if other != keys for key in other)) for keys in LENS_KEYS),
     (("calibration",), SIZE_KEYS),
 )
-"""Keys of [camera], and those that a layer with one of them does not inherit: they are other ways to say the
-same. So a recipe can give `hfov_deg` although the one that it extends has a `lens`."""
+"""Keys of [camera], and the alternatives to them, which a layer with one of these keys does not inherit. So a
+recipe can give `hfov_deg` although the one that it extends has a `lens`."""
 
 _CAMERA: Final = "camera"
 
@@ -43,7 +43,7 @@ def merge_layer(base: Mapping[str, Any], over: Mapping[str, Any], *, is_file: bo
 
 
 def _without_replaced(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """The lower layers' table without those of the camera's keys that the layer `over` replaces by others."""
+    """The lower layers' table without keys of the camera for which the layer `over` has an alternative."""
     inherited, camera = base.get(_CAMERA), over.get(_CAMERA)
     if not isinstance(inherited, dict) or not isinstance(camera, dict):
         return base
@@ -88,7 +88,8 @@ def merge_tables(
 
 
 _FREE_TABLES: Final = {"share", "twins", "views"}
-"""Tables whose keys are not those of a model. A table instead of another single value is a varied one."""
+"""Tables that are merged although no single model has their keys. Where any other value is expected, a table
+is a varied value."""
 
 
 def _merge_override(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
@@ -107,7 +108,8 @@ def has_field(tables: Mapping[str, Any], key: tuple[str, ...]) -> bool:
     model: type[BaseModel] | None = Recipe
     for depth, part in enumerate(key):
         if key[0] == OVERRIDE and depth:
-            return len(key) > 1
+            # The keys of cultivar files are checked when one is loaded.
+            return True
         if model is None or part not in model.model_fields:
             return False
         tables = _table(tables, part)

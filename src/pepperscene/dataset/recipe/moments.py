@@ -11,7 +11,7 @@ from pepperscene.dataset.recipe.plan import Plan
 
 
 def moments(plan: Plan, indices: ArrayLike) -> NDArray[np.int64]:
-    """The numbers of the moments of frames `(n,)`, as `FrameSpec.moment`."""
+    """The moment of each frame `(n,)`, as `FrameSpec.moment`."""
     frames: NDArray[Any] = np.asarray(indices, np.int64)
     return frames // plan.scene_frames * plan.frames + frames // plan.cameras % plan.frames
 

@@ -14,11 +14,11 @@ from pepperscene.dataset.recipe.frame_values import as_written, changed_recipe, 
 from pepperscene.dataset.recipe.load_camera import NamedFiles, load_camera
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import (
+    check_growth,
     check_gutters,
     check_views,
     load_first_stage,
     load_recipe_cover,
-    load_stages,
 )
 from pepperscene.dataset.variation.varied import Key, Varied, VariedChoice, VariedInTurn
 from pepperscene.errors import InputError
@@ -27,8 +27,8 @@ Changes = tuple[tuple[Key, Any], ...]
 """Values of a recipe with their keys."""
 
 _MOST_COMBINATIONS: Final = 128
-"""Chosen: of one group of tables, a tenth of a second. Where there are more, as many random ones are checked,
-which miss any given combination of three values, each the lower or the upper limit, with probability 4e-8."""
+"""Chosen: those of one group of tables take a tenth of a second. Of more, this number of random ones is
+checked, which miss a given combination of three limits, each lower or upper, with probability 4e-8."""
 _MOST_CULTIVARS: Final = 16  # chosen: loading a cultivar takes longer
 _LAST: Final = 1.0 - 1e-9  # probability of the highest value that is drawn
 
@@ -54,8 +54,9 @@ def check_outcomes(recipe: Recipe, where: str | Path, files: NamedFiles) -> None
         ("camera", "developing"): lambda changed: load_camera(changed, where, files),
         ("daylight",): lambda changed: load_recipe_cover(changed, where, files),
         ("row", "greenhouse", "twine"): lambda changed: check_gutters(changed, where),
-        ("cultivar", "override", "growth"): lambda changed: load_stages(changed, where, files, blended),
+        ("cultivar", "override", "growth"): lambda changed: check_growth(changed, where, files, blended),
         ("views", "cultivar"): lambda changed: _check_views(changed, where, files),
+        # Its values depend on each other only, so its model checks all.
         ("auto_exposure",): lambda changed: None,
     }
     for tables, check in checks.items():

@@ -18,8 +18,8 @@ from pepperscene.document import Document, toml_key, validate
 from pepperscene.errors import InputError
 
 _NEAR_LOW: Final = 1e-5
-"""Probability of a value near the lower limit. Some keys allow 0, or a minimum and more; values between are
-an error if they are drawn as often. Chosen: ten times in the largest data sets."""
+"""Probability of a value near the lower limit. Some keys allow 0, or a minimum and more; a range from 0 is an
+error if values below the minimum are this frequent. Chosen: ten frames of the largest data set."""
 
 _DERIVED: Final = ("twins", "cameras")
 """Fields of the plan that follow from other tables."""
@@ -41,6 +41,12 @@ def parse_recipe(table: Mapping[str, Any], where: str) -> Recipe:
         recipe = validate(Recipe, nominal, where)
     except InputError as error:
         raise _at_limit(error, nominal, variation, where) from None
+    # A list of twins replaces the varied values in it, which would be recorded as drawn.
+    variation = tuple(
+        varied
+        for varied in variation
+        if not any(varied.name.startswith(f"{dotted}.") for dotted in recipe.twins)
+    )
     recipe = recipe.with_variation(variation)
     _check_twins(recipe, where)
     _check_rig(recipe, where)
@@ -118,11 +124,23 @@ def _check_twins(recipe: Recipe, where: str) -> None:
             )
             raise InputError(where, problem, key=name)
     for number in range(recipe.plan.twins if recipe.twins else 0):
-        changed = changed_recipe(recipe, twin_changes(recipe, number), where)
+        try:
+            changed = changed_recipe(recipe, twin_changes(recipe, number), where)
+        except InputError as error:
+            raise _of_twins(error, recipe) from None
         if changed.views.kind != recipe.views.kind:
             name = toml_key(("twins", "views"))
             problem = f"must keep the kind of the views, {recipe.views.kind}"
             raise InputError(where, problem, key=name, value=changed.views.kind)
+
+
+def _of_twins(error: InputError, recipe: Recipe) -> InputError:
+    """An error of a whole table, as one of the first value of twins in it; others keep their key."""
+    for dotted in recipe.twins:
+        if error.key and dotted.startswith(f"{error.key}."):
+            name = toml_key(("twins", dotted))
+            return InputError(error.where, f"makes {error.key} invalid: {error.problem}", key=name)
+    return error
 
 
 def _check_rig(recipe: Recipe, where: str) -> None:

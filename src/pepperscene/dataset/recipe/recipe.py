@@ -28,7 +28,7 @@ _REFERENCE: Final = "file"
 _POSES: Final = "poses"
 _CALIBRATIONS: Final = "calibrations"
 
-_FILES: Final[Mapping[tuple[str, ...], str | None]] = {
+FILE_FOLDERS: Final[Mapping[tuple[str, ...], str | None]] = {
     ("cultivar",): None,
     ("growth", "until"): None,
     ("camera", "sensor"): "sensors",
@@ -135,7 +135,7 @@ class Recipe(Document):
             recipe["variation"] = {varied.name: varied.identity() for varied in self.variation}
 
         files: dict[str, dict[str, str]] = {}
-        for dotted, folder in _FILES.items():
+        for dotted, folder in FILE_FOLDERS.items():
             for number, name in enumerate(self._names(dotted)):
                 part = dotted[-1] if folder is not None else ".".join(dotted)
                 if number:

@@ -113,10 +113,11 @@ def load_recipe_cultivar(recipe: Recipe, where: str | Path = "", files: NamedFil
     return _at_stage(recipe, where, *_load_stages(recipe, where, files or NamedFiles()))
 
 
-def load_stages(recipe: Recipe, where: str | Path, files: NamedFiles, blended: set[tuple[str, str]]) -> None:
-    """Check that a recipe's cultivar can be loaded at its growth stage; arguments and errors as above.
+def check_growth(recipe: Recipe, where: str | Path, files: NamedFiles, blended: set[tuple[str, str]]) -> None:
+    """Check that a recipe's cultivar can be loaded at its growth stage.
 
-    `blended` has the names of cultivars between which stages are known to exist; the recipe's are added.
+    Arguments and errors are as of `load_files`.
+    `blended` holds pairs of cultivars that are known to have stages between them; the recipe's is added.
     """
     first, last, fraction = _load_stages(recipe, where, files)
     names = (recipe.cultivar, recipe.growth.until if recipe.growth is not None else "")

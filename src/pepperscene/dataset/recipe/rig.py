@@ -74,7 +74,7 @@ def _check_twins(twins: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]
     lengths = {len(values) for values in twins.values()}
     if len(lengths) > 1:
         counts = ", ".join(f"{key} has {len(values)}" for key, values in twins.items())
-        raise ValueError(f"must have as many values for each key: {counts}")
+        raise ValueError(f"must have the same number of values for each key: {counts}")
     return twins
 
 

@@ -95,7 +95,7 @@ class ProtocolViews(Views):
 
 
 class GridViews(Views):
-    """All combinations of places along the row, distances, heights and angles; the last varies fastest."""
+    """All combinations of positions along the row, distances, heights and angles; the last varies fastest."""
 
     kind: Literal["grid"]
     x_mm: Annotated[tuple[Coordinate, ...], Field(min_length=1, max_length=1000)] = (0.0,)
@@ -181,7 +181,7 @@ class RandomViews(Views):
         roll_deg: of the camera about its optical axis.
         offset: of the target from the image's centre, as a fraction of the half field of view.
         volume_mm: limits of the camera's x, y and z.
-        clearance_mm: radius of the ball around the lens that nothing may reach into.
+        clearance_mm: radius of the sphere around the lens that must be empty.
         least_visibility: fraction of the target's surface towards the camera that must be in view.
     """
 
@@ -214,7 +214,7 @@ class RandomViews(Views):
 
 
 class FunctionViews(Views):
-    """Poses from a Python function of the user's, `poses(scene, rng)`, in a file beside the recipe."""
+    """Poses from the user's Python function `poses(scene, rng)`, in a file of its own."""
 
     kind: Literal["function"]
     file: Name

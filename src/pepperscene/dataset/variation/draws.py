@@ -1,4 +1,4 @@
-"""Drawing varied values: from the recipe's seed, the name of the draw, and the number of what it is for."""
+"""Drawing varied values from the recipe's seed, the name of the draw, and the set, scene or moment."""
 
 from __future__ import annotations
 

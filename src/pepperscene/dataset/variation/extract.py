@@ -1,4 +1,4 @@
-"""Find the varied values in a recipe's tables, and put a typical value in the place of each."""
+"""Find the varied values in a recipe's tables, and replace each by a typical value."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ def extract_varied(
                 where, "must be a value, because it is the same for all frames", key=toml_key(key)
             )
         if annotation is None and "in_turn" not in raw:
-            raise InputError(where, "must be a list, of which each number can vary", key=toml_key(key))
+            raise InputError(where, "must be a list, each number of which can vary", key=toml_key(key))
         try:
             # Plants are grown for a set; other values cost nothing to change from frame to frame.
             default: Level = "set" if key[0] in PLANT_TABLES else "frame"
-            varied = parse_varied(key, raw, _kind(annotation, raw), default)
+            varied = parse_varied(key, raw, _kind(annotation), default)
         except ValueError as error:
             raise InputError(where, str(error), key=toml_key(key)) from None
         found.append(varied)
@@ -90,11 +90,25 @@ def _value_tables(
 
 
 def _list_tables(values: list[Any], annotation: Any, above: Key) -> Iterator[tuple[Key, dict[str, Any], Any]]:
+    """Yield the key, the table and the type of each element that is given as a table, in nested lists too."""
+    # In `str | tuple[float, ...]`, elements are numbers although the value can be text.
+    elements = tuple(_element_types(annotation))
+    annotation = typing.Union[elements] if elements else annotation  # noqa: UP007 - of a number of types
     for number, value in enumerate(values):
         if isinstance(value, dict) and not _holds_tables(annotation):
             yield (*above, number), value, annotation
         elif isinstance(value, list):
             yield from _list_tables(value, annotation, (*above, number))
+
+
+def _element_types(annotation: Any) -> Iterator[Any]:
+    """The types of the elements of each list or tuple in a type."""
+    parts = [part for part in typing.get_args(annotation) if part is not Ellipsis]
+    if typing.get_origin(annotation) in (tuple, list):
+        yield from parts
+    else:
+        for part in parts:
+            yield from _element_types(part)
 
 
 def _override_tables(table: dict[str, Any], above: Key) -> Iterator[tuple[Key, dict[str, Any], Any]]:
@@ -159,19 +173,20 @@ def _is_list(annotation: Any) -> bool:
     return typing.get_origin(annotation) in (tuple, list)
 
 
-def _kind(annotation: Any, raw: Mapping[str, Any]) -> Kind | None:
+def _kind(annotation: Any) -> Kind | None:
     """The kind of number in a type; None for names and switches."""
-    types = set(_plain_types(annotation))
-    if str in types:
+    plain = set(_plain_types(annotation))
+    if str in plain:
         return None
-    if datetime.date in types:
+    if datetime.date in plain:
         return "date"
-    if float in types:
+    if float in plain:
         return "number"
-    return "integer" if int in types else None
+    return "integer" if int in plain else None
 
 
 def _plain_types(annotation: Any) -> Iterator[Any]:
+    """The types of numbers, text and dates in a type, also inside of containers."""
     if annotation in (int, float, str, datetime.date):
         yield annotation
     for part in typing.get_args(annotation):

@@ -19,13 +19,13 @@ _MOST_CELLS: Final = 50  # chosen: of integers and dates; more cells find a wron
 
 
 def draw_numbers(per: Level, plan: Plan, indices: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number of the set, scene or moment of frames `(n,)`, of which each has one draw."""
+    """Number of the set, scene or moment of frames `(n,)`; each of these has one draw."""
     scene_frames = {"set": plan.rotations * plan.scene_frames, "scene": plan.scene_frames}
     return indices // scene_frames[per] if per in scene_frames else moments(plan, indices)
 
 
 def as_number(varied: Varied, value: Any) -> float:
-    """A drawn value as in JSON as a number: of days, the position in a list; nan if it is none of them."""
+    """A drawn value in JSON as a number: dates in days, outcomes by position; nan if not valid."""
     if isinstance(varied, VariedChoice | VariedInTurn):
         outcomes = varied.outcomes if isinstance(varied, VariedChoice) else varied.values
         texts = [item if isinstance(item, bool | int | float | str) else str(item) for item in outcomes]
@@ -49,16 +49,16 @@ def distinct_draws(
 
 
 def goodness_of_fit(varied: Varied, draws: NDArray[np.float64]) -> float | None:
-    """Probability that right draws fit their distribution as badly as these.
+    """The p-value of draws under their distribution.
 
-    By Kolmogorov and Smirnov's test for numbers, a chi-squared test for integers, dates and choices.
+    By the Kolmogorov-Smirnov test for numbers, and a chi-squared test for integers, dates and choices.
 
     Args:
         varied: the distribution.
-        draws: `(n,)`, one for each set, scene or moment, as of `as_number`.
+        draws: `(n,)` finite, one for each set, scene or moment, as of `as_number`.
 
     Returns:
-        The probability; None for values in turn, constants and fewer than `FEWEST_DRAWS` draws.
+        The p-value; None for values in turn, constants and fewer than `FEWEST_DRAWS` draws.
     """
     if len(draws) < FEWEST_DRAWS or isinstance(varied, VariedInTurn):
         return None
@@ -86,7 +86,7 @@ def _cell_edges(varied: VariedNumber, count: int) -> NDArray[np.float64]:
 
 
 def _chi_squared(counts: NDArray[np.int64], probabilities: NDArray[np.float64]) -> float | None:
-    """Probability of as large a chi-squared statistic; rare cells are pooled. None if one cell is left."""
+    """The p-value of counts; rare cells are pooled. None if a single cell is left."""
     from scipy.stats import chi2
 
     possible = probabilities > 0
@@ -95,7 +95,7 @@ def _chi_squared(counts: NDArray[np.int64], probabilities: NDArray[np.float64]) 
     expected = counts.sum() * probabilities[possible] / probabilities.sum()
     order = np.argsort(expected)
     expected, counts = expected[order], counts[possible][order]
-    # The rarest cells become one, which is large enough.
+    # Pool the rarest cells into one that is expected to hold enough draws.
     pooled = int(np.searchsorted(expected, _LEAST_EXPECTED))
     while 0 < pooled < len(expected) and expected[:pooled].sum() < _LEAST_EXPECTED:
         pooled += 1

@@ -35,7 +35,7 @@ def parse_varied(key: Key, raw: Mapping[str, Any], kind: Kind | None, default: L
         key: of the value.
         raw: its table.
         kind: of a number that the recipe needs here; None for a name or a switch.
-        default: what a value is drawn for if the table does not say it.
+        default: what a value is drawn for if the table has no `per`.
 
     Raises:
         ValueError: the table is not valid; the message says what is allowed.
@@ -52,7 +52,7 @@ def parse_varied(key: Key, raw: Mapping[str, Any], kind: Kind | None, default: L
     if "in_turn" in raw:
         if content or {"draw", "reversed", "scale"} & raw.keys():
             raise ValueError("in_turn allows no other key but per")
-        return VariedInTurn(key, per, draw, values=_values_in_turn(raw["in_turn"]))
+        return VariedInTurn(key, per, draw, _values_in_turn(raw["in_turn"]))
     if not content:
         raise ValueError(f"must be a value, or a table such as {_EXAMPLES}")
     if kind is not None and set(content) & set(_NUMBER_KEYS):
@@ -60,7 +60,7 @@ def parse_varied(key: Key, raw: Mapping[str, Any], kind: Kind | None, default: L
     if "scale" in raw:
         raise ValueError("scale is for distributions of numbers only")
     outcomes, probabilities = _parse_outcomes(content, kind)
-    return VariedChoice(key, per, draw, is_reversed, outcomes, probabilities)
+    return VariedChoice(key, per, draw, outcomes, probabilities, reversed=is_reversed)
 
 
 def _values_in_turn(raw: Any) -> tuple[Any, ...]:
@@ -100,7 +100,7 @@ def _parse_number(
         exact = distribution.low, distribution.high
         logarithms = [math.log(limit) for limit in exact]
         distribution = parse_distribution({"uniform": logarithms, "chosen": "by the recipe"})
-    return VariedNumber(key, per, draw, is_reversed, distribution, kind, scale == "log", exact)
+    return VariedNumber(key, per, draw, distribution, kind, scale == "log", exact, reversed=is_reversed)
 
 
 def _check_whole(numbers: Mapping[str, Any], kind: Kind) -> None:
@@ -161,7 +161,7 @@ def _outcome(name: str, kind: Kind | None) -> Any:
     """A key of a file as the value that it stands for."""
     if kind is None:
         return {"true": True, "false": False}.get(name, name)
-    # What is no number here can be one of the names that the key allows, which is checked with its value.
+    # Other text can be a name that the key allows too ("auto"); the recipe's validation checks it.
     with suppress(ValueError):
         if kind == "date":
             return datetime.date.fromisoformat(name)

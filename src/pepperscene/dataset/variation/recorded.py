@@ -1,4 +1,4 @@
-"""Varied values as `dataset.json` records them: read back, and drawn again for any frame."""
+"""Varied values as `dataset.json` records them: read from there, and drawn again for any frame."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from pepperscene.dataset.variation.varied import (
     VariedChoice,
     VariedInTurn,
     VariedNumber,
+    json_value,
 )
 
 _TOLERANCE: Final = 1e-9
@@ -32,8 +33,8 @@ _FAMILIES: Final = ("value", "normal", "uniform", "histogram")
 def read_variation(recipe: Mapping[str, Any]) -> tuple[Varied, ...]:
     """The varied values in the recipe of a `dataset.json`.
 
-    They draw the same values as those of the recipe itself, in the terms of JSON: dates are text. Their
-    `identity` is what was recorded.
+    They draw the same values as those of the recipe itself, except that dates are text. Their `identity` is
+    what was recorded.
 
     Raises:
         ValueError: the record is not valid.
@@ -43,7 +44,7 @@ def read_variation(recipe: Mapping[str, Any]) -> tuple[Varied, ...]:
         raise ValueError("variation must be an object")
     try:
         variation = tuple(_read_varied(str(name), identity) for name, identity in recorded.items())
-        # A distribution may have no values although each of its parameters is valid.
+        # Parameters can each be valid and still not make a distribution: drawing a value raises an error.
         for varied in variation:
             varied.describe()
             varied.value(0.5, 0)
@@ -60,19 +61,19 @@ def _read_varied(name: str, identity: Mapping[str, Any]) -> Varied:
     if not isinstance(draw, str):
         raise ValueError(f"{name}.draw must be a name")
     if "in_turn" in identity:
-        return VariedInTurn(key, per, draw, values=_not_empty(identity["in_turn"], name))
+        return VariedInTurn(key, per, draw, _not_empty(identity["in_turn"], name))
     is_reversed = identity.get("reversed", False)
     if "outcomes" in identity:
         pairs = _not_empty(identity["outcomes"], name)
         outcomes, probabilities = zip(*pairs, strict=True)
-        return VariedChoice(key, per, draw, is_reversed, outcomes, tuple(map(float, probabilities)))
+        weights = tuple(map(float, probabilities))
+        return VariedChoice(key, per, draw, outcomes, weights, reversed=is_reversed)
     if identity["family"] not in _FAMILIES or identity["kind"] not in get_args(Kind):
         raise ValueError(f"{name} must have a known family and kind")
     parameters = {part: identity[part] for part in _DISTRIBUTION}
     distribution = Distribution(chosen="as recorded", **parameters)
-    return VariedNumber(
-        key, per, draw, is_reversed, distribution, identity["kind"], bool(identity["logarithmic"])
-    )
+    kind, is_logarithmic = identity["kind"], bool(identity["logarithmic"])
+    return VariedNumber(key, per, draw, distribution, kind, is_logarithmic, reversed=is_reversed)
 
 
 def _not_empty(values: Any, name: str) -> tuple[Any, ...]:
@@ -95,7 +96,7 @@ def recorded_draws(
     Raises:
         LookupError: the record has too few values for twins.
     """
-    twins = {dotted: values[spec.twin] for dotted, values in recorded_twins(recipe).items()}
+    twins = {dotted: json_value(values[spec.twin]) for dotted, values in recorded_twins(recipe).items()}
     return as_json(draw_values(variation, int(recipe["seed"]), spec)) | twins
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import datetime
+import json
 import math
 import os
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -21,11 +23,16 @@ Key = tuple[str | int, ...]
 
 
 def json_value(value: Any) -> Any:
-    """A value of a recipe for JSON: dates as text, and of a file's path only its name."""
+    """A value of a recipe for JSON: dates and tables as text, and of a file's path only its name.
+
+    A table becomes the text of a JSON object with sorted keys, as a column of the manifest holds it.
+    """
     if isinstance(value, str) and os.path.isabs(value):
         return Path(value).stem
     if isinstance(value, list | tuple):
         return [json_value(item) for item in value]
+    if isinstance(value, Mapping):
+        return json.dumps({str(key): json_value(item) for key, item in value.items()}, sort_keys=True)
     return value if isinstance(value, bool | int | float | str) else str(value)
 
 
@@ -43,7 +50,7 @@ class Varied(ABC):
     key: Key
     per: Level
     draw: str
-    reversed: bool = False
+    reversed: bool = field(default=False, kw_only=True)
 
     @property
     def name(self) -> str:
@@ -57,12 +64,12 @@ class Varied(ABC):
     @property
     @abstractmethod
     def nominal(self) -> Any:
-        """A typical value, which stands for the others where one is needed."""
+        """A typical value, for what needs a single one, such as the fields of a recipe."""
 
     @property
     @abstractmethod
     def extremes(self) -> tuple[Any, ...]:
-        """Values that are valid only if all are: the ends of a range, or all outcomes."""
+        """The ends of the range, or all outcomes; if these are valid, the values between are too."""
 
     @abstractmethod
     def describe(self) -> str:
@@ -82,7 +89,7 @@ Kind = Literal["number", "integer", "date"]
 
 @dataclass(frozen=True)
 class VariedNumber(Varied):
-    """A number, an integer or a date with a distribution; with `logarithmic`, of the number's logarithm.
+    """A number, an integer or a date that follows a distribution, or whose logarithm does.
 
     Every integer or date of a uniform distribution is equally likely, its limits included.
 
@@ -90,11 +97,11 @@ class VariedNumber(Varied):
         distribution: of the number or its logarithm.
         kind: of the values.
         logarithmic: whether the distribution is that of the logarithm.
-        limits: of the number; None for those of the distribution. The logarithm's exponential misses them by
-            its rounding.
+        limits: of the number; None for those of the distribution. On a logarithmic scale they are given
+            apart, because the exponential of a limit's logarithm differs from it by rounding.
     """
 
-    distribution: Distribution | None = None
+    distribution: Distribution
     kind: Kind = "number"
     logarithmic: bool = False
     limits: tuple[float, float] | None = None
@@ -102,11 +109,10 @@ class VariedNumber(Varied):
     @property
     def quantities(self) -> Distribution:
         """The distribution, of logarithms if the scale is logarithmic."""
-        assert self.distribution is not None
         return self.distribution
 
     def value(self, probability: float, turn: int) -> Any:
-        """The value for a probability, or for a number."""
+        """The quantile of a probability in [0, 1), as a number, an integer or a date."""
         if self._is_discrete_uniform:
             first, last = round(self.quantities.low), round(self.quantities.high)
             return self._convert(min(first + int(probability * (last - first + 1)), last))
@@ -114,12 +120,12 @@ class VariedNumber(Varied):
 
     @property
     def nominal(self) -> Any:
-        """A typical value."""
+        """The median."""
         return self.value(0.5, 0)
 
     @property
     def extremes(self) -> tuple[Any, ...]:
-        """The ends of the range, or all outcomes."""
+        """The lowest and the highest value."""
         if self.limits is not None:
             return tuple(round(limit) if self.kind == "integer" else limit for limit in self.limits)
         return tuple(self._convert(limit) for limit in (self.quantities.low, self.quantities.high))
@@ -135,15 +141,14 @@ class VariedNumber(Varied):
         return np.interp(np.log(numbers) if self.logarithmic else numbers, quantiles, grid)
 
     def describe(self) -> str:
-        """The range or the outcomes, for users."""
+        """The range and the distribution, for users."""
         low, high = self.extremes
         family = self.quantities.family
-        shape = {"normal": "normal", "uniform": "uniform", "histogram": "histogram"}.get(family, family)
         scale = ", logarithmic scale" if self.logarithmic else ""
         limits = f"{low} to {high}" if self.kind != "number" else f"{low:g} to {high:g}"
         if family == "normal" and self.kind == "number" and not self.logarithmic:
             return f"{limits}, normal with mean {self.quantities.mean:g} and sd {self.quantities.sd:g}"
-        return f"{limits}, {shape}{scale}"
+        return f"{limits}, {family}{scale}"
 
     def identity(self) -> dict[str, Any]:
         """All that drawn values depend on, ready for JSON."""
@@ -169,27 +174,27 @@ class VariedNumber(Varied):
 class VariedChoice(Varied):
     """One of several outcomes, with probabilities that sum to 1."""
 
-    outcomes: tuple[Any, ...] = ()
-    probabilities: tuple[float, ...] = ()
+    outcomes: tuple[Any, ...]
+    probabilities: tuple[float, ...]
 
     def value(self, probability: float, turn: int) -> Any:
-        """The value for a probability, or for a number."""
+        """The outcome in whose interval of probabilities a probability in [0, 1) is."""
         ends = np.cumsum(self.probabilities)
         number = int(np.searchsorted(ends, probability * ends[-1], side="right"))
         return self.outcomes[min(number, len(self.outcomes) - 1)]
 
     @property
     def nominal(self) -> Any:
-        """A typical value."""
+        """The most probable outcome."""
         return self.outcomes[int(np.argmax(self.probabilities))]
 
     @property
     def extremes(self) -> tuple[Any, ...]:
-        """The ends of the range, or all outcomes."""
+        """All outcomes."""
         return self.outcomes
 
     def describe(self) -> str:
-        """The range or the outcomes, for users."""
+        """The outcomes and their probabilities, for users."""
         pairs = zip(self.outcomes, self.probabilities, strict=True)
         return ", ".join(f"{outcome} {100 * probability:.3g} %" for outcome, probability in pairs)
 
@@ -204,24 +209,24 @@ class VariedChoice(Varied):
 class VariedInTurn(Varied):
     """The values of a list in turn, by the number of the set, scene or frame."""
 
-    values: tuple[Any, ...] = ()
+    values: tuple[Any, ...]
 
     def value(self, probability: float, turn: int) -> Any:
-        """The value for a probability, or for a number."""
+        """The value at the number of the set, scene or frame; the probability has no effect."""
         return self.values[turn % len(self.values)]
 
     @property
     def nominal(self) -> Any:
-        """A typical value."""
+        """The first value."""
         return self.values[0]
 
     @property
     def extremes(self) -> tuple[Any, ...]:
-        """The ends of the range, or all outcomes."""
+        """All values."""
         return self.values
 
     def describe(self) -> str:
-        """The range or the outcomes, for users."""
+        """The values in their order, for users."""
         return f"in turn {', '.join(map(str, self.values))}"
 
     def identity(self) -> dict[str, Any]:
