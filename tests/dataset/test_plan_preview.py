@@ -10,12 +10,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from matplotlib.patches import Wedge
 from PIL import Image
 from stand_in import StandIn
 
 from pepperscene.camera.pose_files import read_poses
 from pepperscene.dataset import BuildOptions, FrameRenderer, build, resolve_recipe
 from pepperscene.dataset.execution.job import BuildJob
+from pepperscene.dataset.preview import picture
 from pepperscene.dataset.preview import places as places_module
 from pepperscene.dataset.preview.cost import ProbeFrame, build_seconds
 from pepperscene.dataset.preview.picture import draw_plan, row_geometry
@@ -144,11 +146,21 @@ def test_written_poses_are_those_of_the_selected_frames(tmp_path, name):
         assert read.names == ("000000.png", "000002.png", "000007.png")
 
 
-@pytest.mark.parametrize(("changes", "is_written"), [({}, True), ({"camera.f_number": [2.0, 4.0]}, False)])
+@pytest.mark.parametrize(
+    ("changes", "is_written"),
+    [
+        ({}, True),
+        # Cameras that are loaded for each value, but image the same.
+        ({"camera__exposure_us": {"uniform": [40, 90]}}, True),
+        ({"twins": {"camera.f_number": [2.0, 4.0]}}, True),
+        ({"rig": [{"name": "wide", "lens": "none", "hfov_deg": 80.0}]}, False),
+        ({"rig": [{"name": "small", "width": 400, "height": 300}]}, False),
+    ],
+)
 def test_intrinsics_are_written_if_all_frames_have_the_same(tmp_path, changes, is_written):
-    resolved = small(**({"twins": changes} if changes else {}))
+    resolved = small(**changes)
     renderer = FrameRenderer(resolved, StandIn)
-    write_selected_poses(tmp_path / "poses.json", renderer, range(24 if changes else 12))
+    write_selected_poses(tmp_path / "poses.json", renderer, range(resolved.recipe.plan.count))
     content = json.loads((tmp_path / "poses.json").read_text(encoding="utf-8"))
     assert ("fl_x" in content) == is_written
 
@@ -192,6 +204,22 @@ def test_random_places_are_within_their_distance_from_a_target():
     assert inside.any(axis=1).all()
 
 
+def test_too_many_poses_are_refused_before_anything_is_rendered(tmp_path):
+    def never(scene):
+        raise AssertionError("a renderer was made")
+
+    resolved = small(plan__sets=100, plan__rotations=1, plan__frames=1001)
+    with pytest.raises(ArgumentError, match="100,100 frames are selected, and a file has at most 100,000"):
+        preview_plan(resolved, ("class",), BuildOptions(renderer=never), poses=tmp_path / "poses.csv")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_errors_name_the_argument_of_the_function(tmp_path):
+    with pytest.raises(ArgumentError) as caught:
+        preview_plan(small(), probe=False, picture=tmp_path / "plan.jpg")
+    assert caught.value.where == "picture"
+
+
 def _colours(content):
     with Image.open(io.BytesIO(content)) as image:
         return {colour for _, colour in image.convert("RGB").getcolors(1 << 20)}
@@ -206,6 +234,40 @@ def test_drawings_show_plants_cameras_and_targets():
         content = draw_plan("name with $", rows, places)
         assert content == draw_plan("name with $", rows, places)
         assert {camera, plant, target} & _colours(content) == drawn
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [
+        {"azimuth_deg": [-180.0, 180.0], "distance_mm": [200.0, 1500.0]},
+        {"azimuth_deg": [120.0, 170.0]},
+        {"elevation_deg": [0.0, 0.0]},
+        {"azimuth_deg": [0.0, 0.0]},
+        {"distance_mm": [400.0, 400.0]},
+    ],
+)
+def test_limits_of_random_views_are_drawn_whole_and_visible(monkeypatch, limits):
+    drawings, draw_limits = [], picture._draw_limits
+
+    def record(top, side, *others):
+        draw_limits(top, side, *others)
+        drawings.extend((top, side))
+
+    monkeypatch.setattr(picture, "_draw_limits", record)
+    resolved = resolve_recipe("barth2018", {**SMALL, **RANDOM, "views": {**RANDOM["views"], **limits}})
+    renderer, places = no_places(resolved, grown=False)
+    draw_plan("limits", row_geometry(renderer.setups.at(places.spec), 0), places)
+    assert len(drawings) == 2
+    for axes in drawings:
+        sectors = [patch for patch in axes.patches if isinstance(patch, Wedge)]
+        assert sectors
+        for sector in sectors:
+            box = sector.get_window_extent()
+            assert (axes.bbox.min < box.min).all()
+            assert (box.max < axes.bbox.max).all()
+            # A sector of one distance or angle has no area.
+            assert sector.get_linewidth() >= 1.0
+            assert sector.get_edgecolor()[3] >= 0.5
 
 
 @pytest.mark.slow

@@ -34,6 +34,17 @@ SETTINGS = RandomViewSettings(
     clearance_m=0.012,
     least_visibility=0.0,
 )
+NEAR = RandomViewSettings(
+    target="fruit",
+    distance_m=(0.3, 0.5),
+    elevation_rad=(-np.pi / 4, np.pi / 4),
+    azimuth_rad=(-np.pi / 4, np.pi / 4),
+    volume_m=None,
+    roll_rad=(0.0, 0.0),
+    offset=(0.0, 0.0),
+    clearance_m=0.02,
+    least_visibility=0.5,
+)
 
 
 def anything(camera, points, normals=None, alone=None):
@@ -251,7 +262,15 @@ def test_the_target_point_is_the_centroid_of_the_surface(scene, views):
 
 def test_views_in_empty_space_are_uniform(camera):
     settings = RandomViewSettings(
-        (0.0, 0.0, 3.0), (0.5, 2.0), (-1.2, 0.9), (-3.0, 2.0), None, (-0.2, 0.3), (0.0, 0.5)
+        target=(0.0, 0.0, 3.0),
+        distance_m=(0.5, 2.0),
+        elevation_rad=(-1.2, 0.9),
+        azimuth_rad=(-3.0, 2.0),
+        volume_m=None,
+        roll_rad=(-0.2, 0.3),
+        offset=(0.0, 0.5),
+        clearance_m=0.02,
+        least_visibility=0.5,
     )
     scene, rng = assemble_scene(ball(centre=(50.0, 0.0, 1.0))), np.random.default_rng(0)
     space = FreeSpace(scene.mesh)
@@ -383,7 +402,7 @@ def refusal(settings, scene, camera, visible=anything):
     ],
 )
 def test_a_view_that_is_not_possible_names_the_limit(camera, changes, reason):
-    settings = RandomViewSettings(distance_m=(0.3, 0.5), clearance_m=0.01, attempts=1050)
+    settings = replace(NEAR, clearance_m=0.01, attempts=1050)
     scene = assemble_scene(ball())
     message = refusal(
         replace(settings, **changes),
@@ -400,14 +419,16 @@ def test_a_view_that_is_not_possible_names_the_limit(camera, changes, reason):
 
 def test_an_unknown_target_names_the_known_ones(scene, camera):
     message = refusal(replace(SETTINGS, target="banana"), scene, camera)
-    assert "target = 'banana'" in message
+    assert "views.target = 'banana'" in message
     for name in ("ripe fruit", "petiole", "leaf"):
         assert name in message
 
 
 def test_a_scene_without_the_target_is_refused(camera):
-    settings = RandomViewSettings(target="ripe fruit")
-    assert "ripe fruit" in refusal(settings, assemble_scene(ball()), camera)
+    message = refusal(replace(NEAR, target="ripe fruit"), assemble_scene(ball()), camera)
+    assert message == (
+        "mine.toml: views.target = 'ripe fruit': must be an organ that the plants of the scene have"
+    )
 
 
 @pytest.mark.parametrize(
@@ -429,7 +450,7 @@ def test_a_scene_without_the_target_is_refused(camera):
 )
 def test_limits_out_of_range_are_refused(name, value):
     with pytest.raises(ArgumentError) as caught:
-        RandomViewSettings(**{name: value})
+        replace(NEAR, **{name: value})
     assert caught.value.where == name
 
 
@@ -447,7 +468,14 @@ def small_camera():
 
 @pytest.mark.parametrize("target", ["fruit", "lamina"])
 def test_visibility_is_the_share_of_the_pixels_that_the_organ_has_alone(scene, space, small_camera, target):
-    settings = RandomViewSettings(target, (0.2, 0.3), (-0.5, 0.5), (-1.0, 1.0), least_visibility=0.0)
+    settings = replace(
+        NEAR,
+        target=target,
+        distance_m=(0.2, 0.3),
+        elevation_rad=(-0.5, 0.5),
+        azimuth_rad=(-1.0, 1.0),
+        least_visibility=0.0,
+    )
     renderer, rng, alone = Renderer(scene), np.random.default_rng(11), {}
     predicted, counted = [], []
     for _ in range(25):
@@ -470,7 +498,9 @@ def test_visibility_is_the_share_of_the_pixels_that_the_organ_has_alone(scene, s
 
 
 def test_views_show_as_much_of_the_target_as_required(scene, space, small_camera):
-    settings = RandomViewSettings("ripe fruit", (0.2, 0.4), azimuth_rad=(-1.5, 1.5), least_visibility=0.8)
+    settings = replace(
+        NEAR, target="ripe fruit", distance_m=(0.2, 0.4), azimuth_rad=(-1.5, 1.5), least_visibility=0.8
+    )
     renderer, rng = Renderer(scene), np.random.default_rng(4)
     for _ in range(10):
         view = random_view(settings, scene, small_camera, rng, renderer.visible_points, space)

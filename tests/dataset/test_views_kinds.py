@@ -18,7 +18,7 @@ from pepperscene.scene import Greenhouse
 
 PLAN = "plan = { sets = 1, rotations = 1, frames = 3 }\n"
 ROW = "cultivar = 'kaite_february'\nrow = { plants_front = 1, plants_back = 0 }\n"
-# To the right, backwards and upwards of the world's axes, seen from the aisle at -y.
+# The columns are right (+x), down (-z) and forward (+y) of a camera in the aisle at -y.
 FACING_ROW = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
 

@@ -49,7 +49,13 @@ def main() -> NoReturn:
     sys.exit(0)
 
 
-_OPTIONS: Final = {"changes": "set", "form": "format", "names": "fit", "smallest_px": "smallest"}
+_OPTIONS: Final = {
+    "changes": "set",
+    "form": "format",
+    "names": "fit",
+    "picture": "out",
+    "smallest_px": "smallest",
+}
 """Names of options that differ from the argument that they set."""
 
 

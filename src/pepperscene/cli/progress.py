@@ -104,7 +104,7 @@ class JsonReporter(ProgressReporter):
         )
 
     def selected(self, frames: int, planned: int) -> None:
-        """Nothing: the events `frame` have the number of frames."""
+        """Print nothing, because the events `frame` contain the number of frames."""
 
     def notice(self, text: str) -> None:
         """Print the event `notice`."""

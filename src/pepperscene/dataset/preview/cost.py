@@ -31,9 +31,9 @@ class ProbeFrame:
     """The cost of one frame.
 
     Attributes:
-        setup_s: what only the first frame of a scene takes: starting the renderer, plants, compiling.
-        frame_s: what each further frame takes.
-        frame_bytes: of its files.
+        setup_s: additional time of the first frame of a scene: starting the renderer, plants, compiling.
+        frame_s: time of each further frame.
+        frame_bytes: size of its files.
     """
 
     setup_s: float
@@ -46,14 +46,14 @@ class CostEstimate:
     """The cost of a build on this machine.
 
     Attributes:
-        index: of the frame that it is estimated from.
+        index: of the frame that was rendered for the estimate.
         outputs, quality: of the frames.
-        frames, scenes: numbers of them.
-        processes: that make frames at a time.
-        setup_s, frame_s: of one scene and of one frame, in one process.
-        total_s: of the build.
-        memory_bytes: of one process.
-        frame_bytes, disk_bytes: of the files of one frame, and of all.
+        frames, scenes: numbers of frames and of scenes.
+        processes: number of processes that render at the same time.
+        setup_s, frame_s: time to set up one scene and to make one frame, in one process.
+        total_s: duration of the build.
+        memory_bytes: memory of one process.
+        frame_bytes, disk_bytes: size of the files of one frame, and of all frames.
     """
 
     index: int
@@ -105,7 +105,7 @@ def estimate_cost(
 
 
 def render_probe(job: BuildJob, renderer: FrameRenderer, spec: FrameSpec) -> ProbeFrame:
-    """Measure the cost of a frame; a second one, of the same scene, shows what only the first one takes."""
+    """Measure the cost of a frame; a second frame of the same scene is rendered without the set-up."""
     from pepperscene.render import resolve_quality
 
     quality = resolve_quality(job.quality, job.target_error)
@@ -164,9 +164,9 @@ def _write_frame(job: BuildJob, frame: Frame, spec: FrameSpec) -> int:
 
 @contextmanager
 def _threads_of_worker(workers: int | None) -> Iterator[None]:
-    """Set the number of threads that each of some workers has, unless the environment has one.
+    """Give this process as many threads as each of some workers has, unless the environment sets a number.
 
-    It counts only if the renderer has not been started in this process.
+    It has no effect if the renderer has already started in this process.
     """
     from pepperscene.render import wanted_threads
 

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.preview.places import CameraPlaces, ViewLimits
+from pepperscene.dataset.preview.places import CameraPlaces
 from pepperscene.dataset.recipe.frame_setups import FrameSetup
 from pepperscene.dataset.recipe.plan import Stream, random_generator
 from pepperscene.dataset.scenes.scene_builder import SceneBuilder
+from pepperscene.dataset.views.random_views import RandomViewSettings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,7 +97,7 @@ def draw_plan(name: str, rows: RowGeometry, places: CameraPlaces) -> bytes:
         figure = Figure(figsize=_SIZE_IN)
         ranges = _shown_ranges(rows, places)
         width, depth, _ = np.ptp(ranges, axis=1)
-        # The narrower drawing gets two fifths of the width at least.
+        # The limits are chosen: neither drawing gets less than 0.38 of the width.
         share = float(np.clip(width / (width + depth), 0.4, 0.62))
         spare_in = _SIZE_IN[0] - sum(_LEFT_IN) - _RIGHT_IN
         widths_in = share * spare_in, (1 - share) * spare_in
@@ -141,10 +142,10 @@ def _title(name: str, places: CameraPlaces) -> str:
     return f"{text}, views that depend on the plants, which were not grown"
 
 
-def _middle(rows: RowGeometry, limits: ViewLimits) -> Array:
-    """`(3,)` what the limits of random views are drawn around."""
-    if limits.around is not None:
-        return limits.around
+def _middle(rows: RowGeometry, limits: RandomViewSettings) -> Array:
+    """`(3,)` the point that the limits of random views are drawn around: the target, or where one can be."""
+    if not isinstance(limits.target, str):
+        return np.array(limits.target)
     # The middle plant of the front row.
     z = rows.greenhouse.stem_base_m + _ABOVE_BASE_M
     return np.array([0.0, -rows.greenhouse.lean_offset_m(z), z])
@@ -157,9 +158,11 @@ def _shown_ranges(rows: RowGeometry, places: CameraPlaces) -> Array:
     points = [feet, places.poses[:, :3, 3], places.targets]
     if places.limits is not None and not len(places.poses):
         middle, reach = _middle(rows, places.limits), places.limits.distance_m[1]
-        points.append(middle + reach * np.array([[-1.0, -1.0, -1.0], [1.0, 0.0, 1.0]]))
+        # Only azimuths of more than 90 degrees are behind the target.
+        behind = max(0.0, -float(np.cos(places.limits.azimuth_rad).min()))
+        points.append(middle + reach * np.array([[-1.0, -1.0, -1.0], [1.0, behind, 1.0]]))
         if places.limits.volume_m is not None:
-            points.append(places.limits.volume_m.T)
+            points.append(np.array(places.limits.volume_m).T)
     every = np.concatenate(points)
     ranges = np.stack([every.min(axis=0) - _MARGIN_M, every.max(axis=0) + _MARGIN_M], axis=1)
     ranges[2, 0] = min(ranges[2, 0], -_MARGIN_M / 4)  # just below the floor
@@ -178,9 +181,7 @@ def _draw_top(axes: Axes, rows: RowGeometry) -> None:
             strip = Rectangle((-reach, line.y_m - width / 2), 2 * reach, width, color=_GUTTER, zorder=0)
             axes.add_patch(strip)
         if greenhouse.far_rows:
-            axes.plot(
-                [-reach, reach], [line.y_m] * 2, color=_FAR, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1
-            )
+            axes.plot([-reach, reach], [line.y_m] * 2, color=_FAR, linewidth=1.2, linestyle=_DASHES, zorder=1)
     circles = [Circle((x, y), _STEM_RADIUS_M) for x, y in rows.plants]
     axes.add_collection(PatchCollection(circles, color=_PLANT, zorder=2))
 
@@ -231,22 +232,27 @@ def _draw_places(axes: Axes, places: CameraPlaces, plane: list[int], arrow_in: f
             axes.quiver(x, y, u, v, angles="xy", color=colour, alpha=alpha, zorder=4, **style)
 
 
-def _draw_limits(top: Axes, side: Axes, limits: ViewLimits, middle: Array) -> None:
+def _draw_limits(top: Axes, side: Axes, limits: RandomViewSettings, middle: Array) -> None:
     """The sectors that cameras are drawn in around one target, and the limits of their places."""
     from matplotlib.patches import Rectangle, Wedge
 
     near, far = limits.distance_m
-    style: dict[str, Any] = {"color": _CAMERAS[0], "alpha": 0.25, "linewidth": 0.0, "zorder": 3}
-    style["width"] = max(far - near, 1e-3)
+    # The border shows sectors without an area, of a single distance or angle.
+    style: dict[str, Any] = {"facecolor": (_CAMERAS[0], 0.25), "edgecolor": (_CAMERAS[0], 0.6)}
+    style |= {"linewidth": 1.0, "width": max(far - near, 1e-3), "zorder": 3}
     # Azimuth 0 is at -y, and positive azimuths are towards +x.
     azimuth = np.degrees(limits.azimuth_rad) - 90.0
     top.add_patch(Wedge((middle[0], middle[1]), far, *azimuth, **style))
-    elevation = 180.0 - np.degrees(limits.elevation_rad[::-1])
-    side.add_patch(Wedge((middle[1], middle[2]), far, *elevation, **style))
+    low, high = np.degrees(limits.elevation_rad)
+    cosine = np.cos(limits.azimuth_rad)
+    if cosine.max() > 0.0 or limits.azimuth_rad[0] < 0.0 < limits.azimuth_rad[1]:
+        side.add_patch(Wedge((middle[1], middle[2]), far, 180.0 - high, 180.0 - low, **style))
+    if cosine.min() < 0.0:
+        side.add_patch(Wedge((middle[1], middle[2]), far, low, high, **style))
     for axes, plane in ((top, [0, 1]), (side, [1, 2])):
         axes.plot(*middle[plane], "x", color=_TARGET, markersize=6, zorder=4)
         if limits.volume_m is not None:
-            (left, right), (low, high) = limits.volume_m[plane]
+            (left, right), (low, high) = (limits.volume_m[axis] for axis in plane)
             frame = Rectangle(
                 (left, low), right - left, high - low, fill=False, edgecolor=_CAMERAS[0], zorder=3
             )

@@ -15,7 +15,8 @@ from pepperscene.dataset.recipe.plan import FrameSpec
 from pepperscene.dataset.recipe.views_tables import PathViews, RandomViews
 from pepperscene.dataset.scenes import frame_renderer
 from pepperscene.dataset.scenes.frame_renderer import FrameRenderer, RendererFactory, SceneRenderer
-from pepperscene.dataset.views.targets import target_instances
+from pepperscene.dataset.views.random_views import RandomViewSettings, random_view_settings
+from pepperscene.dataset.views.targets import organ_centroid, target_instances
 from pepperscene.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -52,23 +53,6 @@ class SceneKeeper:
 
 
 @dataclass(frozen=True, eq=False)
-class ViewLimits:
-    """The limits of random views around a target, in metres and radians.
-
-    Attributes:
-        around: `(3,)` the target if it is a point; None for organs.
-        distance_m, azimuth_rad, elevation_rad: ranges.
-        volume_m: ranges of x, y and z, or None.
-    """
-
-    around: Array | None
-    distance_m: tuple[float, float]
-    azimuth_rad: tuple[float, float]
-    elevation_rad: tuple[float, float]
-    volume_m: Array | None
-
-
-@dataclass(frozen=True, eq=False)
 class CameraPlaces:
     """Camera places of one scene.
 
@@ -90,7 +74,7 @@ class CameraPlaces:
     selected: NDArray[np.bool_]
     targets: Array
     target_name: str = ""
-    limits: ViewLimits | None = None
+    limits: RandomViewSettings | None = None
 
 
 def scene_places(
@@ -116,9 +100,9 @@ def scene_places(
     table, limits = setup.recipe.views, None
     targets, target_name = np.zeros((0, 3)), ""
     if isinstance(table, RandomViews):
-        limits = _limits(table)
-        if limits.around is not None:
-            targets, target_name = limits.around[None], "target"
+        limits = random_view_settings(table)
+        if not isinstance(limits.target, str):
+            targets, target_name = np.array([limits.target]), "target"
         elif keeper.scene is not None:
             targets, target_name = _organ_targets(renderer, specs, keeper.scene)
     elif isinstance(table, PathViews) and table.look_at_mm is not None:
@@ -164,55 +148,66 @@ def pose_format(path: Path) -> PoseFormat:
     return _FORMATS[suffix]
 
 
-def check_poses_known(renderer: FrameRenderer, *, grown: bool) -> None:
-    """Raise `ArgumentError` if the poses of a recipe depend on plants that must not be grown."""
+def check_can_write_poses(renderer: FrameRenderer, indices: Sequence[int], *, grown: bool) -> None:
+    """Check that the poses of some frames can be computed and written, without computing them.
+
+    Args:
+        renderer: of the recipe.
+        indices: selected frames.
+        grown: whether the plants may be grown, for views that depend on them.
+
+    Raises:
+        ArgumentError: the views depend on plants that must not be grown, or the frames are too many for a
+            file.
+    """
+    from pepperscene.camera.poses import MOST_POSES
+
     if renderer.views.depends_on_scene and not grown:
         kind = renderer.recipe.views.kind
-        raise ArgumentError("poses", f"views of the kind {kind} depend on the plants, so --no-probe has none")
+        raise ArgumentError(
+            "poses", f"views of the kind {kind} depend on the plants, which are grown only for a probe"
+        )
+    if len(indices) > MOST_POSES:
+        raise ArgumentError(
+            "poses", f"{len(indices):,} frames are selected, and a file has at most {MOST_POSES:,}"
+        )
 
 
 def write_selected_poses(path: Path, renderer: FrameRenderer, indices: Sequence[int]) -> None:
     """Write the poses of the selected frames, named as their images ("000110.png").
 
-    The times of a TUM file, which needs some, are the indices of the frames. Intrinsics are written if the
-    format has them and all frames have the same camera.
+    A TUM file must have times; they are the indices of the frames. Intrinsics are written if the format has
+    them and they are the same for all frames.
+
+    Args:
+        path: of the file or folder; its suffix sets the format.
+        renderer: of the recipe.
+        indices: selected frames, which `check_can_write_poses` has checked.
 
     Raises:
-        PepperError: there are too many frames for such a file, or it cannot be written.
+        PepperError: a frame has no view, or the file cannot be written.
     """
     from pepperscene.camera.pose_files import write_poses
     from pepperscene.camera.pose_list import PoseList
-    from pepperscene.camera.poses import MOST_POSES
 
-    if len(indices) > MOST_POSES:
-        raise ArgumentError(
-            "poses", f"{len(indices):,} frames are selected, and a file has at most {MOST_POSES:,}"
-        )
     file_format = pose_format(path)
     cameras = [renderer.camera(renderer.recipe.plan.frame(index)) for index in indices]
     times = np.array(indices, dtype=float) if file_format == "tum" else None
     names = tuple(f"{index:06d}.png" for index in indices)
     poses = PoseList(np.array([camera.pose for camera in cameras]), times, names)
-    write_poses(
-        path, poses, file_format, _common_camera(cameras) if file_format in ("nerfstudio", "colmap") else None
-    )
+    has_intrinsics = file_format in ("nerfstudio", "colmap") and _have_same_intrinsics(cameras)
+    write_poses(path, poses, file_format, cameras[0] if has_intrinsics else None)
 
 
-def _common_camera(cameras: Sequence[Camera]) -> Camera | None:
-    """The camera of all frames apart from their poses; None if lenses or sensors differ."""
+def _have_same_intrinsics(cameras: Sequence[Camera]) -> bool:
+    """Whether all cameras project points in camera axes to the same pixels of images of the same size."""
     first = cameras[0]
-    same = all(camera.lens is first.lens and camera.sensor is first.sensor for camera in cameras)
-    return first if same else None
-
-
-def _limits(table: RandomViews) -> ViewLimits:
-    azimuth, elevation = np.radians(table.azimuth_deg), np.radians(table.elevation_deg)
-    return ViewLimits(
-        around=None if isinstance(table.target, str) else np.array(table.target) / 1e3,
-        distance_m=(table.distance_mm[0] / 1e3, table.distance_mm[1] / 1e3),
-        azimuth_rad=(float(azimuth[0]), float(azimuth[1])),
-        elevation_rad=(float(elevation[0]), float(elevation[1])),
-        volume_m=None if table.volume_mm is None else np.array(table.volume_mm) / 1e3,
+    size, matrix, distortion = (first.width, first.height), first.intrinsics, first.lens.distortion
+    return all(
+        (camera.width, camera.height) == size
+        and camera.lens.distortion == distortion
+        and np.array_equal(camera.intrinsics, matrix)
+        for camera in cameras
     )
 
 
@@ -221,18 +216,6 @@ def _organ_targets(renderer: FrameRenderer, specs: Sequence[FrameSpec], scene: S
     tables = [renderer.setups.at(spec).recipe.views for spec in specs]
     targets = {table.target for table in tables if isinstance(table, RandomViews)}
     names = sorted(name for name in targets if isinstance(name, str))
-    where = renderer.recipe.name
-    found = {int(one) for name in names for one in target_instances(scene, name, where, "views.target")}
-    instances = _evenly(sorted(found), MOST_PLACES)
-    return np.array([_centroid(scene, instance) for instance in instances]).reshape(-1, 3), ", ".join(names)
-
-
-def _centroid(scene: Scene, instance: int) -> Array:
-    """`(3,)` centroid of an organ's surface."""
-    mesh = scene.mesh
-    first, second, third = (
-        mesh.vertices[mesh.faces[mesh.face_runs.rows(instance)]].astype(float).transpose(1, 0, 2)
-    )
-    areas = np.linalg.norm(np.cross(second - first, third - first), axis=1)
-    centres = (first + second + third) / 3
-    return np.asarray(np.average(centres, axis=0, weights=areas) if areas.sum() > 0 else centres.mean(axis=0))
+    found = {int(one) for name in names for one in target_instances(scene, name, renderer.recipe.name)}
+    centroids = [organ_centroid(scene.mesh, instance) for instance in _evenly(sorted(found), MOST_PLACES)]
+    return np.array(centroids).reshape(-1, 3), ", ".join(names)

@@ -11,7 +11,7 @@ from pepperscene.dataset.execution.job import BuildJob, BuildOptions
 from pepperscene.dataset.preview.cost import CostEstimate, estimate_cost
 from pepperscene.dataset.preview.places import (
     SceneKeeper,
-    check_poses_known,
+    check_can_write_poses,
     pose_format,
     scene_places,
     write_selected_poses,
@@ -41,7 +41,7 @@ class PlanPreview:
     files: tuple[Path, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """The result, ready for JSON apart from dates."""
+        """The result, ready for JSON; only TOML dates among its values have no JSON type."""
         cost = None if self.cost is None else asdict(self.cost)
         return {**asdict(self.summary), "estimate": cost, "files": [str(path) for path in self.files]}
 
@@ -78,7 +78,7 @@ def preview_plan(
     renderer = FrameRenderer(job.recipe, keeper)
     picture_file = None if picture is None else _picture_file(picture, name)
     if poses is not None:
-        check_poses_known(renderer, grown=probe)
+        check_can_write_poses(renderer, indices, grown=probe)
         if pose_format(poses) == "colmap":
             check_can_write(poses, ())
         else:
@@ -112,10 +112,12 @@ def _picture_file(path: Path, name: str) -> Path:
     """The file to draw into; raises `PepperError` if it cannot be written."""
     file = path / f"{Path(name).name}_plan{_PICTURE_SUFFIX}" if path.is_dir() else path
     if file.suffix.lower() != _PICTURE_SUFFIX:
-        raise ArgumentError("out", f"{str(path)!r} must end in {_PICTURE_SUFFIX}, or be a folder that exists")
+        raise ArgumentError(
+            "picture", f"{str(path)!r} must end in {_PICTURE_SUFFIX}, or be a folder that exists"
+        )
     check_can_write(file.absolute().parent, [file.name])
     return file
 
 
 def _ignore(_: object) -> None:
-    """Callback of a caller that wants none."""
+    """Ignore a notice."""

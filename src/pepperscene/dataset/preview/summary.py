@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from pepperscene.dataset.recipe.frame_setups import PLANT_TABLES
 from pepperscene.dataset.recipe.frame_values import changed_recipe
 from pepperscene.dataset.recipe.load_camera import load_camera
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.recipe.rig import FIRST_CAMERA
+from pepperscene.dataset.recipe.tables import PLANT_TABLES
+from pepperscene.dataset.views.aim import image_rays
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
@@ -29,8 +30,8 @@ class FrameCount:
     Attributes:
         sets, rotations, views, twins, cameras: the factors of `total`; `views` are those of a scene.
         total: all frames of the plan.
-        selected: frames that a build makes by default.
-        first: indices of the first of these.
+        selected: number of frames that a build makes by default.
+        first: indices of the first selected frames.
         scenes: different scenes of the selected frames, each with plants to place.
     """
 
@@ -77,8 +78,8 @@ class VariedSummary:
         key: dotted.
         per: "set", "scene" or "frame".
         values: range or probabilities, in words.
-        draw: name of a draw that other values share; None for a draw of its own.
-        reversed: whether the value falls where others of the same draw rise.
+        draw: name of the draw that this value shares with others; None if it shares none.
+        reversed: whether the value decreases where others of the same draw increase.
     """
 
     key: str
@@ -158,7 +159,7 @@ def count_scenes(recipe: Recipe, indices: Sequence[int]) -> int:
 
 
 def varies_plants_per_frame(recipe: Recipe) -> bool:
-    """Whether every frame has plants of its own."""
+    """Whether values that plants depend on are drawn anew for every frame."""
     return bool(_plant_keys_per_frame(recipe))
 
 
@@ -224,9 +225,5 @@ def _summarise_camera(resolved: ResolvedRecipe, number: int) -> CameraSummary:
 
 def horizontal_field_deg(camera: Camera) -> float:
     """Angle between the rays through the left and the right border of an image at half its height."""
-    borders = np.array([[0.0, camera.height / 2], [float(camera.width), camera.height / 2]])
-    matrix = camera.intrinsics
-    slopes = (borders - matrix[:2, 2]) / matrix[[0, 1], [0, 1]]
-    rays = np.column_stack([camera.lens.distortion.undistort(slopes), np.ones(2)])
-    left, right = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    left, right = image_rays(camera, np.array([[-1.0, 0.0], [1.0, 0.0]]))
     return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(left, right)), left @ right)))

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,6 @@ from pepperscene.frame import STEREO_OUTPUTS
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
     from pepperscene.dataset.views.free_space import FreeSpace
-    from pepperscene.dataset.views.random_views import RandomViewSettings
     from pepperscene.render.visibility import PointTest
     from pepperscene.scene import Greenhouse, Scene, ViewFrustums
 
@@ -148,7 +146,7 @@ class CameraViews:
         self, spec: FrameSpec, setup: FrameSetup, table: RandomViews, scene: Scene, visible: PointTest | None
     ) -> View:
         from pepperscene.dataset.views.free_space import FreeSpace
-        from pepperscene.dataset.views.random_views import random_view
+        from pepperscene.dataset.views.random_views import random_view, random_view_settings
 
         if visible is None:
             raise ValueError("random views need a test of visibility")
@@ -160,30 +158,8 @@ class CameraViews:
         camera = self._setups.at(self._plan.first_of_moment(spec)).camera
         rng = random_generator(setup.recipe.seed, Stream.VIEW, spec.moment)
         where = f"{self._setups.resolved.recipe.name}, frame {spec.index}"
-        return View(random_view(_settings(table), scene, camera, rng, visible, space, where).pose)
-
-
-def _settings(table: RandomViews) -> RandomViewSettings:
-    """The limits of random views in SI units."""
-    from pepperscene.dataset.views.random_views import RandomViewSettings
-
-    def metres(limits: tuple[float, ...]) -> Any:
-        return tuple(limit / 1e3 for limit in limits)
-
-    def radians(limits: tuple[float, float]) -> tuple[float, float]:
-        return math.radians(limits[0]), math.radians(limits[1])
-
-    return RandomViewSettings(
-        target=table.target if isinstance(table.target, str) else metres(table.target),
-        distance_m=metres(table.distance_mm),
-        elevation_rad=radians(table.elevation_deg),
-        azimuth_rad=radians(table.azimuth_deg),
-        volume_m=None if table.volume_mm is None else tuple(metres(axis) for axis in table.volume_mm),
-        roll_rad=radians(table.roll_deg),
-        offset=table.offset,
-        clearance_m=table.clearance_mm / 1e3,
-        least_visibility=table.least_visibility,
-    )
+        settings = random_view_settings(table)
+        return View(random_view(settings, scene, camera, rng, visible, space, where).pose)
 
 
 def check_partner(recipe: Recipe, outputs: Iterable[str]) -> None:
@@ -204,7 +180,7 @@ def _along_motion(camera: Camera) -> list[Camera]:
 
 
 def _stereo_partner(camera: Camera, baseline_m: float) -> Camera:
-    """The second camera; the flash, of which there is one for both, stays at the first."""
+    """The second camera; both use one flash, which stays at the first."""
     pose = camera.pose.copy()
     pose[:3, 3] += baseline_m * pose[:3, 0]
     partner = camera.at_pose(pose)
@@ -225,7 +201,7 @@ def _view_of_rig(view: View, extrinsics: NDArray[np.float64]) -> View:
 
 
 def _with_flash_of_rig(camera: Camera, extrinsics: NDArray[np.float64]) -> Camera:
-    """A camera on a rig with the flash, of which there is one, at the main camera."""
+    """A camera on a rig; all cameras use one flash, which stays at the main camera."""
     if camera.flash is None:
         return camera
     turn = extrinsics[:3, :3].T

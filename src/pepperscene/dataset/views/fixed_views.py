@@ -31,14 +31,14 @@ _Content = tuple[int, int] | None
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Where a camera is, `(4, 4)` camera to world, and how it moves; None if it stands still."""
+    """A camera's `(4, 4)` pose, camera to world in metres, and its motion; None if it does not move."""
 
     pose: Array
     motion: Motion | None = None
 
 
 def view_count(table: Views, where: str = "views") -> int | None:
-    """Number of views of a table that has its own; None if `plan.frames` decides.
+    """Number of views that a table determines; None if `plan.frames` does.
 
     Raises:
         InputError: a file of poses cannot be read.

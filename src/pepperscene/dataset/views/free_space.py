@@ -1,4 +1,4 @@
-"""Where a camera fits between the organs of a scene: distance to the nearest surface, inside or outside."""
+"""The free space of a scene: distances from points to the nearest surface, and points inside surfaces."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _SMALLEST_CLASS_M: Final = 0.008
 """Largest triangle of the first class, from its centroid to a corner. Chosen: three quarters of the triangles
 of a row are smaller, and the shell of this thickness around a ball holds few of them."""
 _FEW: Final = 2000
-"""Chosen: so many triangles are tested one by one against a point, which takes 0.3 ms."""
+"""Chosen: a class of at most this many triangles has no tree; to test all against a point takes 0.3 ms."""
 _SINGLE: Final = 1e-6
-"""More than the relative rounding error of a few operations in single precision."""
+"""Margin, more than the relative rounding error of a few operations in single precision."""
 _INSIDE: Final = 0.5
-"""Of a winding number, which is a whole number except for rounding."""
+"""Absolute winding number above which a point is inside; it is a whole number except for rounding."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,9 +29,11 @@ RIPE_FROM: Final = 0.5
 _SAMPLES: Final = 256
 """Points on an organ. Chosen: its visible fraction is known to about 0.02, and tracing so few rays takes
 hardly longer than starting the kernel."""
-_GOLDEN: Final = np.array([0.7548776662466927, 0.5698402909980532])
-"""Steps of the most even sequence of points in a square (M. Roberts, "The unreasonable effectiveness of
+_R2_STEPS: Final = np.array([0.7548776662466927, 0.5698402909980532])
+"""Steps of the R2 sequence, which covers a square evenly (M. Roberts, "The unreasonable effectiveness of
 quasirandom sequences", 2018): powers of the inverse of the real root of x^3 = x + 1."""
+
+_KEY: Final = "views.target"  # of a recipe
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +55,15 @@ class Target:
     closed: bool
 
 
-def target_instances(scene: Scene, name: str, where: str | Path, key: str = "target") -> NDArray[np.intp]:
-    """`(n,)` instances with triangles of the labelled plants that a target's name means, ascending.
+def target_instances(scene: Scene, name: str, where: str | Path) -> NDArray[np.intp]:
+    """`(n,)` indices of the instances that a target's name refers to, ascending.
+
+    Only instances of the labelled plants that have triangles count.
 
     Args:
-        scene: with its skeleton for ripe and unripe fruit.
+        scene: with its skeleton, if it has one, which holds the kinds of organs and the ripeness of fruit.
         name: one of `FRUIT_TARGETS`, an organ kind, or a class in lower case.
-        where: file or argument of the name, for errors.
-        key: of the name, for errors.
+        where: name of the recipe, for errors.
 
     Raises:
         InputError: no organ of the plants has this name, or none of them is in the scene.
@@ -74,7 +77,6 @@ def target_instances(scene: Scene, name: str, where: str | Path, key: str = "tar
         kinds.update(kind for plant in scene.skeleton.plants for kind in plant.kinds)
     if name in FRUIT_TARGETS:
         ripeness = _fruit_ripeness(scene, labelled)
-        # In a scene without plants, fruit are known by the name of their class alone.
         found = [
             index
             for index, value in ripeness.items()
@@ -86,12 +88,10 @@ def target_instances(scene: Scene, name: str, where: str | Path, key: str = "tar
         found = [index for index in labelled if mesh.instances[index].organ_class == classes[name]]
     else:
         names = ", ".join(target_names(kinds))
-        raise InputError(where, f"must be a point or one of {names}", key=key, value=name)
+        raise InputError(where, f"must be a point or one of {names}", key=_KEY, value=name)
     present = np.array([index for index in found if runs.stop[index] > runs.first[index]], dtype=np.intp)
     if not len(present):
-        raise InputError(
-            where, "must be something that a plant of the scene has; none does", key=key, value=name
-        )
+        raise InputError(where, "must be an organ that the plants of the scene have", key=_KEY, value=name)
     return present
 
 
@@ -106,25 +106,50 @@ def _classes() -> dict[str, OrganClass]:
 
 def organ_target(mesh: Mesh, instance: int, space: FreeSpace) -> Target:
     """An organ with triangles as a target."""
-    triangles = mesh.vertices[mesh.faces[mesh.face_runs.rows(instance)]].astype(float)
+    triangles = _triangles(mesh, instance)
     first, second, third = triangles.transpose(1, 0, 2)
-    normals = 0.5 * np.cross(second - first, third - first)
+    normals = _area_normals(triangles)
     areas = np.linalg.norm(normals, axis=1)
     ends = np.cumsum(areas)
+    centroid = _centroid(triangles, areas)
     if not ends[-1] > 0.0:
-        point = triangles.mean(axis=(0, 1))
-        return Target(instance, point, point[None], None, False)
-    centroid = areas @ (first + second + third) / (3.0 * ends[-1])
+        return Target(instance, centroid, centroid[None], None, False)
 
     # Equal steps of area, each with another place in its triangle.
     number = np.arange(_SAMPLES)
     rows = np.minimum(np.searchsorted(ends, (number + 0.5) / _SAMPLES * ends[-1]), len(ends) - 1)
-    u, v = ((number[:, None] * _GOLDEN) % 1.0).T
+    u, v = ((number[:, None] * _R2_STEPS) % 1.0).T
     outside = u + v > 1.0
     u, v = np.where(outside, 1.0 - u, u), np.where(outside, 1.0 - v, v)
     samples = first[rows] + u[:, None] * (second - first)[rows] + v[:, None] * (third - first)[rows]
     unit_normals = normals[rows] / np.maximum(areas[rows], np.finfo(float).tiny)[:, None]
     return Target(instance, centroid, samples, unit_normals, space.is_closed(instance))
+
+
+def organ_centroid(mesh: Mesh, instance: int) -> FloatArray:
+    """`(3,)` centroid of the surface of an organ with triangles; the mean corner of one without area."""
+    triangles = _triangles(mesh, instance)
+    return _centroid(triangles, np.linalg.norm(_area_normals(triangles), axis=1))
+
+
+def _triangles(mesh: Mesh, instance: int) -> FloatArray:
+    """`(n, 3, 3)` corners of an instance's triangles."""
+    return mesh.vertices[mesh.faces[mesh.face_runs.rows(instance)]].astype(float)
+
+
+def _centroid(triangles: FloatArray, areas: FloatArray) -> FloatArray:
+    """`(3,)` centroid of `(n, 3, 3)` triangles with `(n,)` areas; their mean corner if they have no area."""
+    total = np.cumsum(areas)[-1]
+    if not total > 0.0:
+        return np.asarray(triangles.mean(axis=(0, 1)))
+    first, second, third = triangles.transpose(1, 0, 2)
+    return np.asarray(areas @ (first + second + third) / (3.0 * total))
+
+
+def _area_normals(triangles: FloatArray) -> FloatArray:
+    """`(n, 3)` normals of `(n, 3, 3)` triangles, as long as their areas."""
+    first, second, third = triangles.transpose(1, 0, 2)
+    return 0.5 * np.cross(second - first, third - first)
 
 
 def point_target(point: tuple[float, float, float]) -> Target:
@@ -136,7 +161,7 @@ def point_target(point: tuple[float, float, float]) -> Target:
 def _fruit_ripeness(scene: Scene, labelled: list[int]) -> dict[int, float]:
     """Mean ripeness of each fruit by instance, from 0 green to 1 ripe."""
     if scene.skeleton is None:
-        # Every vertex of a fruit has the ripeness there as its state.
+        # The class identifies fruit, and the state of their vertices is the ripeness.
         mesh = scene.mesh
         fruit = [index for index in labelled if mesh.instances[index].organ_class == OrganClass.PEPPER]
         rows = {index: mesh.faces[mesh.face_runs.rows(index)] for index in fruit}

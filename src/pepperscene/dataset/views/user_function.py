@@ -55,7 +55,11 @@ def function_poses(
 
 
 def check_definition(table: FunctionViews, where: str | Path) -> None:
-    """Raise `InputError` if a file of views is missing, no Python, or without the function; it is not run."""
+    """Check that the file of a function exists, is valid Python and mentions the function; it is not run.
+
+    Raises:
+        InputError: one of these is not so.
+    """
     if not is_file(Path(table.file)):
         raise InputError(where, "is not a file", key="views.file", value=table.file)
     try:
