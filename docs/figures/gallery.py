@@ -1,7 +1,9 @@
 """Draw a contact sheet of a data set's photographs for the gallery page.
 
-pepperscene build randomised --out out/randomised --frames 0:24 --outputs colour
-python docs/figures/gallery.py out/randomised docs/images/gallery_randomised.jpg
+pepperscene build season --out out/season --frames 0:40 --outputs colour
+python docs/figures/gallery.py out/season docs/images/gallery_season.jpg
+
+The data set of `randomised` has frames of all its sets, by `--set plan.select=[...]`.
 """
 
 from __future__ import annotations

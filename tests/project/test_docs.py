@@ -220,6 +220,16 @@ def test_every_command_and_option_is_documented() -> None:
             assert f"`{flag}" in section, f"{name} {flag}"
 
 
+def test_the_readme_lists_every_command() -> None:
+    table = [
+        line for line in (ROOT / "README.md").read_text(encoding="utf-8").splitlines() if line[:1] == "|"
+    ]
+    first_cells = "\n".join(line.split("|")[1] for line in table)
+    for command in app.registered_commands:
+        assert command.callback is not None
+        assert f"`{command.name or command.callback.__name__}`" in first_cells
+
+
 def test_every_public_name_is_documented_and_every_function_has_an_example() -> None:
     page = REFERENCE / "api.md"
     text, examples = page.read_text(encoding="utf-8"), _program(page)
