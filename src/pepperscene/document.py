@@ -171,6 +171,10 @@ def _as_input_error(error: ValidationError, data: Any, where: str | Path) -> Inp
         return InputError(where, "is not a known key", key=key)
     if first["type"] == "missing":
         return InputError(where, "is required but missing", key=key)
+    if first["type"] == "too_long":
+        context = first["ctx"]
+        problem = f"has {context['actual_length']} entries; at most {context['max_length']} are allowed"
+        return InputError(where, problem, key=key)
     message = first["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     message = message.replace("Input should be", "must be").replace("\n", " ")
     for python_type, toml_type in _PYTHON_TO_TOML:

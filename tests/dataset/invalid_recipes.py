@@ -191,6 +191,7 @@ RIG = [
     ("rig = 3", "rig"),
     ("rig = [3]", "rig.0"),
     ("rig.name = 'a'", "rig"),
+    ("\n".join(f"[[rig]]\nname = 'c{number}'" for number in range(64)), "rig"),
     ("[[rig]]", "rig.0.name"),
     ("[[rig]]\nname = ''", "rig.0.name"),
     ("[[rig]]\nname = 'main'", "rig.0.name"),

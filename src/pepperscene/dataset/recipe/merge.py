@@ -28,8 +28,8 @@ def merge_layer(base: Mapping[str, Any], over: Mapping[str, Any], *, is_file: bo
     """The tables of `base` with the values of `over`.
 
     Tables are merged key by key; lists and varied values are replaced as a whole. Views of another kind
-    replace the table as a whole. A file with other numbers of frames or other views has other frames, so it
-    does not inherit a selection; a single changed value of the views keeps it.
+    replace the table as a whole. A file with other numbers of frames, other views, twins or a rig has other
+    frames, so it does not inherit a selection; a single changed value of the views keeps it.
     """
     base = dict(base)
     if _has_other_frames(base, over, is_file) and isinstance(base.get("plan"), dict):

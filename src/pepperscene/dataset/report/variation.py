@@ -100,7 +100,7 @@ def _histogram(chart_id: str, varied: VariedNumber, draws: NDArray[np.float64]) 
     if varied.kind == "date":
         offset = np.floor(draws.min())
         unit = f"days after {_text(varied, offset)}"
-    ends = varied.quantities.quantiles([0.0, 1.0])
+    ends = varied.distribution.quantiles([0.0, 1.0])
     ends = np.exp(ends) if varied.logarithmic else ends
     low, high = min(float(ends[0]), float(draws.min())), max(float(ends[1]), float(draws.max()))
     if varied.kind != "number":

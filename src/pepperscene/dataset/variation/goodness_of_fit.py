@@ -66,7 +66,7 @@ def goodness_of_fit(varied: Varied, draws: NDArray[np.float64]) -> float | None:
         counts = np.bincount(draws.astype(np.int64), minlength=len(varied.outcomes))
         return _chi_squared(counts, np.array(varied.probabilities))
     assert isinstance(varied, VariedNumber)
-    if varied.quantities.low == varied.quantities.high:
+    if varied.distribution.low == varied.distribution.high:
         return None
     if varied.kind == "number":
         from scipy.stats import ks_1samp
@@ -80,7 +80,7 @@ def goodness_of_fit(varied: Varied, draws: NDArray[np.float64]) -> float | None:
 def _cell_edges(varied: VariedNumber, count: int) -> NDArray[np.float64]:
     """Edges halfway between integers, of cells that are about equally probable."""
     cells = min(_MOST_CELLS, max(2, int(count / (2 * _LEAST_EXPECTED))))
-    quantiles = varied.quantities.quantiles(np.arange(1, cells) / cells)
+    quantiles = varied.distribution.quantiles(np.arange(1, cells) / cells)
     numbers = np.exp(quantiles) if varied.logarithmic else quantiles
     return np.unique(np.floor(numbers) + 0.5)
 

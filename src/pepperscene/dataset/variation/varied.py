@@ -106,17 +106,12 @@ class VariedNumber(Varied):
     logarithmic: bool = False
     limits: tuple[float, float] | None = None
 
-    @property
-    def quantities(self) -> Distribution:
-        """The distribution, of logarithms if the scale is logarithmic."""
-        return self.distribution
-
     def value(self, probability: float, turn: int) -> Any:
         """The quantile of a probability in [0, 1), as a number, an integer or a date."""
         if self._is_discrete_uniform:
-            first, last = round(self.quantities.low), round(self.quantities.high)
+            first, last = round(self.distribution.low), round(self.distribution.high)
             return self._convert(min(first + int(probability * (last - first + 1)), last))
-        return self._convert(float(self.quantities.quantiles(probability)))
+        return self._convert(float(self.distribution.quantiles(probability)))
 
     @property
     def nominal(self) -> Any:
@@ -128,38 +123,38 @@ class VariedNumber(Varied):
         """The lowest and the highest value."""
         if self.limits is not None:
             return tuple(round(limit) if self.kind == "integer" else limit for limit in self.limits)
-        return tuple(self._convert(limit) for limit in (self.quantities.low, self.quantities.high))
+        return tuple(self._convert(limit) for limit in (self.distribution.low, self.distribution.high))
 
     def cumulative(self, values: Any) -> np.ndarray:
         """Probability that a drawn number is at most each of `values` `(n,)`."""
         if self._is_discrete_uniform:
-            first, last = round(self.quantities.low), round(self.quantities.high)
+            first, last = round(self.distribution.low), round(self.distribution.high)
             return np.clip((np.floor(values) - first + 1) / (last - first + 1), 0.0, 1.0)
         grid = np.linspace(0.0, 1.0, 4097)
-        quantiles = self.quantities.quantiles(grid)
+        quantiles = self.distribution.quantiles(grid)
         numbers = np.asarray(values, dtype=float)
         return np.interp(np.log(numbers) if self.logarithmic else numbers, quantiles, grid)
 
     def describe(self) -> str:
         """The range and the distribution, for users."""
         low, high = self.extremes
-        family = self.quantities.family
+        family = self.distribution.family
         scale = ", logarithmic scale" if self.logarithmic else ""
         limits = f"{low} to {high}" if self.kind != "number" else f"{low:g} to {high:g}"
         if family == "normal" and self.kind == "number" and not self.logarithmic:
-            return f"{limits}, normal with mean {self.quantities.mean:g} and sd {self.quantities.sd:g}"
+            return f"{limits}, normal with mean {self.distribution.mean:g} and sd {self.distribution.sd:g}"
         return f"{limits}, {family}{scale}"
 
     def identity(self) -> dict[str, Any]:
         """All that drawn values depend on, ready for JSON."""
-        numbers = self.quantities.model_dump(
+        numbers = self.distribution.model_dump(
             mode="json", include={"family", "mean", "sd", "low", "high", "bins"}
         )
         return {**self._common_identity(), **numbers, "kind": self.kind, "logarithmic": self.logarithmic}
 
     @property
     def _is_discrete_uniform(self) -> bool:
-        return self.kind != "number" and self.quantities.family == "uniform" and not self.logarithmic
+        return self.kind != "number" and self.distribution.family == "uniform" and not self.logarithmic
 
     def _convert(self, number: float) -> Any:
         number = math.exp(number) if self.logarithmic else number

@@ -12,6 +12,7 @@ import numpy as np
 
 from pepperscene.camera import Camera, Flash, colour_transform
 from pepperscene.dataset import Recipe, load_recipe
+from pepperscene.dataset.recipe.recipe import FILE_FOLDERS
 from pepperscene.shipped import shipped_folder
 from pepperscene.tuning.output.provenance import RunInfo, describe_colours, describe_values, toml_text
 
@@ -19,11 +20,6 @@ if TYPE_CHECKING:
     from pepperscene.tuning.fit.least_squares import FitResult
     from pepperscene.tuning.parameters.tuned import TunedParts
 
-_FILE_KEYS: Final = (
-    "cultivar", "camera.sensor", "camera.lens", "camera.flash", "camera.filter", "camera.calibration",
-    "daylight.cover", "growth.until", "views.file",
-)  # fmt: skip
-"""Keys whose value may be a path."""
 _SAME: Final = 1e-9
 """Chosen: difference of gains and matrix entries that does not change a single code of an image."""
 _PARAMETERS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -121,8 +117,7 @@ def _relative_path(path: Path, folder: Path) -> str:
 def _recipe_content(recipe: Recipe, folder: Path) -> Changes:
     """Values of a recipe as in its file, without `expect`, which was measured with other colours."""
     content = recipe.model_dump(mode="python", exclude_none=True, exclude={"expect"})
-    for key in _FILE_KEYS:
-        *tables, last = key.split(".")
+    for *tables, last in FILE_FOLDERS:
         table: Any = content
         for name in tables:
             table = table.get(name, {})
