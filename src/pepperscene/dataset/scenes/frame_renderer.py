@@ -231,7 +231,8 @@ class FrameRenderer:
         from pepperscene.scene import combine_reaches
 
         distinct = {
-            (setup.optics, setup.light, setup.recipe.views): setup for setup in map(self.setups.at, specs)
+            (setup.optics, setup.light, setup.recipe.views, setup.recipe.exposure_control): setup
+            for setup in map(self.setups.at, specs)
         }
         return combine_reaches(
             [_light_reach(setup, camera) for setup in distinct.values() for camera in _exposures(setup)]
