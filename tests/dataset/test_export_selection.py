@@ -161,6 +161,21 @@ def test_the_crop_has_the_name_of_its_species(cultivar, name):
     assert crop_name({"recipe": {"cultivar": cultivar}}) == name
 
 
+@pytest.mark.parametrize(
+    ("recipe", "name"),
+    [
+        (
+            {"variation": {"cultivar": {"in_turn": ["kaite", "tomato"]}}},
+            "sweet pepper and Solanum lycopersicum",
+        ),
+        ({"variation": {"cultivar": {"outcomes": [["kaite", 0.5], ["red_blocky", 0.5]]}}}, "sweet pepper"),
+        ({"twins": {"cultivar": ["tomato", "kaite"]}}, "Solanum lycopersicum and sweet pepper"),
+    ],
+)
+def test_varied_cultivars_name_all_crops(recipe, name):
+    assert crop_name({"recipe": {"cultivar": "kaite", **recipe}}) == name
+
+
 def test_supercategory_is_the_crop(painted, tmp_path):
     _, content = coco_of(painted, tmp_path / "coco")
     assert {one["supercategory"] for one in content["categories"]} == {"sweet pepper"}
