@@ -20,6 +20,7 @@ _HEADS: Final = ("Value", "per", "asked for", "draws", "minimum", "median", "max
 _BINS: Final = 24  # chosen: as of the other charts
 _FEWEST_BINS: Final = 4  # chosen: fewer show no shape
 _MOST_BARS: Final = 20  # chosen: outcomes in a panel
+_MARGIN: Final = 0.01  # chosen: half the width of a constant's bin, over the constant
 _UNKNOWN: Final = "–"
 
 
@@ -100,21 +101,7 @@ def _histogram(chart_id: str, varied: VariedNumber, draws: NDArray[np.float64]) 
     if varied.kind == "date":
         offset = np.floor(draws.min())
         unit = f"days after {_text(varied, offset)}"
-    ends = varied.quantities.quantiles([0.0, 1.0])
-    ends = np.exp(ends) if varied.logarithmic else ends
-    low, high = min(float(ends[0]), float(draws.min())), max(float(ends[1]), float(draws.max()))
-    if varied.kind != "number":
-        low, high = np.floor(low) - 0.5, np.ceil(high) + 0.5
-    # Few draws need wide bins; bins of integers are whole numbers wide.
-    count = int(np.clip(np.sqrt(len(draws)), _FEWEST_BINS, _BINS))
-    if varied.logarithmic:
-        edges = np.geomspace(low, high, count + 1)
-    else:
-        edges = np.linspace(low, high, count + 1)
-        if varied.kind != "number":
-            edges = np.unique(np.round(edges - low)) + low
-    if (varied.logarithmic and low == high) or edges[0] == edges[-1]:
-        edges = np.array([low * 0.99 - 1e-6, high * 1.01 + 1e-6])
+    edges = _bin_edges(varied, draws)
     drawn = 100.0 * np.histogram(draws, edges)[0] / len(draws)
     shares = np.diff(varied.cumulative(edges))
     asked = 100.0 * shares / max(float(shares.sum()), 1e-9)
@@ -122,6 +109,27 @@ def _histogram(chart_id: str, varied: VariedNumber, draws: NDArray[np.float64]) 
     return step_chart(
         chart_id, f"Drawn values of {varied.name}", scale(edges - offset), series, unit, "% of draws"
     )
+
+
+def _bin_edges(varied: VariedNumber, draws: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`(n + 1,)` edges of bins for all draws and the whole distribution."""
+    ends = varied.quantities.quantiles([0.0, 1.0])
+    if varied.logarithmic:
+        # Numbers that have no logarithm are not drawn, but a damaged record can hold them.
+        ends, draws = np.exp(ends), draws[draws > 0]
+    low = float(np.min(draws, initial=ends[0]))
+    high = float(np.max(draws, initial=ends[1]))
+    if varied.kind != "number":
+        low, high = np.floor(low) - 0.5, np.ceil(high) + 0.5
+    if low == high:
+        margin = _MARGIN * abs(low) or _MARGIN
+        return np.array([low - margin, low + margin])
+    # Few draws need wide bins; bins of integers are whole numbers wide.
+    count = int(np.clip(np.sqrt(len(draws)), _FEWEST_BINS, _BINS))
+    if varied.logarithmic:
+        return np.geomspace(low, high, count + 1)
+    edges = np.linspace(low, high, count + 1)
+    return edges if varied.kind == "number" else np.unique(np.round(edges - low)) + low
 
 
 def _bars(varied: Varied, draws: NDArray[np.float64]) -> Html:
