@@ -122,7 +122,7 @@ def test_fruit_of_unknown_ripeness_is_a_crowd_of_both_categories(painted, tmp_pa
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"classes": "fruit"}, "'fruit' is no class of organs"),
+        ({"classes": "fruit"}, "'fruit' is not an organ class"),
         ({"classes": "background"}, "allowed are leaf, pepper"),
         ({"classes": "leaf,leaf"}, "each class once"),
         ({"least_visible": 1.5}, "min_visibility: 1.5 must be 0 to 1"),

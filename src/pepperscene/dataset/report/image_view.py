@@ -100,7 +100,7 @@ class Relative:
 
     Attributes:
         name: of the image.
-        difference: what is different, such as "twin 1".
+        difference: the differing twin and camera, such as "twin 1, right".
         is_shown: whether the page shows it.
     """
 
@@ -112,7 +112,7 @@ class Relative:
 def card_html(view: ImageView, set_key: str, relatives: Sequence[Relative] = ()) -> Html:
     """A card with the panels of an image, its class fractions as one bar, and a description.
 
-    It has links to those `relatives` that the page shows, and names the others.
+    `relatives` that the page shows are links; the others are only named.
     """
     buttons = [_panel_button(view, key) for key in view.panels]
     # Two panels have the same size; of more, the first is large and the others are small below it.
