@@ -122,7 +122,7 @@ def test_fruit_of_unknown_ripeness_is_a_crowd_of_both_categories(painted, tmp_pa
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"classes": "fruit"}, "'fruit' is no class of organs"),
+        ({"classes": "fruit"}, "'fruit' is not an organ class"),
         ({"classes": "background"}, "allowed are leaf, pepper"),
         ({"classes": "leaf,leaf"}, "each class once"),
         ({"least_visible": 1.5}, "min_visibility: 1.5 must be 0 to 1"),
@@ -159,6 +159,21 @@ def test_ripeness_needs_the_harvest_truth(tmp_path):
 )
 def test_the_crop_has_the_name_of_its_species(cultivar, name):
     assert crop_name({"recipe": {"cultivar": cultivar}}) == name
+
+
+@pytest.mark.parametrize(
+    ("recipe", "name"),
+    [
+        (
+            {"variation": {"cultivar": {"in_turn": ["kaite", "tomato"]}}},
+            "sweet pepper and Solanum lycopersicum",
+        ),
+        ({"variation": {"cultivar": {"outcomes": [["kaite", 0.5], ["red_blocky", 0.5]]}}}, "sweet pepper"),
+        ({"twins": {"cultivar": ["tomato", "kaite"]}}, "Solanum lycopersicum and sweet pepper"),
+    ],
+)
+def test_varied_cultivars_name_all_crops(recipe, name):
+    assert crop_name({"recipe": {"cultivar": "kaite", **recipe}}) == name
 
 
 def test_supercategory_is_the_crop(painted, tmp_path):

@@ -112,6 +112,19 @@ def test_check_accepts_ignored_pixels_only_if_the_recipe_says_so(ignoring, tmp_p
         open_images(other.folder)[0]
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"greenhouse": {"far_rows_as": {"in_turn": ["labels", "ignore"]}}},
+        {"greenhouse": {}, "twins": {"greenhouse.far_rows_as": ["labels", "ignore"]}},
+    ],
+)
+def test_ignored_pixels_of_some_frames_are_accepted(tmp_path, region, changes):
+    dataset = set_without_plants(tmp_path / "set", [0], OUTPUTS, IgnoringPainter, changes)
+    assert {finding.kind for finding in check_dataset(dataset.folder).findings} <= {"edges"}
+    np.testing.assert_array_equal(open_images(dataset.folder)[0].classes == IGNORE_CLASS, region)
+
+
 def test_readers_give_ignored_pixels_the_class_that_losses_leave_out(ignoring, region):
     for image in open_images(ignoring.folder):
         np.testing.assert_array_equal(image.classes == IGNORE_CLASS, region)

@@ -206,3 +206,14 @@ def test_frustums_include_the_partner(recipe):
         for slope in partner.ray_slopes()[[1, 1, -2, -2], [1, -2, 1, -2]]:
             corner = partner.pose[:3, :3] @ [*(0.99 * slope), 1.0] + partner.pose[:3, 3]
             assert frustums.intersects(corner[None].astype(np.float32), half_extent).all()
+
+
+def test_the_reach_of_light_covers_all_limits_of_automatic_exposures():
+    # Short exposures need hardly any daylight beside the flash, long ones much.
+    limits = {"in_turn": [[10.0, 10_000.0], [10.0, 20.0]]}
+    changes = {"plan.frames": 2, "camera.exposure_us": "auto", "auto_exposure.exposure_us": limits}
+    recipe = load_recipe("barth2018", changes)
+    renderer, specs = FrameRenderer(recipe), [recipe.plan.frame(index) for index in range(2)]
+    long, short = (renderer._light_reach([spec]).sky for spec in specs)
+    assert long > 2 * short > 0
+    assert renderer._light_reach(specs).sky == long

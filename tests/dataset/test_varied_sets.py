@@ -254,7 +254,7 @@ def test_draws_of_another_distribution_are_one_note():
     other = parse_varied(("camera", "exposure_us"), {"low": 20.0, "high": 2000.0}, "number", "frame")
     (note,) = drawn_notes({"camera.exposure_us": other.identity()})
     assert note.startswith(
-        "the 60 draws of camera.exposure_us hardly fit what the recipe asks for, 20 to 2000"
+        "the 60 draws of camera.exposure_us do not fit the recipe's distribution, 20 to 2000"
     )
 
 

@@ -1,4 +1,4 @@
-"""Advice on the exposure of photographs: dark, bright or saturated sets, and limits of automatic exposure."""
+"""Notes on the exposure of photographs: dark or overexposed sets, and limits of automatic exposure."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from pepperscene.dataset.recipe.exposure import AUTO
 _DARK: Final = 40.0
 """Chosen: mean grey value. The photographs of Barth et al. 2018, by flash in the dark, have 37."""
 _BRIGHT: Final = 180.0  # chosen: mean grey value; leaves of such photographs are nearly white
-_SATURATED: Final = 0.05  # chosen: of the pixels; daylight with a good exposure has a tenth of it
+_SATURATED: Final = 0.05  # chosen: fraction of the pixels; well exposed daylight has a tenth of it
 _LONGEST_NAME: Final = 40  # chosen: of a limit in a note
 
 
 class Exposures:
-    """Accumulates the brightness of photographs, and the limits that automatic exposures reached.
+    """Accumulates the brightness of photographs and the limits that automatic exposures reached.
 
     Args:
-        info: the content of `dataset.json`. With expectations of its own, brightness is not judged here.
+        info: the content of `dataset.json`. If it has expectations, they are checked elsewhere, and there is
+            no note on brightness.
     """
 
     def __init__(self, info: Mapping[str, Any]) -> None:

@@ -52,7 +52,7 @@ def check_values(
     """Yield kind, output and description of the problems of a frame's measured images.
 
     The images, by output name, have the right type and all one size; the metadata are the frame's JSON. With
-    `ignored`, a part of a pixel's area may be of no class.
+    `ignored`, class fractions of a pixel may sum to less than 1.
     """
     # Where no surface is hit, by the distance or else the instances.
     sky = images["instance"] == 0 if "instance" in images else None

@@ -48,8 +48,8 @@ class FrameTraits:
     fractions: tuple[float, ...] | None = None  # of the pixels for each class
     mean: float | None = None  # grey value of the photograph
     saturated: float = 0.0  # fraction of the photograph's pixels with a channel at 255
-    automatic: Mapping[str, Any] | None = None  # what automatic exposure chose
-    drawn: Mapping[str, Any] = field(default_factory=dict)  # values by dotted key
+    automatic: Mapping[str, Any] | None = None  # settings that automatic exposure chose
+    drawn: Mapping[str, Any] = field(default_factory=dict)  # drawn values by dotted key
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def _traits(
         index,
         scene=scene,
         photo=short_digest(np.ascontiguousarray(images[traced]).data) if traced else 0,
-        # Twins may differ in their light alone, and so have equal labels.
+        # Twins that differ only in light have equal labels.
         content=short_digest(json.dumps([digests, twin], sort_keys=True).encode()) if varied else 0,
         view=0 if pose is None or seed is None else short_digest(json.dumps([pose.tolist(), seed]).encode()),
         row=_row_digest(metadata, info),
@@ -238,7 +238,7 @@ def _wrong_shapes(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> lis
 
 
 def _site_shape(metadata: Mapping[str, Any], height: int, width: int) -> tuple[int, int]:
-    """Rows and columns of the camera's photosites."""
+    """Rows and columns of the camera's photosites, by binning if the JSON does not have them."""
     shape = json_object(metadata, "camera").get("site_shape")
     if isinstance(shape, list) and len(shape) == 2 and all(isinstance(length, int) for length in shape):
         return shape[0], shape[1]

@@ -1,4 +1,4 @@
-"""Checks of drawn values: of a frame against its index and seed, of all frames against what was asked."""
+"""Checks of drawn values: of a frame against its index and seed, of all frames against distributions."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from pepperscene.dataset.variation.recorded import read_variation, recorded_draw
 from pepperscene.dataset.variation.varied import Varied
 
 _UNLIKELY: Final = 1e-4
-"""Chosen: of a hundred values in a hundred right data sets, one falls below."""
+"""Chosen: a probability that one of ten thousand correct values has by chance."""
 
 
 def check_drawn(recipe: Mapping[str, Any], spec: FrameSpec, metadata: Mapping[str, Any]) -> Iterator[str]:
     """Yield the contradictions between a frame's JSON and the recipe of `dataset.json`.
 
-    Values of other frames are not needed: index and seed determine them. A record that is not valid is a
-    finding of `dataset.json`, and not one of every frame.
+    Index and seed determine the values, so no other frame is needed. An invalid record in `dataset.json` is
+    a finding of that file, not of every frame.
     """
     with suppress(ValueError, LookupError, TypeError, AttributeError):
         expected = recorded_draws(recipe, read_variation(recipe), spec)
@@ -80,13 +80,13 @@ class DrawnValues:
             self._numbers[varied.name].append(as_number(varied, drawn.get(varied.name)))
 
     def notes(self) -> Iterator[str]:
-        """Yield values that are hardly drawn from their distribution."""
+        """Yield a note for each value whose draws do not fit its distribution."""
         for varied in self._variation:
             numbers = np.array(self._numbers[varied.name])
             draws = distinct_draws(varied, self._plan, self._indices, numbers)
             p = goodness_of_fit(varied, draws)
             if p is not None and p < _UNLIKELY:
                 yield (
-                    f"the {len(draws)} draws of {varied.name} hardly fit what the recipe asks for, "
+                    f"the {len(draws)} draws of {varied.name} do not fit the recipe's distribution, "
                     f"{varied.describe()}: such draws have a probability of {p:.1g}"
                 )

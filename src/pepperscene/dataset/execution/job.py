@@ -103,7 +103,7 @@ class BuildJob:
         return info
 
     def _variation(self, spec: FrameSpec) -> dict[str, Any]:
-        """What a frame shares with others, and its drawn values; nothing for a recipe that has neither."""
+        """Moment, twin, rig camera and drawn values of a frame; only those that the recipe has."""
         recipe, described = self.recipe.recipe, dict[str, Any]()
         if recipe.twins:
             described |= {"moment": spec.moment, "twin": spec.twin}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 from pepperscene.dataset.execution.job import BuildJob
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
     from pepperscene.dataset.recipe.recipe import Recipe
 
 _SAMPLE: Final = 32
-"""Chosen: frames whose cameras are compared, if cameras differ from frame to frame."""
-_FREE_SPACE: Final = 110  # bytes per triangle of the search trees of random views; measured 105
+"""Chosen: evenly spaced frames whose cameras are compared, if cameras differ between frames."""
+_SEARCH_TREE_BYTES: Final = 110  # per triangle, of the search trees of random views; measured 105
 _OR: Final = f", or set {MEMORY} if the estimate is wrong"
 
 
@@ -87,18 +88,19 @@ def _process_memory(job: BuildJob, triangles: int, frames: int) -> int:
     quality, cameras = resolve_quality(job.quality, job.target_error), _cameras(job)
     needed = max(frame_memory(camera, job.outputs, quality, triangles) for camera in cameras)
     if isinstance(job.recipe.recipe.views, RandomViews):
-        needed += _FREE_SPACE * triangles
+        needed += _SEARCH_TREE_BYTES * triangles
     return needed + (max(written_memory(camera, job.outputs) for camera in cameras) if frames > 1 else 0)
 
 
 def _cameras(job: BuildJob) -> list[Camera]:
-    """The cameras of a sample of the frames: of all, if they have the same camera."""
+    """The different cameras of a sample of the frames; the only camera if nothing is varied."""
     recipe = job.recipe.recipe
     if not (recipe.variation or recipe.twins or recipe.rig):
         return [job.recipe.camera]
     plan = recipe.plan
-    indices = {*range(plan.cameras), *range(0, plan.scene_frames, plan.frames * plan.cameras)}
-    indices |= set(range(0, plan.count, -(-plan.count // _SAMPLE)))
+    every_camera, every_twin = range(plan.cameras), range(0, plan.scene_frames, plan.frames * plan.cameras)
+    evenly_spaced = range(0, plan.count, math.ceil(plan.count / _SAMPLE))
+    indices = {*every_camera, *every_twin, *evenly_spaced}
     tables: dict[object, Recipe] = {}
     for index in sorted(indices):
         values = frame_values(recipe, plan.frame(index)).recipe

@@ -24,7 +24,7 @@ _CENTRE: Final = 0.5
 """Coordinate of the first pixel's centre here; in COCO's keypoints it is 0."""
 
 _VARIATION_KEYS: Final = ("moment", "twin", "rig_camera", "drawn")
-"""What frames share with others, and their drawn values; only recipes with variation have them."""
+"""Keys of a frame's JSON that only recipes with variation, twins or a rig have."""
 
 _FRUIT_KEYS: Final = ("ripeness", "length_m", "diameter_m", "visible_fraction", "truncated")
 
@@ -33,13 +33,12 @@ def write_coco(job: ExportJob, folder: Path) -> None:
     """Write `train/000110.png`, `annotations/instances_train.json` and `panoptic_train.json` per split.
 
     An annotation is one organ of a plant. The rest of each class (see `ExportFrame.segment_ids`) is one
-    annotation with `iscrowd` 1, which evaluation ignores. Category ids are class ids; where ripe and unripe
+    annotation with `iscrowd` 1, which evaluation ignores. Category ids are class ids; if ripe and unripe
     fruit are two categories, the rest of the fruit is a crowd of both, and void in panoptic images. If all
-    frames have the
-    output harvest, fruit get amodal masks and cut points.
+    frames have the output harvest, fruit get amodal masks and cut points.
 
     The ignored pixels of a frame are one more annotation with `iscrowd` 1 in each category, all with the same
-    mask, because evaluation compares only within a category. In panoptic images they are 0, which is void.
+    mask, because evaluation compares only within a category. In panoptic images they are 0: void.
     """
     annotations = folder / "annotations"
     annotations.mkdir()
@@ -123,7 +122,7 @@ def _category_record(category: Category, crop: str) -> dict[str, Any]:
 
 
 def _panoptic_colour(category: Category) -> list[int]:
-    """The class colour; unripe fruit has half of it, so that no two categories have the same."""
+    """The class colour; half of it for unripe fruit, so that no two categories have the same colour."""
     colour = CLASS_COLOURS[category.organ_class]
     return [value // 2 for value in colour] if category.id == UNRIPE_CATEGORY else list(colour)
 
@@ -180,7 +179,7 @@ def _instance_records(frame: ExportFrame, segments: Sequence[Segment], harvest: 
 
 
 def _crowd_records(frame: ExportFrame, segment: Segment, harvest: bool) -> list[dict[str, Any]]:
-    """The rest of a class, or the ignored pixels of a frame, as a crowd of each category that they can be."""
+    """A crowd annotation in each category that the rest of a class, or the ignored pixels, can have."""
     first = IGNORED if segment.id == IGNORED else REST
     return [
         {

@@ -16,11 +16,11 @@ from pepperscene.dataset.export.selection import Category, Selection
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """The pixels of one organ, of the rest of a class, or of all that is ignored."""
+    """The pixels of one organ, of the rest of a class, or all ignored pixels of an image."""
 
     id: int  # above 0, unique in its image
-    organ_class: OrganClass  # the background for what is ignored
-    categories: tuple[Category, ...]  # one of an organ; all of the rest of a class, or of what is ignored
+    organ_class: OrganClass  # the background for ignored pixels
+    categories: tuple[Category, ...]  # one for an organ; all possible ones for other segments
     entry: Mapping[str, Any]  # of the instance in the frame's JSON; empty for the rest of a class
     mask: dict[str, Any]  # `size` (rows, columns) and `counts`, the run lengths as text
     area: int
@@ -33,7 +33,7 @@ class Segment:
 
     @property
     def is_void(self) -> bool:
-        """Whether it is of no single category, as panoptic segments must be."""
+        """Whether panoptic images cannot show it, because it has no single category."""
         return self.id == IGNORED or len(self.categories) > 1
 
 
@@ -60,7 +60,7 @@ def find_segments(frame: ExportFrame, ids: NDArray[np.uint32], selection: Select
 def _segment_categories(
     segment_id: int, entry: Mapping[str, Any], frame: ExportFrame, selection: Selection
 ) -> tuple[OrganClass, tuple[Category, ...]]:
-    """The class of a segment, and its categories."""
+    """`organ_class` and `categories` of a segment."""
     if segment_id == IGNORED:
         return OrganClass.BACKGROUND, selection.categories
     if not entry:
@@ -100,5 +100,5 @@ def segment_run_lengths(ids: NDArray[np.integer[Any]]) -> dict[int, list[int]]:
 
 
 def json_mask(mask: Mapping[str, Any]) -> dict[str, Any]:
-    """A mask of pycocotools, with text for its run lengths."""
+    """A mask of pycocotools with its run lengths as text, which JSON can hold."""
     return {"size": [int(side) for side in mask["size"]], "counts": mask["counts"].decode("ascii")}

@@ -69,7 +69,7 @@ _DRAWN: Final = "drawn"
 
 
 def variation_columns(info: Mapping[str, Any]) -> tuple[Column, ...]:
-    """The columns of what frames share and of their drawn values, as far as the recipe has them.
+    """The columns of moments, twins, rig cameras and drawn values; only those that the recipe has.
 
     Args:
         info: the content of `dataset.json`.
@@ -119,7 +119,7 @@ def frame_columns(outputs: Sequence[str], shape: tuple[int, int]) -> tuple[Colum
         Column(
             "camera",
             camera,
-            "focal lengths and principal point in pixels, and distortion of OpenCV's model of this name",
+            "focal lengths and principal point in pixels, distortion coefficients and the model's name",
             _camera_value,
         ),
     )

@@ -74,10 +74,10 @@ class ExportFrame:
         """Segment of every pixel, `(h, w)`, above 0.
 
         An organ of a plant, of any class but the background, is one segment, whose id is its value in
-        the instance image. The rest of each class is the segment `REST` + class: the background with organs
-        of classes that are not selected, what has an organ's class but belongs to no plant (a wire of the
-        whole row), and organs that are not separate objects of the selection. Ignored pixels are the segment
-        `IGNORED`.
+        the instance image. The rest of each class is the segment `REST` + class: what has an organ's class
+        but belongs to no plant (a wire of the whole row), and organs that are not separate objects of the
+        selection. Organs of classes that are not selected are part of the background. Ignored pixels are the
+        segment `IGNORED`.
         """
         # The harvest truth is read only if the objects depend on it.
         fruit = self.fruit if selection.needs_harvest else {}
@@ -110,7 +110,7 @@ class ExportJob:
 
     @property
     def has_ignored_pixels(self) -> bool:
-        """Whether the frames can have pixels that training and evaluation leave out."""
+        """Whether frames can have pixels that training and evaluation must ignore."""
         return has_ignored_pixels(self.dataset.info)
 
     @cached_property

@@ -93,10 +93,12 @@ def export_dataset(
         frames: "A:B", indices A to B - 1; None for all existing frames.
         on_frame: called after every frame with its index, the number of frames done, and that of all.
         smallest_px: visible pixels below which an organ is not a separate object; None for the default.
-        classes: "pepper,leaf", the classes of organs that are objects, in the order of their categories; None
-            for all.
-        least_visible: visible fraction below which a fruit is no separate object; needs the output harvest.
-        ripe_from: ripeness from which fruit is "ripe pepper", not "unripe pepper"; needs the output harvest.
+        classes: "pepper,leaf", the organ classes that are exported as objects, in the order of their
+            categories; None for all.
+        least_visible: visible fraction below which a fruit is not a separate object; needs the output
+            harvest.
+        ripe_from: least ripeness of the category "ripe pepper"; fruit below it is "unripe pepper". None for
+            one category. Needs the output harvest.
 
     Raises:
         InputError: there is no data set or frame, an argument is invalid, an output missing, a file damaged.

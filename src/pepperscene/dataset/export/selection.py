@@ -1,4 +1,4 @@
-"""Which organs of a data set an export describes, and the categories that they are in."""
+"""The organs of a data set that an export describes as objects, and their categories."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Category:
     """A category of objects.
 
     Attributes:
-        id: of COCO, where it is the class id except for unripe fruit.
+        id: in COCO files; the class id, except for unripe fruit.
         name: in lower case.
         organ_class: of its organs.
     """
@@ -38,8 +38,8 @@ class Selection:
     Attributes:
         classes: of the organs that are objects, in the order of their categories.
         smallest_px: visible pixels below which an organ is not a separate object.
-        least_visible: visible fraction of a fruit below which it is none, where the harvest truth has it.
-        ripe_from: ripeness from which fruit is ripe; None if ripe and unripe fruit are one category.
+        least_visible: visible fraction below which a fruit in the harvest truth is not a separate object.
+        ripe_from: least ripeness of ripe fruit; None if ripe and unripe fruit are one category.
     """
 
     classes: tuple[OrganClass, ...] = ORGANS
@@ -68,7 +68,12 @@ class Selection:
         return ripe, Category(UNRIPE_CATEGORY, f"unripe {name}", organ_class)
 
     def category(self, organ_class: OrganClass, fruit: Mapping[str, Any] | None) -> Category | None:
-        """The category of an organ, with its entry in the harvest truth; None if it is not known."""
+        """The category of an organ; None if its class is not selected, or its ripeness is unknown.
+
+        Args:
+            organ_class: of the organ.
+            fruit: its entry in the harvest truth, if it has one.
+        """
         categories = self.of_class(organ_class)
         if len(categories) < 2:
             return categories[0] if categories else None
@@ -90,14 +95,18 @@ class Selection:
 
 
 def parse_classes(text: str | None) -> tuple[OrganClass, ...]:
-    """Classes from "pepper,leaf", in this order; all for None; raises `ArgumentError` for other names."""
+    """Parse "pepper,leaf"; all organ classes for None.
+
+    Raises:
+        ArgumentError: a name is unknown or repeated.
+    """
     if text is None:
         return ORGANS
     known = {organ.name.lower(): organ for organ in ORGANS}
     names = [name.strip() for name in text.split(",")]
     for name in names:
         if name not in known:
-            raise ArgumentError("classes", f"{name!r} is no class of organs; allowed are {', '.join(known)}")
+            raise ArgumentError("classes", f"{name!r} is not an organ class; allowed are {', '.join(known)}")
     if len(set(names)) < len(names):
         raise ArgumentError("classes", f"{text!r} must name each class once")
     return tuple(known[name] for name in names)

@@ -69,24 +69,24 @@ def split_by_sets(
     total = sum(fractions.values())
     if not fractions or min(fractions.values()) <= 0 or abs(total - 1) > _SUM_TOLERANCE:
         raise ValueError(f"the fractions sum to {total:g}; they must be positive and sum to 1")
-    shown = moments(whole_plan, frames)
-    if (count := len(np.unique(shown))) < len(fractions):
+    frame_moments = moments(whole_plan, frames)
+    if (count := len(np.unique(frame_moments))) < len(fractions):
         number = f"{len(frames)} frames" + (f" of {count} moments" if count < len(frames) else "")
         raise ValueError(f"{number} cannot make {len(fractions)} splits")
     # The largest units, in moments, of which every split gets at least one.
     unit_sizes = (whole_plan.frames * whole_plan.rotations, whole_plan.frames, 1)
-    size = next(size for size in unit_sizes if len(np.unique(shown // size)) >= len(fractions))
-    units, frames_per_unit = np.unique(shown // size, return_counts=True)
+    size = next(size for size in unit_sizes if len(np.unique(frame_moments // size)) >= len(fractions))
+    units, frames_per_unit = np.unique(frame_moments // size, return_counts=True)
 
     # Frames that do not exist yet belong to the split before them.
     ends = [int(units[end]) * size for end in _split_ends(frames_per_unit, list(fractions.values()))[:-1]]
-    count = whole_plan.sets * whole_plan.rotations * whole_plan.frames
-    bounds = itertools.pairwise([0, *ends, count])
+    moment_count = whole_plan.sets * whole_plan.rotations * whole_plan.frames
+    bounds = itertools.pairwise([0, *ends, moment_count])
     return Splits(
         tuple(
-            (name, indices)
+            (name, block)
             for name, bound in zip(fractions, bounds, strict=True)
-            for indices in frames_of_moments(whole_plan, *bound)
+            for block in frames_of_moments(whole_plan, *bound)
         )
     )
 
@@ -127,7 +127,7 @@ def read_splits(text: str | None, plan: Mapping[str, Any], indices: Sequence[int
 
 
 def _check_moments(members: Mapping[str, Sequence[int]], plan: Mapping[str, Any]) -> None:
-    """Raise `ArgumentError` if frames of one moment, which show the same, are in different splits."""
+    """Raise `ArgumentError` if frames of one moment, which show the same view, are in different splits."""
     whole_plan = _parse_plan(plan)
     if whole_plan.twins * whole_plan.cameras == 1:
         return

@@ -39,12 +39,12 @@ def write_yolo(job: ExportJob, folder: Path) -> None:
     """Write `images/train/000110.png`, `labels/train/000110.txt` and `data.yaml`.
 
     A line is an organ of a plant: the number of its category in the selection, and the pixel centres of its
-    polygon over the width and height of the image. Of all classes, the numbers are the class ids minus 1.
-    What belongs to no plant, organs that are not objects and pieces below the selection's `smallest_px` are
-    left out, as the format has no crowd.
+    polygon over the width and height of the image. If all classes are selected and fruit is one category,
+    the numbers are the class ids minus 1. What belongs to no plant, organs that are not objects and pieces
+    below the selection's `smallest_px` are left out, as the format has no crowd.
 
-    Nor has it ignored pixels: if the frames can have some, `ignore/train/000110.png` is 255 there and 0
-    elsewhere, for losses and evaluations that read it.
+    The format has no ignored pixels either: if frames can have some, `ignore/train/000110.png` is 255 there
+    and 0 elsewhere, for training and evaluation code that reads it.
     """
     data = _data_yaml(list(job.splits), job.selection)
     (folder / "data.yaml").write_text(data, encoding="utf-8")

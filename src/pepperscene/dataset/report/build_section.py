@@ -25,7 +25,7 @@ _BUILD_CHARTS: Final = (
 def build_html(sets: Sequence[SetSummary]) -> Html:
     """Distributions of timings, errors and sizes of all frames."""
     known = [(item, item.records) for item in sets if item.records is not None]
-    panels = [panel for chart in _BUILD_CHARTS if (panel := _build_panel(known, *chart))]
+    panels = [_build_panel(known, *chart) for chart in _BUILD_CHARTS]
     totals = (element("p", set_label(item), " ", _totals(records), class_="note") for item, records in known)
     return fragment(*totals, element("div", *panels, class_="grid"))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -21,10 +22,16 @@ from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.drawn_columns import DRAWN
 from pepperscene.dataset.store.fields import read_frame
 from pepperscene.dataset.store.journal import JOURNAL
-from pepperscene.dataset.store.manifest import MANIFEST, frame_row, table_columns, table_schema
+from pepperscene.dataset.store.manifest import (
+    MANIFEST,
+    frame_row,
+    stored_row,
+    table_columns,
+    table_schema,
+)
 from pepperscene.dataset.variation.goodness_of_fit import as_number
 from pepperscene.dataset.variation.recorded import read_variation, recorded_twins
-from pepperscene.dataset.variation.varied import Varied
+from pepperscene.dataset.variation.varied import Varied, VariedNumber
 from pepperscene.errors import OutputError
 from pepperscene.truth import ImageStatistics
 
@@ -95,7 +102,7 @@ class DrawnRecords:
 
     plan: Plan
     indices: NDArray[np.int64]  # (n,), ascending
-    variation: tuple[Varied, ...]  # without the values of twins
+    variation: tuple[Varied, ...]  # without those that twins replace
     numbers: Mapping[str, NDArray[np.float64]]  # (n,) for each of `variation`; see `as_number`
     twins: Mapping[str, Sequence[Any]]  # values by dotted key
 
@@ -127,30 +134,40 @@ def frame_records(dataset: Dataset) -> FrameRecords:
     rows = _manifest_rows(dataset, columns)
     table = np.full((len(indices), len(NUMBERS) + len(_PIXELS)), np.nan)
     drawn = np.full((len(indices), len(variation)), np.nan)
-    workers = set()
+    stored_columns, workers = table_columns(MANIFEST, dataset.info), set()
     for position, index in enumerate(indices):
         if (row := rows.get(index)) is None:
             metadata = read_frame(dataset, index)
-            row = frame_row(metadata, metadata["outputs"], "")
+            row = stored_row(frame_row(metadata, metadata["outputs"], ""), stored_columns)
         values = (row.get(name) for name in (*NUMBERS, *_PIXELS))
         table[position] = [np.nan if value is None else value for value in values]
         pairs = zip(variation, columns, strict=True)
-        drawn[position] = [as_number(varied, row.get(name)) for varied, name in pairs]
+        drawn[position] = [_drawn_number(varied, row.get(name)) for varied, name in pairs]
         if row.get("worker"):
             workers.add(str(row["worker"]))
     numbers = {name: table[:, column] for column, name in enumerate(NUMBERS)}
-    positions = np.array(indices, np.int64)
-    records = _drawn_records(dataset, positions, variation, drawn)
-    return FrameRecords(positions, numbers, table[:, len(NUMBERS) :], frozenset(workers), records)
+    frames = np.array(indices, np.int64)
+    records = _drawn_records(dataset, frames, variation, drawn)
+    return FrameRecords(frames, numbers, table[:, len(NUMBERS) :], frozenset(workers), records)
 
 
 def _recorded_variation(dataset: Dataset) -> tuple[Varied, ...]:
-    """The varied values of a data set, except those that are different for its twins."""
+    """The varied values of a data set, except those that its twins replace."""
     with suppress(LookupError, TypeError, ValueError):
         recipe = dataset.info["recipe"]
         twins = recorded_twins(recipe)
         return tuple(varied for varied in read_variation(recipe) if varied.name not in twins)
     return ()
+
+
+def _drawn_number(varied: Varied, value: Any) -> float:
+    """A value of the manifest as a number; see `as_number`."""
+    number = as_number(varied, value)
+    # A column for values of several types holds the numbers and Booleans among them as JSON.
+    if np.isnan(number) and isinstance(value, str) and not isinstance(varied, VariedNumber):
+        with suppress(ValueError):
+            return as_number(varied, json.loads(value))
+    return number
 
 
 def _drawn_records(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,6 @@ from pepperscene.dataset.report.colours import (
 )
 from pepperscene.dataset.report.markup import Html, element, fragment, joined
 
-if TYPE_CHECKING:
-    pass
-
-
 TITLES: Final[Mapping[str, str]] = {
     "colour": "Colour",
     "class": "Class",
@@ -37,8 +33,7 @@ TABLE_COLUMNS: Final = (
     *(f"{organ.name.lower()}, %" for organ in OrganClass),
 )
 
-MOST_RELATIVES: Final = 12  # chosen: links below an image; some lines on a phone
-
+_MOST_RELATIVES: Final = 12  # chosen: links below an image; some lines on a phone
 _LABELS: Final = {"colour": "Colour", "class": "Class", "instance": "Instance", "distance": "Distance"}
 
 
@@ -105,7 +100,7 @@ class Relative:
 
     Attributes:
         name: of the image.
-        difference: what is different, such as "twin 1".
+        difference: the differing twin and camera, such as "twin 1, right".
         is_shown: whether the page shows it.
     """
 
@@ -117,7 +112,7 @@ class Relative:
 def card_html(view: ImageView, set_key: str, relatives: Sequence[Relative] = ()) -> Html:
     """A card with the panels of an image, its class fractions as one bar, and a description.
 
-    It has links to those `relatives` that the page shows, and names the others.
+    `relatives` that the page shows are links; the others are only named.
     """
     buttons = [_panel_button(view, key) for key in view.panels]
     # Two panels have the same size; of more, the first is large and the others are small below it.
@@ -137,7 +132,7 @@ def _links(relatives: Sequence[Relative], set_key: str) -> Html:
         return fragment()
     names = [
         element("a", item.name, href=f"#{_card_id(item.name, set_key)}") if item.is_shown else item.name
-        for item in relatives[:MOST_RELATIVES]
+        for item in relatives[:_MOST_RELATIVES]
     ]
     texts = [fragment(name, f" ({item.difference})") for name, item in zip(names, relatives, strict=False)]
     more = len(relatives) - len(texts)

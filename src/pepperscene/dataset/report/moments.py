@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any, Self, final
 
-import numpy as np
-
 from pepperscene.dataset.readers import RenderedSet
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.dataset.recipe.moments import moments
@@ -48,7 +46,7 @@ class Moments:
         return None
 
     def evenly_spaced(self, limit: int) -> list[int]:
-        """At most `limit` positions: all frames of evenly spaced moments, or as many of one as possible."""
+        """At most `limit` positions: all frames of evenly spaced moments, or the first frames of one."""
         groups = list(self._positions.values())
         largest = max(map(len, groups))
         chosen = [groups[number] for number in evenly_spaced(len(groups), max(1, limit // largest))]
@@ -56,10 +54,10 @@ class Moments:
 
     def relatives(self, position: int) -> list[tuple[int, str]]:
         """Index and description of the other frames of a frame's moment, the nearest first."""
-        plan, index = self._plan, self._indices[position]
-        own = plan.frame(index)
+        plan = self._plan
+        own = plan.frame(self._indices[position])
         found = []
-        for other in self._positions[int(moments(plan, np.array([index]))[0])]:
+        for other in self._positions[own.moment]:
             spec = plan.frame(self._indices[other])
             parts = [f"twin {spec.twin}"] if spec.twin != own.twin else []
             parts += [self._cameras[spec.camera]] if spec.camera != own.camera else []

@@ -103,7 +103,7 @@ def intensity_html(sets: Sequence[SetSummary]) -> Html:
 
 
 def legend_html(*, ignored: bool) -> Html:
-    """The classes with their colours, and with `ignored` that of pixels that training leaves out."""
+    """The colours of the classes, and with `ignored` that of ignored pixels."""
     entries = [element("span", swatch(organ), organ.name.lower()) for organ in OrganClass]
     if ignored:
         entries.append(element("span", _patch(css_colour(IGNORE_COLOUR)), "ignored"))

@@ -1,4 +1,4 @@
-"""The section "Variation": what the recipe asks for, and what was drawn."""
+"""The section "Variation": the distributions in the recipe, and the values that were drawn."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from pepperscene.dataset.report.sections import format_percent, fraction_bars, h
 from pepperscene.dataset.variation.goodness_of_fit import distinct_draws, goodness_of_fit
 from pepperscene.dataset.variation.varied import Varied, VariedChoice, VariedInTurn, VariedNumber
 
-_HEADS: Final = ("Value", "per", "asked for", "draws", "minimum", "median", "maximum", "p")
+_HEADS: Final = ("Value", "per", "distribution", "draws", "minimum", "median", "maximum", "p")
 _BINS: Final = 24  # chosen: as of the other charts
 _FEWEST_BINS: Final = 4  # chosen: fewer show no shape
 _MOST_BARS: Final = 20  # chosen: outcomes in a panel
+_MARGIN: Final = 0.01  # chosen: half the width of a constant's bin, over the constant
 _UNKNOWN: Final = "–"
 
 
@@ -30,8 +31,8 @@ def variation_html(sets: Sequence[SetSummary]) -> Html:
         return fragment()
     note = (
         "Values that differ between frames, over all frames. A value counts once for each set of plants, "
-        "scene or moment that it is drawn for. p is the probability that draws as asked for fit as badly as "
-        "these; it is unknown for values in turn and for few draws."
+        "scene or moment that it is drawn for. p is the probability that correct draws fit their "
+        "distribution as badly as these; it is unknown for values in turn, constants and few draws."
     )
     contents = [_set_html(item, drawn, named=len(sets) > 1) for item, drawn in known]
     return element(
@@ -89,55 +90,62 @@ def _chart(chart_id: str, varied: Varied, draws: NDArray[np.float64]) -> Html:
 
 
 def _legend() -> Html:
-    keys = element("span", "drawn", class_="key a"), " ", element("span", "asked for", class_="key b")
+    keys = element("span", "drawn", class_="key a"), " ", element("span", "expected", class_="key b")
     return element("p", *keys)
 
 
 def _histogram(chart_id: str, varied: VariedNumber, draws: NDArray[np.float64]) -> Html:
-    """Percentage of the draws in each bin, and what the distribution gives."""
+    """Percentage of the draws in each bin, and that of the distribution."""
     scale, unit = (np.log10, "logarithm to base 10") if varied.logarithmic else (np.asarray, "value")
     offset = 0.0
     if varied.kind == "date":
         offset = np.floor(draws.min())
         unit = f"days after {_text(varied, offset)}"
-    ends = varied.distribution.quantiles([0.0, 1.0])
-    ends = np.exp(ends) if varied.logarithmic else ends
-    low, high = min(float(ends[0]), float(draws.min())), max(float(ends[1]), float(draws.max()))
-    if varied.kind != "number":
-        low, high = np.floor(low) - 0.5, np.ceil(high) + 0.5
-    # Few draws need wide bins; bins of integers are whole numbers wide.
-    count = int(np.clip(np.sqrt(len(draws)), _FEWEST_BINS, _BINS))
-    if varied.logarithmic:
-        edges = np.geomspace(low, high, count + 1)
-    else:
-        edges = np.linspace(low, high, count + 1)
-        if varied.kind != "number":
-            edges = np.unique(np.round(edges - low)) + low
-    if (varied.logarithmic and low == high) or edges[0] == edges[-1]:
-        edges = np.array([low * 0.99 - 1e-6, high * 1.01 + 1e-6])
+    edges = _bin_edges(varied, draws)
     drawn = 100.0 * np.histogram(draws, edges)[0] / len(draws)
     shares = np.diff(varied.cumulative(edges))
-    asked = 100.0 * shares / max(float(shares.sum()), 1e-9)
-    series = [("a", "drawn", drawn), ("b", "asked for", asked)]
+    expected = 100.0 * shares / max(float(shares.sum()), 1e-9)
+    series = [("a", "drawn", drawn), ("b", "expected", expected)]
     return step_chart(
         chart_id, f"Drawn values of {varied.name}", scale(edges - offset), series, unit, "% of draws"
     )
 
 
+def _bin_edges(varied: VariedNumber, draws: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`(n + 1,)` edges of bins for all draws and the whole distribution."""
+    ends = varied.distribution.quantiles([0.0, 1.0])
+    if varied.logarithmic:
+        # Numbers that have no logarithm are not drawn, but a damaged record can hold them.
+        ends, draws = np.exp(ends), draws[draws > 0]
+    low = float(np.min(draws, initial=ends[0]))
+    high = float(np.max(draws, initial=ends[1]))
+    if varied.kind != "number":
+        low, high = np.floor(low) - 0.5, np.ceil(high) + 0.5
+    if low == high:
+        margin = _MARGIN * abs(low) or _MARGIN
+        return np.array([low - margin, low + margin])
+    # Few draws need wide bins; bins of integers are whole numbers wide.
+    count = int(np.clip(np.sqrt(len(draws)), _FEWEST_BINS, _BINS))
+    if varied.logarithmic:
+        return np.geomspace(low, high, count + 1)
+    edges = np.linspace(low, high, count + 1)
+    return edges if varied.kind == "number" else np.unique(np.round(edges - low)) + low
+
+
 def _bars(varied: Varied, draws: NDArray[np.float64]) -> Html:
     """A table of outcomes with their percentages, and a bar for each."""
     if isinstance(varied, VariedChoice):
-        outcomes, asked = varied.outcomes, np.array(varied.probabilities)
+        outcomes, expected = varied.outcomes, np.array(varied.probabilities)
     else:
         assert isinstance(varied, VariedInTurn)
-        outcomes, asked = varied.values, np.full(len(varied.values), 1.0 / len(varied.values))
+        outcomes, expected = varied.values, np.full(len(varied.values), 1.0 / len(varied.values))
     drawn = np.bincount(draws.astype(np.int64), minlength=len(outcomes)) / len(draws)
-    scale = float(max(drawn.max(), asked.max()))
+    scale = float(max(drawn.max(), expected.max()))
     rows = []
-    for outcome, share, wanted in list(zip(outcomes, drawn, asked, strict=True))[:_MOST_BARS]:
-        bars = fraction_bars([("a", float(share)), ("b", float(wanted))], scale)
-        cells = [format_percent(float(share), 1), format_percent(float(wanted), 1), bars]
+    for outcome, share, expected_share in list(zip(outcomes, drawn, expected, strict=True))[:_MOST_BARS]:
+        bars = fraction_bars([("a", float(share)), ("b", float(expected_share))], scale)
+        cells = [format_percent(float(share), 1), format_percent(float(expected_share), 1), bars]
         rows.append((str(outcome), cells))
-    table = html_table("small", ("", "drawn", "asked for", ""), rows)
+    table = html_table("small", ("", "drawn", "expected", ""), rows)
     more = len(outcomes) - len(rows)
     return fragment(table, element("p", f"and {more} more") if more else "")

@@ -36,10 +36,11 @@ from pepperscene.dataset.report.markup import Html, as_html, csp_hash, element, 
 from pepperscene.dataset.report.moments import Moments, displayed_positions
 from pepperscene.dataset.report.variation import variation_html, variation_link
 from pepperscene.dataset.store.atomic import atomic_write
-from pepperscene.dataset.store.crop import crop_name
+from pepperscene.dataset.store.crop import crop_name, cultivar_names
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.fields import has_ignored_pixels, read_info
 from pepperscene.dataset.store.frame_json import DIGITS
+from pepperscene.dataset.store.recorded_values import is_varied
 from pepperscene.errors import InputError, OutputError
 
 PAGE, SHEET = "index.html", "contact_sheet.png"
@@ -138,12 +139,14 @@ def _summarize(
     sheet_positions = {positions[number] for number in evenly_spaced(len(positions), MAX_ROWS)}
     cards, table_rows, sheet_rows = [], [], []
     moments = Moments.of_images(images)
-    displayed = {images.names()[position] for position in positions} if moments else set()
+    names = images.names()
+    displayed = {names[position] for position in positions}
     for position in positions:
         view = image_view(_visible_image(images, position), *distances_m)
         relatives = [] if moments is None else moments.relatives(position)
         named = [(f"{index:0{DIGITS}d}", difference) for index, difference in relatives]
-        cards.append(card_html(view, key, [Relative(name, text, name in displayed) for name, text in named]))
+        links = [Relative(name, difference, name in displayed) for name, difference in named]
+        cards.append(card_html(view, key, links))
         table_rows.append(table_row(view, key))
         if key == "a" and position in sheet_positions:
             sheet_rows.append(sheet_row(view))
@@ -166,8 +169,8 @@ def _page_html(
     info: Mapping[str, Any], sets: Sequence[SetSummary], distances_m: tuple[float, float] | None
 ) -> str:
     """The page as HTML; `distances_m` are those of the brightest and the darkest colour."""
-    recipe, plan = info["recipe"], info["recipe"]["plan"]
-    total = Plan.model_validate(plan).count
+    recipe, cultivars = info["recipe"], cultivar_names(info)
+    total = Plan.model_validate(recipe["plan"]).count
     summary: list[str] = [f"{sets[0].frames:,} of {total:,} planned frames exist."]
     summary += [
         fragment("Compared with ", sections.set_label(item), f", {sections.plural(item.frames, 'image')}.")
@@ -193,7 +196,7 @@ def _page_html(
         "script_hash": csp_hash(script),
         "name": str(recipe["name"]),
         "crop": crop_name(info),
-        "cultivar": str(recipe["cultivar"]),
+        "cultivar": f"cultivar{'s' if len(cultivars) > 1 else ''} {', '.join(cultivars)}",
         "summary": joined(summary, " "),
         "facts": _facts_html(info),
         "classes": sections.legend_html(ignored=has_ignored_pixels(info)),
@@ -218,14 +221,13 @@ def _read_resource(name: str) -> str:
 
 def _facts_html(info: Mapping[str, Any]) -> Html:
     recipe = info["recipe"]
-    daylight = recipe["daylight"] or {"illuminance_lx": 0}
     items = {
         "Quality": info["quality"],
         "Seed": recipe["seed"],
         "Plan": _describe_plan(recipe["plan"]),
-        "Rows": "{plants_front} + {plants_back} plants, {spacing_mm:g} mm apart".format(**recipe["row"]),
-        "Exposure": _describe_exposure(recipe),
-        "Daylight": f"{daylight['illuminance_lx']:,.0f} lx",
+        "Rows": _describe_rows(info),
+        "Exposure": _describe_exposure(info),
+        "Daylight": _describe_daylight(info),
         "Version": info["version"],
         "Recipe SHA-256": info["recipe_sha256"][:12] + "…",
     }
@@ -234,11 +236,27 @@ def _facts_html(info: Mapping[str, Any]) -> Html:
     )
 
 
-def _describe_exposure(recipe: Mapping[str, Any]) -> str:
-    exposure, key = recipe["camera"]["exposure_us"], "camera.exposure_us"
-    if key in recipe.get("variation", {}) or key in recipe.get("twins", {}):
+def _describe_rows(info: Mapping[str, Any]) -> str:
+    plants, spacing = "{plants_front} + {plants_back} plants", "{spacing_mm:g} mm apart"
+    if is_varied(info, "row.plants_front", "row.plants_back"):
+        plants = "varied number of plants"
+    if is_varied(info, "row.spacing_mm"):
+        spacing = "varied spacing"
+    return f"{plants}, {spacing}".format(**info["recipe"]["row"])
+
+
+def _describe_exposure(info: Mapping[str, Any]) -> str:
+    if is_varied(info, "camera.exposure_us"):
         return "varied"
+    exposure = info["recipe"]["camera"]["exposure_us"]
     return "automatic" if exposure == AUTO else f"{exposure:g} µs"
+
+
+def _describe_daylight(info: Mapping[str, Any]) -> str:
+    if is_varied(info, "daylight.illuminance_lx"):
+        return "varied"
+    daylight = info["recipe"]["daylight"] or {"illuminance_lx": 0}
+    return f"{daylight['illuminance_lx']:,.0f} lx"
 
 
 def _describe_plan(plan: Mapping[str, Any]) -> str:

@@ -42,7 +42,7 @@ class SceneRenderer(Protocol):
         sky: Sky | None = ...,
         exposure_control: ExposureControl | None = ...,
     ) -> Frame:
-        """Render one view; an optional argument is passed only if it differs from the scene's own."""
+        """Render one view; `others`, `sky` and `exposure_control` are passed only if a frame needs them."""
 
 
 RendererFactory = Callable[["Scene"], SceneRenderer]
@@ -69,7 +69,7 @@ class _HeldScene:
 
     Attributes:
         key: plants, set, rotation, and whether light can be traced.
-        light: what the scene's own sky depends on.
+        light: set and `FrameSetup.light`, which the scene's own sky depends on.
     """
 
     key: tuple[str, int, int, bool]
@@ -134,7 +134,7 @@ class FrameRenderer:
         others = self.views.others(spec, outputs, scene, visible)
         camera = self.camera(spec)
         seed = frame_seed(self.recipe.seed, spec.index)
-        # Renderers receive what differs from the scene's own only if an output needs it.
+        # Renderers receive further arguments only if an output needs them.
         further: dict[str, Any] = {"others": others} if others else {}
         if traced and held.light != (spec.set, setup.light):
             further["sky"] = self.sky(spec)
@@ -213,7 +213,7 @@ class FrameRenderer:
         return self._held
 
     def _frames_of_scene(self, spec: FrameSpec, setup: FrameSetup) -> list[FrameSpec]:
-        """All frames that show the same plants at the same places, in the order of their indices."""
+        """All frames of the scene with the same plants in the same places, in the order of their indices."""
         specs = [self.recipe.plan.frame(index) for index in self.recipe.plan.scene_indices(spec)]
         return [other for other in specs if self.setups.at(other).plants == setup.plants]
 
@@ -231,7 +231,8 @@ class FrameRenderer:
         from pepperscene.scene import combine_reaches
 
         distinct = {
-            (setup.optics, setup.light, setup.recipe.views): setup for setup in map(self.setups.at, specs)
+            (setup.optics, setup.light, setup.recipe.views, setup.recipe.exposure_control): setup
+            for setup in map(self.setups.at, specs)
         }
         return combine_reaches(
             [_light_reach(setup, camera) for setup in distinct.values() for camera in _exposures(setup)]

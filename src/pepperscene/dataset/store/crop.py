@@ -1,4 +1,4 @@
-"""The name of the crop that a data set shows."""
+"""The cultivars of a data set and the names of their crops."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final
 
+from pepperscene.dataset.store.recorded_values import recorded_values
 from pepperscene.errors import InputError
 from pepperscene.shipped import is_file, shipped_folder
 
@@ -13,15 +14,31 @@ _SHIPPED_NAME: Final = re.compile(r"[A-Za-z0-9_-]+")
 _COMMON_NAMES: Final = {"Capsicum annuum": "sweet pepper"}
 
 
-def crop_name(info: Mapping[str, Any]) -> str:
-    """The common name "sweet pepper", or the species of another crop, from a `dataset.json` of valid types.
+def cultivar_names(info: Mapping[str, Any]) -> tuple[str, ...]:
+    """The names of a data set's cultivars: one, unless the recipe varies it.
 
-    A data set holds the name of its cultivar only. One that is not shipped is named itself.
+    Args:
+        info: the content of `dataset.json`, of valid types.
     """
+    return tuple(dict.fromkeys(map(str, recorded_values(info, "cultivar"))))
+
+
+def crop_name(info: Mapping[str, Any]) -> str:
+    """The crops of a data set, joined by "and": the common name "sweet pepper", or the species of another.
+
+    `dataset.json` has only the name of a cultivar. The species of a cultivar that is not shipped is unknown;
+    its own name is used instead.
+
+    Args:
+        info: the content of `dataset.json`, of valid types.
+    """
+    return " and ".join(dict.fromkeys(map(_crop_of_cultivar, cultivar_names(info))))
+
+
+def _crop_of_cultivar(name: str) -> str:
     from pepperscene.cultivar import load_cultivar
 
-    name = str(info["recipe"]["cultivar"])
-    # The name of a data set from anywhere must not lead to another file.
+    # The data set may be from anyone: a name must not be read as the path of another file.
     if not _SHIPPED_NAME.fullmatch(name) or not is_file(shipped_folder("plants") / f"{name}.toml"):
         return name
     try:

@@ -6,10 +6,11 @@ import json
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
+from pepperscene.dataset.store.recorded_values import as_mapping, listed_values
 from pepperscene.frame import OUTPUTS
 
 DRAWN: Final = "drawn."
-"""Before the dotted key of a value that differs between frames, in the name of its column."""
+"""Prefix of the names of columns of drawn values; the dotted key follows."""
 
 _SHARED: Final[Mapping[str, str]] = {"moment": "int64", "twin": "int32", "rig_camera": "string"}
 _EXPOSURE: Final[Mapping[str, str]] = {"exposure_us": "double", "gain": "double"}
@@ -23,10 +24,10 @@ def drawn_columns(info: Mapping[str, Any]) -> dict[str, str]:
     They follow from the recipe alone, so that they do not depend on which frames exist.
 
     Args:
-        info: the content of `dataset.json`, of any content.
+        info: the content of `dataset.json`, not validated.
     """
-    recipe = _mapping(info.get("recipe"))
-    variation, twins = _mapping(recipe.get("variation")), _mapping(recipe.get("twins"))
+    recipe = as_mapping(info.get("recipe"))
+    variation, twins = as_mapping(recipe.get("variation")), as_mapping(recipe.get("twins"))
     rig = recipe.get("rig")
     columns: dict[str, str] = {}
     if twins or rig:
@@ -36,14 +37,14 @@ def drawn_columns(info: Mapping[str, Any]) -> dict[str, str]:
     if rig:
         columns["rig_camera"] = _SHARED["rig_camera"]
     # A twin's value takes the place of a drawn one.
-    kinds = {name: _recorded_kind(_mapping(identity)) for name, identity in variation.items()}
+    kinds = {name: _recorded_kind(as_mapping(identity)) for name, identity in variation.items()}
     kinds |= {name: _common_kind(values) for name, values in twins.items()}
     columns |= {f"{DRAWN}{name}": kinds[name] for name in sorted(kinds)}
     return {**columns, **(_EXPOSURE if _has_exposures(recipe, kinds) else {})}
 
 
-def drawn_kind(column: str) -> tuple[str, ...]:
-    """The types that a column can have if the recipe has it; none for other columns."""
+def drawn_kinds(column: str) -> tuple[str, ...]:
+    """The types that one of these columns can have, depending on the recipe; none for other columns."""
     if column.startswith(DRAWN):
         return ("bool", "double", "string")
     further = {**_SHARED, **_EXPOSURE}
@@ -51,13 +52,13 @@ def drawn_kind(column: str) -> tuple[str, ...]:
 
 
 def drawn_row(metadata: Mapping[str, Any], outputs: Iterable[str]) -> dict[str, Any]:
-    """The values of these columns, and of those that a recipe lacks, from a frame's JSON."""
+    """The values of a frame's JSON for all columns that `drawn_columns` can name, for any recipe."""
     row: dict[str, Any] = {name: metadata[name] for name in _SHARED if name in metadata}
-    for name, value in _mapping(metadata.get("drawn")).items():
+    for name, value in as_mapping(metadata.get("drawn")).items():
         row[f"{DRAWN}{name}"] = json.dumps(value) if isinstance(value, list) else value
-    # The exposure of frames without light is not chosen, and has no effect.
+    # Without traced light, automatic exposure does not choose one, and no output depends on it.
     if any(OUTPUTS[name].traced for name in outputs if name in OUTPUTS):
-        camera = _mapping(metadata.get("camera")) | _mapping(metadata.get("auto_exposure"))
+        camera = as_mapping(metadata.get("camera")) | as_mapping(metadata.get("auto_exposure"))
         seconds = camera.get("exposure_s")
         if isinstance(seconds, int | float) and not isinstance(seconds, bool):
             row["exposure_us"] = seconds * 1e6
@@ -68,19 +69,16 @@ def drawn_row(metadata: Mapping[str, Any], outputs: Iterable[str]) -> dict[str, 
 def _has_exposures(recipe: Mapping[str, Any], varied: Iterable[str]) -> bool:
     """Whether exposure time or gain differ between frames."""
     rig = recipe.get("rig")
-    cameras = [_mapping(_mapping(entry).get("camera")) for entry in rig] if isinstance(rig, list) else []
-    is_auto = _mapping(recipe.get("camera")).get("exposure_us") == _AUTO
+    cameras = [as_mapping(as_mapping(entry).get("camera")) for entry in rig] if isinstance(rig, list) else []
+    is_auto = as_mapping(recipe.get("camera")).get("exposure_us") == _AUTO
     differs = {f"camera.{name}" for name in _EXPOSURE} & set(varied)
     return bool(is_auto or differs or any(_EXPOSURE.keys() & camera.keys() for camera in cameras))
 
 
 def _recorded_kind(identity: Mapping[str, Any]) -> str:
     """The type of a varied value's column, from its record in `dataset.json`."""
-    if "in_turn" in identity:
-        return _common_kind(identity["in_turn"])
-    if "outcomes" in identity:
-        pairs = identity["outcomes"] if isinstance(identity["outcomes"], list) else []
-        return _common_kind([pair[0] for pair in pairs if isinstance(pair, list) and pair])
+    if "in_turn" in identity or "outcomes" in identity:
+        return _common_kind(listed_values(identity))
     return _KINDS.get(str(identity.get("kind")), "string")
 
 
@@ -90,7 +88,3 @@ def _common_kind(values: Any) -> str:
     if kinds == {bool}:
         return "bool"
     return "double" if kinds and kinds <= {int, float} else "string"
-
-
-def _mapping(value: Any) -> dict[str, Any]:
-    return dict(value) if isinstance(value, Mapping) else {}

@@ -10,15 +10,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.dataset.store.dataset import MARK, Dataset
 from pepperscene.dataset.store.field_models import DatasetFields, FrameFields, HarvestFields
 from pepperscene.dataset.store.images import read_image
+from pepperscene.dataset.store.recorded_values import recorded_values
 from pepperscene.document import validate
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
+from pepperscene.truth.encodings import is_class_id
 
 
 def frame_indices(dataset: Dataset) -> tuple[int, ...]:
@@ -36,10 +36,8 @@ def read_info(dataset: Dataset) -> Mapping[str, Any]:
 
 
 def has_ignored_pixels(info: Mapping[str, Any]) -> bool:
-    """Whether the recipe in a `dataset.json`, of any content, lets images hold `IGNORE_CLASS`."""
-    recipe = info.get("recipe")
-    greenhouse = recipe.get("greenhouse") if isinstance(recipe, dict) else None
-    return isinstance(greenhouse, dict) and greenhouse.get("far_rows_as") == "ignore"
+    """Whether the recipe in a `dataset.json`, of any content, lets images of a frame hold `IGNORE_CLASS`."""
+    return "ignore" in recorded_values(info, "greenhouse.far_rows_as")
 
 
 def read_frame(dataset: Dataset, index: int) -> dict[str, Any]:
@@ -67,11 +65,11 @@ def read_output(dataset: Dataset, index: int, output: str) -> Any:
     if output == "harvest":
         validate(HarvestFields, image, path)
     elif output == "class" and image.max(initial=0) >= len(OrganClass):
-        is_ignored = image == IGNORE_CLASS if has_ignored_pixels(dataset.info) else False
-        unknown = image[(image >= len(OrganClass)) & ~np.asarray(is_ignored)]
-        if unknown.size:
-            allowed = f"must hold class ids from 0 to {len(OrganClass) - 1}"
-            raise InputError(path, f"{allowed}, not {int(unknown.max())}")
+        is_unknown, allowed = image >= len(OrganClass), f"from 0 to {len(OrganClass) - 1}"
+        if has_ignored_pixels(dataset.info):
+            is_unknown, allowed = ~is_class_id(image), f"{allowed}, or {IGNORE_CLASS}"
+        if is_unknown.any():
+            raise InputError(path, f"must hold class ids {allowed}, not {int(image[is_unknown].max())}")
     elif output == "distance" and not (image >= 0).all():
         # Written so that nan fails too.
         raise InputError(path, "must hold distances from 0 metres, inf for none")

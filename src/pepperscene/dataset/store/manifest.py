@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.atomic import atomic_write
-from pepperscene.dataset.store.drawn_columns import drawn_columns, drawn_kind, drawn_row
+from pepperscene.dataset.store.drawn_columns import drawn_columns, drawn_kinds, drawn_row
 from pepperscene.dataset.store.table_checksum import CHECKSUM_KEY, TableChecksum
 from pepperscene.frame import OUTPUTS
 
@@ -102,7 +102,7 @@ def frame_row(metadata: Mapping[str, Any], outputs: Mapping[str, Any], checksum:
 
 
 def fits_columns(row: Row) -> bool:
-    """Whether all values of a row have the types that columns of a manifest can have."""
+    """Whether every value of a row can be stored in a column of its name in some manifest."""
     return all(_fits_any(name, value) for name, value in row.items())
 
 
@@ -112,7 +112,7 @@ def table_columns(name: str, info: Mapping[str, Any]) -> Mapping[str, str]:
 
 
 def stored_row(row: Row, columns: Mapping[str, str]) -> Row:
-    """A row as a table with these columns holds it: values of other types are unknown."""
+    """The values of a row that a table with these columns stores; those of other types are left out."""
     stored: Row = {}
     for name, kind in columns.items():
         if (value := row.get(name)) is not None and _fits(kind, value := _text_of(value, kind)):
@@ -121,13 +121,13 @@ def stored_row(row: Row, columns: Mapping[str, str]) -> Row:
 
 
 def _text_of(value: Any, kind: str) -> Any:
-    """A number or a switch as text in a column that holds different types as text."""
+    """A value for a column of a type; a text column holds numbers and Booleans as JSON."""
     return json.dumps(value) if kind == "string" and isinstance(value, bool | int | float) else value
 
 
 def _fits_any(name: str, value: Any) -> bool:
     """Whether a value can be stored in a column of this name in any manifest."""
-    kinds = (FRAME_COLUMNS[name],) if name in FRAME_COLUMNS else drawn_kind(name) or (None,)
+    kinds = (FRAME_COLUMNS[name],) if name in FRAME_COLUMNS else drawn_kinds(name) or (None,)
     return any(_fits(kind, value) for kind in kinds)
 
 
@@ -186,7 +186,7 @@ def _xyz(name: str, values: Any) -> Row:
 def write_table(folder: Path, name: str, rows: Iterator[Row], columns: Mapping[str, str]) -> None:
     """Write `MANIFEST` or `FRUIT`, some thousand rows at a time, with a checksum of all values.
 
-    The columns are those of `table_columns`; values of other types than these are unknown.
+    The columns are those of `table_columns`; see `stored_row` for the values.
 
     Without statistics of columns, which readers use to skip rows: a damaged one would hide rows, and the
     checksum of the values would not show it.
