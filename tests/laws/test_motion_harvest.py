@@ -39,6 +39,18 @@ def test_every_visible_fruit_has_its_truth(row):
     assert listed == fruit
 
 
+def test_fruit_that_only_the_first_or_last_rows_see_have_their_truth(row):
+    # Moving down by 30 cm during the readout, the camera sees as much more above and below.
+    renderer, camera, _ = row
+    fruit = {index + 1 for index in renderer.scene.skeleton.of_form("fruit")}
+    moving = replace(camera, motion=Motion(10.0 * camera.pose[:3, 1]))
+    frame = renderer.render(moving, OUTPUTS)
+    shown = fruit & {*np.unique(frame["instance"]).tolist()}
+    assert {e["instance"] for e in frame["harvest"]["fruit"] if e["visible_pixels"]} == shown
+    at_rest = renderer.render(replace(camera, motion=None), ["instance"])["instance"]
+    assert len(shown - {*np.unique(at_rest).tolist()}) > 3
+
+
 def test_rows_of_amodal_masks_are_those_of_still_cameras(row):
     renderer, camera, frame = row
     entries = {entry["instance"]: entry for entry in frame["harvest"]["fruit"]}

@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bodies import axis_camera, card, sheet
 from test_ground_truth import cast_rays, distorted_view_of_plants
 
 from pepperscene.camera import Camera, Motion, arc_path
 from pepperscene.classes import OrganClass
+from pepperscene.geometry import concatenate_meshes, rectangle
 from pepperscene.render import Renderer
 from pepperscene.scene import assemble_scene
 
@@ -97,6 +99,40 @@ def test_positions_project_to_the_centres_of_their_pixels(plants):
     assert len(OrganClass) == frame["coverage"].shape[-1]
 
 
+def test_normals_face_the_pose_of_their_own_row():
+    # Row v sees the plane y = 0 at the depth y_c f / (h/2 - v) from y_c = -s (v - h/2) below it: at f s, in
+    # the upper rows from below (y points down), in the lower rows from above.
+    view = axis_camera(48, 64, flash=False)
+    speed = 0.5 / (view.intrinsics[1, 1] * 1e-4)
+    sensor = replace(view.sensor, line_time_s=1e-4)
+    view = replace(view, sensor=sensor, motion=Motion((0.0, -speed, 0.0)))
+    plane = rectangle((0.0, 0.0, 0.5), (1.0, 0.0, 0.0), (0.0, 0.0, 0.9))
+    frame = Renderer(assemble_scene(plane)).render(view, ["depth_z", "normal"])
+    np.testing.assert_allclose(frame["depth_z"], 0.5, rtol=1e-3)
+    expected = np.zeros((64, 48, 3))
+    expected[:32, :, 1], expected[32:, :, 1] = 1.0, -1.0
+    np.testing.assert_allclose(frame["normal"], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["flow", "stereo"])
+def test_points_are_hidden_from_the_pose_of_their_row_in_the_other_image(name):
+    # A strip at half the distance hides a band of the wall, which moves as the other camera does.
+    still = axis_camera(96, 96, flash=False)
+    other = replace(still, sensor=replace(still.sensor, line_time_s=1e-4), motion=Motion((8.0, 0.0, 0.0)))
+    mesh = concatenate_meshes([sheet(4.0, 4.0, 1.0, "wall"), card(0.0, 0.0, 0.02, 4.0, "strip", 0.5)])
+    frame = Renderer(assemble_scene(mesh)).render(still, [name, "position"], others={name: other})
+    wall = frame["position"][..., 2] > 0.9
+    points, flow = frame["position"][wall].astype(float), frame[name][wall]
+    pixels = other.project(points)
+    # The line of sight from (c, 0, 0) meets the plane of the strip in the middle.
+    distance = np.abs(0.5 * (8.0 * 1e-4 * (pixels[:, 1] - 48) + points[:, 0])) - 0.01
+    inside = ((pixels >= 0) & (pixels < 96)).all(axis=1)
+    clear = np.abs(distance) > 1e-4
+    np.testing.assert_array_equal(flow[clear, 2] == 1, (inside & (distance > 0))[clear])
+    at_once = np.abs(0.5 * points[:, 0]) > 0.01
+    assert ((distance > 0) != at_once)[inside].mean() > 0.1
+
+
 def test_one_pose_or_a_global_shutter_gives_the_labels_of_a_still_camera(plants):
     renderer, view, _ = plants
     still = renderer.render(replace(view, motion=None), LABELS)
@@ -135,7 +171,7 @@ def test_positions_projected_to_the_next_camera_match_the_flow(plants, name, row
     assert (distance < 5 * pixel).mean() > 0.97
 
 
-def test_the_sky_moves_by_rotation_alone(plants):
+def test_the_sky_is_so_far_away_that_a_translation_does_not_move_it(plants):
     renderer, view, _ = plants
     turned = replace(view, motion=Motion((3.0, 0.0, 0.0)))
     frame = renderer.render(replace(view, motion=None), ["flow", "class"], others={"flow": turned})

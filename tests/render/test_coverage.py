@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from bodies import axis_camera, body, sphere
+from bodies import axis_camera, body, card, sphere
 from greenhouse import POSES, camera, others, row_of_plants
 from test_kernel_reuse import count_compiled
 
 from pepperscene.camera import Camera
-from pepperscene.classes import OrganClass
+from pepperscene.classes import Instance, OrganClass
 from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.render import Renderer
 from pepperscene.render.aov import coverage
@@ -43,6 +43,25 @@ def fast_and_exhaustive(mesh: Mesh, view: Camera = VIEW) -> tuple[np.ndarray, np
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(coverage, "_is_mixed", lambda classes: np.ones(classes.shape, bool))
         return fast, SceneCoverage(mesh).image(scene, rays).astype(float)
+
+
+def test_what_is_ignored_has_no_channel_and_is_not_background():
+    # A wire in front of a wall that is ignored, whose edge is between two rays of column 40.
+    edge = (40.3 - 32.0) / FOCAL_PX * 0.6
+    wall = card(edge - 1.0, 0.0, 2.0, 4.0, "matt", 0.6)
+    wall = replace(wall, instances=(Instance(OrganClass.BACKGROUND, "far_row", ignored=True),))
+    fast, exhaustive = fast_and_exhaustive(concatenate_meshes([wire(3.0, 0.4), wall]))
+    np.testing.assert_array_equal(fast, exhaustive)
+    only_wire, _ = fast_and_exhaustive(wire(3.0, 0.4))
+    np.testing.assert_array_equal(fast[..., OrganClass.WIRE], only_wire[..., OrganClass.WIRE])
+    ignored = 1.0 - fast.sum(axis=-1)
+    # The wire is only in columns 16 to 47; in front of it, the wall covers the first 40.3 columns.
+    assert (ignored[:, :16] == 1.0).all()
+    assert (ignored[:, 48:] == 0.0).all()
+    clear = only_wire[..., OrganClass.WIRE][:, 40] == 0
+    assert clear.sum() > 20
+    np.testing.assert_allclose(ignored[clear, 40], 0.3, atol=1 / 32)
+    np.testing.assert_array_equal(fast[..., OrganClass.BACKGROUND][clear, 40], 1.0 - ignored[clear, 40])
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.05, 0.4, 0.7, 1.2, np.pi / 2])

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from processes import run_python
 
+from pepperscene.camera import Motion
 from pepperscene.dataset import resolve_recipe
 from pepperscene.dataset.scenes.scene_size import most_plant_triangles, plant_triangles, scene_triangles
 from pepperscene.frame import OUTPUTS
@@ -76,6 +77,16 @@ def test_estimate_of_a_huge_label_build_agrees_with_its_measured_peak(camera):
     # Two frames of `demo`.
     huge = resized(camera, 12000, 9000)
     assert 1.0 <= (estimate(huge, "class") + written_memory(huge, ["class"])) / 6511e6 <= 1.2
+
+
+def test_separate_light_of_flash_and_daylight_takes_memory(camera):
+    # Over the rows of a rolling shutter, even without motion, or with motion.
+    rolling = replace(camera, sensor=replace(camera.sensor, line_time_s=1e-4), exposure_s=1e-3)
+    moving = replace(camera, motion=Motion((1.0, 0.0, 0.0)))
+    for divided in (rolling, moving):
+        assert estimate(divided, "colour") > estimate(camera, "colour") + 90 * 800 * 600
+        without = replace(divided, flash=None)
+        assert estimate(without, "colour") == estimate(replace(camera, flash=None), "colour")
 
 
 def test_images_that_are_written_take_memory(camera):

@@ -1,12 +1,23 @@
+"""The flash of a rig: at the main camera, for all cameras and both integrators."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from bodies import axis_camera, even_lamp, matt, sheet
+from scipy.spatial.transform import Rotation
 
-from pepperscene.camera import Camera, load_flash, load_lens, load_sensor, look_at
+from pepperscene.camera import AngularProfile, Camera, load_flash, load_lens, load_sensor, look_at
 from pepperscene.dataset.recipe.rig import RigCamera
 from pepperscene.dataset.views.camera_views import _with_flash_of_rig
+from pepperscene.render import Quality, Renderer
 from pepperscene.render.kernel.camera import RayPose, camera_rays
 from pepperscene.render.transport.lights import FlashSampler
 from pepperscene.render.variant import mitsuba_modules
+from pepperscene.scene import assemble_scene
+from pepperscene.spectra import Spectrum
 
 FLASH = load_flash("led_matrix_200klx")
 MAIN = Camera(
@@ -51,3 +62,30 @@ def test_rig_cameras_turn_right_up_and_clockwise():
     np.testing.assert_allclose(forward, [[half, 0, root], [0, -half, root]], atol=1e-12)
     right = RigCamera(name="a", rotation_deg=(0, 0, 90)).extrinsics[:3, 0]
     np.testing.assert_allclose(right, [0, 1, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("integrator", ["flash", "path"])
+def test_a_turned_flash_lights_a_plane_as_its_profile_says(integrator):
+    # A point lamp beside the camera, turned to the left and up: E = I p(theta) cos(incidence) / d^2.
+    rotation = Rotation.from_euler("YXZ", [-15.0, 10.0, 40.0], degrees=True).as_matrix()
+    offset = np.array([0.06, -0.03, 0.02])
+    angle = np.radians(np.arange(0.0, 90.1, 0.5))
+    profile = AngularProfile(angle, np.cos(np.minimum(angle, np.pi / 2)) ** 4)
+    nm = np.array([300.0, 1100.0])
+    lamp = replace(even_lamp(Spectrum(nm, np.ones(2))), profile=profile, offset_m=tuple(offset))
+    view = axis_camera(24, 16, flash=replace(lamp, rotation=rotation))
+    sensor = replace(view.sensor, binning=20 * view.sensor.binning)
+    view = replace(view, sensor=sensor, developing=replace(view.developing, falloff=False))
+    scene = assemble_scene(sheet(4.0, 4.0, 0.5, "white"), {"white": matt("white", nm, np.full(2, 0.8))})
+    quality = Quality(1024, 1024, 1024, 0, None, False, integrator)
+    electrons = Renderer(scene).render(view, ["electrons"], quality)["electrons"][..., 1]
+
+    directions = view.pixel_directions()
+    from_lamp = directions * (0.5 / directions[..., 2:]) - offset
+    distance = np.linalg.norm(from_lamp, axis=-1)
+    cosine = from_lamp @ rotation[:, 2] / distance
+    expected = np.clip(cosine, 0.0, None) ** 4 * from_lamp[..., 2] / distance**3
+    np.testing.assert_allclose(electrons / electrons.mean(), expected / expected.mean(), atol=0.01)
+    # The turn matters.
+    straight = (from_lamp[..., 2] / distance) ** 4 * from_lamp[..., 2] / distance**3
+    assert np.abs(straight / straight.mean() - expected / expected.mean()).max() > 0.2

@@ -9,7 +9,7 @@ import pytest
 from bodies import axis_camera, card, sheet, sphere
 from greenhouse import camera, greenhouse
 
-from pepperscene.camera import look_at
+from pepperscene.camera import Motion, look_at
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.render import Renderer
 from pepperscene.render.visibility import visible_fraction
@@ -73,6 +73,16 @@ def test_what_is_outside_the_image_counts_as_hidden():
     points, normals = ball_points(centre=centre)
     rendered = renderer(sphere(centre, RADIUS_M * (1.0 - 1e-4), "matt"))
     assert visible_fraction(rendered.visible_points, VIEW, points, normals) == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_motion_of_the_camera_has_no_effect(ball):
+    # Points around the ball, of which many are outside the image or hidden.
+    points = np.random.default_rng(1).uniform((-0.05, -0.05, 0.4), (0.05, 0.05, 0.6), (2000, 3))
+    sensor = replace(VIEW.sensor, line_time_s=1e-3)
+    moving = replace(VIEW, sensor=sensor, motion=Motion((2.0, 0.0, 0.0), (0.0, 3.0, 0.0)))
+    expected = renderer(ball).visible_points(VIEW, points)
+    assert 0.2 < expected.mean() < 0.8
+    np.testing.assert_array_equal(renderer(ball).visible_points(moving, points), expected)
 
 
 def test_nothing_behind_the_camera_is_visible(ball):

@@ -16,6 +16,7 @@ from pepperscene.geometry import concatenate_meshes, mesh_plant, rectangle, sphe
 from pepperscene.grammar import grow
 from pepperscene.scene import (
     LightReach,
+    combine_reaches,
     cull_mesh,
     light_reach,
     place_plants,
@@ -210,6 +211,29 @@ def test_light_reach_compares_flash_and_daylight(camera):
     # At half the distance the flash is four times as bright.
     one, two = light_reach(camera, 0.4, 5500.0).sky, light_reach(camera, 0.2, 5500.0).sky
     assert (1 / two - 1) == pytest.approx(4 * (1 / one - 1))
+
+
+def test_combined_reach_is_at_least_that_of_each_view(camera):
+    near = light_reach(camera, 0.2, 4000.0, 1000.0)
+    far = light_reach(replace(camera, flash=replace(camera.flash, radius_m=0.02)), 0.8, 500.0)
+    for reaches in ([near, far], [far, near], [near]):
+        combined = combine_reaches(reaches)
+        for reach in reaches:
+            assert combined.sky >= reach.sky
+            assert combined.sun >= reach.sun
+            assert combined.flash_extent_m >= reach.flash_extent_m
+            # Stray light falls with the squared distance; no more than the strongest is assumed.
+            assert combined.stray * combined.distance_m**2 >= reach.stray * reach.distance_m**2 * (1 - 1e-12)
+        strongest = max(reach.stray * reach.distance_m**2 for reach in reaches)
+        assert combined.stray * combined.distance_m**2 == pytest.approx(strongest)
+
+
+def test_a_turned_flash_may_light_anything_with_its_highest_intensity(camera):
+    turned = replace(camera, flash=replace(camera.flash, rotation=np.eye(3)[[1, 2, 0]]))
+    straight, reach = (light_reach(view, 0.4, 0.0) for view in (camera, turned))
+    angles = np.linspace(0.0, np.pi / 2.0, 1000)
+    assert reach.stray == pytest.approx(float(camera.flash.profile.at(angles).max()), rel=1e-3)
+    assert reach.stray > 1.5 * straight.stray
 
 
 def test_simplified_sheet_keeps_its_area():

@@ -16,6 +16,7 @@ import numpy as np
 from pepperscene.camera import Camera
 from pepperscene.frame import OUTPUTS
 from pepperscene.render.quality import Quality
+from pepperscene.render.transport.exposure import exposure_parts
 from pepperscene.render.variant import wanted_threads
 
 _MARGIN: Final = 1.07
@@ -99,8 +100,8 @@ def frame_memory(camera: Camera, outputs: Collection[str], quality: Quality, tri
         share = (3 + camera.sensor.channels) / 6
         sites = _PER_SITE * np.prod(camera.sensor.site_shape) / pixels
         held = _TRACED_HELD * share
-        # Daylight and the flash of a moving camera are traced one after the other.
-        first_part = _PER_PART * share if camera.is_moving and camera.flash is not None else 0.0
+        is_divided = len(exposure_parts(camera, has_daylight=True)) > 1
+        first_part = _PER_PART * share if is_divided else 0.0
         per_pixel = first_part + max(_TRACED_PEAK * share, held + sites)
         if (
             camera.sensor.channels == 3

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from pepperscene.render.aov.harvest import SceneHarvest
 
 FrameSky = Sky | Literal["scene"] | None
-"""The sky of a frame: another than the scene's, None for night, or "scene" for the scene's own."""
+"""The sky of a frame, None for a frame without daylight, or "scene" for the sky of the scene."""
 
 
 def render_scene(
@@ -95,8 +95,8 @@ class Renderer:
     ) -> Frame:
         """Render one frame; see `render_scene` for the other arguments.
 
-        With `sky`, the frame has another daylight than the scene: None has none, "scene" is the scene's own.
-        The geometry stays on the device. With `exposure_control`, exposure time and gain are chosen
+        `sky` replaces the sky of the scene, None removes it, and "scene" keeps it; the geometry stays on the
+        device in all cases. With `exposure_control`, exposure time and gain are chosen
         automatically for `camera`, and used for the other cameras too; only where light is traced.
 
         Raises:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,11 +17,11 @@ from pepperscene.render.variant import mitsuba_modules
 FloatArray = NDArray[np.float64]
 
 _NO_FACE = 0xFFFFFFFE
-"""The number of no triangle; the next one is that of the sky."""
+"""Not the number of any triangle; the next number is the sky's."""
 
 
 class PointTest(Protocol):
-    """Tests the visibility of points of a scene; `visible_points` of its `Renderer` does."""
+    """A test of the visibility of points of a scene, such as `visible_points` of its `Renderer`."""
 
     def __call__(
         self, camera: Camera, points: FloatArray, normals: FloatArray | None = ..., *, alone: int | None = ...
@@ -48,13 +49,15 @@ def visible_points(
     Args:
         scene: Mitsuba's.
         coordinates: of that scene.
-        camera: seen from its projection centre.
+        camera: its pose is the view; a motion has no effect.
         points: `(n, 3)` world metres.
         normals: `(n, 3)` of any length, for closed surfaces: points whose normal points away from the camera
             are hidden. None for blades and for points in space.
         has_borders: whether points outside the image are hidden.
     """
     points = np.asarray(points, dtype=float).reshape(-1, 3)
+    if camera.motion is not None:
+        camera = replace(camera, motion=None)
     centre = camera.pose[:3, 3]
     candidate = np.ones(len(points), dtype=bool)
     if has_borders:
@@ -95,8 +98,8 @@ def visible_fraction(
 ) -> float:
     """Fraction of what a camera would see of an organ alone that is in the image and not hidden, 0 to 1.
 
-    Each point counts with the solid angle of its part of the surface, so that this is the fraction of the
-    organ's pixels in an image that is large enough, without distortion.
+    Each point is weighted with the solid angle of its part of the surface. For an organ that takes a small
+    part of the field of view, this is nearly the fraction of its pixels.
 
     Args:
         visible: tests the points.

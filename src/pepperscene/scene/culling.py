@@ -72,7 +72,7 @@ def light_reach(camera: Camera, distance_m: float, sky_lx: float, sun_lx: float 
         return LightReach(1.0, 1.0, 0.0, distance_m)
     # Everything outside the frustum is at least as far off the flash's axis as the nearest image border.
     borders = (slopes[0, :, 1].min(), slopes[-1, :, 1].min(), slopes[:, 0, 0].min(), slopes[:, -1, 0].min())
-    # A flash that is turned may light anything with its axial intensity.
+    # A flash that is turned may light anything with its highest intensity.
     nearest = np.arctan(min(borders)) if flash.rotation is None else 0.0
     outside = np.linspace(nearest, np.pi / 2.0, 65)
     stray = float(np.max(flash.profile.at(outside)))
@@ -86,7 +86,7 @@ def light_reach(camera: Camera, distance_m: float, sky_lx: float, sun_lx: float 
 
 
 def combine_reaches(reaches: Sequence[LightReach]) -> LightReach:
-    """A reach that is at least each of some, for views by different cameras and in different light."""
+    """A reach at least as large as each of some: those of views with different cameras or light."""
     first = reaches[0]
     if len(reaches) == 1:
         return first

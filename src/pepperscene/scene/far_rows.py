@@ -1,7 +1,7 @@
 """Plant rows beyond the labelled ones: a few coarse plants, repeated many times, as inexpensive scenery.
 
-Their organs are labelled, since a photograph shows them as clearly as those of the nearest row. The instance
-image has 16 bits, so they are instances as fine as fit in: see `FarDetail`.
+Their organs are labelled, since a photograph shows them as clearly as those of the nearest row. They are
+merged into as many instances as fit into an image of 16 bits: see `FarDetail`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,10 @@ MOST_INSTANCES: Final = 60_000
 
 
 class FarDetail(IntEnum):
-    """What is one instance in far rows, the finest first. Tubes are always one for each plant and class."""
+    """What is one instance in far rows, the finest first.
+
+    Other organs of a class, such as stems and peduncles, are one instance for each plant, or for each row.
+    """
 
     ORGANS = 0  # every fruit, every leaf blade
     FRUIT = 1  # every fruit, and the leaves of a plant
@@ -98,15 +101,15 @@ def far_row_meshes(
         others: instances of the scene that are not in far rows.
 
     Returns:
-        One mesh for each row. By `greenhouse.far_rows_as`, its instances are organs as fine as `far_detail`
-        allows, or it is a single instance "far_row" of `IGNORE_CLASS` or of the background.
+        One mesh for each row. By `greenhouse.far_rows_as`, its instances are organs, merged as `far_detail`
+        chooses, or it is a single instance "far_row" of `IGNORE_CLASS` or of the background.
     """
     rows = _draw_rows(len(models), row, greenhouse, rng)
     if greenhouse.far_rows_as != FarRowsAs.LABELS:
         return [_unlabelled_row(models, drawn, greenhouse.far_rows_as) for drawn in rows]
     grouped = {detail: [_group_organs(model, detail) for model in models] for detail in FarDetail}
-    counts = np.bincount(np.concatenate([[0], *(drawn.choice for drawn in rows)]).astype(np.intp))
-    counts[0] -= 1
+    choices = [number for drawn in rows for number in drawn.choice.tolist()]
+    counts = np.bincount(np.array(choices, np.intp), minlength=len(models))
     detail = far_detail(
         {detail: [len(model.instances) for model in grouped[detail]] for detail in FarDetail}, counts, others
     )
@@ -122,11 +125,11 @@ def far_detail(sizes: dict[FarDetail, list[int]], plants: NDArray[np.intp], othe
 
     Args:
         sizes: instances of each model, by detail.
-        plants: `(m,)` number of plants of the first m models; of further models there are none.
+        plants: `(m,)` number of plants of each model.
         others: instances that are not in far rows.
     """
     for detail in (FarDetail.ORGANS, FarDetail.FRUIT, FarDetail.PLANTS):
-        if others + int(np.dot(sizes[detail][: len(plants)], plants)) <= MOST_INSTANCES:
+        if others + int(np.dot(sizes[detail], plants)) <= MOST_INSTANCES:
             return detail
     return FarDetail.ROWS
 

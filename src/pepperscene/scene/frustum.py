@@ -26,7 +26,7 @@ class ViewFrustums:
     Attributes:
         normals: `(p, k, 3)` float32, unit, into the view.
         offsets: `(p, k)` float32; a point x is inside where `normals @ x >= offsets`.
-        places: `(p, 3)` float32, the projection centres.
+        positions: `(p, 3)` float32, the projection centres.
     """
 
     normals: NDArray[np.float32]

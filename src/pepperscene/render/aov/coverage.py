@@ -28,7 +28,7 @@ _LATTICE_STEP: Final = 37
 over strips of 0.1 and 0.3 pixels (0.016, 0.017), at random angles, that is also good along the pixel's sides:
 0.007 to 0.011, where the errors of the square grid are 0.030 to 0.047."""
 _IGNORED: Final = len(OrganClass)
-"""Number here of all that is ignored, which has no channel but is not the background."""
+"""Index, in this module, of what is ignored: it has no channel, and is not background."""
 _ONES: Final = np.append(np.uint64(1) << np.arange(0, 64, 8, dtype=np.uint64), np.uint64(0))
 """A count of one in the byte of each class; nothing is counted for what is ignored."""
 _BATCH: Final = 1 << 15  # chosen: mixed pixels traced at once, 2 million rays, below 40 MB

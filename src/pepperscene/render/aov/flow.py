@@ -2,8 +2,8 @@
 
 Both cameras see one scene in which nothing moves: the next frame of a path, or a stereo partner. The position
 of a point in the other image follows from the lens formula in double precision; whether it is hidden there,
-from one ray per pixel out of the other projection centre. Where the rows of an image have their own poses,
-those of the pixel and of the point in the other image count.
+from one ray per pixel out of the other projection centre. If the rows of an image have their own poses,
+the pose of the pixel's row is used, and that of the row in which the point is in the other image.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from pepperscene.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class RayMotion:
-    """Motion of the rays of a camera, and the times at which the rows of its image see.
+    """Motion of the rays of a camera, and the times at which the rows of its image are exposed.
 
     Attributes:
         begin, length: `(h,)` first time of each row and its duration, seconds; see `RowWindows`.
@@ -96,7 +96,7 @@ class CameraRays:
     motion: RayMotion | None = None
 
     def pose(self, row: Any, next_1d: Callable[[], Any]) -> RayPose:
-        """The pose that rays through a row start from; `next_1d` is called only if it depends on the time."""
+        """The pose that rays through a row start from; `next_1d` is called only if the camera moves."""
         if self.motion is None:
             return RayPose(self.rotation, self.origin)
         return RayPose(self.rotation, self.origin, self.motion, self.motion.times(row, next_1d()))
@@ -164,7 +164,10 @@ def camera_rays(
 
 
 def moving_rays(rays: CameraRays, motion: Motion, windows: RowWindows) -> CameraRays:
-    """The rays of a camera that moves, each at a time in its row's window; `rays` are those of time 0."""
+    """The rays of a camera that moves, each at a time in its row's window.
+
+    `rays` are those of time 0.
+    """
     mi, dr = mitsuba_modules()
     velocity = mi.Vector3f(*(float(x / rays.unit_m) for x in motion.velocity_m_s))
     axis, speed = mi.Vector3f(*(float(x) for x in motion.axis)), mi.Float(motion.angular_speed_rad_s)
@@ -174,7 +177,10 @@ def moving_rays(rays: CameraRays, motion: Motion, windows: RowWindows) -> Camera
 
 
 def label_rays(rays: CameraRays, camera: Camera) -> CameraRays:
-    """The rays of a camera's ground truth: of time 0, or with a rolling shutter each of its row's time."""
+    """The rays of a camera's ground truth.
+
+    They are those of time 0, or of the middle of each row's exposure if the rows have poses of their own.
+    """
     if camera.motion is None or not camera.rows_move:
         return rays
     return moving_rays(rays, camera.motion, camera.shutter.instants())

@@ -1,6 +1,7 @@
 """The reference for exposures in which the camera moves: the mean of images of cameras that stand still.
 
-Nothing of our integrator's time is used: each image has one pose, and rows are put together afterwards.
+Each image has one pose, and its rows are combined afterwards: only the poses and the times of the rows are
+those of our integrator, not how it samples time and moves rays and the flash.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ def exposed_paths(
 ) -> tuple[NDArray[np.float32], float]:
     """Trace an exposure with Mitsuba's path tracer.
 
-    Daylight is traced at times in all of the exposure and the flash at times in its pulse, a random one in
-    each sixteenth of them. The quality's samples are divided among them.
+    Daylight is traced at `INSTANTS` times in the exposure and the flash at as many in its pulse: a random one
+    in each equal part of them. Each of the two lights has the quality's samples, divided among its times.
 
     Returns:
         `(h, w, c)` electrons s-1 m-2 sr-1, averaged over the exposure; and the samples per pixel.
@@ -58,9 +59,9 @@ def _add_instants(
     step = longest_s / INSTANTS
     spp = -(-quality.samples // INSTANTS)
     (stream,) = seed.spawn(1)
-    begin, end = float(windows.begin_s.min()), float(windows.end_s.max())
+    begin, finish = float(windows.begin_s.min()), float(windows.end_s.max())
     # One random time in each step. They repeat after all steps, so that each complete window has as many.
-    number = np.arange(-1, int(np.ceil((end - begin) / step)) + 1)
+    number = np.arange(-1, int(np.ceil((finish - begin) / step)) + 1)
     times = begin + (number + np.random.default_rng(stream).random(INSTANTS)[number % INSTANTS]) * step
     kernel_scene = path_scene(scene, camera)
     for t, branch in zip(times, stream.spawn(len(times)), strict=True):

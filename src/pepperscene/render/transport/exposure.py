@@ -1,7 +1,7 @@
 """An exposure in parts: daylight over all of it, and the flash in its pulse, each traced at its own times.
 
-A pulse of 50 us freezes what 3 ms of daylight smear. If one sample at a random time carried both lights, one
-of sixty would see the flash; traced apart, every sample sees its light. The images add up, as light does.
+Motion that blurs the daylight of 3 ms is sharp in the light of a pulse of 50 us. If samples at random times
+carried both lights, one in sixty would see the flash; traced separately, every sample sees its light.
 """
 
 from __future__ import annotations
@@ -35,9 +35,10 @@ class ExposurePart:
 
 
 def exposure_parts(camera: Camera, *, has_daylight: bool) -> list[ExposurePart]:
-    """Divide an exposure into parts; none if a single pose and all light at once describe it.
+    """Divide an exposure into parts that are traced separately.
 
-    That is so if nothing moves and the flash lights all rows alike. A scene without any light has one part.
+    The list is empty if the camera does not move and the flash lights all rows equally: then all light can be
+    traced together. Otherwise a scene without any light has one part.
     """
     shutter, flash = camera.shutter, camera.flash
     share = None if flash is None else shutter.flash_share(flash.pulse_s)
@@ -72,8 +73,8 @@ def in_rows(light: TracedLight, share: NDArray[np.float64] | None) -> TracedLigh
 def sum_of_parts(parts: Sequence[TracedLight]) -> TracedLight:
     """The light of all parts together; albedo, normal and coverage are those of the last.
 
-    Its variances and numbers of samples are such that the variances of the parts' means add up: the numbers
-    are the sums over the parts, as are the costs.
+    Numbers of samples are sums over the parts. The variance of one sample is such that the variance of the
+    mean, as `AdaptiveSampler` computes it, is the sum of those of the parts.
     """
     *_, last = parts
     if len(parts) == 1:
@@ -88,7 +89,11 @@ def sum_of_parts(parts: Sequence[TracedLight]) -> TracedLight:
 
 
 def _sum_of_variances(parts: Sequence[SampleVariance]) -> SampleVariance:
-    """As `AdaptiveSampler` has it: means of n samples have the variance s^2 n^(-3/2), indirect s^2 / n."""
+    """Variances of one sample; see `sum_of_parts`.
+
+    From the variance s^2 of one sample, that of the mean of n is s^2 n^(-3/2) for direct light, and s^2 / n
+    for indirect light.
+    """
     samples = np.asarray(_sum([part.samples for part in parts]), np.int32)
     indirect_samples = sum(part.indirect_samples for part in parts)
     direct = _sum([part.direct * part.samples.astype(np.float32) ** np.float32(-1.5) for part in parts])
