@@ -107,6 +107,8 @@ def test_export_passes_options_on(data_set, command, tmp_path):
         ({"--split": "a=0:10,b=9:6140"}, "--split: a and b overlap: frame 9 belongs to both"),
         ({"--frames": "0:5"}, "--frames: '0:5' holds none of the data set's frames"),
         ({"--smallest": "0"}, "--smallest: 0 must be at least 1"),
+        ({"--min-visibility": "2"}, "--min-visibility: 2 must be 0 to 1"),
+        ({"--ripe": "2"}, "--ripe: 2 must be 0 to 1"),
     ],
 )
 def test_export_rejects_invalid_options(change, message, data_set, rejects, tmp_path):

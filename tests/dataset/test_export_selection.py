@@ -125,8 +125,8 @@ def test_fruit_of_unknown_ripeness_is_a_crowd_of_both_categories(painted, tmp_pa
         ({"classes": "fruit"}, "'fruit' is not an organ class"),
         ({"classes": "background"}, "allowed are leaf, pepper"),
         ({"classes": "leaf,leaf"}, "each class once"),
-        ({"least_visible": 1.5}, "min_visibility: 1.5 must be 0 to 1"),
-        ({"ripe_from": -0.1}, "ripe: -0.1 must be 0 to 1"),
+        ({"least_visible": 1.5}, "least_visible: 1.5 must be 0 to 1"),
+        ({"ripe_from": -0.1}, "ripe_from: -0.1 must be 0 to 1"),
     ],
 )
 def test_wrong_choices_are_refused_and_write_nothing(painted, tmp_path, options, message):

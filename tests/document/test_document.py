@@ -26,7 +26,7 @@ class Flash(Document):
 class Camera(Document):
     name: str
     flash: Flash
-    sizes: tuple[int, ...] = ()
+    sizes: Annotated[tuple[int, ...], Field(max_length=4)] = ()
 
     @model_validator(mode="after")
     def _ascending(self):
@@ -150,6 +150,7 @@ def test_any_bytes_give_tables_or_an_input_error(write, content):
         ({"flash": {"lux": 1, "kind": {}}}, "flash.kind", None, "'led' or 'xenon'"),
         ({"sizes": [1, 2, "x"]}, "sizes.2", "x", "must be a valid integer"),
         ({"sizes": [2, 1]}, "", None, "sizes must ascend"),
+        ({"sizes": [1, 2, 3, 4, 5]}, "sizes", None, "has 5 entries; at most 4 are allowed"),
         ({"size": 1}, "size", None, "is not a known key"),
         ({"": 1}, '""', None, "is not a known key"),
         ({"a.b\n": 1}, '"a.b\\n"', None, "is not a known key"),

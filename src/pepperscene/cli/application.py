@@ -52,8 +52,10 @@ def main() -> NoReturn:
 _OPTIONS: Final = {
     "changes": "set",
     "form": "format",
+    "least_visible": "min_visibility",
     "names": "fit",
     "picture": "out",
+    "ripe_from": "ripe",
     "smallest_px": "smallest",
 }
 """Names of options that differ from the argument that they set."""

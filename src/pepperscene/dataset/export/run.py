@@ -110,9 +110,9 @@ def export_dataset(
     export_format = FORMATS[format_name]
     default_px = export_format.smallest_px
     if smallest_px is not None and smallest_px < 1:
-        raise ArgumentError("smallest", f"{smallest_px} must be at least 1")
-    fractions = {"min_visibility": least_visible, "ripe": ripe_from}
-    for name, value in {"smallest": smallest_px, "classes": classes, **fractions}.items():
+        raise ArgumentError("smallest_px", f"{smallest_px} must be at least 1")
+    fractions = {"least_visible": least_visible, "ripe_from": ripe_from}
+    for name, value in {"smallest_px": smallest_px, "classes": classes, **fractions}.items():
         if value is not None and default_px is None:
             raise ArgumentError(name, f"{value} does not apply: {format_name} has no objects")
     for name, fraction in fractions.items():
