@@ -56,6 +56,9 @@ class Instance:
         parent: index of the instance that it grows on, in the same list; -1 for none.
         far_row: number of the coarse row that it belongs to, beyond the labelled plants; -1 for none.
         ignored: whether its pixels have `IGNORE_CLASS` instead of its class.
+        residue: mean fraction of its upper side that dust or spray residue covers, in [0, 1].
+        ageing: 0 for healthy tissue, 1 for an organ that has dried completely.
+        variant: number from 0 to 65535 that chooses among the textures of its surface.
     """
 
     organ_class: OrganClass
@@ -65,6 +68,9 @@ class Instance:
     parent: int = -1
     far_row: int = -1
     ignored: bool = False
+    residue: float = 0.0
+    ageing: float = 0.0
+    variant: int = 0
 
     def numbered(self, plant: int, parent: int, far_row: int) -> Instance:
         """The instance with another plant, parent and far row.

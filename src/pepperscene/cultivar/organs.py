@@ -161,6 +161,8 @@ class Blade(OrganModel):
     lobe_depth: Fraction = _constant(0.0)  # their depth, as a fraction of half the width
     state: Fraction = _constant(0.7)  # 0 pale to 1 dark green
     state_spread: Fraction = _constant(0.1)  # mottling within a blade
+    residue: Fraction = _constant(0.0)  # mean cover of the upper side with dust or spray residue
+    ageing: Fraction = _constant(0.0)  # 0 healthy, through yellow or dry rims and spots, to 1 dried up
     size_correlation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # of length and width (Gaussian copula)
 
 

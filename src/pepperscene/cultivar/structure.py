@@ -48,6 +48,10 @@ class Pigments(Document):
     dry_matter_g_cm2: Annotated[float, Field(ge=0.0)]
 
 
+Alpha = Annotated[float, Field(gt=0.0, le=1.0)]
+"""Roughness of a GGX lobe."""
+
+
 class PigmentPath(Origin):
     """Pigments of a surface from state 0 to state 1, linear between the knots.
 
@@ -55,8 +59,12 @@ class PigmentPath(Origin):
         start, end: pigments at states 0 and 1.
         path: (state, pigments) in between, ascending.
         flesh_reflectance: of a diffuse body below the pigment layer; None for a leaf with air behind it.
+        ageing: (fraction, pigments) on the way from state 0 to dry tissue, ascending; at fraction 1 the
+            tissue is dry. Without them a surface does not age.
         ior: refractive index of the cuticle.
         roughness: GGX alpha of the cuticle's front and back.
+        wide_roughness: alpha of a second, wider lobe of the gloss, front and back; None for one lobe.
+        wide_share: fraction of the cuticle's area with the wider lobe.
     """
 
     start: Pigments
@@ -64,21 +72,31 @@ class PigmentPath(Origin):
     path: tuple[tuple[Annotated[float, Field(gt=0.0, lt=1.0)], Pigments], ...] = ()
     flesh_reflectance: Annotated[float, Field(ge=0.0, lt=1.0)] | None = None
     ior: Annotated[float, Field(ge=1.0, le=2.5)]
-    roughness: tuple[Annotated[float, Field(gt=0.0, le=1.0)], Annotated[float, Field(gt=0.0, le=1.0)]]
+    roughness: tuple[Alpha, Alpha]
+    wide_roughness: tuple[Alpha, Alpha] | None = None
+    wide_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.5
+    ageing: tuple[tuple[Annotated[float, Field(gt=0.0, le=1.0)], Pigments], ...] = ()
 
     @model_validator(mode="after")
     def _check_order(self) -> Self:
-        if any(after[0] <= before[0] for before, after in pairwise(self.path)):
-            raise ValueError("the states of path must ascend")
+        for name in ("path", "ageing"):
+            if any(after[0] <= before[0] for before, after in pairwise(getattr(self, name))):
+                raise ValueError(f"the states of {name} must ascend")
+        if self.ageing and self.ageing[-1][0] < 1.0:
+            raise ValueError("the last state of ageing must be 1")
         return self
 
     @property
     def knots(self) -> tuple[tuple[float, Pigments], ...]:
-        """(state, pigments) from 0 to 1, including both ends."""
-        return ((0.0, self.start), *self.path, (1.0, self.end))
+        """(state, pigments), ascending; states below 0 are minus the fraction of the way to dry tissue."""
+        aged = ((-fraction, pigments) for fraction, pigments in reversed(self.ageing))
+        return (*aged, (0.0, self.start), *self.path, (1.0, self.end))
 
     def at(self, states: ArrayLike) -> dict[str, FloatArray]:
-        """Interpolate each content at states in [0, 1]; keys are the field names of `Pigments`."""
+        """Interpolate each content at states in [0, 1], or [-1, 1] with `ageing`.
+
+        Keys are the field names of `Pigments`.
+        """
         x = np.asarray(states, dtype=float)
         known = np.array([state for state, _ in self.knots])
         names = Pigments.model_fields

@@ -94,7 +94,15 @@ def _assemble(plant: Plant, parts: Sequence[Part]) -> Mesh:
         face_surface=surface[face_instance],
         surfaces=surfaces,
         instances=tuple(
-            Instance(kind.organ_class, organ.kind, -1, organ.phytomer, organ.parent)
+            Instance(
+                kind.organ_class,
+                organ.kind,
+                phytomer=organ.phytomer,
+                parent=organ.parent,
+                residue=organ.measures.get("residue", 0.0),
+                ageing=organ.measures.get("ageing", 0.0),
+                variant=int(organ.measures.get("seed", 0.0) * 2.0**16) % 2**16,
+            )
             for organ, kind in zip(plant.organs, kinds, strict=True)
         ),
     )

@@ -135,7 +135,7 @@ def _build_blades(name: str, sites: Sites) -> NumberedOrgans:
     up = upper_side(sites.azimuth, slopes[:, 0], steps[:, 0], roll)
     shape = ("fold", "curl", "twist", "margin_wave", "margin_waves", "blister", "vein", "asymmetry")
     outline = ("widest", "base", "lobes", "lobe_depth")
-    names = ("length", "width", *shape, *outline, "seed", "state", "state_spread")
+    names = ("length", "width", *shape, *outline, "seed", "state", "state_spread", "residue", "ageing")
     curves = polylines(sites.start, steps, values["length"])
     return make_organs(name, sites.parts, curves, up, _select_measures(values, names))
 

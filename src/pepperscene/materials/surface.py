@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from pepperscene.spectra.spectrum import FloatArray
 
+AGEING_RANGE: Final = 0.25
+"""Ageing of an organ, in [0, 1], over which a place on it goes from healthy to dry: chosen."""
+
 
 @dataclass(frozen=True, eq=False)
 class Surface:
@@ -29,9 +32,20 @@ class Surface:
             bodies. Reflectance and transmittance sum to at most 1.
         ior: refractive index of the cuticle; 1 means a surface without gloss.
         roughness: `(2,)` GGX alpha of the cuticle, front and back.
-        pattern: `(h, w)` offset added to the state over uv (row 0 is v = 0), for example veins, or None.
-        relief_mm: `(h, w)` height over uv along the normal, for shading only, or None; slopes follow from the
-            mesh's own extent in u and v.
+        wide_roughness: `(2,)` alpha of a second lobe on the fraction `wide_share` of the cuticle, or None.
+        wide_share: see `wide_roughness`.
+        first_state: state of the first row of the tables, 0, or -1 for a surface that ages: below 0 the rows
+            go on from state 0 to dry tissue at -1, evenly spaced over [-1, 1].
+        residue_reflectance: of dust or spray residue on the front, equal at all wavelengths.
+        pattern: `(t, h, w)` offset added to the state over uv (row 0 is v = 0), for example veins, for each
+            of t textures, or None.
+        relief_mm: `(t, h, w)` height over uv along the normal, for shading only, or None; slopes follow from
+            the mesh's own extent in u and v.
+        residue_pattern: `(t, h, w)` factor of an organ's residue, of mean 1, or None for 1 everywhere. The
+            local cover is the product, at most 0.95.
+        ageing_order: `(t, h, w)` ageing of an organ at which the tissue begins to age, 0 or more, or None for
+            tissue that does not age before the organ is dry. Tissue that begins at m has aged by
+            clip((ageing - m) / `AGEING_RANGE`, 0, 1); a state s then becomes s - aged * (1 + s).
     """
 
     name: str
@@ -40,8 +54,14 @@ class Surface:
     transmittance: FloatArray
     ior: float = 1.0
     roughness: tuple[float, float] = (0.3, 0.3)
+    wide_roughness: tuple[float, float] | None = None
+    wide_share: float = 0.5
+    first_state: float = 0.0
+    residue_reflectance: float = 0.45
     pattern: NDArray[np.float32] | None = None
     relief_mm: NDArray[np.float32] | None = None
+    residue_pattern: NDArray[np.float32] | None = None
+    ageing_order: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         s, n = self.reflectance.shape[0], self.wavelength_nm.size
