@@ -92,6 +92,15 @@ class PigmentPath(Origin):
         aged = ((-fraction, pigments) for fraction, pigments in reversed(self.ageing))
         return (*aged, (0.0, self.start), *self.path, (1.0, self.end))
 
+    def lobes(self, side: int) -> tuple[tuple[float, float], ...]:
+        """(share of the cuticle's area, GGX alpha) of each lobe of the gloss, on the front (0) or back (1)."""
+        if self.wide_roughness is None:
+            return ((1.0, self.roughness[side]),)
+        return (
+            (1.0 - self.wide_share, self.roughness[side]),
+            (self.wide_share, self.wide_roughness[side]),
+        )
+
     def at(self, states: ArrayLike) -> dict[str, FloatArray]:
         """Interpolate each content at states in [0, 1], or [-1, 1] with `ageing`.
 

@@ -1,7 +1,8 @@
 """Materials: optical surfaces of organs and of the greenhouse."""
 
 from pepperscene.materials.greenhouse import greenhouse_surfaces, twine_surface
-from pepperscene.materials.organs import leaf_body, organ_surfaces
+from pepperscene.materials.leaf import leaf_body, leaf_optics
+from pepperscene.materials.organs import organ_surfaces
 from pepperscene.materials.rind import cut_surface, flesh_reflectance, rind_reflectance
 from pepperscene.materials.surface import Surface, lambertian_surface
 
@@ -12,6 +13,7 @@ __all__ = [
     "greenhouse_surfaces",
     "lambertian_surface",
     "leaf_body",
+    "leaf_optics",
     "organ_surfaces",
     "rind_reflectance",
     "twine_surface",

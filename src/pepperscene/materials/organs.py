@@ -10,52 +10,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pepperscene.cultivar import Cultivar, OrganForm, PigmentPath
-from pepperscene.materials.gloss import cone_gloss
-from pepperscene.materials.patterns import grow_veins, noise_mm, vein_pattern, vein_relief
+from pepperscene.cultivar import Cultivar, OrganForm
+from pepperscene.materials.leaf import leaf_surface
+from pepperscene.materials.leaf_textures import leaf_textures
+from pepperscene.materials.patterns import noise_mm
 from pepperscene.materials.rind import cut_surface, fruit_surface, green_surface
-from pepperscene.materials.surface import Surface, refine_states
-from pepperscene.spectra import leaf_spectra
+from pepperscene.materials.surface import Surface
+from pepperscene.materials.venation import BladeGrid
 from pepperscene.spectra.spectrum import FloatArray
-
-ABAXIAL_FRACTION: Final = 0.5
-"""Fraction of the pigments that light from below meets before it turns back: chosen.
-
-PROSPECT's leaf is the same on both sides; a real one has most of its chlorophyll in the palisade below its
-upper side, so that the lower side reflects more in the visible and as much in the near infrared (Woolley
-1971, Plant Physiology 47:656). The lower side's reflectance is that of a leaf with this fraction of the
-pigments and the same structure, water and dry matter; the transmittance is that of the complete leaf both
-ways, as reciprocity requires. Since transmittance falls with pigment, the sum never exceeds 1.
-"""
-
-PIGMENTS: Final = (
-    "chlorophyll_ug_cm2", "carotenoid_ug_cm2", "capsanthin_ug_cm2", "anthocyanin_ug_cm2", "brown"
-)  # fmt: skip
 
 PATTERN_SEED: Final = 112_135
 """Seed of all patterns: chosen; patterns belong to the cultivar, not to a frame."""
-
-
-def leaf_body(
-    path: PigmentPath, wavelength_nm: FloatArray, states: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Reflectance of the upper and of the lower side and transmittance, each `(s, n)`, under the cuticle."""
-    contents = path.at(states)
-    thinned = {
-        name: amount * ABAXIAL_FRACTION if name in PIGMENTS else amount for name, amount in contents.items()
-    }
-    upper_gloss, lower_gloss = (cone_gloss(path.ior, alpha) for alpha in path.roughness)
-    upper, transmittance = leaf_spectra(wavelength_nm, **contents).under_gloss(upper_gloss)
-    lower, _ = leaf_spectra(wavelength_nm, **thinned).under_gloss(lower_gloss)
-    return upper, lower, np.minimum(transmittance, 1.0 - lower)
-
-
-def leaf_surface(name: str, path: PigmentPath, wavelength_nm: FloatArray) -> Surface:
-    """Leaf or petal of these pigments, without a pattern."""
-    states = refine_states(lambda nm, states: np.stack(leaf_body(path, nm, states), axis=1))
-    upper, lower, transmittance = leaf_body(path, wavelength_nm, states)
-    both = np.stack([upper, lower], axis=1)
-    return Surface(name, wavelength_nm, both, transmittance, ior=path.ior, roughness=path.roughness)
 
 
 def organ_surfaces(cultivar: Cultivar, wavelength_nm: ArrayLike) -> dict[str, Surface]:
@@ -75,7 +40,7 @@ def organ_surfaces(cultivar: Cultivar, wavelength_nm: ArrayLike) -> dict[str, Su
     first_kind: dict[str, str] = {}
     for kind in cultivar.present_kinds:
         first_kind.setdefault(cultivar.kinds[kind].surface, kind)
-    # In parallel, with one generator per surface: the leaf's veins take about as long as all others together.
+    # In parallel, with one generator per surface: the leaf's textures take longer than all others together.
     with ThreadPoolExecutor(2) as pool:
         surfaces = pool.map(lambda name: _organ_surface(cultivar, first_kind[name], name, nm), first_kind)
         return dict(zip(first_kind, surfaces, strict=True))
@@ -92,13 +57,20 @@ def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> 
         return cut_surface(cultivar.pigments[stem], nm, rng)
     path, size_mm = cultivar.pigments[name], _size_mm(cultivar, kind, form)
     if form == "blade":
-        veins = grow_veins(size_mm, rng)
-        pattern, relief_mm = vein_pattern(veins, rng), vein_relief(veins, rng)
-        return replace(leaf_surface(name, path, nm), pattern=pattern, relief_mm=relief_mm)
+        outline = cultivar.organs[kind].distributions
+        grid = BladeGrid.build(size_mm, outline["widest"].mean, outline["base"].mean)
+        textures = leaf_textures(grid, rng)
+        return replace(
+            leaf_surface(name, path, nm),
+            pattern=textures.pattern,
+            relief_mm=textures.relief_mm,
+            residue_pattern=textures.residue_pattern,
+            ageing_order=textures.ageing_order,
+        )
     if form == "flower":
         # A petal is a leaf with a petal's pigments and no veins: faint streaks along it, 1 mm wide (chosen).
         streaks = 0.05 * noise_mm(rng, (64, 64), size_mm, (0.5, 6.0))
-        return replace(leaf_surface(name, path, nm), pattern=streaks.astype(np.float32))
+        return replace(leaf_surface(name, path, nm), pattern=streaks[None].astype(np.float32))
     if form == "fruit":
         return fruit_surface(name, path, nm, size_mm, rng)
     return green_surface(name, form, path, nm, size_mm, rng)

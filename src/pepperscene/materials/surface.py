@@ -93,20 +93,23 @@ CHECKED_NM: Final = np.arange(400.0, 1001.0, 10.0)
 """Wavelengths at which the error is checked: finer than any pigment's band, and independent of the grid."""
 
 
-def refine_states(spectra: Callable[[FloatArray, FloatArray], FloatArray]) -> FloatArray:
-    """Choose evenly spaced states in [0, 1] so that linear interpolation follows a pigment model.
+def refine_states(
+    spectra: Callable[[FloatArray, FloatArray], FloatArray], first: float = 0.0
+) -> FloatArray:
+    """Choose evenly spaced states in [first, 1] so that linear interpolation follows a pigment model.
 
     The intervals are halved until the new rows are within `TOLERANCE` of the mean of their neighbours.
 
     Args:
         spectra: (wavelengths `(n,)`, states `(s,)`) -> `(s, ...)`.
+        first: the first state, 0, or -1 for a surface that ages.
     """
     count = MIN_STATES
-    rows = spectra(CHECKED_NM, np.linspace(0.0, 1.0, count))
+    rows = spectra(CHECKED_NM, np.linspace(first, 1.0, count))
     while count < MAX_STATES:
         count = 2 * count - 1
-        midpoints = spectra(CHECKED_NM, np.linspace(0.0, 1.0, count)[1::2])
+        midpoints = spectra(CHECKED_NM, np.linspace(first, 1.0, count)[1::2])
         if np.abs(midpoints - 0.5 * (rows[1:] + rows[:-1])).max() <= TOLERANCE:
-            return np.linspace(0.0, 1.0, (count + 1) // 2)
+            return np.linspace(first, 1.0, (count + 1) // 2)
         rows = np.insert(midpoints, np.arange(len(midpoints) + 1), rows, axis=0)
-    return np.linspace(0.0, 1.0, count)
+    return np.linspace(first, 1.0, count)

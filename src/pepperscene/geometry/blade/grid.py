@@ -1,7 +1,7 @@
 """The triangle grid of a blade, whose rows follow the secondary veins that the material draws.
 
 Lengths are fractions of the flat blade, like its uv: `out` is 0 at the midrib and 1 at half the width,
-`along` is 0 at the base and 1 at the tip. The formula of the veins is that of `materials.patterns`, which
+`along` is 0 at the base and 1 at the tip. The formula of the veins is that of `materials.venation`, which
 draws one pattern for all blades of a cultivar, stretched to each: on narrow blades veins are steeper.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from pepperscene.geometry.batch import subdivisions
 from pepperscene.geometry.mesh import FloatArray, IndexArray
-from pepperscene.materials.patterns import VEIN_ARC, VEIN_ASPECT, VEIN_COT_BASE, VEIN_COT_TIP, VEIN_PAIRS
+from pepperscene.materials.venation import VEIN_ARC, VEIN_ASPECT, VEIN_COT_BASE, VEIN_COT_TIP, VEIN_PAIRS
 
 _COT_CHANGE: Final = VEIN_COT_TIP - VEIN_COT_BASE
 _MEAN_OFFSET: Final = 0.325  # of the numbers that the material adds to a vein's, uniform in 0.15 to 0.5

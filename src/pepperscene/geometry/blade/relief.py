@@ -12,7 +12,7 @@ from pepperscene.geometry.blade.grid import vein_density
 from pepperscene.geometry.blade.outline import FlatBlades
 from pepperscene.geometry.mesh import FloatArray
 from pepperscene.grammar.plant import Organ
-from pepperscene.materials.patterns import VEIN_PAIRS
+from pepperscene.materials.venation import VEIN_PAIRS
 
 _DOME: Final = 0.8  # chosen: power of a half sine from vein to vein; bulges are round, creases narrow
 _RISE: Final = 0.1  # chosen, of the half-width: distance from the midrib within which bulges rise

@@ -1,0 +1,207 @@
+"""Textures of leaves: pigment, relief, residue and the order of ageing over uv.
+
+All shapes, amplitudes and shares in this module are chosen from close-ups of sweet pepper leaves, unless a
+source is given.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from pepperscene.materials.patterns import Float32Array, PeriodicField, stamp_discs
+from pepperscene.materials.venation import RIPPLE_MM, BladeGrid, FieldTile, Venation, grow_veins
+from pepperscene.spectra.spectrum import FloatArray
+
+TEXTURES: Final = 8
+"""Per surface: chosen. The renderer also mirrors them, so that sixteen leaves in a row can differ."""
+
+SIGMAS_MM: Final = (0.8, 1.5, 3.5, RIPPLE_MM)  # of the noise that all textures share
+
+BULGE_MM: Final = 0.9
+"""Mean height of the bulging cells; 0.6 to 1.2 mm, cells of 8 to 12 mm."""
+BULGE_RADIUS_MM: Final = 5.8  # from the centre of a cell to its corners
+
+LAST_ORDER: Final = 0.75
+"""Greatest order of ageing, so that an organ of ageing 1 is dry everywhere (`surface.AGEING_RANGE`)."""
+
+_DROPS_PER_CM2, _DROP_MM = 2.5, (0.5, 2.0)  # number and radii of dried spray drops
+_SPOTS_PER_CM2, _SPOT_MM = 0.35, (1.2, 3.2)  # of spots that age first; radius where they are yellow
+
+
+@dataclass(frozen=True, eq=False)
+class LeafTextures:
+    """Textures of a leaf surface, each `(t, h, w)` over uv; see `pepperscene.materials.Surface`."""
+
+    pattern: Float32Array
+    relief_mm: Float32Array
+    residue_pattern: Float32Array
+    ageing_order: Float32Array
+
+
+def leaf_textures(grid: BladeGrid, rng: np.random.Generator, count: int = TEXTURES) -> LeafTextures:
+    """Draw the textures of a leaf surface.
+
+    Args:
+        grid: pixels over the mean blade.
+        rng: draws everything.
+        count: number t of textures.
+    """
+    tile = FieldTile.build(grid, SIGMAS_MM, rng)
+    drops, spots = _spray_drops(grid, tile, rng), _spots(grid, tile, rng)
+
+    def draw(part: np.random.Generator) -> tuple[Float32Array, ...]:
+        veins = grow_veins(grid, tile, part)
+        return (
+            vein_pattern(veins, grid, tile, part),
+            vein_relief(veins, grid, tile, part),
+            residue_pattern(veins, grid, tile, drops, part),
+            ageing_order(veins, grid, tile, spots, part),
+        )
+
+    # In parallel; each texture has its own generator, so the order does not matter.
+    with ThreadPoolExecutor() as pool:
+        textures = list(pool.map(draw, rng.spawn(count)))
+    return LeafTextures(*(np.stack(maps) for maps in zip(*textures, strict=True)))
+
+
+def vein_pattern(
+    veins: Venation, grid: BladeGrid, tile: FieldTile, rng: np.random.Generator
+) -> Float32Array:
+    """State offset over uv: veins are paler, down to -0.5 on the midrib, the blade between is mottled.
+
+    An offset to the state moves along the pigments' path, so a vein's colour has its own spectrum. The offsets
+    make the midrib lighter by 5 to 12 in CIELAB, and a lateral vein by about half as much.
+    """
+    # Veins become thinner towards the margin, and those near the tip are thinner from their origin. Lateral
+    # veins are 1 mm wide at the midrib and 0.6 mm at their ends; half of that is where a ridge falls to 1/e.
+    taper = (1.0 - 0.6 * veins.out) * (1.0 - 0.6 * grid.height**2)
+    paler = 0.5 * (1.0 - 0.3 * grid.height) * _ridge(veins.midrib_mm, 0.35 + 0.6 * (1.0 - grid.height) ** 0.7)
+    paler = np.maximum(paler, (0.08 + 0.17 * taper) * _ridge(veins.lateral_mm, 0.28 + 0.22 * taper))
+    # Tissue near the larger veins is somewhat paler than that further away.
+    paler = np.maximum(paler, 0.05 * taper * _ridge(veins.lateral_mm, 1.5))
+    paler = np.maximum(paler, 0.10 * _ridge(veins.islet_mm, 0.35))
+    paler = np.maximum(paler, 0.07 * _ridge(veins.mesh_mm, 0.3))
+    paler = np.maximum(paler, 0.03 * _ridge(veins.veinlet_mm, 0.25))
+    mottle = 0.05 * _noise(grid, tile, 1.5, rng) + 0.06 * _noise(grid, tile, 3.5, rng)
+    mottle += 0.04 * _noise(grid, tile, RIPPLE_MM, rng)
+    return np.asarray(mottle - paler + 0.03, dtype=np.float32)
+
+
+def vein_relief(
+    veins: Venation, grid: BladeGrid, tile: FieldTile, rng: np.random.Generator
+) -> Float32Array:
+    """Height in mm over uv: cells bulge between sunken veins, alike in all directions (a bullate blade).
+
+    The blade is one surface, so furrows above are ridges below.
+    """
+    # Domes are parabolas about the centres of the cells, creased at their walls and pressed down by veins.
+    height = np.clip(BULGE_MM * (1.0 + 0.4 * _noise(grid, tile, RIPPLE_MM, rng)), 0.1, 1.8)
+    dome = 1.0 - np.minimum(veins.bulge_mm / np.float32(BULGE_RADIUS_MM), 1.0) ** 2
+    # Flat at the mean level along large veins, which are furrows in it.
+    pressed = (1.0 - 0.6 * _ridge(veins.lateral_mm, 2.0)) * (1.0 - _ridge(veins.midrib_mm, 2.5))
+    relief = height * (dome - np.float32(0.55)) * pressed
+    relief += 0.05 * _noise(grid, tile, 3.5, rng) + 0.006 * _noise(grid, tile, 0.8, rng)
+    taper = (1.0 - 0.6 * veins.out) * (1.0 - 0.6 * grid.height**2)
+    relief -= 0.45 * (1.0 - 0.6 * grid.height) * _ridge(veins.midrib_mm, 1.3)
+    relief -= 0.20 * taper * _ridge(veins.lateral_mm, 0.9)
+    relief -= 0.04 * _ridge(veins.mesh_mm, 0.5)
+    return np.asarray(relief, dtype=np.float32)
+
+
+def residue_pattern(
+    veins: Venation, grid: BladeGrid, tile: FieldTile, drops: PeriodicField, rng: np.random.Generator
+) -> Float32Array:
+    """Factor of an organ's residue over uv, of mean 1 over the blade.
+
+    Dust makes a film, more in furrows; spray leaves dried drops with rims, and runs to the tip before it
+    dries; mildew makes soft blotches. Each texture has its own shares of the three.
+    """
+    film = np.exp(0.5 * _noise(grid, tile, RIPPLE_MM, rng) + 0.35 * _noise(grid, tile, 1.5, rng))
+    film *= 1.0 + 0.8 * _ridge(veins.midrib_mm, 2.0) + 0.5 * _ridge(veins.lateral_mm, 1.2)
+    film *= 1.0 + 0.3 * _ridge(veins.islet_mm, 0.8)
+    wet = drops.crop(rng, grid.shape) * (0.6 + 0.8 * grid.height**2)
+    # Pools at the tip, within its last centimetre, and along the midrib.
+    pools = 0.3 * _ridge(veins.midrib_mm, 2.5) + np.exp(-((1.0 - grid.height) * grid.size_mm[1] / 8.0))
+    wet += pools * np.exp(0.7 * _noise(grid, tile, 3.5, rng))
+    spread = _noise(grid, tile, RIPPLE_MM, rng) + 0.6 * _noise(grid, tile, 3.5, rng)
+    blotch = np.exp(0.4 * _noise(grid, tile, 0.8, rng)) / (1.0 + np.exp(4.0 * (1.1 - spread)))
+    inside = grid.edge_mm > 0.0
+    shares = rng.dirichlet((4.0, 2.5, 1.5))
+    parts = (share / part[inside].mean() * part for share, part in zip(shares, (film, wet, blotch), strict=True))
+    return np.asarray(sum(parts), dtype=np.float32)
+
+
+def ageing_order(
+    veins: Venation, grid: BladeGrid, tile: FieldTile, spots: PeriodicField, rng: np.random.Generator
+) -> Float32Array:
+    """Ageing of an organ at which the tissue of each place begins to age, over uv.
+
+    Rims and spots are first, then tissue between the veins, then the veins. With organs of ageing 0.2, rims
+    are yellow or dry over some 3 mm and with 0.3 over some 6 mm; each texture has more of rims or of spots.
+    """
+    # Rims are uneven: broad in places and absent in others.
+    uneven = 0.55 * _noise(grid, tile, RIPPLE_MM, rng) + 0.3 * _noise(grid, tile, 3.5, rng)
+    speed = 0.028 * np.exp(rng.normal(0.0, 0.35))
+    # Half a millimetre to 1.5 mm is within the variation of outlines about their mean.
+    rim = speed * np.maximum(grid.edge_mm - 1.0, 0.0) * np.exp(uneven) * (1.15 - 0.3 * grid.height)
+    order = np.minimum(rim, spots.crop(rng, grid.shape) + rng.uniform(-0.08, 0.2))
+    between = 0.36 + 0.045 * _noise(grid, tile, RIPPLE_MM, rng) + 0.03 * _noise(grid, tile, 1.5, rng)
+    between += 0.13 * _ridge(veins.lateral_mm, 2.2) + 0.08 * _ridge(veins.mesh_mm, 0.7)
+    between = np.maximum(between, 0.65 * _ridge(veins.midrib_mm, 3.0))
+    return np.asarray(np.clip(np.minimum(order, between), 0.0, LAST_ORDER), dtype=np.float32)
+
+
+def _spray_drops(grid: BladeGrid, tile: FieldTile, rng: np.random.Generator) -> PeriodicField:
+    """Relative residue of dried drops: most of it in a rim (the coffee ring), some in a film inside."""
+    field = np.full((max(grid.shape),) * 2, 0.05, np.float32)
+    discs = _scatter(field, grid, _DROPS_PER_CM2, _DROP_MM, rng)
+
+    def profile(distance: FloatArray, amount: float) -> FloatArray:
+        rim = np.exp(-(((distance - 0.85) / 0.15) ** 2))
+        return np.asarray((0.2 + amount) * (0.7 * rim + 0.4 * (distance < 0.85)))
+
+    stamp_discs(field, discs, 1.3, profile, np.maximum)
+    field *= np.exp(0.4 * tile.noise[1.5].values)
+    return PeriodicField(field)
+
+
+def _spots(grid: BladeGrid, tile: FieldTile, rng: np.random.Generator) -> PeriodicField:
+    """Order of ageing of spots, infinite elsewhere; they begin in their middle and grow."""
+    field = np.full((max(grid.shape),) * 2, np.inf, np.float32)
+    discs = _scatter(field, grid, _SPOTS_PER_CM2, _SPOT_MM, rng)
+
+    def profile(distance: FloatArray, amount: float) -> FloatArray:
+        return 0.4 * amount + 0.1 * distance**2
+
+    stamp_discs(field, discs, 2.0, profile, np.minimum)
+    return PeriodicField(field + np.float32(0.025) * tile.noise[0.8].values)
+
+
+def _scatter(
+    field: Float32Array,
+    grid: BladeGrid,
+    per_cm2: float,
+    radius_mm: tuple[float, float],
+    rng: np.random.Generator,
+) -> FloatArray:
+    """`(k, 5)` discs for `stamp_discs` at random positions."""
+    n = len(field)
+    count = round(per_cm2 * (0.1 * n * grid.pixel_mm) ** 2)
+    low, high = (radius / grid.pixel_mm for radius in radius_mm)
+    # Small ones are more frequent: uniform in the logarithm.
+    radii = low * (high / low) ** rng.random(count)
+    return np.stack([*rng.uniform(0.0, n, (2, count)), radii, *rng.random((2, count))], axis=1)
+
+
+def _ridge(distance: Float32Array, half_width: Float32Array | float) -> Float32Array:
+    """1 on a vein, falling to 1/e at half its width."""
+    scaled = distance / np.asarray(half_width, dtype=np.float32)
+    return np.asarray(np.exp(-scaled * scaled))
+
+
+def _noise(grid: BladeGrid, tile: FieldTile, sigma_mm: float, rng: np.random.Generator) -> Float32Array:
+    return tile.noise[sigma_mm].crop(rng, grid.shape)
