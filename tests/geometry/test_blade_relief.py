@@ -11,7 +11,8 @@ from pepperscene.geometry.batch import hash_uniform
 from pepperscene.geometry.blade.blades import mesh_blades
 from pepperscene.geometry.blade.grid import blade_grid, origin_of_vein_at, vein_number, vein_origin, vein_rise
 from pepperscene.geometry.blade.relief import grid_noise
-from pepperscene.materials.patterns import grow_veins
+from pepperscene.materials.leaf_textures import SIGMAS_MM
+from pepperscene.materials.venation import BladeGrid, FieldTile, grow_veins
 
 
 def width_over_surface(batch, v, k=0):
@@ -135,13 +136,15 @@ def test_vein_formulas_have_their_inverses():
 @pytest.mark.parametrize("width", [0.06, WIDTH])
 def test_bulges_rise_between_the_veins_of_the_material(width):
     """Veins as the material grows them on its own leaf, found on the mesh through uv."""
-    distance_mm = np.mean(
-        [grow_veins((112.0, 135.0), np.random.default_rng(k), 128).secondary_mm for k in range(24)], axis=0
-    )
+    grid = BladeGrid.build((112.0, 135.0), pixels=128)
+    rng = np.random.default_rng(3)
+    tile = FieldTile.build(grid, SIGMAS_MM, rng)
+    distance_mm = np.mean([grow_veins(grid, tile, part).lateral_mm for part in rng.spawn(24)], axis=0)
+    rows, columns = grid.shape
     for seed in (0.2, 0.5):
         batch = blade(blister_m=0.002, vein_m=0.0006, detail=3.0, seed=seed, width_m=width)
         (u, v), height = batch.uv[0].T, batch.vertices[0, :, 2]
-        distance = distance_mm[(v * 127.99).astype(int), (u * 127.99).astype(int)]
+        distance = distance_mm[(v * (rows - 0.01)).astype(int), (u * (columns - 0.01)).astype(int)]
         inner = (np.abs(u - 0.5) > 0.1) & (np.abs(u - 0.5) < 0.3) & (v > 0.3) & (v < 0.8)
         low, high = np.percentile(distance[inner], [20, 80])
         assert height[inner & (distance >= high)].mean() > height[inner & (distance <= low)].mean() + 0.0005

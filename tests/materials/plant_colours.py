@@ -12,9 +12,9 @@ def smooth_gloss(ior):
     return 1 - cone_transmissivity(INCIDENCE_CONE_RAD, ior)
 
 
-def at(table, state):
-    """Spectrum at a state, linear between the rows of `(s, n)`."""
-    states = np.linspace(0, 1, len(table))
+def at(table, state, first=0.0):
+    """Spectrum at a state, linear between the rows of `(s, n)`, of which the first has state `first`."""
+    states = np.linspace(first, 1, len(table))
     return np.array([np.interp(state, states, column) for column in table.T])
 
 

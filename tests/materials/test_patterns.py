@@ -1,22 +1,9 @@
-"""Smooth noise, cell networks and veins."""
+"""Smooth noise, random cells, stamped discs and crops of periodic fields."""
 
 import numpy as np
 import pytest
 
-from pepperscene.materials.patterns import cell_walls, grow_veins, smooth_noise, vein_pattern, vein_relief
-
-SIZE_MM = (112.0, 135.0)
-
-
-def gradient(field):
-    """Derivatives along u and v, per millimetre."""
-    along_v, along_u = np.gradient(field)
-    return along_u * 512 / SIZE_MM[0], along_v * 512 / SIZE_MM[1]
-
-
-@pytest.fixture(scope="module")
-def veins():
-    return grow_veins(SIZE_MM, np.random.default_rng(5))
+from pepperscene.materials.patterns import PeriodicField, random_cells, smooth_noise, stamp_discs
 
 
 def test_smooth_noise_is_standardised_and_has_its_correlation_length():
@@ -30,68 +17,65 @@ def test_smooth_noise_is_standardised_and_has_its_correlation_length():
         assert np.mean(field * shifted) == pytest.approx(np.exp(-0.25), abs=0.06)
 
 
-def test_cell_walls_are_zero_on_walls_and_positive_inside():
-    grid = np.stack(np.meshgrid(np.linspace(0, 50, 120), np.linspace(0, 50, 120)), axis=-1)
-    walls = cell_walls(np.random.default_rng(2), grid, 5.0)
-    assert walls.shape == (120, 120)
-    assert walls.min() >= 0
-    assert (walls < 0.5).mean() > 0.1
-    assert 2.0 < walls.max() < 10.0
+@pytest.mark.parametrize("spacing", [7.0, 17.0, 38.0])
+def test_cells_are_distances_on_a_torus(spacing):
+    """No distance changes by more than the step from pixel to pixel, also across the edges.
+
+    A centre that the search missed would be a jump.
+    """
+    cells = random_cells(np.random.default_rng(2), 256, spacing)
+    centre, wall = np.moveaxis(cells, -1, 0)
+    assert cells.shape == (256, 256, 2)
+    for axis in (0, 1):
+        for distance in (centre, wall):
+            assert np.abs(distance - np.roll(distance, 1, axis)).max() <= 1.0 + 1e-3
+    assert wall.min() >= 0.0
+    assert wall.min() < 0.5
+    # The farthest place of a cell is its centre, about half a spacing from the wall.
+    assert 0.4 * spacing < wall.max() < 0.8 * spacing
 
 
-def test_midrib_is_in_the_middle(veins):
-    across = np.abs((np.arange(512) + 0.5) / 512 - 0.5) * SIZE_MM[0]
-    # The ripple moves it by some tenths of a millimetre.
-    assert np.abs(veins.midrib_mm - across).max() < 2.0
-    assert np.abs(veins.midrib_mm.argmin(axis=1) - 256).max() < 10
+def test_cells_have_their_spacing():
+    pixels, spacing = 400, 20.0
+    centre = random_cells(np.random.default_rng(3), pixels, spacing)[..., 0]
+    shifts = [np.roll(centre, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+    count = np.sum(np.all([centre < shifted for shifted in shifts], axis=0))
+    # Of a triangular grid.
+    assert count == pytest.approx(pixels**2 / (spacing**2 * np.sqrt(3) / 2), rel=0.1)
 
 
-@pytest.mark.parametrize("column", [180, 332])
-def test_each_side_has_six_to_eight_secondary_veins(veins, column):
-    """Minima of the distance along a line parallel to the midrib."""
-    distance = veins.secondary_mm[:, column]
-    minima = (distance[1:-1] < distance[:-2]) & (distance[1:-1] < distance[2:]) & (distance[1:-1] < 0.5)
-    assert 6 <= minima.sum() <= 8
+def test_discs_have_their_size_and_wrap_around():
+    field = np.zeros((100, 100), np.float32)
+    discs = np.array([[0.0, 50.0, 10.0, 0.5, 0.0], [5.0, 50.0, 10.0, 0.25, 0.0]])
+
+    def flat(distance, number):
+        return np.where(distance < 1, number, 0.0)
+
+    stamp_discs(field, discs[:1], 1.0, flat, np.maximum)
+    assert set(np.unique(field)) == {0.0, 0.5}
+    assert np.count_nonzero(field) == pytest.approx(np.pi * 10.0**2, rel=0.05)
+    assert field[50, 95] == field[50, 5] == 0.5
+    # What is there already is combined, not replaced.
+    stamp_discs(field, discs[1:], 1.0, flat, np.maximum)
+    assert field[50, 0] == 0.5
+    assert field[50, 14] == 0.25
 
 
-def test_secondary_veins_leave_at_45_to_60_degrees_and_bend_to_the_tip(veins):
-    """A vein is orthogonal to the gradient of the distance from it."""
-    dx, dy = gradient(veins.secondary_mm)
-    angle = np.degrees(np.arctan2(np.abs(dy), np.abs(dx)))  # of the vein to the midrib
-    next_to_vein = (
-        (veins.secondary_mm > 0.4) & (veins.secondary_mm < 2.0) & (veins.height > 0.05) & (veins.height < 0.8)
-    )
-    near, far = (veins.midrib_mm < 10) & next_to_vein, (veins.reach > 0.8) & next_to_vein
-    assert 45 < np.median(angle[near]) < 60
-    assert np.median(angle[far]) < np.median(angle[near]) - 10
+def test_crops_are_parts_of_the_field_in_eight_orientations():
+    values = np.arange(12.0 * 12.0).reshape(12, 12).astype(np.float32)
+    rng = np.random.default_rng(4)
+    crops = [PeriodicField(values).crop(rng, (5, 7)) for _ in range(200)]
+    assert {crop.shape for crop in crops} == {(5, 7)}
+    # Neighbours stay neighbours: the steps along the rows are those of the field's rows or columns.
+    steps = {float(step) for crop in crops for step in np.unique(np.diff(crop, axis=1))}
+    inner, wrapped = {1.0, -1.0, 12.0, -12.0}, {11.0, -11.0, 132.0, -132.0}
+    assert steps == inner | wrapped
+    assert len({crop.tobytes() for crop in crops}) > 150
 
 
-def test_distances_have_unit_gradient(veins):
-    for field in (veins.midrib_mm, veins.secondary_mm):
-        steepness = np.hypot(*gradient(field))
-        assert np.percentile(steepness, 99) < 1.2
-        assert np.median(steepness) == pytest.approx(1.0, abs=0.1)
-
-
-def test_veins_are_paler_and_sunken(veins):
-    pattern, relief = (f(veins, np.random.default_rng(6)) for f in (vein_pattern, vein_relief))
-    assert pattern.dtype == relief.dtype == np.float32
-    assert pattern.shape == relief.shape == (512, 512)
-    on_midrib = veins.midrib_mm < 0.3
-    on_secondary = (veins.secondary_mm < 0.2) & (veins.midrib_mm > 5)
-    between = (veins.secondary_mm > 4) & (veins.midrib_mm > 5)
-    assert pattern[on_midrib].mean() < pattern[on_secondary].mean() - 0.1 < pattern[between].mean() - 0.2
-    assert relief[on_midrib].mean() < relief[on_secondary].mean() < relief[between].mean() - 0.2
-    # The blade between the veins keeps its state.
-    assert abs(np.median(pattern)) < 0.08
-    # The relief is shallow enough for shading.
-    slope = np.degrees(np.arctan(np.hypot(*gradient(relief))))
-    assert 2 < np.median(slope) < 10
-    assert slope.max() < 45
-
-
-def test_same_generator_state_gives_same_bytes():
-    patterns = [
-        vein_pattern(grow_veins(SIZE_MM, rng, 64), rng) for rng in map(np.random.default_rng, (9, 9, 10))
-    ]
-    assert patterns[0].tobytes() == patterns[1].tobytes() != patterns[2].tobytes()
+def test_crops_take_all_fields_of_a_stack_together():
+    values = np.random.default_rng(5).random((20, 20, 2)).astype(np.float32)
+    values[..., 1] = 2.0 * values[..., 0]
+    crop = PeriodicField(values).crop(np.random.default_rng(6), (9, 20))
+    assert crop.shape == (9, 20, 2)
+    assert np.array_equal(crop[..., 1], 2.0 * crop[..., 0])

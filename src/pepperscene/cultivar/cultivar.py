@@ -212,13 +212,9 @@ class _Interpolation:
         contents = [path.at(states) for path in (first, last)]
         values = {name: self.number(contents[0][name], contents[1][name]) for name in Pigments.model_fields}
         knots = [Pigments(**{n: float(v[i]) for n, v in values.items()}) for i in range(len(states))]
-        others = sorted(set(PigmentPath.model_fields) - {"start", "path", "end"})
-        return PigmentPath(
-            start=knots[0],
-            path=tuple(zip(states[1:-1], knots[1:-1], strict=True)),
-            end=knots[-1],
-            **self.fields(first, last, key, others),
-        )
+        changed = PigmentPath.fields_of(tuple(zip(states, knots, strict=True)))
+        others = sorted(set(PigmentPath.model_fields) - set(changed))
+        return PigmentPath(**changed, **self.fields(first, last, key, others))
 
     def error(self, key: Key, allowed: str) -> InputError:
         """Error for values that differ and cannot be interpolated."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, Final, Self
 
@@ -92,8 +92,16 @@ class PigmentPath(Origin):
         aged = ((-fraction, pigments) for fraction, pigments in reversed(self.ageing))
         return (*aged, (0.0, self.start), *self.path, (1.0, self.end))
 
+    @staticmethod
+    def fields_of(knots: Sequence[tuple[float, Pigments]]) -> dict[str, Any]:
+        """Fields `start`, `path`, `end` and `ageing` for these `knots`, which include states 0 and 1."""
+        healthy = [knot for knot in knots if knot[0] >= 0.0]
+        ageing = tuple((-state, pigments) for state, pigments in reversed(knots) if state < 0.0)
+        start, *between, end = healthy
+        return {"start": start[1], "path": tuple(between), "end": end[1], "ageing": ageing}
+
     def lobes(self, side: int) -> tuple[tuple[float, float], ...]:
-        """(share of the cuticle's area, GGX alpha) of each lobe of the gloss, on the front (0) or back (1)."""
+        """(share of the cuticle's area, GGX alpha) of each lobe of the gloss, on side 0 (front) or 1."""
         if self.wide_roughness is None:
             return ((1.0, self.roughness[side]),)
         return (

@@ -13,7 +13,7 @@ from pepperscene.spectra import leaf_spectra
 from pepperscene.spectra.spectrum import FloatArray
 
 ABAXIAL_FRACTION: Final = 0.6
-"""Fraction of the pigments that light from below meets before it turns back: chosen, with `SPONGY_REFLECTANCE`.
+"""Fraction of the pigments that light from below meets before it turns back: chosen.
 
 PROSPECT's leaf is the same on both sides; a real one has most of its chlorophyll in the palisade below its
 upper side, so that the lower side reflects more in the visible and about as much in the near infrared
@@ -21,9 +21,9 @@ upper side, so that the lower side reflects more in the visible and about as muc
 """
 
 SPONGY_REFLECTANCE: Final = 0.04
-"""Reflectance of the lower epidermis and the air-filled cells above it, which hold no pigment: chosen, so that
-the mean leaf's lower side reflects about twice as much as its upper side at 450 and 670 nm, surface reflection
-included (1.9 and 2.2 times). It has L* 49, C* 28 under D65."""
+"""Reflectance of the lower epidermis and the air-filled cells above it, which hold no pigment: chosen, so
+that the mean leaf's lower side reflects about twice as much as its upper side at 450 and 670 nm, surface
+reflection included (1.9 and 2.2 times). It has L* 49, C* 28 under D65."""
 
 PIGMENTS: Final = (
     "chlorophyll_ug_cm2", "carotenoid_ug_cm2", "capsanthin_ug_cm2", "anthocyanin_ug_cm2", "brown"

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from pepperscene.materials.patterns import Float32Array, PeriodicField, stamp_discs
-from pepperscene.materials.venation import RIPPLE_MM, BladeGrid, FieldTile, Venation, grow_veins
+from pepperscene.materials.venation import ISLET_MM, RIPPLE_MM, BladeGrid, FieldTile, Venation, grow_veins
 from pepperscene.spectra.spectrum import FloatArray
 
 TEXTURES: Final = 8
@@ -21,15 +21,16 @@ TEXTURES: Final = 8
 
 SIGMAS_MM: Final = (0.8, 1.5, 3.5, RIPPLE_MM)  # of the noise that all textures share
 
-BULGE_MM: Final = 0.9
-"""Mean height of the bulging cells; 0.6 to 1.2 mm, cells of 8 to 12 mm."""
+BULGE_MM: Final = 1.3
+"""Mean height of the bulging cells above their corners, before these are rounded off; 0.6 to 1.2 mm above
+their walls are then left in cells of 8 to 12 mm."""
 BULGE_RADIUS_MM: Final = 5.8  # from the centre of a cell to its corners
 
 LAST_ORDER: Final = 0.75
 """Greatest order of ageing, so that an organ of ageing 1 is dry everywhere (`surface.AGEING_RANGE`)."""
 
 _DROPS_PER_CM2, _DROP_MM = 2.5, (0.5, 2.0)  # number and radii of dried spray drops
-_SPOTS_PER_CM2, _SPOT_MM = 0.35, (1.2, 3.2)  # of spots that age first; radius where they are yellow
+_SPOTS_PER_CM2, _SPOT_MM = 0.8, (1.0, 3.0)  # of spots that age first; radius where they are yellow
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,18 +69,16 @@ def leaf_textures(grid: BladeGrid, rng: np.random.Generator, count: int = TEXTUR
     return LeafTextures(*(np.stack(maps) for maps in zip(*textures, strict=True)))
 
 
-def vein_pattern(
-    veins: Venation, grid: BladeGrid, tile: FieldTile, rng: np.random.Generator
-) -> Float32Array:
-    """State offset over uv: veins are paler, down to -0.5 on the midrib, the blade between is mottled.
+def vein_pattern(veins: Venation, grid: BladeGrid, tile: FieldTile, rng: np.random.Generator) -> Float32Array:
+    """State offset over uv: veins are paler, down to -0.57 on the midrib, the blade between is mottled.
 
-    An offset to the state moves along the pigments' path, so a vein's colour has its own spectrum. The offsets
-    make the midrib lighter by 5 to 12 in CIELAB, and a lateral vein by about half as much.
+    An offset to the state moves along the pigments' path, so a vein's colour has its own spectrum. The
+    offsets make the midrib lighter by 5 to 12 in CIELAB, and a lateral vein by about half as much.
     """
     # Veins become thinner towards the margin, and those near the tip are thinner from their origin. Lateral
     # veins are 1 mm wide at the midrib and 0.6 mm at their ends; half of that is where a ridge falls to 1/e.
     taper = (1.0 - 0.6 * veins.out) * (1.0 - 0.6 * grid.height**2)
-    paler = 0.5 * (1.0 - 0.3 * grid.height) * _ridge(veins.midrib_mm, 0.35 + 0.6 * (1.0 - grid.height) ** 0.7)
+    paler = 0.57 * (1.0 - 0.3 * grid.height) * _ridge(veins.midrib_mm, 0.35 + 0.6 * (1.0 - grid.height) ** 0.7)
     paler = np.maximum(paler, (0.08 + 0.17 * taper) * _ridge(veins.lateral_mm, 0.28 + 0.22 * taper))
     # Tissue near the larger veins is somewhat paler than that further away.
     paler = np.maximum(paler, 0.05 * taper * _ridge(veins.lateral_mm, 1.5))
@@ -91,24 +90,25 @@ def vein_pattern(
     return np.asarray(mottle - paler + 0.03, dtype=np.float32)
 
 
-def vein_relief(
-    veins: Venation, grid: BladeGrid, tile: FieldTile, rng: np.random.Generator
-) -> Float32Array:
+def vein_relief(veins: Venation, grid: BladeGrid, tile: FieldTile, rng: np.random.Generator) -> Float32Array:
     """Height in mm over uv: cells bulge between sunken veins, alike in all directions (a bullate blade).
 
     The blade is one surface, so furrows above are ridges below.
     """
-    # Domes are parabolas about the centres of the cells, creased at their walls and pressed down by veins.
-    height = np.clip(BULGE_MM * (1.0 + 0.4 * _noise(grid, tile, RIPPLE_MM, rng)), 0.1, 1.8)
+    # Domes are parabolas about the centres of the cells. At the walls, which they meet with the slope
+    # d / R^2 of their spacing d and radius R, the crease is rounded off over a millimetre.
+    height = np.clip(BULGE_MM * (1.0 + 0.35 * _noise(grid, tile, RIPPLE_MM, rng)), 0.2, 2.4)
     dome = 1.0 - np.minimum(veins.bulge_mm / np.float32(BULGE_RADIUS_MM), 1.0) ** 2
+    rounded = np.sqrt(veins.islet_mm**2 + 1.0) - veins.islet_mm
+    dome += np.float32(ISLET_MM / BULGE_RADIUS_MM**2) * rounded
     # Flat at the mean level along large veins, which are furrows in it.
     pressed = (1.0 - 0.6 * _ridge(veins.lateral_mm, 2.0)) * (1.0 - _ridge(veins.midrib_mm, 2.5))
-    relief = height * (dome - np.float32(0.55)) * pressed
+    relief = height * (dome - np.float32(0.6)) * pressed
     relief += 0.05 * _noise(grid, tile, 3.5, rng) + 0.006 * _noise(grid, tile, 0.8, rng)
     taper = (1.0 - 0.6 * veins.out) * (1.0 - 0.6 * grid.height**2)
     relief -= 0.45 * (1.0 - 0.6 * grid.height) * _ridge(veins.midrib_mm, 1.3)
     relief -= 0.20 * taper * _ridge(veins.lateral_mm, 0.9)
-    relief -= 0.04 * _ridge(veins.mesh_mm, 0.5)
+    relief -= 0.07 * _ridge(veins.mesh_mm, 0.6)
     return np.asarray(relief, dtype=np.float32)
 
 
@@ -120,18 +120,24 @@ def residue_pattern(
     Dust makes a film, more in furrows; spray leaves dried drops with rims, and runs to the tip before it
     dries; mildew makes soft blotches. Each texture has its own shares of the three.
     """
-    film = np.exp(0.5 * _noise(grid, tile, RIPPLE_MM, rng) + 0.35 * _noise(grid, tile, 1.5, rng))
-    film *= 1.0 + 0.8 * _ridge(veins.midrib_mm, 2.0) + 0.5 * _ridge(veins.lateral_mm, 1.2)
+    film = np.exp(
+        0.35 * _noise(grid, tile, RIPPLE_MM, rng)
+        + 0.35 * _noise(grid, tile, 3.5, rng)
+        + 0.35 * _noise(grid, tile, 1.5, rng)
+    )
+    film *= 1.0 + 0.6 * _ridge(veins.midrib_mm, 1.6) + 0.4 * _ridge(veins.lateral_mm, 1.2)
     film *= 1.0 + 0.3 * _ridge(veins.islet_mm, 0.8)
     wet = drops.crop(rng, grid.shape) * (0.6 + 0.8 * grid.height**2)
     # Pools at the tip, within its last centimetre, and along the midrib.
-    pools = 0.3 * _ridge(veins.midrib_mm, 2.5) + np.exp(-((1.0 - grid.height) * grid.size_mm[1] / 8.0))
+    pools = 0.15 * _ridge(veins.midrib_mm, 2.0) + 0.5 * np.exp((grid.y_mm - grid.size_mm[1]) / 6.0)
     wet += pools * np.exp(0.7 * _noise(grid, tile, 3.5, rng))
     spread = _noise(grid, tile, RIPPLE_MM, rng) + 0.6 * _noise(grid, tile, 3.5, rng)
     blotch = np.exp(0.4 * _noise(grid, tile, 0.8, rng)) / (1.0 + np.exp(4.0 * (1.1 - spread)))
     inside = grid.edge_mm > 0.0
     shares = rng.dirichlet((4.0, 2.5, 1.5))
-    parts = (share / part[inside].mean() * part for share, part in zip(shares, (film, wet, blotch), strict=True))
+    parts = (
+        share / part[inside].mean() * part for share, part in zip(shares, (film, wet, blotch), strict=True)
+    )
     return np.asarray(sum(parts), dtype=np.float32)
 
 
@@ -141,16 +147,16 @@ def ageing_order(
     """Ageing of an organ at which the tissue of each place begins to age, over uv.
 
     Rims and spots are first, then tissue between the veins, then the veins. With organs of ageing 0.2, rims
-    are yellow or dry over some 3 mm and with 0.3 over some 6 mm; each texture has more of rims or of spots.
+    are yellow or dry over some 2 mm and with 0.3 over some 5 mm; each texture has more of rims or of spots.
     """
     # Rims are uneven: broad in places and absent in others.
-    uneven = 0.55 * _noise(grid, tile, RIPPLE_MM, rng) + 0.3 * _noise(grid, tile, 3.5, rng)
-    speed = 0.028 * np.exp(rng.normal(0.0, 0.35))
+    uneven = 0.7 * _noise(grid, tile, RIPPLE_MM, rng) + 0.3 * _noise(grid, tile, 3.5, rng)
+    speed = 0.042 * np.exp(rng.normal(0.0, 0.35))
     # Half a millimetre to 1.5 mm is within the variation of outlines about their mean.
     rim = speed * np.maximum(grid.edge_mm - 1.0, 0.0) * np.exp(uneven) * (1.15 - 0.3 * grid.height)
-    order = np.minimum(rim, spots.crop(rng, grid.shape) + rng.uniform(-0.08, 0.2))
-    between = 0.36 + 0.045 * _noise(grid, tile, RIPPLE_MM, rng) + 0.03 * _noise(grid, tile, 1.5, rng)
-    between += 0.13 * _ridge(veins.lateral_mm, 2.2) + 0.08 * _ridge(veins.mesh_mm, 0.7)
+    order = np.minimum(rim, spots.crop(rng, grid.shape) + rng.uniform(-0.06, 0.2))
+    between = 0.32 + 0.05 * _noise(grid, tile, RIPPLE_MM, rng) + 0.03 * _noise(grid, tile, 1.5, rng)
+    between += 0.1 * _ridge(veins.lateral_mm, 2.2) + 0.025 * _ridge(veins.mesh_mm, 0.7)
     between = np.maximum(between, 0.65 * _ridge(veins.midrib_mm, 3.0))
     return np.asarray(np.clip(np.minimum(order, between), 0.0, LAST_ORDER), dtype=np.float32)
 
@@ -197,7 +203,7 @@ def _scatter(
     return np.stack([*rng.uniform(0.0, n, (2, count)), radii, *rng.random((2, count))], axis=1)
 
 
-def _ridge(distance: Float32Array, half_width: Float32Array | float) -> Float32Array:
+def _ridge(distance: Float32Array, half_width: Float32Array | FloatArray | float) -> Float32Array:
     """1 on a vein, falling to 1/e at half its width."""
     scaled = distance / np.asarray(half_width, dtype=np.float32)
     return np.asarray(np.exp(-scaled * scaled))

@@ -93,9 +93,7 @@ CHECKED_NM: Final = np.arange(400.0, 1001.0, 10.0)
 """Wavelengths at which the error is checked: finer than any pigment's band, and independent of the grid."""
 
 
-def refine_states(
-    spectra: Callable[[FloatArray, FloatArray], FloatArray], first: float = 0.0
-) -> FloatArray:
+def refine_states(spectra: Callable[[FloatArray, FloatArray], FloatArray], first: float = 0.0) -> FloatArray:
     """Choose evenly spaced states in [first, 1] so that linear interpolation follows a pigment model.
 
     The intervals are halved until the new rows are within `TOLERANCE` of the mean of their neighbours.

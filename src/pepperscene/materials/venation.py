@@ -70,7 +70,8 @@ class BladeGrid:
 
         Args:
             size_mm: width and length.
-            widest, base: of the outline, see `outline_reach`.
+            widest: position where it is widest, as a fraction of the length.
+            base: power of the outline at the base, see `outline_reach`.
             pixels: of the longer side.
         """
         pixel_mm = max(size_mm) / pixels
@@ -183,7 +184,7 @@ def grow_veins(grid: BladeGrid, tile: FieldTile, rng: np.random.Generator) -> Ve
     part = number - np.floor(number)
     per_mm = slope / spacing  # veins per millimetre across them
     beside_mm = np.minimum(part, 1 - part) / per_mm
-    beside_mm[(number < -0.5) | (number > VEIN_PAIRS - 0.5)] = np.inf
+    beside_mm[(number < -0.5) | (number > VEIN_PAIRS - 0.5)] = length
 
     # Distance from the loops, whose distance from the midrib is a function of the vein's number.
     half_mm = np.maximum(grid.half_mm, np.float32(1.0))
@@ -193,7 +194,7 @@ def grow_veins(grid: BladeGrid, tile: FieldTile, rng: np.random.Generator) -> Ve
     level = LOOP_START + 4 * rise * root * (1 - root)
     tilt = np.minimum(2 * rise * np.abs(1 / np.maximum(root, np.float32(0.05)) - 2), np.float32(0.5)) * per_mm
     loop_mm = np.abs(out - level) / np.sqrt(tilt * tilt + 1 / (half_mm * half_mm))
-    loop_mm[number < 0.0] = np.inf
+    loop_mm[number < 0.0] = length
     beyond_mm = np.maximum(out - np.float32(LOOP_START), 0) * half_mm
     lateral_mm = np.minimum(np.sqrt(beside_mm * beside_mm + beyond_mm * beyond_mm), loop_mm)
 
@@ -213,7 +214,7 @@ def _draw_origins(rng: np.random.Generator) -> FloatArray:
 
 
 def _number_veins(origin: Float32Array, origins: FloatArray) -> tuple[Float32Array, Float32Array]:
-    """Number of the vein through points, linear between the veins, and the distance of neighbours' origins."""
+    """Number of the vein through points, linear between veins, and the distance between their origins."""
     # Chosen: beyond the last vein distances go on, so that none starts at the tip; likewise below the first.
     ends = (2.0 * origins[0] - origins[1], 2.0 * origins[-1] - origins[-2])
     known = np.concatenate([ends[:1], origins, ends[1:]])

@@ -25,7 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.classes import OrganClass
 from pepperscene.errors import InputError
 from pepperscene.materials import leaf_body, rind_reflectance
-from pepperscene.materials.gloss import cuticle_transmittance, gloss_albedo
+from pepperscene.materials.gloss import gloss_albedo
+from pepperscene.materials.leaf import mean_openness
 
 if TYPE_CHECKING:
     from pepperscene.colour import MeasuredSpectrum
@@ -73,19 +74,20 @@ def instrument_reflectance(path: PigmentPath, wavelength_nm: ArrayLike, state: f
         thin: Whether it is a blade or petal with nothing behind it (PROSPECT's leaf), else a rind on flesh.
     """
     nm, states = np.atleast_1d(np.asarray(wavelength_nm, dtype=float)), np.array([float(state)])
-    mean_open = [cuticle_transmittance(path.ior, alpha)[1] for alpha in path.roughness]
     if thin:
+        mean_open = [mean_openness(path, side) for side in (0, 1)]
         reflected, _, transmitted = leaf_body(path, nm, states)
         # Light that entered through the front and cannot leave through the cuticle of the back returns.
         body = reflected + transmitted * (1.0 - min(mean_open) / mean_open[0])
     else:
         body = rind_reflectance(path, nm, states)
-    return np.asarray(_sphere_transmittance(path.ior, path.roughness[0]) * body[0])
+    entering = sum(share * _sphere_transmittance(path.ior, alpha) for share, alpha in path.lobes(0))
+    return np.asarray(entering * body[0])
 
 
 @functools.lru_cache(maxsize=256)
 def _sphere_transmittance(ior: float, alpha: float) -> float:
-    """Fraction of the body's reflectance that the sphere reads."""
+    """Fraction of the body's reflectance that the sphere reads through a lobe of the cuticle."""
     return float(1.0 - gloss_albedo(np.cos(SPHERE_RAD), ior, alpha)[0])
 
 

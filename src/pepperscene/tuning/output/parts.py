@@ -74,9 +74,13 @@ def _path_table(
         table["flesh_reflectance"] = path.flesh_reflectance
     simple = simplify_path(path)
     table |= {"ior": path.ior, "roughness": path.roughness}
+    if path.wide_roughness is not None:
+        table |= {"wide_roughness": path.wide_roughness, "wide_share": path.wide_share}
     table |= {"start": _contents(simple.start), "end": _contents(simple.end)}
     if simple.path:
         table["path"] = [[state, _contents(pigments)] for state, pigments in simple.path]
+    if simple.ageing:
+        table["ageing"] = [[fraction, _contents(pigments)] for fraction, pigments in simple.ageing]
     return table
 
 
@@ -89,21 +93,35 @@ def _contents(pigments: Pigments) -> dict[str, float]:
 
 def _same_path(first: PigmentPath, second: PigmentPath) -> bool:
     """Whether two paths have the same contents at every state, flesh and cuticle."""
+    if bool(first.ageing) != bool(second.ageing):
+        return False
     states = sorted({state for path in (first, second) for state, _ in path.knots})
     a, b = (np.array(list(path.at(states).values())) for path in (first, second))
     if not np.allclose(a, b, rtol=_SAME, atol=_SAME * max(float(np.abs(a).max()), 1e-300) * 1e-3):
         return False
-    a, b = (np.array([p.flesh_reflectance or 0.0, p.ior, *p.roughness]) for p in (first, second))
+    lobes = [
+        [number for side in (0, 1) for lobe in p.lobes(side) for number in lobe] for p in (first, second)
+    ]
+    if len(lobes[0]) != len(lobes[1]):
+        return False
+    a, b = (
+        np.array([p.flesh_reflectance or 0.0, p.ior, *numbers])
+        for p, numbers in zip((first, second), lobes, strict=True)
+    )
     return np.allclose(a, b, rtol=_SAME, atol=0.0)
 
 
 def simplify_path(path: PigmentPath) -> PigmentPath:
-    """Return the path with the fewest of its knots that keep every content to a millionth of its range."""
-    states = np.array([state for state, _ in path.knots])
-    contents = np.array([[getattr(at, name) for name in Pigments.model_fields] for _, at in path.knots])
+    """Return the path with the fewest of its knots that keep every content to a millionth of its range.
+
+    The knots of `ageing`, which no fit changes, stay.
+    """
+    knots = [(state, pigments) for state, pigments in path.knots if state >= 0.0]
+    states = np.array([state for state, _ in knots])
+    contents = np.array([[getattr(at, name) for name in Pigments.model_fields] for _, at in knots])
     tolerance = _TOLERANCE * np.ptp(contents, axis=0) + 1e-12 * np.abs(contents).max(axis=0)
     kept = _fewest_knots(states, contents, tolerance)
-    return path.model_copy(update={"path": tuple(path.knots[i] for i in kept[1:-1])})
+    return path.model_copy(update={"path": tuple(knots[i] for i in kept[1:-1])})
 
 
 def _fewest_knots(

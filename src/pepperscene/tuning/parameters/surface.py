@@ -123,8 +123,10 @@ def tuned_path(
         for name, value in values.items()
         if name.startswith(f"{surface}.")
     }
-    knots = np.array([state for state, _ in path.knots])
-    table = {field: np.array([getattr(p, field) for _, p in path.knots]) for field in CONTENTS}
+    # Tissue that ages keeps its contents: states below 0 are not tuned.
+    healthy = [(state, pigments) for state, pigments in path.knots if state >= 0.0]
+    knots = np.array([state for state, _ in healthy])
+    table = {field: np.array([getattr(p, field) for _, p in healthy]) for field in CONTENTS}
     ripens = states is not None and states.mean_ripeness is not None
     for name, (field, _) in CONTENT_FIELDS.items():
         table[field] = _tuned_content(name, given, knots, table[field], RANGES[field][0], ripens)

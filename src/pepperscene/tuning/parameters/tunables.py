@@ -85,7 +85,8 @@ def _surface_parameters(cultivar: Cultivar, surface: str) -> list[Parameter]:
         parameters.append(Parameter(f"{surface}.{key}", unit, meaning, group, values, low, high, floor))
 
     for name, (field, unit) in CONTENT_FIELDS.items():
-        (low, high), contents = RANGES[field], [getattr(pigments, field) for _, pigments in path.knots]
+        (low, high) = RANGES[field]
+        contents = [getattr(pigments, field) for state, pigments in path.knots if state >= 0.0]
         add(name, f"{name}, maximum along the path", max(contents), low, high, low, unit)
         for end, knot in PATH_ENDS.items():
             add(f"{end}.{name}", f"{name} at the {end} end of the path", contents[knot], low, high, low, unit)
