@@ -94,11 +94,11 @@ def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> 
     if form == "blade":
         veins = grow_veins(size_mm, rng)
         pattern, relief_mm = vein_pattern(veins, rng), vein_relief(veins, rng)
-        return replace(leaf_surface(name, path, nm), pattern=pattern, relief_mm=relief_mm)
+        return replace(leaf_surface(name, path, nm), pattern=pattern[None], relief_mm=relief_mm[None])
     if form == "flower":
         # A petal is a leaf with a petal's pigments and no veins: faint streaks along it, 1 mm wide (chosen).
         streaks = 0.05 * noise_mm(rng, (64, 64), size_mm, (0.5, 6.0))
-        return replace(leaf_surface(name, path, nm), pattern=streaks.astype(np.float32))
+        return replace(leaf_surface(name, path, nm), pattern=streaks.astype(np.float32)[None])
     if form == "fruit":
         return fruit_surface(name, path, nm, size_mm, rng)
     return green_surface(name, form, path, nm, size_mm, rng)
