@@ -105,8 +105,8 @@ def test_a_vein_has_the_spectrum_of_its_pigments(leaf, kaite, nm):
     The ratio of vein to blade depends on the wavelength, and is nearly 1 in the near infrared.
     """
     blade = 0.72
-    column = leaf.pattern.shape[1] // 2
-    offset = float(leaf.pattern[200:300, column - 12 : column + 12].min())
+    column = leaf.pattern.shape[2] // 2
+    offset = float(leaf.pattern[0, 200:300, column - 12 : column + 12].min())
     state = np.clip(blade + offset, 0, 1)
     vein = at(leaf.reflectance[:, 0], state)
     exact, _, _ = leaf_body(kaite.pigments["leaf"], nm, np.array([state]))
