@@ -30,8 +30,8 @@ def shipped() -> tuple[Surface, ...]:
 
 
 def plain(surface: Surface) -> Surface:
-    """A surface without its pattern and relief."""
-    return replace(surface, pattern=None, relief_mm=None)
+    """A surface without textures."""
+    return replace(surface, pattern=None, relief_mm=None, residue_pattern=None, ageing_order=None)
 
 
 def grey_surface(name: str, front: float, back: float, through: float, ior: float, roughness) -> Surface:
@@ -50,6 +50,30 @@ def lossless() -> tuple[Surface, ...]:
     )
 
 
+def two_lobes() -> tuple[Surface, ...]:
+    """Lossless bodies under cuticles with two lobes, with equal and different sides."""
+    pairs = (((0.25, 0.25), (0.8, 0.8)), ((0.02, 0.1), (0.6, 1.0)))
+    return tuple(
+        replace(
+            grey_surface(f"T {t:g}, ior {ior:g}, alpha {narrow} and {wide}", 1 - t, 1 - t, t, ior, narrow),
+            wide_roughness=wide,
+            wide_share=share,
+            residue_reflectance=1.0,
+        )
+        for ior, share in ((1.28, 0.7), (1.45, 0.5), (2.5, 0.1))
+        for narrow, wide in pairs
+        for t in TRANSMITTANCES
+    )
+
+
+def waves(slope: float, texels: int = 64) -> np.ndarray:
+    """`(1, texels, texels)` relief in mm of waves along u and v, with this rms slope along each."""
+    x = (np.arange(texels) + 0.5) / texels
+    amplitude_mm = 1e3 * EXTENT_M * slope * np.sqrt(2.0) / (2.0 * np.pi * 4.0)
+    height = np.sin(8.0 * np.pi * x)[None, :] + np.sin(8.0 * np.pi * x)[:, None]
+    return (amplitude_mm * height).astype(np.float32)[None]
+
+
 @dataclass(frozen=True, eq=False)
 class Cases:
     """Surfaces in a state, seen from a direction.
@@ -60,6 +84,8 @@ class Cases:
         state: `(c,)`.
         wi: `(c, 3)` unit vectors, float32.
         uv: `(c, 2)`.
+        residue, ageing: of all organs, or `(c,)`.
+        footprint_m2: area that a pixel covers on the surface; None for hits that no camera ray found.
     """
 
     surfaces: tuple[Surface, ...]
@@ -67,6 +93,9 @@ class Cases:
     state: np.ndarray
     wi: np.ndarray
     uv: np.ndarray
+    residue: float | np.ndarray = 0.0
+    ageing: float | np.ndarray = 0.0
+    footprint_m2: float | None = 0.0
 
     @classmethod
     def over(
@@ -93,13 +122,28 @@ class Cases:
         """`(c,)`: 0 if seen from the front, 1 from the back."""
         return np.where(self.wi[:, 2] > 0.0, 0, 1)
 
-    def alpha(self) -> np.ndarray:
-        """`(c,)` roughness of the cuticle on the viewer's side, as packed."""
+    def alpha(self, blur: float = 0.0) -> np.ndarray:
+        """`(c,)` roughness of the first lobe on the viewer's side, with 2 s^2 of a filtered relief."""
         sides = zip(self.surface, self.side, strict=True)
-        return np.array([max(self.surfaces[k].roughness[side], MIN_ALPHA) for k, side in sides])
+        narrow = np.array([max(self.surfaces[k].roughness[side], MIN_ALPHA) for k, side in sides])
+        return np.sqrt(narrow**2 + blur)
+
+    def gloss(self, case: int, blur: float = 0.0) -> float:
+        """Albedo of the gloss of one case by NumPy, with 2 s^2 of a filtered relief."""
+        surface, side = self.surfaces[self.surface[case]], self.side[case]
+        lobes = [(surface.roughness[side], 1.0)]
+        if surface.wide_roughness is not None:
+            share = surface.wide_share
+            lobes = [(surface.roughness[side], 1.0 - share), (surface.wide_roughness[side], share)]
+        cosine = abs(float(self.wi[case, 2]))
+        albedos = [
+            share * gloss_albedo(cosine, surface.ior, float(np.sqrt(alpha**2 + blur)))[0]
+            for alpha, share in lobes
+        ]
+        return float(sum(albedos))
 
     def expected(self) -> np.ndarray:
-        """`(c, 4)`: E + (1 - E) (R + T) by NumPy, of plain surfaces."""
+        """`(c, 4)`: E + (1 - E) (R + T) by NumPy, of plain surfaces without residue and ageing."""
         albedo = np.empty((len(self), len(TEST_NM)))
         for case, (number, side, state) in enumerate(zip(self.surface, self.side, self.state, strict=True)):
             surface = self.surfaces[number]
@@ -107,21 +151,23 @@ class Cases:
             at_nm = np.stack([np.interp(TEST_NM, surface.wavelength_nm, row) for row in rows])
             states = np.linspace(0.0, 1.0, len(rows))
             body = np.array([np.interp(state, states, column) for column in at_nm.T])
-            gloss = gloss_albedo(abs(float(self.wi[case, 2])), surface.ior, surface.roughness[side])[0]
+            gloss = self.gloss(case)
             albedo[case] = gloss + (1.0 - gloss) * body
         return albedo
 
     def optics(self) -> Optics:
-        return Optics.pack(self.surfaces, float(GRID_NM[0]), float(GRID_NM[-1]))
+        organs = np.ones((len(self), 4))
+        organs[:, 0], organs[:, 2], organs[:, 3] = self.surface, self.residue, self.ageing
+        return Optics.pack(self.surfaces, float(GRID_NM[0]), float(GRID_NM[-1]), organs=organs)
 
     def points(self, optics: Optics, case):
         """The optical states of lanes; `case` is a `UInt32` of case numbers."""
         mi, dr = mitsuba_modules()
         wi = dr.gather(mi.Vector3f, mi.Float(self.wi.ravel()), case)
         uv = dr.gather(mi.Point2f, mi.Float(self.uv.ravel()), case)
-        surface = dr.gather(mi.UInt32, mi.UInt32(self.surface), case)
         state = dr.gather(mi.Float, mi.Float(self.state), case)
-        return optics.point(interaction(wi, dr.width(case), uv), surface, state, mi.Bool(True))
+        footprint = None if self.footprint_m2 is None else mi.Float(self.footprint_m2)
+        return optics.point(interaction(wi, dr.width(case), uv), case, state, mi.Bool(True), footprint)
 
     def frames(self, optics: Optics) -> np.ndarray:
         """`(c, 3, 3)`: axes (rows) of the relief's frame with z towards the viewer, as the lobes use it."""
@@ -184,8 +230,10 @@ def _sample_chunk(
     return np.stack(sums, axis=-1).reshape(len(chosen), repeats, 5) / count
 
 
-def integrate_cases(cases: Cases) -> tuple[np.ndarray, np.ndarray]:
+def integrate_cases(cases: Cases, blur: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Directional albedos `(c, 4)` and integrals of the density `(c,)` by quadrature of `eval_pdf`.
+
+    `blur` is 2 s^2 of a filtered relief.
 
     Independent of the BSDF's own sampling: a grid of diffuse directions on both sides, and one of microfacet
     normals weighted by their area, combined by the balance heuristic.
@@ -194,7 +242,7 @@ def integrate_cases(cases: Cases) -> tuple[np.ndarray, np.ndarray]:
     optics = cases.optics()
     frames = cases.frames(optics)
     local, weight = [], []
-    for case, alpha in enumerate(cases.alpha()):
+    for case, alpha in enumerate(cases.alpha(blur)):
         directions, weights = _directions(frames[case] @ cases.wi[case].astype(float), alpha)
         local.append(directions @ frames[case])
         weight.append(weights)

@@ -13,7 +13,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scatterers import Cases, lossless, plain, shipped
+from scatterers import Cases, lossless, plain, shipped, two_lobes, waves
 
 from pepperscene.render.variant import mitsuba_modules
 
@@ -25,7 +25,11 @@ SYNTHETIC = (
     "T 0.4, ior 2.5, alpha (0.1, 0.45)",
 )
 RINGS = 41
-GROUPS = ("shipped", "relief", "synthetic")
+TWO_LOBES = (
+    "T 0.4, ior 1.28, alpha (0.25, 0.25) and (0.8, 0.8)",
+    "T 1, ior 2.5, alpha (0.02, 0.1) and (0.6, 1.0)",
+)
+GROUPS = ("shipped", "relief", "synthetic", "two lobes", "residue", "filtered")
 
 
 @cache
@@ -33,6 +37,14 @@ def cases_of(group: str) -> Cases:
     """Every surface at all cosines, the shipped ones in alternating extreme states."""
     if group == "synthetic":
         return Cases.over([s for s in lossless() if s.name in SYNTHETIC], (0.0,), SYNTHETIC_COSINES, seed=7)
+    if group in ("two lobes", "residue", "filtered"):
+        surfaces = [s for s in two_lobes() if s.name in TWO_LOBES]
+        if group == "filtered":
+            surfaces = [replace(s, relief_mm=waves(0.15)) for s in surfaces]
+        residue = 0.6 if group == "residue" else 0.0
+        footprint_m2 = 1e-5 if group == "filtered" else 0.0
+        cases = Cases.over(surfaces, (0.0,), SYNTHETIC_COSINES, seed=8)
+        return replace(cases, residue=residue, footprint_m2=footprint_m2)
     if group == "relief":
         surfaces = [s for s in shipped() if s.relief_mm is not None]
     else:

@@ -31,11 +31,14 @@ def surfaces(draw) -> Surface:
     front, back = (draw(unit) * (1.0 - through) for _ in range(2))
     relief = draw(st.sampled_from([None, 0.01, 3.0]))
     surface = grey_surface("any", front, back, through, draw(iors), (draw(alphas), draw(alphas)))
+    if draw(st.booleans()):
+        wide = draw(alphas), draw(alphas)
+        surface = replace(surface, wide_roughness=wide, wide_share=draw(unit), residue_reflectance=draw(unit))
     if relief is None:
         return surface
     y, x = np.mgrid[0:16, 0:16] / 16.0 * 2.0 * np.pi
     height = (relief * np.sin(x) * np.sin(2.0 * y)).astype(np.float32)
-    return replace(surface, relief_mm=height)
+    return replace(surface, relief_mm=height[None])
 
 
 def directions(rng: np.random.Generator) -> np.ndarray:
@@ -72,11 +75,19 @@ def test_scattering_is_finite_positive_and_on_the_right_side(mixture, nm, seed):
     u = rng.random((3, PAIRS)).astype(np.float32)
     u[:, :8] = np.array([0.0, 1.0 - 2.0**-24] * 4)
 
-    optics = Optics.pack(mixture, float(GRID_NM[0]), float(GRID_NM[-1]))
+    # The first organs of the surfaces are clean; the others have residue and age.
+    count = len(mixture)
+    organs = np.ones((2 * count, 4))
+    organs[:, 0] = np.arange(2 * count) % count
+    organs[:, 2:] = rng.random((2 * count, 2)) * (np.arange(2 * count) >= count)[:, None]
+    optics = Optics.pack(mixture, float(GRID_NM[0]), float(GRID_NM[-1]), organs=organs)
     si = interaction(mi.Vector3f(*wi.T), PAIRS, mi.Point2f(*rng.random((2, PAIRS)).astype(np.float32)))
     si.wavelengths = mi.Spectrum(*(mi.Float(nm) + mi.Float(30.0 * k) for k in range(4)))
-    surface = mi.UInt32(rng.integers(0, len(mixture), PAIRS))
-    point = optics.point(si, surface, mi.Float(rng.random(PAIRS)), mi.Bool(True))
+    organ = rng.integers(0, 2 * count, PAIRS)
+    surface = organ % count
+    footprint = [0.0, 1e-6, 1.0, None][seed % 4]
+    footprint = None if footprint is None else mi.Float(footprint)
+    point = optics.point(si, mi.UInt32(organ), mi.Float(rng.random(PAIRS)), mi.Bool(True), footprint)
     value, density = point.eval_pdf(mi.Vector3f(*wo.T))
     out, sample_density, weight, lobe = point.sample(mi.Float(u[0]), mi.Point2f(u[1], u[2]))
     dr.eval(value, density, out, sample_density, weight, lobe)
@@ -95,7 +106,7 @@ def test_scattering_is_finite_positive_and_on_the_right_side(mixture, nm, seed):
     # Weights are bounded: no lobe is sampled much more rarely than it is bright.
     assert np.asarray(weight)[:, valid].max(initial=0.0) < 30.0
     # No lobe is sampled that the surface does not have.
-    gloss = np.array([s.ior > 1.0 for s in mixture])[np.asarray(surface)]
-    through = np.array([s.transmittance.max() > 0.0 for s in mixture])[np.asarray(surface)]
+    gloss = np.array([s.ior > 1.0 for s in mixture])[surface]
+    through = np.array([s.transmittance.max() > 0.0 for s in mixture])[surface]
     assert gloss[valid & (lobe == 0)].all()
     assert through[valid & (lobe == 2)].all()

@@ -101,6 +101,6 @@ def test_a_breaker_colours_unevenly(surfaces, ripening, nm):
     # Patches: states differ at one height as well.
     assert mesh.state[(mesh.uv[:, 1] > 0.5) & (mesh.uv[:, 1] < 0.6)].std() > 0.01
     rows = (mesh.uv[:, 1] * 255).astype(int), (mesh.uv[:, 0] * 255).astype(int)
-    states = np.clip(mesh.state + surfaces["fruit"].pattern[rows], 0, 1)
+    states = np.clip(mesh.state + surfaces["fruit"].pattern[0][rows], 0, 1)
     low, high = (lab_hue(at(ripening, state), nm) for state in np.percentile(states, [5, 95]))
     assert low - high > 10

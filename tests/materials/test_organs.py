@@ -100,7 +100,7 @@ def test_patterns_change_most_states_by_less_than_a_quarter(surfaces):
 def test_fruit_and_tubes_have_no_seam(surfaces):
     """The pattern's step across u = 1 -> 0 is like any other step."""
     for name in ("fruit", *GREEN):
-        pattern = surfaces[name].pattern
+        pattern = surfaces[name].pattern[0]
         inside = np.abs(np.diff(pattern, axis=1)).mean()
         assert np.abs(pattern[:, 0] - pattern[:, -1]).mean() < 3 * inside, name
 
@@ -143,7 +143,7 @@ def test_ribs_run_along_the_organ_and_are_gentle(surfaces, kaite):
         "peduncle": kaite.organs["peduncle"].distributions["diameter"].mean,
     }
     for name, diameter_m in diameters_m.items():
-        relief = surfaces[name].relief_mm
+        relief = surfaces[name].relief_mm[0]
         around = np.gradient(relief, axis=1) * relief.shape[1] / (1e3 * np.pi * diameter_m)
         along = np.gradient(relief, axis=0) * relief.shape[0] / (1e3 * np.pi * diameter_m)
         assert np.std(around) > 3 * np.std(along), name

@@ -42,12 +42,11 @@ def weights() -> np.ndarray:
 
 def channel_colours(surfaces: list[Surface], weights: np.ndarray) -> np.ndarray:
     """`(3, surfaces, states, c)`: front, back and through, as the kernel looks them up."""
-    mi, _ = mitsuba_modules()
+    mi, dr = mitsuba_modules()
     optics = Optics.pack(surfaces, GRID[0], GRID[-1]).by_channel(weights)
     surface, state = (part.ravel() for part in np.meshgrid(np.arange(len(surfaces)), STATES, indexing="ij"))
-    parts = optics._body(
-        None, mi.UInt32(surface.astype(np.uint32)), mi.Float(state.astype(np.float32)), mi.Bool(True)
-    )
+    body = dr.gather(mi.Vector4f, optics.bodies, mi.UInt32(surface.astype(np.uint32)))
+    parts = optics._body(None, body, mi.Float(state.astype(np.float32)), mi.Bool(True))
     return np.array([np.asarray(part).T.reshape(len(surfaces), STATES.size, -1) for part in parts])
 
 

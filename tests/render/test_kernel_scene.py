@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from greenhouse import greenhouse
 
-from pepperscene.render.kernel.scene import light_scene, mitsuba_mesh, truth_scene
+from pepperscene.render.kernel.scene import light_scene, mitsuba_mesh, organ_table, truth_scene
 from pepperscene.render.reference.path_tracer import surface_bsdf
 from pepperscene.render.variant import mitsuba_modules
 
@@ -65,17 +65,18 @@ def test_interactions_equal_mitsubas(kernel_scene, rays):
 
 def test_face_states_equal_mesh_attributes(scene, kernel_scene, rays):
     mi, _ = mitsuba_modules()
-    shape = mitsuba_mesh(scene.mesh, surface_bsdf().of(kernel_scene.optics))
+    _, face_organ = organ_table(scene)
+    shape = mitsuba_mesh(scene.mesh, surface_bsdf().of(kernel_scene.optics), face_organ=face_organ)
     with_attributes = mi.load_dict({"type": "scene", "plants": shape})
     hit = with_attributes.ray_intersect_preliminary(rays)
     active = hit.is_valid()
     si = hit.compute_surface_interaction(rays, mi.RayFlags.All, active)
-    surface = mi.UInt32(shape.eval_attribute_1("face_surface", si, active) + 0.5)
+    organ = mi.UInt32(shape.eval_attribute_1("face_organ", si, active) + 0.5)
     state = shape.eval_attribute_1("vertex_state", si, active)
-    expected = kernel_scene.optics.point(si, surface, state, active)
+    expected = kernel_scene.optics.point(si, organ, state, active)
     point = kernel_scene.surface_point(si, hit, active)
     mask = np.asarray(active)
-    for name in ("reflectance", "transmittance", "entering", "ior"):
+    for name in ("reflectance", "transmittance", "entering"):
         a, b = (np.asarray(getattr(p, name))[..., mask] for p in (point, expected))
         np.testing.assert_allclose(a, b, atol=2e-5)
 
@@ -96,9 +97,10 @@ def test_mitsuba_mesh_holds_the_mesh_and_shares_its_large_buffers(scene):
 
 
 def test_mesh_attributes_exist_only_for_a_bsdf(scene, kernel_scene):
-    names = ("vertex_state", "face_surface")
+    names = ("vertex_state", "face_organ")
     plain = mitsuba_mesh(scene.mesh)
-    with_bsdf = mitsuba_mesh(scene.mesh, surface_bsdf().of(kernel_scene.optics))
+    _, face_organ = organ_table(scene)
+    with_bsdf = mitsuba_mesh(scene.mesh, surface_bsdf().of(kernel_scene.optics), face_organ=face_organ)
     assert not any(plain.has_attribute(name) for name in names)
     assert all(with_bsdf.has_attribute(name) for name in names)
     assert not truth_scene(scene).shapes()[0].has_attribute("vertex_state")

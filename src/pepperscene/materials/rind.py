@@ -89,8 +89,8 @@ def _rind_surface(
         np.zeros_like(rows),
         ior=path.ior,
         roughness=path.roughness,
-        pattern=pattern.astype(np.float32),
-        relief_mm=None if relief_mm is None else relief_mm.astype(np.float32),
+        pattern=pattern.astype(np.float32)[None],
+        relief_mm=None if relief_mm is None else relief_mm.astype(np.float32)[None],
     )
 
 
@@ -185,7 +185,7 @@ def cut_surface(stem: PigmentPath, wavelength_nm: FloatArray, rng: np.random.Gen
     rows = np.stack([0.5 * (straw + chip), 0.5 * (bark + green)])
     speckle = 0.12 * noise_mm(rng, PATTERN_SHAPE, (10.0, 10.0), (0.5, 0.5))
     both = np.repeat(rows[:, None, :], 2, axis=1)
-    return Surface("cut", wavelength_nm, both, np.zeros_like(rows), pattern=speckle.astype(np.float32))
+    return Surface("cut", wavelength_nm, both, np.zeros_like(rows), pattern=speckle.astype(np.float32)[None])
 
 
 def _dry_material(visible_column: str, infrared_column: str) -> Spectrum:

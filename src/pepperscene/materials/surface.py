@@ -73,11 +73,24 @@ class Surface:
         # Comparisons with NaN are false, so NaN is refused too.
         if not (min(self.reflectance.min(), self.transmittance.min()) >= 0 and total.max() <= 1 + 1e-9):
             raise ValueError(f"{self.name}: reflectance and transmittance must be >= 0 and sum to at most 1")
-        if not (1 <= self.ior < np.inf and all(0 <= alpha < np.inf for alpha in self.roughness)):
+        alphas = (*self.roughness, *(self.wide_roughness or ()))
+        if not (1 <= self.ior < np.inf and all(0 <= alpha < np.inf for alpha in alphas)):
             raise ValueError(f"{self.name}: ior must be at least 1 and roughness at least 0, both finite")
-        for image in (self.pattern, self.relief_mm):
-            if image is not None and not np.isfinite(image).all():
-                raise ValueError(f"{self.name}: pattern and relief must be finite")
+        if not (0 <= self.wide_share <= 1 and 0 <= self.residue_reflectance <= 1):
+            raise ValueError(f"{self.name}: wide_share and residue_reflectance must be in [0, 1]")
+        if self.first_state not in (0.0, -1.0):
+            raise ValueError(f"{self.name}: first_state must be 0 or -1, not {self.first_state:g}")
+        for name, images in self.textures.items():
+            if images.ndim != 3 or not np.isfinite(images).all():
+                raise ValueError(f"{self.name}: {name} must be a stack (t, h, w) of finite numbers")
+            if name in ("residue_pattern", "ageing_order") and images.min() < 0:
+                raise ValueError(f"{self.name}: {name} must not be negative")
+
+    @property
+    def textures(self) -> dict[str, NDArray[np.float32]]:
+        """The stacks of textures that the surface has, by the name of their field."""
+        names = ("pattern", "relief_mm", "residue_pattern", "ageing_order")
+        return {name: images for name in names if (images := getattr(self, name)) is not None}
 
 
 def lambertian_surface(name: str, reflectance: float) -> Surface:

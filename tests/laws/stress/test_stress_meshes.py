@@ -81,7 +81,7 @@ def test_thin_strips_of_a_leaf_are_invisible(tracer):
     # light differs by rounding only, except for rays that hit an edge.
     heights = [*(1e-3 + 2e-7 * np.arange(200)), 0.01, 0.01 + 2e-7, 0.02, 0.02 + 4e-7]
     waves = np.sin(np.linspace(0.0, 40.0, 64))[:, None] * np.ones((64, 64))
-    leaf = replace(surface("leaf", 0.4, 0.4, 1.4), relief_mm=waves.astype(np.float32))
+    leaf = replace(surface("leaf", 0.4, 0.4, 1.4), relief_mm=waves.astype(np.float32)[None])
     result, expected = (
         electrons(tracer, assemble_scene(strips(cuts), {"leaf": leaf}, EVEN_SKY), axis_camera(16, 48))
         for cuts in (heights, [])

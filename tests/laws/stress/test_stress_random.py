@@ -63,7 +63,7 @@ def random_scene(rng: np.random.Generator) -> tuple[Scene, Camera]:
         reflectance = random_fraction(rng)
         transmittance = (1.0 - reflectance) * random_fraction(rng)
         smooth = surface(name, reflectance, transmittance, *CUTICLES[rng.integers(len(CUTICLES))])
-        relief = rng.normal(size=(4, 4)).astype(np.float32) if rng.uniform() < 0.3 else None
+        relief = rng.normal(size=(1, 4, 4)).astype(np.float32) if rng.uniform() < 0.3 else None
         surfaces[name] = replace(smooth, relief_mm=relief)
 
     sky = None

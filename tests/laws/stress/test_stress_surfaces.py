@@ -86,8 +86,15 @@ def test_rejects_invalid_spectra(field, bad):
         ("roughness", (np.nan, 0.3), "roughness"),
         ("roughness", (0.3, -0.1), "roughness"),
         ("roughness", (np.inf, 0.3), "roughness"),
-        ("pattern", np.array([[0.0, np.nan]], np.float32), "pattern"),
-        ("relief_mm", np.array([[0.0, np.inf]], np.float32), "relief"),
+        ("pattern", np.array([[[0.0, np.nan]]], np.float32), "pattern"),
+        ("relief_mm", np.array([[[0.0, np.inf]]], np.float32), "relief"),
+        ("relief_mm", np.array([[0.0, 1.0]], np.float32), "relief_mm must be a stack"),
+        ("residue_pattern", np.array([[[0.0, -0.1]]], np.float32), "residue_pattern must not be negative"),
+        ("ageing_order", np.array([[[0.0, -0.1]]], np.float32), "ageing_order must not be negative"),
+        ("wide_roughness", (0.3, np.nan), "roughness"),
+        ("wide_share", 1.1, "wide_share"),
+        ("residue_reflectance", np.nan, "residue_reflectance"),
+        ("first_state", -0.5, "first_state must be 0 or -1"),
     ],
 )
 def test_rejects_invalid_surface_parameters(field, bad, message):

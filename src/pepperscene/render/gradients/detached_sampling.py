@@ -33,10 +33,13 @@ class DetachedOptics:
     evaluated: Optics  # state whose values are used
     sampled: Optics | None = None  # state that directions are sampled from; None if none are
 
-    def point(self, si: Any, surface: Any, state: Any, active: Any) -> DetachedPoint:
+    def point(
+        self, si: Any, organ: Any, state: Any, active: Any, footprint: Any | None = 0.0
+    ) -> DetachedPoint:
         """Look up the optical states at surface interactions; see `Optics.point`."""
-        evaluated = self.evaluated.point(si, surface, state, active)
-        sampled = None if self.sampled is None else self.sampled.point(si, surface, state, active)
+        at_hit = si, organ, state, active, footprint
+        evaluated = self.evaluated.point(*at_hit)
+        sampled = None if self.sampled is None else self.sampled.point(*at_hit)
         return DetachedPoint(evaluated, sampled, active)
 
 

@@ -46,8 +46,8 @@ class DiffTables:
     def tables(self, values: Values) -> Tables:
         """The tables by name.
 
-        Spectra `(r, n, 4)`, sides `(k, 2, 4)` and openness `(k, 2, NODES, 2)`; with a flash also flash_optics
-        `(r, c, 4)`, flash_colour `(c,)` and flash `(n,)`; with a direct sun also sun_optics `(r, c, 4)`.
+        Spectra `(r, n, 4)`, and sides and openness as of `Optics`; with a flash also flash_optics `(r, c, 4)`,
+        flash_colour `(c,)` and flash `(n,)`; with a direct sun also sun_optics `(r, c, 4)`.
         """
         result = _join_tables(self._tunable.tables(values))
         if self._sun is not None:

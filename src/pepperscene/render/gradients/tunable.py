@@ -28,7 +28,7 @@ from pepperscene.render.gradients.pigment_models import (
     path_values,
     pigment_model,
 )
-from pepperscene.render.surface.optics import cuticle_tables, spectra_rows
+from pepperscene.render.surface.optics import cuticle_tables, narrowest_alpha, spectra_rows
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar, PigmentPath
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 Parameters = Mapping[str, ArrayLike]
 SurfaceTables = tuple[Array, Array, Array]
-"""Of one surface: `(s, n, 4)` rows of spectra, `(2, 4)` sides and `(2, NODES, 2)` openness."""
+"""Of one surface: `(s, n, 4)` rows of spectra, and sides and openness as of `cuticle_tables`."""
 
 _SCALES: Final[Mapping[str, float]] = {
     "water_cm": 1e-2,
@@ -120,8 +120,12 @@ class Tunable:
         key = tuple((n, values[n].tobytes()) for n in self.defaults if n.rpartition(".")[0] in prefixes)
         if key not in self._cache[i]:
             surface = self._surface(i, values)
-            self._cache[i] = {key: (spectra_rows(surface, self.grid_nm), *cuticle_tables(surface))}
+            self._cache[i] = {key: (spectra_rows(surface, self.grid_nm), *self._cuticle(i, surface))}
         return self._cache[i][key]
+
+    def _cuticle(self, i: int, surface: Surface) -> tuple[Array, Array]:
+        """Tables of a changed surface `i`; slope variances are looked up as in those of the original one."""
+        return cuticle_tables(surface, narrowest_alpha(self.surfaces[i]))
 
     def _surface(self, i: int, values: Values, contents: Mapping[str, Array] | None = None) -> Surface:
         """Surface `i` at parameter values, or with other contents at the model's states."""
@@ -185,7 +189,7 @@ class Tunable:
             changed = values[name].copy()
             changed.flat[entry] += step
             surface = self._surface(i, {**values, name: changed})
-            return spectra_rows(surface, self.grid_nm), *cuticle_tables(surface)
+            return spectra_rows(surface, self.grid_nm), *self._cuticle(i, surface)
 
         at_steps = zip(tables(0.0), tables(float(first[0])), tables(float(second[0])), strict=True)
         return tuple(_parabola_slope(*three, first, second) for three in at_steps)

@@ -11,10 +11,20 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, Motion
 from pepperscene.camera.shutter import RowWindows
-from pepperscene.render.kernel.arrays import WORLD, LocalCoordinates, device_array, device_uint
+from pepperscene.render.kernel.arrays import (
+    WORLD,
+    LocalCoordinates,
+    device_array,
+    device_float,
+    device_uint,
+)
 from pepperscene.render.surface.optics import STEP_NM
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
+
+
+_MIN_FOOTPRINT_COSINE: Final = 0.05
+"""Chosen: surfaces seen at less than 3 degrees count as seen at 3, since curved ones have no such pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +88,7 @@ class CameraRays:
         slopes: `((h + 1) * (w + 1) * 2,)` undistorted (x/z, y/z) at the pixel corners.
         rotation: camera to world, at time 0 if the camera moves.
         origin: projection centre in local coordinates, at time 0.
+        pixel_area: of a pixel at the principal point, at distance 1: the product of its sides' slopes.
         unit_m: of the local coordinates.
         focus_distance: to the plane in focus along the optical axis, local units; None: all is in focus.
         aperture_radius: of the entrance pupil, local units.
@@ -90,6 +101,7 @@ class CameraRays:
     slopes: Any
     rotation: Any
     origin: Any
+    pixel_area: Any
     unit_m: float = 1.0
     focus_distance: Any = None
     aperture_radius: Any = None
@@ -100,6 +112,14 @@ class CameraRays:
         if self.motion is None:
             return RayPose(self.rotation, self.origin)
         return RayPose(self.rotation, self.origin, self.motion, self.motion.times(row, next_1d()))
+
+    def footprint(self, si: Any) -> Any:
+        """Area that a pixel covers of the surface at first hits, squared local units.
+
+        That of a pixel at the principal point, seen from there; for others and for a pupil it is close.
+        """
+        _, dr = mitsuba_modules()
+        return dr.square(si.t) * self.pixel_area / dr.maximum(dr.abs(si.wi.z), _MIN_FOOTPRINT_COSINE)
 
     def centre_rays(self, column: Any, row: Any, dx: Any, dy: Any) -> tuple[Any, Any]:
         """Origins and unit world directions through points (dx, dy) in [0, 1]^2 of pixels.
@@ -152,8 +172,11 @@ def camera_rays(
     rotation = mi.Matrix3f(np.asarray(camera.pose[:3, :3], np.float32))
     origin = mi.Point3f(*(float(x) for x in coordinates.from_world(camera.pose[:3, 3])))
     dr.make_opaque(rotation, origin)
-    width = device_uint(camera.width)
-    rays = CameraRays(camera.width, camera.height, width, slopes, rotation, origin, coordinates.unit_m)
+    width, matrix = device_uint(camera.width), camera.intrinsics
+    pixel_area = device_float(1.0 / (matrix[0, 0] * matrix[1, 1]))
+    rays = CameraRays(
+        camera.width, camera.height, width, slopes, rotation, origin, pixel_area, coordinates.unit_m
+    )
     if camera.focus_m is None:
         return rays
     focus_distance, aperture_radius = (

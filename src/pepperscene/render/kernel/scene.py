@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pepperscene.geometry import Mesh
 from pepperscene.render.kernel.arrays import WORLD, LocalCoordinates, device_array, local_coordinates
 from pepperscene.render.surface.optics import Optics
+from pepperscene.render.surface.textures import texture_count
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
 
@@ -23,14 +24,20 @@ _SHORTEST_CHORD: Final = 1e-4
 """Chosen: of the sun's disc. Single precision resolves directions to 1e-7, a thousandth of it."""
 
 
-def mitsuba_mesh(mesh: Mesh, bsdf: Any | None = None, coordinates: LocalCoordinates = WORLD) -> Any:
+def mitsuba_mesh(
+    mesh: Mesh,
+    bsdf: Any | None = None,
+    coordinates: LocalCoordinates = WORLD,
+    face_organ: NDArray[np.integer] | None = None,
+) -> Any:
     """Convert a mesh to a Mitsuba shape.
 
     Args:
         mesh: world coordinates, metres.
-        bsdf: for Mitsuba's own integrators; it reads state and surface from mesh attributes. None for our
+        bsdf: for Mitsuba's own integrators; it reads state and organ from mesh attributes. None for our
             integrator, which reads both from a table, and for geometry alone.
         coordinates: of the shape.
+        face_organ: `(f,)` number of each triangle's organ, for the BSDF.
 
     Raises:
         ValueError: normals, surface coordinates or states are not finite.
@@ -51,10 +58,30 @@ def mitsuba_mesh(mesh: Mesh, bsdf: Any | None = None, coordinates: LocalCoordina
     params["vertex_texcoords"] = device_array(mesh.uv)
     params["faces"] = np.ascontiguousarray(mesh.faces, np.uint32).ravel()
     params.update()
-    if bsdf is not None:
+    if bsdf is not None and face_organ is not None:
         shape.add_attribute("vertex_state", 1, np.ascontiguousarray(mesh.state, np.float32))
-        shape.add_attribute("face_surface", 1, np.ascontiguousarray(mesh.face_surface, np.float32))
+        shape.add_attribute("face_organ", 1, np.ascontiguousarray(face_organ, np.float32))
     return shape
+
+
+def organ_table(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
+    """Organs as `Optics` packs them, `(o, 4)`, and `(f,)` the number of each triangle's organ.
+
+    An organ with several surfaces counts once for each. Its `variant` modulo the number of textures t of the
+    surface chooses one of them; if t > 1, the next bit, variant // t modulo 2, mirrors it.
+    """
+    mesh, count = scene.mesh, len(scene.surfaces)
+    pair = mesh.face_instance.astype(np.int64) * count + mesh.face_surface
+    is_used = np.zeros(len(mesh.instances) * count, dtype=bool)
+    is_used[pair] = True
+    instance, surface = np.divmod(np.flatnonzero(is_used), count)
+    values = np.array([(item.variant, item.residue, item.ageing) for item in mesh.instances])[instance]
+    textures = np.array([texture_count(surface) for surface in scene.surfaces])[surface]
+    variant = values[:, 0].astype(np.int64)
+    mirrored = (textures > 1) & (variant // textures % 2 == 1)
+    texture = np.where(mirrored, -1, 1) * (1 + variant % textures)
+    number = np.cumsum(is_used) - 1
+    return np.column_stack([surface, texture, values[:, 1:]]), number[pair].astype(np.uint32)
 
 
 def truth_scene(scene: Scene) -> Any:
@@ -76,7 +103,7 @@ class LightScene:
         shape: the only one in it.
         optics: of its surfaces.
         face_states: `(f * 4,)` pigment states at the three corners of each triangle, and the number of its
-            surface: all that a hit needs of the mesh attributes, in one gather.
+            organ: all that a hit needs of the mesh attributes, in one gather.
     """
 
     scene: Any
@@ -97,16 +124,19 @@ class LightScene:
         si.wi = dr.select(active, si.to_local(-ray.d), -ray.d)
         return si
 
-    def surface_point(self, si: Any, hit: Any, active: Any, optics: Optics | None = None) -> Any:
+    def surface_point(
+        self, si: Any, hit: Any, active: Any, optics: Optics | None = None, footprint: Any | None = 0.0
+    ) -> Any:
         """Look up the optical state at surface interactions of preliminary hits.
 
-        With `optics`, the surfaces are as seen by a sensor's channels, else with their spectra.
+        With `optics`, the surfaces are as seen by a sensor's channels, else with their spectra; `footprint`
+        as of `Optics.point`.
         """
         mi, dr = mitsuba_modules()
         corners = dr.gather(mi.Vector4f, self.face_states, hit.prim_index, active)
         u, v = hit.prim_uv.x, hit.prim_uv.y
         state = corners.x * (1.0 - u - v) + corners.y * u + corners.z * v
-        return (optics or self.optics).point(si, mi.UInt32(corners.w), state, active)
+        return (optics or self.optics).point(si, mi.UInt32(corners.w), state, active, footprint)
 
 
 def light_scene(scene: Scene, first_nm: float, last_nm: float) -> LightScene:
@@ -118,11 +148,12 @@ def light_scene(scene: Scene, first_nm: float, last_nm: float) -> LightScene:
     mi, _ = mitsuba_modules()
     mesh = scene.mesh
     coordinates = local_coordinates(mesh)
-    optics = Optics.pack(scene.surfaces, first_nm, last_nm, coordinates.unit_m)
+    organs, face_organ = organ_table(scene)
+    optics = Optics.pack(scene.surfaces, first_nm, last_nm, coordinates.unit_m, organs)
     shape = mitsuba_mesh(mesh, coordinates=coordinates)
     face_states = np.empty((len(mesh.faces), 4), np.float32)
     face_states[:, :3] = mesh.state[mesh.faces]
-    face_states[:, 3] = mesh.face_surface
+    face_states[:, 3] = face_organ
     kernel_scene = mi.load_dict({"type": "scene", "plants": shape})
     return LightScene(kernel_scene, shape, optics, device_array(face_states))
 

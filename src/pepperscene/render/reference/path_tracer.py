@@ -17,16 +17,19 @@ from numpy.typing import NDArray
 from pepperscene.camera import Camera
 from pepperscene.render.kernel.arrays import LocalCoordinates, device_uint, local_coordinates
 from pepperscene.render.kernel.camera import CameraRays, camera_rays, spectral_response
-from pepperscene.render.kernel.scene import mitsuba_mesh
+from pepperscene.render.kernel.scene import mitsuba_mesh, organ_table
 from pepperscene.render.reference.emitters import SpectralTable, daylight_emitter, flash_emitter
 from pepperscene.render.surface.optics import Optics
-from pepperscene.render.surface.scattering import shading_normals
+from pepperscene.render.surface.scattering import select_point, shading_normals
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
 
 SAMPLERS: Final = ("independent", "stratified", "multijitter", "orthogonal", "ldsampler")
 """Mitsuba's samplers; all but the first round the number of samples up to one that they can spread evenly."""
 
+_DIRECTION_ERROR: Final = 1e-4
+"""Radians: chosen, above what single precision makes of the direction to the camera; one in 1e8 scattered rays
+comes as close to it."""
 _LANES: Final = 1 << 21  # chosen: wavefront of a pass; bounds the memory, and keeps all cores busy
 
 
@@ -34,7 +37,7 @@ _LANES: Final = 1 << 21  # chosen: wavefront of a pass; bounds the memory, and k
 def surface_bsdf() -> Any:
     """Define `Optics` as a Mitsuba BSDF class, once the variant is set.
 
-    The number of the surface is a face attribute, its pigment state a vertex attribute.
+    The number of the organ is a face attribute, its pigment state a vertex attribute.
     """
     mi, dr = mitsuba_modules()
     flags = mi.BSDFFlags
@@ -49,6 +52,7 @@ def surface_bsdf() -> Any:
             self.m_components = [lobe | both for lobe in lobes]
             self.m_flags = self.m_components[0] | self.m_components[1] | self.m_components[2]
             self.optics: Optics
+            self.rays: CameraRays | None = None  # of the camera that first hits are seen by
 
         @classmethod
         def of(cls, optics: Optics) -> Any:
@@ -59,13 +63,26 @@ def surface_bsdf() -> Any:
 
         def _point(self, si: Any, active: Any) -> Any:
             """Interactions with normals turned towards the viewer, and the optical state there."""
-            surface = mi.UInt32(si.shape.eval_attribute_1("face_surface", si, active) + 0.5)
+            organ = mi.UInt32(si.shape.eval_attribute_1("face_organ", si, active) + 0.5)
             state = si.shape.eval_attribute_1("vertex_state", si, active)
             # Mitsuba finds the position in the triangle by normal equations, whose determinant is 0 in single
             # precision for the needle-like triangles of wires; these have one state everywhere.
             state = dr.select(dr.isfinite(state), state, 0.5)
             oriented = shading_normals(si)
-            return oriented, self.optics.point(oriented, surface, state, active)
+            at_hit = oriented, organ, state, active
+            if self.rays is None:
+                return oriented, self.optics.point(*at_hit)
+            # The integrator does not say which hits are first ones: those whose viewer is the camera are.
+            view, to_camera = si.to_world(si.wi), self.rays.origin - si.p
+            distance = dr.norm(to_camera)
+            radius = 0.0 if self.rays.focus_distance is None else self.rays.aperture_radius
+            is_first = dr.norm(dr.cross(view, to_camera)) <= radius + _DIRECTION_ERROR * distance
+            is_first &= dr.dot(view, to_camera) > 0.0
+            first = mi.SurfaceInteraction3f(oriented)
+            first.t = distance
+            seen = self.optics.point(*at_hit, self.rays.footprint(first))
+            scattered = self.optics.point(*at_hit, None)
+            return oriented, select_point(is_first, seen, scattered)
 
         def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
             oriented, point = self._point(si, active)
@@ -98,6 +115,7 @@ class PathScene:
     """A Mitsuba scene with emitters, for all poses of a camera."""
 
     scene: Any  # Mitsuba's
+    bsdf: Any  # of all surfaces
     flash: Any  # the camera's emitter, or None
     coordinates: LocalCoordinates  # of the scene
 
@@ -111,9 +129,11 @@ def path_scene(scene: Scene, camera: Camera) -> PathScene:
     mi, _ = mitsuba_modules()
     response = spectral_response(camera, scene)
     grid, coordinates = response.grid_nm, local_coordinates(scene.mesh)
-    optics = Optics.pack(scene.surfaces, float(grid[0]), float(grid[-1]), coordinates.unit_m)
+    organs, face_organ = organ_table(scene)
+    optics = Optics.pack(scene.surfaces, float(grid[0]), float(grid[-1]), coordinates.unit_m, organs)
     bsdf = surface_bsdf().of(optics)
-    parts: dict[str, Any] = {"type": "scene", "plants": mitsuba_mesh(scene.mesh, bsdf, coordinates)}
+    mesh = mitsuba_mesh(scene.mesh, bsdf, coordinates, face_organ)
+    parts: dict[str, Any] = {"type": "scene", "plants": mesh}
     if camera.flash is not None:
         intensity = SpectralTable(grid, response.flash)
         parts["flash"] = flash_emitter().of(camera.flash, camera_rays(camera, coordinates), intensity)
@@ -123,7 +143,7 @@ def path_scene(scene: Scene, camera: Camera) -> PathScene:
         diagonal = float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0)))
         reach = 2.0 * diagonal / coordinates.unit_m + 1.0
         parts["daylight"] = daylight_emitter().of(scene.sky, grid, weight, reach)
-    return PathScene(mi.load_dict(parts), parts.get("flash"), coordinates)
+    return PathScene(mi.load_dict(parts), bsdf, parts.get("flash"), coordinates)
 
 
 def path_traced(
@@ -159,6 +179,7 @@ def path_traced(
     response = spectral_response(camera, scene)
     kernel_scene = kernel_scene or path_scene(scene, camera)
     rays = camera_rays(camera, kernel_scene.coordinates)
+    kernel_scene.bsdf.rays = rays
     if camera.flash is not None:
         kernel_scene.flash.move_to(camera.flash, rays, SpectralTable(response.grid_nm, response.flash))
 

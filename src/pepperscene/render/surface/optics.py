@@ -21,9 +21,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.materials import Surface
-from pepperscene.materials.gloss import TABLE_SIZE, cuticle_transmittance
+from pepperscene.materials.gloss import (
+    BLUR_NODES,
+    LARGEST_BLUR,
+    TABLE_SIZE,
+    blur_nodes,
+    blurred_transmittances,
+)
+from pepperscene.materials.surface import AGEING_RANGE
 from pepperscene.render.kernel.arrays import device_array, device_float, device_uint
-from pepperscene.render.surface.scattering import SurfacePoint, interpolate_openness
+from pepperscene.render.surface.microfacets import GlossLobes
+from pepperscene.render.surface.scattering import SideOpenness, SurfacePoint
+from pepperscene.render.surface.textures import TextureSample, TextureTables
 from pepperscene.render.variant import mitsuba_modules
 
 STEP_NM: Final = 1.0
@@ -34,71 +43,82 @@ MIN_ALPHA: Final = 1e-3
 """Chosen: smoother cuticles are packed with this roughness, a mirror for every lens and safe in single
 precision."""
 
+_MOST_COVER: Final = 0.95
+"""Largest cover with residue, as `Surface` describes."""
+
 
 @dataclass(frozen=True, eq=False)
 class Optics:
-    """All surfaces of a scene, in the order of the mesh's `surfaces`.
+    """All surfaces of a scene, in the order of the mesh's `surfaces`, and the organs that have them.
 
     Attributes:
         first_nm: wavelength of the first column of `spectra`.
         columns: wavelengths per row, `STEP_NM` apart.
         spectra: `(rows * columns * 4,)` reflectance of front and back, transmittance, 0.
-        first_row: `(k,)` row of a surface's first state.
-        last_state: `(k,)` number of its states minus 1.
-        sides: `(k * 2 * 4,)` for front and back: the cuticle's GGX alpha, its index of refraction, the
-            cosine-weighted mean of its openness, and the fraction of the body's transmittance that leaves on
-            the other side (the rest is sent back).
-        openness: `(k * 2 * NODES * 2,)` for front and back: the cuticle's openness 1 - E at the nodes,
-            relative to its mean, and the difference to the next node.
-        details: `(texels * 2,)` offset of the state, and relief in local units.
-        first_texel, width, height: `(k,)` the part of `details` that belongs to a surface.
+        organs: `(o * 4,)` number of an organ's surface; 1 plus that of its texture, negative if mirrored in
+            u; residue; ageing.
+        bodies: `(k * 4,)` row of a surface's first state, number of its states minus 1, rate of ageing
+            (0 for a surface that does not age), reflectance of residue.
+        blurs: `(k * 2,)` 1 over the square of the narrowest lobe's roughness, and tables per logarithm: see
+            `pepperscene.materials.gloss.blur_nodes`.
+        sides: `(k * 2 * 4,)` for front and back: the cuticle's GGX alphas, share of the second, and index.
+        openness: `(k * 2 * (BLUR_NODES - 1) * (NODES + 1) * 4,)` for front and back, from each slope variance
+            of a filtered relief to the next: the cuticle's openness 1 - E at the nodes and the difference to
+            the next node, for the smaller variance and for the larger. After the last node come the means.
+        textures: over uv.
         channels: number of sensor channels that `spectra` holds colours for; None if it holds spectra.
     """
 
     first_nm: Any
     columns: Any
     spectra: Any
-    first_row: Any
-    last_state: Any
+    organs: Any
+    bodies: Any
+    blurs: Any
     sides: Any
     openness: Any
-    details: Any
-    first_texel: Any
-    width: Any
-    height: Any
+    textures: TextureTables
     channels: int | None = None
 
     @classmethod
     def pack(
-        cls, surfaces: Sequence[Surface], first_nm: float, last_nm: float, unit_m: float = 1.0
+        cls,
+        surfaces: Sequence[Surface],
+        first_nm: float,
+        last_nm: float,
+        unit_m: float = 1.0,
+        organs: NDArray[np.float64] | None = None,
     ) -> Optics:
         """Pack surfaces on a wavelength grid over [first_nm, last_nm], and reliefs in local units.
 
-        Spectra are constant beyond their ends.
+        Spectra are constant beyond their ends. `organs` are `(o, 4)` as in the attributes; None for one
+        without residue and ageing for each surface, with its first texture.
 
         Raises:
-            ValueError: there are no surfaces, or a pattern and a relief differ in size.
+            ValueError: there are no surfaces, or textures of one differ in size.
         """
         if not surfaces:
             raise ValueError("the scene has no surfaces: assemble it with them to render colour")
+        if organs is None:
+            organs = np.array([(k, 1.0, 0.0, 0.0) for k in range(len(surfaces))])
         grid = np.arange(first_nm, last_nm + STEP_NM, STEP_NM)
         blocks = [spectra_rows(surface, grid) for surface in surfaces]
-        details = [_details(surface, unit_m) for surface in surfaces]
         states = np.array([len(block) for block in blocks])
-        texels = np.array([detail.shape[0] * detail.shape[1] for detail in details])
+        ageing = [_ageing_rate(surface) for surface in surfaces]
+        residue = [surface.residue_reflectance for surface in surfaces]
+        narrowest = np.array([narrowest_alpha(surface) for surface in surfaces])
+        per_log = (BLUR_NODES - 1) / np.log1p(LARGEST_BLUR / narrowest**2)
         sides, openness = zip(*(cuticle_tables(surface) for surface in surfaces), strict=True)
         return cls(
             first_nm=device_float(first_nm),
             columns=device_uint(grid.size),
             spectra=device_array(np.concatenate(blocks)),
-            first_row=device_array(_block_starts(states), np.uint32),
-            last_state=device_array(states - 1),
+            organs=device_array(organs),
+            bodies=device_array(np.column_stack([np.cumsum(states) - states, states - 1, ageing, residue])),
+            blurs=device_array(np.column_stack([narrowest**-2.0, per_log])),
             sides=device_array(np.stack(sides)),
             openness=device_array(np.stack(openness)),
-            details=device_array(np.concatenate([detail.ravel() for detail in details])),
-            first_texel=device_array(_block_starts(texels), np.uint32),
-            width=device_array([detail.shape[1] for detail in details], np.uint32),
-            height=device_array([detail.shape[0] for detail in details], np.uint32),
+            textures=TextureTables.pack(surfaces, unit_m),
         )
 
     def by_channel(self, weights: NDArray[np.float64]) -> Optics:
@@ -113,79 +133,104 @@ class Optics:
         colours = np.einsum("rls,lc->rcs", spectra.astype(np.float64), fractions)
         return replace(self, spectra=device_array(colours), channels=weights.shape[1])
 
-    def point(self, si: Any, surface: Any, state: Any, active: Any) -> SurfacePoint:
+    def point(
+        self, si: Any, organ: Any, state: Any, active: Any, footprint: Any | None = 0.0
+    ) -> SurfacePoint:
         """Look up the optical state at surface interactions.
 
         Args:
             si: with shading frame, uv and its partial derivatives.
-            surface: number of the surface.
-            state: pigment state in [0, 1], before the pattern.
+            organ: number of the organ.
+            state: pigment state in [0, 1] of healthy tissue, before the pattern.
             active: mask.
+            footprint: area that a pixel covers there, squared local units; None for hits that no camera ray
+                found. See `TextureTables.look_up`.
         """
         mi, dr = mitsuba_modules()
-        offset, slope_u, slope_v = self._texture(si.uv, surface, active)
-        front, back, through = self._body(si.wavelengths, surface, dr.clip(state + offset, 0.0, 1.0), active)
-        frame = _relief_frame(si, slope_u, slope_v)
-        wi = frame.to_local(si.wi)
-        # The relief must not turn the visible side of the sheet away from the viewer.
-        keep = wi.z * si.wi.z > 0.0
-        frame = dr.select(keep, frame, mi.Frame3f(mi.Normal3f(0.0, 0.0, 1.0)))
-        wi = dr.select(keep, wi, si.wi)
+        values = dr.gather(mi.Vector4f, self.organs, organ, active)
+        surface, texture = mi.UInt32(values.x), mi.UInt32(dr.maximum(dr.abs(values.y) - 1.0, 0.0))
+        texel = self.textures.look_up(si, surface, texture, values.y < 0.0, footprint, active)
+        frame, blur = mi.Frame3f(mi.Normal3f(0.0, 0.0, 1.0)), mi.Float(0.0)
+        relief, blur = _relief(si, texel)
+        wi = si.wi
+        if footprint is not None:
+            wi = relief.to_local(si.wi)
+            # The relief must not turn the visible side of the sheet away from the viewer.
+            keep = wi.z * si.wi.z > 0.0
+            frame = dr.select(keep, relief, frame)
+            wi = dr.select(keep, wi, si.wi)
         in_front = wi.z > 0.0
-        wi.z = dr.abs(wi.z)
-        # The cuticle on the viewer's side, and the start of both sides' tables.
+        wi = mi.Vector3f(wi.x, wi.y, dr.abs(wi.z))
+
+        # The cuticle on the viewer's side, and how open both sides are.
         side = surface * 2 + dr.select(in_front, mi.UInt32(0), mi.UInt32(1))
         cuticle = dr.gather(mi.Vector4f, self.sides, side, active)
-        near_table = dr.select(active, side * TABLE_SIZE, 0)
-        far_table = dr.select(active, (side ^ 1) * TABLE_SIZE, 0)
-        openness = interpolate_openness(self.openness, near_table, wi.z)
-        leaving = through * cuticle.w
+        gloss = GlossLobes(cuticle.w, dr.square(cuticle.x) + blur, dr.square(cuticle.y) + blur, cuticle.z)
+        cover = dr.clip(values.z * texel.residue, 0.0, _MOST_COVER)
+        table, weight = self._blurred_table(surface, blur, active)
+        length = (BLUR_NODES - 1) * (TABLE_SIZE + 1)
+        near, far = (
+            SideOpenness.of(
+                self.openness,
+                dr.select(active, number * length + table, 0),
+                weight,
+                dr.select(is_front, cover, 0.0),
+            )
+            for number, is_front in ((side, in_front), (side ^ 1, ~in_front))
+        )
+        leaving = dr.minimum(1.0, far.mean / near.mean)
+
+        # The body under residue. On a relief, light beyond the horizon meets it again.
+        body = dr.gather(mi.Vector4f, self.bodies, surface, active)
+        aged = dr.clip(values.w - texel.ageing, 0.0, 1.0) * body.z
+        healthy = dr.clip(state + texel.state, 0.0, 1.0)
+        front, back, through = self._body(
+            si.wavelengths, body, healthy - dr.minimum(aged, 1.0) * (1.0 + healthy), active
+        )
+        beneath = through * through * body.w / dr.maximum(1.0 - body.w * front, 1e-6)
+        back += cover * beneath
+        front += cover * (body.w - front)
+        through *= 1.0 - cover
+        total = dr.select(in_front, front, back) + through
+        transmitted = through * leaving
+        if footprint is not None:
+            lost = 0.5 * (1.0 - frame.n.z)
+            again = dr.rcp(1.0 - lost * total)
+            again_behind = dr.rcp(1.0 - lost * (dr.select(in_front, back, front) + through))
+            total, transmitted = total * again, transmitted * dr.minimum(again, again_behind)
         return SurfacePoint(
             frame=frame,
             wi=wi,
             flip=dr.select(in_front, mi.Float(1.0), mi.Float(-1.0)),
-            reflectance=dr.select(in_front, front, back) + (through - leaving),
-            transmittance=leaving,
-            ior=cuticle.y,
-            gloss=mi.MicrofacetDistribution(mi.MicrofacetType.GGX, cuticle.x, True),
-            entering=openness * cuticle.z,
+            reflectance=total - transmitted,
+            transmittance=transmitted,
+            gloss=gloss,
+            entering=near.at(self.openness, wi.z),
             openness=self.openness,
-            near_table=near_table,
-            far_table=far_table,
+            near=near,
+            far=far,
         )
 
-    def _texture(self, uv: Any, surface: Any, active: Any) -> Any:
-        """State offset, and slopes of the relief along u and v in local units, bilinear in the texels."""
+    def _blurred_table(self, surface: Any, blur: Any, active: Any) -> tuple[Any, Any]:
+        """First entry of the tables around a slope variance in those of one side, and its weight there."""
         mi, dr = mitsuba_modules()
-        width = dr.gather(mi.UInt32, self.width, surface, active)
-        height = dr.gather(mi.UInt32, self.height, surface, active)
-        first = dr.gather(mi.UInt32, self.first_texel, surface, active)
-        x = uv.x * mi.Float(width) - 0.5
-        y = uv.y * mi.Float(height) - 0.5
-        left, top = dr.floor(x), dr.floor(y)
-        fx, fy = x - left, y - top
+        scale = dr.gather(mi.Point2f, self.blurs, surface, active)
+        position = dr.log(dr.fma(blur, scale.x, 1.0)) * scale.y
+        # Written like this, the NaN of an inactive lane becomes 0.
+        position = dr.select(position > 0.0, dr.minimum(position, BLUR_NODES - 1.0), 0.0)
+        row = dr.minimum(dr.floor(position), BLUR_NODES - 2.0)
+        return mi.UInt32(row) * (TABLE_SIZE + 1), position - row
 
-        def texel(dx: int, dy: int) -> Any:
-            # Tubes and fruit are periodic in u; on a leaf this affects half a texel at the margin.
-            wrapped = left + dx
-            wrapped = dr.select(wrapped < 0.0, wrapped + mi.Float(width), wrapped)
-            column = mi.UInt32(dr.select(wrapped < mi.Float(width), wrapped, wrapped - mi.Float(width)))
-            row = mi.UInt32(dr.clip(top + dy, 0.0, mi.Float(height) - 1.0))
-            return dr.gather(mi.Point2f, self.details, first + row * width + column, active)
+    def _body(self, wavelengths: Any, body: Any, state: Any, active: Any) -> Any:
+        """Front and back reflectance and transmittance, at each wavelength or in each channel.
 
-        a, b, c, d = texel(0, 0), texel(1, 0), texel(0, 1), texel(1, 1)
-        offset = dr.lerp(dr.lerp(a.x, b.x, fx), dr.lerp(c.x, d.x, fx), fy)
-        slope_u = dr.lerp(b.y - a.y, d.y - c.y, fy) * mi.Float(width)
-        slope_v = dr.lerp(c.y - a.y, d.y - b.y, fx) * mi.Float(height)
-        return offset, slope_u, slope_v
-
-    def _body(self, wavelengths: Any, surface: Any, state: Any, active: Any) -> Any:
-        """Front and back reflectance and transmittance, at each wavelength or in each channel."""
+        `body` is the surface's entry of `bodies`, and `state` in [-1, 1] if it ages, else in [0, 1].
+        """
         mi, dr = mitsuba_modules()
-        last_state = dr.gather(mi.Float, self.last_state, surface, active)
-        position = state * last_state
+        last_state = body.y
+        position = dr.select(body.z > 0.0, 0.5 * (state + 1.0), state) * last_state
         low = dr.floor(position)
-        row = dr.gather(mi.UInt32, self.first_row, surface, active) + mi.UInt32(low)
+        row = mi.UInt32(body.x) + mi.UInt32(low)
         next_row = mi.UInt32(dr.minimum(low + 1.0, last_state) - low)
         columns: Any = range(self.channels or 0)
         spectrum, row_length = (mi.Color3f if self.channels == 3 else mi.Color1f), self.channels
@@ -206,20 +251,27 @@ class Optics:
         return front, back, through
 
 
-def _relief_frame(si: Any, slope_u: Any, slope_v: Any) -> Any:
-    """The shading frame on the relief, in local coordinates of the smooth one (Blinn 1978)."""
+def _relief(si: Any, texel: TextureSample) -> tuple[Any, Any]:
+    """The shading frame on the relief, in local coordinates of the smooth one (Blinn 1978), and its blur.
+
+    The blur is twice the slope variance per axis that was filtered out.
+    """
     mi, dr = mitsuba_modules()
     along_u = si.to_local(si.dp_du)
     along_v = si.to_local(si.dp_dv)
-    # Gradient g of the height in the tangent plane: g . dp_du = slope_u, g . dp_dv = slope_v.
+    # Gradients of u and v in the tangent plane: that of u has the products 1 with dp_du and 0 with dp_dv.
     det = along_u.x * along_v.y - along_u.y * along_v.x
     safe = dr.abs(det) > 1e-12
     scale = dr.select(safe, dr.rcp(dr.select(safe, det, 1.0)), 0.0)
-    gx = (slope_u * along_v.y - slope_v * along_u.y) * scale
-    gy = (slope_v * along_u.x - slope_u * along_v.x) * scale
+    u_x, u_y = along_v.y * scale, -along_v.x * scale
+    v_x, v_y = -along_u.y * scale, along_u.x * scale
+    gx = texel.slope_u * u_x + texel.slope_v * v_x
+    gy = texel.slope_u * u_y + texel.slope_v * v_y
     # Chosen: no relief steeper than 45 degrees.
     limit = dr.minimum(1.0, dr.rsqrt(dr.maximum(gx * gx + gy * gy, 1e-12)))
-    return mi.Frame3f(dr.normalize(mi.Normal3f(-gx * limit, -gy * limit, 1.0)))
+    frame = mi.Frame3f(dr.normalize(mi.Normal3f(-gx * limit, -gy * limit, 1.0)))
+    blur = texel.variance_u * (u_x * u_x + u_y * u_y) + texel.variance_v * (v_x * v_x + v_y * v_y)
+    return frame, dr.clip(blur, 0.0, LARGEST_BLUR)
 
 
 def spectra_rows(surface: Surface, grid_nm: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -233,33 +285,45 @@ def spectra_rows(surface: Surface, grid_nm: NDArray[np.float64]) -> NDArray[np.f
     return np.stack([front, back, through, np.zeros_like(front)], axis=-1)
 
 
-def cuticle_tables(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """`(2, 4)` constants of a surface's two sides and `(2, NODES, 2)` tables of their openness."""
+def cuticle_tables(
+    surface: Surface, narrowest: float | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Constants `(2, 4)` of a surface's two sides, and `(2, BLUR_NODES - 1, NODES + 1, 4)` tables of openness.
+
+    `narrowest` replaces `narrowest_alpha(surface)`, for a surface that differs from the packed one.
+    """
     ior = max(float(surface.ior), 1.0)
-    alphas = [max(float(alpha), MIN_ALPHA) for alpha in surface.roughness]
-    tables, means = zip(*(cuticle_transmittance(ior, alpha) for alpha in alphas), strict=True)
-    smallest = min(means)
-    sides = np.array([(alpha, ior, mean, smallest / mean) for alpha, mean in zip(alphas, means, strict=True)])
-    relative = np.stack([table / mean for table, mean in zip(tables, means, strict=True)])
-    steps = np.diff(relative, axis=1, append=relative[:, -1:])
-    packed = np.stack([relative, steps], axis=-1)
-    assert packed.shape == (2, TABLE_SIZE, 2)
-    return sides, packed
+    has_relief = surface.relief_mm is not None
+    blurs = blur_nodes(narrowest or narrowest_alpha(surface)) if has_relief else np.zeros(1)
+    sides, openness = np.zeros((2, 4)), np.zeros((2, BLUR_NODES - 1, TABLE_SIZE + 1, 4))
+    for side, (alpha, wide, share) in enumerate(_lobes(surface)):
+        sides[side] = alpha, wide, share, ior
+        tables, means = blurred_transmittances(ior, (alpha, wide), share, blurs)
+        if not has_relief:
+            tables, means = np.repeat(tables, BLUR_NODES, axis=0), np.repeat(means, BLUR_NODES)
+        steps = np.diff(tables, axis=1, append=tables[:, -1:])
+        entries = np.zeros((BLUR_NODES, TABLE_SIZE + 1, 2))
+        entries[:, :-1] = np.stack([tables, steps], axis=-1)
+        entries[:, -1, 0] = means
+        openness[side] = np.concatenate([entries[:-1], entries[1:]], axis=-1)
+    return sides, openness
 
 
-def _details(surface: Surface, unit_m: float) -> NDArray[np.float32]:
-    """`(h, w, 2)` pattern and relief of a surface; one zero texel if it has neither."""
-    sizes = [image.shape for image in (surface.pattern, surface.relief_mm) if image is not None]
-    if len(set(sizes)) > 1:
-        raise ValueError(f"{surface.name}: pattern and relief differ in size: {sizes}")
-    packed = np.zeros((*(sizes[0] if sizes else (1, 1)), 2), np.float32)
-    if surface.pattern is not None:
-        packed[..., 0] = surface.pattern
-    if surface.relief_mm is not None:
-        packed[..., 1] = surface.relief_mm * (1e-3 / unit_m)
-    return packed
+def narrowest_alpha(surface: Surface) -> float:
+    """The smallest roughness of a surface's lobes, as packed."""
+    return min(alpha for lobes in _lobes(surface) for alpha in lobes[:2])
 
 
-def _block_starts(counts: NDArray[np.int_]) -> NDArray[np.uint32]:
-    """Start of each block when blocks of these lengths follow one another."""
-    return (np.cumsum(counts) - counts).astype(np.uint32)
+def _lobes(surface: Surface) -> list[tuple[float, float, float]]:
+    """Roughness of the two lobes of front and back, as packed, and share of the second; 0 without it."""
+    wide = surface.wide_roughness
+    share = 0.0 if wide is None else float(surface.wide_share)
+    pairs = zip(surface.roughness, surface.roughness if wide is None else wide, strict=True)
+    return [(max(float(a), MIN_ALPHA), max(float(b), MIN_ALPHA), share) for a, b in pairs]
+
+
+def _ageing_rate(surface: Surface) -> float:
+    """What fraction of its tissue ages for each unit of ageing; 0 for a surface that does not age."""
+    if surface.first_state == 0.0:
+        return 0.0
+    return 1.0 if surface.ageing_order is None else 1.0 / AGEING_RANGE

@@ -179,13 +179,14 @@ def total_light(tables: FrameTables, samples: Samples, bounces: int) -> list[Any
 def _direct(tables: FrameTables, samples: Samples, active: Any, si: Any, hit: Any) -> list[Any]:
     """Flash, sky and sun, albedo, normal, hit, and the sum of squares of the light: 3 c + 5 values."""
     mi, dr = mitsuba_modules()
-    point = tables.scene.surface_point(si, hit, active, tables.flash_optics)
+    footprint = tables.rays.footprint(si)
+    point = tables.scene.surface_point(si, hit, active, tables.flash_optics, footprint)
     flash = samples.flash_light(si, point, active, tables.colours)
     sky_and_sun = point.reflectance * 0.0 + samples.sky_radiance(
         samples.ray.d, ~active, tables.colours, with_sun=True
     )
     if tables.sun_optics is not None:
-        sunlit_point = tables.scene.surface_point(si, hit, active, tables.sun_optics)
+        sunlit_point = tables.scene.surface_point(si, hit, active, tables.sun_optics, footprint)
         sky_and_sun += samples.sun_light(si, sunlit_point, active, tables.colours)
     albedo = dr.select(active, point.albedo(), 0.0)
     normal = dr.select(active, dr.select(si.wi.z > 0, si.sh_frame.n, -si.sh_frame.n), 0.0)
@@ -202,7 +203,7 @@ def _indirect(
     lights = wavelengths.spectra
     si = mi.SurfaceInteraction3f(si)
     si.wavelengths = wavelengths.nm
-    point = tables.scene.surface_point(si, hit, active)
+    point = tables.scene.surface_point(si, hit, active, footprint=tables.rays.footprint(si))
     light = mi.Spectrum(0.0)
     if tables.sun_optics is None:
         light += samples.sun_light(si, point, active, lights)
@@ -228,7 +229,8 @@ def _indirect(
             break
         ray.wavelengths = wavelengths.nm
         is_hit, si, hit = _intersect(tables.scene, ray, active)
-        point = tables.scene.surface_point(si, hit, active & is_hit)
+        # No texel can be seen in scattered light, and a relief has its mean.
+        point = tables.scene.surface_point(si, hit, active & is_hit, footprint=None)
         light += throughput * samples.sky_radiance(ray.d, active & ~is_hit, lights, with_sun=False)
         active &= is_hit
         light += throughput * samples.flash_and_sun_light(si, point, active, lights)
