@@ -175,7 +175,7 @@ def test_peduncle_has_a_collar_with_a_furrow_above_it():
 
 
 def test_scar_is_slanted_and_its_face_dries():
-    """The face is pith in the middle, state 1/3, and green at its rim, 2/3; it dries towards 0. The side is bark."""
+    """The face is pith in the middle, state 1/3, and green at its rim, 2/3; it dries towards 0."""
     curve, middles = np.array([[0.0, 0, 0], [0.0, 0.0, 0.005]]), []
     for seed in np.linspace(0.02, 0.98, 25):
         mesh = tube("cut", curve, radius_m=0.004, seed=seed)

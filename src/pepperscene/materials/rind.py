@@ -27,9 +27,9 @@ SCATTERING_PER_CM: Final = 10.0
 Ying 2017, J. Food Meas. Charact., doi 10.1007/s11694-017-9465-x). Assumed equal for stems."""
 WATER_FRACTION: Final = 0.9
 """Of the flesh's volume: chosen, sweet pepper is 92 to 94 % water by weight and contains some air."""
-CORK_REFLECTANCE: Final = 0.38
-"""Of the cork of russet, scars and scratches and of dried spray on fruit, at all wavelengths: chosen, between dry
-bark chips (0.2 to 0.4 in the visible; Vrhel et al. 1994) and the residue on leaves."""
+CORK_REFLECTANCE: Final = 0.3
+"""Of the cork of russet, scars and scratches and of dried spray on fruit, at all wavelengths: chosen, between
+dry bark chips (0.2 to 0.4 in the visible; Vrhel et al. 1994) and the residue on leaves."""
 PITH: Final = {
     "structure_n": 1.2, "chlorophyll_ug_cm2": 1.2, "carotenoid_ug_cm2": 0.5, "water_cm": 0.02,
     "dry_matter_g_cm2": 0.004,
@@ -116,8 +116,8 @@ def fruit_surface(
 ) -> Surface:
     """Fruit that ripens in patches, in addition to the ripeness that the mesh gives each of its points.
 
-    Its skin is slightly wavy. Cork (russet around the calyx, the scar of the style, healed scratches) and dried
-    spray are its residue.
+    Its skin is slightly wavy. Cork (russet around the calyx, the scar of the style, healed scratches) and
+    dried spray are its residue.
 
     Args:
         name: of the surface.
@@ -159,12 +159,12 @@ def green_surface(
 
 
 def cut_surface(stem: PigmentPath, wavelength_nm: FloatArray, rng: np.random.Generator) -> Surface:
-    """Scar where a fruit was cut off: from dried pith (state 0) over fresh pith and a green ring to bark (state 1).
+    """Scar where a fruit was cut off: dried pith (state 0), fresh pith, a green ring, bark (state 1).
 
-    A MODEL: no measured spectrum of such a scar was found. Dried pith is measured straw and bark chip in equal
-    parts, bark is measured bark and this cultivar's darkest stem in equal parts (Vrhel et al. 1994; parts
-    chosen). Fresh pith is the stem's parenchyma with the little pigment of `PITH`, and the ring the stem's
-    darkest green, one third and two thirds of the way from the dried pith.
+    A MODEL: no measured spectrum of such a scar was found. Dried pith is measured straw and bark chip in
+    equal parts, bark is measured bark and this cultivar's darkest stem in equal parts (Vrhel et al. 1994;
+    parts chosen). Fresh pith is the stem's parenchyma with the little pigment of `PITH`, and the ring the
+    stem's darkest green, one third and two thirds of the way from the dried pith.
     """
     straw = _dry_material("straw_from_broom_154", "woodstrw").at(wavelength_nm)
     chip = _dry_material("bark_chip_iii_129", "innrbark").at(wavelength_nm)

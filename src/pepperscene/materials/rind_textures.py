@@ -1,7 +1,7 @@
 """Textures of rinds over uv: variation of pigment, height and cork of fruit, stems, stalks and calyces.
 
-Every surface has several textures, which `Instance.variant` chooses from. Fields of chance are drawn for all of
-them together and made uncorrelated, so that no two fruit show the same patches.
+Every surface has several textures, which `Instance.variant` chooses from. Their random fields are drawn
+together and made uncorrelated, so that no two fruit show the same patches.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ SPECKLE: Final = 0.012  # and in fine speckle
 PATCH_MM: Final = (25.0, 50.0)  # shortest and longest wavelength of the patches
 SPECKLE_MM: Final = (3.0, 6.0)
 WAVINESS_MM: Final = 0.035
-"""Standard deviation of the height of a fruit's skin at the wavelengths `WAVE_MM`: chosen, in the middle of 20 to
-50 micrometres, which make the edges of highlights uneven by some degrees."""
+"""Standard deviation of the height of a fruit's skin at the wavelengths `WAVE_MM`: chosen, in the middle of
+20 to 50 micrometres, which make the edges of highlights uneven by some degrees."""
 WAVE_MM: Final = (3.0, 8.0)
 BODY_EXPONENT: Final = 2.6
-"""Of the superellipse that stands for a fruit's profile in its textures: chosen, between a round and a blocky one."""
+"""Of the superellipse that stands for a fruit's profile: chosen, between a round and a blocky one."""
 RUSSET_MM: Final = (1.0, 5.0)  # chosen: width of the corky net beyond the teeth of the calyx
 RUSSET_MESH_MM: Final = (2.0, 3.5)  # wavelengths of the field whose zeros are the lines of the net
 STYLE_SCAR_MM: Final = 2.2  # chosen: radius of the corky scar at the blossom end
@@ -39,7 +39,7 @@ DUST: Final = 0.006  # chosen: cover of the skin outside scars and russet, dried
 SCRATCHES: Final = 1.2  # chosen: mean number of healed scratches of a fruit
 _WAVES: Final = 14  # chosen: enough that no single one shows as a stripe
 _ALL_ROWS: Final = slice(None)
-_COVER: Final = 0.8  # chosen: cover in the middle of a corky line; pigments show through cork
+_COVER: Final = 0.5, 0.8, 0.5  # chosen: of the lines of russet, the scar of the style, and scratches
 
 
 def uncorrelated(fields: FloatArray) -> FloatArray:
@@ -80,16 +80,17 @@ class FruitBody:
     def noise(
         self, rng: np.random.Generator, wavelength_mm: tuple[float, float], rows: slice = _ALL_ROWS
     ) -> FloatArray:
-        """`(FRUIT_TEXTURES, h, w)` smooth noise of mean 0 and variance 1, without seam or distortion at the ends.
+        """`(FRUIT_TEXTURES, h, w)` smooth noise of mean 0 and variance 1, without a seam.
 
-        Plane waves of random direction and of wavelengths in the given range, evaluated on the body (Shinozuka &
-        Deodatis 1991). Amplitudes are in proportion to the wavelength, so that all have the same slope. Outside
-        `rows` the noise is 0, which saves the time to compute it.
+        Plane waves of random direction and of wavelengths in the given range, evaluated on the body
+        (Shinozuka & Deodatis 1991). Amplitudes are in proportion to the wavelength, so that all have the same
+        slope. Outside `rows` the noise is 0, which saves the time to compute it.
         """
         shape = (FRUIT_TEXTURES, _WAVES)
         direction = rng.standard_normal((*shape, 3))
         direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
-        length = np.exp(rng.uniform(*np.log(wavelength_mm), shape))
+        low, high = np.log(wavelength_mm)
+        length = np.exp(rng.uniform(low, high, shape))
         phase = rng.uniform(0.0, 2.0 * np.pi, shape)
         points = self.points_mm[rows].reshape(-1, 3).astype(np.float32)
         wave, sum_of_waves = np.empty((2, len(points)), np.float32)
@@ -137,8 +138,9 @@ def fruit_textures(size_mm: tuple[float, float], calyx_mm: float, rng: np.random
     relief_mm = WAVINESS_MM * body.noise(rng, WAVE_MM)
     # Drops dry in faint blotches: a lognormal field of mean `DUST`.
     cover = DUST * np.exp(0.7 * speckle - 0.5 * 0.7**2)
-    for corky in (_russet(body, calyx_mm, rng), _style_scars(body, rng), _scratches(body, rng)):
-        cover = np.maximum(cover, _COVER * corky)
+    corky = _russet(body, calyx_mm, rng), _style_scars(body, rng), _scratches(body, rng)
+    for most, part in zip(_COVER, corky, strict=True):
+        cover = np.maximum(cover, most * part)
     return FruitTextures(pattern, relief_mm, cover)
 
 
@@ -149,7 +151,7 @@ def _russet(body: FruitBody, calyx_mm: float, rng: np.random.Generator) -> Float
     low, high = RUSSET_MM
     rows = slice(0, int(np.searchsorted(body.wall_mm, rim_mm + 1.3 * high)) + 1)
     reach = np.clip(0.5 * (low + high) + 0.5 * (high - low) * body.noise(rng, PATCH_MM, rows), low, high)
-    lines = np.exp(-((body.noise(rng, RUSSET_MESH_MM, rows) / 0.25) ** 2))
+    lines = np.exp(-((body.noise(rng, RUSSET_MESH_MM, rows) / 0.35) ** 2))
     # Lines thin out towards the edge of the net; below the calyx they cannot be seen.
     beyond = np.maximum(body.wall_mm - rim_mm, 0.0)[None, :, None]
     return lines * np.clip(1.3 - beyond / reach, 0.0, 1.0)

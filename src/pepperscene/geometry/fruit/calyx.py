@@ -27,8 +27,10 @@ _NARROW: Final = 1.3, 0.8  # chosen: exponent of the teeth's outline, and its de
 _LIFT: Final = 0.22  # chosen: of the tips of sepals as long as the radius, over the radius
 _STALK: Final = 0.18  # chosen: radius of a missing stalk over the calyx's; slimmer under long sepals
 _TEETH: Final = {5: 0.45, 6: 0.4, 7: 0.15}  # chosen: number of teeth and its probability
-_VEIN: Final = 0.55  # chosen: height of the vein along the middle of each tooth, over the plate's thickness
-_DRY: Final = 0.45, 0.4  # chosen: relative decrease of the state at a dry rim, in gaps, and in addition at tips
+# Of the vein along the middle of each tooth: height over the plate's thickness, decrease of the state;
+# chosen.
+_VEIN: Final = 0.9, 0.15
+_DRY: Final = 0.6, 0.4  # chosen: relative decrease of the state at a dry rim: everywhere, further at the tips
 # Profile of the plate's upper side: fraction of the way out (to the edge of the disc at 0.5, then along the
 # teeth), height over the fruit in thicknesses, difference of the state. The ring around the stalk is swollen
 # and paler.
@@ -102,8 +104,9 @@ def mesh_calyces(
     swelling = np.minimum(thickness[:, None] * _UPPER[:, 1], np.maximum(0.7 * gap, thickness)[:, None])
     raised = np.concatenate([swelling, np.repeat(-sunk[:, None], len(lower), axis=1)], axis=1)[..., None]
     # Veins run from the swollen ring along the middles of the teeth, and fade towards their tips.
-    vein = np.pad(_VEIN * _UPPER[:, 1] * np.interp(_UPPER[:, 0], [0.2, 0.4, 0.8, 1.0], [0, 1, 1, 0]), (0, len(lower)))
-    raised = raised + (thickness[:, None] * vein)[..., None] * np.exp(-((aside / 0.45) ** 2))[:, None]
+    high = _UPPER[:, 1] * np.interp(_UPPER[:, 0], [0.2, 0.4, 0.8, 1.0], [0.0, 1.0, 1.0, 0.0])
+    vein = np.pad(high, (0, len(lower)))[:, None] * np.exp(-((aside / 0.33) ** 2))[:, None]
+    raised = raised + _VEIN[0] * thickness[:, None, None] * vein
     uneven = 1.0 + 0.6 * _tooth_values(phase, hash_signed(seed, 404, 8))
     tip = _LIFT * (radius * tooth**2)[:, None] * uneven * blade
     along = surface - raised - tip[:, None] * outer**2
@@ -118,9 +121,12 @@ def mesh_calyces(
     last = foot + (sunk + surface[:, -1].mean(axis=1) * (under < 0))[:, None] * axes[:, 2]
     # Teeth are greener than the swollen ring around the stalk, and the rim dries, first at the tips.
     colour = np.concatenate([[-0.12, -0.12], _UPPER[:, 2], 0.0 * lower])
-    state = read_measure(organs, "state_mean", 0.5)[:, None, None] + np.repeat(colour[:, None], angle.shape[1], axis=1)
-    in_gaps, at_tips = _DRY
-    dry = hash_uniform(seed, 406, 1) * (in_gaps + at_tips * blade)
+    state = read_measure(organs, "state_mean", 0.5)[:, None, None] + np.repeat(
+        colour[:, None], angle.shape[1], axis=1
+    )
+    state[:, 2:] -= _VEIN[1] * vein
+    everywhere, at_tips = _DRY
+    dry = (0.4 + 0.6 * hash_uniform(seed, 406, 1)) * (everywhere + at_tips * blade)
     state[:, 2 + len(_UPPER) - 1] *= 1.0 - dry
     state[:, 2 + len(_UPPER)] *= 1.0 - 0.8 * dry
     state = np.pad(state.reshape(n, -1), ((0, 0), (1, 1)), mode="edge")

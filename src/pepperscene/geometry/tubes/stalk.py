@@ -104,17 +104,17 @@ def mesh_peduncles(organs: Sequence[Organ], detail: float) -> MeshBatch:
     return sweep_rings(spine, Rings(_slant_feet(spine, along, up), right, up, v, state), *caps)
 
 
-# Profile of a scar from its foot over the side and the rim into the hollow: height over the length of the curve,
-# radius over the organ's, state of a fresh and of a dry cut, and how much a ring follows the slant and the ragged
-# edge of the cut; chosen from photographs of harvested nodes. The side is bark (state 1), the rim cortex with its
-# green ring (2/3), the middle pale pith (1/3), and all of the face dries to brown (0).
+# Profile of a scar from its foot over the side and the rim into the hollow: height over the length of the
+# curve, radius over the organ's, state of a fresh and of a dry cut, and how much a ring follows the slant and
+# the ragged edge of the cut; chosen from photographs of harvested nodes. The side is bark (state 1), the rim
+# cortex with its green ring (2/3), the middle pale pith (1/3), and all of the face dries to brown (0).
 _CUT: Final = np.array(
     [
         [0.0, 1.1, 1.0, 1.0, 0.0],
         [0.5, 0.95, 1.0, 1.0, 0.3],
         [0.94, 1.0, 0.95, 0.8, 1.0],
         [1.0, 0.93, 0.67, 0.2, 1.0],
-        [0.95, 0.72, 0.45, 0.1, 1.0],
+        [0.95, 0.76, 0.5, 0.1, 1.0],
         [0.85, 0.4, 0.34, 0.05, 0.8],
     ]
 )
@@ -122,7 +122,7 @@ _DRY_CUTS: Final = 2.0  # chosen: exponent of the dryness of cuts; most are week
 
 
 def mesh_cuts(organs: Sequence[Organ], detail: float) -> MeshBatch:
-    """Build scars of harvested fruit: a short stub cut at a slant, a green rim and a pale middle that dry to brown.
+    """Build scars of harvested fruit: a stub cut at a slant, whose green rim and pale middle dry to brown.
 
     Measures: radius_m (of the rim), seed.
     """

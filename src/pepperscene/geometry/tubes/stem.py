@@ -40,8 +40,8 @@ _LUMPS: Final = 0.035  # chosen: depth of the hollows between a node's bulges ov
 _NODE_POINTS: Final = 7  # chosen: enough for a smooth bend of some degrees
 _NODE_STEPS: Final = 24  # chosen: pieces of a node's bent axis, so that its rings are close to the curve
 _CORK: Final = 0.15  # chosen: how much browner the collar of a node is than the rest
-# The corky scar of a leaf or bract that has dropped: fraction of nodes that show one, state of its cork, height
-# of its middle, half its height and half its width in radians; chosen from photographs of stems.
+# The corky scar of a leaf or bract that has dropped: fraction of nodes that show one, state of its cork,
+# height of its middle, half its height and half its width in radians; chosen from photographs of stems.
 _SCARRED: Final = 0.6
 _SCAR_STATE: Final = 0.1
 _SCAR: Final = 0.36, 0.14, 0.55
@@ -98,7 +98,7 @@ def mesh_nodes(organs: Sequence[Organ], detail: float) -> MeshBatch:
 
 
 def _leaf_scars(organs: Sequence[Organ], v: FloatArray, angle: FloatArray) -> FloatArray:
-    """`(n, r, c)` cover with the cork of a leaf scar, an ellipse on one side of the node, 0 on nodes without one."""
+    """`(n, r, c)` cover with the cork of leaf scars: an ellipse on one side of a node, or nothing."""
     draw = hash_uniform(read_measure(organs, "seed", 0.0), 107, 2)
     # On a column of the grid, so that it is as wide on a coarse mesh.
     side = 2.0 * np.pi * np.floor(draw[:, :1] * len(angle)) / len(angle)

@@ -26,8 +26,8 @@ _WAVES_M: Final = np.array([0.13, 0.21, 0.34])  # chosen: their lengths; two or 
 _CLEARANCE_M: Final = 6e-4  # chosen: gap between the twine and organs that grow out of the stem
 _SHIFTS: Final = np.linspace(-np.pi, np.pi, 145)  # chosen: shifts tried to avoid it, 2.5 degrees apart
 TEXTURE_DIAMETERS: Final = 15.0
-"""Length of twine, in its diameters, after which its texture repeats: v runs from 0 to 1 over it again and again.
-Chosen: three turns of strands that are laid with a pitch of five diameters."""
+"""Length of twine, in its diameters, after which its texture repeats: v runs from 0 to 1 over it again and
+again. Chosen: three turns of strands that are laid with a pitch of five diameters."""
 
 
 def twine_mesh(
@@ -58,9 +58,9 @@ def twine_mesh(
         seed: in [0, 1), makes the pitch uneven, differently for each; None keeps it even.
 
     Returns:
-        A closed, round tube of class WIRE and surface "twine", one instance. u runs around, and v along, from 0
-        to 1 in every `TEXTURE_DIAMETERS`; there, points with v = 1 are repeated with v = 0. The strands that the
-        twine is laid of are part of the surface's texture.
+        A closed, round tube of class WIRE and surface "twine", one instance. u runs around, and v along, from
+        0 to 1 in every `TEXTURE_DIAMETERS`; there, points with v = 1 are repeated with v = 0. The strands
+        that the twine is laid of are part of the surface's texture.
 
     Raises:
         ValueError: a radius is not above zero, or the axis has no length.
@@ -221,9 +221,7 @@ def _sweep_twine(line: FloatArray, outward: FloatArray, turn: FloatArray, radius
     normal = normalize(outward - np.einsum("ki,ki->k", outward, tangent)[:, None] * tangent)
     binormal = cross(tangent, normal)
     angle = ring_angles(_SIDES)
-    offset = radius * (
-        np.sin(angle)[:, None] * binormal[:, None] + np.cos(angle)[:, None] * normal[:, None]
-    )
+    offset = radius * (np.sin(angle)[:, None] * binormal[:, None] + np.cos(angle)[:, None] * normal[:, None])
     # Smaller rings and points close the ends.
     line = np.concatenate(
         [line[:1] - 0.35 * radius * tangent[:1], line, line[-1:] + 0.35 * radius * tangent[-1:]]
@@ -233,7 +231,12 @@ def _sweep_twine(line: FloatArray, outward: FloatArray, turn: FloatArray, radius
     ends = line[[0, -1]] + 0.2 * radius * tangent[[0, -1]] * np.array([[-1.0], [1.0]])
     state = np.full((1, len(stations), _SIDES), 0.5)
     batch = skin_rings(
-        (line[:, None] + offset)[None], ends[None], tangent[None], stations / stations[-1], state, (False, False)
+        (line[:, None] + offset)[None],
+        ends[None],
+        tangent[None],
+        stations / stations[-1],
+        state,
+        (False, False),
     )
     ring, v = _repeat_rings(np.pad(stations, 1, mode="edge"), np.pad(np.isin(stations, repeats), 1))
     rows = (1 + (_SIDES + 1) * ring[:, None] + np.arange(_SIDES + 1)).ravel()
