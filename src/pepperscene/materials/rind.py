@@ -28,8 +28,8 @@ Ying 2017, J. Food Meas. Charact., doi 10.1007/s11694-017-9465-x). Assumed equal
 WATER_FRACTION: Final = 0.9
 """Of the flesh's volume: chosen, sweet pepper is 92 to 94 % water by weight and contains some air."""
 CORK_REFLECTANCE: Final = 0.3
-"""Of the cork of russet, scars and scratches and of dried spray on fruit, at all wavelengths: chosen, between
-dry bark chips (0.2 to 0.4 in the visible; Vrhel et al. 1994) and the residue on leaves."""
+"""Of the cork of russet, scars and scratches and of dried spray on fruit, at all wavelengths: chosen, that of
+dry bark chips at 550 to 600 nm (0.25 to 0.32; Vrhel et al. 1994)."""
 PITH: Final = {
     "structure_n": 1.2, "chlorophyll_ug_cm2": 1.2, "carotenoid_ug_cm2": 0.5, "water_cm": 0.02,
     "dry_matter_g_cm2": 0.004,
