@@ -174,18 +174,39 @@ def test_peduncle_has_a_collar_with_a_furrow_above_it():
     assert measured[2] < measured[3]
 
 
-def test_scar_is_slanted_and_corky_inside_its_rim():
-    mesh = tube("cut", np.array([[0.0, 0, 0], [0.0, 0.0, 0.005]]), radius_m=0.004, seed=0.4)
-    face = mesh.uv[:, 1] > 0.55
-    radius = np.linalg.norm(mesh.vertices[face, :2], axis=1)
-    assert np.corrcoef(radius, mesh.state[face])[0, 1] > 0.9
-    assert mesh.state[face].min() < 0.15
-    assert mesh.state[face].max() > 0.7
-    # The middle is deeper than the mean height of the rim, and faces outwards.
-    rim = rings(mesh)[3][:, 2]
-    assert mesh.vertices[-1, 2] < rim.mean() - 0.0005
-    assert mesh.normals[-1, 2] > 0.95
-    assert 1e-5 < np.ptp(rim) < 0.0021
+def test_scar_is_slanted_and_its_face_dries():
+    """The face is pith in the middle, state 1/3, and green at its rim, 2/3; it dries towards 0."""
+    curve, middles = np.array([[0.0, 0, 0], [0.0, 0.0, 0.005]]), []
+    for seed in np.linspace(0.02, 0.98, 25):
+        mesh = tube("cut", curve, radius_m=0.004, seed=seed)
+        face = mesh.uv[:, 1] > 0.55
+        radius = np.linalg.norm(mesh.vertices[face, :2], axis=1)
+        assert np.corrcoef(radius, mesh.state[face])[0, 1] > 0.9
+        assert mesh.state[mesh.uv[:, 1] < 0.15].min() > 0.95
+        assert mesh.state[face].max() < 0.7
+        middles.append(mesh.state[-1])
+        # The middle is deeper than the mean height of the rim, and faces outwards.
+        rim = rings(mesh)[3][:, 2]
+        assert mesh.vertices[-1, 2] < rim.mean() - 0.0005
+        assert mesh.normals[-1, 2] > 0.95
+        assert 1e-5 < np.ptp(rim) < 0.0021
+    assert min(middles) < 0.08
+    assert 0.25 < max(middles) < 0.36
+    assert np.median(middles) < 0.2
+
+
+def test_more_than_half_of_the_nodes_have_a_leaf_scar():
+    """A corky spot below the middle, on one side."""
+    scarred = 0
+    for seed in np.linspace(0.0, 0.99, 60):
+        mesh = tube("node", NODE_AXIS, seed=seed, detail=2.0, state_mean=0.6, state_spread=0.0)
+        low = (mesh.uv[:, 1] > 0.2) & (mesh.uv[:, 1] < 0.5)
+        corky = low & (mesh.state < 0.3)
+        scarred += bool(corky.any())
+        if corky.any():
+            u = 2.0 * np.pi * mesh.uv[corky, 0]
+            assert np.hypot(np.cos(u).mean(), np.sin(u).mean()) > 0.9
+    assert 0.4 < scarred / 60 < 0.8
 
 
 @pytest.fixture(scope="module")

@@ -117,19 +117,24 @@ def test_seed_makes_the_pitch_uneven():
     assert np.abs(angles[1] - angles[3]).max() > 0.1
 
 
-def test_two_plies_turn_about_each_other_once_per_lay():
-    mesh = twine_mesh(STEM[:5], 0.0045, 0.001, 0.0, above_m=0.0, lay_m=0.012)
+def test_surface_coordinates_repeat_every_fifteen_diameters():
+    mesh = twine_mesh(STEM, 0.0045, 0.001, 3.0, above_m=0.3)
     assert merged(mesh).is_watertight
-    ring = mesh.vertices[1:-1].reshape(-1, 9, 3)[1:-1, :-1].astype(float)
-    offset = ring - ring.mean(axis=1, keepdims=True)
-    # A waisted section, whose longer axis turns by half a turn in half a lay.
-    radius = np.linalg.norm(offset, axis=2)
-    assert radius.max() == pytest.approx(0.001, rel=0.01)
-    assert radius.min() < 0.75 * 0.001
-    angle = np.arctan2(offset[..., 0], offset[..., 1])
-    axis = np.angle(np.sum(radius**2 * np.exp(2j * angle), axis=1))
-    slope = np.polyfit(ring[:, :, 2].mean(axis=1), np.unwrap(axis) / 2.0, 1)[0]
-    assert abs(slope) == pytest.approx(2.0 * np.pi / 0.012, rel=0.02)
+    ring = mesh.vertices[1:-1].reshape(-1, 7, 3)[1:-1].astype(float)
+    v = mesh.uv[1:-1, 1].reshape(-1, 7)[1:-1]
+    assert np.ptp(v, axis=1).max() == 0.0
+    middle, v = ring[:, :-1].mean(axis=1), v[:, 0].astype(float)
+    # From v = 1 to 0 the twine does not move; elsewhere v counts its length.
+    step, rise = np.linalg.norm(np.diff(middle, axis=0), axis=1), np.diff(v)
+    jump = rise < -0.5
+    assert step[jump].max() < 1e-6
+    np.testing.assert_allclose(v[:-1][jump], 1.0)
+    np.testing.assert_allclose(v[1:][jump], 0.0)
+    assert jump.sum() == np.ceil(step.sum() / 0.03) - 1
+    # Chords are a little shorter than the curve, and repeats are within a sampling step of it.
+    length = np.concatenate([[0.0], np.cumsum(step)])
+    turn = v + np.concatenate([[0.0], np.cumsum(jump)])
+    np.testing.assert_allclose(0.03 * turn, length, rtol=0.01, atol=3e-4)
 
 
 @pytest.mark.parametrize("turns", [-2.0, 0.0, 3.5])
@@ -170,16 +175,15 @@ def test_twine_follows_a_crooked_stem():
 
 
 @pytest.mark.parametrize(
-    ("axis", "radius", "lay", "message"),
+    ("axis", "radius", "message"),
     [
-        (STEM, 0.0, None, "radius"),
-        (STEM, -0.001, None, "radius"),
-        (STEM, float("nan"), None, "radius"),
-        (STEM, 0.001, 0.0, "plies"),
-        (STEM[:1], 0.001, None, "distinct"),
-        (STEM[:2] * 0.0, 0.001, None, "distinct"),
+        (STEM, 0.0, "radius"),
+        (STEM, -0.001, "radius"),
+        (STEM, float("nan"), "radius"),
+        (STEM[:1], 0.001, "distinct"),
+        (STEM[:2] * 0.0, 0.001, "distinct"),
     ],
 )
-def test_raises_on_wrong_input(axis, radius, lay, message):
+def test_raises_on_wrong_input(axis, radius, message):
     with pytest.raises(ValueError, match=message):
-        twine_mesh(axis, 0.005, radius, 2.0, lay_m=lay)
+        twine_mesh(axis, 0.005, radius, 2.0)

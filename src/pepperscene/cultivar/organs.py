@@ -193,6 +193,7 @@ class Fruit(OrganModel):
     breaker: Fraction = _constant(0.5)
     ripe: Fraction = _constant(1.0)
     ripeness_spread: Fraction = _constant(0.0)  # variation of ripeness within a fruit
+    residue: Fraction = _constant(0.0)  # mean cover of the skin with russet, scars and dried spray
     lobes: Lobes = Number(probabilities={"four": 1.0}, chosen="the usual number of a blocky pepper")
     scan: Path | None = None  # a mesh file to use instead of a generated mesh
     calyx: bool = True  # whether it has one

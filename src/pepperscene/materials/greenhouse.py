@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from pepperscene.materials.patterns import noise_mm
 from pepperscene.materials.surface import Surface
 from pepperscene.spectra import read_spectrum
 from pepperscene.spectra.spectrum import FloatArray
@@ -18,6 +19,16 @@ pigment's band edge is at 400 nm and neither it nor the polymers absorb much bet
 WHITE_FABRIC: Final = ("organ/vrhel_white_fabric_reflectance", "table_cloth_white_163")
 """The white table cloth of Vrhel et al. 1994, measured from 390 to 730 nm; the end values apply beyond, as
 white textiles have a constant reflectance up to 1100 nm and the cloth is already dark in the violet."""
+TWINE_DUST: Final = 0.05
+"""K/S of the dust, algae and wear on twine: chosen, takes its reflectance at 550 nm from 0.79 to 0.68."""
+STRANDS: Final = 3  # chosen: of laid twine
+STRAND_TURNS: Final = 3  # of the strands about each other, over the length of the texture
+STRAND_MM: Final = 0.22
+"""Depth of the furrows between strands: chosen. Round strands would leave 0.9 mm on a twine of 3 mm; fibres
+fill most of it."""
+TWINE_MM: Final = 3.0  # chosen: diameter that the texture is drawn for, as in the shipped recipes
+TWINE_SHAPE: Final = (256, 96)  # rows and columns: 0.2 by 0.1 mm
+TWINE_SEED: Final = 3301  # chosen
 GUTTER_CLEANNESS: Final = 0.92
 """Chosen: dust and salts on a gutter in use absorb some per cent."""
 FILM_SCATTERING: Final = 3.0
@@ -64,9 +75,44 @@ def greenhouse_surfaces(wavelength_nm: ArrayLike) -> dict[str, Surface]:
 
 
 def twine_surface(wavelength_nm: ArrayLike) -> Surface:
-    """Twine that plants climb on: matt, opaque, with the reflectance of `WHITE_FABRIC`."""
+    """Twine that plants climb on: white, laid of three strands, a little greyed, matt and opaque.
+
+    A MODEL. State 1 is the crown of a strand, `WHITE_FABRIC` with the dust of some months: its absorption per
+    scattering (Kubelka and Munk's K/S) rises by `TWINE_DUST`. State 0 is the furrow between two strands,
+    where half of the light meets the other strand before it leaves, and dust collects. The texture's relief
+    and states are those of strands with a pitch of five diameters, over the 15 diameters after which v
+    repeats on `pepperscene.geometry.twine_mesh`.
+    """
     nm = np.atleast_1d(np.asarray(wavelength_nm, dtype=float))
-    return _opaque_surface("twine", nm, read_spectrum(*WHITE_FABRIC, outside="hold").at(nm))
+    fabric = read_spectrum(*WHITE_FABRIC, outside="hold").at(nm)
+    crown, dusty = (_thick_reflectance(fabric, dust) for dust in (TWINE_DUST, 4.0 * TWINE_DUST))
+    # Light leaves at once, or after one or more reflections at the other strand.
+    furrow = 0.5 * dusty / (1.0 - 0.5 * dusty)
+    rows = np.repeat(np.stack([furrow, crown])[:, None], 2, axis=1)
+    pattern, relief_mm = _strands()
+    return Surface("twine", nm, rows, np.zeros((2, nm.size)), pattern=pattern, relief_mm=relief_mm)
+
+
+def _thick_reflectance(clean: FloatArray, dust: float) -> FloatArray:
+    """Reflectance of a thick body with the K/S of one of reflectance `clean`, plus `dust`."""
+    ratio = (1.0 - clean) ** 2 / (2.0 * clean) + dust
+    return np.asarray(1.0 + ratio - np.sqrt(ratio**2 + 2.0 * ratio))
+
+
+def _strands() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Differences of the state from 0.5 and heights in millimetres, `(1, h, w)`, of strands over uv."""
+    height, width = TWINE_SHAPE
+    v, u = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
+    # Distance from the middle of the nearest strand, 1 half-way between two; strands turn thrice over v.
+    off = np.abs(2.0 * np.mod(STRANDS * (u - STRAND_TURNS * v), 1.0) - 1.0)
+    rng = np.random.default_rng(TWINE_SEED)
+    size_mm = (np.pi * TWINE_MM, 15.0 * TWINE_MM)
+    # Fibres run along the twine, as they are twisted the other way than the strands; tufts are some mm long.
+    fibres = noise_mm(rng, TWINE_SHAPE, size_mm, (0.12, 2.0))
+    tufts = noise_mm(rng, TWINE_SHAPE, size_mm, (0.5, 1.5))
+    pattern = 0.42 - 0.85 * off**4 + 0.06 * fibres + 0.06 * tufts
+    relief_mm = -STRAND_MM * off**2 + 0.012 * fibres
+    return pattern[None].astype(np.float32), relief_mm[None].astype(np.float32)
 
 
 def _film_on_ground(paint: FloatArray, nm: FloatArray) -> FloatArray:

@@ -72,7 +72,9 @@ def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> 
         streaks = 0.05 * noise_mm(rng, (64, 64), size_mm, (0.5, 6.0))
         return replace(leaf_surface(name, path, nm), pattern=streaks[None].astype(np.float32))
     if form == "fruit":
-        return fruit_surface(name, path, nm, size_mm, rng)
+        mean = {key: value.mean for key, value in cultivar.organs[kind].distributions.items()}
+        calyx_mm = 1e3 * mean["calyx_radius"] * mean["diameter"]
+        return fruit_surface(name, path, nm, size_mm, calyx_mm, rng)
     return green_surface(name, form, path, nm, size_mm, rng)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from pepperscene.cultivar import OrganForm, PigmentPath
 from pepperscene.materials.gloss import cone_gloss
 from pepperscene.materials.patterns import noise_mm
+from pepperscene.materials.rind_textures import fruit_textures, green_textures, uncorrelated
 from pepperscene.materials.surface import Surface, refine_states
 from pepperscene.spectra import (
     Spectrum,
@@ -26,7 +27,18 @@ SCATTERING_PER_CM: Final = 10.0
 Ying 2017, J. Food Meas. Charact., doi 10.1007/s11694-017-9465-x). Assumed equal for stems."""
 WATER_FRACTION: Final = 0.9
 """Of the flesh's volume: chosen, sweet pepper is 92 to 94 % water by weight and contains some air."""
-PATTERN_SHAPE: Final = (256, 256)
+CORK_REFLECTANCE: Final = 0.3
+"""Of the cork of russet, scars and scratches and of dried spray on fruit, at all wavelengths: chosen, that of
+dry bark chips at 550 to 600 nm (0.25 to 0.32; Vrhel et al. 1994)."""
+PITH: Final = {
+    "structure_n": 1.2, "chlorophyll_ug_cm2": 1.2, "carotenoid_ug_cm2": 0.5, "water_cm": 0.02,
+    "dry_matter_g_cm2": 0.004,
+}  # fmt: skip
+"""Contents of the outermost layer of fresh pith: chosen, a tenth of the green rind's."""
+PITH_REFLECTANCE: Final = 0.62
+"""Of fresh pith where its water does not absorb: chosen, as the flesh of pale fruit."""
+CUT_SHAPE: Final = (64, 64)
+CUT_TEXTURES: Final = 4
 DRY_MEASURED: Final = "organ/vrhel_wood_bark_straw_reflectance"
 DRY_INFRARED: Final = "organ/earthlib_wood_bark_reflectance"
 
@@ -77,9 +89,9 @@ def _rind_surface(
     path: PigmentPath,
     wavelength_nm: FloatArray,
     pattern: FloatArray,
-    relief_mm: FloatArray | None = None,
+    relief_mm: FloatArray,
 ) -> Surface:
-    """Opaque surface of rind on flesh, equal on both sides."""
+    """Opaque surface of rind on flesh, equal on both sides, with textures `(t, h, w)`."""
     states = refine_states(lambda nm, states: rind_reflectance(path, nm, states))
     rows = rind_reflectance(path, wavelength_nm, states)
     return Surface(
@@ -89,8 +101,8 @@ def _rind_surface(
         np.zeros_like(rows),
         ior=path.ior,
         roughness=path.roughness,
-        pattern=pattern.astype(np.float32)[None],
-        relief_mm=None if relief_mm is None else relief_mm.astype(np.float32)[None],
+        pattern=pattern.astype(np.float32),
+        relief_mm=relief_mm.astype(np.float32),
     )
 
 
@@ -99,43 +111,30 @@ def fruit_surface(
     path: PigmentPath,
     wavelength_nm: FloatArray,
     size_mm: tuple[float, float],
+    calyx_mm: float,
     rng: np.random.Generator,
 ) -> Surface:
     """Fruit that ripens in patches, in addition to the ripeness that the mesh gives each of its points.
+
+    Its skin is slightly wavy. Cork (russet around the calyx, the scar of the style, healed scratches) and
+    dried spray are its residue.
 
     Args:
         name: of the surface.
         path: pigments from unripe (state 0) over breaker to ripe (state 1).
         wavelength_nm: `(n,)`.
         size_mm: girth and length.
-        rng: draws the patches.
+        calyx_mm: radius of the calyx.
+        rng: draws the textures.
     """
-    # Patches of centimetres turn earlier than others, with a faint speckle on top: amplitudes chosen.
-    patches = 0.045 * noise_mm(rng, PATTERN_SHAPE, size_mm, (9.0, 14.0))
-    speckle = 0.012 * noise_mm(rng, PATTERN_SHAPE, size_mm, (0.7, 0.7))
-    return _rind_surface(name, path, wavelength_nm, patches + speckle)
-
-
-@dataclass(frozen=True)
-class RindTexture:
-    """Variation of a rind's state and height over its surface; all chosen from photographs."""
-
-    streaks: float  # standard deviation of the state in streaks along the organ
-    mottle: float  # standard deviation of the state in blotches of some millimetres
-    ribs_mm: float  # standard deviation of the height of ribs along the organ
-    rib_width: float  # as a fraction of the girth
-    cork: float = 0.0  # decrease of the state in corky flecks, a few millimetres long
-
-
-# Lenticels and cork in short fissures; the large ridges are part of the mesh.
-STEM_TEXTURE: Final = RindTexture(streaks=0.06, mottle=0.04, ribs_mm=0.11, rib_width=0.05, cork=0.3)
-TEXTURES: Final[dict[OrganForm, RindTexture]] = {
-    "stalk": RindTexture(streaks=0.06, mottle=0.04, ribs_mm=0.05, rib_width=0.05),
-    # Slightly ribbed in addition to the mesh's five ribs.
-    "peduncle": RindTexture(streaks=0.07, mottle=0.03, ribs_mm=0.10, rib_width=0.035),
-    # A rib runs into each tooth of the star.
-    "calyx": RindTexture(streaks=0.05, mottle=0.06, ribs_mm=0.20, rib_width=0.03),
-}
+    textures = fruit_textures(size_mm, calyx_mm, rng)
+    surface = _rind_surface(name, path, wavelength_nm, textures.pattern, textures.relief_mm)
+    mean = textures.cover.mean(axis=(1, 2), keepdims=True)
+    return replace(
+        surface,
+        residue_reflectance=CORK_REFLECTANCE,
+        residue_pattern=(textures.cover / mean).astype(np.float32),
+    )
 
 
 def green_surface(
@@ -150,42 +149,35 @@ def green_surface(
 
     Args:
         name: of the surface.
-        form: one of `TEXTURES`; all others look like a stem.
+        form: of the organs, which determines the texture.
         path: pigments from pale or corky (state 0) to dark green (state 1).
         wavelength_nm: `(n,)`.
         size_mm: girth and length.
-        rng: draws streaks, flecks and ribs.
+        rng: draws the textures.
     """
-    texture, girth = TEXTURES.get(form, STEM_TEXTURE), size_mm[0]
-
-    def noise(around_mm: float, along_mm: float) -> FloatArray:
-        return noise_mm(rng, PATTERN_SHAPE, size_mm, (around_mm, along_mm))
-
-    # Streaks are narrow around (u) and long (v); ribs run along the whole organ.
-    pattern = texture.streaks * noise(0.02 * girth, 12.0) + texture.mottle * noise(1.5, 6.0)
-    relief_mm = texture.ribs_mm * noise(texture.rib_width * girth, 60.0)
-    if texture.cork:
-        # Flecks are the peaks of a field of short streaks: the upper tenth, with soft edges.
-        fleck = np.clip((noise(0.25, 1.6) - 1.3) / 0.7, 0.0, 1.0)
-        pattern = pattern - texture.cork * fleck
-    return _rind_surface(name, path, wavelength_nm, pattern, relief_mm)
+    return _rind_surface(name, path, wavelength_nm, *green_textures(form, size_mm, rng))
 
 
 def cut_surface(stem: PigmentPath, wavelength_nm: FloatArray, rng: np.random.Generator) -> Surface:
-    """Scar where a fruit was cut off: pale dry cork in the middle (state 0), a dark green rim (state 1).
+    """Scar where a fruit was cut off: dried pith (state 0), fresh pith, a green ring, bark (state 1).
 
-    A MODEL: no measured spectrum of such a scar was found. The middle is measured straw and bark chip in
-    equal parts, the rim measured bark and this cultivar's darkest stem in equal parts (Vrhel et al. 1994;
-    parts chosen).
+    A MODEL: no measured spectrum of such a scar was found. Dried pith is measured straw and bark chip in
+    equal parts, bark is measured bark and this cultivar's darkest stem in equal parts (Vrhel et al. 1994;
+    parts chosen). Fresh pith is the stem's parenchyma with the little pigment of `PITH`, and the ring the
+    stem's darkest green, one third and two thirds of the way from the dried pith.
     """
     straw = _dry_material("straw_from_broom_154", "woodstrw").at(wavelength_nm)
     chip = _dry_material("bark_chip_iii_129", "innrbark").at(wavelength_nm)
     bark = _dry_material("bark_37", "deadtwig").at(wavelength_nm)
     green = rind_reflectance(stem, wavelength_nm, 1.0)[0]
-    rows = np.stack([0.5 * (straw + chip), 0.5 * (bark + green)])
-    speckle = 0.12 * noise_mm(rng, PATTERN_SHAPE, (10.0, 10.0), (0.5, 0.5))
+    pith = layer_over_body(
+        leaf_spectra(wavelength_nm, **PITH), flesh_reflectance(PITH_REFLECTANCE, wavelength_nm)
+    ).reflectance
+    rows = np.stack([0.5 * (straw + chip), pith, green, 0.5 * (bark + green)])
+    fields = [noise_mm(rng, CUT_SHAPE, (10.0, 10.0), (0.4, 0.4)) for _ in range(CUT_TEXTURES)]
+    speckle = 0.05 * uncorrelated(np.stack(fields))
     both = np.repeat(rows[:, None, :], 2, axis=1)
-    return Surface("cut", wavelength_nm, both, np.zeros_like(rows), pattern=speckle.astype(np.float32)[None])
+    return Surface("cut", wavelength_nm, both, np.zeros_like(rows), pattern=speckle.astype(np.float32))
 
 
 def _dry_material(visible_column: str, infrared_column: str) -> Spectrum:

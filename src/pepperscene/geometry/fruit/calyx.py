@@ -27,6 +27,10 @@ _NARROW: Final = 1.3, 0.8  # chosen: exponent of the teeth's outline, and its de
 _LIFT: Final = 0.22  # chosen: of the tips of sepals as long as the radius, over the radius
 _STALK: Final = 0.18  # chosen: radius of a missing stalk over the calyx's; slimmer under long sepals
 _TEETH: Final = {5: 0.45, 6: 0.4, 7: 0.15}  # chosen: number of teeth and its probability
+# Of the vein along the middle of each tooth: height over the plate's thickness, decrease of the state;
+# chosen.
+_VEIN: Final = 0.9, 0.15
+_DRY: Final = 0.6, 0.4  # chosen: relative decrease of the state at a dry rim: everywhere, further at the tips
 # Profile of the plate's upper side: fraction of the way out (to the edge of the disc at 0.5, then along the
 # teeth), height over the fruit in thicknesses, difference of the state. The ring around the stalk is swollen
 # and paler.
@@ -36,9 +40,9 @@ _UPPER: Final = np.array(
         [0.22, 2.2, -0.1],
         [0.32, 1.2, -0.02],
         [0.5, 1.0, 0.02],
-        [0.68, 0.85, 0.06],
-        [0.86, 0.65, 0.1],
-        [1.0, 0.2, 0.12],
+        [0.68, 0.85, 0.04],
+        [0.86, 0.65, 0.04],
+        [1.0, 0.2, 0.0],
     ]
 )
 _LOWER: Final = np.array([0.96, 0.5, 0.16])  # way out on its lower side, from the rim back
@@ -98,10 +102,14 @@ def mesh_calyces(
     # The swollen ring is no higher than the stalk's end.
     gap = np.linalg.norm(foot - stalk_end, axis=1)
     swelling = np.minimum(thickness[:, None] * _UPPER[:, 1], np.maximum(0.7 * gap, thickness)[:, None])
-    raised = np.concatenate([swelling, np.repeat(-sunk[:, None], len(lower), axis=1)], axis=1)
+    raised = np.concatenate([swelling, np.repeat(-sunk[:, None], len(lower), axis=1)], axis=1)[..., None]
+    # Veins run from the swollen ring along the middles of the teeth, and fade towards their tips.
+    high = _UPPER[:, 1] * np.interp(_UPPER[:, 0], [0.2, 0.4, 0.8, 1.0], [0.0, 1.0, 1.0, 0.0])
+    vein = np.pad(high, (0, len(lower)))[:, None] * np.exp(-((aside / 0.33) ** 2))[:, None]
+    raised = raised + _VEIN[0] * thickness[:, None, None] * vein
     uneven = 1.0 + 0.6 * _tooth_values(phase, hash_signed(seed, 404, 8))
     tip = _LIFT * (radius * tooth**2)[:, None] * uneven * blade
-    along = surface - raised[..., None] - tip[:, None] * outer**2
+    along = surface - raised - tip[:, None] * outer**2
     _keep_above_lower_side(along, lower)
     plate = _ring_points(foot, axes, width, angle, along)
     # The collar closes around the stalk: it starts in it a little before its end.
@@ -111,10 +119,17 @@ def mesh_calyces(
     collar = _ring_points(stalk_end, collar_axes, widths, angle, heights)
     first = stalk_end - 0.7 * stalk[:, None] * collar_axes[:, 2]
     last = foot + (sunk + surface[:, -1].mean(axis=1) * (under < 0))[:, None] * axes[:, 2]
-    # Teeth are greener than the swollen ring around the stalk.
-    colour = np.concatenate([[-0.12, -0.12], _UPPER[:, 2], 0.1 * (lower > 0.5)])
-    state = np.pad(np.repeat(colour, angle.shape[1]), 1, mode="edge")
-    state = state + read_measure(organs, "state_mean", 0.5)[:, None]
+    # Teeth are greener than the swollen ring around the stalk, and the rim dries, first at the tips.
+    colour = np.concatenate([[-0.12, -0.12], _UPPER[:, 2], 0.0 * lower])
+    state = read_measure(organs, "state_mean", 0.5)[:, None, None] + np.repeat(
+        colour[:, None], angle.shape[1], axis=1
+    )
+    state[:, 2:] -= _VEIN[1] * vein
+    everywhere, at_tips = _DRY
+    dry = (0.4 + 0.6 * hash_uniform(seed, 406, 1)) * (everywhere + at_tips * blade)
+    state[:, 2 + len(_UPPER) - 1] *= 1.0 - dry
+    state[:, 2 + len(_UPPER)] *= 1.0 - 0.8 * dry
+    state = np.pad(state.reshape(n, -1), ((0, 0), (1, 1)), mode="edge")
     v = np.broadcast_to(np.arange(1, len(colour) + 1) / (len(colour) + 1), (n, len(colour)))
     return ring_shells(np.concatenate([collar, plate], axis=1), np.stack([first, last], axis=1), v, state)
 

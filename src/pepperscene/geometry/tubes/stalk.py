@@ -26,7 +26,7 @@ _FOOT: Final = 1.6  # chosen: width of a stalk's foot over the stalk's, as in ph
 _FOOT_M: Final = 2.2  # chosen: metres per metre of radius within which a foot narrows to the stalk
 _CHANNEL: Final = 0.5  # chosen: depth of a petiole's channel over the distance of its sides from the axis
 _RIBS: Final = 5.0  # chosen: ribs of a fruit stalk of Capsicum, one for each sepal
-_RIB_DEPTH: Final = 0.13  # chosen: over its radius
+_RIB_DEPTH: Final = 0.17  # chosen: over its radius
 _LEAN: Final = 0.9  # chosen: maximum rotation, radians, of a foot that enters its parent horizontally
 _UNDER: Final = 0.3  # chosen: radians by which a foot's ring leans over, to hide its edge below a leaf
 
@@ -105,44 +105,47 @@ def mesh_peduncles(organs: Sequence[Organ], detail: float) -> MeshBatch:
 
 
 # Profile of a scar from its foot over the side and the rim into the hollow: height over the length of the
-# curve, radius over the organ's, state (0 the corky middle, 1 the green rim), and how much a ring follows the
-# slant and the ragged edge of the cut; chosen from photographs of harvested nodes.
+# curve, radius over the organ's, state of a fresh and of a dry cut, and how much a ring follows the slant and
+# the ragged edge of the cut; chosen from photographs of harvested nodes. The side is bark (state 1), the rim
+# cortex with its green ring (2/3), the middle pale pith (1/3), and all of the face dries to brown (0).
 _CUT: Final = np.array(
     [
-        [0.0, 1.1, 1.0, 0.0],
-        [0.5, 0.95, 1.0, 0.3],
-        [0.88, 1.0, 0.95, 1.0],
-        [1.0, 0.92, 0.75, 1.0],
-        [0.9, 0.72, 0.4, 1.0],
-        [0.78, 0.4, 0.1, 0.8],
+        [0.0, 1.1, 1.0, 1.0, 0.0],
+        [0.5, 0.95, 1.0, 1.0, 0.3],
+        [0.94, 1.0, 0.95, 0.8, 1.0],
+        [1.0, 0.93, 0.67, 0.2, 1.0],
+        [0.95, 0.76, 0.5, 0.1, 1.0],
+        [0.85, 0.4, 0.34, 0.05, 0.8],
     ]
 )
+_DRY_CUTS: Final = 2.0  # chosen: exponent of the dryness of cuts; most are weeks old and nearly dry
 
 
 def mesh_cuts(organs: Sequence[Organ], detail: float) -> MeshBatch:
-    """Build scars of harvested fruit: a short stub cut at a slant, a raised rim and a sunken, corky middle.
+    """Build scars of harvested fruit: a stub cut at a slant, whose green rim and pale middle dry to brown.
 
     Measures: radius_m (of the rim), seed.
     """
     radius, seed = read_positive(organs, "radius_m"), read_measure(organs, "seed", 0.0)
     spine = organ_spines(organs, 4)
-    height, profile, green, slanted = _CUT.T
+    height, profile, fresh, dried, slanted = _CUT.T
     # A low stub has no waist below its rim.
     squat = np.minimum(1.0, 2.0 * spine.lengths / radius)[:, None]
     width = np.where(profile > 0.9, 1.0 + (profile - 1.0) * squat, profile)
     angle = ring_angles(subdivisions(10, detail, 6))
-    draw = hash_uniform(seed, 131, 4)
+    draw = hash_uniform(seed, 131, 5)
     # The slant of the knife, up to 15 degrees (chosen), but no more than a fifth of the stub.
     slant = np.minimum(np.tan(0.26 * draw[:, 0]) * radius, 0.2 * spine.lengths)
     phase = 2.0 * np.pi * draw
     lean = np.cos(angle + phase[:, 1:2])
-    ragged = 0.05 * np.cos(3.0 * angle + phase[:, 2:3]) * np.cos(angle + phase[:, 3:])
+    ragged = 0.05 * np.cos(3.0 * angle + phase[:, 2:3]) * np.cos(angle + phase[:, 3:4])
     along = (spine.lengths[:, None] * height)[..., None] + np.einsum(
         "n,nr,nc->nrc", slant, slanted * width, lean
     )
     reach = 1.0 + slanted[:, None] * ragged[:, None, :]
     right, up = centre_rings(reach * np.sin(angle), reach * np.cos(angle), radius[:, None] * width)
-    state = np.broadcast_to(green[:, None], right.shape)
+    dryness = 1.0 - draw[:, 4:] ** _DRY_CUTS
+    state = np.broadcast_to((fresh + dryness * (dried - fresh))[..., None], right.shape)
     # The middle of the hollow is a little deeper.
     deeper = np.stack([-0.03 * spine.lengths, 0.0 * radius], axis=1)
     hollow = Cap(deeper, 2.0 * deeper, 0.5, embedded=False)

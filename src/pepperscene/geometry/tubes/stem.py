@@ -28,7 +28,7 @@ from pepperscene.geometry.tubes.tube import (
 )
 from pepperscene.grammar.plant import Organ, Plant
 
-_SIDES: Final = 12  # chosen: three points to a ridge; internodes and nodes share it, so that their rings meet
+_SIDES: Final = 14  # chosen: three points to a ridge; internodes and nodes share it, so that their rings meet
 _FADING: Final = 0.12  # chosen: fraction of an internode within which its ridges rise out of the node
 _GROOVE_STATE: Final = 0.2  # chosen: how much greener grooves are than ridges
 # Outline of a node, chosen from photographs of Capsicum: fractions of its length and of its swelling.
@@ -40,6 +40,11 @@ _LUMPS: Final = 0.035  # chosen: depth of the hollows between a node's bulges ov
 _NODE_POINTS: Final = 7  # chosen: enough for a smooth bend of some degrees
 _NODE_STEPS: Final = 24  # chosen: pieces of a node's bent axis, so that its rings are close to the curve
 _CORK: Final = 0.15  # chosen: how much browner the collar of a node is than the rest
+# The corky scar of a leaf or bract that has dropped: fraction of nodes that show one, state of its cork,
+# height of its middle, half its height and half its width in radians; chosen from photographs of stems.
+_SCARRED: Final = 0.6
+_SCAR_STATE: Final = 0.1
+_SCAR: Final = 0.36, 0.14, 0.55
 
 
 def mesh_internodes(organs: Sequence[Organ], detail: float) -> MeshBatch:
@@ -71,6 +76,8 @@ def mesh_internodes(organs: Sequence[Organ], detail: float) -> MeshBatch:
 def mesh_nodes(organs: Sequence[Organ], detail: float) -> MeshBatch:
     """Build the swellings between two internodes: a shoulder, a corky collar, and a furrow above it.
 
+    More than half of them show the corky scar of a leaf.
+
     Measures: radius_m (widest), radius_end_m (upper end), radius_start_m (lower end; default: as the upper),
     seed, state_mean, state_spread.
     """
@@ -84,8 +91,21 @@ def mesh_nodes(organs: Sequence[Organ], detail: float) -> MeshBatch:
     right, up = centre_rings(reach * np.sin(angle), reach * np.cos(angle), radius)
     cork = -_CORK * np.exp(-(((v - 0.64) / 0.12) ** 2))[:, None]
     along = spine.lengths[:, None] * v
-    rings = Rings(along, right, up, v, cork + state_with_streaks(organs, along, len(angle)))
+    state = cork + state_with_streaks(organs, along, len(angle))
+    state = state + _leaf_scars(organs, v, angle) * (_SCAR_STATE - state)
+    rings = Rings(along, right, up, v, state)
     return sweep_rings(spine, rings, *(round_cap(radius[:, end], spine.lengths) for end in (0, -1)))
+
+
+def _leaf_scars(organs: Sequence[Organ], v: FloatArray, angle: FloatArray) -> FloatArray:
+    """`(n, r, c)` cover with the cork of leaf scars: an ellipse on one side of a node, or nothing."""
+    draw = hash_uniform(read_measure(organs, "seed", 0.0), 107, 2)
+    # On a column of the grid, so that it is as wide on a coarse mesh.
+    side = 2.0 * np.pi * np.floor(draw[:, :1] * len(angle)) / len(angle)
+    off = (angle - side + np.pi) % (2.0 * np.pi) - np.pi
+    middle, high, wide = _SCAR
+    distance = np.hypot((v[:, None] - middle) / high, (off / wide)[:, None, :])
+    return np.clip(1.5 - distance, 0.0, 1.0) * (draw[:, 1] < _SCARRED)[:, None, None]
 
 
 def stem_profile(plant: Plant) -> tuple[FloatArray, FloatArray]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.geometry.batch import hash_uniform
-from pepperscene.geometry.mesh import FloatArray, Mesh, single_instance_mesh
+from pepperscene.geometry.batch import hash_uniform, ring_faces, ring_uv
+from pepperscene.geometry.mesh import FloatArray, IndexArray, Mesh, single_instance_mesh
 from pepperscene.geometry.spine import normalize
 from pepperscene.geometry.tubes.tube import ring_angles, skin_rings
 from pepperscene.grammar.frames import cross
@@ -25,9 +25,9 @@ _WAVE_RAD: Final = 0.12  # chosen: amplitude of each of the waves by which the p
 _WAVES_M: Final = np.array([0.13, 0.21, 0.34])  # chosen: their lengths; two or three nodes
 _CLEARANCE_M: Final = 6e-4  # chosen: gap between the twine and organs that grow out of the stem
 _SHIFTS: Final = np.linspace(-np.pi, np.pi, 145)  # chosen: shifts tried to avoid it, 2.5 degrees apart
-_PLY_STEPS: Final = 4  # rings to half a turn of two plies, the fewest that show them
-_PLY_SIDES: Final = 8
-_WAIST: Final = 0.45  # chosen: square of the thinnest half-width of two plies over the widest
+TEXTURE_DIAMETERS: Final = 15.0
+"""Length of twine, in its diameters, after which its texture repeats: v runs from 0 to 1 over it again and
+again. Chosen: three turns of strands that are laid with a pitch of five diameters."""
 
 
 def twine_mesh(
@@ -40,7 +40,6 @@ def twine_mesh(
     *,
     branches: FloatArray | None = None,
     seed: float | None = None,
-    lay_m: float | None = None,
 ) -> Mesh:
     """Build a helix of twine that touches the stem all the way and continues straight up above it.
 
@@ -57,11 +56,11 @@ def twine_mesh(
         branches: `(j, 4)` metres, centre and radius of organs on the stem's side, from
             `stem_branches`; the twine shifts aside to pass it, as a grower winds it.
         seed: in [0, 1), makes the pitch uneven, differently for each; None keeps it even.
-        lay_m: length of twine in which its two plies turn once about each other; each ply is round, at eight
-            rings a turn. None makes round twine.
 
     Returns:
-        A closed tube of class WIRE and surface "twine", one instance; u runs around, v along.
+        A closed, round tube of class WIRE and surface "twine", one instance. u runs around, and v along, from
+        0 to 1 in every `TEXTURE_DIAMETERS`; there, points with v = 1 are repeated with v = 0. The strands
+        that the twine is laid of are part of the surface's texture.
 
     Raises:
         ValueError: a radius is not above zero, or the axis has no length.
@@ -70,8 +69,6 @@ def twine_mesh(
     stem_radius = np.broadcast_to(np.asarray(stem_radius_m, dtype=float), (len(axis),))
     if not twine_radius_m > 0.0 or not np.all(stem_radius >= 0.0) or above_m < 0.0:
         raise ValueError("the twine radius must be above zero, stem radius and above_m at least zero")
-    if lay_m is not None and not lay_m > 0.0:
-        raise ValueError(f"lay_m, the length of one turn of the plies, must be above zero, not {lay_m}")
     stem = _Stem(axis, stem_radius, twine_radius_m)
     # Angle around the stem: evenly, then with an uneven pitch, then past the branches.
     angle = 2.0 * np.pi * turns_per_m * stem.along + phase_rad
@@ -79,14 +76,17 @@ def twine_mesh(
         angle = angle + _uneven_pitch(stem.along, seed)
     if branches is not None and len(branches):
         angle = angle + stem.avoidance(np.asarray(branches, dtype=float), angle)
-    line, outward = stem.twine_line(angle)
+    period = 2.0 * twine_radius_m * TEXTURE_DIAMETERS
+    line, outward, turn = stem.twine_line(angle, period)
     if above_m > 0.0:
         # Above the stem's top the twine moves to the line of the stem and continues straight up.
         height = np.unique(np.append(np.linspace(0.0, min(_LIFT_OFF_M, above_m), 5)[1:], above_m))
         out = (1.0 - np.clip(height / _LIFT_OFF_M, 0.0, 1.0))[:, None] ** 2 * (line[-1] - axis[-1])
-        line = np.concatenate([line, axis[-1] + out + height[:, None] * [0.0, 0.0, 1.0]])
+        above = axis[-1] + out + height[:, None] * [0.0, 0.0, 1.0]
+        steps = np.linalg.norm(np.diff(above, axis=0, prepend=line[-1:]), axis=1)
+        line, turn = np.concatenate([line, above]), np.append(turn, turn[-1] + np.cumsum(steps) / period)
         outward = np.concatenate([outward, np.repeat(outward[-1:], len(height), axis=0)])
-    return _sweep_twine(line, outward, twine_radius_m, lay_m)
+    return _sweep_twine(line, outward, turn, twine_radius_m)
 
 
 class _Stem:
@@ -132,8 +132,11 @@ class _Stem:
         self.up = normalize(side - (tangent @ side)[:, None] * tangent)
         self.right = cross(tangent, self.up)
 
-    def twine_line(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The twine's centreline `(k, 3)`, with as few points as it needs, and outward unit vectors there."""
+    def twine_line(self, angle: FloatArray, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The twine's centreline `(k, 3)`, with as few points as it needs, and outward unit vectors there.
+
+        And `(k,)` the length of twine up to each point over `period`. It has a point at every whole number.
+        """
         outward = np.cos(angle)[:, None] * self.up + np.sin(angle)[:, None] * self.right
         line = self.axis + self.distance[:, None] * outward
         # Pieces are as long as the curvature allows: a chord of length h deviates by curvature * h^2 / 8.
@@ -147,7 +150,13 @@ class _Stem:
         targets = np.linspace(0.0, pieces[-1], int(np.ceil(pieces[-1])) + 1)
         selected = np.unique(np.searchsorted(pieces, targets).clip(0, len(line) - 1))
         selected[0], selected[-1] = 0, len(line) - 1
-        return line[selected], outward[selected]
+        length = np.linalg.norm(np.diff(line, axis=0), axis=1)
+        turn = np.concatenate([[0.0], np.cumsum(length)]) / period
+        whole = np.arange(1.0, np.ceil(turn[-1]))
+        nearest = np.searchsorted(turn, whole)
+        turn[nearest] = whole
+        selected = np.union1d(selected, nearest)
+        return line[selected], outward[selected], turn[selected]
 
     def avoidance(self, branches: FloatArray, angle: FloatArray) -> FloatArray:
         """`(k,)` radians by which the twine must shift to pass branches `(j, 4)`."""
@@ -196,27 +205,23 @@ def _uneven_pitch(along: FloatArray, seed: float) -> FloatArray:
     return np.asarray(_WAVE_RAD * wave.sum(axis=1))
 
 
-def _sweep_twine(line: FloatArray, outward: FloatArray, radius: float, lay: float | None) -> Mesh:
-    """A tube along a polyline: one ring at each of its points, closer if plies must show."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    if lay is not None:
-        extra = np.arange(1, int(along[-1] * 2 * _PLY_STEPS / lay)) * lay / (2 * _PLY_STEPS)
-        stations = np.unique(np.concatenate([along, extra]))
-        line, outward = _interpolate(stations, along, line), normalize(_interpolate(stations, along, outward))
-        along = stations
-    tangent = normalize(np.gradient(line, along, axis=0, edge_order=1))
+def _sweep_twine(line: FloatArray, outward: FloatArray, turn: FloatArray, radius: float) -> Mesh:
+    """A tube along a polyline: one ring at each of its points, and two where the texture repeats.
+
+    Args:
+        line: `(k, 3)` metres.
+        outward: `(k, 3)` unit vectors.
+        turn: `(k,)` number of repeats of the texture up to each point, ascending.
+        radius: of the twine, metres.
+    """
+    repeats = np.arange(1.0, np.ceil(turn[-1]))
+    stations = np.union1d(turn, repeats)
+    line, outward = _interpolate(stations, turn, line), normalize(_interpolate(stations, turn, outward))
+    tangent = normalize(np.gradient(line, stations, axis=0, edge_order=1))
     normal = normalize(outward - np.einsum("ki,ki->k", outward, tangent)[:, None] * tangent)
     binormal = cross(tangent, normal)
-    angle = np.tile(ring_angles(_SIDES if lay is None else _PLY_SIDES), (len(line), 1))
-    reach = np.full(angle.shape, radius)
-    if lay is not None:
-        # Two plies pressed together: a waisted section that turns with them.
-        reach = radius * np.sqrt(
-            _WAIST + (1.0 - _WAIST) * np.cos(angle - 2.0 * np.pi * along[:, None] / lay) ** 2
-        )
-    offset = reach[..., None] * (
-        np.sin(angle)[..., None] * binormal[:, None] + np.cos(angle)[..., None] * normal[:, None]
-    )
+    angle = ring_angles(_SIDES)
+    offset = radius * (np.sin(angle)[:, None] * binormal[:, None] + np.cos(angle)[:, None] * normal[:, None])
     # Smaller rings and points close the ends.
     line = np.concatenate(
         [line[:1] - 0.35 * radius * tangent[:1], line, line[-1:] + 0.35 * radius * tangent[-1:]]
@@ -224,11 +229,38 @@ def _sweep_twine(line: FloatArray, outward: FloatArray, radius: float, lay: floa
     offset = np.concatenate([0.75 * offset[:1], offset, 0.75 * offset[-1:]])
     tangent = np.concatenate([tangent[:1], tangent, tangent[-1:]])
     ends = line[[0, -1]] + 0.2 * radius * tangent[[0, -1]] * np.array([[-1.0], [1.0]])
-    state = np.full((1, *angle.shape), 0.5)
+    state = np.full((1, len(stations), _SIDES), 0.5)
     batch = skin_rings(
-        (line[:, None] + offset)[None], ends[None], tangent[None], along / along[-1], state, (False, False)
+        (line[:, None] + offset)[None],
+        ends[None],
+        tangent[None],
+        stations / stations[-1],
+        state,
+        (False, False),
     )
+    ring, v = _repeat_rings(np.pad(stations, 1, mode="edge"), np.pad(np.isin(stations, repeats), 1))
+    rows = (1 + (_SIDES + 1) * ring[:, None] + np.arange(_SIDES + 1)).ravel()
+    vertex = np.concatenate([[0], rows, [batch.vertices.shape[1] - 1]])
+    # Rings at the same place are not joined.
+    strip = np.concatenate([[True], np.diff(ring) > 0, [True]])
+    between = np.repeat(strip[1:-1], _SIDES)
+    faces = ring_faces(len(ring), _SIDES)
+    joined = np.concatenate([np.full(_SIDES, True), between, between, np.full(_SIDES, True)])
     return single_instance_mesh(
-        batch.vertices[0], batch.normals[0], batch.uv[0], batch.state[0], batch.faces,
-        OrganClass.WIRE, "twine", "twine",
+        batch.vertices[0, vertex], batch.normals[0, vertex], ring_uv(v, _SIDES), batch.state[0, vertex],
+        faces[joined], OrganClass.WIRE, "twine", "twine",
     )  # fmt: skip
+
+
+def _repeat_rings(turn: FloatArray, at_repeat: NDArray[np.bool_]) -> tuple[IndexArray, FloatArray]:
+    """Indices of rings `(m,)`, with those at the texture's repeats twice, and v of each.
+
+    Args:
+        turn: `(k,)` number of repeats of the texture from the start to each ring.
+        at_repeat: `(k,)` whether a ring is at the end of a repeat.
+    """
+    ring = np.repeat(np.arange(len(turn)), 1 + at_repeat)
+    first = np.concatenate([np.diff(ring) == 0, [False]]) & at_repeat[ring]
+    second = np.concatenate([[False], np.diff(ring) == 0])
+    v = np.where(first, 1.0, np.where(second, 0.0, np.mod(turn[ring], 1.0)))
+    return ring, v
