@@ -166,7 +166,9 @@ class Blade(OrganModel):
     tear_depth: Fraction = _constant(0.5)  # their mean length, over the way from the margin to the midrib
     state: Fraction = _constant(0.7)  # 0 pale to 1 dark green
     state_spread: Fraction = _constant(0.1)  # mottling within a blade
-    residue: Fraction = _constant(0.0)  # mean cover of the upper side with dust or spray residue
+    residue: Fraction = _constant(0.0)  # mean cover of the upper side with dust, dried spray or mildew
+    # Of the residue, equal at all wavelengths.
+    residue_reflectance: Annotated[float, Field(ge=0.0, le=1.0)] = 0.45
     ageing: Fraction = _constant(0.0)  # 0 healthy, through yellow or dry rims and spots, to 1 dried up
     size_correlation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # of length and width (Gaussian copula)
     # Of residue, ageing, bites, tears, droop and hanging (minus the inclination) with the age of a leaf,

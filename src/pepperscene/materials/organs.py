@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pepperscene.cultivar import Cultivar, OrganForm, PigmentPath
+from pepperscene.cultivar import Blade, Cultivar, OrganForm, PigmentPath
 from pepperscene.materials.gloss import cone_gloss
 from pepperscene.materials.patterns import grow_veins, noise_mm, vein_pattern, vein_relief
 from pepperscene.materials.rind import cut_surface, fruit_surface, green_surface
@@ -94,7 +94,10 @@ def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> 
     if form == "blade":
         veins = grow_veins(size_mm, rng)
         pattern, relief_mm = vein_pattern(veins, rng), vein_relief(veins, rng)
-        return replace(leaf_surface(name, path, nm), pattern=pattern, relief_mm=relief_mm)
+        clean = replace(leaf_surface(name, path, nm), pattern=pattern, relief_mm=relief_mm)
+        blade = cultivar.organs[kind]
+        residue = blade.residue_reflectance if isinstance(blade, Blade) else clean.residue_reflectance
+        return replace(clean, residue_reflectance=residue)
     if form == "flower":
         # A petal is a leaf with a petal's pigments and no veins: faint streaks along it, 1 mm wide (chosen).
         streaks = 0.05 * noise_mm(rng, (64, 64), size_mm, (0.5, 6.0))
