@@ -18,13 +18,17 @@ from pepperscene.geometry.mesh import FloatArray, IndexArray
 from pepperscene.grammar.plant import Organ
 
 _MOST: Final = 12  # chosen: bites or tears of a blade; with more, hardly any margin is left
-_CENTRE: Final = 0.35  # chosen: distance of a bite's centre from the margin, in radii; bites are half open
-_ZONE: Final = 2.2  # chosen: radii within which the tissue's vertices move
+_CENTRE: Final = 0.5  # chosen: distance of a bite's centre from the margin, in radii, outside of the blade
+_ZONE: Final = 2.5  # chosen: radii within which the tissue's vertices move
+_RANGE: Final = (0.4, 0.88)  # chosen: of the margin; below, triangles are too long to show a bite
 _CLUSTER: Final = 0.6  # chosen: fraction of bites that are beside the one before, as a larva feeds
 _GAP: Final = 0.14  # chosen: width of a tear at the margin over its length
 _FLAP: Final = 0.1  # chosen: distance of its edges from the surface, one above and one below, likewise
-_LEAST_AREA: Final = 0.02  # chosen: of a triangle, relative to its area before; thinner ones are inverted soon
+_LEAST_AREA: Final = (
+    0.02  # chosen: of a triangle, relative to its area before; thinner ones are inverted soon
+)
 _MIDRIB: Final = np.array([0.5, 0.0])  # uv of the base
+_ROUNDING: Final = 1e-6  # of barycentric coordinates
 _ATTEMPTS: Final = 4  # chosen: each with a cut two thirds as large
 
 _Move = Callable[[FloatArray, float], tuple[IndexArray, FloatArray] | None]
@@ -52,20 +56,25 @@ class _Sheet:
             near[vertices] = True
             faces = self.faces[near[self.faces].any(axis=1)]
             if np.all(_areas(flat, faces) > _LEAST_AREA * _areas(self.flat, faces)):
-                self.values[vertices] = self._interpolate(positions, faces)
-                self.flat = flat
-                return vertices
+                near[faces] = True
+                values = self._interpolate(positions, self.faces[near[self.faces].any(axis=1)])
+                if values is not None:
+                    self.values[vertices], self.flat = values, flat
+                    return vertices
         return np.empty(0, dtype=np.intp)
 
-    def _interpolate(self, positions: FloatArray, faces: IndexArray) -> FloatArray:
-        """`(k, 4)` values at positions `(k, 2)` in one of these triangles, or next to one."""
+    def _interpolate(self, positions: FloatArray, faces: IndexArray) -> FloatArray | None:
+        """`(k, 4)` values at positions `(k, 2)`; None if one is in none of these triangles."""
         a, b, c = (self.flat[faces[:, corner]] for corner in range(3))
         area = _areas(self.flat, faces)
         # Barycentric coordinates of every position in every triangle; the right one has no negative.
         second = _cross(positions[:, None] - a, c - a) / area
         third = _cross(b - a, positions[:, None] - a) / area
         weights = np.stack([1.0 - second - third, second, third], axis=-1)
-        best = weights.min(axis=2).argmax(axis=1)
+        least = weights.min(axis=2)
+        best = least.argmax(axis=1)
+        if not np.all(least[np.arange(len(positions)), best] > -_ROUNDING):
+            return None
         weight = np.clip(weights[np.arange(len(positions)), best], 0.0, None)
         weight /= weight.sum(axis=1, keepdims=True)
         return np.einsum("kc,kcv->kv", weight, self.values[faces[best]])
@@ -129,12 +138,12 @@ def damage_margins(organs: Sequence[Organ], surfaces: Surfaces, grid: Grid) -> N
 def _bite(
     sheet: _Sheet, margins: IndexArray, width: float, draw: list[float], before: tuple[float, float]
 ) -> tuple[float, float]:
-    """Take a round bite out of a margin; returns its side and position, `before` are those of the last one."""
+    """Take a round bite out of a margin; returns its side and position, as `before` of the last one."""
     radius = 0.5 * width * (0.5 + draw[2])
     if draw[3] < _CLUSTER and before[1] > 0.0:
-        side, at = before[0], before[1] + (2.0 * draw[1] - 1.0) * 0.15
+        side, at = before[0], float(np.clip(before[1] + 0.3 * draw[1] - 0.15, *_RANGE))
     else:
-        side, at = float(draw[0] < 0.5), 0.12 + 0.78 * draw[1]
+        side, at = float(draw[0] < 0.5), _RANGE[0] + (_RANGE[1] - _RANGE[0]) * draw[1]
     margin = margins[int(side)]
     line = sheet.flat[margin]
     # At a vertex of the margin, so that the smallest bite has one.
@@ -146,10 +155,11 @@ def _bite(
 
     def move(flat: FloatArray, factor: float) -> tuple[IndexArray, FloatArray] | None:
         # The bite and the tissue that moves stay on this side of the midrib.
-        r = min(factor * radius, abs(start[0]) / (_ZONE + _CENTRE))
+        r = min(factor * radius, 0.4 * abs(start[0]))
         if r < 1e-3 or outwards[0] * start[0] <= 0.0:
             return None
-        centre, zone = start + _CENTRE * r * outwards, _ZONE * r
+        centre = start + _CENTRE * r * outwards
+        zone = min(_ZONE * r, abs(start[0]))
         offset = flat - centre
         distance = np.hypot(offset[:, 0], offset[:, 1])
         inwards = -(offset @ outwards)
@@ -206,7 +216,8 @@ def _tear(sheet: _Sheet, grid: Grid, margins: IndexArray, depth: float, draw: li
         # One edge is above the other.
         a, b, c = (sheet.values[vertex, :3] for vertex in (vertices[-1], before, after))
         across = np.cross(b - a, c - a)
-        part = _FLAP * (2.0 * draw[3] - 1.0) * np.linalg.norm(b - a) / max(np.linalg.norm(across), 1e-12)
+        length, area = float(np.linalg.norm(b - a)), float(np.linalg.norm(across))
+        part = _FLAP * (2.0 * draw[3] - 1.0) * length / max(area, 1e-12)
         sheet.values[before, :3] += part * across
         sheet.values[after, :3] -= part * across
 

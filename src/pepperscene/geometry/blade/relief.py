@@ -67,7 +67,7 @@ def rim_crumples(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
         return np.zeros(flat.margin.shape)
     phase = hash_uniform(flat.seed, 235, 4).reshape(-1, 2, 2, 1)
     at, wide = flat.margin, np.minimum(flat.reach / flat.half_width[..., None], 1.0)
-    # Chosen: a rim of 3 to 10 mm that shrinks as it dries has folds of about 14 mm, four pieces of the margin.
+    # Chosen: a rim of 3 to 10 mm that shrinks as it dries has folds of 14 mm, four pieces of the margin.
     turns = 11.0 * (at + 0.05 * np.sin(_TURN * (2.3 * at + phase[:, :, 0]))) + phase[:, :, 1]
     height = _CRUMPLE * np.minimum(ageing / _CRUMPLED, 1.0)[:, None, None] * flat.half_width[..., None]
     return height * wide * np.sin(_TURN * turns)
