@@ -78,7 +78,11 @@ def organ_surfaces(cultivar: Cultivar, wavelength_nm: ArrayLike) -> dict[str, Su
     # In parallel, with one generator per surface: the leaf's veins take about as long as all others together.
     with ThreadPoolExecutor(2) as pool:
         surfaces = pool.map(lambda name: _organ_surface(cultivar, first_kind[name], name, nm), first_kind)
-        return dict(zip(first_kind, surfaces, strict=True))
+        made = dict(zip(first_kind, surfaces, strict=True))
+    for name, kind in first_kind.items():
+        if isinstance(blade := cultivar.organs.get(kind), Blade):
+            made[name] = replace(made[name], residue_reflectance=blade.residue_reflectance)
+    return made
 
 
 def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> Surface:
@@ -94,10 +98,7 @@ def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> 
     if form == "blade":
         veins = grow_veins(size_mm, rng)
         pattern, relief_mm = vein_pattern(veins, rng), vein_relief(veins, rng)
-        clean = replace(leaf_surface(name, path, nm), pattern=pattern, relief_mm=relief_mm)
-        blade = cultivar.organs[kind]
-        residue = blade.residue_reflectance if isinstance(blade, Blade) else clean.residue_reflectance
-        return replace(clean, residue_reflectance=residue)
+        return replace(leaf_surface(name, path, nm), pattern=pattern, relief_mm=relief_mm)
     if form == "flower":
         # A petal is a leaf with a petal's pigments and no veins: faint streaks along it, 1 mm wide (chosen).
         streaks = 0.05 * noise_mm(rng, (64, 64), size_mm, (0.5, 6.0))
