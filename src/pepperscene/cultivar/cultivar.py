@@ -212,15 +212,11 @@ class _Interpolation:
         contents = [path.at(states) for path in (first, last)]
         values = {name: self.number(contents[0][name], contents[1][name]) for name in Pigments.model_fields}
         knots = [Pigments(**{n: float(v[i]) for n, v in values.items()}) for i in range(len(states))]
-        # A path that does not age stays as at state 0.
-        zero = states.index(0.0)
-        aged = tuple((-state, knot) for state, knot in zip(states[:zero], knots[:zero], strict=True))
-        others = sorted(set(PigmentPath.model_fields) - {"start", "path", "end", "ageing"})
+        others = sorted(set(PigmentPath.model_fields) - {"start", "path", "end"})
         return PigmentPath(
-            start=knots[zero],
-            path=tuple(zip(states[zero + 1 : -1], knots[zero + 1 : -1], strict=True)),
+            start=knots[0],
+            path=tuple(zip(states[1:-1], knots[1:-1], strict=True)),
             end=knots[-1],
-            ageing=aged[::-1],
             **self.fields(first, last, key, others),
         )
 
