@@ -85,7 +85,8 @@ def test_kinds_have_the_default_class_and_surface_of_their_form(kaite: Cultivar)
 
 
 def test_pigment_paths_run_from_start_to_end(kaite: Cultivar) -> None:
-    assert sorted(kaite.pigments) == ["calyx", "fruit", "leaf", "peduncle", "petal", "petiole", "stem"]
+    surfaces = ["calyx", "dry_shoot", "fruit", "leaf", "peduncle", "petal", "petiole", "stem"]
+    assert sorted(kaite.pigments) == surfaces
     for path in kaite.pigments.values():
         for name, values in path.at([0.0, 1.0]).items():
             assert values.tolist() == [getattr(path.start, name), getattr(path.end, name)]

@@ -46,7 +46,7 @@ OWN_FAULTS = {
     "new slot without an azimuth": (
         "kaite",
         '[[organs.node.bears]]\nname = "second"\nwhat = { petiole = 1, chosen = "x" }',
-        "organs.node.bears.4.azimuth",
+        "organs.node.bears.5.azimuth",
     ),
     "new kind without a form": ("kaite", "[organs.thorn]\nsize_correlation = 0.5", "organs.thorn"),
     "new kind without its lengths": ("kaite", '[organs.thorn]\nform = "cut"', "organs.thorn.diameter"),

@@ -31,7 +31,7 @@ def blade(curve=None, detail=1.0, **measures):
 def random_organ(rng, factor=1.0, **measures):
     """A blade with the distributions of Kaite, their standard deviations scaled by a factor."""
     drawn = {name: mean + factor * sd * rng.standard_normal() for name, (mean, sd) in KAITE.items()}
-    return organ(droop(float(rng.uniform(0.2, 1.2))), **drawn, **({"seed": rng.random()} | measures))
+    return organ(droop(float(rng.uniform(0.2, 1.2))), **(drawn | {"seed": rng.random()} | measures))
 
 
 def droop(angle, points=14, length=LENGTH):

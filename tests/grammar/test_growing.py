@@ -28,6 +28,7 @@ MEASURES = {
     "blade": {
         *("length_m", "width_m", "fold_rad", "margin_wave_m", "margin_waves", "blister_m", "vein_m"),
         *("twist_rad", "curl_rad", "asymmetry", "widest", "base", "lobes", "lobe_depth"),
+        *("rolled_rad", "bites", "bite_width_m", "tears", "tear_depth", "residue", "ageing"),
         *("seed", "state_mean", "state_spread"),
     },
 }

@@ -9,13 +9,14 @@ from pepperscene.cultivar.organs import DEFAULT_KINDS
 from pepperscene.materials import greenhouse_surfaces, leaf_body, organ_surfaces, organs, rind_reflectance
 
 ORGANS = {"leaf", "petiole", "stem", "fruit", "peduncle", "calyx", "cut"}
+DRY = {"dry_shoot"}
 GREENHOUSE = set(greenhouse_surfaces(np.array([550.0])))
 GREEN = ["stem", "petiole", "peduncle", "calyx"]
 MAPS = ("pattern", "relief_mm", "residue_pattern", "ageing_order")
 
 
 def test_makes_every_surface_that_meshes_name(surfaces, nm):
-    assert set(surfaces) == ORGANS | GREENHOUSE
+    assert set(surfaces) == ORGANS | DRY | GREENHOUSE
     assert {kind.surface for form, kind in DEFAULT_KINDS.items() if form != "flower"} == ORGANS
     for name, surface in surfaces.items():
         assert surface.name == name

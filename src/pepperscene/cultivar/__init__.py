@@ -8,7 +8,7 @@ from pepperscene.cultivar.cultivar import Cultivar, interpolate_cultivars, load_
 from pepperscene.cultivar.distribution import Distribution, Origin
 from pepperscene.cultivar.inheritance import cultivar_files
 from pepperscene.cultivar.notation import Ratio, parse_distribution
-from pepperscene.cultivar.organs import DEFAULT_KINDS, FORMS, Fruit, OrganForm, OrganKind, OrganModel
+from pepperscene.cultivar.organs import DEFAULT_KINDS, FORMS, Blade, Fruit, OrganForm, OrganKind, OrganModel
 from pepperscene.cultivar.slot import Slot
 from pepperscene.cultivar.structure import CALYX, PigmentPath, Pigments, Stem
 
@@ -16,6 +16,7 @@ __all__ = [
     "CALYX",
     "DEFAULT_KINDS",
     "FORMS",
+    "Blade",
     "Cultivar",
     "Distribution",
     "Fruit",

@@ -183,8 +183,8 @@ def _parse_histogram(raw: Any, factor: float, key: str, **origin: Any) -> Distri
     if not isinstance(raw, (list, tuple)) or not raw:
         raise ValueError(f"{key} must be a list of [from, to, weight]")
     bins = [_number_row(row, 3, key) for row in raw]
-    if any(not low < high for low, high, _ in bins) or any(weight < 0 for _, _, weight in bins):
-        raise ValueError(f"{key}: each bin must ascend and have a weight of at least 0")
+    if any(low > high for low, high, _ in bins) or any(weight < 0 for _, _, weight in bins):
+        raise ValueError(f"{key}: no bin may descend, and every weight must be at least 0")
     if any(after[0] < before[1] for before, after in pairwise(bins)):
         raise ValueError(f"{key}: bins must ascend without overlap")
     total = math.fsum(weight for _, _, weight in bins)
@@ -247,6 +247,7 @@ Size = Annotated[Length, _Positive]
 """A length without which the organ would vanish."""
 Width = Annotated[Length, AfterValidator(partial(_check_range, minimum=0.0))]
 Factor = Annotated[Ratio, _Positive]
+Amount = Annotated[Ratio, AfterValidator(partial(_check_range, minimum=0.0))]
 Fraction = Annotated[Ratio, AfterValidator(partial(_check_range, minimum=0.0, maximum=1.0))]
 OncePerPlant: Final = AfterValidator(_check_once_per_plant)
 """Marks a distribution from which each plant draws one value."""

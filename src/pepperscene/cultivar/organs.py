@@ -16,7 +16,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar.distribution import Distribution
-from pepperscene.cultivar.notation import Angle, Factor, Fraction, Lobes, Number, Ratio, Size, Width
+from pepperscene.cultivar.notation import Amount, Angle, Factor, Fraction, Lobes, Number, Ratio, Size, Width
 from pepperscene.cultivar.slot import Slot
 from pepperscene.document import Document
 
@@ -149,6 +149,7 @@ class Blade(OrganModel):
     roll: Angle = _constant(0.0)  # about the midrib
     fold: Angle = _constant(0.0)  # angle by which each half is lifted
     curl: Angle = _constant(0.0)  # cross-curvature of each half, margins up if positive
+    rolled: Angle = _constant(0.0)  # by which the outer part of each half is rolled up, negative is down
     twist: Angle = _constant(0.0)  # of the tip relative to the base
     margin_wave: Width = _constant(0.0)  # amplitude of the waves along a margin
     margin_waves: Factor = _constant(4.0)  # number of waves
@@ -159,11 +160,20 @@ class Blade(OrganModel):
     base: Factor = _constant(0.8)  # exponent of the outline at the base; small is broad
     lobes: Ratio = _constant(0.0)  # number of teeth or lobes along each margin; 0 is entire
     lobe_depth: Fraction = _constant(0.0)  # their depth, as a fraction of half the width
+    bites: Amount = _constant(0.0)  # number of round bites out of the margins, rounded down
+    bite_width: Width = _constant(0.01)  # their mean diameter
+    tears: Amount = _constant(0.0)  # number of tears along lateral veins, rounded down
+    tear_depth: Fraction = _constant(0.5)  # their mean length, over the way from the margin to the midrib
     state: Fraction = _constant(0.7)  # 0 pale to 1 dark green
     state_spread: Fraction = _constant(0.1)  # mottling within a blade
-    residue: Fraction = _constant(0.0)  # mean cover of the upper side with dust or spray residue
+    residue: Fraction = _constant(0.0)  # mean cover of the upper side with dust, dried spray or mildew
+    # Of the residue, equal at all wavelengths.
+    residue_reflectance: Annotated[float, Field(ge=0.0, le=1.0)] = 0.45
     ageing: Fraction = _constant(0.0)  # 0 healthy, through yellow or dry rims and spots, to 1 dried up
     size_correlation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # of length and width (Gaussian copula)
+    # Of residue, ageing, bites, tears, droop and hanging (minus the inclination) with the age of a leaf,
+    # likewise.
+    age_correlation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
 
 
 class Fruit(OrganModel):

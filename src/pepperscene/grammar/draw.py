@@ -37,6 +37,9 @@ _CONSTANTS: Final[Mapping[OrganForm, tuple[str, ...]]] = {
 }
 """Parameters that are equal for all organs of a kind."""
 
+_WITH_AGE: Final = {"residue": 1, "ageing": 1, "bites": 1, "tears": 1, "droop": 1, "inclination": -1}
+"""Parameters of a blade that change with its age, and whether they rise or fall."""
+
 _RIPENESS: Final = ("ripe_fraction", "ripe_descent", "breaker_fraction", "unripe", "breaker", "ripe")
 _CALYX: Final = ("calyx_radius", "calyx_tooth", "calyx_state", "calyx_seed")
 _MAX_DEPTH: Final = 8  # chosen: fruit has fewer organs between it and its node
@@ -177,6 +180,10 @@ def _draw_kind(
     if model.form == "blade":
         values["inclination"] = values["inclination"] + _YOUNG_LIFT * (1.0 - sizes)
         values["state"] = values["state"] - _YOUNG_PALE * (1.0 - sizes)
+        # Leaves that still grow have had no time to be damaged, and hardly any to become dusty.
+        for column in ("ageing", "bites", "tears"):
+            values[column] = np.where(sizes < 1.0, 0.0, values[column])
+        values["residue"] = sizes**2 * values["residue"]
     if isinstance(model, Fruit):
         centre = _expected_fruit_height(cultivar, name, phytomers)
         values["ripeness"] = _ripeness(values, uniforms(address, "ripeness"), phytomer, centre, phytomers)
@@ -204,6 +211,13 @@ def _draw_values(model: OrganModel, address: Addresses, positions: FloatArray) -
         common = math.sqrt(correlation) * ndtri(uniforms(address, "size"))
         for name in ("length", "width"):
             uniform[name] = ndtr(common + math.sqrt(1.0 - correlation) * ndtri(uniform[name]))
+    correlation = getattr(model, "age_correlation", 0.0)
+    if correlation > 0.0:
+        from scipy.special import ndtr, ndtri
+
+        age = math.sqrt(correlation) * ndtri(uniforms(address, "age"))
+        for name, sign in _WITH_AGE.items():
+            uniform[name] = ndtr(sign * age + math.sqrt(1.0 - correlation) * ndtri(uniform[name]))
     # Most parameters are constants: skip the quantile function for speed.
     return {
         name: np.full(address.size, distribution.mean)

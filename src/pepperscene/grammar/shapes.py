@@ -57,11 +57,13 @@ _MEASURE_NAMES: Final[Mapping[str, str]] = {
     "diameter": "diameter_m",
     "fold": "fold_rad",
     "curl": "curl_rad",
+    "rolled": "rolled_rad",
     "twist": "twist_rad",
     "bend": "bend_rad",
     "margin_wave": "margin_wave_m",
     "blister": "blister_m",
     "vein": "vein_m",
+    "bite_width": "bite_width_m",
     "state": "state_mean",
 }
 """Parameters whose measure has another name, in which lengths and angles have their unit."""
@@ -133,9 +135,10 @@ def _build_blades(name: str, sites: Sites) -> NumberedOrgans:
     steps = direction(sites.azimuth[:, None], slopes, sway)
     roll = sites.roll(slopes[:, 0], steps[:, 0]) + values["roll"]
     up = upper_side(sites.azimuth, slopes[:, 0], steps[:, 0], roll)
-    shape = ("fold", "curl", "twist", "margin_wave", "margin_waves", "blister", "vein", "asymmetry")
+    shape = ("fold", "curl", "rolled", "twist", "margin_wave", "margin_waves", "blister", "vein", "asymmetry")
     outline = ("widest", "base", "lobes", "lobe_depth")
-    names = ("length", "width", *shape, *outline, "seed", "state", "state_spread", "residue", "ageing")
+    damage = ("bites", "bite_width", "tears", "tear_depth", "residue", "ageing")
+    names = ("length", "width", *shape, *outline, *damage, "seed", "state", "state_spread")
     curves = polylines(sites.start, steps, values["length"])
     return make_organs(name, sites.parts, curves, up, _select_measures(values, names))
 

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pepperscene.cultivar import Cultivar, OrganForm
+from pepperscene.cultivar import Blade, Cultivar, OrganForm
 from pepperscene.materials.leaf import leaf_surface
 from pepperscene.materials.leaf_textures import leaf_textures
 from pepperscene.materials.patterns import noise_mm
@@ -43,7 +43,11 @@ def organ_surfaces(cultivar: Cultivar, wavelength_nm: ArrayLike) -> dict[str, Su
     # In parallel, with one generator per surface: the leaf's textures take longer than all others together.
     with ThreadPoolExecutor(2) as pool:
         surfaces = pool.map(lambda name: _organ_surface(cultivar, first_kind[name], name, nm), first_kind)
-        return dict(zip(first_kind, surfaces, strict=True))
+        made = dict(zip(first_kind, surfaces, strict=True))
+    for name, kind in first_kind.items():
+        if isinstance(blade := cultivar.organs.get(kind), Blade):
+            made[name] = replace(made[name], residue_reflectance=blade.residue_reflectance)
+    return made
 
 
 def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> Surface:

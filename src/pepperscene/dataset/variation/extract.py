@@ -111,11 +111,14 @@ def _element_types(annotation: Any) -> Iterator[Any]:
             yield from _element_types(part)
 
 
-def _override_tables(table: dict[str, Any], above: Key) -> Iterator[tuple[Key, dict[str, Any], Any]]:
-    for name, value in table.items():
+def _override_tables(
+    table: dict[str, Any] | list[Any], above: Key
+) -> Iterator[tuple[Key, dict[str, Any], Any]]:
+    """Yield the key, the table and the type of each number that is given as a table, in lists too."""
+    for name, value in table.items() if isinstance(table, dict) else enumerate(table):
         if isinstance(value, dict) and "per" in value:
             yield (*above, name), value, int if name in _integer_keys() else float
-        elif isinstance(value, dict):
+        elif isinstance(value, dict | list):
             yield from _override_tables(value, (*above, name))
 
 

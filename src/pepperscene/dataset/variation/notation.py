@@ -90,6 +90,8 @@ def _parse_number(
         if not numbers["uniform"][0] < numbers["uniform"][1]:
             raise ValueError("low must be less than high")
     distribution = parse_distribution({**numbers, "chosen": "by the recipe"})
+    if any(first == last for first, last, _ in distribution.bins):
+        raise ValueError("each bin of the histogram must ascend; give single values as a table of outcomes")
     _check_whole(given, kind)
     exact: tuple[float, float] | None = None
     if scale == "log":

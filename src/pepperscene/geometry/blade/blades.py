@@ -17,6 +17,7 @@ from pepperscene.geometry.batch import (
     subdivisions,
     vertex_normals,
 )
+from pepperscene.geometry.blade.damage import Surfaces, damage_margins
 from pepperscene.geometry.blade.grid import blade_grid
 from pepperscene.geometry.blade.outline import FlatBlades, build_outlines, flat_blades
 from pepperscene.geometry.blade.relief import (
@@ -24,12 +25,17 @@ from pepperscene.geometry.blade.relief import (
     grid_noise,
     margin_relief,
     margin_waves,
+    rim_crumples,
     vein_bulges,
 )
 from pepperscene.geometry.mesh import FloatArray
 from pepperscene.geometry.spine import Spines, spines
 from pepperscene.grammar.frames import cross
 from pepperscene.grammar.plant import Organ
+
+_MOST_ROLLED: Final = np.radians(240.0)  # chosen: beyond it the tubes of both halves touch
+_ROLL_START: Final = 0.3  # chosen: fraction of the half-width from the midrib where the tube begins
+_DRYING: Final = (0.4, 0.9)  # chosen: ageing between which a blade rolls up, as its tissue dries
 
 _SIDES: Final = np.array([-1.0, 1.0])[:, None, None]  # left and right halves
 
@@ -38,12 +44,14 @@ def mesh_blades(organs: Sequence[Organ], detail: float) -> MeshBatch:
     """Build leaf blades as single sheets with normals out of the upper (adaxial) side.
 
     Measures: length_m (of the midrib) and width_m (of the flat leaf), fold_rad (inclination of each half),
-    curl_rad (additional inclination at the margin, negative is down), twist_rad, margin_wave_m (amplitude),
-    margin_waves (count along a margin), blister_m (bulge between veins), vein_m (depth of the sunken veins),
-    asymmetry (fraction by which the right half is wider than the mean half, and the left narrower), widest
-    (fraction of the length), base (power of the outline there), lobes (along each margin), lobe_depth
-    (fraction of the half-width), state_mean, state_spread, seed. All but the sizes are optional. Measures
-    that would tear a blade are limited: fold 80 degrees, curl 150, bulges 1/10 of the width, waves 1/8.
+    curl_rad (additional inclination at the margin, negative is down), rolled_rad (angle by which the outer
+    part of each half is rolled up, negative is down), twist_rad, margin_wave_m (amplitude), margin_waves
+    (count along a margin), blister_m (bulge between veins), vein_m (depth of the sunken veins), asymmetry
+    (fraction by which the right half is wider than the mean half, and the left narrower), widest (fraction of
+    the length), base (power of the outline there), lobes (along each margin), lobe_depth (fraction of the
+    half-width), those of `damage_margins`, ageing (a blade that dries rolls up, and its rim is crumpled),
+    state_mean, state_spread, seed. All but the sizes are optional. Measures that would tear a blade are
+    limited: fold 80 degrees, curl 150, roll 240, bulges 1/10 of the width, waves 1/8.
     """
     read_positive(organs, "length_m")  # the curve has this length; here it is only checked
     width, seed = read_positive(organs, "width_m"), read_measure(organs, "seed", 0.0)
@@ -65,8 +73,10 @@ def mesh_blades(organs: Sequence[Organ], detail: float) -> MeshBatch:
     out = grid.pack(_SIDES * flat.out, 0.0, _SIDES[..., 0] * flat.extra_edge)
     u = 0.5 + 0.5 * out / outline.half_extent[:, None]
     uv = np.clip(np.stack([u, v], axis=-1), 0.0, 1.0)
-    normals = vertex_normals(vertices, grid.faces)
-    return MeshBatch(vertices, normals, uv, _state(organs, flat), grid.faces)
+    state = _state(organs, flat)
+    extents = np.stack([2.0 * outline.half_extent, spine.lengths], axis=1)
+    damage_margins(organs, Surfaces(vertices, uv, state, extents), grid)
+    return MeshBatch(vertices, vertex_normals(vertices, grid.faces), uv, state, grid.faces)
 
 
 def _waviness(organs: Sequence[Organ], width: FloatArray) -> FloatArray:
@@ -117,10 +127,27 @@ def _pitch_and_yaw(
     return c * along + s * right, up, c * right - s * along
 
 
-def _section_slopes(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
-    """`(n, 2, r, s)` radians by which a half rises from each column to the next, from fold and curl."""
-    fold = np.clip(read_measure(organs, "fold_rad", 0.0), -1.4, 1.4)[:, None]
-    curl = np.clip(read_measure(organs, "curl_rad", 0.0), -2.6, 2.6)[:, None]
+def roll_angles(organs: Sequence[Organ], seed: FloatArray) -> FloatArray:
+    """`(n, 2)` radians by which the halves are rolled up, negative down; dry blades are rolled completely."""
+    drawn = read_measure(organs, "rolled_rad", 0.0)
+    draws = hash_uniform(seed, 275, 3)
+    low, high = _DRYING
+    dry = np.clip((read_measure(organs, "ageing", 0.0) - low) / (high - low), 0.0, 1.0)
+    # Chosen: a dry blade goes on rolling as it began, mostly up if it was flat, by 170 to 240 degrees.
+    way = np.where(drawn == 0.0, np.where(draws[:, 0] < 0.8, 1.0, -1.0), np.sign(drawn))
+    total = drawn + dry * (way * (0.7 + 0.3 * draws[:, 1]) * _MOST_ROLLED - drawn)
+    # Halves differ by up to a fifth.
+    uneven = 1.0 + 0.2 * (2.0 * draws[:, 2:] - 1.0) * np.array([-1.0, 1.0])
+    return np.clip(total[:, None] * uneven, -_MOST_ROLLED, _MOST_ROLLED)
+
+
+def _section_slopes(
+    organs: Sequence[Organ], flat: FlatBlades, rolled: FloatArray, flatter: FloatArray
+) -> FloatArray:
+    """`(n, 2, r, s)` radians by which a half rises from each column to the next, from fold, curl and roll."""
+    # Rolled halves fold less, so that they do not touch each other.
+    fold = np.clip(read_measure(organs, "fold_rad", 0.0), -1.4, 1.4)[:, None] * (0.4 + 0.6 * flatter)
+    curl = np.clip(read_measure(organs, "curl_rad", 0.0), -2.6, 2.6)[:, None] * flatter
     along, wide = flat.origin, flat.edge / flat.half_width[..., None]
     draws = hash_uniform(flat.seed, 271, 4).reshape(-1, 2, 2)
     vary = hash_signed(flat.seed, 201, 4).reshape(-1, 2, 2)
@@ -134,7 +161,10 @@ def _section_slopes(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
     power = 1.0 + np.minimum(np.abs(curl), 2.0)
     stretches = 1.0 + 0.5 * np.sin(2.0 * np.pi * (1.2 * flat.rim + draws[..., 1, None]))
     curled = (curl * (1.0 + 0.3 * vary[:, 1]))[..., None] * stretches * wide
-    return folded[..., None] * opening + curled[..., None] * (middle ** power[..., None])[:, None]
+    slopes = folded[..., None] * opening + curled[..., None] * middle ** power[..., None, None]
+    # Roll: a tube of even radius beside the midrib, wider and narrower along the blade.
+    tube = np.clip((middle - _ROLL_START) / (1.0 - _ROLL_START), 0.0, 1.0)
+    return slopes + (rolled[..., None] * (0.625 + 0.25 * stretches) * wide)[..., None] * tube
 
 
 def _cross_sections(
@@ -144,14 +174,18 @@ def _cross_sections(
 
     Each row is a polyline from the midrib outwards that keeps its length; the relief is added to it.
     """
-    grid, slope = flat.grid, _section_slopes(organs, flat)
+    grid, rolled = flat.grid, roll_angles(organs, flat.seed)
+    # A half that is rolled up is stiff: it curls and waves less.
+    flatter = 1.0 - np.abs(rolled) / _MOST_ROLLED
+    slope = _section_slopes(organs, flat, rolled, flatter)
     step = np.diff(flat.out, prepend=0.0, axis=3) * bulge_shrinkage(organs, flat)
     level, rise = np.cos(slope), np.sin(slope)
     out, up = np.cumsum(step * level, axis=3), np.cumsum(step * rise, axis=3)
     # The slope at a column is the mean of those on either side.
     for values in (level, rise):
         values[..., :-1] = 0.5 * (values[..., :-1] + values[..., 1:])
-    margin = np.stack([*margin_waves(organs, flat, waviness), flat.reach])
+    waves, turned = (height * flatter[..., None] for height in margin_waves(organs, flat, waviness))
+    margin = np.stack([waves + rim_crumples(organs, flat), turned, flat.reach])
     height, width = margin_relief(margin[..., grid.row_in_margin, None], flat.column)
     height += vein_bulges(organs, flat)
     halves = out - height * rise - width * level, up + height * level - width * rise

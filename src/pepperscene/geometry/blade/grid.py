@@ -84,6 +84,19 @@ class Grid:
     extra_in_margin: IndexArray  # `(e / 2,)` indices into `margin` of the extra points
     faces: IndexArray  # `(f, 3)`
 
+    @property
+    def margin_vertices(self) -> IndexArray:
+        """`(2, m + 2)` vertices of the left and the right margin, from the base to the tip."""
+        rows, columns, extra = len(self.number), len(self.across), len(self.extra_in_margin)
+        tip = 1 + rows * columns + 2 * extra
+        vertices = np.empty((2, len(self.margin) + 2), dtype=np.intp)
+        vertices[:, 0], vertices[:, -1] = 0, tip
+        ends = columns * np.arange(rows)
+        vertices[:, 1 + self.row_in_margin] = np.stack([1 + ends, columns + ends])
+        extras = 1 + rows * columns + np.arange(extra)
+        vertices[:, 1 + self.extra_in_margin] = np.stack([extras, extras + extra])
+        return vertices
+
     def split_halves(self, rows: FloatArray) -> FloatArray:
         """`(n, 2, r, s)` left and right half, from the midrib outwards, of values `(n, r, c)`."""
         return np.stack([rows[..., self.side - 1 :: -1], rows[..., self.side + 1 :]], axis=1)

@@ -8,18 +8,28 @@ from typing import Final
 import numpy as np
 
 from pepperscene.geometry.batch import hash_signed, hash_uniform, read_measure
-from pepperscene.geometry.blade.grid import vein_density
+from pepperscene.geometry.blade.grid import vein_density, vein_rise
 from pepperscene.geometry.blade.outline import FlatBlades
 from pepperscene.geometry.mesh import FloatArray
 from pepperscene.grammar.plant import Organ
-from pepperscene.materials.venation import VEIN_PAIRS
+from pepperscene.materials.venation import VEIN_ASPECT, VEIN_PAIRS
 
 _DOME: Final = 0.8  # chosen: power of a half sine from vein to vein; bulges are round, creases narrow
 _RISE: Final = 0.1  # chosen, of the half-width: distance from the midrib within which bulges rise
-_CELLS: Final = 3.5  # chosen: parts of a bulge between tertiary veins at the widest position
+# Chosen, as fractions of the stated height of bulges: the mean dome between two veins, and the standard
+# deviation of blisters. So slopes along the veins and across them differ by less than a factor of 1.5.
+_PANEL: Final = 0.45
+_BLISTER: Final = 0.65
+# Chosen, of the half-width: mean wavelength of blisters, the least that six columns in a half can show; finer
+# ones are relief of the material.
+_BLISTER_SIZE: Final = 0.5
 _TURN: Final = 2.0 * np.pi
 _FURROW: Final = 0.15  # chosen: half-width of a sunken vein, as a fraction of the distance to the next
+# Chosen: amplitude of the crumples of a dry rim, of the half-width, and the ageing from which it is reached.
+_CRUMPLE: Final = 0.022
+_CRUMPLED: Final = 0.35
 _NOISE_WAVES: Final = 8  # chosen
+_MIDDLE: Final = np.array(0.4)  # chosen: origin of a vein as steep as most
 
 
 def margin_waves(
@@ -48,6 +58,19 @@ def margin_waves(
     bump = np.exp(-(((at - 0.15 - 0.7 * position) / 0.16) ** 2))
     # Both vanish towards base and tip, where the blade is narrow.
     return height * np.sqrt(wide) * waves, 0.2 * flat.reach * max_angle * (2.0 * curl_angle - 1.0) * bump
+
+
+def rim_crumples(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
+    """Compute heights `(n, 2, m)` of the margins' points, metres: the crumples of a rim that dries."""
+    ageing = np.clip(read_measure(organs, "ageing", 0.0), 0.0, 1.0)
+    if not ageing.any():
+        return np.zeros(flat.margin.shape)
+    phase = hash_uniform(flat.seed, 235, 4).reshape(-1, 2, 2, 1)
+    at, wide = flat.margin, np.minimum(flat.reach / flat.half_width[..., None], 1.0)
+    # Chosen: a rim of 3 to 10 mm that shrinks as it dries has folds of 14 mm, four pieces of the margin.
+    turns = 11.0 * (at + 0.05 * np.sin(_TURN * (2.3 * at + phase[:, :, 0]))) + phase[:, :, 1]
+    height = _CRUMPLE * np.minimum(ageing / _CRUMPLED, 1.0)[:, None, None] * flat.half_width[..., None]
+    return height * wide * np.sin(_TURN * turns)
 
 
 def margin_relief(margin: FloatArray, x: FloatArray | float) -> tuple[FloatArray, FloatArray]:
@@ -81,23 +104,18 @@ def vein_bulges(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
     panel = np.where(number < 0.0, np.floor(2.0 * number) + 2.0, np.floor(number) + 2.0).astype(np.intp)
     fraction = np.where(number < 0.0, 2.0 * number, number) % 1.0
     dome = np.sin(np.pi * fraction) ** _DOME
-    # Panels differ in height and in the positions of the tertiary veins that divide them.
+    # Panels differ in height.
     panels = VEIN_PAIRS + 3
-    draws = hash_uniform(flat.seed, 241, 4 * panels).reshape(-1, 2, panels, 2)[:, :, panel]
-    scale = 0.7 + 0.6 * draws[..., 0]
-    cells: FloatArray | float = 0.75  # factor of the bulges: 1 between tertiary veins, less on them
-    if grid.side >= 6:
-        out = flat.edge[..., None] * column / flat.half_width[..., None, None]
-        cells = 0.75 - 0.25 * np.cos(2.0 * np.pi * (_CELLS * out + draws[..., 1, None]))
-    panelled = (scale * dome)[..., None] * _dome_across(column) * cells
+    scale = 0.7 + 0.6 * hash_uniform(flat.seed, 241, 2 * panels).reshape(-1, 2, panels)[:, :, panel]
+    panelled = _PANEL * (scale * dome)[..., None] * _dome_across(column)
     # Furrows run along the veins, shallower towards the margin.
     vein_distance = np.minimum(number % 1.0, -number % 1.0)
     furrow = np.where(number > -0.5, np.exp(-((vein_distance / _FURROW) ** 2)), 0.0)[:, None]
     taper = np.minimum(column / _RISE, 1.0) * (1.0 - 0.75 * column) * (1.0 - column**8)
-    uneven = 0.3 * grid.split_halves(grid_noise(flat, 245, 0.5)) * _dome_across(column)
+    blisters = grid.split_halves(grid_noise(flat, 245, _BLISTER_SIZE)) * _dome_across(column)
     # Narrow panels bulge less.
     wide = np.minimum(flat.edge / flat.half_width[..., None], 1.0)[..., None]
-    return wide**0.7 * (height * (panelled + uneven) - sunken * (furrow * taper))
+    return wide**0.7 * (height * (panelled + _BLISTER * blisters) - sunken * (furrow * taper))
 
 
 def _dome_across(column: FloatArray) -> FloatArray:
@@ -108,15 +126,17 @@ def _dome_across(column: FloatArray) -> FloatArray:
 def grid_noise(flat: FlatBlades, salt: int, size: float) -> FloatArray:
     """Compute `(n, r, c)` smooth noise of mean 0 and variance 1 over the grid, like `smooth_field`.
 
-    Positions are in half-widths across and, along the midrib, at the origin of the row's vein. There each
-    wave is a product of a factor for rows and one for columns, which saves most of the cosines.
+    Positions are in half-widths on a blade of the veins' layout, with all rows as steep as one in the middle.
+    There each wave is a product of a factor for rows and one for columns, which saves most of the cosines.
     """
     angle = 2.0 * np.pi * hash_uniform(flat.seed, salt, _NOISE_WAVES)
     wavenumber = 2.0 * np.pi / size * (1.0 + 0.4 * hash_signed(flat.seed, salt + 1, _NOISE_WAVES))
     phase = 2.0 * np.pi * hash_uniform(flat.seed, salt + 2, _NOISE_WAVES)
     # cos(a + b) = cos a cos b - sin a sin b, a from rows and b from columns.
-    rows = 2.0 * flat.origin[:, None] * (wavenumber * np.sin(angle))[:, None] + phase[:, None]
-    columns = flat.grid.across[:, None] * (wavenumber * np.cos(angle))[:, None]
+    right, along = (wavenumber * np.cos(angle))[:, None], (wavenumber * np.sin(angle))[:, None]
+    across, length = flat.grid.across[:, None], 2.0 / VEIN_ASPECT
+    rows = length * flat.origin[:, None] * along + phase[:, None]
+    columns = across * right + length * vein_rise(_MIDDLE, np.abs(across)) * along
     rows = np.concatenate([np.cos(rows), -np.sin(rows)], axis=2)
     columns = np.concatenate([np.cos(columns), np.sin(columns)], axis=2)
     return np.sqrt(2.0 / _NOISE_WAVES) * np.matmul(rows, columns.swapaxes(1, 2))
@@ -132,9 +152,9 @@ def bulge_shrinkage(organs: Sequence[Organ], flat: FlatBlades) -> FloatArray:
     middle = 0.5 * (flat.column + np.concatenate([[0.0], flat.column[:-1]]))
     height = np.clip(np.abs(read_measure(organs, "blister_m", 0.0))[:, None] / half, 0.0, 0.2)
     dome = _dome_across(middle)
-    # Mean squares: of a dome's slope from vein to vein, of its rise at the midrib, of the cells.
-    along = 5.3 * 0.6 * (dome * vein_density(middle, 0.2)) ** 2
-    rise = 0.5 * 0.6 * (np.exp(-middle / _RISE) / _RISE) ** 2
-    cells = 0.5 * 0.5 * (dome * 0.25 * 2.0 * np.pi * _CELLS) ** 2
-    square = height**2 * (along + rise + cells)
+    # Mean squares: of a dome's slope from vein to vein, of its rise at the midrib, of the blisters.
+    along = 5.3 * (_PANEL * dome * vein_density(middle, 0.2)) ** 2
+    rise = 0.5 * (_PANEL * np.exp(-middle / _RISE) / _RISE) ** 2
+    blisters = 0.5 * (_BLISTER * dome * 2.0 * np.pi / _BLISTER_SIZE) ** 2
+    square = height**2 * (along + rise + blisters)
     return (1.0 / np.sqrt(1.0 + square))[:, None, None]
