@@ -19,7 +19,7 @@ from pepperscene.camera import (
 )
 from pepperscene.errors import InputError
 from pepperscene.frame import DEFAULT_OUTPUTS
-from pepperscene.render import QUALITIES, Quality, Renderer
+from pepperscene.render import Quality, Renderer
 from pepperscene.render.metering import metered_light
 from pepperscene.scene import uniform_sky
 from pepperscene.spectra import Spectrum, sky_spectrum
@@ -126,7 +126,7 @@ def test_frame_is_the_one_with_the_chosen_settings(renderer):
     frame = renderer.render(view, ["colour", "depth_z"], "draft", 5, exposure_control=control)
     described = dict(frame.metadata["auto_exposure"])
     assert described.pop("target_grey") == 90.0
-    chosen = renderer.meter(view, control, 5, bounces=QUALITIES["draft"].bounces)
+    chosen = renderer.meter(view, control, 5, quality="draft")
     assert ChosenExposure(**described) == chosen
     assert chosen.gain > 1.0
     assert frame.metadata["camera"]["exposure_s"] == chosen.exposure_s

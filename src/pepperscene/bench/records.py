@@ -26,7 +26,8 @@ _PACKAGES: Final = (
 )  # fmt: skip
 
 _EFFORT: Final = (
-    "integrator", "sampler", "samples", "soft", "most", "bounces", "target", "denoise", "whole_scene",
+    "integrator", "sampler", "samples", "soft", "most", "bounces", "most_bounces", "target", "denoise",
+    "whole_scene",
 )  # fmt: skip
 """Values of a setting in the CSV file; the JSON file has all of them."""
 

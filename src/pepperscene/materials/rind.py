@@ -177,7 +177,7 @@ def cut_surface(stem: PigmentPath, wavelength_nm: FloatArray, rng: np.random.Gen
     fields = [noise_mm(rng, CUT_SHAPE, (10.0, 10.0), (0.4, 0.4)) for _ in range(CUT_TEXTURES)]
     speckle = 0.05 * uncorrelated(np.stack(fields))
     both = np.repeat(rows[:, None, :], 2, axis=1)
-    return Surface("cut", wavelength_nm, both, np.zeros_like(rows), pattern=speckle[None].astype(np.float32))
+    return Surface("cut", wavelength_nm, both, np.zeros_like(rows), pattern=speckle.astype(np.float32))
 
 
 def _dry_material(visible_column: str, infrared_column: str) -> Spectrum:

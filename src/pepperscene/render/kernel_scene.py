@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -18,6 +19,7 @@ from pepperscene.render.reference.path_tracer import PathScene, path_scene, path
 from pepperscene.render.transport.adaptive import AdaptiveSampler
 from pepperscene.render.transport.denoise import denoised
 from pepperscene.render.transport.exposure import ExposurePart, exposure_parts, in_rows, sum_of_parts
+from pepperscene.render.transport.path_lengths import needs_long_paths
 from pepperscene.render.transport.trace import Sampling, trace
 from pepperscene.scene import Scene, Sky
 
@@ -43,6 +45,8 @@ class KernelScene:
         self, camera: Camera, quality: Quality, sampling: np.random.SeedSequence, scene: Scene
     ) -> TracedSignal:
         """Trace light with the integrator of the quality; `scene` is this one, under any sky."""
+        if not needs_long_paths(scene, spectral_response(camera, scene)):
+            quality = dataclasses.replace(quality, most_bounces=0)
         if parts := exposure_parts(camera, has_daylight=scene.sky is not None):
             if quality.integrator == "path":
                 return self._expose_paths(camera, quality, sampling, scene)
@@ -61,7 +65,7 @@ class KernelScene:
             response,
             camera.flash,
             sky_tables(scene, response.grid_nm),
-            Sampling(quality.samples, quality.soft, quality.bounces, adaptive.required),
+            _sampling(quality, adaptive),
             seed,
         )
         signal = denoised(light) if quality.denoise else light.total()
@@ -90,7 +94,9 @@ class KernelScene:
                 response,
                 camera.flash if part.has_flash else None,
                 sky_tables(scene, response.grid_nm) if part.has_daylight else None,
-                Sampling(quality.samples, quality.soft, quality.bounces, adaptive.required),
+                Sampling(
+                    quality.samples, quality.soft, quality.bounces, adaptive.required, quality.most_bounces
+                ),
                 int(stream.generate_state(1)[0]),
             )
             lights.append(in_rows(light, part.share))
@@ -116,7 +122,7 @@ class KernelScene:
             scene,
             camera,
             spp=quality.samples,
-            bounces=quality.bounces,
+            bounces=max(quality.bounces, quality.most_bounces),
             sampler=quality.sampler,
             seed=seed,
             kernel_scene=self._path[key],
@@ -153,3 +159,8 @@ class KernelScene:
             # It serves the ground truth as well, so a copy of the geometry alone is not needed any more.
             self.__dict__.pop("_geometry", None)
         return self._light[key]
+
+
+def _sampling(quality: Quality, adaptive: AdaptiveSampler) -> Sampling:
+    bounces, most = quality.bounces, quality.most_bounces
+    return Sampling(quality.samples, quality.soft, bounces, adaptive.required, most)

@@ -93,7 +93,9 @@ def frame_memory(camera: Camera, outputs: Collection[str], quality: Quality, tri
     total = _PROCESS + _PER_TRIANGLE * triangles
     per_pixel = 0.0
     if any(OUTPUTS[name].traced for name in outputs):
-        total += _device_memory(camera, quality) + _PER_BOUNCE * (quality.bounces - 1)
+        # The loop of longer paths has the code of one bounce.
+        bounces = quality.bounces + (quality.most_bounces > 0)
+        total += _device_memory(camera, quality) + _PER_BOUNCE * (bounces - 1)
         if quality.denoise:
             total += _denoiser_memory(camera.width, camera.height)
         # Half of the arrays have one entry for each channel of the sensor.

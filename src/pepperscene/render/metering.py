@@ -14,6 +14,7 @@ from pepperscene.render.kernel.arrays import LocalCoordinates
 from pepperscene.render.kernel.camera import camera_rays, spectral_response
 from pepperscene.render.kernel.scene import LightScene, sky_tables
 from pepperscene.render.transport.denoise import denoised
+from pepperscene.render.transport.path_lengths import needs_long_paths
 from pepperscene.render.transport.trace import Sampling, trace
 from pepperscene.scene import Scene
 
@@ -34,6 +35,7 @@ def metered_light(
     camera: Camera,
     seed: int,
     bounces: int = 2,
+    most_bounces: int = 0,
 ) -> tuple[Images, Images]:
     """Trace daylight and the flash separately, in a reduced image over the camera's field of view.
 
@@ -47,6 +49,7 @@ def metered_light(
         seed: of the frame.
         bounces: scattering events after the first hit, as in the frame: by daylight, a greenhouse loses some
             per cent of its light without the second.
+        most_bounces: likewise, where the frame needs long paths.
 
     Returns:
         Daylight, and the light of the flash while it is on, `(h, w, c)` each, electrons s-1 m-2 sr-1; zeros
@@ -63,7 +66,8 @@ def metered_light(
     response = spectral_response(small, scene)
     kernel_scene = light_scene_of(float(response.grid_nm[0]), float(response.grid_nm[-1]))
     rays, sky = camera_rays(small, coordinates), sky_tables(scene, response.grid_nm)
-    sampling = Sampling(_SAMPLES, _SAMPLES, bounces)
+    most = most_bounces if needs_long_paths(scene, spectral_response(camera, scene)) else 0
+    sampling = Sampling(_SAMPLES, _SAMPLES, bounces, most_bounces=most)
     first, second = np.random.SeedSequence(seed, spawn_key=(_BRANCH,)).generate_state(2).tolist()
 
     daylight = flash = np.zeros((small.height, small.width, small.sensor.channels), np.float32)

@@ -112,7 +112,7 @@ class Renderer:
 
         # Labels do not depend on the exposure.
         if exposure_control is not None and any(OUTPUTS[name].traced for name in requested):
-            chosen = self.meter(camera, exposure_control, seed, sky, quality.bounces)
+            chosen = self.meter(camera, exposure_control, seed, sky, quality)
             camera = with_exposure(camera, chosen)
             others = {name: with_exposure(other, chosen) for name, other in others.items()}
             target = {"target_grey": exposure_control.target_grey}
@@ -177,7 +177,7 @@ class Renderer:
         control: ExposureControl,
         seed: int = 0,
         sky: FrameSky = "scene",
-        bounces: int = 2,
+        quality: str | Quality = "standard",
     ) -> ChosenExposure:
         """Choose the exposure of a frame, from the light of a reduced image of it.
 
@@ -186,14 +186,21 @@ class Renderer:
             control: the wanted grey and the allowed settings.
             seed: of the frame.
             sky: as of `render`.
-            bounces: scattering events after the first hit, as of the quality; that of "standard" by default.
+            quality: of the frame; only its bounces matter.
 
         Raises:
             InputError: the camera's gain is above the highest allowed.
             SetupError: no JIT variant of Mitsuba runs on this machine.
         """
+        quality = resolve_quality(quality)
         light = metered_light(
-            self._under(sky), self._kernel.light_scene, self._kernel.coordinates, camera, seed, bounces
+            self._under(sky),
+            self._kernel.light_scene,
+            self._kernel.coordinates,
+            camera,
+            seed,
+            quality.bounces,
+            quality.most_bounces,
         )
         return choose_exposure(camera, *light, control)
 

@@ -3,6 +3,7 @@
 from pepperscene.scene.cover import Cover, load_cover
 from pepperscene.scene.culling import LightReach, combine_reaches, cull_mesh, light_reach
 from pepperscene.scene.far_rows import coarsen_plant, far_row_meshes
+from pepperscene.scene.floor import leaf_area_index
 from pepperscene.scene.frustum import ViewFrustums, view_frustums
 from pepperscene.scene.greenhouse import (
     Greenhouse,
@@ -38,6 +39,7 @@ __all__ = [
     "far_row_meshes",
     "greenhouse_mesh",
     "jittered_positions",
+    "leaf_area_index",
     "light_reach",
     "load_cover",
     "partly_cloudy_sky",

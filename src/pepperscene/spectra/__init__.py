@@ -1,5 +1,6 @@
 """Spectra: sampled functions of wavelength, their files, daylight, and the leaf model PROSPECT."""
 
+from pepperscene.spectra.daylight import D65_K, daylight_basis, daylight_mixture
 from pepperscene.spectra.files import (
     Provenance,
     read_provenance,
@@ -20,10 +21,13 @@ from pepperscene.spectra.prospect import absorption_coefficients, layer_over_bod
 from pepperscene.spectra.spectrum import Spectrum
 
 __all__ = [
+    "D65_K",
     "Provenance",
     "Spectrum",
     "absorption_coefficients",
     "colour_science",
+    "daylight_basis",
+    "daylight_mixture",
     "illuminance",
     "layer_over_body",
     "leaf_spectra",

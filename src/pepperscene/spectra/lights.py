@@ -66,9 +66,29 @@ def scale_to_illuminance(relative: Spectrum, lux: float) -> Spectrum:
     return relative.times(lux / current)
 
 
-def sun_spectrum() -> Spectrum:
-    """Direct sunlight at the ground, relative: ASTM G173-03 direct normal (air mass 1.5), 300 to 1100 nm."""
-    return _normalise(_astm_g173("direct_W_m2_nm"))
+def sun_spectrum(elevation_rad: float | None = None) -> Spectrum:
+    """Direct sunlight at the ground, relative, 300 to 1100 nm.
+
+    At the elevation of air mass 1.5, 41.8 degrees, it is ASTM G173-03 direct normal; None for this one. The
+    attenuation of each wavelength by that standard's atmosphere changes with the air mass m to the power of
+    m / 1.5 (Beer's law). Bands of water and oxygen saturate, so that they are too deep for a low sun.
+
+    Args:
+        elevation_rad: of the sun above the horizon, at least 0.
+    """
+    direct = astm_g173("direct_W_m2_nm")
+    if elevation_rad is None:
+        return _normalise(direct)
+    extraterrestrial = astm_g173("extraterrestrial_W_m2_nm")
+    transmittance = direct.values / extraterrestrial.values
+    values = extraterrestrial.values * transmittance ** (air_mass(elevation_rad) / 1.5)
+    return _normalise(Spectrum(direct.wavelength_nm, values))
+
+
+def air_mass(elevation_rad: float) -> float:
+    """Length of the path through the atmosphere over that from the zenith (Kasten & Young 1989)."""
+    degrees = float(np.degrees(elevation_rad))
+    return float(1.0 / (np.sin(elevation_rad) + 0.50572 * (degrees + 6.07995) ** -1.6364))
 
 
 @lru_cache(maxsize=4)
@@ -86,14 +106,19 @@ def sky_spectrum(kind: SkyKind = "d65") -> Spectrum:
     if kind not in get_args(SkyKind):
         raise InputError("sky_spectrum", "must be d50, d55, d65 or d75", key="kind", value=kind)
     table = read_spectrum("light/cie_daylight_300_830", kind)
-    shape = diffuse_spectrum() if kind == "d75" else _astm_g173("global_tilt_W_m2_nm")
+    shape = diffuse_spectrum() if kind == "d75" else astm_g173("global_tilt_W_m2_nm")
+    return _normalise(continue_spectrum(table, shape))
+
+
+def continue_spectrum(table: Spectrum, shape: Spectrum) -> Spectrum:
+    """Continue a spectrum in the shape of another, scaled to the energy of the table's last 50 nm."""
     last = table.wavelength_nm[-1]
     # Match energies, not single values: the shape resolves absorption lines that the table smooths.
     overlap = np.arange(last - 50.0, last + 0.5)
     scale = np.trapezoid(table.at(overlap), overlap) / np.trapezoid(shape.at(overlap), overlap)
     is_beyond = shape.wavelength_nm > last
     nm = np.append(table.wavelength_nm, shape.wavelength_nm[is_beyond])
-    return _normalise(Spectrum(nm, np.append(table.values, scale * shape.values[is_beyond])))
+    return Spectrum(nm, np.append(table.values, scale * shape.values[is_beyond]))
 
 
 def diffuse_spectrum() -> Spectrum:
@@ -102,14 +127,15 @@ def diffuse_spectrum() -> Spectrum:
     A clear sky with some light reflected by the ground: global irradiance minus direct normal irradiance
     times the cosine between the beam and the plane's normal.
     """
-    total, direct = _astm_g173("global_tilt_W_m2_nm"), _astm_g173("direct_W_m2_nm")
+    total, direct = astm_g173("global_tilt_W_m2_nm"), astm_g173("direct_W_m2_nm")
     # At air mass 1.5 the sun is 48.2 degrees from the zenith; the plane is tilted by 37 degrees towards it.
     cosine = float(np.cos(np.arccos(1.0 / 1.5) - np.radians(37.0)))
     return Spectrum(total.wavelength_nm, total.values - cosine * direct.values)
 
 
-@lru_cache(maxsize=2)
-def _astm_g173(column: str) -> Spectrum:
+@lru_cache(maxsize=3)
+def astm_g173(column: str) -> Spectrum:
+    """A column of ASTM G173-03, W m-2 nm-1, 300 to 1100 nm."""
     return read_spectrum("light/astm_g173_300_1100", column)
 
 

@@ -115,7 +115,7 @@ class FrameRenderer:
         self._renderer_factory = renderer or mitsuba_renderer
         self._builders: tuple[str, SceneBuilder] | None = None
         self._held: _HeldScene | None = None
-        self._skies: dict[tuple[int, str], Sky | None] = {}
+        self._skies: dict[tuple[int, str, str], Sky | None] = {}
 
     def render(self, spec: FrameSpec, outputs: Sequence[str], quality: str | Quality = "standard") -> Frame:
         """Render one frame.
@@ -174,17 +174,20 @@ class FrameRenderer:
     def sky(self, spec: FrameSpec) -> Sky | None:
         """The daylight of a frame, or None if the recipe has none."""
         setup = self.setups.at(spec)
-        key = (spec.set, setup.light)
+        # The crop shades the floor.
+        key = (spec.set, setup.light, setup.plants)
         if key not in self._skies:
             self._skies = {key: self._make_sky(spec.set, setup)}
         return self._skies[key]
 
     def _make_sky(self, set_index: int, setup: FrameSetup) -> Sky | None:
-        from pepperscene.scene import partly_cloudy_sky
+        from pepperscene.scene import leaf_area_index, partly_cloudy_sky
 
         light = setup.recipe.daylight
         if light is None or light.illuminance_lx == 0:
             return None
+        builder = self._builder(setup)
+        plants = [plant.mesh for plant in builder.plants(set_index)]
         return partly_cloudy_sky(
             random_generator(self.recipe.seed, Stream.SKY, set_index),
             illuminance_lx=light.illuminance_lx,
@@ -193,6 +196,7 @@ class FrameRenderer:
             sun_fraction=light.sun_fraction,
             cloud_cover=light.cloud_cover,
             cover=setup.cover,
+            leaf_area_index=leaf_area_index(plants, builder.row, builder.greenhouse),
         )
 
     def _builder(self, setup: FrameSetup) -> SceneBuilder:

@@ -74,7 +74,7 @@ def _add_instants(
             scene,
             still,
             spp=spp,
-            bounces=quality.bounces,
+            bounces=max(quality.bounces, quality.most_bounces),
             sampler=quality.sampler,
             seed=int(branch.generate_state(1)[0]),
             kernel_scene=kernel_scene,

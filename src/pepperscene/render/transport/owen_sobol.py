@@ -21,6 +21,8 @@ _HALVES: Final = ((1, 0xAAAAAAAA), (2, 0xCCCCCCCC), (4, 0xF0F0F0F0), (8, 0xFF00F
 class OwenSobol:
     """The numbers of a wavefront of samples, dimension by dimension.
 
+    `dimension` is that of the next number. Inside a loop of the kernel it is a `UInt32` of the loop's state.
+
     Args:
         pixel: `UInt32`, of each sample.
         index: `UInt32`, of the sample within its pixel.
@@ -31,7 +33,7 @@ class OwenSobol:
         _, dr = mitsuba_modules()
         self._pixel, self._seed = pixel, seed
         self._reversed_index = dr.brev(index)
-        self._dimension = 0
+        self.dimension: Any = 0
 
     def next_1d(self) -> Any:
         """A number in [0, 1) for each sample."""
@@ -51,8 +53,11 @@ class OwenSobol:
     def _next_dimension(self) -> tuple[Any, Any, Any]:
         """Bit-reversed, shuffled indices of the samples in the sequence, and two seeds for scrambling."""
         mi, _ = mitsuba_modules()
-        order, seed = mi.sample_tea_32(self._pixel, self._seed + self._dimension * 0x9E3779B9 % 2**32)
-        self._dimension += 1
+        offset = self.dimension * 0x9E3779B9
+        if isinstance(offset, int):
+            offset %= 2**32  # as the device's integers do by themselves
+        order, seed = mi.sample_tea_32(self._pixel, self._seed + offset)
+        self.dimension = self.dimension + 1
         # Owen scrambling of the indices shuffles them and keeps every block of 2^m of them together.
         return _hash_bits(self._reversed_index, order), seed, seed * 0x85EBCA6B + 0x6C078965
 

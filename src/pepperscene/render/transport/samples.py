@@ -22,7 +22,7 @@ class Samples:
     def __init__(self, tables: FrameTables, pixel: Any, index: Any, seed: Any) -> None:
         mi, _ = mitsuba_modules()
         self.tables = tables
-        sequence = OwenSobol(pixel, index, seed)
+        self.sequence = sequence = OwenSobol(pixel, index, seed)
         self.next_1d, self.next_2d = sequence.next_1d, sequence.next_2d
         rays = tables.rays
         row = pixel // rays.device_width

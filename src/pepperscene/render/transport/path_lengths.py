@@ -1,0 +1,67 @@
+"""Which frames need paths of many scattering events: those of bright leaves, and those by daylight.
+
+With two bounces after the first hit, a frame of `barth2018` by the flash has 99.9 % of its light. By daylight
+inside the rows of `greenhouse`, where most light has been scattered on its way down, it has 92, 89 and 94 %
+(red, green, blue) of it, and at 850 nm, where leaves absorb a tenth, 30 %.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.render.kernel.camera import SpectralResponse
+from pepperscene.scene import Scene, Sky
+
+_BRIGHT: Final = 0.5
+"""Mean reflectance plus transmittance. Chosen: leaves cross it at 705 nm, between dark red and bright near
+infrared; a light scattered twice after the first hit has lost all but an eighth below it."""
+_BRIGHT_SHARE: Final = 0.1
+"""Chosen: share of the detected light at wavelengths at which surfaces are bright. By the flash, two bounces
+then lose 3 % of a tenth of the light."""
+_DAYLIGHT_SHARE: Final = 0.2
+"""Chosen: daylight over flash light on a white body half a metre from the flash. Below, two bounces lose a
+tenth of a fifth of the light."""
+_FLASH_DISTANCE_M: Final = 0.5
+
+
+def needs_long_paths(scene: Scene, response: SpectralResponse) -> bool:
+    """Whether much of a frame's light is scattered more often than twice after the first hit.
+
+    Args:
+        scene: with surfaces and sky.
+        response: of the camera in this scene; its flash is averaged over the exposure.
+    """
+    grid = response.grid_nm
+    detected = response.electrons_per_joule.sum(axis=1) * response.trapezoid_nm
+    flash = detected * response.flash / _FLASH_DISTANCE_M**2
+    daylight = np.zeros(grid.size) if scene.sky is None else detected * _irradiance(scene.sky, grid)
+    if daylight.sum() > _DAYLIGHT_SHARE * flash.sum():
+        return True
+    light = flash + daylight
+    is_bright = mean_albedo(scene, grid) > _BRIGHT
+    return bool(light[is_bright].sum() > _BRIGHT_SHARE * light.sum())
+
+
+def mean_albedo(scene: Scene, grid_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`(n,)` reflectance plus transmittance of a scene's surfaces, the mean over its triangles.
+
+    Not over areas: the floor's two triangles have a larger area than all leaves together. Pigment states and
+    both sides count alike.
+    """
+    counts = np.bincount(scene.mesh.face_surface, minlength=len(scene.surfaces))
+    total = np.zeros(grid_nm.size)
+    for surface, count in zip(scene.surfaces, counts, strict=True):
+        albedo = surface.reflectance.mean(axis=(0, 1)) + surface.transmittance.mean(axis=0)
+        total += count * np.interp(grid_nm, surface.wavelength_nm, albedo)
+    return total / max(counts.sum(), 1)
+
+
+def _irradiance(sky: Sky, grid_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`(n,)` irradiance of a level plane by sky and sun, W m-2 nm-1."""
+    total = sky.received() @ sky.radiance.at(grid_nm)
+    if sky.sun is not None:
+        total += max(0.0, float(sky.sun.direction[2])) * sky.sun.irradiance.at(grid_nm)
+    return np.asarray(total)
