@@ -3,15 +3,15 @@
 Rationale: a filtered relief has the mean and the variance of its slopes, and must not change the light of a
 leaf with the distance. And it must not sparkle.
 
-Set-up: a sheet of 48 mm with the cuticle and the slopes of a leaf (two lobes; bumps of 0.3 to 10 mm, rms slope
-0.09 in each direction), a matt grey body, in the light of a sun of 5 degrees; a telephoto camera whose pixels
-cover 75 um of it from 1 m, 0.75 mm from 10 m and 7.5 mm from 100 m, along the normal or from 50 degrees off.
+Set-up: a sheet of 48 mm with the cuticle and the slopes of a leaf (two lobes; bumps of 0.3 to 10 mm, rms
+slope 0.09 in each direction), a matt grey body, in the light of a sun of 5 degrees; a telephoto camera whose
+pixels cover 75 um of it from 1 m, 0.75 mm from 10 m and 7.5 mm from 100 m, at 0 or 50 degrees to the normal.
 
-Expected: the same radiance, of which each image's sum over its pixels times the squared distance is a measure.
+Expected: the same radiance, of which an image's sum over its pixels times the squared distance is a measure.
 Two approximations remain: the convolution of a GGX lobe with slopes is not a GGX lobe, which matters at its
 peak, and a matt facet on a slope of angle t sends the fraction (1 - cos t) / 2 of its light elsewhere, here
-0.4 %. Bounds: 1.5 % of the light (measured: 1.1 %), but with the sun in the mirror direction of the normal 4 %
-from 10 m and 8 % from 100 m (measured: 2.3 and 5.6 %); without a relief it is 22 % brighter there.
+0.4 %. Bounds: 1.5 % of the light (measured: 1.1 %), but with the sun in the mirror direction of the normal
+4 % from 10 m and 8 % from 100 m (measured: 2.3 and 5.6 %); without a relief it is 22 % brighter there.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def relief() -> np.ndarray:
 
 PEAK = (0.0, 0.0)
 VIEWS = [(0.0, 20.0), (0.0, 0.0), (0.0, 50.0), (50.0, 100.0), (50.0, 70.0)]
-"""Degrees: tilt of the sheet, and angle of the sun to the axis; mirrored where the second is twice the first."""
+"""Degrees: tilt of the sheet, and angle of the sun to the axis; twice the tilt is the mirror direction."""
 
 
 def light(scene: Scene, distance_m: float, columns: int, samples: int) -> float:

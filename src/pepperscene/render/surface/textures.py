@@ -117,7 +117,8 @@ class TextureTables:
 
         Args:
             si: with uv and its partial derivatives.
-            surface, texture: numbers of the surface and of its texture.
+            surface: its number.
+            texture: number of its texture.
             mirrored: whether the texture is mirrored in u.
             footprint: area that a pixel covers at the hit, squared local units; None for hits that no camera
                 ray found, which see the mean slopes of the whole relief, and the nearest texel.
