@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.materials import Surface
 from pepperscene.render.kernel.arrays import device_array
@@ -184,6 +184,15 @@ def _nearest(u: Any, v: Any, columns: Any, rows: Any) -> Any:
 def texture_count(surface: Surface) -> int:
     """Number of textures of a surface, at least 1."""
     return max((len(images) for images in surface.textures.values()), default=1)
+
+
+def choose_texture(count: ArrayLike, variant: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Number of the texture of organs with a `variant`, out of `count`, and whether it is mirrored in u.
+
+    The variant modulo the count chooses the texture; in a stack of several, the next bit mirrors it.
+    """
+    t, v = np.asarray(count), np.asarray(variant)
+    return np.asarray(v % t), np.asarray((t > 1) & (v // t % 2 == 1))
 
 
 def _texels(surface: Surface, unit_m: float) -> Floats:
