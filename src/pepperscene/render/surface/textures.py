@@ -130,9 +130,9 @@ class TextureTables:
         count = mi.UInt32(size.x) * mi.UInt32(size.y)
         first = dr.gather(mi.UInt32, self.first_texel, surface, active) + texture * count
         if footprint is None:
-            texel = dr.gather(mi.Vector4f, self.texels, first + _nearest(u, v, size.x, size.y), active)
+            only = dr.gather(mi.Vector4f, self.texels, first + _nearest(u, v, size.x, size.y), active)
             flat = mi.Float(0.0)
-            return TextureSample(texel.x, texel.z, texel.w, flat, flat, size.z, size.w)
+            return TextureSample(only.x, only.z, only.w, flat, flat, size.z, size.w)
 
         left, top = dr.floor(u * size.x - 0.5), dr.floor(v * size.y - 0.5)
         fx, fy = u * size.x - 0.5 - left, v * size.y - 0.5 - top
@@ -229,7 +229,7 @@ def _slope_levels(height: Floats) -> list[Floats]:
     """`(h_l, w_l, 4)` of each level from 1 on, of one texture `(h, w)`; one texel counts as level 1."""
     h, w = height.shape
     moments = _cell_moments(height)
-    levels = []
+    levels: list[Floats] = []
     while not levels or moments.shape[:2] != (1, 1):
         step = len(levels) + 1
         moments = _coarser(_coarser(moments, max(h >> step, 1)).swapaxes(0, 1), max(w >> step, 1))
