@@ -16,6 +16,7 @@ linear in them, so that a filtered leaf would have another colour.
 
 from __future__ import annotations
 
+import math
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -87,25 +88,28 @@ class TextureTables:
         Raises:
             ValueError: textures of a surface differ in size.
         """
-        texels = [_texels(surface, unit_m) for surface in surfaces]
+        shapes = [_texture_shape(surface) for surface in surfaces]
+        counts = np.array([math.prod(shape) for shape in shapes])
+        starts = np.cumsum(counts) - counts
+        texels = np.zeros((counts.sum(), 4), np.float32)
         scale = 1e-3 / unit_m
         sizes, levels, first = [], [], 0
         slopes: list[Floats] = []
-        for surface, images in zip(surfaces, texels, strict=True):
+        for surface, shape, start in zip(surfaces, shapes, starts.tolist(), strict=True):
+            _fill_texels(texels[start : start + math.prod(shape)], surface, scale)
             pyramid = slope_pyramid(surface)
             square_u, square_v = pyramid.squares
-            sizes.append((images.shape[2], images.shape[1], scale**2 * square_u, scale**2 * square_v))
+            sizes.append((shape[2], shape[1], scale**2 * square_u, scale**2 * square_v))
             rows = [(0, 1, 1, 0)]
             for level in pyramid.levels[: LEVELS - 1]:
                 rows.append((first, level.shape[2], level.shape[1], 0))
                 slopes.append((level * np.array([scale, scale, scale**2, scale**2], np.float32)).ravel())
                 first += level[..., 0].size
             levels.append(rows + rows[-1:] * (LEVELS - len(rows)))
-        counts = np.array([images[..., 0].size for images in texels])
         return cls(
             sizes=device_array(sizes),
-            first_texel=device_array(np.cumsum(counts) - counts, np.uint32),
-            texels=device_array(np.concatenate([images.ravel() for images in texels])),
+            first_texel=device_array(starts, np.uint32),
+            texels=device_array(texels),
             levels=device_array(levels, np.uint32),
             slopes=device_array(np.concatenate(slopes)),
         )
@@ -195,18 +199,22 @@ def choose_texture(count: ArrayLike, variant: ArrayLike) -> tuple[NDArray[np.int
     return np.asarray(v % t), np.asarray((t > 1) & (v // t % 2 == 1))
 
 
-def _texels(surface: Surface, unit_m: float) -> Floats:
-    """`(t, h, w, 4)` textures of a surface as in `TextureTables`; one texel if it has none."""
-    images = surface.textures
-    shapes = {stack.shape for stack in images.values()}
+def _texture_shape(surface: Surface) -> tuple[int, int, int]:
+    """Shape `(t, h, w)` of all textures of a surface; one texel if it has none."""
+    shapes = {images.shape for images in surface.textures.values()}
     if len(shapes) > 1:
         raise ValueError(f"{surface.name}: textures differ in size: {sorted(shapes)}")
-    packed = np.zeros((*(shapes.pop() if shapes else (1, 1, 1)), 4), np.float32)
-    packed[..., 2] = 1.0
+    t, h, w = shapes.pop() if shapes else (1, 1, 1)
+    return t, h, w
+
+
+def _fill_texels(texels: Floats, surface: Surface, relief_scale: float) -> None:
+    """Write the textures of a surface to `(t * h * w, 4)` zeros, as in `TextureTables`."""
+    texels[:, 2] = 1.0
     for k, name in enumerate(("pattern", "relief_mm", "residue_pattern", "ageing_order")):
-        if name in images:
-            packed[..., k] = images[name] * np.float32(1e-3 / unit_m) if name == "relief_mm" else images[name]
-    return packed
+        if name in surface.textures:
+            texels[:, k] = surface.textures[name].ravel()
+    texels[:, 1] *= np.float32(relief_scale)
 
 
 _PYRAMIDS: weakref.WeakKeyDictionary[Surface, SlopePyramid] = weakref.WeakKeyDictionary()
