@@ -202,7 +202,7 @@ class Optics:
             frame=frame,
             wi=wi,
             flip=dr.select(in_front, mi.Float(1.0), mi.Float(-1.0)),
-            reflectance=total - transmitted,
+            reflectance=dr.maximum(total - transmitted, 0.0),
             transmittance=transmitted,
             gloss=gloss,
             entering=near.at(self.openness, wi.z),
