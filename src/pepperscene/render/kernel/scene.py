@@ -68,7 +68,12 @@ def organ_table(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
     """Organs as `Optics` packs them, `(o, 4)`, and `(f,)` the number of each triangle's organ.
 
     An organ with several surfaces counts once for each, with the texture of `choose_texture`.
+
+    Raises:
+        ValueError: there are no surfaces.
     """
+    if not scene.surfaces:
+        raise ValueError("the scene has no surfaces: assemble it with them to render colour")
     mesh, count = scene.mesh, len(scene.surfaces)
     pair = mesh.face_instance.astype(np.int64) * count + mesh.face_surface
     is_used = np.zeros(len(mesh.instances) * count, dtype=bool)
@@ -141,7 +146,7 @@ def light_scene(scene: Scene, first_nm: float, last_nm: float) -> LightScene:
     """Build the geometry with its surface optics over [first_nm, last_nm].
 
     Raises:
-        ValueError: see `Optics.pack` and `local_coordinates`.
+        ValueError: see `organ_table`, `Optics.pack` and `local_coordinates`.
     """
     mi, _ = mitsuba_modules()
     mesh = scene.mesh

@@ -98,7 +98,7 @@ class Optics:
             ValueError: there are no surfaces, or textures of one differ in size.
         """
         if not surfaces:
-            raise ValueError("the scene has no surfaces: assemble it with them to render colour")
+            raise ValueError("there are no surfaces to pack")
         if organs is None:
             organs = np.array([(k, 1.0, 0.0, 0.0) for k in range(len(surfaces))])
         grid = np.arange(first_nm, last_nm + STEP_NM, STEP_NM)
