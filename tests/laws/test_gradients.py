@@ -204,7 +204,9 @@ def test_slopes_of_a_cuticle_with_two_lobes_and_a_filtered_relief(camera, parame
     differences = slope_by_differences(renderer, name, direction, 0.02 * value.max())
     forward = renderer.forward({}, {name: direction})
     assert np.linalg.norm(forward - differences) <= 5e-3 * np.linalg.norm(differences)
-    error = (renderer.backward({name: value}, np.ones_like(forward))[name] * direction).sum() - differences.sum()
+    error = (
+        renderer.backward({name: value}, np.ones_like(forward))[name] * direction
+    ).sum() - differences.sum()
     assert abs(error) <= 5e-3 * np.abs(differences).sum()
 
 
