@@ -98,7 +98,7 @@ class Optics:
             ValueError: there are no surfaces, or textures of one differ in size.
         """
         if not surfaces:
-            raise ValueError("the scene has no surfaces: assemble it with them to render colour")
+            raise ValueError("there are no surfaces to pack")
         if organs is None:
             organs = np.array([(k, 1.0, 0.0, 0.0) for k in range(len(surfaces))])
         grid = np.arange(first_nm, last_nm + STEP_NM, STEP_NM)
@@ -150,7 +150,7 @@ class Optics:
         values = dr.gather(mi.Vector4f, self.organs, organ, active)
         surface, texture = mi.UInt32(values.x), mi.UInt32(dr.maximum(dr.abs(values.y) - 1.0, 0.0))
         texel = self.textures.look_up(si, surface, texture, values.y < 0.0, footprint, active)
-        frame, blur = mi.Frame3f(mi.Normal3f(0.0, 0.0, 1.0)), mi.Float(0.0)
+        frame = mi.Frame3f(mi.Normal3f(0.0, 0.0, 1.0))
         relief, blur = _relief(si, texel)
         wi = si.wi
         if footprint is not None:
@@ -202,7 +202,7 @@ class Optics:
             frame=frame,
             wi=wi,
             flip=dr.select(in_front, mi.Float(1.0), mi.Float(-1.0)),
-            reflectance=total - transmitted,
+            reflectance=dr.maximum(total - transmitted, 0.0),
             transmittance=transmitted,
             gloss=gloss,
             entering=near.at(self.openness, wi.z),
@@ -288,7 +288,7 @@ def spectra_rows(surface: Surface, grid_nm: NDArray[np.float64]) -> NDArray[np.f
 def cuticle_tables(
     surface: Surface, narrowest: float | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Constants `(2, 4)` of a surface's two sides, and `(2, BLUR_NODES - 1, NODES + 1, 4)` tables of openness.
+    """Constants `(2, 4)` of a surface's sides, and `(2, BLUR_NODES - 1, NODES + 1, 4)` tables of openness.
 
     `narrowest` replaces `narrowest_alpha(surface)`, for a surface that differs from the packed one.
     """
