@@ -59,7 +59,7 @@ def pigment_model(surface: Surface, cultivar: Cultivar | None) -> PigmentModel |
     """Find the model that makes a surface out of a cultivar's pigments; None if there is none."""
     if cultivar is None:
         return None
-    states = np.linspace(0.0, 1.0, len(surface.reflectance))
+    states = np.linspace(surface.first_state, 1.0, len(surface.reflectance))
     if surface.name == "cut":
         # Half of a scar's rim is the stem's darkest rind: both rows depend on state 1.
         stem = cultivar.kinds[cultivar.stem.node].surface
