@@ -147,7 +147,7 @@ def test_mean_leaf_has_the_hue_of_measured_leaves(name, nm):
 
 
 def test_a_tenth_of_residue_takes_the_saturation_of_a_flat_leaf_from_a_half_to_three_tenths(total, leaf, nm):
-    """S = C*/(L* + 16) of the complete sheet, flat and lit within PROSPECT's cone, with a grey tenth over it."""
+    """S = C*/(L* + 16) of the complete sheet, flat, lit within PROSPECT's cone, a tenth of it grey."""
 
     def saturation(reflectance):
         lightness, a, b = lab(reflectance, nm)
