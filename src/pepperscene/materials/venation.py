@@ -1,6 +1,7 @@
 """Outline and veins of a flat blade: midrib, lateral veins that join in loops, and the network between.
 
-The outline and the lateral veins follow formulas that the meshes of blades share (`pepperscene.geometry.blade.grid`).
+The outline and the lateral veins follow formulas that the meshes of blades share
+(`pepperscene.geometry.blade`).
 """
 
 from __future__ import annotations
