@@ -8,8 +8,8 @@ Set-up: a flat blade of the shipped cultivar across the optical axis at 50 cm, t
 
 Expected, by hand: the blade's radiance E A_s A_o T min(a_s, a_o) / (a_s a_o pi), where A is the fraction of
 light along the normal that enters a side's rough cuticle and a its cosine-weighted mean. Both are integrals
-over the gloss lobes (GGX, Smith, Fresnel, on their shares of the area) without colour, so that the channels
-have the ratio of the integrals of T x sun x response, whatever the cuticle does. The reflectance factor of the
+over the gloss lobes (GGX, Smith, Fresnel; on shares of the area) without colour, so that the channels have
+the ratio of the integrals of T x sun x response, whatever the cuticle does. The reflectance factor of the
 front, along the normal, follows in the same way from that of the body and from the lobes at the half vector.
 
 Bounds: 256 samples in each of 64 pixels, with light from a single direction and no second scattering: only
