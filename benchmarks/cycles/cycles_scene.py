@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pepperscene.camera import Camera, Distortion, expected_electrons
 from pepperscene.materials import Surface
 from pepperscene.materials.gloss import cuticle_transmittance, interpolate_table
+from pepperscene.render.surface.textures import choose_texture
 from pepperscene.scene import Scene, Sky
 
 Array = NDArray[np.float64]
@@ -151,12 +152,16 @@ def _export_mesh(
     """The mesh with colours at its vertices, and one material for each kind of cuticle."""
     mesh = scene.mesh
     vertex, surface_of, faces = _split_vertices(mesh.faces, mesh.face_surface)
+    variant = np.zeros(len(mesh.vertices), int)
+    of_instance = np.array([item.variant for item in mesh.instances])
+    variant[mesh.faces] = of_instance[mesh.face_instance][:, None]
     colours = np.zeros((3, len(vertex), 3), np.float32)
     materials: list[dict[str, Any]] = []
     material_of = np.zeros(len(scene.surfaces), np.int32)
     for number, surface in enumerate(scene.surfaces):
         selected = np.flatnonzero(surface_of == number)
-        state = _pigment_state(surface, mesh.state[vertex[selected]], mesh.uv[vertex[selected]])
+        of_surface = vertex[selected]
+        state = _pigment_state(surface, mesh.state[of_surface], mesh.uv[of_surface], variant[of_surface])
         exits = _exit_fractions(surface)
         table = _colour_table(surface, sensor, exits)
         colours[:, selected] = np.moveaxis(_interpolate_rows(table, state), 1, 0)
@@ -183,17 +188,24 @@ def _split_vertices(faces: NDArray[np.uint32], face_surface: NDArray[np.uint8]) 
     return unique // 256, unique % 256, inverse.reshape(faces.shape)
 
 
-def _pigment_state(surface: Surface, state: NDArray[np.float32], uv: NDArray[np.float32]) -> Array:
-    """Pigment state `(m,)` of vertices: bilinear in the pattern, which repeats in u and is clamped in v."""
+def _pigment_state(
+    surface: Surface, state: NDArray[np.float32], uv: NDArray[np.float32], variant: NDArray[np.integer]
+) -> Array:
+    """Pigment state `(m,)` of vertices: bilinear in the pattern, which repeats in u and is clamped in v.
+
+    `variant` is that of each vertex's organ. Residue and ageing have no counterpart in Cycles here.
+    """
     if surface.pattern is None or not state.size:
         return np.clip(state.astype(float), 0.0, 1.0)
-    height, width = surface.pattern.shape
-    x, y = uv[:, 0] * float(width) - 0.5, uv[:, 1] * float(height) - 0.5
+    pattern = surface.pattern
+    count, height, width = pattern.shape
+    texture, mirrored = choose_texture(count, variant)
+    x, y = np.where(mirrored, 1.0 - uv[:, 0], uv[:, 0]) * float(width) - 0.5, uv[:, 1] * float(height) - 0.5
     left, top = np.floor(x).astype(int), np.floor(y).astype(int)
     fx, fy = x - left, y - top
 
     def texel(dx: int, dy: int) -> NDArray[np.float32]:
-        return np.asarray(surface.pattern)[np.clip(top + dy, 0, height - 1), (left + dx) % width]
+        return np.asarray(pattern)[texture, np.clip(top + dy, 0, height - 1), (left + dx) % width]
 
     upper = texel(0, 0) * (1.0 - fx) + texel(1, 0) * fx
     lower = texel(0, 1) * (1.0 - fx) + texel(1, 1) * fx

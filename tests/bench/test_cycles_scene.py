@@ -102,7 +102,7 @@ def test_vertices_have_the_colours_of_state_pattern_and_side():
     np.testing.assert_allclose(arrays["through"], 0.2, rtol=1e-5)
     # A pattern shifts the state, which is clipped to its range.
     for shift, expected in ((0.25, 0.8 * 0.25), (9.0, 0.8)):
-        patterned = dataclasses.replace(leaf, pattern=np.full((2, 2), shift, np.float32))
+        patterned = dataclasses.replace(leaf, pattern=np.full((1, 2, 2), shift, np.float32))
         np.testing.assert_allclose(export(patterned, state=0.25).arrays["front"], expected, rtol=1e-5)
 
 

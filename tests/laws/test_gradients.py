@@ -185,6 +185,29 @@ def test_slopes_of_pigments_and_cuticles(renderer, surface, parameter):
     assert abs(error) <= 5e-3 * np.abs(differences).sum()
 
 
+@pytest.mark.parametrize("parameter", ["ior", "roughness"])
+def test_slopes_of_a_cuticle_with_two_lobes_and_a_filtered_relief(camera, parameter):
+    """The second lobe, residue and the blur of the relief are constant, but the tables change with all."""
+    x = np.linspace(0.0, 2.0 * np.pi, 128, endpoint=False)
+    relief = (0.01 * np.sin(40 * x)[None] * np.ones((128, 1))).astype(np.float32)
+    wall = Surface(
+        "wall", NM[[0, -1]], np.full((1, 2, 2), 0.3), np.full((1, 2), 0.2), 1.45, (0.2, 0.3),
+        wide_roughness=(0.6, 0.7), wide_share=0.4, relief_mm=relief[None],
+    )  # fmt: skip
+    mesh = card(0.0, 0.0, 0.05, 0.05, "wall")
+    mesh = replace(mesh, uv=(mesh.vertices[:, :2] / 0.05 + 0.5).astype(np.float32))
+    mesh = replace(mesh, instances=(replace(mesh.instances[0], residue=0.3),))
+    renderer = DifferentiableRenderer(assemble_scene(mesh, {"wall": wall}, DAY), camera, None, quality(16), 3)
+    name = f"wall.{parameter}"
+    value = renderer.parameters[name]
+    direction = np.linspace(1.0, 0.5, value.size).reshape(value.shape)
+    differences = slope_by_differences(renderer, name, direction, 0.02 * value.max())
+    forward = renderer.forward({}, {name: direction})
+    assert np.linalg.norm(forward - differences) <= 5e-3 * np.linalg.norm(differences)
+    error = (renderer.backward({name: value}, np.ones_like(forward))[name] * direction).sum() - differences.sum()
+    assert abs(error) <= 5e-3 * np.abs(differences).sum()
+
+
 def test_reverse_is_the_transpose_of_forward(renderer):
     """g . (J d) = (J^T g) . d for each parameter and all together, to the 1e-5 of single precision."""
     rng = np.random.default_rng(11)

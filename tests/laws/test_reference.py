@@ -109,6 +109,36 @@ def mono() -> Camera:
     return few_pixels(replace(camera(), sensor=load_sensor("onsemi_mt9v024_mono")))
 
 
+def weathered_life(sky: Sky | None = None) -> Scene:
+    """The still life with a bumpy leaf under two lobes of gloss, partly covered with residue and half dry.
+
+    Its relief, of bumps of a few millimetres, is filtered: a pixel covers one to two centimetres.
+    """
+    rng = np.random.default_rng(4)
+    x = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+    relief = np.stack([np.sin(k * x)[:, None] * np.sin(k * x)[None] for k in (12, 20)]) * 0.2
+    leaf = thin_leaf()
+    dry = np.stack([leaf.reflectance[0] * (0.5 + 0.25 * k) for k in range(3)])
+    through = np.stack([leaf.transmittance[0] * (0.4 * k) for k in range(3)])
+    leaf = replace(
+        leaf, reflectance=dry, transmittance=through, first_state=-1.0,
+        wide_roughness=(0.7, 0.9), wide_share=0.4, relief_mm=relief.astype(np.float32),
+        pattern=0.3 * rng.uniform(-1.0, 1.0, (2, 64, 64)).astype(np.float32),
+        residue_pattern=rng.uniform(0.0, 2.0, (2, 64, 64)).astype(np.float32),
+        ageing_order=rng.uniform(0.0, 1.0, (2, 64, 64)).astype(np.float32),
+    )  # fmt: skip
+    scene = still_life(sky, 0.5)
+    mesh, number = scene.mesh, scene.mesh.surfaces.index("leaf")
+    on_leaf = np.unique(mesh.faces[mesh.face_surface == number])
+    uv = mesh.uv.copy()
+    uv[on_leaf] = (mesh.vertices[on_leaf, :2] - (-0.195, -0.2)) / (0.15, 0.4)
+    organ = int(mesh.face_instance[mesh.face_surface == number][0])
+    instances = list(mesh.instances)
+    instances[organ] = replace(instances[organ], residue=0.3, ageing=0.5, variant=3)
+    surfaces = tuple(leaf if surface.name == "leaf" else surface for surface in scene.surfaces)
+    return replace(scene, mesh=replace(mesh, uv=uv, instances=tuple(instances)), surfaces=surfaces)
+
+
 BACK, FRONT = (0.4, -0.5, -1.0), (0.12, -0.05, 1.0)  # behind the camera, and in view
 
 SCENES = {
@@ -127,6 +157,11 @@ SCENES = {
     ),
     "real sun, flash and sky": lambda: (still_life(patchy_sky(sun(BACK, 0.004654))), camera()),
     "mono sensor": lambda: (still_life(patchy_sky(), 0.5), mono()),
+    "flash on a weathered leaf": lambda: (weathered_life(), camera()),
+    "weathered leaf by daylight": lambda: (
+        weathered_life(patchy_sky(sun(BACK, 0.2))),
+        replace(camera(flash=False), lens=replace(camera().lens, f_number=0.8), focus_m=0.4),
+    ),
     "out of focus": lambda: (
         still_life(patchy_sky(), 0.5),
         replace(camera(), lens=replace(camera().lens, f_number=0.8), focus_m=0.4),

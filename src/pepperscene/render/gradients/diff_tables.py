@@ -46,7 +46,7 @@ class DiffTables:
     def tables(self, values: Values) -> Tables:
         """The tables by name.
 
-        Spectra `(r, n, 4)`, and sides and openness as of `Optics`; with a flash also flash_optics `(r, c, 4)`,
+        Spectra `(r, n, 4)`, sides and openness as of `Optics`; with a flash also flash_optics `(r, c, 4)`,
         flash_colour `(c,)` and flash `(n,)`; with a direct sun also sun_optics `(r, c, 4)`.
         """
         result = _join_tables(self._tunable.tables(values))

@@ -43,6 +43,8 @@ class DifferentiableRenderer:
     `flash.spectrum`, `(m,)` factors at `flash_nodes_nm`, linear in between; for the exposure `exposure.time`
     and `exposure.gain`, factors of the whole image, and `exposure.f_number`.
 
+    The second lobe of a gloss, residue, ageing and textures are not parameters: they stay as in the scene.
+
     `exposure.time` assumes that the flash shines through the whole exposure, and `exposure.f_number` does not
     change the depth of field.
 

@@ -145,6 +145,8 @@ class Tunable:
             flesh_reflectance=None if flesh is None else float(flesh),
             ior=float(values[f"{model.path}.ior"]),
             roughness=(front, back),
+            wide_roughness=surface.wide_roughness,
+            wide_share=surface.wide_share,
         )
         model_path = cast("PigmentPath", path)
         reflectance, transmittance = model.model(model_path, surface.wavelength_nm, model.states)

@@ -22,7 +22,6 @@ from pepperscene.render.surface.optics import STEP_NM
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
 
-
 _MIN_FOOTPRINT_COSINE: Final = 0.05
 """Chosen: surfaces seen at less than 3 degrees count as seen at 3, since curved ones have no such pixels."""
 

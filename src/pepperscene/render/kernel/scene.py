@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pepperscene.geometry import Mesh
 from pepperscene.render.kernel.arrays import WORLD, LocalCoordinates, device_array, local_coordinates
 from pepperscene.render.surface.optics import Optics
-from pepperscene.render.surface.textures import texture_count
+from pepperscene.render.surface.textures import choose_texture, texture_count
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
 
@@ -67,8 +67,7 @@ def mitsuba_mesh(
 def organ_table(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
     """Organs as `Optics` packs them, `(o, 4)`, and `(f,)` the number of each triangle's organ.
 
-    An organ with several surfaces counts once for each. Its `variant` modulo the number of textures t of the
-    surface chooses one of them; if t > 1, the next bit, variant // t modulo 2, mirrors it.
+    An organ with several surfaces counts once for each, with the texture of `choose_texture`.
     """
     mesh, count = scene.mesh, len(scene.surfaces)
     pair = mesh.face_instance.astype(np.int64) * count + mesh.face_surface
@@ -76,12 +75,11 @@ def organ_table(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
     is_used[pair] = True
     instance, surface = np.divmod(np.flatnonzero(is_used), count)
     values = np.array([(item.variant, item.residue, item.ageing) for item in mesh.instances])[instance]
-    textures = np.array([texture_count(surface) for surface in scene.surfaces])[surface]
-    variant = values[:, 0].astype(np.int64)
-    mirrored = (textures > 1) & (variant // textures % 2 == 1)
-    texture = np.where(mirrored, -1, 1) * (1 + variant % textures)
+    counts = np.array([texture_count(surface) for surface in scene.surfaces])[surface]
+    texture, mirrored = choose_texture(counts, values[:, 0].astype(np.int64))
+    signed = np.where(mirrored, -1, 1) * (1 + texture)
     number = np.cumsum(is_used) - 1
-    return np.column_stack([surface, texture, values[:, 1:]]), number[pair].astype(np.uint32)
+    return np.column_stack([surface, signed, values[:, 1:]]), number[pair].astype(np.uint32)
 
 
 def truth_scene(scene: Scene) -> Any:

@@ -28,8 +28,7 @@ SAMPLERS: Final = ("independent", "stratified", "multijitter", "orthogonal", "ld
 """Mitsuba's samplers; all but the first round the number of samples up to one that they can spread evenly."""
 
 _DIRECTION_ERROR: Final = 1e-4
-"""Radians: chosen, above what single precision makes of the direction to the camera; one in 1e8 scattered rays
-comes as close to it."""
+"""Radians: chosen, above the rounding of the direction to the camera; one scattered ray in 1e8 is as near."""
 _LANES: Final = 1 << 21  # chosen: wavefront of a pass; bounds the memory, and keeps all cores busy
 
 

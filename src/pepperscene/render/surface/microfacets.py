@@ -4,9 +4,9 @@ Lobe k reflects by single scattering with separable Smith masking (Walter et al.
 
     f_k(i, o) = D_k(h) F(i . h) G1_k(i) G1_k(o) / (4 cos_i cos_o),       f_g = (1 - w) f_1 + w f_2.
 
-Normals are sampled from those visible to the viewer (Heitz 2018, JCGT 7(4)), of lobe 2 with probability w: the
-mirrored directions have the density (1 - w) p_1 + w p_2 with
-p_k = D_k(h) G1_k(i) / (4 cos_i), and f_g cos_o is the sum of F G1_k(o) times each part of it.
+Normals are sampled from those visible to the viewer (Heitz 2018, JCGT 7(4)), of lobe 2 with probability w.
+The mirrored directions have the density (1 - w) p_1 + w p_2 with p_k = D_k(h) G1_k(i) / (4 cos_i), and
+f_g cos_o is the sum of its parts times F G1_k(o).
 """
 
 from __future__ import annotations

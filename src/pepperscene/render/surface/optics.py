@@ -150,7 +150,7 @@ class Optics:
         values = dr.gather(mi.Vector4f, self.organs, organ, active)
         surface, texture = mi.UInt32(values.x), mi.UInt32(dr.maximum(dr.abs(values.y) - 1.0, 0.0))
         texel = self.textures.look_up(si, surface, texture, values.y < 0.0, footprint, active)
-        frame, blur = mi.Frame3f(mi.Normal3f(0.0, 0.0, 1.0)), mi.Float(0.0)
+        frame = mi.Frame3f(mi.Normal3f(0.0, 0.0, 1.0))
         relief, blur = _relief(si, texel)
         wi = si.wi
         if footprint is not None:
@@ -288,7 +288,7 @@ def spectra_rows(surface: Surface, grid_nm: NDArray[np.float64]) -> NDArray[np.f
 def cuticle_tables(
     surface: Surface, narrowest: float | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Constants `(2, 4)` of a surface's two sides, and `(2, BLUR_NODES - 1, NODES + 1, 4)` tables of openness.
+    """Constants `(2, 4)` of a surface's sides, and `(2, BLUR_NODES - 1, NODES + 1, 4)` tables of openness.
 
     `narrowest` replaces `narrowest_alpha(surface)`, for a surface that differs from the packed one.
     """

@@ -23,11 +23,10 @@ E_s is tabulated per surface and side (`pepperscene.materials.gloss`) and a_s is
 itself, so the body's part is exact; the gloss errs by the interpolation, below 4e-4 between cosines and, for
 a relief that is filtered, below 3e-3 between slope variances.
 
-Residue on the front, opaque, matt and of reflectance r, covers the fraction f of a place. There is no gloss on
-it: the front's becomes (1 - f) f_g with the albedo E' = (1 - f) E, so that its openness is A' = (1 - f) A + f
-and its mean a' = (1 - f) a + f. Of the light that enters, the fraction of the body and of the residue are
-lumped; and what comes up through the sheet and meets the residue is reflected between the two (the layers of
-Stokes 1862):
+Residue on the front, opaque, matt and of reflectance r, covers the fraction f of a place. There is no gloss
+on it: the front's becomes (1 - f) f_g with the albedo E' = (1 - f) E, so that its openness is
+A' = (1 - f) A + f and its mean a' = (1 - f) a + f. Light that enters meets body and residue in proportion to
+their areas, and what comes up through the sheet is reflected between body and residue (Stokes 1862):
 
     R_front -> (1 - f) R_front + f r        T -> (1 - f) T        R_back -> R_back + f r T^2 / (1 - r R_front)
 

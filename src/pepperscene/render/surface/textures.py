@@ -16,13 +16,14 @@ linear in them, so that a filtered leaf would have another colour.
 
 from __future__ import annotations
 
+import math
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.materials import Surface
 from pepperscene.render.kernel.arrays import device_array
@@ -87,25 +88,28 @@ class TextureTables:
         Raises:
             ValueError: textures of a surface differ in size.
         """
-        texels = [_texels(surface, unit_m) for surface in surfaces]
+        shapes = [_texture_shape(surface) for surface in surfaces]
+        counts = np.array([math.prod(shape) for shape in shapes])
+        starts = np.cumsum(counts) - counts
+        texels = np.zeros((counts.sum(), 4), np.float32)
         scale = 1e-3 / unit_m
         sizes, levels, first = [], [], 0
         slopes: list[Floats] = []
-        for surface, images in zip(surfaces, texels, strict=True):
+        for surface, shape, start in zip(surfaces, shapes, starts.tolist(), strict=True):
+            _fill_texels(texels[start : start + math.prod(shape)], surface, scale)
             pyramid = slope_pyramid(surface)
             square_u, square_v = pyramid.squares
-            sizes.append((images.shape[2], images.shape[1], scale**2 * square_u, scale**2 * square_v))
+            sizes.append((shape[2], shape[1], scale**2 * square_u, scale**2 * square_v))
             rows = [(0, 1, 1, 0)]
             for level in pyramid.levels[: LEVELS - 1]:
                 rows.append((first, level.shape[2], level.shape[1], 0))
                 slopes.append((level * np.array([scale, scale, scale**2, scale**2], np.float32)).ravel())
                 first += level[..., 0].size
             levels.append(rows + rows[-1:] * (LEVELS - len(rows)))
-        counts = np.array([images[..., 0].size for images in texels])
         return cls(
             sizes=device_array(sizes),
-            first_texel=device_array(np.cumsum(counts) - counts, np.uint32),
-            texels=device_array(np.concatenate([images.ravel() for images in texels])),
+            first_texel=device_array(starts, np.uint32),
+            texels=device_array(texels),
             levels=device_array(levels, np.uint32),
             slopes=device_array(np.concatenate(slopes)),
         )
@@ -117,7 +121,8 @@ class TextureTables:
 
         Args:
             si: with uv and its partial derivatives.
-            surface, texture: numbers of the surface and of its texture.
+            surface: its number.
+            texture: number of its texture.
             mirrored: whether the texture is mirrored in u.
             footprint: area that a pixel covers at the hit, squared local units; None for hits that no camera
                 ray found, which see the mean slopes of the whole relief, and the nearest texel.
@@ -129,9 +134,9 @@ class TextureTables:
         count = mi.UInt32(size.x) * mi.UInt32(size.y)
         first = dr.gather(mi.UInt32, self.first_texel, surface, active) + texture * count
         if footprint is None:
-            texel = dr.gather(mi.Vector4f, self.texels, first + _nearest(u, v, size.x, size.y), active)
+            only = dr.gather(mi.Vector4f, self.texels, first + _nearest(u, v, size.x, size.y), active)
             flat = mi.Float(0.0)
-            return TextureSample(texel.x, texel.z, texel.w, flat, flat, size.z, size.w)
+            return TextureSample(only.x, only.z, only.w, flat, flat, size.z, size.w)
 
         left, top = dr.floor(u * size.x - 0.5), dr.floor(v * size.y - 0.5)
         fx, fy = u * size.x - 0.5 - left, v * size.y - 0.5 - top
@@ -185,18 +190,31 @@ def texture_count(surface: Surface) -> int:
     return max((len(images) for images in surface.textures.values()), default=1)
 
 
-def _texels(surface: Surface, unit_m: float) -> Floats:
-    """`(t, h, w, 4)` textures of a surface as in `TextureTables`; one texel if it has none."""
-    images = surface.textures
-    shapes = {stack.shape for stack in images.values()}
+def choose_texture(count: ArrayLike, variant: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Number of the texture of organs with a `variant`, out of `count`, and whether it is mirrored in u.
+
+    The variant modulo the count chooses the texture; in a stack of several, the next bit mirrors it.
+    """
+    t, v = np.asarray(count), np.asarray(variant)
+    return np.asarray(v % t), np.asarray((t > 1) & (v // t % 2 == 1))
+
+
+def _texture_shape(surface: Surface) -> tuple[int, int, int]:
+    """Shape `(t, h, w)` of all textures of a surface; one texel if it has none."""
+    shapes = {images.shape for images in surface.textures.values()}
     if len(shapes) > 1:
         raise ValueError(f"{surface.name}: textures differ in size: {sorted(shapes)}")
-    packed = np.zeros((*(shapes.pop() if shapes else (1, 1, 1)), 4), np.float32)
-    packed[..., 2] = 1.0
+    t, h, w = shapes.pop() if shapes else (1, 1, 1)
+    return t, h, w
+
+
+def _fill_texels(texels: Floats, surface: Surface, relief_scale: float) -> None:
+    """Write the textures of a surface to `(t * h * w, 4)` zeros, as in `TextureTables`."""
+    texels[:, 2] = 1.0
     for k, name in enumerate(("pattern", "relief_mm", "residue_pattern", "ageing_order")):
-        if name in images:
-            packed[..., k] = images[name] * np.float32(1e-3 / unit_m) if name == "relief_mm" else images[name]
-    return packed
+        if name in surface.textures:
+            texels[:, k] = surface.textures[name].ravel()
+    texels[:, 1] *= np.float32(relief_scale)
 
 
 _PYRAMIDS: weakref.WeakKeyDictionary[Surface, SlopePyramid] = weakref.WeakKeyDictionary()
@@ -219,7 +237,7 @@ def _slope_levels(height: Floats) -> list[Floats]:
     """`(h_l, w_l, 4)` of each level from 1 on, of one texture `(h, w)`; one texel counts as level 1."""
     h, w = height.shape
     moments = _cell_moments(height)
-    levels = []
+    levels: list[Floats] = []
     while not levels or moments.shape[:2] != (1, 1):
         step = len(levels) + 1
         moments = _coarser(_coarser(moments, max(h >> step, 1)).swapaxes(0, 1), max(w >> step, 1))
