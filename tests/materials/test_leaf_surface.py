@@ -8,6 +8,7 @@ from pepperscene.camera import load_sensor
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import leaf_body, leaf_optics
 from pepperscene.materials.gloss import cone_gloss, cuticle_transmittance, gloss_albedo
+from pepperscene.materials.leaf import gloss_lobes
 from pepperscene.spectra import leaf_spectra, read_spectra, sky_spectrum
 from pepperscene.spectra.prospect import INCIDENCE_CONE_RAD
 
@@ -81,7 +82,7 @@ def test_gloss_is_that_of_the_mixture_of_its_lobes(kaite):
     steps = (np.arange(400) + 0.5) / 400 * np.sin(INCIDENCE_CONE_RAD) ** 2
     cosine = np.sqrt(1 - steps)
     expected = 0.5 * sum(gloss_albedo(cosine, 1.45, alpha).mean() for alpha in (0.25, 0.8))
-    share = sum(share * cone_gloss(path.ior, alpha) for share, alpha in path.lobes(0))
+    share = sum(share * cone_gloss(path.ior, alpha) for share, alpha in gloss_lobes(path, 0))
     assert (path.ior, path.wide_share) == (1.45, 0.5)
     assert share == pytest.approx(expected, abs=1e-5)
 
@@ -147,7 +148,7 @@ def test_mean_leaf_has_the_hue_of_measured_leaves(name, nm):
 
 
 def test_a_tenth_of_residue_takes_the_saturation_of_a_flat_leaf_from_a_half_to_three_tenths(total, leaf, nm):
-    """S = C*/(L* + 16) of the complete sheet, flat and lit within PROSPECT's cone, with a grey tenth over it."""
+    """S = C*/(L* + 16) of the complete sheet, flat, lit within PROSPECT's cone, a tenth of it grey."""
 
     def saturation(reflectance):
         lightness, a, b = lab(reflectance, nm)

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from pepperscene.geometry.blade.outline import build_outlines
-from pepperscene.grammar.plant import Organ
 from pepperscene.materials.leaf_textures import SIGMAS_MM
 from pepperscene.materials.venation import BladeGrid, FieldTile, grow_veins, outline_reach
 
@@ -36,12 +34,14 @@ def test_pixels_are_square_and_cover_the_blade(grid):
 
 
 @pytest.mark.parametrize(("widest", "base"), [(0.37, 0.85), (0.34, 0.6), (0.25, 1.0)])
-def test_outline_is_that_of_the_meshes(widest, base):
-    measures = {"width_m": 2.0, "length_m": 2.0, "widest": widest, "base": base}
-    organ = Organ("leaf", 0, 0, np.zeros((2, 3)), np.array([0.0, 0.0, 1.0]), measures)
-    along = np.linspace(0.0, 1.0, 101)
-    mesh = build_outlines([organ], np.zeros(1)).reach(along)[0, 0]
-    assert outline_reach(along, widest, base) == pytest.approx(mesh, abs=1e-12)
+def test_outline_is_zero_at_both_ends_and_widest_where_stated(widest, base):
+    along = np.linspace(0.0, 1.0, 1001)
+    reach = outline_reach(along, widest, base)
+    assert reach[[0, -1]].tolist() == [0.0, 0.0]
+    assert along[reach.argmax()] == pytest.approx(widest, abs=0.005)
+    assert reach.max() == pytest.approx(1.0, abs=1e-6)
+    assert np.all(np.diff(reach[: reach.argmax() + 1]) > 0)
+    assert np.all(np.diff(reach[reach.argmax() :]) < 0)
 
 
 def test_margin_is_at_distance_zero(grid):

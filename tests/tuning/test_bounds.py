@@ -143,7 +143,7 @@ def test_uniform_bounds():
         ({"leaf.brown": table(0.1, 5, 0, 1)}, "leaf.brown: "),
         ({"leaf.brown": {"sd": 0.1, "chosen": "x"}}, "must have value, or mean and sd"),
         (
-            {"leaf.chlorophyll": table(45, 5, 40, 50)},
+            {"leaf.chlorophyll": table(45, 2, 40, 50)},
             "must include the recipe's value of leaf.chlorophyll, 56, but is 40 to 50",
         ),
         ({"leaf.brown": table(0.1, 0.05, -0.2, 1)}, "must be within 0 to inf, but is -0.2 to 1"),

@@ -34,7 +34,8 @@ def write(recipe, fit, out, **options):
 def check_pigments(pigments, expected):
     """Contents agree to a millionth of their range at every state, the rest to rounding."""
     for name, path in expected.items():
-        contents, written = path.at(STATES), pigments[name].at(STATES)
+        states = np.linspace(-1.0, 1.0, 801)  # below 0 is tissue that ages
+        contents, written = path.at(states), pigments[name].at(states)
         for field, content in contents.items():
             extent = max(np.ptp(content), 1e-9 * np.abs(content).max())
             assert np.abs(written[field] - content).max() <= 1.001e-6 * extent + 1e-15, (name, field)
@@ -42,6 +43,9 @@ def check_pigments(pigments, expected):
         assert flesh == [None, None] or flesh[0] == pytest.approx(flesh[1], rel=1e-10)
         assert pigments[name].ior == pytest.approx(path.ior, rel=1e-10)
         assert pigments[name].roughness == pytest.approx(path.roughness, rel=1e-10)
+        assert pigments[name].wide_roughness == path.wide_roughness
+        assert pigments[name].wide_share == path.wide_share
+        assert [fraction for fraction, _ in pigments[name].ageing] == [one for one, _ in path.ageing]
 
 
 def check_camera(camera, before, parts):
@@ -337,6 +341,12 @@ def test_simplified_path_keeps_corners_only():
     simple = simplify_path(path_of(states, np.interp(states, [0, 0.25, 0.6, 1], [5, 40, 41, 3])))
     assert [state for state, _ in simple.path] == pytest.approx([0.25, 0.6])
     assert not simplify_path(path_of(states, np.full(21, 7.0))).path
+
+
+def test_simplified_path_keeps_its_ageing():
+    leaf = load_cultivar("kaite").pigments["leaf"]
+    assert leaf.ageing
+    assert simplify_path(leaf).knots == leaf.knots
 
 
 def test_simplified_path_is_within_the_tolerance():

@@ -100,15 +100,6 @@ class PigmentPath(Origin):
         start, *between, end = healthy
         return {"start": start[1], "path": tuple(between), "end": end[1], "ageing": ageing}
 
-    def lobes(self, side: int) -> tuple[tuple[float, float], ...]:
-        """(share of the cuticle's area, GGX alpha) of each lobe of the gloss, on side 0 (front) or 1."""
-        if self.wide_roughness is None:
-            return ((1.0, self.roughness[side]),)
-        return (
-            (1.0 - self.wide_share, self.roughness[side]),
-            (self.wide_share, self.wide_roughness[side]),
-        )
-
     def at(self, states: ArrayLike) -> dict[str, FloatArray]:
         """Interpolate each content at states in [0, 1], or [-1, 1] with `ageing`.
 

@@ -75,6 +75,13 @@ def leaf_body(
     return front, back, through
 
 
+def gloss_lobes(path: PigmentPath, side: int) -> tuple[tuple[float, float], ...]:
+    """(share of the cuticle's area, GGX alpha) of each lobe of the gloss, on side 0 (front) or 1 (back)."""
+    if path.wide_roughness is None:
+        return ((1.0, path.roughness[side]),)
+    return (1.0 - path.wide_share, path.roughness[side]), (path.wide_share, path.wide_roughness[side])
+
+
 def mean_gloss(path: PigmentPath, side: int) -> float:
     """Fraction of the light in PROSPECT's cone of incidence that the gloss of a side reflects.
 
@@ -82,12 +89,12 @@ def mean_gloss(path: PigmentPath, side: int) -> float:
         path: with one or two lobes, each on its share of the area.
         side: 0 front, 1 back.
     """
-    return sum(share * cone_gloss(path.ior, alpha) for share, alpha in path.lobes(side))
+    return sum(share * cone_gloss(path.ior, alpha) for share, alpha in gloss_lobes(path, side))
 
 
 def mean_openness(path: PigmentPath, side: int) -> float:
     """Fraction of diffuse light that passes the cuticle of a side; as `mean_gloss`."""
-    return sum(share * cuticle_transmittance(path.ior, alpha)[1] for share, alpha in path.lobes(side))
+    return sum(share * cuticle_transmittance(path.ior, alpha)[1] for share, alpha in gloss_lobes(path, side))
 
 
 def leaf_surface(name: str, path: PigmentPath, wavelength_nm: FloatArray) -> Surface:

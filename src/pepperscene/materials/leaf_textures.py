@@ -78,7 +78,8 @@ def vein_pattern(veins: Venation, grid: BladeGrid, tile: FieldTile, rng: np.rand
     # Veins become thinner towards the margin, and those near the tip are thinner from their origin. Lateral
     # veins are 1 mm wide at the midrib and 0.6 mm at their ends; half of that is where a ridge falls to 1/e.
     taper = (1.0 - 0.6 * veins.out) * (1.0 - 0.6 * grid.height**2)
-    paler = 0.57 * (1.0 - 0.3 * grid.height) * _ridge(veins.midrib_mm, 0.35 + 0.6 * (1.0 - grid.height) ** 0.7)
+    thick = 0.35 + 0.6 * (1.0 - grid.height) ** 0.7
+    paler = 0.57 * (1.0 - 0.3 * grid.height) * _ridge(veins.midrib_mm, thick)
     paler = np.maximum(paler, (0.08 + 0.17 * taper) * _ridge(veins.lateral_mm, 0.28 + 0.22 * taper))
     # Tissue near the larger veins is somewhat paler than that further away.
     paler = np.maximum(paler, 0.05 * taper * _ridge(veins.lateral_mm, 1.5))

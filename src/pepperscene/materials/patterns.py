@@ -129,7 +129,7 @@ class PeriodicField:
     values: Float32Array  # `(n, n)`, or `(n, n, c)` for c fields that are cropped together
 
     def crop(self, rng: np.random.Generator, shape: tuple[int, int]) -> Float32Array:
-        """Part `(h, w, ...)` at a random position, in one of the eight orientations of a square; h, w <= n."""
+        """Part `(h, w, ...)` at a random position and in one of eight orientations; h and w at most n."""
         turns, mirrored, top, left = (int(rng.integers(k)) for k in (4, 2, *self.values.shape[:2]))
         turned = np.rot90(self.values[:, ::-1] if mirrored else self.values, turns)
         rows = (top + np.arange(shape[0])) % turned.shape[0]

@@ -1,6 +1,7 @@
-"""Veins of a flat blade: midrib, lateral veins that join in loops before the margin, and the network between.
+"""Outline and veins of a flat blade: midrib, lateral veins that join in loops, and the network between.
 
-The lateral veins follow a formula that the meshes of blades share (`pepperscene.geometry.blade.grid`).
+The outline and the lateral veins follow formulas that the meshes of blades share
+(`pepperscene.geometry.blade`).
 """
 
 from __future__ import annotations
@@ -37,15 +38,17 @@ _FOOT: Final = 0.012  # chosen: fraction of the length below which the blade nar
 _FINEST_TIP: Final = 2.2  # chosen: greatest power of the outline at the tip
 
 
-def outline_reach(along: FloatArray, widest: float, base: float) -> FloatArray:
-    """Half-width of a blade without lobes, over the greatest; as `pepperscene.geometry.blade.outline`.
+def outline_reach(along: FloatArray, widest: FloatArray | float, base: FloatArray | float) -> FloatArray:
+    """Half-width of a blade without lobes, over the greatest: a beta curve, narrow at its foot.
+
+    It is 0 at both ends and 1 at `widest`, less what the foot takes.
 
     Args:
-        along: fraction of the length, 0 at the base and 1 at the tip.
+        along: fraction of the length, 0 at the base and 1 at the tip. All arguments broadcast.
         widest: position where it is widest.
-        base: power of the outline at the base.
+        base: power of the outline at the base; limited, because a great power makes the tip a thread.
     """
-    base = min(base, _FINEST_TIP * widest / (1.0 - widest))
+    base = np.minimum(base, _FINEST_TIP * widest / (1.0 - widest))
     tip = base * (1.0 - widest) / widest
     body = (along / widest) ** base * ((1.0 - along) / (1.0 - widest)) ** tip
     return np.asarray(body * -np.expm1(-along / _FOOT))

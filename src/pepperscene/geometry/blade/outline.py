@@ -15,11 +15,10 @@ from pepperscene.geometry.batch import hash_uniform, read_measure, read_positive
 from pepperscene.geometry.blade.grid import FAN_POWER, Grid, origin_of_vein_at, vein_origin, vein_rise
 from pepperscene.geometry.mesh import FloatArray, IndexArray
 from pepperscene.grammar.plant import Organ
+from pepperscene.materials.venation import outline_reach
 
 _WIDEST: Final = 0.35  # chosen with _BASE from photographs: rounded-cuneate base, drawn-out tip
 _BASE: Final = 0.8
-_FINEST_TIP: Final = 2.2  # power of the outline at the tip, chosen
-_FOOT: Final = 0.012  # chosen: fraction of the length below which the blade narrows down to the petiole
 _SAMPLES: Final = 0.5 - 0.5 * np.cos(np.pi * np.arange(193) / 192)  # positions searched for the widest one
 _MOST_LOBES: Final = 24  # along a margin; finer teeth need more triangles than a blade should have
 
@@ -39,7 +38,7 @@ class Outlines:
 
     def reach(self, along: FloatArray) -> FloatArray:
         """`(n, 2, m)` metres from midrib to margin without lobes, at positions `(n, 2, m)` or `(m,)`."""
-        return self.half_width[..., None] * self.scale * _entire_outline(along, self.base, self.widest)
+        return self.half_width[..., None] * self.scale * outline_reach(along, self.widest, self.base)
 
     def lobe_factor(self, along: FloatArray) -> FloatArray:
         """`(n, 2, m)` reach of the margin with lobes over that without; 1 for an entire margin."""
@@ -52,9 +51,7 @@ def build_outlines(organs: Sequence[Organ], seed: FloatArray) -> Outlines:
     """Build the outlines of blades from their measures (see `mesh_blades`)."""
     width = read_positive(organs, "width_m")
     widest = np.clip(read_measure(organs, "widest", _WIDEST), 0.2, 0.45)[:, None, None]
-    # A greater power would make the tip a thread.
-    finest = _FINEST_TIP * widest / (1.0 - widest)
-    base = np.minimum(np.clip(read_measure(organs, "base", _BASE), 0.3, 1.1)[:, None, None], finest)
+    base = np.clip(read_measure(organs, "base", _BASE), 0.3, 1.1)[:, None, None]
     uneven = np.clip(read_measure(organs, "asymmetry", 0.0), -0.5, 0.5)[:, None]
     half = 0.5 * width[:, None] * (1.0 + uneven * np.array([-1.0, 1.0]))
     count = np.clip(read_measure(organs, "lobes", 0.0), 0.0, _MOST_LOBES)[:, None, None]
@@ -64,16 +61,9 @@ def build_outlines(organs: Sequence[Organ], seed: FloatArray) -> Outlines:
     # The stated width is that over the lobes; an entire margin reaches 1 where it is widest.
     scale = np.ones((len(organs), 2, 1))
     if np.any(depth * count > 0.0):
-        profile = _entire_outline(_SAMPLES, base, widest) * _lobe_factor(_SAMPLES, lobes, count, depth)
+        profile = outline_reach(_SAMPLES, widest, base) * _lobe_factor(_SAMPLES, lobes, count, depth)
         scale = np.where(depth * count > 0.0, 1.0 / profile.max(axis=2, keepdims=True), scale)
     return Outlines(half, half.max(axis=1), base, widest, scale, lobes, count, depth)
-
-
-def _entire_outline(along: FloatArray, base: FloatArray, widest: FloatArray) -> FloatArray:
-    """Half-width over the greatest, 0 at both ends, 1 at `widest`: a beta curve, narrow at its foot."""
-    tip = base * (1.0 - widest) / widest
-    body = (along / widest) ** base * ((1.0 - along) / (1.0 - widest)) ** tip
-    return body * -np.expm1(-along / _FOOT)
 
 
 def _lobe_factor(along: FloatArray, lobes: FloatArray, count: FloatArray, depth: FloatArray) -> FloatArray:

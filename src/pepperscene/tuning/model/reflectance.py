@@ -26,7 +26,7 @@ from pepperscene.classes import OrganClass
 from pepperscene.errors import InputError
 from pepperscene.materials import leaf_body, rind_reflectance
 from pepperscene.materials.gloss import gloss_albedo
-from pepperscene.materials.leaf import mean_openness
+from pepperscene.materials.leaf import gloss_lobes, mean_openness
 
 if TYPE_CHECKING:
     from pepperscene.colour import MeasuredSpectrum
@@ -81,7 +81,7 @@ def instrument_reflectance(path: PigmentPath, wavelength_nm: ArrayLike, state: f
         body = reflected + transmitted * (1.0 - min(mean_open) / mean_open[0])
     else:
         body = rind_reflectance(path, nm, states)
-    entering = sum(share * _sphere_transmittance(path.ior, alpha) for share, alpha in path.lobes(0))
+    entering = sum(share * _sphere_transmittance(path.ior, alpha) for share, alpha in gloss_lobes(path, 0))
     return np.asarray(entering * body[0])
 
 

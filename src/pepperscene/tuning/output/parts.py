@@ -13,6 +13,7 @@ from pepperscene.camera import Flash, load_flash
 from pepperscene.cultivar import PigmentPath, Pigments
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError
+from pepperscene.materials.leaf import gloss_lobes
 from pepperscene.spectra import Spectrum, read_provenance
 from pepperscene.spectra.files import find_material
 from pepperscene.tuning.output.provenance import RunInfo, describe_colours, describe_values, toml_text
@@ -100,7 +101,8 @@ def _same_path(first: PigmentPath, second: PigmentPath) -> bool:
     if not np.allclose(a, b, rtol=_SAME, atol=_SAME * max(float(np.abs(a).max()), 1e-300) * 1e-3):
         return False
     lobes = [
-        [number for side in (0, 1) for lobe in p.lobes(side) for number in lobe] for p in (first, second)
+        [number for side in (0, 1) for lobe in gloss_lobes(p, side) for number in lobe]
+        for p in (first, second)
     ]
     if len(lobes[0]) != len(lobes[1]):
         return False
