@@ -2,8 +2,8 @@
 
 The fits start from a fruit that is not fitted to any measurement: with the contents of the leaf, which come
 from tomato leaves, on a flesh in the middle of the range. The shipped unripe fruit is none of these fits
-either: it is as dark as fruit on the plant, and the measured pepper (Vrhel, Gershon & Iwan 1994) is paler. Only the wide limits of the bounds are
-used, with a uniform prior between them.
+either: it is as dark as fruit on the plant, and the measured pepper (Vrhel, Gershon & Iwan 1994) is paler.
+Only the wide limits of the bounds are used, with a uniform prior between them.
 """
 
 from __future__ import annotations

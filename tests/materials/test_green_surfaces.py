@@ -81,7 +81,7 @@ def test_a_calyx_has_a_brown_end_of_its_path_and_is_green_from_there_on(surfaces
 
 
 def test_relief_of_a_calyx_loses_little_light(surfaces, kaite):
-    """Blinn's relief loses (1 - cos t) / 2 of the light at slopes of angle t: the plate's form is in the mesh."""
+    """A relief loses (1 - cos t) / 2 of the light on slopes of angle t: the plate's form is in the mesh."""
     fruit = kaite.organs["fruit"].distributions
     radius_mm = 1e3 * fruit["calyx_radius"].mean * fruit["diameter"].mean
     relief = surfaces["calyx"].relief_mm
