@@ -63,9 +63,9 @@ def test_a_cut_has_pale_pith_in_a_green_ring_and_dries_to_brown(surfaces, nm):
 
 
 def test_cork_of_a_stem_is_lighter_than_its_fissures(surfaces, nm):
-    """Near state .12 an old stem is greyish brown; fissures lower the state and darken it."""
+    """Near state .125 an old stem is greyish brown; fissures lower the state and darken it."""
     table, textures = surfaces["stem"].reflectance[:, 0], surfaces["stem"].pattern
-    cork, fissure = (lab(at(table, state), nm) for state in (0.12, 0.0))
+    cork, fissure = (lab(at(table, state), nm) for state in (0.125, 0.0))
     assert cork[0] > fissure[0] + 7
     assert np.hypot(*cork[1:]) < 25
     # On a green stem the same decrease is hardly visible.
@@ -77,7 +77,7 @@ def test_cork_of_a_stem_is_lighter_than_its_fissures(surfaces, nm):
 def test_a_calyx_has_a_brown_end_of_its_path_and_is_green_from_there_on(surfaces, nm):
     table = surfaces["calyx"].reflectance[:, 0]
     assert 65 < lab_hue(table[0], nm) < 90
-    assert lab_hue(at(table, 0.15), nm) > 105
+    assert lab_hue(at(table, 0.125), nm) > 105
 
 
 def test_relief_of_a_calyx_loses_little_light(surfaces, kaite):
