@@ -23,7 +23,7 @@ MEASURES = {
     "flower": {"radius_m", "petals", "open", "seed", "state_mean"},
     "fruit": {
         *("length_m", "diameter_m", "lobes", "lobe_depth", "shoulder", "taper", "point", "bend_rad"),
-        *("seed", "ripeness", "ripeness_spread"),
+        *("seed", "ripeness", "ripeness_spread", "residue"),
     },
     "blade": {
         *("length_m", "width_m", "fold_rad", "margin_wave_m", "margin_waves", "blister_m", "vein_m"),

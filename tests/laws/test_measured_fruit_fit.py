@@ -1,9 +1,9 @@
 """Fits of the model's pigments to measured reflectances, from independent starts.
 
-The shipped fruit is such a fit to the measured green pepper (Vrhel, Gershon & Iwan 1994), and so are the
-means of the shipped bounds. Therefore these fits start from another fruit: with the contents of the leaf,
-which come from tomato leaves, on a flesh in the middle of the range. Only the wide limits of the bounds are
-used, with a uniform prior between them.
+The fits start from a fruit that is not fitted to any measurement: with the contents of the leaf, which come
+from tomato leaves, on a flesh in the middle of the range. The shipped unripe fruit is none of these fits
+either: it is as dark as fruit on the plant, and the measured pepper (Vrhel, Gershon & Iwan 1994) is paler.
+Only the wide limits of the bounds are used, with a uniform prior between them.
 """
 
 from __future__ import annotations

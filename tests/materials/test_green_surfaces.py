@@ -42,17 +42,49 @@ def test_stalks_differ_in_gloss(surfaces):
     assert peduncle.roughness[0] < stem.roughness[0] < calyx.roughness[0]
 
 
-def test_a_cut_is_brown_with_a_darker_rim_and_bright_in_the_infrared(surfaces, nm):
-    table = surfaces["cut"].reflectance[:, 0]
-    assert 50 < lab_hue(table[0], nm) < 85
-    assert lab(table[1], nm)[0] < lab(table[0], nm)[0]
-    # The visible part is the measured one.
+def test_a_cut_has_pale_pith_in_a_green_ring_and_dries_to_brown(surfaces, nm):
+    dried, pith, ring, bark = surfaces["cut"].reflectance[:, 0]
+    assert 50 < lab_hue(dried, nm) < 85
+    lightness = [lab(row, nm)[0] for row in (dried, pith, ring, bark)]
+    assert lightness[1] > lightness[0] + 5
+    assert lightness[1] > lightness[2] + 20
+    assert lightness[2] > lightness[3]
+    assert 95 < lab_hue(pith, nm) < lab_hue(ring, nm) < 125
+    # The visible part of dried pith is the measured one.
     file = "organ/vrhel_wood_bark_straw_reflectance"
     straw, chip = (read_spectrum(file, c) for c in ("straw_from_broom_154", "bark_chip_iii_129"))
     inside = (nm >= 390) & (nm <= 730)
-    assert table[0, inside] == pytest.approx(0.5 * (straw.at(nm) + chip.at(nm))[inside], abs=1e-12)
+    assert dried[inside] == pytest.approx(0.5 * (straw.at(nm) + chip.at(nm))[inside], abs=1e-12)
     # It continues without a step, and stays below fresh white paper.
-    infrared = table[0, nm >= 720]
+    infrared = dried[nm >= 720]
     assert np.all(np.diff(infrared) > 0)
     assert np.abs(np.diff(infrared, 2)).max() < 0.02
     assert infrared[-1] < 0.8
+
+
+def test_cork_of_a_stem_is_lighter_than_its_fissures(surfaces, nm):
+    """Near state .125 an old stem is greyish brown; fissures lower the state and darken it."""
+    table, textures = surfaces["stem"].reflectance[:, 0], surfaces["stem"].pattern
+    cork, fissure = (lab(at(table, state), nm) for state in (0.125, 0.0))
+    assert cork[0] > fissure[0] + 7
+    assert np.hypot(*cork[1:]) < 25
+    # On a green stem the same decrease is hardly visible.
+    assert abs(lab(at(table, 0.65), nm)[0] - lab(at(table, 0.53), nm)[0]) < 3
+    # Fissures are narrow: they change a tenth to a third of the surface by more than .08.
+    assert 0.1 < np.mean(textures < -0.08) < 0.33
+
+
+def test_a_calyx_has_a_brown_end_of_its_path_and_is_green_from_there_on(surfaces, nm):
+    table = surfaces["calyx"].reflectance[:, 0]
+    assert 65 < lab_hue(table[0], nm) < 90
+    assert lab_hue(at(table, 0.125), nm) > 105
+
+
+def test_relief_of_a_calyx_loses_little_light(surfaces, kaite):
+    """A relief loses (1 - cos t) / 2 of the light on slopes of angle t: the plate's form is in the mesh."""
+    fruit = kaite.organs["fruit"].distributions
+    radius_mm = 1e3 * fruit["calyx_radius"].mean * fruit["diameter"].mean
+    relief = surfaces["calyx"].relief_mm
+    around = np.gradient(relief, axis=2) * relief.shape[2] / (np.pi * radius_mm)
+    along = np.gradient(relief, axis=1) * relief.shape[1] / (2 * radius_mm)
+    assert np.mean(0.5 - 0.5 / np.sqrt(1 + around**2 + along**2)) < 0.002

@@ -9,15 +9,39 @@ from pepperscene.materials import greenhouse_surfaces
 from pepperscene.materials.greenhouse import FILM_SCATTERING, GROUND_REFLECTANCE
 from pepperscene.spectra import read_spectrum
 
-WHITE = ("twine", "gutter", "foil", "floor_film", "pipe")
+WHITE = ("gutter", "foil", "floor_film", "pipe")
 
 
 def test_all_but_wire_and_substrate_are_nearly_white(surfaces, nm):
-    assert set(greenhouse_surfaces(nm)) == {*WHITE, "steel", "rockwool"}
+    assert set(greenhouse_surfaces(nm)) == {*WHITE, "twine", "steel", "rockwool"}
     for name in WHITE:
         lightness, a, b = lab(surfaces[name].reflectance[0, 0], nm)
         assert lightness > 85, name
         assert np.hypot(a, b) < 8, name
+
+
+def test_twine_is_a_greyish_white_with_darker_furrows(surfaces, nm):
+    furrow, crown = (lab(row, nm) for row in surfaces["twine"].reflectance[:, 0])
+    assert 80 < crown[0] < 88
+    assert furrow[0] < crown[0] - 10
+    assert max(np.hypot(*furrow[1:]), np.hypot(*crown[1:])) < 5
+
+
+def test_twine_is_laid_of_three_strands(surfaces):
+    """Three periods around, nine along fifteen diameters: each strand turns once in five diameters."""
+    for images in (surfaces["twine"].pattern, surfaces["twine"].relief_mm):
+        power = np.abs(np.fft.fft2(images[0] - images[0].mean())) ** 2
+        row, column = np.unravel_index(np.argmax(power), power.shape)
+        height, width = power.shape
+        assert (min(row, height - row), min(column, width - column)) == (9, 3)
+        # The helix repeats without a step where v jumps from 1 to 0.
+        inside = np.abs(np.diff(images[0], axis=0)).mean()
+        assert np.abs(images[0, 0] - images[0, -1]).mean() < 2 * inside
+    # Crowns are high and light, furrows low and dark.
+    crowns = surfaces["twine"].relief_mm > np.percentile(surfaces["twine"].relief_mm, 80)
+    furrows = surfaces["twine"].relief_mm < np.percentile(surfaces["twine"].relief_mm, 20)
+    pattern = surfaces["twine"].pattern
+    assert pattern[crowns].mean() > pattern[furrows].mean() + 0.4
 
 
 def test_white_paint_is_dark_in_the_ultraviolet_only(surfaces, nm):
