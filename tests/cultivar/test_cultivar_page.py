@@ -49,7 +49,7 @@ def test_shown_files_load(name: str, tmp_path: Path) -> None:
 def test_shown_distributions_are_valid() -> None:
     types = {"_mm": TypeAdapter(Length), "_deg": TypeAdapter(Angle), "": TypeAdapter(Ratio)}
     tables = tomllib.loads(BLOCKS[0])
-    assert len(tables) == 5
+    assert len(tables) == 6
     for table in tables.values():
         unit = next(unit for unit in types if next(iter(table)).endswith(unit))
         types[unit].validate_python(table)

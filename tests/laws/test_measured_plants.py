@@ -50,8 +50,10 @@ SIGNIFICANCE = 1e-4
 FEW, MANY = 80, 2000
 RESOLVED = 12  # plants that are measured before and after contacts are resolved
 CUTS = np.linspace(0.29, 0.41, 9)  # relative positions of cuts across a blade, which is widest at about .35
-RELIEF = ("fold_rad", "curl_rad", "twist_rad", "margin_wave_m", "blister_m", "vein_m")
+RELIEF = ("fold_rad", "curl_rad", "rolled_rad", "twist_rad", "margin_wave_m", "blister_m", "vein_m")
 """Measures of a blade that pressing removes."""
+DAMAGE = ("bites", "tears", "ageing")
+"""Measures of a blade that change its outline or crumple its rim; Table 1 is of whole leaves."""
 
 TABLE_1 = {
     "I-1": ("internode", "length"),
@@ -112,7 +114,7 @@ class Sample:
 
 def pressed_blades(plant: Plant) -> Plant:
     """The blades of a plant, separate and flat, with the same outlines."""
-    flat = dict.fromkeys(RELIEF, 0.0)
+    flat = dict.fromkeys(RELIEF + DAMAGE, 0.0)
     blades = (replace(b, parent=-1, measures={**b.measures, **flat}) for b in plant.of_form("blade"))
     return replace(plant, organs=tuple(blades))
 

@@ -35,10 +35,11 @@ def read_measure(organs: Sequence[Organ], name: str, default: float | FloatArray
         [organ.measures.get(name, fallback) for organ, fallback in zip(organs, defaults, strict=True)],
         np.float64,
     )
-    for organ, finite in zip(organs, np.isfinite(values), strict=True):
-        if not finite:
-            location, value = f"{organ.kind} of phytomer {organ.phytomer}", organ.measures.get(name)
-            raise ValueError(f"{location}: measure {name} must be a finite number, not {value}")
+    finite = np.isfinite(values)
+    if not finite.all():
+        organ = organs[int(np.argmin(finite))]
+        location, value = f"{organ.kind} of phytomer {organ.phytomer}", organ.measures.get(name)
+        raise ValueError(f"{location}: measure {name} must be a finite number, not {value}")
     return values
 
 
@@ -114,6 +115,8 @@ def vertex_normals(vertices: FloatArray, faces: IndexArray) -> FloatArray:
 
     A vertex without faces has a zero normal.
     """
+    from scipy.sparse import csr_array
+
     # Organs come last in memory, so that a face gathers each of its corners from one contiguous block.
     corners = np.ascontiguousarray(vertices.transpose(1, 2, 0))
     origin = corners[faces[:, 0]]
@@ -122,14 +125,11 @@ def vertex_normals(vertices: FloatArray, faces: IndexArray) -> FloatArray:
     for axis in range(3):
         second, third = (axis + 1) % 3, (axis + 2) % 3
         face_normals[:, axis] = p[:, second] * q[:, third] - p[:, third] * q[:, second]
-    # Add the k-th face of every vertex that has more than k, k = 0, 1, ...
-    order = np.argsort(faces, axis=None, kind="stable")
-    first = np.searchsorted(faces.ravel()[order], np.arange(vertices.shape[1] + 1))
-    face, count = order // 3, np.diff(first)
-    total = np.zeros_like(corners)
-    for k in range(int(count.max(initial=0))):
-        vertex = np.flatnonzero(count > k)
-        total[vertex] += face_normals[face[first[vertex] + k]]
+    # The sum over the faces around each vertex is a product with a sparse matrix of ones, twice as fast as
+    # sums by indices, and in the same order.
+    rows, columns = faces.ravel(), np.repeat(np.arange(len(faces)), 3)
+    around = csr_array((np.ones(rows.size), (rows, columns)), shape=(vertices.shape[1], len(faces)))
+    total = (around @ face_normals.reshape(len(faces), -1)).reshape(corners.shape)
     length = np.sqrt(np.einsum("vin,vin->vn", total, total))
     total /= np.where(length > 0.0, length, 1.0)[:, None]
     return np.ascontiguousarray(total.transpose(2, 0, 1))

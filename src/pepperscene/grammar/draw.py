@@ -202,27 +202,29 @@ def _draw_kind(
 def _draw_values(model: OrganModel, address: Addresses, positions: FloatArray) -> Columns:
     """`(n,)` values from each distribution of a kind."""
     distributions = model.distributions
-    uniform = dict(zip(distributions, uniforms(address, tuple(distributions)), strict=True))
+    # Many parameters are constants: skip their random numbers and quantile functions for speed.
+    drawn = tuple(name for name, distribution in distributions.items() if distribution.family != "value")
+    uniform = dict(zip(drawn, uniforms(address, drawn), strict=True)) if drawn else {}
     correlation = getattr(model, "size_correlation", 0.0)
     if correlation > 0.0:
         # A Gaussian copula: each value still follows its own distribution.
         from scipy.special import ndtr, ndtri
 
         common = math.sqrt(correlation) * ndtri(uniforms(address, "size"))
-        for name in ("length", "width"):
+        for name in {"length", "width"} & uniform.keys():
             uniform[name] = ndtr(common + math.sqrt(1.0 - correlation) * ndtri(uniform[name]))
     correlation = getattr(model, "age_correlation", 0.0)
     if correlation > 0.0:
         from scipy.special import ndtr, ndtri
 
         age = math.sqrt(correlation) * ndtri(uniforms(address, "age"))
-        for name, sign in _WITH_AGE.items():
+        for name in _WITH_AGE.keys() & uniform.keys():
+            sign = _WITH_AGE[name]
             uniform[name] = ndtr(sign * age + math.sqrt(1.0 - correlation) * ndtri(uniform[name]))
-    # Most parameters are constants: skip the quantile function for speed.
     return {
-        name: np.full(address.size, distribution.mean)
-        if distribution.family == "value"
-        else distribution.quantiles(uniform[name], positions)
+        name: distribution.quantiles(uniform[name], positions)
+        if name in uniform
+        else np.full(address.size, distribution.mean)
         for name, distribution in distributions.items()
     }
 

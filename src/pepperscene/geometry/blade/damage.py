@@ -56,8 +56,11 @@ class _Sheet:
             near[vertices] = True
             faces = self.faces[near[self.faces].any(axis=1)]
             if np.all(_areas(flat, faces) > _LEAST_AREA * _areas(self.flat, faces)):
-                near[faces] = True
-                values = self._interpolate(positions, self.faces[near[self.faces].any(axis=1)])
+                values = self._interpolate(positions, faces)
+                if values is None:
+                    # A position is beyond the triangles that move.
+                    near[faces] = True
+                    values = self._interpolate(positions, self.faces[near[self.faces].any(axis=1)])
                 if values is not None:
                     self.values[vertices], self.flat = values, flat
                     return vertices
@@ -120,16 +123,16 @@ def damage_margins(organs: Sequence[Organ], surfaces: Surfaces, grid: Grid) -> N
     margins = grid.margin_vertices
     seed, width = read_measure(organs, "seed", 0.0), read_measure(organs, "bite_width_m", 0.01)
     depth = read_measure(organs, "tear_depth", 0.5)
-    draws = hash_uniform(seed, 281, 8 * _MOST).reshape(-1, 2, _MOST, 4)
-    for k in damaged.tolist():
+    all_draws = hash_uniform(seed[damaged], 281, 8 * _MOST).reshape(-1, 2, _MOST, 4)
+    for k, draws in zip(damaged.tolist(), all_draws, strict=True):
         flat = (surfaces.uv[k] - _MIDRIB) * surfaces.size[k]
         values = np.concatenate([surfaces.vertices[k], surfaces.state[k][:, None]], axis=1)
         sheet = _Sheet(flat, values, grid.faces)
         # Tears first: they follow rows of the grid, which bites bend.
-        for draw in draws[k, 0, : tears[k]].tolist():
+        for draw in draws[0, : tears[k]].tolist():
             _tear(sheet, grid, margins, float(depth[k]), draw)
         place = (0.0, 0.0)
-        for draw in draws[k, 1, : bites[k]].tolist():
+        for draw in draws[1, : bites[k]].tolist():
             place = _bite(sheet, margins, float(width[k]), draw, place)
         surfaces.vertices[k], surfaces.state[k] = sheet.values[:, :3], sheet.values[:, 3]
         surfaces.uv[k] = np.clip(sheet.flat / surfaces.size[k] + _MIDRIB, 0.0, 1.0)

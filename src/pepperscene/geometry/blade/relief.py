@@ -27,7 +27,7 @@ _TURN: Final = 2.0 * np.pi
 _FURROW: Final = 0.15  # chosen: half-width of a sunken vein, as a fraction of the distance to the next
 # Chosen: amplitude of the crumples of a dry rim, of the half-width, and the ageing from which it is reached.
 _CRUMPLE: Final = 0.022
-_CRUMPLED: Final = 0.35
+_CRUMPLED: Final = 0.25
 _NOISE_WAVES: Final = 8  # chosen
 _MIDDLE: Final = np.array(0.4)  # chosen: origin of a vein as steep as most
 
