@@ -9,14 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.camera import Camera
-from pepperscene.camera.colorimetry import (
-    ColourCorrection,
-    colour_correction,
-    d65_spectrum,
-    srgb_decode,
-    srgb_encode,
-    white_balance_gains,
-)
+from pepperscene.camera.colorimetry import d65_spectrum, srgb_decode, srgb_encode
+from pepperscene.camera.colour_correction import ColourCorrection, colour_correction, white_balance_gains
 from pepperscene.camera.readout import (
     Floats,
     Tone,
